@@ -27,6 +27,7 @@
 //! * [`status`]: state of a bus, in plain values.
 //! * [`app`]: all state of the program, without I/O; [`keymap`]: its actions and keys.
 //! * [`theme`], [`ui`]: colours; drawing.
+//! * [`regular_file`]: bounded reading of files.
 //! * [`bus`]: frames from and to interfaces, adapters, servers, logs and simulations.
 //! * [`shell`]: event loop, terminal, files, signals.
 //! * [`guide`]: what a user looks up: `descan help`, `descan man`.
@@ -76,6 +77,8 @@ pub mod commands;
 pub mod guide;
 #[cfg(feature = "program")]
 pub mod keymap;
+#[cfg(feature = "program")]
+pub mod regular_file;
 #[cfg(feature = "program")]
 pub mod shell;
 #[cfg(feature = "program")]

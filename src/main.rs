@@ -3,8 +3,7 @@
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
 use descan::cli::{self, CliExit};
-use descan::commands;
-use std::io::Write;
+use descan::commands::{self, output};
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
@@ -12,11 +11,11 @@ fn main() -> ExitCode {
         Ok(cli) => commands::run(cli),
         Err(CliExit::Text(text)) => {
             // Standard output may be closed.
-            let _ = std::io::stdout().write_all(text.as_bytes());
+            let _ = output::print_own(text.as_bytes());
             ExitCode::SUCCESS
         }
         Err(CliExit::Usage(line)) => {
-            let _ = writeln!(std::io::stderr(), "descan: {line}");
+            output::warn(line);
             ExitCode::from(commands::EXIT_USAGE)
         }
     }

@@ -5,6 +5,7 @@
 use std::fmt;
 use std::sync::Arc;
 use unicode_general_category::{GeneralCategory, get_general_category};
+use unicode_width::UnicodeWidthChar;
 
 /// Returns true if a character is shown unchanged: all but the Unicode categories Cc, Cf, Zl, Zp,
 /// Co and Cn.
@@ -60,6 +61,40 @@ impl fmt::Display for Quoted<'_> {
         });
         if is_blank { write!(f, "\"{}\"", Escaped(self.0)) } else { Escaped(self.0).fmt(f) }
     }
+}
+
+/// Most characters without a width, as combining marks, that are shown on one character: the limit
+/// of the Stream-Safe Text Format (UAX #15).
+pub const MAX_MARKS: usize = 30;
+
+/// Lines that may contain foreign text: characters that are not printable as in [`Escaped`], `…`
+/// for more than [`MAX_MARKS`] combining marks. Line ends are unchanged, and backslashes too, as
+/// part of the text may be escaped already.
+#[derive(Clone, Copy)]
+pub struct SafeLines<'a>(pub &'a str);
+
+impl fmt::Display for SafeLines<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        use fmt::Write;
+        let mut marks = 0;
+        self.0.chars().try_for_each(|c| {
+            marks = if c.width() == Some(0) { marks + 1 } else { 0 };
+            match c {
+                '\n' => f.write_char(c),
+                c if !is_printable(c) => hex_escapes(f, c.encode_utf8(&mut [0; 4]).as_bytes()),
+                c if marks <= MAX_MARKS => f.write_char(c),
+                _ if marks == MAX_MARKS + 1 => f.write_char('…'),
+                _ => Ok(()),
+            }
+        })
+    }
+}
+
+/// Returns the beginning of a character with its combining marks, with at most [`MAX_MARKS`] of
+/// them.
+pub fn with_few_marks(character: &str) -> &str {
+    let end = character.char_indices().nth(MAX_MARKS + 1).map_or(character.len(), |(at, _)| at);
+    &character[..end]
 }
 
 /// Returns the bytes as [`Escaped`] text.
@@ -147,6 +182,22 @@ mod tests {
         assert_eq!(shown(b"a\\b\xff"), "a\\\\b\\xFF");
         assert_eq!(shown("\u{9b}2J".as_bytes()), "\\xC2\\x9B2J");
         assert_eq!(shown("a\u{202e}b\u{2028}".as_bytes()), "a\\xE2\\x80\\xAEb\\xE2\\x80\\xA8");
+    }
+
+    #[test]
+    fn safe_lines_keep_line_ends_and_escapes() {
+        let shown = SafeLines("a\x1b[2J\u{9b}\\x1B\n\tb\r\n\u{202e}").to_string();
+        assert_eq!(shown, "a\\x1B[2J\\xC2\\x9B\\x1B\n\\x09b\\x0D\n\\xE2\\x80\\xAE");
+    }
+
+    #[test]
+    fn many_combining_marks_are_cut() {
+        let marks = |count| format!("A{}B", "\u{301}".repeat(count));
+        assert_eq!(SafeLines(&marks(30)).to_string(), marks(30));
+        let cut = marks(30).replace('B', "…B");
+        assert_eq!(SafeLines(&marks(2000)).to_string(), cut);
+        assert_eq!(with_few_marks(&marks(2000)), &marks(30)[..61]);
+        assert_eq!(with_few_marks("é"), "é");
     }
 
     #[test]

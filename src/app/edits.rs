@@ -165,7 +165,7 @@ impl App {
         if self.editor.file.conflict().is_some() {
             self.show_conflict();
             self.input.accept_keys();
-        } else if self.editor.file.unsaved() == 0 {
+        } else if self.editor.file.is_settled() {
             self.file_info("no unsaved changes");
         } else if let Err(EditRefusal::Unusable(why)) = self.editor.file.check() {
             self.file_error(format!("not saved; fix it first: {why}"));

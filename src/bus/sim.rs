@@ -7,11 +7,13 @@ use super::kind::{BusKind, OpenRequest};
 use super::port::{Port, PortShared};
 use crate::diagnostic::Diagnostic;
 use crate::frame::{BusIndex, Frame};
+use crate::regular_file::read_text;
 use crate::sim::{self, Scenario, Sim, SimStation};
 use crate::status::{BusState, Link, RateSearch};
-use crate::text::on_one_line;
+use crate::text::{on_one_line, printable};
 use crate::time::Duration;
 use std::io;
+use std::path::Path;
 use std::sync::Arc;
 
 /// Shortest time between two deliveries: wake-ups cost more than frames.
@@ -51,11 +53,13 @@ pub fn scenario(name: &str) -> Result<Scenario, Diagnostic> {
     if Scenario::builtin_text(name).is_some() {
         return Scenario::builtin(name).map_err(|error| Diagnostic::new(error.to_string()));
     }
-    let text = std::fs::read_to_string(name).map_err(|error| {
-        Diagnostic::unreadable(name, &error).with_remedy("use boiler, drone or a TOML file")
+    let text = read_text(Path::new(name))?.ok_or_else(|| {
+        let missing = Diagnostic::new("file not found").of(printable(name.as_bytes()));
+        missing.with_remedy("use boiler, drone or a TOML file")
     })?;
-    Scenario::parse(&text)
-        .map_err(|error| Diagnostic::new(format!("{name}: {}", on_one_line(&error.to_string()))))
+    Scenario::parse(&text).map_err(|error| {
+        Diagnostic::new(on_one_line(&error.to_string())).of(printable(name.as_bytes()))
+    })
 }
 
 fn start(scenario: &Scenario, request: OpenRequest) -> io::Result<Port> {

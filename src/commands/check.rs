@@ -6,7 +6,7 @@ use super::headless::{RunOutcome, warn_all_tx_blocked};
 use super::open::{self, Setup};
 use super::report::ScanReport;
 use super::scan::{DEFAULT_TIME, look, read_log, warn_incomplete};
-use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure, print};
+use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure};
 use crate::app::{App, Bus, Scope};
 use crate::cli::CheckArgs;
 use crate::finding::{CheckSection, Finding, FindingKind, FindingState};
@@ -40,8 +40,7 @@ pub fn run(check: &CheckArgs) -> Result<u8, Failure> {
     }
     warn_all_tx_blocked(&app, now);
     let report = ScanReport::new(&app, now, Scope::Check);
-    let text = if check.run.json { report.json() } else { differences(&app, now) };
-    print(text.as_bytes())?;
+    report.print(check.run.json, |_| differences(&app, now))?;
     recording?;
     Ok(if report.has_findings() { EXIT_FINDINGS } else { EXIT_OK })
 }

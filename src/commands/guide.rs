@@ -1,7 +1,8 @@
 //! `descan help` and `descan man`: a part of the guide on standard output, laid out for the
 //! terminal where it is one.
 
-use super::{EXIT_OK, Failure, print};
+use super::output::print_own;
+use super::{EXIT_OK, Failure};
 use crate::cli;
 use crate::guide::{self, UnknownTopic, render::TextLayout};
 use std::io::{self, IsTerminal};
@@ -13,13 +14,13 @@ pub fn help(name: Option<&str>) -> Result<u8, Failure> {
         None => guide::overview(&cli::program(), layout),
         Some(name) => guide::help(cli::program(), name, layout).map_err(|error| unknown(&error))?,
     };
-    print(text.as_bytes()).map(|()| EXIT_OK)
+    print_own(text.as_bytes()).map(|()| EXIT_OK)
 }
 
 /// `descan man [NAME]`.
 pub fn man(name: Option<&str>) -> Result<u8, Failure> {
     let text = guide::manual(cli::program(), name).map_err(|error| unknown(&error))?;
-    print(text.as_bytes()).map(|()| EXIT_OK)
+    print_own(text.as_bytes()).map(|()| EXIT_OK)
 }
 
 fn unknown(error: &UnknownTopic) -> Failure {

@@ -2,8 +2,8 @@
 //! reached, or the log ends. Also the warnings that they share. Does not know what the commands
 //! print.
 
-use super::Failure;
 use super::open::{self, Setup};
+use super::{Failure, output};
 use crate::app::{App, AppOptions, Bus, BusSnapshot, TxBlocked};
 use crate::bus::{self, BusSpec, UdpAddress};
 use crate::diagnostic::Diagnostic;
@@ -17,7 +17,7 @@ use crate::time::{Epoch, Instant};
 use anyhow::Context;
 use nix::sys::signal::Signal;
 use std::fs::File;
-use std::io::{self, Write};
+use std::io;
 use std::ops::ControlFlow;
 use std::os::fd::AsFd;
 use std::time::Duration;
@@ -205,7 +205,7 @@ impl RecordingFailure {
         let failure = status.and_then(|status| Some((&status.path, status.failure.as_ref()?)));
         if let Some((path, why)) = failure.filter(|_| !self.is_reported) {
             self.is_reported = true;
-            let _ = writeln!(io::stderr(), "descan: recording to {path} stopped: {why}");
+            output::warn(format_args!("recording to {path} stopped: {why}"));
         }
     }
 }
@@ -254,9 +254,7 @@ fn cause(bus: &Bus) -> String {
 /// Prints on standard error why descan cannot transmit on a bus: controller off, adapter without
 /// responses, no acknowledgement, no own address.
 pub fn warn_tx_blocked(bus: &BusSnapshot) {
-    let warn = |why: &str| {
-        let _ = writeln!(io::stderr(), "descan: {}: {why}", bus.name);
-    };
+    let warn = |why: &str| output::warn(format_args!("{}: {why}", bus.name));
     if bus.status.link == Link::Up && !bus.is_up {
         let fault = bus.status.fault.as_ref().map(Diagnostic::to_string);
         let why = fault.as_deref().unwrap_or(bus.status.state.name());
@@ -298,7 +296,7 @@ fn report_unreadable(spec: &BusSpec, session: &Session) -> Result<(), Failure> {
         // The log goes on behind the part that was read.
         let entries = session.unreadable_entries().filter(|entries| entries.count > 0);
         if let Some(entries) = entries {
-            let _ = writeln!(io::stderr(), "descan: {spec}: {entries}");
+            output::warn(format_args!("{spec}: {entries}"));
         }
         return Ok(());
     };
@@ -309,7 +307,7 @@ fn report_unreadable(spec: &BusSpec, session: &Session) -> Result<(), Failure> {
         )));
     }
     if is_damaged || summary.frames == 0 {
-        let _ = writeln!(io::stderr(), "descan: {spec}: {summary}");
+        output::warn(format_args!("{spec}: {summary}"));
     }
     Ok(())
 }

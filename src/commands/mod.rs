@@ -8,6 +8,7 @@ mod gate;
 mod guide;
 mod headless;
 mod open;
+pub mod output;
 mod report;
 mod scan;
 mod simulate;
@@ -17,7 +18,7 @@ mod watch;
 
 use crate::cli::{self, Cli, Command};
 use crate::diagnostic::Diagnostic;
-use std::io::{self, Write};
+use output::print_own;
 use std::process::ExitCode;
 
 /// Success: no findings that count.
@@ -67,30 +68,22 @@ pub fn run(cli: Cli) -> ExitCode {
         Some(Command::Watch(watch)) => watch::run(&watch),
         Some(Command::Sim { bus, scenario, time }) => simulate::run(&bus, &scenario, time),
         Some(Command::Speed(speed)) => speed::run(&speed),
-        Some(Command::Completions { shell }) => print(&cli::completions(shell)).map(|()| EXIT_OK),
+        Some(Command::Completions { shell }) => {
+            print_own(&cli::completions(shell)).map(|()| EXIT_OK)
+        }
         Some(Command::Man { name }) => guide::man(name.as_deref()),
         Some(Command::Help { name }) => guide::help(name.as_deref()),
-        Some(Command::Schema) => print(crate::document::SCHEMA.as_bytes()).map(|()| EXIT_OK),
+        Some(Command::Schema) => print_own(crate::document::SCHEMA.as_bytes()).map(|()| EXIT_OK),
     };
     ExitCode::from(match result {
         Ok(code) => code,
         Err(Failure::Closed) => EXIT_OK,
         Err(failure) => {
-            let _ = writeln!(io::stderr(), "descan: {failure}");
+            output::warn(&failure);
             match failure {
                 Failure::Usage(_) => EXIT_USAGE,
                 _ => EXIT_UNUSABLE,
             }
         }
-    })
-}
-
-/// Writes `text` to standard output and flushes it.
-fn print(text: &[u8]) -> Result<(), Failure> {
-    let mut out = io::stdout().lock();
-    let printed = out.write_all(text).and_then(|()| out.flush());
-    printed.map_err(|error| match error.kind() {
-        io::ErrorKind::BrokenPipe => Failure::Closed,
-        _ => Failure::System(anyhow::Error::new(error).context("cannot write to standard output")),
     })
 }

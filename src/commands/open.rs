@@ -1,6 +1,6 @@
 //! From arguments to an open session: profile, settings, buses, des.json.
 
-use super::Failure;
+use super::{Failure, output};
 use crate::app::{App, AppOptions};
 use crate::bus::{self, BusSpec, Clock, Options, Port};
 use crate::cli::{CommonArgs, SessionArgs as Arguments};
@@ -8,15 +8,16 @@ use crate::diagnostic::Diagnostic;
 use crate::discovery::Config;
 use crate::frame::{BusIndex, IdFilter};
 use crate::keymap::Keymap;
-use crate::shell::config::{ConfigFolder, UserSettings, read_text};
+use crate::regular_file::{read_text, shown};
+use crate::shell::config::{ConfigFolder, UserSettings};
 use crate::shell::recorder::{Recorder, Size, Target};
 use crate::shell::session::Session;
 use crate::shell::store::Store;
 use crate::status::RecordingStatus;
-use crate::text::on_one_line;
+use crate::text::{SafeLines, on_one_line};
 use crate::time::Epoch;
 use crate::wire::profile::Profile;
-use std::io::{self, BufReader, Write};
+use std::io::{self, BufReader};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
@@ -53,9 +54,9 @@ impl Setup {
         let folder = ConfigFolder::of_user();
         let settings = folder.as_ref().map_or(Ok(UserSettings::default()), ConfigFolder::settings);
         let mut warnings = Vec::new();
-        let settings = settings.unwrap_or_else(|why| warn(&mut warnings, why));
+        let settings = settings.unwrap_or_else(|why| warn(&mut warnings, &why));
         let keymap = folder.as_ref().map_or(Ok(Keymap::default()), ConfigFolder::keymap);
-        let keymap = keymap.unwrap_or_else(|why| warn(&mut warnings, why));
+        let keymap = keymap.unwrap_or_else(|why| warn(&mut warnings, &why));
         let built_in = Config::default();
         let config = Config {
             profile: Arc::new(profile(common.profile.as_deref())?),
@@ -87,19 +88,18 @@ impl Setup {
 }
 
 /// Prints an error in the settings and returns the built-in value.
-pub fn warn<T: Default>(warnings: &mut Vec<String>, why: String) -> T {
-    let _ = writeln!(io::stderr(), "descan: {why} (built-in values are used)");
-    warnings.push(why);
+pub fn warn<T: Default>(warnings: &mut Vec<String>, why: &str) -> T {
+    output::warn(format_args!("{why} (built-in values are used)"));
+    warnings.push(SafeLines(why).to_string());
     T::default()
 }
 
 /// Reads a profile; `None` returns the assumed values.
 pub fn profile(path: Option<&Path>) -> Result<Profile, Failure> {
     let Some(path) = path else { return Ok(Profile::default()) };
-    let unusable = |why: String| Failure::Unusable(format!("{}: {why}", path.display()));
-    let text = read_text(path)?;
-    let text = text.ok_or_else(|| unusable("file not found".to_owned()))?;
-    Profile::parse(&text).map_err(|error| unusable(on_one_line(&error.to_string())))
+    let unusable = |why: &str| Diagnostic::new(why).of(shown(path));
+    let text = read_text(path)?.ok_or_else(|| unusable("file not found"))?;
+    Ok(Profile::parse(&text).map_err(|error| unusable(&on_one_line(&error.to_string())))?)
 }
 
 /// The buses of the arguments; without any, the only CAN interface.
@@ -209,7 +209,7 @@ fn epoch_of(path: &Path) -> Result<Epoch, Failure> {
         reader.next_frame()?;
         Ok(reader.summary().epoch.unwrap_or_default())
     };
-    let name = format_args!("file:{}", path.display());
+    let name = format_args!("file:{}", shown(path));
     Ok(epoch().map_err(|error| Diagnostic::unreadable(name, &error))?)
 }
 
@@ -249,7 +249,7 @@ pub fn session(
 /// Prints on standard error what was recorded.
 pub fn report_recording(status: Option<RecordingStatus>) {
     if let Some(status) = status {
-        let _ = writeln!(io::stderr(), "descan: recorded {status}");
+        output::warn(format_args!("recorded {status}"));
     }
 }
 

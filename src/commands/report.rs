@@ -2,11 +2,13 @@
 //!
 //! Scripts rely on the names, types and meanings in the JSON. Unknown values are null.
 
+use super::{Failure, output};
 use crate::app::{App, Bus, BusSnapshot, FileSnapshot, Redundancy, RedundantDevice, Scope};
 use crate::bitrate::kbit;
 use crate::discovery::{Device, DeviceService, OwnAddress};
 use crate::finding::{Evidence, ExitCodeScope, Finding, FindingState};
 use crate::frame::{BusIndex, Frame};
+use crate::regular_file::shown;
 use crate::status::Link;
 use crate::text::Name;
 use crate::time::{Duration, Epoch, Instant};
@@ -184,6 +186,11 @@ impl ScanReport {
     /// Returns true if a finding that counts for the exit code is confirmed.
     pub fn has_findings(&self) -> bool {
         self.findings.iter().any(|finding| finding.counts)
+    }
+
+    /// Prints the report on standard output, as JSON or as `text`.
+    pub fn print(&self, as_json: bool, text: impl FnOnce(&Self) -> String) -> Result<(), Failure> {
+        if as_json { output::print_json(&self.json()) } else { output::print(&text(self)) }
     }
 
     /// Returns indented JSON.
@@ -464,9 +471,4 @@ pub(super) fn of_file(file: &FileSnapshot) -> FileReport {
         error: file.problem.as_ref().map(ToString::to_string),
         problem,
     }
-}
-
-/// Returns a path as text that is safe on a terminal.
-pub(super) fn shown(path: &std::path::Path) -> String {
-    crate::text::printable(path.as_os_str().as_encoded_bytes())
 }

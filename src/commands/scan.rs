@@ -5,19 +5,20 @@ use super::gate::BusGate;
 use super::headless::{self, Limits, RunInput, RunOutcome, warn_all_tx_blocked};
 use super::open::{self, Setup};
 use super::report::ScanReport;
-use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure, print};
+use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure, output};
 use crate::app::{App, AppOptions, Scope};
 use crate::bus::BusSpec;
 use crate::cli::ScanArgs;
 use crate::diagnostic::Diagnostic;
 use crate::discovery::{Device, DiscoveryProgress};
 use crate::document::{Document, Operation};
+use crate::regular_file::shown;
 use crate::shell::log_input::LogPace;
 use crate::shell::stop::StopReason;
 use crate::shell::store::{Store, write_new};
 use crate::status::Link;
 use crate::time::Instant;
-use std::io::{self, IsTerminal, Write};
+use std::io::{self, IsTerminal};
 use std::ops::ControlFlow;
 use std::path::Path;
 use std::time::Duration;
@@ -25,7 +26,7 @@ use std::time::Duration;
 /// Runs it.
 pub fn run(scan: &ScanArgs) -> Result<u8, Failure> {
     if let Some(path) = &scan.write {
-        Store::new(path).check_new().map_err(|fault| fault.of(path.display()))?;
+        Store::new(path).check_new().map_err(|fault| fault.of(shown(path)))?;
     }
     let buses = open::buses(&scan.run.session)?;
     let setup = Setup::new(&scan.run.session.common)?;
@@ -42,8 +43,7 @@ pub fn run(scan: &ScanArgs) -> Result<u8, Failure> {
     }
     warn_all_tx_blocked(&app, now);
     let report = ScanReport::new(&app, now, Scope::Screen);
-    let text = if scan.run.json { report.json() } else { report.tables() };
-    print(text.as_bytes())?;
+    report.print(scan.run.json, ScanReport::tables)?;
     if let Some(path) = &scan.write {
         write_document(&app, path)?;
     }
@@ -123,7 +123,7 @@ pub fn warn_incomplete(app: &App, ending: Option<StopReason>) {
         };
         if !reasons.contains(&why) {
             reasons.push(why);
-            let _ = writeln!(io::stderr(), "descan: {why}");
+            output::warn(why);
         }
     }
 }
@@ -167,14 +167,14 @@ impl Bar {
             sum.with_services
         );
         if line != self.last {
-            let _ = write!(io::stderr(), "\r\x1b[K{line}");
+            output::show_progress(&line);
             self.last = line;
         }
     }
 
     fn clear(&mut self) {
         if !self.last.is_empty() {
-            let _ = write!(io::stderr(), "\r\x1b[K");
+            output::show_progress("");
             self.last.clear();
         }
     }
@@ -205,17 +205,17 @@ fn write_document(app: &App, path: &Path) -> Result<(), Failure> {
             };
             document = document
                 .apply(&Operation::Add { entry })
-                .map_err(|error| Diagnostic::new(error.to_string()).of(path.display()))?;
+                .map_err(|error| Diagnostic::new(error.to_string()).of(shown(path)))?;
             count += 1;
         }
     }
-    write_new(path, None, document.source()).map_err(|fault| fault.of(path.display()))?;
+    write_new(path, None, document.source()).map_err(|fault| fault.of(shown(path)))?;
     let devices = if count == 1 { "device" } else { "devices" };
     let left_out = if left_out.is_empty() {
         String::new()
     } else {
         format!("; left out: {}", left_out.join(", "))
     };
-    let _ = writeln!(io::stderr(), "{}: {count} {devices} written{left_out}", path.display());
+    output::say(format_args!("{}: {count} {devices} written{left_out}", shown(path)));
     Ok(())
 }

@@ -1,15 +1,15 @@
 //! `descan sim`: simulated devices on a real bus. Their own bus is simulated; frames are relayed
 //! between the two in both directions.
 
-use super::{EXIT_OK, EXIT_UNUSABLE, Failure, headless};
+use super::{EXIT_OK, EXIT_UNUSABLE, Failure, headless, output};
 use crate::bus::{self, BusSpec, Clock, Options};
 use crate::diagnostic::Diagnostic;
 use crate::frame::{BusIndex, Frame, FrameKind};
+use crate::shell::stop;
 use crate::sim::Sim;
 use crate::status::Link;
 use crate::time::Instant;
 use anyhow::Context;
-use std::io::{self, Write};
 use std::time::Duration;
 use tokio::signal::unix::{SignalKind, signal};
 
@@ -31,6 +31,7 @@ pub fn run(spec: &BusSpec, scenario: &str, time: Option<Duration>) -> Result<u8,
     let mut sim = Sim::from_scenario(&scenario);
     let station = sim.attach();
     headless::runtime()?.block_on(async {
+        stop::exit_if_stuck(EXIT_OK, || {}).context("no signals")?;
         let mut interrupt = signal(SignalKind::interrupt()).context("no signals")?;
         let mut terminate = signal(SignalKind::terminate()).context("no signals")?;
         // After the signals: an opened adapter is closed again, however soon one arrives.
@@ -47,7 +48,7 @@ pub fn run(spec: &BusSpec, scenario: &str, time: Option<Duration>) -> Result<u8,
             let is_away = !matches!(status.link, Link::Opening | Link::Up);
             if is_away && told != Some(status.link) {
                 let unknown = || Diagnostic::new(format!("{spec} cannot be used"));
-                let _ = writeln!(io::stderr(), "descan: {}", status.fault.unwrap_or_else(unknown));
+                output::warn(status.fault.unwrap_or_else(unknown));
                 // Wait for a bus that was open once.
                 if start.is_none() || status.link.is_final() {
                     return Ok(EXIT_UNUSABLE);
@@ -59,7 +60,7 @@ pub fn run(spec: &BusSpec, scenario: &str, time: Option<Duration>) -> Result<u8,
             }
             if status.link == Link::Up && start.is_none() {
                 let devices = scenario.devices.len();
-                let _ = writeln!(io::stderr(), "{devices} devices on {spec}; Ctrl-C stops");
+                output::say(format_args!("{devices} devices on {spec}; Ctrl-C stops"));
                 start = Some(now);
             }
             heard.clear();

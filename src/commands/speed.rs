@@ -2,15 +2,17 @@
 //! a bus of another rate, needs the user's consent.
 
 use super::open::profile;
+use super::output::{self, ask, say};
 use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure, headless};
 use crate::bitrate::{ListenMode, SearchOutcome, SearchProgress, kbit};
 use crate::bus::{BusSpec, TuneError};
 use crate::cli::SpeedArgs;
+use crate::regular_file::shown;
 use crate::shell::bitrate_search::{Plan, SearchReport, find};
 use crate::shell::stop::StopWaiter;
 use anyhow::Context;
 use serde::Serialize;
-use std::io::{self, IsTerminal, Write};
+use std::io::{self, IsTerminal};
 
 /// Runs it.
 pub fn run(speed: &SpeedArgs) -> Result<u8, Failure> {
@@ -34,20 +36,20 @@ async fn search(speed: &SpeedArgs) -> Result<u8, Failure> {
     let manner = if speed.active { ListenMode::Active } else { ListenMode::ListenOnly };
     let mut report = attempt(speed, manner).await?;
     if manner == ListenMode::ListenOnly && !matches!(report.outcome, SearchOutcome::Found(_)) {
-        say(&nothing_heard(bus, report.outcome));
+        say(nothing_heard(bus, report.outcome));
         if may_ask(speed) && wants_to_take_part(bus).await {
             report = attempt(speed, ListenMode::Active).await?;
         } else {
             print(speed, &report)?;
-            say(&format!("to search actively: descan speed {bus} --active"));
+            say(format!("to search actively: descan speed {bus} --active"));
             return Ok(EXIT_FINDINGS);
         }
     }
     print(speed, &report)?;
     if let SearchOutcome::Found(rate) = report.outcome {
-        say(&match bus {
+        say(match bus {
             BusSpec::Slcan(slcan) => {
-                format!("open it with: descan slcan:{}@{rate}", slcan.device.display())
+                format!("open it with: descan slcan:{}@{rate}", shown(&slcan.device))
             }
             _ => format!("{bus} keeps this bit rate; open it with: descan {bus}"),
         });
@@ -66,16 +68,16 @@ async fn attempt(speed: &SpeedArgs, manner: ListenMode) -> Result<SearchReport, 
         ListenMode::Active => "active",
     };
     let report = find(bus, plan, |progress| match progress {
-        SearchProgress::Trying(rate) => say(&format!("{bus} at {}: {what} …", kbit(rate))),
+        SearchProgress::Trying(rate) => say(format!("{bus} at {}: {what} …", kbit(rate))),
         SearchProgress::NothingValid(rate, heard) => {
-            say(&format!(
+            say(format!(
                 "{bus} at {}: no valid frame, {} bus errors",
                 kbit(rate),
                 heard.bus_errors
             ));
         }
         SearchProgress::Skipped(rate) => {
-            say(&format!("{bus} at {}: not supported by the controller", kbit(rate)));
+            say(format!("{bus} at {}: not supported by the controller", kbit(rate)));
         }
     });
     report.await.map_err(|error| match error {
@@ -101,11 +103,7 @@ fn may_ask(speed: &SpeedArgs) -> bool {
 
 /// Prompts on the terminal; returns true only for y or yes.
 async fn wants_to_take_part(bus: &BusSpec) -> bool {
-    let _ = write!(
-        io::stderr(),
-        "Search actively on {bus}? A wrong rate destroys other nodes' frames. \
-         [y/N] "
-    );
+    ask(format_args!("Search actively on {bus}? A wrong rate destroys other nodes' frames. [y/N]"));
     let line = tokio::task::spawn_blocking(|| {
         let mut line = String::new();
         io::stdin().read_line(&mut line).map(|_| line)
@@ -148,9 +146,6 @@ fn print(speed: &SpeedArgs, report: &SearchReport) -> Result<(), Failure> {
     } else {
         return Ok(());
     };
-    super::print(format!("{line}\n").as_bytes())
-}
-
-fn say(line: &str) {
-    let _ = writeln!(io::stderr(), "{line}");
+    let line = format!("{line}\n");
+    if speed.json { output::print_json(&line) } else { output::print(&line) }
 }

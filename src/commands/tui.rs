@@ -1,17 +1,18 @@
 //! `descan [BUS…]` and `descan demo`: the terminal UI, on real and on simulated buses.
 
 use super::open::{self, Setup};
-use super::report::{counted, shown};
-use super::{EXIT_INTERRUPTED, EXIT_OK, EXIT_UNUSABLE, Failure, headless};
+use super::report::counted;
+use super::{EXIT_INTERRUPTED, EXIT_OK, EXIT_UNUSABLE, Failure, headless, output};
 use crate::app::AppOptions;
 use crate::bus::{BusSpec, Clock};
 use crate::cli::{CommonArgs, SessionArgs as Arguments};
+use crate::regular_file::shown;
 use crate::shell::session::Session;
 use crate::shell::tui_loop::{self, ThemeLoader, TuiExit};
-use crate::shell::{recovery, terminal};
+use crate::shell::{recovery, stop, terminal};
 use anyhow::Context;
 use std::future::poll_fn;
-use std::io::{IsTerminal, Write};
+use std::io::IsTerminal;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::path::{Path, PathBuf};
 use std::pin::pin;
@@ -19,8 +20,9 @@ use std::task::Poll;
 use std::thread;
 use std::time::Duration;
 
-/// Longest time to finish a save after a signal or a closed terminal.
-const SAVE_TIMEOUT: Duration = Duration::from_secs(5);
+/// Longest time to finish a save after a signal or a closed terminal. The program ends within a
+/// second; the rest of it is for the copy of edits that are not saved by then.
+const SAVE_TIMEOUT: Duration = Duration::from_millis(600);
 
 /// `descan [BUS…]`.
 pub fn ui(arguments: &Arguments, speed: Option<f64>, theme: Option<&str>) -> Result<u8, Failure> {
@@ -52,7 +54,7 @@ pub fn demo(system: &str, common: &CommonArgs, theme: Option<&str>) -> Result<u8
     if edited {
         let kept = folder.keep().join("des.json");
         // The terminal may be gone.
-        let _ = writeln!(std::io::stdout(), "The demo's des.json is kept: {}", kept.display());
+        let _ = output::print(&format!("The demo's des.json is kept: {}\n", shown(&kept)));
     }
     Ok(code)
 }
@@ -87,7 +89,7 @@ fn show(
     let mut themes = match ThemeLoader::new(setup.folder.clone(), wanted) {
         // A theme from the settings does not prevent the start.
         Err(why) if theme.is_none() => {
-            open::warn::<()>(&mut warnings, format!("theme {wanted}: {why}"));
+            open::warn::<()>(&mut warnings, &format!("theme {wanted}: {why}"));
             wanted = usual;
             // The user's own theme may have that name; without the folder it is built-in.
             ThemeLoader::new(setup.folder.clone(), usual).or_else(|_| ThemeLoader::new(None, usual))
@@ -104,6 +106,7 @@ fn show(
         ..AppOptions::default()
     };
     terminal::restore_on_panic();
+    stop::exit_if_stuck(EXIT_INTERRUPTED, terminal::restore).context("no signals")?;
     let runtime = headless::runtime()?;
     let result = runtime.block_on(async {
         let mut session = open::session(buses, setup, clock, options)?;
@@ -153,18 +156,13 @@ fn save_edits_at_risk(session: &Session, file: &Path) -> bool {
 /// Prints on standard error what was not saved, and the path of its recovery copy.
 fn report_recovery_copy(file: &Path, count: usize, kept: std::io::Result<PathBuf>) {
     let (file, edits) = (shown(file), counted(count as u64, "edit"));
-    // The terminal may be gone.
-    let _ = match kept {
-        Ok(copy) => writeln!(
-            std::io::stderr(),
-            "descan: {edits} of {file} not saved; a copy with all edits is {}",
-            shown(&copy)
-        ),
-        Err(why) => writeln!(
-            std::io::stderr(),
-            "descan: {edits} of {file} not saved, and a copy cannot be written: {why}"
-        ),
-    };
+    let not_saved = format!("{edits} of {file} not saved");
+    match kept {
+        Ok(copy) => {
+            output::warn(format_args!("{not_saved}; a copy with all edits is {}", shown(&copy)));
+        }
+        Err(why) => output::warn(format_args!("{not_saved}, and a copy cannot be written: {why}")),
+    }
 }
 
 #[cfg(test)]

@@ -8,7 +8,7 @@ use super::open::{self, Setup};
 use super::report::{
     BusReport, FileReport, FindingReport, ServiceReport, of_bus, of_file, of_finding, of_services,
 };
-use super::{EXIT_OK, Failure, print};
+use super::{EXIT_OK, Failure, output};
 use crate::app::{
     App, AppEvent, AppOptions, DeviceEvent, EventLine, Filter, Scope, clock_millis, hex,
 };
@@ -45,7 +45,7 @@ pub fn run(watch: &WatchArgs) -> Result<u8, Failure> {
     };
     let limits =
         Limits { time: watch.run.time, from: watch.run.from, while_read: true, stuck: EXIT_OK };
-    let mut event_writer = EventWriter { json: watch.run.json, text: Vec::new() };
+    let event_writer = EventWriter { json: watch.run.json };
     if let Some(log) = open::log(&buses, "watch", watch.run.from)? {
         let pace = watch.speed.map(LogPace::Timed);
         let input = RunInput::Log(log, pace);
@@ -90,26 +90,21 @@ fn frames_of_interest(interest: &Filter, setup: &Setup) -> Vec<IdFilter> {
 /// Prints events on standard output.
 struct EventWriter {
     json: bool,
-    text: Vec<u8>,
 }
 
 impl EventWriter {
     /// Prints the events that wait in `app`, each with its own write: a reader gets every line that
     /// a full pipe still takes. Every value is as of its event.
-    fn write_events(&mut self, app: &mut App) -> Result<(), Failure> {
+    fn write_events(&self, app: &mut App) -> Result<(), Failure> {
         while let Some(event) = app.poll_app_event() {
-            self.text.clear();
             if self.json {
                 if let Some(value) = as_value(app.epoch(), event) {
-                    serde_json::to_writer(&mut self.text, &value).context("JSON")?;
-                    self.text.push(b'\n');
+                    let line = serde_json::to_string(&value).context("JSON")?;
+                    output::print_json(&format!("{line}\n"))?;
                 }
             } else if let AppEvent::Line(line) = event {
                 let time = clock_millis(app, line.time);
-                self.text.extend_from_slice(text_line(&time, &line).as_bytes());
-            }
-            if !self.text.is_empty() {
-                print(&self.text)?;
+                output::print(&text_line(&time, &line))?;
             }
         }
         Ok(())

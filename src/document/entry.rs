@@ -2,6 +2,7 @@
 
 use std::collections::HashMap;
 
+use super::MAX_SERVICES;
 use super::finding::{DocumentFindingKind, Findings};
 use super::position::Position;
 use super::scan::{self, Span};
@@ -271,8 +272,7 @@ impl EntryReader<'_, '_> {
     fn members(&mut self, span: &Span) -> Vec<(Member, Span)> {
         let mut found: Vec<(Member, Span)> = Vec::with_capacity(Member::ALL.len());
         let mut duplicates = Vec::new();
-        let container = scan::container(self.body, span);
-        for item in container.into_iter().flat_map(|container| container.items) {
+        for item in scan::items_at(self.body, span).into_iter().flatten() {
             let Some(member) = Member::of(&self.body[item.key.clone()]) else { continue };
             self.present.add(member);
             match found.iter_mut().find(|(earlier, _)| *earlier == member) {
@@ -381,13 +381,17 @@ impl EntryReader<'_, '_> {
     }
 
     fn services(&mut self, at: &Span) -> Option<Vec<ListedService>> {
-        let Some(list) = scan::container(self.body, at) else {
+        let Some(items) = scan::items_at(self.body, at) else {
             self.wrong_type(Member::Services, at, "a list, or an object of names and versions");
             return None;
         };
         let mut places = HashMap::new();
-        let mut services: Vec<ListedService> = Vec::with_capacity(list.items.len());
-        for (number, item) in (1..).zip(list.items) {
+        let mut services: Vec<ListedService> = Vec::new();
+        for (number, item) in (1..).zip(items) {
+            // One more than the limit: the file is refused.
+            if services.len() > MAX_SERVICES {
+                break;
+            }
             let mut again = Vec::new();
             let service = read_service_noting(self.body, &item, &mut again);
             for (member, at) in again {

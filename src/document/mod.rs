@@ -5,7 +5,7 @@
 //! compares it with the intended content. An operation finds its entry by [`EntryKey`], so that it
 //! can be applied to newer content ([`merge`]) and undone ([`Operation::inverse`]).
 //!
-//! Limits: [`MAX_ENTRIES`], [`MAX_BYTES`], 128 levels of nesting. Does not know files, time, buses
+//! Limits: [`MAX_ENTRIES`], [`MAX_SERVICES`], [`MAX_BYTES`], 128 levels of nesting. Does not know files, time, buses
 //! or devices.
 //!
 //! ```text
@@ -57,6 +57,9 @@ use syntax::{BOM, JsonKind};
 
 /// Most elements in the list of devices. A bus has 127 addresses.
 pub const MAX_ENTRIES: usize = 20_000;
+
+/// Most services of an entry: DES numbers them with one byte.
+pub const MAX_SERVICES: usize = 256;
 
 /// Longest file, in bytes: [`MAX_ENTRIES`] entries of some 800 bytes. Checked by the caller that
 /// reads the file, before it parses the content.
@@ -126,7 +129,7 @@ impl Document {
     ///
     /// # Errors
     /// [`ParseError`] if it is not JSON in UTF-8, nests deeper than 128 levels, or lists more than
-    /// [`MAX_ENTRIES`] devices.
+    /// [`MAX_ENTRIES`] devices, or more than [`MAX_SERVICES`] services of one.
     pub fn parse(source: &[u8]) -> Result<Self, ParseError> {
         let source = syntax::check(source)?.to_owned();
         let body = source.strip_prefix(BOM).unwrap_or(&source);
@@ -140,6 +143,11 @@ impl Document {
             return Err(syntax::too_many_entries(body, surplus.start));
         }
         let entries = entry::read_all(body, &elements, &mut findings);
+        let has_too_many =
+            |entry: &&Entry| entry.services.as_ref().is_some_and(|it| it.len() > MAX_SERVICES);
+        if let Some(entry) = entries.iter().find(has_too_many) {
+            return Err(syntax::too_many_services(body, elements[entry.element].start));
+        }
         let (found, more) = (findings.found, findings.more);
         Ok(Self::of(source, root, elements, entries, found, more))
     }
@@ -284,7 +292,7 @@ fn read_root(body: &str, findings: &mut Findings) -> Root {
     }
     let mut devices: Option<Span> = None;
     let mut again = None;
-    for item in scan::container(body, &span).into_iter().flat_map(|object| object.items) {
+    for item in scan::items_at(body, &span).into_iter().flatten() {
         if text::from_json(&body[item.key.clone()]).as_deref() != Some("devices") {
             continue;
         }

@@ -29,14 +29,20 @@ impl Item {
 
 /// Returns the list or object at `span`; `None` for a scalar.
 pub(super) fn container(text: &str, span: &Span) -> Option<Container> {
+    let inside = span.start + 1..span.end - 1;
+    let items = items_at(text, span)?.collect();
+    Some(Container { inside, items })
+}
+
+/// Yields the items of the list or object at `span`, of which there may be millions; `None` for a
+/// scalar.
+pub(super) fn items_at(text: &str, span: &Span) -> Option<impl Iterator<Item = Item>> {
     let is_object = match text.as_bytes()[span.start] {
         b'{' => true,
         b'[' => false,
         _ => return None,
     };
-    let inside = span.start + 1..span.end - 1;
-    let items = items(text, inside.clone(), is_object).collect();
-    Some(Container { inside, items })
+    Some(items(text, span.start + 1..span.end - 1, is_object))
 }
 
 /// Yields the elements of the list at `span`.

@@ -6,7 +6,7 @@ use serde::de::IgnoredAny;
 use unicode_width::UnicodeWidthChar;
 
 use super::position::Positions;
-use super::{MAX_ENTRIES, scan};
+use super::{MAX_ENTRIES, MAX_SERVICES, scan};
 
 /// Deepest nesting of brackets; the limit of serde_json.
 const DEPTH: usize = 128;
@@ -71,6 +71,12 @@ pub(super) fn check(source: &[u8]) -> Result<&str, ParseError> {
 /// The error of a list with more than [`MAX_ENTRIES`] elements, at the first that is too many.
 pub(super) fn too_many_entries(body: &str, at: usize) -> ParseError {
     let message = format!("more than {MAX_ENTRIES} entries; name the right file with --file");
+    error_at(body, at, message)
+}
+
+/// The error of an entry with more than [`MAX_SERVICES`] services, at its start.
+pub(super) fn too_many_services(body: &str, at: usize) -> ParseError {
+    let message = format!("an entry with more than {MAX_SERVICES} services; remove some");
     error_at(body, at, message)
 }
 

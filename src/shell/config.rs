@@ -3,17 +3,14 @@
 //! Each part is optional. An error in one is reported with file and line; descan then starts with
 //! the built-in values.
 
-use crate::diagnostic::Diagnostic;
 use crate::keymap::Keymap;
+use crate::regular_file::{read_text, shown};
+use crate::text::printable;
 use etcetera::{BaseStrategy, choose_base_strategy};
 use serde::Deserialize;
 use std::fs;
-use std::io;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Duration;
-
-/// Largest size of such a file, in bytes.
-const MAX_BYTES: u64 = 1 << 20;
 
 /// `config.toml`: defaults for command-line options.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
@@ -107,24 +104,10 @@ impl ConfigFolder {
         let Some(text) = read_text(&path).map_err(|fault| fault.to_string())? else {
             return Ok(T::default());
         };
-        parse(&text).map_err(|message| format!("{}: {message}", path.display()))
+        let message =
+            |message: String| format!("{}: {}", shown(&path), printable(message.as_bytes()));
+        parse(&text).map_err(message)
     }
-}
-
-/// Reads a text file of at most 1 MiB; `None` if it does not exist.
-///
-/// # Errors
-/// It is larger, not UTF-8, or cannot be read.
-pub fn read_text(path: &Path) -> Result<Option<String>, Diagnostic> {
-    let read = match fs::metadata(path) {
-        Ok(metadata) if metadata.len() > MAX_BYTES => {
-            Err(io::Error::new(io::ErrorKind::InvalidData, "larger than 1 MiB"))
-        }
-        Ok(_) => fs::read_to_string(path).map(Some),
-        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
-        Err(error) => Err(error),
-    };
-    read.map_err(|error| Diagnostic::unreadable(path.display(), &error))
 }
 
 #[cfg(test)]

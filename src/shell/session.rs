@@ -376,15 +376,7 @@ impl Session {
             SessionWake::Search(news) => self.take_search(now, news),
             SessionWake::File(reading) => self.app.handle_file(now, reading),
             SessionWake::FileJobDone(FileJobResult::Saved(outcome, content)) => {
-                if let Some(watch) = &self.watch {
-                    // What is being parsed was read before.
-                    let is_old = outcome.is_on_disk() && self.reading.take().is_some();
-                    if is_old || self.app.file().is_base_changed() {
-                        watch.reread();
-                    } else if outcome.is_on_disk() {
-                        watch.set_known(content);
-                    }
-                }
+                self.update_watch(&outcome, content);
                 self.app.handle_saved(now, outcome);
             }
             SessionWake::FileJobDone(FileJobResult::Written(path, result)) => {
@@ -392,6 +384,24 @@ impl Session {
             }
         }
         self.advance_log();
+    }
+
+    /// Makes the file watch know the content of a save, or read the file again where that is not
+    /// certain.
+    fn update_watch(&mut self, outcome: &SaveOutcome, content: Vec<u8>) {
+        let Some(watch) = &self.watch else { return };
+        let is_overtaken = self.app.file().is_base_changed();
+        if matches!(outcome, SaveOutcome::Failed(_)) && !is_overtaken {
+            return;
+        }
+        // What is being parsed was read before, or while the content of a save that was put back
+        // was there.
+        let is_old = self.reading.take().is_some();
+        if outcome.is_on_disk() && !is_old && !is_overtaken {
+            watch.set_known(content);
+        } else {
+            watch.reread();
+        }
     }
 
     /// Handles the frames of the log that are due, and advances the time.
@@ -608,6 +618,7 @@ impl Session {
                 Err(SaveError::Changed(there)) => {
                     SaveOutcome::Changed(FileReading::Content(there).parsed())
                 }
+                Err(SaveError::Unconfirmed(fault)) => SaveOutcome::Unconfirmed(fault),
                 Err(SaveError::Failed(fault)) => SaveOutcome::Failed(fault),
             };
             FileJobResult::Saved(outcome, content.source().to_vec())

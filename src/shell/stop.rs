@@ -14,10 +14,14 @@ use std::thread;
 use std::time::Duration;
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::Notify;
-use tokio::time::{Sleep, sleep};
+use tokio::task::spawn_blocking;
+use tokio::time::{Sleep, sleep, timeout};
 
-/// Longest time from a signal to the exit.
-const EXIT_TIMEOUT: Duration = Duration::from_secs(2);
+/// Longest time from a signal to the exit; with [`RESTORE_TIMEOUT`] less than 1 s.
+const EXIT_TIMEOUT: Duration = Duration::from_millis(900);
+
+/// Longest wait for the terminal to be restored.
+const RESTORE_TIMEOUT: Duration = Duration::from_millis(50);
 
 /// Why a program stops.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -39,7 +43,7 @@ pub struct StopWaiter {
 
 impl StopWaiter {
     /// Stops on signals, and after `time`; `None` sets no limit. From now on a signal does not end
-    /// the program by itself; if it has not ended 2 s after one, as when its output is blocked, it
+    /// the program by itself; if it has not ended 0.9 s after one, as when its output is blocked, it
     /// exits with the code `stuck`.
     ///
     /// # Errors
@@ -109,6 +113,26 @@ fn ignores_hangup() -> bool {
 fn interrupted(stuck: u8) -> io::Result<Arc<Notify>> {
     let notify = Arc::new(Notify::new());
     let notifier = Arc::clone(&notify);
+    on_signal(stuck, move || notifier.notify_one(), || {})?;
+    Ok(notify)
+}
+
+/// Makes the program exit with the code `stuck` if it has not ended 0.9 s after a signal, as when
+/// the terminal is not read. `restore` is called before that, on a separate thread, and not waited
+/// for if it blocks. The signals themselves are handled elsewhere.
+///
+/// # Errors
+/// No signal handler or thread could be set up.
+pub fn exit_if_stuck(stuck: u8, restore: impl FnOnce() + Send + 'static) -> io::Result<()> {
+    on_signal(stuck, || {}, restore)
+}
+
+/// Calls `notify` on the first signal, on a separate thread, and exits [`EXIT_TIMEOUT`] after it.
+fn on_signal(
+    stuck: u8,
+    notify: impl FnOnce() + Send + 'static,
+    restore: impl FnOnce() + Send + 'static,
+) -> io::Result<()> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     let (ready, is_ready) = sync_channel(1);
     thread::Builder::new().name("signals".into()).spawn(move || {
@@ -123,11 +147,12 @@ fn interrupted(stuck: u8) -> io::Result<Arc<Notify>> {
             };
             let _ = ready.send(Ok(()));
             select_all(signals.iter_mut().map(|signal| Box::pin(signal.recv()))).await;
-            notifier.notify_one();
+            notify();
             sleep(EXIT_TIMEOUT).await;
+            let restored = spawn_blocking(restore);
+            let _ = timeout(RESTORE_TIMEOUT, restored).await;
             std::process::exit(stuck.into());
         });
     })?;
-    is_ready.recv().map_err(io::Error::other)??;
-    Ok(notify)
+    is_ready.recv().map_err(io::Error::other)?
 }

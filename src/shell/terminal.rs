@@ -124,6 +124,8 @@ pub fn restore() {
     if !TAKEN.swap(false, Ordering::SeqCst) {
         return;
     }
+    // First: another thread may be blocked while it writes to a terminal that is not read.
+    let _ = terminal::disable_raw_mode();
     let mut out = io::stdout().lock();
     // Each step is tried, even if an earlier one fails on a closed terminal.
     let _ = out.write_all(SYNC_END);
@@ -133,7 +135,6 @@ pub fn restore() {
     let _ = queue!(out, style::ResetColor, terminal::Clear(terminal::ClearType::All));
     let _ = queue!(out, cursor::MoveTo(0, 998), terminal::LeaveAlternateScreen, cursor::Show);
     let _ = out.flush();
-    let _ = terminal::disable_raw_mode();
 }
 
 /// Returns true if the other end of the terminal is closed, as after a lost connection.

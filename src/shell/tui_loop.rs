@@ -3,7 +3,7 @@
 //! Wakes up only for an input or a deadline; draws only changes, at most every 33 ms, and 10 ms
 //! after a key.
 
-use super::config::{ConfigFolder, read_text};
+use super::config::ConfigFolder;
 use super::file_watcher::{DiskContent, FileWatcher};
 use super::session::Session;
 use super::stop::output_closed;
@@ -11,6 +11,7 @@ use super::store::Store;
 use super::terminal::{self, Terminal};
 use crate::app::{Effect, Mouse, MouseKind};
 use crate::keymap::{Key, KeyCode};
+use crate::regular_file::{MAX_TEXT_BYTES, read_text, text_of};
 use crate::theme::{Colours, Theme};
 use crossterm::event::{
     self, Event, EventStream, KeyEvent, KeyEventKind, KeyModifiers, MouseButton, MouseEventKind,
@@ -218,7 +219,7 @@ impl ThemeLoader {
         };
         self.watch = match (&self.folder, text) {
             (Some(folder), Some(text)) => {
-                let store = Store::new(folder.theme_path(name));
+                let store = Store::new(folder.theme_path(name)).with_max_bytes(MAX_TEXT_BYTES);
                 Some(FileWatcher::spawn(store, Ok(Some(text.into_bytes()))))
             }
             _ => None,
@@ -263,7 +264,7 @@ impl ThemeLoader {
 
     fn reload(&mut self, reading: DiskContent) -> Result<(), String> {
         let Some(bytes) = reading.map_err(|fault| fault.to_string())? else { return Ok(()) };
-        let text = String::from_utf8(bytes).map_err(|_| "it is not UTF-8".to_owned())?;
+        let text = text_of(bytes).map_err(|fault| fault.to_string())?;
         let name = self.current.name.clone();
         self.current = self.parse(&name, &text)?;
         Ok(())

@@ -36,9 +36,11 @@ mod timeline;
 mod traffic;
 
 use crate::app::{App, Overlay, Page};
+use crate::text::with_few_marks;
 use crate::theme::{Role, Theme};
 use brush::DrawContext;
 use ratatui::Frame;
+use ratatui::buffer::Buffer;
 
 pub use symbols::SYMBOLS;
 
@@ -68,11 +70,23 @@ pub fn draw(app: &App, theme: &Theme, frame: &mut Frame) -> Option<u16> {
         _ => page(&mut brush),
     }
     footer::draw(&mut brush);
+    cut_marks(brush.buffer);
     let (cursor, scrolled) = (brush.cursor, brush.scrolled);
     if let Some(cursor) = cursor {
         frame.set_cursor_position(cursor);
     }
     scrolled
+}
+
+/// Cuts cells with many combining marks, as of a device's name: a cell takes any number of them.
+fn cut_marks(buffer: &mut Buffer) {
+    for cell in &mut buffer.content {
+        let short = with_few_marks(cell.symbol());
+        if short.len() < cell.symbol().len() {
+            let short = short.to_owned();
+            cell.set_symbol(&short);
+        }
+    }
 }
 
 fn page(brush: &mut DrawContext) {

@@ -472,6 +472,7 @@ fn file(brush: &DrawContext, whole: bool) -> Parts {
                 FileError::Unreadable(_) if !whole => "✗".to_owned(),
                 FileError::NotSaved(_) if !whole => "✗ not saved".to_owned(),
                 FileError::NotSaved(why) => format!("✗ not saved: {why}"),
+                FileError::Unconfirmed(_) if !whole => "✗ unconfirmed".to_owned(),
                 problem => format!("✗ {problem}"),
             };
             if matches!(problem, FileError::Syntax(_)) && file.has_valid_content() {

@@ -787,3 +787,133 @@ fn options_without_effect_are_refused() {
         assert!(said.contains(named), "{said}");
     }
 }
+
+// ---- files and arguments that nobody checked ----
+
+/// Tests files of settings, profiles and scenarios that never end, block, or are too long.
+#[test]
+fn only_short_regular_files_are_read_as_settings() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    nix::unistd::mkfifo(&at("pipe"), nix::sys::stat::Mode::S_IRWXU).unwrap();
+    std::fs::write(at("long.toml"), "a = 1\n".repeat(200_000)).unwrap();
+    std::fs::write(at("binary.toml"), b"\xFF\n").unwrap();
+    std::fs::create_dir_all(at("config/descan/themes")).unwrap();
+    for (file, cause) in [
+        ("pipe", "not a regular file; name another one"),
+        ("/dev/zero", "not a regular file; name another one"),
+        (".", "is a folder; name a file in it"),
+        ("long.toml", "larger than 1 MiB; check the file name"),
+        ("binary.toml", "not UTF-8; save it as UTF-8"),
+    ] {
+        let scenario = format!("sim:{file}");
+        for arguments in [
+            &["scan", "sim:boiler", "--profile", file][..],
+            &["scan", &scenario],
+            &["sim", "vcan0", "--scenario", file],
+        ] {
+            let output = descan(arguments, folder.path());
+            assert_eq!(output.status.code(), Some(3), "{arguments:?}");
+            assert_eq!(text(&output.stderr), format!("descan: {file}: {cause}\n"));
+        }
+        for setting in ["config.toml", "keys.toml"] {
+            let path = at("config/descan").join(setting);
+            std::os::unix::fs::symlink(at(file), &path).unwrap();
+            let said = text(&descan(&["scan", "sim:gone.toml"], folder.path()).stderr);
+            assert!(said.contains(&format!("{setting}: {cause} (built-in")), "{said}");
+            std::fs::remove_file(path).unwrap();
+        }
+    }
+}
+
+/// Returns the text if it has no control characters but line ends.
+fn without_control_characters(bytes: &[u8]) -> String {
+    let text = text(bytes);
+    assert!(text.chars().all(|c| c == '\n' || descan::text::is_printable(c)), "{text:?}");
+    text
+}
+
+/// Tests escape codes in arguments, file names, settings, profiles and scenarios: they would change
+/// the terminal, or its title, or the order of characters.
+#[test]
+fn escape_codes_of_the_user_are_escaped() {
+    const CODES: &str = "\x1b]0;owned\x07\u{9b}2J\u{202e}";
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let toml = format!("{CODES}.toml");
+    std::fs::write(at(&toml), r#""\u001b]0;owned\u0007" = 1"#).unwrap();
+    std::fs::write(at(&format!("{CODES}.json")), "[").unwrap();
+    std::fs::create_dir_all(at("config/descan")).unwrap();
+    for setting in ["config.toml", "keys.toml"] {
+        std::fs::copy(at(&toml), at("config/descan").join(setting)).unwrap();
+    }
+    let with = |start: &str| format!("{start}{CODES}");
+    let broken = [
+        vec![with("--bogus")],
+        vec![with("")],
+        vec!["scan".into(), with("bus:")],
+        vec!["scan".into(), with("can")],
+        vec!["scan".into(), with("file:")],
+        vec!["scan".into(), with("sim:")],
+        vec!["scan".into(), with("slcan:/dev/")],
+        vec!["scan".into(), with("socketcand://")],
+        vec!["scan".into(), "sim:boiler".into(), "--profile".into(), with("")],
+        vec!["scan".into(), "sim:boiler".into(), "--profile".into(), toml.clone()],
+        vec!["scan".into(), format!("sim:{toml}")],
+        vec!["scan".into(), "sim:boiler".into(), "--address".into(), with("")],
+        vec!["scan".into(), "sim:boiler".into(), "--write".into(), format!("{CODES}/x")],
+        vec!["scan".into(), "sim:boiler".into(), "--record".into(), with("")],
+        vec!["check".into(), "sim:boiler".into(), "--file".into(), with("")],
+        vec!["check".into(), "sim:boiler".into(), "--file".into(), format!("{CODES}.json")],
+        vec!["watch".into(), "sim:boiler".into(), "--filter".into(), with("at:")],
+        vec!["sim".into(), "vcan0".into(), "--scenario".into(), with("")],
+        vec!["sim".into(), with("can")],
+        vec!["speed".into(), with("can")],
+        vec!["help".into(), with("")],
+        vec!["man".into(), with("")],
+        vec!["completions".into(), with("")],
+    ];
+    for arguments in &broken {
+        let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
+        let output = descan(&arguments, folder.path());
+        let said = without_control_characters(&output.stderr);
+        assert!(matches!(output.status.code(), Some(2 | 3)), "{arguments:?}: {said}");
+        // The parser of the arguments drops complete escape sequences itself.
+        let is_shown = ["\\xC2\\x9B2", "\\u{9b}2"].iter().any(|code| said.contains(code));
+        assert!(is_shown, "{arguments:?}: {said}");
+        without_control_characters(&output.stdout);
+    }
+}
+
+/// Tests output that is not an error: names of buses and files, in text and JSON.
+#[test]
+fn escape_codes_in_names_of_buses_are_escaped() {
+    let folder = tempfile::tempdir().unwrap();
+    let name = "\u{9b}2J\x1b[2J.toml";
+    let scenario = "bitrate = 125000\n[[device]]\nname = \"FEED\"\naddress = { preferred = 12 }\n";
+    std::fs::write(folder.path().join(name), scenario).unwrap();
+    let bus = format!("sim:{name}");
+    let output = descan(&["scan", &bus, "--time", "1"], folder.path());
+    let said = without_control_characters(&output.stdout);
+    assert!(said.contains("sim:\\xC2\\x9B2J\\x1B[2J.toml"), "{said}");
+    without_control_characters(&output.stderr);
+    let output = descan(&["scan", &bus, "--time", "1", "--json"], folder.path());
+    without_control_characters(&output.stdout);
+    assert_eq!(json(&output)["buses"][0]["name"], bus);
+}
+
+#[test]
+fn name_of_many_combining_marks_is_cut_in_tables() {
+    let folder = tempfile::tempdir().unwrap();
+    let name = format!("A{}", "\u{301}".repeat(499));
+    let scenario = format!(
+        "bitrate = 125000\n[[device]]\nname = \"{name}\"\naddress = {{ preferred = 12 }}\n"
+    );
+    std::fs::write(folder.path().join("line.toml"), scenario).unwrap();
+    let report = json(&descan(&["scan", "sim:line.toml", "--json"], folder.path()));
+    assert!(report["devices"][0]["name"] == name, "whole in JSON: {report:.200}");
+    let table = text(&descan(&["scan", "sim:line.toml"], folder.path()).stdout);
+    let row = table.lines().find(|line| line.contains("A\u{301}")).unwrap();
+    assert_eq!(row.chars().filter(|c| *c == '\u{301}').count(), descan::text::MAX_MARKS);
+    assert!(row.contains('…'), "{row}");
+}

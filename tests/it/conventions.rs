@@ -95,3 +95,23 @@ fn test_names_keep_the_rule() {
     assert!(count > 650, "only {count} tests found");
     assert!(wrong.is_empty(), "not <subject>_<condition>_<result>: {wrong:#?}");
 }
+
+/// All texts pass the writer that escapes them; the screen has its own.
+#[test]
+fn texts_are_printed_by_one_module() {
+    const WRITERS: [&str; 2] = ["src/commands/output.rs", "src/shell/terminal.rs"];
+    let mut places = Vec::new();
+    for file in rust_files("src") {
+        if WRITERS.iter().any(|writer| file.ends_with(writer)) {
+            continue;
+        }
+        let text = fs::read_to_string(&file).unwrap();
+        for (number, line) in text.lines().enumerate() {
+            let is_stream = ["stdout()", "stderr()"].iter().any(|stream| line.contains(stream));
+            if is_stream && ["write", "lock()"].iter().any(|way| line.contains(way)) {
+                places.push(format!("{}:{}", file.display(), number + 1));
+            }
+        }
+    }
+    assert!(places.is_empty(), "printed without `commands::output`: {places:#?}");
+}

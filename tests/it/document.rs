@@ -1233,6 +1233,24 @@ fn more_than_20_000_entries_are_refused() {
     assert_eq!(error.message, "more than 20000 entries; name the right file with --file");
 }
 
+#[test]
+fn more_than_256_services_of_an_entry_are_refused() {
+    for (open, service, close) in [('[', r#"{"name":"S"}"#, ']'), ('{', r#""S#":"1""#, '}')] {
+        let file = |count| {
+            let services: Vec<String> =
+                (0..count).map(|at| service.replace('#', &at.to_string())).collect();
+            format!(r#"[ {{"name":"A","services":{open}{}{close}}} ]"#, services.join(","))
+        };
+        let full = parsed(&file(256));
+        assert_eq!(full.entries()[0].services.as_ref().unwrap().len(), 256);
+        for count in [257, 100_000] {
+            let error = Document::parse(file(count).as_bytes()).unwrap_err();
+            assert_eq!((error.line, error.column), (1, 3));
+            assert_eq!(error.message, "an entry with more than 256 services; remove some");
+        }
+    }
+}
+
 /// A file that descan writes can be read again.
 #[test]
 fn edit_beyond_16_mib_is_refused() {

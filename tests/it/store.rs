@@ -143,6 +143,52 @@ fn save_keeps_the_owner() {
     assert_eq!((metadata.uid(), metadata.gid(), mode(&path)), (1234, 4321, 0o660));
 }
 
+/// The name of the temporary file beside it may not be longer.
+#[test]
+fn longest_file_name_is_saved() {
+    let folder = folder();
+    for name in ["x".repeat(255), "ж".repeat(127)] {
+        let store = Store::new(folder.path().join(&name));
+        store.save(None, b"one").unwrap();
+        store.save(Some(b"one"), b"two").unwrap();
+        assert_eq!(store.read().unwrap().unwrap(), b"two");
+        assert_eq!(names(folder.path()), [name]);
+        fs::remove_file(store.path()).unwrap();
+    }
+}
+
+/// A folder's default access list gives users access to new files that the replaced file denies.
+#[test]
+fn save_adds_no_access_list_of_the_folder() {
+    const LIST: &str = "system.posix_acl_access";
+    /// User rwx 7, user 4242 rw, group r, mask rw, other none, in the kernel's format.
+    const DEFAULT: [u8; 44] = [
+        2, 0, 0, 0, //
+        0x01, 0, 7, 0, 0xFF, 0xFF, 0xFF, 0xFF, //
+        0x02, 0, 6, 0, 0x92, 0x10, 0, 0, //
+        0x04, 0, 4, 0, 0xFF, 0xFF, 0xFF, 0xFF, //
+        0x10, 0, 6, 0, 0xFF, 0xFF, 0xFF, 0xFF, //
+        0x20, 0, 0, 0, 0xFF, 0xFF, 0xFF, 0xFF, //
+    ];
+    let has_list = |path: &Path| rustix::fs::getxattr(path, LIST, &mut [0; 256][..]).is_ok();
+    let folder = folder();
+    let path = folder.path().join("des.json");
+    fs::write(&path, "one").unwrap();
+    fs::set_permissions(&path, fs::Permissions::from_mode(0o660)).unwrap();
+    let flags = rustix::fs::XattrFlags::empty();
+    if let Err(error) =
+        rustix::fs::setxattr(folder.path(), "system.posix_acl_default", &DEFAULT, flags)
+    {
+        eprintln!("skipped: no access lists: {error}");
+        return;
+    }
+    fs::write(folder.path().join("new"), "").unwrap();
+    assert!(has_list(&folder.path().join("new")), "new files get the list");
+    Store::new(&path).save(Some(b"one"), b"two").unwrap();
+    assert!(!has_list(&path));
+    assert_eq!(mode(&path), 0o660);
+}
+
 #[test]
 fn save_keeps_symbolic_links() {
     let folder = folder();
@@ -253,9 +299,7 @@ fn failed_save_leaves_no_file_and_gives_the_cause() {
     // Even root cannot create files here.
     let error = failure(Path::new("/proc/des.json"));
     assert!(error.starts_with("cannot be written: "), "{error}");
-    // Nor a temporary file whose name exceeds 255 bytes with the suffix.
-    let long = at(&"x".repeat(250));
-    assert_eq!(failure(&long), "the name is too long; choose a shorter one");
+    assert_eq!(failure(&at(&"x".repeat(256))), "the name is too long; choose a shorter one");
     assert_eq!(names(folder.path()), ["folder"]);
 
     if is_root() {

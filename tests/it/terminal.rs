@@ -2,11 +2,17 @@
 //! terminal on every way out.
 
 use crate::common::pty;
-use crate::common::pty::{ClosablePty, Pty};
-use nix::sys::signal::Signal;
+use crate::common::pty::{ClosablePty, PATIENCE, Pty};
+use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
+use portable_pty::{CommandBuilder, PtySize, native_pty_system};
+use rustix::termios::tcgetattr;
 use std::fmt::Write;
+use std::os::fd::AsFd;
+use std::os::unix::fs::OpenOptionsExt;
 use std::path::Path;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 const SMALL: (u16, u16) = (80, 24);
 
@@ -443,4 +449,51 @@ fn log_is_paused_stepped_and_resumed_by_keys() {
     pty.wait_for("1 Devices");
     pty.send("q");
     assert_eq!(pty.wait(), 0);
+}
+
+/// Tests a terminal that is not read, as over a stalled SSH line: the thread that draws is blocked
+/// in a write.
+#[test]
+fn signal_ends_descan_on_a_blocked_terminal() {
+    let folder = tempfile::tempdir().unwrap();
+    let size = |cols| PtySize { rows: 100, cols, pixel_width: 0, pixel_height: 0 };
+    let pair = native_pty_system().openpty(size(300)).unwrap();
+    let mut options = std::fs::File::options();
+    let flags = nix::fcntl::OFlag::O_NOCTTY.bits();
+    let terminal = pair.master.tty_name().unwrap();
+    let terminal = options.read(true).write(true).custom_flags(flags).open(terminal).unwrap();
+    let settings = || tcgetattr(&terminal).unwrap().local_modes;
+    let before = settings();
+    let mut command = CommandBuilder::new(env!("CARGO_BIN_EXE_descan"));
+    command.arg("demo");
+    command.env("TERM", "xterm-256color");
+    command.env("XDG_CONFIG_HOME", folder.path());
+    let mut child = pair.slave.spawn_command(command).unwrap();
+    let pid = Pid::from_raw(child.process_id().unwrap().cast_signed());
+    // Each change of the size draws the whole screen, until the buffer of the terminal is full.
+    let is_writable = || {
+        let mut watched = [PollFd::new(terminal.as_fd(), PollFlags::POLLOUT)];
+        poll(&mut watched, PollTimeout::ZERO).unwrap() > 0
+    };
+    let deadline = Instant::now() + PATIENCE;
+    for columns in (200..300).cycle() {
+        if !is_writable() {
+            break;
+        }
+        assert!(Instant::now() < deadline, "the terminal takes everything");
+        pair.master.resize(size(columns)).unwrap();
+        std::thread::yield_now();
+    }
+    assert_ne!(settings(), before);
+    kill(pid, Signal::SIGTERM).unwrap();
+    let signalled = Instant::now();
+    while child.try_wait().unwrap().is_none() {
+        if signalled.elapsed() > Duration::from_secs(5) {
+            child.kill().unwrap();
+            panic!("it does not end");
+        }
+        std::thread::yield_now();
+    }
+    assert_eq!(child.wait().unwrap().exit_code(), 130);
+    assert_eq!(settings(), before);
 }

@@ -62,6 +62,8 @@ pub enum SaveOutcome {
     /// Another program wrote the file during the save; nothing was written. Holds the present
     /// content.
     Changed(FileReading),
+    /// The content is on disk, but may be lost in a power failure.
+    Unconfirmed(Diagnostic),
     /// The file cannot be written.
     Failed(Diagnostic),
 }
@@ -69,7 +71,10 @@ pub enum SaveOutcome {
 impl SaveOutcome {
     /// Returns true if the content of the save is on disk.
     pub const fn is_on_disk(&self) -> bool {
-        matches!(self, SaveOutcome::Saved | SaveOutcome::LinksBroken(_))
+        matches!(
+            self,
+            SaveOutcome::Saved | SaveOutcome::LinksBroken(_) | SaveOutcome::Unconfirmed(_)
+        )
     }
 }
 
@@ -82,12 +87,14 @@ pub enum FileError {
     Unreadable(Diagnostic),
     /// The last save failed; the edits are kept.
     NotSaved(Diagnostic),
+    /// The disk did not confirm the last save: the edits may be lost in a power failure.
+    Unconfirmed(Diagnostic),
 }
 
 impl FileError {
-    /// Returns true if the last save failed.
+    /// Returns true if the last save failed or was not confirmed; it is repeated.
     pub const fn is_not_saved(&self) -> bool {
-        matches!(self, FileError::NotSaved(_))
+        matches!(self, FileError::NotSaved(_) | FileError::Unconfirmed(_))
     }
 
     /// Message about the problem, for the file with this name.
@@ -96,6 +103,9 @@ impl FileError {
             FileError::Syntax(error) => format!("{name}: {error}"),
             FileError::Unreadable(why) => format!("{name}: {why}"),
             FileError::NotSaved(why) => format!("{name} not saved: {why}"),
+            FileError::Unconfirmed(why) => {
+                format!("{name} saved, but not confirmed by the disk: {why}")
+            }
         }
     }
 
@@ -103,7 +113,7 @@ impl FileError {
     pub fn excerpt(&self) -> Option<[String; 2]> {
         match self {
             FileError::Syntax(error) => error.excerpt(),
-            FileError::Unreadable(_) | FileError::NotSaved(_) => None,
+            FileError::Unreadable(_) | FileError::NotSaved(_) | FileError::Unconfirmed(_) => None,
         }
     }
 }
@@ -114,6 +124,7 @@ impl std::fmt::Display for FileError {
             FileError::Syntax(error) => error.fmt(f),
             FileError::Unreadable(why) => why.fmt(f),
             FileError::NotSaved(why) => write!(f, "not saved: {why}"),
+            FileError::Unconfirmed(why) => write!(f, "not confirmed by the disk: {why}"),
         }
     }
 }

@@ -175,6 +175,12 @@ impl FileState {
         self.pending.len()
     }
 
+    /// Returns true if there is nothing to save: no unsaved edit, and no save that the disk did not
+    /// confirm.
+    pub fn is_settled(&self) -> bool {
+        self.pending.is_empty() && !matches!(self.problem, Some(FileError::Unconfirmed(_)))
+    }
+
     /// Returns true if a save is in progress.
     pub fn is_saving(&self) -> bool {
         self.saving.is_some()
@@ -196,7 +202,7 @@ impl FileState {
     /// which may take long on a slow disk.
     pub fn read(&mut self, now: Instant, reading: FileReading) -> FileChange {
         let found = reading.found();
-        if self.is_what_we_write(&found) {
+        if self.waits_for_outcome(&found) {
             return FileChange::None;
         }
         let found = match found {
@@ -261,9 +267,10 @@ impl FileState {
         self.rebase(theirs, ConflictChoices { file_was_deleted, ..ConflictChoices::default() })
     }
 
-    /// Returns true if the content read during a save is the content being written. Any content but
-    /// that and the expected one marks the save as overtaken.
-    fn is_what_we_write(&mut self, found: &Result<Option<Document>, FileError>) -> bool {
+    /// Returns true if the content read during a save is the content being written, or was read
+    /// after that: only the outcome tells whether the save was overwritten or put back. Any content
+    /// but that of the save and the expected one marks the save as overtaken.
+    fn waits_for_outcome(&mut self, found: &Result<Option<Document>, FileError>) -> bool {
         let Some(saving) = self.saving.as_mut().filter(|saving| !saving.base_changed) else {
             return false;
         };
@@ -274,7 +281,7 @@ impl FileState {
         }
         let is_as_before = found.as_ref().is_ok_and(|found| *found == saving.expected);
         saving.disk_changed |= !is_as_before || saving.seen_on_disk;
-        false
+        saving.seen_on_disk
     }
 
     /// Marks a running save as superseded if another program wrote `theirs` during it. If the edits
@@ -283,7 +290,7 @@ impl FileState {
         let Some(saving) = self.saving.as_mut().filter(|saving| !saving.base_changed) else {
             return;
         };
-        if !saving.seen_on_disk && saving.expected.as_ref() == Some(theirs) {
+        if saving.expected.as_ref() == Some(theirs) {
             return;
         }
         saving.base_changed = true;
@@ -294,7 +301,7 @@ impl FileState {
             Ok(Merge::Rebased { document, .. }) => document == *theirs,
             _ => false,
         };
-        if saving.seen_on_disk || has_ours() {
+        if has_ours() {
             self.disk = Some(saving.content.clone());
             self.is_on_disk = true;
             self.pending.drain(..ours.len());
@@ -544,7 +551,7 @@ impl FileState {
         if self.saving.is_none() && self.disk.as_ref() == Some(&self.document) {
             self.pending.clear();
         }
-        if self.pending.is_empty() && self.problem.as_ref().is_some_and(FileError::is_not_saved) {
+        if self.pending.is_empty() && matches!(self.problem, Some(FileError::NotSaved(_))) {
             self.problem = None;
         }
     }
@@ -553,7 +560,7 @@ impl FileState {
     pub fn start_saving(&mut self) -> Option<Saving> {
         let waits =
             self.saving.is_some() || self.pending_conflict.is_some() || self.emptied.is_some();
-        if waits || self.pending.is_empty() || self.check().is_err() {
+        if waits || self.is_settled() || self.check().is_err() {
             return None;
         }
         let expected = self.disk.as_ref().filter(|_| self.is_on_disk);
@@ -574,14 +581,7 @@ impl FileState {
         let Some(saving) = self.saving.take() else { return FileChange::None };
         match outcome {
             SaveOutcome::Saved | SaveOutcome::LinksBroken(_) => {
-                if !saving.base_changed {
-                    self.disk = Some(saving.content);
-                    self.is_on_disk = true;
-                    self.pending.drain(..saving.operations.min(self.pending.len()));
-                    if saving.expected.is_none() {
-                        self.leave_list();
-                    }
-                }
+                self.settle(saving);
                 if self.problem.as_ref().is_some_and(FileError::is_not_saved) {
                     self.problem = None;
                 }
@@ -594,6 +594,14 @@ impl FileState {
                 FileChange::None
             }
             SaveOutcome::Changed(found) => self.read(now, found),
+            SaveOutcome::Unconfirmed(why) => {
+                self.settle(saving);
+                if self.check().is_err() {
+                    return FileChange::None;
+                }
+                self.problem = Some(FileError::Unconfirmed(why));
+                FileChange::Unusable
+            }
             SaveOutcome::Failed(why) => {
                 let is_told = self.check().is_err();
                 if !is_told {
@@ -607,6 +615,19 @@ impl FileState {
                     FileChange::Unusable
                 }
             }
+        }
+    }
+
+    /// Takes the content of a save as the content on disk, unless another program's is known.
+    fn settle(&mut self, saving: Saving) {
+        if saving.base_changed {
+            return;
+        }
+        self.disk = Some(saving.content);
+        self.is_on_disk = true;
+        self.pending.drain(..saving.operations.min(self.pending.len()));
+        if saving.expected.is_none() {
+            self.leave_list();
         }
     }
 }
@@ -726,17 +747,50 @@ mod tests {
         }
     }
 
-    /// Content that another program writes over a save seen on disk is not overwritten in turn.
+    /// Content read after the content of a save: another program overwrote the save, or the save
+    /// was put back because that program had written before it.
     #[test]
-    fn content_seen_on_disk_counts_as_saved_after_disk_change() {
+    fn content_after_a_save_waits_for_its_outcome() {
+        let theirs = FILE.replace("true", "true, \"note\":1");
+        for outcome in [SaveOutcome::Saved, SaveOutcome::Changed(content(&theirs))] {
+            let is_saved = outcome.is_on_disk();
+            let mut file = opened();
+            file.edit(&[set_address(&file, 16)]).unwrap();
+            file.start_saving().unwrap();
+            assert_eq!(file.read(NOW, content(&FILE.replace("12", "16"))), FileChange::None);
+            assert_eq!(file.unsaved(), 1, "that it stays there is not known");
+            assert_eq!(file.read(NOW, content(&theirs)), FileChange::None);
+            assert!(file.is_base_changed(), "the file is read again");
+            file.handle_saved(NOW, outcome);
+            let change = file.read(NOW, content(&theirs));
+            if is_saved {
+                // Not overwritten in turn.
+                assert_eq!((change, file.unsaved()), (FileChange::Content, 0));
+                assert_eq!(source(&file), theirs);
+            } else {
+                assert_eq!((change, file.unsaved()), (FileChange::Rebased, 1));
+                assert_eq!(source(&file), theirs.replace("12", "16"));
+            }
+        }
+    }
+
+    #[test]
+    fn unconfirmed_save_is_repeated_until_confirmed() {
         let mut file = opened();
         file.edit(&[set_address(&file, 16)]).unwrap();
-        file.start_saving().unwrap();
+        let saved = file.start_saving().unwrap().content;
+        let failed = || SaveOutcome::Unconfirmed(Diagnostic::new("Input/output error"));
+        assert_eq!(file.handle_saved(NOW, failed()), FileChange::Unusable);
+        // It is on disk: reading it is no change by another program.
+        assert_eq!((file.unsaved(), file.on_disk()), (0, Some(&saved)));
         assert_eq!(file.read(NOW, content(&FILE.replace("12", "16"))), FileChange::None);
-        assert_eq!(file.unsaved(), 1, "that it stays there is not known");
-        assert_eq!(file.read(NOW, content(&FILE.replace("12", "13"))), FileChange::Content);
+        let problem = file.problem().unwrap().to_string();
+        assert_eq!(problem, "not confirmed by the disk: Input/output error");
+        let again = file.start_saving().unwrap();
+        assert_eq!((again.expected, again.content), (Some(saved.clone()), saved));
         assert_eq!(file.handle_saved(NOW, SaveOutcome::Saved), FileChange::Saved);
-        assert_eq!((file.unsaved(), source(&file)), (0, &*FILE.replace("12", "13")));
+        assert_eq!(file.start_saving(), None);
+        assert_eq!(file.problem(), None);
     }
 
     #[test]

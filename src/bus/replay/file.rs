@@ -3,6 +3,7 @@
 use super::super::kind::{BusKind, OpenRequest};
 use super::super::port::Port;
 use crate::diagnostic::Diagnostic;
+use crate::regular_file::shown;
 use std::fs::File;
 use std::io;
 use std::path::{Path, PathBuf};
@@ -37,5 +38,5 @@ pub fn open_log(path: &Path) -> Result<File, Diagnostic> {
         let is_folder = log.metadata()?.is_dir();
         if is_folder { Err(io::ErrorKind::IsADirectory.into()) } else { Ok(log) }
     });
-    opened.map_err(|error| Diagnostic::unreadable(format_args!("file:{}", path.display()), &error))
+    opened.map_err(|error| Diagnostic::unreadable(format_args!("file:{}", shown(path)), &error))
 }

@@ -184,3 +184,15 @@ fn frames_alone_do_not_redraw_the_devices_page() {
     }
     assert!(draws <= 12, "{draws} draws in ten quiet seconds");
 }
+
+/// A cell of a terminal takes any number of combining marks: one name could send megabytes.
+#[test]
+fn cells_have_few_combining_marks() {
+    let name = format!("A{}", "\u{301}".repeat(2000));
+    let file = format!(r#"[{{"name": "{name}", "address": 9}}]"#);
+    let mut stage = Stage::new(&Scenario::new(125_000), Some(&file));
+    stage.until(3.0);
+    let buffer = stage.buffer("terminal");
+    let longest = buffer.content.iter().map(|cell| cell.symbol().chars().count()).max();
+    assert_eq!(longest, Some(31));
+}

@@ -1,0 +1,71 @@
+//! Texts on standard output and standard error, without a screen.
+//!
+//! The only writer of such texts: a character that is not printable, as in an argument, a file name
+//! or a setting, is escaped here at the latest. Line ends are kept. Failures to write to standard
+//! error are ignored: there is no other place to report them.
+
+use super::Failure;
+use crate::text::SafeLines;
+use std::fmt::{Display, Write as _};
+use std::io::{self, Write};
+
+/// Prints text on standard output and flushes it.
+///
+/// # Errors
+/// Standard output is closed, or cannot be written.
+pub fn print(text: &str) -> Result<(), Failure> {
+    print_own(SafeLines(text).to_string().as_bytes())
+}
+
+/// Prints JSON on standard output and flushes it. In its strings, the only place for them,
+/// characters that are not printable are escaped.
+///
+/// # Errors
+/// As [`print`].
+pub fn print_json(json: &str) -> Result<(), Failure> {
+    let mut text = String::with_capacity(json.len());
+    for c in json.chars() {
+        if c == '\n' || crate::text::is_printable(c) {
+            text.push(c);
+        } else {
+            for unit in c.encode_utf16(&mut [0; 2]) {
+                let _ = write!(text, "\\u{unit:04X}");
+            }
+        }
+    }
+    print_own(text.as_bytes())
+}
+
+/// Prints text that consists of descan's own words, and may have styles, as it is.
+///
+/// # Errors
+/// As [`print`].
+pub fn print_own(text: &[u8]) -> Result<(), Failure> {
+    let mut out = io::stdout().lock();
+    let printed = out.write_all(text).and_then(|()| out.flush());
+    printed.map_err(|error| match error.kind() {
+        io::ErrorKind::BrokenPipe => Failure::Closed,
+        _ => Failure::System(anyhow::Error::new(error).context("cannot write to standard output")),
+    })
+}
+
+/// Prints a line on standard error, with the name of the program.
+pub fn warn(text: impl Display) {
+    say(format_args!("descan: {text}"));
+}
+
+/// Prints a line on standard error.
+pub fn say(text: impl Display) {
+    let line = format!("{}\n", SafeLines(&text.to_string()));
+    let _ = io::stderr().write_all(line.as_bytes());
+}
+
+/// Prints a question on standard error, without a line end.
+pub fn ask(text: impl Display) {
+    let _ = write!(io::stderr(), "{} ", SafeLines(&text.to_string()));
+}
+
+/// Replaces the present line of the terminal at standard error.
+pub fn show_progress(line: &str) {
+    let _ = write!(io::stderr(), "\r\x1b[K{}", SafeLines(line));
+}
