@@ -44,11 +44,8 @@ impl App {
             }
         }
         if any {
-            self.notices.redraw.set_stale();
+            self.refresh_before_draw();
             self.request_redraw();
-            if !self.view.has_screen {
-                self.catch_up();
-            }
         }
     }
 
@@ -175,7 +172,7 @@ impl App {
             self.notices.emit(event);
         }
         self.take_events();
-        self.refresh();
+        self.refresh_before_draw();
         self.request_redraw();
     }
 

@@ -1,6 +1,7 @@
 //! The real binary in a pseudo-terminal: screen content, effect of keys, and restoring of the
 //! terminal on every way out.
 
+use crate::common::hostile;
 use crate::common::pty;
 use crate::common::pty::{ClosablePty, Pty};
 use nix::sys::signal::Signal;
@@ -443,4 +444,29 @@ fn log_is_paused_stepped_and_resumed_by_keys() {
     pty.wait_for("1 Devices");
     pty.send("q");
     assert_eq!(pty.wait(), 0);
+}
+
+#[test]
+fn full_speed_log_leaves_keys_and_signals_working() {
+    for way in ["q", "SIGTERM"] {
+        let folder = tempfile::tempdir().unwrap();
+        let pipe = folder.path().join("pipe");
+        let writer = hostile::feed(&pipe, false);
+        let command = format!("exec {} - --speed 100000 < pipe", env!("CARGO_BIN_EXE_descan"));
+        let mut pty = Pty::run("/bin/sh", &["-c", &command], folder.path(), SMALL);
+        // Each address has several names: the frames are handled.
+        pty.wait_for("4 Problems 1");
+        pty.send("3");
+        pty.wait_for("SOURCE");
+        pty.send("4");
+        pty.wait_for("PROBLEM");
+        if way == "q" {
+            pty.send("q")
+        } else {
+            pty.signal(Signal::SIGTERM)
+        }
+        assert_eq!(pty.wait(), if way == "q" { 0 } else { 130 });
+        pty.assert_given_back();
+        writer.join().unwrap();
+    }
 }

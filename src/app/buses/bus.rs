@@ -11,7 +11,7 @@ use crate::discovery::{
 use crate::finding::Finding;
 use crate::frame::Frame;
 use crate::status::{BusState, BusStatus, Link};
-use crate::time::{Duration, Instant};
+use crate::time::{Duration, Instant, debug_assert_later};
 use crate::wire::id::Address;
 
 /// Listening time after which a listed device counts as missing where no requests are sent.
@@ -20,6 +20,9 @@ const LISTEN_TIME: Duration = Duration::from_secs(5);
 const QUEUE_STALE_AFTER: Duration = Duration::from_millis(1500);
 /// Bus errors in 3 s, without a valid frame, that indicate a wrong bit rate.
 const ONLY_ERRORS_MIN: u32 = 64;
+
+/// Calls of the engine at one moment at most: what it handles may make more due at once.
+const ENGINE_PASSES: usize = 8;
 
 /// One bus.
 #[derive(Debug)]
@@ -188,7 +191,13 @@ impl Bus {
         if self.is_unreachable() {
             self.engine.handle_bus_unavailable(now);
         }
-        self.engine.handle_timeout(now);
+        for _ in 0..ENGINE_PASSES {
+            self.engine.handle_timeout(now);
+            if self.engine.poll_timeout().is_none_or(|due| due > now) {
+                break;
+            }
+        }
+        debug_assert_later(self.poll_timeout(), now);
     }
 
     /// The next frame to transmit.
