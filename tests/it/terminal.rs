@@ -470,3 +470,17 @@ fn full_speed_log_leaves_keys_and_signals_working() {
         writer.join().unwrap();
     }
 }
+
+#[test]
+fn unreadable_input_is_shown_before_its_end() {
+    let folder = tempfile::tempdir().unwrap();
+    let pipe = folder.path().join("pipe");
+    nix::unistd::mkfifo(&pipe, nix::sys::stat::Mode::S_IRWXU).unwrap();
+    let command = format!("exec {} - < pipe", env!("CARGO_BIN_EXE_descan"));
+    let mut pty = Pty::run("/bin/sh", &["-c", &command], folder.path(), (160, 40));
+    let mut input = std::fs::OpenOptions::new().write(true).open(&pipe).unwrap();
+    std::io::Write::write_all(&mut input, "what?\n".repeat(9).as_bytes()).unwrap();
+    pty.wait_for("8 lines cannot be read, the first is line 1");
+    pty.send("q");
+    assert_eq!(pty.wait(), 0);
+}

@@ -10,8 +10,8 @@ mod link_info;
 mod name;
 mod socket;
 
-pub use link_info::{CanInterface, interfaces};
-pub(super) use name::{KIND, interface_name, interface_name as parse, looks_like_path, text};
+pub use link_info::{CanInterface, interface_exists, interfaces};
+pub(super) use name::{KIND, interface_name, interface_name as parse, text};
 
 use super::clock::RxTimestamps;
 use super::faults::{cannot_open, unplugged};
