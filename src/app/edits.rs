@@ -3,6 +3,7 @@
 //! An edit is an [`Operation`] on the document; the shell writes the file. Nothing is transmitted
 //! beyond discovery without a confirmation.
 
+use super::filter::Filter;
 use super::input::{
     AddressPrompt, CapturePathPrompt, CopyPathPrompt, NewEntryPrompt, RenamePrompt,
 };
@@ -309,12 +310,15 @@ impl App {
         }
     }
 
-    /// Handles a change of the line: a filter applies while it is typed.
+    /// Handles a change of the line: a filter applies while it is typed; while it is wrong, the one
+    /// before applies.
     pub(super) fn prompt_changed(&mut self) {
         self.notices.redraw.set_dirty();
         let Some(prompt) = self.input.prompt() else { return };
         if let PromptKind::Filter(filter) = &prompt.kind {
-            let (page, text) = (filter.page, prompt.input.value().to_owned());
+            let (page, typed) = (filter.page, prompt.input.value());
+            let is_valid = Filter::parse(typed).error().is_none();
+            let text = if is_valid { typed } else { &filter.before }.to_owned();
             self.set_filter(page, text);
         }
     }
@@ -343,12 +347,7 @@ impl App {
         let Some(prompt) = self.input.close_prompt() else { return };
         match prompt.commit(self.prompt_context()) {
             PromptOutcome::Nothing => {}
-            PromptOutcome::SetFilter(page, text, error) => {
-                self.set_filter(page, text);
-                if let Some(error) = error {
-                    self.show_error(error);
-                }
-            }
+            PromptOutcome::SetFilter(page, text) => self.set_filter(page, text),
             PromptOutcome::Edit(operations) => self.edit(&operations),
             PromptOutcome::AddEntry(entry) => {
                 let (name, address) = (entry.name.clone(), entry.address);

@@ -53,7 +53,7 @@ pub use filter::{FILTER_FIELDS, FILTER_WORDS, Filter, FilterField};
 pub use input::{InputCheck, Overlay, Prompt, PromptKind, Question};
 pub use listing::{addition_refusal, same_services};
 pub use navigate::{Mouse, MouseKind};
-pub use notices::{StatusMessage, Timeline, TimelineEntry};
+pub use notices::{StatusMessage, Timeline, TimelineEntry, event_word};
 pub use problems::{
     EvidenceItem, Matching, Problem, ProblemKey, ProblemList, Scope, format_duration, is_about,
 };
@@ -252,14 +252,17 @@ impl App {
     /// Takes frames, each with its own time.
     pub fn handle_frames(&mut self, now: Instant, frames: &[Frame]) {
         self.clock.set(now);
-        for frame in frames.iter().filter(|frame| self.buses.receive(frame)) {
-            self.traffic.capture.push(frame);
+        for frame in frames {
+            if self.buses.receive(frame) {
+                self.traffic.capture.push(frame);
+                // After each frame: an event has the data of its moment.
+                self.take_events();
+            }
         }
         if !frames.is_empty() && self.view.page == Page::Traffic && self.view.frozen.is_none() {
             self.request_redraw();
         }
         self.complete_bus_events(now);
-        self.take_events();
     }
 
     /// Does what is due at `now`.
