@@ -230,20 +230,8 @@ fn bus_parts(brush: &DrawContext, index: BusIndex) -> Parts {
         return parts;
     }
     parts.extend(warning(brush, bus).filter(|_| !is_searched));
-    let load = bus.meter.last().load(bus.bits_per_second()) * 100.0;
-    let guess = if bus.status.bitrate.is_none() { ASSUMED } else { "" };
     let frames = bus.meter.last().frames;
-    parts.push(Part::new(
-        LOAD,
-        vec![
-            brush.span(Role::Muted, "load "),
-            brush.span(
-                if load >= 80.0 { Role::Warning } else { Role::Text },
-                format!("{:>4} ", format!("{guess}{load:.0}%")),
-            ),
-            brush.span(Role::Bar, sparkline(bus, if columns < 100 { 6 } else { 20 })),
-        ],
-    ));
+    parts.push(Part::new(LOAD, load(brush, bus, if columns < 100 { 6 } else { 20 })));
     parts.push(Part::new(RATE, vec![brush.span(Role::Text, format!("{frames:>4} f/s"))]));
     parts.push(counter(brush, "err", bus.counters().errors, Role::Warning));
     let mut lost = counter(brush, "lost", bus.lost(), Role::Error);
@@ -253,6 +241,19 @@ fn bus_parts(brush: &DrawContext, index: BusIndex) -> Parts {
     parts.push(lost);
     parts.extend(own_address(brush, bus));
     parts
+}
+
+/// Returns the bus load, and its chart of `width` cells; `–` where no bit rate is known.
+fn load(brush: &DrawContext, bus: &Bus, width: usize) -> Vec<Span<'static>> {
+    let label = brush.span(Role::Muted, "load ");
+    if bus.lacks_bit_rate() {
+        return vec![label, brush.span(Role::Muted, "   –")];
+    }
+    let load = bus.meter.last().load(bus.bits_per_second()) * 100.0;
+    let guess = if bus.status.bitrate.is_none() { ASSUMED } else { "" };
+    let role = if load >= 80.0 { Role::Warning } else { Role::Text };
+    let load = format!("{:>4} ", format!("{guess}{load:.0}%"));
+    vec![label, brush.span(role, load), brush.span(Role::Bar, sparkline(bus, width))]
 }
 
 /// Returns whether a replay is paused, its position, percent and speed; `None` without a log.

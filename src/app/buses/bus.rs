@@ -10,7 +10,7 @@ use crate::discovery::{
 };
 use crate::finding::Finding;
 use crate::frame::Frame;
-use crate::status::{BusState, BusStatus, Link};
+use crate::status::{BusState, BusStatus, Link, RateSearch};
 use crate::time::{Duration, Instant, debug_assert_later};
 use crate::wire::id::Address;
 
@@ -113,6 +113,12 @@ impl Bus {
     /// Nominal bit rate in bit/s: the adapter's, else the configured or assumed one.
     pub fn bits_per_second(&self) -> u32 {
         self.status.bitrate.unwrap_or_else(|| self.config().bits_per_second())
+    }
+
+    /// Returns true if its load means nothing: the bit rate is neither known nor assumed for a
+    /// controller, as in a log or on a virtual bus.
+    pub fn lacks_bit_rate(&self) -> bool {
+        self.status.bitrate.is_none() && self.status.rate_search == RateSearch::NoRate
     }
 
     /// Returns true if frames can be received and transmitted.
