@@ -167,11 +167,21 @@ impl App {
             self.show_conflict();
             self.input.accept_keys();
         } else if self.editor.file.unsaved() == 0 {
-            self.file_info("no unsaved changes");
+            self.restore_pins();
         } else if let Err(EditRefusal::Unusable(why)) = self.editor.file.check() {
             self.file_error(format!("not saved; fix it first: {why}"));
         } else {
             self.save_pending();
+        }
+    }
+
+    /// Pins the addresses again that another program has overwritten.
+    fn restore_pins(&mut self) {
+        let operations = self.editor.restoring();
+        if operations.is_empty() {
+            self.file_info("no unsaved changes");
+        } else if self.ensure_editable() {
+            self.edit(&operations);
         }
     }
 

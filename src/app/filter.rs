@@ -171,7 +171,7 @@ impl Filter {
             }
             TermTest::UnknownField(word) => {
                 let field = word.split(':').next().unwrap_or_default();
-                let words = FILTER_FIELDS.iter().flat_map(|field| field.words.first());
+                let words = FILTER_FIELDS.iter().filter_map(|field| field.words.first());
                 let known = words.map(|word| format!("{word}:")).collect::<Vec<_>>().join(" ");
                 Some(format!(
                     "{word}: unknown field {field}; use {known}; quote a word with a colon: \

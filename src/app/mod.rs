@@ -643,6 +643,12 @@ impl App {
         &self.editor.file
     }
 
+    /// Number of static addresses set by the user that another program has overwritten;
+    /// [`Action::Save`] restores them.
+    pub fn overwritten_pins(&self) -> usize {
+        self.editor.restoring().len()
+    }
+
     /// Number of edits that would be lost if the program ended now, and the file with them; `None`
     /// if they are saved, also in a copy, or discarded by the user.
     pub fn edits_at_risk(&self) -> Option<(usize, Document)> {

@@ -33,13 +33,12 @@ pub fn run(scan: &ScanArgs) -> Result<u8, Failure> {
     if scan.stay.is_some() && log.is_some() {
         return Err(Failure::Usage("--for needs a live bus; for a log use --time".to_owned()));
     }
-    let RunOutcome { app, now, ending, recording } = match log {
-        Some(log) => read_log(log, (scan.run.from, scan.run.time), &setup, |_| Ok(()))?,
-        None => {
-            let time = scan.stay.or(scan.run.time).unwrap_or(DEFAULT_TIME);
-            let enough = |app: &App| scan.expect.is_none_or(|count| named_devices(app) >= count);
-            look(&buses, &setup, time, |app, _| Ok(scan.stay.is_none() && enough(app)))?
-        }
+    let RunOutcome { app, now, ending, recording } = if let Some(log) = log {
+        read_log(log, (scan.run.from, scan.run.time), &setup, |_| Ok(()))?
+    } else {
+        let time = scan.stay.or(scan.run.time).unwrap_or(DEFAULT_TIME);
+        let enough = |app: &App| scan.expect.is_none_or(|count| named_devices(app) >= count);
+        look(&buses, &setup, time, |app, _| Ok(scan.stay.is_none() && enough(app)))?
     };
     if ending == Some(StopReason::Interrupted) {
         return Ok(EXIT_INTERRUPTED);

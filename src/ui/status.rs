@@ -453,6 +453,20 @@ fn recording(brush: &DrawContext) -> Option<Part> {
     Some(Part::new(WARNING, spans))
 }
 
+/// Returns how many static addresses of the user another program has overwritten, and the key that
+/// restores them; `None` without any.
+fn overwritten_pins(brush: &DrawContext, whole: bool) -> Option<Part> {
+    let count = brush.app.overwritten_pins();
+    let plural = if count == 1 { "" } else { "s" };
+    let remedy = if whole {
+        format!("; {} restores", brush.app.key_of(Action::Save))
+    } else {
+        String::new()
+    };
+    let text = format!("! {count} pin{plural} overwritten{remedy}");
+    (count > 0).then(|| Part::new(KEPT, vec![brush.span(Role::Warning, text)]))
+}
+
 /// Returns the state of des.json; with `whole` also the cause of an error and the next step.
 fn file(brush: &DrawContext, whole: bool) -> Parts {
     let file = brush.app.file();
@@ -515,7 +529,8 @@ fn file(brush: &DrawContext, whole: bool) -> Parts {
             };
             let name = brush.span(Role::Title, format!("{} ", file.name()));
             let words = brush.span(Role::Text, words);
-            return vec![Part::new(rank, vec![name, brush.span(role, sign), words])];
+            let file = Part::new(rank, vec![name, brush.span(role, sign), words]);
+            return [Some(file), overwritten_pins(brush, whole)].into_iter().flatten().collect();
         }
     };
     let name = brush.span(Role::Title, format!("{} ", file.name()));

@@ -460,10 +460,9 @@ fn full_speed_log_leaves_keys_and_signals_working() {
         pty.wait_for("SOURCE");
         pty.send("4");
         pty.wait_for("PROBLEM");
-        if way == "q" {
-            pty.send("q")
-        } else {
-            pty.signal(Signal::SIGTERM)
+        match way {
+            "q" => pty.send("q"),
+            _ => pty.signal(Signal::SIGTERM),
         }
         assert_eq!(pty.wait(), if way == "q" { 0 } else { 130 });
         pty.assert_given_back();

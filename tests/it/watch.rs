@@ -688,14 +688,11 @@ fn missing_interface_is_waited_for_until_the_time_limit() {
 #[test]
 fn filter_by_state_hides_suspicions_about_the_bus() {
     // Each frame is repeated after 300 us, as by a bridge: suspected, at no address.
-    let mut lines = String::new();
-    for second in 0..40u32 {
-        for offset in [0, 300] {
-            lines += &format!("({second}.{offset:06}) can0 07181001#8AFA6C9724110400\n");
-            lines +=
-                &format!("({second}.{:06}) can0 071C2001#9BFA6C9724110400\n", 400_000 + offset);
-        }
-    }
+    let beats = [(0, "07181001#8AFA6C9724110400"), (400_000, "071C2001#9BFA6C9724110400")];
+    let line = |(second, micros, frame)| format!("({second}.{micros:06}) can0 {frame}\n");
+    let beats = beats.into_iter().flat_map(|(at, frame)| [(at, frame), (at + 300, frame)]);
+    let all = (0..40u32).flat_map(|second| beats.clone().map(move |(at, it)| (second, at, it)));
+    let lines: String = all.map(line).collect();
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("session.log"), lines).unwrap();
     let told = |filter: &str| {
