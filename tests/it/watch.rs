@@ -686,24 +686,6 @@ fn missing_interface_is_waited_for_until_the_time_limit() {
 }
 
 #[test]
-fn filter_by_state_hides_suspicions_about_the_bus() {
-    // Each frame is repeated after 300 us, as by a bridge: suspected, at no address.
-    let beats = [(0, "07181001#8AFA6C9724110400"), (400_000, "071C2001#9BFA6C9724110400")];
-    let line = |(second, micros, frame)| format!("({second}.{micros:06}) can0 {frame}\n");
-    let beats = beats.into_iter().flat_map(|(at, frame)| [(at, frame), (at + 300, frame)]);
-    let all = (0..40u32).flat_map(|second| beats.clone().map(move |(at, it)| (second, at, it)));
-    let lines: String = all.map(line).collect();
-    let folder = tempfile::tempdir().unwrap();
-    std::fs::write(folder.path().join("session.log"), lines).unwrap();
-    let told = |filter: &str| {
-        text(&watch(&["file:session.log", "--filter", filter], folder.path()).stdout).to_owned()
-    };
-    assert!(told("").contains("suspected: "), "{}", told(""));
-    assert!(!told("is:confirmed").contains("suspected: "), "{}", told("is:confirmed"));
-    assert!(told("is:suspected").contains("suspected: "));
-}
-
-#[test]
 fn bare_word_matches_no_prose() {
     let folder = folder();
     let told = |filter: &str| {

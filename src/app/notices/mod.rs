@@ -212,6 +212,7 @@ impl Notices {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::finding::{Finding, FindingKey};
 
     const NOW: Instant = Instant::ZERO;
 
@@ -252,5 +253,20 @@ mod tests {
         let line = |text| TimelineEntry::new(NOW, TimelineKind::File, text);
         assert!(!notices.passes_filter(&buses, &line("listed"), &[]));
         assert!(notices.passes_filter(&buses, &line("down").on(BusIndex(0)), &[]));
+    }
+
+    #[test]
+    fn suspicion_about_a_bus_passes_its_own_state_only() {
+        let buses = Buses::new(NOW, Vec::new());
+        let line = |kind| {
+            let (bus, address, name) = (Some(BusIndex(0)), None, None);
+            let key = FindingKey { kind, bus, address, name, fault: None };
+            TimelineEntry::of_finding(NOW, &Finding::new(key, NOW))
+        };
+        let errors = line(FindingKind::BusErrors);
+        assert!(!notices("is:confirmed").passes_filter(&buses, &errors, &[]));
+        assert!(notices("is:suspected").passes_filter(&buses, &errors, &[]));
+        let lost = line(FindingKind::FramesLost);
+        assert!(notices("is:confirmed").passes_filter(&buses, &lost, &[]));
     }
 }
