@@ -5,7 +5,7 @@
 
 use crate::error_report::ErrorReport;
 use crate::frame::{Frame, FrameKind};
-use crate::time::{Duration, Instant};
+use crate::time::{Duration, Instant, debug_assert_later};
 
 /// The bit rates of the CAN platform, in bit/s, in the order of the search.
 pub const RATES: [u32; 4] = [125_000, 250_000, 500_000, 1_000_000];
@@ -136,6 +136,7 @@ impl Search {
         if self.until.is_some_and(|until| now >= until) {
             self.next_rate();
         }
+        debug_assert_later(self.poll_timeout(), now);
     }
 
     /// When to call [`handle_timeout`](Self::handle_timeout); `None` while a rate is to be set, and

@@ -52,7 +52,7 @@ Examples:
   descan watch can0             print events as they happen, one per line
   descan scan can0 --write des.json
                                 create des.json from the bus
-  descan file:session.log       replay a candump log in real time
+  descan session.log            replay a candump log in real time
   ssh board candump -L can0 | descan -
                                 a remote bus over SSH
 
@@ -125,11 +125,15 @@ Examples:
 /// `descan scan`.
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Exit code: 0 no confirmed conflict, 1 one or more, 2 wrong usage, 3 bus or file not usable.
+Exit code: 0 no confirmed conflict, 1 one or more, or fewer devices than expected, 2 wrong usage, \
+3 bus or file not usable.
 
 Examples:
   descan scan can0
   descan scan can0 --json | jq '.devices[].name'
+  descan scan can0 --expect 12 --time 60
+                                wait until 12 devices are present and named
+  descan scan can0 --for 30     devices that boot within 30 s
   descan scan file:session.log --json
   descan scan file:session.log --from 60 --time 24 --write start.json
                                 the devices of seconds 60 to 84, in a new file")]
@@ -140,6 +144,18 @@ pub struct ScanArgs {
     /// Write the devices found to a new FILE; never overwrites
     #[arg(long, value_name = "FILE")]
     pub write: Option<PathBuf>,
+    /// Stay for SECONDS, in place of --time: devices that boot meanwhile are found
+    #[arg(
+        long = "for",
+        value_name = "SECONDS",
+        value_parser = seconds,
+        allow_negative_numbers = true,
+        conflicts_with = "time"
+    )]
+    pub stay: Option<Duration>,
+    /// Wait until N devices are present and named, at most --time; debug devices do not count
+    #[arg(long, value_name = "N")]
+    pub expect: Option<usize>,
 }
 
 /// `descan check`.
@@ -172,7 +188,8 @@ input are processed as they arrive. A bus that goes down or is unplugged after i
 opened again when it returns.
 
 --filter takes the words and fields of the filter line in the UI; all of them must match: at:12,14 \
-name:FEED is:confirmed bus:can1 lost !debug. Bus state, lost frames, descan's own address and \
+name:FEED is:confirmed bus:can1 lost !debug. A word matches name, event, state and kind; text:WORD the \
+sentence. Bus state, lost frames, descan's own address and \
 descan's errors are always printed. With at: and --listen-only, frames of other addresses are \
 not read from a SocketCAN interface: other devices are not found, and the bus load is unknown. \
 Without --listen-only, and with --record, all frames are read: descan needs them for its own \

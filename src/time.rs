@@ -69,6 +69,18 @@ impl fmt::Display for Instant {
     }
 }
 
+/// Checks in debug builds that a state machine has no deadline at or before `now`, up to which its
+/// timers were handled: otherwise its caller would call it without end.
+///
+/// # Panics
+///
+/// In debug builds, if there is such a deadline.
+#[cfg(feature = "std")]
+#[track_caller]
+pub(crate) fn debug_assert_later(due: Option<Instant>, now: Instant) {
+    debug_assert!(due.is_none_or(|due| due > now), "due at {due:?}, handled until {now:?}");
+}
+
 /// The Unix time of [`Instant::ZERO`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub struct Epoch {

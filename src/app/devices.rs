@@ -89,16 +89,54 @@ impl DeviceRows {
     }
 }
 
+/// What the rows of a bus are made from, by address and by name: a row does not search all findings
+/// and devices.
+struct BusContents<'a> {
+    bus: &'a Bus,
+    findings: Vec<Vec<&'a Finding>>,
+    /// Number of present devices.
+    named: HashMap<&'a Name, usize>,
+}
+
+impl<'a> BusContents<'a> {
+    fn new(bus: &'a Bus) -> Self {
+        let mut findings = vec![Vec::new(); Address::all().count()];
+        for finding in bus.findings() {
+            for address in &finding.addresses {
+                findings[address.index()].push(finding);
+            }
+        }
+        let mut named = HashMap::new();
+        for device in bus.devices().iter().filter(|device| device.is_present()) {
+            if let Some(name) = &device.name {
+                *named.entry(name).or_default() += 1;
+            }
+        }
+        Self { bus, findings, named }
+    }
+
+    fn findings_about(&self, device: &Device) -> impl Iterator<Item = &'a Finding> {
+        let about = |finding: &&&Finding| concerns(finding, device);
+        self.findings[device.address.index()].iter().filter(about).copied()
+    }
+
+    /// Returns true if several present devices have the name of this one.
+    fn has_twins(&self, device: &Device) -> bool {
+        device.name.as_ref().and_then(|name| self.named.get(name)).is_some_and(|count| *count > 1)
+    }
+}
+
 /// The making of rows.
 impl Inputs<'_> {
     fn all_rows(&self) -> Vec<Row> {
         let entries = self.file.document().entries();
         let mut rows = Vec::new();
+        let contents: Vec<BusContents> = self.buses.iter().map(BusContents::new).collect();
         for bus in self.buses.iter() {
             let devices = bus.devices().iter();
             // A device on redundant buses has its row on the first.
             let own = devices.filter(|it| self.buses.redundant(it.id).all(|other| other > it.id));
-            rows.extend(own.map(|device| self.merged_row(bus, device)));
+            rows.extend(own.filter_map(|device| self.merged_row(&contents, device)));
         }
         for entry in entries {
             if self.matching.devices_of(entry.index).is_empty() {
@@ -109,13 +147,14 @@ impl Inputs<'_> {
     }
 
     /// Row of a device, merged with the same device on redundant buses.
-    fn merged_row(&self, bus: &Bus, device: &Device) -> Row {
-        let mut row = self.device_row(bus, device);
+    fn merged_row(&self, contents: &[BusContents], device: &Device) -> Option<Row> {
+        let row_of = |device: &Device| {
+            let bus = contents.get(usize::from(device.id.bus.0))?;
+            Some(self.device_row(bus, device))
+        };
+        let mut row = row_of(device)?;
         for id in self.buses.redundant(device.id) {
-            let (Some(bus), Some(other)) = (self.buses.get(id.bus), self.buses.device(id)) else {
-                continue;
-            };
-            let other = self.device_row(bus, other);
+            let Some(other) = self.buses.device(id).and_then(row_of) else { continue };
             let here = |row: &Row| !matches!(row.state, RowState::Lost | RowState::Unknown);
             row.state = match (row.state, other.state) {
                 (RowState::Conflict, _) | (_, RowState::Conflict) => RowState::Conflict,
@@ -134,22 +173,16 @@ impl Inputs<'_> {
             row.has_other_services |= other.has_other_services;
             row.redundant_ids.push(id);
         }
-        row
+        Some(row)
     }
 
-    fn device_row(&self, bus: &Bus, device: &Device) -> Row {
+    fn device_row(&self, contents: &BusContents, device: &Device) -> Row {
         let entry = self.matching.entry_of(device.id);
-        let about = |finding: &&Finding| concerns(finding, device);
-        let findings = || bus.findings().iter().filter(about);
+        let bus = contents.bus;
+        let findings = || contents.findings_about(device);
         let confirmed =
             findings().any(|it| it.state == FindingState::Confirmed && it.key.kind.is_conflict());
-        let twin = device.is_present()
-            && bus.devices().iter().any(|other| {
-                other.id != device.id
-                    && other.is_present()
-                    && other.name.is_some()
-                    && other.name == device.name
-            });
+        let twin = device.is_present() && contents.has_twins(device);
         Row {
             key: RowKey::Device(device.id),
             bus: Some(device.id.bus),

@@ -3,6 +3,7 @@
 //! An edit is an [`Operation`] on the document; the shell writes the file. Nothing is transmitted
 //! beyond discovery without a confirmation.
 
+use super::filter::Filter;
 use super::input::{
     AddressPrompt, CapturePathPrompt, CopyPathPrompt, NewEntryPrompt, RenamePrompt,
 };
@@ -166,11 +167,21 @@ impl App {
             self.show_conflict();
             self.input.accept_keys();
         } else if self.editor.file.is_settled() {
-            self.file_info("no unsaved changes");
+            self.restore_pins();
         } else if let Err(EditRefusal::Unusable(why)) = self.editor.file.check() {
             self.file_error(format!("not saved; fix it first: {why}"));
         } else {
             self.save_pending();
+        }
+    }
+
+    /// Pins the addresses again that another program has overwritten.
+    fn restore_pins(&mut self) {
+        let operations = self.editor.restoring();
+        if operations.is_empty() {
+            self.file_info("no unsaved changes");
+        } else if self.ensure_editable() {
+            self.edit(&operations);
         }
     }
 
@@ -309,12 +320,15 @@ impl App {
         }
     }
 
-    /// Handles a change of the line: a filter applies while it is typed.
+    /// Handles a change of the line: a filter applies while it is typed; while it is wrong, the one
+    /// before applies.
     pub(super) fn prompt_changed(&mut self) {
         self.notices.redraw.set_dirty();
         let Some(prompt) = self.input.prompt() else { return };
         if let PromptKind::Filter(filter) = &prompt.kind {
-            let (page, text) = (filter.page, prompt.input.value().to_owned());
+            let (page, typed) = (filter.page, prompt.input.value());
+            let is_valid = Filter::parse(typed).error().is_none();
+            let text = if is_valid { typed } else { &filter.before }.to_owned();
             self.set_filter(page, text);
         }
     }
@@ -343,12 +357,7 @@ impl App {
         let Some(prompt) = self.input.close_prompt() else { return };
         match prompt.commit(self.prompt_context()) {
             PromptOutcome::Nothing => {}
-            PromptOutcome::SetFilter(page, text, error) => {
-                self.set_filter(page, text);
-                if let Some(error) = error {
-                    self.show_error(error);
-                }
-            }
+            PromptOutcome::SetFilter(page, text) => self.set_filter(page, text),
             PromptOutcome::Edit(operations) => self.edit(&operations),
             PromptOutcome::AddEntry(entry) => {
                 let (name, address) = (entry.name.clone(), entry.address);

@@ -5,7 +5,7 @@
 use super::buses::Redundancy;
 use super::file::{FileChange, FileError};
 use super::input::Overlay;
-use super::notices::{TimelineEntry, event_text, finding_line, join_lines, join_short};
+use super::notices::{TimelineEntry, event_text, join_lines, join_short};
 use super::problems::ProblemKey;
 use super::timeline_kind::TimelineKind;
 use super::{App, AppEvent, Effect};
@@ -44,11 +44,8 @@ impl App {
             }
         }
         if any {
-            self.notices.redraw.set_stale();
+            self.refresh_before_draw();
             self.request_redraw();
-            if !self.view.has_screen {
-                self.catch_up();
-            }
         }
     }
 
@@ -65,7 +62,11 @@ impl App {
                 if key.kind.is_conflict()
                     && kind == TimelineKind::Confirmed
                     && !self.problems.is_muted(&ProblemKey::of(key)));
-            let entry = TimelineEntry::of_event(bus, &event, kind, text);
+            let mut entry = TimelineEntry::of_event(bus, &event, kind, text);
+            if let EventKind::Finding { key, .. } = &event.kind {
+                let finding = self.buses.finding(bus, key);
+                entry.other_names = finding.map(|it| it.names.clone()).unwrap_or_default();
+            }
             let may_join =
                 matches!(event.kind, EventKind::Moved { .. } | EventKind::Claimed { .. });
             let timeline = self.notices.timeline_mut();
@@ -109,11 +110,7 @@ impl App {
             return;
         }
         for finding in self.problems.changes_since(&before, now) {
-            let (kind, text) = finding_line(finding.state, &finding.key, &finding.text);
-            let mut line = TimelineEntry::new(now, kind, text);
-            line.bus = finding.key.bus;
-            line.address = finding.key.address;
-            line.name.clone_from(&finding.key.name);
+            let line = TimelineEntry::of_finding(now, &finding);
             if self.notices.passes_filter(&self.buses, &line, &finding.addresses) {
                 let events = [self.line_event(&line), self.finding_event(finding, now)];
                 for event in events {
@@ -175,7 +172,7 @@ impl App {
             self.notices.emit(event);
         }
         self.take_events();
-        self.refresh();
+        self.refresh_before_draw();
         self.request_redraw();
     }
 

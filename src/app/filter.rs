@@ -1,7 +1,9 @@
 //! Filter line: words and fields, all of which must match.
 //!
 //! ```text
-//! feed            a row that shows "feed"
+//! feed            a row with "feed" in a field; of an event: name, event, state, kind of finding
+//! text:feed       a row with "feed" in its sentence, whose wording is not fixed
+//! "sim:boiler"    a word with a colon or a blank; also as a value: bus:"my bus"
 //! src:feed        sender, by name or address; dst: receiver; dev: either, or the device
 //! srv:des         service, by name or number (srv:2, srv:0x002)
 //! at:12           address of either side, of the device or of the problem; at:12,14 any of them
@@ -42,9 +44,47 @@ struct Term {
 #[derive(Clone, Debug, PartialEq, Eq)]
 enum TermTest {
     Word(String),
+    /// A word with a colon that begins with no field; it matches nothing.
+    UnknownField(String),
     Field(Field, String),
     Error,
     Ours,
+}
+
+impl TermTest {
+    /// Parses a term in lower case, without its negation.
+    fn parse(word: &str) -> Self {
+        match word {
+            "err" => return Self::Error,
+            "tx" | "ours" => return Self::Ours,
+            _ => {}
+        }
+        let is_quoted = word.starts_with('"');
+        let Some((name, value)) = word.split_once(':').filter(|_| !is_quoted) else {
+            return Self::Word(unquoted(word));
+        };
+        let field = FILTER_FIELDS.iter().find(|field| field.words.contains(&name));
+        let is_name = !name.is_empty() && name.chars().all(|c| c.is_ascii_alphabetic());
+        match field {
+            Some(field) => Self::Field(field.field, unquoted(value)),
+            None if is_name => Self::UnknownField(word.to_owned()),
+            None => Self::Word(word.to_owned()),
+        }
+    }
+}
+
+/// Splits a line at blanks outside of quotes; the quotes stay.
+fn split_quoted(text: &str) -> impl Iterator<Item = String> {
+    let mut is_quoted = false;
+    let words = text.split(move |c: char| {
+        is_quoted ^= c == '"';
+        c.is_whitespace() && !is_quoted
+    });
+    words.filter(|word| !word.is_empty()).map(str::to_owned)
+}
+
+fn unquoted(word: &str) -> String {
+    word.replace('"', "")
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -59,6 +99,7 @@ enum Field {
     Id,
     Bus,
     State,
+    Text,
 }
 
 /// A field of the filter line.
@@ -92,6 +133,7 @@ fields! {
     ["type" "kind"] Type "message type by its beginning: type:rsp; kind of a problem by any part: kind:uid";
     ["id"] Id "digits in the identifier: id:0201";
     ["bus"] Bus "part of the name of the bus";
+    ["text"] Text "words of a sentence: of an event, of a problem, of the meaning of a frame";
     ["is" "state"] State "state by its beginning: online, stale, lost, new, twin; suspected, confirmed, cleared, muted; error, tx";
 }
 
@@ -100,32 +142,24 @@ pub const FILTER_WORDS: &[(&str, &str)] = &[
     ("err", "error frames, failed and malformed responses; devices and problems in conflict"),
     ("tx", "frames sent by descan; in the timeline what concerns des.json"),
     ("!term", "everything that the term does not match"),
+    ("\"a:b\"", "a word with a colon or a blank; as a value: bus:\"a b\""),
 ];
 
 impl Filter {
-    /// Parses a filter line; every text is valid.
+    /// Parses a filter line; every text has a meaning, though [`Self::error`] may refuse it.
     pub fn parse(text: &str) -> Self {
-        let term = |word: &str| {
+        let term = |word: String| {
             let (not, word) = match word.strip_prefix('!') {
                 Some(rest) if !rest.is_empty() => (true, rest),
-                _ => (false, word),
+                _ => (false, word.as_str()),
             };
-            let word = word.to_lowercase();
-            let field = word.split_once(':').and_then(|(name, value)| {
-                let field = FILTER_FIELDS.iter().find(|field| field.words.contains(&name))?;
-                Some(TermTest::Field(field.field, value.to_owned()))
-            });
-            let what = field.unwrap_or(match word.as_str() {
-                "err" => TermTest::Error,
-                "tx" | "ours" => TermTest::Ours,
-                _ => TermTest::Word(word),
-            });
-            Term { not, what }
+            Term { not, what: TermTest::parse(&word.to_lowercase()) }
         };
-        Self { terms: text.split_whitespace().map(term).collect() }
+        Self { terms: split_quoted(text).map(term).collect() }
     }
 
-    /// Error message for a term that looks like a field and cannot match; `None` without one.
+    /// Error message for a term that looks like a field and is none, or cannot match; `None`
+    /// without one.
     pub fn error(&self) -> Option<String> {
         self.terms.iter().find_map(|term| match &term.what {
             TermTest::Field(Field::Address, list) => {
@@ -135,17 +169,16 @@ impl Filter {
                     "at:{list}: \"{wrong}\" is not an address; use 0 to 127, for example at:12,14"
                 ))
             }
-            TermTest::Word(word) => {
-                let (field, _) = word.split_once(':')?;
-                let is_field = !field.is_empty() && field.chars().all(|c| c.is_ascii_alphabetic());
-                is_field.then(|| {
-                    format!(
-                        "{word}: unknown field {field}; use at: name: src: dst: dev: srv: \
-                         type: kind: id: is: bus:"
-                    )
-                })
+            TermTest::UnknownField(word) => {
+                let field = word.split(':').next().unwrap_or_default();
+                let words = FILTER_FIELDS.iter().filter_map(|field| field.words.first());
+                let known = words.map(|word| format!("{word}:")).collect::<Vec<_>>().join(" ");
+                Some(format!(
+                    "{word}: unknown field {field}; use {known}; quote a word with a colon: \
+                     \"{word}\""
+                ))
             }
-            TermTest::Field(..) | TermTest::Error | TermTest::Ours => None,
+            TermTest::Word(_) | TermTest::Field(..) | TermTest::Error | TermTest::Ours => None,
         })
     }
 
@@ -154,8 +187,8 @@ impl Filter {
         match page {
             Page::Devices => "words; at: name: srv: bus: is:lost  err  !not",
             Page::Traffic => "words; src: dst: srv: type: at: id: bus:  err  tx  !not",
-            Page::Timeline => "words; at: name: bus: is:suspected  err  !not",
-            Page::Problems => "words; kind: is:suspected at: name: bus:  !not",
+            Page::Timeline => "words; at: name: bus: kind: text: is:suspected  err  !not",
+            Page::Problems => "words; kind: is:suspected at: name: bus: text:  !not",
         }
     }
 
@@ -219,7 +252,9 @@ impl Filter {
                     || (row.file == super::FileStatus::New && starts("new", value))
                     || (row.twin && starts("twin", value))
             }
-            TermTest::Field(Field::Type | Field::Id, _) | TermTest::Ours => false,
+            TermTest::Field(Field::Type | Field::Id | Field::Text, _)
+            | TermTest::UnknownField(_)
+            | TermTest::Ours => false,
             TermTest::Error => row.state == super::RowState::Conflict || row.suspected,
         })
     }
@@ -241,23 +276,27 @@ impl Filter {
         let bus = || entry.bus.and_then(|bus| buses.get(bus)).map_or("", |bus| &bus.name);
         self.all(|what| match what {
             TermTest::Word(word) => {
-                contains_word(&entry.text, word)
-                    || contains_word(&name(), word)
+                contains_word(&name(), word)
+                    || entry.other_names.iter().any(|it| contains_word(&it.to_string(), word))
                     || address() == *word
+                    || entry.events.iter().any(|event| event.starts_with(word.as_str()))
+                    || entry.kind.state_word().is_some_and(|state| state == word)
+                    || entry.finding.is_some_and(|kind| contains_word(kind.name(), word))
+            }
+            TermTest::Field(Field::Text, value) => contains_word(&entry.text, value),
+            TermTest::Field(Field::Type, value) => {
+                entry.finding.is_some_and(|kind| contains_word(kind.name(), value))
             }
             TermTest::Field(Field::Bus, value) => contains_word(bus(), value),
             TermTest::Field(Field::Address, value) => {
                 others.iter().chain(&entry.address).any(|it| is_one_of(*it, value))
             }
             TermTest::Field(Field::Name, value) => contains_word(&name(), value),
-            TermTest::Field(Field::State, value) => match entry.kind {
-                TimelineKind::Suspected => starts("suspected", value),
-                TimelineKind::Confirmed => starts("confirmed", value),
-                TimelineKind::Cleared => starts("cleared", value),
-                TimelineKind::Error => starts("error", value),
-                _ => false,
-            },
+            TermTest::Field(Field::State, value) => {
+                entry.kind.state_word().is_some_and(|state| starts(state, value))
+            }
             TermTest::Field(_, value) => contains_word(&name(), value) || address() == *value,
+            TermTest::UnknownField(_) => false,
             TermTest::Error => matches!(entry.kind, TimelineKind::Confirmed | TimelineKind::Error),
             TermTest::Ours => entry.kind == TimelineKind::File,
         })
@@ -283,7 +322,6 @@ impl Filter {
         self.all(|what| match what {
             TermTest::Word(word) => {
                 kind(word)
-                    || problem.findings.iter().any(|finding| contains_word(&finding.text, word))
                     || contains_word(state.name(), word)
                     || (problem.is_muted && word == "muted")
                     || named(word)
@@ -292,13 +330,16 @@ impl Filter {
             TermTest::Field(Field::Address, value) => at(value),
             TermTest::Field(Field::Name, value) => named(value),
             TermTest::Field(Field::Type, value) => kind(value),
+            TermTest::Field(Field::Text, value) => {
+                problem.findings.iter().any(|finding| contains_word(&finding.text, value))
+            }
             TermTest::Field(Field::State, value) => {
                 starts(state.name(), value) || (problem.is_muted && starts("muted", value))
             }
             TermTest::Field(Field::Bus, value) => contains_word(bus(), value),
             TermTest::Field(_, value) => named(value) || at(value),
             TermTest::Error => state == FindingState::Confirmed,
-            TermTest::Ours => false,
+            TermTest::UnknownField(_) | TermTest::Ours => false,
         })
     }
 
@@ -323,6 +364,8 @@ impl Filter {
             }
             TermTest::Field(Field::Service, value) => decoded.is_service(value),
             TermTest::Field(Field::Type, value) => starts(decoded.kind, value),
+            TermTest::Field(Field::Text, value) => contains_word(&decoded.text, value),
+            TermTest::UnknownField(_) => false,
             TermTest::Field(Field::Id, value) => contains_word(&frame.id.to_string(), value),
             TermTest::Field(Field::Bus, value) => {
                 buses.get(frame.bus).is_some_and(|bus| contains_word(&bus.name, value))
@@ -381,11 +424,14 @@ mod tests {
         let terms = |text| Filter::parse(text).terms;
         assert!(Filter::parse("  ").is_empty());
         assert_eq!(
-            terms("src:FEED !err x:y"),
+            terms("src:FEED !err x:y !\"X: y\" bus:\"sim:a b\" bus:sim:a"),
             [
                 Term { not: false, what: TermTest::Field(Field::Source, "feed".to_owned()) },
                 Term { not: true, what: TermTest::Error },
-                Term { not: false, what: TermTest::Word("x:y".to_owned()) },
+                Term { not: false, what: TermTest::UnknownField("x:y".to_owned()) },
+                Term { not: true, what: TermTest::Word("x: y".to_owned()) },
+                Term { not: false, what: TermTest::Field(Field::Bus, "sim:a b".to_owned()) },
+                Term { not: false, what: TermTest::Field(Field::Bus, "sim:a".to_owned()) },
             ]
         );
         assert_eq!(terms("!")[0].what, TermTest::Word("!".to_owned()));

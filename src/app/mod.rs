@@ -53,7 +53,7 @@ pub use filter::{FILTER_FIELDS, FILTER_WORDS, Filter, FilterField};
 pub use input::{InputCheck, Overlay, Prompt, PromptKind, Question};
 pub use listing::{addition_refusal, same_services};
 pub use navigate::{Mouse, MouseKind};
-pub use notices::{StatusMessage, Timeline, TimelineEntry};
+pub use notices::{StatusMessage, Timeline, TimelineEntry, event_word};
 pub use problems::{
     EvidenceItem, Matching, Problem, ProblemKey, ProblemList, Scope, format_duration, is_about,
 };
@@ -72,7 +72,7 @@ use crate::frame::{BusIndex, Frame};
 use crate::keymap::{Action, Key, KeyMode, Keymap};
 use crate::status::{BusStatus, Playback, PlaybackCommand, RecordingStatus};
 use crate::text::Name;
-use crate::time::{Epoch, Instant};
+use crate::time::{Epoch, Instant, debug_assert_later};
 use crate::wire::id::Address;
 use crate::wire::profile::Profile;
 use capture::Traffic;
@@ -234,7 +234,7 @@ impl App {
     /// Renames a bus: the name of its interface is found in the log.
     pub fn name_bus(&mut self, index: BusIndex, name: String) {
         if self.buses.rename(index, name) {
-            self.refresh();
+            self.refresh_before_draw();
             self.notices.redraw.set_dirty();
         }
     }
@@ -242,7 +242,7 @@ impl App {
     /// Adds a bus that starts at `now`, as for a log with several; at most 256 buses.
     pub fn add_bus(&mut self, now: Instant, name: String, config: Config) {
         if self.buses.add(now, name, config) {
-            self.refresh();
+            self.refresh_before_draw();
             self.notices.redraw.set_dirty();
         }
     }
@@ -252,14 +252,17 @@ impl App {
     /// Takes frames, each with its own time.
     pub fn handle_frames(&mut self, now: Instant, frames: &[Frame]) {
         self.clock.set(now);
-        for frame in frames.iter().filter(|frame| self.buses.receive(frame)) {
-            self.traffic.capture.push(frame);
+        for frame in frames {
+            if self.buses.receive(frame) {
+                self.traffic.capture.push(frame);
+                // After each frame: an event has the data of its moment.
+                self.take_events();
+            }
         }
         if !frames.is_empty() && self.view.page == Page::Traffic && self.view.frozen.is_none() {
             self.request_redraw();
         }
         self.complete_bus_events(now);
-        self.take_events();
     }
 
     /// Does what is due at `now`.
@@ -272,9 +275,8 @@ impl App {
         }
         self.notices.expire(now);
         self.run_file_timers();
-        if self.notices.redraw.check_due(now) {
-            self.catch_up();
-        }
+        self.notices.redraw.check_due(now);
+        debug_assert_later(self.poll_timeout(), now);
     }
 
     /// Takes that the program was stopped from `since` to `now`: frames of that time are shown and
@@ -311,7 +313,7 @@ impl App {
         }
         self.notices.redraw.set_dirty();
         self.notices.clear_message();
-        self.catch_up();
+        self.renew_rows();
         if self.input.prompt().is_some() {
             self.handle_prompt_key(key);
         } else if let Some(action) = self.input.lookup(key) {
@@ -463,8 +465,6 @@ impl App {
     pub fn handle_playback(&mut self, now: Instant, playback: Playback) {
         self.clock.set(now);
         if self.clock.set_playback(playback) {
-            // While the log is paused no timer becomes due.
-            self.catch_up();
             self.notices.redraw.set_dirty();
         }
     }
@@ -510,6 +510,7 @@ impl App {
     pub fn handle_real_timeout(&mut self, real: Instant) {
         self.clock.set_real(real);
         self.run_file_timers();
+        debug_assert_later(self.poll_real_timeout(), real);
     }
 
     fn run_file_timers(&mut self) {
@@ -526,9 +527,21 @@ impl App {
         self.notices.redraw.is_dirty()
     }
 
-    /// Returns true if the screen is out of date, and counts it as drawn.
+    /// Returns true if the screen is out of date, and counts it as drawn. Call it before each
+    /// draw: it renews the rows.
     pub fn take_dirty(&mut self) -> bool {
+        self.renew_rows();
         self.notices.redraw.take_dirty(self.clock.now())
+    }
+
+    /// Renews rows, problems and counts, if an engine reported something since they were made.
+    /// Their cost grows with devices and findings, so they are made for a draw or a key, not for a
+    /// frame.
+    pub fn renew_rows(&mut self) {
+        if self.notices.redraw.take_stale() {
+            self.refresh();
+        }
+        self.filter_frames();
     }
 
     // ---- the state of the parts ------------------------------------------------------------
@@ -628,6 +641,12 @@ impl App {
     /// des.json: content and edits.
     pub fn file(&self) -> &FileState {
         &self.editor.file
+    }
+
+    /// Number of static addresses set by the user that another program has overwritten;
+    /// [`Action::Save`] restores them.
+    pub fn overwritten_pins(&self) -> usize {
+        self.editor.restoring().len()
     }
 
     /// Number of edits that would be lost if the program ended now, and the file with them; `None`
@@ -926,19 +945,17 @@ impl App {
         self.traffic.capture.tick();
         // What made it idle is shown, too.
         if !was_idle {
-            self.refresh();
-            self.filter_frames();
+            self.refresh_before_draw();
             self.notices.redraw.set_dirty();
         }
     }
 
-    /// Renews rows and problems before they are drawn, if an engine reported something since, and
-    /// filters new frames.
-    fn catch_up(&mut self) {
-        if self.notices.redraw.take_stale() {
-            self.refresh();
+    /// Marks rows and problems as out of date; without a screen, renews them at once.
+    fn refresh_before_draw(&mut self) {
+        self.notices.redraw.set_stale();
+        if !self.view.has_screen {
+            self.renew_rows();
         }
-        self.filter_frames();
     }
 
     fn filter_frames(&mut self) {

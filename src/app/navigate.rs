@@ -2,15 +2,16 @@
 
 use super::capture::{Decoded, IdentifierKey};
 use super::input::{FilterPrompt, Overlay};
-use super::view::{Focus, Frozen, Page, Row};
-use super::{App, Effect, EvidenceItem, Problem, PromptKind};
+use super::view::{EvidenceView, Focus, Frozen, Page, Row};
+use super::{App, Effect, EvidenceItem, Problem, PromptKind, clock_millis, format_duration};
 use crate::finding::FindingKind;
 use crate::frame::BusIndex;
 use crate::keymap::Action;
 use crate::status::PlaybackCommand;
-use crate::text::Name;
+use crate::text::{Escaped, Name};
 use crate::time::Instant;
 use crate::wire::id::Address;
+use crate::wire::node::Uid;
 use ratatui::layout::{Position, Rect};
 
 /// Rows per step of the mouse wheel.
@@ -395,10 +396,7 @@ impl App {
                 let address = row.address.map_or("?".to_owned(), |address| address.to_string());
                 format!("{name} @{address} {}", row.state.word())
             }),
-            Page::Problems => {
-                let problem = self.selected_problem();
-                problem.map(|it| format!("{}: {}", it.title(), it.head().text))
-            }
+            Page::Problems => self.selected_problem().map(|problem| self.problem_text(&problem)),
             Page::Timeline => {
                 let number = self.view.timeline.selected().copied();
                 let line = number.and_then(|number| self.timeline().get(number));
@@ -406,7 +404,10 @@ impl App {
                     format!("{} {}", super::format_time_of_day(self, line.time), line.text)
                 })
             }
-            Page::Traffic => self.selected_frame().map(ToString::to_string),
+            Page::Traffic => match self.view.evidence_alone().and_then(EvidenceView::selected) {
+                Some((_, piece)) => Some(self.evidence_text(piece)),
+                None => self.selected_frame().map(ToString::to_string),
+            },
         };
         match text {
             Some(text) => {
@@ -415,6 +416,39 @@ impl App {
             }
             None => self.show_error("no row is selected"),
         }
+    }
+
+    /// A problem in one line: times, length, state, title, text, UIDs.
+    fn problem_text(&self, problem: &Problem) -> String {
+        let (first, last) = (problem.first(), problem.last());
+        let times = format!("{} – {}", clock_millis(self, first), clock_millis(self, last));
+        let length = format_duration(last.since(first));
+        let (state, title, text) = (problem.state(), problem.title(), &problem.head().text);
+        let uids = self.uids_in(problem);
+        let uids = if uids.is_empty() { uids } else { format!("; UIDs {uids}") };
+        format!("{times} ({length}) {state}: {title}: {text}{uids}")
+    }
+
+    /// UIDs of the devices at the addresses of a problem, in the alphabet of the profile; blank ones
+    /// are left out.
+    fn uids_in(&self, problem: &Problem) -> String {
+        let addresses = problem.addresses();
+        let bus = problem.bus().and_then(|bus| self.bus(bus));
+        let Some(bus) = bus else { return String::new() };
+        let devices = bus.devices().iter().filter(|it| addresses.contains(&it.address));
+        let known = devices.flat_map(|device| self.uids_of(device)).filter(|uid| !uid.is_blank());
+        let alphabet = &bus.config().profile.uid;
+        let text = |uid: Uid| Escaped(uid.text(alphabet).to_string().as_bytes()).to_string();
+        let mut uids: Vec<String> = known.map(text).collect();
+        uids.sort_unstable();
+        uids.dedup();
+        uids.join(", ")
+    }
+
+    /// A piece of evidence in one line: time, what it shows, frame.
+    fn evidence_text(&self, piece: &EvidenceItem) -> String {
+        let frame = piece.frame.map_or_else(String::new, |frame| format!(" {frame}"));
+        format!("{} {}{frame}", clock_millis(self, piece.time), piece.what)
     }
 
     // ---- from page to page -----------------------------------------------------------------

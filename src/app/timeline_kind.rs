@@ -24,3 +24,27 @@ pub enum TimelineKind {
     /// A command or an operation that failed.
     Error,
 }
+
+impl TimelineKind {
+    /// Word for the filter of a line that is not of an engine event.
+    pub(super) const fn event_word(self) -> &'static str {
+        match self {
+            Self::Improved | Self::Change | Self::Overdue | Self::Lost => "device",
+            Self::Suspected | Self::Confirmed | Self::Cleared => "finding",
+            Self::Bus => "bus",
+            Self::File => "file",
+            Self::Error => "error",
+        }
+    }
+
+    /// State of a finding that the line reports; `error` for an operation that failed.
+    pub(super) const fn state_word(self) -> Option<&'static str> {
+        match self {
+            Self::Suspected => Some("suspected"),
+            Self::Confirmed => Some("confirmed"),
+            Self::Cleared => Some("cleared"),
+            Self::Error => Some("error"),
+            _ => None,
+        }
+    }
+}

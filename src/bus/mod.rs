@@ -34,7 +34,7 @@ pub use queue::Queue;
 pub use replay::file::open_log;
 pub use sim::scenario;
 pub use slcan::SlcanAddress;
-pub use socketcan::{CanInterface, interfaces};
+pub use socketcan::{CanInterface, interface_exists, interfaces};
 pub use socketcand::SocketcandAddress;
 pub use spec::{BusSpec, KINDS, forms};
 pub use tuner::BitRateSetter;

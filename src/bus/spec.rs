@@ -87,13 +87,14 @@ impl FromStr for BusSpec {
         let (scheme, rest) = match text.split_once(':') {
             Some(parts) => parts,
             None if text == stdin::KIND.scheme => (text, ""),
+            None if file::is_path(text) => (file::KIND.scheme, text),
             None => ("", text),
         };
         if let Some(spec) = BusSpec::parse(scheme, rest).filter(|_| !text.starts_with(':')) {
             return spec;
         }
         if scheme.contains('/') {
-            return Err(socketcan::looks_like_path(text));
+            return file::parse(text).map(BusSpec::File);
         }
         let fault = Diagnostic::new(format!("{scheme}: unknown bus type"));
         Err(fault.with_remedy(format!("use {}", examples())))
@@ -143,6 +144,7 @@ mod tests {
             "vcan-test_1",
             "file:session.log",
             "file:/a b/c:d.log",
+            "file:recorded",
             "-",
             "sim:boiler",
             "slcan:/dev/ttyACM0",
@@ -161,6 +163,9 @@ mod tests {
             assert_eq!(spec.to_string(), text);
         }
         assert_eq!("can0".parse(), Ok(BusSpec::SocketCan("can0".into())));
+        for log in ["session.log", "./a:b", "/a b/c", "drone.pcapng", "trace.ASC"] {
+            assert_eq!(log.parse(), Ok(BusSpec::File(log.into())), "{log}");
+        }
     }
 
     #[test]
@@ -178,11 +183,9 @@ mod tests {
             ("socketcand://[::1/can0", "is not HOST/BUS"),
             ("socketcand://host/can0 >< send", "is not HOST/BUS"),
             ("socketcand://host/can0>", "is not HOST/BUS"),
-            ("session.log", "file:session.log"),
             ("/dev/ttyACM0", "slcan:/dev/ttyACM0@500000"),
             ("slcan:/dev/ttyACM0@300000", "100000, 125000, 250000"),
             ("slcan:/dev/ttyACM0@500000/1", "2000000, 5000000"),
-            ("./a:b", "file:./a:b"),
             ("pcan:1", "SocketCAN"),
             ("udp:192.168.1.1", "not a multicast group"),
             ("udp:239.74.163.2@0", "not a multicast group"),

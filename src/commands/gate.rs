@@ -4,8 +4,9 @@
 //! to wait, and an error if waiting does not help.
 
 use super::headless::{why_not_open, why_unusable};
-use super::{Failure, report};
-use crate::app::App;
+use super::{Failure, output, report};
+use crate::app::{App, Bus};
+use crate::bus::BusSpec;
 use crate::status::Link;
 use crate::time::{Duration, Instant};
 
@@ -15,25 +16,32 @@ pub struct BusGate {
     /// A bus that was open once may go down: the command waits until it is up again.
     tolerates_outages: bool,
     was_open: Vec<bool>,
+    /// The waiting for a missing interface was reported.
+    is_wait_reported: bool,
 }
 
 impl BusGate {
     /// A gate that no bus has passed.
     pub fn new(tolerates_outages: bool) -> Self {
-        Self { tolerates_outages, was_open: Vec::new() }
+        Self { tolerates_outages, was_open: Vec::new(), is_wait_reported: false }
     }
 
-    /// Returns true if all buses were open once.
+    /// Returns true if all buses were open once. A CAN interface that does not exist is waited for,
+    /// with a line on standard error.
     ///
     /// # Errors
-    /// A bus cannot be used, and its return is not waited for.
+    /// A bus cannot be used, and it is not waited for.
     pub fn allows(&mut self, app: &App, now: Instant) -> Result<bool, Failure> {
         self.was_open.resize(app.buses().len(), false);
         for (bus, was_open) in app.buses().iter().zip(&mut self.was_open) {
             *was_open |= bus.status.link == Link::Up;
             let waits = self.tolerates_outages && *was_open && bus.status.link != Link::Failed;
-            if let Some(why) = why_unusable(bus, now).filter(|_| !waits) {
+            let Some(why) = why_unusable(bus, now).filter(|_| !waits) else { continue };
+            if !is_awaited(bus) {
                 return Err(Failure::Unusable(why));
+            }
+            if !std::mem::replace(&mut self.is_wait_reported, true) {
+                output::warn(format_args!("waiting for {}: {why}", bus.name));
             }
         }
         Ok(self.was_open.iter().all(|was_open| *was_open))
@@ -48,6 +56,12 @@ impl BusGate {
         let why = buses.find_map(|(bus, _)| why_not_open(bus));
         why.map_or(Ok(()), |why| Err(Failure::Unusable(why)))
     }
+}
+
+/// Returns true for a CAN interface that does not exist: its adapter may not be connected yet.
+fn is_awaited(bus: &Bus) -> bool {
+    let is_interface = || matches!(bus.name.parse(), Ok(BusSpec::SocketCan(_)));
+    bus.status.link == Link::Missing && is_interface()
 }
 
 /// Gate of des.json. Other programs may write it, possibly in several steps: a file that had

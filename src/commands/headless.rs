@@ -8,6 +8,7 @@ use crate::app::{App, AppOptions, Bus, BusSnapshot, TxBlocked};
 use crate::bus::{self, BusSpec, UdpAddress};
 use crate::diagnostic::Diagnostic;
 use crate::frame::BusIndex;
+use crate::log::READABLE_LOGS;
 use crate::shell::log_input::{LogBatch, LogInput, LogPace, LogRange};
 use crate::shell::session::{InputEnd, Session, SessionWake};
 use crate::shell::stop::{StopReason, StopWaiter};
@@ -158,7 +159,7 @@ async fn open_log(
     let first = tokio::select! {
         biased;
         reason = stop.next() => Err(reason),
-        batch = log.first() => Ok(batch.map_err(unusable)?),
+        batch = first_batch(spec, &mut log) => Ok(batch.map_err(unusable)?),
     };
     let (epoch, start) =
         (first.as_ref().map_or_else(|_| Epoch::default(), LogBatch::epoch), log.start());
@@ -169,6 +170,19 @@ async fn open_log(
         session.record(recorder);
     }
     Ok((stop, session, first.map(|batch| Some(SessionWake::Log(Ok(batch))))))
+}
+
+/// Waits for the first frames, or the end. Prints on standard error when it is doubtful that the
+/// input is a log, which may not end.
+async fn first_batch(spec: &BusSpec, log: &mut LogInput) -> io::Result<LogBatch> {
+    loop {
+        match log.first().await? {
+            LogBatch::Doubtful(entries) => {
+                output::warn(format_args!("{spec}: {entries}; {READABLE_LOGS}"));
+            }
+            batch => return Ok(batch),
+        }
+    }
 }
 
 /// A log that cannot be read, or that ends before `--from`, is an error.
@@ -232,7 +246,7 @@ fn is_off_for_good(bus: &Bus) -> bool {
 
 /// Why a bus is still not open, at the end of a run.
 pub fn why_not_open(bus: &Bus) -> Option<String> {
-    (bus.status.link == Link::Opening).then(|| cause(bus))
+    matches!(bus.status.link, Link::Opening | Link::Missing).then(|| cause(bus))
 }
 
 fn cause(bus: &Bus) -> String {
@@ -300,11 +314,12 @@ fn report_unreadable(spec: &BusSpec, session: &Session) -> Result<(), Failure> {
         }
         return Ok(());
     };
+    if summary.foreign.is_some() {
+        return Err(Failure::Unusable(format!("{spec}: {summary}")));
+    }
     let is_damaged = summary.unreadable > 0 || summary.damage.is_some();
     if summary.frames == 0 && is_damaged {
-        return Err(Failure::Unusable(format!(
-            "{spec}: {summary}; use a candump -L log or pcapng"
-        )));
+        return Err(Failure::Unusable(format!("{spec}: {summary}; {READABLE_LOGS}")));
     }
     if is_damaged || summary.frames == 0 {
         output::warn(format_args!("{spec}: {summary}"));

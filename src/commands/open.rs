@@ -2,12 +2,13 @@
 
 use super::{Failure, output};
 use crate::app::{App, AppOptions};
-use crate::bus::{self, BusSpec, Clock, Options, Port};
-use crate::cli::{CommonArgs, SessionArgs as Arguments};
+use crate::bus::{self, BusSpec, CanInterface, Clock, Options, Port};
+use crate::cli::{self, CommonArgs, SessionArgs as Arguments};
 use crate::diagnostic::Diagnostic;
 use crate::discovery::Config;
 use crate::frame::{BusIndex, IdFilter};
 use crate::keymap::Keymap;
+use crate::log::LogSummary;
 use crate::regular_file::{read_text, shown};
 use crate::shell::config::{ConfigFolder, UserSettings};
 use crate::shell::recorder::{Recorder, Size, Target};
@@ -105,33 +106,80 @@ pub fn profile(path: Option<&Path>) -> Result<Profile, Failure> {
 /// The buses of the arguments; without any, the only CAN interface.
 ///
 /// # Errors
-/// A bus is named twice, or none is named and there is not exactly one CAN interface.
+/// A word names no bus, a bus is named twice, or none is named and there is not exactly one CAN
+/// interface.
 pub fn buses(arguments: &Arguments) -> Result<Vec<BusSpec>, Failure> {
-    let stdins = arguments.buses.iter().filter(|bus| **bus == BusSpec::Stdin).count();
+    let buses: Vec<BusSpec> = arguments.buses.iter().map(known).collect::<Result<_, _>>()?;
+    let stdins = buses.iter().filter(|bus| **bus == BusSpec::Stdin).count();
     if stdins > 1 {
         return Err(Failure::Usage("standard input (-) can be read only once".to_owned()));
     }
-    for (at, bus) in arguments.buses.iter().enumerate() {
-        if let Some(other) = arguments.buses[..at].iter().find(|other| is_same(bus, other)) {
+    for (at, bus) in buses.iter().enumerate() {
+        if let Some(other) = buses[..at].iter().find(|other| is_same(bus, other)) {
             return Err(Failure::Usage(format!("{bus} is the same bus as {other}; name it once")));
         }
     }
-    if !arguments.buses.is_empty() {
-        return Ok(arguments.buses.clone());
+    if !buses.is_empty() {
+        return Ok(buses);
     }
     let there = bus::interfaces();
     match &there[..] {
         [only] => Ok(vec![BusSpec::SocketCan(only.name.clone())]),
-        [] => Err(Failure::Usage(
-            "no CAN interface found; name a bus (descan can0, descan file:LOG), or try \
-             it out: descan demo"
-                .to_owned(),
-        )),
+        [] => Err(Failure::Usage(format!("no CAN interface found; {NAME_A_BUS}"))),
         several => {
-            let names: Vec<&str> = several.iter().map(|it| it.name.as_str()).collect();
-            Err(Failure::Usage(format!("several CAN interfaces: {}; name one", names.join(", "))))
+            let names = names_of(several);
+            Err(Failure::Usage(format!("several CAN interfaces: {names}; name one")))
         }
     }
+}
+
+/// What a user without a CAN interface can do.
+const NAME_A_BUS: &str = "name a bus (descan can0, descan file:LOG), or try it out: descan demo";
+
+fn names_of(interfaces: &[CanInterface]) -> String {
+    interfaces.iter().map(|it| it.name.as_str()).collect::<Vec<_>>().join(", ")
+}
+
+/// Returns what a BUS argument names: a word is an interface, or a log in this folder.
+///
+/// # Errors
+/// A word that names neither, and is not like the name of a CAN interface, which may appear later.
+fn known(bus: &BusSpec) -> Result<BusSpec, Failure> {
+    match bus {
+        BusSpec::SocketCan(word) if !bus::interface_exists(word) => {
+            if Path::new(word).is_file() {
+                Ok(BusSpec::File(word.into()))
+            } else if is_like_an_interface(word) {
+                Ok(bus.clone())
+            } else {
+                Err(Failure::Usage(unknown_word(word)))
+            }
+        }
+        _ => Ok(bus.clone()),
+    }
+}
+
+/// Returns true for a word like `can0`, `vcan-test` or `mcp_can1`.
+fn is_like_an_interface(word: &str) -> bool {
+    let is_numbered = word.ends_with(|end: char| end.is_ascii_digit());
+    word.starts_with("can") || word.starts_with("vcan") || is_numbered && word.contains("can")
+}
+
+/// The error for a word that is neither a command nor a bus.
+fn unknown_word(word: &str) -> String {
+    /// Most letters that differ from a command.
+    const MAX_DISTANCE: usize = 2;
+    let program = cli::program();
+    let distance = |name: &&str| strsim::damerau_levenshtein(word, name);
+    let names = program.get_subcommands().map(clap::Command::get_name);
+    let nearest = names.min_by_key(distance).filter(|name| distance(name) <= MAX_DISTANCE);
+    let there = bus::interfaces();
+    let remedy = match (nearest, &there[..]) {
+        (Some(command), _) => format!("did you mean the command descan {command}?"),
+        (None, []) => format!("no CAN interface found; {NAME_A_BUS}"),
+        (None, there) => format!("available: {}", names_of(there)),
+    };
+    format!("{word} is not a command or a bus; {remedy}")
 }
 
 /// Returns true if two arguments name one bus: every device would be listed twice, and descan would
@@ -199,18 +247,28 @@ pub fn is_log(bus: &BusSpec) -> bool {
     matches!(bus, BusSpec::File(_) | BusSpec::Stdin)
 }
 
+/// Unix time of the first frame of a log; now if it is not a file.
+///
+/// # Errors
+/// It cannot be read, or is of another format.
 fn epoch_of(path: &Path) -> Result<Epoch, Failure> {
     let log = bus::open_log(path)?;
-    let epoch = || -> io::Result<_> {
+    let first = || -> io::Result<_> {
         if !log.metadata()?.is_file() {
-            return Ok(Clock::start().epoch());
+            return Ok(None);
         }
         let mut reader = crate::log::LogReader::new(BufReader::new(log));
         reader.next_frame()?;
-        Ok(reader.summary().epoch.unwrap_or_default())
+        Ok(Some(reader.summary().clone()))
     };
     let name = format_args!("file:{}", shown(path));
-    Ok(epoch().map_err(|error| Diagnostic::unreadable(name, &error))?)
+    match first().map_err(|error| Diagnostic::unreadable(name, &error))? {
+        None => Ok(Clock::start().epoch()),
+        Some(LogSummary { foreign: Some(foreign), .. }) => {
+            Err(Failure::Unusable(format!("{name}: {foreign}")))
+        }
+        Some(summary) => Ok(summary.epoch.unwrap_or_default()),
+    }
 }
 
 /// Opens the buses and joins them with the app.

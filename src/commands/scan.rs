@@ -4,9 +4,9 @@
 use super::gate::BusGate;
 use super::headless::{self, Limits, RunInput, RunOutcome, warn_all_tx_blocked};
 use super::open::{self, Setup};
-use super::report::ScanReport;
+use super::report::{ScanReport, counted};
 use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure, output};
-use crate::app::{App, AppOptions, Scope};
+use crate::app::{App, AppOptions, Bus, Scope};
 use crate::bus::BusSpec;
 use crate::cli::ScanArgs;
 use crate::diagnostic::Diagnostic;
@@ -30,10 +30,16 @@ pub fn run(scan: &ScanArgs) -> Result<u8, Failure> {
     }
     let buses = open::buses(&scan.run.session)?;
     let setup = Setup::new(&scan.run.session.common)?;
-    let RunOutcome { app, now, ending, recording } = match open::log(&buses, "scan", scan.run.from)?
-    {
-        Some(log) => read_log(log, (scan.run.from, scan.run.time), &setup, |_| Ok(()))?,
-        None => look(&buses, &setup, scan.run.time.unwrap_or(DEFAULT_TIME), |_, _| Ok(true))?,
+    let log = open::log(&buses, "scan", scan.run.from)?;
+    if scan.stay.is_some() && log.is_some() {
+        return Err(Failure::Usage("--for needs a live bus; for a log use --time".to_owned()));
+    }
+    let RunOutcome { app, now, ending, recording } = if let Some(log) = log {
+        read_log(log, (scan.run.from, scan.run.time), &setup, |_| Ok(()))?
+    } else {
+        let time = scan.stay.or(scan.run.time).unwrap_or(DEFAULT_TIME);
+        let enough = |app: &App| scan.expect.is_none_or(|count| named_devices(app) >= count);
+        look(&buses, &setup, time, |app, _| Ok(scan.stay.is_none() && enough(app)))?
     };
     if ending == Some(StopReason::Interrupted) {
         return Ok(EXIT_INTERRUPTED);
@@ -48,7 +54,26 @@ pub fn run(scan: &ScanArgs) -> Result<u8, Failure> {
         write_document(&app, path)?;
     }
     recording?;
-    Ok(if report.has_findings() { EXIT_FINDINGS } else { EXIT_OK })
+    let is_short = is_short_of(scan.expect, named_devices(&app));
+    Ok(if report.has_findings() || is_short { EXIT_FINDINGS } else { EXIT_OK })
+}
+
+/// Number of present devices with a known name, debug devices left out.
+fn named_devices(app: &App) -> usize {
+    let counts =
+        |device: &&Device| device.is_present() && device.name.is_some() && !device.is_debug;
+    app.buses().iter().flat_map(Bus::devices).filter(counts).count()
+}
+
+/// Returns true if fewer devices than expected are present, and prints that on standard error.
+fn is_short_of(expected: Option<usize>, found: usize) -> bool {
+    let Some(expected) = expected.filter(|expected| found < *expected) else { return false };
+    let devices = counted(expected as u64, "device");
+    output::warn(format_args!(
+        "expected {devices}, {found} present and named; check power and wiring, or use a longer \
+         --time"
+    ));
+    true
 }
 
 /// `--time` of a live bus, unless given.
@@ -86,9 +111,9 @@ pub fn look(
     let mut gate = BusGate::new(false);
     let input = RunInput::Buses(buses);
     let outcome = headless::run(input, setup, AppOptions::default(), limits, |session| {
-        gate.allows(&session.app, session.now())?;
+        let is_open = gate.allows(&session.app, session.now())?;
         bar.show(&session.app, session.now(), time);
-        let is_done = enough(&session.app, session.now())? && is_settled(&session.app);
+        let is_done = enough(&session.app, session.now())? && is_open && is_settled(&session.app);
         Ok(if is_done { ControlFlow::Break(()) } else { ControlFlow::Continue(()) })
     })?;
     if outcome.ending != Some(StopReason::Interrupted) {

@@ -26,8 +26,13 @@ const SAVE_TIMEOUT: Duration = Duration::from_millis(600);
 
 /// `descan [BUS…]`.
 pub fn ui(arguments: &Arguments, speed: Option<f64>, theme: Option<&str>) -> Result<u8, Failure> {
+    let buses = open::buses(arguments);
+    if arguments.buses.is_empty() {
+        needs_terminal()?;
+    }
+    // A mistyped command is reported before the missing terminal.
+    let buses = buses?;
     needs_terminal()?;
-    let buses = open::buses(arguments)?;
     open::check_speed(speed, &buses)?;
     let setup = Setup::new(&arguments.common)?;
     let clock = open::clock(&buses, speed.unwrap_or(1.0))?;

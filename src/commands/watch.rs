@@ -10,7 +10,7 @@ use super::report::{
 };
 use super::{EXIT_OK, Failure, output};
 use crate::app::{
-    App, AppEvent, AppOptions, DeviceEvent, EventLine, Filter, Scope, clock_millis, hex,
+    App, AppEvent, AppOptions, DeviceEvent, EventLine, Filter, Scope, clock_millis, event_word, hex,
 };
 use crate::cli::WatchArgs;
 use crate::discovery::{EventKind, Presence};
@@ -213,23 +213,22 @@ fn of_event(
     epoch: Epoch,
     DeviceEvent { context, event, services }: DeviceEvent,
 ) -> Option<JsonEvent> {
-    let (word, more) = match event.kind {
-        EventKind::FirstFrame => ("appeared", EventDetails::Nothing {}),
-        EventKind::NameReceived => ("named", EventDetails::Nothing {}),
+    let word = event_word(&event.kind);
+    let more = match event.kind {
+        EventKind::FirstFrame | EventKind::NameReceived | EventKind::Rebooted => {
+            EventDetails::Nothing {}
+        }
         EventKind::Services { changed, .. } => {
-            ("services", EventDetails::Services { services: of_services(&services), changed })
+            EventDetails::Services { services: of_services(&services), changed }
         }
         EventKind::Mode { from, to } => {
-            ("mode", EventDetails::Mode { mode: to.name(), from: from.map(Mode::name) })
+            EventDetails::Mode { mode: to.name(), from: from.map(Mode::name) }
         }
-        EventKind::Moved { from } => ("moved", EventDetails::Moved { from: from.number() }),
-        EventKind::Rebooted => ("rebooted", EventDetails::Nothing {}),
-        EventKind::Presence(presence) if presence != Presence::Online => {
-            (presence.name(), EventDetails::Nothing {})
-        }
-        EventKind::Returned { was } => ("returned", EventDetails::Returned { was: was.name() }),
+        EventKind::Moved { from } => EventDetails::Moved { from: from.number() },
+        EventKind::Presence(presence) if presence != Presence::Online => EventDetails::Nothing {},
+        EventKind::Returned { was } => EventDetails::Returned { was: was.name() },
         EventKind::DebugMessage { code, data } => {
-            ("debug", EventDetails::Debug { code, data: hex(&data, "") })
+            EventDetails::Debug { code, data: hex(&data, "") }
         }
         // Findings and bus states are events of their own, `returned` reports a device that is
         // online again, and the outcome of an address claim follows it.

@@ -56,8 +56,9 @@ pub(super) fn describe(finding: &mut Finding) {
         // The detector writes the text, which has the fault in it.
         FindingKind::MalformedAnswer => std::mem::take(&mut finding.text),
         FindingKind::FramesLost => format!(
-            "{} frames lost before reading: a device shown as missing may be present.",
-            finding.count
+            "{} frame{} lost before reading: a device shown as missing may be present.",
+            finding.count,
+            if finding.count == 1 { "" } else { "s" }
         ),
         FindingKind::BusErrors
         | FindingKind::StaticAddressTaken

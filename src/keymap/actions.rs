@@ -199,7 +199,7 @@ actions! {
         DeleteEntry "delete-entry" "Delete the entry (confirms)" "" ["D"];
         Undo "undo" "Undo" "undo" ["u"];
         Redo "redo" "Redo" "" ["Ctrl-r"];
-        Save "save" "Retry saving" "save again" ["Ctrl-s"];
+        Save "save" "Retry saving; restore overwritten pins" "save again" ["Ctrl-s"];
         SaveCopy "save-copy" "Save a copy of des.json, with all edits" "save a copy" ["W"];
     }
     Browse Program: {

@@ -4,7 +4,9 @@
 //! a line that is passed as a whole is read without allocation. Does not know moments or bus
 //! numbers: [`super::LogSummary`] assigns them.
 
-use super::{DecodeStep, FormatMatch, LogDecoder, LogEncoder, LogEntry, LogFormat, LogSummary};
+use super::{
+    DecodeStep, ForeignFormat, FormatMatch, LogDecoder, LogEncoder, LogEntry, LogFormat, LogSummary,
+};
 use crate::frame::socketcan::{ERROR_FLAG, with_fd_flags};
 use crate::frame::{CanId, Frame};
 use crate::text::is_printable;
@@ -154,7 +156,12 @@ impl LogDecoder for LineDecoder {
             self.partial.clear();
             frame
         };
-        (end + 1, frame.map_or(DecodeStep::Nothing, DecodeStep::Frame))
+        let step = match frame {
+            Some(frame) => DecodeStep::Frame(frame),
+            None if summary.foreign.is_some() => DecodeStep::End,
+            None => DecodeStep::Nothing,
+        };
+        (end + 1, step)
     }
 
     fn has_partial_entry(&self) -> bool {
@@ -177,7 +184,11 @@ impl LogDecoder for LineDecoder {
 
 fn take_line(line: &[u8], summary: &mut LogSummary) -> Option<Frame> {
     let line = line.strip_prefix(BYTE_ORDER_MARK).filter(|_| summary.entries == 0).unwrap_or(line);
-    summary.take(parse_line(line))
+    let entry = parse_line(line);
+    if entry.is_err() && summary.frames == 0 {
+        summary.foreign = ForeignFormat::of_line(line);
+    }
+    summary.take(entry)
 }
 
 #[derive(Debug)]

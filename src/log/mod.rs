@@ -5,10 +5,12 @@
 //! [`LogEncoder`] appends to a buffer. Opens no files and reads no clock. Does not know buses.
 
 pub mod candump;
+mod foreign;
 pub mod pcapng;
 mod reader;
 mod summary;
 
+pub use foreign::ForeignFormat;
 pub use reader::LogReader;
 pub use summary::{EntryFault, LogSummary, UnreadableEntries};
 
@@ -19,6 +21,9 @@ use std::path::Path;
 
 /// All formats. The first one is used for a log that no other format matches.
 pub static FORMATS: [LogFormat; 2] = [candump::FORMAT, pcapng::FORMAT];
+
+/// The way out where nothing of a log can be read.
+pub const READABLE_LOGS: &str = "use a candump -L log or pcapng";
 
 /// A log format: one row of [`FORMATS`].
 #[derive(Debug)]
@@ -57,11 +62,13 @@ pub struct LogEntry<'a> {
 }
 
 /// Result of decoding a piece of a log.
-enum DecodeStep {
-    /// The log is damaged: the rest cannot be read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum DecodeStep {
+    /// The end of the log, or the rest of it cannot be read.
     End,
     /// An entry without a frame, or a part of an entry.
     Nothing,
+    /// A frame.
     Frame(Frame),
 }
 
@@ -143,9 +150,14 @@ impl LogFormat {
     ///
     /// The file has no ending, or one that is not of a format.
     pub fn of(path: &Path) -> Result<&'static Self, UnknownFormat> {
-        let ending = path.extension().and_then(|it| it.to_str()).unwrap_or_default();
-        let ending = ending.to_ascii_lowercase();
+        let ending = ending_of(path);
         FORMATS.iter().find(|it| it.extensions.contains(&ending.as_str())).ok_or(UnknownFormat)
+    }
+
+    /// Returns true if a file has the ending of a log: of a format that is read, or of another one,
+    /// whose logs are refused with the way to convert them.
+    pub fn has_log_ending(path: &Path) -> bool {
+        Self::of(path).is_ok() || ForeignFormat::has_extension(&ending_of(path))
     }
 
     /// Returns the usual endings with their uses, for help: `.log for candump text, .pcapng for
@@ -169,15 +181,26 @@ impl LogFormat {
         (self.encoder)()
     }
 
-    /// Returns the format of a log that begins with `head`; `None` if more bytes are needed. With
-    /// `is_all`, there are no more.
-    fn detect(head: &[u8], is_all: bool) -> Option<&'static Self> {
+    /// Returns the format of a log that begins with `head`, or the one that is not read; `None` if
+    /// more bytes are needed. With `is_all`, there are no more.
+    fn detect(head: &[u8], is_all: bool) -> Option<Result<&'static Self, ForeignFormat>> {
         let rows = || FORMATS.iter().map(|format| (format, (format.detect)(head)));
         let found = rows().find(|(_, found)| *found == FormatMatch::Yes);
-        let is_open = !is_all && rows().any(|(_, found)| found == FormatMatch::Undecided);
+        let (foreign, is_foreign) = ForeignFormat::of_head(head);
+        let mut matches = rows().map(|(_, found)| found).chain([is_foreign]);
+        let is_open = !is_all && matches.any(|found| found == FormatMatch::Undecided);
         let fallback = || (!is_open).then_some(&FORMATS[0]);
-        found.map(|(format, _)| format).or_else(fallback)
+        match foreign {
+            Some(foreign) => Some(Err(foreign)),
+            None => found.map(|(format, _)| format).or_else(fallback).map(Ok),
+        }
     }
+}
+
+/// Returns the ending of a file name in lower case, without the dot; empty without one.
+fn ending_of(path: &Path) -> String {
+    let ending = path.extension().and_then(|it| it.to_str()).unwrap_or_default();
+    ending.to_ascii_lowercase()
 }
 
 impl FormatMatch {
@@ -217,8 +240,13 @@ mod tests {
 
     #[test]
     fn detection_waits_for_enough_bytes() {
-        let purpose =
-            |head, is_all| LogFormat::detect(head, is_all).map(|format| format.description);
+        let purpose = |head, is_all| {
+            LogFormat::detect(head, is_all)
+                .map(|found| found.map_or("foreign", |it| it.description))
+        };
+        assert_eq!(purpose(b"LOG", false), None);
+        assert_eq!(purpose(b"LOG", true), Some("candump text"));
+        assert_eq!(purpose(b"LOGG", false), Some("foreign"));
         assert_eq!(purpose(b"\n\r\r", false), None);
         assert_eq!(purpose(b"\n\r\r", true), Some("candump text"));
         assert_eq!(purpose(b"\n\r\r\n", false), Some("Wireshark"));

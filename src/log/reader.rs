@@ -54,7 +54,8 @@ impl<R: BufRead> LogReader<R> {
 
     /// Returns true if the rest cannot be read, even if the source grows.
     pub fn is_damaged(&self) -> bool {
-        self.summary.damage.is_some_and(|damage| !damage.is_truncated())
+        self.summary.foreign.is_some()
+            || self.summary.damage.is_some_and(|damage| !damage.is_truncated())
     }
 
     /// Returns the source.
@@ -92,8 +93,16 @@ impl<R: BufRead> LogReader<R> {
         }
     }
 
-    /// Reads to the end of an entry, or of the source's buffer.
-    fn step(&mut self) -> io::Result<DecodeStep> {
+    /// Reads to the end of an entry, or of the source's buffer: for a caller that reports unreadable
+    /// entries before the next frame.
+    ///
+    /// # Errors
+    ///
+    /// Those of the source.
+    pub fn step(&mut self) -> io::Result<DecodeStep> {
+        if self.summary.foreign.is_some() {
+            return Ok(DecodeStep::End);
+        }
         let Some(decoder) = &mut self.decoder else { return self.detect() };
         if !self.head.is_empty() {
             let (used, step) = decoder.decode(&self.head, &mut self.summary);
@@ -133,9 +142,13 @@ impl<R: BufRead> LogReader<R> {
         }
         self.head.extend(byte);
         self.source.consume(usize::from(byte.is_some()));
-        if let Some(format) = LogFormat::detect(&self.head, byte.is_none()) {
-            self.summary.unit = format.unit;
-            self.decoder = Some((format.decoder)());
+        match LogFormat::detect(&self.head, byte.is_none()) {
+            Some(Ok(format)) => {
+                self.summary.unit = format.unit;
+                self.decoder = Some((format.decoder)());
+            }
+            Some(Err(foreign)) => self.summary.foreign = Some(foreign),
+            None => {}
         }
         Ok(DecodeStep::Nothing)
     }
@@ -149,7 +162,7 @@ impl<R: Read> LogReader<BufReader<R>> {
         self.source.consume(left);
         self.head.clear();
         self.decoder = None;
-        self.summary.damage = None;
+        (self.summary.damage, self.summary.foreign) = (None, None);
     }
 
     /// Returns the next frame that is buffered as a whole; `None` if the source must be read.

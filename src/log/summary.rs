@@ -6,6 +6,7 @@
 
 use super::LogEntry;
 use super::candump::LineFault;
+use super::foreign::ForeignFormat;
 use super::pcapng::{Damage, PacketFault};
 use crate::frame::{BusIndex, Frame};
 use crate::time::{Duration, Epoch, Instant};
@@ -46,6 +47,8 @@ pub struct LogSummary {
     pub first_unreadable: Option<(u64, EntryFault)>,
     /// Why the rest cannot be read; `None` without damage.
     pub damage: Option<Damage>,
+    /// The format of a log that is not read; `None` for one that is.
+    pub foreign: Option<ForeignFormat>,
     /// Frames dated before the previous frame; each step back of the clock counts once.
     pub clock_steps_back: u64,
     /// Interface names in order of appearance, which is that of bus numbers.
@@ -84,7 +87,15 @@ impl LogSummary {
 
     /// Returns the number of entries that cannot be read; of a damaged log, its rest counts as one.
     pub fn lost_entries(&self) -> u64 {
-        self.unreadable + u64::from(self.damage.is_some())
+        self.unreadable + u64::from(self.damage.is_some() || self.foreign.is_some())
+    }
+
+    /// Returns true if its first entries cannot be read: it is probably not a log. A few may be
+    /// the greeting of a server.
+    pub fn is_doubtful(&self) -> bool {
+        /// Entries of a short greeting.
+        const GREETING: u64 = 8;
+        self.frames == 0 && self.unreadable >= GREETING
     }
 
     /// Counts an entry; returns its frame with bus and moment.
@@ -142,6 +153,9 @@ impl LogSummary {
 /// Formats the summary: `5123 frames; 2 lines cannot be read, the first is line 17: …`.
 impl fmt::Display for LogSummary {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if let Some(foreign) = self.foreign {
+            return write!(f, "{foreign}");
+        }
         let plural = |count| if count == 1 { "" } else { "s" };
         write!(f, "{} frame{}", self.frames, plural(self.frames))?;
         if self.interfaces.len() > 1 {

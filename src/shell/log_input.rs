@@ -5,7 +5,7 @@
 
 use super::waiting::sleep_for;
 use crate::frame::Frame;
-use crate::log::{LogReader, LogSummary, UnreadableEntries};
+use crate::log::{DecodeStep, LogReader, LogSummary, UnreadableEntries};
 use crate::time::{Epoch, Instant};
 use std::collections::VecDeque;
 use std::fs::File;
@@ -57,6 +57,8 @@ pub enum LogBatch {
         /// Entries before the first of the frames that cannot be read.
         unreadable: UnreadableEntries,
     },
+    /// The first entries cannot be read: it is probably not a log. Before any other batch, once.
+    Doubtful(UnreadableEntries),
     /// The end of the log, with what was read in all.
     End(LogSummary),
 }
@@ -66,6 +68,7 @@ impl LogBatch {
     pub fn epoch(&self) -> Epoch {
         match self {
             Self::Frames { epoch, .. } => *epoch,
+            Self::Doubtful(_) => Epoch::default(),
             Self::End(summary) => summary.epoch.unwrap_or_default(),
         }
     }
@@ -184,8 +187,9 @@ impl LogInput {
 
     /// Takes a batch; its frames are due by log time.
     pub fn take(&mut self, batch: LogBatch) {
-        self.has_begun = true;
+        self.has_begun |= !matches!(batch, LogBatch::Doubtful(_));
         match batch {
+            LogBatch::Doubtful(_) => {}
             LogBatch::Frames { frames, interfaces, unreadable, .. } => {
                 self.interfaces.extend(interfaces);
                 self.next_unreadable = Some(unreadable);
@@ -242,13 +246,35 @@ impl LogInput {
     }
 }
 
+/// Reads the first frame; `None` if there is none. Sends a batch when it is doubtful that there is
+/// one.
+fn read_first(
+    reader: &mut LogReader<BufReader<File>>,
+    to: &Sender<io::Result<LogBatch>>,
+) -> io::Result<Option<Frame>> {
+    let mut is_reported = false;
+    loop {
+        match reader.step()? {
+            DecodeStep::Frame(frame) => return Ok(Some(frame)),
+            DecodeStep::End => return Ok(None),
+            DecodeStep::Nothing if reader.summary().is_doubtful() && !is_reported => {
+                is_reported = true;
+                let entries = reader.summary().unreadable_entries();
+                // The receiver may be gone: the next batch shows it.
+                let _ = to.blocking_send(Ok(LogBatch::Doubtful(entries)));
+            }
+            DecodeStep::Nothing => {}
+        }
+    }
+}
+
 /// Reads the log and sends the frames present from `from` on, before it waits for more. A batch
 /// ends where entries cannot be read: they belong to the part before the next frame.
 fn read(log: File, from: Duration, to: &Sender<io::Result<LogBatch>>) -> io::Result<()> {
     let from = Instant::ZERO + from;
     let mut reader = LogReader::new(BufReader::with_capacity(1 << 16, log));
     let mut named = 0;
-    let mut next = None;
+    let mut next = read_first(&mut reader, to)?;
     loop {
         let first = match next.take() {
             Some(frame) => Some(frame),

@@ -26,10 +26,13 @@ use std::io;
 use std::path::PathBuf;
 use std::pin::Pin;
 use std::time::{Duration, Instant as Monotonic};
-use tokio::task::{JoinHandle, spawn_blocking};
+use tokio::task::{JoinHandle, spawn_blocking, yield_now};
 
-/// Maximum number of frames handled in one turn; keys and the screen are handled between turns.
-const BATCH: usize = 1024;
+/// Time after which a turn handles no further frames; keys and the screen are handled between turns.
+const TURN: Duration = Duration::from_millis(5);
+
+/// Maximum number of frames handled before the time of the turn is checked.
+const BATCH: usize = 64;
 
 /// Delay of a wake-up above which the program counts as stalled: stopped, or blocked by its
 /// terminal.
@@ -246,6 +249,9 @@ impl Session {
 
     /// Waits for the next reason to do something. May be dropped while waiting.
     pub async fn next(&mut self) -> SessionWake {
+        // The runtime delivers keys, signals and timers only to a task that waits; where frames
+        // arrive faster than they are handled, nothing else here waits.
+        yield_now().await;
         let timeout = self.app.poll_timeout();
         let real = self.app.poll_real_timeout().map(|at| at.since(self.real_time()));
         let file_due = sleep_for(real);
@@ -501,47 +507,64 @@ impl Session {
         }
     }
 
+    /// Handles frames and statuses of the buses, for the time of a turn.
     fn receive_frames(&mut self, now: Instant) {
-        let SessionInput::Ports { clock, ports, interfaces_named: named } = &mut self.input else {
+        let SessionInput::Ports { ports, .. } = &self.input else { return };
+        let count = ports.len();
+        let begun = Monotonic::now();
+        for at in 0..count {
+            self.receive_status(now, at);
+            let share = TURN * (at + 1) as u32 / count as u32;
+            while self.receive_batch(now, at) && begun.elapsed() < share {}
+        }
+        // Time stops at the end of all logs.
+        self.report_playback();
+    }
+
+    fn receive_status(&mut self, now: Instant, port_at: usize) {
+        let SessionInput::Ports { ports, interfaces_named: named, .. } = &self.input else {
             return;
         };
-        for (port_at, port) in ports.iter().enumerate() {
-            let index = BusIndex(port_at as u8);
-            if let Some(status) = port.queue().take_status() {
-                // The status of a log applies to all its interfaces.
-                for offset in 0..named[port_at].max(1) {
-                    let Ok(offset) = u8::try_from(offset) else { break };
-                    let bus = BusIndex(index.0.saturating_add(offset));
-                    self.app.handle_bus(now, bus, status.clone());
-                }
+        let Some(status) = ports[port_at].queue().take_status() else { return };
+        // The status of a log applies to all its interfaces.
+        for offset in 0..named[port_at].max(1) {
+            if let Some(bus) = bus_of(port_at, offset) {
+                self.app.handle_bus(now, bus, status.clone());
             }
-            self.batch.clear();
-            port.queue().drain(&mut self.batch, BATCH);
-            // A log names its interfaces as they occur; the first is the port's bus.
-            for (at, name) in port.queue().names().into_iter().enumerate().skip(named[port_at]) {
-                let Ok(offset) = u8::try_from(at) else { break };
-                let bus = BusIndex(index.0.saturating_add(offset));
-                if at == 0 || self.app.bus(bus).is_some() {
-                    self.app.name_bus(bus, name);
-                } else if let Some(first) = self.app.bus(index) {
-                    let config = first.config().clone();
-                    self.app.add_bus(now, name, config);
-                    self.app.handle_bus(now, bus, port.queue().status());
-                }
-                named[port_at] = at + 1;
+        }
+    }
+
+    /// Handles frames of a port; returns false if there are none.
+    fn receive_batch(&mut self, now: Instant, port_at: usize) -> bool {
+        let SessionInput::Ports { clock, ports, interfaces_named: named } = &mut self.input else {
+            return false;
+        };
+        let port = &ports[port_at];
+        self.batch.clear();
+        port.queue().drain(&mut self.batch, BATCH);
+        // A log names its interfaces as they occur; the first is the port's bus.
+        for (at, name) in port.queue().names().into_iter().enumerate().skip(named[port_at]) {
+            let (Some(first), Some(bus)) = (bus_of(port_at, 0), bus_of(port_at, at)) else { break };
+            if at == 0 || self.app.bus(bus).is_some() {
+                self.app.name_bus(bus, name);
+            } else if let Some(first) = self.app.bus(first) {
+                let config = first.config().clone();
+                self.app.add_bus(now, name, config);
+                self.app.handle_bus(now, bus, port.queue().status());
             }
-            if let Some(recorder) = &self.recorder {
-                for (at, bus) in self.app.buses().iter().enumerate() {
-                    let Ok(at) = u8::try_from(at) else { break };
-                    recorder.name_bus(BusIndex(at), &bus.name);
-                    recorder.note_lost(BusIndex(at), bus.lost());
-                }
-                recorder.record(&self.batch);
+            named[port_at] = at + 1;
+        }
+        if let Some(recorder) = &self.recorder {
+            for (at, bus) in self.app.buses().iter().enumerate() {
+                let Ok(at) = u8::try_from(at) else { break };
+                recorder.name_bus(BusIndex(at), &bus.name);
+                recorder.note_lost(BusIndex(at), bus.lost());
             }
-            if clock.playback().is_none() {
-                self.app.handle_frames(now, &self.batch);
-                continue;
-            }
+            recorder.record(&self.batch);
+        }
+        if clock.playback().is_none() {
+            self.app.handle_frames(now, &self.batch);
+        } else {
             // Time may have advanced in a large step: deadlines between two frames are handled
             // between them.
             for frame in &self.batch {
@@ -549,8 +572,7 @@ impl Session {
                 self.app.handle_frames(frame.time, std::slice::from_ref(frame));
             }
         }
-        // Time stops at the end of all logs.
-        self.report_playback();
+        !self.batch.is_empty()
     }
 
     /// Handles what is due, transmits frames, starts saving. Returns the effects for the screen or
@@ -562,11 +584,7 @@ impl Session {
         if self.is_replay() && !is_log {
             self.app.advance_to(now);
         }
-        // Bounded: handling a deadline may set another one, but not endlessly at one moment.
-        for _ in 0..8 {
-            if is_log || self.app.poll_timeout().is_none_or(|at| at > now) {
-                break;
-            }
+        if !is_log && self.app.poll_timeout().is_some_and(|at| at <= now) {
             self.app.handle_timeout(now);
         }
         while let Some(frame) = self.app.poll_transmit(now) {
@@ -650,6 +668,11 @@ impl Session {
             }
         }
     }
+}
+
+/// Index of the bus of an interface of a port; `None` where there are more than bus indices.
+fn bus_of(port: usize, interface: usize) -> Option<BusIndex> {
+    u8::try_from(port + interface).ok().map(BusIndex)
 }
 
 /// Sets the state of a log's bus.

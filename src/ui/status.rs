@@ -230,20 +230,8 @@ fn bus_parts(brush: &DrawContext, index: BusIndex) -> Parts {
         return parts;
     }
     parts.extend(warning(brush, bus).filter(|_| !is_searched));
-    let load = bus.meter.last().load(bus.bits_per_second()) * 100.0;
-    let guess = if bus.status.bitrate.is_none() { ASSUMED } else { "" };
     let frames = bus.meter.last().frames;
-    parts.push(Part::new(
-        LOAD,
-        vec![
-            brush.span(Role::Muted, "load "),
-            brush.span(
-                if load >= 80.0 { Role::Warning } else { Role::Text },
-                format!("{:>4} ", format!("{guess}{load:.0}%")),
-            ),
-            brush.span(Role::Bar, sparkline(bus, if columns < 100 { 6 } else { 20 })),
-        ],
-    ));
+    parts.push(Part::new(LOAD, load(brush, bus, if columns < 100 { 6 } else { 20 })));
     parts.push(Part::new(RATE, vec![brush.span(Role::Text, format!("{frames:>4} f/s"))]));
     parts.push(counter(brush, "err", bus.counters().errors, Role::Warning));
     let mut lost = counter(brush, "lost", bus.lost(), Role::Error);
@@ -253,6 +241,19 @@ fn bus_parts(brush: &DrawContext, index: BusIndex) -> Parts {
     parts.push(lost);
     parts.extend(own_address(brush, bus));
     parts
+}
+
+/// Returns the bus load, and its chart of `width` cells; `–` where no bit rate is known.
+fn load(brush: &DrawContext, bus: &Bus, width: usize) -> Vec<Span<'static>> {
+    let label = brush.span(Role::Muted, "load ");
+    if bus.lacks_bit_rate() {
+        return vec![label, brush.span(Role::Muted, "   –")];
+    }
+    let load = bus.meter.last().load(bus.bits_per_second()) * 100.0;
+    let guess = if bus.status.bitrate.is_none() { ASSUMED } else { "" };
+    let role = if load >= 80.0 { Role::Warning } else { Role::Text };
+    let load = format!("{:>4} ", format!("{guess}{load:.0}%"));
+    vec![label, brush.span(role, load), brush.span(Role::Bar, sparkline(bus, width))]
 }
 
 /// Returns whether a replay is paused, its position, percent and speed; `None` without a log.
@@ -452,6 +453,20 @@ fn recording(brush: &DrawContext) -> Option<Part> {
     Some(Part::new(WARNING, spans))
 }
 
+/// Returns how many static addresses of the user another program has overwritten, and the key that
+/// restores them; `None` without any.
+fn overwritten_pins(brush: &DrawContext, whole: bool) -> Option<Part> {
+    let count = brush.app.overwritten_pins();
+    let plural = if count == 1 { "" } else { "s" };
+    let remedy = if whole {
+        format!("; {} restores", brush.app.key_of(Action::Save))
+    } else {
+        String::new()
+    };
+    let text = format!("! {count} pin{plural} overwritten{remedy}");
+    (count > 0).then(|| Part::new(KEPT, vec![brush.span(Role::Warning, text)]))
+}
+
 /// Returns the state of des.json; with `whole` also the cause of an error and the next step.
 fn file(brush: &DrawContext, whole: bool) -> Parts {
     let file = brush.app.file();
@@ -515,7 +530,8 @@ fn file(brush: &DrawContext, whole: bool) -> Parts {
             };
             let name = brush.span(Role::Title, format!("{} ", file.name()));
             let words = brush.span(Role::Text, words);
-            return vec![Part::new(rank, vec![name, brush.span(role, sign), words])];
+            let file = Part::new(rank, vec![name, brush.span(role, sign), words]);
+            return [Some(file), overwritten_pins(brush, whole)].into_iter().flatten().collect();
         }
     };
     let name = brush.span(Role::Title, format!("{} ", file.name()));

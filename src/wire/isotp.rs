@@ -432,7 +432,7 @@ impl<B: AsRef<[u8]>> Segmenter<B> {
     }
 
     /// Returns when to call [`poll`](Self::poll) and [`handle_timeout`](Self::handle_timeout) next;
-    /// `None` once the whole message was sent.
+    /// `None` once the whole message was sent. After both, it is later than their `now`.
     pub fn poll_timeout(&self) -> Option<Instant> {
         match self.state {
             SendState::First => Some(Instant::ZERO),
@@ -445,7 +445,7 @@ impl<B: AsRef<[u8]>> Segmenter<B> {
     /// Checks whether flow control is overdue.
     ///
     /// # Errors
-    /// [`TransferFault::TimeoutBs`] if it is (N_Bs).
+    /// [`TransferFault::TimeoutBs`] if it is (N_Bs): the transfer is over; drop it.
     pub fn handle_timeout(&self, now: Instant) -> Result<(), TransferFault> {
         match self.state {
             SendState::AwaitFlow { until, .. } if now >= until => Err(TransferFault::TimeoutBs),

@@ -1,8 +1,13 @@
 //! Throughput of decoding and program state on one core, and the resident memory after ten million
-//! frames.
+//! frames; the cost of frames and draws on a hostile bus.
 //!
 //! The traffic is the simulator's crowd with chatter: 127 devices, heartbeats and data, at 1
-//! Mbit/s; replayed in a loop with shifted times.
+//! Mbit/s; replayed in a loop with shifted times. The hostile bus is that of
+//! `tests/it/common/hostile.rs`.
+
+#[allow(dead_code, reason = "a part is used")]
+#[path = "../it/common/hostile.rs"]
+mod hostile;
 
 use descan::app::{App, AppOptions};
 use descan::discovery::Config;
@@ -11,8 +16,54 @@ use descan::sim::{Scenario, Sim};
 use descan::time::{Duration, Instant};
 
 const FRAMES: usize = 10_000_000;
+/// Seconds of a hostile bus.
+const HOSTILE: u64 = 30;
 
 fn main() {
+    steady_traffic();
+    hostile_bus();
+}
+
+/// Prints the cost of each part of a hostile bus, with its number of findings: it must not grow
+/// with them.
+fn hostile_bus() {
+    let config = Config { listen_only: true, bitrate: Some(1_000_000), ..Config::default() };
+    let options = AppOptions { buses: vec![("can0".to_owned(), config)], ..AppOptions::default() };
+    let mut app = App::new(Instant::ZERO, options);
+    app.handle_resize(120, 40);
+    let mut frames = hostile::frames(1);
+    for part in 1..=6 {
+        let (mut busy, mut worst, mut draws) = (Duration::ZERO, Duration::ZERO, Duration::ZERO);
+        let count = (hostile::RATE * HOSTILE / 6) as usize;
+        let mut timeouts = 0u64;
+        for frame in frames.by_ref().take(count) {
+            let start = std::time::Instant::now();
+            while let Some(due) = app.poll_timeout().filter(|due| *due <= frame.time) {
+                app.handle_timeout(due);
+                timeouts += 1;
+            }
+            app.handle_frames(frame.time, &[frame]);
+            let took = start.elapsed();
+            (busy, worst) = (busy + took, worst.max(took));
+            if app.is_dirty() {
+                let start = std::time::Instant::now();
+                app.take_dirty();
+                draws = draws.max(start.elapsed());
+            }
+        }
+        println!(
+            "hostile bus, part {part} of 6: {:.0} µs a frame, worst {:.1} ms, rows in at most {:.1} ms, {timeouts} timeouts; \
+             devices: {}; findings: {}",
+            busy.as_secs_f64() * 1e6 / count as f64,
+            worst.as_secs_f64() * 1e3,
+            draws.as_secs_f64() * 1e3,
+            app.buses()[0].devices().len(),
+            app.findings().count(),
+        );
+    }
+}
+
+fn steady_traffic() {
     let recorded = record();
     let span = Duration::from_secs(10);
     let config = Config { listen_only: true, bitrate: Some(1_000_000), ..Config::default() };

@@ -1,14 +1,20 @@
-//! The real binary on a busy bus: bytes written to its terminal, time to the first screen, and
-//! memory.
+//! The real binary on a busy bus: bytes written to its terminal, time to the first screen, memory,
+//! and the time from a key to its effect.
 //!
-//! 60 devices with chatter at 1 Mbit/s: about 7,000 f/s on a simulated bus in the same process.
+//! 60 devices with chatter at 1 Mbit/s: about 7,000 f/s on a simulated bus in the same process. Keys
+//! are typed while a hostile bus arrives on standard input: at 8,000 f/s, and as fast as it is read.
 
 #[allow(dead_code, reason = "a part is used")]
 #[path = "../it/common/pty.rs"]
 mod pty;
 
+#[allow(dead_code, reason = "a part is used")]
+#[path = "../it/common/hostile.rs"]
+mod hostile;
+
 use pty::Pty;
 use std::fmt::Write;
+use std::path::Path;
 use std::time::{Duration, Instant};
 
 const DEVICES: u32 = 60;
@@ -21,6 +27,47 @@ fn main() {
     for size in [(80, 24), (120, 40), (160, 50)] {
         at_rest(folder.path(), size);
     }
+    for is_paced in [true, false] {
+        keys_on_hostile_input(folder.path(), is_paced);
+    }
+}
+
+/// Prints how long the program takes to answer a key, and to end on `q`, while it reads hostile
+/// frames: at the pace of a full bus, or as fast as it takes them.
+fn keys_on_hostile_input(folder: &Path, is_paced: bool) {
+    let pipe = folder.join("hostile");
+    // Ends when the program does.
+    let writer = hostile::feed(&pipe, is_paced);
+    let command = format!("exec {} - < hostile", env!("CARGO_BIN_EXE_descan"));
+    let mut pty = Pty::run("/bin/sh", &["-c", &command], folder, (120, 40));
+    pty.wait_for("1 Devices");
+    pty.count_for(Duration::from_secs(20));
+    let mut times = Vec::new();
+    for (key, effect) in
+        [("3", "SOURCE"), ("?", "Mute or unmute"), ("?", "SOURCE"), ("4", "PROBLEM"), ("1", "NAME")]
+            .repeat(8)
+    {
+        let start = Instant::now();
+        pty.send(key);
+        pty.wait_until(key, |screen| screen.contents().contains(effect));
+        times.push(start.elapsed().as_secs_f64() * 1e3);
+        pty.count_for(Duration::from_millis(130));
+    }
+    times.sort_by(f64::total_cmp);
+    let start = Instant::now();
+    pty.send("q");
+    let code = pty.wait();
+    let pace = if is_paced { "8,000 frames/s" } else { "full speed" };
+    println!(
+        "keys on a hostile bus at {pace}: median {:.1} ms, worst {:.1} ms of {}; q ends it with \
+         code {code} after {:.0} ms",
+        times[times.len() / 2],
+        times[times.len() - 1],
+        times.len(),
+        start.elapsed().as_secs_f64() * 1e3
+    );
+    writer.join().expect("the writer");
+    std::fs::remove_file(pipe).expect("the pipe is deleted");
 }
 
 /// Returns devices that each send a heartbeat once a second and 8 bytes 116 times a second.
@@ -41,7 +88,7 @@ fn scenario() -> String {
     text
 }
 
-fn first_screen(folder: &std::path::Path) {
+fn first_screen(folder: &Path) {
     let mut times: Vec<f64> = (0..11)
         .map(|_| {
             let start = Instant::now();
@@ -60,7 +107,7 @@ fn first_screen(folder: &std::path::Path) {
     );
 }
 
-fn at_rest(folder: &std::path::Path, size: (u16, u16)) {
+fn at_rest(folder: &Path, size: (u16, u16)) {
     let mut pty = Pty::start(&["sim:full.toml"], folder, size);
     pty.wait_until("all devices", |screen| screen.contents().contains("60 present"));
     pty.count_for(Duration::from_secs(5));

@@ -60,6 +60,7 @@ impl Stage {
                 self.app.handle_frames(now, &[frame]);
             }
             self.app.handle_timeout(now);
+            self.app.renew_rows();
             while let Some(frame) = self.app.poll_transmit(now) {
                 self.sent.push(frame.with_time(now));
                 if let Some(queue) = &mut self.queue {

@@ -606,7 +606,11 @@ fn invalid_arguments_are_one_line_with_the_fix() {
     let folder = tempfile::tempdir().unwrap();
     for (arguments, hint) in [
         (&["scan", "--jsn"][..], "--json"),
-        (&["session.log"], "file:session.log"),
+        (&["scna", "can0"], "did you mean the command descan scan?"),
+        (&["boiler"], "boiler is not a command or a bus"),
+        (&["scan", "bus"], "bus is not a command or a bus"),
+        (&["scan", "sim:boiler", "--for", "3", "--time", "3"], "--time"),
+        (&["scan", "file:session.log", "--for", "3"], "--for needs a live bus"),
         (&["scan", "--time", "soon"], "a number of seconds"),
         (&["--address", "200"], "0 to 127"),
         (&["demo", "submarine"], "boiler"),
@@ -633,7 +637,6 @@ fn unusable_input_is_named_and_exits_3() {
     std::fs::write(folder.path().join("bad.toml"), "framing = \"morse\"").unwrap();
     for (arguments, hint) in [
         (&["scan", "file:nothing.log"][..], "nothing.log"),
-        (&["scan", "nocan7"], "nocan7"),
         (&["scan", "sim:nothing"], "boiler"),
         (&["scan", "sim:boiler", "--profile", "nothing.toml"], "file not found"),
         (&["scan", "sim:boiler", "--profile", "bad.toml"], "morse"),
@@ -826,6 +829,39 @@ fn only_short_regular_files_are_read_as_settings() {
     }
 }
 
+/// Contents of logs of other programs, their file names, and the words of the way out.
+const FOREIGN_LOGS: [(&str, &[u8], &str); 7] = [
+    ("session.log.gz", b"\x1F\x8B\x08\x00\x00\x00\x00\x00", "gunzip -c"),
+    ("trace.blf", b"LOGG\x90\x00\x00\x00", "a Vector BLF log; convert it with python-can"),
+    ("trace.asc", b"date Mon Nov 23 10:00:00 2026\nbase hex  timestamps absolute\n", "asc2log -I"),
+    ("trace.trc", b";$FILEVERSION=1.1\n;$STARTTIME=43000.5\n", "a PCAN trace; convert it"),
+    ("old.pcap", b"\xD4\xC3\xB2\xA1\x02\x00\x04\x00", "editcap -F pcapng"),
+    ("plain.log", b"\n  can0  123   [2]  11 22\n  can0  05180002   [0]\n", "candump -L"),
+    ("timed.log", b" (1436509052.249713)  can0  123   [1]  11\n", "candump -L"),
+];
+
+#[test]
+fn foreign_log_is_named_with_its_conversion() {
+    let folder = tempfile::tempdir().unwrap();
+    for (name, content, hint) in FOREIGN_LOGS {
+        std::fs::write(folder.path().join(name), content).unwrap();
+        let file = format!("file:{name}");
+        for (command, bus) in [("scan", &*file), ("watch", name), ("scan", "-")] {
+            let output = Command::new(env!("CARGO_BIN_EXE_descan"))
+                .args([command, bus])
+                .current_dir(folder.path())
+                .env("XDG_CONFIG_HOME", folder.path().join("config"))
+                .stdin(std::fs::File::open(folder.path().join(name)).unwrap())
+                .output()
+                .unwrap();
+            let said = text(&output.stderr);
+            assert_eq!(output.status.code(), Some(3), "{command} {bus} {name}: {said}");
+            assert_eq!(said.lines().count(), 1, "{said}");
+            assert!(said.contains(hint) && !said.contains("0 frames"), "{name}: {said}");
+        }
+    }
+}
+
 /// Returns the text if it has no control characters but line ends.
 fn without_control_characters(bytes: &[u8]) -> String {
     let text = text(bytes);
@@ -916,4 +952,44 @@ fn name_of_many_combining_marks_is_cut_in_tables() {
     let row = table.lines().find(|line| line.contains("A\u{301}")).unwrap();
     assert_eq!(row.chars().filter(|c| *c == '\u{301}').count(), descan::text::MAX_MARKS);
     assert!(row.contains('…'), "{row}");
+}
+
+#[test]
+fn log_is_opened_by_its_name_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::create_dir(folder.path().join("logs")).unwrap();
+    for name in ["session.log", "recorded", "logs/today"] {
+        std::fs::write(folder.path().join(name), log(&two_devices(), 12)).unwrap();
+        let report = json(&descan(&["scan", name, "--json"], folder.path()));
+        let devices = report["devices"].as_array().unwrap();
+        assert!(devices.iter().any(|device| device["name"] == "FEED"), "{name}: {report}");
+    }
+}
+
+#[test]
+fn scan_waits_for_devices_that_boot() {
+    let folder = tempfile::tempdir().unwrap();
+    let late = "bitrate = 125000\n\
+        [[device]]\nname = \"FEED\"\naddress = { fixed = 12 }\nsettled = true\n\
+        [[device]]\nname = \"LATE\"\naddress = { fixed = 20 }\nsettled = true\npower_on = 9.0\n";
+    std::fs::write(folder.path().join("late.toml"), late).unwrap();
+    let scan = |more: &[&str]| {
+        let output = descan(&[&["scan", "sim:late.toml", "--json"], more].concat(), folder.path());
+        let names: Vec<String> = json(&output)["devices"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .map(|device| device["name"].as_str().unwrap().to_owned())
+            .collect();
+        (names, output.status.code(), text(&output.stderr))
+    };
+    let (names, code, _) = scan(&[]);
+    assert_eq!((names.len(), code), (1, Some(0)), "without it the scan ends before");
+    let (names, code, said) = scan(&["--expect", "2", "--time", "60"]);
+    assert_eq!((names, code, &*said), (vec!["FEED".to_owned(), "LATE".to_owned()], Some(0), ""));
+    let (names, code, said) = scan(&["--expect", "2", "--time", "4"]);
+    assert_eq!((names.len(), code), (1, Some(1)), "{said}");
+    assert!(said.contains("expected 2 devices, 1 present and named"), "{said}");
+    let (names, code, said) = scan(&["--for", "13"]);
+    assert_eq!((names.len(), code, &*said), (2, Some(0), ""));
 }

@@ -14,6 +14,7 @@ mod common;
 mod conflict_evidence;
 mod conflict_logs;
 mod conventions;
+mod deadlines;
 mod discovery;
 mod disk_errors;
 mod document;

@@ -60,6 +60,7 @@ impl Stage {
                 }
             }
             self.app.handle_timeout(now);
+            self.app.renew_rows();
             while let Some(frame) = self.app.poll_transmit(now) {
                 let (sim, station) = &mut self.buses[usize::from(frame.bus.0)];
                 sim.transmit(*station, frame);

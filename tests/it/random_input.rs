@@ -6,8 +6,9 @@ use descan::app::{App, AppOptions, Effect, FileReading, Mouse, MouseKind, SaveOu
 use descan::diagnostic::Diagnostic;
 use descan::discovery::Config;
 use descan::document::Document;
-use descan::frame::{CanId, Frame};
+use descan::frame::{BusIndex, CanId, Frame};
 use descan::keymap::{Key, KeyCode};
+use descan::status::{BusState, BusStatus, Link};
 use descan::theme::Theme;
 use descan::time::{Duration, Instant};
 use proptest::prelude::*;
@@ -25,6 +26,8 @@ enum Step {
     FileError,
     Pause(u64),
     Saves(bool),
+    Bus(Link, BusState),
+    Stall(u64),
 }
 
 fn any_key() -> impl Strategy<Value = Key> {
@@ -74,6 +77,13 @@ fn any_file() -> impl Strategy<Value = Option<Vec<u8>>> {
     ])
 }
 
+fn any_bus() -> impl Strategy<Value = Step> {
+    let links = vec![Link::Opening, Link::Up, Link::Up, Link::Down, Link::Unplugged, Link::Ended];
+    let states = vec![BusState::ErrorActive, BusState::ErrorPassive, BusState::BusOff];
+    (prop::sample::select(links), prop::sample::select(states))
+        .prop_map(|(link, state)| Step::Bus(link, state))
+}
+
 fn any_step() -> impl Strategy<Value = Step> {
     prop_oneof![
         12 => any_key().prop_map(Step::Key),
@@ -86,6 +96,8 @@ fn any_step() -> impl Strategy<Value = Step> {
         1 => Just(Step::FileError),
         3 => (0u64..3_000_000).prop_map(Step::Pause),
         1 => any::<bool>().prop_map(Step::Saves),
+        1 => any_bus(),
+        1 => (0u64..5_000_000).prop_map(Step::Stall),
     ]
 }
 
@@ -127,16 +139,24 @@ impl Stage {
             }
             Step::Pause(micros) => self.now = now + Duration::from_micros(micros),
             Step::Saves(saves) => self.saves = saves,
+            Step::Bus(link, state) => {
+                let status = BusStatus { link, state, ..BusStatus::default() };
+                self.app.handle_bus(now, BusIndex(0), status);
+            }
+            Step::Stall(micros) => {
+                self.now = now + Duration::from_micros(micros);
+                self.app.handle_stall(now, self.now);
+            }
         }
         self.settle();
     }
 
     fn settle(&mut self) {
-        for _ in 0..32 {
-            match self.app.poll_timeout().filter(|due| *due <= self.now) {
-                Some(due) => self.app.handle_timeout(due.max(self.app.now())),
-                None => break,
-            }
+        while let Some(due) = self.app.poll_timeout().filter(|due| *due <= self.now) {
+            let now = due.max(self.app.now());
+            self.app.handle_timeout(now);
+            let next = self.app.poll_timeout();
+            assert!(next.is_none_or(|next| next > now), "due at {next:?}, handled until {now:?}");
         }
         while self.app.poll_transmit(self.now).is_some() {}
         while let Some(effect) = self.app.poll_effect() {
@@ -163,6 +183,7 @@ impl Stage {
     }
 
     fn draw(&mut self) {
+        self.app.take_dirty();
         let (columns, rows) = self.size;
         let mut terminal = Terminal::new(TestBackend::new(columns, rows)).unwrap();
         let mut scrolled = None;

@@ -1,6 +1,7 @@
 //! The real binary in a pseudo-terminal: screen content, effect of keys, and restoring of the
 //! terminal on every way out.
 
+use crate::common::hostile;
 use crate::common::pty;
 use crate::common::pty::{ClosablePty, PATIENCE, Pty};
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
@@ -496,4 +497,42 @@ fn signal_ends_descan_on_a_blocked_terminal() {
     }
     assert_eq!(child.wait().unwrap().exit_code(), 130);
     assert_eq!(settings(), before);
+}
+
+#[test]
+fn full_speed_log_leaves_keys_and_signals_working() {
+    for way in ["q", "SIGTERM"] {
+        let folder = tempfile::tempdir().unwrap();
+        let pipe = folder.path().join("pipe");
+        let writer = hostile::feed(&pipe, false);
+        let command = format!("exec {} - --speed 100000 < pipe", env!("CARGO_BIN_EXE_descan"));
+        let mut pty = Pty::run("/bin/sh", &["-c", &command], folder.path(), SMALL);
+        // Each address has several names: the frames are handled.
+        pty.wait_for("4 Problems 1");
+        pty.send("3");
+        pty.wait_for("SOURCE");
+        pty.send("4");
+        pty.wait_for("PROBLEM");
+        match way {
+            "q" => pty.send("q"),
+            _ => pty.signal(Signal::SIGTERM),
+        }
+        assert_eq!(pty.wait(), if way == "q" { 0 } else { 130 });
+        pty.assert_given_back();
+        writer.join().unwrap();
+    }
+}
+
+#[test]
+fn unreadable_input_is_shown_before_its_end() {
+    let folder = tempfile::tempdir().unwrap();
+    let pipe = folder.path().join("pipe");
+    nix::unistd::mkfifo(&pipe, nix::sys::stat::Mode::S_IRWXU).unwrap();
+    let command = format!("exec {} - < pipe", env!("CARGO_BIN_EXE_descan"));
+    let mut pty = Pty::run("/bin/sh", &["-c", &command], folder.path(), (160, 40));
+    let mut input = std::fs::OpenOptions::new().write(true).open(&pipe).unwrap();
+    std::io::Write::write_all(&mut input, "what?\n".repeat(9).as_bytes()).unwrap();
+    pty.wait_for("8 lines cannot be read, the first is line 1");
+    pty.send("q");
+    assert_eq!(pty.wait(), 0);
 }

@@ -6,7 +6,7 @@ use descan::app::{App, AppEvent, AppOptions, FileReading, Filter};
 use descan::diagnostic::Diagnostic;
 use descan::discovery::Config;
 use descan::finding::{FindingKind, FindingState};
-use descan::frame::BusIndex;
+use descan::frame::{BusIndex, CanId, Frame};
 use descan::sim::{DeviceSpec, Fault, Scenario, Sim};
 use descan::status::{BusStatus, Link};
 use descan::time::Instant;
@@ -556,7 +556,6 @@ fn unusable_bus_is_one_error_line() {
         (&["-", "-"], 2, "only once"),
         (&["sim:boiler", "file:session.log"], 2, "descan watch file:LOG"),
         (&["--jsn"], 2, "--json"),
-        (&["nocan7"], 3, "nocan7"),
         (&["file:nothing.log"], 3, "nothing.log"),
         (&["sim:nothing"], 3, "boiler"),
         (&["sim:boiler", "--profile", "nothing.toml"], 3, "file not found"),
@@ -653,4 +652,90 @@ fn filter_that_cannot_match_is_rejected() {
         let output = watch(&["sim:boiler", "--time", "0.1", "--filter", filter], folder.path());
         assert_eq!(output.status.code(), Some(0), "{filter}");
     }
+}
+
+#[test]
+fn unreadable_input_is_reported_before_its_end() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut child = command(&["watch", "-"], folder.path())
+        .stdin(Stdio::piped())
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut stdin = child.stdin.take().unwrap();
+    stdin.write_all("what?\n".repeat(8).as_bytes()).unwrap();
+    let mut said = BufReader::new(child.stderr.take().unwrap());
+    let mut first = String::new();
+    // The input stays open.
+    said.read_line(&mut first).unwrap();
+    assert!(first.contains("8 lines cannot be read, the first is line 1"), "{first}");
+    assert!(first.contains("use a candump -L log or pcapng"), "{first}");
+    drop(stdin);
+    assert_eq!(child.wait().unwrap().code(), Some(3));
+}
+
+#[test]
+fn missing_interface_is_waited_for_until_the_time_limit() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = watch(&["nocan7", "--time", "0.5"], folder.path());
+    let said = text(&output.stderr);
+    assert_eq!((output.status.code(), text(&output.stdout)), (Some(3), ""), "{said}");
+    assert!(said.starts_with("descan: waiting for nocan7: nocan7 not found; "), "{said}");
+    assert!(said.lines().nth(1).is_some_and(|line| line.contains("nocan7 not found")), "{said}");
+}
+
+#[test]
+fn bare_word_matches_no_prose() {
+    let folder = folder();
+    let told = |filter: &str| {
+        let output = watch(&["file:session.log", "--filter", filter], folder.path());
+        assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+        let lines = text(&output.stdout).lines();
+        lines.filter(|line| line.contains(" FEED ")).map(str::to_owned).collect::<Vec<_>>()
+    };
+    assert!(told("text:overdue").iter().all(|line| line.contains("stale: heartbeat overdue")));
+    assert_eq!((told("text:overdue"), told("overdue")), (told("stale"), vec![]));
+    assert!(!told("stale").is_empty());
+    assert!(told("wrong-address").iter().all(|line| line.contains("the file pins it")));
+    assert!(!told("wrong-address").is_empty() && told("pins").is_empty());
+    let output = watch(&["file:session.log", "--filter", "sim:x"], folder.path());
+    assert_eq!(output.status.code(), Some(2));
+    assert!(text(&output.stderr).contains("quote a word with a colon: \"sim:x\""));
+    assert_eq!(told("\"sim:x\""), [""; 0]);
+}
+
+#[test]
+fn services_events_of_one_batch_keep_their_values() {
+    let options = AppOptions {
+        buses: vec![("can0".to_owned(), Config { listen_only: true, ..Config::default() })],
+        emit_events: true,
+        ..AppOptions::default()
+    };
+    let mut app = App::new(Instant::ZERO, options);
+    let services = |data: &[u8]| Frame::new(CanId::Extended(0x0518_0002), data);
+    let beat =
+        Frame::new(CanId::Extended(0x0718_0001), &[0x8A, 0xFA, 0x6C, 0x97, 0x24, 0x11, 4, 0]);
+    // Services responses without ISO-TP: DES 1, DES 2, TMP 2.
+    let batch = [
+        beat,
+        services(b"\x02\0DES\x001\0"),
+        services(b"\x02\0DES\x002\0"),
+        services(b"\x02\0TMP\x002\0"),
+    ];
+    app.handle_frames(Instant::from_micros(1000), &batch);
+    let (mut lines, mut values) = (Vec::new(), Vec::new());
+    while let Some(event) = app.poll_app_event() {
+        match event {
+            AppEvent::Line(line) if line.text.contains("service") => lines.push(line.text),
+            AppEvent::Event(event) if !event.services.is_empty() => {
+                let service = &event.services[0];
+                values.push(format!("{} {}", service.name, service.version));
+            }
+            _ => {}
+        }
+    }
+    assert_eq!(values, ["DES 1", "DES 2", "TMP 2"]);
+    let changed = ["1 service", "1 service: DES 1 → 2", "1 service: TMP added, DES removed"];
+    assert_eq!(lines, changed);
 }

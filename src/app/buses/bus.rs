@@ -10,8 +10,8 @@ use crate::discovery::{
 };
 use crate::finding::Finding;
 use crate::frame::Frame;
-use crate::status::{BusState, BusStatus, Link};
-use crate::time::{Duration, Instant};
+use crate::status::{BusState, BusStatus, Link, RateSearch};
+use crate::time::{Duration, Instant, debug_assert_later};
 use crate::wire::id::Address;
 
 /// Listening time after which a listed device counts as missing where no requests are sent.
@@ -20,6 +20,9 @@ const LISTEN_TIME: Duration = Duration::from_secs(5);
 const QUEUE_STALE_AFTER: Duration = Duration::from_millis(1500);
 /// Bus errors in 3 s, without a valid frame, that indicate a wrong bit rate.
 const ONLY_ERRORS_MIN: u32 = 64;
+
+/// Calls of the engine at one moment at most: what it handles may make more due at once.
+const ENGINE_PASSES: usize = 8;
 
 /// One bus.
 #[derive(Debug)]
@@ -112,6 +115,12 @@ impl Bus {
         self.status.bitrate.unwrap_or_else(|| self.config().bits_per_second())
     }
 
+    /// Returns true if its load means nothing: the bit rate is neither known nor assumed for a
+    /// controller, as in a log or on a virtual bus.
+    pub fn lacks_bit_rate(&self) -> bool {
+        self.status.bitrate.is_none() && self.status.rate_search == RateSearch::NoRate
+    }
+
     /// Returns true if frames can be received and transmitted.
     pub fn is_up(&self) -> bool {
         is_up(&self.status)
@@ -188,7 +197,13 @@ impl Bus {
         if self.is_unreachable() {
             self.engine.handle_bus_unavailable(now);
         }
-        self.engine.handle_timeout(now);
+        for _ in 0..ENGINE_PASSES {
+            self.engine.handle_timeout(now);
+            if self.engine.poll_timeout().is_none_or(|due| due > now) {
+                break;
+            }
+        }
+        debug_assert_later(self.poll_timeout(), now);
     }
 
     /// The next frame to transmit.

@@ -5,14 +5,16 @@
 //! for the user. Does not read or write files and does not know the bus.
 
 mod change;
+mod own_pins;
 mod state;
 mod undo_stack;
 
 pub use change::{EditRefusal, FileChange, FileError, FileReading, SaveOutcome};
 pub use state::{FileState, Saving};
 
-use crate::document::{Document, Entry};
+use crate::document::{Document, Entry, Operation};
 use crate::time::{Duration, Instant};
+use own_pins::OwnPins;
 use std::path::{Path, PathBuf};
 
 /// Time between a failed save and the next attempt.
@@ -25,6 +27,8 @@ const EMPTY_SETTLES_AFTER: Duration = Duration::from_secs(1);
 pub(super) struct FileEditor {
     /// Content and edits.
     pub file: FileState,
+    /// Static addresses that the user set.
+    own_pins: OwnPins,
     /// When a failed save is repeated.
     retry_at: Option<Instant>,
     /// The save in progress is such a repetition.
@@ -55,6 +59,7 @@ impl FileEditor {
     pub fn new(path: Option<PathBuf>) -> Self {
         Self {
             file: FileState::new(path),
+            own_pins: OwnPins::default(),
             retry_at: None,
             is_retry: false,
             copy_pending: None,
@@ -103,6 +108,10 @@ impl FileEditor {
             _ => None,
         };
         let change = self.file.handle_saved(now, outcome);
+        if let (FileChange::Saved, Some(after)) = (change, self.file.on_disk()) {
+            let before = on_disk.clone().unwrap_or_else(Document::empty);
+            self.own_pins.note_saved(&before, after);
+        }
         // An edit that pins a used address is refused, but the file may have changed since.
         let clash = on_disk.filter(|_| change == FileChange::Saved);
         let clash = clash.and_then(|before| address_clash(self.file.on_disk()?, &before));
@@ -118,6 +127,13 @@ impl FileEditor {
             is_known,
             is_silent: is_retry && is_known,
         }
+    }
+
+    /// Edits that restore the static addresses set by the user that another program has overwritten;
+    /// empty while edits wait to be saved.
+    pub fn restoring(&self) -> Vec<Operation> {
+        let is_settled = self.file.unsaved() == 0 && self.file.check().is_ok();
+        if is_settled { self.own_pins.restoring(self.file.document()) } else { Vec::new() }
     }
 
     /// Begins a copy with all edits at this path; returns the bytes to write.

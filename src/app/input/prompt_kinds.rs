@@ -33,12 +33,15 @@ impl PromptLogic for FilterPrompt {
         "filter"
     }
 
-    fn validate(&self, _text: &str, _context: PromptContext) -> C {
-        C::Accepted(Filter::syntax_hint(self.page).to_owned())
+    fn validate(&self, text: &str, _context: PromptContext) -> C {
+        match Filter::parse(text).error() {
+            Some(error) => C::Rejected(error),
+            None => C::Accepted(Filter::syntax_hint(self.page).to_owned()),
+        }
     }
 
     fn commit(&self, text: &str, _context: PromptContext) -> PromptOutcome {
-        PromptOutcome::SetFilter(self.page, text.to_owned(), Filter::parse(text).error())
+        PromptOutcome::SetFilter(self.page, text.to_owned())
     }
 }
 
@@ -138,11 +141,20 @@ pub struct AddressPrompt {
 }
 
 impl AddressPrompt {
-    /// Returns the prompt for a row, and its first text.
+    /// Returns the prompt for a row, and its first text: the static address; for a device that is
+    /// listed and not pinned, its address on the bus.
     pub(in crate::app) fn new(key: RowKey, context: PromptContext) -> (Self, String) {
-        let before = pinned(entry_of(&key, context));
+        let entry = entry_of(&key, context);
+        let before = pinned(entry);
+        let on_bus = match &key {
+            RowKey::Device(id) => context.buses.device(*id).map(|device| device.address),
+            RowKey::Entry(_) => None,
+        };
+        let is_unpinned = entry.is_some_and(|entry| !entry.is_static);
+        let offered = on_bus.filter(|address| is_unpinned && address.number() > 0);
+        let text = offered.map_or_else(|| before.clone(), |address| address.to_string());
         let target = EntryTarget::new(&key, context);
-        (Self { key, before: before.clone(), target }, before)
+        (Self { key, before, target }, text)
     }
 
     /// Result if the entry, its address or the whole file changed on disk while the user typed.

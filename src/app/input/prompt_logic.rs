@@ -36,8 +36,8 @@ pub(in crate::app) struct PromptContext<'a> {
 pub(in crate::app) enum PromptOutcome {
     /// No action.
     Nothing,
-    /// Set the filter of a page; then show the error in it, if any.
-    SetFilter(Page, String, Option<String>),
+    /// Set the filter of a page.
+    SetFilter(Page, String),
     /// Edit des.json.
     Edit(Vec<Operation>),
     /// Add an entry to des.json and select it.

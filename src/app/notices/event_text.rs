@@ -5,7 +5,7 @@
 use crate::app::buses::{Bus, Buses, TxBlocked};
 use crate::app::capture::hex;
 use crate::app::timeline_kind::TimelineKind;
-use crate::discovery::{DeviceId, Event, EventKind, OtherDevice, Presence};
+use crate::discovery::{Device, DeviceId, DeviceService, Event, EventKind, OtherDevice, Presence};
 use crate::finding::{FindingKey, FindingState};
 use crate::frame::BusIndex;
 use crate::text::{Escaped, Name};
@@ -19,8 +19,9 @@ pub fn event_text(buses: &Buses, bus: BusIndex, event: &Event) -> Option<(Timeli
         EventKind::Services { count, changed } => {
             let plural = if *count == 1 { "" } else { "s" };
             let kind = if *changed { TimelineKind::Change } else { TimelineKind::Improved };
-            let now = if *changed { " (changed)" } else { "" };
-            (kind, format!("{count} service{plural}{now}"))
+            let changes = event.device.filter(|_| *changed).and_then(|id| buses.device(id));
+            let changes = changes.map_or_else(String::new, |it| format!(": {}", changes_of(it)));
+            (kind, format!("{count} service{plural}{changes}"))
         }
         // The row shows the first mode of a device; ARSLV is reported as an address claim.
         EventKind::Mode { from: None, .. }
@@ -100,6 +101,68 @@ pub fn event_text(buses: &Buses, bus: BusIndex, event: &Event) -> Option<(Timeli
             (TimelineKind::Change, format!("debug message {code:03X} {}", hex(data, " ")))
         }
     })
+}
+
+/// What changed in the services of a device: `AUGER 2.1 → 2.2, JAM added`.
+fn changes_of(device: &Device) -> String {
+    /// Number of changes that are listed; the others are counted.
+    const LISTED: usize = 4;
+    let services = |list: &'_ Option<Vec<DeviceService>>| list.clone().unwrap_or_default();
+    let (before, now) = (services(&device.previous_services), services(&device.services));
+    let in_list = |list: &[DeviceService], name: &Name| list.iter().any(|it| it.name == *name);
+    let mut changes = Vec::new();
+    for service in &now {
+        let name = &service.name;
+        let versions = before.iter().filter(|it| it.name == *name).map(|it| &it.version);
+        match versions.clone().next() {
+            None => changes.push(format!("{name} added")),
+            Some(_) if versions.clone().any(|version| *version == service.version) => {}
+            Some(version) => changes.push(format!("{name} {version} → {}", service.version)),
+        }
+    }
+    let removed = before.iter().filter(|it| !in_list(&now, &it.name));
+    changes.extend(removed.map(|service| format!("{} removed", service.name)));
+    if changes.is_empty() {
+        return "order or further strings changed".to_owned();
+    }
+    let more = changes.len().saturating_sub(LISTED);
+    changes.truncate(LISTED);
+    if more > 0 {
+        changes.push(format!("and {more} more"));
+    }
+    changes.join(", ")
+}
+
+/// The word of an event in `watch --json`, and in the filter.
+pub fn event_word(event: &EventKind) -> &'static str {
+    match event {
+        EventKind::FirstFrame => "appeared",
+        EventKind::NameReceived => "named",
+        EventKind::Services { .. } => "services",
+        EventKind::Mode { .. } => "mode",
+        EventKind::Claimed { .. } => "claimed",
+        EventKind::GaveUpAddress { .. } => "gave-up",
+        EventKind::Moved { .. } => "moved",
+        EventKind::IdsMerged { .. } => "merged",
+        EventKind::Rebooted => "rebooted",
+        EventKind::Presence(presence) => presence.name(),
+        EventKind::Returned { .. } => "returned",
+        EventKind::Finding { .. } => "finding",
+        EventKind::OwnAddress(_) | EventKind::OwnAddressLost(_) | EventKind::NoAddress(_) => {
+            "address"
+        }
+        EventKind::NoAck | EventKind::Acknowledged => "ack",
+        EventKind::DebugMessage { .. } => "debug",
+    }
+}
+
+/// Names of the devices besides its own that an event is about.
+pub fn other_names(event: &EventKind) -> Vec<Name> {
+    match event {
+        EventKind::Claimed { holder: Some(other), .. }
+        | EventKind::GaveUpAddress { to: Some(other), .. } => other.name.iter().cloned().collect(),
+        _ => Vec::new(),
+    }
 }
 
 fn party_label(buses: &Buses, party: &OtherDevice) -> String {

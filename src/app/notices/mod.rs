@@ -8,7 +8,8 @@ mod event_text;
 mod redraw;
 pub(super) mod timeline;
 
-pub(super) use event_text::{event_text, finding_line, join_lines, join_short};
+pub use event_text::event_word;
+pub(super) use event_text::{event_text, join_lines, join_short};
 pub(super) use redraw::{BUS_REDRAW_INTERVAL, Redraw};
 pub use timeline::{Timeline, TimelineEntry};
 
@@ -18,6 +19,7 @@ use super::AppEvent;
 use super::buses::Buses;
 use super::filter::Filter;
 use crate::discovery::{Event, EventKind};
+use crate::finding::FindingKind;
 use crate::frame::BusIndex;
 use crate::time::{Duration, Instant};
 use crate::wire::id::Address;
@@ -167,11 +169,13 @@ impl Notices {
     }
 
     /// Returns true if the event filter matches a line, at its own address or at one of `others`.
-    /// Lines about a whole bus, and errors of the program, always match: frame loss matters to a
-    /// filter for one device, too.
+    /// Lost frames, lines about the state of a bus, and errors of the program always match: they
+    /// matter to a filter for one device, too.
     pub fn passes_filter(&self, buses: &Buses, line: &TimelineEntry, others: &[Address]) -> bool {
         let is_of_device = line.address.is_some() || line.device.is_some();
-        let is_of_bus = line.bus.is_some() && line.name.is_none();
+        let is_of_bus = line.bus.is_some()
+            && line.name.is_none()
+            && line.finding.is_none_or(|kind| kind == FindingKind::FramesLost);
         self.event_filter.is_empty()
             || (!is_of_device && (is_of_bus || line.kind == TimelineKind::Error))
             || self.event_filter.matches_entry_of(buses, line, others)
@@ -184,11 +188,14 @@ impl Notices {
         }
         let text = event_text(buses, bus, event);
         let (kind, text) = text.unwrap_or((TimelineKind::Change, String::new()));
-        let line = TimelineEntry::of_event(bus, event, kind, text);
+        let mut line = TimelineEntry::of_event(bus, event, kind, text);
         let others: &[Address] = match &event.kind {
             EventKind::Moved { from } => &[*from],
             EventKind::Finding { key, .. } => {
-                buses.finding(bus, key).map_or(&[], |finding| &finding.addresses)
+                let finding = buses.finding(bus, key);
+                let names = finding.map(|finding| finding.names.clone());
+                line.other_names.extend(names.unwrap_or_default());
+                finding.map_or(&[], |finding| &finding.addresses)
             }
             _ => &[],
         };
@@ -205,6 +212,7 @@ impl Notices {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::finding::{Finding, FindingKey};
 
     const NOW: Instant = Instant::ZERO;
 
@@ -245,5 +253,20 @@ mod tests {
         let line = |text| TimelineEntry::new(NOW, TimelineKind::File, text);
         assert!(!notices.passes_filter(&buses, &line("listed"), &[]));
         assert!(notices.passes_filter(&buses, &line("down").on(BusIndex(0)), &[]));
+    }
+
+    #[test]
+    fn suspicion_about_a_bus_passes_its_own_state_only() {
+        let buses = Buses::new(NOW, Vec::new());
+        let line = |kind| {
+            let (bus, address, name) = (Some(BusIndex(0)), None, None);
+            let key = FindingKey { kind, bus, address, name, fault: None };
+            TimelineEntry::of_finding(NOW, &Finding::new(key, NOW))
+        };
+        let errors = line(FindingKind::BusErrors);
+        assert!(!notices("is:confirmed").passes_filter(&buses, &errors, &[]));
+        assert!(notices("is:suspected").passes_filter(&buses, &errors, &[]));
+        let lost = line(FindingKind::FramesLost);
+        assert!(notices("is:confirmed").passes_filter(&buses, &lost, &[]));
     }
 }

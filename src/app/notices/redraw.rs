@@ -52,11 +52,9 @@ impl Redraw {
         }
     }
 
-    /// Returns true once a requested redraw is due; marks the screen as out of date then.
-    pub fn check_due(&mut self, now: Instant) -> bool {
-        let is_due = self.due.is_some_and(|at| at <= now);
-        self.dirty |= is_due;
-        is_due
+    /// Marks the screen as out of date once a requested redraw is due.
+    pub fn check_due(&mut self, now: Instant) {
+        self.dirty |= self.due.is_some_and(|at| at <= now);
     }
 
     /// Marks rows and problems as out of date.
@@ -87,7 +85,9 @@ mod tests {
         redraw.request(at(10), BUS_REDRAW_INTERVAL);
         redraw.request(at(20), Duration::ZERO);
         assert_eq!(redraw.poll_timeout(), Some(at(250)));
-        assert!(!redraw.check_due(at(249)) && redraw.check_due(at(250)));
+        redraw.check_due(at(249));
+        assert!(!redraw.is_dirty());
+        redraw.check_due(at(250));
         assert!(redraw.take_dirty(at(250)));
         redraw.request(at(900), BUS_REDRAW_INTERVAL);
         assert_eq!(redraw.poll_timeout(), Some(at(900)));

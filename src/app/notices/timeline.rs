@@ -3,9 +3,11 @@
 //! Bounded: 4096 lines. A line that repeats one of the last 8 within 5 s is counted instead of
 //! added, and moves to the end.
 
+use super::event_text::{event_word, finding_line, other_names};
 use crate::app::buses::Buses;
 use crate::app::timeline_kind::TimelineKind;
-use crate::discovery::{DeviceId, Event};
+use crate::discovery::{DeviceId, Event, EventKind};
+use crate::finding::{Finding, FindingKind};
 use crate::frame::BusIndex;
 use crate::text::Name;
 use crate::time::{Duration, Instant};
@@ -29,6 +31,12 @@ pub struct TimelineEntry {
     pub address: Option<Address>,
     /// Name of the device at that time.
     pub name: Option<Name>,
+    /// Names of other devices that the event is about.
+    pub other_names: Vec<Name>,
+    /// Words of the events, as in `watch --json`: several where events share the line.
+    pub events: Vec<&'static str>,
+    /// Kind of the finding, where the line reports one.
+    pub finding: Option<FindingKind>,
     /// Event, for the user.
     pub text: String,
     /// Kind of event.
@@ -107,6 +115,8 @@ impl Timeline {
         let other = &mut self.entries[at];
         other.address = entry.address.or(other.address);
         let before = std::mem::replace(&mut other.text, text);
+        other.events.extend(&entry.events);
+        other.other_names.extend(entry.other_names.iter().cloned());
         if other.text.starts_with(&before) {
             return Some((before, other.clone()));
         }
@@ -165,6 +175,9 @@ impl TimelineEntry {
             device: None,
             address: None,
             name: None,
+            other_names: Vec::new(),
+            events: vec![kind.event_word()],
+            finding: None,
             text: text.into(),
             kind,
             times: 1,
@@ -176,6 +189,22 @@ impl TimelineEntry {
         let mut line = Self::new(event.time, kind, text).on(bus);
         (line.device, line.address) = (event.device, event.address);
         line.name.clone_from(&event.name);
+        line.events = vec![event_word(&event.kind)];
+        line.other_names = other_names(&event.kind);
+        if let EventKind::Finding { key, .. } = &event.kind {
+            line.finding = Some(key.kind);
+        }
+        line
+    }
+
+    /// Returns the line of a finding of the comparison with des.json.
+    pub fn of_finding(time: Instant, finding: &Finding) -> Self {
+        let (kind, text) = finding_line(finding.state, &finding.key, &finding.text);
+        let key = &finding.key;
+        let mut line = Self::new(time, kind, text);
+        (line.bus, line.address, line.finding) = (key.bus, key.address, Some(key.kind));
+        line.name.clone_from(&key.name);
+        line.other_names.clone_from(&finding.names);
         line
     }
 

@@ -14,7 +14,7 @@ use crate::bus::tx_queue::{TxAttempt, TxQueue};
 use crate::diagnostic::Diagnostic;
 use crate::frame::Frame;
 use crate::status::{BusState, BusStatus, Link};
-use crate::time::Instant;
+use crate::time::{Instant, debug_assert_later};
 use std::io::{self, ErrorKind, Read, Write};
 use std::os::fd::AsFd;
 use std::sync::Arc;
@@ -289,8 +289,8 @@ impl<E: Endpoint, D: Protocol> StreamWorker<E, D> {
     /// Returns the longest wait of the thread, after everything due until `now` is handled.
     fn max_wait(&self, now: Instant) -> Option<Duration> {
         let due = self.protocol.poll_timeout();
-        debug_assert!(due.is_none_or(|due| due > now), "due at {due:?}, handled until {now:?}");
-        let due = self.protocol.poll_timeout().map(|due| self.clock.until(due));
+        debug_assert_later(due, now);
+        let due = due.map(|due| self.clock.until(due));
         [due, self.tx.time_left()].into_iter().flatten().min()
     }
 
@@ -394,5 +394,85 @@ fn non_blocking<T>(outcome: io::Result<T>) -> io::Result<Option<T>> {
             Ok(None)
         }
         Err(error) => Err(error),
+    }
+}
+
+/// Runs a [`Protocol`] without a stream, for its tests.
+#[cfg(test)]
+pub(in crate::bus) mod bench {
+    use super::{Protocol, ProtocolIo};
+    use crate::frame::Frame;
+    use crate::time::{Duration, Instant};
+    use proptest::prelude::*;
+
+    /// An input of a protocol.
+    #[derive(Clone, Debug)]
+    pub enum Step {
+        /// Received bytes.
+        Input(Vec<u8>),
+        /// A frame to send.
+        Send,
+        /// Everything sent so far is written.
+        Written,
+        /// Time passes, in milliseconds.
+        Pass(u64),
+        /// The stream is opened anew.
+        Begin,
+    }
+
+    /// Returns inputs with bytes made of `words`, in any order and with any time between them.
+    pub fn steps(words: &'static [&'static str]) -> impl Strategy<Value = Vec<Step>> {
+        let input = prop::collection::vec(prop::sample::select(words), 0..6);
+        let step = prop_oneof![
+            4 => input.prop_map(|words| Step::Input(words.concat().into_bytes())),
+            2 => Just(Step::Send),
+            2 => Just(Step::Written),
+            4 => prop_oneof![0u64..20, 0u64..7_000].prop_map(Step::Pass),
+            1 => Just(Step::Begin),
+        ];
+        prop::collection::vec(step, 1..60)
+    }
+
+    /// Handles all deadlines up to `until`; after each, the next one is later, or the stream is to
+    /// be closed.
+    pub fn pass(protocol: &mut impl Protocol, exchange: &mut ProtocolIo, until: Instant) {
+        while exchange.broken.is_none()
+            && let Some(due) = protocol.poll_timeout().filter(|due| *due <= until)
+        {
+            protocol.handle_timeout(due, exchange);
+            let next = protocol.poll_timeout();
+            let is_later = next.is_none_or(|next| next > due);
+            assert!(is_later || exchange.broken.is_some(), "{next:?} after {due:?}");
+        }
+    }
+
+    /// Runs a protocol through these inputs.
+    pub fn run(mut protocol: impl Protocol, steps: Vec<Step>) {
+        let (mut exchange, mut now) = (ProtocolIo::default(), Instant::ZERO);
+        protocol.begin(now, &mut exchange);
+        for step in steps {
+            match step {
+                Step::Input(bytes) => protocol.handle_input(now, &bytes, &mut exchange),
+                Step::Send if protocol.has_room() => {
+                    protocol.send(now, &Frame::classic(1, &[]), &mut exchange);
+                }
+                Step::Send => {}
+                Step::Written => {
+                    let end = exchange.write(b"");
+                    protocol.handle_written(now, end, &mut exchange);
+                }
+                Step::Pass(millis) => now += Duration::from_millis(millis),
+                Step::Begin => {
+                    protocol.break_off();
+                    protocol.begin(now, &mut exchange);
+                }
+            }
+            pass(&mut protocol, &mut exchange, now);
+            if exchange.broken.take().is_some() {
+                protocol.break_off();
+                protocol.begin(now, &mut exchange);
+            }
+            exchange.take_output();
+        }
     }
 }

@@ -5,7 +5,7 @@
 //! written. The first frame shows which applies.
 
 use crate::frame::Frame;
-use crate::time::{Duration, Instant};
+use crate::time::{Duration, Instant, debug_assert_later};
 use std::collections::VecDeque;
 
 /// Largest number of frames in flight.
@@ -124,6 +124,7 @@ impl TxEchoTracker {
         }
         let before = self.written.len();
         self.written.retain(|(_, since)| now.since(*since) < CONFIRM_TIMEOUT);
+        debug_assert_later(self.poll_timeout(), now);
         (before - self.written.len()) as u64
     }
 

@@ -3,6 +3,7 @@
 use super::super::kind::{BusKind, OpenRequest};
 use super::super::port::Port;
 use crate::diagnostic::Diagnostic;
+use crate::log::LogFormat;
 use crate::regular_file::shown;
 use std::fs::File;
 use std::io;
@@ -18,6 +19,13 @@ pub(in crate::bus) const KIND: BusKind = BusKind {
 
 pub(in crate::bus) fn parse(text: &str) -> Result<PathBuf, Diagnostic> {
     if text.is_empty() { Err(KIND.incomplete()) } else { Ok(text.into()) }
+}
+
+/// Returns true if a BUS argument without a type is the path of a log: it has a folder, or the
+/// ending of a log format. A device is none.
+pub(in crate::bus) fn is_path(text: &str) -> bool {
+    let is_log = || LogFormat::has_log_ending(Path::new(text));
+    !text.starts_with("/dev/") && (text.contains('/') || is_log())
 }
 
 pub(in crate::bus) fn text(path: &Path) -> String {

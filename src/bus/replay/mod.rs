@@ -14,7 +14,7 @@ use super::kind::OpenRequest;
 use super::port::{Port, PortShared};
 use crate::diagnostic::Diagnostic;
 use crate::frame::{BusIndex, Frame};
-use crate::log::LogReader;
+use crate::log::{DecodeStep, LogReader, READABLE_LOGS};
 use crate::status::{Link, RateSearch};
 use crate::time::{Duration, Instant};
 use std::fs::{self, File, Metadata};
@@ -71,6 +71,7 @@ fn start(log: File, path: Option<&Path>, request: OpenRequest) -> io::Result<Por
             follows: false,
             percent: None,
             unreadable: 0,
+            is_doubted: false,
         };
         if let Err(error) = replay.run() {
             shared.queue.finish(Link::Failed, Diagnostic::unreadable(name, &error));
@@ -95,6 +96,8 @@ struct Replay {
     percent: Option<u8>,
     /// Number of unreadable entries that was reported.
     unreadable: u64,
+    /// It was reported that this is probably not a log.
+    is_doubted: bool,
 }
 
 /// How a log continues after its end.
@@ -134,7 +137,13 @@ impl Replay {
     }
 
     fn next_frame(&mut self) -> io::Result<Option<Frame>> {
-        let frame = self.reader.next_frame()?;
+        let frame = loop {
+            match self.reader.step()? {
+                DecodeStep::Frame(frame) => break Some(frame),
+                DecodeStep::End => break None,
+                DecodeStep::Nothing => self.report_doubt(),
+            }
+        };
         if frame.is_some() || self.path.is_none() {
             return Ok(frame);
         }
@@ -190,6 +199,18 @@ impl Replay {
         let bus = BusIndex(self.index.0.saturating_add(frame.bus.0));
         self.shared.queue.push(&[frame.with_time(due).with_bus(bus)]);
         Ok(true)
+    }
+
+    /// Reports that it is probably not a log: a pipe may not end.
+    fn report_doubt(&mut self) {
+        let summary = self.reader.summary();
+        if self.is_doubted || !summary.is_doubtful() {
+            return;
+        }
+        self.is_doubted = true;
+        let note = format!("{}; {READABLE_LOGS}", summary.unreadable_entries());
+        self.shared.queue.update_status(|status| status.note = Some(note));
+        self.report_position();
     }
 
     /// Reports how much is read, if the size is known.

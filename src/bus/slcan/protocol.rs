@@ -590,6 +590,8 @@ impl Stamps {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::bus::remote::stream::bench;
+    use proptest::prelude::*;
 
     fn at(millis: u64) -> Instant {
         Instant::from_micros(millis * 1000)
@@ -655,17 +657,8 @@ mod tests {
 
         /// Lets time pass, by the dialogue's own deadlines.
         fn pass(&mut self, until: u64) -> String {
-            let mut sent = String::new();
-            while self.exchange.broken.is_none()
-                && let Some(due) = self.slcan.poll_timeout().filter(|due| *due <= at(until))
-            {
-                self.slcan.handle_timeout(due, &mut self.exchange);
-                sent += &self.sent();
-                let next = self.slcan.poll_timeout();
-                let is_later = next.is_none_or(|next| next > due);
-                assert!(is_later || self.exchange.broken.is_some(), "{next:?} after {due:?}");
-            }
-            sent
+            bench::pass(&mut self.slcan, &mut self.exchange, at(until));
+            self.sent()
         }
 
         fn sent(&mut self) -> String {
@@ -782,6 +775,24 @@ mod tests {
                 test.pass(step * 50);
             }
             assert!(test.exchange.status.unreadable > 0);
+        }
+    }
+
+    /// Responses of adapters, whole and cut off.
+    const RESPONSES: &[&str] = &[
+        "\r", "\r\r", "\x07", "V1013\r", "NA123\r", "F00\r", "F20\r", "z\r", "t0010\r", "t00", "?",
+    ];
+
+    proptest! {
+        #[test]
+        fn deadline_is_later_than_handled_time(
+            steps in bench::steps(RESPONSES),
+            bitrate in any::<bool>(),
+            listen_only in any::<bool>(),
+        ) {
+            let bitrate = bitrate.then_some(500_000);
+            let settings = SlcanSettings { bitrate, listen_only, ..SlcanSettings::default() };
+            bench::run(Slcan::new("dev", settings), steps);
         }
     }
 }

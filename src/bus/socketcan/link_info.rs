@@ -50,6 +50,11 @@ pub fn interfaces() -> Vec<CanInterface> {
     names.into_iter().filter_map(describe).collect()
 }
 
+/// Returns true if this machine has a network interface of this name, of any type.
+pub fn interface_exists(name: &str) -> bool {
+    if_nametoindex(name).is_ok()
+}
+
 /// Returns true if an interface of this name exists and is a CAN interface.
 pub(super) fn is_can(name: &str) -> bool {
     fs::read_to_string(format!("/sys/class/net/{name}/type"))

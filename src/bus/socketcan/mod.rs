@@ -10,8 +10,8 @@ mod link_info;
 mod name;
 mod socket;
 
-pub use link_info::{CanInterface, interfaces};
-pub(super) use name::{KIND, interface_name, interface_name as parse, looks_like_path, text};
+pub use link_info::{CanInterface, interface_exists, interfaces};
+pub(super) use name::{KIND, interface_name, interface_name as parse, text};
 
 use super::clock::RxTimestamps;
 use super::faults::{cannot_open, unplugged};
@@ -301,6 +301,7 @@ impl SocketReader {
         let mut last_arrival = Instant::ZERO;
         // At most a quarter of the receive buffer may fill up during the delay.
         let room = socket.capacity() / 4;
+        let mut is_counting = false;
         while !self.shared.is_stopped() {
             batch.clear();
             let mut is_gone = false;
@@ -317,6 +318,9 @@ impl SocketReader {
                     Errno::EINTR => {}
                     _ => return Err(error),
                 }
+            }
+            if !std::mem::replace(&mut is_counting, true) {
+                socket.start_counting();
             }
             // With an empty buffer: until the loopback of a sent frame, frames are read one by one.
             if !is_gone {

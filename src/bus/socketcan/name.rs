@@ -3,7 +3,6 @@
 use super::not_can;
 use crate::bus::kind::BusKind;
 use crate::diagnostic::Diagnostic;
-use std::path::Path;
 
 pub(in crate::bus) const KIND: BusKind = BusKind {
     scheme: "",
@@ -18,8 +17,6 @@ const MAX_LEN: usize = 15;
 
 /// Checks the name of a network interface of any type.
 pub(in crate::bus) fn interface_name(text: &str) -> Result<String, Diagnostic> {
-    // Interface names may have dots, but this one is more likely a forgotten `file:`.
-    let is_path = text.contains('/') || Path::new(text).extension() == Some("log".as_ref());
     let bad = || not_a_name(&format!("{text:?}"));
     match text {
         "" => Err(Diagnostic::new("empty bus name").with_remedy("use can0 or file:LOG")),
@@ -28,18 +25,13 @@ pub(in crate::bus) fn interface_name(text: &str) -> Result<String, Diagnostic> {
             let remedy = format!("for an slcan adapter use slcan:{text}@500000");
             Err(not_can(text).with_remedy(remedy))
         }
-        _ if is_path => Err(looks_like_path(text)),
+        _ if text.contains('/') => Err(bad()),
         _ if text.len() > MAX_LEN => Err(Diagnostic::new(format!(
             "{text} is too long for an interface name ({MAX_LEN} bytes)"
         ))),
         _ if text.contains(|c: char| c.is_whitespace() || c.is_control()) => Err(bad()),
         _ => Ok(text.to_owned()),
     }
-}
-
-/// The error for a path, most likely of a log.
-pub(in crate::bus) fn looks_like_path(text: &str) -> Diagnostic {
-    not_a_name(text).with_remedy(format!("for a log use file:{text}"))
 }
 
 fn not_a_name(text: &str) -> Diagnostic {

@@ -184,6 +184,13 @@ impl RawSocket {
         self.unconfirmed
     }
 
+    /// Counts drops from now on: the buffer may have overflowed between opening the socket and the
+    /// first read, before descan observed the bus.
+    pub(super) fn start_counting(&mut self) {
+        self.query_drops();
+        self.drops.total = 0;
+    }
+
     /// Forgets the frames in flight: the kernel drops them when the interface goes down.
     pub(super) fn forget_unconfirmed(&mut self) {
         self.unconfirmed = 0;
@@ -302,6 +309,18 @@ mod tests {
             drops.note(count);
         }
         assert_eq!(drops.total, 0x1_0000_0002);
+    }
+
+    #[test]
+    fn drops_before_counting_starts_are_not_lost_frames() {
+        let mut drops = Drops::default();
+        drops.note(7);
+        drops.total = 0;
+        // Frames that waited in the buffer carry the counter of before.
+        for count in [1, 7, 9] {
+            drops.note(count);
+        }
+        assert_eq!(drops.total, 2);
     }
 
     #[test]

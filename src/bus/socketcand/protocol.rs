@@ -238,6 +238,8 @@ impl Protocol for Socketcand {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::bus::remote::stream::bench;
+    use proptest::prelude::*;
 
     fn at(millis: u64) -> Instant {
         Instant::from_micros(millis * 1000)
@@ -268,17 +270,8 @@ mod tests {
         }
 
         fn pass(&mut self, until: u64) -> String {
-            let mut sent = String::new();
-            while self.exchange.broken.is_none()
-                && let Some(due) = self.server.poll_timeout().filter(|due| *due <= at(until))
-            {
-                self.server.handle_timeout(due, &mut self.exchange);
-                sent += &self.sent();
-                let next = self.server.poll_timeout();
-                let is_later = next.is_none_or(|next| next > due);
-                assert!(is_later || self.exchange.broken.is_some(), "{next:?} after {due:?}");
-            }
-            sent
+            bench::pass(&mut self.server, &mut self.exchange, at(until));
+            self.sent()
         }
 
         fn sent(&mut self) -> String {
@@ -386,5 +379,25 @@ mod tests {
         assert_eq!(test.exchange.status.state, BusState::Unknown);
         assert_eq!(test.exchange.status.fault, None);
         assert_eq!(test.exchange.frames.len(), 3);
+    }
+
+    /// Messages of servers, whole and cut off.
+    const MESSAGES: &[&str] = &[
+        "< hi >",
+        "< ok >",
+        "< echo >",
+        "< frame 00000001 1.0  >",
+        "< frame 123 1.2 11 >",
+        "< error 040 1.0 >",
+        "< error ",
+        "< nok >",
+        "?",
+    ];
+
+    proptest! {
+        #[test]
+        fn deadline_is_later_than_handled_time(steps in bench::steps(MESSAGES)) {
+            bench::run(Socketcand::new("host:29536", "can0"), steps);
+        }
     }
 }

@@ -110,11 +110,20 @@ impl Stage {
                 self.app.handle_frames(now, &[frame]);
             }
             if self.app.poll_timeout().is_some_and(|at| at <= now) {
-                self.app.handle_timeout(now);
+                self.pass(now);
             }
             self.drain(now);
         }
+        self.app.renew_rows();
         self
+    }
+
+    /// Handles what is due at `now`, and renews the rows as a draw does.
+    pub fn pass(&mut self, now: Instant) {
+        self.app.handle_timeout(now);
+        if self.app.is_dirty() {
+            self.app.renew_rows();
+        }
     }
 
     pub fn drain(&mut self, now: Instant) {

@@ -3,6 +3,7 @@
 pub mod can;
 pub mod frames;
 pub mod harness;
+pub mod hostile;
 pub mod inspection;
 pub mod open_bus;
 pub mod pty;

@@ -1,6 +1,6 @@
 //! Bus states on the status lines and pages.
 
-use super::snapshot;
+use super::{one_line, snapshot};
 use crate::common::harness::{BOILER, Stage};
 use descan::app::{Effect, FileReading};
 use descan::diagnostic::Diagnostic;
@@ -20,7 +20,7 @@ fn hearing_only(frame: Frame) -> Stage {
         if millis % 10 == 0 {
             stage.app.handle_frames(now, &[frame.with_time(now)]);
         }
-        stage.app.handle_timeout(now);
+        stage.pass(now);
         stage.drain(now);
     }
     stage
@@ -471,4 +471,15 @@ fn ended_log_is_not_paused() {
     let screen = stage.screen();
     assert!(screen.contains("end of log 0:24 ") && !screen.contains("PAUSED"), "{screen}");
     assert!(!screen.contains("P p"), "{screen}");
+}
+
+#[test]
+fn load_without_a_bit_rate_is_unknown() {
+    let mut stage = Stage::boiler();
+    stage.until(10.0);
+    assert!(one_line(&stage.screen()).contains("load 6%"), "{}", stage.screen());
+    let rate_search = RateSearch::NoRate;
+    let status = BusStatus { link: Link::Up, rate_search, ..BusStatus::default() };
+    stage.app.handle_bus(stage.app.now(), BusIndex(0), status);
+    assert!(one_line(&stage.screen()).contains("load – "), "{}", stage.screen());
 }

@@ -471,3 +471,19 @@ fn copy_contains_all_decided_edits() {
     let copy = std::str::from_utf8(bytes).unwrap();
     assert_eq!(copy, theirs.replace("103", "71"));
 }
+
+#[test]
+fn overwritten_pin_is_named_until_it_is_restored() {
+    let mut stage = Stage::boiler();
+    stage.until(24.0).size(120, 30).keys("e").text("70").keys("Enter");
+    assert!(stage.file().contains(r#""FEED", "address": 70"#), "{}", stage.file());
+    assert!(!stage.screen().contains("overwritten"), "{}", stage.screen());
+    stage.write(BOILER).until(60.0);
+    assert!(stage.screen().contains("! 1 pin overwritten; Ctrl-s restores"), "{}", stage.screen());
+    stage.keys("Ctrl-s");
+    assert!(stage.file().contains(r#""FEED", "address": 70"#), "{}", stage.file());
+    assert!(!stage.screen().contains("overwritten"), "{}", stage.screen());
+    // An address that the user changes is not restored.
+    stage.write(BOILER).keys("e").text("71").keys("Enter");
+    assert!(!stage.screen().contains("overwritten"), "{}", stage.screen());
+}

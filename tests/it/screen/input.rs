@@ -28,16 +28,19 @@ fn filter_limits_the_rows() {
 #[test]
 fn filter_error_names_the_cause() {
     let mut stage = Stage::boiler();
-    stage.until(10.0).keys("/").text("at:abc").keys("Enter");
+    stage.until(10.0).size(160, 24).keys("/").text("at:abc").keys("Enter");
     let screen = stage.screen();
     assert!(screen.contains("\"abc\" is not an address; use 0 to 127"), "{screen}");
-    stage.keys("/").text(" nmae:feed").keys("Enter");
+    stage.text(" nmae:feed").keys("Enter");
     let screen = stage.screen();
-    assert!(screen.contains("at:abc"), "the first mistake is told first\n{screen}");
+    assert!(screen.contains("\"abc\" is not"), "the first mistake is told first\n{screen}");
     stage.keys("Esc /").text("nmae:feed").keys("Enter");
     let screen = stage.screen();
+    assert!(stage.app.prompt().is_some(), "it is refused\n{screen}");
     assert!(screen.contains("nmae:feed: unknown field nmae;"), "{screen}");
-    assert!(one_line(&screen).contains(" id: is: bus:"), "to its end\n{screen}");
+    assert!(!stage.app.rows().is_empty(), "rows stay while it is wrong\n{screen}");
+    stage.keys("Esc /").text("\"sim:boiler\"").keys("Enter");
+    assert!(stage.app.prompt().is_none() && stage.app.rows().is_empty(), "{}", stage.screen());
 }
 
 #[test]
@@ -213,4 +216,41 @@ fn broken_file_without_problems_opens_no_empty_details() {
     let before = stage.until(9.0).size(40, 10).keys("4").screen();
     assert!(before.contains(" 4 Problems ✗ "), "{before}");
     assert_eq!(stage.keys("Enter").screen(), before);
+}
+
+#[test]
+fn copied_problem_and_evidence_have_time_and_identity() {
+    let mut stage = Stage::boiler();
+    stage.until(45.0).keys("4 g");
+    let copied = |stage: &mut Stage| {
+        stage.keys("y");
+        let copied = stage.effects.iter().rev().find_map(|effect| match effect {
+            Effect::Copy(text) => Some(text.clone()),
+            _ => None,
+        });
+        copied.expect("a text is copied")
+    };
+    let conflict = stage.app.problems().iter().find(|it| it.title().contains("@14")).unwrap().key;
+    while stage.app.selected_problem().unwrap().key != conflict {
+        stage.keys("j");
+    }
+    let problem = copied(&mut stage);
+    assert!(problem.starts_with("12:00:") && problem.contains(" – 12:00:"), "{problem}");
+    assert!(problem.contains("s) confirmed: ") && problem.contains("@14"), "{problem}");
+    assert!(problem.contains("UIDs ") && problem.contains("BOILER03"), "{problem}");
+    let evidence = copied(stage.keys("Right Enter"));
+    assert!(evidence.starts_with("12:00:") && evidence.contains('#'), "{evidence}");
+}
+
+#[test]
+fn unpinned_device_is_offered_its_bus_address() {
+    let mut stage = Stage::boiler();
+    stage.until(24.0);
+    while stage.app.selected_device().and_then(|it| it.name.clone()) != Some("DISP".into()) {
+        stage.keys("j");
+    }
+    stage.keys("e");
+    assert_eq!(stage.app.prompt().map(|prompt| prompt.input.value().to_owned()), Some("20".into()));
+    stage.keys("Enter");
+    assert!(stage.file().contains(r#""DISP", "address": 20, "static": true"#), "{}", stage.file());
 }

@@ -57,7 +57,7 @@ impl Stage {
     fn wait_until(&mut self, seconds: f64) -> &mut Self {
         let end = Instant::ZERO + Duration::from_secs_f64(seconds);
         while let Some(at) = self.app.poll_timeout().filter(|at| *at <= end) {
-            self.app.handle_timeout(at);
+            self.pass(at);
             self.drain(at);
         }
         self

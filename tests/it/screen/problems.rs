@@ -173,7 +173,10 @@ fn problems_are_filtered_by_words_and_fields() {
         ("kind:same-name", 1),
         ("kind:missing", 1),
         ("pump", 1),
-        ("address", 4),
+        ("address", 3),
+        ("text:address", 4),
+        ("text:listed", 1),
+        ("listed", 0),
         ("!is:confirmed", 1),
         ("at:14 is:confirmed", 1),
     ] {

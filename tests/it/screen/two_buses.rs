@@ -52,6 +52,7 @@ impl Pair {
                 }
             }
             self.app.handle_timeout(now);
+            self.app.renew_rows();
             while let Some(frame) = self.app.poll_transmit(now) {
                 let (sim, station) = &mut self.sims[usize::from(frame.bus.0)];
                 sim.transmit(*station, frame);

@@ -1,0 +1,116 @@
+//! Static addresses that the user set in this session, and those of them that another program has
+//! overwritten since.
+//!
+//! Pure: versions of the file in, edits that restore the addresses out. An entry is the same one if
+//! bus, name and UID are equal.
+
+use crate::document::{Document, Entry, Operation};
+
+/// Static addresses that the user set.
+#[derive(Debug, Default)]
+pub(super) struct OwnPins {
+    pins: Vec<Pin>,
+}
+
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct Pin {
+    bus: Option<String>,
+    name: Vec<u8>,
+    uid: Option<String>,
+    address: u8,
+}
+
+impl Pin {
+    fn of(entry: &Entry) -> Option<Self> {
+        let address = entry.address.filter(|_| entry.is_static)?;
+        let (bus, name, uid) = (entry.bus.clone(), entry.name.clone(), entry.uid.clone());
+        Some(Self { bus, name, uid, address })
+    }
+
+    fn is_of(&self, entry: &Entry) -> bool {
+        (&self.bus, &self.name, &self.uid) == (&entry.bus, &entry.name, &entry.uid)
+    }
+}
+
+fn pins_of(document: &Document) -> Vec<Pin> {
+    document.entries().iter().filter_map(Pin::of).collect()
+}
+
+impl OwnPins {
+    /// Takes a save of the user's edits: the content on disk before and after it. A pin that an
+    /// edit sets replaces an overwritten one of the same entry.
+    pub fn note_saved(&mut self, before: &Document, after: &Document) {
+        let (was, is) = (pins_of(before), pins_of(after));
+        let new: Vec<Pin> = is.into_iter().filter(|pin| !was.contains(pin)).collect();
+        let edited = |pin: &Pin| {
+            let entries = |document: &Document| -> Vec<Entry> {
+                document.entries().iter().filter(|entry| pin.is_of(entry)).cloned().collect()
+            };
+            entries(before).len() != entries(after).len()
+                || entries(before).iter().zip(entries(after)).any(|(one, other)| {
+                    (one.address, one.is_static) != (other.address, other.is_static)
+                })
+        };
+        let kept = pins_of(after);
+        self.pins.retain(|pin| kept.contains(pin) || !edited(pin));
+        self.pins.extend(new);
+    }
+
+    /// The edits that restore the addresses that differ in this content. An entry that was removed,
+    /// or that has an equal one, is left as it is.
+    pub fn restoring(&self, document: &Document) -> Vec<Operation> {
+        if self.pins.is_empty() {
+            return Vec::new();
+        }
+        let there = pins_of(document);
+        let overwritten = self.pins.iter().filter(|pin| !there.contains(pin));
+        let restore = |pin: &Pin| {
+            let is_own = |entry: &Entry| Pin::of(entry).is_some_and(|it| self.pins.contains(&it));
+            let entries = document.entries().iter();
+            let mut candidates = entries.filter(|entry| pin.is_of(entry) && !is_own(entry));
+            match (candidates.next(), candidates.next()) {
+                (Some(entry), None) => Some(Operation::PinAddress {
+                    entry: document.key(entry.index),
+                    from: entry.address,
+                    to: pin.address,
+                }),
+                _ => None,
+            }
+        };
+        overwritten.filter_map(restore).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn document(text: &str) -> Document {
+        Document::parse(text.as_bytes()).unwrap()
+    }
+
+    const LOOSE: &str = r#"[{"name":"FEED","address":10},{"name":"SENS","address":12}]"#;
+    const PINNED: &str =
+        r#"[{"name":"FEED","address":31,"static":true},{"name":"SENS","address":12}]"#;
+
+    #[test]
+    fn overwritten_pin_is_restored_in_its_entry() {
+        let mut pins = OwnPins::default();
+        pins.note_saved(&document(LOOSE), &document(PINNED));
+        assert_eq!(pins.restoring(&document(PINNED)), []);
+        let theirs = document(LOOSE);
+        let restored = pins.restoring(&theirs);
+        assert_eq!(restored.len(), 1);
+        let restored = theirs.apply(&restored[0]).unwrap();
+        assert_eq!(pins_of(&restored), pins_of(&document(PINNED)));
+        assert_eq!(pins.restoring(&document("[]")), [], "a removed entry stays removed");
+    }
+
+    #[test]
+    fn pin_that_the_user_removes_is_forgotten() {
+        let mut pins = OwnPins::default();
+        pins.note_saved(&document(LOOSE), &document(PINNED));
+        pins.note_saved(&document(PINNED), &document(LOOSE));
+        assert_eq!(pins.restoring(&document(LOOSE)), []);
+    }
+}
