@@ -21,7 +21,7 @@ pub fn print(text: &str) -> Result<(), Failure> {
 /// characters that are not printable are escaped.
 ///
 /// # Errors
-/// As [`print`].
+/// As [`print()`].
 pub fn print_json(json: &str) -> Result<(), Failure> {
     let mut text = String::with_capacity(json.len());
     for c in json.chars() {
@@ -39,7 +39,7 @@ pub fn print_json(json: &str) -> Result<(), Failure> {
 /// Prints text that consists of descan's own words, and may have styles, as it is.
 ///
 /// # Errors
-/// As [`print`].
+/// As [`print()`].
 pub fn print_own(text: &[u8]) -> Result<(), Failure> {
     let mut out = io::stdout().lock();
     let printed = out.write_all(text).and_then(|()| out.flush());

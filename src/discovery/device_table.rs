@@ -165,15 +165,19 @@ impl DeviceTable {
         *current = current.filter(|current| *current != row);
     }
 
-    /// Returns the index of a row in `devices`. The numbers ascend, so that the distances to the
-    /// first and to the last number limit the search: to one row, unless numbers are missing.
+    /// Returns the index of a row in `devices`. The numbers ascend, so that the distance to the
+    /// first one is the index, unless numbers are missing.
     fn index_of(&self, row: DeviceId) -> Option<usize> {
-        let (first, last) = (self.devices.first()?.id.number, self.devices.last()?.id.number);
-        let from_first = row.number.checked_sub(first)? as usize;
-        let from_last = last.checked_sub(row.number)? as usize;
-        let end = self.devices.len().min(from_first + 1);
+        let from_first = row.number.checked_sub(self.devices.first()?.id.number)? as usize;
+        let is_there = self.devices.get(from_first).is_some_and(|device| device.id == row);
+        if is_there { Some(from_first) } else { self.search(row, from_first) }
+    }
+
+    /// Returns the index of a row before `end`, at the distance to the last number or after it.
+    fn search(&self, row: DeviceId, end: usize) -> Option<usize> {
+        let from_last = self.devices.last()?.id.number.checked_sub(row.number)? as usize;
         let start = self.devices.len().saturating_sub(from_last + 1);
-        let candidates = self.devices.get(start..end)?;
+        let candidates = self.devices.get(start..end.min(self.devices.len()))?;
         let at = candidates.binary_search_by_key(&row.number, |device| device.id.number).ok()?;
         (candidates[at].id == row).then_some(start + at)
     }

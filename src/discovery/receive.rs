@@ -191,10 +191,7 @@ impl Engine {
         };
         let period = self.period_of(header.source);
         let device = self.device_table.get_mut(row)?;
-        if device.retry_after_silence(now, period) {
-            self.wake_at(now);
-        }
-        let device = self.device_table.get_mut(row)?;
+        let mut is_query_due = device.retry_after_silence(now, period);
         device.last_seen = now;
         device.frame_count += 1;
         device.rounds_missed = 0;
@@ -212,6 +209,9 @@ impl Engine {
             // A returned device may be another board or have new firmware.
             device.name_query.restart(now);
             device.services_query.restart(now);
+            is_query_due = true;
+        }
+        if is_query_due {
             self.wake_at(now);
         }
         Some(row)
