@@ -21,8 +21,8 @@ const MIN_INTERVALS: usize = 5;
 /// Deviation of an interval from the median up to which both are one period; heartbeats have a low
 /// priority and may wait on a busy bus.
 const TOLERANCE: f64 = 0.15;
-/// Longest interval, in periods of the profile, that may be a period; a longer one is an
-/// interruption.
+/// Longest interval, in periods of the profile, that may be a period, and the largest divisor of one
+/// for the shortest: a longer one is an interruption, a shorter one a burst.
 const MAX_PERIODS: u32 = 60;
 
 /// Intervals between the heartbeats of one address.
@@ -68,6 +68,8 @@ pub(super) struct HeartbeatPeriods {
     profile: Duration,
     /// True if the user gave the profile: other addresses then do not change what is expected.
     is_given: bool,
+    /// True if an interval of the profile's period was observed, or another period measured.
+    is_observed: bool,
     intervals: Vec<Intervals>,
     /// Period of each address, measured or expected.
     expected: [Duration; Address::COUNT],
@@ -78,6 +80,7 @@ impl HeartbeatPeriods {
         Self {
             profile,
             is_given,
+            is_observed: false,
             intervals: (0..Address::COUNT).map(|_| Intervals::default()).collect(),
             expected: [profile; Address::COUNT],
         }
@@ -95,7 +98,7 @@ impl HeartbeatPeriods {
         let (expected, intervals) = (self.of(address), &self.intervals[address.index()]);
         match intervals.recent.iter().min() {
             Some(shortest) if intervals.measured.is_none() && !self.is_given => {
-                expected.max(*shortest)
+                expected.max(self.rounded(*shortest))
             }
             _ => expected,
         }
@@ -112,20 +115,19 @@ impl HeartbeatPeriods {
         median(measured.collect()).unwrap_or(self.profile)
     }
 
-    /// Returns true if a single heartbeat of `address` shows when the next one is due: its period is
-    /// measured or given, or that of another address is known.
-    pub fn is_reliable(&self, address: Address) -> bool {
-        self.is_given
-            || self.intervals[address.index()].measured.is_some()
-            || self.intervals.iter().any(|intervals| intervals.median.is_some())
+    /// Returns true if a single heartbeat shows when the next one is due: the profile is given, or an
+    /// interval of its period was observed on the bus, or another period was measured.
+    pub fn is_reliable(&self) -> bool {
+        self.is_given || self.is_observed
     }
 
     /// Notes the time between two heartbeats of one sender. Returns true if an expected period
     /// changed.
     pub fn note_interval(&mut self, address: Address, interval: Duration) -> bool {
-        if interval > self.profile * MAX_PERIODS {
+        if interval > self.profile * MAX_PERIODS || interval < self.profile / MAX_PERIODS {
             return false;
         }
+        self.is_observed |= is_near(interval, self.profile);
         let intervals = &mut self.intervals[address.index()];
         if intervals.recent.len() == MAX_INTERVALS {
             intervals.recent.pop_front();
@@ -145,6 +147,7 @@ impl HeartbeatPeriods {
             intervals.is_established = intervals.recent.len() == MAX_INTERVALS;
         }
         intervals.median = median.or(intervals.median);
+        self.is_observed |= intervals.median.is_some();
         let has_changed = before != (intervals.median, intervals.measured);
         if has_changed {
             self.update_expected();
@@ -158,9 +161,11 @@ impl HeartbeatPeriods {
         self.update_expected();
     }
 
-    /// Returns the period of the profile for one near to it, else the period itself.
-    fn rounded(&self, period: Duration) -> Duration {
-        if is_near(period, self.profile) { self.profile } else { period }
+    /// Returns the period of the profile for an interval near to it, else the interval in whole
+    /// milliseconds, so that multiples of it are times in whole microseconds.
+    fn rounded(&self, interval: Duration) -> Duration {
+        let millis = u64::try_from(interval.as_millis()).unwrap_or(u64::MAX);
+        if is_near(interval, self.profile) { self.profile } else { Duration::from_millis(millis) }
     }
 
     /// Returns true if two equal devices explain the period: it is half of an earlier one, or half

@@ -115,7 +115,7 @@ impl PresenceInput<'_> {
     pub fn evaluate(&self, device: &Device, now: Instant) -> (Presence, Option<Instant>) {
         let period = self.periods.of_presence(device.address);
         let lost_after = period * 5;
-        let is_known = device.heartbeat.count > 1 || self.periods.is_reliable(device.address);
+        let is_known = device.heartbeat.count > 1 || self.periods.is_reliable();
         let stale_after = if is_known { period.mul_f64(STALE_PERIODS) } else { lost_after };
         let Some(last_heartbeat) = device.heartbeat.last.filter(|_| !is_claim_only(device, period))
         else {
@@ -123,17 +123,17 @@ impl PresenceInput<'_> {
         };
         let last_heartbeat = self.shifted_by_outages(last_heartbeat);
         let last_seen = self.shifted_by_outages(device.last_seen);
-        let age = now.since(last_heartbeat);
-        if age < stale_after {
-            return (Presence::Online, Some(last_heartbeat + stale_after));
+        let (stale_at, lost_at) = (last_heartbeat + stale_after, last_heartbeat + lost_after);
+        if now < stale_at {
+            return (Presence::Online, Some(stale_at));
         }
         // Frames received before the next heartbeat was due do not show that it is missing.
         let is_received = last_seen > last_heartbeat + period.mul_f64(NEXT_HEARTBEAT_DUE_PERIODS);
-        if is_received && now.since(last_seen) < lost_after {
+        if is_received && now < last_seen + lost_after {
             return (Presence::Silent, Some(last_seen + lost_after));
         }
-        if age < lost_after {
-            return (Presence::Stale, Some(last_heartbeat + lost_after));
+        if now < lost_at {
+            return (Presence::Stale, Some(lost_at));
         }
         let asleep = device.mode == Some(Mode::Idle);
         (if asleep { Presence::Asleep } else { Presence::Lost }, None)
