@@ -4,7 +4,7 @@
 //! [`App`].
 
 use super::{App, FileError, TimelineEntry, TxBlocked};
-use crate::discovery::{Counters, DeviceService, Event, EventKind, OwnAddress};
+use crate::discovery::{BusTraffic, Counters, DeviceService, Event, EventKind, OwnAddress};
 use crate::finding::Finding;
 use crate::frame::BusIndex;
 use crate::status::BusStatus;
@@ -77,6 +77,8 @@ pub struct BusSnapshot {
     pub status: BusStatus,
     /// Counters of its engine.
     pub counters: Counters,
+    /// What its frames show about its protocol.
+    pub traffic: BusTraffic,
     /// Frames lost on the way to descan.
     pub lost: u64,
     /// Mean bus load since the start, 0 to 1; `None` if the bit rate is unknown.
@@ -114,6 +116,7 @@ impl App {
             name: bus.name.clone(),
             status: bus.status.clone(),
             counters: bus.counters(),
+            traffic: bus.traffic(),
             lost: bus.lost(),
             mean_load: bitrate.map(|bitrate| bus.meter.mean_load(now, bitrate)),
             own_address,

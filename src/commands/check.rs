@@ -2,7 +2,7 @@
 //! `scan` does.
 
 use super::gate::{FileGate, require_file};
-use super::headless::{RunOutcome, warn_all_tx_blocked};
+use super::headless::{RunOutcome, warn_all_tx_blocked, warn_foreign};
 use super::open::{self, Setup};
 use super::report::ScanReport;
 use super::scan::{DEFAULT_TIME, look, read_log, warn_incomplete};
@@ -39,6 +39,7 @@ pub fn run(check: &CheckArgs) -> Result<u8, Failure> {
         warn_incomplete(&app, ending);
     }
     warn_all_tx_blocked(&app, now);
+    warn_foreign(&app, &mut Vec::new());
     let report = ScanReport::new(&app, now, Scope::Check);
     report.print(check.run.json, |_| differences(&app, now))?;
     recording?;

@@ -304,6 +304,18 @@ pub fn warn_all_tx_blocked(app: &App, now: Instant) {
     buses.for_each(|bus| warn_tx_blocked(&bus));
 }
 
+/// Prints on standard error which buses speak another protocol, each once; `told` holds those
+/// printed before.
+pub fn warn_foreign(app: &App, told: &mut Vec<BusIndex>) {
+    for (at, bus) in (0..=u8::MAX).zip(app.buses()) {
+        let reason = bus.traffic().foreign_reason();
+        if let Some(reason) = reason.filter(|_| !told.contains(&BusIndex(at))) {
+            told.push(BusIndex(at));
+            output::warn(format_args!("{}: {reason}", bus.name));
+        }
+    }
+}
+
 /// Prints on standard error which lines could not be read; if that is all of them, it is an error.
 fn report_unreadable(spec: &BusSpec, session: &Session) -> Result<(), Failure> {
     let Some(summary) = session.log_summary() else {

@@ -40,6 +40,7 @@ pub(super) struct BusReport {
     not_sent: u64,
     /// Messages of an adapter or a server that could not be decoded.
     unreadable: u64,
+    verdict: &'static str,
 }
 
 /// Lost frames by place; the sum is `lost`.
@@ -347,6 +348,7 @@ pub(super) fn of_bus(bus: BusSnapshot) -> BusReport {
         },
         not_sent: bus.status.transmit_failures,
         unreadable: bus.status.unreadable,
+        verdict: bus.traffic.verdict().name(),
     }
 }
 

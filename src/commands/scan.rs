@@ -2,7 +2,7 @@
 //! complete or failed; a log is read at once, in log time.
 
 use super::gate::BusGate;
-use super::headless::{self, Limits, RunInput, RunOutcome, warn_all_tx_blocked};
+use super::headless::{self, Limits, RunInput, RunOutcome, warn_all_tx_blocked, warn_foreign};
 use super::open::{self, Setup};
 use super::report::{ScanReport, counted};
 use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure, output};
@@ -48,6 +48,7 @@ pub fn run(scan: &ScanArgs) -> Result<u8, Failure> {
         warn_incomplete(&app, ending);
     }
     warn_all_tx_blocked(&app, now);
+    warn_foreign(&app, &mut Vec::new());
     let report = ScanReport::new(&app, now, Scope::Screen);
     report.print(scan.run.json, ScanReport::tables)?;
     if let Some(path) = &scan.write {

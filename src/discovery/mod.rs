@@ -15,6 +15,7 @@
 //! Does not know des.json, the screen, or where frames come from. Its modules:
 //!
 //! ```text
+//! bus_protocol       whether the bus speaks DES
 //! receive            frames in: requests and responses
 //! heartbeats         mode, UID, reboots
 //! device_table       the device rows
@@ -35,6 +36,7 @@
 //! device, event, config: data that other modules read
 //! ```
 
+mod bus_protocol;
 mod claims;
 mod config;
 mod conflicts;
@@ -56,6 +58,7 @@ mod resolution;
 mod rounds;
 mod transfers;
 
+pub use bus_protocol::{BusTraffic, BusVerdict};
 pub use config::Config;
 pub use device::{
     Device, DeviceId, DeviceService, HeartbeatStats, ModeChange, Presence, ProtocolDeviation,
@@ -68,6 +71,7 @@ use crate::frame::{Frame, FrameKind};
 use crate::time::{Duration, Instant};
 use crate::wire::id::{Address, Header};
 use crate::wire::node::Mode;
+use bus_protocol::ProtocolDetector;
 use claims::AddressClaims;
 use conflicts::ConflictDetector;
 use device_table::DeviceTable;
@@ -204,6 +208,9 @@ pub struct Engine {
     device_table: DeviceTable,
     rounds: Rounds,
     transfers: Transfers,
+    protocol: ProtocolDetector,
+    /// True if the user asked for rounds on a bus that speaks another protocol.
+    is_foreign_scanned: bool,
     claims: AddressClaims,
     conflicts: ConflictDetector,
     errors: BusErrorTracker,
@@ -247,6 +254,8 @@ impl Engine {
             rounds: Rounds::new(),
             transfers: Transfers::new(),
             lateness: BusDelayTracker::default(),
+            protocol: ProtocolDetector::default(),
+            is_foreign_scanned: false,
             claims: AddressClaims::new(),
             outages: Outages::default(),
             broadcasts: VecDeque::new(),
@@ -347,6 +356,7 @@ impl Engine {
     pub fn rescan(&mut self, now: Instant) {
         self.advance(now);
         let now = self.now;
+        self.is_foreign_scanned = true;
         if self.local_node.held().is_some() && self.config.send_requests {
             self.rounds.restart(now);
         }
@@ -462,13 +472,25 @@ impl Engine {
             progress.open_queries += usize::from(is_open(&device.name_query))
                 + usize::from(is_open(&device.services_query));
         }
-        progress.is_complete = self.local_node.held().is_some()
-            && !self.rounds.is_starting()
+        let is_settled = !self.rounds.is_starting()
             && !self.rounds.is_collecting()
             && progress.open_queries == 0
             && !self.conflicts.finding_tracker().is_suspicious()
             && !self.errors.has_pending_suspect();
+        progress.is_complete =
+            self.local_node.held().is_some() && (is_settled || self.is_left_alone());
         progress
+    }
+
+    /// Returns what the frames of other nodes show about the protocol of the bus.
+    pub fn traffic(&self) -> BusTraffic {
+        self.protocol.traffic()
+    }
+
+    /// Returns true if nothing is sent because the bus speaks another protocol, until
+    /// [`rescan`](Self::rescan).
+    fn is_left_alone(&self) -> bool {
+        self.traffic().verdict() == BusVerdict::Foreign && !self.is_foreign_scanned
     }
 
     /// Returns the counters.

@@ -32,7 +32,7 @@ impl Engine {
     pub(super) fn send_due_queries(&mut self) {
         self.expire_queries();
         let Some(own) = self.local_node.held() else { return };
-        if !self.config.send_requests || self.outbox.is_paused() {
+        if !self.config.send_requests || self.outbox.is_paused() || self.is_left_alone() {
             return;
         }
         self.refill();
@@ -266,7 +266,8 @@ impl Engine {
         let mut due = NO_TIMEOUT;
         let sending = self.local_node.held().is_some()
             && self.config.send_requests
-            && !self.outbox.is_paused();
+            && !self.outbox.is_paused()
+            && !self.is_left_alone();
         for device in self.device_table.devices() {
             let sending = sending && self.device_table.is_current(device);
             for query in [&device.name_query, &device.services_query] {

@@ -3,7 +3,7 @@
 use super::conflicts::{Repetition, RequestOrigin, ResponseStart};
 use super::device::{DeviceService, ProtocolDeviation, QueryFault, QueryState};
 use super::transfers::{Continued, Started};
-use super::{Device, DeviceId, Engine, EventKind, Presence, local_node};
+use super::{BusVerdict, Device, DeviceId, Engine, EventKind, Presence, local_node};
 use crate::frame::{Frame, FrameKind};
 use crate::text::Name;
 use crate::time::{Duration, Instant};
@@ -34,6 +34,9 @@ impl Engine {
         if !frame.is_tx && self.outages.is_contradicted_by(frame.time) {
             self.end_outage();
         }
+        if !frame.is_tx {
+            self.note_traffic(now, header, frame);
+        }
         let Some(header) = header else { return };
         if frame.is_tx {
             let back = self.outbox.note_sent(now, frame);
@@ -61,6 +64,22 @@ impl Engine {
         }
     }
 
+    /// Notes a frame of another node as a sign of the bus's protocol.
+    fn note_traffic(&mut self, now: Instant, header: Option<Header>, frame: &Frame) {
+        let before = self.traffic().verdict();
+        self.protocol.note_frame(header, frame, &self.config.profile);
+        let verdict = self.traffic().verdict();
+        if verdict == before || !self.config.send_requests || self.local_node.held().is_none() {
+            return;
+        }
+        match verdict {
+            BusVerdict::Foreign if self.is_left_alone() => self.rounds.stop(),
+            BusVerdict::Des if before == BusVerdict::Foreign => self.rounds.restart(now),
+            _ => return,
+        }
+        self.wake_at(now);
+    }
+
     fn process_non_conforming(&mut self, now: Instant, header: Header, frame: &Frame) {
         let Some(device) = self.device_table.current_device_mut(header.source) else { return };
         device.note_deviation(ProtocolDeviation::NonConforming);
@@ -79,13 +98,17 @@ impl Engine {
         let echoed = self.is_echoed_destination(now, header);
         let destination_is_node = !header.broadcast && !echoed;
         self.local_node.note_used(now, header, destination_is_node);
-        if let Some(own) = self.is_own_claim()
+        if let Some(own) = self.is_own_claim().filter(|_| self.traffic().has_des)
             && own == header.source
         {
             self.conflicts.note_own_address_used(now, own, frame);
             let change = self.local_node.handle_address_conflict(now, own);
             self.handle_address_change(change);
             self.wake_at(now);
+        }
+        if !self.traffic().has_des {
+            // The identifier may conform by chance.
+            return;
         }
         if header.message_type() == MessageType::Debug {
             let data = frame.data().to_vec();

@@ -182,6 +182,10 @@ fn draw_nothing(brush: &mut DrawContext, list: Rect) {
         return brush.draw_no_match(list, "no device matches the filter");
     }
     let is_over = !app.buses().is_empty() && app.buses().iter().all(|bus| bus.ended.is_some());
+    let mut reasons = app.buses().iter().filter_map(|bus| bus.traffic().foreign_reason());
+    if let Some(reason) = reasons.next() {
+        return brush.draw_empty_list(list, &reason);
+    }
     let is_listening = app.buses().iter().any(crate::app::Bus::is_up);
     brush.draw_empty_list(
         list,

@@ -23,6 +23,7 @@ mod document_properties;
 mod editing;
 mod error_frames;
 mod external_editors;
+mod foreign_buses;
 mod guide;
 mod heartbeat_periods;
 mod log;

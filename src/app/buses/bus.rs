@@ -6,7 +6,7 @@ use super::load_meter::LoadMeter;
 use super::status_changes::status_changes;
 use crate::app::timeline_kind::TimelineKind;
 use crate::discovery::{
-    Config, Counters, Device, DeviceId, DiscoveryProgress, Engine, Event, OwnAddress,
+    BusTraffic, Config, Counters, Device, DeviceId, DiscoveryProgress, Engine, Event, OwnAddress,
 };
 use crate::finding::Finding;
 use crate::frame::Frame;
@@ -91,6 +91,11 @@ impl Bus {
     /// Frame and error counters of the engine.
     pub fn counters(&self) -> Counters {
         self.engine.counters()
+    }
+
+    /// What its frames show about its protocol.
+    pub fn traffic(&self) -> BusTraffic {
+        self.engine.traffic()
     }
 
     /// Progress of the enumeration.

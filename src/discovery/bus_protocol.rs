@@ -1,0 +1,206 @@
+//! Whether a bus speaks DES, by the frames of other nodes (protocol §4.2).
+//!
+//! In the 29-bit identifiers of other protocols, up to half conform to the platform by chance. So
+//! an address is not a device, and no device is requested, before a heartbeat that fits, a DES
+//! message or a claim was received; and where impossible identifiers prevail instead, the bus
+//! speaks another protocol.
+
+use crate::frame::{Frame, FrameKind};
+use crate::wire::des::{self, ReceivedRequest, Request};
+use crate::wire::framing::{Framing, classify_request, classify_response, strip_raw_padding};
+use crate::wire::id::{Address, Header, MessageType};
+use crate::wire::isotp::Pci;
+use crate::wire::node::{Heartbeat, Mode};
+use crate::wire::profile::Profile;
+use std::collections::VecDeque;
+
+/// Impossible identifiers from which another protocol is told: fewer may be noise, or one device
+/// with faulty firmware.
+const MIN_IMPOSSIBLE: u64 = 10;
+/// Bytes of a heartbeat that are compared: those of a UID.
+const UID_BYTES: usize = 6;
+/// Maximum number of plausible heartbeats stored: enough for one period of a small system.
+const MAX_HEARTBEATS: usize = 32;
+
+/// What the frames of other nodes show about the protocol of a bus.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+pub enum BusVerdict {
+    /// No frame was received.
+    #[default]
+    Silent,
+    /// Frames were received, but nothing that tells DES from another protocol.
+    Unknown,
+    /// The bus speaks DES, perhaps among other protocols: a heartbeat that fits or a DES message
+    /// was received.
+    Des,
+    /// The bus speaks another protocol: impossible identifiers prevail, and no frame fits DES.
+    Foreign,
+}
+
+impl BusVerdict {
+    /// Returns the name in JSON.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Silent => "silent",
+            Self::Unknown => "unknown",
+            Self::Des => "des",
+            Self::Foreign => "foreign",
+        }
+    }
+}
+
+/// Frames of other nodes on a bus, by their identifiers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+#[non_exhaustive]
+pub struct BusTraffic {
+    /// Data and remote frames.
+    pub frames: u64,
+    /// Those with an 11-bit identifier, and remote frames.
+    pub non_platform: u64,
+    /// Those with a 29-bit identifier that is none of the nine message types.
+    pub non_conforming: u64,
+    /// True if a heartbeat that fits or a DES message was received.
+    pub has_des: bool,
+}
+
+impl BusTraffic {
+    /// Returns the verdict.
+    pub fn verdict(&self) -> BusVerdict {
+        match self {
+            _ if self.has_des => BusVerdict::Des,
+            _ if self.frames == 0 => BusVerdict::Silent,
+            // Up to half of the identifiers of another protocol conform by chance.
+            _ if self.is_doubtful() => BusVerdict::Foreign,
+            _ => BusVerdict::Unknown,
+        }
+    }
+
+    /// Returns why a bus is taken for one that speaks another protocol, as a sentence without a
+    /// period; `None` for other verdicts.
+    pub fn foreign_reason(&self) -> Option<String> {
+        if self.verdict() != BusVerdict::Foreign {
+            return None;
+        }
+        let Self { frames, non_platform, non_conforming, .. } = *self;
+        if non_platform == frames {
+            return Some(format!(
+                "this bus does not speak DES: all {frames} frames have 11-bit identifiers"
+            ));
+        }
+        let share = (non_platform + non_conforming) * 100 / frames.max(1);
+        Some(format!(
+            "this bus does not speak DES: {frames} frames, {share} % of identifiers impossible in \
+             it, no heartbeat, no DES message"
+        ))
+    }
+
+    /// Returns true if so many identifiers are impossible that single frames may fit DES by chance.
+    fn is_doubtful(&self) -> bool {
+        let impossible = self.non_platform + self.non_conforming;
+        impossible >= MIN_IMPOSSIBLE && impossible * 3 >= self.frames
+    }
+}
+
+/// How well a frame fits DES.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum DesFit {
+    None,
+    /// Other protocols have such frames by chance.
+    Plausible,
+    Certain,
+}
+
+/// Collects the signs of a bus's protocol.
+#[derive(Debug, Default)]
+pub(super) struct ProtocolDetector {
+    traffic: BusTraffic,
+    /// Source and begin of the data of the last plausible heartbeats, on a doubtful bus.
+    heartbeats: VecDeque<(Address, [u8; UID_BYTES])>,
+}
+
+impl ProtocolDetector {
+    pub fn traffic(&self) -> BusTraffic {
+        self.traffic
+    }
+
+    /// Notes a frame of another node.
+    pub fn note_frame(&mut self, header: Option<Header>, frame: &Frame, profile: &Profile) {
+        self.traffic.frames += 1;
+        match header {
+            None => self.traffic.non_platform += 1,
+            Some(header) if !header.is_conforming() => self.traffic.non_conforming += 1,
+            Some(_) if self.traffic.has_des => {}
+            Some(header) => {
+                self.traffic.has_des = match des_fit(header, frame, profile) {
+                    DesFit::None => false,
+                    DesFit::Certain => true,
+                    DesFit::Plausible if self.traffic.is_doubtful() => {
+                        let is_heartbeat = header.service == profile.heartbeat_service();
+                        is_heartbeat && self.repeats_heartbeat(header.source, frame)
+                    }
+                    DesFit::Plausible => true,
+                };
+            }
+        }
+    }
+
+    /// Returns true if a source sent a heartbeat with the same UID before. Other protocols have
+    /// identifiers that fit by chance, but rarely the same data again.
+    fn repeats_heartbeat(&mut self, source: Address, frame: &Frame) -> bool {
+        let mut uid = [0; UID_BYTES];
+        for (byte, data) in uid.iter_mut().zip(frame.data()) {
+            *byte = *data;
+        }
+        if self.heartbeats.contains(&(source, uid)) {
+            return true;
+        }
+        if self.heartbeats.len() == MAX_HEARTBEATS {
+            self.heartbeats.pop_front();
+        }
+        self.heartbeats.push_back((source, uid));
+        false
+    }
+}
+
+/// Returns how well a frame with a conforming identifier fits a heartbeat of the profile, or part
+/// of a DES message.
+fn des_fit(header: Header, frame: &Frame, profile: &Profile) -> DesFit {
+    let plausible = |fits: bool| if fits { DesFit::Plausible } else { DesFit::None };
+    if frame.kind != FrameKind::Data || header.message_type() == MessageType::Debug {
+        return DesFit::None;
+    }
+    if header.service == profile.heartbeat_service() {
+        let codes = profile.modes.codes();
+        let heartbeat = Heartbeat::decode(frame.data(), &profile.heartbeat, &codes);
+        let working = heartbeat.mode.and_then(Mode::is_working);
+        let is_short = heartbeat.mode.is_none() && frame.len() < Frame::MAX_CLASSIC_DATA;
+        let fits = heartbeat.mode.is_some()
+            && working.is_none_or(|working| working != header.from_non_working);
+        return plausible(header.response && (fits || is_short));
+    }
+    if header.service != profile.des_service() {
+        return DesFit::None;
+    }
+    if !header.response {
+        let request = classify_request(frame.data(), frame.is_fd);
+        let request = request.and_then(|(_, message)| Request::decode(message));
+        let is_known = matches!(request, Some(ReceivedRequest::Known(_)));
+        return if is_known { DesFit::Certain } else { DesFit::None };
+    }
+    match classify_response(frame.data(), frame.is_fd, false) {
+        Some(framing) if is_name(frame, framing) => DesFit::Certain,
+        framing => plausible(framing.is_some() || !header.no_error),
+    }
+}
+
+/// Returns true if a frame holds a whole name response with a printable name.
+fn is_name(frame: &Frame, framing: Framing) -> bool {
+    let message = match (framing, Pci::decode(frame.data(), frame.is_fd)) {
+        (Framing::Raw, _) => strip_raw_padding(frame.data()),
+        (Framing::Isotp, Ok(Pci::Single(message))) => message,
+        (Framing::Isotp, _) => return false,
+    };
+    message.first() == Some(&des::TYPE_NAME)
+        && matches!(des::decode_name(message), (Some(name), None)
+            if !name.is_empty() && name.iter().all(u8::is_ascii_graphic))
+}

@@ -1,0 +1,106 @@
+//! Buses that do not speak DES, or not alone: other protocols in 11-bit and 29-bit identifiers.
+
+use descan::discovery::{BusVerdict, Config, Engine};
+use descan::frame::{CanId, Frame};
+use descan::time::Instant;
+
+/// A frame of another protocol at a time in milliseconds.
+type Traffic = Vec<(u64, Frame)>;
+
+/// Frames with random 29-bit identifiers, some hundred of them again and again, as in J1939.
+fn random_29_bit(seed: u64, until: u64) -> Traffic {
+    let mut rng = fastrand::Rng::with_seed(seed);
+    let ids: Vec<u32> = (0..100).map(|_| rng.u32(..1 << 29)).collect();
+    let frame = |rng: &mut fastrand::Rng| {
+        let data: [u8; 8] = std::array::from_fn(|_| rng.u8(..));
+        Frame::classic(ids[rng.usize(..ids.len())], &data)
+    };
+    (0..until).step_by(5).map(|at| (at, frame(&mut rng))).collect()
+}
+
+/// Frames with 11-bit identifiers, as in CANopen.
+fn standard(until: u64) -> Traffic {
+    let frame = |at: u64| Frame::new(CanId::standard(0x180 + at as u32 % 20).unwrap(), &[1; 8]);
+    (0..until).step_by(7).map(|at| (at, frame(at))).collect()
+}
+
+/// A heartbeat of address 12 each second.
+fn heartbeats(until: u64) -> Traffic {
+    let frame = |at: u64| {
+        let id = 0x0700_0001 | 12 << 17 | (at as u32 / 1000 % 128) << 10;
+        Frame::classic(id, &[0x11, 0x22, 0x33, 0x44, 0x55, 0x66, 4, 0])
+    };
+    (400..until).step_by(1000).map(|at| (at, frame(at))).collect()
+}
+
+/// An engine that received frames until a time in milliseconds, and the frames that it sent.
+fn observed(mut traffic: Traffic, until: u64) -> (Engine, Vec<Frame>) {
+    traffic.sort_by_key(|(at, _)| *at);
+    let config = Config { has_loopback: false, ..Config::default() };
+    let mut engine = Engine::new(Instant::ZERO, config);
+    let mut sent = Vec::new();
+    let mut advance = |engine: &mut Engine, to: Instant| {
+        while let Some(due) = engine.poll_timeout().filter(|due| *due <= to) {
+            engine.handle_timeout(due);
+            sent.extend(std::iter::from_fn(|| engine.poll_transmit(due)));
+        }
+    };
+    for (at, frame) in traffic {
+        let at = Instant::from_micros(at * 1000);
+        advance(&mut engine, at);
+        engine.handle_frame(&frame.with_time(at));
+    }
+    advance(&mut engine, Instant::from_micros(until * 1000));
+    (engine, sent)
+}
+
+#[test]
+fn foreign_bus_has_one_verdict_and_nothing_is_sent() {
+    let random = (0..50).map(|seed| (format!("29 bits, seed {seed}"), random_29_bit(seed, 20_000)));
+    for (name, traffic) in random.chain([("11 bits".to_owned(), standard(20_000))]) {
+        let (engine, sent) = observed(traffic, 20_000);
+        assert_eq!(engine.traffic().verdict(), BusVerdict::Foreign, "{name}");
+        assert!(engine.traffic().foreign_reason().is_some(), "{name}");
+        assert_eq!(sent, [], "{name}");
+        assert!(engine.devices().is_empty(), "{name}");
+        assert!(engine.findings().is_empty(), "{name}");
+        assert!(engine.progress().is_complete, "{name}");
+    }
+}
+
+#[test]
+fn foreign_bus_is_asked_on_request() {
+    let (mut engine, _) = observed(standard(5000), 5000);
+    let now = Instant::from_micros(5_000_000);
+    engine.rescan(now);
+    engine.handle_timeout(now);
+    assert!(engine.poll_transmit(now).is_some());
+}
+
+#[test]
+fn devices_among_foreign_nodes_are_found() {
+    for foreign in [standard(20_000), random_29_bit(7, 20_000)] {
+        let traffic = [foreign, heartbeats(20_000)].concat();
+        let (engine, sent) = observed(traffic, 20_000);
+        assert_eq!(engine.traffic().verdict(), BusVerdict::Des);
+        let row = engine.devices().iter().find(|device| device.address.number() == 12);
+        assert!(row.is_some_and(|device| device.is_present()));
+        assert!(!sent.is_empty());
+    }
+}
+
+#[test]
+fn heartbeat_on_a_foreign_bus_starts_the_rounds() {
+    let traffic = standard(20_000).into_iter();
+    let late = heartbeats(20_000).into_iter().filter(|(at, _)| *at > 10_000);
+    let (engine, sent) = observed(traffic.chain(late).collect(), 20_000);
+    assert!(!sent.is_empty());
+    assert!(engine.device_at(descan::wire::id::Address::new(12).unwrap()).is_some());
+}
+
+#[test]
+fn silent_bus_is_asked_again_and_again() {
+    let (engine, sent) = observed(Traffic::new(), 60_000);
+    assert_eq!(engine.traffic().verdict(), BusVerdict::Silent);
+    assert!(sent.len() >= 4 * 4, "{} requests", sent.len());
+}
