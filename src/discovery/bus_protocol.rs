@@ -6,7 +6,7 @@
 //! speaks another protocol.
 
 use crate::frame::{Frame, FrameKind};
-use crate::wire::des::{self, ReceivedRequest, Request};
+use crate::wire::des::{self, ReceivedRequest, Request, ServicesResponse};
 use crate::wire::framing::{Framing, classify_request, classify_response, strip_raw_padding};
 use crate::wire::id::{Address, Header, MessageType};
 use crate::wire::isotp::Pci;
@@ -17,6 +17,8 @@ use std::collections::VecDeque;
 /// Impossible identifiers from which another protocol is told: fewer may be noise, or one device
 /// with faulty firmware.
 const MIN_IMPOSSIBLE: u64 = 10;
+/// Impossible identifiers from which one plausible frame does not show DES.
+const MIN_DOUBTFUL: u64 = 3;
 /// Bytes of a heartbeat that are compared: those of a UID.
 const UID_BYTES: usize = 6;
 /// Maximum number of plausible heartbeats stored: enough for one period of a small system.
@@ -69,8 +71,7 @@ impl BusTraffic {
         match self {
             _ if self.has_des => BusVerdict::Des,
             _ if self.frames == 0 => BusVerdict::Silent,
-            // Up to half of the identifiers of another protocol conform by chance.
-            _ if self.is_doubtful() => BusVerdict::Foreign,
+            _ if self.has_impossible(MIN_IMPOSSIBLE) => BusVerdict::Foreign,
             _ => BusVerdict::Unknown,
         }
     }
@@ -94,10 +95,11 @@ impl BusTraffic {
         ))
     }
 
-    /// Returns true if so many identifiers are impossible that single frames may fit DES by chance.
-    fn is_doubtful(&self) -> bool {
+    /// Returns true if a third of the identifiers, and at least `min`, are impossible: up to half of
+    /// those of another protocol conform by chance.
+    fn has_impossible(&self, min: u64) -> bool {
         let impossible = self.non_platform + self.non_conforming;
-        impossible >= MIN_IMPOSSIBLE && impossible * 3 >= self.frames
+        impossible >= min && impossible * 3 >= self.frames
     }
 }
 
@@ -131,15 +133,13 @@ impl ProtocolDetector {
             Some(header) if !header.is_conforming() => self.traffic.non_conforming += 1,
             Some(_) if self.traffic.has_des => {}
             Some(header) => {
-                self.traffic.has_des = match des_fit(header, frame, profile) {
-                    DesFit::None => false,
-                    DesFit::Certain => true,
-                    DesFit::Plausible if self.traffic.is_doubtful() => {
-                        let is_heartbeat = header.service == profile.heartbeat_service();
-                        is_heartbeat && self.repeats_heartbeat(header.source, frame)
-                    }
-                    DesFit::Plausible => true,
-                };
+                let fit = des_fit(header, frame, profile);
+                // On a doubtful bus, one plausible frame is not enough.
+                let is_enough =
+                    fit == DesFit::Certain || !self.traffic.has_impossible(MIN_DOUBTFUL);
+                let is_heartbeat = header.service == profile.heartbeat_service();
+                self.traffic.has_des = fit != DesFit::None
+                    && (is_enough || is_heartbeat && self.repeats_heartbeat(header.source, frame));
             }
         }
     }
@@ -187,20 +187,30 @@ fn des_fit(header: Header, frame: &Frame, profile: &Profile) -> DesFit {
         let is_known = matches!(request, Some(ReceivedRequest::Known(_)));
         return if is_known { DesFit::Certain } else { DesFit::None };
     }
-    match classify_response(frame.data(), frame.is_fd, false) {
-        Some(framing) if is_name(frame, framing) => DesFit::Certain,
-        framing => plausible(framing.is_some() || !header.no_error),
-    }
+    classify_response(frame.data(), frame.is_fd, false)
+        .map_or(DesFit::None, |framing| response_fit(frame, framing))
 }
 
-/// Returns true if a frame holds a whole name response with a printable name.
-fn is_name(frame: &Frame, framing: Framing) -> bool {
+/// Returns how well a frame fits a DES response.
+fn response_fit(frame: &Frame, framing: Framing) -> DesFit {
     let message = match (framing, Pci::decode(frame.data(), frame.is_fd)) {
         (Framing::Raw, _) => strip_raw_padding(frame.data()),
         (Framing::Isotp, Ok(Pci::Single(message))) => message,
-        (Framing::Isotp, _) => return false,
+        (Framing::Isotp, Ok(Pci::First { data, .. })) => {
+            let is_des = matches!(data.first(), Some(&(des::TYPE_NAME | des::TYPE_SERVICES)));
+            return if is_des { DesFit::Plausible } else { DesFit::None };
+        }
+        (Framing::Isotp, _) => return DesFit::None,
     };
-    message.first() == Some(&des::TYPE_NAME)
-        && matches!(des::decode_name(message), (Some(name), None)
-            if !name.is_empty() && name.iter().all(u8::is_ascii_graphic))
+    match message.first() {
+        Some(&des::TYPE_NAME) => match des::decode_name(message) {
+            (Some(name), None) if name.iter().all(u8::is_ascii_graphic) => DesFit::Certain,
+            (Some(_), _) => DesFit::Plausible,
+            (None, _) => DesFit::None,
+        },
+        Some(&des::TYPE_SERVICES) if ServicesResponse::decode(message).fault().is_none() => {
+            DesFit::Plausible
+        }
+        _ => DesFit::None,
+    }
 }

@@ -1,6 +1,6 @@
 //! Buses that do not speak DES, or not alone: other protocols in 11-bit and 29-bit identifiers.
 
-use descan::discovery::{BusVerdict, Config, Engine};
+use descan::discovery::{BusVerdict, Config, Device, Engine};
 use descan::frame::{CanId, Frame};
 use descan::time::Instant;
 
@@ -84,7 +84,7 @@ fn devices_among_foreign_nodes_are_found() {
         let (engine, sent) = observed(traffic, 20_000);
         assert_eq!(engine.traffic().verdict(), BusVerdict::Des);
         let row = engine.devices().iter().find(|device| device.address.number() == 12);
-        assert!(row.is_some_and(|device| device.is_present()));
+        assert!(row.is_some_and(Device::is_present));
         assert!(!sent.is_empty());
     }
 }

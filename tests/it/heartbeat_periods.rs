@@ -22,9 +22,9 @@ impl Sender {
     }
 
     fn heartbeat(&self, at: u64, rnd7: u32) -> Frame {
-        let [a, b, c, d, e, f] = self.uid;
         let id = 0x0700_0001 | self.address << 17 | rnd7 << 10;
-        Frame::classic(id, &[a, b, c, d, e, f, 4, 0]).with_time(Instant::from_micros(at * 1000))
+        let data = [&self.uid[..], &[4, 0]].concat();
+        Frame::classic(id, &data).with_time(Instant::from_micros(at * 1000))
     }
 }
 
@@ -124,8 +124,8 @@ fn silent_device_is_lost_after_five_of_its_own_periods() {
         let lost = report.events.iter().find(|event| {
             matches!(event.kind, EventKind::Presence(descan::discovery::Presence::Lost))
         });
-        let last = end - period;
-        let after = lost.expect("it is lost").time.since(Instant::from_micros(last * 1000));
+        let before = Instant::from_micros((end - period) * 1000);
+        let after = lost.expect("it is lost").time.since(before);
         assert_eq!(after, Duration::from_millis(5 * period), "{period} ms");
     }
 }

@@ -286,13 +286,11 @@ impl ConflictDetector {
             history.seen[usize::from(mode.is_working)] = Some(now);
         }
         let uid = uid.filter(|uid| !uid.is_blank());
-        let observed = match uid {
-            Some(uid) => history.uids.observe(now, &uid, period * UID_MEMORY_PERIODS),
-            None => {
-                let last = history.last_without_uid.replace(now);
-                let interval = last.map(|last| now.since(last));
-                ObservedValue { interval, return_count: None }
-            }
+        let observed = if let Some(uid) = uid {
+            history.uids.observe(now, &uid, period * UID_MEMORY_PERIODS)
+        } else {
+            let last = history.last_without_uid.replace(now);
+            ObservedValue { interval: last.map(|last| now.since(last)), return_count: None }
         };
         // Boards that are swapped to and fro do not send heartbeats in turns.
         let interleaves =

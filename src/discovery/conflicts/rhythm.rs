@@ -63,9 +63,11 @@ fn is_faster_sender(times: &VecDeque<Instant>, period: Duration) -> bool {
     let last = times.len().saturating_sub(TWO_PHASE_TIMES);
     let gaps = times.iter().skip(last).zip(times.iter().skip(last + 1));
     let gaps = gaps.map(|(one, next)| next.since(*one).as_secs_f64() / period.as_secs_f64());
-    let (least, most) =
-        gaps.fold((f64::MAX, 0.0_f64), |(least, most), gap| (least.min(gap), most.max(gap)));
-    most - least < 0.15 * most && !(0.4..=0.6).contains(&((least + most) / 2.0))
+    let (shortest, longest) = gaps.fold((f64::MAX, 0.0_f64), |(shortest, longest), gap| {
+        (shortest.min(gap), longest.max(gap))
+    });
+    let mean = f64::midpoint(shortest, longest);
+    longest - shortest < 0.15 * longest && !(0.4..=0.6).contains(&mean)
 }
 
 /// Returns the place of the first heartbeat after which both of two senders are present; `None` if
