@@ -45,7 +45,7 @@ const FILE: &str = r#"{"devices":[{"name":"FEED","address":31,"static":true}]}"#
 
 /// The output of `watch --json` for it, byte for byte.
 const TOLD: &str = r#"{"time":1436509052.1,"event":"file","file":{"path":"des.json","ok":true,"entries":1,"error":null}}
-{"time":1436509052.1,"event":"bus","bus":{"name":"can0","bitrate":null,"state":"unknown","frames":1,"errors":0,"lost":0,"load":null,"address":null,"lost_where":{"kernel":0,"queue":0,"adapter":0},"not_sent":0,"unreadable":0,"verdict":"unknown"}}
+{"time":1436509052.1,"event":"bus","bus":{"name":"can0","bitrate":null,"state":"unknown","frames":1,"errors":0,"lost":0,"load":null,"address":null,"lost_where":{"kernel":0,"queue":0,"adapter":0},"not_sent":0,"unreadable":0,"verdict":"silent"}}
 {"time":1436509052.1,"event":"appeared","bus":"can0","address":12,"name":null}
 {"time":1436509052.1,"event":"mode","bus":"can0","address":12,"name":null,"mode":"WORK","from":null}
 {"time":1436509052.5,"event":"named","bus":"can0","address":12,"name":"FEED"}
@@ -69,7 +69,7 @@ const TOLD: &str = r#"{"time":1436509052.1,"event":"file","file":{"path":"des.js
 {"time":1436509074.0,"event":"mode","bus":"can0","address":31,"name":null,"mode":"WORK","from":null}
 {"time":1436509074.0,"event":"moved","bus":"can0","address":31,"name":"FEED","from":12}
 {"time":1436509074.0,"event":"finding","bus":"can0","address":12,"name":"FEED","finding":{"kind":"wrong-address","confidence":"cleared","bus":"can0","address":12,"addresses":[12],"names":["FEED"],"first":1436509070.45,"evidence":[],"text":"FEED is at address 12; the file pins it to 31.","remedy":"Move the device to 31, or change the file to 12."}}
-{"time":1436509075.0,"event":"bus","bus":{"name":"can0","bitrate":null,"state":"unknown","frames":17,"errors":0,"lost":0,"load":null,"address":null,"lost_where":{"kernel":0,"queue":0,"adapter":0},"not_sent":0,"unreadable":0,"verdict":"unknown"}}
+{"time":1436509075.0,"event":"bus","bus":{"name":"can0","bitrate":null,"state":"unknown","frames":17,"errors":0,"lost":0,"load":null,"address":null,"lost_where":{"kernel":0,"queue":0,"adapter":0},"not_sent":0,"unreadable":0,"verdict":"des"}}
 "#;
 
 const IN_WORDS: &str = "\
