@@ -111,7 +111,7 @@ impl DrawContext<'_> {
     /// Draws, in place of an empty list, why it is empty, and for each bus that is not up the
     /// cause.
     pub fn draw_empty_list(&mut self, list: Rect, why: &str) {
-        let mut lines = vec![Line::from(self.span(Role::Muted, format!("   {why}")))];
+        let mut lines = labelled(self, "   ", Role::Muted, why, list.width);
         for bus in self.app.buses().iter().filter(|bus| bus.cannot_receive() || bus.ended.is_some())
         {
             let name = Escaped(bus.name.as_bytes());
