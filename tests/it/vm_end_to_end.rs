@@ -149,8 +149,11 @@ fn interface_down_or_missing_has_a_remedy() {
     let said = String::from_utf8_lossy(&output.stderr).into_owned();
     assert_eq!(output.status.code(), Some(3), "{said}");
     assert!(said.contains("ip link set dsp-down up"), "{said}");
-    let output = scan("dsp-none");
+    let output = scan("can99");
     assert_eq!(output.status.code(), Some(3));
+    // This is not the name of an interface as users give them: no waiting.
+    let output = scan("dsp-none");
+    assert_eq!(output.status.code(), Some(2));
 }
 
 #[test]
@@ -301,6 +304,8 @@ fn unplugging_under_load_recovers_without_leaks() {
     let watching = Watching::start(&[vcan.name(), "--json"], folder.path());
     watching.event("bus");
     let name = vcan.name();
+    // The heartbeat shows that the bus speaks DES.
+    run("cansend", &[name, "07500401#A1A2A3A4A5A60400"]);
     let load = format!("while :; do cangen -g 1 -e -I 07180155 {name} 2>&-; sleep 0.05; done");
     let shell = Command::new("sh").args(["-c", &load]).stdin(Stdio::null()).spawn().unwrap();
     let _load = Running(shell);
