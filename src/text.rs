@@ -25,6 +25,16 @@ pub fn is_printable(c: char) -> bool {
     )
 }
 
+/// Joins the first `max` parts of a text; the number of the others follows.
+pub fn join_first(mut parts: Vec<String>, max: usize, separator: &str) -> String {
+    let more = parts.len().saturating_sub(max);
+    parts.truncate(max);
+    if more > 0 {
+        parts.push(format!("and {more} more"));
+    }
+    parts.join(separator)
+}
+
 /// Bytes displayed as text: valid, printable UTF-8 unchanged, `\xNN` for any other byte, `\\` for a
 /// backslash. Reversible.
 #[derive(Clone, Copy)]

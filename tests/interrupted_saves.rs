@@ -6,6 +6,9 @@
 //! harness would start others. Where strace may not trace, a message is printed and the tests pass;
 //! in CI they must run.
 
+#[path = "it/common/access_list.rs"]
+mod access_list;
+
 use descan::shell::store::{SaveError, Store};
 use nix::libc;
 use nix::unistd::gettid;
@@ -37,20 +40,9 @@ fn new() -> Vec<u8> {
 const BEFORE: &str = "/the-save-begins";
 const AFTER: &str = "/the-save-is-over";
 
-/// An access control list in the kernel's format: user rwx 6, user 4242 r, group r, mask 6, other
-/// none.
-const ACCESS_LIST: [u8; 44] = [
-    2, 0, 0, 0, //
-    0x01, 0, 6, 0, 0xFF, 0xFF, 0xFF, 0xFF, //
-    0x02, 0, 4, 0, 0x92, 0x10, 0, 0, //
-    0x04, 0, 4, 0, 0xFF, 0xFF, 0xFF, 0xFF, //
-    0x10, 0, 6, 0, 0xFF, 0xFF, 0xFF, 0xFF, //
-    0x20, 0, 0, 0, 0xFF, 0xFF, 0xFF, 0xFF, //
-];
-
 /// Extended attributes of the file.
 const ATTRIBUTES: [(&str, &[u8]); 2] =
-    [("system.posix_acl_access", &ACCESS_LIST), ("user.note", b"of the user")];
+    [(access_list::ATTRIBUTE, &access_list::access_list(6, 4)), ("user.note", b"of the user")];
 
 fn main() {
     if let Some(path) = std::env::var_os("SAVE") {

@@ -48,7 +48,8 @@ enum TermTest {
     UnknownField(String),
     Field(Field, String),
     Error,
-    Ours,
+    /// A frame sent, or an edit made, by descan.
+    ByDescan,
 }
 
 impl TermTest {
@@ -56,7 +57,7 @@ impl TermTest {
     fn parse(word: &str) -> Self {
         match word {
             "err" => return Self::Error,
-            "tx" | "ours" => return Self::Ours,
+            "tx" | "ours" => return Self::ByDescan,
             _ => {}
         }
         let is_quoted = word.starts_with('"');
@@ -178,7 +179,7 @@ impl Filter {
                      \"{word}\""
                 ))
             }
-            TermTest::Word(_) | TermTest::Field(..) | TermTest::Error | TermTest::Ours => None,
+            TermTest::Word(_) | TermTest::Field(..) | TermTest::Error | TermTest::ByDescan => None,
         })
     }
 
@@ -254,7 +255,7 @@ impl Filter {
             }
             TermTest::Field(Field::Type | Field::Id | Field::Text, _)
             | TermTest::UnknownField(_)
-            | TermTest::Ours => false,
+            | TermTest::ByDescan => false,
             TermTest::Error => row.state == super::RowState::Conflict || row.suspected,
         })
     }
@@ -298,7 +299,7 @@ impl Filter {
             TermTest::Field(_, value) => contains_word(&name(), value) || address() == *value,
             TermTest::UnknownField(_) => false,
             TermTest::Error => matches!(entry.kind, TimelineKind::Confirmed | TimelineKind::Error),
-            TermTest::Ours => entry.kind == TimelineKind::File,
+            TermTest::ByDescan => entry.kind == TimelineKind::File,
         })
     }
 
@@ -339,7 +340,7 @@ impl Filter {
             TermTest::Field(Field::Bus, value) => contains_word(bus(), value),
             TermTest::Field(_, value) => named(value) || at(value),
             TermTest::Error => state == FindingState::Confirmed,
-            TermTest::UnknownField(_) | TermTest::Ours => false,
+            TermTest::UnknownField(_) | TermTest::ByDescan => false,
         })
     }
 
@@ -383,7 +384,7 @@ impl Filter {
                 (is_error && starts("error", value)) || (frame.is_tx && is_tx)
             }
             TermTest::Error => decoded.is_error || frame.kind == FrameKind::Error,
-            TermTest::Ours => frame.is_tx,
+            TermTest::ByDescan => frame.is_tx,
         })
     }
 }

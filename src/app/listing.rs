@@ -7,7 +7,7 @@ use super::buses::Buses;
 use crate::discovery::{Device, DeviceService};
 use crate::document::{Document, Entry, ListedService, NewEntry, Operation};
 use crate::finding::FindingState;
-use crate::text::{Escaped, Name};
+use crate::text::{Escaped, Name, join_first};
 
 /// Entry of des.json for a device, with its present address, not pinned; `None` while its name is
 /// not known.
@@ -148,12 +148,7 @@ pub(super) fn service_differences(listed: &[ListedService], own: &[DeviceService
     if words.is_empty() {
         return "different order or duplicates".to_owned();
     }
-    let more = words.len().saturating_sub(LISTED_DIFFERENCES);
-    words.truncate(LISTED_DIFFERENCES);
-    if more > 0 {
-        words.push(format!("and {more} more"));
-    }
-    words.join("; ")
+    join_first(words, LISTED_DIFFERENCES, "; ")
 }
 
 /// Text of a device's string in des.json: the text itself where it is UTF-8, else escaped.

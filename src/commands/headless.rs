@@ -304,13 +304,13 @@ pub fn warn_all_tx_blocked(app: &App, now: Instant) {
     buses.for_each(|bus| warn_tx_blocked(&bus));
 }
 
-/// Prints on standard error which buses speak another protocol, each once; `told` holds those
-/// printed before.
-pub fn warn_foreign(app: &App, told: &mut Vec<BusIndex>) {
+/// Prints on standard error which buses speak another protocol. Those in `reported` were printed
+/// before; new ones are added to it.
+pub fn warn_foreign(app: &App, reported: &mut Vec<BusIndex>) {
     for (at, bus) in (0..=u8::MAX).zip(app.buses()) {
         let reason = bus.traffic().foreign_reason();
-        if let Some(reason) = reason.filter(|_| !told.contains(&BusIndex(at))) {
-            told.push(BusIndex(at));
+        if let Some(reason) = reason.filter(|_| !reported.contains(&BusIndex(at))) {
+            reported.push(BusIndex(at));
             output::warn(format_args!("{}: {reason}", bus.name));
         }
     }

@@ -2,7 +2,7 @@
 //!
 //! The only writer of such texts: a character that is not printable, as in an argument, a file name
 //! or a setting, is escaped here at the latest. Line ends are kept. Failures to write to standard
-//! error are ignored: there is no other place to report them.
+//! error are ignored, because a report of them could not be written either.
 
 use super::Failure;
 use crate::text::SafeLines;

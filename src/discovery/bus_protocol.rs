@@ -14,10 +14,10 @@ use crate::wire::node::{Heartbeat, Mode};
 use crate::wire::profile::Profile;
 use std::collections::VecDeque;
 
-/// Impossible identifiers from which another protocol is told: fewer may be noise, or one device
+/// Number of impossible identifiers that show another protocol: fewer may be noise, or one device
 /// with faulty firmware.
 const MIN_IMPOSSIBLE: u64 = 10;
-/// Impossible identifiers from which one plausible frame does not show DES.
+/// Number of impossible identifiers from which on one plausible frame does not show DES.
 const MIN_DOUBTFUL: u64 = 3;
 /// Bytes of a heartbeat that are compared: those of a UID.
 const UID_BYTES: usize = 6;

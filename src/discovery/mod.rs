@@ -173,10 +173,12 @@ impl Counters {
 /// use descan::wire::des::TYPE_NAME;
 /// use descan::wire::id::{Address, Header};
 ///
-/// // `has_loopback: false`: frames that the engine sends are not received back.
-/// let mut engine = Engine::new(Instant::ZERO, Config { has_loopback: false, ..Config::default()
-/// }); let end = Instant::ZERO + Duration::from_secs(10); let node = Address::new(12).expect("0 to
-/// 127"); let mut names = Vec::new();
+/// // Frames that the engine sends are not received back.
+/// let config = Config { has_loopback: false, ..Config::default() };
+/// let mut engine = Engine::new(Instant::ZERO, config);
+/// let end = Instant::ZERO + Duration::from_secs(10);
+/// let node = Address::new(12).expect("0 to 127");
+/// let mut names = Vec::new();
 ///
 /// while let Some(now) = engine.poll_timeout().filter(|now| *now < end) {
 ///     engine.handle_timeout(now);

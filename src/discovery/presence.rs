@@ -2,12 +2,11 @@
 //!
 //! With heartbeats: online while they arrive, stale after 2.5 periods of the device, lost after 5;
 //! before any period is known, a single heartbeat does not show when the next one is due, so the
-//! device is not stale between. Silent instead
-//! while other frames arrive after the next heartbeat was due, asleep instead of lost if the last
-//! mode was IDLE. Without heartbeats, or with a single one that claimed the address: by enumeration
-//! rounds: lost after 3 rounds without a response, unless frames arrive between them; or, without
-//! rounds, stale 30 s after the last frame.
-//! Time in which the bus was down does not count.
+//! device is not stale between. Silent instead while other frames arrive after the next heartbeat
+//! was due, asleep instead of lost if the last mode was IDLE. Without heartbeats, or with a single
+//! one that claimed the address: by enumeration rounds: lost after 3 rounds without a response,
+//! unless frames arrive between them; or, without rounds, stale 30 s after the last frame. Time in
+//! which the bus was down does not count.
 
 use super::device::{Device, Presence, STALE_PERIODS};
 use super::periods::HeartbeatPeriods;

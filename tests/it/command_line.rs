@@ -791,7 +791,7 @@ fn options_without_effect_are_refused() {
     }
 }
 
-// ---- files and arguments that nobody checked ----
+// ---- unchecked files and arguments ----
 
 /// Tests files of settings, profiles and scenarios that never end, block, or are too long.
 #[test]

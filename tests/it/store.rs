@@ -1,5 +1,6 @@
 //! The file on disk: atomic saves and the file watch.
 
+use crate::common::access_list;
 use crate::common::sweep;
 use std::fs;
 use std::os::unix::fs::{MetadataExt as _, PermissionsExt as _, symlink};
@@ -160,24 +161,16 @@ fn longest_file_name_is_saved() {
 /// A folder's default access list gives users access to new files that the replaced file denies.
 #[test]
 fn save_adds_no_access_list_of_the_folder() {
-    const LIST: &str = "system.posix_acl_access";
-    /// User rwx 7, user 4242 rw, group r, mask rw, other none, in the kernel's format.
-    const DEFAULT: [u8; 44] = [
-        2, 0, 0, 0, //
-        0x01, 0, 7, 0, 0xFF, 0xFF, 0xFF, 0xFF, //
-        0x02, 0, 6, 0, 0x92, 0x10, 0, 0, //
-        0x04, 0, 4, 0, 0xFF, 0xFF, 0xFF, 0xFF, //
-        0x10, 0, 6, 0, 0xFF, 0xFF, 0xFF, 0xFF, //
-        0x20, 0, 0, 0, 0xFF, 0xFF, 0xFF, 0xFF, //
-    ];
-    let has_list = |path: &Path| rustix::fs::getxattr(path, LIST, &mut [0; 256][..]).is_ok();
+    let has_list =
+        |path: &Path| rustix::fs::getxattr(path, access_list::ATTRIBUTE, &mut [0; 256][..]).is_ok();
     let folder = folder();
     let path = folder.path().join("des.json");
     fs::write(&path, "one").unwrap();
     fs::set_permissions(&path, fs::Permissions::from_mode(0o660)).unwrap();
     let flags = rustix::fs::XattrFlags::empty();
+    let list = access_list::access_list(7, 6);
     if let Err(error) =
-        rustix::fs::setxattr(folder.path(), "system.posix_acl_default", &DEFAULT, flags)
+        rustix::fs::setxattr(folder.path(), "system.posix_acl_default", &list, flags)
     {
         eprintln!("skipped: no access lists: {error}");
         return;

@@ -781,7 +781,7 @@ mod tests {
         let saved = file.start_saving().unwrap().content;
         let failed = || SaveOutcome::Unconfirmed(Diagnostic::new("Input/output error"));
         assert_eq!(file.handle_saved(NOW, failed()), FileChange::Unusable);
-        // It is on disk: reading it is no change by another program.
+        // The file has this content already, so reading it is not a change by another program.
         assert_eq!((file.unsaved(), file.on_disk()), (0, Some(&saved)));
         assert_eq!(file.read(NOW, content(&FILE.replace("12", "16"))), FileChange::None);
         let problem = file.problem().unwrap().to_string();

@@ -8,7 +8,7 @@ use crate::app::timeline_kind::TimelineKind;
 use crate::discovery::{Device, DeviceId, DeviceService, Event, EventKind, OtherDevice, Presence};
 use crate::finding::{FindingKey, FindingState};
 use crate::frame::BusIndex;
-use crate::text::{Escaped, Name};
+use crate::text::{Escaped, Name, join_first};
 use crate::wire::node::{Mode, Uid};
 
 /// Kind and text of the timeline line of an engine event; `None` for an event without a line.
@@ -125,12 +125,7 @@ fn changes_of(device: &Device) -> String {
     if changes.is_empty() {
         return "order or further strings changed".to_owned();
     }
-    let more = changes.len().saturating_sub(LISTED);
-    changes.truncate(LISTED);
-    if more > 0 {
-        changes.push(format!("and {more} more"));
-    }
-    changes.join(", ")
+    join_first(changes, LISTED, ", ")
 }
 
 /// The word of an event in `watch --json`, and in the filter.

@@ -24,7 +24,7 @@ pub(super) struct QueryResponseMatcher {
     open_queries: [Option<OpenQueries>; REQUESTERS],
 }
 
-/// Maximum number of requesters to one node that are told apart.
+/// Maximum number of requesters to one node that are distinguished.
 const REQUESTERS: usize = 4;
 /// Maximum number of requests without a response of one requester.
 const MAX_OPEN_REQUESTS: usize = 16;

@@ -25,7 +25,8 @@ impl Places {
     /// Resolves `path`.
     ///
     /// # Errors
-    /// The links form a loop, a part of the path cannot be examined, or there is no current folder.
+    /// The links form a loop, a part of the path cannot be examined, or the
+    /// current folder was removed.
     pub fn of(path: &Path) -> io::Result<Self> {
         let mut watched = Vec::new();
         let mut here = PathBuf::from("/");

@@ -1,5 +1,6 @@
 //! Helpers shared by several test modules. The benches include single files of it.
 
+pub mod access_list;
 pub mod can;
 pub mod frames;
 pub mod harness;
