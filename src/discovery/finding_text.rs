@@ -6,37 +6,61 @@
 
 use super::errors::{BusErrorSummary, Cause};
 use crate::error_report::BusErrorType;
-use crate::finding::{Finding, FindingKind};
-use crate::text::Name;
+use crate::finding::{Finding, FindingKind, SeenUid};
+use crate::text::{Escaped, Name};
+use crate::time::Duration;
 use crate::wire::id::Address;
+use crate::wire::profile::UidProfile;
 
 /// Description of the evidence for another node at descan's own address.
 pub(super) const NOT_SENT_BY_DESCAN: &str = "frame from address 0 not sent by descan";
 
-/// Sets text and remedy of a finding of the engine, after its evidence changed. Bus errors have
+/// Sets text and remedy of a finding of the engine, after its evidence changed; `is_certain`: a
+/// single device that sends its frames twice does not explain it. Bus errors have
 /// [`bus_errors`] and [`describe_errors_at`] instead; findings about des.json are worded where they
 /// are made.
-pub(super) fn describe(finding: &mut Finding) {
+pub(super) fn describe(finding: &mut Finding, alphabet: &UidProfile, is_certain: bool) {
     let device =
         finding.key.address.map_or(String::new(), |address| device_label(address, &finding.names));
     let address = finding.key.address.map_or(0, Address::number);
     let list = finding.addresses.iter().map(ToString::to_string).collect::<Vec<_>>().join(" and ");
     let quoted = |name: &Name| name.quoted().to_string();
     let names = finding.names.iter().map(quoted).collect::<Vec<_>>().join(" and ");
+    let uid = |seen: &SeenUid| Escaped(seen.uid.text(alphabet).to_string().as_bytes()).to_string();
+    let uids = finding.uids.iter().map(uid).collect::<Vec<_>>();
+    let uids = match uids.len() {
+        0 => "two UIDs".to_owned(),
+        1 => uids.concat(),
+        _ => format!("the UIDs {}", uids.join(" and ")),
+    };
     let concerns_own_address = concerns_own_address(finding);
     finding.text = match finding.key.kind {
         FindingKind::SameNameSameAddress if finding.names.is_empty() => {
             format!("Two indistinguishable devices use address {address}.")
         }
-        FindingKind::SameNameSameAddress => format!("Two devices answer as {device}."),
+        FindingKind::SameNameSameAddress if is_certain => {
+            format!("Two devices answer as {device}.")
+        }
+        FindingKind::SameNameSameAddress => {
+            format!("Two devices answer as {device}, or one that sends its heartbeats twice.")
+        }
+        FindingKind::AnswersDoubled => format!(
+            "Each request to {device} gets two responses: two equal devices, or one that responds twice."
+        ),
         FindingKind::OneAddressTwoNames => match finding.names.as_slice() {
             [] | [_] => format!(
                 "Two devices share address {address}: {device} and a device with another name respond."
             ),
             _ => format!("Two devices share address {address}: {names} both respond."),
         },
+        FindingKind::OneAddressTwoIdentities if finding.uids.len() < 2 => format!(
+            "Two devices share address {address}: heartbeats alternate between working and non-working."
+        ),
         FindingKind::OneAddressTwoIdentities => {
-            format!("Two devices share address {address}: heartbeats alternate between two UIDs.")
+            format!("Two devices share address {address}: heartbeats alternate between {uids}.")
+        }
+        FindingKind::OneUidTwoAddresses if !finding.uids.is_empty() => {
+            format!("Addresses {list} send heartbeats with one DEV_CFG_UID: {uids}.")
         }
         FindingKind::OneUidTwoAddresses => format!(
             "Addresses {list} send heartbeats with the same DEV_CFG_UID (must be unique per bus)."
@@ -45,7 +69,7 @@ pub(super) fn describe(finding: &mut Finding) {
             "Another debug device uses address 0, too.".to_owned()
         }
         FindingKind::TwoDebugDevices => {
-            "Two debug devices use address 0: heartbeats alternate between two UIDs.".to_owned()
+            format!("Two debug devices use address 0: heartbeats alternate between {uids}.")
         }
         FindingKind::AddressContested => {
             format!("Two devices claimed address {address}; one gave it up.")
@@ -53,8 +77,8 @@ pub(super) fn describe(finding: &mut Finding) {
         FindingKind::NonConforming => {
             format!("{device} sends identifiers with an unknown message type.")
         }
-        // The detector writes the text, which has the fault in it.
-        FindingKind::MalformedAnswer => std::mem::take(&mut finding.text),
+        // The detector writes the text, which has the fault or the delay in it.
+        FindingKind::MalformedAnswer | FindingKind::FramesRepeated => std::mem::take(&mut finding.text),
         FindingKind::FramesLost => format!(
             "{} frame{} lost before reading: a device shown as missing may be present.",
             finding.count,
@@ -142,5 +166,16 @@ pub(super) fn device_label(address: Address, names: &[Name]) -> String {
     match names.first() {
         Some(name) => format!("{} at address {address}", name.quoted()),
         None => format!("the device at address {address}"),
+    }
+}
+
+/// Returns the text of repeated frames, of an address or of all.
+pub(super) fn repeated(address: Option<Address>, delay: Duration) -> String {
+    let millis = delay.as_secs_f64() * 1000.0;
+    match address {
+        Some(address) => format!(
+            "Frames from address {address} arrive twice, {millis:.0} ms apart: repeated by a gateway?"
+        ),
+        None => format!("All frames arrive twice, {millis:.0} ms apart: repeated by a bridge?"),
     }
 }

@@ -8,11 +8,13 @@
 //! Does not know what counts as evidence: [`super::conflicts`] does.
 
 use super::finding_text;
-use crate::finding::{Evidence, Finding, FindingKey, FindingKind, FindingState};
+use crate::finding::{Evidence, Finding, FindingKey, FindingKind, FindingState, SeenUid};
 use crate::frame::{BusIndex, Frame};
 use crate::text::Name;
 use crate::time::{Duration, Instant};
 use crate::wire::id::Address;
+use crate::wire::node::Uid;
+use crate::wire::profile::{Profile, UidProfile};
 use std::borrow::Cow;
 
 /// Maximum number of findings of one bus; more are refused and counted.
@@ -42,6 +44,12 @@ const CONFIRM_AFTER_PROOFS: u32 = 2;
 /// Number of strong observations that confirm a conflict, if they last long enough.
 const CONFIRM_AFTER_STRONG: u32 = 3;
 
+/// Periods before the first evidence in which a claim of the address belongs to it.
+const CLAIM_PERIODS: u32 = 5;
+/// Periods for which two nodes share an address before one gives it up, if neither claimed it: a
+/// replaced board may send two more heartbeats.
+const CONTEST_PERIODS: u32 = 3;
+
 /// Strength of an observation.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum EvidenceStrength {
@@ -68,6 +76,8 @@ pub(super) struct NewEvidence<'a> {
     pub contradicts: Option<(Cow<'static, str>, Frame)>,
     /// Since when two devices are present, if the evidence shows that.
     pub since: Option<Instant>,
+    /// True if a single device that sends its frames twice does not explain it.
+    pub excludes_one_device: bool,
     /// True if it is a response: more evidence is expected only after a request.
     pub is_response: bool,
 }
@@ -90,6 +100,7 @@ impl<'a> NewEvidence<'a> {
             frame,
             contradicts: None,
             since: None,
+            excludes_one_device: false,
             is_response: false,
         }
     }
@@ -105,6 +116,8 @@ struct EvidenceState {
     strong_at: Option<Instant>,
     /// True if responses are part of the evidence, not heartbeats alone.
     is_response_based: bool,
+    /// True if a single device that sends its frames twice does not explain the evidence.
+    excludes_one_device: bool,
     /// Time of the last heartbeat at twice the rate: responses that merged meanwhile, so that only
     /// one was received, do not interrupt the evidence.
     doubled_at: Option<Instant>,
@@ -130,6 +143,8 @@ pub(super) struct FindingTracker {
     /// Heartbeat period of the profile, for findings without an address.
     default_period: Duration,
     listen_only: bool,
+    /// Alphabet of UIDs, for the text of findings.
+    alphabet: UidProfile,
     findings: Vec<Finding>,
     evidence_states: Vec<EvidenceState>,
     changed: Vec<(FindingKey, FindingState)>,
@@ -139,23 +154,51 @@ pub(super) struct FindingTracker {
     requested_at: [Option<Instant>; Address::COUNT],
     /// Time of the last heartbeat from each address that sent more of them than one node does.
     several_senders_at: [Option<Instant>; Address::COUNT],
+    /// Claims of each address, and nodes that gave it up.
+    contests: Vec<Contest>,
     seed: u64,
     pub over_limit: u64,
 }
 
+/// Recent claims of one address, and the last time a node gave it up.
+#[derive(Clone, Copy, Debug, Default)]
+struct Contest {
+    /// Last node that claimed the address, and the last one before it with another UID.
+    claims: [Option<(Uid, Instant)>; 2],
+    /// Time of the last claim while another node held the address.
+    claimed_while_held: Option<Instant>,
+    /// Time at which a node was found elsewhere that had shared the address.
+    gave_up: Option<Instant>,
+}
+
+impl Contest {
+    /// Returns true if two nodes contended for the address since `then`: both claimed it, or one
+    /// gave it up after the other claimed it or after they shared it for `shared`, longer than a
+    /// board that is replaced.
+    fn is_real(&self, then: Instant, shared: Duration, period: Duration) -> bool {
+        let after = |time: Option<Instant>| time.is_some_and(|time| time >= then);
+        self.claims.iter().all(|claim| after(claim.map(|(_, at)| at)))
+            || after(self.gave_up)
+                && (after(self.claimed_while_held) || shared >= period * CONTEST_PERIODS)
+    }
+}
+
 impl FindingTracker {
-    pub fn new(bus: BusIndex, period: Duration, passive: bool, seed: u64) -> Self {
+    pub fn new(bus: BusIndex, profile: &Profile, listen_only: bool, seed: u64) -> Self {
+        let period = profile.heartbeat.period();
         Self {
             bus,
             periods: [period; Address::COUNT],
             default_period: period,
-            listen_only: passive,
+            listen_only,
+            alphabet: profile.uid.clone(),
             findings: Vec::new(),
             evidence_states: Vec::new(),
             changed: Vec::new(),
             revision: 0,
             requested_at: [None; Address::COUNT],
             several_senders_at: [None; Address::COUNT],
+            contests: vec![Contest::default(); Address::COUNT],
             seed,
             over_limit: 0,
         }
@@ -232,6 +275,27 @@ impl FindingTracker {
         }
     }
 
+    /// Notes a repeated heartbeat: its two frames and their delay. `address` is `None` if all frames
+    /// are repeated.
+    pub fn note_repeated(
+        &mut self,
+        now: Instant,
+        address: Option<Address>,
+        delay: Duration,
+        frames: [Frame; 2],
+    ) {
+        let key = FindingKey::at(FindingKind::FramesRepeated, self.bus, address);
+        let Some(at) = self.open(now, key) else { return };
+        let finding = &mut self.findings[at];
+        for (frame, description) in frames.into_iter().zip(["heartbeat", "the same frame again"]) {
+            let description = description.into();
+            finding.add_evidence(Evidence { time: frame.time, description, frame: Some(frame) });
+        }
+        finding.last = now;
+        finding.text = finding_text::repeated(address, delay);
+        self.resume_follow_ups(now, at);
+    }
+
     // --- time ----------------------------------------------------------------------------
 
     /// Clears findings whose evidence is too old, and calls `query` for addresses that are due for
@@ -295,6 +359,24 @@ impl FindingTracker {
     /// only confirmed conflict there is not cleared.
     pub fn note_several_senders(&mut self, now: Instant, address: Address) {
         self.several_senders_at[address.index()] = Some(now);
+    }
+
+    /// Notes a claim of `address`; `is_held`: another node sends heartbeats there.
+    pub fn note_claim(&mut self, now: Instant, address: Address, uid: Option<Uid>, is_held: bool) {
+        let contest = &mut self.contests[address.index()];
+        if is_held {
+            contest.claimed_while_held = Some(now);
+        }
+        let Some(uid) = uid else { return };
+        if contest.claims[0].is_some_and(|(last, _)| last != uid) {
+            contest.claims[1] = contest.claims[0];
+        }
+        contest.claims[0] = Some((uid, now));
+    }
+
+    /// Notes that a node that shared `address` was found elsewhere.
+    pub fn note_gave_up(&mut self, now: Instant, address: Address) {
+        self.contests[address.index()].gave_up = Some(now);
     }
 
     /// Returns until when a finding is kept because several nodes send heartbeats; `None` if they
@@ -397,15 +479,18 @@ impl FindingTracker {
             strong: 0,
             strong_at: None,
             is_response_based: false,
+            excludes_one_device: false,
             doubled_at: None,
             follow_up_count: 0,
             last_follow_up: now,
-            next_follow_up: key.kind.is_conflict().then_some(check),
+            next_follow_up: is_followed_up(&key).then_some(check),
         };
         if let Some(at) = self.findings.iter().position(|finding| finding.key == key) {
             if self.findings[at].state == FindingState::Cleared {
                 self.evidence_states[at] = state;
                 self.findings[at].evidence.clear();
+                self.findings[at].uids.clear();
+                self.findings[at].superseded_by = None;
                 self.set(now, at, FindingState::Suspected);
             }
             return Some(at);
@@ -430,15 +515,21 @@ impl FindingTracker {
             finding.add_name(name);
         }
         let last = finding.last;
-        let contradicted = evidence.contradicts.into_iter();
-        let observed = std::iter::once((evidence.description, *evidence.frame));
-        for (description, frame) in contradicted.chain(observed) {
-            let time = frame.time;
-            finding.add_evidence(Evidence { time, description, frame: Some(frame) });
+        let of = |(description, frame): (Cow<'static, str>, Frame)| {
+            Evidence { time: frame.time, description, frame: Some(frame) }
+        };
+        // The responses to one request belong together; of two senders of heartbeats one frame each
+        // is enough, and later ones follow in turns.
+        let contradicted = evidence.contradicts.map(of);
+        if let Some(other) =
+            contradicted.filter(|other| evidence.is_response || !finding.has_similar(other))
+        {
+            finding.add_evidence(other);
         }
+        finding.add_evidence(of((evidence.description, *evidence.frame)));
         finding.last = now;
         self.count_strength(now, at, last, address, strength);
-        self.resume_follow_ups(now, at, kind);
+        self.resume_follow_ups(now, at);
         if let Some(since) = evidence.since {
             let began = &mut self.evidence_states[at].began;
             *began = Some(began.map_or(since, |began| began.min(since)));
@@ -447,7 +538,11 @@ impl FindingTracker {
             self.evidence_states[at].is_response_based = true;
             self.requested_at[address.index()] = None;
         }
+        self.evidence_states[at].excludes_one_device |= evidence.excludes_one_device;
         self.describe(at);
+        if strength != EvidenceStrength::Weak && explains_doubled_answers(kind) {
+            self.supersede(now, FindingKind::AnswersDoubled, kind, address);
+        }
         let strong = self.evidence_states[at].strong;
         if strength == EvidenceStrength::Proof && strong >= CONFIRM_AFTER_PROOFS {
             self.set(now, at, FindingState::Confirmed);
@@ -499,10 +594,10 @@ impl FindingTracker {
     }
 
     /// Starts another series of follow-up requests for new evidence after the last one.
-    fn resume_follow_ups(&mut self, now: Instant, at: usize, kind: FindingKind) {
+    fn resume_follow_ups(&mut self, now: Instant, at: usize) {
         let restart = self.period_of(at) * FOLLOW_UP_RESTART_PERIODS;
         let state = &self.evidence_states[at];
-        if kind.is_conflict()
+        if is_followed_up(&self.findings[at].key)
             && state.next_follow_up.is_none()
             && now.since(state.last_follow_up) >= restart
         {
@@ -532,6 +627,14 @@ impl FindingTracker {
         }
     }
 
+    /// Sets the UIDs in the heartbeats that a finding is about.
+    pub fn set_uids(&mut self, at: usize, uids: impl Iterator<Item = SeenUid>) {
+        let known = &mut self.findings[at].uids;
+        known.clear();
+        known.extend(uids);
+        self.describe(at);
+    }
+
     /// Adds an address that a finding concerns.
     pub fn add_address(&mut self, at: usize, address: Address) {
         let addresses = &mut self.findings[at].addresses;
@@ -557,11 +660,12 @@ impl FindingTracker {
         }
     }
 
-    /// Discards the strong evidence of all suspected findings of this kind: it has another
-    /// explanation.
-    pub fn reset_suspicion(&mut self, kind: FindingKind) {
+    /// Discards the strong evidence of the suspected findings of this kind, at `address` or at all
+    /// addresses: it has another explanation.
+    pub fn reset_suspicion(&mut self, kind: FindingKind, address: Option<Address>) {
         for (finding, state) in self.findings.iter().zip(&mut self.evidence_states) {
-            if finding.key.kind == kind && finding.state == FindingState::Suspected {
+            let is_there = address.is_none() || finding.key.address == address;
+            if is_there && finding.key.kind == kind && finding.state == FindingState::Suspected {
                 state.began = None;
                 state.strong = 0;
             }
@@ -588,6 +692,7 @@ impl FindingTracker {
                 self.evidence_states[new].began = before.into_iter().chain(began).min();
                 self.evidence_states[new].strong += self.evidence_states[old].strong;
             }
+            self.findings[old].superseded_by = Some(self.findings[new].key.kind);
             self.set(now, old, FindingState::Cleared);
             self.update_state(now, new);
         }
@@ -600,13 +705,19 @@ impl FindingTracker {
         }
     }
 
-    /// Clears a finding whose evidence stopped. A suspected conflict with enough strong evidence
-    /// becomes `address-contested`.
+    /// Clears a finding whose evidence stopped. A suspected conflict whose devices claimed the
+    /// address becomes `address-contested`.
     fn end(&mut self, now: Instant, at: usize) {
-        let was_suspected = self.findings[at].state == FindingState::Suspected;
-        // A single surplus response or heartbeat is not contention.
-        let least = u32::from(self.findings[at].key.kind == FindingKind::SameNameSameAddress);
-        let was_contested = was_suspected && self.evidence_states[at].strong > least;
+        let finding = &self.findings[at];
+        let period = self.period_of(at);
+        let is_contested = |address: Address| {
+            let shared = finding.last.since(finding.first);
+            let then = finding.first - period * CLAIM_PERIODS;
+            self.contests[address.index()].is_real(then, shared, period)
+        };
+        let was_contested = finding.state == FindingState::Suspected
+            && finding.key.kind != FindingKind::OneUidTwoAddresses
+            && finding.key.address.is_some_and(is_contested);
         self.set(now, at, FindingState::Cleared);
         let (kind, address) = (self.findings[at].key.kind, self.findings[at].key.address);
         let (true, true, Some(address)) = (was_contested, kind.is_conflict(), address) else {
@@ -654,7 +765,8 @@ impl FindingTracker {
     }
 
     fn describe(&mut self, at: usize) {
-        finding_text::describe(&mut self.findings[at]);
+        let is_certain = self.evidence_states[at].excludes_one_device;
+        finding_text::describe(&mut self.findings[at], &self.alphabet, is_certain);
     }
 }
 
@@ -666,6 +778,21 @@ fn with_jitter(seed: u64, address: Option<Address>, now: Instant, wait: Duration
     let address = address.map_or(0, |address| u64::from(address.number()) + 1);
     let mut rng = fastrand::Rng::with_seed(seed ^ now.as_micros() ^ address << 56);
     now + wait.mul_f64(0.9 + 0.2 * rng.f64())
+}
+
+/// Returns true if requests are sent to the address of a suspected finding: their responses decide.
+fn is_followed_up(key: &FindingKey) -> bool {
+    key.kind.is_conflict() || key.kind == FindingKind::FramesRepeated
+}
+
+/// Returns true if two devices, which this kind shows, are why requests get two responses.
+fn explains_doubled_answers(kind: FindingKind) -> bool {
+    matches!(
+        kind,
+        FindingKind::SameNameSameAddress
+            | FindingKind::OneAddressTwoNames
+            | FindingKind::OneAddressTwoIdentities
+    )
 }
 
 /// Returns true if a finding is cleared when no more evidence is seen. A confirmed malformed-answer

@@ -2,6 +2,7 @@
 
 use super::conflicts::{Repetition, RequestOrigin, ResponseStart};
 use super::device::{DeviceService, ProtocolDeviation, QueryFault, QueryState};
+use super::local_node::AddressChange;
 use super::transfers::{Continued, Started};
 use super::{BusVerdict, Device, DeviceId, Engine, EventKind, Presence, local_node};
 use crate::frame::{Frame, FrameKind};
@@ -103,6 +104,11 @@ impl Engine {
         {
             self.conflicts.note_own_address_used(now, own, frame);
             let change = self.local_node.handle_address_conflict(now, own);
+            if matches!(change, Some(AddressChange::Lost(_))) {
+                let tracker = self.conflicts.finding_tracker_mut();
+                tracker.note_claim(now, own, None, true);
+                tracker.note_gave_up(now, own);
+            }
             self.handle_address_change(change);
             self.wake_at(now);
         }
@@ -341,6 +347,14 @@ impl Engine {
             self.response_failed(row, request, QueryFault::ErrorResponse);
             return;
         }
+        if let Ok(Pci::Consecutive { sequence, .. }) = Pci::decode(frame.data(), frame.is_fd)
+            && self.transfers.is_interleaved(now, header, sequence)
+        {
+            let (address, name) = (device.address, device.name.clone());
+            self.conflicts.note_interleaved_transfers(now, address, name.as_ref(), frame);
+            self.wake_at(now);
+        }
+        let Some(device) = self.device_table.get(row) else { return };
         let open = self.transfers.is_open(header);
         // A repeated DST may by chance be the address of another requester.
         let repeats = device.deviations.contains(&ProtocolDeviation::RspDstEcho);

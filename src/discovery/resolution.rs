@@ -106,6 +106,7 @@ impl Engine {
             let device = device.unwrap_or(update.device);
             let kind = EventKind::GaveUpAddress { uid: Some(uid), to, inferred: false };
             self.emit_for(Some(device), left, kind);
+            self.conflicts.finding_tracker_mut().note_gave_up(now, left);
         }
         let period = self.period_of(address);
         for (device, silent) in self.claims.nodes_that_stopped(now, address, period, uid) {
@@ -161,6 +162,8 @@ impl Engine {
         if sender.claims {
             let uid = sender.known.map(|(uid, _)| uid);
             let inferred = sender.is_other_node && uid.is_none();
+            let (now, is_held) = (self.now, sender.holder.is_some());
+            self.conflicts.finding_tracker_mut().note_claim(now, address, uid, is_held);
             let kind = EventKind::Claimed { uid, holder: sender.holder.clone(), inferred };
             self.emit_for(device, address, kind);
         }

@@ -1,13 +1,16 @@
 //! Multi-frame responses: one ISO-TP reassembly per identifier, bounded per source.
 
 use crate::frame::Frame;
-use crate::time::Instant;
+use crate::time::{Duration, Instant};
 use crate::wire::des::MAX_MESSAGE;
 use crate::wire::id::{Address, Header};
 use crate::wire::isotp::{Reassembly, ReassemblyProgress, TransferFault};
 
 /// Maximum number of open transfers of one source: one for each of four requesters.
 const MAX_PER_SOURCE: usize = 4;
+/// Longest time from the end of a transfer to the rest of another one that was sent between its
+/// frames: a few frames on a busy bus.
+const INTERLEAVED_REST: Duration = Duration::from_millis(100);
 
 /// Transfer that is being received.
 #[derive(Debug)]
@@ -15,6 +18,18 @@ struct RxTransfer {
     id: u32,
     first: Frame,
     reassembly: Reassembly<Vec<u8>>,
+    /// Sequence number of the last consecutive frame.
+    last_sequence: Option<u8>,
+    /// True if it began while another one of its identifier was open.
+    is_second: bool,
+}
+
+/// The last transfer of a source that ended and was the second one of its identifier.
+#[derive(Debug)]
+struct EndedTransfer {
+    id: u32,
+    at: Instant,
+    last_sequence: u8,
 }
 
 /// Result of a first frame.
@@ -54,12 +69,17 @@ pub(super) struct Expired {
 #[derive(Debug)]
 pub(super) struct Transfers {
     by_source: Vec<Vec<RxTransfer>>,
+    ended: Vec<Option<EndedTransfer>>,
     open: usize,
 }
 
 impl Transfers {
     pub fn new() -> Self {
-        Self { by_source: (0..Address::COUNT).map(|_| Vec::new()).collect(), open: 0 }
+        Self {
+            by_source: (0..Address::COUNT).map(|_| Vec::new()).collect(),
+            ended: (0..Address::COUNT).map(|_| None).collect(),
+            open: 0,
+        }
     }
 
     /// Returns true if a transfer of this identifier is open.
@@ -88,17 +108,38 @@ impl Transfers {
         let id = header.encode();
         let transfers = &mut self.by_source[header.source.index()];
         if let Some(open) = transfers.iter_mut().find(|transfer| transfer.id == id) {
-            open.reassembly = reassembly;
-            open.first = *frame;
+            let first = *frame;
+            *open = RxTransfer { id, first, reassembly, last_sequence: None, is_second: true };
             return Started::Open;
         }
         if transfers.len() == MAX_PER_SOURCE {
             transfers.remove(0);
             self.open -= 1;
         }
-        transfers.push(RxTransfer { id, first: *frame, reassembly });
+        transfers.push(RxTransfer {
+            id,
+            first: *frame,
+            reassembly,
+            last_sequence: None,
+            is_second: false,
+        });
         self.open += 1;
         Started::Open
+    }
+
+    /// Returns true if a consecutive frame has the sequence number of the one before it, after two
+    /// first frames: two transfers with one identifier are under way.
+    pub fn is_interleaved(&self, now: Instant, header: Header, sequence: u8) -> bool {
+        let (id, source) = (header.encode(), header.source.index());
+        let mut open = self.by_source[source].iter().filter(|transfer| transfer.id == id);
+        if let Some(open) = open.next() {
+            return open.is_second && open.last_sequence == Some(sequence);
+        }
+        self.ended[source].as_ref().is_some_and(|ended| {
+            ended.id == id
+                && ended.last_sequence == sequence
+                && now.since(ended.at) < INTERLEAVED_REST
+        })
     }
 
     /// Adds a consecutive frame to its transfer.
@@ -114,6 +155,9 @@ impl Transfers {
         let Some(at) = transfers.iter().position(|transfer| transfer.id == id) else {
             return Continued::Unknown;
         };
+        transfers[at].last_sequence = Some(sequence);
+        let ended = EndedTransfer { id, at: now, last_sequence: sequence };
+        self.ended[header.source.index()] = Some(ended).filter(|_| transfers[at].is_second);
         match transfers[at].reassembly.push(now, sequence, data) {
             Ok(ReassemblyProgress::More) => Continued::More,
             Ok(ReassemblyProgress::BlockEnd) => Continued::BlockEnd,
@@ -136,7 +180,7 @@ impl Transfers {
         for transfers in &mut self.by_source {
             if let Some(at) = transfers.iter().position(|open| open.reassembly.deadline() <= now) {
                 self.open -= 1;
-                let RxTransfer { id, first, reassembly } = transfers.swap_remove(at);
+                let RxTransfer { id, first, reassembly, .. } = transfers.swap_remove(at);
                 let header = Header::decode(id);
                 let fault = TransferFault::TimeoutCr { after: reassembly.message().len() };
                 return Some(Expired { header, fault, first });
@@ -154,6 +198,7 @@ impl Transfers {
 
     pub fn clear(&mut self) {
         self.by_source.iter_mut().for_each(Vec::clear);
+        self.ended.fill_with(|| None);
         self.open = 0;
     }
 }

@@ -208,6 +208,19 @@ finding_kinds! {
         },
         at_address: None,
     },
+    /// Each request to an address gets two equal responses, and heartbeats do not show two senders.
+    AnswersDoubled: FindingKindInfo {
+        name: "answers-doubled",
+        severity: 90,
+        grouping: Grouping::Address,
+        exit_code_of: ExitCodeScope::ScanAndCheck,
+        wording: Wording {
+            headline: "two responses to each request",
+            remedy: "Switch one off: if {address} still responds, there are two; give one another address. Otherwise check its firmware.",
+            confirmation: CONFLICT_CONFIRMATION,
+        },
+        at_address: None,
+    },
     /// Two addresses send heartbeats with the same DEV_CFG_UID. Two addresses are concerned, so it
     /// is not grouped by one of them.
     OneUidTwoAddresses: FindingKindInfo {
@@ -385,6 +398,20 @@ finding_kinds! {
             headline: "malformed responses",
             remedy: "Check how its firmware builds DES responses.",
             confirmation: SEEN_AGAIN,
+        },
+        at_address: None,
+    },
+    /// Frames arrive twice, of one address or of all: a gateway or a bridge repeats them (protocol
+    /// §5.4).
+    FramesRepeated: FindingKindInfo {
+        name: "frames-repeated",
+        severity: 45,
+        grouping: Grouping::Single,
+        exit_code_of: ExitCodeScope::Nothing,
+        wording: Wording {
+            headline: "frames repeated",
+            remedy: "Look for a bridge or a gateway that connects this bus twice, or sends its frames back.",
+            confirmation: Some("Stays suspected; the copies count as no evidence of a conflict."),
         },
         at_address: None,
     },

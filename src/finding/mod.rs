@@ -11,7 +11,8 @@ pub use kind::{CheckSection, ExitCodeScope, FindingKind, FindingKindInfo, Groupi
 use crate::frame::{BusIndex, Frame};
 use crate::text::Name;
 use crate::time::Instant;
-use crate::wire::id::Address;
+use crate::wire::id::{Address, Header};
+use crate::wire::node::Uid;
 use std::borrow::Cow;
 use std::collections::VecDeque;
 use std::fmt;
@@ -55,6 +56,27 @@ pub struct Evidence {
     pub description: Cow<'static, str>,
     /// Frame observed; `None` where there is none, as for lost frames.
     pub frame: Option<Frame>,
+}
+
+impl Evidence {
+    /// Returns true if both show the same of the same sender.
+    fn shows_same(&self, other: &Self) -> bool {
+        let sender = |evidence: &Self| {
+            let id = evidence.frame.as_ref().and_then(Frame::platform_id);
+            id.map(|id| Header::decode(id).source)
+        };
+        self.description == other.description && sender(self) == sender(other)
+    }
+}
+
+/// A UID in the heartbeats that a finding is about.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct SeenUid {
+    /// The UID, not blank.
+    pub uid: Uid,
+    /// Time of its first heartbeat from the address.
+    pub since: Instant,
 }
 
 /// Identity of a finding: one of a kind for one address (or pair of addresses) on one bus.
@@ -102,6 +124,9 @@ pub struct Finding {
     pub addresses: Vec<Address>,
     /// Names concerned, each once, at most 8.
     pub names: Vec<Name>,
+    /// UIDs in the heartbeats of the addresses concerned, each once, at most 8, the first one
+    /// first.
+    pub uids: Vec<SeenUid>,
     /// Time of the first evidence.
     pub first: Instant,
     /// Time of the last evidence.
@@ -111,9 +136,11 @@ pub struct Finding {
     /// Number of observations, including those that [`Self::evidence`] no longer stores; of lost
     /// frames, their number.
     pub count: u64,
-    /// Evidence stored, oldest first: the first and the last observations, at most
-    /// [`Finding::MAX_EVIDENCE`].
+    /// Evidence stored, oldest first: the first and the last observations, at least one of each
+    /// sender and at most [`Finding::MAX_EVIDENCE`].
     pub evidence: VecDeque<Evidence>,
+    /// Kind of the finding that explains the evidence of this one, which was cleared for it.
+    pub superseded_by: Option<FindingKind>,
     /// Line and column in des.json, from 1; `None` where the finding is not about a place in it.
     pub position: Option<(usize, usize)>,
     /// What is wrong, as one sentence.
@@ -133,6 +160,8 @@ impl Finding {
             names: key.name.iter().cloned().collect(),
             key,
             state: FindingState::Suspected,
+            uids: Vec::new(),
+            superseded_by: None,
             first: now,
             last: now,
             changed: now,
@@ -144,17 +173,34 @@ impl Finding {
         }
     }
 
-    /// Adds an observation. When the store is full, the oldest of its second half is dropped, so
-    /// the first observations stay.
+    /// Adds an observation. When the store is full, the oldest of its second half is dropped that
+    /// shows what another one shows, so the first observations stay and one of each sender.
     pub fn add_evidence(&mut self, evidence: Evidence) {
         // Evidence may be older than the finding: a frame that counts only with a later one.
         self.first = self.first.min(evidence.time);
         self.last = self.last.max(evidence.time);
         self.count += 1;
         if self.evidence.len() == Self::MAX_EVIDENCE {
-            self.evidence.remove(Self::MAX_EVIDENCE / 2);
+            let half = Self::MAX_EVIDENCE / 2;
+            let is_shown_elsewhere = |at: &usize| {
+                let others = self.evidence.iter().enumerate().filter(|(other, _)| other != at);
+                let mut others = others.map(|(_, other)| other).chain([&evidence]);
+                others.any(|other| other.shows_same(&self.evidence[*at]))
+            };
+            let dropped = (half..Self::MAX_EVIDENCE).find(is_shown_elsewhere);
+            self.evidence.remove(dropped.unwrap_or(half));
         }
         self.evidence.push_back(evidence);
+    }
+
+    /// Time at which the finding was cleared; `None` if it is open.
+    pub fn cleared_at(&self) -> Option<Instant> {
+        (self.state == FindingState::Cleared).then_some(self.changed)
+    }
+
+    /// Returns true if evidence of the same sender that shows the same is stored.
+    pub(crate) fn has_similar(&self, evidence: &Evidence) -> bool {
+        self.evidence.iter().any(|stored| stored.shows_same(evidence))
     }
 
     /// Adds a name concerned, unless it is listed already or 8 names are.

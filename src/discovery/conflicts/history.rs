@@ -55,6 +55,8 @@ pub(super) struct RecordedHeartbeat {
     pub previous_has_no_copy: bool,
     /// True if this heartbeat is not a copy, or its sender is known to send equal ones.
     pub is_new: bool,
+    /// True if its sender generates a new RND7 for each heartbeat, so that equal ones are copies.
+    pub has_random_rnd7: bool,
 }
 
 impl HeartbeatHistory {
@@ -84,7 +86,8 @@ impl HeartbeatHistory {
             push_bounded(&mut self.times, now, MAX_TIMES);
             push_bounded(&mut self.frames, frame.with_time(now), MAX_FRAMES);
         }
-        RecordedHeartbeat { copy_delay, previous_has_no_copy, is_new }
+        let has_random_rnd7 = self.rnd7 == Rnd7::Random;
+        RecordedHeartbeat { copy_delay, previous_has_no_copy, is_new, has_random_rnd7 }
     }
 
     /// The last heartbeat, with its time of reception.
@@ -115,11 +118,15 @@ fn push_bounded<T>(values: &mut VecDeque<T>, value: T, max: usize) {
 #[derive(Debug, Default)]
 pub(super) struct AddressHistory {
     pub names: RecentValues<Name>,
+    /// The last name response.
+    pub name_frame: Option<Frame>,
     pub uids: RecentValues<Uid>,
     /// Time of the last heartbeat with a blank UID or none.
     pub last_without_uid: Option<Instant>,
     /// Hashes of services responses.
     pub services: RecentValues<u64>,
+    /// The last frame of the last services response.
+    pub services_frame: Option<Frame>,
     /// U bits: true in a working mode.
     pub working: RecentValues<bool>,
     /// Time of the last frame of a non-working node and of a working node, indexed by `working`.
@@ -127,6 +134,8 @@ pub(super) struct AddressHistory {
     /// True if the previous request was sent with both values of the D bit.
     pub sent_both: bool,
     pub heartbeats: HeartbeatHistory,
+    /// Time of the last heartbeat that showed a second sender by its content or its timing.
+    pub second_sender_at: Option<Instant>,
     /// Number of consecutive heartbeats at twice the rate.
     pub double_rate_count: u32,
     matchers: [[QueryResponseMatcher; 2]; 2],
@@ -143,5 +152,7 @@ impl AddressHistory {
         self.names = RecentValues::default();
         self.uids = RecentValues::default();
         self.services = RecentValues::default();
+        self.name_frame = None;
+        self.services_frame = None;
     }
 }

@@ -17,7 +17,7 @@ mod rhythm;
 use super::finding_text;
 use super::finding_tracker::{EvidenceStrength, FindingTracker, NewEvidence};
 use super::periods::HeartbeatPeriods;
-use crate::finding::FindingKind;
+use crate::finding::{FindingKind, SeenUid};
 use crate::frame::{BusIndex, Frame};
 use crate::text::{Escaped, Name};
 use crate::time::{Duration, Instant};
@@ -93,6 +93,8 @@ pub(super) enum Repetition {
 struct AddressFindings {
     /// Two names alternate there: other evidence is then not about devices of one name.
     has_two_names: bool,
+    /// Heartbeats there have two phases or two UIDs, or two devices are known by other evidence.
+    has_second_sender: bool,
     /// Another name responded there in the last 30 periods: further evidence then more likely
     /// concerns that device than two devices of the present name.
     had_other_name: bool,
@@ -121,7 +123,7 @@ impl ConflictDetector {
             alphabet: profile.uid.clone(),
             histories: (0..Address::COUNT).map(|_| AddressHistory::default()).collect(),
             repeated_frames: RepeatedFrameDetector::new(period),
-            finding_tracker: FindingTracker::new(bus, period, listen_only, seed),
+            finding_tracker: FindingTracker::new(bus, profile, listen_only, seed),
             ignore_surplus_until: Instant::ZERO,
         }
     }
@@ -199,11 +201,41 @@ impl ConflictDetector {
             now < self.ignore_surplus_until || self.repeated_frames.has_duplicate_requests(now);
         let Some(surplus) = surplus.filter(|_| !ignored) else { return };
         if surplus.first.same_on_wire(frame) {
-            self.repeated_frames.note_duplicate(now, surplus.apart);
+            self.repeated_frames.note_duplicate(now, address, surplus.apart);
         }
         let others = self.findings_at(now, address);
         let evidence = surplus_response(response, surplus, others, name, frame);
-        self.finding_tracker.report(now, evidence);
+        self.report(now, evidence);
+    }
+
+    /// Notes a consecutive frame of a second transfer that is under way with the same identifier:
+    /// one device sends its responses one after the other.
+    pub fn note_interleaved_transfers(
+        &mut self,
+        now: Instant,
+        address: Address,
+        name: Option<&Name>,
+        frame: &Frame,
+    ) {
+        if now < self.ignore_surplus_until || self.repeated_frames.has_duplicate_requests(now) {
+            return;
+        }
+        let others = self.findings_at(now, address);
+        let (kind, strength) = if others.has_two_names {
+            (FindingKind::OneAddressTwoNames, EvidenceStrength::Strong)
+        } else if others.had_other_name {
+            (FindingKind::OneAddressTwoNames, EvidenceStrength::Weak)
+        } else {
+            (FindingKind::SameNameSameAddress, EvidenceStrength::Strong)
+        };
+        let what = "part of a second response before the end of the first";
+        let evidence = NewEvidence {
+            name,
+            is_response: true,
+            excludes_one_device: true,
+            ..NewEvidence::new(kind, address, frame, strength, what)
+        };
+        self.report(now, evidence);
     }
 
     /// Ignores surplus responses for some periods: requests that were delayed have been sent
@@ -220,6 +252,7 @@ impl ConflictDetector {
         let before = history.names.current().cloned();
         let returned = history.names.observe(now, name, timeout).return_count;
         let since = history.names.second_since();
+        let before_frame = history.name_frame.replace(*frame);
         let Some(before) = before.filter(|before| before != name) else { return };
         let kind = FindingKind::OneAddressTwoNames;
         let (strength, since) = match returned {
@@ -230,9 +263,10 @@ impl ConflictDetector {
             name: Some(&before),
             since,
             is_response: true,
+            contradicts: before_frame.map(|frame| (format!("name {}", before.quoted()).into(), frame)),
             ..NewEvidence::new(kind, address, frame, strength, format!("name {}", name.quoted()))
         };
-        self.finding_tracker.report(now, evidence);
+        self.report(now, evidence);
         self.finding_tracker.add_name(kind, address, name);
         if returned.is_some() {
             self.finding_tracker.supersede(now, FindingKind::SameNameSameAddress, kind, address);
@@ -249,9 +283,11 @@ impl ConflictDetector {
         frame: &Frame,
     ) {
         let timeout = self.alternation_timeout(address);
-        let services = &mut self.histories[address.index()].services;
-        let returned = services.observe(now, &digest, timeout).return_count;
-        let since = services.second_since();
+        let history = &mut self.histories[address.index()];
+        let before = history.services.current().copied();
+        let returned = history.services.observe(now, &digest, timeout).return_count;
+        let since = history.services.second_since();
+        let before_frame = history.services_frame.replace(*frame);
         let others = self.findings_at(now, address);
         if returned.is_none() || others.has_two_names {
             return;
@@ -265,9 +301,11 @@ impl ConflictDetector {
             name,
             since: Some(since),
             is_response: true,
-            ..NewEvidence::new(kind, address, frame, strength, "service lists alternate")
+            excludes_one_device: true,
+            contradicts: before_frame.zip(before).map(|(frame, list)| (service_list(list), frame)),
+            ..NewEvidence::new(kind, address, frame, strength, service_list(digest))
         };
-        self.finding_tracker.report(now, evidence);
+        self.report(now, evidence);
     }
 
     /// Notes a heartbeat that does not repeat the previous one.
@@ -306,6 +344,9 @@ impl ConflictDetector {
         }
         history.double_rate_count =
             if pattern.double_rate { history.double_rate_count + 1 } else { 0 };
+        if pattern.double_rate || pattern.two_phases || uid_returned.is_some() {
+            history.second_sender_at = Some(now);
+        }
 
         let identity = identity_kind(address);
         let history = &self.histories[address.index()];
@@ -324,8 +365,7 @@ impl ConflictDetector {
         let is_open = self.finding_tracker.is_open(identity, address);
         let evidence = match alternation {
             Some(Alternation { again, other, since }) => {
-                // Once the finding is open, the previous heartbeat is already part of its evidence.
-                let previous = history.heartbeats.previous().filter(|_| !is_open);
+                let previous = history.heartbeats.previous();
                 // A device that is claiming the address may still give it up.
                 let (strength, since) = if mode.is_resolving {
                     (EvidenceStrength::Weak, None)
@@ -343,7 +383,7 @@ impl ConflictDetector {
             None => self.rhythm_evidence(now, address, pattern, name, frame),
         };
         if let Some(evidence) = evidence {
-            self.finding_tracker.report(now, evidence);
+            self.report(now, evidence);
         }
         if let Some(interval) = observed.interval
             && self.periods.note_interval(address, interval)
@@ -388,7 +428,7 @@ impl ConflictDetector {
         let (kind, strength, description) = match pattern.two_phases {
             _ if !double_rate && !pattern.two_phases => return None,
             true if !others.had_other_name => {
-                (same, EvidenceStrength::Strong, "heartbeat, phase 2 of the same period")
+                (same, EvidenceStrength::Strong, "heartbeat, phase 2 of a period")
             }
             _ if others.had_other_name => {
                 (FindingKind::OneAddressTwoNames, EvidenceStrength::Weak, TWICE_THE_RATE)
@@ -400,7 +440,7 @@ impl ConflictDetector {
         Some(NewEvidence {
             name,
             since: pattern.since,
-            contradicts: phase_1.map(|previous| ("heartbeat, phase 1".into(), *previous)),
+            contradicts: phase_1.map(|previous| ("heartbeat, phase 1 of a period".into(), *previous)),
             ..NewEvidence::new(kind, address, frame, strength, description)
         })
     }
@@ -421,22 +461,59 @@ impl ConflictDetector {
     ) -> Repetition {
         let mut is_new = true;
         if is_heartbeat {
-            let heartbeats = &mut self.histories[source.index()].heartbeats;
-            let recorded = heartbeats.record(now, frame, self.periods.of(source));
-            is_new = recorded.is_new;
-            let was_active = self.repeated_frames.is_active(now);
-            self.repeated_frames.note_heartbeat(now, source, recorded);
-            if !was_active && self.repeated_frames.is_active(now) {
-                self.finding_tracker.reset_suspicion(FindingKind::SameNameSameAddress);
-            }
+            is_new = self.record_heartbeat(now, source, frame);
         }
-        if self.repeated_frames.is_copy(now, is_heartbeat, frame) {
+        let was_repeated = self.repeated_frames.is_repeated(now, source);
+        let is_copy = self.repeated_frames.is_copy(now, source, is_heartbeat, frame);
+        if was_repeated
+            && !self.repeated_frames.is_repeated(now, source)
+            && let Some(since) = self.repeated_frames.two_devices_since(source)
+        {
+            self.finding_tracker.clear(now, FindingKind::FramesRepeated, source);
+            let kind = FindingKind::SameNameSameAddress;
+            let what = "second response, much sooner than the second heartbeat";
+            let evidence = NewEvidence {
+                since: Some(since),
+                is_response: true,
+                ..NewEvidence::new(kind, source, frame, EvidenceStrength::Strong, what)
+            };
+            self.report(now, evidence);
+        }
+        if is_copy {
             Repetition::Ignored
         } else if is_new {
             Repetition::None
         } else {
             Repetition::Heartbeat
         }
+    }
+
+    /// Records a heartbeat in the history of its source. Returns true if it does not repeat the
+    /// previous one.
+    fn record_heartbeat(&mut self, now: Instant, source: Address, frame: &Frame) -> bool {
+        let period = self.periods.of(source);
+        let history = &mut self.histories[source.index()];
+        let recorded = history.heartbeats.record(now, frame, period);
+        if recorded.copy_delay.is_some() && recorded.has_random_rnd7 {
+            history.second_sender_at = Some(now);
+        }
+        let was_repeated = self.repeated_frames.is_repeated(now, source);
+        self.repeated_frames.note_heartbeat(now, source, recorded);
+        if !self.repeated_frames.is_repeated(now, source) {
+            return recorded.is_new;
+        }
+        let is_bus_wide = self.repeated_frames.is_bus_repeated(now);
+        let address = Some(source).filter(|_| !is_bus_wide);
+        if !was_repeated {
+            for kind in [FindingKind::SameNameSameAddress, FindingKind::AnswersDoubled] {
+                self.finding_tracker.reset_suspicion(kind, address);
+            }
+        }
+        let original = self.histories[source.index()].heartbeats.last();
+        if let Some((delay, original)) = recorded.copy_delay.zip(original.copied()) {
+            self.finding_tracker.note_repeated(now, address, delay, [original, *frame]);
+        }
+        recorded.is_new
     }
 
     /// Notes that two addresses send heartbeats with one UID, each after the last heartbeat of the
@@ -451,11 +528,13 @@ impl ConflictDetector {
         let (low, high) = (address.min(other), address.max(other));
         let kind = FindingKind::OneUidTwoAddresses;
         let what = "heartbeat with a UID in use at another address";
+        let before = self.last_heartbeat(other);
         let evidence = NewEvidence {
             since: Some(since),
+            contradicts: before.map(|before| (what.into(), before)),
             ..NewEvidence::new(kind, low, frame, EvidenceStrength::Strong, what)
         };
-        if let Some(at) = self.finding_tracker.report(now, evidence) {
+        if let Some(at) = self.report(now, evidence) {
             self.finding_tracker.add_address(at, high);
         }
     }
@@ -466,7 +545,7 @@ impl ConflictDetector {
             let kind = FindingKind::TwoDebugDevices;
             let what = finding_text::NOT_SENT_BY_DESCAN;
             let evidence = NewEvidence::new(kind, address, frame, EvidenceStrength::Strong, what);
-            self.finding_tracker.report(now, evidence);
+            self.report(now, evidence);
         }
     }
 
@@ -485,7 +564,7 @@ impl ConflictDetector {
             name,
             ..NewEvidence::new(kind, address, frame, EvidenceStrength::Proof, what)
         };
-        if let Some(at) = self.finding_tracker.report(now, evidence) {
+        if let Some(at) = self.report(now, evidence) {
             self.finding_tracker
                 .set_text(at, |device| format!("{device} sends malformed DES responses: {fault}."));
         }
@@ -510,7 +589,7 @@ impl ConflictDetector {
         let what = "last frame of an aborted response";
         let evidence =
             NewEvidence { name, ..NewEvidence::new(kind, address, frame, strength, what) };
-        if let Some(at) = self.finding_tracker.report(now, evidence) {
+        if let Some(at) = self.report(now, evidence) {
             self.finding_tracker.set_text(at, |device| {
                 format!("{device} aborts every multi-frame response: {fault}.")
             });
@@ -541,7 +620,7 @@ impl ConflictDetector {
             name,
             ..NewEvidence::new(kind, address, frame, EvidenceStrength::Proof, what)
         };
-        self.finding_tracker.report(now, evidence);
+        self.report(now, evidence);
     }
 
     /// Returns the last heartbeat frame of `address`.
@@ -565,6 +644,17 @@ impl ConflictDetector {
 
     // --- state --------------------------------------------------------------------------
 
+    /// Reports evidence, with the UIDs in the heartbeats of its address.
+    fn report(&mut self, now: Instant, evidence: NewEvidence<'_>) -> Option<usize> {
+        let address = evidence.address;
+        let at = self.finding_tracker.report(now, evidence)?;
+        let remembered = self.periods.of(address) * UID_MEMORY_PERIODS;
+        let uids = self.histories[address.index()].uids.recent(now, remembered).into_iter();
+        let uids = uids.map(|(uid, since)| SeenUid { uid: *uid, since });
+        self.finding_tracker.set_uids(at, uids);
+        Some(at)
+    }
+
     /// Returns the text of evidence that shows a heartbeat with this UID.
     fn uid_text(&self, uid: Option<&Uid>) -> Cow<'static, str> {
         let text = uid.map_or(String::new(), |uid| uid.text(&self.alphabet).to_string());
@@ -585,7 +675,11 @@ impl ConflictDetector {
     fn findings_at(&self, now: Instant, address: Address) -> AddressFindings {
         let two_names = FindingKind::OneAddressTwoNames;
         let names = &self.histories[address.index()].names;
+        let second_sender_at = self.histories[address.index()].second_sender_at;
+        let recent = self.periods.of(address).mul_f64(INTERLEAVED_PERIODS);
         AddressFindings {
+            has_second_sender: second_sender_at.is_some_and(|at| now.since(at) < recent)
+                || self.finding_tracker.has_strong(FindingKind::SameNameSameAddress, address),
             has_two_names: self.finding_tracker.has_strong(two_names, address),
             had_other_name: names.changed_within(now, self.periods.of(address) * 30)
                 || self.finding_tracker.is_open(two_names, address),
@@ -601,6 +695,11 @@ struct Alternation {
     other: Cow<'static, str>,
     /// Since when both are present.
     since: Instant,
+}
+
+/// Returns the description of evidence in a services response, by the hash of its list.
+fn service_list(digest: u64) -> Cow<'static, str> {
+    format!("service list {:04X}, in turns with another", digest & 0xFFFF).into()
 }
 
 /// Returns the kind of finding for heartbeats of two identities at `address`.
@@ -635,7 +734,8 @@ fn surplus_response<'a>(
         Request::Services if others.had_other_name => {
             (FindingKind::OneAddressTwoNames, EvidenceStrength::Weak)
         }
-        _ => (FindingKind::SameNameSameAddress, strength),
+        _ if others.has_second_sender => (FindingKind::SameNameSameAddress, strength),
+        _ => (FindingKind::AnswersDoubled, strength),
     };
     NewEvidence {
         name,

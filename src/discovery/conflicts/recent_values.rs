@@ -84,6 +84,16 @@ impl<T: PartialEq + Clone> RecentValues<T> {
         self.earlier.back().map(|earlier| &earlier.value)
     }
 
+    /// The values that were current less than `within` ago, with the time since when each is
+    /// remembered, the first one first.
+    pub fn recent(&self, now: Instant, within: Duration) -> Vec<(&T, Instant)> {
+        let earlier = self.earlier.iter().filter(|earlier| now.since(earlier.left_at) <= within);
+        let mut values: Vec<_> =
+            earlier.chain(&self.current).map(|value| (&value.value, value.since)).collect();
+        values.sort_by_key(|(_, since)| *since);
+        values
+    }
+
     /// Returns true if there was another value less than `within` ago.
     pub fn changed_within(&self, now: Instant, within: Duration) -> bool {
         self.previous().is_some() && now.since(self.changed_at) < within

@@ -1,11 +1,11 @@
-//! Detector of repeated frames: a bridge, a gateway or an echo sends every frame again (protocol
-//! §5.4). Input: heartbeats, responses and their times; output: whether a frame is a copy to be
-//! ignored.
+//! Detector of repeated frames: a bridge, a gateway or an echo sends every frame again, or those of
+//! one device (protocol §5.4). Input: heartbeats, responses and their times; output: whether a frame
+//! is a copy to be ignored, and which addresses are repeated.
 //!
-//! Repeated frames look like two devices at one address. The difference is that *everything* is
-//! repeated: the heartbeats of several addresses, including RND7, each after a short delay. While
-//! that is so, the second of two equal frames is ignored. If devices receive requests twice, they
-//! respond twice: then all of those addressed do, or nearly all.
+//! Repeated frames look like two devices at one address. The difference is that the copies include
+//! RND7 and follow after a steady, short delay: those of one address, or of several, and then of
+//! all. While that is so, the second of two equal frames is ignored. If devices receive requests
+//! twice, they respond twice: then all of those addressed do, or nearly all.
 //!
 //! Two boards with equal random numbers, as new ones may have, generate the same RND7 each time.
 //! They differ from a bridge in the phase between their heartbeats: a bridge is not much faster
@@ -18,8 +18,14 @@ use crate::wire::id::Address;
 use std::collections::VecDeque;
 use std::hash::{DefaultHasher, Hash, Hasher};
 
-/// Successive copies that count if only one address sends heartbeats.
+/// Successive copied heartbeats of one address that show repeated frames.
 const COPIES_OF_ONE: u32 = 3;
+/// Longest delay of copies of one address. A gateway forwards within a few frames; two devices with
+/// equal random numbers are rarely this close.
+const MAX_DELAY_OF_ONE: Duration = Duration::from_millis(100);
+/// Difference between the delays of copies up to which they are steady: a copy waits for other
+/// frames of a busy bus.
+const DELAY_JITTER: Duration = Duration::from_millis(15);
 /// Successive response pairs, much closer than heartbeat pairs, that show two devices.
 const FAST_PAIRS: usize = 3;
 /// Minimum difference between the delays of heartbeat and response pairs: the jitter of a bridge.
@@ -43,12 +49,72 @@ pub(super) struct RepeatedFrameDetector {
     /// Longest delay of a copied heartbeat, and the shortest in this series.
     delay: Duration,
     shortest: Option<Duration>,
-    /// Times and delays of the last pairs of equal responses.
-    response_pairs: VecDeque<(Instant, Duration)>,
+    response_pairs: ResponsePairs,
     /// Frames whose copy may still arrive, by the hash of identifier and data.
     awaiting_copy: VecDeque<(Instant, u64)>,
     echoed_until: Instant,
     responses: RoundResponses,
+    /// Copied heartbeats of each address.
+    series: Vec<CopySeries>,
+}
+
+/// Successive copied heartbeats of one address.
+#[derive(Debug, Default)]
+struct CopySeries {
+    count: u32,
+    shortest: Duration,
+    longest: Duration,
+    active_until: Instant,
+    response_pairs: ResponsePairs,
+}
+
+impl CopySeries {
+    fn add(&mut self, delay: Duration) {
+        self.shortest = if self.count == 0 { delay } else { self.shortest.min(delay) };
+        self.longest = if self.count == 0 { delay } else { self.longest.max(delay) };
+        self.count += 1;
+    }
+
+    /// Returns true if the copies come with a steady, short delay.
+    fn is_steady(&self) -> bool {
+        self.longest <= MAX_DELAY_OF_ONE
+            && self.longest.saturating_sub(self.shortest) <= DELAY_JITTER.max(self.shortest / 2)
+    }
+}
+
+/// Last pairs of equal responses.
+#[derive(Debug, Default)]
+struct ResponsePairs(VecDeque<ResponsePair>);
+
+#[derive(Clone, Copy, Debug)]
+struct ResponsePair {
+    at: Instant,
+    /// Longest time between the two responses; a burst of pairs counts once.
+    delay: Duration,
+}
+
+impl ResponsePairs {
+    fn add(&mut self, now: Instant, delay: Duration, period: Duration) {
+        let last = self.0.back_mut().filter(|last| now.since(last.at) < period / 4);
+        if let Some(last) = last {
+            last.delay = delay.max(last.delay);
+            return;
+        }
+        if self.0.len() == FAST_PAIRS {
+            self.0.pop_front();
+        }
+        self.0.push_back(ResponsePair { at: now, delay });
+    }
+
+    /// Returns the time of the first pair, if responses come in pairs as from two devices, not from
+    /// a bridge: much closer than heartbeats, of which the closest are `shortest` apart.
+    fn two_responders_since(&self, shortest: Duration) -> Option<Instant> {
+        let quick = |pair: &ResponsePair| {
+            pair.delay <= shortest / 2 && pair.delay + FAST_PAIR_MARGIN <= shortest
+        };
+        let are_quick = self.0.len() == FAST_PAIRS && self.0.iter().all(quick);
+        self.0.front().filter(|_| are_quick).map(|pair| pair.at)
+    }
 }
 
 /// Addresses that responded to the last broadcast request once and twice, one bit each.
@@ -71,10 +137,11 @@ impl RepeatedFrameDetector {
             active_until: Instant::ZERO,
             delay: Duration::ZERO,
             shortest: None,
-            response_pairs: VecDeque::new(),
+            response_pairs: ResponsePairs::default(),
             awaiting_copy: VecDeque::new(),
             echoed_until: Instant::ZERO,
             responses: RoundResponses::default(),
+            series: (0..Address::COUNT).map(|_| CopySeries::default()).collect(),
         }
     }
 
@@ -88,24 +155,42 @@ impl RepeatedFrameDetector {
         now < self.active_until
     }
 
-    /// Returns true if a frame is the copy of an earlier one, to be ignored. `heartbeat`: whether
-    /// it is a heartbeat.
-    pub fn is_copy(&mut self, now: Instant, heartbeat: bool, frame: &Frame) -> bool {
-        if !self.is_active(now) {
-            self.awaiting_copy.clear();
+    /// Returns true if the frames of `address` are repeated.
+    pub fn is_repeated(&self, now: Instant, address: Address) -> bool {
+        self.is_active(now) || now < self.series[address.index()].active_until
+    }
+
+    /// Returns true if the frames of several addresses, so probably all, are repeated.
+    pub fn is_bus_repeated(&self, now: Instant) -> bool {
+        self.is_active(now) && self.has_several_sources
+    }
+
+    /// Returns true if a frame of `source` is the copy of an earlier one, to be ignored.
+    /// `heartbeat`: whether it is a heartbeat.
+    pub fn is_copy(
+        &mut self,
+        now: Instant,
+        source: Address,
+        heartbeat: bool,
+        frame: &Frame,
+    ) -> bool {
+        if !self.is_repeated(now, source) {
             return false;
         }
-        let window = (self.delay * 2).max(Duration::from_millis(20));
-        while self.awaiting_copy.front().is_some_and(|(at, _)| now.since(*at) > window) {
+        let delay = self.delay.max(self.series[source.index()].longest);
+        let window = (delay * 2).max(Duration::from_millis(20));
+        let longest = self.delay.max(MAX_DELAY_OF_ONE) * 2;
+        while self.awaiting_copy.front().is_some_and(|(at, _)| now.since(*at) > longest) {
             self.awaiting_copy.pop_front();
         }
         let mut hasher = DefaultHasher::new();
         (frame.platform_id(), frame.data()).hash(&mut hasher);
         let hash = hasher.finish();
-        let at = self.awaiting_copy.iter().position(|(_, open)| *open == hash);
+        let mut awaiting = self.awaiting_copy.iter();
+        let at = awaiting.position(|(at, open)| *open == hash && now.since(*at) <= window);
         if let Some((first, _)) = at.and_then(|at| self.awaiting_copy.remove(at)) {
             if !heartbeat {
-                self.note_duplicate(now, now.since(first));
+                self.note_duplicate(now, source, now.since(first));
             }
             return true;
         }
@@ -121,13 +206,19 @@ impl RepeatedFrameDetector {
         let period = self.period;
         if self.last_heartbeat.is_none_or(|(_, at)| now.since(at) > period * 3) {
             self.has_several_sources = false;
-            self.response_pairs.clear();
+            self.response_pairs = ResponsePairs::default();
         }
         if let Some(delay) = recorded.copy_delay {
             self.note_copied_heartbeat(now, address, delay);
+            if recorded.has_random_rnd7 {
+                self.note_copy_of_one(now, address, delay);
+            }
         } else if recorded.previous_has_no_copy {
+            let series = &mut self.series[address.index()];
+            // One copy may be lost: the next one counts again.
+            let kept = if now < series.active_until { COPIES_OF_ONE - 1 } else { 0 };
+            series.count = series.count.min(kept);
             if self.is_active(now) {
-                // One copy may be lost: the next one counts again.
                 self.copy_count = self.copy_count.min(COPIES_OF_ONE - 1);
             } else {
                 self.copy_count = 0;
@@ -148,9 +239,19 @@ impl RepeatedFrameDetector {
         self.last_copied_address = Some(address);
         self.shortest = Some(self.shortest.map_or(delay, |shortest| shortest.min(delay)));
         let alone = self.copy_count >= COPIES_OF_ONE && self.is_single_source(now, address);
-        if self.has_several_sources || alone && !self.has_two_responders() {
+        if self.has_several_sources || alone && self.two_responders_since().is_none() {
             self.active_until = now + self.period * 3;
             self.delay = self.delay.max(delay);
+        }
+    }
+
+    fn note_copy_of_one(&mut self, now: Instant, address: Address, delay: Duration) {
+        let period = self.period;
+        let series = &mut self.series[address.index()];
+        series.add(delay);
+        let has_two = series.response_pairs.two_responders_since(series.shortest).is_some();
+        if series.count >= COPIES_OF_ONE && series.is_steady() && !has_two {
+            series.active_until = now + period * 3;
         }
     }
 
@@ -160,31 +261,30 @@ impl RepeatedFrameDetector {
         last.all(|(other, at)| other == address || now.since(at) > self.period * 3)
     }
 
-    /// Notes a response equal to one received `delay` before.
-    pub fn note_duplicate(&mut self, now: Instant, delay: Duration) {
-        // A burst counts once.
-        let last =
-            self.response_pairs.back_mut().filter(|(at, _)| now.since(*at) < self.period / 4);
-        if let Some((_, longest)) = last {
-            *longest = delay.max(*longest);
-        } else {
-            if self.response_pairs.len() == FAST_PAIRS {
-                self.response_pairs.pop_front();
-            }
-            self.response_pairs.push_back((now, delay));
+    /// Notes a response of `address` equal to one received `delay` before.
+    pub fn note_duplicate(&mut self, now: Instant, address: Address, delay: Duration) {
+        self.response_pairs.add(now, delay, self.period);
+        let series = &mut self.series[address.index()];
+        series.response_pairs.add(now, delay, self.period);
+        if series.response_pairs.two_responders_since(series.shortest).is_some() {
+            series.active_until = series.active_until.min(now);
         }
-        if !self.has_several_sources && self.has_two_responders() {
+        if !self.has_several_sources && self.two_responders_since().is_some() {
             self.active_until = self.active_until.min(now);
         }
     }
 
-    /// Returns true if responses come in pairs as from two devices, not from a bridge.
-    fn has_two_responders(&self) -> bool {
-        let Some(shortest) = self.shortest else { return false };
-        let quick = |(_, delay): &(Instant, Duration)| {
-            *delay <= shortest / 2 && *delay + FAST_PAIR_MARGIN <= shortest
-        };
-        self.response_pairs.len() == FAST_PAIRS && self.response_pairs.iter().all(quick)
+    /// Returns since when responses come in pairs as from two devices, not from a bridge.
+    fn two_responders_since(&self) -> Option<Instant> {
+        self.response_pairs.two_responders_since(self.shortest?)
+    }
+
+    /// Returns since when `address` responds twice although its heartbeats seemed repeated: two
+    /// devices with equal random numbers.
+    pub fn two_devices_since(&self, address: Address) -> Option<Instant> {
+        let series = &self.series[address.index()];
+        let is_copied = series.count >= COPIES_OF_ONE;
+        series.response_pairs.two_responders_since(series.shortest).filter(|_| is_copied)
     }
 
     /// Notes that a frame of descan was repeated: devices may have received it twice as well.
@@ -256,7 +356,7 @@ mod tests {
             let source = address((frame.platform_id().unwrap() >> 17) as u8);
             let recorded = self.histories[source.index()].record(frame.time, frame, PERIOD);
             self.repeated_frames.note_heartbeat(frame.time, source, recorded);
-            self.repeated_frames.is_copy(frame.time, true, frame)
+            self.repeated_frames.is_copy(frame.time, source, true, frame)
         }
     }
 

@@ -176,7 +176,8 @@ impl Case<'_> {
                 let fits = |it: &Clash| matches!(*it, Clash::Address(_, a, b) if names(a, b));
                 any(&fits) || crowded(&fits)
             }
-            FindingKind::SameNameSameAddress => {
+            FindingKind::AnswersDoubled if self.responds_twice(course) => true,
+            FindingKind::SameNameSameAddress | FindingKind::AnswersDoubled => {
                 // A listen-only inspector may not receive the names.
                 any(&|it| {
                     matches!(*it, Clash::Address(_, a, b)
@@ -204,6 +205,7 @@ impl Case<'_> {
             FindingKind::OneUidTwoAddresses => any(&|it| matches!(it, Clash::Uid(..))),
             FindingKind::TwoDebugDevices
             | FindingKind::AddressContested
+            | FindingKind::FramesRepeated
             | FindingKind::NonConforming => false,
             // All other confirmed findings are observed directly, not inferred.
             FindingKind::MalformedAnswer => {
@@ -227,6 +229,15 @@ impl Case<'_> {
             }
             _ => true,
         }
+    }
+
+    /// Returns true if a device at the address responds twice to each request.
+    fn responds_twice(&self, course: &Course) -> bool {
+        let devices = self.run.world.scenario.devices.iter().zip(&self.run.devices);
+        let mut faulty = devices.filter(|(spec, _)| spec.faults.has(Fault::RespondsTwice));
+        faulty.any(|(_, id)| {
+            self.run.sim.device_state(*id).address.is_some_and(|address| course.concerns(address))
+        })
     }
 
     /// Returns the conflicts at an address that three and more devices share, by their end; empty
@@ -443,10 +454,13 @@ impl Case<'_> {
 
     // --- address resolution --------------------------------------------------------------
 
-    /// Checks contested addresses: UIDs alternate there for less than five periods.
+    /// Checks contested addresses: two devices claim one and send heartbeats there in turns for
+    /// less than five periods.
     fn contests(&mut self) {
+        const ARSLV: u8 = 1;
         let mut wrong = Vec::new();
         let mut seen: BTreeMap<Address, Vec<(Instant, Uid)>> = BTreeMap::new();
+        let mut claims: BTreeMap<(Address, Uid), Instant> = BTreeMap::new();
         for frame in &self.it.frames {
             let Some(header) = frame.platform_id().map(Header::decode) else { continue };
             let beat = header.response && header.broadcast && header.service.number() == 1;
@@ -458,12 +472,21 @@ impl Case<'_> {
                 if course.last().is_none_or(|(_, last)| *last != uid) {
                     course.push((frame.time, uid));
                 }
+                if frame.data().get(6) == Some(&ARSLV) {
+                    claims.insert((header.source, uid), frame.time);
+                }
             }
         }
         for (address, course) in seen {
-            let turns = course
-                .windows(3)
-                .any(|three| three[0].1 == three[2].1 && three[2].0.since(three[1].0) < PERIOD * 5);
+            let has_claimed = |(at, uid): &(Instant, Uid)| {
+                let claim = claims.get(&(address, *uid));
+                claim.is_some_and(|claim| claim.since(*at) + at.since(*claim) < PERIOD * 3)
+            };
+            let turns = course.windows(3).any(|three| {
+                three[0].1 == three[2].1
+                    && three[2].0.since(three[1].0) < PERIOD * 5
+                    && three[..2].iter().all(has_claimed)
+            });
             let told = self.courses.iter().any(|course| {
                 course.concerns(address)
                     && (course.kind == FindingKind::AddressContested

@@ -54,15 +54,15 @@ fn instant(at: Duration) -> Instant {
 }
 
 impl Run {
-    fn new(world: World, keep_frames: bool) -> Self {
+    fn new(world: World) -> Self {
         let sim = Sim::new(&world.scenario, world.seed);
         let devices: Vec<SimDeviceId> = sim.devices().collect();
         let mut run = Self { sim, devices, truth: Truth::default(), inspectors: Vec::new(), world };
-        run.go(keep_frames);
+        run.go();
         run
     }
 
-    fn go(&mut self, keep_frames: bool) {
+    fn go(&mut self) {
         let end = instant(self.world.end);
         let mut sample = Instant::ZERO;
         loop {
@@ -74,7 +74,7 @@ impl Run {
             self.attach_due(now);
             let mut next = [Some(end), Some(sample)].into_iter().flatten().min().unwrap_or(end);
             for at in 0..self.inspectors.len() {
-                if let Some(wake) = self.inspect(at, now, keep_frames) {
+                if let Some(wake) = self.inspect(at, now) {
                     next = next.min(wake);
                 }
             }
@@ -112,7 +112,7 @@ impl Run {
     }
 
     /// Passes pending frames and timeouts to an inspector; returns its next deadline.
-    fn inspect(&mut self, at: usize, now: Instant, keep_frames: bool) -> Option<Instant> {
+    fn inspect(&mut self, at: usize, now: Instant) -> Option<Instant> {
         let lens = &self.world.inspectors[at].lens;
         let ahead = lens.ahead(now);
         let it = &mut self.inspectors[at];
@@ -120,9 +120,7 @@ impl Run {
         let mut hear = |engine: &mut Engine, frame: Frame| {
             let frame = frame.with_time(frame.time + ahead);
             engine.handle_frame(&frame);
-            if keep_frames {
-                it.frames.push(frame);
-            }
+            it.frames.push(frame);
         };
         while let Some(frame) = self.sim.poll_frame(it.station) {
             for frame in it.seen.look(lens, frame).into_iter().flatten() {
@@ -167,7 +165,7 @@ impl Run {
 
 /// Returns the check failures of that seed, one line each.
 fn complaints(seed: u64, aloud: bool) -> Vec<String> {
-    let run = Run::new(World::new(seed), aloud);
+    let run = Run::new(World::new(seed));
     let complaints = checks::judge(&run);
     if aloud {
         tell(&run);
