@@ -3,15 +3,19 @@
 //! Scripts rely on the names, types and meanings in the JSON. Unknown values are null.
 
 use super::{Failure, output};
-use crate::app::{App, Bus, BusSnapshot, FileSnapshot, Redundancy, RedundantDevice, Scope};
+use crate::app::{
+    App, Bus, BusSnapshot, Decoded, FileSnapshot, Redundancy, RedundantDevice, Scope,
+    format_time_of_day,
+};
 use crate::bitrate::kbit;
 use crate::discovery::{Device, DeviceService, OwnAddress};
-use crate::finding::{Evidence, ExitCodeScope, Finding, FindingState};
+use crate::finding::{Evidence, ExitCodeScope, Finding, FindingState, SeenUid};
 use crate::frame::{BusIndex, Frame};
 use crate::regular_file::shown;
 use crate::status::Link;
 use crate::text::Name;
-use crate::time::{Duration, Epoch, Instant};
+use crate::time::{Duration, Instant};
+use crate::wire::id::Address;
 use serde::Serialize;
 use std::cmp::Reverse;
 use std::fmt::Write as _;
@@ -116,18 +120,32 @@ pub(super) struct FindingReport {
     address: Option<u8>,
     addresses: Vec<u8>,
     names: Vec<String>,
+    uids: Vec<String>,
     first: f64,
+    last: f64,
+    cleared_at: Option<f64>,
     evidence: Vec<EvidenceReport>,
     text: String,
     remedy: String,
     #[serde(skip)]
     counts: bool,
+    /// Since when it has its state, and the time of its first evidence, for tables.
+    #[serde(skip)]
+    times: String,
+    #[serde(skip)]
+    is_superseded: bool,
 }
 
 #[derive(Debug, Serialize)]
 struct EvidenceReport {
     time: f64,
     what: String,
+    /// Address of the sender; null for a frame of another protocol.
+    from: Option<u8>,
+    /// Address of the receiver; null for a broadcast too.
+    to: Option<u8>,
+    /// Content of the frame as text.
+    meaning: Option<String>,
     frame: Option<String>,
 }
 
@@ -146,7 +164,6 @@ impl ScanReport {
     /// Creates the report of the state at `now`. `scope` selects the findings and the differences
     /// from the file; bus load is the average of the session.
     pub fn new(app: &App, now: Instant, scope: Scope) -> Self {
-        let epoch = app.epoch();
         let mut devices: Vec<DeviceReport> = app
             .buses()
             .iter()
@@ -169,7 +186,7 @@ impl ScanReport {
         });
         let findings = findings.iter().map(|it| {
             let bus = it.key.bus.and_then(|index| app.bus(index)).map(|bus| bus.name.clone());
-            of_finding(bus, epoch, it, scope)
+            of_finding(app, bus, it, scope)
         });
         let findings = findings.collect();
         Self {
@@ -225,11 +242,12 @@ impl ScanReport {
         text.push('\n');
         text.push_str(&self.device_table());
         text.push_str(&self.on_several_buses());
-        for finding in &self.findings {
+        for finding in self.findings.iter().filter(|finding| !finding.is_superseded) {
             let bus = finding.bus.as_ref().filter(|_| self.buses.len() > 1);
             let bus = bus.map(|bus| format!(" on {bus}")).unwrap_or_default();
             let (confidence, kind) = (finding.confidence, finding.kind);
-            let _ = writeln!(text, "\n{confidence} {kind}{bus}: {}", finding.text);
+            let _ = writeln!(text, "\n{confidence} {kind}{bus}, {}", finding.times);
+            let _ = writeln!(text, "  {}", finding.text);
             let over = FindingState::Cleared.name() == finding.confidence;
             if over {
                 text.push_str("  No longer present.\n");
@@ -427,20 +445,26 @@ fn of_entry(app: &App, device: &Device) -> EntryReport {
 
 /// Converts a finding; `bus` is the name of its bus.
 pub(super) fn of_finding(
+    app: &App,
     bus: Option<String>,
-    epoch: Epoch,
     finding: &Finding,
     scope: Scope,
 ) -> FindingReport {
+    let epoch = app.epoch();
+    let time = |at: Instant| format_time_of_day(app, at);
+    let cleared_at = finding.cleared_at();
     FindingReport {
         kind: finding.key.kind.name(),
         confidence: finding.state.name(),
         bus,
-        address: finding.key.address.map(crate::wire::id::Address::number),
+        address: finding.key.address.map(Address::number),
         addresses: finding.addresses.iter().map(|address| address.number()).collect(),
         names: finding.names.iter().map(ToString::to_string).collect(),
+        uids: finding.uids.iter().map(SeenUid::label).collect(),
         first: epoch.unix_secs(finding.first),
-        evidence: finding.evidence.iter().map(|piece| of_evidence(epoch, piece)).collect(),
+        last: epoch.unix_secs(finding.last),
+        cleared_at: cleared_at.map(|at| epoch.unix_secs(at)),
+        evidence: finding.evidence.iter().map(|piece| of_evidence(app, piece)).collect(),
         text: finding.text.clone(),
         remedy: finding.remedy.clone(),
         counts: finding.state == FindingState::Confirmed
@@ -449,13 +473,23 @@ pub(super) fn of_finding(
                 ExitCodeScope::Check(_) => scope == Scope::Check,
                 ExitCodeScope::Nothing => false,
             },
+        times: match cleared_at {
+            Some(cleared) => format!("{} to {}", time(finding.first), time(cleared)),
+            None => format!("since {}", time(finding.first)),
+        },
+        is_superseded: finding.superseded_by.is_some(),
     }
 }
 
-fn of_evidence(epoch: Epoch, piece: &Evidence) -> EvidenceReport {
+fn of_evidence(app: &App, piece: &Evidence) -> EvidenceReport {
+    let decoded = piece.frame.as_ref().map(|frame| Decoded::of(app, frame));
+    let header = decoded.as_ref().and_then(|decoded| decoded.header);
     EvidenceReport {
-        time: epoch.unix_secs(piece.time),
+        time: app.epoch().unix_secs(piece.time),
         what: piece.description.to_string(),
+        from: header.map(|header| header.source.number()),
+        to: header.filter(|header| !header.broadcast).map(|header| header.destination.number()),
+        meaning: decoded.map(|decoded| decoded.meaning()),
         frame: piece.frame.as_ref().map(Frame::to_string),
     }
 }

@@ -101,7 +101,7 @@ impl EventWriter {
     fn write_events(&self, app: &mut App) -> Result<(), Failure> {
         while let Some(event) = app.poll_app_event() {
             if self.json {
-                if let Some(value) = as_value(app.epoch(), event) {
+                if let Some(value) = as_value(app, event) {
                     let line = serde_json::to_string(&value).context("JSON")?;
                     output::print_json(&format!("{line}\n"))?;
                 }
@@ -188,13 +188,14 @@ enum EventDetails {
     },
 }
 
-fn as_value(epoch: Epoch, event: AppEvent) -> Option<JsonEvent> {
+fn as_value(app: &App, event: AppEvent) -> Option<JsonEvent> {
+    let epoch = app.epoch();
     let time = |at: Instant| epoch.unix_secs(at);
     Some(match event {
         AppEvent::Line(_) => return None,
         AppEvent::Event(event) => return of_event(epoch, *event),
         AppEvent::Finding(context, finding) => {
-            let what = what_finding(context.bus, epoch, &finding);
+            let what = what_finding(app, context.bus, &finding);
             JsonEvent { time: time(context.time), event: "finding", what }
         }
         AppEvent::Bus(at, bus) => {
@@ -255,7 +256,7 @@ fn of_event(
     Some(JsonEvent { time: epoch.unix_secs(context.time), event: word, what })
 }
 
-fn what_finding(bus: Option<String>, epoch: Epoch, finding: &Finding) -> EventBody {
+fn what_finding(app: &App, bus: Option<String>, finding: &Finding) -> EventBody {
     let name = match &finding.names[..] {
         [only] => Some(only.to_string()),
         _ => None,
@@ -264,6 +265,6 @@ fn what_finding(bus: Option<String>, epoch: Epoch, finding: &Finding) -> EventBo
         bus: bus.clone(),
         address: finding.key.address.map(Address::number),
         name,
-        finding: of_finding(bus, epoch, finding, Scope::Screen),
+        finding: of_finding(app, bus, finding, Scope::Screen),
     }
 }

@@ -7,10 +7,9 @@
 use super::errors::{BusErrorSummary, Cause};
 use crate::error_report::BusErrorType;
 use crate::finding::{Finding, FindingKind, SeenUid};
-use crate::text::{Escaped, Name};
+use crate::text::Name;
 use crate::time::Duration;
 use crate::wire::id::Address;
-use crate::wire::profile::UidProfile;
 
 /// Description of the evidence for another node at descan's own address.
 pub(super) const NOT_SENT_BY_DESCAN: &str = "frame from address 0 not sent by descan";
@@ -19,15 +18,14 @@ pub(super) const NOT_SENT_BY_DESCAN: &str = "frame from address 0 not sent by de
 /// single device that sends its frames twice does not explain it. Bus errors have
 /// [`bus_errors`] and [`describe_errors_at`] instead; findings about des.json are worded where they
 /// are made.
-pub(super) fn describe(finding: &mut Finding, alphabet: &UidProfile, is_certain: bool) {
+pub(super) fn describe(finding: &mut Finding, is_certain: bool) {
     let device =
         finding.key.address.map_or(String::new(), |address| device_label(address, &finding.names));
     let address = finding.key.address.map_or(0, Address::number);
     let list = finding.addresses.iter().map(ToString::to_string).collect::<Vec<_>>().join(" and ");
     let quoted = |name: &Name| name.quoted().to_string();
     let names = finding.names.iter().map(quoted).collect::<Vec<_>>().join(" and ");
-    let uid = |seen: &SeenUid| Escaped(seen.uid.text(alphabet).to_string().as_bytes()).to_string();
-    let uids = finding.uids.iter().map(uid).collect::<Vec<_>>();
+    let uids = finding.uids.iter().map(SeenUid::label).collect::<Vec<_>>();
     let uids = match uids.len() {
         0 => "two UIDs".to_owned(),
         1 => uids.concat(),
@@ -38,7 +36,7 @@ pub(super) fn describe(finding: &mut Finding, alphabet: &UidProfile, is_certain:
         FindingKind::SameNameSameAddress if finding.names.is_empty() => {
             format!("Two indistinguishable devices use address {address}.")
         }
-        FindingKind::SameNameSameAddress if is_certain => {
+        FindingKind::SameNameSameAddress if is_certain || finding.uids.len() > 1 => {
             format!("Two devices answer as {device}.")
         }
         FindingKind::SameNameSameAddress => {
@@ -78,7 +76,9 @@ pub(super) fn describe(finding: &mut Finding, alphabet: &UidProfile, is_certain:
             format!("{device} sends identifiers with an unknown message type.")
         }
         // The detector writes the text, which has the fault or the delay in it.
-        FindingKind::MalformedAnswer | FindingKind::FramesRepeated => std::mem::take(&mut finding.text),
+        FindingKind::MalformedAnswer | FindingKind::FramesRepeated => {
+            std::mem::take(&mut finding.text)
+        }
         FindingKind::FramesLost => format!(
             "{} frame{} lost before reading: a device shown as missing may be present.",
             finding.count,

@@ -14,7 +14,7 @@ use crate::text::Name;
 use crate::time::{Duration, Instant};
 use crate::wire::id::Address;
 use crate::wire::node::Uid;
-use crate::wire::profile::{Profile, UidProfile};
+use crate::wire::profile::Profile;
 use std::borrow::Cow;
 
 /// Maximum number of findings of one bus; more are refused and counted.
@@ -143,8 +143,6 @@ pub(super) struct FindingTracker {
     /// Heartbeat period of the profile, for findings without an address.
     default_period: Duration,
     listen_only: bool,
-    /// Alphabet of UIDs, for the text of findings.
-    alphabet: UidProfile,
     findings: Vec<Finding>,
     evidence_states: Vec<EvidenceState>,
     changed: Vec<(FindingKey, FindingState)>,
@@ -191,7 +189,6 @@ impl FindingTracker {
             periods: [period; Address::COUNT],
             default_period: period,
             listen_only,
-            alphabet: profile.uid.clone(),
             findings: Vec::new(),
             evidence_states: Vec::new(),
             changed: Vec::new(),
@@ -515,16 +512,18 @@ impl FindingTracker {
             finding.add_name(name);
         }
         let last = finding.last;
-        let of = |(description, frame): (Cow<'static, str>, Frame)| {
-            Evidence { time: frame.time, description, frame: Some(frame) }
+        let of = |(description, frame): (Cow<'static, str>, Frame)| Evidence {
+            time: frame.time,
+            description,
+            frame: Some(frame),
         };
-        // The responses to one request belong together; of two senders of heartbeats one frame each
-        // is enough, and later ones follow in turns.
-        let contradicted = evidence.contradicts.map(of);
-        if let Some(other) =
-            contradicted.filter(|other| evidence.is_response || !finding.has_similar(other))
-        {
-            finding.add_evidence(other);
+        // Both responses to a request belong together; the heartbeats of two senders come in turns,
+        // and each is reported itself.
+        if let Some(other) = evidence.contradicts.filter(|(_, other)| !finding.has_frame(other)) {
+            let other = of(other);
+            if evidence.is_response || !finding.has_similar(&other) {
+                finding.add_evidence(other);
+            }
         }
         finding.add_evidence(of((evidence.description, *evidence.frame)));
         finding.last = now;
@@ -766,7 +765,7 @@ impl FindingTracker {
 
     fn describe(&mut self, at: usize) {
         let is_certain = self.evidence_states[at].excludes_one_device;
-        finding_text::describe(&mut self.findings[at], &self.alphabet, is_certain);
+        finding_text::describe(&mut self.findings[at], is_certain);
     }
 }
 

@@ -9,10 +9,10 @@ mod kind;
 pub use kind::{CheckSection, ExitCodeScope, FindingKind, FindingKindInfo, Grouping, Wording};
 
 use crate::frame::{BusIndex, Frame};
-use crate::text::Name;
+use crate::text::{Escaped, Name};
 use crate::time::Instant;
 use crate::wire::id::{Address, Header};
-use crate::wire::node::Uid;
+use crate::wire::node::{Uid, UidText};
 use std::borrow::Cow;
 use std::collections::VecDeque;
 use std::fmt;
@@ -75,8 +75,17 @@ impl Evidence {
 pub struct SeenUid {
     /// The UID, not blank.
     pub uid: Uid,
+    /// Its text in the alphabet of the bus.
+    pub text: UidText,
     /// Time of its first heartbeat from the address.
     pub since: Instant,
+}
+
+impl SeenUid {
+    /// Returns the text with all characters printable.
+    pub fn label(&self) -> String {
+        Escaped(self.text.to_string().as_bytes()).to_string()
+    }
 }
 
 /// Identity of a finding: one of a kind for one address (or pair of addresses) on one bus.
@@ -190,12 +199,19 @@ impl Finding {
             let dropped = (half..Self::MAX_EVIDENCE).find(is_shown_elsewhere);
             self.evidence.remove(dropped.unwrap_or(half));
         }
-        self.evidence.push_back(evidence);
+        let later = self.evidence.iter().rev().take_while(|stored| stored.time > evidence.time);
+        self.evidence.insert(self.evidence.len() - later.count(), evidence);
     }
 
     /// Time at which the finding was cleared; `None` if it is open.
     pub fn cleared_at(&self) -> Option<Instant> {
         (self.state == FindingState::Cleared).then_some(self.changed)
+    }
+
+    /// Returns true if this frame is stored as evidence.
+    pub(crate) fn has_frame(&self, frame: &Frame) -> bool {
+        let mut frames = self.evidence.iter().filter_map(|stored| stored.frame.as_ref());
+        frames.any(|stored| stored == frame)
     }
 
     /// Returns true if evidence of the same sender that shows the same is stored.

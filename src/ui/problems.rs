@@ -227,6 +227,17 @@ impl ProblemDetails<'_, '_> {
         let text = if head.text.is_empty() { &*headline } else { &head.text };
         let was = if head.state == FindingState::Cleared { "was: " } else { "" };
         self.add("", Role::Text, &format!("{was}{text}"));
+        if let [first, later @ ..] = &head.uids[..]
+            && !later.is_empty()
+        {
+            let others = later.iter().map(|seen| {
+                let since = format_time_of_day(self.brush.app, seen.since);
+                format!("{}, since {since}", seen.label())
+            });
+            let others = others.collect::<Vec<String>>().join(" and ");
+            let verb = if later.len() == 1 { "conflicts" } else { "conflict" };
+            self.add("", Role::Text, &format!("{others}, {verb} with {}.", first.label()));
+        }
         if let Some(hint) = self.problem.confirmation_hint() {
             self.lines.push(Line::default());
             self.add("? ", Role::Muted, hint);
@@ -244,6 +255,9 @@ impl ProblemDetails<'_, '_> {
         }
         for at in 1..self.problem.findings.len() {
             let finding = self.problem.findings[at];
+            if finding.superseded_by.is_some() {
+                continue;
+            }
             let (sign, _) = symbols::of_finding_state(finding.state);
             let sure = finding.state == FindingState::Confirmed;
             self.add(

@@ -140,13 +140,11 @@ fn route(brush: &DrawContext, frame: &Frame, decoded: &Decoded, role: Role) -> V
 /// Returns a frame as text: sender, receiver, service, content.
 pub(super) fn in_words(brush: &DrawContext, frame: &Frame) -> String {
     let decoded = Decoded::of(brush.app, frame);
-    let content = if decoded.text.is_empty() { decoded.kind } else { &decoded.text };
+    let meaning = decoded.meaning();
     match decoded.header {
-        Some(_) => {
-            format!("{}→{} {} {content}", decoded.source, decoded.destination, decoded.service)
-        }
-        None if frame.kind == FrameKind::Error => format!("error: {content}"),
-        None => format!("{} {content}", frame.id),
+        Some(_) => format!("{}→{} {meaning}", decoded.source, decoded.destination),
+        None if frame.kind == FrameKind::Error => format!("error: {meaning}"),
+        None => format!("{} {meaning}", frame.id),
     }
 }
 

@@ -338,13 +338,16 @@ fn finding_evidence_names_log_lines() {
         "addresses",
         "address",
         "bus",
+        "cleared_at",
         "confidence",
         "evidence",
         "first",
         "kind",
+        "last",
         "names",
         "remedy",
         "text",
+        "uids",
     ];
     for finding in findings {
         let mut own: Vec<&str> = finding.as_object().unwrap().keys().map(String::as_str).collect();
@@ -362,6 +365,8 @@ fn finding_evidence_names_log_lines() {
         assert_eq!(finding["first"], evidence[0]["time"]);
         for piece in evidence {
             assert!(!piece["what"].as_str().unwrap().is_empty());
+            assert!(!piece["meaning"].as_str().unwrap().is_empty());
+            assert!(piece["from"].is_u64(), "{piece}");
             let time = piece["time"].as_f64().unwrap();
             let line = format!("({time:.6}) can0 {}", piece["frame"].as_str().unwrap());
             assert!(lines.contains(&line), "{line} is not in the log: {finding:#}");
@@ -772,7 +777,7 @@ fn findings_on_several_buses_name_their_bus() {
     lines.push("(1436509066.000000) can1 00000002#0444455301".to_owned());
     std::fs::write(folder.path().join("session.log"), lines.join("\n") + "\n").unwrap();
     let output = text(&descan(&["scan", "file:session.log"], folder.path()).stdout);
-    assert!(output.contains("confirmed one-address-two-names on can0: "), "{output}");
+    assert!(output.contains("confirmed one-address-two-names on can0, since "), "{output}");
 }
 
 #[test]

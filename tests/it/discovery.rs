@@ -595,7 +595,7 @@ fn two_foreign_tools_at_0_are_a_confirmed_conflict() {
     let found = found.unwrap();
     assert_eq!(
         found.text,
-        "Two debug devices use address 0: heartbeats alternate between two UIDs."
+        "Two debug devices use address 0: heartbeats alternate between the UIDs TOOL and OTHER."
     );
     assert!(!found.remedy.contains("moves to another"), "{}", found.remedy);
     assert!(!events.iter().any(|it| it.contains("gave way")), "{events:#?}");

@@ -84,6 +84,15 @@ impl Decoded {
         }
     }
 
+    /// Returns service and content as text; the kind where there is no content.
+    pub fn meaning(&self) -> String {
+        let content = if self.text.is_empty() { self.kind } else { &self.text };
+        match self.header {
+            Some(_) => format!("{} {content}", self.service),
+            None => content.to_owned(),
+        }
+    }
+
     pub(in crate::app) fn is_source(&self, value: &str) -> bool {
         let Some(header) = self.header else { return false };
         is_endpoint(&self.source, header.source, value)

@@ -3,13 +3,16 @@
 //! An address conflict causes several findings, which are one problem. A muted problem stays in
 //! the list and does not count.
 
-use crate::finding::{Finding, FindingKey, FindingState, Grouping};
+use crate::finding::{Finding, FindingKey, FindingKind, FindingState, Grouping, SeenUid};
 use crate::frame::{BusIndex, Frame};
-use crate::text::Name;
+use crate::text::{Name, join_first};
 use crate::time::Instant;
 use crate::wire::id::Address;
 use std::borrow::Cow;
 use std::cmp::Reverse;
+
+/// Number of UIDs in a headline; the others are counted.
+const HEADLINE_UIDS: usize = 3;
 
 /// Identity of a problem, stable while its findings change.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -179,6 +182,11 @@ impl<'a> Problem<'a> {
         let head = self.head();
         if let (Some((line, _)), Some(part)) = (head.position, &head.key.fault) {
             return format!("line {line}: {part}").into();
+        }
+        if head.key.kind == FindingKind::OneAddressTwoIdentities && head.uids.len() > 1 {
+            let uids = head.uids.iter().map(SeenUid::label).collect();
+            return format!("address conflict (UIDs {})", join_first(uids, HEADLINE_UIDS, ", "))
+                .into();
         }
         head.key.wording().headline.into()
     }

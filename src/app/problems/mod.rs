@@ -102,6 +102,7 @@ impl Problems {
                 finding.first = old.first;
                 if old.state == finding.state {
                     finding.changed = old.changed;
+                    finding.last = old.last;
                 }
             }
         }

@@ -263,7 +263,8 @@ impl ConflictDetector {
             name: Some(&before),
             since,
             is_response: true,
-            contradicts: before_frame.map(|frame| (format!("name {}", before.quoted()).into(), frame)),
+            contradicts: before_frame
+                .map(|frame| (format!("name {}", before.quoted()).into(), frame)),
             ..NewEvidence::new(kind, address, frame, strength, format!("name {}", name.quoted()))
         };
         self.report(now, evidence);
@@ -440,7 +441,8 @@ impl ConflictDetector {
         Some(NewEvidence {
             name,
             since: pattern.since,
-            contradicts: phase_1.map(|previous| ("heartbeat, phase 1 of a period".into(), *previous)),
+            contradicts: phase_1
+                .map(|previous| ("heartbeat, phase 1 of a period".into(), *previous)),
             ..NewEvidence::new(kind, address, frame, strength, description)
         })
     }
@@ -494,9 +496,6 @@ impl ConflictDetector {
         let period = self.periods.of(source);
         let history = &mut self.histories[source.index()];
         let recorded = history.heartbeats.record(now, frame, period);
-        if recorded.copy_delay.is_some() && recorded.has_random_rnd7 {
-            history.second_sender_at = Some(now);
-        }
         let was_repeated = self.repeated_frames.is_repeated(now, source);
         self.repeated_frames.note_heartbeat(now, source, recorded);
         if !self.repeated_frames.is_repeated(now, source) {
@@ -650,7 +649,10 @@ impl ConflictDetector {
         let at = self.finding_tracker.report(now, evidence)?;
         let remembered = self.periods.of(address) * UID_MEMORY_PERIODS;
         let uids = self.histories[address.index()].uids.recent(now, remembered).into_iter();
-        let uids = uids.map(|(uid, since)| SeenUid { uid: *uid, since });
+        let uids = uids.map(|(uid, since)| {
+            let text = uid.text(&self.alphabet);
+            SeenUid { uid: *uid, text, since }
+        });
         self.finding_tracker.set_uids(at, uids);
         Some(at)
     }
@@ -679,6 +681,7 @@ impl ConflictDetector {
         let recent = self.periods.of(address).mul_f64(INTERLEAVED_PERIODS);
         AddressFindings {
             has_second_sender: second_sender_at.is_some_and(|at| now.since(at) < recent)
+                || self.repeated_frames.two_devices_since(address).is_some()
                 || self.finding_tracker.has_strong(FindingKind::SameNameSameAddress, address),
             has_two_names: self.finding_tracker.has_strong(two_names, address),
             had_other_name: names.changed_within(now, self.periods.of(address) * 30)

@@ -95,9 +95,9 @@ fn filter_fields_work_on_every_page() {
     assert_eq!(rows("1", "is:conflict"), 1);
     assert_eq!(rows("1", "is:clash"), 1);
     assert_eq!(rows("1", "is:missing"), 1);
-    assert_eq!(rows("3", "is:suspected"), 2);
+    assert_eq!(rows("3", "is:suspected"), 3);
     assert_eq!(rows("3", "is:confirmed"), 2);
-    assert_eq!(rows("3", "is:suspected at:14 name:act"), 2);
+    assert_eq!(rows("3", "is:suspected at:14 name:act"), 3);
     rows("2", "at:14 name:act is:ours");
 }
 

@@ -478,13 +478,14 @@ impl Case<'_> {
             }
         }
         for (address, course) in seen {
-            let has_claimed = |(at, uid): &(Instant, Uid)| {
-                let claim = claims.get(&(address, *uid));
-                claim.is_some_and(|claim| claim.since(*at) + at.since(*claim) < PERIOD * 3)
-            };
             let turns = course.windows(3).any(|three| {
+                let (second, third) = (three[1].0, three[2].0);
+                let has_claimed = |(_, uid): &(Instant, Uid)| {
+                    let claim = claims.get(&(address, *uid));
+                    claim.is_some_and(|claim| *claim <= third && second.since(*claim) < PERIOD * 4)
+                };
                 three[0].1 == three[2].1
-                    && three[2].0.since(three[1].0) < PERIOD * 5
+                    && third.since(second) < PERIOD * 5
                     && three[..2].iter().all(has_claimed)
             });
             let told = self.courses.iter().any(|course| {
