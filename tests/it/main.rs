@@ -20,6 +20,7 @@ mod disk_errors;
 mod document;
 mod document_fuzz;
 mod document_properties;
+mod doubled_frames;
 mod editing;
 mod error_frames;
 mod external_editors;

@@ -509,7 +509,10 @@ impl ConflictDetector {
             }
         }
         let original = self.histories[source.index()].heartbeats.last();
-        if let Some((delay, original)) = recorded.copy_delay.zip(original.copied()) {
+        if recorded.copy_delay.is_some()
+            && let Some(original) = original.copied()
+        {
+            let delay = self.repeated_frames.delay_of(address);
             self.finding_tracker.note_repeated(now, address, delay, [original, *frame]);
         }
         recorded.is_new

@@ -160,6 +160,15 @@ impl RepeatedFrameDetector {
         self.is_active(now) || now < self.series[address.index()].active_until
     }
 
+    /// Returns the shortest delay of the copies of `address`, or of all with `None`: later ones
+    /// waited for other frames.
+    pub fn delay_of(&self, address: Option<Address>) -> Duration {
+        match address.map(|address| &self.series[address.index()]) {
+            Some(series) if series.count > 0 => series.shortest,
+            _ => self.shortest.unwrap_or(self.delay),
+        }
+    }
+
     /// Returns true if the frames of several addresses, so probably all, are repeated.
     pub fn is_bus_repeated(&self, now: Instant) -> bool {
         self.is_active(now) && self.has_several_sources

@@ -478,15 +478,16 @@ impl Case<'_> {
             }
         }
         for (address, course) in seen {
-            let turns = course.windows(3).any(|three| {
-                let (second, third) = (three[1].0, three[2].0);
+            let turns = course.windows(4).any(|turns| {
+                let (second, third) = (turns[1].0, turns[2].0);
                 let has_claimed = |(_, uid): &(Instant, Uid)| {
                     let claim = claims.get(&(address, *uid));
                     claim.is_some_and(|claim| *claim <= third && second.since(*claim) < PERIOD * 4)
                 };
-                three[0].1 == three[2].1
-                    && third.since(second) < PERIOD * 5
-                    && three[..2].iter().all(has_claimed)
+                turns[0].1 == turns[2].1
+                    && turns[1].1 == turns[3].1
+                    && turns[3].0.since(second) < PERIOD * 5
+                    && turns[..2].iter().all(has_claimed)
             });
             let told = self.courses.iter().any(|course| {
                 course.concerns(address)

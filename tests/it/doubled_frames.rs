@@ -1,0 +1,169 @@
+//! One device whose frames arrive twice, and one that sends them twice: told from two devices.
+
+use crate::common::inspection::Inspection;
+use descan::discovery::{Config, Engine, EventKind};
+use descan::finding::{Finding, FindingKind, FindingState};
+use descan::frame::Frame;
+use descan::sim::{DeviceSpec, Fault, Scenario};
+use descan::time::{Duration, Instant};
+use descan::wire::id::Header;
+use descan::wire::node::Uid;
+use std::collections::VecDeque;
+
+const END: Instant = Instant::from_micros(40_000_000);
+
+fn device(name: &str, address: u8) -> DeviceSpec {
+    let uid = Uid([address; 6]);
+    DeviceSpec::new(name).uid(uid).fixed(address).skips_address_resolution().service("DES", "1.0")
+}
+
+fn three_devices() -> Scenario {
+    let mut scenario = Scenario::new(250_000);
+    let phases = [("FEED", 12, 0), ("SENS", 13, 310), ("PUMP", 14, 640)];
+    for (name, address, phase) in phases {
+        let power_on = Duration::from_millis(phase);
+        scenario.devices.push(device(name, address).power_on(power_on));
+    }
+    scenario
+}
+
+/// Runs an inspector that receives each frame for which `is_repeated` returns true again `delay`
+/// later, with up to `jitter` more.
+fn with_gateway(
+    scenario: &Scenario,
+    seed: u64,
+    delay: Duration,
+    is_repeated: impl Fn(&Frame) -> bool,
+) -> Engine {
+    let mut bus = Inspection::new(scenario, seed, Config::default());
+    let mut rng = fastrand::Rng::with_seed(seed);
+    let mut copies: VecDeque<Frame> = VecDeque::new();
+    while bus.sim.now() < END {
+        let now = bus.sim.now();
+        while let Some(frame) = bus.sim.poll_frame(bus.station) {
+            bus.engine.handle_frame(&frame);
+            if !frame.is_tx && is_repeated(&frame) {
+                let at = frame.time + delay + Duration::from_micros(rng.u64(..800));
+                copies.push_back(frame.with_time(at));
+            }
+        }
+        while let Some(copy) = copies.pop_front_if(|copy| copy.time <= now) {
+            bus.engine.handle_frame(&copy);
+        }
+        if bus.engine.poll_timeout().is_some_and(|due| due <= now) {
+            bus.engine.handle_timeout(now);
+        }
+        while let Some(frame) = bus.engine.poll_transmit(now) {
+            bus.sim.transmit(bus.station, frame);
+        }
+        let due = [bus.engine.poll_timeout(), bus.sim.next_event()];
+        let due = due.into_iter().chain([copies.front().map(|copy| copy.time), Some(END)]);
+        bus.sim.advance(due.flatten().min().unwrap_or(END).max(now));
+    }
+    bus.engine
+}
+
+/// Returns the kinds of the conflicts that were ever confirmed.
+fn confirmed(engine: &mut Engine) -> Vec<FindingKind> {
+    let mut kinds = Vec::new();
+    while let Some(event) = engine.poll_event() {
+        if let EventKind::Finding { key, state: FindingState::Confirmed } = event.kind {
+            kinds.push(key.kind);
+        }
+    }
+    kinds
+}
+
+fn finding(engine: &Engine, kind: FindingKind) -> Option<&Finding> {
+    engine.findings().iter().find(|finding| finding.key.kind == kind)
+}
+
+fn is_of(frame: &Frame, address: u8) -> bool {
+    let source = frame.platform_id().map(|id| Header::decode(id).source.number());
+    source == Some(address)
+}
+
+#[test]
+fn gateway_that_repeats_one_device_is_no_conflict() {
+    for millis in [3, 8, 20, 50] {
+        for seed in 0..5 {
+            let delay = Duration::from_millis(millis);
+            let mut engine = with_gateway(&three_devices(), seed, delay, |frame| is_of(frame, 12));
+            let label = format!("{millis} ms later, seed {seed}");
+            assert_eq!(confirmed(&mut engine), [], "{label}");
+            let repeated = finding(&engine, FindingKind::FramesRepeated).expect(&label);
+            assert_eq!(repeated.state, FindingState::Suspected, "{label}");
+            let begin = "Frames from address 12 arrive twice, ";
+            let end = " ms apart: repeated by a gateway?";
+            let apart = repeated.text.strip_prefix(begin).and_then(|text| text.strip_suffix(end));
+            let apart: u64 = apart.and_then(|number| number.parse().ok()).expect(&repeated.text);
+            assert!((millis..=millis + 1).contains(&apart), "{label}: {}", repeated.text);
+            let open = engine.findings().iter().filter(|it| it.state != FindingState::Cleared);
+            assert_eq!(open.count(), 1, "{label}: {:#?}", engine.findings());
+        }
+    }
+}
+
+#[test]
+fn bridge_that_repeats_all_frames_is_one_finding() {
+    for seed in 0..5 {
+        let mut engine = with_gateway(&three_devices(), seed, Duration::from_millis(12), |_| true);
+        assert_eq!(confirmed(&mut engine), [], "seed {seed}");
+        let open: Vec<&Finding> =
+            engine.findings().iter().filter(|it| it.state != FindingState::Cleared).collect();
+        let [only] = open[..] else { panic!("seed {seed}: {open:#?}") };
+        assert_eq!((only.key.kind, only.key.address), (FindingKind::FramesRepeated, None));
+        assert!(only.text.starts_with("All frames arrive twice, 12 ms apart"), "{}", only.text);
+    }
+}
+
+#[test]
+fn device_that_responds_twice_has_doubled_answers() {
+    for has_heartbeats in [true, false] {
+        for seed in 0..5 {
+            let mut scenario = three_devices();
+            scenario.devices[0].faults.set(Fault::RespondsTwice, true);
+            if !has_heartbeats {
+                scenario.devices[0].faults.set(Fault::NoHeartbeat, true);
+            }
+            let mut bus = Inspection::new(&scenario, seed, Config::default());
+            bus.run_until(END, |_| false);
+            let label = format!("heartbeats: {has_heartbeats}, seed {seed}");
+            let open: Vec<&Finding> = bus
+                .engine
+                .findings()
+                .iter()
+                .filter(|it| it.state != FindingState::Cleared)
+                .collect();
+            let [only] = open[..] else { panic!("{label}: {open:#?}") };
+            assert_eq!(only.key.kind, FindingKind::AnswersDoubled, "{label}");
+            assert_eq!(only.state, FindingState::Confirmed, "{label}");
+            assert!(only.text.contains("two equal devices, or one that responds twice"));
+            let opened = bus.events.iter().filter_map(|event| match &event.kind {
+                EventKind::Finding { key, state: FindingState::Confirmed } => Some(key.kind),
+                _ => None,
+            });
+            assert!(opened.into_iter().all(|kind| kind == FindingKind::AnswersDoubled), "{label}");
+        }
+    }
+}
+
+/// Two devices of one name without heartbeats: the collision of the platform's own document.
+#[test]
+fn two_devices_without_heartbeats_have_doubled_answers() {
+    for seed in 0..5 {
+        let mut scenario = three_devices();
+        let mut other = device("FEED", 12).label("other");
+        for device in [&mut scenario.devices[0], &mut other] {
+            device.faults.set(Fault::NoHeartbeat, true);
+            device.faults.set(Fault::KeepsAddress, true);
+        }
+        scenario.devices.push(other);
+        let mut bus = Inspection::new(&scenario, seed, Config::default());
+        let is_confirmed = |engine: &Engine| {
+            let found = finding(engine, FindingKind::AnswersDoubled);
+            found.is_some_and(|it| it.state == FindingState::Confirmed)
+        };
+        assert!(bus.run_until(END, is_confirmed), "seed {seed}: {:#?}", bus.engine.findings());
+    }
+}
