@@ -143,6 +143,8 @@ pub(super) struct FindingTracker {
     /// Heartbeat period of the profile, for findings without an address.
     default_period: Duration,
     listen_only: bool,
+    /// True if no inspector sends requests on purpose, so that evidence comes rarely.
+    are_requests_rare: bool,
     findings: Vec<Finding>,
     evidence_states: Vec<EvidenceState>,
     changed: Vec<(FindingKey, FindingState)>,
@@ -189,6 +191,7 @@ impl FindingTracker {
             periods: [period; Address::COUNT],
             default_period: period,
             listen_only,
+            are_requests_rare: listen_only,
             findings: Vec::new(),
             evidence_states: Vec::new(),
             changed: Vec::new(),
@@ -199,6 +202,11 @@ impl FindingTracker {
             seed,
             over_limit: 0,
         }
+    }
+
+    /// Notes that the inspector which recorded the log sends requests.
+    pub fn expect_requests(&mut self) {
+        self.are_requests_rare = false;
     }
 
     pub fn findings(&self) -> &[Finding] {
@@ -419,13 +427,13 @@ impl FindingTracker {
 
     /// Age at which evidence no longer supports a finding.
     fn evidence_lifetime(&self, period: Duration) -> Duration {
-        if self.listen_only { period.mul_f64(7.5) } else { period * 5 }
+        if self.are_requests_rare { period.mul_f64(7.5) } else { period * 5 }
     }
 
     /// Age at which response evidence no longer supports a finding while no request was seen. In
     /// listen-only mode other nodes may send requests only every ten periods.
     pub fn max_evidence_lifetime(&self, period: Duration) -> Duration {
-        if self.listen_only { period * 12 } else { self.evidence_lifetime(period) }
+        if self.are_requests_rare { period * 12 } else { self.evidence_lifetime(period) }
     }
 
     /// Returns when a finding is cleared if no more evidence is seen.

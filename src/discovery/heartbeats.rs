@@ -2,6 +2,7 @@
 
 use super::conflicts::{ModeFlags, Repetition};
 use super::device::{MISSED_HEARTBEAT_PERIODS, ModeChange, ProtocolDeviation, Query};
+use super::local_node::is_inspector_uid;
 use super::resolution::HeartbeatContext;
 use super::{DeviceId, Engine, EventKind, Presence};
 use crate::frame::Frame;
@@ -74,6 +75,8 @@ impl Engine {
         let Some(device) = self.device_table.get_mut(row) else { return };
         device.is_resolving = matches!(heartbeat.mode, Some(Mode::Init | Mode::Arslv));
         device.error_code = heartbeat.error.or(device.error_code);
+        let alphabet = &self.config.profile.uid;
+        device.is_debug |= heartbeat.uid.is_some_and(|uid| is_inspector_uid(uid, alphabet));
         if heartbeat.uid.is_none() || heartbeat.mode.is_none() {
             device.note_deviation(ProtocolDeviation::ShortHeartbeat);
         }

@@ -12,11 +12,18 @@ use crate::wire::framing::{Framing, classify_request};
 use crate::wire::id::{Address, Header};
 use crate::wire::isotp::{FlowControl, Pci, Segmenter};
 use crate::wire::node::{Heartbeat, Mode, Uid};
-use crate::wire::profile::{Announce, Profile};
+use crate::wire::profile::{Announce, Profile, UidProfile};
 use std::collections::VecDeque;
 
 /// Name in descan's name response.
 pub(super) const NAME: &[u8] = b"DSCAN";
+/// Begin of the text of its UID.
+const UID_PREFIX: &str = "DSCAN";
+
+/// Returns true if this is the UID of an inspector.
+pub(super) fn is_inspector_uid(uid: Uid, alphabet: &UidProfile) -> bool {
+    uid.text(alphabet).to_string().starts_with(UID_PREFIX)
+}
 /// Maximum number of own responses that wait for flow control.
 const MAX_RESPONSES: usize = 4;
 /// A request received again within this time was repeated on its way: two responses would look like
@@ -82,7 +89,7 @@ impl LocalNode {
                 .map(|&character| char::from(character))
                 .collect();
         // An alphabet without these letters gets other random characters.
-        let uid = Uid::parse(&format!("DSCAN{random}"), &config.profile.uid)
+        let uid = Uid::parse(&format!("{UID_PREFIX}{random}"), &config.profile.uid)
             .unwrap_or_else(|| Uid::from_sextets(std::array::from_fn(|_| rng.u8(1..63))));
         let mut local_node = Self {
             state: AddressState::None,

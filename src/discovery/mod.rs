@@ -28,6 +28,7 @@
 //! rounds             enumeration rounds
 //! query_scheduler    which request is sent when
 //! local_node         own address, own responses
+//! recorded_node      frames that a log marks as sent
 //! outbox             transmit budget, acknowledgement
 //! conflicts          history of each address, evidence of conflicts in it
 //! finding_tracker    state of the findings
@@ -54,6 +55,7 @@ mod periods;
 mod presence;
 mod query_scheduler;
 mod receive;
+mod recorded_node;
 mod resolution;
 mod rounds;
 mod transfers;
@@ -80,6 +82,7 @@ use heartbeats::BusDelayTracker;
 use local_node::{AddressChange, LocalNode};
 use outbox::{AckChange, Outbox};
 use presence::{Outages, PresenceInput};
+use recorded_node::RecordedNodes;
 use rounds::Rounds;
 use std::collections::VecDeque;
 use transfers::Transfers;
@@ -217,6 +220,7 @@ pub struct Engine {
     conflicts: ConflictDetector,
     errors: BusErrorTracker,
     local_node: LocalNode,
+    recorded_nodes: RecordedNodes,
     outbox: Outbox,
     lateness: BusDelayTracker,
     outages: Outages,
@@ -252,6 +256,7 @@ impl Engine {
                 config.seed,
             ),
             errors: BusErrorTracker::default(),
+            recorded_nodes: RecordedNodes::new(),
             device_table: DeviceTable::new(config.bus),
             rounds: Rounds::new(),
             transfers: Transfers::new(),
@@ -527,9 +532,10 @@ impl Engine {
         PresenceInput {
             outages: &self.outages,
             periods: self.conflicts.periods(),
-            rounds: !self.config.listen_only
-                && self.config.send_requests
-                && !self.config.round_period.is_zero(),
+            rounds: self.recorded_nodes.has_inspector()
+                || !self.config.listen_only
+                    && self.config.send_requests
+                    && !self.config.round_period.is_zero(),
         }
     }
 
@@ -705,19 +711,23 @@ impl Engine {
     /// Returns the presence of a row that was replaced at its address: present while it still
     /// responds.
     fn replaced_row_presence(&self, device: &Device) -> Presence {
+        match (self.replaced_row_leaves(device), device.mode) {
+            (Some(leaves), Some(Mode::Idle)) if leaves <= self.now => Presence::Asleep,
+            (Some(leaves), _) if leaves <= self.now => Presence::Lost,
+            _ => device.presence,
+        }
+    }
+
+    /// Returns when a replaced row leaves without another response; `None` if it has left.
+    fn replaced_row_leaves(&self, device: &Device) -> Option<Instant> {
         if matches!(device.presence, Presence::Lost | Presence::Asleep) {
-            return device.presence;
+            return None;
         }
         let periods =
             if self.conflicts.finding_tracker().is_open_at(device.address) { 8 } else { 4 };
         let responded = device.name_query.responded_at.max(device.replaced_at);
         let responded = responded.unwrap_or(device.last_seen);
-        let period = self.period_of(device.address);
-        match device.mode {
-            _ if self.now.since(responded) < period * periods => device.presence,
-            Some(Mode::Idle) => Presence::Asleep,
-            _ => Presence::Lost,
-        }
+        Some(responded + self.period_of(device.address) * periods)
     }
 
     fn next_wake(&self) -> Instant {
@@ -728,8 +738,8 @@ impl Engine {
         for device in judged {
             if self.device_table.is_current(device) {
                 at(measure.evaluate(device, self.now).1);
-            } else if !matches!(device.presence, Presence::Lost | Presence::Asleep) {
-                at(Some(self.now + Duration::from_secs(1)));
+            } else {
+                at(self.replaced_row_leaves(device));
             }
         }
         at(self.query_timeout());

@@ -31,6 +31,11 @@ impl Engine {
     /// Sends the requests that are due and expires those without a response.
     pub(super) fn send_due_queries(&mut self) {
         self.expire_queries();
+        if self.config.listen_only
+            && let Some(began) = self.rounds.end_recorded(self.now, &self.config)
+        {
+            self.finish_round(began);
+        }
         let Some(own) = self.local_node.held() else { return };
         if !self.config.send_requests || self.outbox.is_paused() || self.is_left_alone() {
             return;
@@ -287,6 +292,10 @@ impl Engine {
             if !self.outbox.has_budget() && due != NO_TIMEOUT {
                 due = due.max(self.outbox.budget_at(self.share())).min(self.next_deadline());
             }
+        }
+        if self.config.listen_only {
+            let round = self.rounds.poll_timeout(&self.config, 0);
+            due = due.min(round.unwrap_or(NO_TIMEOUT));
         }
         (due != NO_TIMEOUT).then_some(due)
     }

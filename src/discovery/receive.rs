@@ -2,7 +2,6 @@
 
 use super::conflicts::{Repetition, RequestOrigin, ResponseStart};
 use super::device::{DeviceService, ProtocolDeviation, QueryFault, QueryState};
-use super::local_node::AddressChange;
 use super::transfers::{Continued, Started};
 use super::{BusVerdict, Device, DeviceId, Engine, EventKind, Presence, local_node};
 use crate::frame::{Frame, FrameKind};
@@ -32,14 +31,15 @@ impl Engine {
             self.process_error_frame(frame);
             return;
         }
-        if !frame.is_tx && self.outages.is_contradicted_by(frame.time) {
+        let is_own = frame.is_tx && self.is_own(header, frame);
+        if !is_own && self.outages.is_contradicted_by(frame.time) {
             self.end_outage();
         }
-        if !frame.is_tx {
+        if !is_own {
             self.note_traffic(now, header, frame);
         }
         let Some(header) = header else { return };
-        if frame.is_tx {
+        if is_own {
             let back = self.outbox.note_sent(now, frame);
             self.handle_ack_change(back);
             self.note_own_request(now, frame);
@@ -63,6 +63,21 @@ impl Engine {
         if repetition != Repetition::Ignored {
             self.process_platform_frame(now, header, frame, repetition);
         }
+    }
+
+    /// Returns true if a frame that was sent from this machine is one of descan, or of the inspector
+    /// that recorded the log.
+    fn is_own(&mut self, header: Option<Header>, frame: &Frame) -> bool {
+        if !self.config.listen_only {
+            return true;
+        }
+        let Some(header) = header else { return false };
+        let had_inspector = self.recorded_nodes.has_inspector();
+        let is_own = self.recorded_nodes.is_from_inspector(header, frame, &self.config.profile);
+        if !had_inspector && self.recorded_nodes.has_inspector() {
+            self.conflicts.expect_requests();
+        }
+        is_own
     }
 
     /// Notes a frame of another node as a sign of the bus's protocol.
@@ -99,18 +114,8 @@ impl Engine {
         let echoed = self.is_echoed_destination(now, header);
         let destination_is_node = !header.broadcast && !echoed;
         self.local_node.note_used(now, header, destination_is_node);
-        if let Some(own) = self.is_own_claim().filter(|_| self.traffic().has_des)
-            && own == header.source
-        {
-            self.conflicts.note_own_address_used(now, own, frame);
-            let change = self.local_node.handle_address_conflict(now, own);
-            if matches!(change, Some(AddressChange::Lost(_))) {
-                let tracker = self.conflicts.finding_tracker_mut();
-                tracker.note_claim(now, own, None, true);
-                tracker.note_gave_up(now, own);
-            }
-            self.handle_address_change(change);
-            self.wake_at(now);
+        if self.traffic().has_des {
+            self.handle_own_address_used(now, header.source, frame);
         }
         if !self.traffic().has_des {
             // The identifier may conform by chance.
@@ -145,14 +150,19 @@ impl Engine {
         }
     }
 
-    /// Returns the own address while it is held or claimed.
-    fn is_own_claim(&self) -> Option<Address> {
-        match self.local_node.own_address() {
-            super::OwnAddress::Held(address) | super::OwnAddress::Claiming(address) => {
-                Some(address)
-            }
-            _ => None,
+    /// Gives up the own address if another node uses it; a conflict if descan has sent from it.
+    fn handle_own_address_used(&mut self, now: Instant, source: Address, frame: &Frame) {
+        let held = self.local_node.held().or(self.recorded_nodes.address());
+        let change = self.local_node.handle_address_conflict(now, source);
+        if held == Some(source) {
+            self.recorded_nodes.forget_address();
+            self.conflicts.note_own_address_used(now, source, frame);
+            let tracker = self.conflicts.finding_tracker_mut();
+            tracker.note_claim(now, source, None, true);
+            tracker.note_gave_up(now, source);
+            self.wake_at(now);
         }
+        self.handle_address_change(change);
     }
 
     /// Returns true if a response's DST repeats that of the request instead of naming the
@@ -264,7 +274,11 @@ impl Engine {
             if !header.response && header.service == self.config.profile.des_service() {
                 self.note_request(now, header, frame, true);
                 if header.broadcast {
-                    self.rounds.note_sent(now);
+                    if self.config.listen_only {
+                        self.rounds.note_recorded(now);
+                    } else {
+                        self.rounds.note_sent(now);
+                    }
                     self.wake_at(now);
                 }
             }
@@ -291,8 +305,8 @@ impl Engine {
             return;
         }
         let ends = self.response_window();
-        if !is_own {
-            self.note_broadcast(header.destination, false);
+        if !is_own || self.config.listen_only {
+            self.note_broadcast(header.destination, is_own);
         }
         self.conflicts.note_broadcast(now);
         let mut awaited = 0;
@@ -483,7 +497,7 @@ impl Engine {
                         self.send_flow_control(header, FlowStatus::Continue);
                     }
                     Continued::Fault(fault, first) => {
-                        let request = first.data().get(2).and_then(|&kind| request_of(&[kind]));
+                        let request = request_in_first_frame(&first);
                         self.abort_transfer(now, row, request, fault, frame);
                     }
                     Continued::More | Continued::BlockEnd => {
@@ -516,7 +530,7 @@ impl Engine {
             let Some(row) = self.device_table.current_row(expired.header.source) else {
                 continue;
             };
-            let request = self.open_request(row);
+            let request = request_in_first_frame(&expired.first).or(self.open_request(row));
             self.abort_transfer(self.now, row, request, expired.fault, &expired.first);
         }
     }
@@ -699,4 +713,9 @@ fn request_of(message: &[u8]) -> Option<Request> {
         Some(&des::TYPE_SERVICES) => Some(Request::Services),
         _ => None,
     }
+}
+
+/// Returns the request that a multi-frame response in classic CAN responds to, by its first frame.
+fn request_in_first_frame(first: &Frame) -> Option<Request> {
+    first.data().get(2).and_then(|&kind| request_of(&[kind]))
 }

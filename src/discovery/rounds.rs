@@ -114,6 +114,29 @@ impl Rounds {
         }
     }
 
+    /// Notes a request of the inspector that recorded the log: responses are collected from now on.
+    pub fn note_recorded(&mut self, now: Instant) {
+        if let RoundPhase::Collecting { last_response, .. } = &mut self.phase {
+            *last_response = now;
+            return;
+        }
+        self.phase =
+            RoundPhase::Collecting { began: now, last_response: now, responses: 0, known: 0 };
+    }
+
+    /// Ends a recorded round that is over; returns when it began.
+    pub fn end_recorded(&mut self, now: Instant, config: &Config) -> Option<Instant> {
+        let RoundPhase::Collecting { began, last_response, responses, .. } = self.phase else {
+            return None;
+        };
+        if now < self.end_of_round(config, began, last_response, responses) {
+            return None;
+        }
+        self.finished += 1;
+        self.phase = RoundPhase::NotYet;
+        Some(began)
+    }
+
     /// Returns the time until which other requests are held back, because they may win arbitration
     /// against the requests of this round; `None` if they need not wait.
     pub fn priority_until(&self, now: Instant) -> Option<Instant> {

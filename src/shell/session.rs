@@ -429,10 +429,7 @@ impl Session {
                 set_link(&mut self.app, frame.time, at, Link::Up);
             }
             self.app.advance_to(frame.time);
-            // The node that recorded the log is a device like the others.
-            let mut received = frame;
-            received.is_tx = false;
-            self.app.handle_frames(frame.time, &[received]);
+            self.app.handle_frames(frame.time, &[frame]);
         }
         // Entries that cannot be read name no interface: they count on the first.
         let unreadable = log.unreadable().count;

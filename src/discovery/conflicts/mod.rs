@@ -104,7 +104,8 @@ struct AddressFindings {
 #[derive(Debug)]
 pub(super) struct ConflictDetector {
     periods: HeartbeatPeriods,
-    listen_only: bool,
+    /// True if no inspector sends requests on purpose: devices respond now and then only.
+    are_requests_rare: bool,
     /// Alphabet of UIDs, for the text of evidence.
     alphabet: UidProfile,
     histories: Vec<AddressHistory>,
@@ -119,13 +120,19 @@ impl ConflictDetector {
         let period = profile.heartbeat.period();
         Self {
             periods: HeartbeatPeriods::new(period, profile.given),
-            listen_only,
+            are_requests_rare: listen_only,
             alphabet: profile.uid.clone(),
             histories: (0..Address::COUNT).map(|_| AddressHistory::default()).collect(),
             repeated_frames: RepeatedFrameDetector::new(period),
             finding_tracker: FindingTracker::new(bus, profile, listen_only, seed),
             ignore_surplus_until: Instant::ZERO,
         }
+    }
+
+    /// Notes that the inspector which recorded the log sends requests.
+    pub fn expect_requests(&mut self) {
+        self.are_requests_rare = false;
+        self.finding_tracker.expect_requests();
     }
 
     /// Heartbeat periods of the addresses.
@@ -669,7 +676,7 @@ impl ConflictDetector {
     /// Time within which an alternating response must return to its previous value.
     fn alternation_timeout(&self, address: Address) -> Duration {
         let period = self.periods.of(address);
-        if self.listen_only {
+        if self.are_requests_rare {
             self.finding_tracker.max_evidence_lifetime(period)
         } else {
             period * 3

@@ -10,7 +10,8 @@ mod link_faults;
 mod random_scenario;
 
 use crate::common::inspection;
-use descan::discovery::{Engine, Event};
+use descan::discovery::{Config, Engine, Event, EventKind};
+use descan::finding::FindingKind;
 use descan::frame::{CanId, Frame};
 use descan::sim::{ControllerState, Sim, SimDeviceId, SimStation};
 use descan::time::{Duration, Instant};
@@ -257,4 +258,85 @@ fn conflicts_in_crowded_worlds_stay_confirmed() {
         let wrong = complaints(seed, false);
         assert!(wrong.is_empty(), "seed {seed}:\n{}", wrong.join("\n"));
     }
+}
+
+/// Time of an event, and the event as text.
+type Occurrence = (Instant, String);
+
+/// Returns the events of devices and findings. When an aborted response counts as malformed, and
+/// which address bus errors concern, depends on the state of the inspector's own queries, which a
+/// recording does not have.
+fn occurrences(events: impl Iterator<Item = Event>) -> Vec<Occurrence> {
+    let is_compared = |event: &Event| match &event.kind {
+        EventKind::Finding { key, .. } => {
+            let of_queries = [FindingKind::MalformedAnswer, FindingKind::BusErrors];
+            !of_queries.contains(&key.kind)
+        }
+        _ => event.device.is_some(),
+    };
+    let of_devices = events.filter(is_compared);
+    of_devices.map(|event| (event.time, inspection::describe(&event))).collect()
+}
+
+/// Returns the events of an engine that reads a recording.
+fn replayed(config: &Config, began: Instant, end: Instant, frames: &[Frame]) -> Vec<Occurrence> {
+    let mut engine = Engine::new(began, Config { listen_only: true, ..config.clone() });
+    let mut events = Vec::new();
+    let mut run_until = |engine: &mut Engine, until: Instant| {
+        while let Some(due) = engine.poll_timeout().filter(|due| *due <= until) {
+            engine.handle_timeout(due);
+        }
+        events.extend(std::iter::from_fn(|| engine.poll_event()));
+    };
+    for frame in frames {
+        run_until(&mut engine, frame.time);
+        engine.handle_frame(frame);
+    }
+    run_until(&mut engine, end);
+    occurrences(events.into_iter())
+}
+
+/// Returns the events of `one` without an equal one in `other` at nearly the same time.
+fn missing_in(one: &[Occurrence], other: &[Occurrence]) -> Vec<String> {
+    const TOLERANCE: Duration = Duration::from_millis(300);
+    let mut left: Vec<&Occurrence> = other.iter().collect();
+    let mut missing = Vec::new();
+    for (time, text) in one {
+        let is_it =
+            |it: &&Occurrence| it.1 == *text && it.0.since(*time) + time.since(it.0) <= TOLERANCE;
+        match left.iter().position(is_it) {
+            Some(at) => drop(left.remove(at)),
+            None => missing.push(format!("{time} {text}")),
+        }
+    }
+    missing
+}
+
+#[test]
+fn recording_of_a_run_gives_the_same_events() {
+    let number = |name| std::env::var(name).ok().and_then(|text| text.parse::<u64>().ok());
+    let seeds = number("SEED").map_or(0..number("SEEDS").unwrap_or(200), |seed| seed..seed + 1);
+    let mut wrong = String::new();
+    let mut compared = 0;
+    for seed in seeds {
+        let run = Run::new(World::new(seed));
+        for (number, it) in run.inspectors.iter().enumerate() {
+            let world = &run.world.inspectors[number];
+            // A recording has no bus-off, no lost frames and no other clock.
+            if !it.cut_off.is_empty() || !world.lens.is_clear() || world.config.listen_only {
+                continue;
+            }
+            compared += 1;
+            let live = occurrences(it.events.iter().map(|(_, event)| event.clone()));
+            let (began, end) = (instant(world.from), instant(run.world.end));
+            let recorded = replayed(it.engine.config(), began, end, &it.frames);
+            for line in missing_in(&live, &recorded) {
+                writeln!(wrong, "seed {seed}, inspector {number}, live only: {line}").unwrap();
+            }
+            for line in missing_in(&recorded, &live) {
+                writeln!(wrong, "seed {seed}, inspector {number}, replayed only: {line}").unwrap();
+            }
+        }
+    }
+    assert!(wrong.is_empty(), "of {compared} runs:\n{wrong}");
 }
