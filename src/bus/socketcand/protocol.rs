@@ -24,7 +24,7 @@ const FIRST_ECHO_TIMEOUT: Duration = Duration::from_millis(250);
 
 /// State of the protocol with one server.
 #[derive(Debug)]
-pub(super) struct Socketcand {
+pub struct Socketcand {
     server: String,
     interface: String,
     stage: SocketcandStage,
@@ -48,6 +48,7 @@ enum SocketcandStage {
 }
 
 impl Socketcand {
+    /// Creates the protocol with `server` for its bus `interface`.
     pub fn new(server: &str, interface: &str) -> Self {
         Self {
             server: server.to_owned(),
@@ -233,7 +234,6 @@ impl Protocol for Socketcand {
 mod tests {
     use super::*;
     use crate::bus::remote::stream::bench;
-    use proptest::prelude::*;
 
     fn at(millis: u64) -> Instant {
         Instant::from_micros(millis * 1000)
@@ -385,25 +385,5 @@ mod tests {
         assert_eq!(test.exchange.status.state, BusState::Unknown);
         assert_eq!(test.exchange.status.fault, None);
         assert_eq!(test.exchange.frames.len(), 3);
-    }
-
-    /// Messages of servers, whole and cut off.
-    const MESSAGES: &[&str] = &[
-        "< hi >",
-        "< ok >",
-        "< echo >",
-        "< frame 00000001 1.0  >",
-        "< frame 123 1.2 11 >",
-        "< error 040 1.0 >",
-        "< error ",
-        "< nok >",
-        "?",
-    ];
-
-    proptest! {
-        #[test]
-        fn deadline_is_later_than_handled_time(steps in bench::steps(MESSAGES)) {
-            bench::run(Socketcand::new("host:29536", "can0"), steps);
-        }
     }
 }
