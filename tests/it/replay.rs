@@ -112,60 +112,60 @@ fn fuzz_target_has_files_and_inputs() {
 
 #[test]
 fn slcan_mutations_break_no_rule() {
-    replay("slcan", 10_000);
+    replay("slcan", 25_000);
 }
 
 #[test]
 fn socketcand_mutations_break_no_rule() {
-    replay("socketcand", 13_000);
+    replay("socketcand", 35_000);
 }
 
 #[test]
 fn udp_mutations_break_no_rule() {
-    replay("udp", 60_000);
+    replay("udp", 240_000);
 }
 
 #[test]
 fn candump_mutations_break_no_rule() {
-    replay("candump", 6_000);
+    replay("candump", 15_000);
 }
 
 #[test]
 fn pcapng_mutations_break_no_rule() {
-    replay("pcapng", 12_000);
+    replay("pcapng", 36_000);
 }
 
 #[test]
 fn document_mutations_break_no_rule() {
-    replay("document", 500);
+    replay("document", 1_300);
 }
 
 #[test]
 fn profile_mutations_break_no_rule() {
-    replay("profile", 8_000);
+    replay("profile", 30_000);
 }
 
 #[test]
 fn theme_mutations_break_no_rule() {
-    replay("theme", 18_000);
+    replay("theme", 60_000);
 }
 
 #[test]
 fn keys_mutations_break_no_rule() {
-    replay("keys", 30_000);
+    replay("keys", 100_000);
 }
 
 #[test]
 fn config_mutations_break_no_rule() {
-    replay("config", 40_000);
+    replay("config", 130_000);
 }
 
 #[test]
 fn scenario_mutations_break_no_rule() {
-    replay("scenario", 5_000);
+    replay("scenario", 20_000);
 }
 
 #[test]
 fn engine_mutations_break_no_rule() {
-    replay("engine", 1_000);
+    replay("engine", 4_000);
 }
