@@ -14,6 +14,9 @@ pub struct Instant(u64);
 impl Instant {
     /// The start.
     pub const ZERO: Instant = Instant(0);
+    /// The latest moment of an input. Sums with any period of the program are later, so a deadline is
+    /// never at the moment itself because it saturated.
+    pub const LATEST: Instant = Instant(u64::MAX / 2);
 
     /// Returns the moment `micros` microseconds after the start.
     pub const fn from_micros(micros: u64) -> Self {

@@ -31,14 +31,15 @@ pub use faults::TuneError;
 pub use kind::BusKind;
 pub use port::{Port, TransmitError};
 pub use queue::Queue;
+pub use remote::stream::{Protocol, ProtocolIo, Unavailable};
 pub use replay::file::open_log;
 pub use sim::scenario;
-pub use slcan::SlcanAddress;
+pub use slcan::{Slcan, SlcanAddress, SlcanSettings};
 pub use socketcan::{CanInterface, interface_exists, interfaces};
-pub use socketcand::SocketcandAddress;
+pub use socketcand::{Socketcand, SocketcandAddress};
 pub use spec::{BusSpec, KINDS, forms};
 pub use tuner::BitRateSetter;
-pub use udp::UdpAddress;
+pub use udp::{UdpAddress, decode_datagram, encode_datagram};
 
 use crate::diagnostic::Diagnostic;
 use crate::frame::{BusIndex, IdFilter};

@@ -70,7 +70,7 @@ pub use event::{Event, EventKind, OtherDevice};
 
 use crate::finding::{Finding, FindingKind, FindingState};
 use crate::frame::{Frame, FrameKind};
-use crate::time::{Duration, Instant};
+use crate::time::{Duration, Instant, debug_assert_later};
 use crate::wire::id::{Address, Header};
 use crate::wire::node::Mode;
 use bus_protocol::ProtocolDetector;
@@ -89,6 +89,9 @@ use transfers::Transfers;
 
 /// Maximum number of events waiting to be polled; beyond that the oldest is dropped.
 const MAX_EVENTS: usize = 4096;
+/// What is done can make more due at once: a finished round the next one, a cleared finding a query.
+/// Each does so once at the same time.
+const MAX_PASSES: u32 = 4;
 
 /// State of descan's own address on a bus (protocol §6.1).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -308,6 +311,17 @@ impl Engine {
         if self.now < self.wake {
             return;
         }
+        for _ in 0..MAX_PASSES {
+            self.do_due();
+            self.wake = self.next_wake();
+            if self.wake > self.now {
+                break;
+            }
+        }
+        debug_assert_later(self.poll_timeout(), self.now);
+    }
+
+    fn do_due(&mut self) {
         let now = self.now;
         let change = self.outbox.handle_timeout(now);
         self.handle_ack_change(change);
@@ -324,7 +338,6 @@ impl Engine {
         self.check_errors();
         self.send_due_queries();
         self.emit_finding_changes();
-        self.wake = self.next_wake();
     }
 
     /// Returns the latest time of the next call of [`handle_timeout`](Self::handle_timeout); `None`

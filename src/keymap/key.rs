@@ -3,6 +3,7 @@
 //!
 //! Does not know terminals: the shell converts terminal events.
 
+use crate::text::is_printable;
 use std::fmt;
 
 /// A key with its modifiers.
@@ -114,7 +115,7 @@ impl Key {
     }
 
     /// Parses the notation of `keys.toml`: `r`, `G`, `Space`, `Ctrl-r`, `Shift-Tab`, `F5`. `None`
-    /// for any other text.
+    /// for any other text, also for a character that is not printable: the help shows the keys.
     pub fn parse(text: &str) -> Option<Self> {
         let mut key = Key::char('\0');
         let mut rest = text;
@@ -132,7 +133,7 @@ impl Key {
         let mut characters = rest.chars();
         key.code = match (named, characters.next(), characters.next()) {
             (Some(&(code, _)), ..) => code,
-            (None, Some(c), None) => KeyCode::Char(c),
+            (None, Some(c), None) if is_printable(c) => KeyCode::Char(c),
             _ => KeyCode::F(rest.strip_prefix('F')?.parse().ok().filter(|n| (1..=24).contains(n))?),
         };
         Some(key.normal())
@@ -171,7 +172,7 @@ mod tests {
             assert_eq!(key.to_string(), text);
         }
         assert_eq!(Key::parse("Minus"), Some(Key::char('-')));
-        for wrong in ["", "rr", "Hyper-r", "F0", "F99", "Ctrl-"] {
+        for wrong in ["", "rr", "Hyper-r", "F0", "F99", "Ctrl-", "\u{1b}", "\u{202e}"] {
             assert_eq!(Key::parse(wrong), None, "{wrong}");
         }
     }

@@ -137,7 +137,8 @@ impl LogSummary {
             self.ahead_before = self.ahead;
             self.ahead = self.ahead.saturating_add(Duration::from_micros(set_back));
         }
-        self.last + Duration::from_micros(u64::try_from(late_by).unwrap_or(0))
+        let step = Duration::from_micros(u64::try_from(late_by).unwrap_or(0));
+        (self.last + step).min(Instant::LATEST)
     }
 
     fn bus_of(&mut self, interface: &str) -> Option<BusIndex> {

@@ -27,7 +27,13 @@ pub struct UserSettings {
 }
 
 impl UserSettings {
-    fn parse(text: &str) -> Result<Self, String> {
+    /// Reads the text of `config.toml`.
+    ///
+    /// # Errors
+    ///
+    /// The first mistake, not escaped for the terminal: TOML syntax, an unknown name or a value out
+    /// of range.
+    pub fn parse(text: &str) -> Result<Self, String> {
         let settings: Self = toml::from_str(text).map_err(|error| {
             let line = error.span().map_or(1, |span| text[..span.start].matches('\n').count() + 1);
             format!("line {line}: {}", error.message())

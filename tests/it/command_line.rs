@@ -224,13 +224,17 @@ fn unusable_from_is_refused_with_remedy() {
 #[test]
 fn log_with_clock_jump_is_scanned_at_once() {
     let folder = tempfile::tempdir().unwrap();
-    let log = "(1.0) can0 07180001#8AFA6C9724110400\n\
-               (1780000000.0) can0 07180401#8AFA6C9724110400\n\
-               (18446744073709.551615) can0 07180801#8AFA6C9724110400\n";
-    std::fs::write(folder.path().join("session.log"), log).unwrap();
-    let report = json(&descan(&["scan", "file:session.log", "--json"], folder.path()));
-    assert_eq!(report["devices"][0]["presence"], "online");
-    assert_eq!(report["devices"][0]["heartbeat"]["count"], 3);
+    for first in ["1.0", "0.0"] {
+        let log = format!(
+            "({first}) can0 07180001#8AFA6C9724110400\n\
+             (1780000000.0) can0 07180401#8AFA6C9724110400\n\
+             (18446744073709.551615) can0 07180801#8AFA6C9724110400\n"
+        );
+        std::fs::write(folder.path().join("session.log"), log).unwrap();
+        let report = json(&descan(&["scan", "file:session.log", "--json"], folder.path()));
+        assert_eq!(report["devices"][0]["presence"], "online");
+        assert_eq!(report["devices"][0]["heartbeat"]["count"], 3);
+    }
 }
 
 #[test]

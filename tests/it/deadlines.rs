@@ -1,5 +1,5 @@
 //! A state machine whose timers were handled up to a moment has its next deadline later, or none.
-//! The app's is checked by `random_input`, those of adapters and servers beside their protocols.
+//! The app's is checked by `random_input`, those of the engine, of adapters and servers by `replay`.
 
 use descan::bitrate::Search;
 use descan::frame::{CanId, Frame, FrameKind};

@@ -9,6 +9,8 @@ mod builtin_scenarios;
 mod bus_outages;
 mod candump;
 mod check;
+#[path = "../checks/mod.rs"]
+mod checks;
 mod command_line;
 mod common;
 mod conflict_evidence;
@@ -36,6 +38,7 @@ mod random_buses;
 mod random_input;
 mod readme;
 mod recording;
+mod replay;
 mod replay_speed;
 mod scenarios;
 mod schema;

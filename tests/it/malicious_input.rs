@@ -1,9 +1,10 @@
 //! Malicious frames: no panic, bounded memory, no control characters on the terminal.
 
+use crate::checks::engine::{EngineStep, check_rows, run};
 use crate::common::sweep;
 use descan::discovery::{Config, Engine};
 use descan::frame::{CanId, Frame};
-use descan::time::{Duration, Instant};
+use descan::time::Instant;
 use descan::wire::id::{Address, Header, Service};
 use proptest::prelude::*;
 
@@ -67,21 +68,9 @@ fn any_frame() -> impl Strategy<Value = Frame> {
     ]
 }
 
-/// In microseconds; after a longer pause the engine gets one timeout instead of each that is due.
-const HOUR_US: u64 = 3_600_000_000;
-
 /// Time between two frames in microseconds; the timestamps of a log may be at any distance.
 fn any_pause() -> impl Strategy<Value = u64> {
     prop_oneof![500 => 0u64..400_000, 1 => any::<u64>()]
-}
-
-/// Returns true if each row is found by its id, and the current row of an address is a row there.
-fn are_rows_found(engine: &Engine) -> bool {
-    let is_found = |id| engine.device(id).is_some_and(|device| device.id == id);
-    engine.devices().iter().all(|device| is_found(device.id))
-        && Address::all()
-            .filter_map(|address| Some((address, engine.device_at(address)?)))
-            .all(|(address, device)| device.address == address && is_found(device.id))
 }
 
 proptest! {
@@ -94,42 +83,10 @@ proptest! {
         seed in any::<u64>(),
     ) {
         let config = Config { listen_only, seed, ..Config::default() };
-        let mut engine = Engine::new(Instant::ZERO, config);
-        let mut now = Instant::ZERO;
-        let (mut last_due, mut repeats) = (Instant::ZERO, 0);
-        for (frame, pause) in frames {
-            now += Duration::from_micros(pause);
-            if pause > HOUR_US {
-                engine.handle_timeout(now);
-                engine.remove_lost_devices();
-            }
-            while let Some(due) = engine.poll_timeout().filter(|due| *due <= now) {
-                repeats = if due == last_due { repeats + 1 } else { 0 };
-                last_due = due;
-                prop_assert!(repeats < 4, "a deadline that never passes");
-                engine.handle_timeout(due);
-                let mut sent = 0;
-                while engine.poll_transmit(due).is_some() {
-                    sent += 1;
-                    prop_assert!(sent < 200, "it never stops sending");
-                }
-                prop_assert!(!listen_only || sent == 0, "listen-only sends nothing");
-            }
-            engine.handle_frame(&frame.with_time(now));
-            while engine.poll_transmit(now).is_some() {}
-            while engine.poll_event().is_some() {}
-        }
-        prop_assert!(engine.devices().len() <= 512);
-        prop_assert!(are_rows_found(&engine));
-        for device in engine.devices() {
-            if let Some(name) = &device.name {
-                prop_assert!(!name.to_string().contains(|c: char| c.is_control()));
-            }
-        }
-        for finding in engine.findings() {
-            prop_assert!(!finding.text.contains(|c: char| c.is_control()));
-            prop_assert!(!finding.text.is_empty(), "{:?}", finding.key);
-        }
+        let steps = frames
+            .into_iter()
+            .flat_map(|(frame, pause)| [EngineStep::Pause(pause), EngineStep::Frame(frame)]);
+        run(config, false, steps);
     }
 }
 
@@ -148,7 +105,7 @@ fn changing_names_do_not_grow_memory() {
         while engine.poll_transmit(now).is_some() {}
     }
     assert!(engine.devices().len() <= 512);
-    assert!(are_rows_found(&engine));
+    check_rows(&engine);
     assert!(engine.findings().len() <= 512);
     assert!(std::iter::from_fn(|| engine.poll_event()).count() <= 4096);
 }

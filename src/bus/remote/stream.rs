@@ -37,8 +37,10 @@ const READ_SIZE: usize = 1 << 14;
 
 /// Why the bus cannot be reached now.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(in crate::bus) struct Unavailable {
+pub struct Unavailable {
+    /// State of the link.
     pub link: Link,
+    /// Cause and remedy.
     pub fault: Diagnostic,
 }
 
@@ -58,7 +60,7 @@ pub(in crate::bus) trait Endpoint: Send + Sync + 'static {
 
 /// Protocol of a byte stream: a state machine without I/O or clock. Frames, status and output are in
 /// the [`ProtocolIo`].
-pub(in crate::bus) trait Protocol: Send + 'static {
+pub trait Protocol: Send + 'static {
     /// Starts on a new stream; the status is that of before.
     fn begin(&mut self, now: Instant, exchange: &mut ProtocolIo);
 
@@ -90,7 +92,7 @@ pub(in crate::bus) trait Protocol: Send + 'static {
 
 /// Input and output of a [`Protocol`].
 #[derive(Debug, Default)]
-pub(in crate::bus) struct ProtocolIo {
+pub struct ProtocolIo {
     /// Received frames and loopback of sent frames, with times.
     pub frames: Vec<Frame>,
     /// The status of the bus. Frames are sent only while the link is up.
@@ -113,7 +115,7 @@ impl ProtocolIo {
         self.broken.get_or_insert(Unavailable { link, fault });
     }
 
-    #[cfg(test)]
+    /// Removes and returns the bytes to be written: they count as written.
     pub fn take_output(&mut self) -> Vec<u8> {
         self.written += self.output.len() as u64;
         std::mem::take(&mut self.output)
@@ -401,37 +403,7 @@ fn non_blocking<T>(outcome: io::Result<T>) -> io::Result<Option<T>> {
 #[cfg(test)]
 pub(in crate::bus) mod bench {
     use super::{Protocol, ProtocolIo};
-    use crate::frame::Frame;
-    use crate::time::{Duration, Instant};
-    use proptest::prelude::*;
-
-    /// An input of a protocol.
-    #[derive(Clone, Debug)]
-    pub enum Step {
-        /// Received bytes.
-        Input(Vec<u8>),
-        /// A frame to send.
-        Send,
-        /// Everything sent so far is written.
-        Written,
-        /// Time passes, in milliseconds.
-        Pass(u64),
-        /// The stream is opened anew.
-        Begin,
-    }
-
-    /// Returns inputs with bytes made of `words`, in any order and with any time between them.
-    pub fn steps(words: &'static [&'static str]) -> impl Strategy<Value = Vec<Step>> {
-        let input = prop::collection::vec(prop::sample::select(words), 0..6);
-        let step = prop_oneof![
-            4 => input.prop_map(|words| Step::Input(words.concat().into_bytes())),
-            2 => Just(Step::Send),
-            2 => Just(Step::Written),
-            4 => prop_oneof![0u64..20, 0u64..7_000].prop_map(Step::Pass),
-            1 => Just(Step::Begin),
-        ];
-        prop::collection::vec(step, 1..60)
-    }
+    use crate::time::Instant;
 
     /// Handles all deadlines up to `until`; after each, the next one is later, or the stream is to
     /// be closed.
@@ -443,36 +415,6 @@ pub(in crate::bus) mod bench {
             let next = protocol.poll_timeout();
             let is_later = next.is_none_or(|next| next > due);
             assert!(is_later || exchange.broken.is_some(), "{next:?} after {due:?}");
-        }
-    }
-
-    /// Runs a protocol through these inputs.
-    pub fn run(mut protocol: impl Protocol, steps: Vec<Step>) {
-        let (mut exchange, mut now) = (ProtocolIo::default(), Instant::ZERO);
-        protocol.begin(now, &mut exchange);
-        for step in steps {
-            match step {
-                Step::Input(bytes) => protocol.handle_input(now, &bytes, &mut exchange),
-                Step::Send if protocol.has_room() => {
-                    protocol.send(now, &Frame::classic(1, &[]), &mut exchange);
-                }
-                Step::Send => {}
-                Step::Written => {
-                    let end = exchange.write(b"");
-                    protocol.handle_written(now, end, &mut exchange);
-                }
-                Step::Pass(millis) => now += Duration::from_millis(millis),
-                Step::Begin => {
-                    protocol.break_off();
-                    protocol.begin(now, &mut exchange);
-                }
-            }
-            pass(&mut protocol, &mut exchange, now);
-            if exchange.broken.take().is_some() {
-                protocol.break_off();
-                protocol.begin(now, &mut exchange);
-            }
-            exchange.take_output();
         }
     }
 }

@@ -10,6 +10,7 @@ mod protocol;
 pub use address::SlcanAddress;
 pub(super) use address::{KIND, parse, text};
 pub(super) use line::rate_code;
+pub use protocol::{Slcan, SlcanSettings};
 
 use super::faults::{cannot_open, in_use, not_found, unplugged};
 use super::kind::OpenRequest;
@@ -25,7 +26,6 @@ use nix::sys::termios::{
     tcgetattr, tcsetattr,
 };
 use nix::unistd::{Gid, Group};
-use protocol::{Slcan, SlcanSettings};
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Read, Write};
 use std::os::fd::{AsFd, BorrowedFd};

@@ -49,7 +49,7 @@ const MAX_NAME: usize = 60;
 
 /// Settings with which the adapter is opened.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct SlcanSettings {
+pub struct SlcanSettings {
     /// Bit/s; `None` keeps the adapter's present one.
     pub bitrate: Option<u32>,
     /// Bit/s of the FD data phase.
@@ -60,7 +60,7 @@ pub(super) struct SlcanSettings {
 
 /// State of the protocol with one adapter.
 #[derive(Debug)]
-pub(super) struct Slcan {
+pub struct Slcan {
     device: String,
     settings: SlcanSettings,
     stage: SlcanStage,
@@ -116,6 +116,7 @@ struct FlagPoll {
 }
 
 impl Slcan {
+    /// Creates the protocol with the adapter at the serial port `device`.
     pub fn new(device: &str, settings: SlcanSettings) -> Self {
         Self {
             device: device.to_owned(),
@@ -591,7 +592,6 @@ impl Stamps {
 mod tests {
     use super::*;
     use crate::bus::remote::stream::bench;
-    use proptest::prelude::*;
 
     fn at(millis: u64) -> Instant {
         Instant::from_micros(millis * 1000)
@@ -756,43 +756,5 @@ mod tests {
         test.handle_reply(1_004, b"F00\r");
         test.pass(1_004);
         assert_eq!((test.exchange.frames.len(), test.exchange.status.unconfirmed), (1, 0));
-    }
-
-    #[test]
-    fn arbitrary_bytes_at_any_time_are_accepted() {
-        for seed in 0..300 {
-            let mut random = fastrand::Rng::with_seed(seed);
-            let mut test = SlcanTest::begin(SlcanSettings::default());
-            for step in 0..200 {
-                let alphabet = b"\r\x07zZtTFVNs0123456789ab\xFF";
-                let bytes: Vec<u8> = (0..random.usize(0..20))
-                    .filter_map(|_| random.choice(alphabet).copied())
-                    .collect();
-                test.handle_reply(step * 50, &bytes);
-                test.slcan.send(at(step * 50), &Frame::classic(1, &[]), &mut test.exchange);
-                let end = test.exchange.write(b"");
-                test.slcan.handle_written(at(step * 50), end, &mut test.exchange);
-                test.pass(step * 50);
-            }
-            assert!(test.exchange.status.unreadable > 0);
-        }
-    }
-
-    /// Responses of adapters, whole and cut off.
-    const RESPONSES: &[&str] = &[
-        "\r", "\r\r", "\x07", "V1013\r", "NA123\r", "F00\r", "F20\r", "z\r", "t0010\r", "t00", "?",
-    ];
-
-    proptest! {
-        #[test]
-        fn deadline_is_later_than_handled_time(
-            steps in bench::steps(RESPONSES),
-            bitrate in any::<bool>(),
-            listen_only in any::<bool>(),
-        ) {
-            let bitrate = bitrate.then_some(500_000);
-            let settings = SlcanSettings { bitrate, listen_only, ..SlcanSettings::default() };
-            bench::run(Slcan::new("dev", settings), steps);
-        }
     }
 }

@@ -10,6 +10,7 @@ mod protocol;
 
 pub use address::SocketcandAddress;
 pub(super) use address::{KIND, parse, text};
+pub use protocol::Socketcand;
 
 use super::faults::{cannot_open, no_response};
 use super::kind::OpenRequest;
@@ -19,7 +20,6 @@ use super::remote::stream::{self, Endpoint, Unavailable};
 use crate::diagnostic::Diagnostic;
 use crate::status::{BusStatus, Link, RateSearch};
 use nix::sys::socket::{setsockopt, sockopt};
-use protocol::Socketcand;
 use std::io::{self, ErrorKind};
 use std::net::{TcpStream, ToSocketAddrs};
 use std::time::Duration;

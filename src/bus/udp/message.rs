@@ -53,7 +53,7 @@ struct Incoming<'m> {
 }
 
 /// Encodes a frame with its time in Unix seconds; `None` for a frame that cannot exist.
-pub(super) fn encode(frame: &Frame, unix_seconds: f64) -> Option<Vec<u8>> {
+pub fn encode(frame: &Frame, unix_seconds: f64) -> Option<Vec<u8>> {
     let (arbitration_id, is_extended_id) = match frame.id {
         CanId::Standard(id) => (u32::from(id), false),
         CanId::Extended(id) => (id, true),
@@ -79,7 +79,7 @@ pub(super) fn encode(frame: &Frame, unix_seconds: f64) -> Option<Vec<u8>> {
 }
 
 /// Decodes a datagram; `None` if it is malformed.
-pub(super) fn decode(datagram: &[u8]) -> Option<Frame> {
+pub fn decode(datagram: &[u8]) -> Option<Frame> {
     let incoming: Incoming = rmp_serde::from_slice(datagram).ok()?;
     if incoming.is_error_frame && incoming.arbitration_id <= CanId::MAX_EXTENDED {
         let fits = incoming.data.len() <= Frame::MAX_CLASSIC_DATA && !incoming.is_remote_frame;

@@ -9,6 +9,7 @@ mod sockets;
 
 pub use address::UdpAddress;
 pub(super) use address::{KIND, parse, text};
+pub use message::{decode as decode_datagram, encode as encode_datagram};
 
 use super::clock::{Clock, RxTimestamps};
 use super::faults::{cannot_open, in_use};
