@@ -162,6 +162,7 @@ impl Engine {
             self.conflicts.note_heartbeat(now, address, heartbeat.uid, mode, name.as_ref(), frame);
         }
         self.errors.note_heartbeat(now, address, frame);
+        self.idle.note_heartbeat(now, address, self.period_of(address));
         if self.conflicts.finding_tracker().is_suspicious() {
             self.wake_at(now);
         }

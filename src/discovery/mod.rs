@@ -26,6 +26,7 @@
 //! presence           online, stale, lost
 //! transfers          multi-frame responses
 //! rounds             enumeration rounds
+//! idle_gaps          requests wait for heartbeats
 //! query_scheduler    which request is sent when
 //! local_node         own address, own responses
 //! recorded_node      frames that a log marks as sent
@@ -49,6 +50,7 @@ mod finding_text;
 mod finding_tracker;
 mod heartbeats;
 mod identity;
+mod idle_gaps;
 mod local_node;
 mod outbox;
 mod periods;
@@ -79,6 +81,7 @@ use conflicts::ConflictDetector;
 use device_table::DeviceTable;
 use errors::BusErrorTracker;
 use heartbeats::BusDelayTracker;
+use idle_gaps::IdleTracker;
 use local_node::{AddressChange, LocalNode};
 use outbox::{AckChange, Outbox};
 use presence::{Outages, PresenceInput};
@@ -224,6 +227,7 @@ pub struct Engine {
     errors: BusErrorTracker,
     local_node: LocalNode,
     recorded_nodes: RecordedNodes,
+    idle: IdleTracker,
     outbox: Outbox,
     lateness: BusDelayTracker,
     outages: Outages,
@@ -260,6 +264,7 @@ impl Engine {
             ),
             errors: BusErrorTracker::default(),
             recorded_nodes: RecordedNodes::new(),
+            idle: IdleTracker::default(),
             device_table: DeviceTable::new(config.bus),
             rounds: Rounds::new(),
             transfers: Transfers::new(),
@@ -323,6 +328,7 @@ impl Engine {
 
     fn do_due(&mut self) {
         let now = self.now;
+        self.idle.handle_timeout(now, &self.config);
         let change = self.outbox.handle_timeout(now);
         self.handle_ack_change(change);
         let change = self.local_node.handle_timeout(

@@ -185,7 +185,7 @@ fn sender_bit(frame: &Frame) -> u128 {
     frame.platform_id().map_or(0, |id| 1 << Header::decode(id).source.index())
 }
 
-/// Approximate length of a frame in bits with stuff bits, for the budget only.
-fn nominal_bits(frame: &Frame) -> f64 {
+/// Returns the approximate length of a frame in bits with stuff bits.
+pub(super) fn nominal_bits(frame: &Frame) -> f64 {
     (67 + 8 * frame.len()) as f64 * 1.1
 }

@@ -14,7 +14,7 @@ use crate::wire::id::{Address, Header};
 use crate::wire::isotp;
 use crate::wire::profile::Profile;
 
-/// Maximum number of queries that wait for a response: enough to keep a slow bus busy.
+/// Maximum number of queries that wait for a response: enough to keep a fast bus busy.
 const MAX_WAITING: usize = 12;
 /// Attempts to query services before a pause.
 const SERVICES_ATTEMPTS: u32 = 4;
@@ -65,6 +65,9 @@ impl Engine {
         let open = self.open_queries();
         match self.rounds.step(now, &self.config, open, known) {
             RoundStep::None => {}
+            RoundStep::Send if let Some(until) = self.heartbeats_wait_until() => {
+                self.rounds.postpone(until);
+            }
             RoundStep::Send if !self.outbox.has_budget() => {
                 self.rounds.postpone(self.outbox.budget_at(self.share()));
             }
@@ -155,15 +158,17 @@ impl Engine {
     /// Sends the targeted requests that are due.
     fn send_device_queries(&mut self, own: Address) {
         let now = self.now;
-        if self.rounds.priority_until(now).is_some() {
+        if self.rounds.priority_until(now).is_some() || self.heartbeats_wait_until().is_some() {
             return;
         }
         let window = self.response_window();
+        let max_waiting = self.idle.max_open(MAX_WAITING, &self.config);
+        let on_the_bus = self.idle.duration_of_bits(180 * 150, &self.config);
         for request in [Request::Name, Request::Services] {
             // In the order of addresses: responses of lower ones have priority on the bus, so
             // responses arrive in the order of the requests and none waits behind later ones.
             for address in Address::all() {
-                if self.waiting >= MAX_WAITING || !self.outbox.has_budget() {
+                if self.waiting >= max_waiting || !self.outbox.has_budget() {
                     return;
                 }
                 let shared = request == Request::Services
@@ -199,7 +204,7 @@ impl Engine {
                 query.attempts += 1;
                 query.sent_at = Some(now);
                 query.due = None;
-                query.deadline = Some(now + response_timeout(&self.config, query.attempts));
+                query.deadline = Some(now + response_timeout(on_the_bus, query.attempts));
                 self.waiting += 1;
                 // A device that no longer responds in its framing may be another board.
                 let framing = framing.filter(|_| query.attempts < max_attempts(request));
@@ -273,12 +278,13 @@ impl Engine {
             && self.config.send_requests
             && !self.outbox.is_paused()
             && !self.is_left_alone();
+        let max_waiting = self.idle.max_open(MAX_WAITING, &self.config);
         for device in self.device_table.devices() {
             let sending = sending && self.device_table.is_current(device);
             for query in [&device.name_query, &device.services_query] {
                 if let Some(deadline) = query.deadline.filter(|_| query.is_waiting()) {
                     due = due.min(deadline);
-                } else if sending && self.waiting < MAX_WAITING {
+                } else if sending && self.waiting < max_waiting {
                     due = due.min(query.due.unwrap_or(NO_TIMEOUT));
                 }
             }
@@ -287,6 +293,11 @@ impl Engine {
             let round = self.rounds.poll_timeout(&self.config, self.open_queries());
             due = due.min(round.unwrap_or(NO_TIMEOUT));
             if let Some(until) = self.rounds.priority_until(self.now) {
+                due = due.max(until).min(self.next_deadline());
+            }
+            if due <= self.now
+                && let Some(until) = self.heartbeats_wait_until()
+            {
                 due = due.max(until).min(self.next_deadline());
             }
             if !self.outbox.has_budget() && due != NO_TIMEOUT {
@@ -319,10 +330,10 @@ impl Engine {
     }
 }
 
-/// Returns the timeout of the first frame of a response: what devices need, plus what a slow and
-/// busy bus adds; doubled with every attempt, at most 3 s.
-fn response_timeout(config: &super::Config, attempts: u32) -> Duration {
-    let base = Duration::from_millis(200) + config.duration_of_bits(180 * 150);
+/// Returns the timeout of the first frame of a response: what devices need, plus `on_the_bus`, what
+/// a slow and busy bus adds; doubled with every attempt, at most 3 s.
+fn response_timeout(on_the_bus: Duration, attempts: u32) -> Duration {
+    let base = Duration::from_millis(200) + on_the_bus;
     (base * 2u32.saturating_pow(attempts.saturating_sub(1))).min(Duration::from_secs(3))
 }
 

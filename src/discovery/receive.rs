@@ -27,6 +27,7 @@ impl Engine {
             self.wake_at(now);
         }
         let header = self.counters.count(frame);
+        self.idle.note_frame(now, header, frame, &self.config);
         if frame.kind == FrameKind::Error {
             self.process_error_frame(frame);
             return;

@@ -17,7 +17,7 @@ const SEND_TIMEOUT: Duration = Duration::from_secs(2);
 /// Longest collection time, besides the time the responses take on the bus: responses to other
 /// nodes must not keep a round open for ever.
 const MAX_COLLECTION: Duration = Duration::from_secs(2);
-/// Longest time that a round at start waits for services.
+/// Longest time without a response that a round at start waits for services.
 const SERVICES_WAIT_LIMIT: Duration = Duration::from_secs(2);
 
 /// Phase of the rounds.
@@ -148,11 +148,18 @@ impl Rounds {
         }
     }
 
-    /// Notes a response, which extends the collection.
+    /// Notes a response, which extends the collection, or the time that a round waits for services.
     pub fn note_response(&mut self, now: Instant) {
-        if let RoundPhase::Collecting { last_response, responses, .. } = &mut self.phase {
-            *last_response = now;
-            *responses += 1;
+        match &mut self.phase {
+            RoundPhase::Collecting { last_response, responses, .. } => {
+                *last_response = now;
+                *responses += 1;
+            }
+            // Services are still arriving.
+            RoundPhase::Waiting { at, latest } if *latest > *at => {
+                *latest = now + SERVICES_WAIT_LIMIT;
+            }
+            _ => {}
         }
     }
 

@@ -156,6 +156,35 @@ fn transmit_budget_is_kept() {
     assert!(steady <= 0.05, "{steady}");
 }
 
+/// Responses have priority over heartbeats: a discovery without gaps would keep those off the bus.
+#[test]
+fn discovery_leaves_gaps_for_heartbeats() {
+    let scenario = Scenario::with_many_devices(125_000, 127, 5);
+    let heartbeats = |config: Config| {
+        let mut it = Inspection::new(&scenario, 1, config);
+        it.run_until(seconds(6.0), |_| false);
+        let mut times = vec![Vec::new(); Address::COUNT];
+        for frame in it.frames.iter().filter(|frame| !frame.is_tx) {
+            let header = Header::decode(frame.platform_id().unwrap());
+            if header.response && header.broadcast {
+                times[header.source.index()].push(frame.time);
+            }
+        }
+        (it, times)
+    };
+    let (it, with) = heartbeats(Config::default());
+    let (_, without) = heartbeats(Config { listen_only: true, ..Config::default() });
+    assert_eq!(it.engine.progress().with_services, 127);
+    let pairs = with.iter().flatten().zip(without.iter().flatten());
+    let latest = pairs.map(|(with, without)| with.since(*without)).max().unwrap();
+    assert!(latest < Duration::from_millis(500), "a heartbeat is {latest:?} later");
+    let is_change = |event: &&Event| matches!(event.kind, EventKind::Presence(_));
+    assert!(!it.events.iter().any(|event| is_change(&event)), "{:?}", told(&it.events));
+    // Each service list is requested once.
+    let is_services = |frame: &&Frame| frame.is_tx && frame.data() == b"\x04DES\x02";
+    assert_eq!(it.frames.iter().filter(is_services).count(), 127);
+}
+
 #[test]
 fn listen_only_engine_learns_without_sending() {
     let scenario = Scenario::with_many_devices(250_000, 10, 2);

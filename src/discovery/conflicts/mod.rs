@@ -258,7 +258,7 @@ impl ConflictDetector {
         let history = &mut self.histories[address.index()];
         let before = history.names.current().cloned();
         let returned = history.names.observe(now, name, timeout).return_count;
-        let since = history.names.second_since();
+        let since = history.names.second_since(now, timeout);
         let before_frame = history.name_frame.replace(*frame);
         let Some(before) = before.filter(|before| before != name) else { return };
         let kind = FindingKind::OneAddressTwoNames;
@@ -294,7 +294,7 @@ impl ConflictDetector {
         let history = &mut self.histories[address.index()];
         let before = history.services.current().copied();
         let returned = history.services.observe(now, &digest, timeout).return_count;
-        let since = history.services.second_since();
+        let since = history.services.second_since(now, timeout);
         let before_frame = history.services_frame.replace(*frame);
         let others = self.findings_at(now, address);
         if returned.is_none() || others.has_two_names {
@@ -360,12 +360,12 @@ impl ConflictDetector {
         let history = &self.histories[address.index()];
         let confirmed = self.finding_tracker.is_confirmed(identity, address);
         let alternation = match (uid_returned, mode_returned) {
-            (Some(_), _) => Some(self.alternating_uids(history)),
+            (Some(_), _) => Some(self.alternating_uids(now, period, history)),
             (None, Some(returns)) if returns >= 2 && (pattern.double_rate || confirmed) => {
                 Some(Alternation {
                     again: "U bit changed back".into(),
                     other: "U bit changed".into(),
-                    since: history.working.second_since(),
+                    since: history.working.second_since(now, period * UID_MEMORY_PERIODS),
                 })
             }
             _ => None,
@@ -405,11 +405,16 @@ impl ConflictDetector {
         self.repeated_frames.set_period(self.periods.typical());
     }
 
-    fn alternating_uids(&self, history: &AddressHistory) -> Alternation {
+    fn alternating_uids(
+        &self,
+        now: Instant,
+        period: Duration,
+        history: &AddressHistory,
+    ) -> Alternation {
         Alternation {
             again: self.uid_text(history.uids.current()),
             other: self.uid_text(history.uids.previous()),
-            since: history.uids.second_since(),
+            since: history.uids.second_since(now, period * UID_MEMORY_PERIODS),
         }
     }
 

@@ -99,9 +99,10 @@ impl<T: PartialEq + Clone> RecentValues<T> {
         self.previous().is_some() && now.since(self.changed_at) < within
     }
 
-    /// Time since when two of the values are there.
-    pub fn second_since(&self) -> Instant {
-        let all = self.earlier.iter().chain(&self.current).map(|value| value.since);
+    /// Time since when two of the values are there that were observed less than `within` ago.
+    pub fn second_since(&self, now: Instant, within: Duration) -> Instant {
+        let values = self.earlier.iter().chain(&self.current);
+        let all = values.filter(|value| now.since(value.last) <= within).map(|value| value.since);
         let (_, second) = all.fold((None, None), |(first, second), since| match first {
             Some(first) if since >= first => {
                 (Some(first), Some(second.map_or(since, |second: Instant| second.min(since))))
