@@ -22,7 +22,7 @@ const UID_PREFIX: &str = "DSCAN";
 
 /// Returns true if this is the UID of an inspector.
 pub(super) fn is_inspector_uid(uid: Uid, alphabet: &UidProfile) -> bool {
-    uid.text(alphabet).to_string().starts_with(UID_PREFIX)
+    uid.text(alphabet).starts_with(UID_PREFIX)
 }
 /// Maximum number of own responses that wait for flow control.
 const MAX_RESPONSES: usize = 4;

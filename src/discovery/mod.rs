@@ -551,10 +551,9 @@ impl Engine {
         PresenceInput {
             outages: &self.outages,
             periods: self.conflicts.periods(),
-            rounds: self.recorded_nodes.has_inspector()
-                || !self.config.listen_only
-                    && self.config.send_requests
-                    && !self.config.round_period.is_zero(),
+            rounds: (self.recorded_nodes.has_inspector()
+                || !self.config.listen_only && self.config.send_requests)
+                && !self.config.round_period.is_zero(),
         }
     }
 

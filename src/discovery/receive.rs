@@ -550,9 +550,10 @@ impl Engine {
         let Some(request) = request else { return };
         let Some(device) = self.device_table.get(row) else { return };
         let again = device.query(request).fault == Some(QueryFault::Transfer(fault));
-        // Repeated or late frames, or responses to several requesters with one identifier, are not
-        // a fault of the device.
+        // Repeated or late frames, two responses at once, or responses to several requesters with
+        // one identifier, are not a fault of the device.
         let excused = self.conflicts.has_duplicate_requests(now)
+            || self.conflicts.finding_tracker().is_open_at(device.address)
             || self.lateness.is_bus_wide()
             || device.deviations.contains(&ProtocolDeviation::RspDstEcho);
         if again && !excused {

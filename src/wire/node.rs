@@ -120,6 +120,14 @@ pub struct UidText {
     len: usize,
 }
 
+impl UidText {
+    /// Returns true if the text begins with `prefix`.
+    pub fn starts_with(&self, prefix: &str) -> bool {
+        let mut characters = self.characters[..self.len].iter();
+        prefix.chars().all(|character| characters.next() == Some(&character))
+    }
+}
+
 impl fmt::Display for UidText {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         self.characters[..self.len].iter().try_for_each(|&character| f.write_char(character))

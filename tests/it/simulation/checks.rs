@@ -6,7 +6,7 @@ use crate::common::inspection::{FAULTS, describe};
 use super::{Inspector, Run};
 use descan::discovery::{EventKind, OwnAddress, Presence};
 use descan::finding::{FindingKind, FindingState};
-use descan::sim::{AddressChoice, DeviceSpec, Fault};
+use descan::sim::{AddressChoice, DeviceAction, DeviceSpec, Fault};
 use descan::text::Name;
 use descan::time::{Duration, Instant};
 use descan::wire::id::{Address, Header};
@@ -176,7 +176,11 @@ impl Case<'_> {
                 let fits = |it: &Clash| matches!(*it, Clash::Address(_, a, b) if names(a, b));
                 any(&fits) || crowded(&fits)
             }
-            FindingKind::AnswersDoubled if self.responds_twice(course) => true,
+            FindingKind::AnswersDoubled
+                if self.responds_twice(course) || self.is_only_copied_response(course) =>
+            {
+                true
+            }
             FindingKind::SameNameSameAddress | FindingKind::AnswersDoubled => {
                 // A listen-only inspector may not receive the names.
                 any(&|it| {
@@ -187,6 +191,8 @@ impl Case<'_> {
                             || is_unreadable(self.spec(b))
                             || !names(a, b))
                 }) || crowded(&|_| true)
+                    // Its two responses are sent at once, so their frames interleave.
+                    || self.responds_twice(course)
             }
             FindingKind::OneAddressTwoIdentities => {
                 // Two devices with one UID that keep resolving their address differ in the U bit
@@ -234,9 +240,29 @@ impl Case<'_> {
     /// Returns true if a device at the address responds twice to each request.
     fn responds_twice(&self, course: &Course) -> bool {
         let devices = self.run.world.scenario.devices.iter().zip(&self.run.devices);
-        let mut faulty = devices.filter(|(spec, _)| spec.faults.has(Fault::RespondsTwice));
+        let timetable = &self.run.world.scenario.timetable;
+        let has_action = |spec: &DeviceSpec, action: &DeviceAction| {
+            timetable.iter().any(|it| it.device == spec.label && it.action == *action)
+        };
+        // For a moment is not enough.
+        let mut faulty = devices.filter(|(spec, _)| {
+            has_action(spec, &DeviceAction::AddFault(Fault::RespondsTwice))
+                && !has_action(spec, &DeviceAction::RemoveFault(Fault::RespondsTwice))
+        });
         faulty.any(|(_, id)| {
             self.run.sim.device_state(*id).address.is_some_and(|address| course.concerns(address))
+        })
+    }
+
+    /// Returns true if a gateway repeats a device without heartbeats, whose copies would show it.
+    fn is_only_copied_response(&self, course: &Course) -> bool {
+        let gateway = self.run.world.inspectors[self.number].lens.gateway;
+        gateway.is_some_and(|gateway| {
+            let mut devices = self.run.world.scenario.devices.iter();
+            course.concerns(gateway.address)
+                && devices.any(|spec| {
+                    is_fixed(spec, gateway.address) && spec.faults.has(Fault::NoHeartbeat)
+                })
         })
     }
 
@@ -411,7 +437,13 @@ impl Case<'_> {
     fn clearings(&mut self) {
         let end = Instant::ZERO + self.run.world.end;
         let mut wrong = Vec::new();
-        for course in self.courses.iter().filter(|course| course.kind.is_conflict()) {
+        // A device that responds twice does so until the end.
+        let goes_on = |course: &&Course| {
+            matches!(course.kind, FindingKind::AnswersDoubled | FindingKind::SameNameSameAddress)
+                && (self.responds_twice(course) || self.is_only_copied_response(course))
+        };
+        let conflicts = self.courses.iter().filter(|course| course.kind.is_conflict());
+        for course in conflicts.filter(|course| !goes_on(course)) {
             let over = self
                 .run
                 .truth

@@ -1,18 +1,29 @@
-//! Link faults between the bus and an inspector: a bridge that duplicates frames, loopback, lost
-//! frames, and a clock that jumps.
+//! Link faults between the bus and an inspector: a bridge that duplicates all frames, a gateway that
+//! duplicates those of one device, loopback, lost frames, and a clock that jumps.
 
 use descan::frame::Frame;
 use descan::time::{Duration, Instant};
+use descan::wire::id::{Address, Header};
 use std::collections::VecDeque;
 
 #[derive(Clone, Debug, Default)]
 pub struct Lens {
     /// Start, end, and the delay of each duplicate frame.
     pub doubled: Option<(Duration, Duration, Duration)>,
+    pub gateway: Option<Gateway>,
     /// The inspector's own frames come back as if another node had sent them.
     pub echo: bool,
     pub deaf: Option<Deafness>,
     pub jump: Option<Jump>,
+}
+
+/// Duplicates the frames of one address.
+#[derive(Clone, Copy, Debug)]
+pub struct Gateway {
+    pub address: Address,
+    pub from: Duration,
+    pub until: Duration,
+    pub delay: Duration,
 }
 
 /// Frames lost on the link.
@@ -38,7 +49,11 @@ impl Lens {
     }
 
     pub fn is_clear(&self) -> bool {
-        self.doubled.is_none() && !self.echo && self.deaf.is_none() && self.jump.is_none()
+        self.doubled.is_none()
+            && self.gateway.is_none()
+            && !self.echo
+            && self.deaf.is_none()
+            && self.jump.is_none()
     }
 }
 
@@ -75,6 +90,13 @@ impl Seen {
             && !is_error
         {
             self.later.push_back(strange.with_time(frame.time + delay));
+        }
+        if let Some(gateway) = lens.gateway
+            && (gateway.from..gateway.until).contains(&at)
+            && frame.platform_id().map(|id| Header::decode(id).source) == Some(gateway.address)
+        {
+            self.later.push_back(strange.with_time(frame.time + gateway.delay));
+            self.later.make_contiguous().sort_by_key(|frame| frame.time);
         }
         [Some(frame), (lens.echo && frame.is_tx).then_some(strange)]
     }

@@ -1,6 +1,6 @@
 //! A random bus: its devices, their faults and changes, and the links to the inspectors.
 
-use super::link_faults::{Deafness, Jump, Lens};
+use super::link_faults::{Deafness, Gateway, Jump, Lens};
 use crate::common::inspection::FAULTS;
 use descan::discovery::Config;
 use descan::sim::{AddressChoice, DeviceAction, DeviceFraming, DeviceSpec, Fault, Scenario};
@@ -66,9 +66,20 @@ impl World {
         };
         maker.populate();
         maker.disturb();
-        let inspectors = maker.inspectors();
+        let mut inspectors = maker.inspectors();
         for _ in 0..maker.rng.usize(0..=4) {
             maker.story();
+        }
+        // Later kinds have random numbers of their own: what a seed gave before stays.
+        maker.rng = fastrand::Rng::with_seed(!seed);
+        if maker.one_in(6) {
+            maker.gateway(&mut inspectors[0]);
+        }
+        if maker.one_in(6) {
+            maker.responds_twice();
+        }
+        if maker.one_in(6) {
+            maker.swaps_to_and_fro();
         }
         Self {
             seed,
@@ -445,6 +456,54 @@ impl Maker {
                 let uid = self.uid();
                 self.at(at, &label, DeviceAction::Name(format!("Y{label}").into_bytes()));
                 self.at(at, &label, DeviceAction::Uid(uid));
+            }
+        }
+    }
+
+    /// Lets the first inspector receive the frames of a device twice.
+    fn gateway(&mut self, inspector: &mut Inspector) {
+        let Some(device) = self.take() else { return };
+        let AddressChoice::Fixed(address) = device.address else { return };
+        let from = if self.rng.bool() { millis(0) } else { self.moment() };
+        let until = if self.rng.bool() { millis(BUSY + CALM) } else { from + millis(12_000) };
+        let delay = Duration::from_micros(self.rng.u64(3000..50_000));
+        inspector.lens.gateway = Some(Gateway { address, from, until, delay });
+        self.tell(format!("{from:?}: a gateway repeats {} {delay:?} later", device.label));
+    }
+
+    /// Makes a device respond twice to each request.
+    fn responds_twice(&mut self) {
+        let Some(device) = self.take() else { return };
+        let at = if self.rng.bool() { millis(0) } else { self.moment() };
+        self.tell(format!("{at:?}: {} responds twice from now on", device.label));
+        self.at(at, &device.label, DeviceAction::AddFault(Fault::RespondsTwice));
+    }
+
+    /// Swaps two boards at one address to and fro, three to eight times.
+    fn swaps_to_and_fro(&mut self) {
+        let Some(device) = self.take() else { return };
+        let label = device.label.clone();
+        let mut other = device;
+        other.label = format!("{label}*");
+        self.touched.push(other.label.clone());
+        if self.rng.bool() {
+            other.name = format!("Z{label}").into_bytes();
+        }
+        other.uid = self.uid();
+        other.skips_address_resolution = self.rng.bool();
+        other.power_on = None;
+        let mut labels = [label, other.label.clone()];
+        self.scenario.devices.push(other);
+        let mut at = self.moment();
+        for _ in 0..self.rng.u8(3..=8) {
+            self.tell(format!("{at:?}: {} replaces {}", labels[1], labels[0]));
+            self.at(at, &labels[0], DeviceAction::PowerOff);
+            at += millis(self.rng.u64(50..600));
+            self.at(at, &labels[1], DeviceAction::PowerOn);
+            at += millis(self.rng.u64(3000..5000));
+            labels.swap(0, 1);
+            if at > millis(BUSY) {
+                break;
             }
         }
     }
