@@ -14,6 +14,9 @@ use crate::wire::id::Address;
 /// Description of the evidence for another node at descan's own address.
 pub(super) const NOT_SENT_BY_DESCAN: &str = "frame from address 0 not sent by descan";
 
+/// Number of UIDs of a finding that are stored; there may be more.
+const MAX_UIDS: usize = 8;
+
 /// Sets text and remedy of a finding of the engine, after its evidence changed; `is_certain`: a
 /// single device that sends its frames twice does not explain it. Bus errors have
 /// [`bus_errors`] and [`describe_errors_at`] instead; findings about des.json are worded where they
@@ -26,10 +29,15 @@ pub(super) fn describe(finding: &mut Finding, is_certain: bool) {
     let quoted = |name: &Name| name.quoted().to_string();
     let names = finding.names.iter().map(quoted).collect::<Vec<_>>().join(" and ");
     let uids = finding.uids.iter().map(SeenUid::label).collect::<Vec<_>>();
-    let uids = match uids.len() {
-        0 => "two UIDs".to_owned(),
-        1 => uids.concat(),
-        _ => format!("the UIDs {}", uids.join(" and ")),
+    let devices = match uids.len() {
+        0..=2 => "Two devices".to_owned(),
+        count if count == MAX_UIDS => format!("{count} or more devices"),
+        count => format!("{count} devices"),
+    };
+    let uids = match &uids[..] {
+        [] => "two UIDs".to_owned(),
+        [only] => only.clone(),
+        [first @ .., last] => format!("the UIDs {} and {last}", first.join(", ")),
     };
     let concerns_own_address = concerns_own_address(finding);
     finding.text = match finding.key.kind {
@@ -55,7 +63,7 @@ pub(super) fn describe(finding: &mut Finding, is_certain: bool) {
             "Two devices share address {address}: heartbeats alternate between working and non-working."
         ),
         FindingKind::OneAddressTwoIdentities => {
-            format!("Two devices share address {address}: heartbeats alternate between {uids}.")
+            format!("{devices} share address {address}: heartbeats alternate between {uids}.")
         }
         FindingKind::OneUidTwoAddresses if !finding.uids.is_empty() => {
             format!("Addresses {list} send heartbeats with one DEV_CFG_UID: {uids}.")

@@ -234,6 +234,21 @@ fn three_to_nine_senders_at_one_address_are_found() {
 }
 
 #[test]
+fn text_of_conflict_counts_the_devices() {
+    let folder = tempfile::tempdir().unwrap();
+    for (count, begin) in [(2, "Two devices"), (3, "3 devices"), (9, "8 or more devices")] {
+        let phases: Vec<f64> = (0..count).map(|at| f64::from(at) / f64::from(count)).collect();
+        let report = run(folder.path(), &["scan"], &together(&phases, 20.0, false).text());
+        let finding = &report[0]["findings"][0];
+        let text = finding["text"].as_str().unwrap();
+        assert!(text.starts_with(&format!("{begin} share address 14: ")), "{text}");
+        let uids = finding["uids"].as_array().unwrap();
+        assert_eq!(uids.len(), count.min(8) as usize, "{finding:#}");
+        assert!(uids.iter().all(|uid| text.contains(uid.as_str().unwrap())), "{finding:#}");
+    }
+}
+
+#[test]
 fn conflict_of_three_lasts_while_two_remain() {
     let folder = tempfile::tempdir().unwrap();
     for phases in [[0.0, 0.33, 0.66], [0.0, 0.1, 0.2], [0.0, 0.45, 0.62]] {
