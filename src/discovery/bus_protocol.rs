@@ -1,9 +1,9 @@
 //! Whether a bus speaks DES, by the frames of other nodes (protocol §4.2).
 //!
-//! In the 29-bit identifiers of other protocols, up to half conform to the platform by chance. So
-//! an address is not a device, and no device is requested, before a heartbeat that fits, a DES
-//! message or a claim was received; and where impossible identifiers prevail instead, the bus
-//! speaks another protocol.
+//! Of the 29-bit identifiers of other protocols, up to three quarters conform to the platform by
+//! chance. So an address is not a device, and no device is requested, before a heartbeat that fits,
+//! a DES message or a claim was received; and where many identifiers are impossible instead, the
+//! bus speaks another protocol.
 
 use crate::frame::{Frame, FrameKind};
 use crate::wire::des::{self, ReceivedRequest, Request, ServicesResponse};
@@ -95,11 +95,11 @@ impl BusTraffic {
         ))
     }
 
-    /// Returns true if a third of the identifiers, and at least `min`, are impossible: up to half of
-    /// those of another protocol conform by chance.
+    /// Returns true if a fifth of the identifiers, and at least `min`, are impossible. In logs of 38
+    /// NMEA 2000 buses they are 27 % and more.
     fn has_impossible(&self, min: u64) -> bool {
         let impossible = self.non_platform + self.non_conforming;
-        impossible >= min && impossible * 3 >= self.frames
+        impossible >= min && impossible * 5 >= self.frames
     }
 }
 

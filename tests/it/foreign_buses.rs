@@ -24,6 +24,22 @@ fn standard(until: u64) -> Traffic {
     (0..until).step_by(7).map(|at| (at, frame(at))).collect()
 }
 
+/// Frames of NMEA 2000, most of them with the priority 2 of fast measurements, in whose identifiers
+/// the bits of the platform's message type are those of a request.
+fn nmea_2000(until: u64) -> Traffic {
+    let mut rng = fastrand::Rng::with_seed(2000);
+    // Rate of turn, attitude, heading; wind, water depth, and the position, with their priorities.
+    let fast = [(2, 127_251), (3, 127_257), (2, 127_250), (2, 129_025), (2, 130_306), (2, 129_026)];
+    let frame = |rng: &mut fastrand::Rng| {
+        let (priority, number) =
+            if rng.u8(..10) < 8 { fast[0] } else { *rng.choice(&fast).unwrap() };
+        let (priority, number) = if rng.u8(..4) == 0 { (6, 128_267) } else { (priority, number) };
+        let id = priority << 26 | number << 8 | rng.u32(1..9);
+        Frame::classic(id, &std::array::from_fn::<u8, 8, _>(|_| rng.u8(..)))
+    };
+    (0..until).step_by(5).map(|at| (at, frame(&mut rng))).collect()
+}
+
 /// A heartbeat of address 12 each second.
 fn heartbeats(until: u64) -> Traffic {
     let frame = |at: u64| {
@@ -57,7 +73,10 @@ fn observed(mut traffic: Traffic, until: u64) -> (Engine, Vec<Frame>) {
 #[test]
 fn foreign_bus_has_one_verdict_and_nothing_is_sent() {
     let random = (0..50).map(|seed| (format!("29 bits, seed {seed}"), random_29_bit(seed, 20_000)));
-    for (name, traffic) in random.chain([("11 bits".to_owned(), standard(20_000))]) {
+    for (name, traffic) in random.chain([
+        ("11 bits".to_owned(), standard(20_000)),
+        ("NMEA 2000".to_owned(), nmea_2000(20_000)),
+    ]) {
         let (engine, sent) = observed(traffic, 20_000);
         assert_eq!(engine.traffic().verdict(), BusVerdict::Foreign, "{name}");
         assert!(engine.traffic().foreign_reason().is_some(), "{name}");
