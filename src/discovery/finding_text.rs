@@ -37,7 +37,7 @@ pub(super) fn describe(finding: &mut Finding, is_certain: bool) {
     let uids = match &uids[..] {
         [] => "two UIDs".to_owned(),
         [only] => only.clone(),
-        [first @ .., last] => format!("the UIDs {} and {last}", first.join(", ")),
+        [before @ .., newest] => format!("the UIDs {} and {newest}", before.join(", ")),
     };
     let concerns_own_address = concerns_own_address(finding);
     finding.text = match finding.key.kind {
