@@ -163,6 +163,8 @@ fn screen_waits_for_its_interface() {
     let mut devices = Some(simulated(vcan.name(), "boiler"));
     let mut pty = Pty::start(&[vcan.name()], folder.path(), (80, 24));
     pty.wait_for("FEED");
+    // Another device may have appeared first and be selected.
+    pty.send("g");
     pty.wait_for("AUGER");
     devices.take();
     vcan.down();
