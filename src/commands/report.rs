@@ -129,7 +129,7 @@ pub(super) struct FindingReport {
     remedy: String,
     #[serde(skip)]
     counts: bool,
-    /// Since when it has its state, and the time of its first evidence, for tables.
+    /// Times of its first evidence and of its end, for tables.
     #[serde(skip)]
     times: String,
     #[serde(skip)]

@@ -45,14 +45,14 @@ pub fn run(watch: &WatchArgs) -> Result<u8, Failure> {
     };
     let limits =
         Limits { time: watch.run.time, from: watch.run.from, while_read: true, stuck: EXIT_OK };
-    let mut told = Vec::new();
+    let mut reported = Vec::new();
     let event_writer = EventWriter { json: watch.run.json };
     if let Some(log) = open::log(&buses, "watch", watch.run.from)? {
         let pace = watch.speed.map(LogPace::Timed);
         let input = RunInput::Log(log, pace);
         let outcome = headless::run(input, &setup, options, limits, |session| {
             event_writer.write_events(&mut session.app)?;
-            headless::warn_foreign(&session.app, &mut told);
+            headless::warn_foreign(&session.app, &mut reported);
             Ok(ControlFlow::Continue(()))
         })?;
         outcome.recording?;
@@ -63,7 +63,7 @@ pub fn run(watch: &WatchArgs) -> Result<u8, Failure> {
             // A bus that is unusable from the start is an error, without events before it.
             if gate.allows(&session.app, session.now())? {
                 event_writer.write_events(&mut session.app)?;
-                headless::warn_foreign(&session.app, &mut told);
+                headless::warn_foreign(&session.app, &mut reported);
             }
             Ok(ControlFlow::Continue(()))
         })?;

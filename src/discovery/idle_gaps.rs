@@ -13,8 +13,7 @@ const IDLE_BITS: u64 = 3 * 150;
 /// Part of the period by which a heartbeat is late when requests begin to wait: what was requested
 /// before, and then the heartbeats of 127 devices, take 0.1 s each at 125 kbit/s.
 const OVERDUE_PERIODS: f64 = 0.04;
-
-/// Periods after which an overdue heartbeat is no longer expected.
+/// Number of periods after which an overdue heartbeat is no longer expected.
 const MAX_WAIT_PERIODS: u32 = 4;
 /// Longest time that the responses to open requests take on the bus, so that heartbeats wait for no
 /// longer.
@@ -27,7 +26,7 @@ const MIN_OPEN: usize = 2;
 const LOAD_WINDOW: Duration = Duration::from_millis(500);
 
 /// Tracks when the bus was idle, and its load without DES messages.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct IdleTracker {
     last_frame_at: Instant,
     /// Last time at which no frame waited.
@@ -38,19 +37,21 @@ pub(super) struct IdleTracker {
     /// Load by them in the last complete window, 0 to 1.
     other_load: f64,
     /// When the next heartbeat of each address is due; `Instant::ZERO` before the first one.
-    next_heartbeats: HeartbeatDues,
-}
-
-#[derive(Debug)]
-struct HeartbeatDues([Instant; Address::COUNT]);
-
-impl Default for HeartbeatDues {
-    fn default() -> Self {
-        Self([Instant::ZERO; Address::COUNT])
-    }
+    next_heartbeats: [Instant; Address::COUNT],
 }
 
 impl IdleTracker {
+    pub fn new() -> Self {
+        Self {
+            last_frame_at: Instant::ZERO,
+            idle_at: Instant::ZERO,
+            window_began: Instant::ZERO,
+            other_bits: 0.0,
+            other_load: 0.0,
+            next_heartbeats: [Instant::ZERO; Address::COUNT],
+        }
+    }
+
     /// Notes a frame.
     pub fn note_frame(
         &mut self,
@@ -95,14 +96,14 @@ impl IdleTracker {
 
     /// Notes a heartbeat. One that waited for the bus does not change the time of the next one.
     pub fn note_heartbeat(&mut self, now: Instant, address: Address, period: Duration) {
-        let due = &mut self.next_heartbeats.0[address.index()];
+        let due = &mut self.next_heartbeats[address.index()];
         let has_waited = *due > self.idle_at && now > *due && now < *due + period;
         *due = if has_waited { *due + period } else { now + period };
     }
 
     /// Returns true if a heartbeat of `address` is overdue and may wait for the bus.
     fn waits(&self, now: Instant, address: Address, period: Duration) -> bool {
-        let due = self.next_heartbeats.0[address.index()];
+        let due = self.next_heartbeats[address.index()];
         due > self.idle_at
             && now >= due + period.mul_f64(OVERDUE_PERIODS)
             && now < due + period * MAX_WAIT_PERIODS

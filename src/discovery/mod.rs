@@ -264,7 +264,7 @@ impl Engine {
             ),
             errors: BusErrorTracker::default(),
             recorded_nodes: RecordedNodes::new(),
-            idle: IdleTracker::default(),
+            idle: IdleTracker::new(),
             device_table: DeviceTable::new(config.bus),
             rounds: Rounds::new(),
             transfers: Transfers::new(),

@@ -115,13 +115,11 @@ impl Engine {
         let echoed = self.is_echoed_destination(now, header);
         let destination_is_node = !header.broadcast && !echoed;
         self.local_node.note_used(now, header, destination_is_node);
-        if self.traffic().has_des {
-            self.handle_own_address_used(now, header.source, frame);
-        }
         if !self.traffic().has_des {
             // The identifier may conform by chance.
             return;
         }
+        self.handle_own_address_used(now, header.source, frame);
         if header.message_type() == MessageType::Debug {
             let data = frame.data().to_vec();
             let code = header.service.number();

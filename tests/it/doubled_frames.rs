@@ -1,4 +1,5 @@
-//! One device whose frames arrive twice, and one that sends them twice: told from two devices.
+//! One device whose frames arrive twice, and one that sends them twice: distinguished from two
+//! devices.
 
 use crate::common::inspection::Inspection;
 use descan::discovery::{Config, Engine, EventKind};

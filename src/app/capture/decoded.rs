@@ -84,7 +84,7 @@ impl Decoded {
         }
     }
 
-    /// Returns service and content as text; the kind where there is no content.
+    /// Returns service and content as text, or the message type where there is no content.
     pub fn meaning(&self) -> String {
         let content = if self.text.is_empty() { self.kind } else { &self.text };
         match self.header {

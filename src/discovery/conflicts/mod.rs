@@ -100,6 +100,19 @@ struct AddressFindings {
     had_other_name: bool,
 }
 
+impl AddressFindings {
+    /// Returns what responses show that two devices sent.
+    fn kind_of_two_devices(self) -> (FindingKind, EvidenceStrength) {
+        if self.has_two_names {
+            (FindingKind::OneAddressTwoNames, EvidenceStrength::Strong)
+        } else if self.had_other_name {
+            (FindingKind::OneAddressTwoNames, EvidenceStrength::Weak)
+        } else {
+            (FindingKind::SameNameSameAddress, EvidenceStrength::Strong)
+        }
+    }
+}
+
 /// Histories of all addresses of one bus, with the findings made from them.
 #[derive(Debug)]
 pub(super) struct ConflictDetector {
@@ -228,13 +241,7 @@ impl ConflictDetector {
             return;
         }
         let others = self.findings_at(now, address);
-        let (kind, strength) = if others.has_two_names {
-            (FindingKind::OneAddressTwoNames, EvidenceStrength::Strong)
-        } else if others.had_other_name {
-            (FindingKind::OneAddressTwoNames, EvidenceStrength::Weak)
-        } else {
-            (FindingKind::SameNameSameAddress, EvidenceStrength::Strong)
-        };
+        let (kind, strength) = others.kind_of_two_devices();
         let what = "part of a second response before the end of the first";
         let evidence = NewEvidence {
             name,
@@ -300,11 +307,7 @@ impl ConflictDetector {
         if returned.is_none() || others.has_two_names {
             return;
         }
-        let (kind, strength) = if others.had_other_name {
-            (FindingKind::OneAddressTwoNames, EvidenceStrength::Weak)
-        } else {
-            (FindingKind::SameNameSameAddress, EvidenceStrength::Strong)
-        };
+        let (kind, strength) = others.kind_of_two_devices();
         let evidence = NewEvidence {
             name,
             since: Some(since),
