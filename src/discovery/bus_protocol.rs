@@ -5,13 +5,13 @@
 //! a DES message or a claim was received; and where many identifiers are impossible instead, the
 //! bus speaks another protocol.
 
-use crate::frame::{Frame, FrameKind};
-use crate::wire::des::{self, ReceivedRequest, Request, ServicesResponse};
-use crate::wire::framing::{Framing, classify_request, classify_response, strip_raw_padding};
-use crate::wire::id::{Address, Header, MessageType};
+use super::observation::{Observation, ObservationKind, PlatformContent};
+use crate::frame::Frame;
+use crate::wire::des::{self, ServicesResponse};
+use crate::wire::framing::{Framing, classify_response, strip_raw_padding};
+use crate::wire::id::{Address, Header};
 use crate::wire::isotp::Pci;
-use crate::wire::node::{Heartbeat, Mode};
-use crate::wire::profile::Profile;
+use crate::wire::node::Mode;
 use std::collections::VecDeque;
 
 /// Number of impossible identifiers that show another protocol: fewer may be noise, or one device
@@ -126,18 +126,23 @@ impl ProtocolDetector {
     }
 
     /// Notes a frame of another node.
-    pub fn note_frame(&mut self, header: Option<Header>, frame: &Frame, profile: &Profile) {
+    pub fn note_frame(&mut self, observation: &Observation<'_>) {
         self.traffic.frames += 1;
-        match header {
-            None => self.traffic.non_platform += 1,
-            Some(header) if !header.is_conforming() => self.traffic.non_conforming += 1,
-            Some(_) if self.traffic.has_des => {}
-            Some(header) => {
-                let fit = des_fit(header, frame, profile);
+        let frame = observation.frame;
+        match observation.kind {
+            ObservationKind::Error | ObservationKind::NonPlatform => {
+                self.traffic.non_platform += 1;
+            }
+            ObservationKind::Platform(header, _) if !header.is_conforming() => {
+                self.traffic.non_conforming += 1;
+            }
+            ObservationKind::Platform(..) if self.traffic.has_des => {}
+            ObservationKind::Platform(header, content) => {
+                let fit = des_fit(header, content, frame);
                 // On a doubtful bus, one plausible frame is not enough.
                 let is_enough =
                     fit == DesFit::Certain || !self.traffic.has_impossible(MIN_DOUBTFUL);
-                let is_heartbeat = header.service == profile.heartbeat_service();
+                let is_heartbeat = matches!(content, PlatformContent::Heartbeat(_));
                 self.traffic.has_des = fit != DesFit::None
                     && (is_enough || is_heartbeat && self.repeats_heartbeat(header.source, frame));
             }
@@ -164,31 +169,20 @@ impl ProtocolDetector {
 
 /// Returns how well a frame with a conforming identifier fits a heartbeat of the profile, or part
 /// of a DES message.
-fn des_fit(header: Header, frame: &Frame, profile: &Profile) -> DesFit {
-    let plausible = |fits: bool| if fits { DesFit::Plausible } else { DesFit::None };
-    if frame.kind != FrameKind::Data || header.message_type() == MessageType::Debug {
-        return DesFit::None;
+fn des_fit(header: Header, content: PlatformContent, frame: &Frame) -> DesFit {
+    match content {
+        PlatformContent::Heartbeat(heartbeat) if header.response => {
+            let working = heartbeat.mode.and_then(Mode::is_working);
+            let is_short = heartbeat.mode.is_none() && frame.len() < Frame::MAX_CLASSIC_DATA;
+            let fits = heartbeat.mode.is_some()
+                && working.is_none_or(|working| working != header.from_non_working);
+            if fits || is_short { DesFit::Plausible } else { DesFit::None }
+        }
+        PlatformContent::Request(Some(_)) => DesFit::Certain,
+        PlatformContent::Response => classify_response(frame.data(), frame.is_fd, false)
+            .map_or(DesFit::None, |framing| response_fit(frame, framing)),
+        _ => DesFit::None,
     }
-    if header.service == profile.heartbeat_service() {
-        let codes = profile.modes.codes();
-        let heartbeat = Heartbeat::decode(frame.data(), &profile.heartbeat, &codes);
-        let working = heartbeat.mode.and_then(Mode::is_working);
-        let is_short = heartbeat.mode.is_none() && frame.len() < Frame::MAX_CLASSIC_DATA;
-        let fits = heartbeat.mode.is_some()
-            && working.is_none_or(|working| working != header.from_non_working);
-        return plausible(header.response && (fits || is_short));
-    }
-    if header.service != profile.des_service() {
-        return DesFit::None;
-    }
-    if !header.response {
-        let request = classify_request(frame.data(), frame.is_fd);
-        let request = request.and_then(|(_, message)| Request::decode(message));
-        let is_known = matches!(request, Some(ReceivedRequest::Known(_)));
-        return if is_known { DesFit::Certain } else { DesFit::None };
-    }
-    classify_response(frame.data(), frame.is_fd, false)
-        .map_or(DesFit::None, |framing| response_fit(frame, framing))
 }
 
 /// Returns how well a frame fits a DES response.

@@ -2,9 +2,10 @@
 
 use super::conflicts::{ModeFlags, Repetition};
 use super::device::{MISSED_HEARTBEAT_PERIODS, ModeChange, ProtocolDeviation, Query};
+use super::device_tracker::DeviceTracker;
 use super::local_node::is_inspector_uid;
 use super::resolution::HeartbeatContext;
-use super::{DeviceId, Engine, EventKind, Presence};
+use super::{DeviceId, EventKind, Presence};
 use crate::frame::Frame;
 use crate::time::{Duration, Instant};
 use crate::wire::id::{Address, Header};
@@ -41,19 +42,17 @@ impl BusDelayTracker {
     }
 }
 
-impl Engine {
+impl DeviceTracker {
     /// Processes a heartbeat of the device of `row`.
     pub(super) fn process_heartbeat(
         &mut self,
-        now: Instant,
         row: DeviceId,
         header: Header,
+        heartbeat: Heartbeat,
         frame: &Frame,
         repetition: Repetition,
     ) {
-        let profile = &self.config.profile;
-        let codes = profile.modes.codes();
-        let heartbeat = Heartbeat::decode(frame.data(), &profile.heartbeat, &codes);
+        let now = self.now;
         let period = self.conflicts.periods().of(header.source);
         let Some(device) = self.device_table.get(row) else { return };
         let previous_heartbeat = device.heartbeat.last;
@@ -127,9 +126,7 @@ impl Engine {
         let Some(device) = self.device_table.get_mut(row) else { return };
         if let Some(mode) = heartbeat.mode {
             let fits = mode.is_working().is_none_or(|working| working == device.is_working);
-            if fits {
-                self.local_node.note_heartbeat();
-            } else {
+            if !fits {
                 device.note_deviation(ProtocolDeviation::ModeContradictsU);
             }
             // Two devices at one address each have their own mode.
@@ -162,7 +159,6 @@ impl Engine {
             self.conflicts.note_heartbeat(now, address, heartbeat.uid, mode, name.as_ref(), frame);
         }
         self.errors.note_heartbeat(now, address, frame);
-        self.idle.note_heartbeat(now, address, self.period_of(address));
         if self.conflicts.finding_tracker().is_suspicious() {
             self.wake_at(now);
         }

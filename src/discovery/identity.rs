@@ -2,12 +2,13 @@
 //! (protocol §4.7).
 
 use super::device::{MISSED_HEARTBEAT_PERIODS, QueryState};
-use super::{Device, DeviceId, Engine, EventKind, Presence};
+use super::device_tracker::DeviceTracker;
+use super::{Device, DeviceId, EventKind, Presence};
 use crate::text::Name;
 use crate::time::Instant;
 use crate::wire::node::Uid;
 
-impl Engine {
+impl DeviceTracker {
     /// Returns the row of the device with that name at the address of `row`, creating it if needed.
     /// A row other than the current one means another board at the address.
     pub(super) fn row_of_name(&mut self, now: Instant, row: DeviceId, name: &Name) -> DeviceId {

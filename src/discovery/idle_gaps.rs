@@ -2,11 +2,13 @@
 //! and would keep them off a slow bus for seconds. So requests wait while heartbeats are overdue
 //! that no idle bus has let through (protocol §4.4).
 
+use super::device_tracker::DeviceTracker;
+use super::observation::Observation;
 use super::outbox::nominal_bits;
-use super::{Config, Device, Engine, Presence};
-use crate::frame::Frame;
+use super::requester::Requester;
+use super::{Config, Device, Presence};
 use crate::time::{Duration, Instant};
-use crate::wire::id::{Address, Header};
+use crate::wire::id::Address;
 
 /// Bits without a frame after which no frame waits: three frames.
 const IDLE_BITS: u64 = 3 * 150;
@@ -53,13 +55,8 @@ impl IdleTracker {
     }
 
     /// Notes a frame.
-    pub fn note_frame(
-        &mut self,
-        now: Instant,
-        header: Option<Header>,
-        frame: &Frame,
-        config: &Config,
-    ) {
+    pub fn note_frame(&mut self, observation: &Observation<'_>, config: &Config) {
+        let now = observation.at;
         self.handle_timeout(now, config);
         self.last_frame_at = now;
         let passed = now.since(self.window_began);
@@ -68,8 +65,9 @@ impl IdleTracker {
             self.other_load = (self.other_bits / capacity).min(1.0);
             (self.window_began, self.other_bits) = (now, 0.0);
         }
-        if header.is_none_or(|header| header.service != config.profile.des_service()) {
-            self.other_bits += nominal_bits(frame);
+        let des = config.profile.des_service();
+        if observation.header().is_none_or(|header| header.service != des) {
+            self.other_bits += nominal_bits(observation.frame);
         }
     }
 
@@ -115,17 +113,17 @@ impl IdleTracker {
     }
 }
 
-impl Engine {
+impl Requester {
     /// Returns until when requests wait because heartbeats wait for an idle bus, unless these are
     /// received before; `None` if none waits.
-    pub(super) fn heartbeats_wait_until(&self) -> Option<Instant> {
-        let idle_at = self.idle.becomes_idle_at(&self.config);
+    pub(super) fn heartbeats_wait_until(&self, tracker: &DeviceTracker) -> Option<Instant> {
+        let idle_at = self.idle.becomes_idle_at(&tracker.config);
         let waits = |device: &Device| {
             !matches!(device.presence, Presence::Lost | Presence::Asleep)
-                && self.idle.waits(self.now, device.address, self.period_of(device.address))
+                && self.idle.waits(tracker.now, device.address, tracker.period_of(device.address))
         };
-        let is_busy = idle_at > self.now;
-        let mut devices = self.device_table.devices().iter();
+        let is_busy = idle_at > tracker.now;
+        let mut devices = tracker.device_table.devices().iter();
         (is_busy && devices.any(waits)).then_some(idle_at)
     }
 }

@@ -7,8 +7,8 @@ use super::config::Config;
 use super::outbox::Outbox;
 use crate::frame::Frame;
 use crate::time::{Duration, Instant};
-use crate::wire::des::{self, ReceivedRequest, Request};
-use crate::wire::framing::{Framing, classify_request};
+use crate::wire::des::{self, Request};
+use crate::wire::framing::Framing;
 use crate::wire::id::{Address, Header};
 use crate::wire::isotp::{FlowControl, Pci, Segmenter};
 use crate::wire::node::{Heartbeat, Mode, Uid};
@@ -19,11 +19,6 @@ use std::collections::VecDeque;
 pub(super) const NAME: &[u8] = b"DSCAN";
 /// Begin of the text of its UID.
 const UID_PREFIX: &str = "DSCAN";
-
-/// Returns true if this is the UID of an inspector.
-pub(super) fn is_inspector_uid(uid: Uid, alphabet: &UidProfile) -> bool {
-    uid.text(alphabet).starts_with(UID_PREFIX)
-}
 /// Maximum number of own responses that wait for flow control.
 const MAX_RESPONSES: usize = 4;
 /// A request received again within this time was repeated on its way: two responses would look like
@@ -283,6 +278,7 @@ impl LocalNode {
         &mut self,
         now: Instant,
         header: Header,
+        request: Option<(Framing, Request)>,
         frame: &Frame,
         profile: &Profile,
         outbox: &mut Outbox,
@@ -291,8 +287,7 @@ impl LocalNode {
         if header.to_non_working || (!header.broadcast && header.destination != address) {
             return;
         }
-        if let Some((framing, message)) = classify_request(frame.data(), frame.is_fd) {
-            let Some(ReceivedRequest::Known(request)) = Request::decode(message) else { return };
+        if let Some((framing, request)) = request {
             if self.is_repeated(now, frame) {
                 return;
             }
@@ -378,4 +373,9 @@ impl LocalNode {
             self.responses.iter().filter_map(|response| response.segmenter.poll_timeout());
         state.into_iter().chain(responses).min()
     }
+}
+
+/// Returns true if this is the UID of an inspector.
+pub(super) fn is_inspector_uid(uid: Uid, alphabet: &UidProfile) -> bool {
+    uid.text(alphabet).starts_with(UID_PREFIX)
 }

@@ -9,7 +9,9 @@
 //! which the bus was down does not count.
 
 use super::device::{Device, Presence, STALE_PERIODS};
+use super::device_tracker::DeviceTracker;
 use super::periods::HeartbeatPeriods;
+use super::{DeviceId, EventKind};
 use crate::time::{Duration, Instant};
 use crate::wire::node::Mode;
 use std::collections::VecDeque;
@@ -159,5 +161,115 @@ impl PresenceInput<'_> {
         }
         let stale_at = self.shifted_by_outages(device.last_seen) + STALE_WITHOUT_ROUNDS;
         if now < stale_at { (Presence::Online, Some(stale_at)) } else { (Presence::Stale, None) }
+    }
+}
+
+impl DeviceTracker {
+    fn presence_input(&self) -> PresenceInput<'_> {
+        PresenceInput {
+            outages: &self.outages,
+            periods: self.conflicts.periods(),
+            rounds: (self.recorded_nodes.has_inspector()
+                || !self.config.listen_only && self.config.send_requests)
+                && !self.config.round_period.is_zero(),
+        }
+    }
+
+    /// Updates the presence of every row and emits the changes.
+    pub fn update_presence(&mut self) {
+        if self.outages.is_on() {
+            return;
+        }
+        // A device that turns out to have moved has two rows, which are merged.
+        for row in self.device_table.rows() {
+            self.update_device_presence(row);
+        }
+    }
+
+    pub fn update_device_presence(&mut self, row: DeviceId) {
+        let input = self.presence_input();
+        let Some(device) = self.device_table.get(row) else { return };
+        let is_current = self.device_table.is_current(device);
+        let presence = if is_current {
+            input.evaluate(device, self.now).0
+        } else {
+            self.replaced_row_presence(device)
+        };
+        let was = device.presence;
+        // Heartbeats of another node neither return this device nor make it silent.
+        let was_other_node = device.last_heartbeat_was_other_node && is_current;
+        let was_gone = matches!(was, Presence::Lost | Presence::Asleep);
+        let may_be_other_node =
+            presence == Presence::Online || presence == Presence::Stale && was_gone;
+        let Some(device) = self.device_table.get_mut(row) else { return };
+        if presence == Presence::Lost {
+            device.last_heartbeat_was_other_node = false;
+        }
+        if presence == was || (may_be_other_node && was_other_node) {
+            return;
+        }
+        let address = device.address;
+        device.presence = presence;
+        device.presence_since = self.now;
+        // Its mode is unknown while no heartbeats arrive.
+        device.is_resolving &= presence == Presence::Online;
+        if presence == Presence::Online {
+            // It may have been offline for a firmware update.
+            if self.errors.is_suspect(address) {
+                device.services_query.schedule(self.now);
+            } else {
+                device.services_query.restart(self.now);
+            }
+            self.wake_at(self.now);
+            self.emit(row, EventKind::Returned { was });
+        } else {
+            self.emit(row, EventKind::Presence(presence));
+        }
+        if presence == Presence::Lost {
+            if is_current {
+                self.conflicts.forget(self.now, address);
+                self.errors.forget(address);
+            }
+            self.find_move_of_lost(row);
+        }
+    }
+
+    /// Returns the presence of a row that was replaced at its address: present while it still
+    /// responds.
+    fn replaced_row_presence(&self, device: &Device) -> Presence {
+        match (self.replaced_row_leaves(device), device.mode) {
+            (Some(leaves), Some(Mode::Idle)) if leaves <= self.now => Presence::Asleep,
+            (Some(leaves), _) if leaves <= self.now => Presence::Lost,
+            _ => device.presence,
+        }
+    }
+
+    /// Returns when a replaced row leaves without another response; `None` if it has left.
+    fn replaced_row_leaves(&self, device: &Device) -> Option<Instant> {
+        if matches!(device.presence, Presence::Lost | Presence::Asleep) {
+            return None;
+        }
+        let periods =
+            if self.conflicts.finding_tracker().is_open_at(device.address) { 8 } else { 4 };
+        let responded = device.name_query.responded_at.max(device.replaced_at);
+        let responded = responded.unwrap_or(device.last_seen);
+        Some(responded + self.period_of(device.address) * periods)
+    }
+
+    /// Returns when the presence of a row changes if no frame is received.
+    pub fn presence_timeout(&self) -> Option<Instant> {
+        if self.outages.is_on() {
+            return None;
+        }
+        let input = self.presence_input();
+        let devices = self.device_table.devices().iter();
+        let due = devices.filter_map(|device| {
+            if self.device_table.is_current(device) {
+                input.evaluate(device, self.now).1
+            } else {
+                self.replaced_row_leaves(device)
+            }
+        });
+        due.min()
     }
 }

@@ -3,9 +3,11 @@
 //! the transmit budget (protocol §4).
 
 use super::device::{QueryFault, QueryState};
+use super::device_tracker::DeviceTracker;
 use super::presence::is_claim_only;
+use super::requester::Requester;
 use super::rounds::RoundStep;
-use super::{DeviceId, Engine, NO_TIMEOUT, PendingBroadcast, Presence, Query};
+use super::{DeviceId, NO_TIMEOUT, Presence, Query};
 use crate::frame::Frame;
 use crate::time::{Duration, Instant};
 use crate::wire::des::Request;
@@ -24,68 +26,275 @@ const NAME_ATTEMPTS: u32 = 2;
 const RETRY_DELAY: Duration = Duration::from_secs(30);
 /// Time after the start of a round at which nodes without a name are queried one by one.
 const ROUND_WAIT_LIMIT: Duration = Duration::from_secs(2);
-/// Maximum number of broadcasts stored to match late responses.
-const MAX_BROADCASTS: usize = 16;
 
-impl Engine {
+impl Requester {
     /// Sends the requests that are due and expires those without a response.
-    pub(super) fn send_due_queries(&mut self) {
-        self.expire_queries();
-        if self.config.listen_only
-            && let Some(began) = self.rounds.end_recorded(self.now, &self.config)
+    pub(super) fn send_due_queries(&mut self, tracker: &mut DeviceTracker) {
+        self.expire_queries(tracker);
+        if tracker.config.listen_only
+            && let Some(began) = self.rounds.end_recorded(tracker.now, &tracker.config)
         {
-            self.finish_round(began);
+            tracker.finish_round(began);
         }
         let Some(own) = self.local_node.held() else { return };
-        if !self.config.send_requests || self.outbox.is_paused() || self.is_left_alone() {
+        if !tracker.config.send_requests || self.outbox.is_paused() || self.is_left_alone(tracker) {
             return;
         }
-        self.refill();
-        self.step_round(own);
-        self.send_device_queries(own);
+        self.refill(tracker);
+        self.step_round(tracker, own);
+        self.send_device_queries(tracker, own);
     }
 
     /// Returns the share of the bus for requests, in bit/s.
-    fn share(&self) -> f64 {
+    fn share(&self, tracker: &DeviceTracker) -> f64 {
         let busy = self.rounds.is_starting();
-        let share = if busy { self.config.startup_budget } else { self.config.steady_budget };
-        share * f64::from(self.config.bits_per_second())
+        let share = if busy { tracker.config.startup_budget } else { tracker.config.steady_budget };
+        share * f64::from(tracker.config.bits_per_second())
     }
 
-    fn refill(&mut self) {
+    fn refill(&mut self, tracker: &DeviceTracker) {
         // The budget holds at most 0.1 s of the share, and at least one round.
-        let rate = self.share();
-        self.outbox.refill(self.now, rate, (rate / 10.0).max(800.0));
+        let rate = self.share(tracker);
+        self.outbox.refill(tracker.now, rate, (rate / 10.0).max(800.0));
     }
 
     /// Starts or finishes an enumeration round when due.
-    fn step_round(&mut self, own: Address) {
-        let now = self.now;
-        let known = self.device_table.discoveries;
-        let open = self.open_queries();
-        match self.rounds.step(now, &self.config, open, known) {
+    fn step_round(&mut self, tracker: &mut DeviceTracker, own: Address) {
+        let now = tracker.now;
+        let known = tracker.device_table.discoveries;
+        let open = self.open_queries(tracker);
+        match self.rounds.step(now, &tracker.config, open, known) {
             RoundStep::None => {}
-            RoundStep::Send if let Some(until) = self.heartbeats_wait_until() => {
+            RoundStep::Send if let Some(until) = self.heartbeats_wait_until(tracker) => {
                 self.rounds.postpone(until);
             }
             RoundStep::Send if !self.outbox.has_budget() => {
-                self.rounds.postpone(self.outbox.budget_at(self.share()));
+                self.rounds.postpone(self.outbox.budget_at(self.share(tracker)));
             }
             RoundStep::Send => {
-                self.defer_to_round();
-                let framings = self.config.profile.framings(None);
+                tracker.defer_to_round();
+                let framings = tracker.config.profile.framings(None);
                 for to_not_working in [true, false] {
                     for &framing in framings {
-                        self.send_broadcast(own, to_not_working, framing);
+                        self.send_broadcast(tracker, own, to_not_working, framing);
                     }
                 }
-                let count = if self.config.has_loopback { 2 * framings.len() as u32 } else { 0 };
+                let count = if tracker.config.has_loopback { 2 * framings.len() as u32 } else { 0 };
                 self.rounds.note_requests(count);
             }
-            RoundStep::Over { began } => self.finish_round(began),
+            RoundStep::Over { began } => tracker.finish_round(began),
         }
     }
 
+    /// Returns the number of services queries that a round at start waits for.
+    fn open_queries(&self, tracker: &DeviceTracker) -> usize {
+        if !self.rounds.is_starting() {
+            return 0;
+        }
+        let present = tracker.device_table.devices().iter().filter(|device| device.is_present());
+        present.filter(|device| super::is_open(&device.services_query)).count()
+    }
+
+    fn send_broadcast(
+        &mut self,
+        tracker: &mut DeviceTracker,
+        own: Address,
+        to_not_working: bool,
+        framing: Framing,
+    ) {
+        let mut rnd7 = Address::from_bits(self.rng.u8(..128));
+        if rnd7 == own {
+            rnd7 = Address::from_bits(own.number() ^ 0x40);
+        }
+        let service = tracker.config.profile.des_service();
+        let header = Header::broadcast(own, rnd7.number(), to_not_working, service);
+        tracker.recent_requests.note_broadcast(tracker.now, rnd7, true);
+        self.send_request(tracker, header, Request::Name, framing);
+    }
+
+    fn send_request(
+        &mut self,
+        tracker: &DeviceTracker,
+        mut header: Header,
+        request: Request,
+        framing: Framing,
+    ) {
+        header.no_error = tracker.config.profile.request_err;
+        let (data, len) = Profile::request_bytes(request, framing);
+        self.outbox.push(Frame::classic(header.encode(), &data[..len]));
+    }
+
+    /// Sends the targeted requests that are due.
+    fn send_device_queries(&mut self, tracker: &mut DeviceTracker, own: Address) {
+        let now = tracker.now;
+        if self.rounds.priority_until(now).is_some()
+            || self.heartbeats_wait_until(tracker).is_some()
+        {
+            return;
+        }
+        let window = tracker.response_window();
+        let max_waiting = self.idle.max_open(MAX_WAITING, &tracker.config);
+        let on_the_bus = self.idle.duration_of_bits(180 * 150, &tracker.config);
+        for request in [Request::Name, Request::Services] {
+            // In the order of addresses: responses of lower ones have priority on the bus, so
+            // responses arrive in the order of the requests and none waits behind later ones.
+            for address in Address::all() {
+                if self.waiting >= max_waiting || !self.outbox.has_budget() {
+                    return;
+                }
+                let shared = request == Request::Services
+                    && tracker.conflicts.finding_tracker().is_open_at(address)
+                    && !tracker.errors.is_suspect(address);
+                let Some(device) = tracker.device_table.current_device_mut(address) else {
+                    continue;
+                };
+                // Two multi-frame responses at once destroy each other: keep the known services
+                // until one device has left, unless that effect itself is under test.
+                if shared && device.services.is_some() {
+                    device.services_query.due = None;
+                    continue;
+                }
+                let (working, framing) = (device.is_working, device.framing);
+                // During address resolution its next mode is unknown.
+                let undecided = device.is_resolving && !working;
+                // Another node may have claimed the address of a lost device.
+                let is_there =
+                    device.presence != Presence::Lost || device.last_heartbeat_was_other_node;
+                let usable = is_there && address != own;
+                let query = device.query_mut(request);
+                if query.is_waiting() || query.due.is_none_or(|due| due > now) {
+                    continue;
+                }
+                if !usable {
+                    query.due = None;
+                    continue;
+                }
+                if let Some(later) = tracker.errors.postpone_recheck(now, address, window) {
+                    query.due = Some(later);
+                    continue;
+                }
+                query.state = QueryState::Sent;
+                query.attempts += 1;
+                query.sent_at = Some(now);
+                query.due = None;
+                query.deadline = Some(now + response_timeout(on_the_bus, query.attempts));
+                self.waiting += 1;
+                // A device that no longer responds in its framing may be another board.
+                let framing = framing.filter(|_| query.attempts < max_attempts(request));
+                let service = tracker.config.profile.des_service();
+                let both = undecided
+                    || request == Request::Name
+                        && tracker.conflicts.needs_both_d_bits(now, address);
+                for to_not_working in [false, true] {
+                    if to_not_working == working && !both {
+                        continue;
+                    }
+                    let header = Header::request(own, address, to_not_working, service);
+                    for &framing in tracker.config.profile.framings(framing) {
+                        self.send_request(tracker, header, request, framing);
+                    }
+                }
+            }
+        }
+    }
+
+    /// Records queries whose response is overdue as failed.
+    fn expire_queries(&mut self, tracker: &mut DeviceTracker) {
+        let now = tracker.now;
+        let mut waiting = 0;
+        let mut needs_round = false;
+        for device in tracker.device_table.devices_mut() {
+            let named = device.name.is_some();
+            for (request, query) in [
+                (Request::Name, &mut device.name_query),
+                (Request::Services, &mut device.services_query),
+            ] {
+                let deadline = query.deadline.filter(|_| query.is_waiting());
+                match deadline {
+                    None => {}
+                    Some(deadline) if deadline > now => waiting += 1,
+                    Some(_) => {
+                        let fault = query.fault;
+                        needs_round |= record_failure(query, request, named, now, fault);
+                    }
+                }
+            }
+        }
+        self.waiting = waiting;
+        if needs_round {
+            self.rounds.request_round(now);
+        }
+    }
+
+    /// Handles an aborted or failed response: repeats the request while attempts are left.
+    pub(super) fn response_failed(
+        &mut self,
+        tracker: &mut DeviceTracker,
+        row: DeviceId,
+        request: Request,
+        fault: QueryFault,
+    ) {
+        let now = tracker.now;
+        let Some(device) = tracker.device_table.get_mut(row) else { return };
+        let named = device.name.is_some();
+        let query = device.query_mut(request);
+        let before = query.fault.replace(fault);
+        if query.is_waiting() {
+            // A single error response may be due to the framing of the request.
+            if fault == QueryFault::ErrorResponse && before == Some(fault) {
+                query.attempts = query.attempts.max(max_attempts(request));
+            }
+            if record_failure(query, request, named, now, Some(fault)) {
+                self.rounds.request_round(now);
+            }
+        }
+        tracker.wake_at(now);
+    }
+
+    /// Returns when the next request or timeout is due.
+    pub(super) fn query_timeout(&self, tracker: &DeviceTracker) -> Option<Instant> {
+        let mut due = NO_TIMEOUT;
+        let sending = self.local_node.held().is_some()
+            && tracker.config.send_requests
+            && !self.outbox.is_paused()
+            && !self.is_left_alone(tracker);
+        let max_waiting = self.idle.max_open(MAX_WAITING, &tracker.config);
+        for device in tracker.device_table.devices() {
+            let sending = sending && tracker.device_table.is_current(device);
+            for query in [&device.name_query, &device.services_query] {
+                if let Some(deadline) = query.deadline.filter(|_| query.is_waiting()) {
+                    due = due.min(deadline);
+                } else if sending && self.waiting < max_waiting {
+                    due = due.min(query.due.unwrap_or(NO_TIMEOUT));
+                }
+            }
+        }
+        if sending {
+            let round = self.rounds.poll_timeout(&tracker.config, self.open_queries(tracker));
+            due = due.min(round.unwrap_or(NO_TIMEOUT));
+            if let Some(until) = self.rounds.priority_until(tracker.now) {
+                due = due.max(until).min(tracker.next_deadline());
+            }
+            if due <= tracker.now
+                && let Some(until) = self.heartbeats_wait_until(tracker)
+            {
+                due = due.max(until).min(tracker.next_deadline());
+            }
+            if !self.outbox.has_budget() && due != NO_TIMEOUT {
+                due = due
+                    .max(self.outbox.budget_at(self.share(tracker)))
+                    .min(tracker.next_deadline());
+            }
+        }
+        if tracker.config.listen_only {
+            let round = self.rounds.poll_timeout(&tracker.config, 0);
+            due = due.min(round.unwrap_or(NO_TIMEOUT));
+        }
+        (due != NO_TIMEOUT).then_some(due)
+    }
+}
+
+impl DeviceTracker {
     /// Delays single name queries, because the round that begins now includes them.
     fn defer_to_round(&mut self) {
         let after = self.now + ROUND_WAIT_LIMIT;
@@ -94,15 +303,6 @@ impl Engine {
                 device.name_query.due = Some(after);
             }
         }
-    }
-
-    /// Returns the number of services queries that a round at start waits for.
-    fn open_queries(&self) -> usize {
-        if !self.rounds.is_starting() {
-            return 0;
-        }
-        let present = self.device_table.devices().iter().filter(|device| device.is_present());
-        present.filter(|device| super::is_open(&device.services_query)).count()
     }
 
     /// Updates presence and queries after an enumeration round that began at `began`.
@@ -128,187 +328,6 @@ impl Engine {
                 query.give_up(now + RETRY_DELAY);
             }
         }
-    }
-
-    fn send_broadcast(&mut self, own: Address, to_not_working: bool, framing: Framing) {
-        let mut rnd7 = Address::from_bits(self.rng.u8(..128));
-        if rnd7 == own {
-            rnd7 = Address::from_bits(own.number() ^ 0x40);
-        }
-        let service = self.config.profile.des_service();
-        let header = Header::broadcast(own, rnd7.number(), to_not_working, service);
-        self.note_broadcast(rnd7, true);
-        self.send_request(header, Request::Name, framing);
-    }
-
-    /// Stores a broadcast request, so that late responses are matched to it.
-    pub(super) fn note_broadcast(&mut self, rnd7: Address, is_own: bool) {
-        if self.broadcasts.len() == MAX_BROADCASTS {
-            self.broadcasts.pop_front();
-        }
-        self.broadcasts.push_back(PendingBroadcast { time: self.now, rnd7, is_own });
-    }
-
-    fn send_request(&mut self, mut header: Header, request: Request, framing: Framing) {
-        header.no_error = self.config.profile.request_err;
-        let (data, len) = Profile::request_bytes(request, framing);
-        self.outbox.push(Frame::classic(header.encode(), &data[..len]));
-    }
-
-    /// Sends the targeted requests that are due.
-    fn send_device_queries(&mut self, own: Address) {
-        let now = self.now;
-        if self.rounds.priority_until(now).is_some() || self.heartbeats_wait_until().is_some() {
-            return;
-        }
-        let window = self.response_window();
-        let max_waiting = self.idle.max_open(MAX_WAITING, &self.config);
-        let on_the_bus = self.idle.duration_of_bits(180 * 150, &self.config);
-        for request in [Request::Name, Request::Services] {
-            // In the order of addresses: responses of lower ones have priority on the bus, so
-            // responses arrive in the order of the requests and none waits behind later ones.
-            for address in Address::all() {
-                if self.waiting >= max_waiting || !self.outbox.has_budget() {
-                    return;
-                }
-                let shared = request == Request::Services
-                    && self.conflicts.finding_tracker().is_open_at(address)
-                    && !self.errors.is_suspect(address);
-                let Some(device) = self.device_table.current_device_mut(address) else { continue };
-                // Two multi-frame responses at once destroy each other: keep the known services
-                // until one device has left, unless that effect itself is under test.
-                if shared && device.services.is_some() {
-                    device.services_query.due = None;
-                    continue;
-                }
-                let (working, framing) = (device.is_working, device.framing);
-                // During address resolution its next mode is unknown.
-                let undecided = device.is_resolving && !working;
-                // Another node may have claimed the address of a lost device.
-                let is_there =
-                    device.presence != Presence::Lost || device.last_heartbeat_was_other_node;
-                let usable = is_there && address != own;
-                let query = device.query_mut(request);
-                if query.is_waiting() || query.due.is_none_or(|due| due > now) {
-                    continue;
-                }
-                if !usable {
-                    query.due = None;
-                    continue;
-                }
-                if let Some(later) = self.errors.postpone_recheck(now, address, window) {
-                    query.due = Some(later);
-                    continue;
-                }
-                query.state = QueryState::Sent;
-                query.attempts += 1;
-                query.sent_at = Some(now);
-                query.due = None;
-                query.deadline = Some(now + response_timeout(on_the_bus, query.attempts));
-                self.waiting += 1;
-                // A device that no longer responds in its framing may be another board.
-                let framing = framing.filter(|_| query.attempts < max_attempts(request));
-                let service = self.config.profile.des_service();
-                let both = undecided
-                    || request == Request::Name && self.conflicts.needs_both_d_bits(now, address);
-                for to_not_working in [false, true] {
-                    if to_not_working == working && !both {
-                        continue;
-                    }
-                    let header = Header::request(own, address, to_not_working, service);
-                    for &framing in self.config.profile.framings(framing) {
-                        self.send_request(header, request, framing);
-                    }
-                }
-            }
-        }
-    }
-
-    /// Records queries whose response is overdue as failed.
-    fn expire_queries(&mut self) {
-        let now = self.now;
-        let mut waiting = 0;
-        let mut needs_round = false;
-        for device in self.device_table.devices_mut() {
-            let named = device.name.is_some();
-            for (request, query) in [
-                (Request::Name, &mut device.name_query),
-                (Request::Services, &mut device.services_query),
-            ] {
-                let deadline = query.deadline.filter(|_| query.is_waiting());
-                match deadline {
-                    None => {}
-                    Some(deadline) if deadline > now => waiting += 1,
-                    Some(_) => {
-                        let fault = query.fault;
-                        needs_round |= record_failure(query, request, named, now, fault);
-                    }
-                }
-            }
-        }
-        self.waiting = waiting;
-        if needs_round {
-            self.rounds.request_round(now);
-        }
-    }
-
-    /// Handles an aborted or failed response: repeats the request while attempts are left.
-    pub(super) fn response_failed(&mut self, row: DeviceId, request: Request, fault: QueryFault) {
-        let now = self.now;
-        let Some(device) = self.device_table.get_mut(row) else { return };
-        let named = device.name.is_some();
-        let query = device.query_mut(request);
-        let before = query.fault.replace(fault);
-        if query.is_waiting() {
-            // A single error response may be due to the framing of the request.
-            if fault == QueryFault::ErrorResponse && before == Some(fault) {
-                query.attempts = query.attempts.max(max_attempts(request));
-            }
-            if record_failure(query, request, named, now, Some(fault)) {
-                self.rounds.request_round(now);
-            }
-        }
-        self.wake_at(now);
-    }
-
-    /// Returns when the next request or timeout is due.
-    pub(super) fn query_timeout(&self) -> Option<Instant> {
-        let mut due = NO_TIMEOUT;
-        let sending = self.local_node.held().is_some()
-            && self.config.send_requests
-            && !self.outbox.is_paused()
-            && !self.is_left_alone();
-        let max_waiting = self.idle.max_open(MAX_WAITING, &self.config);
-        for device in self.device_table.devices() {
-            let sending = sending && self.device_table.is_current(device);
-            for query in [&device.name_query, &device.services_query] {
-                if let Some(deadline) = query.deadline.filter(|_| query.is_waiting()) {
-                    due = due.min(deadline);
-                } else if sending && self.waiting < max_waiting {
-                    due = due.min(query.due.unwrap_or(NO_TIMEOUT));
-                }
-            }
-        }
-        if sending {
-            let round = self.rounds.poll_timeout(&self.config, self.open_queries());
-            due = due.min(round.unwrap_or(NO_TIMEOUT));
-            if let Some(until) = self.rounds.priority_until(self.now) {
-                due = due.max(until).min(self.next_deadline());
-            }
-            if due <= self.now
-                && let Some(until) = self.heartbeats_wait_until()
-            {
-                due = due.max(until).min(self.next_deadline());
-            }
-            if !self.outbox.has_budget() && due != NO_TIMEOUT {
-                due = due.max(self.outbox.budget_at(self.share())).min(self.next_deadline());
-            }
-        }
-        if self.config.listen_only {
-            let round = self.rounds.poll_timeout(&self.config, 0);
-            due = due.min(round.unwrap_or(NO_TIMEOUT));
-        }
-        (due != NO_TIMEOUT).then_some(due)
     }
 
     /// Returns the next timeout of a query that waits for a response.

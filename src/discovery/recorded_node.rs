@@ -5,10 +5,9 @@
 //! heartbeat with another UID, shows a device, whose frames count as received. The frames of an
 //! inspector count as descan's own, so that a replay shows what the inspector showed.
 
-use super::local_node;
-use crate::frame::Frame;
-use crate::wire::id::{Address, Header};
-use crate::wire::node::Heartbeat;
+use super::local_node::is_inspector_uid;
+use super::observation::{Observation, ObservationKind, PlatformContent};
+use crate::wire::id::Address;
 use crate::wire::profile::Profile;
 
 /// Sender of the frames that a log marks as sent, by their address.
@@ -51,16 +50,18 @@ impl RecordedNodes {
     }
 
     /// Returns true if a frame that the log marks as sent is one of an inspector.
-    pub fn is_from_inspector(&mut self, header: Header, frame: &Frame, profile: &Profile) -> bool {
+    pub fn is_from_inspector(&mut self, observation: &Observation<'_>, profile: &Profile) -> bool {
+        let ObservationKind::Platform(header, content) = observation.kind else { return false };
         let sender = &mut self.senders[header.source.index()];
-        let is_request = !header.response && header.service == profile.des_service();
-        let is_heartbeat = header.response && header.service == profile.heartbeat_service();
-        *sender = match *sender {
-            _ if is_heartbeat && is_inspector_heartbeat(frame, profile) => Sender::Inspector,
-            _ if is_heartbeat => Sender::Device,
-            Sender::Unknown if is_request => Sender::Inspector,
-            Sender::Unknown => Sender::Device,
-            known => known,
+        *sender = match (content, *sender) {
+            (PlatformContent::Heartbeat(heartbeat), _) if header.response => {
+                let is_inspector =
+                    heartbeat.uid.is_some_and(|uid| is_inspector_uid(uid, &profile.uid));
+                if is_inspector { Sender::Inspector } else { Sender::Device }
+            }
+            (PlatformContent::Request(_), Sender::Unknown) => Sender::Inspector,
+            (_, Sender::Unknown) => Sender::Device,
+            (_, known) => known,
         };
         let is_inspector = *sender == Sender::Inspector;
         if is_inspector {
@@ -68,10 +69,4 @@ impl RecordedNodes {
         }
         is_inspector
     }
-}
-
-/// Returns true if a heartbeat has the UID of an inspector.
-fn is_inspector_heartbeat(frame: &Frame, profile: &Profile) -> bool {
-    let heartbeat = Heartbeat::decode(frame.data(), &profile.heartbeat, &profile.modes.codes());
-    heartbeat.uid.is_some_and(|uid| local_node::is_inspector_uid(uid, &profile.uid))
 }

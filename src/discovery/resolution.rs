@@ -5,7 +5,8 @@
 
 use super::claims::{ClaimUpdate, HeartbeatInput};
 use super::device::MISSED_HEARTBEAT_PERIODS;
-use super::{Device, DeviceId, Engine, EventKind, OtherDevice};
+use super::device_tracker::DeviceTracker;
+use super::{Device, DeviceId, EventKind, OtherDevice};
 use crate::time::{Duration, Instant};
 use crate::wire::id::Address;
 use crate::wire::node::{Heartbeat, Mode, Uid};
@@ -38,7 +39,7 @@ pub(super) struct HeartbeatSender {
     holder: Option<OtherDevice>,
 }
 
-impl Engine {
+impl DeviceTracker {
     /// Determines the sender of a heartbeat, and whether it claims its address.
     pub(super) fn note_sender(&mut self, claim: HeartbeatContext) -> HeartbeatSender {
         let HeartbeatContext { row, address, heartbeat, uid_before, mode_before, gap } = claim;

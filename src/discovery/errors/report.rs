@@ -3,7 +3,8 @@
 
 use super::super::conflicts::ConflictDetector;
 use super::super::device_table::DeviceTable;
-use super::super::{Engine, Presence, finding_text};
+use super::super::device_tracker::DeviceTracker;
+use super::super::{Presence, finding_text};
 use super::{ExpectedFrame, SuspectOutcome, TEXT_INTERVAL};
 use crate::error_report::ErrorReport;
 use crate::finding::{Evidence, FindingState};
@@ -15,7 +16,7 @@ use crate::wire::id::Address;
 /// Delay of a heartbeat, in periods, from which it is missing.
 const HEARTBEAT_WINDOW_PERIODS: f64 = 0.3;
 
-impl Engine {
+impl DeviceTracker {
     /// Processes an error frame.
     pub(in crate::discovery) fn process_error_frame(&mut self, frame: &Frame) {
         let Some(report) = ErrorReport::of(frame) else { return };
@@ -70,18 +71,11 @@ impl Engine {
         }
     }
 
-    /// Returns when the window of a request sent now closes: the response time on a busy and slow
-    /// bus.
-    pub(in crate::discovery) fn response_window(&self) -> Instant {
-        self.now + Duration::from_millis(200) + self.config.duration_of_bits(180 * 150)
-    }
-
     /// Closes windows that are over, and repeats requests to suspects.
-    pub(in crate::discovery) fn check_errors(&mut self) {
+    pub(in crate::discovery) fn check_errors(&mut self, may_send: bool) {
         let (now, frames) = (self.now, self.counters.frames);
         self.errors.frames = frames;
-        let (device_table, may_send) =
-            (&mut self.device_table, self.local_node.held().is_some() && self.config.send_requests);
+        let device_table = &mut self.device_table;
         self.errors.handle_timeout(now, |address, request, since| {
             // After a burst devices may reboot, and not respond for some seconds.
             let Some(device) = device_table.current_device_mut(address) else { return false };

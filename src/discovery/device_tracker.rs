@@ -1,0 +1,247 @@
+//! Device tracker: what the frames of one bus show about its devices, and the findings and events
+//! about them. Sends nothing.
+
+use super::bus_protocol::ProtocolDetector;
+use super::claims::AddressClaims;
+use super::conflicts::ConflictDetector;
+use super::device_table::DeviceTable;
+use super::errors::BusErrorTracker;
+use super::heartbeats::BusDelayTracker;
+use super::observation::{Observation, ObservationKind, PlatformContent};
+use super::presence::Outages;
+use super::recent_requests::RecentRequests;
+use super::recorded_node::RecordedNodes;
+use super::{Config, Counters, DeviceId, Event, EventKind, Presence, ProtocolDeviation};
+use crate::finding::{FindingKind, FindingState};
+use crate::frame::Frame;
+use crate::time::{Duration, Instant};
+use crate::wire::id::{Address, Header};
+use std::collections::VecDeque;
+
+/// Maximum number of events waiting to be polled; beyond that the oldest is dropped.
+const MAX_EVENTS: usize = 4096;
+
+/// Devices of one bus, with the findings and events about them.
+#[derive(Debug)]
+pub(super) struct DeviceTracker {
+    pub config: Config,
+    pub now: Instant,
+    /// Latest time of the next call of `handle_timeout`.
+    pub wake: Instant,
+    pub counters: Counters,
+    pub protocol: ProtocolDetector,
+    pub recorded_nodes: RecordedNodes,
+    pub recent_requests: RecentRequests,
+    pub device_table: DeviceTable,
+    pub claims: AddressClaims,
+    pub conflicts: ConflictDetector,
+    pub errors: BusErrorTracker,
+    pub lateness: BusDelayTracker,
+    pub outages: Outages,
+    events: VecDeque<Event>,
+}
+
+impl DeviceTracker {
+    pub fn new(now: Instant, config: Config) -> Self {
+        Self {
+            conflicts: ConflictDetector::new(
+                config.bus,
+                &config.profile,
+                config.listen_only,
+                config.seed,
+            ),
+            errors: BusErrorTracker::default(),
+            recorded_nodes: RecordedNodes::new(),
+            recent_requests: RecentRequests::new(),
+            device_table: DeviceTable::new(config.bus),
+            lateness: BusDelayTracker::default(),
+            protocol: ProtocolDetector::default(),
+            claims: AddressClaims::new(),
+            outages: Outages::default(),
+            events: VecDeque::new(),
+            counters: Counters::default(),
+            wake: now,
+            now,
+            config,
+        }
+    }
+
+    pub fn advance(&mut self, now: Instant) {
+        self.now = self.now.max(now);
+    }
+
+    pub fn wake_at(&mut self, at: Instant) {
+        self.wake = self.wake.min(at);
+    }
+
+    /// Returns the heartbeat period of `address`.
+    pub fn period_of(&self, address: Address) -> Duration {
+        self.conflicts.periods().of(address)
+    }
+
+    /// Returns when the window of a request sent now closes: the response time on a busy and slow
+    /// bus.
+    pub fn response_window(&self) -> Instant {
+        self.now + Duration::from_millis(200) + self.config.duration_of_bits(180 * 150)
+    }
+
+    // --- events ---------------------------------------------------------------------------
+
+    /// Returns the next event, oldest first.
+    pub fn poll_event(&mut self) -> Option<Event> {
+        self.events.pop_front()
+    }
+
+    /// Emits an event of the device of `row`.
+    pub fn emit(&mut self, row: DeviceId, kind: EventKind) {
+        let Some(device) = self.device_table.get(row) else { return };
+        let (address, name) = (device.address, device.name.clone());
+        self.push_event(Event {
+            time: self.now,
+            device: Some(row),
+            address: Some(address),
+            name,
+            kind,
+        });
+    }
+
+    /// Emits an event of a device that may have no row, at an address that another row may use.
+    pub fn emit_for(&mut self, device: Option<DeviceId>, address: Address, kind: EventKind) {
+        let name = device.and_then(|row| self.device_table.get(row)?.name.clone());
+        self.push_event(Event { time: self.now, device, address: Some(address), name, kind });
+    }
+
+    pub fn emit_bus_event(&mut self, kind: EventKind) {
+        self.push_event(Event { time: self.now, device: None, address: None, name: None, kind });
+    }
+
+    pub fn push_event(&mut self, event: Event) {
+        if self.events.len() == MAX_EVENTS {
+            self.events.pop_front();
+        }
+        self.events.push_back(event);
+    }
+
+    /// Emits changed findings; after a cleared conflict the remaining device is queried again.
+    pub fn emit_finding_changes(&mut self) {
+        while let Some((key, state)) = self.conflicts.finding_tracker_mut().poll_changed() {
+            let shared = key.kind.is_conflict() || key.kind == FindingKind::BusErrors;
+            if let (true, FindingState::Cleared, Some(address)) = (shared, state, key.address) {
+                self.requery(address);
+            }
+            let row = key.address.and_then(|address| self.device_table.current_row(address));
+            match row {
+                Some(row) => self.emit(row, EventKind::Finding { key, state }),
+                None => self.emit_bus_event(EventKind::Finding { key, state }),
+            }
+        }
+    }
+
+    /// Queries the device that remains at `address` after a conflict: known data may be that of the
+    /// other one.
+    pub fn requery(&mut self, address: Address) {
+        let now = self.now;
+        if let Some(device) = self.device_table.current_device_mut(address)
+            && device.is_present()
+        {
+            device.name_query.restart(now);
+            device.services_query.restart(now);
+            self.wake_at(now);
+        }
+    }
+
+    pub fn check_suspicions(&mut self) {
+        let now = self.now;
+        let device_table = &mut self.device_table;
+        self.conflicts.finding_tracker_mut().handle_timeout(now, |address| {
+            if let Some(device) = device_table.current_device_mut(address)
+                && device.is_present()
+            {
+                device.name_query.schedule(now);
+            }
+        });
+    }
+
+    pub fn end_outage(&mut self) {
+        if self.outages.end(self.now) {
+            self.device_table.devices_mut().iter_mut().for_each(|device| device.rounds_missed = 0);
+            self.wake_at(self.now);
+        }
+    }
+
+    // --- frames ---------------------------------------------------------------------------
+
+    /// Notes an identifier that is not one of the message types.
+    pub fn process_non_conforming(&mut self, source: Address, frame: &Frame) {
+        let now = self.now;
+        let Some(device) = self.device_table.current_device_mut(source) else { return };
+        device.note_deviation(ProtocolDeviation::NonConforming);
+        let name = device.name.clone();
+        self.conflicts.note_non_conforming(now, source, name.as_ref(), frame);
+        self.wake_at(now);
+    }
+
+    /// Returns the row of a frame's sender; creates it for an unknown address. `None` if there are
+    /// too many rows.
+    pub fn device_for_source(
+        &mut self,
+        observation: &Observation<'_>,
+        header: Header,
+    ) -> Option<DeviceId> {
+        // In a DEBUG message the U bit does not give the sender's mode.
+        let now = observation.at;
+        let has_mode_bit =
+            !matches!(observation.kind, ObservationKind::Platform(_, PlatformContent::Debug));
+        let working = !(header.from_non_working && has_mode_bit);
+        let Some(row) = self.device_table.current_row(header.source) else {
+            let row = self.device_table.insert(now, header.source, working)?;
+            let device = self.device_table.get_mut(row)?;
+            device.frame_count = 1;
+            device.name_query.schedule(now);
+            self.emit(row, EventKind::FirstFrame);
+            self.wake_at(now);
+            return Some(row);
+        };
+        let period = self.period_of(header.source);
+        let device = self.device_table.get_mut(row)?;
+        let mut is_query_due = device.retry_after_silence(now, period);
+        device.last_seen = now;
+        device.frame_count += 1;
+        device.rounds_missed = 0;
+        // Without heartbeats only the U bit shows another mode, which may have other services, or
+        // another board.
+        if has_mode_bit && device.is_working != working {
+            device.is_working = working;
+            let has_heartbeats =
+                device.heartbeat.last.is_some_and(|last| now.since(last) < period * 3);
+            if !has_heartbeats && device.services.is_some() {
+                device.services_query.schedule(now);
+            }
+        }
+        if device.presence == Presence::Lost {
+            // A returned device may be another board or have new firmware.
+            device.name_query.restart(now);
+            device.services_query.restart(now);
+            is_query_due = true;
+        }
+        if is_query_due {
+            self.wake_at(now);
+        }
+        Some(row)
+    }
+
+    /// Counts a malformed response and reports it as evidence.
+    pub fn report_malformed(
+        &mut self,
+        now: Instant,
+        row: DeviceId,
+        fault: &dyn std::fmt::Display,
+        frame: &Frame,
+    ) {
+        self.counters.malformed += 1;
+        let Some(device) = self.device_table.get(row) else { return };
+        let (address, name) = (device.address, device.name.clone());
+        self.conflicts.note_malformed(now, address, name.as_ref(), fault, frame);
+        self.wake_at(now);
+    }
+}
