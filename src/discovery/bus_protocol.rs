@@ -17,7 +17,8 @@ use std::collections::VecDeque;
 /// Number of impossible identifiers that show another protocol: fewer may be noise, or one device
 /// with faulty firmware.
 const MIN_IMPOSSIBLE: u64 = 10;
-/// Number of impossible identifiers from which on one plausible frame does not show DES.
+/// Number of impossible identifiers from which on one plausible frame does not show DES. Chosen: a
+/// stray frame and its repetition do not make a bus doubtful.
 const MIN_DOUBTFUL: u64 = 3;
 /// Bytes of a heartbeat that are compared: those of a UID.
 const UID_BYTES: usize = 6;

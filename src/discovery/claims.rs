@@ -16,11 +16,14 @@ use crate::wire::id::Address;
 use crate::wire::node::{Mode, Uid};
 
 /// Maximum number of nodes stored; beyond that the one silent for the longest time is dropped.
+/// Bounds the memory: two nodes of each address.
 const MAX_NODES: usize = 256;
-/// Periods without a heartbeat for which a node still holds its address.
+/// Periods without a heartbeat for which a node still holds its address. After that it is
+/// stale (protocol §4.6).
 const HOLD_PERIODS: f64 = 2.5;
 /// Periods in which one of two nodes at an address gives it up; after that it is a conflict. A node
-/// without a heartbeat for as long has left its address.
+/// without a heartbeat for as long has left its address. Protocol §5.3: one lost heartbeat, 1.5
+/// periods of silence and a random delay up to one period (CAN platform §3.2.4.2).
 const RESOLUTION_PERIODS: u32 = 5;
 
 /// The part of a heartbeat that matters for claims.

@@ -88,10 +88,11 @@ pub struct HeartbeatStats {
     in_phase: Option<Instant>,
 }
 
-/// Age of the last heartbeat, in periods, at which a device is stale.
+/// Age of the last heartbeat, in periods, at which a device is stale. Protocol §4.6.
 pub(super) const STALE_PERIODS: f64 = 2.5;
 /// Time since the last heartbeat, in periods, above which at least one is missed. A gap that long
-/// may be a reboot.
+/// may be a reboot. Tuned with the simulation: between one period with the jitter of a busy bus,
+/// and the 1.5 periods of silence of address resolution (CAN platform §3.2.4.2).
 pub(super) const MISSED_HEARTBEAT_PERIODS: f64 = 1.4;
 
 impl HeartbeatStats {
@@ -317,7 +318,7 @@ impl ProtocolDeviation {
     }
 }
 
-/// Maximum number of mode changes stored per device.
+/// Maximum number of mode changes stored per device. Bounds the memory: the modes of five boots.
 const MAX_MODES: usize = 16;
 
 /// Mode of a device with the time of its begin.

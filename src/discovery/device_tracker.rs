@@ -11,6 +11,7 @@ use super::observation::{Observation, ObservationKind, PlatformContent};
 use super::presence::Outages;
 use super::recent_requests::RecentRequests;
 use super::recorded_node::RecordedNodes;
+use super::rounds::FRAME_BITS;
 use super::{Config, Counters, DeviceId, Event, EventKind, Presence, ProtocolDeviation};
 use crate::finding::{FindingKind, FindingState};
 use crate::frame::Frame;
@@ -18,8 +19,15 @@ use crate::time::{Duration, Instant};
 use crate::wire::id::{Address, Header};
 use std::collections::VecDeque;
 
-/// Maximum number of events waiting to be polled; beyond that the oldest is dropped.
+/// Maximum number of events waiting to be polled; beyond that the oldest is dropped. Bounds the
+/// memory: eight of each possible row between two polls.
 const MAX_EVENTS: usize = 4096;
+
+/// Time that a device needs for the first frame of a response (protocol §4.3).
+pub(super) const RESPONSE_TIME: Duration = Duration::from_millis(200);
+/// Bits for which a response waits on a busy bus, besides that: responses of 127 devices, and some
+/// heartbeats.
+pub(super) const RESPONSE_WAIT_BITS: u64 = 180 * FRAME_BITS;
 
 /// Devices of one bus, with the findings and events about them.
 #[derive(Debug)]
@@ -82,7 +90,7 @@ impl DeviceTracker {
     /// Returns when the window of a request sent now closes: the response time on a busy and slow
     /// bus.
     pub fn response_window(&self) -> Instant {
-        self.now + Duration::from_millis(200) + self.config.duration_of_bits(180 * 150)
+        self.now + RESPONSE_TIME + self.config.duration_of_bits(RESPONSE_WAIT_BITS)
     }
 
     // --- events ---------------------------------------------------------------------------

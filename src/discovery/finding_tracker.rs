@@ -17,34 +17,43 @@ use crate::wire::node::Uid;
 use crate::wire::profile::Profile;
 use std::borrow::Cow;
 
-/// Maximum number of findings of one bus; more are refused and counted.
+/// Maximum number of findings of one bus; more are refused and counted. Bounds the memory: as many
+/// as device rows.
 const MAX_FINDINGS: usize = 512;
-/// Delay of the first follow-up request to a suspected finding, and between further ones.
+/// Delay of the first follow-up request to a suspected finding, and between further ones. Protocol
+/// §5.3.
 const FOLLOW_UP_DELAY: Duration = Duration::from_secs(1);
-/// Maximum number of follow-up requests to one suspected finding.
+/// Maximum number of follow-up requests to one suspected finding. Protocol §5.3.
 const MAX_FOLLOW_UPS: u32 = 6;
 /// Periods without a follow-up request after which new evidence starts a new series of them.
+/// Chosen: longer than the follow-up delay and a response together.
 const FOLLOW_UP_RESTART_PERIODS: u32 = 3;
 /// Interval of the requests that check a confirmed conflict: short enough that it is not cleared
-/// because two equal responses merged once.
+/// because two equal responses merged once. Two of them fit into the time after which a finding
+/// without evidence is cleared.
 const CONFIRMED_FOLLOW_UP_DELAY: Duration = Duration::from_secs(2);
-/// Longest gap between heartbeat evidence that belongs together, in periods.
+/// Longest gap between heartbeat evidence that belongs together, in periods. Two periods and the
+/// jitter: one heartbeat may be lost.
 const HEARTBEAT_GAP_PERIODS: f64 = 2.6;
 /// The same for heartbeats of two UIDs in turns, which prove more and of which some may be lost: as
-/// long as the finding stays open without evidence.
+/// long as the finding stays open without evidence. With 30 % of the heartbeats lost, four in a row
+/// are lost once in 120 times.
 const IDENTITY_GAP_PERIODS: f64 = 5.0;
 /// Longest gap between response evidence that belongs together, in periods since a request was
-/// seen: two requests.
+/// seen: two requests. Tuned with the simulation.
 const RESPONSE_GAP_PERIODS: f64 = 1.75;
 /// Periods after a heartbeat from an address with several senders in which the next one is due.
+/// Chosen: one period and its jitter.
 const KEPT_PERIODS: f64 = 1.1;
 /// Number of [`EvidenceStrength::Proof`] observations that confirm a finding; a single one may be a
 /// stray frame.
 const CONFIRM_AFTER_PROOFS: u32 = 2;
-/// Number of strong observations that confirm a conflict, if they last long enough.
+/// Number of strong observations that confirm a conflict, if they last long enough. Tuned with the
+/// simulation: two names or UIDs that return once each are two (protocol §5.2).
 const CONFIRM_AFTER_STRONG: u32 = 3;
 
-/// Periods before the first evidence in which a claim of the address belongs to it.
+/// Periods before the first evidence in which a claim of the address belongs to it. A node gives up
+/// an address within as many (protocol §5.3).
 const CLAIM_PERIODS: u32 = 5;
 /// Periods for which two nodes share an address before one gives it up, if neither claimed it: a
 /// replaced board may send two more heartbeats.

@@ -11,9 +11,11 @@ use crate::time::{Duration, Instant};
 use crate::wire::id::{Address, Header};
 use crate::wire::node::{Heartbeat, Mode, Uid};
 
-/// Deviation from the schedule, in periods, from which a heartbeat is late.
+/// Deviation from the schedule, in periods, from which a heartbeat is late. Chosen: arbitration
+/// delays a heartbeat by some milliseconds unless the bus is full.
 const LATE_FRACTION: f64 = 0.1;
-/// Number of devices with late heartbeats within a few periods from which the bus is the cause.
+/// Number of devices with late heartbeats within a few periods from which the bus is the cause. Two
+/// may have rebooted together.
 const BUS_WIDE_LATE: u32 = 3;
 
 /// Devices whose heartbeats were recently late. If there are several, the bus delays them.

@@ -6,25 +6,28 @@ use super::device_tracker::DeviceTracker;
 use super::observation::Observation;
 use super::outbox::nominal_bits;
 use super::requester::Requester;
+use super::rounds::FRAME_BITS;
 use super::{Config, Device, Presence};
 use crate::time::{Duration, Instant};
 use crate::wire::id::Address;
 
-/// Bits without a frame after which no frame waits: three frames.
-const IDLE_BITS: u64 = 3 * 150;
+/// Bits without a frame after which no frame waits: three frames. A waiting frame follows after 3
+/// bits (ISO 11898-1); the rest is chosen.
+const IDLE_BITS: u64 = 3 * FRAME_BITS;
 /// Part of the period by which a heartbeat is late when requests begin to wait: what was requested
 /// before, and then the heartbeats of 127 devices, take 0.1 s each at 125 kbit/s.
 const OVERDUE_PERIODS: f64 = 0.04;
-/// Number of periods after which an overdue heartbeat is no longer expected.
+/// Number of periods after which an overdue heartbeat is no longer expected. Less than a device is
+/// lost after (protocol §4.6).
 const MAX_WAIT_PERIODS: u32 = 4;
 /// Longest time that the responses to open requests take on the bus, so that heartbeats wait for no
-/// longer.
+/// longer. Tuned with `cargo bench --bench discovery`.
 const OPEN_RESPONSES_TIME: Duration = Duration::from_millis(60);
 /// Bits of a services request with its response: first frame, flow control, eight frames.
 const SERVICES_BITS: f64 = 11.0 * 130.0;
 /// Open requests that keep the bus busy: one responds, the next one is there.
 const MIN_OPEN: usize = 2;
-/// Length of the windows in which the load is measured.
+/// Length of the windows in which the load is measured. Chosen: half a default period.
 const LOAD_WINDOW: Duration = Duration::from_millis(500);
 
 /// Tracks when the bus was idle, and its load without DES messages.

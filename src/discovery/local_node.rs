@@ -19,14 +19,17 @@ use std::collections::VecDeque;
 pub(super) const NAME: &[u8] = b"DSCAN";
 /// Begin of the text of its UID.
 const UID_PREFIX: &str = "DSCAN";
-/// Maximum number of own responses that wait for flow control.
+/// Maximum number of own responses that wait for flow control. Bounds the memory; a scan has one
+/// inspector, rarely two.
 const MAX_RESPONSES: usize = 4;
 /// A request received again within this time was repeated on its way: two responses would look like
-/// two devices.
+/// two devices. An inspector repeats a request after 200 ms at the earliest (protocol §4.3).
 const REQUEST_COPY_WINDOW: Duration = Duration::from_millis(200);
-/// Maximum number of requests stored to detect repeated ones.
+/// Maximum number of requests stored to detect repeated ones. Bounds the memory: four requests, in
+/// both framings, of two inspectors.
 const MAX_REQUESTS: usize = 16;
-/// Periods since its last use in which an address counts as used.
+/// Periods since its last use in which an address counts as used. After that a
+/// device is lost (protocol §4.6).
 const USED_FOR_PERIODS: u32 = 5;
 
 /// State of the own address.

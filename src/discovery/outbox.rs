@@ -8,13 +8,16 @@ use crate::time::{Duration, Instant};
 use crate::wire::id::Header;
 use std::collections::VecDeque;
 
-/// Time without a confirmed frame after which sending is paused.
+/// Time without a confirmed frame after which sending is paused. Chosen: 400 frames at 125 kbit/s
+/// may go before.
 const ACK_TIMEOUT: Duration = Duration::from_millis(500);
-/// Interval between attempts while sending is paused.
+/// Interval between attempts while sending is paused. Chosen: a lone controller repeats a frame
+/// that is not acknowledged, which fills the bus.
 const ACK_RETRY_DELAY: Duration = Duration::from_secs(5);
-/// Number of sent frames stored, to recognise repeated ones.
+/// Number of sent frames stored, to recognise repeated ones. Chosen: at 30 % of 125 kbit/s, what is
+/// sent in 0.8 s.
 const SENT_HISTORY: usize = 256;
-/// Age at which a stored frame is no longer compared.
+/// Age at which a stored frame is no longer compared. Chosen: more than a bridge delays frames.
 const SENT_HISTORY_AGE: Duration = Duration::from_secs(1);
 
 /// Change of the acknowledgement of descan's frames.

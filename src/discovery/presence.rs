@@ -16,9 +16,11 @@ use crate::time::{Duration, Instant};
 use crate::wire::node::Mode;
 use std::collections::VecDeque;
 
-/// Enumeration rounds without a response after which a device without heartbeats is lost.
+/// Enumeration rounds without a response after which a device without heartbeats is lost. Protocol
+/// §4.6.
 const LOST_AFTER_ROUNDS: u32 = 3;
 /// Age of the last frame at which a device without heartbeats is stale, if there are no rounds.
+/// Protocol §4.6.
 const STALE_WITHOUT_ROUNDS: Duration = Duration::from_secs(30);
 
 /// Returns true if a device's only heartbeat was the claim of its address and it sent other frames
@@ -28,13 +30,15 @@ pub(super) fn is_claim_only(device: &Device, period: Duration) -> bool {
     claim.is_some_and(|claim| device.last_seen.since(claim) >= period * 5)
 }
 
-/// Age of the last heartbeat, in periods, at which the next one is overdue.
+/// Age of the last heartbeat, in periods, at which the next one is overdue. Chosen: halfway between
+/// two.
 const NEXT_HEARTBEAT_DUE_PERIODS: f64 = 1.5;
 
 /// Maximum number of outages stored; older ones do not affect any device still present.
 const MAX_OUTAGES: usize = 8;
 
-/// Tolerance of the reported begin and end of an outage.
+/// Tolerance of the reported begin and end of an outage. Twice the shortest interval at which the
+/// state of a SocketCAN interface is read.
 const OUTAGE_TOLERANCE: Duration = Duration::from_millis(200);
 
 /// Times in which the bus was down.

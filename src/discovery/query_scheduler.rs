@@ -3,7 +3,7 @@
 //! the transmit budget (protocol §4).
 
 use super::device::{QueryFault, QueryState};
-use super::device_tracker::DeviceTracker;
+use super::device_tracker::{DeviceTracker, RESPONSE_TIME, RESPONSE_WAIT_BITS};
 use super::presence::is_claim_only;
 use super::requester::Requester;
 use super::rounds::RoundStep;
@@ -16,15 +16,17 @@ use crate::wire::id::{Address, Header};
 use crate::wire::isotp;
 use crate::wire::profile::Profile;
 
-/// Maximum number of queries that wait for a response: enough to keep a fast bus busy.
+/// Maximum number of queries that wait for a response: enough to keep a fast bus busy. Tuned with
+/// the simulation.
 const MAX_WAITING: usize = 12;
-/// Attempts to query services before a pause.
+/// Attempts to query services before a pause. Chosen: with back-off they take 3 s.
 const SERVICES_ATTEMPTS: u32 = 4;
-/// Attempts to query a name before an enumeration round.
+/// Attempts to query a name before an enumeration round. Chosen: the round asks again.
 const NAME_ATTEMPTS: u32 = 2;
-/// Pause after the last attempt of a query.
+/// Pause after the last attempt of a query. Chosen: three rounds at their default period.
 const RETRY_DELAY: Duration = Duration::from_secs(30);
-/// Time after the start of a round at which nodes without a name are queried one by one.
+/// Time after the start of a round at which nodes without a name are queried one by one. As the
+/// longest collection time of a round.
 const ROUND_WAIT_LIMIT: Duration = Duration::from_secs(2);
 
 impl Requester {
@@ -134,7 +136,7 @@ impl Requester {
         }
         let window = tracker.response_window();
         let max_waiting = self.idle.max_open(MAX_WAITING, &tracker.config);
-        let on_the_bus = self.idle.duration_of_bits(180 * 150, &tracker.config);
+        let on_the_bus = self.idle.duration_of_bits(RESPONSE_WAIT_BITS, &tracker.config);
         for request in [Request::Name, Request::Services] {
             // In the order of addresses: responses of lower ones have priority on the bus, so
             // responses arrive in the order of the requests and none waits behind later ones.
@@ -352,7 +354,7 @@ impl DeviceTracker {
 /// Returns the timeout of the first frame of a response: what devices need, plus `on_the_bus`, what
 /// a slow and busy bus adds; doubled with every attempt, at most 3 s.
 fn response_timeout(on_the_bus: Duration, attempts: u32) -> Duration {
-    let base = Duration::from_millis(200) + on_the_bus;
+    let base = RESPONSE_TIME + on_the_bus;
     (base * 2u32.saturating_pow(attempts.saturating_sub(1))).min(Duration::from_secs(3))
 }
 

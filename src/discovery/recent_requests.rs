@@ -4,9 +4,11 @@ use crate::time::{Duration, Instant};
 use crate::wire::id::Address;
 use std::collections::VecDeque;
 
-/// Maximum number of broadcasts stored to match late responses.
+/// Maximum number of broadcasts stored to match late responses. Bounds the memory: two rounds in
+/// both framings of two inspectors.
 const MAX_BROADCASTS: usize = 16;
-/// Time after a request in which responses that repeat its DST are matched to it.
+/// Time after a request in which responses that repeat its DST are matched to it. The longest
+/// timeout of a query.
 const BROADCAST_RESPONSE_WINDOW: Duration = Duration::from_secs(3);
 /// Time after a request in which its address still counts as a requester: a device aborts each of
 /// several responses that wait for flow control only after 1 s.

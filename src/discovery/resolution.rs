@@ -12,7 +12,7 @@ use crate::wire::id::Address;
 use crate::wire::node::{Heartbeat, Mode, Uid};
 
 /// Periods after a claim of an address in which its previous holder is taken to have left because
-/// of it.
+/// of it. The device without heartbeats is found again by the next round, 10 s later by default.
 const CLAIM_RELEVANT_PERIODS: u32 = 12;
 
 /// A heartbeat, with the state of the row at its address before it.

@@ -6,18 +6,22 @@
 use super::config::Config;
 use crate::time::{Duration, Instant};
 
-/// Successive rounds without anything new that end the phase at start.
+/// Successive rounds without anything new that end the phase at start. Protocol §4.1.
 const QUIET_ROUNDS: u32 = 2;
-/// Bits of a typical frame, for windows that grow on slower buses.
-const FRAME_BITS: u64 = 150;
-/// Longest time that a round's requests delay other requests.
+/// Bits of a typical frame, for windows that grow on slower buses. A frame of 8 bytes with a 29-bit
+/// identifier has 131 bits without stuff bits (ISO 11898-1).
+pub(super) const FRAME_BITS: u64 = 150;
+/// Longest time that a round's requests delay other requests. As the time without acknowledgement
+/// after which sending is paused.
 const ROUND_PRIORITY_WINDOW: Duration = Duration::from_millis(500);
-/// Longest time that a round waits until its requests are on the bus.
+/// Longest time that a round waits until its requests are on the bus. Chosen: longer than 1,000
+/// frames take at 125 kbit/s.
 const SEND_TIMEOUT: Duration = Duration::from_secs(2);
 /// Longest collection time, besides the time the responses take on the bus: responses to other
-/// nodes must not keep a round open for ever.
+/// nodes must not keep a round open for ever. Chosen; tested with devices that respond late.
 const MAX_COLLECTION: Duration = Duration::from_secs(2);
-/// Longest time without a response that a round at start waits for services.
+/// Longest time without a response that a round at start waits for services. Chosen, as
+/// `MAX_COLLECTION`.
 const SERVICES_WAIT_LIMIT: Duration = Duration::from_secs(2);
 
 /// Phase of the rounds.

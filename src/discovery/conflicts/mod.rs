@@ -35,14 +35,17 @@ use repeated_frames::RepeatedFrameDetector;
 use rhythm::HeartbeatPattern;
 use std::borrow::Cow;
 
-/// Two responses to one request are less than this apart.
+/// Two responses to one request are less than this apart. Less than the 200 ms after which a
+/// request is repeated (protocol §4.3).
 const PAIR_WINDOW: Duration = Duration::from_millis(125);
 
 /// Consecutive heartbeats at twice the rate that count as evidence: enough time for the follow-up
-/// requests.
+/// requests. Eight periods: six follow-up requests, one per second, and their responses (protocol
+/// §5.3).
 const MAX_DOUBLE_RATE_HEARTBEATS: u32 = 16;
 
-/// Periods for which a UID is remembered at its address: some heartbeats may be lost.
+/// Periods for which a UID is remembered at its address: some heartbeats may be lost. As
+/// `IDENTITY_GAP_PERIODS`.
 const UID_MEMORY_PERIODS: u32 = 5;
 /// Longest time between two heartbeats of a sender, in periods, if another one sends meanwhile: one
 /// of them may be lost. Boards that take turns are plugged in and start for longer.
@@ -51,7 +54,8 @@ const INTERLEAVED_PERIODS: f64 = 2.6;
 /// Description of a heartbeat at twice the rate.
 const TWICE_THE_RATE: &str = "heartbeats at twice the rate";
 
-/// Periods after delayed requests in which surplus responses are ignored.
+/// Periods after delayed requests in which surplus responses are ignored. Chosen: a device aborts a
+/// response that waits for flow control after 1 s, and others may wait behind it.
 const DELAYED_RESPONSE_PERIODS: u32 = 5;
 
 /// First frame of a response, decoded.

@@ -6,7 +6,8 @@ use crate::time::{Duration, Instant};
 use crate::wire::id::{Address, Header};
 use std::collections::VecDeque;
 
-/// Longest delay of a response that is matched to a request.
+/// Longest delay of a response that is matched to a request. As the longest collection time of a
+/// round.
 const RESPONSE_WINDOW: Duration = Duration::from_secs(2);
 
 /// Requester and kind of a request.
@@ -24,9 +25,11 @@ pub(super) struct QueryResponseMatcher {
     open_queries: [Option<OpenQueries>; REQUESTERS],
 }
 
-/// Maximum number of requesters to one node that are distinguished.
+/// Maximum number of requesters to one node that are distinguished. Chosen: more inspectors are
+/// rarely on one bus.
 const REQUESTERS: usize = 4;
-/// Maximum number of requests without a response of one requester.
+/// Maximum number of requests without a response of one requester. Bounds the memory: attempts of
+/// both queries in both framings.
 const MAX_OPEN_REQUESTS: usize = 16;
 
 /// Requests of one requester that may still get responses.

@@ -2,10 +2,11 @@
 
 use crate::time::{Duration, Instant};
 
-/// Time in which a run of failed frames counts as one cause, and its maximum count.
+/// Time in which a run of failed frames counts as one cause, and its maximum count. A controller
+/// repeats a destroyed frame at once: 32 times take 40 ms at 125 kbit/s.
 const RUN_TIME: Duration = Duration::from_millis(50);
 pub(super) const MAX_RUN_COUNT: f64 = 3.0;
-/// Half-life of the errors and frames counted.
+/// Half-life of the errors and frames counted. As `MEMORY_SECONDS`.
 const HALF_LIFE: Duration = Duration::from_secs(10);
 
 /// Decaying count of the errors outside of windows.

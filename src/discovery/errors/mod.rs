@@ -44,39 +44,46 @@ use rate::ErrorRate;
 use std::collections::VecDeque;
 use window::{BURST, BroadcastWindow, LONGEST_BURST, Window};
 
-/// Maximum number of open windows; beyond that the oldest is dropped.
+/// Maximum number of open windows; beyond that the oldest is dropped. Bounds the memory; each is
+/// open for less than a second.
 const MAX_WINDOWS: usize = 32;
-/// Maximum number of suspects; beyond that no further address is added.
+/// Maximum number of suspects; beyond that no further address is added. Bounds the requests that
+/// check them.
 const MAX_SUSPECTS: usize = 16;
-/// Sum of the weights of its bursts from which an address is named.
+/// Sum of the weights of its bursts from which an address is named. Three bursts, or two long ones;
+/// tuned with the simulation.
 const NAME_FROM_WEIGHT: u32 = 6;
-/// Successive clean windows that drop a suspect, and that clear an address that was named.
+/// Successive clean windows that drop a suspect, and that clear an address that was named. Tuned
+/// with the simulation.
 const CLEAN_TO_DROP: u32 = 2;
 const CLEAN_TO_CLEAR: u32 = 3;
-/// Successive clean heartbeats that do so.
+/// Successive clean heartbeats that do so. Chosen: two devices rarely send heartbeats at the same
+/// time, so a clean one shows less than a clean response.
 const CLEAN_HEARTBEATS: u32 = 10;
 /// Time after a burst in which a clean window does not count: of two devices that stopped, one may
-/// be back.
+/// be back. Chosen: a device that reboots after bus-off needs seconds.
 const RESTART_TIME: Duration = Duration::from_secs(5);
 /// Maximum number of requests that check a suspect, and the delay of the first, longer with each:
 /// not a fraction of the heartbeat period, or an effect of every heartbeat would meet every
-/// request.
+/// request. Protocol §5.3.
 const MAX_FOLLOW_UPS: u32 = 6;
 const FOLLOW_UP_DELAY: Duration = Duration::from_millis(770);
 /// Interval of the requests to an address that was named. Long, because its devices may reboot with
 /// each burst.
 const REPORTED_FOLLOW_UP_DELAY: Duration = Duration::from_millis(20_370);
-/// Time without another burst after which a suspect is dropped, or its finding cleared.
+/// Time without another burst after which a suspect is dropped, or its finding cleared. Two
+/// requests to an address that was named, and one that is lost.
 const SUSPECT_LIFETIME: Duration = Duration::from_secs(45);
-/// Increase of the receive error counter (REC) since its last report that shows a burst.
+/// Increase of the receive error counter (REC) since its last report that shows a burst. Two
+/// destroyed frames: REC grows by 8 each (ISO 11898-1).
 const MIN_REC_STEP: u8 = 16;
 /// Minimum time from the first burst to naming an address: a disturbance of the bus affects others
-/// in that time.
+/// in that time. Tuned with the simulation.
 const MIN_SUSPECT_TIME: Duration = Duration::from_millis(2500);
-/// Maximum number of bursts stored.
+/// Maximum number of bursts stored. Bounds the memory.
 const MAX_BURSTS: usize = 64;
 /// Minimum interval between updates of the text of the bus finding: error frames may arrive by the
-/// thousand.
+/// thousand. Chosen: five updates per second can be read.
 const TEXT_INTERVAL: Duration = Duration::from_millis(200);
 
 /// Frame that an address is expected to send.

@@ -14,16 +14,20 @@ use crate::finding::FindingState;
 use crate::time::{Duration, Instant};
 use std::collections::VecDeque;
 
-/// Time in which errors count, in seconds.
+/// Time in which errors count, in seconds. Chosen.
 const MEMORY_SECONDS: u64 = 10;
-/// Errors within that time from which the finding is suspected.
+/// Errors within that time from which the finding is suspected. Chosen: plugging in a device may
+/// cause one or two.
 const SUSPECT_FROM_ERRORS: u64 = 3;
-/// Seconds with errors that confirm it: in a row, or within that time.
+/// Seconds with errors that confirm it: in a row, or within that time. Chosen: plugging in a device
+/// takes less.
 const CONFIRM_SECONDS: usize = 3;
-/// One error in this many frames confirms it if the seconds are not in a row.
+/// One error in this many frames confirms it if the seconds are not in a row. Chosen: with sound
+/// wiring errors are orders of magnitude rarer.
 const CONFIRM_SHARE: u64 = 100;
 /// Time without errors after which the finding is cleared, if it was suspected and if it was
-/// confirmed.
+/// confirmed. As `MEMORY_SECONDS`; three times that once confirmed, so that it does not come and
+/// go.
 const CLEAR_AFTER: Duration = Duration::from_secs(10);
 const CLEAR_CONFIRMED_AFTER: Duration = Duration::from_secs(30);
 

