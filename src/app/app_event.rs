@@ -4,7 +4,9 @@
 //! [`App`].
 
 use super::{App, FileError, TimelineEntry, TxBlocked};
-use crate::discovery::{BusTraffic, Counters, DeviceService, Event, EventKind, OwnAddress};
+use crate::discovery::{
+    BusTraffic, Counters, DeviceService, Event, EventKind, OwnAddress, ServicesNews,
+};
 use crate::finding::Finding;
 use crate::frame::BusIndex;
 use crate::status::BusStatus;
@@ -172,6 +174,9 @@ impl App {
         }
         let device = event.device.and_then(|id| self.device(id));
         let services = match event.kind {
+            EventKind::Services { news: ServicesNews::OtherDevice, .. } => {
+                device.and_then(|device| device.other_services.last().cloned())
+            }
             EventKind::Services { .. } => device.and_then(|device| device.services.clone()),
             _ => None,
         };

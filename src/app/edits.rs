@@ -212,7 +212,7 @@ impl App {
         self.input.leave_conflict();
         let (mut kept, mut given_up) = self.editor.file.chosen();
         *(if ours { &mut kept } else { &mut given_up }) += 1;
-        let change = self.editor.file.resolve(ours);
+        let change = self.editor.resolve(ours);
         self.file_changed(change);
         // The user has seen the first conflict; the next one takes keys at once.
         self.input.accept_keys();

@@ -53,7 +53,9 @@ pub use filter::{FILTER_FIELDS, FILTER_WORDS, Filter, FilterField};
 pub use input::{InputCheck, Overlay, Prompt, PromptKind, Question};
 pub use listing::{addition_refusal, same_services};
 pub use navigate::{Mouse, MouseKind};
-pub use notices::{StatusMessage, Timeline, TimelineEntry, event_word};
+pub use notices::{
+    StatusMessage, Timeline, TimelineEntry, event_word, whose_other_services, whose_services,
+};
 pub use problems::{
     EvidenceItem, Matching, Problem, ProblemKey, ProblemList, Scope, format_duration, is_about,
 };
@@ -122,6 +124,8 @@ pub enum Effect {
         /// Content to write.
         content: Document,
     },
+    /// Read des.json again, even if it seems unchanged; then call [`App::handle_file`].
+    ReadFile,
     /// Write a new file; then call [`App::handle_written`].
     WriteFile {
         /// Path.
@@ -356,7 +360,7 @@ impl App {
     pub fn handle_file(&mut self, now: Instant, reading: FileReading) {
         self.clock.set(now);
         let was_emptied = self.editor.file.emptied_since().is_some();
-        let change = self.editor.file.read(self.clock.real(), reading);
+        let change = self.editor.read(self.clock.real(), reading);
         self.file_changed(change);
         let is_emptied = self.editor.file.emptied_since().is_some();
         if was_emptied || is_emptied {
@@ -518,8 +522,9 @@ impl App {
         if self.editor.start_retry(real) {
             self.save_pending();
         }
-        let change = self.editor.accept_empty(real);
-        self.file_changed(change);
+        if self.editor.settle_empty(real) {
+            self.effects.push_back(Effect::ReadFile);
+        }
     }
 
     /// Returns true if the screen is out of date.

@@ -68,6 +68,10 @@ struct DeviceReport {
     framing: Option<String>,
     services: Vec<ServiceReport>,
     services_known: bool,
+    /// True if the list is that of one of several devices at the address.
+    services_shared: bool,
+    /// Other lists from the address, each of one of the devices there.
+    other_services: Vec<Vec<ServiceReport>>,
     heartbeat: HeartbeatReport,
     file: EntryReport,
     also: Vec<SiblingReport>,
@@ -408,6 +412,8 @@ fn of_device(app: &App, bus: &Bus, device: &Device) -> DeviceReport {
         framing: device.framing.map(|framing| framing.to_string()),
         services: of_services(services),
         services_known: device.services.is_some(),
+        services_shared: device.services_are_shared,
+        other_services: device.other_services.iter().map(|list| of_services(list)).collect(),
         heartbeat: HeartbeatReport {
             count: device.heartbeat.count,
             period_ms: device.heartbeat.period().map(millis),

@@ -13,7 +13,7 @@ use crate::app::{
     App, AppEvent, AppOptions, DeviceEvent, EventLine, Filter, Scope, clock_millis, event_word, hex,
 };
 use crate::cli::WatchArgs;
-use crate::discovery::{EventKind, Presence};
+use crate::discovery::{EventKind, Presence, ServicesNews};
 use crate::finding::Finding;
 use crate::frame::IdFilter;
 use crate::shell::log_input::LogPace;
@@ -169,6 +169,8 @@ enum EventDetails {
     Services {
         services: Vec<ServiceReport>,
         changed: bool,
+        /// True if it is another list of an address that several devices use.
+        other_device: bool,
     },
     Mode {
         mode: &'static str,
@@ -222,9 +224,11 @@ fn of_event(
         EventKind::FirstFrame | EventKind::NameReceived | EventKind::Rebooted => {
             EventDetails::Nothing {}
         }
-        EventKind::Services { changed, .. } => {
-            EventDetails::Services { services: of_services(&services), changed }
-        }
+        EventKind::Services { news, .. } => EventDetails::Services {
+            services: of_services(&services),
+            changed: news == ServicesNews::Changed,
+            other_device: news == ServicesNews::OtherDevice,
+        },
         EventKind::Mode { from, to } => {
             EventDetails::Mode { mode: to.name(), from: from.map(Mode::name) }
         }

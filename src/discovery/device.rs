@@ -3,6 +3,7 @@
 //! A device is the pair (name, address) on a bus; a node whose name is not known yet is a row too
 //! (protocol §5.1). Changed only by the [`super::Engine`].
 
+use super::ServicesNews;
 use crate::frame::BusIndex;
 use crate::text::Name;
 use crate::time::{Duration, Instant};
@@ -318,6 +319,9 @@ impl ProtocolDeviation {
     }
 }
 
+/// Maximum number of further service lists stored per device. Bounds the memory: one for each of
+/// the eight values that an address remembers.
+const MAX_OTHER_SERVICES: usize = 7;
 /// Maximum number of mode changes stored per device. Bounds the memory: the modes of five boots.
 const MAX_MODES: usize = 16;
 
@@ -359,6 +363,15 @@ pub struct Device {
     pub services: Option<Vec<DeviceService>>,
     /// Services before their last change; `None` if they never changed.
     pub previous_services: Option<Vec<DeviceService>>,
+    /// True if `services` was received while several devices used the address: it is the list of
+    /// one of them.
+    pub services_are_shared: bool,
+    /// Other lists received while several devices used the address, each of one of them, at most 7.
+    pub other_services: Vec<Vec<DeviceService>>,
+    /// True if the services are requested although several devices use the address.
+    pub(super) asks_all_services: bool,
+    /// True if that was done since the conflict began.
+    pub(super) has_asked_all_services: bool,
     /// Heartbeat statistics.
     pub heartbeat: HeartbeatStats,
     /// Query for the name.
@@ -411,6 +424,10 @@ impl Device {
             framing: None,
             services: None,
             previous_services: None,
+            services_are_shared: false,
+            other_services: Vec::new(),
+            asks_all_services: false,
+            has_asked_all_services: false,
             heartbeat: HeartbeatStats::default(),
             name_query: Query::default(),
             services_query: Query::default(),
@@ -460,6 +477,33 @@ impl Device {
         self.is_working = live.is_working;
         self.is_resolving = live.is_resolving;
         self.last_seen = live.last_seen;
+    }
+
+    /// Stores a service list. `is_shared`: several devices use the address. Returns what is new
+    /// about it; `None` if it is known.
+    pub(super) fn store_services(
+        &mut self,
+        list: Vec<DeviceService>,
+        is_shared: bool,
+    ) -> Option<ServicesNews> {
+        let is_known = self.services.as_ref() == Some(&list);
+        if is_shared && self.services.is_some() {
+            let is_new = !is_known
+                && !self.other_services.contains(&list)
+                && self.other_services.len() < MAX_OTHER_SERVICES;
+            if is_new {
+                self.other_services.push(list);
+            }
+            return is_new.then_some(ServicesNews::OtherDevice);
+        }
+        self.services_are_shared = is_shared;
+        self.other_services.clear();
+        if is_known {
+            return None;
+        }
+        self.previous_services = self.services.replace(list).or(self.previous_services.take());
+        let has_changed = self.previous_services.is_some();
+        Some(if has_changed { ServicesNews::Changed } else { ServicesNews::First })
     }
 
     /// Restarts queries that failed while the device was silent. Call before `last_seen` is

@@ -12,7 +12,9 @@ use super::presence::Outages;
 use super::recent_requests::RecentRequests;
 use super::recorded_node::RecordedNodes;
 use super::rounds::FRAME_BITS;
-use super::{Config, Counters, DeviceId, Event, EventKind, Presence, ProtocolDeviation};
+use super::{
+    Config, Counters, DeviceId, DeviceService, Event, EventKind, Presence, ProtocolDeviation,
+};
 use crate::finding::{FindingKind, FindingState};
 use crate::frame::Frame;
 use crate::time::{Duration, Instant};
@@ -145,6 +147,26 @@ impl DeviceTracker {
         }
     }
 
+    /// Queries, once in a conflict, the services of all devices that use `address`, two of which
+    /// responded to one request `apart` from each other. Only if the second service list begins
+    /// after the end of the first one: else they destroy each other until both devices are bus-off.
+    pub fn query_all_services(&mut self, address: Address, apart: Duration) {
+        let now = self.now;
+        let is_shared = self.conflicts.finding_tracker().is_shared(address);
+        let frame_time = self.config.duration_of_bits(FRAME_BITS);
+        if let Some(device) = self.device_table.current_device_mut(address)
+            && device.is_present()
+            && is_shared
+            && !device.has_asked_all_services
+            && apart > transfer_time(device.services.as_deref().unwrap_or_default(), frame_time)
+        {
+            device.has_asked_all_services = true;
+            device.asks_all_services = true;
+            device.services_query.restart(now);
+            self.wake_at(now);
+        }
+    }
+
     /// Queries the device that remains at `address` after a conflict: known data may be that of the
     /// other one.
     pub fn requery(&mut self, address: Address) {
@@ -152,6 +174,7 @@ impl DeviceTracker {
         if let Some(device) = self.device_table.current_device_mut(address)
             && device.is_present()
         {
+            device.has_asked_all_services = false;
             device.name_query.restart(now);
             device.services_query.restart(now);
             self.wake_at(now);
@@ -252,4 +275,17 @@ impl DeviceTracker {
         self.conflicts.note_malformed(now, address, name.as_ref(), fault, frame);
         self.wake_at(now);
     }
+}
+
+/// Returns the time from the first to the last frame of a services response, at most: twice that of
+/// its frames, and what an inspector takes to send flow control.
+fn transfer_time(services: &[DeviceService], frame_time: Duration) -> Duration {
+    const FLOW_CONTROL_DELAY: Duration = Duration::from_millis(2);
+    let length = |service: &DeviceService| {
+        let strings = [&service.name, &service.version].into_iter().chain(&service.extra);
+        1 + strings.map(|string| string.as_bytes().len() + 1).sum::<usize>()
+    };
+    let bytes: usize = services.iter().map(length).sum();
+    let frames = bytes / 7 + 3;
+    frame_time * 2 * u32::try_from(frames).unwrap_or(u32::MAX) + FLOW_CONTROL_DELAY
 }

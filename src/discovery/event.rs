@@ -35,6 +35,18 @@ pub struct OtherDevice {
     pub uid: Option<Uid>,
 }
 
+/// What is new about a service list.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ServicesNews {
+    /// It is the first one of the device.
+    First,
+    /// It differs from the one known before.
+    Changed,
+    /// It is another one of an address that several devices use: the last of
+    /// [`Device::other_services`](super::Device::other_services).
+    OtherDevice,
+}
+
 /// Kind of an event, with its data.
 #[derive(Clone, Debug)]
 pub enum EventKind {
@@ -42,12 +54,12 @@ pub enum EventKind {
     FirstFrame,
     /// The name of the device became known.
     NameReceived,
-    /// The services of the device became known, or changed.
+    /// A service list of the device that was not known.
     Services {
         /// Number of services.
         count: usize,
-        /// True if they differ from those known before.
-        changed: bool,
+        /// What is new about it.
+        news: ServicesNews,
     },
     /// The device changed its mode.
     Mode {

@@ -246,6 +246,21 @@ impl FindingTracker {
         })
     }
 
+    /// Returns true if several devices seem to use `address`.
+    pub fn is_shared(&self, address: Address) -> bool {
+        self.findings.iter().any(|finding| {
+            finding.key.address == Some(address)
+                && matches!(
+                    finding.key.kind,
+                    FindingKind::SameNameSameAddress
+                        | FindingKind::OneAddressTwoNames
+                        | FindingKind::OneAddressTwoIdentities
+                        | FindingKind::TwoDebugDevices
+                )
+                && finding.state != FindingState::Cleared
+        })
+    }
+
     /// Returns true if [`poll_changed`](Self::poll_changed) has a change to return.
     pub fn has_changed(&self) -> bool {
         !self.changed.is_empty()

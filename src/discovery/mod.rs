@@ -82,7 +82,7 @@ pub use device::{
     Device, DeviceId, DeviceService, HeartbeatStats, ModeChange, Presence, ProtocolDeviation,
     Query, QueryFault, QueryState,
 };
-pub use event::{Event, EventKind, OtherDevice};
+pub use event::{Event, EventKind, OtherDevice, ServicesNews};
 
 use crate::finding::Finding;
 use crate::frame::Frame;
@@ -323,6 +323,7 @@ impl Engine {
                 && device.is_present()
                 && self.tracker.config.send_requests
             {
+                device.has_asked_all_services = false;
                 device.services_query.schedule(now);
             }
         }

@@ -152,7 +152,7 @@ impl Requester {
                 };
                 // Two multi-frame responses at once destroy each other: keep the known services
                 // until one device has left, unless that effect itself is under test.
-                if shared && device.services.is_some() {
+                if shared && device.services.is_some() && !device.asks_all_services {
                     device.services_query.due = None;
                     continue;
                 }
@@ -175,14 +175,18 @@ impl Requester {
                     query.due = Some(later);
                     continue;
                 }
+                let query = device.query_mut(request);
                 query.state = QueryState::Sent;
                 query.attempts += 1;
                 query.sent_at = Some(now);
                 query.due = None;
                 query.deadline = Some(now + response_timeout(on_the_bus, query.attempts));
                 self.waiting += 1;
+                let is_last = query.attempts >= max_attempts(request);
                 // A device that no longer responds in its framing may be another board.
-                let framing = framing.filter(|_| query.attempts < max_attempts(request));
+                let framing = framing.filter(|_| !is_last);
+                device.asks_all_services =
+                    device.asks_all_services && (request == Request::Name || !is_last);
                 let service = tracker.config.profile.des_service();
                 let both = undecided
                     || request == Request::Name

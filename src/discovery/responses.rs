@@ -86,8 +86,10 @@ impl Engine {
             );
             return;
         }
+        // A device that repeats the DST of requests may respond to several requesters at once.
         if let Ok(Pci::Consecutive { sequence, .. }) = Pci::decode(frame.data(), frame.is_fd)
-            && self.transfers.is_interleaved(now, header, sequence)
+            && self.transfers.note_interleaved(now, header, sequence)
+            && !device.deviations.contains(&ProtocolDeviation::RspDstEcho)
         {
             let (address, name) = (device.address, device.name.clone());
             self.tracker.conflicts.note_interleaved_transfers(now, address, name.as_ref(), frame);
@@ -144,7 +146,10 @@ impl Engine {
         let (is_working, is_resolving) = (device.is_working, device.is_resolving);
         let response =
             ResponseStart { from: address, to, request, framing, is_working, is_resolving };
-        self.tracker.conflicts.note_response(now, response, name.as_ref(), frame);
+        let apart = self.tracker.conflicts.note_response(now, response, name.as_ref(), frame);
+        if let Some(apart) = apart {
+            self.tracker.query_all_services(address, apart);
+        }
     }
 
     /// Notes the framing of a device's response.
@@ -413,18 +418,15 @@ impl Engine {
             self.tracker.counters.frames,
         );
         let count = services.len();
-        let changed = device.services.as_ref().is_some_and(|known| *known != services);
-        let is_new = changed || device.services.is_none();
-        let before = device.services.replace(services);
-        if changed {
-            device.previous_services = before;
-        }
+        let is_shared = self.tracker.conflicts.finding_tracker().is_shared(address);
+        let news = device.store_services(services, is_shared);
+        device.asks_all_services = false;
         if fault.is_none() {
             self.tracker.conflicts.note_valid_response(now, address);
         }
         self.tracker.conflicts.note_services(now, address, digest, name.as_ref(), frame);
-        if is_new {
-            self.tracker.emit(row, EventKind::Services { count, changed });
+        if let Some(news) = news {
+            self.tracker.emit(row, EventKind::Services { count, news });
         }
         self.tracker.wake_at(now);
     }

@@ -1,4 +1,8 @@
-//! Multi-frame responses: one ISO-TP reassembly per identifier, bounded per source.
+//! Multi-frame responses: ISO-TP reassembly per identifier, bounded per source.
+//!
+//! Two devices at one address send with one identifier. Of their two transfers, each takes the
+//! frames with the sequence number that it expects; where both expect the same, the one that
+//! received nothing for longer: the slower device stays the slower one.
 
 use crate::frame::Frame;
 use crate::time::{Duration, Instant};
@@ -8,6 +12,8 @@ use crate::wire::isotp::{Reassembly, ReassemblyProgress, TransferFault};
 
 /// Maximum number of open transfers of one source: one for each of four requesters.
 const MAX_PER_SOURCE: usize = 4;
+/// Maximum number of them with one identifier: of two devices at one address.
+const MAX_PER_ID: usize = 2;
 /// Longest time from the end of a transfer to the rest of another one that was sent between its
 /// frames: a few frames on a busy bus. At 125 kbit/s a frame takes 1.2 ms.
 const INTERLEAVED_REST: Duration = Duration::from_millis(100);
@@ -18,24 +24,26 @@ struct RxTransfer {
     id: u32,
     first: Frame,
     reassembly: Reassembly<Vec<u8>>,
-    /// Sequence number of the last consecutive frame.
-    last_sequence: Option<u8>,
-    /// True if it began while another one of its identifier was open.
-    is_second: bool,
+    /// Time of its last frame.
+    last_at: Instant,
+    /// True if no consecutive frame was received.
+    is_empty: bool,
+    /// True if another one of its identifier began later: if its frames stop, one device began its
+    /// response anew.
+    is_superseded: bool,
 }
 
-/// The last transfer of a source that ended and was the second one of its identifier.
+/// Two transfers of one identifier, and the last consecutive frame of them.
 #[derive(Debug)]
-struct EndedTransfer {
+struct TransferPair {
     id: u32,
-    at: Instant,
-    last_sequence: u8,
+    last: Option<(u8, Instant)>,
 }
 
 /// Result of a first frame.
 #[derive(Debug)]
 pub(super) enum Started {
-    /// A transfer is open; an earlier one of the identifier is dropped.
+    /// A transfer is open.
     Open,
     /// Refused.
     Fault(TransferFault),
@@ -69,7 +77,8 @@ pub(super) struct Expired {
 #[derive(Debug)]
 pub(super) struct Transfers {
     by_source: Vec<Vec<RxTransfer>>,
-    ended: Vec<Option<EndedTransfer>>,
+    /// Last pair of each source, until it was reported.
+    pairs: Vec<Option<TransferPair>>,
     open: usize,
 }
 
@@ -77,7 +86,7 @@ impl Transfers {
     pub fn new() -> Self {
         Self {
             by_source: (0..Address::COUNT).map(|_| Vec::new()).collect(),
-            ended: (0..Address::COUNT).map(|_| None).collect(),
+            pairs: (0..Address::COUNT).map(|_| None).collect(),
             open: 0,
         }
     }
@@ -106,40 +115,49 @@ impl Transfers {
             Err(fault) => return Started::Fault(fault),
         };
         let id = header.encode();
-        let transfers = &mut self.by_source[header.source.index()];
-        if let Some(open) = transfers.iter_mut().find(|transfer| transfer.id == id) {
-            let first = *frame;
-            *open = RxTransfer { id, first, reassembly, last_sequence: None, is_second: true };
-            return Started::Open;
+        let source = header.source.index();
+        let transfers = &mut self.by_source[source];
+        let mut count = 0;
+        for open in transfers.iter_mut().filter(|transfer| transfer.id == id) {
+            open.is_superseded = true;
+            count += 1;
         }
-        if transfers.len() == MAX_PER_SOURCE {
-            transfers.remove(0);
+        self.pairs[source] = (count > 0).then_some(TransferPair { id, last: None });
+        let is_full = count == MAX_PER_ID;
+        let replaced = transfers.iter().position(|open| open.id == id).filter(|_| is_full);
+        let oldest = (transfers.len() == MAX_PER_SOURCE).then_some(0);
+        if let Some(at) = replaced.or(oldest) {
+            transfers.remove(at);
             self.open -= 1;
         }
         transfers.push(RxTransfer {
             id,
             first: *frame,
             reassembly,
-            last_sequence: None,
-            is_second: false,
+            last_at: now,
+            is_empty: true,
+            is_superseded: false,
         });
         self.open += 1;
         Started::Open
     }
 
-    /// Returns true if a consecutive frame has the sequence number of the one before it, after two
-    /// first frames: two transfers with one identifier are under way.
-    pub fn is_interleaved(&self, now: Instant, header: Header, sequence: u8) -> bool {
+    /// Notes a consecutive frame. Returns true if it has the sequence number of the one before it,
+    /// after two first frames: two transfers with one identifier are under way. Once for each pair.
+    pub fn note_interleaved(&mut self, now: Instant, header: Header, sequence: u8) -> bool {
         let (id, source) = (header.encode(), header.source.index());
-        let mut open = self.by_source[source].iter().filter(|transfer| transfer.id == id);
-        if let Some(open) = open.next() {
-            return open.is_second && open.last_sequence == Some(sequence);
+        let is_open = self.is_open(header);
+        let Some(pair) = self.pairs[source].as_mut().filter(|pair| pair.id == id) else {
+            return false;
+        };
+        let last = pair.last.replace((sequence, now));
+        let repeats = last.is_some_and(|(before, at)| {
+            before == sequence && (is_open || now.since(at) < INTERLEAVED_REST)
+        });
+        if repeats {
+            self.pairs[source] = None;
         }
-        self.ended[source].as_ref().is_some_and(|ended| {
-            ended.id == id
-                && ended.last_sequence == sequence
-                && now.since(ended.at) < INTERLEAVED_REST
-        })
+        repeats
     }
 
     /// Adds a consecutive frame to its transfer.
@@ -152,22 +170,29 @@ impl Transfers {
     ) -> Continued {
         let id = header.encode();
         let transfers = &mut self.by_source[header.source.index()];
-        let Some(at) = transfers.iter().position(|transfer| transfer.id == id) else {
-            return Continued::Unknown;
-        };
-        transfers[at].last_sequence = Some(sequence);
-        let ended = EndedTransfer { id, at: now, last_sequence: sequence };
-        self.ended[header.source.index()] = Some(ended).filter(|_| transfers[at].is_second);
+        let open = transfers.iter().enumerate().filter(|(_, transfer)| transfer.id == id);
+        let next = open.min_by_key(|(_, transfer)| {
+            (transfer.reassembly.next_sequence() != sequence, transfer.last_at)
+        });
+        let Some(at) = next.map(|(at, _)| at) else { return Continued::Unknown };
+        transfers[at].last_at = now;
+        transfers[at].is_empty = false;
         match transfers[at].reassembly.push(now, sequence, data) {
             Ok(ReassemblyProgress::More) => Continued::More,
             Ok(ReassemblyProgress::BlockEnd) => Continued::BlockEnd,
             Ok(ReassemblyProgress::Done) => {
-                self.open -= 1;
-                Continued::Done(transfers.swap_remove(at).reassembly.into_buffer())
+                let done = transfers.remove(at);
+                // The other one began with the same frame: one device began its response anew.
+                transfers.retain(|open| {
+                    open.id != id || !open.is_empty || !open.first.same_on_wire(&done.first)
+                });
+                self.open = self.by_source.iter().map(Vec::len).sum();
+                Continued::Done(done.reassembly.into_buffer())
             }
             Err(fault) => {
                 self.open -= 1;
-                Continued::Fault(fault, transfers.swap_remove(at).first)
+                let RxTransfer { first, is_superseded, .. } = transfers.remove(at);
+                if is_superseded { Continued::Unknown } else { Continued::Fault(fault, first) }
             }
         }
     }
@@ -178,12 +203,15 @@ impl Transfers {
             return None;
         }
         for transfers in &mut self.by_source {
-            if let Some(at) = transfers.iter().position(|open| open.reassembly.deadline() <= now) {
+            while let Some(at) = transfers.iter().position(|open| open.reassembly.deadline() <= now)
+            {
                 self.open -= 1;
-                let RxTransfer { id, first, reassembly, .. } = transfers.swap_remove(at);
-                let header = Header::decode(id);
-                let fault = TransferFault::TimeoutCr { after: reassembly.message().len() };
-                return Some(Expired { header, fault, first });
+                let RxTransfer { id, first, reassembly, is_superseded, .. } = transfers.remove(at);
+                if !is_superseded {
+                    let header = Header::decode(id);
+                    let fault = TransferFault::TimeoutCr { after: reassembly.message().len() };
+                    return Some(Expired { header, fault, first });
+                }
             }
         }
         None
@@ -198,7 +226,7 @@ impl Transfers {
 
     pub fn clear(&mut self) {
         self.by_source.iter_mut().for_each(Vec::clear);
-        self.ended.fill_with(|| None);
+        self.pairs.fill_with(|| None);
         self.open = 0;
     }
 }

@@ -294,14 +294,16 @@ fn merge_added(operation: &Operation, base: &Document, theirs: &Document) -> Mer
     };
     let known = base.entries().iter().filter(is_same).count();
     let same = theirs.entries().iter().filter(is_same).nth(known);
-    let is_new = matches!(operation, Operation::Add { .. });
-    let Some(found) = same.or_else(|| twin(&entry, base, theirs).filter(|_| is_new)) else {
+    let Some(found) = same.or_else(|| twin(&entry, base, theirs)) else {
         return MergeStep::Apply(operation.clone());
     };
     if found.content() == entry.content() {
         return MergeStep::Done;
     }
-    if is_new && let Some(step) = merge_added_twice(&entry, found, theirs) {
+    let is_new = matches!(operation, Operation::Add { .. });
+    if (is_new || same.is_none())
+        && let Some(step) = merge_added_twice(&entry, found, theirs)
+    {
         return step;
     }
     let removal = Operation::Remove { entry: theirs.key(found.index) };

@@ -28,7 +28,7 @@ pub type DiskContent = Result<Option<Vec<u8>>, Diagnostic>;
 const QUIET: Duration = Duration::from_millis(100);
 
 /// Longest wait for such a time.
-const QUIET_TIMEOUT: Duration = Duration::from_secs(1);
+const QUIET_TIMEOUT: Duration = Duration::from_millis(300);
 
 /// Time between reads without events.
 const POLL_PERIOD: Duration = Duration::from_secs(1);

@@ -604,6 +604,11 @@ impl Session {
                     });
                     self.work.push(FileJob { handle, is_save: false });
                 }
+                Effect::ReadFile => {
+                    // What is being parsed was read before.
+                    self.reading = None;
+                    self.watch.as_ref().inspect(|watch| watch.reread());
+                }
                 Effect::FindBitrate(index) => {
                     let Some(bus) = self.app.bus(index) else { continue };
                     let period = bus.config().profile.heartbeat.period();

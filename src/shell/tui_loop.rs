@@ -75,6 +75,7 @@ async fn run_on_terminal(session: &mut Session, themes: &mut ThemeLoader) -> io:
                     session.app.handle_theme(session.now(), result);
                 }
                 Effect::Save { .. }
+                | Effect::ReadFile
                 | Effect::WriteFile { .. }
                 | Effect::Playback(_)
                 | Effect::FindBitrate(_) => {}

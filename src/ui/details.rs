@@ -6,6 +6,7 @@ use super::devices::state_role;
 use super::symbols;
 use crate::app::{
     App, FileStatus, Redundancy, Row, RowState, concerns, format_duration, format_time_of_day,
+    whose_other_services, whose_services,
 };
 use crate::discovery::{Device, DeviceService, Query, QueryState};
 use crate::finding::{Finding, FindingKind, FindingState};
@@ -293,8 +294,8 @@ impl<'a> DeviceDetails<'_, 'a> {
         if services.is_empty() {
             return self.add("services", Role::Text, "none");
         }
-        let title = format!("services {}", services.len());
-        self.lines.push(Line::from(self.brush.span(Role::Title, title)));
+        let whose = device.services_are_shared.then(|| whose_services(device));
+        self.services_title(services, whose);
         let names = services.iter().map(|it| it.name.to_string().width()).max().unwrap_or(0);
         let names = names.clamp(4, 16);
         let listed = self.app().entry_of(self.row).and_then(|entry| entry.services.as_deref());
@@ -327,6 +328,34 @@ impl<'a> DeviceDetails<'_, 'a> {
         for listed in missing {
             let text = format!("  ✗ {} listed, missing", printable(&listed.name));
             self.lines.push(Line::from(self.brush.span(Role::FileDiffers, text)));
+        }
+        for other in &device.other_services {
+            self.other_services(device, other);
+        }
+    }
+
+    fn services_title(&mut self, services: &[DeviceService], whose: Option<&str>) {
+        let title = format!("services {}", services.len());
+        let mut line = Line::from(self.brush.span(Role::Title, title));
+        if let Some(whose) = whose {
+            line.push_span(self.brush.span(Role::Warning, format!(" of {whose}")));
+        }
+        self.lines.push(line);
+    }
+
+    /// Another service list of an address that several devices use.
+    fn other_services(&mut self, device: &Device, services: &[DeviceService]) {
+        self.blank();
+        self.services_title(services, Some(whose_other_services(device)));
+        for service in services {
+            let mut line =
+                Line::from(self.brush.span(Role::Muted, format!("{:>3} ", service.index)));
+            let text = format!("{} {}", service.name, service.version);
+            line.push_span(self.brush.span(Role::Text, text));
+            for extra in &service.extra {
+                line.push_span(self.brush.span(Role::Muted, format!(" {extra}")));
+            }
+            self.lines.push(line);
         }
     }
 

@@ -297,6 +297,11 @@ impl<B: AsRef<[u8]> + AsMut<[u8]>> Reassembly<B> {
         })
     }
 
+    /// Returns the sequence number of the next consecutive frame.
+    pub fn next_sequence(&self) -> u8 {
+        self.next_sequence
+    }
+
     /// Takes a consecutive frame: its sequence number and its data, padding included.
     ///
     /// # Errors

@@ -43,6 +43,7 @@ mod replay_speed;
 mod scenarios;
 mod schema;
 mod screen;
+mod shared_services;
 mod sim;
 mod simulation;
 mod slcan;

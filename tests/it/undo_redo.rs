@@ -168,6 +168,8 @@ fn empty_file_is_waited_for_in_real_time_at_any_pace_of_a_log() {
         let due = stage.app.poll_real_timeout().expect("a deadline in real time");
         assert_eq!(due, real + Duration::from_secs(1));
         stage.app.handle_real_timeout(due);
+        // The file is read again.
+        stage.drain(stage.app.now());
         assert!(stage.screen().contains("✓ 0 entries"), "{}", stage.screen());
         assert_eq!(stage.app.poll_real_timeout(), None);
     }

@@ -50,7 +50,7 @@ const TOLD: &str = r#"{"time":1436509052.1,"event":"file","file":{"path":"des.js
 {"time":1436509052.1,"event":"mode","bus":"can0","address":12,"name":null,"mode":"WORK","from":null}
 {"time":1436509052.5,"event":"named","bus":"can0","address":12,"name":"FEED"}
 {"time":1436509052.5,"event":"finding","bus":"can0","address":12,"name":"FEED","finding":{"kind":"wrong-address","confidence":"confirmed","bus":"can0","address":12,"addresses":[12],"names":["FEED"],"uids":[],"first":1436509052.5,"last":1436509052.5,"cleared_at":null,"evidence":[],"text":"FEED is at address 12; the file pins it to 31.","remedy":"Move the device to 31, or change the file to 12."}}
-{"time":1436509052.7,"event":"services","bus":"can0","address":12,"name":"FEED","services":[{"index":0,"name":"DES","version":"1.0","extra":[]}],"changed":false}
+{"time":1436509052.7,"event":"services","bus":"can0","address":12,"name":"FEED","services":[{"index":0,"name":"DES","version":"1.0","extra":[]}],"changed":false,"other_device":false}
 {"time":1436509054.100001,"event":"mode","bus":"can0","address":12,"name":"FEED","mode":"UFUNC","from":"WORK"}
 {"time":1436509055.1,"event":"mode","bus":"can0","address":12,"name":"FEED","mode":"WORK","from":"UFUNC"}
 {"time":1436509058.5,"event":"debug","bus":"can0","address":12,"name":"FEED","code":42,"data":"01FE"}

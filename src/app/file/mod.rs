@@ -75,11 +75,32 @@ impl FileEditor {
         is_due
     }
 
-    /// Accepts a file that has become empty, once it was empty for [`EMPTY_SETTLES_AFTER`].
-    pub fn accept_empty(&mut self, now: Instant) -> FileChange {
-        match self.empty_settles_at() {
-            Some(at) if at <= now => self.file.accept_empty(),
-            _ => FileChange::None,
+    /// Takes a reading of the file.
+    pub fn read(&mut self, now: Instant, reading: FileReading) -> FileChange {
+        let change = self.file.read(now, reading);
+        self.note_own_pins();
+        change
+    }
+
+    /// Decides the edit conflict.
+    pub fn resolve(&mut self, ours: bool) -> FileChange {
+        let change = self.file.resolve(ours);
+        if let (false, Some(disk)) = (ours, self.file.on_disk()) {
+            self.own_pins.accept(disk);
+        }
+        change
+    }
+
+    /// Returns true, once, when a file that was found empty [`EMPTY_SETTLES_AFTER`] ago is to be
+    /// read again: it may have content that was not read yet.
+    pub fn settle_empty(&mut self, now: Instant) -> bool {
+        self.empty_settles_at().is_some_and(|at| at <= now) && self.file.settle_empty()
+    }
+
+    /// Takes the edits that reached the disk, also while another program wrote.
+    fn note_own_pins(&mut self) {
+        for (before, after) in self.file.take_saved() {
+            self.own_pins.note_saved(&before, &after);
         }
     }
 
@@ -89,7 +110,7 @@ impl FileEditor {
     }
 
     fn empty_settles_at(&self) -> Option<Instant> {
-        self.file.emptied_since().map(|since| since + EMPTY_SETTLES_AFTER)
+        self.file.empty_unsettled_since().map(|since| since + EMPTY_SETTLES_AFTER)
     }
 
     /// Takes the result of a save.
@@ -108,10 +129,7 @@ impl FileEditor {
             _ => None,
         };
         let change = self.file.handle_saved(now, outcome);
-        if let (FileChange::Saved, Some(after)) = (change, self.file.on_disk()) {
-            let before = on_disk.clone().unwrap_or_else(Document::empty);
-            self.own_pins.note_saved(&before, after);
-        }
+        self.note_own_pins();
         // An edit that pins a used address is refused, but the file may have changed since.
         let clash = on_disk.filter(|_| change == FileChange::Saved);
         let clash = clash.and_then(|before| address_clash(self.file.on_disk()?, &before));

@@ -27,6 +27,10 @@ impl Pin {
         Some(Self { bus, name, uid, address })
     }
 
+    fn is_same_entry(&self, other: &Self) -> bool {
+        (&self.bus, &self.name, &self.uid) == (&other.bus, &other.name, &other.uid)
+    }
+
     fn is_of(&self, entry: &Entry) -> bool {
         (&self.bus, &self.name, &self.uid) == (&entry.bus, &entry.name, &entry.uid)
     }
@@ -37,8 +41,8 @@ fn pins_of(document: &Document) -> Vec<Pin> {
 }
 
 impl OwnPins {
-    /// Takes a save of the user's edits: the content on disk before and after it. A pin that an
-    /// edit sets replaces an overwritten one of the same entry.
+    /// Takes edits of the user that are on disk: the content without and with them. A pin that an
+    /// edit sets replaces the one of the same entry, overwritten or not.
     pub fn note_saved(&mut self, before: &Document, after: &Document) {
         let (was, is) = (pins_of(before), pins_of(after));
         let new: Vec<Pin> = is.into_iter().filter(|pin| !was.contains(pin)).collect();
@@ -53,7 +57,17 @@ impl OwnPins {
         };
         let kept = pins_of(after);
         self.pins.retain(|pin| kept.contains(pin) || !edited(pin));
-        self.pins.extend(new);
+        for pin in new {
+            let is_only = after.entries().iter().filter(|entry| pin.is_of(entry)).count() == 1;
+            self.pins.retain(|known| *known != pin && !(is_only && known.is_same_entry(&pin)));
+            self.pins.push(pin);
+        }
+    }
+
+    /// Forgets the pins that this content overwrites: the user has chosen it.
+    pub fn accept(&mut self, document: &Document) {
+        let there = pins_of(document);
+        self.pins.retain(|pin| there.contains(pin));
     }
 
     /// The edits that restore the addresses that differ in this content. An entry that was removed,
@@ -104,6 +118,33 @@ mod tests {
         let restored = theirs.apply(&restored[0]).unwrap();
         assert_eq!(pins_of(&restored), pins_of(&document(PINNED)));
         assert_eq!(pins.restoring(&document("[]")), [], "a removed entry stays removed");
+    }
+
+    #[test]
+    fn pin_is_restored_each_time_it_is_overwritten() {
+        let mut pins = OwnPins::default();
+        pins.note_saved(&document(LOOSE), &document(PINNED));
+        for theirs in [LOOSE.to_owned(), PINNED.replace("31", "55"), PINNED.replace("31", "56")] {
+            let theirs = document(&theirs);
+            let restoring = pins.restoring(&theirs);
+            assert_eq!(restoring.len(), 1);
+            let restored = theirs.apply(&restoring[0]).unwrap();
+            assert_eq!(pins_of(&restored), pins_of(&document(PINNED)));
+            pins.note_saved(&theirs, &restored);
+        }
+    }
+
+    #[test]
+    fn newest_pin_of_an_entry_replaces_an_earlier_one() {
+        let mut pins = OwnPins::default();
+        pins.note_saved(&document(LOOSE), &document(PINNED));
+        // Another program overwrote the first one before the second one was saved.
+        let newest = document(&PINNED.replace("31", "32"));
+        pins.note_saved(&document(LOOSE), &newest);
+        assert_eq!(pins.restoring(&newest), []);
+        let theirs = document(LOOSE);
+        let [restoring] = &pins.restoring(&theirs)[..] else { panic!("one pin") };
+        assert_eq!(theirs.apply(restoring).unwrap().source(), newest.source());
     }
 
     #[test]

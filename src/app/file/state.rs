@@ -50,8 +50,8 @@ struct PendingConflict {
 #[derive(Debug)]
 struct Emptied {
     since: Instant,
-    /// Its blanks.
-    content: Document,
+    /// True if the file is read again, to see whether it is still empty.
+    is_read_again: bool,
 }
 
 /// State of des.json.
@@ -72,6 +72,8 @@ pub struct FileState {
     pending_conflict: Option<PendingConflict>,
     undo: UndoStack,
     redo: UndoStack,
+    /// Content on disk without and with edits that reached it, until they are taken.
+    saved: Vec<(Document, Document)>,
 }
 
 impl FileState {
@@ -90,6 +92,7 @@ impl FileState {
             pending_conflict: None,
             undo: UndoStack::default(),
             redo: UndoStack::default(),
+            saved: Vec::new(),
         }
     }
 
@@ -181,15 +184,27 @@ impl FileState {
         self.pending.is_empty() && !matches!(self.problem, Some(FileError::Unconfirmed(_)))
     }
 
+    /// Returns the edits that reached the disk since the last call: the content without and with
+    /// them.
+    pub fn take_saved(&mut self) -> Vec<(Document, Document)> {
+        std::mem::take(&mut self.saved)
+    }
+
     /// Returns true if a save is in progress.
     pub fn is_saving(&self) -> bool {
         self.saving.is_some()
     }
 
-    /// Time since when the file is empty and perhaps being written. Until [`Self::accept_empty`] or
-    /// until the file has content, the previous content stays valid and nothing is saved.
+    /// Time since when the file is empty and perhaps being written. Until it has content, or is
+    /// still empty at the reading after [`Self::settle_empty`], the previous content stays valid and
+    /// nothing is saved.
     pub fn emptied_since(&self) -> Option<Instant> {
         self.emptied.as_ref().map(|emptied| emptied.since)
+    }
+
+    /// The same until the file is read again for that.
+    pub fn empty_unsettled_since(&self) -> Option<Instant> {
+        self.emptied.as_ref().filter(|it| !it.is_read_again).map(|emptied| emptied.since)
     }
 
     /// Returns true if other content was read from disk since the save began: the file must then be
@@ -226,9 +241,10 @@ impl FileState {
         let was_empty =
             known.is_none_or(|known| self.is_on_disk && known.is_blank()) || !theirs.is_blank();
         if is_there && !was_empty {
-            let since = self.emptied.as_ref().map_or(now, |emptied| emptied.since);
-            self.emptied = Some(Emptied { since, content: theirs });
-            return FileChange::None;
+            let emptied = self.emptied.get_or_insert(Emptied { since: now, is_read_again: false });
+            if !emptied.is_read_again {
+                return FileChange::None;
+            }
         }
         self.emptied = None;
         self.supersede_save(&theirs);
@@ -245,11 +261,11 @@ impl FileState {
         self.load(theirs, is_there)
     }
 
-    /// Accepts the file as empty, after it has stayed empty.
-    pub fn accept_empty(&mut self) -> FileChange {
-        let Some(Emptied { content, .. }) = self.emptied.take() else { return FileChange::None };
-        self.supersede_save(&content);
-        self.load(content, true)
+    /// Makes the next reading decide whether the file is empty. Returns true if it is to be read
+    /// again.
+    pub fn settle_empty(&mut self) -> bool {
+        let Some(emptied) = &mut self.emptied else { return false };
+        !std::mem::replace(&mut emptied.is_read_again, true)
     }
 
     /// Stores content that differs from the known one.
@@ -302,6 +318,7 @@ impl FileState {
             _ => false,
         };
         if has_ours() {
+            self.saved.push((base, saving.content.clone()));
             self.disk = Some(saving.content.clone());
             self.is_on_disk = true;
             self.pending.drain(..ours.len());
@@ -623,7 +640,8 @@ impl FileState {
         if saving.base_changed {
             return;
         }
-        self.disk = Some(saving.content);
+        let base = self.disk.replace(saving.content.clone()).unwrap_or_else(Document::empty);
+        self.saved.push((base, saving.content));
         self.is_on_disk = true;
         self.pending.drain(..saving.operations.min(self.pending.len()));
         if saving.expected.is_none() {

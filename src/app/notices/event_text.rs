@@ -5,7 +5,9 @@
 use crate::app::buses::{Bus, Buses, TxBlocked};
 use crate::app::capture::hex;
 use crate::app::timeline_kind::TimelineKind;
-use crate::discovery::{Device, DeviceId, DeviceService, Event, EventKind, OtherDevice, Presence};
+use crate::discovery::{
+    Device, DeviceId, DeviceService, Event, EventKind, OtherDevice, Presence, ServicesNews,
+};
 use crate::finding::{FindingKey, FindingState};
 use crate::frame::BusIndex;
 use crate::text::{Escaped, Name, join_first};
@@ -16,12 +18,24 @@ pub fn event_text(buses: &Buses, bus: BusIndex, event: &Event) -> Option<(Timeli
     Some(match &event.kind {
         EventKind::FirstFrame => (TimelineKind::Improved, "appeared".to_owned()),
         EventKind::NameReceived => (TimelineKind::Improved, identified(event)),
-        EventKind::Services { count, changed } => {
+        EventKind::Services { count, news } => {
             let plural = if *count == 1 { "" } else { "s" };
-            let kind = if *changed { TimelineKind::Change } else { TimelineKind::Improved };
-            let changes = event.device.filter(|_| *changed).and_then(|id| buses.device(id));
-            let changes = changes.map_or_else(String::new, |it| format!(": {}", changes_of(it)));
-            (kind, format!("{count} service{plural}{changes}"))
+            let device = event.device.and_then(|id| buses.device(id));
+            let (kind, more) = match (news, device) {
+                (ServicesNews::First, Some(device)) if device.services_are_shared => {
+                    (TimelineKind::Improved, format!(" of {}", whose_services(device)))
+                }
+                (ServicesNews::First, _) => (TimelineKind::Improved, String::new()),
+                (ServicesNews::Changed, None) => (TimelineKind::Change, String::new()),
+                (ServicesNews::Changed, Some(device)) => {
+                    (TimelineKind::Change, format!(": {}", changes_of(device)))
+                }
+                (ServicesNews::OtherDevice, device) => {
+                    let whose = device.map_or("another device", whose_other_services);
+                    (TimelineKind::Change, format!(" of {whose}"))
+                }
+            };
+            (kind, format!("{count} service{plural}{more}"))
         }
         // The row shows the first mode of a device; ARSLV is reported as an address claim.
         EventKind::Mode { from: None, .. }
@@ -101,6 +115,20 @@ pub fn event_text(buses: &Buses, bus: BusIndex, event: &Event) -> Option<(Timeli
             (TimelineKind::Change, format!("debug message {code:03X} {}", hex(data, " ")))
         }
     })
+}
+
+/// The device whose services were received while several use its address.
+pub fn whose_services(device: &Device) -> &'static str {
+    if device.other_services.len() < 2 { "one of the two" } else { "one of them" }
+}
+
+/// The device whose services are in the last of the other lists.
+pub fn whose_other_services(device: &Device) -> &'static str {
+    if device.services_are_shared || device.other_services.len() > 1 {
+        whose_services(device)
+    } else {
+        "the other device here"
+    }
 }
 
 /// What changed in the services of a device: `AUGER 2.1 → 2.2, JAM added`.

@@ -8,8 +8,8 @@ mod event_text;
 mod redraw;
 pub(super) mod timeline;
 
-pub use event_text::event_word;
 pub(super) use event_text::{event_text, join_lines, join_short};
+pub use event_text::{event_word, whose_other_services, whose_services};
 pub(super) use redraw::{BUS_REDRAW_INTERVAL, Redraw};
 pub use timeline::{Timeline, TimelineEntry};
 

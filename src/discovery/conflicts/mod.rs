@@ -201,14 +201,15 @@ impl ConflictDetector {
         self.repeated_frames.note_broadcast(now);
     }
 
-    /// Notes the first frame of a response.
+    /// Notes the first frame of a response. If it is one more than the requests, returns
+    /// how long after the one before it was received.
     pub fn note_response(
         &mut self,
         now: Instant,
         response: ResponseStart,
         name: Option<&Name>,
         frame: &Frame,
-    ) {
+    ) -> Option<Duration> {
         let ResponseStart { from: address, to, request, framing, is_working, is_resolving } =
             response;
         let window = PAIR_WINDOW.min(self.periods.of(address) / 8);
@@ -223,13 +224,15 @@ impl ConflictDetector {
         }
         let ignored =
             now < self.ignore_surplus_until || self.repeated_frames.has_duplicate_requests(now);
-        let Some(surplus) = surplus.filter(|_| !ignored) else { return };
+        let surplus = surplus.filter(|_| !ignored)?;
+        let apart = surplus.apart;
         if surplus.first.same_on_wire(frame) {
             self.repeated_frames.note_duplicate(now, address, surplus.apart);
         }
         let others = self.findings_at(now, address);
         let evidence = surplus_response(response, surplus, others, name, frame);
         self.report(now, evidence);
+        Some(apart)
     }
 
     /// Notes a consecutive frame of a second transfer that is under way with the same identifier:

@@ -136,6 +136,10 @@ impl Stage {
             } else {
                 self.save(now, &effect);
             }
+            if effect == Effect::ReadFile {
+                let reading = FileReading::Content(self.file.clone());
+                self.app.handle_file(now, reading);
+            }
             self.effects.push(effect);
         }
     }

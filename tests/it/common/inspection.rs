@@ -1,6 +1,6 @@
 //! A discovery engine on a simulated bus, driven in virtual time, with its events as text.
 
-use descan::discovery::{Config, Engine, Event, EventKind, OtherDevice};
+use descan::discovery::{Config, Engine, Event, EventKind, OtherDevice, ServicesNews};
 use descan::frame::Frame;
 use descan::log::candump::write_line;
 use descan::sim::{Fault, Scenario, Sim, SimStation};
@@ -103,8 +103,13 @@ pub fn describe(event: &Event) -> String {
     match &event.kind {
         EventKind::FirstFrame => format!("appeared{who}"),
         EventKind::NameReceived => format!("named{who}"),
-        EventKind::Services { count, changed } => {
-            format!("services{who}: {count}{}", if *changed { ", others than before" } else { "" })
+        EventKind::Services { count, news } => {
+            let news = match news {
+                ServicesNews::First => "",
+                ServicesNews::Changed => ", others than before",
+                ServicesNews::OtherDevice => ", of another device",
+            };
+            format!("services{who}: {count}{news}")
         }
         EventKind::Mode { from, to } => match from {
             Some(from) => format!("mode{who}: {from} -> {to}"),
