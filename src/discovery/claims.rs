@@ -131,6 +131,11 @@ impl AddressClaims {
                 is_reported: false,
             })
         });
+        let left = self.nodes[at].address;
+        let others_claimed = self
+            .nodes
+            .iter()
+            .any(|node| node.uid != uid && node.address == left && node.has_claimed);
         let node = &mut self.nodes[at];
         let silence = now.since(node.last);
         let mut update = ClaimUpdate {
@@ -146,9 +151,13 @@ impl AddressClaims {
         if node.address != address {
             // A node that sends heartbeats from both addresses has left neither.
             if silence > gap {
+                // Without a heartbeat beside the other node, and without a claim, a board was
+                // replaced and is used elsewhere.
+                let was_there = node.contested_since.is_some_and(|began| node.last >= began);
+                let gave_up = was_there || update.claims || others_claimed;
                 let contested = node.gave_up_before_conflict(period);
                 update.left = (contested || node.is_rowless).then_some(node.address);
-                update.gave_up = (contested && !node.is_reported).then_some(node.last);
+                update.gave_up = (contested && gave_up && !node.is_reported).then_some(node.last);
             }
             node.address = address;
         }

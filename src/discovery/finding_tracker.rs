@@ -42,9 +42,6 @@ const IDENTITY_GAP_PERIODS: f64 = 5.0;
 /// Longest gap between response evidence that belongs together, in periods since a request was
 /// seen: two requests. Tuned with the simulation.
 const RESPONSE_GAP_PERIODS: f64 = 1.75;
-/// Periods after a heartbeat from an address with several senders in which the next one is due.
-/// Chosen: one period and its jitter.
-const KEPT_PERIODS: f64 = 1.1;
 /// Number of [`EvidenceStrength::Proof`] observations that confirm a finding; a single one may be a
 /// stray frame.
 const CONFIRM_AFTER_PROOFS: u32 = 2;
@@ -161,8 +158,8 @@ pub(super) struct FindingTracker {
     revision: u64,
     /// Time of the first request to each address since its last response evidence.
     requested_at: [Option<Instant>; Address::COUNT],
-    /// Time of the last heartbeat from each address that sent more of them than one node does.
-    several_senders_at: [Option<Instant>; Address::COUNT],
+    /// Time until which the heartbeats of each address show several nodes.
+    several_senders_until: [Option<Instant>; Address::COUNT],
     /// Claims of each address, and nodes that gave it up.
     contests: Vec<Contest>,
     seed: u64,
@@ -206,7 +203,7 @@ impl FindingTracker {
             changed: Vec::new(),
             revision: 0,
             requested_at: [None; Address::COUNT],
-            several_senders_at: [None; Address::COUNT],
+            several_senders_until: [None; Address::COUNT],
             contests: vec![Contest::default(); Address::COUNT],
             seed,
             over_limit: 0,
@@ -384,10 +381,11 @@ impl FindingTracker {
         self.findings[at].state == FindingState::Suspected && state.strong > 0
     }
 
-    /// Notes that `address` sends more heartbeats than one node does, whatever they contain: the
-    /// only confirmed conflict there is not cleared.
-    pub fn note_several_senders(&mut self, now: Instant, address: Address) {
-        self.several_senders_at[address.index()] = Some(now);
+    /// Notes that the heartbeats of `address` show several nodes: until then, the only confirmed
+    /// conflict there is not cleared.
+    pub fn note_several_senders(&mut self, until: Instant, address: Address) {
+        let known = &mut self.several_senders_until[address.index()];
+        *known = Some(until).max(*known);
     }
 
     /// Notes a claim of `address`; `is_held`: another node sends heartbeats there.
@@ -418,14 +416,15 @@ impl FindingTracker {
                 && it.key.address == finding.key.address
         };
         let address = finding.key.address?;
-        let at = self.several_senders_at[address.index()]?;
+        let until = self.several_senders_until[address.index()]?;
         let is_only = is_such(&finding) && self.findings.iter().filter(is_such).count() == 1;
-        is_only.then(|| at + self.periods[address.index()].mul_f64(KEPT_PERIODS))
+        is_only.then_some(until)
     }
 
     /// Clears the conflicts at `address`, whose device is lost.
     pub fn forget(&mut self, now: Instant, address: Address) {
         self.requested_at[address.index()] = None;
+        self.several_senders_until[address.index()] = None;
         for at in 0..self.findings.len() {
             let finding = &self.findings[at];
             let concerned = finding.addresses.contains(&address);
@@ -470,7 +469,11 @@ impl FindingTracker {
     fn evidence_expires_at(&self, at: usize) -> Instant {
         let finding = &self.findings[at];
         let requested = finding.key.address.map(|address| self.requested_at[address.index()]);
-        let period = self.period_of(at);
+        let mut period = self.period_of(at);
+        if self.evidence_states[at].is_response_based {
+            // Requests are not sent more often where heartbeats are.
+            period = period.max(self.default_period);
+        }
         let usual = finding.last + self.evidence_lifetime(period);
         match requested {
             Some(None) if self.evidence_states[at].is_response_based => {

@@ -157,7 +157,7 @@ impl DeviceTracker {
         let Some(device) = self.device_table.get(row) else { return };
         let mode = ModeFlags { is_working: device.is_working, is_resolving: device.is_resolving };
         let name = device.name.clone();
-        if repetition == Repetition::None {
+        if repetition == Repetition::None && header.response {
             self.conflicts.note_heartbeat(now, address, heartbeat.uid, mode, name.as_ref(), frame);
         }
         self.errors.note_heartbeat(now, address, frame);

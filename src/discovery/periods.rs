@@ -156,8 +156,12 @@ impl HeartbeatPeriods {
         has_changed
     }
 
-    /// Forgets the intervals of `address`: its device is lost.
+    /// Forgets the intervals of `address`: its device is lost. Those of a device whose period is not
+    /// known stay: it may be so long that the device is lost between two heartbeats.
     pub fn forget(&mut self, address: Address) {
+        if self.intervals[address.index()].measured.is_none() {
+            return;
+        }
         self.intervals[address.index()] = Intervals::default();
         self.update_expected();
     }

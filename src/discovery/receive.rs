@@ -53,7 +53,8 @@ impl Engine {
             self.tracker.conflicts.note_own_echo(now);
             return;
         }
-        let is_heartbeat = matches!(content, PlatformContent::Heartbeat(_));
+        // In a request the content may be that of another protocol.
+        let is_heartbeat = header.response && matches!(content, PlatformContent::Heartbeat(_));
         let repetition = self.tracker.conflicts.note_frame(now, header.source, is_heartbeat, frame);
         if repetition != Repetition::Ignored {
             self.process_platform_frame(&observation, header, content, repetition);

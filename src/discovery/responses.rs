@@ -87,12 +87,13 @@ impl Engine {
             return;
         }
         // A device that repeats the DST of requests may respond to several requesters at once.
-        if let Ok(Pci::Consecutive { sequence, .. }) = Pci::decode(frame.data(), frame.is_fd)
-            && self.transfers.note_interleaved(now, header, sequence)
+        if let Ok(Pci::Consecutive { .. }) = Pci::decode(frame.data(), frame.is_fd)
+            && let Some(shown) = self.transfers.note_interleaved(now, header, frame)
             && !device.deviations.contains(&ProtocolDeviation::RspDstEcho)
         {
             let (address, name) = (device.address, device.name.clone());
-            self.tracker.conflicts.note_interleaved_transfers(now, address, name.as_ref(), frame);
+            let name = name.as_ref();
+            self.tracker.conflicts.note_interleaved_transfers(now, address, shown, name, frame);
             self.tracker.wake_at(now);
         }
         let Some(device) = self.tracker.device_table.get(row) else { return };

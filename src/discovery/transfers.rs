@@ -37,7 +37,18 @@ struct RxTransfer {
 #[derive(Debug)]
 struct TransferPair {
     id: u32,
-    last: Option<(u8, Instant)>,
+    last: Option<(Instant, Frame)>,
+    /// True if a frame was received twice in a row.
+    has_equal: bool,
+}
+
+/// What a consecutive frame shows about two transfers of one identifier.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Interleaving {
+    /// It has the sequence number of the one before it: a second transfer is under way.
+    Equal,
+    /// It also has other data: no device repeats its own frame so.
+    Differs,
 }
 
 /// Result of a first frame.
@@ -122,7 +133,8 @@ impl Transfers {
             open.is_superseded = true;
             count += 1;
         }
-        self.pairs[source] = (count > 0).then_some(TransferPair { id, last: None });
+        self.pairs[source] =
+            (count > 0).then_some(TransferPair { id, last: None, has_equal: false });
         let is_full = count == MAX_PER_ID;
         let replaced = transfers.iter().position(|open| open.id == id).filter(|_| is_full);
         let oldest = (transfers.len() == MAX_PER_SOURCE).then_some(0);
@@ -142,22 +154,28 @@ impl Transfers {
         Started::Open
     }
 
-    /// Notes a consecutive frame. Returns true if it has the sequence number of the one before it,
-    /// after two first frames: two transfers with one identifier are under way. Once for each pair.
-    pub fn note_interleaved(&mut self, now: Instant, header: Header, sequence: u8) -> bool {
+    /// Notes a consecutive frame, and returns what it shows after two first frames; each result once
+    /// for each pair of transfers.
+    pub fn note_interleaved(
+        &mut self,
+        now: Instant,
+        header: Header,
+        frame: &Frame,
+    ) -> Option<Interleaving> {
         let (id, source) = (header.encode(), header.source.index());
         let is_open = self.is_open(header);
-        let Some(pair) = self.pairs[source].as_mut().filter(|pair| pair.id == id) else {
-            return false;
-        };
-        let last = pair.last.replace((sequence, now));
-        let repeats = last.is_some_and(|(before, at)| {
-            before == sequence && (is_open || now.since(at) < INTERLEAVED_REST)
-        });
-        if repeats {
-            self.pairs[source] = None;
+        let pair = self.pairs[source].as_mut().filter(|pair| pair.id == id)?;
+        let (at, before) = pair.last.replace((now, *frame))?;
+        let is_same_number = before.data().first() == frame.data().first();
+        if !is_same_number || (!is_open && now.since(at) >= INTERLEAVED_REST) {
+            return None;
         }
-        repeats
+        if before.same_on_wire(frame) {
+            let is_first = !std::mem::replace(&mut pair.has_equal, true);
+            return is_first.then_some(Interleaving::Equal);
+        }
+        self.pairs[source] = None;
+        Some(Interleaving::Differs)
     }
 
     /// Adds a consecutive frame to its transfer.

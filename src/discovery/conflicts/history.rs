@@ -22,8 +22,16 @@ const MAX_FRAMES: usize = 2;
 /// Maximum number of senders at one address that are distinguished by their phases: as many as
 /// values are remembered.
 pub(super) const MAX_PHASES: usize = 8;
-/// Heartbeat times stored per address: two cycles of that many senders.
-pub(super) const MAX_TIMES: usize = 2 * MAX_PHASES + 1;
+/// Heartbeat times stored per address: of eight periods of that many senders, and some more of one
+/// with a tenth of the period.
+pub(super) const MAX_TIMES: usize = 96;
+
+/// Deviation from whole periods, in periods, that shows another sender or a reboot. As that of a
+/// late heartbeat.
+const OTHER_PHASE: f64 = 0.12;
+/// Periods for which heartbeats in turns show that two devices are there. With 30 % of the
+/// heartbeats lost, ten heartbeats of two UIDs without a return are rarer than one in a thousand.
+const SWAP_PERIODS: u32 = 10;
 
 /// Whether a sender generates a new RND7 for each heartbeat.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
@@ -118,6 +126,8 @@ fn push_bounded<T>(values: &mut VecDeque<T>, value: T, max: usize) {
 #[derive(Debug, Default)]
 pub(super) struct AddressHistory {
     pub names: RecentValues<Name>,
+    /// Time of the last name response.
+    pub name_at: Option<Instant>,
     /// The last name response.
     pub name_frame: Option<Frame>,
     pub uids: RecentValues<Uid>,
@@ -134,6 +144,13 @@ pub(super) struct AddressHistory {
     /// True if the previous request was sent with both values of the D bit.
     pub sent_both: bool,
     pub heartbeats: HeartbeatHistory,
+    /// Time of the last heartbeat of a node that is about to change its mode, as after a reboot.
+    pub resolving_at: Option<Instant>,
+    /// Time of the last heartbeat that one sender does not explain, by their number.
+    pub crowded_at: Option<Instant>,
+    /// Time of the last heartbeat of another sender than the one before it: with another UID, or in
+    /// another phase.
+    pub sender_changed_at: Option<Instant>,
     /// Time of the last heartbeat that showed a second sender by its content or its timing.
     pub second_sender_at: Option<Instant>,
     /// Number of consecutive heartbeats at twice the rate.
@@ -147,12 +164,32 @@ impl AddressHistory {
         &mut self.matchers[request as usize][framing as usize]
     }
 
+    /// Notes a heartbeat with this UID, not blank. Call before it is added to `uids`.
+    pub fn note_sender(&mut self, now: Instant, uid: Option<Uid>, period: Duration) {
+        let Some(previous) = self.heartbeats.previous() else { return };
+        let periods = now.since(previous.time).as_secs_f64() / period.as_secs_f64();
+        let is_other_phase = (periods - periods.round()).abs() > OTHER_PHASE;
+        let is_other_uid = uid.is_some_and(|uid| self.uids.current().is_some_and(|it| *it != uid));
+        if is_other_phase || is_other_uid {
+            self.sender_changed_at = Some(now);
+        }
+    }
+
+    /// Returns true if another device took the place of the one that sent heartbeats at `then`:
+    /// there were no heartbeats of two senders in turns.
+    pub fn is_swapped(&self, now: Instant, then: Instant, period: Duration) -> bool {
+        let both = self.second_sender_at.max(self.crowded_at);
+        self.sender_changed_at.is_some_and(|at| at >= then)
+            && both.is_none_or(|at| now.since(at) > period * SWAP_PERIODS)
+    }
+
     /// Forgets the values that could alternate.
     pub fn forget_values(&mut self) {
         self.names = RecentValues::default();
         self.uids = RecentValues::default();
         self.services = RecentValues::default();
         self.name_frame = None;
+        self.name_at = None;
         self.services_frame = None;
     }
 }

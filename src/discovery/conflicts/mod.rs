@@ -17,6 +17,7 @@ mod rhythm;
 use super::finding_text;
 use super::finding_tracker::{EvidenceStrength, FindingTracker, NewEvidence};
 use super::periods::HeartbeatPeriods;
+use super::transfers::Interleaving;
 use crate::finding::{FindingKind, SeenUid};
 use crate::frame::{BusIndex, Frame};
 use crate::text::{Escaped, Name};
@@ -32,7 +33,7 @@ pub(super) use query_responses::RequestOrigin;
 use query_responses::SurplusResponse;
 use recent_values::ObservedValue;
 use repeated_frames::RepeatedFrameDetector;
-use rhythm::HeartbeatPattern;
+use rhythm::{HeartbeatPattern, WINDOW_PERIODS};
 use std::borrow::Cow;
 
 /// Two responses to one request are less than this apart. Less than the 200 ms after which a
@@ -50,6 +51,10 @@ const UID_MEMORY_PERIODS: u32 = 5;
 /// Longest time between two heartbeats of a sender, in periods, if another one sends meanwhile: one
 /// of them may be lost. Boards that take turns are plugged in and start for longer.
 const INTERLEAVED_PERIODS: f64 = 2.6;
+
+/// Periods after a heartbeat from an address with several senders in which the next one is due.
+/// Chosen: one period and its jitter.
+const KEPT_PERIODS: f64 = 1.1;
 
 /// Description of a heartbeat at twice the rate.
 const TWICE_THE_RATE: &str = "heartbeats at twice the rate";
@@ -241,6 +246,7 @@ impl ConflictDetector {
         &mut self,
         now: Instant,
         address: Address,
+        shown: Interleaving,
         name: Option<&Name>,
         frame: &Frame,
     ) {
@@ -248,12 +254,21 @@ impl ConflictDetector {
             return;
         }
         let others = self.findings_at(now, address);
-        let (kind, strength) = others.kind_of_two_devices();
+        let excludes_one_device = shown == Interleaving::Differs;
+        let (kind, strength) = match others.kind_of_two_devices() {
+            // One device that responds twice, or a gateway that repeats its frames.
+            (FindingKind::SameNameSameAddress, strength)
+                if !excludes_one_device && !others.has_second_sender =>
+            {
+                (FindingKind::AnswersDoubled, strength)
+            }
+            two_devices => two_devices,
+        };
         let what = "part of a second response before the end of the first";
         let evidence = NewEvidence {
             name,
             is_response: true,
-            excludes_one_device: true,
+            excludes_one_device,
             ..NewEvidence::new(kind, address, frame, strength, what)
         };
         self.report(now, evidence);
@@ -269,16 +284,20 @@ impl ConflictDetector {
     /// Notes a complete name response.
     pub fn note_name(&mut self, now: Instant, address: Address, name: &Name, frame: &Frame) {
         let timeout = self.alternation_timeout(address);
+        let period = self.periods.of(address);
         let history = &mut self.histories[address.index()];
         let before = history.names.current().cloned();
+        let before_at = history.name_at.replace(now);
         let returned = history.names.observe(now, name, timeout).return_count;
+        // Boards that are swapped to and fro do not send heartbeats in turns.
+        let is_swapped = before_at.is_some_and(|at| history.is_swapped(now, at, period));
         let since = history.names.second_since(now, timeout);
         let before_frame = history.name_frame.replace(*frame);
         let Some(before) = before.filter(|before| before != name) else { return };
         let kind = FindingKind::OneAddressTwoNames;
         let (strength, since) = match returned {
-            Some(_) => (EvidenceStrength::Strong, Some(since)),
-            None => (EvidenceStrength::Weak, None),
+            Some(_) if !is_swapped => (EvidenceStrength::Strong, Some(since)),
+            _ => (EvidenceStrength::Weak, None),
         };
         let evidence = NewEvidence {
             name: Some(&before),
@@ -290,7 +309,7 @@ impl ConflictDetector {
         };
         self.report(now, evidence);
         self.finding_tracker.add_name(kind, address, name);
-        if returned.is_some() {
+        if returned.is_some() && !is_swapped {
             self.finding_tracker.supersede(now, FindingKind::SameNameSameAddress, kind, address);
         }
     }
@@ -338,10 +357,13 @@ impl ConflictDetector {
     ) {
         let period = self.periods.of(address);
         let history = &mut self.histories[address.index()];
-        if !mode.is_resolving {
+        if mode.is_resolving {
+            history.resolving_at = Some(now);
+        } else {
             history.seen[usize::from(mode.is_working)] = Some(now);
         }
         let uid = uid.filter(|uid| !uid.is_blank());
+        history.note_sender(now, uid, period);
         let observed = if let Some(uid) = uid {
             history.uids.observe(now, &uid, period * UID_MEMORY_PERIODS)
         } else {
@@ -356,12 +378,28 @@ impl ConflictDetector {
         let mode_returned =
             history.working.observe(now, &mode.is_working, period.mul_f64(1.05)).return_count;
         let times = history.heartbeats.times();
-        let pattern = rhythm::pattern(times, period);
-        if rhythm::has_several_senders(times, period) {
-            self.finding_tracker.note_several_senders(now, address);
+        let mut pattern = rhythm::pattern(times, period);
+        let reboots =
+            history.resolving_at.is_some_and(|at| now.since(at) < period * WINDOW_PERIODS);
+        if !reboots && rhythm::is_crowded(times, period) {
+            pattern.two_phases = true;
+            pattern.since = pattern.since.or(Some(now - period));
+        }
+        let is_crowded = rhythm::has_several_senders(times, period);
+        if is_crowded {
+            let until = now + period.mul_f64(KEPT_PERIODS);
+            self.finding_tracker.note_several_senders(until, address);
+        }
+        if let Some(last) = history.uids.second_last_seen() {
+            // Some of its heartbeats may be lost.
+            let until = last + period * UID_MEMORY_PERIODS;
+            self.finding_tracker.note_several_senders(until, address);
         }
         history.double_rate_count =
             if pattern.double_rate { history.double_rate_count + 1 } else { 0 };
+        if is_crowded {
+            history.crowded_at = Some(now);
+        }
         if pattern.double_rate || pattern.two_phases || uid_returned.is_some() {
             history.second_sender_at = Some(now);
         }

@@ -95,6 +95,13 @@ impl<T: PartialEq + Clone> RecentValues<T> {
         values
     }
 
+    /// Time of the last observation of the value that was observed last before the current one, and
+    /// more than once.
+    pub fn second_last_seen(&self) -> Option<Instant> {
+        let repeated = self.earlier.iter().filter(|earlier| earlier.last > earlier.since);
+        repeated.map(|earlier| earlier.last).max()
+    }
+
     /// Returns true if there was another value less than `within` ago.
     pub fn changed_within(&self, now: Instant, within: Duration) -> bool {
         self.previous().is_some() && now.since(self.changed_at) < within

@@ -200,7 +200,8 @@ impl RepeatedFrameDetector {
         let hash = hasher.finish();
         let mut awaiting = self.awaiting_copy.iter();
         let at = awaiting.position(|(at, open)| *open == hash && now.since(*at) <= window);
-        if let Some((first, _)) = at.and_then(|at| self.awaiting_copy.remove(at)) {
+        // It stays: two gateways make two copies.
+        if let Some((first, _)) = at.and_then(|at| self.awaiting_copy.get(at)).copied() {
             if !heartbeat {
                 self.note_duplicate(now, source, now.since(first));
             }
@@ -228,8 +229,11 @@ impl RepeatedFrameDetector {
         } else if recorded.previous_has_no_copy {
             let series = &mut self.series[address.index()];
             // One copy may be lost: the next one counts again.
-            let kept = if now < series.active_until { COPIES_OF_ONE - 1 } else { 0 };
-            series.count = series.count.min(kept);
+            series.count = if now < series.active_until {
+                series.count.min(COPIES_OF_ONE - 1)
+            } else {
+                series.count.saturating_sub(1)
+            };
             if self.is_active(now) {
                 self.copy_count = self.copy_count.min(COPIES_OF_ONE - 1);
             } else {

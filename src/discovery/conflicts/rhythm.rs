@@ -1,11 +1,30 @@
 //! Timing of the heartbeats of one address: their rate and their phases (protocol §5.2).
 
-use super::history::{MAX_PHASES, MAX_TIMES};
+use super::history::MAX_PHASES;
 use crate::time::{Duration, Instant};
 use std::collections::VecDeque;
 
 /// Heartbeats that show two phases: seven intervals, three periods and a half of two senders.
 const TWO_PHASE_TIMES: usize = 8;
+/// The same for two phases almost half a period apart: seven periods, so that chance does not
+/// separate long and short intervals.
+const HALF_PERIOD_TIMES: usize = 15;
+/// Heartbeats that show the phases of several senders: two cycles of the most that are told apart.
+const CYCLE_TIMES: usize = 2 * MAX_PHASES + 1;
+/// Periods of the heartbeats that are counted.
+pub(super) const WINDOW_PERIODS: u32 = 8;
+/// Number of heartbeats in them that one sender has at most: nine, and two for changes of its mode
+/// or jitter.
+const MAX_OF_ONE: usize = 11;
+/// The same in the last part of them: of two senders, one may have left.
+const MAX_OF_ONE_AT_END: usize = 3;
+const END_PERIODS: f64 = 2.5;
+/// Shortest period of a sender, in expected periods, that is told from several senders although
+/// heartbeats are lost. Chosen: a tenth, and its jitter.
+const MIN_FASTER_PERIOD: f64 = 0.08;
+/// Deviation of an interval from a multiple of the period, in periods, by the jitter of a busy bus.
+/// As that of a measured period.
+const GRID_TOLERANCE: f64 = 0.15;
 
 /// Timing pattern of the heartbeats from one address.
 #[derive(Clone, Copy, Debug, Default)]
@@ -28,6 +47,9 @@ pub(super) fn has_several_senders(times: &VecDeque<Instant>, period: Duration) -
 /// Returns the timing pattern of the last heartbeats.
 pub(super) fn pattern(times: &VecDeque<Instant>, period: Duration) -> HeartbeatPattern {
     let Some(&last) = times.back() else { return HeartbeatPattern::default() };
+    if is_faster_with_losses(times, period) {
+        return HeartbeatPattern::default();
+    }
     let recent = times.iter().rev().take(TWO_PHASE_TIMES);
     let recent = recent.filter(|time| last.since(**time) < period * 4);
     // The newest heartbeat must be early, or the double rate has already ended.
@@ -40,21 +62,97 @@ pub(super) fn pattern(times: &VecDeque<Instant>, period: Duration) -> HeartbeatP
     if times.len() < TWO_PHASE_TIMES - 1 {
         return rate;
     }
-    let mut gaps = [0.0; MAX_TIMES - 1];
-    let pairs = times.iter().zip(times.iter().skip(1));
-    for (gap, (one, next)) in gaps.iter_mut().zip(pairs) {
+    let skipped = times.len().saturating_sub(CYCLE_TIMES);
+    let times = || times.iter().skip(skipped);
+    let mut gaps = [0.0; CYCLE_TIMES - 1];
+    for (gap, (one, next)) in gaps.iter_mut().zip(times().zip(times().skip(1))) {
         *gap = next.since(*one).as_secs_f64() / period.as_secs_f64();
     }
-    let gaps = &gaps[..times.len() - 1];
-    let first = |count: usize| times.len().saturating_sub(count);
-    let since = cycle_length(gaps).map(|senders| first(2 * senders + 1) + 1).or_else(|| {
-        let begin = gaps.len().saturating_sub(TWO_PHASE_TIMES - 1);
-        second_sender(&gaps[begin..]).map(|at| begin + at)
-    });
+    let count = times().count();
+    let gaps = &gaps[..count - 1];
+    let first = |number: usize| count.saturating_sub(number);
+    let since = cycle_length(gaps)
+        .map(|senders| first(2 * senders + 1) + 1)
+        .or_else(|| {
+            let begin = gaps.len().saturating_sub(TWO_PHASE_TIMES - 1);
+            second_sender(&gaps[begin..]).map(|at| begin + at)
+        })
+        .or_else(|| {
+            let begin = gaps.len().checked_sub(HALF_PERIOD_TIMES - 1)?;
+            are_half_a_period_apart(&gaps[begin..]).then_some(begin + 1)
+        });
     match since {
-        Some(at) => HeartbeatPattern { two_phases: true, since: times.get(at).copied(), ..rate },
+        Some(at) => HeartbeatPattern { two_phases: true, since: times().nth(at).copied(), ..rate },
         None => rate,
     }
+}
+
+/// Returns true if more heartbeats arrived in the last periods than one sender has, and one with a
+/// shorter period does not explain them. Losses hide the phases, but not the number.
+pub(super) fn is_crowded(times: &VecDeque<Instant>, period: Duration) -> bool {
+    let Some(&last) = times.back() else { return false };
+    let has_more = |count: usize, within: Duration| {
+        let at = times.len().checked_sub(count + 1);
+        at.is_some_and(|at| last.since(times[at]) < within)
+    };
+    has_more(MAX_OF_ONE, period * WINDOW_PERIODS)
+        && has_more(MAX_OF_ONE_AT_END, period.mul_f64(END_PERIODS))
+        && grid_of(times, period).is_none_or(|grid| match grid.parts {
+            // Two senders half a period apart look like one.
+            None | Some(2) => false,
+            Some(_) => !grid.has_all_parts,
+        })
+}
+
+/// A sender with a shorter period than expected, some of whose heartbeats may be lost.
+struct FasterSender {
+    /// Number of its periods in an expected one; `None` if that is not a whole number.
+    parts: Option<u32>,
+    /// True if heartbeats arrived in each of these parts.
+    has_all_parts: bool,
+}
+
+/// Returns true if one sender with a shorter period explains the last heartbeats. Several senders
+/// whose phases are parts of the period leave some of these parts empty.
+fn is_faster_with_losses(times: &VecDeque<Instant>, period: Duration) -> bool {
+    grid_of(times, period).is_some_and(|grid| match grid.parts {
+        None => true,
+        // Two senders half a period apart look the same.
+        Some(2) => false,
+        Some(_) => grid.has_all_parts,
+    })
+}
+
+/// Returns the sender of whose period all intervals in the last periods are multiples.
+fn grid_of(times: &VecDeque<Instant>, period: Duration) -> Option<FasterSender> {
+    let last = *times.back()?;
+    let recent = || times.iter().rev().take_while(|at| last.since(**at) < period * WINDOW_PERIODS);
+    let gaps = || {
+        let pairs = recent().zip(recent().skip(1));
+        pairs.map(|(next, one)| next.since(*one).as_secs_f64() / period.as_secs_f64())
+    };
+    let shortest = gaps().fold(f64::MAX, f64::min);
+    if !(MIN_FASTER_PERIOD..=1.0 - GRID_TOLERANCE).contains(&shortest) {
+        return None;
+    }
+    let steps = gaps().map(|gap| (gap / shortest).round()).sum::<f64>();
+    let step = gaps().sum::<f64>() / steps;
+    if gaps().any(|gap| (gap / step - (gap / step).round()).abs() > GRID_TOLERANCE) {
+        return None;
+    }
+    let parts = 1.0 / step;
+    let whole = parts.round();
+    if (parts - whole).abs() > GRID_TOLERANCE {
+        return Some(FasterSender { parts: None, has_all_parts: false });
+    }
+    let whole = whole as u32;
+    let mut place = 0;
+    let mut hit = 1_u32;
+    for gap in gaps() {
+        place = (place + (gap / step).round() as u32) % whole;
+        hit |= 1 << place;
+    }
+    Some(FasterSender { parts: Some(whole), has_all_parts: hit.count_ones() == whole })
 }
 
 /// Returns true if equal intervals show one sender with a shorter period. Only with half of it two
@@ -91,13 +189,36 @@ fn second_sender(gaps: &[f64]) -> Option<usize> {
 /// Returns true if long and short gaps alternate far more regularly than by chance: two steady
 /// senders almost half a period apart.
 fn has_two_phases(gaps: &[f64]) -> bool {
+    let PhaseContrast { apart, noise } = phase_contrast(gaps);
+    apart > 0.04 && apart > 3.0 * noise
+}
+
+/// Difference between every other gap and the others, and within each of both.
+struct PhaseContrast {
+    apart: f64,
+    noise: f64,
+}
+
+fn phase_contrast(gaps: &[f64]) -> PhaseContrast {
     let range = |from: usize| {
         let every_other = gaps.iter().skip(from).step_by(2);
         every_other.fold((f64::MAX, f64::MIN), |(low, high), &gap| (low.min(gap), high.max(gap)))
     };
     let (even, odd) = (range(0), range(1));
-    let apart = (even.0 - odd.1).max(odd.0 - even.1);
-    apart > 0.04 && apart > 3.0 * (even.1 - even.0).max(odd.1 - odd.0)
+    PhaseContrast {
+        apart: (even.0 - odd.1).max(odd.0 - even.1),
+        noise: (even.1 - even.0).max(odd.1 - odd.0),
+    }
+}
+
+/// Returns true if long and short gaps alternate for so long, and so regularly, that one sender does
+/// not explain it.
+fn are_half_a_period_apart(gaps: &[f64]) -> bool {
+    /// Smallest difference, in periods, that the timer tick of one sender does not explain.
+    const MIN_CONTRAST: f64 = 0.012;
+    let full_period = gaps.windows(2).all(|two| (0.95..=1.05).contains(&(two[0] + two[1])));
+    let contrast = phase_contrast(gaps);
+    full_period && contrast.apart > MIN_CONTRAST && contrast.apart > 6.0 * contrast.noise
 }
 
 /// Returns the number of senders, three or more, whose phases the last gaps repeat.
