@@ -59,6 +59,8 @@ pub(super) struct HeartbeatHistory {
 pub(super) struct RecordedHeartbeat {
     /// Time since the previous heartbeat, if this one is its first copy.
     pub copy_delay: Option<Duration>,
+    /// The same if it is a further copy, as of a second gateway.
+    pub further_copy_delay: Option<Duration>,
     /// True if the previous heartbeat was not copied, and a copy can no longer arrive.
     pub previous_has_no_copy: bool,
     /// True if this heartbeat is not a copy, or its sender is known to send equal ones.
@@ -80,6 +82,7 @@ impl HeartbeatHistory {
         let is_copy = last.is_some_and(|last| last.same_on_wire(frame))
             && gap.is_some_and(|gap| gap <= window);
         let copy_delay = gap.filter(|_| is_copy && !self.is_copied);
+        let further_copy_delay = gap.filter(|_| is_copy && self.is_copied);
         let previous_has_no_copy = !self.is_copied && gap.is_some_and(|gap| gap > window);
         let is_new = !is_copy || self.rnd7 == Rnd7::Constant;
         match (last, gap) {
@@ -95,7 +98,13 @@ impl HeartbeatHistory {
             push_bounded(&mut self.frames, frame.with_time(now), MAX_FRAMES);
         }
         let has_random_rnd7 = self.rnd7 == Rnd7::Random;
-        RecordedHeartbeat { copy_delay, previous_has_no_copy, is_new, has_random_rnd7 }
+        RecordedHeartbeat {
+            copy_delay,
+            further_copy_delay,
+            previous_has_no_copy,
+            is_new,
+            has_random_rnd7,
+        }
     }
 
     /// The last heartbeat, with its time of reception.

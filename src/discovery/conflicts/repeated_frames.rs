@@ -67,6 +67,8 @@ struct CopySeries {
     count: u32,
     shortest: Duration,
     longest: Duration,
+    /// Longest delay of further copies of one heartbeat.
+    further: Duration,
     active_until: Instant,
     response_pairs: ResponsePairs,
 }
@@ -189,7 +191,8 @@ impl RepeatedFrameDetector {
         if !self.is_repeated(now, source) {
             return false;
         }
-        let delay = self.delay.max(self.series[source.index()].longest);
+        let series = &self.series[source.index()];
+        let delay = self.delay.max(series.longest).max(series.further);
         let window = (delay * 2).max(Duration::from_millis(20));
         let longest = self.delay.max(MAX_DELAY_OF_ONE) * 2;
         while self.awaiting_copy.front().is_some_and(|(at, _)| now.since(*at) > longest) {
@@ -226,6 +229,9 @@ impl RepeatedFrameDetector {
             if recorded.has_random_rnd7 {
                 self.note_copy_of_one(now, address, delay);
             }
+        } else if let Some(delay) = recorded.further_copy_delay {
+            let series = &mut self.series[address.index()];
+            series.further = series.further.max(delay).min(MAX_DELAY_OF_ONE);
         } else if recorded.previous_has_no_copy {
             let series = &mut self.series[address.index()];
             // One copy may be lost: the next one counts again.

@@ -100,7 +100,7 @@ pub(super) fn is_crowded(times: &VecDeque<Instant>, period: Duration) -> bool {
         && grid_of(times, period).is_none_or(|grid| match grid.parts {
             // Two senders half a period apart look like one.
             None | Some(2) => false,
-            Some(_) => !grid.has_all_parts,
+            Some(_) => !grid.has_most_parts,
         })
 }
 
@@ -108,8 +108,11 @@ pub(super) fn is_crowded(times: &VecDeque<Instant>, period: Duration) -> bool {
 struct FasterSender {
     /// Number of its periods in an expected one; `None` if that is not a whole number.
     parts: Option<u32>,
-    /// True if heartbeats arrived in each of these parts.
-    has_all_parts: bool,
+    /// True if heartbeats arrived in each of three parts, or in most of more: those of several
+    /// senders leave more of them empty than losses do.
+    has_most_parts: bool,
+    /// True if some intervals are several of its periods.
+    has_losses: bool,
 }
 
 /// Returns true if one sender with a shorter period explains the last heartbeats. Several senders
@@ -118,8 +121,8 @@ fn is_faster_with_losses(times: &VecDeque<Instant>, period: Duration) -> bool {
     grid_of(times, period).is_some_and(|grid| match grid.parts {
         None => true,
         // Two senders half a period apart look the same.
-        Some(2) => false,
-        Some(_) => grid.has_all_parts,
+        Some(2) => grid.has_losses,
+        Some(_) => grid.has_most_parts,
     })
 }
 
@@ -142,8 +145,9 @@ fn grid_of(times: &VecDeque<Instant>, period: Duration) -> Option<FasterSender> 
     }
     let parts = 1.0 / step;
     let whole = parts.round();
+    let has_losses = gaps().any(|gap| (gap / step).round() > 1.0);
     if (parts - whole).abs() > GRID_TOLERANCE {
-        return Some(FasterSender { parts: None, has_all_parts: false });
+        return Some(FasterSender { parts: None, has_most_parts: false, has_losses });
     }
     let whole = whole as u32;
     let mut place = 0;
@@ -152,7 +156,9 @@ fn grid_of(times: &VecDeque<Instant>, period: Duration) -> Option<FasterSender> 
         place = (place + (gap / step).round() as u32) % whole;
         hit |= 1 << place;
     }
-    Some(FasterSender { parts: Some(whole), has_all_parts: hit.count_ones() == whole })
+    let count = hit.count_ones();
+    let has_most_parts = if whole <= 3 { count == whole } else { count * 2 > whole };
+    Some(FasterSender { parts: Some(whole), has_most_parts, has_losses })
 }
 
 /// Returns true if equal intervals show one sender with a shorter period. Only with half of it two

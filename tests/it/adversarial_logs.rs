@@ -1,0 +1,309 @@
+//! Verdicts on logs that look like a conflict and are none, or the other way round: heartbeats of
+//! unusual periods, with losses, in unusual phases, repeated by gateways, or of boards in turns.
+
+use descan::discovery::{Config, Engine, EventKind};
+use descan::finding::{FindingKind, FindingState};
+use descan::frame::Frame;
+use descan::time::{Duration, Instant};
+use descan::wire::id::{Address, Header, Service};
+use descan::wire::profile::Profile;
+
+const ADDRESS: u8 = 14;
+
+fn micros(seconds: f64) -> u64 {
+    (seconds * 1e6) as u64
+}
+
+/// Frames of a log, in any order.
+struct LogWriter {
+    rng: fastrand::Rng,
+    frames: Vec<Frame>,
+}
+
+/// Findings at the address of a log.
+struct Verdicts {
+    confirmed: Vec<(f64, FindingKind)>,
+    cleared: Vec<(f64, FindingKind)>,
+    /// Open findings at the end.
+    open: Vec<FindingKind>,
+    /// Kinds of all findings there.
+    kinds: Vec<FindingKind>,
+}
+
+impl LogWriter {
+    fn new(seed: u64) -> Self {
+        Self { rng: fastrand::Rng::with_seed(seed), frames: Vec::new() }
+    }
+
+    fn push(&mut self, at: f64, id: u32, data: &[u8]) {
+        let time = Instant::from_micros(micros(at));
+        self.frames.push(Frame::classic(id, data).with_time(time));
+    }
+
+    /// A heartbeat in WORK, with a jitter of 1 ms.
+    fn heartbeat(&mut self, at: f64, address: u8, uid: u8) {
+        let rnd7 = self.rng.u8(..128);
+        let node = Address::new(address).unwrap();
+        let service = Profile::default().heartbeat_service();
+        let id = Header::unsolicited(node, rnd7, false, service).encode();
+        let at = at + f64::from(self.rng.u16(..1000)) / 1e6;
+        self.push(at, id, &[uid, uid, uid, uid, uid, uid, 4, 0]);
+    }
+
+    /// Heartbeats of one device, of which a share is lost.
+    fn heartbeats(&mut self, uid: u8, period: f64, (from, until): (f64, f64), loss: f64) {
+        let mut at = from;
+        while at < until {
+            if self.rng.f64() >= loss {
+                self.heartbeat(at, ADDRESS, uid);
+            }
+            at += period;
+        }
+    }
+
+    /// A name request to the address, and a response after each of these delays, in seconds.
+    fn name_query(&mut self, at: f64, responses: &[(f64, &str)]) {
+        let node = Address::new(ADDRESS).unwrap();
+        let request = Header::request(Address::new(5).unwrap(), node, false, des());
+        self.push(at, request.encode(), b"\x04DES\x01");
+        let id = request.response(node, false).encode();
+        for (delay, name) in responses {
+            let data = [&[name.len() as u8 + 2, 1], name.as_bytes(), &[0]].concat();
+            self.push(at + delay, id, &data);
+        }
+    }
+
+    /// Plays the log to an inspector in listen-only mode.
+    fn verdicts(mut self, end: f64) -> Verdicts {
+        self.frames.sort_by_key(|frame| frame.time);
+        let config = Config { listen_only: true, ..Config::default() };
+        let mut engine = Engine::new(Instant::ZERO, config);
+        let end = Instant::from_micros(micros(end));
+        let run_until = |engine: &mut Engine, until: Instant| {
+            while let Some(due) = engine.poll_timeout().filter(|due| *due <= until) {
+                engine.handle_timeout(due);
+            }
+        };
+        for frame in &self.frames {
+            run_until(&mut engine, frame.time);
+            engine.handle_frame(frame);
+        }
+        run_until(&mut engine, end);
+        let (mut confirmed, mut cleared) = (Vec::new(), Vec::new());
+        while let Some(event) = engine.poll_event() {
+            let at = event.time.since(Instant::ZERO).as_secs_f64();
+            match event.kind {
+                EventKind::Finding { key, state: FindingState::Confirmed } => {
+                    confirmed.push((at, key.kind));
+                }
+                EventKind::Finding { key, state: FindingState::Cleared } => {
+                    cleared.push((at, key.kind));
+                }
+                _ => {}
+            }
+        }
+        let findings = engine.findings();
+        let open = findings.iter().filter(|it| it.state != FindingState::Cleared);
+        let open = open.map(|it| it.key.kind).collect();
+        Verdicts {
+            confirmed,
+            cleared,
+            open,
+            kinds: findings.iter().map(|it| it.key.kind).collect(),
+        }
+    }
+}
+
+fn des() -> Service {
+    Profile::default().des_service()
+}
+
+#[test]
+fn fast_heartbeats_with_losses_are_of_one_device() {
+    for period in [0.1, 0.2, 0.25, 0.3, 0.5] {
+        let confirmed = (0..40).filter(|seed| {
+            let mut log = LogWriter::new(*seed);
+            log.heartbeats(1, period, (0.1, 60.0), [0.1, 0.2, 0.3, 0.4][*seed as usize % 4]);
+            for second in 0..60 {
+                log.heartbeat(f64::from(second) + 0.37, 10, 2);
+            }
+            !log.verdicts(60.0).confirmed.is_empty()
+        });
+        assert_eq!(confirmed.count(), 0, "period {period} s");
+    }
+}
+
+#[test]
+fn heartbeats_of_two_devices_are_confirmed_in_spite_of_losses() {
+    for (other_uid, phase) in [(2, 0.04), (2, 0.45), (1, 0.04), (1, 0.3)] {
+        for loss in [0.0, 0.1, 0.2] {
+            let missed = (0..20).filter(|seed| {
+                let mut log = LogWriter::new(*seed);
+                log.heartbeats(1, 1.0, (0.1, 60.0), loss);
+                log.heartbeats(other_uid, 1.0, (0.1 + phase, 60.0), loss);
+                log.verdicts(60.0).confirmed.is_empty()
+            });
+            assert_eq!(missed.count(), 0, "UID {other_uid}, phase {phase}, loss {loss}");
+        }
+    }
+}
+
+#[test]
+fn conflict_of_two_uids_stays_while_both_send() {
+    for seed in 0..40 {
+        let mut log = LogWriter::new(seed);
+        log.heartbeats(1, 1.0, (0.1, 60.0), 0.2);
+        log.heartbeats(2, 1.0, (0.5, 60.0), 0.2);
+        let verdicts = log.verdicts(59.0);
+        assert_eq!(verdicts.cleared, [], "seed {seed}");
+    }
+}
+
+#[test]
+fn equal_devices_almost_half_a_period_apart_are_confirmed() {
+    for phase in [0.485, 0.49, 0.51, 0.516] {
+        for seed in 0..10 {
+            let mut log = LogWriter::new(seed);
+            log.heartbeats(1, 1.0, (0.1, 40.0), 0.0);
+            log.heartbeats(1, 1.0, (0.1 + phase, 40.0), 0.0);
+            let verdicts = log.verdicts(40.0);
+            let kinds: Vec<FindingKind> = verdicts.confirmed.iter().map(|it| it.1).collect();
+            assert_eq!(kinds, [FindingKind::SameNameSameAddress], "phase {phase}, seed {seed}");
+            assert_eq!(verdicts.open, kinds, "phase {phase}, seed {seed}");
+        }
+    }
+}
+
+#[test]
+fn nine_devices_at_one_address_are_confirmed() {
+    for seed in 0..20 {
+        let mut log = LogWriter::new(seed);
+        for place in 0..9 {
+            let phase = f64::from(place) / 9.0 + log.rng.f64() * 0.05;
+            log.heartbeats(1, 1.0, (0.1 + phase, 30.0), 0.0);
+        }
+        assert!(!log.verdicts(30.0).confirmed.is_empty(), "seed {seed}");
+    }
+}
+
+#[test]
+fn boards_of_two_names_in_turns_are_not_confirmed() {
+    for pause in [0.05, 0.5, 2.0] {
+        for seed in 0..30 {
+            let mut log = LogWriter::new(seed);
+            let mut at = 0.1;
+            let mut names = Vec::new();
+            for turn in 0..8 {
+                let stays = 3.0 + log.rng.f64() * 6.0;
+                log.heartbeats(1 + turn % 2, 1.0, (at, at + stays), 0.0);
+                names.push((at, at + stays, ["FEED", "PUMP"][usize::from(turn) % 2]));
+                at += stays + pause;
+            }
+            for number in 0..10 {
+                let request = 2.0 + 5.0 * f64::from(number);
+                let there = names.iter().find(|it| it.0 < request && request < it.1);
+                let response: Vec<(f64, &str)> =
+                    there.map(|it| (0.003, it.2)).into_iter().collect();
+                log.name_query(request, &response);
+            }
+            let verdicts = log.verdicts(60.0);
+            assert_eq!(verdicts.confirmed, [], "pause {pause} s, seed {seed}");
+        }
+    }
+}
+
+#[test]
+fn replaced_board_found_elsewhere_gave_up_nothing() {
+    for seed in 0..20 {
+        let mut log = LogWriter::new(seed);
+        log.heartbeats(1, 1.0, (0.1, 20.0), 0.0);
+        log.heartbeats(2, 1.0, (20.8, 60.0), 0.0);
+        for second in 24..60 {
+            log.heartbeat(f64::from(second), 33, 1);
+        }
+        let verdicts = log.verdicts(60.0);
+        assert!(!verdicts.kinds.contains(&FindingKind::AddressContested), "seed {seed}");
+    }
+}
+
+#[test]
+fn two_gateways_are_no_conflict() {
+    for seed in 0..20 {
+        let mut log = LogWriter::new(seed);
+        log.heartbeats(1, 1.0, (0.1, 60.0), 0.0);
+        for second in 0..60 {
+            log.heartbeat(f64::from(second) + 0.55, 10, 2);
+        }
+        (0..12).for_each(|it| log.name_query(2.7 + 5.0 * f64::from(it), &[(0.003, "FEED")]));
+        let of_device: Vec<Frame> =
+            log.frames.iter().filter(|it| is_of(it, ADDRESS)).copied().collect();
+        for frame in of_device {
+            for delay in [9_000, 23_000] {
+                let jitter = log.rng.u64(..800);
+                let time = frame.time + Duration::from_micros(delay + jitter);
+                log.frames.push(frame.with_time(time));
+            }
+        }
+        let verdicts = log.verdicts(60.0);
+        assert_eq!(verdicts.confirmed, [], "seed {seed}");
+        assert_eq!(verdicts.open, [FindingKind::FramesRepeated], "seed {seed}");
+    }
+}
+
+#[test]
+fn gateway_that_loses_copies_is_no_conflict() {
+    for seed in 0..40 {
+        let mut log = LogWriter::new(seed);
+        log.heartbeats(1, 1.0, (0.1, 60.0), 0.0);
+        for second in 0..60 {
+            log.heartbeat(f64::from(second) + 0.55, 10, 2);
+        }
+        (0..12).for_each(|it| log.name_query(2.7 + 5.0 * f64::from(it), &[(0.003, "FEED")]));
+        let of_device: Vec<Frame> =
+            log.frames.iter().filter(|it| is_of(it, ADDRESS)).copied().collect();
+        for frame in of_device {
+            if log.rng.f64() >= 0.2 {
+                let time = frame.time + Duration::from_micros(27_000 + log.rng.u64(..800));
+                log.frames.push(frame.with_time(time));
+            }
+        }
+        let verdicts = log.verdicts(60.0);
+        assert_eq!(verdicts.confirmed, [], "seed {seed}");
+        assert!(verdicts.kinds.contains(&FindingKind::FramesRepeated), "seed {seed}");
+    }
+}
+
+#[test]
+fn doubled_answers_are_confirmed_between_fast_heartbeats() {
+    for period in [0.1, 0.2, 1.0, 3.0] {
+        let mut log = LogWriter::new(1);
+        log.heartbeats(1, period, (0.1, 60.0), 0.0);
+        let responses = [(0.003, "FEED"), (0.009, "FEED")];
+        (0..12).for_each(|it| log.name_query(2.74 + 5.0 * f64::from(it), &responses));
+        let verdicts = log.verdicts(60.0);
+        assert!(
+            verdicts.confirmed.iter().any(|it| it.1 == FindingKind::AnswersDoubled),
+            "period {period} s: {:?}",
+            verdicts.kinds
+        );
+        assert_eq!(verdicts.cleared, [], "period {period} s");
+    }
+}
+
+/// Frames of another protocol that conform to a targeted request of the heartbeat service.
+#[test]
+fn requests_of_the_heartbeat_service_are_no_evidence() {
+    let mut log = LogWriter::new(1);
+    for second in 0..30 {
+        log.heartbeat(f64::from(second) + 0.55, 10, 2);
+    }
+    for number in 0..300 {
+        let data = [0, 0x13, log.rng.u8(..), log.rng.u8(..), 0x7F, log.rng.u8(..), 0xFF, 0xFF];
+        log.push(0.05 + 0.1 * f64::from(number), 0x09F2_0001, &data);
+    }
+    assert_eq!(log.verdicts(30.0).confirmed, []);
+}
+
+fn is_of(frame: &Frame, address: u8) -> bool {
+    frame.platform_id().is_some_and(|id| Header::decode(id).source.number() == address)
+}
