@@ -73,7 +73,7 @@ fn second_board_at_an_address_has_its_own_service_list() {
 }
 
 #[test]
-fn boards_whose_service_lists_would_collide_are_not_asked_for_them() {
+fn colliding_service_lists_are_not_requested() {
     let mut bus = two_boards(board(0x22, "2.5", 1));
     bus.run_until(at(30), |_| false);
     bus.engine.rescan(at(30));
@@ -89,7 +89,7 @@ fn interleaved_service_lists_are_both_read() {
     let mut engine = Engine::new(Instant::ZERO, Config { listen_only: true, ..Config::default() });
     let mut now = Instant::ZERO;
     let mut receive = |id: u32, data: &[u8], micros: u64| {
-        now = now + Duration::from_micros(micros);
+        now += Duration::from_micros(micros);
         engine.handle_frame(&Frame::classic(id, data).with_time(now));
         engine.handle_timeout(now);
     };

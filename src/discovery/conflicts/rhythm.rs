@@ -18,13 +18,20 @@ pub(super) const WINDOW_PERIODS: u32 = 8;
 const MAX_OF_ONE: usize = 11;
 /// The same in the last part of them: of two senders, one may have left.
 const MAX_OF_ONE_AT_END: usize = 3;
-const END_PERIODS: f64 = 2.5;
+const END_PERIODS: f64 = 2.1;
 /// Shortest period of a sender, in expected periods, that is told from several senders although
 /// heartbeats are lost. Chosen: a tenth, and its jitter.
 const MIN_FASTER_PERIOD: f64 = 0.08;
 /// Deviation of an interval from a multiple of the period, in periods, by the jitter of a busy bus.
 /// As that of a measured period.
 const GRID_TOLERANCE: f64 = 0.15;
+
+/// Smallest difference, in periods, between the intervals of two senders. Chosen: twice the jitter
+/// of a quiet bus.
+const MIN_PHASE_CONTRAST: f64 = 0.04;
+/// Intervals that show two senders although heartbeats are lost between them: as many as without
+/// losses.
+const MIN_ALTERNATING_GAPS: usize = TWO_PHASE_TIMES - 1;
 
 /// Timing pattern of the heartbeats from one address.
 #[derive(Clone, Copy, Debug, Default)]
@@ -98,8 +105,9 @@ pub(super) fn is_crowded(times: &VecDeque<Instant>, period: Duration) -> bool {
     has_more(MAX_OF_ONE, period * WINDOW_PERIODS)
         && has_more(MAX_OF_ONE_AT_END, period.mul_f64(END_PERIODS))
         && grid_of(times, period).is_none_or(|grid| match grid.parts {
+            None => false,
             // Two senders half a period apart look like one.
-            None | Some(2) => false,
+            Some(2) => grid.alternates,
             Some(_) => !grid.has_most_parts,
         })
 }
@@ -113,6 +121,8 @@ struct FasterSender {
     has_most_parts: bool,
     /// True if some intervals are several of its periods.
     has_losses: bool,
+    /// True if every other of its heartbeats is late by the same time: two senders.
+    alternates: bool,
 }
 
 /// Returns true if one sender with a shorter period explains the last heartbeats. Several senders
@@ -121,7 +131,7 @@ fn is_faster_with_losses(times: &VecDeque<Instant>, period: Duration) -> bool {
     grid_of(times, period).is_some_and(|grid| match grid.parts {
         None => true,
         // Two senders half a period apart look the same.
-        Some(2) => grid.has_losses,
+        Some(2) => grid.has_losses && !grid.alternates,
         Some(_) => grid.has_most_parts,
     })
 }
@@ -147,7 +157,9 @@ fn grid_of(times: &VecDeque<Instant>, period: Duration) -> Option<FasterSender> 
     let whole = parts.round();
     let has_losses = gaps().any(|gap| (gap / step).round() > 1.0);
     if (parts - whole).abs() > GRID_TOLERANCE {
-        return Some(FasterSender { parts: None, has_most_parts: false, has_losses });
+        let grid =
+            FasterSender { parts: None, has_most_parts: false, has_losses, alternates: false };
+        return Some(grid);
     }
     let whole = whole as u32;
     let mut place = 0;
@@ -158,7 +170,29 @@ fn grid_of(times: &VecDeque<Instant>, period: Duration) -> Option<FasterSender> 
     }
     let count = hit.count_ones();
     let has_most_parts = if whole <= 3 { count == whole } else { count * 2 > whole };
-    Some(FasterSender { parts: Some(whole), has_most_parts, has_losses })
+    let alternates = whole == 2 && alternates(gaps(), step);
+    Some(FasterSender { parts: Some(whole), has_most_parts, has_losses, alternates })
+}
+
+/// Returns true if gaps of an odd number of `step` are alternately longer and shorter than that by
+/// the same time, however many heartbeats are lost between them.
+fn alternates(gaps: impl Iterator<Item = f64>, step: f64) -> bool {
+    let mut sign = 1.0;
+    let (mut low, mut high, mut noise, mut count) = (f64::MAX, f64::MIN, 0.0_f64, 0);
+    for gap in gaps {
+        let steps = (gap / step).round();
+        let late = gap - steps * step;
+        if steps % 2.0 == 0.0 {
+            noise = noise.max(late.abs());
+            continue;
+        }
+        (low, high) = (low.min(sign * late), high.max(sign * late));
+        sign = -sign;
+        count += 1;
+    }
+    let noise = noise.max(high - low);
+    let late = if low > 0.0 { low } else { -high };
+    count >= MIN_ALTERNATING_GAPS && late > MIN_PHASE_CONTRAST / 2.0 && 2.0 * late > 3.0 * noise
 }
 
 /// Returns true if equal intervals show one sender with a shorter period. Only with half of it two
@@ -196,7 +230,7 @@ fn second_sender(gaps: &[f64]) -> Option<usize> {
 /// senders almost half a period apart.
 fn has_two_phases(gaps: &[f64]) -> bool {
     let PhaseContrast { apart, noise } = phase_contrast(gaps);
-    apart > 0.04 && apart > 3.0 * noise
+    apart > MIN_PHASE_CONTRAST && apart > 3.0 * noise
 }
 
 /// Difference between every other gap and the others, and within each of both.
@@ -247,5 +281,5 @@ fn is_cycle(gaps: &[f64], senders: usize) -> bool {
     let longest = gaps.iter().copied().fold(0.0, f64::max);
     let shortest = gaps.iter().copied().fold(f64::MAX, f64::min);
     let contrast = longest - shortest;
-    gaps.windows(senders).all(is_period) && contrast > 0.04 && contrast > 3.0 * noise
+    gaps.windows(senders).all(is_period) && contrast > MIN_PHASE_CONTRAST && contrast > 3.0 * noise
 }
