@@ -192,11 +192,12 @@ impl LocalNode {
         (!free.is_empty()).then(|| free[rng.usize(..free.len())])
     }
 
-    /// Claims an address when due, and sends heartbeats and responses that are due.
+    /// Claims an address when due, and sends responses and, if `announces`, heartbeats that are due.
     pub fn handle_timeout(
         &mut self,
         now: Instant,
         profile: &Profile,
+        announces: bool,
         rng: &mut fastrand::Rng,
         outbox: &mut Outbox,
     ) -> Option<AddressChange> {
@@ -232,7 +233,9 @@ impl LocalNode {
             }
             _ => None,
         };
-        self.send_heartbeat(now, profile, rng, outbox);
+        if self.is_heartbeat_due(now) && announces && self.sends_heartbeats(profile) {
+            self.send_heartbeat(profile, rng, outbox);
+        }
         self.send_responses(now, outbox);
         change
     }
@@ -254,19 +257,18 @@ impl LocalNode {
         }
     }
 
-    fn send_heartbeat(
-        &mut self,
-        now: Instant,
-        profile: &Profile,
-        rng: &mut fastrand::Rng,
-        outbox: &mut Outbox,
-    ) {
-        let Some(address) = self.held() else { return };
-        if self.next_heartbeat.is_none_or(|at| now < at) {
-            return;
+    /// Returns true if a heartbeat is due, and plans the next.
+    fn is_heartbeat_due(&mut self, now: Instant) -> bool {
+        let is_due = self.next_heartbeat.is_some_and(|due| due <= now);
+        if is_due {
+            self.next_heartbeat = Some(now + self.period);
         }
-        self.next_heartbeat = Some(now + self.period);
-        if outbox.is_paused() || !self.sends_heartbeats(profile) {
+        is_due
+    }
+
+    fn send_heartbeat(&self, profile: &Profile, rng: &mut fastrand::Rng, outbox: &mut Outbox) {
+        let Some(address) = self.held() else { return };
+        if outbox.is_paused() {
             return;
         }
         let heartbeat = Heartbeat { uid: Some(self.uid), mode: Some(Mode::Work), error: Some(0) };

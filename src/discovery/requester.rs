@@ -43,8 +43,13 @@ impl Requester {
         self.idle.handle_timeout(now, &tracker.config);
         let change = self.outbox.handle_timeout(now);
         self.handle_ack_change(tracker, change);
-        let profile = &tracker.config.profile;
-        let change = self.local_node.handle_timeout(now, profile, &mut self.rng, &mut self.outbox);
+        let change = self.local_node.handle_timeout(
+            now,
+            &tracker.config.profile,
+            !self.is_left_alone(tracker),
+            &mut self.rng,
+            &mut self.outbox,
+        );
         self.handle_address_change(tracker, change);
     }
 

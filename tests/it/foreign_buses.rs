@@ -3,6 +3,9 @@
 use descan::discovery::{BusVerdict, Config, Device, Engine};
 use descan::frame::{CanId, Frame};
 use descan::time::Instant;
+use descan::wire::id::Header;
+use descan::wire::profile::{Announce, Profile};
+use std::sync::Arc;
 
 /// A frame of another protocol at a time in milliseconds.
 type Traffic = Vec<(u64, Frame)>;
@@ -50,9 +53,13 @@ fn heartbeats(until: u64) -> Traffic {
 }
 
 /// An engine that received frames until a time in milliseconds, and the frames that it sent.
-fn observed(mut traffic: Traffic, until: u64) -> (Engine, Vec<Frame>) {
+fn observed(traffic: Traffic, until: u64) -> (Engine, Vec<Frame>) {
+    observed_with(Config::default(), traffic, until)
+}
+
+fn observed_with(config: Config, mut traffic: Traffic, until: u64) -> (Engine, Vec<Frame>) {
     traffic.sort_by_key(|(at, _)| *at);
-    let config = Config { has_loopback: false, ..Config::default() };
+    let config = Config { has_loopback: false, ..config };
     let mut engine = Engine::new(Instant::ZERO, config);
     let mut sent = Vec::new();
     let mut advance = |engine: &mut Engine, to: Instant| {
@@ -122,4 +129,22 @@ fn silent_bus_is_asked_again_and_again() {
     let (engine, sent) = observed(Traffic::new(), 60_000);
     assert_eq!(engine.traffic().verdict(), BusVerdict::Silent);
     assert!(sent.len() >= 4 * 4, "{} requests", sent.len());
+}
+
+#[test]
+fn given_profile_sends_no_heartbeat_on_a_foreign_bus() {
+    for announce in [Announce::Auto, Announce::Always] {
+        let mut profile = Profile::default();
+        profile.given = true;
+        profile.heartbeat.announce = announce;
+        let config = || Config { profile: Arc::new(profile.clone()), ..Config::default() };
+        let (_, sent) = observed_with(config(), standard(20_000), 20_000);
+        assert_eq!(sent, []);
+        let (_, sent) = observed_with(config(), Traffic::new(), 20_000);
+        let heartbeat = profile.heartbeat_service();
+        let is_heartbeat = |frame: &&Frame| {
+            frame.platform_id().is_some_and(|id| Header::decode(id).service == heartbeat)
+        };
+        assert!(sent.iter().any(|frame| is_heartbeat(&frame)), "a silent bus is told");
+    }
 }

@@ -8,6 +8,7 @@ use crate::common::can::{Vcan, run};
 use crate::common::pty::Pty;
 use crate::common::watch_process::Watching;
 use serde_json::Value;
+use std::collections::HashSet;
 use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
@@ -250,6 +251,55 @@ fn interface_changes_are_events() {
     let mut refused = Watching::start(&[vcan.name(), "--json"], folder.path());
     assert_eq!(refused.exit_code(), 3);
     assert_eq!(refused.rest(), "");
+}
+
+/// Six seconds of other protocols, a frame each 10 ms: CANopen, and NMEA 2000, whose identifiers are
+/// those of requests, broadcasts and heartbeats in part.
+fn foreign_log(bus: &str) -> String {
+    use std::fmt::Write;
+    let fast = [0x09F1_1200_u32, 0x0DF1_1900, 0x09F1_1300, 0x09F8_0100, 0x19F5_0B00, 0x09FD_0200];
+    let mut log = String::new();
+    for step in 0..600_u32 {
+        let data = u64::from(step).wrapping_mul(0x9E37_79B9_7F4A_7C15);
+        let id = match step % 2 {
+            0 => format!("{:03X}", 0x180 + step % 20),
+            _ => format!("{:08X}", fast[step as usize / 2 % fast.len()] | (step / 12 % 8 + 1)),
+        };
+        writeln!(log, "({}.{:06}) {bus} {id}#{data:016X}", step / 100, step % 100 * 10_000)
+            .unwrap();
+    }
+    log
+}
+
+#[test]
+fn nothing_is_sent_into_played_foreign_traffic() {
+    let Some(vcan) = Vcan::new("dsp-foreign") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let log = foreign_log(vcan.name());
+    let (played, profile) = (folder.path().join("foreign.log"), folder.path().join("node.toml"));
+    std::fs::write(&played, &log).unwrap();
+    std::fs::write(&profile, "[heartbeat]\nannounce = true\n").unwrap();
+    let id = |line: &str| line.split([' ', '#']).nth(2).unwrap_or_default().to_owned();
+    let known: HashSet<String> = log.lines().map(id).collect();
+
+    let listening = can::listeners(vcan.name(), "raw");
+    let candump = can::Peer::start("candump", &["-L", "-T", "1000", vcan.name()]);
+    can::wait_for_listeners(vcan.name(), "raw", listening + 1);
+    let player = can::Peer::start("canplayer", &["-l", "i", "-I", played.to_str().unwrap()]);
+    let profile = ["--profile", profile.to_str().unwrap()];
+    let scan = ["scan", vcan.name(), "--json", "--for", "6"];
+    let output = program().args(scan).args(profile).stdin(Stdio::null()).output().unwrap();
+    drop(player);
+
+    let report = report(&output);
+    assert_eq!(output.status.code(), Some(0), "{report:#}");
+    assert_eq!(report["buses"][0]["verdict"], "foreign", "{report:#}");
+    assert!(report["buses"][0]["frames"].as_u64().unwrap() >= 300, "{report:#}");
+    assert_eq!(report["devices"].as_array().map(Vec::len), Some(0), "{report:#}");
+    let heard = candump.finish();
+    assert!(heard.lines().count() >= 300, "{heard}");
+    let sent: Vec<_> = heard.lines().filter(|line| !known.contains(&id(line))).collect();
+    assert_eq!(sent, [""; 0]);
 }
 
 #[test]
