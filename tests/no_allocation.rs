@@ -64,8 +64,8 @@ fn steady_traffic_allocates_almost_nothing() {
     let config = Config { listen_only: true, ..Config::default() };
     let buses = vec![("can0".to_owned(), config)];
     let mut app = App::new(Instant::ZERO, AppOptions { buses, ..AppOptions::default() });
-    // Until the ring is full and all statistics have settled.
-    for number in 0..60 {
+    // Until the ring and the histories of all addresses are full and all statistics have settled.
+    for number in 0..110 {
         let frames = second(number);
         let now = Instant::from_micros((number + 1) * 1_000_000);
         for part in frames.chunks(50) {
@@ -76,7 +76,7 @@ fn steady_traffic_allocates_almost_nothing() {
         app.take_dirty();
     }
     let mut allocations = 0;
-    for number in 60..65 {
+    for number in 110..115 {
         let frames = second(number);
         for part in frames.chunks(50) {
             let before = ALLOCATIONS.get();
