@@ -6,6 +6,7 @@ use super::claims::AddressClaims;
 use super::conflicts::ConflictDetector;
 use super::device_table::DeviceTable;
 use super::errors::BusErrorTracker;
+use super::finding_tracker::EvidenceStrength;
 use super::heartbeats::BusDelayTracker;
 use super::observation::{Observation, ObservationKind, PlatformContent};
 use super::presence::Outages;
@@ -261,7 +262,8 @@ impl DeviceTracker {
         Some(row)
     }
 
-    /// Counts a malformed response and reports it as evidence.
+    /// Counts a malformed response and reports it as evidence: weak where frames are lost, because
+    /// what is left of two responses may look like one.
     pub fn report_malformed(
         &mut self,
         now: Instant,
@@ -272,7 +274,12 @@ impl DeviceTracker {
         self.counters.malformed += 1;
         let Some(device) = self.device_table.get(row) else { return };
         let (address, name) = (device.address, device.name.clone());
-        self.conflicts.note_malformed(now, address, name.as_ref(), fault, frame);
+        let strength = if self.lateness.loses_frames(address) {
+            EvidenceStrength::Weak
+        } else {
+            EvidenceStrength::Proof
+        };
+        self.conflicts.note_malformed(now, address, name.as_ref(), fault, frame, strength);
         self.wake_at(now);
     }
 }

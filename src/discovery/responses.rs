@@ -285,11 +285,12 @@ impl Engine {
         let Some(request) = request else { return };
         let Some(device) = self.tracker.device_table.get(row) else { return };
         let again = device.query(request).fault == Some(QueryFault::Transfer(fault));
-        // Repeated or late frames, two responses at once, or responses to several requesters with
+        // Repeated, late or lost frames, two responses at once, or responses to several requesters with
         // one identifier, are not a fault of the device.
         let excused = self.tracker.conflicts.has_duplicate_requests(now)
             || self.tracker.conflicts.finding_tracker().is_open_at(device.address)
             || self.tracker.lateness.is_bus_wide()
+            || self.tracker.lateness.loses_frames(device.address)
             || device.deviations.contains(&ProtocolDeviation::RspDstEcho);
         if again && !excused {
             self.tracker.counters.malformed += 1;

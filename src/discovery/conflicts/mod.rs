@@ -619,13 +619,12 @@ impl ConflictDetector {
         name: Option<&Name>,
         fault: &dyn std::fmt::Display,
         frame: &Frame,
+        strength: EvidenceStrength,
     ) {
         let kind = FindingKind::MalformedAnswer;
         let what = "response, or its last frame";
-        let evidence = NewEvidence {
-            name,
-            ..NewEvidence::new(kind, address, frame, EvidenceStrength::Proof, what)
-        };
+        let evidence =
+            NewEvidence { name, ..NewEvidence::new(kind, address, frame, strength, what) };
         if let Some(at) = self.report(now, evidence) {
             self.finding_tracker
                 .set_text(at, |device| format!("{device} sends malformed DES responses: {fault}."));

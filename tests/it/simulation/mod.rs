@@ -17,7 +17,7 @@ use descan::sim::{ControllerState, Sim, SimDeviceId, SimStation};
 use descan::time::{Duration, Instant};
 use ground_truth::Truth;
 use link_faults::Seen;
-use random_scenario::World;
+use random_scenario::{ForeignNodes, World};
 use std::fmt::Write;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -48,6 +48,28 @@ struct Run {
     devices: Vec<SimDeviceId>,
     truth: Truth,
     inspectors: Vec<Inspector>,
+    foreign: Option<ForeignTraffic>,
+}
+
+/// The nodes of another protocol at the bus.
+struct ForeignTraffic {
+    station: SimStation,
+    nodes: ForeignNodes,
+    due: Instant,
+    sent: usize,
+}
+
+impl ForeignTraffic {
+    /// Sends the frame that is due; returns when the next is.
+    fn advance(&mut self, now: Instant, sim: &mut Sim) -> Instant {
+        while sim.poll_frame(self.station).is_some() {}
+        if self.due <= now {
+            sim.transmit(self.station, self.nodes.frame(self.sent));
+            self.sent += 1;
+            self.due = now + self.nodes.interval;
+        }
+        self.due
+    }
 }
 
 fn instant(at: Duration) -> Instant {
@@ -56,9 +78,16 @@ fn instant(at: Duration) -> Instant {
 
 impl Run {
     fn new(world: World) -> Self {
-        let sim = Sim::new(&world.scenario, world.seed);
+        let mut sim = Sim::new(&world.scenario, world.seed);
         let devices: Vec<SimDeviceId> = sim.devices().collect();
-        let mut run = Self { sim, devices, truth: Truth::default(), inspectors: Vec::new(), world };
+        let foreign = world.foreign.clone().map(|nodes| ForeignTraffic {
+            station: sim.attach(),
+            nodes,
+            due: Instant::ZERO,
+            sent: 0,
+        });
+        let truth = Truth::default();
+        let mut run = Self { sim, devices, truth, inspectors: Vec::new(), foreign, world };
         run.go();
         run
     }
@@ -84,6 +113,9 @@ impl Run {
             }
             if let Some(come) = self.world.inspectors.get(self.inspectors.len()) {
                 next = next.min(instant(come.from));
+            }
+            if let Some(foreign) = &mut self.foreign {
+                next = next.min(foreign.advance(now, &mut self.sim));
             }
             let next = next.min(self.sim.next_event().unwrap_or(end));
             self.sim.advance(next.max(now));
@@ -175,7 +207,9 @@ fn complaints(seed: u64, aloud: bool) -> Vec<String> {
 }
 
 fn tell(run: &Run) {
-    println!("{} bit/s", run.world.scenario.bitrate);
+    let scenario = &run.world.scenario;
+    let (load, loss) = (run.world.load() * 100.0, scenario.rx_loss * 100.0);
+    println!("{} bit/s, load {load:.0} %, {loss:.0} % lost", scenario.bitrate);
     for spec in &run.world.scenario.devices {
         println!("{spec:?}");
     }

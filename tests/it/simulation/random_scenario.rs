@@ -3,9 +3,12 @@
 use super::link_faults::{Deafness, Gateway, Jump, Lens};
 use crate::common::inspection::FAULTS;
 use descan::discovery::Config;
+use descan::frame::{CanId, Frame};
 use descan::sim::{AddressChoice, DeviceAction, DeviceFraming, DeviceSpec, Fault, Scenario};
 use descan::time::Duration;
+use descan::wire::id::Header;
 use descan::wire::node::{Mode, Uid};
+use descan::wire::profile::Profile;
 
 /// The time after which no more changes begin.
 const BUSY: u64 = 22_000;
@@ -22,9 +25,31 @@ pub struct World {
     pub touched: Vec<String>,
     /// The time span of bus errors.
     pub broken: Option<(Duration, Duration)>,
+    pub foreign: Option<ForeignNodes>,
     /// The time after which nothing changes any more.
     pub calm: Duration,
     pub end: Duration,
+}
+
+/// Nodes of another protocol that send beside the devices, always.
+#[derive(Clone, Debug)]
+pub struct ForeignNodes {
+    pub ids: Vec<CanId>,
+    /// Interval of their frames.
+    pub interval: Duration,
+}
+
+impl ForeignNodes {
+    /// Returns the frame with that number.
+    pub fn frame(&self, number: usize) -> Frame {
+        let data = (number as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15);
+        Frame::new(self.ids[number % self.ids.len()], &data.to_be_bytes())
+    }
+
+    /// Returns true if frames of devices and theirs may have the same identifier.
+    pub fn is_extended(&self) -> bool {
+        self.ids.iter().any(|id| matches!(id, CanId::Extended(_)))
+    }
 }
 
 /// An inspector on the bus.
@@ -43,6 +68,7 @@ struct Maker {
     stories: Vec<String>,
     touched: Vec<String>,
     broken: Option<(Duration, Duration)>,
+    foreign: Option<ForeignNodes>,
 }
 
 fn millis(millis: u64) -> Duration {
@@ -63,6 +89,7 @@ impl World {
             stories: Vec::new(),
             touched: Vec::new(),
             broken: None,
+            foreign: None,
         };
         maker.populate();
         maker.disturb();
@@ -81,6 +108,15 @@ impl World {
         if maker.one_in(6) {
             maker.swaps_to_and_fro();
         }
+        if maker.one_in(6) {
+            maker.other_periods();
+        }
+        if maker.one_in(8) {
+            maker.foreign_nodes();
+        }
+        if maker.one_in(20) {
+            maker.scenario.rx_loss = 0.3;
+        }
         Self {
             seed,
             scenario: maker.scenario,
@@ -88,15 +124,17 @@ impl World {
             stories: maker.stories,
             touched: maker.touched,
             broken: maker.broken,
+            foreign: maker.foreign,
             calm: millis(BUSY),
             end: millis(BUSY + CALM),
         }
     }
 
     /// Returns the bus load that the devices cause by themselves, as a fraction.
-    fn load(&self) -> f64 {
+    pub fn load(&self) -> f64 {
         let load: f64 = self.scenario.devices.iter().map(load).sum();
-        load / f64::from(self.scenario.bitrate)
+        let foreign = self.foreign.as_ref().map(|it| 150.0 / it.interval.as_secs_f64());
+        (load + foreign.unwrap_or(0.0)) / f64::from(self.scenario.bitrate)
     }
 
     /// Returns true if the devices alone offer more frames than the bus can carry: frames of the
@@ -119,6 +157,12 @@ impl World {
             && self.scenario.frame_error_probability == 0.0
             && self.scenario.timetable.iter().all(|entry| !entry.device.is_empty())
             && self.inspectors[inspector].lens.is_clear()
+    }
+
+    /// Returns true if so many frames are lost that conflicts are not certain, other than those of
+    /// different UIDs.
+    pub fn is_very_lossy(&self) -> bool {
+        self.scenario.rx_loss > 0.1
     }
 }
 
@@ -506,6 +550,46 @@ impl Maker {
                 break;
             }
         }
+    }
+
+    /// Gives one to three devices, to which nothing else happens, a heartbeat period of their own.
+    fn other_periods(&mut self) {
+        for _ in 0..self.rng.u8(1..=3) {
+            let Some(at) = self.quiet.pop() else { return };
+            let period = millis(self.rng.u64(3..=50) * 100);
+            let device = &mut self.scenario.devices[at];
+            device.heartbeat = Some(period);
+            device.max_heartbeat_delay = device.max_heartbeat_delay.min(period / 10);
+            let label = device.label.clone();
+            self.tell(format!("{label} has a heartbeat period of {period:?}"));
+        }
+    }
+
+    /// Adds nodes of another protocol, which take a tenth to a third of the bus. None of their
+    /// identifiers is that of a heartbeat or a DES message: devices would not work beside it.
+    fn foreign_nodes(&mut self) {
+        let is_extended = self.rng.bool();
+        let is_disturbing = |id: &CanId| match id {
+            CanId::Extended(id) => {
+                let header = Header::decode(*id);
+                let profile = Profile::default();
+                [profile.heartbeat_service(), profile.des_service()].contains(&header.service)
+            }
+            CanId::Standard(_) => false,
+        };
+        let ids = (0..self.rng.usize(1..=40)).map(|_| match is_extended {
+            true => CanId::extended(self.rng.u32(..1 << 29)),
+            false => CanId::standard(self.rng.u32(..1 << 11)),
+        });
+        let ids: Vec<CanId> = ids.flatten().filter(|id| !is_disturbing(id)).collect();
+        if ids.is_empty() {
+            return;
+        }
+        let share = 0.1 + 0.2 * self.rng.f64();
+        let interval = 150.0 / (share * f64::from(self.scenario.bitrate));
+        let interval = Duration::from_micros((interval * 1e6) as u64);
+        self.tell(format!("{} foreign identifiers, extended {is_extended}", ids.len()));
+        self.foreign = Some(ForeignNodes { ids, interval });
     }
 
     fn swap_boards(&mut self, device: DeviceSpec, at: Duration) {
