@@ -276,8 +276,8 @@ fn nothing_is_sent_into_played_foreign_traffic() {
     let Some(vcan) = Vcan::new("dsp-foreign") else { return };
     let folder = tempfile::tempdir().unwrap();
     let log = foreign_log(vcan.name());
-    let (played, profile) = (folder.path().join("foreign.log"), folder.path().join("node.toml"));
-    std::fs::write(&played, &log).unwrap();
+    let (recording, profile) = (folder.path().join("foreign.log"), folder.path().join("node.toml"));
+    std::fs::write(&recording, &log).unwrap();
     std::fs::write(&profile, "[heartbeat]\nannounce = true\n").unwrap();
     let id = |line: &str| line.split([' ', '#']).nth(2).unwrap_or_default().to_owned();
     let known: HashSet<String> = log.lines().map(id).collect();
@@ -285,7 +285,7 @@ fn nothing_is_sent_into_played_foreign_traffic() {
     let listening = can::listeners(vcan.name(), "raw");
     let candump = can::Peer::start("candump", &["-L", "-T", "1000", vcan.name()]);
     can::wait_for_listeners(vcan.name(), "raw", listening + 1);
-    let player = can::Peer::start("canplayer", &["-l", "i", "-I", played.to_str().unwrap()]);
+    let player = can::Peer::start("canplayer", &["-l", "i", "-I", recording.to_str().unwrap()]);
     let profile = ["--profile", profile.to_str().unwrap()];
     let scan = ["scan", vcan.name(), "--json", "--for", "6"];
     let output = program().args(scan).args(profile).stdin(Stdio::null()).output().unwrap();

@@ -566,20 +566,27 @@ impl Maker {
     }
 
     /// Adds nodes of another protocol, which take a tenth to a third of the bus. None of their
-    /// identifiers is that of a heartbeat or a DES message: devices would not work beside it.
+    /// identifiers is that of a heartbeat or a DES message, or has the address of a device as its
+    /// source: the devices would not work beside it.
     fn foreign_nodes(&mut self) {
         let is_extended = self.rng.bool();
+        let devices = &self.scenario.devices;
+        let used: Vec<AddressChoice> = devices.iter().map(|device| device.address).collect();
         let is_disturbing = |id: &CanId| match id {
             CanId::Extended(id) => {
                 let header = Header::decode(*id);
                 let profile = Profile::default();
                 [profile.heartbeat_service(), profile.des_service()].contains(&header.service)
+                    || used.contains(&AddressChoice::Fixed(header.source))
             }
             CanId::Standard(_) => false,
         };
-        let ids = (0..self.rng.usize(1..=40)).map(|_| match is_extended {
-            true => CanId::extended(self.rng.u32(..1 << 29)),
-            false => CanId::standard(self.rng.u32(..1 << 11)),
+        let ids = (0..self.rng.usize(1..=40)).map(|_| {
+            if is_extended {
+                CanId::extended(self.rng.u32(..1 << 29))
+            } else {
+                CanId::standard(self.rng.u32(..1 << 11))
+            }
         });
         let ids: Vec<CanId> = ids.flatten().filter(|id| !is_disturbing(id)).collect();
         if ids.is_empty() {
