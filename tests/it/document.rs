@@ -1109,6 +1109,22 @@ fn twin_is_not_taken_for_the_deleted_entry() {
 }
 
 #[test]
+fn restored_entry_that_came_back_is_not_added_twice() {
+    let base = parsed(r#"[{"name":"FEED","address":12,"static":true},{"name":"SENS"}]"#);
+    let deleted = parsed(r#"[{"name":"SENS"}]"#);
+    let operation = set(&base, "FEED", 16);
+    let merge_ours = merge(&base, &[operation], &deleted, MergePreference::Ours).unwrap();
+    let Merge::Rebased { operations, .. } = merge_ours else { panic!("{merge_ours:?}") };
+    assert!(matches!(operations[..], [Operation::RestoreEntry { .. }]), "{operations:?}");
+    // Meanwhile the other program has put the entry back.
+    let merge_again = merge(&deleted, &operations, &base, MergePreference::Ours).unwrap();
+    let Merge::Rebased { document, .. } = merge_again else { panic!("{merge_again:?}") };
+    assert_eq!(document.entries().len(), 2, "{}", text(&document));
+    let feed = document.entries().iter().find(|entry| entry.name == b"FEED").unwrap();
+    assert_eq!(feed.address, Some(16));
+}
+
+#[test]
 fn dependent_operations_are_merged_in_order() {
     let base = parsed(BASE);
     let mut ours = vec![set(&base, "FEED", 16)];
