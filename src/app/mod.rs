@@ -68,7 +68,7 @@ pub use view::{
 use crate::bitrate::{SearchOutcome, SearchProgress};
 use crate::diagnostic::Diagnostic;
 use crate::discovery::{Config, Device, DeviceId};
-use crate::document::{Document, Entry, NewEntry};
+use crate::document::{Document, Entry, NewEntry, Operation};
 use crate::finding::Finding;
 use crate::frame::{BusIndex, Frame};
 use crate::keymap::{Action, Key, KeyMode, Keymap};
@@ -648,10 +648,12 @@ impl App {
         &self.editor.file
     }
 
-    /// Number of static addresses set by the user that another program has overwritten;
+    /// Names of the entries whose static address, set by the user, another program has overwritten;
     /// [`Action::Save`] restores them.
-    pub fn overwritten_pins(&self) -> usize {
-        self.editor.restoring().len()
+    pub fn overwritten_pins(&self) -> Vec<Name> {
+        let operations = self.editor.restoring();
+        let entries = operations.iter().filter_map(Operation::entry);
+        entries.map(|entry| Name::new(&entry.name)).collect()
     }
 
     /// Number of edits that would be lost if the program ended now, and the file with them; `None`

@@ -453,18 +453,24 @@ fn recording(brush: &DrawContext) -> Option<Part> {
     Some(Part::new(WARNING, spans))
 }
 
-/// Returns how many static addresses of the user another program has overwritten, and the key that
+/// Returns which static addresses of the user another program has overwritten, and the key that
 /// restores them; `None` without any.
 fn overwritten_pins(brush: &DrawContext, whole: bool) -> Option<Part> {
-    let count = brush.app.overwritten_pins();
-    let plural = if count == 1 { "" } else { "s" };
+    /// Longest part of a name, which leaves room for the key.
+    const NAME_WIDTH: usize = 16;
+    let names = brush.app.overwritten_pins();
+    let pins = match names.as_slice() {
+        [] => return None,
+        [name] => format!("pin of {}", fit(&name.quoted().to_string(), NAME_WIDTH).trim_end()),
+        all => format!("{} pins", all.len()),
+    };
     let remedy = if whole {
         format!("; {} restores", brush.app.key_of(Action::Save))
     } else {
         String::new()
     };
-    let text = format!("! {count} pin{plural} overwritten{remedy}");
-    (count > 0).then(|| Part::new(KEPT, vec![brush.span(Role::Warning, text)]))
+    let text = format!("! {pins} overwritten{remedy}");
+    Some(Part::new(KEPT, vec![brush.span(Role::Warning, text)]))
 }
 
 /// Returns the state of des.json; with `whole` also the cause of an error and the next step.

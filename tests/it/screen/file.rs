@@ -479,7 +479,11 @@ fn overwritten_pin_is_named_until_it_is_restored() {
     assert!(stage.file().contains(r#""FEED", "address": 70"#), "{}", stage.file());
     assert!(!stage.screen().contains("overwritten"), "{}", stage.screen());
     stage.write(BOILER).until(60.0);
-    assert!(stage.screen().contains("! 1 pin overwritten; Ctrl-s restores"), "{}", stage.screen());
+    assert!(
+        stage.screen().contains("! pin of FEED overwritten; Ctrl-s restores"),
+        "{}",
+        stage.screen()
+    );
     stage.keys("Ctrl-s");
     assert!(stage.file().contains(r#""FEED", "address": 70"#), "{}", stage.file());
     assert!(!stage.screen().contains("overwritten"), "{}", stage.screen());
