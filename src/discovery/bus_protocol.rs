@@ -12,7 +12,6 @@ use crate::wire::framing::{Framing, classify_response, strip_raw_padding};
 use crate::wire::id::{Address, Header};
 use crate::wire::isotp::Pci;
 use crate::wire::node::Mode;
-use std::collections::VecDeque;
 
 /// Number of impossible identifiers that show another protocol: fewer may be noise, or one device
 /// with faulty firmware.
@@ -22,8 +21,6 @@ const MIN_IMPOSSIBLE: u64 = 10;
 const MIN_DOUBTFUL: u64 = 3;
 /// Bytes of a heartbeat that are compared: those of a UID.
 const UID_BYTES: usize = 6;
-/// Maximum number of plausible heartbeats stored: enough for one period of a small system.
-const MAX_HEARTBEATS: usize = 32;
 
 /// What the frames of other nodes show about the protocol of a bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
@@ -114,14 +111,18 @@ enum DesFit {
 }
 
 /// Collects the signs of a bus's protocol.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct ProtocolDetector {
     traffic: BusTraffic,
-    /// Source and begin of the data of the last plausible heartbeats, on a doubtful bus.
-    heartbeats: VecDeque<(Address, [u8; UID_BYTES])>,
+    /// Begin of the data of the last plausible heartbeat of each address, on a doubtful bus.
+    heartbeats: [Option<[u8; UID_BYTES]>; Address::COUNT],
 }
 
 impl ProtocolDetector {
+    pub fn new() -> Self {
+        Self { traffic: BusTraffic::default(), heartbeats: [None; Address::COUNT] }
+    }
+
     pub fn traffic(&self) -> BusTraffic {
         self.traffic
     }
@@ -157,14 +158,7 @@ impl ProtocolDetector {
         for (byte, data) in uid.iter_mut().zip(frame.data()) {
             *byte = *data;
         }
-        if self.heartbeats.contains(&(source, uid)) {
-            return true;
-        }
-        if self.heartbeats.len() == MAX_HEARTBEATS {
-            self.heartbeats.pop_front();
-        }
-        self.heartbeats.push_back((source, uid));
-        false
+        self.heartbeats[source.index()].replace(uid) == Some(uid)
     }
 }
 

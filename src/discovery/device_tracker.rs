@@ -66,7 +66,7 @@ impl DeviceTracker {
             recent_requests: RecentRequests::new(),
             device_table: DeviceTable::new(config.bus),
             lateness: BusDelayTracker::default(),
-            protocol: ProtocolDetector::default(),
+            protocol: ProtocolDetector::new(),
             claims: AddressClaims::new(),
             outages: Outages::default(),
             events: VecDeque::new(),

@@ -116,6 +116,20 @@ fn devices_among_foreign_nodes_are_found() {
 }
 
 #[test]
+fn many_devices_among_foreign_nodes_are_found() {
+    let numbers = 1..=60;
+    let beat = |at: u64, number: u8| {
+        let id = 0x0700_0001 | u32::from(number) << 17 | (at as u32 / 1000 % 128) << 10;
+        (at + u64::from(number), Frame::classic(id, &[0x11, 0x22, 0x33, 0x44, 0x55, number, 4, 0]))
+    };
+    let beats =
+        (400..20_000).step_by(1000).flat_map(|at| numbers.clone().map(move |it| beat(at, it)));
+    let (engine, _) = observed(standard(20_000).into_iter().chain(beats).collect(), 20_000);
+    assert_eq!(engine.traffic().verdict(), BusVerdict::Des);
+    assert_eq!(engine.devices().iter().filter(|device| device.is_present()).count(), 60);
+}
+
+#[test]
 fn heartbeat_on_a_foreign_bus_starts_the_rounds() {
     let traffic = standard(20_000).into_iter();
     let late = heartbeats(20_000).into_iter().filter(|(at, _)| *at > 10_000);
