@@ -21,6 +21,8 @@ const MIN_INTERVALS: usize = 5;
 /// Deviation of an interval from the median up to which both are one period; heartbeats have a low
 /// priority and may wait on a busy bus. Tuned with the simulation.
 const TOLERANCE: f64 = 0.15;
+/// Number of addresses whose common period is expected of another. Chosen: one may be special.
+const MIN_OTHERS: usize = 2;
 /// Longest interval, in periods of the profile, that may be a period, and the largest divisor of
 /// one for the shortest: a longer one is an interruption, a shorter one a burst. From 17 ms to a
 /// minute, for the default period of 1 s.
@@ -199,9 +201,15 @@ impl HeartbeatPeriods {
         self.expected_of_others(address).max(self.profile)
     }
 
+    /// Returns the median of the other addresses, if two or more are known and most agree: of
+    /// different periods, none is to be expected.
     fn median_without(&self, address: Address) -> Option<Duration> {
         let others = self.intervals.iter().enumerate().filter(|(at, _)| *at != address.index());
-        median(others.filter_map(|(_, intervals)| intervals.median).collect())
+        let medians: Vec<Duration> = others.filter_map(|(_, intervals)| intervals.median).collect();
+        let count = medians.len();
+        let median = median(medians.clone())?;
+        let agreeing = medians.iter().filter(|period| is_near(**period, median)).count();
+        (count >= MIN_OTHERS && agreeing * 3 >= count * 2).then_some(median)
     }
 
     fn update_expected(&mut self) {
@@ -245,7 +253,15 @@ mod tests {
         assert_eq!(periods.of_presence(address(1)), millis(2990), "it is not stale before");
         let periods = measured(false, &intervals);
         assert_eq!(periods.of(address(1)), millis(3000));
-        assert_eq!(periods.of(address(2)), millis(3000), "expected of the others, too");
+        let two = intervals.into_iter().chain(intervals.map(|(_, interval)| (2, interval)));
+        let periods = measured(false, &two.collect::<Vec<_>>());
+        assert_eq!(periods.of(address(3)), millis(3000), "expected of the others, too");
+    }
+
+    #[test]
+    fn different_periods_of_others_are_not_expected() {
+        let mixed = [[(2, 1800), (3, 4900), (4, 3000)]; MAX_INTERVALS].concat();
+        assert_eq!(measured(false, &mixed).of(address(1)), millis(1000));
     }
 
     #[test]
@@ -259,9 +275,9 @@ mod tests {
     fn half_of_the_expected_period_is_not_a_period() {
         let twice = [(1, 500); MAX_INTERVALS];
         assert_eq!(measured(false, &twice).of(address(1)), millis(1000), "by the profile");
-        let slow = [[(2, 3000), (1, 1500)]; MAX_INTERVALS].concat();
-        assert_eq!(measured(false, &slow).of(address(1)), millis(3000), "by another address");
-        let fast = [[(1, 500), (2, 500)]; MAX_INTERVALS + 1].concat();
+        let slow = [[(2, 3000), (3, 3000), (1, 1500)]; MAX_INTERVALS].concat();
+        assert_eq!(measured(false, &slow).of(address(1)), millis(3000), "by other addresses");
+        let fast = [[(1, 500), (2, 500), (3, 500)]; MAX_INTERVALS + 1].concat();
         assert_eq!(measured(false, &fast).of(address(1)), millis(500), "all addresses have it");
         let slower = [(1, 2000); MAX_INTERVALS].into_iter().chain([(1, 1000); MAX_INTERVALS]);
         let slower: Vec<(u8, u64)> = slower.collect();

@@ -144,7 +144,7 @@ impl Case<'_> {
                 && span.from <= at
                 && at.since(span.until) < TEN_SECONDS
                 && (matches!(clash, Clash::Uid(..))
-                    || until.since(span.from) + ahead + SAMPLED >= PERIOD.mul_f64(4.0))
+                    || until.since(span.from) + ahead + SAMPLED >= PERIOD.mul_f64(3.0))
         };
         let config = &inspector.config;
         let names = |one: usize, other: usize| {
