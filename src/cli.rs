@@ -122,6 +122,9 @@ Examples:
     Schema,
 }
 
+/// Most devices that `--expect` waits for: those of several buses.
+const MAX_EXPECTED: usize = 10_000;
+
 /// `descan scan`.
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -154,7 +157,7 @@ pub struct ScanArgs {
     )]
     pub stay: Option<Duration>,
     /// Wait until N devices are present and named, at most --time; debug devices do not count
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = device_count)]
     pub expect: Option<usize>,
 }
 
@@ -329,6 +332,11 @@ fn recording(text: &str) -> Result<PathBuf, String> {
 fn bitrate(text: &str) -> Result<u32, String> {
     let bitrate = text.parse().ok().filter(|rate| (10_000..=1_000_000).contains(rate));
     bitrate.ok_or_else(|| "a bit rate from 10000 to 1000000".to_owned())
+}
+
+fn device_count(text: &str) -> Result<usize, String> {
+    let count = text.parse().ok().filter(|count| (1..=MAX_EXPECTED).contains(count));
+    count.ok_or_else(|| format!("a number of devices, 1 to {MAX_EXPECTED}"))
 }
 
 fn seconds(text: &str) -> Result<Duration, String> {

@@ -76,8 +76,39 @@ struct DeviceReport {
     file: EntryReport,
     also: Vec<SiblingReport>,
     quirks: Vec<&'static str>,
+    /// UIDs of all devices at its address, if several conflict there.
+    #[serde(skip)]
+    conflict_uids: Vec<String>,
     #[serde(skip)]
     clash: bool,
+}
+
+impl DeviceReport {
+    /// The UID, or those of all devices in conflict at the address, since the frames do not tell
+    /// whose the row is.
+    fn uid_cell(&self) -> String {
+        if self.clash && self.conflict_uids.len() > 1 {
+            return self.conflict_uids.join(" / ");
+        }
+        self.uid.clone().unwrap_or_else(|| "?".to_owned())
+    }
+
+    /// The services with their versions; in a conflict all lists received.
+    fn services_cell(&self) -> String {
+        if !self.services_known {
+            return "?".to_owned();
+        }
+        let text = |list: &Vec<ServiceReport>| {
+            let service = |service: &ServiceReport| {
+                format!("{} {}", service.name, service.version).trim_end().to_owned()
+            };
+            list.iter().map(service).collect::<Vec<_>>().join(", ")
+        };
+        let lists: Vec<String> =
+            std::iter::once(&self.services).chain(&self.other_services).map(text).collect();
+        let whose = if self.clash && lists.len() == 1 { " (of one of them)" } else { "" };
+        lists.join(" / ") + whose
+    }
 }
 
 /// The same device on another bus.
@@ -293,14 +324,6 @@ impl ScanReport {
         let mut rows =
             vec![["BUS", "ADDR", "NAME", "STATE", "MODE", "UID", "SERVICES"].map(str::to_owned)];
         for device in &self.devices {
-            let services: Vec<String> = device
-                .services
-                .iter()
-                .map(|service| {
-                    format!("{} {}", service.name, service.version).trim_end().to_owned()
-                })
-                .collect();
-            let services = if device.services_known { services.join(", ") } else { "?".to_owned() };
             let state = if device.clash { "CONFLICT" } else { device.presence };
             let unknown = if device.working { "working" } else { "non-working" };
             rows.push([
@@ -309,8 +332,8 @@ impl ScanReport {
                 device.name.clone().unwrap_or_else(|| "?".to_owned()),
                 state.to_owned(),
                 device.mode.unwrap_or(unknown).to_owned(),
-                device.uid.clone().unwrap_or_else(|| "?".to_owned()),
-                services,
+                device.uid_cell(),
+                device.services_cell(),
             ]);
         }
         let first = usize::from(!several);
@@ -395,11 +418,14 @@ fn of_device(app: &App, bus: &Bus, device: &Device) -> DeviceReport {
     let millis = |duration: Duration| (duration.as_secs_f64() * 1e4).round() / 10.0;
     let alphabet = &bus.config().profile.uid;
     let services = device.services.as_deref().unwrap_or_default();
-    let clash = bus.findings().iter().any(|finding| {
+    let mut conflicts = bus.findings().iter().filter(|finding| {
         finding.state == FindingState::Confirmed
             && finding.key.kind.is_conflict()
             && crate::app::concerns(finding, device)
     });
+    let clash = conflicts.clone().next().is_some();
+    let at_one_address =
+        conflicts.find(|finding| finding.addresses.len() == 1 && finding.uids.len() > 1);
     DeviceReport {
         bus: bus.name.clone(),
         address: device.address.number(),
@@ -423,6 +449,8 @@ fn of_device(app: &App, bus: &Bus, device: &Device) -> DeviceReport {
         file: of_entry(app, device),
         also: of_siblings(app, device),
         quirks: device.deviations.iter().map(|deviation| deviation.name()).collect(),
+        conflict_uids: at_one_address
+            .map_or_else(Vec::new, |finding| finding.uids.iter().map(SeenUid::label).collect()),
         clash,
     }
 }

@@ -143,7 +143,7 @@ pub fn warn_incomplete(app: &App, ending: Option<StopReason>) {
             }
             config if config.listen_only || !config.send_requests => continue,
             _ if ending == Some(StopReason::TimeUp) && !is_settled(app) => {
-                "timed out before all responses arrived; use a longer --time"
+                "not all responses arrived in time; give it longer (--time, or --for)"
             }
             _ => continue,
         };
@@ -235,13 +235,20 @@ fn write_document(app: &App, path: &Path) -> Result<(), Failure> {
             count += 1;
         }
     }
-    write_new(path, None, document.source()).map_err(|fault| fault.of(shown(path)))?;
+    if count > 0 {
+        write_new(path, None, document.source()).map_err(|fault| fault.of(shown(path)))?;
+    }
     let devices = if count == 1 { "device" } else { "devices" };
     let left_out = if left_out.is_empty() {
         String::new()
     } else {
         format!("; left out: {}", left_out.join(", "))
     };
-    output::say(format_args!("{}: {count} {devices} written{left_out}", shown(path)));
+    let path = shown(path);
+    if count == 0 {
+        output::say(format_args!("{path}: not written: no device with a name{left_out}"));
+    } else {
+        output::say(format_args!("{path}: {count} {devices} written{left_out}"));
+    }
     Ok(())
 }

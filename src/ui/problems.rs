@@ -234,7 +234,7 @@ impl ProblemDetails<'_, '_> {
                 let since = format_time_of_day(self.brush.app, seen.since);
                 format!("{}, since {since}", seen.label())
             });
-            let others = others.collect::<Vec<String>>().join(" and ");
+            let others = others.collect::<Vec<String>>().join(", and ");
             let verb = if later.len() == 1 { "conflicts" } else { "conflict" };
             self.add("", Role::Text, &format!("{others}, {verb} with {}.", first.label()));
         }

@@ -534,6 +534,37 @@ fn scan_writes_des_json_and_never_overwrites() {
 }
 
 #[test]
+fn scan_without_devices_writes_no_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let frames: String = (0..300)
+        .map(|at| format!("({}.{:03}) can0 181#{at:04X}\n", at / 50, at % 50 * 20))
+        .collect();
+    std::fs::write(folder.path().join("other.log"), frames).unwrap();
+    let output = descan(&["scan", "file:other.log", "--write", "found.json"], folder.path());
+    assert_eq!(output.status.code(), Some(0));
+    let said = text(&output.stderr);
+    assert!(said.contains("found.json: not written: no device with a name"), "{said}");
+    assert!(!folder.path().join("found.json").exists());
+}
+
+#[test]
+fn scan_table_names_all_uids_of_a_conflict() {
+    let folder = tempfile::tempdir().unwrap();
+    let beat = |at: usize| {
+        let uid = ["8AFA6C972411", "9A5964000000"][at % 2];
+        let id = 0x0718_0001 | (at * 29 % 128) << 10;
+        format!("({}.{}) can0 {id:08X}#{uid}0400\n", at / 2, at % 2 * 4)
+    };
+    let frames: String = (0..30).map(beat).collect();
+    std::fs::write(folder.path().join("both.log"), frames).unwrap();
+    let output = descan(&["scan", "file:both.log"], folder.path());
+    assert_eq!(output.status.code(), Some(1));
+    let table = text(&output.stdout);
+    let row = table.lines().find(|line| line.contains("CONFLICT")).unwrap();
+    assert!(row.contains(" / "), "{row}");
+}
+
+#[test]
 fn scan_with_file_lists_differences() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("session.log"), log(&two_devices(), 8)).unwrap();
@@ -767,7 +798,7 @@ fn incomplete_scan_says_why_on_stderr() {
     let folder = tempfile::tempdir().unwrap();
     let stderr = |arguments: &[&str]| text(&descan(arguments, folder.path()).stderr);
     let said = stderr(&["scan", "sim:boiler", "--time", "0.5"]);
-    assert!(said.contains("timed out before all responses arrived"), "{said}");
+    assert!(said.contains("not all responses arrived in time"), "{said}");
     let said = stderr(&["scan", "sim:boiler", "--listen-only", "--time", "2"]);
     assert!(said.contains("listen-only: no requests are sent"), "{said}");
     let said = stderr(&["scan", "sim:boiler", "--no-scan", "--time", "2"]);
