@@ -638,6 +638,11 @@ impl App {
         self.buses.is_search_complete(bus, self.clock.now())
     }
 
+    /// Why the first bus that speaks another protocol is taken for one; `None` without any.
+    pub fn foreign_reason(&self) -> Option<String> {
+        self.buses().iter().find_map(|bus| bus.traffic().foreign_reason())
+    }
+
     /// Returns true if the bit rate of a bus is being searched.
     pub fn searches_bitrate_of(&self, bus: BusIndex) -> bool {
         self.buses.searched() == Some(bus)

@@ -182,8 +182,7 @@ fn draw_nothing(brush: &mut DrawContext, list: Rect) {
         return brush.draw_no_match(list, "no device matches the filter");
     }
     let is_over = !app.buses().is_empty() && app.buses().iter().all(|bus| bus.ended.is_some());
-    let mut reasons = app.buses().iter().filter_map(|bus| bus.traffic().foreign_reason());
-    if let Some(reason) = reasons.next() {
+    if let Some(reason) = app.foreign_reason() {
         return brush.draw_empty_list(list, &reason);
     }
     let is_listening = app.buses().iter().any(crate::app::Bus::is_up);

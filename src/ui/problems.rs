@@ -48,6 +48,9 @@ fn draw_list(brush: &mut DrawContext) {
         if !app.view().filter(Page::Problems).is_empty() {
             return brush.draw_no_match(list, "no problem matches the filter");
         }
+        if let Some(reason) = app.foreign_reason() {
+            return brush.draw_empty_list(list, &reason);
+        }
         // A bus that is not up may have problems that were not received.
         let text = if brush.cannot_receive() { "no problems so far" } else { "no problems found" };
         return brush.draw_empty_list(list, text);

@@ -87,6 +87,17 @@ fn unreachable_bus_is_not_reported_free_of_problems() {
 }
 
 #[test]
+fn foreign_bus_is_named_on_devices_and_problems() {
+    let frame = Frame::new(descan::frame::CanId::Standard(0x181), &[1; 8]);
+    let mut stage = hearing_only(frame);
+    for page in ["1", "4"] {
+        let screen = one_line(&stage.keys(page).screen());
+        assert!(screen.contains("this bus does not speak DES"), "{screen}");
+        assert!(!screen.contains("no problems found"), "{screen}");
+    }
+}
+
+#[test]
 fn renamed_interface_and_lost_frames_are_shown() {
     let mut stage = Stage::boiler();
     let status = BusStatus {
