@@ -9,7 +9,7 @@ use crate::app::{
 };
 use crate::bitrate::kbit;
 use crate::discovery::{Device, DeviceService, OwnAddress};
-use crate::finding::{Evidence, ExitCodeScope, Finding, FindingState, SeenUid};
+use crate::finding::{Evidence, ExitCodeScope, Finding, FindingKind, FindingState, SeenUid};
 use crate::frame::{BusIndex, Frame};
 use crate::regular_file::shown;
 use crate::status::Link;
@@ -159,6 +159,8 @@ pub(super) struct FindingReport {
     first: f64,
     last: f64,
     cleared_at: Option<f64>,
+    /// Kind of the finding that replaced it, if that is why it was cleared.
+    superseded_by: Option<&'static str>,
     evidence: Vec<EvidenceReport>,
     text: String,
     remedy: String,
@@ -167,8 +169,6 @@ pub(super) struct FindingReport {
     /// Times of its first evidence and of its end, for tables.
     #[serde(skip)]
     times: String,
-    #[serde(skip)]
-    is_superseded: bool,
 }
 
 #[derive(Debug, Serialize)]
@@ -277,7 +277,7 @@ impl ScanReport {
         text.push('\n');
         text.push_str(&self.device_table());
         text.push_str(&self.on_several_buses());
-        for finding in self.findings.iter().filter(|finding| !finding.is_superseded) {
+        for finding in self.findings.iter().filter(|finding| finding.superseded_by.is_none()) {
             let bus = finding.bus.as_ref().filter(|_| self.buses.len() > 1);
             let bus = bus.map(|bus| format!(" on {bus}")).unwrap_or_default();
             let (confidence, kind) = (finding.confidence, finding.kind);
@@ -498,6 +498,7 @@ pub(super) fn of_finding(
         first: epoch.unix_secs(finding.first),
         last: epoch.unix_secs(finding.last),
         cleared_at: cleared_at.map(|at| epoch.unix_secs(at)),
+        superseded_by: finding.superseded_by.map(FindingKind::name),
         evidence: finding.evidence.iter().map(|piece| of_evidence(app, piece)).collect(),
         text: finding.text.clone(),
         remedy: finding.remedy.clone(),
@@ -511,7 +512,6 @@ pub(super) fn of_finding(
             Some(cleared) => format!("{} to {}", time(finding.first), time(cleared)),
             None => format!("since {}", time(finding.first)),
         },
-        is_superseded: finding.superseded_by.is_some(),
     }
 }
 

@@ -343,6 +343,7 @@ fn finding_evidence_names_log_lines() {
         "address",
         "bus",
         "cleared_at",
+        "superseded_by",
         "confidence",
         "evidence",
         "first",
@@ -536,10 +537,9 @@ fn scan_writes_des_json_and_never_overwrites() {
 #[test]
 fn scan_without_devices_writes_no_file() {
     let folder = tempfile::tempdir().unwrap();
-    let frames: String = (0..300)
-        .map(|at| format!("({}.{:03}) can0 181#{at:04X}\n", at / 50, at % 50 * 20))
-        .collect();
-    std::fs::write(folder.path().join("other.log"), frames).unwrap();
+    let frame = |at: u32| format!("({}.{:03}) can0 181#{at:04X}\n", at / 50, at % 50 * 20);
+    let frames: Vec<String> = (0..300).map(frame).collect();
+    std::fs::write(folder.path().join("other.log"), frames.concat()).unwrap();
     let output = descan(&["scan", "file:other.log", "--write", "found.json"], folder.path());
     assert_eq!(output.status.code(), Some(0));
     let said = text(&output.stderr);

@@ -92,7 +92,13 @@ pub fn event_text(buses: &Buses, bus: BusIndex, event: &Event) -> Option<(Timeli
         EventKind::Finding { key, state } => {
             let found = buses.finding(bus, key);
             let text = found.map_or("", |finding| finding.text.as_str());
-            finding_line(*state, key, text)
+            let superseded_by = found.and_then(|finding| finding.superseded_by);
+            match superseded_by.filter(|_| *state == FindingState::Cleared) {
+                Some(kind) => {
+                    (TimelineKind::Cleared, format!("now {}, was: {text}", kind.headline()))
+                }
+                None => finding_line(*state, key, text),
+            }
         }
         EventKind::OwnAddress(address) => (TimelineKind::Bus, format!("using address {address}")),
         EventKind::OwnAddressLost(address) => {
