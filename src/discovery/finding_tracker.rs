@@ -86,6 +86,8 @@ pub(super) struct NewEvidence<'a> {
     pub excludes_one_device: bool,
     /// True if it is a response: more evidence is expected only after a request.
     pub is_response: bool,
+    /// True if it counts but cannot confirm the finding yet.
+    pub is_preliminary: bool,
 }
 
 impl<'a> NewEvidence<'a> {
@@ -108,6 +110,7 @@ impl<'a> NewEvidence<'a> {
             since: None,
             excludes_one_device: false,
             is_response: false,
+            is_preliminary: false,
         }
     }
 }
@@ -581,7 +584,8 @@ impl FindingTracker {
         if strength == EvidenceStrength::Proof && strong >= CONFIRM_AFTER_PROOFS {
             self.set(now, at, FindingState::Confirmed);
         }
-        if strength != EvidenceStrength::Weak || evidence.since.is_some() {
+        let counts = strength != EvidenceStrength::Weak || evidence.since.is_some();
+        if counts && !evidence.is_preliminary {
             self.update_state(now, at);
         }
         Some(at)

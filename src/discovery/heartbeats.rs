@@ -107,7 +107,7 @@ impl DeviceTracker {
         let Some(device) = self.device_table.get_mut(row) else { return };
         let expected = device.heartbeat.period();
         let jitter = device.heartbeat.jitter();
-        let expects = self.conflicts.periods().is_reliable();
+        let expects = self.conflicts.periods().is_reliable(header.source);
         let gap =
             device.heartbeat.record_heartbeat(now, period, expects.then_some(missed_in_outage));
         if first {

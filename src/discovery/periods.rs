@@ -21,6 +21,9 @@ const MIN_INTERVALS: usize = 5;
 /// Deviation of an interval from the median up to which both are one period; heartbeats have a low
 /// priority and may wait on a busy bus. Tuned with the simulation.
 const TOLERANCE: f64 = 0.15;
+/// Deviation up to which the median intervals of devices are one period: they have the same setting,
+/// and most of the jitter is not in a median. Tuned with the simulation.
+const COMMON_TOLERANCE: f64 = 0.05;
 /// Number of addresses whose common period is expected of another. Chosen: one may be special.
 const MIN_OTHERS: usize = 2;
 /// Longest interval, in periods of the profile, that may be a period, and the largest divisor of
@@ -60,8 +63,12 @@ impl Intervals {
 
 /// Returns true if an interval is a period, within the tolerance.
 fn is_near(interval: Duration, period: Duration) -> bool {
-    let off = (interval.as_secs_f64() - period.as_secs_f64()).abs();
-    off <= TOLERANCE * period.as_secs_f64()
+    deviates_by(interval, period) <= TOLERANCE
+}
+
+/// Returns the deviation of an interval from a period, as a fraction of the period.
+fn deviates_by(interval: Duration, period: Duration) -> f64 {
+    (interval.as_secs_f64() / period.as_secs_f64() - 1.0).abs()
 }
 
 /// Heartbeat period of each address on one bus.
@@ -71,7 +78,7 @@ pub(super) struct HeartbeatPeriods {
     profile: Duration,
     /// True if the user gave the profile: other addresses then do not change what is expected.
     is_given: bool,
-    /// True if an interval of the profile's period was observed, or another period measured.
+    /// True if an interval of the profile's period was observed.
     is_observed: bool,
     intervals: Vec<Intervals>,
     /// Period of each address, measured or expected.
@@ -118,10 +125,14 @@ impl HeartbeatPeriods {
         median(measured.collect()).unwrap_or(self.profile)
     }
 
-    /// Returns true if a single heartbeat shows when the next one is due: the profile is given, or an
-    /// interval of its period was observed on the bus, or another period was measured.
-    pub fn is_reliable(&self) -> bool {
-        self.is_given || self.is_observed
+    /// Returns true if a single heartbeat of `address` shows when the next one is due: the profile is
+    /// given, or an interval of its period was observed on the bus, or the period is known from this
+    /// address or from the others.
+    pub fn is_reliable(&self, address: Address) -> bool {
+        self.is_given
+            || self.is_observed
+            || self.intervals[address.index()].measured.is_some()
+            || self.of(address) != self.profile
     }
 
     /// Notes the time between two heartbeats of one sender. Returns true if an expected period
@@ -150,7 +161,6 @@ impl HeartbeatPeriods {
             intervals.is_established = intervals.recent.len() == MAX_INTERVALS;
         }
         intervals.median = median.or(intervals.median);
-        self.is_observed |= intervals.median.is_some();
         let has_changed = before != (intervals.median, intervals.measured);
         if has_changed {
             self.update_expected();
@@ -208,7 +218,8 @@ impl HeartbeatPeriods {
         let medians: Vec<Duration> = others.filter_map(|(_, intervals)| intervals.median).collect();
         let count = medians.len();
         let median = median(medians.clone())?;
-        let agreeing = medians.iter().filter(|period| is_near(**period, median)).count();
+        let is_common = |period: &&Duration| deviates_by(**period, median) <= COMMON_TOLERANCE;
+        let agreeing = medians.iter().filter(is_common).count();
         (count >= MIN_OTHERS && agreeing * 3 >= count * 2).then_some(median)
     }
 

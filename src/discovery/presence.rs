@@ -120,7 +120,7 @@ impl PresenceInput<'_> {
     pub fn evaluate(&self, device: &Device, now: Instant) -> (Presence, Option<Instant>) {
         let period = self.periods.of_presence(device.address);
         let lost_after = period * 5;
-        let is_known = device.heartbeat.count > 1 || self.periods.is_reliable();
+        let is_known = device.heartbeat.count > 1 || self.periods.is_reliable(device.address);
         let stale_after = if is_known { period.mul_f64(STALE_PERIODS) } else { lost_after };
         let Some(last_heartbeat) = device.heartbeat.last.filter(|_| !is_claim_only(device, period))
         else {

@@ -17,6 +17,10 @@ use std::collections::VecDeque;
 /// to generate RND7. Two devices that do not, and so send equal heartbeats, are rarely this close:
 /// a tenth of the default period.
 const COPY_WINDOW: Duration = Duration::from_millis(100);
+/// Longest delay of a bridge: of 300 frames in its queue, at 125 kbit/s.
+const LONGEST_DELAY: Duration = Duration::from_millis(300);
+/// The same in periods of a fast sender, whose next heartbeat may be as early by jitter.
+const MAX_COPY_PERIODS: f64 = 0.75;
 /// Frames of heartbeats stored per address: the last two are evidence.
 const MAX_FRAMES: usize = 2;
 /// Maximum number of senders at one address that are distinguished by their phases: as many as
@@ -74,7 +78,7 @@ impl HeartbeatHistory {
     /// after it.
     pub fn record(&mut self, now: Instant, frame: &Frame, period: Duration) -> RecordedHeartbeat {
         let window = match self.rnd7 {
-            Rnd7::Random => period / 2,
+            Rnd7::Random => (period / 2).max(LONGEST_DELAY.min(period.mul_f64(MAX_COPY_PERIODS))),
             Rnd7::Constant | Rnd7::Unknown => COPY_WINDOW,
         };
         let last = self.frames.back();

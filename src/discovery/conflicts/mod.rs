@@ -32,7 +32,7 @@ use history::AddressHistory;
 pub(super) use query_responses::RequestOrigin;
 use query_responses::SurplusResponse;
 use recent_values::ObservedValue;
-use repeated_frames::RepeatedFrameDetector;
+use repeated_frames::{COPIES_OF_ONE, RepeatedFrameDetector};
 use rhythm::{HeartbeatPattern, WINDOW_PERIODS};
 use std::borrow::Cow;
 
@@ -51,6 +51,13 @@ const UID_MEMORY_PERIODS: u32 = 5;
 /// Longest time between two heartbeats of a sender, in periods, if another one sends meanwhile: one
 /// of them may be lost. Boards that take turns are plugged in and start for longer.
 const INTERLEAVED_PERIODS: f64 = 2.6;
+
+/// Periods without a change of the name after which equal responses come from devices of one name:
+/// ten requests about a suspected finding, one per second, or one round of another inspector.
+const NAME_GAP_PERIODS: u32 = 12;
+/// Periods after a change of the name in which heartbeats and services may be those of the device
+/// with the other name: three rounds (protocol §4.4).
+const NAME_MEMORY_PERIODS: u32 = 30;
 
 /// Periods after a heartbeat from an address with several senders in which the next one is due.
 /// Chosen: one period and its jitter.
@@ -104,9 +111,11 @@ struct AddressFindings {
     has_two_names: bool,
     /// Heartbeats there have two phases or two UIDs, or two devices are known by other evidence.
     has_second_sender: bool,
-    /// Another name responded there in the last 30 periods: further evidence then more likely
+    /// Another name responded there recently: further evidence then more likely
     /// concerns that device than two devices of the present name.
     had_other_name: bool,
+    /// Too few heartbeats arrived to show whether frames from there are repeated.
+    may_be_repeated: bool,
 }
 
 impl AddressFindings {
@@ -268,6 +277,7 @@ impl ConflictDetector {
         let evidence = NewEvidence {
             name,
             is_response: true,
+            is_preliminary: others.may_be_repeated && kind == FindingKind::AnswersDoubled,
             excludes_one_device,
             ..NewEvidence::new(kind, address, frame, strength, what)
         };
@@ -441,7 +451,13 @@ impl ConflictDetector {
         if let Some(evidence) = evidence {
             self.report(now, evidence);
         }
-        if let Some(interval) = observed.interval
+        // Devices that claim an address in turns send these heartbeats unscheduled.
+        let history = &self.histories[address.index()];
+        let takes_turns = |interval: Duration| {
+            history.sender_changed_at.is_some_and(|at| now.since(at) < interval)
+        };
+        let scheduled = observed.interval.filter(|it| !(mode.is_resolving && takes_turns(*it)));
+        if let Some(interval) = scheduled
             && self.periods.note_interval(address, interval)
         {
             self.apply_periods();
@@ -738,16 +754,19 @@ impl ConflictDetector {
     /// Returns the findings about `address` that explain other evidence there.
     fn findings_at(&self, now: Instant, address: Address) -> AddressFindings {
         let two_names = FindingKind::OneAddressTwoNames;
-        let names = &self.histories[address.index()].names;
-        let second_sender_at = self.histories[address.index()].second_sender_at;
-        let recent = self.periods.of(address).mul_f64(INTERLEAVED_PERIODS);
+        let history = &self.histories[address.index()];
+        let AddressHistory { names, heartbeats, second_sender_at, .. } = history;
+        let period = self.periods.of(address);
+        let recent = period.mul_f64(INTERLEAVED_PERIODS);
+        let changed_within = |periods: u32| names.changed_within(now, period * periods);
         AddressFindings {
             has_second_sender: second_sender_at.is_some_and(|at| now.since(at) < recent)
                 || self.repeated_frames.two_devices_since(address).is_some()
                 || self.finding_tracker.has_strong(FindingKind::SameNameSameAddress, address),
-            has_two_names: self.finding_tracker.has_strong(two_names, address),
-            had_other_name: names.changed_within(now, self.periods.of(address) * 30)
-                || self.finding_tracker.is_open(two_names, address),
+            has_two_names: self.finding_tracker.has_strong(two_names, address)
+                && changed_within(NAME_GAP_PERIODS),
+            had_other_name: changed_within(NAME_MEMORY_PERIODS),
+            may_be_repeated: (1..=COPIES_OF_ONE as usize).contains(&heartbeats.times().len()),
         }
     }
 }
@@ -805,6 +824,7 @@ fn surplus_response<'a>(
     NewEvidence {
         name,
         is_response: true,
+        is_preliminary: others.may_be_repeated && kind == FindingKind::AnswersDoubled,
         contradicts: Some(("first response to one request".into(), surplus.first)),
         ..NewEvidence::new(kind, address, frame, strength, "second response to one request")
     }

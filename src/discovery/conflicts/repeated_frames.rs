@@ -20,7 +20,7 @@ use std::hash::{DefaultHasher, Hash, Hasher};
 
 /// Successive copied heartbeats of one address that show repeated frames. Chance gives two senders
 /// equal RND7 once in 128: three in a row once in two million.
-const COPIES_OF_ONE: u32 = 3;
+pub(super) const COPIES_OF_ONE: u32 = 3;
 /// Longest delay of copies of one address. A gateway forwards within a few frames; two devices with
 /// equal random numbers are rarely this close.
 const MAX_DELAY_OF_ONE: Duration = Duration::from_millis(100);

@@ -12,7 +12,7 @@ use descan::text::Name;
 use descan::time::{Duration, Instant};
 use descan::wire::id::{Address, Header};
 use descan::wire::node::Uid;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 const PERIOD: Duration = Duration::from_secs(1);
 /// Time limit for confirming a detectable conflict, and for clearing one that has ended.
@@ -183,11 +183,13 @@ impl Case<'_> {
                 true
             }
             FindingKind::SameNameSameAddress | FindingKind::AnswersDoubled => {
-                // A listen-only inspector may not receive the names, another not yet both.
+                // A listen-only inspector may not receive the names, another not yet both, and
+                // the heartbeats of equal UIDs tell no names.
                 any(&|it| {
                     matches!(*it, Clash::Address(_, a, b)
                         if config.listen_only
                             || course.names.len() < 2
+                            || uid(a) == uid(b)
                             || self.spec(a).faults.has(Fault::NoDes)
                             || is_unreadable(self.spec(a))
                             || is_unreadable(self.spec(b))
@@ -283,10 +285,11 @@ impl Case<'_> {
         };
         let all = self.run.truth.clashes().chain(self.run.truth.both_on());
         let mut crowd: Vec<(Clash, Span)> = all.filter(|(clash, _)| here(clash)).collect();
-        let mut pairs: Vec<Clash> = crowd.iter().map(|(clash, _)| *clash).collect();
-        pairs.sort();
-        pairs.dedup();
-        if pairs.len() < 3 {
+        let both = crowd.iter().flat_map(|(clash, _)| match *clash {
+            Clash::Address(_, one, other) => [one, other],
+            Clash::Uid(..) => unreachable!(),
+        });
+        if both.collect::<BTreeSet<usize>>().len() < 3 {
             return Vec::new();
         }
         crowd.sort_by_key(|(_, span)| span.until);
