@@ -4,6 +4,7 @@ use super::conflicts::{ModeFlags, Repetition};
 use super::device::{MISSED_HEARTBEAT_PERIODS, ModeChange, ProtocolDeviation, Query};
 use super::device_tracker::DeviceTracker;
 use super::local_node::is_inspector_uid;
+use super::periods::PeriodChange;
 use super::resolution::HeartbeatContext;
 use super::{DeviceId, EventKind, Presence};
 use crate::frame::Frame;
@@ -110,7 +111,8 @@ impl DeviceTracker {
         let expects = self.conflicts.periods().is_reliable(header.source);
         let gap =
             device.heartbeat.record_heartbeat(now, period, expects.then_some(missed_in_outage));
-        if first {
+        // The second one shows when the third is due.
+        if device.heartbeat.count <= 2 {
             self.wake_at(now + period * 2);
         }
         let Some(device) = self.device_table.get_mut(row) else { return };
@@ -198,7 +200,12 @@ impl DeviceTracker {
         let mode = ModeFlags { is_working: device.is_working, is_resolving: device.is_resolving };
         let name = device.name.clone();
         if repetition == Repetition::None && header.response {
-            self.conflicts.note_heartbeat(now, address, heartbeat.uid, mode, name.as_ref(), frame);
+            let uid = heartbeat.uid;
+            let change =
+                self.conflicts.note_heartbeat(now, address, uid, mode, name.as_ref(), frame);
+            if change != PeriodChange::None {
+                self.wake_at(now);
+            }
         }
         self.errors.note_heartbeat(now, address, frame);
         if self.conflicts.finding_tracker().is_suspicious() {

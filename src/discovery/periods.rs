@@ -71,6 +71,16 @@ fn deviates_by(interval: Duration, period: Duration) -> f64 {
     (interval.as_secs_f64() / period.as_secs_f64() - 1.0).abs()
 }
 
+/// What an interval between heartbeats changed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum PeriodChange {
+    None,
+    /// What presence is judged by, but not an expected period.
+    Presence,
+    /// An expected period.
+    Expected,
+}
+
 /// Heartbeat period of each address on one bus.
 #[derive(Debug)]
 pub(super) struct HeartbeatPeriods {
@@ -135,12 +145,12 @@ impl HeartbeatPeriods {
             || self.of(address) != self.profile
     }
 
-    /// Notes the time between two heartbeats of one sender. Returns true if an expected period
-    /// changed.
-    pub fn note_interval(&mut self, address: Address, interval: Duration) -> bool {
+    /// Notes the time between two heartbeats of one sender. Returns what changed by it.
+    pub fn note_interval(&mut self, address: Address, interval: Duration) -> PeriodChange {
         if interval > self.profile * MAX_PERIODS || interval < self.profile / MAX_PERIODS {
-            return false;
+            return PeriodChange::None;
         }
+        let was_observed = self.is_observed;
         self.is_observed |= is_near(interval, self.profile);
         let intervals = &mut self.intervals[address.index()];
         if intervals.recent.len() == MAX_INTERVALS {
@@ -149,7 +159,7 @@ impl HeartbeatPeriods {
         intervals.recent.push_back(interval);
         // The usual case: one more interval of the known period.
         if intervals.is_established && intervals.measured.is_some_and(|it| is_near(interval, it)) {
-            return false;
+            return PeriodChange::None;
         }
         let median = intervals.regular_interval(self.profile);
         let median = median.map(|interval| self.rounded(interval));
@@ -162,10 +172,15 @@ impl HeartbeatPeriods {
         }
         intervals.median = median.or(intervals.median);
         let has_changed = before != (intervals.median, intervals.measured);
+        let is_unmeasured = intervals.measured.is_none();
         if has_changed {
             self.update_expected();
+            PeriodChange::Expected
+        } else if is_unmeasured || self.is_observed != was_observed {
+            PeriodChange::Presence
+        } else {
+            PeriodChange::None
         }
-        has_changed
     }
 
     /// Forgets the intervals of `address`: its device is lost. Those of a device whose period is not

@@ -16,7 +16,7 @@ mod rhythm;
 
 use super::finding_text;
 use super::finding_tracker::{EvidenceStrength, FindingTracker, NewEvidence};
-use super::periods::HeartbeatPeriods;
+use super::periods::{HeartbeatPeriods, PeriodChange};
 use super::transfers::Interleaving;
 use crate::finding::{FindingKind, SeenUid};
 use crate::frame::{BusIndex, Frame};
@@ -355,7 +355,8 @@ impl ConflictDetector {
         self.report(now, evidence);
     }
 
-    /// Notes a heartbeat that does not repeat the previous one.
+    /// Notes a heartbeat that does not repeat the previous one. Returns what it changed in the
+    /// periods.
     pub fn note_heartbeat(
         &mut self,
         now: Instant,
@@ -364,7 +365,7 @@ impl ConflictDetector {
         mode: ModeFlags,
         name: Option<&Name>,
         frame: &Frame,
-    ) {
+    ) -> PeriodChange {
         let period = self.periods.of(address);
         let history = &mut self.histories[address.index()];
         if mode.is_resolving {
@@ -457,11 +458,12 @@ impl ConflictDetector {
             history.sender_changed_at.is_some_and(|at| now.since(at) < interval)
         };
         let scheduled = observed.interval.filter(|it| !(mode.is_resolving && takes_turns(*it)));
-        if let Some(interval) = scheduled
-            && self.periods.note_interval(address, interval)
-        {
+        let Some(interval) = scheduled else { return PeriodChange::None };
+        let change = self.periods.note_interval(address, interval);
+        if change == PeriodChange::Expected {
             self.apply_periods();
         }
+        change
     }
 
     fn apply_periods(&mut self) {
