@@ -11,6 +11,7 @@ use crate::time::Instant;
 use crate::wire::des::Request;
 use crate::wire::framing::Framing;
 use crate::wire::id::{Address, Header};
+use crate::wire::isotp::{FlowStatus, Pci};
 use crate::wire::node::Mode;
 
 impl Engine {
@@ -168,6 +169,8 @@ impl Engine {
     ) {
         if let Some(request) = request {
             self.note_request(now, header, request, frame, false);
+        } else {
+            self.note_flow_control(header, frame);
         }
         self.tracker.wake_at(now);
         let config = &self.tracker.config;
@@ -185,6 +188,8 @@ impl Engine {
         };
         if let Some(request) = request {
             self.note_request(now, header, request, frame, true);
+        } else {
+            self.note_flow_control(header, frame);
         }
         if header.broadcast {
             if self.tracker.config.listen_only {
@@ -193,6 +198,14 @@ impl Engine {
                 self.requester.rounds.note_sent(now);
             }
             self.tracker.wake_at(now);
+        }
+    }
+
+    fn note_flow_control(&mut self, header: Header, frame: &Frame) {
+        if let Ok(Pci::Flow(flow)) = Pci::decode(frame.data(), frame.is_fd)
+            && flow.status == FlowStatus::Continue
+        {
+            self.transfers.note_flow_control(header, flow.block_size);
         }
     }
 

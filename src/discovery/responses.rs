@@ -266,6 +266,12 @@ impl Engine {
             let Some(row) = self.tracker.device_table.current_row(expired.header.source) else {
                 continue;
             };
+            // The requester is why its response does not go on.
+            let own = self.requester.local_node.held();
+            if expired.lacks_flow_control && own != Some(expired.header.destination) {
+                self.tracker.counters.transfers_failed += 1;
+                continue;
+            }
             let request = request_in_first_frame(&expired.first).or(self.open_request(row));
             self.abort_transfer(self.tracker.now, row, request, expired.fault, &expired.first);
         }

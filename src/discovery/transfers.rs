@@ -28,6 +28,8 @@ struct RxTransfer {
     last_at: Instant,
     /// True if no consecutive frame was received.
     is_empty: bool,
+    /// Consecutive frames that the last flow control permits.
+    permitted: u32,
     /// True if another one of its identifier began later: if its frames stop, one device began its
     /// response anew.
     is_superseded: bool,
@@ -82,6 +84,8 @@ pub(super) struct Expired {
     pub fault: TransferFault,
     /// First frame of the transfer.
     pub first: Frame,
+    /// True if its sender waits for flow control of the requester.
+    pub lacks_flow_control: bool,
 }
 
 /// Open transfers of one bus.
@@ -148,6 +152,7 @@ impl Transfers {
             reassembly,
             last_at: now,
             is_empty: true,
+            permitted: 0,
             is_superseded: false,
         });
         self.open += 1;
@@ -178,6 +183,16 @@ impl Transfers {
         Some(Interleaving::Differs)
     }
 
+    /// Notes flow control for the responses of its destination to its source: the requester permits
+    /// `block_size` consecutive frames, all with 0.
+    pub fn note_flow_control(&mut self, flow: Header, block_size: u8) {
+        for open in &mut self.by_source[flow.destination.index()] {
+            if Header::decode(open.id).destination == flow.source {
+                open.permitted = if block_size == 0 { u32::MAX } else { u32::from(block_size) };
+            }
+        }
+    }
+
     /// Adds a consecutive frame to its transfer.
     pub fn push_consecutive(
         &mut self,
@@ -195,6 +210,9 @@ impl Transfers {
         let Some(at) = next.map(|(at, _)| at) else { return Continued::Unknown };
         transfers[at].last_at = now;
         transfers[at].is_empty = false;
+        // Its flow control may have been lost.
+        let permitted = &mut transfers[at].permitted;
+        *permitted = permitted.checked_sub(1).unwrap_or(u32::MAX);
         match transfers[at].reassembly.push(now, sequence, data) {
             Ok(ReassemblyProgress::More) => Continued::More,
             Ok(ReassemblyProgress::BlockEnd) => Continued::BlockEnd,
@@ -224,11 +242,13 @@ impl Transfers {
             while let Some(at) = transfers.iter().position(|open| open.reassembly.deadline() <= now)
             {
                 self.open -= 1;
-                let RxTransfer { id, first, reassembly, is_superseded, .. } = transfers.remove(at);
+                let expired = transfers.remove(at);
+                let RxTransfer { id, first, reassembly, is_superseded, permitted, .. } = expired;
                 if !is_superseded {
                     let header = Header::decode(id);
                     let fault = TransferFault::TimeoutCr { after: reassembly.message().len() };
-                    return Some(Expired { header, fault, first });
+                    let lacks_flow_control = permitted == 0;
+                    return Some(Expired { header, fault, first, lacks_flow_control });
                 }
             }
         }

@@ -73,6 +73,18 @@ impl LogWriter {
         }
     }
 
+    /// A services request to the address, the first frame of the response, and flow control for it.
+    fn aborted_transfer(&mut self, at: f64, has_flow_control: bool) {
+        let node = Address::new(ADDRESS).unwrap();
+        let request = Header::request(Address::new(5).unwrap(), node, false, des());
+        self.push(at, request.encode(), b"\x04DES\x02");
+        let id = request.response(node, false).encode();
+        self.push(at + 0.002, id, b"\x10\x20\x02\x01DES\0");
+        if has_flow_control {
+            self.push(at + 0.004, request.encode(), &[0x30, 0, 0]);
+        }
+    }
+
     /// Plays the log to an inspector in listen-only mode.
     fn verdicts(mut self, end: f64) -> Verdicts {
         self.frames.sort_by_key(|frame| frame.time);
@@ -306,4 +318,20 @@ fn requests_of_the_heartbeat_service_are_no_evidence() {
 
 fn is_of(frame: &Frame, address: u8) -> bool {
     frame.platform_id().is_some_and(|id| Header::decode(id).source.number() == address)
+}
+
+#[test]
+fn transfer_without_flow_control_is_no_fault_of_the_device() {
+    for has_flow_control in [false, true] {
+        let mut log = LogWriter::new(1);
+        log.heartbeats(1, 1.0, (0.1, 30.0), 0.0);
+        for round in 0..10 {
+            log.aborted_transfer(f64::from(round) * 2.5 + 0.5, has_flow_control);
+        }
+        let kinds: Vec<FindingKind> =
+            log.verdicts(30.0).confirmed.iter().map(|(_, kind)| *kind).collect();
+        let expected: &[FindingKind] =
+            if has_flow_control { &[FindingKind::MalformedAnswer] } else { &[] };
+        assert_eq!(kinds, expected, "flow control: {has_flow_control}");
+    }
 }
