@@ -1,7 +1,7 @@
 //! Heartbeat periods that are measured, not assumed: slow and fast devices, lost heartbeats, boards
 //! that take turns. The engine listens only, without a profile of the user.
 
-use descan::discovery::{Config, Engine, Event, EventKind};
+use descan::discovery::{Config, Engine, Event, EventKind, Presence};
 use descan::finding::{FindingKind, FindingState};
 use descan::frame::Frame;
 use descan::time::{Duration, Instant};
@@ -113,6 +113,24 @@ fn healthy_devices_of_any_period_raise_no_events() {
 }
 
 #[test]
+fn slow_device_among_others_is_lost_once_at_most() {
+    for period in [3000, 5000, 8000, 20_000] {
+        let mut rng = fastrand::Rng::with_seed(period);
+        let others = (1..=8).map(|n| Sender::new(n, n as u8, 1000, rng.u64(..1000)));
+        let mut senders: Vec<Sender> = others.collect();
+        senders.push(Sender::new(20, 20, period, 500));
+        let end = period * 6;
+        let frames = senders.iter().flat_map(|it| heartbeats(*it, 0..end, 0.0, &mut rng));
+        let report = Report::of(frames.collect(), end);
+        let is_lost = |event: &&Event| {
+            matches!(event.kind, EventKind::Presence(Presence::Stale | Presence::Lost))
+        };
+        let lost: Vec<_> = report.events.iter().filter(is_lost).collect();
+        assert!(lost.len() <= 2, "{period} ms: {lost:?}");
+    }
+}
+
+#[test]
 fn silent_device_is_lost_after_five_of_its_own_periods() {
     for period in [500, 1000, 3000] {
         let mut rng = fastrand::Rng::with_seed(period);
@@ -122,7 +140,7 @@ fn silent_device_is_lost_after_five_of_its_own_periods() {
         frames.extend(heartbeats(Sender::new(3, 3, period, 400), 0..2 * end, 0.0, &mut rng));
         let report = Report::of(frames, 2 * end);
         let lost = report.events.iter().find(|event| {
-            matches!(event.kind, EventKind::Presence(descan::discovery::Presence::Lost))
+            matches!(event.kind, EventKind::Presence(Presence::Lost))
         });
         let before = Instant::from_micros((end - period) * 1000);
         let after = lost.expect("it is lost").time.since(before);

@@ -146,6 +146,8 @@ pub(super) struct AddressHistory {
     pub uids: RecentValues<Uid>,
     /// Time of the last heartbeat with a blank UID or none.
     pub last_without_uid: Option<Instant>,
+    /// UID, unless blank or none, and time of the last heartbeat before the device was lost.
+    pub before_loss: Option<(Option<Uid>, Instant)>,
     /// Hashes of services responses.
     pub services: RecentValues<u64>,
     /// The last frame of the last services response.
@@ -194,6 +196,16 @@ impl AddressHistory {
         let both = self.second_sender_at.max(self.crowded_at);
         self.sender_changed_at.is_some_and(|at| at >= then)
             && both.is_none_or(|at| now.since(at) > period * SWAP_PERIODS)
+    }
+
+    /// Forgets everything but the last heartbeat: the device is lost. Its period may be so long that
+    /// this is the one before its next.
+    pub fn forget(&mut self) {
+        let with_uid = self.uids.last();
+        let with_uid = with_uid.map(|(uid, at)| (Some(*uid), at));
+        let without_uid = self.last_without_uid.map(|at| (None, at));
+        let before_loss = with_uid.into_iter().chain(without_uid).max_by_key(|(_, at)| *at);
+        *self = Self { before_loss, ..Self::default() };
     }
 
     /// Forgets the values that could alternate.

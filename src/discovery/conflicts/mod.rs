@@ -457,7 +457,10 @@ impl ConflictDetector {
         let takes_turns = |interval: Duration| {
             history.sender_changed_at.is_some_and(|at| now.since(at) < interval)
         };
-        let scheduled = observed.interval.filter(|it| !(mode.is_resolving && takes_turns(*it)));
+        let before_loss = history.before_loss.filter(|(before, _)| *before == uid);
+        let interval = observed.interval.or(before_loss.map(|(_, at)| now.since(at)));
+        let scheduled = interval.filter(|it| !(mode.is_resolving && takes_turns(*it)));
+        self.histories[address.index()].before_loss = None;
         let Some(interval) = scheduled else { return PeriodChange::None };
         let change = self.periods.note_interval(address, interval);
         if change == PeriodChange::Expected {
@@ -709,7 +712,7 @@ impl ConflictDetector {
 
     /// Forgets the history of `address` and clears its conflicts: its device is lost.
     pub fn forget(&mut self, now: Instant, address: Address) {
-        self.histories[address.index()] = AddressHistory::default();
+        self.histories[address.index()].forget();
         self.periods.forget(address);
         self.apply_periods();
         self.finding_tracker.forget(now, address);

@@ -80,6 +80,11 @@ impl<T: PartialEq + Clone> RecentValues<T> {
         self.current.as_ref().map(|current| &current.value)
     }
 
+    /// The current value, and when it was observed last.
+    pub fn last(&self) -> Option<(&T, Instant)> {
+        self.current.as_ref().map(|current| (&current.value, current.last))
+    }
+
     /// The value before the current one.
     pub fn previous(&self) -> Option<&T> {
         self.earlier.back().map(|earlier| &earlier.value)
