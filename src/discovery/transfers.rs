@@ -132,6 +132,14 @@ impl Transfers {
         let id = header.encode();
         let source = header.source.index();
         let transfers = &mut self.by_source[source];
+        // Its sender no longer waits for flow control, as another first frame shows. Two devices send
+        // theirs together.
+        let is_over = |open: &RxTransfer| {
+            open.id == id && open.permitted == 0 && now.since(open.last_at) >= INTERLEAVED_REST
+        };
+        let before = transfers.len();
+        transfers.retain(|open| !is_over(open));
+        self.open -= before - transfers.len();
         let mut count = 0;
         for open in transfers.iter_mut().filter(|transfer| transfer.id == id) {
             open.is_superseded = true;

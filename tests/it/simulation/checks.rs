@@ -583,6 +583,13 @@ impl Case<'_> {
         if self.run.world.is_overfull() || self.run.world.is_very_lossy() {
             return;
         }
+        // Beside another protocol, nothing is requested before a heartbeat or a DES message.
+        let mut devices = self.run.world.scenario.devices.iter();
+        if self.run.world.foreign.is_some()
+            && devices.all(|spec| spec.faults.has(Fault::NoHeartbeat))
+        {
+            return;
+        }
         // Devices that have not settled at the end.
         let moving = |address: Address| {
             self.it.events.iter().any(|(at, event)| {
