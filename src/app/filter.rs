@@ -27,12 +27,14 @@ use super::timeline_kind::TimelineKind;
 use super::view::{Page, Row, RowState};
 use crate::finding::{FindingKind, FindingState};
 use crate::frame::{Frame, FrameKind};
-use crate::wire::id::Address;
+use crate::wire::id::{Address, MessageType};
 
 /// A parsed filter line.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Filter {
     terms: Vec<Term>,
+    /// True if a quote is open at the end of the line.
+    is_quote_open: bool,
 }
 
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -156,13 +158,24 @@ impl Filter {
             };
             Term { not, what: TermTest::parse(&word.to_lowercase()) }
         };
-        Self { terms: split_quoted(text).map(term).collect() }
+        let is_quote_open = text.matches('"').count() % 2 == 1;
+        Self { terms: split_quoted(text).map(term).collect(), is_quote_open }
     }
 
     /// Error message for a term that looks like a field and is none, or cannot match; `None`
     /// without one.
     pub fn error(&self) -> Option<String> {
+        if self.is_quote_open {
+            return Some("a quote is not closed: add \"".to_owned());
+        }
         self.terms.iter().find_map(|term| match &term.what {
+            TermTest::Field(Field::State, value) if !is_state(value) => {
+                Some(format!("is:{value}: \"{value}\" is no state; use {}", STATE_WORDS.join(", ")))
+            }
+            TermTest::Field(Field::Type, value) if !is_type(value) => Some(format!(
+                "kind:{value}: no kind of problem and no message type; for example kind:uid, \
+                 type:rsp"
+            )),
             TermTest::Field(Field::Address, list) => {
                 let is_none = |one: &&str| !Address::all().any(|address| is_one_of(address, one));
                 let wrong = list.split(',').find(is_none)?;
@@ -172,7 +185,7 @@ impl Filter {
             }
             TermTest::UnknownField(word) => {
                 let field = word.split(':').next().unwrap_or_default();
-                let words = FILTER_FIELDS.iter().filter_map(|field| field.words.first());
+                let words = FILTER_FIELDS.iter().flat_map(|field| field.words);
                 let known = words.map(|word| format!("{word}:")).collect::<Vec<_>>().join(" ");
                 Some(format!(
                     "{word}: unknown field {field}; use {known}; quote a word with a colon: \
@@ -285,9 +298,9 @@ impl Filter {
                     || entry.finding.is_some_and(|kind| contains_word(kind.name(), word))
             }
             TermTest::Field(Field::Text, value) => contains_word(&entry.text, value),
-            TermTest::Field(Field::Type, value) => {
-                entry.finding.is_some_and(|kind| contains_word(kind.name(), value))
-            }
+            TermTest::Field(Field::Type, value) => entry.finding.is_some_and(|kind| {
+                contains_word(kind.name(), value) || contains_word(kind.headline(), value)
+            }),
             TermTest::Field(Field::Bus, value) => contains_word(bus(), value),
             TermTest::Field(Field::Address, value) => {
                 others.iter().chain(&entry.address).any(|it| is_one_of(*it, value))
@@ -401,6 +414,45 @@ fn contains_word(text: &str, word: &str) -> bool {
 
 fn starts(text: &str, word: &str) -> bool {
     text.to_lowercase().starts_with(word)
+}
+
+/// Words of all states, those that descan shows first.
+const STATE_WORDS: &[&str] = &[
+    "online",
+    "stale",
+    "silent",
+    "asleep",
+    "lost",
+    "missing",
+    "pending",
+    "partial",
+    "unknown",
+    "conflict",
+    "dup",
+    "new",
+    "twin",
+    "suspected",
+    "confirmed",
+    "cleared",
+    "muted",
+    "error",
+    "tx",
+];
+
+/// Returns true if something may be in this state.
+fn is_state(value: &str) -> bool {
+    let aliases = ["ours", "clash", "partly", "unseen", "awaited", "again"];
+    STATE_WORDS.iter().chain(&aliases).any(|word| word.contains(value))
+}
+
+/// Returns true if there is such a kind of problem or such a message type.
+fn is_type(value: &str) -> bool {
+    let is_kind = |kind: &FindingKind| {
+        contains_word(kind.name(), value) || contains_word(kind.headline(), value)
+    };
+    FindingKind::ALL.iter().any(is_kind)
+        || MessageType::ALL.iter().any(|it| starts(it.name(), value))
+        || ["error", "remote", "standard"].iter().any(|kind| kind.starts_with(value))
 }
 
 /// Returns true if `fits` accepts the shown word of a row's state or its alias.

@@ -289,6 +289,20 @@ pub enum MessageType {
 }
 
 impl MessageType {
+    /// All types, those that conform highest priority first.
+    pub const ALL: [Self; 10] = [
+        Self::ReqCcTgt,
+        Self::ReqCcBcst,
+        Self::RspCcTgt,
+        Self::RspCcUnsc,
+        Self::ReqCuTgt,
+        Self::ReqCuBcst,
+        Self::RspCuTgt,
+        Self::RspCuUnsc,
+        Self::Debug,
+        Self::NonConforming,
+    ];
+
     /// Returns the name in CAN platform §4.3 without `MSG_TYPE_`.
     pub const fn name(self) -> &'static str {
         match self {

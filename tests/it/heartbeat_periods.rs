@@ -139,9 +139,10 @@ fn silent_device_is_lost_after_five_of_its_own_periods() {
         frames.extend(heartbeats(Sender::new(2, 2, period, 300), 0..2 * end, 0.0, &mut rng));
         frames.extend(heartbeats(Sender::new(3, 3, period, 400), 0..2 * end, 0.0, &mut rng));
         let report = Report::of(frames, 2 * end);
-        let lost = report.events.iter().find(|event| {
-            matches!(event.kind, EventKind::Presence(Presence::Lost))
-        });
+        let lost = report
+            .events
+            .iter()
+            .find(|event| matches!(event.kind, EventKind::Presence(Presence::Lost)));
         let before = Instant::from_micros((end - period) * 1000);
         let after = lost.expect("it is lost").time.since(before);
         assert_eq!(after, Duration::from_millis(5 * period), "{period} ms");

@@ -644,14 +644,25 @@ fn filter_that_cannot_match_is_rejected() {
         ("at:abc", "at:abc: \"abc\" is not an address; use 0 to 127"),
         ("feed at:12-14", "at:12-14: \"12-14\" is not an address"),
         ("at:12,128", "\"128\" is not an address"),
-        ("!foo:bar", "unknown field foo; use at: name:"),
+        ("!foo:bar", "unknown field foo; use at: name: src: from: dst: to:"),
+        ("is:foo", "is:foo: \"foo\" is no state; use online, stale"),
+        ("kind:zzz", "no kind of problem and no message type"),
+        ("name:\"my", "a quote is not closed"),
     ] {
         let output = watch(&["sim:boiler", "--time", "0.1", "--filter", filter], folder.path());
         assert_eq!(output.status.code(), Some(2), "{filter}");
         let stderr = String::from_utf8(output.stderr).unwrap();
         assert!(stderr.contains(said), "{stderr}");
     }
-    for filter in ["at:12,14", "12:30", "name:feed is:lost !err", "boiler"] {
+    for filter in [
+        "at:12,14",
+        "12:30",
+        "name:feed is:lost !err",
+        "boiler",
+        "is:sus kind:uid",
+        "kind:\"same name\"",
+        "type:rsp_cc state:ours",
+    ] {
         let output = watch(&["sim:boiler", "--time", "0.1", "--filter", filter], folder.path());
         assert_eq!(output.status.code(), Some(0), "{filter}");
     }

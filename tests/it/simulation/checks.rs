@@ -323,8 +323,7 @@ impl Case<'_> {
             };
             // Requests to nodes of another protocol, whose identifiers look like those of devices,
             // take the turns of others.
-            let has_others =
-                self.run.world.foreign.as_ref().is_some_and(ForeignNodes::is_extended);
+            let has_others = self.run.world.foreign.as_ref().is_some_and(ForeignNodes::is_extended);
             let slow = lossy || crowd || has_others || self.run.world.is_crowded();
             let due = due + PERIOD * if slow { 5 } else { 0 };
             if span.until < due {
