@@ -85,6 +85,7 @@ fn differences(app: &App, now: Instant) -> String {
             let whose = whose.map_or(String::new(), |name| format!("{name}: "));
             let _ = writeln!(text, "  {bus}{whose}{}", finding.text);
         }
+        let title = if group.len() == 1 { section.singular() } else { title };
         sums.push(format!("{} {title}", group.len()));
     }
     let here = |bus: &crate::app::Bus| {

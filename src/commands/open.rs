@@ -7,6 +7,7 @@ use crate::cli::{self, CommonArgs, SessionArgs as Arguments};
 use crate::diagnostic::Diagnostic;
 use crate::discovery::Config;
 use crate::frame::{BusIndex, IdFilter};
+use crate::guide;
 use crate::keymap::Keymap;
 use crate::log::LogSummary;
 use crate::regular_file::{read_text, shown};
@@ -165,14 +166,14 @@ fn is_like_an_interface(word: &str) -> bool {
     word.starts_with("can") || word.starts_with("vcan") || is_numbered && word.contains("can")
 }
 
-/// The error for a word that is neither a command nor a bus.
+/// The error for a word that is neither a command, a file nor a bus.
 fn unknown_word(word: &str) -> String {
-    /// Most letters that differ from a command.
-    const MAX_DISTANCE: usize = 2;
+    if word.contains(['.', '/']) {
+        return format!("{word}: file not found; check the name, or name a bus: descan can0");
+    }
     let program = cli::program();
-    let distance = |name: &&str| strsim::damerau_levenshtein(word, name);
     let names = program.get_subcommands().map(clap::Command::get_name);
-    let nearest = names.min_by_key(distance).filter(|name| distance(name) <= MAX_DISTANCE);
+    let nearest = guide::nearest_word(word, names);
     let there = bus::interfaces();
     let remedy = match (nearest, &there[..]) {
         (Some(command), _) => format!("did you mean the command descan {command}?"),

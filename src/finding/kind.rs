@@ -106,6 +106,15 @@ impl CheckSection {
             Self::FileErrors => "file errors",
         }
     }
+
+    /// Returns the title after the count of one.
+    pub const fn singular(self) -> &'static str {
+        match self {
+            Self::Conflicts => "conflict",
+            Self::FileErrors => "file error",
+            other => other.title(),
+        }
+    }
 }
 
 impl Wording {
@@ -138,7 +147,7 @@ const CONFLICT_CONFIRMATION: Option<&str> = Some(
     "Confirmed after five heartbeat periods; a reboot or a board swap looks the same at first.",
 );
 /// Remedy for two devices at one address.
-const SEPARATE_DEVICES: &str = "Switch one of them off, then give it a free address.";
+const SEPARATE_DEVICES: &str = "Switch one of them off, then give the other one a free address.";
 /// Confirmation hint of observations that are confirmed when repeated.
 const SEEN_AGAIN: Option<&str> = Some("Seen once; confirmed when seen again.");
 

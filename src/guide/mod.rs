@@ -58,6 +58,14 @@ topics! {
     "protocol" "protocol" [] "the protocol on the bus, numbered for reference";
 }
 
+/// Returns the word that differs least, by two letters at most.
+pub fn nearest_word<'a>(word: &str, words: impl Iterator<Item = &'a str>) -> Option<&'a str> {
+    /// Most letters that differ.
+    const MAX_DISTANCE: usize = 2;
+    let distance = |other: &&str| strsim::damerau_levenshtein(word, other);
+    words.min_by_key(distance).filter(|other| distance(other) <= MAX_DISTANCE)
+}
+
 /// Returns the topic of a name (in any case) or slug; `None` if there is none.
 pub fn topic(name: &str) -> Option<&'static Topic> {
     TOPICS.iter().find(|topic| topic.name.eq_ignore_ascii_case(name) || topic.slug == name)
@@ -82,9 +90,10 @@ impl Topic {
 
 /// A name that is neither a command nor a topic.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("topic {name:?} not found; commands: {commands}; topics: {topics}")]
+#[error("topic {name:?} not found; {suggestion}commands: {commands}; topics: {topics}")]
 pub struct UnknownTopic {
     name: String,
+    suggestion: String,
     commands: String,
     topics: String,
 }
@@ -93,7 +102,10 @@ impl UnknownTopic {
     fn new(name: &str, program: &Command) -> Self {
         let commands: Vec<&str> = program.get_subcommands().map(Command::get_name).collect();
         let topics: Vec<&str> = TOPICS.iter().map(|topic| topic.name).collect();
-        Self { name: name.to_owned(), commands: commands.join(", "), topics: topics.join(", ") }
+        let nearest = nearest_word(name, commands.iter().chain(&topics).copied());
+        let suggestion = nearest.map(|near| format!("did you mean {near}? ")).unwrap_or_default();
+        let (commands, topics) = (commands.join(", "), topics.join(", "));
+        Self { name: name.to_owned(), suggestion, commands, topics }
     }
 }
 

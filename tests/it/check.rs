@@ -360,7 +360,7 @@ fn duplicate_member_is_reported_and_last_one_counts() {
     assert_eq!(
         said,
         "file errors:\n  SENS: duplicate `address`; the last one is used (line 2, column 49)\n\
-         des.json: 2 entries, 2 devices on can0: 1 file errors\n"
+         des.json: 2 entries, 2 devices on can0: 1 file error\n"
     );
     assert_eq!(code, 1);
 }

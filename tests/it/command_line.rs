@@ -646,6 +646,8 @@ fn invalid_arguments_are_one_line_with_the_fix() {
     let folder = tempfile::tempdir().unwrap();
     for (arguments, hint) in [
         (&["scan", "--jsn"][..], "--json"),
+        (&["session.logg"], "session.logg: file not found; check the name"),
+        (&["help", "scenario"], "did you mean scenarios?"),
         (&["scna", "can0"], "did you mean the command descan scan?"),
         (&["boiler"], "boiler is not a command or a bus"),
         (&["scan", "bus"], "bus is not a command or a bus"),

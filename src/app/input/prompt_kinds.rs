@@ -232,7 +232,12 @@ impl AddressPrompt {
             C::Accepted(if is_pinned {
                 format!("already pinned to {address}")
             } else {
-                format!("Enter pins it to {address}")
+                match device.map(|it| it.address.number()).filter(|at| *at != address) {
+                    Some(at) => {
+                        format!("Enter pins it to {address} in the file; the device stays at {at}")
+                    }
+                    None => format!("Enter pins it to {address}"),
+                }
             })
         })
     }

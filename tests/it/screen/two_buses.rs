@@ -180,10 +180,8 @@ fn entry_edited_while_a_twin_appears_is_kept() {
     let file = r#"[{"name":"SENS","address":15,"static":true}]"#;
     let mut stage = Stage::new(&Scenario::builtin("boiler").unwrap(), Some(file));
     stage.until(6.0).keys("/").text("SENS").keys("Enter g e").text("47");
-    assert_eq!(
-        stage.app.prompt_check(),
-        Some(InputCheck::Accepted("Enter pins it to 47".to_owned()))
-    );
+    let pins = "Enter pins it to 47 in the file; the device stays at 12";
+    assert_eq!(stage.app.prompt_check(), Some(InputCheck::Accepted(pins.to_owned())));
     stage.until(30.0);
     let told = "entry may belong to another device now; Enter adds it again";
     assert_eq!(
