@@ -168,3 +168,37 @@ fn two_devices_without_heartbeats_have_doubled_answers() {
         assert!(bus.run_until(END, is_confirmed), "seed {seed}: {:#?}", bus.engine.findings());
     }
 }
+
+/// Two boards with equal name and UID look like one with half the period.
+#[test]
+fn equal_boards_at_opposite_phases_are_confirmed() {
+    let number = |name: &str| std::env::var(name).ok().and_then(|text| text.parse::<u64>().ok());
+    let seeds = number("SEEDS").unwrap_or(4);
+    let mut missed = Vec::new();
+    let mut slowest = Duration::ZERO;
+    for percent in 46..=54 {
+        for seed in 0..seeds {
+            let mut scenario = three_devices();
+            let delay = Duration::from_millis([1, 10, 40][seed as usize % 3]);
+            for phase in [120, 120 + 10 * percent] {
+                let board = device("ACT", 20).fault(Fault::KeepsAddress);
+                let mut board = board.power_on(Duration::from_millis(phase));
+                board.max_heartbeat_delay = delay;
+                scenario.devices.push(board);
+            }
+            let mut bus = Inspection::new(&scenario, seed, Config::default());
+            let end = Instant::from_micros(20_000_000);
+            let is_found = bus.run_until(end, |engine| {
+                let found = finding(engine, FindingKind::SameNameSameAddress);
+                found.is_some_and(|it| it.state == FindingState::Confirmed)
+            });
+            if is_found {
+                slowest = slowest.max(bus.sim.now().since(Instant::ZERO));
+            } else {
+                missed.push((percent, seed));
+            }
+        }
+    }
+    println!("slowest: {slowest:?}, missed: {}", missed.len());
+    assert_eq!(missed, []);
+}
