@@ -19,9 +19,9 @@ use crate::frame::IdFilter;
 use crate::shell::log_input::LogPace;
 use crate::shell::stop::StopReason;
 use crate::text::printable;
-use crate::time::{Epoch, Instant};
+use crate::time::Instant;
 use crate::wire::id::{Address, Header};
-use crate::wire::node::Mode;
+use crate::wire::node::{Mode, Uid};
 use anyhow::Context;
 use serde::Serialize;
 use std::ops::ControlFlow;
@@ -180,6 +180,11 @@ enum EventDetails {
     Moved {
         from: u8,
     },
+    Uid {
+        uid: String,
+        /// The previous UID.
+        from: String,
+    },
     Returned {
         was: &'static str,
     },
@@ -195,7 +200,7 @@ fn as_value(app: &App, event: AppEvent) -> Option<JsonEvent> {
     let time = |at: Instant| epoch.unix_secs(at);
     Some(match event {
         AppEvent::Line(_) => return None,
-        AppEvent::Event(event) => return of_event(epoch, *event),
+        AppEvent::Event(event) => return of_event(app, *event),
         AppEvent::Finding(context, finding) => {
             let what = what_finding(app, context.bus, &finding);
             JsonEvent { time: time(context.time), event: "finding", what }
@@ -215,10 +220,7 @@ fn as_value(app: &App, event: AppEvent) -> Option<JsonEvent> {
     })
 }
 
-fn of_event(
-    epoch: Epoch,
-    DeviceEvent { context, event, services }: DeviceEvent,
-) -> Option<JsonEvent> {
+fn of_event(app: &App, DeviceEvent { context, event, services }: DeviceEvent) -> Option<JsonEvent> {
     let word = event_word(&event.kind);
     let more = match event.kind {
         EventKind::FirstFrame | EventKind::NameReceived | EventKind::Rebooted => {
@@ -233,6 +235,11 @@ fn of_event(
             EventDetails::Mode { mode: to.name(), from: from.map(Mode::name) }
         }
         EventKind::Moved { from } => EventDetails::Moved { from: from.number() },
+        EventKind::UidChanged { from, to } => {
+            let bus = event.device.and_then(|id| app.bus(id.bus))?;
+            let text = |uid: Uid| uid.text(&bus.config().profile.uid).to_string();
+            EventDetails::Uid { uid: text(to), from: text(from) }
+        }
         EventKind::Presence(presence) if presence != Presence::Online => EventDetails::Nothing {},
         EventKind::Returned { was } => EventDetails::Returned { was: was.name() },
         EventKind::DebugMessage { code, data } => {
@@ -257,7 +264,7 @@ fn of_event(
         name: event.name.as_ref().map(ToString::to_string),
         more,
     };
-    Some(JsonEvent { time: epoch.unix_secs(context.time), event: word, what })
+    Some(JsonEvent { time: app.epoch().unix_secs(context.time), event: word, what })
 }
 
 fn what_finding(app: &App, bus: Option<String>, finding: &Finding) -> EventBody {

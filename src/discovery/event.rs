@@ -103,6 +103,14 @@ pub enum EventKind {
     },
     /// The device rebooted.
     Rebooted,
+    /// The heartbeats have another UID, neither of them blank: another board is at the address, or
+    /// the UID of the device was set. Not while several devices are known to share the address.
+    UidChanged {
+        /// Previous UID.
+        from: Uid,
+        /// Present UID.
+        to: Uid,
+    },
     /// The presence changed to stale, silent, asleep or lost.
     Presence(Presence),
     /// The device is online again.

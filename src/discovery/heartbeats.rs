@@ -248,6 +248,14 @@ impl DeviceTracker {
         let period = self.period_of(device.address);
         // A device known for longer sent no heartbeats before.
         let known = !first || device.name.is_some() && now.since(device.first_seen) > period * 3;
+        let uids = device.uid_before.zip(device.uid);
+        let uids = uids.filter(|(from, to)| !from.is_blank() && !to.is_blank());
+        if let Some((from, to)) =
+            uids.filter(|_| !self.conflicts.finding_tracker().is_open_at(device.address))
+        {
+            self.emit(row, EventKind::UidChanged { from, to });
+        }
+        let Some(device) = self.device_table.get(row) else { return };
         if known && !self.conflicts.finding_tracker().is_open_at(device.address) {
             // It may be another board with another framing: query its name, and its services once
             // it is clear that it is alone, because two multi-frame responses at once destroy each

@@ -217,6 +217,12 @@ impl ProblemDetails<'_, '_> {
                 },
             ),
         ]));
+        // A conflict is confirmed some periods after it began.
+        let is_confirmed = head.state == FindingState::Confirmed && head.key.kind.is_conflict();
+        if let Some(began) = Some(self.problem.first()).filter(|it| is_confirmed && *it < since) {
+            let began = format!("first evidence {}", format_time_of_day(app, began));
+            self.add("", Role::Muted, &began);
+        }
         if self.problem.is_muted {
             let key = app.key_of(Action::Mute);
             self.add("", Role::Muted, &format!("muted ({key} unmutes)"));
@@ -238,7 +244,11 @@ impl ProblemDetails<'_, '_> {
                 format!("{}, since {since}", seen.label())
             });
             let others = others.collect::<Vec<String>>().join(", and ");
-            let verb = if later.len() == 1 { "conflicts" } else { "conflict" };
+            let verb = match (head.state, later.len()) {
+                (FindingState::Cleared, _) => "conflicted",
+                (_, 1) => "conflicts",
+                _ => "conflict",
+            };
             self.add("", Role::Text, &format!("{others}, {verb} with {}.", first.label()));
         }
         if let Some(hint) = self.problem.confirmation_hint() {

@@ -131,6 +131,7 @@ pub fn describe(event: &Event) -> String {
             format!("joined{who}: was row {} before {before}", was.number)
         }
         EventKind::Rebooted => format!("rebooted{who}"),
+        EventKind::UidChanged { from, to } => format!("uid{who}: {from:?} -> {to:?}"),
         EventKind::Presence(presence) => format!("{presence}{who}"),
         EventKind::Returned { was } => format!("returned{who}: was {was}"),
         EventKind::Finding { key, state } => {
