@@ -7,11 +7,13 @@
 
 use super::observation::{Observation, ObservationKind, PlatformContent};
 use crate::frame::Frame;
+use crate::time::{Duration, Instant};
 use crate::wire::des::{self, ServicesResponse};
 use crate::wire::framing::{Framing, classify_response, strip_raw_padding};
 use crate::wire::id::{Address, Header};
 use crate::wire::isotp::Pci;
 use crate::wire::node::Mode;
+use crate::wire::profile::HeartbeatProfile;
 
 /// Number of impossible identifiers that show another protocol: fewer may be noise, or one device
 /// with faulty firmware.
@@ -21,6 +23,11 @@ const MIN_IMPOSSIBLE: u64 = 10;
 const MIN_DOUBTFUL: u64 = 3;
 /// Bytes of a heartbeat that are compared: those of a UID.
 const UID_BYTES: usize = 6;
+/// Number of heartbeats of one source in the period of the profile that show a device that does not
+/// generate RND7. Chosen: other protocols send constant data too, but rarely in this period.
+const MIN_PERIODIC: u8 = 4;
+/// Deviation of their intervals, as a fraction of the period. As that of a measured period.
+const PERIOD_TOLERANCE: f64 = 0.15;
 
 /// What the frames of other nodes show about the protocol of a bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
@@ -69,7 +76,7 @@ impl BusTraffic {
         match self {
             _ if self.has_des => BusVerdict::Des,
             _ if self.frames == 0 => BusVerdict::Silent,
-            _ if self.has_impossible(MIN_IMPOSSIBLE) => BusVerdict::Foreign,
+            _ if self.is_mostly_impossible() => BusVerdict::Foreign,
             _ => BusVerdict::Unknown,
         }
     }
@@ -93,11 +100,15 @@ impl BusTraffic {
         ))
     }
 
-    /// Returns true if a fifth of the identifiers, and at least `min`, are impossible. In logs of 38
-    /// NMEA 2000 buses they are 27 % and more.
-    fn has_impossible(&self, min: u64) -> bool {
-        let impossible = self.non_platform + self.non_conforming;
-        impossible >= min && impossible * 5 >= self.frames
+    /// Returns true if impossible identifiers prevail: in logs of 38 NMEA 2000 buses they are 27 % and
+    /// more, in those of two Cyphal buses 84 % and more.
+    fn is_mostly_impossible(&self) -> bool {
+        self.impossible() >= MIN_IMPOSSIBLE && self.impossible() * 5 >= self.frames
+    }
+
+    /// Returns the number of frames whose identifiers no DES device sends.
+    fn impossible(&self) -> u64 {
+        self.non_platform + self.non_conforming
     }
 }
 
@@ -114,13 +125,33 @@ enum DesFit {
 #[derive(Debug)]
 pub(super) struct ProtocolDetector {
     traffic: BusTraffic,
-    /// Begin of the data of the last plausible heartbeat of each address, on a doubtful bus.
-    heartbeats: [Option<[u8; UID_BYTES]>; Address::COUNT],
+    /// Heartbeat period of the profile.
+    period: Duration,
+    /// Offset of the mode in a heartbeat; `None` if the profile has none.
+    mode_offset: Option<u8>,
+    /// Last plausible heartbeat of each address, on a doubtful bus.
+    heartbeats: [Option<PlausibleHeartbeat>; Address::COUNT],
+}
+
+/// A frame that may be a heartbeat.
+#[derive(Clone, Copy, Debug)]
+struct PlausibleHeartbeat {
+    at: Instant,
+    id: Option<u32>,
+    /// Begin of the data, at most those of a UID.
+    uid: [u8; UID_BYTES],
+    /// Number of those with one identifier that came in the period of the profile.
+    periodic: u8,
 }
 
 impl ProtocolDetector {
-    pub fn new() -> Self {
-        Self { traffic: BusTraffic::default(), heartbeats: [None; Address::COUNT] }
+    pub fn new(heartbeat: &HeartbeatProfile) -> Self {
+        Self {
+            traffic: BusTraffic::default(),
+            period: heartbeat.period(),
+            mode_offset: heartbeat.mode_offset,
+            heartbeats: [None; Address::COUNT],
+        }
     }
 
     pub fn traffic(&self) -> BusTraffic {
@@ -140,35 +171,54 @@ impl ProtocolDetector {
             }
             ObservationKind::Platform(..) if self.traffic.has_des => {}
             ObservationKind::Platform(header, content) => {
-                let fit = des_fit(header, content, frame);
+                let fit = des_fit(header, content, frame, self.mode_offset);
                 // On a doubtful bus, one plausible frame is not enough.
                 let is_enough =
-                    fit == DesFit::Certain || !self.traffic.has_impossible(MIN_DOUBTFUL);
+                    fit == DesFit::Certain || self.traffic.impossible() < MIN_DOUBTFUL;
                 let is_heartbeat = matches!(content, PlatformContent::Heartbeat(_));
                 self.traffic.has_des = fit != DesFit::None
-                    && (is_enough || is_heartbeat && self.repeats_heartbeat(header.source, frame));
+                    && (is_enough || is_heartbeat && self.repeats_heartbeat(header.source, observation));
             }
         }
     }
 
-    /// Returns true if a source sent a heartbeat with the same UID before. Other protocols have
-    /// identifiers that fit by chance, but rarely the same data again.
-    fn repeats_heartbeat(&mut self, source: Address, frame: &Frame) -> bool {
+    /// Returns true if a source sent heartbeats with the same UID before, as devices do: with
+    /// another RND7, or in the period of the profile. Other protocols have identifiers that fit by
+    /// chance, and send constant data, but with one identifier.
+    fn repeats_heartbeat(&mut self, source: Address, observation: &Observation<'_>) -> bool {
+        let Observation { at, frame, .. } = *observation;
         let mut uid = [0; UID_BYTES];
         for (byte, data) in uid.iter_mut().zip(frame.data()) {
             *byte = *data;
         }
-        self.heartbeats[source.index()].replace(uid) == Some(uid)
+        let id = frame.platform_id();
+        let last = &mut self.heartbeats[source.index()];
+        let before = last.filter(|before| before.uid == uid);
+        let is_periodic = |before: &PlausibleHeartbeat| {
+            let periods = at.since(before.at).as_secs_f64() / self.period.as_secs_f64();
+            (periods - 1.0).abs() <= PERIOD_TOLERANCE
+        };
+        let periodic = match before {
+            Some(before) if is_periodic(&before) => before.periodic.saturating_add(1),
+            _ => 1,
+        };
+        *last = Some(PlausibleHeartbeat { at, id, uid, periodic });
+        before.is_some_and(|before| before.id != id) || periodic >= MIN_PERIODIC
     }
 }
 
 /// Returns how well a frame with a conforming identifier fits a heartbeat of the profile, or part
 /// of a DES message.
-fn des_fit(header: Header, content: PlatformContent, frame: &Frame) -> DesFit {
+fn des_fit(
+    header: Header,
+    content: PlatformContent,
+    frame: &Frame,
+    mode_offset: Option<u8>,
+) -> DesFit {
     match content {
         PlatformContent::Heartbeat(heartbeat) if header.response => {
             let working = heartbeat.mode.and_then(Mode::is_working);
-            let is_short = heartbeat.mode.is_none() && frame.len() < Frame::MAX_CLASSIC_DATA;
+            let is_short = mode_offset.is_none_or(|offset| frame.len() <= usize::from(offset));
             let fits = heartbeat.mode.is_some()
                 && working.is_none_or(|working| working != header.from_non_working);
             if fits || is_short { DesFit::Plausible } else { DesFit::None }

@@ -66,7 +66,7 @@ impl DeviceTracker {
             recent_requests: RecentRequests::new(),
             device_table: DeviceTable::new(config.bus),
             lateness: BusDelayTracker::default(),
-            protocol: ProtocolDetector::new(),
+            protocol: ProtocolDetector::new(&config.profile.heartbeat),
             claims: AddressClaims::new(),
             outages: Outages::default(),
             events: VecDeque::new(),

@@ -162,3 +162,27 @@ fn given_profile_sends_no_heartbeat_on_a_foreign_bus() {
         assert!(sent.iter().any(|frame| is_heartbeat(&frame)), "a silent bus is told");
     }
 }
+
+/// Frames of address 48 that fit a heartbeat, with constant RND7, UID and mode.
+fn constant_heartbeats(period: u64, until: u64) -> Traffic {
+    let frame = Frame::classic(0x1460_D801, &[0, 0x7E, 0xB1, 0x5C, 0xD0, 0x5C, 2]);
+    (300..until).step_by(period as usize).map(|at| (at, frame)).collect()
+}
+
+#[test]
+fn constant_data_of_another_protocol_is_not_a_heartbeat() {
+    for period in [20, 100, 500] {
+        let traffic = [standard(60_000), constant_heartbeats(period, 60_000)].concat();
+        let (engine, sent) = observed(traffic, 60_000);
+        assert_eq!(engine.traffic().verdict(), BusVerdict::Foreign, "each {period} ms");
+        assert!(engine.devices().is_empty() && sent.is_empty(), "each {period} ms");
+    }
+}
+
+#[test]
+fn heartbeats_with_constant_rnd7_among_foreign_nodes_are_found() {
+    let traffic = [standard(20_000), constant_heartbeats(1000, 20_000)].concat();
+    let (engine, _) = observed(traffic, 20_000);
+    let found: Vec<u8> = engine.devices().iter().map(|it| it.address.number()).collect();
+    assert_eq!((engine.traffic().verdict(), found.contains(&48)), (BusVerdict::Des, true));
+}
