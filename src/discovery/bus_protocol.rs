@@ -129,8 +129,9 @@ pub(super) struct ProtocolDetector {
     period: Duration,
     /// Offset of the mode in a heartbeat; `None` if the profile has none.
     mode_offset: Option<u8>,
-    /// Last plausible heartbeat of each address, on a doubtful bus.
-    heartbeats: [Option<PlausibleHeartbeat>; Address::COUNT],
+    /// Last plausible heartbeats of each address with two UIDs, as two boards send them, on a
+    /// doubtful bus; the newer one first.
+    heartbeats: [[Option<PlausibleHeartbeat>; 2]; Address::COUNT],
 }
 
 /// A frame that may be a heartbeat.
@@ -150,7 +151,7 @@ impl ProtocolDetector {
             traffic: BusTraffic::default(),
             period: heartbeat.period(),
             mode_offset: heartbeat.mode_offset,
-            heartbeats: [None; Address::COUNT],
+            heartbeats: [[None; 2]; Address::COUNT],
         }
     }
 
@@ -173,11 +174,11 @@ impl ProtocolDetector {
             ObservationKind::Platform(header, content) => {
                 let fit = des_fit(header, content, frame, self.mode_offset);
                 // On a doubtful bus, one plausible frame is not enough.
-                let is_enough =
-                    fit == DesFit::Certain || self.traffic.impossible() < MIN_DOUBTFUL;
+                let is_enough = fit == DesFit::Certain || self.traffic.impossible() < MIN_DOUBTFUL;
                 let is_heartbeat = matches!(content, PlatformContent::Heartbeat(_));
                 self.traffic.has_des = fit != DesFit::None
-                    && (is_enough || is_heartbeat && self.repeats_heartbeat(header.source, observation));
+                    && (is_enough
+                        || is_heartbeat && self.repeats_heartbeat(header.source, observation));
             }
         }
     }
@@ -193,7 +194,10 @@ impl ProtocolDetector {
         }
         let id = frame.platform_id();
         let last = &mut self.heartbeats[source.index()];
-        let before = last.filter(|before| before.uid == uid);
+        let before = last.iter().flatten().find(|before| before.uid == uid).copied();
+        if last[0].is_some_and(|newest| newest.uid != uid) {
+            last[1] = last[0];
+        }
         let is_periodic = |before: &PlausibleHeartbeat| {
             let periods = at.since(before.at).as_secs_f64() / self.period.as_secs_f64();
             (periods - 1.0).abs() <= PERIOD_TOLERANCE
@@ -202,7 +206,7 @@ impl ProtocolDetector {
             Some(before) if is_periodic(&before) => before.periodic.saturating_add(1),
             _ => 1,
         };
-        *last = Some(PlausibleHeartbeat { at, id, uid, periodic });
+        last[0] = Some(PlausibleHeartbeat { at, id, uid, periodic });
         before.is_some_and(|before| before.id != id) || periodic >= MIN_PERIODIC
     }
 }

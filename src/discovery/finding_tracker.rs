@@ -161,6 +161,8 @@ pub(super) struct FindingTracker {
     revision: u64,
     /// Time of the first request to each address since its last response evidence.
     requested_at: [Option<Instant>; Address::COUNT],
+    /// Number of conflicts at each address that are suspected or confirmed.
+    open_conflicts: [u8; Address::COUNT],
     /// Time until which the heartbeats of each address show several nodes.
     several_senders_until: [Option<Instant>; Address::COUNT],
     /// Claims of each address, and nodes that gave it up.
@@ -206,6 +208,7 @@ impl FindingTracker {
             changed: Vec::new(),
             revision: 0,
             requested_at: [None; Address::COUNT],
+            open_conflicts: [0; Address::COUNT],
             several_senders_until: [None; Address::COUNT],
             contests: vec![Contest::default(); Address::COUNT],
             seed,
@@ -239,11 +242,7 @@ impl FindingTracker {
 
     /// Returns true if a conflict at `address` is suspected or confirmed.
     pub fn is_open_at(&self, address: Address) -> bool {
-        self.findings.iter().any(|finding| {
-            finding.key.address == Some(address)
-                && finding.key.kind.is_conflict()
-                && finding.state != FindingState::Cleared
-        })
+        self.open_conflicts[address.index()] > 0
     }
 
     /// Returns true if several devices seem to use `address`.
@@ -496,11 +495,17 @@ impl FindingTracker {
 
     /// Returns true if the finding is suspected or confirmed.
     pub fn is_open(&self, kind: FindingKind, address: Address) -> bool {
+        if kind.is_conflict() && !self.is_open_at(address) {
+            return false;
+        }
         self.find(kind, address).is_some_and(|at| self.findings[at].state != FindingState::Cleared)
     }
 
     /// Returns true if the finding is confirmed.
     pub fn is_confirmed(&self, kind: FindingKind, address: Address) -> bool {
+        if kind.is_conflict() && !self.is_open_at(address) {
+            return false;
+        }
         self.find(kind, address)
             .is_some_and(|at| self.findings[at].state == FindingState::Confirmed)
     }
@@ -535,6 +540,7 @@ impl FindingTracker {
             return None;
         }
         self.note_change(key.clone(), FindingState::Suspected);
+        self.count_open_conflict(&key, true);
         self.findings.push(Finding::new(key, now));
         self.evidence_states.push(state);
         Some(self.findings.len() - 1)
@@ -782,13 +788,25 @@ impl FindingTracker {
         if finding.state == state {
             return;
         }
+        let was_open = finding.state != FindingState::Cleared;
+        let is_open = state != FindingState::Cleared;
         finding.state = state;
         finding.changed = now;
         let (key, is_conflict) = (finding.key.clone(), finding.key.kind.is_conflict());
+        if is_open != was_open {
+            self.count_open_conflict(&key, is_open);
+        }
         self.note_change(key, state);
         if state == FindingState::Confirmed && is_conflict {
             self.evidence_states[at].next_follow_up =
                 Some(self.with_jitter(at, now, CONFIRMED_FOLLOW_UP_DELAY));
+        }
+    }
+
+    fn count_open_conflict(&mut self, key: &FindingKey, is_open: bool) {
+        if let Some(address) = key.address.filter(|_| key.kind.is_conflict()) {
+            let count = &mut self.open_conflicts[address.index()];
+            *count = if is_open { *count + 1 } else { *count - 1 };
         }
     }
 

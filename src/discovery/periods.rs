@@ -26,6 +26,10 @@ const TOLERANCE: f64 = 0.15;
 const COMMON_TOLERANCE: f64 = 0.05;
 /// Number of addresses whose common period is expected of another. Chosen: one may be special.
 const MIN_OTHERS: usize = 2;
+/// Number of intervals after one of the profile's period in which longer ones are not a period, but
+/// lost heartbeats. With 30 % of the heartbeats lost, nine in a row that are not single periods are
+/// rarer than one in 50,000; chosen: three times as many.
+const LOSS_MEMORY: u32 = 30;
 /// Longest interval, in periods of the profile, that may be a period, and the largest divisor of
 /// one for the shortest: a longer one is an interruption, a shorter one a burst. From 17 ms to a
 /// minute, for the default period of 1 s.
@@ -41,6 +45,8 @@ struct Intervals {
     measured: Option<Duration>,
     /// True if all stored intervals were known when it was measured.
     is_established: bool,
+    /// Number of intervals since one of the profile's period; `None` if there was none.
+    since_profile: Option<u32>,
 }
 
 impl Intervals {
@@ -153,6 +159,11 @@ impl HeartbeatPeriods {
         let was_observed = self.is_observed;
         self.is_observed |= is_near(interval, self.profile);
         let intervals = &mut self.intervals[address.index()];
+        intervals.since_profile = if is_near(interval, self.profile) {
+            Some(0)
+        } else {
+            intervals.since_profile.map(|count| count.saturating_add(1))
+        };
         if intervals.recent.len() == MAX_INTERVALS {
             intervals.recent.pop_front();
         }
@@ -161,7 +172,9 @@ impl HeartbeatPeriods {
         if intervals.is_established && intervals.measured.is_some_and(|it| is_near(interval, it)) {
             return PeriodChange::None;
         }
+        let may_be_losses = intervals.since_profile.is_some_and(|count| count < LOSS_MEMORY);
         let median = intervals.regular_interval(self.profile);
+        let median = median.filter(|it| !may_be_losses || *it < self.profile.mul_f64(1.5));
         let median = median.map(|interval| self.rounded(interval));
         let measured = median.filter(|period| !self.is_half_of_expected(address, *period));
         let intervals = &mut self.intervals[address.index()];

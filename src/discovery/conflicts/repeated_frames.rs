@@ -65,6 +65,9 @@ pub(super) struct RepeatedFrameDetector {
 #[derive(Debug, Default)]
 struct CopySeries {
     count: u32,
+    /// Delays of the last copies.
+    delays: [Duration; COPIES_OF_ONE as usize],
+    /// Shortest and longest of them.
     shortest: Duration,
     longest: Duration,
     /// Longest delay of further copies of one heartbeat.
@@ -75,8 +78,14 @@ struct CopySeries {
 
 impl CopySeries {
     fn add(&mut self, delay: Duration) {
-        self.shortest = if self.count == 0 { delay } else { self.shortest.min(delay) };
-        self.longest = if self.count == 0 { delay } else { self.longest.max(delay) };
+        if self.count == 0 {
+            self.delays.fill(delay);
+        }
+        self.delays.rotate_left(1);
+        self.delays[COPIES_OF_ONE as usize - 1] = delay;
+        let [first, rest @ ..] = self.delays;
+        self.shortest = rest.into_iter().fold(first, Duration::min);
+        self.longest = rest.into_iter().fold(first, Duration::max);
         self.count += 1;
     }
 

@@ -25,6 +25,10 @@ const MIN_FASTER_PERIOD: f64 = 0.08;
 /// Deviation of an interval from a multiple of the period, in periods, by the jitter of a busy bus.
 /// As that of a measured period.
 const GRID_TOLERANCE: f64 = 0.15;
+/// Intervals of half a period that may deviate more, or a sixth of them, if there are enough: those
+/// before and after a heartbeat that waited on a busy bus.
+const MAX_OFF_GRID: usize = 2;
+const MIN_GRID_GAPS: usize = 8;
 
 /// Smallest difference, in periods, between the intervals of two senders. Chosen: twice the jitter
 /// of a quiet bus.
@@ -154,11 +158,16 @@ fn grid_of(times: &VecDeque<Instant>, period: Duration) -> Option<FasterSender> 
     }
     let steps = gaps().map(|gap| (gap / shortest).round()).sum::<f64>();
     let step = gaps().sum::<f64>() / steps;
-    if gaps().any(|gap| (gap / step - (gap / step).round()).abs() > GRID_TOLERANCE) {
-        return None;
-    }
+    let is_off = |gap: &f64| (gap / step - (gap / step).round()).abs() > GRID_TOLERANCE;
     let parts = 1.0 / step;
     let whole = parts.round();
+    let excused = match gaps().count() {
+        count if count >= MIN_GRID_GAPS && (parts - 2.0).abs() < 0.5 => MAX_OFF_GRID.max(count / 6),
+        _ => 0,
+    };
+    if gaps().filter(is_off).count() > excused {
+        return None;
+    }
     let has_losses = gaps().take(MAX_GAPS_WITHOUT_LOSS).any(|gap| (gap / step).round() > 1.0);
     if (parts - whole).abs() > GRID_TOLERANCE {
         let grid =
