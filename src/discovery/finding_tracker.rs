@@ -163,6 +163,8 @@ pub(super) struct FindingTracker {
     requested_at: [Option<Instant>; Address::COUNT],
     /// Number of conflicts at each address that are suspected or confirmed.
     open_conflicts: [u8; Address::COUNT],
+    /// Number of confirmed address conflicts at each address.
+    confirmed_conflicts: [u8; Address::COUNT],
     /// Time until which the heartbeats of each address show several nodes.
     several_senders_until: [Option<Instant>; Address::COUNT],
     /// Claims of each address, and nodes that gave it up.
@@ -209,6 +211,7 @@ impl FindingTracker {
             revision: 0,
             requested_at: [None; Address::COUNT],
             open_conflicts: [0; Address::COUNT],
+            confirmed_conflicts: [0; Address::COUNT],
             several_senders_until: [None; Address::COUNT],
             contests: vec![Contest::default(); Address::COUNT],
             seed,
@@ -411,16 +414,12 @@ impl FindingTracker {
     /// Returns until when a finding is kept because several nodes send heartbeats; `None` if they
     /// do not, or if another confirmed conflict reports it.
     fn kept_until(&self, finding: &Finding) -> Option<Instant> {
-        let is_such = |it: &&Finding| {
-            it.state == FindingState::Confirmed
-                && it.key.kind.is_conflict()
-                && it.key.kind != FindingKind::OneUidTwoAddresses
-                && it.key.address == finding.key.address
-        };
         let address = finding.key.address?;
         let until = self.several_senders_until[address.index()]?;
-        let is_only = is_such(&finding) && self.findings.iter().filter(is_such).count() == 1;
-        is_only.then_some(until)
+        let is_confirmed =
+            finding.state == FindingState::Confirmed && is_address_conflict(&finding.key);
+        let is_only = self.confirmed_conflicts[address.index()] == 1;
+        (is_confirmed && is_only).then_some(until)
     }
 
     /// Clears the conflicts at `address`, whose device is lost.
@@ -788,13 +787,20 @@ impl FindingTracker {
         if finding.state == state {
             return;
         }
-        let was_open = finding.state != FindingState::Cleared;
+        let before = std::mem::replace(&mut finding.state, state);
+        let was_open = before != FindingState::Cleared;
         let is_open = state != FindingState::Cleared;
-        finding.state = state;
         finding.changed = now;
         let (key, is_conflict) = (finding.key.clone(), finding.key.kind.is_conflict());
         if is_open != was_open {
             self.count_open_conflict(&key, is_open);
+        }
+        let was_confirmed = before == FindingState::Confirmed;
+        let is_confirmed = state == FindingState::Confirmed;
+        if let Some(address) = key.address.filter(|_| is_address_conflict(&key))
+            && is_confirmed != was_confirmed
+        {
+            add_or_remove(&mut self.confirmed_conflicts[address.index()], is_confirmed);
         }
         self.note_change(key, state);
         if state == FindingState::Confirmed && is_conflict {
@@ -805,8 +811,7 @@ impl FindingTracker {
 
     fn count_open_conflict(&mut self, key: &FindingKey, is_open: bool) {
         if let Some(address) = key.address.filter(|_| key.kind.is_conflict()) {
-            let count = &mut self.open_conflicts[address.index()];
-            *count = if is_open { *count + 1 } else { *count - 1 };
+            add_or_remove(&mut self.open_conflicts[address.index()], is_open);
         }
     }
 
@@ -834,6 +839,15 @@ fn with_jitter(seed: u64, address: Option<Address>, now: Instant, wait: Duration
     let address = address.map_or(0, |address| u64::from(address.number()) + 1);
     let mut rng = fastrand::Rng::with_seed(seed ^ now.as_micros() ^ address << 56);
     now + wait.mul_f64(0.9 + 0.2 * rng.f64())
+}
+
+/// Returns true for a conflict about one address.
+fn is_address_conflict(key: &FindingKey) -> bool {
+    key.kind.is_conflict() && key.kind != FindingKind::OneUidTwoAddresses
+}
+
+fn add_or_remove(count: &mut u8, is_added: bool) {
+    *count = if is_added { *count + 1 } else { *count - 1 };
 }
 
 /// Returns true if requests are sent to the address of a suspected finding: their responses decide.

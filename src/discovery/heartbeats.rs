@@ -284,11 +284,10 @@ impl DeviceTracker {
         }
         // A replaced row does not send anything any more.
         let devices = self.device_table.devices().iter();
-        let mut current = devices.filter(|device| self.device_table.is_current(device));
-        let other = current.find_map(|other| {
+        let mut same = devices.filter(|it| it.uid == Some(uid) && it.address != address);
+        let other = same.find_map(|other| {
             let last = other.heartbeat.last.filter(|last| *last > previous)?;
-            let same = other.uid == Some(uid) && other.address != address;
-            same.then_some((other.address, last))
+            self.device_table.is_current(other).then_some((other.address, last))
         });
         if let Some((other, since)) = other {
             self.conflicts.note_same_uid(now, (address, other), since, frame);

@@ -202,11 +202,11 @@ fn classic_length(frame: &Frame) -> FrameBits {
         bits = bits << 8 | u128::from(byte);
         len += 8;
     }
-    // Leading zeros change nothing of a CRC that begins with 0.
-    let crc = bits.to_be_bytes()[16 - len.div_ceil(8)..].iter().fold(0, |crc, &byte| {
-        let index = (crc >> 7) ^ u16::from(byte);
-        (crc << 8 ^ CRC15[usize::from(index & 0xFF)]) & 0x7FFF
-    });
+    // Leading zeros change nothing of a CRC that begins with 0, and it is that of its bytes alone,
+    // added.
+    let bytes = bits.to_be_bytes();
+    let parts = bytes.iter().zip(&CRC15).map(|(&byte, table)| table[usize::from(byte)]);
+    let crc = parts.fold(0, |crc, part| crc ^ part);
     bits = bits << 15 | u128::from(crc);
     len += 15;
     // Behind the end bits that take turns: they need no stuffing.
@@ -237,20 +237,27 @@ const fn crc15_bit(crc: u16, bit: u16) -> u16 {
     if feedback == 1 { shifted ^ 0x4599 } else { shifted }
 }
 
-static CRC15: [u16; 256] = {
-    let mut table = [0; 256];
+/// The classic CRC of each byte of sixteen, all others being 0; the last one at the end.
+static CRC15: [[u16; 256]; 16] = {
+    let mut tables = [[0; 256]; 16];
     let mut byte = 0;
     while byte < 256 {
-        let mut crc = 0;
-        let mut bit = 8;
-        while bit > 0 {
-            bit -= 1;
-            crc = crc15_bit(crc, (byte >> bit & 1) as u16);
+        let mut place = 16;
+        let (mut crc, mut value) = (0, byte);
+        while place > 0 {
+            place -= 1;
+            let mut bit = 8;
+            while bit > 0 {
+                bit -= 1;
+                crc = crc15_bit(crc, (value >> bit & 1) as u16);
+            }
+            tables[place][byte] = crc;
+            // Zeros follow it at the place before.
+            value = 0;
         }
-        table[byte] = crc;
         byte += 1;
     }
-    table
+    tables
 };
 
 /// Which bits came last: 0 none, 1–4 that many zeros, 5–8 one to four ones. Returns the state

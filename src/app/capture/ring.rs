@@ -6,6 +6,7 @@
 use crate::frame::{BusIndex, CanId, Frame, FrameKind};
 use crate::time::{Duration, Instant};
 use crate::wire::id::Header;
+use foldhash::fast::RandomState;
 use std::collections::{HashMap, VecDeque};
 
 /// The captured frames.
@@ -138,7 +139,7 @@ pub struct IdentifierStats {
 #[derive(Debug)]
 pub struct Identifiers {
     rows: Vec<IdentifierStats>,
-    index: HashMap<IdentifierKey, u32>,
+    index: HashMap<IdentifierKey, u32, RandomState>,
     refused: u64,
 }
 
@@ -147,7 +148,8 @@ impl Identifiers {
     pub const MAX: usize = 4096;
 
     fn new() -> Self {
-        Self { rows: Vec::new(), index: HashMap::with_capacity(256), refused: 0 }
+        let index = HashMap::with_capacity_and_hasher(256, RandomState::default());
+        Self { rows: Vec::new(), index, refused: 0 }
     }
 
     fn add(&mut self, frame: &Frame) {
