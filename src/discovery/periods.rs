@@ -196,6 +196,11 @@ impl HeartbeatPeriods {
         }
     }
 
+    /// Returns true if the period of `address` is measured.
+    pub fn is_measured(&self, address: Address) -> bool {
+        self.intervals[address.index()].measured.is_some()
+    }
+
     /// Forgets the intervals of `address`: its device is lost. Those of a device whose period is not
     /// known stay: it may be so long that the device is lost between two heartbeats.
     pub fn forget(&mut self, address: Address) {

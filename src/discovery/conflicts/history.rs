@@ -198,13 +198,15 @@ impl AddressHistory {
             && both.is_none_or(|at| now.since(at) > period * SWAP_PERIODS)
     }
 
-    /// Forgets everything but the last heartbeat: the device is lost. Its period may be so long that
-    /// this is the one before its next.
-    pub fn forget(&mut self) {
+    /// Forgets everything: the device is lost. If its period is not known, it may be so long that the
+    /// last heartbeat, unless that was a claim, is the one before its next.
+    pub fn forget(&mut self, is_period_known: bool) {
         let with_uid = self.uids.last();
         let with_uid = with_uid.map(|(uid, at)| (Some(*uid), at));
         let without_uid = self.last_without_uid.map(|at| (None, at));
-        let before_loss = with_uid.into_iter().chain(without_uid).max_by_key(|(_, at)| *at);
+        let last = with_uid.into_iter().chain(without_uid).max_by_key(|(_, at)| *at);
+        let is_scheduled = |at: &Instant| self.resolving_at.is_none_or(|claimed| claimed < *at);
+        let before_loss = last.filter(|(_, at)| !is_period_known && is_scheduled(at));
         *self = Self { before_loss, ..Self::default() };
     }
 

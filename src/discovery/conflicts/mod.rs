@@ -712,7 +712,7 @@ impl ConflictDetector {
 
     /// Forgets the history of `address` and clears its conflicts: its device is lost.
     pub fn forget(&mut self, now: Instant, address: Address) {
-        self.histories[address.index()].forget();
+        self.histories[address.index()].forget(self.periods.is_measured(address));
         self.periods.forget(address);
         self.apply_periods();
         self.finding_tracker.forget(now, address);
