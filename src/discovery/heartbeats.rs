@@ -213,7 +213,7 @@ impl DeviceTracker {
         }
         self.emit_gave_up(address, &sender);
         if uid_changed {
-            self.handle_uid_change(now, row, first);
+            self.handle_uid_change(now, row, first, claimed_by_another);
         }
         self.emit_claim(address, &sender);
         // Compare only if its previous heartbeat had the same UID: boards that swap addresses have
@@ -242,17 +242,17 @@ impl DeviceTracker {
         self.wake_at(now);
     }
 
-    /// Handles a new UID in the heartbeats of a row.
-    fn handle_uid_change(&mut self, now: Instant, row: DeviceId, first: bool) {
+    /// Handles a new UID in the heartbeats of a row; `is_claim`: another device claims the address,
+    /// which is an event of its own.
+    fn handle_uid_change(&mut self, now: Instant, row: DeviceId, first: bool, is_claim: bool) {
         let Some(device) = self.device_table.get(row) else { return };
         let period = self.period_of(device.address);
         // A device known for longer sent no heartbeats before.
         let known = !first || device.name.is_some() && now.since(device.first_seen) > period * 3;
         let uids = device.uid_before.zip(device.uid);
         let uids = uids.filter(|(from, to)| !from.is_blank() && !to.is_blank());
-        if let Some((from, to)) =
-            uids.filter(|_| !self.conflicts.finding_tracker().is_open_at(device.address))
-        {
+        let is_shared = self.conflicts.finding_tracker().is_open_at(device.address);
+        if let Some((from, to)) = uids.filter(|_| !is_claim && !is_shared) {
             self.emit(row, EventKind::UidChanged { from, to });
         }
         let Some(device) = self.device_table.get(row) else { return };
