@@ -452,7 +452,7 @@ fn is_type(value: &str) -> bool {
     };
     FindingKind::ALL.iter().any(is_kind)
         || MessageType::ALL.iter().any(|it| starts(it.name(), value))
-        || ["error", "remote", "standard"].iter().any(|kind| kind.starts_with(value))
+        || ["error", "remote", "standard", "foreign"].iter().any(|kind| kind.starts_with(value))
 }
 
 /// Returns true if `fits` accepts the shown word of a row's state or its alias.

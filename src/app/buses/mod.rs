@@ -14,7 +14,7 @@ pub use load_meter::{LoadMeter, LoadSecond};
 pub use redundancy::{Redundancy, RedundantDevice};
 
 use super::timeline_kind::TimelineKind;
-use crate::discovery::{Config, Device, DeviceId, Event, OwnAddress};
+use crate::discovery::{BusVerdict, Config, Device, DeviceId, Event, OwnAddress};
 use crate::document::Document;
 use crate::finding::{Finding, FindingKey, FindingKind, FindingState};
 use crate::frame::{BusIndex, Frame};
@@ -106,6 +106,11 @@ impl Buses {
     /// Profile of a bus; the default one for an unknown index.
     pub fn profile(&self, bus: BusIndex) -> Arc<Profile> {
         self.get(bus).map_or_else(Default::default, |bus| bus.config().profile.clone())
+    }
+
+    /// Returns true if a bus speaks another protocol than DES.
+    pub fn is_foreign(&self, bus: BusIndex) -> bool {
+        self.get(bus).is_some_and(|bus| bus.traffic().verdict() == BusVerdict::Foreign)
     }
 
     /// Name of the present device at an address; `own` for descan's own address, else the number.

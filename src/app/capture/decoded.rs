@@ -28,7 +28,8 @@ pub struct Decoded {
     pub destination: String,
     /// Service: name, else number.
     pub service: String,
-    /// Message type, `error`, `remote` or `standard`.
+    /// Message type, `error`, `remote`, `standard`, or `foreign` for a frame of a bus that speaks
+    /// another protocol.
     pub kind: &'static str,
     /// Content of the data field.
     pub text: String,
@@ -46,6 +47,9 @@ impl Decoded {
                 is_error: true,
                 ..Self::default()
             },
+            (FrameKind::Data, CanId::Extended(_)) if buses.is_foreign(frame.bus) => {
+                Self { kind: "foreign", text: "another protocol".to_owned(), ..Self::default() }
+            }
             (FrameKind::Data, CanId::Extended(id)) => Self::decode_platform(buses, frame, id),
             (FrameKind::Remote, _) => {
                 let text = "remote frame (non-platform)".to_owned();

@@ -98,6 +98,16 @@ fn foreign_bus_is_named_on_devices_and_problems() {
 }
 
 #[test]
+fn frames_of_a_foreign_bus_are_not_decoded() {
+    // NMEA 2000.
+    let frame = Frame::classic(0x0DF1_1317, &[1; 8]);
+    let screen = hearing_only(frame).keys("2").screen();
+    assert!(screen.contains("0DF11317"), "{screen}");
+    assert!(screen.contains("another protocol"), "{screen}");
+    assert!(!screen.contains("→"), "{screen}");
+}
+
+#[test]
 fn renamed_interface_and_lost_frames_are_shown() {
     let mut stage = Stage::boiler();
     let status = BusStatus {
