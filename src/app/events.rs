@@ -4,7 +4,7 @@
 
 use super::buses::Redundancy;
 use super::file::{FileChange, FileError};
-use super::input::Overlay;
+use super::input::{Overlay, Question};
 use super::notices::{TimelineEntry, event_text, join_lines, join_short};
 use super::problems::ProblemKey;
 use super::timeline_kind::TimelineKind;
@@ -202,6 +202,17 @@ impl App {
         self.notices.redraw.set_dirty();
     }
 
+    /// Closes the question whether to delete an entry that another program has deleted.
+    fn leave_question_about_deleted(&mut self) {
+        let document = self.editor.file.document();
+        let Some(Question::Delete(entry, _)) = self.input.question() else { return };
+        if document.find(entry).is_none() {
+            let text = format!("entry no longer in the file: {entry:#}");
+            self.input.close_question();
+            self.show_error(text);
+        }
+    }
+
     /// Takes a change of des.json: reports it, saves what waits, renews rows and problems.
     pub(super) fn file_changed(&mut self, change: FileChange) {
         if change == FileChange::None {
@@ -249,6 +260,9 @@ impl App {
             self.notices.emit(event);
         }
         self.leave_conflict_that_is_over(change);
+        if change != FileChange::Unusable {
+            self.leave_question_about_deleted();
+        }
         if change != FileChange::Unusable {
             self.save_pending();
         }
