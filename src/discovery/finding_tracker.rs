@@ -248,6 +248,13 @@ impl FindingTracker {
         self.open_conflicts[address.index()] > 0
     }
 
+    /// Returns true if two UIDs alternate at `address`, or a conflict there is confirmed.
+    pub fn is_known_shared(&self, address: Address) -> bool {
+        let two_uids = [FindingKind::OneAddressTwoIdentities, FindingKind::TwoDebugDevices];
+        self.confirmed_conflicts[address.index()] > 0
+            || two_uids.into_iter().any(|kind| self.is_open(kind, address))
+    }
+
     /// Returns true if several devices seem to use `address`.
     pub fn is_shared(&self, address: Address) -> bool {
         self.findings.iter().any(|finding| {

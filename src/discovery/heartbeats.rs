@@ -251,7 +251,7 @@ impl DeviceTracker {
         let known = !first || device.name.is_some() && now.since(device.first_seen) > period * 3;
         let uids = device.uid_before.zip(device.uid);
         let uids = uids.filter(|(from, to)| !from.is_blank() && !to.is_blank());
-        let is_shared = self.conflicts.finding_tracker().is_open_at(device.address);
+        let is_shared = self.conflicts.finding_tracker().is_known_shared(device.address);
         if let Some((from, to)) = uids.filter(|_| !is_claim && !is_shared) {
             self.emit(row, EventKind::UidChanged { from, to });
         }

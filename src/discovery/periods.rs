@@ -30,6 +30,9 @@ const MIN_OTHERS: usize = 2;
 /// lost heartbeats. With 30 % of the heartbeats lost, nine in a row that are not single periods are
 /// rarer than one in 50,000; chosen: three times as many.
 const LOSS_MEMORY: u32 = 30;
+/// Longest single interval, in periods of the profile, by which presence is judged: two heartbeats
+/// a minute apart are more likely those of a device that was off. Chosen.
+const MAX_SINGLE: u32 = 10;
 /// Longest interval, in periods of the profile, that may be a period, and the largest divisor of
 /// one for the shortest: a longer one is an interruption, a shorter one a burst. From 17 ms to a
 /// minute, for the default period of 1 s.
@@ -123,7 +126,11 @@ impl HeartbeatPeriods {
     pub fn of_presence(&self, address: Address) -> Duration {
         let (expected, intervals) = (self.of(address), &self.intervals[address.index()]);
         match intervals.recent.iter().min() {
-            Some(shortest) if intervals.measured.is_none() && !self.is_given => {
+            Some(shortest)
+                if intervals.measured.is_none()
+                    && !self.is_given
+                    && (intervals.recent.len() > 1 || *shortest <= self.profile * MAX_SINGLE) =>
+            {
                 expected.max(self.rounded(*shortest))
             }
             _ => expected,

@@ -56,7 +56,11 @@ impl Engine {
         }
         // In a request the content may be that of another protocol.
         let is_heartbeat = header.response && matches!(content, PlatformContent::Heartbeat(_));
-        let repetition = self.tracker.conflicts.note_frame(now, header.source, is_heartbeat, frame);
+        let repetition = if self.traffic().has_des {
+            self.tracker.conflicts.note_frame(now, header.source, is_heartbeat, frame)
+        } else {
+            Repetition::None
+        };
         if repetition != Repetition::Ignored {
             self.process_platform_frame(&observation, header, content, repetition);
         }

@@ -29,6 +29,10 @@ const GRID_TOLERANCE: f64 = 0.15;
 /// before and after a heartbeat that waited on a busy bus.
 const MAX_OFF_GRID: usize = 2;
 const MIN_GRID_GAPS: usize = 8;
+/// Half a period.
+const HALF: f64 = 0.5;
+/// Deviation of the others, in periods: a heartbeat of half the period is late by a fifth of it.
+const MAX_LATE: f64 = 0.12;
 
 /// Smallest difference, in periods, between the intervals of two senders. Chosen: twice the jitter
 /// of a quiet bus.
@@ -158,16 +162,11 @@ fn grid_of(times: &VecDeque<Instant>, period: Duration) -> Option<FasterSender> 
     }
     let steps = gaps().map(|gap| (gap / shortest).round()).sum::<f64>();
     let step = gaps().sum::<f64>() / steps;
-    let is_off = |gap: &f64| (gap / step - (gap / step).round()).abs() > GRID_TOLERANCE;
+    if gaps().any(|gap| (gap / step - (gap / step).round()).abs() > GRID_TOLERANCE) {
+        return half_period_grid(&gaps().collect::<Vec<f64>>());
+    }
     let parts = 1.0 / step;
     let whole = parts.round();
-    let excused = match gaps().count() {
-        count if count >= MIN_GRID_GAPS && (parts - 2.0).abs() < 0.5 => MAX_OFF_GRID.max(count / 6),
-        _ => 0,
-    };
-    if gaps().filter(is_off).count() > excused {
-        return None;
-    }
     let has_losses = gaps().take(MAX_GAPS_WITHOUT_LOSS).any(|gap| (gap / step).round() > 1.0);
     if (parts - whole).abs() > GRID_TOLERANCE {
         let grid =
@@ -185,6 +184,23 @@ fn grid_of(times: &VecDeque<Instant>, period: Duration) -> Option<FasterSender> 
     let has_most_parts = if whole <= 3 { count == whole } else { count * 2 > whole };
     let alternates = whole == 2 && alternates(gaps(), step);
     Some(FasterSender { parts: Some(whole), has_most_parts, has_losses, alternates })
+}
+
+/// Returns the sender with half the period whose heartbeats are late now and then, if most gaps are
+/// near to multiples of that. Two senders half a period apart look like that, unless the gaps
+/// alternate.
+fn half_period_grid(gaps: &[f64]) -> Option<FasterSender> {
+    let steps = |gap: f64| (gap / HALF).round().max(1.0);
+    let count = gaps.len();
+    let (sum, all) = gaps.iter().fold((0.0, 0.0), |(sum, all), gap| (sum + gap, all + steps(*gap)));
+    let late = gaps.iter().filter(|gap| (*gap - steps(**gap) * HALF).abs() > MAX_LATE).count();
+    let is_half = (sum / all - HALF).abs() <= GRID_TOLERANCE * HALF / 2.0;
+    if count < MIN_GRID_GAPS || !is_half || late > MAX_OFF_GRID.max(count / 6) {
+        return None;
+    }
+    let has_losses = gaps.iter().take(MAX_GAPS_WITHOUT_LOSS).any(|gap| steps(*gap) > 1.0);
+    let alternates = alternates(gaps.iter().copied(), HALF);
+    Some(FasterSender { parts: Some(2), has_most_parts: true, has_losses, alternates })
 }
 
 /// Returns true if gaps of an odd number of `step` are alternately longer and shorter than that by
