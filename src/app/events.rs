@@ -262,8 +262,6 @@ impl App {
         self.leave_conflict_that_is_over(change);
         if change != FileChange::Unusable {
             self.leave_question_about_deleted();
-        }
-        if change != FileChange::Unusable {
             self.save_pending();
         }
         self.quit_if_saved();

@@ -169,9 +169,10 @@ impl Filter {
             return Some("a quote is not closed: add \"".to_owned());
         }
         self.terms.iter().find_map(|term| match &term.what {
-            TermTest::Field(Field::State, value) if !is_state(value) => {
-                Some(format!("is:{value}: \"{value}\" is no state; use {}", STATE_WORDS.join(", ")))
-            }
+            TermTest::Field(Field::State, value) if !is_state(value) => Some(format!(
+                "is:{value}: \"{value}\" is not a state; use {}",
+                STATE_WORDS.join(", ")
+            )),
             TermTest::Field(Field::Type, value) if !is_type(value) => Some(format!(
                 "kind:{value}: no kind of problem and no message type; for example kind:uid, \
                  type:rsp"
@@ -298,9 +299,9 @@ impl Filter {
                     || entry.finding.is_some_and(|kind| contains_word(kind.name(), word))
             }
             TermTest::Field(Field::Text, value) => contains_word(&entry.text, value),
-            TermTest::Field(Field::Type, value) => entry.finding.is_some_and(|kind| {
-                contains_word(kind.name(), value) || contains_word(kind.headline(), value)
-            }),
+            TermTest::Field(Field::Type, value) => {
+                entry.finding.is_some_and(|kind| is_kind(kind, value))
+            }
             TermTest::Field(Field::Bus, value) => contains_word(bus(), value),
             TermTest::Field(Field::Address, value) => {
                 others.iter().chain(&entry.address).any(|it| is_one_of(*it, value))
@@ -327,11 +328,8 @@ impl Filter {
         let named =
             |word: &str| problem.names().iter().any(|it| contains_word(&it.to_string(), word));
         let kind = |word: &str| {
-            let is_of = |kind: FindingKind| {
-                contains_word(kind.name(), word) || contains_word(kind.headline(), word)
-            };
             contains_word(&problem.headline(), word)
-                || problem.findings.iter().any(|finding| is_of(finding.key.kind))
+                || problem.findings.iter().any(|finding| is_kind(finding.key.kind, word))
         };
         self.all(|what| match what {
             TermTest::Word(word) => {
@@ -445,12 +443,14 @@ fn is_state(value: &str) -> bool {
     STATE_WORDS.iter().chain(&aliases).any(|word| word.contains(value))
 }
 
+/// Returns true if `word` is part of the name or of the headline of a kind of problem.
+fn is_kind(kind: FindingKind, word: &str) -> bool {
+    contains_word(kind.name(), word) || contains_word(kind.headline(), word)
+}
+
 /// Returns true if there is such a kind of problem or such a message type.
 fn is_type(value: &str) -> bool {
-    let is_kind = |kind: &FindingKind| {
-        contains_word(kind.name(), value) || contains_word(kind.headline(), value)
-    };
-    FindingKind::ALL.iter().any(is_kind)
+    FindingKind::ALL.iter().any(|kind| is_kind(*kind, value))
         || MessageType::ALL.iter().any(|it| starts(it.name(), value))
         || ["error", "remote", "standard", "foreign"].iter().any(|kind| kind.starts_with(value))
 }

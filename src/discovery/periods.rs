@@ -154,7 +154,7 @@ impl HeartbeatPeriods {
     pub fn is_reliable(&self, address: Address) -> bool {
         self.is_given
             || self.is_observed
-            || self.intervals[address.index()].measured.is_some()
+            || self.is_measured(address)
             || self.of(address) != self.profile
     }
 
@@ -211,7 +211,7 @@ impl HeartbeatPeriods {
     /// Forgets the intervals of `address`: its device is lost. Those of a device whose period is not
     /// known stay: it may be so long that the device is lost between two heartbeats.
     pub fn forget(&mut self, address: Address) {
-        if self.intervals[address.index()].measured.is_none() {
+        if !self.is_measured(address) {
             return;
         }
         self.intervals[address.index()] = Intervals::default();

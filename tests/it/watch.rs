@@ -645,7 +645,7 @@ fn filter_that_cannot_match_is_rejected() {
         ("feed at:12-14", "at:12-14: \"12-14\" is not an address"),
         ("at:12,128", "\"128\" is not an address"),
         ("!foo:bar", "unknown field foo; use at: name: src: from: dst: to:"),
-        ("is:foo", "is:foo: \"foo\" is no state; use online, stale"),
+        ("is:foo", "is:foo: \"foo\" is not a state; use online, stale"),
         ("kind:zzz", "no kind of problem and no message type"),
         ("name:\"my", "a quote is not closed"),
     ] {

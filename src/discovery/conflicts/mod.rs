@@ -111,8 +111,8 @@ struct AddressFindings {
     has_two_names: bool,
     /// Heartbeats there have two phases or two UIDs, or two devices are known by other evidence.
     has_second_sender: bool,
-    /// Another name responded there recently: further evidence then more likely
-    /// concerns that device than two devices of the present name.
+    /// Another name responded there recently: further evidence then more likely concerns that device
+    /// than two devices of the present name.
     had_other_name: bool,
     /// Too few heartbeats arrived to show whether frames from there are repeated.
     may_be_repeated: bool,
