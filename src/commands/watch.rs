@@ -223,9 +223,10 @@ fn as_value(app: &App, event: AppEvent) -> Option<JsonEvent> {
 fn of_event(app: &App, DeviceEvent { context, event, services }: DeviceEvent) -> Option<JsonEvent> {
     let word = event_word(&event.kind);
     let more = match event.kind {
-        EventKind::FirstFrame | EventKind::NameReceived | EventKind::Rebooted => {
-            EventDetails::Nothing {}
-        }
+        EventKind::FirstFrame
+        | EventKind::NameReceived
+        | EventKind::Rebooted
+        | EventKind::Removed => EventDetails::Nothing {},
         EventKind::Services { news, .. } => EventDetails::Services {
             services: of_services(&services),
             changed: news == ServicesNews::Changed,

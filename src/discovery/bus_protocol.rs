@@ -3,7 +3,8 @@
 //! Of the 29-bit identifiers of other protocols, up to three quarters conform to the platform by
 //! chance. So an address is not a device, and no device is requested, before a heartbeat that fits,
 //! a DES message or a claim was received; and where many identifiers are impossible instead, the
-//! bus speaks another protocol.
+//! bus speaks another protocol. The first frame that fits may do so by chance: until another one
+//! confirms it, impossible identifiers refute it.
 
 use super::observation::{Observation, ObservationKind, PlatformContent};
 use crate::frame::Frame;
@@ -24,8 +25,15 @@ const MIN_DOUBTFUL: u64 = 3;
 /// Bytes of a heartbeat that are compared: those of a UID.
 const UID_BYTES: usize = 6;
 /// Number of heartbeats of one source in the period of the profile that show a device that does not
-/// generate RND7. Chosen: other protocols send constant data too, but rarely in this period.
-const MIN_PERIODIC: u8 = 4;
+/// generate RND7. Other protocols send constant data too, but rarely in this period; and of frames
+/// every half period, so many in a row with every other one lost are rarer than one in 500 if 30 %
+/// are lost.
+const MIN_PERIODIC: i8 = 5;
+/// Count after an interval that no sender with the period of the profile has: as many heartbeats of
+/// the period again. Of frames every half period, every other one may be lost for a while.
+const NOT_PERIODIC: i8 = -8;
+/// Longest interval between two of them, in periods. A device is lost after as many.
+const MAX_PERIODS: f64 = 5.0;
 /// Deviation of their intervals, as a fraction of the period. As that of a measured period.
 const PERIOD_TOLERANCE: f64 = 0.15;
 
@@ -116,6 +124,8 @@ impl BusTraffic {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum DesFit {
     None,
+    /// A heartbeat whose mode contradicts its U bit.
+    Contradictory,
     /// Other protocols have such frames by chance.
     Plausible,
     Certain,
@@ -125,12 +135,14 @@ enum DesFit {
 #[derive(Debug)]
 pub(super) struct ProtocolDetector {
     traffic: BusTraffic,
+    /// True if `has_des` is beyond doubt.
+    is_confirmed: bool,
     /// Heartbeat period of the profile.
     period: Duration,
     /// Offset of the mode in a heartbeat; `None` if the profile has none.
     mode_offset: Option<u8>,
-    /// Last plausible heartbeats of each address with two UIDs, as two boards send them, on a
-    /// doubtful bus; the newer one first.
+    /// Last plausible heartbeats of each address with two UIDs, as two boards send them, until
+    /// `is_confirmed`; the newer one first.
     heartbeats: [[Option<PlausibleHeartbeat>; 2]; Address::COUNT],
 }
 
@@ -141,14 +153,16 @@ struct PlausibleHeartbeat {
     id: Option<u32>,
     /// Begin of the data, at most those of a UID.
     uid: [u8; UID_BYTES],
-    /// Number of those with one identifier that came in the period of the profile.
-    periodic: u8,
+    /// Number of those with one identifier that came in the period of the profile, or the rest of
+    /// [`NOT_PERIODIC`].
+    periodic: i8,
 }
 
 impl ProtocolDetector {
     pub fn new(heartbeat: &HeartbeatProfile) -> Self {
         Self {
             traffic: BusTraffic::default(),
+            is_confirmed: false,
             period: heartbeat.period(),
             mode_offset: heartbeat.mode_offset,
             heartbeats: [[None; 2]; Address::COUNT],
@@ -159,10 +173,14 @@ impl ProtocolDetector {
         self.traffic
     }
 
+    /// Returns true if the bus speaks DES beyond doubt: not only by one frame that fits.
+    pub fn is_confirmed(&self) -> bool {
+        self.is_confirmed
+    }
+
     /// Notes a frame of another node.
     pub fn note_frame(&mut self, observation: &Observation<'_>) {
         self.traffic.frames += 1;
-        let frame = observation.frame;
         match observation.kind {
             ObservationKind::Error | ObservationKind::NonPlatform => {
                 self.traffic.non_platform += 1;
@@ -170,17 +188,39 @@ impl ProtocolDetector {
             ObservationKind::Platform(header, _) if !header.is_conforming() => {
                 self.traffic.non_conforming += 1;
             }
-            ObservationKind::Platform(..) if self.traffic.has_des => {}
+            ObservationKind::Platform(..) if self.is_confirmed => return,
             ObservationKind::Platform(header, content) => {
-                let fit = des_fit(header, content, frame, self.mode_offset);
-                // On a doubtful bus, one plausible frame is not enough.
-                let is_enough = fit == DesFit::Certain || self.traffic.impossible() < MIN_DOUBTFUL;
-                let is_heartbeat = matches!(content, PlatformContent::Heartbeat(_));
-                self.traffic.has_des = fit != DesFit::None
-                    && (is_enough
-                        || is_heartbeat && self.repeats_heartbeat(header.source, observation));
+                self.judge_conforming(header, content, observation);
             }
         }
+        self.traffic.has_des &= self.is_confirmed || !self.traffic.is_mostly_impossible();
+    }
+
+    /// Judges a frame whose identifier conforms to the platform.
+    fn judge_conforming(
+        &mut self,
+        header: Header,
+        content: PlatformContent,
+        observation: &Observation<'_>,
+    ) {
+        let fit = des_fit(header, content, observation.frame, self.mode_offset);
+        let is_heartbeat = matches!(content, PlatformContent::Heartbeat(_));
+        let is_repeated = is_heartbeat
+            && fit != DesFit::None
+            && self.repeats_heartbeat(header.source, observation);
+        match fit {
+            DesFit::None => {}
+            DesFit::Certain => self.is_confirmed = true,
+            DesFit::Plausible => {
+                self.is_confirmed |= is_repeated;
+                // On a doubtful bus, one plausible frame is not enough.
+                self.traffic.has_des |= self.traffic.impossible() < MIN_DOUBTFUL;
+            }
+            DesFit::Contradictory => {
+                self.traffic.has_des |= is_repeated && self.traffic.impossible() < MIN_DOUBTFUL;
+            }
+        }
+        self.traffic.has_des |= self.is_confirmed;
     }
 
     /// Returns true if a source sent heartbeats with the same UID before, as devices do: with
@@ -195,16 +235,24 @@ impl ProtocolDetector {
         let id = frame.platform_id();
         let last = &mut self.heartbeats[source.index()];
         let before = last.iter().flatten().find(|before| before.uid == uid).copied();
-        if last[0].is_some_and(|newest| newest.uid != uid) {
-            last[1] = last[0];
+        let newest = last[0];
+        if newest.is_some_and(|newest| newest.uid != uid) {
+            last[1] = newest;
         }
-        let is_periodic = |before: &PlausibleHeartbeat| {
-            let periods = at.since(before.at).as_secs_f64() / self.period.as_secs_f64();
-            (periods - 1.0).abs() <= PERIOD_TOLERANCE
-        };
+        let periods = |since: Instant| at.since(since).as_secs_f64() / self.period.as_secs_f64();
+        // Data that changes with the same identifier is no UID.
+        let is_constant = newest.is_none_or(|newest| newest.uid == uid || newest.id != id);
         let periodic = match before {
-            Some(before) if is_periodic(&before) => before.periodic.saturating_add(1),
-            _ => 1,
+            _ if !is_constant => NOT_PERIODIC,
+            Some(before) => match periods(before.at) {
+                one if (one - 1.0).abs() <= PERIOD_TOLERANCE => before.periodic.saturating_add(1),
+                // Heartbeats between them were lost.
+                some if (some - some.round().max(1.0)).abs() <= PERIOD_TOLERANCE => {
+                    if some <= MAX_PERIODS + PERIOD_TOLERANCE { before.periodic } else { 1 }
+                }
+                _ => NOT_PERIODIC,
+            },
+            None => 1,
         };
         last[0] = Some(PlausibleHeartbeat { at, id, uid, periodic });
         before.is_some_and(|before| before.id != id) || periodic >= MIN_PERIODIC
@@ -223,9 +271,13 @@ fn des_fit(
         PlatformContent::Heartbeat(heartbeat) if header.response => {
             let working = heartbeat.mode.and_then(Mode::is_working);
             let is_short = mode_offset.is_none_or(|offset| frame.len() <= usize::from(offset));
-            let fits = heartbeat.mode.is_some()
-                && working.is_none_or(|working| working != header.from_non_working);
-            if fits || is_short { DesFit::Plausible } else { DesFit::None }
+            let fits = working.is_none_or(|working| working != header.from_non_working);
+            match heartbeat.mode {
+                _ if is_short => DesFit::Plausible,
+                Some(_) if fits => DesFit::Plausible,
+                Some(_) => DesFit::Contradictory,
+                None => DesFit::None,
+            }
         }
         PlatformContent::Request(Some(_)) => DesFit::Certain,
         PlatformContent::Response => classify_response(frame.data(), frame.is_fd, false)

@@ -152,6 +152,12 @@ impl DeviceTable {
         }
     }
 
+    /// Removes all rows.
+    pub fn clear(&mut self) {
+        self.devices.clear();
+        self.current = [None; Address::COUNT];
+    }
+
     fn remove(&mut self, row: DeviceId) -> Option<Device> {
         let at = self.index_of(row)?;
         let device = self.devices.remove(at);

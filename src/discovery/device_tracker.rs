@@ -203,8 +203,26 @@ impl DeviceTracker {
 
     // --- frames ---------------------------------------------------------------------------
 
+    /// Removes all rows and what was found about them: the bus speaks another protocol.
+    pub fn remove_devices(&mut self) {
+        for row in self.device_table.rows() {
+            self.emit(row, EventKind::Removed);
+        }
+        self.device_table.clear();
+        self.claims = AddressClaims::new();
+        self.lateness = BusDelayTracker::default();
+        self.conflicts.remove_devices();
+        for address in Address::all() {
+            self.errors.forget(address);
+        }
+    }
+
     /// Notes an identifier that is not one of the message types.
     pub fn process_non_conforming(&mut self, source: Address, frame: &Frame) {
+        // It may be of another protocol, as all frames are.
+        if !self.protocol.is_confirmed() {
+            return;
+        }
         let now = self.now;
         let Some(device) = self.device_table.current_device_mut(source) else { return };
         device.note_deviation(ProtocolDeviation::NonConforming);

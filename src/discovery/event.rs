@@ -111,6 +111,9 @@ pub enum EventKind {
         /// Present UID.
         to: Uid,
     },
+    /// The row was removed: the bus turned out to speak another protocol, by whose frames the device
+    /// seemed to be there.
+    Removed,
     /// The presence changed to stale, silent, asleep or lost.
     Presence(Presence),
     /// The device is online again.

@@ -35,13 +35,16 @@ const CONFIRMED_FOLLOW_UP_DELAY: Duration = Duration::from_secs(2);
 /// Longest gap between heartbeat evidence that belongs together, in periods. Two periods and the
 /// jitter: one heartbeat may be lost.
 const HEARTBEAT_GAP_PERIODS: f64 = 2.6;
-/// The same for heartbeats of two UIDs in turns, which prove more and of which some may be lost: as
-/// long as the finding stays open without evidence. With 30 % of the heartbeats lost, four in a row
-/// are lost once in 120 times.
+/// The same for heartbeats of two UIDs, or of one UID at two addresses, in turns, which prove more
+/// and of which some may be lost: as long as the finding stays open without evidence. With 30 % of
+/// the heartbeats lost, four in a row are lost once in 120 times.
 const IDENTITY_GAP_PERIODS: f64 = 5.0;
 /// Longest gap between response evidence that belongs together, in periods since a request was
 /// seen: two requests. Tuned with the simulation.
 const RESPONSE_GAP_PERIODS: f64 = 1.75;
+/// Periods after a malformed response in which the next one belongs to it: three rounds (protocol
+/// §4.4). A valid response ends that sooner.
+const MALFORMED_MEMORY_PERIODS: u32 = 30;
 /// Number of [`EvidenceStrength::Proof`] observations that confirm a finding; a single one may be a
 /// stray frame.
 const CONFIRM_AFTER_PROOFS: u32 = 2;
@@ -443,6 +446,21 @@ impl FindingTracker {
         }
     }
 
+    /// Removes the findings about devices; those about the bus stay.
+    pub fn remove_findings_of_devices(&mut self) {
+        let states = std::mem::take(&mut self.evidence_states);
+        let all = std::mem::take(&mut self.findings).into_iter().zip(states);
+        let of_bus = all.filter(|(finding, _)| finding.key.address.is_none());
+        (self.findings, self.evidence_states) = of_bus.unzip();
+        self.changed.retain(|(key, _)| key.address.is_none());
+        self.revision += 1;
+        self.requested_at = [None; Address::COUNT];
+        self.open_conflicts = [0; Address::COUNT];
+        self.confirmed_conflicts = [0; Address::COUNT];
+        self.several_senders_until = [None; Address::COUNT];
+        self.contests.fill_with(Contest::default);
+    }
+
     // --- findings ------------------------------------------------------------------------
 
     /// Sets the heartbeat period of each address.
@@ -481,6 +499,9 @@ impl FindingTracker {
         if self.evidence_states[at].is_response_based {
             // Requests are not sent more often where heartbeats are.
             period = period.max(self.default_period);
+        }
+        if finding.key.kind == FindingKind::MalformedAnswer {
+            return finding.last + period.max(self.default_period) * MALFORMED_MEMORY_PERIODS;
         }
         let usual = finding.last + self.evidence_lifetime(period);
         match requested {
@@ -614,7 +635,9 @@ impl FindingTracker {
     ) {
         let period = self.period_of(at);
         let gap_periods = match self.findings[at].key.kind {
-            FindingKind::OneAddressTwoIdentities => IDENTITY_GAP_PERIODS,
+            FindingKind::OneAddressTwoIdentities | FindingKind::OneUidTwoAddresses => {
+                IDENTITY_GAP_PERIODS
+            }
             _ => HEARTBEAT_GAP_PERIODS,
         };
         let state = &mut self.evidence_states[at];

@@ -45,6 +45,11 @@ impl RecentAddresses {
         self.current |= 1 << address.index();
     }
 
+    fn remove(&mut self, address: Address) {
+        self.current &= !(1 << address.index());
+        self.previous &= !(1 << address.index());
+    }
+
     fn all(&self) -> u128 {
         self.current | self.previous
     }
@@ -71,6 +76,11 @@ impl BusDelayTracker {
         } else if periods > 1.5 {
             self.missing.insert(address);
         }
+    }
+
+    /// Notes that the period of `address` is another one than assumed: no heartbeat was missing.
+    fn note_period(&mut self, address: Address) {
+        self.missing.remove(address);
     }
 
     /// Returns true if the bus delays heartbeats of several devices.
@@ -203,6 +213,9 @@ impl DeviceTracker {
             let uid = heartbeat.uid;
             let change =
                 self.conflicts.note_heartbeat(now, address, uid, mode, name.as_ref(), frame);
+            if change == PeriodChange::Expected {
+                self.lateness.note_period(address);
+            }
             if change != PeriodChange::None {
                 self.wake_at(now);
             }

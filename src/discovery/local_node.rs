@@ -151,6 +151,11 @@ impl LocalNode {
         self.heartbeat_known = true;
     }
 
+    /// Forgets it: the bus speaks another protocol.
+    pub fn forget_heartbeat(&mut self) {
+        self.heartbeat_known = false;
+    }
+
     /// Handles a frame of another node from the address held or claimed.
     pub fn handle_address_conflict(
         &mut self,

@@ -208,6 +208,11 @@ impl HeartbeatPeriods {
         self.intervals[address.index()].measured.is_some()
     }
 
+    /// Forgets all intervals.
+    pub fn clear(&mut self) {
+        *self = Self::new(self.profile, self.is_given);
+    }
+
     /// Forgets the intervals of `address`: its device is lost. Those of a device whose period is not
     /// known stay: it may be so long that the device is lost between two heartbeats.
     pub fn forget(&mut self, address: Address) {

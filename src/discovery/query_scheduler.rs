@@ -7,7 +7,7 @@ use super::device_tracker::{DeviceTracker, RESPONSE_TIME, RESPONSE_WAIT_BITS};
 use super::presence::is_claim_only;
 use super::requester::Requester;
 use super::rounds::RoundStep;
-use super::{DeviceId, NO_TIMEOUT, Presence, Query};
+use super::{Device, DeviceId, NO_TIMEOUT, Presence, Query};
 use crate::frame::Frame;
 use crate::time::{Duration, Instant};
 use crate::wire::des::Request;
@@ -28,6 +28,28 @@ const RETRY_DELAY: Duration = Duration::from_secs(30);
 /// Time after the start of a round at which nodes without a name are queried one by one. As the
 /// longest collection time of a round.
 const ROUND_WAIT_LIMIT: Duration = Duration::from_secs(2);
+
+/// Number of queries that wait for a response.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct WaitingQueries {
+    /// To devices that speak DES.
+    known: usize,
+    /// To other nodes.
+    others: usize,
+}
+
+impl WaitingQueries {
+    /// Returns true if one more query may be sent, of `most`. One slot is left to devices that speak
+    /// DES: others may be many, and each takes its slot until the timeout.
+    fn has_slot(self, is_known: bool, most: usize) -> bool {
+        let is_free = self.known + self.others < most;
+        is_free && (is_known || self.others + 1 < most.max(2))
+    }
+
+    fn add(&mut self, is_known: bool) {
+        *if is_known { &mut self.known } else { &mut self.others } += 1;
+    }
+}
 
 impl Requester {
     /// Sends the requests that are due and expires those without a response.
@@ -137,12 +159,18 @@ impl Requester {
         let window = tracker.response_window();
         let max_waiting = self.idle.max_open(MAX_WAITING, &tracker.config);
         let on_the_bus = self.idle.duration_of_bits(RESPONSE_WAIT_BITS, &tracker.config);
-        for request in [Request::Name, Request::Services] {
+        let requests = [Request::Name, Request::Services];
+        for (is_known, request) in
+            [true, false].into_iter().flat_map(|it| requests.map(|r| (it, r)))
+        {
             // In the order of addresses: responses of lower ones have priority on the bus, so
             // responses arrive in the order of the requests and none waits behind later ones.
             for address in Address::all() {
-                if self.waiting >= max_waiting || !self.outbox.has_budget() {
+                if !self.outbox.has_budget() {
                     return;
+                }
+                if !self.waiting.has_slot(is_known, max_waiting) {
+                    break;
                 }
                 let shared = request == Request::Services
                     && tracker.conflicts.finding_tracker().is_open_at(address)
@@ -150,6 +178,9 @@ impl Requester {
                 let Some(device) = tracker.device_table.current_device_mut(address) else {
                     continue;
                 };
+                if speaks_des(device) != is_known {
+                    continue;
+                }
                 // Two multi-frame responses at once destroy each other: keep the known services
                 // until one device has left, unless that effect itself is under test.
                 if shared && device.services.is_some() && !device.asks_all_services {
@@ -181,7 +212,7 @@ impl Requester {
                 query.sent_at = Some(now);
                 query.due = None;
                 query.deadline = Some(now + response_timeout(on_the_bus, query.attempts));
-                self.waiting += 1;
+                self.waiting.add(is_known);
                 let is_last = query.attempts >= max_attempts(request);
                 // A device that no longer responds in its framing may be another board.
                 let framing = framing.filter(|_| !is_last);
@@ -207,10 +238,10 @@ impl Requester {
     /// Records queries whose response is overdue as failed.
     fn expire_queries(&mut self, tracker: &mut DeviceTracker) {
         let now = tracker.now;
-        let mut waiting = 0;
+        let mut waiting = WaitingQueries::default();
         let mut needs_round = false;
         for device in tracker.device_table.devices_mut() {
-            let named = device.name.is_some();
+            let (named, is_known) = (device.name.is_some(), speaks_des(device));
             for (request, query) in [
                 (Request::Name, &mut device.name_query),
                 (Request::Services, &mut device.services_query),
@@ -218,7 +249,7 @@ impl Requester {
                 let deadline = query.deadline.filter(|_| query.is_waiting());
                 match deadline {
                     None => {}
-                    Some(deadline) if deadline > now => waiting += 1,
+                    Some(deadline) if deadline > now => waiting.add(is_known),
                     Some(_) => {
                         let fault = query.fault;
                         needs_round |= record_failure(query, request, named, now, fault);
@@ -267,10 +298,11 @@ impl Requester {
         let max_waiting = self.idle.max_open(MAX_WAITING, &tracker.config);
         for device in tracker.device_table.devices() {
             let sending = sending && tracker.device_table.is_current(device);
+            let has_slot = self.waiting.has_slot(speaks_des(device), max_waiting);
             for query in [&device.name_query, &device.services_query] {
                 if let Some(deadline) = query.deadline.filter(|_| query.is_waiting()) {
                     due = due.min(deadline);
-                } else if sending && self.waiting < max_waiting {
+                } else if sending && has_slot {
                     due = due.min(query.due.unwrap_or(NO_TIMEOUT));
                 }
             }
@@ -353,6 +385,12 @@ impl DeviceTracker {
             query.deadline = Some(now + isotp::TIMEOUT + Duration::from_millis(100));
         }
     }
+}
+
+/// Returns true if the device sent a heartbeat or a DES response. Others may be nodes of another
+/// protocol that do not respond.
+fn speaks_des(device: &Device) -> bool {
+    device.heartbeat.last.is_some() || device.name.is_some() || device.services.is_some()
 }
 
 /// Returns the timeout of the first frame of a response: what devices need, plus `on_the_bus`, what

@@ -86,6 +86,11 @@ impl Engine {
         let before = self.traffic().verdict();
         self.tracker.protocol.note_frame(observation);
         let verdict = self.traffic().verdict();
+        if before == BusVerdict::Des && verdict != before {
+            self.tracker.remove_devices();
+            self.requester.local_node.forget_heartbeat();
+            self.transfers.clear();
+        }
         if verdict == before || !self.requester.may_send_requests(&self.tracker) {
             return;
         }

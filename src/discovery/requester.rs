@@ -5,6 +5,7 @@ use super::device_tracker::DeviceTracker;
 use super::idle_gaps::IdleTracker;
 use super::local_node::{AddressChange, LocalNode};
 use super::outbox::{AckChange, Outbox};
+use super::query_scheduler::WaitingQueries;
 use super::rounds::Rounds;
 use super::{BusVerdict, Config, EventKind};
 use crate::time::Instant;
@@ -18,7 +19,7 @@ pub(super) struct Requester {
     pub rounds: Rounds,
     pub idle: IdleTracker,
     /// Number of queries that await a response, updated before requests are sent.
-    pub waiting: usize,
+    pub waiting: WaitingQueries,
     /// True if the user asked for rounds on a bus that speaks another protocol.
     pub is_foreign_scanned: bool,
 }
@@ -31,7 +32,7 @@ impl Requester {
             outbox: Outbox::new(now, config.has_loopback),
             rounds: Rounds::new(),
             idle: IdleTracker::new(),
-            waiting: 0,
+            waiting: WaitingQueries::default(),
             is_foreign_scanned: false,
             rng,
         }

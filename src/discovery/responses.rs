@@ -3,7 +3,7 @@
 use super::conflicts::ResponseStart;
 use super::device::{DeviceService, ProtocolDeviation, QueryFault, QueryState};
 use super::recent_requests::RecentRequests;
-use super::transfers::{Continued, Started};
+use super::transfers::{Continued, Started, Stopped};
 use super::{DeviceId, Engine, EventKind, Presence, local_node};
 use crate::frame::Frame;
 use crate::text::Name;
@@ -194,6 +194,9 @@ impl Engine {
                     self.tracker.report_malformed(now, row, &ResponseFault::NotServices, frame);
                     return;
                 }
+                if let Some(stopped) = self.transfers.restart(now, header) {
+                    self.handle_stopped_transfer(now, row, &stopped);
+                }
                 self.note_response_start(now, row, first_type, Framing::Isotp, to, frame);
                 let block_size =
                     if is_for_descan { self.tracker.config.profile.isotp.block_size } else { 0 };
@@ -263,18 +266,22 @@ impl Engine {
     /// Aborts transfers whose next frame is overdue (N_Cr).
     pub(super) fn expire_transfers(&mut self) {
         while let Some(expired) = self.transfers.expire(self.tracker.now) {
-            let Some(row) = self.tracker.device_table.current_row(expired.header.source) else {
-                continue;
-            };
-            // The requester is why its response does not go on.
-            let own = self.requester.local_node.held();
-            if expired.lacks_flow_control && own != Some(expired.header.destination) {
-                self.tracker.counters.transfers_failed += 1;
-                continue;
+            if let Some(row) = self.tracker.device_table.current_row(expired.header.source) {
+                self.handle_stopped_transfer(self.tracker.now, row, &expired);
             }
-            let request = request_in_first_frame(&expired.first).or(self.open_request(row));
-            self.abort_transfer(self.tracker.now, row, request, expired.fault, &expired.first);
         }
+    }
+
+    fn handle_stopped_transfer(&mut self, now: Instant, row: DeviceId, stopped: &Stopped) {
+        let Stopped { header, fault, first, lacks_flow_control } = stopped;
+        // The requester is why its response does not go on.
+        let own = self.requester.local_node.held();
+        if *lacks_flow_control && own != Some(header.destination) {
+            self.tracker.counters.transfers_failed += 1;
+            return;
+        }
+        let request = request_in_first_frame(first).or(self.open_request(row));
+        self.abort_transfer(now, row, request, *fault, first);
     }
 
     /// Handles an aborted multi-frame response. Aborted once, or at different places, frames were

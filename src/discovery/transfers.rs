@@ -77,15 +77,27 @@ pub(super) enum Continued {
     Fault(TransferFault, Frame),
 }
 
-/// A transfer that was aborted by its timeout.
+/// A transfer whose sender stopped.
 #[derive(Debug)]
-pub(super) struct Expired {
+pub(super) struct Stopped {
     pub header: Header,
     pub fault: TransferFault,
     /// First frame of the transfer.
     pub first: Frame,
     /// True if its sender waits for flow control of the requester.
     pub lacks_flow_control: bool,
+}
+
+impl From<RxTransfer> for Stopped {
+    fn from(transfer: RxTransfer) -> Self {
+        let RxTransfer { id, first, reassembly, permitted, .. } = transfer;
+        Self {
+            header: Header::decode(id),
+            fault: TransferFault::TimeoutCr { after: reassembly.message().len() },
+            first,
+            lacks_flow_control: permitted == 0,
+        }
+    }
 }
 
 /// Open transfers of one bus.
@@ -132,14 +144,6 @@ impl Transfers {
         let id = header.encode();
         let source = header.source.index();
         let transfers = &mut self.by_source[source];
-        // Its sender no longer waits for flow control, as another first frame shows. Two devices send
-        // theirs together.
-        let is_over = |open: &RxTransfer| {
-            open.id == id && open.permitted == 0 && now.since(open.last_at) >= INTERLEAVED_REST
-        };
-        let before = transfers.len();
-        transfers.retain(|open| !is_over(open));
-        self.open -= before - transfers.len();
         let mut count = 0;
         for open in transfers.iter_mut().filter(|transfer| transfer.id == id) {
             open.is_superseded = true;
@@ -241,8 +245,21 @@ impl Transfers {
         }
     }
 
+    /// Aborts a transfer that ended before a new first frame with its identifier, if any. Two
+    /// devices send theirs together.
+    pub fn restart(&mut self, now: Instant, header: Header) -> Option<Stopped> {
+        let id = header.encode();
+        let transfers = &mut self.by_source[header.source.index()];
+        let at = transfers
+            .iter()
+            .position(|open| open.id == id && now.since(open.last_at) >= INTERLEAVED_REST)?;
+        self.open -= 1;
+        let stopped = transfers.remove(at);
+        (!stopped.is_superseded).then(|| Stopped::from(stopped))
+    }
+
     /// Aborts one transfer whose next frame is overdue (N_Cr), if any.
-    pub fn expire(&mut self, now: Instant) -> Option<Expired> {
+    pub fn expire(&mut self, now: Instant) -> Option<Stopped> {
         if self.open == 0 {
             return None;
         }
@@ -250,13 +267,9 @@ impl Transfers {
             while let Some(at) = transfers.iter().position(|open| open.reassembly.deadline() <= now)
             {
                 self.open -= 1;
-                let expired = transfers.remove(at);
-                let RxTransfer { id, first, reassembly, is_superseded, permitted, .. } = expired;
-                if !is_superseded {
-                    let header = Header::decode(id);
-                    let fault = TransferFault::TimeoutCr { after: reassembly.message().len() };
-                    let lacks_flow_control = permitted == 0;
-                    return Some(Expired { header, fault, first, lacks_flow_control });
+                let stopped = transfers.remove(at);
+                if !stopped.is_superseded {
+                    return Some(Stopped::from(stopped));
                 }
             }
         }

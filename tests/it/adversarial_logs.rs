@@ -335,3 +335,17 @@ fn transfer_without_flow_control_is_no_fault_of_the_device() {
         assert_eq!(kinds, expected, "flow control: {has_flow_control}");
     }
 }
+
+#[test]
+fn transfer_that_always_stops_at_one_place_is_confirmed() {
+    for (interval, period) in [(0.3, 1.0), (0.9, 1.0), (6.0, 1.0), (10.0, 1.0), (10.0, 3.0)] {
+        let mut log = LogWriter::new(1);
+        log.heartbeats(1, period, (0.1, 100.0), 0.0);
+        for round in 0..6 {
+            log.aborted_transfer(f64::from(round) * interval + 0.5, true);
+        }
+        let verdicts = log.verdicts(100.0);
+        let kinds: Vec<FindingKind> = verdicts.confirmed.iter().map(|(_, kind)| *kind).collect();
+        assert_eq!(kinds, [FindingKind::MalformedAnswer], "every {interval} s");
+    }
+}

@@ -1,6 +1,6 @@
 //! Buses that do not speak DES, or not alone: other protocols in 11-bit and 29-bit identifiers.
 
-use descan::discovery::{BusVerdict, Config, Device, Engine};
+use descan::discovery::{BusVerdict, Config, Device, Engine, EventKind};
 use descan::frame::{CanId, Frame};
 use descan::time::Instant;
 use descan::wire::id::Header;
@@ -185,4 +185,76 @@ fn heartbeats_with_constant_rnd7_among_foreign_nodes_are_found() {
     let (engine, _) = observed(traffic, 20_000);
     let found: Vec<u8> = engine.devices().iter().map(|it| it.address.number()).collect();
     assert_eq!((engine.traffic().verdict(), found.contains(&48)), (BusVerdict::Des, true));
+}
+
+/// A frame at 12 that fits a heartbeat.
+fn plausible(at: u64, rnd7: u32, data: [u8; 8]) -> (u64, Frame) {
+    (at, Frame::classic(0x0700_0001 | 12 << 17 | rnd7 << 10, &data))
+}
+
+const FITTING: [u8; 8] = [0x11, 0x22, 0x33, 0x44, 0x55, 0x66, 4, 0];
+
+#[test]
+fn heartbeat_by_chance_at_first_is_refuted_by_the_next_frames() {
+    for foreign in [standard(20_000), nmea_2000(20_000)] {
+        let later = foreign.into_iter().map(|(at, frame)| (at + 1, frame));
+        let traffic: Traffic = [plausible(0, 9, FITTING)].into_iter().chain(later).collect();
+        let (mut engine, _) = observed(traffic, 20_000);
+        assert_eq!(engine.traffic().verdict(), BusVerdict::Foreign);
+        assert!(engine.devices().is_empty() && engine.findings().is_empty());
+        let events: Vec<EventKind> =
+            std::iter::from_fn(|| engine.poll_event()).map(|event| event.kind).collect();
+        assert!(events.iter().any(|kind| matches!(kind, EventKind::Removed)), "{events:?}");
+    }
+}
+
+#[test]
+fn changing_data_of_one_identifier_is_no_heartbeat() {
+    for interval in [250, 500, 1000] {
+        let frames = (0..60_000).step_by(interval).map(|at: u64| {
+            let mut data = FITTING;
+            data[2] ^= (at / 1000 % 2) as u8;
+            plausible(at, 9, data)
+        });
+        let (engine, _) = observed(standard(60_000).into_iter().chain(frames).collect(), 60_000);
+        assert_eq!(engine.traffic().verdict(), BusVerdict::Foreign, "every {interval} ms");
+    }
+}
+
+#[test]
+fn constant_data_of_half_the_period_with_losses_is_no_heartbeat() {
+    for seed in 0..200 {
+        let mut rng = fastrand::Rng::with_seed(seed);
+        let received = (0..120_000).step_by(500).filter(|_| rng.f64() >= 0.3);
+        let frames: Traffic = received.map(|at| plausible(at, 9, FITTING)).collect();
+        let (engine, _) = observed([standard(120_000), frames].concat(), 120_000);
+        assert_eq!(engine.traffic().verdict(), BusVerdict::Foreign, "seed {seed}");
+    }
+}
+
+#[test]
+fn constant_rnd7_with_losses_is_of_a_device() {
+    let late = (0..200).filter(|seed| {
+        let mut rng = fastrand::Rng::with_seed(*seed);
+        let received = (400..60_000).step_by(1000).filter(|_| rng.f64() >= 0.3);
+        let frames: Traffic = received.map(|at| plausible(at, 9, FITTING)).collect();
+        let (engine, _) = observed([standard(60_000), frames].concat(), 60_000);
+        let [device] = engine.devices() else { panic!("seed {seed}") };
+        device.first_seen.as_micros() > 20_000_000
+    });
+    assert!(late.count() <= 10, "5 % need more than 20 s");
+}
+
+#[test]
+fn heartbeat_with_a_wrong_u_bit_is_of_a_device_on_a_quiet_bus() {
+    let beats = (400..20_000).step_by(1000).map(|at: u64| {
+        let mut beat = plausible(at, at as u32 / 1000 % 128, FITTING);
+        let header = Header::decode(beat.1.platform_id().unwrap());
+        let header = Header { from_non_working: true, ..header };
+        beat.1 = Frame::classic(header.encode(), &FITTING);
+        beat
+    });
+    let (engine, _) = observed(beats.collect(), 20_000);
+    assert_eq!(engine.traffic().verdict(), BusVerdict::Des);
+    assert_eq!(engine.devices().len(), 1);
 }

@@ -65,6 +65,10 @@ pub fn event_text(buses: &Buses, bus: BusIndex, event: &Event) -> Option<(Timeli
             (TimelineKind::Change, format!("{by}gave up {}{to}{guess}", address(event)))
         }
         EventKind::Rebooted => (TimelineKind::Change, "rebooted".to_owned()),
+        EventKind::Removed => {
+            let text = "removed: the bus speaks another protocol";
+            (TimelineKind::Change, text.to_owned())
+        }
         EventKind::UidChanged { from, to } => {
             let (from, to) = (uid_text(buses, bus, *from), uid_text(buses, bus, *to));
             (TimelineKind::Change, format!("UID {from} → {to}: another board?"))
@@ -179,6 +183,7 @@ pub fn event_word(event: &EventKind) -> &'static str {
         EventKind::IdsMerged { .. } => "merged",
         EventKind::Rebooted => "rebooted",
         EventKind::UidChanged { .. } => "uid",
+        EventKind::Removed => "removed",
         EventKind::Presence(presence) => presence.name(),
         EventKind::Returned { .. } => "returned",
         EventKind::Finding { .. } => "finding",

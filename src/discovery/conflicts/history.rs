@@ -19,8 +19,10 @@ use std::collections::VecDeque;
 const COPY_WINDOW: Duration = Duration::from_millis(100);
 /// Longest delay of a bridge: of 300 frames in its queue, at 125 kbit/s.
 const LONGEST_DELAY: Duration = Duration::from_millis(300);
-/// The same in periods of a fast sender, whose next heartbeat may be as early by jitter.
-const MAX_COPY_PERIODS: f64 = 0.75;
+/// The same in periods: less than the half after which two equal devices may send in turns.
+const COPY_PERIODS: f64 = 0.45;
+/// The same in periods of a fast sender, whose next heartbeat comes after them.
+const MAX_COPY_PERIODS: f64 = 0.95;
 /// Frames of heartbeats stored per address: the last two are evidence.
 const MAX_FRAMES: usize = 2;
 /// Maximum number of senders at one address that are distinguished by their phases: as many as
@@ -33,6 +35,11 @@ pub(super) const MAX_TIMES: usize = 96;
 /// Deviation from whole periods, in periods, that shows another sender or a reboot. As that of a
 /// late heartbeat.
 const OTHER_PHASE: f64 = 0.12;
+/// Heartbeats at twice the rate that count as evidence: enough time for the follow-up requests. Eight
+/// periods: six follow-up requests, one per second, and their responses (protocol §5.3).
+pub(super) const MAX_DOUBLE_RATE_HEARTBEATS: u32 = 16;
+/// Shortest interval that is a whole period: less the jitter of a busy bus.
+const WHOLE_PERIOD: f64 = 0.85;
 /// Periods for which heartbeats in turns show that two devices are there. With 30 % of the
 /// heartbeats lost, ten heartbeats of two UIDs without a return are rarer than one in a thousand.
 const SWAP_PERIODS: u32 = 10;
@@ -77,8 +84,10 @@ impl HeartbeatHistory {
     /// Records a heartbeat. A copy of the previous one is equal including RND7, and received soon
     /// after it.
     pub fn record(&mut self, now: Instant, frame: &Frame, period: Duration) -> RecordedHeartbeat {
+        let before_next = LONGEST_DELAY.min(period.mul_f64(MAX_COPY_PERIODS));
+        let longest_delay = period.mul_f64(COPY_PERIODS).max(before_next);
         let window = match self.rnd7 {
-            Rnd7::Random => (period / 2).max(LONGEST_DELAY.min(period.mul_f64(MAX_COPY_PERIODS))),
+            Rnd7::Random => longest_delay,
             Rnd7::Constant | Rnd7::Unknown => COPY_WINDOW,
         };
         let last = self.frames.back();
@@ -90,7 +99,12 @@ impl HeartbeatHistory {
         let previous_has_no_copy = !self.is_copied && gap.is_some_and(|gap| gap > window);
         let is_new = !is_copy || self.rnd7 == Rnd7::Constant;
         match (last, gap) {
-            (Some(last), _) if last.id != frame.id => self.rnd7 = Rnd7::Random,
+            (Some(last), _) if last.id != frame.id => {
+                if self.rnd7 == Rnd7::Unknown {
+                    self.drop_copies(longest_delay);
+                }
+                self.rnd7 = Rnd7::Random;
+            }
             (Some(_), Some(gap)) if gap > period / 2 && self.rnd7 == Rnd7::Unknown => {
                 self.rnd7 = Rnd7::Constant;
             }
@@ -109,6 +123,13 @@ impl HeartbeatHistory {
             is_new,
             has_random_rnd7,
         }
+    }
+
+    /// Drops the times of equal heartbeats that turn out to be copies, after at most `delay`: their
+    /// sender generates RND7.
+    fn drop_copies(&mut self, delay: Duration) {
+        let mut before = None;
+        self.times.retain(|at| before.replace(*at).is_none_or(|before| at.since(before) > delay));
     }
 
     /// The last heartbeat, with its time of reception.
@@ -143,6 +164,9 @@ pub(super) struct AddressHistory {
     pub name_at: Option<Instant>,
     /// The last name response.
     pub name_frame: Option<Frame>,
+    /// Number of times, half a period apart or more, at which the last name was received again.
+    pub name_repeats: u32,
+    name_repeated_at: Option<Instant>,
     pub uids: RecentValues<Uid>,
     /// Time of the last heartbeat with a blank UID or none.
     pub last_without_uid: Option<Instant>,
@@ -168,7 +192,7 @@ pub(super) struct AddressHistory {
     pub sender_changed_at: Option<Instant>,
     /// Time of the last heartbeat that showed a second sender by its content or its timing.
     pub second_sender_at: Option<Instant>,
-    /// Number of consecutive heartbeats at twice the rate.
+    /// Number of heartbeats at twice the rate, less those that came after a whole period.
     pub double_rate_count: u32,
     matchers: [[QueryResponseMatcher; 2]; 2],
 }
@@ -187,6 +211,29 @@ impl AddressHistory {
         let is_other_uid = uid.is_some_and(|uid| self.uids.current().is_some_and(|it| *it != uid));
         if is_other_phase || is_other_uid {
             self.sender_changed_at = Some(now);
+        }
+    }
+
+    /// Notes a name response; `is_repeated`: with the name of the last one.
+    pub fn note_name_response(&mut self, now: Instant, is_repeated: bool, period: Duration) {
+        if !is_repeated {
+            self.name_repeats = 0;
+        } else if self.name_repeated_at.is_none_or(|at| now.since(at) >= period / 2) {
+            self.name_repeats += 1;
+            self.name_repeated_at = Some(now);
+        }
+    }
+
+    /// Notes whether the last heartbeat came at twice the rate. One device with half the period is at
+    /// twice the rate again and again, with late or lost heartbeats between.
+    pub fn note_rate(&mut self, is_double: bool, period: Duration) {
+        let mut times = self.heartbeats.times().iter().rev();
+        let gap = times.next().zip(times.next()).map(|(last, before)| last.since(*before));
+        if is_double {
+            let count = self.double_rate_count + 1;
+            self.double_rate_count = count.min(MAX_DOUBLE_RATE_HEARTBEATS + 1);
+        } else if gap.is_none_or(|gap| gap > period.mul_f64(WHOLE_PERIOD)) {
+            self.double_rate_count = self.double_rate_count.saturating_sub(1);
         }
     }
 

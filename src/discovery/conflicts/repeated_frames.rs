@@ -24,6 +24,9 @@ pub(super) const COPIES_OF_ONE: u32 = 3;
 /// Longest delay of copies of one address. A gateway forwards within a few frames; two devices with
 /// equal random numbers are rarely this close.
 const MAX_DELAY_OF_ONE: Duration = Duration::from_millis(100);
+/// Difference between the delays of copies of two addresses up to which one bridge makes both: some
+/// frames more or less wait in it. Two senders have equal RND7 by chance at any time.
+const BRIDGE_JITTER: Duration = Duration::from_millis(50);
 /// Difference between the delays of copies up to which they are steady: a copy waits for other
 /// frames of a busy bus. Tuned with the simulation.
 const DELAY_JITTER: Duration = Duration::from_millis(15);
@@ -43,9 +46,9 @@ pub(super) struct RepeatedFrameDetector {
     /// Address and time of the last heartbeat, and of the last one from another address.
     last_heartbeat: Option<(Address, Instant)>,
     last_of_another: Option<(Address, Instant)>,
-    /// Number of successive copied heartbeats, and the address of the last one.
+    /// Number of successive copied heartbeats, and the address and delay of the last one.
     copy_count: u32,
-    last_copied_address: Option<Address>,
+    last_copied: Option<(Address, Duration)>,
     /// True if heartbeats of several addresses were copied.
     has_several_sources: bool,
     active_until: Instant,
@@ -146,7 +149,7 @@ impl RepeatedFrameDetector {
             last_heartbeat: None,
             last_of_another: None,
             copy_count: 0,
-            last_copied_address: None,
+            last_copied: None,
             has_several_sources: false,
             active_until: Instant::ZERO,
             delay: Duration::ZERO,
@@ -254,7 +257,7 @@ impl RepeatedFrameDetector {
             } else {
                 self.copy_count = 0;
                 self.has_several_sources = false;
-                self.last_copied_address = None;
+                self.last_copied = None;
                 self.shortest = None;
             }
         }
@@ -266,8 +269,12 @@ impl RepeatedFrameDetector {
 
     fn note_copied_heartbeat(&mut self, now: Instant, address: Address, delay: Duration) {
         self.copy_count += 1;
-        self.has_several_sources |= self.last_copied_address.is_some_and(|other| other != address);
-        self.last_copied_address = Some(address);
+        let is_of_one_bridge = |(other, other_delay): (Address, Duration)| {
+            let (short, long) = (delay.min(other_delay), delay.max(other_delay));
+            other != address && long <= short * 2 + BRIDGE_JITTER
+        };
+        self.has_several_sources |= self.last_copied.is_some_and(is_of_one_bridge);
+        self.last_copied = Some((address, delay));
         self.shortest = Some(self.shortest.map_or(delay, |shortest| shortest.min(delay)));
         let alone = self.copy_count >= COPIES_OF_ONE && self.is_single_source(now, address);
         if self.has_several_sources || alone && self.two_responders_since().is_none() {

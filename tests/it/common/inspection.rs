@@ -130,6 +130,7 @@ pub fn describe(event: &Event) -> String {
         EventKind::IdsMerged { previous: was, before: Some(before) } => {
             format!("joined{who}: was row {} before {before}", was.number)
         }
+        EventKind::Removed => format!("removed{who}"),
         EventKind::Rebooted => format!("rebooted{who}"),
         EventKind::UidChanged { from, to } => format!("uid{who}: {from:?} -> {to:?}"),
         EventKind::Presence(presence) => format!("{presence}{who}"),

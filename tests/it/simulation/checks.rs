@@ -168,7 +168,8 @@ impl Case<'_> {
             });
             let began = crowd.iter().filter(|(_, span)| span.from <= at).rev();
             let began = began.fold(at, |began, (_, span)| {
-                if began.since(span.until) < PERIOD * 3 { began.min(span.from) } else { began }
+                // Evidence of one conflict counts for the next one as long as it is remembered.
+                if began.since(span.until) < PERIOD * 5 { began.min(span.from) } else { began }
             });
             at.since(began) >= PERIOD.mul_f64(4.0) && recent.clone().any(|(clash, _)| fits(clash))
         };
@@ -775,6 +776,10 @@ fn addresses_of_inspectors(run: &Run, wrong: &mut Vec<String>) {
     let mut held = Vec::new();
     for (number, it) in run.inspectors.iter().enumerate() {
         if run.world.inspectors[number].config.listen_only {
+            continue;
+        }
+        // Among nodes of another protocol nothing is sent, not even a claim.
+        if it.engine.counters().sent == 0 {
             continue;
         }
         let OwnAddress::Held(address) = it.engine.own_address() else {
