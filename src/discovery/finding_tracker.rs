@@ -54,7 +54,7 @@ const CONFIRM_AFTER_STRONG: u32 = 3;
 
 /// Periods before the first evidence in which a claim of the address belongs to it. A node gives up
 /// an address within as many (protocol §5.3).
-const CLAIM_PERIODS: u32 = 5;
+pub(super) const CLAIM_PERIODS: u32 = 5;
 /// Periods for which two nodes share an address before one gives it up, if neither claimed it: a
 /// replaced board may send two more heartbeats.
 const CONTEST_PERIODS: u32 = 3;

@@ -6,6 +6,7 @@ use descan::finding::{FindingKind, FindingState};
 use descan::frame::Frame;
 use descan::time::{Duration, Instant};
 use descan::wire::id::{Address, Header, Service};
+use descan::wire::node::Mode;
 use descan::wire::profile::Profile;
 
 const ADDRESS: u8 = 14;
@@ -42,12 +43,18 @@ impl LogWriter {
 
     /// A heartbeat in WORK, with a jitter of 1 ms.
     fn heartbeat(&mut self, at: f64, address: u8, uid: u8) {
+        self.heartbeat_in(Mode::Work, at, address, uid);
+    }
+
+    fn heartbeat_in(&mut self, mode: Mode, at: f64, address: u8, uid: u8) {
         let rnd7 = self.rng.u8(..128);
         let node = Address::new(address).unwrap();
         let service = Profile::default().heartbeat_service();
-        let id = Header::unsolicited(node, rnd7, false, service).encode();
+        let is_working = mode.is_working() == Some(true);
+        let id = Header::unsolicited(node, rnd7, !is_working, service).encode();
         let at = at + f64::from(self.rng.u16(..1000)) / 1e6;
-        self.push(at, id, &[uid, uid, uid, uid, uid, uid, 4, 0]);
+        // Codes of the default profile: in the order of the modes.
+        self.push(at, id, &[uid, uid, uid, uid, uid, uid, mode as u8, 0]);
     }
 
     /// Heartbeats of one device, of which a share is lost.
@@ -347,5 +354,40 @@ fn transfer_that_always_stops_at_one_place_is_confirmed() {
         let verdicts = log.verdicts(100.0);
         let kinds: Vec<FindingKind> = verdicts.confirmed.iter().map(|(_, kind)| *kind).collect();
         assert_eq!(kinds, [FindingKind::MalformedAnswer], "every {interval} s");
+    }
+}
+
+#[test]
+fn boards_that_never_leave_address_resolution_are_confirmed() {
+    for mode in [Mode::Init, Mode::Arslv] {
+        let mut log = LogWriter::new(1);
+        for second in 0..30 {
+            log.heartbeat_in(mode, f64::from(second) + 0.1, ADDRESS, 1);
+            log.heartbeat_in(mode, f64::from(second) + 0.45, ADDRESS, 2);
+        }
+        let verdicts = log.verdicts(30.0);
+        let [(at, FindingKind::OneAddressTwoIdentities)] = verdicts.confirmed[..] else {
+            panic!("{}: {:?}", mode.name(), verdicts.confirmed);
+        };
+        assert!(at < 15.0, "{}: {at} s", mode.name());
+    }
+}
+
+#[test]
+fn late_heartbeats_with_losses_are_of_one_device() {
+    for period in [0.3, 0.5, 0.7] {
+        let confirmed = (0..40).filter(|seed| {
+            let mut log = LogWriter::new(*seed);
+            let mut at = 0.1;
+            while at < 60.0 {
+                let late = if log.rng.f64() < 0.3 { log.rng.f64() * 0.2 * period } else { 0.0 };
+                if log.rng.f64() >= 0.3 {
+                    log.heartbeat(at + late, ADDRESS, 1);
+                }
+                at += period;
+            }
+            !log.verdicts(60.0).confirmed.is_empty()
+        });
+        assert_eq!(confirmed.count(), 0, "period {period} s");
     }
 }

@@ -185,6 +185,8 @@ pub(super) struct AddressHistory {
     pub heartbeats: HeartbeatHistory,
     /// Time of the last heartbeat of a node that is about to change its mode, as after a reboot.
     pub resolving_at: Option<Instant>,
+    /// Time of the first heartbeat since when all were of such nodes.
+    pub resolving_since: Option<Instant>,
     /// Time of the last heartbeat that one sender does not explain, by their number.
     pub crowded_at: Option<Instant>,
     /// Time of the last heartbeat of another sender than the one before it: with another UID, or in

@@ -8,6 +8,7 @@
 //!
 //! Does not know device rows, presence, or des.json.
 
+mod grid;
 mod history;
 mod query_responses;
 mod recent_values;
@@ -15,7 +16,7 @@ mod repeated_frames;
 mod rhythm;
 
 use super::finding_text;
-use super::finding_tracker::{EvidenceStrength, FindingTracker, NewEvidence};
+use super::finding_tracker::{CLAIM_PERIODS, EvidenceStrength, FindingTracker, NewEvidence};
 use super::periods::{HeartbeatPeriods, PeriodChange};
 use super::transfers::Interleaving;
 use crate::finding::{FindingKind, SeenUid};
@@ -369,7 +370,9 @@ impl ConflictDetector {
         let history = &mut self.histories[address.index()];
         if mode.is_resolving {
             history.resolving_at = Some(now);
+            history.resolving_since.get_or_insert(now);
         } else {
+            history.resolving_since = None;
             history.seen[usize::from(mode.is_working)] = Some(now);
         }
         let uid = uid.filter(|uid| !uid.is_blank());
@@ -431,8 +434,9 @@ impl ConflictDetector {
         let evidence = match alternation {
             Some(Alternation { again, other, since }) => {
                 let previous = history.heartbeats.previous();
-                // A device that is claiming the address may still give it up.
-                let (strength, since) = if mode.is_resolving {
+                // A device that is claiming the address may still give it up, for a while.
+                let may_give_up = |since| now.since(since) < period * CLAIM_PERIODS;
+                let (strength, since) = if history.resolving_since.is_some_and(may_give_up) {
                     (EvidenceStrength::Weak, None)
                 } else {
                     (EvidenceStrength::Strong, Some(since))

@@ -1,11 +1,12 @@
 //! Timing of the heartbeats of one address: their rate and their phases (protocol §5.2).
 
+use super::grid::grid_of;
 use super::history::MAX_PHASES;
 use crate::time::{Duration, Instant};
 use std::collections::VecDeque;
 
 /// Heartbeats that show two phases: seven intervals, three periods and a half of two senders.
-const TWO_PHASE_TIMES: usize = 8;
+pub(super) const TWO_PHASE_TIMES: usize = 8;
 /// The same for two phases almost half a period apart: seven periods, so that chance does not
 /// separate long and short intervals.
 const HALF_PERIOD_TIMES: usize = 15;
@@ -19,33 +20,9 @@ const MAX_OF_ONE: usize = 11;
 /// The same in the last part of them: of two senders, one may have left.
 const MAX_OF_ONE_AT_END: usize = 3;
 const END_PERIODS: f64 = 2.1;
-/// Shortest period of a sender, in expected periods, that is told from several senders although
-/// heartbeats are lost. Chosen: a tenth, and its jitter.
-const MIN_FASTER_PERIOD: f64 = 0.08;
-/// Deviation of an interval from a multiple of the period, in periods, by the jitter of a busy bus.
-/// As that of a measured period.
-const GRID_TOLERANCE: f64 = 0.15;
-/// Periods in which a faster sender has a heartbeat in all parts of the period but one, and in all:
-/// with 40 % of the heartbeats lost, a part is empty for as long once in 97 and in 610 cases.
-/// Several senders have them in the same parts each time.
-const PERIODS_OF_MOST_PARTS: f64 = 5.0;
-const PERIODS_OF_ALL_PARTS: f64 = 7.0;
-/// Heartbeats that may deviate more, or a sixth of them, if there are enough: those that waited on a
-/// busy bus.
-const MAX_LATE: usize = 2;
-const MIN_GAPS_WITH_LATE: usize = 8;
-
 /// Smallest difference, in periods, between the intervals of two senders. Chosen: twice the jitter
 /// of a quiet bus.
-const MIN_PHASE_CONTRAST: f64 = 0.04;
-/// Intervals that show two senders although heartbeats are lost between them: as many as without
-/// losses.
-const MIN_ALTERNATING_GAPS: usize = TWO_PHASE_TIMES - 1;
-
-/// Last intervals without a lost heartbeat that show several senders: with 30 % of the heartbeats
-/// lost, ten in a row are received in 3 % of the cases. Longer ones before may be of one sender alone.
-const MAX_GAPS_WITHOUT_LOSS: usize = 10;
-
+pub(super) const MIN_PHASE_CONTRAST: f64 = 0.04;
 /// Timing pattern of the heartbeats from one address.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct HeartbeatPattern {
@@ -125,19 +102,6 @@ pub(super) fn is_crowded(times: &VecDeque<Instant>, period: Duration) -> bool {
         })
 }
 
-/// A sender with a shorter period than expected, some of whose heartbeats may be lost.
-struct FasterSender {
-    /// Number of its periods in an expected one; `None` if that is not a whole number.
-    parts: Option<u32>,
-    /// True if heartbeats arrived in each of three parts, or in as many of more as losses leave:
-    /// those of several senders leave more of them empty.
-    has_most_parts: bool,
-    /// True if some of the last intervals are several of its periods.
-    has_losses: bool,
-    /// True if every other of its heartbeats is late by the same time: two senders.
-    alternates: bool,
-}
-
 /// Returns true if one sender with a shorter period explains the last heartbeats. Several senders
 /// whose phases are parts of the period leave some of these parts empty.
 fn is_faster_with_losses(times: &VecDeque<Instant>, period: Duration) -> bool {
@@ -147,98 +111,6 @@ fn is_faster_with_losses(times: &VecDeque<Instant>, period: Duration) -> bool {
         Some(2) => grid.has_losses && !grid.alternates,
         Some(_) => grid.has_most_parts,
     })
-}
-
-/// Returns the sender of whose period all intervals in the last periods are multiples.
-fn grid_of(times: &VecDeque<Instant>, period: Duration) -> Option<FasterSender> {
-    let last = *times.back()?;
-    let recent = || times.iter().rev().take_while(|at| last.since(**at) < period * WINDOW_PERIODS);
-    let gaps = || {
-        let pairs = recent().zip(recent().skip(1));
-        pairs.map(|(next, one)| next.since(*one).as_secs_f64() / period.as_secs_f64())
-    };
-    let shortest = gaps().fold(f64::MAX, f64::min);
-    if !(MIN_FASTER_PERIOD..=1.0 - GRID_TOLERANCE).contains(&shortest) {
-        return None;
-    }
-    let mean_step = |about: f64| {
-        let steps: f64 = gaps().map(|gap| (gap / about).round().max(1.0)).sum();
-        gaps().sum::<f64>() / steps
-    };
-    let step = mean_step(shortest);
-    let is_regular = |gap: f64| (gap / step - (gap / step).round()).abs() <= GRID_TOLERANCE;
-    let step = if gaps().all(is_regular) {
-        step
-    } else {
-        let mut sorted: Vec<f64> = gaps().collect();
-        sorted.sort_unstable_by(f64::total_cmp);
-        let step = mean_step(sorted[(sorted.len() - 1) / 2]);
-        let late = late_count(gaps(), step);
-        let is_grid = sorted.len() >= MIN_GAPS_WITH_LATE && late <= MAX_LATE.max(sorted.len() / 6);
-        is_grid.then_some(step)?
-    };
-    let parts = 1.0 / step;
-    let whole = parts.round();
-    // Long gaps alone at the beginning are those of one sender before the second one.
-    let is_long = |gap: f64| (gap / step).round() > 1.0;
-    let first_short = gaps().collect::<Vec<f64>>().iter().rposition(|gap| !is_long(*gap));
-    let since_first = gaps().take(MAX_GAPS_WITHOUT_LOSS.min(first_short.unwrap_or(0)));
-    let has_losses = since_first.into_iter().any(is_long);
-    if (parts - whole).abs() > GRID_TOLERANCE {
-        let grid =
-            FasterSender { parts: None, has_most_parts: false, has_losses, alternates: false };
-        return Some(grid);
-    }
-    let whole = whole as u32;
-    let (mut at, mut hit) = (0.0_f64, 1_u32);
-    for gap in gaps() {
-        at += gap / step;
-        hit |= 1 << (at.round() as u32 % whole);
-    }
-    let empty = whole.saturating_sub(hit.count_ones());
-    let has_most_parts = match at * step {
-        _ if whole <= 3 => empty == 0,
-        periods if periods >= PERIODS_OF_ALL_PARTS => empty == 0,
-        periods if periods >= PERIODS_OF_MOST_PARTS => empty <= 1,
-        _ => empty * 2 < whole,
-    };
-    let alternates = whole == 2 && alternates(gaps(), step);
-    Some(FasterSender { parts: Some(whole), has_most_parts, has_losses, alternates })
-}
-
-/// Returns the number of heartbeats that are not a multiple of `step` after one before them.
-fn late_count(gaps: impl Iterator<Item = f64>, step: f64) -> usize {
-    let (mut since, mut late) = (0.0, 0);
-    for gap in gaps {
-        since += gap / step;
-        if (since - since.round()).abs() <= GRID_TOLERANCE {
-            since = 0.0;
-        } else {
-            late += 1;
-        }
-    }
-    late
-}
-
-/// Returns true if gaps of an odd number of `step` are alternately longer and shorter than that by
-/// the same time, however many heartbeats are lost between them.
-fn alternates(gaps: impl Iterator<Item = f64>, step: f64) -> bool {
-    let mut sign = 1.0;
-    let (mut low, mut high, mut noise, mut count) = (f64::MAX, f64::MIN, 0.0_f64, 0);
-    for gap in gaps {
-        let steps = (gap / step).round();
-        let late = gap - steps * step;
-        if steps % 2.0 == 0.0 {
-            noise = noise.max(late.abs());
-            continue;
-        }
-        (low, high) = (low.min(sign * late), high.max(sign * late));
-        sign = -sign;
-        count += 1;
-    }
-    let noise = noise.max(high - low);
-    let late = if low > 0.0 { low } else { -high };
-    count >= MIN_ALTERNATING_GAPS && late > MIN_PHASE_CONTRAST / 2.0 && 2.0 * late > 3.0 * noise
 }
 
 /// Returns true if equal intervals show one sender with a shorter period. Only with half of it two
