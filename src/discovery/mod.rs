@@ -248,6 +248,7 @@ impl Engine {
         self.tracker.advance(now);
         self.tracker.conflicts.finding_tracker_mut().note_lost_frames(self.tracker.now, count);
         self.tracker.errors.note_lost_frames();
+        self.tracker.repeat_failed_queries();
         self.tracker.emit_finding_changes();
         self.tracker.wake_at(self.tracker.now);
     }

@@ -25,6 +25,9 @@ const SERVICES_ATTEMPTS: u32 = 4;
 const NAME_ATTEMPTS: u32 = 2;
 /// Pause after the last attempt of a query. Chosen: three rounds at their default period.
 const RETRY_DELAY: Duration = Duration::from_secs(30);
+/// Age of the last request whose response may be among lost frames. Chosen: a driver reports a loss
+/// with the next frame that it keeps, and one attempt takes up to 3 s.
+const LOST_RESPONSE_TIME: Duration = Duration::from_secs(5);
 /// Time after the start of a round at which nodes without a name are queried one by one. As the
 /// longest collection time of a round.
 const ROUND_WAIT_LIMIT: Duration = Duration::from_secs(2);
@@ -333,6 +336,20 @@ impl Requester {
 }
 
 impl DeviceTracker {
+    /// Repeats the queries without a response until now: frames were lost, and the responses may have
+    /// been among them.
+    pub(super) fn repeat_failed_queries(&mut self) {
+        let now = self.now;
+        for device in self.device_table.devices_mut().iter_mut().filter(|it| it.is_present()) {
+            for query in [&mut device.name_query, &mut device.services_query] {
+                let is_recent = query.sent_at.is_some_and(|at| now.since(at) < LOST_RESPONSE_TIME);
+                if is_recent && (query.is_waiting() || query.state == QueryState::NoResponse) {
+                    query.restart(now);
+                }
+            }
+        }
+    }
+
     /// Delays single name queries, because the round that begins now includes them.
     fn defer_to_round(&mut self) {
         let after = self.now + ROUND_WAIT_LIMIT;

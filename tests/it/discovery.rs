@@ -742,3 +742,29 @@ fn equal_boards_are_confirmed_at_any_phase() {
     let missed: Vec<u64> = (0..2000).filter(is_missed).collect();
     assert!(missed.is_empty(), "{} of 2000: {missed:?}", missed.len());
 }
+
+#[test]
+fn queries_without_response_are_repeated_after_lost_frames() {
+    let requests_after = |is_lost: bool| {
+        let mut engine =
+            Engine::new(Instant::ZERO, Config { has_loopback: false, ..Config::default() });
+        let mut requests = 0;
+        for millis in 1..9000 {
+            let now = Instant::from_micros(millis * 1000);
+            if millis % 1000 == 300 {
+                engine.handle_frame(&beat(12, "BOILER01").with_time(now));
+            }
+            if is_lost && millis == 6000 {
+                engine.handle_lost_frames(now, 100);
+            }
+            engine.handle_timeout(now);
+            while let Some(frame) = engine.poll_transmit(now) {
+                let is_query = frame.same_on_wire(&question(0, 12));
+                requests += u32::from(is_query && millis >= 6000);
+            }
+        }
+        requests
+    };
+    assert_eq!(requests_after(false), 0, "all attempts were used before");
+    assert!(requests_after(true) > 0);
+}

@@ -459,7 +459,9 @@ impl ConflictDetector {
         let takes_turns = |interval: Duration| {
             history.sender_changed_at.is_some_and(|at| now.since(at) < interval)
         };
-        let before_loss = history.before_loss.filter(|(before, _)| *before == uid);
+        // A claim comes after a restart.
+        let may_be_scheduled = |(before, _): &_| *before == uid && !mode.is_resolving;
+        let before_loss = history.before_loss.filter(may_be_scheduled);
         let interval = observed.interval.or(before_loss.map(|(_, at)| now.since(at)));
         let scheduled = interval.filter(|it| !(mode.is_resolving && takes_turns(*it)));
         self.histories[address.index()].before_loss = None;
