@@ -391,3 +391,16 @@ fn late_heartbeats_with_losses_are_of_one_device() {
         assert_eq!(confirmed.count(), 0, "period {period} s");
     }
 }
+
+#[test]
+fn fast_device_whose_phase_changes_is_not_confirmed() {
+    for period in [0.1, 0.25, 0.3, 0.5, 0.7] {
+        for seed in 0..20 {
+            let mut log = LogWriter::new(seed);
+            let loss = f64::from(seed as u32 % 4) / 10.0;
+            log.heartbeats(1, period, (0.1 + 0.2 * period, 30.0), loss);
+            log.heartbeats(1, period, (0.1 + (30.0 / period).ceil() * period, 60.0), loss);
+            assert_eq!(log.verdicts(60.0).confirmed, [], "period {period} s, seed {seed}");
+        }
+    }
+}

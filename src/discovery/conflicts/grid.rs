@@ -19,6 +19,14 @@ const PERIODS_OF_ALL_PARTS: f64 = 7.0;
 /// Deviation, in periods, of a heartbeat from the one of the same sender one period before: the
 /// jitter of a quiet bus.
 const REPEAT_TOLERANCE: f64 = 0.012;
+/// Deviation of heartbeats that are in time, in steps: the jitter of a quiet bus.
+const IN_TIME: f64 = 0.05;
+/// Changes between heartbeats in time and others that show senders in turns: more than of two late
+/// heartbeats.
+const MIN_TURNS: u32 = 5;
+/// Longest step, in periods, at which heartbeats in time show one sender: of two or three senders,
+/// all may be in equal parts by chance.
+const MAX_EXACT_STEP: f64 = 0.3;
 /// Heartbeats that may deviate more, or a quarter of them, if there are enough: those that waited on a
 /// busy bus.
 const MAX_LATE: usize = 2;
@@ -124,22 +132,29 @@ fn step_with_late(gaps: &[f64]) -> Option<f64> {
         clusters.max_by_key(|(count, _)| *count)
     };
     let late = phases.len() - cluster(GRID_TOLERANCE)?.0;
-    let (_, in_time) = cluster(GRID_TOLERANCE / 2.0)?;
+    let (in_time_count, in_time) = cluster(IN_TIME)?;
+    // As many independent senders are not in equal parts of the period by chance.
+    let is_exact = step < MAX_EXACT_STEP && in_time_count * 3 >= phases.len() * 2;
     // Several senders are late by the same time in each period. The times run backwards.
-    let oldest = times.last()?.1;
-    let repeats = |at: f64| {
-        let next = times.partition_point(|(_, before)| before - at < 1.0 - REPEAT_TOLERANCE);
-        times.get(next).is_some_and(|(_, before)| before - at <= 1.0 + REPEAT_TOLERANCE)
+    let deviation = |at: f64| {
+        let next = times.partition_point(|(_, before)| before - at < 1.0 - step / 2.0);
+        let near = times[next..].iter().map(|(_, before)| (before - at - 1.0).abs());
+        near.take(2).fold(f64::MAX, f64::min)
     };
-    let (mut repeated, mut all) = (0, 0);
+    let (mut repeated, mut all, mut turns) = (0, 0, 0);
+    let mut was_in_time = None;
     for (number, at) in &times {
-        let is_in_time = (in_time..=in_time + GRID_TOLERANCE).contains(&phase((*number, *at)));
-        if !is_in_time && oldest - at >= 1.0 {
+        let is_in_time = (in_time..=in_time + 2.0 * IN_TIME).contains(&phase((*number, *at)));
+        turns += u32::from(was_in_time.replace(is_in_time).is_some_and(|was| was != is_in_time));
+        let deviation = deviation(*at);
+        if !is_in_time && deviation < step / 2.0 {
             all += 1;
-            repeated += u32::from(repeats(*at));
+            repeated += u32::from(deviation <= REPEAT_TOLERANCE);
         }
     }
-    let is_one = late <= MAX_LATE.max(gaps.len() / 4) && repeated * 2 <= all;
+    // One sender whose phase changed is late for a while, not in turns.
+    let are_several = !is_exact && turns >= MIN_TURNS && repeated * 4 > all * 3;
+    let is_one = late <= MAX_LATE.max(gaps.len() / 4) && !are_several;
     (gaps.len() >= MIN_GAPS_WITH_LATE && is_one).then_some(step)
 }
 

@@ -500,6 +500,10 @@ impl ConflictDetector {
         name: Option<&'a Name>,
         frame: &'a Frame,
     ) -> Option<NewEvidence<'a>> {
+        // A copy whose original was lost is in another phase.
+        if self.repeated_frames.is_repeated(now, address) {
+            return None;
+        }
         let same = FindingKind::SameNameSameAddress;
         let others = self.findings_at(now, address);
         let history = &self.histories[address.index()];
