@@ -19,6 +19,7 @@ use super::{
 use crate::finding::{FindingKind, FindingState};
 use crate::frame::Frame;
 use crate::time::{Duration, Instant};
+use crate::wire::des::Request;
 use crate::wire::id::{Address, Header};
 use std::collections::VecDeque;
 
@@ -280,12 +281,13 @@ impl DeviceTracker {
         Some(row)
     }
 
-    /// Counts a malformed response and reports it as evidence: weak where frames are lost, because
+    /// Counts a malformed response to `request`, if that is known, and reports it as evidence: weak where frames are lost, because
     /// what is left of two responses may look like one.
     pub fn report_malformed(
         &mut self,
         now: Instant,
         row: DeviceId,
+        request: Option<Request>,
         fault: &dyn std::fmt::Display,
         frame: &Frame,
     ) {
@@ -297,7 +299,9 @@ impl DeviceTracker {
         } else {
             EvidenceStrength::Proof
         };
-        self.conflicts.note_malformed(now, address, name.as_ref(), fault, frame, strength);
+        let name = name.as_ref();
+        self.conflicts.note_malformed_request(address, request);
+        self.conflicts.note_malformed(now, address, name, fault, frame, strength);
         self.wake_at(now);
     }
 }

@@ -115,7 +115,7 @@ impl Engine {
                 // Frames of a late or incomplete transfer are not malformed.
                 let stray = matches!(frame.data().first(), Some(0x20..=0x3F));
                 if !stray {
-                    self.tracker.report_malformed(now, row, &"neither ISO-TP nor raw", frame);
+                    self.tracker.report_malformed(now, row, None, &"neither ISO-TP nor raw", frame);
                 }
             }
         }
@@ -191,7 +191,13 @@ impl Engine {
                 let requested = if oversized { self.open_request(row) } else { None };
                 let request = first_type.or(requested);
                 if request.is_none() {
-                    self.tracker.report_malformed(now, row, &ResponseFault::NotServices, frame);
+                    self.tracker.report_malformed(
+                        now,
+                        row,
+                        None,
+                        &ResponseFault::NotServices,
+                        frame,
+                    );
                     return;
                 }
                 if let Some(stopped) = self.transfers.restart(now, header) {
@@ -215,7 +221,7 @@ impl Engine {
                         if is_for_descan {
                             self.send_flow_control(header, FlowStatus::Overflow);
                         }
-                        self.tracker.report_malformed(now, row, &fault, frame);
+                        self.tracker.report_malformed(now, row, request, &fault, frame);
                         if let Some(request) = request {
                             self.requester.response_failed(
                                 &mut self.tracker,
@@ -248,7 +254,7 @@ impl Engine {
                 }
             }
             Ok(Pci::Flow(_)) => {}
-            Err(fault) => self.tracker.report_malformed(now, row, &fault, frame),
+            Err(fault) => self.tracker.report_malformed(now, row, None, &fault, frame),
         }
     }
 
@@ -308,6 +314,7 @@ impl Engine {
         if again && !excused {
             self.tracker.counters.malformed += 1;
             let (address, name) = (device.address, device.name.clone());
+            self.tracker.conflicts.note_malformed_request(address, Some(request));
             self.tracker.conflicts.note_aborted_response(now, address, name.as_ref(), fault, frame);
             self.tracker.wake_at(now);
         }
@@ -329,7 +336,9 @@ impl Engine {
                 self.note_framing(now, row, framing);
                 self.process_services_response(now, row, message, frame);
             }
-            None => self.tracker.report_malformed(now, row, &ResponseFault::NotServices, frame),
+            None => {
+                self.tracker.report_malformed(now, row, None, &ResponseFault::NotServices, frame);
+            }
         }
     }
 
@@ -343,7 +352,7 @@ impl Engine {
     ) {
         let (name, fault) = des::decode_name(message);
         if let Some(fault) = fault {
-            self.tracker.report_malformed(now, row, &fault, frame);
+            self.tracker.report_malformed(now, row, Some(Request::Name), &fault, frame);
         }
         let Some(name) = name.map(Name::new) else { return };
         let Some(device) = self.tracker.device_table.get(row) else { return };
@@ -352,6 +361,9 @@ impl Engine {
             return;
         }
         let address = device.address;
+        if fault.is_none() {
+            self.tracker.conflicts.note_valid_response(now, address, Request::Name);
+        }
         self.tracker.conflicts.note_name(now, address, &name, frame);
         self.tracker.errors.note_response(
             now,
@@ -394,7 +406,7 @@ impl Engine {
         let response = ServicesResponse::decode(message);
         let fault = response.fault();
         if let Some(fault) = fault {
-            self.tracker.report_malformed(now, row, &fault, frame);
+            self.tracker.report_malformed(now, row, Some(Request::Services), &fault, frame);
         }
         let Some(device) = self.tracker.device_table.get_mut(row) else { return };
         device.services_query.record_response(now, fault.map(QueryFault::from), None);
@@ -437,7 +449,7 @@ impl Engine {
         let news = device.store_services(services, is_shared);
         device.asks_all_services = false;
         if fault.is_none() {
-            self.tracker.conflicts.note_valid_response(now, address);
+            self.tracker.conflicts.note_valid_response(now, address, Request::Services);
         }
         self.tracker.conflicts.note_services(now, address, digest, name.as_ref(), frame);
         if let Some(news) = news {

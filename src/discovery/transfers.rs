@@ -23,6 +23,8 @@ const INTERLEAVED_REST: Duration = Duration::from_millis(100);
 struct RxTransfer {
     id: u32,
     first: Frame,
+    /// Type of the message; `None` if the first frame has no data.
+    message_type: Option<u8>,
     reassembly: Reassembly<Vec<u8>>,
     /// Time of its last frame.
     last_at: Instant,
@@ -144,6 +146,11 @@ impl Transfers {
         let id = header.encode();
         let source = header.source.index();
         let transfers = &mut self.by_source[source];
+        // A device sends one response at a time, and two devices respond to the same request.
+        let message_type = data.first().copied();
+        let before = transfers.len();
+        transfers.retain(|open| open.id != id || open.message_type == message_type);
+        self.open -= before - transfers.len();
         let mut count = 0;
         for open in transfers.iter_mut().filter(|transfer| transfer.id == id) {
             open.is_superseded = true;
@@ -161,6 +168,7 @@ impl Transfers {
         transfers.push(RxTransfer {
             id,
             first: *frame,
+            message_type,
             reassembly,
             last_at: now,
             is_empty: true,

@@ -404,3 +404,26 @@ fn fast_device_whose_phase_changes_is_not_confirmed() {
         }
     }
 }
+
+/// A name in several frames whose requester does not send flow control, and then services.
+#[test]
+fn services_after_an_unfinished_name_are_not_mixed_with_it() {
+    for pause in [0.002, 0.01, 0.05] {
+        let mut log = LogWriter::new(1);
+        log.heartbeats(1, 1.0, (0.1, 60.0), 0.0);
+        let node = Address::new(ADDRESS).unwrap();
+        let request = Header::request(Address::new(5).unwrap(), node, false, des());
+        let id = request.response(node, false).encode();
+        for round in 0..10 {
+            let at = f64::from(round) * 5.0 + 0.5;
+            log.push(at, request.encode(), b"\x04DES\x01");
+            log.push(at + 0.001, id, b"\x10\x0D\x01LONGN");
+            let at = at + 0.001 + pause;
+            log.push(at, request.encode(), b"\x04DES\x02");
+            log.push(at + 0.001, id, b"\x10\x0A\x02\0DES\0");
+            log.push(at + 0.002, request.encode(), &[0x30, 0, 0]);
+            log.push(at + 0.003, id, b"\x211.0\0");
+        }
+        assert_eq!(log.verdicts(60.0).kinds, [], "services {pause} s later");
+    }
+}

@@ -196,6 +196,8 @@ pub(super) struct AddressHistory {
     pub second_sender_at: Option<Instant>,
     /// Number of heartbeats at twice the rate, less those that came after a whole period.
     pub double_rate_count: u32,
+    /// What the last malformed response was for; `None`: not known, most likely services.
+    pub malformed: Option<Request>,
     matchers: [[QueryResponseMatcher; 2]; 2],
 }
 

@@ -640,6 +640,11 @@ impl ConflictDetector {
         }
     }
 
+    /// Notes what the malformed response noted next is for, if that is known.
+    pub fn note_malformed_request(&mut self, address: Address, request: Option<Request>) {
+        self.histories[address.index()].malformed = request;
+    }
+
     /// Notes a malformed response.
     pub fn note_malformed(
         &mut self,
@@ -691,9 +696,12 @@ impl ConflictDetector {
         self.repeated_frames.has_duplicate_requests(now)
     }
 
-    /// Notes a valid response, which clears malformed-answer.
-    pub fn note_valid_response(&mut self, now: Instant, address: Address) {
-        self.finding_tracker.clear(now, FindingKind::MalformedAnswer, address);
+    /// Notes a valid response, which clears malformed-answer of the same request.
+    pub fn note_valid_response(&mut self, now: Instant, address: Address, request: Request) {
+        let malformed = self.histories[address.index()].malformed.unwrap_or(Request::Services);
+        if malformed == request {
+            self.finding_tracker.clear(now, FindingKind::MalformedAnswer, address);
+        }
     }
 
     /// Notes an identifier that is none of the nine message types (protocol §1.2).
