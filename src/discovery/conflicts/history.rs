@@ -72,6 +72,8 @@ pub(super) struct RecordedHeartbeat {
     pub copy_delay: Option<Duration>,
     /// The same if it is a further copy, as of a second gateway.
     pub further_copy_delay: Option<Duration>,
+    /// Time since the previous heartbeat.
+    pub gap: Option<Duration>,
     /// True if the previous heartbeat was not copied, and a copy can no longer arrive.
     pub previous_has_no_copy: bool,
     /// True if this heartbeat is not a copy, or its sender is known to send equal ones.
@@ -119,6 +121,7 @@ impl HeartbeatHistory {
         RecordedHeartbeat {
             copy_delay,
             further_copy_delay,
+            gap,
             previous_has_no_copy,
             is_new,
             has_random_rnd7,

@@ -501,7 +501,7 @@ impl ConflictDetector {
         frame: &'a Frame,
     ) -> Option<NewEvidence<'a>> {
         // A copy whose original was lost is in another phase.
-        if self.repeated_frames.is_repeated(now, address) {
+        if self.repeated_frames.explains_timing(now, address) {
             return None;
         }
         let same = FindingKind::SameNameSameAddress;

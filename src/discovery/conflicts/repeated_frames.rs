@@ -76,6 +76,8 @@ struct CopySeries {
     /// Longest delay of further copies of one heartbeat.
     further: Duration,
     active_until: Instant,
+    /// Time of the last heartbeat that came as late as a copy and was none.
+    differs_at: Option<Instant>,
     response_pairs: ResponsePairs,
 }
 
@@ -177,6 +179,14 @@ impl RepeatedFrameDetector {
         self.is_active(now) || now < self.series[address.index()].active_until
     }
 
+    /// Returns true if copies, some of whose originals are lost, explain the timing of the heartbeats
+    /// of `address`: none came as late as a copy and was another one.
+    pub fn explains_timing(&self, now: Instant, address: Address) -> bool {
+        let differs_at = self.series[address.index()].differs_at;
+        let recent = self.period * 10;
+        self.is_repeated(now, address) && differs_at.is_none_or(|at| now.since(at) > recent)
+    }
+
     /// Returns the shortest delay of the copies of `address`, or of all with `None`: later ones
     /// waited for other frames.
     pub fn delay_of(&self, address: Option<Address>) -> Duration {
@@ -232,6 +242,12 @@ impl RepeatedFrameDetector {
     /// Notes a heartbeat from `address`; call before [`is_copy`](Self::is_copy).
     pub fn note_heartbeat(&mut self, now: Instant, address: Address, recorded: RecordedHeartbeat) {
         let period = self.period;
+        let series = &mut self.series[address.index()];
+        let delay = self.delay.max(series.longest);
+        let is_other = recorded.is_new && recorded.copy_delay.is_none();
+        if is_other && recorded.gap.is_some_and(|gap| gap <= delay + DELAY_JITTER) {
+            series.differs_at = Some(now);
+        }
         if self.last_heartbeat.is_none_or(|(_, at)| now.since(at) > period * 3) {
             self.has_several_sources = false;
             self.response_pairs = ResponsePairs::default();
