@@ -24,6 +24,9 @@ const MIN_IMPOSSIBLE: u64 = 10;
 const MIN_DOUBTFUL: u64 = 3;
 /// Bytes of a heartbeat that are compared: those of a UID.
 const UID_BYTES: usize = 6;
+/// Longest time between two heartbeats with another RND7, in periods of the profile: three of a
+/// device with five times the period.
+const UID_MEMORY_PERIODS: f64 = 15.0;
 /// Number of heartbeats of one source in the period of the profile that show a device that does not
 /// generate RND7. Other protocols send constant data too, but rarely in this period; and of frames
 /// every half period, so many in a row with every other one lost are rarer than one in 500 if 30 %
@@ -255,7 +258,10 @@ impl ProtocolDetector {
             None => 1,
         };
         last[0] = Some(PlausibleHeartbeat { at, id, uid, periodic });
-        before.is_some_and(|before| before.id != id) || periodic >= MIN_PERIODIC
+        let is_again = |before: PlausibleHeartbeat| {
+            before.id != id && periods(before.at) <= UID_MEMORY_PERIODS
+        };
+        before.is_some_and(is_again) || periodic >= MIN_PERIODIC
     }
 }
 

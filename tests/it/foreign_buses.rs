@@ -258,3 +258,12 @@ fn heartbeat_with_a_wrong_u_bit_is_of_a_device_on_a_quiet_bus() {
     assert_eq!(engine.traffic().verdict(), BusVerdict::Des);
     assert_eq!(engine.devices().len(), 1);
 }
+
+#[test]
+fn two_frames_by_chance_long_apart_are_no_device() {
+    for apart in [20_000, 50_000] {
+        let two = [plausible(3000, 9, FITTING), plausible(3000 + apart, 40, FITTING)];
+        let (engine, _) = observed([standard(60_000), two.to_vec()].concat(), 60_000);
+        assert_eq!(engine.traffic().verdict(), BusVerdict::Foreign, "{apart} ms apart");
+    }
+}
