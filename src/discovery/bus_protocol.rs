@@ -24,16 +24,16 @@ const MIN_IMPOSSIBLE: u64 = 10;
 const MIN_DOUBTFUL: u64 = 3;
 /// Bytes of a heartbeat that are compared: those of a UID.
 const UID_BYTES: usize = 6;
-/// Longest time between two heartbeats with another RND7, in periods of the profile: three of a
-/// device with five times the period.
-const UID_MEMORY_PERIODS: f64 = 15.0;
+/// Longest time between two heartbeats with one UID and different RND7 that show a device, in periods
+/// of the profile. Chosen: three intervals of a device with five times the period.
+const SAME_UID_PERIODS: f64 = 15.0;
 /// Number of heartbeats of one source in the period of the profile that show a device that does not
 /// generate RND7. Other protocols send constant data too, but rarely in this period; and of frames
 /// every half period, so many in a row with every other one lost are rarer than one in 500 if 30 %
 /// are lost.
 const MIN_PERIODIC: i8 = 5;
-/// Count after an interval that no sender with the period of the profile has: as many heartbeats of
-/// the period again. Of frames every half period, every other one may be lost for a while.
+/// Count of these heartbeats after an interval that is not a multiple of the period: 13 more are
+/// needed then. Of frames every half period, every other one may be lost for a while.
 const NOT_PERIODIC: i8 = -8;
 /// Longest interval between two of them, in periods. A device is lost after as many.
 const MAX_PERIODS: f64 = 5.0;
@@ -258,9 +258,8 @@ impl ProtocolDetector {
             None => 1,
         };
         last[0] = Some(PlausibleHeartbeat { at, id, uid, periodic });
-        let is_again = |before: PlausibleHeartbeat| {
-            before.id != id && periods(before.at) <= UID_MEMORY_PERIODS
-        };
+        let is_again =
+            |before: PlausibleHeartbeat| before.id != id && periods(before.at) <= SAME_UID_PERIODS;
         before.is_some_and(is_again) || periodic >= MIN_PERIODIC
     }
 }

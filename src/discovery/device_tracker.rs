@@ -281,8 +281,8 @@ impl DeviceTracker {
         Some(row)
     }
 
-    /// Counts a malformed response to `request`, if that is known, and reports it as evidence: weak where frames are lost, because
-    /// what is left of two responses may look like one.
+    /// Counts a malformed response to `request`, if that is known, and reports it as evidence: weak
+    /// where frames are lost, because what is left of two responses may look like one.
     pub fn report_malformed(
         &mut self,
         now: Instant,

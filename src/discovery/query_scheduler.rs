@@ -163,9 +163,8 @@ impl Requester {
         let max_waiting = self.idle.max_open(MAX_WAITING, &tracker.config);
         let on_the_bus = self.idle.duration_of_bits(RESPONSE_WAIT_BITS, &tracker.config);
         let requests = [Request::Name, Request::Services];
-        for (is_known, request) in
-            [true, false].into_iter().flat_map(|it| requests.map(|r| (it, r)))
-        {
+        let turns = [true, false].map(|is_known| requests.map(|request| (is_known, request)));
+        for (is_known, request) in turns.into_iter().flatten() {
             // In the order of addresses: responses of lower ones have priority on the bus, so
             // responses arrive in the order of the requests and none waits behind later ones.
             for address in Address::all() {

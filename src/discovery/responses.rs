@@ -200,7 +200,7 @@ impl Engine {
                     );
                     return;
                 }
-                if let Some(stopped) = self.transfers.restart(now, header) {
+                if let Some(stopped) = self.transfers.end_unfinished(now, header) {
                     self.handle_stopped_transfer(now, row, &stopped);
                 }
                 self.note_response_start(now, row, first_type, Framing::Isotp, to, frame);

@@ -253,9 +253,9 @@ impl Transfers {
         }
     }
 
-    /// Aborts a transfer that ended before a new first frame with its identifier, if any. Two
-    /// devices send theirs together.
-    pub fn restart(&mut self, now: Instant, header: Header) -> Option<Stopped> {
+    /// Aborts an unfinished transfer before a new first frame with its identifier, if its last frame
+    /// is old. Two devices send theirs together.
+    pub fn end_unfinished(&mut self, now: Instant, header: Header) -> Option<Stopped> {
         let id = header.encode();
         let transfers = &mut self.by_source[header.source.index()];
         let at = transfers

@@ -1,12 +1,12 @@
-//! One sender with a shorter period than expected, told from several senders although some of its
-//! heartbeats are lost or late.
+//! Distinguishes one sender with a shorter period than expected from several senders, although some
+//! of its heartbeats are lost or late.
 
 use super::rhythm::{MIN_PHASE_CONTRAST, TWO_PHASE_TIMES, WINDOW_PERIODS};
 use crate::time::{Duration, Instant};
 use std::collections::VecDeque;
 
-/// Shortest period of a sender, in expected periods, that is told from several senders although
-/// heartbeats are lost. Chosen: a tenth, and its jitter.
+/// Shortest period of one sender, in expected periods, that is distinguished from several senders
+/// although heartbeats are lost. Chosen: a tenth, and its jitter.
 const MIN_FASTER_PERIOD: f64 = 0.08;
 /// Deviation of an interval from a multiple of the period, in periods, by the jitter of a busy bus.
 /// As that of a measured period.
@@ -23,15 +23,14 @@ const REPEAT_TOLERANCE: f64 = 0.012;
 const IN_TIME: f64 = 0.05;
 /// Changes between heartbeats in time and others that show senders in turns: more than of two late
 /// heartbeats.
-const MIN_TURNS: u32 = 5;
+const MIN_TURNS: usize = 5;
 /// Longest step, in periods, at which heartbeats in time show one sender: of two or three senders,
 /// all may be in equal parts by chance.
 const MAX_EXACT_STEP: f64 = 0.3;
-/// Heartbeats that may deviate more, or a quarter of them, if there are enough: those that waited on a
-/// busy bus.
+/// Number of heartbeats that may deviate more, or a quarter of them: those that waited on a busy bus.
 const MAX_LATE: usize = 2;
+/// Number of intervals from which on some heartbeats may be late. Chosen: fewer do not show a step.
 const MIN_GAPS_WITH_LATE: usize = 8;
-
 /// Intervals that show two senders although heartbeats are lost between them: as many as without
 /// losses.
 const MIN_ALTERNATING_GAPS: usize = TWO_PHASE_TIMES - 1;
@@ -99,63 +98,100 @@ pub(super) fn grid_of(times: &VecDeque<Instant>, period: Duration) -> Option<Fas
     Some(FasterSender { parts: Some(whole), has_most_parts, has_losses, alternates })
 }
 
-/// Returns the step of which all gaps are multiples, but for a few heartbeats that are late.
+/// Returns the step of which all gaps are multiples, but for a few heartbeats that are late. The
+/// newest gap comes first.
 fn step_with_late(gaps: &[f64]) -> Option<f64> {
+    if gaps.len() < MIN_GAPS_WITH_LATE {
+        return None;
+    }
+    let times = numbered_times(gaps)?;
+    let step = slope(&times);
+    let mut phases: Vec<f64> = times.iter().map(|it| it.phase(step)).collect();
+    phases.sort_unstable_by(f64::total_cmp);
+    let late = phases.len() - cluster(&phases, GRID_TOLERANCE)?.count;
+    let in_time = cluster(&phases, IN_TIME)?;
+    // As many independent senders are not in equal parts of the period by chance.
+    let is_exact = step < MAX_EXACT_STEP && in_time.count * 3 >= phases.len() * 2;
+    let is_one = late <= MAX_LATE.max(gaps.len() / 4)
+        && (is_exact || !is_late_in_each_period(&times, step, in_time.first));
+    is_one.then_some(step)
+}
+
+/// A heartbeat: its number in steps and its time in periods, both counted back from the newest one.
+#[derive(Clone, Copy)]
+struct NumberedTime {
+    number: f64,
+    at: f64,
+}
+
+impl NumberedTime {
+    /// Returns the deviation from its number, in steps.
+    fn phase(self, step: f64) -> f64 {
+        self.at / step - self.number
+    }
+}
+
+/// Numbers the heartbeats between the gaps by the median of the gaps that are one step.
+fn numbered_times(gaps: &[f64]) -> Option<Vec<NumberedTime>> {
     let mut single = gaps.to_vec();
     single.sort_unstable_by(f64::total_cmp);
     let shortest = *single.first()?;
     single.retain(|gap| *gap < 1.5 * shortest);
     let median = single[(single.len() - 1) / 2];
-    // Times as a function of their number in steps: the least squares give the step.
-    let times = gaps.iter().scan((0.0, 0.0), |(number, at), gap| {
-        *number += (gap / median).round().max(1.0);
-        *at += gap;
-        Some((*number, *at))
+    let newest = NumberedTime { number: 0.0, at: 0.0 };
+    let others = gaps.iter().scan(newest, |time, gap| {
+        time.number += (gap / median).round().max(1.0);
+        time.at += gap;
+        Some(*time)
     });
-    let times: Vec<(f64, f64)> = std::iter::once((0.0, 0.0)).chain(times).collect();
+    Some(std::iter::once(newest).chain(others).collect())
+}
+
+/// Returns the time of one step by the least squares.
+fn slope(times: &[NumberedTime]) -> f64 {
     let count = times.len() as f64;
-    let (numbers, ats) = times.iter().fold((0.0, 0.0), |(numbers, ats), (number, at)| {
-        (numbers + number / count, ats + at / count)
-    });
-    let (product, square) = times.iter().fold((0.0, 0.0), |(product, square), (number, at)| {
-        let number = number - numbers;
-        (product + number * (at - ats), square + number * number)
-    });
-    let step = product / square;
-    let phase = |(number, at): (f64, f64)| at / step - number;
-    let mut phases: Vec<f64> = times.iter().map(|it| phase(*it)).collect();
-    phases.sort_unstable_by(f64::total_cmp);
-    // Where most phases are together within the tolerance, and how many.
-    let cluster = |tolerance: f64| {
-        let end = |first: f64| phases.partition_point(|phase| *phase <= first + 2.0 * tolerance);
-        let clusters = phases.iter().enumerate().map(|(at, first)| (end(*first) - at, *first));
-        clusters.max_by_key(|(count, _)| *count)
-    };
-    let late = phases.len() - cluster(GRID_TOLERANCE)?.0;
-    let (in_time_count, in_time) = cluster(IN_TIME)?;
-    // As many independent senders are not in equal parts of the period by chance.
-    let is_exact = step < MAX_EXACT_STEP && in_time_count * 3 >= phases.len() * 2;
-    // Several senders are late by the same time in each period. The times run backwards.
+    let number = times.iter().map(|it| it.number / count).sum::<f64>();
+    let at = times.iter().map(|it| it.at / count).sum::<f64>();
+    let products = times.iter().map(|it| (it.number - number) * (it.at - at));
+    let squares = times.iter().map(|it| (it.number - number).powi(2));
+    products.sum::<f64>() / squares.sum::<f64>()
+}
+
+/// Phases that are together within a tolerance.
+struct Cluster {
+    count: usize,
+    first: f64,
+}
+
+/// Returns the largest cluster of ascending phases.
+fn cluster(phases: &[f64], tolerance: f64) -> Option<Cluster> {
+    let end = |first: f64| phases.partition_point(|phase| *phase <= first + 2.0 * tolerance);
+    let clusters = phases.iter().enumerate();
+    let clusters = clusters.map(|(at, first)| Cluster { count: end(*first) - at, first: *first });
+    clusters.max_by_key(|cluster| cluster.count)
+}
+
+/// Returns true if heartbeats that are not in time, from phase `in_time` on, are late in turns and by
+/// the same time in each period, as those of several senders. One sender whose phase changed is late
+/// for a while.
+fn is_late_in_each_period(times: &[NumberedTime], step: f64, in_time: f64) -> bool {
     let deviation = |at: f64| {
-        let next = times.partition_point(|(_, before)| before - at < 1.0 - step / 2.0);
-        let near = times[next..].iter().map(|(_, before)| (before - at - 1.0).abs());
+        let next = times.partition_point(|before| before.at - at < 1.0 - step / 2.0);
+        let near = times[next..].iter().map(|before| (before.at - at - 1.0).abs());
         near.take(2).fold(f64::MAX, f64::min)
     };
-    let (mut repeated, mut all, mut turns) = (0, 0, 0);
-    let mut was_in_time = None;
-    for (number, at) in &times {
-        let is_in_time = (in_time..=in_time + 2.0 * IN_TIME).contains(&phase((*number, *at)));
-        turns += u32::from(was_in_time.replace(is_in_time).is_some_and(|was| was != is_in_time));
-        let deviation = deviation(*at);
-        if !is_in_time && deviation < step / 2.0 {
+    let is_in_time =
+        |it: &NumberedTime| (in_time..=in_time + 2.0 * IN_TIME).contains(&it.phase(step));
+    let turns = times.windows(2).filter(|two| is_in_time(&two[0]) != is_in_time(&two[1])).count();
+    let (mut repeated, mut all) = (0, 0);
+    for it in times.iter().filter(|it| !is_in_time(it)) {
+        let deviation = deviation(it.at);
+        if deviation < step / 2.0 {
             all += 1;
             repeated += u32::from(deviation <= REPEAT_TOLERANCE);
         }
     }
-    // One sender whose phase changed is late for a while, not in turns.
-    let are_several = !is_exact && turns >= MIN_TURNS && repeated * 4 > all * 3;
-    let is_one = late <= MAX_LATE.max(gaps.len() / 4) && !are_several;
-    (gaps.len() >= MIN_GAPS_WITH_LATE && is_one).then_some(step)
+    turns >= MIN_TURNS && repeated * 4 > all * 3
 }
 
 /// Returns true if gaps of an odd number of `step` are alternately longer and shorter than that by
