@@ -43,13 +43,18 @@ fn nmea_2000(until: u64) -> Traffic {
     (0..until).step_by(5).map(|at| (at, frame(&mut rng))).collect()
 }
 
+/// Data of a heartbeat in WORK.
+const FITTING: [u8; 8] = [0x11, 0x22, 0x33, 0x44, 0x55, 0x66, 4, 0];
+
+/// A frame of address 12 that fits a heartbeat.
+fn plausible(at: u64, rnd7: u32, data: [u8; 8]) -> (u64, Frame) {
+    (at, Frame::classic(0x0700_0001 | 12 << 17 | rnd7 << 10, &data))
+}
+
 /// A heartbeat of address 12 each second.
 fn heartbeats(until: u64) -> Traffic {
-    let frame = |at: u64| {
-        let id = 0x0700_0001 | 12 << 17 | (at as u32 / 1000 % 128) << 10;
-        Frame::classic(id, &[0x11, 0x22, 0x33, 0x44, 0x55, 0x66, 4, 0])
-    };
-    (400..until).step_by(1000).map(|at| (at, frame(at))).collect()
+    let times = (400..until).step_by(1000);
+    times.map(|at| plausible(at, at as u32 / 1000 % 128, FITTING)).collect()
 }
 
 /// An engine that received frames until a time in milliseconds, and the frames that it sent.
@@ -187,13 +192,6 @@ fn heartbeats_with_constant_rnd7_among_foreign_nodes_are_found() {
     assert_eq!((engine.traffic().verdict(), found.contains(&48)), (BusVerdict::Des, true));
 }
 
-/// A frame at 12 that fits a heartbeat.
-fn plausible(at: u64, rnd7: u32, data: [u8; 8]) -> (u64, Frame) {
-    (at, Frame::classic(0x0700_0001 | 12 << 17 | rnd7 << 10, &data))
-}
-
-const FITTING: [u8; 8] = [0x11, 0x22, 0x33, 0x44, 0x55, 0x66, 4, 0];
-
 #[test]
 fn heartbeat_by_chance_at_first_is_refuted_by_the_next_frames() {
     for foreign in [standard(20_000), nmea_2000(20_000)] {
@@ -247,12 +245,10 @@ fn constant_rnd7_with_losses_is_of_a_device() {
 
 #[test]
 fn heartbeat_with_a_wrong_u_bit_is_of_a_device_on_a_quiet_bus() {
-    let beats = (400..20_000).step_by(1000).map(|at: u64| {
-        let mut beat = plausible(at, at as u32 / 1000 % 128, FITTING);
-        let header = Header::decode(beat.1.platform_id().unwrap());
+    let beats = heartbeats(20_000).into_iter().map(|(at, frame)| {
+        let header = Header::decode(frame.platform_id().unwrap());
         let header = Header { from_non_working: true, ..header };
-        beat.1 = Frame::classic(header.encode(), &FITTING);
-        beat
+        (at, Frame::classic(header.encode(), frame.data()))
     });
     let (engine, _) = observed(beats.collect(), 20_000);
     assert_eq!(engine.traffic().verdict(), BusVerdict::Des);

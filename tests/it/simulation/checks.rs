@@ -144,8 +144,6 @@ impl Case<'_> {
                 && span.from <= at
                 && at.since(span.until) < TEN_SECONDS
                 && (matches!(clash, Clash::Uid(..))
-                    // A fact at each request, which may confirm what was suspected before.
-                    || course.kind == FindingKind::AnswersDoubled
                     || until.since(span.from) + ahead + SAMPLED >= PERIOD.mul_f64(3.0))
         };
         let config = &inspector.config;
@@ -780,10 +778,6 @@ fn addresses_of_inspectors(run: &Run, wrong: &mut Vec<String>) {
         if run.world.inspectors[number].config.listen_only {
             continue;
         }
-        // Among nodes of another protocol nothing is sent, not even a claim.
-        if it.engine.counters().sent == 0 {
-            continue;
-        }
         let OwnAddress::Held(address) = it.engine.own_address() else {
             // Its controller goes bus-off again after each restart, or no address is free.
             if !it.cut_off.is_empty() || run.devices.len() > 120 {
@@ -792,6 +786,10 @@ fn addresses_of_inspectors(run: &Run, wrong: &mut Vec<String>) {
             wrong.push(format!("inspector {number} has no address: {:?}", it.engine.own_address()));
             continue;
         };
+        // Among nodes of another protocol nothing is sent, not even a claim.
+        if it.engine.counters().sent == 0 {
+            continue;
+        }
         if held.contains(&address) {
             wrong.push(format!("two inspectors are at {address}"));
         }
