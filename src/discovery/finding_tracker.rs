@@ -254,8 +254,13 @@ impl FindingTracker {
     /// Returns true if two UIDs alternate at `address`, or a conflict there is confirmed.
     pub fn is_known_shared(&self, address: Address) -> bool {
         let two_uids = [FindingKind::OneAddressTwoIdentities, FindingKind::TwoDebugDevices];
-        self.confirmed_conflicts[address.index()] > 0
+        self.has_confirmed_conflict(address)
             || two_uids.into_iter().any(|kind| self.is_open(kind, address))
+    }
+
+    /// Returns true if a conflict at `address` is confirmed.
+    pub fn has_confirmed_conflict(&self, address: Address) -> bool {
+        self.confirmed_conflicts[address.index()] > 0
     }
 
     /// Returns true if several devices seem to use `address`.

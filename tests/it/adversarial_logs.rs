@@ -31,6 +31,16 @@ struct Verdicts {
     kinds: Vec<FindingKind>,
 }
 
+impl Verdicts {
+    /// Returns true if a finding was confirmed last before `until`, not cleared.
+    fn was_confirmed(&self, until: f64) -> bool {
+        let last = |changes: &[(f64, FindingKind)]| {
+            changes.iter().map(|change| change.0).filter(|at| *at < until).fold(0.0, f64::max)
+        };
+        last(&self.confirmed) > last(&self.cleared)
+    }
+}
+
 impl LogWriter {
     fn new(seed: u64) -> Self {
         Self { rng: fastrand::Rng::with_seed(seed), frames: Vec::new() }
@@ -176,6 +186,39 @@ fn conflict_of_two_uids_stays_while_both_send() {
         let verdicts = log.verdicts(59.0);
         assert_eq!(verdicts.cleared, [], "seed {seed}");
     }
+}
+
+#[test]
+fn conflict_of_equal_devices_stays_while_both_send() {
+    for (phase, loss) in [(0.1, 0.2), (0.3, 0.2), (0.33, 0.2), (0.45, 0.2), (0.2, 0.3), (0.4, 0.3)]
+    {
+        for seed in 0..30 {
+            let mut log = LogWriter::new(seed);
+            log.heartbeats(1, 1.0, (0.1, 120.0), loss);
+            let first = times_of(&log.frames);
+            log.heartbeats(1, 1.0, (0.1 + phase, 120.0), loss);
+            let other = times_of(&log.frames[first.len()..]);
+            let verdicts = log.verdicts(119.0);
+            let is_wrong = |at: f64| {
+                let are_heard = is_heard(&first, at) && is_heard(&other, at);
+                // With more losses, what is suspected may be cleared.
+                are_heard && (loss < 0.3 || verdicts.was_confirmed(at))
+            };
+            let cleared = verdicts.cleared.iter().map(|it| it.0);
+            let wrong: Vec<f64> = cleared.filter(|at| is_wrong(*at)).collect();
+            assert!(wrong.is_empty(), "{wrong:?}, phase {phase}, loss {loss}, seed {seed}");
+        }
+    }
+}
+
+/// Returns true if a device sent one of these heartbeats in the last five periods before `until`.
+fn is_heard(times: &[f64], until: f64) -> bool {
+    times.iter().any(|at| (until - 4.999..until).contains(at))
+}
+
+/// Returns the times of frames in seconds.
+fn times_of(frames: &[Frame]) -> Vec<f64> {
+    frames.iter().map(|frame| frame.time.since(Instant::ZERO).as_secs_f64()).collect()
 }
 
 #[test]

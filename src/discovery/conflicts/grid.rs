@@ -1,7 +1,7 @@
 //! Distinguishes one sender with a shorter period than expected from several senders, although some
 //! of its heartbeats are lost or late.
 
-use super::rhythm::{MIN_PHASE_CONTRAST, TWO_PHASE_TIMES, WINDOW_PERIODS};
+use super::rhythm::{MIN_PHASE_CONTRAST, SAME_PHASE, TWO_PHASE_TIMES, WINDOW_PERIODS};
 use crate::time::{Duration, Instant};
 use std::collections::VecDeque;
 
@@ -54,21 +54,15 @@ pub(super) struct FasterSender {
 
 /// Returns the sender of whose period all intervals in the last periods are multiples.
 pub(super) fn grid_of(times: &VecDeque<Instant>, period: Duration) -> Option<FasterSender> {
-    let last = *times.back()?;
-    let recent = || times.iter().rev().take_while(|at| last.since(**at) < period * WINDOW_PERIODS);
-    let gaps = || {
-        let pairs = recent().zip(recent().skip(1));
-        pairs.map(|(next, one)| next.since(*one).as_secs_f64() / period.as_secs_f64())
-    };
+    let gaps = || gaps_within(times, period, f64::from(WINDOW_PERIODS));
     let shortest = gaps().fold(f64::MAX, f64::min);
     if !(MIN_FASTER_PERIOD..=1.0 - GRID_TOLERANCE).contains(&shortest) {
         return None;
     }
-    let steps: f64 = gaps().map(|gap| (gap / shortest).round()).sum();
-    let step = gaps().sum::<f64>() / steps;
-    let is_regular = |gap: f64| (gap / step - (gap / step).round()).abs() <= GRID_TOLERANCE;
-    let step =
-        if gaps().all(is_regular) { step } else { step_with_late(&gaps().collect::<Vec<f64>>())? };
+    let step = match regular_step(gaps, shortest, GRID_TOLERANCE) {
+        Some(step) => step,
+        None => step_with_late(&gaps().collect::<Vec<f64>>())?,
+    };
     let parts = 1.0 / step;
     let whole = parts.round();
     // Long gaps alone at the beginning are those of one sender before the second one.
@@ -82,13 +76,8 @@ pub(super) fn grid_of(times: &VecDeque<Instant>, period: Duration) -> Option<Fas
         return Some(grid);
     }
     let whole = whole as u32;
-    let (mut at, mut hit) = (0.0_f64, 1_u32);
-    for gap in gaps() {
-        at += gap / step;
-        hit |= 1 << (at.round() as u32 % whole);
-    }
-    let empty = whole.saturating_sub(hit.count_ones());
-    let has_most_parts = match at * step {
+    let empty = empty_parts(gaps(), step, whole);
+    let has_most_parts = match gaps().sum::<f64>() {
         _ if whole <= 3 => empty == 0,
         periods if periods >= PERIODS_OF_ALL_PARTS => empty == 0,
         periods if periods >= PERIODS_OF_MOST_PARTS => empty <= 1,
@@ -96,6 +85,54 @@ pub(super) fn grid_of(times: &VecDeque<Instant>, period: Duration) -> Option<Fas
     };
     let alternates = whole == 2 && alternates(gaps(), step);
     Some(FasterSender { parts: Some(whole), has_most_parts, has_losses, alternates })
+}
+
+/// Returns true if the intervals of the last `periods` are those of one sender with a shorter period,
+/// or as well of two senders half a period apart.
+pub(super) fn may_be_one_sender(times: &VecDeque<Instant>, period: Duration, periods: f64) -> bool {
+    let gaps = || gaps_within(times, period, periods);
+    let shortest = gaps().fold(f64::MAX, f64::min);
+    if !(MIN_FASTER_PERIOD..=1.0 - GRID_TOLERANCE).contains(&shortest) {
+        return false;
+    }
+    regular_step(gaps, shortest, SAME_PHASE / shortest).is_some_and(|step| {
+        let whole = (1.0 / step).round();
+        (1.0 / step - whole).abs() > GRID_TOLERANCE || empty_parts(gaps(), step, whole as u32) == 0
+    })
+}
+
+/// Returns the intervals of the last `periods`, in periods, the newest one first.
+fn gaps_within(
+    times: &VecDeque<Instant>,
+    period: Duration,
+    periods: f64,
+) -> impl Iterator<Item = f64> {
+    let last = times.back().copied().unwrap_or(Instant::ZERO);
+    let window = period.mul_f64(periods);
+    let recent = move || times.iter().rev().take_while(move |at| last.since(**at) < window);
+    let pairs = recent().zip(recent().skip(1));
+    pairs.map(move |(next, one)| next.since(*one).as_secs_f64() / period.as_secs_f64())
+}
+
+/// Returns the step, about `shortest`, of which all gaps are multiples.
+fn regular_step<I: Iterator<Item = f64>>(
+    gaps: impl Fn() -> I,
+    shortest: f64,
+    tolerance: f64,
+) -> Option<f64> {
+    let steps: f64 = gaps().map(|gap| (gap / shortest).round()).sum();
+    let step = gaps().sum::<f64>() / steps;
+    gaps().all(|gap| (gap / step - (gap / step).round()).abs() <= tolerance).then_some(step)
+}
+
+/// Returns the number of the `whole` parts of a period in which no heartbeat arrived.
+fn empty_parts(gaps: impl Iterator<Item = f64>, step: f64, whole: u32) -> u32 {
+    let (mut at, mut hit) = (0.0_f64, 1_u32);
+    for gap in gaps {
+        at += gap / step;
+        hit |= 1 << (at.round() as u32 % whole);
+    }
+    whole.saturating_sub(hit.count_ones())
 }
 
 /// Returns the step of which all gaps are multiples, but for a few heartbeats that are late. The

@@ -408,6 +408,12 @@ impl ConflictDetector {
             let until = last + period * UID_MEMORY_PERIODS;
             self.finding_tracker.note_several_senders(until, address);
         }
+        if self.finding_tracker.has_confirmed_conflict(address)
+            && let Some(last) = rhythm::last_in_other_phase(history.heartbeats.times(), period)
+        {
+            let until = last + period * UID_MEMORY_PERIODS;
+            self.finding_tracker.note_several_senders(until, address);
+        }
         history.note_rate(pattern.double_rate, period);
         if is_crowded {
             history.crowded_at = Some(now);
