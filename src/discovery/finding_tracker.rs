@@ -85,6 +85,8 @@ pub(super) struct NewEvidence<'a> {
     pub contradicts: Option<(Cow<'static, str>, Frame)>,
     /// Since when two devices are present, if the evidence shows that.
     pub since: Option<Instant>,
+    /// Until when they are present, if not until its frame.
+    pub until: Option<Instant>,
     /// True if a single device that sends its frames twice does not explain it.
     pub excludes_one_device: bool,
     /// True if it is a response: more evidence is expected only after a request.
@@ -111,6 +113,7 @@ impl<'a> NewEvidence<'a> {
             frame,
             contradicts: None,
             since: None,
+            until: None,
             excludes_one_device: false,
             is_response: false,
             is_preliminary: false,
@@ -624,7 +627,7 @@ impl FindingTracker {
         }
         let counts = strength != EvidenceStrength::Weak || evidence.since.is_some();
         if counts && !evidence.is_preliminary {
-            self.update_state(now, at);
+            self.update_state(now, evidence.until.unwrap_or(now), at);
         }
         Some(at)
     }
@@ -686,12 +689,12 @@ impl FindingTracker {
         }
     }
 
-    /// Confirms a finding with enough strong evidence over five periods.
-    fn update_state(&mut self, now: Instant, at: usize) {
+    /// Confirms a finding with enough strong evidence over five periods before `until`.
+    fn update_state(&mut self, now: Instant, until: Instant, at: usize) {
         let state = &self.evidence_states[at];
         // Five periods, less 1 % for heartbeat jitter.
         let enough = self.period_of(at).mul_f64(4.95);
-        let lasts = state.began.is_some_and(|began| now.since(began) >= enough);
+        let lasts = state.began.is_some_and(|began| until.since(began) >= enough);
         if state.strong >= CONFIRM_AFTER_STRONG && lasts {
             self.set(now, at, FindingState::Confirmed);
         }
@@ -772,7 +775,7 @@ impl FindingTracker {
             }
             self.findings[old].superseded_by = Some(self.findings[new].key.kind);
             self.set(now, old, FindingState::Cleared);
-            self.update_state(now, new);
+            self.update_state(now, now, new);
         }
     }
 

@@ -211,6 +211,20 @@ fn conflict_of_equal_devices_stays_while_both_send() {
     }
 }
 
+#[test]
+fn contest_of_blank_uids_for_four_periods_is_not_confirmed() {
+    for seed in 0..400 {
+        let mut log = LogWriter::new(seed);
+        let (phase, shared) = (log.rng.f64(), 4.0 + 0.9 * log.rng.f64());
+        let began = 8.0 + phase;
+        log.heartbeats(0, 1.0, (0.1, 40.0), 0.0);
+        log.heartbeats(0, 1.0, (began, began + shared), 0.0);
+        let last = times_of(&log.frames).last().copied().unwrap_or(0.0);
+        let confirmed = log.verdicts(40.0).confirmed;
+        assert!(confirmed.is_empty(), "{confirmed:?}, seed {seed}, from {began} to {last}");
+    }
+}
+
 /// Returns true if a device sent one of these heartbeats in the last five periods before `until`.
 fn is_heard(times: &[f64], until: f64) -> bool {
     times.iter().any(|at| (until - 4.999..until).contains(at))

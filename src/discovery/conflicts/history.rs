@@ -39,7 +39,7 @@ const OTHER_PHASE: f64 = 0.12;
 /// periods: six follow-up requests, one per second, and their responses (protocol §5.3).
 pub(super) const MAX_DOUBLE_RATE_HEARTBEATS: u32 = 16;
 /// Shortest interval that is a whole period: less the jitter of a busy bus.
-const WHOLE_PERIOD: f64 = 0.85;
+pub(super) const WHOLE_PERIOD: f64 = 0.85;
 /// Periods for which heartbeats in turns show that two devices are there. With 30 % of the
 /// heartbeats lost, ten heartbeats of two UIDs without a return are rarer than one in a thousand.
 const SWAP_PERIODS: u32 = 10;

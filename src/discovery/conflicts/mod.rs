@@ -536,6 +536,7 @@ impl ConflictDetector {
         Some(NewEvidence {
             name,
             since: pattern.since,
+            until: rhythm::last_early(history.heartbeats.times(), self.periods.of(address)),
             contradicts: phase_1
                 .map(|previous| ("heartbeat, phase 1 of a period".into(), *previous)),
             ..NewEvidence::new(kind, address, frame, strength, description)

@@ -1,7 +1,7 @@
 //! Timing of the heartbeats of one address: their rate and their phases (protocol §5.2).
 
 use super::grid::{grid_of, may_be_one_sender};
-use super::history::MAX_PHASES;
+use super::history::{MAX_PHASES, WHOLE_PERIOD};
 use crate::time::{Duration, Instant};
 use std::collections::VecDeque;
 
@@ -59,10 +59,9 @@ pub(super) fn pattern(times: &VecDeque<Instant>, period: Duration) -> HeartbeatP
     let recent = times.iter().rev().take(TWO_PHASE_TIMES);
     let recent = recent.filter(|time| last.since(**time) < period * 4);
     // The newest heartbeat must be early, or the double rate has already ended.
-    let before = times.iter().rev().nth(1);
-    let soon = before.is_some_and(|before| last.since(*before) < period.mul_f64(0.85));
-    let double_rate =
-        soon && recent.count() >= TWO_PHASE_TIMES - 1 && !is_faster_sender(times, period);
+    let double_rate = last_early(times, period) == Some(last)
+        && recent.count() >= TWO_PHASE_TIMES - 1
+        && !is_faster_sender(times, period);
     // This many heartbeats show two devices for at least a period.
     let rate = HeartbeatPattern { double_rate, two_phases: false, since: Some(last - period) };
     if times.len() < TWO_PHASE_TIMES - 1 {
@@ -91,6 +90,14 @@ pub(super) fn pattern(times: &VecDeque<Instant>, period: Duration) -> HeartbeatP
         Some(at) => HeartbeatPattern { two_phases: true, since: times().nth(at).copied(), ..rate },
         None => rate,
     }
+}
+
+/// Returns the time of the last heartbeat that came less than a whole period after the one before
+/// it. Later ones do not show that two senders are still there.
+pub(super) fn last_early(times: &VecDeque<Instant>, period: Duration) -> Option<Instant> {
+    let is_early = |last: Instant, before| last.since(before) < period.mul_f64(WHOLE_PERIOD);
+    let mut newest = times.iter().rev().zip(times.iter().rev().skip(1));
+    newest.find(|(last, before)| is_early(**last, **before)).map(|(last, _)| *last)
 }
 
 /// Returns true if more heartbeats arrived in the last periods than one sender has, and one with a
