@@ -29,6 +29,9 @@ const MIN_TURNS: usize = 5;
 const MAX_EXACT_STEP: f64 = 0.3;
 /// Number of heartbeats that may deviate more, or a quarter of them: those that waited on a busy bus.
 const MAX_LATE: usize = 2;
+/// Longest time, in steps, by which they are late: with a shorter one, lost heartbeats are counted
+/// better. Chosen: half, and clearly before the next one is due.
+const MAX_LATENESS: [f64; 2] = [0.5, 0.75];
 /// Number of intervals from which on some heartbeats may be late. Chosen: fewer do not show a step.
 const MIN_GAPS_WITH_LATE: usize = 8;
 /// Intervals that show two senders although heartbeats are lost between them: as many as without
@@ -141,16 +144,26 @@ fn step_with_late(gaps: &[f64]) -> Option<f64> {
     if gaps.len() < MIN_GAPS_WITH_LATE {
         return None;
     }
-    let times = numbered_times(gaps)?;
-    let step = slope(&times);
+    let mut ascending = gaps.to_vec();
+    ascending.sort_unstable_by(f64::total_cmp);
+    // A late heartbeat may leave a gap much shorter than a step, and lost ones longer ones.
+    let shorter = ascending.partition_point(|gap| *gap < 1.5 * ascending[0]);
+    let steps = [ascending[(shorter - 1) / 2], ascending[(ascending.len() - 1) / 2]];
+    let numberings = steps.into_iter().flat_map(|step| MAX_LATENESS.map(|late| (step, late)));
+    numberings.into_iter().find_map(|(step, late)| step_of(&numbered_times(gaps, step, late)))
+}
+
+/// Returns the step of heartbeats with these numbers, if all but a few are in time.
+fn step_of(times: &[NumberedTime]) -> Option<f64> {
+    let step = slope(times);
     let mut phases: Vec<f64> = times.iter().map(|it| it.phase(step)).collect();
     phases.sort_unstable_by(f64::total_cmp);
     let late = phases.len() - cluster(&phases, GRID_TOLERANCE)?.count;
     let in_time = cluster(&phases, IN_TIME)?;
     // As many independent senders are not in equal parts of the period by chance.
     let is_exact = step < MAX_EXACT_STEP && in_time.count * 3 >= phases.len() * 2;
-    let is_one = late <= MAX_LATE.max(gaps.len() / 4)
-        && (is_exact || !is_late_in_each_period(&times, step, in_time.first));
+    let is_one = late <= MAX_LATE.max((times.len() - 1) / 4)
+        && (is_exact || !is_late_in_each_period(times, step, in_time.first));
     is_one.then_some(step)
 }
 
@@ -168,20 +181,24 @@ impl NumberedTime {
     }
 }
 
-/// Numbers the heartbeats between the gaps by the median of the gaps that are one step.
-fn numbered_times(gaps: &[f64]) -> Option<Vec<NumberedTime>> {
-    let mut single = gaps.to_vec();
-    single.sort_unstable_by(f64::total_cmp);
-    let shortest = *single.first()?;
-    single.retain(|gap| *gap < 1.5 * shortest);
-    let median = single[(single.len() - 1) / 2];
+/// Numbers the heartbeats between the gaps in steps. A heartbeat may be late by `max_late` steps, and
+/// the gap after it is shorter then.
+fn numbered_times(gaps: &[f64], step: f64, max_late: f64) -> Vec<NumberedTime> {
+    let mut late = 0.0;
+    let steps = gaps.iter().rev().map(|gap| {
+        let passed = gap / step + late;
+        let steps = (passed + 1.0 - max_late).floor().max(1.0);
+        late = if passed - steps > GRID_TOLERANCE { passed - steps } else { 0.0 };
+        steps
+    });
+    let steps: Vec<f64> = steps.collect();
     let newest = NumberedTime { number: 0.0, at: 0.0 };
-    let others = gaps.iter().scan(newest, |time, gap| {
-        time.number += (gap / median).round().max(1.0);
+    let others = gaps.iter().zip(steps.iter().rev()).scan(newest, |time, (gap, steps)| {
+        time.number += steps;
         time.at += gap;
         Some(*time)
     });
-    Some(std::iter::once(newest).chain(others).collect())
+    std::iter::once(newest).chain(others).collect()
 }
 
 /// Returns the time of one step by the least squares.
