@@ -68,6 +68,17 @@ impl Intervals {
         };
         (agreeing >= least).then_some(median)
     }
+
+    /// Returns true if there are enough intervals and their mean and their median are `period`, as of
+    /// a sender with much jitter.
+    fn have_mean(&self, period: Duration) -> bool {
+        let count = self.recent.len();
+        let mean = self.recent.iter().sum::<Duration>().checked_div(count as u32);
+        let middle = median(self.recent.iter().copied().collect());
+        count >= MIN_INTERVALS
+            && mean.is_some_and(|mean| is_near(mean, period))
+            && middle.is_some_and(|middle| is_near(middle, period))
+    }
 }
 
 /// Returns true if an interval is a period, within the tolerance.
@@ -253,6 +264,9 @@ impl HeartbeatPeriods {
         if let Some(measured) = intervals.measured {
             return measured;
         }
+        if intervals.have_mean(self.profile) {
+            return self.profile;
+        }
         self.expected_of_others(address).max(self.profile)
     }
 
@@ -318,6 +332,15 @@ mod tests {
     fn different_periods_of_others_are_not_expected() {
         let mixed = [[(2, 1800), (3, 4900), (4, 3000)]; MAX_INTERVALS].concat();
         assert_eq!(measured(false, &mixed).of(address(1)), millis(1000));
+    }
+
+    #[test]
+    fn period_of_others_is_not_that_of_a_device_with_jitter() {
+        let intervals = [1400, 700, 1300, 600, 1000].map(|interval| (1, interval));
+        let others = [(2, 2500), (3, 2500)].repeat(MIN_INTERVALS);
+        let periods = measured(false, &[intervals.to_vec(), others].concat());
+        assert_eq!(periods.of(address(1)), millis(1000));
+        assert_eq!(periods.of(address(4)), millis(2500));
     }
 
     #[test]
