@@ -93,6 +93,8 @@ pub(super) struct NewEvidence<'a> {
     pub is_response: bool,
     /// True if it counts but cannot confirm the finding yet.
     pub is_preliminary: bool,
+    /// True if it shows a node that claims the address, and then gives it up or sends on.
+    pub is_claim: bool,
 }
 
 impl<'a> NewEvidence<'a> {
@@ -117,6 +119,7 @@ impl<'a> NewEvidence<'a> {
             excludes_one_device: false,
             is_response: false,
             is_preliminary: false,
+            is_claim: false,
         }
     }
 }
@@ -583,7 +586,7 @@ impl FindingTracker {
 
     /// Adds an observation to a finding, opens it if needed, and confirms it if the evidence
     /// suffices. Returns the index of the finding; `None` if there are too many.
-    pub fn report(&mut self, now: Instant, evidence: NewEvidence<'_>) -> Option<usize> {
+    pub fn report(&mut self, now: Instant, mut evidence: NewEvidence<'_>) -> Option<usize> {
         let NewEvidence { kind, address, strength, .. } = evidence;
         let at = self.open(now, FindingKey::at(kind, self.bus, Some(address)))?;
         let finding = &mut self.findings[at];
@@ -598,15 +601,17 @@ impl FindingTracker {
         };
         // Both responses to a request belong together; the heartbeats of two senders come in turns,
         // and each is reported itself.
-        if let Some(other) = evidence.contradicts.filter(|(_, other)| !finding.has_frame(other)) {
+        if let Some(other) =
+            evidence.contradicts.take().filter(|(_, other)| !finding.has_frame(other))
+        {
             let other = of(other);
             if evidence.is_response || !finding.has_similar(&other) {
                 finding.add_evidence(other);
             }
         }
-        finding.add_evidence(of((evidence.description, *evidence.frame)));
+        finding.add_evidence(of((std::mem::take(&mut evidence.description), *evidence.frame)));
         finding.last = now;
-        self.count_strength(now, at, last, address, strength);
+        self.count_strength(now, at, last, &evidence);
         self.resume_follow_ups(now, at);
         if let Some(since) = evidence.since {
             let began = &mut self.evidence_states[at].began;
@@ -638,12 +643,12 @@ impl FindingTracker {
         now: Instant,
         at: usize,
         last: Instant,
-        address: Address,
-        strength: EvidenceStrength,
+        evidence: &NewEvidence<'_>,
     ) {
+        let &NewEvidence { address, strength, is_claim, .. } = evidence;
         let period = self.period_of(at);
         let gap_periods = match self.findings[at].key.kind {
-            FindingKind::OneAddressTwoIdentities | FindingKind::OneUidTwoAddresses => {
+            FindingKind::OneAddressTwoIdentities | FindingKind::OneUidTwoAddresses if !is_claim => {
                 IDENTITY_GAP_PERIODS
             }
             _ => HEARTBEAT_GAP_PERIODS,

@@ -442,6 +442,7 @@ impl ConflictDetector {
                 let previous = history.heartbeats.previous();
                 // A device that is claiming the address may still give it up, for a while.
                 let may_give_up = |since| now.since(since) < period * CLAIM_PERIODS;
+                let is_claim = previous.is_some_and(|it| history.resolving_at == Some(it.time));
                 let (strength, since) = if history.resolving_since.is_some_and(may_give_up) {
                     (EvidenceStrength::Weak, None)
                 } else {
@@ -450,6 +451,7 @@ impl ConflictDetector {
                 Some(NewEvidence {
                     name,
                     since,
+                    is_claim,
                     contradicts: previous.map(|previous| (other, *previous)),
                     ..NewEvidence::new(identity, address, frame, strength, again)
                 })

@@ -213,7 +213,12 @@ impl Case<'_> {
                 let joined = again.iter().any(|(clash, span)| going_on(clash, span) && fits(clash));
                 any(&fits) || crowded(&fits) || joined
             }
-            FindingKind::OneUidTwoAddresses => any(&|it| matches!(it, Clash::Uid(..))),
+            FindingKind::OneUidTwoAddresses => {
+                let are_on = |(clash, span): (Clash, Span)| {
+                    going_on(&clash, &span) && at.since(span.from) >= PERIOD * 5
+                };
+                any(&|it| matches!(it, Clash::Uid(..))) || self.run.truth.same_uid_on().any(are_on)
+            }
             FindingKind::NonConforming => {
                 self.run.world.foreign.as_ref().is_some_and(ForeignNodes::is_extended)
             }
@@ -553,6 +558,16 @@ impl Case<'_> {
                     && (course.kind == FindingKind::AddressContested
                         || course.changes.iter().any(|(_, it)| *it == FindingState::Confirmed))
             });
+            // While many frames are lost, the claim of the other and that it gave way tell it.
+            let mut events = self.it.events.iter().map(|(_, event)| event);
+            let is_told_by_events = events.any(|event| {
+                event.address == Some(address)
+                    && matches!(event.kind, EventKind::Claimed { holder: Some(_), .. })
+            }) && events.any(|event| {
+                event.address == Some(address)
+                    && matches!(event.kind, EventKind::GaveUpAddress { .. })
+            });
+            let told = told || self.run.world.broken.is_some() && is_told_by_events;
             let late = course.last().is_some_and(|(at, _)| {
                 (Instant::ZERO + self.run.world.end).since(*at) < PERIOD * 9
             });

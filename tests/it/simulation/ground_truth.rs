@@ -31,6 +31,9 @@ pub struct Truth {
     /// The end of the time in which both devices of a pair were on and neither gives way: they
     /// return to their address however often they silence each other.
     both_on: BTreeMap<Clash, Span>,
+    /// When devices with one UID and different fixed addresses were on, though one may hold its
+    /// address for moments only, because it claims it again and again.
+    same_uid_on: BTreeMap<Clash, Span>,
     /// The devices ever seen at each address.
     seen_at: BTreeMap<Address, BTreeSet<usize>>,
 }
@@ -76,6 +79,23 @@ impl Truth {
             }
         }
         self.sampled = Some(now);
+        let mut fixed: BTreeMap<[u8; 6], Vec<Address>> = BTreeMap::new();
+        for (spec, &id) in specs.iter().zip(devices) {
+            if let (AddressChoice::Fixed(address), Some(_)) =
+                (spec.address, sim.device_state(id).mode)
+            {
+                fixed.entry(sim.device_state(id).uid.0).or_default().push(address);
+            }
+        }
+        for addresses in fixed.into_iter().filter(|(uid, _)| *uid != [0; 6]).map(|(_, it)| it) {
+            for (place, &one) in addresses.iter().enumerate() {
+                for &other in addresses[place + 1..].iter().filter(|other| **other != one) {
+                    let clash = Clash::Uid(one.min(other), one.max(other));
+                    let span = Span { from: now, until: now };
+                    self.same_uid_on.entry(clash).or_insert(span).until = now;
+                }
+            }
+        }
         let mut stubborn: BTreeMap<Address, Vec<usize>> = BTreeMap::new();
         for (index, spec) in specs.iter().enumerate() {
             if let AddressChoice::Fixed(address) = spec.address
@@ -112,6 +132,11 @@ impl Truth {
     /// Returns when both devices of a pair that never gives way were on.
     pub fn both_on(&self) -> impl Iterator<Item = (Clash, Span)> + '_ {
         self.both_on.iter().map(|(clash, span)| (*clash, *span))
+    }
+
+    /// Returns when devices with one UID and different fixed addresses were on.
+    pub fn same_uid_on(&self) -> impl Iterator<Item = (Clash, Span)> + '_ {
+        self.same_uid_on.iter().map(|(clash, span)| (*clash, *span))
     }
 
     /// Returns the conflicts, with pauses shorter than three periods bridged.
