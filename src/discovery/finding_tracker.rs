@@ -42,6 +42,9 @@ const IDENTITY_GAP_PERIODS: f64 = 5.0;
 /// Longest gap between response evidence that belongs together, in periods since a request was
 /// seen: two requests. Tuned with the simulation.
 const RESPONSE_GAP_PERIODS: f64 = 1.75;
+/// Periods after other evidence in which heartbeats at twice the rate support it: six follow-up
+/// requests, one per second, and some responses that merged.
+const SUPPORT_PERIODS: u32 = 10;
 /// Periods after a malformed response in which the next one belongs to it: three rounds (protocol
 /// §4.4). A valid response ends that sooner.
 const MALFORMED_MEMORY_PERIODS: u32 = 30;
@@ -398,13 +401,15 @@ impl FindingTracker {
             .min()
     }
 
-    /// Notes a heartbeat at twice the rate. Returns true if a suspected finding has stronger
+    /// Notes a heartbeat at twice the rate. Returns true if a suspected finding recently had stronger
     /// evidence besides.
     pub fn note_double_rate(&mut self, now: Instant, kind: FindingKind, address: Address) -> bool {
         let Some(at) = self.find(kind, address) else { return false };
+        let recent = self.period_of(at) * SUPPORT_PERIODS;
         let state = &mut self.evidence_states[at];
         state.doubled_at = Some(now);
-        self.findings[at].state == FindingState::Suspected && state.strong > 0
+        self.findings[at].state == FindingState::Suspected
+            && state.strong_at.is_some_and(|at| now.since(at) < recent)
     }
 
     /// Notes that the heartbeats of `address` show several nodes: until then, the only confirmed
@@ -759,7 +764,7 @@ impl FindingTracker {
     }
 
     /// Replaces finding `old` by `new`, which takes over its beginning and its count of strong
-    /// evidence if `old` is recent.
+    /// evidence if `old` is recent, or confirmed that two devices are there.
     pub fn supersede(
         &mut self,
         now: Instant,
@@ -772,7 +777,9 @@ impl FindingTracker {
         };
         if self.findings[old].state != FindingState::Cleared {
             let recent = self.period_of(old).mul_f64(HEARTBEAT_GAP_PERIODS);
-            if now.since(self.findings[old].last) < recent {
+            let is_proven = self.findings[old].state == FindingState::Confirmed
+                && self.findings[old].key.kind != FindingKind::AnswersDoubled;
+            if is_proven || now.since(self.findings[old].last) < recent {
                 let (before, began) =
                     (self.evidence_states[old].began, self.evidence_states[new].began);
                 self.evidence_states[new].began = before.into_iter().chain(began).min();
