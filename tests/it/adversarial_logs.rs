@@ -225,6 +225,22 @@ fn contest_of_blank_uids_for_four_periods_is_not_confirmed() {
     }
 }
 
+#[test]
+fn two_phases_are_confirmed_after_two_names_were_received_once() {
+    for phase in [0.1, 0.3, 0.46] {
+        for seed in 0..20 {
+            let mut log = LogWriter::new(seed);
+            log.heartbeats(1, 1.0, (0.1, 30.0), 0.0);
+            log.heartbeats(1, 1.0, (0.1 + phase, 30.0), 0.0);
+            log.name_query(1.2, &[(0.002, "FEED")]);
+            log.name_query(2.2, &[(0.002, "PUMP")]);
+            let confirmed = log.verdicts(30.0).confirmed;
+            let is_in_time = confirmed.iter().any(|(at, _)| *at < 12.0);
+            assert!(is_in_time, "phase {phase}, seed {seed}: {confirmed:?}");
+        }
+    }
+}
+
 /// Returns true if a device sent one of these heartbeats in the last five periods before `until`.
 fn is_heard(times: &[f64], until: f64) -> bool {
     times.iter().any(|at| (until - 4.999..until).contains(at))

@@ -62,6 +62,8 @@ const NAMES_WITHOUT_OTHER: u32 = 6;
 /// Chosen: one period and its jitter.
 const KEPT_PERIODS: f64 = 1.1;
 
+/// Description of a heartbeat in the second phase.
+const SECOND_PHASE: &str = "heartbeat, phase 2 of a period";
 /// Description of a heartbeat at twice the rate.
 const TWICE_THE_RATE: &str = "heartbeats at twice the rate";
 
@@ -525,9 +527,8 @@ impl ConflictDetector {
                 || self.finding_tracker.is_confirmed(same, address));
         let (kind, strength, description) = match pattern.two_phases {
             _ if !double_rate && !pattern.two_phases => return None,
-            true if !others.had_other_name => {
-                (same, EvidenceStrength::Strong, "heartbeat, phase 2 of a period")
-            }
+            true if !others.had_other_name => (same, EvidenceStrength::Strong, SECOND_PHASE),
+            true => (FindingKind::OneAddressTwoNames, EvidenceStrength::Strong, SECOND_PHASE),
             _ if others.had_other_name => {
                 (FindingKind::OneAddressTwoNames, EvidenceStrength::Weak, TWICE_THE_RATE)
             }
