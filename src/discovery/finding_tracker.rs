@@ -764,7 +764,7 @@ impl FindingTracker {
     }
 
     /// Replaces finding `old` by `new`, which takes over its beginning and its count of strong
-    /// evidence if `old` is recent, or confirmed that two devices are there.
+    /// evidence if `old` is recent. If it is confirmed that two devices are there, it stays so.
     pub fn supersede(
         &mut self,
         now: Instant,
@@ -779,7 +779,7 @@ impl FindingTracker {
             let recent = self.period_of(old).mul_f64(HEARTBEAT_GAP_PERIODS);
             let is_proven = self.findings[old].state == FindingState::Confirmed
                 && self.findings[old].key.kind != FindingKind::AnswersDoubled;
-            if is_proven || now.since(self.findings[old].last) < recent {
+            if now.since(self.findings[old].last) < recent {
                 let (before, began) =
                     (self.evidence_states[old].began, self.evidence_states[new].began);
                 self.evidence_states[new].began = before.into_iter().chain(began).min();
@@ -787,7 +787,11 @@ impl FindingTracker {
             }
             self.findings[old].superseded_by = Some(self.findings[new].key.kind);
             self.set(now, old, FindingState::Cleared);
-            self.update_state(now, now, new);
+            if is_proven {
+                self.set(now, new, FindingState::Confirmed);
+            } else {
+                self.update_state(now, now, new);
+            }
         }
     }
 
