@@ -42,6 +42,9 @@ const IDENTITY_GAP_PERIODS: f64 = 5.0;
 /// Longest gap between response evidence that belongs together, in periods since a request was
 /// seen: two requests. Tuned with the simulation.
 const RESPONSE_GAP_PERIODS: f64 = 1.75;
+/// The same for two names: the requests of two periods and a half may go to devices that do not
+/// respond while they claim the address.
+const NAMES_GAP_PERIODS: f64 = 2.6;
 /// Periods after other evidence in which heartbeats at twice the rate support it: six follow-up
 /// requests, one per second, and some responses that merged.
 const SUPPORT_PERIODS: u32 = 10;
@@ -652,7 +655,8 @@ impl FindingTracker {
     ) {
         let &NewEvidence { address, strength, is_claim, .. } = evidence;
         let period = self.period_of(at);
-        let gap_periods = match self.findings[at].key.kind {
+        let kind = self.findings[at].key.kind;
+        let gap_periods = match kind {
             FindingKind::OneAddressTwoIdentities | FindingKind::OneUidTwoAddresses if !is_claim => {
                 IDENTITY_GAP_PERIODS
             }
@@ -664,6 +668,9 @@ impl FindingTracker {
         let requested = self.requested_at[address.index()];
         let (expected_since, pause) = match requested {
             _ if !state.is_response_based => (Some(last), gap_periods),
+            Some(requested) if kind == FindingKind::OneAddressTwoNames => {
+                (Some(requested.max(last)), NAMES_GAP_PERIODS)
+            }
             Some(requested) => (Some(requested.max(last)), RESPONSE_GAP_PERIODS),
             None => (None, HEARTBEAT_GAP_PERIODS),
         };
