@@ -179,7 +179,9 @@ impl Case<'_> {
                 any(&fits) || crowded(&fits)
             }
             FindingKind::AnswersDoubled
-                if self.responds_twice(course) || self.is_only_copied_response(course) =>
+                if self.responds_twice(course)
+                    || self.is_only_copied_response(course)
+                    || self.is_shared_after_losses(course, at) =>
             {
                 true
             }
@@ -266,6 +268,19 @@ impl Case<'_> {
         faulty.any(|(_, id)| {
             self.run.sim.device_state(*id).address.is_some_and(|address| course.concerns(address))
         })
+    }
+
+    /// Returns true if two devices share the address now, and responses there may have looked doubled
+    /// before to a listener that lost requests.
+    fn is_shared_after_losses(&self, course: &Course, at: Instant) -> bool {
+        let is_lossy = self.run.world.scenario.rx_loss > 0.0;
+        let is_now = |(clash, span): (Clash, Span)| {
+            matches!(clash, Clash::Address(address, ..) if course.concerns(address))
+                && span.from <= at
+                && at <= span.until + SAMPLED
+        };
+        let inspector = &self.run.world.inspectors[self.number];
+        is_lossy && inspector.config.listen_only && self.run.truth.clashes().any(is_now)
     }
 
     /// Returns true if a gateway repeats a device without heartbeats, whose copies would show it, or
