@@ -806,6 +806,11 @@ impl App {
     pub fn selected_frame(&self) -> Option<&Frame> {
         match self.view.evidence_alone() {
             Some(evidence) => evidence.selected()?.1.frame.as_ref(),
+            None if self.view.shows_identifiers() => {
+                let rows = self.identifiers_shown();
+                let selected = self.view.identifiers.index(rows.iter().map(|row| &row.key))?;
+                rows.get(selected).map(|row| &row.last)
+            }
             None => self.traffic.capture.get(self.view.traffic?),
         }
     }

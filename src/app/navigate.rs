@@ -426,6 +426,7 @@ impl App {
         let (state, title, text) = (problem.state(), problem.title(), &problem.head().text);
         let uids = self.uids_in(problem);
         let uids = if uids.is_empty() { uids } else { format!("; UIDs {uids}") };
+        let text = text.strip_suffix('.').unwrap_or(text);
         format!("{times} ({length}) {state}: {title}: {text}{uids}")
     }
 
@@ -529,6 +530,9 @@ impl App {
             return;
         }
         let (bus, address, name) = self.subject();
+        if bus.is_none() && address.is_none() && name.is_none() {
+            return self.show_error("no row is selected");
+        }
         let about = |problem: &Problem| problem.is_about(bus, address, name.as_ref());
         let Some(key) = self.problems().iter().find(about).map(|problem| problem.key) else {
             return self.show_error("no problem for this device");

@@ -176,8 +176,13 @@ impl Traffic {
     pub fn identifiers_shown(&self, view: &View, buses: &Buses) -> Vec<&IdentifierStats> {
         let filter = Filter::parse(view.filter(Page::Traffic));
         let rows = self.capture.identifiers().rows().iter();
-        let mut shown: Vec<&IdentifierStats> =
-            rows.filter(|row| filter.matches_frame(buses, &row.last)).collect();
+        // With the identifier of the row: its random destination is shown as 0.
+        let is_shown = |row: &&IdentifierStats| {
+            let mut frame = row.last;
+            frame.id = row.key.id;
+            filter.matches_frame(buses, &frame)
+        };
+        let mut shown: Vec<&IdentifierStats> = rows.filter(is_shown).collect();
         shown.sort_by_key(|row| row.key);
         shown
     }

@@ -218,18 +218,38 @@ fn broken_file_without_problems_opens_no_empty_details() {
     assert_eq!(stage.keys("Enter").screen(), before);
 }
 
+/// Copies the selected row and returns its text.
+fn copied(stage: &mut Stage) -> String {
+    stage.keys("y");
+    let copied = stage.effects.iter().rev().find_map(|effect| match effect {
+        Effect::Copy(text) => Some(text.clone()),
+        _ => None,
+    });
+    copied.expect("a text is copied")
+}
+
+#[test]
+fn row_of_identifiers_is_copied_and_leads_to_its_device() {
+    let mut stage = Stage::boiler();
+    stage.until(45.0).keys("2 v /").text("id:071c0001").keys("Enter j");
+    let frame = copied(&mut stage);
+    assert!(frame.starts_with("071"), "{frame}");
+    stage.keys("p");
+    let problem = stage.app.selected_problem().map(|it| it.title());
+    assert!(problem.as_ref().is_some_and(|title| title.contains("@14")), "{problem:?}");
+}
+
+#[test]
+fn problem_of_no_selection_is_refused_with_the_reason() {
+    let mut stage = Stage::boiler();
+    stage.until(10.0).keys("3 Esc p");
+    assert!(stage.screen().contains("no row is selected"), "{}", stage.screen());
+}
+
 #[test]
 fn copied_problem_and_evidence_have_time_and_identity() {
     let mut stage = Stage::boiler();
     stage.until(45.0).keys("4 g");
-    let copied = |stage: &mut Stage| {
-        stage.keys("y");
-        let copied = stage.effects.iter().rev().find_map(|effect| match effect {
-            Effect::Copy(text) => Some(text.clone()),
-            _ => None,
-        });
-        copied.expect("a text is copied")
-    };
     let conflict = stage.app.problems().iter().find(|it| it.title().contains("@14")).unwrap().key;
     while stage.app.selected_problem().unwrap().key != conflict {
         stage.keys("j");
@@ -237,7 +257,8 @@ fn copied_problem_and_evidence_have_time_and_identity() {
     let problem = copied(&mut stage);
     assert!(problem.starts_with("12:00:") && problem.contains(" – 12:00:"), "{problem}");
     assert!(problem.contains("s) confirmed: ") && problem.contains("@14"), "{problem}");
-    assert!(problem.contains("UIDs ") && problem.contains("BOILER03"), "{problem}");
+    assert!(problem.contains("; UIDs ") && problem.contains("BOILER03"), "{problem}");
+    assert!(!problem.contains(".;"), "{problem}");
     let evidence = copied(stage.keys("Right Enter"));
     assert!(evidence.starts_with("12:00:") && evidence.contains('#'), "{evidence}");
 }
