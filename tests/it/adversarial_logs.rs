@@ -226,6 +226,26 @@ fn contest_of_blank_uids_for_four_periods_is_not_confirmed() {
 }
 
 #[test]
+fn equal_devices_beside_one_that_restarts_are_confirmed() {
+    for (has_second, seed) in (0..40).map(|seed| (seed % 2 == 0, seed)) {
+        let mut log = LogWriter::new(seed);
+        if has_second {
+            log.heartbeats(1, 1.0, (0.1, 40.0), 0.0);
+            log.heartbeats(1, 1.0, (0.44, 40.0), 0.0);
+        }
+        let cycle = 1.2 + 1.5 * log.rng.f64();
+        let mut at = 0.2;
+        while at < 40.0 {
+            log.heartbeat_in(Mode::Arslv, at, ADDRESS, 1);
+            log.heartbeat(at + 1.0, ADDRESS, 1);
+            at += cycle;
+        }
+        let confirmed = log.verdicts(40.0).confirmed;
+        assert_eq!(!confirmed.is_empty(), has_second, "seed {seed}, {cycle} s: {confirmed:?}");
+    }
+}
+
+#[test]
 fn two_phases_are_confirmed_after_two_names_were_received_once() {
     for phase in [0.1, 0.3, 0.46] {
         for seed in 0..20 {

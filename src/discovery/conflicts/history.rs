@@ -190,6 +190,9 @@ pub(super) struct AddressHistory {
     pub resolving_at: Option<Instant>,
     /// Time of the first heartbeat since when all were of such nodes.
     pub resolving_since: Option<Instant>,
+    /// Times of the last heartbeats of nodes that are not about to change their mode, at most
+    /// [`MAX_TIMES`]: a reboot does not make them more frequent.
+    pub settled: VecDeque<Instant>,
     /// Time of the last heartbeat that one sender does not explain, by their number.
     pub crowded_at: Option<Instant>,
     /// Time of the last heartbeat of another sender than the one before it: with another UID, or in
@@ -208,6 +211,11 @@ impl AddressHistory {
     /// Returns the matcher for this kind of request and framing.
     pub fn matcher(&mut self, request: Request, framing: Framing) -> &mut QueryResponseMatcher {
         &mut self.matchers[request as usize][framing as usize]
+    }
+
+    /// Notes a heartbeat of a node that is not about to change its mode.
+    pub fn note_settled(&mut self, now: Instant) {
+        push_bounded(&mut self.settled, now, MAX_TIMES);
     }
 
     /// Notes a heartbeat with this UID, not blank. Call before it is added to `uids`.

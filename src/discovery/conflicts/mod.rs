@@ -375,6 +375,7 @@ impl ConflictDetector {
             history.resolving_since.get_or_insert(now);
         } else {
             history.resolving_since = None;
+            history.note_settled(now);
             history.seen[usize::from(mode.is_working)] = Some(now);
         }
         let uid = uid.filter(|uid| !uid.is_blank());
@@ -396,7 +397,8 @@ impl ConflictDetector {
         let mut pattern = rhythm::pattern(times, period);
         let reboots =
             history.resolving_at.is_some_and(|at| now.since(at) < period * WINDOW_PERIODS);
-        if !reboots && rhythm::is_crowded(times, period) {
+        let counted = if reboots { &history.settled } else { times };
+        if rhythm::is_crowded(counted, period) {
             pattern.two_phases = true;
             pattern.since = pattern.since.or(Some(now - period));
         }
