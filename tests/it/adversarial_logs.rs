@@ -246,6 +246,27 @@ fn equal_devices_beside_one_that_restarts_are_confirmed() {
 }
 
 #[test]
+fn lost_requests_of_fast_polling_are_no_doubled_answers() {
+    for (is_doubled, seed) in (0..40).map(|seed| (seed % 2 == 0, seed)) {
+        let mut log = LogWriter::new(seed);
+        log.heartbeats(1, 1.0, (0.1, 30.0), 0.0);
+        let interval = [0.025, 0.033, 0.05, 0.1][seed as usize / 2 % 4];
+        for count in 0..(29.0 / interval) as u32 {
+            let at = 0.5 + f64::from(count) * interval;
+            let delay = 0.001 + 0.004 * log.rng.f64();
+            let both = [(delay, "FEED"), (delay + 0.002, "FEED")];
+            let first = log.frames.len();
+            log.name_query(at, &both[..1 + usize::from(is_doubled)]);
+            if log.rng.f64() < 0.2 {
+                log.frames.remove(first);
+            }
+        }
+        let confirmed = log.verdicts(30.0).confirmed;
+        assert_eq!(!confirmed.is_empty(), is_doubled, "seed {seed}, {interval} s: {confirmed:?}");
+    }
+}
+
+#[test]
 fn two_phases_are_confirmed_after_two_names_were_received_once() {
     for phase in [0.1, 0.3, 0.46] {
         for seed in 0..20 {

@@ -32,6 +32,16 @@ const REQUESTERS: usize = 4;
 /// both queries in both framings.
 const MAX_OPEN_REQUESTS: usize = 16;
 
+/// Longest interval of requests that are sent on and on. Chosen: half of that of follow-up requests;
+/// repeated ones are four at most.
+const POLLING: Duration = Duration::from_millis(500);
+/// Shortest interval of requests of which the second one is not the first one again with the other D
+/// bit. Chosen: several frames at 125 kbit/s.
+const MIN_INTERVAL: Duration = Duration::from_millis(5);
+/// Number of requests in a row that show polling: then a response to a request that was lost follows
+/// the one before by an interval. Chosen: more than follow-up requests of several inspectors.
+const MIN_POLLED: u8 = 8;
+
 /// Requests of one requester that may still get responses.
 #[derive(Debug)]
 struct OpenQueries {
@@ -41,6 +51,10 @@ struct OpenQueries {
     /// Times of the requests without a response.
     without_response: VecDeque<Instant>,
     sent_at: Instant,
+    /// Time between the last two requests, and the number of requests in a row so far that came
+    /// within [`POLLING`].
+    interval: Duration,
+    polled: u8,
     /// First response since the last request, with its time.
     first_response: Option<(Instant, Frame)>,
 }
@@ -64,8 +78,15 @@ impl OpenQueries {
             is_targeted: true,
             without_response: VecDeque::new(),
             sent_at,
+            interval: Duration::ZERO,
+            polled: 0,
             first_response: None,
         }
+    }
+
+    /// Returns how long after the first response another one belongs to the same request.
+    fn window(&self, window: Duration) -> Duration {
+        if self.polled >= MIN_POLLED { window.min(self.interval / 2) } else { window }
     }
 
     fn add(&mut self, now: Instant, targeted: bool) {
@@ -77,6 +98,15 @@ impl OpenQueries {
             self.without_response.pop_front();
         }
         self.without_response.push_back(now);
+        let interval = now.since(self.sent_at);
+        if interval > POLLING {
+            self.polled = 0;
+        } else if interval >= MIN_INTERVAL {
+            self.polled = self.polled.saturating_add(1);
+            // That of a lost request is twice as long.
+            let is_usual = self.polled <= 1 || interval < self.interval * 3 / 2;
+            self.interval = if is_usual { interval } else { self.interval };
+        }
         self.sent_at = now;
         self.first_response = None;
     }
@@ -124,7 +154,7 @@ impl QueryResponseMatcher {
         // Working and non-working nodes respond to different requests. A response much later than
         // the first belongs to a request that descan did not receive.
         let more = !awaited || differ_in_mode(&first, frame);
-        if !more || apart >= window {
+        if !more || apart >= open.window(window) {
             return (!targeted, None);
         }
         (!targeted, Some(SurplusResponse { first, apart, is_targeted: targeted }))

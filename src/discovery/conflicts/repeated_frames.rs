@@ -27,6 +27,12 @@ const MAX_DELAY_OF_ONE: Duration = Duration::from_millis(100);
 /// Difference between the delays of copies of two addresses up to which one bridge makes both: some
 /// frames more or less wait in it. Two senders have equal RND7 by chance at any time.
 const BRIDGE_JITTER: Duration = Duration::from_millis(50);
+/// Periods without a further copy after which frames are no longer repeated. Chosen: some copies may
+/// be lost.
+const REPEATED_PERIODS: u32 = 3;
+/// Heartbeats in a row without a copy that show that an address is not repeated. With 30 % of the
+/// copies lost, as many are lost once in 400 times.
+const MAX_UNCOPIED: u32 = 5;
 /// Difference between the delays of copies up to which they are steady: a copy waits for other
 /// frames of a busy bus. Tuned with the simulation.
 const DELAY_JITTER: Duration = Duration::from_millis(15);
@@ -49,8 +55,8 @@ pub(super) struct RepeatedFrameDetector {
     /// Number of successive copied heartbeats, and the address and delay of the last one.
     copy_count: u32,
     last_copied: Option<(Address, Duration)>,
-    /// True if heartbeats of several addresses were copied.
-    has_several_sources: bool,
+    /// Time until which heartbeats of several addresses are copied.
+    several_sources_until: Instant,
     active_until: Instant,
     /// Longest delay of a copied heartbeat, and the shortest in this series.
     delay: Duration,
@@ -76,6 +82,8 @@ struct CopySeries {
     /// Longest delay of further copies of one heartbeat.
     further: Duration,
     active_until: Instant,
+    /// Number of heartbeats in a row without a copy.
+    uncopied: u32,
     /// Time of the last heartbeat that came as late as a copy and was none.
     differs_at: Option<Instant>,
     response_pairs: ResponsePairs,
@@ -152,7 +160,7 @@ impl RepeatedFrameDetector {
             last_of_another: None,
             copy_count: 0,
             last_copied: None,
-            has_several_sources: false,
+            several_sources_until: Instant::ZERO,
             active_until: Instant::ZERO,
             delay: Duration::ZERO,
             shortest: None,
@@ -180,11 +188,13 @@ impl RepeatedFrameDetector {
     }
 
     /// Returns true if copies, some of whose originals are lost, explain the timing of the heartbeats
-    /// of `address`: none came as late as a copy and was another one.
+    /// of `address`: they have copies, and none came as late as a copy and was another one.
     pub fn explains_timing(&self, now: Instant, address: Address) -> bool {
-        let differs_at = self.series[address.index()].differs_at;
+        let CopySeries { differs_at, uncopied, .. } = self.series[address.index()];
         let recent = self.period * 10;
-        self.is_repeated(now, address) && differs_at.is_none_or(|at| now.since(at) > recent)
+        self.is_repeated(now, address)
+            && uncopied < MAX_UNCOPIED
+            && differs_at.is_none_or(|at| now.since(at) > recent)
     }
 
     /// Returns the shortest delay of the copies of `address`, or of all with `None`: later ones
@@ -198,7 +208,7 @@ impl RepeatedFrameDetector {
 
     /// Returns true if the frames of several addresses, so probably all, are repeated.
     pub fn is_bus_repeated(&self, now: Instant) -> bool {
-        self.is_active(now) && self.has_several_sources
+        self.is_active(now) && now < self.several_sources_until
     }
 
     /// Returns true if a frame of `source` is the copy of an earlier one, to be ignored.
@@ -244,12 +254,17 @@ impl RepeatedFrameDetector {
         let period = self.period;
         let series = &mut self.series[address.index()];
         let delay = self.delay.max(series.longest);
+        if recorded.copy_delay.is_some() {
+            series.uncopied = 0;
+        } else if recorded.previous_has_no_copy {
+            series.uncopied = series.uncopied.saturating_add(1);
+        }
         let is_other = recorded.is_new && recorded.copy_delay.is_none();
         if is_other && recorded.gap.is_some_and(|gap| gap <= delay + DELAY_JITTER) {
             series.differs_at = Some(now);
         }
         if self.last_heartbeat.is_none_or(|(_, at)| now.since(at) > period * 3) {
-            self.has_several_sources = false;
+            self.several_sources_until = Instant::ZERO;
             self.response_pairs = ResponsePairs::default();
         }
         if let Some(delay) = recorded.copy_delay {
@@ -272,7 +287,7 @@ impl RepeatedFrameDetector {
                 self.copy_count = self.copy_count.min(COPIES_OF_ONE - 1);
             } else {
                 self.copy_count = 0;
-                self.has_several_sources = false;
+                self.several_sources_until = Instant::ZERO;
                 self.last_copied = None;
                 self.shortest = None;
             }
@@ -289,12 +304,14 @@ impl RepeatedFrameDetector {
             let (short, long) = (delay.min(other_delay), delay.max(other_delay));
             other != address && long <= short * 2 + BRIDGE_JITTER
         };
-        self.has_several_sources |= self.last_copied.is_some_and(is_of_one_bridge);
+        if self.last_copied.is_some_and(is_of_one_bridge) {
+            self.several_sources_until = now + self.period * REPEATED_PERIODS;
+        }
         self.last_copied = Some((address, delay));
         self.shortest = Some(self.shortest.map_or(delay, |shortest| shortest.min(delay)));
         let alone = self.copy_count >= COPIES_OF_ONE && self.is_single_source(now, address);
-        if self.has_several_sources || alone && self.two_responders_since().is_none() {
-            self.active_until = now + self.period * 3;
+        if now < self.several_sources_until || alone && self.two_responders_since().is_none() {
+            self.active_until = now + self.period * REPEATED_PERIODS;
             self.delay = self.delay.max(delay);
         }
     }
@@ -305,7 +322,7 @@ impl RepeatedFrameDetector {
         series.add(delay);
         let has_two = series.response_pairs.two_responders_since(series.shortest).is_some();
         if series.count >= COPIES_OF_ONE && series.is_steady() && !has_two {
-            series.active_until = now + period * 3;
+            series.active_until = now + period * REPEATED_PERIODS;
         }
     }
 
@@ -323,7 +340,7 @@ impl RepeatedFrameDetector {
         if series.response_pairs.two_responders_since(series.shortest).is_some() {
             series.active_until = series.active_until.min(now);
         }
-        if !self.has_several_sources && self.two_responders_since().is_some() {
+        if now >= self.several_sources_until && self.two_responders_since().is_some() {
             self.active_until = self.active_until.min(now);
         }
     }
