@@ -351,7 +351,7 @@ impl FindingTracker {
         }
         finding.last = now;
         finding.text = finding_text::repeated(address, delay);
-        self.resume_follow_ups(now, at);
+        self.resume_follow_ups(now, at, false);
     }
 
     // --- time ----------------------------------------------------------------------------
@@ -620,7 +620,8 @@ impl FindingTracker {
         finding.add_evidence(of((std::mem::take(&mut evidence.description), *evidence.frame)));
         finding.last = now;
         self.count_strength(now, at, last, &evidence);
-        self.resume_follow_ups(now, at);
+        let responds = evidence.is_response && strength != EvidenceStrength::Weak;
+        self.resume_follow_ups(now, at, responds);
         if let Some(since) = evidence.since {
             let began = &mut self.evidence_states[at].began;
             *began = Some(began.map_or(since, |began| began.min(since)));
@@ -691,18 +692,23 @@ impl FindingTracker {
         }
     }
 
-    /// Starts another series of follow-up requests for new evidence after the last one.
-    fn resume_follow_ups(&mut self, now: Instant, at: usize) {
+    /// Starts another series of follow-up requests for new evidence some time after the last one.
+    /// After strong evidence in a response, which `responds` means, one more request follows: it is
+    /// about to be decided.
+    fn resume_follow_ups(&mut self, now: Instant, at: usize, responds: bool) {
         let restart = self.period_of(at) * FOLLOW_UP_RESTART_PERIODS;
         let state = &self.evidence_states[at];
-        if is_followed_up(&self.findings[at].key)
-            && state.next_follow_up.is_none()
-            && now.since(state.last_follow_up) >= restart
-        {
+        if !is_followed_up(&self.findings[at].key) || state.next_follow_up.is_some() {
+            return;
+        }
+        if now.since(state.last_follow_up) >= restart {
             let soon = self.with_jitter(at, now, FOLLOW_UP_DELAY / 4);
             let state = &mut self.evidence_states[at];
             state.follow_up_count = 0;
             state.next_follow_up = Some(soon);
+        } else if responds {
+            let next = self.with_jitter(at, now, FOLLOW_UP_DELAY);
+            self.evidence_states[at].next_follow_up = Some(next);
         }
     }
 
