@@ -256,7 +256,7 @@ fn lost_requests_of_fast_polling_are_no_doubled_answers() {
             let delay = 0.001 + 0.004 * log.rng.f64();
             let both = [(delay, "FEED"), (delay + 0.002, "FEED")];
             let first = log.frames.len();
-            log.name_query(at, &both[..1 + usize::from(is_doubled)]);
+            log.name_query(at, &both[..=usize::from(is_doubled)]);
             if log.rng.f64() < 0.2 {
                 log.frames.remove(first);
             }

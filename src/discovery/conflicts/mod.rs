@@ -58,6 +58,9 @@ const NAME_MEMORY_PERIODS: u32 = 30;
 /// 30 % of the frames lost, six of its responses in a row are lost once in 1,400 times.
 const NAMES_WITHOUT_OTHER: u32 = 6;
 
+/// The same for heartbeats in two phases, which are of two devices in any case. Chosen: half of it.
+const PHASES_WITHOUT_OTHER: u32 = 3;
+
 /// Periods after a heartbeat from an address with several senders in which the next one is due.
 /// Chosen: one period and its jitter.
 const KEPT_PERIODS: f64 = 1.1;
@@ -529,7 +532,9 @@ impl ConflictDetector {
                 || self.finding_tracker.is_confirmed(same, address));
         let (kind, strength, description) = match pattern.two_phases {
             _ if !double_rate && !pattern.two_phases => return None,
-            true if !others.had_other_name => (same, EvidenceStrength::Strong, SECOND_PHASE),
+            true if !others.had_other_name || history.name_repeats >= PHASES_WITHOUT_OTHER => {
+                (same, EvidenceStrength::Strong, SECOND_PHASE)
+            }
             true => (FindingKind::OneAddressTwoNames, EvidenceStrength::Strong, SECOND_PHASE),
             _ if others.had_other_name => {
                 (FindingKind::OneAddressTwoNames, EvidenceStrength::Weak, TWICE_THE_RATE)
