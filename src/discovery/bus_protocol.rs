@@ -32,7 +32,8 @@ const SAME_UID_PERIODS: f64 = 15.0;
 /// every half period, so many in a row with every other one lost are rarer than one in 500 if 30 %
 /// are lost.
 const MIN_PERIODIC: i8 = 5;
-/// Count of these heartbeats after an interval that is not a multiple of the period: 13 more are
+/// Count of these heartbeats after other data with one identifier, or an interval that is not a
+/// multiple of the period: 13 more are
 /// needed then. Of frames every half period, every other one may be lost for a while.
 const NOT_PERIODIC: i8 = -8;
 /// Longest interval between two of them, in periods. A device is lost after as many.

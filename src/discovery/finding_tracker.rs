@@ -23,7 +23,8 @@ const MAX_FINDINGS: usize = 512;
 /// Delay of the first follow-up request to a suspected finding, and between further ones. Protocol
 /// §5.3.
 const FOLLOW_UP_DELAY: Duration = Duration::from_secs(1);
-/// Maximum number of follow-up requests to one suspected finding. Protocol §5.3.
+/// Maximum number of follow-up requests to one suspected finding, unless heartbeats at twice the rate
+/// or their responses support it. Protocol §5.3.
 const MAX_FOLLOW_UPS: u32 = 6;
 /// Periods without a follow-up request after which new evidence starts a new series of them.
 /// Chosen: longer than the follow-up delay and a response together.
@@ -99,8 +100,9 @@ pub(super) struct NewEvidence<'a> {
     pub is_response: bool,
     /// True if it counts but cannot confirm the finding yet.
     pub is_preliminary: bool,
-    /// True if it shows a node that claims the address, and then gives it up or sends on.
-    pub is_claim: bool,
+    /// True if the heartbeat before it was a claim, after which its sender gives up the address or
+    /// keeps it.
+    pub follows_claim: bool,
 }
 
 impl<'a> NewEvidence<'a> {
@@ -125,7 +127,7 @@ impl<'a> NewEvidence<'a> {
             excludes_one_device: false,
             is_response: false,
             is_preliminary: false,
-            is_claim: false,
+            follows_claim: false,
         }
     }
 }
@@ -412,6 +414,7 @@ impl FindingTracker {
         let state = &mut self.evidence_states[at];
         state.doubled_at = Some(now);
         self.findings[at].state == FindingState::Suspected
+            && state.strong > 0
             && state.strong_at.is_some_and(|at| now.since(at) < recent)
     }
 
@@ -633,7 +636,8 @@ impl FindingTracker {
         self.evidence_states[at].excludes_one_device |= evidence.excludes_one_device;
         self.describe(at);
         if strength != EvidenceStrength::Weak && explains_doubled_answers(kind) {
-            self.supersede(now, FindingKind::AnswersDoubled, kind, address);
+            let until = evidence.until.unwrap_or(now);
+            self.supersede(now, until, FindingKind::AnswersDoubled, kind, address);
         }
         let strong = self.evidence_states[at].strong;
         if strength == EvidenceStrength::Proof && strong >= CONFIRM_AFTER_PROOFS {
@@ -654,11 +658,13 @@ impl FindingTracker {
         last: Instant,
         evidence: &NewEvidence<'_>,
     ) {
-        let &NewEvidence { address, strength, is_claim, .. } = evidence;
+        let &NewEvidence { address, strength, follows_claim, .. } = evidence;
         let period = self.period_of(at);
         let kind = self.findings[at].key.kind;
         let gap_periods = match kind {
-            FindingKind::OneAddressTwoIdentities | FindingKind::OneUidTwoAddresses if !is_claim => {
+            FindingKind::OneAddressTwoIdentities | FindingKind::OneUidTwoAddresses
+                if !follows_claim =>
+            {
                 IDENTITY_GAP_PERIODS
             }
             _ => HEARTBEAT_GAP_PERIODS,
@@ -777,10 +783,12 @@ impl FindingTracker {
     }
 
     /// Replaces finding `old` by `new`, which takes over its beginning and its count of strong
-    /// evidence if `old` is recent. If it is confirmed that two devices are there, it stays so.
+    /// evidence if `old` is recent; they are present until `until`. If it is confirmed that two devices
+    /// are there, it stays so.
     pub fn supersede(
         &mut self,
         now: Instant,
+        until: Instant,
         old: FindingKind,
         new: FindingKind,
         address: Address,
@@ -803,7 +811,7 @@ impl FindingTracker {
             if is_proven {
                 self.set(now, new, FindingState::Confirmed);
             } else {
-                self.update_state(now, now, new);
+                self.update_state(now, until, new);
             }
         }
     }

@@ -151,7 +151,7 @@ impl LocalNode {
         self.heartbeat_known = true;
     }
 
-    /// Forgets that a heartbeat fitted the profile: the bus speaks another protocol.
+    /// Forgets that a heartbeat fitted the profile: the bus uses another protocol.
     pub fn forget_heartbeat(&mut self) {
         self.heartbeat_known = false;
     }

@@ -204,7 +204,7 @@ impl HeartbeatPeriods {
         intervals.median = median.or(intervals.median);
         let has_changed = before != (intervals.median, intervals.measured);
         let is_unmeasured = intervals.measured.is_none();
-        if has_changed {
+        if has_changed || self.expectation(address) != self.of(address) {
             self.update_expected();
             PeriodChange::Expected
         } else if is_unmeasured || self.is_observed != was_observed {
@@ -338,9 +338,11 @@ mod tests {
     fn period_of_others_is_not_that_of_a_device_with_jitter() {
         let intervals = [1400, 700, 1300, 600, 1000].map(|interval| (1, interval));
         let others = [(2, 2500), (3, 2500)].repeat(MIN_INTERVALS);
-        let periods = measured(false, &[intervals.to_vec(), others].concat());
-        assert_eq!(periods.of(address(1)), millis(1000));
-        assert_eq!(periods.of(address(4)), millis(2500));
+        for order in [[&intervals[..], &others], [&others, &intervals]] {
+            let periods = measured(false, &order.concat());
+            assert_eq!(periods.of(address(1)), millis(1000));
+            assert_eq!(periods.of(address(4)), millis(2500));
+        }
     }
 
     #[test]

@@ -200,9 +200,9 @@ fn conflict_of_equal_devices_stays_while_both_send() {
             let other = times_of(&log.frames[first.len()..]);
             let verdicts = log.verdicts(119.0);
             let is_wrong = |at: f64| {
-                let are_heard = is_heard(&first, at) && is_heard(&other, at);
+                let are_received = is_received(&first, at) && is_received(&other, at);
                 // With more losses, what is suspected may be cleared.
-                are_heard && (loss < 0.3 || verdicts.was_confirmed(at))
+                are_received && (loss < 0.3 || verdicts.was_confirmed(at))
             };
             let cleared = verdicts.cleared.iter().map(|it| it.0);
             let wrong: Vec<f64> = cleared.filter(|at| is_wrong(*at)).collect();
@@ -246,7 +246,7 @@ fn equal_devices_beside_one_that_restarts_are_confirmed() {
 }
 
 #[test]
-fn lost_requests_of_fast_polling_are_no_doubled_answers() {
+fn lost_requests_of_fast_polling_are_not_doubled_answers() {
     for (is_doubled, seed) in (0..40).map(|seed| (seed % 2 == 0, seed)) {
         let mut log = LogWriter::new(seed);
         log.heartbeats(1, 1.0, (0.1, 30.0), 0.0);
@@ -283,7 +283,7 @@ fn two_phases_are_confirmed_after_two_names_were_received_once() {
 }
 
 /// Returns true if a device sent one of these heartbeats in the last five periods before `until`.
-fn is_heard(times: &[f64], until: f64) -> bool {
+fn is_received(times: &[f64], until: f64) -> bool {
     times.iter().any(|at| (until - 4.999..until).contains(at))
 }
 

@@ -1,5 +1,5 @@
-//! Distinguishes one sender with a shorter period than expected from several senders, although some
-//! of its heartbeats are lost or late.
+//! Grid of heartbeat times: distinguishes one sender with a shorter period than expected from several
+//! senders, although some of its heartbeats are lost or late.
 
 use super::rhythm::{MIN_PHASE_CONTRAST, SAME_PHASE, TWO_PHASE_TIMES, WINDOW_PERIODS};
 use crate::time::{Duration, Instant};
@@ -28,7 +28,7 @@ const MIN_TURNS: usize = 5;
 /// all may be in equal parts by chance.
 const MAX_EXACT_STEP: f64 = 0.3;
 /// Number of heartbeats that may deviate more, or a quarter of them: those that waited on a busy bus.
-const MAX_LATE: usize = 2;
+const MAX_LATE_COUNT: usize = 2;
 /// Longest time, in steps, by which they are late: with a shorter one, lost heartbeats are counted
 /// better. Chosen: half, and clearly before the next one is due.
 const MAX_LATENESS: [f64; 2] = [0.5, 0.75];
@@ -162,7 +162,7 @@ fn step_of(times: &[NumberedTime]) -> Option<f64> {
     let in_time = cluster(&phases, IN_TIME)?;
     // As many independent senders are not in equal parts of the period by chance.
     let is_exact = step < MAX_EXACT_STEP && in_time.count * 3 >= phases.len() * 2;
-    let is_one = late <= MAX_LATE.max((times.len() - 1) / 4)
+    let is_one = late <= MAX_LATE_COUNT.max((times.len() - 1) / 4)
         && (is_exact || !is_late_in_each_period(times, step, in_time.first));
     is_one.then_some(step)
 }
@@ -181,13 +181,13 @@ impl NumberedTime {
     }
 }
 
-/// Numbers the heartbeats between the gaps in steps. A heartbeat may be late by `max_late` steps, and
+/// Numbers the heartbeats between the gaps in steps. A heartbeat may be late by `max_lateness` steps, and
 /// the gap after it is shorter then.
-fn numbered_times(gaps: &[f64], step: f64, max_late: f64) -> Vec<NumberedTime> {
+fn numbered_times(gaps: &[f64], step: f64, max_lateness: f64) -> Vec<NumberedTime> {
     let mut late = 0.0;
     let steps = gaps.iter().rev().map(|gap| {
         let passed = gap / step + late;
-        let steps = (passed + 1.0 - max_late).floor().max(1.0);
+        let steps = (passed + 1.0 - max_lateness).floor().max(1.0);
         late = if passed - steps > GRID_TOLERANCE { passed - steps } else { 0.0 };
         steps
     });

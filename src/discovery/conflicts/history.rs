@@ -191,7 +191,8 @@ pub(super) struct AddressHistory {
     /// Time of the first heartbeat since when all were of such nodes.
     pub resolving_since: Option<Instant>,
     /// Times of the last heartbeats of nodes that are not about to change their mode, at most
-    /// [`MAX_TIMES`]: a reboot does not make them more frequent.
+    /// [`MAX_TIMES`]: a reboot does not make them more frequent, since the first one comes a period
+    /// after the claim.
     pub settled: VecDeque<Instant>,
     /// Time of the last heartbeat that one sender does not explain, by their number.
     pub crowded_at: Option<Instant>,

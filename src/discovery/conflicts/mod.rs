@@ -58,9 +58,6 @@ const NAME_MEMORY_PERIODS: u32 = 30;
 /// 30 % of the frames lost, six of its responses in a row are lost once in 1,400 times.
 const NAMES_WITHOUT_OTHER: u32 = 6;
 
-/// The same for heartbeats in two phases, which are of two devices in any case. Chosen: half of it.
-const PHASES_WITHOUT_OTHER: u32 = 3;
-
 /// Periods after a heartbeat from an address with several senders in which the next one is due.
 /// Chosen: one period and its jitter.
 const KEPT_PERIODS: f64 = 1.1;
@@ -325,7 +322,13 @@ impl ConflictDetector {
         self.report(now, evidence);
         self.finding_tracker.add_name(kind, address, name);
         if returned.is_some() && !is_swapped {
-            self.finding_tracker.supersede(now, FindingKind::SameNameSameAddress, kind, address);
+            self.finding_tracker.supersede(
+                now,
+                now,
+                FindingKind::SameNameSameAddress,
+                kind,
+                address,
+            );
         }
     }
 
@@ -401,7 +404,7 @@ impl ConflictDetector {
         let reboots =
             history.resolving_at.is_some_and(|at| now.since(at) < period * WINDOW_PERIODS);
         let counted = if reboots { &history.settled } else { times };
-        if rhythm::is_crowded(counted, period) {
+        if !mode.is_resolving && rhythm::is_crowded(counted, period) {
             pattern.two_phases = true;
             pattern.since = pattern.since.or(Some(now - period));
         }
@@ -410,14 +413,12 @@ impl ConflictDetector {
             let until = now + period.mul_f64(KEPT_PERIODS);
             self.finding_tracker.note_several_senders(until, address);
         }
-        if let Some(last) = history.uids.second_last_seen() {
+        let is_confirmed = self.finding_tracker.has_confirmed_conflict(address);
+        let in_other_phase = is_confirmed
+            .then(|| rhythm::last_in_other_phase(history.heartbeats.times(), period))
+            .flatten();
+        for last in history.uids.second_last_seen().into_iter().chain(in_other_phase) {
             // Some of its heartbeats may be lost.
-            let until = last + period * UID_MEMORY_PERIODS;
-            self.finding_tracker.note_several_senders(until, address);
-        }
-        if self.finding_tracker.has_confirmed_conflict(address)
-            && let Some(last) = rhythm::last_in_other_phase(history.heartbeats.times(), period)
-        {
             let until = last + period * UID_MEMORY_PERIODS;
             self.finding_tracker.note_several_senders(until, address);
         }
@@ -449,7 +450,8 @@ impl ConflictDetector {
                 let previous = history.heartbeats.previous();
                 // A device that is claiming the address may still give it up, for a while.
                 let may_give_up = |since| now.since(since) < period * CLAIM_PERIODS;
-                let is_claim = previous.is_some_and(|it| history.resolving_at == Some(it.time));
+                let follows_claim =
+                    previous.is_some_and(|it| history.resolving_at == Some(it.time));
                 let (strength, since) = if history.resolving_since.is_some_and(may_give_up) {
                     (EvidenceStrength::Weak, None)
                 } else {
@@ -458,7 +460,7 @@ impl ConflictDetector {
                 Some(NewEvidence {
                     name,
                     since,
-                    is_claim,
+                    follows_claim,
                     contradicts: previous.map(|previous| (other, *previous)),
                     ..NewEvidence::new(identity, address, frame, strength, again)
                 })
@@ -532,10 +534,11 @@ impl ConflictDetector {
                 || self.finding_tracker.is_confirmed(same, address));
         let (kind, strength, description) = match pattern.two_phases {
             _ if !double_rate && !pattern.two_phases => return None,
-            true if !others.had_other_name || history.name_repeats >= PHASES_WITHOUT_OTHER => {
-                (same, EvidenceStrength::Strong, SECOND_PHASE)
+            true if others.has_two_names => {
+                (FindingKind::OneAddressTwoNames, EvidenceStrength::Strong, SECOND_PHASE)
             }
-            true => (FindingKind::OneAddressTwoNames, EvidenceStrength::Strong, SECOND_PHASE),
+            // One change of the name does not show that both are there.
+            true => (same, EvidenceStrength::Strong, SECOND_PHASE),
             _ if others.had_other_name => {
                 (FindingKind::OneAddressTwoNames, EvidenceStrength::Weak, TWICE_THE_RATE)
             }

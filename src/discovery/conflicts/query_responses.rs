@@ -32,14 +32,13 @@ const REQUESTERS: usize = 4;
 /// both queries in both framings.
 const MAX_OPEN_REQUESTS: usize = 16;
 
-/// Longest interval of requests that are sent on and on. Chosen: half of that of follow-up requests;
-/// repeated ones are four at most.
+/// Longest interval of polling. Chosen: half of that of follow-up requests.
 const POLLING: Duration = Duration::from_millis(500);
 /// Shortest interval of requests of which the second one is not the first one again with the other D
 /// bit. Chosen: several frames at 125 kbit/s.
 const MIN_INTERVAL: Duration = Duration::from_millis(5);
 /// Number of requests in a row that show polling: then a response to a request that was lost follows
-/// the one before by an interval. Chosen: more than follow-up requests of several inspectors.
+/// the one before by an interval. Chosen: twice the attempts of one query.
 const MIN_POLLED: u8 = 8;
 
 /// Requests of one requester that may still get responses.
@@ -51,10 +50,13 @@ struct OpenQueries {
     /// Times of the requests without a response.
     without_response: VecDeque<Instant>,
     sent_at: Instant,
-    /// Time between the last two requests, and the number of requests in a row so far that came
-    /// within [`POLLING`].
+    /// Usual time between requests, and the number of requests in a row that came within
+    /// [`POLLING`] of the one before.
     interval: Duration,
     polled: u8,
+    /// True if the last interval was longer than the usual one: a request was lost, or they come
+    /// less often now.
+    was_longer: bool,
     /// First response since the last request, with its time.
     first_response: Option<(Instant, Frame)>,
 }
@@ -80,6 +82,7 @@ impl OpenQueries {
             sent_at,
             interval: Duration::ZERO,
             polled: 0,
+            was_longer: false,
             first_response: None,
         }
     }
@@ -104,8 +107,11 @@ impl OpenQueries {
         } else if interval >= MIN_INTERVAL {
             self.polled = self.polled.saturating_add(1);
             // That of a lost request is twice as long.
-            let is_usual = self.polled <= 1 || interval < self.interval * 3 / 2;
-            self.interval = if is_usual { interval } else { self.interval };
+            let is_longer = self.polled > 1 && interval >= self.interval * 3 / 2;
+            if !is_longer || self.was_longer {
+                self.interval = interval;
+            }
+            self.was_longer = is_longer;
         }
         self.sent_at = now;
         self.first_response = None;

@@ -28,11 +28,11 @@ pub(super) const MIN_PHASE_CONTRAST: f64 = 0.04;
 const RECURRING_PERIODS: f64 = 10.0;
 /// Periods at the end of these in which intervals may be of one sender alone.
 const REMEMBERED_PERIODS: f64 = 5.0;
-/// Periods after a heartbeat in less than a period in which two phases may be of two senders. With
+/// Periods after an early heartbeat in which two phases may be of two senders. With
 /// 30 % of the heartbeats lost, as many have none in 1 % of the cases.
 const EARLY_PERIODS: f64 = 5.0;
 /// Deviation of heartbeats of one sender from its phase, in periods. Chosen: jitter of a busy bus;
-/// half of what other phases are apart.
+/// a third of what other phases are apart.
 pub(super) const SAME_PHASE: f64 = 0.03;
 
 /// Timing pattern of the heartbeats from one address.
