@@ -73,13 +73,12 @@ pub(super) struct SurplusResponse {
 }
 
 impl OpenQueries {
-    fn new(by: Address) -> Self {
-        let sent_at = Instant::ZERO;
+    fn new(now: Instant, by: Address) -> Self {
         Self {
             by,
             is_targeted: true,
             without_response: VecDeque::new(),
-            sent_at,
+            sent_at: now,
             interval: Duration::ZERO,
             polled: 0,
             was_longer: false,
@@ -131,7 +130,8 @@ impl QueryResponseMatcher {
             self.open_queries[oldest] = None;
             oldest
         });
-        let open = self.open_queries[at].get_or_insert_with(|| OpenQueries::new(parties.requester));
+        let open =
+            self.open_queries[at].get_or_insert_with(|| OpenQueries::new(now, parties.requester));
         open.add(now, parties.is_targeted);
     }
 

@@ -254,11 +254,6 @@ impl RepeatedFrameDetector {
         let period = self.period;
         let series = &mut self.series[address.index()];
         let delay = self.delay.max(series.longest);
-        if recorded.copy_delay.is_some() {
-            series.uncopied = 0;
-        } else if recorded.previous_has_no_copy {
-            series.uncopied = series.uncopied.saturating_add(1);
-        }
         let is_other = recorded.is_new && recorded.copy_delay.is_none();
         if is_other && recorded.gap.is_some_and(|gap| gap <= delay + DELAY_JITTER) {
             series.differs_at = Some(now);
@@ -267,16 +262,17 @@ impl RepeatedFrameDetector {
             self.several_sources_until = Instant::ZERO;
             self.response_pairs = ResponsePairs::default();
         }
+        let series = &mut self.series[address.index()];
         if let Some(delay) = recorded.copy_delay {
+            series.uncopied = 0;
             self.note_copied_heartbeat(now, address, delay);
             if recorded.has_random_rnd7 {
                 self.note_copy_of_one(now, address, delay);
             }
         } else if let Some(delay) = recorded.further_copy_delay {
-            let series = &mut self.series[address.index()];
             series.further = series.further.max(delay).min(MAX_DELAY_OF_ONE);
         } else if recorded.previous_has_no_copy {
-            let series = &mut self.series[address.index()];
+            series.uncopied = series.uncopied.saturating_add(1);
             // One copy may be lost: the next one counts again.
             series.count = if now < series.active_until {
                 series.count.min(COPIES_OF_ONE - 1)

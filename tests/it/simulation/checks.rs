@@ -217,7 +217,9 @@ impl Case<'_> {
             }
             FindingKind::OneUidTwoAddresses => {
                 let are_on = |(clash, span): (Clash, Span)| {
-                    going_on(&clash, &span) && at.since(span.from) >= PERIOD * 5
+                    going_on(&clash, &span)
+                        && course.addresses.iter().all(|&address| clash.concerns(address))
+                        && at.since(span.from) >= PERIOD * 5
                 };
                 any(&|it| matches!(it, Clash::Uid(..))) || self.run.truth.same_uid_on().any(are_on)
             }
@@ -345,9 +347,13 @@ impl Case<'_> {
             // Requests to nodes of another protocol, whose identifiers look like those of devices,
             // take the turns of others.
             let has_others = self.run.world.foreign.as_ref().is_some_and(ForeignNodes::is_extended);
+            // Late heartbeats hide the phases, and nothing else differs.
             let is_late = match clash {
                 Clash::Address(_, one, other) => {
-                    [one, other].iter().any(|&it| self.spec(it).max_heartbeat_delay > PERIOD / 5)
+                    let (one, other) = (self.spec(one), self.spec(other));
+                    one.name == other.name
+                        && (one.uid == other.uid || one.uid.is_blank() || other.uid.is_blank())
+                        && one.max_heartbeat_delay.max(other.max_heartbeat_delay) > PERIOD / 5
                 }
                 Clash::Uid(..) => false,
             };
@@ -372,9 +378,9 @@ impl Case<'_> {
                 // The heartbeats of one of them may be lost five times in a row.
                 let due = from + TEN_SECONDS * 2;
                 let mut fits = self.courses.iter().filter(fitting).flat_map(|it| &it.changes);
-                let is_told =
+                let is_reported =
                     fits.any(|(at, state)| *at <= due && *state == FindingState::Confirmed);
-                if span.until >= due && !is_told {
+                if span.until >= due && !is_reported {
                     wrong.push(format!("{clash:?} from {} is not confirmed by {due}", span.from));
                 }
                 continue;
@@ -391,9 +397,9 @@ impl Case<'_> {
                 let best = self.courses.iter().filter(fitting).filter_map(|it| it.at(time)).max();
                 // Five and more that contend and silence each other are in turns one, two or more
                 // for some seconds.
-                let is_told = best == Some(FindingState::Confirmed)
-                    || self.contend(clash) && best == Some(FindingState::Suspected);
-                if !is_told {
+                let is_reported = best == Some(FindingState::Confirmed)
+                    || self.contend(clash, time) && best == Some(FindingState::Suspected);
+                if !is_reported {
                     wrong.push(format!(
                         "{clash:?} from {} until {} is {best:?} at {time}",
                         span.from, span.until
@@ -405,10 +411,20 @@ impl Case<'_> {
         self.complain(wrong);
     }
 
-    /// Returns true if five and more devices share the address of a conflict in turns.
-    fn contend(&self, clash: Clash) -> bool {
+    /// Returns true if five and more devices shared the address of a conflict in turns, not long
+    /// before `time`.
+    fn contend(&self, clash: Clash, time: Instant) -> bool {
         let Clash::Address(address, ..) = clash else { return false };
-        let here: BTreeSet<usize> = self.run.truth.seen_at(address).collect();
+        let mut here = BTreeSet::new();
+        for (other, span) in self.run.truth.clashes().chain(self.run.truth.both_on()) {
+            if let Clash::Address(at, one, two) = other
+                && at == address
+                && span.from <= time
+                && time.since(span.until) <= TEN_SECONDS
+            {
+                here.extend([one, two]);
+            }
+        }
         here.len() >= 5
     }
 
@@ -585,26 +601,38 @@ impl Case<'_> {
                     && turns[3].0.since(second) < PERIOD * 5
                     && turns[..2].iter().all(has_claimed)
             });
-            let told = self.courses.iter().any(|course| {
+            let is_reported = self.courses.iter().any(|course| {
                 course.concerns(address)
                     && (course.kind == FindingKind::AddressContested
                         || course.changes.iter().any(|(_, it)| *it == FindingState::Confirmed))
             });
-            // While many frames are lost, the claim of the other and that it gave way tell it.
-            let mut events = self.it.events.iter().map(|(_, event)| event);
-            let is_told_by_events = events.any(|event| {
-                event.address == Some(address)
-                    && matches!(event.kind, EventKind::Claimed { holder: Some(_), .. })
-            }) && events.any(|event| {
-                event.address == Some(address)
-                    && matches!(event.kind, EventKind::GaveUpAddress { .. })
-            });
-            let told = told || self.run.world.broken.is_some() && is_told_by_events;
+            // While many frames are destroyed, a claim of the other and then that it gave up the
+            // address report it.
+            let broken = self.run.world.broken;
+            let is_near = |at: Instant| {
+                broken.is_some_and(|(from, until)| {
+                    at + PERIOD * 5 >= Instant::ZERO + from
+                        && at <= Instant::ZERO + until + PERIOD * 5
+                })
+            };
+            let events = || {
+                let here = self.it.events.iter().map(|(_, event)| event);
+                here.filter(|event| event.address == Some(address) && is_near(event.time))
+            };
+            let claimed = events()
+                .find(|event| matches!(event.kind, EventKind::Claimed { holder: Some(_), .. }));
+            let is_reported = is_reported
+                || claimed.is_some_and(|claim| {
+                    events().any(|event| {
+                        event.time > claim.time
+                            && matches!(event.kind, EventKind::GaveUpAddress { .. })
+                    })
+                });
             let late = course.last().is_some_and(|(at, _)| {
                 (Instant::ZERO + self.run.world.end).since(*at) < PERIOD * 9
             });
             let jumped = self.run.world.inspectors[self.number].lens.jump.is_some();
-            if turns && !told && !late && !jumped && address != Address::DEBUG {
+            if turns && !is_reported && !late && !jumped && address != Address::DEBUG {
                 wrong.push(format!("{address} was contested, and nothing says so: {course:?}"));
             }
         }
@@ -665,8 +693,10 @@ impl Case<'_> {
                 wrong.push(format!("{truth:?} is {}", device.presence));
             }
             // The heartbeat after its claim is due after the end.
+            let due = spec.heartbeat.unwrap_or(PERIOD) + spec.max_heartbeat_delay;
             let is_claimed = device.mode == Some(Mode::Arslv)
-                && device.heartbeat.last.is_some_and(|last| end.since(last) < PERIOD);
+                && !matches!(truth.mode, Some(Mode::Init | Mode::Arslv))
+                && device.heartbeat.last.is_some_and(|last| end.since(last) < due);
             if !quiet && !is_claimed && device.mode != truth.mode {
                 wrong.push(format!("{truth:?} is in {:?}", device.mode));
             }

@@ -33,7 +33,7 @@ pub struct Truth {
     both_on: BTreeMap<Clash, Span>,
     /// When devices with one UID and different fixed addresses were on, though one may hold its
     /// address for moments only, because it claims it again and again.
-    same_uid_on: BTreeMap<Clash, Span>,
+    same_uid_on: BTreeMap<Clash, Vec<Span>>,
     /// The devices ever seen at each address.
     seen_at: BTreeMap<Address, BTreeSet<usize>>,
 }
@@ -55,10 +55,8 @@ impl Truth {
         }
         for (&address, here) in &at {
             self.seen_at.entry(address).or_default().extend(here);
-            for (place, &one) in here.iter().enumerate() {
-                for &other in &here[place + 1..] {
-                    self.see(now, Clash::Address(address, one, other));
-                }
+            for (one, other) in pairs(here) {
+                self.see(now, Clash::Address(address, one, other));
             }
         }
         let mut uids: BTreeMap<[u8; 6], Vec<Address>> = BTreeMap::new();
@@ -72,30 +70,28 @@ impl Truth {
             }
         }
         for addresses in uids.values().filter(|addresses| addresses.len() > 1) {
-            for (place, &one) in addresses.iter().enumerate() {
-                for &other in &addresses[place + 1..] {
-                    self.see(now, Clash::Uid(one.min(other), one.max(other)));
-                }
+            for (one, other) in pairs(addresses) {
+                self.see(now, Clash::Uid(one.min(other), one.max(other)));
             }
         }
-        self.sampled = Some(now);
         let mut fixed: BTreeMap<[u8; 6], Vec<Address>> = BTreeMap::new();
         for (spec, &id) in specs.iter().zip(devices) {
             if let (AddressChoice::Fixed(address), Some(_)) =
                 (spec.address, sim.device_state(id).mode)
             {
-                fixed.entry(sim.device_state(id).uid.0).or_default().push(address);
-            }
-        }
-        for addresses in fixed.into_iter().filter(|(uid, _)| *uid != [0; 6]).map(|(_, it)| it) {
-            for (place, &one) in addresses.iter().enumerate() {
-                for &other in addresses[place + 1..].iter().filter(|other| **other != one) {
-                    let clash = Clash::Uid(one.min(other), one.max(other));
-                    let span = Span { from: now, until: now };
-                    self.same_uid_on.entry(clash).or_insert(span).until = now;
+                let uid = sim.device_state(id).uid;
+                if !uid.is_blank() {
+                    fixed.entry(uid.0).or_default().push(address);
                 }
             }
         }
+        for addresses in fixed.values() {
+            for (one, other) in pairs(addresses).filter(|(one, other)| one != other) {
+                let clash = Clash::Uid(one.min(other), one.max(other));
+                note(&mut self.same_uid_on, self.sampled, now, clash);
+            }
+        }
+        self.sampled = Some(now);
         let mut stubborn: BTreeMap<Address, Vec<usize>> = BTreeMap::new();
         for (index, spec) in specs.iter().enumerate() {
             if let AddressChoice::Fixed(address) = spec.address
@@ -106,22 +102,16 @@ impl Truth {
             }
         }
         for (address, here) in stubborn {
-            for (place, &one) in here.iter().enumerate() {
-                for &other in &here[place + 1..] {
-                    let clash = Clash::Address(address, one, other);
-                    let span = Span { from: now, until: now };
-                    self.both_on.entry(clash).or_insert(span).until = now;
-                }
+            for (one, other) in pairs(&here) {
+                let clash = Clash::Address(address, one, other);
+                let span = Span { from: now, until: now };
+                self.both_on.entry(clash).or_insert(span).until = now;
             }
         }
     }
 
     fn see(&mut self, now: Instant, clash: Clash) {
-        let spans = self.spans.entry(clash).or_default();
-        match spans.last_mut() {
-            Some(span) if Some(span.until) == self.sampled => span.until = now,
-            _ => spans.push(Span { from: now, until: now }),
-        }
+        note(&mut self.spans, self.sampled, now, clash);
     }
 
     /// Returns the devices that ever held that address, by their index in the scenario.
@@ -136,7 +126,8 @@ impl Truth {
 
     /// Returns when devices with one UID and different fixed addresses were on.
     pub fn same_uid_on(&self) -> impl Iterator<Item = (Clash, Span)> + '_ {
-        self.same_uid_on.iter().map(|(clash, span)| (*clash, *span))
+        let all = self.same_uid_on.iter();
+        all.flat_map(|(clash, spans)| spans.iter().map(|span| (*clash, *span)))
     }
 
     /// Returns the conflicts, with pauses shorter than three periods bridged.
@@ -165,6 +156,26 @@ impl Truth {
     /// Returns all conflicts with their time spans.
     pub fn clashes(&self) -> impl Iterator<Item = (Clash, Span)> + '_ {
         self.spans.iter().flat_map(|(clash, spans)| spans.iter().map(|span| (*clash, *span)))
+    }
+}
+
+/// Returns each two of `all`, in their order.
+fn pairs<T: Copy>(all: &[T]) -> impl Iterator<Item = (T, T)> + '_ {
+    let first = all.iter().enumerate();
+    first.flat_map(|(place, &one)| all[place + 1..].iter().map(move |&other| (one, other)))
+}
+
+/// Notes a conflict in the sample of `now`; the sample before was that of `sampled`.
+fn note(
+    all: &mut BTreeMap<Clash, Vec<Span>>,
+    sampled: Option<Instant>,
+    now: Instant,
+    clash: Clash,
+) {
+    let spans = all.entry(clash).or_default();
+    match spans.last_mut() {
+        Some(span) if Some(span.until) == sampled => span.until = now,
+        _ => spans.push(Span { from: now, until: now }),
     }
 }
 
