@@ -141,9 +141,10 @@ impl Engine {
         frame: &Frame,
     ) {
         let Some(request) = request else { return };
-        self.requester.rounds.note_response(now);
         let Some(device) = self.tracker.device_table.get(row) else { return };
         let (address, name) = (device.address, device.name.clone());
+        let is_repeated = self.tracker.conflicts.finding_tracker().is_open_at(address);
+        self.requester.rounds.note_response(now, is_repeated);
         let (is_working, is_resolving) = (device.is_working, device.is_resolving);
         let response =
             ResponseStart { from: address, to, request, framing, is_working, is_resolving };

@@ -153,14 +153,16 @@ impl Rounds {
     }
 
     /// Notes a response, which extends the collection, or the time that a round waits for services.
-    pub fn note_response(&mut self, now: Instant) {
+    /// `is_repeated`: its address is queried again and again because of a conflict; the round does
+    /// not wait for that.
+    pub fn note_response(&mut self, now: Instant, is_repeated: bool) {
         match &mut self.phase {
             RoundPhase::Collecting { last_response, responses, .. } => {
                 *last_response = now;
                 *responses += 1;
             }
             // Services are still arriving.
-            RoundPhase::Waiting { at, latest } if *latest > *at => {
+            RoundPhase::Waiting { at, latest } if *latest > *at && !is_repeated => {
                 *latest = now + SERVICES_WAIT_LIMIT;
             }
             _ => {}
@@ -256,7 +258,7 @@ mod tests {
     fn round_with_endless_responses_ends() {
         let mut rounds = collecting();
         let over = (1..100).find(|tenth| {
-            rounds.note_response(at(tenth * 100));
+            rounds.note_response(at(tenth * 100), false);
             rounds.step(at(tenth * 100), &Config::default(), 0, 0) != RoundStep::None
         });
         assert!(over.is_some_and(|tenth| tenth < 60), "{over:?}");
@@ -270,6 +272,20 @@ mod tests {
         rounds.note_sent(at(1000));
         assert_eq!(rounds.step(at(1020), &Config::default(), 0, 0), RoundStep::None);
         assert!(matches!(rounds.step(at(1200), &Config::default(), 0, 0), RoundStep::Over { .. }));
+    }
+
+    #[test]
+    fn responses_of_devices_in_conflict_do_not_delay_rounds() {
+        let config = Config::default();
+        for is_repeated in [false, true] {
+            let mut rounds = collecting();
+            assert!(matches!(rounds.step(at(1000), &config, 1, 0), RoundStep::Over { .. }));
+            let sent = (11..60).find(|tenth| {
+                rounds.note_response(at(tenth * 100), is_repeated);
+                rounds.step(at(tenth * 100), &config, 1, 0) == RoundStep::Send
+            });
+            assert_eq!(sent, is_repeated.then_some(30), "in conflict: {is_repeated}");
+        }
     }
 
     #[test]

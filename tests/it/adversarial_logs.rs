@@ -102,6 +102,17 @@ impl LogWriter {
         }
     }
 
+    /// A services request to the address, the whole response, and flow control for it.
+    fn whole_transfer(&mut self, at: f64) {
+        let node = Address::new(ADDRESS).unwrap();
+        let request = Header::request(Address::new(5).unwrap(), node, false, des());
+        self.push(at, request.encode(), b"\x04DES\x02");
+        let id = request.response(node, false).encode();
+        self.push(at + 0.002, id, b"\x10\x0a\x02\0DES\0");
+        self.push(at + 0.004, request.encode(), &[0x30, 0, 0]);
+        self.push(at + 0.006, id, b"\x211.0\0");
+    }
+
     /// Plays the log to an inspector in listen-only mode.
     fn verdicts(mut self, end: f64) -> Verdicts {
         self.frames.sort_by_key(|frame| frame.time);
@@ -468,6 +479,29 @@ fn transfer_that_always_stops_at_one_place_is_confirmed() {
         let verdicts = log.verdicts(100.0);
         let kinds: Vec<FindingKind> = verdicts.confirmed.iter().map(|(_, kind)| *kind).collect();
         assert_eq!(kinds, [FindingKind::MalformedAnswer], "every {interval} s");
+    }
+}
+
+#[test]
+fn lost_frames_after_a_whole_transfer_are_no_fault() {
+    for (whole, aborted, expected) in [
+        (1, 4, &[][..]),
+        (0, 4, &[FindingKind::MalformedAnswer]),
+        (1, 12, &[FindingKind::MalformedAnswer]),
+    ] {
+        let mut log = LogWriter::new(1);
+        log.heartbeats(1, 1.0, (0.1, 60.0), 0.0);
+        for round in 0..whole + aborted {
+            let at = f64::from(round) * 2.5 + 0.5;
+            if round < whole {
+                log.whole_transfer(at);
+            } else {
+                log.aborted_transfer(at, true);
+            }
+        }
+        let verdicts = log.verdicts(60.0);
+        let kinds: Vec<FindingKind> = verdicts.confirmed.iter().map(|(_, kind)| *kind).collect();
+        assert_eq!(kinds, expected, "{whole} whole, {aborted} aborted");
     }
 }
 

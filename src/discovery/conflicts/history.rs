@@ -205,6 +205,10 @@ pub(super) struct AddressHistory {
     pub double_rate_count: u32,
     /// What the last malformed response was for; `None`: not known, most likely services.
     pub malformed: Option<Request>,
+    /// Responses in a row that were aborted at one place.
+    pub aborted: u32,
+    /// True for each type of request that got a valid response.
+    pub responded: [bool; 2],
     matchers: [[QueryResponseMatcher; 2]; 2],
 }
 
@@ -281,5 +285,6 @@ impl AddressHistory {
         self.name_frame = None;
         self.name_at = None;
         self.services_frame = None;
+        self.responded = [false; 2];
     }
 }

@@ -58,6 +58,12 @@ const NAME_MEMORY_PERIODS: u32 = 30;
 /// 30 % of the frames lost, six of its responses in a row are lost once in 1,400 times.
 const NAMES_WITHOUT_OTHER: u32 = 6;
 
+/// Responses after the first one that lost the same frame by chance, in a row.
+const ABORTED_BY_CHANCE: u32 = 1;
+/// The same of a device that sent a whole response before. With 3 % of the frames lost, four in a
+/// row are seen once in 1,000,000 transfers.
+const ABORTED_BY_CHANCE_AFTER_RESPONSE: u32 = 4;
+
 /// Periods after a heartbeat from an address with several senders in which the next one is due.
 /// Chosen: one period and its jitter.
 const KEPT_PERIODS: f64 = 1.1;
@@ -685,8 +691,9 @@ impl ConflictDetector {
         }
     }
 
-    /// Notes a multi-frame response that was aborted at the same place as before. Three times in a
-    /// row may be chance; after that it is the device.
+    /// Notes a multi-frame response that was aborted at the same place as before. Call after
+    /// [`note_malformed_request`](Self::note_malformed_request). Some times in a row it may be
+    /// chance; after that it is the device.
     pub fn note_aborted_response(
         &mut self,
         now: Instant,
@@ -696,7 +703,16 @@ impl ConflictDetector {
         frame: &Frame,
     ) {
         let kind = FindingKind::MalformedAnswer;
-        let strength = if self.finding_tracker.is_open(kind, address) {
+        let is_open = self.finding_tracker.is_open(kind, address);
+        let history = &mut self.histories[address.index()];
+        history.aborted = if is_open { history.aborted.saturating_add(1) } else { 1 };
+        let request = history.malformed.unwrap_or(Request::Services);
+        let by_chance = if history.responded[request as usize] {
+            ABORTED_BY_CHANCE_AFTER_RESPONSE
+        } else {
+            ABORTED_BY_CHANCE
+        };
+        let strength = if history.aborted > by_chance {
             EvidenceStrength::Proof
         } else {
             EvidenceStrength::Weak
@@ -718,8 +734,10 @@ impl ConflictDetector {
 
     /// Notes a valid response, which clears malformed-answer of the same request.
     pub fn note_valid_response(&mut self, now: Instant, address: Address, request: Request) {
-        let malformed = self.histories[address.index()].malformed.unwrap_or(Request::Services);
-        if malformed == request {
+        let history = &mut self.histories[address.index()];
+        history.responded[request as usize] = true;
+        if history.malformed.unwrap_or(Request::Services) == request {
+            history.aborted = 0;
             self.finding_tracker.clear(now, FindingKind::MalformedAnswer, address);
         }
     }
