@@ -84,10 +84,11 @@ fn run(sim: &mut Sim, station: SimStation, shared: &PortShared, index: BusIndex,
     while !shared.is_stopped() {
         let now = clock.now();
         let passed = now.since(start);
+        // In this order: a frame is sent at the present, not when the simulation last advanced.
+        sim.advance(crate::time::Instant::ZERO + passed);
         while let Some(frame) = shared.pop_tx() {
             sim.transmit(station, frame);
         }
-        sim.advance(crate::time::Instant::ZERO + passed);
         batch.clear();
         while let Some(frame) = sim.poll_frame(station) {
             let time = start + frame.time.since(crate::time::Instant::ZERO);
