@@ -217,6 +217,12 @@ impl Query {
         matches!(self.state, QueryState::Sent | QueryState::Receiving)
     }
 
+    /// Returns true if a request was sent less than `within` ago, or its response is not overdue.
+    pub(super) fn is_sent_within(&self, now: Instant, within: Duration) -> bool {
+        let is_awaited = self.is_waiting() && self.deadline.is_some_and(|deadline| deadline > now);
+        is_awaited || self.sent_at.is_some_and(|at| now.since(at) < within)
+    }
+
     /// Plans a request at `at` with all attempts available, unless a response is awaited.
     pub(super) fn schedule(&mut self, at: Instant) {
         if !self.is_waiting() {
@@ -276,6 +282,9 @@ pub enum QueryFault {
     /// The device sent a response with ERR = 0: it reports an error.
     #[error("the device reports an error")]
     ErrorResponse,
+    /// Two devices began a multi-frame response at once, and would destroy each other's frames.
+    #[error("two devices respond at once")]
+    TwoResponses,
 }
 
 /// Deviation of a device from the platform that descan tolerates.
@@ -368,6 +377,9 @@ pub struct Device {
     pub services_are_shared: bool,
     /// Other lists received while several devices used the address, each of one of them, at most 7.
     pub other_services: Vec<Vec<DeviceService>>,
+    /// Shortest and longest time between the responses of two devices to one request, since the
+    /// conflict began.
+    pub(super) responses_apart: Option<(Duration, Duration)>,
     /// True if the services are requested although several devices use the address.
     pub(super) asks_all_services: bool,
     /// True if that was done since the conflict began.
@@ -426,6 +438,7 @@ impl Device {
             previous_services: None,
             services_are_shared: false,
             other_services: Vec::new(),
+            responses_apart: None,
             asks_all_services: false,
             has_asked_all_services: false,
             heartbeat: HeartbeatStats::default(),
@@ -477,6 +490,13 @@ impl Device {
         self.is_working = live.is_working;
         self.is_resolving = live.is_resolving;
         self.last_seen = live.last_seen;
+    }
+
+    /// Returns true if two devices at the address respond so soon after each other that they would
+    /// destroy each other's service lists: not both are read.
+    pub fn has_colliding_services(&self) -> bool {
+        self.services_query.fault == Some(QueryFault::TwoResponses)
+            || self.responses_apart.is_some() && !self.has_asked_all_services
     }
 
     /// Stores a service list. `is_shared`: several devices use the address. Returns what is new

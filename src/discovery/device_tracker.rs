@@ -13,9 +13,7 @@ use super::presence::Outages;
 use super::recent_requests::RecentRequests;
 use super::recorded_node::RecordedNodes;
 use super::rounds::FRAME_BITS;
-use super::{
-    Config, Counters, DeviceId, DeviceService, Event, EventKind, Presence, ProtocolDeviation,
-};
+use super::{Config, Counters, DeviceId, Event, EventKind, Presence, ProtocolDeviation};
 use crate::finding::{FindingKind, FindingState};
 use crate::frame::Frame;
 use crate::time::{Duration, Instant};
@@ -32,6 +30,19 @@ pub(super) const RESPONSE_TIME: Duration = Duration::from_millis(200);
 /// Bits for which a response waits on a busy bus, besides that: responses of 127 devices, and some
 /// heartbeats.
 pub(super) const RESPONSE_WAIT_BITS: u64 = 180 * FRAME_BITS;
+/// Time from the responses of two devices to the query of the services of both. Chosen: longer than
+/// the rest of a multi-frame name takes.
+const ALL_SERVICES_DELAY: Duration = Duration::from_millis(100);
+
+/// Time from a frame on the bus to descan's next one. Chosen: what a kernel and a task switch take on
+/// a small board.
+const REACTION_TIME: Duration = Duration::from_micros(500);
+/// Time in which the response of a second device at an address is received, until it is known.
+/// Chosen: as the response times of two equal devices differ.
+const FIRST_FLOW_CONTROL_WAIT: Duration = Duration::from_millis(25);
+/// Factor by which two responses may be further apart than before. Chosen; tested with devices whose
+/// response time varies threefold.
+const MAX_DELAY_VARIATION: f64 = 1.5;
 
 /// Devices of one bus, with the findings and events about them.
 #[derive(Debug)]
@@ -150,22 +161,36 @@ impl DeviceTracker {
     }
 
     /// Queries, once in a conflict, the services of all devices that use `address`, two of which
-    /// responded to one request `apart` from each other. Only if the second service list begins
-    /// after the end of the first one: else they destroy each other until both devices are bus-off.
+    /// responded to one request `apart` from each other. Only if flow control for the first one is
+    /// sent before the other one responds: else their frames destroy each other until both devices
+    /// are bus-off.
     pub fn query_all_services(&mut self, address: Address, apart: Duration) {
         let now = self.now;
         let is_shared = self.conflicts.finding_tracker().is_shared(address);
-        let frame_time = self.config.duration_of_bits(FRAME_BITS);
-        if let Some(device) = self.device_table.current_device_mut(address)
-            && device.is_present()
-            && is_shared
-            && !device.has_asked_all_services
-            && apart > transfer_time(device.services.as_deref().unwrap_or_default(), frame_time)
-        {
+        let Some(device) = self.device_table.current_device_mut(address) else { return };
+        let (shortest, longest) = device.responses_apart.unwrap_or((apart, apart));
+        device.responses_apart = Some((shortest.min(apart), longest.max(apart)));
+        let is_asked = device.has_asked_all_services || !device.is_present();
+        if is_shared && !is_asked && self.flow_control_wait(address).is_zero() {
+            let Some(device) = self.device_table.current_device_mut(address) else { return };
             device.has_asked_all_services = true;
             device.asks_all_services = true;
-            device.services_query.restart(now);
+            // The responses under way come first.
+            device.services_query.restart(now + ALL_SERVICES_DELAY);
             self.wake_at(now);
+        }
+    }
+
+    /// Returns how long flow control for a response from `address`, which several devices may use,
+    /// waits for the response of another one: zero if they are known to respond so long after each
+    /// other that a first frame and its flow control fit between.
+    pub fn flow_control_wait(&self, address: Address) -> Duration {
+        let between = self.config.duration_of_bits(2 * FRAME_BITS) + REACTION_TIME;
+        let device = self.device_table.current_device(address);
+        match device.and_then(|device| device.responses_apart) {
+            Some((shortest, _)) if shortest >= between => Duration::ZERO,
+            Some((_, longest)) => longest.mul_f64(MAX_DELAY_VARIATION).max(between),
+            None => FIRST_FLOW_CONTROL_WAIT,
         }
     }
 
@@ -177,6 +202,7 @@ impl DeviceTracker {
             && device.is_present()
         {
             device.has_asked_all_services = false;
+            device.responses_apart = None;
             device.name_query.restart(now);
             device.services_query.restart(now);
             self.wake_at(now);
@@ -304,17 +330,4 @@ impl DeviceTracker {
         self.conflicts.note_malformed(now, address, name, fault, frame, strength);
         self.wake_at(now);
     }
-}
-
-/// Returns the time from the first to the last frame of a services response, at most: twice that of
-/// its frames, and what an inspector takes to send flow control.
-fn transfer_time(services: &[DeviceService], frame_time: Duration) -> Duration {
-    const FLOW_CONTROL_DELAY: Duration = Duration::from_millis(2);
-    let length = |service: &DeviceService| {
-        let strings = [&service.name, &service.version].into_iter().chain(&service.extra);
-        1 + strings.map(|string| string.as_bytes().len() + 1).sum::<usize>()
-    };
-    let bytes: usize = services.iter().map(length).sum();
-    let frames = bytes / 7 + 3;
-    frame_time * 2 * u32::try_from(frames).unwrap_or(u32::MAX) + FLOW_CONTROL_DELAY
 }

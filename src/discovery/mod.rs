@@ -272,10 +272,11 @@ impl Engine {
     fn do_due(&mut self) {
         self.requester.handle_timeout(&mut self.tracker);
         self.expire_transfers();
+        self.send_due_flow_control(self.tracker.now);
         self.tracker.update_presence();
         self.tracker.check_suspicions();
         self.tracker.check_errors(self.requester.may_send_requests(&self.tracker));
-        self.requester.send_due_queries(&mut self.tracker);
+        self.requester.send_due_queries(&mut self.tracker, self.transfers.open_sources());
         self.tracker.emit_finding_changes();
     }
 

@@ -32,6 +32,10 @@ const LOST_RESPONSE_TIME: Duration = Duration::from_secs(5);
 /// longest collection time of a round.
 const ROUND_WAIT_LIMIT: Duration = Duration::from_secs(2);
 
+/// Time after which a query of devices in conflict is tried again while one of them responds. Some
+/// frames at the STmin for shared addresses.
+const TRANSFER_WAIT: Duration = Duration::from_millis(50);
+
 /// Number of queries that wait for a response.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct WaitingQueries {
@@ -55,8 +59,9 @@ impl WaitingQueries {
 }
 
 impl Requester {
-    /// Sends the requests that are due and expires those without a response.
-    pub(super) fn send_due_queries(&mut self, tracker: &mut DeviceTracker) {
+    /// Sends the requests that are due and expires those without a response. `transferring`: the
+    /// sources of multi-frame responses under way, one bit each.
+    pub(super) fn send_due_queries(&mut self, tracker: &mut DeviceTracker, transferring: u128) {
         self.expire_queries(tracker);
         if tracker.config.listen_only
             && let Some(began) = self.rounds.end_recorded(tracker.now, &tracker.config)
@@ -69,7 +74,7 @@ impl Requester {
         }
         self.refill(tracker);
         self.step_round(tracker, own);
-        self.send_device_queries(tracker, own);
+        self.send_device_queries(tracker, own, transferring);
     }
 
     /// Returns the share of the bus for requests, in bit/s.
@@ -152,7 +157,12 @@ impl Requester {
     }
 
     /// Sends the targeted requests that are due.
-    fn send_device_queries(&mut self, tracker: &mut DeviceTracker, own: Address) {
+    fn send_device_queries(
+        &mut self,
+        tracker: &mut DeviceTracker,
+        own: Address,
+        transferring: u128,
+    ) {
         let now = tracker.now;
         if self.rounds.priority_until(now).is_some()
             || self.heartbeats_wait_until(tracker).is_some()
@@ -174,9 +184,9 @@ impl Requester {
                 if !self.waiting.has_slot(is_known, max_waiting) {
                     break;
                 }
-                let shared = request == Request::Services
-                    && tracker.conflicts.finding_tracker().is_open_at(address)
+                let in_conflict = tracker.conflicts.finding_tracker().is_open_at(address)
                     && !tracker.errors.is_suspect(address);
+                let shared = in_conflict && request == Request::Services;
                 let Some(device) = tracker.device_table.current_device_mut(address) else {
                     continue;
                 };
@@ -204,6 +214,14 @@ impl Requester {
                     query.due = None;
                     continue;
                 }
+                // Flow control would release any other response of the other device too.
+                let is_responding = transferring & (1 << address.number()) != 0
+                    || device.query(other_request(request)).is_sent_within(now, TRANSFER_WAIT);
+                if in_conflict && is_responding {
+                    device.query_mut(request).due = Some(now + TRANSFER_WAIT);
+                    continue;
+                }
+                let query = device.query_mut(request);
                 if let Some(later) = tracker.errors.postpone_recheck(now, address, window) {
                     query.due = Some(later);
                     continue;
@@ -400,6 +418,14 @@ impl DeviceTracker {
             query.state = QueryState::Receiving;
             query.deadline = Some(now + isotp::TIMEOUT + Duration::from_millis(100));
         }
+    }
+}
+
+/// Returns the other kind of request.
+const fn other_request(request: Request) -> Request {
+    match request {
+        Request::Name => Request::Services,
+        Request::Services => Request::Name,
     }
 }
 

@@ -11,7 +11,7 @@ use crate::time::Instant;
 use crate::wire::des::Request;
 use crate::wire::framing::Framing;
 use crate::wire::id::{Address, Header};
-use crate::wire::isotp::{FlowStatus, Pci};
+use crate::wire::isotp::Pci;
 use crate::wire::node::Mode;
 
 impl Engine {
@@ -211,10 +211,8 @@ impl Engine {
     }
 
     fn note_flow_control(&mut self, header: Header, frame: &Frame) {
-        if let Ok(Pci::Flow(flow)) = Pci::decode(frame.data(), frame.is_fd)
-            && flow.status == FlowStatus::Continue
-        {
-            self.transfers.note_flow_control(header, flow.block_size);
+        if let Ok(Pci::Flow(flow)) = Pci::decode(frame.data(), frame.is_fd) {
+            self.transfers.note_flow_control(header, flow);
         }
     }
 

@@ -7,12 +7,16 @@ use super::transfers::{Continued, Started, Stopped};
 use super::{DeviceId, Engine, EventKind, Presence, local_node};
 use crate::frame::Frame;
 use crate::text::Name;
-use crate::time::Instant;
+use crate::time::{Duration, Instant};
 use crate::wire::des::{self, Request, ResponseFault, ServicesResponse};
 use crate::wire::framing::{Framing, classify_response, strip_raw_padding};
 use crate::wire::id::{Address, Header};
 use crate::wire::isotp::{FlowControl, FlowStatus, Pci, TransferFault};
 use std::hash::{DefaultHasher, Hash, Hasher};
+
+/// STmin in milliseconds where several devices may use an address, so that the first frame of
+/// another one fits between two frames. Chosen: several frames at 125 kbit/s.
+const SHARED_ST_MIN: u8 = 10;
 
 impl Engine {
     /// Returns true if a response's DST repeats that of the request instead of naming the
@@ -213,7 +217,9 @@ impl Engine {
                             self.tracker.extend_deadline(row, request);
                         }
                         if is_for_descan {
-                            self.send_flow_control(header, FlowStatus::Continue);
+                            let wait = self.flow_control_wait(now, header.source);
+                            self.transfers.plan_flow_control(now, header, wait);
+                            self.send_due_flow_control(now);
                         }
                         self.tracker.wake_at(now);
                     }
@@ -259,6 +265,33 @@ impl Engine {
         }
     }
 
+    /// Returns how long flow control for a device at `address` waits: if the address may be shared,
+    /// until a response of the other device would be received.
+    fn flow_control_wait(&self, now: Instant, address: Address) -> Duration {
+        let conflicts = &self.tracker.conflicts;
+        if conflicts.is_shared_perhaps(now, address) || conflicts.has_no_uid(address) {
+            self.tracker.flow_control_wait(address)
+        } else {
+            Duration::ZERO
+        }
+    }
+
+    /// Sends flow control that is due.
+    pub(super) fn send_due_flow_control(&mut self, now: Instant) {
+        while let Some((status, first)) = self.transfers.poll_flow_control(now) {
+            let Some(id) = first.platform_id() else { continue };
+            let header = Header::decode(id);
+            self.send_flow_control(header, status);
+            if status == FlowStatus::Overflow
+                && let Some(request) = request_in_first_frame(&first)
+                && let Some(row) = self.tracker.device_table.current_row(header.source)
+            {
+                let fault = QueryFault::TwoResponses;
+                self.requester.response_failed(&mut self.tracker, row, request, fault);
+            }
+        }
+    }
+
     /// Sends flow control, with the responder's targeted request identifier (protocol §3.1).
     fn send_flow_control(&mut self, response: Header, status: FlowStatus) {
         let Some(own) = self.requester.local_node.held() else { return };
@@ -266,7 +299,9 @@ impl Engine {
             Header::request(own, response.source, response.from_non_working, response.service);
         header.no_error = self.tracker.config.profile.request_err;
         let isotp = &self.tracker.config.profile.isotp;
-        let flow = FlowControl { status, block_size: isotp.block_size, st_min: isotp.st_min };
+        let is_shared = self.tracker.conflicts.is_shared_perhaps(self.tracker.now, response.source);
+        let st_min = if is_shared { slower(isotp.st_min) } else { isotp.st_min };
+        let flow = FlowControl { status, block_size: isotp.block_size, st_min };
         self.requester.outbox.push(Frame::classic(header.encode(), &flow.encode()));
     }
 
@@ -472,4 +507,10 @@ fn request_of(message: &[u8]) -> Option<Request> {
 /// Returns the request that a multi-frame response in classic CAN responds to, by its first frame.
 fn request_in_first_frame(first: &Frame) -> Option<Request> {
     first.data().get(2).and_then(|&kind| request_of(&[kind]))
+}
+
+/// Returns an STmin of at least [`SHARED_ST_MIN`].
+fn slower(st_min: u8) -> u8 {
+    // Values above 127 are fractions of a millisecond, or reserved (ISO 15765-2, 9.6.5.4).
+    if st_min > 0x7F { SHARED_ST_MIN } else { st_min.max(SHARED_ST_MIN) }
 }

@@ -3,12 +3,17 @@
 //! Two devices at one address send with one identifier. Of their two transfers, each takes the
 //! frames with the sequence number that it expects; where both expect the same, the one that
 //! received nothing for longer: the slower device stays the slower one.
+//!
+//! Flow control cannot be addressed to one of the two. It releases both if both wait for it, and
+//! then they send different frames with one identifier at once, which destroy each other until both
+//! devices are bus-off. So it is sent before the other one responds, or after the first transfer, or
+//! not at all.
 
 use crate::frame::Frame;
 use crate::time::{Duration, Instant};
 use crate::wire::des::MAX_MESSAGE;
 use crate::wire::id::{Address, Header};
-use crate::wire::isotp::{Reassembly, ReassemblyProgress, TransferFault};
+use crate::wire::isotp::{FlowControl, FlowStatus, Reassembly, ReassemblyProgress, TransferFault};
 
 /// Maximum number of open transfers of one source: one for each of four requesters.
 const MAX_PER_SOURCE: usize = 4;
@@ -35,6 +40,20 @@ struct RxTransfer {
     /// True if another one of its identifier began later: if its frames stop, one device began its
     /// response anew.
     is_superseded: bool,
+    flow_control: FlowControlState,
+}
+
+/// State of descan's flow control after a first frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum FlowControlState {
+    /// Sent, or that of another requester.
+    Sent,
+    /// Due at this time, unless another first frame comes before.
+    DueAt(Instant),
+    /// Due after the other transfer of its identifier.
+    AfterOther,
+    /// Another sender waits for the same flow control: both have to stop.
+    Refused,
 }
 
 /// Two transfers of one identifier, and the last consecutive frame of them.
@@ -126,6 +145,15 @@ impl Transfers {
         self.by_source[header.source.index()].iter().any(|transfer| transfer.id == id)
     }
 
+    /// Returns the sources of open transfers, one bit each.
+    pub fn open_sources(&self) -> u128 {
+        if self.open == 0 {
+            return 0;
+        }
+        let open = self.by_source.iter().enumerate().filter(|(_, transfers)| !transfers.is_empty());
+        open.fold(0, |sources, (source, _)| sources | 1 << source)
+    }
+
     /// Starts a transfer from a first frame; drops the oldest one of the source if there are too
     /// many.
     pub fn start(
@@ -174,9 +202,51 @@ impl Transfers {
             is_empty: true,
             permitted: 0,
             is_superseded: false,
+            flow_control: FlowControlState::Sent,
         });
         self.open += 1;
         Started::Open
+    }
+
+    /// Plans flow control for the transfer of `header` that began last: after `wait`, in which
+    /// another device may respond too.
+    pub fn plan_flow_control(&mut self, now: Instant, header: Header, wait: Duration) {
+        let id = header.encode();
+        let transfers = &mut self.by_source[header.source.index()];
+        let Some(newest) = transfers.iter().rposition(|open| open.id == id) else { return };
+        let other = transfers[..newest].iter().rposition(|open| open.id == id);
+        transfers[newest].flow_control = match other.map(|at| transfers[at].flow_control) {
+            None => FlowControlState::DueAt(now + wait),
+            Some(FlowControlState::DueAt(_) | FlowControlState::Refused) => {
+                FlowControlState::Refused
+            }
+            Some(FlowControlState::Sent | FlowControlState::AfterOther) => {
+                FlowControlState::AfterOther
+            }
+        };
+    }
+
+    /// Returns flow control to send now, if any, with the first frame of its transfer.
+    pub fn poll_flow_control(&mut self, now: Instant) -> Option<(FlowStatus, Frame)> {
+        if self.open == 0 {
+            return None;
+        }
+        for transfers in &mut self.by_source {
+            let Some(at) = (0..transfers.len())
+                .find(|at| flow_control_at(transfers, *at).is_some_and(|due| due <= now))
+            else {
+                continue;
+            };
+            let RxTransfer { id, first, flow_control, .. } = transfers[at];
+            if flow_control != FlowControlState::Refused {
+                transfers[at].flow_control = FlowControlState::Sent;
+                return Some((FlowStatus::Continue, first));
+            }
+            transfers.retain(|open| open.id != id);
+            self.open = self.by_source.iter().map(Vec::len).sum();
+            return Some((FlowStatus::Overflow, first));
+        }
+        None
     }
 
     /// Notes a consecutive frame, and returns what it shows after two first frames; each result once
@@ -204,11 +274,23 @@ impl Transfers {
     }
 
     /// Notes flow control for the responses of its destination to its source: the requester permits
-    /// `block_size` consecutive frames, all with 0.
-    pub fn note_flow_control(&mut self, flow: Header, block_size: u8) {
-        for open in &mut self.by_source[flow.destination.index()] {
-            if Header::decode(open.id).destination == flow.source {
-                open.permitted = if block_size == 0 { u32::MAX } else { u32::from(block_size) };
+    /// consecutive frames, all with a block size of 0, or none at all.
+    pub fn note_flow_control(&mut self, header: Header, flow: FlowControl) {
+        let transfers = &mut self.by_source[header.destination.index()];
+        let is_for = |open: &RxTransfer| Header::decode(open.id).destination == header.source;
+        match flow.status {
+            FlowStatus::Continue => {
+                let permitted =
+                    if flow.block_size == 0 { u32::MAX } else { u32::from(flow.block_size) };
+                for open in transfers.iter_mut().filter(|open| is_for(open)) {
+                    open.permitted = permitted;
+                }
+            }
+            FlowStatus::Wait => {}
+            FlowStatus::Overflow => {
+                let before = transfers.len();
+                transfers.retain(|open| !is_for(open) || open.permitted > 0);
+                self.open -= before - transfers.len();
             }
         }
     }
@@ -238,9 +320,13 @@ impl Transfers {
             Ok(ReassemblyProgress::BlockEnd) => Continued::BlockEnd,
             Ok(ReassemblyProgress::Done) => {
                 let done = transfers.remove(at);
-                // The other one began with the same frame: one device began its response anew.
-                transfers.retain(|open| {
-                    open.id != id || !open.is_empty || !open.first.same_on_wire(&done.first)
+                // The other one began with the same frame: one device began its response anew, or
+                // another one waits for flow control.
+                transfers.retain_mut(|open| {
+                    let is_equal =
+                        open.id == id && open.is_empty && open.first.same_on_wire(&done.first);
+                    open.is_superseded |= is_equal;
+                    !is_equal || open.permitted == 0
                 });
                 self.open = self.by_source.iter().map(Vec::len).sum();
                 Continued::Done(done.reassembly.into_buffer())
@@ -288,12 +374,30 @@ impl Transfers {
         if self.open == 0 {
             return None;
         }
-        self.by_source.iter().flatten().map(|transfer| transfer.reassembly.deadline()).min()
+        let deadlines = self.by_source.iter().flatten().map(|open| open.reassembly.deadline());
+        let flow_control = self.by_source.iter().flat_map(|transfers| {
+            (0..transfers.len()).filter_map(|at| flow_control_at(transfers, at))
+        });
+        deadlines.chain(flow_control).min()
     }
 
     pub fn clear(&mut self) {
         self.by_source.iter_mut().for_each(Vec::clear);
         self.pairs.fill_with(|| None);
         self.open = 0;
+    }
+}
+
+/// Returns when flow control for the transfer at this place is due, if it is not sent.
+fn flow_control_at(transfers: &[RxTransfer], at: usize) -> Option<Instant> {
+    let RxTransfer { id, flow_control, .. } = transfers[at];
+    match flow_control {
+        FlowControlState::Sent => None,
+        FlowControlState::DueAt(due) => Some(due),
+        FlowControlState::Refused => Some(Instant::ZERO),
+        FlowControlState::AfterOther => {
+            let other = transfers[..at].iter().rfind(|open| open.id == id);
+            Some(other.map_or(Instant::ZERO, |other| other.last_at + INTERLEAVED_REST))
+        }
     }
 }

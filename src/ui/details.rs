@@ -8,7 +8,7 @@ use crate::app::{
     App, FileStatus, Redundancy, Row, RowState, concerns, format_duration, format_time_of_day,
     whose_other_services, whose_services,
 };
-use crate::discovery::{Device, DeviceService, Query, QueryState};
+use crate::discovery::{Device, DeviceService, Query, QueryFault, QueryState};
 use crate::finding::{Finding, FindingKind, FindingState};
 use crate::keymap::Action;
 use crate::theme::Role;
@@ -283,6 +283,9 @@ impl<'a> DeviceDetails<'_, 'a> {
         self.blank();
         let Some(services) = &device.services else {
             let state = match device.services_query.state {
+                _ if device.services_query.fault == Some(QueryFault::TwoResponses) => {
+                    "two devices respond at once"
+                }
                 QueryState::NotSent => "not requested",
                 QueryState::Sent => "requested …",
                 QueryState::Receiving => "receiving …",
@@ -294,8 +297,9 @@ impl<'a> DeviceDetails<'_, 'a> {
         if services.is_empty() {
             return self.add("services", Role::Text, "none");
         }
-        let whose = device.services_are_shared.then(|| whose_services(device));
-        self.services_title(services, whose);
+        let lacks_other = self.row.state == RowState::Conflict && device.other_services.is_empty();
+        let is_of_one = device.services_are_shared || lacks_other;
+        self.services_title(services, is_of_one.then(|| whose_services(device)));
         let names = services.iter().map(|it| it.name.to_string().width()).max().unwrap_or(0);
         let names = names.clamp(4, 16);
         let listed = self.app().entry_of(self.row).and_then(|entry| entry.services.as_deref());
@@ -331,6 +335,12 @@ impl<'a> DeviceDetails<'_, 'a> {
         }
         for other in &device.other_services {
             self.other_services(device, other);
+        }
+        if lacks_other && device.has_colliding_services() {
+            let text = "Two responses at once would destroy each other, so the other list is not requested.";
+            for line in wrap(text, usize::from(self.width)) {
+                self.lines.push(Line::from(self.brush.span(Role::Muted, line)));
+            }
         }
     }
 

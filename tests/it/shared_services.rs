@@ -1,7 +1,9 @@
 //! Services of several devices at one address.
 
 use crate::common::inspection::Inspection;
-use descan::discovery::{Config, Device, DeviceService, Engine, EventKind, ServicesNews};
+use descan::discovery::{
+    Config, Device, DeviceService, Engine, EventKind, QueryFault, ServicesNews,
+};
 use descan::finding::FindingState;
 use descan::frame::{Frame, FrameKind};
 use descan::sim::{DeviceSpec, Fault, Scenario};
@@ -14,8 +16,9 @@ use descan::wire::profile::Profile;
 const ADDRESS: u8 = 14;
 const SECOND_AT: Duration = Duration::from_secs(12);
 
-fn board(uid: u8, heater: &str, response_delay: u64) -> DeviceSpec {
-    let delay = Duration::from_millis(response_delay);
+/// A board that responds after `delay`, in microseconds.
+fn board(uid: u8, heater: &str, delay: u64) -> DeviceSpec {
+    let delay = Duration::from_micros(delay);
     let device = DeviceSpec::new("BOILER").uid(Uid([uid; 6])).fixed(ADDRESS);
     let mut device = device.skips_address_resolution().fault(Fault::KeepsAddress);
     device.response_delay = (delay, delay);
@@ -25,7 +28,7 @@ fn board(uid: u8, heater: &str, response_delay: u64) -> DeviceSpec {
 /// A bus with two boards of one name at one address, the second from 12 s on.
 fn two_boards(second: DeviceSpec) -> Inspection {
     let mut scenario = Scenario::new(250_000);
-    scenario.devices.push(board(0x11, "2.0", 1));
+    scenario.devices.push(board(0x11, "2.0", 1_000));
     scenario.devices.push(second.label("second").power_on(SECOND_AT + Duration::from_millis(370)));
     Inspection::new(&scenario, 1, Config::default())
 }
@@ -44,6 +47,16 @@ fn versions(list: &[DeviceService]) -> Vec<String> {
     others.map(|service| format!("{} {}", service.name, service.version)).collect()
 }
 
+fn errors(bus: &Inspection) -> usize {
+    bus.frames.iter().filter(|frame| frame.kind == FrameKind::Error).count()
+}
+
+/// Returns true for the first frame of a service list from the address.
+fn is_first_frame(frame: &Frame) -> bool {
+    let from = frame.platform_id().map(|id| Header::decode(id).source.number());
+    from == Some(ADDRESS) && matches!(frame.data(), [0x10, _, des::TYPE_SERVICES, ..])
+}
+
 fn is_confirmed(bus: &Inspection) -> bool {
     let mut findings = bus.engine.findings().iter();
     findings.any(|it| it.state == FindingState::Confirmed && it.key.kind.is_conflict())
@@ -51,37 +64,65 @@ fn is_confirmed(bus: &Inspection) -> bool {
 
 #[test]
 fn second_board_at_an_address_has_its_own_service_list() {
-    let mut bus = two_boards(board(0x22, "2.5", 15));
-    bus.run_until(at(12), |_| false);
-    assert_eq!(versions(row(&bus).services.as_ref().unwrap())[0], "HEATER 2.0");
+    // The second one begins after the list of the first, or while it is sent.
+    for delay in [4_000, 8_000, 15_000, 80_000] {
+        let mut bus = two_boards(board(0x22, "2.5", delay));
+        bus.run_until(at(12), |_| false);
+        assert_eq!(versions(row(&bus).services.as_ref().unwrap())[0], "HEATER 2.0");
+        bus.run_until(at(40), |_| false);
+        assert!(is_confirmed(&bus));
+        let device = row(&bus);
+        assert!(!device.services_are_shared);
+        assert_eq!(versions(device.services.as_ref().unwrap())[0], "HEATER 2.0");
+        let [other] = &device.other_services[..] else { panic!("{:?}", device.other_services) };
+        assert_eq!(versions(other), ["HEATER 2.5", "PUMP 3.1"]);
+        assert_eq!(errors(&bus), 0, "{delay} µs");
+        let news: Vec<ServicesNews> = bus
+            .events
+            .iter()
+            .filter_map(|event| match event.kind {
+                EventKind::Services { news, .. } => Some(news),
+                _ => None,
+            })
+            .collect();
+        assert_eq!(news, [ServicesNews::First, ServicesNews::OtherDevice]);
+    }
+}
+
+#[test]
+fn both_service_lists_are_requested_again_by_a_rescan() {
+    let mut bus = two_boards(board(0x22, "2.5", 8_000));
     bus.run_until(at(40), |_| false);
+    let read = |bus: &Inspection| bus.frames.iter().filter(|frame| is_first_frame(frame)).count();
+    let before = read(&bus);
+    bus.engine.rescan(at(40));
+    bus.run_until(at(50), |_| false);
+    assert_eq!(read(&bus), before + 2);
+    assert_eq!(errors(&bus), 0);
+}
+
+#[test]
+fn boards_that_respond_at_once_are_not_released_together() {
+    let mut scenario = Scenario::new(500_000);
+    scenario.devices.push(board(0x11, "2.0", 1_000));
+    scenario.devices.push(board(0x22, "2.5", 1_400).label("second"));
+    let mut bus = Inspection::new(&scenario, 1, Config::default());
+    bus.run_until(at(30), |_| false);
     assert!(is_confirmed(&bus));
-    let device = row(&bus);
-    assert!(!device.services_are_shared);
-    assert_eq!(versions(device.services.as_ref().unwrap())[0], "HEATER 2.0");
-    let [other] = &device.other_services[..] else { panic!("{:?}", device.other_services) };
-    assert_eq!(versions(other), ["HEATER 2.5", "PUMP 3.1"]);
-    let news: Vec<ServicesNews> = bus
-        .events
-        .iter()
-        .filter_map(|event| match event.kind {
-            EventKind::Services { news, .. } => Some(news),
-            _ => None,
-        })
-        .collect();
-    assert_eq!(news, [ServicesNews::First, ServicesNews::OtherDevice]);
+    assert_eq!(row(&bus).services, None);
+    assert_eq!(row(&bus).services_query.fault, Some(QueryFault::TwoResponses));
+    assert_eq!(errors(&bus), 0);
 }
 
 #[test]
 fn colliding_service_lists_are_not_requested() {
-    let mut bus = two_boards(board(0x22, "2.5", 1));
+    let mut bus = two_boards(board(0x22, "2.5", 1_000));
     bus.run_until(at(30), |_| false);
     bus.engine.rescan(at(30));
     bus.run_until(at(40), |_| false);
     assert!(is_confirmed(&bus));
     assert!(row(&bus).other_services.is_empty());
-    let errors = bus.frames.iter().filter(|frame| frame.kind == FrameKind::Error);
-    assert_eq!(errors.count(), 0);
+    assert_eq!(errors(&bus), 0);
 }
 
 #[test]

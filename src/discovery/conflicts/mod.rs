@@ -727,6 +727,19 @@ impl ConflictDetector {
         }
     }
 
+    /// Returns true if there are signs that several devices use `address`: a conflict is suspected
+    /// there, or the UID changed.
+    pub fn is_shared_perhaps(&self, now: Instant, address: Address) -> bool {
+        let remembered = self.periods.of(address) * UID_MEMORY_PERIODS;
+        self.finding_tracker.is_open_at(address)
+            || self.histories[address.index()].uids.changed_within(now, remembered)
+    }
+
+    /// Returns true if the heartbeats from `address` carry no UID, by which devices differ.
+    pub fn has_no_uid(&self, address: Address) -> bool {
+        self.histories[address.index()].last_without_uid.is_some()
+    }
+
     /// Returns true if devices seem to receive requests twice, or descan receives all frames twice.
     pub fn has_duplicate_requests(&self, now: Instant) -> bool {
         self.repeated_frames.has_duplicate_requests(now)
