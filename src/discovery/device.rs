@@ -217,10 +217,9 @@ impl Query {
         matches!(self.state, QueryState::Sent | QueryState::Receiving)
     }
 
-    /// Returns true if a request was sent less than `within` ago, or its response is not overdue.
+    /// Returns true if a request was sent less than `within` ago.
     pub(super) fn is_sent_within(&self, now: Instant, within: Duration) -> bool {
-        let is_awaited = self.is_waiting() && self.deadline.is_some_and(|deadline| deadline > now);
-        is_awaited || self.sent_at.is_some_and(|at| now.since(at) < within)
+        self.sent_at.is_some_and(|at| now.since(at) < within)
     }
 
     /// Plans a request at `at` with all attempts available, unless a response is awaited.

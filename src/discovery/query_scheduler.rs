@@ -215,9 +215,10 @@ impl Requester {
                     continue;
                 }
                 // Flow control would release any other response of the other device too.
-                let is_responding = transferring & (1 << address.number()) != 0
-                    || device.query(other_request(request)).is_sent_within(now, TRANSFER_WAIT);
-                if in_conflict && is_responding {
+                let other = device.query(other_request(request));
+                let wait = if other.is_waiting() { RESPONSE_TIME } else { TRANSFER_WAIT };
+                let is_responding = transferring & (1 << address.number()) != 0;
+                if in_conflict && (is_responding || other.is_sent_within(now, wait)) {
                     device.query_mut(request).due = Some(now + TRANSFER_WAIT);
                     continue;
                 }

@@ -3,7 +3,7 @@
 use super::conflicts::ResponseStart;
 use super::device::{DeviceService, ProtocolDeviation, QueryFault, QueryState};
 use super::recent_requests::RecentRequests;
-use super::transfers::{Continued, Started, Stopped};
+use super::transfers::{Continued, DueFlowControl, Started, Stopped};
 use super::{DeviceId, Engine, EventKind, Presence, local_node};
 use crate::frame::Frame;
 use crate::text::Name;
@@ -226,7 +226,7 @@ impl Engine {
                     Started::Fault(fault) => {
                         self.tracker.counters.transfers_failed += 1;
                         if is_for_descan {
-                            self.send_flow_control(header, FlowStatus::Overflow);
+                            self.send_flow_control(header, FlowStatus::Overflow, block_size);
                         }
                         self.tracker.report_malformed(now, row, request, &fault, frame);
                         if let Some(request) = request {
@@ -246,13 +246,17 @@ impl Engine {
                         self.process_message(now, row, Framing::Isotp, &message, frame);
                     }
                     Continued::BlockEnd if is_for_descan => {
-                        self.send_flow_control(header, FlowStatus::Continue);
+                        let block_size = self.tracker.config.profile.isotp.block_size;
+                        self.send_flow_control(header, FlowStatus::Continue, block_size);
                     }
                     Continued::Fault(fault, first) => {
                         let request = request_in_first_frame(&first);
                         self.abort_transfer(now, row, request, fault, frame);
                     }
                     Continued::More | Continued::BlockEnd => {
+                        if is_for_descan {
+                            self.tracker.wake_at(now);
+                        }
                         if let Some(request) = self.open_request(row) {
                             self.tracker.extend_deadline(row, request);
                         }
@@ -278,10 +282,13 @@ impl Engine {
 
     /// Sends flow control that is due.
     pub(super) fn send_due_flow_control(&mut self, now: Instant) {
-        while let Some((status, first)) = self.transfers.poll_flow_control(now) {
+        while let Some(due) = self.transfers.poll_flow_control(now) {
+            let DueFlowControl { status, first, in_steps } = due;
             let Some(id) = first.platform_id() else { continue };
             let header = Header::decode(id);
-            self.send_flow_control(header, status);
+            let block_size =
+                if in_steps { 1 } else { self.tracker.config.profile.isotp.block_size };
+            self.send_flow_control(header, status, block_size);
             if status == FlowStatus::Overflow
                 && let Some(request) = request_in_first_frame(&first)
                 && let Some(row) = self.tracker.device_table.current_row(header.source)
@@ -293,7 +300,7 @@ impl Engine {
     }
 
     /// Sends flow control, with the responder's targeted request identifier (protocol §3.1).
-    fn send_flow_control(&mut self, response: Header, status: FlowStatus) {
+    fn send_flow_control(&mut self, response: Header, status: FlowStatus, block_size: u8) {
         let Some(own) = self.requester.local_node.held() else { return };
         let mut header =
             Header::request(own, response.source, response.from_non_working, response.service);
@@ -301,7 +308,7 @@ impl Engine {
         let isotp = &self.tracker.config.profile.isotp;
         let is_shared = self.tracker.conflicts.is_shared_perhaps(self.tracker.now, response.source);
         let st_min = if is_shared { slower(isotp.st_min) } else { isotp.st_min };
-        let flow = FlowControl { status, block_size: isotp.block_size, st_min };
+        let flow = FlowControl { status, block_size, st_min };
         self.requester.outbox.push(Frame::classic(header.encode(), &flow.encode()));
     }
 

@@ -6,12 +6,13 @@
 //!
 //! Flow control cannot be addressed to one of the two. It releases both if both wait for it, and
 //! then they send different frames with one identifier at once, which destroy each other until both
-//! devices are bus-off. So it is sent before the other one responds, or after the first transfer, or
-//! not at all.
+//! devices are bus-off. So it is sent before the other one responds, or after the first transfer.
+//! Where both wait, it is refused, unless both began the same name, as equal devices do: then it
+//! permits one frame, whose two copies merge, and the next one only if no other came.
 
 use crate::frame::Frame;
 use crate::time::{Duration, Instant};
-use crate::wire::des::MAX_MESSAGE;
+use crate::wire::des::{self, MAX_MESSAGE};
 use crate::wire::id::{Address, Header};
 use crate::wire::isotp::{FlowControl, FlowStatus, Reassembly, ReassemblyProgress, TransferFault};
 
@@ -41,6 +42,19 @@ struct RxTransfer {
     /// response anew.
     is_superseded: bool,
     flow_control: FlowControlState,
+    /// Time after each frame in which that of another device with the same response may come; `None`
+    /// if no other one is known.
+    step: Option<Duration>,
+}
+
+/// Flow control to send.
+#[derive(Debug)]
+pub(super) struct DueFlowControl {
+    pub status: FlowStatus,
+    /// First frame of the transfer.
+    pub first: Frame,
+    /// True if it permits one frame only.
+    pub in_steps: bool,
 }
 
 /// State of descan's flow control after a first frame.
@@ -203,6 +217,7 @@ impl Transfers {
             permitted: 0,
             is_superseded: false,
             flow_control: FlowControlState::Sent,
+            step: None,
         });
         self.open += 1;
         Started::Open
@@ -214,20 +229,31 @@ impl Transfers {
         let id = header.encode();
         let transfers = &mut self.by_source[header.source.index()];
         let Some(newest) = transfers.iter().rposition(|open| open.id == id) else { return };
-        let other = transfers[..newest].iter().rposition(|open| open.id == id);
-        transfers[newest].flow_control = match other.map(|at| transfers[at].flow_control) {
-            None => FlowControlState::DueAt(now + wait),
-            Some(FlowControlState::DueAt(_) | FlowControlState::Refused) => {
-                FlowControlState::Refused
+        let (others, rest) = transfers.split_at_mut(newest);
+        let [newest, ..] = rest else { return };
+        let Some(other) = others.iter_mut().rfind(|open| open.id == id) else {
+            newest.flow_control = FlowControlState::DueAt(now + wait);
+            return;
+        };
+        let is_equal = newest.message_type == Some(des::TYPE_NAME)
+            && other.first.same_on_wire(&newest.first)
+            && other.is_empty;
+        newest.flow_control = match other.flow_control {
+            FlowControlState::DueAt(_) if is_equal => {
+                for open in [&mut *other, &mut *newest] {
+                    open.step = Some(wait);
+                    open.reassembly.set_block_size(1);
+                }
+                other.flow_control = FlowControlState::Sent;
+                FlowControlState::DueAt(now + wait)
             }
-            Some(FlowControlState::Sent | FlowControlState::AfterOther) => {
-                FlowControlState::AfterOther
-            }
+            FlowControlState::DueAt(_) | FlowControlState::Refused => FlowControlState::Refused,
+            FlowControlState::Sent | FlowControlState::AfterOther => FlowControlState::AfterOther,
         };
     }
 
-    /// Returns flow control to send now, if any, with the first frame of its transfer.
-    pub fn poll_flow_control(&mut self, now: Instant) -> Option<(FlowStatus, Frame)> {
+    /// Returns flow control to send now, if any.
+    pub fn poll_flow_control(&mut self, now: Instant) -> Option<DueFlowControl> {
         if self.open == 0 {
             return None;
         }
@@ -237,14 +263,15 @@ impl Transfers {
             else {
                 continue;
             };
-            let RxTransfer { id, first, flow_control, .. } = transfers[at];
+            let RxTransfer { id, first, flow_control, step, .. } = transfers[at];
+            let in_steps = step.is_some();
             if flow_control != FlowControlState::Refused {
                 transfers[at].flow_control = FlowControlState::Sent;
-                return Some((FlowStatus::Continue, first));
+                return Some(DueFlowControl { status: FlowStatus::Continue, first, in_steps });
             }
             transfers.retain(|open| open.id != id);
             self.open = self.by_source.iter().map(Vec::len).sum();
-            return Some((FlowStatus::Overflow, first));
+            return Some(DueFlowControl { status: FlowStatus::Overflow, first, in_steps });
         }
         None
     }
@@ -317,7 +344,13 @@ impl Transfers {
         *permitted = permitted.checked_sub(1).unwrap_or(u32::MAX);
         match transfers[at].reassembly.push(now, sequence, data) {
             Ok(ReassemblyProgress::More) => Continued::More,
-            Ok(ReassemblyProgress::BlockEnd) => Continued::BlockEnd,
+            Ok(ReassemblyProgress::BlockEnd) => match transfers[at].step {
+                None => Continued::BlockEnd,
+                Some(step) => {
+                    plan_next_step(now, transfers, at, step);
+                    Continued::More
+                }
+            },
             Ok(ReassemblyProgress::Done) => {
                 let done = transfers.remove(at);
                 // The other one began with the same frame: one device began its response anew, or
@@ -399,5 +432,24 @@ fn flow_control_at(transfers: &[RxTransfer], at: usize) -> Option<Instant> {
             let other = transfers[..at].iter().rfind(|open| open.id == id);
             Some(other.map_or(Instant::ZERO, |other| other.last_at + INTERLEAVED_REST))
         }
+    }
+}
+
+/// Plans flow control after a frame of the transfer at this place, one of two with the same response
+/// so far: none if the other one goes on in another way.
+fn plan_next_step(now: Instant, transfers: &mut [RxTransfer], at: usize, step: Duration) {
+    let RxTransfer { id, ref reassembly, .. } = transfers[at];
+    let length = reassembly.message().len();
+    let differs = |open: &RxTransfer| {
+        let other = open.reassembly.message();
+        open.id == id && other.len() >= length && other[..length] != *reassembly.message()
+    };
+    let differs = transfers.iter().any(differs);
+    let is_planned =
+        transfers.iter().any(|open| open.id == id && open.flow_control != FlowControlState::Sent);
+    if differs {
+        transfers[at].flow_control = FlowControlState::Refused;
+    } else if !is_planned {
+        transfers[at].flow_control = FlowControlState::DueAt(now + step);
     }
 }

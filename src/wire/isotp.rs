@@ -297,6 +297,12 @@ impl<B: AsRef<[u8]> + AsMut<[u8]>> Reassembly<B> {
         })
     }
 
+    /// Changes the block size, to that in the flow control sent next.
+    pub fn set_block_size(&mut self, block_size: u8) {
+        self.block_size = block_size;
+        self.block_left = block_size;
+    }
+
     /// Returns the sequence number of the next consecutive frame.
     pub fn next_sequence(&self) -> u8 {
         self.next_sequence

@@ -7,6 +7,7 @@ use descan::discovery::{
 use descan::finding::FindingState;
 use descan::frame::{Frame, FrameKind};
 use descan::sim::{DeviceSpec, Fault, Scenario};
+use descan::text::Name;
 use descan::time::{Duration, Instant};
 use descan::wire::des;
 use descan::wire::id::{Address, Header};
@@ -101,17 +102,27 @@ fn both_service_lists_are_requested_again_by_a_rescan() {
     assert_eq!(errors(&bus), 0);
 }
 
-#[test]
-fn boards_that_respond_at_once_are_not_released_together() {
+/// Two boards that respond one after the other, before flow control is sent, for 30 s.
+fn boards_that_respond_at_once(second: DeviceSpec) -> Inspection {
     let mut scenario = Scenario::new(500_000);
     scenario.devices.push(board(0x11, "2.0", 1_000));
-    scenario.devices.push(board(0x22, "2.5", 1_400).label("second"));
+    scenario.devices.push(second.label("second"));
     let mut bus = Inspection::new(&scenario, 1, Config::default());
     bus.run_until(at(30), |_| false);
     assert!(is_confirmed(&bus));
-    assert_eq!(row(&bus).services, None);
-    assert_eq!(row(&bus).services_query.fault, Some(QueryFault::TwoResponses));
-    assert_eq!(errors(&bus), 0);
+    assert_eq!(row(&bus).name, Some(Name::new(b"BOILER")));
+    bus
+}
+
+#[test]
+fn boards_that_respond_at_once_are_not_released_together() {
+    // Of another length, and of the same.
+    for version in ["2.10", "2.5"] {
+        let bus = boards_that_respond_at_once(board(0x22, version, 1_400));
+        assert_eq!(row(&bus).services, None);
+        assert_eq!(row(&bus).services_query.fault, Some(QueryFault::TwoResponses));
+        assert_eq!(errors(&bus), 0, "{version}");
+    }
 }
 
 #[test]
