@@ -287,13 +287,14 @@ impl FileState {
     /// after that: only the outcome tells whether the save was overwritten or put back. Any content
     /// but that of the save and the expected one marks the save as overtaken.
     fn waits_for_outcome(&mut self, found: &Result<Option<Document>, FileError>) -> bool {
-        let Some(saving) = self.saving.as_mut().filter(|saving| !saving.base_changed) else {
-            return false;
-        };
+        let Some(saving) = &mut self.saving else { return false };
         if found.as_ref().is_ok_and(|found| found.as_ref() == Some(&saving.content)) {
             saving.seen_on_disk = true;
             self.emptied = None;
             return true;
+        }
+        if saving.base_changed {
+            return false;
         }
         let is_as_before = found.as_ref().is_ok_and(|found| *found == saving.expected);
         saving.disk_changed |= !is_as_before || saving.seen_on_disk;
@@ -735,6 +736,26 @@ mod tests {
         assert!(kept(&file) <= 2);
         (0..9).for_each(|_| drop(file.undo().unwrap()));
         assert_eq!(source(&file), noted("16"));
+    }
+
+    /// A slow disk: what the save takes out is put back long after its own content is read.
+    #[test]
+    fn edit_of_a_save_that_is_put_back_late_stays() {
+        let mut file = opened();
+        file.edit(&[set_address(&file, 16)]).unwrap();
+        let saving = file.start_saving().unwrap();
+        let theirs = FILE.replace("true", "true, \"note\":1");
+        assert_eq!(file.read(NOW, content(&theirs)), FileChange::Rebased);
+        let ours = std::str::from_utf8(saving.content.source()).unwrap();
+        assert_eq!(file.read(NOW, content(ours)), FileChange::None);
+        assert_eq!(file.read(NOW, content(&theirs)), FileChange::None);
+        assert!(file.is_base_changed());
+        let outcome = SaveOutcome::Changed(content(&theirs));
+        assert_eq!(file.handle_saved(NOW, outcome), FileChange::None);
+        assert_eq!(file.read(NOW, content(&theirs)), FileChange::None);
+        let again = file.start_saving().unwrap();
+        assert_eq!(again.expected.unwrap().source(), theirs.as_bytes());
+        assert_eq!(again.content.source(), theirs.replace("12", "16").as_bytes());
     }
 
     /// A slow disk: the new content is read long before the save ends.
