@@ -17,6 +17,7 @@ use std::time::Duration;
 #[derive(Debug, Parser)]
 #[command(
     name = "descan",
+    bin_name = "descan",
     version,
     about = "Find the devices on a CAN bus, their services, versions and address conflicts; edit static addresses",
     long_about = "Find the devices on a CAN bus with DES, the devices enumeration service: names, services, \

@@ -160,10 +160,12 @@ fn known(bus: &BusSpec) -> Result<BusSpec, Failure> {
     }
 }
 
-/// Returns true for a word like `can0`, `vcan-test` or `mcp_can1`.
+/// Returns true for a word like `can0`, `vcan-test` or `mcp_can1`, not for `candump`.
 fn is_like_an_interface(word: &str) -> bool {
+    let rest = word.strip_prefix("can").or_else(|| word.strip_prefix("vcan"));
+    let is_plain = rest.is_some_and(|it| !it.starts_with(|next: char| next.is_ascii_alphabetic()));
     let is_numbered = word.ends_with(|end: char| end.is_ascii_digit());
-    word.starts_with("can") || word.starts_with("vcan") || is_numbered && word.contains("can")
+    is_plain || is_numbered && word.contains("can")
 }
 
 /// The error for a word that is neither a command, a file nor a bus.

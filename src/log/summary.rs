@@ -91,11 +91,12 @@ impl LogSummary {
     }
 
     /// Returns true if its first entries cannot be read: it is probably not a log. A few may be
-    /// the greeting of a server.
-    pub fn is_doubtful(&self) -> bool {
+    /// the greeting of a server, which frames follow; not if `is_all`, so that all that is there
+    /// for now was read.
+    pub fn is_doubtful(&self, is_all: bool) -> bool {
         /// Entries of a short greeting.
         const GREETING: u64 = 8;
-        self.frames == 0 && self.unreadable >= GREETING
+        self.frames == 0 && self.unreadable >= if is_all { 1 } else { GREETING }
     }
 
     /// Counts an entry; returns its frame with bus and moment.

@@ -257,7 +257,7 @@ fn read_first(
         match reader.step()? {
             DecodeStep::Frame(frame) => return Ok(Some(frame)),
             DecodeStep::End => return Ok(None),
-            DecodeStep::Nothing if reader.summary().is_doubtful() && !is_reported => {
+            DecodeStep::Nothing if !is_reported && is_doubtful(reader) => {
                 is_reported = true;
                 let entries = reader.summary().unreadable_entries();
                 // The receiver may be gone: the next batch shows it.
@@ -266,6 +266,10 @@ fn read_first(
             DecodeStep::Nothing => {}
         }
     }
+}
+
+fn is_doubtful(reader: &LogReader<BufReader<File>>) -> bool {
+    reader.summary().is_doubtful(reader.source().buffer().is_empty())
 }
 
 /// Reads the log and sends the frames present from `from` on, before it waits for more. A batch

@@ -12,6 +12,7 @@ use crate::theme::Role;
 use ratatui::layout::Rect;
 use ratatui::text::{Line, Span};
 use std::fmt::Write;
+use unicode_width::UnicodeWidthStr;
 
 /// Stands in front of assumed values.
 const ASSUMED: &str = "≈";
@@ -473,6 +474,13 @@ fn overwritten_pins(brush: &DrawContext, whole: bool) -> Option<Part> {
     Some(Part::new(KEPT, vec![brush.span(Role::Warning, text)]))
 }
 
+/// Returns the name of the file, cut to a third of the width, so that its state has room.
+fn file_name(brush: &DrawContext) -> Span<'static> {
+    let name = brush.app.file().name();
+    let width = name.width().min(usize::from(brush.screen.whole.width / 3));
+    brush.span(Role::Title, format!("{} ", fit(&name, width).trim_end()))
+}
+
 /// Returns the state of des.json; with `whole` also the cause of an error and the next step.
 fn file(brush: &DrawContext, whole: bool) -> Parts {
     let file = brush.app.file();
@@ -534,13 +542,13 @@ fn file(brush: &DrawContext, whole: bool) -> Parts {
                 (true, 1, _) => " in 1 entry".to_owned(),
                 (true, ..) => format!(" in {entries} entries"),
             };
-            let name = brush.span(Role::Title, format!("{} ", file.name()));
+            let name = file_name(brush);
             let words = brush.span(Role::Text, words);
             let file = Part::new(rank, vec![name, brush.span(role, sign), words]);
             return [Some(file), overwritten_pins(brush, whole)].into_iter().flatten().collect();
         }
     };
-    let name = brush.span(Role::Title, format!("{} ", file.name()));
+    let name = file_name(brush);
     let mut parts = vec![Part::cut_to(24, rank, vec![name, brush.span(role, text)])];
     parts.extend(
         more.filter(|_| whole)

@@ -651,6 +651,7 @@ fn invalid_arguments_are_one_line_with_the_fix() {
         (&["scna", "can0"], "did you mean the command descan scan?"),
         (&["boiler"], "boiler is not a command or a bus"),
         (&["scan", "bus"], "bus is not a command or a bus"),
+        (&["scan", "candump"], "candump is not a command or a bus"),
         (&["scan", "sim:boiler", "--for", "3", "--time", "3"], "--time"),
         (&["scan", "file:session.log", "--for", "3"], "--for needs a live bus"),
         (&["scan", "--time", "soon"], "a number of seconds"),
@@ -909,6 +910,17 @@ fn without_control_characters(bytes: &[u8]) -> String {
     let text = text(bytes);
     assert!(text.chars().all(|c| c == '\n' || descan::text::is_printable(c)), "{text:?}");
     text
+}
+
+#[test]
+fn escape_codes_in_the_program_name_are_not_printed() {
+    use std::os::unix::process::CommandExt as _;
+    for argument in ["--help", "--bogus", "scan"] {
+        let mut descan = std::process::Command::new(env!("CARGO_BIN_EXE_descan"));
+        let output = descan.arg0("\u{9b}X").arg(argument).output().unwrap();
+        without_control_characters(&output.stdout);
+        without_control_characters(&output.stderr);
+    }
 }
 
 /// Tests escape codes in arguments, file names, settings, profiles and scenarios: they would change

@@ -524,6 +524,17 @@ fn full_speed_log_leaves_keys_and_signals_working() {
 }
 
 #[test]
+fn long_file_name_leaves_room_for_the_state_of_the_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let name = format!("{}.json", "f".repeat(90));
+    std::fs::write(folder.path().join(&name), "{\"devices\":[]}").unwrap();
+    let mut pty = Pty::start(&["sim:boiler", "--file", &name], folder.path(), SMALL);
+    pty.wait_for("✓ 0 entries");
+    pty.send("q");
+    assert_eq!(pty.wait(), 0);
+}
+
+#[test]
 fn unreadable_input_is_shown_before_its_end() {
     let folder = tempfile::tempdir().unwrap();
     let pipe = folder.path().join("pipe");

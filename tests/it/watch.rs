@@ -671,22 +671,26 @@ fn filter_that_cannot_match_is_rejected() {
 #[test]
 fn unreadable_input_is_reported_before_its_end() {
     let folder = tempfile::tempdir().unwrap();
-    let mut child = command(&["watch", "-"], folder.path())
-        .stdin(Stdio::piped())
-        .stdout(Stdio::null())
-        .stderr(Stdio::piped())
-        .spawn()
-        .unwrap();
-    let mut stdin = child.stdin.take().unwrap();
-    stdin.write_all("what?\n".repeat(8).as_bytes()).unwrap();
-    let mut said = BufReader::new(child.stderr.take().unwrap());
-    let mut first = String::new();
-    // The input stays open.
-    said.read_line(&mut first).unwrap();
-    assert!(first.contains("8 lines cannot be read, the first is line 1"), "{first}");
-    assert!(first.contains("use a candump -L log or pcapng"), "{first}");
-    drop(stdin);
-    assert_eq!(child.wait().unwrap().code(), Some(3));
+    for (lines, expected) in
+        [(1, "line 1 cannot be read"), (8, "8 lines cannot be read, the first is line 1")]
+    {
+        let mut child = command(&["watch", "-"], folder.path())
+            .stdin(Stdio::piped())
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut stdin = child.stdin.take().unwrap();
+        stdin.write_all("what?\n".repeat(lines).as_bytes()).unwrap();
+        let mut said = BufReader::new(child.stderr.take().unwrap());
+        let mut first = String::new();
+        // The input stays open.
+        said.read_line(&mut first).unwrap();
+        assert!(first.contains(expected), "{first}");
+        assert!(first.contains("use a candump -L log or pcapng"), "{first}");
+        drop(stdin);
+        assert_eq!(child.wait().unwrap().code(), Some(3));
+    }
 }
 
 #[test]

@@ -204,7 +204,8 @@ impl Replay {
     /// Reports that it is probably not a log: a pipe may not end.
     fn report_doubt(&mut self) {
         let summary = self.reader.summary();
-        if self.is_doubted || !summary.is_doubtful() {
+        let is_all = self.reader.source().buffer().is_empty();
+        if self.is_doubted || !summary.is_doubtful(is_all) {
             return;
         }
         self.is_doubted = true;
