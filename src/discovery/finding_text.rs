@@ -17,6 +17,9 @@ pub(super) const NOT_SENT_BY_DESCAN: &str = "frame from address 0 not sent by de
 /// Number of UIDs of a finding that are stored; there may be more.
 const MAX_UIDS: usize = 8;
 
+/// Number of names that a text lists.
+const SHOWN_NAMES: usize = 4;
+
 /// Sets text and remedy of a finding of the engine, after its evidence changed; `is_certain`: a
 /// single device that sends its frames twice does not explain it. Bus errors have
 /// [`bus_errors`] and [`describe_errors_at`] instead; findings about des.json are worded where they
@@ -57,7 +60,16 @@ pub(super) fn describe(finding: &mut Finding, is_certain: bool) {
             [] | [_] => format!(
                 "Two devices share address {address}: {device} and a device with another name respond."
             ),
-            _ => format!("Two devices share address {address}: {names} both respond."),
+            [_, _] => format!("Two devices share address {address}: {names} both respond."),
+            all => {
+                let mut shown: Vec<String> = all.iter().take(SHOWN_NAMES).map(quoted).collect();
+                let last = match all.len().saturating_sub(SHOWN_NAMES) {
+                    0 => shown.pop().unwrap_or_default(),
+                    more => format!("{more} more"),
+                };
+                let shown = shown.join(", ");
+                format!("Several devices share address {address}: {shown} and {last} respond.")
+            }
         },
         FindingKind::OneAddressTwoIdentities if finding.uids.len() < 2 => format!(
             "Two devices share address {address}: heartbeats alternate between working and non-working."

@@ -115,3 +115,23 @@ fn conflict_stays_confirmed_when_second_name_appears() {
         }
     });
 }
+
+#[test]
+fn names_of_many_devices_at_one_address_are_counted() {
+    for (names, expected) in [
+        (&[b"A", b"B"][..], "Two devices share address 5: A and B both respond."),
+        (&[b"A", b"B", b"C"], "Several devices share address 5: A, B and C respond."),
+        (
+            &[b"A", b"B", b"C", b"D", b"E", b"F"],
+            "Several devices share address 5: A, B, C, D and 2 more respond.",
+        ),
+    ] {
+        let mut log = Story::default().beats(0, 12_000);
+        for round in 0..8 {
+            log = log.asked(1500 + round * 1000, names);
+        }
+        let engine = log.heard(|_, _| {});
+        let mut findings = engine.findings().iter().filter(|it| it.key.kind == NAMES);
+        assert_eq!(findings.next().map(|it| it.text.as_str()), Some(expected));
+    }
+}
