@@ -63,12 +63,12 @@ pub(super) fn describe(finding: &mut Finding, is_certain: bool) {
             [_, _] => format!("Two devices share address {address}: {names} both respond."),
             all => {
                 let mut shown: Vec<String> = all.iter().take(SHOWN_NAMES).map(quoted).collect();
-                let last = match all.len().saturating_sub(SHOWN_NAMES) {
+                let end = match all.len().saturating_sub(SHOWN_NAMES) {
                     0 => shown.pop().unwrap_or_default(),
                     more => format!("{more} more"),
                 };
                 let shown = shown.join(", ");
-                format!("Several devices share address {address}: {shown} and {last} respond.")
+                format!("Several devices share address {address}: {shown} and {end} respond.")
             }
         },
         FindingKind::OneAddressTwoIdentities if finding.uids.len() < 2 => format!(

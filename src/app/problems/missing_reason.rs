@@ -5,7 +5,7 @@
 
 use crate::app::Inputs;
 use crate::app::buses::{Bus, TxBlocked};
-use crate::discovery::{Device, OwnAddress, QueryState};
+use crate::discovery::{Device, OwnAddress, QueryFault, QueryState};
 use crate::document::Entry;
 use crate::frame::BusIndex;
 use crate::status::{BusState, Link};
@@ -153,6 +153,7 @@ impl Inputs<'_> {
         } else if device.services.is_none() {
             let query = device.services_query;
             match query.state {
+                _ if query.fault == Some(QueryFault::TwoResponses) => {}
                 QueryState::NoResponse => reasons
                     .push(format!("name received, no services response{}", asked(query.attempts))),
                 QueryState::NotSent if !self.buses.sends_requests(device.id.bus) => {
@@ -162,7 +163,14 @@ impl Inputs<'_> {
             }
         }
         for fault in [device.name_query.fault, device.services_query.fault].into_iter().flatten() {
-            reasons.push(format!("malformed response: {fault}"));
+            reasons.push(match fault {
+                QueryFault::TwoResponses => {
+                    let what =
+                        if device.services.is_some() { "services of one" } else { "services" };
+                    format!("{what} not read: two devices respond at once, which destroys frames")
+                }
+                fault => format!("malformed response: {fault}"),
+            });
         }
         reasons
     }
