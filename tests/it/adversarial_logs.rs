@@ -541,6 +541,38 @@ fn late_heartbeats_with_losses_are_of_one_device() {
 }
 
 #[test]
+fn fast_device_with_late_heartbeats_is_not_confirmed() {
+    let mut wrong = Vec::new();
+    for period in [0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5, 0.6, 0.7, 0.8] {
+        for percent in (4..100).step_by(4) {
+            let mut log = LogWriter::new(1);
+            for beat in 0..(60.0 / period) as u32 {
+                let late = if beat % 41 == 40 { f64::from(percent) / 100.0 } else { 0.0 };
+                log.heartbeat(0.1 + (f64::from(beat) + late) * period, ADDRESS, 1);
+            }
+            if !log.verdicts(60.0).confirmed.is_empty() {
+                wrong.push(format!("{period} s, {percent} % late"));
+            }
+        }
+    }
+    assert!(wrong.is_empty(), "confirmed: {wrong:?}");
+}
+
+#[test]
+fn third_device_in_a_sixth_of_the_period_is_confirmed() {
+    for phases in [&[0.0, 0.5, 0.667][..], &[0.0, 0.333, 0.5], &[0.0, 0.167]] {
+        let mut log = LogWriter::new(1);
+        for phase in phases {
+            log.heartbeats(1, 1.0, (0.1 + phase, 20.0), 0.0);
+        }
+        let [(at, FindingKind::SameNameSameAddress)] = log.verdicts(20.0).confirmed[..] else {
+            panic!("{phases:?}");
+        };
+        assert!(at < 10.0, "{phases:?}: {at} s");
+    }
+}
+
+#[test]
 fn fast_device_whose_phase_changes_is_not_confirmed() {
     for period in [0.1, 0.25, 0.3, 0.5, 0.7] {
         for seed in 0..20 {

@@ -32,12 +32,13 @@ const MAX_LATE_COUNT: usize = 2;
 /// Longest time, in steps, by which they are late: with a shorter one, lost heartbeats are counted
 /// better. Chosen: half, and clearly before the next one is due.
 const MAX_LATENESS: [f64; 2] = [0.5, 0.75];
+/// The same for a heartbeat that comes just before the next one.
+const LONGEST_LATENESS: f64 = 0.97;
 /// Number of intervals from which on some heartbeats may be late. Chosen: fewer do not show a step.
 const MIN_GAPS_WITH_LATE: usize = 8;
 /// Intervals that show two senders although heartbeats are lost between them: as many as without
 /// losses.
 const MIN_ALTERNATING_GAPS: usize = TWO_PHASE_TIMES - 1;
-
 /// Last intervals without a lost heartbeat that show several senders: with 30 % of the heartbeats
 /// lost, ten in a row are received in 3 % of the cases. Longer ones before may be of one sender alone.
 const MAX_GAPS_WITHOUT_LOSS: usize = 10;
@@ -59,13 +60,29 @@ pub(super) struct FasterSender {
 pub(super) fn grid_of(times: &VecDeque<Instant>, period: Duration) -> Option<FasterSender> {
     let gaps = || gaps_within(times, period, f64::from(WINDOW_PERIODS));
     let shortest = gaps().fold(f64::MAX, f64::min);
-    if !(MIN_FASTER_PERIOD..=1.0 - GRID_TOLERANCE).contains(&shortest) {
+    if shortest > 1.0 - GRID_TOLERANCE {
         return None;
     }
-    let step = match regular_step(gaps, shortest, GRID_TOLERANCE) {
-        Some(step) => step,
-        None => step_with_late(&gaps().collect::<Vec<f64>>())?,
-    };
+    if shortest < MIN_FASTER_PERIOD {
+        let late = longer_step_with_late(&gaps().collect::<Vec<f64>>(), shortest)?;
+        return Some(grid_with(gaps, late));
+    }
+    match regular_step(gaps, shortest, GRID_TOLERANCE) {
+        Some(step) => {
+            let grid = grid_with(gaps, step);
+            if grid.parts.is_none_or(|parts| parts <= 2) || grid.has_most_parts {
+                return Some(grid);
+            }
+            // The shortest gap may be the one after a heartbeat that is late by a part of the step.
+            let late = longer_step_with_late(&gaps().collect::<Vec<f64>>(), step);
+            Some(late.map_or(grid, |step| grid_with(gaps, step)))
+        }
+        None => Some(grid_with(gaps, step_with_late(&gaps().collect::<Vec<f64>>())?)),
+    }
+}
+
+/// Returns the sender with this step between the gaps.
+fn grid_with<I: Iterator<Item = f64>>(gaps: impl Fn() -> I, step: f64) -> FasterSender {
     let parts = 1.0 / step;
     let whole = parts.round();
     // Long gaps alone at the beginning are those of one sender before the second one.
@@ -74,9 +91,7 @@ pub(super) fn grid_of(times: &VecDeque<Instant>, period: Duration) -> Option<Fas
     let since_first = first_short.map_or(0, |(count, _)| count);
     let has_losses = gaps().take(MAX_GAPS_WITHOUT_LOSS.min(since_first)).any(is_long);
     if (parts - whole).abs() > GRID_TOLERANCE {
-        let grid =
-            FasterSender { parts: None, has_most_parts: false, has_losses, alternates: false };
-        return Some(grid);
+        return FasterSender { parts: None, has_most_parts: false, has_losses, alternates: false };
     }
     let whole = whole as u32;
     let empty = empty_parts(gaps(), step, whole);
@@ -87,7 +102,7 @@ pub(super) fn grid_of(times: &VecDeque<Instant>, period: Duration) -> Option<Fas
         _ => empty * 2 < whole,
     };
     let alternates = whole == 2 && alternates(gaps(), step);
-    Some(FasterSender { parts: Some(whole), has_most_parts, has_losses, alternates })
+    FasterSender { parts: Some(whole), has_most_parts, has_losses, alternates }
 }
 
 /// Returns true if the intervals of the last `periods` are those of one sender with a shorter period,
@@ -153,11 +168,49 @@ fn step_with_late(gaps: &[f64]) -> Option<f64> {
     numberings.into_iter().find_map(|(step, late)| step_of(&numbered_times(gaps, step, late)))
 }
 
+/// Returns a step much longer than `step`, which fits all gaps, if it explains them with a few heartbeats
+/// that are late: the median gap. The newest gap comes first.
+fn longer_step_with_late(gaps: &[f64], step: f64) -> Option<f64> {
+    if gaps.len() < MIN_GAPS_WITH_LATE {
+        return None;
+    }
+    let mut ascending = gaps.to_vec();
+    ascending.sort_unstable_by(f64::total_cmp);
+    let median = ascending[(ascending.len() - 1) / 2];
+    if median < MIN_FASTER_PERIOD {
+        return None;
+    }
+    let latenesses = MAX_LATENESS.into_iter().chain([LONGEST_LATENESS]);
+    let mut numberings = latenesses.map(|late| numbered_times(gaps, median, late));
+    let exact = |times: Vec<NumberedTime>| {
+        let all = slope(&times);
+        let phases = ascending_phases(&times, all);
+        let first = cluster(&phases, GRID_TOLERANCE)?.first;
+        let is_in_time =
+            |it: &&NumberedTime| (first..=first + 2.0 * GRID_TOLERANCE).contains(&it.phase(all));
+        // Late ones would change the step.
+        let in_time: Vec<NumberedTime> = times.iter().filter(is_in_time).copied().collect();
+        if in_time.len() + MAX_LATE_COUNT < times.len() {
+            return None;
+        }
+        let step = slope(&in_time);
+        let late = times.len() - cluster(&ascending_phases(&times, step), IN_TIME)?.count;
+        (late <= MAX_LATE_COUNT).then_some(step)
+    };
+    numberings.find_map(exact).filter(|longer| *longer > MIN_FASTER_PERIOD && *longer > 1.5 * step)
+}
+
+/// Returns the deviations of heartbeats from their numbers, in steps, ascending.
+fn ascending_phases(times: &[NumberedTime], step: f64) -> Vec<f64> {
+    let mut phases: Vec<f64> = times.iter().map(|it| it.phase(step)).collect();
+    phases.sort_unstable_by(f64::total_cmp);
+    phases
+}
+
 /// Returns the step of heartbeats with these numbers, if all but a few are in time.
 fn step_of(times: &[NumberedTime]) -> Option<f64> {
     let step = slope(times);
-    let mut phases: Vec<f64> = times.iter().map(|it| it.phase(step)).collect();
-    phases.sort_unstable_by(f64::total_cmp);
+    let phases = ascending_phases(times, step);
     let late = phases.len() - cluster(&phases, GRID_TOLERANCE)?.count;
     let in_time = cluster(&phases, IN_TIME)?;
     // As many independent senders are not in equal parts of the period by chance.

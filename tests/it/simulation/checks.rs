@@ -570,8 +570,19 @@ impl Case<'_> {
     /// less than five periods.
     fn contests(&mut self) {
         const ARSLV: u8 = 1;
+        /// Heartbeats of one UID, until one with another follows.
+        #[derive(Debug)]
+        struct Turn {
+            first: Instant,
+            last: Instant,
+            uid: Uid,
+        }
         let mut wrong = Vec::new();
-        let mut seen: BTreeMap<Address, Vec<(Instant, Uid)>> = BTreeMap::new();
+        // Boards swapped to and fro look the same if heartbeats of one are farther apart.
+        let lossy = self.run.world.scenario.rx_loss > 0.0;
+        let interleaves =
+            |one: &Turn, next: &Turn| !lossy || next.first.since(one.last) <= PERIOD.mul_f64(2.6);
+        let mut seen: BTreeMap<Address, Vec<Turn>> = BTreeMap::new();
         let mut claims: BTreeMap<(Address, Uid), Instant> = BTreeMap::new();
         for frame in &self.it.frames {
             let Some(header) = frame.platform_id().map(Header::decode) else { continue };
@@ -581,8 +592,9 @@ impl Case<'_> {
             };
             if beat && header.is_conforming() && !uid.is_blank() {
                 let course = seen.entry(header.source).or_default();
-                if course.last().is_none_or(|(_, last)| *last != uid) {
-                    course.push((frame.time, uid));
+                match course.last_mut().filter(|last| last.uid == uid) {
+                    Some(turn) => turn.last = frame.time,
+                    None => course.push(Turn { first: frame.time, last: frame.time, uid }),
                 }
                 if frame.data().get(6) == Some(&ARSLV) {
                     claims.insert((header.source, uid), frame.time);
@@ -591,14 +603,16 @@ impl Case<'_> {
         }
         for (address, course) in seen {
             let turns = course.windows(4).any(|turns| {
-                let (second, third) = (turns[1].0, turns[2].0);
-                let has_claimed = |(_, uid): &(Instant, Uid)| {
-                    let claim = claims.get(&(address, *uid));
+                let (second, third) = (turns[1].first, turns[2].first);
+                let has_claimed = |turn: &Turn| {
+                    let claim = claims.get(&(address, turn.uid));
                     claim.is_some_and(|claim| *claim <= third && second.since(*claim) < PERIOD * 4)
                 };
-                turns[0].1 == turns[2].1
-                    && turns[1].1 == turns[3].1
-                    && turns[3].0.since(second) < PERIOD * 5
+                turns[0].uid == turns[2].uid
+                    && turns[1].uid == turns[3].uid
+                    && turns[3].first.since(second) < PERIOD * 5
+                    && interleaves(&turns[0], &turns[2])
+                    && interleaves(&turns[1], &turns[3])
                     && turns[..2].iter().all(has_claimed)
             });
             let is_reported = self.courses.iter().any(|course| {
@@ -628,8 +642,8 @@ impl Case<'_> {
                             && matches!(event.kind, EventKind::GaveUpAddress { .. })
                     })
                 });
-            let late = course.last().is_some_and(|(at, _)| {
-                (Instant::ZERO + self.run.world.end).since(*at) < PERIOD * 9
+            let late = course.last().is_some_and(|turn| {
+                (Instant::ZERO + self.run.world.end).since(turn.first) < PERIOD * 9
             });
             let jumped = self.run.world.inspectors[self.number].lens.jump.is_some();
             if turns && !is_reported && !late && !jumped && address != Address::DEBUG {
@@ -751,7 +765,10 @@ impl Case<'_> {
         let nodes = Address::nodes().filter(|&at| !clashing(at) && !moving(at) && !has_others);
         for address in nodes {
             let rows = self.it.engine.devices().iter();
+            // A device that left before the end is online for 2.5 periods more.
+            let has_just_left = |last| !occupied[address.index()] && end.since(last) < PERIOD * 3;
             let here: Vec<String> = rows
+                .filter(|device| !device.heartbeat.last.is_some_and(has_just_left))
                 .filter(|device| {
                     device.address == address && device.is_present() && !device.is_debug
                 })
