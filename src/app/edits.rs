@@ -327,7 +327,7 @@ impl App {
         let Some(prompt) = self.input.prompt() else { return };
         if let PromptKind::Filter(filter) = &prompt.kind {
             let (page, typed) = (filter.page, prompt.input.value());
-            let is_valid = Filter::parse(typed).error().is_none();
+            let is_valid = Filter::parse(typed).error(page).is_none();
             let text = if is_valid { typed } else { &filter.before }.to_owned();
             self.set_filter(page, text);
         }

@@ -90,6 +90,7 @@ fn unquoted(word: &str) -> String {
     word.replace('"', "")
 }
 
+/// What a field is about.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Field {
     Source,
@@ -103,6 +104,61 @@ enum Field {
     Bus,
     State,
     Text,
+}
+
+impl Field {
+    /// Returns true if the rows of a page have the field.
+    const fn is_on(self, page: Page) -> bool {
+        match self {
+            Self::Address | Self::Name | Self::Device | Self::Bus | Self::State => true,
+            Self::Source | Self::Destination | Self::Id => matches!(page, Page::Traffic),
+            Self::Service => matches!(page, Page::Traffic | Page::Devices),
+            Self::Type | Self::Text => !matches!(page, Page::Devices),
+        }
+    }
+
+    /// Returns a term with the field, for a page.
+    const fn example(self, page: Page) -> &'static str {
+        match self {
+            Self::Address => "at:12",
+            Self::Name => "name:FEED",
+            Self::Bus => "bus:can1",
+            Self::State if matches!(page, Page::Devices) => "is:lost",
+            Self::State if matches!(page, Page::Traffic) => "is:error",
+            Self::State => "is:suspected",
+            Self::Source => "src:FEED",
+            Self::Destination => "dst:FEED",
+            Self::Device => "dev:FEED",
+            Self::Service => "srv:des",
+            Self::Type if matches!(page, Page::Traffic) => "type:rsp",
+            Self::Type => "kind:uid",
+            Self::Id => "id:0201",
+            Self::Text => "text:lost",
+        }
+    }
+
+    /// Returns the usual name of the field.
+    fn word(self) -> &'static str {
+        let field = FILTER_FIELDS.iter().find(|it| it.field == self);
+        field.and_then(|it| it.words.first()).copied().unwrap_or_default()
+    }
+}
+
+/// Returns the names of the fields that the rows of a page have.
+fn known_fields(page: Page) -> String {
+    let fields = FILTER_FIELDS.iter().filter(|it| it.field.is_on(page));
+    let words = fields.flat_map(|it| it.words).map(|word| format!("{word}:"));
+    words.collect::<Vec<_>>().join(" ")
+}
+
+/// Returns what the rows of a page are.
+const fn rows_of(page: Page) -> &'static str {
+    match page {
+        Page::Devices => "devices",
+        Page::Traffic => "frames",
+        Page::Timeline => "events",
+        Page::Problems => "problems",
+    }
 }
 
 /// A field of the filter line.
@@ -131,7 +187,7 @@ fields! {
     ["name"] Name "part of a name of either side, of a device, of a problem";
     ["src" "from"] Source "sender of a frame, by address or part of its name";
     ["dst" "to"] Destination "receiver of a frame, by address or part of its name";
-    ["dev"] Device "sender or receiver";
+    ["dev"] Device "sender or receiver of a frame; device of an event";
     ["srv"] Service "service, by part of its name or by number: srv:des, srv:2, srv:0x002";
     ["type" "kind"] Type "message type by its beginning: type:rsp; kind of a problem by any part: kind:uid";
     ["id"] Id "digits in the identifier: id:0201";
@@ -162,21 +218,34 @@ impl Filter {
         Self { terms: split_quoted(text).map(term).collect(), is_quote_open }
     }
 
-    /// Error message for a term that looks like a field and is none, or cannot match; `None`
-    /// without one.
-    pub fn error(&self) -> Option<String> {
+    /// Error message for a term that looks like a field and is none, or cannot match a row of
+    /// `page`; `None` without one.
+    pub fn error(&self, page: Page) -> Option<String> {
         if self.is_quote_open {
             return Some("a quote is not closed: add \"".to_owned());
         }
         self.terms.iter().find_map(|term| match &term.what {
+            TermTest::Field(field, value) if !field.is_on(page) => {
+                let (word, rows) = (field.word(), rows_of(page));
+                let known = known_fields(page);
+                Some(format!("{word}:{value}: {rows} have no field {word}; use {known}"))
+            }
+            TermTest::Field(field, value) if value.is_empty() => {
+                let word = field.word();
+                Some(format!("{word}: needs a value, for example {}", field.example(page)))
+            }
             TermTest::Field(Field::State, value) if !is_state(value) => Some(format!(
                 "is:{value}: \"{value}\" is not a state; use {}",
                 STATE_WORDS.join(", ")
             )),
-            TermTest::Field(Field::Type, value) if !is_type(value) => Some(format!(
-                "kind:{value}: no kind of problem and no message type; for example kind:uid, \
-                 type:rsp"
-            )),
+            TermTest::Field(Field::Type, value) if page == Page::Traffic => {
+                let is_wrong = !is_message_type(value);
+                is_wrong.then(|| format!("type:{value}: no message type; for example type:rsp"))
+            }
+            TermTest::Field(Field::Type, value) => {
+                let is_wrong = !FindingKind::ALL.iter().any(|kind| is_kind(*kind, value));
+                is_wrong.then(|| format!("kind:{value}: no kind of problem; for example kind:uid"))
+            }
             TermTest::Field(Field::Address, list) => {
                 let is_none = |one: &&str| !Address::all().any(|address| is_one_of(address, one));
                 let wrong = list.split(',').find(is_none)?;
@@ -186,8 +255,7 @@ impl Filter {
             }
             TermTest::UnknownField(word) => {
                 let field = word.split(':').next().unwrap_or_default();
-                let words = FILTER_FIELDS.iter().flat_map(|field| field.words);
-                let known = words.map(|word| format!("{word}:")).collect::<Vec<_>>().join(" ");
+                let known = known_fields(page);
                 Some(format!(
                     "{word}: unknown field {field}; use {known}; quote a word with a colon: \
                      \"{word}\""
@@ -448,10 +516,9 @@ fn is_kind(kind: FindingKind, word: &str) -> bool {
     contains_word(kind.name(), word) || contains_word(kind.headline(), word)
 }
 
-/// Returns true if there is such a kind of problem or such a message type.
-fn is_type(value: &str) -> bool {
-    FindingKind::ALL.iter().any(|kind| is_kind(*kind, value))
-        || MessageType::ALL.iter().any(|it| starts(it.name(), value))
+/// Returns true if there is such a message type, or another kind of frame.
+fn is_message_type(value: &str) -> bool {
+    MessageType::ALL.iter().any(|it| starts(it.name(), value))
         || ["error", "remote", "standard", "foreign"].iter().any(|kind| kind.starts_with(value))
 }
 

@@ -10,7 +10,8 @@ use super::report::{
 };
 use super::{EXIT_OK, Failure, output};
 use crate::app::{
-    App, AppEvent, AppOptions, DeviceEvent, EventLine, Filter, Scope, clock_millis, event_word, hex,
+    App, AppEvent, AppOptions, DeviceEvent, EventLine, Filter, Page, Scope, clock_millis,
+    event_word, hex,
 };
 use crate::cli::WatchArgs;
 use crate::discovery::{EventKind, Presence, ServicesNews};
@@ -33,7 +34,7 @@ pub fn run(watch: &WatchArgs) -> Result<u8, Failure> {
     open::check_speed(watch.speed, &buses)?;
     let mut setup = Setup::new(&watch.run.session.common)?;
     let interest = watch.filter.as_deref().map(Filter::parse).unwrap_or_default();
-    if let Some(mistake) = interest.error() {
+    if let Some(mistake) = interest.error(Page::Timeline) {
         return Err(Failure::Usage(format!("--filter {}", printable(mistake.as_bytes()))));
     }
     setup.only = frames_of_interest(&interest, &setup);

@@ -644,9 +644,16 @@ fn filter_that_cannot_match_is_rejected() {
         ("at:abc", "at:abc: \"abc\" is not an address; use 0 to 127"),
         ("feed at:12-14", "at:12-14: \"12-14\" is not an address"),
         ("at:12,128", "\"128\" is not an address"),
-        ("!foo:bar", "unknown field foo; use at: name: src: from: dst: to:"),
+        ("!foo:bar", "unknown field foo; use at: name: dev: type: kind: bus: text: is: state:"),
+        ("srv:des", "srv:des: events have no field srv; use at: name:"),
+        ("id:0201", "id:0201: events have no field id;"),
+        ("from:feed", "src:feed: events have no field src;"),
+        ("name:", "name: needs a value, for example name:FEED"),
+        ("is:", "is: needs a value, for example is:suspected"),
+        ("text:\"\"", "text: needs a value"),
         ("is:foo", "is:foo: \"foo\" is not a state; use online, stale"),
-        ("kind:zzz", "no kind of problem and no message type"),
+        ("kind:zzz", "kind:zzz: no kind of problem; for example kind:uid"),
+        ("type:rsp_cc", "kind:rsp_cc: no kind of problem"),
         ("name:\"my", "a quote is not closed"),
     ] {
         let output = watch(&["sim:boiler", "--time", "0.1", "--filter", filter], folder.path());
@@ -661,7 +668,7 @@ fn filter_that_cannot_match_is_rejected() {
         "boiler",
         "is:sus kind:uid",
         "kind:\"same name\"",
-        "type:rsp_cc state:ours",
+        "type:uid state:ours",
     ] {
         let output = watch(&["sim:boiler", "--time", "0.1", "--filter", filter], folder.path());
         assert_eq!(output.status.code(), Some(0), "{filter}");

@@ -34,7 +34,7 @@ impl PromptLogic for FilterPrompt {
     }
 
     fn validate(&self, text: &str, _context: PromptContext) -> C {
-        match Filter::parse(text).error() {
+        match Filter::parse(text).error(self.page) {
             Some(error) => C::Rejected(error),
             None => C::Accepted(Filter::syntax_hint(self.page).to_owned()),
         }
