@@ -37,9 +37,20 @@ pub struct Cli {
     /// Replay speed of a log: 1 is real time, 10 is ten times as fast
     #[arg(long, value_name = "N", value_parser = speed, allow_negative_numbers = true)]
     pub speed: Option<f64>,
+    /// The terminal UI.
+    #[command(flatten)]
+    pub screen: ScreenArgs,
+}
+
+/// What concerns the terminal UI.
+#[derive(Debug, Args, Clone)]
+pub struct ScreenArgs {
     /// UI theme: terminal | dark | light | high-contrast | mono, or the name of your own
     #[arg(long, value_name = "NAME")]
     pub theme: Option<String>,
+    /// Memory for captured frames, 1M to 64G: a classic frame takes 20 bytes
+    #[arg(long, value_name = "SIZE", value_parser = capture, default_value = "64M")]
+    pub capture: Size,
 }
 
 const EXAMPLES: &str = "\
@@ -70,9 +81,9 @@ pub enum Command {
         /// UI and transmit options
         #[command(flatten)]
         session: CommonArgs,
-        /// UI theme: terminal | dark | light | high-contrast | mono, or the name of your own
-        #[arg(long, value_name = "NAME")]
-        theme: Option<String>,
+        /// The terminal UI.
+        #[command(flatten)]
+        screen: ScreenArgs,
     },
     /// Enumerate the devices once and print them as a table
     Scan(ScanArgs),
@@ -122,6 +133,10 @@ Examples:
     /// Print the JSON Schema of des.json
     Schema,
 }
+
+/// Bounds of `--capture`, in bytes.
+const MIN_CAPTURE: u64 = 1_000_000;
+const MAX_CAPTURE: u64 = 64_000_000_000;
 
 /// Most devices that `--expect` waits for: those of several buses.
 const MAX_EXPECTED: usize = 10_000;
@@ -328,6 +343,12 @@ fn recording(text: &str) -> Result<PathBuf, String> {
     let path = PathBuf::from(text);
     LogFormat::of(&path).map_err(|fault| fault.to_string())?;
     Ok(path)
+}
+
+/// Parses `--capture`.
+fn capture(text: &str) -> Result<Size, String> {
+    let size = text.parse().ok().filter(|Size(bytes)| (MIN_CAPTURE..=MAX_CAPTURE).contains(bytes));
+    size.ok_or_else(|| "a size like 64M or 2G, 1M to 64G".to_owned())
 }
 
 fn bitrate(text: &str) -> Result<u32, String> {

@@ -63,7 +63,10 @@ fn second(number: u64) -> Vec<Frame> {
 fn steady_traffic_allocates_almost_nothing() {
     let config = Config { listen_only: true, ..Config::default() };
     let buses = vec![("can0".to_owned(), config)];
-    let mut app = App::new(Instant::ZERO, AppOptions { buses, ..AppOptions::default() });
+    let mut app = App::new(
+        Instant::ZERO,
+        AppOptions { buses, capture_room: Some(0), ..AppOptions::default() },
+    );
     // Until the ring and the histories of all addresses are full and all statistics have settled.
     for number in 0..110 {
         let frames = second(number);
@@ -95,7 +98,10 @@ fn steady_traffic_allocates_almost_nothing() {
 fn engine_throughput_in_frames_per_second() {
     let config = Config { listen_only: true, ..Config::default() };
     let buses = vec![("can0".to_owned(), config)];
-    let mut app = App::new(Instant::ZERO, AppOptions { buses, ..AppOptions::default() });
+    let mut app = App::new(
+        Instant::ZERO,
+        AppOptions { buses, capture_room: Some(0), ..AppOptions::default() },
+    );
     let seconds: Vec<Vec<Frame>> = (0..500).map(second).collect();
     let start = std::time::Instant::now();
     for (number, frames) in seconds.iter().enumerate() {

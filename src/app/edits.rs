@@ -297,7 +297,7 @@ impl App {
             matching: self.problems.matching(),
             buses: &self.buses,
             selected_bus: self.selected_row().and_then(|row| row.bus),
-            frames: self.traffic.capture.end() - self.traffic.capture.first(),
+            frames: self.traffic.capture.ranges().map(|range| range.end - range.start).sum(),
         }
     }
 
@@ -365,15 +365,13 @@ impl App {
                 self.select_entry(&name, address);
             }
             PromptOutcome::FileInfo(text) => self.file_info(text),
-            PromptOutcome::SaveCapture(path) => {
-                let format = LogFormat::of(&path).map_err(std::io::Error::other);
-                let log =
-                    format.and_then(|it| self.traffic.log(&self.buses, self.clock.epoch(), it));
-                match log {
-                    Ok(bytes) => self.effects.push_back(Effect::WriteFile { path, bytes }),
-                    Err(error) => self.show_error(format!("not saved: {error}")),
+            PromptOutcome::SaveCapture(path) => match LogFormat::of(&path) {
+                Ok(format) => {
+                    let log = self.traffic.log(&self.buses, self.clock.epoch(), format);
+                    self.effects.push_back(Effect::WriteLog { path, log });
                 }
-            }
+                Err(error) => self.show_error(format!("not saved: {error}")),
+            },
             PromptOutcome::SaveCopy(path) => {
                 let bytes = self.editor.start_copy(path.clone());
                 self.effects.push_back(Effect::WriteFile { path, bytes });

@@ -46,7 +46,10 @@ mod view;
 
 pub use app_event::{AppEvent, BusSnapshot, DeviceEvent, EventContext, EventLine, FileSnapshot};
 pub use buses::{Bus, Buses, LoadMeter, LoadSecond, Redundancy, RedundantDevice, TxBlocked};
-pub use capture::{Capture, Decoded, IdentifierKey, IdentifierKind, IdentifierStats, hex};
+pub use capture::{
+    CapturedLog, Decoded, FrameStore, IdentifierKey, IdentifierKind, IdentifierStats, Identifiers,
+    StoredFrames, hex,
+};
 pub use devices::concerns;
 pub use file::{EditRefusal, FileChange, FileError, FileReading, FileState, SaveOutcome, Saving};
 pub use filter::{FILTER_FIELDS, FILTER_WORDS, Filter, FilterField};
@@ -74,7 +77,7 @@ use crate::frame::{BusIndex, Frame};
 use crate::keymap::{Action, Key, KeyMode, Keymap};
 use crate::status::{BusStatus, Playback, PlaybackCommand, RecordingStatus};
 use crate::text::Name;
-use crate::time::{Epoch, Instant, debug_assert_later};
+use crate::time::{Duration, Epoch, Instant, debug_assert_later};
 use crate::wire::id::Address;
 use crate::wire::profile::Profile;
 use capture::Traffic;
@@ -85,8 +88,14 @@ use input::{Input, PromptContext, PromptOutcome, PromptResult};
 use notices::Notices;
 use problems::Problems;
 use std::collections::VecDeque;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+
+/// Time between two parts of the frames that are tested by the filter: keys are handled in it.
+const FILTER_PAUSE: Duration = Duration::from_millis(1);
+/// Time before and after a piece of evidence whose frames outlive the others.
+const AROUND_EVIDENCE: Duration = Duration::from_secs(1);
 
 /// Start parameters.
 #[derive(Clone, Debug, Default)]
@@ -111,6 +120,8 @@ pub struct AppOptions {
     pub emit_events: bool,
     /// Queue only events that match, and those about a whole bus or the program.
     pub event_filter: Filter,
+    /// Bytes of memory for the captured frames; `None`: [`FrameStore::DEFAULT_ROOM`].
+    pub capture_room: Option<usize>,
 }
 
 /// Side effect that the app requests: file access, a bit rate search, quitting. The shell executes
@@ -132,6 +143,13 @@ pub enum Effect {
         path: PathBuf,
         /// Content.
         bytes: Vec<u8>,
+    },
+    /// Write the captured frames to a new file; then call [`App::handle_written`].
+    WriteLog {
+        /// Path.
+        path: PathBuf,
+        /// The frames.
+        log: CapturedLog,
     },
     /// Copy text to the clipboard.
     Copy(String),
@@ -191,6 +209,13 @@ impl Themes {
     }
 }
 
+/// Returns the times around the evidence of findings in which frames of an old block are kept.
+fn pinned_times(buses: &Buses, block: Range<Instant>) -> Vec<Range<Instant>> {
+    let evidence = buses.findings().flat_map(|finding| &finding.evidence);
+    let times = evidence.map(|piece| piece.time - AROUND_EVIDENCE..piece.time + AROUND_EVIDENCE);
+    times.filter(|times| times.start <= block.end && block.start < times.end).collect()
+}
+
 /// State of the program; see the documentation of the module.
 #[derive(Debug)]
 pub struct App {
@@ -207,6 +232,8 @@ pub struct App {
     effects: VecDeque<Effect>,
     /// Nothing on the screen changed with time at the last full second.
     was_idle: bool,
+    /// When the next part of the frames is tested by the filter.
+    filter_due: Option<Instant>,
 }
 
 impl App {
@@ -215,7 +242,7 @@ impl App {
         let mut app = Self {
             clock: AppClock::new(now, options.epoch, options.utc_offset_seconds),
             buses: Buses::new(now, options.buses),
-            traffic: Traffic::new(),
+            traffic: Traffic::new(options.capture_room.unwrap_or(FrameStore::DEFAULT_ROOM)),
             editor: FileEditor::new(options.file_path),
             problems: Problems::default(),
             devices: DeviceRows::default(),
@@ -225,6 +252,7 @@ impl App {
             themes: Themes { current: options.theme, all: options.themes },
             effects: VecDeque::new(),
             was_idle: false,
+            filter_due: None,
         };
         for warning in options.warnings {
             let mut line = TimelineEntry::new(now, TimelineKind::Error, &warning);
@@ -258,7 +286,7 @@ impl App {
         self.clock.set(now);
         for frame in frames {
             if self.buses.receive(frame) {
-                self.traffic.capture.push(frame);
+                self.traffic.push(frame, |block| pinned_times(&self.buses, block));
                 // After each frame: an event has the data of its moment.
                 self.take_events();
             }
@@ -278,6 +306,9 @@ impl App {
             self.tick();
         }
         self.notices.expire(now);
+        if self.filter_due.is_some_and(|due| due <= now) {
+            self.filter_frames();
+        }
         self.run_file_timers();
         self.notices.redraw.check_due(now);
         debug_assert_later(self.poll_timeout(), now);
@@ -411,7 +442,7 @@ impl App {
         self.quit_if_saved();
     }
 
-    /// Takes the result of an [`Effect::WriteFile`]; `Err` with the cause.
+    /// Takes the result of an [`Effect::WriteFile`] or [`Effect::WriteLog`]; `Err` with the cause.
     pub fn handle_written(&mut self, now: Instant, path: &Path, result: Result<(), Diagnostic>) {
         self.clock.set(now);
         let is_copy = self.editor.handle_written(path, result.is_ok());
@@ -495,7 +526,7 @@ impl App {
         let second = (!self.was_idle || !self.is_idle()).then_some(self.clock.next_second());
         let file = self.editor.poll_timeout().filter(|_| !self.clock.has_real());
         let parts = self.buses.poll_timeout().into_iter().chain(self.notices.poll_timeout());
-        parts.chain(second).chain(file).min()
+        parts.chain(second).chain(file).chain(self.filter_due).min()
     }
 
     /// Sets the real time, by which des.json is saved again and a file that has become empty is
@@ -762,8 +793,13 @@ impl App {
     }
 
     /// The captured frames.
-    pub fn capture(&self) -> &Capture {
+    pub fn capture(&self) -> &FrameStore {
         &self.traffic.capture
+    }
+
+    /// Statistics of the frames of each identifier.
+    pub fn identifiers(&self) -> &Identifiers {
+        &self.traffic.identifiers
     }
 
     /// State of the recording; `None` without one.
@@ -774,6 +810,12 @@ impl App {
     /// Numbers of the frames on `height` lines, oldest first, and the selected one.
     pub fn frames_shown(&self, height: usize) -> (Vec<u64>, Option<u64>) {
         self.traffic.shown(&self.view, height)
+    }
+
+    /// Number of frames that the filter of the Traffic page hides; `None` without one, and until all
+    /// frames are tested.
+    pub fn hidden_frames(&self) -> Option<u64> {
+        self.traffic.hidden(&self.view).filter(|_| self.filter_due.is_none())
     }
 
     /// Rows of the identifier view that match the filter.
@@ -803,13 +845,13 @@ impl App {
     }
 
     /// The selected frame on the Traffic page.
-    pub fn selected_frame(&self) -> Option<&Frame> {
+    pub fn selected_frame(&self) -> Option<Frame> {
         match self.view.evidence_alone() {
-            Some(evidence) => evidence.selected()?.1.frame.as_ref(),
+            Some(evidence) => evidence.selected()?.1.frame,
             None if self.view.shows_identifiers() => {
                 let rows = self.identifiers_shown();
                 let selected = self.view.identifiers.index(rows.iter().map(|row| &row.key))?;
-                rows.get(selected).map(|row| &row.last)
+                rows.get(selected).map(|row| row.last)
             }
             None => self.traffic.capture.get(self.view.traffic?),
         }
@@ -959,7 +1001,7 @@ impl App {
         let is_idle = self.is_idle();
         let was_idle = std::mem::replace(&mut self.was_idle, is_idle);
         self.buses.tick(self.clock.now());
-        self.traffic.capture.tick();
+        self.traffic.identifiers.tick();
         // What made it idle is shown, too.
         if !was_idle {
             self.refresh_before_draw();
@@ -975,8 +1017,15 @@ impl App {
         }
     }
 
+    /// Tests the next part of the frames by the filter.
     fn filter_frames(&mut self) {
-        self.traffic.renew_filter(&self.view, &self.buses);
+        let was_due = self.filter_due.take().is_some();
+        if !self.traffic.renew_filter(&self.view, &self.buses) {
+            self.filter_due = Some(self.clock.now() + FILTER_PAUSE);
+        }
+        if was_due {
+            self.request_redraw();
+        }
     }
 
     /// Renews everything that is made from buses and file.

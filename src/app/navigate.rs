@@ -406,7 +406,7 @@ impl App {
             }
             Page::Traffic => match self.view.evidence_alone().and_then(EvidenceView::selected) {
                 Some((_, piece)) => Some(self.evidence_text(piece)),
-                None => self.selected_frame().map(ToString::to_string),
+                None => self.selected_frame().map(|frame| frame.to_string()),
             },
         };
         match text {
@@ -471,7 +471,7 @@ impl App {
             }
             Page::Traffic => {
                 let frame = self.selected_frame();
-                let source = frame.and_then(|frame| Decoded::of(self, frame).header);
+                let source = frame.and_then(|frame| Decoded::of(self, &frame).header);
                 (frame.map(|frame| frame.bus), source.map(|header| header.source), None)
             }
         }
@@ -596,10 +596,9 @@ impl App {
         let Some(evidence) = &self.view.evidence else { return };
         if evidence.shows_context {
             // The selection may have moved to another piece.
-            let pieces = evidence.pieces.iter().map(|piece| piece.frame.as_ref());
+            let mut pieces = evidence.pieces.iter();
             let selected = self.selected_frame();
-            let place =
-                selected.and_then(|frame| pieces.into_iter().position(|it| it == Some(frame)));
+            let place = selected.and_then(|frame| pieces.position(|it| it.frame == Some(frame)));
             if let (Some(evidence), Some(place)) = (&mut self.view.evidence, place) {
                 evidence.cursor.select(place);
             }

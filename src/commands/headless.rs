@@ -74,6 +74,8 @@ pub fn run(
     limits: Limits,
     mut turn: impl FnMut(&mut Session) -> Result<ControlFlow<()>, Failure>,
 ) -> Result<RunOutcome, Failure> {
+    // No screen shows the captured frames.
+    let options = AppOptions { capture_room: Some(0), ..options };
     runtime()?.block_on(async {
         let (mut stop, mut session, first) = match input {
             RunInput::Buses(buses) => {

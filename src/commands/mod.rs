@@ -59,10 +59,8 @@ impl From<Diagnostic> for Failure {
 /// invalid file.
 pub fn run(cli: Cli) -> ExitCode {
     let result = match cli.command {
-        None => tui::ui(&cli.session, cli.speed, cli.theme.as_deref()),
-        Some(Command::Demo { system, session, theme }) => {
-            tui::demo(&system, &session, theme.as_deref())
-        }
+        None => tui::ui(&cli.session, cli.speed, &cli.screen),
+        Some(Command::Demo { system, session, screen }) => tui::demo(&system, &session, &screen),
         Some(Command::Scan(scan)) => scan::run(&scan),
         Some(Command::Check(check)) => check::run(&check),
         Some(Command::Watch(watch)) => watch::run(&watch),

@@ -18,7 +18,7 @@ use crate::shell::stop::StopReason;
 use crate::shell::store::{Store, write_new};
 use crate::status::Link;
 use crate::time::Instant;
-use std::io::{self, IsTerminal};
+use std::io::{self, IsTerminal, Write};
 use std::ops::ControlFlow;
 use std::path::Path;
 use std::time::Duration;
@@ -236,7 +236,8 @@ fn write_document(app: &App, path: &Path) -> Result<(), Failure> {
         }
     }
     if count > 0 {
-        write_new(path, None, document.source()).map_err(|fault| fault.of(shown(path)))?;
+        write_new(path, None, |file| file.write_all(document.source()))
+            .map_err(|fault| fault.of(shown(path)))?;
     }
     let devices = if count == 1 { "device" } else { "devices" };
     let left_out = if left_out.is_empty() {

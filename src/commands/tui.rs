@@ -5,7 +5,7 @@ use super::report::counted;
 use super::{EXIT_INTERRUPTED, EXIT_OK, EXIT_UNUSABLE, Failure, headless, output};
 use crate::app::AppOptions;
 use crate::bus::{BusSpec, Clock};
-use crate::cli::{CommonArgs, SessionArgs as Arguments};
+use crate::cli::{CommonArgs, ScreenArgs, SessionArgs as Arguments};
 use crate::regular_file::shown;
 use crate::shell::session::Session;
 use crate::shell::tui_loop::{self, ThemeLoader, TuiExit};
@@ -25,7 +25,7 @@ use std::time::Duration;
 const SAVE_TIMEOUT: Duration = Duration::from_millis(600);
 
 /// `descan [BUS…]`.
-pub fn ui(arguments: &Arguments, speed: Option<f64>, theme: Option<&str>) -> Result<u8, Failure> {
+pub fn ui(arguments: &Arguments, speed: Option<f64>, screen: &ScreenArgs) -> Result<u8, Failure> {
     let buses = open::buses(arguments);
     if arguments.buses.is_empty() {
         needs_terminal()?;
@@ -36,16 +36,16 @@ pub fn ui(arguments: &Arguments, speed: Option<f64>, theme: Option<&str>) -> Res
     open::check_speed(speed, &buses)?;
     let setup = Setup::new(&arguments.common)?;
     let clock = open::clock(&buses, speed.unwrap_or(1.0))?;
-    show(&buses, &setup, clock, theme)
+    show(&buses, &setup, clock, screen)
 }
 
 /// `descan demo`: a simulated bus, and a des.json of its own in a temporary folder.
-pub fn demo(system: &str, common: &CommonArgs, theme: Option<&str>) -> Result<u8, Failure> {
+pub fn demo(system: &str, common: &CommonArgs, screen: &ScreenArgs) -> Result<u8, Failure> {
     needs_terminal()?;
     let mut setup = Setup::new(common)?;
     let buses = [BusSpec::Sim(system.to_owned())];
     if common.file.is_some() {
-        return show(&buses, &setup, Clock::start(), theme);
+        return show(&buses, &setup, Clock::start(), screen);
     }
     let folder = tempfile::Builder::new()
         .prefix("descan-demo-")
@@ -53,7 +53,7 @@ pub fn demo(system: &str, common: &CommonArgs, theme: Option<&str>) -> Result<u8
         .context("no temporary folder for the demo's des.json")?;
     setup.file = folder.path().join("des.json");
     std::fs::write(&setup.file, example(system)).context("the demo's des.json")?;
-    let code = show(&buses, &setup, Clock::start(), theme)?;
+    let code = show(&buses, &setup, Clock::start(), screen)?;
     // An edited file is kept; otherwise the folder is deleted.
     let edited = std::fs::read(&setup.file).is_ok_and(|now| now != example(system).as_bytes());
     if edited {
@@ -80,15 +80,16 @@ fn needs_terminal() -> Result<(), Failure> {
     Err(Failure::Usage(message.to_owned()))
 }
 
-/// Shows the buses; `theme` is that of the command line.
+/// Shows the buses.
 fn show(
     buses: &[BusSpec],
     setup: &Setup,
     clock: Clock,
-    theme: Option<&str>,
+    screen: &ScreenArgs,
 ) -> Result<u8, Failure> {
     let colourless = std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
     let usual = if colourless { "mono" } else { "terminal" };
+    let theme = screen.theme.as_deref();
     let mut wanted = theme.or(setup.theme.as_deref()).unwrap_or(usual);
     let mut warnings = setup.warnings.clone();
     let mut themes = match ThemeLoader::new(setup.folder.clone(), wanted) {
@@ -108,6 +109,7 @@ fn show(
         themes: themes.names(),
         utc_offset_seconds: open::utc_offset_seconds(),
         warnings,
+        capture_room: usize::try_from(screen.capture.0).ok(),
         ..AppOptions::default()
     };
     terminal::restore_on_panic();

@@ -21,8 +21,9 @@ use crate::log::{LogSummary, UnreadableEntries};
 use crate::status::{BusStatus, Link, RecordingStatus};
 use crate::time::Instant;
 use futures_util::future::select_all;
+use std::fs::File;
 use std::future::{Future, pending};
-use std::io;
+use std::io::{self, Write};
 use std::path::PathBuf;
 use std::pin::Pin;
 use std::time::{Duration, Instant as Monotonic};
@@ -597,12 +598,10 @@ impl Session {
             match effect {
                 Effect::Save { expected, content } => self.start_save(expected, content),
                 Effect::WriteFile { path, bytes } => {
-                    let handle = spawn_blocking(move || {
-                        let home = std::env::var_os("HOME").map(PathBuf::from);
-                        let result = write_new(&path, home.as_deref(), &bytes);
-                        FileJobResult::Written(path, result)
-                    });
-                    self.work.push(FileJob { handle, is_save: false });
+                    self.start_write(path, move |file| file.write_all(&bytes));
+                }
+                Effect::WriteLog { path, log } => {
+                    self.start_write(path, move |file| log.write_to(file));
                 }
                 Effect::ReadFile => {
                     // What is being parsed was read before.
@@ -625,6 +624,20 @@ impl Session {
             }
         }
         rest
+    }
+
+    /// Writes a new file on a separate thread.
+    fn start_write(
+        &mut self,
+        path: PathBuf,
+        write: impl FnOnce(&mut File) -> io::Result<()> + Send + 'static,
+    ) {
+        let handle = spawn_blocking(move || {
+            let home = std::env::var_os("HOME").map(PathBuf::from);
+            let result = write_new(&path, home.as_deref(), write);
+            FileJobResult::Written(path, result)
+        });
+        self.work.push(FileJob { handle, is_save: false });
     }
 
     /// Saves on a separate thread: fsync may take long on a network file system.

@@ -77,6 +77,7 @@ async fn run_on_terminal(session: &mut Session, themes: &mut ThemeLoader) -> io:
                 Effect::Save { .. }
                 | Effect::ReadFile
                 | Effect::WriteFile { .. }
+                | Effect::WriteLog { .. }
                 | Effect::Playback(_)
                 | Effect::FindBitrate(_) => {}
             }

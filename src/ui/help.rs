@@ -3,10 +3,11 @@
 
 use super::brush::{DrawContext, fit, wrap};
 use super::symbols::SYMBOLS;
-use crate::app::{FILTER_FIELDS, FILTER_WORDS};
+use crate::app::{FILTER_FIELDS, FILTER_WORDS, clock_millis, format_duration};
 use crate::keymap::{ACTIONS, ActionGroup, ActionInfo};
 use crate::status::size;
 use crate::theme::Role;
+use crate::time::Duration;
 use ratatui::layout::Rect;
 use ratatui::text::{Line, Span};
 use unicode_width::UnicodeWidthStr;
@@ -30,6 +31,7 @@ pub fn draw(brush: &mut DrawContext, scroll: u16) {
     let width = (area.width + 2) / columns - 2;
     let mut lines = keys(brush, width);
     let mut symbols = symbols(brush, width);
+    symbols.extend(capture(brush, width));
     symbols.extend(counters(brush, width));
     if columns == 1 {
         lines.push(Line::default());
@@ -84,6 +86,30 @@ fn symbols(brush: &DrawContext, width: u16) -> Vec<Line<'static>> {
     let any = ("feed".to_owned(), "rows that contain the word; several terms: all must match");
     for (term, doc) in std::iter::once(any).chain(fields).chain(words) {
         lines.extend(two_columns(brush, (Role::HintKey, &term), 18, doc, width));
+    }
+    lines
+}
+
+/// The captured frames: since when, and how long they are kept at the present load.
+fn capture(brush: &DrawContext, width: u16) -> Vec<Line<'static>> {
+    let (app, capture) = (brush.app, brush.app.capture());
+    let mut lines = vec![Line::default(), Line::from(brush.span(Role::Title, "Capture"))];
+    let stored = capture.end() - capture.first();
+    let since = capture.get(capture.first()).map(|first| clock_millis(app, first.time));
+    let since = since.map_or_else(|| "no frames yet".to_owned(), |at| format!("since {at}"));
+    let rate: u32 = app.buses().iter().map(|bus| bus.meter.last().frames).sum();
+    let length = match u64::from(rate) {
+        0 => "–".to_owned(),
+        rate => format_duration(Duration::from_secs(capture.capacity() / rate)),
+    };
+    let room = format!("of {} frames in {}", capture.capacity(), size(capture.room() as u64));
+    for (name, value, meaning) in [
+        ("frames", stored.to_string(), format!("{since}, {room}")),
+        ("kept for", length, format!("at {rate} frames/s; longer with --capture SIZE")),
+        ("dropped", capture.first().to_string(), "the oldest; those near evidence stay".into()),
+    ] {
+        let left = format!("{name:<12}{value:>11}");
+        lines.extend(two_columns(brush, (Role::Text, &left), 24, &meaning, width));
     }
     lines
 }

@@ -31,12 +31,16 @@ pub fn draw(brush: &mut DrawContext) {
     let focused = brush.app.view().focus == Focus::Details;
     let line_role = if focused { Role::BorderFocus } else { Role::Border };
     let details = screen.details;
-    let shown = match &brush.app.view().evidence {
-        Some(evidence) => Some(format!(" ◆ {} ", evidence.title)),
-        None => Some(brush.app.view().filter(open))
-            .filter(|filter| !filter.is_empty())
-            .map(|filter| format!(" /{filter} ")),
-    };
+    let shown =
+        match &brush.app.view().evidence {
+            Some(evidence) => Some(format!(" ◆ {} ", evidence.title)),
+            None => Some(brush.app.view().filter(open)).filter(|filter| !filter.is_empty()).map(
+                |filter| match brush.app.hidden_frames() {
+                    Some(hidden) => format!(" /{filter}  {hidden} hidden "),
+                    None => format!(" /{filter} "),
+                },
+            ),
+        };
     // Details in the place of the list are named here instead.
     let mut shown = shown.filter(|_| !screen.details_alone());
     let room = if details.height > 0 && screen.divider.height > 0 {

@@ -74,7 +74,7 @@ fn draw_frames(brush: &mut DrawContext) {
     for (row, &number) in shown.iter().enumerate() {
         let Some(frame) = brush.app.capture().get(number) else { continue };
         let is_selected = selected == Some(number);
-        let line = frame_line(brush, frame, &room, list, is_selected);
+        let line = frame_line(brush, &frame, &room, list, is_selected);
         brush.line(list, row as u16, &line);
         if is_selected {
             brush.select(list, row as u16);
@@ -230,7 +230,7 @@ fn draw_details(brush: &mut DrawContext) {
         let line = Line::from(brush.span(Role::Muted, "no frame is selected"));
         return brush.line(area, 0, &line);
     };
-    let decoded = Decoded::of(app, frame);
+    let decoded = Decoded::of(app, &frame);
     let mut lines = Vec::new();
     let mut add = |label: &str, role: Role, text: &str| {
         lines.extend(labelled(brush, &fit(label, 9), role, text, area.width));
@@ -238,7 +238,7 @@ fn draw_details(brush: &mut DrawContext) {
     let bus = app.bus(frame.bus).map_or("", |bus| bus.name_without_rates());
     let tx = if frame.is_tx { ", sent by descan" } else { "" };
     add("frame", Role::Text, &format!("{} on {bus}{tx}", clock_millis(app, frame.time)));
-    add("id", Role::Text, &describe_id(frame, &decoded));
+    add("id", Role::Text, &describe_id(&frame, &decoded));
     if let Some(header) = decoded.header {
         let node = |name: &str, address: crate::wire::id::Address| {
             if name == address.to_string() { name.to_owned() } else { format!("{name} @{address}") }
@@ -262,13 +262,13 @@ fn draw_details(brush: &mut DrawContext) {
         add("decoded", role, &decoded.text);
     }
     let number = match alone {
-        Some(_) => app.captured(frame),
+        Some(_) => app.captured(&frame),
         None => app.view().traffic,
     };
     if let Some(message) = number.and_then(|number| app.transfer_text(number)) {
         add("message", Role::Text, &message);
     }
-    if let Some(piece) = app.piece_of(frame) {
+    if let Some(piece) = app.piece_of(&frame) {
         add("evidence", Role::Text, &piece.what);
     }
     if alone.is_some() && number.is_none() {
@@ -329,7 +329,7 @@ fn draw_identifiers(brush: &mut DrawContext) {
             brush.select(list, line as u16);
         }
     }
-    let refused = app.capture().identifiers().refused();
+    let refused = app.identifiers().refused();
     if refused > 0 && list.height > 0 {
         let text = format!(" {refused} frames not shown: identifier table full ");
         let line = Line::from(brush.span(Role::Warning, text));

@@ -104,7 +104,7 @@ fn measure(bitrate: u32, other: f64, seed: u64) {
     });
     // Two broadcasts, 127 names, and per device request, first frame, flow control and eight
     // consecutive frames: any repeated request or frame would exceed this.
-    let extra = des.count() - (2 + 127 + 127 * 11);
+    let extra = i128::try_from(des.count()).unwrap() - (2 + 127 + 127 * 11);
     let limit = time.max(own.mul_f64(1.0 / Config::default().startup_budget));
     let ratio = took.as_secs_f64() / limit.as_secs_f64();
     let pairs = heartbeats(&inspection).into_iter().zip(heartbeats(&alone));
@@ -113,7 +113,7 @@ fn measure(bitrate: u32, other: f64, seed: u64) {
     });
     let latest = delays.max().unwrap_or_default();
     println!(
-        "{bitrate:>10} {:>4.0} % {:>8.1}ms {:>8.1}ms {ratio:>7.3} {:>14.1}ms  {extra} frames repeated",
+        "{bitrate:>10} {:>4.0} % {:>8.1}ms {:>8.1}ms {ratio:>7.3} {:>14.1}ms  {extra} frames more than needed",
         other * 100.0,
         took.as_secs_f64() * 1e3,
         limit.as_secs_f64() * 1e3,

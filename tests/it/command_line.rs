@@ -657,6 +657,8 @@ fn invalid_arguments_are_one_line_with_the_fix() {
         (&["scan", "--time", "soon"], "a number of seconds"),
         (&["--address", "200"], "0 to 127"),
         (&["demo", "submarine"], "boiler"),
+        (&["demo", "--capture", "64"], "a size like 64M or 2G, 1M to 64G"),
+        (&["can0", "--capture", "100G"], "a size like 64M or 2G, 1M to 64G"),
         (&["scan", "-", "-"], "only once"),
         (&["scan", "can0", "can0"], "can0 is the same bus as can0"),
         (&["scan", "slcan:/dev/ttyS0@125000", "slcan:/dev/ttyS0"], "the same bus"),

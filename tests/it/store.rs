@@ -3,6 +3,7 @@
 use crate::common::access_list;
 use crate::common::sweep;
 use std::fs;
+use std::io::Write as _;
 use std::os::unix::fs::{MetadataExt as _, PermissionsExt as _, symlink};
 use std::path::Path;
 use std::time::Duration;
@@ -37,7 +38,7 @@ fn is_root() -> bool {
 fn new_file_is_written_or_fails_with_one_line() {
     let folder = folder();
     let at = |name: &str| folder.path().join(name);
-    let write = |path: &Path| write_new(path, Some(folder.path()), b"[]");
+    let write = |path: &Path| write_new(path, Some(folder.path()), |file| file.write_all(b"[]"));
     assert_eq!(write(&at("a.json")), Ok(()));
     assert_eq!(write(Path::new("~/b.json")), Ok(()));
     assert_eq!(names(folder.path()), ["a.json", "b.json"]);
@@ -71,7 +72,7 @@ fn new_file_is_written_or_fails_with_one_line() {
         let why = write(&at("closed/c.json")).unwrap_err();
         assert_eq!(why.to_string(), "no permission for its folder; fix it, or save elsewhere");
     }
-    let why = write_new(Path::new("~/c.json"), None, b"[]").unwrap_err();
+    let why = write_new(Path::new("~/c.json"), None, |file| file.write_all(b"[]")).unwrap_err();
     assert_eq!(why.to_string(), "~ cannot be expanded; give the full path");
     assert_eq!(fs::read(at("a.json")).unwrap(), b"[]");
 }

@@ -124,10 +124,7 @@ fn is_endpoint(name: &str, address: Address, value: &str) -> bool {
     name.to_lowercase() == value || address.to_string() == value
 }
 
-pub(super) fn reassemble<'f>(
-    first: &Frame,
-    rest: impl Iterator<Item = &'f Frame>,
-) -> Option<Vec<u8>> {
+pub(super) fn reassemble(first: &Frame, rest: impl Iterator<Item = Frame>) -> Option<Vec<u8>> {
     let Ok(Pci::First { length, data }) = Pci::decode(first.data(), first.is_fd) else {
         return None;
     };

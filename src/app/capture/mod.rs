@@ -1,14 +1,17 @@
-//! Captured traffic: the frame ring, the frames that match the filter, frames as text, the state of
-//! the recording.
+//! Captured traffic: the stored frames, those that match the filter, statistics of identifiers, frames
+//! as text, the state of the recording.
 //!
 //! Inputs: frames, the filter of the Traffic page. Outputs: numbers and texts of the frames to
 //! show.
 
 pub(super) mod decoded;
-pub(super) mod ring;
+mod filtered_frames;
+mod frame_store;
+mod identifiers;
 
 pub use decoded::{Decoded, hex};
-pub use ring::{Capture, IdentifierKey, IdentifierKind, IdentifierStats};
+pub use frame_store::{FrameStore, StoredFrames};
+pub use identifiers::{IdentifierKey, IdentifierKind, IdentifierStats, Identifiers};
 
 use super::buses::{Bus, Buses};
 use super::filter::Filter;
@@ -16,39 +19,46 @@ use super::view::{Page, View};
 use crate::frame::Frame;
 use crate::log::{LogEntry, LogFormat};
 use crate::status::RecordingStatus;
-use crate::time::Epoch;
+use crate::time::{Epoch, Instant};
 use crate::wire::id::Header;
 use crate::wire::isotp::Pci;
-use std::collections::VecDeque;
+use filtered_frames::FilteredFrames;
 use std::io;
+use std::ops::Range;
 
 /// Frames that are searched for the other parts of a transfer, in each direction.
-const TRANSFER_SEARCH: usize = 4096;
+const TRANSFER_SEARCH: u64 = 4096;
 /// Frames that are searched for an equal one around its time: buses may be slightly out of order.
 const NEAR: u64 = 64;
 
 /// The captured traffic.
 #[derive(Debug)]
 pub(super) struct Traffic {
-    pub capture: Capture,
+    pub capture: FrameStore,
+    pub identifiers: Identifiers,
     filtered: FilteredFrames,
     recording: Option<RecordingStatus>,
 }
 
-/// Numbers of the frames that match the filter; each frame is decoded once.
-#[derive(Debug, Default)]
-struct FilteredFrames {
-    filter: String,
-    numbers: VecDeque<u64>,
-    /// Number of the first frame that was not tested.
-    next: u64,
-}
-
 impl Traffic {
-    /// Returns an empty capture.
-    pub fn new() -> Self {
-        let filtered = FilteredFrames::default();
-        Self { capture: Capture::new(), filtered, recording: None }
+    /// Returns an empty capture of at most `room` bytes.
+    pub fn new(room: usize) -> Self {
+        Self {
+            capture: FrameStore::new(room),
+            identifiers: Identifiers::new(),
+            filtered: FilteredFrames::default(),
+            recording: None,
+        }
+    }
+
+    /// Adds a frame. `pins` returns the times near a block of old frames whose frames are kept.
+    pub fn push(
+        &mut self,
+        frame: &Frame,
+        pins: impl FnOnce(Range<Instant>) -> Vec<Range<Instant>>,
+    ) {
+        self.capture.push(frame, pins);
+        self.identifiers.add(frame);
     }
 
     /// State of the recording; `None` without one.
@@ -66,29 +76,21 @@ impl Traffic {
         view.frozen.map_or(self.capture.end(), |frozen| frozen.frames)
     }
 
-    /// Tests the frames that were captured since the last call, if the Traffic page is open and has
-    /// a filter.
-    pub fn renew_filter(&mut self, view: &View, buses: &Buses) {
+    /// Tests frames that were not tested, if the Traffic page is open and has a filter. Returns false
+    /// if some remain.
+    pub fn renew_filter(&mut self, view: &View, buses: &Buses) -> bool {
         let line = view.filter(Page::Traffic);
         if view.page != Page::Traffic || line.is_empty() {
-            return;
+            return true;
         }
-        let filtered = &mut self.filtered;
-        if filtered.filter != line {
-            *filtered = FilteredFrames { filter: line.to_owned(), ..FilteredFrames::default() };
-        }
-        let (first, end) = (self.capture.first(), self.capture.end());
-        while filtered.numbers.front().is_some_and(|&number| number < first) {
-            filtered.numbers.pop_front();
-        }
-        let filter = Filter::parse(line);
-        for number in filtered.next.max(first)..end {
-            let frame = self.capture.get(number);
-            if frame.is_some_and(|frame| filter.matches_frame(buses, frame)) {
-                filtered.numbers.push_back(number);
-            }
-        }
-        filtered.next = end;
+        self.filtered.set(line);
+        self.filtered.test(&self.capture, buses)
+    }
+
+    /// Number of tested frames that the filter hides; `None` if it does not apply.
+    pub fn hidden(&self, view: &View) -> Option<u64> {
+        let is_shown = view.page == Page::Traffic && !view.by_identifier && Self::is_filtered(view);
+        is_shown.then(|| self.filtered.hidden())
     }
 
     /// Returns true if the filter applies: around evidence all frames are shown.
@@ -98,31 +100,29 @@ impl Traffic {
 
     /// Numbers of the frames to show from `number` on, oldest first.
     pub fn from<'a>(&'a self, view: &View, number: u64) -> Box<dyn Iterator<Item = u64> + 'a> {
-        let (first, end) = (number.max(self.capture.first()), self.end(view));
-        if !Self::is_filtered(view) {
-            return Box::new(first..end);
+        let end = self.end(view);
+        if Self::is_filtered(view) {
+            Box::new(self.filtered.from(number).take_while(move |&number| number < end))
+        } else {
+            Box::new(self.capture.numbers_from(number).take_while(move |&number| number < end))
         }
-        let numbers = &self.filtered.numbers;
-        let start = numbers.partition_point(|&other| other < first);
-        Box::new(numbers.range(start..).copied().take_while(move |&number| number < end))
     }
 
     /// Numbers of the frames to show before `number`, newest first.
     pub fn before<'a>(&'a self, view: &View, number: u64) -> Box<dyn Iterator<Item = u64> + 'a> {
-        let (first, end) = (self.capture.first(), number.min(self.end(view)));
-        if !Self::is_filtered(view) {
-            return Box::new((first..end).rev());
+        let end = number.min(self.end(view));
+        if Self::is_filtered(view) {
+            Box::new(self.filtered.before(end))
+        } else {
+            Box::new(self.capture.numbers_before(end))
         }
-        let numbers = &self.filtered.numbers;
-        let stop = numbers.partition_point(|&other| other < end);
-        Box::new(numbers.range(..stop).rev().copied().take_while(move |&number| number >= first))
     }
 
     /// Numbers of the frames on `height` lines, oldest first, and the selected one; `None` while
     /// the newest frames are followed.
     pub fn shown(&self, view: &View, height: usize) -> (Vec<u64>, Option<u64>) {
         let end = self.end(view);
-        let kept = |number: &u64| *number >= self.capture.first() && *number < end;
+        let kept = |number: &u64| *number < end && self.capture.get(*number).is_some();
         let Some(selected) = view.traffic.filter(kept) else {
             let mut shown: Vec<u64> = self.before(view, end).take(height).collect();
             shown.reverse();
@@ -175,7 +175,7 @@ impl Traffic {
     /// Rows of the identifier view that match the filter, in the order of their keys.
     pub fn identifiers_shown(&self, view: &View, buses: &Buses) -> Vec<&IdentifierStats> {
         let filter = Filter::parse(view.filter(Page::Traffic));
-        let rows = self.capture.identifiers().rows().iter();
+        let rows = self.identifiers.rows().iter();
         // With the identifier of the row: its random destination is shown as 0.
         let is_shown = |row: &&IdentifierStats| {
             let mut frame = row.last;
@@ -190,7 +190,7 @@ impl Traffic {
     /// Number of a frame in the capture; `None` once it was dropped.
     pub fn number_of(&self, frame: &Frame) -> Option<u64> {
         let at = self.capture.at_time(frame.time);
-        let near = |number: &u64| self.capture.get(*number) == Some(frame);
+        let near = |number: &u64| self.capture.get(*number).as_ref() == Some(frame);
         (at..self.capture.end())
             .take_while(|&number| {
                 number < at + NEAR
@@ -208,51 +208,86 @@ impl Traffic {
         if Header::decode(id).service != buses.profile(frame.bus).des_service() {
             return None;
         }
-        let same = |other: &&Frame| other.bus == frame.bus && other.platform_id() == Some(id);
-        let is_first = |other: &&Frame| {
-            matches!(Pci::decode(other.data(), other.is_fd), Ok(Pci::First { .. }))
-        };
+        let same = |other: &Frame| other.bus == frame.bus && other.platform_id() == Some(id);
+        let is_first =
+            |other: &Frame| matches!(Pci::decode(other.data(), other.is_fd), Ok(Pci::First { .. }));
         if !matches!(
             Pci::decode(frame.data(), frame.is_fd),
             Ok(Pci::First { .. } | Pci::Consecutive { .. })
         ) {
             return None;
         }
-        let (start, first) = (self.capture.first()..=number)
+        let (start, first) = (number.saturating_sub(TRANSFER_SEARCH)..=number)
             .rev()
-            .take(TRANSFER_SEARCH)
-            .filter_map(|at| Some((at, self.capture.get(at)?)))
+            .map_while(|at| Some((at, self.capture.get(at)?)))
             .filter(|(_, other)| same(other))
             .find(|(_, other)| is_first(other))?;
         let message = decoded::reassemble(
-            first,
-            (start + 1..self.capture.end())
-                .take(TRANSFER_SEARCH)
-                .filter_map(|at| self.capture.get(at))
+            &first,
+            (start + 1..self.capture.end().min(start + TRANSFER_SEARCH))
+                .map_while(|at| self.capture.get(at))
                 .filter(same),
         )?;
         Some(decoded::describe_response(&message).0)
     }
 
     /// The captured frames as a log of this format.
-    pub fn log(&self, buses: &Buses, epoch: Epoch, format: &LogFormat) -> io::Result<Vec<u8>> {
-        let (mut encoder, mut log) = (format.encoder(), Vec::new());
-        encoder.begin(&mut log)?;
-        for (_, frame) in self.capture.iter() {
-            let unix_micros = epoch.unix_micros(frame.time);
-            let interface = buses.get(frame.bus).map_or("can", |bus| &bus.name);
-            encoder.write(
-                LogEntry { unix_micros, interface, frame: *frame },
-                u64::MAX,
-                &mut log,
-            )?;
+    pub fn log(&self, buses: &Buses, epoch: Epoch, format: &'static LogFormat) -> CapturedLog {
+        CapturedLog {
+            frames: self.capture.snapshot(),
+            names: buses.iter().map(|bus| bus.name.clone()).collect(),
+            lost: buses.iter().map(Bus::lost).collect(),
+            epoch,
+            format,
         }
-        let names: Vec<String> = buses.iter().map(|bus| bus.name.clone()).collect();
-        let lost: Vec<u64> = buses.iter().map(Bus::lost).collect();
-        encoder.end(&names, &lost, &mut log)?;
-        Ok(log)
     }
 }
+
+/// The frames that were captured at some time, as a log to be written.
+#[derive(Clone, Debug)]
+pub struct CapturedLog {
+    frames: StoredFrames,
+    /// Names and lost frames by bus.
+    names: Vec<String>,
+    lost: Vec<u64>,
+    epoch: Epoch,
+    format: &'static LogFormat,
+}
+
+impl CapturedLog {
+    /// Bytes that are written at once.
+    const PART: usize = 1 << 18;
+
+    /// Writes the log.
+    ///
+    /// # Errors
+    ///
+    /// Those of writing to `out`.
+    pub fn write_to(&self, out: &mut impl io::Write) -> io::Result<()> {
+        let (mut encoder, mut part) = (self.format.encoder(), Vec::new());
+        encoder.begin(&mut part)?;
+        for frame in self.frames.iter() {
+            let unix_micros = self.epoch.unix_micros(frame.time);
+            let interface = self.names.get(usize::from(frame.bus.0)).map_or("can", String::as_str);
+            encoder.write(LogEntry { unix_micros, interface, frame }, u64::MAX, &mut part)?;
+            if part.len() >= Self::PART {
+                out.write_all(&part)?;
+                part.clear();
+            }
+        }
+        encoder.end(&self.names, &self.lost, &mut part)?;
+        out.write_all(&part)
+    }
+}
+
+/// Equal if they are the same frames in memory.
+impl PartialEq for CapturedLog {
+    fn eq(&self, other: &Self) -> bool {
+        self.frames.is_same(&other.frames) && std::ptr::eq(self.format, other.format)
+    }
+}
+
+impl Eq for CapturedLog {}
 
 #[cfg(test)]
 mod tests {
@@ -262,10 +297,11 @@ mod tests {
 
     /// Frames with the numbers 0 to 9; those with even numbers are sent by descan.
     fn traffic() -> (Traffic, Buses) {
-        let mut traffic = Traffic::new();
+        let mut traffic = Traffic::new(0);
         for at in 0..10 {
             let frame = Frame::classic(1, &[]).with_time(Instant::from_micros(at));
-            traffic.capture.push(&if at % 2 == 0 { frame.with_tx() } else { frame });
+            let frame = if at % 2 == 0 { frame.with_tx() } else { frame };
+            traffic.push(&frame, |_| Vec::new());
         }
         (traffic, Buses::new(Instant::ZERO, vec![("can0".into(), Config::default())]))
     }

@@ -77,11 +77,16 @@ pub enum SaveError {
     Failed(#[from] Diagnostic),
 }
 
-/// Writes a new file at a path that the user entered; a leading `~/` is replaced by `home`.
+/// Creates a file, with the content that `write` writes, at a path that the user entered; a leading
+/// `~/` is replaced by `home`.
 ///
 /// # Errors
 /// The fault, without the path, if the file cannot be written or already exists.
-pub fn write_new(path: &Path, home: Option<&Path>, bytes: &[u8]) -> Result<(), Diagnostic> {
+pub fn write_new(
+    path: &Path,
+    home: Option<&Path>,
+    write: impl FnOnce(&mut File) -> io::Result<()>,
+) -> Result<(), Diagnostic> {
     let at_home = home.and_then(|home| Some(home.join(path.strip_prefix("~").ok()?)));
     let store = Store::new(at_home.as_deref().unwrap_or(path));
     store.check_new()?;
@@ -89,7 +94,7 @@ pub fn write_new(path: &Path, home: Option<&Path>, bytes: &[u8]) -> Result<(), D
     if is_user && store.missing_folder().is_some() {
         return Err(Diagnostic::new("~ cannot be expanded").with_remedy("give the full path"));
     }
-    store.save(None, bytes).map(drop).map_err(|error| match error {
+    store.create_with(write).map_err(|error| match error {
         SaveError::Changed(_) => already_exists(),
         SaveError::Unconfirmed(_) => Diagnostic::new(error.to_string()),
         SaveError::Failed(fault) => fault,
@@ -152,7 +157,8 @@ impl Store {
         if lock.is_some() {
             remove_leftovers(target, folder);
         }
-        let temporary = write_beside(target, folder, old.as_ref(), new)?;
+        let write = |file: &mut File| file.write_all(new);
+        let temporary = write_beside(target, folder, old.as_ref(), write)?;
         let (Some(expected), Some(old)) = (expected, &old) else {
             if expected.is_some() || old.is_some() {
                 return Err(SaveError::Changed(self.read()?));
@@ -168,6 +174,21 @@ impl Store {
         synced?;
         let broken_links = names.unwrap_or(old.metadata().nlink().saturating_sub(1));
         Ok(Saved { broken_links })
+    }
+
+    /// Creates the file with the content that `write` writes.
+    fn create_with(
+        &self,
+        write: impl FnOnce(&mut File) -> io::Result<()>,
+    ) -> Result<(), SaveError> {
+        let places = Places::of(&self.path).map_err(|error| not_written(&error))?;
+        let (folder, target) = (&places.folder, &places.target);
+        let open = File::open(folder)
+            .map_err(|error| self.missing_folder().unwrap_or_else(|| not_written(&error)))?;
+        let _lock = lock(folder)?;
+        let temporary = write_beside(target, folder, None, write)?;
+        self.create(temporary, target)?;
+        sync_folder(&open)
     }
 
     /// Gives a new file its name. A file created at this moment by another program is not
@@ -236,13 +257,13 @@ fn write_beside(
     target: &Path,
     folder: &Path,
     old: Option<&RegularFile>,
-    new: &[u8],
+    write: impl FnOnce(&mut File) -> io::Result<()>,
 ) -> Result<NamedTempFile, Diagnostic> {
     // A new file gets the mode that the user's umask allows.
     let mode = if old.is_some() { 0o600 } else { 0o666 };
     let fault = |error: io::Error| not_written(&error);
     let mut temporary = create_beside(target, folder, mode).map_err(fault)?;
-    temporary.as_file_mut().write_all(new).map_err(fault)?;
+    write(temporary.as_file_mut()).map_err(fault)?;
     if let Some(old) = old {
         let kept = attributes::keep(old.file(), old.metadata(), temporary.as_file());
         kept.map_err(|error| match error {

@@ -66,6 +66,8 @@ impl Stage {
                 file_path: Some("des.json".into()),
                 theme: "terminal".to_owned(),
                 themes: BUILT_IN.iter().map(|(name, _)| (*name).to_owned()).collect(),
+                // Small, so that a test fills it soon.
+                capture_room: Some(1 << 20),
                 ..AppOptions::default()
             },
         );

@@ -113,7 +113,7 @@ fn single_key_sends_only_discovery_frames() {
     let mut stage = Stage::with(&scenario, Some(BOILER), config);
     stage.until(24.0);
     let sent = |stage: &Stage| {
-        let ours = stage.app.capture().iter().filter(|(_, frame)| frame.is_tx);
+        let ours = stage.app.capture().frames_from(0).filter(|(_, frame)| frame.is_tx);
         ours.filter(|(_, frame)| frame.platform_id().is_some_and(|id| id & 0x3FF == 0x18)).count()
     };
     stage.keys("i");

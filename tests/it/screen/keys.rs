@@ -192,7 +192,11 @@ fn captured_frames_are_saved_in_the_format_of_the_ending() {
         let mut stage = Stage::boiler();
         stage.until(8.0).keys("w Ctrl-u").text(name).keys("Enter");
         let bytes = stage.effects.into_iter().find_map(|effect| match effect {
-            Effect::WriteFile { bytes, .. } => Some(bytes),
+            Effect::WriteLog { log, .. } => {
+                let mut bytes = Vec::new();
+                log.write_to(&mut bytes).unwrap();
+                Some(bytes)
+            }
             _ => None,
         });
         bytes.unwrap_or_default()

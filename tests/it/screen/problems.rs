@@ -3,7 +3,7 @@
 use super::snapshot;
 use super::{one_line, problems};
 use crate::common::harness::{BOILER, Stage};
-use descan::app::{Capture, Effect, EvidenceItem, Mouse, MouseKind, Page};
+use descan::app::{Effect, EvidenceItem, Mouse, MouseKind, Page};
 use descan::discovery::Config;
 use descan::frame::{BusIndex, CanId, Frame};
 use descan::sim::Scenario;
@@ -14,11 +14,11 @@ fn selected(stage: &Stage) -> String {
     stage.app.selected_problem().map_or_else(String::new, |problem| problem.title())
 }
 
-/// Sends so many non-platform frames that the capture holds no others.
-fn flood(stage: &mut Stage) {
-    let now = stage.app.now();
-    let frame = Frame::new(CanId::Standard(0x123), &[]).with_time(now);
-    stage.app.handle_frames(now, &vec![frame; Capture::FRAMES]);
+/// Sends so many non-platform frames at `time` that no others fit into the capture.
+fn flood(stage: &mut Stage, time: Instant) {
+    let frame = Frame::new(CanId::Standard(0x123), &[]).with_time(time);
+    let count = 2 * stage.app.capture().capacity() as usize;
+    stage.app.handle_frames(stage.app.now(), &vec![frame; count]);
 }
 
 #[test]
@@ -199,14 +199,14 @@ fn problem_opens_its_frames_and_returns() {
     snapshot!("evidence_120x40", stage.size(120, 40));
     stage.size(80, 24).keys("j Enter");
     snapshot!("evidence_around", stage);
-    let frame = *stage.app.selected_frame().unwrap();
+    let frame = stage.app.selected_frame().unwrap();
     assert_eq!(stage.app.piece_of(&frame).unwrap().what, "first response to one request");
     // To the next one among all frames: the list of evidence follows.
     stage.keys("j");
-    let next = *stage.app.selected_frame().unwrap();
+    let next = stage.app.selected_frame().unwrap();
     assert_ne!(next, frame);
     stage.keys("Enter");
-    assert_eq!(stage.app.selected_frame(), Some(&next));
+    assert_eq!(stage.app.selected_frame(), Some(next));
     assert!(stage.app.evidence_alone().is_some());
     stage.keys("Esc");
     assert_eq!(stage.app.view().page, Page::Problems);
@@ -237,8 +237,17 @@ fn evidence_view_closes_like_other_views() {
 fn evidence_outlives_the_capture() {
     let mut stage = Stage::boiler();
     stage.until(45.0).keys("4");
-    flood(&mut stage);
-    stage.keys("Enter");
+    let evidence = stage.app.selected_problem().unwrap().findings[0].evidence[0].time;
+    let later = stage.app.now() + Duration::from_secs(10);
+    flood(&mut stage, later);
+    let oldest = |stage: &Stage| stage.app.capture().get(0).is_some();
+    assert!(!oldest(&stage), "it was before any evidence");
+    // Frames within a second of evidence are kept.
+    stage.keys("Enter Enter").size(80, 40);
+    snapshot!("evidence_around_kept", stage);
+    // They are bounded, too.
+    flood(&mut stage, evidence);
+    stage.size(80, 24).keys("Esc Esc Enter");
     snapshot!("evidence_forgotten", stage);
     stage.keys("Enter");
     let screen = stage.screen();
@@ -248,7 +257,7 @@ fn evidence_outlives_the_capture() {
     stage.until(28.0).keys("Space").until(45.0).keys("4 G Enter G Enter");
     assert!(stage.screen().contains("newer than the frozen view"), "{}", stage.screen());
     stage.keys("Space g Enter");
-    flood(&mut stage);
+    flood(&mut stage, evidence);
     stage.keys("Enter");
     assert!(stage.screen().contains("▸◇12:00:"), "{}", stage.screen());
 }

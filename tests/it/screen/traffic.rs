@@ -2,6 +2,9 @@
 
 use super::snapshot;
 use crate::common::harness::Stage;
+use descan::frame::{CanId, Frame};
+use descan::sim::Scenario;
+use descan::time::Duration;
 
 #[test]
 fn traffic_page_and_details_match_snapshot() {
@@ -25,4 +28,44 @@ fn frozen_view_keeps_capturing() {
     assert!(stage.screen().contains("FROZEN"));
     stage.keys("Space");
     assert!(stage.screen().contains("12:00:21.9"));
+}
+
+/// Tests that the newest frames are filtered at once, and the others in parts between which keys are
+/// handled.
+#[test]
+fn large_capture_is_filtered_in_parts() {
+    let mut stage = Stage::new(&Scenario::new(125_000), None);
+    let now = stage.app.now();
+    // Every tenth frame has another identifier.
+    let frames: Vec<Frame> = (0..40_000)
+        .map(|at| {
+            let id = if at % 10 == 0 { 0x123 } else { 0x456 };
+            let time = now + Duration::from_micros(at * 100);
+            Frame::new(CanId::Standard(id), &at.to_be_bytes()).with_time(time)
+        })
+        .collect();
+    let end = now + Duration::from_secs(4);
+    stage.app.handle_frames(end, &frames);
+    stage.app.handle_timeout(end);
+    stage.size(100, 24).keys("2 /").text("id:123");
+    let screen = stage.screen();
+    assert!(screen.matches(" 123 ").count() > 15, "the newest are shown\n{screen}");
+    assert_eq!(stage.app.hidden_frames(), None, "older ones are not tested");
+    let mut parts = 0;
+    while stage.app.hidden_frames().is_none() {
+        let due = stage.app.poll_timeout().unwrap();
+        stage.app.handle_timeout(due);
+        parts += 1;
+        assert!(parts < 100, "there is an end");
+    }
+    assert!(parts > 2, "{parts}");
+    assert_eq!(stage.app.hidden_frames(), Some(36_000));
+    stage.keys("Enter g").size(100, 24);
+    let screen = stage.screen();
+    assert!(screen.contains("36000 hidden") && screen.contains("0000000000000000"), "{screen}");
+    // Frames that arrive later are tested, too.
+    let late = frames[9].with_time(end);
+    stage.app.handle_frames(end, &[late, frames[10].with_time(end)]);
+    stage.app.take_dirty();
+    assert_eq!(stage.app.hidden_frames(), Some(36_001));
 }
