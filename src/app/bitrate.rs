@@ -42,7 +42,7 @@ impl App {
 
     /// Starts the search.
     pub(super) fn find_bitrate(&mut self, bus: BusIndex) {
-        self.buses.set_searched(Some(bus));
+        self.buses.set_searched(self.clock.now(), Some(bus));
         self.effects.push_back(Effect::FindBitrate(bus));
     }
 
@@ -73,7 +73,7 @@ impl App {
 
     /// Reports the result of the search.
     pub(super) fn bitrate_found(&mut self, bus: BusIndex, result: Result<SearchOutcome, String>) {
-        self.buses.set_searched(None);
+        self.buses.set_searched(self.clock.now(), None);
         let Some(name) = self.bus(bus).map(|bus| bus.name.clone()) else { return };
         match result {
             Ok(SearchOutcome::Found(rate)) => {

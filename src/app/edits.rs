@@ -450,7 +450,7 @@ impl App {
     /// Removes the lost devices.
     pub(super) fn remove_lost_devices(&mut self) {
         let lost = self.counts().lost;
-        self.buses.remove_lost_devices();
+        self.buses.remove_lost_devices(self.clock.now());
         self.take_events();
         self.refresh();
         self.show_info(match lost {

@@ -36,6 +36,7 @@ mod edits;
 mod events;
 mod file;
 mod filter;
+mod history;
 mod input;
 mod listing;
 mod navigate;
@@ -53,6 +54,7 @@ pub use capture::{
 pub use devices::concerns;
 pub use file::{EditRefusal, FileChange, FileError, FileReading, FileState, SaveOutcome, Saving};
 pub use filter::{FILTER_FIELDS, FILTER_WORDS, Filter, FilterField};
+pub use history::{BusesReplay, FRAMES_PER_ROOM, Moment, RecordedBuses};
 pub use input::{InputCheck, Overlay, Prompt, PromptKind, Question};
 pub use listing::{addition_refusal, same_services};
 pub use navigate::{Mouse, MouseKind};
@@ -97,6 +99,9 @@ const FILTER_PAUSE: Duration = Duration::from_millis(1);
 /// Time before and after a piece of evidence whose frames outlive the others.
 const AROUND_EVIDENCE: Duration = Duration::from_secs(1);
 
+/// Default of [`AppOptions::capture_room`].
+pub const DEFAULT_CAPTURE: usize = 64_000_000;
+
 /// Start parameters.
 #[derive(Clone, Debug, Default)]
 pub struct AppOptions {
@@ -120,7 +125,8 @@ pub struct AppOptions {
     pub emit_events: bool,
     /// Queue only events that match, and those about a whole bus or the program.
     pub event_filter: Filter,
-    /// Bytes of memory for the captured frames; `None`: [`FrameStore::DEFAULT_ROOM`].
+    /// Bytes of memory for the captured frames and the past of the buses; `None`:
+    /// [`DEFAULT_CAPTURE`]; 0: few frames, and no past.
     pub capture_room: Option<usize>,
 }
 
@@ -220,7 +226,7 @@ fn pinned_times(buses: &Buses, block: Range<Instant>) -> Vec<Range<Instant>> {
 #[derive(Debug)]
 pub struct App {
     clock: AppClock,
-    buses: Buses,
+    buses: RecordedBuses,
     traffic: Traffic,
     editor: FileEditor,
     problems: Problems,
@@ -239,10 +245,12 @@ pub struct App {
 impl App {
     /// Returns the program at its start.
     pub fn new(now: Instant, options: AppOptions) -> Self {
+        let room = options.capture_room.unwrap_or(DEFAULT_CAPTURE);
+        let past_room = room / (FRAMES_PER_ROOM + 1);
         let mut app = Self {
             clock: AppClock::new(now, options.epoch, options.utc_offset_seconds),
-            buses: Buses::new(now, options.buses),
-            traffic: Traffic::new(options.capture_room.unwrap_or(FrameStore::DEFAULT_ROOM)),
+            buses: RecordedBuses::new(now, Buses::new(now, options.buses), past_room),
+            traffic: Traffic::new(room - past_room),
             editor: FileEditor::new(options.file_path),
             problems: Problems::default(),
             devices: DeviceRows::default(),
@@ -265,7 +273,7 @@ impl App {
 
     /// Renames a bus: the name of its interface is found in the log.
     pub fn name_bus(&mut self, index: BusIndex, name: String) {
-        if self.buses.rename(index, name) {
+        if self.buses.rename(self.clock.now(), index, name) {
             self.refresh_before_draw();
             self.notices.redraw.set_dirty();
         }
@@ -295,6 +303,7 @@ impl App {
             self.request_redraw();
         }
         self.complete_bus_events(now);
+        self.buses.keep_history(now, self.traffic.capture.first());
     }
 
     /// Does what is due at `now`.
@@ -311,6 +320,7 @@ impl App {
         }
         self.run_file_timers();
         self.notices.redraw.check_due(now);
+        self.buses.keep_history(now, self.traffic.capture.first());
         debug_assert_later(self.poll_timeout(), now);
     }
 
@@ -795,6 +805,11 @@ impl App {
     /// The captured frames.
     pub fn capture(&self) -> &FrameStore {
         &self.traffic.capture
+    }
+
+    /// The buses, now and in the past.
+    pub fn history(&self) -> &RecordedBuses {
+        &self.buses
     }
 
     /// Statistics of the frames of each identifier.

@@ -136,7 +136,7 @@ enum DesFit {
 }
 
 /// Collects the signs of a bus's protocol.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct ProtocolDetector {
     traffic: BusTraffic,
     /// True if `has_des` is beyond doubt.

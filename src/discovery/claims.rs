@@ -61,7 +61,7 @@ pub(super) struct ClaimUpdate {
 }
 
 /// Node known by its UID.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 struct Node {
     uid: Uid,
     device: DeviceId,
@@ -86,7 +86,7 @@ impl Node {
 }
 
 /// Nodes of one bus by their UID.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct AddressClaims {
     nodes: Vec<Node>,
     /// Time of the last claim of each address while another node sent heartbeats from it.

@@ -13,7 +13,7 @@ pub(super) const MAX_DEVICES: usize = 512;
 ///
 /// A row is known by its [`DeviceId`], which stays valid while other rows are added, merged or
 /// removed. A row that was removed, or merged into another one, is not found any more.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct DeviceTable {
     bus: BusIndex,
     /// In the order of their numbers.

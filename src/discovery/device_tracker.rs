@@ -45,7 +45,7 @@ const FIRST_FLOW_CONTROL_WAIT: Duration = Duration::from_millis(25);
 const MAX_DELAY_VARIATION: f64 = 1.5;
 
 /// Devices of one bus, with the findings and events about them.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct DeviceTracker {
     pub config: Config,
     pub now: Instant,

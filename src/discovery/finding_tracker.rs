@@ -133,7 +133,7 @@ impl<'a> NewEvidence<'a> {
 }
 
 /// Evidence of one finding since it was opened.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 struct EvidenceState {
     /// Time since when two devices are present, by evidence stronger than
     /// [`EvidenceStrength::Weak`].
@@ -161,7 +161,7 @@ impl EvidenceState {
 }
 
 /// Findings of one bus with the state that decides about them.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct FindingTracker {
     bus: BusIndex,
     /// Heartbeat period of each address.

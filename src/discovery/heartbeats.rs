@@ -25,7 +25,7 @@ const LATE_PERIODS: u32 = 2;
 const LOST_PERIODS: u32 = 10;
 
 /// A set of addresses that is forgotten after one to two spans.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 struct RecentAddresses {
     began: Instant,
     current: u128,
@@ -57,7 +57,7 @@ impl RecentAddresses {
 
 /// Devices whose heartbeats were recently late or missing. If there are several, the bus delays or
 /// loses frames.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct BusDelayTracker {
     late: RecentAddresses,
     missing: RecentAddresses,

@@ -31,7 +31,7 @@ const MIN_OPEN: usize = 2;
 const LOAD_WINDOW: Duration = Duration::from_millis(500);
 
 /// Tracks when the bus was idle, and its load without DES messages.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct IdleTracker {
     last_frame_at: Instant,
     /// Last time at which no frame waited.

@@ -51,7 +51,7 @@ pub(super) enum AddressChange {
 }
 
 /// Own multi-frame response that is being sent.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 struct OutgoingResponse {
     id: u32,
     flow_id: u32,
@@ -59,7 +59,7 @@ struct OutgoingResponse {
 }
 
 /// descan's node on one bus.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct LocalNode {
     state: AddressState,
     wanted: Option<Address>,

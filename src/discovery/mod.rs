@@ -209,7 +209,7 @@ impl Counters {
 /// assert_eq!(names, [(Some(node), "FEED".to_owned())]);
 /// assert!(engine.findings().is_empty());
 /// ```
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Engine {
     tracker: DeviceTracker,
     requester: Requester,
@@ -297,6 +297,11 @@ impl Engine {
         }
         self.tracker.wake_at(now);
         Some(frame.with_bus(self.tracker.config.bus))
+    }
+
+    /// Returns true if [`poll_transmit`](Self::poll_transmit) returns a frame.
+    pub fn has_frames_to_send(&self) -> bool {
+        !self.requester.outbox.is_empty()
     }
 
     /// Handles a bus that cannot be used at present: discards frames not sent or not confirmed, and

@@ -28,7 +28,7 @@ pub(super) enum AckChange {
 }
 
 /// Transmit queue of one bus.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Outbox {
     queue: VecDeque<Frame>,
     sent: VecDeque<Frame>,
@@ -81,6 +81,11 @@ impl Outbox {
     pub fn push(&mut self, frame: Frame) {
         self.tokens -= nominal_bits(&frame);
         self.queue.push_back(frame);
+    }
+
+    /// Returns true if there is no frame to send.
+    pub fn is_empty(&self) -> bool {
+        self.queue.is_empty()
     }
 
     /// Removes the next frame and stores it as sent.

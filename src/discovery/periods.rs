@@ -39,7 +39,7 @@ const MAX_SINGLE: u32 = 10;
 const MAX_PERIODS: u32 = 60;
 
 /// Intervals between the heartbeats of one address.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 struct Intervals {
     recent: VecDeque<Duration>,
     /// Median interval, if most agree with it.
@@ -102,7 +102,7 @@ pub(super) enum PeriodChange {
 }
 
 /// Heartbeat period of each address on one bus.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct HeartbeatPeriods {
     /// Period in the profile.
     profile: Duration,

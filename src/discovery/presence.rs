@@ -42,7 +42,7 @@ const MAX_OUTAGES: usize = 8;
 const OUTAGE_TOLERANCE: Duration = Duration::from_millis(200);
 
 /// Times in which the bus was down.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Outages {
     since: Option<Instant>,
     past: VecDeque<(Instant, Instant)>,

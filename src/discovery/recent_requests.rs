@@ -23,7 +23,7 @@ struct PendingBroadcast {
 }
 
 /// Recent requests on one bus.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct RecentRequests {
     broadcasts: VecDeque<PendingBroadcast>,
     /// Time of the last request from each address.

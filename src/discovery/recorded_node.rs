@@ -20,7 +20,7 @@ enum Sender {
 }
 
 /// Senders of the frames that a log marks as sent.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct RecordedNodes {
     senders: [Sender; Address::COUNT],
     /// True if one of them is an inspector.

@@ -11,7 +11,7 @@ use super::{BusVerdict, Config, EventKind};
 use crate::time::Instant;
 
 /// descan's own node on one bus, and the state of what it sends.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Requester {
     pub rng: fastrand::Rng,
     pub local_node: LocalNode,

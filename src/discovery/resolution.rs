@@ -27,7 +27,7 @@ pub(super) struct HeartbeatContext {
 }
 
 /// Sender of a heartbeat.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct HeartbeatSender {
     /// UID and what claims know about it; `None` if the UID is blank.
     known: Option<(Uid, ClaimUpdate)>,

@@ -39,7 +39,7 @@ enum RoundPhase {
 }
 
 /// State of the enumeration rounds.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Rounds {
     phase: RoundPhase,
     quiet: u32,

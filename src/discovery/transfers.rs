@@ -25,7 +25,7 @@ const MAX_PER_ID: usize = 2;
 const INTERLEAVED_REST: Duration = Duration::from_millis(100);
 
 /// Transfer that is being received.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 struct RxTransfer {
     id: u32,
     first: Frame,
@@ -48,7 +48,7 @@ struct RxTransfer {
 }
 
 /// Flow control to send.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct DueFlowControl {
     pub status: FlowStatus,
     /// First frame of the transfer.
@@ -71,7 +71,7 @@ enum FlowControlState {
 }
 
 /// Two transfers of one identifier, and the last consecutive frame of them.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 struct TransferPair {
     id: u32,
     last: Option<(Instant, Frame)>,
@@ -89,7 +89,7 @@ pub(super) enum Interleaving {
 }
 
 /// Result of a first frame.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) enum Started {
     /// A transfer is open.
     Open,
@@ -98,7 +98,7 @@ pub(super) enum Started {
 }
 
 /// Result of a consecutive frame.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) enum Continued {
     /// No transfer is open for it: a late frame.
     Unknown,
@@ -113,7 +113,7 @@ pub(super) enum Continued {
 }
 
 /// A transfer whose sender stopped.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Stopped {
     pub header: Header,
     pub fault: TransferFault,
@@ -136,7 +136,7 @@ impl From<RxTransfer> for Stopped {
 }
 
 /// Open transfers of one bus.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Transfers {
     by_source: Vec<Vec<RxTransfer>>,
     /// Last pair of each source, until it was reported.

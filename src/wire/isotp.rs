@@ -243,7 +243,7 @@ pub enum ReassemblyProgress {
 /// assert_eq!(progress, ReassemblyProgress::Done);
 /// assert_eq!(transfer.message(), b"\x01BOILER2\0");
 /// ```
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Reassembly<B> {
     buffer: B,
     received: usize,
@@ -366,7 +366,7 @@ enum SendState {
 }
 
 /// A message in transmission.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Segmenter<B> {
     message: B,
     sent: usize,

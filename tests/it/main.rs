@@ -30,6 +30,7 @@ mod external_editors;
 mod foreign_buses;
 mod guide;
 mod heartbeat_periods;
+mod history;
 mod log;
 mod malicious_input;
 mod missing_reasons;

@@ -9,7 +9,7 @@ use crate::time::Instant;
 use std::collections::VecDeque;
 
 /// Frame counts and bus time of the current and of the last [`Self::SECONDS`] seconds.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct LoadMeter {
     second: u64,
     current: LoadSecond,

@@ -31,7 +31,7 @@ use std::sync::Arc;
 const STALL_BACKLOG: Duration = Duration::from_millis(250);
 
 /// All buses.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Buses {
     list: Vec<Bus>,
     redundant: RedundantDevices,
@@ -75,6 +75,11 @@ impl Buses {
     #[expect(clippy::iter_without_into_iter, reason = "loops name what they go through")]
     pub fn iter(&self) -> std::slice::Iter<'_, Bus> {
         self.list.iter()
+    }
+
+    /// Approximate size in bytes, as of a copy.
+    pub fn size(&self) -> usize {
+        self.list.iter().map(Bus::size).sum()
     }
 
     /// Number of buses.
@@ -301,11 +306,13 @@ impl Buses {
         self.list.get_mut(usize::from(index.0))?.poll_event()
     }
 
-    /// The next frame to transmit; `frame.bus` is the bus to transmit on.
+    /// The next frame to transmit that no engine generated.
+    pub(super) fn poll_outbox(&mut self) -> Option<Frame> {
+        self.outbox.pop_front()
+    }
+
+    /// The next frame of an engine to transmit; `frame.bus` is the bus to transmit on.
     pub(super) fn poll_transmit(&mut self, now: Instant) -> Option<Frame> {
-        if let Some(frame) = self.outbox.pop_front() {
-            return Some(frame);
-        }
         self.list.iter_mut().enumerate().find_map(|(index, bus)| {
             bus.poll_transmit(now).map(|frame| frame.with_bus(BusIndex(index as u8)))
         })

@@ -42,7 +42,7 @@ pub struct RedundantDevice {
 }
 
 /// The devices that are on several buses.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct RedundantDevices {
     of: HashMap<DeviceId, Vec<RedundantDevice>>,
     known: BTreeMap<(DeviceId, DeviceId), Redundancy>,

@@ -20,6 +20,9 @@ const PINNED_PART: usize = 4;
 /// Flag of a record: sent by descan.
 const SENT: u8 = 0x80;
 
+/// Bytes that a classic frame takes.
+pub const BYTES_PER_FRAME: usize = size_of::<Record>();
+
 /// A frame in a block. Its data is here, or from a place in the block on if it is longer.
 #[derive(Clone, Copy, Debug)]
 struct Record {
@@ -142,8 +145,6 @@ pub struct FrameStore {
 }
 
 impl FrameStore {
-    /// Default room in bytes.
-    pub const DEFAULT_ROOM: usize = 64_000_000;
     /// Smallest room in bytes.
     pub const MIN_ROOM: usize = 1_000_000;
 
@@ -170,7 +171,7 @@ impl FrameStore {
 
     /// Number of classic frames that fit into the room.
     pub fn capacity(&self) -> u64 {
-        (self.room / size_of::<Record>()) as u64
+        (self.room / BYTES_PER_FRAME) as u64
     }
 
     /// Number of the oldest frame from which on all are stored.

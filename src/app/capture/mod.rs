@@ -10,7 +10,7 @@ mod frame_store;
 mod identifiers;
 
 pub use decoded::{Decoded, hex};
-pub use frame_store::{FrameStore, StoredFrames};
+pub use frame_store::{BYTES_PER_FRAME, FrameStore, StoredFrames};
 pub use identifiers::{IdentifierKey, IdentifierKind, IdentifierStats, Identifiers};
 
 use super::buses::{Bus, Buses};

@@ -54,7 +54,7 @@ enum Rnd7 {
 }
 
 /// Recent heartbeats of one address.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct HeartbeatHistory {
     /// Times of the last heartbeats, at most [`MAX_TIMES`]; without copies.
     times: VecDeque<Instant>,
@@ -160,7 +160,7 @@ fn push_bounded<T>(values: &mut VecDeque<T>, value: T, max: usize) {
 }
 
 /// History of one address.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct AddressHistory {
     pub names: RecentValues<Name>,
     /// Time of the last name response.

@@ -139,7 +139,7 @@ impl AddressFindings {
 }
 
 /// Histories of all addresses of one bus, with the findings made from them.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct ConflictDetector {
     periods: HeartbeatPeriods,
     /// True if no inspector sends requests on purpose: devices respond now and then only.

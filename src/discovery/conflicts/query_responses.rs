@@ -20,9 +20,10 @@ pub(in crate::discovery) struct RequestOrigin {
 
 /// Matches responses to requests, for one kind of request in one framing, separately for each
 /// requester.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct QueryResponseMatcher {
-    open_queries: [Option<OpenQueries>; REQUESTERS],
+    /// At most [`REQUESTERS`].
+    open_queries: Vec<OpenQueries>,
 }
 
 /// Maximum number of requesters to one node that are distinguished. Chosen: more inspectors are
@@ -42,7 +43,7 @@ const MIN_INTERVAL: Duration = Duration::from_millis(5);
 const MIN_POLLED: u8 = 8;
 
 /// Requests of one requester that may still get responses.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 struct OpenQueries {
     by: Address,
     /// True if none of them was a broadcast.
@@ -120,19 +121,20 @@ impl OpenQueries {
 impl QueryResponseMatcher {
     /// Notes a request.
     pub fn note_request(&mut self, now: Instant, parties: RequestOrigin) {
-        let by = |open: &Option<OpenQueries>| {
-            open.as_ref().is_some_and(|open| open.by == parties.requester)
-        };
-        let at = self.open_queries.iter().position(by).unwrap_or_else(|| {
+        let open_queries = &mut self.open_queries;
+        let by = |open: &OpenQueries| open.by == parties.requester;
+        let at = open_queries.iter().position(by).unwrap_or_else(|| {
+            let open = OpenQueries::new(now, parties.requester);
+            if open_queries.len() < REQUESTERS {
+                open_queries.push(open);
+                return open_queries.len() - 1;
+            }
             // Replace the requester with the oldest request.
-            let sent_at = |at: &usize| self.open_queries[*at].as_ref().map(|open| open.sent_at);
-            let oldest = (0..REQUESTERS).min_by_key(sent_at).unwrap_or(0);
-            self.open_queries[oldest] = None;
+            let oldest = (0..REQUESTERS).min_by_key(|at| open_queries[*at].sent_at).unwrap_or(0);
+            open_queries[oldest] = open;
             oldest
         });
-        let open =
-            self.open_queries[at].get_or_insert_with(|| OpenQueries::new(now, parties.requester));
-        open.add(now, parties.is_targeted);
+        open_queries[at].add(now, parties.is_targeted);
     }
 
     /// Counts a response for requester `to`, or, where that is `None`, for a requester that still
@@ -146,7 +148,7 @@ impl QueryResponseMatcher {
         frame: &Frame,
     ) -> (bool, Option<SurplusResponse>) {
         let fresh = |open: &&mut OpenQueries| now.since(open.sent_at) <= RESPONSE_WINDOW;
-        let mut open = self.open_queries.iter_mut().flatten().filter(fresh);
+        let mut open = self.open_queries.iter_mut().filter(fresh);
         let open = match to {
             Some(to) => open.find(|open| open.by == to),
             None => open.min_by_key(|open| (open.without_response.is_empty(), open.sent_at)),

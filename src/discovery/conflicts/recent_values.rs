@@ -9,7 +9,7 @@ use std::collections::VecDeque;
 const MAX_VALUES: usize = 8;
 
 /// Detects values that return to an address: A, B, A or A, B, C, A.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct RecentValues<T> {
     current: Option<RecentValue<T>>,
     /// Values before the current one, the one that was current last at the end.
@@ -21,7 +21,7 @@ pub(super) struct RecentValues<T> {
 
 /// A value, since when it is remembered, when it was observed last, and when another one took its
 /// place.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 struct RecentValue<T> {
     value: T,
     since: Instant,

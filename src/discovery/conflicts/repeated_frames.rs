@@ -46,7 +46,7 @@ const FAST_PAIR_MARGIN: Duration = Duration::from_millis(5);
 const MAX_OPEN: usize = 1024;
 
 /// Detector of repeated frames on one bus.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct RepeatedFrameDetector {
     period: Duration,
     /// Address and time of the last heartbeat, and of the last one from another address.
@@ -71,7 +71,7 @@ pub(super) struct RepeatedFrameDetector {
 }
 
 /// Successive copied heartbeats of one address.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 struct CopySeries {
     count: u32,
     /// Delays of the last copies.
@@ -110,7 +110,7 @@ impl CopySeries {
 }
 
 /// Last pairs of equal responses.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 struct ResponsePairs(VecDeque<ResponsePair>);
 
 #[derive(Clone, Copy, Debug)]
@@ -145,7 +145,7 @@ impl ResponsePairs {
 }
 
 /// Addresses that responded to the last broadcast request once and twice, one bit each.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 struct RoundResponses {
     sent_at: Instant,
     once: u128,

@@ -10,7 +10,7 @@ pub(super) const MAX_RUN_COUNT: f64 = 3.0;
 const HALF_LIFE: Duration = Duration::from_secs(10);
 
 /// Decaying count of the errors outside of windows.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Background {
     pub(super) broken: f64,
     pub(super) frames: f64,

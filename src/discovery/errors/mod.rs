@@ -94,7 +94,7 @@ pub(super) enum ExpectedFrame {
 }
 
 /// An address with errors in its windows.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 struct Suspect {
     address: Address,
     expected: ExpectedFrame,
@@ -126,7 +126,7 @@ impl Suspect {
 }
 
 /// Result of checking a suspect.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 enum SuspectOutcome {
     /// Errors follow the address; with the new evidence.
     Reported(Address, ExpectedFrame, Vec<Evidence>),
@@ -135,7 +135,7 @@ enum SuspectOutcome {
 }
 
 /// State of the errors on one bus.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct BusErrorTracker {
     rate: ErrorRate,
     /// Time of the last update of the bus finding's text, and whether another is needed.

@@ -71,7 +71,7 @@ struct ErrorSecond {
 }
 
 /// Errors of the last seconds on one bus.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct ErrorRate {
     seconds: VecDeque<ErrorSecond>,
     /// Begin of each second and the number of frames received by then, for as long as errors count.

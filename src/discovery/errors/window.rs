@@ -21,7 +21,7 @@ const WEIGHT: u32 = 2;
 const LONG_WEIGHT: u32 = 3;
 
 /// Time in which an address is expected to send.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Window {
     pub(super) address: Address,
     pub(super) due: ExpectedFrame,
@@ -88,7 +88,7 @@ impl Window {
 }
 
 /// A broadcast request, and the addresses without a response.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct BroadcastWindow {
     pub(super) request: Frame,
     pub(super) ends: Instant,

@@ -53,6 +53,17 @@ impl Stage {
     }
 
     pub fn with_bytes(scenario: &Scenario, file: Option<Vec<u8>>, config: Config) -> Self {
+        // Small, so that a test fills it soon.
+        Self::with_room(scenario, file, config, 1 << 20)
+    }
+
+    /// Starts the program with captured frames of at most `room` bytes.
+    pub fn with_room(
+        scenario: &Scenario,
+        file: Option<Vec<u8>>,
+        config: Config,
+        room: usize,
+    ) -> Self {
         let mut sim = Sim::new(scenario, 1);
         let station = sim.attach();
         sim.set_listen_only(station, config.listen_only);
@@ -66,8 +77,7 @@ impl Stage {
                 file_path: Some("des.json".into()),
                 theme: "terminal".to_owned(),
                 themes: BUILT_IN.iter().map(|(name, _)| (*name).to_owned()).collect(),
-                // Small, so that a test fills it soon.
-                capture_room: Some(1 << 20),
+                capture_room: Some(room),
                 ..AppOptions::default()
             },
         );

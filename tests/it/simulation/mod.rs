@@ -7,7 +7,7 @@
 mod checks;
 mod ground_truth;
 mod link_faults;
-mod random_scenario;
+pub mod random_scenario;
 
 use crate::common::inspection;
 use descan::discovery::{Config, Engine, Event, EventKind};

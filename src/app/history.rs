@@ -1,0 +1,428 @@
+//! The past of the buses: any moment since which all frames are still captured, as it was.
+//!
+//! The buses are deterministic, so their state is that of the nearest snapshot before the moment and
+//! what they took since: the frames, which the capture has, and the other inputs, which are kept
+//! here with the number of frames before each. Snapshots and inputs are bounded in bytes. Does not
+//! know des.json, the timeline or the screen.
+
+use super::buses::{Buses, Redundancy};
+use super::capture::{BYTES_PER_FRAME, FrameStore};
+use super::timeline_kind::TimelineKind;
+use crate::discovery::{Config, DeviceId, Event};
+use crate::frame::{BusIndex, Frame};
+use crate::status::BusStatus;
+use crate::time::Instant;
+use std::collections::VecDeque;
+use std::ops::{Deref, Range};
+use std::sync::Arc;
+
+/// Room for captured frames, as a multiple of that for the past.
+pub const FRAMES_PER_ROOM: usize = 3;
+/// Snapshots of a full capture at first. Halved when they take too much room.
+const SNAPSHOTS: usize = 64;
+/// Bounds of the work between two snapshots at first: about 10 ms of replay, and 3 % of it for the
+/// copy.
+const SNAPSHOT_WORK: Range<usize> = 256..65_536;
+/// Work of an input in frames: what becomes due costs more than a frame.
+const INPUT_WORK: u64 = 8;
+/// Fewer snapshots than these are not thinned out: the history becomes shorter.
+const MIN_SNAPSHOTS: usize = 4;
+
+/// What the buses take besides frames.
+#[derive(Clone, Debug)]
+enum BusesInput {
+    /// Something is due.
+    Timeout,
+    /// The engines are asked for a frame to send.
+    Transmit,
+    /// A second is over.
+    Tick,
+    /// The program was stopped since that moment.
+    Stall(Instant),
+    /// The status of a bus changed.
+    Status(BusIndex, Box<BusStatus>),
+    /// The bit rate of a bus is searched, or of none.
+    Searched(Option<BusIndex>),
+    /// The enumeration starts again.
+    Rescan,
+    /// The lost devices are removed.
+    RemoveLost,
+    /// A bus has another name.
+    Rename(BusIndex, String),
+    /// A bus is added.
+    Add(String, Box<Config>),
+}
+
+/// An input, with the number of frames that the buses took before it.
+#[derive(Clone, Debug)]
+struct PastInput {
+    frames: u64,
+    time: Instant,
+    input: BusesInput,
+}
+
+/// The buses after so many frames and inputs.
+#[derive(Clone, Debug)]
+struct BusesSnapshot {
+    frames: u64,
+    inputs: u64,
+    time: Instant,
+    buses: Arc<Buses>,
+    size: usize,
+}
+
+/// A place in the order of frames and inputs, and its time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Moment {
+    /// Number of frames before it.
+    pub frames: u64,
+    /// Number of inputs before it.
+    inputs: u64,
+    /// Time that is shown.
+    pub time: Instant,
+}
+
+/// The buses as they are, and what leads to them. Reads like [`Buses`].
+#[derive(Debug)]
+pub struct RecordedBuses {
+    now: Buses,
+    /// Number of frames that the buses took.
+    frames: u64,
+    inputs: VecDeque<PastInput>,
+    /// Number of inputs that were dropped.
+    dropped_inputs: u64,
+    snapshots: VecDeque<BusesSnapshot>,
+    /// Work since the last snapshot, and from one to the next.
+    work: u64,
+    snapshot_work: u64,
+    /// Bytes that snapshots and inputs may take.
+    room: usize,
+}
+
+impl Deref for RecordedBuses {
+    type Target = Buses;
+
+    fn deref(&self) -> &Buses {
+        &self.now
+    }
+}
+
+impl RecordedBuses {
+    /// Returns buses that start at `now`, with snapshots and inputs of at most `room` bytes; with 0 there
+    /// is no past.
+    pub fn new(now: Instant, buses: Buses, room: usize) -> Self {
+        let work = FRAMES_PER_ROOM * room / BYTES_PER_FRAME / SNAPSHOTS;
+        let mut all = Self {
+            now: buses,
+            frames: 0,
+            inputs: VecDeque::new(),
+            dropped_inputs: 0,
+            snapshots: VecDeque::new(),
+            work: 0,
+            snapshot_work: work.clamp(SNAPSHOT_WORK.start, SNAPSHOT_WORK.end) as u64,
+            room,
+        };
+        if all.room > 0 {
+            all.take_snapshot(now);
+        }
+        all
+    }
+
+    // ---- what the buses take ---------------------------------------------------------------
+
+    /// Appends a bus that starts at `now`; returns false at 256 buses, the most there can be.
+    pub fn add(&mut self, now: Instant, name: String, config: Config) -> bool {
+        self.note(now, BusesInput::Add(name.clone(), Box::new(config.clone())));
+        self.now.add(now, name, config)
+    }
+
+    /// Renames a bus; returns false for an unknown index.
+    pub fn rename(&mut self, now: Instant, index: BusIndex, name: String) -> bool {
+        self.note(now, BusesInput::Rename(index, name.clone()));
+        self.now.rename(index, name)
+    }
+
+    /// Passes a frame to its bus; returns false for an unknown bus.
+    pub fn receive(&mut self, frame: &Frame) -> bool {
+        let is_known = self.now.receive(frame);
+        if is_known {
+            self.frames += 1;
+            self.work += 1;
+        }
+        is_known
+    }
+
+    /// Runs the timers that are due at `now`.
+    pub fn handle_timeout(&mut self, now: Instant) {
+        if self.now.poll_timeout().is_some_and(|due| due <= now) {
+            self.note(now, BusesInput::Timeout);
+            self.now.handle_timeout(now);
+        }
+    }
+
+    /// See [`Buses::handle_stall`].
+    pub fn handle_stall(&mut self, since: Instant, now: Instant) {
+        self.note(now, BusesInput::Stall(since));
+        self.now.handle_stall(since, now);
+    }
+
+    /// See [`Buses::update_status`].
+    pub fn update_status(
+        &mut self,
+        now: Instant,
+        index: BusIndex,
+        status: BusStatus,
+    ) -> Option<Vec<(TimelineKind, String)>> {
+        if self.now.get(index).is_some_and(|bus| bus.status != status) {
+            self.note(now, BusesInput::Status(index, Box::new(status.clone())));
+        }
+        self.now.update_status(now, index, status)
+    }
+
+    /// The next engine event of a bus.
+    pub fn poll_event(&mut self, index: BusIndex) -> Option<Event> {
+        self.now.poll_event(index)
+    }
+
+    /// The next frame to transmit; `frame.bus` is the bus to transmit on.
+    pub fn poll_transmit(&mut self, now: Instant) -> Option<Frame> {
+        if let Some(frame) = self.now.poll_outbox() {
+            return Some(frame);
+        }
+        let is_cut_off = self.now.iter().any(|bus| bus.must_discard_frames(now));
+        let frame = self.now.poll_transmit(now);
+        // An engine that cannot send starts to listen again.
+        if frame.is_some() || is_cut_off {
+            self.note(now, BusesInput::Transmit);
+        }
+        frame
+    }
+
+    /// Queues a frame for transmission.
+    pub fn transmit(&mut self, frame: Frame) {
+        self.now.transmit(frame);
+    }
+
+    /// Restarts the enumeration on all buses.
+    pub fn rescan(&mut self, now: Instant) {
+        self.note(now, BusesInput::Rescan);
+        self.now.rescan(now);
+    }
+
+    /// Removes the lost devices of all buses.
+    pub fn remove_lost_devices(&mut self, now: Instant) {
+        self.note(now, BusesInput::RemoveLost);
+        self.now.remove_lost_devices();
+    }
+
+    /// Closes the load seconds that are over.
+    pub fn tick(&mut self, now: Instant) {
+        self.note(now, BusesInput::Tick);
+        self.now.tick(now);
+    }
+
+    /// Starts or ends a bit rate search.
+    pub fn set_searched(&mut self, now: Instant, bus: Option<BusIndex>) {
+        self.note(now, BusesInput::Searched(bus));
+        self.now.set_searched(bus);
+    }
+
+    /// See [`Buses::refresh_redundancy`].
+    pub fn refresh_redundancy(&mut self) -> Vec<(DeviceId, DeviceId, Redundancy)> {
+        self.now.refresh_redundancy()
+    }
+
+    fn note(&mut self, time: Instant, input: BusesInput) {
+        if self.room == 0 {
+            return;
+        }
+        self.inputs.push_back(PastInput { frames: self.frames, time, input });
+        self.work += INPUT_WORK;
+    }
+
+    // ---- the past --------------------------------------------------------------------------
+
+    /// Takes a snapshot, if it is time for one: call when all events are taken. Drops what is older
+    /// than the frames from number `first` on.
+    pub fn keep_history(&mut self, now: Instant, first: u64) {
+        if self.work < self.snapshot_work || self.room == 0 {
+            return;
+        }
+        // A moment needs a snapshot before it and all frames since.
+        while self.snapshots.len() > 1 && self.snapshots[0].frames < first {
+            self.snapshots.pop_front();
+        }
+        self.take_snapshot(now);
+        while self.snapshots.len() > 1 && self.size() > self.room {
+            if self.snapshots.len() > MIN_SNAPSHOTS {
+                self.thin_out();
+            } else {
+                self.snapshots.pop_front();
+            }
+        }
+        let needed = self.snapshots.front().map_or(self.input_count(), |oldest| oldest.inputs);
+        let unneeded = (needed - self.dropped_inputs) as usize;
+        self.inputs.drain(..unneeded.min(self.inputs.len()));
+        self.dropped_inputs = needed;
+    }
+
+    /// Number of all inputs.
+    fn input_count(&self) -> u64 {
+        self.dropped_inputs + self.inputs.len() as u64
+    }
+
+    /// Bytes of snapshots and inputs.
+    fn size(&self) -> usize {
+        let snapshots: usize = self.snapshots.iter().map(|snapshot| snapshot.size).sum();
+        snapshots + self.inputs.len() * size_of::<PastInput>()
+    }
+
+    fn take_snapshot(&mut self, time: Instant) {
+        self.work = 0;
+        self.snapshots.push_back(BusesSnapshot {
+            frames: self.frames,
+            inputs: self.input_count(),
+            time,
+            size: self.now.size(),
+            buses: Arc::new(self.now.clone()),
+        });
+    }
+
+    /// Drops every other snapshot, but not the first one, and takes fewer from now on.
+    fn thin_out(&mut self) {
+        let mut is_kept = false;
+        self.snapshots.retain(|_| {
+            is_kept = !is_kept;
+            is_kept
+        });
+        self.snapshot_work = self.snapshot_work.saturating_mul(2);
+    }
+
+    /// Time since when every moment can be shown, with the captured frames `store`.
+    pub fn begin(&self, store: &FrameStore) -> Instant {
+        let reachable = self.snapshots.iter().find(|it| it.frames >= store.first());
+        reachable.map_or(Instant::LATEST, |snapshot| snapshot.time)
+    }
+
+    /// The present moment.
+    pub fn present(&self, time: Instant) -> Moment {
+        Moment { frames: self.frames, inputs: self.input_count(), time }
+    }
+
+    /// The moment at a time: after all frames and inputs until then.
+    pub fn moment(&self, store: &FrameStore, time: Instant) -> Moment {
+        let frames = store.at_time(Instant::from_micros(time.as_micros().saturating_add(1)));
+        let is_before =
+            |it: &PastInput| it.frames < frames || it.frames == frames && it.time <= time;
+        let inputs = self.dropped_inputs + self.inputs.partition_point(is_before) as u64;
+        Moment { frames, inputs, time }
+    }
+
+    /// The moment after the frame with this number; `None` if it is not stored.
+    pub fn moment_after(&self, store: &FrameStore, number: u64) -> Option<Moment> {
+        let time = store.get(number)?.time;
+        let frames = number + 1;
+        let inputs = self.inputs.partition_point(|it| it.frames < frames);
+        Some(Moment { frames, inputs: self.dropped_inputs + inputs as u64, time })
+    }
+
+    /// Begins to replay the buses as they were at a moment; `None` if frames before it are no longer
+    /// stored.
+    pub fn replay(&self, store: &FrameStore, moment: Moment) -> Option<BusesReplay> {
+        let is_usable = |snapshot: &&BusesSnapshot| {
+            snapshot.frames >= store.first()
+                && (snapshot.frames, snapshot.inputs) <= (moment.frames, moment.inputs)
+                && snapshot.inputs <= moment.inputs
+        };
+        let snapshot = self.snapshots.iter().rev().find(is_usable)?;
+        Some(BusesReplay {
+            buses: Buses::clone(&snapshot.buses),
+            frames: snapshot.frames,
+            inputs: snapshot.inputs,
+            moment,
+        })
+    }
+}
+
+/// A replay of the buses up to a moment.
+#[derive(Debug)]
+pub struct BusesReplay {
+    buses: Buses,
+    /// Numbers of the next frame and of the next input.
+    frames: u64,
+    inputs: u64,
+    moment: Moment,
+}
+
+impl BusesReplay {
+    /// The moment that is replayed.
+    pub fn moment(&self) -> Moment {
+        self.moment
+    }
+
+    /// Replays at most about `work` frames. Returns true when the moment is reached.
+    pub fn run(&mut self, history: &RecordedBuses, store: &FrameStore, work: u64) -> bool {
+        let mut left = work;
+        let first = (self.inputs - history.dropped_inputs) as usize;
+        let mut inputs = history.inputs.iter().skip(first).peekable();
+        let mut frames = store.frames_from(self.frames);
+        while left > 0 {
+            let due = inputs.peek().filter(|it| it.frames <= self.frames);
+            if let Some(input) = due.filter(|_| self.inputs < self.moment.inputs) {
+                self.buses.apply(input);
+                self.inputs += 1;
+                inputs.next();
+                left = left.saturating_sub(INPUT_WORK);
+            } else if self.frames < self.moment.frames
+                && let Some((_, frame)) = frames.next()
+            {
+                self.buses.receive(&frame);
+                self.frames += 1;
+                left -= 1;
+            } else {
+                self.buses.drop_events();
+                return true;
+            }
+            self.buses.drop_events();
+        }
+        false
+    }
+
+    /// The buses as far as they were replayed.
+    pub fn into_buses(self) -> Buses {
+        self.buses
+    }
+}
+
+impl Buses {
+    fn apply(&mut self, past: &PastInput) {
+        let now = past.time;
+        match &past.input {
+            BusesInput::Timeout => self.handle_timeout(now),
+            BusesInput::Transmit => {
+                self.poll_transmit(now);
+            }
+            BusesInput::Tick => self.tick(now),
+            BusesInput::Stall(since) => self.handle_stall(*since, now),
+            BusesInput::Status(index, status) => {
+                self.update_status(now, *index, BusStatus::clone(status));
+            }
+            BusesInput::Searched(bus) => self.set_searched(*bus),
+            BusesInput::Rescan => self.rescan(now),
+            BusesInput::RemoveLost => self.remove_lost_devices(),
+            BusesInput::Rename(index, name) => {
+                self.rename(*index, name.clone());
+            }
+            BusesInput::Add(name, config) => {
+                self.add(now, name.clone(), Config::clone(config));
+            }
+        }
+    }
+
+    /// Drops the events of all buses.
+    fn drop_events(&mut self) {
+        for index in 0..self.len() {
+            while self.poll_event(BusIndex(index as u8)).is_some() {}
+        }
+    }
+}

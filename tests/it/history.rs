@@ -1,0 +1,87 @@
+//! The past of the buses: their state at any moment.
+
+use crate::common::harness::Stage;
+use crate::simulation::random_scenario::World;
+use descan::app::{App, Buses, BusesReplay, Moment};
+use descan::frame::BusIndex;
+use descan::status::{BusState, BusStatus, Link};
+use descan::time::Duration;
+
+/// Room for captured frames in which the worlds here need several snapshots.
+const ROOM: usize = 16 << 20;
+
+/// All that the buses have stored.
+fn state(buses: &Buses) -> String {
+    format!("{buses:?}")
+}
+
+/// Returns where two long texts differ.
+fn difference(one: &str, other: &str) -> String {
+    let at = one.bytes().zip(other.bytes()).take_while(|(one, other)| one == other).count();
+    let part = |text: &str| {
+        let bytes = &text.as_bytes()[at.saturating_sub(300)..(at + 80).min(text.len())];
+        String::from_utf8_lossy(bytes).into_owned()
+    };
+    format!("…{}\n…{}", part(one), part(other))
+}
+
+fn replayed(app: &App, moment: Moment) -> Option<Buses> {
+    let mut replay: BusesReplay = app.history().replay(app.capture(), moment)?;
+    while !replay.run(app.history(), app.capture(), 1000) {}
+    Some(replay.into_buses())
+}
+
+/// Tests that the state at random moments is that of the buses at these moments, with outages,
+/// commands and lost frames between them.
+#[test]
+fn past_state_is_that_of_its_moment() {
+    let first = std::env::var("FIRST").ok().and_then(|it| it.parse().ok()).unwrap_or(0);
+    let count = std::env::var("SEEDS").ok().and_then(|it| it.parse().ok()).unwrap_or(12);
+    for seed in first..first + count {
+        let mut rng = fastrand::Rng::with_seed(seed);
+        let world = World::new(seed);
+        let config = world.inspectors[0].config.clone();
+        let mut stage = Stage::with_room(&world.scenario, None, config, ROOM);
+        let mut status = BusStatus {
+            link: Link::Up,
+            bitrate: Some(world.scenario.bitrate),
+            ..BusStatus::default()
+        };
+        let (mut moments, mut time) = (Vec::new(), 0.0);
+        while time < 30.0 {
+            time += rng.f64() * 2.0;
+            stage.until(time);
+            let now = stage.app.now();
+            match rng.u8(0..12) {
+                0 => {
+                    stage.keys("r");
+                }
+                1 => {
+                    stage.keys("c");
+                }
+                2 => status.kernel_drops += 1,
+                3 => status.link = if status.link == Link::Up { Link::Down } else { Link::Up },
+                4 => status.state = BusState::BusOff,
+                5 => status.state = BusState::ErrorActive,
+                6 => stage.app.handle_stall(now - Duration::from_millis(300), now),
+                _ => {}
+            }
+            stage.app.handle_bus(now, BusIndex(0), status.clone());
+            let history = stage.app.history();
+            moments.push((history.present(now), state(history)));
+        }
+        rng.shuffle(&mut moments);
+        let (mut dropped, count) = (0, moments.len());
+        for (moment, expected) in moments {
+            let Some(past) = replayed(&stage.app, moment) else {
+                let begin = stage.app.history().begin(stage.app.capture());
+                assert!(moment.time < begin, "seed {seed}: {moment:?} is kept, from {begin:?}");
+                dropped += 1;
+                continue;
+            };
+            let past = state(&past);
+            assert!(past == expected, "seed {seed}, {moment:?}:\n{}", difference(&past, &expected));
+        }
+        assert!(dropped < count / 2, "seed {seed}: {dropped} of {count} moments are not kept");
+    }
+}
