@@ -3,6 +3,7 @@
 //! Each action is one command of [`App`]; nothing is transmitted beyond discovery without a
 //! confirmation.
 
+use super::timeline_kind::TimelineKind;
 use super::{App, Effect, Overlay, Page};
 use crate::keymap::Action;
 use crate::status::PlaybackCommand;
@@ -12,7 +13,7 @@ impl App {
     pub(super) fn run(&mut self, action: Action) {
         if self.view.frozen.is_some() && action.edits_or_sends() {
             let key = self.key_of(Action::Freeze);
-            return self.show_error(format!("frozen; {key} unfreezes"));
+            return self.show_error(format!("frozen: {key} shows the present first"));
         }
         match action {
             Action::Up => self.move_by(-1),
@@ -44,7 +45,13 @@ impl App {
             Action::BitRate => self.ask_bitrate(),
             Action::SaveCapture => self.ask_capture_path(),
             Action::Pause => self.control_playback(PlaybackCommand::Pause),
-            Action::Step => self.control_playback(PlaybackCommand::Step),
+            Action::PreviousEvent => self.go_to_event(-1, |_| true),
+            Action::NextEvent => self.go_to_event(1, |_| true),
+            Action::PreviousProblem => self.go_to_event(-1, TimelineKind::is_of_problem),
+            Action::NextProblem => self.go_to_event(1, TimelineKind::is_of_problem),
+            Action::PreviousFrame => self.go_to_frame(-1),
+            Action::NextFrame if self.past.is_some() => self.go_to_frame(1),
+            Action::NextFrame => self.control_playback(PlaybackCommand::Step),
             Action::Slower => self.control_playback(PlaybackCommand::Slower),
             Action::Faster => self.control_playback(PlaybackCommand::Faster),
             Action::EditAddress => self.edit_address(),

@@ -46,11 +46,6 @@ impl DeviceRows {
         view.devices.index(self.rows.iter().map(|row| &row.key))
     }
 
-    /// Drops the order of the rows, which a frozen view would keep.
-    pub fn forget_order(&mut self) {
-        self.rows.clear();
-    }
-
     /// Updates the rows; the selection stays on its device.
     pub fn refresh(&mut self, inputs: Inputs, problems: &ProblemList, view: &mut View) {
         let mut rows = inputs.all_rows();
@@ -58,12 +53,6 @@ impl DeviceRows {
         let filter = Filter::parse(view.filter(Page::Devices));
         rows.retain(|row| filter.matches_row(inputs.buses, row));
         sort(&mut rows, inputs.buses, view.sort);
-        if view.frozen.is_some() {
-            // Known rows keep their places; new ones come last.
-            let old: HashMap<&RowKey, usize> =
-                self.rows.iter().map(|row| &row.key).zip(0..).collect();
-            rows.sort_by_cached_key(|row| old.get(&row.key).copied().unwrap_or(usize::MAX));
-        }
         let before = std::mem::replace(&mut self.rows, rows);
         self.follow_selection(&before, view);
         let height = view.screen(inputs.buses.len()).list_rows();

@@ -41,6 +41,7 @@ mod input;
 mod listing;
 mod navigate;
 mod notices;
+mod past;
 mod problems;
 mod timeline_kind;
 mod view;
@@ -88,6 +89,7 @@ use devices::DeviceRows;
 use file::FileEditor;
 use input::{Input, PromptContext, PromptOutcome, PromptResult};
 use notices::Notices;
+use past::Past;
 use problems::Problems;
 use std::collections::VecDeque;
 use std::ops::Range;
@@ -198,6 +200,21 @@ macro_rules! inputs {
 }
 use inputs;
 
+/// Borrows [`Inputs`] for the moment that is shown.
+macro_rules! shown_inputs {
+    ($app:expr) => {
+        match &$app.past {
+            Some(past) => $crate::app::Inputs {
+                now: past.moment.time,
+                buses: &past.buses,
+                file: &$app.editor.file,
+                matching: past.problems.matching(),
+            },
+            None => $crate::app::inputs!($app),
+        }
+    };
+}
+
 /// The themes to choose from.
 #[derive(Debug)]
 struct Themes {
@@ -240,6 +257,11 @@ pub struct App {
     was_idle: bool,
     /// When the next part of the frames is tested by the filter.
     filter_due: Option<Instant>,
+    /// The moment that is shown in place of the present one.
+    past: Option<Box<Past>>,
+    /// The replay on the way to a moment, and when its next part is due.
+    replay: Option<BusesReplay>,
+    replay_due: Option<Instant>,
 }
 
 impl App {
@@ -261,6 +283,9 @@ impl App {
             effects: VecDeque::new(),
             was_idle: false,
             filter_due: None,
+            past: None,
+            replay: None,
+            replay_due: None,
         };
         for warning in options.warnings {
             let mut line = TimelineEntry::new(now, TimelineKind::Error, &warning);
@@ -317,6 +342,9 @@ impl App {
         self.notices.expire(now);
         if self.filter_due.is_some_and(|due| due <= now) {
             self.filter_frames();
+        }
+        if self.replay_due.is_some_and(|due| due <= now) {
+            self.go_on_replaying();
         }
         self.run_file_timers();
         self.notices.redraw.check_due(now);
@@ -536,7 +564,8 @@ impl App {
         let second = (!self.was_idle || !self.is_idle()).then_some(self.clock.next_second());
         let file = self.editor.poll_timeout().filter(|_| !self.clock.has_real());
         let parts = self.buses.poll_timeout().into_iter().chain(self.notices.poll_timeout());
-        parts.chain(second).chain(file).chain(self.filter_due).min()
+        let work = self.filter_due.into_iter().chain(self.replay_due);
+        parts.chain(second).chain(file).chain(work).min()
     }
 
     /// Sets the real time, by which des.json is saved again and a file that has become empty is
@@ -597,9 +626,24 @@ impl App {
         self.clock.now()
     }
 
+    /// The buses at the moment that is shown.
+    fn shown_buses(&self) -> &Buses {
+        self.past.as_ref().map_or(&self.buses, |past| &past.buses)
+    }
+
+    /// The problems at the moment that is shown.
+    fn shown_problems(&self) -> &Problems {
+        self.past.as_ref().map_or(&self.problems, |past| &past.problems)
+    }
+
+    /// The moment that is shown.
+    fn shown_time(&self) -> Instant {
+        self.past.as_ref().map_or(self.clock.now(), |past| past.moment.time)
+    }
+
     /// The moment up to which ages are counted: now, or the end of the last log.
     pub fn display_time(&self) -> Instant {
-        self.buses.display_time(self.clock.now())
+        self.shown_buses().display_time(self.shown_time())
     }
 
     /// Unix time of [`Instant::ZERO`].
@@ -619,64 +663,64 @@ impl App {
 
     /// The buses, in the order of their indices.
     pub fn buses(&self) -> &[Bus] {
-        self.buses.as_slice()
+        self.shown_buses().as_slice()
     }
 
     /// The bus with this index; `None` for an unknown index.
     pub fn bus(&self, index: BusIndex) -> Option<&Bus> {
-        self.buses.get(index)
+        self.shown_buses().get(index)
     }
 
     /// The device with this identity; `None` after its removal.
     pub fn device(&self, id: DeviceId) -> Option<&Device> {
-        self.buses.device(id)
+        self.shown_buses().device(id)
     }
 
     /// The device of a row; `None` for the row of an entry.
     pub fn device_of(&self, row: &Row) -> Option<&Device> {
-        row.device(&self.buses)
+        row.device(self.shown_buses())
     }
 
     /// The devices of a row: several where buses are redundant.
     pub fn devices_of<'a>(&'a self, row: &'a Row) -> impl Iterator<Item = &'a Device> {
-        row.devices(&self.buses)
+        row.devices(self.shown_buses())
     }
 
     /// The same device on other buses.
     pub fn redundant_devices(&self, id: DeviceId) -> &[RedundantDevice] {
-        self.buses.redundant_devices(id)
+        self.shown_buses().redundant_devices(id)
     }
 
     /// Returns true if an address conflict is confirmed at the address of a device: its heartbeat
     /// statistics are those of two devices then.
     pub fn is_shared(&self, device: &Device) -> bool {
-        self.buses.is_shared(device)
+        self.shown_buses().is_shared(device)
     }
 
     /// UIDs in the heartbeats of a device; two where alternating UIDs are confirmed.
     pub fn uids_of(&self, device: &Device) -> Vec<crate::wire::node::Uid> {
-        self.buses.uids_of(device)
+        self.shown_buses().uids_of(device)
     }
 
     /// Profile of a bus; the default one for an unknown index.
     pub fn profile(&self, bus: BusIndex) -> Arc<Profile> {
-        self.buses.profile(bus)
+        self.shown_buses().profile(bus)
     }
 
     /// Returns true if descan holds this address on this bus.
     pub fn is_own_address(&self, bus: BusIndex, address: Address) -> bool {
-        self.buses.is_own_address(bus, address)
+        self.shown_buses().is_own_address(bus, address)
     }
 
     /// The reason why descan has no address on a bus: the `wanted` one is used by another node, or
     /// with `None` all are used.
     pub fn no_address_reasons(&self, bus: BusIndex, wanted: Option<Address>) -> Option<String> {
-        self.buses.no_address_reason(bus, wanted)
+        self.shown_buses().no_address_reason(bus, wanted)
     }
 
     /// Returns true if a bus was searched long enough to report a device as missing.
     pub fn is_search_complete(&self, bus: BusIndex) -> bool {
-        self.buses.is_search_complete(bus, self.clock.now())
+        self.shown_buses().is_search_complete(bus, self.shown_time())
     }
 
     /// Why the first bus that speaks another protocol is taken for one; `None` without any.
@@ -686,7 +730,7 @@ impl App {
 
     /// Returns true if the bit rate of a bus is being searched.
     pub fn searches_bitrate_of(&self, bus: BusIndex) -> bool {
-        self.buses.searched() == Some(bus)
+        self.shown_buses().searched() == Some(bus)
     }
 
     /// des.json: content and edits.
@@ -720,22 +764,22 @@ impl App {
 
     /// The assignment of entries to devices.
     pub fn matching(&self) -> &Matching {
-        self.problems.matching()
+        self.shown_problems().matching()
     }
 
     /// Reasons why no device matches an entry, the likeliest first.
     pub fn missing_reasons(&self, entry: &Entry) -> Vec<String> {
-        inputs!(self).missing_reasons(entry)
+        shown_inputs!(self).missing_reasons(entry)
     }
 
     /// Reasons why the name or the services of a device are not known.
     pub fn incomplete_reasons(&self, device: &Device) -> Vec<String> {
-        inputs!(self).incomplete_reasons(device)
+        shown_inputs!(self).incomplete_reasons(device)
     }
 
     /// All findings: bus by bus, then those of the comparison with the file.
     pub fn findings(&self) -> impl Iterator<Item = &Finding> {
-        self.problems.findings(&self.buses)
+        self.shown_problems().findings(self.shown_buses())
     }
 
     /// Differences between file and buses at `now`.
@@ -744,20 +788,19 @@ impl App {
         problems::compare(inputs, scope)
     }
 
-    /// All problems: confirmed, suspected, cleared, muted; by severity within each. A frozen view
-    /// keeps the order of its rows.
+    /// All problems: confirmed, suspected, cleared, muted; by severity within each.
     pub fn problems(&self) -> ProblemList<'_> {
-        self.problems.list(&self.buses, self.view.frozen.is_some())
+        self.shown_problems().list(self.shown_buses())
     }
 
     /// The problems with a finding that `is_wanted` selects.
     pub fn problems_with(&self, is_wanted: impl Fn(&Finding) -> bool) -> Vec<Problem<'_>> {
-        self.problems.list_with(&self.buses, is_wanted)
+        self.shown_problems().list_with(self.shown_buses(), is_wanted)
     }
 
     /// Returns true if `is_wanted` selects a finding.
     pub fn has_finding(&self, is_wanted: impl Fn(&Finding) -> bool) -> bool {
-        self.problems.findings(&self.buses).any(is_wanted)
+        self.shown_problems().findings(self.shown_buses()).any(is_wanted)
     }
 
     /// The problems that match the filter.
@@ -765,7 +808,7 @@ impl App {
         let filter = Filter::parse(self.view.filter(Page::Problems));
         let mut problems = self.problems();
         if !filter.is_empty() {
-            problems.retain(|problem| filter.matches_problem(&self.buses, problem));
+            problems.retain(|problem| filter.matches_problem(self.shown_buses(), problem));
         }
         problems
     }
@@ -835,12 +878,12 @@ impl App {
 
     /// Rows of the identifier view that match the filter.
     pub fn identifiers_shown(&self) -> Vec<&IdentifierStats> {
-        self.traffic.identifiers_shown(&self.view, &self.buses)
+        self.traffic.identifiers_shown(&self.view, self.shown_buses())
     }
 
     /// Text of the ISO 15765-2 transfer that a captured frame is part of.
     pub fn transfer_text(&self, number: u64) -> Option<String> {
-        self.traffic.transfer_text(&self.buses, number)
+        self.traffic.transfer_text(self.shown_buses(), number)
     }
 
     /// Number of a frame in the capture; `None` once it was dropped.
@@ -883,14 +926,14 @@ impl App {
         let end = self.view.frozen.map_or(u64::MAX, |frozen| frozen.lines);
         let entries = self.timeline().entries().filter(|entry| entry.number < end);
         entries
-            .filter(|entry| filter.is_empty() || filter.matches_entry(&self.buses, entry))
+            .filter(|entry| filter.is_empty() || filter.matches_entry(self.shown_buses(), entry))
             .map(|entry| entry.number)
             .collect()
     }
 
     /// Name of the device that a line is about.
     pub fn name_on_line<'a>(&'a self, entry: &'a TimelineEntry) -> Option<&'a Name> {
-        entry.device_name(&self.buses)
+        entry.device_name(self.shown_buses())
     }
 
     /// The message in the footer.
@@ -1048,6 +1091,10 @@ impl App {
         self.notices.redraw.take_stale();
         self.refresh_redundancy();
         self.refresh_problems();
+        if let Some(past) = &mut self.past {
+            // des.json may have changed.
+            past.problems.refresh(&past.buses, &self.editor.file, past.moment.time);
+        }
         if self.view.has_screen {
             self.settle_problems();
             self.refresh_rows();
@@ -1055,8 +1102,10 @@ impl App {
     }
 
     fn refresh_rows(&mut self) {
-        let problems = self.problems.list(&self.buses, false);
-        self.devices.refresh(inputs!(self), &problems, &mut self.view);
+        let inputs = shown_inputs!(self);
+        let problems = self.past.as_ref().map_or(&self.problems, |past| &past.problems);
+        let problems = problems.list(inputs.buses);
+        self.devices.refresh(inputs, &problems, &mut self.view);
     }
 
     fn problem_keys(&self) -> Vec<ProblemKey> {
@@ -1066,8 +1115,6 @@ impl App {
     /// After a change of the problems: keeps the selection on its problem.
     fn settle_problems(&mut self) {
         let shown = self.problem_keys();
-        let order = self.problems().into_order();
-        self.problems.set_order(order);
         let height = self.list_height();
         if self.view.page == Page::Problems {
             // A new first problem must not move under the key that is about to be pressed.
@@ -1081,7 +1128,7 @@ impl App {
 impl Decoded {
     /// Decodes a frame with the names and the profile of its bus.
     pub fn of(app: &App, frame: &Frame) -> Self {
-        Self::new(&app.buses, frame)
+        Self::new(app.shown_buses(), frame)
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::capture::{Decoded, IdentifierKey};
 use super::input::{FilterPrompt, Overlay};
-use super::view::{EvidenceView, Focus, Frozen, Page, Row};
+use super::view::{EvidenceView, Focus, Page, Row};
 use super::{App, Effect, EvidenceItem, Problem, PromptKind, clock_millis, format_duration};
 use crate::finding::FindingKind;
 use crate::frame::BusIndex;
@@ -290,31 +290,11 @@ impl App {
         match self.view.page {
             Page::Devices => {
                 self.view.sort = self.view.sort.next();
-                // A new order applies to a frozen view, too.
-                self.devices.forget_order();
                 self.refresh_rows();
                 self.show_info(format!("sorted {}", self.view.sort.describe()));
             }
             _ => self.show_error("sort works on the Devices page"),
         }
-    }
-
-    /// Freezes the view, or unfreezes it.
-    pub(super) fn toggle_freeze(&mut self) {
-        self.view.frozen = if self.view.frozen.is_some() {
-            None
-        } else {
-            let (frames, lines) = (self.traffic.capture.end(), self.timeline().end());
-            Some(Frozen { frames, lines })
-        };
-        self.notices.timeline_mut().pin_lines(self.view.frozen.is_some());
-        self.refresh_rows();
-        let goes_on = self.clock.playback().is_none_or(|it| !it.is_paused && !it.is_ended);
-        self.show_info(match self.view.frozen {
-            Some(_) if goes_on => "frozen; capture continues",
-            Some(_) => "frozen",
-            None => "unfrozen",
-        });
     }
 
     /// Shows Traffic as frames, or as one row per identifier.
@@ -355,6 +335,10 @@ impl App {
         } else if self.view.from_timeline {
             self.show_page(Page::Timeline);
             self.view.traffic = None;
+        } else if self.view.traffic.is_some() && page == Page::Traffic {
+            self.view.traffic = None;
+        } else if self.past.is_some() {
+            self.show_present();
         } else {
             self.view.traffic = None;
             self.view.timeline.follow_newest();
@@ -488,7 +472,7 @@ impl App {
     fn find_row(&mut self, otherwise: &str) -> bool {
         let (bus, address, name) = self.subject();
         let problem = self.selected_problem().filter(|_| self.view.page == Page::Problems);
-        let entry = problem.and_then(|problem| self.problems.entry_of(&problem.head().key));
+        let entry = problem.and_then(|problem| self.shown_problems().entry_of(&problem.head().key));
         let on_bus = |row: &&Row| bus.is_none_or(|bus| row.is_on(bus));
         let fits = |app: &Self, row: &Row| {
             let named = name.is_some() && row.name == name;
@@ -557,6 +541,9 @@ impl App {
         let undo = self.key_of(Action::Mute);
         // The selection follows the problem to its new place: the same key unmutes it.
         self.view.problems.select(key.clone());
+        if let Some(past) = &mut self.past {
+            past.problems.toggle_muted(key.clone());
+        }
         if self.problems.toggle_muted(key) {
             self.show_info(format!("muted until descan quits ({undo} unmutes): {title}"));
         } else {
@@ -616,7 +603,7 @@ impl App {
         };
         if number >= self.traffic.end(&self.view) {
             let key = self.key_of(Action::Freeze);
-            return self.show_error(format!("newer than the frozen view: {key} unfreezes"));
+            return self.show_error(format!("newer than this moment: {key} shows the present"));
         }
         self.view.select_frame(number, self.list_height());
         self.view.set_around(true);

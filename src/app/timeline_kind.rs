@@ -37,6 +37,11 @@ impl TimelineKind {
         }
     }
 
+    /// Returns true if a line reports a finding.
+    pub(super) const fn is_of_problem(self) -> bool {
+        matches!(self, Self::Suspected | Self::Confirmed | Self::Cleared)
+    }
+
     /// State of a finding that the line reports; `error` for an operation that failed.
     pub(super) const fn state_word(self) -> Option<&'static str> {
         match self {

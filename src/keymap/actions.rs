@@ -47,6 +47,8 @@ pub enum ActionGroup {
     Bus,
     /// Playback of a log.
     Log,
+    /// Moments.
+    Time,
     /// Edits of des.json.
     File,
     /// Help, theme, quit.
@@ -57,10 +59,11 @@ pub enum ActionGroup {
 
 impl ActionGroup {
     /// All sections, in the order of the help.
-    pub const ALL: [ActionGroup; 6] = [
+    pub const ALL: [ActionGroup; 7] = [
         ActionGroup::Look,
         ActionGroup::Bus,
         ActionGroup::Log,
+        ActionGroup::Time,
         ActionGroup::File,
         ActionGroup::Program,
         ActionGroup::Answer,
@@ -72,6 +75,7 @@ impl ActionGroup {
             ActionGroup::Look => "View",
             ActionGroup::Bus => "The bus",
             ActionGroup::Log => "The log",
+            ActionGroup::Time => "Time",
             ActionGroup::File => "des.json",
             ActionGroup::Program => "The program",
             ActionGroup::Answer => "Prompts",
@@ -106,11 +110,13 @@ impl Action {
         matches!(self, Action::EditAddress | Action::NewEntry | Action::Rename)
     }
 
-    /// Returns true if the action edits des.json or sends frames: not while the view is frozen.
+    /// Returns true if the action edits des.json, sends frames or changes the buses: not while a past
+    /// moment is shown.
     pub fn edits_or_sends(self) -> bool {
         use Action::{Add, AddAll, DeleteEntry, EditAddress, NewEntry, Redo, Rename, Undo};
         matches!(self, EditAddress | Add | AddAll | NewEntry | Rename | DeleteEntry | Undo | Redo)
             || matches!(self, Action::Rescan | Action::Identify)
+            || matches!(self, Action::ClearLost | Action::BitRate | Action::Save)
     }
 
     /// Returns true if the keys of the action also apply while a prompt is open.
@@ -170,7 +176,6 @@ actions! {
         Problems "problems" "Page 4: problems" "" ["4"];
         Filter "filter" "Filter rows" "filter" ["/"];
         Sort "sort" "Sort by next column" "sort" ["s"];
-        Freeze "freeze" "Freeze the view; capture continues" "freeze" ["Space"];
         Identifiers "identifiers" "Traffic: frames, or one row per identifier" "identifiers" ["v"];
         Problem "problem" "Jump between device and problem" "problem" ["p"];
         Mute "mute" "Mute or unmute a problem until descan quits" "mute" ["m"];
@@ -186,9 +191,17 @@ actions! {
     }
     Browse Log: {
         Pause "pause" "Pause or resume the log" "pause" ["P"];
-        Step "step" "Step to the next frame" "step" [">"];
-        Slower "slower" "Halve the replay speed" "slower" ["["];
-        Faster "faster" "Double the replay speed" "faster" ["]"];
+        Slower "slower" "Halve the replay speed" "slower" ["("];
+        Faster "faster" "Double the replay speed" "faster" [")"];
+    }
+    Browse Time: {
+        Freeze "freeze" "Freeze this moment on all pages, or show the present; capture continues" "freeze" ["Space"];
+        PreviousEvent "previous-event" "Freeze at the event before" "event" ["["];
+        NextEvent "next-event" "At the next event" "" ["]"];
+        PreviousProblem "previous-problem" "Freeze where a finding changed before" "problem" ["{"];
+        NextProblem "next-problem" "Where one changed next" "" ["}"];
+        PreviousFrame "previous-frame" "Freeze at the frame before" "frame" ["<"];
+        NextFrame "step" "At the next frame; of a paused log the next frame" "step" [">"];
     }
     Browse File: {
         EditAddress "edit-address" "Edit the static address in the row" "edit address" ["e"];

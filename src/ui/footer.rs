@@ -179,11 +179,19 @@ fn hint_line(brush: &DrawContext, mode: KeyMode, width: usize) -> Vec<Span<'stat
     };
     // Where Esc leads back, that comes first; the keys of a log before those of the page.
     let always: &[Action] = match mode {
-        KeyMode::Browse => &[A::Cancel, A::Pause, A::Step, A::Slower, A::Faster],
+        KeyMode::Browse if app.past_moment().is_some() => {
+            &[A::Cancel, A::Freeze, A::PreviousEvent, A::PreviousProblem, A::PreviousFrame]
+        }
+        KeyMode::Browse => &[A::Cancel, A::Pause, A::NextFrame, A::Slower, A::Faster],
         _ => &[],
     };
     let mut actions = [first, always, actions].concat();
-    actions.retain(|action| applies(brush, *action));
+    let mut seen = Vec::new();
+    actions.retain(|action| {
+        let is_new = !seen.contains(action);
+        seen.push(*action);
+        is_new && applies(brush, *action)
+    });
     let actions = &actions;
     let mut spans = vec![Span::raw(" ")];
     spans.extend(hints(brush, actions, width.saturating_sub(1)));
@@ -206,7 +214,8 @@ fn applies(brush: &DrawContext, action: Action) -> bool {
     match (action, view.page) {
         _ if view.frozen.is_some() && action.edits_or_sends() => false,
         (A::Cancel, _) => is_leaving,
-        (A::Pause | A::Step | A::Slower | A::Faster, _) => {
+        (A::NextFrame, _) if app.past_moment().is_some() => true,
+        (A::Pause | A::NextFrame | A::Slower | A::Faster, _) => {
             app.playback().is_some_and(|playback| !playback.is_ended)
         }
         (A::Details, Page::Devices) => row.is_some() && !is_leaving,
@@ -254,7 +263,7 @@ fn hint(brush: &DrawContext, action: Action) -> Option<(Key, &'static str)> {
         (A::Details, Page::Traffic, Some(_)) => "all frames",
         (A::Problem, Page::Problems, _) => "go to device",
         (A::Identifiers, ..) if view.shows_identifiers() => "frames",
-        (A::Freeze, ..) if view.frozen.is_some() => "unfreeze",
+        (A::Freeze, ..) if view.frozen.is_some() => "live",
         (A::Pause, ..) if brush.app.playback().is_some_and(|it| it.is_paused) => "play",
         (A::Cancel, ..) => "back",
         (A::Mute, ..) if brush.app.selected_problem().is_some_and(|it| it.is_muted) => "unmute",

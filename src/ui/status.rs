@@ -3,7 +3,7 @@
 //! with one status line both share it. Parts that do not fit are left out by their rank.
 
 use super::brush::{DrawContext, bus_label, fit, short_name};
-use crate::app::{Bus, FileError, LoadMeter, Overlay, TxBlocked};
+use crate::app::{Bus, FileError, LoadMeter, Overlay, TxBlocked, clock_millis, format_duration};
 use crate::discovery::OwnAddress;
 use crate::frame::BusIndex;
 use crate::keymap::Action;
@@ -211,8 +211,12 @@ fn bus_parts(brush: &DrawContext, index: BusIndex) -> Parts {
         }
     }
     let mut parts = vec![Part::new(KEPT, name)];
-    if brush.app.view().frozen.is_some() {
-        parts.push(Part::new(KEPT, vec![brush.span(Role::Warning, "FROZEN")]));
+    if let Some(moment) = brush.app.past_moment() {
+        let at = clock_millis(brush.app, moment.time);
+        let ago = format_duration(brush.app.now().since(moment.time));
+        let ago = if columns >= 100 { format!(", {ago} ago") } else { String::new() };
+        let text = format!("FROZEN {at}{ago}");
+        parts.push(Part::new(KEPT, vec![brush.span(Role::Warning, text)]));
     }
     let mut spans = vec![state(brush, index, bus)];
     let place = place_in_log(brush, bus);

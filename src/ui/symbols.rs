@@ -34,7 +34,7 @@ pub const SYMBOLS: [(Role, &str, &str); 30] = [
     (Role::Text, "load –", "a log or a virtual bus without a bit rate"),
     (Role::Warning, "listen-only, acks", "descan does not transmit; the controller still ACKs"),
     (Role::Recording, "● rec 12 MB", "recording, size written so far (--record)"),
-    (Role::Warning, "FROZEN", "view frozen; the same key unfreezes"),
+    (Role::Warning, "FROZEN", "a past moment on all pages; Space or Esc: the present"),
 ];
 
 /// Returns the sign of a state and its role.

@@ -1,9 +1,11 @@
 //! The past of the buses: their state at any moment.
 
-use crate::common::harness::Stage;
+use crate::common::harness::{BOILER, Stage};
 use crate::simulation::random_scenario::World;
 use descan::app::{App, Buses, BusesReplay, Moment};
+use descan::discovery::Config;
 use descan::frame::BusIndex;
+use descan::sim::Scenario;
 use descan::status::{BusState, BusStatus, Link};
 use descan::time::Duration;
 
@@ -83,5 +85,37 @@ fn past_state_is_that_of_its_moment() {
             assert!(past == expected, "seed {seed}, {moment:?}:\n{}", difference(&past, &expected));
         }
         assert!(dropped < count / 2, "seed {seed}: {dropped} of {count} moments are not kept");
+    }
+}
+
+/// The lines of a page that show the moment: without the state of the program, which names the moment,
+/// and the keys.
+fn page(stage: &mut Stage, key: &str) -> String {
+    let screen = stage.keys(key).screen();
+    let lines: Vec<&str> = screen.lines().collect();
+    lines[1..lines.len() - 1].join("\n")
+}
+
+/// Tests that each page shows a past moment as it was shown then.
+#[test]
+fn pages_of_a_past_moment_are_those_of_a_run_until_then() {
+    let boiler = || {
+        let config = Config { seed: 7, ..Config::default() };
+        let file = Some(BOILER.as_bytes().to_vec());
+        Stage::with_room(&Scenario::builtin("boiler").unwrap(), file, config, ROOM)
+    };
+    let mut past = boiler();
+    past.size(120, 30).until(48.0);
+    for key in ["[", "[", "{", "{", "[", "{", "]", "<", "<", "<", "[", "[", "{"] {
+        past.keys(key);
+        let moment = past.app.past_moment().expect(key);
+        let mut then = boiler();
+        then.size(120, 30).until(moment.time.as_secs_f64() + 1.5e-6);
+        assert_eq!(then.app.capture().end(), moment.frames, "{key} {:?}", moment.time);
+        then.keys("Space");
+        for number in ["1", "3", "4", "2"] {
+            let (shown, expected) = (page(&mut past, number), page(&mut then, number));
+            assert_eq!(shown, expected, "{key} {:?}", moment.time);
+        }
     }
 }

@@ -11,26 +11,9 @@ use std::rc::Rc;
 pub struct ProblemList<'a> {
     problems: &'a Problems,
     buses: &'a Buses,
-    order: ProblemOrder,
-}
-
-/// Identities of problems in the order of a list.
-#[derive(Clone, Debug, Default)]
-pub(in crate::app) struct ProblemOrder {
     stored: Rc<[StoredProblem]>,
     /// Places in `stored`, in the order of the list.
     places: Vec<usize>,
-}
-
-impl ProblemOrder {
-    /// Identities of the problems.
-    pub fn keys(&self) -> impl Iterator<Item = &ProblemKey> {
-        self.stored().map(|problem| &problem.key)
-    }
-
-    fn stored(&self) -> impl Iterator<Item = &StoredProblem> {
-        self.places.iter().map(|&place| &self.stored[place])
-    }
 }
 
 impl<'a> ProblemList<'a> {
@@ -41,40 +24,32 @@ impl<'a> ProblemList<'a> {
         stored: Rc<[StoredProblem]>,
     ) -> Self {
         let places = (0..stored.len()).collect();
-        Self { problems, buses, order: ProblemOrder { stored, places } }
-    }
-
-    /// The order of the list.
-    pub(in crate::app) fn into_order(self) -> ProblemOrder {
-        self.order
-    }
-
-    /// Sorts by `rank`; equal ones keep their order.
-    pub(super) fn sort_by_key<K: Ord>(&mut self, rank: impl Fn(&ProblemKey) -> K) {
-        let ProblemOrder { stored, places } = &mut self.order;
-        places.sort_by_cached_key(|&place| rank(&stored[place].key));
+        Self { problems, buses, stored, places }
     }
 
     /// Keeps the problems that `is_wanted` selects.
     pub fn retain(&mut self, is_wanted: impl Fn(&Problem) -> bool) {
-        let ProblemOrder { stored, places } = &mut self.order;
-        let problem = |place: usize| self.problems.problem(self.buses, &stored[place]);
-        places.retain(|&place| problem(place).is_some_and(|it| is_wanted(&it)));
+        let problem = |place: usize| self.problems.problem(self.buses, &self.stored[place]);
+        self.places.retain(|&place| problem(place).is_some_and(|it| is_wanted(&it)));
+    }
+
+    fn stored(&self) -> impl Iterator<Item = &StoredProblem> {
+        self.places.iter().map(|&place| &self.stored[place])
     }
 
     /// Number of problems.
     pub fn len(&self) -> usize {
-        self.order.places.len()
+        self.places.len()
     }
 
     /// Returns true without problems.
     pub fn is_empty(&self) -> bool {
-        self.order.places.is_empty()
+        self.places.is_empty()
     }
 
     /// The problem in this row.
     pub fn get(&self, row: usize) -> Option<Problem<'a>> {
-        let stored = &self.order.stored[*self.order.places.get(row)?];
+        let stored = &self.stored[*self.places.get(row)?];
         self.problems.problem(self.buses, stored)
     }
 
@@ -85,11 +60,11 @@ impl<'a> ProblemList<'a> {
 
     /// Identities of the problems.
     pub fn keys(&self) -> impl Iterator<Item = &ProblemKey> {
-        self.order.keys()
+        self.stored().map(|problem| &problem.key)
     }
 
     /// Number of problems in this state, muted or not.
     pub(in crate::app) fn count(&self, state: FindingState, is_muted: bool) -> usize {
-        self.order.stored().filter(|it| it.state == state && it.is_muted == is_muted).count()
+        self.stored().filter(|it| it.state == state && it.is_muted == is_muted).count()
     }
 }

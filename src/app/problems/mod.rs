@@ -22,7 +22,6 @@ use super::file::FileState;
 use crate::finding::{Finding, FindingKey, FindingState};
 use crate::time::Instant;
 use comparison::Comparison;
-use list::ProblemOrder;
 use std::cell::RefCell;
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
@@ -37,8 +36,6 @@ pub(super) struct Problems {
     finding_entries: Vec<Option<usize>>,
     /// Muted until the program ends.
     muted: BTreeSet<ProblemKey>,
-    /// The order in which problems were shown last, for a frozen view.
-    order: ProblemOrder,
     /// Incremented when the findings of the file or the muting change.
     revision: u64,
     /// The list for the revisions of the buses and of `self`.
@@ -72,6 +69,18 @@ pub(super) fn compare(inputs: Inputs, scope: Scope) -> Vec<Finding> {
 }
 
 impl Problems {
+    /// Returns the problems for a past moment: with the same ones muted, and findings of the file as
+    /// old as they are, but not younger than the moment.
+    pub fn for_moment(&self, time: Instant) -> Self {
+        let mut file_findings = self.file_findings.clone();
+        for finding in &mut file_findings {
+            finding.first = finding.first.min(time);
+            finding.changed = finding.changed.min(time);
+            finding.last = finding.last.min(time);
+        }
+        Self { file_findings, muted: self.muted.clone(), ..Self::default() }
+    }
+
     /// The assignment of entries to devices.
     pub fn matching(&self) -> &Matching {
         &self.matching
@@ -129,15 +138,9 @@ impl Problems {
 
     // ---- the list --------------------------------------------------------------------------
 
-    /// All problems: confirmed, suspected, cleared, muted; by severity within each. In a frozen
-    /// view, rows keep the order in which they were shown, and new ones come last.
-    pub fn list<'a>(&'a self, buses: &'a Buses, is_frozen: bool) -> ProblemList<'a> {
-        let mut list = ProblemList::new(self, buses, self.stored(buses));
-        if is_frozen {
-            let rows: HashMap<&ProblemKey, usize> = self.order.keys().zip(0..).collect();
-            list.sort_by_key(|key| rows.get(key).copied().unwrap_or(usize::MAX));
-        }
-        list
+    /// All problems: confirmed, suspected, cleared, muted; by severity within each.
+    pub fn list<'a>(&'a self, buses: &'a Buses) -> ProblemList<'a> {
+        ProblemList::new(self, buses, self.stored(buses))
     }
 
     /// The problems with a finding that `is_wanted` selects.
@@ -216,11 +219,6 @@ impl Problems {
         problems.into_iter().map(stored).collect()
     }
 
-    /// Stores the order in which problems are shown, for a frozen view.
-    pub fn set_order(&mut self, order: ProblemOrder) {
-        self.order = order;
-    }
-
     /// Returns true if a problem is muted.
     pub fn is_muted(&self, key: &ProblemKey) -> bool {
         self.muted.contains(key)
@@ -279,9 +277,9 @@ mod tests {
         let (buses, file) = parts();
         let mut problems = Problems::default();
         problems.refresh(&buses, &file, NOW);
-        let key = problems.list(&buses, false).get(0).unwrap().key;
+        let key = problems.list(&buses).get(0).unwrap().key;
         assert!(problems.toggle_muted(key.clone()) && problems.is_muted(&key));
-        let list = problems.list(&buses, false);
+        let list = problems.list(&buses);
         let lowest = list.get(list.len() - 1).unwrap();
         assert!(lowest.key == key && !lowest.is_open());
         assert!(!problems.toggle_muted(key));

@@ -157,7 +157,7 @@ fn playback_keys_work_on_logs_only() {
         PlaybackCommand::Slower,
         PlaybackCommand::Faster,
     ];
-    stage.keys("P > [ ]");
+    stage.keys("P > ( )");
     assert_eq!(stage.effects, asked.map(Effect::Playback));
     (playback.speed, playback.is_paused) = (0.5, true);
     stage.app.handle_playback(now, playback);

@@ -134,8 +134,8 @@ fn keys_of_a_log_and_of_a_live_bus_name_the_other() {
     for (key, answer) in [
         ("P", "only a log can be paused"),
         (">", "only a log can be stepped"),
-        ("[", "only a log has a speed"),
-        ("]", "only a log has a speed"),
+        ("(", "only a log has a speed"),
+        (")", "only a log has a speed"),
     ] {
         assert_eq!(message(stage.keys(key)), answer);
     }
@@ -174,10 +174,11 @@ fn conflict_resolved_for_the_file_does_not_report_edits() {
 fn frozen_view_neither_edits_nor_sends() {
     let mut stage = Stage::boiler();
     stage.until(24.0).keys("D n Space");
-    for (second, key) in ["e", "a", "A", "n", "R", "D", "u", "Ctrl-r", "r", "i"].iter().enumerate()
+    for (second, key) in
+        ["e", "a", "A", "n", "R", "D", "u", "Ctrl-r", "r", "i", "c", "b"].iter().enumerate()
     {
         stage.until(26.0 + 2.0 * second as f64).keys(key);
-        assert_eq!(message(&stage), "frozen; Space unfreezes", "{key}");
+        assert_eq!(message(&stage), "frozen: Space shows the present first", "{key}");
         assert!(matches!(stage.app.overlay(), Overlay::None), "{key}");
     }
     assert_eq!(stage.file(), BOILER);

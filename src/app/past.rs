@@ -1,0 +1,140 @@
+//! The moment that is shown in place of the present one: freezing, and going from moment to moment.
+//!
+//! Capture, discovery and the file go on meanwhile. Buses, problems, traffic and timeline are those
+//! of the moment; des.json is the present one.
+
+use super::history::{BusesReplay, Moment};
+use super::problems::Problems;
+use super::timeline_kind::TimelineKind;
+use super::view::Frozen;
+use super::{App, Buses, clock_millis};
+use crate::time::Instant;
+
+/// Work of a replay in frames between which keys are handled: about 10 ms.
+const REPLAY_PART: u64 = 50_000;
+
+/// A past moment, as it was.
+#[derive(Debug)]
+pub(super) struct Past {
+    pub moment: Moment,
+    pub buses: Buses,
+    pub problems: Problems,
+}
+
+impl App {
+    /// The moment that is shown, if it is not the present one.
+    pub fn past_moment(&self) -> Option<Moment> {
+        self.past.as_ref().map(|past| past.moment)
+    }
+
+    /// Freezes the present moment, or shows the present again.
+    pub(super) fn toggle_freeze(&mut self) {
+        if self.past.is_some() {
+            return self.show_present();
+        }
+        let moment = self.buses.present(self.clock.now());
+        let buses = Buses::clone(&self.buses);
+        self.show_past(moment, buses);
+        let goes_on = self.clock.playback().is_none_or(|it| !it.is_paused && !it.is_ended);
+        self.show_info(if goes_on { "frozen; capture continues" } else { "frozen" });
+    }
+
+    /// Shows the present again.
+    pub(super) fn show_present(&mut self) {
+        self.past = None;
+        self.replay = None;
+        self.view.frozen = None;
+        self.notices.timeline_mut().pin_lines(false);
+        self.refresh();
+        self.filter_frames();
+        self.show_info("live");
+    }
+
+    /// Goes to the event before the moment that is shown, or with 1 to the next one; `is_wanted`
+    /// selects the kinds of lines.
+    pub(super) fn go_to_event(&mut self, by: isize, is_wanted: fn(TimelineKind) -> bool) {
+        let from = self.target().time;
+        let to = {
+            let lines = self.timeline().entries().filter(|line| is_wanted(line.kind));
+            let mut times = lines.map(|line| line.time);
+            if by < 0 {
+                times.rev().find(|time| *time < from)
+            } else {
+                times.find(|time| *time > from)
+            }
+        };
+        match to {
+            Some(time) => self.go_to_time(time),
+            None if by < 0 => self.show_error("no earlier one is known"),
+            None => self.show_error("no later one"),
+        }
+    }
+
+    /// Goes to the moment after the frame before the last one shown, or with 1 after the next one.
+    pub(super) fn go_to_frame(&mut self, by: isize) {
+        let shown = self.target().frames;
+        let capture = &self.traffic.capture;
+        let number = if by < 0 {
+            capture.numbers_before(shown.saturating_sub(1)).next()
+        } else {
+            capture.numbers_from(shown).next()
+        };
+        let moment = number.and_then(|number| self.buses.moment_after(capture, number));
+        match moment {
+            Some(moment) => self.go_to(moment),
+            None if by < 0 => self.show_error("no earlier frame is kept"),
+            None => self.show_error("no later frame"),
+        }
+    }
+
+    fn go_to_time(&mut self, time: Instant) {
+        self.go_to(self.buses.moment(&self.traffic.capture, time));
+    }
+
+    /// The moment that is shown, or is about to be.
+    fn target(&self) -> Moment {
+        let replay = self.replay.as_ref().map(BusesReplay::moment);
+        let shown = replay.or(self.past_moment());
+        shown.unwrap_or_else(|| self.buses.present(self.clock.now()))
+    }
+
+    /// Goes to a moment; it is shown when it is replayed.
+    fn go_to(&mut self, moment: Moment) {
+        self.replay = self.buses.replay(&self.traffic.capture, moment);
+        if self.replay.is_none() {
+            let begin = self.buses.begin(&self.traffic.capture);
+            let kept = clock_millis(self, begin);
+            return self.show_error(format!("no longer kept: moments from {kept} on are"));
+        }
+        self.go_on_replaying();
+    }
+
+    /// Replays the next part on the way to a moment, and shows the moment when it is reached.
+    pub(super) fn go_on_replaying(&mut self) {
+        self.replay_due = None;
+        let Some(replay) = &mut self.replay else { return };
+        if !replay.run(&self.buses, &self.traffic.capture, REPLAY_PART) {
+            self.replay_due = Some(self.clock.now() + super::FILTER_PAUSE);
+            return;
+        }
+        if let Some(replay) = self.replay.take() {
+            let moment = replay.moment();
+            self.show_past(moment, replay.into_buses());
+        }
+    }
+
+    fn show_past(&mut self, moment: Moment, mut buses: Buses) {
+        buses.refresh_redundancy();
+        let mut problems = self.problems.for_moment(moment.time);
+        problems.refresh(&buses, &self.editor.file, moment.time);
+        let later = self.timeline().entries().find(|line| line.time > moment.time);
+        let lines = later.map_or(self.timeline().end(), |line| line.number);
+        self.view.frozen = Some(Frozen { frames: moment.frames, lines });
+        self.notices.timeline_mut().pin_lines(true);
+        self.past = Some(Box::new(Past { moment, buses, problems }));
+        self.settle_problems();
+        self.refresh_rows();
+        self.filter_frames();
+        self.notices.redraw.set_dirty();
+    }
+}
