@@ -87,7 +87,9 @@ impl App {
         }
     }
 
-    fn go_to_time(&mut self, time: Instant) {
+    /// Shows the moment at `time` on all pages, once it is replayed: until then
+    /// [`poll_timeout`](Self::poll_timeout) is soon.
+    pub fn go_to_time(&mut self, time: Instant) {
         self.go_to(self.buses.moment(&self.traffic.capture, time));
     }
 

@@ -433,9 +433,9 @@ fn log_is_paused_stepped_and_resumed_by_keys() {
     pty.wait_for("PAUSED 2:00 3%");
     // Deadlines between two frames passed at their own time.
     pty.wait_for("06:18:37 ○ ? @12        lost");
-    pty.send("]]]]]]]]]]]]");
+    pty.send("))))))))))))");
     pty.wait_for("PAUSED 2:00 3% ×4096");
-    pty.send("[P");
+    pty.send("(P");
     pty.wait_for("end of log 1:39:00 ×2048");
     // At the end of the log descan keeps running and reads new lines.
     let mut file = std::fs::File::options().append(true).open(&path).unwrap();
