@@ -49,6 +49,7 @@ impl App {
             Action::NextEvent => self.go_to_event(1, |_| true),
             Action::PreviousProblem => self.go_to_event(-1, TimelineKind::is_of_problem),
             Action::NextProblem => self.go_to_event(1, TimelineKind::is_of_problem),
+            Action::GoTo => self.ask_moment(),
             Action::PreviousFrame => self.go_to_frame(-1),
             Action::NextFrame if self.past.is_some() => self.go_to_frame(1),
             Action::NextFrame => self.control_playback(PlaybackCommand::Step),

@@ -64,6 +64,12 @@ impl AppClock {
             .saturating_add_signed(i64::from(self.utc_offset_seconds))
     }
 
+    /// Time of [`Instant::ZERO`] on the wall clock, in microseconds since 1970-01-01 00:00.
+    pub fn wall_start(&self) -> i128 {
+        let utc = i128::from(self.epoch.unix_micros(Instant::ZERO));
+        utc + i128::from(self.utc_offset_seconds) * 1_000_000
+    }
+
     /// The present moment for the name of a file: `20261121-060036`.
     pub fn stamp(&self) -> String {
         stamp(self.wall_seconds(self.now))

@@ -5,7 +5,7 @@
 
 use super::filter::Filter;
 use super::input::{
-    AddressPrompt, CapturePathPrompt, CopyPathPrompt, NewEntryPrompt, RenamePrompt,
+    AddressPrompt, CapturePathPrompt, CopyPathPrompt, MomentPrompt, NewEntryPrompt, RenamePrompt,
 };
 use super::listing::{addition_refusal, update_operation};
 use super::notices::TimelineEntry;
@@ -290,6 +290,11 @@ impl App {
 
     // ---- prompts ---------------------------------------------------------------------------
 
+    /// Opens the prompt for the moment to go to.
+    pub(super) fn ask_moment(&mut self) {
+        self.open_prompt(PromptKind::Moment(MomentPrompt), String::new());
+    }
+
     /// State that prompts are validated against.
     pub(super) fn prompt_context(&self) -> PromptContext<'_> {
         PromptContext {
@@ -298,6 +303,7 @@ impl App {
             buses: &self.buses,
             selected_bus: self.selected_row().and_then(|row| row.bus),
             frames: self.traffic.capture.ranges().map(|range| range.end - range.start).sum(),
+            moments: self.moment_range(),
         }
     }
 
@@ -372,6 +378,7 @@ impl App {
                 }
                 Err(error) => self.show_error(format!("not saved: {error}")),
             },
+            PromptOutcome::GoTo(target) => self.go_to_target(target),
             PromptOutcome::SaveCopy(path) => {
                 let bytes = self.editor.start_copy(path.clone());
                 self.effects.push_back(Effect::WriteFile { path, bytes });

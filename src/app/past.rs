@@ -4,6 +4,7 @@
 //! of the moment; des.json is the present one.
 
 use super::history::{BusesReplay, Moment};
+use super::input::{MomentRange, MomentTarget};
 use super::problems::Problems;
 use super::timeline_kind::TimelineKind;
 use super::view::Frozen;
@@ -91,6 +92,31 @@ impl App {
     /// [`poll_timeout`](Self::poll_timeout) is soon.
     pub fn go_to_time(&mut self, time: Instant) {
         self.go_to(self.buses.moment(&self.traffic.capture, time));
+    }
+
+    /// Moments that can be shown.
+    pub(super) fn moment_range(&self) -> MomentRange {
+        let (begin, now) = (self.buses.begin(&self.traffic.capture), self.clock.now());
+        MomentRange {
+            begin: begin.min(now),
+            now,
+            shown: self.target().time,
+            frames: self.traffic.capture.end(),
+            wall_start: self.clock.wall_start(),
+        }
+    }
+
+    /// Goes to a moment that was typed.
+    pub(super) fn go_to_target(&mut self, target: MomentTarget) {
+        match target {
+            MomentTarget::Time(time) => self.go_to_time(time),
+            MomentTarget::Frame(number) => {
+                match self.buses.moment_after(&self.traffic.capture, number) {
+                    Some(moment) => self.go_to(moment),
+                    None => self.show_error(format!("frame {} is no longer kept", number + 1)),
+                }
+            }
+        }
     }
 
     /// The moment that is shown, or is about to be.

@@ -200,6 +200,7 @@ actions! {
         NextEvent "next-event" "At the next event" "" ["]"];
         PreviousProblem "previous-problem" "Freeze where a finding changed before" "problem" ["{"];
         NextProblem "next-problem" "Where one changed next" "" ["}"];
+        GoTo "go-to" "Go to a moment: a time, -2m, +10s, 50%, a frame" "go to" [":"];
         PreviousFrame "previous-frame" "Freeze at the frame before" "frame" ["<"];
         NextFrame "step" "At the next frame; of a paused log the next frame" "step" [">"];
     }

@@ -119,3 +119,28 @@ fn pages_of_a_past_moment_are_those_of_a_run_until_then() {
         }
     }
 }
+
+#[test]
+fn typed_moment_is_shown_or_refused() {
+    let config = Config { seed: 7, ..Config::default() };
+    let file = Some(BOILER.as_bytes().to_vec());
+    let scenario = Scenario::builtin("boiler").unwrap();
+    let mut stage = Stage::with_room(&scenario, file, config, ROOM);
+    stage.until(45.0);
+    for (typed, seconds) in
+        [("12:00:20", 20.0), ("+1.5", 21.5), ("-500ms", 21.0), ("100%", 45.0), ("#1", 0.0)]
+    {
+        stage.keys(":").text(typed).keys("Enter");
+        let moment = stage.app.past_moment().expect(typed);
+        let apart = moment.time.as_secs_f64() - seconds;
+        assert!((0.0..0.5).contains(&apart), "{typed}: {:?}", moment.time);
+        assert!(stage.screen().contains("FROZEN 12:00:"), "{}", stage.screen());
+    }
+    stage.keys(":").text("12:01:00");
+    let screen = stage.size(100, 24).keys("Enter").screen();
+    assert!(screen.contains("12:01:00: not kept; 12:00:00.000 to 12:00:45.000 is"), "{screen}");
+    stage.keys("Ctrl-u").text("soon").keys("Enter");
+    assert!(stage.screen().contains("soon: not a moment; use 13:51:20"), "{}", stage.screen());
+    stage.keys("Esc Esc");
+    assert!(stage.app.past_moment().is_none(), "Esc shows the present");
+}

@@ -5,7 +5,8 @@
 //! nothing.
 
 use super::prompt_kinds::{
-    AddressPrompt, CapturePathPrompt, CopyPathPrompt, FilterPrompt, NewEntryPrompt, RenamePrompt,
+    AddressPrompt, CapturePathPrompt, CopyPathPrompt, FilterPrompt, MomentPrompt, NewEntryPrompt,
+    RenamePrompt,
 };
 use super::prompt_logic::{EditTarget, InputCheck, PromptContext, PromptLogic, PromptOutcome};
 use crate::keymap::{Key, KeyCode};
@@ -41,6 +42,8 @@ pub enum PromptKind {
     CapturePath(CapturePathPrompt),
     /// Path of a copy of des.json.
     CopyPath(CopyPathPrompt),
+    /// Moment to go to.
+    Moment(MomentPrompt),
 }
 
 /// Effect of a key in a prompt.
@@ -65,6 +68,7 @@ impl PromptKind {
             PromptKind::NewEntry(prompt) => prompt,
             PromptKind::CapturePath(prompt) => prompt,
             PromptKind::CopyPath(prompt) => prompt,
+            PromptKind::Moment(prompt) => prompt,
         }
     }
 

@@ -3,6 +3,7 @@
 //! A prompt that edits des.json refers to its entry by key, and to the content of the file when it
 //! was opened: the file may change on disk while the user types.
 
+use super::moment_text::{FORMS, MomentTarget};
 use super::prompt_logic::{EditTarget, InputCheck as C, PromptContext, PromptLogic, PromptOutcome};
 use crate::app::buses::Bus;
 use crate::app::filter::Filter;
@@ -488,6 +489,36 @@ impl PromptLogic for CapturePathPrompt {
         PromptOutcome::SaveCapture(PathBuf::from(text))
     }
 }
+
+// ---- moments -------------------------------------------------------------------------------
+
+/// Prompt for the moment to go to.
+#[derive(Clone, Copy, Debug)]
+pub struct MomentPrompt;
+
+impl PromptLogic for MomentPrompt {
+    fn label(&self) -> &'static str {
+        "go to"
+    }
+
+    fn validate(&self, text: &str, context: PromptContext) -> C {
+        if text.is_empty() {
+            return C::Accepted(FORMS.to_owned());
+        }
+        match MomentTarget::parse(text, &context.moments) {
+            Ok(MomentTarget::Time(time)) => C::Accepted(context.moments.wall(time)),
+            Ok(MomentTarget::Frame(_)) => C::Accepted("after this frame".to_owned()),
+            Err(fault) => C::Rejected(fault),
+        }
+    }
+
+    fn commit(&self, text: &str, context: PromptContext) -> PromptOutcome {
+        MomentTarget::parse(text, &context.moments)
+            .map_or(PromptOutcome::Nothing, PromptOutcome::GoTo)
+    }
+}
+
+// ---- the copy ------------------------------------------------------------------------------
 
 /// Prompt for the path of a copy of des.json with all edits.
 #[derive(Clone, Copy, Debug)]

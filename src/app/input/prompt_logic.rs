@@ -1,5 +1,6 @@
 //! What every kind of prompt does: validate a line and commit it.
 
+use super::moment_text::{MomentRange, MomentTarget};
 use crate::app::buses::Buses;
 use crate::app::file::FileState;
 use crate::app::problems::Matching;
@@ -29,6 +30,8 @@ pub(in crate::app) struct PromptContext<'a> {
     pub selected_bus: Option<BusIndex>,
     /// Number of captured frames.
     pub frames: u64,
+    /// Moments that can be shown.
+    pub moments: MomentRange,
 }
 
 /// Action that a committed prompt requests.
@@ -48,6 +51,8 @@ pub(in crate::app) enum PromptOutcome {
     SaveCapture(PathBuf),
     /// Write a copy of des.json to this path.
     SaveCopy(PathBuf),
+    /// Show a moment.
+    GoTo(MomentTarget),
 }
 
 /// What committing a prompt edits.

@@ -1,0 +1,226 @@
+//! Moments as they are typed: `13:51:20.250`, `-2m`, `+10s`, `50%`, `#5123`.
+//!
+//! Pure. Does not know what is shown at a moment.
+
+use crate::time::{Duration, Instant};
+
+/// Forms of a moment, for the prompt.
+pub(super) const FORMS: &str = "13:51:20 or 13:51:20.250, -2m, +10s, 50%, #5123 (frame)";
+
+const DAY: i128 = 86_400_000_000;
+
+/// Moments that can be shown.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::app) struct MomentRange {
+    /// The first one.
+    pub begin: Instant,
+    /// The present.
+    pub now: Instant,
+    /// The moment that is shown.
+    pub shown: Instant,
+    /// Number of all frames.
+    pub frames: u64,
+    /// Time of [`Instant::ZERO`] on the wall clock, in microseconds since 1970-01-01 00:00.
+    pub wall_start: i128,
+}
+
+/// A moment to go to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(in crate::app) enum MomentTarget {
+    Time(Instant),
+    /// After the frame with this number, counted from 0.
+    Frame(u64),
+}
+
+impl MomentTarget {
+    /// Parses a moment.
+    ///
+    /// # Errors
+    /// What is wrong, in words.
+    pub fn parse(text: &str, range: &MomentRange) -> Result<Self, String> {
+        let no_form = || format!("{text}: not a moment; use {FORMS}");
+        if let Some(number) = text.strip_prefix('#') {
+            let number: u64 = number.parse().map_err(|_| no_form())?;
+            return match number.checked_sub(1) {
+                Some(index) if index < range.frames => Ok(Self::Frame(index)),
+                _ => Err(format!("#{number}: there are frames 1 to {}", range.frames)),
+            };
+        }
+        let (begin, now) = (range.begin, range.now);
+        let time = if let Some(percent) = text.strip_suffix('%') {
+            let percent: f64 = percent.trim_end().parse().map_err(|_| no_form())?;
+            if !(0.0..=100.0).contains(&percent) {
+                return Err(format!("{text}: from 0% to 100%"));
+            }
+            begin + now.since(begin).mul_f64(percent / 100.0)
+        } else if let Some(back) = text.strip_prefix('-') {
+            let back = duration(back).ok_or_else(no_form)?;
+            Instant::from_micros(range.shown.as_micros().saturating_sub(micros(back)))
+        } else if let Some(ahead) = text.strip_prefix('+') {
+            range.shown + duration(ahead).ok_or_else(no_form)?
+        } else {
+            range.at_wall_time(time_of_day(text).ok_or_else(no_form)?)
+        };
+        if (begin..=now).contains(&time) {
+            return Ok(Self::Time(time));
+        }
+        Err(format!("{text}: not kept; {} to {} is", range.wall(begin), range.wall(now)))
+    }
+}
+
+impl MomentRange {
+    /// Returns the last moment until the present at this time of day, in microseconds.
+    fn at_wall_time(&self, of_day: i128) -> Instant {
+        let now = self.wall_start + i128::from(self.now.as_micros());
+        let at = now - (now - of_day).rem_euclid(DAY);
+        // One before the start is not kept, nor is the latest moment there is.
+        u64::try_from(at - self.wall_start).map_or(Instant::LATEST, Instant::from_micros)
+    }
+
+    /// Returns the time of day of a moment: `13:51:20`.
+    pub fn wall(&self, at: Instant) -> String {
+        let of_day = (self.wall_start + i128::from(at.as_micros())).rem_euclid(DAY) / 1000;
+        let (seconds, millis) = (of_day / 1000, of_day % 1000);
+        let (hours, minutes) = (seconds / 3600, seconds / 60 % 60);
+        format!("{hours:02}:{minutes:02}:{:02}.{millis:03}", seconds % 60)
+    }
+}
+
+fn micros(duration: Duration) -> u64 {
+    u64::try_from(duration.as_micros()).unwrap_or(u64::MAX)
+}
+
+/// Parses `90`, `90s`, `1.5s`, `250ms`, `2m`, `1h30m`; without a unit, seconds.
+fn duration(text: &str) -> Option<Duration> {
+    let (mut rest, mut sum) = (text.trim(), Duration::ZERO);
+    if rest.is_empty() {
+        return None;
+    }
+    while !rest.is_empty() {
+        let end = rest.find(|c: char| !c.is_ascii_digit() && c != '.').unwrap_or(rest.len());
+        let (number, after) = rest.split_at(end);
+        let end = after.find(|c: char| c.is_ascii_digit() || c == '.').unwrap_or(after.len());
+        let (unit, after) = after.split_at(end);
+        let seconds = match unit.trim() {
+            "h" => 3600.0,
+            "m" | "min" => 60.0,
+            "s" | "" => 1.0,
+            "ms" => 1e-3,
+            _ => return None,
+        };
+        let number: f64 = number.parse().ok()?;
+        sum = sum.checked_add(Duration::try_from_secs_f64(number * seconds).ok()?)?;
+        rest = after;
+    }
+    Some(sum)
+}
+
+/// Parses `13:51`, `13:51:20`, `13:51:20.250`: microseconds since midnight.
+fn time_of_day(text: &str) -> Option<i128> {
+    let is_plain = text.bytes().all(|byte| byte.is_ascii_digit() || b":.".contains(&byte));
+    let mut parts = text.split(':');
+    let hours: u32 = parts.next()?.parse().ok()?;
+    let minutes: u32 = parts.next()?.parse().ok()?;
+    let seconds: f64 = parts.next().map_or(Some(0.0), |text| text.parse().ok())?;
+    let is_valid = hours < 24 && minutes < 60 && seconds < 60.0 && parts.next().is_none();
+    let of_day = f64::from(hours * 3600 + minutes * 60) + seconds;
+    (is_plain && is_valid).then(|| (of_day * 1e6).round() as i128)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(seconds: f64) -> Instant {
+        Instant::from_micros((seconds * 1e6) as u64)
+    }
+
+    /// From 23:59:50 on, for 40 s: kept from 23:59:55, and 0:00:20 is shown.
+    fn range() -> MomentRange {
+        let wall_start = 20_000 * DAY - 10_000_000;
+        let (begin, now, shown) = (at(5.0), at(40.0), at(30.0));
+        MomentRange { begin, now, shown, frames: 100, wall_start }
+    }
+
+    #[test]
+    fn moments_are_read_in_all_forms() {
+        for (text, expected) in [
+            ("23:59:55", 5.0),
+            ("23:59:59.250", 9.25),
+            ("0:00", 10.0),
+            ("00:00:20", 30.0),
+            ("-20s", 10.0),
+            ("-20", 10.0),
+            ("-0.5", 29.5),
+            ("-250ms", 29.75),
+            ("+10s", 40.0),
+            ("+ 1 s", 31.0),
+            ("0%", 5.0),
+            ("50 %", 22.5),
+            ("100%", 40.0),
+        ] {
+            let time = MomentTarget::parse(text, &range());
+            assert_eq!(time, Ok(MomentTarget::Time(at(expected))), "{text}");
+        }
+        assert_eq!(MomentTarget::parse("#1", &range()), Ok(MomentTarget::Frame(0)));
+        assert_eq!(MomentTarget::parse("#100", &range()), Ok(MomentTarget::Frame(99)));
+        let mut long = range();
+        (long.begin, long.now) = (at(0.0), at(100_000.0));
+        long.shown = at(90_000.0);
+        let back = MomentTarget::parse("-1h30m", &long);
+        assert_eq!(back, Ok(MomentTarget::Time(at(84_600.0))));
+        // The same time of day occurred twice.
+        let last = MomentTarget::parse("23:59:55", &long);
+        assert_eq!(last, Ok(MomentTarget::Time(at(86_405.0))));
+    }
+
+    #[test]
+    fn moments_that_are_not_kept_are_refused() {
+        for (text, said) in [
+            ("23:59:54", "23:59:54: not kept; 23:59:55.000 to 00:00:30.000 is"),
+            ("00:00:31", "not kept"),
+            ("-26s", "not kept"),
+            ("-99999999999999999999h", "not a moment"),
+            ("+11s", "not kept"),
+            ("#0", "#0: there are frames 1 to 100"),
+            ("#101", "#101: there are frames 1 to 100"),
+            ("101%", "from 0% to 100%"),
+            ("-1%", "from 0% to 100%"),
+            ("nan%", "from 0% to 100%"),
+        ] {
+            let fault = MomentTarget::parse(text, &range()).unwrap_err();
+            assert!(fault.contains(said), "{text}: {fault}");
+        }
+        for text in [
+            "",
+            "-",
+            "+",
+            "#",
+            "%",
+            ":",
+            "::",
+            "1",
+            "13",
+            "24:00",
+            "12:60",
+            "12:00:60",
+            "1:2:3:4",
+            "12:00:nan",
+            "12:00:-1",
+            "+12:00",
+            "-5x",
+            "-1.2.3s",
+            "#x",
+            "#-1",
+            "-s",
+            "a",
+            "-inf",
+            "12:00:1e1",
+            "１２:00",
+            "-99999999999999999999h",
+        ] {
+            let fault = MomentTarget::parse(text, &range()).unwrap_err();
+            assert!(fault.contains("not a moment"), "{text}: {fault}");
+        }
+    }
+}
