@@ -118,7 +118,7 @@ impl<'a> BusContents<'a> {
 /// The making of rows.
 impl Inputs<'_> {
     fn all_rows(&self) -> Vec<Row> {
-        let entries = self.file.document().entries();
+        let entries = self.document.entries();
         let mut rows = Vec::new();
         let contents: Vec<BusContents> = self.buses.iter().map(BusContents::new).collect();
         for bus in self.buses.iter() {
@@ -186,11 +186,10 @@ impl Inputs<'_> {
             suspected: findings().any(|it| it.state == FindingState::Suspected),
             twin,
             redundant_ids: Vec::new(),
-            file: self.file_status(device, entry.map(|at| &self.file.document().entries()[at])),
-            has_findings: entry.is_some_and(|at| self.file.document().has_findings(at)),
-            has_other_services: entry.is_some_and(|at| {
-                other_services(&self.file.document().entries()[at], device).is_some()
-            }),
+            file: self.file_status(device, entry.map(|at| &self.document.entries()[at])),
+            has_findings: entry.is_some_and(|at| self.document.has_findings(at)),
+            has_other_services: entry
+                .is_some_and(|at| other_services(&self.document.entries()[at], device).is_some()),
             entry,
         }
     }
@@ -198,7 +197,7 @@ impl Inputs<'_> {
     fn file_status(&self, device: &Device, entry: Option<&Entry>) -> FileStatus {
         match entry {
             None if device.is_debug || device.name.is_none() => FileStatus::Nothing,
-            None if !self.file.is_there() => FileStatus::Nothing,
+            None if !self.has_file => FileStatus::Nothing,
             None => FileStatus::New,
             Some(entry) => match entry.address.filter(|_| entry.is_static) {
                 None => FileStatus::Listed(entry.address),
@@ -219,7 +218,7 @@ impl Inputs<'_> {
         let is_duplicate = self.matching.is_duplicate(entry.index);
         let pending = is_duplicate || !self.is_missing(entry);
         Some(Row {
-            key: RowKey::Entry(self.file.document().key(entry.index)),
+            key: RowKey::Entry(self.document.key(entry.index)),
             bus,
             address: entry.address.and_then(Address::new),
             name: Some(Name::new(&entry.name)),
@@ -236,7 +235,7 @@ impl Inputs<'_> {
                 Some(address) if entry.is_static => FileStatus::Differs(address),
                 address => FileStatus::Listed(address),
             },
-            has_findings: self.file.document().has_findings(entry.index),
+            has_findings: self.document.has_findings(entry.index),
             has_other_services: false,
             entry: Some(entry.index),
         })

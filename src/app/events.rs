@@ -102,10 +102,22 @@ impl App {
         }
     }
 
+    /// Notes the content of des.json, if it changed.
+    pub(super) fn note_content(&mut self) {
+        let content = self.editor.file.content();
+        if !content.is_same(&self.content) {
+            let before = std::mem::replace(&mut self.content, content);
+            if self.contents_before.len() == super::MAX_CONTENTS {
+                self.contents_before.pop_front();
+            }
+            self.contents_before.push_back((self.clock.now(), before));
+        }
+    }
+
     /// Compares file and buses again and queues the differences that changed.
     pub(super) fn refresh_problems(&mut self) {
         let now = self.clock.now();
-        let before = self.problems.refresh(&self.buses, &self.editor.file, now);
+        let before = self.problems.refresh(&self.buses, &self.editor.file.content(), now);
         if !self.notices.emits_events() {
             return;
         }

@@ -110,7 +110,7 @@ impl Deref for RecordedBuses {
 impl RecordedBuses {
     /// Returns buses that start at `now`, with snapshots and inputs of at most `room` bytes; with 0 there
     /// is no past.
-    pub fn new(now: Instant, buses: Buses, room: usize) -> Self {
+    pub(super) fn new(now: Instant, buses: Buses, room: usize) -> Self {
         let work = FRAMES_PER_ROOM * room / BYTES_PER_FRAME / SNAPSHOTS;
         let mut all = Self {
             now: buses,
@@ -131,19 +131,19 @@ impl RecordedBuses {
     // ---- what the buses take ---------------------------------------------------------------
 
     /// Appends a bus that starts at `now`; returns false at 256 buses, the most there can be.
-    pub fn add(&mut self, now: Instant, name: String, config: Config) -> bool {
+    pub(super) fn add(&mut self, now: Instant, name: String, config: Config) -> bool {
         self.note(now, BusesInput::Add(name.clone(), Box::new(config.clone())));
         self.now.add(now, name, config)
     }
 
     /// Renames a bus; returns false for an unknown index.
-    pub fn rename(&mut self, now: Instant, index: BusIndex, name: String) -> bool {
+    pub(super) fn rename(&mut self, now: Instant, index: BusIndex, name: String) -> bool {
         self.note(now, BusesInput::Rename(index, name.clone()));
         self.now.rename(index, name)
     }
 
     /// Passes a frame to its bus; returns false for an unknown bus.
-    pub fn receive(&mut self, frame: &Frame) -> bool {
+    pub(super) fn receive(&mut self, frame: &Frame) -> bool {
         let is_known = self.now.receive(frame);
         if is_known {
             self.frames += 1;
@@ -153,21 +153,21 @@ impl RecordedBuses {
     }
 
     /// Runs the timers that are due at `now`.
-    pub fn handle_timeout(&mut self, now: Instant) {
+    pub(super) fn handle_timeout(&mut self, now: Instant) {
         if self.now.poll_timeout().is_some_and(|due| due <= now) {
             self.note(now, BusesInput::Timeout);
             self.now.handle_timeout(now);
         }
     }
 
-    /// See [`Buses::handle_stall`].
-    pub fn handle_stall(&mut self, since: Instant, now: Instant) {
+    /// Quarantines the buses after a stall from `since` to `now`.
+    pub(super) fn handle_stall(&mut self, since: Instant, now: Instant) {
         self.note(now, BusesInput::Stall(since));
         self.now.handle_stall(since, now);
     }
 
-    /// See [`Buses::update_status`].
-    pub fn update_status(
+    /// Updates the bus status of a bus; returns the timeline texts of what changed.
+    pub(super) fn update_status(
         &mut self,
         now: Instant,
         index: BusIndex,
@@ -180,12 +180,12 @@ impl RecordedBuses {
     }
 
     /// The next engine event of a bus.
-    pub fn poll_event(&mut self, index: BusIndex) -> Option<Event> {
+    pub(super) fn poll_event(&mut self, index: BusIndex) -> Option<Event> {
         self.now.poll_event(index)
     }
 
     /// The next frame to transmit; `frame.bus` is the bus to transmit on.
-    pub fn poll_transmit(&mut self, now: Instant) -> Option<Frame> {
+    pub(super) fn poll_transmit(&mut self, now: Instant) -> Option<Frame> {
         if let Some(frame) = self.now.poll_outbox() {
             return Some(frame);
         }
@@ -199,36 +199,36 @@ impl RecordedBuses {
     }
 
     /// Queues a frame for transmission.
-    pub fn transmit(&mut self, frame: Frame) {
+    pub(super) fn transmit(&mut self, frame: Frame) {
         self.now.transmit(frame);
     }
 
     /// Restarts the enumeration on all buses.
-    pub fn rescan(&mut self, now: Instant) {
+    pub(super) fn rescan(&mut self, now: Instant) {
         self.note(now, BusesInput::Rescan);
         self.now.rescan(now);
     }
 
     /// Removes the lost devices of all buses.
-    pub fn remove_lost_devices(&mut self, now: Instant) {
+    pub(super) fn remove_lost_devices(&mut self, now: Instant) {
         self.note(now, BusesInput::RemoveLost);
         self.now.remove_lost_devices();
     }
 
     /// Closes the load seconds that are over.
-    pub fn tick(&mut self, now: Instant) {
+    pub(super) fn tick(&mut self, now: Instant) {
         self.note(now, BusesInput::Tick);
         self.now.tick(now);
     }
 
     /// Starts or ends a bit rate search.
-    pub fn set_searched(&mut self, now: Instant, bus: Option<BusIndex>) {
+    pub(super) fn set_searched(&mut self, now: Instant, bus: Option<BusIndex>) {
         self.note(now, BusesInput::Searched(bus));
         self.now.set_searched(bus);
     }
 
-    /// See [`Buses::refresh_redundancy`].
-    pub fn refresh_redundancy(&mut self) -> Vec<(DeviceId, DeviceId, Redundancy)> {
+    /// Updates which devices are on several buses; returns the pairs whose redundancy changed.
+    pub(super) fn refresh_redundancy(&mut self) -> Vec<(DeviceId, DeviceId, Redundancy)> {
         self.now.refresh_redundancy()
     }
 
@@ -244,7 +244,7 @@ impl RecordedBuses {
 
     /// Takes a snapshot, if it is time for one: call when all events are taken. Drops what is older
     /// than the frames from number `first` on.
-    pub fn keep_history(&mut self, now: Instant, first: u64) {
+    pub(super) fn keep_history(&mut self, now: Instant, first: u64) {
         if self.work < self.snapshot_work || self.room == 0 {
             return;
         }

@@ -44,7 +44,7 @@ pub fn addition_refusal(device: &Device) -> Option<&'static str> {
 /// The operation that adds a device to the file, or updates the services of its entry; `None` if
 /// the file matches the device or its name is not known.
 pub(super) fn update_operation(inputs: Inputs, device: &Device) -> Option<Operation> {
-    let document = inputs.file.document();
+    let document = inputs.document;
     let Some(at) = inputs.matching.entry_of(device.id) else {
         return Some(Operation::Add { entry: new_entry(inputs.buses, document, device)? });
     };

@@ -86,7 +86,7 @@ use crate::wire::profile::Profile;
 use capture::Traffic;
 use clock::AppClock;
 use devices::DeviceRows;
-use file::FileEditor;
+use file::{FileContent, FileEditor};
 use input::{Input, PromptContext, PromptOutcome, PromptResult};
 use notices::Notices;
 use past::Past;
@@ -96,6 +96,9 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+/// Contents of des.json that are kept for past moments. Chosen: edits of a long day; each is shared with
+/// the undo steps.
+const MAX_CONTENTS: usize = 256;
 /// Time between two parts of the frames that are tested by the filter: keys are handled in it.
 const FILTER_PAUSE: Duration = Duration::from_millis(1);
 /// Time before and after a piece of evidence whose frames outlive the others.
@@ -183,7 +186,9 @@ pub enum Effect {
 pub(crate) struct Inputs<'a> {
     now: Instant,
     buses: &'a Buses,
-    file: &'a FileState,
+    document: &'a Document,
+    /// True if there is a des.json, or edits that make one.
+    has_file: bool,
     matching: &'a Matching,
 }
 
@@ -193,7 +198,8 @@ macro_rules! inputs {
         $crate::app::Inputs {
             now: $app.clock.now(),
             buses: &$app.buses,
-            file: &$app.editor.file,
+            document: $app.editor.file.document(),
+            has_file: $app.editor.file.is_there(),
             matching: $app.problems.matching(),
         }
     };
@@ -207,7 +213,8 @@ macro_rules! shown_inputs {
             Some(past) => $crate::app::Inputs {
                 now: past.moment.time,
                 buses: &past.buses,
-                file: &$app.editor.file,
+                document: &past.file.document,
+                has_file: past.file.is_there,
                 matching: past.problems.matching(),
             },
             None => $crate::app::inputs!($app),
@@ -262,6 +269,9 @@ pub struct App {
     /// The replay on the way to a moment, and when its next part is due.
     replay: Option<BusesReplay>,
     replay_due: Option<Instant>,
+    /// Content of des.json now, and before: with the time until which it was so, oldest first.
+    content: FileContent,
+    contents_before: VecDeque<(Instant, FileContent)>,
 }
 
 impl App {
@@ -269,11 +279,13 @@ impl App {
     pub fn new(now: Instant, options: AppOptions) -> Self {
         let room = options.capture_room.unwrap_or(DEFAULT_CAPTURE);
         let past_room = room / (FRAMES_PER_ROOM + 1);
+        let editor = FileEditor::new(options.file_path);
+        let content = editor.file.content();
         let mut app = Self {
             clock: AppClock::new(now, options.epoch, options.utc_offset_seconds),
             buses: RecordedBuses::new(now, Buses::new(now, options.buses), past_room),
             traffic: Traffic::new(room - past_room),
-            editor: FileEditor::new(options.file_path),
+            editor,
             problems: Problems::default(),
             devices: DeviceRows::default(),
             view: View { size: (80, 24), ..View::default() },
@@ -286,6 +298,8 @@ impl App {
             past: None,
             replay: None,
             replay_due: None,
+            content,
+            contents_before: VecDeque::new(),
         };
         for warning in options.warnings {
             let mut line = TimelineEntry::new(now, TimelineKind::Error, &warning);
@@ -738,6 +752,11 @@ impl App {
         &self.editor.file
     }
 
+    /// Content of des.json with the edits, at the moment that is shown.
+    pub fn document(&self) -> &Document {
+        self.past.as_ref().map_or(self.editor.file.document(), |past| &past.file.document)
+    }
+
     /// Names of the entries whose static address, set by the user, another program has overwritten;
     /// [`Action::Save`] restores them.
     pub fn overwritten_pins(&self) -> Vec<Name> {
@@ -754,7 +773,7 @@ impl App {
 
     /// The entry of a row.
     pub fn entry_of(&self, row: &Row) -> Option<&Entry> {
-        self.editor.file.document().entries().get(row.entry?)
+        self.document().entries().get(row.entry?)
     }
 
     /// Entry of des.json for a device; `None` while its name is not known.
@@ -1089,12 +1108,9 @@ impl App {
     /// Renews everything that is made from buses and file.
     fn refresh(&mut self) {
         self.notices.redraw.take_stale();
+        self.note_content();
         self.refresh_redundancy();
         self.refresh_problems();
-        if let Some(past) = &mut self.past {
-            // des.json may have changed.
-            past.problems.refresh(&past.buses, &self.editor.file, past.moment.time);
-        }
         if self.view.has_screen {
             self.settle_problems();
             self.refresh_rows();

@@ -1,8 +1,9 @@
 //! The moment that is shown in place of the present one: freezing, and going from moment to moment.
 //!
-//! Capture, discovery and the file go on meanwhile. Buses, problems, traffic and timeline are those
-//! of the moment; des.json is the present one.
+//! Capture, discovery and the file go on meanwhile. Buses, des.json, problems, traffic and timeline
+//! are those of the moment.
 
+use super::file::FileContent;
 use super::history::{BusesReplay, Moment};
 use super::input::{MomentRange, MomentTarget};
 use super::problems::Problems;
@@ -20,6 +21,8 @@ pub(super) struct Past {
     pub moment: Moment,
     pub buses: Buses,
     pub problems: Problems,
+    /// Content of des.json.
+    pub file: FileContent,
 }
 
 impl App {
@@ -154,12 +157,16 @@ impl App {
     fn show_past(&mut self, moment: Moment, mut buses: Buses) {
         buses.refresh_redundancy();
         let mut problems = self.problems.for_moment(moment.time);
-        problems.refresh(&buses, &self.editor.file, moment.time);
+        self.note_content();
+        let mut before = self.contents_before.iter();
+        let file = before.find(|(until, _)| *until > moment.time);
+        let file = file.map_or(&self.content, |(_, content)| content).clone();
+        problems.refresh(&buses, &file, moment.time);
         let later = self.timeline().entries().find(|line| line.time > moment.time);
         let lines = later.map_or(self.timeline().end(), |line| line.number);
         self.view.frozen = Some(Frozen { frames: moment.frames, lines });
         self.notices.timeline_mut().pin_lines(true);
-        self.past = Some(Box::new(Past { moment, buses, problems }));
+        self.past = Some(Box::new(Past { moment, buses, problems, file }));
         self.settle_problems();
         self.refresh_rows();
         self.filter_frames();

@@ -124,6 +124,11 @@ impl Root {
 }
 
 impl Document {
+    /// Returns true if both are the same content in memory.
+    pub fn is_same(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.inner, &other.inner)
+    }
+
     /// Parses the content of a file. Blank content is an empty document; JSON of another shape is
     /// a document with findings.
     ///

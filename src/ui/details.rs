@@ -400,7 +400,7 @@ impl<'a> DeviceDetails<'_, 'a> {
         self.add(&label, role, &text);
         if let Some(entry) = app.entry_of(self.row) {
             self.add(" ", Role::Muted, &entry.position.to_string());
-            for finding in app.file().document().findings_of(entry.index) {
+            for finding in app.document().findings_of(entry.index) {
                 let text = format!("! {} ({})", finding.message, finding.position);
                 self.add(" ", Role::Warning, &text);
             }

@@ -491,10 +491,10 @@ fn file(brush: &DrawContext, whole: bool) -> Parts {
     if file.path().is_none() {
         return vec![Part::new(FILE, vec![brush.span(Role::Muted, "no file")])];
     }
-    let entries = file.document().entries().len();
+    let entries = brush.app.document().entries().len();
     let unsaved = file.unsaved();
     let is_emptied = file.emptied_since().is_some();
-    let findings = file.document().findings().len();
+    let findings = brush.app.document().findings().len();
     let mut more = None;
     let (rank, role, text) = match file.problem() {
         Some(problem) => {

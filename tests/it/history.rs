@@ -104,13 +104,21 @@ fn pages_of_a_past_moment_are_those_of_a_run_until_then() {
         let file = Some(BOILER.as_bytes().to_vec());
         Stage::with_room(&Scenario::builtin("boiler").unwrap(), file, config, ROOM)
     };
-    let mut past = boiler();
-    past.size(120, 30).until(48.0);
+    // Another program changes des.json meanwhile.
+    let later = BOILER.replace("44", "45").replace("\"address\": 20", "\"address\": 40");
+    let run = |until: f64| {
+        let mut stage = boiler();
+        stage.size(120, 30).until(until.min(31.0));
+        if until > 31.0 {
+            stage.write(&later).until(until);
+        }
+        stage
+    };
+    let mut past = run(48.0);
     for key in ["[", "[", "{", "{", "[", "{", "]", "<", "<", "<", "[", "[", "{"] {
         past.keys(key);
         let moment = past.app.past_moment().expect(key);
-        let mut then = boiler();
-        then.size(120, 30).until(moment.time.as_secs_f64() + 1.5e-6);
+        let mut then = run(moment.time.as_secs_f64() + 1.5e-6);
         assert_eq!(then.app.capture().end(), moment.frames, "{key} {:?}", moment.time);
         then.keys("Space");
         for number in ["1", "3", "4", "2"] {

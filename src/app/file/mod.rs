@@ -10,6 +10,7 @@ mod state;
 mod undo_stack;
 
 pub use change::{EditRefusal, FileChange, FileError, FileReading, SaveOutcome};
+pub(super) use state::FileContent;
 pub use state::{FileState, Saving};
 
 use crate::document::{Document, Entry, Operation};

@@ -76,7 +76,28 @@ pub struct FileState {
     saved: Vec<(Document, Document)>,
 }
 
+/// The last valid content of the file at some moment, with the unsaved edits.
+#[derive(Clone, Debug)]
+pub(in crate::app) struct FileContent {
+    /// The content; empty before the first reading.
+    pub document: Document,
+    /// True if there is a file, or edits that make one.
+    pub is_there: bool,
+}
+
+impl FileContent {
+    /// Returns true if both are the same content in memory.
+    pub fn is_same(&self, other: &Self) -> bool {
+        self.is_there == other.is_there && self.document.is_same(&other.document)
+    }
+}
+
 impl FileState {
+    /// The content at this moment.
+    pub(in crate::app) fn content(&self) -> FileContent {
+        FileContent { document: self.document.clone(), is_there: self.is_there() }
+    }
+
     /// Returns the state of the file at this path, not read yet.
     pub fn new(path: Option<PathBuf>) -> Self {
         Self {

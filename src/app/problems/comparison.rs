@@ -35,11 +35,11 @@ impl<'a> Comparison<'a> {
     /// Compares file and buses; without a file there are no differences.
     pub fn new(inputs: Inputs<'a>, scope: Scope) -> Self {
         let mut comparison = Self { inputs, found: Vec::new(), entries: Vec::new() };
-        if !inputs.file.is_there() {
+        if !inputs.has_file {
             return comparison;
         }
-        comparison.file_alone(inputs.file.document());
-        for entry in inputs.file.document().entries() {
+        comparison.file_alone(inputs.document);
+        for entry in inputs.document.entries() {
             comparison.entry(entry, scope);
         }
         if scope == Scope::Check {
@@ -207,7 +207,7 @@ impl<'a> Comparison<'a> {
 
     /// Returns true if an entry without a device has this address.
     fn is_awaited_at(&self, address: Address) -> bool {
-        let entries = self.inputs.file.document().entries().iter();
+        let entries = self.inputs.document.entries().iter();
         let mut here = entries.filter(|entry| entry.address == Some(address.number()));
         here.any(|entry| self.inputs.matching.devices_of(entry.index).is_empty())
     }

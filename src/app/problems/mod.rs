@@ -18,20 +18,26 @@ pub use missing_reason::{bus_obstacle, format_duration};
 
 use super::Inputs;
 use super::buses::Buses;
-use super::file::FileState;
+use super::file::FileContent;
 use crate::finding::{Finding, FindingKey, FindingState};
 use crate::time::Instant;
 use comparison::Comparison;
 use std::cell::RefCell;
 use std::cmp::Reverse;
-use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
 use std::rc::Rc;
+
+/// Most findings of the comparison that are kept after they ended, for past moments.
+const MAX_FORMER: usize = 1024;
 
 /// Findings of the comparison with des.json, muted problems, and the list of problems.
 #[derive(Debug, Default)]
 pub(super) struct Problems {
     matching: Matching,
     file_findings: Vec<Finding>,
+    /// Findings of the comparison before they ended or changed their state, with the time of that, oldest
+    /// first; at most [`MAX_FORMER`].
+    former: VecDeque<(Instant, Finding)>,
     /// Places of the entries that these findings are about, in the same order.
     finding_entries: Vec<Option<usize>>,
     /// Muted until the program ends.
@@ -69,14 +75,15 @@ pub(super) fn compare(inputs: Inputs, scope: Scope) -> Vec<Finding> {
 }
 
 impl Problems {
-    /// Returns the problems for a past moment: with the same ones muted, and findings of the file as
-    /// old as they are, but not younger than the moment.
+    /// Returns the problems for a past moment: with the same ones muted, and the findings of the file then.
     pub fn for_moment(&self, time: Instant) -> Self {
-        let mut file_findings = self.file_findings.clone();
-        for finding in &mut file_findings {
-            finding.first = finding.first.min(time);
-            finding.changed = finding.changed.min(time);
-            finding.last = finding.last.min(time);
+        let former = self.former.iter().filter(|(until, _)| *until > time);
+        let all = former.map(|(_, finding)| finding).chain(&self.file_findings);
+        let mut file_findings: Vec<Finding> = Vec::new();
+        for finding in all.filter(|finding| finding.changed <= time) {
+            if file_findings.iter().all(|known| known.key != finding.key) {
+                file_findings.push(finding.clone());
+            }
         }
         Self { file_findings, muted: self.muted.clone(), ..Self::default() }
     }
@@ -99,9 +106,10 @@ impl Problems {
 
     /// Compares file and buses again; a finding that persists keeps its times. Returns the findings
     /// before.
-    pub fn refresh(&mut self, buses: &Buses, file: &FileState, now: Instant) -> Vec<Finding> {
-        self.matching = Matching::new(file.document().entries(), buses.as_slice());
-        let inputs = Inputs { now, buses, file, matching: &self.matching };
+    pub fn refresh(&mut self, buses: &Buses, file: &FileContent, now: Instant) -> Vec<Finding> {
+        let FileContent { document, is_there: has_file } = file;
+        self.matching = Matching::new(document.entries(), buses.as_slice());
+        let inputs = Inputs { now, buses, document, has_file: *has_file, matching: &self.matching };
         let Comparison { mut found, entries, .. } = Comparison::new(inputs, Scope::Screen);
         self.finding_entries = entries;
         let known: HashMap<&FindingKey, &Finding> =
@@ -116,7 +124,17 @@ impl Problems {
             }
         }
         self.revision += 1;
-        std::mem::replace(&mut self.file_findings, found)
+        let before = std::mem::replace(&mut self.file_findings, found);
+        let states: HashMap<&FindingKey, FindingState> =
+            self.file_findings.iter().map(|finding| (&finding.key, finding.state)).collect();
+        let has_changed = |old: &&Finding| states.get(&old.key) != Some(&old.state);
+        for old in before.iter().filter(has_changed) {
+            if self.former.len() == MAX_FORMER {
+                self.former.pop_front();
+            }
+            self.former.push_back((now, old.clone()));
+        }
+        before
     }
 
     /// Findings of the comparison that changed since `before`: first the cleared ones, then those
@@ -238,7 +256,7 @@ impl Problems {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::app::FileReading;
+    use crate::app::{FileReading, FileState};
     use crate::discovery::Config;
     use crate::frame::{BusIndex, Frame};
     use crate::status::BusStatus;
@@ -258,7 +276,7 @@ mod tests {
     fn list_is_kept_until_something_changes() {
         let (mut buses, file) = parts();
         let mut problems = Problems::default();
-        problems.refresh(&buses, &file, NOW);
+        problems.refresh(&buses, &file.content(), NOW);
         let first = problems.stored(&buses);
         assert!(!first.is_empty() && Rc::ptr_eq(&first, &problems.stored(&buses)));
         // A frame alone changes no finding.
@@ -276,7 +294,7 @@ mod tests {
     fn muted_problem_is_last_and_does_not_count() {
         let (buses, file) = parts();
         let mut problems = Problems::default();
-        problems.refresh(&buses, &file, NOW);
+        problems.refresh(&buses, &file.content(), NOW);
         let key = problems.list(&buses).get(0).unwrap().key;
         assert!(problems.toggle_muted(key.clone()) && problems.is_muted(&key));
         let list = problems.list(&buses);
@@ -289,12 +307,12 @@ mod tests {
     fn cleared_finding_is_reported_once() {
         let (buses, mut file) = parts();
         let mut problems = Problems::default();
-        let before = problems.refresh(&buses, &file, NOW);
+        let before = problems.refresh(&buses, &file.content(), NOW);
         assert!(!problems.changes_since(&before, NOW).is_empty());
-        let before = problems.refresh(&buses, &file, NOW);
+        let before = problems.refresh(&buses, &file.content(), NOW);
         assert!(problems.changes_since(&before, NOW).is_empty());
         file.read(NOW, FileReading::Content(Some(br#"{"devices":[]}"#.to_vec())));
-        let before = problems.refresh(&buses, &file, NOW);
+        let before = problems.refresh(&buses, &file.content(), NOW);
         let changes = problems.changes_since(&before, NOW);
         assert!(!changes.is_empty());
         assert!(changes.iter().all(|it| it.state == FindingState::Cleared));
