@@ -2,7 +2,7 @@
 //!
 //! Does not know where the text goes or how wide it may be.
 
-use std::fmt;
+use std::fmt::{self, Write};
 use std::sync::Arc;
 use unicode_general_category::{GeneralCategory, get_general_category};
 use unicode_width::UnicodeWidthChar;
@@ -178,6 +178,16 @@ impl fmt::Debug for Name {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "\"{self}\"")
     }
+}
+
+/// Bytes in hexadecimal with a separator.
+pub fn hex(data: &[u8], between: &str) -> String {
+    let mut text = String::with_capacity(data.len() * (2 + between.len()));
+    for (at, byte) in data.iter().enumerate() {
+        let between = if at == 0 { "" } else { between };
+        let _ = write!(text, "{between}{byte:02X}");
+    }
+    text
 }
 
 #[cfg(test)]

@@ -50,7 +50,7 @@ pub use app_event::{AppEvent, BusSnapshot, DeviceEvent, EventContext, EventLine,
 pub use buses::{Bus, Buses, LoadMeter, LoadSecond, Redundancy, RedundantDevice, TxBlocked};
 pub use capture::{
     CapturedLog, Decoded, FrameStore, IdentifierKey, IdentifierKind, IdentifierStats, Identifiers,
-    StoredFrames, hex,
+    StoredFrames,
 };
 pub use devices::concerns;
 pub use file::{EditRefusal, FileChange, FileError, FileReading, FileState, SaveOutcome, Saving};

@@ -11,7 +11,7 @@ use super::report::{
 use super::{EXIT_OK, Failure, output};
 use crate::app::{
     App, AppEvent, AppOptions, DeviceEvent, EventLine, Filter, Page, Scope, clock_millis,
-    event_word, hex,
+    event_word,
 };
 use crate::cli::WatchArgs;
 use crate::discovery::{EventKind, Presence, ServicesNews};
@@ -19,7 +19,7 @@ use crate::finding::Finding;
 use crate::frame::IdFilter;
 use crate::shell::log_input::LogPace;
 use crate::shell::stop::StopReason;
-use crate::text::printable;
+use crate::text::{hex, printable};
 use crate::time::Instant;
 use crate::wire::id::{Address, Header};
 use crate::wire::node::{Mode, Uid};

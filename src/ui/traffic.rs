@@ -3,8 +3,9 @@
 //! one.
 
 use super::brush::{DrawContext, bus_cell, fit, fit_right, inner, labelled};
-use crate::app::{Decoded, Focus, IdentifierKind, IdentifierStats, Page, clock_millis, hex};
+use crate::app::{Decoded, Focus, IdentifierKind, IdentifierStats, Page, clock_millis};
 use crate::frame::{Frame, FrameKind};
+use crate::text::hex;
 use crate::theme::Role;
 use ratatui::layout::Rect;
 use ratatui::text::{Line, Span};

@@ -256,13 +256,3 @@ fn describe_heartbeat(profile: &Profile, data: &[u8]) -> String {
     }
     text
 }
-
-/// Bytes in hexadecimal with a separator.
-pub fn hex(data: &[u8], between: &str) -> String {
-    let mut text = String::with_capacity(data.len() * (2 + between.len()));
-    for (at, byte) in data.iter().enumerate() {
-        let between = if at == 0 { "" } else { between };
-        let _ = write!(text, "{between}{byte:02X}");
-    }
-    text
-}

@@ -7,9 +7,9 @@
 pub(super) mod decoded;
 mod filtered_frames;
 mod frame_store;
-mod identifiers;
+pub(super) mod identifiers;
 
-pub use decoded::{Decoded, hex};
+pub use decoded::Decoded;
 pub use frame_store::{BYTES_PER_FRAME, FrameStore, StoredFrames};
 pub use identifiers::{IdentifierKey, IdentifierKind, IdentifierStats, Identifiers};
 

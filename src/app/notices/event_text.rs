@@ -3,14 +3,13 @@
 //! Pure: an event and the buses in, kind and text out.
 
 use crate::app::buses::{Bus, Buses, TxBlocked};
-use crate::app::capture::hex;
 use crate::app::timeline_kind::TimelineKind;
 use crate::discovery::{
     Device, DeviceId, DeviceService, Event, EventKind, OtherDevice, Presence, ServicesNews,
 };
 use crate::finding::{FindingKey, FindingState};
 use crate::frame::BusIndex;
-use crate::text::{Escaped, Name, join_first};
+use crate::text::{Escaped, Name, hex, join_first};
 use crate::wire::node::{Mode, Uid};
 
 /// Kind and text of the timeline line of an engine event; `None` for an event without a line.

@@ -16,7 +16,7 @@ pub use page::{Focus, Frozen, Page};
 pub use rows::{Counts, FileStatus, Row, RowKey, RowState, SortBy};
 pub use screen::{SPLIT_WIDTH, Screen};
 
-use super::capture::IdentifierKey;
+use super::capture::identifiers::IdentifierKey;
 use super::problems::{EvidenceItem, ProblemKey};
 
 /// State of the view.

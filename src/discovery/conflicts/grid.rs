@@ -1,10 +1,19 @@
 //! Grid of heartbeat times: distinguishes one sender with a shorter period than expected from several
 //! senders, although some of its heartbeats are lost or late.
 
-use super::rhythm::{MIN_PHASE_CONTRAST, SAME_PHASE, TWO_PHASE_TIMES, WINDOW_PERIODS};
 use crate::time::{Duration, Instant};
 use std::collections::VecDeque;
 
+/// Heartbeats that show two phases: seven intervals, three periods and a half of two senders.
+pub(super) const TWO_PHASE_TIMES: usize = 8;
+/// Periods of the heartbeats that are counted.
+pub(super) const WINDOW_PERIODS: u32 = 8;
+/// Smallest difference, in periods, between the intervals of two senders. Chosen: twice the jitter
+/// of a quiet bus.
+pub(super) const MIN_PHASE_CONTRAST: f64 = 0.04;
+/// Deviation of heartbeats of one sender from its phase, in periods. Chosen: jitter of a busy bus;
+/// a third of what other phases are apart.
+pub(super) const SAME_PHASE: f64 = 0.03;
 /// Shortest period of one sender, in expected periods, that is distinguished from several senders
 /// although heartbeats are lost. Chosen: a tenth, and its jitter.
 const MIN_FASTER_PERIOD: f64 = 0.08;

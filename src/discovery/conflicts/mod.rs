@@ -29,12 +29,13 @@ use crate::wire::id::Address;
 use crate::wire::isotp::{Pci, TransferFault};
 use crate::wire::node::Uid;
 use crate::wire::profile::{Profile, UidProfile};
+use grid::WINDOW_PERIODS;
 use history::{AddressHistory, MAX_DOUBLE_RATE_HEARTBEATS};
 pub(super) use query_responses::RequestOrigin;
 use query_responses::SurplusResponse;
 use recent_values::ObservedValue;
 use repeated_frames::{COPIES_OF_ONE, RepeatedFrameDetector};
-use rhythm::{HeartbeatPattern, WINDOW_PERIODS};
+use rhythm::HeartbeatPattern;
 use std::borrow::Cow;
 
 /// Two responses to one request are less than this apart. Less than the 200 ms after which a

@@ -1,28 +1,23 @@
 //! Timing of the heartbeats of one address: their rate and their phases (protocol §5.2).
 
-use super::grid::{grid_of, may_be_one_sender};
+use super::grid::{
+    MIN_PHASE_CONTRAST, SAME_PHASE, TWO_PHASE_TIMES, WINDOW_PERIODS, grid_of, may_be_one_sender,
+};
 use super::history::{MAX_PHASES, WHOLE_PERIOD};
 use crate::time::{Duration, Instant};
 use std::collections::VecDeque;
 
-/// Heartbeats that show two phases: seven intervals, three periods and a half of two senders.
-pub(super) const TWO_PHASE_TIMES: usize = 8;
 /// The same for two phases almost half a period apart: seven periods, so that chance does not
 /// separate long and short intervals.
 const HALF_PERIOD_TIMES: usize = 15;
 /// Heartbeats that show the phases of several senders: two cycles of the most that are told apart.
 const CYCLE_TIMES: usize = 2 * MAX_PHASES + 1;
-/// Periods of the heartbeats that are counted.
-pub(super) const WINDOW_PERIODS: u32 = 8;
 /// Number of heartbeats in them that one sender has at most: nine, and two for changes of its mode
 /// or jitter.
 const MAX_OF_ONE: usize = 11;
 /// The same in the last part of them: of two senders, one may have left.
 const MAX_OF_ONE_AT_END: usize = 3;
 const END_PERIODS: f64 = 2.1;
-/// Smallest difference, in periods, between the intervals of two senders. Chosen: twice the jitter
-/// of a quiet bus.
-pub(super) const MIN_PHASE_CONTRAST: f64 = 0.04;
 /// Periods in which two heartbeats of each sender show that both send in turn. With 30 % of the
 /// heartbeats lost, nine of ten of one sender are lost once in 7,000 times.
 const RECURRING_PERIODS: f64 = 10.0;
@@ -31,9 +26,6 @@ const REMEMBERED_PERIODS: f64 = 5.0;
 /// Periods after an early heartbeat in which two phases may be of two senders. With
 /// 30 % of the heartbeats lost, as many have none in 1 % of the cases.
 const EARLY_PERIODS: f64 = 5.0;
-/// Deviation of heartbeats of one sender from its phase, in periods. Chosen: jitter of a busy bus;
-/// a third of what other phases are apart.
-pub(super) const SAME_PHASE: f64 = 0.03;
 
 /// Timing pattern of the heartbeats from one address.
 #[derive(Clone, Copy, Debug, Default)]
