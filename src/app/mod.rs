@@ -876,7 +876,8 @@ impl App {
 
     /// Statistics of the frames of each identifier.
     pub fn identifiers(&self) -> &Identifiers {
-        &self.traffic.identifiers
+        let past = self.past.as_ref().and_then(|past| past.identifiers.as_ref());
+        past.unwrap_or(&self.traffic.identifiers)
     }
 
     /// State of the recording; `None` without one.
@@ -897,7 +898,7 @@ impl App {
 
     /// Rows of the identifier view that match the filter.
     pub fn identifiers_shown(&self) -> Vec<&IdentifierStats> {
-        self.traffic.identifiers_shown(&self.view, self.shown_buses())
+        Traffic::identifiers_shown(self.identifiers(), &self.view, self.shown_buses())
     }
 
     /// Text of the ISO 15765-2 transfer that a captured frame is part of.
@@ -1094,8 +1095,9 @@ impl App {
         }
     }
 
-    /// Tests the next part of the frames by the filter.
+    /// Tests the next part of the frames by the filter, and counts the identifiers of a past moment.
     fn filter_frames(&mut self) {
+        self.count_past_identifiers();
         let was_due = self.filter_due.take().is_some();
         if !self.traffic.renew_filter(&self.view, &self.buses) {
             self.filter_due = Some(self.clock.now() + FILTER_PAUSE);

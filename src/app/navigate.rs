@@ -302,6 +302,7 @@ impl App {
         if self.view.page == Page::Traffic {
             self.view.close_evidence();
             self.view.by_identifier = !self.view.by_identifier;
+            self.filter_frames();
             let (keys, height) = (self.identifier_keys(), self.list_height());
             self.view.identifiers.update(&keys, height);
         } else {

@@ -3,6 +3,7 @@
 //! Capture, discovery and the file go on meanwhile. Buses, des.json, problems, traffic and timeline
 //! are those of the moment.
 
+use super::capture::Identifiers;
 use super::file::FileContent;
 use super::history::{BusesReplay, Moment};
 use super::input::{MomentRange, MomentTarget};
@@ -23,6 +24,8 @@ pub(super) struct Past {
     pub problems: Problems,
     /// Content of des.json.
     pub file: FileContent,
+    /// Statistics of the frames until then, once they are shown.
+    pub identifiers: Option<Identifiers>,
 }
 
 impl App {
@@ -154,6 +157,17 @@ impl App {
         }
     }
 
+    /// Counts the frames until the moment that is shown, if its identifiers are.
+    pub(super) fn count_past_identifiers(&mut self) {
+        if let Some(past) = &mut self.past
+            && self.view.shows_identifiers()
+            && past.identifiers.is_none()
+        {
+            let Moment { frames, time, .. } = past.moment;
+            past.identifiers = Some(self.traffic.identifiers_until(frames, time));
+        }
+    }
+
     fn show_past(&mut self, moment: Moment, mut buses: Buses) {
         buses.refresh_redundancy();
         let mut problems = self.problems.for_moment(moment.time);
@@ -166,7 +180,7 @@ impl App {
         let lines = later.map_or(self.timeline().end(), |line| line.number);
         self.view.frozen = Some(Frozen { frames: moment.frames, lines });
         self.notices.timeline_mut().pin_lines(true);
-        self.past = Some(Box::new(Past { moment, buses, problems, file }));
+        self.past = Some(Box::new(Past { moment, buses, problems, file, identifiers: None }));
         self.settle_problems();
         self.refresh_rows();
         self.filter_frames();

@@ -61,6 +61,26 @@ impl Traffic {
         self.identifiers.add(frame);
     }
 
+    /// Statistics of the frames that are stored, up to a number and a time.
+    pub fn identifiers_until(&self, frames: u64, time: Instant) -> Identifiers {
+        let mut identifiers = Identifiers::new();
+        let mut second = None;
+        let mut pass = |identifiers: &mut Identifiers, time: Instant| {
+            let now = time.as_micros() / 1_000_000;
+            // After two ticks without frames, more change nothing.
+            for _ in 0..now.saturating_sub(second.unwrap_or(now)).min(2) {
+                identifiers.tick();
+            }
+            second = Some(now);
+        };
+        for (_, frame) in self.capture.frames_from(0).take_while(|(number, _)| *number < frames) {
+            pass(&mut identifiers, frame.time);
+            identifiers.add(&frame);
+        }
+        pass(&mut identifiers, time);
+        identifiers
+    }
+
     /// State of the recording; `None` without one.
     pub fn recording(&self) -> Option<&RecordingStatus> {
         self.recording.as_ref()
@@ -173,9 +193,13 @@ impl Traffic {
     }
 
     /// Rows of the identifier view that match the filter, in the order of their keys.
-    pub fn identifiers_shown(&self, view: &View, buses: &Buses) -> Vec<&IdentifierStats> {
+    pub fn identifiers_shown<'a>(
+        identifiers: &'a Identifiers,
+        view: &View,
+        buses: &Buses,
+    ) -> Vec<&'a IdentifierStats> {
         let filter = Filter::parse(view.filter(Page::Traffic));
-        let rows = self.identifiers.rows().iter();
+        let rows = identifiers.rows().iter();
         // With the identifier of the row: its random destination is shown as 0.
         let is_shown = |row: &&IdentifierStats| {
             let mut frame = row.last;
