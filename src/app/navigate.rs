@@ -2,6 +2,7 @@
 
 use super::capture::{Decoded, IdentifierKey};
 use super::input::{FilterPrompt, Overlay};
+use super::notices::timeline::TimelineEntry;
 use super::view::{EvidenceView, Focus, Page, Row};
 use super::{App, Effect, EvidenceItem, Problem, PromptKind, clock_millis, format_duration};
 use crate::finding::FindingKind;
@@ -206,11 +207,11 @@ impl App {
         self.show_page(Page::ALL[at]);
     }
 
-    /// Opens the details. On Timeline: the frames at the time of the line; on Problems, with
-    /// details in view: the evidence; on evidence: all frames around it.
+    /// Opens the details. On Timeline: shows the moment of the line; on Problems, with details in
+    /// view: the evidence; on evidence: all frames around it.
     pub(super) fn open_details(&mut self) {
         match self.view.page {
-            Page::Timeline => self.go_to_frames(),
+            Page::Timeline => self.go_to_line(),
             Page::Problems if self.screen().details.height > 0 => self.open_evidence(),
             Page::Traffic if self.view.evidence.is_some() => self.toggle_around(),
             Page::Traffic if self.view.shows_identifiers() => {}
@@ -258,11 +259,42 @@ impl App {
         self.view.focus_details(details && !is_empty);
     }
 
-    /// Shows the frames at the time of the selected timeline line.
-    fn go_to_frames(&mut self) {
+    /// The selected timeline line, or the last one.
+    fn selected_line(&self) -> Option<&TimelineEntry> {
         let lines = self.lines_shown();
         let selected = self.view.timeline.selected().or(lines.last());
-        let Some(line) = selected.and_then(|&number| self.timeline().get(number)) else { return };
+        selected.and_then(|&number| self.timeline().get(number))
+    }
+
+    /// Shows the moment of the selected timeline line.
+    fn go_to_line(&mut self) {
+        let Some((number, time)) = self.selected_line().map(|line| (line.number, line.time)) else {
+            return;
+        };
+        self.view.timeline.select(number);
+        self.go_to_time(time);
+    }
+
+    /// Shows the frames of what is selected: of the device, of the problem, at the timeline line.
+    pub(super) fn go_to_frames_of_selection(&mut self) {
+        match self.view.page {
+            Page::Devices => {
+                let Some(address) = self.selected_row().and_then(|row| row.address) else {
+                    return self.show_error("no frames: not on the bus");
+                };
+                self.view.by_identifier = false;
+                self.view.set_filter(Page::Traffic, format!("at:{address}"));
+                self.show_page(Page::Traffic);
+            }
+            Page::Timeline => self.go_to_frames(),
+            Page::Problems => self.open_evidence(),
+            Page::Traffic => self.show_error("these are the frames"),
+        }
+    }
+
+    /// Shows the frames at the time of the selected timeline line.
+    fn go_to_frames(&mut self) {
+        let Some(line) = self.selected_line() else { return };
         let (time, capture) = (line.time, &self.traffic.capture);
         let number = capture.at_time(time);
         let first = capture.get(capture.first()).map(|first| first.time);

@@ -165,7 +165,8 @@ actions! {
         PageDown "page-down" "Down a screenful" "" ["PgDn" "Ctrl-f"];
         First "first" "First row" "" ["g" "Home"];
         Last "last" "Last row; follow in Traffic and Timeline" "" ["G" "End"];
-        Details "details" "Open details, or the frames of a problem or event" "details" ["Enter"];
+        Details "details" "Open details, the evidence of a problem, the moment of an event" "details" ["Enter"];
+        Frames "frames" "Frames of the device, problem or event" "frames" ["f"];
         Into "into" "Focus the details" "" ["Right" "l"];
         Back "back" "Focus the list" "" ["Left" "h"];
         NextPage "next-page" "Next page" "" ["Tab"];

@@ -5,7 +5,7 @@
 //!
 //! ```toml
 //! rescan = "F5"              # instead of r
-//! freeze = ["Space", "f"]
+//! freeze = ["Space", "F6"]
 //! quit-now = []              # none
 //! ```
 //!

@@ -155,6 +155,7 @@ fn hint_line(brush: &DrawContext, mode: KeyMode, width: usize) -> Vec<Span<'stat
             A::Rescan,
             A::Undo,
             A::Details,
+            A::Frames,
             A::Freeze,
             A::Sort,
             A::Problem,
@@ -165,7 +166,7 @@ fn hint_line(brush: &DrawContext, mode: KeyMode, width: usize) -> Vec<Span<'stat
             &[A::Details, A::Filter, A::Freeze, A::Identifiers, A::SaveCapture, A::Rescan]
         }
         (KeyMode::Browse, Page::Timeline, _) => {
-            &[A::Details, A::Filter, A::Freeze, A::Problem, A::SaveCapture]
+            &[A::Details, A::Frames, A::Filter, A::Freeze, A::Problem, A::SaveCapture]
         }
         (KeyMode::Browse, Page::Problems, _) => {
             &[A::Details, A::Mute, A::Filter, A::Problem, A::EditAddress, A::Rescan]
@@ -222,7 +223,7 @@ fn applies(brush: &DrawContext, action: Action) -> bool {
         (A::Details, Page::Traffic) if view.evidence.is_none() => {
             app.capture().end() > 0 && !view.frame_details && !view.shows_identifiers()
         }
-        (A::Details, Page::Timeline) => !app.lines_shown().is_empty(),
+        (A::Details | A::Frames, Page::Timeline) => !app.lines_shown().is_empty(),
         (A::Filter | A::Identifiers | A::Rescan, Page::Traffic) if view.evidence.is_some() => false,
         (A::SaveCapture, _) => app.capture().end() > 0,
         (A::Details | A::Mute | A::Problem | A::EditAddress, Page::Problems) => {
@@ -254,7 +255,7 @@ fn hint(brush: &DrawContext, action: Action) -> Option<(Key, &'static str)> {
     let (key, word) = brush.app.keymap().hint(action)?;
     let view = brush.app.view();
     let here = match (action, view.page, &view.evidence) {
-        (A::Details, Page::Timeline, _) => "frames",
+        (A::Details, Page::Timeline, _) => "show moment",
         (A::Details, Page::Problems, _) if brush.screen.details.height > 0 => {
             let is_seen = brush.app.selected_problem().is_none_or(|problem| problem.has_evidence());
             if is_seen { "frames" } else { "go to row" }

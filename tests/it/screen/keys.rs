@@ -152,10 +152,10 @@ fn keys_of_a_log_and_of_a_live_bus_name_the_other() {
 #[test]
 fn timeline_line_without_frames_says_so() {
     let mut stage = Stage::new(&Scenario::new(125_000), Some(BOILER));
-    stage.link(Link::Missing).wait_until(5.0).keys("3 g Enter");
+    stage.link(Link::Missing).wait_until(5.0).keys("3 g f");
     assert_eq!(message(&stage), "no frames captured yet");
     let mut stage = Stage::boiler();
-    stage.until(8.0).keys("3 g Enter");
+    stage.until(8.0).keys("3 g f");
     assert_eq!(message(&stage), "no frames captured before this line");
 }
 
