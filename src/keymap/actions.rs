@@ -176,12 +176,17 @@ actions! {
         Timeline "timeline" "Page 3: timeline" "" ["3"];
         Problems "problems" "Page 4: problems" "" ["4"];
         Filter "filter" "Filter rows" "filter" ["/"];
+        FilterToggle "filter-toggle" "Filter off, or on again" "" ["\\"];
+        OnlyLike "only-like" "Only rows like the selected one" "" ["="];
+        HideLike "hide-like" "Hide rows like the selected one" "" ["!"];
+        NextMatch "next-match" "Next row that matches the filter, on or off" "" ["J"];
+        PreviousMatch "previous-match" "The one before" "" ["K"];
         Sort "sort" "Sort by next column" "sort" ["s"];
         Identifiers "identifiers" "Traffic: frames, or one row per identifier" "identifiers" ["v"];
         Problem "problem" "Jump between device and problem" "problem" ["p"];
         Mute "mute" "Mute or unmute a problem until descan quits" "mute" ["m"];
         Copy "copy" "Copy the selected row to the clipboard" "" ["y"];
-        Cancel "cancel" "Close or leave; clear the filter" "" ["Esc"];
+        Cancel "cancel" "Close or leave; filter off" "" ["Esc"];
     }
     Browse Bus: {
         Rescan "rescan" "Restart the enumeration" "rescan" ["r"];
