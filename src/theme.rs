@@ -72,6 +72,10 @@ roles! {
     HintKey "hint_key" "Keys in the last line and in the help; filter terms.",
     Bar "bar" "Bars of the bus load.",
     Recording "recording" "Sign of a running recording.",
+    Changed "changed" "Bytes, versions and values that changed.",
+    Request "request" "Requests.",
+    Response "response" "Responses and their latency.",
+    Debug "debug" "Debug messages.",
     Match "match" "The filter, evidence and its frames.",
 }
 

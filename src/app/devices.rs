@@ -66,6 +66,9 @@ impl DeviceRows {
         self.counts = count(&rows, problems);
         rows.retain(|row| filter.is_none_or(|filter| filter.matches_row(inputs.buses, row)));
         sort(&mut rows, inputs.buses, view.sort);
+        if view.is_reversed {
+            rows.reverse();
+        }
         let before = std::mem::replace(&mut self.rows, rows);
         self.follow_selection(&before, view);
         let height = view.screen(inputs.buses.len()).list_rows();

@@ -3,7 +3,7 @@
 use super::filter::{CompletionSource, Filter, WallClock};
 use super::input::{FilterPrompt, Overlay, Prompt, PromptKind};
 use super::page_filters::PageFilter;
-use super::view::{Page, RowKey};
+use super::view::{Page, RowKey, TrafficView};
 use super::{App, Completion};
 use crate::wire::id::Address;
 
@@ -164,6 +164,9 @@ impl App {
                 let all = self.identifiers().rows().len();
                 (count(self.identifiers_shown().len()), count(all))
             }
+            Page::Traffic if self.view.shows_calls() => {
+                (count(self.calls_shown().len()), count(self.calls().rows().len()))
+            }
             Page::Traffic => {
                 let ranges = self.traffic.capture.ranges();
                 let all: u64 = ranges.map(|range| range.end - range.start).sum();
@@ -244,9 +247,7 @@ impl App {
     }
 
     fn go_to_matching_frame(&mut self, filter: &Filter, by: isize) -> bool {
-        if self.view.shows_identifiers() {
-            self.show_identifiers(false);
-        }
+        self.view.traffic_view = TrafficView::Frames;
         let capture = &self.traffic.capture;
         let matcher = filter.for_frames(self.shown_buses());
         let end = self.traffic.end(&self.view);

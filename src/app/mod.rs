@@ -55,8 +55,9 @@ pub use buses::{
     TxBlocked,
 };
 pub use capture::{
-    CapturedLog, Decoded, FrameRole, FrameStore, IdentifierKey, IdentifierKind, IdentifierStats,
-    Identifiers, StoredFrames,
+    CallKey, CallPart, CallStats, Calls, CapturedLog, Decoded, FramePeriod, FrameRole, FrameStore,
+    IdentifierKey, IdentifierKind, IdentifierStats, Identifiers, Latency, NOTED_BYTES,
+    StoredFrames,
 };
 pub use devices::concerns;
 pub use file::{EditRefusal, FileChange, FileError, FileReading, FileState, SaveOutcome, Saving};
@@ -79,7 +80,7 @@ pub use problems::{
 pub use timeline_kind::TimelineKind;
 pub use view::{
     Counts, EvidenceView, FileStatus, Focus, Frozen, Page, Row, RowKey, RowState, SPLIT_WIDTH,
-    Screen, Selection, SortBy, View,
+    Screen, Selection, SortBy, TimeFormat, TrafficView, View,
 };
 
 use crate::bitrate::{SearchOutcome, SearchProgress};
@@ -90,9 +91,9 @@ use crate::finding::Finding;
 use crate::frame::{BusIndex, Frame};
 use crate::keymap::{Action, Key, KeyMode, Keymap};
 use crate::status::{BusStatus, Playback, PlaybackCommand, RecordingStatus};
-use crate::text::Name;
+use crate::text::{Escaped, Name};
 use crate::time::{Duration, Epoch, Instant, debug_assert_later};
-use crate::wire::id::Address;
+use crate::wire::id::{Address, Service};
 use crate::wire::profile::Profile;
 use capture::Traffic;
 use clock::AppClock;
@@ -102,7 +103,7 @@ use input::{Input, PromptContext, PromptOutcome, PromptResult};
 use notices::Notices;
 use past::Past;
 use problems::Problems;
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -350,7 +351,7 @@ impl App {
         self.clock.set(now);
         for frame in frames {
             if self.buses.receive(frame) {
-                self.traffic.push(frame, |block| pinned_times(&self.buses, block));
+                self.traffic.push(frame, &self.buses, |block| pinned_times(&self.buses, block));
                 // After each frame: an event has the data of its moment.
                 self.take_events();
             }
@@ -915,7 +916,25 @@ impl App {
     /// Rows of the identifier view that match the filter.
     pub fn identifiers_shown(&self) -> Vec<&IdentifierStats> {
         let filter = self.filters.of(Page::Traffic).active();
-        Traffic::identifiers_shown(self.identifiers(), filter, self.shown_buses())
+        Traffic::identifiers_shown(self.identifiers(), &self.view, filter, self.shown_buses())
+    }
+
+    /// Statistics of calls.
+    pub fn calls(&self) -> &Calls {
+        let past = self.past.as_ref().and_then(|past| past.calls.as_ref());
+        past.unwrap_or(&self.traffic.calls)
+    }
+
+    /// Rows of the view of calls that match the filter.
+    pub fn calls_shown(&self) -> Vec<&CallStats> {
+        let filter = self.filters.of(Page::Traffic).active();
+        self.traffic.calls_shown(self.calls(), &self.view, filter, self.shown_buses())
+    }
+
+    /// What the frames from `first` to `last` are in calls, by number.
+    pub fn call_parts(&self, first: u64, last: u64) -> BTreeMap<u64, CallPart> {
+        let end = self.traffic.end(&self.view);
+        self.traffic.call_parts(self.shown_buses(), first, last, end)
     }
 
     /// Text of the ISO 15765-2 transfer that a captured frame is part of.
@@ -943,6 +962,11 @@ impl App {
     pub fn selected_frame(&self) -> Option<Frame> {
         match self.view.evidence_alone() {
             Some(evidence) => evidence.selected()?.1.frame,
+            None if self.view.shows_calls() => {
+                let rows = self.calls_shown();
+                let selected = self.view.calls.index(rows.iter().map(|row| &row.key))?;
+                rows.get(selected).and_then(|row| self.traffic.capture.get(row.last_number))
+            }
             None if self.view.shows_identifiers() => {
                 let rows = self.identifiers_shown();
                 let selected = self.view.identifiers.index(rows.iter().map(|row| &row.key))?;
@@ -966,6 +990,18 @@ impl App {
             .filter(|entry| filter.is_none_or(|it| it.matches_entry(self.shown_buses(), entry)))
             .map(|entry| entry.number)
             .collect()
+    }
+
+    /// Name of the device that had an address at a moment, else the address.
+    pub fn name_at(&self, bus: BusIndex, address: Address, time: Instant) -> String {
+        self.shown_buses().name_at(bus, address, time)
+    }
+
+    /// Name of a service in the profile of a bus, else its number.
+    pub fn service_name(&self, bus: BusIndex, service: Service) -> String {
+        let profile = self.shown_buses().profile(bus);
+        let name = profile.service_name(service).map(|name| Escaped(name.as_bytes()).to_string());
+        name.unwrap_or_else(|| service.to_string())
     }
 
     /// Name of the device that a line is about.
@@ -1097,6 +1133,8 @@ impl App {
         let was_idle = std::mem::replace(&mut self.was_idle, is_idle);
         self.buses.tick(self.clock.now());
         self.traffic.identifiers.tick();
+        let (now, buses) = (self.clock.now(), &self.buses);
+        self.traffic.calls.tick(now, |bus| buses.profile(bus).calls.timeout());
         // What made it idle is shown, too.
         if !was_idle {
             self.refresh_before_draw();

@@ -1,9 +1,9 @@
 //! Commands that change the view: pages, rows, details, evidence, freezing, the mouse.
 
-use super::capture::{Decoded, IdentifierKey};
+use super::capture::{CallKey, Decoded, IdentifierKey, IdentifierKind};
 use super::input::Overlay;
 use super::notices::timeline::TimelineEntry;
-use super::view::{EvidenceView, Focus, Page, Row};
+use super::view::{EvidenceView, Focus, Page, Row, TrafficView};
 use super::{App, Effect, EvidenceItem, Problem, clock_millis, format_duration};
 use crate::finding::FindingKind;
 use crate::frame::BusIndex;
@@ -110,6 +110,10 @@ impl App {
                 let keys = self.identifier_keys();
                 self.view.identifiers.click(&keys, line, height);
             }
+            Page::Traffic if self.view.shows_calls() => {
+                let keys = self.call_keys();
+                self.view.calls.click(&keys, line, height);
+            }
             Page::Traffic => {
                 let (shown, _) = self.frames_shown(height);
                 if let Some(&number) = shown.get(line) {
@@ -139,7 +143,9 @@ impl App {
 
     /// Moves to the first or the last row; behind the last row Timeline and Traffic follow.
     pub(super) fn move_to_end(&mut self, last: bool) {
-        let by_rows = self.view.evidence_alone().is_some() || self.view.shows_identifiers();
+        let by_rows = self.view.evidence_alone().is_some()
+            || self.view.shows_identifiers()
+            || self.view.shows_calls();
         if last && self.view.focus == Focus::List {
             match self.view.page {
                 Page::Timeline => return self.view.timeline.follow_newest(),
@@ -183,12 +189,20 @@ impl App {
                 let keys = self.identifier_keys();
                 self.view.identifiers.move_by(&keys, delta, height);
             }
+            Page::Traffic if self.view.shows_calls() => {
+                let keys = self.call_keys();
+                self.view.calls.move_by(&keys, delta, height);
+            }
             Page::Traffic => self.traffic.move_by(&mut self.view, delta, height),
         }
     }
 
     fn identifier_keys(&self) -> Vec<IdentifierKey> {
         self.identifiers_shown().iter().map(|row| row.key).collect()
+    }
+
+    fn call_keys(&self) -> Vec<CallKey> {
+        self.calls_shown().iter().map(|row| row.key).collect()
     }
 
     // ---- pages and details -----------------------------------------------------------------
@@ -214,7 +228,8 @@ impl App {
             Page::Timeline => self.go_to_line(),
             Page::Problems if self.screen().details.height > 0 => self.open_evidence(),
             Page::Traffic if self.view.evidence.is_some() => self.toggle_around(),
-            Page::Traffic if self.view.shows_identifiers() => {}
+            Page::Traffic if self.view.shows_identifiers() => self.show_frames_of_identifier(),
+            Page::Traffic if self.view.shows_calls() => self.show_frames_of_call(),
             Page::Traffic => {
                 self.view.frame_details = !self.view.frame_details;
                 self.view.focus = Focus::List;
@@ -282,7 +297,7 @@ impl App {
                 let Some(address) = self.selected_row().and_then(|row| row.address) else {
                     return self.show_error("no frames: not on the bus");
                 };
-                self.view.by_identifier = false;
+                self.view.traffic_view = TrafficView::Frames;
                 self.set_filter(Page::Traffic, &format!("at:{address}"));
                 self.show_page(Page::Traffic);
             }
@@ -311,40 +326,108 @@ impl App {
             return self.show_error(refusal);
         }
         self.show_page(Page::Traffic);
-        self.view.by_identifier = false;
+        self.view.traffic_view = TrafficView::Frames;
         self.filters.clear(Page::Traffic);
         self.view.select_frame(number, self.list_height());
         self.view.from_timeline = true;
     }
 
-    /// Sorts the Devices page by the next column.
+    /// Shows only the frames of the selected identifier.
+    fn show_frames_of_identifier(&mut self) {
+        let Some(key) = self.view.identifiers.selected().copied() else {
+            return self.show_error("no row is selected");
+        };
+        let term = match key.kind {
+            IdentifierKind::Error => "type:err".to_owned(),
+            IdentifierKind::Remote => format!("id:{} type:rtr", key.id),
+            IdentifierKind::Data => format!("id:{}", key.id),
+        };
+        self.show_frames_with(key.bus, &term);
+    }
+
+    /// Shows only the frames of the selected calls.
+    fn show_frames_of_call(&mut self) {
+        let Some(key) = self.view.calls.selected().copied() else {
+            return self.show_error("no row is selected");
+        };
+        let (client, service) = (key.client, key.service.number());
+        let term = match key.server {
+            Some(server) => format!("at:{client} at:{server} srv:{service} not type:data"),
+            None => format!("at:{client} srv:{service} (dst:all or type:rsp) not type:data"),
+        };
+        self.show_frames_with(key.bus, &term);
+    }
+
+    fn show_frames_with(&mut self, bus: BusIndex, term: &str) {
+        let name = self.buses.get(bus).filter(|_| self.buses.len() > 1).map(|bus| &bus.name);
+        let line = match name {
+            Some(name) => format!("{term} bus:\"={}\"", name.replace('"', "")),
+            None => term.to_owned(),
+        };
+        self.view.traffic_view = TrafficView::Frames;
+        self.view.traffic = None;
+        self.commit_filter(Page::Traffic, &line);
+    }
+
+    /// Sorts the rows of the page by the next column.
     pub(super) fn sort_by_next(&mut self) {
         match self.view.page {
+            Page::Traffic if self.view.shows_identifiers() => {
+                self.view.identifier_order = self.view.identifier_order.next();
+                self.show_info(format!("sorted {}", self.view.identifier_order.describe()));
+            }
+            Page::Traffic if self.view.shows_calls() => {
+                self.view.call_order = self.view.call_order.next();
+                self.show_info(format!("sorted {}", self.view.call_order.describe()));
+            }
             Page::Devices => {
                 self.view.sort = self.view.sort.next();
                 self.refresh_rows();
                 self.show_info(format!("sorted {}", self.view.sort.describe()));
             }
-            _ => self.show_error("sort works on the Devices page"),
+            _ => self.show_error("sort works on Devices, identifiers and calls"),
         }
     }
 
-    /// Shows Traffic as frames, or as one row per identifier.
-    pub(super) fn toggle_identifiers(&mut self) {
+    /// Shows other times of frames.
+    pub(super) fn next_time_format(&mut self) {
+        self.view.time_format = self.view.time_format.next();
+        self.show_info(self.view.time_format.describe());
+    }
+
+    /// Reverses the order of the rows.
+    pub(super) fn reverse_order(&mut self) {
+        self.view.is_reversed = !self.view.is_reversed;
+        self.refresh_rows();
+        self.show_info(if self.view.is_reversed { "order reversed" } else { "order as before" });
+    }
+
+    /// Shows the next view of Traffic: frames, identifiers, calls.
+    pub(super) fn next_view(&mut self) {
         if self.view.page == Page::Traffic {
             self.view.close_evidence();
-            self.show_identifiers(!self.view.by_identifier);
+            self.show_traffic_as(self.view.traffic_view.next());
         } else {
-            self.show_error("identifier view works on the Traffic page");
+            self.show_error("views are on the Traffic page");
         }
     }
 
-    /// Shows one row per identifier, or the frames.
-    pub(super) fn show_identifiers(&mut self, is_shown: bool) {
-        self.view.by_identifier = is_shown;
+    /// Shows a view of Traffic.
+    pub(super) fn show_traffic_as(&mut self, view: TrafficView) {
+        self.view.traffic_view = view;
         self.filter_frames();
-        let (keys, height) = (self.identifier_keys(), self.list_height());
-        self.view.identifiers.update(&keys, height);
+        let height = self.list_height();
+        match view {
+            TrafficView::Frames => {}
+            TrafficView::Identifiers => {
+                let keys = self.identifier_keys();
+                self.view.identifiers.update(&keys, height);
+            }
+            TrafficView::Calls => {
+                let keys = self.call_keys();
+                self.view.calls.update(&keys, height);
+            }
+        }
     }
 
     /// Closes the overlay, else leaves the details, the evidence or the frame details, else switches

@@ -3,7 +3,7 @@
 //! Capture, discovery and the file go on meanwhile. Buses, des.json, problems, traffic and timeline
 //! are those of the moment.
 
-use super::capture::Identifiers;
+use super::capture::{Calls, Identifiers};
 use super::file::FileContent;
 use super::history::{BusesReplay, Moment};
 use super::input::{MomentRange, MomentTarget};
@@ -26,6 +26,8 @@ pub(super) struct Past {
     pub file: FileContent,
     /// Statistics of the frames until then, once they are shown.
     pub identifiers: Option<Identifiers>,
+    /// Calls until then, once they are shown.
+    pub calls: Option<Calls>,
 }
 
 impl App {
@@ -157,14 +159,18 @@ impl App {
         }
     }
 
-    /// Counts the frames until the moment that is shown, if its identifiers are.
+    /// Counts the frames until the moment that is shown, if its identifiers or calls are.
     pub(super) fn count_past_identifiers(&mut self) {
         if let Some(past) = &mut self.past
-            && self.view.shows_identifiers()
-            && past.identifiers.is_none()
+            && (self.view.shows_identifiers() || self.view.shows_calls())
         {
             let Moment { frames, time, .. } = past.moment;
-            past.identifiers = Some(self.traffic.identifiers_until(frames, time));
+            if self.view.shows_calls() && past.calls.is_none() {
+                past.calls = Some(self.traffic.calls_until(&past.buses, frames, time));
+            }
+            if self.view.shows_identifiers() && past.identifiers.is_none() {
+                past.identifiers = Some(self.traffic.identifiers_until(frames, time));
+            }
         }
     }
 
@@ -180,7 +186,8 @@ impl App {
         let lines = later.map_or(self.timeline().end(), |line| line.number);
         self.view.frozen = Some(Frozen { frames: moment.frames, lines });
         self.notices.timeline_mut().pin_lines(true);
-        self.past = Some(Box::new(Past { moment, buses, problems, file, identifiers: None }));
+        self.past =
+            Some(Box::new(Past { moment, buses, problems, file, identifiers: None, calls: None }));
         self.settle_problems();
         self.refresh_rows();
         self.filter_frames();

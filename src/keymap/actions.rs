@@ -182,7 +182,9 @@ actions! {
         NextMatch "next-match" "Next row that matches the filter, on or off" "" ["J"];
         PreviousMatch "previous-match" "The one before" "" ["K"];
         Sort "sort" "Sort by next column" "sort" ["s"];
-        Identifiers "identifiers" "Traffic: frames, or one row per identifier" "identifiers" ["v"];
+        TimeFormat "time-format" "Traffic: time of day, since the row above, the same identifier, the start" "" ["z"];
+        SortReverse "sort-reverse" "Reverse the order" "" ["S"];
+        Identifiers "identifiers" "Next view: frames, identifiers, calls" "view" ["v"];
         Problem "problem" "Jump between device and problem" "problem" ["p"];
         Mute "mute" "Mute or unmute a problem until descan quits" "mute" ["m"];
         Copy "copy" "Copy the selected row to the clipboard" "" ["y"];

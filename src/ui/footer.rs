@@ -279,7 +279,7 @@ fn applies(brush: &DrawContext, action: Action) -> bool {
         }
         (A::Details, Page::Devices) => row.is_some() && !is_leaving,
         (A::Details, Page::Traffic) if view.evidence.is_none() => {
-            app.capture().end() > 0 && !view.frame_details && !view.shows_identifiers()
+            app.capture().end() > 0 && !view.frame_details
         }
         (A::Details | A::Frames, Page::Timeline) => !app.lines_shown().is_empty(),
         (A::Filter | A::Identifiers | A::Rescan, Page::Traffic) if view.evidence.is_some() => false,
@@ -321,7 +321,10 @@ fn hint(brush: &DrawContext, action: Action) -> Option<(Key, &'static str)> {
         (A::Details, Page::Traffic, Some(evidence)) if evidence.shows_context => "only evidence",
         (A::Details, Page::Traffic, Some(_)) => "all frames",
         (A::Problem, Page::Problems, _) => "go to device",
-        (A::Identifiers, ..) if view.shows_identifiers() => "frames",
+        (A::Details, Page::Traffic, None) if view.shows_identifiers() || view.shows_calls() => {
+            "frames"
+        }
+        (A::Identifiers, ..) => view.traffic_view.next().title(),
         (A::Freeze, ..) if view.frozen.is_some() => "live",
         (A::Pause, ..) if brush.app.playback().is_some_and(|it| it.is_paused) => "play",
         (A::Cancel, ..) => "back",

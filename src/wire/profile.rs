@@ -36,6 +36,8 @@ pub struct Profile {
     pub framing: FramingChoice,
     /// ISO 15765-2 parameters.
     pub isotp: IsotpProfile,
+    /// Requests and responses.
+    pub calls: CallsProfile,
     /// ERR bit of descan's requests.
     #[cfg_attr(feature = "std", serde(deserialize_with = "file::bit"))]
     pub request_err: bool,
@@ -61,6 +63,7 @@ impl Default for Profile {
             heartbeat: HeartbeatProfile::default(),
             framing: FramingChoice::Auto,
             isotp: IsotpProfile::default(),
+            calls: CallsProfile::default(),
             request_err: false,
             modes: ModesProfile::default(),
             uid: UidProfile::default(),
@@ -261,6 +264,28 @@ pub struct IsotpProfile {
 impl Default for IsotpProfile {
     fn default() -> Self {
         Self { fd_padding: 0xCC, block_size: 0, st_min: 0 }
+    }
+}
+
+/// Requests and the responses to them.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+#[cfg_attr(feature = "std", derive(Deserialize), serde(default, deny_unknown_fields))]
+pub struct CallsProfile {
+    /// Time after which a request counts as unanswered, in milliseconds. Assumed: 1000.
+    pub timeout_ms: u32,
+}
+
+impl Default for CallsProfile {
+    fn default() -> Self {
+        Self { timeout_ms: 1000 }
+    }
+}
+
+impl CallsProfile {
+    /// Time after which a request counts as unanswered.
+    pub fn timeout(&self) -> Duration {
+        Duration::from_millis(u64::from(self.timeout_ms))
     }
 }
 

@@ -1,10 +1,10 @@
 //! Statistics of the frames of each identifier.
 //!
-//! Bounded: 4096 identifiers. A frame with a known identifier allocates nothing. Does not know how
-//! frames are shown.
+//! Bounded: 4096 identifiers; the last 256 intervals of each, and those of the last minute as sums. A
+//! frame with a known identifier allocates nothing. Does not know how frames are shown.
 
 use crate::frame::{BusIndex, CanId, Frame, FrameKind};
-use crate::time::Duration;
+use crate::time::{Duration, Instant};
 use crate::wire::id::Header;
 use foldhash::fast::RandomState;
 use std::collections::HashMap;
@@ -48,8 +48,40 @@ impl IdentifierKey {
     }
 }
 
+/// Intervals that the jitter is of.
+const INTERVALS: usize = 256;
+/// Parts of the time in which least, mean and greatest interval are: together a minute.
+const PARTS: usize = 6;
+const PART: Duration = Duration::from_secs(10);
+/// Bytes whose changes are noted.
+pub const NOTED_BYTES: usize = Frame::MAX_CLASSIC_DATA;
+
+/// Intervals between the frames of an identifier.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct FramePeriod {
+    /// Least, mean and greatest interval of the last minute.
+    pub min: Duration,
+    /// Mean interval.
+    pub mean: Duration,
+    /// Greatest interval.
+    pub max: Duration,
+    /// 95 % of the last 256 intervals are at most so far from their mean.
+    pub jitter: Duration,
+}
+
+/// Intervals of a part of the time, in microseconds.
+#[derive(Clone, Copy, Debug, Default)]
+struct IntervalSum {
+    /// Number of the part since the start.
+    part: u64,
+    count: u32,
+    min: u64,
+    max: u64,
+    sum: u64,
+}
+
 /// Statistics of the frames of one identifier.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct IdentifierStats {
     /// Identifier.
     pub key: IdentifierKey,
@@ -64,6 +96,111 @@ pub struct IdentifierStats {
     /// Time between the last two frames; `None` after the first one.
     pub interval: Option<Duration>,
     current: u32,
+    sums: [IntervalSum; PARTS],
+    /// In microseconds, in a ring: the next one replaces that at `next`.
+    intervals: Vec<u32>,
+    next: usize,
+    /// When each of the first bytes changed last; `None` since the first frame.
+    changed: [Option<Instant>; NOTED_BYTES],
+    least_len: u8,
+    most_len: u8,
+}
+
+impl IdentifierStats {
+    fn new(key: IdentifierKey, frame: &Frame, number: u64) -> Self {
+        let len = frame.len() as u8;
+        Self {
+            key,
+            count: 1,
+            rate: 0,
+            last: *frame,
+            number,
+            interval: None,
+            current: 1,
+            sums: [IntervalSum::default(); PARTS],
+            intervals: Vec::with_capacity(INTERVALS),
+            next: 0,
+            changed: [None; NOTED_BYTES],
+            least_len: len,
+            most_len: len,
+        }
+    }
+
+    fn add(&mut self, frame: &Frame, number: u64) {
+        let interval = frame.time.since(self.last.time);
+        self.interval = Some(interval);
+        self.add_interval(frame.time, u64::try_from(interval.as_micros()).unwrap_or(u64::MAX));
+        let (before, now) = (self.last.data(), frame.data());
+        for (at, changed) in self.changed.iter_mut().enumerate() {
+            if before.get(at) != now.get(at) {
+                *changed = Some(frame.time);
+            }
+        }
+        let len = frame.len() as u8;
+        (self.least_len, self.most_len) = (self.least_len.min(len), self.most_len.max(len));
+        self.count += 1;
+        self.current += 1;
+        self.last = *frame;
+        self.number = number;
+    }
+
+    fn add_interval(&mut self, time: Instant, micros: u64) {
+        let part = part_of(time);
+        let sum = &mut self.sums[(part % PARTS as u64) as usize];
+        if sum.part != part || sum.count == 0 {
+            *sum = IntervalSum { part, count: 0, min: u64::MAX, max: 0, sum: 0 };
+        }
+        sum.count += 1;
+        sum.min = sum.min.min(micros);
+        sum.max = sum.max.max(micros);
+        sum.sum = sum.sum.saturating_add(micros);
+        let short = u32::try_from(micros).unwrap_or(u32::MAX);
+        match self.intervals.get_mut(self.next) {
+            Some(oldest) => *oldest = short,
+            None => self.intervals.push(short),
+        }
+        self.next = (self.next + 1) % INTERVALS;
+    }
+
+    /// Intervals in the minute before the last frame; `None` before the second frame.
+    pub fn period(&self) -> Option<FramePeriod> {
+        let now = part_of(self.last.time);
+        let sums = self.sums.iter().filter(|it| it.count > 0 && it.part + PARTS as u64 > now);
+        let all = sums.copied().reduce(|one, other| IntervalSum {
+            part: one.part,
+            count: one.count + other.count,
+            min: one.min.min(other.min),
+            max: one.max.max(other.max),
+            sum: one.sum.saturating_add(other.sum),
+        })?;
+        let recent: u64 = self.intervals.iter().map(|&it| u64::from(it)).sum();
+        let mean = recent.checked_div(self.intervals.len() as u64)?;
+        let mut apart: Vec<u64> =
+            self.intervals.iter().map(|&it| u64::from(it).abs_diff(mean)).collect();
+        let rank = (apart.len() * 95).div_ceil(100).max(1) - 1;
+        let (_, &mut jitter, _) = apart.select_nth_unstable(rank);
+        Some(FramePeriod {
+            min: Duration::from_micros(all.min),
+            mean: Duration::from_micros(all.sum / u64::from(all.count)),
+            max: Duration::from_micros(all.max),
+            jitter: Duration::from_micros(jitter),
+        })
+    }
+
+    /// When a byte changed last; `None` if it is as in the first frame, and for later ones than the
+    /// first eight.
+    pub fn changed(&self, byte: usize) -> Option<Instant> {
+        self.changed.get(byte).copied().flatten()
+    }
+
+    /// Least and greatest number of bytes.
+    pub fn lengths(&self) -> (u8, u8) {
+        (self.least_len, self.most_len)
+    }
+}
+
+fn part_of(time: Instant) -> u64 {
+    time.as_micros() / PART.as_micros() as u64
 }
 
 /// Table of identifiers.
@@ -90,16 +227,12 @@ impl Identifiers {
         let key = IdentifierKey::of(frame);
         if let Some(&at) = self.index.get(&key) {
             let row = &mut self.rows[at as usize];
-            row.interval = Some(frame.time.since(row.last.time));
-            row.count += 1;
-            row.current += 1;
-            row.last = *frame;
-            return Some(std::mem::replace(&mut row.number, number));
+            let before = row.number;
+            row.add(frame, number);
+            return Some(before);
         } else if self.rows.len() < Self::MAX {
             self.index.insert(key, self.rows.len() as u32);
-            let (last, interval) = (*frame, None);
-            let (count, rate, current) = (1, 0, 1);
-            self.rows.push(IdentifierStats { key, count, rate, last, number, interval, current });
+            self.rows.push(IdentifierStats::new(key, frame, number));
         } else {
             self.refused += 1;
         }
@@ -133,6 +266,30 @@ impl Default for Identifiers {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn period_is_that_of_the_last_minute() {
+        let mut identifiers = Identifiers::new();
+        let mut add = |millis: u64, byte: u8| {
+            let frame = Frame::classic(1, &[7, byte]);
+            identifiers.add(&frame.with_time(Instant::from_micros(millis * 1000)), millis);
+        };
+        // Long ago, a long interval.
+        add(0, 0);
+        add(5_000, 0);
+        for beat in 0..1000 {
+            add(100_000 + beat * 100 + if beat % 50 == 0 { 10 } else { 0 }, u8::from(beat > 400));
+        }
+        let row = &identifiers.rows()[0];
+        let period = row.period().unwrap();
+        let millis = Duration::from_millis;
+        assert_eq!((period.min, period.max), (millis(90), millis(110)));
+        assert!(period.mean.abs_diff(millis(100)) < Duration::from_micros(50), "{period:?}");
+        assert!(period.jitter <= Duration::from_micros(20), "95 % are on time: {period:?}");
+        assert_eq!((row.changed(0), row.changed(5)), (None, None));
+        assert_eq!(row.changed(1), Some(Instant::from_micros(140_100_000)));
+        assert_eq!((row.lengths(), row.number), ((2, 2), 199_900));
+    }
 
     #[test]
     fn broadcast_rnd7_destination_adds_no_identifier_rows() {

@@ -4,25 +4,31 @@
 //! Inputs: frames, the filter of the Traffic page. Outputs: numbers and texts of the frames to
 //! show.
 
+pub(super) mod calls;
 pub(super) mod decoded;
 mod filtered_frames;
 pub(super) mod frame_store;
 pub(super) mod identifiers;
 
+pub use calls::{CallKey, CallPart, CallStats, Calls, Latency};
 pub use decoded::{Decoded, FrameRole};
 pub use frame_store::{BYTES_PER_FRAME, FrameStore, StoredFrames};
-pub use identifiers::{IdentifierKey, IdentifierKind, IdentifierStats, Identifiers};
+pub use identifiers::{
+    FramePeriod, IdentifierKey, IdentifierKind, IdentifierStats, Identifiers, NOTED_BYTES,
+};
 
 use super::buses::{Bus, Buses};
 use super::filter::Filter;
-use super::view::{Page, View};
+use super::view::{CallOrder, IdentifierOrder, Page, TrafficView, View};
 use crate::frame::Frame;
 use crate::log::{LogEntry, LogFormat};
 use crate::status::RecordingStatus;
-use crate::time::{Epoch, Instant};
+use crate::time::{Duration, Epoch, Instant};
 use crate::wire::id::Header;
 use crate::wire::isotp::Pci;
 use filtered_frames::FilteredFrames;
+use std::cmp::Reverse;
+use std::collections::BTreeMap;
 use std::io;
 use std::ops::Range;
 
@@ -36,6 +42,7 @@ const NEAR: u64 = 64;
 pub(super) struct Traffic {
     pub capture: FrameStore,
     pub identifiers: Identifiers,
+    pub calls: Calls,
     filtered: FilteredFrames,
     recording: Option<RecordingStatus>,
 }
@@ -46,18 +53,24 @@ impl Traffic {
         Self {
             capture: FrameStore::new(room),
             identifiers: Identifiers::new(),
+            calls: Calls::default(),
             filtered: FilteredFrames::default(),
             recording: None,
         }
     }
 
-    /// Adds a frame. `pins` returns the times near a block of old frames whose frames are kept.
+    /// Adds a frame of these buses. `pins` returns the times near a block of old frames whose frames are kept.
     pub fn push(
         &mut self,
         frame: &Frame,
+        buses: &Buses,
         pins: impl FnOnce(Range<Instant>) -> Vec<Range<Instant>>,
     ) {
-        let previous = self.identifiers.add(frame, self.capture.end());
+        let number = self.capture.end();
+        let previous = self.identifiers.add(frame, number);
+        if let Some(bus) = buses.get(frame.bus) {
+            self.calls.add(frame, number, &bus.config().profile);
+        }
         self.capture.push(frame, previous, pins);
     }
 
@@ -81,6 +94,63 @@ impl Traffic {
         }
         pass(&mut identifiers, time);
         identifiers
+    }
+
+    /// Calls of the frames that are stored, up to a number and a time.
+    pub fn calls_until(&self, buses: &Buses, frames: u64, time: Instant) -> Calls {
+        let mut calls = Calls::default();
+        for (number, frame) in
+            self.capture.frames_from(0).take_while(|(number, _)| *number < frames)
+        {
+            if let Some(bus) = buses.get(frame.bus) {
+                calls.add(&frame, number, &bus.config().profile);
+            }
+        }
+        calls.tick(time, |bus| buses.profile(bus).calls.timeout());
+        calls
+    }
+
+    /// What the frames from `first` to `last` are in calls, by number, as of `end`, the number behind
+    /// the last frame that is known.
+    pub fn call_parts(
+        &self,
+        buses: &Buses,
+        first: u64,
+        last: u64,
+        end: u64,
+    ) -> BTreeMap<u64, CallPart> {
+        let mut parts = BTreeMap::new();
+        let (Some(begin), Some(until)) = (self.capture.time_of(first), self.capture.time_of(last))
+        else {
+            return parts;
+        };
+        let timeouts = buses.iter().map(|bus| bus.config().profile.calls.timeout());
+        let timeout = timeouts.max().unwrap_or_default();
+        let mut calls = Calls::default();
+        // A request before may be open when the first frame is received.
+        let from = self.capture.at_time(begin - 2 * timeout);
+        let known = self.capture.frames_from(from).take_while(|(number, _)| *number < end);
+        let mut last_time = until;
+        for (number, frame) in known.take_while(|(_, frame)| frame.time <= until + timeout) {
+            last_time = last_time.max(frame.time);
+            let Some(bus) = buses.get(frame.bus) else { continue };
+            let Some(part) = calls.add(&frame, number, &bus.config().profile) else { continue };
+            if let CallPart::Response { request, .. } = part
+                && let Some(CallPart::Request { responses, .. }) = parts.get_mut(&request)
+            {
+                *responses += 1;
+            }
+            if (first..=last).contains(&number) {
+                parts.insert(number, part);
+            }
+        }
+        for (number, part) in &mut parts {
+            if let CallPart::Request { responses: 0, is_unanswered } = part {
+                let asked = self.capture.time_of(*number).unwrap_or(last_time);
+                *is_unanswered = last_time.since(asked) >= timeout;
+            }
+        }
+        parts
     }
 
     /// State of the recording; `None` without one.
@@ -118,7 +188,8 @@ impl Traffic {
 
     /// Number of tested frames that the filter hides; `None` if it does not apply.
     pub fn hidden(&self, view: &View) -> Option<u64> {
-        let is_shown = view.page == Page::Traffic && !view.by_identifier && self.is_filtered(view);
+        let is_frames = view.traffic_view == TrafficView::Frames;
+        let is_shown = view.page == Page::Traffic && is_frames && self.is_filtered(view);
         is_shown.then(|| self.filtered.hidden())
     }
 
@@ -201,9 +272,10 @@ impl Traffic {
         view.traffic_line = line.saturating_add_signed(delta).min(bottom);
     }
 
-    /// Rows of the identifier view that match the filter, in the order of their keys.
+    /// Rows of the view of identifiers that match the filter, in its order.
     pub fn identifiers_shown<'a>(
         identifiers: &'a Identifiers,
+        view: &View,
         filter: Option<&Filter>,
         buses: &Buses,
     ) -> Vec<&'a IdentifierStats> {
@@ -217,6 +289,56 @@ impl Traffic {
         };
         let mut shown: Vec<&IdentifierStats> = rows.filter(is_shown).collect();
         shown.sort_by_key(|row| row.key);
+        let period = |row: &IdentifierStats| row.period();
+        match view.identifier_order {
+            IdentifierOrder::Id => {}
+            IdentifierOrder::Count => shown.sort_by_key(|row| Reverse(row.count)),
+            IdentifierOrder::Rate => shown.sort_by_key(|row| Reverse(row.rate)),
+            IdentifierOrder::Period => {
+                shown.sort_by_cached_key(|row| period(row).map_or(Duration::MAX, |it| it.mean));
+            }
+            IdentifierOrder::Jitter => {
+                shown.sort_by_cached_key(|row| Reverse(period(row).map(|it| it.jitter)));
+            }
+            IdentifierOrder::Newest => shown.sort_by_key(|row| Reverse(row.last.time)),
+        }
+        if view.is_reversed {
+            shown.reverse();
+        }
+        shown
+    }
+
+    /// Rows of the view of calls whose last request matches the filter, in its order.
+    pub fn calls_shown<'a>(
+        &'a self,
+        calls: &'a Calls,
+        view: &View,
+        filter: Option<&Filter>,
+        buses: &Buses,
+    ) -> Vec<&'a CallStats> {
+        let matcher = filter.map(|filter| filter.for_frames(buses));
+        let is_shown = |row: &&CallStats| {
+            matcher.as_ref().is_none_or(|matcher| {
+                let frame = self.capture.get(row.last_number);
+                let stored = Some((&self.capture, row.last_number));
+                frame.is_some_and(|frame| matcher.is_match(&frame, stored))
+            })
+        };
+        let mut shown: Vec<&CallStats> = calls.rows().iter().filter(is_shown).collect();
+        shown.sort_by_key(|row| row.key);
+        match view.call_order {
+            CallOrder::Client => {}
+            CallOrder::Count => shown.sort_by_key(|row| Reverse(row.calls)),
+            CallOrder::Latency => {
+                shown.sort_by_cached_key(|row| Reverse(row.latency().map(|it| it.p99)));
+            }
+            CallOrder::Unanswered => shown.sort_by_key(|row| Reverse(row.unanswered)),
+            CallOrder::Failed => shown.sort_by_key(|row| Reverse(row.failed)),
+            CallOrder::Newest => shown.sort_by_key(|row| Reverse(row.last)),
+        }
+        if view.is_reversed {
+            shown.reverse();
+        }
         shown
     }
 
@@ -331,13 +453,14 @@ mod tests {
 
     /// Frames with the numbers 0 to 9; those with even numbers are sent by descan.
     fn traffic() -> (Traffic, Buses) {
+        let buses = Buses::new(Instant::ZERO, vec![("can0".into(), Config::default())]);
         let mut traffic = Traffic::new(0);
         for at in 0..10 {
             let frame = Frame::classic(1, &[]).with_time(Instant::from_micros(at));
             let frame = if at % 2 == 0 { frame.with_tx() } else { frame };
-            traffic.push(&frame, |_| Vec::new());
+            traffic.push(&frame, &buses, |_| Vec::new());
         }
-        (traffic, Buses::new(Instant::ZERO, vec![("can0".into(), Config::default())]))
+        (traffic, buses)
     }
 
     #[test]

@@ -9,13 +9,16 @@ mod evidence;
 mod page;
 mod rows;
 mod screen;
+mod traffic_view;
 
 pub use cursor::Selection;
 pub use evidence::EvidenceView;
 pub use page::{Focus, Frozen, Page};
 pub use rows::{Counts, FileStatus, Row, RowKey, RowState, SortBy};
 pub use screen::{SPLIT_WIDTH, Screen};
+pub use traffic_view::{CallOrder, IdentifierOrder, TimeFormat, TrafficView};
 
+use super::capture::calls::CallKey;
 use super::capture::identifiers::IdentifierKey;
 use super::problems::{EvidenceItem, ProblemKey};
 
@@ -36,8 +39,16 @@ pub struct View {
     pub sort: SortBy,
     /// End of a frozen view; `None` while it is live.
     pub frozen: Option<Frozen>,
-    /// Traffic shows one row per identifier.
-    pub by_identifier: bool,
+    /// What a row of the Traffic page is.
+    pub traffic_view: TrafficView,
+    /// What the times of frames are.
+    pub time_format: TimeFormat,
+    /// Order of the identifiers.
+    pub identifier_order: IdentifierOrder,
+    /// Order of the calls.
+    pub call_order: CallOrder,
+    /// The order is reversed, on Devices and in the views of Traffic.
+    pub is_reversed: bool,
     /// Size of the screen: columns, rows.
     pub size: (u16, u16),
     /// Selection of the Devices page.
@@ -46,8 +57,10 @@ pub struct View {
     pub problems: Selection<ProblemKey>,
     /// Number of the selected timeline line; none while the newest are followed.
     pub timeline: Selection<u64>,
-    /// Selection of the identifier view.
+    /// Selection of the view of identifiers.
     pub identifiers: Selection<IdentifierKey>,
+    /// Selection of the view of calls.
+    pub calls: Selection<CallKey>,
     /// Number of the selected frame; `None` while the newest are followed.
     pub traffic: Option<u64>,
     /// Line of the list on which it is shown.
@@ -64,14 +77,19 @@ impl View {
         match self.page {
             Page::Devices | Page::Problems => true,
             Page::Traffic if self.evidence.is_some() => true,
-            Page::Traffic => self.frame_details && !self.by_identifier,
+            Page::Traffic => self.frame_details && self.traffic_view == TrafficView::Frames,
             Page::Timeline => false,
         }
     }
 
     /// Returns true if Traffic shows one row per identifier; evidence is always shown as frames.
     pub fn shows_identifiers(&self) -> bool {
-        self.by_identifier && self.evidence.is_none()
+        self.traffic_view == TrafficView::Identifiers && self.evidence.is_none()
+    }
+
+    /// Returns true if Traffic shows one row per client, server and service.
+    pub fn shows_calls(&self) -> bool {
+        self.traffic_view == TrafficView::Calls && self.evidence.is_none()
     }
 
     /// Regions of the screen, for this many buses.

@@ -75,6 +75,10 @@ impl Profile {
             let value = self.heartbeat.period_ms.to_string();
             return range("heartbeat.period_ms", value, "10 to 60000 milliseconds");
         }
+        if !(1..=60_000).contains(&self.calls.timeout_ms) {
+            let value = self.calls.timeout_ms.to_string();
+            return range("calls.timeout_ms", value, "1 to 60000 milliseconds");
+        }
         let mut codes = self.modes.codes();
         codes.sort_unstable();
         if codes.windows(2).any(|pair| pair[0] == pair[1]) {

@@ -1,0 +1,390 @@
+//! Requests and the responses to them: who calls whom, how long it takes.
+//!
+//! Input: frames with their numbers. Output: statistics by client, server and service, and what each
+//! frame is in its call. A response is to the oldest open request from its receiver to its sender, of
+//! its service; if there is none, to the last broadcast. Of DES, a name response is
+//! to a name request, and a request that is sent in both framings is one. A request that is open longer
+//! than the timeout is unanswered. Bounded: 1024 rows, 64 open requests in each, latencies of the last 1024
+//! calls. A frame of a known row allocates nothing. Does not know how calls are shown.
+
+use super::decoded::FrameRole;
+use crate::frame::{BusIndex, CanId, Frame};
+use crate::time::{Duration, Instant};
+use crate::wire::des::{ReceivedRequest, Request};
+use crate::wire::framing::{Framing, classify_request, classify_response};
+use crate::wire::id::{Address, Header, Service};
+use crate::wire::isotp::Pci;
+use crate::wire::profile::Profile;
+use foldhash::fast::RandomState;
+use std::collections::{HashMap, VecDeque};
+
+/// Largest number of rows.
+const MAX_ROWS: usize = 1024;
+/// Most requests of a row that are open.
+const MAX_OPEN: usize = 64;
+/// Longest time between a request and the same in the other framing.
+const BOTH_FRAMINGS: Duration = Duration::from_millis(50);
+/// Latencies that percentiles are of.
+const LATENCIES: usize = 1024;
+
+/// Who calls whom.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct CallKey {
+    /// Bus.
+    pub bus: BusIndex,
+    /// Sender of the requests.
+    pub client: Address,
+    /// Receiver of the requests; `None` for broadcasts.
+    pub server: Option<Address>,
+    /// Service.
+    pub service: Service,
+}
+
+/// A request that waits for a response.
+#[derive(Clone, Copy, Debug)]
+struct OpenCall {
+    number: u64,
+    time: Instant,
+    message: Option<DesMessage>,
+    /// Responses so far, to a broadcast.
+    responses: u32,
+}
+
+/// Type and framing of a DES message.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct DesMessage {
+    kind: u8,
+    is_raw: bool,
+}
+
+impl DesMessage {
+    fn of_request(frame: &Frame) -> Option<Self> {
+        let (framing, message) = classify_request(frame.data(), frame.is_fd)?;
+        let kind = match Request::decode(message)? {
+            ReceivedRequest::Known(request) => request.type_byte(),
+            ReceivedRequest::Reserved(kind) => kind,
+        };
+        Some(Self { kind, is_raw: framing == Framing::Raw })
+    }
+
+    fn of_response(frame: &Frame) -> Option<Self> {
+        let data = frame.data();
+        let framing = classify_response(data, frame.is_fd, true)?;
+        let message = match Pci::decode(data, frame.is_fd) {
+            _ if framing == Framing::Raw => data,
+            Ok(Pci::Single(message) | Pci::First { data: message, .. }) => message,
+            _ => return None,
+        };
+        Some(Self { kind: *message.first()?, is_raw: framing == Framing::Raw })
+    }
+}
+
+/// Statistics of the calls of one service from one node to another.
+#[derive(Clone, Debug)]
+pub struct CallStats {
+    /// Who calls whom.
+    pub key: CallKey,
+    /// Number of requests.
+    pub calls: u64,
+    /// Number of requests in the last whole second.
+    pub rate: u32,
+    /// Number of responses.
+    pub responses: u64,
+    /// Number of responses with ERR = 0.
+    pub failed: u64,
+    /// Number of requests that no response came to in time.
+    pub unanswered: u64,
+    /// Number of responses that several equal requests were open for: which of them they are to is not
+    /// certain.
+    pub ambiguous: u64,
+    /// Time of the last request.
+    pub last: Instant,
+    /// Its number in the capture.
+    pub last_number: u64,
+    current: u32,
+    open: VecDeque<OpenCall>,
+    /// In microseconds, of the last calls.
+    latencies: VecDeque<u32>,
+}
+
+/// Latencies of the last calls of a row.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Latency {
+    /// Half of the calls took at most so long.
+    pub p50: Duration,
+    /// 99 % of them.
+    pub p99: Duration,
+    /// The longest.
+    pub max: Duration,
+}
+
+impl CallStats {
+    fn new(key: CallKey) -> Self {
+        Self {
+            key,
+            calls: 0,
+            rate: 0,
+            responses: 0,
+            failed: 0,
+            unanswered: 0,
+            ambiguous: 0,
+            last: Instant::ZERO,
+            last_number: 0,
+            current: 0,
+            open: VecDeque::with_capacity(MAX_OPEN),
+            latencies: VecDeque::with_capacity(LATENCIES),
+        }
+    }
+
+    /// Latencies of the last 1024 responses; `None` without one.
+    pub fn latency(&self) -> Option<Latency> {
+        let mut sorted: Vec<u32> = self.latencies.iter().copied().collect();
+        sorted.sort_unstable();
+        // The nearest rank.
+        let rank = |percent: usize| (sorted.len() * percent).div_ceil(100).max(1) - 1;
+        let at = |rank: usize| sorted.get(rank).map(|&it| Duration::from_micros(u64::from(it)));
+        Some(Latency { p50: at(rank(50))?, p99: at(rank(99))?, max: at(sorted.len() - 1)? })
+    }
+
+    /// Takes a request. Returns false if it is the last one in the other framing.
+    fn open(&mut self, number: u64, time: Instant, message: Option<DesMessage>) -> bool {
+        let is_repeated = |last: &OpenCall| {
+            let (Some(before), Some(now)) = (last.message, message) else { return false };
+            before.kind == now.kind
+                && before.is_raw != now.is_raw
+                && time.since(last.time) <= BOTH_FRAMINGS
+        };
+        if self.open.back().is_some_and(is_repeated) {
+            return false;
+        }
+        self.calls += 1;
+        self.current += 1;
+        (self.last, self.last_number) = (time, number);
+        if self.open.len() == MAX_OPEN {
+            self.close_oldest();
+        }
+        self.open.push_back(OpenCall { number, time, message, responses: 0 });
+        true
+    }
+
+    fn close_oldest(&mut self) {
+        if let Some(call) = self.open.pop_front() {
+            self.unanswered += u64::from(call.responses == 0);
+        }
+    }
+
+    /// Ends the requests that are open for longer than the timeout.
+    fn expire(&mut self, now: Instant, timeout: Duration) {
+        while self.open.front().is_some_and(|call| now.since(call.time) > timeout) {
+            self.close_oldest();
+        }
+    }
+
+    /// Takes a response; `None` if no request is open.
+    fn respond(
+        &mut self,
+        time: Instant,
+        is_failed: bool,
+        message: Option<DesMessage>,
+    ) -> Option<CallPart> {
+        let is_to = |call: &OpenCall| match (call.message, message) {
+            (Some(request), Some(response)) => request.kind == response.kind,
+            _ => true,
+        };
+        let mut candidates = self.open.iter().enumerate().filter(|(_, call)| is_to(call));
+        let (first, count) = (candidates.next()?.0, 1 + candidates.count());
+        let (call, is_ambiguous) = if self.key.server.is_some() {
+            (self.open.remove(first)?, count > 1)
+        } else {
+            let last = self.open.iter_mut().rev().find(|call| is_to(call))?;
+            last.responses += 1;
+            (*last, false)
+        };
+        let latency = time.since(call.time);
+        self.responses += 1;
+        self.failed += u64::from(is_failed);
+        self.ambiguous += u64::from(is_ambiguous);
+        if self.latencies.len() == LATENCIES {
+            self.latencies.pop_front();
+        }
+        self.latencies.push_back(u32::try_from(latency.as_micros()).unwrap_or(u32::MAX));
+        Some(CallPart::Response { request: call.number, latency, is_ambiguous })
+    }
+}
+
+/// What a frame is in a call.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CallPart {
+    /// A request.
+    Request {
+        /// Number of responses.
+        responses: u32,
+        /// None came before the timeout.
+        is_unanswered: bool,
+    },
+    /// A response.
+    Response {
+        /// Number of its request in the capture.
+        request: u64,
+        /// Time since the request.
+        latency: Duration,
+        /// Several equal requests were open.
+        is_ambiguous: bool,
+    },
+}
+
+/// Table of calls.
+#[derive(Debug, Default)]
+pub struct Calls {
+    rows: Vec<CallStats>,
+    index: HashMap<CallKey, u32, RandomState>,
+    refused: u64,
+}
+
+impl Calls {
+    /// Counts a frame of a bus that speaks DES with this profile. Returns the part of a call that it is,
+    /// as far as that is known by now.
+    pub fn add(&mut self, frame: &Frame, number: u64, profile: &Profile) -> Option<CallPart> {
+        let CanId::Extended(id) = frame.id else { return None };
+        let header = Header::decode(id);
+        // Most frames are unsolicited.
+        if header.response && header.broadcast {
+            return None;
+        }
+        let is_failed = match FrameRole::of(frame, false) {
+            FrameRole::Request | FrameRole::Response => false,
+            FrameRole::FailedResponse => true,
+            _ => return None,
+        };
+        let is_des = header.service == profile.des_service();
+        if is_des && is_continuation(frame) {
+            return None;
+        }
+        let (client, server) = if header.response {
+            (header.destination, header.source)
+        } else {
+            (header.source, header.destination)
+        };
+        let (bus, service) = (frame.bus, header.service);
+        let timeout = profile.calls.timeout();
+        let targeted = CallKey { bus, client, server: Some(server), service };
+        let to_all = CallKey { server: None, ..targeted };
+        if !header.response {
+            let row = self.row(if header.broadcast { to_all } else { targeted })?;
+            row.expire(frame.time, timeout);
+            let message = is_des.then(|| DesMessage::of_request(frame)).flatten();
+            let is_new = row.open(number, frame.time, message);
+            return is_new.then_some(CallPart::Request { responses: 0, is_unanswered: false });
+        }
+        let message = is_des.then(|| DesMessage::of_response(frame)).flatten();
+        [targeted, to_all].into_iter().find_map(|key| {
+            let row = self.rows.get_mut(*self.index.get(&key)? as usize)?;
+            row.expire(frame.time, timeout);
+            row.respond(frame.time, is_failed, message)
+        })
+    }
+
+    /// The row with this key, a new one if there is none; `None` if the table is full.
+    fn row(&mut self, key: CallKey) -> Option<&mut CallStats> {
+        let at = match self.index.get(&key) {
+            Some(&at) => at as usize,
+            None if self.rows.len() == MAX_ROWS => {
+                self.refused += 1;
+                return None;
+            }
+            None => {
+                self.index.insert(key, self.rows.len() as u32);
+                self.rows.push(CallStats::new(key));
+                self.rows.len() - 1
+            }
+        };
+        self.rows.get_mut(at)
+    }
+
+    /// Ends a second for the rates, and the requests that are open for too long; `timeout` is that of a
+    /// bus.
+    pub fn tick(&mut self, now: Instant, timeout: impl Fn(BusIndex) -> Duration) {
+        for row in &mut self.rows {
+            row.rate = std::mem::take(&mut row.current);
+            row.expire(now, timeout(row.key.bus));
+        }
+    }
+
+    /// Rows, in the order of their first requests.
+    pub fn rows(&self) -> &[CallStats] {
+        &self.rows
+    }
+
+    /// Number of requests without a row, because the table was full.
+    pub fn refused(&self) -> u64 {
+        self.refused
+    }
+}
+
+/// Returns true for frames of a transfer behind the first one, and for flow control.
+fn is_continuation(frame: &Frame) -> bool {
+    let pci = Pci::decode(frame.data(), frame.is_fd);
+    matches!(pci, Ok(Pci::Consecutive { .. } | Pci::Flow(_)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn frame(millis: u64, response: bool, from: u8, to: u8, no_error: bool) -> Frame {
+        let header = Header {
+            from_non_working: false,
+            to_non_working: false,
+            response,
+            broadcast: to == 127,
+            no_error,
+            source: Address::from_bits(from),
+            destination: Address::from_bits(to),
+            service: Service::from_bits(0x20),
+        };
+        Frame::classic(header.encode(), &[1]).with_time(Instant::from_micros(millis * 1000))
+    }
+
+    #[test]
+    fn responses_belong_to_the_oldest_open_request() {
+        let (mut calls, profile) = (Calls::default(), Profile::default());
+        let mut add = |number, frame| calls.add(&frame, number, &profile);
+        let response = |request, millis, is_ambiguous| {
+            let latency = Duration::from_millis(millis);
+            Some(CallPart::Response { request, latency, is_ambiguous })
+        };
+        add(0, frame(0, false, 1, 9, true));
+        add(1, frame(10, false, 1, 9, true));
+        assert_eq!(add(2, frame(12, true, 9, 1, true)), response(0, 12, true));
+        assert_eq!(add(3, frame(15, true, 9, 1, false)), response(1, 5, false));
+        assert_eq!(add(4, frame(16, true, 9, 1, true)), None, "nothing is open");
+        // Of another client, and too late.
+        add(5, frame(20, false, 1, 9, true));
+        assert_eq!(add(6, frame(30, true, 9, 2, true)), None);
+        assert_eq!(add(7, frame(1021, true, 9, 1, true)), None);
+        // To all: each response is to the last one.
+        add(8, frame(2000, false, 1, 127, true));
+        assert_eq!(add(9, frame(2001, true, 8, 1, true)), response(8, 1, false));
+        assert_eq!(add(10, frame(2003, true, 9, 1, true)), response(8, 3, false));
+        calls.tick(Instant::from_micros(9_000_000), |_| Duration::from_secs(1));
+        let [one, all] = calls.rows() else { panic!("two rows") };
+        assert_eq!((one.calls, one.responses, one.failed, one.unanswered), (3, 2, 1, 1));
+        assert_eq!((all.calls, all.responses, all.unanswered, all.ambiguous), (1, 2, 0, 0));
+        let millis = Duration::from_millis;
+        let latency = Latency { p50: millis(5), p99: millis(12), max: millis(12) };
+        assert_eq!(one.latency(), Some(latency));
+    }
+
+    #[test]
+    fn table_and_open_requests_are_bounded() {
+        let (mut calls, profile) = (Calls::default(), Profile::default());
+        for number in 0..200_000u64 {
+            let mut request = frame(number, false, (number % 101) as u8, 9, true);
+            let id = request.platform_id().unwrap() & !0x3FF | (number % 900) as u32 + 3;
+            request = Frame::classic(id, &[]).with_time(request.time);
+            calls.add(&request, number, &profile);
+        }
+        assert_eq!(calls.rows().len(), MAX_ROWS);
+        assert!(calls.rows().iter().all(|row| row.open.len() <= MAX_OPEN));
+    }
+}

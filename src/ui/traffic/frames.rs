@@ -1,0 +1,237 @@
+//! A row per frame, newest last: time, identifier, kind, route, data, meaning.
+
+use super::super::brush::{DrawContext, bus_cell, fit, fit_right};
+use super::cells::{BYTES, IN_CAPTURE, bytes, ends, millis, role_of, width_of_ends};
+use crate::app::{CallPart, Decoded, FrameRole, Page, TimeFormat, clock_millis};
+use crate::frame::{Frame, FrameKind};
+use crate::theme::Role;
+use crate::time::Duration;
+use ratatui::text::{Line, Span};
+
+/// Columns that give way on a narrow screen.
+#[derive(Clone, Copy)]
+struct FrameColumns {
+    /// TIME has milliseconds.
+    has_millis: bool,
+    has_bus: bool,
+    has_interval: bool,
+    has_id: bool,
+    has_addresses: bool,
+    has_service: bool,
+    has_length: bool,
+    /// Cells of DATA; 0 without the column.
+    data: usize,
+}
+
+impl FrameColumns {
+    fn new(brush: &DrawContext, width: u16) -> Self {
+        Self {
+            has_millis: width >= 48,
+            has_bus: brush.app.buses().len() > 1 && width >= 60,
+            has_interval: width >= 112,
+            has_id: width >= 60,
+            has_addresses: width >= 116,
+            has_service: width >= 100,
+            has_length: width >= 104,
+            data: match width {
+                0..56 => 0,
+                56..76 => 12,
+                _ => BYTES,
+            },
+        }
+    }
+
+    fn title(self, format: TimeFormat) -> String {
+        let mut title = String::from("  ");
+        let time = match format {
+            TimeFormat::SinceStart => "SINCE START",
+            TimeFormat::SinceAbove if !self.has_interval => "Δt ms, ABOVE",
+            TimeFormat::SinceSameId if !self.has_interval => "Δt ms, ID",
+            _ => "TIME",
+        };
+        let width = if self.has_millis { 12 } else { 8 };
+        title += &format!("{} ", fit(time, width));
+        if self.has_bus {
+            title += "BUS    ";
+        }
+        if self.has_interval {
+            let of_id = format == TimeFormat::SinceSameId;
+            title += &format!("{:>7} ", if of_id { "Δt id" } else { "Δt ms" });
+        }
+        if self.has_id {
+            title += "ID       ";
+        }
+        title += "KIND ";
+        let ends = width_of_ends(self.has_addresses);
+        title += &format!("{}→{} ", fit_right("FROM", ends / 2), fit("TO", ends / 2));
+        if self.has_service {
+            title += "SERVICE   ";
+        }
+        if self.has_length {
+            title += "LEN ";
+        }
+        if self.data > 0 {
+            title += &format!("{} ", fit("DATA", self.data));
+        }
+        title + "MEANING"
+    }
+}
+
+/// Draws the list.
+pub fn draw(brush: &mut DrawContext) {
+    let (header, list) = (brush.screen.header, brush.screen.list);
+    let columns = FrameColumns::new(brush, list.width);
+    let view = brush.app.view();
+    let mut line = Line::from(brush.span(Role::Header, columns.title(view.time_format)));
+    if view.traffic.is_none() && view.frozen.is_none() {
+        line.push_span(brush.span(Role::Muted, "   following"));
+    }
+    brush.line(header, 0, &line);
+    let (shown, selected) = brush.app.frames_shown(usize::from(list.height));
+    let (Some(&first), Some(&last)) = (shown.first(), shown.last()) else {
+        if brush.app.page_filter(Page::Traffic).is_on() {
+            return brush.draw_no_match(list, "no frame matches the filter");
+        }
+        let line = Line::from(brush.span(Role::Muted, "   no frames received yet"));
+        return brush.line(list, 1, &line);
+    };
+    let parts = brush.app.call_parts(first, last);
+    let mut above = None;
+    for (row, &number) in shown.iter().enumerate() {
+        let Some(frame) = brush.app.capture().get(number) else { continue };
+        let is_selected = selected == Some(number);
+        let shown_frame =
+            ShownFrame { number, frame: &frame, above, part: parts.get(&number).copied() };
+        let line = frame_line(brush, &shown_frame, columns, usize::from(list.width), is_selected);
+        brush.line(list, row as u16, &line);
+        if is_selected {
+            brush.select(list, row as u16);
+        }
+        above = Some(frame.time);
+    }
+}
+
+struct ShownFrame<'a> {
+    number: u64,
+    frame: &'a Frame,
+    /// Time of the row above.
+    above: Option<crate::time::Instant>,
+    part: Option<CallPart>,
+}
+
+fn frame_line(
+    brush: &DrawContext,
+    shown: &ShownFrame,
+    columns: FrameColumns,
+    width: usize,
+    is_selected: bool,
+) -> Line<'static> {
+    let (app, frame) = (brush.app, shown.frame);
+    let decoded = Decoded::of(app, frame);
+    let is_evidence = app.piece_of(frame).is_some();
+    let plain = if frame.is_tx { Role::Muted } else { Role::Text };
+    let mut spans: Vec<Span> = vec![
+        brush.span(Role::Text, if is_selected { "▸" } else { " " }),
+        brush.span(Role::Match, if is_evidence { IN_CAPTURE } else { " " }),
+    ];
+    let capture = app.capture();
+    let previous = capture.previous(shown.number).and_then(|it| capture.get(it));
+    let since_same = previous.as_ref().map(|it| frame.time.since(it.time));
+    let since_above = shown.above.map(|above| frame.time.since(above));
+    let format = app.view().time_format;
+    let interval = |time: Option<Duration>| time.map_or_else(|| "–".to_owned(), millis);
+    let time = match format {
+        TimeFormat::SinceStart => since_start(brush, frame),
+        TimeFormat::SinceAbove if !columns.has_interval => interval(since_above),
+        TimeFormat::SinceSameId if !columns.has_interval => interval(since_same),
+        _ => clock_millis(app, frame.time),
+    };
+    let cells = if columns.has_millis { 12 } else { 8 };
+    let is_clock =
+        format == TimeFormat::Clock || columns.has_interval && format != TimeFormat::SinceStart;
+    let time = if is_clock { fit(&time, cells) } else { fit_right(&time, cells) };
+    spans.push(brush.span(Role::Muted, format!("{time} ")));
+    if columns.has_bus {
+        spans.push(brush.span(Role::Muted, bus_cell(app, Some(frame.bus))));
+    }
+    if columns.has_interval {
+        let time = if format == TimeFormat::SinceSameId { since_same } else { since_above };
+        let text = if time.is_none() && format != TimeFormat::SinceSameId {
+            String::new()
+        } else {
+            interval(time)
+        };
+        spans.push(brush.span(Role::Muted, format!("{} ", fit_right(&text, 7))));
+    }
+    if columns.has_id {
+        let id = match frame.kind {
+            FrameKind::Error => String::new(),
+            _ => frame.id.to_string(),
+        };
+        spans.push(brush.span(plain, format!("{} ", fit_right(&id, 8))));
+    }
+    let kind = role_of(decoded.role);
+    spans.push(brush.span(kind, format!("{} ", fit(decoded.role.word(), 4))));
+    spans.extend(ends(brush, &decoded, columns.has_addresses, plain));
+    spans.push(brush.span(plain, " "));
+    if columns.has_service {
+        spans.push(brush.span(plain, format!("{} ", fit(&decoded.service, 9))));
+    }
+    if columns.has_length {
+        spans.push(brush.span(Role::Muted, format!("{:>3} ", frame.len())));
+    }
+    if columns.data > 0 {
+        let before = previous.as_ref().filter(|_| frame.kind == FrameKind::Data);
+        let role = |at: usize| match before {
+            Some(before) if before.data().get(at) != frame.data().get(at) => Role::Changed,
+            _ => Role::Muted,
+        };
+        spans.extend(bytes(brush, frame.data(), columns.data, role));
+        spans.push(brush.span(Role::Text, " "));
+    }
+    let role = if decoded.is_error { Role::Error } else { plain };
+    let mut text = decoded.text.clone();
+    if columns.data == 0 && text.is_empty() {
+        text = crate::text::hex(&frame.data()[..frame.len().min(8)], "");
+    }
+    let (note, note_role) = call_note(shown.part, decoded.role);
+    let used: usize = spans.iter().map(Span::width).sum();
+    let room = width.saturating_sub(used);
+    let note_width = if note.is_empty() { 0 } else { note.chars().count() + 2 };
+    if !text.is_empty() {
+        let text = if note_width > 0 && room >= note_width + 8 {
+            super::super::brush::cut(&text, room - note_width).to_owned()
+        } else {
+            text
+        };
+        spans.push(brush.span(role, format!("{text}  ")));
+    }
+    spans.push(brush.span(note_role, note));
+    Line::from(spans)
+}
+
+/// What is known of the call that a frame is part of.
+fn call_note(part: Option<CallPart>, role: FrameRole) -> (String, Role) {
+    match part {
+        Some(CallPart::Request { is_unanswered: true, .. }) => {
+            ("unanswered".to_owned(), Role::Warning)
+        }
+        Some(CallPart::Request { responses: 0, .. }) => (String::new(), Role::Muted),
+        Some(CallPart::Request { responses: 1, .. }) => ("1 response".to_owned(), Role::Muted),
+        Some(CallPart::Request { responses, .. }) => {
+            (format!("{responses} responses"), Role::Muted)
+        }
+        Some(CallPart::Response { latency, is_ambiguous, .. }) => {
+            let sign = if is_ambiguous { "≈ " } else { "" };
+            (format!("{sign}{} ms", millis(latency)), role_of(role))
+        }
+        None => (String::new(), Role::Muted),
+    }
+}
+
+/// Time since the first frame that is kept.
+fn since_start(brush: &DrawContext, frame: &Frame) -> String {
+    let capture = brush.app.capture();
+    let start = capture.time_of(capture.oldest()).unwrap_or(frame.time);
+    format!("{:.3}", frame.time.since(start).as_secs_f64())
+}

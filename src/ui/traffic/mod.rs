@@ -1,0 +1,134 @@
+//! Page 2, Traffic: frames, identifiers, calls, or the evidence of a problem. Below the frames the
+//! details of the selected one.
+
+mod calls;
+mod cells;
+mod evidence;
+mod frames;
+mod identifiers;
+
+use super::brush::{DrawContext, fit, inner, labelled};
+use crate::app::{Decoded, Focus, clock_millis};
+use crate::frame::{Frame, FrameKind};
+use crate::text::hex;
+use crate::theme::Role;
+use ratatui::text::Line;
+
+/// Draws the list and the details.
+pub fn draw(brush: &mut DrawContext) {
+    if brush.app.evidence_alone().is_some() {
+        evidence::draw(brush);
+        draw_details(brush);
+    } else if brush.app.view().shows_identifiers() {
+        identifiers::draw(brush);
+    } else if brush.app.view().shows_calls() {
+        calls::draw(brush);
+    } else {
+        frames::draw(brush);
+        draw_details(brush);
+    }
+}
+
+/// Returns a frame as text: sender, receiver, service, content.
+pub(super) fn in_words(brush: &DrawContext, frame: &Frame) -> String {
+    let decoded = Decoded::of(brush.app, frame);
+    let meaning = decoded.meaning();
+    match decoded.header {
+        Some(_) => format!("{}→{} {meaning}", decoded.source, decoded.destination),
+        None if frame.kind == FrameKind::Error => format!("error: {meaning}"),
+        None => format!("{} {meaning}", frame.id),
+    }
+}
+
+fn draw_details(brush: &mut DrawContext) {
+    let area = inner(brush.screen.details);
+    if area.height == 0 {
+        return;
+    }
+    let above = brush.screen.lower_rule;
+    let focused = brush.app.view().focus == Focus::Details;
+    brush.rule(above, if focused { Role::BorderFocus } else { Role::Border });
+    let app = brush.app;
+    let alone = app.evidence_alone();
+    let Some(frame) = app.selected_frame() else {
+        let line = Line::from(brush.span(Role::Muted, "no frame is selected"));
+        return brush.line(area, 0, &line);
+    };
+    let decoded = Decoded::of(app, &frame);
+    let mut lines = Vec::new();
+    let mut add = |label: &str, role: Role, text: &str| {
+        lines.extend(labelled(brush, &fit(label, 9), role, text, area.width));
+    };
+    let bus = app.bus(frame.bus).map_or("", |bus| bus.name_without_rates());
+    let tx = if frame.is_tx { ", sent by descan" } else { "" };
+    add("frame", Role::Text, &format!("{} on {bus}{tx}", clock_millis(app, frame.time)));
+    add("id", Role::Text, &describe_id(&frame, &decoded));
+    if let Some(header) = decoded.header {
+        let node = |name: &str, address: crate::wire::id::Address| {
+            if name == address.to_string() { name.to_owned() } else { format!("{name} @{address}") }
+        };
+        let to = if header.broadcast {
+            format!("broadcast (RND7 {})", header.destination)
+        } else {
+            node(&decoded.destination, header.destination)
+        };
+        let number = header.service;
+        let service = if decoded.service == number.to_string() {
+            format!("service {number}")
+        } else {
+            format!("service {} ({number})", decoded.service)
+        };
+        let from = node(&decoded.source, header.source);
+        add("route", Role::Text, &format!("{from} → {to}, {service}"));
+    }
+    let role = if decoded.is_error { Role::Error } else { Role::Text };
+    if !decoded.text.is_empty() {
+        add("decoded", role, &decoded.text);
+    }
+    let number = match alone {
+        Some(_) => app.captured(&frame),
+        None => app.view().traffic,
+    };
+    if let Some(message) = number.and_then(|number| app.transfer_text(number)) {
+        add("message", Role::Text, &message);
+    }
+    if let Some(piece) = app.piece_of(&frame) {
+        add("evidence", Role::Text, &piece.what);
+    }
+    if alone.is_some() && number.is_none() {
+        add("", Role::Muted, "no longer in the capture, stored as evidence");
+    }
+    for (at, bytes) in frame.data().chunks(8).enumerate() {
+        let text: String = bytes
+            .iter()
+            .map(|&byte| if (0x20..0x7F).contains(&byte) { char::from(byte) } else { '·' })
+            .collect();
+        let label = if at == 0 { format!("data {}", frame.len()) } else { String::new() };
+        let mut line = Line::from(brush.span(Role::Muted, fit(&label, 9)));
+        line.push_span(brush.span(Role::Text, fit(&hex(bytes, " "), 25)));
+        line.push_span(brush.span(Role::Muted, text));
+        lines.push(line);
+    }
+    let scroll = app.view().details_scroll;
+    brush.lines(area, &lines, scroll);
+}
+
+/// Returns the identifier, the message type, the flags, and `FD`, `BRS` for FD frames.
+fn describe_id(frame: &Frame, decoded: &Decoded) -> String {
+    let mut text = format!("{}  {}", frame.id, decoded.kind);
+    if let Some(header) = decoded.header {
+        let flag = |name: &str, set: bool| format!(" {name}{}", u8::from(set));
+        text.push(' ');
+        text += &flag("U", header.from_non_working);
+        text += &flag("D", header.to_non_working);
+        text += &flag("R", header.response);
+        text += &flag("B", header.broadcast);
+        text += &flag("ERR", header.no_error);
+    }
+    match (frame.is_fd, frame.bit_rate_switch) {
+        (true, true) => text.push_str("  FD, BRS"),
+        (true, false) => text.push_str("  FD"),
+        (false, _) => {}
+    }
+    text
+}
