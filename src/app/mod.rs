@@ -38,6 +38,7 @@ mod file;
 mod filter;
 mod history;
 mod input;
+mod inventory;
 mod listing;
 mod navigate;
 mod notices;
@@ -221,6 +222,7 @@ macro_rules! shown_inputs {
         }
     };
 }
+use shown_inputs;
 
 /// The themes to choose from.
 #[derive(Debug)]
