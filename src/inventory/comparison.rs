@@ -62,7 +62,7 @@ struct Comparer<'a> {
 /// What a conflict shows about the boards at an address.
 #[derive(Default)]
 struct Boards<'a> {
-    /// True if a conflict is confirmed there: mode, UID and heartbeats are those of any of them.
+    /// True if a conflict is open there: mode, UID and heartbeats are those of any of them.
     is_shared: bool,
     uids: BTreeSet<&'a str>,
 }
@@ -407,11 +407,11 @@ fn is_compared(finding: &InventoryFinding, is_file_known: bool) -> bool {
     }
 }
 
-/// The confirmed conflicts at each address of each bus.
+/// The open conflicts at each address of each bus.
 fn conflicts_by_address(side: &Inventory) -> BTreeMap<(&str, u8), Vec<&InventoryFinding>> {
     let mut conflicts: BTreeMap<(&str, u8), Vec<&InventoryFinding>> = BTreeMap::new();
     let is_conflict = |finding: &&InventoryFinding| {
-        finding.confidence == FindingState::Confirmed.name()
+        finding.confidence != FindingState::Cleared.name()
             && kind_of(finding).is_some_and(FindingKind::is_conflict)
     };
     for finding in side.findings.iter().filter(is_conflict) {

@@ -5,8 +5,8 @@
 //! nothing.
 
 use super::prompt_kinds::{
-    AddressPrompt, CapturePathPrompt, CopyPathPrompt, FilterPrompt, MomentPrompt, NewEntryPrompt,
-    RenamePrompt,
+    AddressPrompt, CapturePathPrompt, CopyPathPrompt, FilterPrompt, MarkPrompt, MomentPrompt,
+    NewEntryPrompt, RenamePrompt,
 };
 use super::prompt_logic::{EditTarget, InputCheck, PromptContext, PromptLogic, PromptOutcome};
 use crate::keymap::{Key, KeyCode};
@@ -44,6 +44,8 @@ pub enum PromptKind {
     CopyPath(CopyPathPrompt),
     /// Moment to go to.
     Moment(MomentPrompt),
+    /// Text of a mark.
+    Mark(MarkPrompt),
 }
 
 /// Effect of a key in a prompt.
@@ -69,6 +71,7 @@ impl PromptKind {
             PromptKind::CapturePath(prompt) => prompt,
             PromptKind::CopyPath(prompt) => prompt,
             PromptKind::Moment(prompt) => prompt,
+            PromptKind::Mark(prompt) => prompt,
         }
     }
 
