@@ -57,18 +57,17 @@ impl Inventory {
     }
 
     /// Returns the inventory without debug devices, and with each bus once, those that only devices
-    /// name included.
+    /// or findings name included.
     #[must_use]
     pub fn normalized(mut self) -> Self {
         self.devices.retain(|device| {
             let (name, uid) = (device.name.as_deref(), device.uid.as_deref());
             !InventoryDevice::is_debug(device.address, name, uid)
         });
-        self.buses.extend(
-            self.devices
-                .iter()
-                .map(|device| InventoryBus { name: device.bus.clone(), ..InventoryBus::default() }),
-        );
+        let of_findings = self.findings.iter().filter_map(|finding| finding.bus.as_ref());
+        let names = self.devices.iter().map(|device| &device.bus).chain(of_findings);
+        let named = |name: &String| InventoryBus { name: name.clone(), ..InventoryBus::default() };
+        self.buses.extend(names.map(named));
         // A stable sort: what the document says of a bus stands before what only names it.
         self.buses.sort_by(|one, other| one.name.cmp(&other.name));
         self.buses.dedup_by(|later, first| later.name == first.name);
