@@ -15,6 +15,7 @@ use crate::inventory::{
     InventoryComparison, UnknownPart, compare,
 };
 use crate::time::Instant;
+use crate::wire::id::Address;
 
 /// The comparison that is open.
 #[derive(Debug)]
@@ -346,7 +347,7 @@ impl App {
         let is_it = |row: &&super::Row, subject: &DifferenceSubject| {
             let bus = row.bus.and_then(|bus| self.bus(bus)).map(|bus| &*bus.name);
             let is_here = bus.is_none() || bus == subject.bus.as_deref();
-            is_here && row.address.map(|address| address.number()) == subject.address
+            is_here && row.address.map(Address::number) == subject.address
         };
         let name = |row: &super::Row| row.name.as_ref().map(ToString::to_string);
         let subjects = [&difference.subject_after, &difference.subject_before];

@@ -107,12 +107,11 @@ impl App {
 
     /// Opens the list of marks, with the last one selected.
     pub(super) fn list_marks(&mut self) {
-        match self.marks.0.last() {
-            Some(mark) => self.input.open(Overlay::Marks(mark.letter)),
-            None => {
-                let key = self.key_of(Action::Mark);
-                self.show_error(format!("no marks yet; {key} marks the moment that is shown"));
-            }
+        if let Some(mark) = self.marks.0.last() {
+            self.input.open(Overlay::Marks(mark.letter));
+        } else {
+            let key = self.key_of(Action::Mark);
+            self.show_error(format!("no marks yet; {key} marks the moment that is shown"));
         }
     }
 

@@ -12,8 +12,8 @@ use super::{Inventory, InventoryBus, InventoryDevice, InventoryFinding, Inventor
 use crate::finding::{ExitCodeScope, FindingKind, FindingState};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Ratio of two heartbeat periods, or of two loads, from which they differ: a fifth.
-const RATIO: f64 = 1.2;
+/// Part of a heartbeat period, or of a load, by which another one differs at least.
+const FIFTH: f64 = 0.2;
 /// Least difference of two loads. The load of a healthy bus varies by less.
 const LOAD_STEP: f64 = 0.01;
 
@@ -133,12 +133,11 @@ impl<'a> Comparer<'a> {
         let name = |bus: &InventoryBus| DifferenceValue::Word(bus.name.clone());
         for bus in &before.buses {
             let other = after.buses.iter().find(|other| other.name == self.name_after(&bus.name));
-            match other {
-                Some(other) => self.compare_bus(bus, other, [subject(bus), subject(other)]),
-                None => {
-                    let values = [name(bus), DifferenceValue::Absent];
-                    self.add_detail(DifferenceKind::Bus, "name", [subject(bus), None], values);
-                }
+            if let Some(other) = other {
+                self.compare_bus(bus, other, &[subject(bus), subject(other)]);
+            } else {
+                let values = [name(bus), DifferenceValue::Absent];
+                self.add_detail(DifferenceKind::Bus, "name", [subject(bus), None], values);
             }
         }
         let is_there = |bus: &InventoryBus| {
@@ -157,7 +156,7 @@ impl<'a> Comparer<'a> {
         &mut self,
         before: &InventoryBus,
         after: &InventoryBus,
-        subjects: [Option<DifferenceSubject>; 2],
+        subjects: &[Option<DifferenceSubject>; 2],
     ) {
         let count = DifferenceValue::Count;
         let mut add = |detail: &str, is_different: bool, values: [DifferenceValue; 2]| {
@@ -212,9 +211,10 @@ impl<'a> Comparer<'a> {
             self.add(DifferenceKind::Presence, [None, Some(subject_of(device))], values);
         }
         if before.is_file_known != after.is_file_known {
-            let (side, listing) = match before.is_file_known {
-                true => (DifferenceSide::After, before),
-                false => (DifferenceSide::Before, after),
+            let (side, listing) = if before.is_file_known {
+                (DifferenceSide::After, before)
+            } else {
+                (DifferenceSide::Before, after)
             };
             let listed = listing.devices.iter().filter(|device| device.entry.is_some()).count();
             self.unknown.insert((DifferenceKind::File, side), listed);
@@ -367,7 +367,7 @@ impl<'a> Comparer<'a> {
 
 /// Returns true if two values differ by more than a fifth of the smaller one.
 fn has_ratio(one: f64, other: f64) -> bool {
-    one != other && one.max(other) > one.min(other) * RATIO
+    (one - other).abs() > one.abs().min(other.abs()) * FIFTH
 }
 
 fn subject_of(device: &InventoryDevice) -> DifferenceSubject {
@@ -451,7 +451,9 @@ fn compare_services(lists: [&[InventoryService]; 2]) -> ([Vec<String>; 2], [Vec<
     let (mut services, mut versions) =
         (<[Vec<String>; 2]>::default(), <[Vec<String>; 2]>::default());
     for (name, mut sides) in by_name {
-        sides.iter_mut().for_each(|side| side.sort_unstable());
+        for side in &mut sides {
+            side.sort_unstable();
+        }
         if sides[0] == sides[1] {
             continue;
         }

@@ -65,9 +65,9 @@ impl Inventory {
             !InventoryDevice::is_debug(device.address, name, uid)
         });
         let of_findings = self.findings.iter().filter_map(|finding| finding.bus.as_ref());
-        let names = self.devices.iter().map(|device| &device.bus).chain(of_findings);
+        let all = self.devices.iter().map(|device| &device.bus).chain(of_findings);
         let named = |name: &String| InventoryBus { name: name.clone(), ..InventoryBus::default() };
-        self.buses.extend(names.map(named));
+        self.buses.extend(all.map(named));
         // A stable sort: what the document says of a bus stands before what only names it.
         self.buses.sort_by(|one, other| one.name.cmp(&other.name));
         self.buses.dedup_by(|later, first| later.name == first.name);

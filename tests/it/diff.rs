@@ -100,7 +100,7 @@ fn logs_of_a_changed_bus_yield_a_row_each() {
     );
     let (code, table, _) = folder.diff(&["good.log", "file:now.log"]);
     insta::with_settings!({ prepend_module_to_snapshot => false }, {
-        insta::assert_snapshot!("diff_of_two_logs", table)
+        insta::assert_snapshot!("diff_of_two_logs", table);
     });
     assert_eq!(code, 1);
     assert_eq!(folder.rows("now.log", "now.log"), Vec::<Value>::new());
@@ -166,7 +166,7 @@ fn services_never_requested_are_not_a_difference() {
     let folder = Folder::new();
     let lines = bus([device("FEED", 10).service("AUGER", "2.1")]);
     // Without descan's requests and their responses: only heartbeats.
-    let heard = lines.lines().filter(|line| line.contains("#") && line.contains(" 07"));
+    let heard = lines.lines().filter(|line| line.contains(" 07"));
     folder.write("asked.log", &lines).write("heard.log", heard.collect::<Vec<_>>().join("\n"));
     let (code, table, _) = folder.diff(&["heard.log", "asked.log"]);
     assert_eq!(code, 0, "{table}");
