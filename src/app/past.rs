@@ -133,7 +133,7 @@ impl App {
     }
 
     /// The moment that is shown, or is about to be.
-    pub(super) fn target(&self) -> Moment {
+    fn target(&self) -> Moment {
         let replay = self.replay.as_ref().map(BusesReplay::moment);
         let shown = replay.or(self.past_moment());
         shown.unwrap_or_else(|| self.buses.present(self.clock.now()))

@@ -144,7 +144,7 @@ impl Serialize for DifferenceValue {
     fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
         /// An entry as JSON.
         #[derive(Serialize)]
-        struct EntryJson {
+        struct EntryValueJson {
             address: Option<u8>,
             #[serde(rename = "static")]
             is_static: bool,
@@ -156,7 +156,7 @@ impl Serialize for DifferenceValue {
             Self::Count(count) => to.serialize_u64(*count),
             Self::Millis(value) | Self::Share(value) => to.serialize_f64(*value),
             Self::Entry { address, is_static } => {
-                EntryJson { address: *address, is_static: *is_static }.serialize(to)
+                EntryValueJson { address: *address, is_static: *is_static }.serialize(to)
             }
         }
     }

@@ -37,7 +37,7 @@ const DETAILS: u16 = 5;
 
 /// Widths of the columns.
 #[derive(Clone, Copy)]
-struct Columns {
+struct ComparisonColumns {
     bus: usize,
     name: usize,
     what: usize,
@@ -45,7 +45,7 @@ struct Columns {
     events: usize,
 }
 
-impl Columns {
+impl ComparisonColumns {
     fn new(width: u16, has_buses: bool) -> Self {
         let has_events = width >= WITH_EVENTS;
         let bus = if has_buses { 8 } else { 0 };
@@ -68,7 +68,7 @@ pub fn draw(brush: &mut DrawContext) {
     let title = title(brush, comparison);
     let mut area = brush.panel(&title);
     let has_buses = app.buses().len() > 1;
-    let columns = Columns::new(area.width, has_buses);
+    let columns = ComparisonColumns::new(area.width, has_buses);
     let header = brush.span(Role::Header, header(columns));
     brush.line(area, 0, &Line::from(header));
     area = Rect { y: area.y + 1, height: area.height.saturating_sub(1), ..area };
@@ -137,7 +137,7 @@ fn title(brush: &DrawContext, comparison: &MomentComparison) -> String {
     format!(" {begin}{before} → {after}, {sign}{:.1} s ", apart.as_secs_f64())
 }
 
-fn header(columns: Columns) -> String {
+fn header(columns: ComparisonColumns) -> String {
     let bus = fit(if columns.bus > 0 { "BUS" } else { "" }, columns.bus);
     let events = if columns.events > 0 { "EVENTS BETWEEN" } else { "" };
     format!(
@@ -157,7 +157,7 @@ fn cell(text: &str, width: usize) -> String {
 fn row_line(
     brush: &DrawContext,
     row: &ComparisonRow,
-    columns: Columns,
+    columns: ComparisonColumns,
     is_selected: bool,
 ) -> Line<'static> {
     let difference = &row.difference;
@@ -206,7 +206,7 @@ fn sign(row: &ComparisonRow) -> (&'static str, Role) {
 fn note_lines(
     brush: &DrawContext,
     comparison: &MomentComparison,
-    columns: Columns,
+    columns: ComparisonColumns,
 ) -> Vec<Line<'static>> {
     let note = |note: &ComparisonNote| {
         let text = format!(

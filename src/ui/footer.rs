@@ -175,9 +175,9 @@ fn hint_line(brush: &DrawContext, mode: KeyMode, width: usize) -> Vec<Span<'stat
             A::Frames,
             A::Filter,
             A::Freeze,
+            A::Problem,
             A::Mark,
             A::Compare,
-            A::Problem,
             A::SaveCapture,
         ],
         (KeyMode::Browse, Page::Problems, _) => {

@@ -234,6 +234,42 @@ fn hostile_document_prints_no_control_codes() {
 }
 
 #[test]
+fn damaged_documents_are_read_or_refused() {
+    let folder = Folder::new();
+    let lines = bus([device("FEED", 10).service("AUGER", "2.1"), device("SENS", 12)]);
+    folder.write("now.log", &lines);
+    let scan = folder.run(&["scan", "now.log", "--json"]).stdout;
+    let whole = Inventory::parse(&scan).unwrap();
+    assert_eq!(whole.devices.len(), 2);
+    let mut read = 0;
+    for seed in 0..4000 {
+        let mut rng = fastrand::Rng::with_seed(seed);
+        let mut bytes = scan.clone();
+        for _ in 0..rng.usize(1..4) {
+            let at = rng.usize(..bytes.len());
+            match rng.u8(0..4) {
+                0 => bytes[at] = rng.u8(..),
+                1 => bytes.truncate(at.max(1)),
+                2 => bytes[at] = b"\"[]{},:0-9e\\"[rng.usize(..12)],
+                _ => drop(bytes.remove(at)),
+            }
+        }
+        match Inventory::parse(&bytes) {
+            Ok(damaged) => {
+                read += 1;
+                compare(&whole, &damaged);
+                assert!(compare(&damaged, &damaged).differences.is_empty(), "seed {seed}");
+            }
+            Err(error) => {
+                let error = error.to_string();
+                assert!(error.chars().all(descan::text::is_printable), "seed {seed}: {error:?}");
+            }
+        }
+    }
+    assert!(read > 100, "{read}");
+}
+
+#[test]
 fn document_of_an_older_version_is_read() {
     let folder = Folder::new();
     folder
