@@ -94,8 +94,9 @@ impl App {
         if let Some(selected) = self.view.timeline.selected().copied().filter(|at| *at >= number) {
             self.view.timeline.replace(selected + 1);
         }
+        let is_shown = moment.time <= self.shown_time();
         if let Some(frozen) = &mut self.view.frozen
-            && frozen.lines >= number
+            && (frozen.lines > number || frozen.lines == number && is_shown)
         {
             frozen.lines += 1;
         }

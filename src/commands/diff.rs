@@ -81,6 +81,11 @@ fn spec_of(path: &Path) -> BusSpec {
 fn read(spec: &BusSpec, setup: &Setup) -> Result<Option<DiffInput>, Failure> {
     let unusable = |error: io::Error| Failure::from(Diagnostic::unreadable(spec, &error));
     let file = match spec {
+        BusSpec::File(path) if !path.exists() => {
+            let missing = Diagnostic::new("file not found")
+                .with_remedy("name a log, or a document of descan scan --json");
+            return Err(missing.of(crate::regular_file::shown(path)).into());
+        }
         BusSpec::File(path) => bus::open_log(path)?,
         _ => File::from(io::stdin().as_fd().try_clone_to_owned().map_err(unusable)?),
     };

@@ -210,7 +210,7 @@ actions! {
         NextFrame "step" "At the next frame; of a paused log the next frame" "step" [">"];
         Mark "mark" "Mark the moment that is shown (a, b, c …)" "mark" ["M"];
         Marks "marks" "List the marks: go to one, remove one" "marks" ["'"];
-        Compare "compare" "Compare the last mark, or the start, with this" "diff" ["d"];
+        Compare "compare" "Compare with the last mark, or the start" "diff" ["d"];
     }
     Browse File: {
         EditAddress "edit-address" "Edit the static address in the row" "edit address" ["e"];
@@ -251,11 +251,11 @@ actions! {
     Compare Answer: {
         CompareUp "compare-up" "Comparison: up a row" "" ["Up" "k"];
         CompareDown "compare-down" "Comparison: down a row" "" ["Down" "j"];
-        ComparePageUp "compare-page-up" "Up a screenful" "" ["PgUp" "Ctrl-b"];
-        ComparePageDown "compare-page-down" "Down a screenful" "" ["PgDn" "Ctrl-f"];
+        ComparePageUp "compare-page-up" "Comparison: a screenful up" "" ["PgUp" "Ctrl-b"];
+        ComparePageDown "compare-page-down" "Comparison: a screenful down" "" ["PgDn" "Ctrl-f"];
         CompareSide "compare-side" "Comparison: choose the moment A or B" "A or B" ["Tab"];
-        CompareEarlier "compare-earlier" "Move it to the event before" "event before" ["Left" "["];
-        CompareLater "compare-later" "Move it to the next event" "next event" ["Right" "]"];
+        CompareEarlier "compare-earlier" "Comparison: move it to the event before" "event before" ["Left" "["];
+        CompareLater "compare-later" "Comparison: move it to the next event" "next event" ["Right" "]"];
         CompareSelect "compare-select" "Comparison: go to the device of the row" "go to device" ["Enter"];
         CompareClose "compare-close" "Comparison: close it" "close" ["Esc" "d" "q"];
     }

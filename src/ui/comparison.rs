@@ -50,6 +50,7 @@ impl ComparisonColumns {
         let has_events = width >= WITH_EVENTS;
         let bus = if has_buses { 8 } else { 0 };
         let (name, what) = match width {
+            160.. => (13, 28),
             WITH_EVENTS.. => (11, 23),
             60.. => (10, 15),
             _ => (8, 10),

@@ -185,7 +185,7 @@ fn unusable_files_are_named_with_cause_and_way_out() {
     folder.write("wrong.json", "{\n \"descan\": \"0\",\n \"devices\": [{\"address\": \"x\"}]}");
     folder.write("deep.json", "[".repeat(100_000)).write("words.txt", "hello\nworld\n");
     for (name, said) in [
-        ("none.log", "none.log cannot be read"),
+        ("none.log", "descan: none.log: file not found; name a log, or a document of"),
         (".", "cannot be read"),
         ("empty.log", "no frames in it; check the file name"),
         ("words.txt", "use a candump -L log or pcapng"),
