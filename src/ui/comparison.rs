@@ -94,7 +94,7 @@ pub fn draw(brush: &mut DrawContext) {
     let (selected, top) = comparison.position(height);
     for (at, row) in rows.iter().enumerate().skip(top).take(height) {
         let is_selected = selected == Some(at);
-        let line = row_line(brush, row, columns, is_selected);
+        let line = row_line(brush, (row, sign(row, rows)), columns, is_selected);
         let at = (at - top) as u16;
         brush.line(area, at, &line);
         if is_selected {
@@ -157,7 +157,7 @@ fn cell(text: &str, width: usize) -> String {
 
 fn row_line(
     brush: &DrawContext,
-    row: &ComparisonRow,
+    (row, (sign, role)): (&ComparisonRow, (&str, Role)),
     columns: ComparisonColumns,
     is_selected: bool,
 ) -> Line<'static> {
@@ -166,7 +166,6 @@ fn row_line(
     let address = subject.address.map(|address| address.to_string()).unwrap_or_default();
     let unknown = if subject.address.is_some() { "?" } else { "" };
     let bus = subject.bus.unwrap_or_default();
-    let (sign, role) = sign(row);
     Line::from(vec![
         brush.span(Role::Text, if is_selected { "▸" } else { " " }),
         brush.span(role, format!("{sign} ")),
@@ -180,8 +179,8 @@ fn row_line(
     ])
 }
 
-/// Returns the sign of a row and its role.
-fn sign(row: &ComparisonRow) -> (&'static str, Role) {
+/// Returns the sign of a row of `rows`, and its role.
+fn sign(row: &ComparisonRow, rows: &[ComparisonRow]) -> (&'static str, Role) {
     let difference = &row.difference;
     let is = |value: &DifferenceValue, word: &str| *value == DifferenceValue::Word(word.to_owned());
     let is_gone =
@@ -198,12 +197,24 @@ fn sign(row: &ComparisonRow) -> (&'static str, Role) {
             ("?", Role::Suspected)
         }
         DifferenceKind::Finding => ("✓", Role::FileOk),
-        DifferenceKind::Boards => ("⚠", Role::Confirmed),
+        // Several boards are a conflict, as sure as its findings are.
+        DifferenceKind::Boards if has_several(&difference.after) => {
+            let is_suspected = rows.iter().any(|other| {
+                let is_here = other.difference.subject().map(|it| (&it.bus, it.address))
+                    == difference.subject().map(|it| (&it.bus, it.address));
+                is_here && is(&other.difference.after, FindingState::Suspected.name())
+            });
+            if is_suspected { ("?", Role::Suspected) } else { ("⚠", Role::Confirmed) }
+        }
         _ => ("~", Role::Text),
     }
 }
 
-/// Returns what buses did whether they differ or not, and what was not compared.
+fn has_several(value: &DifferenceValue) -> bool {
+    matches!(value, DifferenceValue::Words(words) if words.len() > 1)
+}
+
+/// Returns what buses without a difference did, and what was not compared.
 fn note_lines(
     brush: &DrawContext,
     comparison: &MomentComparison,
