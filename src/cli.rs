@@ -62,6 +62,7 @@ Examples:
   descan scan can0 --json       the same as JSON, for scripts
   descan check can0             compare the bus with des.json
   descan watch can0             print events as they happen, one per line
+  descan diff good.log now.log  list what changed between two logs
   descan scan can0 --write des.json
                                 create des.json from the bus
   descan session.log            replay a candump log in real time
@@ -91,6 +92,8 @@ pub enum Command {
     Check(CheckArgs),
     /// Print events as they happen, one per line
     Watch(WatchArgs),
+    /// List what changed between two logs, or documents of scan --json
+    Diff(DiffArgs),
     /// Simulate the devices of a scenario on a bus
     #[command(after_help = "\
 Examples:
@@ -233,6 +236,38 @@ pub struct WatchArgs {
     /// Print only matching events: at:12,14 | name:FEED | is:confirmed | word | !word ...
     #[arg(long, value_name = "EXPR")]
     pub filter: Option<String>,
+}
+
+/// `descan diff`.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Compares the state at the end of two logs (candump -L or pcapng), of two documents of descan scan \
+--json, or of one of each, and prints: devices that are on one side only, their presence, address, \
+name, board (UID), mode, services, versions, heartbeat period (by more than a fifth) and entry in \
+des.json; findings; bus load (by more than a fifth), errors and lost frames. A device that moved is \
+one row. What one side does not know is named below the rows and is not a difference. Debug devices \
+are left out.
+
+Exit code: 0 no difference, 1 one or more, 2 wrong usage, 3 a file cannot be read, 130 interrupted.
+
+Examples:
+  descan diff good.log now.log
+  descan diff good.json now.log --json | jq -r '.differences[].kind'
+  descan scan can0 --json | descan diff good.json -
+  ssh board cat /tmp/now.log | descan diff good.log -")]
+pub struct DiffArgs {
+    /// Log or document to compare with; - is standard input
+    #[arg(value_name = "BEFORE", value_hint = clap::ValueHint::FilePath)]
+    pub before: PathBuf,
+    /// Log or document that is compared with it; - is standard input
+    #[arg(value_name = "AFTER", value_hint = clap::ValueHint::FilePath)]
+    pub after: PathBuf,
+    /// Values the protocol leaves open: service numbers, framing, heartbeat layout (TOML)
+    #[arg(long, value_name = "FILE")]
+    pub profile: Option<PathBuf>,
+    /// Print one JSON object instead of text
+    #[arg(long)]
+    pub json: bool,
 }
 
 /// What the commands without a screen share.

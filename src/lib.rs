@@ -21,6 +21,7 @@
 //! * [`finding`]: what is wrong, with its evidence; one table of all kinds.
 //! * [`discovery`]: the engine of one bus: frames and time in; devices, findings and requests out.
 //! * [`document`]: des.json: parse, edit in place, merge.
+//! * [`inventory`]: buses and devices of one moment; differences between two.
 //! * [`log`]: log formats, candump and pcapng.
 //! * [`sim`]: a bit-timed simulated bus with devices.
 //! * [`bitrate`]: the bit rate search.
@@ -58,6 +59,8 @@ pub mod document;
 pub mod error_report;
 #[cfg(feature = "std")]
 pub mod finding;
+#[cfg(feature = "std")]
+pub mod inventory;
 #[cfg(feature = "std")]
 pub mod log;
 #[cfg(feature = "std")]

@@ -369,6 +369,7 @@ impl App {
                 Err(error) => self.show_error(format!("not saved: {error}")),
             },
             PromptOutcome::GoTo(target) => self.go_to_target(target),
+            PromptOutcome::SetMark(moment, text) => self.set_mark(moment, &text),
             PromptOutcome::SaveCopy(path) => {
                 let bytes = self.editor.start_copy(path.clone());
                 self.effects.push_back(Effect::WriteFile { path, bytes });

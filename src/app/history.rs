@@ -360,6 +360,11 @@ impl BusesReplay {
         self.moment
     }
 
+    /// Returns true if all that it needs is still kept.
+    pub(super) fn is_kept(&self, history: &RecordedBuses, store: &FrameStore) -> bool {
+        self.inputs >= history.dropped_inputs && self.frames >= store.first()
+    }
+
     /// Replays at most about `work` frames. Returns true when the moment is reached.
     pub fn run(&mut self, history: &RecordedBuses, store: &FrameStore, work: u64) -> bool {
         let mut left = work;

@@ -31,6 +31,7 @@ mod bitrate;
 mod buses;
 mod capture;
 mod clock;
+mod compared_moments;
 mod devices;
 mod edits;
 mod events;
@@ -39,7 +40,9 @@ mod filter;
 mod filter_commands;
 mod history;
 mod input;
+mod inventory;
 mod listing;
+mod marks;
 mod navigate;
 mod notices;
 mod page_filters;
@@ -59,6 +62,7 @@ pub use capture::{
     IdentifierKey, IdentifierKind, IdentifierStats, Identifiers, Latency, NOTED_BYTES,
     StoredFrames,
 };
+pub use compared_moments::{ComparedMoment, ComparisonNote, ComparisonRow, MomentComparison};
 pub use devices::concerns;
 pub use file::{EditRefusal, FileChange, FileError, FileReading, FileState, SaveOutcome, Saving};
 pub use filter::{
@@ -68,6 +72,7 @@ pub use filter::{
 pub use history::{BusesReplay, FRAMES_PER_ROOM, Moment, RecordedBuses};
 pub use input::{FilterPrompt, InputCheck, Overlay, Prompt, PromptKind, Question};
 pub use listing::{addition_refusal, same_services};
+pub use marks::{MAX_MARKS, Mark, Marks};
 pub use navigate::{Mouse, MouseKind};
 pub use notices::{
     StatusMessage, Timeline, TimelineEntry, event_word, whose_other_services, whose_services,
@@ -233,6 +238,7 @@ macro_rules! shown_inputs {
         }
     };
 }
+use shown_inputs;
 
 /// The themes to choose from.
 #[derive(Debug)]
@@ -282,6 +288,9 @@ pub struct App {
     /// The replay on the way to a moment, and when its next part is due.
     replay: Option<BusesReplay>,
     replay_due: Option<Instant>,
+    marks: Marks,
+    /// The comparison of two moments that is open.
+    comparison: Option<Box<MomentComparison>>,
     /// Content of des.json now, and before: with the time until which it was so, oldest first.
     content: FileContent,
     contents_before: VecDeque<(Instant, FileContent)>,
@@ -316,6 +325,8 @@ impl App {
             past: None,
             replay: None,
             replay_due: None,
+            marks: Marks::default(),
+            comparison: None,
             content,
             contents_before: VecDeque::new(),
         };
@@ -378,6 +389,9 @@ impl App {
         if self.replay_due.is_some_and(|due| due <= now) {
             self.go_on_replaying();
         }
+        if self.comparison.as_ref().is_some_and(|it| it.is_due(now)) {
+            self.go_on_comparing();
+        }
         self.run_file_timers();
         self.notices.redraw.check_due(now);
         self.buses.keep_history(now, self.traffic.capture.first());
@@ -421,6 +435,7 @@ impl App {
         self.renew_rows();
         if self.input.prompt().is_some() {
             self.handle_prompt_key(key);
+        } else if self.select_mark_of(key) {
         } else if let Some(action) = self.input.lookup(key) {
             self.run(action);
             self.input.note_executed(now, action);
@@ -596,7 +611,8 @@ impl App {
         let second = (!self.was_idle || !self.is_idle()).then_some(self.clock.next_second());
         let file = self.editor.poll_timeout().filter(|_| !self.clock.has_real());
         let parts = self.buses.poll_timeout().into_iter().chain(self.notices.poll_timeout());
-        let work = self.filter_due.into_iter().chain(self.replay_due);
+        let comparison = self.comparison.as_ref().and_then(|comparison| comparison.due());
+        let work = self.filter_due.into_iter().chain(self.replay_due).chain(comparison);
         parts.chain(second).chain(file).chain(work).min()
     }
 

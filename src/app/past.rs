@@ -14,7 +14,7 @@ use super::{App, Buses, clock_millis};
 use crate::time::Instant;
 
 /// Work of a replay in frames between which keys are handled: about 10 ms.
-const REPLAY_PART: u64 = 50_000;
+pub(super) const REPLAY_PART: u64 = 50_000;
 
 /// A past moment, as it was.
 #[derive(Debug)]
@@ -65,11 +65,12 @@ impl App {
         let from = self.target().time;
         let to = {
             let lines = self.timeline().entries().filter(|line| is_wanted(line.kind));
-            let mut times = lines.map(|line| line.time);
+            let times = lines.map(|line| line.time);
+            // A repeated line stands behind later ones.
             if by < 0 {
-                times.rev().find(|time| *time < from)
+                times.filter(|time| *time < from).max()
             } else {
-                times.find(|time| *time > from)
+                times.filter(|time| *time > from).min()
             }
         };
         match to {
@@ -111,6 +112,7 @@ impl App {
             shown: self.target().time,
             frames: self.traffic.capture.end(),
             wall_start: self.clock.wall_start(),
+            marks: self.marks.bits(),
         }
     }
 
@@ -124,6 +126,11 @@ impl App {
                     None => self.show_error(format!("frame {} is no longer kept", number + 1)),
                 }
             }
+            MomentTarget::Mark(letter) => {
+                if let Some(moment) = self.marks.get(letter).map(|mark| mark.moment) {
+                    self.go_to(moment);
+                }
+            }
         }
     }
 
@@ -135,7 +142,7 @@ impl App {
     }
 
     /// Goes to a moment; it is shown when it is replayed.
-    fn go_to(&mut self, moment: Moment) {
+    pub(super) fn go_to(&mut self, moment: Moment) {
         self.replay = self.buses.replay(&self.traffic.capture, moment);
         if self.replay.is_none() {
             let begin = self.buses.begin(&self.traffic.capture);
@@ -149,6 +156,10 @@ impl App {
     pub(super) fn go_on_replaying(&mut self) {
         self.replay_due = None;
         let Some(replay) = &mut self.replay else { return };
+        if !replay.is_kept(&self.buses, &self.traffic.capture) {
+            let moment = replay.moment();
+            return self.go_to(moment);
+        }
         if !replay.run(&self.buses, &self.traffic.capture, REPLAY_PART) {
             self.replay_due = Some(self.clock.now() + super::FILTER_PAUSE);
             return;
@@ -174,7 +185,8 @@ impl App {
         }
     }
 
-    fn show_past(&mut self, moment: Moment, mut buses: Buses) {
+    /// Returns a past moment, with the buses as they were.
+    pub(super) fn past_at(&mut self, moment: Moment, mut buses: Buses) -> Past {
         buses.refresh_redundancy();
         let mut problems = self.problems.for_moment(moment.time);
         self.note_content();
@@ -182,12 +194,21 @@ impl App {
         let file = before.find(|(until, _)| *until > moment.time);
         let file = file.map_or(&self.content, |(_, content)| content).clone();
         problems.refresh(&buses, &file, moment.time);
+        Past { moment, buses, problems, file, identifiers: None }
+    }
+
+    fn show_past(&mut self, moment: Moment, buses: Buses) {
+        let past = self.past_at(moment, buses);
         let later = self.timeline().entries().find(|line| line.time > moment.time);
         let lines = later.map_or(self.timeline().end(), |line| line.number);
         self.view.frozen = Some(Frozen { frames: moment.frames, lines });
         self.notices.timeline_mut().pin_lines(true);
+<<<<<<< HEAD
         self.past =
             Some(Box::new(Past { moment, buses, problems, file, identifiers: None, calls: None }));
+=======
+        self.past = Some(Box::new(past));
+>>>>>>> compare
         self.settle_problems();
         self.refresh_rows();
         self.filter_frames();

@@ -23,6 +23,8 @@ pub enum TimelineKind {
     File,
     /// A command or an operation that failed.
     Error,
+    /// A moment marked by the user, with its letter.
+    Mark(char),
 }
 
 impl TimelineKind {
@@ -34,6 +36,7 @@ impl TimelineKind {
             Self::Bus => "bus",
             Self::File => "file",
             Self::Error => "error",
+            Self::Mark(_) => "mark",
         }
     }
 

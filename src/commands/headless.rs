@@ -60,6 +60,18 @@ pub enum RunInput<'a> {
     Buses(&'a [BusSpec]),
     /// One log, at this pace; `None` reads a file at once, and anything else live.
     Log(&'a BusSpec, Option<LogPace>),
+    /// One log that is open, at once and without des.json.
+    OpenLog(&'a BusSpec, &'a File),
+}
+
+impl<'a> RunInput<'a> {
+    /// The log; `None` for buses.
+    fn log(self) -> Option<&'a BusSpec> {
+        match self {
+            RunInput::Buses(_) => None,
+            RunInput::Log(spec, _) | RunInput::OpenLog(spec, _) => Some(spec),
+        }
+    }
 }
 
 /// Runs a session until `turn` breaks, a limit is reached or the log ends. `turn` is called after
@@ -84,7 +96,16 @@ pub fn run(
                 let stop = stop_waiter(limits, limits.time)?;
                 (stop, open::session(buses, setup, clock, options)?, Ok(None))
             }
-            RunInput::Log(spec, pace) => open_log(spec, pace, setup, options, limits).await?,
+            RunInput::Log(spec, pace) => {
+                let file = log_file(spec)?;
+                let file_path = Some(setup.file.clone());
+                let options = AppOptions { file_path, ..options };
+                open_log((spec, file), pace, setup, options, limits).await?
+            }
+            RunInput::OpenLog(spec, file) => {
+                let file = file.try_clone().map_err(|it| Diagnostic::unreadable(spec, &it))?;
+                open_log((spec, file), Some(LogPace::AtOnce), setup, options, limits).await?
+            }
         };
         let mut failure = RecordingFailure::default();
         let ending = match first {
@@ -115,7 +136,7 @@ pub fn run(
         };
         let recorded = session.finish_recording();
         let mut recording = Ok(());
-        let now = if let RunInput::Log(spec, _) = input {
+        let now = if let Some(spec) = input.log() {
             match recorded {
                 Some(status) if status.failure.is_some() => {
                     recording = Err(Failure::Unusable(format!("recorded {status}")));
@@ -136,19 +157,24 @@ pub fn run(
 /// What a run begins with: its session, and the first wake-up or why there is none.
 type RunStart = (StopWaiter, Session, Result<Option<SessionWake>, StopReason>);
 
-/// Opens a log. The session starts with its first frame, or `--from` later.
+/// Opens the file of a log.
+fn log_file(spec: &BusSpec) -> Result<File, Failure> {
+    let unusable = |error: io::Error| Diagnostic::unreadable(spec, &error);
+    Ok(match spec {
+        BusSpec::File(path) => bus::open_log(path)?,
+        _ => File::from(io::stdin().as_fd().try_clone_to_owned().map_err(unusable)?),
+    })
+}
+
+/// Begins to read a log. The session starts with its first frame, or `--from` later.
 async fn open_log(
-    spec: &BusSpec,
+    (spec, file): (&BusSpec, File),
     pace: Option<LogPace>,
     setup: &Setup,
     options: AppOptions,
     limits: Limits,
 ) -> Result<RunStart, Failure> {
     let unusable = |error: io::Error| Diagnostic::unreadable(spec, &error);
-    let file = match spec {
-        BusSpec::File(path) => bus::open_log(path)?,
-        _ => File::from(io::stdin().as_fd().try_clone_to_owned().map_err(unusable)?),
-    };
     // All of a file is there; lines of anything else arrive as they are written.
     let is_file = file.metadata().is_ok_and(|it| it.is_file());
     let pace = pace.unwrap_or(if is_file { LogPace::AtOnce } else { LogPace::Live });
@@ -165,8 +191,8 @@ async fn open_log(
     };
     let (epoch, start) =
         (first.as_ref().map_or_else(|_| Epoch::default(), LogBatch::epoch), log.start());
-    let options = AppOptions { epoch, file_path: Some(setup.file.clone()), ..options };
-    let store = Some(Store::new(&setup.file));
+    let store = options.file_path.as_deref().map(Store::new);
+    let options = AppOptions { epoch, ..options };
     let mut session = Session::of_log(App::new(start, options), log, setup.config.clone(), store);
     if let Some(recorder) = recorder {
         session.record(recorder);
@@ -189,7 +215,7 @@ async fn first_batch(spec: &BusSpec, log: &mut LogInput) -> io::Result<LogBatch>
 
 /// A log that cannot be read, or that ends before `--from`, is an error.
 fn check_end(input: RunInput<'_>, limits: Limits, end: Option<&InputEnd>) -> Result<(), Failure> {
-    let RunInput::Log(spec, _) = input else { return Ok(()) };
+    let Some(spec) = input.log() else { return Ok(()) };
     match end {
         Some(InputEnd::Failed(error)) => Err(Diagnostic::unreadable(spec, error).into()),
         Some(InputEnd::Log(summary)) => {

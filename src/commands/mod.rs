@@ -4,6 +4,7 @@
 //! the remedy. Does not parse arguments.
 
 mod check;
+mod diff;
 mod gate;
 mod guide;
 mod headless;
@@ -64,6 +65,7 @@ pub fn run(cli: Cli) -> ExitCode {
         Some(Command::Scan(scan)) => scan::run(&scan),
         Some(Command::Check(check)) => check::run(&check),
         Some(Command::Watch(watch)) => watch::run(&watch),
+        Some(Command::Diff(diff)) => diff::run(&diff),
         Some(Command::Sim { bus, scenario, time }) => simulate::run(&bus, &scenario, time),
         Some(Command::Speed(speed)) => speed::run(&speed),
         Some(Command::Completions { shell }) => {

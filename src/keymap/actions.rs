@@ -36,6 +36,10 @@ pub enum KeyMode {
     Conflict,
     /// The help is open.
     Help,
+    /// The list of marks is open.
+    Marks,
+    /// The comparison of two moments is open.
+    Compare,
 }
 
 /// Sections of the help.
@@ -211,6 +215,9 @@ actions! {
         GoTo "go-to" "Go to a moment: a time, -2m, +10s, 50%, a frame" "go to" [":"];
         PreviousFrame "previous-frame" "Freeze at the frame before" "frame" ["<"];
         NextFrame "step" "At the next frame; of a paused log the next frame" "step" [">"];
+        Mark "mark" "Mark the moment that is shown (a, b, c …)" "mark" ["M"];
+        Marks "marks" "List the marks: go to one, remove one" "marks" ["'"];
+        Compare "compare" "Compare with the last mark, or the start" "diff" ["d"];
     }
     Browse File: {
         EditAddress "edit-address" "Edit the static address in the row" "edit address" ["e"];
@@ -240,6 +247,24 @@ actions! {
         HelpFirst "help-first" "First line" "" ["g" "Home"];
         HelpLast "help-last" "Last line" "" ["G" "End"];
         HelpClose "help-close" "Close the help" "close" ["Esc" "?" "q" "Enter" "F1"];
+    }
+    Marks Answer: {
+        MarkUp "mark-up" "Marks: the mark before" "" ["Up"];
+        MarkDown "mark-down" "Marks: the next mark" "" ["Down"];
+        MarkGo "mark-go" "Marks: show its moment" "show moment" ["Enter"];
+        MarkRemove "mark-remove" "Marks: remove it" "remove" ["D" "Delete"];
+        MarksClose "marks-close" "Marks: close the list" "close" ["Esc" "'"];
+    }
+    Compare Answer: {
+        CompareUp "compare-up" "Comparison: up a row" "" ["Up" "k"];
+        CompareDown "compare-down" "Comparison: down a row" "" ["Down" "j"];
+        ComparePageUp "compare-page-up" "Comparison: a screenful up" "" ["PgUp" "Ctrl-b"];
+        ComparePageDown "compare-page-down" "Comparison: a screenful down" "" ["PgDn" "Ctrl-f"];
+        CompareSide "compare-side" "Comparison: choose the moment A or B" "A or B" ["Tab"];
+        CompareEarlier "compare-earlier" "Comparison: move it to the event before" "event before" ["Left" "["];
+        CompareLater "compare-later" "Comparison: move it to the next event" "next event" ["Right" "]"];
+        CompareSelect "compare-select" "Comparison: go to the device of the row" "go to device" ["Enter"];
+        CompareClose "compare-close" "Comparison: close it" "close" ["Esc" "d" "q"];
     }
     Confirm Answer: {
         Yes "yes" "Yes" "yes" ["y"];

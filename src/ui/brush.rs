@@ -142,6 +142,18 @@ impl DrawContext<'_> {
         }
     }
 
+    /// Draws the rule with the title of a panel that takes the place of the page; returns the area
+    /// below it.
+    pub fn panel(&mut self, title: &str) -> Rect {
+        let whole = self.screen.whole;
+        let rule = Rect { height: self.screen.tabs.height, y: self.screen.tabs.y, ..whole };
+        self.rule(rule, Role::BorderFocus);
+        let title = Line::from(self.span(Role::TabActive, title.to_owned()));
+        self.line(Rect { x: 1, width: whole.width.saturating_sub(1), ..rule }, 0, &title);
+        let y = rule.bottom();
+        Rect { y, height: self.screen.footer.y.saturating_sub(y), ..whole }
+    }
+
     /// Lays the style of the selected row over it.
     pub fn select(&mut self, area: Rect, row: u16) {
         if row < area.height {

@@ -28,7 +28,8 @@ pub fn draw(brush: &mut DrawContext) {
         return draw_question(brush, area, &question);
     }
     let mode = brush.app.mode();
-    if let Some(message) = brush.app.message().filter(|_| mode == KeyMode::Browse) {
+    let shows_message = matches!(mode, KeyMode::Browse | KeyMode::Marks | KeyMode::Compare);
+    if let Some(message) = brush.app.message().filter(|_| shows_message) {
         let role = if message.is_error { Role::Error } else { Role::Text };
         return draw_wrapped(brush, area, role, &message.text);
     }
@@ -206,6 +207,10 @@ fn hint_line(brush: &DrawContext, mode: KeyMode, width: usize) -> Vec<Span<'stat
         (KeyMode::Help, ..) => &[A::HelpClose, A::HelpDown],
         (KeyMode::Confirm, ..) => &[A::Yes, A::No],
         (KeyMode::Conflict, ..) => &[A::Ours, A::Theirs, A::Later],
+        (KeyMode::Marks, ..) => &[A::MarkGo, A::MarkRemove, A::MarksClose],
+        (KeyMode::Compare, ..) => {
+            &[A::CompareSide, A::CompareEarlier, A::CompareLater, A::CompareSelect, A::CompareClose]
+        }
         (KeyMode::Browse, Page::Devices, _) => &[
             A::EditAddress,
             A::Add,
@@ -223,9 +228,16 @@ fn hint_line(brush: &DrawContext, mode: KeyMode, width: usize) -> Vec<Span<'stat
         (KeyMode::Browse, Page::Traffic, _) => {
             &[A::Details, A::Filter, A::Freeze, A::Identifiers, A::SaveCapture, A::Rescan]
         }
-        (KeyMode::Browse, Page::Timeline, _) => {
-            &[A::Details, A::Frames, A::Filter, A::Freeze, A::Problem, A::SaveCapture]
-        }
+        (KeyMode::Browse, Page::Timeline, _) => &[
+            A::Details,
+            A::Frames,
+            A::Filter,
+            A::Freeze,
+            A::Problem,
+            A::Mark,
+            A::Compare,
+            A::SaveCapture,
+        ],
         (KeyMode::Browse, Page::Problems, _) => {
             &[A::Details, A::Mute, A::Filter, A::Problem, A::EditAddress, A::Rescan]
         }
@@ -238,9 +250,15 @@ fn hint_line(brush: &DrawContext, mode: KeyMode, width: usize) -> Vec<Span<'stat
     };
     // Where Esc leads back, that comes first; the keys of a log before those of the page.
     let always: &[Action] = match mode {
-        KeyMode::Browse if app.past_moment().is_some() => {
-            &[A::Cancel, A::Freeze, A::PreviousEvent, A::PreviousProblem, A::PreviousFrame]
-        }
+        KeyMode::Browse if app.past_moment().is_some() => &[
+            A::Cancel,
+            A::Freeze,
+            A::PreviousEvent,
+            A::PreviousProblem,
+            A::PreviousFrame,
+            A::Mark,
+            A::Compare,
+        ],
         KeyMode::Browse => &[A::Cancel, A::Pause, A::NextFrame, A::Slower, A::Faster],
         _ => &[],
     };

@@ -15,19 +15,22 @@
 //!  ? help  q quit  e edit address  a add to file  r rescan  / filter  u undo        footer.rs
 //! ```
 //!
-//! The help (`help.rs`) and an edit conflict (`conflict.rs`) take the place of the page. The
-//! regions are computed by [`crate::app::Screen`].
+//! The help (`help.rs`), an edit conflict (`conflict.rs`), the marks (`marks.rs`) and a comparison
+//! (`comparison.rs`) take the place of the page. The regions are computed by
+//! [`crate::app::Screen`].
 //!
 //! Inputs: the app, read only, and a theme. Output: cells, and the limit of the scrolled text. No
 //! state survives a draw. Colours only by [`Role`]. Bytes that devices send arrive here escaped: as
 //! [`crate::text::Name`], or as text made by the app.
 
 mod brush;
+mod comparison;
 mod conflict;
 mod details;
 mod devices;
 mod footer;
 mod help;
+mod marks;
 mod problems;
 mod status;
 mod symbols;
@@ -67,6 +70,8 @@ pub fn draw(app: &App, theme: &Theme, frame: &mut Frame) -> Option<u16> {
     match app.overlay() {
         Overlay::Help(scroll) => help::draw(&mut brush, *scroll),
         Overlay::Conflict => conflict::draw(&mut brush),
+        Overlay::Marks(selected) => marks::draw(&mut brush, *selected),
+        Overlay::Comparison => comparison::draw(&mut brush),
         _ => page(&mut brush),
     }
     footer::draw(&mut brush);

@@ -67,6 +67,10 @@ pub fn draw_latest(brush: &mut DrawContext) {
 
 /// Returns a line: time, sign, bus if there are several, source in `source_width` cells, event.
 fn entry_line(brush: &DrawContext, entry: &TimelineEntry, source_width: usize) -> Line<'static> {
+    let letter = match entry.kind {
+        TimelineKind::Mark(letter) => letter.to_string(),
+        _ => String::new(),
+    };
     let (sign, role) = match entry.kind {
         TimelineKind::Improved => ("+", Role::Online),
         TimelineKind::Change => ("~", Role::Text),
@@ -77,6 +81,7 @@ fn entry_line(brush: &DrawContext, entry: &TimelineEntry, source_width: usize) -
         TimelineKind::Cleared => ("✓", Role::FileOk),
         TimelineKind::Bus | TimelineKind::File => ("·", Role::Text),
         TimelineKind::Error => ("!", Role::Error),
+        TimelineKind::Mark(_) => (&*letter, Role::Match),
     };
     // Only problems, losses and the bus have coloured text.
     let is_plain = matches!(

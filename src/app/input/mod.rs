@@ -11,12 +11,21 @@ mod prompt_kinds;
 mod prompt_logic;
 mod type_ahead;
 
+<<<<<<< HEAD
 pub use filter_prompt::FilterPrompt;
 pub(super) use moment_text::{MomentRange, MomentTarget};
 pub(super) use prompt::PromptResult;
 pub use prompt::{Prompt, PromptKind};
 pub(super) use prompt_kinds::{
     AddressPrompt, CapturePathPrompt, CopyPathPrompt, MomentPrompt, NewEntryPrompt, RenamePrompt,
+=======
+pub(super) use moment_text::{MomentRange, MomentTarget, mark_bit};
+pub(super) use prompt::PromptResult;
+pub use prompt::{Prompt, PromptKind};
+pub(super) use prompt_kinds::{
+    AddressPrompt, CapturePathPrompt, CopyPathPrompt, FilterPrompt, MarkPrompt, MomentPrompt,
+    NewEntryPrompt, RenamePrompt,
+>>>>>>> compare
 };
 pub use prompt_logic::InputCheck;
 pub(super) use prompt_logic::{PromptContext, PromptOutcome};
@@ -55,6 +64,10 @@ pub enum Overlay {
     Prompt(Prompt),
     /// The two values of an edit conflict.
     Conflict,
+    /// The list of marks, with the letter of the selected one.
+    Marks(char),
+    /// The comparison of two moments.
+    Comparison,
 }
 
 /// Keymap, overlay and type-ahead guard.
@@ -95,6 +108,8 @@ impl Input {
             Overlay::Help(_) => KeyMode::Help,
             Overlay::Question(_) => KeyMode::Confirm,
             Overlay::Conflict => KeyMode::Conflict,
+            Overlay::Marks(_) => KeyMode::Marks,
+            Overlay::Comparison => KeyMode::Compare,
         }
     }
 
@@ -181,6 +196,14 @@ impl Input {
         let Overlay::Help(at) = &mut self.overlay else { return false };
         *at = line;
         true
+    }
+
+    /// Letter of the selected mark; `None` unless the list of marks is open.
+    pub fn selected_mark(&self) -> Option<char> {
+        match self.overlay {
+            Overlay::Marks(letter) => Some(letter),
+            _ => None,
+        }
     }
 
     // ---- edit conflicts --------------------------------------------------------------------

@@ -1,4 +1,4 @@
-//! Moments as they are typed: `13:51:20.250`, `-2m`, `+10s`, `50%`, `#5123`.
+//! Moments as they are typed: `13:51:20.250`, `-2m`, `+10s`, `50%`, `#5123`, `a`.
 //!
 //! Pure. Does not know what is shown at a moment.
 
@@ -6,7 +6,7 @@ use crate::app::typed_time::{DAY, parse_duration, parse_time_of_day};
 use crate::time::{Duration, Instant};
 
 /// Forms of a moment, for the prompt.
-pub(super) const FORMS: &str = "13:51:20 or 13:51:20.250, -2m, +10s, 50%, #5123 (frame)";
+pub(super) const FORMS: &str = "13:51:20 or 13:51:20.250, -2m, +10s, 50%, #5123 (frame), a (mark)";
 
 /// Moments that can be shown.
 #[derive(Clone, Copy, Debug)]
@@ -21,6 +21,8 @@ pub(in crate::app) struct MomentRange {
     pub frames: u64,
     /// Time of [`Instant::ZERO`] on the wall clock, in microseconds since 1970-01-01 00:00.
     pub wall_start: i128,
+    /// Letters of the marks, a bit for each.
+    pub marks: u32,
 }
 
 /// A moment to go to.
@@ -29,6 +31,8 @@ pub(in crate::app) enum MomentTarget {
     Time(Instant),
     /// After the frame with this number, counted from 0.
     Frame(u64),
+    /// The mark with this letter.
+    Mark(char),
 }
 
 impl MomentTarget {
@@ -44,6 +48,11 @@ impl MomentTarget {
                 Some(index) if index < range.frames => Ok(Self::Frame(index)),
                 _ => Err(format!("#{number}: there are frames 1 to {}", range.frames)),
             };
+        }
+        if let [letter @ b'a'..=b'z'] = text.as_bytes() {
+            let letter = char::from(*letter);
+            let is_set = range.marks & mark_bit(letter) != 0;
+            return is_set.then_some(Self::Mark(letter)).ok_or(format!("{letter}: not a mark"));
         }
         let (begin, now) = (range.begin, range.now);
         let time = if let Some(percent) = text.strip_suffix('%') {
@@ -85,6 +94,11 @@ impl MomentRange {
     }
 }
 
+/// Returns the bit of a letter in [`MomentRange::marks`]; 0 for any other character.
+pub(in crate::app) fn mark_bit(letter: char) -> u32 {
+    if letter.is_ascii_lowercase() { 1 << (letter as u32 - u32::from(b'a')) } else { 0 }
+}
+
 fn micros(duration: Duration) -> u64 {
     u64::try_from(duration.as_micros()).unwrap_or(u64::MAX)
 }
@@ -101,7 +115,7 @@ mod tests {
     fn range() -> MomentRange {
         let wall_start = 20_000 * DAY - 10_000_000;
         let (begin, now, shown) = (at(5.0), at(40.0), at(30.0));
-        MomentRange { begin, now, shown, frames: 100, wall_start }
+        MomentRange { begin, now, shown, frames: 100, wall_start, marks: mark_bit('c') }
     }
 
     #[test]
@@ -125,6 +139,7 @@ mod tests {
             assert_eq!(time, Ok(MomentTarget::Time(at(expected))), "{text}");
         }
         assert_eq!(MomentTarget::parse("#1", &range()), Ok(MomentTarget::Frame(0)));
+        assert_eq!(MomentTarget::parse("c", &range()), Ok(MomentTarget::Mark('c')));
         assert_eq!(MomentTarget::parse("#100", &range()), Ok(MomentTarget::Frame(99)));
         let mut long = range();
         (long.begin, long.now) = (at(0.0), at(100_000.0));
@@ -149,6 +164,7 @@ mod tests {
             ("101%", "from 0% to 100%"),
             ("-1%", "from 0% to 100%"),
             ("nan%", "from 0% to 100%"),
+            ("a", "a: not a mark"),
         ] {
             let fault = MomentTarget::parse(text, &range()).unwrap_err();
             assert!(fault.contains(said), "{text}: {fault}");
@@ -175,7 +191,8 @@ mod tests {
             "#x",
             "#-1",
             "-s",
-            "a",
+            "A",
+            "cc",
             "-inf",
             "12:00:1e1",
             "１２:00",

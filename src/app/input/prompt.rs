@@ -6,7 +6,12 @@
 
 use super::filter_prompt::FilterPrompt;
 use super::prompt_kinds::{
+<<<<<<< HEAD
     AddressPrompt, CapturePathPrompt, CopyPathPrompt, MomentPrompt, NewEntryPrompt, RenamePrompt,
+=======
+    AddressPrompt, CapturePathPrompt, CopyPathPrompt, FilterPrompt, MarkPrompt, MomentPrompt,
+    NewEntryPrompt, RenamePrompt,
+>>>>>>> compare
 };
 use super::prompt_logic::{EditTarget, InputCheck, PromptContext, PromptLogic, PromptOutcome};
 use crate::keymap::{Key, KeyCode};
@@ -44,6 +49,8 @@ pub enum PromptKind {
     CopyPath(CopyPathPrompt),
     /// Moment to go to.
     Moment(MomentPrompt),
+    /// Text of a mark.
+    Mark(MarkPrompt),
 }
 
 /// Effect of a key in a prompt.
@@ -73,6 +80,7 @@ impl PromptKind {
             PromptKind::CapturePath(prompt) => prompt,
             PromptKind::CopyPath(prompt) => prompt,
             PromptKind::Moment(prompt) => prompt,
+            PromptKind::Mark(prompt) => prompt,
         }
     }
 

@@ -6,6 +6,11 @@
 use super::moment_text::{FORMS, MomentTarget};
 use super::prompt_logic::{EditTarget, InputCheck as C, PromptContext, PromptLogic, PromptOutcome};
 use crate::app::buses::Bus;
+<<<<<<< HEAD
+=======
+use crate::app::filter::Filter;
+use crate::app::history::Moment;
+>>>>>>> compare
 use crate::app::listing::new_entry;
 use crate::app::view::RowKey;
 use crate::discovery::DeviceId;
@@ -479,6 +484,7 @@ impl PromptLogic for MomentPrompt {
         match MomentTarget::parse(text, &context.moments) {
             Ok(MomentTarget::Time(time)) => C::Accepted(context.moments.wall(time)),
             Ok(MomentTarget::Frame(_)) => C::Accepted("after this frame".to_owned()),
+            Ok(MomentTarget::Mark(letter)) => C::Accepted(format!("mark {letter}")),
             Err(fault) => C::Rejected(fault),
         }
     }
@@ -486,6 +492,30 @@ impl PromptLogic for MomentPrompt {
     fn commit(&self, text: &str, context: PromptContext) -> PromptOutcome {
         MomentTarget::parse(text, &context.moments)
             .map_or(PromptOutcome::Nothing, PromptOutcome::GoTo)
+    }
+}
+
+/// Prompt for the text of a mark.
+#[derive(Clone, Copy, Debug)]
+pub struct MarkPrompt {
+    /// Letter of the mark.
+    pub letter: char,
+    /// The moment: that of the key, however long the text takes.
+    pub moment: Moment,
+}
+
+impl PromptLogic for MarkPrompt {
+    fn label(&self) -> &'static str {
+        "mark"
+    }
+
+    fn validate(&self, _text: &str, context: PromptContext) -> C {
+        let (letter, at) = (self.letter, context.moments.wall(self.moment.time));
+        C::Accepted(format!("Enter sets mark {letter} at {at}, with or without a text"))
+    }
+
+    fn commit(&self, text: &str, _context: PromptContext) -> PromptOutcome {
+        PromptOutcome::SetMark(self.moment, text.to_owned())
     }
 }
 

@@ -3,6 +3,7 @@
 use super::moment_text::{MomentRange, MomentTarget};
 use crate::app::buses::Buses;
 use crate::app::file::FileState;
+use crate::app::history::Moment;
 use crate::app::problems::Matching;
 use crate::app::view::Page;
 use crate::document::{NewEntry, Operation};
@@ -55,6 +56,8 @@ pub(in crate::app) enum PromptOutcome {
     SaveCopy(PathBuf),
     /// Show a moment.
     GoTo(MomentTarget),
+    /// Mark a moment, with a text.
+    SetMark(Moment, String),
 }
 
 /// What committing a prompt edits.

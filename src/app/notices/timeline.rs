@@ -94,6 +94,32 @@ impl Timeline {
         self.entries.push_back(entry);
     }
 
+    /// Inserts a line at its time, before the first later one: those get the next numbers. Returns the
+    /// number of the line.
+    pub fn insert(&mut self, mut entry: TimelineEntry) -> u64 {
+        if self.entries.len() == Self::ENTRIES {
+            self.entries.pop_front();
+        }
+        let later = self.entries.iter().position(|other| other.time > entry.time);
+        let at = later.unwrap_or(self.entries.len());
+        let number = self.entries.get(at).map_or(self.next, |other| other.number);
+        for other in self.entries.iter_mut().skip(at) {
+            other.number += 1;
+        }
+        self.next += 1;
+        if self.held > number {
+            self.held += 1;
+        }
+        entry.number = number;
+        self.entries.insert(at, entry);
+        number
+    }
+
+    /// Removes the line of the mark with this letter.
+    pub fn remove_mark(&mut self, letter: char) {
+        self.entries.retain(|entry| entry.kind != TimelineKind::Mark(letter));
+    }
+
     /// Joins an entry with a line of the same device and time: `join` returns the new text for the
     /// two texts, or `None` for no match. If the new text does not begin with the old one, the line
     /// gets the kind of the entry and moves to the end. Returns the old text and the changed line;

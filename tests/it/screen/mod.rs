@@ -1,12 +1,14 @@
 //! Screen tests: keys and simulated buses as input, screens as output; one module for each page.
 
 mod buses;
+mod comparison;
 mod conflict;
 mod devices;
 mod file;
 mod help;
 mod input;
 mod keys;
+mod marks;
 mod problems;
 mod timeline;
 mod traffic;
