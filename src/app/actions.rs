@@ -31,6 +31,7 @@ impl App {
             Action::Traffic => self.show_page(Page::Traffic),
             Action::Timeline => self.show_page(Page::Timeline),
             Action::Problems => self.show_page(Page::Problems),
+            Action::Bus => self.show_page(Page::Bus),
             Action::Frames => self.go_to_frames_of_selection(),
             Action::Filter => self.ask_filter(),
             Action::Sort => self.sort_by_next(),

@@ -158,6 +158,7 @@ const fn rows_of(page: Page) -> &'static str {
         Page::Traffic => "frames",
         Page::Timeline => "events",
         Page::Problems => "problems",
+        Page::Bus => "bars",
     }
 }
 
@@ -272,6 +273,7 @@ impl Filter {
             Page::Traffic => "words; src: dst: srv: type: at: id: bus:  err  tx  !not",
             Page::Timeline => "words; at: name: bus: kind: text: is:suspected  err  !not",
             Page::Problems => "words; kind: is:suspected at: name: bus: text:  !not",
+            Page::Bus => "",
         }
     }
 

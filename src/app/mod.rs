@@ -39,6 +39,7 @@ mod filter;
 mod history;
 mod input;
 mod listing;
+mod load_bars;
 mod navigate;
 mod notices;
 mod past;
@@ -47,7 +48,10 @@ mod timeline_kind;
 mod view;
 
 pub use app_event::{AppEvent, BusSnapshot, DeviceEvent, EventContext, EventLine, FileSnapshot};
-pub use buses::{Bus, Buses, LoadMeter, LoadSecond, Redundancy, RedundantDevice, TxBlocked};
+pub use buses::{
+    Bus, Buses, ErrorKinds, LoadHistory, LoadMeter, LoadSample, LoadSecond, LoadShares, Redundancy,
+    RedundantDevice, ShareCounts, TxBlocked,
+};
 pub use capture::{
     CapturedLog, Decoded, FrameStore, IdentifierKey, IdentifierKind, IdentifierStats, Identifiers,
     StoredFrames,
@@ -58,6 +62,7 @@ pub use filter::{FILTER_FIELDS, FILTER_WORDS, Filter, FilterField};
 pub use history::{BusesReplay, FRAMES_PER_ROOM, Moment, RecordedBuses};
 pub use input::{InputCheck, Overlay, Prompt, PromptKind, Question};
 pub use listing::{addition_refusal, same_services};
+pub use load_bars::{LoadBar, bar_lines};
 pub use navigate::{Mouse, MouseKind};
 pub use notices::{
     StatusMessage, Timeline, TimelineEntry, event_word, whose_other_services, whose_services,
@@ -67,8 +72,8 @@ pub use problems::{
 };
 pub use timeline_kind::TimelineKind;
 pub use view::{
-    Counts, EvidenceView, FileStatus, Focus, Frozen, Page, Row, RowKey, RowState, SPLIT_WIDTH,
-    Screen, Selection, SortBy, View,
+    BarKey, BusPageLayout, BusRegions, ChartSpan, Counts, EvidenceView, FileStatus, Focus, Frozen,
+    Page, Row, RowKey, RowState, SPLIT_WIDTH, Screen, Selection, SortBy, View,
 };
 
 use crate::bitrate::{SearchOutcome, SearchProgress};
@@ -1115,6 +1120,7 @@ impl App {
         self.refresh_problems();
         if self.view.has_screen {
             self.settle_problems();
+            self.settle_bars();
             self.refresh_rows();
         }
     }

@@ -79,6 +79,8 @@ impl App {
             if let Some((page, ..)) = hit {
                 self.show_page(page);
             }
+        } else if self.view.page == Page::Bus {
+            self.click_bar(Position::new(mouse.column, mouse.row));
         } else if mouse.is_in(screen.list) {
             self.view.focus = Focus::List;
             self.click_row(usize::from(mouse.row - screen.list.y));
@@ -103,6 +105,7 @@ impl App {
                 self.view.hold_timeline(&keys, height);
                 self.view.timeline.click(&keys, line, height);
             }
+            Page::Bus => {}
             Page::Traffic if self.view.evidence_alone().is_some() => {
                 self.view.click_evidence(line, height);
             }
@@ -176,6 +179,7 @@ impl App {
                     self.view.timeline.follow_newest();
                 }
             }
+            Page::Bus => self.move_in_bars(delta),
             Page::Traffic if self.view.evidence_alone().is_some() => {
                 self.view.move_in_evidence(delta, height);
             }
@@ -197,6 +201,7 @@ impl App {
     pub(super) fn show_page(&mut self, page: Page) {
         self.view.open_page(page);
         self.filter_frames();
+        self.settle_bars();
         self.notices.redraw.set_dirty();
     }
 
@@ -212,6 +217,7 @@ impl App {
     pub(super) fn open_details(&mut self) {
         match self.view.page {
             Page::Timeline => self.go_to_line(),
+            Page::Bus => self.open_bar(),
             Page::Problems if self.screen().details.height > 0 => self.open_evidence(),
             Page::Traffic if self.view.evidence.is_some() => self.toggle_around(),
             Page::Traffic if self.view.shows_identifiers() => {}
@@ -288,6 +294,7 @@ impl App {
             }
             Page::Timeline => self.go_to_frames(),
             Page::Problems => self.open_evidence(),
+            Page::Bus => self.go_to_frames_of_bar(),
             Page::Traffic => self.show_error("these are the frames"),
         }
     }
@@ -331,21 +338,26 @@ impl App {
 
     /// Shows Traffic as frames, or as one row per identifier.
     pub(super) fn toggle_identifiers(&mut self) {
-        if self.view.page == Page::Traffic {
+        if self.view.page == Page::Bus {
+            self.next_chart_span();
+        } else if self.view.page == Page::Traffic {
             self.view.close_evidence();
             self.view.by_identifier = !self.view.by_identifier;
             self.filter_frames();
             let (keys, height) = (self.identifier_keys(), self.list_height());
             self.view.identifiers.update(&keys, height);
         } else {
-            self.show_error("identifier view works on the Traffic page");
+            self.show_error("view works on the pages Traffic and Bus");
         }
     }
 
     /// Opens the prompt for the filter of the page.
     pub(super) fn ask_filter(&mut self) {
-        self.view.close_evidence();
         let page = self.view.page;
+        if page == Page::Bus {
+            return self.show_error("filter: the Bus page has no rows to filter");
+        }
+        self.view.close_evidence();
         let before = self.view.filter(page).to_owned();
         let prompt = FilterPrompt { page, before: before.clone() };
         self.open_prompt(PromptKind::Filter(prompt), before);
@@ -421,6 +433,7 @@ impl App {
                     format!("{} {}", super::format_time_of_day(self, line.time), line.text)
                 })
             }
+            Page::Bus => self.bar_text(),
             Page::Traffic => match self.view.evidence_alone().and_then(EvidenceView::selected) {
                 Some((_, piece)) => Some(self.evidence_text(piece)),
                 None => self.selected_frame().map(|frame| frame.to_string()),
@@ -486,6 +499,7 @@ impl App {
                 let line = number.and_then(|&number| self.timeline().get(number));
                 line.map_or((None, None, None), |line| (line.bus, line.address, line.name.clone()))
             }
+            Page::Bus => self.bar_subject(),
             Page::Traffic => {
                 let frame = self.selected_frame();
                 let source = frame.and_then(|frame| Decoded::of(self, &frame).header);
@@ -502,7 +516,7 @@ impl App {
 
     /// Goes to the row of the selection on Devices; returns true if there is one, else shows the
     /// error `otherwise`.
-    fn find_row(&mut self, otherwise: &str) -> bool {
+    pub(super) fn find_row(&mut self, otherwise: &str) -> bool {
         let (bus, address, name) = self.subject();
         let problem = self.selected_problem().filter(|_| self.view.page == Page::Problems);
         let entry = problem.and_then(|problem| self.shown_problems().entry_of(&problem.head().key));

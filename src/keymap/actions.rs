@@ -175,9 +175,10 @@ actions! {
         Traffic "traffic" "Page 2: traffic" "" ["2"];
         Timeline "timeline" "Page 3: timeline" "" ["3"];
         Problems "problems" "Page 4: problems" "" ["4"];
+        Bus "bus" "Page 5: load and state of the buses" "" ["5"];
         Filter "filter" "Filter rows" "filter" ["/"];
         Sort "sort" "Sort by next column" "sort" ["s"];
-        Identifiers "identifiers" "Traffic: frames, or one row per identifier" "identifiers" ["v"];
+        Identifiers "identifiers" "Traffic: identifiers; Bus: time shown" "identifiers" ["v"];
         Problem "problem" "Jump between device and problem" "problem" ["p"];
         Mute "mute" "Mute or unmute a problem until descan quits" "mute" ["m"];
         Copy "copy" "Copy the selected row to the clipboard" "" ["y"];

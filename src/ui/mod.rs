@@ -23,6 +23,8 @@
 //! [`crate::text::Name`], or as text made by the app.
 
 mod brush;
+mod bus;
+mod chart;
 mod conflict;
 mod details;
 mod devices;
@@ -100,5 +102,6 @@ fn page(brush: &mut DrawContext) {
         Page::Traffic => traffic::draw(brush),
         Page::Timeline => timeline::draw(brush),
         Page::Problems => problems::draw(brush),
+        Page::Bus => bus::draw(brush),
     }
 }

@@ -1,7 +1,11 @@
-//! Frames and bus time in each of the last 30 seconds.
+//! Frames and bus time of a bus: in each of the last 30 seconds, over all its time, by sender and
+//! service; error frames by kind.
 //!
 //! Input: the frames of one bus. Output: frame rate and bus load. Does not know the adapter.
 
+use super::error_kinds::ErrorKinds;
+use super::load_history::LoadHistory;
+use super::load_shares::LoadShares;
 use crate::error_report::ErrorReport;
 use crate::frame::bits::FrameBits;
 use crate::frame::{Frame, FrameKind};
@@ -16,6 +20,12 @@ pub struct LoadMeter {
     past: VecDeque<LoadSecond>,
     started: Instant,
     bits: u64,
+    /// Seconds, of the last minutes and of all time.
+    pub history: LoadHistory,
+    /// Bus time by sender and by service.
+    pub shares: LoadShares,
+    /// Error frames by kind.
+    pub error_kinds: ErrorKinds,
 }
 
 /// Counts of one second.
@@ -39,7 +49,16 @@ impl LoadMeter {
     pub(super) fn new(now: Instant) -> Self {
         let second = now.as_micros() / 1_000_000;
         let past = VecDeque::with_capacity(Self::SECONDS);
-        Self { second, current: LoadSecond::default(), past, started: now, bits: 0 }
+        Self {
+            second,
+            current: LoadSecond::default(),
+            past,
+            started: now,
+            bits: 0,
+            history: LoadHistory::new(second),
+            shares: LoadShares::new(second),
+            error_kinds: ErrorKinds::default(),
+        }
     }
 
     /// Counts a frame. `bitrate` and `data_bitrate` in bit/s; without a data bit rate the nominal
@@ -47,7 +66,9 @@ impl LoadMeter {
     pub fn add(&mut self, frame: &Frame, bitrate: u32, data_bitrate: Option<u32>) {
         self.current.frames += 1;
         let bits = if frame.kind == FrameKind::Error {
-            let is_broken = ErrorReport::of(frame).is_some_and(|report| report.is_bus_error());
+            let report = ErrorReport::of(frame);
+            let is_broken = report.is_some_and(|report| report.is_bus_error());
+            self.error_kinds.add(report);
             self.current.errors += 1;
             self.current.bus_errors += u32::from(is_broken);
             if is_broken { BROKEN_FRAME_BITS } else { 0 }
@@ -56,14 +77,18 @@ impl LoadMeter {
         };
         self.current.bits += bits;
         self.bits += bits;
+        self.shares.add(frame, bits);
     }
 
-    /// Closes the seconds that are over; returns true if there were any.
-    pub fn advance(&mut self, now: Instant) -> bool {
+    /// Closes the seconds that are over; returns true if there were any. With `is_known` false no
+    /// frames could be received in them.
+    pub fn advance(&mut self, now: Instant, is_known: bool) -> bool {
         let second = now.as_micros() / 1_000_000;
         if second <= self.second {
             return false;
         }
+        self.history.add(self.current, second - self.second - 1, is_known);
+        self.shares.advance(second);
         let over = (second - self.second).min(Self::SECONDS as u64 + 1);
         self.second = second;
         for _ in 0..over {
@@ -89,6 +114,11 @@ impl LoadMeter {
     /// Counts of the last whole seconds, oldest first.
     pub fn seconds(&self) -> impl DoubleEndedIterator<Item = &LoadSecond> + ExactSizeIterator {
         self.past.iter()
+    }
+
+    /// Size in bytes, as of a copy.
+    pub(super) fn size(&self) -> usize {
+        self.history.size() + LoadShares::size()
     }
 
     /// Returns true if no frame was counted in the stored seconds.

@@ -5,12 +5,18 @@
 //! names. Does not know des.json, the timeline or the screen.
 
 mod bus;
+mod error_kinds;
+mod load_history;
 mod load_meter;
+mod load_shares;
 mod redundancy;
 mod status_changes;
 
 pub use bus::{Bus, TxBlocked};
+pub use error_kinds::ErrorKinds;
+pub use load_history::{LoadHistory, LoadSample};
 pub use load_meter::{LoadMeter, LoadSecond};
+pub use load_shares::{LoadShares, ShareCounts};
 pub use redundancy::{Redundancy, RedundantDevice};
 
 use super::timeline_kind::TimelineKind;
@@ -336,7 +342,8 @@ impl Buses {
     /// Closes the load seconds that are over; a log that ended keeps its last ones.
     pub(super) fn tick(&mut self, now: Instant) {
         for bus in self.list.iter_mut().filter(|bus| bus.ended.is_none()) {
-            bus.meter.advance(now);
+            let is_known = bus.is_up();
+            bus.meter.advance(now, is_known);
         }
     }
 

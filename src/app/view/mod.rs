@@ -4,12 +4,14 @@
 //! Inputs: keys of rows, the size of the screen. Does not know the content of rows, or how they
 //! are drawn.
 
+mod bus_page;
 mod cursor;
 mod evidence;
 mod page;
 mod rows;
 mod screen;
 
+pub use bus_page::{BarKey, BusPageLayout, BusRegions, ChartSpan};
 pub use cursor::Selection;
 pub use evidence::EvidenceView;
 pub use page::{Focus, Frozen, Page};
@@ -46,6 +48,10 @@ pub struct View {
     pub problems: Selection<ProblemKey>,
     /// Number of the selected timeline line; none while the newest are followed.
     pub timeline: Selection<u64>,
+    /// Selected bar of the Bus page.
+    pub bars: Selection<BarKey>,
+    /// Time that the charts of the Bus page show.
+    pub chart_span: ChartSpan,
     /// Selection of the identifier view.
     pub identifiers: Selection<IdentifierKey>,
     /// Number of the selected frame; `None` while the newest are followed.
@@ -54,7 +60,7 @@ pub struct View {
     pub traffic_line: usize,
     /// Evidence that Traffic shows.
     pub evidence: Option<EvidenceView>,
-    pub(in crate::app) filters: [String; 4],
+    pub(in crate::app) filters: [String; 5],
     /// The size of the screen is known; without a screen nothing waits for drawing.
     pub(in crate::app) has_screen: bool,
 }
@@ -66,7 +72,7 @@ impl View {
             Page::Devices | Page::Problems => true,
             Page::Traffic if self.evidence.is_some() => true,
             Page::Traffic => self.frame_details && !self.by_identifier,
-            Page::Timeline => false,
+            Page::Timeline | Page::Bus => false,
         }
     }
 

@@ -12,11 +12,14 @@ pub enum Page {
     Timeline,
     /// Problems with their evidence.
     Problems,
+    /// Load and state of the buses.
+    Bus,
 }
 
 impl Page {
     /// All pages, by number.
-    pub const ALL: [Page; 4] = [Page::Devices, Page::Traffic, Page::Timeline, Page::Problems];
+    pub const ALL: [Page; 5] =
+        [Page::Devices, Page::Traffic, Page::Timeline, Page::Problems, Page::Bus];
 
     /// Title of the page.
     pub const fn title(self) -> &'static str {
@@ -25,6 +28,7 @@ impl Page {
             Page::Traffic => "Traffic",
             Page::Timeline => "Timeline",
             Page::Problems => "Problems",
+            Page::Bus => "Bus",
         }
     }
 
