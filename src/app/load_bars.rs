@@ -72,9 +72,12 @@ impl Bus {
     }
 }
 
-/// Number of lines for bars in an area with a heading and so many other lines below them.
-pub fn bar_lines(area: Rect, others: usize) -> usize {
-    usize::from(area.height.saturating_sub(1)).saturating_sub(others).max(1)
+/// Returns the number of lines for bars in an area with a heading, and for `others` below them, at
+/// most a third: the first ones yield.
+pub fn bar_lines(area: Rect, others: usize) -> (usize, usize) {
+    let lines = usize::from(area.height.saturating_sub(1));
+    let others = others.min(lines / 3);
+    (lines - others, others)
 }
 
 impl App {
@@ -149,7 +152,7 @@ impl App {
                 (regions.services, bus.service_bars(index), 0),
             ] {
                 let line = usize::from(place.y.saturating_sub(area.y));
-                let lines = bar_lines(area, others);
+                let (lines, _) = bar_lines(area, others);
                 if area.contains(place) && (1..=lines).contains(&line) {
                     let window = self.bars_window(&bars, lines);
                     clicked = bars[window].get(line - 1).map(|bar| bar.key);

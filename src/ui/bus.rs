@@ -1,5 +1,6 @@
 //! Page 5, Bus: for each bus its state and counters, charts of load, error rate and frame rate,
-//! the bus time by device and by service, error kinds; and what happened to the buses.
+//! the bus time by device and by service, error kinds; and what happened to the buses. A sample of
+//! several seconds is that of its busiest second.
 
 use super::brush::{DrawContext, bus_label, fit, fit_right};
 use super::chart::{bar, chart_rows, grouped, rounded, scale_top};
@@ -24,8 +25,8 @@ const SCALE: u16 = 6;
 const TICK: usize = 16;
 /// Most cells of a label of a bar.
 const LABEL: usize = 18;
-/// Cells of a share: `100.0 %`.
-const SHARE: usize = 7;
+/// Cells of a share with a blank in front: ` 100.0 %`.
+const SHARE: usize = 8;
 
 /// Draws the page.
 pub fn draw(brush: &mut DrawContext) {
@@ -38,7 +39,12 @@ pub fn draw(brush: &mut DrawContext) {
         let shown = BusView { index, bus, regions, label: label(brush, index) };
         draw_facts(brush, &shown);
         draw_charts(brush, &shown, axis);
-        draw_kinds(brush, &shown, page.kinds_heading.height == 0 && regions.errors.height == 0);
+        draw_kinds(
+            brush,
+            &shown,
+            axis,
+            page.kinds_heading.height == 0 && regions.errors.height == 0,
+        );
         draw_bars(brush, &shown);
     }
     draw_axis(brush, page.axis, axis);
@@ -66,7 +72,7 @@ impl BusView<'_> {
 /// Returns the name of a bus where there are several.
 fn label(brush: &DrawContext, index: BusIndex) -> String {
     let several = brush.app.buses().len() > 1;
-    if several { bus_label(brush.app, index, 12) } else { String::new() }
+    if several { bus_label(brush.app, index, 8) } else { String::new() }
 }
 
 /// Draws the spans of time and their key into the rule of the page names.
@@ -255,7 +261,7 @@ impl ChartAxis {
 struct LoadChart {
     area: Rect,
     title: String,
-    /// Unit behind the rates of the heading.
+    /// In the last second.
     now: Option<f64>,
     average: fn(&LoadSample, u32) -> Option<f64>,
     most: fn(&LoadSample, u32) -> f64,
@@ -328,7 +334,9 @@ fn draw_chart(brush: &mut DrawContext, shown: &BusView, axis: ChartAxis, chart: 
     let mut values = Vec::new();
     let mut at = first;
     while at < axis.end {
-        values.push((chart.average)(&history.sample(at, at + axis.step), rate));
+        let sample = history.sample(at, at + axis.step);
+        // Of several seconds the busiest one: a burst must not vanish in a long time.
+        values.push((chart.average)(&sample, rate).map(|_| (chart.most)(&sample, rate)));
         at += axis.step;
     }
     let top = scale_top(values.iter().flatten().copied().fold(0.0, f64::max), chart.least);
@@ -385,7 +393,11 @@ fn draw_axis(brush: &mut DrawContext, area: Rect, axis: ChartAxis) {
 
 fn draw_bars(brush: &mut DrawContext, shown: &BusView) {
     let (bus, index) = (shown.bus, shown.index);
-    let what = if bus.lacks_bit_rate() { "frames" } else { "load" };
+    let what = match (bus.lacks_bit_rate(), bus.status.bitrate) {
+        (true, _) => "frames",
+        (_, None) => "load ≈",
+        _ => "load",
+    };
     let others = bus.other_shares();
     let regions = shown.regions;
     let title = shown.titled(&format!("{what} by device"));
@@ -407,7 +419,11 @@ fn draw_bar_list(
         return;
     }
     let seconds = bus.meter.shares.latest().seconds;
-    let since = if seconds > 0 { format!("last {seconds} s") } else { String::new() };
+    let (lines, other_lines) = bar_lines(area, others.len());
+    let mut since = if seconds > 0 { format!("last {seconds} s") } else { String::new() };
+    if bars.len() > lines {
+        since = format!("{since}  {lines} of {}", bars.len());
+    }
     heading(brush, Rect { height: 1, ..area }, title, &since);
     let below = Rect { y: area.y + 1, height: area.height - 1, ..area };
     if bars.is_empty() {
@@ -422,7 +438,7 @@ fn draw_bar_list(
     let label_width = longest.min(LABEL).min(room.saturating_sub(4));
     let bar_width = room.saturating_sub(label_width + 1);
     let most = bars.first().map_or(1.0, |bar| bar.share).max(f64::MIN_POSITIVE);
-    let window = brush.app.bars_window(bars, bar_lines(area, others.len()));
+    let window = brush.app.bars_window(bars, lines);
     let mut row = 0;
     let line_of =
         |brush: &DrawContext, pointer: &str, label: &str, role: Role, share: f64, full: f64| {
@@ -445,7 +461,7 @@ fn draw_bar_list(
         row += 1;
     }
     row = row.max(u16::from(bars.is_empty()));
-    for (word, share) in others {
+    for (word, share) in &others[others.len() - other_lines..] {
         let full = if *word == "free" { 0.0 } else { share / most };
         let line = line_of(brush, " ", word, Role::Muted, *share, full);
         brush.line(below, row, &line);
@@ -456,7 +472,7 @@ fn draw_bar_list(
 // ---- errors and events ---------------------------------------------------------------------
 
 /// Draws the errors by kind; in place of their chart also the rate.
-fn draw_kinds(brush: &mut DrawContext, shown: &BusView, with_rate: bool) {
+fn draw_kinds(brush: &mut DrawContext, shown: &BusView, axis: ChartAxis, with_rate: bool) {
     let area = shown.regions.kinds;
     if area.height == 0 {
         return;
@@ -466,11 +482,15 @@ fn draw_kinds(brush: &mut DrawContext, shown: &BusView, with_rate: bool) {
         spans.push(brush.span(Role::Title, format!("{}  ", shown.label)));
     }
     if with_rate {
-        let last = shown.bus.meter.last().errors;
-        let role = if last > 0 { Role::Warning } else { Role::Text };
-        spans.push(brush.span(Role::Muted, "errors "));
-        spans.push(brush.span(role, format!("{}/s", grouped(u64::from(last)))));
-        spans.push(Span::raw("   "));
+        let history = &shown.bus.meter.history;
+        let most = history.sample(axis.start(), history.end()).most_errors;
+        for (word, rate) in [("errors", shown.bus.meter.last().errors), ("max", most)] {
+            let role = if rate > 0 { Role::Warning } else { Role::Text };
+            spans.push(brush.span(Role::Muted, format!("{word} ")));
+            spans.push(brush.span(role, format!("{}/s", grouped(u64::from(rate)))));
+            spans.push(Span::raw("  "));
+        }
+        spans.push(Span::raw(" "));
     }
     for (at, (word, count)) in shown.bus.meter.error_kinds.words().into_iter().enumerate() {
         let gap = if at > 0 { "  " } else { "" };
@@ -506,12 +526,17 @@ fn heading(brush: &mut DrawContext, area: Rect, title: &str, numbers: &str) {
         return;
     }
     brush.rule(area, Role::Border);
-    let mut spans = vec![brush.span(Role::Title, format!(" {title} "))];
-    if !numbers.is_empty() {
-        spans.push(brush.span(Role::Muted, format!("  {numbers} ")));
+    let mut line = Line::from(brush.span(Role::Title, format!(" {title} ")));
+    let width = area.width - 2;
+    // Numbers that do not fit are left out: the last ones first.
+    let mut numbers = numbers;
+    while !numbers.is_empty() && line.width() + numbers.width() + 3 > usize::from(width) {
+        numbers = numbers.rfind("  ").map_or("", |at| &numbers[..at]);
     }
-    let line = Line::from(spans);
-    brush.line(Rect { x: area.x + 1, width: area.width - 2, ..area }, 0, &line);
+    if !numbers.is_empty() {
+        line.push_span(brush.span(Role::Muted, format!("  {numbers} ")));
+    }
+    brush.line(Rect { x: area.x + 1, width, ..area }, 0, &line);
 }
 
 /// Draws the line between charts and bars, and its corners in the headings beside it.

@@ -126,6 +126,8 @@ const BESIDE: u16 = 100;
 const BOTH_BESIDE: u16 = 160;
 /// Least width with two lists of bars beside each other below the charts.
 const TWO_LISTS: u16 = 60;
+/// Least width in which all facts of a bus fit on one line.
+const ONE_LINE: u16 = 190;
 /// Least lines of a bus: heading, two lines of a chart.
 const LEAST_CHART: u16 = 3;
 
@@ -180,6 +182,7 @@ fn narrow(area: Rect, buses: usize, selected: usize) -> BusPageLayout {
     }
     let events = match height {
         0..18 => 0,
+        ..24 if count > 1 => 0,
         _ => ((height - 18) / 6 + 2).min(7),
     };
     let kinds = u16::from(height >= 12 && count == 1);
@@ -223,7 +226,7 @@ fn wide(area: Rect, buses: usize, selected: usize) -> BusPageLayout {
     let mut left = area;
     let facts = match height {
         0..8 => 0,
-        _ if count == 1 => 2,
+        _ if count == 1 && area.width < ONE_LINE => 2,
         _ => 1,
     };
     for bus in &mut page.buses {
@@ -246,7 +249,7 @@ fn wide(area: Rect, buses: usize, selected: usize) -> BusPageLayout {
         let (errors, frames) = match own.height {
             0..7 => (0, 0),
             7..16 => (((own.height - 2) / 3 + 1).min(4), 0),
-            lines => ((lines - 3) / 4 + 1, (lines - 3) / 4 + 1),
+            lines => ((lines - 3) / 6 + 1, (lines - 3) / 4 + 1),
         };
         bus.load = take(&mut own, each.saturating_sub(errors + frames).max(1));
         bus.errors = take(&mut own, errors);
