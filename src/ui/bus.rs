@@ -6,7 +6,7 @@ use super::brush::{DrawContext, bus_label, fit, fit_right};
 use super::chart::{bar, chart_rows, grouped, rounded, scale_top};
 use super::timeline::entry_line;
 use crate::app::{
-    Bus, BusPageLayout, BusRegions, ChartSpan, LoadBar, LoadSample, Page, bar_lines,
+    Bus, BusPageLayout, BusRegions, ChartSpan, LoadBar, LoadHistory, LoadSample, Page, bar_lines,
     format_time_of_day,
 };
 use crate::discovery::OwnAddress;
@@ -245,8 +245,8 @@ impl ChartAxis {
         let width = page.buses.first().map_or(0, |bus| bus.load.width);
         let cells = u64::from(width.saturating_sub(SCALE + 1));
         let histories = brush.app.buses().iter().map(|bus| &bus.meter.history);
-        let longest = histories.clone().map(|history| history.len()).max().unwrap_or(0);
-        let end = histories.map(|history| history.end()).max().unwrap_or(0);
+        let longest = histories.clone().map(LoadHistory::len).max().unwrap_or(0);
+        let end = histories.map(LoadHistory::end).max().unwrap_or(0);
         let step = brush.app.chart_span().seconds_per_sample(cells * 2, longest);
         Self { cells, step, end: end / (2 * step) * (2 * step) }
     }
@@ -376,7 +376,8 @@ fn draw_axis(brush: &mut DrawContext, area: Rect, axis: ChartAxis) {
     while cell + 10 < end {
         text.push_str(&" ".repeat(cell - text.width()));
         if let Some(time) = time(cell as u64) {
-            text.push_str(&format!("╷{time}"));
+            text.push('╷');
+            text.push_str(&time);
         }
         cell += TICK;
     }

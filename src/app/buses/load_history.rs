@@ -4,7 +4,7 @@
 //! Input: the counts of each second. Output: samples of any number of seconds. Bounded: 2,048
 //! samples. Does not know the bit rate.
 
-use super::load_meter::LoadSecond;
+use super::load_second::LoadSecond;
 use std::collections::VecDeque;
 
 /// Counts of some consecutive seconds.

@@ -5,6 +5,7 @@
 
 use super::error_kinds::ErrorKinds;
 use super::load_history::LoadHistory;
+use super::load_second::LoadSecond;
 use super::load_shares::LoadShares;
 use crate::error_report::ErrorReport;
 use crate::frame::bits::FrameBits;
@@ -26,19 +27,6 @@ pub struct LoadMeter {
     pub shares: LoadShares,
     /// Error frames by kind.
     pub error_kinds: ErrorKinds,
-}
-
-/// Counts of one second.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct LoadSecond {
-    /// Frames, error frames included.
-    pub frames: u32,
-    /// Error frames among them.
-    pub errors: u32,
-    /// Error frames that report a bus error (ISO 11898-1).
-    pub bus_errors: u32,
-    /// Time during which the bus was occupied, in nominal bit times.
-    pub bits: u64,
 }
 
 impl LoadMeter {
@@ -124,13 +112,6 @@ impl LoadMeter {
     /// Returns true if no frame was counted in the stored seconds.
     pub fn is_idle(&self) -> bool {
         self.current.frames == 0 && self.past.iter().all(|second| second.frames == 0)
-    }
-}
-
-impl LoadSecond {
-    /// Bus load, 0–1; `bitrate` in bit/s.
-    pub fn load(self, bitrate: u32) -> f64 {
-        (self.bits as f64 / f64::from(bitrate.max(1))).min(1.0)
     }
 }
 

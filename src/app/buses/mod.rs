@@ -8,6 +8,7 @@ mod bus;
 mod error_kinds;
 mod load_history;
 mod load_meter;
+mod load_second;
 mod load_shares;
 mod redundancy;
 mod status_changes;
@@ -15,7 +16,8 @@ mod status_changes;
 pub use bus::{Bus, TxBlocked};
 pub use error_kinds::ErrorKinds;
 pub use load_history::{LoadHistory, LoadSample};
-pub use load_meter::{LoadMeter, LoadSecond};
+pub use load_meter::LoadMeter;
+pub use load_second::LoadSecond;
 pub use load_shares::{LoadShares, ShareCounts};
 pub use redundancy::{Redundancy, RedundantDevice};
 
