@@ -358,6 +358,24 @@ fn two_buses_share_an_axis() {
     assert!(screen.contains("can0: load, %") && screen.contains("can1: load, %"), "{screen}");
 }
 
+#[test]
+fn status_chart_is_scaled_by_the_last_minute() {
+    let feed = frame(10, 0x101);
+    let percent = |count: f64| bits(&feed) * count / 1250.0;
+    let mut bench = Bench::new();
+    let status = |bench: &mut Bench| bench.screen(100, 24).lines().next().unwrap().to_owned();
+    bench.second(&vec![feed; 60]).seconds(30, &vec![feed; 20]);
+    let (least, most) = (percent(20.0).floor(), percent(60.0).ceil());
+    let scale = format!("{least}–{most}%");
+    assert!(status(&mut bench).contains(&scale), "{scale}: {}", status(&mut bench));
+    // The burst is out of the chart, but less than a minute ago.
+    bench.seconds(29, &vec![feed; 20]);
+    assert!(status(&mut bench).contains(&scale), "{scale}: {}", status(&mut bench));
+    bench.second(&vec![feed; 20]);
+    let scale = format!("⣀ {least}–{}%", least + 3.0);
+    assert!(status(&mut bench).contains(&scale), "{scale}: {}", status(&mut bench));
+}
+
 /// Returns about how many bytes a terminal gets for the changes from one screen to the next: the
 /// changed cells, and a cursor movement for each run of them.
 fn bytes_between(before: &Buffer, after: &Buffer) -> usize {
