@@ -183,8 +183,7 @@ impl App {
     pub(super) fn open_bar(&mut self) {
         match self.selected_bar() {
             Some(BarKey::Sender(bus, address)) => {
-                let own = self.buses()[usize::from(bus.0)].own_address();
-                let is_own = own == crate::discovery::OwnAddress::Held(address);
+                let is_own = self.is_own_address(bus, address);
                 let why =
                     if is_own { "address of descan: no row" } else { "no row for this address" };
                 self.find_row(why);

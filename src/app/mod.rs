@@ -1074,6 +1074,10 @@ impl App {
 
     /// Returns true if nothing on the screen changes with time.
     fn is_idle(&self) -> bool {
+        // The axis of the charts moves.
+        if self.view.page == Page::Bus && self.buses.iter().any(|bus| bus.ended.is_none()) {
+            return false;
+        }
         // The most expensive test comes last: this is called in every turn of the event loop.
         let waits = || (0..self.buses.len()).any(|at| !self.is_search_complete(BusIndex(at as u8)));
         self.buses.is_quiet() && !(self.editor.file.is_there() && waits())

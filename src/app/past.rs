@@ -182,6 +182,7 @@ impl App {
         self.notices.timeline_mut().pin_lines(true);
         self.past = Some(Box::new(Past { moment, buses, problems, file, identifiers: None }));
         self.settle_problems();
+        self.settle_bars();
         self.refresh_rows();
         self.filter_frames();
         self.notices.redraw.set_dirty();

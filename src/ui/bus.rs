@@ -3,7 +3,7 @@
 //! several seconds is that of its busiest second.
 
 use super::brush::{DrawContext, bus_label, fit, fit_right};
-use super::chart::{bar, chart_rows, grouped, rounded, scale_top};
+use super::chart::{bar, chart_rows, grouped, rounded, scale_text, scale_top};
 use super::timeline::entry_line;
 use crate::app::{
     Bus, BusPageLayout, BusRegions, ChartSpan, LoadBar, LoadHistory, LoadSample, Page, bar_lines,
@@ -343,7 +343,7 @@ fn draw_chart(brush: &mut DrawContext, shown: &BusView, axis: ChartAxis, chart: 
     let blank = axis.cells - (axis.end.saturating_sub(first) / (2 * axis.step)).min(axis.cells);
     for (row, text) in chart_rows(&values, rows, top).into_iter().enumerate() {
         let number = match row {
-            0 => rounded(top),
+            0 => scale_text(top),
             _ if row + 1 == rows => "0".to_owned(),
             _ => String::new(),
         };

@@ -22,6 +22,16 @@ pub fn scale_top(most: f64, least: f64) -> f64 {
     if top < 10.0 { top.ceil() } else { top }
 }
 
+/// Returns the top of a scale in at most four cells: `8`, `500`, `1.5k`.
+pub fn scale_text(top: f64) -> String {
+    let (top, unit) = match top {
+        ..1e3 => (top, ""),
+        ..1e6 => (top / 1e3, "k"),
+        _ => (top / 1e6, "M"),
+    };
+    format!("{}{unit}", (top * 10.0).round() / 10.0)
+}
+
 /// Returns the rows of a chart, top row first, with two values in each cell; `None` leaves a mark
 /// at the bottom where both values of a cell are unknown.
 pub fn chart_rows(values: &[Option<f64>], rows: usize, top: f64) -> Vec<String> {
@@ -104,6 +114,12 @@ mod tests {
         ] {
             assert!((scale_top(most, least) - top).abs() < 1e-9, "{most}");
         }
+    }
+
+    #[test]
+    fn scale_text_fits_its_cells() {
+        let texts = [3.0, 8.0, 100.0, 500.0, 1500.0, 3000.0, 20_000.0, 800_000.0].map(scale_text);
+        assert_eq!(texts.join(" "), "3 8 100 500 1.5k 3k 20k 800k");
     }
 
     #[test]

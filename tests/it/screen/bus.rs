@@ -276,6 +276,20 @@ fn unknown_values_are_not_shown_as_zero() {
 }
 
 #[test]
+fn axis_moves_on_an_idle_bus() {
+    let mut bench = Bench::new();
+    let end = |bench: &mut Bench| {
+        let screen = bench.screen(80, 24);
+        let line = screen.lines().find(|line| line.contains('▼')).unwrap().to_owned();
+        line.split(' ').find(|word| word.ends_with('▼')).unwrap().to_owned()
+    };
+    bench.second(&[frame(10, 0x101)]).seconds(299, &[]).keys("5").second(&[]);
+    assert_eq!(end(&mut bench), "00:05:00▼");
+    bench.seconds(2, &[]);
+    assert_eq!(end(&mut bench), "00:05:02▼");
+}
+
+#[test]
 fn bar_leads_to_its_device_and_frames() {
     let mut stage = Stage::boiler();
     stage.until(45.0).keys("5 j");
