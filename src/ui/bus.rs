@@ -493,13 +493,22 @@ fn draw_kinds(brush: &mut DrawContext, shown: &BusView, axis: ChartAxis, with_ra
         }
         spans.push(Span::raw(" "));
     }
-    for (at, (word, count)) in shown.bus.meter.error_kinds.words().into_iter().enumerate() {
-        let gap = if at > 0 { "  " } else { "" };
-        let role = if count > 0 { Role::Warning } else { Role::Text };
-        spans.push(brush.span(Role::Muted, format!("{gap}{word} ")));
-        spans.push(brush.span(role, grouped(count)));
-    }
-    brush.line(area, 0, &Line::from(spans));
+    let head = Line::from(spans);
+    let line_of = |is_shown: fn(u64) -> bool| {
+        let mut line = head.clone();
+        let words = shown.bus.meter.error_kinds.words().into_iter();
+        for (at, (word, count)) in words.filter(|(_, count)| is_shown(*count)).enumerate() {
+            let gap = if at > 0 { "  " } else { "" };
+            let role = if count > 0 { Role::Warning } else { Role::Text };
+            line.push_span(brush.span(Role::Muted, format!("{gap}{word} ")));
+            line.push_span(brush.span(role, grouped(count)));
+        }
+        line
+    };
+    // Where room is short, kinds without an error are left out.
+    let all = line_of(|_| true);
+    let line = if all.width() > usize::from(area.width) { line_of(|it| it > 0) } else { all };
+    brush.line(area, 0, &line);
 }
 
 /// Draws what happened to the buses, newest at the bottom.

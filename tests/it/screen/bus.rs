@@ -233,6 +233,8 @@ fn error_kinds_are_counted() {
     let line = "errors 24/s max 24/s stuff 9 CRC 3 form 2 bit 4 no ACK 5 other 1";
     let screen = one_line(&bench.screen(80, 24));
     assert!(screen.contains(line), "{screen}");
+    let screen = one_line(&bench.screen(44, 16));
+    assert!(screen.contains("errors 24/s max 24/s stuff 9 CRC 3"), "{screen}");
     bench.second(&[]);
     let screen = one_line(&bench.screen(120, 40));
     assert!(screen.contains("error frames, /s now 0 avg 12 max 24"), "{screen}");
