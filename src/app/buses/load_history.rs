@@ -12,7 +12,7 @@ use std::collections::VecDeque;
 pub struct LoadSample {
     /// Seconds in which frames could be received; 0: nothing is known.
     pub seconds: u32,
-    /// Frames, error frames included, and the most in a second.
+    /// Frames, error frames included.
     pub frames: u32,
     /// The most frames in a second.
     pub most_frames: u32,
