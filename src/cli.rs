@@ -48,7 +48,7 @@ pub struct ScreenArgs {
     /// UI theme: terminal | dark | light | high-contrast | mono, or the name of your own
     #[arg(long, value_name = "NAME")]
     pub theme: Option<String>,
-    /// Memory for captured frames and the past, 1M to 64G: a classic frame takes 20 bytes
+    /// Memory for captured frames and the past, 1M to 64G: a classic frame takes 24 bytes
     #[arg(long, value_name = "SIZE", value_parser = capture, default_value = "64M")]
     pub capture: Size,
 }

@@ -15,6 +15,9 @@ impl App {
             let key = self.key_of(Action::Freeze);
             return self.show_error(format!("frozen: {key} shows the present first"));
         }
+        if !self.view.page.has_rows() && action.is_of_filter() {
+            return self.show_error("filter: the Bus page has no rows to filter");
+        }
         match action {
             Action::Up => self.move_by(-1),
             Action::Down => self.move_by(1),
@@ -34,6 +37,11 @@ impl App {
             Action::Bus => self.show_page(Page::Bus),
             Action::Frames => self.go_to_frames_of_selection(),
             Action::Filter => self.ask_filter(),
+            Action::FilterToggle => self.toggle_filter(),
+            Action::OnlyLike => self.filter_like(false),
+            Action::HideLike => self.filter_like(true),
+            Action::NextMatch => self.go_to_match(1),
+            Action::PreviousMatch => self.go_to_match(-1),
             Action::Sort => self.sort_by_next(),
             Action::Freeze => self.toggle_freeze(),
             Action::Identifiers => self.toggle_identifiers(),

@@ -8,7 +8,7 @@ use super::buses::{Bus, Buses};
 use super::filter::Filter;
 use super::listing::other_services;
 use super::problems::ProblemList;
-use super::view::{Counts, FileStatus, Page, Row, RowKey, RowState, SortBy, View};
+use super::view::{Counts, FileStatus, Row, RowKey, RowState, SortBy, View};
 use crate::discovery::Device;
 use crate::document::Entry;
 use crate::finding::{Finding, FindingState};
@@ -22,6 +22,8 @@ use std::collections::HashMap;
 #[derive(Debug, Default)]
 pub(super) struct DeviceRows {
     rows: Vec<Row>,
+    /// Number of rows, whatever the filter.
+    all: usize,
     counts: Counts,
 }
 
@@ -46,12 +48,23 @@ impl DeviceRows {
         view.devices.index(self.rows.iter().map(|row| &row.key))
     }
 
-    /// Updates the rows; the selection stays on its device.
-    pub fn refresh(&mut self, inputs: Inputs, problems: &ProblemList, view: &mut View) {
+    /// Number of rows, whatever the filter.
+    pub fn all(&self) -> usize {
+        self.all
+    }
+
+    /// Updates the rows that match a filter; the selection stays on its device.
+    pub fn refresh(
+        &mut self,
+        inputs: Inputs,
+        problems: &ProblemList,
+        filter: Option<&Filter>,
+        view: &mut View,
+    ) {
         let mut rows = inputs.all_rows();
+        self.all = rows.len();
         self.counts = count(&rows, problems);
-        let filter = Filter::parse(view.filter(Page::Devices));
-        rows.retain(|row| filter.matches_row(inputs.buses, row));
+        rows.retain(|row| filter.is_none_or(|filter| filter.matches_row(inputs.buses, row)));
         sort(&mut rows, inputs.buses, view.sort);
         let before = std::mem::replace(&mut self.rows, rows);
         self.follow_selection(&before, view);

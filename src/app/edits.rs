@@ -3,7 +3,6 @@
 //! An edit is an [`Operation`] on the document; the shell writes the file. Nothing is transmitted
 //! beyond discovery without a confirmation.
 
-use super::filter::Filter;
 use super::input::{
     AddressPrompt, CapturePathPrompt, CopyPathPrompt, MomentPrompt, NewEntryPrompt, RenamePrompt,
 };
@@ -12,7 +11,7 @@ use super::notices::TimelineEntry;
 use super::problems::bus_obstacle;
 use super::timeline_kind::TimelineKind;
 use super::{
-    App, Bus, EditRefusal, Effect, Overlay, Page, Prompt, PromptContext, PromptKind, PromptOutcome,
+    App, Bus, EditRefusal, Effect, Overlay, Prompt, PromptContext, PromptKind, PromptOutcome,
     PromptResult, Question, RowKey, inputs,
 };
 use crate::discovery::{Device, DeviceId, OwnAddress};
@@ -304,6 +303,7 @@ impl App {
             selected_bus: self.selected_row().and_then(|row| row.bus),
             frames: self.traffic.capture.ranges().map(|range| range.end - range.start).sum(),
             moments: self.moment_range(),
+            matches: self.filter_matches(),
         }
     }
 
@@ -323,6 +323,8 @@ impl App {
             PromptResult::Commit => self.commit_prompt(),
             PromptResult::Cancel => self.cancel_prompt(),
             PromptResult::NextBus => self.edit_on_next_bus(),
+            PromptResult::Complete => self.complete_filter(),
+            PromptResult::Recall(by) => self.recall_filter(by),
         }
     }
 
@@ -330,24 +332,12 @@ impl App {
     /// before applies.
     pub(super) fn prompt_changed(&mut self) {
         self.notices.redraw.set_dirty();
-        let Some(prompt) = self.input.prompt() else { return };
-        if let PromptKind::Filter(filter) = &prompt.kind {
-            let (page, typed) = (filter.page, prompt.input.value());
-            let is_valid = Filter::parse(typed).error(page).is_none();
-            let text = if is_valid { typed } else { &filter.before }.to_owned();
-            self.set_filter(page, text);
-        }
-    }
-
-    fn set_filter(&mut self, page: Page, text: String) {
-        self.view.set_filter(page, text);
-        self.refresh();
-        self.filter_frames();
+        self.filter_typed();
     }
 
     fn cancel_prompt(&mut self) {
         if let Some(Prompt { kind: PromptKind::Filter(filter), .. }) = self.input.close_prompt() {
-            self.set_filter(filter.page, filter.before);
+            self.restore_filter(filter);
         }
     }
 
@@ -363,7 +353,7 @@ impl App {
         let Some(prompt) = self.input.close_prompt() else { return };
         match prompt.commit(self.prompt_context()) {
             PromptOutcome::Nothing => {}
-            PromptOutcome::SetFilter(page, text) => self.set_filter(page, text),
+            PromptOutcome::SetFilter(page, text) => self.commit_filter(page, &text),
             PromptOutcome::Edit(operations) => self.edit(&operations),
             PromptOutcome::AddEntry(entry) => {
                 let (name, address) = (entry.name.clone(), entry.address);

@@ -208,7 +208,7 @@ impl App {
             filter = format!("{filter} bus:{quote}{name}{quote}");
         }
         self.view.by_identifier = false;
-        self.view.set_filter(Page::Traffic, filter);
+        self.set_filter(Page::Traffic, &filter);
         self.show_page(Page::Traffic);
     }
 

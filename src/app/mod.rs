@@ -18,7 +18,7 @@
 //! problems  findings, grouped and muted      devices   rows of the Devices page
 //! view      page, selections, regions        input     keymap, overlays, prompts
 //! notices   message, timeline, events        listing   devices as entries of des.json
-//! filter    the filter line
+//! filter    the filter language          page_filters  the filter of each page
 //! ```
 //!
 //! The wiring stands in `mod` (handlers, polls, accessors), `actions`, `events` (from parts to the
@@ -36,37 +36,45 @@ mod edits;
 mod events;
 mod file;
 mod filter;
+mod filter_commands;
 mod history;
 mod input;
 mod listing;
 mod load_bars;
 mod navigate;
 mod notices;
+mod page_filters;
 mod past;
 mod problems;
 mod timeline_kind;
+mod typed_time;
 mod view;
 
 pub use app_event::{AppEvent, BusSnapshot, DeviceEvent, EventContext, EventLine, FileSnapshot};
 pub use buses::{
-    Bus, Buses, ErrorKinds, LoadHistory, LoadMeter, LoadSample, LoadSecond, LoadShares, Redundancy,
-    RedundantDevice, ShareCounts, TxBlocked,
+    AddressHolder, AddressNames, Bus, Buses, ErrorKinds, LoadHistory, LoadMeter, LoadSample,
+    LoadSecond, LoadShares, Redundancy, RedundantDevice, ShareCounts, TxBlocked,
 };
 pub use capture::{
-    CapturedLog, Decoded, FrameStore, IdentifierKey, IdentifierKind, IdentifierStats, Identifiers,
-    StoredFrames,
+    CapturedLog, Decoded, FrameRole, FrameStore, IdentifierKey, IdentifierKind, IdentifierStats,
+    Identifiers, StoredFrames,
 };
 pub use devices::concerns;
 pub use file::{EditRefusal, FileChange, FileError, FileReading, FileState, SaveOutcome, Saving};
-pub use filter::{FILTER_FIELDS, FILTER_WORDS, Filter, FilterField};
+pub use filter::{
+    Completion, CompletionSource, FILTER_FIELDS, FILTER_WORDS, Filter, FilterError, FilterField,
+    FrameMatcher, RowKind,
+};
 pub use history::{BusesReplay, FRAMES_PER_ROOM, Moment, RecordedBuses};
-pub use input::{InputCheck, Overlay, Prompt, PromptKind, Question};
+pub use input::{FilterPrompt, InputCheck, Overlay, Prompt, PromptKind, Question};
 pub use listing::{addition_refusal, same_services};
 pub use load_bars::{LoadBar, bar_lines};
 pub use navigate::{Mouse, MouseKind};
 pub use notices::{
     StatusMessage, Timeline, TimelineEntry, event_word, whose_other_services, whose_services,
 };
+pub use page_filters::PageFilter;
+use page_filters::PageFilters;
 pub use problems::{
     EvidenceItem, Matching, Problem, ProblemKey, ProblemList, Scope, format_duration, is_about,
 };
@@ -267,6 +275,7 @@ pub struct App {
     effects: VecDeque<Effect>,
     /// Nothing on the screen changed with time at the last full second.
     was_idle: bool,
+    filters: PageFilters,
     /// When the next part of the frames is tested by the filter.
     filter_due: Option<Instant>,
     /// The moment that is shown in place of the present one.
@@ -286,8 +295,12 @@ impl App {
         let past_room = room / (FRAMES_PER_ROOM + 1);
         let editor = FileEditor::new(options.file_path);
         let content = editor.file.content();
+        let clock = AppClock::new(now, options.epoch, options.utc_offset_seconds);
+        let mut event_filter = options.event_filter;
+        // Events of a log may be of any time.
+        event_filter.resolve(filter::WallClock { wall_start: clock.wall_start(), now: None });
         let mut app = Self {
-            clock: AppClock::new(now, options.epoch, options.utc_offset_seconds),
+            clock,
             buses: RecordedBuses::new(now, Buses::new(now, options.buses), past_room),
             traffic: Traffic::new(room - past_room),
             editor,
@@ -295,10 +308,11 @@ impl App {
             devices: DeviceRows::default(),
             view: View { size: (80, 24), ..View::default() },
             input: Input::new(options.keymap),
-            notices: Notices::new(now, options.emit_events, options.event_filter),
+            notices: Notices::new(now, options.emit_events, event_filter),
             themes: Themes { current: options.theme, all: options.themes },
             effects: VecDeque::new(),
             was_idle: false,
+            filters: PageFilters::default(),
             filter_due: None,
             past: None,
             replay: None,
@@ -829,9 +843,8 @@ impl App {
 
     /// The problems that match the filter.
     pub fn problems_shown(&self) -> ProblemList<'_> {
-        let filter = Filter::parse(self.view.filter(Page::Problems));
         let mut problems = self.problems();
-        if !filter.is_empty() {
+        if let Some(filter) = self.filters.of(Page::Problems).active() {
             problems.retain(|problem| filter.matches_problem(self.shown_buses(), problem));
         }
         problems
@@ -903,7 +916,8 @@ impl App {
 
     /// Rows of the identifier view that match the filter.
     pub fn identifiers_shown(&self) -> Vec<&IdentifierStats> {
-        Traffic::identifiers_shown(self.identifiers(), &self.view, self.shown_buses())
+        let filter = self.filters.of(Page::Traffic).active();
+        Traffic::identifiers_shown(self.identifiers(), filter, self.shown_buses())
     }
 
     /// Text of the ISO 15765-2 transfer that a captured frame is part of.
@@ -947,11 +961,11 @@ impl App {
 
     /// Numbers of the timeline lines that match the filter, oldest first.
     pub fn lines_shown(&self) -> Vec<u64> {
-        let filter = Filter::parse(self.view.filter(Page::Timeline));
+        let filter = self.filters.of(Page::Timeline).active();
         let end = self.view.frozen.map_or(u64::MAX, |frozen| frozen.lines);
         let entries = self.timeline().entries().filter(|entry| entry.number < end);
         entries
-            .filter(|entry| filter.is_empty() || filter.matches_entry(self.shown_buses(), entry))
+            .filter(|entry| filter.is_none_or(|it| it.matches_entry(self.shown_buses(), entry)))
             .map(|entry| entry.number)
             .collect()
     }
@@ -1108,7 +1122,9 @@ impl App {
     fn filter_frames(&mut self) {
         self.count_past_identifiers();
         let was_due = self.filter_due.take().is_some();
-        if !self.traffic.renew_filter(&self.view, &self.buses) {
+        self.traffic.set_filter(self.filters.of(Page::Traffic).active());
+        let buses = self.past.as_ref().map_or(&*self.buses, |past| &past.buses);
+        if !self.traffic.renew_filter(&mut self.view, buses) {
             self.filter_due = Some(self.clock.now() + FILTER_PAUSE);
         }
         if was_due {
@@ -1133,7 +1149,8 @@ impl App {
         let inputs = shown_inputs!(self);
         let problems = self.past.as_ref().map_or(&self.problems, |past| &past.problems);
         let problems = problems.list(inputs.buses);
-        self.devices.refresh(inputs, &problems, &mut self.view);
+        let filter = self.filters.of(Page::Devices).active();
+        self.devices.refresh(inputs, &problems, filter, &mut self.view);
     }
 
     fn problem_keys(&self) -> Vec<ProblemKey> {

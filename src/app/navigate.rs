@@ -1,10 +1,10 @@
 //! Commands that change the view: pages, rows, details, evidence, freezing, the mouse.
 
 use super::capture::{Decoded, IdentifierKey};
-use super::input::{FilterPrompt, Overlay};
+use super::input::Overlay;
 use super::notices::timeline::TimelineEntry;
 use super::view::{EvidenceView, Focus, Page, Row};
-use super::{App, Effect, EvidenceItem, Problem, PromptKind, clock_millis, format_duration};
+use super::{App, Effect, EvidenceItem, Problem, clock_millis, format_duration};
 use crate::finding::FindingKind;
 use crate::frame::BusIndex;
 use crate::keymap::Action;
@@ -266,7 +266,7 @@ impl App {
     }
 
     /// The selected timeline line, or the last one.
-    fn selected_line(&self) -> Option<&TimelineEntry> {
+    pub(super) fn selected_line(&self) -> Option<&TimelineEntry> {
         let lines = self.lines_shown();
         let selected = self.view.timeline.selected().or(lines.last());
         selected.and_then(|&number| self.timeline().get(number))
@@ -289,7 +289,7 @@ impl App {
                     return self.show_error("no frames: not on the bus");
                 };
                 self.view.by_identifier = false;
-                self.view.set_filter(Page::Traffic, format!("at:{address}"));
+                self.set_filter(Page::Traffic, &format!("at:{address}"));
                 self.show_page(Page::Traffic);
             }
             Page::Timeline => self.go_to_frames(),
@@ -319,7 +319,7 @@ impl App {
         }
         self.show_page(Page::Traffic);
         self.view.by_identifier = false;
-        self.view.set_filter(Page::Traffic, String::new());
+        self.filters.clear(Page::Traffic);
         self.view.select_frame(number, self.list_height());
         self.view.from_timeline = true;
     }
@@ -342,29 +342,22 @@ impl App {
             self.next_chart_span();
         } else if self.view.page == Page::Traffic {
             self.view.close_evidence();
-            self.view.by_identifier = !self.view.by_identifier;
-            self.filter_frames();
-            let (keys, height) = (self.identifier_keys(), self.list_height());
-            self.view.identifiers.update(&keys, height);
+            self.show_identifiers(!self.view.by_identifier);
         } else {
             self.show_error("view works on the pages Traffic and Bus");
         }
     }
 
-    /// Opens the prompt for the filter of the page.
-    pub(super) fn ask_filter(&mut self) {
-        let page = self.view.page;
-        if page == Page::Bus {
-            return self.show_error("filter: the Bus page has no rows to filter");
-        }
-        self.view.close_evidence();
-        let before = self.view.filter(page).to_owned();
-        let prompt = FilterPrompt { page, before: before.clone() };
-        self.open_prompt(PromptKind::Filter(prompt), before);
+    /// Shows one row per identifier, or the frames.
+    pub(super) fn show_identifiers(&mut self, is_shown: bool) {
+        self.view.by_identifier = is_shown;
+        self.filter_frames();
+        let (keys, height) = (self.identifier_keys(), self.list_height());
+        self.view.identifiers.update(&keys, height);
     }
 
-    /// Closes the overlay, else leaves the details, the evidence or the frame details, else clears
-    /// the filter, else returns to the timeline or follows the newest rows.
+    /// Closes the overlay, else leaves the details, the evidence or the frame details, else switches
+    /// the filter off, else returns to the timeline or follows the newest rows.
     pub(super) fn cancel(&mut self) {
         let page = self.view.page;
         if self.input.has_overlay() {
@@ -374,9 +367,7 @@ impl App {
         } else if self.leave_evidence() {
         } else if page == Page::Traffic && self.view.frame_details {
             self.view.frame_details = false;
-        } else if !self.view.filter(page).is_empty() {
-            self.view.set_filter(page, String::new());
-            self.refresh();
+        } else if self.switch_filter_off() {
         } else if self.view.from_timeline {
             self.show_page(Page::Timeline);
             self.view.traffic = None;
@@ -534,14 +525,13 @@ impl App {
                 .map(|row| row.key.clone())
         };
         let mut found = best(self);
-        if found.is_none() && !self.view.filter(Page::Devices).is_empty() {
+        if found.is_none() && self.filters.of(Page::Devices).is_on() {
             // The filter may hide it.
-            let filter = self.view.filter(Page::Devices).to_owned();
-            self.view.set_filter(Page::Devices, String::new());
+            self.filters.set_on(Page::Devices, false);
             self.refresh_rows();
             found = best(self);
             if found.is_none() {
-                self.view.set_filter(Page::Devices, filter);
+                self.filters.set_on(Page::Devices, true);
                 self.refresh_rows();
             }
         }
@@ -569,7 +559,7 @@ impl App {
             return self.show_error("no problem for this device");
         };
         if !self.problem_keys().contains(&key) {
-            self.view.set_filter(Page::Problems, String::new());
+            self.filters.set_on(Page::Problems, false);
         }
         self.view.problems.select(key);
         self.show_page(Page::Problems);

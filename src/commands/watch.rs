@@ -10,7 +10,7 @@ use super::report::{
 };
 use super::{EXIT_OK, Failure, output};
 use crate::app::{
-    App, AppEvent, AppOptions, DeviceEvent, EventLine, Filter, Page, Scope, clock_millis,
+    App, AppEvent, AppOptions, DeviceEvent, EventLine, Filter, RowKind, Scope, clock_millis,
     event_word,
 };
 use crate::cli::WatchArgs;
@@ -33,10 +33,7 @@ pub fn run(watch: &WatchArgs) -> Result<u8, Failure> {
     let buses = open::buses(&watch.run.session)?;
     open::check_speed(watch.speed, &buses)?;
     let mut setup = Setup::new(&watch.run.session.common)?;
-    let interest = watch.filter.as_deref().map(Filter::parse).unwrap_or_default();
-    if let Some(mistake) = interest.error(Page::Timeline) {
-        return Err(Failure::Usage(format!("--filter {}", printable(mistake.as_bytes()))));
-    }
+    let interest = filter_of(watch.filter.as_deref(), RowKind::Event)?;
     setup.only = frames_of_interest(&interest, &setup);
     let options = AppOptions {
         utc_offset_seconds: open::utc_offset_seconds(),
@@ -73,6 +70,15 @@ pub fn run(watch: &WatchArgs) -> Result<u8, Failure> {
         }
     }
     Ok(EXIT_OK)
+}
+
+/// Parses the option `--filter`.
+fn filter_of(line: Option<&str>, rows: RowKind) -> Result<Filter, Failure> {
+    let line = line.unwrap_or_default();
+    Filter::parse(line, rows).map_err(|error| {
+        let (text, column) = (printable(error.text().as_bytes()), error.column(line));
+        Failure::Usage(format!("--filter {text}, column {column}"))
+    })
 }
 
 /// Patterns of the frames that the filter needs; empty for all. An active node needs all frames,

@@ -2,7 +2,7 @@
 //! theme roles. Input: Markdown in which a line `<!-- table: keys -->` stands for a table. Output:
 //! Markdown.
 
-use crate::app::{FILTER_FIELDS, FILTER_WORDS};
+use crate::app::{FILTER_FIELDS, FILTER_WORDS, Page, RowKind};
 use crate::finding::FindingKind;
 use crate::keymap::{ACTIONS, ActionGroup};
 use crate::theme::Role;
@@ -27,6 +27,7 @@ fn table(name: &str) -> String {
         "symbols" => symbols(),
         "findings" => findings(),
         "filter" => filter(),
+        "filter-pages" => filter_pages(),
         "roles" => roles(),
         _ => String::new(),
     }
@@ -87,6 +88,20 @@ fn filter() -> String {
     }
     for (word, doc) in FILTER_WORDS {
         let _ = writeln!(out, "| {} | {} |", code(word), escape(doc));
+    }
+    out
+}
+
+/// Returns the fields that the rows of each page have.
+fn filter_pages() -> String {
+    let mut out = String::from("| page | fields |\n|---|---|\n");
+    for page in Page::ALL.into_iter().filter(|page| page.has_rows()) {
+        let rows = RowKind::of(page);
+        let fields = FILTER_FIELDS.iter().filter(|field| field.is_of(rows));
+        let words: Vec<String> =
+            fields.filter_map(|it| it.words.first()).map(|it| code(&format!("{it}:"))).collect();
+        let also = if rows == RowKind::Event { ", `watch`" } else { "" };
+        let _ = writeln!(out, "| {}{also} | {} |", page.title(), words.join(" "));
     }
     out
 }

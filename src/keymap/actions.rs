@@ -119,6 +119,12 @@ impl Action {
             || matches!(self, Action::ClearLost | Action::BitRate | Action::Save)
     }
 
+    /// Returns true if the action types, switches or follows the filter of a page.
+    pub fn is_of_filter(self) -> bool {
+        use Action::{Filter, FilterToggle, HideLike, NextMatch, OnlyLike, PreviousMatch};
+        matches!(self, Filter | FilterToggle | OnlyLike | HideLike | NextMatch | PreviousMatch)
+    }
+
     /// Returns true if the keys of the action also apply while a prompt is open.
     pub fn is_global(self) -> bool {
         matches!(self, Action::QuitNow | Action::Suspend | Action::Redraw)
@@ -177,12 +183,17 @@ actions! {
         Problems "problems" "Page 4: problems" "" ["4"];
         Bus "bus" "Page 5: load and state of the buses" "" ["5"];
         Filter "filter" "Filter rows" "filter" ["/"];
+        FilterToggle "filter-toggle" "Filter off, or on again" "" ["\\"];
+        OnlyLike "only-like" "Only rows like the selected one" "" ["="];
+        HideLike "hide-like" "Hide rows like the selected one" "" ["!"];
+        NextMatch "next-match" "Next row that matches the filter, on or off" "" ["J"];
+        PreviousMatch "previous-match" "The one before" "" ["K"];
         Sort "sort" "Sort by next column" "sort" ["s"];
         Identifiers "identifiers" "Traffic: identifiers; Bus: time shown" "identifiers" ["v"];
         Problem "problem" "Jump between device and problem" "problem" ["p"];
         Mute "mute" "Mute or unmute a problem until descan quits" "mute" ["m"];
         Copy "copy" "Copy the selected row to the clipboard" "" ["y"];
-        Cancel "cancel" "Close or leave; clear the filter" "" ["Esc"];
+        Cancel "cancel" "Close or leave; filter off" "" ["Esc"];
     }
     Browse Bus: {
         Rescan "rescan" "Restart the enumeration" "rescan" ["r"];

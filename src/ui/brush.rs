@@ -102,7 +102,7 @@ impl DrawContext<'_> {
     /// clears it.
     pub fn draw_no_match(&mut self, area: Rect, what: &str) {
         let key = self.app.key_of(Action::Cancel);
-        let text = format!("{what}; {key} clears it");
+        let text = format!("{what}; {key} switches it off");
         let below = Rect { y: area.y + 1, height: area.height.saturating_sub(1), ..area };
         let lines = labelled(self, "  ", Role::Muted, &text, area.width.saturating_sub(1));
         self.lines(below, &lines, 0);

@@ -178,7 +178,7 @@ fn draw_header(brush: &mut DrawContext, area: Rect, columns: &Columns) {
 /// Draws why there is no row.
 fn draw_nothing(brush: &mut DrawContext, list: Rect) {
     let app = brush.app;
-    if !app.view().filter(crate::app::Page::Devices).is_empty() {
+    if app.page_filter(crate::app::Page::Devices).is_on() {
         return brush.draw_no_match(list, "no device matches the filter");
     }
     let is_over = !app.buses().is_empty() && app.buses().iter().all(|bus| bus.ended.is_some());

@@ -4,13 +4,16 @@
 
 use super::brush::{DrawContext, cut, fit, wrap};
 use crate::app::{
-    BarKey, FileError, FileStatus, Focus, InputCheck, Page, PromptKind, addition_refusal, is_about,
+    BarKey, FileError, FileStatus, Focus, InputCheck, Page, Prompt, PromptKind, addition_refusal,
+    is_about,
 };
 use crate::discovery::Config;
 use crate::keymap::{Action, Key, KeyMode};
 use crate::theme::Role;
 use ratatui::layout::{Position, Rect};
+use ratatui::style::Modifier;
 use ratatui::text::{Line, Span};
+use std::ops::Range;
 use unicode_width::UnicodeWidthStr;
 
 /// Draws the footer.
@@ -69,6 +72,7 @@ fn draw_prompt(brush: &mut DrawContext, area: Rect) {
         InputCheck::Warning(text) => (Role::Warning, format!("! {text}")),
         InputCheck::Rejected(text) => (Role::Error, format!("✗ {text}")),
     };
+    let completion = completion_line(brush, usize::from(area.width));
     let columns = usize::from(area.width);
     let label = app.prompt_label().filter(|_| columns >= 60 || brush.cursor.is_some());
     let label = format!(" {}: ", label.unwrap_or_else(|| prompt.kind.short_label().to_owned()));
@@ -98,12 +102,15 @@ fn draw_prompt(brush: &mut DrawContext, area: Rect) {
         Role::Muted if first.width() + 2 <= room => first.to_owned(),
         Role::Muted => String::new(),
         _ => {
-            if area.y > 0 {
+            if area.y > 0 && completion.is_none() {
                 draw_wrapped(brush, Rect { y: area.y - 1, ..area }, role, &note);
             }
             String::new()
         }
     };
+    if let Some(line) = completion.filter(|_| area.y > 0) {
+        brush.line(Rect { y: area.y - 1, ..area }, 0, &line);
+    }
     let width = match note.width() {
         0 => left,
         note => needed.max(24).min(left - note - 2),
@@ -120,11 +127,63 @@ fn draw_prompt(brush: &mut DrawContext, area: Rect) {
     let style = brush.style(Role::Input);
     brush.buffer.set_string(at.x, at.y, " ".repeat(usize::from(width)), style);
     brush.buffer.set_string(at.x, at.y, cut(&text, usize::from(width)), style);
+    if let Some(place) = mistake(prompt) {
+        let cell = |column: usize| (column.saturating_sub(scroll) as u16).min(width);
+        let (from, to) = (cell(place.start), cell(place.end));
+        let wrong = Rect { x: at.x + from, width: to - from, ..at };
+        brush.buffer.set_style(wrong, brush.style(Role::Error));
+        brush.buffer.set_style(wrong, Modifier::UNDERLINED);
+    }
     let cursor = prompt.input.visual_cursor().saturating_sub(scroll) as u16;
     brush.cursor = Some(Position::new(at.x + cursor.min(width.saturating_sub(1)), at.y));
     let behind = Rect { x: at.right(), width: (left as u16).saturating_sub(width), ..area };
     let line = Line::from(brush.span(role, format!("  {note}")));
     brush.line(behind, 0, &line);
+}
+
+/// The columns of the mistake in a filter that is typed.
+fn mistake(prompt: &Prompt) -> Option<Range<usize>> {
+    let PromptKind::Filter(filter) = &prompt.kind else { return None };
+    let line = prompt.input.value();
+    let bytes = filter.error(line)?.range();
+    let column = |byte: usize| line.get(..byte).map_or(0, UnicodeWidthStr::width);
+    Some(column(bytes.start)..column(bytes.end))
+}
+
+/// What may stand at the cursor of a filter that is typed, as many as fit `width` cells; the one that
+/// Tab has chosen is marked.
+fn completion_line(brush: &DrawContext, width: usize) -> Option<Line<'static>> {
+    let app = brush.app;
+    let (completion, chosen) = app.filter_completion()?;
+    let line = app.prompt()?.input.value();
+    let typed = line.get(completion.range.clone()).unwrap_or_default();
+    let is_at_field = line.get(..completion.range.start).is_some_and(|it| it.ends_with(':'));
+    if chosen.is_none() && typed.is_empty() && !is_at_field {
+        return None;
+    }
+    let is_new = |candidate: &String| chosen.is_some() || candidate != typed;
+    let candidates: Vec<&String> = completion.candidates.iter().filter(|it| is_new(it)).collect();
+    if candidates.is_empty() {
+        return None;
+    }
+    let mut spans = vec![brush.span(Role::HintKey, " Tab"), brush.span(Role::Muted, " completes")];
+    let mut left = width.saturating_sub(14);
+    // The chosen one is among those that fit.
+    let first = chosen.map_or(0, |at| at.saturating_sub(3));
+    for (at, candidate) in candidates.iter().enumerate().skip(first) {
+        let needed = candidate.width() + 2;
+        if needed + 2 > left {
+            spans.push(brush.span(Role::Muted, " …"));
+            break;
+        }
+        left -= needed;
+        let (sign, role) =
+            if chosen == Some(at) { (" ▸", Role::Match) } else { ("  ", Role::Text) };
+        spans.push(brush.span(role, format!("{sign}{candidate}")));
+    }
+    let used: usize = spans.iter().map(Span::width).sum();
+    spans.push(brush.span(Role::Text, " ".repeat(width.saturating_sub(used))));
+    Some(Line::from(spans))
 }
 
 /// Draws a text that ends in the line `last` and takes up to two lines above it.

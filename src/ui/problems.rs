@@ -45,7 +45,7 @@ fn draw_list(brush: &mut DrawContext) {
         if app.file().problem().is_some() && app.problems().is_empty() {
             return;
         }
-        if !app.view().filter(Page::Problems).is_empty() {
+        if app.page_filter(Page::Problems).is_on() {
             return brush.draw_no_match(list, "no problem matches the filter");
         }
         if let Some(reason) = app.foreign_reason() {

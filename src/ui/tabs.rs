@@ -2,7 +2,7 @@
 //! and the title of the details; and the divider in front of the details.
 
 use super::brush::{DrawContext, fit};
-use crate::app::{Focus, Page, RowKey};
+use crate::app::{Focus, Page, PageFilter, RowKey};
 use crate::theme::Role;
 use ratatui::layout::Rect;
 use ratatui::text::Line;
@@ -31,16 +31,10 @@ pub fn draw(brush: &mut DrawContext) {
     let focused = brush.app.view().focus == Focus::Details;
     let line_role = if focused { Role::BorderFocus } else { Role::Border };
     let details = screen.details;
-    let shown =
-        match &brush.app.view().evidence {
-            Some(evidence) => Some(format!(" ◆ {} ", evidence.title)),
-            None => Some(brush.app.view().filter(open)).filter(|filter| !filter.is_empty()).map(
-                |filter| match brush.app.hidden_frames() {
-                    Some(hidden) => format!(" /{filter}  {hidden} hidden "),
-                    None => format!(" /{filter} "),
-                },
-            ),
-        };
+    let shown = match &brush.app.view().evidence {
+        Some(evidence) => Some(format!(" ◆ {} ", evidence.title)),
+        None => chip(brush.app.page_filter(open), brush.app.hidden_frames()),
+    };
     // Details in the place of the list are named here instead.
     let mut shown = shown.filter(|_| !screen.details_alone());
     let room = if details.height > 0 && screen.divider.height > 0 {
@@ -113,5 +107,16 @@ fn title(brush: &DrawContext) -> Option<String> {
         }),
         Page::Traffic => Some("Frame".to_owned()),
         Page::Timeline | Page::Bus => None,
+    }
+}
+
+/// The filter of the page and how many frames it hides.
+fn chip(filter: &PageFilter, hidden: Option<u64>) -> Option<String> {
+    let text = filter.text().trim();
+    match (filter.is_on(), hidden) {
+        _ if text.is_empty() => None,
+        (false, _) => Some(format!(" off /{text} ")),
+        (true, Some(hidden)) => Some(format!(" /{text}  {hidden} hidden ")),
+        (true, None) => Some(format!(" /{text} ")),
     }
 }

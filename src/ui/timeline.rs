@@ -16,11 +16,10 @@ pub fn draw(brush: &mut DrawContext) {
     let app = brush.app;
     let numbers = app.lines_shown();
     if numbers.is_empty() {
-        let text = if app.view().filter(Page::Timeline).is_empty() {
-            "no events yet"
-        } else {
+        if app.page_filter(Page::Timeline).is_on() {
             return brush.draw_no_match(list, "no event matches the filter");
-        };
+        }
+        let text = "no events yet";
         let line = Line::from(brush.span(Role::Muted, format!("   {text}")));
         return brush.line(list, 1, &line);
     }

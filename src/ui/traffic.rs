@@ -63,7 +63,7 @@ fn draw_frames(brush: &mut DrawContext) {
     brush.line(header, 0, &line);
     let (shown, selected) = brush.app.frames_shown(usize::from(list.height));
     if shown.is_empty() {
-        let filtered = !brush.app.view().filter(Page::Traffic).is_empty();
+        let filtered = brush.app.page_filter(Page::Traffic).is_on();
         let text = if filtered {
             return brush.draw_no_match(list, "no frame matches the filter");
         } else {

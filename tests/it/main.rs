@@ -27,6 +27,7 @@ mod doubled_frames;
 mod editing;
 mod error_frames;
 mod external_editors;
+mod filter;
 mod foreign_buses;
 mod guide;
 mod heartbeat_periods;

@@ -2,7 +2,7 @@
 
 use crate::common::inspection::log;
 use crate::common::watch_process::{Watching, command};
-use descan::app::{App, AppEvent, AppOptions, FileReading, Filter};
+use descan::app::{App, AppEvent, AppOptions, FileReading, Filter, RowKind};
 use descan::diagnostic::Diagnostic;
 use descan::discovery::Config;
 use descan::finding::{FindingKind, FindingState};
@@ -464,7 +464,7 @@ fn filter_never_hides_lost_frames_or_bus_state() {
     let options = AppOptions {
         buses: vec![bus],
         emit_events: true,
-        event_filter: Filter::parse("at:12 name:feed"),
+        event_filter: Filter::parse("at:12 name:feed", RowKind::Event).unwrap(),
         ..AppOptions::default()
     };
     let mut app = App::new(Instant::ZERO, options);
@@ -644,16 +644,19 @@ fn filter_that_cannot_match_is_rejected() {
         ("at:abc", "at:abc: \"abc\" is not an address; use 0 to 127"),
         ("feed at:12-14", "at:12-14: \"12-14\" is not an address"),
         ("at:12,128", "\"128\" is not an address"),
-        ("!foo:bar", "unknown field foo; use at: name: dev: type: kind: bus: text: is: state:"),
+        (
+            "!foo:bar",
+            "foo:bar: unknown field foo; use at: name: dev: type: mode: uid: is: bus: since: until:",
+        ),
         ("srv:des", "srv:des: events have no field srv; use at: name:"),
         ("id:0201", "id:0201: events have no field id;"),
-        ("from:feed", "src:feed: events have no field src;"),
+        ("from:feed", "from:feed: events have no field from;"),
         ("name:", "name: needs a value, for example name:FEED"),
         ("is:", "is: needs a value, for example is:suspected"),
         ("text:\"\"", "text: needs a value"),
-        ("is:foo", "is:foo: \"foo\" is not a state; use online, stale"),
-        ("kind:zzz", "kind:zzz: no kind of problem; for example kind:uid"),
-        ("type:rsp_cc", "kind:rsp_cc: no kind of problem"),
+        ("is:foo", "is:foo: \"foo\" is not a state; use suspected, confirmed, cleared, error"),
+        ("kind:zzz", "kind:zzz: \"zzz\" is not a kind of problem; for example kind:uid"),
+        ("type:rsp_cc", "type:rsp_cc: \"rsp_cc\" is not a kind of problem"),
         ("name:\"my", "a quote is not closed"),
     ] {
         let output = watch(&["sim:boiler", "--time", "0.1", "--filter", filter], folder.path());

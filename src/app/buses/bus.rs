@@ -2,6 +2,7 @@
 //!
 //! Inputs: frames, bus statuses, time. Does not know how frames are received.
 
+use super::address_names::AddressNames;
 use super::load_meter::LoadMeter;
 use super::status_changes::status_changes;
 use crate::app::timeline_kind::TimelineKind;
@@ -45,6 +46,7 @@ pub struct Bus {
     /// End of its log; `None` while frames can arrive. No time passes on an ended bus.
     pub ended: Option<Instant>,
     engine: Engine,
+    names: AddressNames,
     /// The moment since which frames could be received; kept once it was long enough.
     up_since: Option<Instant>,
     /// Start of the period in which the transmit queue is full.
@@ -66,6 +68,7 @@ impl Bus {
             meter,
             ended: None,
             engine,
+            names: AddressNames::default(),
             up_since: None,
             full_since: None,
             discarded_at: None,
@@ -88,6 +91,7 @@ impl Bus {
             + self.meter.size()
             + self.devices().len() * BYTES_OF_A_DEVICE
             + self.findings().len() * BYTES_OF_A_FINDING
+            + self.names.size()
     }
 
     // ---- the engine's results --------------------------------------------------------------
@@ -105,6 +109,11 @@ impl Bus {
     /// The present device at an address.
     pub fn device_at(&self, address: Address) -> Option<&Device> {
         self.engine.device_at(address)
+    }
+
+    /// Names of the devices at each address, by time.
+    pub fn names(&self) -> &AddressNames {
+        &self.names
     }
 
     /// Findings of the engine.
@@ -261,7 +270,9 @@ impl Bus {
 
     /// The next engine event.
     pub(super) fn poll_event(&mut self) -> Option<Event> {
-        self.engine.poll_event()
+        let event = self.engine.poll_event()?;
+        self.names.handle_event(&event);
+        Some(event)
     }
 
     /// Restarts the enumeration.

@@ -4,6 +4,7 @@
 //! texts of status changes. Read by the other parts of the application to look up devices and
 //! names. Does not know des.json, the timeline or the screen.
 
+mod address_names;
 mod bus;
 mod error_kinds;
 mod load_history;
@@ -13,6 +14,7 @@ mod load_shares;
 mod redundancy;
 mod status_changes;
 
+pub use address_names::{AddressHolder, AddressNames};
 pub use bus::{Bus, TxBlocked};
 pub use error_kinds::ErrorKinds;
 pub use load_history::{LoadHistory, LoadSample};
@@ -126,16 +128,19 @@ impl Buses {
         self.get(bus).is_some_and(|bus| bus.traffic().verdict() == BusVerdict::Foreign)
     }
 
-    /// Name of the present device at an address; `own` for descan's own address, else the number.
-    pub fn name_at(&self, bus: BusIndex, address: Address) -> String {
-        let here = |device: &&Device| device.address == address && device.is_present();
-        let devices = self.get(bus).map_or(&[][..], Bus::devices);
-        let named = devices.iter().filter(here).find_map(|device| device.name.as_ref());
+    /// Name of the device that had an address at a moment; `own` for descan's own address, else the
+    /// number.
+    pub fn name_at(&self, bus: BusIndex, address: Address, time: Instant) -> String {
+        let named = self.get(bus).and_then(|bus| bus.names().at(address, time));
         match named {
             Some(name) => name.to_string(),
-            None if self.is_own_address(bus, address) => "own".to_owned(),
-            None => address.to_string(),
+            None => self.unnamed(bus, address),
         }
+    }
+
+    /// Text for an address without a known name: `own` for descan's, else the number.
+    pub(super) fn unnamed(&self, bus: BusIndex, address: Address) -> String {
+        if self.is_own_address(bus, address) { "own".to_owned() } else { address.to_string() }
     }
 
     /// Returns true if descan holds this address on this bus.

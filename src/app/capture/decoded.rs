@@ -3,6 +3,7 @@
 //! Input: a frame and the devices of its bus. A frame is decoded when it is shown, not when it is
 //! received. Text from devices is escaped ([`Escaped`]).
 
+use super::frame_store::FrameStore;
 use crate::app::buses::Buses;
 use crate::error_report::ErrorReport;
 use crate::frame::{CanId, Frame, FrameKind};
@@ -11,11 +12,121 @@ use crate::wire::des::{
     ReceivedRequest, Request, ServicesResponse, TYPE_NAME, TYPE_SERVICES, decode_name,
 };
 use crate::wire::framing::{Framing, classify_request, classify_response, strip_raw_padding};
-use crate::wire::id::{Address, Header, MessageType};
+use crate::wire::id::{Header, MessageType};
 use crate::wire::isotp::{FlowStatus, Pci};
-use crate::wire::node::Heartbeat;
+use crate::wire::node::{Heartbeat, Uid};
 use crate::wire::profile::Profile;
 use std::fmt::Write;
+
+/// Most frames of a transfer: 4095 bytes, 6 of them in the first frame and 7 in the others.
+const MAX_TRANSFER_FRAMES: usize = 586;
+
+/// What a frame is, as the KIND column shows it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum FrameRole {
+    /// Request.
+    Request,
+    /// Response to a request.
+    Response,
+    /// Response with ERR = 0: an error.
+    FailedResponse,
+    /// Response that no request asked for: unsolicited data.
+    Unsolicited,
+    /// Debug message.
+    Debug,
+    /// Platform frame of none of the nine message types.
+    NonConforming,
+    /// Error frame of the controller.
+    Error,
+    /// Data frame with an 11-bit identifier.
+    #[default]
+    Standard,
+    /// Remote frame.
+    Remote,
+    /// Data frame of a bus that speaks another protocol.
+    Foreign,
+}
+
+impl FrameRole {
+    /// All roles.
+    pub const ALL: [Self; 10] = [
+        Self::Request,
+        Self::Response,
+        Self::FailedResponse,
+        Self::Unsolicited,
+        Self::Debug,
+        Self::NonConforming,
+        Self::Error,
+        Self::Standard,
+        Self::Remote,
+        Self::Foreign,
+    ];
+
+    /// Returns the role of a frame; `is_foreign`: its bus speaks another protocol.
+    pub const fn of(frame: &Frame, is_foreign: bool) -> Self {
+        match (frame.kind, frame.id) {
+            (FrameKind::Error, _) => Self::Error,
+            (FrameKind::Remote, _) => Self::Remote,
+            (FrameKind::Data, CanId::Standard(_)) => Self::Standard,
+            (FrameKind::Data, CanId::Extended(_)) if is_foreign => Self::Foreign,
+            (FrameKind::Data, CanId::Extended(id)) => Self::of_header(Header::decode(id)),
+        }
+    }
+
+    const fn of_header(header: Header) -> Self {
+        use MessageType as T;
+        match header.message_type() {
+            T::ReqCcTgt | T::ReqCcBcst | T::ReqCuTgt | T::ReqCuBcst => Self::Request,
+            T::RspCcTgt | T::RspCuTgt if header.no_error => Self::Response,
+            T::RspCcTgt | T::RspCuTgt => Self::FailedResponse,
+            T::RspCcUnsc | T::RspCuUnsc => Self::Unsolicited,
+            T::Debug => Self::Debug,
+            T::NonConforming => Self::NonConforming,
+        }
+    }
+
+    /// Word in the KIND column.
+    pub const fn word(self) -> &'static str {
+        match self {
+            Self::Request => "req",
+            Self::Response => "rsp",
+            Self::FailedResponse => "rsp✗",
+            Self::Unsolicited => "data",
+            Self::Debug => "dbg",
+            Self::NonConforming => "odd",
+            Self::Error => "ERR",
+            Self::Standard => "std",
+            Self::Remote => "rtr",
+            Self::Foreign => "29b",
+        }
+    }
+
+    /// Word of `type:` in a filter.
+    pub const fn type_word(self) -> &'static str {
+        match self {
+            Self::FailedResponse => "failed",
+            Self::Error => "err",
+            Self::Foreign => "foreign",
+            _ => self.word(),
+        }
+    }
+
+    /// Words of a filter, of which the beginning is enough.
+    pub const fn words(self) -> &'static [&'static str] {
+        match self {
+            Self::Request => &["req", "request"],
+            Self::Response => &["rsp", "response"],
+            Self::FailedResponse => &["failed", "rsp✗", "response"],
+            Self::Unsolicited => &["data", "unsolicited"],
+            Self::Debug => &["dbg", "debug"],
+            Self::NonConforming => &["odd", "nonconforming", "non-conforming"],
+            Self::Error => &["err", "error"],
+            Self::Standard => &["std", "standard"],
+            Self::Remote => &["rtr", "remote"],
+            Self::Foreign => &["foreign"],
+        }
+    }
+}
 
 /// A frame as text.
 #[derive(Clone, Debug, Default)]
@@ -28,6 +139,8 @@ pub struct Decoded {
     pub destination: String,
     /// Service: name, else number.
     pub service: String,
+    /// What the frame is.
+    pub role: FrameRole,
     /// Message type, `error`, `remote`, `standard`, or `foreign` for a frame of a bus that speaks
     /// another protocol.
     pub kind: &'static str,
@@ -38,53 +151,43 @@ pub struct Decoded {
 }
 
 impl Decoded {
-    /// Decodes a frame; names and profile are those of its bus.
+    /// Decodes a frame; names and profile are those of its bus, names as of its time.
     pub fn new(buses: &Buses, frame: &Frame) -> Self {
-        match (frame.kind, frame.id) {
-            (FrameKind::Error, _) => Self {
-                kind: "error",
-                text: ErrorReport::of(frame).map_or(String::new(), |report| report.to_string()),
-                is_error: true,
-                ..Self::default()
+        let role = FrameRole::of(frame, buses.is_foreign(frame.bus));
+        let (kind, is_error) = match role {
+            FrameRole::Error => ("error", true),
+            FrameRole::Remote => ("remote", false),
+            FrameRole::Standard => ("standard", false),
+            FrameRole::Foreign => ("foreign", false),
+            _ => match frame.id {
+                CanId::Extended(id) => return Self::decode_platform(buses, frame, role, id),
+                CanId::Standard(_) => ("standard", false),
             },
-            (FrameKind::Data, CanId::Extended(_)) if buses.is_foreign(frame.bus) => {
-                Self { kind: "foreign", text: "another protocol".to_owned(), ..Self::default() }
-            }
-            (FrameKind::Data, CanId::Extended(id)) => Self::decode_platform(buses, frame, id),
-            (FrameKind::Remote, _) => {
-                let text = "remote frame (non-platform)".to_owned();
-                Self { kind: "remote", text, ..Self::default() }
-            }
-            _ => {
-                let text = "11-bit ID (non-platform)".to_owned();
-                Self { kind: "standard", text, ..Self::default() }
-            }
-        }
+        };
+        let text = meaning_of(frame, role, None);
+        Self { role, kind, text, is_error, ..Self::default() }
     }
 
-    fn decode_platform(buses: &Buses, frame: &Frame, id: u32) -> Self {
+    fn decode_platform(buses: &Buses, frame: &Frame, role: FrameRole, id: u32) -> Self {
         let header = Header::decode(id);
         let kind = header.message_type();
         let profile = buses.profile(frame.bus);
-        let name = |address| buses.name_at(frame.bus, address);
+        let name = |address| buses.name_at(frame.bus, address, frame.time);
         let service = match (kind, profile.service_name(header.service)) {
             (MessageType::Debug, _) => format!("{:03X}", header.service.number()),
             (_, Some(name)) => Escaped(name.as_bytes()).to_string(),
             (_, None) => header.service.to_string(),
         };
-        let failed = header.response && !header.no_error && header.is_conforming();
-        let (mut text, bad) = describe_data(&profile, header, frame);
-        if failed {
-            text.insert_str(0, if text.is_empty() { "error" } else { "error: " });
-        }
+        let (text, bad) = describe_message(&profile, header, frame);
         Self {
             source: name(header.source),
             destination: if header.broadcast { "*".to_owned() } else { name(header.destination) },
             service,
             kind: kind.name(),
             text,
-            is_error: failed || bad || !header.is_conforming(),
+            is_error: is_failed(header) || bad || !header.is_conforming(),
             header: Some(header),
+            role,
         }
     }
 
@@ -96,32 +199,98 @@ impl Decoded {
             None => content.to_owned(),
         }
     }
+}
 
-    pub(in crate::app) fn is_source(&self, value: &str) -> bool {
-        let Some(header) = self.header else { return false };
-        is_endpoint(&self.source, header.source, value)
-    }
+/// Returns true if a frame is an error response.
+fn is_failed(header: Header) -> bool {
+    header.response && !header.no_error && header.is_conforming()
+}
 
-    pub(in crate::app) fn is_destination(&self, value: &str) -> bool {
-        let Some(header) = self.header else { return false };
-        if header.broadcast {
-            return value == "*";
+/// The meaning of a frame in words; empty if there is none. `profile` is that of its bus.
+pub(in crate::app) fn meaning_of(
+    frame: &Frame,
+    role: FrameRole,
+    profile: Option<&Profile>,
+) -> String {
+    match (role, frame.id, profile) {
+        (FrameRole::Error, ..) => {
+            ErrorReport::of(frame).map_or(String::new(), |report| report.to_string())
         }
-        is_endpoint(&self.destination, header.destination, value)
-    }
-
-    pub(in crate::app) fn is_service(&self, value: &str) -> bool {
-        let Some(header) = self.header else { return false };
-        let number = match value.strip_prefix("0x") {
-            Some(hex) => u16::from_str_radix(hex, 16).ok(),
-            None => value.parse().ok(),
-        };
-        self.service.to_lowercase() == value || number == Some(header.service.number())
+        (FrameRole::Foreign, ..) => "another protocol".to_owned(),
+        (FrameRole::Remote, ..) => "remote frame (non-platform)".to_owned(),
+        (FrameRole::Standard, ..) => "11-bit ID (non-platform)".to_owned(),
+        (_, CanId::Extended(id), Some(profile)) => {
+            describe_message(profile, Header::decode(id), frame).0
+        }
+        _ => String::new(),
     }
 }
 
-fn is_endpoint(name: &str, address: Address, value: &str) -> bool {
-    name.to_lowercase() == value || address.to_string() == value
+/// The meaning of a platform frame, and true if it is malformed.
+pub(in crate::app) fn describe_message(
+    profile: &Profile,
+    header: Header,
+    frame: &Frame,
+) -> (String, bool) {
+    let (mut text, bad) = describe_data(profile, header, frame);
+    if is_failed(header) {
+        text.insert_str(0, if text.is_empty() { "error" } else { "error: " });
+    }
+    (text, bad)
+}
+
+/// Text of a UID, escaped.
+pub(in crate::app) fn uid_text(profile: &Profile, uid: Uid) -> String {
+    Escaped(uid.text(&profile.uid).to_string().as_bytes()).to_string()
+}
+
+/// The bytes of a transfer from its first frame to the frame with this number, and where those of that
+/// frame begin. `None` for a frame of no transfer, or if a frame before is missing.
+pub(in crate::app) fn message_until(
+    store: &FrameStore,
+    number: u64,
+    frame: &Frame,
+) -> Option<(Vec<u8>, usize)> {
+    let consecutive = |frame: &Frame| match Pci::decode(frame.data(), frame.is_fd) {
+        Ok(Pci::Consecutive { sequence, .. }) => Some(sequence),
+        _ => None,
+    };
+    if let Ok(Pci::Single(data) | Pci::First { data, .. }) = Pci::decode(frame.data(), frame.is_fd)
+    {
+        return Some((data.to_vec(), 0));
+    }
+    let mut frames = vec![*frame];
+    let mut sequence = consecutive(frame)?;
+    let mut at = number;
+    loop {
+        at = store.previous(at)?;
+        let before = store.get(at)?;
+        if frames.len() > MAX_TRANSFER_FRAMES {
+            return None;
+        }
+        let is_first = matches!(Pci::decode(before.data(), before.is_fd), Ok(Pci::First { .. }));
+        frames.push(before);
+        if is_first {
+            break;
+        }
+        let other = consecutive(&before)?;
+        if other != sequence.wrapping_sub(1) & 0x0F {
+            return None;
+        }
+        sequence = other;
+    }
+    let mut message = Vec::new();
+    let mut own = 0;
+    for frame in frames.iter().rev() {
+        own = message.len();
+        match Pci::decode(frame.data(), frame.is_fd) {
+            Ok(Pci::First { data, .. } | Pci::Consecutive { data, .. }) => {
+                message.extend_from_slice(data);
+            }
+            _ => return None,
+        }
+    }
+    (sequence == 1).then_some((message, own))
 }
 
 pub(super) fn reassemble(first: &Frame, rest: impl Iterator<Item = Frame>) -> Option<Vec<u8>> {
@@ -149,7 +318,11 @@ pub(super) fn reassemble(first: &Frame, rest: impl Iterator<Item = Frame>) -> Op
 }
 
 /// Text of the data of a platform frame, and true if they are malformed.
-fn describe_data(profile: &Profile, header: Header, frame: &Frame) -> (String, bool) {
+pub(in crate::app) fn describe_data(
+    profile: &Profile,
+    header: Header,
+    frame: &Frame,
+) -> (String, bool) {
     let data = frame.data();
     let kind = header.message_type();
     if kind == MessageType::Debug {
@@ -249,7 +422,7 @@ fn describe_heartbeat(profile: &Profile, data: &[u8]) -> String {
         let _ = write!(text, " {mode}");
     }
     if let Some(uid) = beat.uid.filter(|uid| !uid.is_blank()) {
-        let _ = write!(text, " {}", Escaped(uid.text(&profile.uid).to_string().as_bytes()));
+        let _ = write!(text, " {}", uid_text(profile, uid));
     }
     if let Some(error) = beat.error.filter(|error| *error != 0) {
         let _ = write!(text, " error {error}");

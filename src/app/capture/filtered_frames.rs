@@ -1,16 +1,16 @@
 //! The stored frames that match a filter.
 //!
-//! Inputs: the filter line, the stored frames. Frames are tested once, the newest first, in parts
+//! Inputs: the filter, the stored frames, names of devices. Frames are tested once, the newest first, in parts
 //! that are small enough for a key to be handled between them. A bit per frame is kept.
 
 use super::frame_store::FrameStore;
 use crate::app::buses::Buses;
-use crate::app::filter::Filter;
+use crate::app::filter::{Filter, FrameMatcher};
 use std::collections::BTreeMap;
 use std::ops::Range;
 
 /// Most frames that are tested at once: some milliseconds.
-const PART: u64 = 4096;
+const PART: u64 = 8192;
 const BITS: u64 = u64::BITS as u64;
 
 /// Frames with consecutive numbers that were tested.
@@ -48,8 +48,9 @@ impl TestedRange {
 /// The frames that match a filter.
 #[derive(Debug, Default)]
 pub(super) struct FilteredFrames {
-    line: String,
     filter: Filter,
+    /// Revisions of the names that were known when the frames were tested, where they count.
+    names: u64,
     /// By the number of the first frame.
     tested: BTreeMap<u64, TestedRange>,
     /// Generation of the store that the ranges are of.
@@ -59,15 +60,28 @@ pub(super) struct FilteredFrames {
 }
 
 impl FilteredFrames {
-    /// Sets the filter line.
-    pub fn set(&mut self, line: &str) {
-        if self.line != line {
-            *self = Self { line: line.to_owned(), filter: Filter::parse(line), ..Self::default() };
+    /// Sets the filter; `None` for all frames.
+    pub fn set(&mut self, filter: Option<&Filter>) {
+        let filter = filter.cloned().unwrap_or_default();
+        if self.filter != filter {
+            *self = Self { filter, ..Self::default() };
         }
+    }
+
+    /// Returns true if there is a filter.
+    pub fn is_on(&self) -> bool {
+        !self.filter.is_empty()
     }
 
     /// Tests frames that were not tested, the newest first. Returns false if some remain.
     pub fn test(&mut self, store: &FrameStore, buses: &Buses) -> bool {
+        let names = buses.iter().map(|bus| bus.names().revision()).sum();
+        if self.filter.needs_names() && self.names != names {
+            self.tested.clear();
+            self.is_complete = false;
+        }
+        self.names = names;
+        let matcher = self.filter.for_frames(buses);
         if self.generation != store.generation() {
             let kept: BTreeMap<u64, u64> = store.ranges().map(|it| (it.start, it.end)).collect();
             let is_kept = |start: &u64, range: &TestedRange| {
@@ -91,24 +105,39 @@ impl FilteredFrames {
                 return false;
             }
             budget = budget.saturating_sub(range.end - tested);
-            self.test_range(store, buses, range);
+            self.test_range(store, &matcher, range);
         }
         self.is_complete = true;
         true
     }
 
-    fn test_range(&mut self, store: &FrameStore, buses: &Buses, range: Range<u64>) {
+    fn test_range(&mut self, store: &FrameStore, matcher: &FrameMatcher, range: Range<u64>) {
         let new = TestedRange { end: range.start, ..TestedRange::default() };
         let tested = self.tested.entry(range.start).or_insert(new);
         let untested = (range.end - tested.end) as usize;
-        for (_, frame) in store.frames_from(tested.end).take(untested) {
-            tested.push(range.start, self.filter.matches_frame(buses, &frame));
+        for (number, frame) in store.frames_from(tested.end).take(untested) {
+            tested.push(range.start, matcher.is_match(&frame, Some((store, number))));
         }
     }
 
     /// Number of tested frames that do not match.
     pub fn hidden(&self) -> u64 {
         self.tested.iter().map(|(start, range)| range.end - start - range.count).sum()
+    }
+
+    /// The matching frame that is nearest in time to this one; `None` as long as it is not known.
+    pub fn nearest(&self, store: &FrameStore, number: u64) -> Option<u64> {
+        if self.from(number).next() == Some(number) {
+            return Some(number);
+        }
+        let (before, after) = (self.before(number).next(), self.from(number).next());
+        let time = store.time_of(number).filter(|_| self.is_complete)?;
+        let distance = |other: u64| {
+            let other = store.time_of(other)?;
+            Some(other.since(time).max(time.since(other)))
+        };
+        let near = before.into_iter().chain(after);
+        near.min_by_key(|other| distance(*other))
     }
 
     /// Numbers of the matching frames from `from` on, oldest first.

@@ -1,6 +1,6 @@
 //! Frames in the order of their arrival, each with a number, in a bounded number of bytes.
 //!
-//! A classic frame takes 20 bytes. Frames are stored in blocks; when there is no more room, the
+//! A classic frame takes 24 bytes. Frames are stored in blocks; when there is no more room, the
 //! oldest block is dropped. Those of its frames that the caller pins are kept longer, in a quarter
 //! of the room. Does not know what frames mean, nor why some are pinned.
 
@@ -11,7 +11,7 @@ use std::collections::VecDeque;
 use std::ops::Range;
 use std::sync::Arc;
 
-/// Most frames in a block: with 20 bytes a frame, 80 KiB.
+/// Most frames in a block: with 24 bytes a frame, 96 KiB.
 const BLOCK_FRAMES: usize = 4096;
 /// Fewest blocks that share the room: the part of it that is dropped at once.
 const MIN_BLOCKS: usize = 16;
@@ -28,6 +28,8 @@ pub const BYTES_PER_FRAME: usize = size_of::<Record>();
 struct Record {
     /// Microseconds since the block's time.
     offset: i32,
+    /// How many frames before it the one with the same identifier is; 0 if that is not known.
+    back: u32,
     /// Identifier word of SocketCAN.
     word: u32,
     data: [u8; Frame::MAX_CLASSIC_DATA],
@@ -71,8 +73,9 @@ impl FrameBlock {
         i32::try_from(offset).ok()
     }
 
-    /// Appends a frame. Returns false if the block is full, or the time too far from its own.
-    fn push(&mut self, frame: &Frame) -> bool {
+    /// Appends a frame; the one with the same identifier is `back` frames before it. Returns false if
+    /// the block is full, or the time too far from its own.
+    fn push(&mut self, frame: &Frame, back: u32) -> bool {
         if self.records.len() == self.records.capacity() {
             return false;
         }
@@ -89,14 +92,14 @@ impl FrameBlock {
         let sent = if frame.is_tx { SENT } else { 0 };
         let word = socketcan::id_word(frame);
         let len = frame.len() as u8;
-        let record = Record { offset, word, data, bus: frame.bus, flags: fd | sent, len };
+        let record = Record { offset, back, word, data, bus: frame.bus, flags: fd | sent, len };
         self.records.push(record);
         true
     }
 
-    fn get(&self, number: u64) -> Option<Frame> {
+    fn record(&self, number: u64) -> Option<&Record> {
         let at = usize::try_from(number.checked_sub(self.first)?).ok()?;
-        self.records.get(at).map(|record| self.decode(record))
+        self.records.get(at)
     }
 
     fn decode(&self, record: &Record) -> Frame {
@@ -194,18 +197,22 @@ impl FrameStore {
         self.generation
     }
 
-    /// Appends a frame. If a block must be dropped, its frames from `pins` are kept; the argument of
-    /// `pins` is the time of the block.
+    /// Appends a frame; `previous` is the number of the last one with the same identifier. If a block
+    /// must be dropped, its frames from `pins` are kept; the argument of `pins` is the time of the
+    /// block.
     pub fn push(
         &mut self,
         frame: &Frame,
+        previous: Option<u64>,
         pins: impl FnOnce(Range<Instant>) -> Vec<Range<Instant>>,
     ) {
+        let back = previous.and_then(|previous| self.end.checked_sub(previous));
+        let back = back.and_then(|back| u32::try_from(back).ok()).unwrap_or(0);
         let is_pushed = self.recent.back_mut().is_some_and(|block| {
             let before = block.size();
             // A copy of a shared block has no room for more frames.
             let block = Arc::make_mut(block);
-            let is_pushed = block.push(frame);
+            let is_pushed = block.push(frame, back);
             self.recent_size += block.size();
             self.recent_size -= before;
             is_pushed
@@ -214,7 +221,7 @@ impl FrameStore {
             let mut block = self.new_block(frame.time, pins);
             // Nothing else has a new block.
             if let Some(block) = Arc::get_mut(&mut block) {
-                block.push(frame);
+                block.push(frame, back);
             }
             self.recent_size += block.size();
             self.recent.push_back(block);
@@ -265,7 +272,7 @@ impl FrameStore {
             let frame = block.decode(record);
             let kept = kept.get_or_insert_with(|| FrameBlock::new(number, frame.time, 0));
             kept.records.reserve(1);
-            kept.push(&frame);
+            kept.push(&frame, record.back);
         }
         self.keep(kept);
         while self.pinned_size > self.room / PINNED_PART {
@@ -296,7 +303,21 @@ impl FrameStore {
 
     /// The frame with this number; `None` if it is not stored.
     pub fn get(&self, number: u64) -> Option<Frame> {
-        self.block_of(number)?.get(number)
+        let block = self.block_of(number)?;
+        block.record(number).map(|record| block.decode(record))
+    }
+
+    /// Number of the last frame before this one with the same identifier; `None` if it is not known. It
+    /// may be stored no more.
+    pub fn previous(&self, number: u64) -> Option<u64> {
+        let back = self.block_of(number)?.record(number)?.back;
+        number.checked_sub(u64::from(back)).filter(|_| back > 0)
+    }
+
+    /// Time of a frame; `None` if it is not stored.
+    pub fn time_of(&self, number: u64) -> Option<Instant> {
+        let block = self.block_of(number)?;
+        block.record(number).map(|record| block.time_of(record))
     }
 
     /// Ranges of consecutive numbers that are stored, oldest first.
@@ -376,7 +397,7 @@ mod tests {
         let mut store = FrameStore::new(FrameStore::MIN_ROOM);
         for number in 0..frames {
             let frame = Frame::classic(number as u32, &number.to_be_bytes());
-            store.push(&frame.with_time(at(number * 1000)), |_| Vec::new());
+            store.push(&frame.with_time(at(number * 1000)), None, |_| Vec::new());
         }
         store
     }
@@ -407,7 +428,7 @@ mod tests {
             Frame::classic(9, &[1]).with_time(at(u64::from(u32::MAX) * 3 - 100)),
         ];
         for frame in &frames {
-            store.push(frame, |_| Vec::new());
+            store.push(frame, None, |_| Vec::new());
         }
         let read: Vec<Frame> = store.frames_from(0).map(|(_, frame)| frame).collect();
         assert_eq!(read, frames);
@@ -433,7 +454,7 @@ mod tests {
         let pin = at(50_000)..at(60_000);
         for number in 0..200_000 {
             let frame = Frame::classic(number, &[]).with_time(at(u64::from(number) * 1000));
-            store.push(&frame, |block| {
+            store.push(&frame, None, |block| {
                 let is_near = pin.start < block.end && block.start < pin.end;
                 if is_near { vec![pin.clone()] } else { Vec::new() }
             });
@@ -455,11 +476,11 @@ mod tests {
         let mut store = FrameStore::new(FrameStore::MIN_ROOM);
         for number in 0..500_000 {
             let frame = Frame::classic(number, &[]).with_time(at(u64::from(number) * 1000));
-            store.push(&frame, |block| vec![block.start..block.end + Duration::from_secs(1)]);
+            store.push(&frame, None, |block| vec![block.start..block.end + Duration::from_secs(1)]);
         }
         let size: usize = store.blocks().map(FrameBlock::size).sum();
         assert!(size <= FrameStore::MIN_ROOM, "{size}");
         let pinned = store.ranges().map(|range| range.end - range.start).sum::<u64>();
-        assert!(pinned * 20 > FrameStore::MIN_ROOM as u64 * 8 / 10, "{pinned}");
+        assert!(pinned * 24 > FrameStore::MIN_ROOM as u64 * 8 / 10, "{pinned}");
     }
 }

@@ -59,6 +59,8 @@ pub struct IdentifierStats {
     pub rate: u32,
     /// Last frame.
     pub last: Frame,
+    /// Its number in the capture.
+    pub number: u64,
     /// Time between the last two frames; `None` after the first one.
     pub interval: Option<Duration>,
     current: u32,
@@ -82,8 +84,9 @@ impl Identifiers {
         Self { rows: Vec::new(), index, refused: 0 }
     }
 
-    /// Counts a frame.
-    pub fn add(&mut self, frame: &Frame) {
+    /// Counts a frame, which has this number in the capture. Returns the number of the last one with
+    /// the same identifier.
+    pub fn add(&mut self, frame: &Frame, number: u64) -> Option<u64> {
         let key = IdentifierKey::of(frame);
         if let Some(&at) = self.index.get(&key) {
             let row = &mut self.rows[at as usize];
@@ -91,13 +94,16 @@ impl Identifiers {
             row.count += 1;
             row.current += 1;
             row.last = *frame;
+            return Some(std::mem::replace(&mut row.number, number));
         } else if self.rows.len() < Self::MAX {
             self.index.insert(key, self.rows.len() as u32);
             let (last, interval) = (*frame, None);
-            self.rows.push(IdentifierStats { key, count: 1, rate: 0, last, interval, current: 1 });
+            let (count, rate, current) = (1, 0, 1);
+            self.rows.push(IdentifierStats { key, count, rate, last, number, interval, current });
         } else {
             self.refused += 1;
         }
+        None
     }
 
     /// Ends a second for the frame rates.
@@ -135,7 +141,7 @@ mod tests {
         let from = crate::wire::id::Address::from_bits(12);
         for rnd7 in 0..100 {
             let header = Header::unsolicited(from, rnd7, false, service);
-            identifiers.add(&Frame::classic(header.encode(), &[]));
+            identifiers.add(&Frame::classic(header.encode(), &[]), u64::from(rnd7));
         }
         identifiers.tick();
         let [row] = identifiers.rows() else { panic!("one row") };

@@ -6,10 +6,10 @@
 
 pub(super) mod decoded;
 mod filtered_frames;
-mod frame_store;
+pub(super) mod frame_store;
 pub(super) mod identifiers;
 
-pub use decoded::Decoded;
+pub use decoded::{Decoded, FrameRole};
 pub use frame_store::{BYTES_PER_FRAME, FrameStore, StoredFrames};
 pub use identifiers::{IdentifierKey, IdentifierKind, IdentifierStats, Identifiers};
 
@@ -57,8 +57,8 @@ impl Traffic {
         frame: &Frame,
         pins: impl FnOnce(Range<Instant>) -> Vec<Range<Instant>>,
     ) {
-        self.capture.push(frame, pins);
-        self.identifiers.add(frame);
+        let previous = self.identifiers.add(frame, self.capture.end());
+        self.capture.push(frame, previous, pins);
     }
 
     /// Statistics of the frames that are stored, up to a number and a time.
@@ -73,9 +73,11 @@ impl Traffic {
             }
             second = Some(now);
         };
-        for (_, frame) in self.capture.frames_from(0).take_while(|(number, _)| *number < frames) {
+        for (number, frame) in
+            self.capture.frames_from(0).take_while(|(number, _)| *number < frames)
+        {
             pass(&mut identifiers, frame.time);
-            identifiers.add(&frame);
+            identifiers.add(&frame, number);
         }
         pass(&mut identifiers, time);
         identifiers
@@ -96,32 +98,39 @@ impl Traffic {
         view.frozen.map_or(self.capture.end(), |frozen| frozen.frames)
     }
 
+    /// Sets the filter of the frames; `None` shows all.
+    pub fn set_filter(&mut self, filter: Option<&Filter>) {
+        self.filtered.set(filter);
+    }
+
     /// Tests frames that were not tested, if the Traffic page is open and has a filter. Returns false
     /// if some remain.
-    pub fn renew_filter(&mut self, view: &View, buses: &Buses) -> bool {
-        let line = view.filter(Page::Traffic);
-        if view.page != Page::Traffic || line.is_empty() {
+    pub fn renew_filter(&mut self, view: &mut View, buses: &Buses) -> bool {
+        if view.page != Page::Traffic || !self.filtered.is_on() {
             return true;
         }
-        self.filtered.set(line);
-        self.filtered.test(&self.capture, buses)
+        let is_complete = self.filtered.test(&self.capture, buses);
+        if let Some(selected) = view.traffic {
+            view.traffic = Some(self.filtered.nearest(&self.capture, selected).unwrap_or(selected));
+        }
+        is_complete
     }
 
     /// Number of tested frames that the filter hides; `None` if it does not apply.
     pub fn hidden(&self, view: &View) -> Option<u64> {
-        let is_shown = view.page == Page::Traffic && !view.by_identifier && Self::is_filtered(view);
+        let is_shown = view.page == Page::Traffic && !view.by_identifier && self.is_filtered(view);
         is_shown.then(|| self.filtered.hidden())
     }
 
     /// Returns true if the filter applies: around evidence all frames are shown.
-    fn is_filtered(view: &View) -> bool {
-        !view.filter(Page::Traffic).is_empty() && view.evidence.is_none()
+    fn is_filtered(&self, view: &View) -> bool {
+        self.filtered.is_on() && view.evidence.is_none()
     }
 
     /// Numbers of the frames to show from `number` on, oldest first.
     pub fn from<'a>(&'a self, view: &View, number: u64) -> Box<dyn Iterator<Item = u64> + 'a> {
         let end = self.end(view);
-        if Self::is_filtered(view) {
+        if self.is_filtered(view) {
             Box::new(self.filtered.from(number).take_while(move |&number| number < end))
         } else {
             Box::new(self.capture.numbers_from(number).take_while(move |&number| number < end))
@@ -131,7 +140,7 @@ impl Traffic {
     /// Numbers of the frames to show before `number`, newest first.
     pub fn before<'a>(&'a self, view: &View, number: u64) -> Box<dyn Iterator<Item = u64> + 'a> {
         let end = number.min(self.end(view));
-        if Self::is_filtered(view) {
+        if self.is_filtered(view) {
             Box::new(self.filtered.before(end))
         } else {
             Box::new(self.capture.numbers_before(end))
@@ -195,16 +204,16 @@ impl Traffic {
     /// Rows of the identifier view that match the filter, in the order of their keys.
     pub fn identifiers_shown<'a>(
         identifiers: &'a Identifiers,
-        view: &View,
+        filter: Option<&Filter>,
         buses: &Buses,
     ) -> Vec<&'a IdentifierStats> {
-        let filter = Filter::parse(view.filter(Page::Traffic));
+        let matcher = filter.map(|filter| filter.for_frames(buses));
         let rows = identifiers.rows().iter();
         // With the identifier of the row: its random destination is shown as 0.
         let is_shown = |row: &&IdentifierStats| {
             let mut frame = row.last;
             frame.id = row.key.id;
-            filter.matches_frame(buses, &frame)
+            matcher.as_ref().is_none_or(|matcher| matcher.is_match(&frame, None))
         };
         let mut shown: Vec<&IdentifierStats> = rows.filter(is_shown).collect();
         shown.sort_by_key(|row| row.key);
@@ -316,6 +325,7 @@ impl Eq for CapturedLog {}
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::app::filter::RowKind;
     use crate::discovery::Config;
     use crate::time::Instant;
 
@@ -335,8 +345,8 @@ mod tests {
         let (mut traffic, buses) = traffic();
         let mut view = View { page: Page::Traffic, ..View::default() };
         assert_eq!(traffic.shown(&view, 3), (vec![7, 8, 9], None));
-        view.set_filter(Page::Traffic, "tx".to_owned());
-        traffic.renew_filter(&view, &buses);
+        traffic.set_filter(Some(&Filter::parse("tx", RowKind::Frame).unwrap()));
+        traffic.renew_filter(&mut view, &buses);
         assert_eq!(traffic.shown(&view, 3), (vec![4, 6, 8], None));
         assert_eq!(traffic.from(&view, 3).collect::<Vec<_>>(), [4, 6, 8]);
     }

@@ -4,18 +4,19 @@
 //! Inputs: keys and pasted text. Outputs: the action of a key, the outcome of a prompt. Does not
 //! execute actions and does not know how overlays are drawn.
 
+mod filter_prompt;
 mod moment_text;
 mod prompt;
 mod prompt_kinds;
 mod prompt_logic;
 mod type_ahead;
 
+pub use filter_prompt::FilterPrompt;
 pub(super) use moment_text::{MomentRange, MomentTarget};
 pub(super) use prompt::PromptResult;
 pub use prompt::{Prompt, PromptKind};
 pub(super) use prompt_kinds::{
-    AddressPrompt, CapturePathPrompt, CopyPathPrompt, FilterPrompt, MomentPrompt, NewEntryPrompt,
-    RenamePrompt,
+    AddressPrompt, CapturePathPrompt, CopyPathPrompt, MomentPrompt, NewEntryPrompt, RenamePrompt,
 };
 pub use prompt_logic::InputCheck;
 pub(super) use prompt_logic::{PromptContext, PromptOutcome};

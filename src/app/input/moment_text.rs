@@ -2,12 +2,11 @@
 //!
 //! Pure. Does not know what is shown at a moment.
 
+use crate::app::typed_time::{DAY, parse_duration, parse_time_of_day};
 use crate::time::{Duration, Instant};
 
 /// Forms of a moment, for the prompt.
 pub(super) const FORMS: &str = "13:51:20 or 13:51:20.250, -2m, +10s, 50%, #5123 (frame)";
-
-const DAY: i128 = 86_400_000_000;
 
 /// Moments that can be shown.
 #[derive(Clone, Copy, Debug)]
@@ -54,12 +53,12 @@ impl MomentTarget {
             }
             begin + now.since(begin).mul_f64(percent / 100.0)
         } else if let Some(back) = text.strip_prefix('-') {
-            let back = duration(back).ok_or_else(no_form)?;
+            let back = parse_duration(back, "s").ok_or_else(no_form)?;
             Instant::from_micros(range.shown.as_micros().saturating_sub(micros(back)))
         } else if let Some(ahead) = text.strip_prefix('+') {
-            range.shown + duration(ahead).ok_or_else(no_form)?
+            range.shown + parse_duration(ahead, "s").ok_or_else(no_form)?
         } else {
-            range.at_wall_time(time_of_day(text).ok_or_else(no_form)?)
+            range.at_wall_time(parse_time_of_day(text).ok_or_else(no_form)?)
         };
         if (begin..=now).contains(&time) {
             return Ok(Self::Time(time));
@@ -88,43 +87,6 @@ impl MomentRange {
 
 fn micros(duration: Duration) -> u64 {
     u64::try_from(duration.as_micros()).unwrap_or(u64::MAX)
-}
-
-/// Parses `90`, `90s`, `1.5s`, `250ms`, `2m`, `1h30m`; without a unit, seconds.
-fn duration(text: &str) -> Option<Duration> {
-    let (mut rest, mut sum) = (text.trim(), Duration::ZERO);
-    if rest.is_empty() {
-        return None;
-    }
-    while !rest.is_empty() {
-        let end = rest.find(|c: char| !c.is_ascii_digit() && c != '.').unwrap_or(rest.len());
-        let (number, after) = rest.split_at(end);
-        let end = after.find(|c: char| c.is_ascii_digit() || c == '.').unwrap_or(after.len());
-        let (unit, after) = after.split_at(end);
-        let seconds = match unit.trim() {
-            "h" => 3600.0,
-            "m" | "min" => 60.0,
-            "s" | "" => 1.0,
-            "ms" => 1e-3,
-            _ => return None,
-        };
-        let number: f64 = number.parse().ok()?;
-        sum = sum.checked_add(Duration::try_from_secs_f64(number * seconds).ok()?)?;
-        rest = after;
-    }
-    Some(sum)
-}
-
-/// Parses `13:51`, `13:51:20`, `13:51:20.250`: microseconds since midnight.
-fn time_of_day(text: &str) -> Option<i128> {
-    let is_plain = text.bytes().all(|byte| byte.is_ascii_digit() || b":.".contains(&byte));
-    let mut parts = text.split(':');
-    let hours: u32 = parts.next()?.parse().ok()?;
-    let minutes: u32 = parts.next()?.parse().ok()?;
-    let seconds: f64 = parts.next().map_or(Some(0.0), |text| text.parse().ok())?;
-    let is_valid = hours < 24 && minutes < 60 && seconds < 60.0 && parts.next().is_none();
-    let of_day = f64::from(hours * 3600 + minutes * 60) + seconds;
-    (is_plain && is_valid).then(|| (of_day * 1e6).round() as i128)
 }
 
 #[cfg(test)]

@@ -4,9 +4,9 @@
 //! commits it ([`PromptOutcome`]), Esc drops it. Does not know how the line is drawn and executes
 //! nothing.
 
+use super::filter_prompt::FilterPrompt;
 use super::prompt_kinds::{
-    AddressPrompt, CapturePathPrompt, CopyPathPrompt, FilterPrompt, MomentPrompt, NewEntryPrompt,
-    RenamePrompt,
+    AddressPrompt, CapturePathPrompt, CopyPathPrompt, MomentPrompt, NewEntryPrompt, RenamePrompt,
 };
 use super::prompt_logic::{EditTarget, InputCheck, PromptContext, PromptLogic, PromptOutcome};
 use crate::keymap::{Key, KeyCode};
@@ -57,6 +57,10 @@ pub(in crate::app) enum PromptResult {
     Cancel,
     /// Tab: edit the address on the next redundant bus.
     NextBus,
+    /// Tab in a filter: the next candidate.
+    Complete,
+    /// An older line of the history, or with 1 a newer one.
+    Recall(isize),
 }
 
 impl PromptKind {
@@ -121,6 +125,14 @@ impl Prompt {
 
     /// Handles a key.
     pub(in crate::app) fn handle_key(&mut self, key: Key) -> PromptResult {
+        if let PromptKind::Filter(prompt) = &mut self.kind {
+            match key.code {
+                KeyCode::Tab => return PromptResult::Complete,
+                KeyCode::Up => return PromptResult::Recall(-1),
+                KeyCode::Down => return PromptResult::Recall(1),
+                _ => prompt.end_choice(),
+            }
+        }
         match key.code {
             KeyCode::Enter => return PromptResult::Commit,
             KeyCode::Esc => return PromptResult::Cancel,

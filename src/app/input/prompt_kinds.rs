@@ -6,9 +6,8 @@
 use super::moment_text::{FORMS, MomentTarget};
 use super::prompt_logic::{EditTarget, InputCheck as C, PromptContext, PromptLogic, PromptOutcome};
 use crate::app::buses::Bus;
-use crate::app::filter::Filter;
 use crate::app::listing::new_entry;
-use crate::app::view::{Page, RowKey};
+use crate::app::view::RowKey;
 use crate::discovery::DeviceId;
 use crate::document::{Document, Entry, EntryKey, NewEntry, Operation};
 use crate::log::LogFormat;
@@ -17,34 +16,6 @@ use std::path::{Path, PathBuf};
 
 /// Effect of Enter after the file was deleted or emptied while the user typed.
 const CREATES_FILE: &str = "Enter creates a new file";
-
-// ---- filter --------------------------------------------------------------------------------
-
-/// Prompt for the filter of a page.
-#[derive(Clone, Debug)]
-pub struct FilterPrompt {
-    /// The page.
-    pub page: Page,
-    /// The filter before, for Esc.
-    pub before: String,
-}
-
-impl PromptLogic for FilterPrompt {
-    fn label(&self) -> &'static str {
-        "filter"
-    }
-
-    fn validate(&self, text: &str, _context: PromptContext) -> C {
-        match Filter::parse(text).error(self.page) {
-            Some(error) => C::Rejected(error),
-            None => C::Accepted(Filter::syntax_hint(self.page).to_owned()),
-        }
-    }
-
-    fn commit(&self, text: &str, _context: PromptContext) -> PromptOutcome {
-        PromptOutcome::SetFilter(self.page, text.to_owned())
-    }
-}
 
 // ---- the entry that a prompt edits ---------------------------------------------------------
 

@@ -32,6 +32,8 @@ pub(in crate::app) struct PromptContext<'a> {
     pub frames: u64,
     /// Moments that can be shown.
     pub moments: MomentRange,
+    /// Number of rows of the page that match its filter, and of all.
+    pub matches: Option<(u64, u64)>,
 }
 
 /// Action that a committed prompt requests.

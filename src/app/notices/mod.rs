@@ -212,12 +212,13 @@ impl Notices {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::app::filter::RowKind;
     use crate::finding::{Finding, FindingKey};
 
     const NOW: Instant = Instant::ZERO;
 
     fn notices(filter: &str) -> Notices {
-        Notices::new(NOW, true, Filter::parse(filter))
+        Notices::new(NOW, true, Filter::parse(filter, RowKind::Event).unwrap())
     }
 
     #[test]

@@ -12,6 +12,7 @@ use crate::frame::BusIndex;
 use crate::text::Name;
 use crate::time::{Duration, Instant};
 use crate::wire::id::Address;
+use crate::wire::node::Mode;
 use std::collections::VecDeque;
 
 /// A line of the timeline.
@@ -35,6 +36,8 @@ pub struct TimelineEntry {
     pub other_names: Vec<Name>,
     /// Words of the events, as in `watch --json`: several where events share the line.
     pub events: Vec<&'static str>,
+    /// New mode of the device, where the line is about that.
+    pub mode: Option<Mode>,
     /// Kind of the finding, where the line reports one.
     pub finding: Option<FindingKind>,
     /// Event, for the user.
@@ -177,6 +180,7 @@ impl TimelineEntry {
             name: None,
             other_names: Vec::new(),
             events: vec![kind.event_word()],
+            mode: None,
             finding: None,
             text: text.into(),
             kind,
@@ -191,8 +195,10 @@ impl TimelineEntry {
         line.name.clone_from(&event.name);
         line.events = vec![event_word(&event.kind)];
         line.other_names = other_names(&event.kind);
-        if let EventKind::Finding { key, .. } = &event.kind {
-            line.finding = Some(key.kind);
+        match &event.kind {
+            EventKind::Finding { key, .. } => line.finding = Some(key.kind),
+            EventKind::Mode { to, .. } => line.mode = Some(*to),
+            _ => {}
         }
         line
     }

@@ -60,7 +60,6 @@ pub struct View {
     pub traffic_line: usize,
     /// Evidence that Traffic shows.
     pub evidence: Option<EvidenceView>,
-    pub(in crate::app) filters: [String; 5],
     /// The size of the screen is known; without a screen nothing waits for drawing.
     pub(in crate::app) has_screen: bool,
 }
@@ -79,16 +78,6 @@ impl View {
     /// Returns true if Traffic shows one row per identifier; evidence is always shown as frames.
     pub fn shows_identifiers(&self) -> bool {
         self.by_identifier && self.evidence.is_none()
-    }
-
-    /// Filter of a page.
-    pub fn filter(&self, page: Page) -> &str {
-        &self.filters[page as usize]
-    }
-
-    /// Sets the filter of a page.
-    pub fn set_filter(&mut self, page: Page, text: String) {
-        self.filters[page as usize] = text;
     }
 
     /// Regions of the screen, for this many buses.

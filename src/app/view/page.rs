@@ -32,6 +32,11 @@ impl Page {
         }
     }
 
+    /// Returns true if the page has rows that a filter selects from.
+    pub const fn has_rows(self) -> bool {
+        !matches!(self, Page::Bus)
+    }
+
     /// Number of the page, which is also its key.
     pub const fn number(self) -> usize {
         self as usize + 1

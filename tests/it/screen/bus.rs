@@ -300,7 +300,7 @@ fn bar_leads_to_its_device_and_frames() {
     };
     stage.keys("f");
     assert_eq!(stage.app.view().page, Page::Traffic);
-    assert_eq!(stage.app.view().filter(Page::Traffic), format!("src:{address}"));
+    assert_eq!(stage.app.page_filter(Page::Traffic).text(), format!("src:{address}"));
     stage.keys("5 Enter");
     assert_eq!(stage.app.view().page, Page::Devices);
     assert_eq!(stage.app.selected_row().unwrap().address, Some(address));
@@ -308,11 +308,14 @@ fn bar_leads_to_its_device_and_frames() {
     let senders = stage.app.buses()[0].sender_bars(BusIndex(0)).len();
     stage.keys("5 Home").keys(&"j ".repeat(senders)).keys("Enter");
     assert_eq!(stage.app.view().page, Page::Traffic);
-    let filter = stage.app.view().filter(Page::Traffic).to_owned();
+    let filter = stage.app.page_filter(Page::Traffic).text().to_owned();
     assert!(filter.starts_with("srv:"), "{filter}");
-    stage.keys("5 /");
-    assert!(stage.app.prompt().is_none());
-    assert!(stage.screen().contains("filter: the Bus page has no rows to filter"));
+    for key in ["/", "\\", "J", "K", "=", "!"] {
+        stage.keys("5").keys(key);
+        assert!(stage.app.prompt().is_none(), "{key}");
+        let refusal = "filter: the Bus page has no rows to filter";
+        assert!(stage.screen().contains(refusal), "{key}");
+    }
 }
 
 #[test]

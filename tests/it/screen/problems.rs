@@ -188,7 +188,7 @@ fn problems_are_filtered_by_words_and_fields() {
     assert_eq!(problems(&stage), ["muted confirmed static address taken @16"]);
     stage.keys("m");
     let screen = one_line(&stage.screen());
-    assert!(screen.contains("no problem matches the filter; Esc │ clears it"), "{screen}");
+    assert!(screen.contains("no problem matches the filter; Esc │ switches it off"), "{screen}");
 }
 
 #[test]

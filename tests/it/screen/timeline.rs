@@ -63,6 +63,6 @@ fn timeline_line_shows_its_moment() {
 fn device_leads_to_its_frames() {
     let mut stage = Stage::boiler();
     stage.until(24.0).keys("1 j f");
-    assert_eq!(stage.app.view().filter(Page::Traffic), "at:12");
+    assert_eq!(stage.app.page_filter(Page::Traffic).text(), "at:12");
     assert!(stage.screen().contains("/at:12"), "{}", stage.screen());
 }
