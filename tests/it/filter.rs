@@ -142,7 +142,7 @@ fn fields_select_the_frames_that_have_them() {
         ("bus:can0", &all[..]),
         ("bus:can1", &[]),
         ("text:\"name act\"", &[3]),
-        ("text:bus", &[10]),
+        ("text:stuff", &[10]),
         ("act", &[0, 1, 2, 3, 4, 11]),
         ("request", &[2, 6]),
         ("since:-10s until:-9s", &[1, 2]),
