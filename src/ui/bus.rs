@@ -428,7 +428,11 @@ fn draw_bar_list(
     heading(brush, Rect { height: 1, ..area }, title, &since);
     let below = Rect { y: area.y + 1, height: area.height - 1, ..area };
     if bars.is_empty() {
-        let text = if seconds > 0 { "  no frames" } else { "  –" };
+        let text = match bus.meter.shares.latest().bits {
+            _ if seconds == 0 => "  –",
+            0 => "  no frames",
+            _ => "  no such frames",
+        };
         let line = Line::from(brush.span(Role::Muted, text));
         brush.line(below, 0, &line);
     }

@@ -175,6 +175,23 @@ fn shares_are_those_of_the_frames_sent() {
 }
 
 #[test]
+fn frames_without_a_sender_have_a_bar_of_their_own() {
+    let mut standard = frame(10, 0x101);
+    standard.id = CanId::Standard(0x123);
+    let mut bench = Bench::new();
+    let screen = one_line(&bench.keys("5").screen(120, 40));
+    assert!(screen.contains("load by device"), "{screen}");
+    assert!(!screen.contains("no frames"), "nothing is known yet: {screen}");
+    let screen = one_line(&bench.seconds(10, &[]).screen(120, 40));
+    assert!(screen.contains(" no frames "), "{screen}");
+    let screen = one_line(&bench.seconds(10, &[standard; 4]).screen(120, 40));
+    assert!(screen.contains(" no such frames "), "{screen}");
+    let share = format!(" {:.1} %", bits(&standard) * 4.0 / 1250.0);
+    let bar = &screen[screen.rfind("non-platform").unwrap()..];
+    assert!(bar.chars().take(50).collect::<String>().contains(&share), "{share}: {bar}");
+}
+
+#[test]
 fn bars_keep_their_order_for_ten_seconds() {
     let (feed, heat) = (frame(10, 0x101), frame(11, 0x102));
     let mut bench = Bench::new();
