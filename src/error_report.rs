@@ -35,6 +35,8 @@ const BIT_1: u8 = 0x10;
 const OVERLOAD: u8 = 0x20;
 const WHILE_SENDING: u8 = 0x80;
 
+/// CRC as the place of a bus error in the frame, in byte 3.
+const CRC_SEQUENCE: u8 = 0x08;
 /// ACK slot as the place of a bus error in the frame, in byte 3.
 const ACKNOWLEDGE_SLOT: u8 = 0x19;
 /// Places in the frame, in byte 3, in order of transmission.
@@ -52,7 +54,7 @@ const PLACES: [(u8, &str); 19] = [
     (0x09, "reserved bit 0"),
     (0x0B, "length code"),
     (0x0A, "data"),
-    (0x08, "CRC"),
+    (CRC_SEQUENCE, "CRC"),
     (0x18, "CRC delimiter"),
     (ACKNOWLEDGE_SLOT, "acknowledge slot"),
     (0x1B, "acknowledge delimiter"),
@@ -132,6 +134,11 @@ impl ErrorReport {
         } else {
             (self.details[2] & FORM != 0).then_some(BusErrorType::Form)
         }
+    }
+
+    /// Returns true for a bus error in the CRC that has no other type: the CRC is wrong.
+    pub fn is_crc_error(&self) -> bool {
+        self.is(PROTOCOL) && self.details[3] == CRC_SEQUENCE && self.bus_error_type().is_none()
     }
 
     /// Returns true if the controller is bus-off.

@@ -71,6 +71,8 @@ roles! {
     Warning "warning" "Warnings: listen-only, FROZEN, unsaved edits.",
     HintKey "hint_key" "Keys in the last line and in the help; filter terms.",
     Bar "bar" "Bars of the bus load.",
+    Graph "graph" "Charts of load and frame rate; bars of the page Bus.",
+    Graph2 "graph_2" "Chart of the error rate.",
     Recording "recording" "Sign of a running recording.",
     Changed "changed" "Bytes, versions and values that changed.",
     Request "request" "Requests.",

@@ -15,6 +15,9 @@ impl App {
             let key = self.key_of(Action::Freeze);
             return self.show_error(format!("frozen: {key} shows the present first"));
         }
+        if !self.view.page.has_rows() && action.is_of_filter() {
+            return self.show_error("filter: the Bus page has no rows to filter");
+        }
         match action {
             Action::Up => self.move_by(-1),
             Action::Down => self.move_by(1),
@@ -31,6 +34,7 @@ impl App {
             Action::Traffic => self.show_page(Page::Traffic),
             Action::Timeline => self.show_page(Page::Timeline),
             Action::Problems => self.show_page(Page::Problems),
+            Action::Bus => self.show_page(Page::Bus),
             Action::Frames => self.go_to_frames_of_selection(),
             Action::Filter => self.ask_filter(),
             Action::FilterToggle => self.toggle_filter(),

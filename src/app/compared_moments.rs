@@ -340,8 +340,8 @@ impl App {
         }
         self.close_comparison();
         self.show_page(Page::Devices);
-        if !self.view.filter(Page::Devices).is_empty() {
-            self.view.set_filter(Page::Devices, String::new());
+        if self.filters.of(Page::Devices).is_on() {
+            self.filters.set_on(Page::Devices, false);
             self.refresh();
         }
         let is_it = |row: &&super::Row, subject: &DifferenceSubject| {

@@ -176,6 +176,7 @@ impl App {
                 (count(self.lines_shown().len()), count(self.timeline().entries().len()))
             }
             Page::Problems => (count(self.problems_shown().len()), count(self.problems().len())),
+            Page::Bus => return None,
         })
     }
 
@@ -195,6 +196,7 @@ impl App {
             Page::Traffic => self.go_to_matching_frame(&filter, by),
             Page::Timeline => self.go_to_matching_line(&filter, by),
             Page::Problems => self.go_to_matching_problem(&filter, by),
+            Page::Bus => false,
         };
         if !is_found {
             let place = if by < 0 { "before" } else { "behind" };
@@ -319,6 +321,7 @@ impl App {
                 let problem = self.selected_problem()?;
                 Some(format!("kind:{}", problem.head().key.kind.name()))
             }
+            Page::Bus => None,
         }
     }
 }

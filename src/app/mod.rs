@@ -42,6 +42,7 @@ mod history;
 mod input;
 mod inventory;
 mod listing;
+mod load_bars;
 mod marks;
 mod navigate;
 mod notices;
@@ -54,8 +55,8 @@ mod view;
 
 pub use app_event::{AppEvent, BusSnapshot, DeviceEvent, EventContext, EventLine, FileSnapshot};
 pub use buses::{
-    AddressHolder, AddressNames, Bus, Buses, LoadMeter, LoadSecond, Redundancy, RedundantDevice,
-    TxBlocked,
+    AddressHolder, AddressNames, Bus, Buses, ErrorKinds, LoadHistory, LoadMeter, LoadSample,
+    LoadSecond, LoadShares, Redundancy, RedundantDevice, ShareCounts, TxBlocked,
 };
 pub use capture::{
     CallKey, CallPart, CallStats, Calls, CapturedLog, Decoded, FramePeriod, FrameRole, FrameStore,
@@ -72,6 +73,7 @@ pub use filter::{
 pub use history::{BusesReplay, FRAMES_PER_ROOM, Moment, RecordedBuses};
 pub use input::{FilterPrompt, InputCheck, Overlay, Prompt, PromptKind, Question};
 pub use listing::{addition_refusal, same_services};
+pub use load_bars::{LoadBar, bar_lines};
 pub use marks::{MAX_MARKS, Mark, Marks};
 pub use navigate::{Mouse, MouseKind};
 pub use notices::{
@@ -84,8 +86,9 @@ pub use problems::{
 };
 pub use timeline_kind::TimelineKind;
 pub use view::{
-    Counts, EvidenceView, FileStatus, Focus, Frozen, Page, Row, RowKey, RowState, SPLIT_WIDTH,
-    Screen, Selection, SortBy, TimeFormat, TrafficView, View,
+    BarKey, BusPageLayout, BusRegions, ChartSpan, Counts, EvidenceView, FileStatus, Focus, Frozen,
+    Page, Row, RowKey, RowState, SPLIT_WIDTH, Screen, Selection, SortBy, TimeFormat, TrafficView,
+    View,
 };
 
 use crate::bitrate::{SearchOutcome, SearchProgress};
@@ -1138,6 +1141,10 @@ impl App {
 
     /// Returns true if nothing on the screen changes with time.
     fn is_idle(&self) -> bool {
+        // The axis of the charts moves.
+        if self.view.page == Page::Bus && self.buses.iter().any(|bus| bus.ended.is_none()) {
+            return false;
+        }
         // The most expensive test comes last: this is called in every turn of the event loop.
         let waits = || (0..self.buses.len()).any(|at| !self.is_search_complete(BusIndex(at as u8)));
         self.buses.is_quiet() && !(self.editor.file.is_there() && waits())
@@ -1188,6 +1195,7 @@ impl App {
         self.refresh_problems();
         if self.view.has_screen {
             self.settle_problems();
+            self.settle_bars();
             self.refresh_rows();
         }
     }

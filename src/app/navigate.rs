@@ -81,6 +81,8 @@ impl App {
             if let Some((page, ..)) = hit {
                 self.show_page(page);
             }
+        } else if self.view.page == Page::Bus {
+            self.click_bar(Position::new(mouse.column, mouse.row));
         } else if mouse.is_in(screen.list) {
             self.view.focus = Focus::List;
             self.click_row(usize::from(mouse.row - screen.list.y));
@@ -105,6 +107,7 @@ impl App {
                 self.view.hold_timeline(&keys, height);
                 self.view.timeline.click(&keys, line, height);
             }
+            Page::Bus => {}
             Page::Traffic if self.view.evidence_alone().is_some() => {
                 self.view.click_evidence(line, height);
             }
@@ -184,6 +187,7 @@ impl App {
                     self.view.timeline.follow_newest();
                 }
             }
+            Page::Bus => self.move_in_bars(delta),
             Page::Traffic if self.view.evidence_alone().is_some() => {
                 self.view.move_in_evidence(delta, height);
             }
@@ -213,6 +217,7 @@ impl App {
     pub(super) fn show_page(&mut self, page: Page) {
         self.view.open_page(page);
         self.filter_frames();
+        self.settle_bars();
         self.notices.redraw.set_dirty();
     }
 
@@ -228,6 +233,7 @@ impl App {
     pub(super) fn open_details(&mut self) {
         match self.view.page {
             Page::Timeline => self.go_to_line(),
+            Page::Bus => self.open_bar(),
             Page::Problems if self.screen().details.height > 0 => self.open_evidence(),
             Page::Traffic if self.view.evidence.is_some() => self.toggle_around(),
             Page::Traffic if self.view.shows_identifiers() => self.show_frames_of_identifier(),
@@ -305,6 +311,7 @@ impl App {
             }
             Page::Timeline => self.go_to_frames(),
             Page::Problems => self.open_evidence(),
+            Page::Bus => self.go_to_frames_of_bar(),
             Page::Traffic => self.show_error("these are the frames"),
         }
     }
@@ -404,13 +411,16 @@ impl App {
         self.show_info(if self.view.is_reversed { "order reversed" } else { "order as before" });
     }
 
-    /// Shows the next view of Traffic: frames, identifiers, calls.
+    /// Shows the next view of Traffic (frames, identifiers, calls), or another time of the charts of
+    /// Bus.
     pub(super) fn next_view(&mut self) {
-        if self.view.page == Page::Traffic {
+        if self.view.page == Page::Bus {
+            self.next_chart_span();
+        } else if self.view.page == Page::Traffic {
             self.view.close_evidence();
             self.show_traffic_as(self.view.traffic_view.next());
         } else {
-            self.show_error("views are on the Traffic page");
+            self.show_error("view works on the pages Traffic and Bus");
         }
     }
 
@@ -500,6 +510,7 @@ impl App {
                     format!("{} {}", super::format_time_of_day(self, line.time), line.text)
                 })
             }
+            Page::Bus => self.bar_text(),
             Page::Traffic => match self.view.evidence_alone().and_then(EvidenceView::selected) {
                 Some((_, piece)) => Some(self.evidence_text(piece)),
                 None => self.selected_frame().map(|frame| frame.to_string()),
@@ -565,6 +576,7 @@ impl App {
                 let line = number.and_then(|&number| self.timeline().get(number));
                 line.map_or((None, None, None), |line| (line.bus, line.address, line.name.clone()))
             }
+            Page::Bus => self.bar_subject(),
             Page::Traffic => {
                 let frame = self.selected_frame();
                 let source = frame.and_then(|frame| Decoded::of(self, &frame).header);
@@ -581,7 +593,7 @@ impl App {
 
     /// Goes to the row of the selection on Devices; returns true if there is one, else shows the
     /// error `otherwise`.
-    fn find_row(&mut self, otherwise: &str) -> bool {
+    pub(super) fn find_row(&mut self, otherwise: &str) -> bool {
         let (bus, address, name) = self.subject();
         let problem = self.selected_problem().filter(|_| self.view.page == Page::Problems);
         let entry = problem.and_then(|problem| self.shown_problems().entry_of(&problem.head().key));

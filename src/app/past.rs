@@ -194,7 +194,7 @@ impl App {
         let file = before.find(|(until, _)| *until > moment.time);
         let file = file.map_or(&self.content, |(_, content)| content).clone();
         problems.refresh(&buses, &file, moment.time);
-        Past { moment, buses, problems, file, identifiers: None }
+        Past { moment, buses, problems, file, identifiers: None, calls: None }
     }
 
     fn show_past(&mut self, moment: Moment, buses: Buses) {
@@ -203,13 +203,9 @@ impl App {
         let lines = later.map_or(self.timeline().end(), |line| line.number);
         self.view.frozen = Some(Frozen { frames: moment.frames, lines });
         self.notices.timeline_mut().pin_lines(true);
-<<<<<<< HEAD
-        self.past =
-            Some(Box::new(Past { moment, buses, problems, file, identifiers: None, calls: None }));
-=======
         self.past = Some(Box::new(past));
->>>>>>> compare
         self.settle_problems();
+        self.settle_bars();
         self.refresh_rows();
         self.filter_frames();
         self.notices.redraw.set_dirty();

@@ -123,6 +123,12 @@ impl Action {
             || matches!(self, Action::ClearLost | Action::BitRate | Action::Save)
     }
 
+    /// Returns true if the action types, switches or follows the filter of a page.
+    pub fn is_of_filter(self) -> bool {
+        use Action::{Filter, FilterToggle, HideLike, NextMatch, OnlyLike, PreviousMatch};
+        matches!(self, Filter | FilterToggle | OnlyLike | HideLike | NextMatch | PreviousMatch)
+    }
+
     /// Returns true if the keys of the action also apply while a prompt is open.
     pub fn is_global(self) -> bool {
         matches!(self, Action::QuitNow | Action::Suspend | Action::Redraw)
@@ -179,6 +185,7 @@ actions! {
         Traffic "traffic" "Page 2: traffic" "" ["2"];
         Timeline "timeline" "Page 3: timeline" "" ["3"];
         Problems "problems" "Page 4: problems" "" ["4"];
+        Bus "bus" "Page 5: load and state of the buses" "" ["5"];
         Filter "filter" "Filter rows" "filter" ["/"];
         FilterToggle "filter-toggle" "Filter off, or on again" "" ["\\"];
         OnlyLike "only-like" "Only rows like the selected one" "" ["="];
@@ -188,7 +195,7 @@ actions! {
         Sort "sort" "Sort by next column" "sort" ["s"];
         TimeFormat "time-format" "Traffic: time of day, since the row above, the same identifier, the start" "" ["z"];
         SortReverse "sort-reverse" "Reverse the order" "" ["S"];
-        Identifiers "identifiers" "Next view: frames, identifiers, calls" "view" ["v"];
+        Identifiers "identifiers" "Traffic: frames, identifiers, calls; Bus: time shown" "view" ["v"];
         Problem "problem" "Jump between device and problem" "problem" ["p"];
         Mute "mute" "Mute or unmute a problem until descan quits" "mute" ["m"];
         Copy "copy" "Copy the selected row to the clipboard" "" ["y"];

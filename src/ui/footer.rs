@@ -4,7 +4,8 @@
 
 use super::brush::{DrawContext, cut, fit, wrap};
 use crate::app::{
-    FileError, FileStatus, Focus, InputCheck, Page, Prompt, PromptKind, addition_refusal, is_about,
+    BarKey, FileError, FileStatus, Focus, InputCheck, Page, Prompt, PromptKind, addition_refusal,
+    is_about,
 };
 use crate::discovery::Config;
 use crate::keymap::{Action, Key, KeyMode};
@@ -238,6 +239,9 @@ fn hint_line(brush: &DrawContext, mode: KeyMode, width: usize) -> Vec<Span<'stat
             A::Compare,
             A::SaveCapture,
         ],
+        (KeyMode::Browse, Page::Bus, _) => {
+            &[A::Details, A::Frames, A::Identifiers, A::Freeze, A::BitRate, A::SaveCapture]
+        }
         (KeyMode::Browse, Page::Problems, _) => {
             &[A::Details, A::Mute, A::Filter, A::Problem, A::EditAddress, A::Rescan]
         }
@@ -301,6 +305,7 @@ fn applies(brush: &DrawContext, action: Action) -> bool {
         }
         (A::Details | A::Frames, Page::Timeline) => !app.lines_shown().is_empty(),
         (A::Filter | A::Identifiers | A::Rescan, Page::Traffic) if view.evidence.is_some() => false,
+        (A::Details | A::Frames, Page::Bus) => app.selected_bar().is_some(),
         (A::SaveCapture, _) => app.capture().end() > 0,
         (A::Details | A::Mute | A::Problem | A::EditAddress, Page::Problems) => {
             app.selected_problem().is_some()
@@ -339,6 +344,11 @@ fn hint(brush: &DrawContext, action: Action) -> Option<(Key, &'static str)> {
         (A::Details, Page::Traffic, Some(evidence)) if evidence.shows_context => "only evidence",
         (A::Details, Page::Traffic, Some(_)) => "all frames",
         (A::Problem, Page::Problems, _) => "go to device",
+        (A::Details, Page::Bus, _) => match brush.app.selected_bar() {
+            Some(BarKey::Service(..)) => "frames",
+            _ => "go to device",
+        },
+        (A::Identifiers, Page::Bus, _) => brush.app.chart_span().next().title(),
         (A::Details, Page::Traffic, None) if view.shows_identifiers() || view.shows_calls() => {
             "frames"
         }

@@ -1,7 +1,7 @@
 //! Draws [`App`] into the cells of a terminal: one file per region of the screen. At 80 columns:
 //!
 //! ```text
-//!  can0 125k  active  load  37% ▁▂▃▅▂▁  412 f/s  err 0  lost 0  own 0              status.rs
+//!  can0 125k  active  load   7% ⣶⣶⣶⣾⣾⣿⣿⣿ 5–8%    err 0  lost 0  own 0             status.rs
 //!  des.json ✓ 6 entries                              ● 4 present  ○ 1 missing  ⚠ 2
 //!  1 Devices  2 Traffic  3 Timeline  4 Problems 2 ─┬─ FEED @10 ───────────────────  tabs.rs
 //!    ADDR NAME       STATE    MODE  SVC  AGE FILE  │ online 3m12s                   devices.rs
@@ -24,6 +24,8 @@
 //! [`crate::text::Name`], or as text made by the app.
 
 mod brush;
+mod bus;
+mod chart;
 mod comparison;
 mod conflict;
 mod details;
@@ -105,5 +107,6 @@ fn page(brush: &mut DrawContext) {
         Page::Traffic => traffic::draw(brush),
         Page::Timeline => timeline::draw(brush),
         Page::Problems => problems::draw(brush),
+        Page::Bus => bus::draw(brush),
     }
 }

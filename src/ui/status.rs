@@ -2,8 +2,9 @@
 //! frames, own address), and one for des.json and the counts of devices and problems. On a screen
 //! with one status line both share it. Parts that do not fit are left out by their rank.
 
-use super::brush::{DrawContext, bus_label, fit, short_name};
-use crate::app::{Bus, FileError, LoadMeter, Overlay, TxBlocked, clock_millis, format_duration};
+use super::brush::{DrawContext, bus_label, fit, fit_right, short_name};
+use super::chart::chart_rows;
+use crate::app::{Bus, FileError, Overlay, TxBlocked, clock_millis, format_duration};
 use crate::discovery::OwnAddress;
 use crate::frame::BusIndex;
 use crate::keymap::Action;
@@ -16,6 +17,11 @@ use unicode_width::UnicodeWidthStr;
 
 /// Stands in front of assumed values.
 const ASSUMED: &str = "≈";
+
+/// Time whose least and most load are the scale; so it becomes narrower only after that.
+const SCALE_SECONDS: u64 = 60;
+/// Least distance of the ends of the scale, in percent.
+const LEAST_SCALE: f64 = 3.0;
 
 /// A part of a line. It is shown whole or left out; only a text that explains an error is cut.
 struct Part {
@@ -39,9 +45,10 @@ const ASSUMPTION: u8 = 7;
 const LOAD: u8 = 8;
 /// Counters that are 0.
 const COUNTER: u8 = 9;
-const RATE: u8 = 10;
+const CHART: u8 = 10;
 const OWN: u8 = 11;
-const MUTED: u8 = 12;
+const RATE: u8 = 12;
+const MUTED: u8 = 13;
 
 impl Part {
     fn new(rank: u8, spans: Vec<Span<'static>>) -> Self {
@@ -236,7 +243,7 @@ fn bus_parts(brush: &DrawContext, index: BusIndex) -> Parts {
     }
     parts.extend(warning(brush, bus).filter(|_| !is_searched));
     let frames = bus.meter.last().frames;
-    parts.push(Part::new(LOAD, load(brush, bus, if columns < 100 { 6 } else { 20 })));
+    parts.extend(load(brush, bus, if columns < 100 { 8 } else { 15 }));
     parts.push(Part::new(RATE, vec![brush.span(Role::Text, format!("{frames:>4} f/s"))]));
     parts.push(counter(brush, "err", bus.counters().errors, Role::Warning));
     let mut lost = counter(brush, "lost", bus.lost(), Role::Error);
@@ -248,17 +255,22 @@ fn bus_parts(brush: &DrawContext, index: BusIndex) -> Parts {
     parts
 }
 
-/// Returns the bus load, and its chart of `width` cells; `–` where no bit rate is known.
-fn load(brush: &DrawContext, bus: &Bus, width: usize) -> Vec<Span<'static>> {
+/// Returns the bus load, and its chart of so many cells with its scale; `–` where no bit rate is
+/// known.
+fn load(brush: &DrawContext, bus: &Bus, cells: usize) -> Parts {
     let label = brush.span(Role::Muted, "load ");
     if bus.lacks_bit_rate() {
-        return vec![label, brush.span(Role::Muted, "   –")];
+        return vec![Part::new(LOAD, vec![label, brush.span(Role::Muted, "   –")])];
     }
     let load = bus.meter.last().load(bus.bits_per_second()) * 100.0;
     let guess = if bus.status.bitrate.is_none() { ASSUMED } else { "" };
     let role = if load >= 80.0 { Role::Warning } else { Role::Text };
-    let load = format!("{:>4} ", format!("{guess}{load:.0}%"));
-    vec![label, brush.span(role, load), brush.span(Role::Bar, sparkline(bus, width))]
+    let load = format!("{:>4}", format!("{guess}{load:.0}%"));
+    let (chart, scale) = load_chart(bus, cells);
+    vec![
+        Part::new(LOAD, vec![label, brush.span(role, load)]),
+        Part::new(CHART, vec![brush.span(Role::Bar, chart), brush.span(Role::Muted, scale)]),
+    ]
 }
 
 /// Returns whether a replay is paused, its position, percent and speed; `None` without a log.
@@ -390,21 +402,29 @@ fn own_address(brush: &DrawContext, bus: &Bus) -> Option<Part> {
     Some(Part::new(rank, vec![brush.span(role, text)]))
 }
 
-/// Returns the bus load of the last `width` seconds, newest at the right, a bar step per eighth of
-/// the bit rate; a second without frames is blank.
-fn sparkline(bus: &Bus, width: usize) -> String {
-    const BARS: [char; 8] = ['▁', '▂', '▃', '▄', '▅', '▆', '▇', '█'];
-    let bitrate = bus.bits_per_second();
-    let width = width.min(LoadMeter::SECONDS);
-    let newest = bus.meter.seconds().rev().take(width);
-    let mut bars: Vec<char> = newest
-        .map(|second| match (second.frames, second.load(bitrate)) {
-            (0, _) => ' ',
-            (_, load) => BARS[((load * 8.0) as usize).min(7)],
-        })
-        .collect();
-    bars.resize(width, ' ');
-    bars.iter().rev().collect()
+/// Returns the chart of the load in `cells` cells of 2 s, newest at the right, and its scale: the
+/// least and the most of the last minute, at least 3 percent apart. A second without frames is
+/// blank.
+fn load_chart(bus: &Bus, cells: usize) -> (String, String) {
+    let (history, bitrate) = (&bus.meter.history, bus.bits_per_second());
+    let load = |second: u64| Some(history.sample(second, second + 1).load(bitrate)? * 100.0);
+    let minute = (history.end().saturating_sub(SCALE_SECONDS)..history.end()).filter_map(load);
+    let (least, most) = minute
+        .fold((100.0, 0.0), |(least, most): (f64, f64), load| (least.min(load), most.max(load)));
+    if least > most {
+        return (" ".repeat(cells), String::new());
+    }
+    let least = least.floor().min(100.0 - LEAST_SCALE);
+    let most = most.ceil().max(least + LEAST_SCALE);
+    // The chart moves by whole cells.
+    let end = history.end() / 2 * 2;
+    let begin = history.end() - history.len();
+    let start = end.saturating_sub(2 * cells as u64).max(begin / 2 * 2);
+    // What is not 0 has a dot, the least load too.
+    let above = |load: f64| if load > 0.0 { (load - least).max(0.01) } else { 0.0 };
+    let values: Vec<_> = (start..end).map(|second| load(second).map(above)).collect();
+    let chart = chart_rows(&values, 1, most - least).concat();
+    (fit_right(&chart, cells), format!(" {least:.0}–{most:.0}%"))
 }
 
 /// Returns the sign that a bus is read with assumed values (no profile given).

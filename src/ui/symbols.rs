@@ -4,7 +4,7 @@ use crate::finding::FindingState;
 use crate::theme::Role;
 
 /// Each symbol: its role, the text as shown on the screen, and its meaning.
-pub const SYMBOLS: [(Role, &str, &str); 30] = [
+pub const SYMBOLS: [(Role, &str, &str); 31] = [
     (Role::Online, "● online", "heartbeats arrive"),
     (Role::Stale, "◐ stale", "heartbeat overdue"),
     (Role::Silent, "◌ silent", "frames but no heartbeats"),
@@ -31,6 +31,7 @@ pub const SYMBOLS: [(Role, &str, &str); 30] = [
     (Role::Warning, "  12!", "invalid entry: see the details"),
     (Role::Suspected, "≈ assumed", "service numbers and layouts are assumed (no --profile)"),
     (Role::Text, "load ≈3%", "bit rate unknown: 125 kbit/s assumed"),
+    (Role::Bar, "⣶⣾⣿ 5–8%", "load, 2 s a cell; least and most of the last minute"),
     (Role::Text, "load –", "a log or a virtual bus without a bit rate"),
     (Role::Warning, "listen-only, acks", "descan does not transmit; the controller still ACKs"),
     (Role::Recording, "● rec 12 MB", "recording, size written so far (--record)"),

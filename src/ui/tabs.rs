@@ -106,7 +106,7 @@ fn title(brush: &DrawContext) -> Option<String> {
             places.chain([problem.headline().into_owned()]).collect::<Vec<String>>().join(" ")
         }),
         Page::Traffic => Some("Frame".to_owned()),
-        Page::Timeline => None,
+        Page::Timeline | Page::Bus => None,
     }
 }
 

@@ -66,7 +66,11 @@ pub fn draw_latest(brush: &mut DrawContext) {
 }
 
 /// Returns a line: time, sign, bus if there are several, source in `source_width` cells, event.
-fn entry_line(brush: &DrawContext, entry: &TimelineEntry, source_width: usize) -> Line<'static> {
+pub fn entry_line(
+    brush: &DrawContext,
+    entry: &TimelineEntry,
+    source_width: usize,
+) -> Line<'static> {
     let letter = match entry.kind {
         TimelineKind::Mark(letter) => letter.to_string(),
         _ => String::new(),

@@ -122,7 +122,7 @@ fn pages_of_a_past_moment_are_those_of_a_run_until_then() {
         assert_eq!(then.app.capture().end(), moment.frames, "{key} {:?}", moment.time);
         then.keys("Space");
         // The last one is the identifiers, and back to frames.
-        for number in ["1", "3", "4", "2", "2 v", "v"] {
+        for number in ["1", "3", "4", "5", "2", "2 v", "v"] {
             let (shown, expected) = (page(&mut past, number), page(&mut then, number));
             assert_eq!(shown, expected, "{key} {:?}", moment.time);
         }

@@ -52,6 +52,13 @@ fn edit_picture_matches_screen() {
     assert_picture("edit", &stage);
 }
 
+#[test]
+fn bus_picture_matches_screen() {
+    let mut stage = demo(100, 28);
+    stage.until(170.0).keys("5");
+    assert_picture("bus", &stage);
+}
+
 /// `descan demo` on a screen of this size.
 fn demo(columns: u16, rows: u16) -> Stage {
     let mut stage = Stage::new(&Scenario::builtin("boiler").unwrap(), Some(DEMO_FILE));

@@ -88,6 +88,7 @@ impl Bus {
     pub fn size(&self) -> usize {
         size_of::<Self>()
             + BYTES_OF_A_BUS
+            + self.meter.size()
             + self.devices().len() * BYTES_OF_A_DEVICE
             + self.findings().len() * BYTES_OF_A_FINDING
             + self.names.size()

@@ -1,7 +1,12 @@
-//! Frames and bus time in each of the last 30 seconds.
+//! Frames and bus time of a bus: in each of the last 30 seconds, over all its time, by sender and
+//! service; error frames by kind.
 //!
 //! Input: the frames of one bus. Output: frame rate and bus load. Does not know the adapter.
 
+use super::error_kinds::ErrorKinds;
+use super::load_history::LoadHistory;
+use super::load_second::LoadSecond;
+use super::load_shares::LoadShares;
 use crate::error_report::ErrorReport;
 use crate::frame::bits::FrameBits;
 use crate::frame::{Frame, FrameKind};
@@ -16,19 +21,12 @@ pub struct LoadMeter {
     past: VecDeque<LoadSecond>,
     started: Instant,
     bits: u64,
-}
-
-/// Counts of one second.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct LoadSecond {
-    /// Frames, error frames included.
-    pub frames: u32,
-    /// Error frames among them.
-    pub errors: u32,
-    /// Error frames that report a bus error (ISO 11898-1).
-    pub bus_errors: u32,
-    /// Time during which the bus was occupied, in nominal bit times.
-    pub bits: u64,
+    /// Seconds, of the last minutes and of all time.
+    pub history: LoadHistory,
+    /// Bus time by sender and by service.
+    pub shares: LoadShares,
+    /// Error frames by kind.
+    pub error_kinds: ErrorKinds,
 }
 
 impl LoadMeter {
@@ -39,7 +37,16 @@ impl LoadMeter {
     pub(super) fn new(now: Instant) -> Self {
         let second = now.as_micros() / 1_000_000;
         let past = VecDeque::with_capacity(Self::SECONDS);
-        Self { second, current: LoadSecond::default(), past, started: now, bits: 0 }
+        Self {
+            second,
+            current: LoadSecond::default(),
+            past,
+            started: now,
+            bits: 0,
+            history: LoadHistory::new(second),
+            shares: LoadShares::new(second),
+            error_kinds: ErrorKinds::default(),
+        }
     }
 
     /// Counts a frame. `bitrate` and `data_bitrate` in bit/s; without a data bit rate the nominal
@@ -47,7 +54,9 @@ impl LoadMeter {
     pub fn add(&mut self, frame: &Frame, bitrate: u32, data_bitrate: Option<u32>) {
         self.current.frames += 1;
         let bits = if frame.kind == FrameKind::Error {
-            let is_broken = ErrorReport::of(frame).is_some_and(|report| report.is_bus_error());
+            let report = ErrorReport::of(frame);
+            let is_broken = report.is_some_and(|report| report.is_bus_error());
+            self.error_kinds.add(report);
             self.current.errors += 1;
             self.current.bus_errors += u32::from(is_broken);
             if is_broken { BROKEN_FRAME_BITS } else { 0 }
@@ -56,14 +65,18 @@ impl LoadMeter {
         };
         self.current.bits += bits;
         self.bits += bits;
+        self.shares.add(frame, bits);
     }
 
-    /// Closes the seconds that are over; returns true if there were any.
-    pub fn advance(&mut self, now: Instant) -> bool {
+    /// Closes the seconds that are over; returns true if there were any. With `is_known` false no
+    /// frames could be received in them.
+    pub fn advance(&mut self, now: Instant, is_known: bool) -> bool {
         let second = now.as_micros() / 1_000_000;
         if second <= self.second {
             return false;
         }
+        self.history.add(self.current, second - self.second - 1, is_known);
+        self.shares.advance(second);
         let over = (second - self.second).min(Self::SECONDS as u64 + 1);
         self.second = second;
         for _ in 0..over {
@@ -91,16 +104,14 @@ impl LoadMeter {
         self.past.iter()
     }
 
+    /// Size in bytes, as of a copy.
+    pub(super) fn size(&self) -> usize {
+        self.history.size() + LoadShares::size()
+    }
+
     /// Returns true if no frame was counted in the stored seconds.
     pub fn is_idle(&self) -> bool {
         self.current.frames == 0 && self.past.iter().all(|second| second.frames == 0)
-    }
-}
-
-impl LoadSecond {
-    /// Bus load, 0–1; `bitrate` in bit/s.
-    pub fn load(self, bitrate: u32) -> f64 {
-        (self.bits as f64 / f64::from(bitrate.max(1))).min(1.0)
     }
 }
 

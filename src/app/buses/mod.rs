@@ -6,13 +6,21 @@
 
 mod address_names;
 mod bus;
+mod error_kinds;
+mod load_history;
 mod load_meter;
+mod load_second;
+mod load_shares;
 mod redundancy;
 mod status_changes;
 
 pub use address_names::{AddressHolder, AddressNames};
 pub use bus::{Bus, TxBlocked};
-pub use load_meter::{LoadMeter, LoadSecond};
+pub use error_kinds::ErrorKinds;
+pub use load_history::{LoadHistory, LoadSample};
+pub use load_meter::LoadMeter;
+pub use load_second::LoadSecond;
+pub use load_shares::{LoadShares, ShareCounts};
 pub use redundancy::{Redundancy, RedundantDevice};
 
 use super::timeline_kind::TimelineKind;
@@ -341,7 +349,8 @@ impl Buses {
     /// Closes the load seconds that are over; a log that ended keeps its last ones.
     pub(super) fn tick(&mut self, now: Instant) {
         for bus in self.list.iter_mut().filter(|bus| bus.ended.is_none()) {
-            bus.meter.advance(now);
+            let is_known = bus.is_up();
+            bus.meter.advance(now, is_known);
         }
     }
 

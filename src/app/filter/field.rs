@@ -24,7 +24,8 @@ impl RowKind {
     /// What the rows of a page are.
     pub const fn of(page: Page) -> Self {
         match page {
-            Page::Devices => Self::Device,
+            // Bus has no rows.
+            Page::Devices | Page::Bus => Self::Device,
             Page::Traffic => Self::Frame,
             Page::Timeline => Self::Event,
             Page::Problems => Self::Problem,

@@ -11,21 +11,13 @@ mod prompt_kinds;
 mod prompt_logic;
 mod type_ahead;
 
-<<<<<<< HEAD
 pub use filter_prompt::FilterPrompt;
-pub(super) use moment_text::{MomentRange, MomentTarget};
-pub(super) use prompt::PromptResult;
-pub use prompt::{Prompt, PromptKind};
-pub(super) use prompt_kinds::{
-    AddressPrompt, CapturePathPrompt, CopyPathPrompt, MomentPrompt, NewEntryPrompt, RenamePrompt,
-=======
 pub(super) use moment_text::{MomentRange, MomentTarget, mark_bit};
 pub(super) use prompt::PromptResult;
 pub use prompt::{Prompt, PromptKind};
 pub(super) use prompt_kinds::{
-    AddressPrompt, CapturePathPrompt, CopyPathPrompt, FilterPrompt, MarkPrompt, MomentPrompt,
-    NewEntryPrompt, RenamePrompt,
->>>>>>> compare
+    AddressPrompt, CapturePathPrompt, CopyPathPrompt, MarkPrompt, MomentPrompt, NewEntryPrompt,
+    RenamePrompt,
 };
 pub use prompt_logic::InputCheck;
 pub(super) use prompt_logic::{PromptContext, PromptOutcome};

@@ -6,12 +6,8 @@
 
 use super::filter_prompt::FilterPrompt;
 use super::prompt_kinds::{
-<<<<<<< HEAD
-    AddressPrompt, CapturePathPrompt, CopyPathPrompt, MomentPrompt, NewEntryPrompt, RenamePrompt,
-=======
-    AddressPrompt, CapturePathPrompt, CopyPathPrompt, FilterPrompt, MarkPrompt, MomentPrompt,
-    NewEntryPrompt, RenamePrompt,
->>>>>>> compare
+    AddressPrompt, CapturePathPrompt, CopyPathPrompt, MarkPrompt, MomentPrompt, NewEntryPrompt,
+    RenamePrompt,
 };
 use super::prompt_logic::{EditTarget, InputCheck, PromptContext, PromptLogic, PromptOutcome};
 use crate::keymap::{Key, KeyCode};

@@ -6,11 +6,7 @@
 use super::moment_text::{FORMS, MomentTarget};
 use super::prompt_logic::{EditTarget, InputCheck as C, PromptContext, PromptLogic, PromptOutcome};
 use crate::app::buses::Bus;
-<<<<<<< HEAD
-=======
-use crate::app::filter::Filter;
 use crate::app::history::Moment;
->>>>>>> compare
 use crate::app::listing::new_entry;
 use crate::app::view::RowKey;
 use crate::discovery::DeviceId;

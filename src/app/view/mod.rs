@@ -4,6 +4,7 @@
 //! Inputs: keys of rows, the size of the screen. Does not know the content of rows, or how they
 //! are drawn.
 
+mod bus_page;
 mod cursor;
 mod evidence;
 mod page;
@@ -11,6 +12,7 @@ mod rows;
 mod screen;
 mod traffic_view;
 
+pub use bus_page::{BarKey, BusPageLayout, BusRegions, ChartSpan};
 pub use cursor::Selection;
 pub use evidence::EvidenceView;
 pub use page::{Focus, Frozen, Page};
@@ -57,6 +59,10 @@ pub struct View {
     pub problems: Selection<ProblemKey>,
     /// Number of the selected timeline line; none while the newest are followed.
     pub timeline: Selection<u64>,
+    /// Selected bar of the Bus page.
+    pub bars: Selection<BarKey>,
+    /// Time that the charts of the Bus page show.
+    pub chart_span: ChartSpan,
     /// Selection of the view of identifiers.
     pub identifiers: Selection<IdentifierKey>,
     /// Selection of the view of calls.
@@ -78,7 +84,7 @@ impl View {
             Page::Devices | Page::Problems => true,
             Page::Traffic if self.evidence.is_some() => true,
             Page::Traffic => self.frame_details && self.traffic_view == TrafficView::Frames,
-            Page::Timeline => false,
+            Page::Timeline | Page::Bus => false,
         }
     }
 

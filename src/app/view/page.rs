@@ -12,11 +12,14 @@ pub enum Page {
     Timeline,
     /// Problems with their evidence.
     Problems,
+    /// Load and state of the buses.
+    Bus,
 }
 
 impl Page {
     /// All pages, by number.
-    pub const ALL: [Page; 4] = [Page::Devices, Page::Traffic, Page::Timeline, Page::Problems];
+    pub const ALL: [Page; 5] =
+        [Page::Devices, Page::Traffic, Page::Timeline, Page::Problems, Page::Bus];
 
     /// Title of the page.
     pub const fn title(self) -> &'static str {
@@ -25,7 +28,13 @@ impl Page {
             Page::Traffic => "Traffic",
             Page::Timeline => "Timeline",
             Page::Problems => "Problems",
+            Page::Bus => "Bus",
         }
+    }
+
+    /// Returns true if the page has rows that a filter selects from.
+    pub const fn has_rows(self) -> bool {
+        !matches!(self, Page::Bus)
     }
 
     /// Number of the page, which is also its key.

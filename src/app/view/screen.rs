@@ -1,7 +1,7 @@
 //! Layout of the screen, for drawing and for the mouse.
 //!
 //! ```text
-//!  can0 125k active  load  37% ▁▂▃▅▂  412 f/s  err 0  lost 0  own 0   status, one line per bus
+//!  can0 125k active  load   7% ⣶⣾⣿⣿ 5–8%  err 0  lost 0  own 0        status, one line per bus
 //!  des.json ✓ 12 entries         ● 14 present  ○ 1 missing  ⚠ 2  ? 1  (and one for the file)
 //! ─ 1 Devices ─ 2 Traffic ─ 3 Timeline ─ 4 Problems 2 ┬─ FEED @12 ──   tabs
 //!    ADDR  NAME   STATE   MODE    SVC   AGE   FILE    │ online 3m12s   header

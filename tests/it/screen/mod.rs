@@ -1,5 +1,6 @@
 //! Screen tests: keys and simulated buses as input, screens as output; one module for each page.
 
+mod bus;
 mod buses;
 mod comparison;
 mod conflict;
@@ -148,7 +149,7 @@ fn every_state_is_readable_without_colour() {
 fn every_terminal_size_is_drawn() {
     let mut stage = Stage::boiler();
     stage.until(30.0);
-    for keys in ["1", "2", "v", "v Enter", "3", "4", "?"] {
+    for keys in ["1", "2", "v", "v Enter", "3", "4", "5", "?"] {
         stage.keys(keys);
         for columns in [1, 2, 7, 20, 39, 60, 75, 76, 99, 200] {
             for rows in [1, 2, 3, 6, 12, 17, 18, 50] {

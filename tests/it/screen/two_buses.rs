@@ -16,13 +16,13 @@ use ratatui::Terminal;
 use ratatui::backend::TestBackend;
 
 /// Two simulated buses in one app.
-struct Pair {
+pub(super) struct Pair {
     app: App,
     sims: [(Sim, SimStation); 2],
 }
 
 impl Pair {
-    fn new(scenarios: [&Scenario; 2]) -> Self {
+    pub(super) fn new(scenarios: [&Scenario; 2]) -> Self {
         let buses = ["can0", "can1"].map(|name| (name.to_owned(), Config::default()));
         let file_path = Some("des.json".into());
         let options = AppOptions { buses: buses.to_vec(), file_path, ..AppOptions::default() };
@@ -42,7 +42,7 @@ impl Pair {
         Self { app, sims }
     }
 
-    fn run(&mut self, seconds: std::ops::Range<u64>) -> &mut Self {
+    pub(super) fn run(&mut self, seconds: std::ops::Range<u64>) -> &mut Self {
         for millis in seconds.start * 1000 + 1..=seconds.end * 1000 {
             let now = Instant::from_micros(millis * 1000);
             for (index, (sim, station)) in self.sims.iter_mut().enumerate() {
@@ -61,14 +61,14 @@ impl Pair {
         self
     }
 
-    fn keys(&mut self, keys: &str) -> &mut Self {
+    pub(super) fn keys(&mut self, keys: &str) -> &mut Self {
         for key in keys.split(' ') {
             self.app.handle_key(self.app.now(), Key::parse(key).unwrap());
         }
         self
     }
 
-    fn screen(&mut self, width: u16, height: u16) -> String {
+    pub(super) fn screen(&mut self, width: u16, height: u16) -> String {
         self.app.handle_resize(width, height);
         let mut terminal = Terminal::new(TestBackend::new(width, height)).unwrap();
         let theme = Theme::built_in("dark").unwrap();
