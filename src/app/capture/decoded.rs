@@ -217,8 +217,8 @@ pub(in crate::app) fn meaning_of(
             ErrorReport::of(frame).map_or(String::new(), |report| report.to_string())
         }
         (FrameRole::Foreign, ..) => "another protocol".to_owned(),
-        (FrameRole::Remote, ..) => "remote frame (non-platform)".to_owned(),
-        (FrameRole::Standard, ..) => "11-bit ID (non-platform)".to_owned(),
+        (FrameRole::Remote, ..) => "remote frame".to_owned(),
+        (FrameRole::Standard, ..) => "11-bit ID".to_owned(),
         (_, CanId::Extended(id), Some(profile)) => {
             describe_message(profile, Header::decode(id), frame).0
         }

@@ -7,6 +7,11 @@ use crate::frame::{Frame, FrameKind};
 use crate::theme::Role;
 use crate::time::Duration;
 use ratatui::text::{Line, Span};
+use unicode_width::UnicodeWidthStr;
+
+const MEANING: &str = "MEANING";
+/// Behind the title while the newest frames are shown.
+const FOLLOWING: &str = "  following";
 
 /// Columns that give way on a narrow screen.
 #[derive(Clone, Copy)]
@@ -73,7 +78,7 @@ impl FrameColumns {
         if self.data > 0 {
             title += &format!("{} ", fit("DATA", self.data));
         }
-        title + "MEANING"
+        title + MEANING
     }
 }
 
@@ -82,10 +87,15 @@ pub fn draw(brush: &mut DrawContext) {
     let (header, list) = (brush.screen.header, brush.screen.list);
     let columns = FrameColumns::new(brush, list.width);
     let view = brush.app.view();
-    let mut line = Line::from(brush.span(Role::Header, columns.title(view.time_format)));
+    let mut title = columns.title(view.time_format);
     if view.traffic.is_none() && view.frozen.is_none() {
-        line.push_span(brush.span(Role::Muted, "   following"));
+        let room = usize::from(list.width).saturating_sub(title.width());
+        if room < FOLLOWING.len() {
+            title.truncate(title.len() - MEANING.len());
+        }
+        title += FOLLOWING;
     }
+    let line = Line::from(brush.span(Role::Header, title));
     brush.line(header, 0, &line);
     let (shown, selected) = brush.app.frames_shown(usize::from(list.height));
     let (Some(&first), Some(&last)) = (shown.first(), shown.last()) else {
@@ -197,16 +207,14 @@ fn frame_line(
     let (note, note_role) = call_note(shown.part, decoded.role);
     let used: usize = spans.iter().map(Span::width).sum();
     let room = width.saturating_sub(used);
-    let note_width = if note.is_empty() { 0 } else { note.chars().count() + 2 };
-    if !text.is_empty() {
-        let text = if note_width > 0 && room >= note_width + 8 {
-            super::super::brush::cut(&text, room - note_width).to_owned()
-        } else {
-            text
-        };
-        spans.push(brush.span(role, format!("{text}  ")));
+    let behind = note.width() + 2;
+    // The note yields to the meaning, unless most of that is shown.
+    if note.is_empty() || text.width() + behind > room && room < behind + 12 {
+        spans.push(brush.span(role, text));
+    } else {
+        spans.push(brush.span(role, fit(&text, text.width().min(room - behind))));
+        spans.push(brush.span(note_role, format!("  {note}")));
     }
-    spans.push(brush.span(note_role, note));
     Line::from(spans)
 }
 

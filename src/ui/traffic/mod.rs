@@ -12,6 +12,7 @@ use crate::app::{Decoded, Focus, clock_millis};
 use crate::frame::{Frame, FrameKind};
 use crate::text::hex;
 use crate::theme::Role;
+use crate::wire::id::{Header, MessageType};
 use ratatui::text::Line;
 
 /// Draws the list and the details.
@@ -64,6 +65,7 @@ fn draw_details(brush: &mut DrawContext) {
     add("frame", Role::Text, &format!("{} on {bus}{tx}", clock_millis(app, frame.time)));
     add("id", Role::Text, &describe_id(&frame, &decoded));
     if let Some(header) = decoded.header {
+        add("flags", Role::Text, &describe_flags(header));
         let node = |name: &str, address: crate::wire::id::Address| {
             if name == address.to_string() { name.to_owned() } else { format!("{name} @{address}") }
         };
@@ -113,18 +115,40 @@ fn draw_details(brush: &mut DrawContext) {
     brush.lines(area, &lines, scroll);
 }
 
-/// Returns the identifier, the message type, the flags, and `FD`, `BRS` for FD frames.
+/// Returns the flags of the identifier in words.
+fn describe_flags(header: Header) -> String {
+    if header.message_type() == MessageType::NonConforming {
+        let bit = |name: &str, set: bool| format!("{name}{}", u8::from(set));
+        let bits = [
+            bit("U", header.from_non_working),
+            bit("D", header.to_non_working),
+            bit("R", header.response),
+            bit("B", header.broadcast),
+            bit("ERR", header.no_error),
+        ];
+        return format!("{}: no message type has them", bits.join(" "));
+    }
+    let mode = |is_non_working| if is_non_working { "non-working" } else { "working" };
+    let (from, to) = (mode(header.from_non_working), mode(header.to_non_working));
+    let what = match (header.message_type(), header.response, header.broadcast) {
+        (MessageType::Debug, ..) => return format!("{from} → {to}, debug message"),
+        (_, true, true) => "response, unsolicited",
+        (_, true, false) => "response, targeted",
+        (_, false, true) => "request, broadcast",
+        (_, false, false) => "request, targeted",
+    };
+    // ERR of a request says nothing.
+    let result = match (header.response, header.no_error) {
+        (true, true) => ", ok",
+        (true, false) => ", failed",
+        (false, _) => "",
+    };
+    format!("{from} → {to}, {what}{result}")
+}
+
+/// Returns the identifier, the message type, and `FD`, `BRS` for FD frames.
 fn describe_id(frame: &Frame, decoded: &Decoded) -> String {
     let mut text = format!("{}  {}", frame.id, decoded.kind);
-    if let Some(header) = decoded.header {
-        let flag = |name: &str, set: bool| format!(" {name}{}", u8::from(set));
-        text.push(' ');
-        text += &flag("U", header.from_non_working);
-        text += &flag("D", header.to_non_working);
-        text += &flag("R", header.response);
-        text += &flag("B", header.broadcast);
-        text += &flag("ERR", header.no_error);
-    }
     match (frame.is_fd, frame.bit_rate_switch) {
         (true, true) => text.push_str("  FD, BRS"),
         (true, false) => text.push_str("  FD"),

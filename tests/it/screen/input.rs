@@ -186,7 +186,7 @@ fn footer_offers_only_keys_that_act() {
     stage.keys("Esc e").text("47").keys("Enter").until(31.0);
     assert!(offers(&stage, "u undo"), "{}", footer(&stage));
     stage.keys("2 v");
-    assert!(offers(&stage, "v frames") && !offers(&stage, "Enter"), "{}", footer(&stage));
+    assert!(offers(&stage, "v calls") && offers(&stage, "Enter frames"), "{}", footer(&stage));
     let config = Config { listen_only: true, seed: 7, ..Config::default() };
     let mut empty = Stage::with(&Scenario::new(125_000), None, config);
     empty.until(9.0).size(120, 40).keys("4");

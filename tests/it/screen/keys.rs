@@ -302,11 +302,12 @@ fn requests_in_both_framings_and_slow_rates_are_told_apart() {
     stage.until(30.0).size(120, 40).keys("2");
     let screen = stage.keys("g").screen();
     let requests: Vec<_> = screen.lines().filter(|line| line.contains("name request")).collect();
-    let is_raw = |line: &&&str| line.contains("name request, raw") && line.contains("  44455301");
-    assert!(requests.iter().any(|line| line.contains("0444455301") && !line.contains("raw")));
+    let is_raw =
+        |line: &&&str| line.contains("name request, raw") && line.contains(" 44 45 53 01 ");
+    assert!(requests.iter().any(|line| line.contains("04 44 45 53 01") && !line.contains("raw")));
     assert!(requests.iter().any(|line| is_raw(&line)), "{screen}");
     let screen = stage.keys("v").screen();
-    let row = screen.lines().find(|line| line.contains("WORK SLOW")).expect(&screen);
+    let row = screen.lines().find(|line| line.contains("SLOW→all")).expect(&screen);
     assert!(one_line(row).contains(" 0.2 ") || one_line(row).contains(" 0.3 "), "{screen}");
 }
 

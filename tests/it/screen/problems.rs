@@ -227,7 +227,7 @@ fn evidence_view_closes_like_other_views() {
     assert!(shown(&stage), "first back to the evidence alone");
     stage.keys("Tab Shift-Tab");
     assert!(!shown(&stage) && stage.screen().contains("COUNT"), "{}", stage.screen());
-    stage.keys("4 Enter v");
+    stage.keys("4 Enter v v");
     assert!(!shown(&stage) && stage.screen().contains("following"), "{}", stage.screen());
     stage.keys("4 Enter /");
     assert!(!shown(&stage) && stage.screen().contains("filter: srv:des"), "{}", stage.screen());
