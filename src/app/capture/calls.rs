@@ -102,6 +102,8 @@ pub struct CallStats {
     /// Its number in the capture.
     pub last_number: u64,
     current: u32,
+    /// The last request, if it is of DES.
+    message: Option<DesMessage>,
     open: VecDeque<OpenCall>,
     /// In microseconds, of the last calls.
     latencies: VecDeque<u32>,
@@ -131,6 +133,7 @@ impl CallStats {
             last: Instant::ZERO,
             last_number: 0,
             current: 0,
+            message: None,
             open: VecDeque::with_capacity(MAX_OPEN),
             latencies: VecDeque::with_capacity(LATENCIES),
         }
@@ -148,15 +151,14 @@ impl CallStats {
 
     /// Takes a request. Returns false if it is the last one in the other framing.
     fn open(&mut self, number: u64, time: Instant, message: Option<DesMessage>) -> bool {
-        let is_repeated = |last: &OpenCall| {
-            let (Some(before), Some(now)) = (last.message, message) else { return false };
-            before.kind == now.kind
-                && before.is_raw != now.is_raw
-                && time.since(last.time) <= BOTH_FRAMINGS
-        };
-        if self.open.back().is_some_and(is_repeated) {
+        if let (Some(before), Some(now)) = (self.message, message)
+            && before.kind == now.kind
+            && before.is_raw != now.is_raw
+            && time.since(self.last) <= BOTH_FRAMINGS
+        {
             return false;
         }
+        self.message = message;
         self.calls += 1;
         self.current += 1;
         (self.last, self.last_number) = (time, number);

@@ -99,14 +99,23 @@ impl Traffic {
     /// Calls of the frames that are stored, up to a number and a time.
     pub fn calls_until(&self, buses: &Buses, frames: u64, time: Instant) -> Calls {
         let mut calls = Calls::default();
-        for (number, frame) in
-            self.capture.frames_from(0).take_while(|(number, _)| *number < frames)
-        {
+        let mut second = None;
+        let mut pass = |calls: &mut Calls, time: Instant| {
+            let now = time.as_micros() / 1_000_000;
+            // After two ticks without frames, more change nothing.
+            for _ in 0..now.saturating_sub(second.unwrap_or(now)).min(2) {
+                calls.tick(time, |bus| buses.profile(bus).calls.timeout());
+            }
+            second = Some(now);
+        };
+        let frames_before = self.capture.frames_from(0).take_while(|(number, _)| *number < frames);
+        for (number, frame) in frames_before {
+            pass(&mut calls, frame.time);
             if let Some(bus) = buses.get(frame.bus) {
                 calls.add(&frame, number, &bus.config().profile);
             }
         }
-        calls.tick(time, |bus| buses.profile(bus).calls.timeout());
+        pass(&mut calls, time);
         calls
     }
 
