@@ -46,6 +46,7 @@ impl App {
             Action::Freeze => self.toggle_freeze(),
             Action::Identifiers => self.next_view(),
             Action::SortReverse => self.reverse_order(),
+            Action::OpenParts => self.toggle_transfer(),
             Action::TimeFormat => self.next_time_format(),
             Action::Problem => self.go_to_problem(),
             Action::Mute => self.toggle_muted(),

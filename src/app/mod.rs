@@ -58,10 +58,11 @@ pub use buses::{
     AddressHolder, AddressNames, Bus, Buses, ErrorKinds, LoadHistory, LoadMeter, LoadSample,
     LoadSecond, LoadShares, Redundancy, RedundantDevice, ShareCounts, TxBlocked,
 };
+pub use capture::decoded::summary_of;
 pub use capture::{
     CallKey, CallPart, CallStats, Calls, CapturedLog, Decoded, FramePeriod, FrameRole, FrameStore,
     IdentifierKey, IdentifierKind, IdentifierStats, Identifiers, Latency, NOTED_BYTES,
-    StoredFrames,
+    StoredFrames, Transfer,
 };
 pub use compared_moments::{ComparedMoment, ComparisonNote, ComparisonRow, MomentComparison};
 pub use devices::concerns;
@@ -958,7 +959,17 @@ impl App {
 
     /// Text of the ISO 15765-2 transfer that a captured frame is part of.
     pub fn transfer_text(&self, number: u64) -> Option<String> {
-        self.traffic.transfer_text(self.shown_buses(), number)
+        self.traffic.transfer_text(number)
+    }
+
+    /// The transfer that begins with a captured frame, as far as it is shown.
+    pub fn transfer(&self, number: u64) -> Option<Transfer> {
+        self.traffic.transfer(&self.view, number)
+    }
+
+    /// Returns true if the frames of the transfer that begins with a frame have rows of their own.
+    pub fn is_transfer_open(&self, number: u64) -> bool {
+        self.view.open_transfers.contains(&number)
     }
 
     /// Number of a frame in the capture; `None` once it was dropped.

@@ -398,6 +398,17 @@ impl App {
         }
     }
 
+    /// Opens or closes the selected transfer.
+    pub(super) fn toggle_transfer(&mut self) {
+        let is_of_frames =
+            self.view.page == Page::Traffic && self.view.traffic_view == TrafficView::Frames;
+        if !is_of_frames {
+            self.show_error("transfers are on the Traffic page");
+        } else if !self.traffic.toggle_transfer(&mut self.view) {
+            self.show_error("no transfer is selected");
+        }
+    }
+
     /// Shows other times of frames.
     pub(super) fn next_time_format(&mut self) {
         self.view.time_format = self.view.time_format.next();

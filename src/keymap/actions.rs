@@ -193,6 +193,7 @@ actions! {
         NextMatch "next-match" "Next row that matches the filter, on or off" "" ["J"];
         PreviousMatch "previous-match" "The one before" "" ["K"];
         Sort "sort" "Sort by next column" "sort" ["s"];
+        OpenParts "open-parts" "Open or close a transfer of several frames" "" ["o"];
         TimeFormat "time-format" "Traffic: time of day, since the row above, the same identifier, the start" "" ["z"];
         SortReverse "sort-reverse" "Reverse the order" "" ["S"];
         Identifiers "identifiers" "Traffic: frames, identifiers, calls; Bus: time shown" "view" ["v"];

@@ -49,18 +49,18 @@ fn main() {
         let filter = Filter::parse(line, RowKind::Frame).expect("a filter");
         let capture = app.capture();
         let mut best = Duration::MAX;
-        let mut matches = 0;
+        let mut count = 0;
         for _ in 0..5 {
             let start = std::time::Instant::now();
             let matcher = filter.for_frames(app.history());
             let all = capture.frames_from(0);
-            matches = all
+            count = all
                 .filter(|(number, frame)| matcher.is_match(frame, Some((capture, *number))))
                 .count();
             best = best.min(start.elapsed());
         }
         let rate = passed as f64 / best.as_secs_f64() / 1e6;
-        println!("{line:34} {matches:8} match   {rate:5.1} million frames/s");
+        println!("{line:34} {count:8} match   {rate:5.1} million frames/s");
     }
 }
 

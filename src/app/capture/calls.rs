@@ -2,8 +2,9 @@
 //!
 //! Input: frames with their numbers. Output: statistics by client, server and service, and what each
 //! frame is in its call. A response is to the oldest open request from its receiver to its sender, of
-//! its service; if there is none, to the last broadcast. Of DES, a name response is
-//! to a name request, and a request that is sent in both framings is one. A request that is open longer
+//! its service; if there is none, to the last broadcast. A node that does not
+//! work responds to requests to such nodes only. Of DES, a name response is to a name request, and a
+//! request that is sent in both framings is one. A request that is open longer
 //! than the timeout is unanswered. Bounded: 1024 rows, 64 open requests in each, latencies of the last 1024
 //! calls. A frame of a known row allocates nothing. Does not know how calls are shown.
 
@@ -45,6 +46,8 @@ pub struct CallKey {
 struct OpenCall {
     number: u64,
     time: Instant,
+    /// Only nodes that do not work respond, with U = 1.
+    to_non_working: bool,
     message: Option<DesMessage>,
     /// Responses so far, to a broadcast.
     responses: u32,
@@ -102,8 +105,8 @@ pub struct CallStats {
     /// Its number in the capture.
     pub last_number: u64,
     current: u32,
-    /// The last request, if it is of DES.
-    message: Option<DesMessage>,
+    /// The last requests.
+    recent: [Option<OpenCall>; 4],
     open: VecDeque<OpenCall>,
     /// In microseconds, of the last calls.
     latencies: VecDeque<u32>,
@@ -133,7 +136,7 @@ impl CallStats {
             last: Instant::ZERO,
             last_number: 0,
             current: 0,
-            message: None,
+            recent: [None; 4],
             open: VecDeque::with_capacity(MAX_OPEN),
             latencies: VecDeque::with_capacity(LATENCIES),
         }
@@ -149,23 +152,28 @@ impl CallStats {
         Some(Latency { p50: at(rank(50))?, p99: at(rank(99))?, max: at(sorted.len() - 1)? })
     }
 
-    /// Takes a request. Returns false if it is the last one in the other framing.
-    fn open(&mut self, number: u64, time: Instant, message: Option<DesMessage>) -> bool {
-        if let (Some(before), Some(now)) = (self.message, message)
-            && before.kind == now.kind
-            && before.is_raw != now.is_raw
-            && time.since(self.last) <= BOTH_FRAMINGS
-        {
+    /// Takes a request. Returns false if it is one before in the other framing.
+    fn open(&mut self, call: OpenCall) -> bool {
+        let OpenCall { number, time, .. } = call;
+        let is_repeated = |before: &OpenCall| {
+            let (Some(one), Some(other)) = (before.message, call.message) else { return false };
+            one.kind == other.kind
+                && one.is_raw != other.is_raw
+                && before.to_non_working == call.to_non_working
+                && time.since(before.time) <= BOTH_FRAMINGS
+        };
+        if self.recent.iter().flatten().any(is_repeated) {
             return false;
         }
-        self.message = message;
+        self.recent.rotate_right(1);
+        self.recent[0] = Some(call);
         self.calls += 1;
         self.current += 1;
         (self.last, self.last_number) = (time, number);
         if self.open.len() == MAX_OPEN {
             self.close_oldest();
         }
-        self.open.push_back(OpenCall { number, time, message, responses: 0 });
+        self.open.push_back(call);
         true
     }
 
@@ -186,12 +194,15 @@ impl CallStats {
     fn respond(
         &mut self,
         time: Instant,
-        is_failed: bool,
+        header: Header,
         message: Option<DesMessage>,
     ) -> Option<CallPart> {
-        let is_to = |call: &OpenCall| match (call.message, message) {
-            (Some(request), Some(response)) => request.kind == response.kind,
-            _ => true,
+        let is_to = |call: &OpenCall| {
+            let is_to_message = match (call.message, message) {
+                (Some(request), Some(response)) => request.kind == response.kind,
+                _ => true,
+            };
+            is_to_message && call.to_non_working == header.from_non_working
         };
         let mut candidates = self.open.iter().enumerate().filter(|(_, call)| is_to(call));
         let (first, count) = (candidates.next()?.0, 1 + candidates.count());
@@ -204,7 +215,7 @@ impl CallStats {
         };
         let latency = time.since(call.time);
         self.responses += 1;
-        self.failed += u64::from(is_failed);
+        self.failed += u64::from(!header.no_error);
         self.ambiguous += u64::from(is_ambiguous);
         if self.latencies.len() == LATENCIES {
             self.latencies.pop_front();
@@ -253,11 +264,12 @@ impl Calls {
         if header.response && header.broadcast {
             return None;
         }
-        let is_failed = match FrameRole::of(frame, false) {
-            FrameRole::Request | FrameRole::Response => false,
-            FrameRole::FailedResponse => true,
-            _ => return None,
-        };
+        if !matches!(
+            FrameRole::of(frame, false),
+            FrameRole::Request | FrameRole::Response | FrameRole::FailedResponse
+        ) {
+            return None;
+        }
         let is_des = header.service == profile.des_service();
         if is_des && is_continuation(frame) {
             return None;
@@ -275,14 +287,15 @@ impl Calls {
             let row = self.row(if header.broadcast { to_all } else { targeted })?;
             row.expire(frame.time, timeout);
             let message = is_des.then(|| DesMessage::of_request(frame)).flatten();
-            let is_new = row.open(number, frame.time, message);
+            let (time, to_non_working) = (frame.time, header.to_non_working);
+            let is_new = row.open(OpenCall { number, time, to_non_working, message, responses: 0 });
             return is_new.then_some(CallPart::Request { responses: 0, is_unanswered: false });
         }
         let message = is_des.then(|| DesMessage::of_response(frame)).flatten();
         [targeted, to_all].into_iter().find_map(|key| {
             let row = self.rows.get_mut(*self.index.get(&key)? as usize)?;
             row.expire(frame.time, timeout);
-            row.respond(frame.time, is_failed, message)
+            row.respond(frame.time, header, message)
         })
     }
 
@@ -382,7 +395,7 @@ mod tests {
         let (mut calls, profile) = (Calls::default(), Profile::default());
         for number in 0..200_000u64 {
             let mut request = frame(number, false, (number % 101) as u8, 9, true);
-            let id = request.platform_id().unwrap() & !0x3FF | (number % 900) as u32 + 3;
+            let id = request.platform_id().unwrap() & !0x3FF | ((number % 900) as u32 + 3);
             request = Frame::classic(id, &[]).with_time(request.time);
             calls.add(&request, number, &profile);
         }

@@ -3,7 +3,6 @@
 //! Input: a frame and the devices of its bus. A frame is decoded when it is shown, not when it is
 //! received. Text from devices is escaped ([`Escaped`]).
 
-use super::frame_store::FrameStore;
 use crate::app::buses::Buses;
 use crate::error_report::ErrorReport;
 use crate::frame::{CanId, Frame, FrameKind};
@@ -17,9 +16,6 @@ use crate::wire::isotp::{FlowStatus, Pci};
 use crate::wire::node::{Heartbeat, Uid};
 use crate::wire::profile::Profile;
 use std::fmt::Write;
-
-/// Most frames of a transfer: 4095 bytes, 6 of them in the first frame and 7 in the others.
-const MAX_TRANSFER_FRAMES: usize = 586;
 
 /// What a frame is, as the KIND column shows it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -244,79 +240,6 @@ pub(in crate::app) fn uid_text(profile: &Profile, uid: Uid) -> String {
     Escaped(uid.text(&profile.uid).to_string().as_bytes()).to_string()
 }
 
-/// The bytes of a transfer from its first frame to the frame with this number, and where those of that
-/// frame begin. `None` for a frame of no transfer, or if a frame before is missing.
-pub(in crate::app) fn message_until(
-    store: &FrameStore,
-    number: u64,
-    frame: &Frame,
-) -> Option<(Vec<u8>, usize)> {
-    let consecutive = |frame: &Frame| match Pci::decode(frame.data(), frame.is_fd) {
-        Ok(Pci::Consecutive { sequence, .. }) => Some(sequence),
-        _ => None,
-    };
-    if let Ok(Pci::Single(data) | Pci::First { data, .. }) = Pci::decode(frame.data(), frame.is_fd)
-    {
-        return Some((data.to_vec(), 0));
-    }
-    let mut frames = vec![*frame];
-    let mut sequence = consecutive(frame)?;
-    let mut at = number;
-    loop {
-        at = store.previous(at)?;
-        let before = store.get(at)?;
-        if frames.len() > MAX_TRANSFER_FRAMES {
-            return None;
-        }
-        let is_first = matches!(Pci::decode(before.data(), before.is_fd), Ok(Pci::First { .. }));
-        frames.push(before);
-        if is_first {
-            break;
-        }
-        let other = consecutive(&before)?;
-        if other != sequence.wrapping_sub(1) & 0x0F {
-            return None;
-        }
-        sequence = other;
-    }
-    let mut message = Vec::new();
-    let mut own = 0;
-    for frame in frames.iter().rev() {
-        own = message.len();
-        match Pci::decode(frame.data(), frame.is_fd) {
-            Ok(Pci::First { data, .. } | Pci::Consecutive { data, .. }) => {
-                message.extend_from_slice(data);
-            }
-            _ => return None,
-        }
-    }
-    (sequence == 1).then_some((message, own))
-}
-
-pub(super) fn reassemble(first: &Frame, rest: impl Iterator<Item = Frame>) -> Option<Vec<u8>> {
-    let Ok(Pci::First { length, data }) = Pci::decode(first.data(), first.is_fd) else {
-        return None;
-    };
-    let wanted = (length as usize).min(crate::wire::des::MAX_MESSAGE);
-    let mut message = data.to_vec();
-    let mut next = 1;
-    for frame in rest {
-        if message.len() >= wanted {
-            break;
-        }
-        match Pci::decode(frame.data(), frame.is_fd) {
-            Ok(Pci::Consecutive { sequence, data }) if sequence == next => {
-                message.extend_from_slice(data);
-                next = (next + 1) & 0x0F;
-            }
-            Ok(Pci::First { .. }) => break,
-            _ => {}
-        }
-    }
-    message.truncate(wanted);
-    Some(message)
-}
-
 /// Text of the data of a platform frame, and true if they are malformed.
 pub(in crate::app) fn describe_data(
     profile: &Profile,
@@ -380,6 +303,17 @@ fn describe_request(message: &[u8]) -> String {
         Some(ReceivedRequest::Known(Request::Services)) => "services request".to_owned(),
         Some(ReceivedRequest::Reserved(kind)) => format!("reserved DES request {kind:02X}"),
         None => "not a DES request".to_owned(),
+    }
+}
+
+/// Meaning of a DES response in a few words: of services their number.
+pub fn summary_of(message: &[u8]) -> String {
+    match message.first() {
+        Some(&TYPE_SERVICES) => match ServicesResponse::decode(message).services().count() {
+            1 => "1 service".to_owned(),
+            count => format!("{count} services"),
+        },
+        _ => describe_response(message).0,
     }
 }
 

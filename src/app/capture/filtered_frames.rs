@@ -125,6 +125,12 @@ impl FilteredFrames {
         self.tested.iter().map(|(start, range)| range.end - start - range.count).sum()
     }
 
+    /// Returns true if a frame matches.
+    pub fn contains(&self, number: u64) -> bool {
+        let range = self.tested.range(..=number).next_back();
+        range.is_some_and(|(start, range)| number < range.end && range.matches(*start, number))
+    }
+
     /// The matching frame that is nearest in time to this one; `None` as long as it is not known.
     pub fn nearest(&self, store: &FrameStore, number: u64) -> Option<u64> {
         if self.from(number).next() == Some(number) {

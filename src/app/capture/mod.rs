@@ -9,6 +9,7 @@ pub(super) mod decoded;
 mod filtered_frames;
 pub(super) mod frame_store;
 pub(super) mod identifiers;
+pub(super) mod transfer;
 
 pub use calls::{CallKey, CallPart, CallStats, Calls, Latency};
 pub use decoded::{Decoded, FrameRole};
@@ -16,6 +17,7 @@ pub use frame_store::{BYTES_PER_FRAME, FrameStore, StoredFrames};
 pub use identifiers::{
     FramePeriod, IdentifierKey, IdentifierKind, IdentifierStats, Identifiers, NOTED_BYTES,
 };
+pub use transfer::Transfer;
 
 use super::buses::{Bus, Buses};
 use super::filter::Filter;
@@ -24,16 +26,17 @@ use crate::frame::Frame;
 use crate::log::{LogEntry, LogFormat};
 use crate::status::RecordingStatus;
 use crate::time::{Duration, Epoch, Instant};
-use crate::wire::id::Header;
+use crate::wire::id::{Header, Service};
 use crate::wire::isotp::Pci;
 use filtered_frames::FilteredFrames;
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
 use std::io;
 use std::ops::Range;
+use transfer::first_frame_of;
 
-/// Frames that are searched for the other parts of a transfer, in each direction.
-const TRANSFER_SEARCH: u64 = 4096;
+/// Most transfers whose frames have rows of their own.
+const MAX_OPEN_TRANSFERS: usize = 1024;
 /// Frames that are searched for an equal one around its time: buses may be slightly out of order.
 const NEAR: u64 = 64;
 
@@ -45,6 +48,8 @@ pub(super) struct Traffic {
     pub calls: Calls,
     filtered: FilteredFrames,
     recording: Option<RecordingStatus>,
+    /// Number of the DES service, by bus.
+    des_services: Vec<Service>,
 }
 
 impl Traffic {
@@ -56,6 +61,7 @@ impl Traffic {
             calls: Calls::default(),
             filtered: FilteredFrames::default(),
             recording: None,
+            des_services: Vec::new(),
         }
     }
 
@@ -70,6 +76,10 @@ impl Traffic {
         let previous = self.identifiers.add(frame, number);
         if let Some(bus) = buses.get(frame.bus) {
             self.calls.add(frame, number, &bus.config().profile);
+        }
+        if self.des_services.len() < buses.len() {
+            self.des_services =
+                buses.iter().map(|bus| bus.config().profile.des_service()).collect();
         }
         self.capture.push(frame, previous, pins);
     }
@@ -208,23 +218,32 @@ impl Traffic {
     }
 
     /// Numbers of the frames to show from `number` on, oldest first.
-    pub fn from<'a>(&'a self, view: &View, number: u64) -> Box<dyn Iterator<Item = u64> + 'a> {
+    pub fn from<'a>(&'a self, view: &'a View, number: u64) -> Box<dyn Iterator<Item = u64> + 'a> {
         let end = self.end(view);
-        if self.is_filtered(view) {
-            Box::new(self.filtered.from(number).take_while(move |&number| number < end))
+        let until = move |number: &u64| *number < end;
+        let all: Box<dyn Iterator<Item = u64>> = if self.is_filtered(view) {
+            Box::new(self.filtered.from(number).take_while(until))
         } else {
-            Box::new(self.capture.numbers_from(number).take_while(move |&number| number < end))
+            Box::new(self.capture.numbers_from(number).take_while(until))
+        };
+        if !Self::folds(view) {
+            return all;
         }
+        Box::new(all.filter(move |number| !self.is_folded(view, *number)))
     }
 
     /// Numbers of the frames to show before `number`, newest first.
-    pub fn before<'a>(&'a self, view: &View, number: u64) -> Box<dyn Iterator<Item = u64> + 'a> {
+    pub fn before<'a>(&'a self, view: &'a View, number: u64) -> Box<dyn Iterator<Item = u64> + 'a> {
         let end = number.min(self.end(view));
-        if self.is_filtered(view) {
+        let all: Box<dyn Iterator<Item = u64>> = if self.is_filtered(view) {
             Box::new(self.filtered.before(end))
         } else {
             Box::new(self.capture.numbers_before(end))
+        };
+        if !Self::folds(view) {
+            return all;
         }
+        Box::new(all.filter(move |number| !self.is_folded(view, *number)))
     }
 
     /// Numbers of the frames on `height` lines, oldest first, and the selected one; `None` while
@@ -364,35 +383,56 @@ impl Traffic {
             .or_else(|| (at.saturating_sub(NEAR)..at).find(near))
     }
 
+    /// Number of the first frame of the transfer that a frame belongs to, which may be the frame itself;
+    /// `None` for a frame of no transfer.
+    fn transfer_of(&self, number: u64) -> Option<u64> {
+        let frame = self.capture.get(number)?;
+        let des = *self.des_services.get(usize::from(frame.bus.0))?;
+        let is_des = frame.platform_id().is_some_and(|id| Header::decode(id).service == des);
+        let is_first = matches!(Pci::decode(frame.data(), frame.is_fd), Ok(Pci::First { .. }));
+        if is_des && is_first { Some(number) } else { first_frame_of(&self.capture, number, des) }
+    }
+
+    /// The transfer that begins with this frame, as far as it is shown; `None` for other frames.
+    pub fn transfer(&self, view: &View, number: u64) -> Option<Transfer> {
+        self.transfer_of(number).filter(|first| *first == number)?;
+        Transfer::starting_at(&self.capture, number, self.end(view))
+    }
+
+    /// Returns true if a frame is shown in the row of the first frame of its transfer.
+    fn is_folded(&self, view: &View, number: u64) -> bool {
+        let first = self.transfer_of(number).filter(|first| *first < number);
+        first.is_some_and(|first| {
+            !view.open_transfers.contains(&first)
+                && (!self.is_filtered(view) || self.filtered.contains(first))
+        })
+    }
+
+    /// Returns true if the frames of transfers are shown in one row: around evidence each is.
+    fn folds(view: &View) -> bool {
+        view.evidence.is_none()
+    }
+
+    /// Shows the frames of the selected transfer in rows of their own, or in one row. Returns false
+    /// without a transfer.
+    pub fn toggle_transfer(&self, view: &mut View) -> bool {
+        let Some(first) = view.traffic.and_then(|selected| self.transfer_of(selected)) else {
+            return false;
+        };
+        if view.open_transfers.remove(&first) {
+            view.traffic = Some(first);
+        } else if view.open_transfers.len() < MAX_OPEN_TRANSFERS {
+            view.open_transfers.insert(first);
+        }
+        true
+    }
+
     /// Text of the ISO 15765-2 transfer that a frame is part of; `None` for other frames, or if
     /// its first frame is no longer in the capture.
-    pub fn transfer_text(&self, buses: &Buses, number: u64) -> Option<String> {
-        let frame = self.capture.get(number)?;
-        let id = frame.platform_id()?;
-        if Header::decode(id).service != buses.profile(frame.bus).des_service() {
-            return None;
-        }
-        let same = |other: &Frame| other.bus == frame.bus && other.platform_id() == Some(id);
-        let is_first =
-            |other: &Frame| matches!(Pci::decode(other.data(), other.is_fd), Ok(Pci::First { .. }));
-        if !matches!(
-            Pci::decode(frame.data(), frame.is_fd),
-            Ok(Pci::First { .. } | Pci::Consecutive { .. })
-        ) {
-            return None;
-        }
-        let (start, first) = (number.saturating_sub(TRANSFER_SEARCH)..=number)
-            .rev()
-            .map_while(|at| Some((at, self.capture.get(at)?)))
-            .filter(|(_, other)| same(other))
-            .find(|(_, other)| is_first(other))?;
-        let message = decoded::reassemble(
-            &first,
-            (start + 1..self.capture.end().min(start + TRANSFER_SEARCH))
-                .map_while(|at| self.capture.get(at))
-                .filter(same),
-        )?;
-        Some(decoded::describe_response(&message).0)
+    pub fn transfer_text(&self, number: u64) -> Option<String> {
+        let first = self.transfer_of(number)?;
+        let transfer = Transfer::starting_at(&self.capture, first, self.capture.end())?;
+        Some(decoded::describe_response(&transfer.message).0)
     }
 
     /// The captured frames as a log of this format.

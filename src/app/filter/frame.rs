@@ -12,6 +12,7 @@ use super::value::{BytePattern, IdPattern, NumberRange};
 use crate::app::buses::{Bus, Buses};
 use crate::app::capture::decoded::{self, FrameRole};
 use crate::app::capture::frame_store::FrameStore;
+use crate::app::capture::transfer;
 use crate::frame::{BusIndex, CanId, Frame, FrameKind};
 use crate::time::Instant;
 use crate::wire::id::{Address, Header, MessageType, Service};
@@ -435,7 +436,7 @@ impl TestedFrame<'_> {
         let message = self
             .header
             .filter(|header| is_it(*header))
-            .and_then(|_| decoded::message_until(store, number, self.frame));
+            .and_then(|_| transfer::message_until(store, number, self.frame));
         message.is_some_and(|(message, own)| {
             patterns.iter().any(|pattern| pattern.is_in(&message, own))
         })

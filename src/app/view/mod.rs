@@ -23,6 +23,7 @@ pub use traffic_view::{CallOrder, IdentifierOrder, TimeFormat, TrafficView};
 use super::capture::calls::CallKey;
 use super::capture::identifiers::IdentifierKey;
 use super::problems::{EvidenceItem, ProblemKey};
+use std::collections::BTreeSet;
 
 /// State of the view.
 #[derive(Debug, Default)]
@@ -43,6 +44,8 @@ pub struct View {
     pub frozen: Option<Frozen>,
     /// What a row of the Traffic page is.
     pub traffic_view: TrafficView,
+    /// First frames of the transfers whose frames have rows of their own.
+    pub(in crate::app) open_transfers: BTreeSet<u64>,
     /// What the times of frames are.
     pub time_format: TimeFormat,
     /// Order of the identifiers.

@@ -6,6 +6,7 @@ use crate::app::{CallStats, Page, clock_millis};
 use crate::theme::Role;
 use crate::time::Duration;
 use ratatui::text::{Line, Span};
+use std::fmt::Write;
 
 /// Cells of a name with its address.
 const END: usize = 12;
@@ -36,7 +37,8 @@ impl CallColumns {
         if self.has_bus {
             title += "BUS    ";
         }
-        title += &format!("{}→{} SERVICE     CALLS ", fit_right("CLIENT", END), fit("SERVER", END));
+        let _ =
+            write!(title, "{}→{} SERVICE     CALLS ", fit_right("CLIENT", END), fit("SERVER", END));
         if self.has_rate {
             title += "   /s ";
         }

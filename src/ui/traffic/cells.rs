@@ -103,7 +103,7 @@ pub fn bytes(
         let text = format!("{between}{byte:02X}");
         match spans.last_mut() {
             Some(last) if last.style == brush.style(role(at)) => {
-                last.content.to_mut().push_str(&text)
+                last.content.to_mut().push_str(&text);
             }
             _ => spans.push(brush.span(role(at), text)),
         }

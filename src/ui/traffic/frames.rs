@@ -2,11 +2,12 @@
 
 use super::super::brush::{DrawContext, bus_cell, fit, fit_right};
 use super::cells::{BYTES, IN_CAPTURE, bytes, ends, millis, role_of, width_of_ends};
-use crate::app::{CallPart, Decoded, FrameRole, Page, TimeFormat, clock_millis};
+use crate::app::{CallPart, Decoded, FrameRole, Page, TimeFormat, clock_millis, summary_of};
 use crate::frame::{Frame, FrameKind};
 use crate::theme::Role;
 use crate::time::Duration;
 use ratatui::text::{Line, Span};
+use std::fmt::Write;
 use unicode_width::UnicodeWidthStr;
 
 const MEANING: &str = "MEANING";
@@ -55,20 +56,20 @@ impl FrameColumns {
             _ => "TIME",
         };
         let width = if self.has_millis { 12 } else { 8 };
-        title += &format!("{} ", fit(time, width));
+        let _ = write!(title, "{} ", fit(time, width));
         if self.has_bus {
             title += "BUS    ";
         }
         if self.has_interval {
             let of_id = format == TimeFormat::SinceSameId;
-            title += &format!("{:>7} ", if of_id { "Δt id" } else { "Δt ms" });
+            let _ = write!(title, "{:>7} ", if of_id { "Δt id" } else { "Δt ms" });
         }
         if self.has_id {
             title += "ID       ";
         }
         title += "KIND ";
         let ends = width_of_ends(self.has_addresses);
-        title += &format!("{}→{} ", fit_right("FROM", ends / 2), fit("TO", ends / 2));
+        let _ = write!(title, "{}→{} ", fit_right("FROM", ends / 2), fit("TO", ends / 2));
         if self.has_service {
             title += "SERVICE   ";
         }
@@ -76,7 +77,7 @@ impl FrameColumns {
             title += "LEN ";
         }
         if self.data > 0 {
-            title += &format!("{} ", fit("DATA", self.data));
+            let _ = write!(title, "{} ", fit("DATA", self.data));
         }
         title + MEANING
     }
@@ -84,12 +85,12 @@ impl FrameColumns {
 
 /// Draws the list.
 pub fn draw(brush: &mut DrawContext) {
-    let (header, list) = (brush.screen.header, brush.screen.list);
-    let columns = FrameColumns::new(brush, list.width);
+    let (header, area) = (brush.screen.header, brush.screen.list);
+    let columns = FrameColumns::new(brush, area.width);
     let view = brush.app.view();
     let mut title = columns.title(view.time_format);
     if view.traffic.is_none() && view.frozen.is_none() {
-        let room = usize::from(list.width).saturating_sub(title.width());
+        let room = usize::from(area.width).saturating_sub(title.width());
         if room < FOLLOWING.len() {
             title.truncate(title.len() - MEANING.len());
         }
@@ -97,13 +98,13 @@ pub fn draw(brush: &mut DrawContext) {
     }
     let line = Line::from(brush.span(Role::Header, title));
     brush.line(header, 0, &line);
-    let (shown, selected) = brush.app.frames_shown(usize::from(list.height));
+    let (shown, selected) = brush.app.frames_shown(usize::from(area.height));
     let (Some(&first), Some(&last)) = (shown.first(), shown.last()) else {
         if brush.app.page_filter(Page::Traffic).is_on() {
-            return brush.draw_no_match(list, "no frame matches the filter");
+            return brush.draw_no_match(area, "no frame matches the filter");
         }
         let line = Line::from(brush.span(Role::Muted, "   no frames received yet"));
-        return brush.line(list, 1, &line);
+        return brush.line(area, 1, &line);
     };
     let parts = brush.app.call_parts(first, last);
     let mut above = None;
@@ -112,10 +113,10 @@ pub fn draw(brush: &mut DrawContext) {
         let is_selected = selected == Some(number);
         let shown_frame =
             ShownFrame { number, frame: &frame, above, part: parts.get(&number).copied() };
-        let line = frame_line(brush, &shown_frame, columns, usize::from(list.width), is_selected);
-        brush.line(list, row as u16, &line);
+        let line = frame_line(brush, &shown_frame, columns, usize::from(area.width), is_selected);
+        brush.line(area, row as u16, &line);
         if is_selected {
-            brush.select(list, row as u16);
+            brush.select(area, row as u16);
         }
         above = Some(frame.time);
     }
@@ -140,23 +141,33 @@ fn frame_line(
     let decoded = Decoded::of(app, frame);
     let is_evidence = app.piece_of(frame).is_some();
     let plain = if frame.is_tx { Role::Muted } else { Role::Text };
+    let transfer = app.transfer(shown.number).filter(|_| app.view().evidence.is_none());
+    let is_open = app.is_transfer_open(shown.number);
+    let (sign, sign_role) = match &transfer {
+        _ if is_evidence => (IN_CAPTURE, Role::Match),
+        Some(_) if is_open => ("−", Role::HintKey),
+        Some(_) => ("+", Role::HintKey),
+        None => (" ", Role::Text),
+    };
     let mut spans: Vec<Span> = vec![
         brush.span(Role::Text, if is_selected { "▸" } else { " " }),
-        brush.span(Role::Match, if is_evidence { IN_CAPTURE } else { " " }),
+        brush.span(sign_role, sign),
     ];
+    // Closed, it is one row.
+    let transfer = transfer.filter(|_| !is_open);
     let capture = app.capture();
     let previous = capture.previous(shown.number).and_then(|it| capture.get(it));
     let since_same = previous.as_ref().map(|it| frame.time.since(it.time));
     let since_above = shown.above.map(|above| frame.time.since(above));
     let format = app.view().time_format;
     let interval = |time: Option<Duration>| time.map_or_else(|| "–".to_owned(), millis);
+    let cells = if columns.has_millis { 12 } else { 8 };
     let time = match format {
         TimeFormat::SinceStart => since_start(brush, frame),
         TimeFormat::SinceAbove if !columns.has_interval => interval(since_above),
         TimeFormat::SinceSameId if !columns.has_interval => interval(since_same),
-        _ => clock_millis(app, frame.time),
+        _ => clock_millis(app, frame.time).chars().take(cells).collect(),
     };
-    let cells = if columns.has_millis { 12 } else { 8 };
     let is_clock =
         format == TimeFormat::Clock || columns.has_interval && format != TimeFormat::SinceStart;
     let time = if is_clock { fit(&time, cells) } else { fit_right(&time, cells) };
@@ -188,19 +199,26 @@ fn frame_line(
         spans.push(brush.span(plain, format!("{} ", fit(&decoded.service, 9))));
     }
     if columns.has_length {
-        spans.push(brush.span(Role::Muted, format!("{:>3} ", frame.len())));
+        let length = transfer.as_ref().map_or(frame.len(), |transfer| transfer.length);
+        spans.push(brush.span(Role::Muted, format!("{length:>3} ")));
     }
     if columns.data > 0 {
-        let before = previous.as_ref().filter(|_| frame.kind == FrameKind::Data);
+        let is_data = frame.kind == FrameKind::Data && transfer.is_none();
+        let before = previous.as_ref().filter(|_| is_data);
         let role = |at: usize| match before {
             Some(before) if before.data().get(at) != frame.data().get(at) => Role::Changed,
             _ => Role::Muted,
         };
-        spans.extend(bytes(brush, frame.data(), columns.data, role));
+        let data = transfer.as_ref().map_or(frame.data(), |transfer| &transfer.message);
+        spans.extend(bytes(brush, data, columns.data, role));
         spans.push(brush.span(Role::Text, " "));
     }
     let role = if decoded.is_error { Role::Error } else { plain };
     let mut text = decoded.text.clone();
+    if let Some(transfer) = &transfer {
+        let state = if transfer.is_complete() { "" } else { "incomplete: " };
+        text = format!("{state}{}", summary_of(&transfer.message));
+    }
     if columns.data == 0 && text.is_empty() {
         text = crate::text::hex(&frame.data()[..frame.len().min(8)], "");
     }
@@ -208,6 +226,12 @@ fn frame_line(
     let used: usize = spans.iter().map(Span::width).sum();
     let room = width.saturating_sub(used);
     let behind = note.width() + 2;
+    if let Some(transfer) = &transfer {
+        let frames = format!(", {} frames", transfer.frames);
+        if text.width() + frames.width() + behind <= room {
+            text += &frames;
+        }
+    }
     // The note yields to the meaning, unless most of that is shown.
     if note.is_empty() || text.width() + behind > room && room < behind + 12 {
         spans.push(brush.span(role, text));
@@ -224,16 +248,13 @@ fn call_note(part: Option<CallPart>, role: FrameRole) -> (String, Role) {
         Some(CallPart::Request { is_unanswered: true, .. }) => {
             ("unanswered".to_owned(), Role::Warning)
         }
-        Some(CallPart::Request { responses: 0, .. }) => (String::new(), Role::Muted),
-        Some(CallPart::Request { responses: 1, .. }) => ("1 response".to_owned(), Role::Muted),
-        Some(CallPart::Request { responses, .. }) => {
-            (format!("{responses} responses"), Role::Muted)
-        }
+        Some(CallPart::Request { responses: 0, .. }) | None => (String::new(), Role::Muted),
+        Some(CallPart::Request { responses: 1, .. }) => ("1 rsp".to_owned(), Role::Muted),
+        Some(CallPart::Request { responses, .. }) => (format!("{responses} rsp"), Role::Muted),
         Some(CallPart::Response { latency, is_ambiguous, .. }) => {
             let sign = if is_ambiguous { "≈ " } else { "" };
             (format!("{sign}{} ms", millis(latency)), role_of(role))
         }
-        None => (String::new(), Role::Muted),
     }
 }
 

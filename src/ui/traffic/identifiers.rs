@@ -6,6 +6,7 @@ use crate::app::{Decoded, FrameRole, IdentifierKind, IdentifierStats};
 use crate::theme::Role;
 use crate::time::Duration;
 use ratatui::text::{Line, Span};
+use std::fmt::Write;
 
 /// A byte that changed is marked for so long, and is bright for so long.
 const MARKED: Duration = Duration::from_millis(1500);
@@ -49,9 +50,12 @@ impl IdentifierColumns {
             title += "BUS    ";
         }
         let ends = width_of_ends(self.has_addresses);
-        title += &format!("ID       {}→{} ", fit_right("FROM", ends / 2), fit("TO", ends / 2));
-        title +=
-            &format!("{} ", fit(if self.service > 4 { "SERVICE" } else { "SRV" }, self.service));
+        let _ = write!(title, "ID       {}→{} ", fit_right("FROM", ends / 2), fit("TO", ends / 2));
+        let _ = write!(
+            title,
+            "{} ",
+            fit(if self.service > 4 { "SERVICE" } else { "SRV" }, self.service)
+        );
         if self.has_length {
             title += "LEN   ";
         }

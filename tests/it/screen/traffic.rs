@@ -72,3 +72,111 @@ fn large_capture_is_filtered_in_parts() {
     stage.app.take_dirty();
     assert_eq!(stage.app.hidden_frames(), Some(27_001));
 }
+
+// ---- views -----------------------------------------------------------------------------------
+
+/// Tests that a transfer of several frames is one row, which opens into its frames.
+#[test]
+fn transfer_is_one_row_that_opens() {
+    let mut stage = Stage::boiler();
+    stage.until(10.0).size(130, 40).keys("2 /").text("src:10 srv:des").keys("Enter g");
+    let rows = |stage: &Stage| {
+        let screen = stage.screen();
+        let rows = screen.lines().filter(|line| line.contains("→own"));
+        rows.map(|row| row.replace('▸', " ")).collect::<Vec<_>>()
+    };
+    let closed = rows(&stage);
+    let row = closed.iter().find(|row| row.contains("5 services")).expect("a transfer");
+    assert!(row.starts_with(" +"), "{row}");
+    assert!(!closed.iter().any(|row| row.contains("consecutive")), "{closed:#?}");
+    let at = closed.iter().position(|line| line == row).unwrap();
+    for _ in 0..at {
+        stage.keys("j");
+    }
+    stage.keys("o");
+    let open = rows(&stage);
+    let parts = open.iter().filter(|row| row.contains("consecutive")).count();
+    assert!(parts >= 3, "{open:#?}");
+    // The message has the bytes of all of them.
+    let number = stage.app.view().traffic.unwrap();
+    let transfer = stage.app.transfer(number).unwrap();
+    assert_eq!(transfer.frames, 1 + parts);
+    assert!(transfer.is_complete() && transfer.message.len() == transfer.length);
+    // Any of its frames closes it again.
+    stage.keys("j j o");
+    assert_eq!(rows(&stage), closed);
+    assert_eq!(stage.app.view().traffic, Some(number));
+}
+
+/// Tests that periods and latencies are those of the frames.
+#[test]
+fn identifiers_and_calls_are_counted() {
+    let mut stage = Stage::boiler();
+    stage.until(45.0).size(120, 30).keys("2 v");
+    snapshot!("identifiers_120x30", stage);
+    snapshot!("identifiers_80x24", stage.size(80, 24));
+    // Largest jitter first.
+    stage.size(120, 30).keys("s s s s");
+    let rows = stage.app.identifiers_shown();
+    let jitter: Vec<_> = rows.iter().map(|row| row.period().map(|it| it.jitter)).collect();
+    assert!(jitter.is_sorted_by(|one, other| one >= other), "{jitter:?}");
+    stage.keys("S");
+    let rows = stage.app.identifiers_shown();
+    let jitter: Vec<_> = rows.iter().map(|row| row.period().map(|it| it.jitter)).collect();
+    assert!(jitter.is_sorted(), "{jitter:?}");
+    for row in rows {
+        let times: Vec<_> = stage
+            .app
+            .capture()
+            .frames_from(0)
+            .filter(|(_, frame)| descan::app::IdentifierKey::of(frame) == row.key)
+            .map(|(_, frame)| frame.time)
+            .collect();
+        let apart: Vec<_> = times.windows(2).map(|pair| pair[1].since(pair[0])).collect();
+        assert_eq!(row.count, times.len() as u64);
+        let period = row.period();
+        assert_eq!(period.map(|it| it.min), apart.iter().copied().min());
+        assert_eq!(period.map(|it| it.max), apart.iter().copied().max());
+    }
+    stage.keys("S v");
+    snapshot!("calls_120x30", stage);
+    snapshot!("calls_80x24", stage.size(80, 24));
+    // Their frames: each request with its responses.
+    stage.size(120, 30).keys("Home j");
+    stage.keys("Enter");
+    assert_eq!(
+        stage.app.page_filter(descan::app::Page::Traffic).text(),
+        "at:0 at:10 srv:2 not type:data"
+    );
+    let screen = stage.keys("g").screen();
+    assert!(screen.contains("1 rsp") && screen.contains(" ms"), "{screen}");
+}
+
+/// Tests that the times of frames are of the day, since the row above, since the same identifier, or
+/// since the start.
+#[test]
+fn times_of_frames_have_four_formats() {
+    let mut stage = Stage::new(&Scenario::new(125_000), None);
+    let now = stage.app.now();
+    let frame = |id: u16, millis: u64| {
+        let frame = Frame::new(CanId::Standard(id), &[1]);
+        frame.with_time(now + Duration::from_millis(millis))
+    };
+    let frames = [frame(1, 10), frame(2, 25), frame(1, 1510)];
+    let end = now + Duration::from_secs(2);
+    stage.app.handle_frames(end, &frames);
+    let last = |stage: &Stage| {
+        let screen = stage.screen();
+        screen.lines().rfind(|line| line.contains(" std ")).unwrap().to_owned()
+    };
+    stage.size(80, 24).keys("2");
+    assert!(last(&stage).contains("12:00:01.510"), "{}", last(&stage));
+    stage.keys("z");
+    assert!(last(&stage).contains(" 1485.0 "), "{}", last(&stage));
+    stage.keys("z");
+    assert!(last(&stage).contains(" 1500.0 "), "{}", last(&stage));
+    stage.keys("z");
+    assert!(last(&stage).contains(" 1.500 "), "{}", last(&stage));
+    stage.keys("z").size(120, 24);
+    assert!(last(&stage).contains("12:00:01.510  1485.0 "), "{}", last(&stage));
+}
