@@ -51,7 +51,9 @@ impl App {
             Action::Problem => self.go_to_problem(),
             Action::Mute => self.toggle_muted(),
             Action::Copy => self.copy_row(),
-            Action::Cancel | Action::HelpClose | Action::MarksClose => self.cancel(),
+            Action::Cancel | Action::HelpClose | Action::MarksClose | Action::FiltersClose => {
+                self.cancel();
+            }
             Action::Rescan => self.rescan(),
             Action::ClearLost => self.remove_lost_devices(),
             Action::Identify => self.ask_identify(),
@@ -69,6 +71,11 @@ impl App {
             Action::Mark => self.ask_mark(),
             Action::Marks => self.list_marks(),
             Action::Compare => self.compare_moments(),
+            Action::Filters => self.list_filters(),
+            Action::FilterUp => self.move_in_filters(-1),
+            Action::FilterDown => self.move_in_filters(1),
+            Action::FilterUse => self.use_filter(),
+            Action::FilterRemove => self.remove_filter(),
             Action::MarkUp => self.move_in_marks(-1),
             Action::MarkDown => self.move_in_marks(1),
             Action::MarkGo => self.go_to_selected_mark(),

@@ -324,6 +324,7 @@ impl App {
             PromptResult::Cancel => self.cancel_prompt(),
             PromptResult::NextBus => self.edit_on_next_bus(),
             PromptResult::Complete => self.complete_filter(),
+            PromptResult::SaveFilter => self.save_typed_filter(),
             PromptResult::Recall(by) => self.recall_filter(by),
         }
     }

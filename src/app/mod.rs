@@ -49,6 +49,7 @@ mod notices;
 mod page_filters;
 mod past;
 mod problems;
+mod saved_filters;
 mod timeline_kind;
 mod typed_time;
 mod view;
@@ -85,6 +86,7 @@ use page_filters::PageFilters;
 pub use problems::{
     EvidenceItem, Matching, Problem, ProblemKey, ProblemList, Scope, format_duration, is_about,
 };
+pub use saved_filters::{MAX_SAVED_FILTERS, SavedFilter, SavedFilterChange};
 pub use timeline_kind::TimelineKind;
 pub use view::{
     BarKey, BusPageLayout, BusRegions, ChartSpan, Counts, EvidenceView, FileStatus, Focus, Frozen,
@@ -151,6 +153,8 @@ pub struct AppOptions {
     pub emit_events: bool,
     /// Queue only events that match, and those about a whole bus or the program.
     pub event_filter: Filter,
+    /// Filters that the user saved.
+    pub saved_filters: Vec<SavedFilter>,
     /// Bytes of memory for the captured frames and the past of the buses; `None`:
     /// [`DEFAULT_CAPTURE`]; 0: few frames, and no past.
     pub capture_room: Option<usize>,
@@ -185,6 +189,8 @@ pub enum Effect {
     },
     /// Copy text to the clipboard.
     Copy(String),
+    /// Change the filters that are stored; then call [`App::handle_saved_filters`].
+    ChangeFilters(SavedFilterChange),
     /// Use this theme; then call [`App::handle_theme`].
     UseTheme(String),
     /// Search the bit rate of this bus, listen-only; call [`App::handle_bitrate_search`] with the
@@ -293,6 +299,7 @@ pub struct App {
     replay: Option<BusesReplay>,
     replay_due: Option<Instant>,
     marks: Marks,
+    saved_filters: Vec<SavedFilter>,
     /// The comparison of two moments that is open.
     comparison: Option<Box<MomentComparison>>,
     /// Content of des.json now, and before: with the time until which it was so, oldest first.
@@ -330,6 +337,7 @@ impl App {
             replay: None,
             replay_due: None,
             marks: Marks::default(),
+            saved_filters: options.saved_filters,
             comparison: None,
             content,
             contents_before: VecDeque::new(),
@@ -439,7 +447,7 @@ impl App {
         self.renew_rows();
         if self.input.prompt().is_some() {
             self.handle_prompt_key(key);
-        } else if self.select_mark_of(key) {
+        } else if self.select_mark_of(key) || self.use_filter_of(key) {
         } else if let Some(action) = self.input.lookup(key) {
             self.run(action);
             self.input.note_executed(now, action);

@@ -62,6 +62,7 @@ impl App {
             Overlay::None if mouse.is_in(self.screen().details) => self.view.scroll_details(delta),
             Overlay::None => self.move_list(delta),
             Overlay::Marks(_) => self.move_in_marks(delta.signum()),
+            Overlay::Filters(_) => self.move_in_filters(delta.signum()),
             Overlay::Comparison => self.move_in_comparison(delta),
             _ => self.input.scroll_help(delta as i16),
         }

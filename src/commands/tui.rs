@@ -7,6 +7,7 @@ use crate::app::AppOptions;
 use crate::bus::{BusSpec, Clock};
 use crate::cli::{CommonArgs, ScreenArgs, SessionArgs as Arguments};
 use crate::regular_file::shown;
+use crate::shell::config::ConfigFolder;
 use crate::shell::session::Session;
 use crate::shell::tui_loop::{self, ThemeLoader, TuiExit};
 use crate::shell::{recovery, stop, terminal};
@@ -103,7 +104,10 @@ fn show(
         themes => themes,
     }
     .map_err(|why| Failure::Usage(format!("theme {wanted}: {why}")))?;
+    let saved_filters = setup.folder.as_ref().map_or(Ok(Vec::new()), ConfigFolder::saved_filters);
+    let saved_filters = saved_filters.unwrap_or_else(|why| open::warn(&mut warnings, &why));
     let options = AppOptions {
+        saved_filters,
         keymap: setup.keymap.clone(),
         theme: wanted.to_owned(),
         themes: themes.names(),

@@ -38,6 +38,8 @@ pub enum KeyMode {
     Help,
     /// The list of marks is open.
     Marks,
+    /// The list of saved filters is open.
+    Filters,
     /// The comparison of two moments is open.
     Compare,
 }
@@ -188,6 +190,7 @@ actions! {
         Bus "bus" "Page 5: load and state of the buses" "" ["5"];
         Filter "filter" "Filter rows" "filter" ["/"];
         FilterToggle "filter-toggle" "Filter off, or on again" "" ["\\"];
+        Filters "filters" "Saved filters of the page: a digit sets one" "" ["F"];
         OnlyLike "only-like" "Only rows like the selected one" "" ["="];
         HideLike "hide-like" "Hide rows like the selected one" "" ["!"];
         NextMatch "next-match" "Next row that matches the filter, on or off" "" ["J"];
@@ -255,6 +258,13 @@ actions! {
         HelpFirst "help-first" "First line" "" ["g" "Home"];
         HelpLast "help-last" "Last line" "" ["G" "End"];
         HelpClose "help-close" "Close the help" "close" ["Esc" "?" "q" "Enter" "F1"];
+    }
+    Filters Answer: {
+        FilterUp "saved-filter-up" "Saved filters: the one before" "" ["Up" "k"];
+        FilterDown "saved-filter-down" "Saved filters: the next one" "" ["Down" "j"];
+        FilterUse "saved-filter-use" "Saved filters: set it" "set" ["Enter"];
+        FilterRemove "saved-filter-remove" "Saved filters: remove it" "remove" ["D" "Delete"];
+        FiltersClose "saved-filters-close" "Saved filters: close the list" "close" ["Esc" "F" "q"];
     }
     Marks Answer: {
         MarkUp "mark-up" "Marks: the mark before" "" ["Up"];

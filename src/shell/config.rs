@@ -1,14 +1,17 @@
-//! The user's own settings: `config.toml`, `keys.toml` and `themes/` in the XDG config folder.
+//! The user's own settings: `config.toml`, `keys.toml`, `filters.toml` and `themes/` in the XDG config
+//! folder.
 //!
 //! Each part is optional. An error in one is reported with file and line; descan then starts with
 //! the built-in values.
 
+use crate::app::{MAX_SAVED_FILTERS, Page, SavedFilter, SavedFilterChange};
 use crate::keymap::Keymap;
 use crate::regular_file::{read_text, shown};
 use crate::text::printable;
 use etcetera::{BaseStrategy, choose_base_strategy};
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 use std::fs;
+use std::io::{self, Write};
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -54,6 +57,33 @@ impl UserSettings {
     }
 }
 
+/// File of the saved filters.
+const FILTERS: &str = "filters.toml";
+
+/// Content of `filters.toml`.
+#[derive(Debug, Default, Deserialize, Serialize)]
+struct FilterFile {
+    #[serde(default)]
+    filter: Vec<FilterEntry>,
+}
+
+#[derive(Debug, Deserialize, Serialize)]
+struct FilterEntry {
+    page: String,
+    line: String,
+}
+
+/// Name of a page in `filters.toml`.
+const fn name_of(page: Page) -> &'static str {
+    match page {
+        Page::Devices => "devices",
+        Page::Traffic => "traffic",
+        Page::Timeline => "timeline",
+        Page::Problems => "problems",
+        Page::Bus => "bus",
+    }
+}
+
 /// The folder with the user's settings.
 #[derive(Clone, Debug)]
 pub struct ConfigFolder {
@@ -80,6 +110,44 @@ impl ConfigFolder {
     /// Reads `keys.toml`; the built-in keys if it is missing. The error names file and line.
     pub fn keymap(&self) -> Result<Keymap, String> {
         self.read("keys.toml", |text| Keymap::parse(text).map_err(|error| error.to_string()))
+    }
+
+    /// Reads `filters.toml`; no filters if it is missing. The error names file and line.
+    pub fn saved_filters(&self) -> Result<Vec<SavedFilter>, String> {
+        let file: FilterFile = self.read(FILTERS, |text| {
+            toml::from_str(text).map_err(|error| error.message().to_owned())
+        })?;
+        let filters = file.filter.into_iter().take(MAX_SAVED_FILTERS);
+        let known = filters.filter_map(|entry| {
+            let page = Page::ALL.into_iter().find(|page| name_of(*page) == entry.page)?;
+            Some(SavedFilter { page, line: entry.line })
+        });
+        Ok(known.collect())
+    }
+
+    /// Changes `filters.toml` as it is now; returns the filters in it.
+    ///
+    /// # Errors
+    /// It cannot be read, or not be written.
+    pub fn change_filters(&self, change: &SavedFilterChange) -> Result<Vec<SavedFilter>, String> {
+        let mut filters = self.saved_filters()?;
+        change.apply(&mut filters);
+        let entries = filters.iter().map(|filter| FilterEntry {
+            page: name_of(filter.page).to_owned(),
+            line: filter.line.clone(),
+        });
+        let file = FilterFile { filter: entries.collect() };
+        let path = self.path.join(FILTERS);
+        let text = toml::to_string(&file).map_err(|error| error.to_string())?;
+        let text =
+            format!("# Filters saved on the screen: Ctrl-s in the prompt, F lists them.\n{text}");
+        let failed = |error: &io::Error| format!("{}: {error}", shown(&path));
+        fs::create_dir_all(&self.path).map_err(|error| failed(&error))?;
+        let mut temporary =
+            tempfile::NamedTempFile::new_in(&self.path).map_err(|error| failed(&error))?;
+        temporary.write_all(text.as_bytes()).map_err(|error| failed(&error))?;
+        temporary.persist(&path).map_err(|error| failed(&error.error))?;
+        Ok(filters)
     }
 
     /// Path of the user's theme `name`, whether or not it exists.
@@ -119,6 +187,29 @@ impl ConfigFolder {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn saved_filters_are_stored_beside_those_of_others() {
+        let folder = tempfile::tempdir().unwrap();
+        let (one, other) = (folder.path().join("descan"), folder.path().join("descan"));
+        let (one, other) = (ConfigFolder::at(one), ConfigFolder::at(other));
+        assert_eq!(one.saved_filters(), Ok(Vec::new()));
+        let filter = |page, line: &str| SavedFilter { page, line: line.to_owned() };
+        let first = filter(Page::Traffic, "src:FEED data:\"01 ??\"");
+        let second = filter(Page::Devices, "is:lost");
+        one.change_filters(&SavedFilterChange::Add(first.clone())).unwrap();
+        let both = other.change_filters(&SavedFilterChange::Add(second.clone()));
+        assert_eq!(both, Ok(vec![first.clone(), second.clone()]));
+        let again = one.change_filters(&SavedFilterChange::Add(second.clone()));
+        assert_eq!(again.map(|all| all.len()), Ok(2), "it is there");
+        assert_eq!(one.change_filters(&SavedFilterChange::Remove(first)), Ok(vec![second]));
+        // A damaged file is not overwritten.
+        let path = folder.path().join("descan").join(FILTERS);
+        fs::write(&path, "[[filter]]\npage = 5").unwrap();
+        let change = SavedFilterChange::Add(filter(Page::Traffic, "err"));
+        assert!(one.change_filters(&change).unwrap_err().contains("filters.toml"));
+        assert_eq!(fs::read_to_string(&path).unwrap(), "[[filter]]\npage = 5");
+    }
 
     #[test]
     fn settings_missing_are_built_in_and_errors_name_the_line() {

@@ -9,7 +9,7 @@ use super::session::Session;
 use super::stop::output_closed;
 use super::store::Store;
 use super::terminal::{self, Terminal};
-use crate::app::{Effect, Mouse, MouseKind};
+use crate::app::{Effect, Mouse, MouseKind, SavedFilter, SavedFilterChange};
 use crate::keymap::{Key, KeyCode};
 use crate::regular_file::{MAX_TEXT_BYTES, read_text, text_of};
 use crate::theme::{Colours, Theme};
@@ -73,6 +73,9 @@ async fn run_on_terminal(session: &mut Session, themes: &mut ThemeLoader) -> io:
                 Effect::UseTheme(name) => {
                     let result = themes.choose(&name);
                     session.app.handle_theme(session.now(), result);
+                }
+                Effect::ChangeFilters(change) => {
+                    session.app.handle_saved_filters(themes.change_filters(&change));
                 }
                 Effect::Save { .. }
                 | Effect::ReadFile
@@ -227,6 +230,17 @@ impl ThemeLoader {
             _ => None,
         };
         Ok(())
+    }
+
+    /// Changes the filters that are stored; returns all of them.
+    ///
+    /// # Errors
+    /// There is no folder for settings, or it cannot be read or written.
+    pub fn change_filters(&self, change: &SavedFilterChange) -> Result<Vec<SavedFilter>, String> {
+        match &self.folder {
+            Some(folder) => folder.change_filters(change),
+            None => Err("no home folder; set XDG_CONFIG_HOME".to_owned()),
+        }
     }
 
     /// The names of all themes: the built-in ones, then the user's.

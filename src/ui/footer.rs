@@ -29,7 +29,8 @@ pub fn draw(brush: &mut DrawContext) {
         return draw_question(brush, area, &question);
     }
     let mode = brush.app.mode();
-    let shows_message = matches!(mode, KeyMode::Browse | KeyMode::Marks | KeyMode::Compare);
+    let shows_message =
+        matches!(mode, KeyMode::Browse | KeyMode::Marks | KeyMode::Filters | KeyMode::Compare);
     if let Some(message) = brush.app.message().filter(|_| shows_message) {
         let role = if message.is_error { Role::Error } else { Role::Text };
         return draw_wrapped(brush, area, role, &message.text);
@@ -208,6 +209,7 @@ fn hint_line(brush: &DrawContext, mode: KeyMode, width: usize) -> Vec<Span<'stat
         (KeyMode::Help, ..) => &[A::HelpClose, A::HelpDown],
         (KeyMode::Confirm, ..) => &[A::Yes, A::No],
         (KeyMode::Conflict, ..) => &[A::Ours, A::Theirs, A::Later],
+        (KeyMode::Filters, ..) => &[A::FilterUse, A::FilterRemove, A::FiltersClose],
         (KeyMode::Marks, ..) => &[A::MarkGo, A::MarkRemove, A::MarksClose],
         (KeyMode::Compare, ..) => {
             &[A::CompareSide, A::CompareEarlier, A::CompareLater, A::CompareSelect, A::CompareClose]

@@ -34,6 +34,7 @@ mod footer;
 mod help;
 mod marks;
 mod problems;
+mod saved_filters;
 mod status;
 mod symbols;
 mod tabs;
@@ -73,6 +74,7 @@ pub fn draw(app: &App, theme: &Theme, frame: &mut Frame) -> Option<u16> {
         Overlay::Help(scroll) => help::draw(&mut brush, *scroll),
         Overlay::Conflict => conflict::draw(&mut brush),
         Overlay::Marks(selected) => marks::draw(&mut brush, *selected),
+        Overlay::Filters(selected) => saved_filters::draw(&mut brush, *selected),
         Overlay::Comparison => comparison::draw(&mut brush),
         _ => page(&mut brush),
     }

@@ -1,7 +1,7 @@
 //! The filter language, from outside: which frames, rows, events and problems a line selects.
 
 use crate::common::harness::Stage;
-use descan::app::{App, AppOptions, Filter, FilterError, Page, RowKind};
+use descan::app::{App, AppOptions, Effect, Filter, FilterError, Page, RowKind};
 use descan::discovery::Config;
 use descan::frame::{CanId, Frame};
 use descan::sim::Scenario;
@@ -338,6 +338,45 @@ fn prompt_completes_and_recalls() {
     let screen = stage.screen();
     assert!(screen.contains("unknown field tipe; use type:"), "{screen}");
     assert!(screen.contains("column 10"), "{screen}");
+}
+
+#[test]
+fn saved_filters_are_listed_and_set() {
+    let mut stage = Stage::boiler();
+    stage.until(45.0).size(100, 30).keys("2 F");
+    assert!(stage.screen().contains("no saved filter; /, then Ctrl-s"), "{}", stage.screen());
+    let store = |stage: &mut Stage| {
+        let mut saved = stage.app.saved_filters(Page::Traffic).into_iter().cloned().collect();
+        let changes = std::mem::take(&mut stage.effects);
+        for effect in changes {
+            if let Effect::ChangeFilters(change) = effect {
+                change.apply(&mut saved);
+            }
+        }
+        stage.app.handle_saved_filters(Ok(saved));
+    };
+    for line in ["src:FEED", "type:req"] {
+        stage.keys("/").keys("Ctrl-u").text(line).keys("Ctrl-s");
+        store(&mut stage);
+        assert_eq!(stage.app.page_filter(Page::Traffic).text(), line);
+    }
+    stage.keys("/").keys("Ctrl-u").text("tipe:").keys("Ctrl-s");
+    assert!(stage.app.prompt().is_some(), "a mistake is not saved");
+    stage.keys("Esc F");
+    let screen = stage.screen();
+    assert!(screen.contains("1 src:FEED") && screen.contains("2 type:req"), "{screen}");
+    stage.keys("1");
+    assert_eq!(stage.app.page_filter(Page::Traffic).text(), "src:FEED");
+    stage.keys("F j Enter");
+    assert_eq!(stage.app.page_filter(Page::Traffic).text(), "type:req");
+    stage.keys("F D");
+    store(&mut stage);
+    assert!(!stage.screen().contains("src:FEED"), "{}", stage.screen());
+    stage.keys("D");
+    store(&mut stage);
+    assert!(!stage.screen().contains("Filters of"), "the empty list is closed");
+    stage.keys("1 F");
+    assert!(stage.screen().contains("no saved filter"), "{}", stage.screen());
 }
 
 #[test]

@@ -58,6 +58,8 @@ pub enum Overlay {
     Conflict,
     /// The list of marks, with the letter of the selected one.
     Marks(char),
+    /// The list of the saved filters of the page, with the place of the selected one.
+    Filters(usize),
     /// The comparison of two moments.
     Comparison,
 }
@@ -101,6 +103,7 @@ impl Input {
             Overlay::Question(_) => KeyMode::Confirm,
             Overlay::Conflict => KeyMode::Conflict,
             Overlay::Marks(_) => KeyMode::Marks,
+            Overlay::Filters(_) => KeyMode::Filters,
             Overlay::Comparison => KeyMode::Compare,
         }
     }

@@ -62,6 +62,8 @@ pub(in crate::app) enum PromptResult {
     NextBus,
     /// Tab in a filter: the next candidate.
     Complete,
+    /// Ctrl-s in a filter: save it.
+    SaveFilter,
     /// An older line of the history, or with 1 a newer one.
     Recall(isize),
 }
@@ -132,6 +134,7 @@ impl Prompt {
         if let PromptKind::Filter(prompt) = &mut self.kind {
             match key.code {
                 KeyCode::Tab => return PromptResult::Complete,
+                KeyCode::Char('s') if key.ctrl => return PromptResult::SaveFilter,
                 KeyCode::Up => return PromptResult::Recall(-1),
                 KeyCode::Down => return PromptResult::Recall(1),
                 _ => prompt.end_choice(),
