@@ -9,6 +9,7 @@ pub mod choices;
 pub mod config;
 pub mod document;
 pub mod engine;
+pub mod filter;
 pub mod keys;
 pub mod log;
 pub mod profile;
@@ -29,7 +30,7 @@ pub struct Target {
 }
 
 /// All targets.
-pub const TARGETS: [Target; 12] = [
+pub const TARGETS: [Target; 13] = [
     protocol::SLCAN,
     protocol::SOCKETCAND,
     udp::UDP,
@@ -38,6 +39,7 @@ pub const TARGETS: [Target; 12] = [
     document::DOCUMENT,
     profile::PROFILE,
     theme::THEME,
+    filter::FILTER,
     keys::KEYS,
     config::CONFIG,
     scenario::SCENARIO,

@@ -151,6 +151,11 @@ fn theme_mutations_break_no_rule() {
 }
 
 #[test]
+fn filter_mutations_break_no_rule() {
+    replay("filter", 20_000);
+}
+
+#[test]
 fn keys_mutations_break_no_rule() {
     replay("keys", 100_000);
 }
