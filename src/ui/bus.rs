@@ -4,6 +4,7 @@
 
 use super::brush::{DrawContext, bus_label, fit, fit_right};
 use super::chart::{bar, chart_rows, grouped, rounded, scale_text, scale_top};
+use super::tabs::draw_views;
 use super::timeline::entry_line;
 use crate::app::{
     Bus, BusPageLayout, BusRegions, ChartSpan, LoadBar, LoadHistory, LoadSample, Page, bar_lines,
@@ -11,7 +12,6 @@ use crate::app::{
 };
 use crate::discovery::OwnAddress;
 use crate::frame::BusIndex;
-use crate::keymap::Action;
 use crate::status::Link;
 use crate::theme::Role;
 use crate::time::Instant;
@@ -77,36 +77,13 @@ fn label(brush: &DrawContext, index: BusIndex) -> String {
 
 /// Draws the spans of time and their key into the rule of the page names.
 fn draw_spans(brush: &mut DrawContext) {
-    let area = brush.screen.tabs;
-    if area.height == 0 {
-        return;
-    }
+    let open = brush.app.chart_span();
+    let titles = ChartSpan::ALL.map(ChartSpan::title);
+    let last = if open == ChartSpan::All { "" } else { "last " };
     let tabs = brush.screen.tabs(Page::Bus, brush.app.counts());
     let end = tabs.last().map_or(0, |(_, start, text)| start + text.width() as u16);
-    let open = brush.app.chart_span();
-    let key = brush.app.keymap().keys_of(Action::Identifiers).next();
-    let key = key.map(|key| format!(" ({key})")).unwrap_or_default();
-    let last = if open == ChartSpan::All { "" } else { "last " };
-    let mut all = vec![brush.span(Role::Muted, " ")];
-    for (at, span) in ChartSpan::ALL.into_iter().enumerate() {
-        if at > 0 {
-            all.push(brush.span(Role::Muted, " · "));
-        }
-        let role = if span == open { Role::Title } else { Role::Muted };
-        all.push(brush.span(role, span.title()));
-    }
-    all.push(brush.span(Role::Muted, format!("{key} ")));
-    let one = vec![
-        brush.span(Role::Title, format!(" {last}{}", open.title())),
-        brush.span(Role::Muted, format!("{key} ")),
-    ];
-    let room = usize::from(area.width.saturating_sub(end + 2));
-    let fits = |spans: &&Vec<Span>| spans.iter().map(Span::width).sum::<usize>() <= room;
-    if let Some(spans) = [&all, &one].into_iter().find(fits) {
-        let line = Line::from(spans.clone());
-        let width = line.width() as u16;
-        brush.line(Rect { x: area.right() - width - 1, width, ..area }, 0, &line);
-    }
+    let alone = format!("{last}{}", open.title());
+    draw_views(brush, &titles, open.title(), &alone, end);
 }
 
 // ---- state and counters --------------------------------------------------------------------

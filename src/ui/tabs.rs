@@ -2,10 +2,11 @@
 //! and the title of the details; and the divider in front of the details.
 
 use super::brush::{DrawContext, fit};
-use crate::app::{Focus, Page, PageFilter, RowKey};
+use crate::app::{Focus, Page, PageFilter, RowKey, TrafficView};
+use crate::keymap::Action;
 use crate::theme::Role;
 use ratatui::layout::Rect;
-use ratatui::text::Line;
+use ratatui::text::{Line, Span};
 use unicode_width::UnicodeWidthStr;
 
 /// Least cells in which a filter is shown.
@@ -49,7 +50,13 @@ pub fn draw(brush: &mut DrawContext) {
         let text = if text.width() > room_for_text { fit(&text, room_for_text) } else { text };
         let line = Line::from(brush.span(Role::Match, text));
         let at = Rect { x: end + 1, width: room.saturating_sub(1), ..area };
+        end += 1 + line.width() as u16;
         brush.line(at, 0, &line);
+    }
+    let is_free = shown.is_none() && !screen.details_alone();
+    if open == Page::Traffic && is_free && brush.app.view().evidence.is_none() {
+        let view = brush.app.view().traffic_view.title();
+        draw_views(brush, &TrafficView::ALL.map(TrafficView::title), view, view, end);
     }
     if details.height == 0 || screen.lower_rule.y + 1 == details.y {
         return;
@@ -107,6 +114,43 @@ fn title(brush: &DrawContext) -> Option<String> {
         }),
         Page::Traffic => Some("Frame".to_owned()),
         Page::Timeline | Page::Bus => None,
+    }
+}
+
+/// Draws the views of the page and their key at the right end of the rule, behind the column `end`; with
+/// less room the open one as `alone`, or none.
+pub fn draw_views(
+    brush: &mut DrawContext,
+    titles: &[&'static str],
+    open: &str,
+    alone: &str,
+    end: u16,
+) {
+    let area = brush.screen.tabs;
+    if area.height == 0 {
+        return;
+    }
+    let key = brush.app.keymap().keys_of(Action::Identifiers).next();
+    let key = key.map(|key| format!(" ({key})")).unwrap_or_default();
+    let mut all = vec![brush.span(Role::Muted, " ")];
+    for (at, title) in titles.iter().enumerate() {
+        if at > 0 {
+            all.push(brush.span(Role::Muted, " · "));
+        }
+        let role = if *title == open { Role::Title } else { Role::Muted };
+        all.push(brush.span(role, *title));
+    }
+    all.push(brush.span(Role::Muted, format!("{key} ")));
+    let one = vec![
+        brush.span(Role::Title, format!(" {alone}")),
+        brush.span(Role::Muted, format!("{key} ")),
+    ];
+    let room = usize::from(area.width.saturating_sub(end + 2));
+    let fits = |spans: &&Vec<Span>| spans.iter().map(Span::width).sum::<usize>() <= room;
+    if let Some(spans) = [&all, &one].into_iter().find(fits) {
+        let line = Line::from(spans.clone());
+        let width = line.width() as u16;
+        brush.line(Rect { x: area.right() - width - 1, width, ..area }, 0, &line);
     }
 }
 
