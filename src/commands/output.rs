@@ -58,7 +58,17 @@ impl LineOutput {
     /// # Errors
     /// As [`print()`].
     pub fn print(&mut self, text: &str) -> Result<(), Failure> {
-        let _ = write!(self.waiting, "{}", SafeLines(text));
+        let is_plain = |byte: u8| byte == b'\n' || (0x20..0x7F).contains(&byte);
+        let mut rest = text;
+        // Most of it needs no look at each character.
+        while !rest.is_empty() {
+            let end = rest.bytes().position(|byte| !is_plain(byte)).unwrap_or(rest.len());
+            self.waiting.push_str(&rest[..end]);
+            rest = &rest[end..];
+            let end = rest.bytes().position(is_plain).unwrap_or(rest.len());
+            let _ = write!(self.waiting, "{}", SafeLines(&rest[..end]));
+            rest = &rest[end..];
+        }
         self.flush_from(Self::ROOM)
     }
 

@@ -4,6 +4,7 @@
 
 use crate::app::{App, CallPart, Decoded, clock_millis};
 use crate::frame::{Frame, FrameKind};
+use crate::text::push_hex;
 use crate::wire::id::Address;
 use std::fmt::Write;
 use unicode_width::UnicodeWidthStr;
@@ -57,10 +58,7 @@ impl FrameText {
         line.push(' ');
         left(line, &decoded.service, SERVICE);
         let _ = write!(line, " {:>2} ", frame.len());
-        for (at, byte) in frame.data().iter().enumerate() {
-            let between = if at == 0 { "" } else { " " };
-            let _ = write!(line, "{between}{byte:02X}");
-        }
+        push_hex(line, frame.data(), " ");
         let used = (3 * frame.data().len()).saturating_sub(1);
         line.extend(std::iter::repeat_n(' ', BYTES.saturating_sub(used)));
         let _ = write!(line, "  {}", decoded.text);
