@@ -278,7 +278,7 @@ fn statistics_members_are_documented() {
 #[test]
 fn hostile_log_prints_no_control_codes() {
     let hostile = "\u{1b}[2J\u{202e}";
-    let name: String = b"\x1b[2J\x07".iter().map(|byte| format!("{byte:02X}")).collect();
+    let name = descan::text::hex(b"\x1b[2J\x07", "");
     let lines = format!(
         "(1.0) {hostile} 123#01\n(1.1) can0 07140001#8A\n(1.2) can0 05140002#0601{name}\n\
          {hostile}\n(1.3) can0 123#{hostile}\n(1.4) can0 07140001#8A\n"
