@@ -63,6 +63,7 @@ Examples:
   descan check can0             compare the bus with des.json
   descan watch can0             print events as they happen, one per line
   descan diff good.log now.log  list what changed between two logs
+  descan log session.log        print the frames of a log, decoded
   descan scan can0 --write des.json
                                 create des.json from the bus
   descan session.log            replay a candump log in real time
@@ -94,6 +95,8 @@ pub enum Command {
     Watch(WatchArgs),
     /// List what changed between two logs, or documents of scan --json
     Diff(DiffArgs),
+    /// Print the frames of a log, decoded, one per line, or their statistics
+    Log(LogArgs),
     /// Simulate the devices of a scenario on a bus
     #[command(after_help = "\
 Examples:
@@ -268,6 +271,60 @@ pub struct DiffArgs {
     /// Print one JSON object instead of text
     #[arg(long)]
     pub json: bool,
+}
+
+/// `descan log`.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Prints time, bus (if there are several), identifier, kind, sender and receiver, service, length, \
+bytes and meaning of each frame; of a response the time since its request. Names are those of the \
+frame's moment: a file is read twice, so that a name that is received later holds for earlier frames \
+of its device, too. Standard input and pipes are read once, and have the names received so far; so \
+does a large file that is to be read once: descan log - < big.log
+
+--filter takes the words and fields of the filter line of the frames: src:FEED type:rsp id:123 \
+len:>4 since:12:03 !data:FF (descan help filter).
+
+--stats prints, in place of the frames, the number of each kind, bus errors by kind, the identifiers \
+with count, rate, period and jitter, and the calls with latency, unanswered and failed ones. Jitter \
+is that of the last 256 intervals, latencies are those of the last 1024 calls.
+
+Exit code: 0 done, 2 wrong usage, 3 the log cannot be read, 130 interrupted.
+
+Examples:
+  descan log session.log
+  descan log session.pcapng --filter 'src:FEED type:failed'
+  descan log session.log --from 60 --time 5
+                                the frames of seconds 60 to 65
+  descan log session.log --json | jq -c 'select(.latency_ms > 50)'
+  descan log session.log --stats
+  descan log session.log --stats --json | jq '.identifiers[] | select(.rate > 100) | .id'
+  ssh board candump -L can0 | descan log - --filter at:12")]
+pub struct LogArgs {
+    /// Log, candump -L or pcapng; - is standard input
+    #[arg(value_name = "FILE", value_hint = clap::ValueHint::FilePath)]
+    pub log: PathBuf,
+    /// Print JSON instead of text: one object per frame, or one with --stats
+    #[arg(long)]
+    pub json: bool,
+    /// Print only matching frames: src:FEED | id:123 | type:rsp | word | !word ...
+    #[arg(long, value_name = "EXPR")]
+    pub filter: Option<String>,
+    /// Print statistics instead of frames
+    #[arg(long, conflicts_with = "limit")]
+    pub stats: bool,
+    /// Stop after N printed frames
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    pub limit: Option<u64>,
+    /// Start SECONDS after the first frame
+    #[arg(long, value_name = "SECONDS", value_parser = moment, allow_negative_numbers = true)]
+    pub from: Option<Duration>,
+    /// Stop after SECONDS of log time
+    #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
+    pub time: Option<Duration>,
+    /// Values the protocol leaves open: service numbers, framing, heartbeat layout (TOML)
+    #[arg(long, value_name = "FILE")]
+    pub profile: Option<PathBuf>,
 }
 
 /// What the commands without a screen share.

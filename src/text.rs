@@ -2,7 +2,7 @@
 //!
 //! Does not know where the text goes or how wide it may be.
 
-use std::fmt::{self, Write};
+use std::fmt;
 use std::sync::Arc;
 use unicode_general_category::{GeneralCategory, get_general_category};
 use unicode_width::UnicodeWidthChar;
@@ -183,11 +183,19 @@ impl fmt::Debug for Name {
 /// Bytes in hexadecimal with a separator.
 pub fn hex(data: &[u8], between: &str) -> String {
     let mut text = String::with_capacity(data.len() * (2 + between.len()));
-    for (at, byte) in data.iter().enumerate() {
-        let between = if at == 0 { "" } else { between };
-        let _ = write!(text, "{between}{byte:02X}");
-    }
+    push_hex(&mut text, data, between);
     text
+}
+
+/// Appends the same to a text.
+pub fn push_hex(text: &mut String, data: &[u8], between: &str) {
+    // Faster than formatting, for logs of millions of frames.
+    let digit = |nibble: u8| char::from(if nibble < 10 { b'0' } else { b'A' - 10 } + nibble);
+    for (at, byte) in data.iter().enumerate() {
+        text.push_str(if at == 0 { "" } else { between });
+        text.push(digit(byte >> 4));
+        text.push(digit(byte & 0x0F));
+    }
 }
 
 #[cfg(test)]

@@ -1030,6 +1030,13 @@ impl App {
             .collect()
     }
 
+    /// Prepares a filter for the frames of a log: names are those of a frame's moment, as far as known.
+    pub fn log_matcher(&self, filter: &Filter) -> FrameMatcher {
+        let mut filter = filter.clone();
+        filter.resolve(filter::WallClock { wall_start: self.clock.wall_start(), now: None });
+        filter.for_frames(&self.buses)
+    }
+
     /// Name of the device that had an address at a moment, else the address.
     pub fn name_at(&self, bus: BusIndex, address: Address, time: Instant) -> String {
         self.shown_buses().name_at(bus, address, time)

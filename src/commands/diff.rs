@@ -69,7 +69,7 @@ struct DiffInput {
 }
 
 /// Returns what an argument names: `-`, or a file, with or without `file:`.
-fn spec_of(path: &Path) -> BusSpec {
+pub(super) fn spec_of(path: &Path) -> BusSpec {
     if path == Path::new("-") {
         return BusSpec::Stdin;
     }

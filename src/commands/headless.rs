@@ -7,8 +7,8 @@ use super::{Failure, output};
 use crate::app::{App, AppOptions, Bus, BusSnapshot, TxBlocked};
 use crate::bus::{self, BusSpec, UdpAddress};
 use crate::diagnostic::Diagnostic;
-use crate::frame::BusIndex;
-use crate::log::READABLE_LOGS;
+use crate::frame::{BusIndex, Frame};
+use crate::log::{LogReader, READABLE_LOGS};
 use crate::shell::log_input::{LogBatch, LogInput, LogPace, LogRange};
 use crate::shell::session::{InputEnd, Session, SessionWake};
 use crate::shell::stop::{StopReason, StopWaiter};
@@ -18,11 +18,12 @@ use crate::time::{Epoch, Instant};
 use anyhow::Context;
 use nix::sys::signal::Signal;
 use std::fs::File;
-use std::io;
+use std::io::{self, BufReader};
 use std::ops::ControlFlow;
 use std::os::fd::AsFd;
 use std::time::Duration;
 use tokio::signal::unix::{SignalKind, signal};
+use tokio::task::yield_now;
 
 /// Time for an interface to open, on a busy machine.
 const OPENING: Duration = Duration::from_secs(10);
@@ -157,8 +158,43 @@ pub fn run(
 /// What a run begins with: its session, and the first wake-up or why there is none.
 type RunStart = (StopWaiter, Session, Result<Option<SessionWake>, StopReason>);
 
-/// Opens the file of a log.
-fn log_file(spec: &BusSpec) -> Result<File, Failure> {
+/// Reads the frames of a log file in the range of `limits`, without a session: for a log that a run has
+/// read before, with its warnings. Returns what stopped it; `None` at the end or if `turn` breaks.
+///
+/// # Errors
+/// The log cannot be read, or `turn` failed.
+pub fn reread(
+    spec: &BusSpec,
+    limits: Limits,
+    mut turn: impl FnMut(&Frame) -> Result<ControlFlow<()>, Failure>,
+) -> Result<Option<StopReason>, Failure> {
+    /// Frames between two checks for a signal.
+    const PART: usize = 4096;
+    let start = Instant::ZERO + limits.from.unwrap_or_default();
+    let end = limits.time.map_or(Instant::LATEST, |time| start + time);
+    let mut reader = LogReader::new(BufReader::with_capacity(1 << 16, log_file(spec)?));
+    runtime()?.block_on(async {
+        let mut stop = stop_waiter(limits, None)?;
+        loop {
+            for _ in 0..PART {
+                let frame = reader.next_frame().map_err(|it| Diagnostic::unreadable(spec, &it))?;
+                let Some(frame) = frame.filter(|frame| frame.time <= end) else { return Ok(None) };
+                if frame.time >= start && turn(&frame)?.is_break() {
+                    return Ok(None);
+                }
+            }
+            // A signal is delivered only to a task that waits.
+            tokio::select! {
+                biased;
+                reason = stop.next() => return Ok(Some(reason)),
+                () = yield_now() => {}
+            }
+        }
+    })
+}
+
+/// Opens the file of a log, or standard input.
+pub fn log_file(spec: &BusSpec) -> Result<File, Failure> {
     let unusable = |error: io::Error| Diagnostic::unreadable(spec, &error);
     Ok(match spec {
         BusSpec::File(path) => bus::open_log(path)?,
@@ -218,22 +254,26 @@ fn check_end(input: RunInput<'_>, limits: Limits, end: Option<&InputEnd>) -> Res
     let Some(spec) = input.log() else { return Ok(()) };
     match end {
         Some(InputEnd::Failed(error)) => Err(Diagnostic::unreadable(spec, error).into()),
-        Some(InputEnd::Log(summary)) => {
-            let last = summary.last.since(Instant::ZERO);
-            let from = limits.from.unwrap_or_default();
-            if from <= last || summary.frames == 0 {
-                return Ok(());
-            }
-            let (last, from) = (last.as_secs_f64(), from.as_secs_f64());
-            let remedy = match last {
-                ..0.05 => "leave --from out".to_owned(),
-                _ => format!("use a --from below {last:.1}, not {from}"),
-            };
-            let cause = format!("{spec}: last frame {last:.1} s after the first");
-            Err(Diagnostic::new(cause).with_remedy(remedy).into())
+        Some(InputEnd::Log(summary)) if summary.frames > 0 => {
+            check_from(spec, limits.from, summary.last)
         }
-        Some(InputEnd::Range) | None => Ok(()),
+        Some(InputEnd::Log(_) | InputEnd::Range) | None => Ok(()),
     }
+}
+
+/// A log whose last frame is before `--from` is an error.
+pub fn check_from(spec: &BusSpec, from: Option<Duration>, last: Instant) -> Result<(), Failure> {
+    let (last, from) = (last.since(Instant::ZERO), from.unwrap_or_default());
+    if from <= last {
+        return Ok(());
+    }
+    let (last, from) = (last.as_secs_f64(), from.as_secs_f64());
+    let remedy = match last {
+        ..0.05 => "leave --from out".to_owned(),
+        _ => format!("use a --from below {last:.1}, not {from}"),
+    };
+    let cause = format!("{spec}: last frame {last:.1} s after the first");
+    Err(Diagnostic::new(cause).with_remedy(remedy).into())
 }
 
 /// Prints on standard error, once, that recording stopped before the session did.

@@ -8,6 +8,7 @@ mod diff;
 mod gate;
 mod guide;
 mod headless;
+mod log;
 mod open;
 pub mod output;
 mod report;
@@ -66,6 +67,7 @@ pub fn run(cli: Cli) -> ExitCode {
         Some(Command::Check(check)) => check::run(&check),
         Some(Command::Watch(watch)) => watch::run(&watch),
         Some(Command::Diff(diff)) => diff::run(&diff),
+        Some(Command::Log(log)) => log::run(&log),
         Some(Command::Sim { bus, scenario, time }) => simulate::run(&bus, &scenario, time),
         Some(Command::Speed(speed)) => speed::run(&speed),
         Some(Command::Completions { shell }) => {

@@ -24,6 +24,14 @@ pub fn print(text: &str) -> Result<(), Failure> {
 /// As [`print()`].
 pub fn print_json(json: &str) -> Result<(), Failure> {
     let mut text = String::with_capacity(json.len());
+    escape_json(json, &mut text);
+    print_own(text.as_bytes())
+}
+
+fn escape_json(json: &str, text: &mut String) {
+    if json.bytes().all(|byte| byte == b'\n' || (0x20..0x7F).contains(&byte)) {
+        return text.push_str(json);
+    }
     for c in json.chars() {
         if c == '\n' || crate::text::is_printable(c) {
             text.push(c);
@@ -33,7 +41,62 @@ pub fn print_json(json: &str) -> Result<(), Failure> {
             }
         }
     }
-    print_own(text.as_bytes())
+}
+
+/// Many lines on standard output, in large writes. Escapes as [`print()`] and [`print_json()`].
+#[derive(Debug, Default)]
+pub struct LineOutput {
+    waiting: String,
+}
+
+impl LineOutput {
+    /// Bytes that are written at once.
+    const ROOM: usize = 1 << 16;
+
+    /// Prints text.
+    ///
+    /// # Errors
+    /// As [`print()`].
+    pub fn print(&mut self, text: &str) -> Result<(), Failure> {
+        let is_plain = |byte: u8| byte == b'\n' || (0x20..0x7F).contains(&byte);
+        let mut rest = text;
+        // Most of it needs no look at each character.
+        while !rest.is_empty() {
+            let end = rest.bytes().position(|byte| !is_plain(byte)).unwrap_or(rest.len());
+            self.waiting.push_str(&rest[..end]);
+            rest = &rest[end..];
+            let end = rest.bytes().position(is_plain).unwrap_or(rest.len());
+            let _ = write!(self.waiting, "{}", SafeLines(&rest[..end]));
+            rest = &rest[end..];
+        }
+        self.flush_from(Self::ROOM)
+    }
+
+    /// Prints JSON.
+    ///
+    /// # Errors
+    /// As [`print()`].
+    pub fn print_json(&mut self, json: &str) -> Result<(), Failure> {
+        escape_json(json, &mut self.waiting);
+        self.flush_from(Self::ROOM)
+    }
+
+    /// Writes what waits.
+    ///
+    /// # Errors
+    /// As [`print()`].
+    pub fn flush(&mut self) -> Result<(), Failure> {
+        self.flush_from(1)
+    }
+
+    fn flush_from(&mut self, least: usize) -> Result<(), Failure> {
+        if self.waiting.len() < least {
+            return Ok(());
+        }
+        let printed = print_own(self.waiting.as_bytes());
+        self.waiting.clear();
+        printed
+    }
 }
 
 /// Prints text that consists of descan's own words, and may have styles, as it is.

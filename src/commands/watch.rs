@@ -73,7 +73,7 @@ pub fn run(watch: &WatchArgs) -> Result<u8, Failure> {
 }
 
 /// Parses the option `--filter`.
-fn filter_of(line: Option<&str>, rows: RowKind) -> Result<Filter, Failure> {
+pub(super) fn filter_of(line: Option<&str>, rows: RowKind) -> Result<Filter, Failure> {
     let line = line.unwrap_or_default();
     Filter::parse(line, rows).map_err(|error| {
         let (text, column) = (printable(error.text().as_bytes()), error.column(line));

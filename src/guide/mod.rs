@@ -50,7 +50,7 @@ topics! {
     "filter" "filter" [] "the filter line and --filter";
     "findings" "findings" [] "what descan finds, how it is proven, what to do";
     "des.json" "des-json" ["schema"] "the list of devices and static addresses";
-    "scripting" "scripting" ["scan" "check" "watch" "diff"] "scan, check, watch and diff: JSON, exit codes, CI";
+    "scripting" "scripting" ["scan" "check" "watch" "diff" "log"] "scan, check, watch, diff and log: JSON, exit codes, CI";
     "recording" "recording" [] "recording to a file, logs and their replay";
     "profile" "profile" [] "values that the protocol leaves open";
     "settings" "settings" [] "config.toml, keys.toml, themes, and all files used";

@@ -34,6 +34,7 @@ mod guide;
 mod heartbeat_periods;
 mod history;
 mod log;
+mod log_command;
 mod malicious_input;
 mod missing_reasons;
 mod pcapng;

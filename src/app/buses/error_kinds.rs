@@ -23,7 +23,7 @@ pub struct ErrorKinds {
 
 impl ErrorKinds {
     /// Counts an error frame; `None` for one that cannot be read.
-    pub(super) fn add(&mut self, report: Option<ErrorReport>) {
+    pub fn add(&mut self, report: Option<ErrorReport>) {
         let report = report.filter(|it| it.is_no_ack() || it.is_bus_error());
         let count = match report.map(|it| (it.is_no_ack(), it.bus_error_type())) {
             Some((true, _)) => &mut self.no_ack,

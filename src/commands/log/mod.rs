@@ -1,0 +1,264 @@
+//! `descan log`: the frames of a log, decoded, one per line as text or JSON, or their statistics.
+//!
+//! Input: a log. A file is read twice: for the state with its names, then for the frames, so that a
+//! name holds for the frames before it, too. Standard input and pipes are read once, with the names
+//! received so far. Output: the frames that match a filter. Memory does not depend on the size of the
+//! log. Does not know how frames are decoded.
+
+mod frame_json;
+mod frame_text;
+mod stats;
+mod stats_report;
+
+use super::headless::{self, Limits, RunInput};
+use super::open::{self, Setup};
+use super::output::LineOutput;
+use super::watch::filter_of;
+use super::{EXIT_INTERRUPTED, EXIT_OK, Failure, diff};
+use crate::app::{
+    App, AppOptions, Bus, CallPart, Calls, Filter, FrameMatcher, FrameStore, Identifiers, RowKind,
+};
+use crate::bus::BusSpec;
+use crate::cli::{CommonArgs, LogArgs};
+use crate::discovery::BusVerdict;
+use crate::frame::Frame;
+use crate::shell::stop::StopReason;
+use anyhow::Context;
+use frame_json::FrameReport;
+use frame_text::FrameText;
+use stats::LogStats;
+use std::fs::File;
+use std::ops::ControlFlow;
+
+/// Bytes of the frames that a filter may look back at, for intervals and the bytes of transfers.
+const LOOK_BACK: usize = 16_000_000;
+
+/// Runs it.
+pub fn run(log: &LogArgs) -> Result<u8, Failure> {
+    let spec = diff::spec_of(&log.log);
+    let filter = filter_of(log.filter.as_deref(), RowKind::Frame)?;
+    let setup = Setup::new(&CommonArgs {
+        file: None,
+        profile: log.profile.clone(),
+        listen_only: true,
+        no_scan: false,
+        address: None,
+        record: None,
+        record_size: None,
+    })?;
+    let options =
+        AppOptions { utc_offset_seconds: open::utc_offset_seconds(), ..AppOptions::default() };
+    let file = headless::log_file(&spec)?;
+    // Anything else than a file cannot be read again.
+    let is_file = matches!(spec, BusSpec::File(_)) && file.metadata().is_ok_and(|it| it.is_file());
+    let range =
+        Limits { time: log.time, from: log.from, while_read: true, stuck: EXIT_INTERRUPTED };
+    let mut printer = FramePrinter::new(log, filter);
+    let ending = if is_file {
+        print_file(&spec, &file, &setup, options, range, &mut printer)?
+    } else {
+        print_once(&spec, &file, &setup, options, range, &mut printer)?
+    };
+    Ok(if ending == Some(StopReason::Interrupted) { EXIT_INTERRUPTED } else { EXIT_OK })
+}
+
+/// Reads a file twice.
+fn print_file(
+    spec: &BusSpec,
+    file: &File,
+    setup: &Setup,
+    options: AppOptions,
+    range: Limits,
+    printer: &mut FramePrinter,
+) -> Result<Option<StopReason>, Failure> {
+    let whole = Limits { time: None, from: None, ..range };
+    let input = RunInput::OpenLog(spec, file);
+    let known = headless::run(input, setup, options, whole, |_| Ok(ControlFlow::Continue(())))?;
+    if known.ending.is_some() {
+        return Ok(known.ending);
+    }
+    let app = &known.app;
+    if !app.buses().is_empty() {
+        headless::check_from(spec, range.from, known.now)?;
+    }
+    headless::warn_foreign(app, &mut Vec::new());
+    printer.renew(app);
+    let ending = headless::reread(spec, range, |frame| printer.handle_frame(app, frame))?;
+    if ending.is_none() {
+        printer.finish(app)?;
+    }
+    Ok(ending)
+}
+
+/// Reads a log once, and prints the frames as they arrive.
+fn print_once(
+    spec: &BusSpec,
+    file: &File,
+    setup: &Setup,
+    options: AppOptions,
+    range: Limits,
+    printer: &mut FramePrinter,
+) -> Result<Option<StopReason>, Failure> {
+    let (mut next, mut reported) = (0, Vec::new());
+    let input = RunInput::OpenLog(spec, file);
+    let run = headless::run(input, setup, options, range, |session| {
+        let app = &session.app;
+        headless::warn_foreign(app, &mut reported);
+        printer.renew(app);
+        // A batch of frames is much smaller than the smallest capture.
+        for (number, frame) in app.capture().frames_from(next) {
+            next = number + 1;
+            if printer.handle_frame(app, &frame)?.is_break() {
+                return Ok(ControlFlow::Break(()));
+            }
+        }
+        printer.output.flush()?;
+        Ok(ControlFlow::Continue(()))
+    })?;
+    // After a signal too: it is how a pipe that does not end is stopped.
+    printer.finish(&run.app)?;
+    Ok(run.ending)
+}
+
+/// What is printed of the frames.
+#[derive(Debug)]
+enum FrameOutput {
+    Text(FrameText),
+    Json,
+    Stats(Box<LogStats>),
+}
+
+/// What a prepared filter depends on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct KnownBuses {
+    buses: usize,
+    foreign: usize,
+    /// Changes with every name.
+    names: u64,
+}
+
+/// Returns true if a bus speaks another protocol than DES.
+fn is_foreign(bus: &Bus) -> bool {
+    bus.traffic().verdict() == BusVerdict::Foreign
+}
+
+/// Prints the frames that match.
+#[derive(Debug)]
+struct FramePrinter {
+    filter: Filter,
+    /// Prepared for what was known.
+    matcher: Option<(KnownBuses, FrameMatcher)>,
+    kind: FrameOutput,
+    is_json: bool,
+    /// Frames that are still to be printed; `None` for all.
+    left: Option<u64>,
+    calls: Calls,
+    identifiers: Identifiers,
+    /// The last frames, if the filter needs them.
+    recent: FrameStore,
+    number: u64,
+    line: String,
+    output: LineOutput,
+}
+
+impl FramePrinter {
+    fn new(log: &LogArgs, filter: Filter) -> Self {
+        let kind = if log.stats {
+            FrameOutput::Stats(Box::default())
+        } else if log.json {
+            FrameOutput::Json
+        } else {
+            FrameOutput::Text(FrameText::default())
+        };
+        Self {
+            filter,
+            matcher: None,
+            kind,
+            is_json: log.json,
+            left: log.limit,
+            calls: Calls::default(),
+            identifiers: Identifiers::new(),
+            recent: FrameStore::new(LOOK_BACK),
+            number: 0,
+            line: String::new(),
+            output: LineOutput::default(),
+        }
+    }
+
+    /// Prepares the filter for what is known now. Call before the frames, and when more is known.
+    fn renew(&mut self, app: &App) {
+        if self.filter.is_empty() {
+            return;
+        }
+        let buses = app.buses();
+        let known = KnownBuses {
+            buses: buses.len(),
+            foreign: buses.iter().filter(|bus| is_foreign(bus)).count(),
+            names: buses.iter().map(|bus| bus.names().revision()).sum(),
+        };
+        if self.matcher.as_ref().is_none_or(|(of, _)| *of != known) {
+            self.matcher = Some((known, app.log_matcher(&self.filter)));
+        }
+    }
+
+    /// Prints a frame if it matches. Breaks when enough are printed.
+    fn handle_frame(&mut self, app: &App, frame: &Frame) -> Result<ControlFlow<()>, Failure> {
+        let number = self.number;
+        self.number += 1;
+        let part = match (&self.kind, app.bus(frame.bus)) {
+            (FrameOutput::Stats(_), _) | (_, None) => None,
+            (_, Some(bus)) => self.calls.add(frame, number, &bus.config().profile),
+        };
+        if let Some((_, matcher)) = &self.matcher {
+            let previous = self.identifiers.add(frame, number);
+            self.recent.push(frame, previous, |_| Vec::new());
+            if !matcher.is_match(frame, Some((&self.recent, number))) {
+                return Ok(ControlFlow::Continue(()));
+            }
+        }
+        self.print(app, frame, part)?;
+        if let Some(left) = &mut self.left {
+            *left -= 1;
+            if *left == 0 {
+                return Ok(ControlFlow::Break(()));
+            }
+        }
+        Ok(ControlFlow::Continue(()))
+    }
+
+    fn print(&mut self, app: &App, frame: &Frame, part: Option<CallPart>) -> Result<(), Failure> {
+        match &mut self.kind {
+            FrameOutput::Text(text) => {
+                self.line.clear();
+                text.write(&mut self.line, app, frame, part);
+                self.output.print(&self.line)
+            }
+            FrameOutput::Json => {
+                let report = FrameReport::new(app, frame, part);
+                let json = serde_json::to_string(&report).context("JSON")?;
+                self.output.print_json(&json)?;
+                self.output.print_json("\n")
+            }
+            FrameOutput::Stats(stats) => {
+                stats.add(app, frame);
+                Ok(())
+            }
+        }
+    }
+
+    /// Prints the statistics, and what waits.
+    fn finish(&mut self, app: &App) -> Result<(), Failure> {
+        if let FrameOutput::Stats(stats) = &mut self.kind {
+            stats.end(app);
+            if self.is_json {
+                let report = stats_report::StatsReport::new(app, stats);
+                let json = serde_json::to_string_pretty(&report).context("JSON")?;
+                self.output.print_json(&json)?;
+                self.output.print_json("\n")?;
+            } else {
+                self.output.print(&stats_report::text(app, stats))?;
+            }
+        }
+        self.output.flush()
+    }
+}

@@ -1,0 +1,119 @@
+//! Statistics of the frames of a log: kinds, bus errors, identifiers, calls.
+//!
+//! Input: frames in the order of the log. Bounded by the tables of identifiers and calls. Does not know
+//! how they are printed.
+
+use crate::app::{App, Calls, ErrorKinds, FrameRole, IdentifierKey, IdentifierStats, Identifiers};
+use crate::error_report::ErrorReport;
+use crate::frame::{CanId, Frame, FrameKind};
+use crate::time::{Duration, Instant};
+use foldhash::fast::RandomState;
+use std::collections::HashMap;
+
+/// Intervals between the frames of an identifier, in the whole log.
+#[derive(Clone, Copy, Debug)]
+pub struct LogIntervals {
+    /// Time of the first frame.
+    first: Instant,
+    last: Instant,
+    /// Number of intervals.
+    count: u64,
+    /// Least interval.
+    pub min: Duration,
+    /// Greatest interval.
+    pub max: Duration,
+}
+
+impl LogIntervals {
+    /// Mean interval; `None` before the second frame.
+    pub fn mean(&self) -> Option<Duration> {
+        let micros = self.last.since(self.first).as_micros() / u128::from(self.count.max(1));
+        let mean = Duration::from_micros(u64::try_from(micros).unwrap_or(u64::MAX));
+        (self.count > 0).then_some(mean)
+    }
+
+    fn add(&mut self, time: Instant) {
+        let interval = time.since(self.last);
+        self.min = self.min.min(interval);
+        self.max = self.max.max(interval);
+        self.count += 1;
+        self.last = time;
+    }
+}
+
+/// See the module's documentation.
+#[derive(Debug, Default)]
+pub struct LogStats {
+    /// Number of frames.
+    pub frames: u64,
+    /// Times of the first and the last frame; `None` without a frame.
+    pub span: Option<(Instant, Instant)>,
+    /// By place in [`FrameRole::ALL`].
+    roles: [u64; FrameRole::ALL.len()],
+    /// Error frames by kind.
+    pub errors: ErrorKinds,
+    /// Frames by identifier.
+    pub identifiers: Identifiers,
+    /// Calls.
+    pub calls: Calls,
+    intervals: HashMap<IdentifierKey, LogIntervals, RandomState>,
+}
+
+impl LogStats {
+    /// Counts a frame.
+    pub fn add(&mut self, app: &App, frame: &Frame) {
+        let time = frame.time;
+        let first = self.span.map_or(time, |(first, _)| first);
+        self.span = Some((first, time));
+        if let Some(bus) = app.bus(frame.bus) {
+            self.calls.add(frame, self.frames, &bus.config().profile);
+        }
+        let is_foreign = app.bus(frame.bus).is_some_and(super::is_foreign);
+        let role = FrameRole::of(frame, is_foreign);
+        if let Some(count) = self.roles.get_mut(role as usize) {
+            *count += 1;
+        }
+        if frame.kind == FrameKind::Error {
+            self.errors.add(ErrorReport::of(frame));
+        }
+        self.identifiers.add(frame, self.frames);
+        self.frames += 1;
+        let key = IdentifierKey::of(frame);
+        if let Some(intervals) = self.intervals.get_mut(&key) {
+            intervals.add(time);
+        } else if self.intervals.len() < Identifiers::MAX {
+            let (min, max) = (Duration::MAX, Duration::ZERO);
+            let intervals = LogIntervals { first: time, last: time, count: 0, min, max };
+            self.intervals.insert(key, intervals);
+        }
+    }
+
+    /// Ends the requests that are open for too long at the last frame.
+    pub fn end(&mut self, app: &App) {
+        let Some((_, last)) = self.span else { return };
+        self.calls.tick(last, |bus| app.profile(bus).calls.timeout());
+    }
+
+    /// Number of frames of each kind.
+    pub fn roles(&self) -> impl Iterator<Item = (FrameRole, u64)> {
+        FrameRole::ALL.into_iter().map(|role| (role, self.roles[role as usize]))
+    }
+
+    /// Intervals of an identifier in the whole log; `None` before its second frame, and for requests
+    /// and responses, which have no period.
+    pub fn intervals(&self, row: &IdentifierStats) -> Option<&LogIntervals> {
+        let is_called = matches!(row.last.id, CanId::Extended(_))
+            && matches!(
+                FrameRole::of(&row.last, false),
+                FrameRole::Request | FrameRole::Response | FrameRole::FailedResponse
+            );
+        self.intervals.get(&row.key).filter(|it| it.count > 0 && !is_called)
+    }
+
+    /// Frames per second, of a count of frames; `None` for a log without duration.
+    pub fn rate(&self, count: u64) -> Option<f64> {
+        let (first, last) = self.span?;
+        let seconds = last.since(first).as_secs_f64();
+        (seconds > 0.0).then(|| count as f64 / seconds)
+    }
+}
