@@ -49,6 +49,7 @@ mod notices;
 mod page_filters;
 mod past;
 mod problems;
+mod time_bar;
 mod timeline_kind;
 mod typed_time;
 mod view;
@@ -84,6 +85,7 @@ use page_filters::PageFilters;
 pub use problems::{
     EvidenceItem, Matching, Problem, ProblemKey, ProblemList, Scope, format_duration, is_about,
 };
+pub use time_bar::{BAR_LEFT, BAR_RIGHT, BarSign, TimeBar};
 pub use timeline_kind::TimelineKind;
 pub use view::{
     BarKey, BusPageLayout, BusRegions, ChartSpan, Counts, EvidenceView, FileStatus, Focus, Frozen,
@@ -292,6 +294,7 @@ pub struct App {
     replay: Option<BusesReplay>,
     replay_due: Option<Instant>,
     marks: Marks,
+    time_bar: TimeBar,
     /// The comparison of two moments that is open.
     comparison: Option<Box<MomentComparison>>,
     /// Content of des.json now, and before: with the time until which it was so, oldest first.
@@ -329,6 +332,7 @@ impl App {
             replay: None,
             replay_due: None,
             marks: Marks::default(),
+            time_bar: TimeBar::default(),
             comparison: None,
             content,
             contents_before: VecDeque::new(),
@@ -459,6 +463,7 @@ impl App {
     /// Takes the size of the screen, in columns and rows.
     pub fn handle_resize(&mut self, columns: u16, rows: u16) {
         self.view.size = (columns, rows);
+        self.renew_time_bar();
         if !std::mem::replace(&mut self.view.has_screen, true) {
             self.settle_problems();
         }
@@ -1160,6 +1165,7 @@ impl App {
         self.traffic.calls.tick(now, |bus| buses.profile(bus).calls.timeout());
         // What made it idle is shown, too.
         if !was_idle {
+            self.renew_time_bar();
             self.refresh_before_draw();
             self.notices.redraw.set_dirty();
         }

@@ -37,6 +37,7 @@ mod problems;
 mod status;
 mod symbols;
 mod tabs;
+mod time_bar;
 mod timeline;
 mod traffic;
 
@@ -76,6 +77,7 @@ pub fn draw(app: &App, theme: &Theme, frame: &mut Frame) -> Option<u16> {
         Overlay::Comparison => comparison::draw(&mut brush),
         _ => page(&mut brush),
     }
+    time_bar::draw(&mut brush);
     footer::draw(&mut brush);
     cut_marks(brush.buffer);
     let (cursor, scrolled) = (brush.cursor, brush.scrolled);
