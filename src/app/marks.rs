@@ -101,6 +101,7 @@ impl App {
             frozen.lines += 1;
         }
         self.marks.0.push(Mark { letter, moment, text: text.to_owned() });
+        self.renew_time_bar();
         let at = clock_millis(self, moment.time);
         let (list, compare) = (self.key_of(Action::Marks), self.key_of(Action::Compare));
         self.show_info(format!("mark {letter} at {at}; {list} lists, {compare} compares with it"));
@@ -158,6 +159,7 @@ impl App {
         let Some(letter) = self.input.selected_mark() else { return };
         self.marks.0.retain(|mark| mark.letter != letter);
         self.notices.timeline_mut().remove_mark(letter);
+        self.renew_time_bar();
         let marks = self.marks.by_letter();
         let next = marks.iter().find(|mark| mark.letter > letter).or(marks.last());
         match next.map(|mark| mark.letter) {

@@ -50,6 +50,7 @@ mod page_filters;
 mod past;
 mod problems;
 mod saved_filters;
+mod time_bar;
 mod timeline_kind;
 mod typed_time;
 mod view;
@@ -87,6 +88,7 @@ pub use problems::{
     EvidenceItem, Matching, Problem, ProblemKey, ProblemList, Scope, format_duration, is_about,
 };
 pub use saved_filters::{MAX_SAVED_FILTERS, SavedFilter, SavedFilterChange};
+pub use time_bar::{BAR_LEFT, BAR_RIGHT, BarSign, TimeBar};
 pub use timeline_kind::TimelineKind;
 pub use view::{
     BarKey, BusPageLayout, BusRegions, ChartSpan, Counts, EvidenceView, FileStatus, Focus, Frozen,
@@ -300,6 +302,7 @@ pub struct App {
     replay_due: Option<Instant>,
     marks: Marks,
     saved_filters: Vec<SavedFilter>,
+    time_bar: TimeBar,
     /// The comparison of two moments that is open.
     comparison: Option<Box<MomentComparison>>,
     /// Content of des.json now, and before: with the time until which it was so, oldest first.
@@ -338,6 +341,7 @@ impl App {
             replay_due: None,
             marks: Marks::default(),
             saved_filters: options.saved_filters,
+            time_bar: TimeBar::default(),
             comparison: None,
             content,
             contents_before: VecDeque::new(),
@@ -468,6 +472,7 @@ impl App {
     /// Takes the size of the screen, in columns and rows.
     pub fn handle_resize(&mut self, columns: u16, rows: u16) {
         self.view.size = (columns, rows);
+        self.renew_time_bar();
         if !std::mem::replace(&mut self.view.has_screen, true) {
             self.settle_problems();
         }
@@ -1186,6 +1191,7 @@ impl App {
         self.traffic.calls.tick(now, |bus| buses.profile(bus).calls.timeout());
         // What made it idle is shown, too.
         if !was_idle {
+            self.renew_time_bar();
             self.refresh_before_draw();
             self.notices.redraw.set_dirty();
         }

@@ -34,6 +34,8 @@ pub struct Mouse {
 pub enum MouseKind {
     /// The first button was pressed.
     Press,
+    /// The left button is held and the pointer moved.
+    Drag,
     /// The wheel was turned up.
     WheelUp,
     /// The wheel was turned down.
@@ -54,6 +56,12 @@ impl App {
         self.clock.set(now);
         let delta = match mouse.kind {
             MouseKind::Press => return self.press(mouse),
+            MouseKind::Drag => {
+                if !self.input.has_overlay() {
+                    self.click_time_bar(mouse);
+                }
+                return;
+            }
             MouseKind::WheelUp => -WHEEL_ROWS,
             MouseKind::WheelDown => WHEEL_ROWS,
         };
@@ -73,6 +81,9 @@ impl App {
             return;
         }
         self.notices.redraw.set_dirty();
+        if self.click_time_bar(mouse) {
+            return;
+        }
         let screen = self.screen();
         if mouse.row == screen.tabs.y && screen.tabs.height > 0 {
             let tabs = screen.tabs(self.view.page, self.counts());

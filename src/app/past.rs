@@ -53,6 +53,7 @@ impl App {
         self.past = None;
         self.replay = None;
         self.view.frozen = None;
+        self.renew_time_bar();
         self.notices.timeline_mut().pin_lines(false);
         self.refresh();
         self.filter_frames();
@@ -204,6 +205,7 @@ impl App {
         self.view.frozen = Some(Frozen { frames: moment.frames, lines });
         self.notices.timeline_mut().pin_lines(true);
         self.past = Some(Box::new(past));
+        self.renew_time_bar();
         self.settle_problems();
         self.settle_bars();
         self.refresh_rows();

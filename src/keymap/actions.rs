@@ -179,8 +179,8 @@ actions! {
         Last "last" "Last row; follow in Traffic and Timeline" "" ["G" "End"];
         Details "details" "Open details, the evidence of a problem, the moment of an event" "details" ["Enter"];
         Frames "frames" "Frames of the device, problem or event" "frames" ["f"];
-        Into "into" "Focus the details" "" ["Right" "l"];
-        Back "back" "Focus the list" "" ["Left" "h"];
+        Into "into" "Focus the details; frozen: a cell of the time bar later" "" ["Right" "l"];
+        Back "back" "Focus the list; frozen: a cell of the time bar earlier" "scrub" ["Left" "h"];
         NextPage "next-page" "Next page" "" ["Tab"];
         PreviousPage "previous-page" "Previous page" "" ["Shift-Tab"];
         Devices "devices" "Page 1: devices" "" ["1"];
@@ -226,6 +226,9 @@ actions! {
         GoTo "go-to" "Go to a moment: a time, -2m, +10s, 50%, a frame" "go to" [":"];
         PreviousFrame "previous-frame" "Freeze at the frame before" "frame" ["<"];
         NextFrame "step" "At the next frame; of a paused log the next frame" "step" [">"];
+        ScrubBack "scrub-back" "Frozen: ten cells of the time bar earlier" "" ["Shift-Left"];
+        ScrubForward "scrub-forward" "Frozen: ten cells later" "" ["Shift-Right"];
+        TimeBar "time-bar" "Show or hide the time bar on a small screen" "" ["T"];
         Mark "mark" "Mark the moment that is shown (a, b, c …)" "mark" ["M"];
         Marks "marks" "List the marks: go to one, remove one" "marks" ["'"];
         Compare "compare" "Compare with the last mark, or the start" "diff" ["d"];

@@ -259,6 +259,7 @@ fn hint_line(brush: &DrawContext, mode: KeyMode, width: usize) -> Vec<Span<'stat
         KeyMode::Browse if app.past_moment().is_some() => &[
             A::Cancel,
             A::Freeze,
+            A::Back,
             A::PreviousEvent,
             A::PreviousProblem,
             A::PreviousFrame,

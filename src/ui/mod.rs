@@ -38,6 +38,7 @@ mod saved_filters;
 mod status;
 mod symbols;
 mod tabs;
+mod time_bar;
 mod timeline;
 mod traffic;
 
@@ -78,6 +79,7 @@ pub fn draw(app: &App, theme: &Theme, frame: &mut Frame) -> Option<u16> {
         Overlay::Comparison => comparison::draw(&mut brush),
         _ => page(&mut brush),
     }
+    time_bar::draw(&mut brush);
     footer::draw(&mut brush);
     cut_marks(brush.buffer);
     let (cursor, scrolled) = (brush.cursor, brush.scrolled);

@@ -42,6 +42,8 @@ pub struct View {
     pub sort: SortBy,
     /// End of a frozen view; `None` while it is live.
     pub frozen: Option<Frozen>,
+    /// The time bar is shown on a small screen, too.
+    pub has_time_bar: bool,
     /// What a row of the Traffic page is.
     pub traffic_view: TrafficView,
     /// First frames of the transfers whose frames have rows of their own.

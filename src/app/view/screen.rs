@@ -41,6 +41,8 @@ pub struct Screen {
     pub lower_rule: Rect,
     /// Latest lines of the timeline.
     pub latest: Rect,
+    /// The whole capture as a line of cells.
+    pub time_bar: Rect,
     /// Hints, messages, questions and the line being typed.
     pub footer: Rect,
 }
@@ -50,6 +52,9 @@ pub const SPLIT_WIDTH: u16 = 76;
 
 /// Width from which all tabs have their titles, in columns.
 const NARROW: u16 = 60;
+
+/// Least width with the time bar, in columns.
+const BAR_COLUMNS: u16 = 60;
 
 /// Least height with the details of a frame below the list of frames, in lines.
 const SPLIT_HEIGHT: u16 = 18;
@@ -64,6 +69,11 @@ impl Screen {
         let tabs = take_top(&mut left, 1);
         let footer = take_bottom(&mut left, 1);
         let mut screen = Self { whole, status, tabs, footer, ..Self::default() };
+        let is_large = columns >= 120 && rows >= 30;
+        let is_wanted = is_large || (view.frozen.is_some() || view.has_time_bar) && rows >= 16;
+        if is_wanted && columns >= BAR_COLUMNS {
+            screen.time_bar = take_bottom(&mut left, 1);
+        }
         let latest = match rows {
             _ if view.page != Page::Devices => 0,
             0..=17 => 0,
@@ -196,6 +206,7 @@ mod tests {
                             screen.details,
                             screen.lower_rule,
                             screen.latest,
+                            screen.time_bar,
                             screen.footer,
                         ];
                         let area: u32 = parts.iter().map(|part| part.area()).sum();

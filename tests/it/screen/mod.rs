@@ -11,6 +11,7 @@ mod input;
 mod keys;
 mod marks;
 mod problems;
+mod time_bar;
 mod timeline;
 mod traffic;
 mod two_buses;

@@ -1,0 +1,194 @@
+//! The time bar: the whole capture or log in cells, and moving along them.
+//!
+//! Inputs: the lines of the timeline, the marks, the kept moments. Output: a sign for each cell.
+//! Computed once a second and when the shown moment changes; bounded by the width of the screen.
+//! Does not know how the bar is drawn.
+
+use super::marks::Mark;
+use super::notices::TimelineEntry;
+use super::timeline_kind::TimelineKind;
+use super::{App, Mouse};
+use crate::time::{Duration, Instant};
+
+/// Columns in front of the cells: the first time and the end of the bar.
+pub const BAR_LEFT: u16 = 11;
+/// Columns behind the cells: the end of the bar, the last time, what is shown.
+pub const BAR_RIGHT: u16 = 20;
+/// Cells of a long step.
+const FAR: i64 = 10;
+/// Most findings that are open at once, for the cells of conflicts.
+const MAX_OPEN: usize = 256;
+
+/// What a cell of the time bar has; of several the last one in this order is shown.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub enum BarSign {
+    /// Nothing.
+    #[default]
+    Quiet,
+    /// Events.
+    Event,
+    /// A finding was suspected.
+    Suspected,
+    /// A confirmed finding was open.
+    Confirmed,
+    /// A mark, with its letter.
+    Mark(char),
+}
+
+/// The time bar.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct TimeBar {
+    /// First moment that can be shown.
+    pub begin: Instant,
+    /// The present.
+    pub end: Instant,
+    /// True if earlier frames were dropped.
+    pub has_dropped: bool,
+    /// The cells, from the beginning to the end.
+    pub cells: Vec<BarSign>,
+}
+
+impl TimeBar {
+    /// Duration of the bar; at least a microsecond for each cell.
+    fn span(&self) -> u64 {
+        let least = self.cells.len().max(1) as u64;
+        (self.end.since(self.begin).as_micros() as u64).max(least)
+    }
+
+    /// The cell of a moment.
+    pub fn cell(&self, at: Instant) -> usize {
+        let offset = at.since(self.begin).as_micros();
+        let cell = offset * self.cells.len() as u128 / u128::from(self.span());
+        (cell as usize).min(self.cells.len().saturating_sub(1))
+    }
+
+    /// The moment in the middle of a cell.
+    pub fn moment(&self, cell: usize) -> Instant {
+        let cells = self.cells.len().max(1) as u128;
+        let half = 2 * cell as u128 + 1;
+        let offset = u128::from(self.span()) * half / (2 * cells);
+        let at = self.begin + Duration::from_micros(offset as u64);
+        at.min(self.end)
+    }
+
+    fn put(&mut self, from: Instant, to: Instant, sign: BarSign) {
+        if self.cells.is_empty() || to < self.begin {
+            return;
+        }
+        let (from, to) = (self.cell(from.max(self.begin)), self.cell(to));
+        for cell in &mut self.cells[from..=to.max(from)] {
+            *cell = (*cell).max(sign);
+        }
+    }
+
+    fn put_lines<'a>(&mut self, lines: impl Iterator<Item = &'a TimelineEntry>) {
+        let mut open = Vec::new();
+        for line in lines {
+            let key = (line.finding, line.bus, line.address);
+            let sign = match line.kind {
+                TimelineKind::Mark(_) => continue,
+                TimelineKind::Suspected => BarSign::Suspected,
+                TimelineKind::Confirmed => {
+                    let is_known = open.iter().any(|(known, _)| *known == key);
+                    if !is_known && open.len() < MAX_OPEN {
+                        open.push((key, line.time));
+                    }
+                    BarSign::Confirmed
+                }
+                TimelineKind::Cleared => {
+                    if let Some(at) = open.iter().position(|(known, _)| *known == key) {
+                        let (_, since) = open.swap_remove(at);
+                        self.put(since, line.time, BarSign::Confirmed);
+                    }
+                    BarSign::Event
+                }
+                _ => BarSign::Event,
+            };
+            self.put(line.time, line.time, sign);
+            self.put(line.last, line.last, sign);
+        }
+        for (_, since) in open {
+            self.put(since, self.end, BarSign::Confirmed);
+        }
+    }
+
+    fn put_mark(&mut self, mark: &Mark) {
+        let at = mark.moment.time;
+        self.put(at, at, BarSign::Mark(mark.letter));
+    }
+}
+
+impl App {
+    /// The time bar as of the last second.
+    pub fn time_bar(&self) -> &TimeBar {
+        &self.time_bar
+    }
+
+    /// Computes the time bar again.
+    pub(super) fn renew_time_bar(&mut self) {
+        let area = self.screen().time_bar;
+        let mut bar = std::mem::take(&mut self.time_bar);
+        bar.cells.clear();
+        if area.height > 0 {
+            let cells = area.width.saturating_sub(BAR_LEFT + BAR_RIGHT);
+            bar.cells.resize(usize::from(cells), BarSign::Quiet);
+            bar.end = self.clock.now();
+            bar.begin = self.buses.begin(&self.traffic.capture).min(bar.end);
+            bar.has_dropped = self.traffic.capture.first() > 0;
+            bar.put_lines(self.timeline().entries());
+            for mark in self.marks.by_letter() {
+                bar.put_mark(mark);
+            }
+        }
+        self.time_bar = bar;
+    }
+
+    /// Shows or hides the time bar on a screen where it is not always shown.
+    pub(super) fn toggle_time_bar(&mut self) {
+        self.view.has_time_bar = !self.view.has_time_bar;
+        self.renew_time_bar();
+        let state = match (self.screen().time_bar.height, self.view.has_time_bar) {
+            (0, true) => "time bar: the screen is too small",
+            (0, false) => "time bar hidden",
+            (_, true) => "time bar shown",
+            (_, false) => "time bar: always shown on this screen, or while frozen",
+        };
+        self.show_info(state);
+    }
+
+    /// Moves the shown moment by cells of the time bar.
+    pub(super) fn scrub(&mut self, cells: i64) {
+        let bar = &self.time_bar;
+        let from = self.moment_range().shown;
+        let step = bar.span() / bar.cells.len().max(1) as u64;
+        let by = Duration::from_micros(step.saturating_mul(cells.unsigned_abs()));
+        let to = if cells < 0 {
+            bar.begin + from.since(bar.begin).saturating_sub(by)
+        } else {
+            (from + by).min(self.clock.now())
+        };
+        self.go_to_time(to);
+    }
+
+    /// Moves by ten cells to `direction`; only while a past moment is shown.
+    pub(super) fn scrub_far(&mut self, direction: i64) {
+        if self.past.is_some() {
+            return self.scrub(direction * FAR);
+        }
+        let key = self.key_of(crate::keymap::Action::Freeze);
+        self.show_error(format!("scrubbing: the present is shown; {key} freezes it first"));
+    }
+
+    /// Goes to the moment of the cell at a place of the screen; returns false beside the bar.
+    pub(super) fn click_time_bar(&mut self, mouse: Mouse) -> bool {
+        let area = self.screen().time_bar;
+        if area.height == 0 || mouse.row != area.y {
+            return false;
+        }
+        let cell = usize::from(mouse.column.saturating_sub(area.x + BAR_LEFT));
+        if mouse.column >= area.x + BAR_LEFT && cell < self.time_bar.cells.len() {
+            self.go_to_time(self.time_bar.moment(cell));
+        }
+        true
+    }
+}

@@ -1,0 +1,102 @@
+//! The time bar: its cells, where it is shown, and moving along it.
+
+use super::snapshot;
+use crate::common::harness::Stage;
+use descan::app::{BAR_LEFT, BarSign, Mouse, MouseKind, TimelineKind};
+
+/// A large screen after 40 seconds.
+fn large() -> Stage {
+    let mut stage = Stage::boiler();
+    stage.size(120, 40).until(40.0);
+    stage
+}
+
+/// The cell of the moment that is shown.
+fn shown_cell(stage: &Stage) -> usize {
+    stage.app.time_bar().cell(stage.app.past_moment().unwrap().time)
+}
+
+fn mouse(stage: &mut Stage, kind: MouseKind, cell: usize) {
+    let (now, row) = (stage.app.now(), stage.app.screen().time_bar.y);
+    let column = BAR_LEFT + cell as u16;
+    stage.app.handle_mouse(now, Mouse { kind, column, row });
+    stage.until(now.as_micros() as f64 / 1e6 + 0.5);
+}
+
+#[test]
+fn time_bar_on_large_screen_is_live_and_frozen() {
+    let mut stage = large();
+    snapshot!("time_bar_120x40", stage);
+    stage.keys("[ [ [");
+    snapshot!("time_bar_frozen_120x40", stage);
+}
+
+#[test]
+fn time_bar_on_small_screen_shows_when_frozen_or_wanted() {
+    let mut stage = Stage::boiler();
+    stage.until(40.0);
+    let is_shown = |stage: &Stage| stage.screen().contains('┤');
+    assert!(!is_shown(&stage), "{}", stage.screen());
+    stage.keys("T");
+    assert!(is_shown(&stage), "{}", stage.screen());
+    stage.keys("T");
+    assert!(!is_shown(&stage), "{}", stage.screen());
+    stage.keys("[ [");
+    snapshot!("time_bar_frozen_80x24", stage);
+    stage.keys("Space");
+    assert!(!is_shown(&stage), "{}", stage.screen());
+}
+
+#[test]
+fn cells_have_events_findings_and_marks_of_their_time() {
+    let mut stage = large();
+    let bar = stage.app.time_bar().clone();
+    let mut seen = vec![false; bar.cells.len()];
+    let mut open = 0;
+    for line in stage.app.timeline().entries() {
+        let sign = bar.cells[bar.cell(line.time)];
+        assert_ne!(sign, BarSign::Quiet, "{line:?}");
+        seen[bar.cell(line.time)] = true;
+        seen[bar.cell(line.last)] = true;
+        if line.kind == TimelineKind::Confirmed {
+            assert_eq!(sign, BarSign::Confirmed, "{line:?}");
+            open += 1;
+        }
+    }
+    assert!(open > 0, "the scenario has a conflict");
+    for (cell, sign) in bar.cells.iter().enumerate() {
+        let is_empty = matches!(sign, BarSign::Quiet | BarSign::Confirmed);
+        assert_eq!(seen[cell] || is_empty, true, "cell {cell}: {sign:?}");
+    }
+    stage.keys("M Enter");
+    let bar = stage.app.time_bar();
+    let marked = stage.app.marks().get('a').unwrap().moment.time;
+    assert_eq!(bar.cells[bar.cell(marked)], BarSign::Mark('a'));
+}
+
+#[test]
+fn arrows_move_by_cells_only_while_frozen() {
+    let mut stage = large();
+    stage.keys("Left Shift-Left");
+    assert_eq!(stage.app.past_moment(), None, "live: no scrubbing");
+    let last = stage.app.time_bar().cells.len() - 1;
+    stage.keys("Space Left Left Left");
+    assert_eq!(shown_cell(&stage), last - 2, "the end is behind the last cell");
+    stage.keys("Shift-Left");
+    assert_eq!(shown_cell(&stage), last - 12);
+    stage.keys("Right");
+    assert_eq!(shown_cell(&stage), last - 11);
+    stage.keys("Shift-Right Shift-Right Shift-Right");
+    assert_eq!(shown_cell(&stage), last, "not behind the present");
+}
+
+#[test]
+fn mouse_on_the_bar_goes_to_the_moment_of_the_cell() {
+    let mut stage = large();
+    mouse(&mut stage, MouseKind::Press, 30);
+    let moment = stage.app.past_moment().unwrap();
+    assert_eq!(moment.time, stage.app.time_bar().moment(30).min(moment.time));
+    assert!(shown_cell(&stage).abs_diff(30) <= 1);
+    mouse(&mut stage, MouseKind::Drag, 60);
+    assert!(shown_cell(&stage).abs_diff(60) <= 2, "{}", shown_cell(&stage));
+}
