@@ -141,6 +141,18 @@ fn late_name_holds_for_earlier_frames_of_a_file() {
     assert_eq!(of_file, [json!("FEED"), json!("FEED"), json!("FEED"), json!("FEED")]);
     let (_, out, _) = folder.log(&["a.log", "--filter", "src:FEED bus:can0"]);
     assert_eq!(out.lines().count(), 4, "{out}");
+    // Many frames before the name: from standard input, the first ones are printed without it.
+    let others = "(100.300000) can1 123#1122\n".repeat(20_000);
+    let (before, name) = LOG.split_at(LOG.rfind("(101").unwrap());
+    let lines = format!("{before}{others}{name}");
+    folder.write("long.log", &lines);
+    let options = ["--json", "--limit", "1"];
+    let (_, of_file, _) = folder.log(&[&["long.log"], &options[..]].concat());
+    assert!(of_file.contains(r#""from_name":"FEED""#), "{of_file}");
+    let (_, of_input, _) =
+        folder.log_input(&["-", "--json", "--filter", "src:10"], lines.as_bytes());
+    let first = of_input.lines().next().unwrap();
+    assert!(first.contains(r#""from_name":null"#), "{first}");
 }
 
 #[test]
