@@ -89,11 +89,11 @@ fn past_state_is_that_of_its_moment() {
 }
 
 /// The lines of a page that show the moment: without the state of the program, which names the moment,
-/// and the keys.
+/// the time bar, which has all of them, and the keys.
 fn page(stage: &mut Stage, key: &str) -> String {
     let screen = stage.keys(key).screen();
     let lines: Vec<&str> = screen.lines().collect();
-    lines[1..lines.len() - 1].join("\n")
+    lines[1..lines.len() - 2].join("\n")
 }
 
 /// Tests that each page shows a past moment as it was shown then.
