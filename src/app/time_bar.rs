@@ -134,7 +134,9 @@ impl App {
             bar.cells.resize(usize::from(cells), BarSign::Quiet);
             bar.end = self.clock.now();
             bar.begin = self.buses.begin(&self.traffic.capture).min(bar.end);
-            bar.has_dropped = self.traffic.capture.first() > 0;
+            let first = self.timeline().entries().next();
+            bar.has_dropped =
+                self.traffic.capture.first() > 0 || first.is_some_and(|line| line.time < bar.begin);
             bar.put_lines(self.timeline().entries());
             for mark in self.marks.by_letter() {
                 bar.put_mark(mark);
