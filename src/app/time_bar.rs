@@ -8,6 +8,7 @@ use super::marks::Mark;
 use super::notices::TimelineEntry;
 use super::timeline_kind::TimelineKind;
 use super::{App, Mouse};
+use crate::finding::{FindingKind, Grouping};
 use crate::time::{Duration, Instant};
 
 /// Columns in front of the cells: the first time and the end of the bar.
@@ -29,8 +30,8 @@ pub enum BarSign {
     Event,
     /// A finding was suspected.
     Suspected,
-    /// A confirmed finding was open.
-    Confirmed,
+    /// An address conflict was confirmed and open.
+    Conflict,
     /// A mark, with its letter.
     Mark(char),
 }
@@ -88,17 +89,17 @@ impl TimeBar {
             let sign = match line.kind {
                 TimelineKind::Mark(_) => continue,
                 TimelineKind::Suspected => BarSign::Suspected,
-                TimelineKind::Confirmed => {
+                TimelineKind::Confirmed if line.finding.is_some_and(is_conflict) => {
                     let is_known = open.iter().any(|(known, _)| *known == key);
                     if !is_known && open.len() < MAX_OPEN {
                         open.push((key, line.time));
                     }
-                    BarSign::Confirmed
+                    BarSign::Conflict
                 }
                 TimelineKind::Cleared => {
                     if let Some(at) = open.iter().position(|(known, _)| *known == key) {
                         let (_, since) = open.swap_remove(at);
-                        self.put(since, line.time, BarSign::Confirmed);
+                        self.put(since, line.time, BarSign::Conflict);
                     }
                     BarSign::Event
                 }
@@ -108,7 +109,7 @@ impl TimeBar {
             self.put(line.last, line.last, sign);
         }
         for (_, since) in open {
-            self.put(since, self.end, BarSign::Confirmed);
+            self.put(since, self.end, BarSign::Conflict);
         }
     }
 
@@ -116,6 +117,11 @@ impl TimeBar {
         let at = mark.moment.time;
         self.put(at, at, BarSign::Mark(mark.letter));
     }
+}
+
+/// Returns true for the kinds of findings about two nodes at one address.
+fn is_conflict(kind: FindingKind) -> bool {
+    kind.facts().grouping == Grouping::Address
 }
 
 impl App {
@@ -134,7 +140,9 @@ impl App {
             bar.cells.resize(usize::from(cells), BarSign::Quiet);
             bar.end = self.clock.now();
             bar.begin = self.buses.begin(&self.traffic.capture).min(bar.end);
-            bar.has_dropped = self.traffic.capture.first() > 0;
+            let first = self.timeline().entries().next();
+            bar.has_dropped =
+                self.traffic.capture.first() > 0 || first.is_some_and(|line| line.time < bar.begin);
             bar.put_lines(self.timeline().entries());
             for mark in self.marks.by_letter() {
                 bar.put_mark(mark);

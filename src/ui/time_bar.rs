@@ -58,7 +58,7 @@ fn sign_of(sign: BarSign) -> (String, Role) {
         BarSign::Quiet => ("·".into(), Role::Muted),
         BarSign::Event => ("╷".into(), Role::Text),
         BarSign::Suspected => ("?".into(), Role::Suspected),
-        BarSign::Confirmed => ("▒".into(), Role::Confirmed),
+        BarSign::Conflict => ("▒".into(), Role::Confirmed),
         BarSign::Mark(letter) => (letter.to_string(), Role::Match),
     }
 }
