@@ -53,6 +53,17 @@ struct OpenCall {
     responses: u32,
 }
 
+impl OpenCall {
+    /// Returns true if a response with this header and message may be to the request.
+    fn is_request_of(&self, header: Header, message: Option<DesMessage>) -> bool {
+        let is_to_message = match (self.message, message) {
+            (Some(request), Some(response)) => request.kind == response.kind,
+            _ => true,
+        };
+        is_to_message && self.to_non_working == header.from_non_working
+    }
+}
+
 /// Type and framing of a DES message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct DesMessage {
@@ -105,6 +116,8 @@ pub struct CallStats {
     /// Its number in the capture.
     pub last_number: u64,
     current: u32,
+    /// The last request that was responded to.
+    answered: Option<OpenCall>,
     /// The last requests.
     recent: [Option<OpenCall>; 4],
     open: VecDeque<OpenCall>,
@@ -136,6 +149,7 @@ impl CallStats {
             last: Instant::ZERO,
             last_number: 0,
             current: 0,
+            answered: None,
             recent: [None; 4],
             open: VecDeque::with_capacity(MAX_OPEN),
             latencies: VecDeque::with_capacity(LATENCIES),
@@ -197,13 +211,7 @@ impl CallStats {
         header: Header,
         message: Option<DesMessage>,
     ) -> Option<CallPart> {
-        let is_to = |call: &OpenCall| {
-            let is_to_message = match (call.message, message) {
-                (Some(request), Some(response)) => request.kind == response.kind,
-                _ => true,
-            };
-            is_to_message && call.to_non_working == header.from_non_working
-        };
+        let is_to = |call: &OpenCall| call.is_request_of(header, message);
         let mut candidates = self.open.iter().enumerate().filter(|(_, call)| is_to(call));
         let (first, count) = (candidates.next()?.0, 1 + candidates.count());
         let (call, is_ambiguous) = if self.key.server.is_some() {
@@ -213,6 +221,7 @@ impl CallStats {
             last.responses += 1;
             (*last, false)
         };
+        self.answered = Some(call);
         let latency = time.since(call.time);
         self.responses += 1;
         self.failed += u64::from(!header.no_error);
@@ -222,6 +231,24 @@ impl CallStats {
         }
         self.latencies.push_back(u32::try_from(latency.as_micros()).unwrap_or(u32::MAX));
         Some(CallPart::Response { request: call.number, latency, is_ambiguous })
+    }
+
+    /// Takes a further response to the last request that was responded to, as of a second board at the
+    /// address; it does not count. `None` for another one, or after the timeout.
+    fn respond_again(
+        &self,
+        time: Instant,
+        header: Header,
+        message: Option<DesMessage>,
+        timeout: Duration,
+    ) -> Option<CallPart> {
+        let call = self.answered.filter(|call| call.is_request_of(header, message))?;
+        let latency = time.since(call.time);
+        (latency <= timeout).then_some(CallPart::Response {
+            request: call.number,
+            latency,
+            is_ambiguous: false,
+        })
     }
 }
 
@@ -292,10 +319,14 @@ impl Calls {
             return is_new.then_some(CallPart::Request { responses: 0, is_unanswered: false });
         }
         let message = is_des.then(|| DesMessage::of_response(frame)).flatten();
-        [targeted, to_all].into_iter().find_map(|key| {
+        let answered = [targeted, to_all].into_iter().find_map(|key| {
             let row = self.rows.get_mut(*self.index.get(&key)? as usize)?;
             row.expire(frame.time, timeout);
             row.respond(frame.time, header, message)
+        });
+        answered.or_else(|| {
+            let row = self.rows.get(*self.index.get(&targeted)? as usize)?;
+            row.respond_again(frame.time, header, message, timeout)
         })
     }
 
@@ -372,7 +403,8 @@ mod tests {
         add(1, frame(10, false, 1, 9, true));
         assert_eq!(add(2, frame(12, true, 9, 1, true)), response(0, 12, true));
         assert_eq!(add(3, frame(15, true, 9, 1, false)), response(1, 5, false));
-        assert_eq!(add(4, frame(16, true, 9, 1, true)), None, "nothing is open");
+        let again = add(4, frame(16, true, 9, 1, true));
+        assert_eq!(again, response(1, 6, false), "a second response, which does not count");
         // Of another client, and too late.
         add(5, frame(20, false, 1, 9, true));
         assert_eq!(add(6, frame(30, true, 9, 2, true)), None);
