@@ -62,9 +62,9 @@ pub use buses::{
 };
 pub use capture::decoded::summary_of;
 pub use capture::{
-    CallKey, CallPart, CallStats, Calls, CapturedLog, Decoded, FramePeriod, FrameRole, FrameStore,
-    IdentifierKey, IdentifierKind, IdentifierStats, Identifiers, Latency, NOTED_BYTES,
-    StoredFrames, Transfer,
+    CallKey, CallPart, CallStats, Calls, CapturedHeartbeat, CapturedHeartbeats, CapturedLog,
+    Decoded, FramePeriod, FrameRole, FrameStore, IdentifierKey, IdentifierKind, IdentifierStats,
+    Identifiers, Latency, NOTED_BYTES, StoredFrames, Transfer,
 };
 pub use compared_moments::{ComparedMoment, ComparisonNote, ComparisonRow, MomentComparison};
 pub use devices::concerns;
@@ -983,6 +983,13 @@ impl App {
     /// Returns true if the frames of the transfer that begins with a frame have rows of their own.
     pub fn is_transfer_open(&self, number: u64) -> bool {
         self.view.open_transfers.contains(&number)
+    }
+
+    /// Heartbeats of an address until the moment that is shown, newest first, as far as they are
+    /// captured.
+    pub fn heartbeats(&self, bus: BusIndex, address: Address) -> CapturedHeartbeats<'_> {
+        let end = self.traffic.end(&self.view);
+        self.traffic.heartbeats(self.shown_buses().profile(bus), bus, address, end)
     }
 
     /// Number of a frame in the capture; `None` once it was dropped.

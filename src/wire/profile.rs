@@ -13,6 +13,7 @@ pub use file::ProfileError;
 use super::des::Request;
 use super::framing::Framing;
 use super::id::Service;
+use super::node::Heartbeat;
 use crate::time::Duration;
 #[cfg(feature = "std")]
 use serde::Deserialize;
@@ -78,6 +79,11 @@ impl Profile {
     /// Returns the service number of heartbeats, MSG_SRV_HR.
     pub fn heartbeat_service(&self) -> Service {
         Service::from_bits(self.services.heartbeat)
+    }
+
+    /// Reads a heartbeat's data, which may be shorter than the layout.
+    pub fn heartbeat_of(&self, data: &[u8]) -> Heartbeat {
+        Heartbeat::decode(data, &self.heartbeat, &self.modes.codes())
     }
 
     /// Returns the service number of DES.

@@ -108,6 +108,11 @@ impl Buses {
         self.list.iter().map(|bus| 1 + bus.findings_revision()).sum()
     }
 
+    /// Counter that changes with every name of an address.
+    pub fn names_revision(&self) -> u64 {
+        self.list.iter().map(|bus| bus.names().revision()).sum()
+    }
+
     /// The device with this identity; `None` after its removal.
     pub fn device(&self, id: DeviceId) -> Option<&Device> {
         self.get(id.bus)?.device(id)

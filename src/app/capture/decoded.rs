@@ -13,7 +13,7 @@ use crate::wire::des::{
 use crate::wire::framing::{Framing, classify_request, classify_response, strip_raw_padding};
 use crate::wire::id::{Header, MessageType};
 use crate::wire::isotp::{FlowStatus, Pci};
-use crate::wire::node::{Heartbeat, Uid};
+use crate::wire::node::Uid;
 use crate::wire::profile::Profile;
 use std::fmt::Write;
 
@@ -350,7 +350,7 @@ pub(super) fn describe_response(message: &[u8]) -> (String, bool) {
 }
 
 fn describe_heartbeat(profile: &Profile, data: &[u8]) -> String {
-    let beat = Heartbeat::decode(data, &profile.heartbeat, &profile.modes.codes());
+    let beat = profile.heartbeat_of(data);
     let mut text = "heartbeat".to_owned();
     if let Some(mode) = beat.mode {
         let _ = write!(text, " {mode}");

@@ -49,6 +49,8 @@ impl TestedRange {
 #[derive(Debug, Default)]
 pub(super) struct FilteredFrames {
     filter: Filter,
+    /// Prepared for what was known of the buses.
+    matcher: Option<FrameMatcher>,
     /// Revisions of the names that were known when the frames were tested, where they count.
     names: u64,
     /// By the number of the first frame.
@@ -75,13 +77,20 @@ impl FilteredFrames {
 
     /// Tests frames that were not tested, the newest first. Returns false if some remain.
     pub fn test(&mut self, store: &FrameStore, buses: &Buses) -> bool {
-        let names = buses.iter().map(|bus| bus.names().revision()).sum();
+        let names = buses.names_revision();
         if self.filter.needs_names() && self.names != names {
             self.tested.clear();
             self.is_complete = false;
         }
         self.names = names;
-        let matcher = self.filter.for_frames(buses);
+        let matcher = self.matcher.take().filter(|matcher| matcher.is_current(buses));
+        let matcher = matcher.unwrap_or_else(|| self.filter.for_frames(buses));
+        let is_complete = self.test_with(&matcher, store);
+        self.matcher = Some(matcher);
+        is_complete
+    }
+
+    fn test_with(&mut self, matcher: &FrameMatcher, store: &FrameStore) -> bool {
         if self.generation != store.generation() {
             let kept: BTreeMap<u64, u64> = store.ranges().map(|it| (it.start, it.end)).collect();
             let is_kept = |start: &u64, range: &TestedRange| {
@@ -105,7 +114,7 @@ impl FilteredFrames {
                 return false;
             }
             budget = budget.saturating_sub(range.end - tested);
-            self.test_range(store, &matcher, range);
+            self.test_range(store, matcher, range);
         }
         self.is_complete = true;
         true
@@ -133,7 +142,7 @@ impl FilteredFrames {
 
     /// The matching frame that is nearest in time to this one; `None` as long as it is not known.
     pub fn nearest(&self, store: &FrameStore, number: u64) -> Option<u64> {
-        if self.from(number).next() == Some(number) {
+        if self.contains(number) {
             return Some(number);
         }
         let (before, after) = (self.before(number).next(), self.from(number).next());

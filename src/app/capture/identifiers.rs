@@ -251,6 +251,11 @@ impl Identifiers {
         &self.rows
     }
 
+    /// The row of an identifier; `None` if it was not received, or has no row.
+    pub fn get(&self, key: &IdentifierKey) -> Option<&IdentifierStats> {
+        self.rows.get(*self.index.get(key)? as usize)
+    }
+
     /// Number of frames without a row, because the table was full.
     pub fn refused(&self) -> u64 {
         self.refused

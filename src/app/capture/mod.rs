@@ -8,12 +8,14 @@ pub(super) mod calls;
 pub(super) mod decoded;
 mod filtered_frames;
 pub(super) mod frame_store;
+mod heartbeats;
 pub(super) mod identifiers;
 pub(super) mod transfer;
 
 pub use calls::{CallKey, CallPart, CallStats, Calls, Latency};
 pub use decoded::{Decoded, FrameRole};
 pub use frame_store::{BYTES_PER_FRAME, FrameStore, StoredFrames};
+pub use heartbeats::{CapturedHeartbeat, CapturedHeartbeats};
 pub use identifiers::{
     FramePeriod, IdentifierKey, IdentifierKind, IdentifierStats, Identifiers, NOTED_BYTES,
 };

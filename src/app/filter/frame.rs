@@ -13,6 +13,7 @@ use crate::app::buses::{Bus, Buses};
 use crate::app::capture::decoded::{self, FrameRole};
 use crate::app::capture::frame_store::FrameStore;
 use crate::app::capture::transfer;
+use crate::discovery::OwnAddress;
 use crate::frame::{BusIndex, CanId, Frame, FrameKind};
 use crate::time::Instant;
 use crate::wire::id::{Address, Header, MessageType, Service};
@@ -25,9 +26,38 @@ const SERVICES: usize = 1024;
 /// Random bits of a broadcast's identifier (RND7).
 const RANDOM: u32 = 0x7F << 10;
 
+/// What a prepared filter depends on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct KnownBuses {
+    buses: usize,
+    /// Number of buses that speak another protocol.
+    foreign: usize,
+    /// Changes with every name.
+    names: u64,
+    /// Changes with descan's own addresses.
+    own: u64,
+}
+
+impl KnownBuses {
+    fn of(buses: &Buses) -> Self {
+        let own = |bus: &Bus| match bus.own_address() {
+            OwnAddress::Held(address) => u64::from(address.number()) + 1,
+            _ => 0,
+        };
+        let indices = (0..buses.len()).map(|index| BusIndex(index as u8));
+        Self {
+            buses: buses.len(),
+            foreign: indices.filter(|index| buses.is_foreign(*index)).count(),
+            names: buses.names_revision(),
+            own: buses.iter().fold(0, |sum: u64, bus| sum.wrapping_mul(131) + own(bus)),
+        }
+    }
+}
+
 /// A filter that is ready for many frames of the same buses.
 #[derive(Debug)]
 pub struct FrameMatcher {
+    known: KnownBuses,
     expression: Expression<FrameTest>,
     buses: Vec<BusFacts>,
 }
@@ -133,6 +163,7 @@ impl Filter {
         });
         let lookup = Lookup { buses };
         FrameMatcher {
+            known: KnownBuses::of(buses),
             expression: self.expression.map(|test| lookup.prepare(test)),
             buses: facts.collect(),
         }
@@ -311,6 +342,11 @@ struct TestedFrame<'a> {
 }
 
 impl FrameMatcher {
+    /// Returns true if the buses are known as they were when the filter was prepared.
+    pub fn is_current(&self, buses: &Buses) -> bool {
+        self.known == KnownBuses::of(buses)
+    }
+
     /// Returns true if a frame matches; `stored` is where it is, if it is. Without it, an interval
     /// matches no frame, and the data of a transfer is that of the frame.
     pub fn is_match(&self, frame: &Frame, stored: Option<(&FrameStore, u64)>) -> bool {
@@ -445,9 +481,7 @@ impl TestedFrame<'_> {
     fn heartbeat(&self) -> Option<Heartbeat> {
         let (header, profile) = self.header.zip(self.profile)?;
         let is_heartbeat = header.response && header.service == profile.heartbeat_service();
-        is_heartbeat.then(|| {
-            Heartbeat::decode(self.frame.data(), &profile.heartbeat, &profile.modes.codes())
-        })
+        is_heartbeat.then(|| profile.heartbeat_of(self.frame.data()))
     }
 
     fn is_uid(&self, uid: Uid, values: &[TextValue]) -> bool {

@@ -16,11 +16,10 @@ use super::output::LineOutput;
 use super::watch::filter_of;
 use super::{EXIT_INTERRUPTED, EXIT_OK, Failure, diff};
 use crate::app::{
-    App, AppOptions, Bus, CallPart, Calls, Filter, FrameMatcher, FrameStore, Identifiers, RowKind,
+    App, AppOptions, CallPart, Calls, Filter, FrameMatcher, FrameStore, Identifiers, RowKind,
 };
 use crate::bus::BusSpec;
 use crate::cli::{CommonArgs, LogArgs};
-use crate::discovery::BusVerdict;
 use crate::frame::Frame;
 use crate::shell::stop::StopReason;
 use anyhow::Context;
@@ -128,26 +127,12 @@ enum FrameOutput {
     Stats(Box<LogStats>),
 }
 
-/// What a prepared filter depends on.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct KnownBuses {
-    buses: usize,
-    foreign: usize,
-    /// Changes with every name.
-    names: u64,
-}
-
-/// Returns true if a bus speaks another protocol than DES.
-fn is_foreign(bus: &Bus) -> bool {
-    bus.traffic().verdict() == BusVerdict::Foreign
-}
-
 /// Prints the frames that match.
 #[derive(Debug)]
 struct FramePrinter {
     filter: Filter,
     /// Prepared for what was known.
-    matcher: Option<(KnownBuses, FrameMatcher)>,
+    matcher: Option<FrameMatcher>,
     kind: FrameOutput,
     is_json: bool,
     /// Frames that are still to be printed; `None` for all.
@@ -190,14 +175,8 @@ impl FramePrinter {
         if self.filter.is_empty() {
             return;
         }
-        let buses = app.buses();
-        let known = KnownBuses {
-            buses: buses.len(),
-            foreign: buses.iter().filter(|bus| is_foreign(bus)).count(),
-            names: buses.iter().map(|bus| bus.names().revision()).sum(),
-        };
-        if self.matcher.as_ref().is_none_or(|(of, _)| *of != known) {
-            self.matcher = Some((known, app.log_matcher(&self.filter)));
+        if self.matcher.as_ref().is_none_or(|matcher| !matcher.is_current(app.history())) {
+            self.matcher = Some(app.log_matcher(&self.filter));
         }
     }
 
@@ -209,7 +188,7 @@ impl FramePrinter {
             (FrameOutput::Stats(_), _) | (_, None) => None,
             (_, Some(bus)) => self.calls.add(frame, number, &bus.config().profile),
         };
-        if let Some((_, matcher)) = &self.matcher {
+        if let Some(matcher) = &self.matcher {
             let previous = self.identifiers.add(frame, number);
             self.recent.push(frame, previous, |_| Vec::new());
             if !matcher.is_match(frame, Some((&self.recent, number))) {

@@ -68,7 +68,7 @@ impl LogStats {
         if let Some(bus) = app.bus(frame.bus) {
             self.calls.add(frame, self.frames, &bus.config().profile);
         }
-        let is_foreign = app.bus(frame.bus).is_some_and(super::is_foreign);
+        let is_foreign = app.history().is_foreign(frame.bus);
         let role = FrameRole::of(frame, is_foreign);
         if let Some(count) = self.roles.get_mut(role as usize) {
             *count += 1;
