@@ -53,6 +53,7 @@ mod saved_filters;
 mod time_bar;
 mod timeline_kind;
 mod typed_time;
+mod varint;
 mod view;
 
 pub use app_event::{AppEvent, BusSnapshot, DeviceEvent, EventContext, EventLine, FileSnapshot};
@@ -63,8 +64,8 @@ pub use buses::{
 pub use capture::decoded::summary_of;
 pub use capture::{
     CallKey, CallPart, CallStats, Calls, CapturedHeartbeat, CapturedHeartbeats, CapturedLog,
-    Decoded, FramePeriod, FrameRole, FrameStore, IdentifierKey, IdentifierKind, IdentifierStats,
-    Identifiers, Latency, NOTED_BYTES, StoredFrames, Transfer,
+    Decoded, FramePeriod, FrameRole, FrameSource, FrameStore, IdentifierKey, IdentifierKind,
+    IdentifierStats, Identifiers, Latency, NOTED_BYTES, StoredFrames, Transfer,
 };
 pub use compared_moments::{ComparedMoment, ComparisonNote, ComparisonRow, MomentComparison};
 pub use devices::concerns;

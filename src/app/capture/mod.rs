@@ -7,18 +7,22 @@
 pub(super) mod calls;
 pub(super) mod decoded;
 mod filtered_frames;
+mod frame_block;
 pub(super) mod frame_store;
 mod heartbeats;
 pub(super) mod identifiers;
+mod indexed_frames;
 pub(super) mod transfer;
 
 pub use calls::{CallKey, CallPart, CallStats, Calls, Latency};
 pub use decoded::{Decoded, FrameRole};
-pub use frame_store::{BYTES_PER_FRAME, FrameStore, StoredFrames};
+pub use frame_block::BYTES_PER_FRAME;
+pub use frame_store::{FrameStore, StoredFrames};
 pub use heartbeats::{CapturedHeartbeat, CapturedHeartbeats};
 pub use identifiers::{
     FramePeriod, IdentifierKey, IdentifierKind, IdentifierStats, Identifiers, NOTED_BYTES,
 };
+pub use indexed_frames::FrameSource;
 pub use transfer::Transfer;
 
 use super::buses::{Bus, Buses};
