@@ -64,8 +64,8 @@ pub use buses::{
 pub use capture::decoded::summary_of;
 pub use capture::{
     CallKey, CallPart, CallStats, Calls, CapturedHeartbeat, CapturedHeartbeats, CapturedLog,
-    Decoded, FramePeriod, FrameRole, FrameSource, FrameStore, IdentifierKey, IdentifierKind,
-    IdentifierStats, Identifiers, Latency, NOTED_BYTES, StoredFrames, Transfer,
+    Decoded, FramePeriod, FrameRole, FrameStore, IdentifierKey, IdentifierKind, IdentifierStats,
+    Identifiers, Latency, NOTED_BYTES, StoredFrames, Transfer,
 };
 pub use compared_moments::{ComparedMoment, ComparisonNote, ComparisonRow, MomentComparison};
 pub use devices::concerns;
@@ -104,6 +104,7 @@ use crate::document::{Document, Entry, NewEntry, Operation};
 use crate::finding::Finding;
 use crate::frame::{BusIndex, Frame};
 use crate::keymap::{Action, Key, KeyMode, Keymap};
+use crate::log::FrameSource;
 use crate::status::{BusStatus, Playback, PlaybackCommand, RecordingStatus};
 use crate::text::{Escaped, Name};
 use crate::time::{Duration, Epoch, Instant, debug_assert_later};
@@ -370,6 +371,12 @@ impl App {
             self.refresh_before_draw();
             self.notices.redraw.set_dirty();
         }
+    }
+
+    /// Sets the log that all frames come from: those that leave memory are read again from it when they
+    /// are shown.
+    pub fn set_frame_source(&mut self, source: Box<dyn FrameSource>) {
+        self.traffic.capture.set_source(source);
     }
 
     // ---- handle_*: input -------------------------------------------------------------------

@@ -128,7 +128,7 @@ impl fmt::Display for LogEntry<'_> {
 }
 
 /// Splits text into lines and reads them.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 struct LineDecoder {
     /// A line cut by the end of a piece; at most one byte longer than [`MAX_LINE`].
     partial: Vec<u8>,
@@ -166,6 +166,10 @@ impl LogDecoder for LineDecoder {
 
     fn has_partial_entry(&self) -> bool {
         !self.partial.is_empty()
+    }
+
+    fn copy(&self) -> Box<dyn LogDecoder> {
+        Box::new(self.clone())
     }
 
     fn read_partial_entry(&mut self, summary: &mut LogSummary) -> Option<Frame> {

@@ -6,12 +6,14 @@
 
 pub mod candump;
 mod foreign;
+mod frame_source;
 pub mod pcapng;
 mod reader;
 mod summary;
 
 pub use foreign::ForeignFormat;
-pub use reader::LogReader;
+pub use frame_source::FrameSource;
+pub use reader::{LogPosition, LogReader};
 pub use summary::{EntryFault, LogSummary, UnreadableEntries};
 
 use crate::frame::Frame;
@@ -83,6 +85,9 @@ trait LogDecoder: fmt::Debug + Send {
 
     /// Returns true if the log stops inside an entry.
     fn has_partial_entry(&self) -> bool;
+
+    /// Returns a copy, which reads the same bytes alike.
+    fn copy(&self) -> Box<dyn LogDecoder>;
 
     /// Reads the entry inside which the log stops, if the format allows an entry without its end.
     fn read_partial_entry(&mut self, _: &mut LogSummary) -> Option<Frame> {

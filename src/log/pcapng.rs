@@ -10,6 +10,7 @@ use super::{DecodeStep, FormatMatch, LogDecoder, LogEncoder, LogEntry, LogFormat
 use crate::frame::socketcan::{self as fields, ERROR_FLAG, EXTENDED_FLAG, FD_FORMAT};
 use crate::frame::{BusIndex, CanId, Frame};
 use std::io::{self, Write};
+use std::sync::Arc;
 
 pub(super) const FORMAT: LogFormat = LogFormat {
     description: "Wireshark",
@@ -117,7 +118,7 @@ impl Damage {
 }
 
 /// Splits a file into blocks and reads them.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 struct BlockDecoder {
     sections: SectionState,
     /// Beginning of an incomplete block; less than [`MAX_BLOCK`] bytes.
@@ -195,6 +196,10 @@ impl LogDecoder for BlockDecoder {
     fn has_partial_entry(&self) -> bool {
         !self.partial.is_empty()
     }
+
+    fn copy(&self) -> Box<dyn LogDecoder> {
+        Box::new(self.clone())
+    }
 }
 
 /// State that packets depend on: the byte order and the interfaces.
@@ -203,7 +208,8 @@ pub struct SectionState {
     big_endian: bool,
     /// Major version of the current section, if it cannot be read.
     unknown_version: Option<u16>,
-    interfaces: Vec<PcapInterface>,
+    /// Shared with the positions that were kept.
+    interfaces: Arc<Vec<PcapInterface>>,
 }
 
 #[derive(Clone, Debug)]
@@ -282,7 +288,7 @@ impl SectionState {
     }
 
     fn begin(&mut self, mut fields: Fields<'_>) {
-        self.interfaces.clear();
+        self.interfaces = Arc::default();
         let _byte_order = fields.u32();
         let version = fields.u16().unwrap_or(0);
         self.unknown_version = (version != 1).then_some(version);
@@ -308,7 +314,7 @@ impl SectionState {
                 _ => {}
             }
         }
-        self.interfaces.push(interface);
+        Arc::make_mut(&mut self.interfaces).push(interface);
     }
 
     fn packet(&self, mut fields: Fields<'_>) -> Result<LogEntry<'_>, PacketFault> {

@@ -24,7 +24,42 @@ pub struct LogReader<R> {
     summary: LogSummary,
 }
 
+/// A place between two entries of a log, and all that is needed to read on from there.
+#[derive(Debug)]
+pub struct LogPosition {
+    head: Vec<u8>,
+    decoder: Option<Box<dyn LogDecoder>>,
+    summary: LogSummary,
+}
+
+impl LogPosition {
+    /// Number of frames before it.
+    pub fn frames(&self) -> u64 {
+        self.summary.frames
+    }
+}
+
 impl<R: BufRead> LogReader<R> {
+    /// Reads on from a position, whose bytes come next from `source`.
+    pub fn at(source: R, position: &LogPosition) -> Self {
+        Self {
+            source,
+            head: position.head.clone(),
+            decoder: position.decoder.as_ref().map(|decoder| decoder.copy()),
+            keeps_unfinished: false,
+            summary: position.summary.clone(),
+        }
+    }
+
+    /// Returns the position behind what was read.
+    pub fn position(&self) -> LogPosition {
+        LogPosition {
+            head: self.head.clone(),
+            decoder: self.decoder.as_ref().map(|decoder| decoder.copy()),
+            summary: self.summary.clone(),
+        }
+    }
+
     /// Starts at the beginning of a log.
     pub fn new(source: R) -> Self {
         Self {
@@ -224,7 +259,7 @@ not a line
         assert_eq!(micros, [0, 87, 87, 750_287]);
         assert_eq!(frames.iter().map(|frame| frame.bus.0).collect::<Vec<_>>(), [0, 1, 0, 0]);
         assert!(frames[2].is_tx);
-        assert_eq!(tally.interfaces, ["can0", "can1"]);
+        assert_eq!(*tally.interfaces, ["can0", "can1"]);
         assert_eq!(tally.epoch.unwrap().unix_micros(tally.last), 1_436_509_053_000_000);
         assert_eq!(
             (tally.entries, tally.frames, tally.unreadable, tally.clock_steps_back),

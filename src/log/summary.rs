@@ -11,6 +11,7 @@ use super::pcapng::{Damage, PacketFault};
 use crate::frame::{BusIndex, Frame};
 use crate::time::{Duration, Epoch, Instant};
 use std::fmt;
+use std::sync::Arc;
 
 /// Largest step back at which an entry gets the moment of the entry before it. A larger one means
 /// that the clock was set back.
@@ -52,7 +53,7 @@ pub struct LogSummary {
     /// Frames dated before the previous frame; each step back of the clock counts once.
     pub clock_steps_back: u64,
     /// Interface names in order of appearance, which is that of bus numbers.
-    pub interfaces: Vec<String>,
+    pub interfaces: Arc<Vec<String>>,
     /// Time of the first frame; `None` before it.
     pub epoch: Option<Epoch>,
     /// Moment of the last frame, counted from the first.
@@ -146,7 +147,7 @@ impl LogSummary {
         let known = self.interfaces.iter().position(|name| name == interface);
         let index = u8::try_from(known.unwrap_or(self.interfaces.len())).ok()?;
         if known.is_none() {
-            self.interfaces.push(interface.to_owned());
+            Arc::make_mut(&mut self.interfaces).push(interface.to_owned());
         }
         Some(BusIndex(index))
     }

@@ -122,7 +122,13 @@ pub struct Session {
 
 impl Session {
     /// A session on buses. The port at position n carries the bus of index n.
-    pub fn new(app: App, clock: Clock, ports: Vec<Port>, store: Option<Store>) -> Self {
+    pub fn new(mut app: App, clock: Clock, mut ports: Vec<Port>, store: Option<Store>) -> Self {
+        // The numbers of the frames are those of the log only if there is no other bus.
+        if let [port] = &mut ports[..]
+            && let Some(frames) = port.take_frame_source()
+        {
+            app.set_frame_source(frames);
+        }
         let resumed = clock.now();
         let named = vec![0; ports.len()];
         Self::with_input(

@@ -6,8 +6,9 @@
 //! wanted. Does not know what frames mean, nor why some are pinned.
 
 use super::frame_block::{BYTES_PER_FRAME, FrameBlock, Record};
-use super::indexed_frames::{FrameSource, IndexedBlock, IndexedFrames, IndexedSource};
+use super::indexed_frames::{IndexedBlock, IndexedFrames, IndexedSource};
 use crate::frame::Frame;
+use crate::log::FrameSource;
 use crate::time::Instant;
 use std::collections::VecDeque;
 use std::ops::{Deref, Range};

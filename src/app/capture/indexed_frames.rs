@@ -6,28 +6,12 @@
 //! files: the frames come from a [`FrameSource`].
 
 use super::frame_block::FrameBlock;
-use crate::frame::Frame;
+use crate::log::FrameSource;
 use crate::time::Instant;
 use std::collections::VecDeque;
-use std::fmt;
-use std::io;
 use std::ops::Range;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
-
-/// A log whose frames can be read again.
-pub trait FrameSource: fmt::Debug + Send {
-    /// Numbers of the frames that can be read, counted from the first frame of the session.
-    fn numbers(&self) -> Range<u64>;
-
-    /// Passes the frames with these numbers to `take`, in this order. Their times count from the start
-    /// of the log.
-    ///
-    /// # Errors
-    ///
-    /// Those of the file; with fewer frames it ends early.
-    fn read(&mut self, numbers: Range<u64>, take: &mut dyn FnMut(Frame)) -> io::Result<()>;
-}
 
 /// A block of frames that is not in memory.
 #[derive(Debug)]

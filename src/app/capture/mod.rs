@@ -22,7 +22,6 @@ pub use heartbeats::{CapturedHeartbeat, CapturedHeartbeats};
 pub use identifiers::{
     FramePeriod, IdentifierKey, IdentifierKind, IdentifierStats, Identifiers, NOTED_BYTES,
 };
-pub use indexed_frames::FrameSource;
 pub use transfer::Transfer;
 
 use super::buses::{Bus, Buses};

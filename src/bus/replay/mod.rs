@@ -6,6 +6,7 @@
 //! written; if it is truncated or replaced, it is read from its start. Does not know log formats.
 
 pub(super) mod file;
+mod index;
 pub(super) mod stdin;
 
 use super::clock::Clock;
@@ -17,6 +18,7 @@ use crate::frame::{BusIndex, Frame};
 use crate::log::{DecodeStep, LogReader, READABLE_LOGS};
 use crate::status::{Link, RateSearch};
 use crate::time::{Duration, Instant};
+use index::LogIndex;
 use std::fs::{self, File, Metadata};
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::os::fd::AsFd;
@@ -46,7 +48,7 @@ fn open(log: File, path: Option<&Path>, request: OpenRequest) -> Result<Port, Di
 }
 
 fn start(log: File, path: Option<&Path>, request: OpenRequest) -> io::Result<Port> {
-    let OpenRequest { name, index, clock, .. } = request;
+    let OpenRequest { name, index: bus, clock, .. } = request;
     let shared = Arc::new(PortShared::new()?);
     shared.queue.update_status(|status| {
         status.link = Link::Up;
@@ -55,16 +57,26 @@ fn start(log: File, path: Option<&Path>, request: OpenRequest) -> io::Result<Por
     });
     let metadata = log.metadata()?;
     let (is_file, size) = (metadata.is_file(), metadata.len());
-    clock.log_opens(index, !is_file);
+    clock.log_opens(bus, !is_file);
     let mut port = Port::new(&name, Arc::clone(&shared), true);
     let path = path.filter(|_| is_file).map(Path::to_owned);
+    let source = LogSource { log, shared: Arc::clone(&shared), is_file, read: 0, size };
+    let reader = LogReader::new(BufReader::with_capacity(1 << 16, source));
+    let index = if is_file {
+        let log = reader.source().get_ref().log.try_clone()?;
+        let index = LogIndex::new(log, bus, reader.position());
+        port.set_frame_source(Box::new(index.clone()));
+        Some(index)
+    } else {
+        None
+    };
     port.serve(move |shared| {
-        let source = LogSource { log, shared: Arc::clone(shared), is_file, read: 0, size };
         let mut replay = Replay {
-            reader: LogReader::new(BufReader::with_capacity(1 << 16, source)),
+            reader,
+            index,
             shared: Arc::clone(shared),
             path,
-            index,
+            bus,
             clock,
             anchor: None,
             named: 0,
@@ -82,10 +94,13 @@ fn start(log: File, path: Option<&Path>, request: OpenRequest) -> io::Result<Por
 
 struct Replay {
     reader: LogReader<BufReader<LogSource>>,
+    /// Where its frames can be read again; `None` if they cannot.
+    index: Option<LogIndex>,
     shared: Arc<PortShared>,
     /// The path to watch for more of the log; `None` if it cannot grow.
     path: Option<PathBuf>,
-    index: BusIndex,
+    /// Bus of its first interface.
+    bus: BusIndex,
     clock: Clock,
     /// A moment of the log and the same moment of the session.
     anchor: Option<(Instant, Instant)>,
@@ -115,6 +130,7 @@ impl Replay {
         }
         loop {
             while let Some(frame) = self.next_frame()? {
+                self.note_frame();
                 if !self.play(frame)? {
                     return Ok(());
                 }
@@ -125,6 +141,10 @@ impl Replay {
                 Continuation::Grown => None,
                 Continuation::Anew(why) => {
                     self.reader.restart();
+                    if let Some(index) = &self.index {
+                        let log = self.reader.source().get_ref().log.try_clone()?;
+                        index.restart(log, self.reader.position());
+                    }
                     Some(why.to_owned())
                 }
             };
@@ -153,6 +173,17 @@ impl Replay {
         Ok(if is_left { self.reader.read_partial_entry() } else { None })
     }
 
+    /// Notes in the index that a frame was read.
+    fn note_frame(&self) {
+        let Some(index) = &self.index else { return };
+        let place = || {
+            let source = self.reader.source();
+            let offset = source.get_ref().read - source.buffer().len() as u64;
+            (self.reader.position(), offset)
+        };
+        index.note_frame(self.reader.summary().frames, place);
+    }
+
     /// Delivers a frame when it is due, or, after the end, at once. Returns false if the port was
     /// dropped.
     fn play(&mut self, frame: Frame) -> io::Result<bool> {
@@ -167,13 +198,13 @@ impl Replay {
             (frame.time, if is_own { Instant::ZERO } else { self.clock.now() })
         });
         let mut due = to + frame.time.since(from);
-        self.clock.log_waits(self.index, due);
+        self.clock.log_waits(self.bus, due);
         if self.follows {
             let is_paused = || self.clock.playback().is_some_and(|it| it.is_paused);
             while is_paused() && self.clock.now() < due && !self.shared.is_stopped() {
                 self.shared.wait(None, None)?;
             }
-            self.clock.log_resumed(self.index, due);
+            self.clock.log_resumed(self.bus, due);
         }
         let now = self.clock.now();
         let earliest = now - self.clock.run_in(MAX_LATENESS);
@@ -182,7 +213,7 @@ impl Replay {
         if moved != due {
             due = moved;
             self.anchor = Some((frame.time, due));
-            self.clock.log_waits(self.index, due);
+            self.clock.log_waits(self.bus, due);
         }
         loop {
             if self.shared.is_stopped() {
@@ -196,7 +227,7 @@ impl Replay {
             self.shared.wait(None, Some(nap))?;
         }
         self.report_position();
-        let bus = BusIndex(self.index.0.saturating_add(frame.bus.0));
+        let bus = BusIndex(self.bus.0.saturating_add(frame.bus.0));
         self.shared.queue.push(&[frame.with_time(due).with_bus(bus)]);
         Ok(true)
     }
@@ -257,7 +288,7 @@ impl Replay {
         if self.reader.has_partial_entry() && self.reader.summary().damage.is_none() {
             summary.push_str("; last line incomplete");
         }
-        self.clock.log_ends(self.index);
+        self.clock.log_ends(self.bus);
         self.shared.queue.update_status(|status| {
             (status.link, status.fault) = (Link::Ended, Some(Diagnostic::new(summary)));
         });
@@ -267,7 +298,7 @@ impl Replay {
 impl Drop for Replay {
     /// The clock does not wait for it any more, also after a panic.
     fn drop(&mut self) {
-        self.clock.log_ends(self.index);
+        self.clock.log_ends(self.bus);
     }
 }
 
