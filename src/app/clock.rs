@@ -153,9 +153,19 @@ mod tests {
     fn paused_log_scales_durations_to_zero() {
         let mut clock = AppClock::new(Instant::ZERO, Epoch::default(), 0);
         assert_eq!(clock.scale_to_playback(SECOND), SECOND);
-        assert!(clock.set_playback(Playback { speed: 2.0, is_paused: false, is_ended: false }));
+        assert!(clock.set_playback(Playback {
+            speed: 2.0,
+            is_paused: false,
+            is_ended: false,
+            ..Playback::default()
+        }));
         assert_eq!(clock.scale_to_playback(SECOND), SECOND * 2);
-        clock.set_playback(Playback { speed: 2.0, is_paused: true, is_ended: false });
+        clock.set_playback(Playback {
+            speed: 2.0,
+            is_paused: true,
+            is_ended: false,
+            ..Playback::default()
+        });
         assert_eq!(clock.scale_to_playback(SECOND), Duration::ZERO);
     }
 }

@@ -41,6 +41,7 @@ mod filter_commands;
 mod history;
 mod input;
 mod inventory;
+mod journal;
 mod listing;
 mod load_bars;
 mod marks;
@@ -48,6 +49,7 @@ mod navigate;
 mod notices;
 mod page_filters;
 mod past;
+mod play;
 mod problems;
 mod saved_filters;
 mod time_bar;
@@ -85,6 +87,7 @@ pub use notices::{
 };
 pub use page_filters::PageFilter;
 use page_filters::PageFilters;
+pub use play::PlayPace;
 pub use problems::{
     EvidenceItem, Matching, Problem, ProblemKey, ProblemList, Scope, format_duration, is_about,
 };
@@ -117,6 +120,7 @@ use file::{FileContent, FileEditor};
 use input::{Input, PromptContext, PromptOutcome, PromptResult};
 use notices::Notices;
 use past::Past;
+use play::Play;
 use problems::Problems;
 use std::collections::{BTreeMap, VecDeque};
 use std::ops::Range;
@@ -302,6 +306,12 @@ pub struct App {
     /// The replay on the way to a moment, and when its next part is due.
     replay: Option<BusesReplay>,
     replay_due: Option<Instant>,
+    /// The shown moment moves.
+    play: Option<Play>,
+    /// The moment to which a log is read, to be shown then.
+    reading_ahead: Option<Instant>,
+    /// A log was paused because another moment is shown.
+    is_log_held: bool,
     marks: Marks,
     saved_filters: Vec<SavedFilter>,
     time_bar: TimeBar,
@@ -341,6 +351,9 @@ impl App {
             past: None,
             replay: None,
             replay_due: None,
+            play: None,
+            reading_ahead: None,
+            is_log_held: false,
             marks: Marks::default(),
             saved_filters: options.saved_filters,
             time_bar: TimeBar::default(),
@@ -412,6 +425,10 @@ impl App {
         }
         if self.replay_due.is_some_and(|due| due <= now) {
             self.go_on_replaying();
+        }
+        self.check_reading();
+        if !self.clock.has_real() {
+            self.go_on_playing();
         }
         if self.comparison.as_ref().is_some_and(|it| it.is_due(now)) {
             self.go_on_comparing();
@@ -612,6 +629,7 @@ impl App {
         if self.clock.set_playback(playback) {
             self.notices.redraw.set_dirty();
         }
+        self.check_reading();
     }
 
     // ---- poll_*: output --------------------------------------------------------------------
@@ -637,7 +655,9 @@ impl App {
         let file = self.editor.poll_timeout().filter(|_| !self.clock.has_real());
         let parts = self.buses.poll_timeout().into_iter().chain(self.notices.poll_timeout());
         let comparison = self.comparison.as_ref().and_then(|comparison| comparison.due());
+        let play = self.play.map(|play| play.due()).filter(|_| !self.clock.has_real());
         let work = self.filter_due.into_iter().chain(self.replay_due).chain(comparison);
+        let work = work.chain(play).chain(self.reading_ahead);
         parts.chain(second).chain(file).chain(work).min()
     }
 
@@ -650,13 +670,15 @@ impl App {
 
     /// When to call [`Self::handle_real_timeout`] next, in real time; `None` unless that is set.
     pub fn poll_real_timeout(&self) -> Option<Instant> {
-        self.editor.poll_timeout().filter(|_| self.clock.has_real())
+        let play = self.play.map(|play| play.due());
+        self.editor.poll_timeout().into_iter().chain(play).min().filter(|_| self.clock.has_real())
     }
 
     /// Handles what is due at this real time.
     pub fn handle_real_timeout(&mut self, real: Instant) {
         self.clock.set_real(real);
         self.run_file_timers();
+        self.go_on_playing();
         debug_assert_later(self.poll_real_timeout(), real);
     }
 

@@ -482,6 +482,7 @@ impl App {
             self.view.traffic = None;
         } else if self.view.traffic.is_some() && page == Page::Traffic {
             self.view.traffic = None;
+        } else if self.stop_reading() {
         } else if self.past.is_some() {
             self.show_present();
         } else {
@@ -510,9 +511,12 @@ impl App {
             self.effects.push_back(Effect::Playback(command));
         } else {
             self.show_error(match command {
-                PlaybackCommand::Pause => "only a log can be paused",
+                PlaybackCommand::Pause | PlaybackCommand::SetPaused(_) => {
+                    "only a log can be paused"
+                }
                 PlaybackCommand::Step => "only a log can be stepped",
                 PlaybackCommand::Slower | PlaybackCommand::Faster => "only a log has a speed",
+                PlaybackCommand::ReadTo(_) => "only a log can be read ahead",
             });
         }
     }

@@ -41,8 +41,10 @@ pub enum BarSign {
 pub struct TimeBar {
     /// First moment that can be shown.
     pub begin: Instant,
-    /// The present.
+    /// The present, or the end of a log.
     pub end: Instant,
+    /// The present: a log was read until then.
+    pub read: Instant,
     /// True if earlier frames were dropped.
     pub has_dropped: bool,
     /// The cells, from the beginning to the end.
@@ -109,7 +111,7 @@ impl TimeBar {
             self.put(line.last, line.last, sign);
         }
         for (_, since) in open {
-            self.put(since, self.end, BarSign::Conflict);
+            self.put(since, self.read, BarSign::Conflict);
         }
     }
 
@@ -138,8 +140,8 @@ impl App {
         if area.height > 0 {
             let cells = area.width.saturating_sub(BAR_LEFT + BAR_RIGHT);
             bar.cells.resize(usize::from(cells), BarSign::Quiet);
-            bar.end = self.clock.now();
-            bar.begin = self.buses.begin(&self.traffic.capture).min(bar.end);
+            (bar.read, bar.end) = (self.clock.now(), self.last_moment());
+            bar.begin = self.buses.begin(&self.traffic.capture).min(bar.read);
             let first = self.timeline().entries().next();
             bar.has_dropped =
                 self.traffic.capture.first() > 0 || first.is_some_and(|line| line.time < bar.begin);
@@ -173,7 +175,7 @@ impl App {
         let to = if cells < 0 {
             bar.begin + from.since(bar.begin).saturating_sub(by)
         } else {
-            (from + by).min(self.clock.now())
+            (from + by).min(self.last_moment())
         };
         self.go_to_time(to);
     }

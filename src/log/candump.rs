@@ -168,6 +168,10 @@ impl LogDecoder for LineDecoder {
         !self.partial.is_empty()
     }
 
+    fn entry_start(&self, tail: &[u8]) -> Option<usize> {
+        memchr::memchr(b'\n', tail).map(|end| end + 1)
+    }
+
     fn copy(&self) -> Box<dyn LogDecoder> {
         Box::new(self.clone())
     }

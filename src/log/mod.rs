@@ -86,6 +86,9 @@ trait LogDecoder: fmt::Debug + Send {
     /// Returns true if the log stops inside an entry.
     fn has_partial_entry(&self) -> bool;
 
+    /// Returns where an entry begins in the last bytes of a log; `None` if that is not known.
+    fn entry_start(&self, tail: &[u8]) -> Option<usize>;
+
     /// Returns a copy, which reads the same bytes alike.
     fn copy(&self) -> Box<dyn LogDecoder>;
 

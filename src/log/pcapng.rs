@@ -197,6 +197,20 @@ impl LogDecoder for BlockDecoder {
         !self.partial.is_empty()
     }
 
+    fn entry_start(&self, tail: &[u8]) -> Option<usize> {
+        // Each block ends with its length.
+        let mut start = tail.len();
+        while let Some(length) = tail[..start].last_chunk() {
+            let big_endian = self.sections.big_endian;
+            let length = Fields { bytes: length as &[u8; 4], big_endian }.u32()?;
+            match start.checked_sub(length as usize) {
+                Some(before) if length >= 12 && length.is_multiple_of(4) => start = before,
+                _ => break,
+            }
+        }
+        (start < tail.len()).then_some(start)
+    }
+
     fn copy(&self) -> Box<dyn LogDecoder> {
         Box::new(self.clone())
     }

@@ -7,6 +7,7 @@
 
 use super::{DecodeStep, LogDecoder, LogFormat, LogSummary};
 use crate::frame::Frame;
+use crate::time::Instant;
 use std::io::{self, BufRead, BufReader, Read};
 
 /// Reads the frames of a log. The first frame is at [`Instant::ZERO`](crate::time::Instant::ZERO).
@@ -36,6 +37,14 @@ impl LogPosition {
     /// Number of frames before it.
     pub fn frames(&self) -> u64 {
         self.summary.frames
+    }
+
+    /// Moment of the last frame in the last bytes of this log, if its clock is not set back between;
+    /// `None` if none is found there.
+    pub fn last_time_in(&self, tail: &[u8]) -> Option<Instant> {
+        let start = self.decoder.as_ref()?.entry_start(tail)?;
+        let reader = LogReader::at(&tail[start..], self);
+        reader.map_while(Result::ok).last().map(|frame| frame.time)
     }
 }
 
@@ -250,6 +259,29 @@ not a line
         let mut reader = LogReader::new(BufReader::with_capacity(buffer, text.as_bytes()));
         let frames = reader.by_ref().collect::<io::Result<_>>().unwrap();
         (frames, reader.summary().clone())
+    }
+
+    #[test]
+    fn end_of_log_shows_its_last_moment() {
+        let entry = |micros: u64| LogEntry {
+            unix_micros: 1_436_509_052_000_000 + micros,
+            interface: "can0",
+            frame: Frame::classic(micros as u32, &[1, 2, 3]),
+        };
+        for format in &super::super::FORMATS {
+            let (mut encoder, mut log) = (format.encoder(), Vec::new());
+            encoder.begin(&mut log).unwrap();
+            for number in 0..1000 {
+                encoder.write(entry(number * 7000), u64::MAX, &mut log).unwrap();
+            }
+            encoder.end(&[], &[], &mut log).unwrap();
+            let mut reader = LogReader::new(&log[..]);
+            reader.next_frame().unwrap();
+            let tail = &log[log.len() - 1001..];
+            let last = Instant::from_micros(999 * 7000);
+            assert_eq!(reader.position().last_time_in(tail), Some(last), "{format:?}");
+            assert_eq!(reader.position().last_time_in(&tail[..5]), None);
+        }
     }
 
     #[test]

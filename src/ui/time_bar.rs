@@ -15,7 +15,7 @@ pub fn draw(brush: &mut DrawContext) {
     }
     let app = brush.app;
     let frozen = app.past_moment().map(|moment| moment.time);
-    let shown = bar.cell(frozen.unwrap_or(bar.end));
+    let (shown, read) = (bar.cell(frozen.unwrap_or(bar.read)), bar.cell(bar.read));
     let left = if bar.has_dropped { "├…" } else { " ├" };
     let mut spans = vec![
         brush.span(Role::Muted, format!(" {}", format_time_of_day(app, bar.begin))),
@@ -26,6 +26,8 @@ pub fn draw(brush: &mut DrawContext) {
         spans.push(match at {
             _ if at == shown && frozen.is_some() => brush.span(Role::Warning, "▼"),
             _ if at == shown => brush.span(Role::Title, "▼"),
+            // Not read yet.
+            _ if at > read => brush.span(Role::Muted, " "),
             // What came later than the shown moment.
             _ if at > shown => brush.span(Role::Muted, text),
             _ => brush.span(role, text),

@@ -6,6 +6,7 @@
 
 use crate::frame::{BusIndex, Frame};
 use crate::log::{FrameSource, LogPosition, LogReader};
+use crate::time::Instant;
 use std::fs::File;
 use std::io::{self, BufReader, Read};
 use std::ops::Range;
@@ -74,6 +75,17 @@ impl LogIndex {
         places.end = position.frames();
         places.log = Arc::new(log);
         places.places = vec![LogPlace { position, offset: 0 }];
+    }
+
+    /// Time of the last frame in the file, counted from the start of the log; `None` if the end of the
+    /// file does not show it. Call when the first frame was read.
+    pub fn last_time(&self, position: &LogPosition) -> Option<Instant> {
+        let log = Arc::clone(&self.places().log);
+        let size = log.metadata().ok()?.len();
+        let mut tail = vec![0; PART.min(usize::try_from(size).ok()?)];
+        let start = size - tail.len() as u64;
+        log.read_exact_at(&mut tail, start).ok()?;
+        position.last_time_in(&tail)
     }
 
     // A panic of another thread leaves nothing half-done in here, so its poison is ignored.

@@ -32,6 +32,8 @@ use std::time::Instant as Monotonic;
 const MAX_LATENESS: Duration = Duration::from_millis(250);
 /// How long to wait for the consumer when the queue is full.
 const FULL_QUEUE_NAP: Duration = Duration::from_millis(5);
+/// Most frames that are delivered together while a log is read as fast as possible.
+const AT_ONCE: usize = 1024;
 /// How often to check whether a file that was read to its end has grown.
 const LOOK_EVERY: Duration = Duration::from_millis(300);
 /// How long a file that grew may rest before its end is reported again: writers with a buffer write
@@ -79,6 +81,8 @@ fn start(log: File, path: Option<&Path>, request: OpenRequest) -> io::Result<Por
             bus,
             clock,
             anchor: None,
+            reads_to: Instant::ZERO,
+            waiting: Vec::with_capacity(AT_ONCE),
             named: 0,
             follows: false,
             percent: None,
@@ -104,6 +108,10 @@ struct Replay {
     clock: Clock,
     /// A moment of the log and the same moment of the session.
     anchor: Option<(Instant, Instant)>,
+    /// Moment up to which frames are delivered as fast as possible, as it was last looked at.
+    reads_to: Instant,
+    /// Frames that are delivered together.
+    waiting: Vec<Frame>,
     /// How many interface names were reported.
     named: usize,
     /// It has continued after its end: frames are delivered as they are written.
@@ -134,6 +142,9 @@ impl Replay {
                 if !self.play(frame)? {
                     return Ok(());
                 }
+            }
+            if !self.flush()? {
+                return Ok(());
             }
             let Some(more) = self.wait_for_more()? else { return Ok(()) };
             self.follows = true;
@@ -191,13 +202,14 @@ impl Replay {
             self.shared.queue.add_name(name);
             self.named += 1;
         }
-        let tally = self.reader.summary();
-        let (from, to) = *self.anchor.get_or_insert_with(|| {
-            // The session begins with the log, if its dates are the log's.
-            let is_own = tally.epoch == Some(self.clock.epoch());
-            (frame.time, if is_own { Instant::ZERO } else { self.clock.now() })
-        });
+        let (from, to) = self.anchor.unwrap_or_else(|| self.begin_at(&frame));
         let mut due = to + frame.time.since(from);
+        if due <= self.reads_to && !self.follows {
+            return self.play_at_once(frame.with_time(due));
+        }
+        if !self.flush()? {
+            return Ok(false);
+        }
         self.clock.log_waits(self.bus, due);
         if self.follows {
             let is_paused = || self.clock.playback().is_some_and(|it| it.is_paused);
@@ -220,6 +232,7 @@ impl Replay {
                 return Ok(false);
             }
             let is_full = self.shared.queue.room() == 0;
+            self.reads_to = self.clock.reads_to();
             if self.clock.now() >= due && !is_full {
                 break;
             }
@@ -230,6 +243,48 @@ impl Replay {
         let bus = BusIndex(self.bus.0.saturating_add(frame.bus.0));
         self.shared.queue.push(&[frame.with_time(due).with_bus(bus)]);
         Ok(true)
+    }
+
+    /// Returns the time of the first frame in the log, and in the session.
+    fn begin_at(&mut self, frame: &Frame) -> (Instant, Instant) {
+        // The session begins with the log, if its dates are the log's.
+        let is_own = self.reader.summary().epoch == Some(self.clock.epoch());
+        let to = if is_own { Instant::ZERO } else { self.clock.now() };
+        self.anchor = Some((frame.time, to));
+        let last = self.index.as_ref().and_then(|it| it.last_time(&self.reader.position()));
+        if let Some(last) = last {
+            self.clock.set_log_end(self.bus, to + last.since(frame.time));
+        }
+        (frame.time, to)
+    }
+
+    /// Delivers a frame that is due, together with others. Returns false if the port was dropped.
+    fn play_at_once(&mut self, frame: Frame) -> io::Result<bool> {
+        if self.waiting.is_empty() {
+            // The clock does not pass it before it is delivered.
+            self.clock.log_waits(self.bus, frame.time);
+        }
+        let bus = BusIndex(self.bus.0.saturating_add(frame.bus.0));
+        self.waiting.push(frame.with_bus(bus));
+        if self.waiting.len() < AT_ONCE { Ok(true) } else { self.flush() }
+    }
+
+    /// Delivers the frames that wait to be delivered together. Returns false if the port was dropped.
+    fn flush(&mut self) -> io::Result<bool> {
+        if self.waiting.is_empty() {
+            return Ok(true);
+        }
+        while self.shared.queue.room() < self.waiting.len() {
+            if self.shared.is_stopped() {
+                return Ok(false);
+            }
+            self.shared.wait(None, Some(FULL_QUEUE_NAP))?;
+        }
+        self.shared.queue.push(&self.waiting);
+        self.waiting.clear();
+        self.reads_to = self.clock.reads_to();
+        self.report_position();
+        Ok(!self.shared.is_stopped())
     }
 
     /// Reports that it is probably not a log: a pipe may not end.

@@ -142,7 +142,8 @@ fn keys_of_a_log_and_of_a_live_bus_name_the_other() {
     let config = Config { seed: 7, listen_only: true, ..Config::default() };
     let mut stage = Stage::with(&Scenario::builtin("boiler").unwrap(), None, config);
     stage.until(8.0);
-    let playback = Playback { speed: 1.0, is_paused: false, is_ended: false };
+    let playback =
+        Playback { speed: 1.0, is_paused: false, is_ended: false, ..Playback::default() };
     stage.app.handle_playback(stage.app.now(), playback);
     for key in ["r", "i"] {
         assert_eq!(message(stage.keys(key)), "a log: nothing is sent", "{key}");
