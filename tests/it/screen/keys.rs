@@ -134,8 +134,7 @@ fn keys_of_a_log_and_of_a_live_bus_name_the_other() {
     for (key, answer) in [
         ("P", "only a log can be paused"),
         (">", "only a log can be stepped"),
-        ("(", "only a log has a speed"),
-        (")", "only a log has a speed"),
+        (")", "live: Space freezes; then a moment can be played"),
     ] {
         assert_eq!(message(stage.keys(key)), answer);
     }
