@@ -420,18 +420,9 @@ impl App {
             self.tick();
         }
         self.notices.expire(now);
-        if self.filter_due.is_some_and(|due| due <= now) {
-            self.filter_frames();
-        }
-        if self.replay_due.is_some_and(|due| due <= now) {
-            self.go_on_replaying();
-        }
         self.check_reading();
         if !self.clock.has_real() {
-            self.go_on_playing();
-        }
-        if self.comparison.as_ref().is_some_and(|it| it.is_due(now)) {
-            self.go_on_comparing();
+            self.run_screen_timers();
         }
         self.run_file_timers();
         self.notices.redraw.check_due(now);
@@ -654,11 +645,8 @@ impl App {
         let second = (!self.was_idle || !self.is_idle()).then_some(self.clock.next_second());
         let file = self.editor.poll_timeout().filter(|_| !self.clock.has_real());
         let parts = self.buses.poll_timeout().into_iter().chain(self.notices.poll_timeout());
-        let comparison = self.comparison.as_ref().and_then(|comparison| comparison.due());
-        let play = self.play.map(|play| play.due()).filter(|_| !self.clock.has_real());
-        let work = self.filter_due.into_iter().chain(self.replay_due).chain(comparison);
-        let work = work.chain(play).chain(self.reading_ahead);
-        parts.chain(second).chain(file).chain(work).min()
+        let screen = self.poll_screen_timeout().filter(|_| !self.clock.has_real());
+        parts.chain(second).chain(file).chain(screen).chain(self.reading_ahead).min()
     }
 
     /// Sets the real time, by which des.json is saved again and a file that has become empty is
@@ -670,16 +658,39 @@ impl App {
 
     /// When to call [`Self::handle_real_timeout`] next, in real time; `None` unless that is set.
     pub fn poll_real_timeout(&self) -> Option<Instant> {
-        let play = self.play.map(|play| play.due());
-        self.editor.poll_timeout().into_iter().chain(play).min().filter(|_| self.clock.has_real())
+        let due = self.editor.poll_timeout().into_iter().chain(self.poll_screen_timeout());
+        due.min().filter(|_| self.clock.has_real())
     }
 
     /// Handles what is due at this real time.
     pub fn handle_real_timeout(&mut self, real: Instant) {
         self.clock.set_real(real);
         self.run_file_timers();
-        self.go_on_playing();
+        self.run_screen_timers();
         debug_assert_later(self.poll_real_timeout(), real);
+    }
+
+    /// When to go on with what the screen waits for, in real time: a log may be paused meanwhile.
+    fn poll_screen_timeout(&self) -> Option<Instant> {
+        let comparison = self.comparison.as_ref().and_then(|comparison| comparison.due());
+        let play = self.play.map(|play| play.due());
+        let work = self.filter_due.into_iter().chain(self.replay_due);
+        work.chain(comparison).chain(play).min()
+    }
+
+    /// Goes on with the filter, a replay, a comparison and playing.
+    fn run_screen_timers(&mut self) {
+        let real = self.clock.real();
+        if self.filter_due.is_some_and(|due| due <= real) {
+            self.filter_frames();
+        }
+        if self.replay_due.is_some_and(|due| due <= real) {
+            self.go_on_replaying();
+        }
+        if self.comparison.as_ref().is_some_and(|it| it.is_due(real)) {
+            self.go_on_comparing();
+        }
+        self.go_on_playing();
     }
 
     fn run_file_timers(&mut self) {
@@ -1249,7 +1260,7 @@ impl App {
         self.traffic.set_filter(self.filters.of(Page::Traffic).active());
         let buses = self.past.as_ref().map_or(&*self.buses, |past| &past.buses);
         if !self.traffic.renew_filter(&mut self.view, buses) {
-            self.filter_due = Some(self.clock.now() + FILTER_PAUSE);
+            self.filter_due = Some(self.clock.real() + FILTER_PAUSE);
         }
         if was_due {
             self.request_redraw();

@@ -196,7 +196,7 @@ impl App {
             return self.replay_to(moment);
         }
         if !replay.run(&self.buses, &self.traffic.capture, REPLAY_PART) {
-            self.replay_due = Some(self.clock.now() + super::FILTER_PAUSE);
+            self.replay_due = Some(self.clock.real() + super::FILTER_PAUSE);
             return;
         }
         if let Some(replay) = self.replay.take() {

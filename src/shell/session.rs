@@ -504,9 +504,11 @@ impl Session {
     }
 
     fn report_playback(&mut self) {
-        if let SessionInput::Ports { clock, .. } = &self.input
-            && let Some(playback) = clock.playback()
+        if let SessionInput::Ports { clock, ports, .. } = &self.input
+            && let Some(mut playback) = clock.playback()
         {
+            // The end is reached when the last frame is handled.
+            playback.is_ended &= !ports.iter().any(|port| port.queue().has_frames());
             self.app.handle_playback(self.now(), playback);
         }
     }
