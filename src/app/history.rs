@@ -208,22 +208,29 @@ impl RecordedBuses {
     // ---- the past --------------------------------------------------------------------------
 
     /// Takes a snapshot, if it is time for one: call when all events are taken. Drops what is older
-    /// than the frames from number `first` on.
-    pub(super) fn keep_history(&mut self, now: Instant, first: u64) {
+    /// than the captured frames. Of a log whose frames can be read again the first moment is kept as
+    /// long as there is room.
+    pub(super) fn keep_history(&mut self, now: Instant, store: &FrameStore) {
         if self.work < self.snapshot_work || self.room == 0 {
             return;
         }
+        let (first, keeps_first) = (store.first(), store.has_source());
         // A moment needs a snapshot before it and all frames since.
         while self.snapshots.len() > 1 && self.snapshots[0].frames < first {
             self.snapshots.pop_front();
         }
         self.take_snapshot(now);
         while self.snapshots.len() > 1 && self.size() > self.room {
-            if self.snapshots.len() > MIN_SNAPSHOTS {
+            if self.snapshots.len() > MIN_SNAPSHOTS || keeps_first {
                 self.thin_out();
             } else {
                 self.snapshots.pop_front();
             }
+        }
+        if self.size() > self.room && keeps_first {
+            // The inputs since the first moment need all the room.
+            self.snapshots.clear();
+            self.take_snapshot(now);
         }
         let needed = self.snapshots.front().map_or(self.journal.end(), |oldest| oldest.place);
         self.journal.drop_before(needed);

@@ -408,7 +408,7 @@ impl App {
             self.request_redraw();
         }
         self.complete_bus_events(now);
-        self.buses.keep_history(now, self.traffic.capture.first());
+        self.buses.keep_history(now, &self.traffic.capture);
     }
 
     /// Does what is due at `now`.
@@ -426,7 +426,7 @@ impl App {
         }
         self.run_file_timers();
         self.notices.redraw.check_due(now);
-        self.buses.keep_history(now, self.traffic.capture.first());
+        self.buses.keep_history(now, &self.traffic.capture);
         debug_assert_later(self.poll_timeout(), now);
     }
 

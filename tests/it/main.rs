@@ -33,6 +33,7 @@ mod foreign_buses;
 mod guide;
 mod heartbeat_periods;
 mod history;
+mod indexed_log;
 mod log;
 mod log_command;
 mod malicious_input;

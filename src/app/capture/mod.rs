@@ -203,7 +203,7 @@ impl Traffic {
         if view.page != Page::Traffic || !self.filtered.is_on() {
             return true;
         }
-        let is_complete = self.filtered.test(&self.capture, buses);
+        let is_complete = self.filtered.test(&self.capture, buses, self.end(view));
         if let Some(selected) = view.traffic {
             view.traffic = Some(self.filtered.nearest(&self.capture, selected).unwrap_or(selected));
         }

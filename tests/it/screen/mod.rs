@@ -10,6 +10,7 @@ mod help;
 mod input;
 mod keys;
 mod marks;
+mod play;
 mod problems;
 mod time_bar;
 mod timeline;
