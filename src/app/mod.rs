@@ -26,6 +26,7 @@
 //! change the view).
 
 mod actions;
+mod alarm;
 mod app_event;
 mod bitrate;
 mod buses;
@@ -55,6 +56,7 @@ mod timeline_kind;
 mod typed_time;
 mod view;
 
+pub use alarm::Alarm;
 pub use app_event::{AppEvent, BusSnapshot, DeviceEvent, EventContext, EventLine, FileSnapshot};
 pub use buses::{
     AddressHolder, AddressNames, Bus, Buses, ErrorKinds, LoadHistory, LoadMeter, LoadSample,
@@ -108,6 +110,7 @@ use crate::text::{Escaped, Name};
 use crate::time::{Duration, Epoch, Instant, debug_assert_later};
 use crate::wire::id::{Address, Service};
 use crate::wire::profile::Profile;
+use alarm::Alarms;
 use capture::Traffic;
 use clock::AppClock;
 use devices::DeviceRows;
@@ -303,6 +306,7 @@ pub struct App {
     marks: Marks,
     saved_filters: Vec<SavedFilter>,
     time_bar: TimeBar,
+    alarms: Alarms,
     /// The comparison of two moments that is open.
     comparison: Option<Box<MomentComparison>>,
     /// Content of des.json now, and before: with the time until which it was so, oldest first.
@@ -342,6 +346,7 @@ impl App {
             marks: Marks::default(),
             saved_filters: options.saved_filters,
             time_bar: TimeBar::default(),
+            alarms: Alarms::default(),
             comparison: None,
             content,
             contents_before: VecDeque::new(),
@@ -474,6 +479,7 @@ impl App {
         self.view.size = (columns, rows);
         self.renew_time_bar();
         if !std::mem::replace(&mut self.view.has_screen, true) {
+            self.settle_alarm();
             self.settle_problems();
         }
         self.notices.redraw.set_dirty();
@@ -1233,6 +1239,7 @@ impl App {
         self.refresh_redundancy();
         self.refresh_problems();
         if self.view.has_screen {
+            self.settle_alarm();
             self.settle_problems();
             self.settle_bars();
             self.refresh_rows();

@@ -23,6 +23,7 @@
 //! state survives a draw. Colours only by [`Role`]. Bytes that devices send arrive here escaped: as
 //! [`crate::text::Name`], or as text made by the app.
 
+mod alarm;
 mod brush;
 mod bus;
 mod chart;
@@ -71,6 +72,7 @@ pub fn draw(app: &App, theme: &Theme, frame: &mut Frame) -> Option<u16> {
     };
     brush.buffer.set_style(area, theme.style(Role::Text));
     status::draw(&mut brush);
+    alarm::draw(&mut brush);
     match app.overlay() {
         Overlay::Help(scroll) => help::draw(&mut brush, *scroll),
         Overlay::Conflict => conflict::draw(&mut brush),

@@ -224,6 +224,10 @@ fn bus_parts(brush: &DrawContext, index: BusIndex) -> Parts {
         let ago = if columns >= 100 { format!(", {ago} ago") } else { String::new() };
         let text = format!("FROZEN {at}{ago}");
         parts.push(Part::new(KEPT, vec![brush.span(Role::Warning, text)]));
+        if let Some(alarm) = brush.app.present_alarm() {
+            let text = format!("now ⚠ {}", alarm.short);
+            parts.push(Part::cut_to(8, WARNING, vec![brush.span(Role::Confirmed, text)]));
+        }
     }
     let mut spans = vec![state(brush, index, bus)];
     let place = place_in_log(brush, bus);
@@ -460,6 +464,19 @@ fn counts(brush: &DrawContext, words: bool) -> Parts {
         )
     })
     .collect()
+}
+
+/// Returns the counts in few cells, for the line of the alarm: `●10 ○1 ⚠3`.
+pub fn short_counts(brush: &DrawContext) -> Vec<Span<'static>> {
+    let mut spans = Vec::new();
+    for part in counts(brush, false) {
+        if !spans.is_empty() {
+            spans.push(Span::raw(" "));
+        }
+        let count = part.spans.into_iter().next();
+        spans.extend(count.map(|span| Span::styled(span.content.replace(' ', ""), span.style)));
+    }
+    spans
 }
 
 /// Returns size and lost frames of the recording, or that it stopped; `None` without `--record`.

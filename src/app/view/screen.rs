@@ -27,6 +27,8 @@ pub struct Screen {
     pub whole: Rect,
     /// State of the buses and of the file.
     pub status: Rect,
+    /// The newest confirmed conflict; on a small screen in the place of the status.
+    pub alarm: Rect,
     /// Rule with the titles of the pages, then of the details.
     pub tabs: Rect,
     /// Column headings.
@@ -59,16 +61,30 @@ const BAR_COLUMNS: u16 = 60;
 /// Least height with the details of a frame below the list of frames, in lines.
 const SPLIT_HEIGHT: u16 = 18;
 
+/// Least height with a line for the status or the alarm, in lines.
+const SMALLEST: u16 = 5;
+
+/// Least height with the status beside an alarm, in lines: a bus that is down or a recording that
+/// stopped stay on the screen.
+const STATUS_AND_ALARM: u16 = 9;
+
+/// Least height with a line for each bus, in lines.
+const SMALL: u16 = 16;
+
 impl Screen {
     /// Returns the layout for a view and this number of buses.
     pub fn new(view: &View, buses: usize) -> Self {
         let (columns, rows) = view.size;
         let whole = Rect::new(0, 0, columns, rows);
         let mut left = whole;
-        let status = take_top(&mut left, Self::status_lines(columns, rows, buses));
+        let alarm_lines = u16::from(view.has_alarm && rows >= SMALLEST);
+        let is_status = alarm_lines == 0 || rows >= STATUS_AND_ALARM || view.frozen.is_some();
+        let status_lines = if is_status { Self::status_lines(columns, rows, buses) } else { 0 };
+        let status = take_top(&mut left, status_lines);
+        let alarm = take_top(&mut left, alarm_lines);
         let tabs = take_top(&mut left, 1);
         let footer = take_bottom(&mut left, 1);
-        let mut screen = Self { whole, status, tabs, footer, ..Self::default() };
+        let mut screen = Self { whole, status, alarm, tabs, footer, ..Self::default() };
         let is_large = columns >= 120 && rows >= 30;
         let is_wanted = is_large || (view.frozen.is_some() || view.has_time_bar) && rows >= 16;
         if is_wanted && columns >= BAR_COLUMNS {
@@ -111,10 +127,10 @@ impl Screen {
     fn status_lines(columns: u16, rows: u16, buses: usize) -> u16 {
         let buses = u16::try_from(buses.max(1)).unwrap_or(u16::MAX);
         match rows {
-            0..=4 => 0,
-            5..=15 => 1,
+            0..SMALLEST => 0,
+            SMALLEST..SMALL => 1,
             _ if columns >= 140 && buses == 1 => 1,
-            16..=30 => buses.min(2) + 1,
+            SMALL..=30 => buses.min(2) + 1,
             _ => buses.min(6) + 1,
         }
     }
@@ -193,12 +209,15 @@ mod tests {
         for columns in [0, 1, 20, 40, 75, 76, 80, 120, 250] {
             for rows in [0, 1, 3, 5, 10, 16, 18, 24, 40, 60] {
                 for page in Page::ALL {
-                    for focus in [Focus::List, Focus::Details] {
+                    for (focus, has_alarm) in
+                        [(Focus::List, false), (Focus::Details, false), (Focus::List, true)]
+                    {
                         let size = (columns, rows);
-                        let view = View { page, focus, size, ..View::default() };
+                        let view = View { page, focus, size, has_alarm, ..View::default() };
                         let screen = Screen::new(&view, 2);
                         let parts = [
                             screen.status,
+                            screen.alarm,
                             screen.tabs,
                             screen.header,
                             screen.list,

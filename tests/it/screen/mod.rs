@@ -1,5 +1,6 @@
 //! Screen tests: keys and simulated buses as input, screens as output; one module for each page.
 
+mod alarm;
 mod bus;
 mod buses;
 mod comparison;
