@@ -1184,7 +1184,7 @@ impl App {
     }
 
     /// Returns true if nothing on the screen changes with time.
-    fn is_idle(&self) -> bool {
+    pub fn is_idle(&self) -> bool {
         // The axis of the charts moves.
         if self.view.page == Page::Bus && self.buses.iter().any(|bus| bus.ended.is_none()) {
             return false;

@@ -465,8 +465,8 @@ impl App {
         }
     }
 
-    /// Closes the overlay, else leaves the details, the evidence or the frame details, else switches
-    /// the filter off, else returns to the timeline or follows the newest rows.
+    /// Closes the overlay, else leaves the details, the evidence or the frame details, else shows the
+    /// present, else switches the filter off, else returns to the timeline or follows the newest rows.
     pub(super) fn cancel(&mut self) {
         let page = self.view.page;
         if self.input.has_overlay() {
@@ -476,6 +476,8 @@ impl App {
         } else if self.leave_evidence() {
         } else if page == Page::Traffic && self.view.frame_details {
             self.view.frame_details = false;
+        } else if self.past.is_some() && !self.view.from_timeline {
+            self.show_present();
         } else if self.switch_filter_off() {
         } else if self.view.from_timeline {
             self.show_page(Page::Timeline);

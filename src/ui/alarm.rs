@@ -40,8 +40,7 @@ pub fn draw(brush: &mut DrawContext) {
         brush.line(Rect { x, width: area.right() - x, ..area }, 0, &end);
     }
     if !alarm.is_seen {
-        let style = brush.style(Role::Alarm);
-        brush.buffer.set_style(area, style);
+        brush.fill(area, Role::Alarm);
     }
 }
 

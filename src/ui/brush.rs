@@ -154,6 +154,12 @@ impl DrawContext<'_> {
         Rect { y, height: self.screen.footer.y.saturating_sub(y), ..whole }
     }
 
+    /// Gives all cells of an area the colours of a role; their other attributes stay.
+    pub fn fill(&mut self, area: Rect, role: Role) {
+        let style = self.style(role);
+        self.buffer.set_style(area, style);
+    }
+
     /// Lays the style of the selected row over it.
     pub fn select(&mut self, area: Rect, row: u16) {
         if row < area.height {

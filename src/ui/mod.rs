@@ -34,6 +34,7 @@ mod devices;
 mod footer;
 mod help;
 mod marks;
+mod moment;
 mod problems;
 mod saved_filters;
 mod status;
@@ -81,6 +82,7 @@ pub fn draw(app: &App, theme: &Theme, frame: &mut Frame) -> Option<u16> {
         Overlay::Comparison => comparison::draw(&mut brush),
         _ => page(&mut brush),
     }
+    moment::draw(&mut brush);
     time_bar::draw(&mut brush);
     footer::draw(&mut brush);
     cut_marks(brush.buffer);

@@ -11,6 +11,7 @@ mod help;
 mod input;
 mod keys;
 mod marks;
+mod moment;
 mod problems;
 mod time_bar;
 mod timeline;
