@@ -45,7 +45,7 @@ impl App {
             Action::NextMatch => self.go_to_match(1),
             Action::PreviousMatch => self.go_to_match(-1),
             Action::Sort => self.sort_by_next(),
-            Action::Freeze => self.freeze_or_play(),
+            Action::Freeze => self.toggle_freeze(),
             Action::Identifiers => self.next_view(),
             Action::SortReverse => self.reverse_order(),
             Action::OpenParts => self.toggle_transfer(),

@@ -11,7 +11,6 @@ use super::problems::Problems;
 use super::timeline_kind::TimelineKind;
 use super::view::Frozen;
 use super::{App, Buses, clock_millis};
-use crate::status::PlaybackCommand;
 use crate::time::Instant;
 
 /// Work of a replay in frames between which keys are handled: about 10 ms.
@@ -35,21 +34,6 @@ impl App {
     /// The moment that is shown, if it is not the present one.
     pub fn past_moment(&self) -> Option<Moment> {
         self.past.as_ref().map(|past| past.moment)
-    }
-
-    /// Freezes the present moment, or shows the present again; a log plays or pauses.
-    pub(super) fn freeze_or_play(&mut self) {
-        let playback = self.clock.playback().filter(|playback| !playback.is_ended);
-        match (playback, self.past.is_some()) {
-            (None, _) => self.toggle_freeze(),
-            (Some(_), false) => self.control_playback(PlaybackCommand::Pause),
-            (Some(playback), true) => {
-                self.show_present();
-                if playback.is_paused {
-                    self.control_playback(PlaybackCommand::Pause);
-                }
-            }
-        }
     }
 
     /// Freezes the present moment, or shows the present again.

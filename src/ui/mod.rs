@@ -71,7 +71,8 @@ pub fn draw(app: &App, theme: &Theme, frame: &mut Frame) -> Option<u16> {
         cursor: None,
         scrolled: None,
     };
-    brush.buffer.set_style(area, theme.style(Role::Text));
+    brush.fill(area, Role::Background);
+    brush.fill(area, Role::Text);
     status::draw(&mut brush);
     alarm::draw(&mut brush);
     match app.overlay() {

@@ -13,6 +13,7 @@ mod keys;
 mod marks;
 mod moment;
 mod problems;
+mod themes;
 mod time_bar;
 mod timeline;
 mod traffic;
