@@ -26,6 +26,7 @@
 //! change the view).
 
 mod actions;
+mod alarm;
 mod app_event;
 mod bitrate;
 mod buses;
@@ -58,6 +59,7 @@ mod typed_time;
 mod varint;
 mod view;
 
+pub use alarm::Alarm;
 pub use app_event::{AppEvent, BusSnapshot, DeviceEvent, EventContext, EventLine, FileSnapshot};
 pub use buses::{
     AddressHolder, AddressNames, Bus, Buses, ErrorKinds, LoadHistory, LoadMeter, LoadSample,
@@ -113,6 +115,7 @@ use crate::text::{Escaped, Name};
 use crate::time::{Duration, Epoch, Instant, debug_assert_later};
 use crate::wire::id::{Address, Service};
 use crate::wire::profile::Profile;
+use alarm::Alarms;
 use capture::Traffic;
 use clock::AppClock;
 use devices::DeviceRows;
@@ -315,6 +318,7 @@ pub struct App {
     marks: Marks,
     saved_filters: Vec<SavedFilter>,
     time_bar: TimeBar,
+    alarms: Alarms,
     /// The comparison of two moments that is open.
     comparison: Option<Box<MomentComparison>>,
     /// Content of des.json now, and before: with the time until which it was so, oldest first.
@@ -357,6 +361,7 @@ impl App {
             marks: Marks::default(),
             saved_filters: options.saved_filters,
             time_bar: TimeBar::default(),
+            alarms: Alarms::default(),
             comparison: None,
             content,
             contents_before: VecDeque::new(),
@@ -490,6 +495,7 @@ impl App {
         self.view.size = (columns, rows);
         self.renew_time_bar();
         if !std::mem::replace(&mut self.view.has_screen, true) {
+            self.settle_alarm();
             self.settle_problems();
         }
         self.notices.redraw.set_dirty();
@@ -1219,7 +1225,7 @@ impl App {
     }
 
     /// Returns true if nothing on the screen changes with time.
-    fn is_idle(&self) -> bool {
+    pub fn is_idle(&self) -> bool {
         // The axis of the charts moves.
         if self.view.page == Page::Bus && self.buses.iter().any(|bus| bus.ended.is_none()) {
             return false;
@@ -1274,6 +1280,7 @@ impl App {
         self.refresh_redundancy();
         self.refresh_problems();
         if self.view.has_screen {
+            self.settle_alarm();
             self.settle_problems();
             self.settle_bars();
             self.refresh_rows();

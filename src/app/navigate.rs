@@ -465,8 +465,8 @@ impl App {
         }
     }
 
-    /// Closes the overlay, else leaves the details, the evidence or the frame details, else switches
-    /// the filter off, else returns to the timeline or follows the newest rows.
+    /// Closes the overlay, else leaves the details, the evidence or the frame details, else shows the
+    /// present, else switches the filter off, else returns to the timeline or follows the newest rows.
     pub(super) fn cancel(&mut self) {
         let page = self.view.page;
         if self.input.has_overlay() {
@@ -476,6 +476,8 @@ impl App {
         } else if self.leave_evidence() {
         } else if page == Page::Traffic && self.view.frame_details {
             self.view.frame_details = false;
+        } else if self.past.is_some() && !self.view.from_timeline {
+            self.show_present();
         } else if self.switch_filter_off() {
         } else if self.view.from_timeline {
             self.show_page(Page::Timeline);
@@ -657,48 +659,32 @@ impl App {
         true
     }
 
-    /// Goes from a device to its problem, from a problem to its device.
+    /// Goes from a device to its problem, or to that of the alarm; from a problem to its device.
     pub(super) fn go_to_problem(&mut self) {
         if self.view.page == Page::Problems {
+            if let Some(key) = self.selected_problem().map(|problem| problem.key) {
+                self.note_alarm_seen(&key);
+            }
             self.find_row("no device for this problem");
             return;
         }
         let (bus, address, name) = self.subject();
-        if bus.is_none() && address.is_none() && name.is_none() {
-            return self.show_error("no row is selected");
-        }
+        let is_nothing = bus.is_none() && address.is_none() && name.is_none();
         let about = |problem: &Problem| problem.is_about(bus, address, name.as_ref());
-        let Some(key) = self.problems().iter().find(about).map(|problem| problem.key) else {
-            return self.show_error("no problem for this device");
+        let own = self.problems().iter().find(about).filter(|_| !is_nothing);
+        let Some(key) = own.map(|problem| problem.key).or_else(|| self.alarm_problem()) else {
+            return self.show_error(if is_nothing {
+                "no row is selected"
+            } else {
+                "no problem for this device"
+            });
         };
+        self.note_alarm_seen(&key);
         if !self.problem_keys().contains(&key) {
             self.filters.set_on(Page::Problems, false);
         }
         self.view.problems.select(key);
         self.show_page(Page::Problems);
-        self.refresh();
-    }
-
-    /// Mutes the selected problem, or unmutes it.
-    pub(super) fn toggle_muted(&mut self) {
-        if self.view.page != Page::Problems {
-            return self.show_error("mute works on the Problems page");
-        }
-        let Some(problem) = self.selected_problem() else {
-            return self.show_error("no problem is selected");
-        };
-        let (key, title) = (problem.key.clone(), problem.title());
-        let undo = self.key_of(Action::Mute);
-        // The selection follows the problem to its new place: the same key unmutes it.
-        self.view.problems.select(key.clone());
-        if let Some(past) = &mut self.past {
-            past.problems.toggle_muted(key.clone());
-        }
-        if self.problems.toggle_muted(key) {
-            self.show_info(format!("muted until descan quits ({undo} unmutes): {title}"));
-        } else {
-            self.show_info(format!("unmuted: {title}"));
-        }
         self.refresh();
     }
 

@@ -239,6 +239,7 @@ impl App {
         self.view.frozen = Some(Frozen { frames: moment.frames, lines });
         self.notices.timeline_mut().pin_lines(true);
         self.past = Some(Box::new(past));
+        self.settle_alarm();
         self.renew_time_bar();
         self.settle_problems();
         self.settle_bars();

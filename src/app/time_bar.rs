@@ -58,6 +58,11 @@ impl TimeBar {
         (self.end.since(self.begin).as_micros() as u64).max(least)
     }
 
+    /// Duration of a cell.
+    pub fn cell_duration(&self) -> Duration {
+        Duration::from_micros(self.span() / self.cells.len().max(1) as u64)
+    }
+
     /// The cell of a moment.
     pub fn cell(&self, at: Instant) -> usize {
         let offset = at.since(self.begin).as_micros();

@@ -23,6 +23,7 @@
 //! state survives a draw. Colours only by [`Role`]. Bytes that devices send arrive here escaped: as
 //! [`crate::text::Name`], or as text made by the app.
 
+mod alarm;
 mod brush;
 mod bus;
 mod chart;
@@ -33,6 +34,7 @@ mod devices;
 mod footer;
 mod help;
 mod marks;
+mod moment;
 mod problems;
 mod saved_filters;
 mod status;
@@ -69,8 +71,10 @@ pub fn draw(app: &App, theme: &Theme, frame: &mut Frame) -> Option<u16> {
         cursor: None,
         scrolled: None,
     };
-    brush.buffer.set_style(area, theme.style(Role::Text));
+    brush.fill(area, Role::Background);
+    brush.fill(area, Role::Text);
     status::draw(&mut brush);
+    alarm::draw(&mut brush);
     match app.overlay() {
         Overlay::Help(scroll) => help::draw(&mut brush, *scroll),
         Overlay::Conflict => conflict::draw(&mut brush),
@@ -79,6 +83,7 @@ pub fn draw(app: &App, theme: &Theme, frame: &mut Frame) -> Option<u16> {
         Overlay::Comparison => comparison::draw(&mut brush),
         _ => page(&mut brush),
     }
+    moment::draw(&mut brush);
     time_bar::draw(&mut brush);
     footer::draw(&mut brush);
     cut_marks(brush.buffer);

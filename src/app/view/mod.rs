@@ -42,6 +42,8 @@ pub struct View {
     pub sort: SortBy,
     /// End of a frozen view; `None` while it is live.
     pub frozen: Option<Frozen>,
+    /// A line announces a confirmed conflict.
+    pub has_alarm: bool,
     /// The time bar is shown on a small screen, too.
     pub has_time_bar: bool,
     /// What a row of the Traffic page is.

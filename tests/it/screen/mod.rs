@@ -1,5 +1,6 @@
 //! Screen tests: keys and simulated buses as input, screens as output; one module for each page.
 
+mod alarm;
 mod bus;
 mod buses;
 mod comparison;
@@ -10,8 +11,10 @@ mod help;
 mod input;
 mod keys;
 mod marks;
+mod moment;
 mod play;
 mod problems;
+mod themes;
 mod time_bar;
 mod timeline;
 mod traffic;

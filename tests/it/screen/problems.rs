@@ -141,7 +141,8 @@ fn muted_problem_is_not_counted_and_stays_muted() {
     assert_eq!(problems(&stage)[0], "confirmed address conflict (same name) @14");
     assert_eq!(selected(&stage), "address conflict (same name) @14");
     stage.keys("1 m");
-    assert_eq!(stage.app.counts().confirmed, 4, "only on the page itself");
+    assert_eq!(stage.app.counts().confirmed, 3, "elsewhere that of the alarm");
+    assert!(problems(&stage)[3].starts_with("muted confirmed address conflict"));
     // Without a selection by the user, too, the key undoes its own effect.
     let mut stage = Stage::boiler();
     stage.until(45.0).keys("4 m");
@@ -291,7 +292,10 @@ fn key_jumps_between_device_and_problem() {
     stage.keys("p");
     assert_eq!(selected(&stage), "missing @44", "also of what is not there");
     stage.keys("1 g p");
+    assert_eq!(selected(&stage), "address conflict (same name) @14", "that of the alarm");
+    stage.keys("m 1 g p");
     assert!(stage.screen().contains("no problem for this device"), "{}", stage.screen());
+    stage.keys("4 m");
     stage.keys("3 /").text("is:suspected").keys("Enter k k p");
     assert_eq!(
         selected(&stage),
@@ -345,14 +349,14 @@ fn problems_work_by_mouse_and_russian_keys() {
         let mouse = Mouse { kind: MouseKind::Press, column, row };
         stage.app.handle_mouse(stage.app.now(), mouse);
     };
-    press(&mut stage, 10, 7);
+    press(&mut stage, 10, 8);
     assert_eq!(selected(&stage), "missing @44");
     stage.keys("ь");
     assert_eq!(stage.app.counts().confirmed, 3, "ь is m");
     stage.keys("з");
     assert_eq!(stage.app.view().page, Page::Devices, "з is p");
     stage.keys("4 g Enter");
-    press(&mut stage, 10, 6);
+    press(&mut stage, 10, 7);
     let (place, _) = stage.app.evidence_alone().unwrap().selected().unwrap();
     assert_eq!(place, 2);
     let wheel = Mouse { kind: MouseKind::WheelDown, column: 10, row: 6 };
