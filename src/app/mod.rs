@@ -91,9 +91,9 @@ pub use saved_filters::{MAX_SAVED_FILTERS, SavedFilter, SavedFilterChange};
 pub use time_bar::{BAR_LEFT, BAR_RIGHT, BarSign, TimeBar};
 pub use timeline_kind::TimelineKind;
 pub use view::{
-    BarKey, BusPageLayout, BusRegions, ChartSpan, Counts, EvidenceView, FileStatus, Focus, Frozen,
-    Page, Row, RowKey, RowState, SPLIT_WIDTH, Screen, Selection, SortBy, TimeFormat, TrafficView,
-    View,
+    BarKey, BusPageLayout, BusRegions, ChartSpan, Counts, DeviceView, DevicesPage, EvidenceView,
+    FileStatus, Focus, Frozen, Page, Row, RowKey, RowState, SPLIT_WIDTH, Screen, Selection, SortBy,
+    TimeFormat, TrafficView, View,
 };
 
 use crate::bitrate::{SearchOutcome, SearchProgress};
