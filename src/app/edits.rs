@@ -449,13 +449,21 @@ impl App {
     /// Removes the lost devices.
     pub(super) fn remove_lost_devices(&mut self) {
         let lost = self.counts().lost;
+        let changed =
+            self.buses.devices().filter(|it| it.is_present() && it.has_changed_services());
+        let changed = changed.count();
         self.buses.remove_lost_devices(self.clock.now());
         self.take_events();
         self.refresh();
-        self.show_info(match lost {
+        let lost = match lost {
             0 => "no lost devices".to_owned(),
             1 => "1 lost device removed".to_owned(),
             lost => format!("{lost} lost devices removed"),
+        };
+        self.show_info(match changed {
+            0 => lost,
+            1 => format!("{lost}; changes of 1 device confirmed"),
+            _ => format!("{lost}; changes of {changed} devices confirmed"),
         });
     }
 

@@ -207,7 +207,7 @@ actions! {
     }
     Browse Bus: {
         Rescan "rescan" "Restart the enumeration" "rescan" ["r"];
-        ClearLost "clear-lost" "Remove lost devices from the list" "clear lost" ["c"];
+        ClearLost "clear-lost" "Remove lost devices; confirm changed versions" "clear lost" ["c"];
         Identify "identify" "Send identify: blink or beep (confirms; needs a profile)" "identify" ["i"];
         BitRate "bit-rate" "Search the bit rate, listen-only (confirms; needs root)" "bit rate" ["b"];
         SaveCapture "save-capture" "Save the captured frames (.log or .pcapng)" "save log" ["w"];
