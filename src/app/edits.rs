@@ -29,6 +29,9 @@ impl App {
         if !self.ensure_editable() || !self.go_to_row() {
             return;
         }
+        if let Some(refusal) = self.board_refusal() {
+            return self.show_error(refusal);
+        }
         let Some(row) = self.selected_row() else { return self.show_error("no row is selected") };
         let key = row.key.clone();
         if let Some(refusal) = self.device_of(row).and_then(addition_refusal) {
@@ -50,6 +53,9 @@ impl App {
     pub(super) fn add_device(&mut self) {
         if !self.ensure_editable() || !self.go_to_row() {
             return;
+        }
+        if let Some(refusal) = self.board_refusal() {
+            return self.show_error(refusal);
         }
         let Some(row) = self.selected_row().filter(|row| self.device_of(row).is_some()) else {
             return self.show_error("no device in this row to add");
@@ -124,6 +130,9 @@ impl App {
         if !self.ensure_editable() || !self.go_to_row() {
             return;
         }
+        if let Some(refusal) = self.board_refusal() {
+            return self.show_error(refusal);
+        }
         let Some(at) = self.selected_entry() else { return };
         if self.may_edit_entry(Some(at)) {
             let document = self.editor.file.document();
@@ -137,6 +146,9 @@ impl App {
     pub(super) fn ask_delete(&mut self) {
         if !self.ensure_editable() || !self.go_to_row() {
             return;
+        }
+        if let Some(refusal) = self.board_refusal() {
+            return self.show_error(refusal);
         }
         let Some(at) = self.selected_entry() else { return };
         let document = self.editor.file.document();

@@ -27,11 +27,14 @@
 
 mod actions;
 mod app_event;
+mod beat_strip;
 mod bitrate;
+mod boards;
 mod buses;
 mod capture;
 mod clock;
 mod compared_moments;
+mod device_page;
 mod devices;
 mod edits;
 mod events;
@@ -48,14 +51,17 @@ mod navigate;
 mod notices;
 mod page_filters;
 mod past;
+mod places;
 mod problems;
 mod saved_filters;
 mod time_bar;
 mod timeline_kind;
 mod typed_time;
+mod versions;
 mod view;
 
 pub use app_event::{AppEvent, BusSnapshot, DeviceEvent, EventContext, EventLine, FileSnapshot};
+pub use beat_strip::{Beat, BeatKind, BeatStats};
 pub use buses::{
     AddressHolder, AddressNames, Bus, Buses, ErrorKinds, LoadHistory, LoadMeter, LoadSample,
     LoadSecond, LoadShares, Redundancy, RedundantDevice, ShareCounts, TxBlocked,
@@ -67,6 +73,7 @@ pub use capture::{
     Identifiers, Latency, NOTED_BYTES, StoredFrames, Transfer,
 };
 pub use compared_moments::{ComparedMoment, ComparisonNote, ComparisonRow, MomentComparison};
+pub use device_page::BEATS_PER_LINE;
 pub use devices::concerns;
 pub use file::{EditRefusal, FileChange, FileError, FileReading, FileState, SaveOutcome, Saving};
 pub use filter::{
@@ -90,10 +97,14 @@ pub use problems::{
 pub use saved_filters::{MAX_SAVED_FILTERS, SavedFilter, SavedFilterChange};
 pub use time_bar::{BAR_LEFT, BAR_RIGHT, BarSign, TimeBar};
 pub use timeline_kind::TimelineKind;
+pub use versions::{
+    ServiceInFile, ServiceTable, VersionCell, VersionNote, matrix_start, missing_services,
+    printable, removed_services, twin_differences, version_before,
+};
 pub use view::{
-    BarKey, BusPageLayout, BusRegions, ChartSpan, Counts, DeviceView, DevicesPage, EvidenceView,
-    FileStatus, Focus, Frozen, Page, Row, RowKey, RowState, SPLIT_WIDTH, Screen, Selection, SortBy,
-    TimeFormat, TrafficView, View,
+    BarKey, Board, BusPageLayout, BusRegions, ChartSpan, Counts, DeviceView, DevicesPage,
+    EvidenceView, FileStatus, Focus, Frozen, Page, Row, RowKey, RowState, SPLIT_WIDTH, Screen,
+    Selection, SortBy, TimeFormat, TrafficView, View,
 };
 
 use crate::bitrate::{SearchOutcome, SearchProgress};
@@ -115,6 +126,7 @@ use file::{FileContent, FileEditor};
 use input::{Input, PromptContext, PromptOutcome, PromptResult};
 use notices::Notices;
 use past::Past;
+use places::Place;
 use problems::Problems;
 use std::collections::{BTreeMap, VecDeque};
 use std::ops::Range;
@@ -301,6 +313,8 @@ pub struct App {
     replay: Option<BusesReplay>,
     replay_due: Option<Instant>,
     marks: Marks,
+    /// Places that were left, oldest first.
+    places: Vec<Place>,
     saved_filters: Vec<SavedFilter>,
     time_bar: TimeBar,
     /// The comparison of two moments that is open.
@@ -340,6 +354,7 @@ impl App {
             replay: None,
             replay_due: None,
             marks: Marks::default(),
+            places: Vec::new(),
             saved_filters: options.saved_filters,
             time_bar: TimeBar::default(),
             comparison: None,
@@ -1108,7 +1123,7 @@ impl App {
         let id = match &prompt.kind {
             PromptKind::Address(prompt) => match prompt.key {
                 RowKey::Device(id) => Some(id),
-                RowKey::Entry(_) => None,
+                RowKey::Entry(_) | RowKey::Board(..) => None,
             },
             _ => None,
         };

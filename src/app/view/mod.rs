@@ -18,7 +18,7 @@ pub use cursor::Selection;
 pub use devices_page::{DeviceView, DevicesPage};
 pub use evidence::EvidenceView;
 pub use page::{Focus, Frozen, Page};
-pub use rows::{Counts, FileStatus, Row, RowKey, RowState, SortBy};
+pub use rows::{Board, Counts, FileStatus, Row, RowKey, RowState, SortBy};
 pub use screen::{SPLIT_WIDTH, Screen};
 pub use traffic_view::{CallOrder, IdentifierOrder, TimeFormat, TrafficView};
 
