@@ -75,6 +75,8 @@ roles! {
     Graph2 "graph_2" "Chart of the error rate.",
     Recording "recording" "Sign of a running recording.",
     Changed "changed" "Bytes, versions and values that changed.",
+    Beat "beat" "Heartbeats that are on time.",
+    BeatBad "beat_bad" "Heartbeats that are early, late, doubled or missed.",
     Request "request" "Requests.",
     Response "response" "Responses and their latency.",
     Debug "debug" "Debug messages.",

@@ -162,7 +162,8 @@ impl BeatStats {
         let sum: u128 = gaps.iter().map(Duration::as_micros).sum();
         let mean = (sum / gaps.len() as u128) as u64;
         stats.period = Some(Duration::from_micros(mean));
-        let mut off: Vec<u64> = gaps.iter().map(|gap| (gap.as_micros() as u64).abs_diff(mean)).collect();
+        let mut off: Vec<u64> =
+            gaps.iter().map(|gap| (gap.as_micros() as u64).abs_diff(mean)).collect();
         off.sort_unstable();
         stats.jitter =
             off.get((off.len() * 95 / 100).min(off.len() - 1)).copied().map(Duration::from_micros);

@@ -303,7 +303,7 @@ fn sort(rows: &mut [Row], buses: &Buses, by: SortBy) {
     }
     rows.sort_by(|a, b| {
         let seen = |row: &Row| Reverse(row.device(buses).map(|device| device.first_seen));
-        let mode = |row: &Row| known(row.mode(buses));
+        let mode = |row: &Row| known(row.device(buses).and_then(|device| row.mode_of(device)));
         let heartbeat = |row: &Row| row.device(buses).map(|device| &device.heartbeat);
         let missed = |row: &Row| known(heartbeat(row).map(|beats| Reverse(beats.missed)));
         let jitter =

@@ -2,7 +2,7 @@
 //! and the title of the details; and the divider in front of the details.
 
 use super::brush::{DrawContext, fit};
-use crate::app::{Focus, Page, PageFilter, RowKey, TrafficView};
+use crate::app::{Focus, Page, PageFilter, TrafficView};
 use crate::keymap::Action;
 use crate::theme::Role;
 use ratatui::layout::Rect;
@@ -58,7 +58,8 @@ pub fn draw(brush: &mut DrawContext) {
         let view = brush.app.view().traffic_view.title();
         draw_views(brush, &TrafficView::ALL.map(TrafficView::title), view, view, end);
     }
-    if details.height == 0 || screen.lower_rule.y + 1 == details.y {
+    let has_rule = screen.details_rule.height > 0 || screen.lower_rule.y + 1 == details.y;
+    if details.height == 0 || has_rule {
         return;
     }
     let mut at = Rect { x: details.x, width: details.width, ..area };
@@ -99,13 +100,12 @@ pub fn draw(brush: &mut DrawContext) {
 fn title(brush: &DrawContext) -> Option<String> {
     let app = brush.app;
     match app.view().page {
+        // Beside the list, the details begin with their title.
+        Page::Devices if !brush.screen.details_alone() => None,
         Page::Devices => {
-            let row = app.selected_row()?;
-            let name = row.name.as_ref().map_or("?".to_owned(), |it| it.quoted().to_string());
-            Some(match (&row.key, row.address) {
-                (RowKey::Device(_), Some(address)) => format!("{name} @{address}"),
-                _ => name,
-            })
+            let title = super::details::title(app, app.selected_row()?);
+            let is_history = app.view().devices_page.shows_history;
+            Some(if is_history { format!("{title} · heartbeats") } else { title })
         }
         // The addresses first: the end is cut.
         Page::Problems => app.selected_problem().map(|problem| {

@@ -72,12 +72,9 @@ impl Row {
         }
     }
 
-    /// Mode of the device or of the board; `None` if its heartbeats carry none.
-    pub fn mode(&self, buses: &Buses) -> Option<Mode> {
-        match self.board {
-            Some(board) => board.sender.mode,
-            None => self.device(buses)?.mode,
-        }
+    /// Mode of the board, else of the device; `None` if its heartbeats carry none.
+    pub fn mode_of(&self, device: &Device) -> Option<Mode> {
+        self.board.map_or(device.mode, |board| board.sender.mode)
     }
 
     /// The devices: several where buses are redundant.
