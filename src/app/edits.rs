@@ -329,6 +329,10 @@ impl App {
         if let Some(action) = self.input.lookup_global(key).filter(|_| key.ctrl) {
             return self.run(action);
         }
+        if self.is_first_row_typed(key) {
+            self.input.close_prompt();
+            return self.move_to_end(false);
+        }
         let Some(prompt) = self.input.prompt_mut() else { return };
         match prompt.handle_key(key) {
             PromptResult::Typed => self.prompt_changed(),

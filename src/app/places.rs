@@ -2,10 +2,11 @@
 //!
 //! Bounded: 16 places. Does not know how a page shows what was gone to.
 
-use super::App;
 use super::page_filters::PageFilter;
 use super::view::{Page, TrafficView};
+use super::{App, Prompt, PromptKind};
 use crate::frame::BusIndex;
+use crate::keymap::{Action, Key, KeyCode};
 use crate::wire::id::Address;
 
 /// Most places that are remembered; more steps back are rare.
@@ -49,6 +50,18 @@ impl App {
         }
         self.show_page(place.page);
         self.filter_changed();
+    }
+
+    /// Returns true if the key of `go-to`, a letter, is typed into its empty prompt: it goes to the
+    /// first row.
+    pub(super) fn is_first_row_typed(&self, key: Key) -> bool {
+        let is_empty = |prompt: &Prompt| {
+            matches!(prompt.kind, PromptKind::Moment(_)) && prompt.input.value().is_empty()
+        };
+        let is_letter = matches!(key.code, KeyCode::Char(c) if c.is_ascii_alphabetic());
+        self.prompt().is_some_and(is_empty)
+            && is_letter
+            && self.keymap().keys_of(Action::GoTo).any(|own| own == key)
     }
 
     /// Shows the events of what is selected on the Timeline page.

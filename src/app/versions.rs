@@ -84,6 +84,10 @@ pub fn removed_services(device: &Device) -> impl Iterator<Item = &DeviceService>
     })
 }
 
+/// Share of the devices of a bus from which a service is common: DES and CFG are, though one device
+/// may have its services not read, or none.
+const COMMON: f64 = 0.75;
+
 /// Cells of a service in the view of services: `1.0` to `10.12→10.13≠`.
 const CELL_WIDTH: std::ops::RangeInclusive<usize> = 3..=12;
 /// Width of a list with the UID in the view of services.
@@ -230,8 +234,8 @@ impl<'a> ServiceTable<'a> {
         self.widths(app, width, first).len()
     }
 
-    /// What the VERSIONS column says of a device: first what has changed, then the services that
-    /// not all devices of its bus have; at most `most`, and the number of further ones.
+    /// What the VERSIONS column says of a device: first what has changed, then the services that are
+    /// not common on its bus; at most `most`, and the number of further ones.
     pub fn notes(&self, device: &Device, most: usize) -> (Vec<VersionNote>, usize) {
         let mut notes = Vec::new();
         let mut count = 0;
@@ -256,7 +260,8 @@ impl<'a> ServiceTable<'a> {
         let bus = self.buses.get(&device.id.bus);
         let is_common = |name: &Name| {
             bus.is_some_and(|bus| {
-                bus.devices > 1 && bus.having.get(name).is_some_and(|having| *having >= bus.devices)
+                let having = bus.having.get(name).copied().unwrap_or(0);
+                bus.devices > 1 && having as f64 >= COMMON * bus.devices as f64
             })
         };
         for service in services {

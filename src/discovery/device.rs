@@ -101,7 +101,7 @@ pub(super) const MISSED_HEARTBEAT_PERIODS: f64 = 1.4;
 
 /// Changes of the period and of the jitter that the screen shows, as fractions: smaller ones would
 /// redraw the row of a healthy device.
-const STEADY_PERIOD: f64 = 0.01;
+const STEADY_PERIOD: f64 = 0.005;
 const STEADY_JITTER: f64 = 0.2;
 
 impl HeartbeatStats {
@@ -117,7 +117,7 @@ impl HeartbeatStats {
             .then(|| Duration::from_micros(self.variance_us2.max(0.0).sqrt() as u64))
     }
 
-    /// Returns the period for the screen: it changes only when the mean interval has changed by 1 %.
+    /// Returns the period for the screen: it changes only when the mean interval has changed by half a percent.
     /// `None` before the first interval.
     pub fn steady_period(&self) -> Option<Duration> {
         (self.intervals > 0).then(|| Duration::from_micros(self.steady_period_us as u64))

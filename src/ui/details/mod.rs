@@ -283,14 +283,6 @@ impl<'b, 'a> DeviceDetails<'b, 'a> {
         let app = self.app();
         let is_shared = app.is_shared(device);
         self.blank();
-        let mut label = "heartbeat";
-        if beats.count > 0 && self.brush.screen.list.width < STRIP_FROM {
-            let mut line = Line::from(self.brush.span(Role::Muted, fit(label, LABEL)));
-            let cells = app.beats_of(self.row, STRIP);
-            line.spans.extend(devices::strip_spans(self.brush, &cells, STRIP));
-            self.lines.push(line);
-            label = " ";
-        }
         let stats = BeatStats::of(&if self.row.board.is_some() {
             app.beats_of(self.row, devices::STATS_BEATS)
         } else {
@@ -300,23 +292,41 @@ impl<'b, 'a> DeviceDetails<'b, 'a> {
             Some(_) => (stats.period, stats.jitter),
             None => (beats.steady_period(), beats.steady_jitter()),
         };
-        let text = match (period, jitter) {
-            _ if beats.count == 0 => "none received".to_owned(),
-            // Period and jitter of two senders mixed describe neither of them.
-            _ if is_shared && self.row.board.is_none() => "mixed: two senders".to_owned(),
-            (Some(period), Some(jitter)) => {
-                format!("{} {}", devices::period_text(period), devices::jitter_text(jitter))
-            }
-            (Some(period), None) => devices::period_text(period),
-            (None, _) => "one received".to_owned(),
-        };
+        // Period and jitter of two senders mixed describe neither of them.
+        let is_mixed = is_shared && self.row.board.is_none();
         let missed = match beats.missed {
             _ if self.row.board.is_some() => stats.missed as u64,
-            _ if is_shared => 0,
+            _ if is_mixed => 0,
             missed => missed,
         };
-        let text = if missed > 0 { format!("{text}, {missed} missed") } else { text };
-        self.add(label, Role::Text, &text);
+        let missed = (missed > 0).then(|| format!("{missed} missed"));
+        let (first, rest) = match (period, jitter) {
+            _ if beats.count == 0 => ("none received".to_owned(), None),
+            _ if is_mixed => ("mixed: two senders".to_owned(), None),
+            (Some(period), jitter) => {
+                (devices::period_text(period), jitter.map(devices::jitter_text))
+            }
+            (None, _) => ("one received".to_owned(), None),
+        };
+        let rest = rest.into_iter().chain(missed).collect::<Vec<String>>().join(", ");
+        if beats.count > 0 && self.brush.screen.list.width < STRIP_FROM {
+            let mut line = Line::from(self.brush.span(Role::Muted, fit("heartbeat", LABEL)));
+            let cells = app.beats_of(self.row, STRIP);
+            line.spans.extend(devices::strip_spans(self.brush, &cells, STRIP));
+            let text = format!(" {first}");
+            let fits = LABEL + STRIP + text.width() <= usize::from(self.width);
+            if fits {
+                line.push_span(self.brush.span(Role::Text, text));
+            }
+            self.lines.push(line);
+            if !fits {
+                self.add(" ", Role::Text, &first);
+            }
+            self.add(" ", Role::Text, &rest);
+        } else {
+            let blank = if rest.is_empty() { "" } else { " " };
+            self.add("heartbeat", Role::Text, &format!("{first}{blank}{rest}"));
+        }
         let modes: Vec<String> = device.mode_history.iter().map(|it| it.mode.to_string()).collect();
         let since = device.mode_history.back().filter(|_| self.row.board.is_none());
         let since = since.map(|change| format!(" since {}", format_time_of_day(app, change.time)));

@@ -123,7 +123,7 @@ fn about(
             format!("{time} missed: expected then{until}")
         }
     };
-    indented(brush, Role::Text, &format!("{text}   {key}: frames around it"), "▸", width)
+    indented(brush, Role::Text, &format!("{text}; {key} shows the frames around it"), "▸", width)
 }
 
 fn indented(

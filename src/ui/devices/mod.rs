@@ -49,6 +49,30 @@ pub fn draw(brush: &mut DrawContext) {
         DeviceView::Services => matrix::draw(brush),
         DeviceView::Heartbeats => draw_heartbeats(brush),
     }
+    // The view of services has the number of hidden services there.
+    if app.view().devices_page.view != DeviceView::Services {
+        draw_hidden_rows(brush);
+    }
+}
+
+/// Draws the number of rows above and below the screen at the right end of the headings.
+fn draw_hidden_rows(brush: &mut DrawContext) {
+    let (header, list) = (brush.screen.header, brush.screen.list);
+    let (app, height) = (brush.app, usize::from(list.height));
+    let count = app.rows().len();
+    let above = app.view().devices.top(app.selected_row_index(), count, height);
+    let below = count.saturating_sub(above + height);
+    let text = match (above, below) {
+        (0, 0) => return,
+        (above, 0) => format!(" ↑{above}"),
+        (0, below) => format!(" ↓{below}"),
+        (above, below) => format!(" ↑{above} ↓{below}"),
+    };
+    let width = text.width() as u16;
+    if width < header.width {
+        let line = Line::from(brush.span(Role::Muted, text));
+        brush.line(Rect { x: header.right() - width, width, ..header }, 0, &line);
+    }
 }
 
 /// Draws the views and their key into the page rule.
