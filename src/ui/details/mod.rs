@@ -114,8 +114,8 @@ impl<'b, 'a> DeviceDetails<'b, 'a> {
         }
         let device = self.app().device_of(self.row);
         self.fill_state(device);
-        self.blank();
         if let Some(device) = device {
+            self.twins(device);
             self.services(device);
             self.fill_identity(device);
         }
@@ -128,7 +128,10 @@ impl<'b, 'a> DeviceDetails<'b, 'a> {
             (Section::State, device) => self.fill_state(device),
             (Section::Services, Some(device)) => self.services(device),
             (Section::Services, None) => self.listed_services(),
-            (Section::Identity, Some(device)) => self.fill_identity(device),
+            (Section::Identity, Some(device)) => {
+                self.twins(device);
+                self.fill_identity(device);
+            }
             (Section::Identity, None) => {}
         }
         self.lines
@@ -139,6 +142,7 @@ impl<'b, 'a> DeviceDetails<'b, 'a> {
         self.findings(device);
         self.why(device);
         if let Some(device) = device {
+            self.other_buses(device);
             self.boards(device);
             self.heartbeat(device);
         }
@@ -150,8 +154,6 @@ impl<'b, 'a> DeviceDetails<'b, 'a> {
 
     fn fill_identity(&mut self, device: &Device) {
         self.blank();
-        self.twins(device);
-        self.other_buses(device);
         self.identity(device);
         self.history(device);
         self.requests(device);

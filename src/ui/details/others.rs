@@ -49,6 +49,7 @@ impl DeviceDetails<'_, '_> {
         if !self.row.twin {
             return;
         }
+        self.blank();
         let app = self.app();
         let devices = app.buses()[usize::from(device.id.bus.0)].devices().iter();
         let mut twins: Vec<&Device> = devices

@@ -107,7 +107,7 @@ impl DeviceDetails<'_, '_> {
             return;
         }
         let mut line = Line::from(self.brush.span(Role::Title, fit(&title, INDEX + table.name)));
-        let heads = [("now", true), ("before", table.has_before), ("file", table.has_file)];
+        let heads = [("now", true), ("was", table.has_before), ("file", table.has_file)];
         for (head, _) in heads.into_iter().filter(|(_, is_shown)| *is_shown) {
             let text = format!(" {}", fit(head, table.version));
             line.push_span(self.brush.span(Role::Header, text));
