@@ -79,6 +79,8 @@ roles! {
     Recording "recording" "Sign of a running recording.",
     Mark "mark" "Marks on the time bar and in lists.",
     Changed "changed" "Bytes, versions and values that changed.",
+    Beat "beat" "Heartbeats that are on time.",
+    BeatBad "beat_bad" "Heartbeats that are early, late, doubled or missed.",
     Request "request" "Requests.",
     Response "response" "Responses and their latency.",
     Debug "debug" "Debug messages.",

@@ -4,7 +4,7 @@
 //! confirmation.
 
 use super::timeline_kind::TimelineKind;
-use super::{App, Effect, Overlay, Page};
+use super::{App, BEATS_PER_LINE, Effect, Overlay, Page};
 use crate::keymap::Action;
 use crate::status::PlaybackCommand;
 
@@ -21,11 +21,20 @@ impl App {
         match action {
             Action::Up => self.move_by(-1),
             Action::Down => self.move_by(1),
+            Action::PageUp if self.shows_beat_history() => {
+                self.choose_beat(-(BEATS_PER_LINE.cast_signed()));
+            }
+            Action::PageDown if self.shows_beat_history() => {
+                self.choose_beat(BEATS_PER_LINE.cast_signed());
+            }
             Action::PageUp => self.move_pages(-1),
             Action::PageDown => self.move_pages(1),
             Action::First => self.move_to_end(false),
             Action::Last => self.move_to_end(true),
+            Action::Details if self.shows_beat_history() => self.go_to_beat(),
             Action::Details => self.open_details(),
+            Action::Into if self.move_along_devices(1) => {}
+            Action::Back if self.move_along_devices(-1) => {}
             Action::Into if self.past.is_some() => self.scrub(1),
             Action::Back if self.past.is_some() => self.scrub(-1),
             Action::Into => self.go_into(),
@@ -37,7 +46,10 @@ impl App {
             Action::Timeline => self.show_page(Page::Timeline),
             Action::Problems => self.show_page(Page::Problems),
             Action::Bus => self.show_page(Page::Bus),
-            Action::Frames => self.go_to_frames_of_selection(),
+            Action::Frames => self.go_from_here(Self::go_to_frames_of_selection),
+            Action::Events => self.go_from_here(Self::go_to_events),
+            Action::Heartbeats => self.go_from_here(Self::toggle_beat_history),
+            Action::Return => self.go_to_last_place(),
             Action::Filter => self.ask_filter(),
             Action::FilterToggle => self.toggle_filter(),
             Action::OnlyLike => self.filter_like(false),
@@ -50,7 +62,7 @@ impl App {
             Action::SortReverse => self.reverse_order(),
             Action::OpenParts => self.toggle_transfer(),
             Action::TimeFormat => self.next_time_format(),
-            Action::Problem => self.go_to_problem(),
+            Action::Problem => self.go_from_here(Self::go_to_problem),
             Action::Mute => self.toggle_muted(),
             Action::Copy => self.copy_row(),
             Action::Cancel | Action::HelpClose | Action::MarksClose | Action::FiltersClose => {

@@ -8,8 +8,9 @@ use super::buses::{Bus, Buses};
 use super::filter::Filter;
 use super::listing::other_services;
 use super::problems::ProblemList;
+use super::versions::count_differences;
 use super::view::{Counts, FileStatus, Row, RowKey, RowState, SortBy, View};
-use crate::discovery::Device;
+use crate::discovery::{Device, HeartbeatStats};
 use crate::document::Entry;
 use crate::finding::{Finding, FindingState};
 use crate::frame::BusIndex;
@@ -141,7 +142,10 @@ impl Inputs<'_> {
             let devices = bus.devices().iter();
             // A device on redundant buses has its row on the first.
             let own = devices.filter(|it| self.buses.redundant(it.id).all(|other| other > it.id));
-            rows.extend(own.filter_map(|device| self.merged_row(&contents, device)));
+            rows.extend(own.flat_map(|device| {
+                let row = self.merged_row(&contents, device);
+                row.map(|row| self.board_rows(row, device)).unwrap_or_default()
+            }));
         }
         for entry in entries {
             if self.matching.devices_of(entry.index).is_empty() {
@@ -176,6 +180,7 @@ impl Inputs<'_> {
             row.entry = row.entry.or(other.entry);
             row.has_findings |= other.has_findings;
             row.has_other_services |= other.has_other_services;
+            row.differences = row.differences.max(other.differences);
             row.redundant_ids.push(id);
         }
         Some(row)
@@ -188,6 +193,7 @@ impl Inputs<'_> {
         let confirmed =
             findings().any(|it| it.state == FindingState::Confirmed && it.key.kind.is_conflict());
         let twin = device.is_present() && contents.has_twins(device);
+        let others = entry.and_then(|at| other_services(&self.document.entries()[at], device));
         Row {
             key: RowKey::Device(device.id),
             bus: Some(device.id.bus),
@@ -204,8 +210,10 @@ impl Inputs<'_> {
             redundant_ids: Vec::new(),
             file: self.file_status(device, entry.map(|at| &self.document.entries()[at])),
             has_findings: entry.is_some_and(|at| self.document.has_findings(at)),
-            has_other_services: entry
-                .is_some_and(|at| other_services(&self.document.entries()[at], device).is_some()),
+            has_other_services: others.is_some(),
+            differences: others.map_or(0, |(listed, own)| count_differences(Some(listed), own)),
+            uid: device.uid,
+            board: None,
             entry,
         }
     }
@@ -253,6 +261,9 @@ impl Inputs<'_> {
             },
             has_findings: self.document.has_findings(entry.index),
             has_other_services: false,
+            differences: 0,
+            uid: None,
+            board: None,
             entry: Some(entry.index),
         })
     }
@@ -286,23 +297,43 @@ fn count(rows: &[Row], problems: &ProblemList) -> Counts {
 
 /// Sorts rows; equal ones by bus, address and name.
 fn sort(rows: &mut [Row], buses: &Buses, by: SortBy) {
+    /// Sort key that puts rows without a value last.
+    fn known<T: Ord>(value: Option<T>) -> impl Ord {
+        (value.is_none(), value)
+    }
     rows.sort_by(|a, b| {
         let seen = |row: &Row| Reverse(row.device(buses).map(|device| device.first_seen));
-        let mode = |row: &Row| {
-            let mode = row.device(buses).and_then(|device| device.mode);
-            (mode.is_none(), mode)
-        };
+        let mode = |row: &Row| known(row.device(buses).and_then(|device| row.mode_of(device)));
+        let heartbeat = |row: &Row| row.device(buses).map(|device| &device.heartbeat);
+        let missed = |row: &Row| known(heartbeat(row).map(|beats| Reverse(beats.missed)));
+        let jitter =
+            |row: &Row| known(heartbeat(row).and_then(HeartbeatStats::steady_jitter).map(Reverse));
+        let period = |row: &Row| known(heartbeat(row).and_then(HeartbeatStats::steady_period));
+        let services = |row: &Row| row.device(buses).and_then(|device| device.services.as_ref());
         match by {
             SortBy::Address => Ordering::Equal,
             SortBy::Name => name(a).cmp(&name(b)),
+            SortBy::Uid => known(a.uid).cmp(&known(b.uid)),
             SortBy::State => {
                 let urgency =
                     |row: &Row| (row.state != RowState::Conflict, !row.suspected, row.state);
                 urgency(a).cmp(&urgency(b))
             }
             SortBy::Mode => mode(a).cmp(&mode(b)),
+            SortBy::Period => period(a).cmp(&period(b)),
+            SortBy::Jitter => jitter(a).cmp(&jitter(b)),
+            SortBy::Missed => missed(a).cmp(&missed(b)),
+            SortBy::Versions => {
+                let is_same =
+                    |row: &Row| !row.device(buses).is_some_and(Device::has_changed_services);
+                is_same(a).cmp(&is_same(b))
+            }
             SortBy::Seen => seen(a).cmp(&seen(b)),
             SortBy::File => difference(a).cmp(&difference(b)),
+            SortBy::Services => {
+                let count = |row: &Row| known(services(row).map(|all| Reverse(all.len())));
+                count(a).cmp(&count(b))
+            }
         }
         .then_with(|| place(a).cmp(&place(b)))
     });
@@ -327,9 +358,9 @@ fn difference(row: &Row) -> u8 {
     }
 }
 
-/// Sort key: bus, address, name.
+/// Sort key: bus, address, board, name.
 fn place(row: &Row) -> impl Ord {
-    (row.bus, row.address, row.name.as_ref())
+    (row.bus, row.address, row.board.map(|board| board.side), row.name.as_ref())
 }
 
 /// Returns true if a finding of its bus concerns this device.

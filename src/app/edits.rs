@@ -29,6 +29,9 @@ impl App {
         if !self.ensure_editable() || !self.go_to_row() {
             return;
         }
+        if let Some(refusal) = self.board_refusal() {
+            return self.show_error(refusal);
+        }
         let Some(row) = self.selected_row() else { return self.show_error("no row is selected") };
         let key = row.key.clone();
         if let Some(refusal) = self.device_of(row).and_then(addition_refusal) {
@@ -50,6 +53,9 @@ impl App {
     pub(super) fn add_device(&mut self) {
         if !self.ensure_editable() || !self.go_to_row() {
             return;
+        }
+        if let Some(refusal) = self.board_refusal() {
+            return self.show_error(refusal);
         }
         let Some(row) = self.selected_row().filter(|row| self.device_of(row).is_some()) else {
             return self.show_error("no device in this row to add");
@@ -124,6 +130,9 @@ impl App {
         if !self.ensure_editable() || !self.go_to_row() {
             return;
         }
+        if let Some(refusal) = self.board_refusal() {
+            return self.show_error(refusal);
+        }
         let Some(at) = self.selected_entry() else { return };
         if self.may_edit_entry(Some(at)) {
             let document = self.editor.file.document();
@@ -137,6 +146,9 @@ impl App {
     pub(super) fn ask_delete(&mut self) {
         if !self.ensure_editable() || !self.go_to_row() {
             return;
+        }
+        if let Some(refusal) = self.board_refusal() {
+            return self.show_error(refusal);
         }
         let Some(at) = self.selected_entry() else { return };
         let document = self.editor.file.document();
@@ -317,6 +329,10 @@ impl App {
         if let Some(action) = self.input.lookup_global(key).filter(|_| key.ctrl) {
             return self.run(action);
         }
+        if self.is_first_row_typed(key) {
+            self.input.close_prompt();
+            return self.move_to_end(false);
+        }
         let Some(prompt) = self.input.prompt_mut() else { return };
         match prompt.handle_key(key) {
             PromptResult::Typed => self.prompt_changed(),
@@ -449,13 +465,21 @@ impl App {
     /// Removes the lost devices.
     pub(super) fn remove_lost_devices(&mut self) {
         let lost = self.counts().lost;
+        let changed =
+            self.buses.devices().filter(|it| it.is_present() && it.has_changed_services());
+        let changed = changed.count();
         self.buses.remove_lost_devices(self.clock.now());
         self.take_events();
         self.refresh();
-        self.show_info(match lost {
+        let lost = match lost {
             0 => "no lost devices".to_owned(),
             1 => "1 lost device removed".to_owned(),
             lost => format!("{lost} lost devices removed"),
+        };
+        self.show_info(match changed {
+            0 => lost,
+            1 => format!("{lost}; changes of 1 device confirmed"),
+            _ => format!("{lost}; changes of {changed} devices confirmed"),
         });
     }
 

@@ -28,11 +28,14 @@
 mod actions;
 mod alarm;
 mod app_event;
+mod beat_strip;
 mod bitrate;
+mod boards;
 mod buses;
 mod capture;
 mod clock;
 mod compared_moments;
+mod device_page;
 mod devices;
 mod edits;
 mod events;
@@ -50,6 +53,7 @@ mod navigate;
 mod notices;
 mod page_filters;
 mod past;
+mod places;
 mod play;
 mod problems;
 mod saved_filters;
@@ -57,10 +61,12 @@ mod time_bar;
 mod timeline_kind;
 mod typed_time;
 mod varint;
+mod versions;
 mod view;
 
 pub use alarm::Alarm;
 pub use app_event::{AppEvent, BusSnapshot, DeviceEvent, EventContext, EventLine, FileSnapshot};
+pub use beat_strip::{Beat, BeatKind, BeatStats};
 pub use buses::{
     AddressHolder, AddressNames, Bus, Buses, ErrorKinds, LoadHistory, LoadMeter, LoadSample,
     LoadSecond, LoadShares, Redundancy, RedundantDevice, ShareCounts, TxBlocked,
@@ -72,6 +78,7 @@ pub use capture::{
     Identifiers, Latency, NOTED_BYTES, StoredFrames, Transfer,
 };
 pub use compared_moments::{ComparedMoment, ComparisonNote, ComparisonRow, MomentComparison};
+pub use device_page::BEATS_PER_LINE;
 pub use devices::concerns;
 pub use file::{EditRefusal, FileChange, FileError, FileReading, FileState, SaveOutcome, Saving};
 pub use filter::{
@@ -96,10 +103,14 @@ pub use problems::{
 pub use saved_filters::{MAX_SAVED_FILTERS, SavedFilter, SavedFilterChange};
 pub use time_bar::{BAR_LEFT, BAR_RIGHT, BarSign, TimeBar};
 pub use timeline_kind::TimelineKind;
+pub use versions::{
+    ServiceInFile, ServiceTable, VersionCell, VersionNote, matrix_start, missing_services,
+    printable, removed_services, twin_differences, version_before,
+};
 pub use view::{
-    BarKey, BusPageLayout, BusRegions, ChartSpan, Counts, EvidenceView, FileStatus, Focus, Frozen,
-    Page, Row, RowKey, RowState, SPLIT_WIDTH, Screen, Selection, SortBy, TimeFormat, TrafficView,
-    View,
+    BarKey, Board, BusPageLayout, BusRegions, ChartSpan, Counts, DeviceView, DevicesPage,
+    EvidenceView, FileStatus, Focus, Frozen, Page, Row, RowKey, RowState, SPLIT_WIDTH, Screen,
+    Selection, SortBy, TimeFormat, TrafficView, View,
 };
 
 use crate::bitrate::{SearchOutcome, SearchProgress};
@@ -123,6 +134,7 @@ use file::{FileContent, FileEditor};
 use input::{Input, PromptContext, PromptOutcome, PromptResult};
 use notices::Notices;
 use past::Past;
+use places::Place;
 use play::Play;
 use problems::Problems;
 use std::collections::{BTreeMap, VecDeque};
@@ -316,6 +328,8 @@ pub struct App {
     /// A log was paused because another moment is shown.
     is_log_held: bool,
     marks: Marks,
+    /// Places that were left, oldest first.
+    places: Vec<Place>,
     saved_filters: Vec<SavedFilter>,
     time_bar: TimeBar,
     alarms: Alarms,
@@ -359,6 +373,7 @@ impl App {
             reading_ahead: None,
             is_log_held: false,
             marks: Marks::default(),
+            places: Vec::new(),
             saved_filters: options.saved_filters,
             time_bar: TimeBar::default(),
             alarms: Alarms::default(),
@@ -1155,7 +1170,7 @@ impl App {
         let id = match &prompt.kind {
             PromptKind::Address(prompt) => match prompt.key {
                 RowKey::Device(id) => Some(id),
-                RowKey::Entry(_) => None,
+                RowKey::Entry(_) | RowKey::Board(..) => None,
             },
             _ => None,
         };

@@ -313,14 +313,7 @@ impl App {
     /// Shows the frames of what is selected: of the device, of the problem, at the timeline line.
     pub(super) fn go_to_frames_of_selection(&mut self) {
         match self.view.page {
-            Page::Devices => {
-                let Some(address) = self.selected_row().and_then(|row| row.address) else {
-                    return self.show_error("no frames: not on the bus");
-                };
-                self.view.traffic_view = TrafficView::Frames;
-                self.set_filter(Page::Traffic, &format!("at:{address}"));
-                self.show_page(Page::Traffic);
-            }
+            Page::Devices => self.go_to_frames_of_device(),
             Page::Timeline => self.go_to_frames(),
             Page::Problems => self.open_evidence(),
             Page::Bus => self.go_to_frames_of_bar(),
@@ -380,11 +373,7 @@ impl App {
     }
 
     fn show_frames_with(&mut self, bus: BusIndex, term: &str) {
-        let name = self.buses.get(bus).filter(|_| self.buses.len() > 1).map(|bus| &bus.name);
-        let line = match name {
-            Some(name) => format!("{term} bus:\"={}\"", name.replace('"', "")),
-            None => term.to_owned(),
-        };
+        let line = term.to_owned() + &self.bus_term(Some(bus));
         self.view.traffic_view = TrafficView::Frames;
         self.view.traffic = None;
         self.commit_filter(Page::Traffic, &line);
@@ -434,16 +423,18 @@ impl App {
         self.show_info(if self.view.is_reversed { "order reversed" } else { "order as before" });
     }
 
-    /// Shows the next view of Traffic (frames, identifiers, calls), or another time of the charts of
-    /// Bus.
+    /// Shows the next view of Devices (list, services, heartbeats) or of Traffic (frames, identifiers,
+    /// calls), or another time of the charts of Bus.
     pub(super) fn next_view(&mut self) {
-        if self.view.page == Page::Bus {
+        if self.view.page == Page::Devices {
+            self.next_device_view();
+        } else if self.view.page == Page::Bus {
             self.next_chart_span();
         } else if self.view.page == Page::Traffic {
             self.view.close_evidence();
             self.show_traffic_as(self.view.traffic_view.next());
         } else {
-            self.show_error("view works on the pages Traffic and Bus");
+            self.show_error("view works on Devices, Traffic and Bus");
         }
     }
 
@@ -471,6 +462,8 @@ impl App {
         let page = self.view.page;
         if self.input.has_overlay() {
             self.input.close();
+        } else if self.shows_beat_history() {
+            self.close_beat_history();
         } else if self.view.focus == Focus::Details {
             self.view.focus_details(false);
         } else if self.leave_evidence() {
@@ -591,7 +584,7 @@ impl App {
     // ---- from page to page -----------------------------------------------------------------
 
     /// Bus, address and name of the selected row, as far as known.
-    fn subject(&self) -> (Option<BusIndex>, Option<Address>, Option<Name>) {
+    pub(super) fn subject(&self) -> (Option<BusIndex>, Option<Address>, Option<Name>) {
         match self.view.page {
             Page::Devices => self
                 .selected_row()
@@ -632,11 +625,12 @@ impl App {
             let there =
                 address.is_some_and(|address| row.addresses(&app.buses).any(|it| it == address));
             let its_own = entry.is_some() && row.entry == entry;
-            (its_own, named && there, named, there && name.is_none())
+            let is_first_board = row.board.is_none_or(|board| board.side == 'A');
+            (its_own, named && there, named, there && name.is_none(), is_first_board)
         };
         let best = |app: &Self| {
             let best = app.rows().iter().filter(on_bus).max_by_key(|row| fits(app, row));
-            best.filter(|row| fits(app, row) > (false, false, false, false))
+            best.filter(|row| fits(app, row) > (false, false, false, false, true))
                 .map(|row| row.key.clone())
         };
         let mut found = best(self);

@@ -60,6 +60,22 @@ pub(super) struct ClaimUpdate {
     pub gave_up: Option<Instant>,
 }
 
+/// A node that sends heartbeats from an address.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct AddressSender {
+    /// UID, not blank.
+    pub uid: Uid,
+    /// Its row; that of no device where only its heartbeats are known.
+    pub device: DeviceId,
+    /// Last mode; `None` if its heartbeats carry none.
+    pub mode: Option<Mode>,
+    /// First heartbeat from the address.
+    pub since: Instant,
+    /// Last heartbeat from the address.
+    pub last: Instant,
+}
+
 /// Node known by its UID.
 #[derive(Clone, Debug)]
 struct Node {
@@ -198,6 +214,26 @@ impl AddressClaims {
         } else if !any {
             node.contested_since = None;
         }
+    }
+
+    /// Returns the nodes that send heartbeats from `address`, in the order of joining.
+    pub fn senders(&self, now: Instant, address: Address, period: Duration) -> Vec<AddressSender> {
+        let resolution_time = period * RESOLUTION_PERIODS;
+        let here = self
+            .nodes
+            .iter()
+            .filter(|node| node.address == address && now.since(node.last) < resolution_time);
+        let mut all: Vec<AddressSender> = here
+            .map(|node| AddressSender {
+                uid: node.uid,
+                device: node.device,
+                mode: node.mode,
+                since: node.since,
+                last: node.last,
+            })
+            .collect();
+        all.sort_by_key(|sender| (sender.since, sender.uid));
+        all
     }
 
     /// Stores a node and returns its index; replaces the one silent for the longest time if full.

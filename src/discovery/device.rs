@@ -85,6 +85,9 @@ pub struct HeartbeatStats {
     intervals: u64,
     mean_us: f64,
     variance_us2: f64,
+    /// Period and jitter that are shown, in microseconds.
+    steady_period_us: f64,
+    steady_jitter_us: f64,
     /// Last heartbeat before one that was out of phase.
     in_phase: Option<Instant>,
 }
@@ -95,6 +98,11 @@ pub(super) const STALE_PERIODS: f64 = 2.5;
 /// may be a reboot. Tuned with the simulation: between one period with the jitter of a busy bus,
 /// and the 1.5 periods of silence of address resolution (CAN platform §3.2.4.2).
 pub(super) const MISSED_HEARTBEAT_PERIODS: f64 = 1.4;
+
+/// Changes of the period and of the jitter that the screen shows, as fractions: smaller ones would
+/// redraw the row of a healthy device.
+const STEADY_PERIOD: f64 = 0.005;
+const STEADY_JITTER: f64 = 0.2;
 
 impl HeartbeatStats {
     /// Returns the mean interval between heartbeats, without gaps; `None` before the first
@@ -107,6 +115,32 @@ impl HeartbeatStats {
     pub fn jitter(&self) -> Option<Duration> {
         (self.intervals > 1)
             .then(|| Duration::from_micros(self.variance_us2.max(0.0).sqrt() as u64))
+    }
+
+    /// Returns the period for the screen: it changes only when the mean interval has changed by half a percent.
+    /// `None` before the first interval.
+    pub fn steady_period(&self) -> Option<Duration> {
+        (self.intervals > 0).then(|| Duration::from_micros(self.steady_period_us as u64))
+    }
+
+    /// Returns the jitter for the screen: it changes only when the standard deviation has changed
+    /// by a fifth. `None` before the second interval.
+    pub fn steady_jitter(&self) -> Option<Duration> {
+        (self.intervals > 1).then(|| Duration::from_micros(self.steady_jitter_us as u64))
+    }
+
+    /// Takes over period and jitter for the screen where they have changed enough.
+    fn steady(&mut self) {
+        let jitter_us = self.variance_us2.max(0.0).sqrt();
+        // Below half a millisecond the screen shows 0.
+        let tolerance = (self.steady_jitter_us * STEADY_JITTER).max(500.0);
+        if self.intervals <= 2 || (jitter_us - self.steady_jitter_us).abs() > tolerance {
+            self.steady_jitter_us = jitter_us;
+        }
+        let tolerance = self.steady_period_us * STEADY_PERIOD;
+        if (self.mean_us - self.steady_period_us).abs() > tolerance {
+            self.steady_period_us = self.mean_us;
+        }
     }
 
     /// Counts a heartbeat and returns the time since the previous one. `period` is the expected
@@ -132,6 +166,7 @@ impl HeartbeatStats {
                 let off = micros - self.mean_us;
                 self.mean_us += weight * off;
                 self.variance_us2 = (1.0 - weight) * (self.variance_us2 + weight * off * off);
+                self.steady();
             }
         }
         gap
@@ -371,6 +406,9 @@ pub struct Device {
     pub services: Option<Vec<DeviceService>>,
     /// Services before their last change; `None` if they never changed.
     pub previous_services: Option<Vec<DeviceService>>,
+    /// Services when the device was first heard, or when the user last confirmed the changes; `None`
+    /// before the first services response. The versions that changed are those beside them.
+    pub first_services: Option<Vec<DeviceService>>,
     /// True if `services` was received while several devices used the address: it is the list of
     /// one of them.
     pub services_are_shared: bool,
@@ -435,6 +473,7 @@ impl Device {
             framing: None,
             services: None,
             previous_services: None,
+            first_services: None,
             services_are_shared: false,
             other_services: Vec::new(),
             responses_apart: None,
@@ -458,6 +497,11 @@ impl Device {
             is_debug: address == Address::DEBUG,
             rounds_missed: 0,
         }
+    }
+
+    /// Returns true if its services differ from [`Self::first_services`].
+    pub fn has_changed_services(&self) -> bool {
+        self.services.is_some() && self.services != self.first_services
     }
 
     /// Returns true if the device's name has exactly these bytes.
@@ -520,9 +564,16 @@ impl Device {
         if is_known {
             return None;
         }
+        self.first_services.get_or_insert_with(|| list.clone());
         self.previous_services = self.services.replace(list).or(self.previous_services.take());
         let has_changed = self.previous_services.is_some();
         Some(if has_changed { ServicesNews::Changed } else { ServicesNews::First })
+    }
+
+    /// Takes the present services as those from which changes are counted.
+    pub(super) fn confirm_services(&mut self) {
+        self.first_services.clone_from(&self.services);
+        self.previous_services = None;
     }
 
     /// Restarts queries that failed while the device was silent. Call before `last_seen` is

@@ -122,6 +122,7 @@ impl DeviceTable {
         device.uid = fresh.uid.or(device.uid);
         device.framing = fresh.framing.or(device.framing);
         device.services = fresh.services.or(device.services.take());
+        device.first_services = device.first_services.take().or(fresh.first_services);
         device.heartbeat = fresh.heartbeat;
         device.last_heartbeat_was_other_node = fresh.last_heartbeat_was_other_node;
         device.name_query = fresh.name_query;

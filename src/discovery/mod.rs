@@ -77,6 +77,7 @@ mod rounds;
 mod transfers;
 
 pub use bus_protocol::{BusTraffic, BusVerdict};
+pub use claims::AddressSender;
 pub use config::Config;
 pub use device::{
     Device, DeviceId, DeviceService, HeartbeatStats, ModeChange, Presence, ProtocolDeviation,
@@ -86,7 +87,7 @@ pub use event::{Event, EventKind, OtherDevice, ServicesNews};
 
 use crate::finding::Finding;
 use crate::frame::Frame;
-use crate::time::{Instant, debug_assert_later};
+use crate::time::{Duration, Instant, debug_assert_later};
 use crate::wire::id::Address;
 use device_tracker::DeviceTracker;
 use observation::{Observation, ObservationKind};
@@ -337,9 +338,10 @@ impl Engine {
         self.tracker.wake_at(now);
     }
 
-    /// Command: removes the lost devices.
+    /// Command: removes the lost devices, and forgets what has changed in the services of the others.
     pub fn remove_lost_devices(&mut self) {
         self.tracker.device_table.remove_lost();
+        self.tracker.device_table.devices_mut().iter_mut().for_each(Device::confirm_services);
     }
 
     /// Notes that the bus is down: presence does not change until [`restart`](Self::restart), or
@@ -396,6 +398,17 @@ impl Engine {
     /// Returns the current row at `address`: that of the device which responds there now.
     pub fn device_at(&self, address: Address) -> Option<&Device> {
         self.tracker.device_table.current_device(address)
+    }
+
+    /// Returns the nodes that send heartbeats with a UID from `address` or did so until at most 5
+    /// periods ago, in the order of joining; several while they are in conflict.
+    pub fn senders_at(&self, address: Address) -> Vec<AddressSender> {
+        self.tracker.claims.senders(self.tracker.now, address, self.tracker.period_of(address))
+    }
+
+    /// Returns the heartbeat period of an address: measured, else that of the profile.
+    pub fn heartbeat_period(&self, address: Address) -> Duration {
+        self.tracker.period_of(address)
     }
 
     /// Returns all findings in the order of their first evidence, including cleared ones.

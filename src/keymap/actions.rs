@@ -175,12 +175,15 @@ actions! {
         Down "down" "Down a row" "" ["Down" "j"];
         PageUp "page-up" "Up a screenful" "" ["PgUp" "Ctrl-b"];
         PageDown "page-down" "Down a screenful" "" ["PgDn" "Ctrl-f"];
-        First "first" "First row" "" ["g" "Home"];
+        First "first" "First row" "" ["Home"];
         Last "last" "Last row; follow in Traffic and Timeline" "" ["G" "End"];
         Details "details" "Open details, the evidence of a problem, the moment of an event" "details" ["Enter"];
         Frames "frames" "Frames of the device, problem or event" "frames" ["f"];
-        Into "into" "Focus the details; frozen: a cell of the time bar later" "" ["Right" "l"];
-        Back "back" "Focus the list; frozen: a cell of the time bar earlier" "scrub" ["Left" "h"];
+        Into "into" "Focus the details; frozen: a cell of the time bar later" "" ["Right"];
+        Back "back" "Focus the list; frozen: a cell of the time bar earlier" "scrub" ["Left"];
+        Events "events" "Events of the device or problem, on the timeline" "events" ["l"];
+        Heartbeats "heartbeats" "Heartbeats of the device, each with its time" "heartbeats" ["h"];
+        Return "return" "Back to where you came from" "" ["Backspace"];
         NextPage "next-page" "Next page" "" ["Tab"];
         PreviousPage "previous-page" "Previous page" "" ["Shift-Tab"];
         Devices "devices" "Page 1: devices" "" ["1"];
@@ -199,7 +202,7 @@ actions! {
         OpenParts "open-parts" "Open or close a transfer of several frames" "" ["o"];
         TimeFormat "time-format" "Traffic: time of day, since the row above, the same identifier, the start" "" ["z"];
         SortReverse "sort-reverse" "Reverse the order" "" ["S"];
-        Identifiers "identifiers" "Traffic: frames, identifiers, calls; Bus: time shown" "view" ["v"];
+        Identifiers "identifiers" "Next view of the page: Devices, Traffic, Bus" "view" ["v"];
         Problem "problem" "Jump between device and problem" "problem" ["p"];
         Mute "mute" "Mute or unmute a problem until descan quits" "mute" ["m"];
         Copy "copy" "Copy the selected row to the clipboard" "" ["y"];
@@ -207,7 +210,7 @@ actions! {
     }
     Browse Bus: {
         Rescan "rescan" "Restart the enumeration" "rescan" ["r"];
-        ClearLost "clear-lost" "Remove lost devices from the list" "clear lost" ["c"];
+        ClearLost "clear-lost" "Remove lost devices; confirm changed versions" "clear lost" ["c"];
         Identify "identify" "Send identify: blink or beep (confirms; needs a profile)" "identify" ["i"];
         BitRate "bit-rate" "Search the bit rate, listen-only (confirms; needs root)" "bit rate" ["b"];
         SaveCapture "save-capture" "Save the captured frames (.log or .pcapng)" "save log" ["w"];
@@ -223,7 +226,7 @@ actions! {
         NextEvent "next-event" "At the next event" "" ["]"];
         PreviousProblem "previous-problem" "Freeze where a finding changed before" "problem" ["{"];
         NextProblem "next-problem" "Where one changed next" "" ["}"];
-        GoTo "go-to" "Go to a moment: a time, -2m, +10s, 50%, a frame" "go to" [":"];
+        GoTo "go-to" "Go to a time, -2m, +10s, 50%, a frame; gg: first row" "go to" ["g" ":"];
         PreviousFrame "previous-frame" "Freeze at the frame before" "frame" ["<"];
         NextFrame "step" "At the next frame; of a paused log the next frame" "step" [">"];
         ScrubBack "scrub-back" "Frozen: ten cells of the time bar earlier" "" ["Shift-Left"];

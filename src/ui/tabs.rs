@@ -3,7 +3,7 @@
 
 use super::brush::{DrawContext, fit};
 use super::moment;
-use crate::app::{Focus, Page, PageFilter, RowKey, TrafficView};
+use crate::app::{Focus, Page, PageFilter, TrafficView};
 use crate::keymap::Action;
 use crate::theme::Role;
 use ratatui::layout::Rect;
@@ -79,13 +79,12 @@ fn draw_divider(brush: &mut DrawContext) {
 fn title(brush: &DrawContext) -> Option<String> {
     let app = brush.app;
     match app.view().page {
+        // Beside the list, the details begin with their title.
+        Page::Devices if brush.screen.list.height > 0 => None,
         Page::Devices => {
-            let row = app.selected_row()?;
-            let name = row.name.as_ref().map_or("?".to_owned(), |it| it.quoted().to_string());
-            Some(match (&row.key, row.address) {
-                (RowKey::Device(_), Some(address)) => format!("{name} @{address}"),
-                _ => name,
-            })
+            let title = super::details::title(app, app.selected_row()?);
+            let is_history = app.view().devices_page.shows_history;
+            Some(if is_history { format!("{title} · heartbeats") } else { title })
         }
         // The addresses first: the end is cut.
         Page::Problems => app.selected_problem().map(|problem| {

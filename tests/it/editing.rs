@@ -222,7 +222,7 @@ impl Play {
             name == words[0] && (words.len() == 1 || address.as_deref() == Some(words[1]))
         };
         self.act(|stage| {
-            stage.keys("g");
+            stage.keys("Home");
             for _ in 1..stage.app.rows().len() {
                 if is_it(stage) {
                     break;

@@ -121,8 +121,8 @@ fn pages_of_a_past_moment_are_those_of_a_run_until_then() {
         let mut then = run(moment.time.as_secs_f64() + 1.5e-6);
         assert_eq!(then.app.capture().end(), moment.frames, "{key} {:?}", moment.time);
         then.keys("Space");
-        // Of the last page all views.
-        for number in ["1", "3", "4", "5", "2", "2 v", "v", "v"] {
+        // Of Devices and of the last page all views.
+        for number in ["1", "v", "v", "h", "h v", "3", "4", "5", "2", "2 v", "v", "v"] {
             let (shown, expected) = (page(&mut past, number), page(&mut then, number));
             assert_eq!(shown, expected, "{key} {:?}", moment.time);
         }

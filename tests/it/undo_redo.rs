@@ -24,7 +24,7 @@ fn mend(stage: &mut Stage) -> &mut Stage {
 
 /// Selects the row of an entry.
 fn select<'s>(stage: &'s mut Stage, name: &str) -> &'s mut Stage {
-    stage.keys("g");
+    stage.keys("Home");
     for _ in 0..20 {
         let row = stage.app.selected_row().unwrap();
         let entry = row.entry.map(|at| stage.app.file().document().entries()[at].name_text.clone());
@@ -504,7 +504,7 @@ fn save_that_broke_hard_links_is_reported() {
 
 /// Goes from each problem whose text contains this to the entry that it opens.
 fn leads_to(stage: &mut Stage, problem: &str) -> usize {
-    stage.keys("4 g");
+    stage.keys("4 Home");
     for _ in 0..30 {
         let selected = stage.app.selected_problem().unwrap();
         if selected.findings.iter().any(|finding| finding.text.contains(problem)) {

@@ -7,7 +7,8 @@ use super::load_meter::LoadMeter;
 use super::status_changes::status_changes;
 use crate::app::timeline_kind::TimelineKind;
 use crate::discovery::{
-    BusTraffic, Config, Counters, Device, DeviceId, DiscoveryProgress, Engine, Event, OwnAddress,
+    AddressSender, BusTraffic, Config, Counters, Device, DeviceId, DiscoveryProgress, Engine,
+    Event, OwnAddress,
 };
 use crate::finding::Finding;
 use crate::frame::Frame;
@@ -109,6 +110,16 @@ impl Bus {
     /// The present device at an address.
     pub fn device_at(&self, address: Address) -> Option<&Device> {
         self.engine.device_at(address)
+    }
+
+    /// Nodes that send heartbeats with a UID from an address, in the order of joining.
+    pub fn senders_at(&self, address: Address) -> Vec<AddressSender> {
+        self.engine.senders_at(address)
+    }
+
+    /// Heartbeat period of an address: measured, else that of the profile.
+    pub fn heartbeat_period(&self, address: Address) -> Duration {
+        self.engine.heartbeat_period(address)
     }
 
     /// Names of the devices at each address, by time.

@@ -30,6 +30,9 @@ impl Filter {
         let service =
             |value: &TextValue| services.iter().any(|it| value.is_in(&it.name.to_string()));
         let uid = |value: &TextValue| {
+            if let (Some(board), Some(bus)) = (row.board, row.bus) {
+                return value.is_in(&text_of(buses, bus, board.sender.uid));
+            }
             let mut uids = row.devices(buses).flat_map(|it| uids_of(buses, it));
             uids.any(|uid| value.is_in(&uid))
         };

@@ -37,7 +37,7 @@ impl EntryTarget {
         let place = place_of(key, context);
         let device = match key {
             RowKey::Device(id) => Some(*id),
-            RowKey::Entry(_) => None,
+            RowKey::Entry(_) | RowKey::Board(..) => None,
         };
         Self { base: on, place, device }
     }
@@ -80,6 +80,7 @@ impl EntryTarget {
 fn place_of(key: &RowKey, context: PromptContext) -> Option<usize> {
     match key {
         RowKey::Device(id) => context.matching.entry_of(*id),
+        RowKey::Board(..) => None,
         RowKey::Entry(key) => context.file.document().find(key),
     }
 }
@@ -121,7 +122,7 @@ impl AddressPrompt {
         let before = pinned(entry);
         let on_bus = match &key {
             RowKey::Device(id) => context.buses.device(*id).map(|device| device.address),
-            RowKey::Entry(_) => None,
+            RowKey::Entry(_) | RowKey::Board(..) => None,
         };
         let is_unpinned = entry.is_some_and(|entry| !entry.is_static);
         let offered = on_bus.filter(|address| is_unpinned && address.number() > 0);
@@ -185,7 +186,7 @@ impl AddressPrompt {
         };
         let device = match &self.key {
             RowKey::Device(id) => context.buses.device(*id),
-            RowKey::Entry(_) => None,
+            RowKey::Entry(_) | RowKey::Board(..) => None,
         };
         if device.is_some_and(|device| device.name.is_none()) {
             return C::Rejected("name not known yet".to_owned());
@@ -198,7 +199,7 @@ impl AddressPrompt {
         }
         let own = |id| match &self.key {
             RowKey::Device(own) => *own == id,
-            RowKey::Entry(_) => false,
+            RowKey::Entry(_) | RowKey::Board(..) => false,
         };
         let is_pinned = entry.is_some_and(|it| it.is_static && it.address == Some(address));
         address_in_use(context, address, bus, own).unwrap_or_else(|| {
@@ -249,7 +250,7 @@ impl PromptLogic for AddressPrompt {
                     (entry.address, entry.is_static) = (Some(to), true);
                     Some(Operation::Add { entry })
                 }),
-                RowKey::Entry(_) => None,
+                RowKey::Entry(_) | RowKey::Board(..) => None,
             },
             _ => None,
         };

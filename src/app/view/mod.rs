@@ -6,6 +6,7 @@
 
 mod bus_page;
 mod cursor;
+mod devices_page;
 mod evidence;
 mod page;
 mod rows;
@@ -14,9 +15,10 @@ mod traffic_view;
 
 pub use bus_page::{BarKey, BusPageLayout, BusRegions, ChartSpan};
 pub use cursor::Selection;
+pub use devices_page::{DeviceView, DevicesPage};
 pub use evidence::EvidenceView;
 pub use page::{Focus, Frozen, Page};
-pub use rows::{Counts, FileStatus, Row, RowKey, RowState, SortBy};
+pub use rows::{Board, Counts, FileStatus, Row, RowKey, RowState, SortBy};
 pub use screen::{SPLIT_WIDTH, Screen};
 pub use traffic_view::{CallOrder, IdentifierOrder, TimeFormat, TrafficView};
 
@@ -62,6 +64,8 @@ pub struct View {
     pub size: (u16, u16),
     /// Selection of the Devices page.
     pub devices: Selection<RowKey>,
+    /// Views of the Devices page, and its heartbeat history.
+    pub devices_page: DevicesPage,
     /// Selection of the Problems page.
     pub problems: Selection<ProblemKey>,
     /// Number of the selected timeline line; none while the newest are followed.

@@ -1,19 +1,31 @@
 //! Rows of the Devices page: types and sort orders.
 
 use crate::app::buses::Buses;
-use crate::discovery::{Device, DeviceId, Presence};
+use crate::discovery::{AddressSender, Device, DeviceId, Presence};
 use crate::document::EntryKey;
 use crate::frame::BusIndex;
 use crate::text::Name;
 use crate::wire::id::Address;
+use crate::wire::node::{Mode, Uid};
 
 /// Identity of a row, stable while other rows appear and disappear.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub enum RowKey {
-    /// Row of a device.
+    /// Row of a device; at a shared address that of its first board.
     Device(DeviceId),
+    /// Row of a further board at the address of a device.
+    Board(DeviceId, Uid),
     /// Row of an entry without a device.
     Entry(EntryKey),
+}
+
+/// One of several boards at an address.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Board {
+    /// Letter: A joined first.
+    pub side: char,
+    /// Its heartbeats.
+    pub sender: AddressSender,
 }
 
 /// A row of the Devices page.
@@ -43,15 +55,26 @@ pub struct Row {
     pub has_findings: bool,
     /// The services of its entry differ from those of the device.
     pub has_other_services: bool,
+    /// Number of services that differ; 0 where only their order does.
+    pub differences: usize,
+    /// UID in its heartbeats.
+    pub uid: Option<Uid>,
+    /// The board, if several are known at its address.
+    pub board: Option<Board>,
 }
 
 impl Row {
     /// The device; `None` for the row of an entry.
     pub fn device<'b>(&self, buses: &'b Buses) -> Option<&'b Device> {
         match self.key {
-            RowKey::Device(id) => buses.device(id),
+            RowKey::Device(id) | RowKey::Board(id, _) => buses.device(id),
             RowKey::Entry(_) => None,
         }
+    }
+
+    /// Mode of the board, else of the device; `None` if its heartbeats carry none.
+    pub fn mode_of(&self, device: &Device) -> Option<Mode> {
+        self.board.map_or(device.mode, |board| board.sender.mode)
     }
 
     /// The devices: several where buses are redundant.
@@ -151,7 +174,7 @@ pub enum FileStatus {
     Pinned(u8),
 }
 
-/// Sort order of the rows.
+/// Sort order of the rows: one for each column.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub enum SortBy {
     /// By address, ascending.
@@ -159,28 +182,49 @@ pub enum SortBy {
     Address,
     /// By name.
     Name,
+    /// By UID.
+    Uid,
     /// By state, the most severe first.
     State,
     /// By mode.
     Mode,
-    /// By the time of the last frame, newest first.
-    Seen,
+    /// By heartbeat period, the shortest first.
+    Period,
+    /// By jitter, the largest first.
+    Jitter,
+    /// By missed heartbeats, the most first.
+    Missed,
+    /// Changed versions first.
+    Versions,
     /// By the difference from the file.
     File,
+    /// By the time of the first frame, newest first.
+    Seen,
+    /// By the number of services, the most first.
+    Services,
 }
 
 impl SortBy {
+    /// All orders, in the order of the columns.
+    pub const ALL: [SortBy; 12] = [
+        SortBy::Address,
+        SortBy::Name,
+        SortBy::Uid,
+        SortBy::State,
+        SortBy::Mode,
+        SortBy::Period,
+        SortBy::Jitter,
+        SortBy::Missed,
+        SortBy::Versions,
+        SortBy::File,
+        SortBy::Seen,
+        SortBy::Services,
+    ];
+
     /// Next sort order, column by column.
     #[must_use]
     pub const fn next(self) -> Self {
-        match self {
-            SortBy::Address => SortBy::Name,
-            SortBy::Name => SortBy::State,
-            SortBy::State => SortBy::Mode,
-            SortBy::Mode => SortBy::Seen,
-            SortBy::Seen => SortBy::File,
-            SortBy::File => SortBy::Address,
-        }
+        Self::ALL[(self as usize + 1) % Self::ALL.len()]
     }
 
     /// Text for the message.
@@ -188,10 +232,16 @@ impl SortBy {
         match self {
             SortBy::Address => "by address",
             SortBy::Name => "by name",
+            SortBy::Uid => "by UID",
             SortBy::State => "by severity",
             SortBy::Mode => "by mode",
-            SortBy::Seen => "newest first",
+            SortBy::Period => "shortest heartbeat period first",
+            SortBy::Jitter => "largest jitter first",
+            SortBy::Missed => "most missed heartbeats first",
+            SortBy::Versions => "changed versions first",
             SortBy::File => "by difference from the file",
+            SortBy::Seen => "newest first",
+            SortBy::Services => "most services first",
         }
     }
 }

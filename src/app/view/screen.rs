@@ -16,6 +16,7 @@
 //! Knows sizes only, not the content of the regions.
 
 use super::View;
+use super::devices_page::DetailsPlace;
 use super::page::{Focus, Page};
 use super::rows::Counts;
 use ratatui::layout::Rect;
@@ -42,6 +43,8 @@ pub struct Screen {
     pub details_title: Rect,
     /// Details of the selected row.
     pub details: Rect,
+    /// Rule with the title of the details of a device below the list.
+    pub details_rule: Rect,
     /// Rule below the list, above the latest lines of the timeline or the details of a frame.
     pub lower_rule: Rect,
     /// Latest lines of the timeline.
@@ -109,11 +112,10 @@ impl Screen {
         if has_details && view.page == Page::Traffic && rows >= SPLIT_HEIGHT {
             screen.details = take_bottom(&mut left, (rows / 3).clamp(7, 14));
             screen.lower_rule = take_bottom(&mut left, 1);
+        } else if view.page == Page::Devices {
+            screen.place_details_of_device(view, &mut left);
         } else if has_details && view.page != Page::Traffic && columns >= SPLIT_WIDTH {
-            let width = match view.page {
-                Page::Devices => (columns * 3 / 8).clamp(29, 60),
-                _ => (columns * 9 / 20).clamp(34, 72),
-            };
+            let width = (columns * 9 / 20).clamp(34, 72);
             screen.details = Rect::new(columns - width, left.y, width, left.height);
             left.width -= width + 1;
             screen.divider = Rect::new(left.width, left.y, 1, left.height);
@@ -122,10 +124,32 @@ impl Screen {
         }
         screen.header = take_top(&mut left, 1);
         screen.list = left;
-        if screen.divider.height > 0 || screen.list.height == 0 {
+        // Beside the list, the details of a device begin with their title.
+        let is_beside = screen.divider.height > 0 && view.page != Page::Devices;
+        if is_beside || screen.list.height == 0 {
             screen.details_title = take_top(&mut screen.details, 1);
         }
         screen
+    }
+
+    /// Places the details of a device, or its heartbeat history.
+    fn place_details_of_device(&mut self, view: &View, left: &mut Rect) {
+        match view.devices_page.details_place(view.size) {
+            DetailsPlace::Below(lines) => {
+                self.details = take_bottom(left, lines);
+                self.details_rule = take_bottom(left, 1);
+            }
+            DetailsPlace::Beside(width) => {
+                self.details = Rect { x: left.right() - width, width, ..*left };
+                left.width -= width + 1;
+                self.divider = Rect { x: left.right(), width: 1, ..*left };
+            }
+            DetailsPlace::Instead => {
+                if view.focus == Focus::Details || view.devices_page.shows_history {
+                    self.details = std::mem::take(left);
+                }
+            }
+        }
     }
 
     /// Height of the status region: one line per bus, as many as fit, and one for the file; on
@@ -224,6 +248,7 @@ mod tests {
                             screen.divider,
                             screen.details_title,
                             screen.details,
+                            screen.details_rule,
                             screen.lower_rule,
                             screen.latest,
                             screen.time_bar,

@@ -40,7 +40,7 @@ fn ended_log_shows_its_final_state() {
     let at = Instant::ZERO + Duration::from_secs_f64(600.0);
     stage.app.handle_file(at, FileReading::Content(Some(b"[]".to_vec())));
     let screen = stage.screen();
-    assert!(screen.contains("9 present") && screen.contains("online 23s"), "{screen}");
+    assert!(screen.contains("9 present") && screen.contains("online since 12:00:00"), "{screen}");
     assert_eq!(stage.app.poll_timeout(), None, "nothing is due any more");
 }
 

@@ -95,11 +95,17 @@ fn sort_key_cycles_through_the_columns() {
         rows.map(|row| row.name.as_ref().unwrap().to_string()).collect()
     };
     for (sorted, expected) in [
-        ("by name", ["ACT", "DIN", "DISP"]),
-        ("by severity", ["ACT", "IGNITER", "FEED"]),
+        ("by name", ["ACT", "ACT", "DIN"]),
+        ("by UID", ["NEW", "FEED", "SENS"]),
+        ("by severity", ["ACT", "ACT", "IGNITER"]),
         ("by mode", ["NEW", "FEED", "SENS"]),
-        ("newest first", ["NEW", "GSM-MODEM", "DIN"]),
+        ("shortest heartbeat period first", ["FEED", "SENS", "SENS"]),
+        ("largest jitter first", ["ACT", "ACT", "FEED"]),
+        ("most missed heartbeats first", ["FEED", "SENS", "SENS"]),
+        ("changed versions first", ["FEED", "SENS", "SENS"]),
         ("by difference from the file", ["IGNITER", "FEED", "DISP"]),
+        ("newest first", ["NEW", "GSM-MODEM", "DIN"]),
+        ("most services first", ["FEED", "SENS", "DISP"]),
         ("by address", ["FEED", "SENS", "SENS"]),
     ] {
         let screen = stage.keys("s").screen();

@@ -304,7 +304,7 @@ fn file_never_valid_claims_no_last_content() {
 fn invalid_value_selects_its_row() {
     let file = BOILER.replace("16, \"static\": true", "16, \"static\": 1").replace("\"PUMP\"", "7");
     let mut stage = Stage::new(&Scenario::builtin("boiler").unwrap(), Some(&file));
-    stage.until(24.0).keys("4 /").text("invalid").keys("Enter g");
+    stage.until(24.0).keys("4 /").text("invalid").keys("Enter Home");
     assert!(stage.screen().contains("`static` is a number"), "{}", stage.screen());
     assert!(stage.screen().contains("Enter go to row"), "{}", stage.screen());
     stage.keys("Enter");
@@ -317,14 +317,14 @@ fn invalid_value_selects_its_row() {
     // Ambiguous content is not edited, with a message before the user types.
     let twice = BOILER.replace("\"address\": 10", "\"address\": 9, \"address\": 10");
     for key in ["e", "R"] {
-        let screen = stage.write(&twice).size(80, 24).keys("1 g").keys(key).screen();
+        let screen = stage.write(&twice).size(80, 24).keys("1 Home").keys(key).screen();
         assert!(stage.app.prompt().is_none());
         let said = "line 3, column 37: duplicate `address`: remove one of them first";
         assert!(screen.contains(said), "{screen}");
     }
     stage.write(&file).size(120, 40).wait_until(60.0);
     // Elements that are not entries have no row.
-    stage.keys("4 g j");
+    stage.keys("4 Home j");
     assert!(stage.screen().contains("has no `name`"), "{}", stage.screen());
     stage.keys("Enter");
     assert_eq!(stage.app.view().page, Page::Problems);
@@ -443,7 +443,7 @@ fn quit_continues_once_everything_is_saved() {
 #[test]
 fn address_pinned_already_is_reported() {
     let mut stage = Stage::boiler();
-    stage.until(3.0).keys("g e");
+    stage.until(3.0).keys("Home e");
     assert!(stage.screen().contains("already pinned to 10"), "{}", stage.screen());
     stage.keys("Backspace").text("1");
     assert!(stage.screen().contains("Enter pins it to 11"), "{}", stage.screen());

@@ -5,6 +5,7 @@ mod bus;
 mod buses;
 mod comparison;
 mod conflict;
+mod device_views;
 mod devices;
 mod file;
 mod help;
@@ -144,7 +145,7 @@ fn every_state_is_readable_without_colour() {
     }
     let screen = stage.screen();
     for words in
-        ["● ", "⚠   14 ACT        CONFLICT", "missing", "✓ 12", "≠ 10", "✗ 16", "+ new", "SENS²"]
+        ["● ", "⚠  14A ACT ", "CONFLICT", "missing", "✓ 12", "≠ 3 svc", "✗ 16", "+ new", "SENS²"]
     {
         assert!(screen.contains(words), "{words}\n{screen}");
     }

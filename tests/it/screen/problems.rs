@@ -133,7 +133,7 @@ fn muted_problem_is_not_counted_and_stays_muted() {
     snapshot!("problems_muted_40x10", stage.size(40, 10));
     stage.size(80, 24).keys("1");
     assert!(
-        stage.screen().contains("⚠   14 ACT        CONFLICT"),
+        stage.screen().contains("⚠  14A ACT       BOILER03 CONFLICT"),
         "the device says it all the same"
     );
     stage.keys("4 m");
@@ -185,7 +185,7 @@ fn problems_are_filtered_by_words_and_fields() {
     ] {
         assert_eq!(filtered(filter), (shown, 4), "{filter}");
     }
-    stage.keys("g m /").text("is:muted").keys("Enter");
+    stage.keys("Home m /").text("is:muted").keys("Enter");
     assert_eq!(problems(&stage), ["muted confirmed static address taken @16"]);
     stage.keys("m");
     let screen = one_line(&stage.screen());
@@ -255,7 +255,7 @@ fn evidence_outlives_the_capture() {
     assert!(screen.contains("surrounding frames no longer in the capture"), "{screen}");
     // A problem opened before its frames left the capture stays open, too.
     let mut stage = Stage::boiler();
-    stage.until(45.0).keys("4 Enter g");
+    stage.until(45.0).keys("4 Enter Home");
     let later = stage.app.now() + Duration::from_secs(10);
     flood(&mut stage, later);
     flood(&mut stage, evidence);
@@ -291,9 +291,9 @@ fn key_jumps_between_device_and_problem() {
     assert_eq!((stage.app.view().page, name(&stage)), (Page::Devices, "PUMP".to_owned()));
     stage.keys("p");
     assert_eq!(selected(&stage), "missing @44", "also of what is not there");
-    stage.keys("1 g p");
+    stage.keys("1 Home p");
     assert_eq!(selected(&stage), "address conflict (same name) @14", "that of the alarm");
-    stage.keys("m 1 g p");
+    stage.keys("m 1 Home p");
     assert!(stage.screen().contains("no problem for this device"), "{}", stage.screen());
     stage.keys("4 m");
     stage.keys("3 /").text("is:suspected").keys("Enter k k p");
@@ -304,8 +304,8 @@ fn key_jumps_between_device_and_problem() {
     );
     stage.keys("3 Esc");
     // Rows that the filter excludes are found all the same.
-    stage.keys("1 g");
-    stage.keys("/").text("feed").keys("Enter 4 g p");
+    stage.keys("1 Home");
+    stage.keys("/").text("feed").keys("Enter 4 Home p");
     assert_eq!((stage.app.view().page, name(&stage)), (Page::Devices, "ACT".to_owned()));
 }
 
@@ -316,7 +316,7 @@ fn selection_follows_its_problem() {
     assert_eq!(selected(&stage), "missing @44");
     stage.until(45.0);
     assert_eq!(selected(&stage), "missing @44");
-    stage.keys("g").write(&BOILER.replace("44", "45"));
+    stage.keys("Home").write(&BOILER.replace("44", "45"));
     assert_eq!(selected(&stage), "address conflict (same name) @14");
     // Without a selection by the user, too: new rows above do not move the row being read.
     let mut stage = Stage::boiler();
@@ -355,7 +355,7 @@ fn problems_work_by_mouse_and_russian_keys() {
     assert_eq!(stage.app.counts().confirmed, 3, "ь is m");
     stage.keys("з");
     assert_eq!(stage.app.view().page, Page::Devices, "з is p");
-    stage.keys("4 g Enter");
+    stage.keys("4 Home Enter");
     press(&mut stage, 10, 7);
     let (place, _) = stage.app.evidence_alone().unwrap().selected().unwrap();
     assert_eq!(place, 2);

@@ -60,7 +60,7 @@ fn large_capture_is_filtered_in_parts() {
     }
     assert!(parts > 1, "{parts}");
     assert_eq!(stage.app.hidden_frames(), Some(27_000));
-    stage.keys("Enter g").size(100, 24);
+    stage.keys("Enter Home").size(100, 24);
     let screen = stage.screen();
     assert!(
         screen.contains("27000 hidden") && screen.contains(" 00 00 00 00 00 00 00 00 "),
@@ -79,7 +79,7 @@ fn large_capture_is_filtered_in_parts() {
 #[test]
 fn transfer_is_one_row_that_opens() {
     let mut stage = Stage::boiler();
-    stage.until(10.0).size(130, 40).keys("2 /").text("src:10 srv:des").keys("Enter g");
+    stage.until(10.0).size(130, 40).keys("2 /").text("src:10 srv:des").keys("Enter Home");
     let rows = |stage: &Stage| {
         let screen = stage.screen();
         let rows = screen.lines().filter(|line| line.contains("→own"));
@@ -148,7 +148,7 @@ fn identifiers_and_calls_are_counted() {
         stage.app.page_filter(descan::app::Page::Traffic).text(),
         "at:0 at:10 srv:2 not type:data"
     );
-    let screen = stage.keys("g").screen();
+    let screen = stage.keys("Home").screen();
     assert!(screen.contains("1 rsp") && screen.contains(" ms"), "{screen}");
 }
 

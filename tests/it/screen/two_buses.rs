@@ -157,7 +157,7 @@ fn redundant_device_is_one_row() {
     text_snapshot!("two_networks", pair.keys("Esc j").screen(100, 24));
 
     // Each bus has its own address to pin, and can be added to the file.
-    let screen = pair.keys("g e").screen(100, 24);
+    let screen = pair.keys("Home e").screen(100, 24);
     assert!(screen.contains("static address on can0 (Tab: next): "), "{screen}");
     let screen = pair.keys("Tab").screen(100, 24);
     assert!(screen.contains("static address on can1 (Tab: next): "), "{screen}");
@@ -167,7 +167,7 @@ fn redundant_device_is_one_row() {
     assert_eq!(taken, [(Some("can0"), Some(10)), (Some("can1"), Some(11))]);
     pair.keys("u");
 
-    let screen = pair.run(6..16).keys("g").screen(100, 24);
+    let screen = pair.run(6..16).keys("Home").screen(100, 24);
     assert!(screen.contains("partial"), "{screen}");
     assert!(screen.contains("@11 lost"), "{screen}");
     assert!(screen.contains("● 5 present"), "one of two is here: {screen}");
@@ -179,7 +179,7 @@ fn redundant_device_is_one_row() {
 fn entry_edited_while_a_twin_appears_is_kept() {
     let file = r#"[{"name":"SENS","address":15,"static":true}]"#;
     let mut stage = Stage::new(&Scenario::builtin("boiler").unwrap(), Some(file));
-    stage.until(6.0).keys("/").text("SENS").keys("Enter g e").text("47");
+    stage.until(6.0).keys("/").text("SENS").keys("Enter Home e").text("47");
     let pins = "Enter pins it to 47 in the file; the device stays at 12";
     assert_eq!(stage.app.prompt_check(), Some(InputCheck::Accepted(pins.to_owned())));
     stage.until(30.0);

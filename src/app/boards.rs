@@ -1,0 +1,61 @@
+//! Boards at a shared address: a row for each while their UIDs are known.
+//!
+//! Input: the row of a device in conflict, and the nodes that send heartbeats from its address.
+//! Output: rows. A is the board that joined first. Does not know how a conflict is found.
+
+use super::Inputs;
+use super::capture::decoded::uid_text;
+use super::view::{Board, FileStatus, Row, RowKey, RowState};
+use crate::discovery::{AddressSender, Device};
+
+/// Boards with rows of their own at one address, at most: as many as values of an address are
+/// remembered by the engine.
+const MAX_BOARDS: usize = 8;
+
+impl Inputs<'_> {
+    /// Returns a row for each board that is known at the address of a device in conflict; else its
+    /// own row.
+    pub(super) fn board_rows(&self, row: Row, device: &Device) -> Vec<Row> {
+        if row.state != RowState::Conflict || !row.redundant_ids.is_empty() {
+            return vec![row];
+        }
+        let Some(bus) = self.buses.get(device.id.bus) else { return vec![row] };
+        let mut senders = bus.senders_at(device.address);
+        senders.truncate(MAX_BOARDS);
+        if senders.len() < 2 {
+            return vec![row];
+        }
+        let is_current = bus.device_at(device.address).is_some_and(|it| it.id == device.id);
+        let is_own = |sender: &AddressSender| {
+            // A board without a row of its own is known only by its heartbeats.
+            let is_rowless = self.buses.device(sender.device).is_none();
+            sender.device == device.id || is_current && is_rowless
+        };
+        let all = senders.iter().zip('A'..);
+        let own: Vec<Board> = all
+            .filter(|(sender, _)| is_own(sender))
+            .map(|(sender, side)| Board { side, sender: *sender })
+            .collect();
+        // An entry belongs to the board with its UID, else to the first one.
+        let alphabet = bus.config().profile.clone();
+        let listed = row.entry.and_then(|at| self.document.entries()[at].uid.as_deref());
+        let holder = own.iter().position(|board| {
+            listed
+                .is_some_and(|listed| uid_text(&alphabet, board.sender.uid).trim() == listed.trim())
+        });
+        let holder = holder.unwrap_or(0);
+        let rows = own.iter().enumerate().map(|(at, board)| {
+            let mut row = Row { board: Some(*board), uid: Some(board.sender.uid), ..row.clone() };
+            if at > 0 {
+                row.key = RowKey::Board(device.id, board.sender.uid);
+            }
+            if at != holder && row.entry.take().is_some() {
+                row.file = if self.has_file { FileStatus::New } else { FileStatus::Nothing };
+                (row.has_findings, row.has_other_services, row.differences) = (false, false, 0);
+            }
+            row
+        });
+        let rows: Vec<Row> = rows.collect();
+        if rows.is_empty() { vec![row] } else { rows }
+    }
+}

@@ -1,0 +1,105 @@
+//! Other devices in the details: the boards of a shared address, devices with the same name, the
+//! same device on other buses.
+
+use super::DeviceDetails;
+use crate::app::{BeatStats, Redundancy, clock_millis, format_time_of_day, twin_differences};
+use crate::discovery::Device;
+use crate::text::join_first;
+use crate::theme::Role;
+use crate::ui::devices::{STATS_BEATS, jitter_text, period_text, state_role, uid_text};
+
+/// Twins that are compared; the others are named only.
+const MAX_TWINS: usize = 3;
+/// Differences of a twin that are listed; the others are counted.
+const MAX_DIFFERENCES: usize = 6;
+
+impl DeviceDetails<'_, '_> {
+    /// The boards at the address: joining, mode and heartbeats of each.
+    pub(super) fn boards(&mut self, device: &Device) {
+        if self.row.board.is_none() {
+            return;
+        }
+        let app = self.app();
+        let is_here = |row: &&crate::app::Row| {
+            row.board.is_some() && row.bus == self.row.bus && row.address == self.row.address
+        };
+        self.blank();
+        let rows: Vec<&crate::app::Row> = app.rows().iter().filter(is_here).collect();
+        for (at, row) in rows.into_iter().enumerate() {
+            let Some(board) = row.board else { continue };
+            let uid = uid_text(app, device, board.sender.uid);
+            let joined = clock_millis(app, board.sender.since);
+            let order = ["", ", second", ", third"].get(at).unwrap_or(&", later");
+            let text = format!("{uid} joined {joined}{order}");
+            self.add(&format!("{}", board.side), Role::Text, &text);
+            let stats = BeatStats::of(&app.beats_of(row, STATS_BEATS));
+            let mode = board.sender.mode.map(|mode| mode.to_string());
+            let period = stats
+                .period
+                .zip(stats.jitter)
+                .map(|(period, jitter)| format!("{} {}", period_text(period), jitter_text(jitter)));
+            let missed = (stats.missed > 0).then(|| format!("{} missed", stats.missed));
+            let texts: Vec<String> = [mode, period, missed].into_iter().flatten().collect();
+            self.add(" ", Role::Muted, &texts.join(", "));
+        }
+    }
+
+    /// Devices with the same name on the bus, and what differs.
+    pub(super) fn twins(&mut self, device: &Device) {
+        if !self.row.twin {
+            return;
+        }
+        self.blank();
+        let app = self.app();
+        let devices = app.buses()[usize::from(device.id.bus.0)].devices().iter();
+        let mut twins: Vec<&Device> = devices
+            .filter(|it| it.id != device.id && it.is_present() && it.name == device.name)
+            .collect();
+        twins.sort_by_key(|twin| twin.address);
+        let places: Vec<String> = twins.iter().map(|it| it.address.to_string()).collect();
+        self.add("", Role::Text, &format!("² same name at {} (allowed)", places.join(", ")));
+        for twin in twins.into_iter().take(MAX_TWINS) {
+            let mut differences = Vec::new();
+            if let Some((own, other)) = device.uid.zip(twin.uid)
+                && own != other
+            {
+                differences.push(format!("UID {}", uid_text(app, twin, other)));
+            }
+            let services = twin_differences(device, twin);
+            if services.is_empty() && device.services.is_some() && twin.services.is_some() {
+                differences.push("same services and versions".to_owned());
+            }
+            differences.extend(services);
+            if !differences.is_empty() {
+                let text = join_first(differences, MAX_DIFFERENCES, "; ");
+                self.add(&format!("² at {}", twin.address), Role::Text, &text);
+            }
+        }
+    }
+
+    /// The same device on other buses: redundant ones with their state, separate networks.
+    pub(super) fn other_buses(&mut self, device: &Device) {
+        let app = self.app();
+        if !self.row.redundant_ids.is_empty() {
+            self.add("", Role::Text, "redundant: the same services on each bus");
+            for device in app.devices_of(self.row) {
+                let Some(bus) = app.bus(device.id.bus) else { continue };
+                let since = format_time_of_day(app, device.presence_since);
+                let presence = device.presence;
+                let text = format!("@{} {presence} since {since}", device.address);
+                self.add(&bus.name, state_role(presence.into()), &text);
+            }
+        }
+        for sibling in app.redundant_devices(device.id) {
+            let (Some(other), Some(bus)) = (app.device(sibling.id), app.bus(sibling.id.bus)) else {
+                continue;
+            };
+            if sibling.relation == Redundancy::Redundant {
+                continue;
+            }
+            let what = sibling.relation.words();
+            let text = format!("also on {} @{}, {what}", bus.name, other.address);
+            self.add("", Role::Text, &text);
+        }
+    }
+}
