@@ -32,6 +32,7 @@ mod buses;
 mod capture;
 mod clock;
 mod compared_moments;
+mod conflict_panel;
 mod devices;
 mod edits;
 mod events;
@@ -48,7 +49,9 @@ mod navigate;
 mod notices;
 mod page_filters;
 mod past;
+mod problem_page;
 mod problems;
+mod proof;
 mod saved_filters;
 mod time_bar;
 mod timeline_kind;
@@ -67,6 +70,7 @@ pub use capture::{
     Identifiers, Latency, NOTED_BYTES, StoredFrames, Transfer,
 };
 pub use compared_moments::{ComparedMoment, ComparisonNote, ComparisonRow, MomentComparison};
+pub use conflict_panel::{BeatCell, BeatsOnAxis, ConflictPanel, MAX_COLUMNS, side_letter};
 pub use devices::concerns;
 pub use file::{EditRefusal, FileChange, FileError, FileReading, FileState, SaveOutcome, Saving};
 pub use filter::{
@@ -85,14 +89,15 @@ pub use notices::{
 pub use page_filters::PageFilter;
 use page_filters::PageFilters;
 pub use problems::{
-    EvidenceItem, Matching, Problem, ProblemKey, ProblemList, Scope, format_duration, is_about,
+    ConflictSide, ConflictSides, EvidenceItem, Matching, Problem, ProblemHeadline, ProblemKey,
+    ProblemList, Scope, SideBasis, format_duration, is_about, length_text,
 };
 pub use saved_filters::{MAX_SAVED_FILTERS, SavedFilter, SavedFilterChange};
 pub use time_bar::{BAR_LEFT, BAR_RIGHT, BarSign, TimeBar};
 pub use timeline_kind::TimelineKind;
 pub use view::{
-    BarKey, BusPageLayout, BusRegions, ChartSpan, Counts, EvidenceView, FileStatus, Focus, Frozen,
-    Page, Row, RowKey, RowState, SPLIT_WIDTH, Screen, Selection, SortBy, TimeFormat, TrafficView,
+    BarKey, BusPageLayout, BusRegions, ChartSpan, ConflictAxis, Counts, EvidenceView, FileStatus, Focus, Frozen,
+    Page, ProblemsView, Row, RowKey, RowState, SPLIT_WIDTH, Screen, Selection, SortBy, TimeFormat, TrafficView,
     View,
 };
 
@@ -873,9 +878,13 @@ impl App {
         self.shown_problems().findings(self.shown_buses()).any(is_wanted)
     }
 
-    /// The problems that match the filter.
+    /// The problems of the view that match the filter.
     pub fn problems_shown(&self) -> ProblemList<'_> {
         let mut problems = self.problems();
+        let view = self.view.problems_view;
+        if view != ProblemsView::All {
+            problems.retain(|problem| view.lists(problem));
+        }
         if let Some(filter) = self.filters.of(Page::Problems).active() {
             problems.retain(|problem| filter.matches_problem(self.shown_buses(), problem));
         }
@@ -1254,6 +1263,7 @@ impl App {
     /// After a change of the problems: keeps the selection on its problem.
     fn settle_problems(&mut self) {
         let shown = self.problem_keys();
+        self.note_problem_rows(shown.len());
         let height = self.list_height();
         if self.view.page == Page::Problems {
             // A new first problem must not move under the key that is about to be pressed.

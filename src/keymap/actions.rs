@@ -199,9 +199,12 @@ actions! {
         OpenParts "open-parts" "Open or close a transfer of several frames" "" ["o"];
         TimeFormat "time-format" "Traffic: time of day, since the row above, the same identifier, the start" "" ["z"];
         SortReverse "sort-reverse" "Reverse the order" "" ["S"];
-        Identifiers "identifiers" "Traffic: frames, identifiers, calls; Bus: time shown" "view" ["v"];
+        Identifiers "identifiers" "Next view: of Traffic, of Problems; Bus: time shown" "view" ["v"];
+        ZoomOut "zoom-out" "Time axis: show more time" "" ["-"];
+        ZoomIn "zoom-in" "Time axis: show more detail" "" ["+"];
         Problem "problem" "Jump between device and problem" "problem" ["p"];
         Mute "mute" "Mute or unmute a problem until descan quits" "mute" ["m"];
+        WriteProof "write-proof" "Write the proof of a problem: report and frames" "proof" ["X"];
         Copy "copy" "Copy the selected row to the clipboard" "" ["y"];
         Cancel "cancel" "Close or leave; filter off" "" ["Esc"];
     }

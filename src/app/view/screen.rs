@@ -56,7 +56,10 @@ const NARROW: u16 = 60;
 /// Least width with the time bar, in columns.
 const BAR_COLUMNS: u16 = 60;
 
-/// Least height with the details of a frame below the list of frames, in lines.
+/// Least rows of the list of problems above the details.
+const LEAST_PROBLEMS: u16 = 3;
+
+/// Least height with the details of a problem or of a frame below the list of frames, in lines.
 const SPLIT_HEIGHT: u16 = 18;
 
 impl Screen {
@@ -90,11 +93,17 @@ impl Screen {
         if has_details && view.page == Page::Traffic && rows >= SPLIT_HEIGHT {
             screen.details = take_bottom(&mut left, (rows / 3).clamp(7, 14));
             screen.lower_rule = take_bottom(&mut left, 1);
-        } else if has_details && view.page != Page::Traffic && columns >= SPLIT_WIDTH {
-            let width = match view.page {
-                Page::Devices => (columns * 3 / 8).clamp(29, 60),
-                _ => (columns * 9 / 20).clamp(34, 72),
-            };
+        } else if has_details && view.page == Page::Problems && rows >= SPLIT_HEIGHT {
+            // Below the list, which has as many rows as it wants, at most a quarter.
+            let (wanted, below) = view.problem_rows;
+            let most = (left.height / 4).max(LEAST_PROBLEMS);
+            let list = wanted.clamp(LEAST_PROBLEMS, most) + below.min(left.height / 2);
+            let rule = 1;
+            let details = left.height.saturating_sub(1 + list + rule);
+            screen.details = take_bottom(&mut left, details);
+            screen.lower_rule = take_bottom(&mut left, rule);
+        } else if has_details && view.page == Page::Devices && columns >= SPLIT_WIDTH {
+            let width = (columns * 3 / 8).clamp(29, 60);
             screen.details = Rect::new(columns - width, left.y, width, left.height);
             left.width -= width + 1;
             screen.divider = Rect::new(left.width, left.y, 1, left.height);
