@@ -86,8 +86,13 @@ impl App {
         let sides = self.conflict_sides(problem)?;
         let first = sides.sides.len().saturating_sub(MAX_COLUMNS);
         let devices = self.devices_at(bus, address);
-        let mut panel =
-            ConflictPanel { titles: Vec::new(), rows: Vec::new(), remedy: String::new(), sides, first };
+        let mut panel = ConflictPanel {
+            titles: Vec::new(),
+            rows: Vec::new(),
+            remedy: String::new(),
+            sides,
+            first,
+        };
         panel.titles = self.side_titles(bus, &panel, &devices);
         let places = panel.first..panel.sides.sides.len();
         let column = |text: &dyn Fn(usize) -> String| places.clone().map(text).collect();
@@ -99,7 +104,9 @@ impl App {
                 let why = "told apart by the phase of their heartbeats";
                 panel.rows.push(("boards", vec![why.to_owned()]));
             }
-            panel.rows.push(("joined", column(&|at| self.joined_text(&panel, at, address, is_wide))));
+            panel
+                .rows
+                .push(("joined", column(&|at| self.joined_text(&panel, at, address, is_wide))));
             let beats = column(&|at| self.heartbeat_text(problem, &panel, at, is_wide));
             panel.rows.push(("heartbeat", beats));
             panel.rows.push(("mode", column(&|at| self.mode_text(&panel, at, is_wide))));
@@ -166,7 +173,12 @@ impl App {
 
     // ---- columns ---------------------------------------------------------------------------
 
-    fn side_titles(&self, bus: BusIndex, panel: &ConflictPanel, devices: &[&Device]) -> Vec<String> {
+    fn side_titles(
+        &self,
+        bus: BusIndex,
+        panel: &ConflictPanel,
+        devices: &[&Device],
+    ) -> Vec<String> {
         let names: Vec<String> = devices
             .iter()
             .filter_map(|device| Some(device.name.as_ref()?.quoted().to_string()))
@@ -186,7 +198,13 @@ impl App {
         sides.map(title).collect()
     }
 
-    fn joined_text(&self, panel: &ConflictPanel, at: usize, address: Address, wide: bool) -> String {
+    fn joined_text(
+        &self,
+        panel: &ConflictPanel,
+        at: usize,
+        address: Address,
+        wide: bool,
+    ) -> String {
         let side = &panel.sides.sides[at];
         let Some(joined) = side.joined else { return "–".to_owned() };
         let time = clock_millis(self, joined);
@@ -220,7 +238,8 @@ impl App {
             None => self.display_time(),
         };
         let left = sides.has_left(at, end, side.period.unwrap_or(usual));
-        let left = if left { format!("left: last {}", clock_millis(self, last)) } else { String::new() };
+        let left =
+            if left { format!("left: last {}", clock_millis(self, last)) } else { String::new() };
         if !left.is_empty() && !wide {
             return left;
         }
@@ -291,7 +310,12 @@ impl App {
     }
 
     /// Lists of services. Responses do not show which of the boards sent them.
-    fn services_texts(&self, panel: &ConflictPanel, devices: &[&Device], wide: bool) -> Vec<String> {
+    fn services_texts(
+        &self,
+        panel: &ConflictPanel,
+        devices: &[&Device],
+        wide: bool,
+    ) -> Vec<String> {
         let count = panel.titles.len();
         if let [device] = devices {
             let Some(own) = &device.services else { return vec!["not read".to_owned()] };
@@ -315,7 +339,8 @@ impl App {
             return vec![format!("{unsure}{own}"), format!("{unsure}{other}")];
         }
         let lists = devices.iter().map(|device| {
-            let name = device.name.as_ref().map_or("?".to_owned(), |name| name.quoted().to_string());
+            let name =
+                device.name.as_ref().map_or("?".to_owned(), |name| name.quoted().to_string());
             let services = device.services.as_ref();
             let list = services.map_or("not read".to_owned(), |list| services_text(list, false));
             format!("{name} {list}")
@@ -364,7 +389,12 @@ impl App {
         places.map(cell).collect()
     }
 
-    fn conflict_remedy(&self, problem: &Problem, panel: &ConflictPanel, address: Address) -> String {
+    fn conflict_remedy(
+        &self,
+        problem: &Problem,
+        panel: &ConflictPanel,
+        address: Address,
+    ) -> String {
         let boards = problem.boards();
         let is_open = problem.ended().is_none();
         let has_joined = problem.began() > boards.first().map_or(problem.first(), |it| it.since);

@@ -96,9 +96,9 @@ pub use saved_filters::{MAX_SAVED_FILTERS, SavedFilter, SavedFilterChange};
 pub use time_bar::{BAR_LEFT, BAR_RIGHT, BarSign, TimeBar};
 pub use timeline_kind::TimelineKind;
 pub use view::{
-    BarKey, BusPageLayout, BusRegions, ChartSpan, ConflictAxis, Counts, EvidenceView, FileStatus, Focus, Frozen,
-    Page, ProblemsView, Row, RowKey, RowState, SPLIT_WIDTH, Screen, Selection, SortBy, TimeFormat, TrafficView,
-    View,
+    BarKey, BusPageLayout, BusRegions, ChartSpan, ConflictAxis, Counts, EvidenceView, FileStatus,
+    Focus, Frozen, Page, ProblemsView, Row, RowKey, RowState, SPLIT_WIDTH, Screen, Selection,
+    SortBy, TimeFormat, TrafficView, View,
 };
 
 use crate::bitrate::{SearchOutcome, SearchProgress};
@@ -310,6 +310,8 @@ pub struct App {
     time_bar: TimeBar,
     /// The comparison of two moments that is open.
     comparison: Option<Box<MomentComparison>>,
+    /// The proof that is being written.
+    proof: Option<proof::PendingProof>,
     /// Content of des.json now, and before: with the time until which it was so, oldest first.
     content: FileContent,
     contents_before: VecDeque<(Instant, FileContent)>,
@@ -348,6 +350,7 @@ impl App {
             saved_filters: options.saved_filters,
             time_bar: TimeBar::default(),
             comparison: None,
+            proof: None,
             content,
             contents_before: VecDeque::new(),
         };
@@ -552,6 +555,9 @@ impl App {
     /// Takes the result of an [`Effect::WriteFile`] or [`Effect::WriteLog`]; `Err` with the cause.
     pub fn handle_written(&mut self, now: Instant, path: &Path, result: Result<(), Diagnostic>) {
         self.clock.set(now);
+        if self.handle_written_proof(path, &result) {
+            return self.notices.redraw.set_dirty();
+        }
         let is_copy = self.editor.handle_written(path, result.is_ok());
         let path = crate::text::printable(path.as_os_str().as_encoded_bytes());
         match result {
@@ -724,6 +730,16 @@ impl App {
     /// Seconds since 1970-01-01 00:00 on the wall clock.
     pub fn wall_seconds(&self, at: Instant) -> u64 {
         self.clock.wall_seconds(at)
+    }
+
+    /// A moment on the wall clock with its date: `2026-11-21 06:00:36`.
+    pub fn date_time_text(&self, at: Instant) -> String {
+        self.clock.date_time_text(at)
+    }
+
+    /// Offset of the wall clock from UTC: `UTC+02:00`.
+    pub fn utc_offset_text(&self) -> String {
+        self.clock.utc_offset_text()
     }
 
     /// State of the playback; `None` unless all buses are logs.

@@ -706,7 +706,7 @@ impl App {
     /// Opens the evidence of the selected problem; for a difference from the file, goes to its row.
     pub(super) fn open_evidence(&mut self) {
         let Some(problem) = self.selected_problem() else { return };
-        let (key, title) = (problem.key.clone(), problem.title());
+        let (key, title) = (problem.key.clone(), self.headline(&problem).label);
         let (kind, pieces, count) = (problem.head().key.kind, problem.evidence(), problem.count());
         if pieces.is_empty() {
             if kind == FindingKind::FramesLost {

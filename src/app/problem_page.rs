@@ -3,18 +3,20 @@
 //! Input: actions. Output: changes of the view; the frame of a piece of evidence on Traffic, at its
 //! moment. Does not know how the page is drawn.
 
+use super::App;
 use super::problems::{EvidenceItem, ProblemKey};
 use super::view::{Focus, Page, ProblemsView};
-use super::App;
 
 impl App {
     /// Takes the number of problems that are listed: the list has as many rows, if there is room.
     pub(super) fn note_problem_rows(&mut self, count: usize) {
         /// Lines of the cause why des.json cannot be used, with the one above it.
         const CAUSE: usize = 3;
-        let file = self.editor.file.problem().map(|problem| {
-            CAUSE + problem.excerpt().into_iter().flatten().count()
-        });
+        let file = self
+            .editor
+            .file
+            .problem()
+            .map(|problem| CAUSE + problem.excerpt().into_iter().flatten().count());
         let lines = |count: usize| u16::try_from(count).unwrap_or(u16::MAX);
         self.view.problem_rows = (lines(count), lines(file.unwrap_or(0)));
         if count == 0 && self.view.page == Page::Problems {

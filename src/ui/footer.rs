@@ -244,19 +244,17 @@ fn hint_line(brush: &DrawContext, mode: KeyMode, width: usize) -> Vec<Span<'stat
         (KeyMode::Browse, Page::Bus, _) => {
             &[A::Details, A::Frames, A::Identifiers, A::Freeze, A::BitRate, A::SaveCapture]
         }
-        (KeyMode::Browse, Page::Problems, _) => {
-            &[
-                A::Details,
-                A::Frames,
-                A::Problem,
-                A::EditAddress,
-                A::Mute,
-                A::WriteProof,
-                A::Identifiers,
-                A::Filter,
-                A::Rescan,
-            ]
-        }
+        (KeyMode::Browse, Page::Problems, _) => &[
+            A::Details,
+            A::Frames,
+            A::Problem,
+            A::EditAddress,
+            A::Mute,
+            A::WriteProof,
+            A::Identifiers,
+            A::Filter,
+            A::Rescan,
+        ],
     };
     let is_not_saved = app.file().problem().is_some_and(FileError::is_not_saved);
     let first: &[Action] = match mode {

@@ -183,7 +183,8 @@ impl App {
                 }
             }
             None => {
-                let verb = verb.strip_suffix(" with").unwrap_or(verb).replace("conflicts", "conflict");
+                let verb =
+                    verb.strip_suffix(" with").unwrap_or(verb).replace("conflicts", "conflict");
                 let short = format!("two boards{named} {verb} {note}{until}");
                 let long = format!("two boards{named} {verb} {note}, both since {since}{until}");
                 Words { label, short, full: long.clone(), long }
@@ -339,9 +340,10 @@ impl App {
 
     /// Name and UID of a device: `DISP (BOILER04)`.
     pub fn device_label(&self, device: &Device) -> String {
-        let name = device.name.as_ref().map_or("an unnamed device".to_owned(), |name| {
-            name.quoted().to_string()
-        });
+        let name = device
+            .name
+            .as_ref()
+            .map_or("an unnamed device".to_owned(), |name| name.quoted().to_string());
         match device.uid.filter(|uid| !uid.is_blank()) {
             Some(uid) => {
                 let profile = self.profile(device.id.bus);
@@ -411,7 +413,12 @@ fn debug_words(problem: &Problem) -> Words {
     let label = join_first(labels.clone(), LISTED, " / ");
     let count = if labels.len() == 2 { "Two".to_owned() } else { labels.len().to_string() };
     let text = format!("{} debug devices: {}", count.to_lowercase(), and_list(labels));
-    Words { label, short: text.clone(), long: text.clone(), full: format!("{text}, both at {address}") }
+    Words {
+        label,
+        short: text.clone(),
+        long: text.clone(),
+        full: format!("{text}, both at {address}"),
+    }
 }
 
 fn one_uid_words(problem: &Problem) -> Words {

@@ -202,9 +202,8 @@ impl ConflictSides {
         let mut order: Vec<usize> = (0..count).collect();
         order.sort_by_key(|side| first(*side));
         let uid = known(beats[middle].uid);
-        let sides = order.iter().map(|side| {
-            ConflictSide::new(uid, first(*side).map(|at| beats[at].time))
-        });
+        let sides =
+            order.iter().map(|side| ConflictSide::new(uid, first(*side).map(|at| beats[at].time)));
         let sides: Vec<ConflictSide> = sides.collect();
         for side in of_beats.iter_mut().flatten() {
             *side = order.iter().position(|it| it == side).unwrap_or(0);
@@ -246,7 +245,10 @@ impl ConflictSides {
             }
             let mean = intervals.iter().sum::<f64>() / intervals.len() as f64;
             side.period = Some(Duration::from_secs_f64(mean));
-            let mut deviations: Vec<f64> = intervals.iter().rev().take(JITTER_BEATS)
+            let mut deviations: Vec<f64> = intervals
+                .iter()
+                .rev()
+                .take(JITTER_BEATS)
                 .map(|interval| (interval - mean).abs())
                 .collect();
             deviations.sort_by(f64::total_cmp);

@@ -52,9 +52,11 @@ pub fn lines(brush: &DrawContext, problem: &Problem, width: u16) -> Option<Board
     let column = room.saturating_sub(between * (count - 1)) / count;
     let (mut columns, mut services) = (Vec::new(), Vec::new());
     if !panel.titles.is_empty() {
-        let cells = panel.titles.iter().enumerate().map(|(at, title)| {
-            brush.span(side_role(panel.first + at), fit(title, column))
-        });
+        let cells = panel
+            .titles
+            .iter()
+            .enumerate()
+            .map(|(at, title)| brush.span(side_role(panel.first + at), fit(title, column)));
         columns.push(row(brush, "", cells.collect()));
     }
     for (label, cells) in &panel.rows {
@@ -99,9 +101,7 @@ fn axis(
     beats.extend(axis.beats.iter().map(|cell| match cell {
         None => Span::raw(" "),
         Some(BeatCell { sign: '×', .. }) => brush.span(Role::Warning, "×"),
-        Some(BeatCell { sign, side: Some(side) }) => {
-            brush.span(side_role(*side), sign.to_string())
-        }
+        Some(BeatCell { sign, side: Some(side) }) => brush.span(side_role(*side), sign.to_string()),
         Some(BeatCell { sign, side: None }) => brush.span(Role::Muted, sign.to_string()),
     }));
     let mut answers = vec![label("answers")];

@@ -240,8 +240,12 @@ impl ProblemDetails<'_, '_> {
         if pieces.is_empty() {
             return;
         }
-        let table =
-            EvidenceTable { pieces: &pieces, count: self.problem.count(), sides, width: self.width };
+        let table = EvidenceTable {
+            pieces: &pieces,
+            count: self.problem.count(),
+            sides,
+            width: self.width,
+        };
         self.lines.push(table.heading(brush));
         let fits = self.lines.len() + 2 * pieces.len() <= self.height;
         let selected = self.piece.map(|piece| piece.min(pieces.len() - 1));
@@ -250,7 +254,7 @@ impl ProblemDetails<'_, '_> {
             if is_selected {
                 self.selected = Some(self.lines.len());
             }
-            self.lines.push(table.line(brush, piece, is_selected));
+            self.lines.push(table.line(brush, at, is_selected));
             if fits || is_selected {
                 self.lines.extend(table.frame_line(brush, piece));
             }

@@ -11,8 +11,8 @@ use crate::wire::id::Header;
 use ratatui::text::Line;
 use unicode_width::UnicodeWidthStr;
 
-/// Columns from which the table has NAME, ID and DATA.
-const WIDE: u16 = 120;
+/// Columns from which the table has NAME, ID and DATA: on a screen of 120.
+const WIDE: u16 = 119;
 /// Columns from which it has MODE and UID.
 const WITH_UID: u16 = 64;
 const TIME: usize = 14;
@@ -21,6 +21,8 @@ const MODE: usize = 7;
 const UID: usize = 10;
 const NAME: usize = 8;
 const ID: usize = 10;
+/// Cells of the number of pieces at the end of the heading: `16 of 45`.
+const COUNT: usize = 9;
 /// Cells of eight bytes in hexadecimal digits.
 const DATA: usize = 24;
 
@@ -54,11 +56,12 @@ impl EvidenceTable<'_> {
         }
         if self.width >= WIDE {
             taken += NAME + ID + DATA + 1;
+        } else if self.has_uid() {
+            taken += COUNT;
         }
         usize::from(self.width).saturating_sub(taken + 1)
     }
 
-    /// Cells of the number of pieces at the end of the heading.
     fn has_uid(&self) -> bool {
         self.sides.is_some() && self.width >= WITH_UID
     }
@@ -89,8 +92,25 @@ impl EvidenceTable<'_> {
         Line::from(vec![brush.span(Role::Header, start), brush.span(Role::Muted, rest)])
     }
 
-    /// The line of a piece.
-    pub fn line(&self, brush: &DrawContext, piece: &EvidenceItem, selected: bool) -> Line<'static> {
+    /// What a piece shows; of a further response also how long after the one before.
+    fn what(&self, at: usize) -> String {
+        let piece = &self.pieces[at];
+        let before = at.checked_sub(1).map(|before| &self.pieces[before]);
+        let is_pair = |before: &&EvidenceItem| {
+            before.what.contains("first response") && piece.what.contains("second response")
+        };
+        match before.filter(is_pair) {
+            Some(before) => {
+                let later = piece.time.since(before.time).as_secs_f64() * 1000.0;
+                format!("{}, {later:.1} ms later", piece.what)
+            }
+            None => piece.what.clone(),
+        }
+    }
+
+    /// The line of the piece at this place.
+    pub fn line(&self, brush: &DrawContext, at: usize, selected: bool) -> Line<'static> {
+        let piece = &self.pieces[at];
         let mut spans = vec![
             brush.span(Role::Text, if selected { "▸" } else { " " }),
             brush.span(Role::Muted, fit(&clock_millis(brush.app, piece.time), TIME)),
@@ -102,7 +122,7 @@ impl EvidenceTable<'_> {
             spans.push(side_span(brush, side, is_beat));
             spans.push(brush.span(Role::Text, " ".repeat(SIDE - 1)));
         }
-        spans.push(brush.span(Role::Text, fit(&piece.what, self.what_width())));
+        spans.push(brush.span(Role::Text, fit(&self.what(at), self.what_width())));
         let dash = |text: String| if text.is_empty() { "–".to_owned() } else { text };
         if self.has_uid() {
             spans.push(brush.span(Role::Text, fit(&dash(cells.mode), MODE)));
