@@ -244,6 +244,9 @@ impl App {
             return left;
         }
         let mut parts = Vec::new();
+        if !left.is_empty() {
+            parts.push(left);
+        }
         if let Some(period) = side.period {
             let jitter = side.jitter.filter(|_| wide).map_or(String::new(), |jitter| {
                 format!(" ±{:.0} ms", jitter.as_secs_f64() * 1000.0)
@@ -271,9 +274,6 @@ impl App {
                 beats => format!("{beats} beats"),
             };
             parts.push(format!("{count}, {} missed", side.missed));
-        }
-        if !left.is_empty() {
-            parts.push(left);
         }
         parts.join(", ")
     }
@@ -396,10 +396,12 @@ impl App {
         address: Address,
     ) -> String {
         let boards = problem.boards();
-        let is_open = problem.ended().is_none();
+        if problem.ended().is_some() {
+            return String::new();
+        }
         let has_joined = problem.began() > boards.first().map_or(problem.first(), |it| it.since);
         match &boards[..] {
-            [_, .., newest] if has_joined && is_open && address != Address::DEBUG => {
+            [_, .., newest] if has_joined && address != Address::DEBUG => {
                 let key = self.key_of(Action::EditAddress);
                 let place = ordinal(panel.sides.sides.len().max(boards.len()) - 1);
                 let board = label_of(newest.label());

@@ -530,7 +530,13 @@ impl App {
                 let address = row.address.map_or("?".to_owned(), |address| address.to_string());
                 format!("{name} @{address} {}", row.state.word())
             }),
-            Page::Problems => self.selected_problem().map(|problem| self.problem_text(&problem)),
+            Page::Problems => self.selected_problem().map(|problem| {
+                let piece = problem.evidence().into_iter().nth(self.view.piece);
+                match piece.filter(|_| self.view.focus == Focus::Details) {
+                    Some(piece) => self.evidence_text(&piece),
+                    None => self.problem_text(&problem),
+                }
+            }),
             Page::Timeline => {
                 let number = self.view.timeline.selected().copied();
                 let line = number.and_then(|number| self.timeline().get(number));

@@ -5,7 +5,7 @@
 
 use super::App;
 use super::problems::{EvidenceItem, ProblemKey};
-use super::view::{Focus, Page, ProblemsView};
+use super::view::{Focus, Page, ProblemRoom, ProblemsView};
 
 impl App {
     /// Takes the number of problems that are listed: the list has as many rows, if there is room.
@@ -18,7 +18,10 @@ impl App {
             .problem()
             .map(|problem| CAUSE + problem.excerpt().into_iter().flatten().count());
         let lines = |count: usize| u16::try_from(count).unwrap_or(u16::MAX);
-        self.view.problem_rows = (lines(count), lines(file.unwrap_or(0)));
+        let has_conflict =
+            self.problems_shown().keys().any(|key| matches!(key, ProblemKey::Address(..)));
+        let below = lines(file.unwrap_or(0));
+        self.view.problem_room = ProblemRoom { rows: lines(count), below, has_conflict };
         if count == 0 && self.view.page == Page::Problems {
             self.view.focus = Focus::List;
         }

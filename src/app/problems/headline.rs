@@ -5,6 +5,7 @@
 //! know how wide the screen is.
 
 use super::{Problem, ProblemKey, format_duration};
+use crate::app::capture::decoded::uid_text;
 use crate::app::{App, format_time_of_day};
 use crate::discovery::Device;
 use crate::finding::{FindingKind, FindingState, SeenUid};
@@ -334,8 +335,7 @@ impl App {
     }
 
     fn uid_label(&self, problem: &Problem, uid: Uid) -> String {
-        let profile = self.profile(problem.bus().unwrap_or_default());
-        label_of(crate::app::capture::decoded::uid_text(&profile, uid))
+        label_of(uid_text(&self.profile(problem.bus().unwrap_or_default()), uid))
     }
 
     /// Name and UID of a device: `DISP (BOILER04)`.
@@ -344,14 +344,20 @@ impl App {
             .name
             .as_ref()
             .map_or("an unnamed device".to_owned(), |name| name.quoted().to_string());
-        match device.uid.filter(|uid| !uid.is_blank()) {
-            Some(uid) => {
-                let profile = self.profile(device.id.bus);
-                let uid = label_of(crate::app::capture::decoded::uid_text(&profile, uid));
-                format!("{name} ({uid})")
-            }
-            None => name,
-        }
+        // In a conflict the UID is that of the last heartbeat.
+        let (id, address) = (device.id, device.address);
+        let findings = self.bus(id.bus).map_or(&[][..], |bus| bus.findings());
+        let shared = findings.iter().find(|finding| {
+            finding.key.address == Some(address)
+                && finding.uids.len() > 1
+                && finding.state != FindingState::Cleared
+        });
+        let uids = match (shared, device.uid.filter(|uid| !uid.is_blank())) {
+            (Some(finding), _) => finding.uids.iter().map(|it| label_of(it.label())).collect(),
+            (None, Some(uid)) => vec![label_of(uid_text(&self.profile(id.bus), uid))],
+            (None, None) => return name,
+        };
+        format!("{name} ({})", join_first(uids, LISTED, " / "))
     }
 
     fn device_label_of(&self, problem: &Problem) -> String {
@@ -430,9 +436,15 @@ fn one_uid_words(problem: &Problem) -> Words {
     Words::same(text.clone(), text)
 }
 
-/// The sentence of the first finding, without the full stop.
+/// The sentence of the first finding, without the full stop. Of a fault in des.json its line first.
 fn sentence_words(problem: &Problem) -> Words {
     let head = problem.head();
+    if head.position.is_some() && head.key.fault.is_some() {
+        let names: String = head.names.iter().map(|name| format!("{}  ", name.quoted())).collect();
+        let short = format!("{names}{}", problem.headline());
+        let full = head.text.strip_suffix('.').unwrap_or(&head.text).to_owned();
+        return Words { label: problem.title(), long: short.clone(), short, full };
+    }
     let text = match head.text.strip_suffix('.').unwrap_or(&head.text) {
         "" => problem.headline().into_owned(),
         text => text.to_owned(),

@@ -12,11 +12,11 @@ impl fmt::Display for Plain<'_> {
         let mut before = ' ';
         let mut rest = self.0.chars().peekable();
         while let Some(c) = rest.next() {
-            let is_in_word =
-                || before.is_alphanumeric() && rest.peek().is_some_and(|c| c.is_alphanumeric());
+            let next = rest.peek().copied().unwrap_or(' ');
+            let is_in_word = before.is_alphanumeric() && next.is_alphanumeric();
             match c {
                 // Inside a word it is no emphasis: RSP_CC_TGT.
-                '_' if is_in_word() => f.write_char(c)?,
+                '_' if is_in_word => f.write_char(c)?,
                 '<' => f.write_str("&lt;")?,
                 '>' => f.write_str("&gt;")?,
                 '&' => f.write_str("&amp;")?,

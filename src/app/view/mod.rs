@@ -17,6 +17,7 @@ pub use bus_page::{BarKey, BusPageLayout, BusRegions, ChartSpan};
 pub use cursor::Selection;
 pub use evidence::EvidenceView;
 pub use page::{Focus, Frozen, Page};
+pub(in crate::app) use problems_view::ProblemRoom;
 pub use problems_view::{ConflictAxis, ProblemsView};
 pub use rows::{Counts, FileStatus, Row, RowKey, RowState, SortBy};
 pub use screen::{SPLIT_WIDTH, Screen};
@@ -66,8 +67,8 @@ pub struct View {
     pub problems: Selection<ProblemKey>,
     /// Which problems are listed.
     pub problems_view: ProblemsView,
-    /// Rows that the list of problems wants, and lines that it wants below them.
-    pub(in crate::app) problem_rows: (u16, u16),
+    /// Room that the list of problems wants.
+    pub(in crate::app) problem_room: ProblemRoom,
     /// Place of the selected piece of evidence in the focused details of a problem.
     pub piece: usize,
     /// Time axis of the conflict panel.
@@ -97,7 +98,7 @@ impl View {
     pub fn has_details(&self) -> bool {
         match self.page {
             Page::Devices => true,
-            Page::Problems => self.problem_rows.0 > 0,
+            Page::Problems => self.problem_room.rows > 0,
             Page::Traffic if self.evidence.is_some() => true,
             Page::Traffic => self.frame_details && self.traffic_view == TrafficView::Frames,
             Page::Timeline | Page::Bus => false,

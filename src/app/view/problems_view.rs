@@ -7,6 +7,17 @@ use crate::finding::FindingState;
 /// Cells of the axis that a step moves it by.
 const AXIS_STEP: i64 = 5;
 
+/// Room that the list wants above the details.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ProblemRoom {
+    /// Rows.
+    pub rows: u16,
+    /// Lines below them.
+    pub below: u16,
+    /// The details of a conflict need most of the page.
+    pub has_conflict: bool,
+}
+
 /// Which problems the page lists.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ProblemsView {

@@ -94,10 +94,11 @@ impl Screen {
             screen.details = take_bottom(&mut left, (rows / 3).clamp(7, 14));
             screen.lower_rule = take_bottom(&mut left, 1);
         } else if has_details && view.page == Page::Problems && rows >= SPLIT_HEIGHT {
-            // Below the list, which has as many rows as it wants, at most a quarter.
-            let (wanted, below) = view.problem_rows;
-            let most = (left.height / 4).max(LEAST_PROBLEMS);
-            let list = wanted.clamp(LEAST_PROBLEMS, most) + below.min(left.height / 2);
+            // Below the list, which has as many rows as it wants, at most a part of the page.
+            let wanted = view.problem_room;
+            let part = if wanted.has_conflict { 4 } else { 2 };
+            let most = (left.height / part).max(LEAST_PROBLEMS);
+            let list = wanted.rows.clamp(LEAST_PROBLEMS, most) + wanted.below.min(left.height / 2);
             let rule = 1;
             let details = left.height.saturating_sub(1 + list + rule);
             screen.details = take_bottom(&mut left, details);

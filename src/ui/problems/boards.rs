@@ -6,8 +6,11 @@ use crate::app::{BeatCell, ConflictPanel, Problem, side_letter};
 use crate::theme::Role;
 use ratatui::text::{Line, Span};
 
-/// Cells of the labels of the rows.
+/// Cells of the labels of the rows, and on a narrow screen.
 const LABEL: usize = 12;
+const NARROW_LABEL: usize = 7;
+/// Columns below which labels are short.
+const NARROW: u16 = 60;
 /// Cells of the labels of the axis.
 const AXIS_LABEL: usize = 9;
 /// Cells of a column from which its rows have more in them.
@@ -44,10 +47,11 @@ pub fn side_span(brush: &DrawContext, side: Option<usize>, is_unknown: bool) -> 
 
 /// Returns the lines of a conflict; `None` for any other problem.
 pub fn lines(brush: &DrawContext, problem: &Problem, width: u16) -> Option<BoardLines> {
+    let labels = if width < NARROW { NARROW_LABEL } else { LABEL };
     let is_wide = width.saturating_sub(LABEL as u16) / 2 >= WIDE_COLUMN;
     let panel = brush.app.conflict_panel(problem, is_wide)?;
     let count = panel.titles.len().max(1);
-    let room = usize::from(width).saturating_sub(LABEL + 1);
+    let room = usize::from(width).saturating_sub(labels + 1);
     let between = 2;
     let column = room.saturating_sub(between * (count - 1)) / count;
     let (mut columns, mut services) = (Vec::new(), Vec::new());
@@ -57,7 +61,7 @@ pub fn lines(brush: &DrawContext, problem: &Problem, width: u16) -> Option<Board
             .iter()
             .enumerate()
             .map(|(at, title)| brush.span(side_role(panel.first + at), fit(title, column)));
-        columns.push(row(brush, "", cells.collect()));
+        columns.push(row(brush, "", labels, cells.collect()));
     }
     for (label, cells) in &panel.rows {
         let cells = match &cells[..] {
@@ -65,15 +69,27 @@ pub fn lines(brush: &DrawContext, problem: &Problem, width: u16) -> Option<Board
             cells => cells.iter().map(|it| brush.span(Role::Text, fit(it, column))).collect(),
         };
         let part = if *label == "services" { &mut services } else { &mut columns };
-        part.push(row(brush, label, cells));
+        let label = if width < NARROW { short_label(label) } else { label };
+        part.push(row(brush, label, labels, cells));
     }
     let remedy = labelled(brush, " → ", Role::New, &panel.remedy, width.saturating_sub(1));
     let (axis, answers) = axis(brush, problem, &panel, width);
     Some(BoardLines { columns, services, axis, answers, remedy, panel })
 }
 
-fn row(brush: &DrawContext, label: &str, cells: Vec<Span<'static>>) -> Line<'static> {
-    let mut spans = vec![brush.span(Role::Muted, format!(" {}", fit(label, LABEL - 1)))];
+/// A label in at most five cells.
+fn short_label(label: &str) -> &str {
+    match label {
+        "joined" => "since",
+        "heartbeat" => "beat",
+        "services" => "svc",
+        "des.json" => "file",
+        label => label,
+    }
+}
+
+fn row(brush: &DrawContext, label: &str, width: usize, cells: Vec<Span<'static>>) -> Line<'static> {
+    let mut spans = vec![brush.span(Role::Muted, format!(" {}", fit(label, width - 1)))];
     for (at, cell) in cells.into_iter().enumerate() {
         if at > 0 {
             spans.push(brush.span(Role::Border, "│ "));

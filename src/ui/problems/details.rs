@@ -43,8 +43,10 @@ pub fn draw(brush: &mut DrawContext) {
     let (lines, selected) = details.all();
     // The selected piece stays in view, with the line of its frame; the rest scrolls behind it.
     let hidden = lines.len().saturating_sub(usize::from(area.height));
+    // The first one is selected at once: the lines above it stay.
     let below = 3;
-    let kept = selected.map_or(0, |line| (line + below).saturating_sub(usize::from(area.height)));
+    let moved = selected.filter(|_| view.piece > 0);
+    let kept = moved.map_or(0, |line| (line + below).saturating_sub(usize::from(area.height)));
     let kept = kept.min(hidden);
     let extra = usize::from(view.details_scroll).min(hidden - kept);
     let scroll = u16::try_from(kept + extra).unwrap_or(u16::MAX);
@@ -115,7 +117,7 @@ impl ProblemDetails<'_, '_> {
     /// The boards, then the evidence, then the rest. Rows give way to the first pieces of evidence in
     /// this order: answers, services, remedy.
     fn conflict(&mut self, boards: BoardLines) {
-        let BoardLines { columns, mut services, axis, mut answers, mut remedy, panel } = boards;
+        let BoardLines { mut columns, mut services, axis, mut answers, mut remedy, panel } = boards;
         let heading = 1;
         let wanted = heading + LEAST_EVIDENCE.min(self.problem.evidence().len());
         let mut gone = Vec::new();
@@ -126,6 +128,11 @@ impl ProblemDetails<'_, '_> {
                 gone.append(part);
             }
         }
+        // The heartbeats never give way, the last rows of the columns do.
+        let least = 2;
+        let room = self.height.saturating_sub(axis.len() + 1).max(least);
+        let mut below = columns.split_off(columns.len().min(room));
+        gone.append(&mut below);
         self.lines.extend([columns, services, axis, answers, remedy].into_iter().flatten());
         self.evidence(Some(&panel.sides));
         self.lines.push(Line::default());

@@ -102,7 +102,7 @@ impl EvidenceTable<'_> {
         match before.filter(is_pair) {
             Some(before) => {
                 let later = piece.time.since(before.time).as_secs_f64() * 1000.0;
-                format!("{}, {later:.1} ms later", piece.what)
+                format!("{}, {later:.1} ms later", piece.what.replace(" to one request", ""))
             }
             None => piece.what.clone(),
         }
@@ -122,7 +122,8 @@ impl EvidenceTable<'_> {
             spans.push(side_span(brush, side, is_beat));
             spans.push(brush.span(Role::Text, " ".repeat(SIDE - 1)));
         }
-        spans.push(brush.span(Role::Text, fit(&self.what(at), self.what_width())));
+        let what = fit(&self.what(at), self.what_width().saturating_sub(1));
+        spans.push(brush.span(Role::Text, format!("{what} ")));
         let dash = |text: String| if text.is_empty() { "–".to_owned() } else { text };
         if self.has_uid() {
             spans.push(brush.span(Role::Text, fit(&dash(cells.mode), MODE)));

@@ -4,6 +4,7 @@ mod bus;
 mod buses;
 mod comparison;
 mod conflict;
+mod conflict_panel;
 mod devices;
 mod file;
 mod help;
