@@ -84,6 +84,8 @@ roles! {
     Request "request" "Requests.",
     Response "response" "Responses and their latency.",
     Debug "debug" "Debug messages.",
+    SideA "side_a" "The board of a conflict that was received first.",
+    SideB "side_b" "The other boards of a conflict.",
     Match "match" "The filter, evidence and its frames.",
 }
 

@@ -35,6 +35,11 @@ impl App {
             Action::Details => self.open_details(),
             Action::Into if self.move_along_devices(1) => {}
             Action::Back if self.move_along_devices(-1) => {}
+            Action::Into if self.moves_conflict_axis() => self.move_conflict_axis(1),
+            Action::Back if self.moves_conflict_axis() => self.move_conflict_axis(-1),
+            Action::ZoomOut => self.zoom_conflict_axis(-1),
+            Action::ZoomIn => self.zoom_conflict_axis(1),
+            Action::WriteProof => self.ask_proof_path(),
             Action::Into if self.past.is_some() => self.scrub(1),
             Action::Back if self.past.is_some() => self.scrub(-1),
             Action::Into => self.go_into(),

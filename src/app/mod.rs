@@ -35,6 +35,7 @@ mod buses;
 mod capture;
 mod clock;
 mod compared_moments;
+mod conflict_panel;
 mod device_page;
 mod devices;
 mod edits;
@@ -55,7 +56,9 @@ mod page_filters;
 mod past;
 mod places;
 mod play;
+mod problem_page;
 mod problems;
+mod proof;
 mod saved_filters;
 mod time_bar;
 mod timeline_kind;
@@ -78,6 +81,7 @@ pub use capture::{
     Identifiers, Latency, NOTED_BYTES, StoredFrames, Transfer,
 };
 pub use compared_moments::{ComparedMoment, ComparisonNote, ComparisonRow, MomentComparison};
+pub use conflict_panel::{BeatCell, BeatsOnAxis, ConflictPanel, MAX_COLUMNS, side_letter};
 pub use device_page::BEATS_PER_LINE;
 pub use devices::concerns;
 pub use file::{EditRefusal, FileChange, FileError, FileReading, FileState, SaveOutcome, Saving};
@@ -98,7 +102,8 @@ pub use page_filters::PageFilter;
 use page_filters::PageFilters;
 pub use play::PlayPace;
 pub use problems::{
-    EvidenceItem, Matching, Problem, ProblemKey, ProblemList, Scope, format_duration, is_about,
+    ConflictSide, ConflictSides, EvidenceItem, Matching, Problem, ProblemHeadline, ProblemKey,
+    ProblemList, Scope, SideBasis, format_duration, is_about, length_text,
 };
 pub use saved_filters::{MAX_SAVED_FILTERS, SavedFilter, SavedFilterChange};
 pub use time_bar::{BAR_LEFT, BAR_RIGHT, BarSign, TimeBar};
@@ -108,9 +113,9 @@ pub use versions::{
     printable, removed_services, twin_differences, version_before,
 };
 pub use view::{
-    BarKey, Board, BusPageLayout, BusRegions, ChartSpan, Counts, DeviceView, DevicesPage,
-    EvidenceView, FileStatus, Focus, Frozen, Page, Row, RowKey, RowState, SPLIT_WIDTH, Screen,
-    Selection, SortBy, TimeFormat, TrafficView, View,
+    BarKey, Board, BusPageLayout, BusRegions, ChartSpan, ConflictAxis, Counts, DeviceView,
+    DevicesPage, EvidenceView, FileStatus, Focus, Frozen, Page, ProblemsView, Row, RowKey,
+    RowState, SPLIT_WIDTH, Screen, Selection, SortBy, TimeFormat, TrafficView, View,
 };
 
 use crate::bitrate::{SearchOutcome, SearchProgress};
@@ -335,6 +340,8 @@ pub struct App {
     alarms: Alarms,
     /// The comparison of two moments that is open.
     comparison: Option<Box<MomentComparison>>,
+    /// The proof that is being written.
+    proof: Option<proof::PendingProof>,
     /// Content of des.json now, and before: with the time until which it was so, oldest first.
     content: FileContent,
     contents_before: VecDeque<(Instant, FileContent)>,
@@ -378,6 +385,7 @@ impl App {
             time_bar: TimeBar::default(),
             alarms: Alarms::default(),
             comparison: None,
+            proof: None,
             content,
             contents_before: VecDeque::new(),
         };
@@ -584,6 +592,9 @@ impl App {
     /// Takes the result of an [`Effect::WriteFile`] or [`Effect::WriteLog`]; `Err` with the cause.
     pub fn handle_written(&mut self, now: Instant, path: &Path, result: Result<(), Diagnostic>) {
         self.clock.set(now);
+        if self.handle_written_proof(path, &result) {
+            return self.notices.redraw.set_dirty();
+        }
         let is_copy = self.editor.handle_written(path, result.is_ok());
         let path = crate::text::printable(path.as_os_str().as_encoded_bytes());
         match result {
@@ -783,6 +794,16 @@ impl App {
         self.clock.wall_seconds(at)
     }
 
+    /// A moment on the wall clock with its date: `2026-11-21 06:00:36`.
+    pub fn date_time_text(&self, at: Instant) -> String {
+        self.clock.date_time_text(at)
+    }
+
+    /// Offset of the wall clock from UTC: `UTC+02:00`.
+    pub fn utc_offset_text(&self) -> String {
+        self.clock.utc_offset_text()
+    }
+
     /// State of the playback; `None` unless all buses are logs.
     pub fn playback(&self) -> Option<Playback> {
         self.clock.playback()
@@ -935,9 +956,13 @@ impl App {
         self.shown_problems().findings(self.shown_buses()).any(is_wanted)
     }
 
-    /// The problems that match the filter.
+    /// The problems of the view that match the filter.
     pub fn problems_shown(&self) -> ProblemList<'_> {
         let mut problems = self.problems();
+        let view = self.view.problems_view;
+        if view != ProblemsView::All {
+            problems.retain(|problem| view.lists(problem));
+        }
         if let Some(filter) = self.filters.of(Page::Problems).active() {
             problems.retain(|problem| filter.matches_problem(self.shown_buses(), problem));
         }
@@ -1317,6 +1342,7 @@ impl App {
     /// After a change of the problems: keeps the selection on its problem.
     fn settle_problems(&mut self) {
         let shown = self.problem_keys();
+        self.note_problem_rows(shown.len());
         let height = self.list_height();
         if self.view.page == Page::Problems {
             // A new first problem must not move under the key that is about to be pressed.

@@ -145,6 +145,9 @@ impl App {
     /// Moves the selection, or scrolls the details that have the focus, by rows.
     pub(super) fn move_by(&mut self, delta: isize) {
         if self.view.focus == Focus::Details && self.screen().details.height > 0 {
+            if self.view.page == Page::Problems {
+                return self.move_in_evidence_table(delta);
+            }
             self.view.scroll_details(delta);
         } else {
             self.move_list(delta);
@@ -246,7 +249,7 @@ impl App {
         match self.view.page {
             Page::Timeline => self.go_to_line(),
             Page::Bus => self.open_bar(),
-            Page::Problems if self.screen().details.height > 0 => self.open_evidence(),
+            Page::Problems if self.screen().details.height > 0 => self.open_problem(),
             Page::Traffic if self.view.evidence.is_some() => self.toggle_around(),
             Page::Traffic if self.view.shows_identifiers() => self.show_frames_of_identifier(),
             Page::Traffic if self.view.shows_calls() => self.show_frames_of_call(),
@@ -430,11 +433,13 @@ impl App {
             self.next_device_view();
         } else if self.view.page == Page::Bus {
             self.next_chart_span();
+        } else if self.view.page == Page::Problems {
+            self.next_problems_view();
         } else if self.view.page == Page::Traffic {
             self.view.close_evidence();
             self.show_traffic_as(self.view.traffic_view.next());
         } else {
-            self.show_error("view works on Devices, Traffic and Bus");
+            self.show_error("view works on Devices, Traffic, Problems and Bus");
         }
     }
 
@@ -524,7 +529,13 @@ impl App {
                 let address = row.address.map_or("?".to_owned(), |address| address.to_string());
                 format!("{name} @{address} {}", row.state.word())
             }),
-            Page::Problems => self.selected_problem().map(|problem| self.problem_text(&problem)),
+            Page::Problems => self.selected_problem().map(|problem| {
+                let piece = problem.evidence().into_iter().nth(self.view.piece);
+                match piece.filter(|_| self.view.focus == Focus::Details) {
+                    Some(piece) => self.evidence_text(&piece),
+                    None => self.problem_text(&problem),
+                }
+            }),
             Page::Timeline => {
                 let number = self.view.timeline.selected().copied();
                 let line = number.and_then(|number| self.timeline().get(number));
@@ -674,9 +685,7 @@ impl App {
             });
         };
         self.note_alarm_seen(&key);
-        if !self.problem_keys().contains(&key) {
-            self.filters.set_on(Page::Problems, false);
-        }
+        self.show_in_problems(&key);
         self.view.problems.select(key);
         self.show_page(Page::Problems);
         self.refresh();
@@ -685,9 +694,9 @@ impl App {
     // ---- evidence --------------------------------------------------------------------------
 
     /// Opens the evidence of the selected problem; for a difference from the file, goes to its row.
-    fn open_evidence(&mut self) {
+    pub(super) fn open_evidence(&mut self) {
         let Some(problem) = self.selected_problem() else { return };
-        let (key, title) = (problem.key.clone(), problem.title());
+        let (key, title) = (problem.key.clone(), self.headline(&problem).label);
         let (kind, pieces, count) = (problem.head().key.kind, problem.evidence(), problem.count());
         if pieces.is_empty() {
             if kind == FindingKind::FramesLost {

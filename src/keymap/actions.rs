@@ -202,9 +202,12 @@ actions! {
         OpenParts "open-parts" "Open or close a transfer of several frames" "" ["o"];
         TimeFormat "time-format" "Traffic: time of day, since the row above, the same identifier, the start" "" ["z"];
         SortReverse "sort-reverse" "Reverse the order" "" ["S"];
-        Identifiers "identifiers" "Next view of the page: Devices, Traffic, Bus" "view" ["v"];
+        Identifiers "identifiers" "Next view of the page" "view" ["v"];
+        ZoomOut "zoom-out" "Time axis: show more time" "" ["-"];
+        ZoomIn "zoom-in" "Time axis: show more detail" "" ["+"];
         Problem "problem" "Jump between device and problem" "problem" ["p"];
         Mute "mute" "Mute or unmute a problem until descan quits" "mute" ["m"];
+        WriteProof "write-proof" "Write the proof of a problem: report and frames" "proof" ["X"];
         Copy "copy" "Copy the selected row to the clipboard" "" ["y"];
         Cancel "cancel" "Close or leave; filter off" "" ["Esc"];
     }

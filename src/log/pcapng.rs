@@ -42,6 +42,7 @@ const CAN_HEAD: usize = 8;
 /// Flag in the length byte of a CAN XL frame.
 const XL_FORMAT: u8 = 0x80;
 
+const COMMENT_OPTION: u16 = 1;
 const NAME_OPTION: u16 = 2;
 const RESOLUTION_OPTION: u16 = 9;
 const OFFSET_OPTION: u16 = 14;
@@ -455,12 +456,22 @@ fn decode(packet: &[u8]) -> Result<Frame, PacketFault> {
 ///
 /// Those of writing to `out`.
 pub fn write_section(out: &mut impl Write) -> io::Result<()> {
+    write_section_about(out, "")
+}
+
+/// Writes the section header with a comment, empty for none.
+///
+/// # Errors
+///
+/// Those of writing to `out`.
+pub fn write_section_about(out: &mut impl Write, comment: &str) -> io::Result<()> {
     let mut block = Block::new(SECTION);
     block.u32(BYTE_ORDER);
     block.u16(1);
     block.u16(0);
     // Length of the section: not specified.
     block.u64(u64::MAX);
+    block.comment(comment);
     block.option(APPLICATION_OPTION, concat!("descan ", env!("CARGO_PKG_VERSION")).as_bytes());
     block.end_options();
     block.write(out)
@@ -494,6 +505,21 @@ pub fn write_frame(
     unix_micros: u64,
     frame: &Frame,
 ) -> io::Result<()> {
+    write_frame_with(out, interface, unix_micros, frame, "")
+}
+
+/// Writes a frame with a comment, empty for none.
+///
+/// # Errors
+///
+/// Those of writing to `out`.
+pub fn write_frame_with(
+    out: &mut impl Write,
+    interface: u32,
+    unix_micros: u64,
+    frame: &Frame,
+    comment: &str,
+) -> io::Result<()> {
     let mut block = Block::new(PACKET);
     block.u32(interface);
     block.time(unix_micros);
@@ -506,6 +532,7 @@ pub fn write_frame(
     block.bytes(&[frame.len() as u8, fd, 0, 0]);
     block.bytes(frame.data());
     block.pad();
+    block.comment(comment);
     let direction = if frame.is_tx { OUTBOUND } else { INBOUND };
     block.option(FLAGS_OPTION, &direction.to_le_bytes());
     block.end_options();
@@ -634,6 +661,12 @@ impl Block {
         self.u16(value.len() as u16);
         self.bytes(value);
         self.pad();
+    }
+
+    fn comment(&mut self, comment: &str) {
+        if !comment.is_empty() {
+            self.option(COMMENT_OPTION, comment.as_bytes());
+        }
     }
 
     fn end_options(&mut self) {

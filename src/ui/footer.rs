@@ -245,9 +245,17 @@ fn hint_line(brush: &DrawContext, mode: KeyMode, width: usize) -> Vec<Span<'stat
         (KeyMode::Browse, Page::Bus, _) => {
             &[A::Details, A::Frames, A::Identifiers, A::Freeze, A::BitRate, A::SaveCapture]
         }
-        (KeyMode::Browse, Page::Problems, _) => {
-            &[A::Details, A::Mute, A::Filter, A::Problem, A::EditAddress, A::Rescan]
-        }
+        (KeyMode::Browse, Page::Problems, _) => &[
+            A::Details,
+            A::Frames,
+            A::Problem,
+            A::EditAddress,
+            A::Mute,
+            A::WriteProof,
+            A::Identifiers,
+            A::Filter,
+            A::Rescan,
+        ],
     };
     let is_not_saved = app.file().problem().is_some_and(FileError::is_not_saved);
     let first: &[Action] = match mode {
@@ -391,8 +399,11 @@ fn applies(brush: &DrawContext, action: Action) -> bool {
         (A::Filter | A::Identifiers | A::Rescan, Page::Traffic) if view.evidence.is_some() => false,
         (A::Details | A::Frames, Page::Bus) => app.selected_bar().is_some(),
         (A::SaveCapture, _) => app.capture().end() > 0,
-        (A::Details | A::Mute | A::Problem | A::EditAddress, Page::Problems) => {
+        (A::Details | A::Mute | A::Problem | A::EditAddress | A::WriteProof, Page::Problems) => {
             app.selected_problem().is_some()
+        }
+        (A::Frames, Page::Problems) => {
+            app.selected_problem().is_some_and(|problem| problem.has_evidence())
         }
         (A::EditAddress, Page::Devices) => row.is_some_and(|row| {
             device()
@@ -426,7 +437,11 @@ fn hint(brush: &DrawContext, action: Action) -> Option<Hint> {
         (A::Details, Page::Timeline, _) => "show moment",
         (A::Details, Page::Problems, _) if brush.screen.details.height > 0 => {
             let is_seen = brush.app.selected_problem().is_none_or(|problem| problem.has_evidence());
-            if is_seen { "frames" } else { "go to row" }
+            match view.focus {
+                _ if !is_seen => "go to row",
+                Focus::List => "evidence",
+                Focus::Details => "frame",
+            }
         }
         (A::Details, Page::Traffic, Some(evidence)) if evidence.shows_context => "only evidence",
         (A::Details, Page::Traffic, Some(_)) => "all frames",
@@ -439,6 +454,7 @@ fn hint(brush: &DrawContext, action: Action) -> Option<Hint> {
         (A::Details, Page::Traffic, None) if view.shows_identifiers() || view.shows_calls() => {
             "frames"
         }
+        (A::Identifiers, Page::Problems, _) => view.problems_view.next().title(),
         (A::Identifiers, ..) => view.traffic_view.next().title(),
         (A::Cancel, ..) => "back",
         (A::Mute, ..) if brush.app.selected_problem().is_some_and(|it| it.is_muted) => "unmute",

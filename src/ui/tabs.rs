@@ -86,11 +86,7 @@ fn title(brush: &DrawContext) -> Option<String> {
             let is_history = app.view().devices_page.shows_history;
             Some(if is_history { format!("{title} · heartbeats") } else { title })
         }
-        // The addresses first: the end is cut.
-        Page::Problems => app.selected_problem().map(|problem| {
-            let places = problem.addresses().into_iter().map(|address| format!("@{address}"));
-            places.chain([problem.headline().into_owned()]).collect::<Vec<String>>().join(" ")
-        }),
+        Page::Problems => app.selected_problem().map(|problem| app.headline(&problem).label),
         Page::Traffic => Some("Frame".to_owned()),
         Page::Timeline | Page::Bus => None,
     }

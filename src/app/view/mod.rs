@@ -9,6 +9,7 @@ mod cursor;
 mod devices_page;
 mod evidence;
 mod page;
+mod problems_view;
 mod rows;
 mod screen;
 mod traffic_view;
@@ -18,6 +19,8 @@ pub use cursor::Selection;
 pub use devices_page::{DeviceView, DevicesPage};
 pub use evidence::EvidenceView;
 pub use page::{Focus, Frozen, Page};
+pub(in crate::app) use problems_view::ProblemRoom;
+pub use problems_view::{ConflictAxis, ProblemsView};
 pub use rows::{Board, Counts, FileStatus, Row, RowKey, RowState, SortBy};
 pub use screen::{SPLIT_WIDTH, Screen};
 pub use traffic_view::{CallOrder, IdentifierOrder, TimeFormat, TrafficView};
@@ -68,6 +71,14 @@ pub struct View {
     pub devices_page: DevicesPage,
     /// Selection of the Problems page.
     pub problems: Selection<ProblemKey>,
+    /// Which problems are listed.
+    pub problems_view: ProblemsView,
+    /// Room that the list of problems wants.
+    pub(in crate::app) problem_room: ProblemRoom,
+    /// Place of the selected piece of evidence in the focused details of a problem.
+    pub piece: usize,
+    /// Time axis of the conflict panel.
+    pub conflict_axis: ConflictAxis,
     /// Number of the selected timeline line; none while the newest are followed.
     pub timeline: Selection<u64>,
     /// Selected bar of the Bus page.
@@ -92,7 +103,8 @@ impl View {
     /// Returns true if the page has details beside, below or in place of its list.
     pub fn has_details(&self) -> bool {
         match self.page {
-            Page::Devices | Page::Problems => true,
+            Page::Devices => true,
+            Page::Problems => self.problem_room.rows > 0,
             Page::Traffic if self.evidence.is_some() => true,
             Page::Traffic => self.frame_details && self.traffic_view == TrafficView::Frames,
             Page::Timeline | Page::Bus => false,
@@ -124,6 +136,7 @@ impl View {
 
     fn focus_list(&mut self) {
         self.focus = Focus::List;
+        self.piece = 0;
         self.details_scroll = 0;
     }
 
@@ -136,6 +149,7 @@ impl View {
         }
         self.focus = if details && has { Focus::Details } else { Focus::List };
         self.details_scroll = 0;
+        self.piece = 0;
     }
 
     /// Scrolls the details by lines; the end is known when they are drawn.

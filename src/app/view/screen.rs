@@ -64,7 +64,10 @@ const NARROW: u16 = 74;
 /// Least width with the time bar, in columns.
 const BAR_COLUMNS: u16 = 60;
 
-/// Least height with the details of a frame below the list of frames, in lines.
+/// Least rows of the list of problems above the details.
+const LEAST_PROBLEMS: u16 = 3;
+
+/// Least height with the details of a problem or of a frame below the list of frames, in lines.
 const SPLIT_HEIGHT: u16 = 18;
 
 /// Least height with a line for the status or the alarm, in lines.
@@ -112,6 +115,16 @@ impl Screen {
         if has_details && view.page == Page::Traffic && rows >= SPLIT_HEIGHT {
             screen.details = take_bottom(&mut left, (rows / 3).clamp(7, 14));
             screen.lower_rule = take_bottom(&mut left, 1);
+        } else if has_details && view.page == Page::Problems && rows >= SPLIT_HEIGHT {
+            // Below the list, which has as many rows as it wants, at most a part of the page.
+            let wanted = view.problem_room;
+            let part = if wanted.has_conflict { 4 } else { 2 };
+            let most = (left.height / part).max(LEAST_PROBLEMS);
+            let list = wanted.rows.clamp(LEAST_PROBLEMS, most) + wanted.below.min(left.height / 2);
+            let rule = 1;
+            let details = left.height.saturating_sub(1 + list + rule);
+            screen.details = take_bottom(&mut left, details);
+            screen.lower_rule = take_bottom(&mut left, rule);
         } else if view.page == Page::Devices {
             screen.place_details_of_device(view, &mut left);
         } else if has_details && view.page != Page::Traffic && columns >= SPLIT_WIDTH {

@@ -259,7 +259,7 @@ fn copied_problem_and_evidence_have_time_and_identity() {
     assert!(problem.contains("s) confirmed: ") && problem.contains("@14"), "{problem}");
     assert!(problem.contains("; UIDs ") && problem.contains("BOILER03"), "{problem}");
     assert!(!problem.contains(".;"), "{problem}");
-    let evidence = copied(stage.keys("Right Enter"));
+    let evidence = copied(stage.keys("Right"));
     assert!(evidence.starts_with("12:00:") && evidence.contains('#'), "{evidence}");
 }
 

@@ -285,12 +285,12 @@ fn edits_are_named_with_the_words_of_their_keys() {
 #[test]
 fn cleared_problem_is_told_in_the_past() {
     let mut stage = Stage::boiler();
-    stage.until(130.0).keys("4 G").size(130, 40);
+    stage.until(130.0).keys("4 G").size(130, 60);
     let screen = stage.screen();
     let row = screen.lines().find(|line| line.starts_with("▸✓")).expect(&screen);
-    assert!(row.contains(" 12:00:26 "), "{row}");
+    assert!(row.contains(" 12:00:26."), "{row}");
     assert!(screen.contains("✓ cleared 12:00:55, 1m14s ago"), "{screen}");
-    assert!(screen.contains("│ was: Two devices answer as ACT"), "{screen}");
+    assert!(screen.contains(" was: Two devices answer as ACT"), "{screen}");
 }
 
 #[test]

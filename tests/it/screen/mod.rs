@@ -5,6 +5,7 @@ mod bus;
 mod buses;
 mod comparison;
 mod conflict;
+mod conflict_panel;
 mod device_views;
 mod devices;
 mod file;
