@@ -49,13 +49,17 @@ impl App {
             Action::Identifiers => self.next_view(),
             Action::SortReverse => self.reverse_order(),
             Action::OpenParts => self.toggle_transfer(),
+            Action::Kinds => self.list_kinds(),
+            Action::KindUp => self.move_in_kinds(-1),
+            Action::KindDown => self.move_in_kinds(1),
+            Action::KindToggle => self.toggle_kind(false),
+            Action::KindOnly => self.toggle_kind(true),
             Action::TimeFormat => self.next_time_format(),
             Action::Problem => self.go_to_problem(),
             Action::Mute => self.toggle_muted(),
             Action::Copy => self.copy_row(),
-            Action::Cancel | Action::HelpClose | Action::MarksClose | Action::FiltersClose => {
-                self.cancel();
-            }
+            Action::Cancel | Action::HelpClose | Action::MarksClose => self.cancel(),
+            Action::FiltersClose | Action::KindsClose => self.cancel(),
             Action::Rescan => self.rescan(),
             Action::ClearLost => self.remove_lost_devices(),
             Action::Identify => self.ask_identify(),

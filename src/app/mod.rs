@@ -50,6 +50,8 @@ mod page_filters;
 mod past;
 mod problems;
 mod saved_filters;
+mod stories;
+mod story_lines;
 mod time_bar;
 mod timeline_kind;
 mod typed_time;
@@ -88,11 +90,15 @@ pub use problems::{
     EvidenceItem, Matching, Problem, ProblemKey, ProblemList, Scope, format_duration, is_about,
 };
 pub use saved_filters::{MAX_SAVED_FILTERS, SavedFilter, SavedFilterChange};
+pub use stories::{
+    HiddenKinds, Stories, Story, StoryChange, StoryKind, StoryLine, StorySign, StoryStep,
+};
+pub use story_lines::LineKey;
 pub use time_bar::{BAR_LEFT, BAR_RIGHT, BarSign, TimeBar};
 pub use timeline_kind::TimelineKind;
 pub use view::{
     BarKey, BusPageLayout, BusRegions, ChartSpan, Counts, EvidenceView, FileStatus, Focus, Frozen,
-    Page, Row, RowKey, RowState, SPLIT_WIDTH, Screen, Selection, SortBy, TimeFormat, TrafficView,
+    Page, Row, RowKey, RowState, SPLIT_WIDTH, Screen, Selection, SortBy, TimeFormat, TimelineView, TrafficView,
     View,
 };
 
@@ -349,7 +355,7 @@ impl App {
         for warning in options.warnings {
             let mut line = TimelineEntry::new(now, TimelineKind::Error, &warning);
             line.name = Some("settings".into());
-            app.notices.timeline_mut().push(line);
+            app.notices.push_line(line);
             app.show_error(warning);
         }
         app
@@ -1031,17 +1037,6 @@ impl App {
         self.notices.timeline()
     }
 
-    /// Numbers of the timeline lines that match the filter, oldest first.
-    pub fn lines_shown(&self) -> Vec<u64> {
-        let filter = self.filters.of(Page::Timeline).active();
-        let end = self.view.frozen.map_or(u64::MAX, |frozen| frozen.lines);
-        let entries = self.timeline().entries().filter(|entry| entry.number < end);
-        entries
-            .filter(|entry| filter.is_none_or(|it| it.matches_entry(self.shown_buses(), entry)))
-            .map(|entry| entry.number)
-            .collect()
-    }
-
     /// Prepares a filter for the frames of a log: names are those of a frame's moment, as far as known.
     pub fn log_matcher(&self, filter: &Filter) -> FrameMatcher {
         let mut filter = filter.clone();
@@ -1155,7 +1150,7 @@ impl App {
     /// Adds a line to the timeline only.
     fn add_line(&mut self, kind: TimelineKind, text: impl Into<String>) {
         let line = TimelineEntry::new(self.clock.now(), kind, text);
-        self.notices.timeline_mut().push(line);
+        self.notices.push_line(line);
     }
 
     /// Adds a line to the timeline and to the events.
@@ -1164,7 +1159,7 @@ impl App {
             let event = self.line_event(&line);
             self.notices.emit(event);
         }
-        self.notices.timeline_mut().push(line);
+        self.notices.push_line(line);
     }
 
     fn list_height(&self) -> usize {

@@ -2,7 +2,6 @@
 
 use super::capture::{CallKey, Decoded, IdentifierKey, IdentifierKind};
 use super::input::Overlay;
-use super::notices::timeline::TimelineEntry;
 use super::view::{EvidenceView, Focus, Page, Row, TrafficView};
 use super::{App, Effect, EvidenceItem, Problem, clock_millis, format_duration};
 use crate::finding::FindingKind;
@@ -71,6 +70,7 @@ impl App {
             Overlay::None => self.move_list(delta),
             Overlay::Marks(_) => self.move_in_marks(delta.signum()),
             Overlay::Filters(_) => self.move_in_filters(delta.signum()),
+            Overlay::Kinds(_) => self.move_in_kinds(delta.signum()),
             Overlay::Comparison => self.move_in_comparison(delta),
             _ => self.input.scroll_help(delta as i16),
         }
@@ -294,22 +294,6 @@ impl App {
         self.view.focus_details(details && !is_empty);
     }
 
-    /// The selected timeline line, or the last one.
-    pub(super) fn selected_line(&self) -> Option<&TimelineEntry> {
-        let lines = self.lines_shown();
-        let selected = self.view.timeline.selected().or(lines.last());
-        selected.and_then(|&number| self.timeline().get(number))
-    }
-
-    /// Shows the moment of the selected timeline line.
-    fn go_to_line(&mut self) {
-        let Some((number, time)) = self.selected_line().map(|line| (line.number, line.time)) else {
-            return;
-        };
-        self.view.timeline.select(number);
-        self.go_to_time(time);
-    }
-
     /// Shows the frames of what is selected: of the device, of the problem, at the timeline line.
     pub(super) fn go_to_frames_of_selection(&mut self) {
         match self.view.page {
@@ -330,8 +314,8 @@ impl App {
 
     /// Shows the frames at the time of the selected timeline line.
     fn go_to_frames(&mut self) {
-        let Some(line) = self.selected_line() else { return };
-        let (time, capture) = (line.time, &self.traffic.capture);
+        let Some((_, time)) = self.selected_line_time() else { return };
+        let capture = &self.traffic.capture;
         let number = capture.at_time(time);
         let first = capture.get(capture.first()).map(|first| first.time);
         let refusal = match (capture.get(number), first) {
@@ -410,12 +394,15 @@ impl App {
         }
     }
 
-    /// Opens or closes the selected transfer.
+    /// Opens or closes the selected transfer or story.
     pub(super) fn toggle_transfer(&mut self) {
+        if self.view.page == Page::Timeline {
+            return self.toggle_story();
+        }
         let is_of_frames =
             self.view.page == Page::Traffic && self.view.traffic_view == TrafficView::Frames;
         if !is_of_frames {
-            self.show_error("transfers are on the Traffic page");
+            self.show_error("steps are on Timeline, transfers on Traffic");
         } else if !self.traffic.toggle_transfer(&mut self.view) {
             self.show_error("no transfer is selected");
         }
@@ -434,16 +421,18 @@ impl App {
         self.show_info(if self.view.is_reversed { "order reversed" } else { "order as before" });
     }
 
-    /// Shows the next view of Traffic (frames, identifiers, calls), or another time of the charts of
-    /// Bus.
+    /// Shows the next view of Traffic (frames, identifiers, calls) or Timeline (lines, lanes), or
+    /// another time of the charts of Bus.
     pub(super) fn next_view(&mut self) {
         if self.view.page == Page::Bus {
             self.next_chart_span();
+        } else if self.view.page == Page::Timeline {
+            self.view.timeline_view = self.view.timeline_view.next(self.view.size.0);
         } else if self.view.page == Page::Traffic {
             self.view.close_evidence();
             self.show_traffic_as(self.view.traffic_view.next());
         } else {
-            self.show_error("view works on the pages Traffic and Bus");
+            self.show_error("view works on Traffic, Timeline and Bus");
         }
     }
 
@@ -526,13 +515,7 @@ impl App {
                 format!("{name} @{address} {}", row.state.word())
             }),
             Page::Problems => self.selected_problem().map(|problem| self.problem_text(&problem)),
-            Page::Timeline => {
-                let number = self.view.timeline.selected().copied();
-                let line = number.and_then(|number| self.timeline().get(number));
-                line.map(|line| {
-                    format!("{} {}", super::format_time_of_day(self, line.time), line.text)
-                })
-            }
+            Page::Timeline => self.line_text(),
             Page::Bus => self.bar_text(),
             Page::Traffic => match self.view.evidence_alone().and_then(EvidenceView::selected) {
                 Some((_, piece)) => Some(self.evidence_text(piece)),
@@ -595,9 +578,9 @@ impl App {
                 (key.bus, key.address, key.name.clone())
             }),
             Page::Timeline => {
-                let number = self.view.timeline.selected();
-                let line = number.and_then(|&number| self.timeline().get(number));
-                line.map_or((None, None, None), |line| (line.bus, line.address, line.name.clone()))
+                let story = self.view.timeline.selected().and_then(|&key| self.story(key));
+                let entry = story.map(|story| self.story_subject(story).0);
+                entry.map_or((None, None, None), |it| (it.bus, it.address, it.name.clone()))
             }
             Page::Bus => self.bar_subject(),
             Page::Traffic => {

@@ -210,6 +210,7 @@ fn hint_line(brush: &DrawContext, mode: KeyMode, width: usize) -> Vec<Span<'stat
         (KeyMode::Confirm, ..) => &[A::Yes, A::No],
         (KeyMode::Conflict, ..) => &[A::Ours, A::Theirs, A::Later],
         (KeyMode::Filters, ..) => &[A::FilterUse, A::FilterRemove, A::FiltersClose],
+        (KeyMode::Kinds, ..) => &[A::KindToggle, A::KindOnly, A::KindsClose],
         (KeyMode::Marks, ..) => &[A::MarkGo, A::MarkRemove, A::MarksClose],
         (KeyMode::Compare, ..) => {
             &[A::CompareSide, A::CompareEarlier, A::CompareLater, A::CompareSelect, A::CompareClose]
@@ -234,9 +235,12 @@ fn hint_line(brush: &DrawContext, mode: KeyMode, width: usize) -> Vec<Span<'stat
         (KeyMode::Browse, Page::Timeline, _) => &[
             A::Details,
             A::Frames,
+            A::Problem,
+            A::Kinds,
+            A::OpenParts,
+            A::Identifiers,
             A::Filter,
             A::Freeze,
-            A::Problem,
             A::Mark,
             A::Compare,
             A::SaveCapture,
@@ -306,7 +310,7 @@ fn applies(brush: &DrawContext, action: Action) -> bool {
         (A::Details, Page::Traffic) if view.evidence.is_none() => {
             app.capture().end() > 0 && !view.frame_details
         }
-        (A::Details | A::Frames, Page::Timeline) => !app.lines_shown().is_empty(),
+        (A::Details | A::Frames | A::OpenParts, Page::Timeline) => !app.lines_shown().is_empty(),
         (A::Filter | A::Identifiers | A::Rescan, Page::Traffic) if view.evidence.is_some() => false,
         (A::Details | A::Frames, Page::Bus) => app.selected_bar().is_some(),
         (A::SaveCapture, _) => app.capture().end() > 0,
@@ -354,6 +358,9 @@ fn hint(brush: &DrawContext, action: Action) -> Option<(Key, &'static str)> {
         (A::Identifiers, Page::Bus, _) => brush.app.chart_span().next().title(),
         (A::Details, Page::Traffic, None) if view.shows_identifiers() || view.shows_calls() => {
             "frames"
+        }
+        (A::Identifiers, Page::Timeline, _) => {
+            view.timeline_shown().next(brush.screen.whole.width).title()
         }
         (A::Identifiers, ..) => view.traffic_view.next().title(),
         (A::Freeze, ..) if view.frozen.is_some() => "live",

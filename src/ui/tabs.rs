@@ -2,7 +2,7 @@
 //! and the title of the details; and the divider in front of the details.
 
 use super::brush::{DrawContext, fit};
-use crate::app::{Focus, Page, PageFilter, RowKey, TrafficView};
+use crate::app::{Focus, Page, PageFilter, RowKey, TimelineView, TrafficView};
 use crate::keymap::Action;
 use crate::theme::Role;
 use ratatui::layout::Rect;
@@ -57,6 +57,11 @@ pub fn draw(brush: &mut DrawContext) {
     if open == Page::Traffic && is_free && brush.app.view().evidence.is_none() {
         let view = brush.app.view().traffic_view.title();
         draw_views(brush, &TrafficView::ALL.map(TrafficView::title), view, view, end);
+    }
+    if open == Page::Timeline && is_free {
+        let views = TimelineView::all(area.width).iter().map(|view| view.title());
+        let view = brush.app.view().timeline_shown().title();
+        draw_views(brush, &views.collect::<Vec<_>>(), view, view, end);
     }
     if details.height == 0 || screen.lower_rule.y + 1 == details.y {
         return;

@@ -10,6 +10,7 @@ mod evidence;
 mod page;
 mod rows;
 mod screen;
+mod timeline_view;
 mod traffic_view;
 
 pub use bus_page::{BarKey, BusPageLayout, BusRegions, ChartSpan};
@@ -18,11 +19,14 @@ pub use evidence::EvidenceView;
 pub use page::{Focus, Frozen, Page};
 pub use rows::{Counts, FileStatus, Row, RowKey, RowState, SortBy};
 pub use screen::{SPLIT_WIDTH, Screen};
+pub use timeline_view::TimelineView;
 pub use traffic_view::{CallOrder, IdentifierOrder, TimeFormat, TrafficView};
 
 use super::capture::calls::CallKey;
 use super::capture::identifiers::IdentifierKey;
 use super::problems::{EvidenceItem, ProblemKey};
+use super::stories::HiddenKinds;
+use super::story_lines::LineKey;
 use std::collections::BTreeSet;
 
 /// State of the view.
@@ -62,8 +66,16 @@ pub struct View {
     pub devices: Selection<RowKey>,
     /// Selection of the Problems page.
     pub problems: Selection<ProblemKey>,
-    /// Number of the selected timeline line; none while the newest are followed.
-    pub timeline: Selection<u64>,
+    /// Selected line of the timeline; none while the newest are followed.
+    pub timeline: Selection<LineKey>,
+    /// Stories whose steps have lines of their own.
+    pub(in crate::app) open_stories: BTreeSet<u64>,
+    /// What the Timeline page shows.
+    pub timeline_view: TimelineView,
+    /// Number of the lanes of devices.
+    pub(in crate::app) lane_count: usize,
+    /// Kinds of stories that have no lines.
+    pub hidden_kinds: HiddenKinds,
     /// Selected bar of the Bus page.
     pub bars: Selection<BarKey>,
     /// Time that the charts of the Bus page show.
@@ -139,7 +151,7 @@ impl View {
     }
 
     /// Selects the newest line of the timeline, if its newest lines are followed.
-    pub(in crate::app) fn hold_timeline(&mut self, keys: &[u64], height: usize) {
+    pub(in crate::app) fn hold_timeline(&mut self, keys: &[LineKey], height: usize) {
         if self.timeline.selected().is_none() {
             self.timeline.move_to(keys, keys.len(), height);
             let line = keys.len().min(height).saturating_sub(1);

@@ -29,6 +29,10 @@ pub struct Screen {
     pub status: Rect,
     /// Rule with the titles of the pages, then of the details.
     pub tabs: Rect,
+    /// Lanes of the Timeline page.
+    pub lanes: Rect,
+    /// Rule above the lines of the Timeline page, with their number and kinds.
+    pub kinds: Rect,
     /// Column headings.
     pub header: Rect,
     /// Rows.
@@ -58,6 +62,9 @@ const BAR_COLUMNS: u16 = 60;
 
 /// Least height with the details of a frame below the list of frames, in lines.
 const SPLIT_HEIGHT: u16 = 18;
+
+/// Least height with the rule of the kinds on the Timeline page, in lines.
+const KINDS_HEIGHT: u16 = 16;
 
 impl Screen {
     /// Returns the layout for a view and this number of buses.
@@ -100,6 +107,11 @@ impl Screen {
             screen.divider = Rect::new(left.width, left.y, 1, left.height);
         } else if has_details && view.focus == Focus::Details {
             screen.details = std::mem::take(&mut left);
+        }
+        if view.page == Page::Timeline {
+            let lanes = view.lane_lines(left.height);
+            screen.lanes = take_top(&mut left, lanes);
+            screen.kinds = take_top(&mut left, u16::from(rows >= KINDS_HEIGHT));
         }
         screen.header = take_top(&mut left, 1);
         screen.list = left;
@@ -200,6 +212,8 @@ mod tests {
                         let parts = [
                             screen.status,
                             screen.tabs,
+                            screen.lanes,
+                            screen.kinds,
                             screen.header,
                             screen.list,
                             screen.divider,

@@ -1,0 +1,6 @@
+//! Lanes of the Timeline page.
+
+use super::brush::DrawContext;
+
+/// Draws the lanes.
+pub fn draw(_brush: &mut DrawContext) {}
