@@ -57,6 +57,9 @@ impl App {
             self.notices.reassign(*was, *before, device);
         }
         let emits = self.notices.emits_events();
+        if !emits {
+            self.lane_records.handle_event(&event);
+        }
         let is_of_interest = emits && self.notices.is_event_of_interest(&self.buses, bus, &event);
         if let Some((kind, text)) = event_text(&self.buses, bus, &event) {
             let is_new_conflict = matches!(&event.kind, EventKind::Finding { key, .. }

@@ -172,9 +172,7 @@ impl App {
                 let all: u64 = ranges.map(|range| range.end - range.start).sum();
                 (all - self.hidden_frames()?.min(all), all)
             }
-            Page::Timeline => {
-                (count(self.lines_shown().len()), count(self.story_count()))
-            }
+            Page::Timeline => (count(self.lines_shown().len()), count(self.story_count())),
             Page::Problems => (count(self.problems_shown().len()), count(self.problems().len())),
             Page::Bus => return None,
         })

@@ -41,6 +41,7 @@ mod filter_commands;
 mod history;
 mod input;
 mod inventory;
+mod lanes;
 mod listing;
 mod load_bars;
 mod marks;
@@ -52,6 +53,7 @@ mod problems;
 mod saved_filters;
 mod stories;
 mod story_lines;
+mod time_axis;
 mod time_bar;
 mod timeline_kind;
 mod typed_time;
@@ -77,6 +79,7 @@ pub use filter::{
 };
 pub use history::{BusesReplay, FRAMES_PER_ROOM, Moment, RecordedBuses};
 pub use input::{FilterPrompt, InputCheck, Overlay, Prompt, PromptKind, Question};
+pub use lanes::{Lane, LaneCell, Lanes, format_step};
 pub use listing::{addition_refusal, same_services};
 pub use load_bars::{LoadBar, bar_lines};
 pub use marks::{MAX_MARKS, Mark, Marks};
@@ -94,12 +97,13 @@ pub use stories::{
     HiddenKinds, Stories, Story, StoryChange, StoryKind, StoryLine, StorySign, StoryStep,
 };
 pub use story_lines::LineKey;
+pub use time_axis::TimeAxis;
 pub use time_bar::{BAR_LEFT, BAR_RIGHT, BarSign, TimeBar};
 pub use timeline_kind::TimelineKind;
 pub use view::{
     BarKey, BusPageLayout, BusRegions, ChartSpan, Counts, EvidenceView, FileStatus, Focus, Frozen,
-    Page, Row, RowKey, RowState, SPLIT_WIDTH, Screen, Selection, SortBy, TimeFormat, TimelineView, TrafficView,
-    View,
+    Page, Row, RowKey, RowState, SPLIT_WIDTH, Screen, Selection, SortBy, TimeFormat, TimelineView,
+    TrafficView, View,
 };
 
 use crate::bitrate::{SearchOutcome, SearchProgress};
@@ -119,6 +123,7 @@ use clock::AppClock;
 use devices::DeviceRows;
 use file::{FileContent, FileEditor};
 use input::{Input, PromptContext, PromptOutcome, PromptResult};
+use lanes::LaneRecords;
 use notices::Notices;
 use past::Past;
 use problems::Problems;
@@ -309,6 +314,7 @@ pub struct App {
     marks: Marks,
     saved_filters: Vec<SavedFilter>,
     time_bar: TimeBar,
+    lane_records: LaneRecords,
     /// The comparison of two moments that is open.
     comparison: Option<Box<MomentComparison>>,
     /// Content of des.json now, and before: with the time until which it was so, oldest first.
@@ -348,6 +354,7 @@ impl App {
             marks: Marks::default(),
             saved_filters: options.saved_filters,
             time_bar: TimeBar::default(),
+            lane_records: LaneRecords::default(),
             comparison: None,
             content,
             contents_before: VecDeque::new(),
@@ -1178,6 +1185,9 @@ impl App {
         if self.view.page == Page::Bus && self.buses.iter().any(|bus| bus.ended.is_none()) {
             return false;
         }
+        if self.grows_on_timeline() {
+            return false;
+        }
         // The most expensive test comes last: this is called in every turn of the event loop.
         let waits = || (0..self.buses.len()).any(|at| !self.is_search_complete(BusIndex(at as u8)));
         self.buses.is_quiet() && !(self.editor.file.is_there() && waits())
@@ -1235,6 +1245,7 @@ impl App {
     }
 
     fn refresh_rows(&mut self) {
+        self.count_lanes();
         let inputs = shown_inputs!(self);
         let problems = self.past.as_ref().map_or(&self.problems, |past| &past.problems);
         let problems = problems.list(inputs.buses);

@@ -56,8 +56,8 @@ impl App {
         let delta = match mouse.kind {
             MouseKind::Press => return self.press(mouse),
             MouseKind::Drag => {
-                if !self.input.has_overlay() {
-                    self.click_time_bar(mouse);
+                if !self.input.has_overlay() && !self.click_time_bar(mouse) {
+                    self.click_lanes(mouse);
                 }
                 return;
             }
@@ -81,7 +81,7 @@ impl App {
             return;
         }
         self.notices.redraw.set_dirty();
-        if self.click_time_bar(mouse) {
+        if self.click_time_bar(mouse) || self.click_lanes(mouse) {
             return;
         }
         let screen = self.screen();
@@ -183,6 +183,9 @@ impl App {
     }
 
     fn move_list(&mut self, delta: isize) {
+        if self.move_in_lanes(delta) {
+            return;
+        }
         let height = self.list_height();
         self.view.details_scroll = 0;
         match self.view.page {
@@ -244,6 +247,7 @@ impl App {
     /// view: the evidence; on evidence: all frames around it.
     pub(super) fn open_details(&mut self) {
         match self.view.page {
+            Page::Timeline if self.screen().list.height == 0 => self.go_to_lane(),
             Page::Timeline => self.go_to_line(),
             Page::Bus => self.open_bar(),
             Page::Problems if self.screen().details.height > 0 => self.open_evidence(),
@@ -301,15 +305,21 @@ impl App {
                 let Some(address) = self.selected_row().and_then(|row| row.address) else {
                     return self.show_error("no frames: not on the bus");
                 };
-                self.view.traffic_view = TrafficView::Frames;
-                self.set_filter(Page::Traffic, &format!("at:{address}"));
-                self.show_page(Page::Traffic);
+                self.show_frames_of_address(address);
             }
+            Page::Timeline if self.screen().list.height == 0 => self.go_to_frames_of_lane(),
             Page::Timeline => self.go_to_frames(),
             Page::Problems => self.open_evidence(),
             Page::Bus => self.go_to_frames_of_bar(),
             Page::Traffic => self.show_error("these are the frames"),
         }
+    }
+
+    /// Shows the frames from and to an address.
+    pub(super) fn show_frames_of_address(&mut self, address: Address) {
+        self.view.traffic_view = TrafficView::Frames;
+        self.set_filter(Page::Traffic, &format!("at:{address}"));
+        self.show_page(Page::Traffic);
     }
 
     /// Shows the frames at the time of the selected timeline line.
@@ -577,6 +587,12 @@ impl App {
                 let key = &problem.head().key;
                 (key.bus, key.address, key.name.clone())
             }),
+            Page::Timeline if self.screen().list.height == 0 => {
+                let device = self.selected_lane().and_then(|id| self.device(id));
+                device.map_or((None, None, None), |device| {
+                    (Some(device.id.bus), Some(device.address), device.name.clone())
+                })
+            }
             Page::Timeline => {
                 let story = self.view.timeline.selected().and_then(|&key| self.story(key));
                 let entry = story.map(|story| self.story_subject(story).0);

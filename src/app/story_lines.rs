@@ -121,6 +121,14 @@ impl App {
         (step.times(at), step.last(at))
     }
 
+    /// Returns true if a line of the open page becomes longer with time, or the axis of its lanes.
+    pub(super) fn grows_on_timeline(&self) -> bool {
+        self.view.page == Page::Timeline
+            && self.past.is_none()
+            && self.buses.iter().any(|bus| bus.ended.is_none())
+            && (self.shows_lanes() || self.stories().has_open(self.clock.now()))
+    }
+
     // ---- commands --------------------------------------------------------------------------
 
     /// The selected line, or the last one.

@@ -237,6 +237,7 @@ fn hint_line(brush: &DrawContext, mode: KeyMode, width: usize) -> Vec<Span<'stat
             A::Frames,
             A::Problem,
             A::Kinds,
+            A::ZoomOut,
             A::OpenParts,
             A::Identifiers,
             A::Filter,
@@ -310,6 +311,8 @@ fn applies(brush: &DrawContext, action: Action) -> bool {
         (A::Details, Page::Traffic) if view.evidence.is_none() => {
             app.capture().end() > 0 && !view.frame_details
         }
+        (A::OpenParts | A::Kinds, Page::Timeline) if brush.screen.list.height == 0 => false,
+        (A::ZoomOut, Page::Timeline) => brush.screen.lanes.height > 1,
         (A::Details | A::Frames | A::OpenParts, Page::Timeline) => !app.lines_shown().is_empty(),
         (A::Filter | A::Identifiers | A::Rescan, Page::Traffic) if view.evidence.is_some() => false,
         (A::Details | A::Frames, Page::Bus) => app.selected_bar().is_some(),
@@ -343,6 +346,7 @@ fn hint(brush: &DrawContext, action: Action) -> Option<(Key, &'static str)> {
     let (key, word) = brush.app.keymap().hint(action)?;
     let view = brush.app.view();
     let here = match (action, view.page, &view.evidence) {
+        (A::Details, Page::Timeline, _) if brush.screen.list.height == 0 => "go to device",
         (A::Details, Page::Timeline, _) => "show moment",
         (A::Details, Page::Problems, _) if brush.screen.details.height > 0 => {
             let is_seen = brush.app.selected_problem().is_none_or(|problem| problem.has_evidence());

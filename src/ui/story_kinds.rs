@@ -37,7 +37,7 @@ pub fn draw_rule(brush: &mut DrawContext, shown: usize) {
     let end = area.x + 1 + title.width() as u16;
     brush.line(Rect { x: area.x + 1, width: area.width.saturating_sub(1), ..area }, 0, &title);
     let room = usize::from(area.right().saturating_sub(end + 2));
-    let all = [kinds(brush, true), kinds(brush, false)];
+    let all = [kinds(brush, Some(" ")), kinds(brush, Some("")), kinds(brush, None)];
     let fits = |spans: &&Vec<Span>| spans.iter().map(Span::width).sum::<usize>() <= room;
     if let Some(spans) = all.iter().find(fits) {
         let line = Line::from(spans.clone());
@@ -46,16 +46,16 @@ pub fn draw_rule(brush: &mut DrawContext, shown: usize) {
     }
 }
 
-/// The kinds with a tick for those that are shown; in short only the hidden ones.
-fn kinds(brush: &DrawContext, in_full: bool) -> Vec<Span<'static>> {
+/// The kinds with a tick for those that are shown, behind `gap`; without it only the hidden ones.
+fn kinds(brush: &DrawContext, gap: Option<&str>) -> Vec<Span<'static>> {
     let hidden = brush.app.hidden_kinds();
     let key = brush.app.key_of(Action::Kinds);
     let mut spans = vec![brush.span(Role::Muted, format!(" kinds ({key}):"))];
-    if in_full {
+    if let Some(gap) = gap {
         for kind in StoryKind::ALL {
             let (sign, role) =
                 if hidden.contains(kind) { ("·", Role::Muted) } else { ("✓", Role::Text) };
-            spans.push(brush.span(role, format!(" {} {sign}", kind.word())));
+            spans.push(brush.span(role, format!(" {}{gap}{sign}", kind.word())));
         }
     } else {
         let words = StoryKind::ALL.into_iter().filter(|kind| hidden.contains(*kind));
@@ -98,10 +98,8 @@ pub fn draw(brush: &mut DrawContext, selected: usize) {
         let text = format!("{sign} {:9} {count:>5}  {}", kind.word(), kind.meaning());
         let pointer = if is_selected { " ▸ " } else { "   " };
         let room = usize::from(width).saturating_sub(pointer.width());
-        let line = Line::from(vec![
-            brush.span(Role::Text, pointer),
-            brush.span(role, fit(&text, room)),
-        ]);
+        let line =
+            Line::from(vec![brush.span(Role::Text, pointer), brush.span(role, fit(&text, room))]);
         let row = (place - first) as u16;
         brush.line(list, row, &line);
         if is_selected {

@@ -65,6 +65,11 @@ impl Stories {
         self.stories.iter().rev().find(|story| story.id == id)
     }
 
+    /// Returns true if a story goes on.
+    pub(super) fn has_open(&self, at: Instant) -> bool {
+        self.stories.iter().rev().any(|story| story.is_open(at))
+    }
+
     /// Takes an event.
     pub(super) fn push(&mut self, entry: TimelineEntry, change: StoryChange) {
         let steps = match change {
@@ -220,17 +225,15 @@ impl Stories {
         let key = StoryKey::Device(id);
         // A device that joined or rebooted and is lost then begins another story.
         let own = self.live(&key, at).filter(|story| story.key == key);
-        let absent = own.filter(|story| {
-            story.is_absent(at) || story.kind(at) == StoryKind::Presence
-        });
+        let absent =
+            own.filter(|story| story.is_absent(at) || story.kind(at) == StoryKind::Presence);
         self.attach_or(absent, key)
     }
 
     fn route_mode(&self, from: Option<Mode>, to: Mode, id: DeviceId, at: Instant) -> Route {
         let modes = self.latest(&StoryKey::Mode(id)).filter(|story| story.is_open(at));
         let life = self.live(&StoryKey::Device(id), at);
-        let is_start =
-            |mode: Mode| matches!(mode, Mode::Init | Mode::Arslv | Mode::Boot);
+        let is_start = |mode: Mode| matches!(mode, Mode::Init | Mode::Arslv | Mode::Boot);
         match (modes, life, from) {
             (Some(modes), ..) => Route::Attach(modes.id),
             (None, Some(life), None) => Route::Attach(life.id),
@@ -274,12 +277,213 @@ impl Stories {
                 self.latest.entry(key(device)).or_insert(id);
             }
         }
-        let (was_keys, keys) =
-            ([StoryKey::Device(was), StoryKey::Mode(was)], [StoryKey::Device(device), StoryKey::Mode(device)]);
+        let (was_keys, keys) = (
+            [StoryKey::Device(was), StoryKey::Mode(was)],
+            [StoryKey::Device(device), StoryKey::Mode(device)],
+        );
         for story in &mut self.stories {
             if let Some(at) = was_keys.iter().position(|key| *key == story.key) {
                 story.key = keys[at].clone();
             }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::discovery::Presence;
+    use crate::finding::{FindingKey, FindingKind, FindingState};
+    use crate::frame::BusIndex;
+    use crate::text::Name;
+
+    const BUS: BusIndex = BusIndex(0);
+
+    fn at(millis: u64) -> Instant {
+        Instant::from_micros(millis * 1000)
+    }
+
+    fn entry(millis: u64, device: u32, address: u8, text: &str) -> TimelineEntry {
+        let mut entry = TimelineEntry::new(at(millis), TimelineKind::Change, text).on(BUS);
+        entry.device = Some(DeviceId { bus: BUS, number: device });
+        entry.address = Some(Address::from_bits(address));
+        entry.name = Some(Name::new(b"FEED"));
+        entry
+    }
+
+    fn finding(state: FindingState, address: u8) -> StoryChange {
+        let kind = FindingKind::OneAddressTwoIdentities;
+        StoryChange::Finding {
+            key: FindingKey::at(kind, BUS, Some(Address::from_bits(address))),
+            state,
+            parties: vec!["SPARE01".to_owned(), "BOILER03".to_owned()],
+            text: "Two devices share an address.".to_owned(),
+        }
+    }
+
+    fn lines(stories: &Stories, until: u64) -> Vec<StoryLine> {
+        let clock = |time: Instant| time.to_string();
+        stories.iter().filter_map(|story| story.line(at(until), clock)).collect()
+    }
+
+    fn words(stories: &Stories, until: u64) -> Vec<String> {
+        let open = |line: &StoryLine| if line.to.is_none() { " …" } else { "" };
+        lines(stories, until).iter().map(|line| format!("{}{}", line.what, open(line))).collect()
+    }
+
+    #[test]
+    fn absence_is_one_story_with_what_changed() {
+        let mut stories = Stories::default();
+        let mut push = |millis, change| stories.push(entry(millis, 1, 10, "text"), change);
+        push(0, StoryChange::Presence(Presence::Stale));
+        push(2_500, StoryChange::Presence(Presence::Lost));
+        push(30_000, StoryChange::Returned);
+        push(30_000, StoryChange::Rebooted);
+        push(31_000, StoryChange::Versions("AUGER 2.1→2.2".to_owned()));
+        assert_eq!(words(&stories, 1_000), ["stale: heartbeat overdue …"]);
+        assert_eq!(words(&stories, 29_000), ["lost …"]);
+        assert_eq!(words(&stories, 40_000), ["lost, rebooted: AUGER 2.1→2.2"]);
+        let line = &lines(&stories, 40_000)[0];
+        assert_eq!((line.kind, line.from, line.to), (StoryKind::Reboot, at(0), Some(at(31_000))));
+    }
+
+    #[test]
+    fn modes_are_one_story_until_the_device_works_again() {
+        let mut stories = Stories::default();
+        let mut push = |millis, change| stories.push(entry(millis, 1, 16, "text"), change);
+        push(0, StoryChange::Mode(Some(Mode::Work), Mode::Idle));
+        push(5_000, StoryChange::Presence(Presence::Asleep));
+        push(12_000, StoryChange::Returned);
+        push(12_000, StoryChange::Mode(Some(Mode::Idle), Mode::Work));
+        push(90_000, StoryChange::Mode(Some(Mode::Work), Mode::Cfg));
+        assert_eq!(words(&stories, 6_000), ["asleep (IDLE), WORK → IDLE …"]);
+        let all = ["was asleep, WORK → IDLE → WORK", "WORK → CFG …"];
+        assert_eq!(words(&stories, 100_000), all);
+        // What mode a lost device is in is not known.
+        let lost = entry(120_000, 1, 16, "lost");
+        stories.end_modes(&lost, lost.device.unwrap());
+        stories.push(lost, StoryChange::Presence(Presence::Lost));
+        let expected = ["was asleep, WORK → IDLE → WORK", "WORK → CFG, then lost", "lost …"];
+        assert_eq!(words(&stories, 130_000), expected);
+    }
+
+    #[test]
+    fn conflict_that_comes_and_goes_is_one_bounded_story() {
+        let mut stories = Stories::default();
+        let claim = StoryChange::Claimed { by: Some("SPARE01".to_owned()), holder: None };
+        stories.push(entry(0, 2, 14, "claims"), claim);
+        for round in 0..1_000 {
+            let begin = 1_000 + round * 9_000;
+            stories.push(entry(begin, 1, 14, "?"), finding(FindingState::Suspected, 14));
+            stories.push(entry(begin + 1_000, 1, 14, "!"), finding(FindingState::Confirmed, 14));
+            stories.push(entry(begin + 2_000, 1, 14, "x"), finding(FindingState::Cleared, 14));
+        }
+        assert_eq!(stories.iter().len(), 2, "the claim without a holder, and the conflict");
+        let story = stories.iter().last().unwrap();
+        assert_eq!(story.steps().len(), Story::MAX_STEPS);
+        let told = words(&stories, 10_000_000).pop().unwrap();
+        assert!(told.starts_with("conflict SPARE01 / BOILER03, confirmed "), "{told}");
+        assert!(told.ends_with("over, 1000 times"), "{told}");
+        // It is over for longer, so the next one is another story.
+        stories.push(entry(20_000_000, 1, 14, "?"), finding(FindingState::Suspected, 14));
+        assert_eq!(stories.iter().len(), 3);
+        let suspected = "conflict SPARE01 / BOILER03, suspected …";
+        assert_eq!(words(&stories, 20_000_001).last().unwrap(), suspected);
+    }
+
+    #[test]
+    fn first_frame_at_a_new_address_is_part_of_the_move() {
+        let mut stories = Stories::default();
+        let gave_up = StoryChange::GaveUp { by: None, to: Some("DIN".to_owned()) };
+        stories.push(entry(0, 1, 16, "?"), finding(FindingState::Suspected, 16));
+        stories.push(entry(1_000, 1, 16, "gave up"), gave_up);
+        stories.push(entry(1_100, 2, 9, "appeared"), StoryChange::Appeared);
+        let id = |number| DeviceId { bus: BUS, number };
+        stories.reassign(id(2), None, id(1));
+        let (from, to) = (Address::from_bits(16), Address::from_bits(9));
+        stories.push(entry(1_100, 1, 9, "moved"), StoryChange::Moved(from, to));
+        let told = words(&stories, 2_000);
+        assert_eq!(told.len(), 1, "{told:?}");
+        assert!(told[0].starts_with("FEED gave up 16 to DIN, moved 16→9, "), "{told:?}");
+    }
+
+    #[test]
+    fn repeated_text_is_counted_as_of_each_moment() {
+        let mut stories = Stories::default();
+        for second in 0..100 {
+            let line = TimelineEntry::new(at(second * 1000), TimelineKind::File, "saved");
+            stories.push(line, StoryChange::Text);
+        }
+        assert_eq!(words(&stories, 500), ["saved"], "the first one was there before the others");
+        assert_eq!(words(&stories, 3_500), ["saved ×4"]);
+        assert_eq!(words(&stories, 200_000), ["saved ×100"]);
+    }
+
+    /// Random events of devices that flap, move and fight: many ids, few addresses.
+    fn random_event(rng: &mut fastrand::Rng, millis: u64) -> (TimelineEntry, StoryChange) {
+        let (device, address) = (rng.u32(0..300), rng.u8(0..40));
+        let modes = [Mode::Work, Mode::Cfg, Mode::Idle, Mode::Arslv, Mode::Init, Mode::Ufunc];
+        let mode = |rng: &mut fastrand::Rng| modes[rng.usize(0..modes.len())];
+        let states = [FindingState::Suspected, FindingState::Confirmed, FindingState::Cleared];
+        let presences = [Presence::Stale, Presence::Lost, Presence::Asleep, Presence::Silent];
+        let change = match rng.u8(0..14) {
+            0 => StoryChange::Appeared,
+            1 => StoryChange::Named,
+            2 => StoryChange::Services(3),
+            3 => StoryChange::Versions("AUGER 2.1→2.2".to_owned()),
+            4 => StoryChange::Mode(Some(mode(rng)), mode(rng)),
+            5 => StoryChange::Claimed { by: None, holder: rng.bool().then(|| "ACT".to_owned()) },
+            6 => StoryChange::GaveUp { by: None, to: None },
+            7 => StoryChange::Moved(Address::from_bits(address), Address::from_bits(99)),
+            8 => StoryChange::Rebooted,
+            9 => StoryChange::Presence(presences[rng.usize(0..presences.len())]),
+            10 => StoryChange::Returned,
+            11 => finding(states[rng.usize(0..states.len())], address),
+            12 => StoryChange::Debug,
+            _ => StoryChange::Text,
+        };
+        (entry(millis, device, address, &format!("text {}", rng.u8(0..5))), change)
+    }
+
+    #[test]
+    fn past_lines_are_those_of_a_run_until_then() {
+        for seed in 0..20 {
+            let mut rng = fastrand::Rng::with_seed(seed);
+            let (mut whole, mut millis) = (Stories::default(), 0);
+            let mut then = Vec::new();
+            for _ in 0..400 {
+                // Few devices, so that stories have many steps.
+                let (mut entry, change) = random_event(&mut rng, millis);
+                let number = rng.u32(0..4);
+                entry.device = Some(DeviceId { bus: BUS, number });
+                whole.push(entry, change);
+                then.push((millis, lines(&whole, millis)));
+                millis += rng.u64(1..4_000);
+            }
+            let is_whole = |story: &Story| story.steps().len() < Story::MAX_STEPS;
+            let is_complete = whole.iter().all(is_whole);
+            for (millis, expected) in then.iter().filter(|_| is_complete) {
+                assert_eq!(lines(&whole, *millis), *expected, "seed {seed}, {millis} ms");
+            }
+        }
+    }
+
+    #[test]
+    fn stories_and_steps_are_bounded() {
+        let mut rng = fastrand::Rng::with_seed(1);
+        let mut stories = Stories::default();
+        for number in 0..30_000 {
+            let (entry, change) = random_event(&mut rng, number * 7);
+            stories.push(entry, change);
+        }
+        assert!(stories.iter().len() <= Stories::MAX_STORIES);
+        let steps: usize = stories.iter().map(|story| story.steps().len()).sum();
+        assert!(steps <= Stories::MAX_STEPS && steps == stories.steps, "{steps}");
+        assert!(stories.iter().all(|story| story.steps().len() <= Story::MAX_STEPS));
+        assert!(stories.iter().is_sorted_by_key(Story::begin));
+        assert!(stories.latest.len() <= 3 * Stories::MAX_STORIES);
+        for id in stories.latest.values() {
+            assert!(stories.get(*id).is_some());
         }
     }
 }

@@ -169,7 +169,9 @@ impl Story {
         let is_needed = |at: &usize| {
             let StoryChange::Finding { key, .. } = &self.steps[*at].change else { return false };
             let mut later = self.steps[at + 1..].iter();
-            !later.any(|step| matches!(&step.change, StoryChange::Finding { key: it, .. } if it == key))
+            !later.any(
+                |step| matches!(&step.change, StoryChange::Finding { key: it, .. } if it == key),
+            )
         };
         let dropped = (FIRST_STEPS..self.steps.len()).find(|at| !is_needed(at));
         self.steps.remove(dropped.unwrap_or(FIRST_STEPS));

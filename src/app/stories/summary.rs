@@ -5,11 +5,13 @@
 use super::change::StoryChange;
 use super::kind::StoryKind;
 use super::story::{ATTACH_WITHIN, Story, StoryKey, StoryStep};
+use crate::app::lanes::ConflictSpan;
 use crate::app::notices::TimelineEntry;
 use crate::app::problems::ProblemKey;
 use crate::app::timeline_kind::TimelineKind;
 use crate::discovery::Presence;
 use crate::finding::{FindingKey, FindingKind, FindingState};
+use crate::frame::BusIndex;
 use crate::time::Instant;
 use crate::wire::id::Address;
 use crate::wire::node::Mode;
@@ -355,7 +357,8 @@ impl<'a> Summary<'a> {
         if !self.moves.is_empty() {
             parts.push(format!("moved {}", chain(&self.moves, "→")));
         }
-        let mut changes: Vec<&str> = self.versions.iter().rev().take(NAMED_CHANGES).copied().collect();
+        let mut changes: Vec<&str> =
+            self.versions.iter().rev().take(NAMED_CHANGES).copied().collect();
         changes.reverse();
         let mut text = parts.join(", ");
         if !changes.is_empty() {
@@ -449,6 +452,33 @@ fn sign_of(entry: &TimelineEntry) -> StorySign {
 }
 
 impl Story {
+    /// The times until a moment in which findings of an address conflict were open.
+    pub(in crate::app) fn conflict_spans(&self, at: Instant) -> Vec<(BusIndex, ConflictSpan)> {
+        let StoryKey::Problem(ProblemKey::Address(bus, address)) = self.key else {
+            return Vec::new();
+        };
+        let (mut spans, mut open) = (Vec::new(), Vec::new());
+        let mut span: Option<ConflictSpan> = None;
+        for step in self.steps_until(at) {
+            let StoryChange::Finding { key, state, .. } = &step.change else { continue };
+            if !key.kind.is_conflict() {
+                continue;
+            }
+            let time = step.entry.time;
+            open.retain(|it| *it != key);
+            if *state != FindingState::Cleared {
+                open.push(key);
+                let begun =
+                    ConflictSpan { address, from: time, to: Instant::LATEST, is_confirmed: false };
+                span.get_or_insert(begun).is_confirmed |= *state == FindingState::Confirmed;
+            } else if let Some(over) = span.take_if(|_| open.is_empty()) {
+                spans.push((bus, ConflictSpan { to: time, ..over }));
+            }
+        }
+        spans.extend(span.map(|span| (bus, span)));
+        spans
+    }
+
     /// Returns true if the story goes on at a moment.
     pub(super) fn is_open(&self, at: Instant) -> bool {
         Summary::of(self.steps_until(at), at).is_open(&self.key, at)

@@ -27,6 +27,7 @@ use super::capture::identifiers::IdentifierKey;
 use super::problems::{EvidenceItem, ProblemKey};
 use super::stories::HiddenKinds;
 use super::story_lines::LineKey;
+use crate::discovery::DeviceId;
 use std::collections::BTreeSet;
 
 /// State of the view.
@@ -72,6 +73,10 @@ pub struct View {
     pub(in crate::app) open_stories: BTreeSet<u64>,
     /// What the Timeline page shows.
     pub timeline_view: TimelineView,
+    /// Length of a cell of the lanes, by its place in the list of them; `None`: all that is kept fits.
+    pub(in crate::app) lane_zoom: Option<usize>,
+    /// Device of the selected lane, where lanes are shown alone.
+    pub(in crate::app) lane: Selection<DeviceId>,
     /// Number of the lanes of devices.
     pub(in crate::app) lane_count: usize,
     /// Kinds of stories that have no lines.
