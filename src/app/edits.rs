@@ -580,7 +580,7 @@ impl App {
             (line.device, line.address) = (Some(id), Some(device.address));
             line.name.clone_from(&device.name);
         }
-        self.notices.timeline_mut().push(line);
+        self.notices.push_line(line);
         self.buses.transmit(frame);
         self.show_info(text);
     }

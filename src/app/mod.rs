@@ -47,6 +47,7 @@ mod history;
 mod input;
 mod inventory;
 mod journal;
+mod lanes;
 mod listing;
 mod load_bars;
 mod marks;
@@ -60,6 +61,9 @@ mod problem_page;
 mod problems;
 mod proof;
 mod saved_filters;
+mod stories;
+mod story_lines;
+mod time_axis;
 mod time_bar;
 mod timeline_kind;
 mod typed_time;
@@ -91,6 +95,7 @@ pub use filter::{
 };
 pub use history::{BusesReplay, FRAMES_PER_ROOM, Moment, RecordedBuses};
 pub use input::{FilterPrompt, InputCheck, Overlay, Prompt, PromptKind, Question};
+pub use lanes::{Lane, LaneCell, Lanes, format_step};
 pub use listing::{addition_refusal, same_services};
 pub use load_bars::{LoadBar, bar_lines};
 pub use marks::{MAX_MARKS, Mark, Marks};
@@ -106,6 +111,11 @@ pub use problems::{
     ProblemList, Scope, SideBasis, format_duration, is_about, length_text,
 };
 pub use saved_filters::{MAX_SAVED_FILTERS, SavedFilter, SavedFilterChange};
+pub use stories::{
+    HiddenKinds, Stories, Story, StoryChange, StoryKind, StoryLine, StorySign, StoryStep,
+};
+pub use story_lines::LineKey;
+pub use time_axis::TimeAxis;
 pub use time_bar::{BAR_LEFT, BAR_RIGHT, BarSign, TimeBar};
 pub use timeline_kind::TimelineKind;
 pub use versions::{
@@ -115,7 +125,7 @@ pub use versions::{
 pub use view::{
     BarKey, Board, BusPageLayout, BusRegions, ChartSpan, ConflictAxis, Counts, DeviceView,
     DevicesPage, EvidenceView, FileStatus, Focus, Frozen, Page, ProblemsView, Row, RowKey,
-    RowState, SPLIT_WIDTH, Screen, Selection, SortBy, TimeFormat, TrafficView, View,
+    RowState, SPLIT_WIDTH, Screen, Selection, SortBy, TimeFormat, TimelineView, TrafficView, View,
 };
 
 use crate::bitrate::{SearchOutcome, SearchProgress};
@@ -137,6 +147,7 @@ use clock::AppClock;
 use devices::DeviceRows;
 use file::{FileContent, FileEditor};
 use input::{Input, PromptContext, PromptOutcome, PromptResult};
+use lanes::LaneRecords;
 use notices::Notices;
 use past::Past;
 use places::Place;
@@ -338,6 +349,7 @@ pub struct App {
     saved_filters: Vec<SavedFilter>,
     time_bar: TimeBar,
     alarms: Alarms,
+    lane_records: LaneRecords,
     /// The comparison of two moments that is open.
     comparison: Option<Box<MomentComparison>>,
     /// The proof that is being written.
@@ -384,6 +396,7 @@ impl App {
             saved_filters: options.saved_filters,
             time_bar: TimeBar::default(),
             alarms: Alarms::default(),
+            lane_records: LaneRecords::default(),
             comparison: None,
             proof: None,
             content,
@@ -392,7 +405,7 @@ impl App {
         for warning in options.warnings {
             let mut line = TimelineEntry::new(now, TimelineKind::Error, &warning);
             line.name = Some("settings".into());
-            app.notices.timeline_mut().push(line);
+            app.notices.push_line(line);
             app.show_error(warning);
         }
         app
@@ -1118,17 +1131,6 @@ impl App {
         self.notices.timeline()
     }
 
-    /// Numbers of the timeline lines that match the filter, oldest first.
-    pub fn lines_shown(&self) -> Vec<u64> {
-        let filter = self.filters.of(Page::Timeline).active();
-        let end = self.view.frozen.map_or(u64::MAX, |frozen| frozen.lines);
-        let entries = self.timeline().entries().filter(|entry| entry.number < end);
-        entries
-            .filter(|entry| filter.is_none_or(|it| it.matches_entry(self.shown_buses(), entry)))
-            .map(|entry| entry.number)
-            .collect()
-    }
-
     /// Prepares a filter for the frames of a log: names are those of a frame's moment, as far as known.
     pub fn log_matcher(&self, filter: &Filter) -> FrameMatcher {
         let mut filter = filter.clone();
@@ -1242,7 +1244,7 @@ impl App {
     /// Adds a line to the timeline only.
     fn add_line(&mut self, kind: TimelineKind, text: impl Into<String>) {
         let line = TimelineEntry::new(self.clock.now(), kind, text);
-        self.notices.timeline_mut().push(line);
+        self.notices.push_line(line);
     }
 
     /// Adds a line to the timeline and to the events.
@@ -1251,7 +1253,7 @@ impl App {
             let event = self.line_event(&line);
             self.notices.emit(event);
         }
-        self.notices.timeline_mut().push(line);
+        self.notices.push_line(line);
     }
 
     fn list_height(&self) -> usize {
@@ -1268,6 +1270,9 @@ impl App {
     pub fn is_idle(&self) -> bool {
         // The axis of the charts moves.
         if self.view.page == Page::Bus && self.buses.iter().any(|bus| bus.ended.is_none()) {
+            return false;
+        }
+        if self.grows_on_timeline() {
             return false;
         }
         // The most expensive test comes last: this is called in every turn of the event loop.
@@ -1328,6 +1333,7 @@ impl App {
     }
 
     fn refresh_rows(&mut self) {
+        self.count_lanes();
         let inputs = shown_inputs!(self);
         let problems = self.past.as_ref().map_or(&self.problems, |past| &past.problems);
         let problems = problems.list(inputs.buses);

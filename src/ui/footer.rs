@@ -211,6 +211,7 @@ fn hint_line(brush: &DrawContext, mode: KeyMode, width: usize) -> Vec<Span<'stat
         (KeyMode::Confirm, ..) => &[A::Yes, A::No],
         (KeyMode::Conflict, ..) => &[A::Ours, A::Theirs, A::Later],
         (KeyMode::Filters, ..) => &[A::FilterUse, A::FilterRemove, A::FiltersClose],
+        (KeyMode::Kinds, ..) => &[A::KindToggle, A::KindOnly, A::KindsClose],
         (KeyMode::Marks, ..) => &[A::MarkGo, A::MarkRemove, A::MarksClose],
         (KeyMode::Compare, ..) => {
             &[A::CompareSide, A::CompareEarlier, A::CompareLater, A::CompareSelect, A::CompareClose]
@@ -235,9 +236,13 @@ fn hint_line(brush: &DrawContext, mode: KeyMode, width: usize) -> Vec<Span<'stat
         (KeyMode::Browse, Page::Timeline, _) => &[
             A::Details,
             A::Frames,
+            A::Problem,
+            A::Kinds,
+            A::ZoomOut,
+            A::OpenParts,
+            A::Identifiers,
             A::Filter,
             A::Freeze,
-            A::Problem,
             A::Mark,
             A::Compare,
             A::SaveCapture,
@@ -395,7 +400,9 @@ fn applies(brush: &DrawContext, action: Action) -> bool {
         (A::Details, Page::Traffic) if view.evidence.is_none() => {
             app.capture().end() > 0 && !view.frame_details
         }
-        (A::Details | A::Frames, Page::Timeline) => !app.lines_shown().is_empty(),
+        (A::OpenParts | A::Kinds, Page::Timeline) if brush.screen.list.height == 0 => false,
+        (A::ZoomOut, Page::Timeline) => brush.screen.lanes.height > 1,
+        (A::Details | A::Frames | A::OpenParts, Page::Timeline) => !app.lines_shown().is_empty(),
         (A::Filter | A::Identifiers | A::Rescan, Page::Traffic) if view.evidence.is_some() => false,
         (A::Details | A::Frames, Page::Bus) => app.selected_bar().is_some(),
         (A::SaveCapture, _) => app.capture().end() > 0,
@@ -434,6 +441,7 @@ fn hint(brush: &DrawContext, action: Action) -> Option<Hint> {
     let (key, word) = brush.app.keymap().hint(action)?;
     let view = brush.app.view();
     let here = match (action, view.page, &view.evidence) {
+        (A::Details, Page::Timeline, _) if brush.screen.list.height == 0 => "go to device",
         (A::Details, Page::Timeline, _) => "show moment",
         (A::Details, Page::Problems, _) if brush.screen.details.height > 0 => {
             let is_seen = brush.app.selected_problem().is_none_or(|problem| problem.has_evidence());
@@ -455,6 +463,9 @@ fn hint(brush: &DrawContext, action: Action) -> Option<Hint> {
             "frames"
         }
         (A::Identifiers, Page::Problems, _) => view.problems_view.next().title(),
+        (A::Identifiers, Page::Timeline, _) => {
+            view.timeline_shown().next(brush.screen.whole.width).title()
+        }
         (A::Identifiers, ..) => view.traffic_view.next().title(),
         (A::Cancel, ..) => "back",
         (A::Mute, ..) if brush.app.selected_problem().is_some_and(|it| it.is_muted) => "unmute",

@@ -8,7 +8,7 @@
 //! ▸●   10 FEED       online   WORK   5≠   0s ✓ 10  │                                │ details.rs
 //!  ●   13 SENS       online   WORK    5   0s + new │ heartbeat 1.00 s ±0 ms
 //!  ⚠   14 ACT        CONFLICT WORK    4   0s ✓ 14  │ mode      WORK                 or traffic.rs,
-//!  ○   17 IGNITER    missing                 ✗ 17  │ UID       BOILER01             timeline.rs,
+//!  ○   17 IGNITER    missing                 ✗ 17  │ UID       BOILER01             stories.rs,
 //!  ●   30 PSU        online   WORK    3   0s   30  │ framing   isotp                problems.rs
 //! ─ latest ────────────────────────────────────────┴──────────────────────────────  timeline.rs
 //!  12:03:11 ⚠ ACT @14      confirmed: Two devices answer as ACT at address 14.
@@ -33,11 +33,14 @@ mod details;
 mod devices;
 mod footer;
 mod help;
+mod lanes;
 mod marks;
 mod moment;
 mod problems;
 mod saved_filters;
 mod status;
+mod stories;
+mod story_kinds;
 mod symbols;
 mod tabs;
 mod time_bar;
@@ -81,6 +84,10 @@ pub fn draw(app: &App, theme: &Theme, frame: &mut Frame) -> Option<u16> {
         Overlay::Marks(selected) => marks::draw(&mut brush, *selected),
         Overlay::Filters(selected) => saved_filters::draw(&mut brush, *selected),
         Overlay::Comparison => comparison::draw(&mut brush),
+        Overlay::Kinds(selected) => {
+            page(&mut brush);
+            story_kinds::draw(&mut brush, *selected);
+        }
         _ => page(&mut brush),
     }
     moment::draw(&mut brush);
@@ -114,7 +121,7 @@ fn page(brush: &mut DrawContext) {
             timeline::draw_latest(brush);
         }
         Page::Traffic => traffic::draw(brush),
-        Page::Timeline => timeline::draw(brush),
+        Page::Timeline => stories::draw(brush),
         Page::Problems => problems::draw(brush),
         Page::Bus => bus::draw(brush),
     }

@@ -3,7 +3,7 @@
 
 use super::brush::{DrawContext, fit};
 use super::moment;
-use crate::app::{Focus, Page, PageFilter, TrafficView};
+use crate::app::{Focus, Page, PageFilter, TimelineView, TrafficView};
 use crate::keymap::Action;
 use crate::theme::Role;
 use ratatui::layout::Rect;
@@ -54,6 +54,10 @@ pub fn draw(brush: &mut DrawContext) {
     } else if open == Page::Traffic {
         let view = brush.app.view().traffic_view.title();
         draw_views(brush, &TrafficView::ALL.map(TrafficView::title), view, view, end);
+    } else if open == Page::Timeline {
+        let views = TimelineView::all(area.width).iter().map(|view| view.title());
+        let view = brush.app.view().timeline_shown().title();
+        draw_views(brush, &views.collect::<Vec<_>>(), view, view, end);
     }
     if brush.app.past_moment().is_some() {
         brush.fill(area, Role::Frozen);

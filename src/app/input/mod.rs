@@ -62,6 +62,8 @@ pub enum Overlay {
     Filters(usize),
     /// The comparison of two moments.
     Comparison,
+    /// The kinds of stories, with the place of the selected one.
+    Kinds(usize),
 }
 
 /// Keymap, overlay and type-ahead guard.
@@ -105,6 +107,7 @@ impl Input {
             Overlay::Marks(_) => KeyMode::Marks,
             Overlay::Filters(_) => KeyMode::Filters,
             Overlay::Comparison => KeyMode::Compare,
+            Overlay::Kinds(_) => KeyMode::Kinds,
         }
     }
 

@@ -12,6 +12,7 @@ mod page;
 mod problems_view;
 mod rows;
 mod screen;
+mod timeline_view;
 mod traffic_view;
 
 pub use bus_page::{BarKey, BusPageLayout, BusRegions, ChartSpan};
@@ -23,11 +24,15 @@ pub(in crate::app) use problems_view::ProblemRoom;
 pub use problems_view::{ConflictAxis, ProblemsView};
 pub use rows::{Board, Counts, FileStatus, Row, RowKey, RowState, SortBy};
 pub use screen::{SPLIT_WIDTH, Screen};
+pub use timeline_view::TimelineView;
 pub use traffic_view::{CallOrder, IdentifierOrder, TimeFormat, TrafficView};
 
 use super::capture::calls::CallKey;
 use super::capture::identifiers::IdentifierKey;
 use super::problems::{EvidenceItem, ProblemKey};
+use super::stories::HiddenKinds;
+use super::story_lines::LineKey;
+use crate::discovery::DeviceId;
 use std::collections::BTreeSet;
 
 /// State of the view.
@@ -79,8 +84,20 @@ pub struct View {
     pub piece: usize,
     /// Time axis of the conflict panel.
     pub conflict_axis: ConflictAxis,
-    /// Number of the selected timeline line; none while the newest are followed.
-    pub timeline: Selection<u64>,
+    /// Selected line of the timeline; none while the newest are followed.
+    pub timeline: Selection<LineKey>,
+    /// Stories whose steps have lines of their own.
+    pub(in crate::app) open_stories: BTreeSet<u64>,
+    /// What the Timeline page shows.
+    pub timeline_view: TimelineView,
+    /// Length of a cell of the lanes, by its place in the list of them; `None`: all that is kept fits.
+    pub(in crate::app) lane_zoom: Option<usize>,
+    /// Device of the selected lane, where lanes are shown alone.
+    pub(in crate::app) lane: Selection<DeviceId>,
+    /// Number of the lanes of devices.
+    pub(in crate::app) lane_count: usize,
+    /// Kinds of stories that have no lines.
+    pub hidden_kinds: HiddenKinds,
     /// Selected bar of the Bus page.
     pub bars: Selection<BarKey>,
     /// Time that the charts of the Bus page show.
@@ -159,7 +176,7 @@ impl View {
     }
 
     /// Selects the newest line of the timeline, if its newest lines are followed.
-    pub(in crate::app) fn hold_timeline(&mut self, keys: &[u64], height: usize) {
+    pub(in crate::app) fn hold_timeline(&mut self, keys: &[LineKey], height: usize) {
         if self.timeline.selected().is_none() {
             self.timeline.move_to(keys, keys.len(), height);
             let line = keys.len().min(height).saturating_sub(1);

@@ -33,6 +33,10 @@ pub struct Screen {
     pub alarm: Rect,
     /// Rule with the titles of the pages and the shown moment.
     pub tabs: Rect,
+    /// Lanes of the Timeline page.
+    pub lanes: Rect,
+    /// Rule above the lines of the Timeline page, with their number and kinds.
+    pub kinds: Rect,
     /// Column headings.
     pub header: Rect,
     /// Rows.
@@ -79,6 +83,8 @@ const STATUS_AND_ALARM: u16 = 9;
 
 /// Least height with a line for each bus, in lines.
 const SMALL: u16 = 16;
+/// Least height with the rule of the kinds on the Timeline page, in lines.
+const KINDS_HEIGHT: u16 = 16;
 
 impl Screen {
     /// Returns the layout for a view and this number of buses.
@@ -134,6 +140,11 @@ impl Screen {
             screen.divider = Rect::new(left.width, left.y, 1, left.height);
         } else if has_details && view.focus == Focus::Details {
             screen.details = std::mem::take(&mut left);
+        }
+        if view.page == Page::Timeline {
+            let lanes = view.lane_lines(left.height);
+            screen.lanes = take_top(&mut left, lanes);
+            screen.kinds = take_top(&mut left, u16::from(rows >= KINDS_HEIGHT));
         }
         screen.header = take_top(&mut left, 1);
         screen.list = left;
@@ -256,6 +267,8 @@ mod tests {
                             screen.status,
                             screen.alarm,
                             screen.tabs,
+                            screen.lanes,
+                            screen.kinds,
                             screen.header,
                             screen.list,
                             screen.divider,
