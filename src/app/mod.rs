@@ -49,6 +49,7 @@ mod notices;
 mod page_filters;
 mod past;
 mod problems;
+mod recorded_frames;
 mod saved_filters;
 mod time_bar;
 mod timeline_kind;
@@ -160,6 +161,8 @@ pub struct AppOptions {
     /// Bytes of memory for the captured frames and the past of the buses; `None`:
     /// [`DEFAULT_CAPTURE`]; 0: few frames, and no past.
     pub capture_room: Option<usize>,
+    /// Capture no frames, and count neither their identifiers nor calls: nothing reads them.
+    pub without_capture: bool,
 }
 
 /// Side effect that the app requests: file access, a bit rate search, quitting. The shell executes
@@ -324,7 +327,11 @@ impl App {
         let mut app = Self {
             clock,
             buses: RecordedBuses::new(now, Buses::new(now, options.buses), past_room),
-            traffic: Traffic::new(room - past_room),
+            traffic: if options.without_capture {
+                Traffic::off()
+            } else {
+                Traffic::new(room - past_room)
+            },
             editor,
             problems: Problems::default(),
             devices: DeviceRows::default(),
@@ -378,9 +385,11 @@ impl App {
         self.clock.set(now);
         for frame in frames {
             if self.buses.receive(frame) {
-                self.traffic.push(frame, &self.buses, |block| pinned_times(&self.buses, block));
+                self.capture_frame(frame);
                 // After each frame: an event has the data of its moment.
-                self.take_events();
+                if self.buses.has_events() {
+                    self.take_events();
+                }
             }
         }
         if !frames.is_empty() && self.view.page == Page::Traffic && self.view.frozen.is_none() {
@@ -388,6 +397,10 @@ impl App {
         }
         self.complete_bus_events(now);
         self.buses.keep_history(now, self.traffic.capture.first());
+    }
+
+    fn capture_frame(&mut self, frame: &Frame) {
+        self.traffic.push(frame, &self.buses, |block| pinned_times(&self.buses, block));
     }
 
     /// Does what is due at `now`.

@@ -50,8 +50,13 @@ pub fn run(log: &LogArgs) -> Result<u8, Failure> {
     let file = headless::log_file(&spec)?;
     // Anything else than a file cannot be read again.
     let is_file = matches!(spec, BusSpec::File(_)) && file.metadata().is_ok_and(|it| it.is_file());
-    let range =
-        Limits { time: log.time, from: log.from, while_read: true, stuck: EXIT_INTERRUPTED };
+    let range = Limits {
+        time: log.time,
+        from: log.from,
+        while_read: true,
+        needs_frames: !is_file,
+        stuck: EXIT_INTERRUPTED,
+    };
     let mut printer = FramePrinter::new(log, filter);
     let ending = if is_file {
         print_file(&spec, &file, &setup, options, range, &mut printer)?
@@ -82,7 +87,14 @@ fn print_file(
     }
     headless::warn_foreign(app, &mut Vec::new());
     printer.renew(app);
-    let ending = headless::reread(spec, range, |frame| printer.handle_frame(app, frame))?;
+    let ending = headless::reread(spec, range, |frames| {
+        for frame in frames {
+            if printer.handle_frame(app, frame)?.is_break() {
+                return Ok(ControlFlow::Break(()));
+            }
+        }
+        Ok(ControlFlow::Continue(()))
+    })?;
     if ending.is_none() {
         printer.finish(app)?;
     }
