@@ -203,8 +203,15 @@ impl Frame {
     }
 
     /// Its data; empty for a remote frame.
+    #[inline]
     pub fn data(&self) -> &[u8] {
         if self.kind == FrameKind::Remote { &[] } else { &self.data[..usize::from(self.len)] }
+    }
+
+    /// The first eight bytes of its data; those behind its length mean nothing.
+    #[inline]
+    fn first_eight_bytes(&self) -> [u8; Self::MAX_CLASSIC_DATA] {
+        self.data.first_chunk().copied().unwrap_or_default()
     }
 
     /// Its length in bytes; for a remote frame the requested one.

@@ -64,8 +64,8 @@ pub use buses::{
 pub use capture::decoded::summary_of;
 pub use capture::{
     CallKey, CallPart, CallStats, Calls, CapturedHeartbeat, CapturedHeartbeats, CapturedLog,
-    Decoded, FramePeriod, FrameRole, FrameStore, IdentifierKey, IdentifierKind, IdentifierStats,
-    Identifiers, Latency, NOTED_BYTES, StoredFrames, Transfer,
+    Decoded, FrameMeaning, FramePeriod, FrameRole, FrameStore, IdentifierKey, IdentifierKind,
+    IdentifierStats, Identifiers, Latency, NOTED_BYTES, StoredFrames, Transfer,
 };
 pub use compared_moments::{ComparedMoment, ComparisonNote, ComparisonRow, MomentComparison};
 pub use devices::concerns;
@@ -1279,6 +1279,13 @@ impl App {
 
 impl Decoded {
     /// Decodes a frame with the names and the profile of its bus.
+    pub fn of(app: &App, frame: &Frame) -> Self {
+        Self::new(app.shown_buses(), frame)
+    }
+}
+
+impl FrameMeaning {
+    /// Decodes a frame with the profile of its bus.
     pub fn of(app: &App, frame: &Frame) -> Self {
         Self::new(app.shown_buses(), frame)
     }

@@ -110,9 +110,11 @@ impl AddressClaims {
         let resolution_time = period * RESOLUTION_PERIODS;
         // A replaced board was silent for longer; so is one that is asleep.
         let is_holder = |node: &Node| {
-            let holds = now.since(node.last) < period.mul_f64(HOLD_PERIODS);
-            let holds = holds || mode == Some(Mode::Arslv);
-            node.uid != uid && node.address == address && node.device == row && holds
+            let holds = || now.since(node.last) < period.mul_f64(HOLD_PERIODS);
+            node.address == address
+                && node.uid != uid
+                && node.device == row
+                && (mode == Some(Mode::Arslv) || holds())
         };
         let is_other_node = over_holder || self.nodes.iter().any(is_holder);
         let known = self.nodes.iter().position(|node| node.uid == uid);
@@ -182,7 +184,7 @@ impl AddressClaims {
         let recently = period.mul_f64(HOLD_PERIODS);
         let (mut near, mut any) = (over_holder, over_holder);
         for other in &mut self.nodes {
-            if other.uid == uid || other.address != address {
+            if other.address != address || other.uid == uid {
                 continue;
             }
             let silence = now.since(other.last);

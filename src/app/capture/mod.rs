@@ -13,7 +13,7 @@ pub(super) mod identifiers;
 pub(super) mod transfer;
 
 pub use calls::{CallKey, CallPart, CallStats, Calls, Latency};
-pub use decoded::{Decoded, FrameRole};
+pub use decoded::{Decoded, FrameMeaning, FrameRole};
 pub use frame_store::{BYTES_PER_FRAME, FrameStore, StoredFrames};
 pub use heartbeats::{CapturedHeartbeat, CapturedHeartbeats};
 pub use identifiers::{

@@ -7,6 +7,7 @@
 
 mod frame_json;
 mod frame_text;
+mod known_names;
 mod stats;
 mod stats_report;
 
@@ -23,7 +24,7 @@ use crate::cli::{CommonArgs, LogArgs};
 use crate::frame::Frame;
 use crate::shell::stop::StopReason;
 use anyhow::Context;
-use frame_json::FrameReport;
+use frame_json::FrameJson;
 use frame_text::FrameText;
 use stats::LogStats;
 use std::fs::File;
@@ -135,7 +136,7 @@ fn print_once(
 #[derive(Debug)]
 enum FrameOutput {
     Text(FrameText),
-    Json,
+    Json(FrameJson),
     Stats(Box<LogStats>),
 }
 
@@ -151,7 +152,8 @@ struct FramePrinter {
     left: Option<u64>,
     calls: Calls,
     identifiers: Identifiers,
-    /// The last frames, if the filter needs them.
+    /// The filter needs the last frames.
+    looks_back: bool,
     recent: FrameStore,
     number: u64,
     line: String,
@@ -163,11 +165,12 @@ impl FramePrinter {
         let kind = if log.stats {
             FrameOutput::Stats(Box::default())
         } else if log.json {
-            FrameOutput::Json
+            FrameOutput::Json(FrameJson::default())
         } else {
             FrameOutput::Text(FrameText::default())
         };
         Self {
+            looks_back: filter.looks_back(),
             filter,
             matcher: None,
             kind,
@@ -201,9 +204,13 @@ impl FramePrinter {
             (_, Some(bus)) => self.calls.add(frame, number, &bus.config().profile),
         };
         if let Some(matcher) = &self.matcher {
-            let previous = self.identifiers.add(frame, number);
-            self.recent.push(frame, previous, |_| Vec::new());
-            if !matcher.is_match(frame, Some((&self.recent, number))) {
+            let mut stored = None;
+            if self.looks_back {
+                let previous = self.identifiers.add(frame, number);
+                self.recent.push(frame, previous, |_| Vec::new());
+                stored = Some((&self.recent, number));
+            }
+            if !matcher.is_match(frame, stored) {
                 return Ok(ControlFlow::Continue(()));
             }
         }
@@ -224,11 +231,10 @@ impl FramePrinter {
                 text.write(&mut self.line, app, frame, part);
                 self.output.print(&self.line)
             }
-            FrameOutput::Json => {
-                let report = FrameReport::new(app, frame, part);
-                let json = serde_json::to_string(&report).context("JSON")?;
-                self.output.print_json(&json)?;
-                self.output.print_json("\n")
+            FrameOutput::Json(json) => {
+                self.line.clear();
+                json.write(&mut self.line, app, frame, part);
+                self.output.print_json(&self.line)
             }
             FrameOutput::Stats(stats) => {
                 stats.add(app, frame);
