@@ -137,7 +137,7 @@ impl AddressClaims {
         let others_claimed = self
             .nodes
             .iter()
-            .any(|node| node.uid != uid && node.address == left && node.has_claimed);
+            .any(|node| node.address == left && node.has_claimed && node.uid != uid);
         let node = &mut self.nodes[at];
         let silence = now.since(node.last);
         let mut update = ClaimUpdate {
@@ -243,8 +243,8 @@ impl AddressClaims {
         };
         let (since, has_claimed) = (winner.since, winner.has_claimed);
         let silent = self.nodes.iter_mut().filter(|node| {
-            node.uid != uid
-                && node.address == address
+            node.address == address
+                && node.uid != uid
                 && !node.is_reported
                 && now.since(node.last) >= resolution_time
                 && node.gave_up_before_conflict(period)
@@ -262,7 +262,7 @@ impl AddressClaims {
     /// Returns true if a node other than `uid` still holds `address`.
     pub fn is_shared(&self, now: Instant, address: Address, period: Duration, uid: Uid) -> bool {
         let holds = period.mul_f64(HOLD_PERIODS);
-        let mut others = self.nodes.iter().filter(|it| it.uid != uid && it.address == address);
+        let mut others = self.nodes.iter().filter(|it| it.address == address && it.uid != uid);
         others.any(|node| now.since(node.last) < holds)
     }
 
@@ -321,7 +321,7 @@ impl AddressClaims {
 
     /// Returns since when another node than `uid` sends heartbeats from `address`.
     pub fn other_sender_since(&self, address: Address, uid: Uid) -> Option<Instant> {
-        let others = self.nodes.iter().filter(|it| it.uid != uid && it.address == address);
+        let others = self.nodes.iter().filter(|it| it.address == address && it.uid != uid);
         others.max_by_key(|node| node.last).map(|node| node.since)
     }
 

@@ -12,6 +12,8 @@ pub const INTERMISSION: u32 = 3;
 const TAIL: u32 = 3 + 7 + INTERMISSION;
 /// What follows the ACK slot: its delimiter, end of frame, intermission.
 const AFTER_ACK: u32 = 1 + 7 + INTERMISSION;
+/// Most bytes of a classic frame before the CRC.
+const CLASSIC_BYTES: usize = (1 + 11 + 2 + 18 + 1 + 2 + 4 + 64_usize).div_ceil(8);
 /// Most data bits of a frame before the CRC: FD, extended, 64 bytes.
 const MAX_BYTES: usize = 72;
 
@@ -205,9 +207,13 @@ fn classic_length(frame: &Frame) -> FrameBits {
     let mut len: usize = header_len + 4 + 8 * bytes;
     // Leading zeros change nothing of a CRC that begins with 0, and it is that of its bytes alone,
     // added.
-    let bytes = bits.to_be_bytes();
-    let parts = bytes.iter().zip(&CRC15).map(|(&byte, table)| table[usize::from(byte)]);
-    let crc = parts.fold(0, |crc, part| crc ^ part);
+    let bytes: [u8; 16] = bits.to_be_bytes();
+    // The first ones are 0.
+    let (mut crc, mut place) = (0, bytes.len() - CLASSIC_BYTES);
+    while place < bytes.len() {
+        crc ^= CRC15[place][usize::from(bytes[place])];
+        place += 1;
+    }
     bits = bits << 15 | u128::from(crc);
     len += 15;
     // Behind the end bits that take turns: they need no stuffing.

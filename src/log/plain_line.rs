@@ -89,26 +89,50 @@ fn eight_digits(text: [u8; 8]) -> Option<u64> {
     Some((fours * 10_000 + (fours >> 32)) & 0xFFFF_FFFF)
 }
 
+/// Returns the bytes of eight hexadecimal digits, all of them at once.
+#[inline]
+fn four_bytes(text: [u8; 8]) -> Option<[u8; 4]> {
+    const ALL: u64 = 0x0101_0101_0101_0101;
+    let digits = u64::from_le_bytes(text);
+    let is_letter = digits >> 6 & ALL;
+    // Bits of the upper half that are set in what is no digit, and in what is none of A to F.
+    let decimal = digits ^ (ALL * 0x30);
+    let no_decimal = (decimal | decimal.wrapping_add(ALL * 6)) & (ALL * 0xF0);
+    let letter = digits & (ALL * 0xDF) ^ (ALL * 0x40);
+    let above = (letter | letter.wrapping_add(ALL * 9)) & (ALL * 0xF0);
+    let is_zero = !letter.wrapping_add(ALL * 0x0F) & (ALL * 0x10);
+    let letters = is_letter * 0xFF;
+    if no_decimal & !letters | (above | is_zero) & letters != 0 {
+        return None;
+    }
+    let halves = (digits & (ALL * 0x0F)) + is_letter * 9;
+    let bytes = (halves << 4 | halves >> 8) & 0x00FF_00FF_00FF_00FF;
+    let pairs = (bytes | bytes >> 8) & 0x0000_FFFF_0000_FFFF;
+    Some(((pairs | pairs >> 16) as u32).to_le_bytes())
+}
+
 /// Reads an identifier and the `#` behind it.
 #[inline]
 fn id(text: &[u8]) -> Option<(CanId, &[u8])> {
-    let value = |digits: &[u8]| {
-        let (number, invalid) = digits.iter().fold((0, 0), |(number, invalid), &digit| {
-            let value = DIGITS[usize::from(digit)];
-            (number << 4 | u32::from(value), invalid | value)
-        });
-        (invalid & NO_DIGIT == 0).then_some(number)
-    };
-    if let Some((digits, [b'#', rest @ ..])) = text.split_first_chunk::<8>() {
-        return Some((CanId::extended(value(digits)?)?, rest));
+    if let Some((digits, [b'#', rest @ ..])) = text.split_first_chunk() {
+        return Some((CanId::extended(u32::from_be_bytes(four_bytes(*digits)?))?, rest));
     }
     let (digits, rest) = text.split_first_chunk::<3>()?;
-    Some((CanId::standard(value(digits)?)?, rest.strip_prefix(b"#")?))
+    let [a, b, c] = digits.map(|digit| DIGITS[usize::from(digit)]);
+    let number = u32::from(a) << 8 | u32::from(b) << 4 | u32::from(c);
+    let id = CanId::standard(number).filter(|_| (a | b | c) & NO_DIGIT == 0)?;
+    Some((id, rest.strip_prefix(b"#")?))
 }
 
 /// Reads hexadecimal bytes, at most eight.
 #[inline]
 fn data(text: &[u8]) -> Option<([u8; Frame::MAX_CLASSIC_DATA], usize, &[u8])> {
+    if let Some((digits, rest)) = text.split_first_chunk::<16>()
+        && let Some([a, b, c, d]) = digits.first_chunk().and_then(|half| four_bytes(*half))
+        && let Some([e, f, g, h]) = digits.last_chunk().and_then(|half| four_bytes(*half))
+    {
+        return Some(([a, b, c, d, e, f, g, h], 8, rest));
+    }
     let (mut data, mut len, mut rest) = ([0; Frame::MAX_CLASSIC_DATA], 0, text);
     while let [high, low, after @ ..] = rest {
         let (high, low) = (DIGITS[usize::from(*high)], DIGITS[usize::from(*low)]);
@@ -149,6 +173,19 @@ mod tests {
             "(0000000001.000009) can0 123#AB R\r\n",
         ] {
             assert!(agree(line.as_bytes()), "{line}");
+        }
+    }
+
+    #[test]
+    fn four_bytes_are_those_of_eight_digits() {
+        for byte in 0..=u8::MAX {
+            for at in 0..8 {
+                let mut text = *b"0aB9fF71";
+                text[at] = byte;
+                let expected = std::str::from_utf8(&text).ok().filter(|it| !it.contains('+'));
+                let expected = expected.and_then(|it| u32::from_str_radix(it, 16).ok());
+                assert_eq!(four_bytes(text), expected.map(u32::to_be_bytes), "{byte:#x} at {at}");
+            }
         }
     }
 

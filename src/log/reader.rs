@@ -247,6 +247,26 @@ not a line
     }
 
     #[test]
+    fn frames_taken_together_are_as_those_taken_one_by_one() {
+        let usual = "(1436509052.249713) can0 02015402#0444455301\n(1436509052.249714) can1 123#\n";
+        let other = "(1436509052.2) can2 123##1AABB\n(1436509059.000000) can0 20000004#00 T\r\n";
+        let set_back = "(1436500000.000000) can1 123#0011 R\n(1436500000.000001) can3 1#\n";
+        let log = [usual, LOG, "\n", usual, other, usual, set_back, usual].concat().repeat(3);
+        for buffer in [1, 7, 64, 200, 4096] {
+            let (frames, summary) = read(&log, buffer);
+            let mut reader = LogReader::new(BufReader::with_capacity(buffer, log.as_bytes()));
+            let mut taken = Vec::new();
+            while let Some(frame) = reader.next_frame().unwrap() {
+                taken.push(frame);
+                let most = taken.len() + 3;
+                reader.take_buffered(&mut taken, most);
+                assert!(taken.len() <= most);
+            }
+            assert_eq!((taken, reader.summary()), (frames, &summary), "{buffer}");
+        }
+    }
+
+    #[test]
     fn buffered_frames_need_no_read() {
         // A pipe that returns one piece per read, then nothing.
         struct Pieces(Vec<&'static str>);

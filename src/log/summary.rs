@@ -143,13 +143,15 @@ impl LogSummary {
     #[inline]
     fn dated(&mut self, unix_micros: u64, frame: &Frame) -> Frame {
         let epoch = *self.epoch.get_or_insert(Epoch::from_unix_micros(unix_micros));
-        let written = epoch.since_start(unix_micros);
         // Most logs go on, and were never set back.
-        let next = u64::try_from(written).ok().map(Instant::from_micros);
-        let goes_on = |at: &Instant| *at >= self.last && at.since(self.last) <= GAP;
+        let next = unix_micros.checked_sub(epoch.unix_micros(Instant::ZERO));
+        let goes_on = |next: &u64| {
+            let passed = next.checked_sub(self.last.as_micros());
+            passed.is_some_and(|passed| passed <= GAP.as_micros() as u64)
+        };
         self.last = match next.filter(goes_on).filter(|_| self.ahead.is_zero()) {
-            Some(next) => next.min(Instant::LATEST),
-            None => self.moment(written),
+            Some(next) => Instant::from_micros(next).min(Instant::LATEST),
+            None => self.moment(epoch.since_start(unix_micros)),
         };
         self.frames += 1;
         frame.with_time(self.last)

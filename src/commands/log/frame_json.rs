@@ -93,13 +93,12 @@ fn push_seconds(line: &mut String, unix_micros: u64) {
     }
     push_number(line, unix_micros / 1_000_000, 1);
     line.push('.');
-    push_number(line, unix_micros % 1_000_000, 6);
+    let (mut fraction, mut digits) = (unix_micros % 1_000_000, 6);
     // One digit stays.
-    for _ in 0..5 {
-        if line.ends_with('0') {
-            line.pop();
-        }
+    while digits > 1 && fraction % 10 == 0 {
+        (fraction, digits) = (fraction / 10, digits - 1);
     }
+    push_number(line, fraction, digits);
 }
 
 fn push_id(line: &mut String, frame: &Frame) {
