@@ -60,6 +60,7 @@ mod play;
 mod problem_page;
 mod problems;
 mod proof;
+mod recorded_frames;
 mod saved_filters;
 mod stories;
 mod story_lines;
@@ -81,8 +82,8 @@ pub use buses::{
 pub use capture::decoded::summary_of;
 pub use capture::{
     CallKey, CallPart, CallStats, Calls, CapturedHeartbeat, CapturedHeartbeats, CapturedLog,
-    Decoded, FramePeriod, FrameRole, FrameStore, IdentifierKey, IdentifierKind, IdentifierStats,
-    Identifiers, Latency, NOTED_BYTES, StoredFrames, Transfer,
+    Decoded, FrameMeaning, FramePeriod, FrameRole, FrameStore, IdentifierKey, IdentifierKind,
+    IdentifierStats, Identifiers, Latency, NOTED_BYTES, StoredFrames, Transfer,
 };
 pub use compared_moments::{ComparedMoment, ComparisonNote, ComparisonRow, MomentComparison};
 pub use conflict_panel::{BeatCell, BeatsOnAxis, ConflictPanel, MAX_COLUMNS, side_letter};
@@ -197,6 +198,8 @@ pub struct AppOptions {
     /// Bytes of memory for the captured frames and the past of the buses; `None`:
     /// [`DEFAULT_CAPTURE`]; 0: few frames, and no past.
     pub capture_room: Option<usize>,
+    /// Capture no frames, and count neither their identifiers nor calls: nothing reads them.
+    pub without_capture: bool,
 }
 
 /// Side effect that the app requests: file access, a bit rate search, quitting. The shell executes
@@ -373,7 +376,11 @@ impl App {
         let mut app = Self {
             clock,
             buses: RecordedBuses::new(now, Buses::new(now, options.buses), past_room),
-            traffic: Traffic::new(room - past_room),
+            traffic: if options.without_capture {
+                Traffic::off()
+            } else {
+                Traffic::new(room - past_room)
+            },
             editor,
             problems: Problems::default(),
             devices: DeviceRows::default(),
@@ -440,9 +447,11 @@ impl App {
         self.clock.set(now);
         for frame in frames {
             if self.buses.receive(frame) {
-                self.traffic.push(frame, &self.buses, |block| pinned_times(&self.buses, block));
+                self.capture_frame(frame);
                 // After each frame: an event has the data of its moment.
-                self.take_events();
+                if self.buses.has_events() {
+                    self.take_events();
+                }
             }
         }
         if !frames.is_empty() && self.view.page == Page::Traffic && self.view.frozen.is_none() {
@@ -450,6 +459,10 @@ impl App {
         }
         self.complete_bus_events(now);
         self.buses.keep_history(now, &self.traffic.capture);
+    }
+
+    fn capture_frame(&mut self, frame: &Frame) {
+        self.traffic.push(frame, &self.buses, |block| pinned_times(&self.buses, block));
     }
 
     /// Does what is due at `now`.
@@ -1361,6 +1374,13 @@ impl App {
 
 impl Decoded {
     /// Decodes a frame with the names and the profile of its bus.
+    pub fn of(app: &App, frame: &Frame) -> Self {
+        Self::new(app.shown_buses(), frame)
+    }
+}
+
+impl FrameMeaning {
+    /// Decodes a frame with the profile of its bus.
     pub fn of(app: &App, frame: &Frame) -> Self {
         Self::new(app.shown_buses(), frame)
     }

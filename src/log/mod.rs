@@ -8,6 +8,7 @@ pub mod candump;
 mod foreign;
 mod frame_source;
 pub mod pcapng;
+mod plain_line;
 mod reader;
 mod summary;
 
@@ -79,6 +80,19 @@ trait LogDecoder: fmt::Debug + Send {
     /// Reads from `bytes`, which are not empty, at most to the end of an entry. Returns how many
     /// bytes were used: at least one, except with [`DecodeStep::End`].
     fn decode(&mut self, bytes: &[u8], summary: &mut LogSummary) -> (usize, DecodeStep);
+
+    /// Reads entries from `bytes` as [`Self::decode`] does, while each is a whole frame of the usual
+    /// form, and appends them until there are `most`. Returns how many bytes were used; 0 if the next
+    /// entry is another one.
+    fn decode_frames(
+        &mut self,
+        _bytes: &[u8],
+        _summary: &mut LogSummary,
+        _frames: &mut Vec<Frame>,
+        _most: usize,
+    ) -> usize {
+        0
+    }
 
     /// Handles the end of the bytes available for now.
     fn handle_end(&mut self, _: &mut LogSummary) {}

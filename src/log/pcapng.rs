@@ -187,6 +187,29 @@ impl LogDecoder for BlockDecoder {
         }
     }
 
+    fn decode_frames(
+        &mut self,
+        bytes: &[u8],
+        summary: &mut LogSummary,
+        frames: &mut Vec<Frame>,
+        most: usize,
+    ) -> usize {
+        let mut used = 0;
+        if summary.damage.is_some() || self.skip > 0 || !self.partial.is_empty() {
+            return used;
+        }
+        while frames.len() < most
+            && let Some(block) = self.sections.packet_block(&bytes[used..])
+            && let Ok(Ok(Some(entry))) = self.sections.take(block)
+            && let Some(frame) =
+                summary.take_plain(entry.unix_micros, entry.interface.as_bytes(), &entry.frame)
+        {
+            frames.push(frame);
+            used += block.len();
+        }
+        used
+    }
+
     fn handle_end(&mut self, summary: &mut LogSummary) {
         if summary.damage.is_none_or(Damage::is_truncated) {
             summary.damage =
@@ -249,6 +272,17 @@ impl SectionState {
         };
         let len = Fields { bytes: &head[4..], big_endian }.u32().unwrap_or(0);
         if len < 12 || !len.is_multiple_of(4) { Err(Damage::Length(len)) } else { Ok(len) }
+    }
+
+    /// Returns the packet that `bytes` begin with; `None` if another block is there, or the packet is not
+    /// whole, or too long.
+    fn packet_block<'b>(&self, bytes: &'b [u8]) -> Option<&'b [u8]> {
+        let head = bytes.first_chunk()?;
+        if (Fields { bytes: head, big_endian: self.big_endian }).u32() != Some(PACKET) {
+            return None;
+        }
+        let len = self.block_len(head).ok()? as usize;
+        bytes.get(..len).filter(|_| len <= MAX_BLOCK)
     }
 
     /// Checks a block that begins with these bytes and is skipped.
@@ -360,6 +394,12 @@ impl SectionState {
 impl PcapInterface {
     /// Converts a time in this interface's units to microseconds since 1970.
     fn micros(&self, time: u64) -> u64 {
+        // The usual ones.
+        match (self.resolution, self.offset_seconds) {
+            (6, 0) => return time,
+            (9, 0) => return time / 1000,
+            _ => {}
+        }
         let time = u128::from(time);
         let micros = match self.resolution {
             binary @ 0x80.. => (time * 1_000_000) >> (binary & 0x7F),

@@ -222,6 +222,16 @@ impl<R: Read> LogReader<BufReader<R>> {
         None
     }
 
+    /// Appends the next frames that are buffered as a whole, until there are `most`, or an entry follows that is
+    /// another one than a frame of the usual form: [`Self::next_buffered`] reads that one.
+    pub fn take_buffered(&mut self, frames: &mut Vec<Frame>, most: usize) {
+        let Some(decoder) = &mut self.decoder else { return };
+        if self.head.is_empty() && self.summary.foreign.is_none() {
+            let used = decoder.decode_frames(self.source.buffer(), &mut self.summary, frames, most);
+            self.source.consume(used);
+        }
+    }
+
     /// Returns true if a step makes progress without a read from the source.
     fn has_buffered(&self) -> bool {
         let buffer = self.source.buffer();
@@ -300,6 +310,26 @@ not a line
         assert_eq!(tally.first_unreadable, Some((4, LineFault::Time.into())));
         for buffer in 1..60 {
             assert_eq!(read(LOG, buffer), (frames.clone(), tally.clone()));
+        }
+    }
+
+    #[test]
+    fn frames_taken_together_are_as_those_taken_one_by_one() {
+        let usual = "(1436509052.249713) can0 02015402#0444455301\n(1436509052.249714) can1 123#\n";
+        let other = "(1436509052.2) can2 123##1AABB\n(1436509059.000000) can0 20000004#00 T\r\n";
+        let set_back = "(1436500000.000000) can1 123#0011 R\n(1436500000.000001) can3 1#\n";
+        let log = [usual, LOG, "\n", usual, other, usual, set_back, usual].concat().repeat(3);
+        for buffer in [1, 7, 64, 200, 4096] {
+            let (frames, summary) = read(&log, buffer);
+            let mut reader = LogReader::new(BufReader::with_capacity(buffer, log.as_bytes()));
+            let mut taken = Vec::new();
+            while let Some(frame) = reader.next_frame().unwrap() {
+                taken.push(frame);
+                let most = taken.len() + 3;
+                reader.take_buffered(&mut taken, most);
+                assert!(taken.len() <= most);
+            }
+            assert_eq!((taken, reader.summary()), (frames, &summary), "{buffer}");
         }
     }
 

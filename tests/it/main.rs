@@ -43,6 +43,7 @@ mod pictures;
 mod random_buses;
 mod random_input;
 mod readme;
+mod recorded_frames;
 mod recording;
 mod replay;
 mod replay_speed;

@@ -15,7 +15,7 @@ mod indexed_frames;
 pub(super) mod transfer;
 
 pub use calls::{CallKey, CallPart, CallStats, Calls, Latency};
-pub use decoded::{Decoded, FrameRole};
+pub use decoded::{Decoded, FrameMeaning, FrameRole};
 pub use frame_block::BYTES_PER_FRAME;
 pub use frame_store::{FrameStore, StoredFrames};
 pub use heartbeats::{CapturedHeartbeat, CapturedHeartbeats};
@@ -53,6 +53,8 @@ pub(super) struct Traffic {
     pub calls: Calls,
     filtered: FilteredFrames,
     recording: Option<RecordingStatus>,
+    /// Nothing is captured.
+    is_off: bool,
     /// Number of the DES service, by bus.
     des_services: Vec<Service>,
 }
@@ -66,8 +68,14 @@ impl Traffic {
             calls: Calls::default(),
             filtered: FilteredFrames::default(),
             recording: None,
+            is_off: false,
             des_services: Vec::new(),
         }
+    }
+
+    /// Returns a capture that stays empty.
+    pub fn off() -> Self {
+        Self { is_off: true, ..Self::new(0) }
     }
 
     /// Adds a frame of these buses. `pins` returns the times near a block of old frames whose frames are kept.
@@ -77,6 +85,9 @@ impl Traffic {
         buses: &Buses,
         pins: impl FnOnce(Range<Instant>) -> Vec<Range<Instant>>,
     ) {
+        if self.is_off {
+            return;
+        }
         let number = self.capture.end();
         let previous = self.identifiers.add(frame, number);
         if let Some(bus) = buses.get(frame.bus) {
