@@ -425,7 +425,7 @@ pub(super) fn uid_text(app: &App, device: &Device, uid: Uid) -> String {
         return "blank".to_owned();
     }
     let profile = app.profile(device.id.bus);
-    Escaped(uid.text(&profile.uid).to_string().as_bytes()).to_string()
+    Escaped(uid.text(&profile.uid).to_string().trim().as_bytes()).to_string()
 }
 
 /// Returns the verdict of the FILE column, the worst one, and its role; without `has_text` only sign
