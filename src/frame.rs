@@ -131,6 +131,7 @@ impl Frame {
     }
 
     /// A data frame with any identifier, not in FD format; bytes after the 64th are dropped.
+    #[inline]
     pub fn new(id: CanId, data: &[u8]) -> Self {
         let len = data.len().min(Self::MAX_DATA);
         let mut bytes = [0; Self::MAX_DATA];
@@ -147,6 +148,22 @@ impl Frame {
             len: len as u8,
             data: bytes,
         }
+    }
+
+    /// A classic data frame with the first `len` of eight bytes, at most 8; the others are 0. Copies no slice.
+    #[inline]
+    pub(crate) fn of_eight_bytes(
+        id: CanId,
+        data: [u8; Self::MAX_CLASSIC_DATA],
+        len: usize,
+    ) -> Self {
+        debug_assert!(data.iter().skip(len).all(|byte| *byte == 0));
+        let mut frame = Self::new(id, &[]);
+        if let Some(first) = frame.data.first_chunk_mut() {
+            *first = data;
+        }
+        frame.len = len.min(Self::MAX_CLASSIC_DATA) as u8;
+        frame
     }
 
     /// A remote frame that requests `len` bytes, at most 8.
@@ -186,8 +203,15 @@ impl Frame {
     }
 
     /// Its data; empty for a remote frame.
+    #[inline]
     pub fn data(&self) -> &[u8] {
         if self.kind == FrameKind::Remote { &[] } else { &self.data[..usize::from(self.len)] }
+    }
+
+    /// The first eight bytes of its data; those behind its length mean nothing.
+    #[inline]
+    fn first_eight_bytes(&self) -> [u8; Self::MAX_CLASSIC_DATA] {
+        self.data.first_chunk().copied().unwrap_or_default()
     }
 
     /// Its length in bytes; for a remote frame the requested one.

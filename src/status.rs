@@ -2,6 +2,7 @@
 //! lost; status of playback and recording. Plain values; does not know their source.
 
 use crate::diagnostic::Diagnostic;
+use crate::time::Instant;
 use std::fmt;
 
 /// Whether frames can be received and sent.
@@ -159,6 +160,17 @@ pub struct Playback {
     pub is_paused: bool,
     /// All logs are at their end.
     pub is_ended: bool,
+    /// Time of the last frame, as far as the end of the file shows it; `None` if it is not known.
+    pub end: Option<Instant>,
+    /// The moment up to which the log is read as fast as possible; `None` at the set speed.
+    pub reads_to: Option<Instant>,
+}
+
+impl Default for Playback {
+    /// As recorded, running.
+    fn default() -> Self {
+        Self { speed: 1.0, is_paused: false, is_ended: false, end: None, reads_to: None }
+    }
 }
 
 impl Playback {
@@ -179,6 +191,10 @@ pub enum PlaybackCommand {
     Faster,
     /// Halve the speed.
     Slower,
+    /// Pause, or resume.
+    SetPaused(bool),
+    /// Read as fast as possible up to this moment; with a past one, at the set speed from now on.
+    ReadTo(Instant),
 }
 
 /// Status of a recording.

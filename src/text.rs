@@ -189,12 +189,40 @@ pub fn hex(data: &[u8], between: &str) -> String {
 
 /// Appends the same to a text.
 pub fn push_hex(text: &mut String, data: &[u8], between: &str) {
+    /// Bytes whose digits are appended at once.
+    const PART: usize = 8;
+    static DIGITS: &[u8; 16] = b"0123456789ABCDEF";
     // Faster than formatting, for logs of millions of frames.
-    let digit = |nibble: u8| char::from(if nibble < 10 { b'0' } else { b'A' - 10 } + nibble);
-    for (at, byte) in data.iter().enumerate() {
-        text.push_str(if at == 0 { "" } else { between });
-        text.push(digit(byte >> 4));
-        text.push(digit(byte & 0x0F));
+    for (number, part) in data.chunks(PART).enumerate() {
+        if number > 0 {
+            text.push_str(between);
+        }
+        let mut digits = [[b' '; 3]; PART];
+        for (place, byte) in digits.iter_mut().zip(part) {
+            place[0] = DIGITS[usize::from(byte >> 4)];
+            place[1] = DIGITS[usize::from(byte & 0x0F)];
+        }
+        match between {
+            "" => {
+                let mut joined = [0; 2 * PART];
+                for (place, [high, low, _]) in joined.chunks_exact_mut(2).zip(digits) {
+                    place.copy_from_slice(&[high, low]);
+                }
+                let joined = &joined[..2 * part.len()];
+                text.push_str(std::str::from_utf8(joined).unwrap_or_default());
+            }
+            " " => {
+                let digits = &digits.as_flattened()[..3 * part.len() - 1];
+                text.push_str(std::str::from_utf8(digits).unwrap_or_default());
+            }
+            _ => {
+                for (at, [high, low, _]) in digits[..part.len()].iter().enumerate() {
+                    text.push_str(if at == 0 { "" } else { between });
+                    text.push(char::from(*high));
+                    text.push(char::from(*low));
+                }
+            }
+        }
     }
 }
 
@@ -216,6 +244,15 @@ mod tests {
     fn safe_lines_keep_line_ends_and_escapes() {
         let shown = SafeLines("a\x1b[2J\u{9b}\\x1B\n\tb\r\n\u{202e}").to_string();
         assert_eq!(shown, "a\\x1B[2J\\xC2\\x9B\\x1B\n\\x09b\\x0D\n\\xE2\\x80\\xAE");
+    }
+
+    #[test]
+    fn hex_has_its_separator_between_all_bytes() {
+        let data: Vec<u8> = (0..20).map(|byte| byte * 13).collect();
+        for (len, between) in (0..=20).flat_map(|len| ["", " ", ", "].map(|it| (len, it))) {
+            let digits: Vec<_> = data[..len].iter().map(|byte| format!("{byte:02X}")).collect();
+            assert_eq!(hex(&data[..len], between), digits.join(between));
+        }
     }
 
     #[test]

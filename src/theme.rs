@@ -46,6 +46,7 @@ macro_rules! roles {
 }
 
 roles! {
+    Background "background" "The whole screen; only the background counts.",
     Text "text" "Ordinary text.",
     Muted "muted" "Secondary text: labels, units, old values.",
     Title "title" "Headings, names of buses and of the file.",
@@ -55,6 +56,8 @@ roles! {
     BorderFocus "border_focus" "The same around the region that has the focus.",
     Header "header" "Column headings.",
     Selected "selected" "The selected row, on top of its other styles.",
+    Alarm "alarm" "The line of a confirmed conflict, whole width.",
+    Frozen "frozen" "First line, page rule and time bar of a past moment.",
     Online "online" "Online devices, a bus that works.",
     Stale "stale" "Devices with an overdue heartbeat; partial.",
     Silent "silent" "Devices that send frames but no heartbeats.",
@@ -74,12 +77,15 @@ roles! {
     Graph "graph" "Charts of load and frame rate; bars of the page Bus.",
     Graph2 "graph_2" "Chart of the error rate.",
     Recording "recording" "Sign of a running recording.",
+    Mark "mark" "Marks on the time bar and in lists.",
     Changed "changed" "Bytes, versions and values that changed.",
     Beat "beat" "Heartbeats that are on time.",
     BeatBad "beat_bad" "Heartbeats that are early, late, doubled or missed.",
     Request "request" "Requests.",
     Response "response" "Responses and their latency.",
     Debug "debug" "Debug messages.",
+    SideA "side_a" "The board of a conflict that was received first.",
+    SideB "side_b" "The other boards of a conflict.",
     Match "match" "The filter, evidence and its frames.",
 }
 

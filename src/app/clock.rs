@@ -75,6 +75,24 @@ impl AppClock {
         stamp(self.wall_seconds(self.now))
     }
 
+    /// A moment on the wall clock with its date: `2026-11-21 06:00:36`.
+    pub fn date_time_text(&self, at: Instant) -> String {
+        let stamp = stamp(self.wall_seconds(at));
+        // The year may have more than four digits.
+        let (date, time) = stamp.split_once('-').unwrap_or((&stamp, "000000"));
+        let (year, day) = date.split_at(date.len().saturating_sub(4));
+        format!("{year}-{}-{} {}:{}:{}", &day[..2], &day[2..], &time[..2], &time[2..4], &time[4..])
+    }
+
+    /// Offset of the wall clock from UTC: `UTC+02:00`.
+    pub fn utc_offset_text(&self) -> String {
+        let (sign, minutes) = (
+            if self.utc_offset_seconds < 0 { '-' } else { '+' },
+            self.utc_offset_seconds.abs() / 60,
+        );
+        format!("UTC{sign}{:02}:{:02}", minutes / 60, minutes % 60)
+    }
+
     /// Playback of logs; `None` unless all buses are logs.
     pub fn playback(&self) -> Option<Playback> {
         self.playback
@@ -153,9 +171,19 @@ mod tests {
     fn paused_log_scales_durations_to_zero() {
         let mut clock = AppClock::new(Instant::ZERO, Epoch::default(), 0);
         assert_eq!(clock.scale_to_playback(SECOND), SECOND);
-        assert!(clock.set_playback(Playback { speed: 2.0, is_paused: false, is_ended: false }));
+        assert!(clock.set_playback(Playback {
+            speed: 2.0,
+            is_paused: false,
+            is_ended: false,
+            ..Playback::default()
+        }));
         assert_eq!(clock.scale_to_playback(SECOND), SECOND * 2);
-        clock.set_playback(Playback { speed: 2.0, is_paused: true, is_ended: false });
+        clock.set_playback(Playback {
+            speed: 2.0,
+            is_paused: true,
+            is_ended: false,
+            ..Playback::default()
+        });
         assert_eq!(clock.scale_to_playback(SECOND), Duration::ZERO);
     }
 }

@@ -188,7 +188,7 @@ impl App {
                 side.inventory = Some(self.inventory_at(&past));
             } else {
                 side.replay = Some(replay);
-                comparison.due = Some(self.clock.now() + super::FILTER_PAUSE);
+                comparison.due = Some(self.clock.real() + super::FILTER_PAUSE);
                 break;
             }
         }

@@ -385,6 +385,7 @@ impl App {
                 }
                 Err(error) => self.show_error(format!("not saved: {error}")),
             },
+            PromptOutcome::WriteProof(problem, path) => self.write_proof(&problem, path),
             PromptOutcome::GoTo(target) => self.go_to_target(target),
             PromptOutcome::SetMark(moment, text) => self.set_mark(moment, &text),
             PromptOutcome::SaveCopy(path) => {
@@ -579,7 +580,7 @@ impl App {
             (line.device, line.address) = (Some(id), Some(device.address));
             line.name.clone_from(&device.name);
         }
-        self.notices.timeline_mut().push(line);
+        self.notices.push_line(line);
         self.buses.transmit(frame);
         self.show_info(text);
     }

@@ -7,6 +7,7 @@ use super::file::{FileChange, FileError};
 use super::input::{Overlay, Question};
 use super::notices::{TimelineEntry, event_text, join_lines, join_short};
 use super::problems::ProblemKey;
+use super::stories::StoryChange;
 use super::timeline_kind::TimelineKind;
 use super::{App, AppEvent, Effect};
 use crate::discovery::{DeviceId, Event, EventKind};
@@ -53,9 +54,12 @@ impl App {
         if let (EventKind::IdsMerged { previous: was, before }, Some(device)) =
             (&event.kind, event.device)
         {
-            self.notices.timeline_mut().reassign(*was, *before, device);
+            self.notices.reassign(*was, *before, device);
         }
         let emits = self.notices.emits_events();
+        if !emits {
+            self.lane_records.handle_event(&event);
+        }
         let is_of_interest = emits && self.notices.is_event_of_interest(&self.buses, bus, &event);
         if let Some((kind, text)) = event_text(&self.buses, bus, &event) {
             let is_new_conflict = matches!(&event.kind, EventKind::Finding { key, .. }
@@ -67,6 +71,7 @@ impl App {
                 let finding = self.buses.finding(bus, key);
                 entry.other_names = finding.map(|it| it.names.clone()).unwrap_or_default();
             }
+            self.notices.note_step(&entry, StoryChange::of_event(&self.buses, bus, &event));
             let may_join =
                 matches!(event.kind, EventKind::Moved { .. } | EventKind::Claimed { .. });
             let timeline = self.notices.timeline_mut();
@@ -87,6 +92,11 @@ impl App {
             if is_new_conflict {
                 self.effects.push_back(Effect::Bell);
             }
+        } else if let EventKind::Mode { to, .. } = &event.kind {
+            // Part of a story without a line of its own.
+            let text = format!("mode {to}");
+            let entry = TimelineEntry::of_event(bus, &event, TimelineKind::Change, text);
+            self.notices.note_step(&entry, StoryChange::of_event(&self.buses, bus, &event));
         }
         if !is_of_interest {
             return;
@@ -265,7 +275,7 @@ impl App {
                 let event = self.line_event(&line);
                 self.notices.emit(event);
             }
-            self.notices.timeline_mut().push(line);
+            self.notices.push_line(line);
         }
         if is_of_interest {
             let event = AppEvent::File(now, self.file_snapshot());

@@ -172,9 +172,7 @@ impl App {
                 let all: u64 = ranges.map(|range| range.end - range.start).sum();
                 (all - self.hidden_frames()?.min(all), all)
             }
-            Page::Timeline => {
-                (count(self.lines_shown().len()), count(self.timeline().entries().len()))
-            }
+            Page::Timeline => (count(self.lines_shown().len()), count(self.story_count())),
             Page::Problems => (count(self.problems_shown().len()), count(self.problems().len())),
             Page::Bus => return None,
         })
@@ -238,8 +236,13 @@ impl App {
         let lines = self.lines_shown();
         let selected = self.view.timeline.index(lines.iter()).or(lines.len().checked_sub(1));
         let matches = |at: &usize| {
-            let line = self.timeline().get(lines[*at]);
-            line.is_some_and(|line| filter.matches_entry(self.shown_buses(), line))
+            let (until, key) = (self.shown_time(), lines[*at]);
+            let story = self.story(key);
+            let mut steps = story.into_iter().flat_map(|story| story.steps_until(until));
+            steps.any(|step| {
+                (key.step == 0 || key.step == step.number)
+                    && filter.matches_entry(self.shown_buses(), &step.entry)
+            })
         };
         let Some(at) = next_of(lines.len(), selected, by).find(matches) else { return false };
         self.view.timeline.select(lines[at]);

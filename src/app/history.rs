@@ -7,6 +7,7 @@
 
 use super::buses::{Buses, Redundancy};
 use super::capture::{BYTES_PER_FRAME, FrameStore};
+use super::journal::{BusesInput, InputJournal, JournalPlace, PastInput};
 use super::timeline_kind::TimelineKind;
 use crate::discovery::{Config, DeviceId, Event};
 use crate::frame::{BusIndex, Frame};
@@ -28,44 +29,11 @@ const INPUT_WORK: u64 = 8;
 /// Fewer snapshots than these are not thinned out: the history becomes shorter.
 const MIN_SNAPSHOTS: usize = 4;
 
-/// What the buses take besides frames.
-#[derive(Clone, Debug)]
-enum BusesInput {
-    /// Something is due.
-    Timeout,
-    /// The engines are asked for a frame to send.
-    Transmit,
-    /// A second is over.
-    Tick,
-    /// The program was stopped since that moment.
-    Stall(Instant),
-    /// The status of a bus changed.
-    Status(BusIndex, Box<BusStatus>),
-    /// The bit rate of a bus is searched, or of none.
-    Searched(Option<BusIndex>),
-    /// The enumeration starts again.
-    Rescan,
-    /// The lost devices are removed.
-    RemoveLost,
-    /// A bus has another name.
-    Rename(BusIndex, String),
-    /// A bus is added.
-    Add(String, Box<Config>),
-}
-
-/// An input, with the number of frames that the buses took before it.
-#[derive(Clone, Debug)]
-struct PastInput {
-    frames: u64,
-    time: Instant,
-    input: BusesInput,
-}
-
 /// The buses after so many frames and inputs.
 #[derive(Clone, Debug)]
 struct BusesSnapshot {
     frames: u64,
-    inputs: u64,
+    place: JournalPlace,
     time: Instant,
     buses: Arc<Buses>,
     size: usize,
@@ -88,9 +56,7 @@ pub struct RecordedBuses {
     now: Buses,
     /// Number of frames that the buses took.
     frames: u64,
-    inputs: VecDeque<PastInput>,
-    /// Number of inputs that were dropped.
-    dropped_inputs: u64,
+    journal: InputJournal,
     snapshots: VecDeque<BusesSnapshot>,
     /// Work since the last snapshot, and from one to the next.
     work: u64,
@@ -115,8 +81,7 @@ impl RecordedBuses {
         let mut all = Self {
             now: buses,
             frames: 0,
-            inputs: VecDeque::new(),
-            dropped_inputs: 0,
+            journal: InputJournal::new(now),
             snapshots: VecDeque::new(),
             work: 0,
             snapshot_work: work.clamp(SNAPSHOT_WORK.start, SNAPSHOT_WORK.end) as u64,
@@ -132,7 +97,7 @@ impl RecordedBuses {
 
     /// Appends a bus that starts at `now`; returns false at 256 buses, the most there can be.
     pub(super) fn add(&mut self, now: Instant, name: String, config: Config) -> bool {
-        self.note(now, BusesInput::Add(name.clone(), Box::new(config.clone())));
+        self.note(now, BusesInput::Add(name.clone(), Arc::new(config.clone())));
         self.now.add(now, name, config)
     }
 
@@ -174,7 +139,7 @@ impl RecordedBuses {
         status: BusStatus,
     ) -> Option<Vec<(TimelineKind, String)>> {
         if self.now.get(index).is_some_and(|bus| bus.status != status) {
-            self.note(now, BusesInput::Status(index, Box::new(status.clone())));
+            self.note(now, BusesInput::Status(index, Arc::new(status.clone())));
         }
         self.now.update_status(now, index, status)
     }
@@ -236,52 +201,52 @@ impl RecordedBuses {
         if self.room == 0 {
             return;
         }
-        self.inputs.push_back(PastInput { frames: self.frames, time, input });
+        self.journal.push(self.frames, time, input);
         self.work += INPUT_WORK;
     }
 
     // ---- the past --------------------------------------------------------------------------
 
     /// Takes a snapshot, if it is time for one: call when all events are taken. Drops what is older
-    /// than the frames from number `first` on.
-    pub(super) fn keep_history(&mut self, now: Instant, first: u64) {
+    /// than the captured frames. Of a log whose frames can be read again the first moment is kept as
+    /// long as there is room.
+    pub(super) fn keep_history(&mut self, now: Instant, store: &FrameStore) {
         if self.work < self.snapshot_work || self.room == 0 {
             return;
         }
+        let (first, keeps_first) = (store.first(), store.has_source());
         // A moment needs a snapshot before it and all frames since.
         while self.snapshots.len() > 1 && self.snapshots[0].frames < first {
             self.snapshots.pop_front();
         }
         self.take_snapshot(now);
         while self.snapshots.len() > 1 && self.size() > self.room {
-            if self.snapshots.len() > MIN_SNAPSHOTS {
+            if self.snapshots.len() > MIN_SNAPSHOTS || keeps_first {
                 self.thin_out();
             } else {
                 self.snapshots.pop_front();
             }
         }
-        let needed = self.snapshots.front().map_or(self.input_count(), |oldest| oldest.inputs);
-        let unneeded = (needed - self.dropped_inputs) as usize;
-        self.inputs.drain(..unneeded.min(self.inputs.len()));
-        self.dropped_inputs = needed;
-    }
-
-    /// Number of all inputs.
-    fn input_count(&self) -> u64 {
-        self.dropped_inputs + self.inputs.len() as u64
+        if self.size() > self.room && keeps_first {
+            // The inputs since the first moment need all the room.
+            self.snapshots.clear();
+            self.take_snapshot(now);
+        }
+        let needed = self.snapshots.front().map_or(self.journal.end(), |oldest| oldest.place);
+        self.journal.drop_before(needed);
     }
 
     /// Bytes of snapshots and inputs.
     fn size(&self) -> usize {
         let snapshots: usize = self.snapshots.iter().map(|snapshot| snapshot.size).sum();
-        snapshots + self.inputs.len() * size_of::<PastInput>()
+        snapshots + self.journal.size()
     }
 
     fn take_snapshot(&mut self, time: Instant) {
         self.work = 0;
         self.snapshots.push_back(BusesSnapshot {
             frames: self.frames,
-            inputs: self.input_count(),
+            place: self.journal.end(),
             time,
             size: self.now.size(),
             buses: Arc::new(self.now.clone()),
@@ -306,7 +271,7 @@ impl RecordedBuses {
 
     /// The present moment.
     pub fn present(&self, time: Instant) -> Moment {
-        Moment { frames: self.frames, inputs: self.input_count(), time }
+        Moment { frames: self.frames, inputs: self.journal.end().inputs, time }
     }
 
     /// The moment at a time: after all frames and inputs until then.
@@ -314,16 +279,24 @@ impl RecordedBuses {
         let frames = store.at_time(Instant::from_micros(time.as_micros().saturating_add(1)));
         let is_before =
             |it: &PastInput| it.frames < frames || it.frames == frames && it.time <= time;
-        let inputs = self.dropped_inputs + self.inputs.partition_point(is_before) as u64;
-        Moment { frames, inputs, time }
+        Moment { frames, inputs: self.inputs_before(frames, is_before), time }
     }
 
     /// The moment after the frame with this number; `None` if it is not stored.
     pub fn moment_after(&self, store: &FrameStore, number: u64) -> Option<Moment> {
         let time = store.get(number)?.time;
         let frames = number + 1;
-        let inputs = self.inputs.partition_point(|it| it.frames < frames);
-        Some(Moment { frames, inputs: self.dropped_inputs + inputs as u64, time })
+        Some(Moment { frames, inputs: self.inputs_before(frames, |it| it.frames < frames), time })
+    }
+
+    /// Number of inputs before a moment that is not before so many frames. `is_before` is true for
+    /// those inputs, and false for all later ones.
+    fn inputs_before(&self, frames: u64, is_before: impl Fn(&PastInput) -> bool) -> u64 {
+        let before = self.snapshots.partition_point(|snapshot| snapshot.frames < frames);
+        let snapshot = before.checked_sub(1).and_then(|at| self.snapshots.get(at));
+        let Some(snapshot) = snapshot.or(self.snapshots.front()) else { return 0 };
+        let from = self.journal.inputs_from(snapshot.place);
+        snapshot.place.inputs + from.take_while(is_before).count() as u64
     }
 
     /// Begins to replay the buses as they were at a moment; `None` if frames before it are no longer
@@ -331,14 +304,14 @@ impl RecordedBuses {
     pub fn replay(&self, store: &FrameStore, moment: Moment) -> Option<BusesReplay> {
         let is_usable = |snapshot: &&BusesSnapshot| {
             snapshot.frames >= store.first()
-                && (snapshot.frames, snapshot.inputs) <= (moment.frames, moment.inputs)
-                && snapshot.inputs <= moment.inputs
+                && snapshot.frames <= moment.frames
+                && snapshot.place.inputs <= moment.inputs
         };
         let snapshot = self.snapshots.iter().rev().find(is_usable)?;
         Some(BusesReplay {
             buses: Buses::clone(&snapshot.buses),
             frames: snapshot.frames,
-            inputs: snapshot.inputs,
+            place: snapshot.place,
             moment,
         })
     }
@@ -348,9 +321,9 @@ impl RecordedBuses {
 #[derive(Debug)]
 pub struct BusesReplay {
     buses: Buses,
-    /// Numbers of the next frame and of the next input.
+    /// Number of the next frame, and the place of the next input.
     frames: u64,
-    inputs: u64,
+    place: JournalPlace,
     moment: Moment,
 }
 
@@ -362,21 +335,21 @@ impl BusesReplay {
 
     /// Returns true if all that it needs is still kept.
     pub(super) fn is_kept(&self, history: &RecordedBuses, store: &FrameStore) -> bool {
-        self.inputs >= history.dropped_inputs && self.frames >= store.first()
+        history.journal.is_kept(self.place) && self.frames >= store.first()
     }
 
     /// Replays at most about `work` frames. Returns true when the moment is reached.
     pub fn run(&mut self, history: &RecordedBuses, store: &FrameStore, work: u64) -> bool {
         let mut left = work;
-        let first = (self.inputs - history.dropped_inputs) as usize;
-        let mut inputs = history.inputs.iter().skip(first).peekable();
+        let mut inputs = history.journal.inputs_from(self.place);
+        let mut input = inputs.next();
         let mut frames = store.frames_from(self.frames);
         while left > 0 {
-            let due = inputs.peek().filter(|it| it.frames <= self.frames);
-            if let Some(input) = due.filter(|_| self.inputs < self.moment.inputs) {
-                self.buses.apply(input);
-                self.inputs += 1;
-                inputs.next();
+            let due = input.as_ref().filter(|it| it.frames <= self.frames);
+            if let Some(due) = due.filter(|_| self.place.inputs < self.moment.inputs) {
+                self.buses.apply(due);
+                self.place = inputs.place();
+                input = inputs.next();
                 left = left.saturating_sub(INPUT_WORK);
             } else if self.frames < self.moment.frames
                 && let Some((_, frame)) = frames.next()

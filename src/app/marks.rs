@@ -89,11 +89,7 @@ impl App {
         let shown = if text.is_empty() { "moment marked" } else { text };
         let mut line = TimelineEntry::new(moment.time, TimelineKind::Mark(letter), shown);
         line.name = Some("mark".into());
-        let number = self.notices.timeline_mut().insert(line);
-        // Later lines have other numbers now.
-        if let Some(selected) = self.view.timeline.selected().copied().filter(|at| *at >= number) {
-            self.view.timeline.replace(selected + 1);
-        }
+        let number = self.notices.insert_line(line);
         let is_shown = moment.time <= self.shown_time();
         if let Some(frozen) = &mut self.view.frozen
             && (frozen.lines > number || frozen.lines == number && is_shown)
@@ -158,7 +154,7 @@ impl App {
     pub(super) fn remove_selected_mark(&mut self) {
         let Some(letter) = self.input.selected_mark() else { return };
         self.marks.0.retain(|mark| mark.letter != letter);
-        self.notices.timeline_mut().remove_mark(letter);
+        self.notices.remove_mark(letter);
         self.renew_time_bar();
         let marks = self.marks.by_letter();
         let next = marks.iter().find(|mark| mark.letter > letter).or(marks.last());

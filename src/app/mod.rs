@@ -26,6 +26,7 @@
 //! change the view).
 
 mod actions;
+mod alarm;
 mod app_event;
 mod beat_strip;
 mod bitrate;
@@ -34,6 +35,7 @@ mod buses;
 mod capture;
 mod clock;
 mod compared_moments;
+mod conflict_panel;
 mod device_page;
 mod devices;
 mod edits;
@@ -44,6 +46,8 @@ mod filter_commands;
 mod history;
 mod input;
 mod inventory;
+mod journal;
+mod lanes;
 mod listing;
 mod load_bars;
 mod marks;
@@ -52,14 +56,23 @@ mod notices;
 mod page_filters;
 mod past;
 mod places;
+mod play;
+mod problem_page;
 mod problems;
+mod proof;
+mod recorded_frames;
 mod saved_filters;
+mod stories;
+mod story_lines;
+mod time_axis;
 mod time_bar;
 mod timeline_kind;
 mod typed_time;
+mod varint;
 mod versions;
 mod view;
 
+pub use alarm::Alarm;
 pub use app_event::{AppEvent, BusSnapshot, DeviceEvent, EventContext, EventLine, FileSnapshot};
 pub use beat_strip::{Beat, BeatKind, BeatStats};
 pub use buses::{
@@ -69,10 +82,11 @@ pub use buses::{
 pub use capture::decoded::summary_of;
 pub use capture::{
     CallKey, CallPart, CallStats, Calls, CapturedHeartbeat, CapturedHeartbeats, CapturedLog,
-    Decoded, FramePeriod, FrameRole, FrameStore, IdentifierKey, IdentifierKind, IdentifierStats,
-    Identifiers, Latency, NOTED_BYTES, StoredFrames, Transfer,
+    Decoded, FrameMeaning, FramePeriod, FrameRole, FrameStore, IdentifierKey, IdentifierKind,
+    IdentifierStats, Identifiers, Latency, NOTED_BYTES, StoredFrames, Transfer,
 };
 pub use compared_moments::{ComparedMoment, ComparisonNote, ComparisonRow, MomentComparison};
+pub use conflict_panel::{BeatCell, BeatsOnAxis, ConflictPanel, MAX_COLUMNS, side_letter};
 pub use device_page::BEATS_PER_LINE;
 pub use devices::concerns;
 pub use file::{EditRefusal, FileChange, FileError, FileReading, FileState, SaveOutcome, Saving};
@@ -82,6 +96,7 @@ pub use filter::{
 };
 pub use history::{BusesReplay, FRAMES_PER_ROOM, Moment, RecordedBuses};
 pub use input::{FilterPrompt, InputCheck, Overlay, Prompt, PromptKind, Question};
+pub use lanes::{Lane, LaneCell, Lanes, format_step};
 pub use listing::{addition_refusal, same_services};
 pub use load_bars::{LoadBar, bar_lines};
 pub use marks::{MAX_MARKS, Mark, Marks};
@@ -91,10 +106,17 @@ pub use notices::{
 };
 pub use page_filters::PageFilter;
 use page_filters::PageFilters;
+pub use play::PlayPace;
 pub use problems::{
-    EvidenceItem, Matching, Problem, ProblemKey, ProblemList, Scope, format_duration, is_about,
+    ConflictSide, ConflictSides, EvidenceItem, Matching, Problem, ProblemHeadline, ProblemKey,
+    ProblemList, Scope, SideBasis, format_duration, is_about, length_text,
 };
 pub use saved_filters::{MAX_SAVED_FILTERS, SavedFilter, SavedFilterChange};
+pub use stories::{
+    HiddenKinds, Stories, Story, StoryChange, StoryKind, StoryLine, StorySign, StoryStep,
+};
+pub use story_lines::LineKey;
+pub use time_axis::TimeAxis;
 pub use time_bar::{BAR_LEFT, BAR_RIGHT, BarSign, TimeBar};
 pub use timeline_kind::TimelineKind;
 pub use versions::{
@@ -102,9 +124,9 @@ pub use versions::{
     printable, removed_services, twin_differences, version_before,
 };
 pub use view::{
-    BarKey, Board, BusPageLayout, BusRegions, ChartSpan, Counts, DeviceView, DevicesPage,
-    EvidenceView, FileStatus, Focus, Frozen, Page, Row, RowKey, RowState, SPLIT_WIDTH, Screen,
-    Selection, SortBy, TimeFormat, TrafficView, View,
+    BarKey, Board, BusPageLayout, BusRegions, ChartSpan, ConflictAxis, Counts, DeviceView,
+    DevicesPage, EvidenceView, FileStatus, Focus, Frozen, Page, ProblemsView, Row, RowKey,
+    RowState, SPLIT_WIDTH, Screen, Selection, SortBy, TimeFormat, TimelineView, TrafficView, View,
 };
 
 use crate::bitrate::{SearchOutcome, SearchProgress};
@@ -114,19 +136,23 @@ use crate::document::{Document, Entry, NewEntry, Operation};
 use crate::finding::Finding;
 use crate::frame::{BusIndex, Frame};
 use crate::keymap::{Action, Key, KeyMode, Keymap};
+use crate::log::FrameSource;
 use crate::status::{BusStatus, Playback, PlaybackCommand, RecordingStatus};
 use crate::text::{Escaped, Name};
 use crate::time::{Duration, Epoch, Instant, debug_assert_later};
 use crate::wire::id::{Address, Service};
 use crate::wire::profile::Profile;
+use alarm::Alarms;
 use capture::Traffic;
 use clock::AppClock;
 use devices::DeviceRows;
 use file::{FileContent, FileEditor};
 use input::{Input, PromptContext, PromptOutcome, PromptResult};
+use lanes::LaneRecords;
 use notices::Notices;
 use past::Past;
 use places::Place;
+use play::Play;
 use problems::Problems;
 use std::collections::{BTreeMap, VecDeque};
 use std::ops::Range;
@@ -172,6 +198,8 @@ pub struct AppOptions {
     /// Bytes of memory for the captured frames and the past of the buses; `None`:
     /// [`DEFAULT_CAPTURE`]; 0: few frames, and no past.
     pub capture_room: Option<usize>,
+    /// Capture no frames, and count neither their identifiers nor calls: nothing reads them.
+    pub without_capture: bool,
 }
 
 /// Side effect that the app requests: file access, a bit rate search, quitting. The shell executes
@@ -312,13 +340,23 @@ pub struct App {
     /// The replay on the way to a moment, and when its next part is due.
     replay: Option<BusesReplay>,
     replay_due: Option<Instant>,
+    /// The shown moment moves.
+    play: Option<Play>,
+    /// The moment to which a log is read, to be shown then.
+    reading_ahead: Option<Instant>,
+    /// A log was paused because another moment is shown.
+    is_log_held: bool,
     marks: Marks,
     /// Places that were left, oldest first.
     places: Vec<Place>,
     saved_filters: Vec<SavedFilter>,
     time_bar: TimeBar,
+    alarms: Alarms,
+    lane_records: LaneRecords,
     /// The comparison of two moments that is open.
     comparison: Option<Box<MomentComparison>>,
+    /// The proof that is being written.
+    proof: Option<proof::PendingProof>,
     /// Content of des.json now, and before: with the time until which it was so, oldest first.
     content: FileContent,
     contents_before: VecDeque<(Instant, FileContent)>,
@@ -338,7 +376,11 @@ impl App {
         let mut app = Self {
             clock,
             buses: RecordedBuses::new(now, Buses::new(now, options.buses), past_room),
-            traffic: Traffic::new(room - past_room),
+            traffic: if options.without_capture {
+                Traffic::off()
+            } else {
+                Traffic::new(room - past_room)
+            },
             editor,
             problems: Problems::default(),
             devices: DeviceRows::default(),
@@ -353,18 +395,24 @@ impl App {
             past: None,
             replay: None,
             replay_due: None,
+            play: None,
+            reading_ahead: None,
+            is_log_held: false,
             marks: Marks::default(),
             places: Vec::new(),
             saved_filters: options.saved_filters,
             time_bar: TimeBar::default(),
+            alarms: Alarms::default(),
+            lane_records: LaneRecords::default(),
             comparison: None,
+            proof: None,
             content,
             contents_before: VecDeque::new(),
         };
         for warning in options.warnings {
             let mut line = TimelineEntry::new(now, TimelineKind::Error, &warning);
             line.name = Some("settings".into());
-            app.notices.timeline_mut().push(line);
+            app.notices.push_line(line);
             app.show_error(warning);
         }
         app
@@ -386,6 +434,12 @@ impl App {
         }
     }
 
+    /// Sets the log that all frames come from: those that leave memory are read again from it when they
+    /// are shown.
+    pub fn set_frame_source(&mut self, source: Box<dyn FrameSource>) {
+        self.traffic.capture.set_source(source);
+    }
+
     // ---- handle_*: input -------------------------------------------------------------------
 
     /// Takes frames, each with its own time.
@@ -393,16 +447,22 @@ impl App {
         self.clock.set(now);
         for frame in frames {
             if self.buses.receive(frame) {
-                self.traffic.push(frame, &self.buses, |block| pinned_times(&self.buses, block));
+                self.capture_frame(frame);
                 // After each frame: an event has the data of its moment.
-                self.take_events();
+                if self.buses.has_events() {
+                    self.take_events();
+                }
             }
         }
         if !frames.is_empty() && self.view.page == Page::Traffic && self.view.frozen.is_none() {
             self.request_redraw();
         }
         self.complete_bus_events(now);
-        self.buses.keep_history(now, self.traffic.capture.first());
+        self.buses.keep_history(now, &self.traffic.capture);
+    }
+
+    fn capture_frame(&mut self, frame: &Frame) {
+        self.traffic.push(frame, &self.buses, |block| pinned_times(&self.buses, block));
     }
 
     /// Does what is due at `now`.
@@ -414,18 +474,13 @@ impl App {
             self.tick();
         }
         self.notices.expire(now);
-        if self.filter_due.is_some_and(|due| due <= now) {
-            self.filter_frames();
-        }
-        if self.replay_due.is_some_and(|due| due <= now) {
-            self.go_on_replaying();
-        }
-        if self.comparison.as_ref().is_some_and(|it| it.is_due(now)) {
-            self.go_on_comparing();
+        self.check_reading();
+        if !self.clock.has_real() {
+            self.run_screen_timers();
         }
         self.run_file_timers();
         self.notices.redraw.check_due(now);
-        self.buses.keep_history(now, self.traffic.capture.first());
+        self.buses.keep_history(now, &self.traffic.capture);
         debug_assert_later(self.poll_timeout(), now);
     }
 
@@ -489,6 +544,7 @@ impl App {
         self.view.size = (columns, rows);
         self.renew_time_bar();
         if !std::mem::replace(&mut self.view.has_screen, true) {
+            self.settle_alarm();
             self.settle_problems();
         }
         self.notices.redraw.set_dirty();
@@ -562,6 +618,9 @@ impl App {
     /// Takes the result of an [`Effect::WriteFile`] or [`Effect::WriteLog`]; `Err` with the cause.
     pub fn handle_written(&mut self, now: Instant, path: &Path, result: Result<(), Diagnostic>) {
         self.clock.set(now);
+        if self.handle_written_proof(path, &result) {
+            return self.notices.redraw.set_dirty();
+        }
         let is_copy = self.editor.handle_written(path, result.is_ok());
         let path = crate::text::printable(path.as_os_str().as_encoded_bytes());
         match result {
@@ -619,6 +678,7 @@ impl App {
         if self.clock.set_playback(playback) {
             self.notices.redraw.set_dirty();
         }
+        self.check_reading();
     }
 
     // ---- poll_*: output --------------------------------------------------------------------
@@ -643,9 +703,8 @@ impl App {
         let second = (!self.was_idle || !self.is_idle()).then_some(self.clock.next_second());
         let file = self.editor.poll_timeout().filter(|_| !self.clock.has_real());
         let parts = self.buses.poll_timeout().into_iter().chain(self.notices.poll_timeout());
-        let comparison = self.comparison.as_ref().and_then(|comparison| comparison.due());
-        let work = self.filter_due.into_iter().chain(self.replay_due).chain(comparison);
-        parts.chain(second).chain(file).chain(work).min()
+        let screen = self.poll_screen_timeout().filter(|_| !self.clock.has_real());
+        parts.chain(second).chain(file).chain(screen).chain(self.reading_ahead).min()
     }
 
     /// Sets the real time, by which des.json is saved again and a file that has become empty is
@@ -657,14 +716,39 @@ impl App {
 
     /// When to call [`Self::handle_real_timeout`] next, in real time; `None` unless that is set.
     pub fn poll_real_timeout(&self) -> Option<Instant> {
-        self.editor.poll_timeout().filter(|_| self.clock.has_real())
+        let due = self.editor.poll_timeout().into_iter().chain(self.poll_screen_timeout());
+        due.min().filter(|_| self.clock.has_real())
     }
 
     /// Handles what is due at this real time.
     pub fn handle_real_timeout(&mut self, real: Instant) {
         self.clock.set_real(real);
         self.run_file_timers();
+        self.run_screen_timers();
         debug_assert_later(self.poll_real_timeout(), real);
+    }
+
+    /// When to go on with what the screen waits for, in real time: a log may be paused meanwhile.
+    fn poll_screen_timeout(&self) -> Option<Instant> {
+        let comparison = self.comparison.as_ref().and_then(|comparison| comparison.due());
+        let play = self.play.map(|play| play.due());
+        let work = self.filter_due.into_iter().chain(self.replay_due);
+        work.chain(comparison).chain(play).min()
+    }
+
+    /// Goes on with the filter, a replay, a comparison and playing.
+    fn run_screen_timers(&mut self) {
+        let real = self.clock.real();
+        if self.filter_due.is_some_and(|due| due <= real) {
+            self.filter_frames();
+        }
+        if self.replay_due.is_some_and(|due| due <= real) {
+            self.go_on_replaying();
+        }
+        if self.comparison.as_ref().is_some_and(|it| it.is_due(real)) {
+            self.go_on_comparing();
+        }
+        self.go_on_playing();
     }
 
     fn run_file_timers(&mut self) {
@@ -734,6 +818,16 @@ impl App {
     /// Seconds since 1970-01-01 00:00 on the wall clock.
     pub fn wall_seconds(&self, at: Instant) -> u64 {
         self.clock.wall_seconds(at)
+    }
+
+    /// A moment on the wall clock with its date: `2026-11-21 06:00:36`.
+    pub fn date_time_text(&self, at: Instant) -> String {
+        self.clock.date_time_text(at)
+    }
+
+    /// Offset of the wall clock from UTC: `UTC+02:00`.
+    pub fn utc_offset_text(&self) -> String {
+        self.clock.utc_offset_text()
     }
 
     /// State of the playback; `None` unless all buses are logs.
@@ -888,9 +982,13 @@ impl App {
         self.shown_problems().findings(self.shown_buses()).any(is_wanted)
     }
 
-    /// The problems that match the filter.
+    /// The problems of the view that match the filter.
     pub fn problems_shown(&self) -> ProblemList<'_> {
         let mut problems = self.problems();
+        let view = self.view.problems_view;
+        if view != ProblemsView::All {
+            problems.retain(|problem| view.lists(problem));
+        }
         if let Some(filter) = self.filters.of(Page::Problems).active() {
             problems.retain(|problem| filter.matches_problem(self.shown_buses(), problem));
         }
@@ -1046,17 +1144,6 @@ impl App {
         self.notices.timeline()
     }
 
-    /// Numbers of the timeline lines that match the filter, oldest first.
-    pub fn lines_shown(&self) -> Vec<u64> {
-        let filter = self.filters.of(Page::Timeline).active();
-        let end = self.view.frozen.map_or(u64::MAX, |frozen| frozen.lines);
-        let entries = self.timeline().entries().filter(|entry| entry.number < end);
-        entries
-            .filter(|entry| filter.is_none_or(|it| it.matches_entry(self.shown_buses(), entry)))
-            .map(|entry| entry.number)
-            .collect()
-    }
-
     /// Prepares a filter for the frames of a log: names are those of a frame's moment, as far as known.
     pub fn log_matcher(&self, filter: &Filter) -> FrameMatcher {
         let mut filter = filter.clone();
@@ -1170,7 +1257,7 @@ impl App {
     /// Adds a line to the timeline only.
     fn add_line(&mut self, kind: TimelineKind, text: impl Into<String>) {
         let line = TimelineEntry::new(self.clock.now(), kind, text);
-        self.notices.timeline_mut().push(line);
+        self.notices.push_line(line);
     }
 
     /// Adds a line to the timeline and to the events.
@@ -1179,7 +1266,7 @@ impl App {
             let event = self.line_event(&line);
             self.notices.emit(event);
         }
-        self.notices.timeline_mut().push(line);
+        self.notices.push_line(line);
     }
 
     fn list_height(&self) -> usize {
@@ -1193,9 +1280,12 @@ impl App {
     }
 
     /// Returns true if nothing on the screen changes with time.
-    fn is_idle(&self) -> bool {
+    pub fn is_idle(&self) -> bool {
         // The axis of the charts moves.
         if self.view.page == Page::Bus && self.buses.iter().any(|bus| bus.ended.is_none()) {
+            return false;
+        }
+        if self.grows_on_timeline() {
             return false;
         }
         // The most expensive test comes last: this is called in every turn of the event loop.
@@ -1234,7 +1324,7 @@ impl App {
         self.traffic.set_filter(self.filters.of(Page::Traffic).active());
         let buses = self.past.as_ref().map_or(&*self.buses, |past| &past.buses);
         if !self.traffic.renew_filter(&mut self.view, buses) {
-            self.filter_due = Some(self.clock.now() + FILTER_PAUSE);
+            self.filter_due = Some(self.clock.real() + FILTER_PAUSE);
         }
         if was_due {
             self.request_redraw();
@@ -1248,6 +1338,7 @@ impl App {
         self.refresh_redundancy();
         self.refresh_problems();
         if self.view.has_screen {
+            self.settle_alarm();
             self.settle_problems();
             self.settle_bars();
             self.refresh_rows();
@@ -1255,6 +1346,7 @@ impl App {
     }
 
     fn refresh_rows(&mut self) {
+        self.count_lanes();
         let inputs = shown_inputs!(self);
         let problems = self.past.as_ref().map_or(&self.problems, |past| &past.problems);
         let problems = problems.list(inputs.buses);
@@ -1269,6 +1361,7 @@ impl App {
     /// After a change of the problems: keeps the selection on its problem.
     fn settle_problems(&mut self) {
         let shown = self.problem_keys();
+        self.note_problem_rows(shown.len());
         let height = self.list_height();
         if self.view.page == Page::Problems {
             // A new first problem must not move under the key that is about to be pressed.
@@ -1281,6 +1374,13 @@ impl App {
 
 impl Decoded {
     /// Decodes a frame with the names and the profile of its bus.
+    pub fn of(app: &App, frame: &Frame) -> Self {
+        Self::new(app.shown_buses(), frame)
+    }
+}
+
+impl FrameMeaning {
+    /// Decodes a frame with the profile of its bus.
     pub fn of(app: &App, frame: &Frame) -> Self {
         Self::new(app.shown_buses(), frame)
     }

@@ -2,7 +2,6 @@
 
 use super::capture::{CallKey, Decoded, IdentifierKey, IdentifierKind};
 use super::input::Overlay;
-use super::notices::timeline::TimelineEntry;
 use super::view::{EvidenceView, Focus, Page, Row, TrafficView};
 use super::{App, Effect, EvidenceItem, Problem, clock_millis, format_duration};
 use crate::finding::FindingKind;
@@ -57,8 +56,8 @@ impl App {
         let delta = match mouse.kind {
             MouseKind::Press => return self.press(mouse),
             MouseKind::Drag => {
-                if !self.input.has_overlay() {
-                    self.click_time_bar(mouse);
+                if !self.input.has_overlay() && !self.click_time_bar(mouse) {
+                    self.click_lanes(mouse);
                 }
                 return;
             }
@@ -71,6 +70,7 @@ impl App {
             Overlay::None => self.move_list(delta),
             Overlay::Marks(_) => self.move_in_marks(delta.signum()),
             Overlay::Filters(_) => self.move_in_filters(delta.signum()),
+            Overlay::Kinds(_) => self.move_in_kinds(delta.signum()),
             Overlay::Comparison => self.move_in_comparison(delta),
             _ => self.input.scroll_help(delta as i16),
         }
@@ -81,7 +81,7 @@ impl App {
             return;
         }
         self.notices.redraw.set_dirty();
-        if self.click_time_bar(mouse) {
+        if self.click_time_bar(mouse) || self.click_lanes(mouse) {
             return;
         }
         let screen = self.screen();
@@ -145,6 +145,9 @@ impl App {
     /// Moves the selection, or scrolls the details that have the focus, by rows.
     pub(super) fn move_by(&mut self, delta: isize) {
         if self.view.focus == Focus::Details && self.screen().details.height > 0 {
+            if self.view.page == Page::Problems {
+                return self.move_in_evidence_table(delta);
+            }
             self.view.scroll_details(delta);
         } else {
             self.move_list(delta);
@@ -183,6 +186,9 @@ impl App {
     }
 
     fn move_list(&mut self, delta: isize) {
+        if self.move_in_lanes(delta) {
+            return;
+        }
         let height = self.list_height();
         self.view.details_scroll = 0;
         match self.view.page {
@@ -244,9 +250,10 @@ impl App {
     /// view: the evidence; on evidence: all frames around it.
     pub(super) fn open_details(&mut self) {
         match self.view.page {
+            Page::Timeline if self.screen().list.height == 0 => self.go_to_lane(),
             Page::Timeline => self.go_to_line(),
             Page::Bus => self.open_bar(),
-            Page::Problems if self.screen().details.height > 0 => self.open_evidence(),
+            Page::Problems if self.screen().details.height > 0 => self.open_problem(),
             Page::Traffic if self.view.evidence.is_some() => self.toggle_around(),
             Page::Traffic if self.view.shows_identifiers() => self.show_frames_of_identifier(),
             Page::Traffic if self.view.shows_calls() => self.show_frames_of_call(),
@@ -294,26 +301,11 @@ impl App {
         self.view.focus_details(details && !is_empty);
     }
 
-    /// The selected timeline line, or the last one.
-    pub(super) fn selected_line(&self) -> Option<&TimelineEntry> {
-        let lines = self.lines_shown();
-        let selected = self.view.timeline.selected().or(lines.last());
-        selected.and_then(|&number| self.timeline().get(number))
-    }
-
-    /// Shows the moment of the selected timeline line.
-    fn go_to_line(&mut self) {
-        let Some((number, time)) = self.selected_line().map(|line| (line.number, line.time)) else {
-            return;
-        };
-        self.view.timeline.select(number);
-        self.go_to_time(time);
-    }
-
     /// Shows the frames of what is selected: of the device, of the problem, at the timeline line.
     pub(super) fn go_to_frames_of_selection(&mut self) {
         match self.view.page {
             Page::Devices => self.go_to_frames_of_device(),
+            Page::Timeline if self.screen().list.height == 0 => self.go_to_frames_of_lane(),
             Page::Timeline => self.go_to_frames(),
             Page::Problems => self.open_evidence(),
             Page::Bus => self.go_to_frames_of_bar(),
@@ -321,10 +313,17 @@ impl App {
         }
     }
 
+    /// Shows the frames from and to an address.
+    pub(super) fn show_frames_of_address(&mut self, address: Address) {
+        self.view.traffic_view = TrafficView::Frames;
+        self.set_filter(Page::Traffic, &format!("at:{address}"));
+        self.show_page(Page::Traffic);
+    }
+
     /// Shows the frames at the time of the selected timeline line.
     fn go_to_frames(&mut self) {
-        let Some(line) = self.selected_line() else { return };
-        let (time, capture) = (line.time, &self.traffic.capture);
+        let Some((_, time)) = self.selected_line_time() else { return };
+        let capture = &self.traffic.capture;
         let number = capture.at_time(time);
         let first = capture.get(capture.first()).map(|first| first.time);
         let refusal = match (capture.get(number), first) {
@@ -399,12 +398,15 @@ impl App {
         }
     }
 
-    /// Opens or closes the selected transfer.
+    /// Opens or closes the selected transfer or story.
     pub(super) fn toggle_transfer(&mut self) {
+        if self.view.page == Page::Timeline {
+            return self.toggle_story();
+        }
         let is_of_frames =
             self.view.page == Page::Traffic && self.view.traffic_view == TrafficView::Frames;
         if !is_of_frames {
-            self.show_error("transfers are on the Traffic page");
+            self.show_error("steps are on Timeline, transfers on Traffic");
         } else if !self.traffic.toggle_transfer(&mut self.view) {
             self.show_error("no transfer is selected");
         }
@@ -423,18 +425,19 @@ impl App {
         self.show_info(if self.view.is_reversed { "order reversed" } else { "order as before" });
     }
 
-    /// Shows the next view of Devices (list, services, heartbeats) or of Traffic (frames, identifiers,
-    /// calls), or another time of the charts of Bus.
+    /// Shows the next view of the page, or another time of the charts of Bus.
     pub(super) fn next_view(&mut self) {
         if self.view.page == Page::Devices {
             self.next_device_view();
         } else if self.view.page == Page::Bus {
             self.next_chart_span();
-        } else if self.view.page == Page::Traffic {
+        } else if self.view.page == Page::Problems {
+            self.next_problems_view();
+        } else if self.view.page == Page::Timeline {
+            self.view.timeline_view = self.view.timeline_view.next(self.view.size.0);
+        } else {
             self.view.close_evidence();
             self.show_traffic_as(self.view.traffic_view.next());
-        } else {
-            self.show_error("view works on Devices, Traffic and Bus");
         }
     }
 
@@ -456,8 +459,8 @@ impl App {
         }
     }
 
-    /// Closes the overlay, else leaves the details, the evidence or the frame details, else switches
-    /// the filter off, else returns to the timeline or follows the newest rows.
+    /// Closes the overlay, else leaves the details, the evidence or the frame details, else shows the
+    /// present, else switches the filter off, else returns to the timeline or follows the newest rows.
     pub(super) fn cancel(&mut self) {
         let page = self.view.page;
         if self.input.has_overlay() {
@@ -469,12 +472,15 @@ impl App {
         } else if self.leave_evidence() {
         } else if page == Page::Traffic && self.view.frame_details {
             self.view.frame_details = false;
+        } else if self.past.is_some() && !self.view.from_timeline {
+            self.show_present();
         } else if self.switch_filter_off() {
         } else if self.view.from_timeline {
             self.show_page(Page::Timeline);
             self.view.traffic = None;
         } else if self.view.traffic.is_some() && page == Page::Traffic {
             self.view.traffic = None;
+        } else if self.stop_reading() {
         } else if self.past.is_some() {
             self.show_present();
         } else {
@@ -503,9 +509,12 @@ impl App {
             self.effects.push_back(Effect::Playback(command));
         } else {
             self.show_error(match command {
-                PlaybackCommand::Pause => "only a log can be paused",
+                PlaybackCommand::Pause | PlaybackCommand::SetPaused(_) => {
+                    "only a log can be paused"
+                }
                 PlaybackCommand::Step => "only a log can be stepped",
                 PlaybackCommand::Slower | PlaybackCommand::Faster => "only a log has a speed",
+                PlaybackCommand::ReadTo(_) => "only a log can be read ahead",
             });
         }
     }
@@ -518,14 +527,14 @@ impl App {
                 let address = row.address.map_or("?".to_owned(), |address| address.to_string());
                 format!("{name} @{address} {}", row.state.word())
             }),
-            Page::Problems => self.selected_problem().map(|problem| self.problem_text(&problem)),
-            Page::Timeline => {
-                let number = self.view.timeline.selected().copied();
-                let line = number.and_then(|number| self.timeline().get(number));
-                line.map(|line| {
-                    format!("{} {}", super::format_time_of_day(self, line.time), line.text)
-                })
-            }
+            Page::Problems => self.selected_problem().map(|problem| {
+                let piece = problem.evidence().into_iter().nth(self.view.piece);
+                match piece.filter(|_| self.view.focus == Focus::Details) {
+                    Some(piece) => self.evidence_text(&piece),
+                    None => self.problem_text(&problem),
+                }
+            }),
+            Page::Timeline => self.line_text(),
             Page::Bus => self.bar_text(),
             Page::Traffic => match self.view.evidence_alone().and_then(EvidenceView::selected) {
                 Some((_, piece)) => Some(self.evidence_text(piece)),
@@ -587,10 +596,16 @@ impl App {
                 let key = &problem.head().key;
                 (key.bus, key.address, key.name.clone())
             }),
+            Page::Timeline if self.screen().list.height == 0 => {
+                let device = self.selected_lane().and_then(|id| self.device(id));
+                device.map_or((None, None, None), |device| {
+                    (Some(device.id.bus), Some(device.address), device.name.clone())
+                })
+            }
             Page::Timeline => {
-                let number = self.view.timeline.selected();
-                let line = number.and_then(|&number| self.timeline().get(number));
-                line.map_or((None, None, None), |line| (line.bus, line.address, line.name.clone()))
+                let story = self.view.timeline.selected().and_then(|&key| self.story(key));
+                let entry = story.map(|story| self.story_subject(story).0);
+                entry.map_or((None, None, None), |it| (it.bus, it.address, it.name.clone()))
             }
             Page::Bus => self.bar_subject(),
             Page::Traffic => {
@@ -647,57 +662,39 @@ impl App {
         true
     }
 
-    /// Goes from a device to its problem, from a problem to its device.
+    /// Goes from a device to its problem, or to that of the alarm; from a problem to its device.
     pub(super) fn go_to_problem(&mut self) {
         if self.view.page == Page::Problems {
+            if let Some(key) = self.selected_problem().map(|problem| problem.key) {
+                self.note_alarm_seen(&key);
+            }
             self.find_row("no device for this problem");
             return;
         }
         let (bus, address, name) = self.subject();
-        if bus.is_none() && address.is_none() && name.is_none() {
-            return self.show_error("no row is selected");
-        }
+        let is_nothing = bus.is_none() && address.is_none() && name.is_none();
         let about = |problem: &Problem| problem.is_about(bus, address, name.as_ref());
-        let Some(key) = self.problems().iter().find(about).map(|problem| problem.key) else {
-            return self.show_error("no problem for this device");
+        let own = self.problems().iter().find(about).filter(|_| !is_nothing);
+        let Some(key) = own.map(|problem| problem.key).or_else(|| self.alarm_problem()) else {
+            return self.show_error(if is_nothing {
+                "no row is selected"
+            } else {
+                "no problem for this device"
+            });
         };
-        if !self.problem_keys().contains(&key) {
-            self.filters.set_on(Page::Problems, false);
-        }
+        self.note_alarm_seen(&key);
+        self.show_in_problems(&key);
         self.view.problems.select(key);
         self.show_page(Page::Problems);
-        self.refresh();
-    }
-
-    /// Mutes the selected problem, or unmutes it.
-    pub(super) fn toggle_muted(&mut self) {
-        if self.view.page != Page::Problems {
-            return self.show_error("mute works on the Problems page");
-        }
-        let Some(problem) = self.selected_problem() else {
-            return self.show_error("no problem is selected");
-        };
-        let (key, title) = (problem.key.clone(), problem.title());
-        let undo = self.key_of(Action::Mute);
-        // The selection follows the problem to its new place: the same key unmutes it.
-        self.view.problems.select(key.clone());
-        if let Some(past) = &mut self.past {
-            past.problems.toggle_muted(key.clone());
-        }
-        if self.problems.toggle_muted(key) {
-            self.show_info(format!("muted until descan quits ({undo} unmutes): {title}"));
-        } else {
-            self.show_info(format!("unmuted: {title}"));
-        }
         self.refresh();
     }
 
     // ---- evidence --------------------------------------------------------------------------
 
     /// Opens the evidence of the selected problem; for a difference from the file, goes to its row.
-    fn open_evidence(&mut self) {
+    pub(super) fn open_evidence(&mut self) {
         let Some(problem) = self.selected_problem() else { return };
-        let (key, title) = (problem.key.clone(), problem.title());
+        let (key, title) = (problem.key.clone(), self.headline(&problem).label);
         let (kind, pieces, count) = (problem.head().key.kind, problem.evidence(), problem.count());
         if pieces.is_empty() {
             if kind == FindingKind::FramesLost {

@@ -11,6 +11,7 @@ use super::problems::Problems;
 use super::timeline_kind::TimelineKind;
 use super::view::Frozen;
 use super::{App, Buses, clock_millis};
+use crate::status::PlaybackCommand;
 use crate::time::Instant;
 
 /// Work of a replay in frames between which keys are handled: about 10 ms.
@@ -36,20 +37,26 @@ impl App {
         self.past.as_ref().map(|past| past.moment)
     }
 
-    /// Freezes the present moment, or shows the present again.
-    pub(super) fn toggle_freeze(&mut self) {
-        if self.past.is_some() {
-            return self.show_present();
-        }
+    /// Freezes the present moment.
+    pub(super) fn freeze(&mut self) {
         let moment = self.buses.present(self.clock.now());
         let buses = Buses::clone(&self.buses);
+        self.hold_log();
         self.show_past(moment, buses);
-        let goes_on = self.clock.playback().is_none_or(|it| !it.is_paused && !it.is_ended);
+        let goes_on = self.clock.playback().is_none();
         self.show_info(if goes_on { "frozen; capture continues" } else { "frozen" });
     }
 
     /// Shows the present again.
     pub(super) fn show_present(&mut self) {
+        self.leave_past();
+        self.release_log();
+        self.show_info(if self.is_of_logs() { "latest moment of the log" } else { "live" });
+    }
+
+    /// Shows the buses as they are, without a message.
+    pub(super) fn leave_past(&mut self) {
+        self.play = None;
         self.past = None;
         self.replay = None;
         self.view.frozen = None;
@@ -57,13 +64,12 @@ impl App {
         self.notices.timeline_mut().pin_lines(false);
         self.refresh();
         self.filter_frames();
-        self.show_info("live");
     }
 
     /// Goes to the event before the moment that is shown, or with 1 to the next one; `is_wanted`
     /// selects the kinds of lines.
     pub(super) fn go_to_event(&mut self, by: isize, is_wanted: fn(TimelineKind) -> bool) {
-        let from = self.target().time;
+        let from = self.shown_or_target().time;
         let to = {
             let lines = self.timeline().entries().filter(|line| is_wanted(line.kind));
             let times = lines.map(|line| line.time);
@@ -83,7 +89,7 @@ impl App {
 
     /// Goes to the moment after the frame before the last one shown, or with 1 after the next one.
     pub(super) fn go_to_frame(&mut self, by: isize) {
-        let shown = self.target().frames;
+        let shown = self.shown_or_target().frames;
         let capture = &self.traffic.capture;
         let number = if by < 0 {
             capture.numbers_before(shown.saturating_sub(1)).next()
@@ -98,19 +104,40 @@ impl App {
         }
     }
 
+    /// Goes to the next frame, also to the next one of a log that was not read yet.
+    pub(super) fn next_frame(&mut self) {
+        let is_last = self.shown_or_target().frames >= self.traffic.capture.end();
+        if self.past.is_some() && !(is_last && self.is_of_logs()) {
+            return self.go_to_frame(1);
+        }
+        if self.past.is_some() {
+            self.leave_past();
+            self.is_log_held = false;
+        }
+        self.control_playback(PlaybackCommand::Step);
+    }
+
     /// Shows the moment at `time` on all pages, once it is replayed: until then
     /// [`poll_timeout`](Self::poll_timeout) is soon.
     pub fn go_to_time(&mut self, time: Instant) {
+        if self.is_of_logs() && time > self.clock.now() {
+            return self.read_ahead(time);
+        }
         self.go_to(self.buses.moment(&self.traffic.capture, time));
+    }
+
+    /// Shows the moment at `time`, also while playing.
+    pub(super) fn replay_at(&mut self, time: Instant) {
+        self.replay_to(self.buses.moment(&self.traffic.capture, time));
     }
 
     /// Moments that can be shown.
     pub(super) fn moment_range(&self) -> MomentRange {
-        let (begin, now) = (self.buses.begin(&self.traffic.capture), self.clock.now());
+        let begin = self.buses.begin(&self.traffic.capture);
         MomentRange {
-            begin: begin.min(now),
-            now,
-            shown: self.target().time,
+            begin: begin.min(self.clock.now()),
+            end: self.last_moment(),
+            shown: self.shown_or_target().time,
             frames: self.traffic.capture.end(),
             wall_start: self.clock.wall_start(),
             marks: self.marks.bits(),
@@ -136,7 +163,7 @@ impl App {
     }
 
     /// The moment that is shown, or is about to be.
-    fn target(&self) -> Moment {
+    pub(super) fn shown_or_target(&self) -> Moment {
         let replay = self.replay.as_ref().map(BusesReplay::moment);
         let shown = replay.or(self.past_moment());
         shown.unwrap_or_else(|| self.buses.present(self.clock.now()))
@@ -144,6 +171,13 @@ impl App {
 
     /// Goes to a moment; it is shown when it is replayed.
     pub(super) fn go_to(&mut self, moment: Moment) {
+        self.play = None;
+        self.reading_ahead = None;
+        self.replay_to(moment);
+    }
+
+    fn replay_to(&mut self, moment: Moment) {
+        self.hold_log();
         self.replay = self.buses.replay(&self.traffic.capture, moment);
         if self.replay.is_none() {
             let begin = self.buses.begin(&self.traffic.capture);
@@ -159,10 +193,10 @@ impl App {
         let Some(replay) = &mut self.replay else { return };
         if !replay.is_kept(&self.buses, &self.traffic.capture) {
             let moment = replay.moment();
-            return self.go_to(moment);
+            return self.replay_to(moment);
         }
         if !replay.run(&self.buses, &self.traffic.capture, REPLAY_PART) {
-            self.replay_due = Some(self.clock.now() + super::FILTER_PAUSE);
+            self.replay_due = Some(self.clock.real() + super::FILTER_PAUSE);
             return;
         }
         if let Some(replay) = self.replay.take() {
@@ -205,6 +239,7 @@ impl App {
         self.view.frozen = Some(Frozen { frames: moment.frames, lines });
         self.notices.timeline_mut().pin_lines(true);
         self.past = Some(Box::new(past));
+        self.settle_alarm();
         self.renew_time_bar();
         self.settle_problems();
         self.settle_bars();

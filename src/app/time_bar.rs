@@ -6,6 +6,7 @@
 
 use super::marks::Mark;
 use super::notices::TimelineEntry;
+use super::time_axis::TimeAxis;
 use super::timeline_kind::TimelineKind;
 use super::{App, Mouse};
 use crate::finding::{FindingKind, Grouping};
@@ -41,8 +42,10 @@ pub enum BarSign {
 pub struct TimeBar {
     /// First moment that can be shown.
     pub begin: Instant,
-    /// The present.
+    /// The present, or the end of a log.
     pub end: Instant,
+    /// The present: a log was read until then.
+    pub read: Instant,
     /// True if earlier frames were dropped.
     pub has_dropped: bool,
     /// The cells, from the beginning to the end.
@@ -50,26 +53,24 @@ pub struct TimeBar {
 }
 
 impl TimeBar {
-    /// Duration of the bar; at least a microsecond for each cell.
-    fn span(&self) -> u64 {
-        let least = self.cells.len().max(1) as u64;
-        (self.end.since(self.begin).as_micros() as u64).max(least)
+    /// The axis of the cells.
+    pub fn axis(&self) -> TimeAxis {
+        TimeAxis::new(self.begin, self.end.since(self.begin), self.cells.len())
+    }
+
+    /// Duration of a cell.
+    pub fn cell_duration(&self) -> Duration {
+        self.axis().step()
     }
 
     /// The cell of a moment.
     pub fn cell(&self, at: Instant) -> usize {
-        let offset = at.since(self.begin).as_micros();
-        let cell = offset * self.cells.len() as u128 / u128::from(self.span());
-        (cell as usize).min(self.cells.len().saturating_sub(1))
+        self.axis().cell(at)
     }
 
     /// The moment in the middle of a cell.
     pub fn moment(&self, cell: usize) -> Instant {
-        let cells = self.cells.len().max(1) as u128;
-        let half = 2 * cell as u128 + 1;
-        let offset = u128::from(self.span()) * half / (2 * cells);
-        let at = self.begin + Duration::from_micros(offset as u64);
-        at.min(self.end)
+        self.axis().middle(cell).min(self.end)
     }
 
     fn put(&mut self, from: Instant, to: Instant, sign: BarSign) {
@@ -109,7 +110,7 @@ impl TimeBar {
             self.put(line.last, line.last, sign);
         }
         for (_, since) in open {
-            self.put(since, self.end, BarSign::Conflict);
+            self.put(since, self.read, BarSign::Conflict);
         }
     }
 
@@ -135,11 +136,11 @@ impl App {
         let area = self.screen().time_bar;
         let mut bar = std::mem::take(&mut self.time_bar);
         bar.cells.clear();
+        (bar.read, bar.end) = (self.clock.now(), self.last_moment());
+        bar.begin = self.buses.begin(&self.traffic.capture).min(bar.read);
         if area.height > 0 {
             let cells = area.width.saturating_sub(BAR_LEFT + BAR_RIGHT);
             bar.cells.resize(usize::from(cells), BarSign::Quiet);
-            bar.end = self.clock.now();
-            bar.begin = self.buses.begin(&self.traffic.capture).min(bar.end);
             let first = self.timeline().entries().next();
             bar.has_dropped =
                 self.traffic.capture.first() > 0 || first.is_some_and(|line| line.time < bar.begin);
@@ -164,16 +165,16 @@ impl App {
         self.show_info(state);
     }
 
-    /// Moves the shown moment by cells of the time bar.
+    /// Moves the shown moment by cells of the time bar, or of the lanes where they are shown.
     pub(super) fn scrub(&mut self, cells: i64) {
-        let bar = &self.time_bar;
         let from = self.moment_range().shown;
-        let step = bar.span() / bar.cells.len().max(1) as u64;
-        let by = Duration::from_micros(step.saturating_mul(cells.unsigned_abs()));
+        let begin = self.time_bar.begin;
+        let step = self.lane_step().unwrap_or(self.time_bar.axis().step());
+        let by = step.saturating_mul(u32::try_from(cells.unsigned_abs()).unwrap_or(u32::MAX));
         let to = if cells < 0 {
-            bar.begin + from.since(bar.begin).saturating_sub(by)
+            begin + from.since(begin).saturating_sub(by)
         } else {
-            (from + by).min(self.clock.now())
+            (from + by).min(self.last_moment())
         };
         self.go_to_time(to);
     }

@@ -32,6 +32,10 @@ struct PlaybackPace {
     reached: Instant,
     speed: f64,
     is_paused: bool,
+    /// Up to this moment it runs as fast as frames are taken, also while it is paused.
+    reads_to: Instant,
+    /// Time of the last frame of each log, as far as it is known.
+    ends: BTreeMap<BusIndex, Instant>,
     /// It is the clock of logs, and none is open yet.
     awaits_log: bool,
     /// Where each log is.
@@ -69,7 +73,17 @@ impl Clock {
         let (since, from) = (Monotonic::now(), Instant::ZERO);
         let reached = from;
         let awaits_log = is_replaying;
-        let pace = PlaybackPace { since, from, reached, speed, is_paused: false, awaits_log, logs };
+        let pace = PlaybackPace {
+            since,
+            from,
+            reached,
+            speed,
+            is_paused: false,
+            reads_to: Instant::ZERO,
+            ends: BTreeMap::new(),
+            awaits_log,
+            logs,
+        };
         Self { epoch, is_replaying, pace: Arc::new(Mutex::new(pace)) }
     }
 
@@ -97,12 +111,14 @@ impl Clock {
 
     /// The status of the playback; `None` unless all buses are logs.
     pub fn playback(&self) -> Option<Playback> {
-        let pace = self.pace();
-        let is_ended = pace.is_ended();
+        let mut pace = self.pace();
+        let now = pace.now();
         self.is_replaying.then_some(Playback {
             speed: pace.speed,
             is_paused: pace.is_paused,
-            is_ended,
+            is_ended: pace.is_ended(),
+            end: pace.ends.values().max().copied(),
+            reads_to: Some(pace.reads_to).filter(|to| *to > now),
         })
     }
 
@@ -123,6 +139,8 @@ impl Clock {
                 });
                 pace.from = next.min().map_or(pace.from, |next| next.max(pace.from));
             }
+            PlaybackCommand::SetPaused(is_paused) => pace.is_paused = is_paused,
+            PlaybackCommand::ReadTo(to) => pace.reads_to = to,
             PlaybackCommand::Faster => pace.speed = (pace.speed * 2.0).min(FASTEST),
             PlaybackCommand::Slower => pace.speed = (pace.speed / 2.0).max(SLOWEST),
         });
@@ -149,10 +167,23 @@ impl Clock {
         pace.logs.insert(log, waits);
     }
 
+    /// Sets the time of the last frame of a log, as far as it is known.
+    pub(super) fn set_log_end(&self, log: BusIndex, end: Instant) {
+        self.pace().ends.insert(log, end);
+    }
+
+    /// Moment up to which frames are taken as fast as possible.
+    pub(super) fn reads_to(&self) -> Instant {
+        self.pace().reads_to
+    }
+
     /// Notes the end of a log. When all logs are at their end, the clock stands.
     pub(super) fn log_ends(&self, log: BusIndex) {
         self.change(|pace| {
             pace.logs.insert(log, LogPlace::Ended);
+            if pace.is_ended() {
+                pace.reads_to = Instant::ZERO;
+            }
         });
     }
 
@@ -184,10 +215,12 @@ impl Clock {
 
 impl PlaybackPace {
     fn now(&mut self) -> Instant {
-        let now = if self.is_standing() {
-            self.from
+        let pace = if self.is_standing() { self.from } else { self.pace() };
+        let now = if self.is_standing() && self.reads_to <= pace {
+            pace
         } else {
-            self.next().map_or(self.pace(), |next| self.pace().min(next))
+            let pace = pace.max(self.reads_to);
+            self.next().map_or(pace, |next| pace.min(next))
         };
         // A moment that passed stays so.
         self.reached = self.reached.max(now);
@@ -216,7 +249,10 @@ impl PlaybackPace {
     /// Goes on from the first frame that waits, where that is too late to catch up.
     fn drop_lag(&mut self) {
         let now = self.now();
-        if self.pace().since(now) > MAX_LAG.mul_f64(self.speed) {
+        if now < self.reads_to {
+            // Not late: it runs as fast as it can.
+            self.begin_at_now();
+        } else if self.pace().since(now) > MAX_LAG.mul_f64(self.speed) {
             self.begin_at_now();
         }
     }
@@ -344,7 +380,7 @@ mod tests {
         assert!(clock.now() < end + Duration::from_hours(1));
         assert_eq!(
             clock.playback(),
-            Some(Playback { speed: 1.0, is_paused: false, is_ended: false })
+            Some(Playback { speed: 1.0, is_paused: false, is_ended: false, ..Playback::default() })
         );
     }
 

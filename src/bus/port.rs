@@ -5,6 +5,7 @@ use super::queue::Queue;
 use super::waker::Waker;
 use crate::diagnostic::Diagnostic;
 use crate::frame::Frame;
+use crate::log::FrameSource;
 use crate::status::Link;
 use nix::poll::PollFlags;
 use std::collections::VecDeque;
@@ -36,12 +37,14 @@ pub struct Port {
     shared: Arc<PortShared>,
     listen_only: bool,
     threads: Vec<JoinHandle<()>>,
+    frames: Option<Box<dyn FrameSource>>,
 }
 
 impl Port {
     /// A port without threads.
     pub(super) fn new(name: &str, shared: Arc<PortShared>, listen_only: bool) -> Self {
-        Self { name: name.to_owned(), shared, listen_only, threads: Vec::new() }
+        let name = name.to_owned();
+        Self { name, shared, listen_only, threads: Vec::new(), frames: None }
     }
 
     /// Starts a thread of the bus. If it panics, the link becomes [`Link::Failed`].
@@ -57,6 +60,16 @@ impl Port {
         let name = format!("bus {}", self.name);
         self.threads.push(thread::Builder::new().name(name).spawn(move || work(&watch.shared))?);
         Ok(())
+    }
+
+    /// Sets the log from which its frames can be read again.
+    pub(super) fn set_frame_source(&mut self, frames: Box<dyn FrameSource>) {
+        self.frames = Some(frames);
+    }
+
+    /// Returns the log from which its frames can be read again, once.
+    pub fn take_frame_source(&mut self) -> Option<Box<dyn FrameSource>> {
+        self.frames.take()
     }
 
     /// The BUS argument it was opened with.

@@ -8,8 +8,8 @@ use crate::app::{App, AppOptions, Bus, BusSnapshot, TxBlocked};
 use crate::bus::{self, BusSpec, UdpAddress};
 use crate::diagnostic::Diagnostic;
 use crate::frame::{BusIndex, Frame};
-use crate::log::{LogReader, READABLE_LOGS};
-use crate::shell::log_input::{LogBatch, LogInput, LogPace, LogRange};
+use crate::log::READABLE_LOGS;
+use crate::shell::log_input::{LogBatch, LogBatches, LogInput, LogPace, LogRange};
 use crate::shell::session::{InputEnd, Session, SessionWake};
 use crate::shell::stop::{StopReason, StopWaiter};
 use crate::shell::store::Store;
@@ -18,7 +18,7 @@ use crate::time::{Epoch, Instant};
 use anyhow::Context;
 use nix::sys::signal::Signal;
 use std::fs::File;
-use std::io::{self, BufReader};
+use std::io;
 use std::ops::ControlFlow;
 use std::os::fd::AsFd;
 use std::time::Duration;
@@ -37,6 +37,8 @@ pub struct Limits {
     pub from: Option<Duration>,
     /// Stop when standard output is closed.
     pub while_read: bool,
+    /// The captured frames are read.
+    pub needs_frames: bool,
     /// Exit code if a signal stops it and it cannot finish, as its output is not read.
     pub stuck: u8,
 }
@@ -88,7 +90,8 @@ pub fn run(
     mut turn: impl FnMut(&mut Session) -> Result<ControlFlow<()>, Failure>,
 ) -> Result<RunOutcome, Failure> {
     // No screen shows the captured frames.
-    let options = AppOptions { capture_room: Some(0), ..options };
+    let without_capture = !limits.needs_frames;
+    let options = AppOptions { capture_room: Some(0), without_capture, ..options };
     runtime()?.block_on(async {
         let (mut stop, mut session, first) = match input {
             RunInput::Buses(buses) => {
@@ -166,29 +169,32 @@ type RunStart = (StopWaiter, Session, Result<Option<SessionWake>, StopReason>);
 pub fn reread(
     spec: &BusSpec,
     limits: Limits,
-    mut turn: impl FnMut(&Frame) -> Result<ControlFlow<()>, Failure>,
+    mut turn: impl FnMut(&[Frame]) -> Result<ControlFlow<()>, Failure>,
 ) -> Result<Option<StopReason>, Failure> {
-    /// Frames between two checks for a signal.
-    const PART: usize = 4096;
     let start = Instant::ZERO + limits.from.unwrap_or_default();
     let end = limits.time.map_or(Instant::LATEST, |time| start + time);
-    let mut reader = LogReader::new(BufReader::with_capacity(1 << 16, log_file(spec)?));
+    let from = limits.from.unwrap_or_default();
     runtime()?.block_on(async {
         let mut stop = stop_waiter(limits, None)?;
+        let mut batches = LogBatches::spawn(log_file(spec)?, from).context("no thread")?;
         loop {
-            for _ in 0..PART {
-                let frame = reader.next_frame().map_err(|it| Diagnostic::unreadable(spec, &it))?;
-                let Some(frame) = frame.filter(|frame| frame.time <= end) else { return Ok(None) };
-                if frame.time >= start && turn(&frame)?.is_break() {
-                    return Ok(None);
-                }
-            }
             // A signal is delivered only to a task that waits.
-            tokio::select! {
+            yield_now().await;
+            let batch = tokio::select! {
                 biased;
                 reason = stop.next() => return Ok(Some(reason)),
-                () = yield_now() => {}
+                batch = batches.next() => batch,
+            };
+            let frames = match batch.map_err(|it| Diagnostic::unreadable(spec, &it))? {
+                LogBatch::Frames { frames, .. } => frames,
+                LogBatch::Doubtful(_) => continue,
+                LogBatch::End(_) => return Ok(None),
+            };
+            let within = frames.partition_point(|frame| frame.time <= end);
+            if turn(&frames[..within])?.is_break() || within < frames.len() {
+                return Ok(None);
             }
+            batches.recycle(frames);
         }
     })
 }

@@ -29,11 +29,14 @@ pub fn print_json(json: &str) -> Result<(), Failure> {
 }
 
 fn escape_json(json: &str, text: &mut String) {
-    if json.bytes().all(|byte| byte == b'\n' || (0x20..0x7F).contains(&byte)) {
-        return text.push_str(json);
-    }
-    for c in json.chars() {
-        if c == '\n' || crate::text::is_printable(c) {
+    let mut rest = json;
+    while !rest.is_empty() {
+        let plain = plain_len(rest.as_bytes());
+        text.push_str(&rest[..plain]);
+        rest = &rest[plain..];
+        let Some(c) = rest.chars().next() else { break };
+        rest = &rest[c.len_utf8()..];
+        if crate::text::is_printable(c) {
             text.push(c);
         } else {
             for unit in c.encode_utf16(&mut [0; 2]) {
@@ -41,6 +44,21 @@ fn escape_json(json: &str, text: &mut String) {
             }
         }
     }
+}
+
+/// Printable ASCII, and line ends.
+fn is_plain(byte: u8) -> bool {
+    byte == b'\n' || byte.wrapping_sub(0x20) < 0x7F - 0x20
+}
+
+/// Number of plain bytes that a text begins with.
+fn plain_len(text: &[u8]) -> usize {
+    /// Bytes that are tested at once.
+    const PART: usize = 32;
+    let is_plain_part = |part: &&[u8]| part.iter().fold(true, |all, &byte| all & is_plain(byte));
+    let parts = text.chunks_exact(PART).take_while(is_plain_part).count();
+    let rest = &text[parts * PART..];
+    parts * PART + rest.iter().position(|&byte| !is_plain(byte)).unwrap_or(rest.len())
 }
 
 /// Many lines on standard output, in large writes. Escapes as [`print()`] and [`print_json()`].
@@ -58,16 +76,22 @@ impl LineOutput {
     /// # Errors
     /// As [`print()`].
     pub fn print(&mut self, text: &str) -> Result<(), Failure> {
-        let is_plain = |byte: u8| byte == b'\n' || (0x20..0x7F).contains(&byte);
+        /// In the lines of frames.
+        const SIGNS: [&str; 2] = ["→", "✗"];
         let mut rest = text;
         // Most of it needs no look at each character.
         while !rest.is_empty() {
-            let end = rest.bytes().position(|byte| !is_plain(byte)).unwrap_or(rest.len());
+            let end = plain_len(rest.as_bytes());
             self.waiting.push_str(&rest[..end]);
             rest = &rest[end..];
             let end = rest.bytes().position(is_plain).unwrap_or(rest.len());
-            let _ = write!(self.waiting, "{}", SafeLines(&rest[..end]));
-            rest = &rest[end..];
+            let (other, after) = rest.split_at(end);
+            if SIGNS.contains(&other) {
+                self.waiting.push_str(other);
+            } else {
+                let _ = write!(self.waiting, "{}", SafeLines(other));
+            }
+            rest = after;
         }
         self.flush_from(Self::ROOM)
     }

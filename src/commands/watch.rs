@@ -41,8 +41,13 @@ pub fn run(watch: &WatchArgs) -> Result<u8, Failure> {
         event_filter: interest,
         ..AppOptions::default()
     };
-    let limits =
-        Limits { time: watch.run.time, from: watch.run.from, while_read: true, stuck: EXIT_OK };
+    let limits = Limits {
+        time: watch.run.time,
+        from: watch.run.from,
+        while_read: true,
+        stuck: EXIT_OK,
+        ..Limits::default()
+    };
     let mut reported = Vec::new();
     let event_writer = EventWriter { json: watch.run.json };
     if let Some(log) = open::log(&buses, "watch", watch.run.from)? {

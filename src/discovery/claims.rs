@@ -126,9 +126,11 @@ impl AddressClaims {
         let resolution_time = period * RESOLUTION_PERIODS;
         // A replaced board was silent for longer; so is one that is asleep.
         let is_holder = |node: &Node| {
-            let holds = now.since(node.last) < period.mul_f64(HOLD_PERIODS);
-            let holds = holds || mode == Some(Mode::Arslv);
-            node.uid != uid && node.address == address && node.device == row && holds
+            let holds = || now.since(node.last) < period.mul_f64(HOLD_PERIODS);
+            node.address == address
+                && node.uid != uid
+                && node.device == row
+                && (mode == Some(Mode::Arslv) || holds())
         };
         let is_other_node = over_holder || self.nodes.iter().any(is_holder);
         let known = self.nodes.iter().position(|node| node.uid == uid);
@@ -151,7 +153,7 @@ impl AddressClaims {
         let others_claimed = self
             .nodes
             .iter()
-            .any(|node| node.uid != uid && node.address == left && node.has_claimed);
+            .any(|node| node.address == left && node.has_claimed && node.uid != uid);
         let node = &mut self.nodes[at];
         let silence = now.since(node.last);
         let mut update = ClaimUpdate {
@@ -198,7 +200,7 @@ impl AddressClaims {
         let recently = period.mul_f64(HOLD_PERIODS);
         let (mut near, mut any) = (over_holder, over_holder);
         for other in &mut self.nodes {
-            if other.uid == uid || other.address != address {
+            if other.address != address || other.uid == uid {
                 continue;
             }
             let silence = now.since(other.last);
@@ -277,8 +279,8 @@ impl AddressClaims {
         };
         let (since, has_claimed) = (winner.since, winner.has_claimed);
         let silent = self.nodes.iter_mut().filter(|node| {
-            node.uid != uid
-                && node.address == address
+            node.address == address
+                && node.uid != uid
                 && !node.is_reported
                 && now.since(node.last) >= resolution_time
                 && node.gave_up_before_conflict(period)
@@ -296,7 +298,7 @@ impl AddressClaims {
     /// Returns true if a node other than `uid` still holds `address`.
     pub fn is_shared(&self, now: Instant, address: Address, period: Duration, uid: Uid) -> bool {
         let holds = period.mul_f64(HOLD_PERIODS);
-        let mut others = self.nodes.iter().filter(|it| it.uid != uid && it.address == address);
+        let mut others = self.nodes.iter().filter(|it| it.address == address && it.uid != uid);
         others.any(|node| now.since(node.last) < holds)
     }
 
@@ -355,7 +357,7 @@ impl AddressClaims {
 
     /// Returns since when another node than `uid` sends heartbeats from `address`.
     pub fn other_sender_since(&self, address: Address, uid: Uid) -> Option<Instant> {
-        let others = self.nodes.iter().filter(|it| it.uid != uid && it.address == address);
+        let others = self.nodes.iter().filter(|it| it.address == address && it.uid != uid);
         others.max_by_key(|node| node.last).map(|node| node.since)
     }
 

@@ -110,6 +110,11 @@ impl DeviceTracker {
 
     // --- events ---------------------------------------------------------------------------
 
+    /// Returns true if an event waits.
+    pub fn has_events(&self) -> bool {
+        !self.events.is_empty()
+    }
+
     /// Returns the next event, oldest first.
     pub fn poll_event(&mut self) -> Option<Event> {
         self.events.pop_front()

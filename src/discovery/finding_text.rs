@@ -25,6 +25,7 @@ const SHOWN_NAMES: usize = 4;
 /// [`bus_errors`] and [`describe_errors_at`] instead; findings about des.json are worded where they
 /// are made.
 pub(super) fn describe(finding: &mut Finding, is_certain: bool) {
+    finding.excludes_one_device = is_certain;
     let device =
         finding.key.address.map_or(String::new(), |address| device_label(address, &finding.names));
     let address = finding.key.address.map_or(0, Address::number);

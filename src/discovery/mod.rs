@@ -314,6 +314,11 @@ impl Engine {
         }
     }
 
+    /// Returns true if [`poll_event`](Self::poll_event) returns an event.
+    pub fn has_events(&self) -> bool {
+        self.tracker.has_events()
+    }
+
     /// Returns the next event, oldest first.
     pub fn poll_event(&mut self) -> Option<Event> {
         self.tracker.poll_event()

@@ -136,11 +136,12 @@ impl HeartbeatPeriods {
     /// shortest interval so far may be the period.
     pub fn of_presence(&self, address: Address) -> Duration {
         let (expected, intervals) = (self.of(address), &self.intervals[address.index()]);
+        if intervals.measured.is_some() || self.is_given {
+            return expected;
+        }
         match intervals.recent.iter().min() {
             Some(shortest)
-                if intervals.measured.is_none()
-                    && !self.is_given
-                    && (intervals.recent.len() > 1 || *shortest <= self.profile * MAX_SINGLE) =>
+                if intervals.recent.len() > 1 || *shortest <= self.profile * MAX_SINGLE =>
             {
                 expected.max(self.rounded(*shortest))
             }

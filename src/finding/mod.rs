@@ -150,6 +150,8 @@ pub struct Finding {
     pub evidence: VecDeque<Evidence>,
     /// Kind of the finding that explains the evidence of this one, which was cleared for it.
     pub superseded_by: Option<FindingKind>,
+    /// True if one device that sends its frames twice does not explain the evidence.
+    pub excludes_one_device: bool,
     /// Line and column in des.json, from 1; `None` where the finding is not about a place in it.
     pub position: Option<(usize, usize)>,
     /// What is wrong, as one sentence.
@@ -171,6 +173,7 @@ impl Finding {
             state: FindingState::Suspected,
             uids: Vec::new(),
             superseded_by: None,
+            excludes_one_device: false,
             first: now,
             last: now,
             changed: now,

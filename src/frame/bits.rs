@@ -12,6 +12,8 @@ pub const INTERMISSION: u32 = 3;
 const TAIL: u32 = 3 + 7 + INTERMISSION;
 /// What follows the ACK slot: its delimiter, end of frame, intermission.
 const AFTER_ACK: u32 = 1 + 7 + INTERMISSION;
+/// Most bytes of a classic frame before the CRC.
+const CLASSIC_BYTES: usize = (1 + 11 + 2 + 18 + 1 + 2 + 4 + 64_usize).div_ceil(8);
 /// Most data bits of a frame before the CRC: FD, extended, 64 bytes.
 const MAX_BYTES: usize = 72;
 
@@ -196,17 +198,22 @@ fn classic_length(frame: &Frame) -> FrameBits {
         // Base identifier, SRR, IDE, the rest of it, RTR, two reserved bits.
         CanId::Extended(_) => (arbitration << 2, 1 + 11 + 2 + 18 + 1 + 2),
     };
+    let bytes = frame.data().len().min(Frame::MAX_CLASSIC_DATA);
+    // The bytes behind the data are shifted out.
+    let data = u64::from_be_bytes(frame.first_eight_bytes());
+    let data = data.checked_shr(64 - 8 * bytes as u32).unwrap_or(0);
     let mut bits = header << 4 | u128::from(dlc(frame.len()));
-    let mut len: usize = header_len + 4;
-    for &byte in frame.data().iter().take(Frame::MAX_CLASSIC_DATA) {
-        bits = bits << 8 | u128::from(byte);
-        len += 8;
-    }
+    bits = bits << (8 * bytes) | u128::from(data);
+    let mut len: usize = header_len + 4 + 8 * bytes;
     // Leading zeros change nothing of a CRC that begins with 0, and it is that of its bytes alone,
     // added.
-    let bytes = bits.to_be_bytes();
-    let parts = bytes.iter().zip(&CRC15).map(|(&byte, table)| table[usize::from(byte)]);
-    let crc = parts.fold(0, |crc, part| crc ^ part);
+    let bytes: [u8; 16] = bits.to_be_bytes();
+    // The first ones are 0.
+    let (mut crc, mut place) = (0, bytes.len() - CLASSIC_BYTES);
+    while place < bytes.len() {
+        crc ^= CRC15[place][usize::from(bytes[place])];
+        place += 1;
+    }
     bits = bits << 15 | u128::from(crc);
     len += 15;
     // Behind the end bits that take turns: they need no stuffing.
@@ -276,32 +283,43 @@ const fn stuff_bit(state: u8, bit: u8) -> (u8, bool) {
     }
 }
 
-/// The state after the first bytes of a frame, and how many stuff bits they need.
+/// The state after the first bytes of a frame, and how many stuff bits they need. The first bit is the
+/// start of frame, 0.
 fn stuff_bytes(bytes: &[u8]) -> (u8, u32) {
-    bytes.iter().fold((0, 0), |(state, count), &byte| {
-        let (next, stuffed) = STUFFING[usize::from(state)][usize::from(byte)];
-        (next, count + u32::from(stuffed))
-    })
+    let (shift, count) = bytes.iter().fold((BEFORE_START, 0), |(shift, count), &byte| {
+        let next = STUFFING[usize::from(byte)] >> shift;
+        (next & STATE, count + (next & COUNT) as u32)
+    });
+    ((shift / BITS_OF_STATE) as u8 + 1, count)
 }
 
-/// [`stuff_bit`] eight bits at a time: the state after them and how many stuff bits came.
-static STUFFING: [[(u8, u8); 256]; 9] = {
-    let mut table = [[(0, 0); 256]; 9];
-    let mut state = 0;
-    while state < 9 {
-        let mut byte = 0;
-        while byte < 256 {
+/// Bits in [`STUFFING`] for each of the states 1 to 8: the shift to the place of the next state, and how
+/// many stuff bits came, at most two.
+const BITS_OF_STATE: u64 = 8;
+const STATE: u64 = 0b11_1000;
+const COUNT: u64 = 0b00_0111;
+/// The shift for a state before the start of frame: after a one, a zero begins a run as after nothing.
+const BEFORE_START: u64 = 4 * BITS_OF_STATE;
+
+/// [`stuff_bit`] eight bits at a time, for all states in one number: the load does not wait for the state.
+static STUFFING: [u64; 256] = {
+    let mut table = [0; 256];
+    let mut byte = 0;
+    while byte < 256 {
+        let mut state = 1;
+        while state <= 8 {
             let (mut now, mut count, mut bit) = (state as u8, 0, 8);
             while bit > 0 {
                 bit -= 1;
                 let (next, stuffed) = stuff_bit(now, (byte >> bit & 1) as u8);
                 now = next;
-                count += stuffed as u8;
+                count += stuffed as u64;
             }
-            table[state][byte] = (now, count);
-            byte += 1;
+            let next = (now as u64 - 1) * BITS_OF_STATE | count;
+            table[byte] |= next << ((state - 1) * BITS_OF_STATE);
+            state += 1;
         }
-        state += 1;
+        byte += 1;
     }
     table
 };

@@ -42,6 +42,8 @@ pub enum KeyMode {
     Filters,
     /// The comparison of two moments is open.
     Compare,
+    /// The list of the kinds of stories is open.
+    Kinds,
 }
 
 /// Sections of the help.
@@ -199,12 +201,14 @@ actions! {
         NextMatch "next-match" "Next row that matches the filter, on or off" "" ["J"];
         PreviousMatch "previous-match" "The one before" "" ["K"];
         Sort "sort" "Sort by next column" "sort" ["s"];
-        OpenParts "open-parts" "Open or close a transfer of several frames" "" ["o"];
+        OpenParts "open-parts" "Steps of a timeline line, frames of a transfer" "steps" ["o"];
+        Kinds "kinds" "Timeline: kinds of lines to show" "kinds" ["x"];
         TimeFormat "time-format" "Traffic: time of day, since the row above, the same identifier, the start" "" ["z"];
         SortReverse "sort-reverse" "Reverse the order" "" ["S"];
-        Identifiers "identifiers" "Next view of the page: Devices, Traffic, Bus" "view" ["v"];
+        Identifiers "identifiers" "Next view of the page" "view" ["v"];
         Problem "problem" "Jump between device and problem" "problem" ["p"];
         Mute "mute" "Mute or unmute a problem until descan quits" "mute" ["m"];
+        WriteProof "write-proof" "Write the proof of a problem: report and frames" "proof" ["X"];
         Copy "copy" "Copy the selected row to the clipboard" "" ["y"];
         Cancel "cancel" "Close or leave; filter off" "" ["Esc"];
     }
@@ -232,6 +236,8 @@ actions! {
         ScrubBack "scrub-back" "Frozen: ten cells of the time bar earlier" "" ["Shift-Left"];
         ScrubForward "scrub-forward" "Frozen: ten cells later" "" ["Shift-Right"];
         TimeBar "time-bar" "Show or hide the time bar on a small screen" "" ["T"];
+        ZoomOut "zoom-out" "Lanes, conflict panel: more time" "zoom" ["-"];
+        ZoomIn "zoom-in" "The same: less time" "" ["+"];
         Mark "mark" "Mark the moment that is shown (a, b, c …)" "mark" ["M"];
         Marks "marks" "List the marks: go to one, remove one" "marks" ["'"];
         Compare "compare" "Compare with the last mark, or the start" "diff" ["d"];
@@ -271,6 +277,13 @@ actions! {
         FilterUse "saved-filter-use" "Saved filters: set it" "set" ["Enter"];
         FilterRemove "saved-filter-remove" "Saved filters: remove it" "remove" ["D" "Delete"];
         FiltersClose "saved-filters-close" "Saved filters: close the list" "close" ["Esc" "F" "q"];
+    }
+    Kinds Answer: {
+        KindUp "kind-up" "Kinds: the one before" "" ["Up" "k"];
+        KindDown "kind-down" "Kinds: the next one" "" ["Down" "j"];
+        KindToggle "kind-toggle" "Kinds: show or hide it" "show or hide" ["Space" "Enter"];
+        KindOnly "kind-only" "Kinds: show only it, or all" "only it" ["="];
+        KindsClose "kinds-close" "Kinds: close the list" "close" ["Esc" "x" "q"];
     }
     Marks Answer: {
         MarkUp "mark-up" "Marks: the mark before" "" ["Up"];

@@ -5,7 +5,8 @@
 //! numbers: [`super::LogSummary`] assigns them.
 
 use super::{
-    DecodeStep, ForeignFormat, FormatMatch, LogDecoder, LogEncoder, LogEntry, LogFormat, LogSummary,
+    DecodeStep, ForeignFormat, FormatMatch, LogDecoder, LogEncoder, LogEntry, LogFormat,
+    LogSummary, plain_line,
 };
 use crate::frame::socketcan::{ERROR_FLAG, with_fd_flags};
 use crate::frame::{CanId, Frame};
@@ -128,7 +129,7 @@ impl fmt::Display for LogEntry<'_> {
 }
 
 /// Splits text into lines and reads them.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 struct LineDecoder {
     /// A line cut by the end of a piece; at most one byte longer than [`MAX_LINE`].
     partial: Vec<u8>,
@@ -144,7 +145,7 @@ impl LineDecoder {
 
 impl LogDecoder for LineDecoder {
     fn decode(&mut self, bytes: &[u8], summary: &mut LogSummary) -> (usize, DecodeStep) {
-        let Some(end) = bytes.iter().position(|&byte| byte == b'\n') else {
+        let Some(end) = memchr::memchr(b'\n', bytes) else {
             self.keep(bytes);
             return (bytes.len(), DecodeStep::Nothing);
         };
@@ -164,8 +165,37 @@ impl LogDecoder for LineDecoder {
         (end + 1, step)
     }
 
+    fn decode_frames(
+        &mut self,
+        bytes: &[u8],
+        summary: &mut LogSummary,
+        frames: &mut Vec<Frame>,
+        most: usize,
+    ) -> usize {
+        let mut used = 0;
+        if !self.partial.is_empty() {
+            return used;
+        }
+        while frames.len() < most
+            && let Some(line) = plain_line::parse(&bytes[used..])
+            && let Some(frame) = summary.take_plain(line.unix_micros, line.interface, &line.frame)
+        {
+            frames.push(frame);
+            used += line.len;
+        }
+        used
+    }
+
     fn has_partial_entry(&self) -> bool {
         !self.partial.is_empty()
+    }
+
+    fn entry_start(&self, tail: &[u8]) -> Option<usize> {
+        memchr::memchr(b'\n', tail).map(|end| end + 1)
+    }
+
+    fn copy(&self) -> Box<dyn LogDecoder> {
+        Box::new(self.clone())
     }
 
     fn read_partial_entry(&mut self, summary: &mut LogSummary) -> Option<Frame> {

@@ -6,12 +6,15 @@
 
 pub mod candump;
 mod foreign;
+mod frame_source;
 pub mod pcapng;
+mod plain_line;
 mod reader;
 mod summary;
 
 pub use foreign::ForeignFormat;
-pub use reader::LogReader;
+pub use frame_source::FrameSource;
+pub use reader::{LogPosition, LogReader};
 pub use summary::{EntryFault, LogSummary, UnreadableEntries};
 
 use crate::frame::Frame;
@@ -78,11 +81,30 @@ trait LogDecoder: fmt::Debug + Send {
     /// bytes were used: at least one, except with [`DecodeStep::End`].
     fn decode(&mut self, bytes: &[u8], summary: &mut LogSummary) -> (usize, DecodeStep);
 
+    /// Reads entries from `bytes` as [`Self::decode`] does, while each is a whole frame of the usual
+    /// form, and appends them until there are `most`. Returns how many bytes were used; 0 if the next
+    /// entry is another one.
+    fn decode_frames(
+        &mut self,
+        _bytes: &[u8],
+        _summary: &mut LogSummary,
+        _frames: &mut Vec<Frame>,
+        _most: usize,
+    ) -> usize {
+        0
+    }
+
     /// Handles the end of the bytes available for now.
     fn handle_end(&mut self, _: &mut LogSummary) {}
 
     /// Returns true if the log stops inside an entry.
     fn has_partial_entry(&self) -> bool;
+
+    /// Returns where an entry begins in the last bytes of a log; `None` if that is not known.
+    fn entry_start(&self, tail: &[u8]) -> Option<usize>;
+
+    /// Returns a copy, which reads the same bytes alike.
+    fn copy(&self) -> Box<dyn LogDecoder>;
 
     /// Reads the entry inside which the log stops, if the format allows an entry without its end.
     fn read_partial_entry(&mut self, _: &mut LogSummary) -> Option<Frame> {

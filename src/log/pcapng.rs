@@ -10,6 +10,7 @@ use super::{DecodeStep, FormatMatch, LogDecoder, LogEncoder, LogEntry, LogFormat
 use crate::frame::socketcan::{self as fields, ERROR_FLAG, EXTENDED_FLAG, FD_FORMAT};
 use crate::frame::{BusIndex, CanId, Frame};
 use std::io::{self, Write};
+use std::sync::Arc;
 
 pub(super) const FORMAT: LogFormat = LogFormat {
     description: "Wireshark",
@@ -41,6 +42,7 @@ const CAN_HEAD: usize = 8;
 /// Flag in the length byte of a CAN XL frame.
 const XL_FORMAT: u8 = 0x80;
 
+const COMMENT_OPTION: u16 = 1;
 const NAME_OPTION: u16 = 2;
 const RESOLUTION_OPTION: u16 = 9;
 const OFFSET_OPTION: u16 = 14;
@@ -117,7 +119,7 @@ impl Damage {
 }
 
 /// Splits a file into blocks and reads them.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 struct BlockDecoder {
     sections: SectionState,
     /// Beginning of an incomplete block; less than [`MAX_BLOCK`] bytes.
@@ -185,6 +187,29 @@ impl LogDecoder for BlockDecoder {
         }
     }
 
+    fn decode_frames(
+        &mut self,
+        bytes: &[u8],
+        summary: &mut LogSummary,
+        frames: &mut Vec<Frame>,
+        most: usize,
+    ) -> usize {
+        let mut used = 0;
+        if summary.damage.is_some() || self.skip > 0 || !self.partial.is_empty() {
+            return used;
+        }
+        while frames.len() < most
+            && let Some(block) = self.sections.packet_block(&bytes[used..])
+            && let Ok(Ok(Some(entry))) = self.sections.take(block)
+            && let Some(frame) =
+                summary.take_plain(entry.unix_micros, entry.interface.as_bytes(), &entry.frame)
+        {
+            frames.push(frame);
+            used += block.len();
+        }
+        used
+    }
+
     fn handle_end(&mut self, summary: &mut LogSummary) {
         if summary.damage.is_none_or(Damage::is_truncated) {
             summary.damage =
@@ -195,6 +220,24 @@ impl LogDecoder for BlockDecoder {
     fn has_partial_entry(&self) -> bool {
         !self.partial.is_empty()
     }
+
+    fn entry_start(&self, tail: &[u8]) -> Option<usize> {
+        // Each block ends with its length.
+        let mut start = tail.len();
+        while let Some(length) = tail[..start].last_chunk() {
+            let big_endian = self.sections.big_endian;
+            let length = Fields { bytes: length as &[u8; 4], big_endian }.u32()?;
+            match start.checked_sub(length as usize) {
+                Some(before) if length >= 12 && length.is_multiple_of(4) => start = before,
+                _ => break,
+            }
+        }
+        (start < tail.len()).then_some(start)
+    }
+
+    fn copy(&self) -> Box<dyn LogDecoder> {
+        Box::new(self.clone())
+    }
 }
 
 /// State that packets depend on: the byte order and the interfaces.
@@ -203,7 +246,8 @@ pub struct SectionState {
     big_endian: bool,
     /// Major version of the current section, if it cannot be read.
     unknown_version: Option<u16>,
-    interfaces: Vec<PcapInterface>,
+    /// Shared with the positions that were kept.
+    interfaces: Arc<Vec<PcapInterface>>,
 }
 
 #[derive(Clone, Debug)]
@@ -228,6 +272,17 @@ impl SectionState {
         };
         let len = Fields { bytes: &head[4..], big_endian }.u32().unwrap_or(0);
         if len < 12 || !len.is_multiple_of(4) { Err(Damage::Length(len)) } else { Ok(len) }
+    }
+
+    /// Returns the packet that `bytes` begin with; `None` if another block is there, or the packet is not
+    /// whole, or too long.
+    fn packet_block<'b>(&self, bytes: &'b [u8]) -> Option<&'b [u8]> {
+        let head = bytes.first_chunk()?;
+        if (Fields { bytes: head, big_endian: self.big_endian }).u32() != Some(PACKET) {
+            return None;
+        }
+        let len = self.block_len(head).ok()? as usize;
+        bytes.get(..len).filter(|_| len <= MAX_BLOCK)
     }
 
     /// Checks a block that begins with these bytes and is skipped.
@@ -282,7 +337,7 @@ impl SectionState {
     }
 
     fn begin(&mut self, mut fields: Fields<'_>) {
-        self.interfaces.clear();
+        self.interfaces = Arc::default();
         let _byte_order = fields.u32();
         let version = fields.u16().unwrap_or(0);
         self.unknown_version = (version != 1).then_some(version);
@@ -308,7 +363,7 @@ impl SectionState {
                 _ => {}
             }
         }
-        self.interfaces.push(interface);
+        Arc::make_mut(&mut self.interfaces).push(interface);
     }
 
     fn packet(&self, mut fields: Fields<'_>) -> Result<LogEntry<'_>, PacketFault> {
@@ -339,6 +394,12 @@ impl SectionState {
 impl PcapInterface {
     /// Converts a time in this interface's units to microseconds since 1970.
     fn micros(&self, time: u64) -> u64 {
+        // The usual ones.
+        match (self.resolution, self.offset_seconds) {
+            (6, 0) => return time,
+            (9, 0) => return time / 1000,
+            _ => {}
+        }
         let time = u128::from(time);
         let micros = match self.resolution {
             binary @ 0x80.. => (time * 1_000_000) >> (binary & 0x7F),
@@ -435,12 +496,22 @@ fn decode(packet: &[u8]) -> Result<Frame, PacketFault> {
 ///
 /// Those of writing to `out`.
 pub fn write_section(out: &mut impl Write) -> io::Result<()> {
+    write_section_about(out, "")
+}
+
+/// Writes the section header with a comment, empty for none.
+///
+/// # Errors
+///
+/// Those of writing to `out`.
+pub fn write_section_about(out: &mut impl Write, comment: &str) -> io::Result<()> {
     let mut block = Block::new(SECTION);
     block.u32(BYTE_ORDER);
     block.u16(1);
     block.u16(0);
     // Length of the section: not specified.
     block.u64(u64::MAX);
+    block.comment(comment);
     block.option(APPLICATION_OPTION, concat!("descan ", env!("CARGO_PKG_VERSION")).as_bytes());
     block.end_options();
     block.write(out)
@@ -474,6 +545,21 @@ pub fn write_frame(
     unix_micros: u64,
     frame: &Frame,
 ) -> io::Result<()> {
+    write_frame_with(out, interface, unix_micros, frame, "")
+}
+
+/// Writes a frame with a comment, empty for none.
+///
+/// # Errors
+///
+/// Those of writing to `out`.
+pub fn write_frame_with(
+    out: &mut impl Write,
+    interface: u32,
+    unix_micros: u64,
+    frame: &Frame,
+    comment: &str,
+) -> io::Result<()> {
     let mut block = Block::new(PACKET);
     block.u32(interface);
     block.time(unix_micros);
@@ -486,6 +572,7 @@ pub fn write_frame(
     block.bytes(&[frame.len() as u8, fd, 0, 0]);
     block.bytes(frame.data());
     block.pad();
+    block.comment(comment);
     let direction = if frame.is_tx { OUTBOUND } else { INBOUND };
     block.option(FLAGS_OPTION, &direction.to_le_bytes());
     block.end_options();
@@ -614,6 +701,12 @@ impl Block {
         self.u16(value.len() as u16);
         self.bytes(value);
         self.pad();
+    }
+
+    fn comment(&mut self, comment: &str) {
+        if !comment.is_empty() {
+            self.option(COMMENT_OPTION, comment.as_bytes());
+        }
     }
 
     fn end_options(&mut self) {

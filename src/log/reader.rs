@@ -7,6 +7,7 @@
 
 use super::{DecodeStep, LogDecoder, LogFormat, LogSummary};
 use crate::frame::Frame;
+use crate::time::Instant;
 use std::io::{self, BufRead, BufReader, Read};
 
 /// Reads the frames of a log. The first frame is at [`Instant::ZERO`](crate::time::Instant::ZERO).
@@ -24,7 +25,50 @@ pub struct LogReader<R> {
     summary: LogSummary,
 }
 
+/// A place between two entries of a log, and all that is needed to read on from there.
+#[derive(Debug)]
+pub struct LogPosition {
+    head: Vec<u8>,
+    decoder: Option<Box<dyn LogDecoder>>,
+    summary: LogSummary,
+}
+
+impl LogPosition {
+    /// Number of frames before it.
+    pub fn frames(&self) -> u64 {
+        self.summary.frames
+    }
+
+    /// Moment of the last frame in the last bytes of this log, if its clock is not set back between;
+    /// `None` if none is found there.
+    pub fn last_time_in(&self, tail: &[u8]) -> Option<Instant> {
+        let start = self.decoder.as_ref()?.entry_start(tail)?;
+        let reader = LogReader::at(&tail[start..], self);
+        reader.map_while(Result::ok).last().map(|frame| frame.time)
+    }
+}
+
 impl<R: BufRead> LogReader<R> {
+    /// Reads on from a position, whose bytes come next from `source`.
+    pub fn at(source: R, position: &LogPosition) -> Self {
+        Self {
+            source,
+            head: position.head.clone(),
+            decoder: position.decoder.as_ref().map(|decoder| decoder.copy()),
+            keeps_unfinished: false,
+            summary: position.summary.clone(),
+        }
+    }
+
+    /// Returns the position behind what was read.
+    pub fn position(&self) -> LogPosition {
+        LogPosition {
+            head: self.head.clone(),
+            decoder: self.decoder.as_ref().map(|decoder| decoder.copy()),
+            summary: self.summary.clone(),
+        }
+    }
+
     /// Starts at the beginning of a log.
     pub fn new(source: R) -> Self {
         Self {
@@ -178,6 +222,16 @@ impl<R: Read> LogReader<BufReader<R>> {
         None
     }
 
+    /// Appends the next frames that are buffered as a whole, until there are `most`, or an entry follows that is
+    /// another one than a frame of the usual form: [`Self::next_buffered`] reads that one.
+    pub fn take_buffered(&mut self, frames: &mut Vec<Frame>, most: usize) {
+        let Some(decoder) = &mut self.decoder else { return };
+        if self.head.is_empty() && self.summary.foreign.is_none() {
+            let used = decoder.decode_frames(self.source.buffer(), &mut self.summary, frames, most);
+            self.source.consume(used);
+        }
+    }
+
     /// Returns true if a step makes progress without a read from the source.
     fn has_buffered(&self) -> bool {
         let buffer = self.source.buffer();
@@ -218,13 +272,36 @@ not a line
     }
 
     #[test]
+    fn end_of_log_shows_its_last_moment() {
+        let entry = |micros: u64| LogEntry {
+            unix_micros: 1_436_509_052_000_000 + micros,
+            interface: "can0",
+            frame: Frame::classic(micros as u32, &[1, 2, 3]),
+        };
+        for format in &super::super::FORMATS {
+            let (mut encoder, mut log) = (format.encoder(), Vec::new());
+            encoder.begin(&mut log).unwrap();
+            for number in 0..1000 {
+                encoder.write(entry(number * 7000), u64::MAX, &mut log).unwrap();
+            }
+            encoder.end(&[], &[], &mut log).unwrap();
+            let mut reader = LogReader::new(&log[..]);
+            reader.next_frame().unwrap();
+            let tail = &log[log.len() - 1001..];
+            let last = Instant::from_micros(999 * 7000);
+            assert_eq!(reader.position().last_time_in(tail), Some(last), "{format:?}");
+            assert_eq!(reader.position().last_time_in(&tail[..5]), None);
+        }
+    }
+
+    #[test]
     fn result_is_independent_of_buffer_size() {
         let (frames, tally) = read(LOG, 4096);
         let micros: Vec<_> = frames.iter().map(|frame| frame.time.as_micros()).collect();
         assert_eq!(micros, [0, 87, 87, 750_287]);
         assert_eq!(frames.iter().map(|frame| frame.bus.0).collect::<Vec<_>>(), [0, 1, 0, 0]);
         assert!(frames[2].is_tx);
-        assert_eq!(tally.interfaces, ["can0", "can1"]);
+        assert_eq!(*tally.interfaces, ["can0", "can1"]);
         assert_eq!(tally.epoch.unwrap().unix_micros(tally.last), 1_436_509_053_000_000);
         assert_eq!(
             (tally.entries, tally.frames, tally.unreadable, tally.clock_steps_back),
@@ -233,6 +310,26 @@ not a line
         assert_eq!(tally.first_unreadable, Some((4, LineFault::Time.into())));
         for buffer in 1..60 {
             assert_eq!(read(LOG, buffer), (frames.clone(), tally.clone()));
+        }
+    }
+
+    #[test]
+    fn frames_taken_together_are_as_those_taken_one_by_one() {
+        let usual = "(1436509052.249713) can0 02015402#0444455301\n(1436509052.249714) can1 123#\n";
+        let other = "(1436509052.2) can2 123##1AABB\n(1436509059.000000) can0 20000004#00 T\r\n";
+        let set_back = "(1436500000.000000) can1 123#0011 R\n(1436500000.000001) can3 1#\n";
+        let log = [usual, LOG, "\n", usual, other, usual, set_back, usual].concat().repeat(3);
+        for buffer in [1, 7, 64, 200, 4096] {
+            let (frames, summary) = read(&log, buffer);
+            let mut reader = LogReader::new(BufReader::with_capacity(buffer, log.as_bytes()));
+            let mut taken = Vec::new();
+            while let Some(frame) = reader.next_frame().unwrap() {
+                taken.push(frame);
+                let most = taken.len() + 3;
+                reader.take_buffered(&mut taken, most);
+                assert!(taken.len() <= most);
+            }
+            assert_eq!((taken, reader.summary()), (frames, &summary), "{buffer}");
         }
     }
 

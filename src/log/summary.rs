@@ -11,6 +11,7 @@ use super::pcapng::{Damage, PacketFault};
 use crate::frame::{BusIndex, Frame};
 use crate::time::{Duration, Epoch, Instant};
 use std::fmt;
+use std::sync::Arc;
 
 /// Largest step back at which an entry gets the moment of the entry before it. A larger one means
 /// that the clock was set back.
@@ -52,7 +53,7 @@ pub struct LogSummary {
     /// Frames dated before the previous frame; each step back of the clock counts once.
     pub clock_steps_back: u64,
     /// Interface names in order of appearance, which is that of bus numbers.
-    pub interfaces: Vec<String>,
+    pub interfaces: Arc<Vec<String>>,
     /// Time of the first frame; `None` before it.
     pub epoch: Option<Epoch>,
     /// Moment of the last frame, counted from the first.
@@ -62,6 +63,8 @@ pub struct LogSummary {
     /// Offset before the last clock step. The clock may be set back and forth, and two interfaces
     /// may have separate clocks.
     ahead_before: Duration,
+    /// Place of the last interface.
+    last_interface: usize,
 }
 
 /// Entries of a part of a log that cannot be read.
@@ -114,12 +117,45 @@ impl LogSummary {
         })
     }
 
+    /// Counts a frame of an interface that was named before, and returns it with bus and moment. `None`, without counting, for another
+    /// interface.
+    #[inline]
+    pub(super) fn take_plain(
+        &mut self,
+        unix_micros: u64,
+        interface: &[u8],
+        frame: &Frame,
+    ) -> Option<Frame> {
+        let is_it = |name: &String| name.as_bytes() == interface;
+        if !self.interfaces.get(self.last_interface).is_some_and(is_it) {
+            self.last_interface = self.interfaces.iter().position(is_it)?;
+        }
+        let bus = BusIndex(self.last_interface as u8);
+        self.entries += 1;
+        Some(self.dated(unix_micros, frame).with_bus(bus))
+    }
+
     fn place(&mut self, entry: LogEntry<'_>) -> Result<Frame, EntryFault> {
         let bus = self.bus_of(entry.interface).ok_or(EntryFault::TooManyInterfaces)?;
-        let epoch = *self.epoch.get_or_insert(Epoch::from_unix_micros(entry.unix_micros));
-        self.last = self.moment(epoch.since_start(entry.unix_micros));
+        Ok(self.dated(entry.unix_micros, &entry.frame).with_bus(bus))
+    }
+
+    /// Counts a frame and returns it with its moment.
+    #[inline]
+    fn dated(&mut self, unix_micros: u64, frame: &Frame) -> Frame {
+        let epoch = *self.epoch.get_or_insert(Epoch::from_unix_micros(unix_micros));
+        // Most logs go on, and were never set back.
+        let next = unix_micros.checked_sub(epoch.unix_micros(Instant::ZERO));
+        let goes_on = |next: &u64| {
+            let passed = next.checked_sub(self.last.as_micros());
+            passed.is_some_and(|passed| passed <= GAP.as_micros() as u64)
+        };
+        self.last = match next.filter(goes_on).filter(|_| self.ahead.is_zero()) {
+            Some(next) => Instant::from_micros(next).min(Instant::LATEST),
+            None => self.moment(epoch.since_start(unix_micros)),
+        };
         self.frames += 1;
-        Ok(entry.frame.with_time(self.last).with_bus(bus))
+        frame.with_time(self.last)
     }
 
     /// Returns the moment of an entry dated `written` microseconds after the first one.
@@ -146,7 +182,7 @@ impl LogSummary {
         let known = self.interfaces.iter().position(|name| name == interface);
         let index = u8::try_from(known.unwrap_or(self.interfaces.len())).ok()?;
         if known.is_none() {
-            self.interfaces.push(interface.to_owned());
+            Arc::make_mut(&mut self.interfaces).push(interface.to_owned());
         }
         Some(BusIndex(index))
     }

@@ -7,9 +7,9 @@ use super::waiting::sleep_for;
 use crate::frame::Frame;
 use crate::log::{DecodeStep, LogReader, LogSummary, UnreadableEntries};
 use crate::time::{Epoch, Instant};
-use std::collections::VecDeque;
 use std::fs::File;
 use std::io::{self, BufReader};
+use std::sync::mpsc;
 use std::thread;
 use std::time::{Duration, Instant as Monotonic};
 use tokio::sync::mpsc::{Receiver, Sender, channel};
@@ -74,12 +74,53 @@ impl LogBatch {
     }
 }
 
+/// The batches of a log that a thread reads ahead.
+pub struct LogBatches {
+    read: Receiver<io::Result<LogBatch>>,
+    /// Lists of frames that are used again.
+    spare: mpsc::Sender<Vec<Frame>>,
+}
+
+impl LogBatches {
+    /// Starts to read `log`; frames earlier than `from` after its first one are skipped.
+    ///
+    /// # Errors
+    /// No thread could be started.
+    pub fn spawn(log: File, from: Duration) -> io::Result<Self> {
+        let (to, read) = channel(BATCHES);
+        let (spare, lists) = mpsc::channel();
+        // Detached: it may wait for a line forever.
+        thread::Builder::new().name("log".into()).spawn(move || {
+            if let Err(error) = read_all(log, from, &to, &lists) {
+                let _ = to.blocking_send(Err(error));
+            }
+        })?;
+        Ok(Self { read, spare })
+    }
+
+    /// Waits for the next batch; not after [`LogBatch::End`]. May be dropped while waiting.
+    ///
+    /// # Errors
+    /// The log cannot be read.
+    pub async fn next(&mut self) -> io::Result<LogBatch> {
+        let broken = || io::Error::other("reader stopped: this is a bug in descan");
+        self.read.recv().await.unwrap_or_else(|| Err(broken()))
+    }
+
+    /// Takes a list of frames that is not needed any more.
+    pub fn recycle(&self, frames: Vec<Frame>) {
+        // The reader may have ended.
+        let _ = self.spare.send(frames);
+    }
+}
+
 /// See the module's documentation.
 pub struct LogInput {
-    batches: Receiver<io::Result<LogBatch>>,
+    batches: LogBatches,
     interfaces: Vec<String>,
-    /// Frames that were read and are not due yet.
-    waiting: VecDeque<Frame>,
+    /// Frames that were read, by time; those from `next` on are not due yet.
+    waiting: Vec<Frame>,
+    next: usize,
     summary: Option<LogSummary>,
     /// Entries that cannot be read, up to the last frame that was due.
     unreadable: UnreadableEntries,
@@ -101,18 +142,12 @@ impl LogInput {
     /// # Errors
     /// No thread could be started.
     pub fn spawn(log: File, pace: LogPace, range: LogRange) -> io::Result<Self> {
-        let (sender, batches) = channel(BATCHES);
-        // Detached: it may wait for a line forever.
-        thread::Builder::new().name("log".into()).spawn(move || {
-            if let Err(error) = read(log, range.from, &sender) {
-                let _ = sender.blocking_send(Err(error));
-            }
-        })?;
         let start = Instant::ZERO + range.from;
         Ok(Self {
-            batches,
+            batches: LogBatches::spawn(log, range.from)?,
             interfaces: Vec::new(),
-            waiting: VecDeque::new(),
+            waiting: Vec::new(),
+            next: 0,
             summary: None,
             unreadable: UnreadableEntries::default(),
             next_unreadable: None,
@@ -161,18 +196,15 @@ impl LogInput {
     /// # Errors
     /// The log cannot be read.
     pub async fn next_or_due(&mut self, timeout: Option<Instant>) -> Option<io::Result<LogBatch>> {
-        let frame = self.waiting.front().map(|frame| frame.time);
+        let frame = self.waiting.get(self.next).map(|frame| frame.time);
         let at = [frame, timeout, self.until].into_iter().flatten().min();
         // Without a log clock only a batch moves time.
         let has_clock = self.pace != LogPace::AtOnce && self.has_begun;
         let due = sleep_for(at.filter(|_| has_clock).map(|at| self.wait_until(at)));
-        let may_read = self.waiting.is_empty() && self.summary.is_none();
+        let may_read = !self.has_waiting() && self.summary.is_none();
         tokio::select! {
             biased;
-            batch = self.batches.recv(), if may_read => {
-                let broken = || io::Error::other("reader stopped: this is a bug in descan");
-                Some(batch.unwrap_or_else(|| Err(broken())))
-            }
+            batch = self.batches.next(), if may_read => Some(batch),
             () = due => None,
         }
     }
@@ -201,18 +233,32 @@ impl LogInput {
                     }
                     LogPace::Live => self.anchor = Some((Monotonic::now(), last)),
                 }
-                self.waiting.extend(frames);
+                // No batch is read while frames wait.
+                let taken = std::mem::replace(&mut self.waiting, frames);
+                self.batches.recycle(taken);
+                self.next = 0;
             }
             LogBatch::End(summary) => self.summary = Some(summary),
         }
     }
 
-    /// Removes the next frame that is due, within the range.
-    pub fn pop_due(&mut self) -> Option<Frame> {
+    /// The frames that are due, within the range, oldest first; [`Self::take_due`] removes them.
+    pub fn due(&self) -> &[Frame] {
         let now = self.now().unwrap_or(NEVER).min(self.until.unwrap_or(NEVER));
-        let frame = self.waiting.pop_front_if(|frame| frame.time <= now)?;
-        self.unreadable = self.next_unreadable.take().unwrap_or(self.unreadable);
-        Some(frame)
+        let waiting = self.waiting.get(self.next..).unwrap_or_default();
+        &waiting[..waiting.partition_point(|frame| frame.time <= now)]
+    }
+
+    /// Removes the first `count` frames that wait.
+    pub fn take_due(&mut self, count: usize) {
+        if count > 0 {
+            self.next += count;
+            self.unreadable = self.next_unreadable.take().unwrap_or(self.unreadable);
+        }
+    }
+
+    fn has_waiting(&self) -> bool {
+        self.next < self.waiting.len()
     }
 
     /// Returns true if the range ends before the log does, and all of it is read.
@@ -220,7 +266,7 @@ impl LogInput {
         let Some(until) = self.until else { return false };
         match self.now() {
             Some(now) => now >= until,
-            None => !self.waiting.is_empty(),
+            None => self.has_waiting(),
         }
     }
 
@@ -242,7 +288,7 @@ impl LogInput {
 
     /// Delay of log time: the next line may be on its way.
     fn grace(&self) -> Duration {
-        if self.waiting.is_empty() { INPUT_GRACE } else { Duration::ZERO }
+        if self.has_waiting() { Duration::ZERO } else { INPUT_GRACE }
     }
 }
 
@@ -274,7 +320,12 @@ fn is_doubtful(reader: &LogReader<BufReader<File>>) -> bool {
 
 /// Reads the log and sends the frames present from `from` on, before it waits for more. A batch
 /// ends where entries cannot be read: they belong to the part before the next frame.
-fn read(log: File, from: Duration, to: &Sender<io::Result<LogBatch>>) -> io::Result<()> {
+fn read_all(
+    log: File,
+    from: Duration,
+    to: &Sender<io::Result<LogBatch>>,
+    spare: &mpsc::Receiver<Vec<Frame>>,
+) -> io::Result<()> {
     let from = Instant::ZERO + from;
     let mut reader = LogReader::new(BufReader::with_capacity(1 << 16, log));
     let mut named = 0;
@@ -285,13 +336,19 @@ fn read(log: File, from: Duration, to: &Sender<io::Result<LogBatch>>) -> io::Res
             None => reader.next_frame()?,
         };
         let Some(first) = first else { break };
+        let mut frames = spare.try_recv().unwrap_or_default();
+        frames.clear();
+        frames.push(first);
+        reader.take_buffered(&mut frames, BATCH);
         if first.time < from {
             reader.forget_unreadable();
-            continue;
+            let skipped = frames.partition_point(|frame| frame.time < from);
+            frames.drain(..skipped);
+            if frames.is_empty() {
+                continue;
+            }
         }
-        let summary = reader.summary();
-        let unreadable = summary.unreadable_entries();
-        let mut frames = vec![first];
+        let unreadable = reader.summary().unreadable_entries();
         while frames.len() < BATCH
             && let Some(frame) = reader.next_buffered()
         {
@@ -300,6 +357,7 @@ fn read(log: File, from: Duration, to: &Sender<io::Result<LogBatch>>) -> io::Res
                 break;
             }
             frames.push(frame);
+            reader.take_buffered(&mut frames, BATCH);
         }
         let summary = reader.summary();
         let epoch = summary.epoch.unwrap_or_default();

@@ -122,7 +122,13 @@ pub struct Session {
 
 impl Session {
     /// A session on buses. The port at position n carries the bus of index n.
-    pub fn new(app: App, clock: Clock, ports: Vec<Port>, store: Option<Store>) -> Self {
+    pub fn new(mut app: App, clock: Clock, mut ports: Vec<Port>, store: Option<Store>) -> Self {
+        // The numbers of the frames are those of the log only if there is no other bus.
+        if let [port] = &mut ports[..]
+            && let Some(frames) = port.take_frame_source()
+        {
+            app.set_frame_source(frames);
+        }
         let resumed = clock.now();
         let named = vec![0; ports.len()];
         Self::with_input(
@@ -418,20 +424,32 @@ impl Session {
             return;
         }
         self.batch.clear();
-        while let Some(frame) = log.pop_due() {
-            if self.recorder.is_some() {
-                self.batch.push(frame);
-            }
+        let due = log.due();
+        if self.recorder.is_some() {
+            self.batch.extend_from_slice(due);
+        }
+        let mut rest = due;
+        while let Some(first) = rest.first() {
             while let at @ 0..=255 = self.app.buses().len()
-                && at <= usize::from(frame.bus.0)
+                && at <= usize::from(first.bus.0)
                 && let Some(name) = log.interfaces().get(at)
             {
-                self.app.add_bus(frame.time, name.clone(), (**config).clone());
-                set_link(&mut self.app, frame.time, at, Link::Up);
+                self.app.add_bus(first.time, name.clone(), (**config).clone());
+                set_link(&mut self.app, first.time, at, Link::Up);
             }
-            self.app.advance_to(frame.time);
-            self.app.handle_frames(frame.time, &[frame]);
+            // Up to the first frame of an interface that is no bus yet.
+            let buses = self.app.buses().len();
+            let is_known = |frame: &Frame| usize::from(frame.bus.0) < buses;
+            let known = if buses >= log.interfaces().len() {
+                rest.len()
+            } else {
+                rest.iter().position(|frame| !is_known(frame)).unwrap_or(rest.len()).max(1)
+            };
+            self.app.handle_recorded_frames(&rest[..known]);
+            rest = &rest[known..];
         }
+        let count = due.len();
+        log.take_due(count);
         // Entries that cannot be read name no interface: they count on the first.
         let unreadable = log.unreadable().count;
         if let Some(status) = self.app.buses().first().map(|bus| bus.status.clone())
@@ -498,9 +516,11 @@ impl Session {
     }
 
     fn report_playback(&mut self) {
-        if let SessionInput::Ports { clock, .. } = &self.input
-            && let Some(playback) = clock.playback()
+        if let SessionInput::Ports { clock, ports, .. } = &self.input
+            && let Some(mut playback) = clock.playback()
         {
+            // The end is reached when the last frame is handled.
+            playback.is_ended &= !ports.iter().any(|port| port.queue().has_frames());
             self.app.handle_playback(self.now(), playback);
         }
     }

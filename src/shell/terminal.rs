@@ -15,6 +15,10 @@ const MOUSE_OFF: &str = "\x1b[?1006l\x1b[?1002l\x1b[?1000l";
 const SYNC_BEGIN: &[u8] = b"\x1b[?2026h";
 const SYNC_END: &[u8] = b"\x1b[?2026l";
 
+/// Keeps the title of the window, and gives it back (XTWINOPS); terminals without them ignore it.
+const KEEP_TITLE: &str = "\x1b[22;2t";
+const OLD_TITLE: &str = "\x1b[23;2t";
+
 static TAKEN: AtomicBool = AtomicBool::new(false);
 
 type Backend = CrosstermBackend<BufWriter<TerminalOutput>>;
@@ -37,6 +41,7 @@ impl Write for TerminalOutput {
 /// The terminal while descan uses it. Dropping it restores the terminal.
 pub struct Terminal {
     screen: ratatui::Terminal<Backend>,
+    title: String,
 }
 
 impl Terminal {
@@ -51,7 +56,7 @@ impl Terminal {
             TerminalOutput(io::stdout()),
         ));
         let screen = ratatui::Terminal::new(backend).inspect_err(|_| restore())?;
-        Ok(Self { screen })
+        Ok(Self { screen, title: String::new() })
     }
 
     /// Columns and rows.
@@ -67,6 +72,16 @@ impl Terminal {
         self.screen.backend_mut().write_all(SYNC_END)?;
         app.handle_drawn(scrolled);
         Write::flush(self.screen.backend_mut())
+    }
+
+    /// Sets the title of the window, where it changed.
+    pub fn set_title(&mut self, title: String) -> io::Result<()> {
+        if self.title == title || !has_title() {
+            return Ok(());
+        }
+        self.write(format!("\x1b]2;{title}\x1b\\").as_bytes())?;
+        self.title = title;
+        Ok(())
     }
 
     /// Makes the next draw write the whole screen.
@@ -95,6 +110,7 @@ impl Terminal {
         restore();
         nix::sys::signal::raise(nix::sys::signal::Signal::SIGSTOP)?;
         enter()?;
+        self.title.clear();
         self.redraw()
     }
 }
@@ -114,6 +130,7 @@ fn enter() -> io::Result<()> {
         terminal::EnterAlternateScreen,
         event::EnableBracketedPaste,
         style::Print(MOUSE_ON),
+        style::Print(KEEP_TITLE),
         cursor::Hide
     )
     .inspect_err(|_| restore())
@@ -130,11 +147,17 @@ pub fn restore() {
     // Each step is tried, even if an earlier one fails on a closed terminal.
     let _ = out.write_all(SYNC_END);
     let _ = queue!(out, style::Print(MOUSE_OFF), event::DisableBracketedPaste);
+    let _ = queue!(out, style::Print(OLD_TITLE));
     // Cleared, with the cursor at the end: if the window grew in the meantime, tmux copies lines of
     // this screen to the other one.
     let _ = queue!(out, style::ResetColor, terminal::Clear(terminal::ClearType::All));
     let _ = queue!(out, cursor::MoveTo(0, 998), terminal::LeaveAlternateScreen, cursor::Show);
     let _ = out.flush();
+}
+
+/// Returns false for the console of Linux, which has no window and may print the title.
+fn has_title() -> bool {
+    std::env::var("TERM").is_ok_and(|terminal| terminal != "linux" && terminal != "dumb")
 }
 
 /// Returns true if the other end of the terminal is closed, as after a lost connection.

@@ -110,6 +110,7 @@ async fn run_on_terminal(session: &mut Session, themes: &mut ThemeLoader) -> io:
             () = sleep_until(draw_at), if session.app.is_dirty() => {
                 session.app.take_dirty();
                 terminal.draw(&mut session.app, &themes.current)?;
+                terminal.set_title(session.app.terminal_title())?;
                 last_draw = Some(Instant::now());
                 pace = PACE;
             }

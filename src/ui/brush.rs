@@ -41,6 +41,12 @@ impl DrawContext<'_> {
         self.theme.style(role)
     }
 
+    /// Returns the style of ordinary text on the painted background, in place of any other.
+    fn plain(&self) -> Style {
+        let background = Style { bg: self.style(Role::Background).bg, ..Style::new() };
+        Style::reset().patch(background).patch(self.style(Role::Text))
+    }
+
     /// Returns text in the style of a role.
     pub fn span(&self, role: Role, text: impl Into<String>) -> Span<'static> {
         Span::styled(text.into(), self.style(role))
@@ -54,7 +60,7 @@ impl DrawContext<'_> {
         let width = usize::from(area.width);
         let (x, y) = (area.x, area.y + row);
         // A role without a colour gets the colour of text, not the one drawn here before.
-        let plain = Style::reset().patch(self.style(Role::Text));
+        let plain = self.plain();
         let covered = line.width().min(width) as u16;
         self.buffer.set_style(Rect { x, y, width: covered, height: 1 }, plain);
         if line.width() <= width {
@@ -149,23 +155,31 @@ impl DrawContext<'_> {
         let rule = Rect { height: self.screen.tabs.height, y: self.screen.tabs.y, ..whole };
         self.rule(rule, Role::BorderFocus);
         let title = Line::from(self.span(Role::TabActive, title.to_owned()));
-        self.line(Rect { x: 1, width: whole.width.saturating_sub(1), ..rule }, 0, &title);
+        let room = super::moment::start(self).saturating_sub(2);
+        self.line(Rect { x: 1, width: room, ..rule }, 0, &title);
         let y = rule.bottom();
         Rect { y, height: self.screen.footer.y.saturating_sub(y), ..whole }
     }
 
-    /// Lays the style of the selected row over it.
+    /// Gives all cells of an area the colours of a role; their other attributes stay.
+    pub fn fill(&mut self, area: Rect, role: Role) {
+        let style = self.style(role);
+        self.buffer.set_style(area, style);
+    }
+
+    /// Lays the style of the selected row over it: its background and attributes; each cell keeps its
+    /// own colour, unless the theme gives one.
     pub fn select(&mut self, area: Rect, row: u16) {
         if row < area.height {
             let row = Rect { y: area.y + row, height: 1, ..area };
             let style = self.style(Role::Selected);
             if style.add_modifier.contains(Modifier::REVERSED) {
                 // Reversed colours of each span would break the bar into patches.
-                let plain = self.style(Role::Text);
+                let plain = self.plain();
                 for x in row.left()..row.right() {
                     let cell = &mut self.buffer[(x, row.y)];
                     let keep = cell.modifier & Modifier::BOLD;
-                    cell.set_style(Style::reset().patch(plain).add_modifier(keep));
+                    cell.set_style(plain.add_modifier(keep));
                 }
             }
             self.buffer.set_style(row, style);

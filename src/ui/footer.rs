@@ -5,11 +5,12 @@
 use super::brush::{DrawContext, cut, fit, wrap};
 use crate::app::{
     BarKey, FileError, FileStatus, Focus, InputCheck, Page, Prompt, PromptKind, addition_refusal,
-    is_about,
+    format_duration, is_about,
 };
 use crate::discovery::Config;
-use crate::keymap::{Action, Key, KeyMode};
+use crate::keymap::{Action, KeyCode, KeyMode};
 use crate::theme::Role;
+use crate::time::Duration;
 use ratatui::layout::{Position, Rect};
 use ratatui::style::Modifier;
 use ratatui::text::{Line, Span};
@@ -210,6 +211,7 @@ fn hint_line(brush: &DrawContext, mode: KeyMode, width: usize) -> Vec<Span<'stat
         (KeyMode::Confirm, ..) => &[A::Yes, A::No],
         (KeyMode::Conflict, ..) => &[A::Ours, A::Theirs, A::Later],
         (KeyMode::Filters, ..) => &[A::FilterUse, A::FilterRemove, A::FiltersClose],
+        (KeyMode::Kinds, ..) => &[A::KindToggle, A::KindOnly, A::KindsClose],
         (KeyMode::Marks, ..) => &[A::MarkGo, A::MarkRemove, A::MarksClose],
         (KeyMode::Compare, ..) => {
             &[A::CompareSide, A::CompareEarlier, A::CompareLater, A::CompareSelect, A::CompareClose]
@@ -234,9 +236,13 @@ fn hint_line(brush: &DrawContext, mode: KeyMode, width: usize) -> Vec<Span<'stat
         (KeyMode::Browse, Page::Timeline, _) => &[
             A::Details,
             A::Frames,
+            A::Problem,
+            A::Kinds,
+            A::ZoomOut,
+            A::OpenParts,
+            A::Identifiers,
             A::Filter,
             A::Freeze,
-            A::Problem,
             A::Mark,
             A::Compare,
             A::SaveCapture,
@@ -244,9 +250,17 @@ fn hint_line(brush: &DrawContext, mode: KeyMode, width: usize) -> Vec<Span<'stat
         (KeyMode::Browse, Page::Bus, _) => {
             &[A::Details, A::Frames, A::Identifiers, A::Freeze, A::BitRate, A::SaveCapture]
         }
-        (KeyMode::Browse, Page::Problems, _) => {
-            &[A::Details, A::Mute, A::Filter, A::Problem, A::EditAddress, A::Rescan]
-        }
+        (KeyMode::Browse, Page::Problems, _) => &[
+            A::Details,
+            A::Frames,
+            A::Problem,
+            A::EditAddress,
+            A::Mute,
+            A::WriteProof,
+            A::Identifiers,
+            A::Filter,
+            A::Rescan,
+        ],
     };
     let is_not_saved = app.file().problem().is_some_and(FileError::is_not_saved);
     let first: &[Action] = match mode {
@@ -254,32 +268,116 @@ fn hint_line(brush: &DrawContext, mode: KeyMode, width: usize) -> Vec<Span<'stat
         KeyMode::Browse => &[A::Help, A::Quit],
         _ => &[],
     };
-    // Where Esc leads back, that comes first; the keys of a log before those of the page.
-    let always: &[Action] = match mode {
-        KeyMode::Browse if app.past_moment().is_some() => &[
-            A::Cancel,
-            A::Freeze,
-            A::Back,
-            A::PreviousEvent,
-            A::PreviousProblem,
-            A::PreviousFrame,
-            A::Mark,
-            A::Compare,
-        ],
-        KeyMode::Browse => &[A::Cancel, A::Pause, A::NextFrame, A::Slower, A::Faster],
-        _ => &[],
+    // Where Esc leads back, that comes first; the keys of a moment and of a log before those of the
+    // page.
+    let is_browsing = mode == KeyMode::Browse;
+    let is_frozen = app.past_moment().is_some();
+    let pairs = match app.playback() {
+        _ if !is_browsing => Vec::new(),
+        _ if is_frozen => frozen_hints(brush),
+        Some(playback) if !playback.is_ended => log_hints(brush),
+        _ => Vec::new(),
     };
-    let mut actions = [first, always, actions].concat();
-    let mut seen = Vec::new();
+    let back: &[Action] = if is_browsing { &[A::Cancel] } else { &[] };
+    let mut actions = if is_frozen || !pairs.is_empty() {
+        [back, actions].concat()
+    } else {
+        [first, back, actions].concat()
+    };
+    let mut seen = vec![A::Freeze; usize::from(!pairs.is_empty())];
     actions.retain(|action| {
         let is_new = !seen.contains(action);
         seen.push(*action);
         is_new && applies(brush, *action)
     });
-    let actions = &actions;
+    let mut all = pairs;
+    if !all.is_empty() {
+        // The help is the way to all other keys.
+        all.insert(1, first.iter().filter_map(|action| hint(brush, *action)).next());
+    }
+    all.extend(actions.iter().map(|action| hint(brush, *action)));
+    if is_frozen {
+        all.extend(first.iter().skip(1).map(|action| hint(brush, *action)));
+    }
     let mut spans = vec![Span::raw(" ")];
-    spans.extend(hints(brush, actions, width.saturating_sub(1)));
+    spans.extend(fitting(brush, all.into_iter().flatten(), width.saturating_sub(1)));
     spans
+}
+
+/// Keys of a moment that is shown: to the present, and from moment to moment.
+fn frozen_hints(brush: &DrawContext) -> Vec<Option<Hint>> {
+    use Action as A;
+    let app = brush.app;
+    let bar = app.time_bar();
+    let cell = cell_text(bar.cell_duration());
+    let far = cell_text(bar.cell_duration() * FAR_CELLS);
+    let has_bar = !bar.cells.is_empty();
+    let live = if app.playback().is_some_and(|it| !it.is_ended) { "play" } else { "live" };
+    vec![
+        one(brush, A::Freeze, live),
+        pair(brush, A::Back, A::Into, &cell).filter(|_| has_bar),
+        shift(brush, &far).filter(|_| has_bar),
+        pair(brush, A::PreviousFrame, A::NextFrame, "frame"),
+        pair(brush, A::PreviousEvent, A::NextEvent, "event"),
+        pair(brush, A::PreviousProblem, A::NextProblem, "problem"),
+        one(brush, A::GoTo, "time"),
+        one(brush, A::Mark, "mark"),
+        one(brush, A::Compare, "diff"),
+    ]
+}
+
+/// Keys of a log that is played.
+fn log_hints(brush: &DrawContext) -> Vec<Option<Hint>> {
+    use Action as A;
+    let is_paused = brush.app.playback().is_some_and(|it| it.is_paused);
+    vec![
+        one(brush, A::Freeze, if is_paused { "play" } else { "pause" }),
+        pair(brush, A::Slower, A::Faster, "pace"),
+        pair(brush, A::PreviousFrame, A::NextFrame, "frame"),
+        pair(brush, A::PreviousEvent, A::NextEvent, "event"),
+        pair(brush, A::PreviousProblem, A::NextProblem, "problem"),
+        one(brush, A::GoTo, "time"),
+    ]
+}
+
+/// Cells of the time bar that the keys of a long step move.
+const FAR_CELLS: u32 = 10;
+
+/// The duration of a step: `2 s`, `0.4 s`, `1m20s`.
+fn cell_text(duration: Duration) -> String {
+    let millis = duration.as_millis();
+    match millis {
+        0..10 => format!("{:.1} ms", duration.as_micros() as f64 / 1000.0),
+        10..100 => format!("{millis} ms"),
+        100..10_000 if !millis.is_multiple_of(1000) => format!("{:.1} s", millis as f64 / 1000.0),
+        _ if millis < 60_000 => format!("{} s", millis / 1000),
+        _ => format_duration(duration),
+    }
+}
+
+/// A key and what it does; `None` if it has no key.
+fn one(brush: &DrawContext, action: Action, does: &str) -> Option<Hint> {
+    let key = brush.app.keymap().keys_of(action).next()?;
+    Some((key.to_string(), does.to_owned()))
+}
+
+/// The keys of two opposite actions, and what they move by.
+fn pair(brush: &DrawContext, back: Action, forward: Action, does: &str) -> Option<Hint> {
+    let key = |action| brush.app.keymap().keys_of(action).next();
+    let (back, forward) = (key(back)?, key(forward)?);
+    let keys = match (back.code, forward.code) {
+        (KeyCode::Left, KeyCode::Right) if !back.shift && !forward.shift => "← →".to_owned(),
+        _ => format!("{back} {forward}"),
+    };
+    Some((keys, does.to_owned()))
+}
+
+/// The modifier of the arrows for long steps, if their keys are those of the short ones.
+fn shift(brush: &DrawContext, does: &str) -> Option<Hint> {
+    let key = |action| brush.app.keymap().keys_of(action).next();
+    let (near, far) = (key(Action::Back)?, key(Action::ScrubBack)?);
+    let is_shifted = far.shift && !near.shift && far.code == near.code;
+    is_shifted.then(|| ("Shift".to_owned(), does.to_owned()))
 }
 
 /// Returns true if an action has an effect in the present state of the open page.
@@ -298,20 +396,21 @@ fn applies(brush: &DrawContext, action: Action) -> bool {
     match (action, view.page) {
         _ if view.frozen.is_some() && action.edits_or_sends() => false,
         (A::Cancel, _) => is_leaving,
-        (A::NextFrame, _) if app.past_moment().is_some() => true,
-        (A::Pause | A::NextFrame | A::Slower | A::Faster, _) => {
-            app.playback().is_some_and(|playback| !playback.is_ended)
-        }
         (A::Details, Page::Devices) => row.is_some() && !is_leaving,
         (A::Details, Page::Traffic) if view.evidence.is_none() => {
             app.capture().end() > 0 && !view.frame_details
         }
-        (A::Details | A::Frames, Page::Timeline) => !app.lines_shown().is_empty(),
+        (A::OpenParts | A::Kinds, Page::Timeline) if brush.screen.list.height == 0 => false,
+        (A::ZoomOut, Page::Timeline) => brush.screen.lanes.height > 1,
+        (A::Details | A::Frames | A::OpenParts, Page::Timeline) => !app.lines_shown().is_empty(),
         (A::Filter | A::Identifiers | A::Rescan, Page::Traffic) if view.evidence.is_some() => false,
         (A::Details | A::Frames, Page::Bus) => app.selected_bar().is_some(),
         (A::SaveCapture, _) => app.capture().end() > 0,
-        (A::Details | A::Mute | A::Problem | A::EditAddress, Page::Problems) => {
+        (A::Details | A::Mute | A::Problem | A::EditAddress | A::WriteProof, Page::Problems) => {
             app.selected_problem().is_some()
+        }
+        (A::Frames, Page::Problems) => {
+            app.selected_problem().is_some_and(|problem| problem.has_evidence())
         }
         (A::EditAddress, Page::Devices) => row.is_some_and(|row| {
             device()
@@ -333,16 +432,24 @@ fn applies(brush: &DrawContext, action: Action) -> bool {
     }
 }
 
+/// Keys, and what they do.
+type Hint = (String, String);
+
 /// Returns the first key of an action and what it does on the open page; `None` if it has no key.
-fn hint(brush: &DrawContext, action: Action) -> Option<(Key, &'static str)> {
+fn hint(brush: &DrawContext, action: Action) -> Option<Hint> {
     use Action as A;
     let (key, word) = brush.app.keymap().hint(action)?;
     let view = brush.app.view();
     let here = match (action, view.page, &view.evidence) {
+        (A::Details, Page::Timeline, _) if brush.screen.list.height == 0 => "go to device",
         (A::Details, Page::Timeline, _) => "show moment",
         (A::Details, Page::Problems, _) if brush.screen.details.height > 0 => {
             let is_seen = brush.app.selected_problem().is_none_or(|problem| problem.has_evidence());
-            if is_seen { "frames" } else { "go to row" }
+            match view.focus {
+                _ if !is_seen => "go to row",
+                Focus::List => "evidence",
+                Focus::Details => "frame",
+            }
         }
         (A::Details, Page::Traffic, Some(evidence)) if evidence.shows_context => "only evidence",
         (A::Details, Page::Traffic, Some(_)) => "all frames",
@@ -355,22 +462,32 @@ fn hint(brush: &DrawContext, action: Action) -> Option<(Key, &'static str)> {
         (A::Details, Page::Traffic, None) if view.shows_identifiers() || view.shows_calls() => {
             "frames"
         }
+        (A::Identifiers, Page::Problems, _) => view.problems_view.next().title(),
+        (A::Identifiers, Page::Timeline, _) => {
+            view.timeline_shown().next(brush.screen.whole.width).title()
+        }
         (A::Identifiers, ..) => view.traffic_view.next().title(),
-        (A::Freeze, ..) if view.frozen.is_some() => "live",
-        (A::Pause, ..) if brush.app.playback().is_some_and(|it| it.is_paused) => "play",
         (A::Cancel, ..) => "back",
         (A::Mute, ..) if brush.app.selected_problem().is_some_and(|it| it.is_muted) => "unmute",
         _ => word,
     };
-    Some((key, here))
+    Some((key.to_string(), here.to_owned()))
 }
 
 /// Returns keys with their hints, without those that do not fit `width` cells.
 fn hints(brush: &DrawContext, actions: &[Action], width: usize) -> Vec<Span<'static>> {
+    fitting(brush, actions.iter().filter_map(|action| hint(brush, *action)), width)
+}
+
+/// Returns hints without those that do not fit `width` cells.
+fn fitting(
+    brush: &DrawContext,
+    hints: impl Iterator<Item = Hint>,
+    width: usize,
+) -> Vec<Span<'static>> {
     let mut spans = Vec::new();
     let mut used = 0;
-    for (key, hint) in actions.iter().filter_map(|action| hint(brush, *action)) {
-        let key = key.to_string();
+    for (key, hint) in hints {
         let gap = if used == 0 { "" } else { "  " };
         let own = gap.len() + key.width() + 1 + hint.width();
         if used + own > width {

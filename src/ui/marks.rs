@@ -27,7 +27,7 @@ pub fn draw(brush: &mut DrawContext, selected: char) {
         let events = lines.filter(|line| line.last > time && is_event(line.kind)).count();
         let line = Line::from(vec![
             brush.span(Role::Text, if is_selected { "▸ " } else { "  " }),
-            brush.span(Role::Match, format!("{} ", mark.letter)),
+            brush.span(Role::Mark, format!("{} ", mark.letter)),
             brush.span(Role::Text, format!("{}  ", clock_millis(app, time))),
             brush.span(Role::Muted, fit(&ago, 11)),
             brush.span(Role::Muted, format!("{events:>4}  ")),

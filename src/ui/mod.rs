@@ -8,7 +8,7 @@
 //! ▸●   10 FEED       online   WORK   5≠   0s ✓ 10  │                                │ details.rs
 //!  ●   13 SENS       online   WORK    5   0s + new │ heartbeat 1.00 s ±0 ms
 //!  ⚠   14 ACT        CONFLICT WORK    4   0s ✓ 14  │ mode      WORK                 or traffic.rs,
-//!  ○   17 IGNITER    missing                 ✗ 17  │ UID       BOILER01             timeline.rs,
+//!  ○   17 IGNITER    missing                 ✗ 17  │ UID       BOILER01             stories.rs,
 //!  ●   30 PSU        online   WORK    3   0s   30  │ framing   isotp                problems.rs
 //! ─ latest ────────────────────────────────────────┴──────────────────────────────  timeline.rs
 //!  12:03:11 ⚠ ACT @14      confirmed: Two devices answer as ACT at address 14.
@@ -23,6 +23,7 @@
 //! state survives a draw. Colours only by [`Role`]. Bytes that devices send arrive here escaped: as
 //! [`crate::text::Name`], or as text made by the app.
 
+mod alarm;
 mod brush;
 mod bus;
 mod chart;
@@ -32,10 +33,14 @@ mod details;
 mod devices;
 mod footer;
 mod help;
+mod lanes;
 mod marks;
+mod moment;
 mod problems;
 mod saved_filters;
 mod status;
+mod stories;
+mod story_kinds;
 mod symbols;
 mod tabs;
 mod time_bar;
@@ -69,16 +74,23 @@ pub fn draw(app: &App, theme: &Theme, frame: &mut Frame) -> Option<u16> {
         cursor: None,
         scrolled: None,
     };
-    brush.buffer.set_style(area, theme.style(Role::Text));
+    brush.fill(area, Role::Background);
+    brush.fill(area, Role::Text);
     status::draw(&mut brush);
+    alarm::draw(&mut brush);
     match app.overlay() {
         Overlay::Help(scroll) => help::draw(&mut brush, *scroll),
         Overlay::Conflict => conflict::draw(&mut brush),
         Overlay::Marks(selected) => marks::draw(&mut brush, *selected),
         Overlay::Filters(selected) => saved_filters::draw(&mut brush, *selected),
         Overlay::Comparison => comparison::draw(&mut brush),
+        Overlay::Kinds(selected) => {
+            page(&mut brush);
+            story_kinds::draw(&mut brush, *selected);
+        }
         _ => page(&mut brush),
     }
+    moment::draw(&mut brush);
     time_bar::draw(&mut brush);
     footer::draw(&mut brush);
     cut_marks(brush.buffer);
@@ -109,7 +121,7 @@ fn page(brush: &mut DrawContext) {
             timeline::draw_latest(brush);
         }
         Page::Traffic => traffic::draw(brush),
-        Page::Timeline => timeline::draw(brush),
+        Page::Timeline => stories::draw(brush),
         Page::Problems => problems::draw(brush),
         Page::Bus => bus::draw(brush),
     }

@@ -10,6 +10,7 @@ use crate::frame::BusIndex;
 use crate::keymap::Action;
 use crate::status::{BusState, Link, size};
 use crate::theme::Role;
+use crate::time::Instant;
 use ratatui::layout::Rect;
 use ratatui::text::{Line, Span};
 use std::fmt::Write;
@@ -17,6 +18,11 @@ use unicode_width::UnicodeWidthStr;
 
 /// Stands in front of assumed values.
 const ASSUMED: &str = "≈";
+
+/// Width from which the first line has the length of the log, in columns.
+const NARROW: u16 = 60;
+/// Width from which it says how the present is shown again.
+const WIDE: u16 = 76;
 
 /// Time whose least and most load are the scale; so it becomes narrower only after that.
 const SCALE_SECONDS: u64 = 60;
@@ -30,6 +36,8 @@ struct Part {
     spans: Vec<Span<'static>>,
     /// Cells to which the last span may be cut.
     least: usize,
+    /// Its first span is the name of a bus or of the file, which may be cut.
+    has_name: bool,
 }
 
 /// What the screen shows is not the present, descan does not transmit, an error, a conflict.
@@ -52,12 +60,21 @@ const MUTED: u8 = 13;
 
 impl Part {
     fn new(rank: u8, spans: Vec<Span<'static>>) -> Self {
-        Self { rank, spans, least: usize::MAX }
+        Self { rank, spans, least: usize::MAX, has_name: false }
     }
 
     /// A part whose last span is cut to `least` cells where room is short.
     fn cut_to(least: usize, rank: u8, spans: Vec<Span<'static>>) -> Self {
-        Self { rank, spans, least }
+        Self { rank, spans, least, has_name: false }
+    }
+
+    /// A part that begins with a name.
+    fn named(rank: u8, spans: Vec<Span<'static>>) -> Self {
+        Self { has_name: true, ..Self::new(rank, spans) }
+    }
+
+    fn with_name(self) -> Self {
+        Self { has_name: true, ..self }
     }
 
     fn width(&self) -> usize {
@@ -79,7 +96,8 @@ pub fn draw(brush: &mut DrawContext) {
     match area.height {
         0 => {}
         1 => {
-            let left = bus_parts(brush, BusIndex(bus_to_show(brush, 0) as u8));
+            let mut left = moment_parts(brush);
+            left.extend(bus_parts(brush, BusIndex(bus_to_show(brush, 0) as u8)));
             let mut right: Parts = assumed(brush).into_iter().collect();
             right.extend(file(brush, false));
             draw_row(brush, area, 0, left, right);
@@ -89,10 +107,12 @@ pub fn draw(brush: &mut DrawContext) {
             for row in 0..shown.min(buses.max(1)) {
                 let rest = buses > shown && row + 1 == shown;
                 let index = if rest { bus_to_show(brush, row) } else { row };
-                let mut parts = bus_parts(brush, BusIndex(index as u8));
+                let mut parts = if row == 0 { moment_parts(brush) } else { Vec::new() };
+                let at = parts.len() + 1;
+                parts.extend(bus_parts(brush, BusIndex(index as u8)));
                 if rest {
                     let more = format!("bus {} of {buses}", index + 1);
-                    parts.insert(1, Part::new(STATE, vec![brush.span(Role::Muted, more)]));
+                    parts.insert(at, Part::new(STATE, vec![brush.span(Role::Muted, more)]));
                 }
                 put(brush, area, row as u16, parts, Vec::new());
             }
@@ -100,6 +120,62 @@ pub fn draw(brush: &mut DrawContext) {
             left.extend(assumed(brush));
             draw_row(brush, area, lines - 1, left, Vec::new());
         }
+    }
+    if brush.app.past_moment().is_some() {
+        brush.fill(Rect { height: area.height.min(1), ..area }, Role::Frozen);
+    }
+}
+
+/// Returns what the first line says of a past moment: which one, and how the present is shown again.
+fn moment_parts(brush: &DrawContext) -> Parts {
+    let app = brush.app;
+    let Some(moment) = app.past_moment() else { return Vec::new() };
+    let columns = brush.screen.whole.width;
+    let mut text = format!("FROZEN {}", clock_millis(app, moment.time));
+    match app.playback() {
+        Some(playback) => {
+            let _ = write!(text, " · log {}", log_time(moment.time));
+            if columns >= NARROW {
+                let read = if playback.is_ended { "" } else { " read" };
+                let _ = write!(text, " of {}{read}", log_time(app.now()));
+            }
+            if columns >= WIDE && !playback.is_ended {
+                let key = app.key_of(Action::Freeze);
+                let _ = write!(text, " · {key} plays · {}", pace(playback.speed));
+            } else if columns >= WIDE {
+                let _ = write!(text, " · LIVE with {}", app.key_of(Action::Cancel));
+            }
+        }
+        None => {
+            let _ = write!(text, " · {} ago", format_duration(app.now().since(moment.time)));
+            if columns >= WIDE {
+                let _ = write!(text, " · LIVE with {}", app.key_of(Action::Cancel));
+            }
+        }
+    }
+    let mut parts = vec![Part::new(KEPT, vec![brush.span(Role::Frozen, text)])];
+    if let Some(alarm) = app.present_alarm() {
+        let text = format!("now ⚠ {}", alarm.short);
+        parts.push(Part::cut_to(6, WARNING, vec![brush.span(Role::Frozen, text)]));
+    }
+    parts
+}
+
+/// Returns a place in a log: `0:50`, `1:02:10`.
+fn log_time(at: Instant) -> String {
+    let seconds = at.as_micros() / 1_000_000;
+    let (hours, minutes, seconds) = (seconds / 3600, seconds / 60 % 60, seconds % 60);
+    match hours {
+        0 => format!("{minutes}:{seconds:02}"),
+        _ => format!("{hours}:{minutes:02}:{seconds:02}"),
+    }
+}
+
+/// Returns the speed of a replay: `×2`, `×1/4`.
+pub fn pace(speed: f64) -> String {
+    match speed {
+        speed if speed < 0.995 => format!("×1/{:.0}", 1.0 / speed),
+        speed => format!("×{speed}"),
     }
 }
 
@@ -134,7 +210,8 @@ fn parts_width(left: &Parts, right: &Parts) -> usize {
 /// Cuts the name at the beginning of a row if the row is wider than `width`, to `least` cells.
 fn cut_name(left: &mut Parts, right: &Parts, width: usize, least: usize) {
     let missing = parts_width(left, right).saturating_sub(width);
-    if let Some(name) = left.first_mut().and_then(|part| part.spans.first_mut()) {
+    let mut named = left.iter_mut().filter(|part| part.has_name);
+    if let Some(name) = named.next().and_then(|part| part.spans.first_mut()) {
         let room = name.width().saturating_sub(missing).max(name.width().min(least));
         name.content = short_name(&name.content, room).into();
     }
@@ -217,14 +294,9 @@ fn bus_parts(brush: &DrawContext, index: BusIndex) -> Parts {
             name.push(brush.span(Role::Text, format!("/{}", rate(data))));
         }
     }
-    let mut parts = vec![Part::new(KEPT, name)];
-    if let Some(moment) = brush.app.past_moment() {
-        let at = clock_millis(brush.app, moment.time);
-        let ago = format_duration(brush.app.now().since(moment.time));
-        let ago = if columns >= 100 { format!(", {ago} ago") } else { String::new() };
-        let text = format!("FROZEN {at}{ago}");
-        parts.push(Part::new(KEPT, vec![brush.span(Role::Warning, text)]));
-    }
+    // On a narrow screen a past moment has the room of the name.
+    let gives_way = columns < usize::from(WIDE) && brush.app.past_moment().is_some();
+    let mut parts = vec![Part::named(if gives_way { OWN } else { KEPT }, name)];
     let mut spans = vec![state(brush, index, bus)];
     let place = place_in_log(brush, bus);
     let good = matches!(bus.status.state, BusState::ErrorActive | BusState::Unknown);
@@ -275,22 +347,14 @@ fn load(brush: &DrawContext, bus: &Bus, cells: usize) -> Parts {
 
 /// Returns whether a replay is paused, its position, percent and speed; `None` without a log.
 fn place_in_log(brush: &DrawContext, bus: &Bus) -> Option<Vec<Span<'static>>> {
-    let playback = brush.app.playback()?;
+    let playback = brush.app.playback().filter(|_| brush.app.past_moment().is_none())?;
     let is_ended = bus.status.link == Link::Ended;
-    let seconds = brush.app.display_time().as_micros() / 1_000_000;
-    let (hours, minutes, seconds) = (seconds / 3600, seconds / 60 % 60, seconds % 60);
-    let mut text = match hours {
-        0 => format!(" {minutes}:{seconds:02}"),
-        _ => format!(" {hours}:{minutes:02}:{seconds:02}"),
-    };
+    let mut text = format!(" {}", log_time(brush.app.display_time()));
     if let Some(percent) = bus.status.percent.filter(|_| !is_ended) {
         let _ = write!(text, " {percent}%");
     }
     if (playback.speed - 1.0).abs() > f64::EPSILON {
-        let _ = match playback.speed {
-            speed if speed < 0.995 => write!(text, " ×1/{:.0}", 1.0 / speed),
-            speed => write!(text, " ×{speed}"),
-        };
+        let _ = write!(text, " {}", pace(playback.speed));
     }
     let paused = if playback.is_paused && !is_ended { " PAUSED" } else { "" };
     Some(vec![brush.span(Role::Warning, paused), brush.span(Role::Text, text)])
@@ -462,6 +526,19 @@ fn counts(brush: &DrawContext, words: bool) -> Parts {
     .collect()
 }
 
+/// Returns the counts in few cells, for the line of the alarm: `●10 ○1 ⚠3`.
+pub fn short_counts(brush: &DrawContext) -> Vec<Span<'static>> {
+    let mut spans = Vec::new();
+    for part in counts(brush, false) {
+        if !spans.is_empty() {
+            spans.push(Span::raw(" "));
+        }
+        let count = part.spans.into_iter().next();
+        spans.extend(count.map(|span| Span::styled(span.content.replace(' ', ""), span.style)));
+    }
+    spans
+}
+
 /// Returns size and lost frames of the recording, or that it stopped; `None` without `--record`.
 fn recording(brush: &DrawContext) -> Option<Part> {
     let status = brush.app.recording()?;
@@ -568,12 +645,12 @@ fn file(brush: &DrawContext, whole: bool) -> Parts {
             };
             let name = file_name(brush);
             let words = brush.span(Role::Text, words);
-            let file = Part::new(rank, vec![name, brush.span(role, sign), words]);
+            let file = Part::named(rank, vec![name, brush.span(role, sign), words]);
             return [Some(file), overwritten_pins(brush, whole)].into_iter().flatten().collect();
         }
     };
     let name = file_name(brush);
-    let mut parts = vec![Part::cut_to(24, rank, vec![name, brush.span(role, text)])];
+    let mut parts = vec![Part::cut_to(24, rank, vec![name, brush.span(role, text)]).with_name()];
     parts.extend(
         more.filter(|_| whole)
             .map(|(rank, text)| Part::new(rank, vec![brush.span(Role::Muted, text)])),

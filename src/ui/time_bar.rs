@@ -1,6 +1,7 @@
 //! The time bar above the footer: the whole capture or log, and the shown moment in it.
 
 use super::brush::DrawContext;
+use super::moment;
 use crate::app::{BAR_LEFT, BarSign, format_time_of_day};
 use crate::theme::Role;
 use ratatui::layout::Rect;
@@ -15,7 +16,7 @@ pub fn draw(brush: &mut DrawContext) {
     }
     let app = brush.app;
     let frozen = app.past_moment().map(|moment| moment.time);
-    let shown = bar.cell(frozen.unwrap_or(bar.end));
+    let (shown, read) = (bar.cell(frozen.unwrap_or(bar.read)), bar.cell(bar.read));
     let left = if bar.has_dropped { "├…" } else { " ├" };
     let mut spans = vec![
         brush.span(Role::Muted, format!(" {}", format_time_of_day(app, bar.begin))),
@@ -24,32 +25,22 @@ pub fn draw(brush: &mut DrawContext) {
     for (at, sign) in bar.cells.iter().enumerate() {
         let (text, role) = sign_of(*sign);
         spans.push(match at {
-            _ if at == shown && frozen.is_some() => brush.span(Role::Warning, "▼"),
             _ if at == shown => brush.span(Role::Title, "▼"),
+            // Not read yet.
+            _ if at > read => brush.span(Role::Muted, " "),
             // What came later than the shown moment.
-            _ if at > shown => brush.span(Role::Muted, text),
+            _ if at > shown => Span::styled(text, brush.style(Role::Muted).dim()),
             _ => brush.span(role, text),
         });
     }
     spans.push(brush.span(Role::Border, "┤ "));
     spans.push(brush.span(Role::Muted, format!("{}  ", format_time_of_day(app, bar.end))));
-    spans.push(state(brush, frozen.is_some()));
+    spans.push(moment::word(brush));
     debug_assert_eq!(usize::from(BAR_LEFT), spans[0].width() + spans[1].width());
     let line = Line::from(spans);
     brush.line(Rect { height: 1, ..area }, 0, &line);
-}
-
-/// What the shown moment is.
-fn state(brush: &DrawContext, is_frozen: bool) -> Span<'static> {
-    match brush.app.playback() {
-        _ if is_frozen => brush.span(Role::Warning, "FROZEN"),
-        None => brush.span(Role::Title, "LIVE"),
-        Some(playback) if playback.is_ended => brush.span(Role::Muted, "END"),
-        Some(playback) if playback.is_paused => brush.span(Role::Warning, "PAUSED"),
-        Some(playback) if playback.speed < 0.995 => {
-            brush.span(Role::Title, format!("×1/{:.0}", 1.0 / playback.speed))
-        }
-        Some(playback) => brush.span(Role::Title, format!("PLAY ×{}", playback.speed)),
+    if frozen.is_some() {
+        brush.fill(area, Role::Frozen);
     }
 }
 
@@ -59,6 +50,6 @@ fn sign_of(sign: BarSign) -> (String, Role) {
         BarSign::Event => ("╷".into(), Role::Text),
         BarSign::Suspected => ("?".into(), Role::Suspected),
         BarSign::Conflict => ("▒".into(), Role::Confirmed),
-        BarSign::Mark(letter) => (letter.to_string(), Role::Match),
+        BarSign::Mark(letter) => (letter.to_string(), Role::Mark),
     }
 }

@@ -1,46 +1,10 @@
-//! Page 3, Timeline: an event per line, newest at the bottom; and its latest lines below Devices.
+//! The latest lines of the timeline below Devices: an event per line, newest at the bottom.
 
 use super::brush::{DrawContext, bus_cell, bus_label, cut, fit};
-use crate::app::{Page, TimelineEntry, TimelineKind, format_time_of_day};
+use crate::app::{TimelineEntry, TimelineKind, format_time_of_day};
 use crate::theme::Role;
 use ratatui::text::Line;
 use unicode_width::UnicodeWidthStr;
-
-/// Draws the page.
-pub fn draw(brush: &mut DrawContext) {
-    let (header, list) = (brush.screen.header, brush.screen.list);
-    let bus = if shows_bus(brush) { "BUS    " } else { "" };
-    let title = format!("  {:8}   {bus}{:12} EVENT", "TIME", "SOURCE");
-    let line = Line::from(brush.span(Role::Header, title));
-    brush.line(header, 0, &line);
-    let app = brush.app;
-    let numbers = app.lines_shown();
-    if numbers.is_empty() {
-        if app.page_filter(Page::Timeline).is_on() {
-            return brush.draw_no_match(list, "no event matches the filter");
-        }
-        let text = "no events yet";
-        let line = Line::from(brush.span(Role::Muted, format!("   {text}")));
-        return brush.line(list, 1, &line);
-    }
-    let height = usize::from(list.height);
-    let selected = app.view().timeline.index(numbers.iter());
-    let top = match selected {
-        Some(_) => app.view().timeline.top(selected, numbers.len(), height),
-        None => numbers.len().saturating_sub(height),
-    };
-    for (row, number) in numbers.iter().skip(top).take(height).enumerate() {
-        let Some(entry) = app.timeline().get(*number) else { continue };
-        let is_selected = selected == Some(top + row);
-        let pointer = if is_selected { "▸" } else { " " };
-        let mut line = Line::from(brush.span(Role::Text, pointer));
-        line.spans.extend(entry_line(brush, entry, 12).spans);
-        brush.line(list, row as u16, &line);
-        if is_selected {
-            brush.select(list, row as u16);
-        }
-    }
-}
 
 /// Draws the latest lines, at most those before the view was frozen.
 pub fn draw_latest(brush: &mut DrawContext) {
@@ -116,7 +80,7 @@ pub fn entry_line(
 }
 
 /// Returns true if the column BUS is shown.
-fn shows_bus(brush: &DrawContext) -> bool {
+pub fn shows_bus(brush: &DrawContext) -> bool {
     brush.app.buses().len() > 1 && brush.screen.whole.width >= 60
 }
 

@@ -112,6 +112,8 @@ fn pages_of_a_past_moment_are_those_of_a_run_until_then() {
         if until > 31.0 {
             stage.write(&later).until(until);
         }
+        // Without a zoom the axis of the lanes is that of the whole capture.
+        stage.keys("3").keys(&"+ ".repeat(20)).keys(&"- ".repeat(7));
         stage
     };
     let mut past = run(48.0);
@@ -121,8 +123,10 @@ fn pages_of_a_past_moment_are_those_of_a_run_until_then() {
         let mut then = run(moment.time.as_secs_f64() + 1.5e-6);
         assert_eq!(then.app.capture().end(), moment.frames, "{key} {:?}", moment.time);
         then.keys("Space");
-        // Of Devices and of the last page all views.
-        for number in ["1", "v", "v", "h", "h v", "3", "4", "5", "2", "2 v", "v", "v"] {
+        // Of three pages all views.
+        let keys =
+            ["1", "v", "v", "h", "h v", "3", "3 v", "v", "v", "4", "5", "2", "2 v", "v", "v"];
+        for number in keys {
             let (shown, expected) = (page(&mut past, number), page(&mut then, number));
             assert_eq!(shown, expected, "{key} {:?}", moment.time);
         }

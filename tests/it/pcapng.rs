@@ -144,7 +144,7 @@ fn either_byte_order_and_any_time_unit_is_read() {
     let file = [big.bytes, little.bytes].concat();
 
     let (frames, tally) = read(&file);
-    assert_eq!(tally.interfaces, ["can7", "can_8\\x1B[2J", "if0"]);
+    assert_eq!(*tally.interfaces, ["can7", "can_8\\x1B[2J", "if0"]);
     let told: Vec<_> =
         frames.iter().map(|it| (it.bus.0, it.data()[0], it.time.as_micros())).collect();
     assert_eq!(told, [(0, 1, 0), (1, 2, 376_544), (2, 4, 876_544), (0, 5, 1_376_544)], "{tally:?}");
@@ -194,7 +194,7 @@ fn interfaces_beyond_bus_limit_use_no_memory() {
     blocks.packet(99_999, 5, &packet(0x101, 1));
     let (frames, tally) = read(&blocks.bytes);
     assert_eq!((frames.len(), tally.unreadable), (1, 1));
-    assert_eq!(tally.interfaces, ["can255"]);
+    assert_eq!(*tally.interfaces, ["can255"]);
     let cause = EntryFault::Packet(PacketFault::TooManyInterfaces);
     assert_eq!(tally.first_unreadable, Some((100_003, cause)));
 }

@@ -34,7 +34,7 @@ fn conflict_picture_matches_screen() {
 #[test]
 fn evidence_picture_matches_screen() {
     let mut stage = demo(100, 20);
-    stage.until(45.0).keys("4 Enter");
+    stage.until(45.0).keys("4 f");
     assert_picture("evidence", &stage);
 }
 

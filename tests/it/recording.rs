@@ -341,7 +341,7 @@ fn recording_is_complete_after_a_signal() {
         assert_eq!(code, Some(0), "{signal}: {words}");
         let (frames, tally) = read(&path);
         assert_eq!((tally.damage, tally.unreadable), (None, 0));
-        assert_eq!(tally.interfaces, ["sim:boiler"]);
+        assert_eq!(*tally.interfaces, ["sim:boiler"]);
         assert!(frames.iter().any(|it| it.is_tx) && frames.iter().any(|it| !it.is_tx));
         // Present only if the file was finished properly.
         assert_eq!(statistics(&path), [(0, frames.len() as u64, 0)]);

@@ -160,7 +160,10 @@ fn empty_file_is_waited_for_in_real_time_at_any_pace_of_a_log() {
         stage.until(24.0);
         let real = Instant::ZERO + Duration::from_secs(7);
         stage.app.set_real_time(real);
-        stage.app.handle_playback(stage.app.now(), Playback { speed, is_paused, is_ended });
+        stage.app.handle_playback(
+            stage.app.now(),
+            Playback { speed, is_paused, is_ended, ..Playback::default() },
+        );
         stage.write("");
         let much_later = stage.app.now() + Duration::from_secs(1000);
         stage.app.handle_timeout(much_later);
@@ -181,7 +184,7 @@ fn failed_save_is_repeated_in_real_time_at_any_pace_of_a_log() {
     stage.app.set_real_time(Instant::ZERO);
     stage.app.handle_playback(
         stage.app.now(),
-        Playback { speed: 1000.0, is_paused: false, is_ended: false },
+        Playback { speed: 1000.0, is_paused: false, is_ended: false, ..Playback::default() },
     );
     stage.keys("n").text("NEW 64").keys("Enter");
     let due = stage.app.poll_real_timeout().expect("a deadline in real time");

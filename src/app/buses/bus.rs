@@ -279,6 +279,11 @@ impl Bus {
         }
     }
 
+    /// Returns true if the engine has an event.
+    pub(super) fn has_events(&self) -> bool {
+        self.engine.has_events()
+    }
+
     /// The next engine event.
     pub(super) fn poll_event(&mut self) -> Option<Event> {
         let event = self.engine.poll_event()?;

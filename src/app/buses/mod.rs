@@ -258,6 +258,11 @@ impl Buses {
         self.list.iter().filter_map(Bus::poll_timeout).min()
     }
 
+    /// Returns true if an engine has an event.
+    pub fn has_events(&self) -> bool {
+        self.list.iter().any(Bus::has_events)
+    }
+
     /// Returns true if no bus has a device or recent traffic.
     pub fn is_quiet(&self) -> bool {
         let quiet =

@@ -146,26 +146,56 @@ pub struct Decoded {
     pub is_error: bool,
 }
 
+/// What a frame means, without the names of its sender and its receiver.
+#[derive(Clone, Debug)]
+pub struct FrameMeaning {
+    /// Fields of the identifier (CAN platform §4.1); `None` for a non-platform frame.
+    pub header: Option<Header>,
+    /// What the frame is.
+    pub role: FrameRole,
+    /// Content of the data field; empty if it has no known one.
+    pub text: String,
+    /// An error response, a malformed or non-conforming message, or an error frame.
+    pub is_error: bool,
+}
+
+impl FrameMeaning {
+    /// Decodes a frame with the profile of its bus.
+    pub(in crate::app) fn new(buses: &Buses, frame: &Frame) -> Self {
+        let role = FrameRole::of(frame, buses.is_foreign(frame.bus));
+        let header = match (role, frame.id) {
+            (
+                FrameRole::Error | FrameRole::Remote | FrameRole::Standard | FrameRole::Foreign,
+                _,
+            )
+            | (_, CanId::Standard(_)) => {
+                let text = meaning_of(frame, role, None);
+                return Self { header: None, role, text, is_error: role == FrameRole::Error };
+            }
+            (_, CanId::Extended(id)) => Header::decode(id),
+        };
+        let (text, bad) = match buses.get(frame.bus) {
+            Some(bus) => describe_message(&bus.config().profile, header, frame),
+            None => describe_message(&Profile::default(), header, frame),
+        };
+        let is_error = is_failed(header) || bad || !header.is_conforming();
+        Self { header: Some(header), role, text, is_error }
+    }
+}
+
 impl Decoded {
     /// Decodes a frame; names and profile are those of its bus, names as of its time.
     pub fn new(buses: &Buses, frame: &Frame) -> Self {
-        let role = FrameRole::of(frame, buses.is_foreign(frame.bus));
-        let (kind, is_error) = match role {
-            FrameRole::Error => ("error", true),
-            FrameRole::Remote => ("remote", false),
-            FrameRole::Standard => ("standard", false),
-            FrameRole::Foreign => ("foreign", false),
-            _ => match frame.id {
-                CanId::Extended(id) => return Self::decode_platform(buses, frame, role, id),
-                CanId::Standard(_) => ("standard", false),
-            },
+        let FrameMeaning { header, role, text, is_error } = FrameMeaning::new(buses, frame);
+        let Some(header) = header else {
+            let kind = match role {
+                FrameRole::Error => "error",
+                FrameRole::Remote => "remote",
+                FrameRole::Foreign => "foreign",
+                _ => "standard",
+            };
+            return Self { role, kind, text, is_error, ..Self::default() };
         };
-        let text = meaning_of(frame, role, None);
-        Self { role, kind, text, is_error, ..Self::default() }
-    }
-
-    fn decode_platform(buses: &Buses, frame: &Frame, role: FrameRole, id: u32) -> Self {
-        let header = Header::decode(id);
         let kind = header.message_type();
         let profile = buses.profile(frame.bus);
         let name = |address| buses.name_at(frame.bus, address, frame.time);
@@ -174,14 +204,13 @@ impl Decoded {
             (_, Some(name)) => Escaped(name.as_bytes()).to_string(),
             (_, None) => header.service.to_string(),
         };
-        let (text, bad) = describe_message(&profile, header, frame);
         Self {
             source: name(header.source),
             destination: if header.broadcast { "*".to_owned() } else { name(header.destination) },
             service,
             kind: kind.name(),
             text,
-            is_error: is_failed(header) || bad || !header.is_conforming(),
+            is_error,
             header: Some(header),
             role,
         }

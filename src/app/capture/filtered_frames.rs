@@ -75,8 +75,9 @@ impl FilteredFrames {
         !self.filter.is_empty()
     }
 
-    /// Tests frames that were not tested, the newest first. Returns false if some remain.
-    pub fn test(&mut self, store: &FrameStore, buses: &Buses) -> bool {
+    /// Tests frames that were not tested, those before number `end` first, and of these the newest.
+    /// Returns false if some remain.
+    pub fn test(&mut self, store: &FrameStore, buses: &Buses, end: u64) -> bool {
         let names = buses.names_revision();
         if self.filter.needs_names() && self.names != names {
             self.tested.clear();
@@ -85,12 +86,12 @@ impl FilteredFrames {
         self.names = names;
         let matcher = self.matcher.take().filter(|matcher| matcher.is_current(buses));
         let matcher = matcher.unwrap_or_else(|| self.filter.for_frames(buses));
-        let is_complete = self.test_with(&matcher, store);
+        let is_complete = self.test_with(&matcher, store, end);
         self.matcher = Some(matcher);
         is_complete
     }
 
-    fn test_with(&mut self, matcher: &FrameMatcher, store: &FrameStore) -> bool {
+    fn test_with(&mut self, matcher: &FrameMatcher, store: &FrameStore, end: u64) -> bool {
         if self.generation != store.generation() {
             let kept: BTreeMap<u64, u64> = store.ranges().map(|it| (it.start, it.end)).collect();
             let is_kept = |start: &u64, range: &TestedRange| {
@@ -101,7 +102,11 @@ impl FilteredFrames {
             self.is_complete = false;
         }
         let mut budget = PART;
-        for range in store.ranges().rev() {
+        // If only the newest are not tested, they come first.
+        let end = if self.is_complete { u64::MAX } else { end };
+        let before = store.ranges().rev().filter(|range| range.start < end);
+        let behind = store.ranges().rev().take_while(|range| range.start >= end);
+        for range in before.chain(behind) {
             let tested = self.tested.get(&range.start).map_or(range.start, |it| it.end);
             if tested == range.end {
                 if self.is_complete {

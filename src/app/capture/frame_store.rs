@@ -2,13 +2,16 @@
 //!
 //! A classic frame takes 24 bytes. Frames are stored in blocks; when there is no more room, the
 //! oldest block is dropped. Those of its frames that the caller pins are kept longer, in a quarter
-//! of the room. Does not know what frames mean, nor why some are pinned.
+//! of the room. With a [`FrameSource`] the frames of a dropped block are read again when they are
+//! wanted. Does not know what frames mean, nor why some are pinned.
 
-use crate::frame::socketcan::{self, FD_FORMAT};
-use crate::frame::{BusIndex, CanId, Frame};
+use super::frame_block::{BYTES_PER_FRAME, FrameBlock, Record};
+use super::indexed_frames::{IndexedBlock, IndexedFrames, IndexedSource};
+use crate::frame::Frame;
+use crate::log::FrameSource;
 use crate::time::Instant;
 use std::collections::VecDeque;
-use std::ops::Range;
+use std::ops::{Deref, Range};
 use std::sync::Arc;
 
 /// Most frames in a block: with 24 bytes a frame, 96 KiB.
@@ -17,116 +20,24 @@ const BLOCK_FRAMES: usize = 4096;
 const MIN_BLOCKS: usize = 16;
 /// Part of the room that pinned frames may take.
 const PINNED_PART: usize = 4;
-/// Flag of a record: sent by descan.
-const SENT: u8 = 0x80;
+/// Part of the room that the newest frames of a log take, and its index: all others are read again.
+const LOG_PART: usize = 4;
 
-/// Bytes that a classic frame takes.
-pub const BYTES_PER_FRAME: usize = size_of::<Record>();
-
-/// A frame in a block. Its data is here, or from a place in the block on if it is longer.
-#[derive(Clone, Copy, Debug)]
-struct Record {
-    /// Microseconds since the block's time.
-    offset: i32,
-    /// How many frames before it the one with the same identifier is; 0 if that is not known.
-    back: u32,
-    /// Identifier word of SocketCAN.
-    word: u32,
-    data: [u8; Frame::MAX_CLASSIC_DATA],
-    bus: BusIndex,
-    /// FD flags of SocketCAN, and [`SENT`].
-    flags: u8,
-    len: u8,
+/// A block of the store: in memory, or read for the moment.
+#[derive(Debug)]
+enum BlockRef<'a> {
+    Stored(&'a FrameBlock),
+    Read(Arc<FrameBlock>),
 }
 
-/// Frames with consecutive numbers.
-#[derive(Clone, Debug)]
-struct FrameBlock {
-    /// Number of the first frame.
-    first: u64,
-    /// Time that the offsets are relative to: that of the first frame.
-    time: Instant,
-    records: Vec<Record>,
-    /// Data of the frames with more than eight bytes.
-    long_data: Vec<u8>,
-}
+impl Deref for BlockRef<'_> {
+    type Target = FrameBlock;
 
-impl FrameBlock {
-    fn new(first: u64, time: Instant, capacity: usize) -> Self {
-        Self { first, time, records: Vec::with_capacity(capacity), long_data: Vec::new() }
-    }
-
-    fn end(&self) -> u64 {
-        self.first + self.records.len() as u64
-    }
-
-    /// Bytes of memory.
-    fn size(&self) -> usize {
-        size_of::<Self>()
-            + self.records.capacity() * size_of::<Record>()
-            + self.long_data.capacity()
-    }
-
-    /// Returns the offset of a time; `None` if it is too far from the block's time.
-    fn offset(&self, time: Instant) -> Option<i32> {
-        let offset = i128::from(time.as_micros()) - i128::from(self.time.as_micros());
-        i32::try_from(offset).ok()
-    }
-
-    /// Appends a frame; the one with the same identifier is `back` frames before it. Returns false if
-    /// the block is full, or the time too far from its own.
-    fn push(&mut self, frame: &Frame, back: u32) -> bool {
-        if self.records.len() == self.records.capacity() {
-            return false;
+    fn deref(&self) -> &FrameBlock {
+        match self {
+            Self::Stored(block) => block,
+            Self::Read(block) => block,
         }
-        let Some(offset) = self.offset(frame.time) else { return false };
-        let (mut data, bytes) = ([0; Frame::MAX_CLASSIC_DATA], frame.data());
-        if let Some(short) = data.get_mut(..bytes.len()) {
-            short.copy_from_slice(bytes);
-        } else {
-            let at = self.long_data.len() as u64;
-            data = at.to_ne_bytes();
-            self.long_data.extend_from_slice(bytes);
-        }
-        let fd = if frame.is_fd { FD_FORMAT | socketcan::fd_flags(frame) } else { 0 };
-        let sent = if frame.is_tx { SENT } else { 0 };
-        let word = socketcan::id_word(frame);
-        let len = frame.len() as u8;
-        let record = Record { offset, back, word, data, bus: frame.bus, flags: fd | sent, len };
-        self.records.push(record);
-        true
-    }
-
-    fn record(&self, number: u64) -> Option<&Record> {
-        let at = usize::try_from(number.checked_sub(self.first)?).ok()?;
-        self.records.get(at)
-    }
-
-    fn decode(&self, record: &Record) -> Frame {
-        let len = usize::from(record.len);
-        let data = if len <= record.data.len() {
-            &record.data[..]
-        } else {
-            let at = u64::from_ne_bytes(record.data) as usize;
-            self.long_data.get(at..at + len).unwrap_or_default()
-        };
-        let fd = (record.flags & FD_FORMAT != 0).then_some(record.flags);
-        let frame = socketcan::decode(record.word, len, fd, data);
-        let mut frame = frame.unwrap_or_else(|| Frame::new(CanId::Extended(0), &[]));
-        frame.time = self.time_of(record);
-        frame.bus = record.bus;
-        frame.is_tx = record.flags & SENT != 0;
-        frame
-    }
-
-    fn time_of(&self, record: &Record) -> Instant {
-        let micros = self.time.as_micros().saturating_add_signed(i64::from(record.offset));
-        Instant::from_micros(micros)
-    }
-
-    /// Returns the time of the last frame.
-    fn last_time(&self) -> Option<Instant> {
-        self.records.last().map(|record| self.time_of(record))
     }
 }
 
@@ -137,6 +48,8 @@ pub struct FrameStore {
     pinned: VecDeque<Arc<FrameBlock>>,
     /// The newest frames, oldest first.
     recent: VecDeque<Arc<FrameBlock>>,
+    /// Blocks before them that can be read again.
+    indexed: Option<IndexedFrames>,
     /// Number of the next frame.
     end: u64,
     room: usize,
@@ -158,6 +71,7 @@ impl FrameStore {
         Self {
             pinned: VecDeque::new(),
             recent: VecDeque::new(),
+            indexed: None,
             end: 0,
             room,
             block_frames,
@@ -165,6 +79,16 @@ impl FrameStore {
             recent_size: 0,
             generation: 0,
         }
+    }
+
+    /// Sets the log from which frames that are dropped from memory can be read again.
+    pub fn set_source(&mut self, source: Box<dyn FrameSource>) {
+        self.indexed = Some(IndexedFrames::new(source, self.room / LOG_PART));
+    }
+
+    /// Returns true if frames that are dropped from memory can be read again.
+    pub fn has_source(&self) -> bool {
+        self.indexed.is_some()
     }
 
     /// Bytes of memory that frames may take.
@@ -177,14 +101,19 @@ impl FrameStore {
         (self.room / BYTES_PER_FRAME) as u64
     }
 
-    /// Number of the oldest frame from which on all are stored.
+    /// Number of the oldest frame from which on all are stored, or can be read again.
     pub fn first(&self) -> u64 {
+        let indexed = self.indexed.iter().flat_map(IndexedFrames::blocks).next();
+        indexed.map_or(self.first_in_memory(), |block| block.first)
+    }
+
+    fn first_in_memory(&self) -> u64 {
         self.recent.front().map_or(self.end, |block| block.first)
     }
 
     /// Number of the oldest frame that is stored.
     pub fn oldest(&self) -> u64 {
-        self.pinned.front().map_or(self.first(), |block| block.first)
+        self.pinned.front().map_or_else(|| self.first(), |block| block.first)
     }
 
     /// Number of the next frame: the count of all frames.
@@ -238,11 +167,13 @@ impl FrameStore {
         let size = self.block_frames * size_of::<Record>();
         let mut spare = None;
         let mut pins = Some(pins);
-        while self.recent_size + self.pinned_size + size > self.room {
+        let room = if self.indexed.is_some() { self.room / LOG_PART } else { self.room };
+        while self.recent_size + self.pinned_size + size > room {
             let Some(dropped) = self.recent.pop_front() else { break };
             self.recent_size -= dropped.size();
             self.generation += 1;
-            if let Some(pins) = pins.take() {
+            if self.indexed.as_mut().is_some_and(|indexed| indexed.add(&dropped)) {
+            } else if let Some(pins) = pins.take() {
                 let until = dropped.last_time().unwrap_or(dropped.time);
                 self.pin(&dropped, &pins(dropped.time..until));
             }
@@ -250,10 +181,7 @@ impl FrameStore {
         }
         let mut spare = spare.filter(|it| it.records.capacity() == self.block_frames);
         if let Some(block) = spare.as_mut().and_then(Arc::get_mut) {
-            block.first = self.end;
-            block.time = time;
-            block.records.clear();
-            block.long_data = Vec::new();
+            block.reset(self.end, time);
         } else {
             spare = None;
         }
@@ -283,22 +211,23 @@ impl FrameStore {
 
     fn keep(&mut self, block: Option<FrameBlock>) {
         let Some(mut block) = block else { return };
-        block.records.shrink_to_fit();
-        block.long_data.shrink_to_fit();
+        block.shrink();
         self.pinned_size += block.size();
         self.pinned.push_back(Arc::new(block));
     }
 
-    fn blocks(&self) -> impl DoubleEndedIterator<Item = &FrameBlock> {
-        self.pinned.iter().chain(&self.recent).map(|block| &**block)
-    }
-
-    /// Returns the block in which the frame `number` is, or would be.
-    fn block_of(&self, number: u64) -> Option<&FrameBlock> {
-        let blocks = if number < self.first() { &self.pinned } else { &self.recent };
+    /// Returns the block in which the frame `number` is; `None` if there is none.
+    fn block_of(&self, number: u64) -> Option<BlockRef<'_>> {
+        let blocks = if number >= self.first_in_memory() {
+            &self.recent
+        } else if let Some(block) = self.indexed.as_ref().and_then(|it| it.block_of(number)) {
+            return Some(BlockRef::Read(block));
+        } else {
+            &self.pinned
+        };
         let after = blocks.partition_point(|block| block.first <= number);
         let block = blocks.get(after.checked_sub(1)?)?;
-        (number < block.end()).then_some(block)
+        (number < block.end()).then_some(BlockRef::Stored(block))
     }
 
     /// The frame with this number; `None` if it is not stored.
@@ -322,25 +251,30 @@ impl FrameStore {
 
     /// Ranges of consecutive numbers that are stored, oldest first.
     pub fn ranges(&self) -> impl DoubleEndedIterator<Item = Range<u64>> {
-        self.blocks().map(|block| block.first..block.end())
+        let stored = |block: &Arc<FrameBlock>| block.first..block.end();
+        let indexed = self.indexed.iter().flat_map(IndexedFrames::blocks);
+        let indexed = indexed.map(|block| block.first..block.end());
+        self.pinned.iter().map(stored).chain(indexed).chain(self.recent.iter().map(stored))
     }
 
     /// Frames from `from` on with their numbers, oldest first.
     pub fn frames_from(&self, from: u64) -> impl Iterator<Item = (u64, Frame)> {
-        let skipped =
-            |blocks: &VecDeque<Arc<FrameBlock>>| blocks.partition_point(|it| it.end() <= from);
-        let pinned = self.pinned.range(skipped(&self.pinned)..);
-        let recent = self.recent.range(skipped(&self.recent)..);
-        pinned.chain(recent).flat_map(move |block| {
-            let first = from.max(block.first);
-            let records = block.records[(first - block.first) as usize..].iter();
-            (first..).zip(records.map(|record| block.decode(record)))
+        let ranges = self.ranges().skip_while(move |range| range.end <= from);
+        ranges.flat_map(move |range| {
+            let number = range.start.max(from);
+            FramesOfBlock { block: self.block_of(number), number }
         })
     }
 
     /// Returns the frames that are stored now; more frames do not change it.
     pub fn snapshot(&self) -> StoredFrames {
-        StoredFrames { blocks: self.pinned.iter().chain(&self.recent).map(Arc::clone).collect() }
+        let stored = |block: &Arc<FrameBlock>| StoredBlock::Memory(Arc::clone(block));
+        let indexed = self.indexed.iter().flat_map(|indexed| {
+            let source = indexed.source();
+            indexed.blocks().map(|block| StoredBlock::Log(Arc::clone(block), source.clone()))
+        });
+        let blocks = self.pinned.iter().map(stored).chain(indexed);
+        StoredFrames { blocks: blocks.chain(self.recent.iter().map(stored)).collect() }
     }
 
     /// Numbers of the stored frames from `from` on, oldest first.
@@ -356,38 +290,87 @@ impl FrameStore {
     /// Number of the first stored frame that is not older than `time`.
     pub fn at_time(&self, time: Instant) -> u64 {
         let is_older = |block: &Arc<FrameBlock>| block.last_time().is_some_and(|last| last < time);
-        let in_blocks = |blocks: &VecDeque<Arc<FrameBlock>>| {
-            let block = blocks.get(blocks.partition_point(is_older))?;
+        let in_block = |block: &FrameBlock| {
             let at = block.records.partition_point(|record| block.time_of(record) < time);
-            Some(block.first + at as u64)
+            block.first + at as u64
         };
-        in_blocks(&self.pinned).or_else(|| in_blocks(&self.recent)).unwrap_or(self.end)
+        let in_blocks = |blocks: &VecDeque<Arc<FrameBlock>>| {
+            blocks.get(blocks.partition_point(is_older)).map(|block| in_block(block))
+        };
+        let indexed = || Some(in_block(&*self.indexed.as_ref()?.block_at(time)?));
+        let found = in_blocks(&self.pinned).or_else(indexed).or_else(|| in_blocks(&self.recent));
+        found.unwrap_or(self.end)
+    }
+}
+
+/// The frames of a block from a number on.
+struct FramesOfBlock<'a> {
+    block: Option<BlockRef<'a>>,
+    number: u64,
+}
+
+impl Iterator for FramesOfBlock<'_> {
+    type Item = (u64, Frame);
+
+    fn next(&mut self) -> Option<(u64, Frame)> {
+        let block = self.block.as_ref()?;
+        let frame = block.decode(block.record(self.number)?);
+        self.number += 1;
+        Some((self.number - 1, frame))
+    }
+}
+
+/// A block that was stored at some time.
+#[derive(Clone, Debug)]
+enum StoredBlock {
+    Memory(Arc<FrameBlock>),
+    Log(Arc<IndexedBlock>, IndexedSource),
+}
+
+impl StoredBlock {
+    fn is_same(&self, other: &Self) -> bool {
+        match (self, other) {
+            (Self::Memory(block), Self::Memory(other)) => Arc::ptr_eq(block, other),
+            (Self::Log(block, _), Self::Log(other, _)) => Arc::ptr_eq(block, other),
+            _ => false,
+        }
     }
 }
 
 /// Frames that were stored at some time. They share their memory with the store.
 #[derive(Clone, Debug)]
 pub struct StoredFrames {
-    blocks: Vec<Arc<FrameBlock>>,
+    blocks: Vec<StoredBlock>,
 }
 
 impl StoredFrames {
     /// Returns true if both share the same memory.
     pub fn is_same(&self, other: &Self) -> bool {
         let (ours, theirs) = (&self.blocks, &other.blocks);
-        ours.len() == theirs.len() && ours.iter().zip(theirs).all(|(one, it)| Arc::ptr_eq(one, it))
+        ours.len() == theirs.len() && ours.iter().zip(theirs).all(|(one, it)| one.is_same(it))
     }
 
     /// The frames, oldest first.
     pub fn iter(&self) -> impl Iterator<Item = Frame> {
-        self.blocks.iter().flat_map(|block| block.records.iter().map(|it| block.decode(it)))
+        self.blocks.iter().flat_map(|stored| {
+            let block = match stored {
+                StoredBlock::Memory(block) => Some(BlockRef::Stored(block)),
+                StoredBlock::Log(block, source) => source.block(block).map(BlockRef::Read),
+            };
+            let number = block.as_ref().map_or(0, |block| block.first);
+            FramesOfBlock { block, number }.map(|(_, frame)| frame)
+        })
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::app::capture::identifiers::Identifiers;
+    use crate::frame::{BusIndex, CanId};
     use crate::time::Duration;
+    use std::io;
+    use std::sync::Mutex;
 
     fn at(micros: u64) -> Instant {
         Instant::from_micros(micros)
@@ -478,9 +461,94 @@ mod tests {
             let frame = Frame::classic(number, &[]).with_time(at(u64::from(number) * 1000));
             store.push(&frame, None, |block| vec![block.start..block.end + Duration::from_secs(1)]);
         }
-        let size: usize = store.blocks().map(FrameBlock::size).sum();
+        let size = store.pinned_size + store.recent_size;
         assert!(size <= FrameStore::MIN_ROOM, "{size}");
         let pinned = store.ranges().map(|range| range.end - range.start).sum::<u64>();
         assert!(pinned * 24 > FrameStore::MIN_ROOM as u64 * 8 / 10, "{pinned}");
+    }
+
+    /// A log whose frames are these, until they are changed.
+    #[derive(Debug)]
+    struct Log(Arc<Mutex<Vec<Frame>>>);
+
+    impl FrameSource for Log {
+        fn numbers(&self) -> Range<u64> {
+            0..self.0.lock().unwrap().len() as u64
+        }
+
+        fn read(&mut self, numbers: Range<u64>, take: &mut dyn FnMut(Frame)) -> io::Result<()> {
+            let log = self.0.lock().unwrap();
+            let from = (numbers.start as usize).min(log.len());
+            log[from..(numbers.end as usize).min(log.len())].iter().for_each(|frame| take(*frame));
+            Ok(())
+        }
+    }
+
+    /// Frames of several identifiers, lengths and gaps.
+    fn mixed(number: u64) -> Frame {
+        let data: Vec<u8> = (0..64).map(|byte: u8| byte ^ number as u8).collect();
+        let frame = match number % 7 {
+            0 => Frame::fd(number as u32 % 13, &data[..48], 0),
+            1 => Frame::remote(CanId::Standard(number as u16 % 5), 3),
+            it => Frame::classic((it as u32) << 17, &data[..8]).with_bus(BusIndex(it as u8 % 2)),
+        };
+        frame.with_time(at(number * 700 + number / 50_000 * 10_000_000_000))
+    }
+
+    fn store_of_log(frames: u64, room: usize) -> (FrameStore, Arc<Mutex<Vec<Frame>>>) {
+        let log = Arc::new(Mutex::new(Vec::new()));
+        let mut store = FrameStore::new(room);
+        store.set_source(Box::new(Log(Arc::clone(&log))));
+        let mut identifiers = Identifiers::new();
+        for number in 0..frames {
+            let frame = mixed(number);
+            log.lock().unwrap().push(frame.with_time(frame.time + Duration::from_secs(9)));
+            let previous = identifiers.add(&frame, number);
+            store.push(&frame, previous, |_| Vec::new());
+        }
+        (store, log)
+    }
+
+    #[test]
+    fn frames_of_log_that_left_memory_are_read_again() {
+        let (store, _) = store_of_log(150_000, FrameStore::MIN_ROOM);
+        // Too much room for anything to be dropped.
+        let mut all = FrameStore::new(1 << 30);
+        let mut identifiers = Identifiers::new();
+        for number in 0..150_000 {
+            let frame = mixed(number);
+            all.push(&frame, identifiers.add(&frame, number), |_| Vec::new());
+        }
+        assert!(store.first_in_memory() > 120_000, "{}", store.first_in_memory());
+        assert_eq!((store.first(), store.oldest(), store.end()), (0, 0, 150_000));
+        for number in (0..150_000).step_by(977).chain([0, 4095, 4096, 149_999]) {
+            assert_eq!(store.get(number), all.get(number), "{number}");
+            assert_eq!(store.previous(number), all.previous(number), "{number}");
+            let time = all.time_of(number).unwrap();
+            assert_eq!(store.at_time(time), all.at_time(time), "{number}");
+        }
+        let frames: Vec<_> = store.frames_from(3_000).take(20_000).collect();
+        assert!(frames.iter().copied().eq(all.frames_from(3_000).take(20_000)));
+        assert!(store.snapshot().iter().eq(all.snapshot().iter()));
+    }
+
+    #[test]
+    fn changed_log_has_no_frames_before_the_change() {
+        let (store, log) = store_of_log(150_000, FrameStore::MIN_ROOM);
+        log.lock().unwrap()[50_000] = Frame::classic(1, b"other");
+        assert_eq!(store.get(10_000).map(|frame| frame.id), Some(mixed(10_000).id));
+        assert_eq!(store.get(50_000), None);
+        let first = store.first();
+        assert!((50_001..60_000).contains(&first), "{first}");
+        assert_eq!((store.get(first - 1), store.get(first)), (None, Some(mixed(first))));
+        assert_eq!(store.frames_from(0).next().map(|(number, _)| number), Some(first));
+    }
+
+    #[test]
+    fn index_of_log_is_bounded() {
+        let (store, _) = store_of_log(400_000, FrameStore::MIN_ROOM);
+        let indexed = store.indexed.as_ref().unwrap().size();
+        assert!(indexed <= FrameStore::MIN_ROOM / LOG_PART, "{indexed}");
+        assert!(store.recent_size <= FrameStore::MIN_ROOM / LOG_PART);
     }
 }

@@ -46,6 +46,15 @@ impl IdentifierKey {
         };
         Self { bus: frame.bus, id, kind, fd: frame.is_fd }
     }
+
+    /// The key in one number, which is hashed at once.
+    fn packed(self) -> u64 {
+        let id = match self.id {
+            CanId::Standard(id) => u64::from(id),
+            CanId::Extended(id) => u64::from(id) | 1 << 32,
+        };
+        id | u64::from(self.fd) << 33 | (self.kind as u64) << 34 | u64::from(self.bus.0) << 40
+    }
 }
 
 /// Intervals that the jitter is of.
@@ -207,7 +216,8 @@ fn part_of(time: Instant) -> u64 {
 #[derive(Debug)]
 pub struct Identifiers {
     rows: Vec<IdentifierStats>,
-    index: HashMap<IdentifierKey, u32, RandomState>,
+    /// By the packed key.
+    index: HashMap<u64, u32, RandomState>,
     refused: u64,
 }
 
@@ -224,18 +234,25 @@ impl Identifiers {
     /// Counts a frame, which has this number in the capture. Returns the number of the last one with
     /// the same identifier.
     pub fn add(&mut self, frame: &Frame, number: u64) -> Option<u64> {
+        self.add_to_row(frame, number)?.1
+    }
+
+    /// The same; returns the place of the row, too. `None` without a row.
+    pub fn add_to_row(&mut self, frame: &Frame, number: u64) -> Option<(usize, Option<u64>)> {
         let key = IdentifierKey::of(frame);
-        if let Some(&at) = self.index.get(&key) {
+        let packed = key.packed();
+        if let Some(&at) = self.index.get(&packed) {
             let row = &mut self.rows[at as usize];
             let before = row.number;
             row.add(frame, number);
-            return Some(before);
+            return Some((at as usize, Some(before)));
         } else if self.rows.len() < Self::MAX {
-            self.index.insert(key, self.rows.len() as u32);
+            let at = self.rows.len();
+            self.index.insert(packed, at as u32);
             self.rows.push(IdentifierStats::new(key, frame, number));
-        } else {
-            self.refused += 1;
+            return Some((at, None));
         }
+        self.refused += 1;
         None
     }
 
@@ -253,7 +270,12 @@ impl Identifiers {
 
     /// The row of an identifier; `None` if it was not received, or has no row.
     pub fn get(&self, key: &IdentifierKey) -> Option<&IdentifierStats> {
-        self.rows.get(*self.index.get(key)? as usize)
+        self.rows.get(*self.index.get(&key.packed())? as usize)
+    }
+
+    /// The place of the row of an identifier; `None` without one.
+    pub fn place_of(&self, key: &IdentifierKey) -> Option<usize> {
+        self.index.get(&key.packed()).map(|at| *at as usize)
     }
 
     /// Number of frames without a row, because the table was full.

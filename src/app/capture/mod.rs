@@ -7,14 +7,17 @@
 pub(super) mod calls;
 pub(super) mod decoded;
 mod filtered_frames;
+mod frame_block;
 pub(super) mod frame_store;
 mod heartbeats;
 pub(super) mod identifiers;
+mod indexed_frames;
 pub(super) mod transfer;
 
 pub use calls::{CallKey, CallPart, CallStats, Calls, Latency};
-pub use decoded::{Decoded, FrameRole};
-pub use frame_store::{BYTES_PER_FRAME, FrameStore, StoredFrames};
+pub use decoded::{Decoded, FrameMeaning, FrameRole};
+pub use frame_block::BYTES_PER_FRAME;
+pub use frame_store::{FrameStore, StoredFrames};
 pub use heartbeats::{CapturedHeartbeat, CapturedHeartbeats};
 pub use identifiers::{
     FramePeriod, IdentifierKey, IdentifierKind, IdentifierStats, Identifiers, NOTED_BYTES,
@@ -50,6 +53,8 @@ pub(super) struct Traffic {
     pub calls: Calls,
     filtered: FilteredFrames,
     recording: Option<RecordingStatus>,
+    /// Nothing is captured.
+    is_off: bool,
     /// Number of the DES service, by bus.
     des_services: Vec<Service>,
 }
@@ -63,8 +68,14 @@ impl Traffic {
             calls: Calls::default(),
             filtered: FilteredFrames::default(),
             recording: None,
+            is_off: false,
             des_services: Vec::new(),
         }
+    }
+
+    /// Returns a capture that stays empty.
+    pub fn off() -> Self {
+        Self { is_off: true, ..Self::new(0) }
     }
 
     /// Adds a frame of these buses. `pins` returns the times near a block of old frames whose frames are kept.
@@ -74,6 +85,9 @@ impl Traffic {
         buses: &Buses,
         pins: impl FnOnce(Range<Instant>) -> Vec<Range<Instant>>,
     ) {
+        if self.is_off {
+            return;
+        }
         let number = self.capture.end();
         let previous = self.identifiers.add(frame, number);
         if let Some(bus) = buses.get(frame.bus) {
@@ -200,7 +214,7 @@ impl Traffic {
         if view.page != Page::Traffic || !self.filtered.is_on() {
             return true;
         }
-        let is_complete = self.filtered.test(&self.capture, buses);
+        let is_complete = self.filtered.test(&self.capture, buses, self.end(view));
         if let Some(selected) = view.traffic {
             view.traffic = Some(self.filtered.nearest(&self.capture, selected).unwrap_or(selected));
         }

@@ -169,6 +169,15 @@ impl Filter {
         }
     }
 
+    /// Returns true if frames match or not by frames before them: by intervals, or by the bytes of transfers.
+    pub fn looks_back(&self) -> bool {
+        let mut looks = false;
+        self.expression.for_each(&mut |test| {
+            looks |= matches!(test, Test::Interval(_) | Test::Data(_));
+        });
+        looks
+    }
+
     /// Returns true if frames match or not by the names of devices.
     pub(in crate::app) fn needs_names(&self) -> bool {
         let mut needs = false;

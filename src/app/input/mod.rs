@@ -17,7 +17,7 @@ pub(super) use prompt::PromptResult;
 pub use prompt::{Prompt, PromptKind};
 pub(super) use prompt_kinds::{
     AddressPrompt, CapturePathPrompt, CopyPathPrompt, MarkPrompt, MomentPrompt, NewEntryPrompt,
-    RenamePrompt,
+    ProofPathPrompt, RenamePrompt,
 };
 pub use prompt_logic::InputCheck;
 pub(super) use prompt_logic::{PromptContext, PromptOutcome};
@@ -62,6 +62,8 @@ pub enum Overlay {
     Filters(usize),
     /// The comparison of two moments.
     Comparison,
+    /// The kinds of stories, with the place of the selected one.
+    Kinds(usize),
 }
 
 /// Keymap, overlay and type-ahead guard.
@@ -105,6 +107,7 @@ impl Input {
             Overlay::Marks(_) => KeyMode::Marks,
             Overlay::Filters(_) => KeyMode::Filters,
             Overlay::Comparison => KeyMode::Compare,
+            Overlay::Kinds(_) => KeyMode::Kinds,
         }
     }
 

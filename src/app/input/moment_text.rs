@@ -13,8 +13,8 @@ pub(super) const FORMS: &str = "13:51:20 or 13:51:20.250, -2m, +10s, 50%, #5123 
 pub(in crate::app) struct MomentRange {
     /// The first one.
     pub begin: Instant,
-    /// The present.
-    pub now: Instant,
+    /// The present, or the end of a log.
+    pub end: Instant,
     /// The moment that is shown.
     pub shown: Instant,
     /// Number of all frames.
@@ -54,13 +54,13 @@ impl MomentTarget {
             let is_set = range.marks & mark_bit(letter) != 0;
             return is_set.then_some(Self::Mark(letter)).ok_or(format!("{letter}: not a mark"));
         }
-        let (begin, now) = (range.begin, range.now);
+        let (begin, end) = (range.begin, range.end);
         let time = if let Some(percent) = text.strip_suffix('%') {
             let percent: f64 = percent.trim_end().parse().map_err(|_| no_form())?;
             if !(0.0..=100.0).contains(&percent) {
                 return Err(format!("{text}: from 0% to 100%"));
             }
-            begin + now.since(begin).mul_f64(percent / 100.0)
+            begin + end.since(begin).mul_f64(percent / 100.0)
         } else if let Some(back) = text.strip_prefix('-') {
             let back = parse_duration(back, "s").ok_or_else(no_form)?;
             Instant::from_micros(range.shown.as_micros().saturating_sub(micros(back)))
@@ -69,18 +69,18 @@ impl MomentTarget {
         } else {
             range.at_wall_time(parse_time_of_day(text).ok_or_else(no_form)?)
         };
-        if (begin..=now).contains(&time) {
+        if (begin..=end).contains(&time) {
             return Ok(Self::Time(time));
         }
-        Err(format!("{text}: not kept; {} to {} is", range.wall(begin), range.wall(now)))
+        Err(format!("{text}: not kept; {} to {} is", range.wall(begin), range.wall(end)))
     }
 }
 
 impl MomentRange {
-    /// Returns the last moment until the present at this time of day, in microseconds.
+    /// Returns the last moment until the end at this time of day, in microseconds.
     fn at_wall_time(&self, of_day: i128) -> Instant {
-        let now = self.wall_start + i128::from(self.now.as_micros());
-        let at = now - (now - of_day).rem_euclid(DAY);
+        let end = self.wall_start + i128::from(self.end.as_micros());
+        let at = end - (end - of_day).rem_euclid(DAY);
         // One before the start is not kept, nor is the latest moment there is.
         u64::try_from(at - self.wall_start).map_or(Instant::LATEST, Instant::from_micros)
     }
@@ -114,8 +114,8 @@ mod tests {
     /// From 23:59:50 on, for 40 s: kept from 23:59:55, and 0:00:20 is shown.
     fn range() -> MomentRange {
         let wall_start = 20_000 * DAY - 10_000_000;
-        let (begin, now, shown) = (at(5.0), at(40.0), at(30.0));
-        MomentRange { begin, now, shown, frames: 100, wall_start, marks: mark_bit('c') }
+        let (begin, end, shown) = (at(5.0), at(40.0), at(30.0));
+        MomentRange { begin, end, shown, frames: 100, wall_start, marks: mark_bit('c') }
     }
 
     #[test]
@@ -142,7 +142,7 @@ mod tests {
         assert_eq!(MomentTarget::parse("c", &range()), Ok(MomentTarget::Mark('c')));
         assert_eq!(MomentTarget::parse("#100", &range()), Ok(MomentTarget::Frame(99)));
         let mut long = range();
-        (long.begin, long.now) = (at(0.0), at(100_000.0));
+        (long.begin, long.end) = (at(0.0), at(100_000.0));
         long.shown = at(90_000.0);
         let back = MomentTarget::parse("-1h30m", &long);
         assert_eq!(back, Ok(MomentTarget::Time(at(84_600.0))));

@@ -7,7 +7,7 @@
 use super::filter_prompt::FilterPrompt;
 use super::prompt_kinds::{
     AddressPrompt, CapturePathPrompt, CopyPathPrompt, MarkPrompt, MomentPrompt, NewEntryPrompt,
-    RenamePrompt,
+    ProofPathPrompt, RenamePrompt,
 };
 use super::prompt_logic::{EditTarget, InputCheck, PromptContext, PromptLogic, PromptOutcome};
 use crate::keymap::{Key, KeyCode};
@@ -43,6 +43,8 @@ pub enum PromptKind {
     CapturePath(CapturePathPrompt),
     /// Path of a copy of des.json.
     CopyPath(CopyPathPrompt),
+    /// Path of the proof of a problem.
+    ProofPath(ProofPathPrompt),
     /// Moment to go to.
     Moment(MomentPrompt),
     /// Text of a mark.
@@ -77,6 +79,7 @@ impl PromptKind {
             PromptKind::NewEntry(prompt) => prompt,
             PromptKind::CapturePath(prompt) => prompt,
             PromptKind::CopyPath(prompt) => prompt,
+            PromptKind::ProofPath(prompt) => prompt,
             PromptKind::Moment(prompt) => prompt,
             PromptKind::Mark(prompt) => prompt,
         }

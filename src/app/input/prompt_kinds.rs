@@ -8,6 +8,7 @@ use super::prompt_logic::{EditTarget, InputCheck as C, PromptContext, PromptLogi
 use crate::app::buses::Bus;
 use crate::app::history::Moment;
 use crate::app::listing::new_entry;
+use crate::app::problems::ProblemKey;
 use crate::app::view::RowKey;
 use crate::discovery::DeviceId;
 use crate::document::{Document, Entry, EntryKey, NewEntry, Operation};
@@ -460,6 +461,35 @@ impl PromptLogic for CapturePathPrompt {
 
     fn commit(&self, text: &str, _context: PromptContext) -> PromptOutcome {
         PromptOutcome::SaveCapture(PathBuf::from(text))
+    }
+}
+
+/// Prompt for the path of the proof of a problem.
+#[derive(Clone, Debug)]
+pub struct ProofPathPrompt {
+    /// The problem: that of the key, even if another one is selected meanwhile.
+    pub problem: ProblemKey,
+}
+
+impl PromptLogic for ProofPathPrompt {
+    fn label(&self) -> &'static str {
+        "write the proof to"
+    }
+
+    fn short_label(&self) -> &'static str {
+        "proof to"
+    }
+
+    fn validate(&self, text: &str, _context: PromptContext) -> C {
+        match crate::app::proof::is_report(Path::new(text)) {
+            _ if text.is_empty() => C::Rejected(NO_PATH.to_owned()),
+            true => C::Accepted("report, and its frames as .pcapng".to_owned()),
+            false => C::Rejected("use the ending .md".to_owned()),
+        }
+    }
+
+    fn commit(&self, text: &str, _context: PromptContext) -> PromptOutcome {
+        PromptOutcome::WriteProof(self.problem.clone(), PathBuf::from(text))
     }
 }
 

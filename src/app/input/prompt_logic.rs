@@ -4,7 +4,7 @@ use super::moment_text::{MomentRange, MomentTarget};
 use crate::app::buses::Buses;
 use crate::app::file::FileState;
 use crate::app::history::Moment;
-use crate::app::problems::Matching;
+use crate::app::problems::{Matching, ProblemKey};
 use crate::app::view::Page;
 use crate::document::{NewEntry, Operation};
 use crate::frame::BusIndex;
@@ -54,6 +54,8 @@ pub(in crate::app) enum PromptOutcome {
     SaveCapture(PathBuf),
     /// Write a copy of des.json to this path.
     SaveCopy(PathBuf),
+    /// Write the proof of a problem: the path of its report.
+    WriteProof(ProblemKey, PathBuf),
     /// Show a moment.
     GoTo(MomentTarget),
     /// Mark a moment, with a text.

@@ -27,7 +27,7 @@ pub fn event_text(buses: &Buses, bus: BusIndex, event: &Event) -> Option<(Timeli
                 (ServicesNews::First, _) => (TimelineKind::Improved, String::new()),
                 (ServicesNews::Changed, None) => (TimelineKind::Change, String::new()),
                 (ServicesNews::Changed, Some(device)) => {
-                    (TimelineKind::Change, format!(": {}", changes_of(device)))
+                    (TimelineKind::Change, format!(": {}", changes_of(device, " → ")))
                 }
                 (ServicesNews::OtherDevice, device) => {
                     let whose = device.map_or("another device", whose_other_services);
@@ -45,7 +45,7 @@ pub fn event_text(buses: &Buses, bus: BusIndex, event: &Event) -> Option<(Timeli
         }
         EventKind::Moved { from } => (TimelineKind::Change, format!("moved from {from}")),
         EventKind::Claimed { uid, holder, inferred: guess } => {
-            let holder = holder.as_ref().map(|holder| party_label(buses, holder));
+            let holder = holder.as_ref().map(|holder| device_label(buses, holder));
             let held = match (holder, guess) {
                 (Some(holder), false) => format!(" (held by {holder})"),
                 (Some(holder), true) => format!(" (probably not {holder})"),
@@ -56,7 +56,7 @@ pub fn event_text(buses: &Buses, bus: BusIndex, event: &Event) -> Option<(Timeli
         }
         EventKind::GaveUpAddress { uid, to, inferred: guess } => {
             let to = match to {
-                Some(to) => format!(" to {}", party_label(buses, to)),
+                Some(to) => format!(" to {}", device_label(buses, to)),
                 None => " (claimed by another device)".to_owned(),
             };
             let guess = if *guess { " (probable)" } else { "" };
@@ -144,8 +144,8 @@ pub fn whose_other_services(device: &Device) -> &'static str {
     }
 }
 
-/// What changed in the services of a device: `AUGER 2.1 → 2.2, JAM added`.
-fn changes_of(device: &Device) -> String {
+/// What changed in the services of a device: `AUGER 2.1 → 2.2, JAM added`, with this arrow.
+pub fn changes_of(device: &Device, arrow: &str) -> String {
     /// Number of changes that are listed; the others are counted.
     const LISTED: usize = 4;
     let services = |list: &'_ Option<Vec<DeviceService>>| list.clone().unwrap_or_default();
@@ -158,7 +158,7 @@ fn changes_of(device: &Device) -> String {
         match versions.clone().next() {
             None => changes.push(format!("{name} added")),
             Some(_) if versions.clone().any(|version| *version == service.version) => {}
-            Some(version) => changes.push(format!("{name} {version} → {}", service.version)),
+            Some(version) => changes.push(format!("{name} {version}{arrow}{}", service.version)),
         }
     }
     let removed = before.iter().filter(|it| !in_list(&now, &it.name));
@@ -203,7 +203,8 @@ pub fn other_names(event: &EventKind) -> Vec<Name> {
     }
 }
 
-fn party_label(buses: &Buses, party: &OtherDevice) -> String {
+/// Name of the other device of an event, else its UID.
+pub fn device_label(buses: &Buses, party: &OtherDevice) -> String {
     let known = || buses.device(party.device)?.name.as_ref();
     match (party.name.as_ref().or_else(known), party.uid) {
         (Some(name), _) => name.to_string(),
@@ -221,7 +222,8 @@ fn uid_label(buses: &Buses, bus: BusIndex, device: Option<DeviceId>, uid: Option
     }
 }
 
-fn uid_text(buses: &Buses, bus: BusIndex, uid: Uid) -> String {
+/// Text of a UID in the alphabet of its bus, with all characters printable.
+pub fn uid_text(buses: &Buses, bus: BusIndex, uid: Uid) -> String {
     let alphabet = buses.get(bus).map(|bus| &bus.config().profile.uid);
     let text = alphabet.map_or_else(String::new, |alphabet| uid.text(alphabet).to_string());
     Escaped(text.as_bytes()).to_string()

@@ -8,7 +8,9 @@ mod event_text;
 mod redraw;
 pub(super) mod timeline;
 
-pub(super) use event_text::{event_text, join_lines, join_short};
+pub(super) use event_text::{
+    changes_of, device_label, event_text, join_lines, join_short, uid_text,
+};
 pub use event_text::{event_word, whose_other_services, whose_services};
 pub(super) use redraw::{BUS_REDRAW_INTERVAL, Redraw};
 pub use timeline::{Timeline, TimelineEntry};
@@ -18,7 +20,8 @@ use super::timeline_kind::TimelineKind;
 use super::AppEvent;
 use super::buses::Buses;
 use super::filter::Filter;
-use crate::discovery::{Event, EventKind};
+use super::stories::{Stories, StoryChange};
+use crate::discovery::{DeviceId, Event, EventKind, Presence};
 use crate::finding::FindingKind;
 use crate::frame::BusIndex;
 use crate::time::{Duration, Instant};
@@ -47,6 +50,7 @@ pub struct StatusMessage {
 pub(super) struct Notices {
     message: Option<StatusMessage>,
     timeline: Timeline,
+    stories: Stories,
     /// Events are queued for [`super::App::poll_app_event`].
     emits_events: bool,
     /// Events about devices are queued only where this matches.
@@ -61,6 +65,7 @@ impl Notices {
         Self {
             message: None,
             timeline: Timeline::default(),
+            stories: Stories::default(),
             emits_events,
             event_filter,
             events: VecDeque::new(),
@@ -139,6 +144,47 @@ impl Notices {
     /// The lines, for changes.
     pub fn timeline_mut(&mut self) -> &mut Timeline {
         &mut self.timeline
+    }
+
+    /// The stories that the events belong to; none where events are queued.
+    pub fn stories(&self) -> &Stories {
+        &self.stories
+    }
+
+    /// Adds a line to the timeline.
+    pub fn push_line(&mut self, entry: TimelineEntry) {
+        self.note_step(&entry, StoryChange::Text);
+        self.timeline.push(entry);
+    }
+
+    /// Inserts a line at its time.
+    pub fn insert_line(&mut self, entry: TimelineEntry) -> u64 {
+        self.note_step(&entry, StoryChange::Text);
+        self.timeline.insert(entry)
+    }
+
+    /// Adds an event to the story that it belongs to.
+    pub fn note_step(&mut self, entry: &TimelineEntry, change: StoryChange) {
+        // They are for the screen.
+        if self.emits_events {
+            return;
+        }
+        if let (StoryChange::Presence(Presence::Lost), Some(device)) = (&change, entry.device) {
+            self.stories.end_modes(entry, device);
+        }
+        self.stories.push(entry.clone(), change);
+    }
+
+    /// Removes the line of the mark with this letter.
+    pub fn remove_mark(&mut self, letter: char) {
+        self.timeline.remove_mark(letter);
+        self.stories.remove_mark(letter);
+    }
+
+    /// Assigns the lines of `was`, those before `before` if given, to `device`.
+    pub fn reassign(&mut self, was: DeviceId, before: Option<Instant>, device: DeviceId) {
+        self.timeline.reassign(was, before, device);
+        self.stories.reassign(was, before, device);
     }
 
     /// Returns true if events are queued, as for `watch`.

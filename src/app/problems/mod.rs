@@ -6,15 +6,21 @@
 
 mod comparison;
 mod group;
+mod headline;
 mod list;
 mod matching;
 mod missing_reason;
+mod sides;
 
 pub use comparison::Scope;
 pub use group::{EvidenceItem, Problem, ProblemKey, is_about};
+pub(super) use headline::label_of;
+pub use headline::{ProblemHeadline, length_text};
 pub use list::ProblemList;
 pub use matching::Matching;
 pub use missing_reason::{bus_obstacle, format_duration};
+pub(super) use sides::missed_in;
+pub use sides::{ConflictSide, ConflictSides, SideBasis};
 
 use super::Inputs;
 use super::buses::Buses;

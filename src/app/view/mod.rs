@@ -9,8 +9,10 @@ mod cursor;
 mod devices_page;
 mod evidence;
 mod page;
+mod problems_view;
 mod rows;
 mod screen;
+mod timeline_view;
 mod traffic_view;
 
 pub use bus_page::{BarKey, BusPageLayout, BusRegions, ChartSpan};
@@ -18,13 +20,19 @@ pub use cursor::Selection;
 pub use devices_page::{DeviceView, DevicesPage};
 pub use evidence::EvidenceView;
 pub use page::{Focus, Frozen, Page};
+pub(in crate::app) use problems_view::ProblemRoom;
+pub use problems_view::{ConflictAxis, ProblemsView};
 pub use rows::{Board, Counts, FileStatus, Row, RowKey, RowState, SortBy};
 pub use screen::{SPLIT_WIDTH, Screen};
+pub use timeline_view::TimelineView;
 pub use traffic_view::{CallOrder, IdentifierOrder, TimeFormat, TrafficView};
 
 use super::capture::calls::CallKey;
 use super::capture::identifiers::IdentifierKey;
 use super::problems::{EvidenceItem, ProblemKey};
+use super::stories::HiddenKinds;
+use super::story_lines::LineKey;
+use crate::discovery::DeviceId;
 use std::collections::BTreeSet;
 
 /// State of the view.
@@ -44,6 +52,8 @@ pub struct View {
     pub sort: SortBy,
     /// End of a frozen view; `None` while it is live.
     pub frozen: Option<Frozen>,
+    /// A line announces a confirmed conflict.
+    pub has_alarm: bool,
     /// The time bar is shown on a small screen, too.
     pub has_time_bar: bool,
     /// What a row of the Traffic page is.
@@ -66,8 +76,28 @@ pub struct View {
     pub devices_page: DevicesPage,
     /// Selection of the Problems page.
     pub problems: Selection<ProblemKey>,
-    /// Number of the selected timeline line; none while the newest are followed.
-    pub timeline: Selection<u64>,
+    /// Which problems are listed.
+    pub problems_view: ProblemsView,
+    /// Room that the list of problems wants.
+    pub(in crate::app) problem_room: ProblemRoom,
+    /// Place of the selected piece of evidence in the focused details of a problem.
+    pub piece: usize,
+    /// Time axis of the conflict panel.
+    pub conflict_axis: ConflictAxis,
+    /// Selected line of the timeline; none while the newest are followed.
+    pub timeline: Selection<LineKey>,
+    /// Stories whose steps have lines of their own.
+    pub(in crate::app) open_stories: BTreeSet<u64>,
+    /// What the Timeline page shows.
+    pub timeline_view: TimelineView,
+    /// Length of a cell of the lanes, by its place in the list of them; `None`: all that is kept fits.
+    pub(in crate::app) lane_zoom: Option<usize>,
+    /// Device of the selected lane, where lanes are shown alone.
+    pub(in crate::app) lane: Selection<DeviceId>,
+    /// Number of the lanes of devices.
+    pub(in crate::app) lane_count: usize,
+    /// Kinds of stories that have no lines.
+    pub hidden_kinds: HiddenKinds,
     /// Selected bar of the Bus page.
     pub bars: Selection<BarKey>,
     /// Time that the charts of the Bus page show.
@@ -90,7 +120,8 @@ impl View {
     /// Returns true if the page has details beside, below or in place of its list.
     pub fn has_details(&self) -> bool {
         match self.page {
-            Page::Devices | Page::Problems => true,
+            Page::Devices => true,
+            Page::Problems => self.problem_room.rows > 0,
             Page::Traffic if self.evidence.is_some() => true,
             Page::Traffic => self.frame_details && self.traffic_view == TrafficView::Frames,
             Page::Timeline | Page::Bus => false,
@@ -122,6 +153,7 @@ impl View {
 
     fn focus_list(&mut self) {
         self.focus = Focus::List;
+        self.piece = 0;
         self.details_scroll = 0;
     }
 
@@ -134,6 +166,7 @@ impl View {
         }
         self.focus = if details && has { Focus::Details } else { Focus::List };
         self.details_scroll = 0;
+        self.piece = 0;
     }
 
     /// Scrolls the details by lines; the end is known when they are drawn.
@@ -143,7 +176,7 @@ impl View {
     }
 
     /// Selects the newest line of the timeline, if its newest lines are followed.
-    pub(in crate::app) fn hold_timeline(&mut self, keys: &[u64], height: usize) {
+    pub(in crate::app) fn hold_timeline(&mut self, keys: &[LineKey], height: usize) {
         if self.timeline.selected().is_none() {
             self.timeline.move_to(keys, keys.len(), height);
             let line = keys.len().min(height).saturating_sub(1);

@@ -3,9 +3,10 @@
 //! ```text
 //!  can0 125k active  load   7% ⣶⣾⣿⣿ 5–8%  err 0  lost 0  own 0        status, one line per bus
 //!  des.json ✓ 12 entries         ● 14 present  ○ 1 missing  ⚠ 2  ? 1  (and one for the file)
-//! ─ 1 Devices ─ 2 Traffic ─ 3 Timeline ─ 4 Problems 2 ┬─ FEED @12 ──   tabs
-//!    ADDR  NAME   STATE   MODE    SVC   AGE   FILE    │ online 3m12s   header
-//! ▸  12   FEED   online  WORK      4    0s   ✓ 12     │ …              list, details
+//!  ⚠ Address 14: SPARE01 joined 13:50:55, conflicts with BOILER03      alarm
+//! ─ 1 Devices ─ 2 Traffic ─ 3 Timeline ─ 4 Problems 2 ┬ 13:51:12 LIVE   tabs
+//!    ADDR  NAME   STATE   MODE    SVC   AGE   FILE    │ FEED @12       header, details_title
+//! ▸  12   FEED   online  WORK      4    0s   ✓ 12     │ online 3m12s   list, details
 //!    13   SENS   online  WORK      3    0s   + new    │
 //! ─ latest ───────────────────────────────────────────┴─────────────   latest
 //!  12:03:11  ACT @14  address conflict confirmed: …
@@ -28,14 +29,22 @@ pub struct Screen {
     pub whole: Rect,
     /// State of the buses and of the file.
     pub status: Rect,
-    /// Rule with the titles of the pages, then of the details.
+    /// The newest confirmed conflict; on a small screen in the place of the status.
+    pub alarm: Rect,
+    /// Rule with the titles of the pages and the shown moment.
     pub tabs: Rect,
+    /// Lanes of the Timeline page.
+    pub lanes: Rect,
+    /// Rule above the lines of the Timeline page, with their number and kinds.
+    pub kinds: Rect,
     /// Column headings.
     pub header: Rect,
     /// Rows.
     pub list: Rect,
     /// Line between list and details.
     pub divider: Rect,
+    /// Title of details beside the list or in its place.
+    pub details_title: Rect,
     /// Details of the selected row.
     pub details: Rect,
     /// Rule with the title of the details of a device below the list.
@@ -53,14 +62,29 @@ pub struct Screen {
 /// Least width with details beside the list, in columns.
 pub const SPLIT_WIDTH: u16 = 76;
 
-/// Width from which all tabs have their titles, in columns.
-const NARROW: u16 = 60;
+/// Width from which all tabs have their titles beside the shown moment, in columns.
+const NARROW: u16 = 74;
 
 /// Least width with the time bar, in columns.
 const BAR_COLUMNS: u16 = 60;
 
-/// Least height with the details of a frame below the list of frames, in lines.
+/// Least rows of the list of problems above the details.
+const LEAST_PROBLEMS: u16 = 3;
+
+/// Least height with the details of a problem or of a frame below the list of frames, in lines.
 const SPLIT_HEIGHT: u16 = 18;
+
+/// Least height with a line for the status or the alarm, in lines.
+const SMALLEST: u16 = 5;
+
+/// Least height with the status beside an alarm, in lines: a bus that is down or a recording that
+/// stopped stay on the screen.
+const STATUS_AND_ALARM: u16 = 9;
+
+/// Least height with a line for each bus, in lines.
+const SMALL: u16 = 16;
+/// Least height with the rule of the kinds on the Timeline page, in lines.
+const KINDS_HEIGHT: u16 = 16;
 
 impl Screen {
     /// Returns the layout for a view and this number of buses.
@@ -68,10 +92,14 @@ impl Screen {
         let (columns, rows) = view.size;
         let whole = Rect::new(0, 0, columns, rows);
         let mut left = whole;
-        let status = take_top(&mut left, Self::status_lines(columns, rows, buses));
+        let alarm_lines = u16::from(view.has_alarm && rows >= SMALLEST);
+        let is_status = alarm_lines == 0 || rows >= STATUS_AND_ALARM || view.frozen.is_some();
+        let status_lines = if is_status { Self::status_lines(columns, rows, buses) } else { 0 };
+        let status = take_top(&mut left, status_lines);
+        let alarm = take_top(&mut left, alarm_lines);
         let tabs = take_top(&mut left, 1);
         let footer = take_bottom(&mut left, 1);
-        let mut screen = Self { whole, status, tabs, footer, ..Self::default() };
+        let mut screen = Self { whole, status, alarm, tabs, footer, ..Self::default() };
         let is_large = columns >= 120 && rows >= 30;
         let is_wanted = is_large || (view.frozen.is_some() || view.has_time_bar) && rows >= 16;
         if is_wanted && columns >= BAR_COLUMNS {
@@ -93,6 +121,16 @@ impl Screen {
         if has_details && view.page == Page::Traffic && rows >= SPLIT_HEIGHT {
             screen.details = take_bottom(&mut left, (rows / 3).clamp(7, 14));
             screen.lower_rule = take_bottom(&mut left, 1);
+        } else if has_details && view.page == Page::Problems && rows >= SPLIT_HEIGHT {
+            // Below the list, which has as many rows as it wants, at most a part of the page.
+            let wanted = view.problem_room;
+            let part = if wanted.has_conflict { 4 } else { 2 };
+            let most = (left.height / part).max(LEAST_PROBLEMS);
+            let list = wanted.rows.clamp(LEAST_PROBLEMS, most) + wanted.below.min(left.height / 2);
+            let rule = 1;
+            let details = left.height.saturating_sub(1 + list + rule);
+            screen.details = take_bottom(&mut left, details);
+            screen.lower_rule = take_bottom(&mut left, rule);
         } else if view.page == Page::Devices {
             screen.place_details_of_device(view, &mut left);
         } else if has_details && view.page != Page::Traffic && columns >= SPLIT_WIDTH {
@@ -103,8 +141,18 @@ impl Screen {
         } else if has_details && view.focus == Focus::Details {
             screen.details = std::mem::take(&mut left);
         }
+        if view.page == Page::Timeline {
+            let lanes = view.lane_lines(left.height);
+            screen.lanes = take_top(&mut left, lanes);
+            screen.kinds = take_top(&mut left, u16::from(rows >= KINDS_HEIGHT));
+        }
         screen.header = take_top(&mut left, 1);
         screen.list = left;
+        // Beside the list, the details of a device begin with their title.
+        let is_beside = screen.divider.height > 0 && view.page != Page::Devices;
+        if is_beside || screen.list.height == 0 {
+            screen.details_title = take_top(&mut screen.details, 1);
+        }
         screen
     }
 
@@ -133,10 +181,10 @@ impl Screen {
     fn status_lines(columns: u16, rows: u16, buses: usize) -> u16 {
         let buses = u16::try_from(buses.max(1)).unwrap_or(u16::MAX);
         match rows {
-            0..=4 => 0,
-            5..=15 => 1,
+            0..SMALLEST => 0,
+            SMALLEST..SMALL => 1,
             _ if columns >= 140 && buses == 1 => 1,
-            16..=30 => buses.min(2) + 1,
+            SMALL..=30 => buses.min(2) + 1,
             _ => buses.min(6) + 1,
         }
     }
@@ -146,16 +194,9 @@ impl Screen {
         usize::from(self.list.height)
     }
 
-    /// Returns the tabs; beside the title of details in the place of the list only the open page
-    /// has its own.
+    /// Returns the tabs.
     pub fn tabs(&self, open: Page, counts: Counts) -> Vec<(Page, u16, String)> {
-        let columns = self.whole.width;
-        tabs(if self.details_alone() { columns.min(NARROW - 1) } else { columns }, open, counts)
-    }
-
-    /// Returns true if the details take the place of the list.
-    pub fn details_alone(&self) -> bool {
-        self.list.height == 0 && self.details.height > 0
+        tabs(self.whole.width, open, counts)
     }
 }
 
@@ -174,30 +215,31 @@ fn take_bottom(area: &mut Rect, lines: u16) -> Rect {
 }
 
 /// Returns page, first column and text of each tab. On a narrow screen only the open page has its
-/// title, the others their number, and confirmed and suspected problems are counted separately. A file that cannot be used is marked.
+/// title, the others their number, and confirmed and suspected problems are counted separately.
+/// A file that cannot be used is marked.
 fn tabs(columns: u16, open: Page, counts: Counts) -> Vec<(Page, u16, String)> {
     let (narrow, wide) = (columns < NARROW, columns >= 100);
     let mut at = u16::from(wide);
     Page::ALL
         .into_iter()
         .map(|page| {
-            let mut text = format!(" {} ", page.number());
+            let mut text = format!(" {}", page.number());
             if !narrow || page == open {
-                text.push_str(page.title());
-                text.push(' ');
+                let _ = write!(text, " {} ", page.title());
             }
             let all = counts.confirmed + counts.suspected;
             if page == Page::Problems && narrow {
                 for (sign, count) in [("⚠", counts.confirmed), ("?", counts.suspected)] {
                     if count > 0 {
-                        let _ = write!(text, "{sign}{count} ");
+                        let gap = if text.ends_with(' ') { "" } else { " " };
+                        let _ = write!(text, "{gap}{sign}{count}");
                     }
                 }
             } else if page == Page::Problems && all > 0 {
                 let _ = write!(text, "{all} ");
             }
             if page == Page::Problems && counts.is_file_broken {
-                text.push_str("✗ ");
+                text.push_str(if text.ends_with(' ') { "✗ " } else { " ✗" });
             }
             let start = at;
             at += text.chars().count() as u16 + u16::from(wide);
@@ -215,16 +257,22 @@ mod tests {
         for columns in [0, 1, 20, 40, 75, 76, 80, 120, 250] {
             for rows in [0, 1, 3, 5, 10, 16, 18, 24, 40, 60] {
                 for page in Page::ALL {
-                    for focus in [Focus::List, Focus::Details] {
+                    for (focus, has_alarm) in
+                        [(Focus::List, false), (Focus::Details, false), (Focus::List, true)]
+                    {
                         let size = (columns, rows);
-                        let view = View { page, focus, size, ..View::default() };
+                        let view = View { page, focus, size, has_alarm, ..View::default() };
                         let screen = Screen::new(&view, 2);
                         let parts = [
                             screen.status,
+                            screen.alarm,
                             screen.tabs,
+                            screen.lanes,
+                            screen.kinds,
                             screen.header,
                             screen.list,
                             screen.divider,
+                            screen.details_title,
                             screen.details,
                             screen.details_rule,
                             screen.lower_rule,

@@ -6,6 +6,7 @@
 //! written; if it is truncated or replaced, it is read from its start. Does not know log formats.
 
 pub(super) mod file;
+mod index;
 pub(super) mod stdin;
 
 use super::clock::Clock;
@@ -17,6 +18,7 @@ use crate::frame::{BusIndex, Frame};
 use crate::log::{DecodeStep, LogReader, READABLE_LOGS};
 use crate::status::{Link, RateSearch};
 use crate::time::{Duration, Instant};
+use index::LogIndex;
 use std::fs::{self, File, Metadata};
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::os::fd::AsFd;
@@ -30,6 +32,8 @@ use std::time::Instant as Monotonic;
 const MAX_LATENESS: Duration = Duration::from_millis(250);
 /// How long to wait for the consumer when the queue is full.
 const FULL_QUEUE_NAP: Duration = Duration::from_millis(5);
+/// Most frames that are delivered together while a log is read as fast as possible.
+const AT_ONCE: usize = 1024;
 /// How often to check whether a file that was read to its end has grown.
 const LOOK_EVERY: Duration = Duration::from_millis(300);
 /// How long a file that grew may rest before its end is reported again: writers with a buffer write
@@ -46,7 +50,7 @@ fn open(log: File, path: Option<&Path>, request: OpenRequest) -> Result<Port, Di
 }
 
 fn start(log: File, path: Option<&Path>, request: OpenRequest) -> io::Result<Port> {
-    let OpenRequest { name, index, clock, .. } = request;
+    let OpenRequest { name, index: bus, clock, .. } = request;
     let shared = Arc::new(PortShared::new()?);
     shared.queue.update_status(|status| {
         status.link = Link::Up;
@@ -55,18 +59,30 @@ fn start(log: File, path: Option<&Path>, request: OpenRequest) -> io::Result<Por
     });
     let metadata = log.metadata()?;
     let (is_file, size) = (metadata.is_file(), metadata.len());
-    clock.log_opens(index, !is_file);
+    clock.log_opens(bus, !is_file);
     let mut port = Port::new(&name, Arc::clone(&shared), true);
     let path = path.filter(|_| is_file).map(Path::to_owned);
+    let source = LogSource { log, shared: Arc::clone(&shared), is_file, read: 0, size };
+    let reader = LogReader::new(BufReader::with_capacity(1 << 16, source));
+    let index = if is_file {
+        let log = reader.source().get_ref().log.try_clone()?;
+        let index = LogIndex::new(log, bus, reader.position());
+        port.set_frame_source(Box::new(index.clone()));
+        Some(index)
+    } else {
+        None
+    };
     port.serve(move |shared| {
-        let source = LogSource { log, shared: Arc::clone(shared), is_file, read: 0, size };
         let mut replay = Replay {
-            reader: LogReader::new(BufReader::with_capacity(1 << 16, source)),
+            reader,
+            index,
             shared: Arc::clone(shared),
             path,
-            index,
+            bus,
             clock,
             anchor: None,
+            reads_to: Instant::ZERO,
+            waiting: Vec::with_capacity(AT_ONCE),
             named: 0,
             follows: false,
             percent: None,
@@ -82,13 +98,20 @@ fn start(log: File, path: Option<&Path>, request: OpenRequest) -> io::Result<Por
 
 struct Replay {
     reader: LogReader<BufReader<LogSource>>,
+    /// Where its frames can be read again; `None` if they cannot.
+    index: Option<LogIndex>,
     shared: Arc<PortShared>,
     /// The path to watch for more of the log; `None` if it cannot grow.
     path: Option<PathBuf>,
-    index: BusIndex,
+    /// Bus of its first interface.
+    bus: BusIndex,
     clock: Clock,
     /// A moment of the log and the same moment of the session.
     anchor: Option<(Instant, Instant)>,
+    /// Moment up to which frames are delivered as fast as possible, as it was last looked at.
+    reads_to: Instant,
+    /// Frames that are delivered together.
+    waiting: Vec<Frame>,
     /// How many interface names were reported.
     named: usize,
     /// It has continued after its end: frames are delivered as they are written.
@@ -115,9 +138,13 @@ impl Replay {
         }
         loop {
             while let Some(frame) = self.next_frame()? {
+                self.note_frame();
                 if !self.play(frame)? {
                     return Ok(());
                 }
+            }
+            if !self.flush()? {
+                return Ok(());
             }
             let Some(more) = self.wait_for_more()? else { return Ok(()) };
             self.follows = true;
@@ -125,6 +152,10 @@ impl Replay {
                 Continuation::Grown => None,
                 Continuation::Anew(why) => {
                     self.reader.restart();
+                    if let Some(index) = &self.index {
+                        let log = self.reader.source().get_ref().log.try_clone()?;
+                        index.restart(log, self.reader.position());
+                    }
                     Some(why.to_owned())
                 }
             };
@@ -153,6 +184,17 @@ impl Replay {
         Ok(if is_left { self.reader.read_partial_entry() } else { None })
     }
 
+    /// Notes in the index that a frame was read.
+    fn note_frame(&self) {
+        let Some(index) = &self.index else { return };
+        let place = || {
+            let source = self.reader.source();
+            let offset = source.get_ref().read - source.buffer().len() as u64;
+            (self.reader.position(), offset)
+        };
+        index.note_frame(self.reader.summary().frames, place);
+    }
+
     /// Delivers a frame when it is due, or, after the end, at once. Returns false if the port was
     /// dropped.
     fn play(&mut self, frame: Frame) -> io::Result<bool> {
@@ -160,20 +202,21 @@ impl Replay {
             self.shared.queue.add_name(name);
             self.named += 1;
         }
-        let tally = self.reader.summary();
-        let (from, to) = *self.anchor.get_or_insert_with(|| {
-            // The session begins with the log, if its dates are the log's.
-            let is_own = tally.epoch == Some(self.clock.epoch());
-            (frame.time, if is_own { Instant::ZERO } else { self.clock.now() })
-        });
+        let (from, to) = self.anchor.unwrap_or_else(|| self.begin_at(&frame));
         let mut due = to + frame.time.since(from);
-        self.clock.log_waits(self.index, due);
+        if due <= self.reads_to && !self.follows {
+            return self.play_at_once(frame.with_time(due));
+        }
+        if !self.flush()? {
+            return Ok(false);
+        }
+        self.clock.log_waits(self.bus, due);
         if self.follows {
             let is_paused = || self.clock.playback().is_some_and(|it| it.is_paused);
             while is_paused() && self.clock.now() < due && !self.shared.is_stopped() {
                 self.shared.wait(None, None)?;
             }
-            self.clock.log_resumed(self.index, due);
+            self.clock.log_resumed(self.bus, due);
         }
         let now = self.clock.now();
         let earliest = now - self.clock.run_in(MAX_LATENESS);
@@ -182,13 +225,14 @@ impl Replay {
         if moved != due {
             due = moved;
             self.anchor = Some((frame.time, due));
-            self.clock.log_waits(self.index, due);
+            self.clock.log_waits(self.bus, due);
         }
         loop {
             if self.shared.is_stopped() {
                 return Ok(false);
             }
             let is_full = self.shared.queue.room() == 0;
+            self.reads_to = self.clock.reads_to();
             if self.clock.now() >= due && !is_full {
                 break;
             }
@@ -196,9 +240,51 @@ impl Replay {
             self.shared.wait(None, Some(nap))?;
         }
         self.report_position();
-        let bus = BusIndex(self.index.0.saturating_add(frame.bus.0));
+        let bus = BusIndex(self.bus.0.saturating_add(frame.bus.0));
         self.shared.queue.push(&[frame.with_time(due).with_bus(bus)]);
         Ok(true)
+    }
+
+    /// Returns the time of the first frame in the log, and in the session.
+    fn begin_at(&mut self, frame: &Frame) -> (Instant, Instant) {
+        // The session begins with the log, if its dates are the log's.
+        let is_own = self.reader.summary().epoch == Some(self.clock.epoch());
+        let to = if is_own { Instant::ZERO } else { self.clock.now() };
+        self.anchor = Some((frame.time, to));
+        let last = self.index.as_ref().and_then(|it| it.last_time(&self.reader.position()));
+        if let Some(last) = last {
+            self.clock.set_log_end(self.bus, to + last.since(frame.time));
+        }
+        (frame.time, to)
+    }
+
+    /// Delivers a frame that is due, together with others. Returns false if the port was dropped.
+    fn play_at_once(&mut self, frame: Frame) -> io::Result<bool> {
+        if self.waiting.is_empty() {
+            // The clock does not pass it before it is delivered.
+            self.clock.log_waits(self.bus, frame.time);
+        }
+        let bus = BusIndex(self.bus.0.saturating_add(frame.bus.0));
+        self.waiting.push(frame.with_bus(bus));
+        if self.waiting.len() < AT_ONCE { Ok(true) } else { self.flush() }
+    }
+
+    /// Delivers the frames that wait to be delivered together. Returns false if the port was dropped.
+    fn flush(&mut self) -> io::Result<bool> {
+        if self.waiting.is_empty() {
+            return Ok(true);
+        }
+        while self.shared.queue.room() < self.waiting.len() {
+            if self.shared.is_stopped() {
+                return Ok(false);
+            }
+            self.shared.wait(None, Some(FULL_QUEUE_NAP))?;
+        }
+        self.shared.queue.push(&self.waiting);
+        self.waiting.clear();
+        self.reads_to = self.clock.reads_to();
+        self.report_position();
+        Ok(!self.shared.is_stopped())
     }
 
     /// Reports that it is probably not a log: a pipe may not end.
@@ -257,7 +343,7 @@ impl Replay {
         if self.reader.has_partial_entry() && self.reader.summary().damage.is_none() {
             summary.push_str("; last line incomplete");
         }
-        self.clock.log_ends(self.index);
+        self.clock.log_ends(self.bus);
         self.shared.queue.update_status(|status| {
             (status.link, status.fault) = (Link::Ended, Some(Diagnostic::new(summary)));
         });
@@ -267,7 +353,7 @@ impl Replay {
 impl Drop for Replay {
     /// The clock does not wait for it any more, also after a panic.
     fn drop(&mut self) {
-        self.clock.log_ends(self.index);
+        self.clock.log_ends(self.bus);
     }
 }
 

@@ -1,87 +1,146 @@
 //! A frame of a log as a JSON object.
 //!
-//! Scripts rely on the names, types and meanings of the members. Does not know which frames are
-//! printed.
+//! Scripts rely on the names, types and meanings of the members. Written without a serializer: the same
+//! bytes, in a fraction of the time. Does not know which frames are printed.
 
-use crate::app::{App, Bus, CallPart, Decoded, FrameRole};
+use super::frame_text::push_number;
+use super::known_names::KnownNames;
+use crate::app::{App, Bus, CallPart, FrameMeaning, FrameRole};
 use crate::frame::{BusIndex, CanId, Frame, FrameKind};
-use crate::text::{Escaped, hex};
+use crate::text::{Escaped, push_hex};
 use crate::time::Instant;
 use crate::wire::id::{Address, Service};
 use serde::Serialize;
 
-/// A frame. What is not known is `None`.
-#[derive(Debug, Serialize)]
-pub struct FrameReport<'a> {
-    /// Unix seconds.
-    time: f64,
-    bus: Option<&'a str>,
-    /// Hexadecimal digits, 3 or 8; `None` for an error frame.
-    id: Option<String>,
-    extended: bool,
-    fd: bool,
-    /// As in a filter behind `type:`.
-    kind: &'static str,
-    from: Option<u8>,
-    /// `None` for a broadcast, too.
-    to: Option<u8>,
-    from_name: Option<String>,
-    to_name: Option<String>,
-    service: Option<u16>,
-    service_name: Option<String>,
-    len: usize,
-    /// Hexadecimal digits.
-    data: String,
-    text: Option<String>,
-    /// True for a response with ERR = 0.
-    failed: bool,
-    error: bool,
-    tx: bool,
-    /// Of a response: Unix seconds of its request.
-    request: Option<f64>,
-    latency_ms: Option<f64>,
-    /// Of a response: true if several equal requests were open.
-    ambiguous: Option<bool>,
+/// Unix times in microseconds of which the shortest decimal number that is read as the same
+/// floating-point number has these six digits, without zeros at the end: from 1 s on, as before there is an exponent, and
+/// below 2³² s, where neighbouring numbers are less than 0.5 µs apart.
+const EXACT_MICROS: std::ops::Range<u64> = 1_000_000..(1 << 32) * 1_000_000;
+
+/// Writes frames as JSON objects.
+#[derive(Debug, Default)]
+pub struct FrameJson {
+    names: KnownNames,
 }
 
-impl<'a> FrameReport<'a> {
-    /// Returns the report of a frame; `part` is what it is in a call.
-    pub fn new(app: &'a App, frame: &Frame, part: Option<CallPart>) -> Self {
-        let decoded = Decoded::of(app, frame);
-        let header = decoded.header;
-        let name = |address: Address| name_of(app, frame.bus, address, frame.time);
+impl FrameJson {
+    /// Appends a frame; `part` is what it is in a call. What is not known is `null`.
+    ///
+    /// Members: `time` (Unix seconds), `bus`, `id` (3 or 8 hexadecimal digits; `null` for an error
+    /// frame), `extended`, `fd`, `kind` (as in a filter behind `type:`), `from`, `to` (`null` for a
+    /// broadcast, too), `from_name`, `to_name`, `service`, `service_name`, `len`, `data` (hexadecimal
+    /// digits), `text`, `failed` (a response with ERR = 0), `error`, `tx`; of a response `request`
+    /// (Unix seconds), `latency_ms` and `ambiguous` (several equal requests were open).
+    pub fn write(&mut self, line: &mut String, app: &App, frame: &Frame, part: Option<CallPart>) {
+        let FrameMeaning { header, role, text, is_error } = FrameMeaning::of(app, frame);
+        line.push_str("{\"time\":");
+        push_seconds(line, app.epoch().unix_micros(frame.time));
+        line.push_str(",\"bus\":");
+        push_text(line, app.bus(frame.bus).map(Bus::name_without_rates));
+        line.push_str(",\"id\":");
+        push_id(line, frame);
+        let is_extended = matches!(frame.id, CanId::Extended(_)) && frame.kind != FrameKind::Error;
+        push_flag(line, ",\"extended\":", is_extended);
+        push_flag(line, ",\"fd\":", frame.is_fd);
+        line.push_str(",\"kind\":\"");
+        line.push_str(role.type_word());
         let receiver = header.filter(|header| !header.broadcast).map(|header| header.destination);
-        let service = header.filter(|_| decoded.role != FrameRole::Debug).map(|it| it.service);
-        let response = match part {
-            Some(CallPart::Response { latency, is_ambiguous, .. }) => Some((latency, is_ambiguous)),
-            _ => None,
-        };
-        let time = app.epoch().unix_secs(frame.time);
-        let sent_at = |latency| app.epoch().unix_secs(frame.time - latency);
-        Self {
-            time,
-            bus: app.bus(frame.bus).map(Bus::name_without_rates),
-            id: (frame.kind != FrameKind::Error).then(|| frame.id.to_string()),
-            extended: matches!(frame.id, CanId::Extended(_)) && frame.kind != FrameKind::Error,
-            fd: frame.is_fd,
-            kind: decoded.role.type_word(),
-            from: header.map(|header| header.source.number()),
-            to: receiver.map(Address::number),
-            from_name: header.and_then(|header| name(header.source)),
-            to_name: receiver.and_then(name),
-            service: header.map(|header| header.service.number()),
-            service_name: service.and_then(|service| service_name_of(app, frame.bus, service)),
-            len: frame.len(),
-            data: hex(frame.data(), ""),
-            text: Some(decoded.text).filter(|text| !text.is_empty()),
-            failed: decoded.role == FrameRole::FailedResponse,
-            error: decoded.is_error,
-            tx: frame.is_tx,
-            request: response.map(|(latency, _)| sent_at(latency)),
-            latency_ms: response.map(|(latency, _)| latency.as_micros() as f64 / 1e3),
-            ambiguous: response.map(|(_, is_ambiguous)| is_ambiguous),
+        let sender = header.map(|header| header.source);
+        line.push_str("\",\"from\":");
+        push_optional_number(line, sender.map(|it| it.number().into()));
+        line.push_str(",\"to\":");
+        push_optional_number(line, receiver.map(|it| it.number().into()));
+        for (member, address) in [(",\"from_name\":", sender), (",\"to_name\":", receiver)] {
+            line.push_str(member);
+            line.push_str(match address {
+                Some(address) => &self.names.end(app, frame.bus, address, frame.time).json_name,
+                None => "null",
+            });
         }
+        line.push_str(",\"service\":");
+        push_optional_number(line, header.map(|header| header.service.number().into()));
+        line.push_str(",\"service_name\":");
+        line.push_str(match header {
+            Some(header) => &self.names.service(app, frame.bus, header.service, role).json_name,
+            None => "null",
+        });
+        line.push_str(",\"len\":");
+        push_number(line, frame.len() as u64, 1);
+        line.push_str(",\"data\":\"");
+        push_hex(line, frame.data(), "");
+        line.push_str("\",\"text\":");
+        push_text(line, Some(&*text).filter(|text| !text.is_empty()));
+        push_flag(line, ",\"failed\":", role == FrameRole::FailedResponse);
+        push_flag(line, ",\"error\":", is_error);
+        push_flag(line, ",\"tx\":", frame.is_tx);
+        if let Some(CallPart::Response { latency, is_ambiguous, .. }) = part {
+            line.push_str(",\"request\":");
+            push_seconds(line, app.epoch().unix_micros(frame.time - latency));
+            line.push_str(",\"latency_ms\":");
+            push_serialized(line, latency.as_micros() as f64 / 1e3);
+            push_flag(line, ",\"ambiguous\":", is_ambiguous);
+        } else {
+            line.push_str(",\"request\":null,\"latency_ms\":null,\"ambiguous\":null");
+        }
+        line.push_str("}\n");
     }
+}
+
+/// Appends a Unix time in seconds, as the floating-point number that it is to a reader.
+fn push_seconds(line: &mut String, unix_micros: u64) {
+    if !EXACT_MICROS.contains(&unix_micros) {
+        return push_serialized(line, unix_micros as f64 / 1e6);
+    }
+    push_number(line, unix_micros / 1_000_000, 1);
+    line.push('.');
+    let (mut fraction, mut digits) = (unix_micros % 1_000_000, 6);
+    // One digit stays.
+    while digits > 1 && fraction % 10 == 0 {
+        (fraction, digits) = (fraction / 10, digits - 1);
+    }
+    push_number(line, fraction, digits);
+}
+
+fn push_id(line: &mut String, frame: &Frame) {
+    match (frame.kind, frame.id) {
+        (FrameKind::Error, _) => line.push_str("null"),
+        (_, CanId::Extended(id)) => {
+            line.push('"');
+            push_hex(line, &id.to_be_bytes(), "");
+            line.push('"');
+        }
+        (_, id @ CanId::Standard(_)) => push_serialized(line, id.to_string()),
+    }
+}
+
+fn push_optional_number(line: &mut String, number: Option<u64>) {
+    match number {
+        Some(number) => push_number(line, number, 1),
+        None => line.push_str("null"),
+    }
+}
+
+fn push_flag(line: &mut String, member: &str, is_set: bool) {
+    line.push_str(member);
+    line.push_str(if is_set { "true" } else { "false" });
+}
+
+fn push_text(line: &mut String, text: Option<&str>) {
+    let is_plain = |byte: u8| (0x20..0x7F).contains(&byte) && byte != b'"' && byte != b'\\';
+    match text {
+        Some(text) if text.bytes().all(is_plain) => {
+            line.push('"');
+            line.push_str(text);
+            line.push('"');
+        }
+        Some(text) => push_serialized(line, text),
+        None => line.push_str("null"),
+    }
+}
+
+fn push_serialized(line: &mut String, value: impl Serialize) {
+    // Numbers and strings have no errors.
+    line.push_str(&serde_json::to_string(&value).unwrap_or_default());
 }
 
 /// Returns the name of the device that had an address at a moment; `None` if it is not known.
@@ -93,4 +152,24 @@ pub fn name_of(app: &App, bus: BusIndex, address: Address, time: Instant) -> Opt
 pub fn service_name_of(app: &App, bus: BusIndex, service: Service) -> Option<String> {
     let name = app.bus(bus)?.config().profile.service_name(service)?;
     Some(Escaped(name.as_bytes()).to_string())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_are_those_of_the_serializer() {
+        let mut rng = fastrand::Rng::with_seed(3);
+        let edges = [EXACT_MICROS.start, EXACT_MICROS.end - 1, EXACT_MICROS.end, 0, 1, 999_999];
+        let random = std::iter::repeat_with(|| {
+            let micros = rng.u64(..) >> rng.u32(0..64);
+            micros - micros % 10_u64.pow(rng.u32(0..8))
+        });
+        for micros in edges.into_iter().chain(random.take(1_000_000)) {
+            let mut line = String::new();
+            push_seconds(&mut line, micros);
+            assert_eq!(line, serde_json::to_string(&(micros as f64 / 1e6)).unwrap());
+        }
+    }
 }

@@ -7,6 +7,7 @@
 
 mod frame_json;
 mod frame_text;
+mod known_names;
 mod stats;
 mod stats_report;
 
@@ -23,7 +24,7 @@ use crate::cli::{CommonArgs, LogArgs};
 use crate::frame::Frame;
 use crate::shell::stop::StopReason;
 use anyhow::Context;
-use frame_json::FrameReport;
+use frame_json::FrameJson;
 use frame_text::FrameText;
 use stats::LogStats;
 use std::fs::File;
@@ -50,8 +51,13 @@ pub fn run(log: &LogArgs) -> Result<u8, Failure> {
     let file = headless::log_file(&spec)?;
     // Anything else than a file cannot be read again.
     let is_file = matches!(spec, BusSpec::File(_)) && file.metadata().is_ok_and(|it| it.is_file());
-    let range =
-        Limits { time: log.time, from: log.from, while_read: true, stuck: EXIT_INTERRUPTED };
+    let range = Limits {
+        time: log.time,
+        from: log.from,
+        while_read: true,
+        needs_frames: !is_file,
+        stuck: EXIT_INTERRUPTED,
+    };
     let mut printer = FramePrinter::new(log, filter);
     let ending = if is_file {
         print_file(&spec, &file, &setup, options, range, &mut printer)?
@@ -82,7 +88,14 @@ fn print_file(
     }
     headless::warn_foreign(app, &mut Vec::new());
     printer.renew(app);
-    let ending = headless::reread(spec, range, |frame| printer.handle_frame(app, frame))?;
+    let ending = headless::reread(spec, range, |frames| {
+        for frame in frames {
+            if printer.handle_frame(app, frame)?.is_break() {
+                return Ok(ControlFlow::Break(()));
+            }
+        }
+        Ok(ControlFlow::Continue(()))
+    })?;
     if ending.is_none() {
         printer.finish(app)?;
     }
@@ -123,7 +136,7 @@ fn print_once(
 #[derive(Debug)]
 enum FrameOutput {
     Text(FrameText),
-    Json,
+    Json(FrameJson),
     Stats(Box<LogStats>),
 }
 
@@ -139,7 +152,8 @@ struct FramePrinter {
     left: Option<u64>,
     calls: Calls,
     identifiers: Identifiers,
-    /// The last frames, if the filter needs them.
+    /// The filter needs the last frames.
+    looks_back: bool,
     recent: FrameStore,
     number: u64,
     line: String,
@@ -151,11 +165,12 @@ impl FramePrinter {
         let kind = if log.stats {
             FrameOutput::Stats(Box::default())
         } else if log.json {
-            FrameOutput::Json
+            FrameOutput::Json(FrameJson::default())
         } else {
             FrameOutput::Text(FrameText::default())
         };
         Self {
+            looks_back: filter.looks_back(),
             filter,
             matcher: None,
             kind,
@@ -189,9 +204,13 @@ impl FramePrinter {
             (_, Some(bus)) => self.calls.add(frame, number, &bus.config().profile),
         };
         if let Some(matcher) = &self.matcher {
-            let previous = self.identifiers.add(frame, number);
-            self.recent.push(frame, previous, |_| Vec::new());
-            if !matcher.is_match(frame, Some((&self.recent, number))) {
+            let mut stored = None;
+            if self.looks_back {
+                let previous = self.identifiers.add(frame, number);
+                self.recent.push(frame, previous, |_| Vec::new());
+                stored = Some((&self.recent, number));
+            }
+            if !matcher.is_match(frame, stored) {
                 return Ok(ControlFlow::Continue(()));
             }
         }
@@ -212,11 +231,10 @@ impl FramePrinter {
                 text.write(&mut self.line, app, frame, part);
                 self.output.print(&self.line)
             }
-            FrameOutput::Json => {
-                let report = FrameReport::new(app, frame, part);
-                let json = serde_json::to_string(&report).context("JSON")?;
-                self.output.print_json(&json)?;
-                self.output.print_json("\n")
+            FrameOutput::Json(json) => {
+                self.line.clear();
+                json.write(&mut self.line, app, frame, part);
+                self.output.print_json(&self.line)
             }
             FrameOutput::Stats(stats) => {
                 stats.add(app, frame);

@@ -3,12 +3,10 @@
 //! Input: frames in the order of the log. Bounded by the tables of identifiers and calls. Does not know
 //! how they are printed.
 
-use crate::app::{App, Calls, ErrorKinds, FrameRole, IdentifierKey, IdentifierStats, Identifiers};
+use crate::app::{App, Calls, ErrorKinds, FrameRole, IdentifierStats, Identifiers};
 use crate::error_report::ErrorReport;
 use crate::frame::{CanId, Frame, FrameKind};
 use crate::time::{Duration, Instant};
-use foldhash::fast::RandomState;
-use std::collections::HashMap;
 
 /// Intervals between the frames of an identifier, in the whole log.
 #[derive(Clone, Copy, Debug)]
@@ -56,7 +54,8 @@ pub struct LogStats {
     pub identifiers: Identifiers,
     /// Calls.
     pub calls: Calls,
-    intervals: HashMap<IdentifierKey, LogIntervals, RandomState>,
+    /// By row of the identifiers.
+    intervals: Vec<LogIntervals>,
 }
 
 impl LogStats {
@@ -76,15 +75,14 @@ impl LogStats {
         if frame.kind == FrameKind::Error {
             self.errors.add(ErrorReport::of(frame));
         }
-        self.identifiers.add(frame, self.frames);
+        let row = self.identifiers.add_to_row(frame, self.frames);
         self.frames += 1;
-        let key = IdentifierKey::of(frame);
-        if let Some(intervals) = self.intervals.get_mut(&key) {
+        let Some((row, _)) = row else { return };
+        if let Some(intervals) = self.intervals.get_mut(row) {
             intervals.add(time);
-        } else if self.intervals.len() < Identifiers::MAX {
+        } else {
             let (min, max) = (Duration::MAX, Duration::ZERO);
-            let intervals = LogIntervals { first: time, last: time, count: 0, min, max };
-            self.intervals.insert(key, intervals);
+            self.intervals.push(LogIntervals { first: time, last: time, count: 0, min, max });
         }
     }
 
@@ -107,7 +105,9 @@ impl LogStats {
                 FrameRole::of(&row.last, false),
                 FrameRole::Request | FrameRole::Response | FrameRole::FailedResponse
             );
-        self.intervals.get(&row.key).filter(|it| it.count > 0 && !is_called)
+        self.intervals
+            .get(self.identifiers.place_of(&row.key)?)
+            .filter(|it| it.count > 0 && !is_called)
     }
 
     /// Frames per second, of a count of frames; `None` for a log without duration.

@@ -90,7 +90,8 @@ pub(super) fn pattern(times: &VecDeque<Instant>, period: Duration) -> HeartbeatP
 /// Returns the time of the last heartbeat that came less than a whole period after the one before
 /// it. Later ones do not show that two senders are still there.
 pub(super) fn last_early(times: &VecDeque<Instant>, period: Duration) -> Option<Instant> {
-    let is_early = |last: Instant, before| last.since(before) < period.mul_f64(WHOLE_PERIOD);
+    let whole = period.mul_f64(WHOLE_PERIOD);
+    let is_early = |last: Instant, before| last.since(before) < whole;
     let mut newest = times.iter().rev().zip(times.iter().rev().skip(1));
     newest.find(|(last, before)| is_early(**last, **before)).map(|(last, _)| *last)
 }

@@ -228,7 +228,8 @@ fn scale_is_that_of_the_load_shown() {
     assert_eq!(top(&mut bench), "3");
     // In ten minutes it is still shown.
     bench.keys("v");
-    assert!(bench.screen(80, 24).contains(" last 10 min (v) "));
+    assert!(bench.screen(96, 24).contains(" last 10 min (v) "), "{}", bench.screen(96, 24));
+    assert!(bench.screen(80, 24).contains(" 10 min "), "{}", bench.screen(80, 24));
     assert!(bench.screen(80, 24).contains("max 6.4"), "{}", bench.screen(80, 24));
     assert_ne!(top(&mut bench), "3", "a burst is as high as in its second");
 }

@@ -148,7 +148,8 @@ fn playback_keys_work_on_logs_only() {
     let mut stage = Stage::boiler();
     stage.until(24.0).keys("P");
     assert!(stage.screen().contains("only a log can be paused"), "{}", stage.screen());
-    let mut playback = Playback { speed: 1.0, is_paused: false, is_ended: false };
+    let mut playback =
+        Playback { speed: 1.0, is_paused: false, is_ended: false, ..Playback::default() };
     let now = stage.app.now();
     stage.app.handle_playback(now, playback);
     stage.effects.clear();
@@ -426,7 +427,8 @@ fn status_never_drops_what_is_not_normal() {
         stage.keys("Space");
     };
     let paused = |stage: &mut Stage| {
-        let playback = Playback { speed: 2.0, is_paused: true, is_ended: false };
+        let playback =
+            Playback { speed: 2.0, is_paused: true, is_ended: false, ..Playback::default() };
         stage.app.handle_playback(stage.app.now(), playback);
         let status = BusStatus { link: Link::Up, percent: Some(40), ..BusStatus::default() };
         stage.app.handle_bus(stage.app.now(), BusIndex(0), status);
@@ -487,7 +489,10 @@ fn ended_log_is_not_paused() {
     let mut stage = Stage::boiler();
     stage.until(24.0);
     let now = stage.app.now();
-    stage.app.handle_playback(now, Playback { speed: 1.0, is_paused: true, is_ended: true });
+    stage.app.handle_playback(
+        now,
+        Playback { speed: 1.0, is_paused: true, is_ended: true, ..Playback::default() },
+    );
     let ended = BusStatus { link: Link::Ended, percent: Some(100), ..BusStatus::default() };
     stage.app.handle_bus(now, BusIndex(0), ended);
     let screen = stage.screen();

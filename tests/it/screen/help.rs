@@ -10,7 +10,8 @@ fn every_action_is_in_the_help() {
     let mut stage = Stage::boiler();
     assert!(!stage.size(80, 200).keys("?").screen().contains("The log"), "there is none");
     let now = stage.app.now();
-    let playback = Playback { speed: 1.0, is_paused: false, is_ended: false };
+    let playback =
+        Playback { speed: 1.0, is_paused: false, is_ended: false, ..Playback::default() };
     stage.app.handle_playback(now, playback);
     let screen = stage.screen();
     for action in descan::keymap::ACTIONS {

@@ -17,7 +17,7 @@ fn second(moment: Moment) -> u64 {
 /// Letters of the marks in the timeline as shown, in its order, and the number of other lines.
 fn on_timeline(stage: &Stage) -> (String, usize) {
     let lines = stage.app.lines_shown();
-    let shown = lines.iter().map(|number| stage.app.timeline().get(*number).unwrap());
+    let shown = lines.iter().map(|key| &stage.app.story(*key).unwrap().steps()[0].entry);
     let (mut marks, mut others) = (String::new(), 0);
     for line in shown {
         match line.kind {

@@ -1,17 +1,23 @@
 //! Screen tests: keys and simulated buses as input, screens as output; one module for each page.
 
+mod alarm;
 mod bus;
 mod buses;
 mod comparison;
 mod conflict;
+mod conflict_panel;
 mod device_views;
 mod devices;
 mod file;
 mod help;
 mod input;
 mod keys;
+mod lanes;
 mod marks;
+mod moment;
+mod play;
 mod problems;
+mod themes;
 mod time_bar;
 mod timeline;
 mod traffic;
@@ -151,7 +157,7 @@ fn every_state_is_readable_without_colour() {
 fn every_terminal_size_is_drawn() {
     let mut stage = Stage::boiler();
     stage.until(30.0);
-    for keys in ["1", "2", "v", "v Enter", "3", "4", "5", "?"] {
+    for keys in ["1", "2", "v", "v Enter", "3", "v", "v", "G o", "x", "Esc 4", "5", "?"] {
         stage.keys(keys);
         for columns in [1, 2, 7, 20, 39, 60, 75, 76, 99, 200] {
             for rows in [1, 2, 3, 6, 12, 17, 18, 50] {

@@ -1,0 +1,568 @@
+//! What the conflict panel of the Problems page shows: the boards of an address side by side.
+//!
+//! Input: a problem, and the captured heartbeats, devices and entries of the moment that is shown.
+//! Output: a column of text for each board, and the heartbeats on one time axis. Says where boards
+//! cannot be told apart. Does not know how it is drawn.
+
+use super::problems::{ConflictSides, Problem, ProblemKey, SideBasis, label_of};
+use super::{App, CallPart, CapturedHeartbeat, clock_millis, format_time_of_day};
+use crate::discovery::{Device, DeviceService};
+use crate::frame::{BusIndex, CanId, Frame};
+use crate::keymap::Action;
+use crate::text::Escaped;
+use crate::time::{Duration, Instant};
+use crate::wire::id::{Address, Header};
+use crate::wire::node::{Mode, Uid};
+
+/// Most boards that have columns: the newest ones.
+pub const MAX_COLUMNS: usize = 3;
+/// Heartbeats that the columns are made of: of two boards for a quarter of an hour.
+const MAX_BEATS: usize = 2048;
+/// Heartbeats on the axis at most: more have no room on any screen.
+const MAX_AXIS_BEATS: usize = 4096;
+/// Frames on the axis up to which responses are counted: 10 s of a full bus at 1 Mbit/s.
+const MAX_COUNTED_FRAMES: u64 = 100_000;
+/// Periods after the last evidence that still belong to a conflict that is over.
+const AFTER_PERIODS: u32 = 10;
+/// Deviation from a second up to which the phase in the second stays the same.
+const SECOND_TOLERANCE: f64 = 0.005;
+/// Heartbeats that the phase of a board is the median of.
+const PHASE_BEATS: usize = 31;
+/// Services that most devices have, which stand behind the others.
+const COMMON_SERVICES: [&[u8]; 2] = [b"DES", b"CFG"];
+
+/// The boards of a conflict, a column each.
+#[derive(Clone, Debug)]
+pub struct ConflictPanel {
+    /// The boards.
+    pub sides: ConflictSides,
+    /// Place of the first board that has a column; the others joined before it.
+    pub first: usize,
+    /// Headings of the columns: UID and name.
+    pub titles: Vec<String>,
+    /// Label, and a text for each column, or one text across all.
+    pub rows: Vec<(&'static str, Vec<String>)>,
+    /// What to do.
+    pub remedy: String,
+}
+
+/// The heartbeats of a conflict on a time axis, a cell each.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct BeatsOnAxis {
+    /// Seconds.
+    pub ruler: String,
+    /// Heartbeats and missed ones.
+    pub beats: Vec<Option<BeatCell>>,
+    /// Responses to one request, where there are two or more.
+    pub answers: Vec<Option<u32>>,
+}
+
+/// A cell with a heartbeat.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct BeatCell {
+    /// `A`, small unless in WORK or UFUNC; `×` a missed one; `?` of an unknown board; `*` several.
+    pub sign: char,
+    /// The board.
+    pub side: Option<usize>,
+}
+
+/// Letter of a board, by its place in the order of joining.
+pub fn side_letter(side: usize) -> char {
+    u8::try_from(side).ok().filter(|side| *side < 26).map_or('#', |side| char::from(b'A' + side))
+}
+
+fn ordinal(place: usize) -> String {
+    match place {
+        1 => "second".to_owned(),
+        2 => "third".to_owned(),
+        place => format!("number {}", place + 1),
+    }
+}
+
+impl App {
+    /// The boards of a conflict; `None` for any other problem. `is_wide`: with more in each row.
+    pub fn conflict_panel(&self, problem: &Problem, is_wide: bool) -> Option<ConflictPanel> {
+        let (bus, address) = conflict_address(problem)?;
+        let sides = self.conflict_sides(problem)?;
+        let first = sides.sides.len().saturating_sub(MAX_COLUMNS);
+        let devices = self.devices_at(bus, address);
+        let mut panel = ConflictPanel {
+            titles: Vec::new(),
+            rows: Vec::new(),
+            remedy: String::new(),
+            sides,
+            first,
+        };
+        panel.titles = self.side_titles(bus, &panel, &devices);
+        let places = panel.first..panel.sides.sides.len();
+        let column = |text: &dyn Fn(usize) -> String| places.clone().map(text).collect();
+        if panel.sides.basis == SideBasis::None {
+            let why = "? UIDs blank or equal, heartbeat phases unclear";
+            panel.rows.push(("boards", vec![why.to_owned()]));
+        } else {
+            if panel.sides.basis == SideBasis::Phases {
+                let why = "told apart by the phase of their heartbeats";
+                panel.rows.push(("boards", vec![why.to_owned()]));
+            }
+            panel
+                .rows
+                .push(("joined", column(&|at| self.joined_text(&panel, at, address, is_wide))));
+            let beats = column(&|at| self.heartbeat_text(problem, &panel, at, is_wide));
+            panel.rows.push(("heartbeat", beats));
+            panel.rows.push(("mode", column(&|at| self.mode_text(&panel, at, is_wide))));
+        }
+        panel.rows.push(("services", self.services_texts(&panel, &devices, is_wide)));
+        if self.has_shown_file() {
+            panel.rows.push(("des.json", self.entry_texts(bus, &panel, &devices, is_wide)));
+        }
+        panel.remedy = self.conflict_remedy(problem, &panel, address);
+        Some(panel)
+    }
+
+    /// The boards of a conflict and their heartbeats; `None` for any other problem.
+    pub fn conflict_sides(&self, problem: &Problem) -> Option<ConflictSides> {
+        let (bus, address) = conflict_address(problem)?;
+        let period = self.profile(bus).heartbeat.period();
+        let until = problem.ended().map(|at| at + period * AFTER_PERIODS);
+        let mut beats: Vec<CapturedHeartbeat> =
+            self.heartbeats_until(bus, address, until).take(MAX_BEATS).collect();
+        beats.reverse();
+        let boards: Vec<(Uid, Instant)> =
+            problem.boards().iter().map(|board| (board.uid, board.since)).collect();
+        let during = problem.first()..problem.last();
+        Some(ConflictSides::new(&beats, &boards, during, period))
+    }
+
+    /// Heartbeats of an address at the moment that is shown, until a time, newest first.
+    fn heartbeats_until(
+        &self,
+        bus: BusIndex,
+        address: Address,
+        until: Option<Instant>,
+    ) -> super::CapturedHeartbeats<'_> {
+        let end = self.traffic.end(&self.view);
+        let end = until.map_or(end, |until| end.min(self.traffic.capture.at_time(until)));
+        self.traffic.heartbeats(self.profile(bus), bus, address, end)
+    }
+
+    /// The board that a piece of evidence is of; `None` for other frames than heartbeats, and where it
+    /// is not known.
+    pub fn side_of_frame(&self, sides: &ConflictSides, frame: &Frame) -> Option<usize> {
+        let profile = self.profile(frame.bus);
+        let header = Header::decode(frame.platform_id()?);
+        let is_beat = header.response && header.service == profile.heartbeat_service();
+        is_beat.then(|| sides.side_of(frame.time, profile.heartbeat_of(frame.data()).uid)).flatten()
+    }
+
+    /// Text of a UID in the alphabet of a bus, escaped; `blank` if it is.
+    pub fn uid_text(&self, bus: BusIndex, uid: Uid) -> String {
+        if uid.is_blank() {
+            return "blank".to_owned();
+        }
+        super::capture::decoded::uid_text(&self.profile(bus), uid)
+    }
+
+    fn devices_at(&self, bus: BusIndex, address: Address) -> Vec<&Device> {
+        let all = self.bus(bus).map_or(&[][..], |bus| bus.devices());
+        all.iter().filter(|device| device.address == address).collect()
+    }
+
+    fn has_shown_file(&self) -> bool {
+        self.past.as_ref().map_or(self.editor.file.is_there(), |past| past.file.is_there)
+    }
+
+    // ---- columns ---------------------------------------------------------------------------
+
+    fn side_titles(
+        &self,
+        bus: BusIndex,
+        panel: &ConflictPanel,
+        devices: &[&Device],
+    ) -> Vec<String> {
+        let names: Vec<String> = devices
+            .iter()
+            .filter_map(|device| Some(device.name.as_ref()?.quoted().to_string()))
+            .collect();
+        let names = match &names[..] {
+            [] => String::new(),
+            names => format!(" · {}", names.join(" or ")),
+        };
+        let profile = self.profile(bus);
+        let sides = panel.sides.sides.iter().enumerate().skip(panel.first);
+        let title = |(at, side): (usize, &super::ConflictSide)| {
+            let uid = side.uid.map_or("no UID".to_owned(), |uid| {
+                label_of(super::capture::decoded::uid_text(&profile, uid))
+            });
+            format!("{} {uid}{names}", side_letter(at))
+        };
+        sides.map(title).collect()
+    }
+
+    fn joined_text(
+        &self,
+        panel: &ConflictPanel,
+        at: usize,
+        address: Address,
+        wide: bool,
+    ) -> String {
+        let side = &panel.sides.sides[at];
+        let Some(joined) = side.joined else { return "–".to_owned() };
+        let time = clock_millis(self, joined);
+        let oldest = panel.sides.beats().next().map(|(beat, _)| beat);
+        // Heartbeats before it are no longer captured.
+        let is_older = panel.sides.basis == SideBasis::Phases
+            && oldest.is_some_and(|oldest| oldest.time == joined && oldest.number > 0)
+            && self.traffic.capture.first() > 0;
+        let before = if is_older { "before " } else { "" };
+        let place = if at > 0 { format!(", {}", ordinal(at)) } else { String::new() };
+        let claim = match side.has_claimed {
+            true if wide => format!(", claimed {address} in ARSLV"),
+            _ => String::new(),
+        };
+        format!("{before}{time}{place}{claim}")
+    }
+
+    fn heartbeat_text(
+        &self,
+        problem: &Problem,
+        panel: &ConflictPanel,
+        at: usize,
+        wide: bool,
+    ) -> String {
+        let sides = &panel.sides;
+        let side = &sides.sides[at];
+        let Some(last) = side.last else { return "no longer in the capture".to_owned() };
+        let usual = self.profile(problem.bus().unwrap_or_default()).heartbeat.period();
+        let end = match problem.ended() {
+            Some(ended) => self.display_time().min(ended + usual * AFTER_PERIODS),
+            None => self.display_time(),
+        };
+        let left = sides.has_left(at, end, side.period.unwrap_or(usual));
+        let left =
+            if left { format!("left: last {}", clock_millis(self, last)) } else { String::new() };
+        if !left.is_empty() && !wide {
+            return left;
+        }
+        let mut parts = Vec::new();
+        if !left.is_empty() {
+            parts.push(left);
+        }
+        if let Some(period) = side.period {
+            let jitter = side.jitter.filter(|_| wide).map_or(String::new(), |jitter| {
+                format!(" ±{:.0} ms", jitter.as_secs_f64() * 1000.0)
+            });
+            let mut text = format!("{:.2} s{jitter}", period.as_secs_f64());
+            if let Some(phase) = self.phase_in_second(sides, at) {
+                text.push_str(&format!(", at .{phase:03}"));
+            }
+            if !wide && at > 0 {
+                let first = &sides.sides[0];
+                let both = self.phase_in_second(sides, at).zip(self.phase_in_second(sides, 0));
+                let later = match both {
+                    Some((own, other)) => Some((1000 + own - other) % 1000),
+                    None => side.offset_to(first).map(|it| (it.as_micros() / 1000) as u32),
+                };
+                if let Some(later) = later {
+                    text.push_str(&format!(": {later} ms later"));
+                }
+            }
+            parts.push(text);
+        }
+        if wide || side.period.is_none() {
+            let count = match side.beats {
+                1 => "1 beat".to_owned(),
+                beats => format!("{beats} beats"),
+            };
+            parts.push(format!("{count}, {} missed", side.missed));
+        }
+        parts.join(", ")
+    }
+
+    /// Place of the heartbeats of a board in the second, in milliseconds; `None` unless the period is one
+    /// second.
+    fn phase_in_second(&self, sides: &ConflictSides, at: usize) -> Option<u32> {
+        let period = sides.sides[at].period?.as_secs_f64();
+        if (period - 1.0).abs() > SECOND_TOLERANCE {
+            return None;
+        }
+        let own = sides.beats().rev().filter(|(_, side)| *side == Some(at)).take(PHASE_BEATS);
+        let millis = |at: Instant| (self.epoch().unix_micros(at) / 1000 % 1000) as i32;
+        let phases: Vec<i32> = own.map(|(beat, _)| millis(beat.time)).collect();
+        let newest = *phases.first()?;
+        let mut around: Vec<i32> =
+            phases.iter().map(|phase| (phase - newest + 1500).rem_euclid(1000) - 500).collect();
+        around.sort_unstable();
+        Some((newest + around[around.len() / 2]).rem_euclid(1000).unsigned_abs())
+    }
+
+    fn mode_text(&self, panel: &ConflictPanel, at: usize, wide: bool) -> String {
+        /// Modes that a column has room for.
+        const SHOWN: usize = 3;
+        let modes = &panel.sides.sides[at].modes;
+        let skipped = modes.len().saturating_sub(SHOWN);
+        let names: Vec<&str> = modes[skipped..].iter().map(|(_, mode)| mode.name()).collect();
+        match (&modes[..], names.join(" → ")) {
+            ([], _) => "–".to_owned(),
+            ([(_, mode)], _) if !wide => mode.name().to_owned(),
+            ([(since, mode)], _) => format!("{mode} since {}", clock_millis(self, *since)),
+            ([.., (since, _)], chain) => format!("{chain} {}", clock_millis(self, *since)),
+        }
+    }
+
+    /// Lists of services. Responses do not show which of the boards sent them.
+    fn services_texts(
+        &self,
+        panel: &ConflictPanel,
+        devices: &[&Device],
+        wide: bool,
+    ) -> Vec<String> {
+        let count = panel.titles.len();
+        if let [device] = devices {
+            let Some(own) = &device.services else { return vec!["not read".to_owned()] };
+            let own = services_text(own, wide);
+            if count != 2 || panel.first > 0 {
+                let more = match device.other_services.len() {
+                    0 => String::new(),
+                    1 => "; another list".to_owned(),
+                    more => format!("; {more} other lists"),
+                };
+                return vec![format!("{own}{more}")];
+            }
+            let other = match &device.other_services[..] {
+                [] if device.has_colliding_services() => "not read: responses collide".to_owned(),
+                [] => "no other list received".to_owned(),
+                [other] => services_text(other, wide),
+                all => format!("{} other lists", all.len()),
+            };
+            let is_one_of_two = device.services_are_shared && !device.other_services.is_empty();
+            let unsure = if is_one_of_two { "? " } else { "" };
+            return vec![format!("{unsure}{own}"), format!("{unsure}{other}")];
+        }
+        let lists = devices.iter().map(|device| {
+            let name =
+                device.name.as_ref().map_or("?".to_owned(), |name| name.quoted().to_string());
+            let services = device.services.as_ref();
+            let list = services.map_or("not read".to_owned(), |list| services_text(list, false));
+            format!("{name} {list}")
+        });
+        let lists: Vec<String> = lists.collect();
+        vec![if lists.is_empty() { "–".to_owned() } else { lists.join("; ") }]
+    }
+
+    /// Entries of des.json: one with a UID is of that board, another one of the first.
+    fn entry_texts(
+        &self,
+        bus: BusIndex,
+        panel: &ConflictPanel,
+        devices: &[&Device],
+        wide: bool,
+    ) -> Vec<String> {
+        let matching = self.matching();
+        let mut entries: Vec<usize> =
+            devices.iter().filter_map(|device| matching.entry_of(device.id)).collect();
+        entries.dedup();
+        let alphabet = &self.profile(bus).uid;
+        let text = |at: usize| {
+            let entry = self.document().entries().get(at)?;
+            let verb = if entry.is_static { "pinned" } else { "listed" };
+            let address = entry.address.map_or(String::new(), |address| format!(" {address}"));
+            let column =
+                if wide { format!(", column {}", entry.position.column) } else { String::new() };
+            Some(format!("{verb}{address}, line {}{column}", entry.position.line))
+        };
+        let owner = |at: usize| {
+            let entry = self.document().entries().get(at)?;
+            let uid = entry.uid.as_ref().and_then(|uid| Uid::parse(uid, alphabet));
+            let by_uid = |uid: Uid| panel.sides.sides.iter().position(|it| it.uid == Some(uid));
+            Some(uid.and_then(by_uid).unwrap_or(0))
+        };
+        if panel.titles.is_empty() {
+            let texts: Vec<String> = entries.iter().filter_map(|at| text(*at)).collect();
+            return vec![if texts.is_empty() { "no entry".to_owned() } else { texts.join("; ") }];
+        }
+        let places = panel.first..panel.sides.sides.len();
+        let cell = |place: usize| {
+            let own = entries.iter().filter(|at| owner(**at) == Some(place));
+            let own: Vec<String> = own.filter_map(|at| text(*at)).collect();
+            if own.is_empty() { "no entry".to_owned() } else { own.join("; ") }
+        };
+        places.map(cell).collect()
+    }
+
+    fn conflict_remedy(
+        &self,
+        problem: &Problem,
+        panel: &ConflictPanel,
+        address: Address,
+    ) -> String {
+        let boards = problem.boards();
+        if problem.ended().is_some() {
+            return String::new();
+        }
+        let has_joined = problem.began() > boards.first().map_or(problem.first(), |it| it.since);
+        match &boards[..] {
+            [_, .., newest] if has_joined && address != Address::DEBUG => {
+                let key = self.key_of(Action::EditAddress);
+                let place = ordinal(panel.sides.sides.len().max(boards.len()) - 1);
+                let board = label_of(newest.label());
+                format!(
+                    "Unplug {board} ({place}); a write to {address} would reach both. \
+                     Then pin it: {key}"
+                )
+            }
+            _ => problem.head().remedy.clone(),
+        }
+    }
+
+    // ---- the axis --------------------------------------------------------------------------
+
+    /// The heartbeats of a conflict on `cells` cells around the joining of its newest board.
+    pub fn beats_on_axis(
+        &self,
+        problem: &Problem,
+        sides: &ConflictSides,
+        cells: usize,
+    ) -> Option<BeatsOnAxis> {
+        let (bus, address) = conflict_address(problem)?;
+        let cell = u64::from(self.view.conflict_axis.cell_millis()) * 1000;
+        let epoch = self.epoch();
+        let middle = epoch.unix_micros(problem.began()) / cell;
+        let shift = self.view.conflict_axis.shift(&problem.key);
+        let first = middle.saturating_sub(cells as u64 * 9 / 20).saturating_add_signed(shift);
+        let start = i128::from(first * cell) - i128::from(epoch.unix_micros(Instant::ZERO));
+        let start = u64::try_from(start.max(0)).unwrap_or(u64::MAX);
+        // Cells before the start of descan.
+        let skipped = (epoch.unix_micros(Instant::ZERO) + start).saturating_sub(first * cell);
+        let start_time = Instant::from_micros(start);
+        let length = Duration::from_micros((cells as u64 * cell).saturating_sub(skipped));
+        let place = |time: Instant| {
+            let at = (time.as_micros().checked_sub(start)? + skipped) / cell;
+            usize::try_from(at).ok().filter(|at| *at < cells)
+        };
+        let ruler = self.ruler(first, cell, cells);
+        let mut axis = BeatsOnAxis { ruler, beats: vec![None; cells], answers: vec![None; cells] };
+        let end = start_time + length;
+        let period = self.profile(bus).heartbeat.period();
+        let walk = self.heartbeats_until(bus, address, Some(end)).take(MAX_AXIS_BEATS);
+        let mut beats: Vec<CapturedHeartbeat> =
+            walk.take_while(|beat| beat.time + period * 10 > start_time).collect();
+        beats.reverse();
+        for beat in &beats {
+            let Some(at) = place(beat.time) else { continue };
+            let side = sides.side_of(beat.time, beat.uid);
+            let works = match beat.mode {
+                Some(mode) => matches!(mode, Mode::Work | Mode::Ufunc),
+                None => beat.is_working,
+            };
+            let letter = side.map_or('?', side_letter);
+            let sign = if works { letter } else { letter.to_ascii_lowercase() };
+            let free = [at, at + 1].into_iter().find(|at| axis.beats.get(*at) == Some(&None));
+            match free {
+                Some(free) => axis.beats[free] = Some(BeatCell { sign, side }),
+                None => axis.beats[at] = Some(BeatCell { sign: '*', side: None }),
+            }
+        }
+        for side in 0..sides.sides.len() {
+            let own = |beat: &&CapturedHeartbeat| sides.side_of(beat.time, beat.uid) == Some(side);
+            let own: Vec<&CapturedHeartbeat> = beats.iter().filter(own).collect();
+            let period = sides.sides[side].period.unwrap_or(period);
+            for two in own.windows(2) {
+                let gap = two[1].time.since(two[0].time).as_secs_f64() / period.as_secs_f64();
+                // A long absence is not a row of misses.
+                let missed = super::problems::missed_in(gap);
+                for number in (1..=missed).filter(|_| missed <= 5) {
+                    let at = place(two[0].time + period * u32::try_from(number).unwrap_or(1));
+                    if let Some(cell) = at.and_then(|at| axis.beats.get_mut(at))
+                        && cell.is_none()
+                    {
+                        *cell = Some(BeatCell { sign: '×', side: Some(side) });
+                    }
+                }
+            }
+        }
+        for (time, count) in self.responses_counted(bus, address, start_time..end) {
+            if let Some(at) = place(time) {
+                axis.answers[at] = Some(count);
+            }
+        }
+        Some(axis)
+    }
+
+    /// Seconds on an axis that begins with the cell `first` since 1970.
+    fn ruler(&self, first: u64, cell: u64, cells: usize) -> String {
+        let second = 1_000_000 / cell;
+        // With wide cells two seconds have room for a time.
+        let step = if second < 8 { 2 * second } else { second };
+        let mut ruler: Vec<char> = vec!['·'; cells];
+        let mut is_first = true;
+        for at in 0..cells {
+            let number = first + at as u64;
+            if !number.is_multiple_of(step) {
+                if is_first {
+                    ruler[at] = ' ';
+                }
+                continue;
+            }
+            let since = number * cell;
+            let time = since.saturating_sub(self.epoch().unix_micros(Instant::ZERO));
+            let clock = format_time_of_day(self, Instant::from_micros(time));
+            let is_minute = clock.ends_with(":00");
+            let text = if is_first || is_minute { &clock[..] } else { &clock[clock.len() - 2..] };
+            is_first = false;
+            ruler[at] = '╷';
+            for (place, c) in (at + 1..cells).zip(text.chars()) {
+                ruler[place] = c;
+            }
+        }
+        ruler.into_iter().collect()
+    }
+
+    /// Requests to which an address responded more than once: time of the last response, number.
+    fn responses_counted(
+        &self,
+        bus: BusIndex,
+        address: Address,
+        during: std::ops::Range<Instant>,
+    ) -> Vec<(Instant, u32)> {
+        let capture = &self.traffic.capture;
+        let end = self.traffic.end(&self.view);
+        let (first, last) = (capture.at_time(during.start), capture.at_time(during.end).min(end));
+        if last <= first || last - first > MAX_COUNTED_FRAMES {
+            return Vec::new();
+        }
+        let parts = self.traffic.call_parts(self.shown_buses(), first, last - 1, end);
+        let mut counts = std::collections::BTreeMap::new();
+        for (number, part) in parts {
+            let CallPart::Response { request, .. } = part else { continue };
+            let Some(frame) = capture.get(number) else { continue };
+            let CanId::Extended(id) = frame.id else { continue };
+            if frame.bus == bus && Header::decode(id).source == address {
+                let (time, count) = counts.entry(request).or_insert((frame.time, 0));
+                (*time, *count) = (frame.time, *count + 1);
+            }
+        }
+        counts.into_values().filter(|(_, count)| *count > 1).collect()
+    }
+}
+
+/// Bus and address of a conflict; `None` for any other problem.
+fn conflict_address(problem: &Problem) -> Option<(BusIndex, Address)> {
+    match problem.key {
+        ProblemKey::Address(bus, address) if problem.is_address_conflict() => Some((bus, address)),
+        _ => None,
+    }
+}
+
+/// Services with their versions; narrow: their number, and those that not all devices have first.
+fn services_text(services: &[DeviceService], wide: bool) -> String {
+    let text = |service: &DeviceService| {
+        format!("{} {}", Escaped(service.name.as_bytes()), Escaped(service.version.as_bytes()))
+    };
+    if wide {
+        return services.iter().map(text).collect::<Vec<_>>().join("  ");
+    }
+    let is_common = |it: &&DeviceService| COMMON_SERVICES.contains(&it.name.as_bytes());
+    let (common, own): (Vec<_>, Vec<_>) = services.iter().partition(is_common);
+    let names: Vec<String> = own.into_iter().chain(common).map(text).collect();
+    format!("{}: {}", services.len(), names.join(", "))
+}

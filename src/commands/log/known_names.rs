@@ -1,0 +1,136 @@
+//! Names of addresses and services, as they are printed: each is made once.
+//!
+//! Input: the buses as they are known. Output: texts, with the names of a frame's moment. Bounded: a
+//! text for each address and each service of a bus. Does not know which frames are printed.
+
+use super::frame_json::service_name_of;
+use super::frame_text::{END, SERVICE, left, right, with_address};
+use crate::app::{App, Bus, FrameRole};
+use crate::discovery::OwnAddress;
+use crate::frame::BusIndex;
+use crate::time::Instant;
+use crate::wire::id::{Address, Service};
+use std::ops::Range;
+
+/// Number of service numbers.
+const SERVICES: usize = 1024;
+
+/// The sender or the receiver of frames.
+#[derive(Clone, Debug)]
+pub struct EndTexts {
+    /// The moments for which they hold.
+    times: Range<Instant>,
+    /// Name and address in their column, as the sender and as the receiver.
+    pub sender: String,
+    /// As the receiver.
+    pub receiver: String,
+    /// The name as JSON; `null` if it is not known.
+    pub json_name: String,
+}
+
+impl EndTexts {
+    fn new(app: &App, bus: BusIndex, address: Address, time: Instant) -> Self {
+        let names = app.bus(bus).map(Bus::names);
+        let holders = names.map(|names| names.holders(address)).unwrap_or_default();
+        let later = holders.partition_point(|holder| holder.since <= time);
+        // The first holder that is kept holds all times before, too.
+        let from = if later < 2 { Instant::ZERO } else { holders[later - 1].since };
+        let until = holders.get(later.max(1)).map_or(Instant::from_micros(u64::MAX), |it| it.since);
+        let name = names.and_then(|names| names.at(address, time)).map(ToString::to_string);
+        let shown = with_address(&app.name_at(bus, address, time), address);
+        let (mut sender, mut receiver) = (String::new(), String::new());
+        right(&mut sender, &shown, END);
+        left(&mut receiver, &shown, END);
+        let json_name = serde_json::to_string(&name).unwrap_or_default();
+        Self { times: from..until, sender, receiver, json_name }
+    }
+}
+
+/// A service, or the number of a debug message.
+#[derive(Clone, Debug)]
+pub struct ServiceTexts {
+    /// The name, else the number, in its column.
+    pub column: String,
+    /// The name as JSON; `null` without one.
+    pub json_name: String,
+}
+
+impl ServiceTexts {
+    fn new(app: &App, bus: BusIndex, service: Service) -> Self {
+        let mut column = String::new();
+        left(&mut column, &app.service_name(bus, service), SERVICE);
+        let name = service_name_of(app, bus, service);
+        Self { column, json_name: serde_json::to_string(&name).unwrap_or_default() }
+    }
+
+    fn of_debug(code: Service) -> Self {
+        let mut column = String::new();
+        left(&mut column, &code.to_string(), SERVICE);
+        Self { column, json_name: "null".to_owned() }
+    }
+}
+
+/// Texts of one bus.
+#[derive(Debug, Default)]
+struct BusTexts {
+    /// What they depend on: a number that changes with every name, and descan's own address.
+    known: Option<(u64, OwnAddress)>,
+    ends: Vec<Option<EndTexts>>,
+    /// Of services, and of debug messages.
+    services: Vec<Option<ServiceTexts>>,
+    debug_messages: Vec<Option<ServiceTexts>>,
+}
+
+/// See the module's documentation.
+#[derive(Debug, Default)]
+pub struct KnownNames {
+    buses: Vec<BusTexts>,
+}
+
+impl KnownNames {
+    /// The texts of an address at a moment.
+    pub fn end(&mut self, app: &App, bus: BusIndex, address: Address, time: Instant) -> &EndTexts {
+        let texts = self.bus(bus);
+        let known = app.bus(bus).map(|bus| (bus.names().revision(), bus.own_address()));
+        if texts.known != known || texts.ends.is_empty() {
+            texts.known = known;
+            texts.ends = vec![None; Address::COUNT];
+        }
+        let end = &mut texts.ends[address.index()];
+        if end.as_ref().is_some_and(|texts| !texts.times.contains(&time)) {
+            *end = None;
+        }
+        end.get_or_insert_with(|| EndTexts::new(app, bus, address, time))
+    }
+
+    /// The texts of a service, or of the number of a debug message.
+    pub fn service(
+        &mut self,
+        app: &App,
+        bus: BusIndex,
+        service: Service,
+        role: FrameRole,
+    ) -> &ServiceTexts {
+        let texts = self.bus(bus);
+        let is_debug = role == FrameRole::Debug;
+        let all = if is_debug { &mut texts.debug_messages } else { &mut texts.services };
+        if all.is_empty() {
+            *all = vec![None; SERVICES];
+        }
+        all[usize::from(service.number()) % SERVICES].get_or_insert_with(|| {
+            if is_debug {
+                ServiceTexts::of_debug(service)
+            } else {
+                ServiceTexts::new(app, bus, service)
+            }
+        })
+    }
+
+    fn bus(&mut self, bus: BusIndex) -> &mut BusTexts {
+        let at = usize::from(bus.0);
+        if self.buses.len() <= at {
+            self.buses.resize_with(at + 1, BusTexts::default);
+        }
+        &mut self.buses[at]
+    }
+}

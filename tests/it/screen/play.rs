@@ -1,0 +1,108 @@
+//! Playing: the shown moment moves in real time, at a pace, in both directions.
+
+use super::comparison::boiler;
+use crate::common::harness::Stage;
+use descan::app::Effect;
+use descan::status::{Playback, PlaybackCommand};
+use descan::time::{Duration, Instant};
+
+/// The moment that is shown, in seconds; `None` for the present.
+fn shown(stage: &Stage) -> Option<f64> {
+    Some(stage.app.past_moment()?.time.as_micros() as f64 / 1e6)
+}
+
+fn is_near(stage: &Stage, seconds: f64) -> bool {
+    shown(stage).is_some_and(|shown| (shown - seconds).abs() < 0.3)
+}
+
+#[test]
+fn moment_is_played_backwards_and_forwards_until_live() {
+    let mut stage = boiler();
+    stage.until(40.0).keys("(");
+    assert!((stage.app.play_pace().unwrap().factor() + 1.0).abs() < 1e-9);
+    stage.until(44.0);
+    assert!(is_near(&stage, 36.0), "{:?}", shown(&stage));
+    // Twice as fast backwards.
+    stage.keys("(").until(46.0);
+    assert!(is_near(&stage, 32.0), "{:?}", shown(&stage));
+    stage.keys("Space").until(50.0);
+    assert!(is_near(&stage, 32.0), "it stands: {:?}", shown(&stage));
+    assert_eq!(stage.app.play_pace(), None);
+    stage.keys(")").until(51.0);
+    assert!(is_near(&stage, 33.0), "{:?}", shown(&stage));
+    // 1024 times as fast: the present is reached at once.
+    stage.keys(") ) ) ) ) ) ) ) ) ) ) )").until(52.0);
+    assert_eq!((shown(&stage), stage.app.play_pace()), (None, None));
+}
+
+#[test]
+fn playing_backwards_stops_at_the_first_moment() {
+    let mut stage = boiler();
+    stage.until(20.0).keys("( ( ( (").until(24.0);
+    assert!(is_near(&stage, 0.0), "{:?}", shown(&stage));
+    assert_eq!(stage.app.play_pace(), None);
+}
+
+#[test]
+fn step_to_an_event_stops_playing() {
+    let mut stage = boiler();
+    stage.until(40.0).keys("(").until(42.0).keys("[");
+    let at = shown(&stage);
+    stage.until(45.0);
+    assert_eq!((shown(&stage), stage.app.play_pace()), (at, None));
+}
+
+/// A log of a minute that was read for 20 s.
+fn log() -> Stage {
+    let mut stage = boiler();
+    stage.until(20.0);
+    let end = Some(Instant::from_micros(60_000_000));
+    stage.app.handle_playback(stage.app.now(), Playback { end, ..Playback::default() });
+    effects(&mut stage);
+    stage
+}
+
+/// The commands to the playback since the last call.
+fn effects(stage: &mut Stage) -> Vec<PlaybackCommand> {
+    let effects = std::mem::take(&mut stage.effects);
+    let commands = effects.into_iter().filter_map(|effect| match effect {
+        Effect::Playback(command) => Some(command),
+        _ => None,
+    });
+    commands.collect()
+}
+
+#[test]
+fn log_is_paused_while_another_moment_is_shown() {
+    let mut stage = log();
+    stage.keys("[");
+    assert_eq!(effects(&mut stage), [PlaybackCommand::SetPaused(true)]);
+    stage.keys("[ Esc");
+    assert_eq!(effects(&mut stage), [PlaybackCommand::SetPaused(false)]);
+    assert_eq!(shown(&stage), None);
+}
+
+#[test]
+fn later_moment_of_a_log_is_read_ahead() {
+    let mut stage = log();
+    stage.keys(":").text("50%").keys("Enter");
+    let to = Instant::from_micros(30_000_000);
+    let commands = effects(&mut stage);
+    assert_eq!(commands, [PlaybackCommand::SetPaused(true), PlaybackCommand::ReadTo(to)]);
+    assert_eq!(stage.app.reading_ahead(), Some(to));
+    stage.until(29.0);
+    assert_eq!(shown(&stage), None);
+    stage.until(30.5);
+    assert_eq!((shown(&stage), stage.app.reading_ahead()), (Some(30.0), None));
+}
+
+#[test]
+fn escape_stops_reading_ahead_where_the_log_is() {
+    let mut stage = log();
+    stage.keys(":").text("100%").keys("Enter").until(25.0).keys("Esc");
+    let commands = effects(&mut stage);
+    assert_eq!(commands.last(), Some(&PlaybackCommand::ReadTo(Instant::ZERO)));
+    assert_eq!(shown(&stage), Some(25.0));
+    stage.pass(stage.app.now() + Duration::from_secs(1));
+    assert_eq!(shown(&stage), Some(25.0));
+}
