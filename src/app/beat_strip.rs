@@ -75,7 +75,7 @@ pub fn beat_cells(
     after: BeatKind,
     most: usize,
 ) -> Vec<Beat> {
-    let period_s = period.as_secs_f64().max(1e-6);
+    let period_seconds = period.as_secs_f64().max(1e-6);
     // The one before the first cell tells how late that is; two may share a cell.
     let mut beats: Vec<CapturedHeartbeat> = beats.take(most * 2 + 2).collect();
     beats.reverse();
@@ -91,18 +91,18 @@ pub fn beat_cells(
             continue;
         };
         let gap = beat.time.since(before);
-        let periods = gap.as_secs_f64() / period_s;
-        if periods < DOUBLE {
+        let passed = gap.as_secs_f64() / period_seconds;
+        if passed < DOUBLE {
             if let Some(cell) = cells.last_mut() {
                 cell.kind = BeatKind::Double;
             }
             continue;
         }
-        let missed = missed_periods(periods);
+        let missed = missed_periods(passed);
         push_missed(&mut cells, before, period, missed, BeatKind::Missed, most);
-        let since_phase = beat.time.since(phase).as_secs_f64() / period_s;
+        let since_phase = beat.time.since(phase).as_secs_f64() / period_seconds;
         let is_in_phase = since_phase <= PHASE_PERIODS + ON_TIME && is_whole(since_phase);
-        let kind = if is_whole(periods) || is_in_phase {
+        let kind = if is_whole(passed) || is_in_phase {
             phase = beat.time;
             BeatKind::OnTime
         } else {
@@ -112,7 +112,7 @@ pub fn beat_cells(
         last = Some(beat.time);
     }
     if let Some(last) = last {
-        let missed = missed_periods(end.since(last).as_secs_f64() / period_s);
+        let missed = missed_periods(end.since(last).as_secs_f64() / period_seconds);
         push_missed(&mut cells, last, period, missed, after, most);
     }
     cells.drain(..cells.len().saturating_sub(most));

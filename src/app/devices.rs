@@ -304,11 +304,21 @@ fn sort(rows: &mut [Row], buses: &Buses, by: SortBy) {
     rows.sort_by(|a, b| {
         let seen = |row: &Row| Reverse(row.device(buses).map(|device| device.first_seen));
         let mode = |row: &Row| known(row.device(buses).and_then(|device| row.mode_of(device)));
-        let heartbeat = |row: &Row| row.device(buses).map(|device| &device.heartbeat);
+        // Statistics of two senders mixed describe neither of them.
+        let heartbeat = |row: &Row| {
+            let device = row.device(buses).filter(|device| !buses.is_shared(device));
+            device.map(|device| &device.heartbeat)
+        };
         let missed = |row: &Row| known(heartbeat(row).map(|beats| Reverse(beats.missed)));
-        let jitter =
-            |row: &Row| known(heartbeat(row).and_then(HeartbeatStats::steady_jitter).map(Reverse));
-        let period = |row: &Row| known(heartbeat(row).and_then(HeartbeatStats::steady_period));
+        // As shown: smaller differences would change the order for no visible reason.
+        let jitter = |row: &Row| {
+            let jitter = heartbeat(row).and_then(HeartbeatStats::steady_jitter);
+            known(jitter.map(|jitter| Reverse((jitter.as_micros() + 500) / 1000)))
+        };
+        let period = |row: &Row| {
+            let period = heartbeat(row).and_then(HeartbeatStats::steady_period);
+            known(period.map(|period| (period.as_micros() + 5000) / 10_000))
+        };
         let services = |row: &Row| row.device(buses).and_then(|device| device.services.as_ref());
         match by {
             SortBy::Address => Ordering::Equal,

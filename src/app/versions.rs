@@ -4,8 +4,8 @@
 //! Inputs: devices and entries. Output: texts, with unprintable bytes escaped. Bounded by the
 //! services of the devices. Does not know how they are drawn.
 
-use super::App;
 use super::listing::as_listed;
+use super::{App, Bus};
 use crate::discovery::{Device, DeviceService};
 use crate::document::ListedService;
 use crate::frame::BusIndex;
@@ -135,7 +135,7 @@ pub struct ServiceTable<'a> {
 impl<'a> ServiceTable<'a> {
     /// Returns the table of the devices of the moment that is shown.
     pub fn new(app: &'a App) -> Self {
-        let mut devices: Vec<&Device> = app.buses().iter().flat_map(|bus| bus.devices()).collect();
+        let mut devices: Vec<&Device> = app.buses().iter().flat_map(Bus::devices).collect();
         devices.sort_by_key(|device| (device.id.bus, device.address, device.id));
         let mut table = Self::default();
         let mut known = BTreeSet::new();

@@ -124,7 +124,7 @@ impl HeartbeatStats {
     }
 
     /// Returns the jitter for the screen: it changes only when the standard deviation has changed
-    /// by a fifth. `None` before the second interval.
+    /// by a fifth and by 1 ms. `None` before the second interval.
     pub fn steady_jitter(&self) -> Option<Duration> {
         (self.intervals > 1).then(|| Duration::from_micros(self.steady_jitter_us as u64))
     }
@@ -132,8 +132,8 @@ impl HeartbeatStats {
     /// Takes over period and jitter for the screen where they have changed enough.
     fn steady(&mut self) {
         let jitter_us = self.variance_us2.max(0.0).sqrt();
-        // Below half a millisecond the screen shows 0.
-        let tolerance = (self.steady_jitter_us * STEADY_JITTER).max(500.0);
+        // The screen shows milliseconds.
+        let tolerance = (self.steady_jitter_us * STEADY_JITTER).max(1000.0);
         if self.intervals <= 2 || (jitter_us - self.steady_jitter_us).abs() > tolerance {
             self.steady_jitter_us = jitter_us;
         }

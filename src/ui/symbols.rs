@@ -4,7 +4,7 @@ use crate::finding::FindingState;
 use crate::theme::Role;
 
 /// Each symbol: its role, the text as shown on the screen, and its meaning.
-pub const SYMBOLS: [(Role, &str, &str); 31] = [
+pub const SYMBOLS: [(Role, &str, &str); 35] = [
     (Role::Online, "● online", "heartbeats arrive"),
     (Role::Stale, "◐ stale", "heartbeat overdue"),
     (Role::Silent, "◌ silent", "frames but no heartbeats"),
@@ -23,12 +23,16 @@ pub const SYMBOLS: [(Role, &str, &str); 31] = [
     (Role::Text, "NAME²", "same name at another address (allowed)"),
     (Role::FileOk, "✓ 12", "static address 12, matches"),
     (Role::FileDiffers, "✗ 16", "static address 16, differs"),
-    (Role::FileDiffers, "≠ 12", "static address 12, services differ"),
+    (Role::FileDiffers, "✗ absent", "listed, not on the bus"),
+    (Role::FileDiffers, "≠ 3 svc", "3 services differ from the file"),
     (Role::Muted, "… 12", "static address 12, device pending"),
-    (Role::Muted, "  12", "listed, not pinned; last at 12"),
-    (Role::FileDiffers, "4≠", "services differ from the file"),
+    (Role::Muted, "· 12", "listed, not pinned; last at 12"),
     (Role::New, "+ new", "not in the file"),
-    (Role::Warning, "  12!", "invalid entry: see the details"),
+    (Role::Warning, "! entry", "invalid entry: see the details"),
+    (Role::SideA, "14A 14B", "boards at a shared address; A joined first"),
+    (Role::Beat, "▂", "heartbeat on time; a cell is one period"),
+    (Role::BeatBad, "▅ █ ×", "heartbeat late or early, two in one period, missed"),
+    (Role::Changed, "2.1→2.2", "version changed since the device was first heard"),
     (Role::Suspected, "≈ assumed", "service numbers and layouts are assumed (no --profile)"),
     (Role::Text, "load ≈3%", "bit rate unknown: 125 kbit/s assumed"),
     (Role::Bar, "⣶⣾⣿ 5–8%", "load, 2 s a cell; least and most of the last minute"),

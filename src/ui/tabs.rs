@@ -3,7 +3,7 @@
 
 use super::brush::{DrawContext, fit};
 use super::moment;
-use crate::app::{Focus, Page, PageFilter, TimelineView, TrafficView};
+use crate::app::{DeviceView, Focus, Page, PageFilter, TimelineView, TrafficView};
 use crate::keymap::Action;
 use crate::theme::Role;
 use ratatui::layout::Rect;
@@ -54,6 +54,9 @@ pub fn draw(brush: &mut DrawContext) {
     } else if open == Page::Traffic {
         let view = brush.app.view().traffic_view.title();
         draw_views(brush, &TrafficView::ALL.map(TrafficView::title), view, view, end);
+    } else if open == Page::Devices {
+        let view = brush.app.view().devices_page.view.title();
+        draw_views(brush, &DeviceView::ALL.map(DeviceView::title), view, view, end);
     } else if open == Page::Timeline {
         let views = TimelineView::all(area.width).iter().map(|view| view.title());
         let view = brush.app.view().timeline_shown().title();

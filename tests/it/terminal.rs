@@ -391,7 +391,7 @@ fn log_of_two_interfaces_is_two_buses() {
     let mut pty = Pty::start(&["file:session.log", "--speed", "20"], folder.path(), (100, 30));
     pty.wait_until("both buses and a node on each", |screen| {
         let text = screen.contents();
-        ["can7", "can8", " 12  ", " 20  "].iter().all(|wanted| text.contains(wanted))
+        ["can7", "can8", " 12 ?", " 20 ?"].iter().all(|wanted| text.contains(wanted))
     });
     pty.send("q");
     assert_eq!(pty.wait(), 0);

@@ -70,7 +70,7 @@ fn edit_waits_while_the_file_is_written() {
         stage.until(24.0).write("");
         let screen = stage.screen();
         assert!(screen.contains("des.json empty (being written?)"), "{screen}");
-        assert!(screen.contains("≠ 10"), "{screen}");
+        assert!(screen.contains("≠ 3 svc"), "{screen}");
         let screen = stage.keys("e").text("70").keys("Enter").screen();
         assert!(screen.contains("… saving 1  empty (being written?)"), "{screen}");
         assert!(stage.keys("q").screen().contains("Quit"));

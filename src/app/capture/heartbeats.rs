@@ -39,13 +39,13 @@ pub struct CapturedHeartbeats<'a> {
 
 impl Traffic {
     /// Heartbeats of an address with frame numbers before `end`, newest first.
-    pub fn heartbeats<'a>(
-        &'a self,
+    pub fn heartbeats(
+        &self,
         profile: Arc<Profile>,
         bus: BusIndex,
         address: Address,
         end: u64,
-    ) -> CapturedHeartbeats<'a> {
+    ) -> CapturedHeartbeats<'_> {
         let service = profile.heartbeat_service();
         let mut walk = CapturedHeartbeats { traffic: self, profile, heads: Vec::new() };
         for flags in 0..32_u8 {
@@ -95,5 +95,92 @@ impl Iterator for CapturedHeartbeats<'_> {
             mode: heartbeat.mode,
             is_working: !Header::decode(id).from_non_working,
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::app::buses::Buses;
+    use crate::discovery::Config;
+    use crate::frame::Frame;
+
+    fn address(number: u8) -> Address {
+        Address::from_bits(number)
+    }
+
+    fn heartbeat(millis: u64, from: u8, mode: Mode, data: &[u8]) -> Frame {
+        let service = Profile::default().heartbeat_service();
+        let is_working = mode.is_working() == Some(true);
+        // The destination of a heartbeat is random.
+        let random = (millis * 31 % 127) as u8;
+        let id = Header::unsolicited(address(from), random, !is_working, service).encode();
+        let mut bytes = data.to_vec();
+        if data.len() == 6 {
+            bytes.extend([mode as u8, 0]);
+        }
+        Frame::classic(id, &bytes).with_time(Instant::from_micros(millis * 1000))
+    }
+
+    fn traffic(frames: &[Frame]) -> Traffic {
+        let bus = |name: &str| (name.to_owned(), Config::default());
+        let buses = Buses::new(Instant::ZERO, vec![bus("can0"), bus("can1")]);
+        let mut traffic = Traffic::new(1 << 20);
+        for frame in frames {
+            traffic.push(frame, &buses, |_| Vec::new());
+        }
+        traffic
+    }
+
+    /// Returns times in milliseconds and modes of the heartbeats of an address before a frame.
+    fn walk(traffic: &Traffic, from: u8, end: u64) -> Vec<(u64, Option<Mode>)> {
+        let all = traffic.heartbeats(Arc::default(), BusIndex(0), address(from), end);
+        all.map(|beat| (beat.time.as_micros() / 1000, beat.mode)).collect()
+    }
+
+    #[test]
+    fn walk_is_newest_first_through_all_modes() {
+        let uid = *b"UID-10";
+        let frames = [
+            heartbeat(1000, 10, Mode::Init, &uid),
+            heartbeat(2000, 10, Mode::Arslv, &uid),
+            heartbeat(2500, 11, Mode::Work, &uid),
+            heartbeat(3000, 10, Mode::Work, &uid),
+            Frame::classic(0x0714_5101, &[1, 2, 3]).with_time(Instant::from_micros(3_500_000)),
+            heartbeat(4000, 10, Mode::Work, &uid),
+            heartbeat(5000, 10, Mode::Cfg, &uid),
+        ];
+        let traffic = traffic(&frames);
+        let expected = [
+            (5000, Some(Mode::Cfg)),
+            (4000, Some(Mode::Work)),
+            (3000, Some(Mode::Work)),
+            (2000, Some(Mode::Arslv)),
+            (1000, Some(Mode::Init)),
+        ];
+        assert_eq!(walk(&traffic, 10, u64::MAX), expected);
+        // Until a past moment: the frames before it.
+        assert_eq!(walk(&traffic, 10, 4), expected[2..]);
+        assert_eq!(walk(&traffic, 10, 0), []);
+        assert_eq!(walk(&traffic, 11, u64::MAX), [(2500, Some(Mode::Work))]);
+        assert_eq!(walk(&traffic, 12, u64::MAX), []);
+    }
+
+    #[test]
+    fn heartbeats_have_number_uid_and_bus() {
+        let frames = [
+            heartbeat(1000, 10, Mode::Work, b"UID-10"),
+            heartbeat(1001, 10, Mode::Work, b"OTHER1").with_bus(BusIndex(1)),
+            heartbeat(2000, 10, Mode::Work, b"short"),
+        ];
+        let traffic = traffic(&frames);
+        let all: Vec<_> = traffic
+            .heartbeats(Arc::default(), BusIndex(0), address(10), u64::MAX)
+            .map(|beat| (beat.number, beat.uid, beat.is_working))
+            .collect();
+        assert_eq!(all, [(2, None, true), (0, Some(Uid(*b"UID-10")), true)]);
+        let other = traffic.heartbeats(Arc::default(), BusIndex(1), address(10), u64::MAX);
+        let other: Vec<_> = other.map(|beat| (beat.number, beat.uid)).collect();
+        assert_eq!(other, [(1, Some(Uid(*b"OTHER1")))]);
     }
 }

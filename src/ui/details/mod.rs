@@ -85,11 +85,11 @@ fn columns_of(area: Rect) -> [Rect; 3] {
 /// A column of the details below the list.
 #[derive(Clone, Copy)]
 enum Section {
-    /// Presence, problems, heartbeat, entry of des.json.
+    /// Presence, other buses and boards, problems, heartbeat.
     State,
     /// Services.
     Services,
-    /// Other devices, framing, times, requests.
+    /// Entry of des.json, devices with the same name, framing, times, requests.
     Identity,
 }
 
@@ -114,10 +114,14 @@ impl<'b, 'a> DeviceDetails<'b, 'a> {
         }
         let device = self.app().device_of(self.row);
         self.fill_state(device);
-        if let Some(device) = device {
-            self.twins(device);
-            self.services(device);
-            self.fill_identity(device);
+        self.file(device);
+        match device {
+            Some(device) => {
+                self.twins(device);
+                self.services(device);
+                self.fill_identity(device);
+            }
+            None => self.listed_services(),
         }
         self.lines
     }
@@ -128,27 +132,27 @@ impl<'b, 'a> DeviceDetails<'b, 'a> {
             (Section::State, device) => self.fill_state(device),
             (Section::Services, Some(device)) => self.services(device),
             (Section::Services, None) => self.listed_services(),
-            (Section::Identity, Some(device)) => {
-                self.twins(device);
-                self.fill_identity(device);
+            (Section::Identity, device) => {
+                self.file(device);
+                if let Some(device) = device {
+                    self.twins(device);
+                    self.fill_identity(device);
+                }
             }
-            (Section::Identity, None) => {}
         }
         self.lines
     }
 
     fn fill_state(&mut self, device: Option<&Device>) {
         self.state(device);
-        self.findings(device);
-        self.why(device);
         if let Some(device) = device {
             self.other_buses(device);
             self.boards(device);
-            self.heartbeat(device);
         }
-        self.file(device);
-        if device.is_none() && self.brush.screen.details_rule.height == 0 {
-            self.listed_services();
+        self.findings(device);
+        self.why(device);
+        if let Some(device) = device {
+            self.heartbeat(device);
         }
     }
 
@@ -232,10 +236,17 @@ impl<'b, 'a> DeviceDetails<'b, 'a> {
                 && finding.key.kind != FindingKind::Missing
                 && device.map_or_else(|| of_row(finding), |device| concerns(finding, device))
         };
-        let mut any = false;
-        for problem in self.app().problems_with(about) {
+        let problems = self.app().problems_with(about);
+        if problems.is_empty() {
+            return;
+        }
+        // The key first: the texts may not fit.
+        let key = self.app().key_of(Action::Problem);
+        let page = crate::app::Page::Problems;
+        let text = format!("→ {} {} ({key})", page.number(), page.title());
+        self.lines.push(Line::from(self.brush.span(Role::Muted, text)));
+        for problem in problems {
             for finding in problem.findings.iter().filter(|finding| about(finding)) {
-                any = true;
                 // Stands at its entry, below.
                 if finding.position.is_some() {
                     continue;
@@ -254,12 +265,6 @@ impl<'b, 'a> DeviceDetails<'b, 'a> {
                 }
                 self.lines.extend(lines);
             }
-        }
-        if any {
-            let key = self.app().key_of(Action::Problem);
-            let page = crate::app::Page::Problems;
-            let text = format!("→ {} {} ({key})", page.number(), page.title());
-            self.lines.push(Line::from(self.brush.span(Role::Muted, text)));
         }
     }
 

@@ -6,7 +6,9 @@ use crate::app::{BeatStats, Redundancy, clock_millis, format_time_of_day, twin_d
 use crate::discovery::Device;
 use crate::text::join_first;
 use crate::theme::Role;
+use crate::ui::brush::labelled;
 use crate::ui::devices::{STATS_BEATS, jitter_text, period_text, state_role, uid_text};
+use unicode_width::UnicodeWidthStr;
 
 /// Twins that are compared; the others are named only.
 const MAX_TWINS: usize = 3;
@@ -28,10 +30,12 @@ impl DeviceDetails<'_, '_> {
         for (at, row) in rows.into_iter().enumerate() {
             let Some(board) = row.board else { continue };
             let uid = uid_text(app, device, board.sender.uid);
-            let joined = clock_millis(app, board.sender.since);
-            let order = ["", ", second", ", third"].get(at).unwrap_or(&", later");
-            let text = format!("{uid} joined {joined}{order}");
-            self.add(&format!("{}", board.side), Role::Text, &text);
+            let text = format!("{uid} joined {}", clock_millis(app, board.sender.since));
+            let is_wide = text.width() + 2 <= usize::from(self.width);
+            let since = format_time_of_day(app, board.sender.since);
+            let text = if is_wide { text } else { format!("{uid} joined {since}") };
+            let side = format!("{} ", board.side);
+            self.lines.extend(labelled(self.brush, &side, Role::Text, &text, self.width));
             let stats = BeatStats::of(&app.beats_of(row, STATS_BEATS));
             let mode = board.sender.mode.map(|mode| mode.to_string());
             let period = stats
@@ -39,8 +43,11 @@ impl DeviceDetails<'_, '_> {
                 .zip(stats.jitter)
                 .map(|(period, jitter)| format!("{} {}", period_text(period), jitter_text(jitter)));
             let missed = (stats.missed > 0).then(|| format!("{} missed", stats.missed));
-            let texts: Vec<String> = [mode, period, missed].into_iter().flatten().collect();
-            self.add(" ", Role::Muted, &texts.join(", "));
+            let order = [None, Some("second"), Some("third")].get(at).copied();
+            let order = order.unwrap_or(Some("later")).map(str::to_owned);
+            let texts: Vec<String> = [order, mode, period, missed].into_iter().flatten().collect();
+            let text = texts.join(", ");
+            self.lines.extend(labelled(self.brush, "  ", Role::Muted, &text, self.width));
         }
     }
 

@@ -7,9 +7,8 @@ mod matrix;
 mod strip;
 
 use super::brush::{DrawContext, bus_label, end_of, fit, fit_right};
-use super::tabs;
 use crate::app::{
-    App, BeatStats, DeviceView, FileStatus, Page, PromptKind, Row, RowKey, RowState, ServiceTable,
+    App, BeatStats, DeviceView, FileStatus, PromptKind, Row, RowKey, RowState, ServiceTable,
     SortBy, VersionNote, format_duration, format_time_of_day,
 };
 use crate::discovery::Device;
@@ -31,14 +30,11 @@ use Column as C;
 pub(super) const STATS_BEATS: usize = 60;
 /// Most services of a device that VERSIONS lists; the others are counted.
 const MAX_NOTES: usize = 16;
-/// Least width with the views in the page rule: narrower ones have the moment there.
-const VIEWS_FROM: u16 = 100;
 
 /// Draws the column headings and the rows that fit; on the row being edited the address prompt.
 pub fn draw(brush: &mut DrawContext) {
     let (header, list) = (brush.screen.header, brush.screen.list);
     let app = brush.app;
-    draw_views(brush);
     if app.rows().is_empty() {
         let columns = Columns::new(usize::from(list.width), Widest::default());
         draw_header(brush, header, &columns);
@@ -75,17 +71,10 @@ fn draw_hidden_rows(brush: &mut DrawContext) {
     }
 }
 
-/// Draws the views and their key into the page rule.
-fn draw_views(brush: &mut DrawContext) {
-    let screen = brush.screen;
-    let titles = DeviceView::ALL.map(DeviceView::title);
-    let open = brush.app.view().devices_page.view.title();
-    if screen.whole.width < VIEWS_FROM || brush.app.page_filter(Page::Devices).is_on() {
-        return;
-    }
-    let tabs = screen.tabs(Page::Devices, brush.app.counts());
-    let end = tabs.last().map_or(0, |(_, start, text)| start + text.width() as u16);
-    tabs::draw_views(brush, &titles, open, open, end);
+/// Cells of the list that have columns: a blank is in front of details beside it.
+fn list_width(brush: &DrawContext) -> usize {
+    let blank = u16::from(brush.screen.divider.height > 0);
+    usize::from(brush.screen.list.width.saturating_sub(blank))
 }
 
 /// Rows on the screen: the line, the place in the list, the row.
@@ -100,7 +89,7 @@ fn visible_rows(app: &App, height: u16) -> Vec<(u16, bool, &Row)> {
 fn draw_list(brush: &mut DrawContext) {
     let (header, list) = (brush.screen.header, brush.screen.list);
     let app = brush.app;
-    let columns = Columns::new(usize::from(list.width), widest(app, list.width));
+    let columns = Columns::new(list_width(brush), widest(app, list.width));
     draw_header(brush, header, &columns);
     let table = columns.has(C::Versions).then(|| ServiceTable::new(app));
     for (line, is_selected, row) in visible_rows(app, list.height) {
@@ -154,7 +143,7 @@ fn draw_header(brush: &mut DrawContext, area: Rect, columns: &Columns) {
 fn draw_heartbeats(brush: &mut DrawContext) {
     let (header, list) = (brush.screen.header, brush.screen.list);
     let app = brush.app;
-    let mut columns = Columns::new(usize::from(list.width), widest(app, list.width));
+    let mut columns = Columns::new(list_width(brush), widest(app, list.width));
     let is_kept = |column: Column| match column {
         C::Bus | C::Address | C::Name => true,
         C::State => list.width >= 60,
@@ -163,7 +152,7 @@ fn draw_heartbeats(brush: &mut DrawContext) {
     };
     columns.shown.retain(|(column, _)| is_kept(*column));
     let start = SIGNS + columns.shown.iter().map(|(_, width)| width + 1).sum::<usize>();
-    let width = usize::from(list.width).saturating_sub(start);
+    let width = list_width(brush).saturating_sub(start);
     draw_header(brush, header, &columns);
     let at = Rect { x: header.x + start as u16, width: width as u16, ..header };
     let title =
@@ -416,7 +405,7 @@ fn is_absent(row: &Row) -> bool {
 
 /// Returns the role of one of several boards at an address.
 pub(super) fn side_role(row: &Row) -> Option<Role> {
-    row.board.map(|_| Role::Confirmed)
+    row.board.map(|board| if board.side == 'A' { Role::SideA } else { Role::SideB })
 }
 
 /// Returns the text of a UID, in the alphabet of the profile.
@@ -425,7 +414,7 @@ pub(super) fn uid_text(app: &App, device: &Device, uid: Uid) -> String {
         return "blank".to_owned();
     }
     let profile = app.profile(device.id.bus);
-    Escaped(uid.text(&profile.uid).to_string().as_bytes()).to_string()
+    Escaped(uid.text(&profile.uid).to_string().trim().as_bytes()).to_string()
 }
 
 /// Returns the verdict of the FILE column, the worst one, and its role; without `has_text` only sign

@@ -76,7 +76,7 @@ mod tests {
         for count in [0, 9999, 10_000, 999_999, u64::MAX] {
             assert!(count_text(count).len() <= 4, "{}", count_text(count));
         }
-        assert_eq!(period_text(Duration::from_millis(1000)), "1.00 s");
+        assert_eq!(period_text(Duration::from_secs(1)), "1.00 s");
         assert_eq!(jitter_text(Duration::from_millis(2)), "±2 ms");
     }
 }

@@ -11,6 +11,7 @@ use descan::time::Instant;
 use descan::wire::id::{Address, Header};
 use descan::wire::node::Mode;
 use descan::wire::profile::Profile;
+use ratatui::buffer::Cell;
 
 /// Returns a heartbeat in WORK of the device at an address.
 fn heartbeat(millis: u64, address: u8, uid: &[u8; 6]) -> Frame {
@@ -165,16 +166,18 @@ fn healthy_rows_do_not_change_for_a_minute() {
         let region = |stage: &Stage| {
             let list = stage.app.screen().list;
             let buffer = stage.buffer("terminal");
-            let rows: Vec<_> = (list.top()..list.bottom())
-                .flat_map(|y| (0..200).map(move |x| (x, y)))
-                .map(|at| buffer[at].clone())
-                .collect();
+            let row = |y| (0..list.width).map(|x| buffer[(x, y)].clone()).collect();
+            let rows: Vec<Vec<Cell>> = (list.top()..list.bottom()).map(row).collect();
             rows
         };
         let before = region(&stage);
         for step in 1..=12 {
             stage.until(start + 5.0 * f64::from(step));
-            assert!(region(&stage) == before, "{keys}\n{}", stage.screen());
+            for (now, before) in region(&stage).iter().zip(&before) {
+                let text = |cells: &[Cell]| cells.iter().map(Cell::symbol).collect::<String>();
+                assert_eq!(text(now), text(before), "{keys} {step}");
+                assert_eq!(now, before, "{keys} {step}");
+            }
         }
     }
 }
@@ -191,7 +194,7 @@ fn changed_version_is_shown_until_it_is_confirmed() {
     assert!(line(&matrix, "▸●   10").contains("2.1→2.2≠"), "{matrix}");
     let screen = stage.keys("v v c").screen();
     assert!(screen.contains("changes of 1 device confirmed"), "{screen}");
-    assert!(!screen.contains('→'), "{screen}");
+    assert!(!screen.contains("2.1→2.2"), "{screen}");
     // A past moment has what had changed then.
     stage.keys(":").text("12:01:08").keys("Enter");
     assert!(line(&stage.screen(), "▸●   10").contains(change), "{}", stage.screen());

@@ -89,7 +89,7 @@ fn sort_key_cycles_through_the_columns() {
 "#;
     let mut stage =
         Stage::with(&Scenario::builtin("boiler").unwrap(), Some(file), Config::default());
-    stage.until(36.0);
+    stage.until(36.0).size(200, 50);
     let first = |stage: &Stage, count: usize| -> Vec<String> {
         let rows = stage.app.rows().iter().take(count);
         rows.map(|row| row.name.as_ref().unwrap().to_string()).collect()
@@ -100,7 +100,7 @@ fn sort_key_cycles_through_the_columns() {
         ("by severity", ["ACT", "ACT", "IGNITER"]),
         ("by mode", ["NEW", "FEED", "SENS"]),
         ("shortest heartbeat period first", ["FEED", "SENS", "SENS"]),
-        ("largest jitter first", ["ACT", "ACT", "FEED"]),
+        ("largest jitter first", ["DIN", "GSM-MODEM", "NEW"]),
         ("most missed heartbeats first", ["FEED", "SENS", "SENS"]),
         ("changed versions first", ["FEED", "SENS", "SENS"]),
         ("by difference from the file", ["IGNITER", "FEED", "DISP"]),

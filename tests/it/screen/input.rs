@@ -93,7 +93,7 @@ fn filter_fields_work_on_every_page() {
     assert_eq!(rows("1", "at:14"), 2);
     assert_eq!(rows("1", "name:sens"), 2);
     assert_eq!(rows("1", "is:conflict"), 2);
-    assert_eq!(rows("1", "is:clash"), 1);
+    assert_eq!(rows("1", "is:clash"), 2);
     assert_eq!(rows("1", "is:missing"), 1);
     // A conflict is one line, which matches by each of its steps.
     assert_eq!(rows("3", "is:suspected"), 1);
