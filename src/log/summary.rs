@@ -183,6 +183,7 @@ impl LogSummary {
         if known.is_none() {
             self.interfaces.push(interface.to_owned());
         }
+        self.last_interface = usize::from(index);
         Some(BusIndex(index))
     }
 }
