@@ -62,6 +62,8 @@ pub enum Overlay {
     Filters(usize),
     /// The comparison of two moments.
     Comparison,
+    /// The themes, with the place of the selected one.
+    Themes(usize),
 }
 
 /// Keymap, overlay and type-ahead guard.
@@ -105,6 +107,7 @@ impl Input {
             Overlay::Marks(_) => KeyMode::Marks,
             Overlay::Filters(_) => KeyMode::Filters,
             Overlay::Comparison => KeyMode::Compare,
+            Overlay::Themes(_) => KeyMode::Themes,
         }
     }
 
