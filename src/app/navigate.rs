@@ -218,8 +218,23 @@ impl App {
                 let keys = self.call_keys();
                 self.view.calls.move_by(&keys, delta, height);
             }
-            Page::Traffic => self.traffic.move_by(&mut self.view, delta, height),
+            Page::Traffic => {
+                let before = self.view.traffic;
+                self.traffic.move_by(&mut self.view, delta, height);
+                if delta < 0 && before.is_some() && self.view.traffic == before {
+                    self.say_first_frame();
+                }
+            }
         }
+    }
+
+    /// Says since when frames are kept, if there were earlier ones.
+    fn say_first_frame(&mut self) {
+        let capture = &self.traffic.capture;
+        let oldest = capture.time_of(capture.oldest());
+        let Some(oldest) = oldest.filter(|_| capture.oldest() > 0) else { return };
+        let (count, since) = (capture.oldest(), super::clock_millis(self, oldest));
+        self.show_info(format!("{count} frames before {since} are no longer kept"));
     }
 
     fn identifier_keys(&self) -> Vec<IdentifierKey> {

@@ -29,6 +29,10 @@ pub enum BarSign {
     Quiet,
     /// Events.
     Event,
+    /// Error frames, or bus errors in the counters.
+    Errors,
+    /// Frames were lost on their way to the capture.
+    Lost,
     /// A finding was suspected.
     Suspected,
     /// An address conflict was confirmed and open.
@@ -89,18 +93,22 @@ impl TimeBar {
             let key = (line.finding, line.bus, line.address);
             let sign = match line.kind {
                 TimelineKind::Mark(_) => continue,
-                TimelineKind::Suspected => BarSign::Suspected,
-                TimelineKind::Confirmed if line.finding.is_some_and(is_conflict) => {
-                    let is_known = open.iter().any(|(known, _)| *known == key);
-                    if !is_known && open.len() < MAX_OPEN {
-                        open.push((key, line.time));
+                TimelineKind::Suspected => match sign_of(line.finding) {
+                    Some(sign @ (BarSign::Errors | BarSign::Lost)) => sign,
+                    _ => BarSign::Suspected,
+                },
+                TimelineKind::Confirmed => {
+                    let sign = sign_of(line.finding);
+                    let is_known = open.iter().any(|(known, ..)| *known == key);
+                    if let Some(sign) = sign.filter(|_| !is_known && open.len() < MAX_OPEN) {
+                        open.push((key, line.time, sign));
                     }
-                    BarSign::Conflict
+                    sign.unwrap_or(BarSign::Event)
                 }
                 TimelineKind::Cleared => {
-                    if let Some(at) = open.iter().position(|(known, _)| *known == key) {
-                        let (_, since) = open.swap_remove(at);
-                        self.put(since, line.time, BarSign::Conflict);
+                    if let Some(at) = open.iter().position(|(known, ..)| *known == key) {
+                        let (_, since, sign) = open.swap_remove(at);
+                        self.put(since, line.time, sign);
                     }
                     BarSign::Event
                 }
@@ -109,8 +117,8 @@ impl TimeBar {
             self.put(line.time, line.time, sign);
             self.put(line.last, line.last, sign);
         }
-        for (_, since) in open {
-            self.put(since, self.read, BarSign::Conflict);
+        for (_, since, sign) in open {
+            self.put(since, self.read, sign);
         }
     }
 
@@ -120,9 +128,14 @@ impl TimeBar {
     }
 }
 
-/// Returns true for the kinds of findings about two nodes at one address.
-fn is_conflict(kind: FindingKind) -> bool {
-    kind.facts().grouping == Grouping::Address
+/// Returns the sign of a confirmed finding while it is open; `None` for one that has only a beginning.
+/// Suspected conflicts have a sign of their own.
+fn sign_of(kind: Option<FindingKind>) -> Option<BarSign> {
+    match kind? {
+        FindingKind::BusErrors => Some(BarSign::Errors),
+        FindingKind::FramesLost => Some(BarSign::Lost),
+        kind => (kind.facts().grouping == Grouping::Address).then_some(BarSign::Conflict),
+    }
 }
 
 impl App {

@@ -48,6 +48,8 @@ fn sign_of(sign: BarSign) -> (String, Role) {
     match sign {
         BarSign::Quiet => ("·".into(), Role::Muted),
         BarSign::Event => ("╷".into(), Role::Text),
+        BarSign::Errors => ("!".into(), Role::Warning),
+        BarSign::Lost => ("×".into(), Role::Warning),
         BarSign::Suspected => ("?".into(), Role::Suspected),
         BarSign::Conflict => ("▒".into(), Role::Confirmed),
         BarSign::Mark(letter) => (letter.to_string(), Role::Mark),

@@ -77,7 +77,7 @@ impl Disk {
     /// Pins FEED to 47, and asserts that the save fails with this cause, that a quit attempt keeps
     /// the edit, and that a recovery copy is written elsewhere.
     fn is_kept(&mut self, cause: &str) {
-        self.pty.send("ge\x1547\r");
+        self.pty.send("gge\x1547\r");
         self.pty.wait_for("✗ not saved");
         self.pty.wait_for(cause);
         assert_eq!(self.content().as_deref(), Some(BEFORE));
@@ -173,7 +173,7 @@ fn hanging_disk_does_not_block_the_screen() {
         )
     };
     let mut disk = never();
-    disk.pty.send("ge\x1547\r");
+    disk.pty.send("gge\x1547\r");
     disk.pty.wait_for("… saving 1");
     // Editing continues meanwhile.
     disk.pty.send("R\x15PUMP\r");
@@ -197,7 +197,7 @@ fn hanging_disk_does_not_block_the_screen() {
 
     // Nor does it delay a shutdown of the machine.
     let mut disk = never();
-    disk.pty.send("ge\x1547\r");
+    disk.pty.send("gge\x1547\r");
     disk.pty.wait_for("… saving 1");
     disk.pty.signal(Signal::SIGTERM);
     let signalled = Instant::now();
@@ -221,7 +221,7 @@ fn signal_during_a_slow_save_waits_for_it() {
              >../late.c && cc -shared -fPIC -o ../late.so ../late.c \
              && as=\"env LD_PRELOAD=$PWD/../late.so\"",
         );
-        disk.pty.send("ge\x1547\r");
+        disk.pty.send("gge\x1547\r");
         disk.pty.wait_for("… saving 1");
         disk.pty.signal(signal);
         assert_eq!(disk.pty.wait(), 130, "{signal}");
@@ -244,7 +244,7 @@ fn file_size_limit_keeps_edits() {
         format!("ulimit -f 20; exec {} sim:boiler --file des.json", env!("CARGO_BIN_EXE_descan"));
     let mut pty = Pty::run("sh", &["-c", &script], folder.path(), (120, 30));
     pty.wait_for("SENS");
-    pty.send("ge\x1547\r");
+    pty.send("gge\x1547\r");
     pty.wait_for("✗ not saved");
     pty.wait_for("file size limit reached");
     assert_eq!(fs::read_to_string(folder.path().join("des.json")).unwrap(), text);
@@ -273,7 +273,7 @@ fn unconfirmed_save_is_shown_until_it_is_confirmed() {
     );
     let mut pty = Pty::run("sh", &["-ec", &script], folder.path(), (120, 30));
     pty.wait_for("SENS");
-    pty.send("ge\x1547\r");
+    pty.send("gge\x1547\r");
     pty.wait_for("✗ not confirmed by the disk");
     assert_eq!(fs::read_to_string(at("des.json")).unwrap(), AFTER);
     // What descan wrote is not reported as a change by another program, nor as saved.
@@ -317,7 +317,7 @@ fn folder_moved_away_keeps_edits() {
     let mut disk = Disk::new("true");
     let (here, away) = (disk.folder.path().join("disk"), disk.folder.path().join("away"));
     // While the user types in an input line.
-    disk.pty.send("ge\x154");
+    disk.pty.send("gge\x154");
     fs::rename(&here, &away).unwrap();
     disk.pty.wait_for("deleted: the next edit creates it again");
     disk.pty.send("7\r");
@@ -342,7 +342,7 @@ fn edit_conflict_after_failed_save_needs_a_choice() {
     let theirs = BEFORE.replace('9', "11");
     for key in ["t", "o"] {
         let mut disk = Disk::new("cp des.json ../real.json && mount --bind ../real.json des.json");
-        disk.pty.send("ge\x1547\r");
+        disk.pty.send("gge\x1547\r");
         disk.pty.wait_for("✗ not saved");
         fs::write(disk.seen("disk/des.json"), &theirs).unwrap();
         disk.pty.wait_for("Edit conflict");

@@ -51,7 +51,7 @@ fn edits_of_vim_nano_and_git_are_merged() {
         if !is_there(program) {
             continue;
         }
-        pty.send("ge\x154");
+        pty.send("gge\x154");
         pty.wait_for("Enter pins it to 4");
         let theirs = content.replace(&valve.to_string(), &(valve + 1).to_string());
         fs::write(folder.path().join("new"), &theirs).unwrap();
@@ -138,7 +138,7 @@ fn broken_hard_link_is_reported() {
     fs::hard_link(at("backup.json"), at("des.json")).unwrap();
     let mut pty = Pty::start(&["sim:boiler"], folder.path(), (120, 40));
     pty.wait_for("SENS");
-    pty.send("ge\x1547\r");
+    pty.send("gge\x1547\r");
     pty.wait_for("saved; the other hard link keeps the old content");
     let ours = BEFORE.replace("9}", "47, \"static\": true}");
     assert_eq!(fs::read_to_string(at("des.json")).unwrap(), ours);

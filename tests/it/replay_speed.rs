@@ -57,7 +57,7 @@ fn log_started_early_is_shown_from_its_start() {
     wait_until_read(pty.pid().as_raw(), &log);
     OpenOptions::new().write(true).open(&pipe).unwrap();
     pty.wait_for(" can0  end of log");
-    pty.send("3g");
+    pty.send("3gg");
     pty.wait_for("06:17:33 + can0   N9 @9        identified as N9");
     pty.wait_for("06:17:33 + can0   N9 @9        1 service");
     let screen = pty.screen();

@@ -247,7 +247,7 @@ fn address_is_pinned_in_its_row_and_undone() {
     std::fs::write(&path, before).unwrap();
     let mut pty = demo(folder.path());
     pty.wait_for("SENS");
-    pty.send("g");
+    pty.send("gg");
     pty.send("e");
     pty.send("\x7f\x7f\x7f");
     pty.send("12\r");
@@ -278,7 +278,7 @@ fn file_change_is_seen_while_typing_an_address() {
     std::fs::write(&path, r#"{"devices":[{"name":"FEED","address":10}]}"#).unwrap();
     let mut pty = demo(folder.path());
     pty.wait_for("SENS");
-    pty.send("ge");
+    pty.send("gge");
     pty.send("\x7f\x7f\x7f44");
     pty.wait_for("44");
     // Another program pins another device to the same address, with an atomic save.
@@ -304,7 +304,7 @@ fn broken_file_is_shown_and_never_written() {
     std::fs::write(&path, "{\"devices\": [\n  oops\n]}").unwrap();
     let mut pty = demo(folder.path());
     pty.wait_for("line 2");
-    pty.send("ga");
+    pty.send("gga");
     pty.send("e11\r");
     pty.count_for(std::time::Duration::from_millis(100));
     assert_eq!(std::fs::read_to_string(&path).unwrap(), "{\"devices\": [\n  oops\n]}");

@@ -165,7 +165,7 @@ fn screen_waits_for_its_interface() {
     let mut pty = Pty::start(&[vcan.name()], folder.path(), (80, 24));
     pty.wait_for("FEED");
     // Another device may have appeared first and be selected.
-    pty.send("g");
+    pty.send("gg");
     pty.wait_for("AUGER");
     devices.take();
     vcan.down();
@@ -208,7 +208,7 @@ fn two_inspectors_share_one_bus() {
         text.contains("own ") && !text.contains("own 0 ") && !text.contains("own –")
     });
     second.wait_for("DSCAN");
-    second.send("gj");
+    second.send("ggj");
     second.wait_for("AUGER");
     first.send("q");
     second.send("q");
