@@ -59,6 +59,12 @@ impl App {
         let emits = self.notices.emits_events();
         if !emits {
             self.lane_records.handle_event(&event);
+            if let (EventKind::IdsMerged { previous, .. }, Some(device)) =
+                (&event.kind, event.device)
+            {
+                self.correct_merged(event.time, *previous);
+                self.correct_merged(event.time, device);
+            }
         }
         let is_of_interest = emits && self.notices.is_event_of_interest(&self.buses, bus, &event);
         if let Some((kind, text)) = event_text(&self.buses, bus, &event) {

@@ -232,8 +232,8 @@ actions! {
         ScrubBack "scrub-back" "Frozen: ten cells of the time bar earlier" "" ["Shift-Left"];
         ScrubForward "scrub-forward" "Frozen: ten cells later" "" ["Shift-Right"];
         TimeBar "time-bar" "Show or hide the time bar on a small screen" "" ["T"];
-        ZoomOut "zoom-out" "Lanes: longer cells" "zoom" ["-"];
-        ZoomIn "zoom-in" "Lanes: shorter cells" "" ["+"];
+        ZoomOut "zoom-out" "Lanes: longer cells" "" ["-"];
+        ZoomIn "zoom-in" "Lanes: shorter cells" "zoom" ["+"];
         Mark "mark" "Mark the moment that is shown (a, b, c …)" "mark" ["M"];
         Marks "marks" "List the marks: go to one, remove one" "marks" ["'"];
         Compare "compare" "Compare with the last mark, or the start" "diff" ["d"];

@@ -57,6 +57,8 @@ impl LaneState {
             (None, _) => LaneCell::Blank,
             (Some(Presence::Online), Some(Mode::Work) | None) => LaneCell::Working,
             (Some(Presence::Online | Presence::Asleep), _) => LaneCell::NotWorking,
+            // In IDLE a heartbeat is not missing.
+            (Some(Presence::Stale), Some(Mode::Idle)) => LaneCell::NotWorking,
             (Some(Presence::Stale | Presence::Silent), _) => LaneCell::Stale,
             (Some(Presence::Lost), _) => LaneCell::Gone,
         }

@@ -203,7 +203,7 @@ impl Stories {
             StoryChange::Presence(presence) => self.route_presence(*presence, id, at),
             StoryChange::Returned => {
                 let modes = self.latest(&StoryKey::Mode(id)).filter(|story| story.is_open(at));
-                let asleep = modes.filter(|story| story.is_asleep(at));
+                let asleep = modes.filter(|story| story.is_absent(at));
                 self.attach_or(asleep.or(life), device)
             }
             StoryChange::Mode(from, to) => self.route_mode(*from, *to, id, at),
@@ -219,7 +219,9 @@ impl Stories {
 
     fn route_presence(&self, presence: Presence, id: DeviceId, at: Instant) -> Route {
         let modes = self.latest(&StoryKey::Mode(id)).filter(|story| story.is_open(at));
-        if let Some(modes) = modes.filter(|_| presence == Presence::Asleep) {
+        // In IDLE heartbeats end: that is part of the mode.
+        let is_idle = |story: &&Story| story.last_mode(at) == Some(Mode::Idle);
+        if let Some(modes) = modes.filter(is_idle).filter(|_| presence < Presence::Lost) {
             return Route::Attach(modes.id);
         }
         let key = StoryKey::Device(id);
@@ -244,6 +246,28 @@ impl Stories {
             // The claim is the event.
             (None, None, _) if to == Mode::Arslv => Route::Skip,
             (None, _, Some(_)) => Route::New(StoryKey::Mode(id)),
+        }
+    }
+
+    /// Adds to the stories of a device that go on what its row shows: presence and mode.
+    pub(super) fn correct(
+        &mut self,
+        entry: &TimelineEntry,
+        presence: Presence,
+        mode: Option<Mode>,
+    ) {
+        let (Some(device), at) = (entry.device, entry.time) else { return };
+        for key in [StoryKey::Device(device), StoryKey::Mode(device)] {
+            let Some(story) = self.latest(&key).filter(|story| story.is_open(at)) else { continue };
+            let (id, is_absent, before) = (story.id, story.is_absent(at), story.last_mode(at));
+            if is_absent && presence == Presence::Online {
+                let entry = TimelineEntry { text: "returned".to_owned(), ..entry.clone() };
+                self.append(id, entry, StoryChange::Returned);
+            }
+            if let (StoryKey::Mode(_), Some(mode)) = (key, mode.filter(|it| before != Some(*it))) {
+                let entry = TimelineEntry { text: format!("mode {mode}"), ..entry.clone() };
+                self.append(id, entry, StoryChange::Mode(before, mode));
+            }
         }
     }
 

@@ -326,6 +326,7 @@ impl<'a> Summary<'a> {
             Some(Presence::Asleep) if self.is_absent => format!("asleep (IDLE), {chain}"),
             Some(Presence::Asleep) => format!("was asleep, {chain}"),
             Some(Presence::Lost) if self.is_absent => format!("{chain}, then lost"),
+            Some(other) if self.is_absent => format!("{chain}, {other}"),
             _ => chain,
         }
     }
@@ -489,10 +490,9 @@ impl Story {
         Summary::of(self.steps_until(at), at).is_absent
     }
 
-    /// Returns true if its device is asleep at a moment.
-    pub(super) fn is_asleep(&self, at: Instant) -> bool {
-        let summary = Summary::of(self.steps_until(at), at);
-        summary.is_absent && summary.absence == Some(Presence::Asleep)
+    /// The last mode of its device until a moment.
+    pub(super) fn last_mode(&self, at: Instant) -> Option<Mode> {
+        Summary::of(self.steps_until(at), at).modes.last().copied()
     }
 
     /// Kind as of a moment.
