@@ -61,8 +61,11 @@ impl App {
             Action::Problem => self.go_to_problem(),
             Action::Mute => self.toggle_muted(),
             Action::Copy => self.copy_row(),
-            Action::Cancel | Action::HelpClose | Action::MarksClose => self.cancel(),
-            Action::FiltersClose | Action::KindsClose => self.cancel(),
+            Action::Cancel
+            | Action::HelpClose
+            | Action::MarksClose
+            | Action::FiltersClose
+            | Action::KindsClose => self.cancel(),
             Action::Rescan => self.rescan(),
             Action::ClearLost => self.remove_lost_devices(),
             Action::Identify => self.ask_identify(),

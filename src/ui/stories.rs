@@ -77,15 +77,17 @@ pub fn draw(brush: &mut DrawContext) {
     let columns = StoryColumns::of(brush);
     let mut title = format!("   {} ", fit("FROM", columns.time_width()));
     if columns.has_to {
-        title += &format!("{} ", fit("TO", TIME_WIDTH));
+        title += &fit("TO", TIME_WIDTH + 1);
     }
     if columns.has_length {
-        title += &format!("{}  ", fit_right("LENGTH", LENGTH_WIDTH));
+        title += &fit_right("LENGTH", LENGTH_WIDTH);
+        title += "  ";
     }
     if columns.has_bus {
         title += "BUS    ";
     }
-    title += &format!("{} WHAT", fit("WHO", columns.who));
+    title += &fit("WHO", columns.who + 1);
+    title += "WHAT";
     let line = Line::from(brush.span(Role::Header, title));
     brush.line(header, 0, &line);
     let app = brush.app;
@@ -117,13 +119,11 @@ pub fn draw(brush: &mut DrawContext) {
 
 fn line_of(brush: &DrawContext, columns: &StoryColumns, key: LineKey) -> Vec<Span<'static>> {
     let Some(story) = brush.app.story(key) else { return Vec::new() };
-    match story.step(key.step) {
-        Some(step) => step_spans(brush, columns, step),
-        None => {
-            let line = brush.app.story_line(story);
-            line.map_or_else(Vec::new, |line| story_spans(brush, columns, story, &line))
-        }
+    if let Some(step) = story.step(key.step) {
+        return step_spans(brush, columns, step);
     }
+    let line = brush.app.story_line(story);
+    line.map_or_else(Vec::new, |line| story_spans(brush, columns, story, &line))
 }
 
 fn story_spans(

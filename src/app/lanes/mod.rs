@@ -74,8 +74,11 @@ impl App {
     }
 
     /// Adds to the lane and the stories of a device what its row shows, after the events of two rows
-    /// were merged: events after the merge concern another device.
+    /// were merged (those after the merge concern another device), or when it returned.
     pub(super) fn correct_merged(&mut self, time: Instant, id: DeviceId) {
+        if self.notices.emits_events() {
+            return;
+        }
         let Some(device) = self.buses.device(id) else { return };
         self.lane_records.correct(time, device);
         let mut entry = TimelineEntry::new(time, TimelineKind::Change, "").on(id.bus);

@@ -91,8 +91,9 @@ impl LaneRecords {
     pub(in crate::app) fn handle_event(&mut self, event: &Event) {
         let Some(device) = event.device else { return };
         let change = match event.kind {
-            EventKind::FirstFrame | EventKind::Returned { .. } => LaneChange::Online,
-            EventKind::Presence(Presence::Online) => LaneChange::Online,
+            EventKind::FirstFrame
+            | EventKind::Returned { .. }
+            | EventKind::Presence(Presence::Online) => LaneChange::Online,
             EventKind::Presence(presence) => LaneChange::Absent(presence),
             EventKind::Mode { to, .. } => LaneChange::Mode(to),
             EventKind::Moved { .. } => match event.address {

@@ -523,9 +523,9 @@ impl Story {
             _ => None,
         };
         let is_there = |step: &&StoryStep| place.is_none() || step.entry.address == place;
-        let named = self.steps_until(at).rev().filter(is_there);
-        let named = named.filter(|step| step.entry.name.is_some()).next();
-        let first = self.steps_until(at).filter(is_there).last();
-        &named.or(first).unwrap_or(&self.steps()[0]).entry
+        let mut steps = self.steps_until(at).rev().filter(is_there);
+        let last = steps.next();
+        let named = last.into_iter().chain(steps).find(|step| step.entry.name.is_some());
+        &named.or(last).unwrap_or(&self.steps()[0]).entry
     }
 }
