@@ -15,6 +15,7 @@ use crate::finding::Finding;
 use crate::frame::BusIndex;
 use crate::keymap::Action;
 use crate::status::{BusStatus, RecordingStatus};
+use crate::time::Instant;
 use std::fmt::Write;
 
 /// Document findings that get a line of their own when the file changes.
@@ -27,6 +28,17 @@ struct TimelineDraft {
     passes_filter: bool,
 }
 
+/// Devices whose rows an event may have changed without a further event, with its time.
+fn rows_changed_by(event: &Event) -> impl Iterator<Item = (Instant, DeviceId)> {
+    let (previous, device) = match event.kind {
+        EventKind::IdsMerged { previous, .. } => (Some(previous), event.device),
+        EventKind::Returned { .. } => (None, event.device),
+        _ => (None, None),
+    };
+    let time = event.time;
+    previous.into_iter().chain(device).map(move |device| (time, device))
+}
+
 impl App {
     /// Takes the events of the engines.
     pub(super) fn take_events(&mut self) {
@@ -35,9 +47,14 @@ impl App {
             let bus = BusIndex(index as u8);
             // Queued after the last event: several events of one frame may be one line.
             let mut lines = Vec::new();
+            let mut changed_rows = Vec::new();
             while let Some(event) = self.buses.poll_event(bus) {
                 any = true;
+                changed_rows.extend(rows_changed_by(&event));
                 self.take_event(bus, event, &mut lines);
+            }
+            for (time, device) in changed_rows {
+                self.correct_merged(time, device);
             }
             for line in lines.into_iter().filter(|line| line.passes_filter) {
                 let event = self.line_event(&line.entry);

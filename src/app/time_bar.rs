@@ -88,7 +88,7 @@ impl TimeBar {
     }
 
     fn put_lines<'a>(&mut self, lines: impl Iterator<Item = &'a TimelineEntry>) {
-        let mut open = Vec::new();
+        let mut open: Vec<(_, Instant, BarSign)> = Vec::new();
         for line in lines {
             let key = (line.finding, line.bus, line.address);
             let sign = match line.kind {

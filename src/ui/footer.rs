@@ -270,7 +270,7 @@ fn hint_line(brush: &DrawContext, mode: KeyMode, width: usize) -> Vec<Span<'stat
             A::Frames,
             A::Problem,
             A::Kinds,
-            A::ZoomOut,
+            A::ZoomIn,
             A::OpenParts,
             A::Identifiers,
             A::Filter,
@@ -433,7 +433,7 @@ fn applies(brush: &DrawContext, action: Action) -> bool {
             app.capture().end() > 0 && !view.frame_details
         }
         (A::OpenParts | A::Kinds, Page::Timeline) if brush.screen.list.height == 0 => false,
-        (A::ZoomOut, Page::Timeline) => brush.screen.lanes.height > 1,
+        (A::ZoomIn, Page::Timeline) => brush.screen.lanes.height > 1,
         (A::Details | A::Frames | A::OpenParts, Page::Timeline) => !app.lines_shown().is_empty(),
         (A::Filter | A::Identifiers | A::Rescan, Page::Traffic) if view.evidence.is_some() => false,
         (A::Details | A::Frames, Page::Bus) => app.selected_bar().is_some(),

@@ -1,7 +1,7 @@
 //! Page 3, Timeline: a line for each story, and for each step of those that are open, newest at the
 //! bottom.
 //!
-//! Columns that give way, in this order: TO, LENGTH (it stands in front of WHAT then), the
+//! StoryColumns that give way, in this order: TO, LENGTH (it stands in front of WHAT then), the
 //! milliseconds of FROM. Does not know what belongs to a story.
 
 use super::brush::{DrawContext, bus_cell, bus_label, fit, fit_right};
@@ -28,7 +28,7 @@ const SHORT_TIME_WIDTH: usize = 8;
 const LENGTH_WIDTH: usize = 7;
 
 /// The columns of the page.
-struct Columns {
+struct StoryColumns {
     has_to: bool,
     has_length: bool,
     has_millis: bool,
@@ -36,7 +36,7 @@ struct Columns {
     who: usize,
 }
 
-impl Columns {
+impl StoryColumns {
     fn of(brush: &DrawContext) -> Self {
         let width = brush.screen.list.width;
         Self {
@@ -74,18 +74,20 @@ pub fn draw(brush: &mut DrawContext) {
     if list.height == 0 {
         return;
     }
-    let columns = Columns::of(brush);
+    let columns = StoryColumns::of(brush);
     let mut title = format!("   {} ", fit("FROM", columns.time_width()));
     if columns.has_to {
-        title += &format!("{} ", fit("TO", TIME_WIDTH));
+        title += &fit("TO", TIME_WIDTH + 1);
     }
     if columns.has_length {
-        title += &format!("{}  ", fit_right("LENGTH", LENGTH_WIDTH));
+        title += &fit_right("LENGTH", LENGTH_WIDTH);
+        title += "  ";
     }
     if columns.has_bus {
         title += "BUS    ";
     }
-    title += &format!("{} WHAT", fit("WHO", columns.who));
+    title += &fit("WHO", columns.who + 1);
+    title += "WHAT";
     let line = Line::from(brush.span(Role::Header, title));
     brush.line(header, 0, &line);
     let app = brush.app;
@@ -115,20 +117,18 @@ pub fn draw(brush: &mut DrawContext) {
     }
 }
 
-fn line_of(brush: &DrawContext, columns: &Columns, key: LineKey) -> Vec<Span<'static>> {
+fn line_of(brush: &DrawContext, columns: &StoryColumns, key: LineKey) -> Vec<Span<'static>> {
     let Some(story) = brush.app.story(key) else { return Vec::new() };
-    match story.step(key.step) {
-        Some(step) => step_spans(brush, columns, step),
-        None => {
-            let line = brush.app.story_line(story);
-            line.map_or_else(Vec::new, |line| story_spans(brush, columns, story, &line))
-        }
+    if let Some(step) = story.step(key.step) {
+        return step_spans(brush, columns, step);
     }
+    let line = brush.app.story_line(story);
+    line.map_or_else(Vec::new, |line| story_spans(brush, columns, story, &line))
 }
 
 fn story_spans(
     brush: &DrawContext,
-    columns: &Columns,
+    columns: &StoryColumns,
     story: &Story,
     line: &StoryLine,
 ) -> Vec<Span<'static>> {
@@ -162,7 +162,7 @@ fn story_spans(
     spans
 }
 
-fn step_spans(brush: &DrawContext, columns: &Columns, step: &StoryStep) -> Vec<Span<'static>> {
+fn step_spans(brush: &DrawContext, columns: &StoryColumns, step: &StoryStep) -> Vec<Span<'static>> {
     let (times, last) = brush.app.step_times(step);
     let mut spans = vec![
         brush.span(Role::Border, "│ "),
@@ -183,7 +183,7 @@ fn step_spans(brush: &DrawContext, columns: &Columns, step: &StoryStep) -> Vec<S
 
 fn bus_and_who(
     brush: &DrawContext,
-    columns: &Columns,
+    columns: &StoryColumns,
     entry: &TimelineEntry,
     role: Role,
 ) -> Vec<Span<'static>> {

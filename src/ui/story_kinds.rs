@@ -89,18 +89,18 @@ pub fn draw(brush: &mut DrawContext, selected: usize) {
     brush.line(Rect { x: rule.x + 1, width: width.saturating_sub(1), ..rule }, 0, &title);
     let list = Rect { y: area.y + 1, height: height - 1, ..area };
     let lines = usize::from(list.height);
-    let first = (selected + 1).saturating_sub(lines);
-    for (place, kind) in StoryKind::ALL.into_iter().enumerate().skip(first).take(lines) {
+    let top_place = (selected + 1).saturating_sub(lines);
+    for (place, kind) in StoryKind::ALL.into_iter().enumerate().skip(top_place).take(lines) {
         let is_selected = place == selected;
-        let (sign, role) =
+        let (tick, role) =
             if hidden.contains(kind) { ("·", Role::Muted) } else { ("✓", Role::Text) };
         let count = counts[kind as usize];
-        let text = format!("{sign} {:9} {count:>5}  {}", kind.word(), kind.meaning());
+        let text = format!("{tick} {:9} {count:>5}  {}", kind.word(), kind.meaning());
         let pointer = if is_selected { " ▸ " } else { "   " };
         let room = usize::from(width).saturating_sub(pointer.width());
         let line =
             Line::from(vec![brush.span(Role::Text, pointer), brush.span(role, fit(&text, room))]);
-        let row = (place - first) as u16;
+        let row = (place - top_place) as u16;
         brush.line(list, row, &line);
         if is_selected {
             brush.select(list, row);

@@ -4,7 +4,7 @@ use crate::finding::FindingState;
 use crate::theme::Role;
 
 /// Each symbol: its role, the text as shown on the screen, and its meaning.
-pub const SYMBOLS: [(Role, &str, &str); 35] = [
+pub const SYMBOLS: [(Role, &str, &str); 37] = [
     (Role::Online, "● online", "heartbeats arrive"),
     (Role::Stale, "◐ stale", "heartbeat overdue"),
     (Role::Silent, "◌ silent", "frames but no heartbeats"),
@@ -39,6 +39,8 @@ pub const SYMBOLS: [(Role, &str, &str); 35] = [
     (Role::Text, "load –", "a log or a virtual bus without a bit rate"),
     (Role::Warning, "listen-only, acks", "descan does not transmit; the controller still ACKs"),
     (Role::Recording, "● rec 12 MB", "recording, size written so far (--record)"),
+    (Role::Online, "━ ─ ╌ ·", "lanes: in WORK, another mode, stale, lost"),
+    (Role::Confirmed, "▓ ▒ ↻ !", "lanes: conflict, suspected one; reboot; bus errors"),
     (Role::Warning, "FROZEN", "a past moment on all pages; Space or Esc: the present"),
 ];
 

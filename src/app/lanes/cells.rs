@@ -56,7 +56,9 @@ impl LaneState {
         match (self.presence, self.mode) {
             (None, _) => LaneCell::Blank,
             (Some(Presence::Online), Some(Mode::Work) | None) => LaneCell::Working,
-            (Some(Presence::Online | Presence::Asleep), _) => LaneCell::NotWorking,
+            // In IDLE a heartbeat is not missing.
+            (Some(Presence::Online | Presence::Asleep), _)
+            | (Some(Presence::Stale), Some(Mode::Idle)) => LaneCell::NotWorking,
             (Some(Presence::Stale | Presence::Silent), _) => LaneCell::Stale,
             (Some(Presence::Lost), _) => LaneCell::Gone,
         }

@@ -12,7 +12,9 @@ pub(super) use cells::ConflictSpan;
 pub use cells::LaneCell;
 pub(super) use record::LaneRecords;
 
+use super::notices::TimelineEntry;
 use super::time_axis::TimeAxis;
+use super::timeline_kind::TimelineKind;
 use super::view::TimelineView;
 use super::{App, Mouse, Page};
 use crate::discovery::{Device, DeviceId, Presence};
@@ -69,6 +71,20 @@ impl App {
     /// Returns true if lanes are shown.
     pub(super) fn shows_lanes(&self) -> bool {
         self.view.page == Page::Timeline && self.screen().lanes.height > 1
+    }
+
+    /// Adds to the lane and the stories of a device what its row shows, after the events of two rows
+    /// were merged (those after the merge concern another device), or when it returned.
+    pub(super) fn correct_merged(&mut self, time: Instant, id: DeviceId) {
+        if self.notices.emits_events() {
+            return;
+        }
+        let Some(device) = self.buses.device(id) else { return };
+        self.lane_records.correct(time, device);
+        let mut entry = TimelineEntry::new(time, TimelineKind::Change, "").on(id.bus);
+        (entry.device, entry.address) = (Some(id), Some(device.address));
+        entry.name.clone_from(&device.name);
+        self.notices.correct_stories(&entry, device.presence, device.mode);
     }
 
     /// Length of a cell of the lanes; `None` where they are not shown.

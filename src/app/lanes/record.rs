@@ -4,7 +4,7 @@
 //! kept, and these changes. Bounded: 256 changes of a device, 512 devices; the oldest changes and
 //! devices are dropped. Does not know how lanes are drawn.
 
-use crate::discovery::{DeviceId, Event, EventKind, Presence};
+use crate::discovery::{Device, DeviceId, Event, EventKind, Presence};
 use crate::time::Instant;
 use crate::wire::id::Address;
 use crate::wire::node::Mode;
@@ -91,8 +91,9 @@ impl LaneRecords {
     pub(in crate::app) fn handle_event(&mut self, event: &Event) {
         let Some(device) = event.device else { return };
         let change = match event.kind {
-            EventKind::FirstFrame | EventKind::Returned { .. } => LaneChange::Online,
-            EventKind::Presence(Presence::Online) => LaneChange::Online,
+            EventKind::FirstFrame
+            | EventKind::Returned { .. }
+            | EventKind::Presence(Presence::Online) => LaneChange::Online,
             EventKind::Presence(presence) => LaneChange::Absent(presence),
             EventKind::Mode { to, .. } => LaneChange::Mode(to),
             EventKind::Moved { .. } => match event.address {
@@ -111,6 +112,30 @@ impl LaneRecords {
             record.before.address = event.address;
         }
         record.push(event.time, change);
+    }
+
+    /// Adds what differs from the state of a device as it is known now: after a merge.
+    pub(super) fn correct(&mut self, time: Instant, device: &Device) {
+        let record = self.record(device.id);
+        let mut state = record.before;
+        for (_, change) in &record.changes {
+            state.apply(*change);
+        }
+        if state.address.is_none() {
+            record.before.address = Some(device.address);
+        } else if state.address != Some(device.address) {
+            record.push(time, LaneChange::Moved(device.address));
+        }
+        if state.presence != Some(device.presence) {
+            let change = match device.presence {
+                Presence::Online => LaneChange::Online,
+                other => LaneChange::Absent(other),
+            };
+            record.push(time, change);
+        }
+        if let Some(mode) = device.mode.filter(|mode| state.mode != Some(*mode)) {
+            record.push(time, LaneChange::Mode(mode));
+        }
     }
 
     fn record(&mut self, device: DeviceId) -> &mut LaneRecord {

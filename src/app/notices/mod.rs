@@ -26,6 +26,7 @@ use crate::finding::FindingKind;
 use crate::frame::BusIndex;
 use crate::time::{Duration, Instant};
 use crate::wire::id::Address;
+use crate::wire::node::Mode;
 use std::collections::VecDeque;
 
 /// Time for which the status message is shown.
@@ -173,6 +174,16 @@ impl Notices {
             self.stories.end_modes(entry, device);
         }
         self.stories.push(entry.clone(), change);
+    }
+
+    /// Adds what is known about a device to its stories that go on.
+    pub fn correct_stories(
+        &mut self,
+        entry: &TimelineEntry,
+        presence: Presence,
+        mode: Option<Mode>,
+    ) {
+        self.stories.correct(entry, presence, mode);
     }
 
     /// Removes the line of the mark with this letter.

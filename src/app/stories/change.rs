@@ -6,7 +6,7 @@
 use crate::app::buses::Buses;
 use crate::app::notices::{changes_of, device_label, uid_text};
 use crate::discovery::{Event, EventKind, OtherDevice, Presence, ServicesNews};
-use crate::finding::{Finding, FindingKey, FindingState};
+use crate::finding::{Finding, FindingKey, FindingState, SeenUid};
 use crate::frame::BusIndex;
 use crate::wire::id::Address;
 use crate::wire::node::Mode;
@@ -131,7 +131,7 @@ impl StoryChange {
 fn parties_of(finding: &Finding) -> Vec<String> {
     /// Parties that are named.
     const NAMED: usize = 3;
-    let uids: Vec<String> = finding.uids.iter().rev().map(|uid| uid.label()).collect();
+    let uids: Vec<String> = finding.uids.iter().rev().map(SeenUid::label).collect();
     let mut parties = if uids.len() > 1 {
         uids
     } else {

@@ -32,7 +32,7 @@ const REPEAT_WITHIN: Duration = Duration::from_secs(5);
 /// All stories, by the time of their first step.
 #[derive(Debug, Default)]
 pub struct Stories {
-    stories: VecDeque<Story>,
+    all: VecDeque<Story>,
     next: u64,
     /// Number of the steps of all stories.
     steps: usize,
@@ -56,18 +56,18 @@ impl Stories {
 
     /// The stories, by the time of their first step.
     pub fn iter(&self) -> impl DoubleEndedIterator<Item = &Story> + ExactSizeIterator {
-        self.stories.iter()
+        self.all.iter()
     }
 
     /// The story with this number; `None` if it was dropped.
     pub fn get(&self, id: u64) -> Option<&Story> {
         // Most are looked up soon after they began.
-        self.stories.iter().rev().find(|story| story.id == id)
+        self.all.iter().rev().find(|story| story.id == id)
     }
 
     /// Returns true if a story goes on.
     pub(super) fn has_open(&self, at: Instant) -> bool {
-        self.stories.iter().rev().any(|story| story.is_open(at))
+        self.all.iter().rev().any(|story| story.is_open(at))
     }
 
     /// Takes an event.
@@ -90,12 +90,12 @@ impl Stories {
             first.change == StoryChange::Appeared
                 && (first.entry.bus, first.entry.address) == (moved.bus, moved.address)
         };
-        let now = self.stories.iter().rev().take_while(|story| story.begin() == moved.time);
+        let now = self.all.iter().rev().take_while(|story| story.begin() == moved.time);
         let Some(id) = now.into_iter().find(|story| is_it(story)).map(|story| story.id) else {
             return Vec::new();
         };
-        let at = self.stories.iter().rposition(|story| story.id == id);
-        let Some(story) = at.and_then(|at| self.stories.remove(at)) else { return Vec::new() };
+        let at = self.all.iter().rposition(|story| story.id == id);
+        let Some(story) = at.and_then(|at| self.all.remove(at)) else { return Vec::new() };
         self.steps -= story.step_count();
         self.latest.retain(|_, latest| *latest != id);
         story.into_steps().skip(1).collect()
@@ -116,7 +116,7 @@ impl Stories {
     }
 
     fn append(&mut self, id: u64, entry: TimelineEntry, change: StoryChange) {
-        if let Some(story) = self.stories.iter_mut().rev().find(|story| story.id == id) {
+        if let Some(story) = self.all.iter_mut().rev().find(|story| story.id == id) {
             let before = story.step_count();
             let now = entry.time;
             story.push(entry, change);
@@ -133,17 +133,17 @@ impl Stories {
         }
         self.latest.insert(key.clone(), id);
         // A mark may be earlier than other stories.
-        let at = self.stories.partition_point(|story| story.begin() <= now);
-        self.stories.insert(at, Story::new(id, key, entry, change));
+        let at = self.all.partition_point(|story| story.begin() <= now);
+        self.all.insert(at, Story::new(id, key, entry, change));
         self.steps += 1;
         self.drop_surplus(now);
     }
 
     /// Drops the oldest stories that are over while there are too many.
     fn drop_surplus(&mut self, now: Instant) {
-        while self.stories.len() > Self::MAX_STORIES || self.steps > Self::MAX_STEPS {
-            let over = self.stories.iter().position(|story| !story.is_open(now));
-            let Some(dropped) = self.stories.remove(over.unwrap_or(0)) else { return };
+        while self.all.len() > Self::MAX_STORIES || self.steps > Self::MAX_STEPS {
+            let over = self.all.iter().position(|story| !story.is_open(now));
+            let Some(dropped) = self.all.remove(over.unwrap_or(0)) else { return };
             self.steps -= dropped.step_count();
             self.latest.retain(|_, id| *id != dropped.id);
         }
@@ -156,10 +156,6 @@ impl Stories {
     /// The last story of a key, if it goes on or was over not long ago.
     fn live(&self, key: &StoryKey, at: Instant) -> Option<&Story> {
         self.latest(key).filter(|story| story.is_recent(at) || story.is_open(at))
-    }
-
-    fn attach_or(&self, story: Option<&Story>, key: StoryKey) -> Route {
-        story.map_or(Route::New(key), |story| Route::Attach(story.id))
     }
 
     fn route(&self, entry: &TimelineEntry, change: &StoryChange) -> Route {
@@ -175,11 +171,11 @@ impl Stories {
                 let is_mark = matches!(entry.kind, TimelineKind::Mark(_));
                 let is_repeated =
                     |story: &&Story| !is_mark && at.since(story.last()) <= REPEAT_WITHIN;
-                return self.attach_or(self.latest(&key).filter(is_repeated), key);
+                return attach_or(self.latest(&key).filter(is_repeated), key);
             }
             (_, _, Some(device)) => return self.route_device(entry, change, device),
         };
-        self.attach_or(self.live(&key, at), key)
+        attach_or(self.live(&key, at), key)
     }
 
     fn route_device(&self, entry: &TimelineEntry, change: &StoryChange, id: DeviceId) -> Route {
@@ -192,22 +188,22 @@ impl Stories {
         match change {
             StoryChange::Appeared => Route::New(device),
             StoryChange::Claimed { holder: Some(_), .. } | StoryChange::GaveUp { .. } => {
-                self.attach_or(at_address, address.unwrap_or(device))
+                attach_or(at_address, address.unwrap_or(device))
             }
             StoryChange::OtherServices | StoryChange::Uid(..) => {
-                self.attach_or(at_address.or(life), device)
+                attach_or(at_address.or(life), device)
             }
             StoryChange::Moved(from, _) => {
-                self.attach_or(self.conflict_left_by(id, *from, at).or(life), device)
+                attach_or(self.conflict_left_by(id, *from, at).or(life), device)
             }
             StoryChange::Presence(presence) => self.route_presence(*presence, id, at),
             StoryChange::Returned => {
                 let modes = self.latest(&StoryKey::Mode(id)).filter(|story| story.is_open(at));
-                let asleep = modes.filter(|story| story.is_asleep(at));
-                self.attach_or(asleep.or(life), device)
+                let asleep = modes.filter(|story| story.is_absent(at));
+                attach_or(asleep.or(life), device)
             }
             StoryChange::Mode(from, to) => self.route_mode(*from, *to, id, at),
-            _ => self.attach_or(life, device),
+            _ => attach_or(life, device),
         }
     }
 
@@ -219,7 +215,9 @@ impl Stories {
 
     fn route_presence(&self, presence: Presence, id: DeviceId, at: Instant) -> Route {
         let modes = self.latest(&StoryKey::Mode(id)).filter(|story| story.is_open(at));
-        if let Some(modes) = modes.filter(|_| presence == Presence::Asleep) {
+        // In IDLE heartbeats end: that is part of the mode.
+        let is_idle = |story: &&Story| story.last_mode(at) == Some(Mode::Idle);
+        if let Some(modes) = modes.filter(is_idle).filter(|_| presence < Presence::Lost) {
             return Route::Attach(modes.id);
         }
         let key = StoryKey::Device(id);
@@ -227,7 +225,7 @@ impl Stories {
         let own = self.live(&key, at).filter(|story| story.key == key);
         let absent =
             own.filter(|story| story.is_absent(at) || story.kind(at) == StoryKind::Presence);
-        self.attach_or(absent, key)
+        attach_or(absent, key)
     }
 
     fn route_mode(&self, from: Option<Mode>, to: Mode, id: DeviceId, at: Instant) -> Route {
@@ -247,6 +245,28 @@ impl Stories {
         }
     }
 
+    /// Adds to the stories of a device that go on what its row shows: presence and mode.
+    pub(super) fn correct(
+        &mut self,
+        entry: &TimelineEntry,
+        presence: Presence,
+        mode: Option<Mode>,
+    ) {
+        let (Some(device), at) = (entry.device, entry.time) else { return };
+        for key in [StoryKey::Device(device), StoryKey::Mode(device)] {
+            let Some(story) = self.latest(&key).filter(|story| story.is_open(at)) else { continue };
+            let (id, is_absent, before) = (story.id, story.is_absent(at), story.last_mode(at));
+            if is_absent && presence == Presence::Online {
+                let entry = TimelineEntry { text: "returned".to_owned(), ..entry.clone() };
+                self.append(id, entry, StoryChange::Returned);
+            }
+            if let (StoryKey::Mode(_), Some(mode)) = (key, mode.filter(|it| before != Some(*it))) {
+                let entry = TimelineEntry { text: format!("mode {mode}"), ..entry.clone() };
+                self.append(id, entry, StoryChange::Mode(before, mode));
+            }
+        }
+    }
+
     /// Ends the modes of a device that is lost.
     pub(super) fn end_modes(&mut self, entry: &TimelineEntry, id: DeviceId) {
         let modes = self.latest(&StoryKey::Mode(id)).filter(|story| story.is_open(entry.time));
@@ -258,15 +278,15 @@ impl Stories {
     /// Removes the story of the mark with this letter.
     pub(super) fn remove_mark(&mut self, letter: char) {
         let is_it = |story: &Story| story.steps()[0].entry.kind == TimelineKind::Mark(letter);
-        self.stories.retain(|story| !is_it(story));
-        self.steps = self.stories.iter().map(Story::step_count).sum();
-        let ids: Vec<u64> = self.stories.iter().map(|story| story.id).collect();
+        self.all.retain(|story| !is_it(story));
+        self.steps = self.all.iter().map(Story::step_count).sum();
+        let ids: Vec<u64> = self.all.iter().map(|story| story.id).collect();
         self.latest.retain(|_, id| ids.contains(id));
     }
 
     /// Assigns the events of `was`, those before `before` if given, to `device`.
     pub(super) fn reassign(&mut self, was: DeviceId, before: Option<Instant>, device: DeviceId) {
-        for story in &mut self.stories {
+        for story in &mut self.all {
             story.reassign(was, before, device);
         }
         if before.is_some() {
@@ -281,12 +301,16 @@ impl Stories {
             [StoryKey::Device(was), StoryKey::Mode(was)],
             [StoryKey::Device(device), StoryKey::Mode(device)],
         );
-        for story in &mut self.stories {
+        for story in &mut self.all {
             if let Some(at) = was_keys.iter().position(|key| *key == story.key) {
                 story.key = keys[at].clone();
             }
         }
     }
+}
+
+fn attach_or(story: Option<&Story>, key: StoryKey) -> Route {
+    story.map_or(Route::New(key), |story| Route::Attach(story.id))
 }
 
 #[cfg(test)]

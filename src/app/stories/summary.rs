@@ -326,6 +326,7 @@ impl<'a> Summary<'a> {
             Some(Presence::Asleep) if self.is_absent => format!("asleep (IDLE), {chain}"),
             Some(Presence::Asleep) => format!("was asleep, {chain}"),
             Some(Presence::Lost) if self.is_absent => format!("{chain}, then lost"),
+            Some(other) if self.is_absent => format!("{chain}, {other}"),
             _ => chain,
         }
     }
@@ -489,10 +490,9 @@ impl Story {
         Summary::of(self.steps_until(at), at).is_absent
     }
 
-    /// Returns true if its device is asleep at a moment.
-    pub(super) fn is_asleep(&self, at: Instant) -> bool {
-        let summary = Summary::of(self.steps_until(at), at);
-        summary.is_absent && summary.absence == Some(Presence::Asleep)
+    /// The last mode of its device until a moment.
+    pub(super) fn last_mode(&self, at: Instant) -> Option<Mode> {
+        Summary::of(self.steps_until(at), at).modes.last().copied()
     }
 
     /// Kind as of a moment.
@@ -523,9 +523,9 @@ impl Story {
             _ => None,
         };
         let is_there = |step: &&StoryStep| place.is_none() || step.entry.address == place;
-        let named = self.steps_until(at).rev().filter(is_there);
-        let named = named.filter(|step| step.entry.name.is_some()).next();
-        let first = self.steps_until(at).filter(is_there).last();
-        &named.or(first).unwrap_or(&self.steps()[0]).entry
+        let mut steps = self.steps_until(at).rev().filter(is_there);
+        let last = steps.next();
+        let named = last.into_iter().chain(steps).find(|step| step.entry.name.is_some());
+        &named.or(last).unwrap_or(&self.steps()[0]).entry
     }
 }

@@ -40,7 +40,7 @@ fn lanes_show_moves_reboots_absences_and_conflicts() {
     for (label, signs) in [
         ("10 FEED", &["↻"][..]),
         ("14 ACT", &["▓▓▓▓"]),
-        ("16 DIN", &["I─"]),
+        ("16 DIN", &["━I"]),
         ("20 DISP", &["→40━", "→20━"]),
         ("30 PSU", &["U─"]),
         ("50 GSM-MODEM", &["╌·", "·━"]),
