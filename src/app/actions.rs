@@ -4,7 +4,7 @@
 //! confirmation.
 
 use super::timeline_kind::TimelineKind;
-use super::{App, BEATS_PER_LINE, Effect, Overlay, Page};
+use super::{App, BEATS_PER_LINE, Effect, Page};
 use crate::keymap::Action;
 use crate::status::PlaybackCommand;
 
@@ -78,7 +78,10 @@ impl App {
             Action::Problem => self.go_from_here(Self::go_to_problem),
             Action::Mute => self.toggle_muted(),
             Action::Copy => self.copy_row(),
-            Action::Cancel | Action::HelpClose | Action::MarksClose => self.cancel(),
+            Action::HelpSearch => self.type_help_search(),
+            Action::HelpPage => self.next_help_page(),
+            Action::HelpClose => self.close_help(),
+            Action::Cancel | Action::MarksClose => self.cancel(),
             Action::FiltersClose | Action::KindsClose => self.cancel(),
             Action::Rescan => self.rescan(),
             Action::ClearLost => self.remove_lost_devices(),
@@ -129,8 +132,12 @@ impl App {
             Action::Redo => self.redo(),
             Action::Save => self.save(),
             Action::SaveCopy => self.ask_copy_path(),
-            Action::Help => self.input.open(Overlay::Help(0)),
-            Action::Theme => self.next_theme(),
+            Action::Help => self.open_help(),
+            Action::Theme => self.pick_theme(),
+            Action::ThemeUp => self.move_in_themes(-1),
+            Action::ThemeDown => self.move_in_themes(1),
+            Action::ThemeKeep => self.keep_theme(),
+            Action::ThemesClose => self.leave_themes(),
             Action::Redraw => self.effects.push_back(Effect::Redraw),
             Action::Suspend => self.effects.push_back(Effect::Suspend),
             Action::Quit => self.ask_quit(),

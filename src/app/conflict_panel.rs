@@ -238,8 +238,13 @@ impl App {
             None => self.display_time(),
         };
         let left = sides.has_left(at, end, side.period.unwrap_or(usual));
-        let left =
-            if left { format!("left: last {}", clock_millis(self, last)) } else { String::new() };
+        let later = sides.beats().rev().take_while(|(beat, _)| beat.time > last);
+        let is_unclear = later.map(|(_, side)| side).any(|side| side.is_none());
+        let left = match (left, is_unclear) {
+            (false, _) => String::new(),
+            (true, true) => format!("unclear since {}", clock_millis(self, last)),
+            (true, false) => format!("left: last {}", clock_millis(self, last)),
+        };
         if !left.is_empty() && !wide {
             return left;
         }
@@ -252,7 +257,9 @@ impl App {
                 format!(" ±{:.0} ms", jitter.as_secs_f64() * 1000.0)
             });
             let mut text = format!("{:.2} s{jitter}", period.as_secs_f64());
-            if let Some(phase) = self.phase_in_second(sides, at) {
+            // Of three boards the columns are narrow.
+            let has_room = wide || panel.sides.sides.len() < MAX_COLUMNS || at == 0;
+            if let Some(phase) = self.phase_in_second(sides, at).filter(|_| has_room) {
                 text.push_str(&format!(", at .{phase:03}"));
             }
             if !wide && at > 0 {
@@ -263,7 +270,8 @@ impl App {
                     None => side.offset_to(first).map(|it| (it.as_micros() / 1000) as u32),
                 };
                 if let Some(later) = later {
-                    text.push_str(&format!(": {later} ms later"));
+                    let colon = if has_room { ":" } else { "," };
+                    text.push_str(&format!("{colon} {later} ms later"));
                 }
             }
             parts.push(text);

@@ -43,6 +43,7 @@ mod events;
 mod file;
 mod filter;
 mod filter_commands;
+mod help_view;
 mod history;
 mod input;
 mod inventory;
@@ -62,8 +63,10 @@ mod problems;
 mod proof;
 mod recorded_frames;
 mod saved_filters;
+mod signs;
 mod stories;
 mod story_lines;
+mod theme_picker;
 mod time_axis;
 mod time_bar;
 mod timeline_kind;
@@ -94,6 +97,7 @@ pub use filter::{
     Completion, CompletionSource, FILTER_FIELDS, FILTER_WORDS, Filter, FilterError, FilterField,
     FrameMatcher, RowKind,
 };
+pub use help_view::HelpView;
 pub use history::{BusesReplay, FRAMES_PER_ROOM, Moment, RecordedBuses};
 pub use input::{FilterPrompt, InputCheck, Overlay, Prompt, PromptKind, Question};
 pub use lanes::{Lane, LaneCell, Lanes, format_step};
@@ -112,10 +116,13 @@ pub use problems::{
     ProblemList, Scope, SideBasis, format_duration, is_about, length_text,
 };
 pub use saved_filters::{MAX_SAVED_FILTERS, SavedFilter, SavedFilterChange};
+pub use signs::Signs;
 pub use stories::{
     HiddenKinds, Stories, Story, StoryChange, StoryKind, StoryLine, StorySign, StoryStep,
 };
 pub use story_lines::LineKey;
+pub use theme_picker::COLOURLESS_THEME;
+use theme_picker::Themes;
 pub use time_axis::TimeAxis;
 pub use time_bar::{BAR_LEFT, BAR_RIGHT, BarSign, TimeBar};
 pub use timeline_kind::TimelineKind;
@@ -187,6 +194,10 @@ pub struct AppOptions {
     pub theme: String,
     /// Names of all themes.
     pub themes: Vec<String>,
+    /// Signs that the terminal can show.
+    pub signs: Signs,
+    /// Mistakes in themes of the user: name, and what is wrong.
+    pub theme_faults: Vec<(String, String)>,
     /// Errors in the settings, for the user.
     pub warnings: Vec<String>,
     /// Queue events for [`App::poll_app_event`].
@@ -235,6 +246,8 @@ pub enum Effect {
     ChangeFilters(SavedFilterChange),
     /// Use this theme; then call [`App::handle_theme`].
     UseTheme(String),
+    /// Keep this theme in the settings; then call [`App::handle_kept_theme`].
+    KeepTheme(String),
     /// Search the bit rate of this bus, listen-only; call [`App::handle_bitrate_search`] with the
     /// progress, [`App::handle_bitrate`] with the result.
     FindBitrate(BusIndex),
@@ -292,23 +305,6 @@ macro_rules! shown_inputs {
 }
 use shown_inputs;
 
-/// The themes to choose from.
-#[derive(Debug)]
-struct Themes {
-    current: String,
-    all: Vec<String>,
-}
-
-impl Themes {
-    /// Selects the next theme and returns its name; `None` without themes.
-    fn next(&mut self) -> Option<String> {
-        let at = self.all.iter().position(|name| *name == self.current).map_or(0, |at| at + 1);
-        let name = self.all.get(at).or(self.all.first())?;
-        self.current.clone_from(name);
-        Some(name.clone())
-    }
-}
-
 /// Returns the times around the evidence of findings in which frames of an old block are kept.
 fn pinned_times(buses: &Buses, block: Range<Instant>) -> Vec<Range<Instant>> {
     let evidence = buses.findings().flat_map(|finding| &finding.evidence);
@@ -351,8 +347,10 @@ pub struct App {
     places: Vec<Place>,
     saved_filters: Vec<SavedFilter>,
     time_bar: TimeBar,
+    signs: Signs,
     alarms: Alarms,
     lane_records: LaneRecords,
+    help: HelpView,
     /// The comparison of two moments that is open.
     comparison: Option<Box<MomentComparison>>,
     /// The proof that is being written.
@@ -387,7 +385,7 @@ impl App {
             view: View { size: (80, 24), ..View::default() },
             input: Input::new(options.keymap),
             notices: Notices::new(now, options.emit_events, event_filter),
-            themes: Themes { current: options.theme, all: options.themes },
+            themes: Themes::new(options.theme, options.themes, options.theme_faults),
             effects: VecDeque::new(),
             was_idle: false,
             filters: PageFilters::default(),
@@ -402,8 +400,10 @@ impl App {
             places: Vec::new(),
             saved_filters: options.saved_filters,
             time_bar: TimeBar::default(),
+            signs: options.signs,
             alarms: Alarms::default(),
             lane_records: LaneRecords::default(),
+            help: HelpView::default(),
             comparison: None,
             proof: None,
             content,
@@ -521,7 +521,7 @@ impl App {
         self.renew_rows();
         if self.input.prompt().is_some() {
             self.handle_prompt_key(key);
-        } else if self.select_mark_of(key) || self.use_filter_of(key) {
+        } else if self.type_in_help(key) || self.select_mark_of(key) || self.use_filter_of(key) {
         } else if let Some(action) = self.input.lookup(key) {
             self.run(action);
             self.input.note_executed(now, action);
@@ -631,15 +631,6 @@ impl App {
             }
             Ok(()) => self.show_info(format!("saved: {path}")),
             Err(why) => self.show_error(format!("not saved: {why}")),
-        }
-    }
-
-    /// Takes the result of an [`Effect::UseTheme`]; `Err` with the cause.
-    pub fn handle_theme(&mut self, now: Instant, result: Result<(), String>) {
-        self.clock.set(now);
-        match result {
-            Ok(()) => self.notices.redraw.set_dirty(),
-            Err(why) => self.show_error(format!("theme {}: {why}", self.themes.current)),
         }
     }
 
@@ -1221,6 +1212,11 @@ impl App {
         Some(bus.map_or(label.to_owned(), |bus| format!("{label} on {} (Tab: next)", bus.name)))
     }
 
+    /// Signs that the terminal can show.
+    pub fn signs(&self) -> Signs {
+        self.signs
+    }
+
     /// The keymap.
     pub fn keymap(&self) -> &Keymap {
         self.input.keymap()
@@ -1229,11 +1225,6 @@ impl App {
     /// First key of an action, for a sentence; its name where it is unbound.
     pub fn key_of(&self, action: Action) -> String {
         self.keymap().key_text(action)
-    }
-
-    /// Name of the theme.
-    pub fn theme(&self) -> &str {
-        &self.themes.current
     }
 
     // ---- wiring that all commands need -----------------------------------------------------

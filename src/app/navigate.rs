@@ -71,6 +71,7 @@ impl App {
             Overlay::Marks(_) => self.move_in_marks(delta.signum()),
             Overlay::Filters(_) => self.move_in_filters(delta.signum()),
             Overlay::Kinds(_) => self.move_in_kinds(delta.signum()),
+            Overlay::Themes(_) => self.move_in_themes(delta.signum()),
             Overlay::Comparison => self.move_in_comparison(delta),
             _ => self.input.scroll_help(delta as i16),
         }
@@ -494,13 +495,6 @@ impl App {
         let screen = self.screen();
         let height = screen.footer.y.saturating_sub(screen.tabs.bottom()).max(3) - 2;
         self.input.scroll_help(pages.saturating_mul(height.cast_signed()));
-    }
-
-    /// Selects the next theme.
-    pub(super) fn next_theme(&mut self) {
-        let Some(name) = self.themes.next() else { return };
-        self.show_info(format!("theme {name}"));
-        self.effects.push_back(Effect::UseTheme(name));
     }
 
     /// Controls the playback of a log.

@@ -1,7 +1,7 @@
 //! From arguments to an open session: profile, settings, buses, des.json.
 
 use super::{Failure, output};
-use crate::app::{App, AppOptions};
+use crate::app::{App, AppOptions, Signs};
 use crate::bus::{self, BusSpec, CanInterface, Clock, Options, Port};
 use crate::cli::{self, CommonArgs, SessionArgs as Arguments};
 use crate::diagnostic::Diagnostic;
@@ -43,6 +43,8 @@ pub struct Setup {
     pub only: Vec<IdFilter>,
     /// Name of the theme in the settings; `None` for the default.
     pub theme: Option<String>,
+    /// Signs in the settings; `None` for those of the terminal.
+    pub signs: Option<Signs>,
     /// Errors in the user's settings. Already printed, but a screen hides that.
     pub warnings: Vec<String>,
 }
@@ -73,11 +75,12 @@ impl Setup {
             ..built_in
         };
         let file = common.file.clone().unwrap_or_else(|| PathBuf::from(DEFAULT_FILE));
+        let signs = settings.signs.as_deref().and_then(Signs::from_name);
         let theme = settings.theme;
         let max_bytes = common.record_size.map(|Size(bytes)| bytes);
         let record = common.record.clone().map(|path| Target { path, max_bytes });
         let only = Vec::new();
-        Ok(Self { folder, keymap, config, file, record, only, theme, warnings })
+        Ok(Self { folder, keymap, config, file, record, only, theme, signs, warnings })
     }
 
     /// Starts the recording, if requested. Call when all else is open.

@@ -111,6 +111,8 @@ fn show(
         keymap: setup.keymap.clone(),
         theme: wanted.to_owned(),
         themes: themes.names(),
+        signs: setup.signs.unwrap_or_else(terminal::signs),
+        theme_faults: themes.faults(),
         utc_offset_seconds: open::utc_offset_seconds(),
         warnings,
         capture_room: usize::try_from(screen.capture.0).ok(),

@@ -315,7 +315,7 @@ static STUFFING: [u64; 256] = {
                 now = next;
                 count += stuffed as u64;
             }
-            let next = (now as u64 - 1) * BITS_OF_STATE | count;
+            let next = ((now as u64 - 1) * BITS_OF_STATE) | count;
             table[byte] |= next << ((state - 1) * BITS_OF_STATE);
             state += 1;
         }

@@ -44,6 +44,8 @@ pub enum KeyMode {
     Compare,
     /// The list of the kinds of stories is open.
     Kinds,
+    /// The theme picker is open.
+    Themes,
 }
 
 /// Sections of the help.
@@ -255,8 +257,8 @@ actions! {
         SaveCopy "save-copy" "Save a copy of des.json, with all edits" "save a copy" ["W"];
     }
     Browse Program: {
-        Help "help" "Keys, symbols and counters" "help" ["?" "F1"];
-        Theme "theme" "Next theme" "" ["t"];
+        Help "help" "Keys of the page, all keys, symbols, counters" "help" ["?" "F1"];
+        Theme "theme" "Choose a theme" "theme" ["t"];
         Redraw "redraw" "Redraw the screen" "" ["Ctrl-l"];
         Suspend "suspend" "Suspend to the shell (fg returns)" "" ["Ctrl-z"];
         Quit "quit" "Quit; confirms if edits are unsaved" "quit" ["q"];
@@ -269,7 +271,9 @@ actions! {
         HelpPageDown "help-page-down" "A screenful down" "" ["PgDn" "Ctrl-f" "Space"];
         HelpFirst "help-first" "First line" "" ["g" "Home"];
         HelpLast "help-last" "Last line" "" ["G" "End"];
-        HelpClose "help-close" "Close the help" "close" ["Esc" "?" "q" "Enter" "F1"];
+        HelpSearch "help-search" "Only lines with the words that are typed" "search" ["/"];
+        HelpPage "help-page" "Keys of the next page" "keys of next page" ["Tab"];
+        HelpClose "help-close" "All lines again, or close the help" "close" ["Esc" "?" "q" "Enter" "F1"];
     }
     Filters Answer: {
         FilterUp "saved-filter-up" "Saved filters: the one before" "" ["Up" "k"];
@@ -302,6 +306,12 @@ actions! {
         CompareLater "compare-later" "Comparison: move it to the next event" "next event" ["Right" "]"];
         CompareSelect "compare-select" "Comparison: go to the device of the row" "go to device" ["Enter"];
         CompareClose "compare-close" "Comparison: close it" "close" ["Esc" "d" "q"];
+    }
+    Themes Answer: {
+        ThemeUp "theme-up" "Themes: show the one before" "" ["Up" "k"];
+        ThemeDown "theme-down" "Themes: show the next one" "" ["Down" "j"];
+        ThemeKeep "theme-keep" "Themes: keep it in config.toml" "keep" ["Enter"];
+        ThemesClose "themes-close" "Themes: back to the one before" "close" ["Esc" "t" "q"];
     }
     Confirm Answer: {
         Yes "yes" "Yes" "yes" ["y"];

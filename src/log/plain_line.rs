@@ -224,7 +224,7 @@ mod tests {
         let mut read = 0;
         for round in 0..200_000 {
             let mut line = b"(1436509052.249713) can0 02015402#0444455301 T\r\n".to_vec();
-            for _ in 0..1 + round % 3 {
+            for _ in 0..=(round % 3) {
                 let at = rng.usize(0..line.len());
                 line[at] = alphabet[rng.usize(0..alphabet.len())];
             }

@@ -184,6 +184,7 @@ impl LogSummary {
         if known.is_none() {
             Arc::make_mut(&mut self.interfaces).push(interface.to_owned());
         }
+        self.last_interface = usize::from(index);
         Some(BusIndex(index))
     }
 }

@@ -4,7 +4,7 @@
 //! Each part is optional. An error in one is reported with file and line; descan then starts with
 //! the built-in values.
 
-use crate::app::{MAX_SAVED_FILTERS, Page, SavedFilter, SavedFilterChange};
+use crate::app::{MAX_SAVED_FILTERS, Page, SavedFilter, SavedFilterChange, Signs};
 use crate::keymap::Keymap;
 use crate::regular_file::{read_text, shown};
 use crate::text::printable;
@@ -12,7 +12,7 @@ use etcetera::{BaseStrategy, choose_base_strategy};
 use serde::{Deserialize, Serialize};
 use std::fs;
 use std::io::{self, Write};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 /// `config.toml`: defaults for command-line options.
@@ -21,6 +21,8 @@ use std::time::Duration;
 pub struct UserSettings {
     /// The theme's name.
     pub theme: Option<String>,
+    /// `unicode` or `ascii`; `None`: what the terminal can show.
+    pub signs: Option<String>,
     /// Seconds between enumeration rounds once the bus is known, 0 to 86400; 0 stops them then.
     pub round_period: Option<f64>,
     /// Transmit budget while starting, as a share of the bus, 0.001 to 1.
@@ -48,12 +50,30 @@ impl UserSettings {
         if !settings.round_period.is_none_or(|period| (0.0..=86_400.0).contains(&period)) {
             return Err("round_period is a number of seconds, 0 to 86400".to_owned());
         }
+        if settings.signs.as_ref().is_some_and(|name| Signs::from_name(name).is_none()) {
+            return Err("signs is \"unicode\" or \"ascii\"".to_owned());
+        }
         Ok(settings)
     }
 
     /// Time between enumeration rounds; `None` for the built-in value.
     pub fn round_period(&self) -> Option<Duration> {
         self.round_period.map(Duration::from_secs_f64)
+    }
+}
+
+/// File of the settings.
+const CONFIG: &str = "config.toml";
+
+/// Returns the text of `config.toml` with this theme in the place of the one before, or as its first
+/// line.
+fn with_theme(text: &str, name: &str) -> String {
+    let value = toml::Value::String(name.to_owned()).to_string();
+    let table = toml::de::DeTable::parse(text).ok();
+    let span = table.and_then(|table| Some(table.get_ref().get("theme")?.span()));
+    match span {
+        Some(span) => format!("{}{value}{}", &text[..span.start], &text[span.end..]),
+        None => format!("theme = {value}\n{text}"),
     }
 }
 
@@ -104,7 +124,7 @@ impl ConfigFolder {
 
     /// Reads `config.toml`; built-in values if it is missing. The error names file and line.
     pub fn settings(&self) -> Result<UserSettings, String> {
-        self.read("config.toml", UserSettings::parse)
+        self.read(CONFIG, UserSettings::parse)
     }
 
     /// Reads `keys.toml`; the built-in keys if it is missing. The error names file and line.
@@ -141,13 +161,42 @@ impl ConfigFolder {
         let text = toml::to_string(&file).map_err(|error| error.to_string())?;
         let text =
             format!("# Filters saved on the screen: Ctrl-s in the prompt, F lists them.\n{text}");
-        let failed = |error: &io::Error| format!("{}: {error}", shown(&path));
-        fs::create_dir_all(&self.path).map_err(|error| failed(&error))?;
-        let mut temporary =
-            tempfile::NamedTempFile::new_in(&self.path).map_err(|error| failed(&error))?;
-        temporary.write_all(text.as_bytes()).map_err(|error| failed(&error))?;
-        temporary.persist(&path).map_err(|error| failed(&error.error))?;
+        self.replace(&path, &text)?;
         Ok(filters)
+    }
+
+    /// Makes `name` the theme in `config.toml`; all else in the file stays as it is.
+    ///
+    /// # Errors
+    /// It cannot be read, is not valid, or cannot be written.
+    pub fn keep_theme(&self, name: &str) -> Result<(), String> {
+        // Not `self.path` alone: a link to a file elsewhere stays one.
+        let path = self.path.join(CONFIG);
+        let path = fs::canonicalize(&path).unwrap_or(path);
+        let text = read_text(&path).map_err(|fault| fault.to_string())?.unwrap_or_default();
+        let message = |why: String| format!("{}: {}", shown(&path), printable(why.as_bytes()));
+        UserSettings::parse(&text).map_err(message)?;
+        let new = with_theme(&text, name);
+        let is_right = UserSettings::parse(&new).is_ok_and(|it| it.theme.as_deref() == Some(name));
+        if !is_right {
+            return Err(message(format!("set there: theme = \"{name}\"")));
+        }
+        self.replace(&path, &new)
+    }
+
+    /// Writes a file as a whole.
+    fn replace(&self, path: &Path, text: &str) -> Result<(), String> {
+        let failed = |error: &io::Error| format!("{}: {error}", shown(path));
+        let folder = path.parent().unwrap_or(&self.path);
+        fs::create_dir_all(folder).map_err(|error| failed(&error))?;
+        let mut temporary =
+            tempfile::NamedTempFile::new_in(folder).map_err(|error| failed(&error))?;
+        temporary.write_all(text.as_bytes()).map_err(|error| failed(&error))?;
+        if let Ok(before) = fs::metadata(path) {
+            let _ = temporary.as_file().set_permissions(before.permissions());
+        }
+        temporary.persist(path).map_err(|error| failed(&error.error))?;
+        Ok(())
     }
 
     /// Path of the user's theme `name`, whether or not it exists.
@@ -189,6 +238,36 @@ mod tests {
     use super::*;
 
     #[test]
+    fn kept_theme_changes_nothing_else_in_the_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let config = ConfigFolder::at(folder.path().join("descan"));
+        let path = folder.path().join("descan/config.toml");
+        config.keep_theme("dark").unwrap();
+        assert_eq!(fs::read_to_string(&path).unwrap(), "theme = \"dark\"\n");
+        let text = "# mine\nround_period = 5\ntheme = 'light' # for the sun\n";
+        fs::write(&path, text).unwrap();
+        config.keep_theme("high-contrast").unwrap();
+        let kept = fs::read_to_string(&path).unwrap();
+        assert_eq!(kept, text.replace("'light'", "\"high-contrast\""));
+        // A file with a mistake is the user's to correct.
+        fs::write(&path, "tehme = 1\n").unwrap();
+        let error = config.keep_theme("dark").unwrap_err();
+        assert!(error.contains("config.toml: line 1: unknown field"), "{error}");
+        assert_eq!(fs::read_to_string(&path).unwrap(), "tehme = 1\n");
+    }
+
+    #[test]
+    fn link_to_the_settings_stays_one() {
+        let folder = tempfile::tempdir().unwrap();
+        let (own, link) = (folder.path().join("own.toml"), folder.path().join("config.toml"));
+        fs::write(&own, "round_period = 5\n").unwrap();
+        std::os::unix::fs::symlink(&own, &link).unwrap();
+        ConfigFolder::at(folder.path()).keep_theme("mono").unwrap();
+        assert!(fs::symlink_metadata(&link).unwrap().is_symlink());
+        assert!(fs::read_to_string(&own).unwrap().contains("theme = \"mono\""));
+    }
+
+    #[test]
     fn saved_filters_are_stored_beside_those_of_others() {
         let folder = tempfile::tempdir().unwrap();
         let (one, other) = (folder.path().join("descan"), folder.path().join("descan"));
@@ -224,6 +303,7 @@ mod tests {
         for (text, hint) in [
             ("\ntehme = \"dark\"", "line 2: unknown field `tehme`"),
             ("start_share = 30", "0.001 to 1"),
+            ("signs = \"emoji\"", "\"unicode\" or \"ascii\""),
             ("round_period = -1", "0 to 86400"),
         ] {
             fs::write(folder.path().join("config.toml"), text).unwrap();

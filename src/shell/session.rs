@@ -585,10 +585,7 @@ impl Session {
         } else {
             // Time may have advanced in a large step: deadlines between two frames are handled
             // between them.
-            for frame in &self.batch {
-                self.app.advance_to(frame.time);
-                self.app.handle_frames(frame.time, std::slice::from_ref(frame));
-            }
+            self.app.handle_recorded_frames(&self.batch);
         }
         !self.batch.is_empty()
     }

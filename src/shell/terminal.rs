@@ -1,5 +1,6 @@
 //! The terminal: taken over at the start and restored on every way out.
 
+use crate::app::Signs;
 use crate::theme::Theme;
 use crossterm::{cursor, event, execute, queue, style, terminal};
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
@@ -153,6 +154,13 @@ pub fn restore() {
     let _ = queue!(out, style::ResetColor, terminal::Clear(terminal::ClearType::All));
     let _ = queue!(out, cursor::MoveTo(0, 998), terminal::LeaveAlternateScreen, cursor::Show);
     let _ = out.flush();
+}
+
+/// Returns the signs that the terminal can show, by its environment variables.
+pub fn signs() -> Signs {
+    let variable = |name| std::env::var(name).ok().filter(|value| !value.is_empty());
+    let locale = ["LC_ALL", "LC_CTYPE", "LANG"].into_iter().find_map(variable);
+    Signs::of_terminal(&variable("TERM").unwrap_or_default(), locale.as_deref())
 }
 
 /// Returns false for the console of Linux, which has no window and may print the title.

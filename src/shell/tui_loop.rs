@@ -74,6 +74,10 @@ async fn run_on_terminal(session: &mut Session, themes: &mut ThemeLoader) -> io:
                     let result = themes.choose(&name);
                     session.app.handle_theme(session.now(), result);
                 }
+                Effect::KeepTheme(name) => {
+                    let result = themes.keep(&name);
+                    session.app.handle_kept_theme(session.now(), result);
+                }
                 Effect::ChangeFilters(change) => {
                     session.app.handle_saved_filters(themes.change_filters(&change));
                 }
@@ -254,6 +258,28 @@ impl ThemeLoader {
             own.into_iter().filter(|name| crate::theme::BUILT_IN.iter().all(|b| b.0 != name)),
         );
         names
+    }
+
+    /// Makes the theme `name` that of the settings.
+    ///
+    /// # Errors
+    /// There is no folder for settings, or `config.toml` cannot be read or written.
+    pub fn keep(&self, name: &str) -> Result<(), String> {
+        match &self.folder {
+            Some(folder) => folder.keep_theme(name),
+            None => Err("no home folder; set XDG_CONFIG_HOME".to_owned()),
+        }
+    }
+
+    /// The user's themes that cannot be used, with the first mistake in each.
+    pub fn faults(&self) -> Vec<(String, String)> {
+        let own = self.folder.as_ref().map(ConfigFolder::theme_names).unwrap_or_default();
+        let fault = |name: String| {
+            let text = self.text_of(&name);
+            let parsed = text.and_then(|text| self.parse(&name, &text.unwrap_or_default()));
+            parsed.err().map(|why| (name, crate::text::on_one_line(&why)))
+        };
+        own.into_iter().filter_map(fault).collect()
     }
 
     fn text_of(&self, name: &str) -> Result<Option<String>, String> {

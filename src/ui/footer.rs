@@ -9,6 +9,7 @@ use crate::app::{
 };
 use crate::discovery::Config;
 use crate::keymap::{Action, KeyCode, KeyMode};
+use crate::text::Escaped;
 use crate::theme::Role;
 use crate::time::Duration;
 use ratatui::layout::{Position, Rect};
@@ -30,14 +31,44 @@ pub fn draw(brush: &mut DrawContext) {
         return draw_question(brush, area, &question);
     }
     let mode = brush.app.mode();
-    let shows_message =
-        matches!(mode, KeyMode::Browse | KeyMode::Marks | KeyMode::Filters | KeyMode::Compare);
+    let shows_message = !matches!(mode, KeyMode::Help | KeyMode::Confirm | KeyMode::Conflict);
     if let Some(message) = brush.app.message().filter(|_| shows_message) {
         let role = if message.is_error { Role::Error } else { Role::Text };
         return draw_wrapped(brush, area, role, &message.text);
     }
+    let search = &brush.app.help().search;
+    if mode == KeyMode::Help && (brush.app.help().is_typing || !search.is_empty()) {
+        return draw_help_search(brush, area);
+    }
     let line = Line::from(hint_line(brush, mode, usize::from(area.width)));
     brush.line(area, 0, &line);
+}
+
+/// Draws the words that the lines of the help must have, and how many lines have them.
+fn draw_help_search(brush: &mut DrawContext, area: Rect) {
+    let view = brush.app.help();
+    let (search, is_typing) = (view.search.clone(), view.is_typing);
+    let found = match super::help::found(brush) {
+        Some(1) => "1 line with it   ".to_owned(),
+        Some(count) => format!("{count} lines with it   "),
+        None => String::new(),
+    };
+    let keys = if is_typing { "Enter keep   Esc all lines again " } else { "Esc all lines again " };
+    let text = Escaped(search.as_bytes()).to_string();
+    let line = Line::from(vec![
+        brush.span(Role::Title, " / "),
+        brush.span(Role::Input, format!("{text} ")),
+    ]);
+    brush.line(area, 0, &line);
+    if is_typing {
+        let x = area.x + (3 + text.width() as u16).min(area.width.saturating_sub(1));
+        brush.cursor = Some(Position::new(x, area.y));
+    }
+    let end = Line::from(brush.span(Role::Muted, format!("{found}{keys}")));
+    let width = end.width() as u16;
+    if line.width() as u16 + width < area.width {
+        brush.line(Rect { x: area.right() - width, width, ..area }, 0, &end);
+    }
 }
 
 /// Most lines of a text; the rest is cut with `…`.
@@ -207,11 +238,12 @@ fn hint_line(brush: &DrawContext, mode: KeyMode, width: usize) -> Vec<Span<'stat
     let app = brush.app;
     let view = app.view();
     let actions: &[Action] = match (mode, view.page, view.focus) {
-        (KeyMode::Help, ..) => &[A::HelpClose, A::HelpDown],
+        (KeyMode::Help, ..) => &[A::HelpClose, A::HelpDown, A::HelpSearch, A::HelpPage],
         (KeyMode::Confirm, ..) => &[A::Yes, A::No],
         (KeyMode::Conflict, ..) => &[A::Ours, A::Theirs, A::Later],
         (KeyMode::Filters, ..) => &[A::FilterUse, A::FilterRemove, A::FiltersClose],
         (KeyMode::Kinds, ..) => &[A::KindToggle, A::KindOnly, A::KindsClose],
+        (KeyMode::Themes, ..) => &[A::ThemeUp, A::ThemeDown, A::ThemeKeep, A::ThemesClose],
         (KeyMode::Marks, ..) => &[A::MarkGo, A::MarkRemove, A::MarksClose],
         (KeyMode::Compare, ..) => {
             &[A::CompareSide, A::CompareEarlier, A::CompareLater, A::CompareSelect, A::CompareClose]

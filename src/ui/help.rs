@@ -1,10 +1,11 @@
-//! The help: keys of the keymap, symbols, filter terms, and the counters of each bus. Takes the
-//! place of the page, in two columns from 112 columns on.
+//! The help: keys of the open page first, then all others, signs, filter terms, and the counters of
+//! each bus; with words only the lines that have them. Takes the place of the page, in two columns
+//! from 80 on, in three from 160.
 
 use super::brush::{DrawContext, fit, wrap};
 use super::symbols::SYMBOLS;
-use crate::app::{FILTER_FIELDS, FILTER_WORDS, clock_millis, format_duration};
-use crate::keymap::{ACTIONS, ActionGroup, ActionInfo};
+use crate::app::{FILTER_FIELDS, FILTER_WORDS, Page, clock_millis, format_duration};
+use crate::keymap::{ACTIONS, Action, ActionGroup, ActionInfo};
 use crate::status::size;
 use crate::theme::Role;
 use crate::time::Duration;
@@ -12,88 +13,228 @@ use ratatui::layout::Rect;
 use ratatui::text::{Line, Span};
 use unicode_width::UnicodeWidthStr;
 
+/// Width from which the help has two columns, and three.
+const TWO_COLUMNS: u16 = 80;
+const THREE_COLUMNS: u16 = 160;
+
+/// Cells between two columns.
+const GAP: u16 = 2;
+
+/// A section: its heading, and its entries with their lines.
+struct Section {
+    title: String,
+    entries: Vec<Vec<Line<'static>>>,
+}
+
 /// Draws the help without its first `scroll` lines.
 pub fn draw(brush: &mut DrawContext, scroll: u16) {
-    let whole = brush.screen.whole;
-    let top = brush.screen.tabs.y;
-    let bottom = brush.screen.footer.y.max(top);
-    let rule = Rect { y: top, height: brush.screen.tabs.height, ..whole };
-    brush.rule(rule, Role::BorderFocus);
-    let title = Line::from(brush.span(Role::TabActive, " Help "));
-    brush.line(Rect { x: 1, width: whole.width.saturating_sub(1), ..rule }, 0, &title);
-    let area = Rect {
-        x: 1,
-        y: top + rule.height,
-        width: whole.width.saturating_sub(2),
-        height: bottom.saturating_sub(top + rule.height),
+    let page = brush.app.help().page;
+    let title = match next_page_key(brush) {
+        Some(next) if brush.screen.whole.width >= TWO_COLUMNS => {
+            format!(" Keys of {} ─ {next} ", page.title())
+        }
+        _ => format!(" Keys of {} ", page.title()),
     };
-    let columns = if area.width >= 110 { 2 } else { 1 };
-    let width = (area.width + 2) / columns - 2;
-    let mut lines = keys(brush, width);
-    let mut symbols = symbols(brush, width);
-    symbols.extend(capture(brush, width));
-    symbols.extend(counters(brush, width));
-    if columns == 1 {
-        lines.push(Line::default());
-        lines.extend(symbols);
-        brush.lines(area, &lines, scroll);
-    } else {
-        brush.lines(Rect { width, ..area }, &lines, scroll);
-        brush.lines(Rect { x: area.x + width + 2, width, ..area }, &symbols, scroll);
+    let below = brush.panel(&title);
+    let area = Rect { x: 1, width: below.width.saturating_sub(2), ..below };
+    let columns = match below.width {
+        0..TWO_COLUMNS => 1,
+        TWO_COLUMNS..THREE_COLUMNS => 2,
+        _ => 3,
+    };
+    let width = (area.width + GAP) / columns - GAP;
+    let words = words_of(&brush.app.help().search);
+    let mut lines: Vec<Vec<Line>> = vec![Vec::new(); usize::from(columns)];
+    for section in sections(brush, width) {
+        let found = found_lines(brush, section, &words);
+        // Each section goes below the shortest column.
+        if let Some(shortest) = lines.iter_mut().min_by_key(|column| column.len())
+            && !found.is_empty()
+        {
+            if !shortest.is_empty() {
+                shortest.push(Line::default());
+            }
+            shortest.extend(found);
+        }
+    }
+    if lines.iter().all(Vec::is_empty) {
+        let line = Line::from(brush.span(Role::Muted, "no line has these words"));
+        return brush.line(area, 1, &line);
+    }
+    let longest = lines.iter().map(Vec::len).max().unwrap_or_default();
+    for (at, mut column) in lines.into_iter().enumerate() {
+        // All columns are scrolled together.
+        column.resize(longest, Line::default());
+        let x = area.x + at as u16 * (width + GAP);
+        brush.lines(Rect { x, width, ..area }, &column, scroll);
     }
 }
 
-/// Every action with its keys, by groups.
-fn keys(brush: &DrawContext, width: u16) -> Vec<Line<'static>> {
-    let mut lines = Vec::new();
+/// The key that shows the keys of the next page; `None` if it has none.
+fn next_page_key(brush: &DrawContext) -> Option<String> {
+    let key = brush.app.keymap().keys_of(Action::HelpPage).next()?;
+    let next = Page::ALL[(brush.app.help().page as usize + 1) % Page::ALL.len()];
+    Some(format!("{key} keys of {}", next.title()))
+}
+
+/// Number of entries that have the words; `None` without words.
+pub fn found(brush: &DrawContext) -> Option<usize> {
+    let words = words_of(&brush.app.help().search);
+    let sections = sections(brush, brush.screen.whole.width);
+    let entries = sections.iter().flat_map(|section| &section.entries);
+    (!words.is_empty()).then(|| entries.filter(|entry| has_words(entry, &words)).count())
+}
+
+fn words_of(search: &str) -> Vec<String> {
+    search.split_whitespace().map(str::to_lowercase).collect()
+}
+
+fn has_words(entry: &[Line], words: &[String]) -> bool {
+    let parts = entry.iter().flat_map(|line| &line.spans).map(|span| span.content.trim());
+    let text = parts.collect::<Vec<_>>().join(" ").to_lowercase();
+    words.iter().all(|word| text.contains(word))
+}
+
+/// The lines of a section with the words, which are marked, below its heading.
+fn found_lines(brush: &DrawContext, section: Section, words: &[String]) -> Vec<Line<'static>> {
+    let entries = section.entries.into_iter().filter(|entry| has_words(entry, words));
+    let lines: Vec<Line> = entries.flatten().map(|line| marked(brush, line, words)).collect();
+    if lines.is_empty() {
+        return lines;
+    }
+    let title = Line::from(brush.span(Role::Title, section.title));
+    std::iter::once(title).chain(lines).collect()
+}
+
+/// A line in which the words have the style of matches.
+fn marked(brush: &DrawContext, line: Line<'static>, words: &[String]) -> Line<'static> {
+    if words.is_empty() {
+        return line;
+    }
+    let style = brush.style(Role::Match).underlined();
+    let mut spans = Vec::new();
+    for span in line.spans {
+        let text = span.content.into_owned();
+        // Lower case changes the length of few characters only: such a span stays as it is.
+        let lower = text.to_lowercase();
+        let mut is_match = vec![false; text.len()];
+        if lower.len() == text.len() {
+            for word in words {
+                for (at, _) in lower.match_indices(word.as_str()) {
+                    is_match[at..at + word.len()].fill(true);
+                }
+            }
+        }
+        let mut rest = text.as_str();
+        while !rest.is_empty() {
+            let at = text.len() - rest.len();
+            let now = is_match[at];
+            let end = is_match[at..].iter().position(|it| *it != now).unwrap_or(rest.len());
+            let end = (end..=rest.len()).find(|end| rest.is_char_boundary(*end));
+            let (part, after) = rest.split_at(end.unwrap_or(rest.len()));
+            spans.push(Span::styled(part.to_owned(), if now { style } else { span.style }));
+            rest = after;
+        }
+    }
+    Line::from(spans)
+}
+
+/// All sections: the keys of the page, those of all pages, signs, filter, capture, counters.
+fn sections(brush: &DrawContext, width: u16) -> Vec<Section> {
+    let page = brush.app.help().page;
+    let own = keys_of(page);
+    let mut sections = vec![Section {
+        title: page.title().to_owned(),
+        entries: own.iter().map(|it| action_lines(brush, it.info(), width)).collect(),
+    }];
     // The keys of a log do nothing on a live bus.
     let is_used =
         |group: &ActionGroup| *group != ActionGroup::Log || brush.app.playback().is_some();
     for group in ActionGroup::ALL.into_iter().filter(is_used) {
-        if !lines.is_empty() {
-            lines.push(Line::default());
-        }
-        lines.push(Line::from(brush.span(Role::Title, group.title())));
-        for action in ACTIONS.iter().filter(|action| action.group == group) {
-            lines.extend(action_lines(brush, action, width));
-        }
+        let others = ACTIONS.iter().filter(|it| it.group == group && !own.contains(&it.action));
+        sections.push(Section {
+            title: group.title().to_owned(),
+            entries: others.map(|action| action_lines(brush, action, width)).collect(),
+        });
     }
-    lines
+    let sign = |&(role, sign, meaning): &(Role, &str, &str)| {
+        two_columns(brush, (role, sign), 18, meaning, width)
+    };
+    sections
+        .push(Section { title: "Signs".to_owned(), entries: SYMBOLS.iter().map(sign).collect() });
+    sections.push(filter_section(brush, width));
+    sections.push(capture(brush, width));
+    sections.extend(counters(brush, width));
+    sections
+}
+
+/// Actions that belong to a page; they come first in its help.
+fn keys_of(page: Page) -> &'static [Action] {
+    use Action as A;
+    match page {
+        Page::Devices => &[
+            A::Details,
+            A::Into,
+            A::Back,
+            A::Frames,
+            A::Problem,
+            A::Sort,
+            A::SortReverse,
+            A::Identify,
+            A::ClearLost,
+            A::EditAddress,
+            A::Add,
+            A::AddAll,
+            A::NewEntry,
+            A::Rename,
+            A::DeleteEntry,
+        ],
+        Page::Traffic => &[
+            A::Details,
+            A::Identifiers,
+            A::OpenParts,
+            A::TimeFormat,
+            A::OnlyLike,
+            A::HideLike,
+            A::NextMatch,
+            A::PreviousMatch,
+            A::Sort,
+            A::SortReverse,
+            A::SaveCapture,
+        ],
+        Page::Timeline => &[A::Details, A::Frames, A::Problem, A::Mark, A::Compare],
+        Page::Problems => &[A::Details, A::Frames, A::Problem, A::Mute, A::EditAddress],
+        Page::Bus => &[A::Details, A::Frames, A::Identifiers, A::BitRate, A::SaveCapture],
+    }
 }
 
 /// An action: its keys (`–`: none) and what it does.
 fn action_lines(brush: &DrawContext, action: &ActionInfo, width: u16) -> Vec<Line<'static>> {
-    const KEYS: usize = 15;
     let keys: Vec<String> =
         brush.app.keymap().keys_of(action.action).map(|key| key.to_string()).collect();
     let keys = if keys.is_empty() { "–".to_owned() } else { keys.join(" ") };
-    two_columns(brush, (Role::HintKey, &keys), KEYS, action.doc, width)
+    let key_width = if width < 50 { 10 } else { 15 };
+    two_columns(brush, (Role::HintKey, &keys), key_width, action.doc, width)
 }
 
-/// Symbols and filter terms.
-fn symbols(brush: &DrawContext, width: u16) -> Vec<Line<'static>> {
-    let mut lines = vec![Line::from(brush.span(Role::Title, "Symbols"))];
-    for (role, sign, meaning) in SYMBOLS {
-        lines.extend(two_columns(brush, (role, sign), 18, meaning, width));
-    }
-    lines.push(Line::default());
-    lines.push(Line::from(brush.span(Role::Title, "Filter")));
+/// Filter terms.
+fn filter_section(brush: &DrawContext, width: u16) -> Section {
     let fields = FILTER_FIELDS.iter().map(|field| {
         let words: Vec<String> = field.words.iter().map(|word| format!("{word}:")).collect();
         (words.join(" "), field.doc)
     });
     let words = FILTER_WORDS.iter().map(|&(word, doc)| (word.to_owned(), doc));
     let any = ("feed".to_owned(), "rows that contain the word; several terms: all must match");
-    for (term, doc) in std::iter::once(any).chain(fields).chain(words) {
-        lines.extend(two_columns(brush, (Role::HintKey, &term), 18, doc, width));
-    }
-    lines
+    let terms = std::iter::once(any).chain(fields).chain(words);
+    let entry =
+        |(term, doc): (String, &str)| two_columns(brush, (Role::HintKey, &term), 18, doc, width);
+    Section { title: "Filter".to_owned(), entries: terms.map(entry).collect() }
 }
 
 /// The captured frames: since when, and how long they are kept at the present load.
-fn capture(brush: &DrawContext, width: u16) -> Vec<Line<'static>> {
+fn capture(brush: &DrawContext, width: u16) -> Section {
     let (app, capture) = (brush.app, brush.app.capture());
-    let mut lines = vec![Line::default(), Line::from(brush.span(Role::Title, "Capture"))];
+    let mut entries = Vec::new();
     let stored = capture.end() - capture.first();
     let since = capture.get(capture.first()).map(|first| clock_millis(app, first.time));
     let since = since.map_or_else(|| "no frames yet".to_owned(), |at| format!("since {at}"));
@@ -109,9 +250,9 @@ fn capture(brush: &DrawContext, width: u16) -> Vec<Line<'static>> {
         ("dropped", capture.first().to_string(), "the oldest; those near evidence stay".into()),
     ] {
         let left = format!("{name:<12}{value:>11}");
-        lines.extend(two_columns(brush, (Role::Text, &left), 24, &meaning, width));
+        entries.push(two_columns(brush, (Role::Text, &left), 24, &meaning, width));
     }
-    lines
+    Section { title: "Capture".to_owned(), entries }
 }
 
 /// Approximate size of a waiting frame in the kernel's receive buffer, in bytes.
@@ -119,13 +260,11 @@ const KERNEL_BYTES_PER_FRAME: u32 = 800;
 
 /// The counters of each bus and the size of the kernel's receive buffer. All places where frames
 /// can be lost are listed, also while their counters are 0.
-fn counters(brush: &DrawContext, width: u16) -> Vec<Line<'static>> {
-    let mut lines = Vec::new();
+fn counters(brush: &DrawContext, width: u16) -> Vec<Section> {
+    let mut sections = Vec::new();
     for bus in brush.app.buses() {
         let (engine, status) = (bus.counters(), &bus.status);
-        lines.push(Line::default());
-        let title = format!("Counters of {}", bus.name);
-        lines.push(Line::from(brush.span(Role::Title, title)));
+        let mut entries = Vec::new();
         for (name, count, meaning) in [
             ("frames", engine.frames, "received, own frames included"),
             ("sent", engine.sent, "own frames confirmed on the bus"),
@@ -146,7 +285,7 @@ fn counters(brush: &DrawContext, width: u16) -> Vec<Line<'static>> {
                 continue;
             }
             let left = format!("{name:<14}{count:>9}");
-            lines.extend(two_columns(brush, (Role::Text, &left), 24, meaning, width));
+            entries.push(two_columns(brush, (Role::Text, &left), 24, meaning, width));
         }
         let buffer = status.receive_buffer.map(|bytes| {
             let held = bytes / KERNEL_BYTES_PER_FRAME;
@@ -155,14 +294,14 @@ fn counters(brush: &DrawContext, width: u16) -> Vec<Line<'static>> {
         for text in buffer.into_iter().chain(status.note.clone()) {
             let text = crate::text::Escaped(text.as_bytes()).to_string();
             let room = usize::from(width).saturating_sub(4);
-            lines.extend(
-                wrap(&text, room)
-                    .into_iter()
-                    .map(|part| Line::from(vec![Span::raw("  "), brush.span(Role::Muted, part)])),
-            );
+            let parts = wrap(&text, room).into_iter();
+            let line = |part| Line::from(vec![Span::raw("  "), brush.span(Role::Muted, part)]);
+            entries.push(parts.map(line).collect());
         }
+        let name = crate::text::Escaped(bus.name.as_bytes());
+        sections.push(Section { title: format!("Counters of {name}"), entries });
     }
-    lines
+    sections
 }
 
 /// Two columns, both wrapped: `left_width` cells, and the rest of `width`.

@@ -24,6 +24,7 @@
 //! [`crate::text::Name`], or as text made by the app.
 
 mod alarm;
+mod ascii;
 mod brush;
 mod bus;
 mod chart;
@@ -43,11 +44,12 @@ mod stories;
 mod story_kinds;
 mod symbols;
 mod tabs;
+mod theme_picker;
 mod time_bar;
 mod timeline;
 mod traffic;
 
-use crate::app::{App, Overlay, Page};
+use crate::app::{App, Overlay, Page, Signs};
 use crate::text::with_few_marks;
 use crate::theme::{Role, Theme};
 use brush::DrawContext;
@@ -88,12 +90,19 @@ pub fn draw(app: &App, theme: &Theme, frame: &mut Frame) -> Option<u16> {
             page(&mut brush);
             story_kinds::draw(&mut brush, *selected);
         }
+        Overlay::Themes(selected) => {
+            page(&mut brush);
+            theme_picker::draw(&mut brush, *selected);
+        }
         _ => page(&mut brush),
     }
     moment::draw(&mut brush);
     time_bar::draw(&mut brush);
     footer::draw(&mut brush);
     cut_marks(brush.buffer);
+    if app.signs() == Signs::Ascii {
+        ascii::replace(brush.buffer);
+    }
     let (cursor, scrolled) = (brush.cursor, brush.scrolled);
     if let Some(cursor) = cursor {
         frame.set_cursor_position(cursor);

@@ -37,7 +37,10 @@ fn text(brush: &DrawContext) -> (Role, String) {
 
 /// Returns the column behind the names of the pages; 0 where a dialog takes the place of the page.
 pub fn tabs_end(brush: &DrawContext) -> u16 {
-    if !matches!(brush.app.overlay(), Overlay::None | Overlay::Question(_) | Overlay::Prompt(_)) {
+    if !matches!(
+        brush.app.overlay(),
+        Overlay::None | Overlay::Question(_) | Overlay::Prompt(_) | Overlay::Themes(_)
+    ) {
         return 0;
     }
     let tabs = brush.screen.tabs(brush.app.view().page, brush.app.counts());

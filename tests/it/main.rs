@@ -40,6 +40,7 @@ mod malicious_input;
 mod missing_reasons;
 mod pcapng;
 mod pictures;
+mod proof;
 mod random_buses;
 mod random_input;
 mod readme;

@@ -547,3 +547,28 @@ fn unreadable_input_is_shown_before_its_end() {
     pty.send("q");
     assert_eq!(pty.wait(), 0);
 }
+
+#[test]
+fn picked_theme_is_kept_and_faulty_one_is_listed() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = folder.path().join("config/descan");
+    std::fs::create_dir_all(config.join("themes")).unwrap();
+    std::fs::write(config.join("themes/own.toml"), "[roles]\nerorr = \"red\"\n").unwrap();
+    std::fs::write(config.join("config.toml"), "# mine\ntheme = \"light\"\n").unwrap();
+    let mut pty = demo(folder.path());
+    pty.wait_for("FEED");
+    pty.send("t");
+    pty.wait_for("✗ line 2: unknown");
+    // The whole mistake, once it is selected.
+    pty.send("jjj");
+    pty.wait_for("theme own: line 2: unknown role \"erorr\"");
+    pty.send("kkkk\r");
+    pty.wait_for("theme dark kept in config.toml");
+    let kept = std::fs::read_to_string(config.join("config.toml")).unwrap();
+    assert_eq!(kept, "# mine\ntheme = \"dark\"\n");
+    pty.send("q");
+    assert_eq!(pty.wait(), 0);
+    // The title of the window was set, and is given back.
+    let has = |needle: &[u8]| pty.bytes.windows(needle.len()).any(|it| it == needle);
+    assert!(has(b"\x1b]2;descan ") && has(b"\x1b[23;2t"));
+}

@@ -64,6 +64,8 @@ pub enum Overlay {
     Comparison,
     /// The kinds of stories, with the place of the selected one.
     Kinds(usize),
+    /// The themes, with the place of the selected one.
+    Themes(usize),
 }
 
 /// Keymap, overlay and type-ahead guard.
@@ -108,6 +110,7 @@ impl Input {
             Overlay::Filters(_) => KeyMode::Filters,
             Overlay::Comparison => KeyMode::Compare,
             Overlay::Kinds(_) => KeyMode::Kinds,
+            Overlay::Themes(_) => KeyMode::Themes,
         }
     }
 

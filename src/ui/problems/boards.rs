@@ -49,11 +49,14 @@ pub fn side_span(brush: &DrawContext, side: Option<usize>, is_unknown: bool) -> 
 pub fn lines(brush: &DrawContext, problem: &Problem, width: u16) -> Option<BoardLines> {
     let labels = if width < NARROW { NARROW_LABEL } else { LABEL };
     let is_wide = width.saturating_sub(LABEL as u16) / 2 >= WIDE_COLUMN;
-    let panel = brush.app.conflict_panel(problem, is_wide)?;
+    let mut panel = brush.app.conflict_panel(problem, is_wide)?;
     let count = panel.titles.len().max(1);
     let room = usize::from(width).saturating_sub(labels + 1);
     let between = 2;
     let column = room.saturating_sub(between * (count - 1)) / count;
+    if is_wide && column < usize::from(WIDE_COLUMN) {
+        panel = brush.app.conflict_panel(problem, false)?;
+    }
     let (mut columns, mut services) = (Vec::new(), Vec::new());
     if !panel.titles.is_empty() {
         let cells = panel

@@ -36,6 +36,7 @@ pub fn draw(brush: &mut DrawContext) {
         width: area.width.saturating_sub(1),
         height: usize::from(area.height),
         piece: focused.then_some(view.piece),
+        is_expanded: false,
         lines: Vec::new(),
         selected: None,
         problem,
@@ -88,6 +89,8 @@ struct ProblemDetails<'b, 'a> {
     height: usize,
     /// Selected piece of evidence, if the details have the focus.
     piece: Option<usize>,
+    /// There is room for the frame below each piece.
+    is_expanded: bool,
     lines: Vec<Line<'static>>,
     /// Line of the selected piece.
     selected: Option<usize>,
@@ -96,6 +99,17 @@ struct ProblemDetails<'b, 'a> {
 impl ProblemDetails<'_, '_> {
     /// All lines, and that of the selected piece of evidence; a section without content has none.
     fn all(mut self) -> (Vec<Line<'static>>, Option<usize>) {
+        self.build();
+        let pieces = self.problem.evidence().len();
+        if self.lines.len() + pieces <= self.height {
+            self.is_expanded = true;
+            self.lines.clear();
+            self.build();
+        }
+        (self.lines, self.selected)
+    }
+
+    fn build(&mut self) {
         match boards::lines(self.brush, &self.problem, self.width) {
             Some(boards) => self.conflict(boards),
             None => {
@@ -111,7 +125,6 @@ impl ProblemDetails<'_, '_> {
                 self.subject();
             }
         }
-        (self.lines, self.selected)
     }
 
     /// The boards, then the evidence, then the rest. Rows give way to the first pieces of evidence in
@@ -222,7 +235,8 @@ impl ProblemDetails<'_, '_> {
 
     /// Texts of the other findings of the problem.
     fn others(&mut self) {
-        if self.problem.findings.len() > 1 {
+        let mut others = self.problem.findings.iter().skip(1);
+        if others.any(|finding| finding.superseded_by.is_none()) {
             self.lines.push(Line::default());
         }
         for at in 1..self.problem.findings.len() {
@@ -254,7 +268,6 @@ impl ProblemDetails<'_, '_> {
             width: self.width,
         };
         self.lines.push(table.heading(brush));
-        let fits = self.lines.len() + 2 * pieces.len() <= self.height;
         let selected = self.piece.map(|piece| piece.min(pieces.len() - 1));
         for (at, piece) in pieces.iter().enumerate() {
             let is_selected = selected == Some(at);
@@ -262,7 +275,7 @@ impl ProblemDetails<'_, '_> {
                 self.selected = Some(self.lines.len());
             }
             self.lines.push(table.line(brush, at, is_selected));
-            if fits || is_selected {
+            if self.is_expanded || is_selected {
                 self.lines.extend(table.frame_line(brush, piece));
             }
         }

@@ -199,6 +199,8 @@ fn boards_with_different_names_are_named_in_the_headline() {
     snapshot!("conflict_names_120x40", stage.size(120, 40));
     let screen = stage.screen();
     assert!(screen.contains("one board answers as ACT, the other as PUMP"), "{screen}");
+    // After bus-off both begin at other times, and are told apart no more.
+    assert!(row(&stage, "heartbeat").contains("unclear since 12:00:3"), "{screen}");
     compare_with_past(&scenario, 40.0, 35.0);
 }
 
@@ -214,7 +216,7 @@ fn missing_device_has_its_reasons_and_leads_to_its_row() {
     {
         assert!(screen.contains(words), "{words}\n{screen}");
     }
-    stage.keys("Enter");
+    stage.size(80, 24).keys("Enter");
     assert!(stage.screen().contains("▸○   44 PUMP"), "{}", stage.screen());
 }
 

@@ -1,6 +1,7 @@
 //! Screen tests: keys and simulated buses as input, screens as output; one module for each page.
 
 mod alarm;
+mod ascii;
 mod bus;
 mod buses;
 mod comparison;

@@ -104,7 +104,7 @@ fn moment_of_a_log_has_its_place_and_pace() {
     let mut stage = boiler();
     stage.until(40.0).size(120, 36);
     let play = |stage: &mut Stage, is_paused: bool, speed: f64| {
-        let playback = Playback { speed, is_paused, is_ended: false };
+        let playback = Playback { speed, is_paused, is_ended: false, ..Playback::default() };
         stage.app.handle_playback(stage.app.now(), playback);
     };
     play(&mut stage, false, 2.0);

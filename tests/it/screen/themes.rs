@@ -1,8 +1,8 @@
 //! Themes: painted backgrounds, the selected row.
 
-use super::text_snapshot;
+use super::{snapshot, text_snapshot};
 use crate::common::harness::Stage;
-use descan::app::RowState;
+use descan::app::{Effect, RowState};
 use descan::theme::BUILT_IN;
 use ratatui::style::Color;
 use std::collections::BTreeSet;
@@ -86,4 +86,33 @@ fn styles_of_painted_themes_match_snapshots() {
     }
     stage.keys("Space");
     text_snapshot!("styles_frozen_dark", super::styles_of(&stage.buffer("dark")));
+}
+
+#[test]
+fn picker_shows_themes_live_and_keeps_one_on_enter() {
+    let mut stage = Stage::boiler();
+    stage.until(20.0);
+    let used = |stage: &mut Stage| {
+        let effects = std::mem::take(&mut stage.effects);
+        effects
+            .into_iter()
+            .filter(|it| matches!(it, Effect::UseTheme(_) | Effect::KeepTheme(_)))
+            .collect::<Vec<_>>()
+    };
+    snapshot!("theme_picker_80x24", stage.keys("t"));
+    assert!(stage.screen().contains("FEED"), "the page stays: {}", stage.screen());
+    assert_eq!(used(&mut stage), [], "the current one is selected");
+    stage.keys("Down Down");
+    let (dark, light) = (Effect::UseTheme("dark".into()), Effect::UseTheme("light".into()));
+    assert_eq!(used(&mut stage), [dark, light]);
+    stage.keys("Esc");
+    assert_eq!(used(&mut stage), [Effect::UseTheme("terminal".into())], "as before");
+    stage.keys("t Down Enter");
+    let kept = [Effect::UseTheme("dark".into()), Effect::KeepTheme("dark".into())];
+    assert_eq!(used(&mut stage), kept);
+    let now = stage.app.now();
+    stage.app.handle_kept_theme(now, Ok(()));
+    assert!(stage.screen().contains("theme dark kept in config.toml"), "{}", stage.screen());
+    stage.app.handle_kept_theme(now, Err("disk full".into()));
+    assert!(stage.screen().contains("theme not kept: disk full"), "{}", stage.screen());
 }

@@ -1,0 +1,65 @@
+//! ASCII forms of all signs, for terminals that have no other characters. Each takes one cell, as the
+//! sign does, so no layout changes; a character without a form, as in a name, is `?`.
+
+use ratatui::buffer::Buffer;
+
+/// First pattern of braille dots, and behind the last one.
+const BRAILLE: std::ops::Range<u32> = 0x2800..0x2900;
+
+/// Bars of a chart by the number of eighths or dots that are filled, at most 8.
+const LEVELS: [&str; 9] = [" ", ".", ".", ":", ":", "=", "=", "#", "#"];
+
+/// Replaces all characters beyond ASCII in a drawn screen.
+pub fn replace(buffer: &mut Buffer) {
+    for cell in &mut buffer.content {
+        if !cell.symbol().is_ascii() {
+            let form = form_of(cell.symbol());
+            cell.set_symbol(form);
+        }
+    }
+}
+
+/// Returns the ASCII form of a sign.
+fn form_of(symbol: &str) -> &'static str {
+    let Some(c) = symbol.chars().next() else { return " " };
+    match c {
+        '●' => "*",
+        '○' | '◇' => "o",
+        '◐' | '◑' => "%",
+        '◌' => ":",
+        '◒' => "z",
+        '◆' => "#",
+        '⚠' => "!",
+        '✓' => "v",
+        '✗' | '×' => "x",
+        '≠' => "#",
+        '≈' => "~",
+        '…' => "~",
+        '·' | '•' => ".",
+        '–' | '—' | '−' | '─' | '━' | '╌' | '═' => "-",
+        '│' | '┃' | '┊' | '╷' | '╵' | '▏' | '▎' | '▍' => "|",
+        '┌' | '┐' | '└' | '┘' | '├' | '┤' | '┬' | '┴' | '┼' => "+",
+        '▸' | '→' | '›' => ">",
+        '◂' | '←' | '‹' => "<",
+        '▼' => "V",
+        '↓' | '⌄' => "v",
+        '▲' | '↑' => "^",
+        '↻' => "@",
+        '▒' | '▓' => "#",
+        '░' => ":",
+        '▌' | '▋' | '▊' | '▉' => "=",
+        '▁'..='█' => LEVELS[(u32::from(c) - u32::from('▁') + 1) as usize],
+        '²' => "2",
+        '³' => "3",
+        '¹' => "1",
+        '±' => "+",
+        'µ' | 'μ' => "u",
+        'Δ' => "d",
+        '§' => "$",
+        '⋮' => ":",
+        _ if BRAILLE.contains(&u32::from(c)) => {
+            LEVELS[((u32::from(c) - BRAILLE.start).count_ones() as usize).min(8)]
+        }
+        _ => "?",
+    }
+}
