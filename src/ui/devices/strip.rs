@@ -48,8 +48,12 @@ pub fn jitter_text(jitter: Duration) -> String {
         format!("±{millis:.0} ms")
     } else if millis < 9950.0 {
         format!("±{:.1} s", millis / 1000.0)
-    } else {
+    } else if millis < 99_500.0 {
         format!("±{:.0} s", millis / 1000.0)
+    } else if millis < 99.0 * 60_000.0 {
+        format!("±{:.0}min", millis / 60_000.0)
+    } else {
+        "±>99 m".to_owned()
     }
 }
 
