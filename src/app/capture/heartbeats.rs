@@ -39,13 +39,13 @@ pub struct CapturedHeartbeats<'a> {
 
 impl Traffic {
     /// Heartbeats of an address with frame numbers before `end`, newest first.
-    pub fn heartbeats<'a>(
-        &'a self,
+    pub fn heartbeats(
+        &self,
         profile: Arc<Profile>,
         bus: BusIndex,
         address: Address,
         end: u64,
-    ) -> CapturedHeartbeats<'a> {
+    ) -> CapturedHeartbeats<'_> {
         let service = profile.heartbeat_service();
         let mut walk = CapturedHeartbeats { traffic: self, profile, heads: Vec::new() };
         for flags in 0..32_u8 {
