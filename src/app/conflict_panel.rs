@@ -13,6 +13,7 @@ use crate::text::Escaped;
 use crate::time::{Duration, Instant};
 use crate::wire::id::{Address, Header};
 use crate::wire::node::{Mode, Uid};
+use std::fmt::Write;
 
 /// Most boards that have columns: the newest ones.
 pub const MAX_COLUMNS: usize = 3;
@@ -111,7 +112,7 @@ impl App {
             panel.rows.push(("heartbeat", beats));
             panel.rows.push(("mode", column(&|at| self.mode_text(&panel, at, is_wide))));
         }
-        panel.rows.push(("services", self.services_texts(&panel, &devices, is_wide)));
+        panel.rows.push(("services", services_texts(&panel, &devices, is_wide)));
         if self.has_shown_file() {
             panel.rows.push(("des.json", self.entry_texts(bus, &panel, &devices, is_wide)));
         }
@@ -215,10 +216,8 @@ impl App {
             && self.traffic.capture.first() > 0;
         let before = if is_older { "before " } else { "" };
         let place = if at > 0 { format!(", {}", ordinal(at)) } else { String::new() };
-        let claim = match side.has_claimed {
-            true if wide => format!(", claimed {address} in ARSLV"),
-            _ => String::new(),
-        };
+        let is_told = side.has_claimed && wide;
+        let claim = if is_told { format!(", claimed {address} in ARSLV") } else { String::new() };
         format!("{before}{time}{place}{claim}")
     }
 
@@ -260,7 +259,7 @@ impl App {
             // Of three boards the columns are narrow.
             let has_room = wide || panel.sides.sides.len() < MAX_COLUMNS || at == 0;
             if let Some(phase) = self.phase_in_second(sides, at).filter(|_| has_room) {
-                text.push_str(&format!(", at .{phase:03}"));
+                let _ = write!(text, ", at .{phase:03}");
             }
             if !wide && at > 0 {
                 let first = &sides.sides[0];
@@ -271,7 +270,7 @@ impl App {
                 };
                 if let Some(later) = later {
                     let colon = if has_room { ":" } else { "," };
-                    text.push_str(&format!("{colon} {later} ms later"));
+                    let _ = write!(text, "{colon} {later} ms later");
                 }
             }
             parts.push(text);
@@ -315,46 +314,6 @@ impl App {
             ([(since, mode)], _) => format!("{mode} since {}", clock_millis(self, *since)),
             ([.., (since, _)], chain) => format!("{chain} {}", clock_millis(self, *since)),
         }
-    }
-
-    /// Lists of services. Responses do not show which of the boards sent them.
-    fn services_texts(
-        &self,
-        panel: &ConflictPanel,
-        devices: &[&Device],
-        wide: bool,
-    ) -> Vec<String> {
-        let count = panel.titles.len();
-        if let [device] = devices {
-            let Some(own) = &device.services else { return vec!["not read".to_owned()] };
-            let own = services_text(own, wide);
-            if count != 2 || panel.first > 0 {
-                let more = match device.other_services.len() {
-                    0 => String::new(),
-                    1 => "; another list".to_owned(),
-                    more => format!("; {more} other lists"),
-                };
-                return vec![format!("{own}{more}")];
-            }
-            let other = match &device.other_services[..] {
-                [] if device.has_colliding_services() => "not read: responses collide".to_owned(),
-                [] => "no other list received".to_owned(),
-                [other] => services_text(other, wide),
-                all => format!("{} other lists", all.len()),
-            };
-            let is_one_of_two = device.services_are_shared && !device.other_services.is_empty();
-            let unsure = if is_one_of_two { "? " } else { "" };
-            return vec![format!("{unsure}{own}"), format!("{unsure}{other}")];
-        }
-        let lists = devices.iter().map(|device| {
-            let name =
-                device.name.as_ref().map_or("?".to_owned(), |name| name.quoted().to_string());
-            let services = device.services.as_ref();
-            let list = services.map_or("not read".to_owned(), |list| services_text(list, false));
-            format!("{name} {list}")
-        });
-        let lists: Vec<String> = lists.collect();
-        vec![if lists.is_empty() { "–".to_owned() } else { lists.join("; ") }]
     }
 
     /// Entries of des.json: one with a UID is of that board, another one of the first.
@@ -573,4 +532,38 @@ fn services_text(services: &[DeviceService], wide: bool) -> String {
     let (common, own): (Vec<_>, Vec<_>) = services.iter().partition(is_common);
     let names: Vec<String> = own.into_iter().chain(common).map(text).collect();
     format!("{}: {}", services.len(), names.join(", "))
+}
+
+/// Lists of services. Responses do not show which of the boards sent them.
+fn services_texts(panel: &ConflictPanel, devices: &[&Device], wide: bool) -> Vec<String> {
+    let count = panel.titles.len();
+    if let [device] = devices {
+        let Some(own) = &device.services else { return vec!["not read".to_owned()] };
+        let own = services_text(own, wide);
+        if count != 2 || panel.first > 0 {
+            let more = match device.other_services.len() {
+                0 => String::new(),
+                1 => "; another list".to_owned(),
+                more => format!("; {more} other lists"),
+            };
+            return vec![format!("{own}{more}")];
+        }
+        let other = match &device.other_services[..] {
+            [] if device.has_colliding_services() => "not read: responses collide".to_owned(),
+            [] => "no other list received".to_owned(),
+            [other] => services_text(other, wide),
+            all => format!("{} other lists", all.len()),
+        };
+        let is_one_of_two = device.services_are_shared && !device.other_services.is_empty();
+        let unsure = if is_one_of_two { "? " } else { "" };
+        return vec![format!("{unsure}{own}"), format!("{unsure}{other}")];
+    }
+    let lists = devices.iter().map(|device| {
+        let name = device.name.as_ref().map_or("?".to_owned(), |name| name.quoted().to_string());
+        let services = device.services.as_ref();
+        let list = services.map_or("not read".to_owned(), |list| services_text(list, false));
+        format!("{name} {list}")
+    });
+    let lists: Vec<String> = lists.collect();
+    vec![if lists.is_empty() { "–".to_owned() } else { lists.join("; ") }]
 }

@@ -4,7 +4,7 @@
 //! moment. Does not know how the page is drawn.
 
 use super::App;
-use super::problems::{EvidenceItem, ProblemKey};
+use super::problems::{EvidenceItem, Problem, ProblemKey};
 use super::view::{Focus, Page, ProblemRoom, ProblemsView};
 
 impl App {
@@ -122,7 +122,7 @@ impl App {
     /// Shows more of the time on the axis of the selected conflict, or with 1 more detail.
     pub(super) fn zoom_conflict_axis(&mut self, by: isize) {
         let problem = self.selected_problem().filter(|_| self.view.page == Page::Problems);
-        let Some(key) = problem.filter(|it| it.is_address_conflict()).map(|it| it.key) else {
+        let Some(key) = problem.filter(Problem::is_address_conflict).map(|it| it.key) else {
             return self.show_error("zoom works on the conflict panel of Problems");
         };
         if self.view.conflict_axis.zoom(&key, by) {

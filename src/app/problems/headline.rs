@@ -149,47 +149,42 @@ impl App {
             let long = format!("{text} (since {since})");
             return Words { label, short: text, long: long.clone(), full: long };
         }
-        let named = names.first().map_or(String::new(), |name| format!(" as {name}"));
-        let label = format!("two boards{named}");
+        let answering = names.first().map_or(String::new(), |name| format!(" as {name}"));
+        let label = format!("two boards{answering}");
         if head.key.kind == FindingKind::AnswersDoubled {
             let verb = if head.state == FindingState::Cleared { "got" } else { "gets" };
             let short = format!("each request {verb} two responses{until}");
-            let long = format!("{short}: two boards{named}, or one that responds twice");
+            let long = format!("{short}: two boards{answering}, or one that responds twice");
             return Words { label, short, full: long.clone(), long };
         }
         let note = self.uid_note(problem);
         if head.key.kind == FindingKind::OneAddressTwoIdentities {
-            let text = format!("two boards{named}, one working, one not {note}{until}");
+            let text = format!("two boards{answering}, one working, one not {note}{until}");
             return Words::same(label, text);
         }
         if !head.excludes_one_device {
-            let short = format!("two boards{named} {note}, or one that sends twice{until}");
+            let short = format!("two boards{answering} {note}, or one that sends twice{until}");
             let long = format!("{short} (since {since})");
             return Words { label, short, full: long.clone(), long };
         }
         let verb = verb_of(head.state);
         let first = self.device_of_problem(problem).map(|device| device.first_seen);
-        match first.filter(|first| problem.first().since(*first) > self.together(problem)) {
-            Some(first) => {
-                let first = format_time_of_day(self, first);
-                Words {
-                    label,
-                    short: format!("a second board{named} {verb} the first {note}{until}"),
-                    long: format!(
-                        "a second board joined {note}, {verb} the one since {first}{until}"
-                    ),
-                    full: format!(
-                        "a second board joined {since} {note}, {verb} the one since {first}{until}"
-                    ),
-                }
+        let first = first.filter(|first| problem.first().since(*first) > self.together(problem));
+        if let Some(first) = first {
+            let first = format_time_of_day(self, first);
+            Words {
+                label,
+                short: format!("a second board{answering} {verb} the first {note}{until}"),
+                long: format!("a second board joined {note}, {verb} the one since {first}{until}"),
+                full: format!(
+                    "a second board joined {since} {note}, {verb} the one since {first}{until}"
+                ),
             }
-            None => {
-                let verb =
-                    verb.strip_suffix(" with").unwrap_or(verb).replace("conflicts", "conflict");
-                let short = format!("two boards{named} {verb} {note}{until}");
-                let long = format!("two boards{named} {verb} {note}, both since {since}{until}");
-                Words { label, short, full: long.clone(), long }
-            }
+        } else {
+            let verb = verb.strip_suffix(" with").unwrap_or(verb).replace("conflicts", "conflict");
+            let short = format!("two boards{answering} {verb} {note}{until}");
+            let long = format!("two boards{answering} {verb} {note}, both since {since}{until}");
+            Words { label, short, full: long.clone(), long }
         }
     }
 
@@ -234,19 +229,16 @@ impl App {
         let holder = self.device_of_problem(problem).and_then(|device| device.uid);
         let (stays, left): (Vec<&SeenUid>, Vec<&SeenUid>) =
             boards.iter().partition(|board| Some(board.uid) == holder);
-        match (&stays[..], &left[..]) {
-            ([stays], [_, ..]) => {
-                let stays = label_of(stays.label());
-                let left = and_list(left.iter().map(|board| label_of(board.label())).collect());
-                let label = format!("contested: {left} / {stays}");
-                let short = format!("contested, {left} gave way to {stays}");
-                let long = format!("{short} after {length}");
-                Words { label, short, full: long.clone(), long }
-            }
-            _ => {
-                let text = format!("contested, one board gave way after {length}");
-                Words::same("contested".to_owned(), text)
-            }
+        if let ([stays], [_, ..]) = (&stays[..], &left[..]) {
+            let stays = label_of(stays.label());
+            let left = and_list(left.iter().map(|board| label_of(board.label())).collect());
+            let label = format!("contested: {left} / {stays}");
+            let short = format!("contested, {left} gave way to {stays}");
+            let long = format!("{short} after {length}");
+            Words { label, short, full: long.clone(), long }
+        } else {
+            let text = format!("contested, one board gave way after {length}");
+            Words::same("contested".to_owned(), text)
         }
     }
 
@@ -266,7 +258,7 @@ impl App {
     }
 
     fn missing_words(&self, problem: &Problem) -> Words {
-        let name = self.name_of(problem);
+        let name = name_of(problem);
         let file = self.file().name();
         let at = problem.head().key.address.map_or(String::new(), |at| format!(" at {at}"));
         let entry = self.shown_problems().entry_of(&problem.head().key);
@@ -362,12 +354,7 @@ impl App {
 
     fn device_label_of(&self, problem: &Problem) -> String {
         let device = self.device_of_problem(problem);
-        device.map_or_else(|| self.name_of(problem), |device| self.device_label(device))
-    }
-
-    fn name_of(&self, problem: &Problem) -> String {
-        let name = problem.head().key.name.as_ref();
-        name.map_or("a device".to_owned(), |name| name.quoted().to_string())
+        device.map_or_else(|| name_of(problem), |device| self.device_label(device))
     }
 
     /// Address of the entry that a problem is about.
@@ -440,8 +427,9 @@ fn one_uid_words(problem: &Problem) -> Words {
 fn sentence_words(problem: &Problem) -> Words {
     let head = problem.head();
     if head.position.is_some() && head.key.fault.is_some() {
-        let names: String = head.names.iter().map(|name| format!("{}  ", name.quoted())).collect();
-        let short = format!("{names}{}", problem.headline());
+        let names = head.names.iter().map(|name| name.quoted().to_string());
+        let parts: Vec<String> = names.chain([problem.headline().into_owned()]).collect();
+        let short = parts.join("  ");
         let full = head.text.strip_suffix('.').unwrap_or(&head.text).to_owned();
         return Words { label: problem.title(), long: short.clone(), short, full };
     }
@@ -450,4 +438,9 @@ fn sentence_words(problem: &Problem) -> Words {
         text => text.to_owned(),
     };
     Words { label: problem.title(), ..Words::same(String::new(), text) }
+}
+
+fn name_of(problem: &Problem) -> String {
+    let name = problem.head().key.name.as_ref();
+    name.map_or("a device".to_owned(), |name| name.quoted().to_string())
 }

@@ -163,7 +163,6 @@ fn reading(text: &mut String, problem: &Problem) {
     );
     let has =
         |kinds: &[FindingKind]| problem.findings.iter().any(|it| kinds.contains(&it.key.kind));
-    use FindingKind as K;
     if problem.is_address_conflict() {
         let _ = writeln!(
             text,
@@ -173,7 +172,11 @@ fn reading(text: &mut String, problem: &Problem) {
              own SRC from a node in a working mode (§3.2.4.4)."
         );
     }
-    if has(&[K::OneAddressTwoIdentities, K::OneUidTwoAddresses, K::TwoDebugDevices]) {
+    if has(&[
+        FindingKind::OneAddressTwoIdentities,
+        FindingKind::OneUidTwoAddresses,
+        FindingKind::TwoDebugDevices,
+    ]) {
         let _ = writeln!(
             text,
             "- A node sends its heartbeat, MSG_SRV_HR, once a period, BUS_CFG_HR_TIME. It carries \
@@ -182,7 +185,11 @@ fn reading(text: &mut String, problem: &Problem) {
              replaced does not come back."
         );
     }
-    if has(&[K::SameNameSameAddress, K::AnswersDoubled, K::OneAddressTwoNames]) {
+    if has(&[
+        FindingKind::SameNameSameAddress,
+        FindingKind::AnswersDoubled,
+        FindingKind::OneAddressTwoNames,
+    ]) {
         let _ = writeln!(
             text,
             "- A name request (data 44 45 53 01) to one address is answered once, with 01, the name and \

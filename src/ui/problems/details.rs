@@ -7,7 +7,7 @@
 use super::super::brush::{DrawContext, fit, labelled};
 use super::super::symbols;
 use super::boards::{self, BoardLines};
-use super::evidence::EvidenceTable;
+use super::evidence::{EvidenceTable, frame_line};
 use super::{roles, state_word};
 use crate::app::{Focus, Problem, clock_millis, format_duration, format_time_of_day};
 use crate::finding::FindingState;
@@ -110,21 +110,18 @@ impl ProblemDetails<'_, '_> {
     }
 
     fn build(&mut self) {
-        match boards::lines(self.brush, &self.problem, self.width) {
-            Some(boards) => self.conflict(boards),
-            None => {
-                self.state();
-                self.text();
-                self.remedy();
-                self.others();
-                let is_evidence = self.problem.has_evidence();
-                if is_evidence {
-                    self.lines.push(Line::default());
-                }
-                self.evidence(None);
-                self.subject();
-            }
+        if let Some(boards) = boards::lines(self.brush, &self.problem, self.width) {
+            return self.conflict(boards);
         }
+        self.state();
+        self.text();
+        self.remedy();
+        self.others();
+        if self.problem.has_evidence() {
+            self.lines.push(Line::default());
+        }
+        self.evidence(None);
+        self.subject();
     }
 
     /// The boards, then the evidence, then the rest. Rows give way to the first pieces of evidence in
@@ -276,7 +273,7 @@ impl ProblemDetails<'_, '_> {
             }
             self.lines.push(table.line(brush, at, is_selected));
             if self.is_expanded || is_selected {
-                self.lines.extend(table.frame_line(brush, piece));
+                self.lines.extend(frame_line(brush, piece));
             }
         }
     }

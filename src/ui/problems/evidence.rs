@@ -81,10 +81,13 @@ impl EvidenceTable<'_> {
         }
         title += &fit("WHAT IT SHOWS", self.what_width());
         if self.has_uid() {
-            title += &format!("{}{}", fit("MODE", MODE), fit("UID", UID));
+            title += &fit("MODE", MODE);
+            title += &fit("UID", UID);
         }
         if self.width >= WIDE {
-            title += &format!("{}{}{}", fit("NAME", NAME), fit("ID", ID), fit("DATA", DATA));
+            for (name, width) in [("NAME", NAME), ("ID", ID), ("DATA", DATA)] {
+                title += &fit(name, width);
+            }
         }
         let room = usize::from(self.width).saturating_sub(1);
         let start = cut(&title, room.saturating_sub(count.width() + 1)).to_owned();
@@ -139,15 +142,15 @@ impl EvidenceTable<'_> {
         }
         Line::from(spans)
     }
+}
 
-    /// Below a piece: its frame in words and as bytes.
-    pub fn frame_line(&self, brush: &DrawContext, piece: &EvidenceItem) -> Option<Line<'static>> {
-        let frame = piece.frame.as_ref()?;
-        Some(Line::from(vec![
-            brush.span(Role::Text, format!("   {}  ", in_words(brush, frame))),
-            brush.span(Role::Muted, frame.to_string()),
-        ]))
-    }
+/// Below a piece: its frame in words and as bytes.
+pub fn frame_line(brush: &DrawContext, piece: &EvidenceItem) -> Option<Line<'static>> {
+    let frame = piece.frame.as_ref()?;
+    Some(Line::from(vec![
+        brush.span(Role::Text, format!("   {}  ", in_words(brush, frame))),
+        brush.span(Role::Muted, frame.to_string()),
+    ]))
 }
 
 fn cells_of(brush: &DrawContext, frame: &Frame) -> FrameCells {

@@ -82,7 +82,9 @@ fn draw_list(brush: &mut DrawContext) {
         let mut title =
             format!("   {place} {}{problem}{}", fit("SINCE", SINCE), fit_right("LENGTH", LENGTH));
         if list.width >= WIDE {
-            title += &format!("  {}{}", fit("SURE", SURE - 2), fit_right("EVIDENCE", EVIDENCE));
+            title += "  ";
+            title += &fit("SURE", SURE - 2);
+            title += &fit_right("EVIDENCE", EVIDENCE);
         }
         title
     };

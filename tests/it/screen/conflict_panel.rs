@@ -2,7 +2,6 @@
 
 use super::{snapshot, text_snapshot};
 use crate::common::harness::{Stage, text_of};
-use crate::common::hostile;
 use descan::app::{Effect, Page, ProblemKey};
 use descan::discovery::Config;
 use descan::frame::{BusIndex, CanId, Frame};
@@ -298,7 +297,7 @@ fn axis_moves_and_zooms_in_the_focused_details() {
 #[test]
 fn missed_heartbeats_are_marked_on_the_axis() {
     let mut lost = board("ACT", "one", uid("ONE"), 0.0);
-    lost.heartbeat = Some(Duration::from_millis(1000));
+    lost.heartbeat = Some(Duration::from_secs(1));
     let boards = [lost, board("ACT", "two", uid("TWO"), 12.3)];
     let mut stage = stage(&scenario(&boards));
     let now = |stage: &Stage| stage.app.now();
