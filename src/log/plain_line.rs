@@ -1,7 +1,8 @@
 //! The usual line of candump's log text, `(1436509052.249713) can0 02015402#0444455301`, in one pass.
 //!
 //! Input: text that begins with a line. Output: the line's frame and length; nothing for any other
-//! line, which [`super::candump::parse_line`] reads. What both read, they read alike. Does not know moments or bus numbers.
+//! line, which [`super::candump::parse_line`] reads. What both read, they read alike.
+//! Does not know moments or bus numbers.
 
 use super::candump::MAX_LINE;
 use crate::frame::{CanId, Frame};

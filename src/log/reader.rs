@@ -222,8 +222,8 @@ impl<R: Read> LogReader<BufReader<R>> {
         None
     }
 
-    /// Appends the next frames that are buffered as a whole, until there are `most`, or an entry follows that is
-    /// another one than a frame of the usual form: [`Self::next_buffered`] reads that one.
+    /// Appends the next frames that are buffered as a whole, until there are `most`, or an entry
+    /// follows that is another one than a frame of the usual form: [`Self::next_buffered`] reads that one.
     pub fn take_buffered(&mut self, frames: &mut Vec<Frame>, most: usize) {
         let Some(decoder) = &mut self.decoder else { return };
         if self.head.is_empty() && self.summary.foreign.is_none() {

@@ -117,8 +117,8 @@ impl LogSummary {
         })
     }
 
-    /// Counts a frame of an interface that was named before, and returns it with bus and moment. `None`, without counting, for another
-    /// interface.
+    /// Counts a frame of an interface that was named before, and returns it with bus and moment.
+    /// `None`, without counting, for another interface.
     #[inline]
     pub(super) fn take_plain(
         &mut self,

@@ -13,7 +13,8 @@ use crate::wire::id::{Address, Service};
 use serde::Serialize;
 
 /// Unix times in microseconds of which the shortest decimal number that is read as the same
-/// floating-point number has these six digits, without zeros at the end: from 1 s on, as before there is an exponent, and
+/// floating-point number has these six digits, without zeros at the end: from 1 s on, as before there
+/// is an exponent, and
 /// below 2³² s, where neighbouring numbers are less than 0.5 µs apart.
 const EXACT_MICROS: std::ops::Range<u64> = 1_000_000..(1 << 32) * 1_000_000;
 
