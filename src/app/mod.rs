@@ -29,6 +29,7 @@ mod actions;
 mod alarm;
 mod app_event;
 mod bitrate;
+mod bus_choice;
 mod buses;
 mod capture;
 mod clock;
@@ -61,6 +62,7 @@ mod view;
 
 pub use alarm::Alarm;
 pub use app_event::{AppEvent, BusSnapshot, DeviceEvent, EventContext, EventLine, FileSnapshot};
+pub use bus_choice::{BusChoice, BusOffer, ChoiceOutcome, OfferKind};
 pub use buses::{
     AddressHolder, AddressNames, Bus, Buses, ErrorKinds, LoadHistory, LoadMeter, LoadSample,
     LoadSecond, LoadShares, Redundancy, RedundantDevice, ShareCounts, TxBlocked,
