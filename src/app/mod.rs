@@ -31,6 +31,7 @@ mod app_event;
 mod beat_strip;
 mod bitrate;
 mod boards;
+mod bus_choice;
 mod buses;
 mod capture;
 mod clock;
@@ -78,6 +79,7 @@ mod view;
 pub use alarm::Alarm;
 pub use app_event::{AppEvent, BusSnapshot, DeviceEvent, EventContext, EventLine, FileSnapshot};
 pub use beat_strip::{Beat, BeatKind, BeatStats};
+pub use bus_choice::{BusChoice, BusOffer, ChoiceOutcome, OfferKind};
 pub use buses::{
     AddressHolder, AddressNames, Bus, Buses, ErrorKinds, LoadHistory, LoadMeter, LoadSample,
     LoadSecond, LoadShares, Redundancy, RedundantDevice, ShareCounts, TxBlocked,

@@ -3,14 +3,14 @@
 use super::open::{self, Setup};
 use super::report::counted;
 use super::{EXIT_INTERRUPTED, EXIT_OK, EXIT_UNUSABLE, Failure, headless, output};
-use crate::app::AppOptions;
-use crate::bus::{BusSpec, Clock};
+use crate::app::{AppOptions, BusChoice, COLOURLESS_THEME, ChoiceOutcome};
+use crate::bus::{self, BusSpec, Clock};
 use crate::cli::{CommonArgs, ScreenArgs, SessionArgs as Arguments};
 use crate::regular_file::shown;
 use crate::shell::config::ConfigFolder;
 use crate::shell::session::Session;
 use crate::shell::tui_loop::{self, ThemeLoader, TuiExit};
-use crate::shell::{recovery, stop, terminal};
+use crate::shell::{bus_picker, recovery, stop, terminal};
 use anyhow::Context;
 use std::future::poll_fn;
 use std::io::IsTerminal;
@@ -27,6 +27,16 @@ const SAVE_TIMEOUT: Duration = Duration::from_millis(600);
 
 /// `descan [BUS…]`.
 pub fn ui(arguments: &Arguments, speed: Option<f64>, screen: &ScreenArgs) -> Result<u8, Failure> {
+    let has_terminal = std::io::stdout().is_terminal() && std::io::stdin().is_terminal();
+    if arguments.buses.is_empty() && has_terminal {
+        let interfaces = bus::interfaces();
+        let mut up = interfaces.iter().filter(|interface| interface.up);
+        let (Some(only), None) = (up.next(), up.next()) else {
+            return choose(arguments, speed, screen);
+        };
+        let setup = Setup::new(&arguments.common)?;
+        return open_and_show(&[BusSpec::SocketCan(only.name.clone())], setup, speed, screen);
+    }
     let buses = open::buses(arguments);
     if arguments.buses.is_empty() {
         needs_terminal()?;
@@ -34,10 +44,50 @@ pub fn ui(arguments: &Arguments, speed: Option<f64>, screen: &ScreenArgs) -> Res
     // A mistyped command is reported before the missing terminal.
     let buses = buses?;
     needs_terminal()?;
-    open::check_speed(speed, &buses)?;
     let setup = Setup::new(&arguments.common)?;
-    let clock = open::clock(&buses, speed.unwrap_or(1.0))?;
-    show(&buses, &setup, clock, screen)
+    open_and_show(&buses, setup, speed, screen)
+}
+
+/// Shows the list of buses, then those that the user chooses.
+fn choose(arguments: &Arguments, speed: Option<f64>, screen: &ScreenArgs) -> Result<u8, Failure> {
+    let mut setup = Setup::new(&arguments.common)?;
+    let reason = match bus::interfaces().len() {
+        0 => "no CAN interface found",
+        _ => "not exactly one CAN interface is up",
+    };
+    let choice = BusChoice::new(reason, bus_picker::offers());
+    let wanted = screen.theme.as_deref().or(setup.theme.as_deref()).unwrap_or(usual_theme());
+    let themes = ThemeLoader::new(setup.folder.clone(), wanted)
+        .or_else(|_| ThemeLoader::new(None, usual_theme()))
+        .map_err(Failure::Usage)?;
+    let signs = setup.signs.unwrap_or_else(terminal::signs);
+    terminal::restore_on_panic();
+    let runtime = headless::runtime()?;
+    let chosen = runtime.block_on(bus_picker::choose(choice, &themes.current, signs));
+    runtime.shutdown_background();
+    let Some(ChoiceOutcome::Open { buses, listen_only }) = chosen.context("the terminal")? else {
+        return Ok(EXIT_OK);
+    };
+    let parse = |bus: &String| bus.parse().map_err(Failure::from);
+    let buses = buses.iter().map(parse).collect::<Result<Vec<BusSpec>, Failure>>()?;
+    setup.config.listen_only |= listen_only;
+    open_and_show(&buses, setup, speed, screen)
+}
+
+fn open_and_show(
+    buses: &[BusSpec],
+    setup: Setup,
+    speed: Option<f64>,
+    screen: &ScreenArgs,
+) -> Result<u8, Failure> {
+    open::check_speed(speed, buses)?;
+    for bus in buses {
+        if let BusSpec::File(path) = bus {
+            bus_picker::remember_log(path);
+        }
+    }
+    let clock = open::clock(buses, speed.unwrap_or(1.0))?;
+    show(buses, &setup, clock, screen)
 }
 
 /// `descan demo`: a simulated bus, and a des.json of its own in a temporary folder.
@@ -81,6 +131,12 @@ fn needs_terminal() -> Result<(), Failure> {
     Err(Failure::Usage(message.to_owned()))
 }
 
+/// Name of the theme, unless one is given.
+fn usual_theme() -> &'static str {
+    let colourless = std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
+    if colourless { COLOURLESS_THEME } else { "terminal" }
+}
+
 /// Shows the buses.
 fn show(
     buses: &[BusSpec],
@@ -88,8 +144,7 @@ fn show(
     clock: Clock,
     screen: &ScreenArgs,
 ) -> Result<u8, Failure> {
-    let colourless = std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
-    let usual = if colourless { "mono" } else { "terminal" };
+    let usual = usual_theme();
     let theme = screen.theme.as_deref();
     let mut wanted = theme.or(setup.theme.as_deref()).unwrap_or(usual);
     let mut warnings = setup.warnings.clone();

@@ -252,6 +252,7 @@ impl<R: BufRead> Iterator for LogReader<R> {
 
 #[cfg(test)]
 mod tests {
+    use crate::log::LogEntry;
     use super::*;
     use crate::frame::CanId;
     use crate::log::EntryFault;

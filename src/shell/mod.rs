@@ -15,6 +15,7 @@
 //! Knows tokio, threads, clocks and the file system, so that nothing above has to.
 
 pub mod bitrate_search;
+pub mod bus_picker;
 pub mod config;
 pub mod file_watcher;
 pub mod log_input;

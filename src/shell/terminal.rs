@@ -75,6 +75,12 @@ impl Terminal {
         Write::flush(self.screen.backend_mut())
     }
 
+    /// Draws a screen that is not the app's.
+    pub fn draw_frame(&mut self, draw: impl FnOnce(&mut ratatui::Frame)) -> io::Result<()> {
+        self.screen.draw(draw)?;
+        Write::flush(self.screen.backend_mut())
+    }
+
     /// Sets the title of the window, where it changed.
     pub fn set_title(&mut self, title: String) -> io::Result<()> {
         if self.title == title || !has_title() {

@@ -129,7 +129,7 @@ async fn run_on_terminal(session: &mut Session, themes: &mut ThemeLoader) -> io:
 
 /// Returns the next input event, `None` once the terminal is closed: crossterm would then read
 /// end of file in an endless loop.
-async fn next_event(input: &mut EventStream) -> Option<io::Result<Event>> {
+pub(super) async fn next_event(input: &mut EventStream) -> Option<io::Result<Event>> {
     poll_fn(
         |context| {
             if terminal::is_lost() { Poll::Ready(None) } else { input.poll_next_unpin(context) }
@@ -168,7 +168,7 @@ fn handle_input(session: &mut Session, event: &Event) {
     }
 }
 
-fn key_of(event: KeyEvent) -> Option<Key> {
+pub(super) fn key_of(event: KeyEvent) -> Option<Key> {
     let code = match event.code {
         event::KeyCode::Char(c) => KeyCode::Char(c),
         event::KeyCode::Enter => KeyCode::Enter,
@@ -329,13 +329,13 @@ fn colours() -> Colours {
     }
 }
 
-enum TuiWake {
+pub(super) enum TuiWake {
     Terminate,
     Hangup,
     Stop,
 }
 
-struct Signals {
+pub(super) struct Signals {
     terminate: Signal,
     interrupt: Signal,
     hangup: Signal,
@@ -345,7 +345,7 @@ struct Signals {
 }
 
 impl Signals {
-    fn new() -> io::Result<Self> {
+    pub(super) fn new() -> io::Result<Self> {
         Ok(Self {
             terminate: signal(SignalKind::terminate())?,
             interrupt: signal(SignalKind::interrupt())?,
@@ -355,7 +355,7 @@ impl Signals {
         })
     }
 
-    async fn next(&mut self) -> TuiWake {
+    pub(super) async fn next(&mut self) -> TuiWake {
         tokio::select! {
             _ = self.terminate.recv() => TuiWake::Terminate,
             _ = self.interrupt.recv() => TuiWake::Terminate,

@@ -63,3 +63,22 @@ fn form_of(symbol: &str) -> &'static str {
         _ => "?",
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ui::SYMBOLS;
+
+    #[test]
+    fn every_sign_has_a_form_of_its_own() {
+        for (_, text, meaning) in SYMBOLS {
+            for c in text.chars().chain(meaning.chars()).filter(|c| !c.is_ascii()) {
+                assert_ne!(form_of(&c.to_string()), "?", "{c} in {text}");
+            }
+        }
+        for c in '▁'..='█' {
+            assert_ne!(form_of(&c.to_string()), "?", "{c}");
+        }
+        assert_eq!((form_of("⠀"), form_of("⣿"), form_of("温")), (" ", "#", "?"));
+    }
+}

@@ -27,6 +27,7 @@ mod alarm;
 mod ascii;
 mod brush;
 mod bus;
+mod bus_choice;
 mod chart;
 mod comparison;
 mod conflict;
@@ -56,6 +57,7 @@ use brush::DrawContext;
 use ratatui::Frame;
 use ratatui::buffer::Buffer;
 
+pub use bus_choice::draw_choice;
 pub use symbols::SYMBOLS;
 
 /// Draws the whole screen. Returns the lines by which the scrolled text (details, help) is

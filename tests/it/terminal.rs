@@ -572,3 +572,24 @@ fn picked_theme_is_kept_and_faulty_one_is_listed() {
     let has = |needle: &[u8]| pty.bytes.windows(needle.len()).any(|it| it == needle);
     assert!(has(b"\x1b]2;descan ") && has(b"\x1b[23;2t"));
 }
+
+#[test]
+fn buses_are_offered_where_none_is_named_or_up() {
+    if descan::bus::interfaces().iter().filter(|it| it.up).count() == 1 {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let mut pty = Pty::start(&[], folder.path(), SMALL);
+    pty.wait_for("descan: which bus?");
+    pty.wait_for("sim:boiler");
+    // The last line but one.
+    pty.send("\x1b[Fk\r");
+    pty.wait_for("FEED");
+    pty.send("q");
+    assert_eq!(pty.wait(), 0);
+    let mut pty = Pty::start(&[], folder.path(), SMALL);
+    pty.wait_for("descan: which bus?");
+    pty.send("q");
+    assert_eq!(pty.wait(), 0);
+    pty.assert_given_back();
+}

@@ -87,7 +87,7 @@ fn search_keeps_the_lines_with_all_words() {
     stage.keys("Ctrl-u").text("q").keys("Enter");
     assert!(stage.screen().contains("Quit; confirms"), "{}", stage.screen());
     stage.keys("Esc");
-    assert!(stage.screen().contains("Details"), "all lines again: {}", stage.screen());
+    assert!(stage.screen().contains("Sort by next column"), "all lines again: {}", stage.screen());
     stage.keys("/").text("zzzz");
     assert!(stage.screen().contains("no line has these words"), "{}", stage.screen());
     stage.keys("Esc Esc");
