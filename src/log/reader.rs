@@ -252,10 +252,10 @@ impl<R: BufRead> Iterator for LogReader<R> {
 
 #[cfg(test)]
 mod tests {
-    use crate::log::LogEntry;
     use super::*;
     use crate::frame::CanId;
     use crate::log::EntryFault;
+    use crate::log::LogEntry;
     use crate::log::candump::LineFault;
 
     const LOG: &str = "\

@@ -256,7 +256,7 @@ fn keys_lead_from_a_device_and_back() {
     stage.keys("l");
     assert_eq!(page(&stage), Page::Timeline);
     assert_eq!(stage.app.page_filter(Page::Timeline).text(), "at:14");
-    assert!(stage.app.lines_shown().len() > 4, "{}", stage.screen());
+    assert!(stage.app.lines_shown().len() >= 2, "{}", stage.screen());
     stage.keys("Backspace p");
     assert_eq!(page(&stage), Page::Problems);
     stage.keys("Backspace");

@@ -110,7 +110,7 @@ fn moment_of_a_log_has_its_place_and_pace() {
     play(&mut stage, false, 2.0);
     assert!(rule(&stage).contains("12:00:40 PLAY ×2"), "{}", rule(&stage));
     let footer = stage.screen().lines().last().unwrap().to_owned();
-    let keys = " Space pause  ? help  ( ) pace  < > frame  [ ] event  { } problem  : time";
+    let keys = " Space pause  ? help  ( ) pace  < > frame  [ ] event  { } problem  g time";
     assert!(footer.starts_with(keys), "{footer}");
     play(&mut stage, true, 2.0);
     assert!(rule(&stage).contains("12:00:40 PAUSED"), "{}", rule(&stage));
@@ -129,7 +129,7 @@ fn footer_of_a_past_moment_has_the_keys_along_time() {
     stage.until(50.0);
     let keys = " Space live  ? help  ← → 0.6 s  Shift 5.6 s  < > frame  [ ] event  { } problem";
     assert!(footer(&stage).starts_with(keys), "{}", footer(&stage));
-    assert!(footer(&stage).contains(": time  M mark  d diff"), "{}", footer(&stage));
+    assert!(footer(&stage).contains("g time  M mark  d diff"), "{}", footer(&stage));
     stage.size(40, 10);
     assert!(footer(&stage).starts_with(" Space live  ? help  < > frame"), "{}", footer(&stage));
 }
