@@ -190,16 +190,11 @@ impl BusChoice {
 
     fn copy(&mut self) -> Option<ChoiceOutcome> {
         let command = self.offers.get(self.selected).and_then(|offer| offer.command.clone());
-        match command {
-            Some(command) => {
-                self.show(format!("copied: {command}"));
-                Some(ChoiceOutcome::Copy(command))
-            }
-            None => {
-                self.show("no command for this line");
-                None
-            }
-        }
+        self.show(match &command {
+            Some(command) => format!("copied: {command}"),
+            None => "no command for this line".to_owned(),
+        });
+        command.map(ChoiceOutcome::Copy)
     }
 
     /// The lines to open: those chosen, else the selected one.
@@ -279,6 +274,7 @@ mod tests {
         keys.split(' ').map(|key| choice.handle_key(Key::parse(key).unwrap())).last().flatten()
     }
 
+    #[allow(clippy::unnecessary_wraps)] // Compared with the result of a key.
     fn opens(buses: &[&str], listen_only: bool) -> Option<ChoiceOutcome> {
         let buses = buses.iter().map(|bus| (*bus).to_owned()).collect();
         Some(ChoiceOutcome::Open { buses, listen_only })

@@ -35,7 +35,7 @@ pub fn ui(arguments: &Arguments, speed: Option<f64>, screen: &ScreenArgs) -> Res
             return choose(arguments, speed, screen);
         };
         let setup = Setup::new(&arguments.common)?;
-        return open_and_show(&[BusSpec::SocketCan(only.name.clone())], setup, speed, screen);
+        return open_and_show(&[BusSpec::SocketCan(only.name.clone())], &setup, speed, screen);
     }
     let buses = open::buses(arguments);
     if arguments.buses.is_empty() {
@@ -45,7 +45,7 @@ pub fn ui(arguments: &Arguments, speed: Option<f64>, screen: &ScreenArgs) -> Res
     let buses = buses?;
     needs_terminal()?;
     let setup = Setup::new(&arguments.common)?;
-    open_and_show(&buses, setup, speed, screen)
+    open_and_show(&buses, &setup, speed, screen)
 }
 
 /// Shows the list of buses, then those that the user chooses.
@@ -71,12 +71,12 @@ fn choose(arguments: &Arguments, speed: Option<f64>, screen: &ScreenArgs) -> Res
     let parse = |bus: &String| bus.parse().map_err(Failure::from);
     let buses = buses.iter().map(parse).collect::<Result<Vec<BusSpec>, Failure>>()?;
     setup.config.listen_only |= listen_only;
-    open_and_show(&buses, setup, speed, screen)
+    open_and_show(&buses, &setup, speed, screen)
 }
 
 fn open_and_show(
     buses: &[BusSpec],
-    setup: Setup,
+    setup: &Setup,
     speed: Option<f64>,
     screen: &ScreenArgs,
 ) -> Result<u8, Failure> {
@@ -87,7 +87,7 @@ fn open_and_show(
         }
     }
     let clock = open::clock(buses, speed.unwrap_or(1.0))?;
-    show(buses, &setup, clock, screen)
+    show(buses, setup, clock, screen)
 }
 
 /// `descan demo`: a simulated bus, and a des.json of its own in a temporary folder.

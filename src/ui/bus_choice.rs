@@ -66,13 +66,13 @@ pub fn draw_choice(choice: &BusChoice, theme: &Theme, signs: Signs, frame: &mut 
         buffer.set_stringn(0, area.bottom() - 2, text, width, theme.style(Role::Muted));
     }
     let keys = " Space choose several  Enter open  e bit rate  y copy command  q quit";
-    let (role, text) = match choice.note() {
+    let (style_of, text) = match choice.note() {
         Some(note) => (Role::Warning, format!(" {note}")),
         None => (Role::Muted, keys.to_owned()),
     };
     if area.height > 1 {
         let text = fit(&text, width);
-        buffer.set_stringn(0, area.bottom() - 1, text, width, theme.style(role));
+        buffer.set_stringn(0, area.bottom() - 1, text, width, theme.style(style_of));
     }
     if signs == Signs::Ascii {
         ascii::replace(buffer);

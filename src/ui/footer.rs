@@ -325,7 +325,7 @@ fn hint_line(brush: &DrawContext, mode: KeyMode, width: usize) -> Vec<Span<'stat
     let mut all = pairs;
     if !all.is_empty() {
         // The help is the way to all other keys.
-        all.insert(1, first.iter().filter_map(|action| hint(brush, *action)).next());
+        all.insert(1, first.iter().find_map(|action| hint(brush, *action)));
     }
     all.extend(actions.iter().map(|action| hint(brush, *action)));
     if is_frozen {

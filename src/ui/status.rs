@@ -132,25 +132,22 @@ fn moment_parts(brush: &DrawContext) -> Parts {
     let Some(moment) = app.past_moment() else { return Vec::new() };
     let columns = brush.screen.whole.width;
     let mut text = format!("FROZEN {}", clock_millis(app, moment.time));
-    match app.playback() {
-        Some(playback) => {
-            let _ = write!(text, " · log {}", log_time(moment.time));
-            if columns >= NARROW {
-                let read = if playback.is_ended { "" } else { " read" };
-                let _ = write!(text, " of {}{read}", log_time(app.now()));
-            }
-            if columns >= WIDE && !playback.is_ended {
-                let key = app.key_of(Action::Freeze);
-                let _ = write!(text, " · {key} plays · {}", pace(playback.speed));
-            } else if columns >= WIDE {
-                let _ = write!(text, " · LIVE with {}", app.key_of(Action::Cancel));
-            }
+    if let Some(playback) = app.playback() {
+        let _ = write!(text, " · log {}", log_time(moment.time));
+        if columns >= NARROW {
+            let read = if playback.is_ended { "" } else { " read" };
+            let _ = write!(text, " of {}{read}", log_time(app.now()));
         }
-        None => {
-            let _ = write!(text, " · {} ago", format_duration(app.now().since(moment.time)));
-            if columns >= WIDE {
-                let _ = write!(text, " · LIVE with {}", app.key_of(Action::Cancel));
-            }
+        if columns >= WIDE && !playback.is_ended {
+            let key = app.key_of(Action::Freeze);
+            let _ = write!(text, " · {key} plays · {}", pace(playback.speed));
+        } else if columns >= WIDE {
+            let _ = write!(text, " · LIVE with {}", app.key_of(Action::Cancel));
+        }
+    } else {
+        let _ = write!(text, " · {} ago", format_duration(app.now().since(moment.time)));
+        if columns >= WIDE {
+            let _ = write!(text, " · LIVE with {}", app.key_of(Action::Cancel));
         }
     }
     let mut parts = vec![Part::new(KEPT, vec![brush.span(Role::Frozen, text)])];

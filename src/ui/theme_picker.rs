@@ -33,7 +33,7 @@ pub fn draw(brush: &mut DrawContext, selected: usize) {
     let first = (selected + 1).saturating_sub(rows);
     for (row, (name, fault)) in themes.into_iter().skip(first).take(rows).enumerate() {
         let is_selected = row + first == selected;
-        let (role, note) = match fault {
+        let (look, note) = match fault {
             Some(fault) => (Role::Error, format!("✗ {fault}")),
             None if name == COLOURLESS_THEME => (Role::Muted, "that of NO_COLOR".to_owned()),
             None => (Role::Muted, String::new()),
@@ -42,7 +42,7 @@ pub fn draw(brush: &mut DrawContext, selected: usize) {
         let line = Line::from(vec![
             brush.span(Role::BorderFocus, "│"),
             brush.span(Role::Text, format!("{sign}{} ", fit(name, 14))),
-            brush.span(role, fit(&note, inside.saturating_sub(17))),
+            brush.span(look, fit(&note, inside.saturating_sub(17))),
             brush.span(Role::BorderFocus, "│"),
         ]);
         let row = row as u16 + 1;

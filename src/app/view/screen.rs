@@ -261,7 +261,7 @@ mod tests {
                         [(Focus::List, false), (Focus::Details, false), (Focus::List, true)]
                     {
                         let size = (columns, rows);
-                        let view = View { page, focus, size, has_alarm, ..View::default() };
+                        let view = View { page, focus, has_alarm, size, ..View::default() };
                         let screen = Screen::new(&view, 2);
                         let parts = [
                             screen.status,
