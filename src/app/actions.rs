@@ -81,8 +81,9 @@ impl App {
             Action::HelpSearch => self.type_help_search(),
             Action::HelpPage => self.next_help_page(),
             Action::HelpClose => self.close_help(),
-            Action::Cancel | Action::MarksClose => self.cancel(),
-            Action::FiltersClose | Action::KindsClose => self.cancel(),
+            Action::Cancel | Action::MarksClose | Action::FiltersClose | Action::KindsClose => {
+                self.cancel();
+            }
             Action::Rescan => self.rescan(),
             Action::ClearLost => self.remove_lost_devices(),
             Action::Identify => self.ask_identify(),

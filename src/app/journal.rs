@@ -93,7 +93,7 @@ impl InputJournal {
         if since >= MANY_FRAMES {
             write_varint(&mut self.bytes, since);
         }
-        let step = time.as_micros().cast_signed().wrapping_sub(self.end.time.as_micros() as i64);
+        let step = time.as_micros().wrapping_sub(self.end.time.as_micros()).cast_signed();
         // The sign as the lowest bit.
         write_varint(&mut self.bytes, (step << 1 ^ step >> 63).cast_unsigned());
         if kind == 3 {

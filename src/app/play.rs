@@ -159,7 +159,7 @@ impl App {
     // ---- reading a log ahead ---------------------------------------------------------------
 
     /// Last moment that can be gone to: the present, or the end of a log.
-    pub(super) fn last_moment(&self) -> Instant {
+    pub fn last_moment(&self) -> Instant {
         let end = self.clock.playback().filter(|it| !it.is_ended).and_then(|it| it.end);
         end.map_or(self.clock.now(), |end| end.max(self.clock.now()))
     }

@@ -30,7 +30,9 @@ mod tests {
     fn numbers_are_read_as_they_were_written() {
         let numbers = [0, 1, 127, 128, 300, u64::from(u32::MAX), u64::MAX];
         let mut bytes = Vec::new();
-        numbers.iter().for_each(|number| write_varint(&mut bytes, *number));
+        for number in numbers {
+            write_varint(&mut bytes, number);
+        }
         assert_eq!(bytes.len(), 1 + 1 + 1 + 2 + 2 + 5 + 10);
         let mut left = bytes.iter().copied();
         let read: Vec<u64> = std::iter::from_fn(|| read_varint(&mut left)).collect();

@@ -21,7 +21,7 @@ const THREE_COLUMNS: u16 = 160;
 const GAP: u16 = 2;
 
 /// A section: its heading, and its entries with their lines.
-struct Section {
+struct HelpSection {
     title: String,
     entries: Vec<Vec<Line<'static>>>,
 }
@@ -96,7 +96,7 @@ fn has_words(entry: &[Line], words: &[String]) -> bool {
 }
 
 /// The lines of a section with the words, which are marked, below its heading.
-fn found_lines(brush: &DrawContext, section: Section, words: &[String]) -> Vec<Line<'static>> {
+fn found_lines(brush: &DrawContext, section: HelpSection, words: &[String]) -> Vec<Line<'static>> {
     let entries = section.entries.into_iter().filter(|entry| has_words(entry, words));
     let lines: Vec<Line> = entries.flatten().map(|line| marked(brush, line, words)).collect();
     if lines.is_empty() {
@@ -140,10 +140,10 @@ fn marked(brush: &DrawContext, line: Line<'static>, words: &[String]) -> Line<'s
 }
 
 /// All sections: the keys of the page, those of all pages, signs, filter, capture, counters.
-fn sections(brush: &DrawContext, width: u16) -> Vec<Section> {
+fn sections(brush: &DrawContext, width: u16) -> Vec<HelpSection> {
     let page = brush.app.help().page;
     let own = keys_of(page);
-    let mut sections = vec![Section {
+    let mut sections = vec![HelpSection {
         title: page.title().to_owned(),
         entries: own.iter().map(|it| action_lines(brush, it.info(), width)).collect(),
     }];
@@ -152,7 +152,7 @@ fn sections(brush: &DrawContext, width: u16) -> Vec<Section> {
         |group: &ActionGroup| *group != ActionGroup::Log || brush.app.playback().is_some();
     for group in ActionGroup::ALL.into_iter().filter(is_used) {
         let others = ACTIONS.iter().filter(|it| it.group == group && !own.contains(&it.action));
-        sections.push(Section {
+        sections.push(HelpSection {
             title: group.title().to_owned(),
             entries: others.map(|action| action_lines(brush, action, width)).collect(),
         });
@@ -160,8 +160,10 @@ fn sections(brush: &DrawContext, width: u16) -> Vec<Section> {
     let sign = |&(role, sign, meaning): &(Role, &str, &str)| {
         two_columns(brush, (role, sign), 18, meaning, width)
     };
-    sections
-        .push(Section { title: "Signs".to_owned(), entries: SYMBOLS.iter().map(sign).collect() });
+    sections.push(HelpSection {
+        title: "Signs".to_owned(),
+        entries: SYMBOLS.iter().map(sign).collect(),
+    });
     sections.push(filter_section(brush, width));
     sections.push(capture(brush, width));
     sections.extend(counters(brush, width));
@@ -218,7 +220,7 @@ fn action_lines(brush: &DrawContext, action: &ActionInfo, width: u16) -> Vec<Lin
 }
 
 /// Filter terms.
-fn filter_section(brush: &DrawContext, width: u16) -> Section {
+fn filter_section(brush: &DrawContext, width: u16) -> HelpSection {
     let fields = FILTER_FIELDS.iter().map(|field| {
         let words: Vec<String> = field.words.iter().map(|word| format!("{word}:")).collect();
         (words.join(" "), field.doc)
@@ -228,11 +230,11 @@ fn filter_section(brush: &DrawContext, width: u16) -> Section {
     let terms = std::iter::once(any).chain(fields).chain(words);
     let entry =
         |(term, doc): (String, &str)| two_columns(brush, (Role::HintKey, &term), 18, doc, width);
-    Section { title: "Filter".to_owned(), entries: terms.map(entry).collect() }
+    HelpSection { title: "Filter".to_owned(), entries: terms.map(entry).collect() }
 }
 
 /// The captured frames: since when, and how long they are kept at the present load.
-fn capture(brush: &DrawContext, width: u16) -> Section {
+fn capture(brush: &DrawContext, width: u16) -> HelpSection {
     let (app, capture) = (brush.app, brush.app.capture());
     let mut entries = Vec::new();
     let stored = capture.end() - capture.first();
@@ -252,7 +254,7 @@ fn capture(brush: &DrawContext, width: u16) -> Section {
         let left = format!("{name:<12}{value:>11}");
         entries.push(two_columns(brush, (Role::Text, &left), 24, &meaning, width));
     }
-    Section { title: "Capture".to_owned(), entries }
+    HelpSection { title: "Capture".to_owned(), entries }
 }
 
 /// Approximate size of a waiting frame in the kernel's receive buffer, in bytes.
@@ -260,7 +262,7 @@ const KERNEL_BYTES_PER_FRAME: u32 = 800;
 
 /// The counters of each bus and the size of the kernel's receive buffer. All places where frames
 /// can be lost are listed, also while their counters are 0.
-fn counters(brush: &DrawContext, width: u16) -> Vec<Section> {
+fn counters(brush: &DrawContext, width: u16) -> Vec<HelpSection> {
     let mut sections = Vec::new();
     for bus in brush.app.buses() {
         let (engine, status) = (bus.counters(), &bus.status);
@@ -299,7 +301,7 @@ fn counters(brush: &DrawContext, width: u16) -> Vec<Section> {
             entries.push(parts.map(line).collect());
         }
         let name = crate::text::Escaped(bus.name.as_bytes());
-        sections.push(Section { title: format!("Counters of {name}"), entries });
+        sections.push(HelpSection { title: format!("Counters of {name}"), entries });
     }
     sections
 }

@@ -3,7 +3,7 @@
 //! without devices and frames nothing is drawn, and only `LIVE` is shown, never a clock that stands.
 
 use super::brush::DrawContext;
-use super::status::pace;
+use super::status::{pace, past_word};
 use crate::app::{Overlay, format_time_of_day};
 use crate::theme::Role;
 use ratatui::layout::Rect;
@@ -17,7 +17,7 @@ const RULE_WIDTH: u16 = 60;
 fn text(brush: &DrawContext) -> (Role, String) {
     let app = brush.app;
     let (role, word) = match app.playback() {
-        _ if app.past_moment().is_some() => (Role::Frozen, "FROZEN".to_owned()),
+        _ if app.past_moment().is_some() => (Role::Frozen, past_word(app)),
         None => (Role::Title, "LIVE".to_owned()),
         Some(playback) if playback.is_ended => (Role::Muted, "END".to_owned()),
         Some(playback) if playback.is_paused => (Role::Warning, "PAUSED".to_owned()),

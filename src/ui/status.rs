@@ -4,7 +4,7 @@
 
 use super::brush::{DrawContext, bus_label, fit, fit_right, short_name};
 use super::chart::chart_rows;
-use crate::app::{Bus, FileError, Overlay, TxBlocked, clock_millis, format_duration};
+use crate::app::{App, Bus, FileError, Overlay, TxBlocked, clock_millis, format_duration};
 use crate::discovery::OwnAddress;
 use crate::frame::BusIndex;
 use crate::keymap::Action;
@@ -131,18 +131,15 @@ fn moment_parts(brush: &DrawContext) -> Parts {
     let app = brush.app;
     let Some(moment) = app.past_moment() else { return Vec::new() };
     let columns = brush.screen.whole.width;
-    let mut text = format!("FROZEN {}", clock_millis(app, moment.time));
-    if let Some(playback) = app.playback() {
+    let mut text = format!("{} {}", past_word(app), clock_millis(app, moment.time));
+    if app.playback().is_some() {
         let _ = write!(text, " · log {}", log_time(moment.time));
         if columns >= NARROW {
-            let read = if playback.is_ended { "" } else { " read" };
-            let _ = write!(text, " of {}{read}", log_time(app.now()));
+            let _ = write!(text, " of {}", log_time(app.last_moment()));
         }
-        if columns >= WIDE && !playback.is_ended {
-            let key = app.key_of(Action::Freeze);
-            let _ = write!(text, " · {key} plays · {}", pace(playback.speed));
-        } else if columns >= WIDE {
-            let _ = write!(text, " · LIVE with {}", app.key_of(Action::Cancel));
+        if columns >= WIDE {
+            let does = if app.play_pace().is_some() { "stops" } else { "plays" };
+            let _ = write!(text, " · {} {does}", app.key_of(Action::Freeze));
         }
     } else {
         let _ = write!(text, " · {} ago", format_duration(app.now().since(moment.time)));
@@ -168,9 +165,18 @@ fn log_time(at: Instant) -> String {
     }
 }
 
-/// Returns the speed of a replay: `×2`, `×1/4`.
+/// Returns the word for a past moment: `FROZEN`, `PLAY ×2`, `PLAY ×-1/4`.
+pub fn past_word(app: &App) -> String {
+    match app.play_pace() {
+        Some(play) => format!("PLAY {}", pace(play.factor())),
+        None => "FROZEN".to_owned(),
+    }
+}
+
+/// Returns the speed of a replay, negative backwards: `×2`, `×1/4`, `×-1`.
 pub fn pace(speed: f64) -> String {
     match speed {
+        speed if speed < 0.0 => pace(-speed).replacen('×', "×-", 1),
         speed if speed < 0.995 => format!("×1/{:.0}", 1.0 / speed),
         speed => format!("×{speed}"),
     }

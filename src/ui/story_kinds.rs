@@ -83,10 +83,10 @@ pub fn draw(brush: &mut DrawContext, selected: usize) {
         return;
     }
     let (counts, hidden) = (brush.app.kind_counts(), brush.app.hidden_kinds());
-    let rule = Rect { height: 1, ..area };
-    brush.rule(rule, Role::BorderFocus);
+    let top = Rect { height: 1, ..area };
+    brush.rule(top, Role::BorderFocus);
     let title = Line::from(brush.span(Role::TabActive, " Kinds of lines "));
-    brush.line(Rect { x: rule.x + 1, width: width.saturating_sub(1), ..rule }, 0, &title);
+    brush.line(Rect { x: top.x + 1, width: width.saturating_sub(1), ..top }, 0, &title);
     let list = Rect { y: area.y + 1, height: height - 1, ..area };
     let lines = usize::from(list.height);
     let top_place = (selected + 1).saturating_sub(lines);
@@ -94,8 +94,8 @@ pub fn draw(brush: &mut DrawContext, selected: usize) {
         let is_selected = place == selected;
         let (tick, role) =
             if hidden.contains(kind) { ("·", Role::Muted) } else { ("✓", Role::Text) };
-        let count = counts[kind as usize];
-        let text = format!("{tick} {:9} {count:>5}  {}", kind.word(), kind.meaning());
+        let lines_of_kind = counts[kind as usize];
+        let text = format!("{tick} {:9} {lines_of_kind:>5}  {}", kind.word(), kind.meaning());
         let pointer = if is_selected { " ▸ " } else { "   " };
         let room = usize::from(width).saturating_sub(pointer.width());
         let line =

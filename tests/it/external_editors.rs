@@ -62,7 +62,7 @@ fn edits_of_vim_nano_and_git_are_merged() {
         assert_eq!(fs::read_to_string(&path).unwrap(), theirs, "{program}: {script}");
         valve += 1;
         // The input line is still open, and the change is shown behind it.
-        let row = format!("{valve}  VALVE");
+        let row = format!("{valve} VALVE");
         pty.wait_until(&row, |screen| screen.contents().contains(&row));
         let digit = valve % 10;
         pty.send(&format!("{digit}\r"));
@@ -99,7 +99,7 @@ fn two_descans_edit_one_file_without_loss() {
     let start = || {
         let mut pty = Pty::start(&["sim:boiler"], folder.path(), (120, 40));
         // The rows of entries stay where the devices are.
-        for device in ["10  FEED ", "12  SENS "] {
+        for device in ["10 FEED ", "12 SENS"] {
             pty.wait_until(device, |screen| {
                 let contents = screen.contents();
                 contents.lines().any(|line| line.contains(device) && line.contains("online"))

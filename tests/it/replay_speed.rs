@@ -58,8 +58,7 @@ fn log_started_early_is_shown_from_its_start() {
     OpenOptions::new().write(true).open(&pipe).unwrap();
     pty.wait_for(" can0  end of log");
     pty.send("3gg");
-    pty.wait_for("06:17:33 + can0   N9 @9        identified as N9");
-    pty.wait_for("06:17:33 + can0   N9 @9        1 service");
+    pty.wait_for(" can0     9 N9           appeared at 9, WORK, 1 service");
     let screen = pty.screen();
     assert!(!screen.contains("suspected"), "{screen}");
     pty.send("q");

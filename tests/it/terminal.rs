@@ -445,7 +445,7 @@ fn log_is_paused_stepped_and_resumed_by_keys() {
     pty.wait_for("can7  log 1:40:0");
     pty.wait_for("20 ?");
     pty.send("?");
-    pty.wait_for("Help");
+    pty.wait_for("Keys of");
     pty.send("q");
     pty.wait_for("1 Devices");
     pty.send("q");
@@ -510,7 +510,7 @@ fn full_speed_log_leaves_keys_and_signals_working() {
         // Each address has several names: the frames are handled.
         pty.wait_for("4 Problems 1");
         pty.send("3");
-        pty.wait_for("SOURCE");
+        pty.wait_for("WHO");
         pty.send("4");
         pty.wait_for("PROBLEM");
         match way {

@@ -176,7 +176,9 @@ impl FrameBlock {
             }
         }
         let mut bytes = Vec::with_capacity(links.len() * 2);
-        links.iter().for_each(|link| write_varint(&mut bytes, u64::from(*link)));
+        for link in links {
+            write_varint(&mut bytes, u64::from(link));
+        }
         bytes.into()
     }
 

@@ -39,11 +39,11 @@ impl fmt::Display for Plain<'_> {
 
 /// A table that is built row by row.
 #[derive(Debug)]
-pub struct Table {
+pub struct MarkdownTable {
     text: String,
 }
 
-impl Table {
+impl MarkdownTable {
     /// Begins a table with these headings.
     pub fn new(headings: &[&str]) -> Self {
         let mut table = Self { text: String::new() };
@@ -96,7 +96,7 @@ mod tests {
 
     #[test]
     fn cell_cannot_end_its_row() {
-        let mut table = Table::new(&["A", "B"]);
+        let mut table = MarkdownTable::new(&["A", "B"]);
         table.row(&["1\n| x |", "\\|"]);
         assert_eq!(table.finish(), "| A | B |\n|---|---|\n| 1 \\| x \\| | \\\\\\| |\n");
     }

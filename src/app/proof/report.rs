@@ -2,7 +2,7 @@
 //! it, with the rules of the protocol, and how it was measured.
 
 use super::frames::ProofFrames;
-use super::markdown::{Plain, Table};
+use super::markdown::{MarkdownTable, Plain};
 use crate::app::problems::{Problem, SideBasis, length_text};
 use crate::app::{App, Decoded, EvidenceItem, side_letter};
 use crate::finding::{FindingKind, FindingState};
@@ -70,7 +70,7 @@ fn boards(text: &mut String, app: &App, problem: &Problem) {
     if panel.titles.is_empty() {
         headings.push("boards");
     }
-    let mut table = Table::new(&headings);
+    let mut table = MarkdownTable::new(&headings);
     for (label, cells) in &panel.rows {
         let mut row = vec![(*label).to_owned()];
         row.extend(cells.iter().cloned());
@@ -106,7 +106,7 @@ fn evidence(text: &mut String, app: &App, problem: &Problem, proof: &ProofFrames
     let sides = app.conflict_sides(problem);
     let headings =
         ["no.", "time", "board", "what it shows", "identifier", "fields", "data", "meaning"];
-    let mut table = Table::new(&headings);
+    let mut table = MarkdownTable::new(&headings);
     for (at, piece) in proof.pieces.iter().enumerate() {
         let side = piece.frame.zip(sides.as_ref());
         let side = side.and_then(|(frame, sides)| app.side_of_frame(sides, &frame));
@@ -206,7 +206,7 @@ fn reading(text: &mut String, problem: &Problem) {
 
 fn setup(text: &mut String, app: &App, problem: &Problem, proof: &ProofFrames) {
     let _ = writeln!(text, "## How it was measured\n");
-    let mut table = Table::new(&["", ""]);
+    let mut table = MarkdownTable::new(&["", ""]);
     table.row(&["program", concat!("descan ", env!("CARGO_PKG_VERSION"))]);
     let buses = app.buses();
     let own = problem.bus().and_then(|bus| app.bus(bus));

@@ -22,17 +22,17 @@ const PART: usize = 1 << 16;
 
 /// A position in a log, and its place in the file.
 #[derive(Debug)]
-struct LogPlace {
+struct IndexedPlace {
     position: LogPosition,
     offset: u64,
 }
 
 /// What is known of a log so far.
 #[derive(Debug)]
-struct Places {
+struct IndexedLog {
     log: Arc<File>,
     /// By position.
-    places: Vec<LogPlace>,
+    places: Vec<IndexedPlace>,
     spacing: u64,
     /// Number of frames that were read.
     end: u64,
@@ -43,15 +43,15 @@ struct Places {
 pub(super) struct LogIndex {
     /// Bus of the first interface of the log.
     bus: BusIndex,
-    places: Arc<Mutex<Places>>,
+    places: Arc<Mutex<IndexedLog>>,
 }
 
 impl LogIndex {
     /// Returns the index of a log of which nothing was read.
     pub fn new(log: File, bus: BusIndex, start: LogPosition) -> Self {
-        let start = LogPlace { position: start, offset: 0 };
+        let start = IndexedPlace { position: start, offset: 0 };
         let (log, places) = (Arc::new(log), vec![start]);
-        let places = Places { log, places, spacing: SPACING, end: 0 };
+        let places = IndexedLog { log, places, spacing: SPACING, end: 0 };
         Self { bus, places: Arc::new(Mutex::new(places)) }
     }
 
@@ -63,7 +63,7 @@ impl LogIndex {
             return;
         }
         let (position, offset) = position();
-        places.places.push(LogPlace { position, offset });
+        places.places.push(IndexedPlace { position, offset });
         if places.places.len() > MAX_PLACES {
             places.thin_out();
         }
@@ -74,7 +74,7 @@ impl LogIndex {
         let mut places = self.places();
         places.end = position.frames();
         places.log = Arc::new(log);
-        places.places = vec![LogPlace { position, offset: 0 }];
+        places.places = vec![IndexedPlace { position, offset: 0 }];
     }
 
     /// Time of the last frame in the file, counted from the start of the log; `None` if the end of the
@@ -89,12 +89,12 @@ impl LogIndex {
     }
 
     // A panic of another thread leaves nothing half-done in here, so its poison is ignored.
-    fn places(&self) -> MutexGuard<'_, Places> {
+    fn places(&self) -> MutexGuard<'_, IndexedLog> {
         self.places.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-impl Places {
+impl IndexedLog {
     fn first(&self) -> u64 {
         self.places.first().map_or(self.end, |first| first.position.frames())
     }
@@ -131,10 +131,7 @@ impl FrameSource for LogIndex {
         };
         for number in first..numbers.end {
             // The last line of a file may have no end.
-            let frame = match reader.next_frame()? {
-                Some(frame) => frame,
-                None => return Ok(()),
-            };
+            let Some(frame) = reader.next_frame()? else { return Ok(()) };
             if number >= numbers.start {
                 take(frame.with_bus(BusIndex(self.bus.0.saturating_add(frame.bus.0))));
             }

@@ -55,7 +55,7 @@ fn short_alarm_is_shown_on_narrow_and_low_screens() {
     assert_eq!(line, " ⚠ 14: SPARE01 / BOILER03");
     assert!(stage.screen().starts_with(" can0 "), "{}", stage.screen());
     // In the place of the status, with its counts.
-    assert_eq!(alarm_line(stage.size(40, 8)), " ⚠ 14: SPARE01 / BOILER03      ●9 ○1 ⚠4");
+    assert_eq!(alarm_line(stage.size(40, 8)), " ⚠ 14: SPARE01 / BOILER03     ●10 ○1 ⚠4");
     stage.keys("Space");
     assert!(stage.screen().contains("FROZEN 12:00:45"), "{}", stage.screen());
     assert!(alarm_line(&stage).starts_with(" ⚠ 14: SPARE01 / BOILER03"), "{}", stage.screen());

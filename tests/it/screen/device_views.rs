@@ -14,7 +14,7 @@ use descan::wire::profile::Profile;
 use ratatui::buffer::Cell;
 
 /// Returns a heartbeat in WORK of the device at an address.
-fn heartbeat(millis: u64, address: u8, uid: &[u8; 6]) -> Frame {
+fn heartbeat(millis: u64, address: u8, uid: [u8; 6]) -> Frame {
     let service = Profile::default().heartbeat_service();
     let node = Address::new(address).unwrap();
     let id = Header::unsolicited(node, (millis % 127) as u8, false, service).encode();
@@ -29,7 +29,7 @@ fn with_heartbeats(times: &[u64]) -> Stage {
     let mut stage = Stage::new(&Scenario::new(125_000), None);
     for &millis in times {
         stage.until(millis as f64 / 1000.0);
-        let frame = heartbeat(millis, 10, b"UID-10");
+        let frame = heartbeat(millis, 10, *b"UID-10");
         stage.app.handle_frames(stage.app.now(), &[frame]);
     }
     stage
@@ -362,7 +362,7 @@ fn many_devices_with_blank_uids_are_drawn() {
             let millis = second * 1000 + u64::from(address);
             stage.until(millis as f64 / 1000.0);
             let uid = if address % 2 == 0 { &[0; 6] } else { &[0xFF; 6] };
-            stage.app.handle_frames(stage.app.now(), &[heartbeat(millis, address, uid)]);
+            stage.app.handle_frames(stage.app.now(), &[heartbeat(millis, address, *uid)]);
         }
     }
     stage.until(5.2).size(120, 40);

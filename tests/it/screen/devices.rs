@@ -100,7 +100,7 @@ fn sort_key_cycles_through_the_columns() {
         ("by severity", ["ACT", "ACT", "IGNITER"]),
         ("by mode", ["NEW", "FEED", "SENS"]),
         ("shortest heartbeat period first", ["FEED", "SENS", "SENS"]),
-        ("largest jitter first", ["DIN", "GSM-MODEM", "NEW"]),
+        ("largest jitter first", ["DIN", "DISP", "GSM-MODEM"]),
         ("most missed heartbeats first", ["FEED", "SENS", "SENS"]),
         ("changed versions first", ["FEED", "SENS", "SENS"]),
         ("by difference from the file", ["IGNITER", "FEED", "DISP"]),

@@ -80,7 +80,7 @@ fn search_keeps_the_lines_with_all_words() {
         let style = |cell: &&ratatui::buffer::Cell| {
             cell.modifier.contains(ratatui::style::Modifier::UNDERLINED)
         };
-        buffer.content().iter().filter(style).map(|cell| cell.symbol()).collect::<String>()
+        buffer.content().iter().filter(style).map(ratatui::buffer::Cell::symbol).collect::<String>()
     };
     assert_eq!(marked(&stage), "Freezeevent");
     // Keys of the help are typed meanwhile; afterwards they are keys again.

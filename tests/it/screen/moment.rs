@@ -81,7 +81,7 @@ fn escape_shows_the_present_before_the_filter_goes_off() {
     let mut stage = boiler();
     stage.until(30.0).keys("/").text("feed").keys("Enter Space Esc");
     assert!(stage.app.past_moment().is_none());
-    assert_eq!(stage.app.page_filter(Page::Devices).active().is_some(), true);
+    assert!(stage.app.page_filter(Page::Devices).active().is_some());
     stage.keys("Esc");
     assert!(stage.app.page_filter(Page::Devices).active().is_none());
 }
@@ -116,8 +116,8 @@ fn moment_of_a_log_has_its_place_and_pace() {
     assert!(rule(&stage).contains("12:00:40 PAUSED"), "{}", rule(&stage));
     stage.keys(":").text("12:00:20").keys("Enter").until(41.0);
     let line = first_line(&stage);
-    assert!(line.starts_with(" FROZEN 12:00:20.000 · log 0:20 of 0:41 read"), "{line}");
-    assert!(line.contains(" · Space plays · ×2  "), "{line}");
+    assert!(line.starts_with(" FROZEN 12:00:20.000 · log 0:20 of 0:41"), "{line}");
+    assert!(line.contains(" · Space plays  "), "{line}");
 }
 
 #[test]
