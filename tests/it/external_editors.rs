@@ -110,8 +110,8 @@ fn two_descans_edit_one_file_without_loss() {
     let (mut first, mut second) = (start(), start());
     // Both edit again and again, without waiting for each other.
     for address in 30..40 {
-        first.send(&format!("ge\x15{address}\r"));
-        second.send(&format!("gje\x15{}\r", address + 50));
+        first.send(&format!("gge\x15{address}\r"));
+        second.send(&format!("ggje\x15{}\r", address + 50));
     }
     let ours = FILE.replace(":9}", ":39,\"static\":true}");
     let both = ours.replace(":12}", ":89,\"static\":true}");

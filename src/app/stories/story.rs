@@ -155,7 +155,9 @@ impl Story {
         (entry.last, entry.times) = (entry.time, 1);
         let repeats = Vec::new();
         let mut step = StoryStep { number: self.count, entry, change, cycle, repeats };
-        if is_over && step.change.opens() {
+        // What is received with the end belongs to it, such as the reboot of a device that returns.
+        let is_later = self.steps.last().is_some_and(|last| last.entry.time < step.entry.time);
+        if is_over && is_later && step.change.opens() {
             step.cycle = cycle.saturating_add(1);
         }
         if self.steps.len() == Self::MAX_STEPS {

@@ -291,7 +291,11 @@ fn axis_moves_and_zooms_in_the_focused_details() {
     stage.keys("Esc");
     assert!(stage.app.past_moment().is_some());
     stage.keys("1 +");
-    assert!(stage.screen().contains("zoom works on the conflict panel"), "{}", stage.screen());
+    assert!(
+        stage.screen().contains("zoom works on the lanes and on a conflict"),
+        "{}",
+        stage.screen()
+    );
 }
 
 #[test]

@@ -361,8 +361,8 @@ fn many_devices_with_blank_uids_are_drawn() {
         for address in 1..=126_u8 {
             let millis = second * 1000 + u64::from(address);
             stage.until(millis as f64 / 1000.0);
-            let uid = if address % 2 == 0 { &[0; 6] } else { &[0xFF; 6] };
-            stage.app.handle_frames(stage.app.now(), &[heartbeat(millis, address, *uid)]);
+            let uid = if address % 2 == 0 { [0; 6] } else { [0xFF; 6] };
+            stage.app.handle_frames(stage.app.now(), &[heartbeat(millis, address, uid)]);
         }
     }
     stage.until(5.2).size(120, 40);
