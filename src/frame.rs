@@ -152,6 +152,7 @@ impl Frame {
 
     /// A classic data frame with the first `len` of eight bytes, at most 8; the others are 0. Copies no slice.
     #[inline]
+    #[cfg(feature = "std")]
     pub(crate) fn of_eight_bytes(
         id: CanId,
         data: [u8; Self::MAX_CLASSIC_DATA],
