@@ -4,7 +4,7 @@
 //! In real time, whatever the pace of a log. Capture, discovery and the file go on meanwhile. Does not
 //! know how a moment is replayed.
 
-use super::App;
+use super::{App, Effect};
 use crate::status::PlaybackCommand;
 use crate::time::{Duration, Instant};
 
@@ -83,10 +83,14 @@ impl App {
         self.clock.playback().is_some()
     }
 
-    /// Freezes the present moment; while a past one is shown, shows the present, stops playing, or
-    /// plays a log.
+    /// Freezes the present moment, or plays a paused log; while a past moment is shown, shows the
+    /// present, stops playing, or plays a log.
     pub(super) fn toggle_freeze(&mut self) {
-        if self.past.is_none() {
+        let is_paused = self.clock.playback().is_some_and(|it| it.is_paused && !it.is_ended);
+        if self.past.is_none() && is_paused && self.reading_ahead.is_none() {
+            self.is_log_held = false;
+            self.effects.push_back(Effect::Playback(PlaybackCommand::SetPaused(false)));
+        } else if self.past.is_none() {
             self.freeze();
         } else if self.play.is_some() {
             self.stop_playing();
@@ -122,6 +126,8 @@ impl App {
     fn play(&mut self, pace: PlayPace) {
         let from = self.shown_or_target().time;
         self.play = Some(Play::begin(pace, from, self.clock.real()));
+        // The keys of playing stand in the place of a message.
+        self.notices.clear_message();
         self.notices.redraw.set_dirty();
     }
 
@@ -177,7 +183,7 @@ impl App {
         }
         self.hold_log();
         self.reading_ahead = Some(to);
-        self.effects.push_back(crate::app::Effect::Playback(PlaybackCommand::ReadTo(to)));
+        self.effects.push_back(Effect::Playback(PlaybackCommand::ReadTo(to)));
         let at = super::format_time_of_day(self, to);
         self.show_info(format!("reading the log up to {at}; Esc stops"));
     }
@@ -198,7 +204,7 @@ impl App {
             return false;
         }
         let stop = PlaybackCommand::ReadTo(Instant::ZERO);
-        self.effects.push_back(crate::app::Effect::Playback(stop));
+        self.effects.push_back(Effect::Playback(stop));
         self.freeze();
         true
     }
@@ -209,7 +215,7 @@ impl App {
         if plays && !self.is_log_held {
             self.is_log_held = true;
             let pause = PlaybackCommand::SetPaused(true);
-            self.effects.push_back(crate::app::Effect::Playback(pause));
+            self.effects.push_back(Effect::Playback(pause));
         }
     }
 
@@ -217,7 +223,7 @@ impl App {
     pub(super) fn release_log(&mut self) {
         if std::mem::take(&mut self.is_log_held) {
             let resume = PlaybackCommand::SetPaused(false);
-            self.effects.push_back(crate::app::Effect::Playback(resume));
+            self.effects.push_back(Effect::Playback(resume));
         }
     }
 }

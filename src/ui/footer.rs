@@ -344,7 +344,11 @@ fn frozen_hints(brush: &DrawContext) -> Vec<Option<Hint>> {
     let cell = cell_text(bar.cell_duration());
     let far = cell_text(bar.cell_duration() * FAR_CELLS);
     let has_bar = !bar.cells.is_empty();
-    let live = if app.playback().is_some_and(|it| !it.is_ended) { "play" } else { "live" };
+    let live = match app.playback() {
+        _ if app.play_pace().is_some() => "stop",
+        Some(_) => "play",
+        None => "live",
+    };
     vec![
         one(brush, A::Freeze, live),
         pair(brush, A::Back, A::Into, &cell).filter(|_| has_bar),
@@ -352,6 +356,7 @@ fn frozen_hints(brush: &DrawContext) -> Vec<Option<Hint>> {
         pair(brush, A::PreviousFrame, A::NextFrame, "frame"),
         pair(brush, A::PreviousEvent, A::NextEvent, "event"),
         pair(brush, A::PreviousProblem, A::NextProblem, "problem"),
+        pair(brush, A::Slower, A::Faster, "play"),
         one(brush, A::GoTo, "time"),
         one(brush, A::Mark, "mark"),
         one(brush, A::Compare, "diff"),

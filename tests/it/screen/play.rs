@@ -83,6 +83,16 @@ fn log_is_paused_while_another_moment_is_shown() {
 }
 
 #[test]
+fn paused_log_is_played_by_space() {
+    let mut stage = log();
+    let playback = Playback { is_paused: true, ..Playback::default() };
+    stage.app.handle_playback(stage.app.now(), playback);
+    stage.keys("Space");
+    assert_eq!(effects(&mut stage), [PlaybackCommand::SetPaused(false)]);
+    assert_eq!(shown(&stage), None);
+}
+
+#[test]
 fn later_moment_of_a_log_is_read_ahead() {
     let mut stage = log();
     stage.keys(":").text("50%").keys("Enter");
