@@ -91,7 +91,7 @@ impl App {
         }
     }
 
-    /// Notes that the user has gone to a problem: its alarm is no longer filled.
+    /// Notes that the problem was opened: its alarm is no longer filled.
     pub(super) fn note_alarm_seen(&mut self, problem: &ProblemKey) {
         if let Some(alarm) = self.alarms.shown.as_mut().filter(|it| it.problem == *problem) {
             alarm.is_seen = true;

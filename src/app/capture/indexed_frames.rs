@@ -100,7 +100,7 @@ pub(super) struct IndexedSource {
 }
 
 impl IndexedSource {
-    /// Reads a block; `None` if the log is no longer what it was.
+    /// Reads a block; `None` if the log was changed since it was indexed.
     pub fn block(&self, wanted: &IndexedBlock) -> Option<Arc<FrameBlock>> {
         if wanted.first < self.unreadable.load(Ordering::Relaxed) {
             return None;
