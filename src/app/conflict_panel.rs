@@ -210,10 +210,12 @@ impl App {
         let Some(joined) = side.joined else { return "–".to_owned() };
         let time = clock_millis(self, joined);
         let oldest = panel.sides.beats().next().map(|(beat, _)| beat);
-        // Heartbeats before it are no longer captured.
+        // Heartbeats before it are no longer captured, or not looked for.
+        let capture = &self.traffic.capture;
+        let has_earlier = |number| capture.first() > 0 || capture.previous(number).is_some();
         let is_older = panel.sides.basis == SideBasis::Phases
-            && oldest.is_some_and(|oldest| oldest.time == joined && oldest.number > 0)
-            && self.traffic.capture.first() > 0;
+            && oldest
+                .is_some_and(|it| it.time == joined && it.number > 0 && has_earlier(it.number));
         let before = if is_older { "before " } else { "" };
         let place = if at > 0 { format!(", {}", ordinal(at)) } else { String::new() };
         let is_told = side.has_claimed && wide;

@@ -19,9 +19,9 @@ use std::sync::Arc;
 
 /// Room for captured frames, as a multiple of that for the past.
 pub const FRAMES_PER_ROOM: usize = 3;
-/// Snapshots of a full capture at first. Halved when they take too much room.
+/// Snapshots of a full capture. Those that others are near to are dropped when they take too much room.
 const SNAPSHOTS: usize = 64;
-/// Bounds of the work between two snapshots at first: about 10 ms of replay, and 3 % of it for the
+/// Bounds of the work between two snapshots: about 10 ms of replay, and 3 % of it for the
 /// copy.
 const SNAPSHOT_WORK: Range<usize> = 256..65_536;
 /// Work of an input in frames: what becomes due costs more than a frame.
@@ -34,6 +34,8 @@ const MIN_SNAPSHOTS: usize = 4;
 struct BusesSnapshot {
     frames: u64,
     place: JournalPlace,
+    /// Work of all frames and inputs before it.
+    work: u64,
     time: Instant,
     buses: Arc<Buses>,
     size: usize,
@@ -58,8 +60,10 @@ pub struct RecordedBuses {
     frames: u64,
     journal: InputJournal,
     snapshots: VecDeque<BusesSnapshot>,
-    /// Work since the last snapshot, and from one to the next.
+    /// Work of all frames and inputs, and of those before the last snapshot that was taken.
     work: u64,
+    last_work: u64,
+    /// Work from one snapshot to the next.
     snapshot_work: u64,
     /// Bytes that snapshots and inputs may take.
     room: usize,
@@ -84,6 +88,7 @@ impl RecordedBuses {
             journal: InputJournal::new(now),
             snapshots: VecDeque::new(),
             work: 0,
+            last_work: 0,
             snapshot_work: work.clamp(SNAPSHOT_WORK.start, SNAPSHOT_WORK.end) as u64,
             room,
         };
@@ -207,11 +212,16 @@ impl RecordedBuses {
 
     // ---- the past --------------------------------------------------------------------------
 
+    /// Gives snapshots and inputs more room, in bytes.
+    pub(super) fn add_room(&mut self, more: usize) {
+        self.room += more;
+    }
+
     /// Takes a snapshot, if it is time for one: call when all events are taken. Drops what is older
     /// than the captured frames. Of a log whose frames can be read again the first moment is kept as
     /// long as there is room.
     pub(super) fn keep_history(&mut self, now: Instant, store: &FrameStore) {
-        if self.work < self.snapshot_work || self.room == 0 {
+        if self.room == 0 || self.work < self.last_work + self.snapshot_work {
             return;
         }
         let (first, keeps_first) = (store.first(), store.has_source());
@@ -243,9 +253,10 @@ impl RecordedBuses {
     }
 
     fn take_snapshot(&mut self, time: Instant) {
-        self.work = 0;
+        self.last_work = self.work;
         self.snapshots.push_back(BusesSnapshot {
             frames: self.frames,
+            work: self.work,
             place: self.journal.end(),
             time,
             size: self.now.size(),
@@ -253,14 +264,13 @@ impl RecordedBuses {
         });
     }
 
-    /// Drops every other snapshot, but not the first one, and takes fewer from now on.
+    /// Drops the snapshot whose neighbours are nearest to each other.
     fn thin_out(&mut self) {
-        let mut is_kept = false;
-        self.snapshots.retain(|_| {
-            is_kept = !is_kept;
-            is_kept
-        });
-        self.snapshot_work = self.snapshot_work.saturating_mul(2);
+        if let Some(at) = most_redundant(self.snapshots.iter().map(|snapshot| snapshot.work)) {
+            self.snapshots.remove(at);
+        } else {
+            self.snapshots.pop_back();
+        }
     }
 
     /// Time since when every moment can be shown, with the captured frames `store`.
@@ -315,6 +325,14 @@ impl RecordedBuses {
             moment,
         })
     }
+}
+
+/// Returns which of these places, in order, has the nearest neighbours: without it the longest way from
+/// one to the next is the shortest. `None` of fewer than three.
+pub(super) fn most_redundant(places: impl Iterator<Item = u64>) -> Option<usize> {
+    let places: Vec<u64> = places.collect();
+    let between = places.windows(3).enumerate().map(|(at, it)| (it[2] - it[0], at + 1));
+    between.min().map(|(_, at)| at)
 }
 
 /// A replay of the buses up to a moment.

@@ -88,7 +88,8 @@ pub use capture::decoded::summary_of;
 pub use capture::{
     CallKey, CallPart, CallStats, Calls, CapturedHeartbeat, CapturedHeartbeats, CapturedLog,
     Decoded, FrameMeaning, FramePeriod, FrameRole, FrameStore, IdentifierKey, IdentifierKind,
-    IdentifierStats, Identifiers, Latency, NOTED_BYTES, StoredFrames, Transfer,
+    IdentifierStats, Identifiers, Latency, NOTED_BYTES, Statistics, StatisticsCount, StoredFrames,
+    Transfer,
 };
 pub use compared_moments::{ComparedMoment, ComparisonNote, ComparisonRow, MomentComparison};
 pub use conflict_panel::{BeatCell, BeatsOnAxis, ConflictPanel, MAX_COLUMNS, side_letter};
@@ -178,6 +179,8 @@ const AROUND_EVIDENCE: Duration = Duration::from_secs(1);
 
 /// Default of [`AppOptions::capture_room`].
 pub const DEFAULT_CAPTURE: usize = 64_000_000;
+/// Part of the room for the past that statistics of frames take.
+const STATISTICS_PART: usize = 4;
 
 /// Start parameters.
 #[derive(Clone, Debug, Default)]
@@ -367,6 +370,7 @@ impl App {
     pub fn new(now: Instant, options: AppOptions) -> Self {
         let room = options.capture_room.unwrap_or(DEFAULT_CAPTURE);
         let past_room = room / (FRAMES_PER_ROOM + 1);
+        let buses_room = past_room - past_room / STATISTICS_PART;
         let editor = FileEditor::new(options.file_path);
         let content = editor.file.content();
         let clock = AppClock::new(now, options.epoch, options.utc_offset_seconds);
@@ -375,11 +379,11 @@ impl App {
         event_filter.resolve(filter::WallClock { wall_start: clock.wall_start(), now: None });
         let mut app = Self {
             clock,
-            buses: RecordedBuses::new(now, Buses::new(now, options.buses), past_room),
+            buses: RecordedBuses::new(now, Buses::new(now, options.buses), buses_room),
             traffic: if options.without_capture {
                 Traffic::off()
             } else {
-                Traffic::new(room - past_room)
+                Traffic::new(room - past_room, past_room / STATISTICS_PART)
             },
             editor,
             problems: Problems::default(),
@@ -439,7 +443,9 @@ impl App {
     /// Sets the log that all frames come from: those that leave memory are read again from it when they
     /// are shown.
     pub fn set_frame_source(&mut self, source: Box<dyn FrameSource>) {
-        self.traffic.capture.set_source(source);
+        let spare = self.traffic.capture.set_source(source);
+        self.buses.add_room(spare / 3);
+        self.traffic.add_history_room(spare / 8);
     }
 
     // ---- handle_*: input -------------------------------------------------------------------
@@ -1032,8 +1038,8 @@ impl App {
 
     /// Statistics of the frames of each identifier.
     pub fn identifiers(&self) -> &Identifiers {
-        let past = self.past.as_ref().and_then(|past| past.identifiers.as_ref());
-        past.unwrap_or(&self.traffic.identifiers)
+        let past = self.past.as_ref().and_then(|past| past.statistics.as_ref());
+        past.map_or(&self.traffic.identifiers, |count| &count.statistics().identifiers)
     }
 
     /// State of the recording; `None` without one.
@@ -1060,8 +1066,15 @@ impl App {
 
     /// Statistics of calls.
     pub fn calls(&self) -> &Calls {
-        let past = self.past.as_ref().and_then(|past| past.calls.as_ref());
-        past.unwrap_or(&self.traffic.calls)
+        let past = self.past.as_ref().and_then(|past| past.statistics.as_ref());
+        past.map_or(&self.traffic.calls, |count| &count.statistics().calls)
+    }
+
+    /// Number of frames before the moment that is shown which the statistics lack: they are still
+    /// counted.
+    pub fn uncounted_frames(&self) -> u64 {
+        let past = self.past.as_ref().and_then(|past| past.statistics.as_ref());
+        past.map_or(0, StatisticsCount::left)
     }
 
     /// Rows of the view of calls that match the filter.
@@ -1291,9 +1304,7 @@ impl App {
         let is_idle = self.is_idle();
         let was_idle = std::mem::replace(&mut self.was_idle, is_idle);
         self.buses.tick(self.clock.now());
-        self.traffic.identifiers.tick();
-        let (now, buses) = (self.clock.now(), &self.buses);
-        self.traffic.calls.tick(now, |bus| buses.profile(bus).calls.timeout());
+        self.traffic.tick(self.clock.now(), &self.buses);
         // What made it idle is shown, too.
         if !was_idle {
             self.renew_time_bar();
@@ -1312,11 +1323,11 @@ impl App {
 
     /// Tests the next part of the frames by the filter, and counts the identifiers of a past moment.
     fn filter_frames(&mut self) {
-        self.count_past_identifiers();
+        let is_counted = self.count_past_frames();
         let was_due = self.filter_due.take().is_some();
         self.traffic.set_filter(self.filters.of(Page::Traffic).active());
         let buses = self.past.as_ref().map_or(&*self.buses, |past| &past.buses);
-        if !self.traffic.renew_filter(&mut self.view, buses) {
+        if !self.traffic.renew_filter(&mut self.view, buses) || !is_counted {
             self.filter_due = Some(self.clock.real() + FILTER_PAUSE);
         }
         if was_due {

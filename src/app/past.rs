@@ -3,7 +3,7 @@
 //! Capture, discovery and the file go on meanwhile. Buses, des.json, problems, traffic and timeline
 //! are those of the moment.
 
-use super::capture::{Calls, Identifiers};
+use super::capture::StatisticsCount;
 use super::file::FileContent;
 use super::history::{BusesReplay, Moment};
 use super::input::{MomentRange, MomentTarget};
@@ -17,6 +17,9 @@ use crate::time::Instant;
 /// Work of a replay in frames between which keys are handled: about 10 ms.
 pub(super) const REPLAY_PART: u64 = 50_000;
 
+/// Frames that are counted between keys: about 10 ms in memory.
+const COUNT_PART: u64 = 100_000;
+
 /// A past moment, as it was.
 #[derive(Debug)]
 pub(super) struct Past {
@@ -26,9 +29,7 @@ pub(super) struct Past {
     /// Content of des.json.
     pub file: FileContent,
     /// Statistics of the frames until then, once they are shown.
-    pub identifiers: Option<Identifiers>,
-    /// Calls until then, once they are shown.
-    pub calls: Option<Calls>,
+    pub statistics: Option<StatisticsCount>,
 }
 
 impl App {
@@ -205,19 +206,17 @@ impl App {
         }
     }
 
-    /// Counts the frames until the moment that is shown, if its identifiers or calls are.
-    pub(super) fn count_past_identifiers(&mut self) {
-        if let Some(past) = &mut self.past
-            && (self.view.shows_identifiers() || self.view.shows_calls())
-        {
-            let Moment { frames, time, .. } = past.moment;
-            if self.view.shows_calls() && past.calls.is_none() {
-                past.calls = Some(self.traffic.calls_until(&past.buses, frames, time));
-            }
-            if self.view.shows_identifiers() && past.identifiers.is_none() {
-                past.identifiers = Some(self.traffic.identifiers_until(frames, time));
-            }
+    /// Counts the next frames until the moment that is shown, if its identifiers or calls are. Returns
+    /// false if some remain.
+    pub(super) fn count_past_frames(&mut self) -> bool {
+        let Some(past) = &mut self.past else { return true };
+        if !self.view.shows_identifiers() && !self.view.shows_calls() {
+            return true;
         }
+        let Moment { frames, time, .. } = past.moment;
+        let count = || self.traffic.count_until(frames, time);
+        let count = past.statistics.get_or_insert_with(count);
+        count.run(&self.traffic.capture, &past.buses, COUNT_PART)
     }
 
     /// Returns a past moment, with the buses as they were.
@@ -229,7 +228,7 @@ impl App {
         let file = before.find(|(until, _)| *until > moment.time);
         let file = file.map_or(&self.content, |(_, content)| content).clone();
         problems.refresh(&buses, &file, moment.time);
-        Past { moment, buses, problems, file, identifiers: None, calls: None }
+        Past { moment, buses, problems, file, statistics: None }
     }
 
     fn show_past(&mut self, moment: Moment, buses: Buses) {

@@ -3,7 +3,7 @@
 //!
 //! The traffic is the simulator's crowd with chatter, 127 devices and three that share addresses
 //! with others, at 1 Mbit/s; replayed in a loop with shifted times. Each of 1,000 moments is gone to
-//! from another one, and its page is drawn. The log is in the page cache.
+//! from another one, and its page is drawn, in any of its views. The log is in the page cache.
 
 use descan::app::{App, AppOptions};
 use descan::bus::{self, BusSpec, Clock, Options};
@@ -117,10 +117,18 @@ fn measure(mut app: App, frames: usize, taken: Duration) {
         .map(|_| {
             let time = Instant::from_micros(rng.u64(begin.as_micros()..end.as_micros()));
             app.handle_key(end, *rng.choice(&keys).expect("pages"));
+            if rng.bool() {
+                // The next view of the page, where it has several.
+                app.handle_key(end, Key::char('v'));
+            }
             let start = std::time::Instant::now();
             app.go_to_time(time);
             while app.past_moment().is_none_or(|moment| moment.time != time) {
                 let due = app.poll_timeout().expect("a replay goes on");
+                app.handle_timeout(due);
+            }
+            while app.uncounted_frames() > 0 {
+                let due = app.poll_timeout().expect("the frames are counted");
                 app.handle_timeout(due);
             }
             app.take_dirty();

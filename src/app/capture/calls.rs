@@ -274,7 +274,7 @@ pub enum CallPart {
 }
 
 /// Table of calls.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub struct Calls {
     rows: Vec<CallStats>,
     index: HashMap<CallKey, u32, RandomState>,
@@ -354,6 +354,16 @@ impl Calls {
             row.rate = std::mem::take(&mut row.current);
             row.expire(now, timeout(row.key.bus));
         }
+    }
+
+    /// Bytes of memory, as of a copy.
+    pub(super) fn size(&self) -> usize {
+        let in_row = |row: &CallStats| {
+            size_of::<(CallStats, CallKey, u32)>()
+                + row.open.len() * size_of::<OpenCall>()
+                + row.latencies.len() * size_of::<u32>()
+        };
+        self.rows.iter().map(in_row).sum()
     }
 
     /// Rows, in the order of their first requests.

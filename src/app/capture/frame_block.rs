@@ -1,6 +1,7 @@
 //! A block of captured frames: 24 bytes a classic frame. Does not know other blocks.
 
 use super::identifiers::IdentifierKey;
+use super::row_set::RowSet;
 use crate::app::varint::{read_varint, write_varint};
 use crate::frame::socketcan::{self, FD_FORMAT};
 use crate::frame::{BusIndex, CanId, Frame};
@@ -9,6 +10,7 @@ use foldhash::fast::{FixedState, RandomState};
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
 use std::hash::{BuildHasher, Hasher};
+use std::sync::OnceLock;
 
 /// Link of the first frame of an identifier.
 const NO_LINK: u32 = 0;
@@ -26,7 +28,7 @@ pub(super) struct Record {
     /// Microseconds since the block's time.
     offset: i32,
     /// How many frames before it the one with the same identifier is; 0 if that is not known.
-    pub back: u32,
+    back: u32,
     /// Identifier word of SocketCAN.
     word: u32,
     data: [u8; Frame::MAX_CLASSIC_DATA],
@@ -46,12 +48,27 @@ pub(super) struct FrameBlock {
     pub records: Vec<Record>,
     /// Data of the frames with more than eight bytes.
     long_data: Vec<u8>,
+    /// Rows of their identifiers. Of a block that was read again it is empty.
+    pub rows: RowSet,
+    /// Of a block that was read again: the links to frames before it, and those of all its frames once
+    /// they are wanted.
+    links_before: Option<Box<[u8]>>,
+    links: OnceLock<Box<[u32]>>,
 }
 
 impl FrameBlock {
     /// Returns an empty block with room for `capacity` frames.
     pub fn new(first: u64, time: Instant, capacity: usize) -> Self {
-        Self { first, time, records: Vec::with_capacity(capacity), long_data: Vec::new() }
+        let records = Vec::with_capacity(capacity);
+        Self {
+            first,
+            time,
+            records,
+            long_data: Vec::new(),
+            rows: RowSet::default(),
+            links_before: None,
+            links: OnceLock::new(),
+        }
     }
 
     /// Number behind the last frame.
@@ -64,6 +81,11 @@ impl FrameBlock {
         size_of::<Self>()
             + self.records.capacity() * size_of::<Record>()
             + self.long_data.capacity()
+            + self.rows.size()
+            + self
+                .links_before
+                .as_ref()
+                .map_or(0, |it| it.len() + self.records.len() * size_of::<u32>())
     }
 
     /// Returns the offset of a time; `None` if it is too far from the block's time.
@@ -102,6 +124,14 @@ impl FrameBlock {
         self.records.get(at)
     }
 
+    /// Number of the last frame before `before` with an identifier.
+    pub fn last_before(&self, before: u64, key: &IdentifierKey) -> Option<u64> {
+        let count = usize::try_from(before.saturating_sub(self.first)).unwrap_or(usize::MAX);
+        let records = &self.records[..self.records.len().min(count)];
+        let at = records.iter().rposition(|it| IdentifierKey::of(&self.decode(it)) == *key)?;
+        Some(self.first + at as u64)
+    }
+
     /// Returns the frame of a record.
     pub fn decode(&self, record: &Record) -> Frame {
         let len = usize::from(record.len);
@@ -136,6 +166,7 @@ impl FrameBlock {
         (self.first, self.time) = (first, time);
         self.records.clear();
         self.long_data = Vec::new();
+        self.rows.clear();
     }
 
     /// Releases the memory that is not used.
@@ -182,26 +213,38 @@ impl FrameBlock {
         bytes.into()
     }
 
-    /// Sets the links of all frames, of which those to frames before the block are given.
-    pub fn set_links(&mut self, links: &[u8]) {
-        let mut links = links.iter().copied();
-        // Number of the last frame of each identifier; `None` if its frames are not linked.
+    /// How many frames before a frame of the block the one with the same identifier is; 0 if that is
+    /// not known.
+    pub fn back(&self, number: u64) -> u32 {
+        let Some(record) = self.record(number) else { return 0 };
+        let Some(before) = &self.links_before else { return record.back };
+        let links = self.links.get_or_init(|| self.links_after(before));
+        links.get((number - self.first) as usize).copied().unwrap_or(0)
+    }
+
+    /// Sets the links of all frames, of which those to frames before the block are given. They are made
+    /// when they are wanted.
+    pub fn set_links(&mut self, before: &[u8]) {
+        self.links_before = Some(before.into());
+    }
+
+    fn links_after(&self, before: &[u8]) -> Box<[u32]> {
+        let mut before = before.iter().copied();
+        // Place of the last frame of each identifier; `None` if its frames are not linked.
         let mut known: HashMap<IdentifierKey, Option<u32>, RandomState> = HashMap::default();
-        for at in 0..self.records.len() {
-            let key = IdentifierKey::of(&self.decode(&self.records[at]));
-            let place = at as u32;
-            let back = match known.entry(key) {
-                Entry::Occupied(mut entry) => match entry.get_mut() {
-                    Some(last) => place - std::mem::replace(last, place),
-                    None => 0,
-                },
-                Entry::Vacant(entry) => {
-                    let link = read_varint(&mut links).unwrap_or(u64::from(NEVER_LINKED)) as u32;
-                    entry.insert((link != NEVER_LINKED).then_some(place));
-                    if matches!(link, NO_LINK | NEVER_LINKED) { 0 } else { link - 1 }
-                }
-            };
-            self.records[at].back = back;
-        }
+        let back = |(place, record): (u32, &Record)| match known
+            .entry(IdentifierKey::of(&self.decode(record)))
+        {
+            Entry::Occupied(mut entry) => match entry.get_mut() {
+                Some(last) => place - std::mem::replace(last, place),
+                None => 0,
+            },
+            Entry::Vacant(entry) => {
+                let link = read_varint(&mut before).unwrap_or(u64::from(NEVER_LINKED)) as u32;
+                entry.insert((link != NEVER_LINKED).then_some(place));
+                if matches!(link, NO_LINK | NEVER_LINKED) { 0 } else { link - 1 }
+            }
+        };
+        (0..).zip(&self.records).map(back).collect()
     }
 }

@@ -6,6 +6,7 @@
 //! wanted. Does not know what frames mean, nor why some are pinned.
 
 use super::frame_block::{BYTES_PER_FRAME, FrameBlock, Record};
+use super::identifiers::{IdentifierKey, IdentifierLink};
 use super::indexed_frames::{IndexedBlock, IndexedFrames, IndexedSource};
 use crate::frame::Frame;
 use crate::log::FrameSource;
@@ -20,8 +21,9 @@ const BLOCK_FRAMES: usize = 4096;
 const MIN_BLOCKS: usize = 16;
 /// Part of the room that pinned frames may take.
 const PINNED_PART: usize = 4;
-/// Part of the room that the newest frames of a log take, and its index: all others are read again.
-const LOG_PART: usize = 4;
+/// Part of the room that the newest frames of a log take, its index, and the frames that were read
+/// again, each.
+const LOG_PART: usize = 8;
 
 /// A block of the store: in memory, or read for the moment.
 #[derive(Debug)]
@@ -81,9 +83,11 @@ impl FrameStore {
         }
     }
 
-    /// Sets the log from which frames that are dropped from memory can be read again.
-    pub fn set_source(&mut self, source: Box<dyn FrameSource>) {
+    /// Sets the log from which frames that are dropped from memory can be read again. Returns how many
+    /// bytes less of the room frames take from now on.
+    pub fn set_source(&mut self, source: Box<dyn FrameSource>) -> usize {
         self.indexed = Some(IndexedFrames::new(source, self.room / LOG_PART));
+        self.room - 3 * (self.room / LOG_PART)
     }
 
     /// Returns true if frames that are dropped from memory can be read again.
@@ -126,15 +130,15 @@ impl FrameStore {
         self.generation
     }
 
-    /// Appends a frame; `previous` is the number of the last one with the same identifier. If a block
-    /// must be dropped, its frames from `pins` are kept; the argument of `pins` is the time of the
-    /// block.
+    /// Appends a frame; `link` is its row in the table of identifiers. If a block must be dropped, its
+    /// frames from `pins` are kept; the argument of `pins` is the time of the block.
     pub fn push(
         &mut self,
         frame: &Frame,
-        previous: Option<u64>,
+        link: Option<IdentifierLink>,
         pins: impl FnOnce(Range<Instant>) -> Vec<Range<Instant>>,
     ) {
+        let previous = link.and_then(|link| link.previous);
         let back = previous.and_then(|previous| self.end.checked_sub(previous));
         let back = back.and_then(|back| u32::try_from(back).ok()).unwrap_or(0);
         let is_pushed = self.recent.back_mut().is_some_and(|block| {
@@ -154,6 +158,15 @@ impl FrameStore {
             }
             self.recent_size += block.size();
             self.recent.push_back(block);
+        }
+        if let Some(link) = link
+            && let Some(block) = self.recent.back_mut()
+            && !block.rows.contains(link.row)
+        {
+            let block = Arc::make_mut(block);
+            self.recent_size -= block.rows.size();
+            block.rows.insert(link.row);
+            self.recent_size += block.rows.size();
         }
         self.end += 1;
     }
@@ -198,9 +211,13 @@ impl FrameStore {
                 continue;
             }
             let frame = block.decode(record);
-            let kept = kept.get_or_insert_with(|| FrameBlock::new(number, frame.time, 0));
+            let kept = kept.get_or_insert_with(|| {
+                let mut kept = FrameBlock::new(number, frame.time, 0);
+                kept.rows = block.rows.clone();
+                kept
+            });
             kept.records.reserve(1);
-            kept.push(&frame, record.back);
+            kept.push(&frame, block.back(number));
         }
         self.keep(kept);
         while self.pinned_size > self.room / PINNED_PART {
@@ -239,8 +256,31 @@ impl FrameStore {
     /// Number of the last frame before this one with the same identifier; `None` if it is not known. It
     /// may be stored no more.
     pub fn previous(&self, number: u64) -> Option<u64> {
-        let back = self.block_of(number)?.record(number)?.back;
+        let back = self.block_of(number)?.back(number);
         number.checked_sub(u64::from(back)).filter(|_| back > 0)
+    }
+
+    /// Number of the last stored frame with an identifier, which has this row, among `numbers`; `None`
+    /// without one. Blocks without a frame of the row are not looked into.
+    pub fn last_within(&self, numbers: Range<u64>, row: usize, key: &IdentifierKey) -> Option<u64> {
+        let Range { start, end } = numbers;
+        let in_memory = |blocks: &VecDeque<Arc<FrameBlock>>| {
+            let candidates = blocks.iter().rev().skip_while(|block| block.first >= end);
+            candidates
+                .take_while(|block| block.end() > start)
+                .filter(|block| block.rows.contains(row))
+                .find_map(|block| block.last_before(end, key))
+        };
+        let indexed = || {
+            let indexed = self.indexed.as_ref()?;
+            let candidates = indexed.blocks().rev().skip_while(|block| block.first >= end);
+            candidates
+                .take_while(|block| block.end() > start)
+                .filter(|block| block.rows.contains(row))
+                .find_map(|block| indexed.source().block(block)?.last_before(end, key))
+        };
+        let found = in_memory(&self.recent).or_else(indexed).or_else(|| in_memory(&self.pinned));
+        found.filter(|number| *number >= start)
     }
 
     /// Time of a frame; `None` if it is not stored.
@@ -503,8 +543,8 @@ mod tests {
         for number in 0..frames {
             let frame = mixed(number);
             log.lock().unwrap().push(frame.with_time(frame.time + Duration::from_secs(9)));
-            let previous = identifiers.add(&frame, number);
-            store.push(&frame, previous, |_| Vec::new());
+            let link = identifiers.add(&frame, number);
+            store.push(&frame, link, |_| Vec::new());
         }
         (store, log)
     }
@@ -530,6 +570,37 @@ mod tests {
         let frames: Vec<_> = store.frames_from(3_000).take(20_000).collect();
         assert!(frames.iter().copied().eq(all.frames_from(3_000).take(20_000)));
         assert!(store.snapshot().iter().eq(all.snapshot().iter()));
+    }
+
+    #[test]
+    fn last_frame_of_an_identifier_before_a_number_is_found() {
+        let (log, _) = store_of_log(60_000, FrameStore::MIN_ROOM);
+        let mut memory = FrameStore::new(FrameStore::MIN_ROOM);
+        let mut identifiers = Identifiers::new();
+        for number in 0..60_000 {
+            let frame = mixed(number);
+            let link = identifiers.add(&frame, number);
+            memory.push(&frame, link, |block| {
+                // The first 100 frames are pinned.
+                if block.start < at(70_000) { vec![at(0)..at(70_000)] } else { Vec::new() }
+            });
+        }
+        let keys: Vec<_> = identifiers.rows().iter().map(|row| row.key).collect();
+        for end in [0, 1, 90, 101, 5_000, 31_000, 59_999, 60_000] {
+            for (row, key) in keys.iter().enumerate().step_by(3) {
+                for first in [0, 30_500] {
+                    let is_last =
+                        |number: &u64| IdentifierKey::of(&mixed(*number)) == *key && *number < end;
+                    let expected = (first..end).rev().find(is_last);
+                    let found = log.last_within(first..end, row, key);
+                    assert_eq!(found, expected, "{key:?} before {end}");
+                    let expected = (memory.first().max(first)..end).rev().find(is_last);
+                    let pinned = || (first..end.min(100)).rev().find(is_last);
+                    let found = memory.last_within(first..end, row, key);
+                    assert_eq!(found, expected.or_else(pinned), "{key:?} before {end}");
+                }
+            }
+        }
     }
 
     #[test]

@@ -2,7 +2,8 @@
 //!
 //! Follows the links from each frame to the one before with the same identifier, so a walk costs as
 //! many steps as there are heartbeats. Heartbeats that are not broadcast, and those before a gap of
-//! the capture, are not found.
+//! the capture, are not found, and of a log only those within 200,000 frames, which are soon read
+//! again.
 
 use super::Traffic;
 use super::identifiers::{IdentifierKey, IdentifierKind};
@@ -11,7 +12,12 @@ use crate::time::Instant;
 use crate::wire::id::{Address, Header};
 use crate::wire::node::{Mode, Uid};
 use crate::wire::profile::Profile;
+use std::ops::Range;
 use std::sync::Arc;
+
+/// Frames of a log within which heartbeats are looked for: read again in about 50 ms, and kept while
+/// they are shown.
+const MAX_LOG_FRAMES: u64 = 200_000;
 
 /// A heartbeat in the capture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -35,6 +41,8 @@ pub struct CapturedHeartbeats<'a> {
     profile: Arc<Profile>,
     /// The next frame of each identifier.
     heads: Vec<u64>,
+    /// Where the walk ends.
+    first: u64,
 }
 
 impl Traffic {
@@ -47,7 +55,10 @@ impl Traffic {
         end: u64,
     ) -> CapturedHeartbeats<'_> {
         let service = profile.heartbeat_service();
-        let mut walk = CapturedHeartbeats { traffic: self, profile, heads: Vec::new() };
+        let end = end.min(self.capture.end());
+        let is_log = self.capture.has_source();
+        let first = if is_log { end.saturating_sub(MAX_LOG_FRAMES) } else { 0 };
+        let mut walk = CapturedHeartbeats { traffic: self, profile, heads: Vec::new(), first };
         for flags in 0..32_u8 {
             let header = Header {
                 from_non_working: flags & 1 != 0,
@@ -62,13 +73,23 @@ impl Traffic {
             let id = CanId::Extended(header.encode());
             let is_fd = flags & 16 != 0;
             let key = IdentifierKey { bus, id, kind: IdentifierKind::Data, fd: is_fd };
-            let mut number = self.identifiers.get(&key).map(|row| row.number);
-            while number.is_some_and(|number| number >= end) {
-                number = number.and_then(|number| self.capture.previous(number));
-            }
-            walk.heads.extend(number);
+            walk.heads.extend(self.last_within(first..end, &key));
         }
         walk
+    }
+
+    /// Number of the last stored frame with an identifier among these.
+    fn last_within(&self, numbers: Range<u64>, key: &IdentifierKey) -> Option<u64> {
+        let at = self.identifiers.place_of(key)?;
+        let row = &self.identifiers.rows()[at];
+        let last = if row.number < numbers.end {
+            Some(row.number)
+        } else if row.first_number < numbers.end {
+            self.capture.last_within(numbers.clone(), at, key)
+        } else {
+            None
+        };
+        last.filter(|last| *last >= numbers.start)
     }
 }
 
@@ -78,7 +99,8 @@ impl Iterator for CapturedHeartbeats<'_> {
     fn next(&mut self) -> Option<CapturedHeartbeat> {
         let newest = self.heads.iter_mut().max()?;
         let number = *newest;
-        if let Some(previous) = self.traffic.capture.previous(number) {
+        let previous = self.traffic.capture.previous(number).filter(|it| *it >= self.first);
+        if let Some(previous) = previous {
             *newest = previous;
         } else {
             self.heads.retain(|&head| head != number);
@@ -125,7 +147,7 @@ mod tests {
     fn traffic(frames: &[Frame]) -> Traffic {
         let bus = |name: &str| (name.to_owned(), Config::default());
         let buses = Buses::new(Instant::ZERO, vec![bus("can0"), bus("can1")]);
-        let mut traffic = Traffic::new(1 << 20);
+        let mut traffic = Traffic::new(1 << 20, 0);
         for frame in frames {
             traffic.push(frame, &buses, |_| Vec::new());
         }

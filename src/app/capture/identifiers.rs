@@ -98,6 +98,8 @@ pub struct IdentifierStats {
     pub count: u64,
     /// Number of frames in the last whole second.
     pub rate: u32,
+    /// Number of the first frame in the capture.
+    pub first_number: u64,
     /// Last frame.
     pub last: Frame,
     /// Its number in the capture.
@@ -122,6 +124,7 @@ impl IdentifierStats {
             key,
             count: 1,
             rate: 0,
+            first_number: number,
             last: *frame,
             number,
             interval: None,
@@ -212,8 +215,17 @@ fn part_of(time: Instant) -> u64 {
     time.as_micros() / PART.as_micros() as u64
 }
 
+/// The row of a frame, and the frame before it in that row.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct IdentifierLink {
+    /// Place of the row.
+    pub row: usize,
+    /// Number of the frame before; `None` for the first one.
+    pub previous: Option<u64>,
+}
+
 /// Table of identifiers.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Identifiers {
     rows: Vec<IdentifierStats>,
     /// By the packed key.
@@ -231,26 +243,20 @@ impl Identifiers {
         Self { rows: Vec::new(), index, refused: 0 }
     }
 
-    /// Counts a frame, which has this number in the capture. Returns the number of the last one with
-    /// the same identifier.
-    pub fn add(&mut self, frame: &Frame, number: u64) -> Option<u64> {
-        self.add_to_row(frame, number)?.1
-    }
-
-    /// The same; returns the place of the row, too. `None` without a row.
-    pub fn add_to_row(&mut self, frame: &Frame, number: u64) -> Option<(usize, Option<u64>)> {
+    /// Counts a frame, which has this number in the capture. Returns its row; `None` without one.
+    pub fn add(&mut self, frame: &Frame, number: u64) -> Option<IdentifierLink> {
         let key = IdentifierKey::of(frame);
         let packed = key.packed();
         if let Some(&at) = self.index.get(&packed) {
             let row = &mut self.rows[at as usize];
-            let before = row.number;
+            let previous = Some(row.number);
             row.add(frame, number);
-            return Some((at as usize, Some(before)));
+            return Some(IdentifierLink { row: at as usize, previous });
         } else if self.rows.len() < Self::MAX {
             let at = self.rows.len();
             self.index.insert(packed, at as u32);
             self.rows.push(IdentifierStats::new(key, frame, number));
-            return Some((at, None));
+            return Some(IdentifierLink { row: at, previous: None });
         }
         self.refused += 1;
         None
@@ -261,6 +267,14 @@ impl Identifiers {
         for row in &mut self.rows {
             row.rate = std::mem::take(&mut row.current);
         }
+    }
+
+    /// Bytes of memory, as of a copy.
+    pub(super) fn size(&self) -> usize {
+        let in_row = |row: &IdentifierStats| {
+            size_of::<(IdentifierStats, u64, u32)>() + row.intervals.len() * size_of::<u32>()
+        };
+        self.rows.iter().map(in_row).sum()
     }
 
     /// Rows, in the order in which their identifiers were first received.

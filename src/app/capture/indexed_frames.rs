@@ -6,6 +6,7 @@
 //! files: the frames come from a [`FrameSource`].
 
 use super::frame_block::FrameBlock;
+use super::row_set::RowSet;
 use crate::log::FrameSource;
 use crate::time::Instant;
 use std::collections::VecDeque;
@@ -24,6 +25,8 @@ pub(super) struct IndexedBlock {
     pub last: Instant,
     digest: u64,
     links: Box<[u8]>,
+    /// Rows of the identifiers of the frames.
+    pub rows: RowSet,
 }
 
 impl IndexedBlock {
@@ -35,6 +38,7 @@ impl IndexedBlock {
             last: block.last_time().unwrap_or(block.time),
             digest: block.digest(),
             links: block.links(),
+            rows: block.rows.clone(),
         }
     }
 
@@ -44,7 +48,7 @@ impl IndexedBlock {
     }
 
     fn size(&self) -> usize {
-        size_of::<Self>() + size_of::<Arc<Self>>() + self.links.len()
+        size_of::<Self>() + size_of::<Arc<Self>>() + self.links.len() + self.rows.size()
     }
 
     fn read(&self, source: &mut dyn FrameSource) -> Option<FrameBlock> {
@@ -128,7 +132,7 @@ pub(super) struct IndexedFrames {
 impl IndexedFrames {
     /// Returns an empty index; entries and blocks take at most `room` bytes each.
     pub fn new(source: Box<dyn FrameSource>, room: usize) -> Self {
-        let reader = BlockReader { source, blocks: VecDeque::new(), size: 0, room: room / 2 };
+        let reader = BlockReader { source, blocks: VecDeque::new(), size: 0, room };
         let reader = Arc::new(Mutex::new(reader));
         let source = IndexedSource { reader, unreadable: Arc::default() };
         Self { source, blocks: VecDeque::new(), size: 0, room }

@@ -12,6 +12,8 @@ pub(super) mod frame_store;
 mod heartbeats;
 pub(super) mod identifiers;
 mod indexed_frames;
+mod row_set;
+mod statistics;
 pub(super) mod transfer;
 
 pub use calls::{CallKey, CallPart, CallStats, Calls, Latency};
@@ -22,6 +24,7 @@ pub use heartbeats::{CapturedHeartbeat, CapturedHeartbeats};
 pub use identifiers::{
     FramePeriod, IdentifierKey, IdentifierKind, IdentifierStats, Identifiers, NOTED_BYTES,
 };
+pub use statistics::{Statistics, StatisticsCount};
 pub use transfer::Transfer;
 
 use super::buses::{Bus, Buses};
@@ -34,6 +37,7 @@ use crate::time::{Duration, Epoch, Instant};
 use crate::wire::id::{Header, Service};
 use crate::wire::isotp::Pci;
 use filtered_frames::FilteredFrames;
+use statistics::StatisticsHistory;
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
 use std::io;
@@ -51,6 +55,7 @@ pub(super) struct Traffic {
     pub capture: FrameStore,
     pub identifiers: Identifiers,
     pub calls: Calls,
+    history: StatisticsHistory,
     filtered: FilteredFrames,
     recording: Option<RecordingStatus>,
     /// Nothing is captured.
@@ -60,10 +65,13 @@ pub(super) struct Traffic {
 }
 
 impl Traffic {
-    /// Returns an empty capture of at most `room` bytes.
-    pub fn new(room: usize) -> Self {
+    /// Returns an empty capture of frames in at most `room` bytes, with statistics of past moments in at
+    /// most `history_room`.
+    pub fn new(room: usize, history_room: usize) -> Self {
+        let capture = FrameStore::new(room);
         Self {
-            capture: FrameStore::new(room),
+            history: StatisticsHistory::new(history_room, capture.capacity()),
+            capture,
             identifiers: Identifiers::new(),
             calls: Calls::default(),
             filtered: FilteredFrames::default(),
@@ -75,7 +83,7 @@ impl Traffic {
 
     /// Returns a capture that stays empty.
     pub fn off() -> Self {
-        Self { is_off: true, ..Self::new(0) }
+        Self { is_off: true, ..Self::new(0, 0) }
     }
 
     /// Adds a frame of these buses. `pins` returns the times near a block of old frames whose frames are kept.
@@ -89,7 +97,7 @@ impl Traffic {
             return;
         }
         let number = self.capture.end();
-        let previous = self.identifiers.add(frame, number);
+        let link = self.identifiers.add(frame, number);
         if let Some(bus) = buses.get(frame.bus) {
             self.calls.add(frame, number, &bus.config().profile);
         }
@@ -97,52 +105,27 @@ impl Traffic {
             self.des_services =
                 buses.iter().map(|bus| bus.config().profile.des_service()).collect();
         }
-        self.capture.push(frame, previous, pins);
+        self.capture.push(frame, link, pins);
     }
 
-    /// Statistics of the frames that are stored, up to a number and a time.
-    pub fn identifiers_until(&self, frames: u64, time: Instant) -> Identifiers {
-        let mut identifiers = Identifiers::new();
-        let mut second = None;
-        let mut pass = |identifiers: &mut Identifiers, time: Instant| {
-            let now = time.as_micros() / 1_000_000;
-            // After two ticks without frames, more change nothing.
-            for _ in 0..now.saturating_sub(second.unwrap_or(now)).min(2) {
-                identifiers.tick();
-            }
-            second = Some(now);
-        };
-        for (number, frame) in
-            self.capture.frames_from(0).take_while(|(number, _)| *number < frames)
-        {
-            pass(&mut identifiers, frame.time);
-            identifiers.add(&frame, number);
+    /// Ends a second of these buses.
+    pub fn tick(&mut self, now: Instant, buses: &Buses) {
+        self.identifiers.tick();
+        self.calls.tick(now, |bus| buses.profile(bus).calls.timeout());
+        if !self.is_off {
+            self.history.keep(now, &self.capture, &self.identifiers, &self.calls);
         }
-        pass(&mut identifiers, time);
-        identifiers
     }
 
-    /// Calls of the frames that are stored, up to a number and a time.
-    pub fn calls_until(&self, buses: &Buses, frames: u64, time: Instant) -> Calls {
-        let mut calls = Calls::default();
-        let mut second = None;
-        let mut pass = |calls: &mut Calls, time: Instant| {
-            let now = time.as_micros() / 1_000_000;
-            // After two ticks without frames, more change nothing.
-            for _ in 0..now.saturating_sub(second.unwrap_or(now)).min(2) {
-                calls.tick(time, |bus| buses.profile(bus).calls.timeout());
-            }
-            second = Some(now);
-        };
-        let frames_before = self.capture.frames_from(0).take_while(|(number, _)| *number < frames);
-        for (number, frame) in frames_before {
-            pass(&mut calls, frame.time);
-            if let Some(bus) = buses.get(frame.bus) {
-                calls.add(&frame, number, &bus.config().profile);
-            }
-        }
-        pass(&mut calls, time);
-        calls
+    /// Gives the statistics of past moments more room, in bytes.
+    pub fn add_history_room(&mut self, more: usize) {
+        self.history.add_room(more);
+    }
+
+    /// Begins to count the frames before `frames`, until a time: those that are stored, and those before
+    /// as far as they are kept as statistics.
+    pub fn count_until(&self, frames: u64, time: Instant) -> StatisticsCount {
+        self.history.count(&self.capture, frames, time)
     }
 
     /// What the frames from `first` to `last` are in calls, by number, as of `end`, the number behind
@@ -519,7 +502,7 @@ mod tests {
     /// Frames with the numbers 0 to 9; those with even numbers are sent by descan.
     fn traffic() -> (Traffic, Buses) {
         let buses = Buses::new(Instant::ZERO, vec![("can0".into(), Config::default())]);
-        let mut traffic = Traffic::new(0);
+        let mut traffic = Traffic::new(0, 0);
         for at in 0..10 {
             let frame = Frame::classic(1, &[]).with_time(Instant::from_micros(at));
             let frame = if at % 2 == 0 { frame.with_tx() } else { frame };

@@ -206,8 +206,8 @@ impl FramePrinter {
         if let Some(matcher) = &self.matcher {
             let mut stored = None;
             if self.looks_back {
-                let previous = self.identifiers.add(frame, number);
-                self.recent.push(frame, previous, |_| Vec::new());
+                let link = self.identifiers.add(frame, number);
+                self.recent.push(frame, link, |_| Vec::new());
                 stored = Some((&self.recent, number));
             }
             if !matcher.is_match(frame, stored) {

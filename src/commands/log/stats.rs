@@ -75,10 +75,10 @@ impl LogStats {
         if frame.kind == FrameKind::Error {
             self.errors.add(ErrorReport::of(frame));
         }
-        let row = self.identifiers.add_to_row(frame, self.frames);
+        let link = self.identifiers.add(frame, self.frames);
         self.frames += 1;
-        let Some((row, _)) = row else { return };
-        if let Some(intervals) = self.intervals.get_mut(row) {
+        let Some(link) = link else { return };
+        if let Some(intervals) = self.intervals.get_mut(link.row) {
             intervals.add(time);
         } else {
             let (min, max) = (Duration::MAX, Duration::ZERO);

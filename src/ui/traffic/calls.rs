@@ -2,6 +2,7 @@
 
 use super::super::brush::{DrawContext, bus_cell, fit, fit_right, short_name};
 use super::cells::millis;
+use super::draw_uncounted;
 use crate::app::{CallStats, Page, clock_millis};
 use crate::theme::Role;
 use crate::time::Duration;
@@ -89,6 +90,7 @@ pub fn draw(brush: &mut DrawContext) {
         let line = Line::from(brush.span(Role::Warning, text));
         brush.line(list, list.height - 1, &line);
     }
+    draw_uncounted(brush, list);
 }
 
 fn call_line(

@@ -2,6 +2,7 @@
 
 use super::super::brush::{DrawContext, bus_cell, fit, fit_right};
 use super::cells::{BYTES, bytes, ends, millis, width_of_ends};
+use super::draw_uncounted;
 use crate::app::{Decoded, FrameRole, IdentifierKind, IdentifierStats};
 use crate::theme::Role;
 use crate::time::Duration;
@@ -100,6 +101,7 @@ pub fn draw(brush: &mut DrawContext) {
         let line = Line::from(brush.span(Role::Warning, text));
         brush.line(list, list.height - 1, &line);
     }
+    draw_uncounted(brush, list);
 }
 
 fn identifier_line(

@@ -8,11 +8,13 @@ mod frames;
 mod identifiers;
 
 use super::brush::{DrawContext, fit, inner, labelled};
+use super::chart::grouped;
 use crate::app::{Decoded, Focus, clock_millis};
 use crate::frame::{Frame, FrameKind};
 use crate::text::hex;
 use crate::theme::Role;
 use crate::wire::id::{Header, MessageType};
+use ratatui::layout::Rect;
 use ratatui::text::Line;
 
 /// Draws the list and the details.
@@ -38,6 +40,16 @@ pub(super) fn in_words(brush: &DrawContext, frame: &Frame) -> String {
         Some(_) => format!("{}→{} {meaning}", decoded.source, decoded.destination),
         None if frame.kind == FrameKind::Error => format!("error: {meaning}"),
         None => format!("{} {meaning}", frame.id),
+    }
+}
+
+/// Draws how many frames the statistics lack, while they are counted.
+fn draw_uncounted(brush: &mut DrawContext, list: Rect) {
+    let frames = brush.app.uncounted_frames();
+    if frames > 0 && list.height > 0 {
+        let text = format!(" counting: {} frames left ", grouped(frames));
+        let line = Line::from(brush.span(Role::Warning, text));
+        brush.line(list, list.height - 1, &line);
     }
 }
 
