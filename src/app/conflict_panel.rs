@@ -2,7 +2,7 @@
 //!
 //! Input: a problem, and the captured heartbeats, devices and entries of the moment that is shown.
 //! Output: a column of text for each board, and the heartbeats on one time axis. Says where boards
-//! cannot be told apart. Does not know how it is drawn.
+//! cannot be distinguished. Does not know how it is drawn.
 
 use super::problems::{ConflictSides, Problem, ProblemKey, SideBasis, label_of};
 use super::{App, CallPart, CapturedHeartbeat, clock_millis, format_time_of_day};
@@ -102,7 +102,7 @@ impl App {
             panel.rows.push(("boards", vec![why.to_owned()]));
         } else {
             if panel.sides.basis == SideBasis::Phases {
-                let why = "told apart by the phase of their heartbeats";
+                let why = "distinguished by the phase of their heartbeats";
                 panel.rows.push(("boards", vec![why.to_owned()]));
             }
             panel

@@ -1,7 +1,7 @@
 //! The boards of an address conflict: which heartbeat is of which board.
 //!
 //! Input: the heartbeats of an address, and the UIDs that the finding lists. Output: two or more sides
-//! in the order of joining, and the side of each heartbeat. Boards are told apart by their UIDs, where
+//! in the order of joining, and the side of each heartbeat. Boards are distinguished by their UIDs, where
 //! these are blank or equal by the phase of their heartbeats; a heartbeat that fits several sides has
 //! none. Does not know names, des.json or how sides are shown.
 
@@ -10,7 +10,7 @@ use crate::time::{Duration, Instant};
 use crate::wire::node::{Mode, Uid};
 use std::ops::Range;
 
-/// Most boards that phases are told apart of.
+/// Most boards whose phases are distinguished.
 const MAX_PHASES: usize = 4;
 /// Fewest intervals that show how many boards there are: two cycles of four boards.
 const MIN_INTERVALS: usize = 6;
@@ -257,7 +257,7 @@ impl ConflictSides {
         }
     }
 
-    /// The heartbeats that the boards were told apart by, each with its side, oldest first.
+    /// The heartbeats by which the boards were distinguished, each with its side, oldest first.
     pub fn beats(&self) -> impl DoubleEndedIterator<Item = (&CapturedHeartbeat, Option<usize>)> {
         self.beats.iter().zip(self.of_beats.iter().copied())
     }

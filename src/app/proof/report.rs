@@ -57,7 +57,7 @@ fn boards(text: &mut String, app: &App, problem: &Problem) {
     let note = match panel.sides.basis {
         SideBasis::Uids => "Each heartbeat carries the DEV_CFG_UID of its board.",
         SideBasis::Phases => {
-            "The UIDs are blank or equal. The boards are told apart by the time of their heartbeats in \
+            "The UIDs are blank or equal. The boards are distinguished by the time of their heartbeats in \
              each period, which differs."
         }
         SideBasis::None => {
@@ -194,7 +194,7 @@ fn reading(text: &mut String, problem: &Problem) {
             text,
             "- A name request (data 44 45 53 01) to one address is answered once, with 01, the name and \
              00 (DES service document). Two responses to one request are those of two nodes, or of one \
-             that responds twice. Nodes with equal names at one address cannot be told apart by DES."
+             that responds twice. Nodes with equal names at one address cannot be distinguished by DES."
         );
     }
     let _ = writeln!(

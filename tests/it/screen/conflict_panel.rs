@@ -143,7 +143,7 @@ fn boards_with_blank_uids_are_told_apart_by_phase() {
     snapshot!("conflict_blank_uids_80x24", stage);
     snapshot!("conflict_blank_uids_120x40", stage.size(120, 40));
     let screen = stage.screen();
-    for words in ["(UIDs blank)", "told apart by the phase", "A no UID", "B no UID"] {
+    for words in ["(UIDs blank)", "distinguished by the phase", "A no UID", "B no UID"] {
         assert!(screen.contains(words), "{words}\n{screen}");
     }
     assert!(row(&stage, "joined").contains("second"), "{screen}");
@@ -198,7 +198,7 @@ fn boards_with_different_names_are_named_in_the_headline() {
     snapshot!("conflict_names_120x40", stage.size(120, 40));
     let screen = stage.screen();
     assert!(screen.contains("one board answers as ACT, the other as PUMP"), "{screen}");
-    // After bus-off both begin at other times, and are told apart no more.
+    // After bus-off both begin at other times, and are no longer distinguished.
     assert!(row(&stage, "heartbeat").contains("unclear since 12:00:3"), "{screen}");
     compare_with_past(&scenario, 40.0, 35.0);
 }
