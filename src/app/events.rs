@@ -11,7 +11,7 @@ use super::stories::StoryChange;
 use super::timeline_kind::TimelineKind;
 use super::{App, AppEvent, Effect};
 use crate::discovery::{DeviceId, Event, EventKind};
-use crate::finding::Finding;
+use crate::finding::{Finding, FindingKind};
 use crate::frame::BusIndex;
 use crate::keymap::Action;
 use crate::status::{BusStatus, RecordingStatus};
@@ -146,7 +146,7 @@ impl App {
         let now = self.clock.now();
         let before = self.problems.refresh(&self.buses, &self.editor.file.content(), now);
         if !self.notices.emits_events() {
-            return;
+            return self.note_file_findings(&before, now);
         }
         for finding in self.problems.changes_since(&before, now) {
             let line = TimelineEntry::of_finding(now, &finding);
@@ -156,6 +156,18 @@ impl App {
                     self.notices.emit(event);
                 }
             }
+        }
+    }
+
+    /// Adds the differences from des.json that changed to the stories; not devices without an entry,
+    /// whose stories begin with their joining.
+    fn note_file_findings(&mut self, before: &[Finding], now: Instant) {
+        let changes = self.problems.changes_since(before, now);
+        for finding in changes.into_iter().filter(|it| it.key.kind != FindingKind::Unlisted) {
+            let entry = TimelineEntry::of_finding(now, &finding);
+            let Finding { key, state, text, .. } = finding;
+            let change = StoryChange::Finding { key, state, parties: Vec::new(), text };
+            self.notices.note_step(&entry, change);
         }
     }
 
