@@ -7,7 +7,8 @@
 
 use super::buses::{Buses, Redundancy};
 use super::capture::{BYTES_PER_FRAME, FrameStore};
-use super::journal::{BusesInput, InputJournal, JournalPlace, PastInput};
+use super::journal::{BusesInput, InputJournal, InputsFrom, JournalPlace, PastInput};
+use super::pinned_moments::{PinnedMoments, PinnedRange};
 use super::timeline_kind::TimelineKind;
 use crate::discovery::{Config, DeviceId, Event};
 use crate::frame::{BusIndex, Frame};
@@ -26,6 +27,8 @@ const SNAPSHOTS: usize = 64;
 const SNAPSHOT_WORK: Range<usize> = 256..65_536;
 /// Work of an input in frames: what becomes due costs more than a frame.
 const INPUT_WORK: u64 = 8;
+/// Part of the room for the moments around evidence.
+const PINNED_PART: usize = 3;
 /// Fewer snapshots than these are not thinned out: the history becomes shorter.
 const MIN_SNAPSHOTS: usize = 4;
 
@@ -47,7 +50,7 @@ pub struct Moment {
     /// Number of frames before it.
     pub frames: u64,
     /// Number of inputs before it.
-    inputs: u64,
+    pub(super) inputs: u64,
     /// Time that is shown.
     pub time: Instant,
 }
@@ -60,6 +63,8 @@ pub struct RecordedBuses {
     frames: u64,
     journal: InputJournal,
     snapshots: VecDeque<BusesSnapshot>,
+    /// Moments before the snapshots whose frames are pinned.
+    pinned: PinnedMoments,
     /// Work of all frames and inputs, and of those before the last snapshot that was taken.
     work: u64,
     last_work: u64,
@@ -87,6 +92,7 @@ impl RecordedBuses {
             frames: 0,
             journal: InputJournal::new(now),
             snapshots: VecDeque::new(),
+            pinned: PinnedMoments::default(),
             work: 0,
             last_work: 0,
             snapshot_work: work.clamp(SNAPSHOT_WORK.start, SNAPSHOT_WORK.end) as u64,
@@ -225,6 +231,7 @@ impl RecordedBuses {
             return;
         }
         let (first, keeps_first) = (store.first(), store.has_source());
+        self.pinned.drop_before(store.oldest());
         // A moment needs a snapshot before it and all frames since.
         while self.snapshots.len() > 1 && self.snapshots[0].frames < first {
             self.snapshots.pop_front();
@@ -246,10 +253,68 @@ impl RecordedBuses {
         self.journal.drop_before(needed);
     }
 
+    /// Keeps what is needed to replay the frames around evidence that only a snapshot between the frames
+    /// with these numbers leads to: call before they are dropped. `pins` are the times around the
+    /// evidence of buses in a range.
+    pub(super) fn pin(
+        &mut self,
+        store: &FrameStore,
+        dropped: Range<u64>,
+        pins: impl Fn(&Buses, Range<Instant>) -> Vec<Range<Instant>>,
+    ) {
+        let frames: Vec<u64> = self.snapshots.iter().map(|snapshot| snapshot.frames).collect();
+        for (at, first) in frames.iter().enumerate().filter(|(_, it)| dropped.contains(it)) {
+            let end = frames.get(at + 1).copied().unwrap_or(store.end());
+            let times = store.time_of(*first).zip(store.time_of(end.saturating_sub(1)));
+            let Some((begin, last)) = times else { continue };
+            let times = pins(&self.now, begin..last);
+            if times.is_empty() {
+                continue;
+            }
+            let is_pinned = |frame: &(u64, Frame)| {
+                frame.0 < end && times.iter().any(|range| range.contains(&frame.1.time))
+            };
+            let mut next = *first;
+            while let Some((first, _)) =
+                store.frames_from(next).take_while(|it| it.0 < end).find(is_pinned)
+            {
+                let pinned = store.frames_from(first).take_while(is_pinned).count() as u64;
+                next = first + pinned;
+                self.pin_range(store, first..next);
+            }
+        }
+    }
+
+    fn pin_range(&mut self, store: &FrameStore, frames: Range<u64>) {
+        let (Some(time), Some(last)) = (store.time_of(frames.start), store.time_of(frames.end - 1))
+        else {
+            return;
+        };
+        let inputs = self.inputs_before(frames.start, |it| it.frames < frames.start);
+        let Some(mut replay) = self.replay(store, Moment { frames: frames.start, inputs, time })
+        else {
+            return;
+        };
+        let room = self.room / PINNED_PART;
+        let from = replay.place;
+        let between = self.journal.inputs_from(from);
+        let between = between.skip_while(|it| it.frames < frames.start);
+        let between = between.take_while(|it| it.frames < frames.end);
+        if let Some(before) = self.pinned.before(frames.start) {
+            before.extend(frames.end, last, between);
+            return self.pinned.drop_surplus(room);
+        }
+        while !replay.run(self, store, u64::MAX) {}
+        let mut range = PinnedRange::new(frames.start, time, inputs, replay.into_buses());
+        range.extend(frames.end, last, between);
+        self.pinned.push(range);
+        self.pinned.drop_surplus(room);
+    }
+
     /// Bytes of snapshots and inputs.
     fn size(&self) -> usize {
         let snapshots: usize = self.snapshots.iter().map(|snapshot| snapshot.size).sum();
-        snapshots + self.journal.size()
+        snapshots + self.journal.size() + self.pinned.size()
     }
 
     fn take_snapshot(&mut self, time: Instant) {
@@ -302,6 +367,9 @@ impl RecordedBuses {
     /// Number of inputs before a moment that is not before so many frames. `is_before` is true for
     /// those inputs, and false for all later ones.
     fn inputs_before(&self, frames: u64, is_before: impl Fn(&PastInput) -> bool) -> u64 {
+        if let Some(pinned) = self.pinned.inputs_before(frames, &is_before) {
+            return pinned;
+        }
         let before = self.snapshots.partition_point(|snapshot| snapshot.frames < frames);
         let snapshot = before.checked_sub(1).and_then(|at| self.snapshots.get(at));
         let Some(snapshot) = snapshot.or(self.snapshots.front()) else { return 0 };
@@ -312,6 +380,17 @@ impl RecordedBuses {
     /// Begins to replay the buses as they were at a moment; `None` if frames before it are no longer
     /// stored.
     pub fn replay(&self, store: &FrameStore, moment: Moment) -> Option<BusesReplay> {
+        if let Some(range) = self.pinned.range_of(&moment) {
+            let mut place = self.journal.end();
+            place.inputs = range.inputs_before;
+            return Some(BusesReplay {
+                buses: Buses::clone(&range.buses),
+                frames: range.frames.start,
+                place,
+                pinned: Some(range.clone()),
+                moment,
+            });
+        }
         let is_usable = |snapshot: &&BusesSnapshot| {
             snapshot.frames >= store.first()
                 && snapshot.frames <= moment.frames
@@ -322,6 +401,7 @@ impl RecordedBuses {
             buses: Buses::clone(&snapshot.buses),
             frames: snapshot.frames,
             place: snapshot.place,
+            pinned: None,
             moment,
         })
     }
@@ -342,6 +422,8 @@ pub struct BusesReplay {
     /// Number of the next frame, and the place of the next input.
     frames: u64,
     place: JournalPlace,
+    /// The range of pinned frames that is replayed, if it is one.
+    pinned: Option<PinnedRange>,
     moment: Moment,
 }
 
@@ -353,20 +435,36 @@ impl BusesReplay {
 
     /// Returns true if all that it needs is still kept.
     pub(super) fn is_kept(&self, history: &RecordedBuses, store: &FrameStore) -> bool {
-        history.journal.is_kept(self.place) && self.frames >= store.first()
+        match self.pinned {
+            Some(_) => self.frames >= store.oldest(),
+            None => history.journal.is_kept(self.place) && self.frames >= store.first(),
+        }
     }
 
     /// Replays at most about `work` frames. Returns true when the moment is reached.
     pub fn run(&mut self, history: &RecordedBuses, store: &FrameStore, work: u64) -> bool {
         let mut left = work;
-        let mut inputs = history.journal.inputs_from(self.place);
+        let pinned = self.pinned.take();
+        let mut inputs = match &pinned {
+            Some(range) => {
+                let applied = (self.place.inputs - range.inputs_before) as usize;
+                InputsToReplay::Pinned(range.inputs.get(applied..).unwrap_or_default().iter())
+            }
+            None => InputsToReplay::Journal(history.journal.inputs_from(self.place)),
+        };
         let mut input = inputs.next();
         let mut frames = store.frames_from(self.frames);
-        while left > 0 {
+        let is_reached = loop {
+            if left == 0 {
+                break false;
+            }
             let due = input.as_ref().filter(|it| it.frames <= self.frames);
             if let Some(due) = due.filter(|_| self.place.inputs < self.moment.inputs) {
                 self.buses.apply(due);
-                self.place = inputs.place();
+                match &inputs {
+                    InputsToReplay::Pinned(_) => self.place.inputs += 1,
+                    InputsToReplay::Journal(inputs) => self.place = inputs.place(),
+                }
                 input = inputs.next();
                 left = left.saturating_sub(INPUT_WORK);
             } else if self.frames < self.moment.frames
@@ -376,17 +474,33 @@ impl BusesReplay {
                 self.frames += 1;
                 left -= 1;
             } else {
-                self.buses.drop_events();
-                return true;
+                break true;
             }
             self.buses.drop_events();
-        }
-        false
+        };
+        self.buses.drop_events();
+        self.pinned = pinned;
+        is_reached
     }
 
     /// The buses as far as they were replayed.
     pub fn into_buses(self) -> Buses {
         self.buses
+    }
+}
+
+/// The inputs of a replay.
+enum InputsToReplay<'a> {
+    Journal(InputsFrom<'a>),
+    Pinned(std::slice::Iter<'a, PastInput>),
+}
+
+impl InputsToReplay<'_> {
+    fn next(&mut self) -> Option<PastInput> {
+        match self {
+            Self::Journal(inputs) => inputs.next(),
+            Self::Pinned(inputs) => inputs.next().cloned(),
+        }
     }
 }
 

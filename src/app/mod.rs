@@ -57,6 +57,7 @@ mod navigate;
 mod notices;
 mod page_filters;
 mod past;
+mod pinned_moments;
 mod places;
 mod play;
 mod problem_page;
@@ -470,7 +471,11 @@ impl App {
     }
 
     fn capture_frame(&mut self, frame: &Frame) {
-        self.traffic.push(frame, &self.buses, |block| pinned_times(&self.buses, block));
+        while let Some((numbers, times)) = self.traffic.capture.about_to_drop() {
+            self.buses.pin(&self.traffic.capture, numbers, pinned_times);
+            self.traffic.capture.drop_oldest(&pinned_times(&self.buses, times));
+        }
+        self.traffic.push(frame, &self.buses);
     }
 
     /// Does what is due at `now`.

@@ -5,9 +5,10 @@ use crate::simulation::random_scenario::World;
 use descan::app::{App, Buses, BusesReplay, Moment};
 use descan::discovery::Config;
 use descan::frame::BusIndex;
-use descan::sim::Scenario;
+use descan::sim::{DeviceAction, Fault, Scenario};
 use descan::status::{BusState, BusStatus, Link};
-use descan::time::Duration;
+use descan::time::{Duration, Instant};
+use descan::wire::node::Uid;
 
 /// Room for captured frames in which the worlds here need several snapshots.
 const ROOM: usize = 16 << 20;
@@ -86,6 +87,63 @@ fn past_state_is_that_of_its_moment() {
         }
         assert!(dropped < count / 2, "seed {seed}: {dropped} of {count} moments are not kept");
     }
+}
+
+/// Tests that the moments around evidence can be shown when the frames before and behind them are no
+/// longer kept, and no other moments of that time.
+#[test]
+fn moments_around_evidence_outlive_the_other_frames() {
+    let mut scenario = Scenario::with_many_devices(1_000_000, 60, 5);
+    for (at, device) in scenario.devices.iter_mut().enumerate() {
+        let service = 0x100 + at as u16;
+        *device = device.clone().periodic_message(service, Duration::from_millis(20), 8);
+    }
+    for (at, on) in [(10, 4.0), (20, 9.0), (30, 9.5)] {
+        let mut second = scenario.devices[at].clone().fault(Fault::KeepsAddress);
+        scenario.devices[at] = second.clone();
+        second.uid = Uid([9, 9, 9, 9, 9, at as u8]);
+        second.power_on = Some(Duration::from_secs_f64(on));
+        second.label = format!("second{at}");
+        let off = Duration::from_secs_f64(on + 3.0);
+        scenario = scenario.at(off, &second.label, DeviceAction::PowerOff);
+        scenario.devices.push(second);
+    }
+    let config = Config { seed: 3, ..Config::default() };
+    let mut stage = Stage::with_room(&scenario, None, config, 12 << 20);
+    let mut moments = Vec::new();
+    for step in 1..180 {
+        stage.until(f64::from(step) * 0.1);
+        let now = stage.app.now();
+        let history = stage.app.history();
+        moments.push((history.present(now), state(history)));
+    }
+    stage.until(180.0);
+    let begin = stage.app.history().begin(stage.app.capture());
+    assert!(begin.as_secs_f64() > 20.0, "kept from {begin}");
+    let evidence: Vec<Instant> = stage
+        .app
+        .findings()
+        .flat_map(|finding| finding.evidence.iter().map(|piece| piece.time))
+        .collect();
+    let (mut kept, mut lost) = (0, 0);
+    for (moment, expected) in moments {
+        let is_near = |near: u64| {
+            let near = Duration::from_millis(near);
+            evidence
+                .iter()
+                .any(|time| time.since(moment.time) <= near && moment.time.since(*time) <= near)
+        };
+        let Some(past) = replayed(&stage.app, moment) else {
+            assert!(!is_near(900), "{moment:?} is near evidence");
+            lost += 1;
+            continue;
+        };
+        assert!(is_near(1_100), "{moment:?} is not near evidence");
+        let past = state(&past);
+        assert!(past == expected, "{moment:?}:\n{}", difference(&past, &expected));
+        kept += 1;
+    }
+    assert!(kept > 20 && lost > 20, "{kept} moments are kept, {lost} are not");
 }
 
 /// The lines of a page that show the moment: without the state of the program, which names the moment,

@@ -94,10 +94,15 @@ impl FrameBlock {
         i32::try_from(offset).ok()
     }
 
+    /// Returns true if there is no room for another frame.
+    pub fn is_full(&self) -> bool {
+        self.records.len() == self.records.capacity()
+    }
+
     /// Appends a frame; the one with the same identifier is `back` frames before it. Returns false if
     /// the block is full, or the time too far from its own.
     pub fn push(&mut self, frame: &Frame, back: u32) -> bool {
-        if self.records.len() == self.records.capacity() {
+        if self.is_full() {
             return false;
         }
         let Some(offset) = self.offset(frame.time) else { return false };

@@ -58,6 +58,8 @@ pub struct FrameStore {
     block_frames: usize,
     pinned_size: usize,
     recent_size: usize,
+    /// The block that was dropped last, whose memory the next one takes.
+    spare: Option<Arc<FrameBlock>>,
     /// Changes when a block is dropped.
     generation: u64,
 }
@@ -79,6 +81,7 @@ impl FrameStore {
             block_frames,
             pinned_size: 0,
             recent_size: 0,
+            spare: None,
             generation: 0,
         }
     }
@@ -130,14 +133,9 @@ impl FrameStore {
         self.generation
     }
 
-    /// Appends a frame; `link` is its row in the table of identifiers. If a block must be dropped, its
-    /// frames from `pins` are kept; the argument of `pins` is the time of the block.
-    pub fn push(
-        &mut self,
-        frame: &Frame,
-        link: Option<IdentifierLink>,
-        pins: impl FnOnce(Range<Instant>) -> Vec<Range<Instant>>,
-    ) {
+    /// Appends a frame; `link` is its row in the table of identifiers. Drops the oldest blocks if there
+    /// is no room for it; see [`about_to_drop`](Self::about_to_drop).
+    pub fn push(&mut self, frame: &Frame, link: Option<IdentifierLink>) {
         let previous = link.and_then(|link| link.previous);
         let back = previous.and_then(|previous| self.end.checked_sub(previous));
         let back = back.and_then(|back| u32::try_from(back).ok()).unwrap_or(0);
@@ -151,7 +149,7 @@ impl FrameStore {
             is_pushed
         });
         if !is_pushed {
-            let mut block = self.new_block(frame.time, pins);
+            let mut block = self.new_block(frame.time);
             // Nothing else has a new block.
             if let Some(block) = Arc::get_mut(&mut block) {
                 block.push(frame, back);
@@ -171,34 +169,48 @@ impl FrameStore {
         self.end += 1;
     }
 
-    /// Returns an empty block, after the oldest one was dropped if there is no room for it.
-    fn new_block(
-        &mut self,
-        time: Instant,
-        pins: impl FnOnce(Range<Instant>) -> Vec<Range<Instant>>,
-    ) -> Arc<FrameBlock> {
+    /// Numbers and times of the oldest frames that are dropped when the next frame is pushed; `None` if
+    /// none are, and of a log that can be read again. With [`drop_oldest`](Self::drop_oldest) some of
+    /// them are kept.
+    pub fn about_to_drop(&self) -> Option<(Range<u64>, Range<Instant>)> {
+        if self.has_source() || !self.recent.back()?.is_full() || !self.needs_room() {
+            return None;
+        }
+        let oldest = self.recent.front()?;
+        let until = oldest.last_time().unwrap_or(oldest.time);
+        Some((oldest.first..oldest.end(), oldest.time..until))
+    }
+
+    /// Returns true if there is no room for another block.
+    fn needs_room(&self) -> bool {
         let size = self.block_frames * size_of::<Record>();
-        let mut spare = None;
-        let mut pins = Some(pins);
-        let room = if self.indexed.is_some() { self.room / LOG_PART } else { self.room };
-        while self.recent_size + self.pinned_size + size > room {
-            let Some(dropped) = self.recent.pop_front() else { break };
-            self.recent_size -= dropped.size();
-            self.generation += 1;
-            if self.indexed.as_mut().is_some_and(|indexed| indexed.add(&dropped)) {
-            } else if let Some(pins) = pins.take() {
-                let until = dropped.last_time().unwrap_or(dropped.time);
-                self.pin(&dropped, &pins(dropped.time..until));
-            }
-            spare = Some(dropped);
+        let room = if self.has_source() { self.room / LOG_PART } else { self.room };
+        !self.recent.is_empty() && self.recent_size + self.pinned_size + size > room
+    }
+
+    /// Drops the oldest block; its frames with times in `pins` are kept longer.
+    pub fn drop_oldest(&mut self, pins: &[Range<Instant>]) {
+        let Some(dropped) = self.recent.pop_front() else { return };
+        self.recent_size -= dropped.size();
+        self.generation += 1;
+        if !self.indexed.as_mut().is_some_and(|indexed| indexed.add(&dropped)) && !pins.is_empty() {
+            self.pin(&dropped, pins);
         }
-        let mut spare = spare.filter(|it| it.records.capacity() == self.block_frames);
-        if let Some(block) = spare.as_mut().and_then(Arc::get_mut) {
+        self.spare = Some(dropped).filter(|it| it.records.capacity() == self.block_frames);
+    }
+
+    /// Returns an empty block, after the oldest ones were dropped if there is no room for it.
+    fn new_block(&mut self, time: Instant) -> Arc<FrameBlock> {
+        while self.needs_room() {
+            self.drop_oldest(&[]);
+        }
+        if let Some(mut spare) = self.spare.take()
+            && let Some(block) = Arc::get_mut(&mut spare)
+        {
             block.reset(self.end, time);
-        } else {
-            spare = None;
+            return spare;
         }
-        spare.unwrap_or_else(|| Arc::new(FrameBlock::new(self.end, time, self.block_frames)))
+        Arc::new(FrameBlock::new(self.end, time, self.block_frames))
     }
 
     /// Keeps the frames of a dropped block that are in one of the ranges.
@@ -420,7 +432,7 @@ mod tests {
         let mut store = FrameStore::new(FrameStore::MIN_ROOM);
         for number in 0..frames {
             let frame = Frame::classic(number as u32, &number.to_be_bytes());
-            store.push(&frame.with_time(at(number * 1000)), None, |_| Vec::new());
+            store.push(&frame.with_time(at(number * 1000)), None);
         }
         store
     }
@@ -451,7 +463,7 @@ mod tests {
             Frame::classic(9, &[1]).with_time(at(u64::from(u32::MAX) * 3 - 100)),
         ];
         for frame in &frames {
-            store.push(frame, None, |_| Vec::new());
+            store.push(frame, None);
         }
         let read: Vec<Frame> = store.frames_from(0).map(|(_, frame)| frame).collect();
         assert_eq!(read, frames);
@@ -477,10 +489,10 @@ mod tests {
         let pin = at(50_000)..at(60_000);
         for number in 0..200_000 {
             let frame = Frame::classic(number, &[]).with_time(at(u64::from(number) * 1000));
-            store.push(&frame, None, |block| {
-                let is_near = pin.start < block.end && block.start < pin.end;
-                if is_near { vec![pin.clone()] } else { Vec::new() }
-            });
+            while store.about_to_drop().is_some() {
+                store.drop_oldest(std::slice::from_ref(&pin));
+            }
+            store.push(&frame, None);
         }
         assert!(store.first() > 100_000);
         assert_eq!(store.oldest(), 50);
@@ -499,12 +511,17 @@ mod tests {
         let mut store = FrameStore::new(FrameStore::MIN_ROOM);
         for number in 0..500_000 {
             let frame = Frame::classic(number, &[]).with_time(at(u64::from(number) * 1000));
-            store.push(&frame, None, |block| vec![block.start..block.end + Duration::from_secs(1)]);
+            while let Some((_, times)) = store.about_to_drop() {
+                store.drop_oldest(&[times.start..times.end + Duration::from_secs(1)]);
+            }
+            store.push(&frame, None);
         }
         let size = store.pinned_size + store.recent_size;
         assert!(size <= FrameStore::MIN_ROOM, "{size}");
         let pinned = store.ranges().map(|range| range.end - range.start).sum::<u64>();
         assert!(pinned * 24 > FrameStore::MIN_ROOM as u64 * 8 / 10, "{pinned}");
+        let all: Vec<_> = store.ranges().collect();
+        assert!(all.windows(2).all(|two| two[0].end == two[1].start), "without gaps: {all:?}");
     }
 
     /// A log whose frames are these, until they are changed.
@@ -544,7 +561,7 @@ mod tests {
             let frame = mixed(number);
             log.lock().unwrap().push(frame.with_time(frame.time + Duration::from_secs(9)));
             let link = identifiers.add(&frame, number);
-            store.push(&frame, link, |_| Vec::new());
+            store.push(&frame, link);
         }
         (store, log)
     }
@@ -557,7 +574,7 @@ mod tests {
         let mut identifiers = Identifiers::new();
         for number in 0..150_000 {
             let frame = mixed(number);
-            all.push(&frame, identifiers.add(&frame, number), |_| Vec::new());
+            all.push(&frame, identifiers.add(&frame, number));
         }
         assert!(store.first_in_memory() > 120_000, "{}", store.first_in_memory());
         assert_eq!((store.first(), store.oldest(), store.end()), (0, 0, 150_000));
@@ -580,10 +597,11 @@ mod tests {
         for number in 0..60_000 {
             let frame = mixed(number);
             let link = identifiers.add(&frame, number);
-            memory.push(&frame, link, |block| {
+            while memory.about_to_drop().is_some() {
                 // The first 100 frames are pinned.
-                if block.start < at(70_000) { vec![at(0)..at(70_000)] } else { Vec::new() }
-            });
+                memory.drop_oldest(&[at(0)..at(70_000)]);
+            }
+            memory.push(&frame, link);
         }
         let keys: Vec<_> = identifiers.rows().iter().map(|row| row.key).collect();
         for end in [0, 1, 90, 101, 5_000, 31_000, 59_999, 60_000] {

@@ -149,7 +149,7 @@ mod tests {
         let buses = Buses::new(Instant::ZERO, vec![bus("can0"), bus("can1")]);
         let mut traffic = Traffic::new(1 << 20, 0);
         for frame in frames {
-            traffic.push(frame, &buses, |_| Vec::new());
+            traffic.push(frame, &buses);
         }
         traffic
     }

@@ -41,7 +41,6 @@ use statistics::StatisticsHistory;
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
 use std::io;
-use std::ops::Range;
 use transfer::first_frame_of;
 
 /// Most transfers whose frames have rows of their own.
@@ -86,13 +85,8 @@ impl Traffic {
         Self { is_off: true, ..Self::new(0, 0) }
     }
 
-    /// Adds a frame of these buses. `pins` returns the times near a block of old frames whose frames are kept.
-    pub fn push(
-        &mut self,
-        frame: &Frame,
-        buses: &Buses,
-        pins: impl FnOnce(Range<Instant>) -> Vec<Range<Instant>>,
-    ) {
+    /// Adds a frame of these buses.
+    pub fn push(&mut self, frame: &Frame, buses: &Buses) {
         if self.is_off {
             return;
         }
@@ -105,7 +99,7 @@ impl Traffic {
             self.des_services =
                 buses.iter().map(|bus| bus.config().profile.des_service()).collect();
         }
-        self.capture.push(frame, link, pins);
+        self.capture.push(frame, link);
     }
 
     /// Ends a second of these buses.
@@ -506,7 +500,7 @@ mod tests {
         for at in 0..10 {
             let frame = Frame::classic(1, &[]).with_time(Instant::from_micros(at));
             let frame = if at % 2 == 0 { frame.with_tx() } else { frame };
-            traffic.push(&frame, &buses, |_| Vec::new());
+            traffic.push(&frame, &buses);
         }
         (traffic, buses)
     }

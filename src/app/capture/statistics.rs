@@ -228,7 +228,7 @@ mod tests {
                 traffic.tick(Instant::from_micros((second + 1) * 1_000_000), &buses);
             }
             now = time;
-            traffic.push(&frame(number, now), &buses, |_| Vec::new());
+            traffic.push(&frame(number, now), &buses);
             if rng.u16(..) < 20 {
                 let shown = text((&traffic.identifiers, &traffic.calls));
                 moments.push((traffic.capture.end(), now, shown));
@@ -259,11 +259,7 @@ mod tests {
             if number.is_multiple_of(1_000) {
                 traffic.tick(time, &buses);
             }
-            traffic.push(
-                &Frame::classic(number as u32 % 9, &[]).with_time(time),
-                &buses,
-                |_| vec![],
-            );
+            traffic.push(&Frame::classic(number as u32 % 9, &[]).with_time(time), &buses);
         }
         let history = &traffic.history;
         assert!(history.size() <= room, "{}", history.size());

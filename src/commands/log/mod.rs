@@ -207,7 +207,7 @@ impl FramePrinter {
             let mut stored = None;
             if self.looks_back {
                 let link = self.identifiers.add(frame, number);
-                self.recent.push(frame, link, |_| Vec::new());
+                self.recent.push(frame, link);
                 stored = Some((&self.recent, number));
             }
             if !matcher.is_match(frame, stored) {
