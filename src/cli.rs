@@ -410,7 +410,7 @@ pub struct CommonArgs {
     /// Own address, 0 to 127 [default: 0, or a free address]
     #[arg(long, value_name = "N", value_parser = address, allow_negative_numbers = true)]
     pub address: Option<Address>,
-    /// Where all frames are recorded.
+    /// Where frames are recorded.
     #[arg(
         long,
         value_name = "FILE",
@@ -421,6 +421,9 @@ pub struct CommonArgs {
     /// Start a new file (FILE_00002, …) before SIZE is reached: 500k, 100M, 2G
     #[arg(long, value_name = "SIZE", requires = "record")]
     pub record_size: Option<Size>,
+    /// Record only matching frames: src:FEED | id:123 | type:rsp | word | !word ...
+    #[arg(long, value_name = "EXPR", requires = "record")]
+    pub record_filter: Option<String>,
 }
 
 fn address(text: &str) -> Result<Address, String> {

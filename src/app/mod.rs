@@ -44,6 +44,7 @@ mod events;
 mod file;
 mod filter;
 mod filter_commands;
+mod frame_selector;
 mod help_view;
 mod history;
 mod input;
@@ -99,6 +100,7 @@ pub use filter::{
     Completion, CompletionSource, FILTER_FIELDS, FILTER_WORDS, Filter, FilterError, FilterField,
     FrameMatcher, RowKind,
 };
+pub use frame_selector::FrameSelector;
 pub use help_view::HelpView;
 pub use history::{BusesReplay, FRAMES_PER_ROOM, Moment, RecordedBuses};
 pub use input::{FilterPrompt, InputCheck, Overlay, Prompt, PromptKind, Question};

@@ -14,11 +14,8 @@ mod stats_report;
 use super::headless::{self, Limits, RunInput};
 use super::open::{self, Setup};
 use super::output::LineOutput;
-use super::watch::filter_of;
 use super::{EXIT_INTERRUPTED, EXIT_OK, Failure, diff};
-use crate::app::{
-    App, AppOptions, CallPart, Calls, Filter, FrameMatcher, FrameStore, Identifiers, RowKind,
-};
+use crate::app::{App, AppOptions, CallPart, Calls, Filter, FrameSelector, RowKind};
 use crate::bus::BusSpec;
 use crate::cli::{CommonArgs, LogArgs};
 use crate::frame::Frame;
@@ -30,13 +27,10 @@ use stats::LogStats;
 use std::fs::File;
 use std::ops::ControlFlow;
 
-/// Bytes of the frames that a filter may look back at, for intervals and the bytes of transfers.
-const LOOK_BACK: usize = 16_000_000;
-
 /// Runs it.
 pub fn run(log: &LogArgs) -> Result<u8, Failure> {
     let spec = diff::spec_of(&log.log);
-    let filter = filter_of(log.filter.as_deref(), RowKind::Frame)?;
+    let filter = open::filter("--filter", log.filter.as_deref(), RowKind::Frame)?;
     let setup = Setup::new(&CommonArgs {
         file: None,
         profile: log.profile.clone(),
@@ -45,6 +39,7 @@ pub fn run(log: &LogArgs) -> Result<u8, Failure> {
         address: None,
         record: None,
         record_size: None,
+        record_filter: None,
     })?;
     let options =
         AppOptions { utc_offset_seconds: open::utc_offset_seconds(), ..AppOptions::default() };
@@ -143,18 +138,12 @@ enum FrameOutput {
 /// Prints the frames that match.
 #[derive(Debug)]
 struct FramePrinter {
-    filter: Filter,
-    /// Prepared for what was known.
-    matcher: Option<FrameMatcher>,
+    selector: FrameSelector,
     kind: FrameOutput,
     is_json: bool,
     /// Frames that are still to be printed; `None` for all.
     left: Option<u64>,
     calls: Calls,
-    identifiers: Identifiers,
-    /// The filter needs the last frames.
-    looks_back: bool,
-    recent: FrameStore,
     number: u64,
     line: String,
     output: LineOutput,
@@ -170,15 +159,11 @@ impl FramePrinter {
             FrameOutput::Text(FrameText::default())
         };
         Self {
-            looks_back: filter.looks_back(),
-            filter,
-            matcher: None,
+            selector: FrameSelector::new(filter),
             kind,
             is_json: log.json,
             left: log.limit,
             calls: Calls::default(),
-            identifiers: Identifiers::new(),
-            recent: FrameStore::new(LOOK_BACK),
             number: 0,
             line: String::new(),
             output: LineOutput::default(),
@@ -187,12 +172,7 @@ impl FramePrinter {
 
     /// Prepares the filter for what is known now. Call before the frames, and when more is known.
     fn renew(&mut self, app: &App) {
-        if self.filter.is_empty() {
-            return;
-        }
-        if self.matcher.as_ref().is_none_or(|matcher| !matcher.is_current(app.history())) {
-            self.matcher = Some(app.log_matcher(&self.filter));
-        }
+        self.selector.renew(app);
     }
 
     /// Prints a frame if it matches. Breaks when enough are printed.
@@ -203,16 +183,8 @@ impl FramePrinter {
             (FrameOutput::Stats(_), _) | (_, None) => None,
             (_, Some(bus)) => self.calls.add(frame, number, &bus.config().profile),
         };
-        if let Some(matcher) = &self.matcher {
-            let mut stored = None;
-            if self.looks_back {
-                let previous = self.identifiers.add(frame, number);
-                self.recent.push(frame, previous, |_| Vec::new());
-                stored = Some((&self.recent, number));
-            }
-            if !matcher.is_match(frame, stored) {
-                return Ok(ControlFlow::Continue(()));
-            }
+        if !self.selector.is_match(frame) {
+            return Ok(ControlFlow::Continue(()));
         }
         self.print(app, frame, part)?;
         if let Some(left) = &mut self.left {

@@ -1,0 +1,64 @@
+//! A filter for frames that are not captured: of a recording, and of a log that is read.
+//!
+//! Inputs: a filter, what is known of the buses, frames in the order of their times. Output: whether a
+//! frame matches. A filter that looks back at intervals or transfers keeps the last frames, 16 MB of
+//! them. Does not know where frames come from, nor where they go.
+
+use super::App;
+use super::capture::{FrameStore, Identifiers};
+use super::filter::{Filter, FrameMatcher};
+use crate::frame::Frame;
+
+/// Bytes of the frames that a filter may look back at.
+const LOOK_BACK: usize = 16_000_000;
+
+/// Selects frames one after another.
+#[derive(Debug)]
+pub struct FrameSelector {
+    filter: Filter,
+    /// Prepared for what was known.
+    matcher: Option<FrameMatcher>,
+    /// The last frames, where the filter needs them.
+    recent: Option<RecentFrames>,
+}
+
+/// The last frames, with the places of the ones before with the same identifiers.
+#[derive(Debug)]
+struct RecentFrames {
+    frames: FrameStore,
+    identifiers: Identifiers,
+}
+
+impl FrameSelector {
+    /// Returns the selector of a filter of frames. An empty filter selects all.
+    pub fn new(filter: Filter) -> Self {
+        let recent = filter.looks_back().then(|| RecentFrames {
+            frames: FrameStore::new(LOOK_BACK),
+            identifiers: Identifiers::new(),
+        });
+        Self { filter, matcher: None, recent }
+    }
+
+    /// Prepares the filter for what is known now. Call before the first frames, and when more may be
+    /// known.
+    pub fn renew(&mut self, app: &App) {
+        if self.filter.is_empty() {
+            return;
+        }
+        if self.matcher.as_ref().is_none_or(|matcher| !matcher.is_current(app.history())) {
+            self.matcher = Some(app.log_matcher(&self.filter));
+        }
+    }
+
+    /// Returns true if the next frame matches.
+    pub fn is_match(&mut self, frame: &Frame) -> bool {
+        let Some(matcher) = &self.matcher else { return true };
+        let Some(RecentFrames { frames, identifiers }) = &mut self.recent else {
+            return matcher.is_match(frame, None);
+        };
+        let number = frames.end();
+        let previous = identifiers.add(frame, number);
+        frames.push(frame, previous, |_| Vec::new());
+        matcher.is_match(frame, Some((&*frames, number)))
+    }
+}
