@@ -164,6 +164,11 @@ impl App {
                 let all = self.identifiers().rows().len();
                 (count(self.identifiers_shown().len()), count(all))
             }
+            Page::Traffic if let Some(list) = self.view.call_list() => {
+                let row = self.calls().get(&list.key);
+                let all = row.map_or(0, |row| row.kept_calls().len());
+                (count(self.calls_listed().len()), count(all))
+            }
             Page::Traffic if self.view.shows_calls() => {
                 (count(self.calls_shown().len()), count(self.calls().rows().len()))
             }

@@ -22,21 +22,34 @@ pub struct FrameSelector {
     recent: Option<RecentFrames>,
 }
 
-/// The last frames, with the places of the ones before with the same identifiers.
+/// The last frames that were tested, with the places of the ones before with the same identifiers.
 #[derive(Debug)]
-struct RecentFrames {
+pub(super) struct RecentFrames {
     frames: FrameStore,
     identifiers: Identifiers,
+}
+
+impl RecentFrames {
+    /// Returns an empty store, if the filter looks back.
+    pub fn for_filter(filter: &Filter) -> Option<Self> {
+        filter
+            .looks_back()
+            .then(|| Self { frames: FrameStore::new(LOOK_BACK), identifiers: Identifiers::new() })
+    }
+
+    /// Stores the next frame; returns true if it matches.
+    pub fn is_match(&mut self, matcher: &FrameMatcher, frame: &Frame) -> bool {
+        let number = self.frames.end();
+        let previous = self.identifiers.add(frame, number);
+        self.frames.push(frame, previous, |_| Vec::new());
+        matcher.is_match(frame, Some((&self.frames, number)))
+    }
 }
 
 impl FrameSelector {
     /// Returns the selector of a filter of frames. An empty filter selects all.
     pub fn new(filter: Filter) -> Self {
-        let recent = filter.looks_back().then(|| RecentFrames {
-            frames: FrameStore::new(LOOK_BACK),
-            identifiers: Identifiers::new(),
-        });
-        Self { filter, matcher: None, recent }
+        Self { recent: RecentFrames::for_filter(&filter), filter, matcher: None }
     }
 
     /// Prepares the filter for what is known now. Call before the first frames, and when more may be
@@ -53,12 +66,9 @@ impl FrameSelector {
     /// Returns true if the next frame matches.
     pub fn is_match(&mut self, frame: &Frame) -> bool {
         let Some(matcher) = &self.matcher else { return true };
-        let Some(RecentFrames { frames, identifiers }) = &mut self.recent else {
-            return matcher.is_match(frame, None);
-        };
-        let number = frames.end();
-        let previous = identifiers.add(frame, number);
-        frames.push(frame, previous, |_| Vec::new());
-        matcher.is_match(frame, Some((&*frames, number)))
+        match &mut self.recent {
+            Some(recent) => recent.is_match(matcher, frame),
+            None => matcher.is_match(frame, None),
+        }
     }
 }

@@ -33,7 +33,9 @@ mod bitrate;
 mod boards;
 mod bus_choice;
 mod buses;
+mod call_list;
 mod capture;
+mod capture_saving;
 mod clock;
 mod compared_moments;
 mod conflict_panel;
@@ -87,9 +89,10 @@ pub use buses::{
 };
 pub use capture::decoded::summary_of;
 pub use capture::{
-    CallKey, CallPart, CallStats, Calls, CapturedHeartbeat, CapturedHeartbeats, CapturedLog,
-    Decoded, FrameMeaning, FramePeriod, FrameRole, FrameStore, IdentifierKey, IdentifierKind,
-    IdentifierStats, Identifiers, Latency, NOTED_BYTES, StoredFrames, Transfer,
+    Call, CallCounts, CallKey, CallPart, CallResult, CallStats, Calls, CapturedHeartbeat,
+    CapturedHeartbeats, CapturedLog, Decoded, FrameMeaning, FramePeriod, FrameRole, FrameStore,
+    IdentifierKey, IdentifierKind, IdentifierStats, Identifiers, Latency, NOTED_BYTES,
+    StoredFrames, Transfer, WrittenFrames,
 };
 pub use compared_moments::{ComparedMoment, ComparisonNote, ComparisonRow, MomentComparison};
 pub use conflict_panel::{BeatCell, BeatsOnAxis, ConflictPanel, MAX_COLUMNS, side_letter};
@@ -135,9 +138,10 @@ pub use versions::{
     printable, removed_services, twin_differences, version_before,
 };
 pub use view::{
-    BarKey, Board, BusPageLayout, BusRegions, ChartSpan, ConflictAxis, Counts, DeviceView,
-    DevicesPage, EvidenceView, FileStatus, Focus, Frozen, Page, ProblemsView, Row, RowKey,
-    RowState, SPLIT_WIDTH, Screen, Selection, SortBy, TimeFormat, TimelineView, TrafficView, View,
+    BarKey, Board, BusPageLayout, BusRegions, CallList, ChartSpan, ConflictAxis, Counts,
+    DeviceView, DevicesPage, EvidenceView, FileStatus, Focus, Frozen, Page, ProblemsView, Row,
+    RowKey, RowState, SPLIT_WIDTH, Screen, Selection, SortBy, TimeFormat, TimelineView,
+    TrafficView, View,
 };
 
 use crate::bitrate::{SearchOutcome, SearchProgress};
@@ -237,7 +241,7 @@ pub enum Effect {
         /// Content.
         bytes: Vec<u8>,
     },
-    /// Write the captured frames to a new file; then call [`App::handle_written`].
+    /// Write the captured frames to a new file; then call [`App::handle_written_log`].
     WriteLog {
         /// Path.
         path: PathBuf,
@@ -619,7 +623,7 @@ impl App {
         self.quit_if_saved();
     }
 
-    /// Takes the result of an [`Effect::WriteFile`] or [`Effect::WriteLog`]; `Err` with the cause.
+    /// Takes the result of an [`Effect::WriteFile`]; `Err` with the cause.
     pub fn handle_written(&mut self, now: Instant, path: &Path, result: Result<(), Diagnostic>) {
         self.clock.set(now);
         if self.handle_written_proof(path, &result) {
@@ -1120,6 +1124,10 @@ impl App {
     pub fn selected_frame(&self) -> Option<Frame> {
         match self.view.evidence_alone() {
             Some(evidence) => evidence.selected()?.1.frame,
+            None if self.view.call_list().is_some() => {
+                let call = self.selected_call()?;
+                self.traffic.capture.get(call.request)
+            }
             None if self.view.shows_calls() => {
                 let rows = self.calls_shown();
                 let selected = self.view.calls.index(rows.iter().map(|row| &row.key))?;

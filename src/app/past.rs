@@ -220,6 +220,15 @@ impl App {
         }
     }
 
+    /// Counts the frames until the moment that is shown, of identifiers and of calls.
+    pub(super) fn count_past_tables(&mut self) {
+        let Some(past) = &mut self.past else { return };
+        let Moment { frames, time, .. } = past.moment;
+        let (traffic, buses) = (&self.traffic, &past.buses);
+        past.calls.get_or_insert_with(|| traffic.calls_until(buses, frames, time));
+        past.identifiers.get_or_insert_with(|| traffic.identifiers_until(frames, time));
+    }
+
     /// Returns a past moment, with the buses as they were.
     pub(super) fn past_at(&mut self, moment: Moment, mut buses: Buses) -> Past {
         buses.refresh_redundancy();

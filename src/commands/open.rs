@@ -355,6 +355,11 @@ pub fn report_recording(status: Option<RecordingStatus>) {
     }
 }
 
+/// Prints on standard error what was written.
+pub fn report_written(status: &RecordingStatus) {
+    output::warn(format_args!("wrote {status}"));
+}
+
 /// Offset of local time from UTC, in seconds; 0 if unknown. Call before threads are started.
 pub fn utc_offset_seconds() -> i32 {
     time::UtcOffset::current_local_offset().map_or(0, time::UtcOffset::whole_seconds)

@@ -11,7 +11,7 @@ use super::log_input::{LogBatch, LogInput, LogPace};
 use super::recorder::Recorder;
 use super::store::{SaveError, Saved, Store, write_new};
 use super::waiting::{file_changed, sleep_for};
-use crate::app::{App, Effect, FileReading, FrameSelector, SaveOutcome};
+use crate::app::{App, Effect, FileReading, FrameSelector, SaveOutcome, WrittenFrames};
 use crate::bus::{Clock, Port};
 use crate::diagnostic::Diagnostic;
 use crate::discovery::Config;
@@ -78,6 +78,8 @@ pub enum FileJobResult {
     Saved(SaveOutcome, Vec<u8>),
     /// Writing another file.
     Written(PathBuf, Result<(), Diagnostic>),
+    /// Writing the captured frames.
+    WrittenLog(PathBuf, Result<WrittenFrames, Diagnostic>),
 }
 
 /// Work on files, on a separate thread.
@@ -400,6 +402,9 @@ impl Session {
             SessionWake::FileJobDone(FileJobResult::Written(path, result)) => {
                 self.app.handle_written(now, &path, result);
             }
+            SessionWake::FileJobDone(FileJobResult::WrittenLog(path, result)) => {
+                self.app.handle_written_log(now, &path, result);
+            }
         }
         self.advance_log();
     }
@@ -638,10 +643,12 @@ impl Session {
             match effect {
                 Effect::Save { expected, content } => self.start_save(expected, content),
                 Effect::WriteFile { path, bytes } => {
-                    self.start_write(path, move |file| file.write_all(&bytes));
+                    let write = move |file: &mut File| file.write_all(&bytes);
+                    self.start_write(path, write, FileJobResult::Written);
                 }
                 Effect::WriteLog { path, log } => {
-                    self.start_write(path, move |file| log.write_to(file));
+                    let write = move |file: &mut File| log.write_to(file);
+                    self.start_write(path, write, FileJobResult::WrittenLog);
                 }
                 Effect::ReadFile => {
                     // What is being parsed was read before.
@@ -667,15 +674,16 @@ impl Session {
     }
 
     /// Writes a new file on a separate thread.
-    fn start_write(
+    fn start_write<T: Send + 'static>(
         &mut self,
         path: PathBuf,
-        write: impl FnOnce(&mut File) -> io::Result<()> + Send + 'static,
+        write: impl FnOnce(&mut File) -> io::Result<T> + Send + 'static,
+        done: fn(PathBuf, Result<T, Diagnostic>) -> FileJobResult,
     ) {
         let handle = spawn_blocking(move || {
             let home = std::env::var_os("HOME").map(PathBuf::from);
             let result = write_new(&path, home.as_deref(), write);
-            FileJobResult::Written(path, result)
+            done(path, result)
         });
         self.work.push(FileJob { handle, is_save: false });
     }

@@ -262,9 +262,16 @@ fn hint_line(brush: &DrawContext, mode: KeyMode, width: usize) -> Vec<Span<'stat
             A::ClearLost,
             A::Identify,
         ],
-        (KeyMode::Browse, Page::Traffic, _) => {
-            &[A::Details, A::Filter, A::Freeze, A::Identifiers, A::SaveCapture, A::Rescan]
-        }
+        (KeyMode::Browse, Page::Traffic, _) => &[
+            A::Details,
+            A::Frames,
+            A::Filter,
+            A::Freeze,
+            A::Identifiers,
+            A::TimeFormat,
+            A::SaveCapture,
+            A::Rescan,
+        ],
         (KeyMode::Browse, Page::Timeline, _) => &[
             A::Details,
             A::Frames,
@@ -424,7 +431,10 @@ fn applies(brush: &DrawContext, action: Action) -> bool {
     let row = app.selected_row();
     let is_leaving = view.focus == Focus::Details
         || view.page == Page::Traffic
-            && (view.evidence.is_some() || view.frame_details || view.from_timeline);
+            && (view.evidence.is_some()
+                || view.call_list().is_some()
+                || view.frame_details
+                || view.from_timeline);
     let on_any = |can: fn(&Config) -> bool| {
         let mut buses = app.buses().iter().filter(|bus| bus.is_up() && !bus.config().listen_only);
         buses.any(|bus| can(bus.config()))
@@ -437,6 +447,10 @@ fn applies(brush: &DrawContext, action: Action) -> bool {
         (A::Details, Page::Traffic) if view.evidence.is_none() => {
             app.capture().end() > 0 && !view.frame_details
         }
+        (A::TimeFormat, Page::Traffic) => {
+            view.evidence.is_none() && (view.shows_identifiers() || view.shows_calls())
+        }
+        (A::Frames, Page::Traffic) => view.shows_calls() && view.call_list().is_none(),
         (A::OpenParts | A::Kinds, Page::Timeline) if brush.screen.list.height == 0 => false,
         (A::ZoomIn, Page::Timeline) => brush.screen.lanes.height > 1,
         (A::Details | A::Frames | A::OpenParts, Page::Timeline) => !app.lines_shown().is_empty(),
@@ -496,9 +510,11 @@ fn hint(brush: &DrawContext, action: Action) -> Option<Hint> {
             _ => "go to device",
         },
         (A::Identifiers, Page::Bus, _) => brush.app.chart_span().next().title(),
-        (A::Details, Page::Traffic, None) if view.shows_identifiers() || view.shows_calls() => {
-            "frames"
-        }
+        (A::TimeFormat, ..) if view.counts_base().is_some() => "count all",
+        (A::TimeFormat, ..) => "count anew",
+        (A::Details, Page::Traffic, None) if view.call_list().is_some() => "frame",
+        (A::Details, Page::Traffic, None) if view.shows_calls() => "its calls",
+        (A::Details, Page::Traffic, None) if view.shows_identifiers() => "frames",
         (A::Identifiers, Page::Problems, _) => view.problems_view.next().title(),
         (A::Identifiers, Page::Timeline, _) => {
             view.timeline_shown().next(brush.screen.whole.width).title()

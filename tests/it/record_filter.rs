@@ -85,9 +85,8 @@ fn mistake_in_record_filter_is_reported_before_recording() {
 #[test]
 fn live_recording_selects_frames_by_name() {
     let folder = tempfile::tempdir().unwrap();
-    let arguments = [
-        "watch", "sim:boiler", "--time", "3", "--record", "b.log", "--record-filter", "src:FEED",
-    ];
+    let arguments =
+        ["watch", "sim:boiler", "--time", "3", "--record", "b.log", "--record-filter", "src:FEED"];
     let output = descan(&arguments, folder.path());
     assert_eq!(output.status.code(), Some(0), "{output:?}");
     let text = fs::read_to_string(folder.path().join("b.log")).unwrap();

@@ -454,7 +454,14 @@ impl PromptLogic for CapturePathPrompt {
     fn validate(&self, text: &str, context: PromptContext) -> C {
         match LogFormat::of(Path::new(text)) {
             _ if text.is_empty() => C::Rejected(NO_PATH.to_owned()),
-            Ok(format) => C::Accepted(format!("{} frames, {}", context.frames, format.description)),
+            Ok(format) => {
+                let (all, format) = (context.frames, format.description);
+                C::Accepted(match context.saves_matches {
+                    None => format!("{all} frames, {format}"),
+                    Some(None) => format!("those of {all} frames that match the filter, {format}"),
+                    Some(Some(count)) => format!("{count} of {all} frames (filter), {format}"),
+                })
+            }
             Err(_) => C::Rejected(format!("use the ending {}", LogFormat::usual_endings())),
         }
     }

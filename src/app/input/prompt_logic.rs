@@ -31,6 +31,8 @@ pub(in crate::app) struct PromptContext<'a> {
     pub selected_bus: Option<BusIndex>,
     /// Number of captured frames.
     pub frames: u64,
+    /// Only frames that match a filter are saved, so many; `None` inside: not counted.
+    pub saves_matches: Option<Option<u64>>,
     /// Moments that can be shown.
     pub moments: MomentRange,
     /// Number of rows of the page that match its filter, and of all.

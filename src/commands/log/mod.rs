@@ -1,4 +1,5 @@
-//! `descan log`: the frames of a log, decoded, one per line as text or JSON, or their statistics.
+//! `descan log`: the frames of a log, decoded, one per line as text or JSON, or their statistics, or
+//! some of them as another log.
 //!
 //! Input: a log. A file is read twice: for the state with its names, then for the frames, so that a
 //! name holds for the frames before it, too. Standard input and pipes are read once, with the names
@@ -6,6 +7,7 @@
 //! log. Does not know how frames are decoded.
 
 mod frame_json;
+mod frame_log;
 mod frame_text;
 mod known_names;
 mod stats;
@@ -22,6 +24,7 @@ use crate::frame::Frame;
 use crate::shell::stop::StopReason;
 use anyhow::Context;
 use frame_json::FrameJson;
+use frame_log::FrameLog;
 use frame_text::FrameText;
 use stats::LogStats;
 use std::fs::File;
@@ -53,7 +56,7 @@ pub fn run(log: &LogArgs) -> Result<u8, Failure> {
         needs_frames: !is_file,
         stuck: EXIT_INTERRUPTED,
     };
-    let mut printer = FramePrinter::new(log, filter);
+    let mut printer = FramePrinter::new(log, filter)?;
     let ending = if is_file {
         print_file(&spec, &file, &setup, options, range, &mut printer)?
     } else {
@@ -133,6 +136,7 @@ enum FrameOutput {
     Text(FrameText),
     Json(FrameJson),
     Stats(Box<LogStats>),
+    Log(FrameLog),
 }
 
 /// Prints the frames that match.
@@ -150,15 +154,17 @@ struct FramePrinter {
 }
 
 impl FramePrinter {
-    fn new(log: &LogArgs, filter: Filter) -> Self {
-        let kind = if log.stats {
+    fn new(log: &LogArgs, filter: Filter) -> Result<Self, Failure> {
+        let kind = if let Some(path) = &log.write {
+            FrameOutput::Log(FrameLog::create(path)?)
+        } else if log.stats {
             FrameOutput::Stats(Box::default())
         } else if log.json {
             FrameOutput::Json(FrameJson::default())
         } else {
             FrameOutput::Text(FrameText::default())
         };
-        Self {
+        Ok(Self {
             selector: FrameSelector::new(filter),
             kind,
             is_json: log.json,
@@ -167,7 +173,7 @@ impl FramePrinter {
             number: 0,
             line: String::new(),
             output: LineOutput::default(),
-        }
+        })
     }
 
     /// Prepares the filter for what is known now. Call before the frames, and when more is known.
@@ -180,10 +186,13 @@ impl FramePrinter {
         let number = self.number;
         self.number += 1;
         let part = match (&self.kind, app.bus(frame.bus)) {
-            (FrameOutput::Stats(_), _) | (_, None) => None,
+            (FrameOutput::Stats(_) | FrameOutput::Log(_), _) | (_, None) => None,
             (_, Some(bus)) => self.calls.add(frame, number, &bus.config().profile),
         };
         if !self.selector.is_match(frame) {
+            if let FrameOutput::Log(log) = &mut self.kind {
+                log.note_left_out();
+            }
             return Ok(ControlFlow::Continue(()));
         }
         self.print(app, frame, part)?;
@@ -212,11 +221,15 @@ impl FramePrinter {
                 stats.add(app, frame);
                 Ok(())
             }
+            FrameOutput::Log(log) => log.write(app, frame),
         }
     }
 
     /// Prints the statistics, and what waits.
     fn finish(&mut self, app: &App) -> Result<(), Failure> {
+        if let FrameOutput::Log(log) = &mut self.kind {
+            return log.finish(app);
+        }
         if let FrameOutput::Stats(stats) = &mut self.kind {
             stats.end(app);
             if self.is_json {

@@ -122,7 +122,12 @@ fn identifier_line(
         None => row.rate.to_string(),
     };
     let plain = if row.rate == 0 && slow.is_none() { Role::Muted } else { Role::Text };
-    let mut spans: Vec<Span> = vec![brush.span(Role::Text, if is_selected { "▸ " } else { "  " })];
+    let view = brush.app.view();
+    let is_new = view.counts_base().is_some_and(|base| base.is_new_identifier(row));
+    let mut spans: Vec<Span> = vec![
+        brush.span(Role::Text, if is_selected { "▸" } else { " " }),
+        brush.span(Role::New, if is_new { "+" } else { " " }),
+    ];
     if columns.has_bus {
         spans.push(brush.span(Role::Muted, bus_cell(brush.app, Some(row.key.bus))));
     }
@@ -135,7 +140,7 @@ fn identifier_line(
         let text = if least == most { most.to_string() } else { format!("{least}–{most}") };
         spans.push(brush.span(Role::Muted, format!("{} ", fit(&text, 5))));
     }
-    spans.push(brush.span(Role::Muted, format!("{:>7} ", row.count)));
+    spans.push(brush.span(Role::Muted, format!("{:>7} ", view.frame_count(row))));
     if columns.has_rate {
         spans.push(brush.span(plain, format!("{rate:>5} ")));
     }

@@ -4,6 +4,8 @@ mod alarm;
 mod ascii;
 mod bus;
 mod buses;
+mod calls;
+mod capture_saving;
 mod comparison;
 mod conflict;
 mod conflict_panel;
