@@ -90,6 +90,7 @@ impl App {
     pub(super) fn filter_changed(&mut self) {
         self.refresh();
         self.filter_frames();
+        self.renew_candidate_counts();
         self.notices.redraw.set_dirty();
     }
 

@@ -34,6 +34,7 @@ mod boards;
 mod bus_choice;
 mod buses;
 mod call_list;
+mod candidate_counts;
 mod capture;
 mod capture_saving;
 mod clock;
@@ -47,6 +48,7 @@ mod file;
 mod filter;
 mod filter_commands;
 mod frame_selector;
+mod frame_sides;
 mod help_view;
 mod history;
 mod input;
@@ -104,6 +106,7 @@ pub use filter::{
     FrameMatcher, RowKind,
 };
 pub use frame_selector::FrameSelector;
+pub use frame_sides::FrameSides;
 pub use help_view::HelpView;
 pub use history::{BusesReplay, FRAMES_PER_ROOM, Moment, RecordedBuses};
 pub use input::{FilterPrompt, InputCheck, Overlay, Prompt, PromptKind, Question};
@@ -158,6 +161,7 @@ use crate::time::{Duration, Epoch, Instant, debug_assert_later};
 use crate::wire::id::{Address, Service};
 use crate::wire::profile::Profile;
 use alarm::Alarms;
+use candidate_counts::CandidateCounts;
 use capture::Traffic;
 use clock::AppClock;
 use devices::DeviceRows;
@@ -339,6 +343,8 @@ pub struct App {
     filters: PageFilters,
     /// When the next part of the frames is tested by the filter.
     filter_due: Option<Instant>,
+    /// Numbers of rows by the candidates of the filter that is typed.
+    candidate_counts: Option<Box<CandidateCounts>>,
     /// The moment that is shown in place of the present one.
     past: Option<Box<Past>>,
     /// The replay on the way to a moment, and when its next part is due.
@@ -398,6 +404,7 @@ impl App {
             was_idle: false,
             filters: PageFilters::default(),
             filter_due: None,
+            candidate_counts: None,
             past: None,
             replay: None,
             replay_due: None,
@@ -732,7 +739,8 @@ impl App {
         let comparison = self.comparison.as_ref().and_then(|comparison| comparison.due());
         let play = self.play.map(|play| play.due());
         let work = self.filter_due.into_iter().chain(self.replay_due);
-        work.chain(comparison).chain(play).min()
+        let candidates = self.candidate_counts.as_ref().and_then(|counts| counts.due());
+        work.chain(comparison).chain(play).chain(candidates).min()
     }
 
     /// Goes on with the filter, a replay, a comparison and playing.
@@ -747,6 +755,7 @@ impl App {
         if self.comparison.as_ref().is_some_and(|it| it.is_due(real)) {
             self.go_on_comparing();
         }
+        self.go_on_counting_candidates();
         self.go_on_playing();
     }
 
@@ -1302,6 +1311,7 @@ impl App {
         let was_idle = std::mem::replace(&mut self.was_idle, is_idle);
         self.buses.tick(self.clock.now());
         self.traffic.identifiers.tick();
+        self.recount_candidates();
         let (now, buses) = (self.clock.now(), &self.buses);
         self.traffic.calls.tick(now, |bus| buses.profile(bus).calls.timeout());
         // What made it idle is shown, too.

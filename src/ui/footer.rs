@@ -3,6 +3,7 @@
 //! lines.
 
 use super::brush::{DrawContext, cut, fit, wrap};
+use super::chart::grouped;
 use crate::app::{
     BarKey, FileError, FileStatus, Focus, InputCheck, Page, Prompt, PromptKind, addition_refusal,
     format_duration, is_about,
@@ -205,15 +206,22 @@ fn completion_line(brush: &DrawContext, width: usize) -> Option<Line<'static>> {
     // The chosen one is among those that fit.
     let first = chosen.map_or(0, |at| at.saturating_sub(3));
     for (at, candidate) in candidates.iter().enumerate().skip(first) {
-        let needed = candidate.width() + 2;
+        let count = app.candidate_count(candidate);
+        let is_none = count == Some(0);
+        let count = count.map(|count| format!(" {}", grouped(count))).unwrap_or_default();
+        let needed = candidate.width() + count.width() + 2;
         if needed + 2 > left {
             spans.push(brush.span(Role::Muted, " …"));
             break;
         }
         left -= needed;
-        let (sign, role) =
-            if chosen == Some(at) { (" ▸", Role::Match) } else { ("  ", Role::Text) };
+        let (sign, role) = match chosen == Some(at) {
+            true => (" ▸", Role::Match),
+            false if is_none => ("  ", Role::Muted),
+            false => ("  ", Role::Text),
+        };
         spans.push(brush.span(role, format!("{sign}{candidate}")));
+        spans.push(brush.span(Role::Muted, count));
     }
     let used: usize = spans.iter().map(Span::width).sum();
     spans.push(brush.span(Role::Text, " ".repeat(width.saturating_sub(used))));

@@ -5,6 +5,7 @@ mod ascii;
 mod bus;
 mod buses;
 mod calls;
+mod candidates;
 mod capture_saving;
 mod comparison;
 mod conflict;
