@@ -108,8 +108,8 @@ impl App {
     /// Counts the next part of the rows, if it is due.
     pub(super) fn go_on_counting_candidates(&mut self) {
         let real = self.clock.real();
-        let is_due = |counts: &Box<CandidateCounts>| counts.due.is_some_and(|due| due <= real);
-        let Some(mut counts) = self.candidate_counts.take_if(|counts| is_due(counts)) else {
+        let is_due = |due: Option<Instant>| due.is_some_and(|due| due <= real);
+        let Some(mut counts) = self.candidate_counts.take_if(|counts| is_due(counts.due)) else {
             return;
         };
         let before: u64 = counts.values.iter().map(|value| value.count).sum();

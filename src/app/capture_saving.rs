@@ -4,7 +4,7 @@
 
 use super::capture::WrittenFrames;
 use super::filter::Filter;
-use super::input::{CapturePathPrompt, PromptKind};
+use super::input::{CapturePathPrompt, PromptKind, SavedFrames};
 use super::view::Page;
 use super::{App, Effect};
 use crate::diagnostic::Diagnostic;
@@ -40,12 +40,17 @@ impl App {
         filter.filter(|_| self.view.evidence.is_none())
     }
 
-    /// Number of frames to be saved; `None` for all, `Some(None)` as long as it is not known.
-    pub(super) fn saved_matches(&self) -> Option<Option<u64>> {
-        self.saved_frames_filter()?;
+    /// Which captured frames would be saved.
+    pub(super) fn saved_frames(&self) -> SavedFrames {
+        if self.saved_frames_filter().is_none() {
+            return SavedFrames::All;
+        }
         let ranges = self.traffic.capture.ranges();
         let all: u64 = ranges.map(|range| range.end - range.start).sum();
-        Some(self.hidden_frames().map(|hidden| all.saturating_sub(hidden)))
+        match self.hidden_frames() {
+            Some(hidden) => SavedFrames::Counted(all.saturating_sub(hidden)),
+            None => SavedFrames::Matching,
+        }
     }
 
     /// Takes the result of an [`Effect::WriteLog`]; `Err` with the cause.

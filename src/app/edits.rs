@@ -304,7 +304,7 @@ impl App {
             frames: self.traffic.capture.ranges().map(|range| range.end - range.start).sum(),
             moments: self.moment_range(),
             matches: self.filter_matches(),
-            saves_matches: self.saved_matches(),
+            saved_frames: self.saved_frames(),
         }
     }
 

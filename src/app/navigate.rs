@@ -492,8 +492,7 @@ impl App {
             self.close_beat_history();
         } else if self.view.focus == Focus::Details {
             self.view.focus_details(false);
-        } else if self.leave_evidence() {
-        } else if page == Page::Traffic && self.close_call_list() {
+        } else if self.leave_evidence() || page == Page::Traffic && self.close_call_list() {
         } else if page == Page::Traffic && self.view.frame_details {
             self.view.frame_details = false;
         } else if self.past.is_some() && !self.view.from_timeline {

@@ -7,6 +7,7 @@ use crate::app::{App, Call, CallResult, Decoded, Page, clock_millis};
 use crate::text::hex;
 use crate::theme::Role;
 use ratatui::text::{Line, Span};
+use std::fmt::Write;
 use unicode_width::UnicodeWidthStr;
 
 /// Cells of RESULT.
@@ -31,9 +32,10 @@ pub fn draw(brush: &mut DrawContext) {
     let has_data = list.width >= WITH_DATA;
     let mut title = format!("  {:12} LATENCY ms {} ", "TIME", fit("RESULT", RESULT));
     if has_data {
-        title += &format!("{} {} ", fit("REQUEST", BYTES), fit("RESPONSE", BYTES));
+        let _ = write!(title, "{} {} ", fit("REQUEST", BYTES), fit("RESPONSE", BYTES));
     }
-    title += "REQUEST → RESPONSE";
+    // On a narrow screen the page rule has no room for whose calls they are.
+    title += self::title(app).as_deref().map_or("REQUEST → RESPONSE", str::trim);
     let mut line = Line::from(brush.span(Role::Header, title));
     let all = app.calls().get(&open.key).map_or(0, |row| row.calls);
     if all > calls.len() as u64 {

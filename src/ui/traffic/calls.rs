@@ -33,13 +33,14 @@ impl CallColumns {
         }
     }
 
-    fn title(self) -> String {
+    /// `since`: counts are those since a moment.
+    fn title(self, since: bool) -> String {
         let mut title = String::from("  ");
         if self.has_bus {
             title += "BUS    ";
         }
-        let _ =
-            write!(title, "{}→{} SERVICE     CALLS ", fit_right("CLIENT", END), fit("SERVER", END));
+        let _ = write!(title, "{}→{} SERVICE   ", fit_right("CLIENT", END), fit("SERVER", END));
+        title += if since { " +CALLS " } else { "  CALLS " };
         if self.has_rate {
             title += "   /s ";
         }
@@ -62,7 +63,9 @@ impl CallColumns {
 pub fn draw(brush: &mut DrawContext) {
     let (header, list) = (brush.screen.header, brush.screen.list);
     let columns = CallColumns::new(brush, list.width);
-    let line = Line::from(brush.span(Role::Header, columns.title()));
+    let line = Line::from(
+        brush.span(Role::Header, columns.title(brush.app.view().counts_base().is_some())),
+    );
     brush.line(header, 0, &line);
     let app = brush.app;
     let rows = app.calls_shown();

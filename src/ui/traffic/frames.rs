@@ -238,7 +238,7 @@ fn frame_line(
     if let Some(side) = shown.side {
         // The UID is what matters; the service has a column, or is known by the letter.
         if let Some(rest) = text.strip_prefix("heartbeat ") {
-            text = rest.to_owned();
+            text = String::from(rest);
         }
         spans.push(brush.span(side_role(side), format!("{} ", side_letter(side))));
     }

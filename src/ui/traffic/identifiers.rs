@@ -44,7 +44,8 @@ impl IdentifierColumns {
         }
     }
 
-    fn title(self) -> String {
+    /// `since`: counts are those since a moment.
+    fn title(self, since: bool) -> String {
         let mut title = String::from("  ");
         if self.has_bus {
             title += "BUS    ";
@@ -59,7 +60,7 @@ impl IdentifierColumns {
         if self.has_length {
             title += "LEN   ";
         }
-        title += "  COUNT ";
+        title += if since { " +COUNT " } else { "  COUNT " };
         if self.has_rate {
             title += "   /s ";
         }
@@ -79,7 +80,9 @@ impl IdentifierColumns {
 pub fn draw(brush: &mut DrawContext) {
     let (header, list) = (brush.screen.header, brush.screen.list);
     let columns = IdentifierColumns::new(brush, list.width);
-    let line = Line::from(brush.span(Role::Header, columns.title()));
+    let line = Line::from(
+        brush.span(Role::Header, columns.title(brush.app.view().counts_base().is_some())),
+    );
     brush.line(header, 0, &line);
     let app = brush.app;
     let rows = app.identifiers_shown();

@@ -86,7 +86,7 @@ fn large_capture_is_counted_in_parts() {
     let parts = wait_for(&mut stage, "std");
     assert!(parts > 3, "{parts}");
     assert_eq!(stage.app.candidate_count("std"), Some(20_000));
-    assert_eq!(stage.app.candidate_count("data"), Some(10_000));
+    assert_eq!(stage.app.candidate_count("foreign"), Some(10_000));
     let later = stage.app.now() + Duration::from_secs(1);
     stage.app.handle_frames(later, &[Frame::new(CanId::Standard(7), &[]).with_time(later)]);
     for _ in 0..50 {

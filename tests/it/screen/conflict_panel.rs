@@ -377,11 +377,20 @@ fn frames_of_a_conflict_name_their_board() {
     of("SPARE01", "B ");
     snapshot!("traffic_conflict_120x40", stage);
     snapshot!("traffic_conflict_80x24", stage.size(80, 24));
-    // Before it was confirmed, no board is named.
-    stage.keys("Esc").size(120, 40).app.go_to_time(Instant::ZERO + Duration::from_secs(26));
+}
+
+#[test]
+fn frames_before_the_conflict_name_no_board() {
+    let boards = [board("ACT", "one", uid("ONE"), 0.0), board("ACT", "two", uid("TWO"), 12.3)];
+    let mut stage = stage(&scenario(&boards));
+    stage.until(40.0);
+    let now = letters_on_traffic(&mut stage);
+    assert!(now.iter().any(|text| text == "A WORK ONE"), "{}", stage.screen());
+    stage.app.go_to_time(Instant::ZERO + Duration::from_secs(11));
     stage.wait_for_past();
-    let screen = stage.keys("2 \\").screen();
-    assert!(screen.contains("BOILER03") && !screen.contains(" A WORK"), "{screen}");
+    let screen = stage.screen();
+    assert!(screen.contains("heartbeat WORK ONE"), "{screen}");
+    assert!(!screen.contains(" A WORK") && !screen.contains("WORK TWO"), "{screen}");
 }
 
 #[test]
