@@ -289,7 +289,9 @@ len:>4 since:12:03 !data:FF (descan help filter).
 with count, rate, period and jitter, and the calls with latency, unanswered and failed ones. Jitter \
 is that of the last 256 intervals, latencies are those of the last 1024 calls.
 
-Exit code: 0 done, 2 wrong usage, 3 the log cannot be read, 130 interrupted.
+--write writes the matching frames, as they were, to a new log, in place of printing them.
+
+Exit code: 0 done, 2 wrong usage, 3 the log cannot be read or written, 130 interrupted.
 
 Examples:
   descan log session.log
@@ -297,6 +299,7 @@ Examples:
   descan log session.log --from 60 --time 5
                                 the frames of seconds 60 to 65
   descan log session.log --json | jq -c 'select(.latency_ms > 50)'
+  descan log session.log --filter 'at:14 since:13:50' --write part.pcapng
   descan log session.log --stats
   descan log session.log --stats --json | jq '.identifiers[] | select(.rate > 100) | .id'
   ssh board candump -L can0 | descan log - --filter at:12")]
@@ -313,7 +316,16 @@ pub struct LogArgs {
     /// Print statistics instead of frames
     #[arg(long, conflicts_with = "limit")]
     pub stats: bool,
-    /// Stop after N printed frames
+    /// Where the frames are written.
+    #[arg(
+        long,
+        value_name = "FILE",
+        value_parser = recording,
+        conflicts_with_all = ["stats", "json"],
+        help = format!("Write the matching frames to a new FILE: {}", LogFormat::summary())
+    )]
+    pub write: Option<PathBuf>,
+    /// Stop after N matching frames
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     pub limit: Option<u64>,
     /// Start SECONDS after the first frame
@@ -410,7 +422,7 @@ pub struct CommonArgs {
     /// Own address, 0 to 127 [default: 0, or a free address]
     #[arg(long, value_name = "N", value_parser = address, allow_negative_numbers = true)]
     pub address: Option<Address>,
-    /// Where all frames are recorded.
+    /// Where frames are recorded.
     #[arg(
         long,
         value_name = "FILE",
@@ -421,6 +433,9 @@ pub struct CommonArgs {
     /// Start a new file (FILE_00002, …) before SIZE is reached: 500k, 100M, 2G
     #[arg(long, value_name = "SIZE", requires = "record")]
     pub record_size: Option<Size>,
+    /// Record only matching frames: src:FEED | id:123 | type:rsp | word | !word ...
+    #[arg(long, value_name = "EXPR", requires = "record")]
+    pub record_filter: Option<String>,
 }
 
 fn address(text: &str) -> Result<Address, String> {

@@ -210,16 +210,28 @@ pub struct RecordingStatus {
     pub bytes: u64,
     /// Frames lost because the disk was too slow.
     pub lost: u64,
+    /// The filter of the recorded frames; `None` if all are recorded.
+    pub filter: Option<String>,
+    /// Frames that do not match it.
+    pub left_out: u64,
     /// Why the recording stopped early; `None` while it has not.
     pub failure: Option<String>,
 }
 
-/// `session.log: 5123 frames, 312 kB`.
+/// `session.log: 5123 frames, 312 kB`; with a filter, `session.log: 12 of 5123 frames, 1 kB`.
 impl fmt::Display for RecordingStatus {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match (self.frames, self.bytes) {
+            (0, 0) if self.failure.is_none() && self.left_out > 0 => {
+                let all = self.left_out;
+                write!(f, "{}: none of {all} frames matches, no file written", self.path)?;
+            }
             (0, 0) if self.failure.is_none() => {
                 write!(f, "{}: no frames, no file written", self.path)?;
+            }
+            (frames, bytes) if self.left_out > 0 => {
+                let all = frames + self.left_out;
+                write!(f, "{}: {frames} of {all} frames, {}", self.path, size(bytes))?;
             }
             (1, bytes) => write!(f, "{}: 1 frame, {}", self.path, size(bytes))?,
             (frames, bytes) => write!(f, "{}: {frames} frames, {}", self.path, size(bytes))?,

@@ -134,7 +134,7 @@ impl<'a> BusContents<'a> {
 
 /// The making of rows.
 impl Inputs<'_> {
-    fn all_rows(&self) -> Vec<Row> {
+    pub(super) fn all_rows(&self) -> Vec<Row> {
         let entries = self.document.entries();
         let mut rows = Vec::new();
         let contents: Vec<BusContents> = self.buses.iter().map(BusContents::new).collect();

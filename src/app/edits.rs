@@ -3,9 +3,7 @@
 //! An edit is an [`Operation`] on the document; the shell writes the file. Nothing is transmitted
 //! beyond discovery without a confirmation.
 
-use super::input::{
-    AddressPrompt, CapturePathPrompt, CopyPathPrompt, MomentPrompt, NewEntryPrompt, RenamePrompt,
-};
+use super::input::{AddressPrompt, CopyPathPrompt, MomentPrompt, NewEntryPrompt, RenamePrompt};
 use super::listing::{addition_refusal, update_operation};
 use super::notices::TimelineEntry;
 use super::problems::bus_obstacle;
@@ -18,7 +16,6 @@ use crate::discovery::{Device, DeviceId, OwnAddress};
 use crate::document::{EntryKey, Operation};
 use crate::frame::{BusIndex, Frame};
 use crate::keymap::{Action, Key};
-use crate::log::LogFormat;
 use crate::wire::id::{Header, Service};
 
 impl App {
@@ -205,15 +202,6 @@ impl App {
         self.open_prompt(PromptKind::CopyPath(CopyPathPrompt), path);
     }
 
-    /// Opens the prompt for the path of a log of the captured frames.
-    pub(super) fn ask_capture_path(&mut self) {
-        if self.traffic.capture.end() == 0 {
-            return self.show_error("no frames captured yet");
-        }
-        let path = format!("descan-{}.log", self.clock.stamp());
-        self.open_prompt(PromptKind::CapturePath(CapturePathPrompt), path);
-    }
-
     /// Decides the open edit conflict and opens the next one, if any.
     pub(super) fn resolve(&mut self, ours: bool) {
         // A file with errors has no known value to choose.
@@ -316,6 +304,7 @@ impl App {
             frames: self.traffic.capture.ranges().map(|range| range.end - range.start).sum(),
             moments: self.moment_range(),
             matches: self.filter_matches(),
+            saved_frames: self.saved_frames(),
         }
     }
 
@@ -378,13 +367,7 @@ impl App {
                 self.select_entry(&name, address);
             }
             PromptOutcome::FileInfo(text) => self.file_info(text),
-            PromptOutcome::SaveCapture(path) => match LogFormat::of(&path) {
-                Ok(format) => {
-                    let log = self.traffic.log(&self.buses, self.clock.epoch(), format);
-                    self.effects.push_back(Effect::WriteLog { path, log });
-                }
-                Err(error) => self.show_error(format!("not saved: {error}")),
-            },
+            PromptOutcome::SaveCapture(path) => self.save_capture(path),
             PromptOutcome::WriteProof(problem, path) => self.write_proof(&problem, path),
             PromptOutcome::GoTo(target) => self.go_to_target(target),
             PromptOutcome::SetMark(moment, text) => self.set_mark(moment, &text),

@@ -241,7 +241,11 @@ impl App {
             None if status.lost > 0 && !had_lost => {
                 (TimelineKind::Error, "recorder too slow: frames missing from the file".to_owned())
             }
-            None if is_another => (TimelineKind::File, format!("recording to {}", status.path)),
+            None if is_another => {
+                let filter = status.filter.map(|filter| format!(" (filter {filter})"));
+                let text = format!("recording to {}{}", status.path, filter.unwrap_or_default());
+                (TimelineKind::File, text)
+            }
             None => return self.request_redraw(),
         };
         if kind == TimelineKind::Error {

@@ -90,6 +90,7 @@ impl App {
     pub(super) fn filter_changed(&mut self) {
         self.refresh();
         self.filter_frames();
+        self.renew_candidate_counts();
         self.notices.redraw.set_dirty();
     }
 
@@ -163,6 +164,11 @@ impl App {
             Page::Traffic if self.view.shows_identifiers() => {
                 let all = self.identifiers().rows().len();
                 (count(self.identifiers_shown().len()), count(all))
+            }
+            Page::Traffic if let Some(list) = self.view.call_list() => {
+                let row = self.calls().get(&list.key);
+                let all = row.map_or(0, |row| row.kept_calls().len());
+                (count(self.calls_listed().len()), count(all))
             }
             Page::Traffic if self.view.shows_calls() => {
                 (count(self.calls_shown().len()), count(self.calls().rows().len()))

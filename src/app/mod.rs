@@ -33,7 +33,10 @@ mod bitrate;
 mod boards;
 mod bus_choice;
 mod buses;
+mod call_list;
+mod candidate_counts;
 mod capture;
+mod capture_saving;
 mod clock;
 mod compared_moments;
 mod conflict_panel;
@@ -44,6 +47,8 @@ mod events;
 mod file;
 mod filter;
 mod filter_commands;
+mod frame_selector;
+mod frame_sides;
 mod help_view;
 mod history;
 mod input;
@@ -87,10 +92,10 @@ pub use buses::{
 };
 pub use capture::decoded::summary_of;
 pub use capture::{
-    CallKey, CallPart, CallStats, Calls, CapturedHeartbeat, CapturedHeartbeats, CapturedLog,
-    Decoded, FrameMeaning, FramePeriod, FrameRole, FrameStore, IdentifierKey, IdentifierKind,
-    IdentifierStats, Identifiers, Latency, NOTED_BYTES, Statistics, StatisticsCount, StoredFrames,
-    Transfer,
+    Call, CallCounts, CallKey, CallPart, CallResult, CallStats, Calls, CapturedHeartbeat,
+    CapturedHeartbeats, CapturedLog, Decoded, FrameMeaning, FramePeriod, FrameRole, FrameStore,
+    IdentifierKey, IdentifierKind, IdentifierStats, Identifiers, Latency, NOTED_BYTES, Statistics,
+    StatisticsCount, StoredFrames, Transfer, WrittenFrames,
 };
 pub use compared_moments::{ComparedMoment, ComparisonNote, ComparisonRow, MomentComparison};
 pub use conflict_panel::{BeatCell, BeatsOnAxis, ConflictPanel, MAX_COLUMNS, side_letter};
@@ -101,6 +106,8 @@ pub use filter::{
     Completion, CompletionSource, FILTER_FIELDS, FILTER_WORDS, Filter, FilterError, FilterField,
     FrameMatcher, RowKind,
 };
+pub use frame_selector::FrameSelector;
+pub use frame_sides::FrameSides;
 pub use help_view::HelpView;
 pub use history::{BusesReplay, FRAMES_PER_ROOM, Moment, RecordedBuses};
 pub use input::{FilterPrompt, InputCheck, Overlay, Prompt, PromptKind, Question};
@@ -135,9 +142,10 @@ pub use versions::{
     printable, removed_services, twin_differences, version_before,
 };
 pub use view::{
-    BarKey, Board, BusPageLayout, BusRegions, ChartSpan, ConflictAxis, Counts, DeviceView,
-    DevicesPage, EvidenceView, FileStatus, Focus, Frozen, Page, ProblemsView, Row, RowKey,
-    RowState, SPLIT_WIDTH, Screen, Selection, SortBy, TimeFormat, TimelineView, TrafficView, View,
+    BarKey, Board, BusPageLayout, BusRegions, CallList, ChartSpan, ConflictAxis, Counts,
+    DeviceView, DevicesPage, EvidenceView, FileStatus, Focus, Frozen, Page, ProblemsView, Row,
+    RowKey, RowState, SPLIT_WIDTH, Screen, Selection, SortBy, TimeFormat, TimelineView,
+    TrafficView, View,
 };
 
 use crate::bitrate::{SearchOutcome, SearchProgress};
@@ -154,6 +162,7 @@ use crate::time::{Duration, Epoch, Instant, debug_assert_later};
 use crate::wire::id::{Address, Service};
 use crate::wire::profile::Profile;
 use alarm::Alarms;
+use candidate_counts::CandidateCounts;
 use capture::Traffic;
 use clock::AppClock;
 use devices::DeviceRows;
@@ -239,7 +248,7 @@ pub enum Effect {
         /// Content.
         bytes: Vec<u8>,
     },
-    /// Write the captured frames to a new file; then call [`App::handle_written`].
+    /// Write the captured frames to a new file; then call [`App::handle_written_log`].
     WriteLog {
         /// Path.
         path: PathBuf,
@@ -337,6 +346,8 @@ pub struct App {
     filters: PageFilters,
     /// When the next part of the frames is tested by the filter.
     filter_due: Option<Instant>,
+    /// Numbers of rows by the candidates of the filter that is typed.
+    candidate_counts: Option<Box<CandidateCounts>>,
     /// The moment that is shown in place of the present one.
     past: Option<Box<Past>>,
     /// The replay on the way to a moment, and when its next part is due.
@@ -397,6 +408,7 @@ impl App {
             was_idle: false,
             filters: PageFilters::default(),
             filter_due: None,
+            candidate_counts: None,
             past: None,
             replay: None,
             replay_due: None,
@@ -628,7 +640,7 @@ impl App {
         self.quit_if_saved();
     }
 
-    /// Takes the result of an [`Effect::WriteFile`] or [`Effect::WriteLog`]; `Err` with the cause.
+    /// Takes the result of an [`Effect::WriteFile`]; `Err` with the cause.
     pub fn handle_written(&mut self, now: Instant, path: &Path, result: Result<(), Diagnostic>) {
         self.clock.set(now);
         if self.handle_written_proof(path, &result) {
@@ -737,7 +749,8 @@ impl App {
         let comparison = self.comparison.as_ref().and_then(|comparison| comparison.due());
         let play = self.play.map(|play| play.due());
         let work = self.filter_due.into_iter().chain(self.replay_due);
-        work.chain(comparison).chain(play).min()
+        let candidates = self.candidate_counts.as_ref().and_then(|counts| counts.due());
+        work.chain(comparison).chain(play).chain(candidates).min()
     }
 
     /// Goes on with the filter, a replay, a comparison and playing.
@@ -752,6 +765,7 @@ impl App {
         if self.comparison.as_ref().is_some_and(|it| it.is_due(real)) {
             self.go_on_comparing();
         }
+        self.go_on_counting_candidates();
         self.go_on_playing();
     }
 
@@ -1136,6 +1150,10 @@ impl App {
     pub fn selected_frame(&self) -> Option<Frame> {
         match self.view.evidence_alone() {
             Some(evidence) => evidence.selected()?.1.frame,
+            None if self.view.call_list().is_some() => {
+                let call = self.selected_call()?;
+                self.traffic.capture.get(call.request)
+            }
             None if self.view.shows_calls() => {
                 let rows = self.calls_shown();
                 let selected = self.view.calls.index(rows.iter().map(|row| &row.key))?;
@@ -1310,6 +1328,7 @@ impl App {
         let was_idle = std::mem::replace(&mut self.was_idle, is_idle);
         self.buses.tick(self.clock.now());
         self.traffic.tick(self.clock.now(), &self.buses);
+        self.recount_candidates();
         // What made it idle is shown, too.
         if !was_idle {
             self.renew_time_bar();

@@ -128,6 +128,7 @@ impl App {
                 let keys = self.identifier_keys();
                 self.view.identifiers.click(&keys, line, height);
             }
+            Page::Traffic if self.view.call_list().is_some() => self.click_call_list(line),
             Page::Traffic if self.view.shows_calls() => {
                 let keys = self.call_keys();
                 self.view.calls.click(&keys, line, height);
@@ -214,6 +215,7 @@ impl App {
                 let keys = self.identifier_keys();
                 self.view.identifiers.move_by(&keys, delta, height);
             }
+            Page::Traffic if self.view.call_list().is_some() => self.move_in_call_list(delta),
             Page::Traffic if self.view.shows_calls() => {
                 let keys = self.call_keys();
                 self.view.calls.move_by(&keys, delta, height);
@@ -272,7 +274,8 @@ impl App {
             Page::Problems if self.screen().details.height > 0 => self.open_problem(),
             Page::Traffic if self.view.evidence.is_some() => self.toggle_around(),
             Page::Traffic if self.view.shows_identifiers() => self.show_frames_of_identifier(),
-            Page::Traffic if self.view.shows_calls() => self.show_frames_of_call(),
+            Page::Traffic if self.view.call_list().is_some() => self.go_to_call(),
+            Page::Traffic if self.view.shows_calls() => self.open_call_list(),
             Page::Traffic => {
                 self.view.frame_details = !self.view.frame_details;
                 self.view.focus = Focus::List;
@@ -303,7 +306,9 @@ impl App {
     /// Leaves the details; on Traffic also the evidence and the frames of a line of Timeline.
     pub(super) fn go_back(&mut self) {
         let view = &self.view;
-        let came_from = view.evidence.is_some() || view.from_timeline && !view.frame_details;
+        let came_from = view.evidence.is_some()
+            || view.call_list().is_some()
+            || view.from_timeline && !view.frame_details;
         if view.page == Page::Traffic && view.focus == Focus::List && came_from {
             self.cancel();
         } else {
@@ -325,6 +330,8 @@ impl App {
             Page::Timeline => self.go_to_frames(),
             Page::Problems => self.open_evidence(),
             Page::Bus => self.go_to_frames_of_bar(),
+            Page::Traffic if self.view.shows_identifiers() => self.show_frames_of_identifier(),
+            Page::Traffic if self.view.shows_calls() => self.show_frames_of_call(),
             Page::Traffic => self.show_error("these are the frames"),
         }
     }
@@ -379,12 +386,7 @@ impl App {
         let Some(key) = self.view.calls.selected().copied() else {
             return self.show_error("no row is selected");
         };
-        let (client, service) = (key.client, key.service.number());
-        let term = match key.server {
-            Some(server) => format!("at:{client} at:{server} srv:{service} not type:data"),
-            None => format!("at:{client} srv:{service} (dst:all or type:rsp) not type:data"),
-        };
-        self.show_frames_with(key.bus, &term);
+        self.show_frames_with(key.bus, &Self::term_of_calls(key));
     }
 
     fn show_frames_with(&mut self, bus: BusIndex, term: &str) {
@@ -401,6 +403,7 @@ impl App {
                 self.view.identifier_order = self.view.identifier_order.next();
                 self.show_info(format!("sorted {}", self.view.identifier_order.describe()));
             }
+            Page::Traffic if self.view.call_list().is_some() => self.sort_call_list(),
             Page::Traffic if self.view.shows_calls() => {
                 self.view.call_order = self.view.call_order.next();
                 self.show_info(format!("sorted {}", self.view.call_order.describe()));
@@ -428,8 +431,12 @@ impl App {
         }
     }
 
-    /// Shows other times of frames.
+    /// Shows other times of frames; in the views of identifiers and calls, counts from now on.
     pub(super) fn next_time_format(&mut self) {
+        let view = &self.view;
+        if view.page == Page::Traffic && (view.shows_identifiers() || view.shows_calls()) {
+            return self.toggle_counts_base();
+        }
         self.view.time_format = self.view.time_format.next();
         self.show_info(self.view.time_format.describe());
     }
@@ -485,7 +492,7 @@ impl App {
             self.close_beat_history();
         } else if self.view.focus == Focus::Details {
             self.view.focus_details(false);
-        } else if self.leave_evidence() {
+        } else if self.leave_evidence() || page == Page::Traffic && self.close_call_list() {
         } else if page == Page::Traffic && self.view.frame_details {
             self.view.frame_details = false;
         } else if self.past.is_some() && !self.view.from_timeline {

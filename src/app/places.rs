@@ -12,7 +12,7 @@ use crate::wire::id::Address;
 /// Most places that are remembered; more steps back are rare.
 const MAX_PLACES: usize = 16;
 
-/// A place that was left for another page.
+/// A place that was left for another page, or another view of Traffic.
 #[derive(Clone, Debug)]
 pub(super) struct Place {
     page: Page,
@@ -23,13 +23,14 @@ pub(super) struct Place {
 }
 
 impl App {
-    /// Goes to another thing; if that is on another page, [`Self::go_to_last_place`] leads back.
+    /// Goes to another thing; if that is on another page, or in another view of Traffic,
+    /// [`Self::go_to_last_place`] leads back.
     pub(super) fn go_from_here(&mut self, go: impl FnOnce(&mut Self)) {
         let (page, traffic_view) = (self.view.page, self.view.traffic_view);
         let filters = Page::ALL.map(|page| self.filters.of(page).clone());
         go(self);
         let opened = self.view.page;
-        if opened == page {
+        if opened == page && self.view.traffic_view == traffic_view {
             return;
         }
         if self.places.len() == MAX_PLACES {

@@ -3,6 +3,7 @@
 //! Inputs: the stories, the filter, the kinds that are hidden, the moment that is shown. Output: the
 //! lines as of that moment. Does not know how they are drawn.
 
+use super::filter::Filter;
 use super::input::Overlay;
 use super::notices::TimelineEntry;
 use super::stories::{HiddenKinds, Stories, Story, StoryKind, StoryLine, StoryStep};
@@ -59,6 +60,17 @@ impl App {
                 let mut steps = story.steps_until(at);
                 steps.any(|step| filter.matches_entry(self.shown_buses(), &step.entry))
             })
+        })
+    }
+
+    /// Number of stories that match a filter, and of all, as of the moment that is shown.
+    pub(super) fn count_stories(&self, filter: &Filter) -> (usize, usize) {
+        let at = self.shown_time();
+        let begun = self.stories().iter().take_while(|story| story.begin() <= at);
+        begun.fold((0, 0), |(matching, all), story| {
+            let mut steps = story.steps_until(at);
+            let is_match = steps.any(|step| filter.matches_entry(self.shown_buses(), &step.entry));
+            (matching + usize::from(is_match), all + 1)
         })
     }
 

@@ -41,6 +41,7 @@ pub fn run(diff: &DiffArgs) -> Result<u8, Failure> {
         address: None,
         record: None,
         record_size: None,
+        record_filter: None,
     })?;
     let mut inputs = Vec::new();
     for spec in &specs {

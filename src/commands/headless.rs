@@ -237,7 +237,7 @@ async fn open_log(
     let options = AppOptions { epoch, ..options };
     let mut session = Session::of_log(App::new(start, options), log, setup.config.clone(), store);
     if let Some(recorder) = recorder {
-        session.record(recorder);
+        session.record(recorder, setup.record_selector());
     }
     Ok((stop, session, first.map(|batch| Some(SessionWake::Log(Ok(batch))))))
 }

@@ -1,7 +1,7 @@
 //! From arguments to an open session: profile, settings, buses, des.json.
 
 use super::{Failure, output};
-use crate::app::{App, AppOptions, Signs};
+use crate::app::{App, AppOptions, Filter, FrameSelector, RowKind, Signs};
 use crate::bus::{self, BusSpec, CanInterface, Clock, Options, Port};
 use crate::cli::{self, CommonArgs, SessionArgs as Arguments};
 use crate::diagnostic::Diagnostic;
@@ -16,7 +16,7 @@ use crate::shell::recorder::{Recorder, Size, Target};
 use crate::shell::session::Session;
 use crate::shell::store::Store;
 use crate::status::RecordingStatus;
-use crate::text::{SafeLines, on_one_line};
+use crate::text::{SafeLines, on_one_line, printable};
 use crate::time::Epoch;
 use crate::wire::profile::Profile;
 use std::io::{self, BufReader};
@@ -37,8 +37,10 @@ pub struct Setup {
     pub config: Config,
     /// Where des.json is.
     pub file: PathBuf,
-    /// Where all frames are recorded.
+    /// Where frames are recorded.
     pub record: Option<Target>,
+    /// Which frames are recorded: the line and its filter; `None` for all.
+    pub record_filter: Option<(String, Filter)>,
     /// Patterns of the frames to receive; empty for all.
     pub only: Vec<IdFilter>,
     /// Name of the theme in the settings; `None` for the default.
@@ -53,7 +55,7 @@ impl Setup {
     /// Reads the user's settings, whose errors are warnings, and the profile of the arguments.
     ///
     /// # Errors
-    /// The profile cannot be used.
+    /// The profile cannot be used, or the filter of the recording has a mistake.
     pub fn new(common: &CommonArgs) -> Result<Self, Failure> {
         let folder = ConfigFolder::of_user();
         let settings = folder.as_ref().map_or(Ok(UserSettings::default()), ConfigFolder::settings);
@@ -79,8 +81,23 @@ impl Setup {
         let theme = settings.theme;
         let max_bytes = common.record_size.map(|Size(bytes)| bytes);
         let record = common.record.clone().map(|path| Target { path, max_bytes });
+        let line = common.record_filter.as_deref();
+        let record_filter = filter("--record-filter", line, RowKind::Frame)?;
+        let line = line.filter(|_| !record_filter.is_empty());
+        let record_filter = line.map(|line| (line.to_owned(), record_filter));
         let only = Vec::new();
-        Ok(Self { folder, keymap, config, file, record, only, theme, signs, warnings })
+        Ok(Self {
+            folder,
+            keymap,
+            config,
+            file,
+            record,
+            record_filter,
+            only,
+            theme,
+            signs,
+            warnings,
+        })
     }
 
     /// Starts the recording, if requested. Call when all else is open.
@@ -88,8 +105,29 @@ impl Setup {
     /// # Errors
     /// The file cannot be created.
     pub fn recorder(&self) -> Result<Option<Recorder>, Failure> {
-        Ok(self.record.as_ref().map(Recorder::create).transpose()?)
+        let recorder = self.record.as_ref().map(Recorder::create).transpose()?;
+        if let (Some(recorder), Some((line, _))) = (&recorder, &self.record_filter) {
+            recorder.set_filter(line);
+        }
+        Ok(recorder)
     }
+
+    /// Selects the frames that are recorded; `None` for all.
+    pub fn record_selector(&self) -> Option<FrameSelector> {
+        self.record_filter.as_ref().map(|(_, filter)| FrameSelector::new(filter.clone()))
+    }
+}
+
+/// Parses an option that is a filter; empty without it.
+///
+/// # Errors
+/// The first mistake, with its column.
+pub fn filter(option: &str, line: Option<&str>, rows: RowKind) -> Result<Filter, Failure> {
+    let line = line.unwrap_or_default();
+    Filter::parse(line, rows).map_err(|error| {
+        let (text, column) = (printable(error.text().as_bytes()), error.column(line));
+        Failure::Usage(format!("{option} {text}, column {column}"))
+    })
 }
 
 /// Prints an error in the settings and returns the built-in value.
@@ -305,7 +343,7 @@ pub fn session(
     let app = App::new(start, options);
     let mut session = Session::new(app, clock, ports, Some(Store::new(&setup.file)));
     if let Some(recorder) = setup.recorder()? {
-        session.record(recorder);
+        session.record(recorder, setup.record_selector());
     }
     Ok(session)
 }
@@ -315,6 +353,11 @@ pub fn report_recording(status: Option<RecordingStatus>) {
     if let Some(status) = status {
         output::warn(format_args!("recorded {status}"));
     }
+}
+
+/// Prints on standard error what was written.
+pub fn report_written(status: &RecordingStatus) {
+    output::warn(format_args!("wrote {status}"));
 }
 
 /// Offset of local time from UTC, in seconds; 0 if unknown. Call before threads are started.

@@ -19,7 +19,7 @@ use crate::finding::Finding;
 use crate::frame::IdFilter;
 use crate::shell::log_input::LogPace;
 use crate::shell::stop::StopReason;
-use crate::text::{hex, printable};
+use crate::text::hex;
 use crate::time::Instant;
 use crate::wire::id::{Address, Header};
 use crate::wire::node::{Mode, Uid};
@@ -33,7 +33,7 @@ pub fn run(watch: &WatchArgs) -> Result<u8, Failure> {
     let buses = open::buses(&watch.run.session)?;
     open::check_speed(watch.speed, &buses)?;
     let mut setup = Setup::new(&watch.run.session.common)?;
-    let interest = filter_of(watch.filter.as_deref(), RowKind::Event)?;
+    let interest = open::filter("--filter", watch.filter.as_deref(), RowKind::Event)?;
     setup.only = frames_of_interest(&interest, &setup);
     let options = AppOptions {
         utc_offset_seconds: open::utc_offset_seconds(),
@@ -75,15 +75,6 @@ pub fn run(watch: &WatchArgs) -> Result<u8, Failure> {
         }
     }
     Ok(EXIT_OK)
-}
-
-/// Parses the option `--filter`.
-pub(super) fn filter_of(line: Option<&str>, rows: RowKind) -> Result<Filter, Failure> {
-    let line = line.unwrap_or_default();
-    Filter::parse(line, rows).map_err(|error| {
-        let (text, column) = (printable(error.text().as_bytes()), error.column(line));
-        Failure::Usage(format!("--filter {text}, column {column}"))
-    })
 }
 
 /// Patterns of the frames that the filter needs; empty for all. An active node needs all frames,

@@ -205,7 +205,7 @@ actions! {
         Sort "sort" "Sort by next column" "sort" ["s"];
         OpenParts "open-parts" "Steps of a timeline line, frames of a transfer" "steps" ["o"];
         Kinds "kinds" "Timeline: kinds of lines to show" "kinds" ["x"];
-        TimeFormat "time-format" "Traffic: time of day, since the row above, the same identifier, the start" "" ["z"];
+        TimeFormat "time-format" "Traffic: other times of frames; identifiers and calls: count from now" "" ["z"];
         SortReverse "sort-reverse" "Reverse the order" "" ["S"];
         Identifiers "identifiers" "Next view of the page" "view" ["v"];
         Problem "problem" "Jump between device and problem" "problem" ["p"];

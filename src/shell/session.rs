@@ -11,7 +11,7 @@ use super::log_input::{LogBatch, LogInput, LogPace};
 use super::recorder::Recorder;
 use super::store::{SaveError, Saved, Store, write_new};
 use super::waiting::{file_changed, sleep_for};
-use crate::app::{App, Effect, FileReading, SaveOutcome};
+use crate::app::{App, Effect, FileReading, FrameSelector, SaveOutcome, WrittenFrames};
 use crate::bus::{Clock, Port};
 use crate::diagnostic::Diagnostic;
 use crate::discovery::Config;
@@ -78,6 +78,8 @@ pub enum FileJobResult {
     Saved(SaveOutcome, Vec<u8>),
     /// Writing another file.
     Written(PathBuf, Result<(), Diagnostic>),
+    /// Writing the captured frames.
+    WrittenLog(PathBuf, Result<WrittenFrames, Diagnostic>),
 }
 
 /// Work on files, on a separate thread.
@@ -112,6 +114,8 @@ pub struct Session {
     reading: Option<JoinHandle<FileReading>>,
     work: Vec<FileJob>,
     recorder: Option<Recorder>,
+    /// Selects the recorded frames; `None` for all.
+    selector: Option<FrameSelector>,
     searching: Option<RunningSearch>,
     batch: Vec<Frame>,
     /// Start of the session, or the end of the last stall.
@@ -158,6 +162,7 @@ impl Session {
             reading: None,
             work: Vec::new(),
             recorder: None,
+            selector: None,
             searching: None,
             batch: Vec::with_capacity(BATCH),
         };
@@ -167,13 +172,15 @@ impl Session {
         session
     }
 
-    /// Records all frames from now on; of a log, without status in the app.
-    pub fn record(&mut self, recorder: Recorder) {
+    /// Records the selected frames from now on, all without a selector; of a log, without status in
+    /// the app.
+    pub fn record(&mut self, recorder: Recorder, selector: Option<FrameSelector>) {
         recorder.set_epoch(self.app.epoch());
         if let SessionInput::Ports { .. } = self.input {
             self.app.handle_recording(self.now(), recorder.status());
         }
         self.recorder = Some(recorder);
+        self.selector = selector;
     }
 
     /// State of the recording; `None` without one.
@@ -395,6 +402,9 @@ impl Session {
             SessionWake::FileJobDone(FileJobResult::Written(path, result)) => {
                 self.app.handle_written(now, &path, result);
             }
+            SessionWake::FileJobDone(FileJobResult::WrittenLog(path, result)) => {
+                self.app.handle_written_log(now, &path, result);
+            }
         }
         self.advance_log();
     }
@@ -476,6 +486,7 @@ impl Session {
     }
 
     fn record_log_batch(&mut self) {
+        self.select_recorded();
         let (SessionInput::Log(log, _), Some(recorder)) = (&self.input, &self.recorder) else {
             return;
         };
@@ -578,7 +589,9 @@ impl Session {
                 recorder.name_bus(BusIndex(at), &bus.name);
                 recorder.note_lost(BusIndex(at), bus.lost());
             }
-            recorder.record(&self.batch);
+            if self.selector.is_none() {
+                recorder.record(&self.batch);
+            }
         }
         if clock.playback().is_none() {
             self.app.handle_frames(now, &self.batch);
@@ -587,7 +600,22 @@ impl Session {
             // between them.
             self.app.handle_recorded_frames(&self.batch);
         }
-        !self.batch.is_empty()
+        let has_frames = !self.batch.is_empty();
+        if self.selector.is_some() {
+            self.select_recorded();
+            self.recorder.as_ref().inspect(|recorder| recorder.record(&self.batch));
+        }
+        has_frames
+    }
+
+    /// Removes the frames that are not to be recorded from the batch, once it is handled: names that
+    /// it contains are known then.
+    fn select_recorded(&mut self) {
+        let (Some(selector), Some(recorder)) = (&mut self.selector, &self.recorder) else { return };
+        selector.renew(&self.app);
+        let all = self.batch.len();
+        self.batch.retain(|frame| selector.is_match(frame));
+        recorder.note_left_out((all - self.batch.len()) as u64);
     }
 
     /// Handles what is due, transmits frames, starts saving. Returns the effects for the screen or
@@ -615,10 +643,12 @@ impl Session {
             match effect {
                 Effect::Save { expected, content } => self.start_save(expected, content),
                 Effect::WriteFile { path, bytes } => {
-                    self.start_write(path, move |file| file.write_all(&bytes));
+                    let write = move |file: &mut File| file.write_all(&bytes);
+                    self.start_write(path, write, FileJobResult::Written);
                 }
                 Effect::WriteLog { path, log } => {
-                    self.start_write(path, move |file| log.write_to(file));
+                    let write = move |file: &mut File| log.write_to(file);
+                    self.start_write(path, write, FileJobResult::WrittenLog);
                 }
                 Effect::ReadFile => {
                     // What is being parsed was read before.
@@ -644,15 +674,16 @@ impl Session {
     }
 
     /// Writes a new file on a separate thread.
-    fn start_write(
+    fn start_write<T: Send + 'static>(
         &mut self,
         path: PathBuf,
-        write: impl FnOnce(&mut File) -> io::Result<()> + Send + 'static,
+        write: impl FnOnce(&mut File) -> io::Result<T> + Send + 'static,
+        done: fn(PathBuf, Result<T, Diagnostic>) -> FileJobResult,
     ) {
         let handle = spawn_blocking(move || {
             let home = std::env::var_os("HOME").map(PathBuf::from);
             let result = write_new(&path, home.as_deref(), write);
-            FileJobResult::Written(path, result)
+            done(path, result)
         });
         self.work.push(FileJob { handle, is_save: false });
     }

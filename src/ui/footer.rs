@@ -3,6 +3,7 @@
 //! lines.
 
 use super::brush::{DrawContext, cut, fit, wrap};
+use super::chart::grouped;
 use crate::app::{
     BarKey, FileError, FileStatus, Focus, InputCheck, Page, Prompt, PromptKind, addition_refusal,
     format_duration, is_about,
@@ -205,15 +206,22 @@ fn completion_line(brush: &DrawContext, width: usize) -> Option<Line<'static>> {
     // The chosen one is among those that fit.
     let first = chosen.map_or(0, |at| at.saturating_sub(3));
     for (at, candidate) in candidates.iter().enumerate().skip(first) {
-        let needed = candidate.width() + 2;
+        let count = app.candidate_count(candidate);
+        let is_none = count == Some(0);
+        let count = count.map(|count| format!(" {}", grouped(count))).unwrap_or_default();
+        let needed = candidate.width() + count.width() + 2;
         if needed + 2 > left {
             spans.push(brush.span(Role::Muted, " …"));
             break;
         }
         left -= needed;
-        let (sign, role) =
-            if chosen == Some(at) { (" ▸", Role::Match) } else { ("  ", Role::Text) };
+        let (sign, role) = match chosen == Some(at) {
+            true => (" ▸", Role::Match),
+            false if is_none => ("  ", Role::Muted),
+            false => ("  ", Role::Text),
+        };
         spans.push(brush.span(role, format!("{sign}{candidate}")));
+        spans.push(brush.span(Role::Muted, count));
     }
     let used: usize = spans.iter().map(Span::width).sum();
     spans.push(brush.span(Role::Text, " ".repeat(width.saturating_sub(used))));
@@ -262,9 +270,16 @@ fn hint_line(brush: &DrawContext, mode: KeyMode, width: usize) -> Vec<Span<'stat
             A::ClearLost,
             A::Identify,
         ],
-        (KeyMode::Browse, Page::Traffic, _) => {
-            &[A::Details, A::Filter, A::Freeze, A::Identifiers, A::SaveCapture, A::Rescan]
-        }
+        (KeyMode::Browse, Page::Traffic, _) => &[
+            A::Details,
+            A::Frames,
+            A::Filter,
+            A::Freeze,
+            A::Identifiers,
+            A::TimeFormat,
+            A::SaveCapture,
+            A::Rescan,
+        ],
         (KeyMode::Browse, Page::Timeline, _) => &[
             A::Details,
             A::Frames,
@@ -424,7 +439,10 @@ fn applies(brush: &DrawContext, action: Action) -> bool {
     let row = app.selected_row();
     let is_leaving = view.focus == Focus::Details
         || view.page == Page::Traffic
-            && (view.evidence.is_some() || view.frame_details || view.from_timeline);
+            && (view.evidence.is_some()
+                || view.call_list().is_some()
+                || view.frame_details
+                || view.from_timeline);
     let on_any = |can: fn(&Config) -> bool| {
         let mut buses = app.buses().iter().filter(|bus| bus.is_up() && !bus.config().listen_only);
         buses.any(|bus| can(bus.config()))
@@ -437,6 +455,10 @@ fn applies(brush: &DrawContext, action: Action) -> bool {
         (A::Details, Page::Traffic) if view.evidence.is_none() => {
             app.capture().end() > 0 && !view.frame_details
         }
+        (A::TimeFormat, Page::Traffic) => {
+            view.evidence.is_none() && (view.shows_identifiers() || view.shows_calls())
+        }
+        (A::Frames, Page::Traffic) => view.shows_calls() && view.call_list().is_none(),
         (A::OpenParts | A::Kinds, Page::Timeline) if brush.screen.list.height == 0 => false,
         (A::ZoomIn, Page::Timeline) => brush.screen.lanes.height > 1,
         (A::Details | A::Frames | A::OpenParts, Page::Timeline) => !app.lines_shown().is_empty(),
@@ -496,9 +518,11 @@ fn hint(brush: &DrawContext, action: Action) -> Option<Hint> {
             _ => "go to device",
         },
         (A::Identifiers, Page::Bus, _) => brush.app.chart_span().next().title(),
-        (A::Details, Page::Traffic, None) if view.shows_identifiers() || view.shows_calls() => {
-            "frames"
-        }
+        (A::TimeFormat, ..) if view.counts_base().is_some() => "count all",
+        (A::TimeFormat, ..) => "count anew",
+        (A::Details, Page::Traffic, None) if view.call_list().is_some() => "frame",
+        (A::Details, Page::Traffic, None) if view.shows_calls() => "its calls",
+        (A::Details, Page::Traffic, None) if view.shows_identifiers() => "frames",
         (A::Identifiers, Page::Problems, _) => view.problems_view.next().title(),
         (A::Identifiers, Page::Timeline, _) => {
             view.timeline_shown().next(brush.screen.whole.width).title()

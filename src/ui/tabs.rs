@@ -2,7 +2,7 @@
 //! views of the page, the shown moment; the divider in front of the details, and their title.
 
 use super::brush::{DrawContext, fit};
-use super::moment;
+use super::{moment, traffic};
 use crate::app::{DeviceView, Focus, Page, PageFilter, TimelineView, TrafficView};
 use crate::keymap::Action;
 use crate::theme::Role;
@@ -40,7 +40,9 @@ pub fn draw(brush: &mut DrawContext) {
     }
     let shown = match &brush.app.view().evidence {
         Some(evidence) => Some(format!(" ◆ {} ", evidence.title)),
-        None => chip(brush.app.page_filter(open), brush.app.hidden_frames()),
+        None => traffic::title(brush.app)
+            .filter(|_| open == Page::Traffic)
+            .or_else(|| chip(brush.app.page_filter(open), brush.app.hidden_frames())),
     };
     let room = moment::start(brush).saturating_sub(end + 1);
     if let Some(text) = shown {

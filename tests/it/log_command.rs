@@ -345,3 +345,35 @@ fn closed_pipe_ends_without_an_error() {
     assert_eq!(code, 0);
     assert!(!error.contains("closed") && !error.contains("pipe"), "{error}");
 }
+
+#[test]
+fn matching_frames_are_written_as_another_log() {
+    let folder = Folder::with(LOG);
+    let written = |name: &str| {
+        let text = std::fs::read_to_string(folder.0.path().join(name)).unwrap();
+        text.replace("(0000000", "(")
+    };
+    // FEED is named last: its name holds for the frames before.
+    let (code, out, error) = folder.log(&["a.log", "--filter", "src:FEED", "--write", "b.log"]);
+    assert_eq!((code, &*out), (0, ""), "{error}");
+    assert!(error.contains("descan: wrote b.log: 4 of 10 frames, "), "{error}");
+    let of_feed =
+        |line: &&str| [" can0 0714", " can0 0514", " can0 0414"].iter().any(|id| line.contains(id));
+    let expected: String = LOG.lines().filter(of_feed).flat_map(|line| [line, "\n"]).collect();
+    assert_eq!(written("b.log"), expected);
+    // Through pcapng and back.
+    folder.log(&["a.log", "--write", "c.pcapng"]);
+    let (code, ..) = folder.log(&["c.pcapng", "--limit", "9", "--write", "d.log"]);
+    assert_eq!((code, written("d.log").lines().count()), (0, 9));
+    assert!(LOG.starts_with(&written("d.log")));
+    for (arguments, code, hint) in [
+        (&["a.log", "--write", "a.log"][..], 3, "a.log: already exists"),
+        (&["a.log", "--write", "e.zip"], 2, ".pcapng"),
+        (&["a.log", "--write", "e.log", "--stats"], 2, "--stats"),
+        (&["nothing.log", "--write", "e.log"], 3, "nothing.log"),
+    ] {
+        let (own, _, error) = folder.log(arguments);
+        assert_eq!((own, error.contains(hint)), (code, true), "{error}");
+    }
+    assert!(!folder.0.path().join("e.log").exists());
+}

@@ -44,6 +44,7 @@ mod proof;
 mod random_buses;
 mod random_input;
 mod readme;
+mod record_filter;
 mod recorded_frames;
 mod recording;
 mod replay;

@@ -6,7 +6,8 @@
 //! work responds to requests to such nodes only. Of DES, a name response is to a name request, and a
 //! request that is sent in both framings is one. A request that is open longer
 //! than the timeout is unanswered. Bounded: 1024 rows, 64 open requests in each, latencies of the last 1024
-//! calls. A frame of a known row allocates nothing. Does not know how calls are shown.
+//! calls, the last 128 calls one by one. A frame of a known row allocates nothing, but for the first 128
+//! calls. Does not know how calls are shown.
 
 use super::decoded::FrameRole;
 use crate::frame::{BusIndex, CanId, Frame};
@@ -27,6 +28,8 @@ const MAX_OPEN: usize = 64;
 const BOTH_FRAMINGS: Duration = Duration::from_millis(50);
 /// Latencies that percentiles are of.
 const LATENCIES: usize = 1024;
+/// Calls of a row that are kept one by one.
+const KEPT_CALLS: usize = 128;
 
 /// Who calls whom.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -93,6 +96,37 @@ impl DesMessage {
     }
 }
 
+/// What became of a call.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CallResult {
+    /// No response yet, and the timeout is not over.
+    Open,
+    /// A response came.
+    Answered,
+    /// A response with ERR = 0 came.
+    Failed,
+    /// No response came before the timeout.
+    Unanswered,
+}
+
+/// A request and the response to it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Call {
+    /// Number of the request in the capture.
+    pub request: u64,
+    /// Time of the request.
+    pub time: Instant,
+    /// Number of the response in the capture and time since the request; of several to a broadcast the
+    /// last one.
+    pub response: Option<(u64, Duration)>,
+    /// Number of responses, with further ones of other boards at the address.
+    pub responses: u32,
+    /// What became of it.
+    pub result: CallResult,
+    /// Several equal requests were open: which of them the response is to is not certain.
+    pub is_ambiguous: bool,
+}
+
 /// Statistics of the calls of one service from one node to another.
 #[derive(Clone, Debug)]
 pub struct CallStats {
@@ -123,6 +157,8 @@ pub struct CallStats {
     open: VecDeque<OpenCall>,
     /// In microseconds, of the last calls.
     latencies: VecDeque<u32>,
+    /// The last calls, oldest first.
+    kept: VecDeque<Call>,
 }
 
 /// Latencies of the last calls of a row.
@@ -153,12 +189,30 @@ impl CallStats {
             recent: [None; 4],
             open: VecDeque::with_capacity(MAX_OPEN),
             latencies: VecDeque::with_capacity(LATENCIES),
+            kept: VecDeque::new(),
         }
+    }
+
+    /// The last 128 calls, oldest first.
+    pub fn kept_calls(&self) -> impl DoubleEndedIterator<Item = &Call> + ExactSizeIterator {
+        self.kept.iter()
+    }
+
+    /// The kept call with this request.
+    fn kept_mut(&mut self, request: u64) -> Option<&mut Call> {
+        let at = self.kept.binary_search_by_key(&request, |call| call.request).ok()?;
+        self.kept.get_mut(at)
     }
 
     /// Latencies of the last 1024 responses; `None` without one.
     pub fn latency(&self) -> Option<Latency> {
-        let mut sorted: Vec<u32> = self.latencies.iter().copied().collect();
+        self.latency_of_last(LATENCIES as u64)
+    }
+
+    /// Latencies of the last `responses`, at most 1024; `None` without one.
+    pub fn latency_of_last(&self, responses: u64) -> Option<Latency> {
+        let count = usize::try_from(responses).unwrap_or(usize::MAX);
+        let mut sorted: Vec<u32> = self.latencies.iter().rev().take(count).copied().collect();
         sorted.sort_unstable();
         // The nearest rank.
         let rank = |percent: usize| (sorted.len() * percent).div_ceil(100).max(1) - 1;
@@ -188,12 +242,27 @@ impl CallStats {
             self.close_oldest();
         }
         self.open.push_back(call);
+        if self.kept.len() == KEPT_CALLS {
+            self.kept.pop_front();
+        }
+        self.kept.push_back(Call {
+            request: number,
+            time,
+            response: None,
+            responses: 0,
+            result: CallResult::Open,
+            is_ambiguous: false,
+        });
         true
     }
 
     fn close_oldest(&mut self) {
-        if let Some(call) = self.open.pop_front() {
-            self.unanswered += u64::from(call.responses == 0);
+        let Some(call) = self.open.pop_front() else { return };
+        if call.responses == 0 {
+            self.unanswered += 1;
+            if let Some(kept) = self.kept_mut(call.number) {
+                kept.result = CallResult::Unanswered;
+            }
         }
     }
 
@@ -204,10 +273,10 @@ impl CallStats {
         }
     }
 
-    /// Takes a response; `None` if no request is open.
+    /// Takes a response with this number; `None` if no request is open.
     fn respond(
         &mut self,
-        time: Instant,
+        (number, time): (u64, Instant),
         header: Header,
         message: Option<DesMessage>,
     ) -> Option<CallPart> {
@@ -230,13 +299,23 @@ impl CallStats {
             self.latencies.pop_front();
         }
         self.latencies.push_back(u32::try_from(latency.as_micros()).unwrap_or(u32::MAX));
+        if let Some(kept) = self.kept_mut(call.number) {
+            kept.response = Some((number, latency));
+            kept.responses += 1;
+            kept.is_ambiguous |= is_ambiguous;
+            // One failed response to a broadcast is enough.
+            if kept.result != CallResult::Failed {
+                kept.result =
+                    if header.no_error { CallResult::Answered } else { CallResult::Failed };
+            }
+        }
         Some(CallPart::Response { request: call.number, latency, is_ambiguous })
     }
 
     /// Takes a further response to the last request that was responded to, as of a second board at the
     /// address; it does not count. `None` for another one, or after the timeout.
     fn respond_again(
-        &self,
+        &mut self,
         time: Instant,
         header: Header,
         message: Option<DesMessage>,
@@ -244,6 +323,11 @@ impl CallStats {
     ) -> Option<CallPart> {
         let call = self.answered.filter(|call| call.is_request_of(header, message))?;
         let latency = time.since(call.time);
+        if latency <= timeout
+            && let Some(kept) = self.kept_mut(call.number)
+        {
+            kept.responses += 1;
+        }
         (latency <= timeout).then_some(CallPart::Response {
             request: call.number,
             latency,
@@ -322,10 +406,10 @@ impl Calls {
         let answered = [targeted, to_all].into_iter().find_map(|key| {
             let row = self.rows.get_mut(*self.index.get(&key)? as usize)?;
             row.expire(frame.time, timeout);
-            row.respond(frame.time, header, message)
+            row.respond((number, frame.time), header, message)
         });
         answered.or_else(|| {
-            let row = self.rows.get(*self.index.get(&targeted)? as usize)?;
+            let row = self.rows.get_mut(*self.index.get(&targeted)? as usize)?;
             row.respond_again(frame.time, header, message, timeout)
         })
     }
@@ -362,6 +446,7 @@ impl Calls {
             size_of::<(CallStats, CallKey, u32)>()
                 + row.open.len() * size_of::<OpenCall>()
                 + row.latencies.len() * size_of::<u32>()
+                + row.kept.len() * size_of::<Call>()
         };
         self.rows.iter().map(in_row).sum()
     }
@@ -369,6 +454,11 @@ impl Calls {
     /// Rows, in the order of their first requests.
     pub fn rows(&self) -> &[CallStats] {
         &self.rows
+    }
+
+    /// The row with this key; `None` without one.
+    pub fn get(&self, key: &CallKey) -> Option<&CallStats> {
+        self.rows.get(*self.index.get(key)? as usize)
     }
 
     /// Number of requests without a row, because the table was full.
@@ -443,5 +533,6 @@ mod tests {
         }
         assert_eq!(calls.rows().len(), MAX_ROWS);
         assert!(calls.rows().iter().all(|row| row.open.len() <= MAX_OPEN));
+        assert!(calls.rows().iter().all(|row| row.kept.len() <= KEPT_CALLS));
     }
 }

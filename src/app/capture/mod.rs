@@ -5,6 +5,8 @@
 //! show.
 
 pub(super) mod calls;
+mod captured_log;
+mod counts_base;
 pub(super) mod decoded;
 mod filtered_frames;
 mod frame_block;
@@ -16,7 +18,9 @@ mod row_set;
 mod statistics;
 pub(super) mod transfer;
 
-pub use calls::{CallKey, CallPart, CallStats, Calls, Latency};
+pub use calls::{Call, CallKey, CallPart, CallResult, CallStats, Calls, Latency};
+pub use captured_log::{CapturedLog, WrittenFrames};
+pub use counts_base::{CallCounts, CountsBase};
 pub use decoded::{Decoded, FrameMeaning, FrameRole};
 pub use frame_block::BYTES_PER_FRAME;
 pub use frame_store::{FrameStore, StoredFrames};
@@ -27,20 +31,18 @@ pub use identifiers::{
 pub use statistics::{Statistics, StatisticsCount};
 pub use transfer::Transfer;
 
-use super::buses::{Bus, Buses};
+use super::buses::Buses;
 use super::filter::Filter;
 use super::view::{CallOrder, IdentifierOrder, Page, TrafficView, View};
 use crate::frame::Frame;
-use crate::log::{LogEntry, LogFormat};
 use crate::status::RecordingStatus;
-use crate::time::{Duration, Epoch, Instant};
+use crate::time::{Duration, Instant};
 use crate::wire::id::{Header, Service};
 use crate::wire::isotp::Pci;
 use filtered_frames::FilteredFrames;
 use statistics::StatisticsHistory;
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
-use std::io;
 use transfer::first_frame_of;
 
 /// Most transfers whose frames have rows of their own.
@@ -313,7 +315,7 @@ impl Traffic {
         let period = |row: &IdentifierStats| row.period();
         match view.identifier_order {
             IdentifierOrder::Id => {}
-            IdentifierOrder::Count => shown.sort_by_key(|row| Reverse(row.count)),
+            IdentifierOrder::Count => shown.sort_by_key(|row| Reverse(view.frame_count(row))),
             IdentifierOrder::Rate => shown.sort_by_key(|row| Reverse(row.rate)),
             IdentifierOrder::Period => {
                 shown.sort_by_cached_key(|row| period(row).map_or(Duration::MAX, |it| it.mean));
@@ -349,12 +351,16 @@ impl Traffic {
         shown.sort_by_key(|row| row.key);
         match view.call_order {
             CallOrder::Client => {}
-            CallOrder::Count => shown.sort_by_key(|row| Reverse(row.calls)),
+            CallOrder::Count => shown.sort_by_key(|row| Reverse(view.call_counts(row).calls)),
             CallOrder::Latency => {
-                shown.sort_by_cached_key(|row| Reverse(row.latency().map(|it| it.p99)));
+                let latency =
+                    |row: &CallStats| row.latency_of_last(view.call_counts(row).responses);
+                shown.sort_by_cached_key(|row| Reverse(latency(row).map(|it| it.p99)));
             }
-            CallOrder::Unanswered => shown.sort_by_key(|row| Reverse(row.unanswered)),
-            CallOrder::Failed => shown.sort_by_key(|row| Reverse(row.failed)),
+            CallOrder::Unanswered => {
+                shown.sort_by_key(|row| Reverse(view.call_counts(row).unanswered));
+            }
+            CallOrder::Failed => shown.sort_by_key(|row| Reverse(view.call_counts(row).failed)),
             CallOrder::Newest => shown.sort_by_key(|row| Reverse(row.last)),
         }
         if view.is_reversed {
@@ -427,64 +433,7 @@ impl Traffic {
         let transfer = Transfer::starting_at(&self.capture, first, self.capture.end())?;
         Some(decoded::describe_response(&transfer.message).0)
     }
-
-    /// The captured frames as a log of this format.
-    pub fn log(&self, buses: &Buses, epoch: Epoch, format: &'static LogFormat) -> CapturedLog {
-        CapturedLog {
-            frames: self.capture.snapshot(),
-            names: buses.iter().map(|bus| bus.name.clone()).collect(),
-            lost: buses.iter().map(Bus::lost).collect(),
-            epoch,
-            format,
-        }
-    }
 }
-
-/// The frames that were captured at some time, as a log to be written.
-#[derive(Clone, Debug)]
-pub struct CapturedLog {
-    frames: StoredFrames,
-    /// Names and lost frames by bus.
-    names: Vec<String>,
-    lost: Vec<u64>,
-    epoch: Epoch,
-    format: &'static LogFormat,
-}
-
-impl CapturedLog {
-    /// Bytes that are written at once.
-    const PART: usize = 1 << 18;
-
-    /// Writes the log.
-    ///
-    /// # Errors
-    ///
-    /// Those of writing to `out`.
-    pub fn write_to(&self, out: &mut impl io::Write) -> io::Result<()> {
-        let (mut encoder, mut part) = (self.format.encoder(), Vec::new());
-        encoder.begin(&mut part)?;
-        for frame in self.frames.iter() {
-            let unix_micros = self.epoch.unix_micros(frame.time);
-            let interface = self.names.get(usize::from(frame.bus.0)).map_or("can", String::as_str);
-            encoder.write(LogEntry { unix_micros, interface, frame }, u64::MAX, &mut part)?;
-            if part.len() >= Self::PART {
-                out.write_all(&part)?;
-                part.clear();
-            }
-        }
-        encoder.end(&self.names, &self.lost, &mut part)?;
-        out.write_all(&part)
-    }
-}
-
-/// Equal if they are the same frames in memory.
-impl PartialEq for CapturedLog {
-    fn eq(&self, other: &Self) -> bool {
-        self.frames.is_same(&other.frames) && std::ptr::eq(self.format, other.format)
-    }
-}
-
-impl Eq for CapturedLog {}
 
 #[cfg(test)]
 mod tests {

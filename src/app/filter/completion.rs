@@ -20,6 +20,8 @@ pub struct Completion {
     pub range: Range<usize>,
     /// Texts, the likeliest first.
     pub candidates: Vec<String>,
+    /// If they are values that rows have: the word of their field, with its colon.
+    pub field: Option<&'static str>,
 }
 
 /// Values that occur on the buses.
@@ -44,7 +46,7 @@ impl Completion {
         let term = tokens.last().filter(|token| token.is_term() && token.range.end == line.len());
         let range = term.map_or(line.len()..line.len(), |token| token.range.clone());
         let typed = &line[range.clone()];
-        let (range, typed, all) = match typed.split_once(':') {
+        let (range, typed, all, field) = match typed.split_once(':') {
             Some((name, value)) if !typed.starts_with('"') => {
                 let start = range.start + name.len() + 1;
                 // The last value of a list.
@@ -53,9 +55,10 @@ impl Completion {
                 let field = FILTER_FIELDS.iter().find(|it| it.words.contains(&&*name));
                 let field = field.map(|it| it.field).filter(|field| field.is_of(rows));
                 let values = field.map(|field| values_of(field, rows, source)).unwrap_or_default();
-                (start + last..range.end, &value[last..], values)
+                let counted = field.and_then(counted_word);
+                (start + last..range.end, &value[last..], values, counted)
             }
-            _ => (range, typed, fields_and_names(rows, source)),
+            _ => (range, typed, fields_and_names(rows, source), None),
         };
         let typed = typed.trim_matches('"').to_lowercase();
         let mut candidates: Vec<String> =
@@ -65,8 +68,33 @@ impl Completion {
             move |text| seen.insert(text.clone())
         });
         candidates.truncate(MAX_CANDIDATES);
-        Self { range, candidates: candidates.iter().map(|text| quoted(text)).collect() }
+        Self { range, candidates: candidates.iter().map(|text| quoted(text)).collect(), field }
     }
+}
+
+/// Word of a field whose candidates are values that rows have, with its colon; `None` where the
+/// candidate is an example.
+fn counted_word(field: Field) -> Option<&'static str> {
+    Some(match field {
+        Field::Name => "name:",
+        Field::Source => "src:",
+        Field::Destination => "dst:",
+        Field::Device => "dev:",
+        Field::Address => "at:",
+        Field::Service => "srv:",
+        Field::Uid => "uid:",
+        Field::Bus => "bus:",
+        Field::Mode => "mode:",
+        Field::State => "is:",
+        Field::Type => "type:",
+        Field::Id
+        | Field::Length
+        | Field::Data
+        | Field::Interval
+        | Field::Since
+        | Field::Until
+        | Field::Text => return None,
+    })
 }
 
 /// A text as a value: in quotes where it would be read otherwise.

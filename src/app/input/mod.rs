@@ -20,7 +20,7 @@ pub(super) use prompt_kinds::{
     ProofPathPrompt, RenamePrompt,
 };
 pub use prompt_logic::InputCheck;
-pub(super) use prompt_logic::{PromptContext, PromptOutcome};
+pub(super) use prompt_logic::{PromptContext, PromptOutcome, SavedFrames};
 
 use crate::discovery::DeviceId;
 use crate::document::EntryKey;

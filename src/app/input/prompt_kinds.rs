@@ -4,7 +4,9 @@
 //! was opened: the file may change on disk while the user types.
 
 use super::moment_text::{FORMS, MomentTarget};
-use super::prompt_logic::{EditTarget, InputCheck as C, PromptContext, PromptLogic, PromptOutcome};
+use super::prompt_logic::{
+    EditTarget, InputCheck as C, PromptContext, PromptLogic, PromptOutcome, SavedFrames,
+};
 use crate::app::buses::Bus;
 use crate::app::history::Moment;
 use crate::app::listing::new_entry;
@@ -454,7 +456,18 @@ impl PromptLogic for CapturePathPrompt {
     fn validate(&self, text: &str, context: PromptContext) -> C {
         match LogFormat::of(Path::new(text)) {
             _ if text.is_empty() => C::Rejected(NO_PATH.to_owned()),
-            Ok(format) => C::Accepted(format!("{} frames, {}", context.frames, format.description)),
+            Ok(format) => {
+                let (all, format) = (context.frames, format.description);
+                C::Accepted(match context.saved_frames {
+                    SavedFrames::All => format!("{all} frames, {format}"),
+                    SavedFrames::Matching => {
+                        format!("those of {all} frames that match the filter, {format}")
+                    }
+                    SavedFrames::Counted(count) => {
+                        format!("{count} of {all} frames (filter), {format}")
+                    }
+                })
+            }
             Err(_) => C::Rejected(format!("use the ending {}", LogFormat::usual_endings())),
         }
     }

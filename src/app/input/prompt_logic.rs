@@ -21,6 +21,17 @@ pub enum InputCheck {
     Rejected(String),
 }
 
+/// Which captured frames a log is to have.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(in crate::app) enum SavedFrames {
+    /// All.
+    All,
+    /// Those that match the filter; their number is not known yet.
+    Matching,
+    /// So many that match the filter.
+    Counted(u64),
+}
+
 /// State that prompts are validated against.
 #[derive(Clone, Copy)]
 pub(in crate::app) struct PromptContext<'a> {
@@ -31,6 +42,8 @@ pub(in crate::app) struct PromptContext<'a> {
     pub selected_bus: Option<BusIndex>,
     /// Number of captured frames.
     pub frames: u64,
+    /// Which of them would be saved.
+    pub saved_frames: SavedFrames,
     /// Moments that can be shown.
     pub moments: MomentRange,
     /// Number of rows of the page that match its filter, and of all.

@@ -5,6 +5,8 @@
 //! are drawn.
 
 mod bus_page;
+mod call_list;
+mod counts;
 mod cursor;
 mod devices_page;
 mod evidence;
@@ -16,6 +18,7 @@ mod timeline_view;
 mod traffic_view;
 
 pub use bus_page::{BarKey, BusPageLayout, BusRegions, ChartSpan};
+pub use call_list::CallList;
 pub use cursor::Selection;
 pub use devices_page::{DeviceView, DevicesPage};
 pub use evidence::EvidenceView;
@@ -27,6 +30,7 @@ pub use screen::{SPLIT_WIDTH, Screen};
 pub use timeline_view::TimelineView;
 pub use traffic_view::{CallOrder, IdentifierOrder, TimeFormat, TrafficView};
 
+use super::capture::CountsBase;
 use super::capture::calls::CallKey;
 use super::capture::identifiers::IdentifierKey;
 use super::problems::{EvidenceItem, ProblemKey};
@@ -106,6 +110,10 @@ pub struct View {
     pub identifiers: Selection<IdentifierKey>,
     /// Selection of the view of calls.
     pub calls: Selection<CallKey>,
+    /// The calls of one row, one by one; behind other views it stays open.
+    pub(in crate::app) call_list: Option<CallList>,
+    /// Where the counts of identifiers and calls begin; `None`: at the start.
+    pub(in crate::app) counts_base: Option<Box<CountsBase>>,
     /// Number of the selected frame; `None` while the newest are followed.
     pub traffic: Option<u64>,
     /// Line of the list on which it is shown.

@@ -1,4 +1,5 @@
-//! `descan log`: the frames of a log, decoded, one per line as text or JSON, or their statistics.
+//! `descan log`: the frames of a log, decoded, one per line as text or JSON, or their statistics, or
+//! some of them as another log.
 //!
 //! Input: a log. A file is read twice: for the state with its names, then for the frames, so that a
 //! name holds for the frames before it, too. Standard input and pipes are read once, with the names
@@ -6,6 +7,7 @@
 //! log. Does not know how frames are decoded.
 
 mod frame_json;
+mod frame_log;
 mod frame_text;
 mod known_names;
 mod stats;
@@ -14,29 +16,24 @@ mod stats_report;
 use super::headless::{self, Limits, RunInput};
 use super::open::{self, Setup};
 use super::output::LineOutput;
-use super::watch::filter_of;
 use super::{EXIT_INTERRUPTED, EXIT_OK, Failure, diff};
-use crate::app::{
-    App, AppOptions, CallPart, Calls, Filter, FrameMatcher, FrameStore, Identifiers, RowKind,
-};
+use crate::app::{App, AppOptions, CallPart, Calls, Filter, FrameSelector, RowKind};
 use crate::bus::BusSpec;
 use crate::cli::{CommonArgs, LogArgs};
 use crate::frame::Frame;
 use crate::shell::stop::StopReason;
 use anyhow::Context;
 use frame_json::FrameJson;
+use frame_log::FrameLog;
 use frame_text::FrameText;
 use stats::LogStats;
 use std::fs::File;
 use std::ops::ControlFlow;
 
-/// Bytes of the frames that a filter may look back at, for intervals and the bytes of transfers.
-const LOOK_BACK: usize = 16_000_000;
-
 /// Runs it.
 pub fn run(log: &LogArgs) -> Result<u8, Failure> {
     let spec = diff::spec_of(&log.log);
-    let filter = filter_of(log.filter.as_deref(), RowKind::Frame)?;
+    let filter = open::filter("--filter", log.filter.as_deref(), RowKind::Frame)?;
     let setup = Setup::new(&CommonArgs {
         file: None,
         profile: log.profile.clone(),
@@ -45,6 +42,7 @@ pub fn run(log: &LogArgs) -> Result<u8, Failure> {
         address: None,
         record: None,
         record_size: None,
+        record_filter: None,
     })?;
     let options =
         AppOptions { utc_offset_seconds: open::utc_offset_seconds(), ..AppOptions::default() };
@@ -58,7 +56,7 @@ pub fn run(log: &LogArgs) -> Result<u8, Failure> {
         needs_frames: !is_file,
         stuck: EXIT_INTERRUPTED,
     };
-    let mut printer = FramePrinter::new(log, filter);
+    let mut printer = FramePrinter::new(log, filter)?;
     let ending = if is_file {
         print_file(&spec, &file, &setup, options, range, &mut printer)?
     } else {
@@ -138,61 +136,49 @@ enum FrameOutput {
     Text(FrameText),
     Json(FrameJson),
     Stats(Box<LogStats>),
+    Log(FrameLog),
 }
 
 /// Prints the frames that match.
 #[derive(Debug)]
 struct FramePrinter {
-    filter: Filter,
-    /// Prepared for what was known.
-    matcher: Option<FrameMatcher>,
+    selector: FrameSelector,
     kind: FrameOutput,
     is_json: bool,
     /// Frames that are still to be printed; `None` for all.
     left: Option<u64>,
     calls: Calls,
-    identifiers: Identifiers,
-    /// The filter needs the last frames.
-    looks_back: bool,
-    recent: FrameStore,
     number: u64,
     line: String,
     output: LineOutput,
 }
 
 impl FramePrinter {
-    fn new(log: &LogArgs, filter: Filter) -> Self {
-        let kind = if log.stats {
+    fn new(log: &LogArgs, filter: Filter) -> Result<Self, Failure> {
+        let kind = if let Some(path) = &log.write {
+            FrameOutput::Log(FrameLog::create(path)?)
+        } else if log.stats {
             FrameOutput::Stats(Box::default())
         } else if log.json {
             FrameOutput::Json(FrameJson::default())
         } else {
             FrameOutput::Text(FrameText::default())
         };
-        Self {
-            looks_back: filter.looks_back(),
-            filter,
-            matcher: None,
+        Ok(Self {
+            selector: FrameSelector::new(filter),
             kind,
             is_json: log.json,
             left: log.limit,
             calls: Calls::default(),
-            identifiers: Identifiers::new(),
-            recent: FrameStore::new(LOOK_BACK),
             number: 0,
             line: String::new(),
             output: LineOutput::default(),
-        }
+        })
     }
 
     /// Prepares the filter for what is known now. Call before the frames, and when more is known.
     fn renew(&mut self, app: &App) {
-        if self.filter.is_empty() {
-            return;
-        }
-        if self.matcher.as_ref().is_none_or(|matcher| !matcher.is_current(app.history())) {
-            self.matcher = Some(app.log_matcher(&self.filter));
-        }
+        self.selector.renew(app);
     }
 
     /// Prints a frame if it matches. Breaks when enough are printed.
@@ -200,19 +186,14 @@ impl FramePrinter {
         let number = self.number;
         self.number += 1;
         let part = match (&self.kind, app.bus(frame.bus)) {
-            (FrameOutput::Stats(_), _) | (_, None) => None,
+            (FrameOutput::Stats(_) | FrameOutput::Log(_), _) | (_, None) => None,
             (_, Some(bus)) => self.calls.add(frame, number, &bus.config().profile),
         };
-        if let Some(matcher) = &self.matcher {
-            let mut stored = None;
-            if self.looks_back {
-                let link = self.identifiers.add(frame, number);
-                self.recent.push(frame, link);
-                stored = Some((&self.recent, number));
+        if !self.selector.is_match(frame) {
+            if let FrameOutput::Log(log) = &mut self.kind {
+                log.note_left_out();
             }
-            if !matcher.is_match(frame, stored) {
-                return Ok(ControlFlow::Continue(()));
-            }
+            return Ok(ControlFlow::Continue(()));
         }
         self.print(app, frame, part)?;
         if let Some(left) = &mut self.left {
@@ -240,11 +221,15 @@ impl FramePrinter {
                 stats.add(app, frame);
                 Ok(())
             }
+            FrameOutput::Log(log) => log.write(app, frame),
         }
     }
 
     /// Prints the statistics, and what waits.
     fn finish(&mut self, app: &App) -> Result<(), Failure> {
+        if let FrameOutput::Log(log) = &mut self.kind {
+            return log.finish(app);
+        }
         if let FrameOutput::Stats(stats) = &mut self.kind {
             stats.end(app);
             if self.is_json {

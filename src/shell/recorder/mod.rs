@@ -1,4 +1,4 @@
-//! Recorder: writes every frame of a session to a file, as candump text or pcapng, on a thread of
+//! Recorder: writes frames of a session to a file, as candump text or pcapng, on a thread of
 //! its own, so that a slow disk delays neither the bus nor the screen.
 //!
 //! The queue of frames to be written is bounded; frames that do not fit are counted as lost, and
@@ -138,6 +138,16 @@ impl Recorder {
     /// Sets the number of frames of a bus that were lost before they reached the recorder.
     pub fn note_lost(&self, bus: BusIndex, total: u64) {
         *entry(&mut self.shared.state().lost, bus) = total;
+    }
+
+    /// Sets the filter of the recorded frames, for the status.
+    pub fn set_filter(&self, line: &str) {
+        self.shared.state().status.filter = Some(crate::text::printable(line.as_bytes()));
+    }
+
+    /// Counts frames that do not match the filter.
+    pub fn note_left_out(&self, count: u64) {
+        self.shared.state().status.left_out += count;
     }
 
     /// Queues frames without blocking. Frames that do not fit are counted as lost.
@@ -412,6 +422,8 @@ impl Writer {
             frames: self.frames_before + self.output.flushed_frames,
             bytes: self.bytes_before + self.output.flushed,
             lost: state.status.lost,
+            filter: state.status.filter.clone(),
+            left_out: state.status.left_out,
             failure,
             ..self.output.status()
         };

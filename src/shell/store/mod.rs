@@ -82,11 +82,11 @@ pub enum SaveError {
 ///
 /// # Errors
 /// The fault, without the path, if the file cannot be written or already exists.
-pub fn write_new(
+pub fn write_new<T>(
     path: &Path,
     home: Option<&Path>,
-    write: impl FnOnce(&mut File) -> io::Result<()>,
-) -> Result<(), Diagnostic> {
+    write: impl FnOnce(&mut File) -> io::Result<T>,
+) -> Result<T, Diagnostic> {
     let at_home = home.and_then(|home| Some(home.join(path.strip_prefix("~").ok()?)));
     let store = Store::new(at_home.as_deref().unwrap_or(path));
     store.check_new()?;
@@ -94,11 +94,14 @@ pub fn write_new(
     if is_user && store.missing_folder().is_some() {
         return Err(Diagnostic::new("~ cannot be expanded").with_remedy("give the full path"));
     }
+    let mut written = None;
+    let write = |file: &mut File| write(file).map(|it| written = Some(it));
     store.create_with(write).map_err(|error| match error {
         SaveError::Changed(_) => already_exists(),
         SaveError::Unconfirmed(_) => Diagnostic::new(error.to_string()),
         SaveError::Failed(fault) => fault,
-    })
+    })?;
+    written.ok_or_else(|| Diagnostic::new("nothing was written"))
 }
 
 impl Store {

@@ -2,7 +2,7 @@
 //! of a conflict side by side, the evidence, finding texts, remedy, addresses and names. Why des.json
 //! cannot be used stands below the list.
 
-mod boards;
+pub(super) mod boards;
 mod details;
 mod evidence;
 

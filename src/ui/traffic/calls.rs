@@ -3,9 +3,10 @@
 use super::super::brush::{DrawContext, bus_cell, fit, fit_right, short_name};
 use super::cells::millis;
 use super::draw_uncounted;
-use crate::app::{CallStats, Page, clock_millis};
+use crate::app::{App, CallKey, CallStats, Page, clock_millis};
 use crate::theme::Role;
-use crate::time::Duration;
+use crate::time::{Duration, Instant};
+use crate::wire::id::Address;
 use ratatui::text::{Line, Span};
 use std::fmt::Write;
 
@@ -33,13 +34,14 @@ impl CallColumns {
         }
     }
 
-    fn title(self) -> String {
+    /// `since`: counts are those since a moment.
+    fn title(self, since: bool) -> String {
         let mut title = String::from("  ");
         if self.has_bus {
             title += "BUS    ";
         }
-        let _ =
-            write!(title, "{}→{} SERVICE     CALLS ", fit_right("CLIENT", END), fit("SERVER", END));
+        let _ = write!(title, "{}→{} SERVICE   ", fit_right("CLIENT", END), fit("SERVER", END));
+        title += if since { " +CALLS " } else { "  CALLS " };
         if self.has_rate {
             title += "   /s ";
         }
@@ -62,7 +64,9 @@ impl CallColumns {
 pub fn draw(brush: &mut DrawContext) {
     let (header, list) = (brush.screen.header, brush.screen.list);
     let columns = CallColumns::new(brush, list.width);
-    let line = Line::from(brush.span(Role::Header, columns.title()));
+    let line = Line::from(
+        brush.span(Role::Header, columns.title(brush.app.view().counts_base().is_some())),
+    );
     brush.line(header, 0, &line);
     let app = brush.app;
     let rows = app.calls_shown();
@@ -93,6 +97,16 @@ pub fn draw(brush: &mut DrawContext) {
     draw_uncounted(brush, list);
 }
 
+/// Client and server by name and address, as of a moment.
+pub fn ends_of_call(app: &App, key: CallKey, time: Instant) -> (String, String) {
+    let end = |address: Address| {
+        let name = short_name(&app.name_at(key.bus, address, time), END - 4);
+        let number = address.to_string();
+        if name == number { number } else { format!("{name}@{number}") }
+    };
+    (end(key.client), key.server.map_or_else(|| "all".to_owned(), end))
+}
+
 fn call_line(
     brush: &DrawContext,
     row: &CallStats,
@@ -100,28 +114,28 @@ fn call_line(
     is_selected: bool,
 ) -> Line<'static> {
     let (app, key) = (brush.app, row.key);
-    let end = |address: crate::wire::id::Address| {
-        let name = short_name(&app.name_at(key.bus, address, row.last), END - 4);
-        let number = address.to_string();
-        if name == number { number } else { format!("{name}@{number}") }
-    };
-    let server = key.server.map_or_else(|| "all".to_owned(), end);
-    let mut spans: Vec<Span> = vec![brush.span(Role::Text, if is_selected { "▸ " } else { "  " })];
+    let (client, server) = ends_of_call(app, key, row.last);
+    let is_new = app.view().counts_base().is_some_and(|base| base.is_new_call(row));
+    let counts = app.view().call_counts(row);
+    let mut spans: Vec<Span> = vec![
+        brush.span(Role::Text, if is_selected { "▸" } else { " " }),
+        brush.span(Role::New, if is_new { "+" } else { " " }),
+    ];
     if columns.has_bus {
         spans.push(brush.span(Role::Muted, bus_cell(app, Some(key.bus))));
     }
     let service = app.service_name(key.bus, key.service);
     spans.extend([
-        brush.span(Role::Text, fit_right(&end(key.client), END)),
+        brush.span(Role::Text, fit_right(&client, END)),
         brush.span(Role::Muted, "→"),
         brush.span(Role::Text, format!("{} ", fit(&server, END))),
         brush.span(Role::Text, format!("{} ", fit(&service, 9))),
-        brush.span(Role::Text, format!("{:>7} ", row.calls)),
+        brush.span(Role::Text, format!("{:>7} ", counts.calls)),
     ]);
     if columns.has_rate {
         spans.push(brush.span(Role::Muted, format!("{:>5} ", row.rate)));
     }
-    let latency = row.latency();
+    let latency = row.latency_of_last(counts.responses);
     // Of some calls it is not certain which request a response is to.
     let about = if row.ambiguous > 0 { "≈" } else { "" };
     let cell = |time: Option<Duration>| {
@@ -139,8 +153,8 @@ fn call_line(
         let role = if count == 0 { Role::Muted } else { role };
         brush.span(role, format!("{count:>6} "))
     };
-    spans.push(count(row.unanswered, Role::Warning));
-    spans.push(count(row.failed, Role::Error));
+    spans.push(count(counts.unanswered, Role::Warning));
+    spans.push(count(counts.failed, Role::Error));
     if columns.has_last {
         spans.push(brush.span(Role::Muted, format!(" {}", clock_millis(app, row.last))));
     }

@@ -1,8 +1,11 @@
 //! A row per frame, newest last: time, identifier, kind, route, data, meaning.
 
 use super::super::brush::{DrawContext, bus_cell, fit, fit_right};
+use super::super::problems::boards::side_role;
 use super::cells::{BYTES, IN_CAPTURE, bytes, ends, millis, role_of, width_of_ends};
-use crate::app::{CallPart, Decoded, FrameRole, Page, TimeFormat, clock_millis, summary_of};
+use crate::app::{
+    CallPart, Decoded, FrameRole, Page, TimeFormat, clock_millis, side_letter, summary_of,
+};
 use crate::frame::{Frame, FrameKind};
 use crate::theme::Role;
 use crate::time::Duration;
@@ -107,12 +110,20 @@ pub fn draw(brush: &mut DrawContext) {
         return brush.line(area, 1, &line);
     };
     let parts = brush.app.call_parts(first, last);
+    let frames: Vec<Frame> =
+        shown.iter().filter_map(|number| brush.app.capture().get(*number)).collect();
+    let sides = brush.app.frame_sides(&frames);
     let mut above = None;
     for (row, &number) in shown.iter().enumerate() {
         let Some(frame) = brush.app.capture().get(number) else { continue };
         let is_selected = selected == Some(number);
-        let shown_frame =
-            ShownFrame { number, frame: &frame, above, part: parts.get(&number).copied() };
+        let shown_frame = ShownFrame {
+            number,
+            frame: &frame,
+            above,
+            part: parts.get(&number).copied(),
+            side: sides.side_of(brush.app, &frame),
+        };
         let line = frame_line(brush, &shown_frame, columns, usize::from(area.width), is_selected);
         brush.line(area, row as u16, &line);
         if is_selected {
@@ -128,6 +139,8 @@ struct ShownFrame<'a> {
     /// Time of the row above.
     above: Option<crate::time::Instant>,
     part: Option<CallPart>,
+    /// The board that sent it, of several at its address.
+    side: Option<usize>,
 }
 
 fn frame_line(
@@ -221,6 +234,13 @@ fn frame_line(
     }
     if columns.data == 0 && text.is_empty() {
         text = crate::text::hex(&frame.data()[..frame.len().min(8)], "");
+    }
+    if let Some(side) = shown.side {
+        // The UID is what matters; the service has a column, or is known by the letter.
+        if let Some(rest) = text.strip_prefix("heartbeat ") {
+            text = String::from(rest);
+        }
+        spans.push(brush.span(side_role(side), format!("{} ", side_letter(side))));
     }
     let (note, note_role) = call_note(shown.part, decoded.role);
     let used: usize = spans.iter().map(Span::width).sum();

@@ -45,7 +45,8 @@ impl IdentifierColumns {
         }
     }
 
-    fn title(self) -> String {
+    /// `since`: counts are those since a moment.
+    fn title(self, since: bool) -> String {
         let mut title = String::from("  ");
         if self.has_bus {
             title += "BUS    ";
@@ -60,7 +61,7 @@ impl IdentifierColumns {
         if self.has_length {
             title += "LEN   ";
         }
-        title += "  COUNT ";
+        title += if since { " +COUNT " } else { "  COUNT " };
         if self.has_rate {
             title += "   /s ";
         }
@@ -80,7 +81,9 @@ impl IdentifierColumns {
 pub fn draw(brush: &mut DrawContext) {
     let (header, list) = (brush.screen.header, brush.screen.list);
     let columns = IdentifierColumns::new(brush, list.width);
-    let line = Line::from(brush.span(Role::Header, columns.title()));
+    let line = Line::from(
+        brush.span(Role::Header, columns.title(brush.app.view().counts_base().is_some())),
+    );
     brush.line(header, 0, &line);
     let app = brush.app;
     let rows = app.identifiers_shown();
@@ -124,7 +127,12 @@ fn identifier_line(
         None => row.rate.to_string(),
     };
     let plain = if row.rate == 0 && slow.is_none() { Role::Muted } else { Role::Text };
-    let mut spans: Vec<Span> = vec![brush.span(Role::Text, if is_selected { "▸ " } else { "  " })];
+    let view = brush.app.view();
+    let is_new = view.counts_base().is_some_and(|base| base.is_new_identifier(row));
+    let mut spans: Vec<Span> = vec![
+        brush.span(Role::Text, if is_selected { "▸" } else { " " }),
+        brush.span(Role::New, if is_new { "+" } else { " " }),
+    ];
     if columns.has_bus {
         spans.push(brush.span(Role::Muted, bus_cell(brush.app, Some(row.key.bus))));
     }
@@ -137,7 +145,7 @@ fn identifier_line(
         let text = if least == most { most.to_string() } else { format!("{least}–{most}") };
         spans.push(brush.span(Role::Muted, format!("{} ", fit(&text, 5))));
     }
-    spans.push(brush.span(Role::Muted, format!("{:>7} ", row.count)));
+    spans.push(brush.span(Role::Muted, format!("{:>7} ", view.frame_count(row))));
     if columns.has_rate {
         spans.push(brush.span(plain, format!("{rate:>5} ")));
     }

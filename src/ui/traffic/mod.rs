@@ -1,6 +1,7 @@
-//! Page 2, Traffic: frames, identifiers, calls, or the evidence of a problem. Below the frames the
+//! Page 2, Traffic: frames, identifiers, calls, single calls, or the evidence of a problem. Below the frames the
 //! details of the selected one.
 
+mod call_list;
 mod calls;
 mod cells;
 mod evidence;
@@ -9,13 +10,23 @@ mod identifiers;
 
 use super::brush::{DrawContext, fit, inner, labelled};
 use super::chart::grouped;
-use crate::app::{Decoded, Focus, clock_millis};
+use crate::app::{App, Decoded, Focus, Page, clock_millis};
 use crate::frame::{Frame, FrameKind};
 use crate::text::hex;
 use crate::theme::Role;
 use crate::wire::id::{Header, MessageType};
 use ratatui::layout::Rect;
 use ratatui::text::Line;
+
+/// Returns what the list is of, for the page rule: single calls, counts since a moment; `None` for all.
+pub(super) fn title(app: &App) -> Option<String> {
+    let view = app.view();
+    let base = view.counts_base().filter(|_| view.shows_identifiers() || view.shows_calls());
+    call_list::title(app).or_else(|| {
+        let base = base.filter(|_| !app.page_filter(Page::Traffic).is_on())?;
+        Some(format!(" counts since {} ", clock_millis(app, base.time)))
+    })
+}
 
 /// Draws the list and the details.
 pub fn draw(brush: &mut DrawContext) {
@@ -24,6 +35,8 @@ pub fn draw(brush: &mut DrawContext) {
         draw_details(brush);
     } else if brush.app.view().shows_identifiers() {
         identifiers::draw(brush);
+    } else if brush.app.view().call_list().is_some() {
+        call_list::draw(brush);
     } else if brush.app.view().shows_calls() {
         calls::draw(brush);
     } else {

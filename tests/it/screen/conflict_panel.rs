@@ -352,3 +352,54 @@ fn hundred_problems_leave_room_for_the_details() {
     stage.keys("G");
     assert!(stage.screen().lines().skip(4).take(5).any(|line| line.starts_with('▸')));
 }
+
+/// The letters in front of the meanings of the heartbeats of address 14 on Traffic, oldest first.
+fn letters_on_traffic(stage: &mut Stage) -> Vec<String> {
+    stage.size(120, 40).keys("2 /").text("src:14 srv:1").keys("Enter");
+    let screen = stage.screen();
+    let header = screen.lines().find(|line| line.contains("MEANING")).unwrap();
+    let column = header.split("MEANING").next().unwrap().chars().count();
+    let rows = screen.lines().filter(|line| line.contains(" data "));
+    rows.map(|line| line.chars().skip(column).collect::<String>().trim().to_owned()).collect()
+}
+
+#[test]
+fn frames_of_a_conflict_name_their_board() {
+    let mut stage = Stage::boiler();
+    stage.until(45.0);
+    let meanings = letters_on_traffic(&mut stage);
+    let of = |uid: &str, letter: &str| {
+        let mut own = meanings.iter().filter(|text| text.contains(uid)).peekable();
+        assert!(own.peek().is_some(), "{uid}\n{}", stage.screen());
+        assert!(own.all(|text| text.starts_with(letter)), "{uid}\n{}", stage.screen());
+    };
+    of("BOILER03", "A ");
+    of("SPARE01", "B ");
+    snapshot!("traffic_conflict_120x40", stage);
+    snapshot!("traffic_conflict_80x24", stage.size(80, 24));
+}
+
+#[test]
+fn frames_before_the_conflict_name_no_board() {
+    let boards = [board("ACT", "one", uid("ONE"), 0.0), board("ACT", "two", uid("TWO"), 12.3)];
+    let mut stage = stage(&scenario(&boards));
+    stage.until(40.0);
+    let now = letters_on_traffic(&mut stage);
+    assert!(now.iter().any(|text| text == "A WORK ONE"), "{}", stage.screen());
+    stage.app.go_to_time(Instant::ZERO + Duration::from_secs(11));
+    stage.wait_for_past();
+    let screen = stage.screen();
+    assert!(screen.contains("heartbeat WORK ONE"), "{screen}");
+    assert!(!screen.contains(" A WORK") && !screen.contains("WORK TWO"), "{screen}");
+}
+
+#[test]
+fn frames_of_boards_with_blank_uids_are_told_apart_by_phase() {
+    let boards = [board("ACT", "one", Uid([0; 6]), 0.0), board("ACT", "two", Uid([0; 6]), 12.3)];
+    let mut stage = stage(&scenario(&boards));
+    stage.until(40.0);
+    let meanings = letters_on_traffic(&mut stage);
+    let letters: String = meanings.iter().filter_map(|text| text.chars().next()).collect();
+    let turns = letters.contains("ABAB");
+    assert!(turns && letters.chars().all(|letter| "AB".contains(letter)), "{letters}");
+}

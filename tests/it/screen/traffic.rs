@@ -143,7 +143,7 @@ fn identifiers_and_calls_are_counted() {
     snapshot!("calls_80x24", stage.size(80, 24));
     // Their frames: each request with its responses.
     stage.size(120, 30).keys("Home j");
-    stage.keys("Enter");
+    stage.keys("f");
     assert_eq!(
         stage.app.page_filter(descan::app::Page::Traffic).text(),
         "at:0 at:10 srv:2 not type:data"
