@@ -44,6 +44,7 @@ mod events;
 mod file;
 mod filter;
 mod filter_commands;
+mod followed_frames;
 mod help_view;
 mod history;
 mod input;
@@ -763,6 +764,7 @@ impl App {
     /// draw: it renews the rows.
     pub fn take_dirty(&mut self) -> bool {
         self.renew_rows();
+        self.renew_followed();
         self.notices.redraw.take_dirty(self.clock.now())
     }
 

@@ -268,6 +268,8 @@ impl Traffic {
         let end = self.end(view);
         let kept = |number: &u64| *number < end && self.capture.get(*number).is_some();
         let Some(selected) = view.traffic.filter(kept) else {
+            let is_stored = |end: &u64| self.capture.get(end.saturating_sub(1)).is_some();
+            let end = view.followed.map(|it| it.end).filter(is_stored).unwrap_or(end);
             let mut shown: Vec<u64> = self.before(view, end).take(height).collect();
             shown.reverse();
             return (shown, None);
@@ -286,6 +288,14 @@ impl Traffic {
             shown = older;
         }
         (shown, Some(selected))
+    }
+
+    /// Number of frames with these numbers that match the filter.
+    pub fn count_between(&self, view: &View, numbers: Range<u64>) -> u64 {
+        if !self.is_filtered(view) {
+            return numbers.end.saturating_sub(numbers.start);
+        }
+        self.filtered.from(numbers.start).take_while(|number| *number < numbers.end).count() as u64
     }
 
     /// Moves the selected frame by `delta` on a list of `height` lines; below the newest frame the

@@ -7,6 +7,7 @@ mod buses;
 mod comparison;
 mod conflict;
 mod conflict_panel;
+mod costs;
 mod device_views;
 mod devices;
 mod file;
