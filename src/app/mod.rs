@@ -1072,10 +1072,10 @@ impl App {
         self.traffic.calls_shown(self.calls(), &self.view, filter, self.shown_buses())
     }
 
-    /// What the frames from `first` to `last` are in calls, by number.
-    pub fn call_parts(&self, first: u64, last: u64) -> BTreeMap<u64, CallPart> {
+    /// What these frames, oldest first, are in calls, by number.
+    pub fn call_parts(&self, shown: &[u64]) -> BTreeMap<u64, CallPart> {
         let end = self.traffic.end(&self.view);
-        self.traffic.call_parts(self.shown_buses(), first, last, end)
+        self.traffic.call_parts_of(self.shown_buses(), shown, end)
     }
 
     /// Text of the ISO 15765-2 transfer that a captured frame is part of.

@@ -1,8 +1,8 @@
 //! The screen as the terminal has it: sends the cells that differ from the next one, row by row.
 //!
 //! Inputs: the app and a theme, the most bytes to send. Output: bytes for the terminal. A slow terminal
-//! gets a screen in parts, each as of its own moment: rows are sent in turn, so that the next key need
-//! not wait for all of them. Does not know when to draw.
+//! gets a screen in parts, each as of its own moment: first the rows that differ from the screen before,
+//! as the effect of a key, then the rest in turn. Does not know when to draw.
 
 use super::cell_encoder::CellEncoder;
 use crate::app::App;
@@ -10,7 +10,7 @@ use crate::theme::Theme;
 use crossterm::{cursor, queue, terminal};
 use ratatui::Frame;
 use ratatui::backend::TestBackend;
-use ratatui::buffer::Buffer;
+use ratatui::buffer::{Buffer, Cell};
 use ratatui::layout::{Position, Rect};
 use std::io::{self, Write};
 use std::time::{Duration, Instant};
@@ -41,6 +41,10 @@ pub struct PaintedScreen<W> {
     cursor: Option<Position>,
     /// Row from which on the next part is sent.
     row: u16,
+    /// The last screen that was drawn, while it is sent in parts.
+    last: Option<Buffer>,
+    /// Rows that were changed after they were last sent or drawn first.
+    new_rows: Vec<bool>,
     encoder: CellEncoder,
     /// What is sent at once.
     part: Vec<u8>,
@@ -56,6 +60,8 @@ impl<W: Write> PaintedScreen<W> {
             shown: Buffer::empty(Rect::new(0, 0, columns, rows)),
             cursor: None,
             row: 0,
+            last: None,
+            new_rows: vec![false; usize::from(rows)],
             encoder: CellEncoder::new(),
             part: Vec::new(),
             output,
@@ -74,7 +80,8 @@ impl<W: Write> PaintedScreen<W> {
         most_bytes: usize,
     ) -> io::Result<PaintedPart> {
         let mut scrolled = None;
-        let part = self.draw_frame(|frame| scrolled = crate::ui::draw(app, theme, frame), most_bytes);
+        let part =
+            self.draw_frame(|frame| scrolled = crate::ui::draw(app, theme, frame), most_bytes);
         app.handle_drawn(scrolled);
         part
     }
@@ -90,24 +97,42 @@ impl<W: Write> PaintedScreen<W> {
     ) -> io::Result<PaintedPart> {
         let Ok(completed) = self.next.draw(draw);
         let changed = self.shown.diff(completed.buffer);
-        let rows: Vec<_> = changed.chunk_by(|a, b| a.1 == b.1).collect();
-        let first = rows.iter().position(|row| row[0].1 >= self.row).unwrap_or(0);
+        let mut rows: Vec<_> = changed.chunk_by(|a, b| a.1 == b.1).collect();
+        if let Some(last) = &self.last {
+            for (y, is_new) in (0..).zip(&mut self.new_rows) {
+                *is_new |= cells_of(last, y) != cells_of(completed.buffer, y);
+            }
+        }
+        rows.sort_by_key(|row| {
+            let y = row[0].1;
+            let is_old = !self.new_rows[usize::from(y)];
+            (is_old, is_old && y < self.row, y)
+        });
         self.part.clear();
         if !rows.is_empty() {
             self.part.extend_from_slice(SYNC_BEGIN);
         }
         let mut cells = Vec::new();
         let mut sent = 0;
-        for row in rows.iter().cycle().skip(first).take(rows.len()) {
+        for row in &rows {
             if sent > 0 && self.part.len() >= most_bytes {
                 break;
             }
             self.encoder.write_row(&mut self.part, &self.shown, row)?;
             cells.extend(row.iter().map(|(x, y, cell)| (*x, *y, (*cell).clone())));
-            self.row = row[0].1 + 1;
+            if !std::mem::take(&mut self.new_rows[usize::from(row[0].1)]) {
+                self.row = row[0].1 + 1;
+            }
             sent += 1;
         }
         let is_complete = sent == rows.len();
+        if is_complete {
+            self.row = 0;
+            self.last = None;
+            self.new_rows.fill(false);
+        } else {
+            self.last = Some(completed.buffer.clone());
+        }
         for (x, y, cell) in cells {
             self.shown[(x, y)] = cell;
         }
@@ -149,6 +174,8 @@ impl<W: Write> PaintedScreen<W> {
         self.next.backend_mut().resize(columns, rows);
         self.shown = Buffer::empty(Rect::new(0, 0, columns, rows));
         self.row = 0;
+        self.last = None;
+        self.new_rows = vec![false; usize::from(rows)];
         queue!(self.output, terminal::Clear(terminal::ClearType::All))
     }
 
@@ -165,4 +192,11 @@ impl<W: Write> PaintedScreen<W> {
     pub fn output(&self) -> &W {
         &self.output
     }
+}
+
+/// The cells of a row.
+fn cells_of(buffer: &Buffer, row: u16) -> &[Cell] {
+    let width = usize::from(buffer.area.width);
+    let start = usize::from(row) * width;
+    buffer.content.get(start..start + width).unwrap_or_default()
 }

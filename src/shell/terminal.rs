@@ -168,8 +168,8 @@ pub fn signs() -> Signs {
 /// or a connection to a machine that has one, which passes its speed on.
 pub fn line_rate() -> Option<f64> {
     let baud = rustix::termios::tcgetattr(io::stdout()).ok()?.output_speed();
-    // A start bit, eight bits, a stop bit.
-    (1..NO_LINE_BAUD).contains(&baud).then(|| f64::from(baud) / 10.0)
+    // A start bit, eight bits, one or two stop bits.
+    (1..NO_LINE_BAUD).contains(&baud).then(|| f64::from(baud) / 11.0)
 }
 
 /// Returns false for the console of Linux, which has no window and may print the title.

@@ -32,8 +32,32 @@ const VIEW: [&str; 3] = ["v", "s", "S"];
 const MOVES: [&str; 12] =
     ["j", "k", "j", "k", "PgDn", "PgUp", "Home", "G", "Left", "Right", "Enter", "Esc"];
 const OTHERS: [&str; 26] = [
-    "o", "x", "z", "-", "+", "h", "l", "f", "p", "J", "K", "\\", "=", "!", "m", "c", "T", "?", "'",
-    "M", "d", "Tab", "Backspace", "Esc", "Esc", "Esc",
+    "o",
+    "x",
+    "z",
+    "-",
+    "+",
+    "h",
+    "l",
+    "f",
+    "p",
+    "J",
+    "K",
+    "\\",
+    "=",
+    "!",
+    "m",
+    "c",
+    "T",
+    "?",
+    "'",
+    "M",
+    "d",
+    "Tab",
+    "Backspace",
+    "Esc",
+    "Esc",
+    "Esc",
 ];
 const TIME: [&str; 9] = ["Space", "[", "]", "{", "}", "<", ">", "(", ")"];
 const FILTERS: [&str; 4] = ["src:N012", "len:8 and not type:req", "data:10", "N0 or kind:error"];

@@ -64,12 +64,6 @@ fn bytes_by_page() {
 }
 
 fn main() {
-    if std::env::args().any(|it| it == "slow") {
-        let mut busy = Busy::new(2000, (80, 24), true);
-        busy.screen = paced::PacedScreen::with(descan::shell::paint_pace::PaintPace::new(1900.0, Some(960.0)), 80, 24);
-        busy.run(Duration::from_secs(15)).keys("2").run(Duration::from_secs(10));
-        return;
-    }
     bytes_by_page();
     if std::env::args().any(|it| it == "pages") {
         return;

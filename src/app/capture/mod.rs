@@ -42,6 +42,9 @@ use transfer::first_frame_of;
 
 /// Most transfers whose frames have rows of their own.
 const MAX_OPEN_TRANSFERS: usize = 1024;
+/// Frames that are read for the calls on the screen: the three seconds around one of two full buses, some
+/// milliseconds.
+const MAX_FRAMES_AROUND_CALLS: u64 = 65_536;
 /// Frames that are searched for an equal one around its time: buses may be slightly out of order.
 const NEAR: u64 = 64;
 
@@ -184,6 +187,32 @@ impl Traffic {
                 let asked = self.capture.time_of(*number).unwrap_or(last_time);
                 *is_unanswered = last_time.since(asked) >= timeout;
             }
+        }
+        parts
+    }
+
+    /// What these frames, oldest first, are in calls, by number, as of `end`. Those of the newest calls only
+    /// where too many frames lie around them.
+    pub fn call_parts_of(&self, buses: &Buses, shown: &[u64], end: u64) -> BTreeMap<u64, CallPart> {
+        let timeouts = buses.iter().map(|bus| bus.config().profile.calls.timeout());
+        let timeout = timeouts.max().unwrap_or_default();
+        let calls = shown.iter().rev().filter_map(|number| {
+            let frame = self.capture.get(*number).filter(calls::is_call)?;
+            Some((*number, frame.time))
+        });
+        let calls: Vec<(u64, Instant)> = calls.collect();
+        let mut parts = BTreeMap::new();
+        let mut room = MAX_FRAMES_AROUND_CALLS;
+        // Frames around calls that are near each other are read once.
+        for near in calls.chunk_by(|later, earlier| later.1.since(earlier.1) <= 3 * timeout) {
+            let last = near[0];
+            let behind = self.capture.at_time(last.1 + timeout).min(end);
+            let is_in_room = |call: &&(u64, Instant)| {
+                behind.saturating_sub(self.capture.at_time(call.1 - 2 * timeout)) <= room
+            };
+            let Some(first) = near.iter().take_while(is_in_room).last() else { break };
+            room -= behind.saturating_sub(self.capture.at_time(first.1 - 2 * timeout));
+            parts.extend(self.call_parts(buses, first.0, last.0, end));
         }
         parts
     }

@@ -99,14 +99,14 @@ pub fn draw(brush: &mut DrawContext) {
     }
     let line = Line::from(brush.span(Role::Header, title));
     brush.line(header, 0, &line);
-    let (Some(&first), Some(&last)) = (shown.first(), shown.last()) else {
+    if shown.is_empty() {
         if brush.app.page_filter(Page::Traffic).is_on() {
             return brush.draw_no_match(area, "no frame matches the filter");
         }
         let line = Line::from(brush.span(Role::Muted, "   no frames received yet"));
         return brush.line(area, 1, &line);
-    };
-    let parts = brush.app.call_parts(first, last);
+    }
+    let parts = brush.app.call_parts(&shown);
     let mut above = None;
     for (row, &number) in shown.iter().enumerate() {
         let Some(frame) = brush.app.capture().get(number) else { continue };
@@ -124,10 +124,10 @@ pub fn draw(brush: &mut DrawContext) {
 
 /// Texts behind the title while the newest frames are shown, and so many between them and those before:
 /// the longest first.
-fn following(left_out: u64) -> [String; 2] {
+fn following(left_out: u64) -> Vec<String> {
     match left_out {
-        0 => ["  following".to_owned(), String::new()],
-        count => [format!("  following, {count} left out"), format!("  {count} left out")],
+        0 => vec!["  following".to_owned()],
+        count => vec![format!("  following, {count} left out"), format!("  {count} left out")],
     }
 }
 

@@ -116,6 +116,7 @@ impl Busy {
     }
 
     /// Presses a key and draws; returns how long that takes, in milliseconds.
+    #[allow(dead_code, reason = "a bench uses it")]
     pub fn time_of_key(&mut self, key: &str) -> f64 {
         let key = Key::parse(key).expect("a key");
         let start = std::time::Instant::now();

@@ -54,9 +54,6 @@ impl PacedScreen {
         }
         let part = self.screen.draw(app, theme, self.pace.most_bytes()).expect("written to memory");
         self.pace.drawn(now, part.bytes, Duration::ZERO, part.is_complete);
-        if std::env::var_os("TRACE").is_some() {
-            println!("{now} {part:?} next {}", self.pace.due());
-        }
         self.bytes += part.bytes;
         self.draws += 1;
     }

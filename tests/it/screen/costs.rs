@@ -84,7 +84,6 @@ fn slow_line_gets_no_more_than_it_takes() {
         busy.keys("1").run(seconds(4));
         let sent = busy.screen.bytes - before;
         assert!(sent <= 4 * 960 + 300, "{keys}: {sent} bytes");
-        assert!(!busy.screen.pace.is_partial());
     }
 }
 
@@ -94,7 +93,7 @@ fn followed_frames_say_how_many_are_left_out() {
     let mut busy = Busy::new(2000, (120, 40), false);
     busy.run(seconds(15)).keys("2").run(seconds(10));
     let lines = shown(&busy);
-    let header = lines.iter().find(|line| line.contains("following")).unwrap();
+    let header = lines.iter().find(|line| line.contains("left out")).unwrap();
     let count: Vec<&str> = header.split_whitespace().collect();
     let count: u64 = count[count.len() - 3].parse().expect("a number left out");
     assert!((1000..20_000).contains(&count), "{header}");
