@@ -75,7 +75,7 @@ fn main() {
 
     let mut random = fastrand::Rng::with_seed(11);
     let mut times: BTreeMap<String, Vec<f64>> = BTreeMap::new();
-    let mut all = Vec::new();
+    let (mut now, mut past_times) = (Vec::new(), Vec::new());
     let mut typed: Vec<String> = Vec::new();
     let mut parts = Vec::new();
     for _ in 0..KEYS {
@@ -99,13 +99,15 @@ fn main() {
             choice.unwrap_or("1").to_owned()
         });
         let page = format!("{:?}", busy.app.view().page);
+        let was_past = busy.app.past_moment().is_some();
         let took = busy.time_of_key(&text);
-        all.push(took);
+        let is_past = was_past || busy.app.past_moment().is_some();
+        if is_past { &mut past_times } else { &mut now }.push(took);
         let view = match page.as_str() {
             "Traffic" => format!("{:?}", busy.app.view().traffic_view),
             _ => String::new(),
         };
-        let past = if busy.app.past_moment().is_some() { " past" } else { "" };
+        let past = if is_past { " past" } else { "" };
         let to = busy.app.view().page;
         let name = format!("{text:9} {page} → {to:?} {view}{past}");
         times.entry(name).or_default().push(took);
@@ -115,7 +117,8 @@ fn main() {
             parts.push(start.elapsed().as_secs_f64() * 1e3);
         }
     }
-    print("key to paint", &mut all);
+    print("key to paint", &mut now);
+    print("key to paint, to and at past moments", &mut past_times);
     print("10 ms of bus", &mut parts);
     let mut worst: Vec<_> = times
         .into_iter()

@@ -54,8 +54,8 @@ fn bytes_by_page() {
                 let mut busy = Busy::new(load, size, view.has_conflict);
                 busy.run(Duration::from_secs(15)).keys(view.keys).run(Duration::from_secs(5));
                 let before = busy.screen.bytes;
-                busy.run(Duration::from_secs(30));
-                print!(" {:>10}", (busy.screen.bytes - before) / 30);
+                busy.run(Duration::from_secs(60));
+                print!(" {:>10}", (busy.screen.bytes - before) / 60);
             }
             print!("               |");
         }
