@@ -54,7 +54,7 @@ fn bytes_by_page() {
                 let mut busy = Busy::new(load, size, view.has_conflict);
                 busy.run(Duration::from_secs(15)).keys(view.keys).run(Duration::from_secs(5));
                 let before = busy.screen.bytes;
-                busy.run(Duration::from_secs(60));
+                busy.run(Duration::from_mins(1));
                 print!(" {:>10}", (busy.screen.bytes - before) / 60);
             }
             print!("               |");

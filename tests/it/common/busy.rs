@@ -45,7 +45,7 @@ impl Busy {
         if has_conflict {
             let mut second = scenario.devices[19].clone().fault(Fault::KeepsAddress);
             scenario.devices[19] = second.clone();
-            second.label = "SECOND".to_owned();
+            "SECOND".clone_into(&mut second.label);
             second.uid = Uid([9, 9, 9, 9, 9, 20]);
             second.power_on = Some(Duration::from_millis(1300));
             scenario.devices.push(second);

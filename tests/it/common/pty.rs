@@ -21,6 +21,9 @@ use std::time::{Duration, Instant};
 /// Timeout of every wait, long enough for a busy machine.
 pub const PATIENCE: Duration = Duration::from_mins(1);
 
+/// A slow line makes up for so much time in which a busy machine did not run it.
+const LATE: Duration = Duration::from_millis(300);
+
 pub struct Pty {
     child: Box<dyn Child + Send + Sync>,
     master: Box<dyn MasterPty + Send>,
@@ -77,8 +80,10 @@ impl Pty {
                     return;
                 }
                 if let Some(line) = line {
-                    let late = Instant::now() - Duration::from_millis(300);
-                    free_at = free_at.max(late) + Duration::from_secs(count as u64) / line as u32;
+                    if Instant::now().saturating_duration_since(free_at) > LATE {
+                        free_at = Instant::now();
+                    }
+                    free_at += Duration::from_secs(count as u64) / line as u32;
                     std::thread::sleep(free_at.saturating_duration_since(Instant::now()));
                 }
             }
