@@ -47,6 +47,7 @@ mod events;
 mod file;
 mod filter;
 mod filter_commands;
+mod followed_frames;
 mod frame_selector;
 mod frame_sides;
 mod help_view;
@@ -93,9 +94,9 @@ pub use buses::{
 pub use capture::decoded::summary_of;
 pub use capture::{
     Call, CallCounts, CallKey, CallPart, CallResult, CallStats, Calls, CapturedHeartbeat,
-    CapturedHeartbeats, CapturedLog, Decoded, FrameMeaning, FramePeriod, FrameRole, FrameStore,
-    IdentifierKey, IdentifierKind, IdentifierStats, Identifiers, Latency, NOTED_BYTES, Statistics,
-    StatisticsCount, StoredFrames, Transfer, WrittenFrames,
+    CapturedHeartbeats, CapturedLog, Decoded, FrameMeaning, FramePeriod, FrameRole,
+    FrameStatistics, FrameStore, IdentifierKey, IdentifierKind, IdentifierStats, Identifiers,
+    Latency, NOTED_BYTES, StatisticsCount, StoredFrames, Transfer, WrittenFrames,
 };
 pub use compared_moments::{ComparedMoment, ComparisonNote, ComparisonRow, MomentComparison};
 pub use conflict_panel::{BeatCell, BeatsOnAxis, ConflictPanel, MAX_COLUMNS, side_letter};
@@ -788,6 +789,7 @@ impl App {
     /// draw: it renews the rows.
     pub fn take_dirty(&mut self) -> bool {
         self.renew_rows();
+        self.renew_followed();
         self.notices.redraw.take_dirty(self.clock.now())
     }
 
@@ -1102,10 +1104,10 @@ impl App {
         self.traffic.calls_shown(self.calls(), &self.view, filter, self.shown_buses())
     }
 
-    /// What the frames from `first` to `last` are in calls, by number.
-    pub fn call_parts(&self, first: u64, last: u64) -> BTreeMap<u64, CallPart> {
+    /// What these frames, oldest first, are in calls, by number.
+    pub fn call_parts(&self, shown: &[u64]) -> BTreeMap<u64, CallPart> {
         let end = self.traffic.end(&self.view);
-        self.traffic.call_parts(self.shown_buses(), first, last, end)
+        self.traffic.call_parts_of(self.shown_buses(), shown, end)
     }
 
     /// Text of the ISO 15765-2 transfer that a captured frame is part of.

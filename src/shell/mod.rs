@@ -7,6 +7,8 @@
 //! bitrate_search  bit rate search beside a session, or alone
 //! stop            signals, time limit, closed output: reasons to stop without a screen
 //! tui_loop        keys, signals and drawing   terminal      taking it over, restoring it
+//! painted_screen  what the terminal shows     paint_pace    when it is drawn
+//! cell_encoder    cells as bytes
 //! store           des.json on disk            file_watcher  changes by other programs
 //! recovery        copy of unsaved edits       config        the user's settings
 //! waiting         futures for optional sources
@@ -16,9 +18,12 @@
 
 pub mod bitrate_search;
 pub mod bus_picker;
+mod cell_encoder;
 pub mod config;
 pub mod file_watcher;
 pub mod log_input;
+pub mod paint_pace;
+pub mod painted_screen;
 pub mod recorder;
 pub mod recovery;
 pub mod session;

@@ -1,32 +1,28 @@
 //! The terminal: taken over at the start and restored on every way out.
 
+use super::painted_screen::{PaintedPart, PaintedScreen, SYNC_END};
 use crate::app::Signs;
 use crate::theme::Theme;
 use crossterm::{cursor, event, execute, queue, style, terminal};
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
-use ratatui::backend::CrosstermBackend;
-use std::io::{self, BufWriter, Stdout, Write};
+use std::io::{self, Stdout, Write};
 use std::os::fd::AsFd;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Buttons and wheel, in SGR coordinates; no any-motion reports, which cost bandwidth over SSH.
 const MOUSE_ON: &str = "\x1b[?1000h\x1b[?1002h\x1b[?1006h";
 const MOUSE_OFF: &str = "\x1b[?1006l\x1b[?1002l\x1b[?1000l";
-/// Synchronised output (DEC 2026): terminals that lack it ignore it.
-const SYNC_BEGIN: &[u8] = b"\x1b[?2026h";
-const SYNC_END: &[u8] = b"\x1b[?2026l";
 
 /// Keeps the title of the window, and gives it back (XTWINOPS); terminals without them ignore it.
 const KEEP_TITLE: &str = "\x1b[22;2t";
 const OLD_TITLE: &str = "\x1b[23;2t";
 
+/// Speed of terminals that are no line, by default of the kernel.
+const NO_LINE_BAUD: u32 = 38_400;
+
 static TAKEN: AtomicBool = AtomicBool::new(false);
 
-type Backend = CrosstermBackend<BufWriter<TerminalOutput>>;
-
-/// Standard output while the terminal is taken over; later output is discarded. Dropping ratatui's
-/// terminal shows the cursor once more, and reports a failure with `eprintln!`, which panics on a
-/// closed terminal.
+/// Standard output while the terminal is taken over; later output is discarded.
 struct TerminalOutput(Stdout);
 
 impl Write for TerminalOutput {
@@ -41,7 +37,7 @@ impl Write for TerminalOutput {
 
 /// The terminal while descan uses it. Dropping it restores the terminal.
 pub struct Terminal {
-    screen: ratatui::Terminal<Backend>,
+    screen: PaintedScreen<TerminalOutput>,
     title: String,
 }
 
@@ -52,33 +48,35 @@ impl Terminal {
         // `mono` implements NO_COLOR instead.
         style::force_color_output(true);
         enter()?;
-        let backend = CrosstermBackend::new(BufWriter::with_capacity(
-            64 * 1024,
-            TerminalOutput(io::stdout()),
-        ));
-        let screen = ratatui::Terminal::new(backend).inspect_err(|_| restore())?;
+        let size = terminal::size().inspect_err(|_| restore())?;
+        let screen = PaintedScreen::new(TerminalOutput(io::stdout()), size);
         Ok(Self { screen, title: String::new() })
     }
 
     /// Columns and rows.
     pub fn size(&self) -> io::Result<(u16, u16)> {
-        self.screen.size().map(|size| (size.width, size.height))
+        terminal::size()
     }
 
-    /// Draws `app`, and passes it how far its text can be scrolled.
-    pub fn draw(&mut self, app: &mut crate::app::App, theme: &Theme) -> io::Result<()> {
-        self.screen.backend_mut().write_all(SYNC_BEGIN)?;
-        let mut scrolled = None;
-        self.screen.draw(|frame| scrolled = crate::ui::draw(app, theme, frame))?;
-        self.screen.backend_mut().write_all(SYNC_END)?;
-        app.handle_drawn(scrolled);
-        Write::flush(self.screen.backend_mut())
+    /// Draws `app`, passes it how far its text can be scrolled, and sends about `most_bytes` of what
+    /// changed.
+    pub fn draw(
+        &mut self,
+        app: &mut crate::app::App,
+        theme: &Theme,
+        most_bytes: usize,
+    ) -> io::Result<PaintedPart> {
+        self.screen.draw(app, theme, most_bytes)
     }
 
     /// Draws a screen that is not the app's.
     pub fn draw_frame(&mut self, draw: impl FnOnce(&mut ratatui::Frame)) -> io::Result<()> {
-        self.screen.draw(draw)?;
-        Write::flush(self.screen.backend_mut())
+        let size = terminal::size()?;
+        if self.screen.size() != size {
+            self.screen.resize(size)?;
+        }
+        self.screen.draw_frame(draw, usize::MAX)?;
+        Ok(())
     }
 
     /// Sets the title of the window, where it changed.
@@ -93,22 +91,19 @@ impl Terminal {
 
     /// Makes the next draw write the whole screen.
     pub fn redraw(&mut self) -> io::Result<()> {
-        // Not `clear`, which requests the cursor position from the terminal and waits for it.
-        let size = self.screen.size()?;
-        self.screen.resize(ratatui::layout::Rect::from((ratatui::layout::Position::ORIGIN, size)))
+        self.screen.resize(terminal::size()?)
     }
 
     /// Writes a terminal command, such as the bell.
     pub fn write(&mut self, bytes: &[u8]) -> io::Result<()> {
-        self.screen.backend_mut().write_all(bytes)?;
-        Write::flush(self.screen.backend_mut())
+        self.screen.write(bytes)
     }
 
     /// Puts text into the user's clipboard (OSC 52), if the terminal allows it.
     pub fn copy(&mut self, text: &str) -> io::Result<()> {
-        let command = crossterm::clipboard::CopyToClipboard::to_clipboard_from(text);
-        queue!(self.screen.backend_mut(), command)?;
-        Write::flush(self.screen.backend_mut())
+        let mut command = Vec::new();
+        queue!(command, crossterm::clipboard::CopyToClipboard::to_clipboard_from(text))?;
+        self.screen.write(&command)
     }
 
     /// Restores the terminal, stops this process as Ctrl-Z does, and takes the terminal over again
@@ -167,6 +162,14 @@ pub fn signs() -> Signs {
     let variable = |name| std::env::var(name).ok().filter(|value| !value.is_empty());
     let locale = ["LC_ALL", "LC_CTYPE", "LANG"].into_iter().find_map(variable);
     Signs::of_terminal(&variable("TERM").unwrap_or_default(), locale.as_deref())
+}
+
+/// Returns the bytes per second of the line to the terminal, where it is known to be slow: a serial line,
+/// or a connection to a machine that has one, which passes its speed on.
+pub fn line_rate() -> Option<f64> {
+    let baud = rustix::termios::tcgetattr(io::stdout()).ok()?.output_speed();
+    // A start bit, eight bits, one or two stop bits.
+    (1..NO_LINE_BAUD).contains(&baud).then(|| f64::from(baud) / 11.0)
 }
 
 /// Returns false for the console of Linux, which has no window and may print the title.

@@ -1,10 +1,10 @@
 //! The loop of the terminal UI: keys, signals, drawing, and the session below.
 //!
-//! Wakes up only for an input or a deadline; draws only changes, at most every 33 ms, and 10 ms
-//! after a key.
+//! Wakes up only for an input or a deadline; draws only changes, at the pace of [`PaintPace`].
 
 use super::config::ConfigFolder;
 use super::file_watcher::{DiskContent, FileWatcher};
+use super::paint_pace::{PaintPace, SCREEN_BUDGET};
 use super::session::Session;
 use super::stop::output_closed;
 use super::store::Store;
@@ -21,13 +21,9 @@ use std::future::{pending, poll_fn};
 use std::io;
 use std::sync::Arc;
 use std::task::Poll;
-use std::time::Duration;
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::Notify;
 use tokio::time::{Instant, sleep_until};
-
-const PACE: Duration = Duration::from_millis(33);
-const PACE_AFTER_KEY: Duration = Duration::from_millis(10);
 
 /// How the UI ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -55,8 +51,9 @@ async fn run_on_terminal(session: &mut Session, themes: &mut ThemeLoader) -> io:
     let mut input = EventStream::new();
     let (columns, rows) = terminal.size()?;
     session.app.handle_resize(columns, rows);
-    let mut last_draw: Option<Instant> = None;
-    let mut pace = PACE;
+    let start = Instant::now();
+    let elapsed = || crate::time::Instant::ZERO + start.elapsed();
+    let mut pace = PaintPace::new(SCREEN_BUDGET, terminal::line_rate());
     loop {
         for effect in session.flush_effects() {
             match effect {
@@ -89,7 +86,7 @@ async fn run_on_terminal(session: &mut Session, themes: &mut ThemeLoader) -> io:
                 | Effect::FindBitrate(_) => {}
             }
         }
-        let draw_at = last_draw.map_or_else(Instant::now, |last| last + pace);
+        let draw_at = start + pace.due().since(crate::time::Instant::ZERO);
         tokio::select! {
             biased;
             signal = signals.next() => match signal {
@@ -102,7 +99,7 @@ async fn run_on_terminal(session: &mut Session, themes: &mut ThemeLoader) -> io:
             },
             event = next_event(&mut input) => match event {
                 Some(Ok(event)) => {
-                    pace = PACE_AFTER_KEY;
+                    pace.note_key(elapsed());
                     if matches!(event, Event::Resize(..)) {
                         // The terminal may have changed the old content.
                         terminal.redraw()?;
@@ -111,12 +108,13 @@ async fn run_on_terminal(session: &mut Session, themes: &mut ThemeLoader) -> io:
                 }
                 Some(Err(_)) | None => return Ok(TuiExit::Hangup),
             },
-            () = sleep_until(draw_at), if session.app.is_dirty() => {
-                session.app.take_dirty();
-                terminal.draw(&mut session.app, &themes.current)?;
+            () = sleep_until(draw_at), if session.app.is_dirty() || pace.is_partial() => {
+                if pace.is_renewed() {
+                    session.app.take_dirty();
+                }
+                let part = terminal.draw(&mut session.app, &themes.current, pace.most_bytes())?;
                 terminal.set_title(session.app.terminal_title())?;
-                last_draw = Some(Instant::now());
-                pace = PACE;
+                pace.drawn(elapsed(), part.bytes, part.took, part.is_complete);
             }
             reading = themes.changed() => {
                 let result = themes.reload(reading);

@@ -1,5 +1,5 @@
-//! The real binary on a busy bus: bytes written to its terminal, time to the first screen, memory,
-//! and the time from a key to its effect.
+//! Bytes to the terminal in a second, by page, size and load, in simulated time; and the real binary on
+//! a busy bus: bytes, time to the first screen, memory, and the time from a key to its effect.
 //!
 //! 60 devices with chatter at 1 Mbit/s: about 7,000 f/s on a simulated bus in the same process. Keys
 //! are typed while a hostile bus arrives on standard input: at 8,000 f/s, and as fast as it is read.
@@ -12,6 +12,19 @@ mod pty;
 #[path = "../it/common/hostile.rs"]
 mod hostile;
 
+#[allow(dead_code, reason = "a part is used")]
+#[path = "../it/common/busy.rs"]
+mod busy;
+
+#[allow(dead_code, reason = "a part is used")]
+#[path = "../it/common/harness.rs"]
+mod harness;
+
+#[allow(dead_code, reason = "a part is used")]
+#[path = "../it/common/paced.rs"]
+mod paced;
+
+use busy::{Busy, VIEWS};
 use pty::Pty;
 use std::fmt::Write;
 use std::path::Path;
@@ -20,7 +33,41 @@ use std::time::{Duration, Instant};
 const DEVICES: u32 = 60;
 const AT_REST: Duration = Duration::from_secs(20);
 
+/// Frames per second: heartbeats only; a busy bus; two full ones.
+const LOADS: [u64; 3] = [127, 2_000, 15_000];
+const SIZES: [(u16, u16); 3] = [(80, 24), (120, 40), (200, 50)];
+
+/// Prints the bytes of a second of each page at rest, over a minute.
+fn bytes_by_page() {
+    print!("{:22}", "bytes in a second");
+    for load in LOADS {
+        for (columns, rows) in SIZES {
+            print!(" {:>10}", format!("{columns}x{rows}"));
+        }
+        print!("  at {load:>6}/s |");
+    }
+    println!();
+    for view in &VIEWS {
+        print!("{:22}", view.name);
+        for load in LOADS {
+            for size in SIZES {
+                let mut busy = Busy::new(load, size, view.has_conflict);
+                busy.run(Duration::from_secs(15)).keys(view.keys).run(Duration::from_secs(5));
+                let before = busy.screen.bytes;
+                busy.run(Duration::from_mins(1));
+                print!(" {:>10}", (busy.screen.bytes - before) / 60);
+            }
+            print!("               |");
+        }
+        println!();
+    }
+}
+
 fn main() {
+    bytes_by_page();
+    if std::env::args().any(|it| it == "pages") {
+        return;
+    }
     let folder = tempfile::tempdir().expect("a temporary folder");
     std::fs::write(folder.path().join("full.toml"), scenario()).expect("the scenario");
     first_screen(folder.path());

@@ -92,6 +92,47 @@ fn ctrl_c_and_signals_restore_the_terminal() {
     }
 }
 
+/// Longest time from a key to its effect on a line of 9,600 baud.
+const SLOW_ANSWER: Duration = Duration::from_secs(2);
+
+/// A screen has three or four seconds of bytes: they are sent in parts, so that a key does not wait for
+/// what was drawn before it.
+#[test]
+fn keys_act_within_two_seconds_on_a_line_of_9600_baud() {
+    let folder = tempfile::tempdir().unwrap();
+    let command = format!("stty 9600; exec {} sim:boiler", env!("CARGO_BIN_EXE_descan"));
+    let arguments = ["-c", &command];
+    let mut pty = Pty::run_on_line("/bin/sh", &arguments, folder.path(), SMALL, Some(960));
+    pty.wait_for("q quit");
+    pty.wait_for("PSU");
+    // Twice: nothing piles up. Each key but the first comes while a screen is being sent.
+    for (key, effect) in [
+        ("2", "FROM"),
+        ("1", "STATE"),
+        ("?", "Keys of"),
+        ("?", "STATE"),
+        ("j", "▸●   12"),
+        ("k", "▸●   10"),
+        ("4", "PROBLEM"),
+        ("2", "FROM"),
+    ]
+    .repeat(2)
+    {
+        let start = Instant::now();
+        pty.send(key);
+        pty.wait_until(key, |screen| screen.contents().contains(effect));
+        let took = start.elapsed();
+        assert!(took < SLOW_ANSWER, "{key}: {effect} after {took:?}\n{}", pty.screen());
+    }
+    let start = Instant::now();
+    pty.send("q");
+    // The line has the last bytes when the program has already ended.
+    pty.wait_until("the screen before", |screen| !screen.alternate_screen());
+    assert_eq!(pty.wait(), 0);
+    assert!(start.elapsed() < SLOW_ANSWER, "{:?}", start.elapsed());
+    pty.assert_given_back();
+}
+
 #[test]
 fn lost_connection_ends_descan() {
     let folder = tempfile::tempdir().unwrap();

@@ -365,20 +365,25 @@ pub struct Calls {
     refused: u64,
 }
 
+/// Returns true for a request or a response to one, as far as the identifier says.
+pub(super) fn is_call(frame: &Frame) -> bool {
+    let CanId::Extended(id) = frame.id else { return false };
+    let header = Header::decode(id);
+    // Most frames are unsolicited.
+    !(header.response && header.broadcast)
+        && matches!(
+            FrameRole::of(frame, false),
+            FrameRole::Request | FrameRole::Response | FrameRole::FailedResponse
+        )
+}
+
 impl Calls {
     /// Counts a frame of a bus that speaks DES with this profile. Returns the part of a call that it is,
     /// as far as that is known by now.
     pub fn add(&mut self, frame: &Frame, number: u64, profile: &Profile) -> Option<CallPart> {
         let CanId::Extended(id) = frame.id else { return None };
         let header = Header::decode(id);
-        // Most frames are unsolicited.
-        if header.response && header.broadcast {
-            return None;
-        }
-        if !matches!(
-            FrameRole::of(frame, false),
-            FrameRole::Request | FrameRole::Response | FrameRole::FailedResponse
-        ) {
+        if !is_call(frame) {
             return None;
         }
         let is_des = header.service == profile.des_service();

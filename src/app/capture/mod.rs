@@ -28,7 +28,7 @@ pub use heartbeats::{CapturedHeartbeat, CapturedHeartbeats};
 pub use identifiers::{
     FramePeriod, IdentifierKey, IdentifierKind, IdentifierStats, Identifiers, NOTED_BYTES,
 };
-pub use statistics::{Statistics, StatisticsCount};
+pub use statistics::{FrameStatistics, StatisticsCount};
 pub use transfer::Transfer;
 
 use super::buses::Buses;
@@ -43,10 +43,14 @@ use filtered_frames::FilteredFrames;
 use statistics::StatisticsHistory;
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
+use std::ops::Range;
 use transfer::first_frame_of;
 
 /// Most transfers whose frames have rows of their own.
 const MAX_OPEN_TRANSFERS: usize = 1024;
+/// Frames that are read for the calls on the screen: the three seconds around one of two full buses, some
+/// milliseconds.
+const MAX_FRAMES_AROUND_CALLS: u64 = 65_536;
 /// Frames that are searched for an equal one around its time: buses may be slightly out of order.
 const NEAR: u64 = 64;
 
@@ -167,6 +171,32 @@ impl Traffic {
         parts
     }
 
+    /// What these frames, oldest first, are in calls, by number, as of `end`. Those of the newest calls only
+    /// where too many frames lie around them.
+    pub fn call_parts_of(&self, buses: &Buses, shown: &[u64], end: u64) -> BTreeMap<u64, CallPart> {
+        let timeouts = buses.iter().map(|bus| bus.config().profile.calls.timeout());
+        let timeout = timeouts.max().unwrap_or_default();
+        let calls = shown.iter().rev().filter_map(|number| {
+            let frame = self.capture.get(*number).filter(calls::is_call)?;
+            Some((*number, frame.time))
+        });
+        let calls: Vec<(u64, Instant)> = calls.collect();
+        let mut parts = BTreeMap::new();
+        let mut room = MAX_FRAMES_AROUND_CALLS;
+        // Frames around calls that are near each other are read once.
+        for near in calls.chunk_by(|later, earlier| later.1.since(earlier.1) <= 3 * timeout) {
+            let last = near[0];
+            let behind = self.capture.at_time(last.1 + timeout).min(end);
+            let is_in_room = |call: &&(u64, Instant)| {
+                behind.saturating_sub(self.capture.at_time(call.1 - 2 * timeout)) <= room
+            };
+            let Some(first) = near.iter().take_while(is_in_room).last() else { break };
+            room -= behind.saturating_sub(self.capture.at_time(first.1 - 2 * timeout));
+            parts.extend(self.call_parts(buses, first.0, last.0, end));
+        }
+        parts
+    }
+
     /// State of the recording; `None` without one.
     pub fn recording(&self) -> Option<&RecordingStatus> {
         self.recording.as_ref()
@@ -247,6 +277,8 @@ impl Traffic {
         let end = self.end(view);
         let kept = |number: &u64| *number < end && self.capture.get(*number).is_some();
         let Some(selected) = view.traffic.filter(kept) else {
+            let is_stored = |end: &u64| self.capture.get(end.saturating_sub(1)).is_some();
+            let end = view.followed.map(|it| it.end).filter(is_stored).unwrap_or(end);
             let mut shown: Vec<u64> = self.before(view, end).take(height).collect();
             shown.reverse();
             return (shown, None);
@@ -265,6 +297,14 @@ impl Traffic {
             shown = older;
         }
         (shown, Some(selected))
+    }
+
+    /// Number of frames with these numbers that match the filter.
+    pub fn count_between(&self, view: &View, numbers: Range<u64>) -> u64 {
+        if !self.is_filtered(view) {
+            return numbers.end.saturating_sub(numbers.start);
+        }
+        self.filtered.from(numbers.start).take_while(|number| *number < numbers.end).count() as u64
     }
 
     /// Moves the selected frame by `delta` on a list of `height` lines; below the newest frame the

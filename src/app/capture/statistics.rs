@@ -18,14 +18,14 @@ const MIN_SNAPSHOTS: u64 = 8;
 
 /// Identifiers and calls of some frames.
 #[derive(Clone, Debug, Default)]
-pub struct Statistics {
+pub struct FrameStatistics {
     /// Statistics of the frames of each identifier.
     pub identifiers: Identifiers,
     /// Statistics of calls.
     pub calls: Calls,
 }
 
-impl Statistics {
+impl FrameStatistics {
     /// Counts a frame of these buses.
     pub(super) fn add(&mut self, frame: &Frame, number: u64, buses: &Buses) {
         self.identifiers.add(frame, number);
@@ -48,7 +48,7 @@ struct StatisticsSnapshot {
     frames: u64,
     second: u64,
     size: usize,
-    statistics: Statistics,
+    statistics: FrameStatistics,
 }
 
 /// Statistics of past moments.
@@ -101,7 +101,7 @@ impl StatisticsHistory {
             frames: store.end(),
             second: second_of(now),
             size,
-            statistics: Statistics { identifiers: identifiers.clone(), calls: calls.clone() },
+            statistics: FrameStatistics { identifiers: identifiers.clone(), calls: calls.clone() },
         });
     }
 
@@ -123,7 +123,7 @@ impl StatisticsHistory {
                 time,
             },
             None => StatisticsCount {
-                statistics: Statistics::default(),
+                statistics: FrameStatistics::default(),
                 next: 0,
                 second: None,
                 frames,
@@ -136,7 +136,7 @@ impl StatisticsHistory {
 /// Statistics that are being counted.
 #[derive(Debug)]
 pub struct StatisticsCount {
-    statistics: Statistics,
+    statistics: FrameStatistics,
     /// Number of the next frame.
     next: u64,
     /// The second that is not over; `None` before the first frame.
@@ -173,7 +173,7 @@ impl StatisticsCount {
     }
 
     /// The statistics, as far as they are counted.
-    pub fn statistics(&self) -> &Statistics {
+    pub fn statistics(&self) -> &FrameStatistics {
         &self.statistics
     }
 

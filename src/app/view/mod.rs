@@ -33,6 +33,7 @@ pub use traffic_view::{CallOrder, IdentifierOrder, TimeFormat, TrafficView};
 use super::capture::CountsBase;
 use super::capture::calls::CallKey;
 use super::capture::identifiers::IdentifierKey;
+use super::followed_frames::FollowedFrames;
 use super::problems::{EvidenceItem, ProblemKey};
 use super::stories::HiddenKinds;
 use super::story_lines::LineKey;
@@ -116,6 +117,8 @@ pub struct View {
     pub(in crate::app) counts_base: Option<Box<CountsBase>>,
     /// Number of the selected frame; `None` while the newest are followed.
     pub traffic: Option<u64>,
+    /// Frames that are shown while the newest are followed, from one draw to the next.
+    pub(in crate::app) followed: Option<FollowedFrames>,
     /// Line of the list on which it is shown.
     pub traffic_line: usize,
     /// Evidence that Traffic shows.

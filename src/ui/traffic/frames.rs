@@ -14,8 +14,6 @@ use std::fmt::Write;
 use unicode_width::UnicodeWidthStr;
 
 const MEANING: &str = "MEANING";
-/// Behind the title while the newest frames are shown.
-const FOLLOWING: &str = "  following";
 
 /// Columns that give way on a narrow screen.
 #[derive(Clone, Copy)]
@@ -92,24 +90,26 @@ pub fn draw(brush: &mut DrawContext) {
     let columns = FrameColumns::new(brush, area.width);
     let view = brush.app.view();
     let mut title = columns.title(view.time_format);
+    let (shown, selected) = brush.app.frames_shown(usize::from(area.height));
     if view.traffic.is_none() && view.frozen.is_none() {
-        let room = usize::from(area.width).saturating_sub(title.width());
-        if room < FOLLOWING.len() {
+        let left_out = shown.first().map_or(0, |&first| brush.app.left_out(first));
+        let room = |title: &str| usize::from(area.width).saturating_sub(title.width());
+        let texts = following(left_out);
+        if texts.iter().all(|text| text.len() > room(&title)) {
             title.truncate(title.len() - MEANING.len());
         }
-        title += FOLLOWING;
+        title += texts.iter().find(|text| text.len() <= room(&title)).map_or("", String::as_str);
     }
     let line = Line::from(brush.span(Role::Header, title));
     brush.line(header, 0, &line);
-    let (shown, selected) = brush.app.frames_shown(usize::from(area.height));
-    let (Some(&first), Some(&last)) = (shown.first(), shown.last()) else {
+    if shown.is_empty() {
         if brush.app.page_filter(Page::Traffic).is_on() {
             return brush.draw_no_match(area, "no frame matches the filter");
         }
         let line = Line::from(brush.span(Role::Muted, "   no frames received yet"));
         return brush.line(area, 1, &line);
-    };
-    let parts = brush.app.call_parts(first, last);
+    }
+    let parts = brush.app.call_parts(&shown);
     let frames: Vec<Frame> =
         shown.iter().filter_map(|number| brush.app.capture().get(*number)).collect();
     let sides = brush.app.frame_sides(&frames);
@@ -130,6 +130,15 @@ pub fn draw(brush: &mut DrawContext) {
             brush.select(area, row as u16);
         }
         above = Some(frame.time);
+    }
+}
+
+/// Texts behind the title while the newest frames are shown, and so many between them and those before:
+/// the longest first.
+fn following(left_out: u64) -> Vec<String> {
+    match left_out {
+        0 => vec!["  following".to_owned()],
+        count => vec![format!("  following, {count} left out"), format!("  {count} left out")],
     }
 }
 

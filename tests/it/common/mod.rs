@@ -1,12 +1,14 @@
 //! Helpers shared by several test modules. The benches include single files of it.
 
 pub mod access_list;
+pub mod busy;
 pub mod can;
 pub mod frames;
 pub mod harness;
 pub mod hostile;
 pub mod inspection;
 pub mod open_bus;
+pub mod paced;
 pub mod pty;
 pub mod python;
 pub mod scenario_files;

@@ -21,6 +21,9 @@ use std::time::{Duration, Instant};
 /// Timeout of every wait, long enough for a busy machine.
 pub const PATIENCE: Duration = Duration::from_mins(1);
 
+/// A slow line makes up for so much time in which a busy machine did not run it.
+const LATE: Duration = Duration::from_millis(300);
+
 pub struct Pty {
     child: Box<dyn Child + Send + Sync>,
     master: Box<dyn MasterPty + Send>,
@@ -38,11 +41,18 @@ impl Pty {
         Self::run(env!("CARGO_BIN_EXE_descan"), arguments, folder, (columns, rows))
     }
 
-    pub fn run(
+    pub fn run(program: &str, arguments: &[&str], folder: &Path, size: (u16, u16)) -> Self {
+        Self::run_on_line(program, arguments, folder, size, None)
+    }
+
+    /// Runs a program on a line that takes so many bytes per second, if that is given; what it has not
+    /// taken is in the buffer of the kernel, until that is full.
+    pub fn run_on_line(
         program: &str,
         arguments: &[&str],
         folder: &Path,
         (columns, rows): (u16, u16),
+        line: Option<usize>,
     ) -> Self {
         let size = PtySize { rows, cols: columns, pixel_width: 0, pixel_height: 0 };
         let pair = native_pty_system().openpty(size).expect("a pseudo-terminal");
@@ -62,10 +72,19 @@ impl Pty {
         let mut reader = pair.master.try_clone_reader().unwrap();
         let (sender, output) = channel();
         std::thread::spawn(move || {
-            let mut buffer = vec![0; 65_536];
+            // A slow line takes a tenth of its bytes every tenth of a second, also on a busy machine.
+            let mut free_at = Instant::now();
+            let mut buffer = vec![0; line.map_or(65_536, |line| line / 10)];
             while let Ok(count @ 1..) = reader.read(&mut buffer) {
                 if sender.send(buffer[..count].to_vec()).is_err() {
                     return;
+                }
+                if let Some(line) = line {
+                    if Instant::now().saturating_duration_since(free_at) > LATE {
+                        free_at = Instant::now();
+                    }
+                    free_at += Duration::from_secs(count as u64) / line as u32;
+                    std::thread::sleep(free_at.saturating_duration_since(Instant::now()));
                 }
             }
         });

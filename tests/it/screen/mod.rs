@@ -10,6 +10,7 @@ mod capture_saving;
 mod comparison;
 mod conflict;
 mod conflict_panel;
+mod costs;
 mod device_views;
 mod devices;
 mod file;
