@@ -123,7 +123,7 @@ impl App {
     pub(super) fn zoom_conflict_axis(&mut self, by: isize) {
         let problem = self.selected_problem().filter(|_| self.view.page == Page::Problems);
         let Some(key) = problem.filter(Problem::is_address_conflict).map(|it| it.key) else {
-            return self.show_error("zoom works on the lanes and on a conflict");
+            return self.zoom_time_bar(-by);
         };
         if self.view.conflict_axis.zoom(&key, by) {
             self.show_info(format!("{} ms a cell", self.view.conflict_axis.cell_millis()));

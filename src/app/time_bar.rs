@@ -1,4 +1,5 @@
-//! The time bar: the whole capture or log in cells, and moving along them.
+//! The time bar: the whole capture or log in cells, or at a zoom the part around the shown moment, and
+//! moving along them.
 //!
 //! Inputs: the lines of the timeline, the marks, the kept moments. Output: a sign for each cell.
 //! Computed once a second and when the shown moment changes; bounded by the width of the screen.
@@ -8,7 +9,7 @@ use super::marks::Mark;
 use super::notices::TimelineEntry;
 use super::time_axis::TimeAxis;
 use super::timeline_kind::TimelineKind;
-use super::{App, Mouse};
+use super::{App, Mouse, format_step};
 use crate::finding::{FindingKind, Grouping};
 use crate::time::{Duration, Instant};
 
@@ -16,6 +17,10 @@ use crate::time::{Duration, Instant};
 pub const BAR_LEFT: u16 = 11;
 /// Columns behind the cells: the end of the bar, the last time, what is shown.
 pub const BAR_RIGHT: u16 = 20;
+/// Most halvings of the time in the bar: then a day has cells of 10 ms.
+const MAX_ZOOM: u32 = 16;
+/// Shortest cell of a zoomed bar.
+const MIN_CELL: Duration = Duration::from_millis(10);
 /// Cells of a long step.
 const FAR: i64 = 10;
 /// Most findings that are open at once, for the cells of conflicts.
@@ -52,6 +57,8 @@ pub struct TimeBar {
     pub read: Instant,
     /// True if earlier frames were dropped.
     pub has_dropped: bool,
+    /// The part that the cells are of: all, or at a zoom less.
+    pub part: (Instant, Instant),
     /// The cells, from the beginning to the end.
     pub cells: Vec<BarSign>,
 }
@@ -59,7 +66,23 @@ pub struct TimeBar {
 impl TimeBar {
     /// The axis of the cells.
     pub fn axis(&self) -> TimeAxis {
-        TimeAxis::new(self.begin, self.end.since(self.begin), self.cells.len())
+        TimeAxis::new(self.part.0, self.part.1.since(self.part.0), self.cells.len())
+    }
+
+    /// Selects the part of a zoom, in halvings, that a moment is in. Parts begin at quarters of them, so
+    /// that the cells stay where they are while the moment moves a little.
+    fn zoom_to(&mut self, zoom: u32, shown: Instant) {
+        let whole = self.end.since(self.begin);
+        self.part = (self.begin, self.end);
+        if zoom == 0 || whole.is_zero() {
+            return;
+        }
+        let quarter = (whole / 2_u32.pow(zoom.min(MAX_ZOOM)) / 4).max(Duration::from_micros(1));
+        let at = shown.since(self.begin).as_micros() / quarter.as_micros();
+        let first = u32::try_from(at.saturating_sub(1)).unwrap_or(u32::MAX);
+        let last = self.begin + whole.saturating_sub(quarter * 4);
+        let start = (self.begin + quarter.saturating_mul(first)).min(last);
+        self.part = (start, (start + quarter * 4).min(self.end));
     }
 
     /// Duration of a cell.
@@ -78,10 +101,10 @@ impl TimeBar {
     }
 
     fn put(&mut self, from: Instant, to: Instant, sign: BarSign) {
-        if self.cells.is_empty() || to < self.begin {
+        if self.cells.is_empty() || to < self.part.0 || from > self.part.1 {
             return;
         }
-        let (from, to) = (self.cell(from.max(self.begin)), self.cell(to));
+        let (from, to) = (self.cell(from), self.cell(to));
         for cell in &mut self.cells[from..=to.max(from)] {
             *cell = (*cell).max(sign);
         }
@@ -151,6 +174,7 @@ impl App {
         bar.cells.clear();
         (bar.read, bar.end) = (self.clock.now(), self.last_moment());
         bar.begin = self.buses.begin(&self.traffic.capture).min(bar.read);
+        bar.zoom_to(self.view.bar_zoom, self.shown_time());
         if area.height > 0 {
             let cells = area.width.saturating_sub(BAR_LEFT + BAR_RIGHT);
             bar.cells.resize(usize::from(cells), BarSign::Quiet);
@@ -163,6 +187,21 @@ impl App {
             }
         }
         self.time_bar = bar;
+    }
+
+    /// Shows half of the time in the bar, or with 1 twice as much.
+    pub(super) fn zoom_time_bar(&mut self, by: isize) {
+        let is_shown = !self.time_bar.cells.is_empty();
+        let zoom = self.view.bar_zoom.saturating_add_signed(-by as i32);
+        let is_finer = zoom > self.view.bar_zoom;
+        let is_finest = zoom > MAX_ZOOM || self.time_bar.cell_duration() < MIN_CELL * 2;
+        if !is_shown || zoom == self.view.bar_zoom || is_finer && is_finest {
+            return self.show_error("no other scale");
+        }
+        self.view.bar_zoom = zoom;
+        self.renew_time_bar();
+        let cell = format_step(self.time_bar.cell_duration());
+        self.show_info(format!("time bar: {cell} a cell"));
     }
 
     /// Shows or hides the time bar on a screen where it is not always shown.

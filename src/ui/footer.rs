@@ -375,6 +375,7 @@ fn frozen_hints(brush: &DrawContext) -> Vec<Option<Hint>> {
         one(brush, A::GoTo, "time"),
         one(brush, A::Mark, "mark"),
         one(brush, A::Compare, "diff"),
+        pair(brush, A::ZoomOut, A::ZoomIn, "zoom").filter(|_| has_bar),
     ]
 }
 

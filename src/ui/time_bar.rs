@@ -17,9 +17,12 @@ pub fn draw(brush: &mut DrawContext) {
     let app = brush.app;
     let frozen = app.past_moment().map(|moment| moment.time);
     let (shown, read) = (bar.cell(frozen.unwrap_or(bar.read)), bar.cell(bar.read));
-    let left = if bar.has_dropped { "├…" } else { " ├" };
+    let is_all_read = bar.read >= bar.part.1;
+    let (begin, end) = bar.part;
+    let left = if bar.has_dropped || begin > bar.begin { "├…" } else { " ├" };
+    let right = if end < bar.end { "…┤" } else { "┤ " };
     let mut spans = vec![
-        brush.span(Role::Muted, format!(" {}", format_time_of_day(app, bar.begin))),
+        brush.span(Role::Muted, format!(" {}", format_time_of_day(app, begin))),
         brush.span(Role::Border, left),
     ];
     for (at, sign) in bar.cells.iter().enumerate() {
@@ -27,14 +30,14 @@ pub fn draw(brush: &mut DrawContext) {
         spans.push(match at {
             _ if at == shown => brush.span(Role::Title, "▼"),
             // Not read yet.
-            _ if at > read => brush.span(Role::Muted, " "),
+            _ if at > read && !is_all_read => brush.span(Role::Muted, " "),
             // What came later than the shown moment.
             _ if at > shown => Span::styled(text, brush.style(Role::Muted).dim()),
             _ => brush.span(role, text),
         });
     }
-    spans.push(brush.span(Role::Border, "┤ "));
-    spans.push(brush.span(Role::Muted, format!("{}  ", format_time_of_day(app, bar.end))));
+    spans.push(brush.span(Role::Border, right));
+    spans.push(brush.span(Role::Muted, format!("{}  ", format_time_of_day(app, end))));
     spans.push(moment::word(brush));
     debug_assert_eq!(usize::from(BAR_LEFT), spans[0].width() + spans[1].width());
     let line = Line::from(spans);

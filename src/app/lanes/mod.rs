@@ -130,7 +130,7 @@ impl App {
     /// Makes the cells of the lanes longer by a step, or with -1 shorter.
     pub(super) fn zoom_lanes(&mut self, by: isize) {
         if !self.shows_lanes() {
-            return self.show_error("zoom works on the lanes and on a conflict");
+            return self.zoom_time_bar(by);
         }
         let step = self.lane_step().unwrap_or_default().as_millis() as u64;
         let at = STEPS.iter().position(|it| *it >= step).unwrap_or(STEPS.len() - 1);

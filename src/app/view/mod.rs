@@ -61,6 +61,8 @@ pub struct View {
     pub has_alarm: bool,
     /// The time bar is shown on a small screen, too.
     pub has_time_bar: bool,
+    /// Halvings of the time in the time bar; 0 shows all.
+    pub(in crate::app) bar_zoom: u32,
     /// What a row of the Traffic page is.
     pub traffic_view: TrafficView,
     /// First frames of the transfers whose frames have rows of their own.

@@ -99,3 +99,32 @@ fn mouse_on_the_bar_goes_to_the_moment_of_the_cell() {
     mouse(&mut stage, MouseKind::Drag, 60);
     assert!(shown_cell(&stage).abs_diff(60) <= 2, "{}", shown_cell(&stage));
 }
+
+#[test]
+fn zoomed_bar_has_the_part_around_the_moment() {
+    let mut stage = large();
+    stage.until(45.0).keys("Space");
+    let step = stage.app.time_bar().cell_duration();
+    let before = stage.app.past_moment().unwrap().time;
+    stage.keys("+ + Left");
+    let bar = stage.app.time_bar();
+    let moved = before.since(stage.app.past_moment().unwrap().time);
+    assert!(bar.cell_duration() * 4 <= step && moved <= step / 3, "{step:?}, moved {moved:?}");
+    assert!(bar.part.0 > bar.begin && bar.part.1 == bar.end, "{bar:?}");
+    let line = stage.screen().lines().rev().nth(1).unwrap().to_owned();
+    assert!(line.contains("├…") && line.contains('▼'), "{line}");
+    // Gone to a moment elsewhere, the bar has that part.
+    stage.keys("[").keys("[").keys("[").keys("[");
+    let (shown, bar) = (stage.app.past_moment().unwrap().time, stage.app.time_bar());
+    assert!(bar.part.0 <= shown && shown <= bar.part.1, "{shown} in {bar:?}");
+    let middle = bar.moment(bar.cell(shown));
+    assert!(middle.since(shown).max(shown.since(middle)) <= bar.cell_duration());
+    stage.keys("- - -");
+    assert!(stage.screen().contains("no other scale"));
+    let bar = stage.app.time_bar();
+    assert_eq!((bar.part.0, bar.part.1), (bar.begin, bar.end));
+    // Cells are not shorter than 10 ms.
+    stage.keys(&"+ ".repeat(20));
+    assert!(stage.app.time_bar().cell_duration().as_millis() >= 10);
+    assert!(stage.screen().contains("no other scale"));
+}
