@@ -358,6 +358,8 @@ pub struct App {
     play: Option<Play>,
     /// The moment to which a log is read, to be shown then.
     reading_ahead: Option<Instant>,
+    /// The log is read up to the first event after this moment of the kinds that are selected.
+    sought_event: Option<(Instant, fn(TimelineKind) -> bool)>,
     /// A log was paused because another moment is shown.
     is_log_held: bool,
     marks: Marks,
@@ -415,6 +417,7 @@ impl App {
             replay_due: None,
             play: None,
             reading_ahead: None,
+            sought_event: None,
             is_log_held: false,
             marks: Marks::default(),
             places: Vec::new(),

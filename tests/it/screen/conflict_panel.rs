@@ -291,11 +291,7 @@ fn axis_moves_and_zooms_in_the_focused_details() {
     stage.keys("Esc");
     assert!(stage.app.past_moment().is_some());
     stage.keys("1 +");
-    assert!(
-        stage.screen().contains("time bar: "),
-        "{}",
-        stage.screen()
-    );
+    assert!(stage.screen().contains("time bar: "), "{}", stage.screen());
 }
 
 #[test]

@@ -102,11 +102,7 @@ fn later_cells_of_a_past_moment_are_empty() {
 fn zoom_and_arrows_move_along_the_lanes() {
     let mut stage = boiler(120, 40, 60.0);
     stage.keys("1 +");
-    assert!(
-        stage.screen().contains("time bar: "),
-        "{}",
-        stage.screen()
-    );
+    assert!(stage.screen().contains("time bar: "), "{}", stage.screen());
     let step = |stage: &Stage| stage.app.lane_axis().step();
     stage.keys("3");
     assert_eq!(step(&stage), Duration::from_secs(1));
