@@ -3,6 +3,7 @@
 //! Capture, discovery and the file go on meanwhile. Buses, des.json, problems, traffic and timeline
 //! are those of the moment.
 
+use super::Page;
 use super::capture::StatisticsCount;
 use super::file::FileContent;
 use super::history::{BusesReplay, Moment};
@@ -219,7 +220,9 @@ impl App {
     /// false if some remain.
     pub(super) fn count_past_frames(&mut self) -> bool {
         let Some(past) = &mut self.past else { return true };
-        if !self.view.shows_identifiers() && !self.view.shows_calls() {
+        let is_shown = self.view.shows_identifiers() || self.view.shows_calls();
+        // The Bus page has the latency of the calls.
+        if !is_shown && self.view.page != Page::Bus {
             return true;
         }
         let Moment { frames, time, .. } = past.moment;

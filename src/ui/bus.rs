@@ -14,7 +14,7 @@ use crate::discovery::OwnAddress;
 use crate::frame::BusIndex;
 use crate::status::Link;
 use crate::theme::Role;
-use crate::time::Instant;
+use crate::time::{Duration, Instant};
 use ratatui::layout::Rect;
 use ratatui::text::{Line, Span};
 use unicode_width::UnicodeWidthStr;
@@ -169,6 +169,12 @@ fn facts(brush: &DrawContext, shown: &BusView) -> Vec<Vec<Span<'static>>> {
         [] => text("lost", "0".to_owned()),
         some => pair("lost:", some.join(", "), Role::Error),
     };
+    let millis = |it: Duration| format!("{:.1}", it.as_secs_f64() * 1000.0);
+    let is_counted = brush.app.uncounted_frames() == 0;
+    let latency = brush.app.calls().latency_on(shown.index).filter(|_| is_counted);
+    let latency = latency.map_or("–".to_owned(), |it| {
+        format!("p50 {}  p99 {}  max {} ms", millis(it.p50), millis(it.p99), millis(it.max))
+    });
     let buffer = status.receive_buffer.map(|bytes| format!("{} KiB", bytes / 1024));
     let role = if is_bad { Role::Error } else { Role::Text };
     vec![
@@ -185,6 +191,7 @@ fn facts(brush: &DrawContext, shown: &BusView) -> Vec<Vec<Span<'static>>> {
         count("not sent", status.transmit_failures, Role::Warning),
         count("non-platform", counters.non_platform, Role::Text),
         count("non-conforming", counters.non_conforming, Role::Warning),
+        text("latency", latency),
         text("receive buffer", buffer.unwrap_or_else(|| "–".to_owned())),
     ]
 }

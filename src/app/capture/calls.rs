@@ -172,6 +172,17 @@ pub struct Latency {
     pub max: Duration,
 }
 
+impl Latency {
+    /// Returns the latencies of calls, given in microseconds; `None` without one.
+    fn of(mut sorted: Vec<u32>) -> Option<Self> {
+        sorted.sort_unstable();
+        // The nearest rank.
+        let rank = |percent: usize| (sorted.len() * percent).div_ceil(100).max(1) - 1;
+        let at = |rank: usize| sorted.get(rank).map(|&it| Duration::from_micros(u64::from(it)));
+        Some(Self { p50: at(rank(50))?, p99: at(rank(99))?, max: at(sorted.len() - 1)? })
+    }
+}
+
 impl CallStats {
     fn new(key: CallKey) -> Self {
         Self {
@@ -212,12 +223,7 @@ impl CallStats {
     /// Latencies of the last `responses`, at most 1024; `None` without one.
     pub fn latency_of_last(&self, responses: u64) -> Option<Latency> {
         let count = usize::try_from(responses).unwrap_or(usize::MAX);
-        let mut sorted: Vec<u32> = self.latencies.iter().rev().take(count).copied().collect();
-        sorted.sort_unstable();
-        // The nearest rank.
-        let rank = |percent: usize| (sorted.len() * percent).div_ceil(100).max(1) - 1;
-        let at = |rank: usize| sorted.get(rank).map(|&it| Duration::from_micros(u64::from(it)));
-        Some(Latency { p50: at(rank(50))?, p99: at(rank(99))?, max: at(sorted.len() - 1)? })
+        Latency::of(self.latencies.iter().rev().take(count).copied().collect())
     }
 
     /// Takes a request. Returns false if it is one before in the other framing.
@@ -464,6 +470,12 @@ impl Calls {
     /// The row with this key; `None` without one.
     pub fn get(&self, key: &CallKey) -> Option<&CallStats> {
         self.rows.get(*self.index.get(key)? as usize)
+    }
+
+    /// Latencies on a bus: of the last 64 responses of each row; `None` without one.
+    pub fn latency_on(&self, bus: BusIndex) -> Option<Latency> {
+        let rows = self.rows.iter().filter(|row| row.key.bus == bus);
+        Latency::of(rows.flat_map(|row| row.latencies.iter().rev().take(64)).copied().collect())
     }
 
     /// Number of requests without a row, because the table was full.

@@ -127,7 +127,7 @@ const BOTH_BESIDE: u16 = 160;
 /// Least width with two lists of bars beside each other below the charts.
 const TWO_LISTS: u16 = 60;
 /// Least width in which all facts of a bus fit on one line.
-const ONE_LINE: u16 = 190;
+const ONE_LINE: u16 = 240;
 /// Least lines of a bus: heading, two lines of a chart.
 const LEAST_CHART: u16 = 3;
 
