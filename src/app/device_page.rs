@@ -42,7 +42,15 @@ impl App {
             RowState::Unknown | RowState::Asleep => BeatKind::Unknown,
             _ => BeatKind::Missed,
         };
-        beat_cells(beats, period, end, after, most)
+        let mut cells = beat_cells(beats, period, end, after, most);
+        // While the bus was down no heartbeat could be heard.
+        let history = &bus.meter.history;
+        for cell in cells.iter_mut().filter(|cell| cell.kind == BeatKind::Missed) {
+            if history.is_unknown_near(cell.time.as_micros() / 1_000_000) {
+                cell.kind = BeatKind::Unknown;
+            }
+        }
+        cells
     }
 
     /// Heartbeat period of the device of a row: measured, else that of the profile.

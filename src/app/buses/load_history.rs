@@ -220,6 +220,17 @@ impl LoadHistory {
         sum
     }
 
+    /// Returns true if nothing could be received in a second, or in the one before or after it, as far as
+    /// that is stored.
+    pub fn is_unknown_near(&self, second: u64) -> bool {
+        let near = second.saturating_sub(1)..=second.saturating_add(1);
+        let sample = |second: u64| {
+            let at = usize::try_from(second.checked_sub(self.recent.first)?).ok()?;
+            self.recent.samples.get(at)
+        };
+        near.filter_map(sample).any(|sample| sample.seconds == 0)
+    }
+
     /// Size in bytes, as of a copy.
     pub(super) fn size(&self) -> usize {
         (self.recent.samples.len() + self.all.samples.len()) * size_of::<LoadSample>()

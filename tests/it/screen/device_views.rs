@@ -3,10 +3,11 @@
 
 use super::{one_line, snapshot, styles_of, text_snapshot};
 use crate::common::harness::{BOILER, Stage, text_of};
-use descan::app::Page;
+use descan::app::{BeatKind, Page};
 use descan::discovery::Config;
-use descan::frame::Frame;
+use descan::frame::{BusIndex, Frame};
 use descan::sim::{DeviceSpec, Scenario};
+use descan::status::{BusStatus, Link};
 use descan::time::Instant;
 use descan::wire::id::{Address, Header};
 use descan::wire::node::Mode;
@@ -26,7 +27,7 @@ fn heartbeat(millis: u64, address: u8, uid: [u8; 6]) -> Frame {
 
 /// Returns an app that has received heartbeats of address 10 at these milliseconds.
 fn with_heartbeats(times: &[u64]) -> Stage {
-    let mut stage = Stage::new(&Scenario::new(125_000), None);
+    let mut stage = Stage::new(&Scenario::default(), None);
     for &millis in times {
         stage.until(millis as f64 / 1000.0);
         let frame = heartbeat(millis, 10, *b"UID-10");
@@ -394,4 +395,33 @@ fn past_moment_has_the_heartbeats_until_then() {
     assert!(line(&stage.screen(), "  10 ").contains("▂▂▂▂▂▂▂▂▂▂"), "{}", stage.screen());
     let screen = stage.keys("h").screen();
     assert!(!screen.contains("12:01:0") || screen.contains("missed 0"), "{screen}");
+}
+
+#[test]
+fn heartbeats_while_the_bus_is_down_are_not_missed() {
+    let config = Config { listen_only: true, ..Config::default() };
+    let mut stage = Stage::with(&Scenario::default(), None, config);
+    stage.size(200, 50);
+    let status = |link| BusStatus { link, bitrate: Some(125_000), ..BusStatus::default() };
+    for second in 1..30 {
+        stage.until(f64::from(second));
+        let now = stage.app.now();
+        match second {
+            10 => stage.app.handle_bus(now, BusIndex(0), status(Link::Down)),
+            15 => stage.app.handle_bus(now, BusIndex(0), status(Link::Up)),
+            _ => {}
+        }
+        if !(10..15).contains(&second) && second != 25 {
+            let frame = heartbeat(now.as_micros() / 1000, 12, *b"BOARD1");
+            stage.app.handle_frames(now, &[frame.with_time(now)]);
+        }
+    }
+    stage.until(29.5);
+    let row = stage.app.rows()[0].clone();
+    let cells = stage.app.beats_of(&row, 25);
+    let of = |kind| cells.iter().filter(move |it| it.kind == kind).map(|it| it.time.as_secs_f64());
+    let unknown: Vec<f64> = of(BeatKind::Unknown).collect();
+    assert!(unknown.len() >= 4 && unknown.iter().all(|it| (9.5..15.5).contains(it)), "{cells:?}");
+    let missed: Vec<u64> = of(BeatKind::Missed).map(|it| it.round() as u64).collect();
+    assert_eq!(missed, [25], "{cells:?}");
 }
