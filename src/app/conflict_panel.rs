@@ -282,7 +282,12 @@ impl App {
                 1 => "1 beat".to_owned(),
                 beats => format!("{beats} beats"),
             };
-            parts.push(format!("{count}, {} missed", side.missed));
+            let absences = match side.absences {
+                0 => String::new(),
+                1 => ", away once".to_owned(),
+                more => format!(", away {more}×"),
+            };
+            parts.push(format!("{count}, {} missed{absences}", side.missed));
         }
         parts.join(", ")
     }

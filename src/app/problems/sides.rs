@@ -22,6 +22,8 @@ const SAME_PHASE: f64 = 0.12;
 const PHASE_LOST_PERIODS: f64 = 5.5;
 /// Gap between heartbeats, in periods, from which at least one is missed.
 const MISSED_PERIODS: f64 = 1.4;
+/// Periods without a heartbeat after which a board is away.
+const AWAY_PERIODS: f64 = 5.0;
 /// Intervals that the jitter is of.
 const JITTER_BEATS: usize = 60;
 /// Deviation from a period that is no interval of two heartbeats one after the other.
@@ -57,8 +59,10 @@ pub struct ConflictSide {
     pub period: Option<Duration>,
     /// 95 % of the last 60 intervals deviate by at most this.
     pub jitter: Option<Duration>,
-    /// Heartbeats missing between the others.
+    /// Heartbeats missing between the others, without its absences.
     pub missed: u64,
+    /// Times without a heartbeat for more than five periods: it was unplugged, or moved.
+    pub absences: usize,
     /// Modes with the time of the first heartbeat in each, oldest first, at most 8.
     pub modes: Vec<(Instant, Mode)>,
 }
@@ -74,6 +78,7 @@ impl ConflictSide {
             period: None,
             jitter: None,
             missed: 0,
+            absences: 0,
             modes: Vec::new(),
         }
     }
@@ -239,7 +244,10 @@ impl ConflictSides {
             let nominal = nominal.as_secs_f64();
             let is_interval = |gap: &&f64| (*gap / nominal - 1.0).abs() < INTERVAL_TOLERANCE;
             let intervals: Vec<f64> = gaps.iter().filter(is_interval).copied().collect();
-            side.missed = gaps.iter().map(|gap| missed_in(*gap / nominal)).sum();
+            let is_absence = |gap: &f64| *gap > AWAY_PERIODS * nominal;
+            side.absences = gaps.iter().filter(|gap| is_absence(gap)).count();
+            let present = gaps.iter().filter(|gap| !is_absence(gap));
+            side.missed = present.map(|gap| missed_in(*gap / nominal)).sum();
             if intervals.is_empty() {
                 continue;
             }
@@ -274,7 +282,7 @@ impl ConflictSides {
     /// Returns true if this side sent no heartbeat for five periods before `now`.
     pub fn has_left(&self, side: usize, now: Instant, period: Duration) -> bool {
         let last = self.sides.get(side).and_then(|side| side.last);
-        last.is_some_and(|last| now.since(last) > period * 5)
+        last.is_some_and(|last| now.since(last) > period.mul_f64(AWAY_PERIODS))
     }
 }
 
@@ -385,6 +393,18 @@ mod tests {
         assert_eq!((sides.sides[0].beats, sides.sides[1].beats), (40, 30));
         assert_eq!((sides.sides[0].missed, sides.sides[1].missed), (0, 0));
         assert_eq!(sides.side_of(at(33_219), None), Some(1));
+    }
+
+    #[test]
+    fn absence_of_a_board_is_no_row_of_misses() {
+        let mut beats: Vec<_> = (0..60).map(|at| beat(791 + 1000 * at, 1)).collect();
+        // Two are missed; then it is away for 20 s.
+        let second = (10..40).filter(|at| ![15, 17].contains(at) && !(20..30).contains(at));
+        beats.extend(second.map(|at| beat(219 + 1000 * at, 2)));
+        beats.sort_by_key(|beat| beat.time);
+        let sides = ConflictSides::new(&beats, &[], at(10_219)..at(40_000), PERIOD);
+        let counts = |at: usize| (sides.sides[at].missed, sides.sides[at].absences);
+        assert_eq!((counts(0), counts(1)), ((0, 0), (2, 1)));
     }
 
     #[test]
