@@ -299,7 +299,11 @@ impl App {
         if (period - 1.0).abs() > SECOND_TOLERANCE {
             return None;
         }
-        let own = sides.beats().rev().filter(|(_, side)| *side == Some(at)).take(PHASE_BEATS);
+        let joined = sides.sides[at].joined;
+        let is_own = |(beat, side): &(&CapturedHeartbeat, Option<usize>)| {
+            *side == Some(at) && Some(beat.time) >= joined
+        };
+        let own = sides.beats().rev().filter(is_own).take(PHASE_BEATS);
         let millis = |at: Instant| (self.epoch().unix_micros(at) / 1000 % 1000) as i32;
         let phases: Vec<i32> = own.map(|(beat, _)| millis(beat.time)).collect();
         let newest = *phases.first()?;
@@ -377,7 +381,9 @@ impl App {
         match &boards[..] {
             [_, .., newest] if has_joined && address != Address::DEBUG => {
                 let key = self.key_of(Action::EditAddress);
-                let place = ordinal(panel.sides.sides.len().max(boards.len()) - 1);
+                let sides = &panel.sides.sides;
+                let side = sides.iter().position(|side| side.uid == Some(newest.uid));
+                let place = ordinal(side.unwrap_or(sides.len().max(boards.len()) - 1));
                 let board = label_of(newest.label());
                 format!(
                     "Unplug {board} ({place}); a write to {address} would reach both. \

@@ -401,11 +401,13 @@ impl App {
         match self.view.page {
             Page::Traffic if self.view.shows_identifiers() => {
                 self.view.identifier_order = self.view.identifier_order.next();
+                self.move_to_end(false);
                 self.show_info(format!("sorted {}", self.view.identifier_order.describe()));
             }
             Page::Traffic if self.view.call_list().is_some() => self.sort_call_list(),
             Page::Traffic if self.view.shows_calls() => {
                 self.view.call_order = self.view.call_order.next();
+                self.move_to_end(false);
                 self.show_info(format!("sorted {}", self.view.call_order.describe()));
             }
             Page::Devices => {

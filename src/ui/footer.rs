@@ -366,6 +366,7 @@ fn frozen_hints(brush: &DrawContext) -> Vec<Option<Hint>> {
     };
     vec![
         one(brush, A::Freeze, live),
+        one(brush, A::WriteProof, "proof").filter(|_| app.view().page == Page::Problems),
         pair(brush, A::Back, A::Into, &cell).filter(|_| has_bar),
         shift(brush, &far).filter(|_| has_bar),
         pair(brush, A::PreviousFrame, A::NextFrame, "frame"),

@@ -205,7 +205,9 @@ fn keys_of(page: Page) -> &'static [Action] {
             A::SaveCapture,
         ],
         Page::Timeline => &[A::Details, A::Frames, A::Problem, A::Mark, A::Compare],
-        Page::Problems => &[A::Details, A::Frames, A::Problem, A::Mute, A::EditAddress],
+        Page::Problems => {
+            &[A::Details, A::Frames, A::Problem, A::WriteProof, A::Mute, A::EditAddress]
+        }
         Page::Bus => &[A::Details, A::Frames, A::Identifiers, A::BitRate, A::SaveCapture],
     }
 }

@@ -3,6 +3,7 @@
 //! Bounded: 4096 identifiers; the last 256 intervals of each, and those of the last minute as sums. A
 //! frame with a known identifier allocates nothing. Does not know how frames are shown.
 
+use super::decoded::FrameRole;
 use crate::frame::{BusIndex, CanId, Frame, FrameKind};
 use crate::time::{Duration, Instant};
 use crate::wire::id::Header;
@@ -197,6 +198,20 @@ impl IdentifierStats {
             max: Duration::from_micros(all.max),
             jitter: Duration::from_micros(jitter),
         })
+    }
+
+    /// Returns true for requests and responses, which have no period.
+    pub fn is_called(&self) -> bool {
+        matches!(self.last.id, CanId::Extended(_))
+            && matches!(
+                FrameRole::of(&self.last, false),
+                FrameRole::Request | FrameRole::Response | FrameRole::FailedResponse
+            )
+    }
+
+    /// The period; `None` for requests and responses, too.
+    pub fn own_period(&self) -> Option<FramePeriod> {
+        if self.is_called() { None } else { self.period() }
     }
 
     /// When a byte changed last; `None` if it is as in the first frame, and for later ones than the

@@ -352,16 +352,16 @@ impl Traffic {
         };
         let mut shown: Vec<&IdentifierStats> = rows.filter(is_shown).collect();
         shown.sort_by_key(|row| row.key);
-        let period = |row: &IdentifierStats| row.period();
         match view.identifier_order {
             IdentifierOrder::Id => {}
             IdentifierOrder::Count => shown.sort_by_key(|row| Reverse(view.frame_count(row))),
             IdentifierOrder::Rate => shown.sort_by_key(|row| Reverse(row.rate)),
             IdentifierOrder::Period => {
-                shown.sort_by_cached_key(|row| period(row).map_or(Duration::MAX, |it| it.mean));
+                shown
+                    .sort_by_cached_key(|row| row.own_period().map_or(Duration::MAX, |it| it.mean));
             }
             IdentifierOrder::Jitter => {
-                shown.sort_by_cached_key(|row| Reverse(period(row).map(|it| it.jitter)));
+                shown.sort_by_cached_key(|row| Reverse(row.own_period().map(|it| it.jitter)));
             }
             IdentifierOrder::Newest => shown.sort_by_key(|row| Reverse(row.last.time)),
         }

@@ -223,7 +223,9 @@ impl ConflictSides {
     fn measure(&mut self, nominal: Duration) {
         for (place, side) in self.sides.iter_mut().enumerate() {
             let own = self.beats.iter().zip(&self.of_beats).filter(|(_, of)| **of == Some(place));
-            let own: Vec<&CapturedHeartbeat> = own.map(|(beat, _)| beat).collect();
+            // Those of an earlier stay are not of the board that joined then.
+            let own = own.map(|(beat, _)| beat).filter(|beat| Some(beat.time) >= side.joined);
+            let own: Vec<&CapturedHeartbeat> = own.collect();
             side.beats = own.len();
             side.last = own.last().map(|beat| beat.time);
             side.has_claimed = own.first().is_some_and(|beat| {
@@ -393,6 +395,20 @@ mod tests {
         assert_eq!((sides.sides[0].beats, sides.sides[1].beats), (40, 30));
         assert_eq!((sides.sides[0].missed, sides.sides[1].missed), (0, 0));
         assert_eq!(sides.side_of(at(33_219), None), Some(1));
+    }
+
+    #[test]
+    fn board_that_came_back_has_only_the_heartbeats_since() {
+        let mut beats: Vec<_> = (0..60).map(|at| beat(791 + 1000 * at, 1)).collect();
+        beats.extend((5..12).map(|at| beat(219 + 1000 * at, 2)));
+        beats.extend((40..60).map(|at| beat(555 + 1000 * at, 2)));
+        beats.sort_by_key(|beat| beat.time);
+        let boards = [(Uid([1; 6]), at(791)), (Uid([2; 6]), at(40_555))];
+        let sides = ConflictSides::new(&beats, &boards, at(40_555)..at(59_000), PERIOD);
+        let second = &sides.sides[1];
+        assert_eq!((second.joined, second.beats), (Some(at(40_555)), 20));
+        assert_eq!((second.missed, second.absences), (0, 0));
+        assert!(second.modes.iter().all(|(since, _)| *since >= at(40_555)));
     }
 
     #[test]

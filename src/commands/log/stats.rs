@@ -5,7 +5,7 @@
 
 use crate::app::{App, Calls, ErrorKinds, FrameRole, IdentifierStats, Identifiers};
 use crate::error_report::ErrorReport;
-use crate::frame::{CanId, Frame, FrameKind};
+use crate::frame::{Frame, FrameKind};
 use crate::time::{Duration, Instant};
 
 /// Intervals between the frames of an identifier, in the whole log.
@@ -100,14 +100,9 @@ impl LogStats {
     /// Intervals of an identifier in the whole log; `None` before its second frame, and for requests
     /// and responses, which have no period.
     pub fn intervals(&self, row: &IdentifierStats) -> Option<&LogIntervals> {
-        let is_called = matches!(row.last.id, CanId::Extended(_))
-            && matches!(
-                FrameRole::of(&row.last, false),
-                FrameRole::Request | FrameRole::Response | FrameRole::FailedResponse
-            );
         self.intervals
             .get(self.identifiers.place_of(&row.key)?)
-            .filter(|it| it.count > 0 && !is_called)
+            .filter(|it| it.count > 0 && !row.is_called())
     }
 
     /// Frames per second, of a count of frames; `None` for a log without duration.

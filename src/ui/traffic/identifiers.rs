@@ -3,7 +3,7 @@
 use super::super::brush::{DrawContext, bus_cell, fit, fit_right};
 use super::cells::{BYTES, bytes, ends, millis, width_of_ends};
 use super::draw_uncounted;
-use crate::app::{Decoded, FrameRole, IdentifierKind, IdentifierStats};
+use crate::app::{Decoded, IdentifierKind, IdentifierStats};
 use crate::theme::Role;
 use crate::time::Duration;
 use ratatui::text::{Line, Span};
@@ -149,12 +149,7 @@ fn identifier_line(
     if columns.has_rate {
         spans.push(brush.span(plain, format!("{rate:>5} ")));
     }
-    // Requests and responses have no period.
-    let is_called = matches!(
-        decoded.role,
-        FrameRole::Request | FrameRole::Response | FrameRole::FailedResponse
-    );
-    let period = row.period().filter(|_| !is_called);
+    let period = row.own_period();
     let cell = |time: Option<Duration>| {
         format!("{} ", fit_right(&time.map_or_else(|| "–".to_owned(), millis), 7))
     };
