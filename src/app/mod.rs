@@ -123,6 +123,7 @@ pub use notices::{
 pub use page_filters::PageFilter;
 use page_filters::PageFilters;
 pub use play::PlayPace;
+use play::SoughtEvent;
 pub use problems::{
     ConflictSide, ConflictSides, EvidenceItem, Matching, Problem, ProblemHeadline, ProblemKey,
     ProblemList, Scope, SideBasis, format_duration, is_about, length_text,
@@ -358,8 +359,8 @@ pub struct App {
     play: Option<Play>,
     /// The moment to which a log is read, to be shown then.
     reading_ahead: Option<Instant>,
-    /// The log is read up to the first event after this moment of the kinds that are selected.
-    sought_event: Option<(Instant, fn(TimelineKind) -> bool)>,
+    /// The event up to which the log is read.
+    sought_event: Option<SoughtEvent>,
     /// A log was paused because another moment is shown.
     is_log_held: bool,
     marks: Marks,

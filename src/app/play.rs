@@ -72,6 +72,13 @@ impl Play {
     }
 }
 
+/// The event up to which a log is read: the first one after a moment, of the kinds that are selected.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct SoughtEvent {
+    from: Instant,
+    is_wanted: fn(TimelineKind) -> bool,
+}
+
 impl App {
     /// Pace at which the shown moment moves; `None` if it stands, or is the present.
     pub fn play_pace(&self) -> Option<PlayPace> {
@@ -183,7 +190,7 @@ impl App {
     /// Reads the log up to the next event after a moment, which is shown then.
     pub(super) fn read_to_event(&mut self, from: Instant, is_wanted: fn(TimelineKind) -> bool) {
         self.read_ahead(Instant::LATEST);
-        self.sought_event = Some((from, is_wanted));
+        self.sought_event = Some(SoughtEvent { from, is_wanted });
         self.show_info("reading the log up to the next one; Esc stops");
     }
 
@@ -204,7 +211,7 @@ impl App {
     /// Shows the moment to which the log was read, once it is reached.
     pub(super) fn check_reading(&mut self) {
         let Some(to) = self.reading_ahead else { return };
-        if let Some((from, is_wanted)) = self.sought_event
+        if let Some(SoughtEvent { from, is_wanted }) = self.sought_event
             && let Some(time) = self.event_beside(from, 1, is_wanted)
         {
             (self.reading_ahead, self.sought_event) = (None, None);
