@@ -4,7 +4,7 @@
 //! In real time, whatever the pace of a log. Capture, discovery and the file go on meanwhile. Does not
 //! know how a moment is replayed.
 
-use super::{App, Effect, TimelineKind};
+use super::{App, Effect};
 use crate::status::PlaybackCommand;
 use crate::time::{Duration, Instant};
 
@@ -70,13 +70,6 @@ impl Play {
     pub fn due(&self) -> Instant {
         self.due
     }
-}
-
-/// The event up to which a log is read: the first one after a moment, of the kinds that are selected.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct SoughtEvent {
-    from: Instant,
-    is_wanted: fn(TimelineKind) -> bool,
 }
 
 impl App {
@@ -182,21 +175,8 @@ impl App {
         self.reading_ahead
     }
 
-    /// Returns true if there is more of a log to be read.
-    pub(super) fn can_read_on(&self) -> bool {
-        self.is_of_logs() && self.clock.playback().is_some_and(|it| !it.is_ended)
-    }
-
-    /// Reads the log up to the next event after a moment, which is shown then.
-    pub(super) fn read_to_event(&mut self, from: Instant, is_wanted: fn(TimelineKind) -> bool) {
-        self.read_ahead(Instant::LATEST);
-        self.sought_event = Some(SoughtEvent { from, is_wanted });
-        self.show_info("reading the log up to the next one; Esc stops");
-    }
-
     /// Reads the log up to a moment, which is shown then.
     pub(super) fn read_ahead(&mut self, to: Instant) {
-        self.sought_event = None;
         self.play = None;
         if self.past.is_some() {
             self.leave_past();
@@ -211,19 +191,9 @@ impl App {
     /// Shows the moment to which the log was read, once it is reached.
     pub(super) fn check_reading(&mut self) {
         let Some(to) = self.reading_ahead else { return };
-        if let Some(SoughtEvent { from, is_wanted }) = self.sought_event
-            && let Some(time) = self.event_beside(from, 1, is_wanted)
-        {
-            (self.reading_ahead, self.sought_event) = (None, None);
-            self.effects.push_back(Effect::Playback(PlaybackCommand::ReadTo(Instant::ZERO)));
-            return self.replay_at(time);
-        }
         let is_ended = self.clock.playback().is_none_or(|it| it.is_ended);
         if self.clock.now() >= to || is_ended {
             self.reading_ahead = None;
-            if self.sought_event.take().is_some() {
-                self.show_error("no later one");
-            }
             self.replay_at(to.min(self.clock.now()));
         }
     }
@@ -233,7 +203,6 @@ impl App {
         if self.reading_ahead.take().is_none() {
             return false;
         }
-        self.sought_event = None;
         let stop = PlaybackCommand::ReadTo(Instant::ZERO);
         self.effects.push_back(Effect::Playback(stop));
         self.freeze();
