@@ -2,7 +2,7 @@
 //!
 //! Inputs: frames, the confirmed conflicts of the moment that is shown. Output: the side of each
 //! heartbeat, A for the board that joined first. Other frames do not show which board sent them. Bounded:
-//! eight addresses. Does not know how sides are told apart, nor how they are drawn.
+//! eight addresses. Does not know what distinguishes sides, nor how they are drawn.
 
 use super::problems::{ConflictSides, SideBasis};
 use super::{App, ProblemKey};
@@ -10,7 +10,7 @@ use crate::finding::FindingState;
 use crate::frame::{BusIndex, Frame};
 use crate::wire::id::{Address, Header};
 
-/// Most addresses of which the boards are told apart for one list: more conflicts are hardly shown at
+/// Most addresses whose boards are distinguished for one list: more conflicts are hardly shown at
 /// once, and each costs a walk through its heartbeats.
 const MAX_ADDRESSES: usize = 8;
 
