@@ -17,6 +17,8 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 const SPACING: u64 = 4096;
 /// Most places: together about 4 MB.
 const MAX_PLACES: usize = 8192;
+/// Most frames that are decoded together.
+const AT_ONCE: usize = 256;
 /// Bytes that are read at once.
 const PART: usize = 1 << 16;
 
@@ -129,11 +131,18 @@ impl FrameSource for LogIndex {
         let Some((mut reader, first)) = self.places().reader_for(numbers.start) else {
             return Ok(());
         };
-        for number in first..numbers.end {
+        let (mut number, mut frames) = (first, Vec::with_capacity(AT_ONCE));
+        while number < numbers.end {
             // The last line of a file may have no end.
             let Some(frame) = reader.next_frame()? else { return Ok(()) };
-            if number >= numbers.start {
-                take(frame.with_bus(BusIndex(self.bus.0.saturating_add(frame.bus.0))));
+            frames.push(frame);
+            let left = usize::try_from(numbers.end - number).unwrap_or(AT_ONCE);
+            reader.take_buffered(&mut frames, left.min(AT_ONCE));
+            for frame in frames.drain(..) {
+                if number >= numbers.start {
+                    take(frame.with_bus(BusIndex(self.bus.0.saturating_add(frame.bus.0))));
+                }
+                number += 1;
             }
         }
         Ok(())
