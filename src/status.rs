@@ -145,6 +145,8 @@ pub struct BusStatus {
     pub unanswered: bool,
     /// How much of a log is read, in percent; `None` if its size is not known.
     pub percent: Option<u8>,
+    /// How often another log began: it was truncated or replaced, and is read from its start.
+    pub log_changes: u64,
     /// Why the bus is not as it should be, or how a log ended; `None` without a fault.
     pub fault: Option<Diagnostic>,
     /// Information on one line that is not a fault: an adapter's name, a log that was replaced.

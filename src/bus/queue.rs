@@ -93,6 +93,11 @@ impl Queue {
         self.news.notify_one();
     }
 
+    /// Returns true if the status has changed since it was last taken.
+    pub fn has_new_status(&self) -> bool {
+        self.contents().status_is_new
+    }
+
     /// Returns true if there are frames to take.
     pub fn has_frames(&self) -> bool {
         !self.contents().frames.is_empty()

@@ -35,6 +35,11 @@ impl DeviceTable {
         }
     }
 
+    /// Gives new rows ids that no row of `before` had.
+    pub fn number_after(&mut self, before: &Self) {
+        self.next_number = self.next_number.max(before.next_number);
+    }
+
     pub fn devices(&self) -> &[Device] {
         &self.devices
     }

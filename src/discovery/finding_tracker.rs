@@ -250,6 +250,11 @@ impl FindingTracker {
         self.revision
     }
 
+    /// Counts the changes from those of `before` on, and one more: its findings are gone.
+    pub fn count_after(&mut self, before: &Self) {
+        self.revision += before.revision + 1;
+    }
+
     /// Returns the next finding whose state changed, with its new state.
     pub fn poll_changed(&mut self) -> Option<(FindingKey, FindingState)> {
         if self.changed.is_empty() { None } else { Some(self.changed.remove(0)) }

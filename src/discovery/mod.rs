@@ -378,6 +378,19 @@ impl Engine {
         self.tracker.wake_at(self.tracker.now);
     }
 
+    /// Command: starts without devices and findings, for frames of another recording. The counters go
+    /// on, and ids are not used again.
+    pub fn begin_another_recording(&mut self, now: Instant) {
+        self.tracker.advance(now);
+        let before = &self.tracker;
+        let mut next = Self::new(before.now, before.config.clone());
+        next.tracker.counters = before.counters;
+        next.tracker.device_table.number_after(&before.device_table);
+        let findings = before.conflicts.finding_tracker();
+        next.tracker.conflicts.finding_tracker_mut().count_after(findings);
+        *self = next;
+    }
+
     /// Notes that delayed requests were sent all at once: a device that responds to several of
     /// them, now or a little later, is not in conflict.
     pub fn handle_delayed_requests(&mut self, now: Instant) {

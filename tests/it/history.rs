@@ -2,8 +2,8 @@
 
 use crate::common::harness::{BOILER, Stage};
 use crate::simulation::random_scenario::World;
-use descan::app::{App, Buses, BusesReplay, Moment};
-use descan::discovery::Config;
+use descan::app::{App, Buses, BusesReplay, Moment, StoryLine};
+use descan::discovery::{Config, Device};
 use descan::frame::BusIndex;
 use descan::sim::{DeviceAction, Fault, Scenario};
 use descan::status::{BusState, BusStatus, Link};
@@ -67,6 +67,7 @@ fn past_state_is_that_of_its_moment() {
                 4 => status.state = BusState::BusOff,
                 5 => status.state = BusState::ErrorActive,
                 6 => stage.app.handle_stall(now - Duration::from_millis(300), now),
+                7 => status.log_changes += 1,
                 _ => {}
             }
             stage.app.handle_bus(now, BusIndex(0), status.clone());
@@ -189,6 +190,65 @@ fn pages_of_a_past_moment_are_those_of_a_run_until_then() {
             assert_eq!(shown, expected, "{key} {:?}", moment.time);
         }
     }
+}
+
+/// Tests that after a log was truncated or replaced nothing of the one before is present or missing,
+/// and that its moments can still be shown.
+#[test]
+fn another_log_has_its_own_devices() {
+    let stage_of = |scenario: &Scenario| {
+        let config = Config { listen_only: true, ..Config::default() };
+        Stage::with_room(scenario, None, config, ROOM)
+    };
+    let mut scenario = Scenario::builtin("boiler").unwrap();
+    let mut second = scenario.devices[1].clone().fault(Fault::KeepsAddress);
+    second.uid = Uid([9; 6]);
+    second.label = "second".to_owned();
+    scenario.devices[1] = scenario.devices[1].clone().fault(Fault::KeepsAddress);
+    scenario.devices.push(second);
+    let mut stage = stage_of(&scenario);
+    stage.until(20.0);
+    let begin = stage.app.now();
+    let then = (stage.app.history().present(begin), state(stage.app.history()));
+    let findings = |app: &App| app.findings().map(|it| it.text.clone()).collect::<Vec<_>>();
+    assert!(!findings(&stage.app).is_empty(), "a conflict");
+
+    // The other log has the first two devices alone, which start anew.
+    let mut other = Scenario::builtin("boiler").unwrap();
+    other.devices.truncate(2);
+    let mut alone = stage_of(&other);
+    let up = BusStatus { link: Link::Up, ..BusStatus::default() };
+    alone.app.handle_bus(Instant::ZERO, BusIndex(0), up.clone());
+    alone.until(20.0);
+    let changed = BusStatus { log_changes: 1, note: Some("log replaced".into()), ..up };
+    stage.app.handle_bus(begin, BusIndex(0), changed);
+    assert!(stage.app.buses()[0].devices().is_empty());
+    assert!(!stage.app.stories().iter().any(|story| {
+        story.line(begin, |time| time.to_string()).is_some_and(|line| line.to.is_none())
+    }));
+    let frames: Vec<_> = alone.app.capture().frames_from(0).map(|(_, frame)| frame).collect();
+    for frame in frames {
+        let time = begin + frame.time.since(Instant::ZERO);
+        stage.app.advance_to(time);
+        stage.app.handle_frames(time, &[frame.with_time(time)]);
+        while stage.app.poll_effect().is_some() {}
+    }
+    let devices = |app: &App| {
+        let row = |it: &Device| format!("{:?} {:?} {:?}", it.address, it.presence, it.services);
+        app.buses()[0].devices().iter().map(row).collect::<Vec<_>>()
+    };
+    assert_eq!(devices(&stage.app), devices(&alone.app));
+    assert_eq!(findings(&stage.app), findings(&alone.app));
+    let lines = |app: &App, from: Instant| {
+        let now = app.now();
+        let stories = app.stories().iter().filter(|story| story.begin() > from);
+        let words = |line: StoryLine| line.what;
+        let lines = stories.filter_map(|story| story.line(now, |it| it.to_string()).map(words));
+        lines.collect::<Vec<_>>()
+    };
+    assert_eq!(lines(&stage.app, begin), lines(&alone.app, Instant::ZERO));
+    let past = replayed(&stage.app, then.0).map(|buses| state(&buses));
+    assert!(past == Some(then.1), "the state before");
 }
 
 #[test]

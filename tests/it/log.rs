@@ -248,11 +248,26 @@ fn truncated_or_replaced_file_is_read_from_start() {
     let BusSpec::File(path) = &spec else { unreachable!() };
     let port = open(&spec, Clock::replaying(Epoch::from_unix_micros(1_000_000_000), 1000.0));
     let mut frames = drain(&port);
-    let note = || port.queue().status().note.unwrap_or_default();
+    // What reads the queue learns of another log after all frames before, and before its first one.
+    let next_log = |frames: &mut Vec<Frame>, changes: u64, why: &str| {
+        let deadline = Monotonic::now() + PATIENCE;
+        let before = frames.len();
+        loop {
+            port.queue().drain(frames, 1000);
+            assert_eq!(frames.len(), before, "no frame before the change is known");
+            match port.queue().take_status() {
+                Some(status) if status.log_changes == changes => {
+                    return assert_eq!(status.note.as_deref(), Some(why));
+                }
+                _ => assert!(Monotonic::now() < deadline, "{:?}", port.queue().status()),
+            }
+            std::thread::yield_now();
+        }
+    };
 
     fs::write(path, "(2000.0) can0 00000003#\n").unwrap();
+    next_log(&mut frames, 1, "log truncated: read from its start, devices start over");
     take_with(&port, &mut frames, 3, || {});
-    assert_eq!(note(), "log truncated: reading from its start");
 
     let next = folder.path().join("next");
     // A log of the other format, in two pieces.
@@ -263,11 +278,7 @@ fn truncated_or_replaced_file_is_read_from_start() {
     let first = pcapng.len() - 7;
     fs::write(&next, &pcapng[..first]).unwrap();
     fs::rename(&next, path).unwrap();
-    let deadline = Monotonic::now() + PATIENCE;
-    while note() != "log replaced: reading the new one" {
-        assert!(Monotonic::now() < deadline, "{}", note());
-        std::thread::yield_now();
-    }
+    next_log(&mut frames, 2, "log replaced: new one is read, devices start over");
     File::options().append(true).open(path).unwrap().write_all(&pcapng[first..]).unwrap();
     take_with(&port, &mut frames, 4, || {});
     let told: Vec<_> = frames.iter().map(|it| it.platform_id().unwrap()).collect();

@@ -17,7 +17,8 @@ const NAMES_PER_ADDRESS: usize = 16;
 pub struct AddressHolder {
     /// First frame from there; the first holder that is kept holds all times before, too.
     pub since: Instant,
-    device: DeviceId,
+    /// `None` for nobody: another log began.
+    device: Option<DeviceId>,
     /// `None` while it is not known.
     pub name: Option<Name>,
     /// The UID changed since the name was received: another board may have another name.
@@ -39,9 +40,9 @@ impl AddressNames {
         match event.kind {
             EventKind::IdsMerged { previous, .. } => {
                 let all = self.holders.iter_mut().flatten();
-                let merged = all.filter(|holder| holder.device == previous);
+                let merged = all.filter(|holder| holder.device == Some(previous));
                 for holder in merged {
-                    holder.device = device;
+                    holder.device = Some(device);
                     if holder.name.is_none() {
                         holder.name.clone_from(&event.name);
                     }
@@ -75,7 +76,7 @@ impl AddressNames {
         }
         let Some(holders) = self.holders.get_mut(at) else { return };
         match holders.last_mut() {
-            Some(last) if last.device == device => {
+            Some(last) if last.device == Some(device) => {
                 if name.is_none() || last.name.as_ref() == name {
                     return;
                 }
@@ -88,16 +89,25 @@ impl AddressNames {
             }
             // The board that came with another UID.
             Some(last) if last.is_outdated => {
-                (last.device, last.name, last.is_outdated) = (device, name.cloned(), false);
+                (last.device, last.name, last.is_outdated) = (Some(device), name.cloned(), false);
                 self.revision += 1;
                 return;
             }
             _ => {}
         }
-        self.push(
-            address,
-            AddressHolder { since: time, device, name: name.cloned(), is_outdated: false },
-        );
+        let (device, name) = (Some(device), name.cloned());
+        self.push(address, AddressHolder { since: time, device, name, is_outdated: false });
+    }
+
+    /// Notes that from now on nobody has an address that is known: another log begins.
+    pub(super) fn vacate(&mut self, since: Instant) {
+        let held =
+            |address: &Address| self.holders(*address).last().is_some_and(|it| it.device.is_some());
+        let held: Vec<Address> = Address::all().filter(held).collect();
+        for address in held {
+            let nobody = AddressHolder { since, device: None, name: None, is_outdated: false };
+            self.push(address, nobody);
+        }
     }
 
     fn push(&mut self, address: Address, holder: AddressHolder) {
@@ -111,9 +121,9 @@ impl AddressNames {
 
     /// From now on, the name may be that of another board.
     fn mark_outdated(&mut self, since: Instant, device: DeviceId, address: Address) {
-        let last = self.holders(address).last().filter(|last| last.device == device);
+        let last = self.holders(address).last().filter(|last| last.device == Some(device));
         if let Some(last) = last.filter(|last| !last.is_outdated) {
-            let name = last.name.clone();
+            let (device, name) = (Some(device), last.name.clone());
             self.push(address, AddressHolder { since, device, name, is_outdated: true });
         }
     }

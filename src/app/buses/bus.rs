@@ -330,6 +330,9 @@ impl Bus {
             return None;
         }
         let old = std::mem::replace(&mut self.status, status);
+        if old.log_changes < self.status.log_changes {
+            self.begin_another_log(now);
+        }
         let new = &self.status;
         let lines = status_changes(&old, new);
         let has_listened = self.has_listened(now);
@@ -366,6 +369,14 @@ impl Bus {
             self.engine.handle_lost_frames(now, newly_lost);
         }
         Some(lines)
+    }
+
+    /// Forgets the devices of the log before; who was where remains known for its frames.
+    fn begin_another_log(&mut self, now: Instant) {
+        self.engine.begin_another_recording(now);
+        self.names.vacate(now);
+        self.up_since = None;
+        self.quarantined_until = None;
     }
 
     /// Tells the engine that requests were delayed, once a queue that was full for a long time is

@@ -10,7 +10,8 @@ use crate::text::Escaped;
 pub(super) fn status_changes(old: &BusStatus, status: &BusStatus) -> Vec<(TimelineKind, String)> {
     let shown = |text: &String| Escaped(text.as_bytes()).to_string();
     let mut lines = Vec::new();
-    if old.link != status.link {
+    let is_another_log = old.log_changes < status.log_changes;
+    if old.link != status.link && !(is_another_log && status.link == Link::Up) {
         lines.push(match status.link {
             Link::Opening => (TimelineKind::Bus, "opening".to_owned()),
             Link::Up if old.link == Link::Ended => {
@@ -63,7 +64,8 @@ pub(super) fn status_changes(old: &BusStatus, status: &BusStatus) -> Vec<(Timeli
     {
         lines.push((TimelineKind::Bus, format!("{bitrate} bit/s")));
     }
-    if let Some(note) = status.note.as_ref().filter(|note| old.note.as_ref() != Some(note)) {
+    let is_new = |note: &&String| is_another_log || old.note.as_ref() != Some(note);
+    if let Some(note) = status.note.as_ref().filter(is_new) {
         lines.push((TimelineKind::Bus, shown(note)));
     }
     match (old.is_transmit_queue_full, status.is_transmit_queue_full) {

@@ -186,6 +186,11 @@ impl Notices {
         self.stories.correct(entry, presence, mode);
     }
 
+    /// Ends the stories of a bus on which another log begins.
+    pub fn end_stories(&mut self, bus: BusIndex, entry: &TimelineEntry) {
+        self.stories.end_all(bus, entry);
+    }
+
     /// Removes the line of the mark with this letter.
     pub fn remove_mark(&mut self, letter: char) {
         self.timeline.remove_mark(letter);

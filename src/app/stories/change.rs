@@ -76,6 +76,8 @@ pub enum StoryChange {
     Acknowledged,
     /// A DEBUG message.
     Debug,
+    /// Another log began: what was known of the bus before is over.
+    AnotherLog,
 }
 
 impl StoryChange {

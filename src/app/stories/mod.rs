@@ -20,6 +20,7 @@ use super::notices::TimelineEntry;
 use super::problems::ProblemKey;
 use super::timeline_kind::TimelineKind;
 use crate::discovery::{DeviceId, Presence};
+use crate::frame::BusIndex;
 use crate::time::{Duration, Instant};
 use crate::wire::id::Address;
 use crate::wire::node::Mode;
@@ -273,6 +274,20 @@ impl Stories {
         if let Some(modes) = modes.map(|story| story.id) {
             self.append(modes, entry.clone(), StoryChange::Presence(Presence::Lost));
         }
+    }
+
+    /// Ends the stories of a bus on which another log begins: no event belongs to them any more.
+    pub(super) fn end_all(&mut self, bus: BusIndex, entry: &TimelineEntry) {
+        let is_of_bus = |story: &Story| story.steps()[0].entry.bus == Some(bus);
+        let open = self.all.iter().filter(|story| is_of_bus(story) && story.is_open(entry.time));
+        let open: Vec<u64> = open.map(|story| story.id).collect();
+        for id in open {
+            self.append(id, entry.clone(), StoryChange::AnotherLog);
+        }
+        let all = &self.all;
+        self.latest.retain(|_, id| {
+            all.iter().rev().find(|story| story.id == *id).is_some_and(|story| !is_of_bus(story))
+        });
     }
 
     /// Removes the story of the mark with this letter.

@@ -87,6 +87,8 @@ struct Summary<'a> {
     confirmed: Option<Instant>,
     /// descan has no address, or is not acknowledged.
     is_blocked: bool,
+    /// Another log began.
+    is_cut: bool,
     last: Option<&'a StoryStep>,
     last_time: Instant,
     cycle: u32,
@@ -158,12 +160,15 @@ impl<'a> Summary<'a> {
             }
             StoryChange::NoOwnAddress | StoryChange::NoAck => self.is_blocked = true,
             StoryChange::OwnAddress(_) | StoryChange::Acknowledged => self.is_blocked = false,
+            StoryChange::AnotherLog => self.is_cut = true,
             StoryChange::Text
             | StoryChange::OtherServices
             | StoryChange::Removed
             | StoryChange::Debug => {}
         }
-        self.last = Some(step);
+        if step.change != StoryChange::AnotherLog {
+            self.last = Some(step);
+        }
     }
 
     fn is_problem_over(&self) -> bool {
@@ -174,6 +179,9 @@ impl<'a> Summary<'a> {
     fn is_open(&self, key: &StoryKey, at: Instant) -> bool {
         let is_recent = at.since(self.last_time) < ATTACH_WITHIN;
         let mode = self.modes.last();
+        if self.is_cut {
+            return false;
+        }
         match key {
             StoryKey::Problem(_) if self.findings.is_empty() => {
                 self.gave_up.is_none() && is_recent && self.moves.is_empty()
@@ -461,6 +469,12 @@ impl Story {
         let (mut spans, mut open) = (Vec::new(), Vec::new());
         let mut span: Option<ConflictSpan> = None;
         for step in self.steps_until(at) {
+            if step.change == StoryChange::AnotherLog {
+                open.clear();
+                spans.extend(
+                    span.take().map(|span| (bus, ConflictSpan { to: step.entry.time, ..span })),
+                );
+            }
             let StoryChange::Finding { key, state, .. } = &step.change else { continue };
             if !key.kind.is_conflict() {
                 continue;

@@ -148,23 +148,35 @@ impl Replay {
             }
             let Some(more) = self.wait_for_more()? else { return Ok(()) };
             self.follows = true;
-            let note = match more {
-                Continuation::Grown => None,
-                Continuation::Anew(why) => {
-                    self.reader.restart();
-                    if let Some(index) = &self.index {
-                        let log = self.reader.source().get_ref().log.try_clone()?;
-                        index.restart(log, self.reader.position());
-                    }
-                    Some(why.to_owned())
-                }
-            };
-            self.shared.queue.update_status(|status| {
-                (status.link, status.fault) = (Link::Up, None);
-                // An earlier note stays.
-                status.note = note.or_else(|| status.note.take());
-            });
+            match more {
+                Continuation::Grown => self.shared.queue.update_status(|status| {
+                    (status.link, status.fault) = (Link::Up, None);
+                }),
+                Continuation::Anew(why) => self.begin_another_log(why)?,
+            }
         }
+    }
+
+    /// Reads another log from its start. Its frames follow after what reads the queue has taken those
+    /// before, and knows of the change.
+    fn begin_another_log(&mut self, why: &str) -> io::Result<()> {
+        self.reader.restart();
+        if let Some(index) = &self.index {
+            let log = self.reader.source().get_ref().log.try_clone()?;
+            index.restart(log, self.reader.position());
+        }
+        let queue = &self.shared.queue;
+        while queue.has_frames() && !self.shared.is_stopped() {
+            self.shared.wait(None, Some(FULL_QUEUE_NAP))?;
+        }
+        queue.update_status(|status| {
+            (status.link, status.fault, status.note) = (Link::Up, None, Some(why.to_owned()));
+            status.log_changes += 1;
+        });
+        while queue.has_new_status() && !self.shared.is_stopped() {
+            self.shared.wait(None, Some(FULL_QUEUE_NAP))?;
+        }
+        Ok(())
     }
 
     fn next_frame(&mut self) -> io::Result<Option<Frame>> {
@@ -383,7 +395,9 @@ impl LogSource {
         if own.len() < self.read {
             self.log.seek(SeekFrom::Start(0))?;
             self.read = 0;
-            return Ok(Some(Continuation::Anew("log truncated: reading from its start")));
+            return Ok(Some(Continuation::Anew(
+                "log truncated: read from its start, devices start over",
+            )));
         }
         if own.len() > self.read {
             if !is_damaged {
@@ -398,7 +412,9 @@ impl LogSource {
         {
             self.size = log.metadata()?.len();
             (self.log, self.read) = (log, 0);
-            return Ok(Some(Continuation::Anew("log replaced: reading the new one")));
+            return Ok(Some(Continuation::Anew(
+                "log replaced: new one is read, devices start over",
+            )));
         }
         Ok(None)
     }
