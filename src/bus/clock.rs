@@ -51,6 +51,8 @@ enum LogPlace {
     /// Its entries are read as they are written, and the clock runs meanwhile. The moment of the
     /// next one, if it was read.
     Live(Option<Instant>),
+    /// All that was written of it is read: the clock stands at this moment until there is more.
+    Read(Instant),
     /// At its end, for now.
     Ended,
 }
@@ -106,7 +108,8 @@ impl Clock {
     pub fn until(&self, at: Instant) -> Duration {
         let mut pace = self.pace();
         let left = at.since(pace.now());
-        if pace.is_standing() && !left.is_zero() { Duration::MAX } else { left.div_f64(pace.speed) }
+        let stands = pace.is_standing() || pace.awaits_more();
+        if stands && !left.is_zero() { Duration::MAX } else { left.div_f64(pace.speed) }
     }
 
     /// The status of the playback; `None` unless all buses are logs.
@@ -135,7 +138,7 @@ impl Clock {
                 let next = pace.logs.values().filter_map(|place| match place {
                     LogPlace::Next(at) => Some(*at),
                     LogPlace::Live(next) => *next,
-                    LogPlace::Ended => None,
+                    LogPlace::Read(_) | LogPlace::Ended => None,
                 });
                 pace.from = next.min().map_or(pace.from, |next| next.max(pace.from));
             }
@@ -200,6 +203,17 @@ impl Clock {
         });
     }
 
+    /// Notes that all that was written of a log is read. Its writer may have more that it has not
+    /// written yet, so with a single log the clock stands until there is more: silence since the last
+    /// frame says nothing about the devices.
+    pub(super) fn log_awaits_more(&self, log: BusIndex) {
+        self.change(|pace| {
+            if pace.logs.len() == 1 {
+                pace.logs.insert(log, LogPlace::Read(pace.from));
+            }
+        });
+    }
+
     /// Changes the pace from now on.
     fn change(&self, change: impl FnOnce(&mut PlaybackPace)) {
         let mut pace = self.pace();
@@ -232,13 +246,18 @@ impl PlaybackPace {
         self.from + self.since.elapsed().mul_f64(self.speed)
     }
 
-    /// The moment of the first frame that waits to be taken.
+    /// The moment of the first frame that waits to be taken, or of the last one where more is awaited.
     fn next(&self) -> Option<Instant> {
         let next = self.logs.values().filter_map(|place| match place {
-            LogPlace::Next(at) => Some(*at),
+            LogPlace::Next(at) | LogPlace::Read(at) => Some(*at),
             LogPlace::Live(_) | LogPlace::Ended => None,
         });
         next.min()
+    }
+
+    /// Returns true if it stands until more of a log is written.
+    fn awaits_more(&self) -> bool {
+        self.logs.values().any(|place| matches!(place, LogPlace::Read(_)))
     }
 
     fn begin_at_now(&mut self) {

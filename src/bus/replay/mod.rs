@@ -333,6 +333,9 @@ impl Replay {
         };
         let since = Monotonic::now();
         let mut is_told = false;
+        if self.follows {
+            self.clock.log_awaits_more(self.bus);
+        }
         while !self.shared.is_stopped() {
             // Before the file has grown once, its end counts as the end of the log.
             if !is_told && (!self.follows || since.elapsed() >= IDLE_BEFORE_END) {
