@@ -123,6 +123,7 @@ pub use notices::{
 pub use page_filters::PageFilter;
 use page_filters::PageFilters;
 pub use play::PlayPace;
+use play::SoughtEvent;
 pub use problems::{
     ConflictSide, ConflictSides, EvidenceItem, Matching, Problem, ProblemHeadline, ProblemKey,
     ProblemList, Scope, SideBasis, format_duration, is_about, length_text,
@@ -358,6 +359,8 @@ pub struct App {
     play: Option<Play>,
     /// The moment to which a log is read, to be shown then.
     reading_ahead: Option<Instant>,
+    /// The event up to which the log is read.
+    sought_event: Option<SoughtEvent>,
     /// A log was paused because another moment is shown.
     is_log_held: bool,
     marks: Marks,
@@ -415,6 +418,7 @@ impl App {
             replay_due: None,
             play: None,
             reading_ahead: None,
+            sought_event: None,
             is_log_held: false,
             marks: Marks::default(),
             places: Vec::new(),

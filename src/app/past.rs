@@ -68,24 +68,32 @@ impl App {
         self.filter_frames();
     }
 
-    /// Goes to the event before the moment that is shown, or with 1 to the next one; `is_wanted`
-    /// selects the kinds of lines.
+    /// Goes to the event before the moment that is shown, or with 1 to the next one, for which a log is
+    /// read on; `is_wanted` selects the kinds of lines.
     pub(super) fn go_to_event(&mut self, by: isize, is_wanted: fn(TimelineKind) -> bool) {
         let from = self.shown_or_target().time;
-        let to = {
-            let lines = self.timeline().entries().filter(|line| is_wanted(line.kind));
-            let times = lines.map(|line| line.time);
-            // A repeated line stands behind later ones.
-            if by < 0 {
-                times.filter(|time| *time < from).max()
-            } else {
-                times.filter(|time| *time > from).min()
-            }
-        };
-        match to {
+        match self.event_beside(from, by, is_wanted) {
             Some(time) => self.go_to_time(time),
             None if by < 0 => self.show_error("no earlier one is known"),
+            None if self.can_read_on() => self.read_to_event(from, is_wanted),
             None => self.show_error("no later one"),
+        }
+    }
+
+    /// Time of the event before a moment, or with 1 after it; `None` without one.
+    pub(super) fn event_beside(
+        &self,
+        from: Instant,
+        by: isize,
+        is_wanted: fn(TimelineKind) -> bool,
+    ) -> Option<Instant> {
+        let lines = self.timeline().entries().filter(|line| is_wanted(line.kind));
+        let times = lines.map(|line| line.time);
+        // A repeated line stands behind later ones.
+        if by < 0 {
+            times.filter(|time| *time < from).max()
+        } else {
+            times.filter(|time| *time > from).min()
         }
     }
 
@@ -175,6 +183,7 @@ impl App {
     pub(super) fn go_to(&mut self, moment: Moment) {
         self.play = None;
         self.reading_ahead = None;
+        self.sought_event = None;
         self.replay_to(moment);
     }
 

@@ -4,7 +4,7 @@
 //! In real time, whatever the pace of a log. Capture, discovery and the file go on meanwhile. Does not
 //! know how a moment is replayed.
 
-use super::{App, Effect};
+use super::{App, Effect, TimelineKind};
 use crate::status::PlaybackCommand;
 use crate::time::{Duration, Instant};
 
@@ -70,6 +70,13 @@ impl Play {
     pub fn due(&self) -> Instant {
         self.due
     }
+}
+
+/// The event up to which a log is read: the first one after a moment, of the kinds that are selected.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct SoughtEvent {
+    from: Instant,
+    is_wanted: fn(TimelineKind) -> bool,
 }
 
 impl App {
@@ -175,26 +182,56 @@ impl App {
         self.reading_ahead
     }
 
+    /// Returns true if there is more of a log to be read.
+    pub(super) fn can_read_on(&self) -> bool {
+        self.is_of_logs() && self.clock.playback().is_some_and(|it| !it.is_ended)
+    }
+
+    /// Reads the log up to the next event after a moment, which is shown then.
+    pub(super) fn read_to_event(&mut self, from: Instant, is_wanted: fn(TimelineKind) -> bool) {
+        self.read_ahead(Instant::LATEST);
+        self.sought_event = Some(SoughtEvent { from, is_wanted });
+        self.show_info("reading the log up to the next one; Esc stops");
+    }
+
     /// Reads the log up to a moment, which is shown then.
     pub(super) fn read_ahead(&mut self, to: Instant) {
+        self.sought_event = None;
         self.play = None;
         if self.past.is_some() {
             self.leave_past();
         }
         self.hold_log();
+        let at = super::format_time_of_day(self, to);
+        // The last moment is the end, also of a log that has grown.
+        let end = self.clock.playback().and_then(|it| it.end);
+        let to = if end.is_some_and(|end| to >= end) { Instant::LATEST } else { to };
         self.reading_ahead = Some(to);
         self.effects.push_back(Effect::Playback(PlaybackCommand::ReadTo(to)));
-        let at = super::format_time_of_day(self, to);
         self.show_info(format!("reading the log up to {at}; Esc stops"));
     }
 
-    /// Shows the moment to which the log was read, once it is reached.
+    /// Shows the moment to which the log was read, once it is reached; at the end of the log the present.
     pub(super) fn check_reading(&mut self) {
         let Some(to) = self.reading_ahead else { return };
-        let is_ended = self.clock.playback().is_none_or(|it| it.is_ended);
-        if self.clock.now() >= to || is_ended {
+        if let Some(SoughtEvent { from, is_wanted }) = self.sought_event
+            && let Some(time) = self.event_beside(from, 1, is_wanted)
+        {
+            (self.reading_ahead, self.sought_event) = (None, None);
+            self.effects.push_back(Effect::Playback(PlaybackCommand::ReadTo(Instant::ZERO)));
+            return self.replay_at(time);
+        }
+        if self.clock.playback().is_none_or(|it| it.is_ended) {
             self.reading_ahead = None;
-            self.replay_at(to.min(self.clock.now()));
+            self.leave_past();
+            self.release_log();
+            match self.sought_event.take() {
+                Some(_) => self.show_error("no later one: end of the log"),
+                None => self.show_info("end of the log"),
+            }
+        } else if self.clock.now() >= to {
+            self.reading_ahead = None;
+            self.replay_at(to);
         }
     }
 
@@ -203,6 +240,7 @@ impl App {
         if self.reading_ahead.take().is_none() {
             return false;
         }
+        self.sought_event = None;
         let stop = PlaybackCommand::ReadTo(Instant::ZERO);
         self.effects.push_back(Effect::Playback(stop));
         self.freeze();

@@ -26,7 +26,7 @@ fn write_log(path: &Path) {
 fn playback_speed_does_not_change_events() {
     let folder = tempfile::tempdir().unwrap();
     write_log(&folder.path().join("session.log"));
-    for (speed, keys) in [("100000", ""), ("1000", ""), ("4", "P]]]]]]]]]]]]]]]]]]]]P")] {
+    for (speed, keys) in [("100000", ""), ("1000", ""), ("4", "P))))))))))))))))))))P")] {
         let arguments = ["file:session.log", "--file", "des.json", "--speed", speed];
         let mut pty = Pty::start(&arguments, folder.path(), (100, 40));
         pty.wait_for("N9");

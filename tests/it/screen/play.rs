@@ -116,3 +116,28 @@ fn escape_stops_reading_ahead_where_the_log_is() {
     stage.pass(stage.app.now() + Duration::from_secs(1));
     assert_eq!(shown(&stage), Some(25.0));
 }
+
+#[test]
+fn next_problem_of_a_log_is_read_up_to() {
+    let mut stage = log();
+    // The conflict is suspected at 26.8 s, which was not read.
+    stage.keys("}");
+    let commands = effects(&mut stage);
+    let all = PlaybackCommand::ReadTo(Instant::LATEST);
+    assert_eq!(commands, [PlaybackCommand::SetPaused(true), all]);
+    assert!(stage.screen().contains("reading the log up to the next one"), "{}", stage.screen());
+    stage.until(26.0);
+    assert_eq!(shown(&stage), None);
+    stage.until(28.0);
+    let found = shown(&stage).expect("the finding");
+    assert!((26.5..27.0).contains(&found), "{found}");
+    let commands = effects(&mut stage);
+    assert_eq!(commands, [PlaybackCommand::ReadTo(Instant::ZERO)], "reading stops");
+    // Without a further one the end of the log is shown.
+    stage.until(45.0).keys(&"} ".repeat(20));
+    assert!(stage.app.reading_ahead().is_some());
+    let ended = Playback { is_ended: true, ..Playback::default() };
+    stage.app.handle_playback(stage.app.now(), ended);
+    stage.until(45.5);
+    assert!(stage.app.reading_ahead().is_none() && stage.screen().contains("no later one"));
+}
