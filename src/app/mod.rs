@@ -488,7 +488,7 @@ impl App {
     }
 
     fn capture_frame(&mut self, frame: &Frame) {
-        while let Some((numbers, times)) = self.traffic.capture.about_to_drop() {
+        while let Some((numbers, times)) = self.traffic.capture.about_to_drop(frame.time) {
             self.buses.pin(&self.traffic.capture, numbers, pinned_times);
             self.traffic.capture.drop_oldest(&pinned_times(&self.buses, times));
         }

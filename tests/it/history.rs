@@ -145,6 +145,13 @@ fn moments_around_evidence_outlive_the_other_frames() {
         kept += 1;
     }
     assert!(kept > 20 && lost > 20, "{kept} moments are kept, {lost} are not");
+    // Traffic says where frames are missing between those that are kept.
+    let ranges: Vec<_> = stage.app.capture().ranges().collect();
+    let gap = ranges.windows(2).find(|two| two[0].end < two[1].start).expect("a gap");
+    let told = format!(" {} not kept before", gap[1].start - gap[0].end);
+    stage.size(120, 36).keys("2 /").text("src:N001 heartbeat").keys("Enter");
+    stage.until(181.0).keys("g g");
+    assert_eq!(stage.screen().matches(&told).count(), 1, "{}", stage.screen());
 }
 
 /// The lines of a page that show the moment: without the state of the program, which names the moment,

@@ -94,15 +94,15 @@ impl FrameBlock {
         i32::try_from(offset).ok()
     }
 
-    /// Returns true if there is no room for another frame.
-    pub fn is_full(&self) -> bool {
-        self.records.len() == self.records.capacity()
+    /// Returns true if a frame of this time can be appended.
+    pub fn has_room(&self, time: Instant) -> bool {
+        self.records.len() < self.records.capacity() && self.offset(time).is_some()
     }
 
     /// Appends a frame; the one with the same identifier is `back` frames before it. Returns false if
     /// the block is full, or the time too far from its own.
     pub fn push(&mut self, frame: &Frame, back: u32) -> bool {
-        if self.is_full() {
+        if self.records.len() == self.records.capacity() {
             return false;
         }
         let Some(offset) = self.offset(frame.time) else { return false };

@@ -169,11 +169,11 @@ impl FrameStore {
         self.end += 1;
     }
 
-    /// Numbers and times of the oldest frames that are dropped when the next frame is pushed; `None` if
-    /// none are, and of a log that can be read again. With [`drop_oldest`](Self::drop_oldest) some of
-    /// them are kept.
-    pub fn about_to_drop(&self) -> Option<(Range<u64>, Range<Instant>)> {
-        if self.has_source() || !self.recent.back()?.is_full() || !self.needs_room() {
+    /// Numbers and times of the oldest frames that are dropped when a frame of this time is pushed;
+    /// `None` if none are, and of a log that can be read again. With
+    /// [`drop_oldest`](Self::drop_oldest) some of them are kept.
+    pub fn about_to_drop(&self, next: Instant) -> Option<(Range<u64>, Range<Instant>)> {
+        if self.has_source() || self.recent.back()?.has_room(next) || !self.needs_room() {
             return None;
         }
         let oldest = self.recent.front()?;
@@ -307,6 +307,19 @@ impl FrameStore {
         let indexed = self.indexed.iter().flat_map(IndexedFrames::blocks);
         let indexed = indexed.map(|block| block.first..block.end());
         self.pinned.iter().map(stored).chain(indexed).chain(self.recent.iter().map(stored))
+    }
+
+    /// Number of frames behind one and before another that are not stored.
+    pub fn missing_between(&self, after: u64, before: u64) -> u64 {
+        let between = after + 1..before;
+        if between.is_empty() || after >= self.first() {
+            return 0;
+        }
+        let overlap =
+            |it: Range<u64>| it.end.min(between.end).saturating_sub(it.start.max(between.start));
+        let from = self.ranges().skip_while(|range| range.end <= between.start);
+        let stored: u64 = from.take_while(|range| range.start < between.end).map(overlap).sum();
+        between.end - between.start - stored
     }
 
     /// Frames from `from` on with their numbers, oldest first.
@@ -489,11 +502,15 @@ mod tests {
         let pin = at(50_000)..at(60_000);
         for number in 0..200_000 {
             let frame = Frame::classic(number, &[]).with_time(at(u64::from(number) * 1000));
-            while store.about_to_drop().is_some() {
+            while store.about_to_drop(frame.time).is_some() {
                 store.drop_oldest(std::slice::from_ref(&pin));
             }
             store.push(&frame, None);
         }
+        assert_eq!(store.missing_between(55, 59), 0);
+        assert_eq!(store.missing_between(59, store.first()), store.first() - 60);
+        assert_eq!(store.missing_between(59, store.end()), store.first() - 60);
+        assert_eq!(store.missing_between(store.first(), store.end()), 0);
         assert!(store.first() > 100_000);
         assert_eq!(store.oldest(), 50);
         assert_eq!(store.ranges().next(), Some(50..60));
@@ -506,12 +523,30 @@ mod tests {
         assert_eq!(store.at_time(at(60_000)), store.first());
     }
 
+    /// After a pause too long for one block, the oldest one is dropped before the last one is full.
+    #[test]
+    fn pinned_frames_outlive_a_long_pause() {
+        let mut store = FrameStore::new(FrameStore::MIN_ROOM);
+        let pin = at(1_000)..at(2_000);
+        let mut time = at(0);
+        for number in 0..2_000 {
+            // An hour between two frames: each is in a block of its own.
+            time +=
+                Duration::from_hours(if number < 10 { 0 } else { 1 }) + Duration::from_micros(500);
+            while store.about_to_drop(time).is_some() {
+                store.drop_oldest(std::slice::from_ref(&pin));
+            }
+            store.push(&Frame::classic(number, &[]).with_time(time), None);
+        }
+        assert_eq!(store.ranges().next(), Some(1..3));
+    }
+
     #[test]
     fn pinned_frames_are_bounded() {
         let mut store = FrameStore::new(FrameStore::MIN_ROOM);
         for number in 0..500_000 {
             let frame = Frame::classic(number, &[]).with_time(at(u64::from(number) * 1000));
-            while let Some((_, times)) = store.about_to_drop() {
+            while let Some((_, times)) = store.about_to_drop(frame.time) {
                 store.drop_oldest(&[times.start..times.end + Duration::from_secs(1)]);
             }
             store.push(&frame, None);
@@ -597,7 +632,7 @@ mod tests {
         for number in 0..60_000 {
             let frame = mixed(number);
             let link = identifiers.add(&frame, number);
-            while memory.about_to_drop().is_some() {
+            while memory.about_to_drop(frame.time).is_some() {
                 // The first 100 frames are pinned.
                 memory.drop_oldest(&[at(0)..at(70_000)]);
             }

@@ -114,6 +114,8 @@ pub fn draw(brush: &mut DrawContext) {
         shown.iter().filter_map(|number| brush.app.capture().get(*number)).collect();
     let sides = brush.app.frame_sides(&frames);
     let mut above = None;
+    let first = shown.first().and_then(|&first| brush.app.capture().numbers_before(first).next());
+    let mut number_above = first.filter(|_| !brush.app.page_filter(Page::Traffic).is_on());
     for (row, &number) in shown.iter().enumerate() {
         let Some(frame) = brush.app.capture().get(number) else { continue };
         let is_selected = selected == Some(number);
@@ -121,6 +123,8 @@ pub fn draw(brush: &mut DrawContext) {
             number,
             frame: &frame,
             above,
+            missing: number_above
+                .map_or(0, |above| brush.app.capture().missing_between(above, number)),
             part: parts.get(&number).copied(),
             side: sides.side_of(brush.app, &frame),
         };
@@ -129,7 +133,7 @@ pub fn draw(brush: &mut DrawContext) {
         if is_selected {
             brush.select(area, row as u16);
         }
-        above = Some(frame.time);
+        (above, number_above) = (Some(frame.time), Some(number));
     }
 }
 
@@ -147,6 +151,8 @@ struct ShownFrame<'a> {
     frame: &'a Frame,
     /// Time of the row above.
     above: Option<crate::time::Instant>,
+    /// Number of frames before it that are no longer kept, although those above are.
+    missing: u64,
     part: Option<CallPart>,
     /// The board that sent it, of several at its address.
     side: Option<usize>,
@@ -250,6 +256,9 @@ fn frame_line(
             text = String::from(rest);
         }
         spans.push(brush.span(side_role(side), format!("{} ", side_letter(side))));
+    }
+    if shown.missing > 0 {
+        spans.push(brush.span(Role::Warning, format!("{} not kept before  ", shown.missing)));
     }
     let (note, note_role) = call_note(shown.part, decoded.role);
     let used: usize = spans.iter().map(Span::width).sum();
