@@ -921,9 +921,17 @@ impl App {
         self.shown_buses().is_search_complete(bus, self.shown_time())
     }
 
-    /// Why the first bus that speaks another protocol is taken for one; `None` without any.
+    /// Why the buses that speak another protocol are taken for such; `None` without any. Of several buses
+    /// they are named.
     pub fn foreign_reason(&self) -> Option<String> {
-        self.buses().iter().find_map(|bus| bus.traffic().foreign_reason())
+        let buses = self.buses();
+        let reasons = buses.iter().filter_map(|bus| {
+            let reason = bus.traffic().foreign_reason()?;
+            let name = crate::text::printable(bus.name.as_bytes());
+            Some(if buses.len() > 1 { format!("{name}: {reason}") } else { reason })
+        });
+        let reasons: Vec<String> = reasons.collect();
+        (!reasons.is_empty()).then(|| reasons.join("; "))
     }
 
     /// Returns true if the bit rate of a bus is being searched.

@@ -215,6 +215,19 @@ fn filter_and_range_select_the_frames() {
 }
 
 #[test]
+fn another_protocol_has_no_calls() {
+    // Some identifiers are those of a request; most are of no message type.
+    let lines = (0..600).map(|at| {
+        let id = if at % 3 == 0 { "00002820" } else { "1DF11317" };
+        format!("({}.{:03}000) can0 {id}#0102\n", 100 + at / 100, at % 100 * 10)
+    });
+    let folder = Folder::with(lines.collect::<String>());
+    let (_, out, _) = folder.log(&["a.log", "--stats", "--json"]);
+    let stats: Value = serde_json::from_str(&out).unwrap();
+    assert_eq!((&stats["frames"], &stats["calls"]), (&json!(600), &json!([])), "{stats}");
+}
+
+#[test]
 fn statistics_are_those_of_the_frames() {
     // Every 100 ms for 20 s, with one gap of 300 ms; 20 calls that take 1 to 20 ms, one unanswered.
     let mut lines: Vec<(u64, String)> = Vec::new();

@@ -371,7 +371,8 @@ impl Traffic {
         shown
     }
 
-    /// Rows of the view of calls whose last request matches the filter, in its order.
+    /// Rows of the view of calls whose last request matches the filter, in its order; not of buses that
+    /// speak another protocol.
     pub fn calls_shown<'a>(
         &'a self,
         calls: &'a Calls,
@@ -381,11 +382,13 @@ impl Traffic {
     ) -> Vec<&'a CallStats> {
         let matcher = filter.map(|filter| filter.for_frames(buses));
         let is_shown = |row: &&CallStats| {
-            matcher.as_ref().is_none_or(|matcher| {
-                let frame = self.capture.get(row.last_number);
-                let stored = Some((&self.capture, row.last_number));
-                frame.is_some_and(|frame| matcher.is_match(&frame, stored))
-            })
+            // Of another protocol nothing is a request.
+            !buses.is_foreign(row.key.bus)
+                && matcher.as_ref().is_none_or(|matcher| {
+                    let frame = self.capture.get(row.last_number);
+                    let stored = Some((&self.capture, row.last_number));
+                    frame.is_some_and(|frame| matcher.is_match(&frame, stored))
+                })
         };
         let mut shown: Vec<&CallStats> = calls.rows().iter().filter(is_shown).collect();
         shown.sort_by_key(|row| row.key);

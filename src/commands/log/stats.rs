@@ -3,7 +3,7 @@
 //! Input: frames in the order of the log. Bounded by the tables of identifiers and calls. Does not know
 //! how they are printed.
 
-use crate::app::{App, Calls, ErrorKinds, FrameRole, IdentifierStats, Identifiers};
+use crate::app::{App, CallStats, Calls, ErrorKinds, FrameRole, IdentifierStats, Identifiers};
 use crate::error_report::ErrorReport;
 use crate::frame::{Frame, FrameKind};
 use crate::time::{Duration, Instant};
@@ -90,6 +90,11 @@ impl LogStats {
     pub fn end(&mut self, app: &App) {
         let Some((_, last)) = self.span else { return };
         self.calls.tick(last, |bus| app.profile(bus).calls.timeout());
+    }
+
+    /// Rows of calls; not of buses that speak another protocol.
+    pub fn call_rows<'a>(&'a self, app: &'a App) -> impl Iterator<Item = &'a CallStats> {
+        self.calls.rows().iter().filter(|row| !app.history().is_foreign(row.key.bus))
     }
 
     /// Number of frames of each kind.

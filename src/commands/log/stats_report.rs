@@ -126,7 +126,7 @@ impl<'a> StatsReport<'a> {
             },
             identifiers: rows(stats).iter().map(|row| identifier(app, stats, row)).collect(),
             identifiers_left_out: stats.identifiers.refused(),
-            calls: stats.calls.rows().iter().map(|row| call(app, stats, row)).collect(),
+            calls: stats.call_rows(app).map(|row| call(app, stats, row)).collect(),
             calls_left_out: stats.calls.refused(),
         }
     }
@@ -307,7 +307,7 @@ fn call_table(app: &App, stats: &LogStats) -> String {
         "BUS", ">CLIENT", "SERVER", "SERVICE", ">CALLS", ">/s", ">p50 ms", ">p99 ms", ">MAX ms",
         ">UNANSW", ">FAILED",
     ]);
-    for row in stats.calls.rows() {
+    for row in stats.call_rows(app) {
         let key = row.key;
         let end = |address| with_address(&app.name_at(key.bus, address, row.last), address);
         let latency = row.latency();

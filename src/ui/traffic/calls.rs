@@ -3,7 +3,7 @@
 use super::super::brush::{DrawContext, bus_cell, fit, fit_right, short_name};
 use super::cells::millis;
 use super::draw_uncounted;
-use crate::app::{App, CallKey, CallStats, Page, clock_millis};
+use crate::app::{App, Bus, CallKey, CallStats, Page, clock_millis};
 use crate::theme::Role;
 use crate::time::{Duration, Instant};
 use crate::wire::id::Address;
@@ -74,7 +74,14 @@ pub fn draw(brush: &mut DrawContext) {
         if app.page_filter(Page::Traffic).is_on() {
             return brush.draw_no_match(list, "no call matches the filter");
         }
-        let line = Line::from(brush.span(Role::Muted, "   no requests received yet"));
+        let is_foreign = |bus: &Bus| bus.traffic().foreign_reason().is_some();
+        let all_foreign = !app.buses().is_empty() && app.buses().iter().all(is_foreign);
+        let text = if all_foreign {
+            "   no calls: the bus speaks another protocol"
+        } else {
+            "   no requests received yet"
+        };
+        let line = Line::from(brush.span(Role::Muted, text));
         return brush.line(list, 1, &line);
     }
     let selected = app.view().calls.index(rows.iter().map(|row| &row.key));

@@ -101,11 +101,14 @@ fn foreign_bus_is_named_on_devices_and_problems() {
 fn frames_of_a_foreign_bus_are_not_decoded() {
     // NMEA 2000.
     let frame = Frame::classic(0x0DF1_1317, &[1; 8]);
-    let screen = hearing_only(frame).keys("2").screen();
+    let mut stage = hearing_only(frame);
+    let screen = stage.keys("2").screen();
     assert!(screen.contains("0DF11317"), "{screen}");
     assert!(screen.contains("another prot"), "{screen}");
     let mut rows = screen.lines().filter(|line| line.contains("0DF11317"));
     assert!(rows.all(|row| !row.contains('→')), "{screen}");
+    let screen = stage.keys("v v").screen();
+    assert!(screen.contains("no calls: the bus speaks another protocol"), "{screen}");
 }
 
 #[test]
