@@ -90,6 +90,9 @@ impl App {
     pub(super) fn filter_changed(&mut self) {
         self.refresh();
         self.filter_frames();
+        if self.view.page == Page::Traffic {
+            self.select_among_shown();
+        }
         self.renew_candidate_counts();
         self.notices.redraw.set_dirty();
     }

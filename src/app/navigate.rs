@@ -470,8 +470,13 @@ impl App {
     pub(super) fn show_traffic_as(&mut self, view: TrafficView) {
         self.view.traffic_view = view;
         self.filter_frames();
+        self.select_among_shown();
+    }
+
+    /// Selects a row of the identifiers or calls that is shown, where the selected one is not.
+    pub(super) fn select_among_shown(&mut self) {
         let height = self.list_height();
-        match view {
+        match self.view.traffic_view {
             TrafficView::Frames => {}
             TrafficView::Identifiers => {
                 let keys = self.identifier_keys();

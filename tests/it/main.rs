@@ -52,6 +52,7 @@ mod replay_speed;
 mod scenarios;
 mod schema;
 mod screen;
+mod screen_scenarios;
 mod shared_services;
 mod sim;
 mod simulation;
