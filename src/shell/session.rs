@@ -95,8 +95,8 @@ enum SessionInput {
     Ports {
         clock: Clock,
         ports: Vec<Port>,
-        /// Number of interface names taken from each port.
-        interfaces_named: Vec<usize>,
+        /// Buses of the interfaces of each port, once they are named.
+        interfaces: Vec<Vec<BusIndex>>,
     },
     /// One log, at its own pace. The settings are those of the engine of each interface.
     Log(Box<LogInput>, Box<Config>),
@@ -134,13 +134,8 @@ impl Session {
             app.set_frame_source(frames);
         }
         let resumed = clock.now();
-        let named = vec![0; ports.len()];
-        Self::with_input(
-            app,
-            SessionInput::Ports { clock, ports, interfaces_named: named },
-            resumed,
-            store,
-        )
+        let interfaces = vec![Vec::new(); ports.len()];
+        Self::with_input(app, SessionInput::Ports { clock, ports, interfaces }, resumed, store)
     }
 
     /// A session on one log. Its interfaces become buses with settings `config` as they are named.
@@ -551,38 +546,45 @@ impl Session {
     }
 
     fn receive_status(&mut self, now: Instant, port_at: usize) {
-        let SessionInput::Ports { ports, interfaces_named: named, .. } = &self.input else {
-            return;
-        };
+        let SessionInput::Ports { ports, interfaces, .. } = &self.input else { return };
         let Some(status) = ports[port_at].queue().take_status() else { return };
         // The status of a log applies to all its interfaces.
-        for offset in 0..named[port_at].max(1) {
-            if let Some(bus) = bus_of(port_at, offset) {
-                self.app.handle_bus(now, bus, status.clone());
-            }
+        for bus in own_bus(port_at).into_iter().chain(interfaces[port_at].iter().copied().skip(1)) {
+            self.app.handle_bus(now, bus, status.clone());
         }
     }
 
     /// Handles frames of a port; returns false if there are none.
     fn receive_batch(&mut self, now: Instant, port_at: usize) -> bool {
-        let SessionInput::Ports { clock, ports, interfaces_named: named } = &mut self.input else {
+        let SessionInput::Ports { clock, ports, interfaces } = &mut self.input else {
             return false;
         };
-        let port = &ports[port_at];
+        let (port, named) = (&ports[port_at], &mut interfaces[port_at]);
+        let Some(first) = own_bus(port_at) else { return false };
         self.batch.clear();
         port.queue().drain(&mut self.batch, BATCH);
-        // A log names its interfaces as they occur; the first is the port's bus.
-        for (at, name) in port.queue().names().into_iter().enumerate().skip(named[port_at]) {
-            let (Some(first), Some(bus)) = (bus_of(port_at, 0), bus_of(port_at, at)) else { break };
-            if at == 0 || self.app.bus(bus).is_some() {
-                self.app.name_bus(bus, name);
-            } else if let Some(first) = self.app.bus(first) {
-                let config = first.config().clone();
+        // A log names its interfaces as they occur. The first is the port's bus; the others are buses of
+        // their own, behind those of all ports.
+        for (at, name) in port.queue().names().into_iter().enumerate().skip(named.len()) {
+            let bus = if at == 0 {
+                self.app.name_bus(first, name);
+                first
+            } else {
+                let Ok(next) = u8::try_from(self.app.buses().len()) else { break };
+                let Some(config) = self.app.bus(first).map(|bus| bus.config().clone()) else {
+                    break;
+                };
                 self.app.add_bus(now, name, config);
-                self.app.handle_bus(now, bus, port.queue().status());
-            }
-            named[port_at] = at + 1;
+                self.app.handle_bus(now, BusIndex(next), port.queue().status());
+                BusIndex(next)
+            };
+            named.push(bus);
         }
+        self.batch.retain_mut(|frame| {
+            let interface = usize::from(frame.bus.0.wrapping_sub(first.0));
+            frame.bus = named.get(interface).copied().unwrap_or(first);
+            interface < named.len().max(1)
+        });
         if let Some(recorder) = &self.recorder {
             for (at, bus) in self.app.buses().iter().enumerate() {
                 let Ok(at) = u8::try_from(at) else { break };
@@ -733,9 +735,9 @@ impl Session {
     }
 }
 
-/// Index of the bus of an interface of a port; `None` where there are more than bus indices.
-fn bus_of(port: usize, interface: usize) -> Option<BusIndex> {
-    u8::try_from(port + interface).ok().map(BusIndex)
+/// Index of the bus of a port, or of its first interface; `None` where there are more than bus indices.
+fn own_bus(port: usize) -> Option<BusIndex> {
+    u8::try_from(port).ok().map(BusIndex)
 }
 
 /// Sets the state of a log's bus.

@@ -65,6 +65,39 @@ fn log_started_early_is_shown_from_its_start() {
     assert_eq!(pty.wait(), 0);
 }
 
+/// The first log has two interfaces, in turns; the second one has the same frames on one.
+#[test]
+fn interfaces_of_several_logs_are_buses_of_their_own() {
+    let folder = tempfile::tempdir().unwrap();
+    write_log(&folder.path().join("one.log"));
+    let one = fs::read_to_string(folder.path().join("one.log")).unwrap();
+    let line = |(at, line): (usize, &str)| {
+        let name = ["left", "right"][at % 2];
+        line.replace(" can0 ", &format!(" {name} ")) + "\n"
+    };
+    let two: String = one.lines().enumerate().map(line).collect();
+    fs::write(folder.path().join("two.log"), two).unwrap();
+    let count = one.lines().count();
+    let arguments = ["two.log", "one.log", "--file", "des.json", "--speed", "1000"];
+    let mut pty = Pty::start(&arguments, folder.path(), (120, 60));
+    pty.wait_for(" can0  end of log");
+    pty.send("5");
+    pty.wait_for("frames by device");
+    let frames = |name: &str, count: usize| {
+        let thousands = format!("frames {},{:03}", count / 1000, count % 1000);
+        let screen = pty.screen();
+        let line = screen
+            .lines()
+            .find(|line| line.starts_with(&format!(" {name} ")) && line.contains("TEC"));
+        assert!(line.is_some_and(|line| line.contains(&thousands)), "{name} {thousands}: {screen}");
+    };
+    frames("left", count.div_ceil(2));
+    frames("right", count / 2);
+    frames("can0", count);
+    pty.send("q");
+    assert_eq!(pty.wait(), 0);
+}
+
 /// Waits until a process is at the end of a file that it reads.
 fn wait_until_read(pid: i32, path: &Path) {
     let size = fs::metadata(path).unwrap().len();
