@@ -96,7 +96,8 @@ pub use capture::{
     Call, CallCounts, CallKey, CallPart, CallResult, CallStats, Calls, CapturedHeartbeat,
     CapturedHeartbeats, CapturedLog, Decoded, FrameMeaning, FramePeriod, FrameRole,
     FrameStatistics, FrameStore, IdentifierKey, IdentifierKind, IdentifierStats, Identifiers,
-    Latency, NOTED_BYTES, StatisticsCount, StoredFrames, Transfer, WrittenFrames,
+    InterleavedLogs, InterleavedOrder, Latency, NOTED_BYTES, StatisticsCount, StoredFrames,
+    Transfer, WrittenFrames,
 };
 pub use compared_moments::{ComparedMoment, ComparisonNote, ComparisonRow, MomentComparison};
 pub use conflict_panel::{BeatCell, BeatsOnAxis, ConflictPanel, MAX_COLUMNS, side_letter};

@@ -11,7 +11,10 @@ use super::log_input::{LogBatch, LogInput, LogPace};
 use super::recorder::Recorder;
 use super::store::{SaveError, Saved, Store, write_new};
 use super::waiting::{file_changed, sleep_for};
-use crate::app::{App, Effect, FileReading, FrameSelector, SaveOutcome, WrittenFrames};
+use crate::app::{
+    App, Effect, FileReading, FrameSelector, InterleavedLogs, InterleavedOrder, SaveOutcome,
+    WrittenFrames,
+};
 use crate::bus::{Clock, Port};
 use crate::diagnostic::Diagnostic;
 use crate::discovery::Config;
@@ -97,6 +100,8 @@ enum SessionInput {
         ports: Vec<Port>,
         /// Buses of the interfaces of each port, once they are named.
         interfaces: Vec<Vec<BusIndex>>,
+        /// The order of the frames of several logs, where all can be read again.
+        order: Option<InterleavedOrder>,
     },
     /// One log, at its own pace. The settings are those of the engine of each interface.
     Log(Box<LogInput>, Box<Config>),
@@ -127,15 +132,28 @@ pub struct Session {
 impl Session {
     /// A session on buses. The port at position n carries the bus of index n.
     pub fn new(mut app: App, clock: Clock, mut ports: Vec<Port>, store: Option<Store>) -> Self {
-        // The numbers of the frames are those of the log only if there is no other bus.
-        if let [port] = &mut ports[..]
-            && let Some(frames) = port.take_frame_source()
-        {
-            app.set_frame_source(frames);
+        // Frames can be read again by their numbers only if all are of logs.
+        let logs: Option<Vec<_>> = ports.iter_mut().map(Port::take_frame_source).collect();
+        let mut order = None;
+        match logs {
+            Some(mut logs) if logs.len() == 1 => {
+                logs.drain(..).for_each(|it| app.set_frame_source(it))
+            }
+            Some(logs) if !logs.is_empty() => {
+                let logs = InterleavedLogs::new(logs);
+                order = Some(logs.order());
+                app.set_frame_source(Box::new(logs));
+            }
+            _ => {}
         }
         let resumed = clock.now();
         let interfaces = vec![Vec::new(); ports.len()];
-        Self::with_input(app, SessionInput::Ports { clock, ports, interfaces }, resumed, store)
+        Self::with_input(
+            app,
+            SessionInput::Ports { clock, ports, interfaces, order },
+            resumed,
+            store,
+        )
     }
 
     /// A session on one log. Its interfaces become buses with settings `config` as they are named.
@@ -556,7 +574,7 @@ impl Session {
 
     /// Handles frames of a port; returns false if there are none.
     fn receive_batch(&mut self, now: Instant, port_at: usize) -> bool {
-        let SessionInput::Ports { clock, ports, interfaces } = &mut self.input else {
+        let SessionInput::Ports { clock, ports, interfaces, order } = &mut self.input else {
             return false;
         };
         let (port, named) = (&ports[port_at], &mut interfaces[port_at]);
@@ -585,6 +603,10 @@ impl Session {
             frame.bus = named.get(interface).copied().unwrap_or(first);
             interface < named.len().max(1)
         });
+        if let Some(order) = order {
+            order.set_buses(port_at, named);
+            order.push(port_at, &self.batch);
+        }
         if let Some(recorder) = &self.recorder {
             for (at, bus) in self.app.buses().iter().enumerate() {
                 let Ok(at) = u8::try_from(at) else { break };

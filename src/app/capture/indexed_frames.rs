@@ -56,7 +56,9 @@ impl IndexedBlock {
         let mut start = None;
         let read = source.read(self.first..self.end(), &mut |frame| {
             let start = *start.get_or_insert(frame.time);
-            block.push(&frame.with_time(self.time + frame.time.since(start)), 0);
+            // Frames of several buses may be slightly out of order.
+            let time = (self.time + frame.time.since(start)) - start.since(frame.time);
+            block.push(&frame.with_time(time), 0);
         });
         if read.is_err() || block.digest() != self.digest {
             return None;

@@ -14,6 +14,7 @@ pub(super) mod frame_store;
 mod heartbeats;
 pub(super) mod identifiers;
 mod indexed_frames;
+mod interleaved_logs;
 mod row_set;
 mod statistics;
 pub(super) mod transfer;
@@ -28,6 +29,7 @@ pub use heartbeats::{CapturedHeartbeat, CapturedHeartbeats};
 pub use identifiers::{
     FramePeriod, IdentifierKey, IdentifierKind, IdentifierStats, Identifiers, NOTED_BYTES,
 };
+pub use interleaved_logs::{InterleavedLogs, InterleavedOrder};
 pub use statistics::{FrameStatistics, StatisticsCount};
 pub use transfer::Transfer;
 
