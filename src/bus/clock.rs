@@ -112,6 +112,30 @@ impl Clock {
         if stands && !left.is_zero() { Duration::MAX } else { left.div_f64(pace.speed) }
     }
 
+    /// Returns true if a frame of this moment is due, whether or not earlier ones of other logs were
+    /// taken.
+    pub(super) fn is_due(&self, at: Instant) -> bool {
+        let mut pace = self.pace();
+        let now = if pace.is_standing() { pace.now() } else { pace.pace() };
+        at <= now
+    }
+
+    /// Wall-clock time until a frame of this moment [is due](Self::is_due); [`Duration::MAX`] while the
+    /// clock stands.
+    pub(super) fn until_due(&self, at: Instant) -> Duration {
+        let pace = self.pace();
+        if pace.is_standing() { Duration::MAX } else { at.since(pace.pace()).div_f64(pace.speed) }
+    }
+
+    /// Moment before which a log has no further frame, besides those that were delivered; `None` if that
+    /// is not known, and at its end.
+    pub fn next_of(&self, log: BusIndex) -> Option<Instant> {
+        match self.pace().logs.get(&log)? {
+            LogPlace::Next(at) => Some(*at),
+            LogPlace::Live(_) | LogPlace::Read(_) | LogPlace::Ended => None,
+        }
+    }
+
     /// The status of the playback; `None` unless all buses are logs.
     pub fn playback(&self) -> Option<Playback> {
         let mut pace = self.pace();

@@ -6,6 +6,7 @@
 use crate::diagnostic::Diagnostic;
 use crate::frame::Frame;
 use crate::status::{BusStatus, Link};
+use crate::time::Instant;
 use std::collections::VecDeque;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use tokio::sync::Notify;
@@ -50,6 +51,21 @@ impl Queue {
         count
     }
 
+    /// Time of the oldest frame to take.
+    pub fn first_time(&self) -> Option<Instant> {
+        self.contents().frames.front().map(|frame| frame.time)
+    }
+
+    /// Appends at most `max` frames to `frames`, oldest first, up to the first one that is later than
+    /// `until`. Returns how many.
+    pub fn drain_until(&self, frames: &mut Vec<Frame>, max: usize, until: Instant) -> usize {
+        let mut contents = self.contents();
+        let is_in_time = |frame: &&Frame| frame.time <= until;
+        let count = contents.frames.iter().take(max).take_while(is_in_time).count();
+        frames.extend(contents.frames.drain(..count));
+        count
+    }
+
     /// The status; `None` if it has not changed since it was last taken. A final link state is
     /// reported only after the last frame was taken.
     pub fn take_status(&self) -> Option<BusStatus> {
@@ -72,10 +88,10 @@ impl Queue {
         contents.status.link.is_final() && contents.frames.is_empty()
     }
 
-    /// The bus names by bus number, counted from the port's own. A log of several interfaces has
+    /// The bus names from a bus number on, counted from the port's own. A log of several interfaces has
     /// more than one.
-    pub fn names(&self) -> Vec<String> {
-        self.contents().names.clone()
+    pub fn names_from(&self, first: usize) -> Vec<String> {
+        self.contents().names.get(first..).unwrap_or_default().to_vec()
     }
 
     /// Appends frames. Those that do not fit are dropped and counted in

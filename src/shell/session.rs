@@ -35,6 +35,12 @@ use tokio::task::{JoinHandle, spawn_blocking, yield_now};
 /// Time after which a turn handles no further frames; keys and the screen are handled between turns.
 const TURN: Duration = Duration::from_millis(5);
 
+/// Part of the room for captured frames that the order of the frames of several logs may take.
+const ORDER_PART: usize = 16;
+
+/// How often it is checked whether frames of several logs still wait for an earlier one.
+const RECHECK: Duration = Duration::from_millis(20);
+
 /// Maximum number of frames handled before the time of the turn is checked.
 const BATCH: usize = 64;
 
@@ -140,7 +146,7 @@ impl Session {
                 logs.drain(..).for_each(|it| app.set_frame_source(it))
             }
             Some(logs) if !logs.is_empty() => {
-                let logs = InterleavedLogs::new(logs);
+                let logs = InterleavedLogs::new(logs, app.capture().room() / ORDER_PART);
                 order = Some(logs.order());
                 app.set_frame_source(Box::new(logs));
             }
@@ -279,6 +285,11 @@ impl Session {
         // The runtime delivers keys, signals and timers only to a task that waits; where frames
         // arrive faster than they are handled, nothing else here waits.
         yield_now().await;
+        let awaited = self.awaited_ports();
+        let awaits_all = match &self.input {
+            SessionInput::Ports { ports, .. } => awaited.len() == ports.len(),
+            SessionInput::Log(..) => true,
+        };
         let timeout = self.app.poll_timeout();
         let real = self.app.poll_real_timeout().map(|at| at.since(self.real_time()));
         let file_due = sleep_for(real);
@@ -330,12 +341,18 @@ impl Session {
         };
         let buses = async {
             let Some((_, ports)) = ports else { return pending().await };
+            let awaited = awaited.into_iter().filter_map(|at| ports.get(at));
             let ready: Vec<Pin<Box<dyn Future<Output = ()> + '_>>> =
-                ports.iter().map(|port| Box::pin(port.queue().ready()) as _).collect();
+                awaited.map(|port| Box::pin(port.queue().ready()) as _).collect();
             if ready.is_empty() {
                 pending::<()>().await;
             }
-            select_all(ready).await;
+            // Where others wait for it, a log may also go on to a later frame that it does not deliver yet.
+            let recheck = if awaits_all { None } else { Some(RECHECK) };
+            tokio::select! {
+                _ = select_all(ready) => {}
+                () = sleep_for(recheck) => {}
+            }
         };
         let work = &mut self.work;
         let done = async {
@@ -365,6 +382,22 @@ impl Session {
             news = search => SessionWake::Search(news),
             () = buses => SessionWake::Buses,
         }
+    }
+
+    /// The ports whose news are waited for: all, or while frames of logs wait for an earlier one, those
+    /// of which it may be.
+    fn awaited_ports(&self) -> Vec<usize> {
+        let SessionInput::Ports { ports, .. } = &self.input else { return Vec::new() };
+        // In this order: a frame may arrive in between.
+        let has_frames: Vec<bool> = ports.iter().map(|port| port.queue().has_frames()).collect();
+        let waits = self.is_merged() && has_frames.contains(&true) && self.next_log().is_none();
+        (0..ports.len()).filter(|at| !waits || !has_frames[*at]).collect()
+    }
+
+    /// Returns true if the frames of several logs are handled in the order of their times.
+    fn is_merged(&self) -> bool {
+        let SessionInput::Ports { ports, .. } = &self.input else { return false };
+        ports.len() > 1 && self.is_replay()
     }
 
     /// Returns the time; handles a stall.
@@ -554,13 +587,48 @@ impl Session {
         let SessionInput::Ports { ports, .. } = &self.input else { return };
         let count = ports.len();
         let begun = Monotonic::now();
-        for at in 0..count {
-            self.receive_status(now, at);
-            let share = TURN * (at + 1) as u32 / count as u32;
-            while self.receive_batch(now, at) && begun.elapsed() < share {}
+        if self.is_merged() {
+            (0..count).for_each(|at| self.receive_status(now, at));
+            while self.receive_merged(now) && begun.elapsed() < TURN {}
+        } else {
+            for at in 0..count {
+                self.receive_status(now, at);
+                let share = TURN * (at + 1) as u32 / count as u32;
+                while self.receive_batch(now, at) && begun.elapsed() < share {}
+            }
         }
         // Time stops at the end of all logs.
         self.report_playback();
+    }
+
+    /// Handles frames of several logs in the order of their times; returns false if there are none, or if
+    /// an earlier one of another log is still being read.
+    fn receive_merged(&mut self, now: Instant) -> bool {
+        self.batch.clear();
+        while self.batch.len() < BATCH
+            && let Some((port_at, until)) = self.next_log()
+        {
+            self.take_frames(now, port_at, until);
+        }
+        self.handle_batch(now)
+    }
+
+    /// The log with the earliest frame that was read, and the moment up to which it has no later frames
+    /// than the others; `None` if another log may have an earlier one.
+    fn next_log(&self) -> Option<(usize, Instant)> {
+        let SessionInput::Ports { clock, ports, .. } = &self.input else { return None };
+        let known = ports.iter().enumerate().map(|(at, port)| {
+            // In this order: a frame may arrive in between.
+            let next = own_bus(at).and_then(|log| clock.next_of(log));
+            (port.queue().first_time(), next)
+        });
+        let known: Vec<(Option<Instant>, Option<Instant>)> = known.collect();
+        let firsts = known.iter().enumerate().filter_map(|(at, (first, _))| Some((at, (*first)?)));
+        let (earliest, first) = firsts.min_by_key(|(_, first)| *first)?;
+        let others = known.iter().enumerate().filter(|(at, _)| *at != earliest);
+        let until = others.filter_map(|(_, (first, next))| first.or(*next)).min();
+        let until = until.unwrap_or(Instant::LATEST);
+        (first <= until).then_some((earliest, until))
     }
 
     fn receive_status(&mut self, now: Instant, port_at: usize) {
@@ -574,16 +642,21 @@ impl Session {
 
     /// Handles frames of a port; returns false if there are none.
     fn receive_batch(&mut self, now: Instant, port_at: usize) -> bool {
-        let SessionInput::Ports { clock, ports, interfaces, order } = &mut self.input else {
-            return false;
-        };
-        let (port, named) = (&ports[port_at], &mut interfaces[port_at]);
-        let Some(first) = own_bus(port_at) else { return false };
         self.batch.clear();
-        port.queue().drain(&mut self.batch, BATCH);
+        self.take_frames(now, port_at, Instant::LATEST);
+        self.handle_batch(now)
+    }
+
+    /// Appends frames of a port to the batch, not later than `until`.
+    fn take_frames(&mut self, now: Instant, port_at: usize, until: Instant) {
+        let SessionInput::Ports { ports, interfaces, order, .. } = &mut self.input else { return };
+        let (port, named) = (&ports[port_at], &mut interfaces[port_at]);
+        let Some(first) = own_bus(port_at) else { return };
+        let before = self.batch.len();
+        port.queue().drain_until(&mut self.batch, BATCH - before, until);
         // A log names its interfaces as they occur. The first is the port's bus; the others are buses of
         // their own, behind those of all ports.
-        for (at, name) in port.queue().names().into_iter().enumerate().skip(named.len()) {
+        for (at, name) in (named.len()..).zip(port.queue().names_from(named.len())) {
             let bus = if at == 0 {
                 self.app.name_bus(first, name);
                 first
@@ -598,15 +671,29 @@ impl Session {
             };
             named.push(bus);
         }
-        self.batch.retain_mut(|frame| {
+        let mut end = before;
+        for at in before..self.batch.len() {
+            let frame = self.batch[at];
             let interface = usize::from(frame.bus.0.wrapping_sub(first.0));
-            frame.bus = named.get(interface).copied().unwrap_or(first);
-            interface < named.len().max(1)
-        });
+            // Of more interfaces than there are bus indices the frames are not taken.
+            if interface < named.len().max(1) {
+                self.batch[end] = frame.with_bus(named.get(interface).copied().unwrap_or(first));
+                end += 1;
+            }
+        }
+        self.batch.truncate(end);
         if let Some(order) = order {
             order.set_buses(port_at, named);
-            order.push(port_at, &self.batch);
+            order.push(port_at, &self.batch[before..]);
         }
+    }
+
+    /// Records and handles the frames of the batch; returns false if there are none.
+    fn handle_batch(&mut self, now: Instant) -> bool {
+        if self.batch.is_empty() {
+            return false;
+        }
+        let SessionInput::Ports { clock, .. } = &self.input else { return false };
         if let Some(recorder) = &self.recorder {
             for (at, bus) in self.app.buses().iter().enumerate() {
                 let Ok(at) = u8::try_from(at) else { break };
@@ -624,12 +711,11 @@ impl Session {
             // between them.
             self.app.handle_recorded_frames(&self.batch);
         }
-        let has_frames = !self.batch.is_empty();
         if self.selector.is_some() {
             self.select_recorded();
             self.recorder.as_ref().inspect(|recorder| recorder.record(&self.batch));
         }
-        has_frames
+        true
     }
 
     /// Removes the frames that are not to be recorded from the batch, once it is handled: names that

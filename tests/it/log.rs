@@ -64,7 +64,7 @@ fn file_replay_keeps_frame_times() {
     assert_eq!(ages, [0, 200, 400]);
     let told: Vec<_> = frames.iter().map(|frame| (frame.bus, frame.is_tx)).collect();
     assert_eq!(told, [(BusIndex(2), false), (BusIndex(3), false), (BusIndex(2), true)]);
-    assert_eq!(port.queue().names(), ["can0", "can1"]);
+    assert_eq!(port.queue().names_from(0), ["can0", "can1"]);
 
     let status = port.queue().status();
     assert_eq!(status.link, Link::Ended);

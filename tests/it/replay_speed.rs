@@ -98,6 +98,49 @@ fn interfaces_of_several_logs_are_buses_of_their_own() {
     assert_eq!(pty.wait(), 0);
 }
 
+/// Tests that no log is read further than the others, in whatever time each is.
+#[test]
+fn several_logs_are_read_ahead_together() {
+    let folder = tempfile::tempdir().unwrap();
+    write_log(&folder.path().join("one.log"));
+    let one = fs::read_to_string(folder.path().join("one.log")).unwrap();
+    for name in ["left", "right"] {
+        let log = folder.path().join(format!("{name}.log"));
+        fs::write(log, one.replace(" can0 ", &format!(" {name} "))).unwrap();
+    }
+    let arguments = ["left.log", "right.log", "--file", "des.json"];
+    let mut pty = Pty::start(&arguments, folder.path(), (120, 60));
+    pty.wait_for("N1");
+    pty.send(":100%\r");
+    pty.wait_for(" left  end of log");
+    pty.wait_for(" right  end of log");
+    pty.send("3G");
+    pty.wait_for("lanes and lines");
+    let screen = pty.screen();
+    for word in ["suspected", "rebooted", "stale", "lost", "silent", "returned"] {
+        assert!(!screen.contains(&format!(" {word}")), "{word}: {screen}");
+    }
+    // A moment before is shown of both.
+    pty.send(":50%\r5");
+    pty.wait_for("frames by device");
+    pty.wait_for("FROZEN");
+    let screen = pty.screen();
+    let count = |name: &str| {
+        let is_it = |line: &&str| line.starts_with(&format!(" {name} ")) && line.contains("TEC");
+        let line = screen.lines().find(is_it)?;
+        let (_, rest) = line.split_once("  frames ")?;
+        rest.split_whitespace().next()?.replace(',', "").parse::<usize>().ok()
+    };
+    let (left, right) = (count("left").unwrap(), count("right").unwrap());
+    let all = one.lines().count();
+    assert!(
+        left.abs_diff(right) <= 1 && left.abs_diff(all / 2) < all / 10,
+        "{left} {right} of {all}"
+    );
+    pty.send("q");
+    assert_eq!(pty.wait(), 0);
+}
+
 /// Waits until a process is at the end of a file that it reads.
 fn wait_until_read(pid: i32, path: &Path) {
     let size = fs::metadata(path).unwrap().len();

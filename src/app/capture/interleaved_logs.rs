@@ -1,7 +1,7 @@
 //! The frames of several logs by their numbers, in the order in which they were taken.
 //!
 //! Inputs: the logs, and each batch of frames that was taken from one of them. Output: a source of all
-//! frames. Bounded: [`MAX_BYTES`] for the order of the batches; of a longer session the first frames
+//! frames. Bounded: the order of the batches has a room in bytes; of a longer session the first frames
 //! cannot be read again. Does not know files.
 
 use crate::app::varint::{read_varint, write_varint};
@@ -15,9 +15,6 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// Frames between two places from which the order is read.
 const SPACING: u64 = 4096;
-/// Most bytes of the order: one or two for each batch.
-const MAX_BYTES: usize = 1 << 20;
-
 /// A place between two batches.
 #[derive(Debug)]
 struct OrderPlace {
@@ -36,6 +33,8 @@ struct OrderPlace {
 struct FrameOrder {
     /// A batch as one number: its length times the number of logs, plus the place of its log.
     bytes: VecDeque<u8>,
+    /// Most bytes.
+    room: usize,
     /// Bytes that were dropped.
     dropped: u64,
     places: VecDeque<OrderPlace>,
@@ -69,7 +68,7 @@ impl FrameOrder {
         write_varint(&mut self.bytes, batch);
         self.end += count;
         self.taken[log] += count;
-        while self.bytes.len() > MAX_BYTES && self.places.len() > 1 {
+        while self.bytes.len() > self.room && self.places.len() > 1 {
             self.places.pop_front();
             let kept = self.places.front().map_or(self.dropped, |first| first.bytes);
             self.bytes.drain(..(kept - self.dropped) as usize);
@@ -129,11 +128,13 @@ pub struct InterleavedLogs {
 
 impl InterleavedLogs {
     /// Returns logs of which no frame was taken. The frames of the log at place n have bus n, and those
-    /// of its further interfaces the buses after it, until their buses are set.
-    pub fn new(logs: Vec<Box<dyn FrameSource>>) -> Self {
+    /// of its further interfaces the buses after it, until their buses are set. The order takes `room`
+    /// bytes at most, one or two for each batch.
+    pub fn new(logs: Vec<Box<dyn FrameSource>>, room: usize) -> Self {
         let count = logs.len();
         let order = FrameOrder {
             bytes: VecDeque::new(),
+            room,
             dropped: 0,
             places: VecDeque::new(),
             end: 0,
@@ -201,6 +202,8 @@ mod tests {
     use super::*;
     use crate::time::Duration;
 
+    const ROOM: usize = 100_000;
+
     /// A log of frames 10 ms apart; the identifier is the number of the frame.
     #[derive(Debug)]
     struct Log {
@@ -228,7 +231,7 @@ mod tests {
         let log = |(at, start): (usize, u64)| -> Box<dyn FrameSource> {
             Box::new(Log { bus: BusIndex(at as u8), numbers: start..1 << 40 })
         };
-        InterleavedLogs::new(starts.into_iter().enumerate().map(log).collect())
+        InterleavedLogs::new(starts.into_iter().enumerate().map(log).collect(), ROOM)
     }
 
     /// Takes random batches; returns all frames as they were taken: each log with a delay of its own, the
@@ -283,11 +286,11 @@ mod tests {
     fn order_is_bounded() {
         let logs = logs([0; 3]);
         let order = logs.order();
-        for number in 0..MAX_BYTES as u64 * 2 {
+        for number in 0..ROOM as u64 * 2 {
             order.push((number % 3) as usize, &[frame(number / 3, BusIndex(0))]);
         }
         let bytes = order.order().bytes.len();
-        assert!(bytes <= MAX_BYTES, "{bytes}");
+        assert!(bytes <= ROOM, "{bytes}");
         let numbers = logs.numbers();
         assert!(numbers.start > 0 && numbers.start < numbers.end / 2 + 2 * SPACING, "{numbers:?}");
     }

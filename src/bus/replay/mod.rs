@@ -245,10 +245,11 @@ impl Replay {
             }
             let is_full = self.shared.queue.room() == 0;
             self.reads_to = self.clock.reads_to();
-            if self.clock.now() >= due && !is_full {
+            let is_read_ahead = due <= self.reads_to && !self.follows;
+            if (is_read_ahead || self.clock.is_due(due)) && !is_full {
                 break;
             }
-            let nap = if is_full { FULL_QUEUE_NAP } else { self.clock.until(due) };
+            let nap = if is_full { FULL_QUEUE_NAP } else { self.clock.until_due(due) };
             self.shared.wait(None, Some(nap))?;
         }
         self.report_position();
