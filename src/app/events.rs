@@ -230,7 +230,12 @@ impl App {
         }
         self.take_events();
         self.refresh_before_draw();
-        self.request_redraw();
+        if self.clock.playback().is_some_and(|it| it.is_standing()) {
+            // The time of a later draw would not come.
+            self.notices.redraw.set_dirty();
+        } else {
+            self.request_redraw();
+        }
     }
 
     /// Takes the state of the recording; reports its start, its first lost frames and its failure.
