@@ -347,6 +347,11 @@ pub fn warn_tx_blocked(bus: &BusSnapshot) {
         let fault = bus.status.fault.as_ref().map(Diagnostic::to_string);
         let why = fault.as_deref().unwrap_or(bus.status.state.name());
         warn(why.strip_prefix(&bus.name).map_or(why, str::trim_start));
+    } else if bus.status.listens_first {
+        warn(
+            "no valid frame received, listen-only until then; check the bit rate; for a device \
+             that is alone name it: slcan:DEVICE@RATE",
+        );
     } else if bus.status.unanswered && bus.is_up {
         warn("no response from the adapter; check adapter and baud rate");
     } else {

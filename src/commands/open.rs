@@ -329,7 +329,8 @@ pub fn session(
     for (index, spec) in buses.iter().enumerate() {
         let listen_only = setup.config.listen_only || is_log(spec);
         let index = BusIndex(index as u8);
-        let options = Options { listen_only, only: setup.only.clone() };
+        let only = setup.only.clone();
+        let options = Options { listen_only, only, ..Options::default() };
         let port = bus::open(spec, index, clock.clone(), options)?;
         named.push((port.name().to_owned(), Config { listen_only, ..setup.config.clone() }));
         ports.push(port);
