@@ -209,8 +209,9 @@ impl App {
     }
 
     /// Handles a new status of a bus.
-    pub(super) fn bus_changed(&mut self, index: BusIndex, status: BusStatus) {
+    pub(super) fn bus_changed(&mut self, index: BusIndex, mut status: BusStatus) {
         let now = self.clock.now();
+        status.is_sending_paused = self.bus_choice.is_some();
         let Some(changes) = self.buses.update_status(now, index, status) else { return };
         let is_news = !changes.is_empty();
         for (kind, text) in changes {

@@ -663,7 +663,6 @@ fn invalid_arguments_are_one_line_with_the_fix() {
         (&["scan", "can0", "can0"], "can0 is the same bus as can0"),
         (&["scan", "slcan:/dev/ttyS0@125000", "slcan:/dev/ttyS0"], "the same bus"),
         (&["sim", "sim:boiler"], "descan demo"),
-        (&[], "descan scan or descan watch"),
         (&["demo"], "descan scan or descan watch"),
     ] {
         let output = descan(arguments, folder.path());
@@ -673,6 +672,77 @@ fn invalid_arguments_are_one_line_with_the_fix() {
         assert!(said.starts_with("descan: ") && said.contains(hint), "{arguments:?}: {said}");
         assert!(output.stdout.is_empty());
     }
+}
+
+#[test]
+fn list_of_buses_is_printed_without_a_terminal() {
+    let folder = tempfile::tempdir().unwrap();
+    for arguments in [&[][..], &["nocan7"]] {
+        let output = descan(arguments, folder.path());
+        let said = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{said}");
+        assert_eq!(said.lines().count(), 1, "{said}");
+        assert!(said.contains("descan scan or descan watch"), "{said}");
+        let list = text(&output.stdout);
+        assert!(list.contains("Simulated\n  sim:boiler "), "{list}");
+        assert!(!list.contains('\x1b'), "{list}");
+    }
+}
+
+#[test]
+fn scan_table_has_the_headlines_and_times_of_the_screen() {
+    let folder = tempfile::tempdir().unwrap();
+    let scenario = Scenario::builtin("boiler").unwrap();
+    std::fs::write(folder.path().join("session.log"), log(&scenario, 45)).unwrap();
+    let output = descan(&["scan", "file:session.log"], folder.path());
+    let table = text(&output.stdout);
+    let headline = table.lines().find(|line| line.starts_with("confirmed Address 14: SPARE01 "));
+    let headline = headline.unwrap_or_else(|| panic!("{table}"));
+    let joined = headline.split("joined ").nth(1).and_then(|rest| rest.split(',').next());
+    let joined = joined.unwrap_or_else(|| panic!("{headline}"));
+    assert!(headline.contains(", conflicts with BOILER03 (since "), "{headline}");
+    for kind in ["one-address-two-identities", "same-name-same-address"] {
+        let line = format!("  confirmed {kind}, since {joined}\n");
+        assert!(table.contains(&line), "{line}{table}");
+    }
+    assert!(table.contains("  Two devices answer as ACT at address 14.\n"), "{table}");
+    let watched = descan(&["watch", "file:session.log"], folder.path());
+    let line = text(&watched.stdout).lines().find(|line| line.contains("confirmed: ")).unwrap();
+    assert!(line.contains("SPARE01 joined, conflicts with BOILER03 (since "), "{line}");
+    assert!(line.contains("). Two devices "), "{line}");
+}
+
+#[test]
+fn input_without_frames_ends_with_its_cause() {
+    use std::io::Write;
+    let folder = tempfile::tempdir().unwrap();
+    let scan = |input: &str| {
+        let output = descan(&["scan", input], folder.path());
+        (output.status.code(), text(&output.stderr).to_owned())
+    };
+    let (code, said) = scan("file:/dev/zero");
+    assert_eq!(code, Some(3), "{said}");
+    assert!(said.contains("no line end in 16 MB"), "{said}");
+    assert!(said.contains("use a candump -L log or pcapng"), "{said}");
+    // As from a pipe that stays open.
+    let mut child = Command::new(env!("CARGO_BIN_EXE_descan"))
+        .args(["scan", "-"])
+        .current_dir(folder.path())
+        .stdin(Stdio::piped())
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut stdin = child.stdin.take().unwrap();
+    let block = [0; 1 << 20];
+    // The reader ends before the writer.
+    let written = (0..100).take_while(|_| stdin.write_all(&block).is_ok()).count();
+    assert!(written < 40, "{written} MB were read");
+    let output = child.wait_with_output().unwrap();
+    let said = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(3), "{said}");
+    assert!(said.contains("the line is too long"), "{said}");
+    drop(stdin);
 }
 
 #[test]

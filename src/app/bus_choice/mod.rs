@@ -1,76 +1,44 @@
-//! The choice of buses before a session: the lines of the list, and what its keys do.
+//! The choice of buses, before a session and during one: the lines of the list, and what its keys do.
 //!
 //! Inputs: what the machine has, keys. Output: the BUS arguments to open. A state machine without I/O:
-//! nothing is opened and nothing is sent while it is shown. Bounded: 64 lines. Does not know how it is
-//! drawn.
+//! nothing is opened and nothing is sent while it is shown. Bounded: 64 lines, 40 characters of a
+//! search. Does not know how it is drawn.
+
+mod offer;
+
+pub use offer::{BusOffer, BusSelection, ChoiceOutcome, OfferKind};
 
 use crate::keymap::{Key, KeyCode};
+use offer::{BusWorld, without_rates};
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Most lines of the list.
 const MAX_OFFERS: usize = 64;
+/// Most characters of a search: half a line of 80 columns.
+const MAX_SEARCH: usize = 40;
 
 /// Bit rates that are offered for a serial adapter, in bit/s.
-const BIT_RATES: [u32; 5] = [125_000, 250_000, 500_000, 800_000, 1_000_000];
+pub const BIT_RATES: [u32; 5] = [125_000, 250_000, 500_000, 800_000, 1_000_000];
 
 /// Place of 500 kbit/s, which is offered first.
 const USUAL_RATE: usize = 2;
 
-/// Sections of the list, in their order.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum OfferKind {
-    /// A CAN interface of this machine.
-    Interface,
-    /// A serial device.
-    Adapter,
-    /// A log that was opened before.
-    Log,
-    /// A simulated bus.
-    Simulated,
+/// The buses of the session over which the list is shown.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct OpenBuses {
+    /// Their BUS arguments.
+    pub arguments: Vec<String>,
+    /// One of them is a log: no bus can be added.
+    pub has_log: bool,
 }
 
-impl OfferKind {
-    /// Heading of the section.
-    pub const fn title(self) -> &'static str {
-        match self {
-            Self::Interface => "CAN interfaces",
-            Self::Adapter => "Serial adapters",
-            Self::Log => "Recent logs",
-            Self::Simulated => "Simulated",
-        }
-    }
-}
-
-/// A line of the list.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct BusOffer {
-    /// Section.
-    pub kind: OfferKind,
-    /// Name, printable.
-    pub name: String,
-    /// What is known of it, printable.
-    pub facts: String,
-    /// BUS argument without a bit rate.
-    pub argument: String,
-    /// Command that makes it usable; `None` where it is.
-    pub command: Option<String>,
-    /// A serial device that may be anything: Enter asks first, and nothing is transmitted on it.
-    pub is_unknown: bool,
-}
-
-/// What is done after a key.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum ChoiceOutcome {
-    /// Open these BUS arguments.
-    Open {
-        /// The arguments.
-        buses: Vec<String>,
-        /// Send no frames.
-        listen_only: bool,
-    },
-    /// Copy a command to the clipboard.
-    Copy(String),
-    /// End the program.
-    Quit,
+/// A question about the chosen lines.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum ChoiceQuestion {
+    /// Whether to open devices that may be anything.
+    UnknownAdapter,
+    /// Whether to close the buses that are open.
+    Replace,
 }
 
 /// State of the list.
@@ -79,37 +47,122 @@ pub struct BusChoice {
     /// Why it is shown.
     pub reason: String,
     offers: Vec<BusOffer>,
-    /// Place in [`BIT_RATES`] for each line.
-    rates: Vec<usize>,
-    chosen: Vec<bool>,
+    /// Place in [`BIT_RATES`], by argument.
+    rates: BTreeMap<String, usize>,
+    /// Arguments of the lines chosen with Space.
+    chosen: BTreeSet<String>,
     selected: usize,
+    /// Words that the lines must have.
+    search: String,
+    is_typing: bool,
     listen_only: bool,
-    /// The question about an unknown adapter is open.
-    asks: bool,
+    no_requests: bool,
+    records: bool,
+    /// The session below; `None` before one.
+    open: Option<OpenBuses>,
+    /// Chosen buses take the place of those that are open.
+    in_place: bool,
+    /// Interfaces that are opened once they are all up.
+    awaited: Vec<String>,
+    question: Option<ChoiceQuestion>,
     message: Option<String>,
 }
 
 impl BusChoice {
-    /// Returns the list of these lines, by section, with the first one selected.
-    pub fn new(reason: impl Into<String>, mut offers: Vec<BusOffer>) -> Self {
+    /// Returns the list of these lines, by section, with the first usable one selected.
+    pub fn new(reason: impl Into<String>, offers: Vec<BusOffer>) -> Self {
+        let mut choice = Self {
+            reason: reason.into(),
+            offers: Vec::new(),
+            rates: BTreeMap::new(),
+            chosen: BTreeSet::new(),
+            selected: 0,
+            search: String::new(),
+            is_typing: false,
+            listen_only: false,
+            no_requests: false,
+            records: false,
+            open: None,
+            in_place: false,
+            awaited: Vec::new(),
+            question: None,
+            message: None,
+        };
+        choice.set_offers(offers);
+        choice.select_usable();
+        choice
+    }
+
+    /// Waits for these interfaces: they are opened once they are up.
+    #[must_use]
+    pub fn waiting_for(mut self, interfaces: Vec<String>) -> Self {
+        self.awaited = interfaces;
+        self.select_usable();
+        self
+    }
+
+    /// Shows the list over a session with these buses.
+    #[must_use]
+    pub fn over(mut self, open: OpenBuses) -> Self {
+        self.in_place = open.has_log;
+        self.open = Some(open);
+        self.select_usable();
+        self
+    }
+
+    fn select_usable(&mut self) {
+        let is_wanted = |at: &usize| self.awaited.contains(&self.offers[*at].argument);
+        let is_usable = |at: &usize| self.offers[*at].command.is_none() && !self.is_open(*at);
+        let mut places = 0..self.offers.len();
+        let wanted = places.clone().find(is_wanted);
+        self.selected = wanted.or_else(|| places.find(is_usable)).unwrap_or(0);
+    }
+
+    fn set_offers(&mut self, mut offers: Vec<BusOffer>) {
         offers.sort_by_key(|offer| offer.kind);
         offers.truncate(MAX_OFFERS);
-        let usable = offers.iter().position(|offer| offer.command.is_none());
-        Self {
-            reason: reason.into(),
-            rates: vec![USUAL_RATE; offers.len()],
-            chosen: vec![false; offers.len()],
-            selected: usable.unwrap_or(0),
-            offers,
-            listen_only: false,
-            asks: false,
-            message: None,
-        }
+        self.offers = offers;
     }
+
+    /// Takes what the machine has now; the selection stays on its line. Returns true if a line
+    /// changed.
+    pub fn handle_offers(&mut self, offers: Vec<BusOffer>) -> bool {
+        let before = std::mem::take(&mut self.offers);
+        self.set_offers(offers);
+        let old = before.get(self.selected).map(|offer| &offer.argument);
+        let same = old.and_then(|old| self.offers.iter().position(|it| it.argument == *old));
+        match same {
+            Some(at) => self.selected = at,
+            None if before.is_empty() => self.select_usable(),
+            None => self.selected = self.selected.min(self.offers.len().saturating_sub(1)),
+        }
+        self.offers != before
+    }
+
+    /// The awaited interfaces, once they are all up and no other choice was begun.
+    pub fn take_awaited(&mut self) -> Option<BusSelection> {
+        let is_up = |name: &String| {
+            self.offers.iter().any(|offer| offer.argument == *name && offer.command.is_none())
+        };
+        let is_due = !self.awaited.is_empty() && self.awaited.iter().all(is_up);
+        if !is_due || !self.chosen.is_empty() || self.question.is_some() {
+            return None;
+        }
+        let buses = std::mem::take(&mut self.awaited);
+        Some(BusSelection { buses, ..self.options() })
+    }
+
+    // ---- reading ---------------------------------------------------------------------------
 
     /// The lines.
     pub fn offers(&self) -> &[BusOffer] {
         &self.offers
+    }
+
+    /// Places of the lines that have the words of the search.
+    pub fn shown(&self) -> Vec<usize> {
+        let words = self.search.to_lowercase();
+        (0..self.offers.len()).filter(|at| self.offers[*at].has_words(&words)).collect()
     }
 
     /// Place of the selected line.
@@ -119,13 +172,20 @@ impl BusChoice {
 
     /// Returns true if a line was chosen with Space.
     pub fn is_chosen(&self, at: usize) -> bool {
-        self.chosen.get(at).copied().unwrap_or(false)
+        self.offers.get(at).is_some_and(|offer| self.chosen.contains(&offer.argument))
+    }
+
+    /// Returns true if the session below has the bus of a line.
+    pub fn is_open(&self, at: usize) -> bool {
+        let Some((open, offer)) = self.open.as_ref().zip(self.offers.get(at)) else { return false };
+        open.arguments.iter().any(|argument| without_rates(argument) == offer.argument)
     }
 
     /// Bit rate for a serial adapter, in bit/s; `None` for other lines.
     pub fn bit_rate(&self, at: usize) -> Option<u32> {
-        let is_adapter = self.offers.get(at)?.kind == OfferKind::Adapter;
-        is_adapter.then(|| BIT_RATES[self.rates[at]])
+        let offer = self.offers.get(at)?;
+        let rate = self.rates.get(&offer.argument).copied().unwrap_or(USUAL_RATE);
+        (offer.kind == OfferKind::Adapter).then(|| BIT_RATES[rate])
     }
 
     /// No frames will be sent.
@@ -133,37 +193,76 @@ impl BusChoice {
         self.listen_only
     }
 
+    /// No requests will be sent.
+    pub fn is_without_requests(&self) -> bool {
+        self.no_requests
+    }
+
+    /// The frames will be recorded; `None` over a session, which records or does not.
+    pub fn is_recorded(&self) -> Option<bool> {
+        self.open.is_none().then_some(self.records)
+    }
+
+    /// Chosen buses will take the place of those that are open; `None` without a session.
+    pub fn is_in_place(&self) -> Option<bool> {
+        self.open.as_ref().map(|_| self.in_place)
+    }
+
+    /// The words of the search, and whether they are being typed; `None` without a search.
+    pub fn search(&self) -> Option<(&str, bool)> {
+        (self.is_typing || !self.search.is_empty()).then_some((&*self.search, self.is_typing))
+    }
+
     /// Text for the last line: the question or a message; `None` for the keys.
     pub fn note(&self) -> Option<String> {
-        if self.asks {
-            let names = self.unknown().map(|at| self.offers[at].name.as_str());
-            let names = names.collect::<Vec<_>>().join(", ");
-            return Some(format!("Open {names} as slcan, listen-only? y n"));
+        match self.question {
+            Some(ChoiceQuestion::UnknownAdapter) => {
+                let names = self.unknown().map(|at| self.offers[at].name.as_str());
+                let names = names.collect::<Vec<_>>().join(", ");
+                Some(format!("Open {names} as slcan, listen-only? y n"))
+            }
+            Some(ChoiceQuestion::Replace) => {
+                let open = self.open.as_ref().map(|open| open.arguments.join(", "));
+                Some(format!("Close {} and drop its frames? y n", open.unwrap_or_default()))
+            }
+            None => self.message.clone(),
         }
-        self.message.clone()
     }
+
+    // ---- keys ------------------------------------------------------------------------------
 
     /// Handles a key.
     pub fn handle_key(&mut self, key: Key) -> Option<ChoiceOutcome> {
         self.message = None;
-        if self.asks {
-            self.asks = false;
-            return (key.code == KeyCode::Char('y')).then(|| self.outcome());
+        if key == Key::ctrl('c') {
+            return Some(ChoiceOutcome::Close);
+        }
+        if self.is_typing {
+            self.type_search(key);
+            return None;
+        }
+        let key = key.on_latin_keyboard().filter(|_| !key.ctrl).unwrap_or(key);
+        if let Some(question) = self.question.take() {
+            let is_yes = key.code == KeyCode::Char('y');
+            return if is_yes { self.open_after(Some(question)) } else { None };
         }
         match key.code {
-            KeyCode::Char('c') if key.ctrl => return Some(ChoiceOutcome::Quit),
-            KeyCode::Up | KeyCode::Char('k') => self.selected = self.selected.saturating_sub(1),
-            KeyCode::Down | KeyCode::Char('j') => {
-                self.selected = (self.selected + 1).min(self.offers.len().saturating_sub(1));
-            }
-            KeyCode::Home => self.selected = 0,
-            KeyCode::End => self.selected = self.offers.len().saturating_sub(1),
+            KeyCode::Up | KeyCode::Char('k') => self.move_by(-1),
+            KeyCode::Down | KeyCode::Char('j') => self.move_by(1),
+            KeyCode::Home => self.move_by(isize::MIN),
+            KeyCode::End | KeyCode::Char('G') => self.move_by(isize::MAX),
             KeyCode::Char(' ') => self.toggle(),
             KeyCode::Char('e') => self.next_rate(),
             KeyCode::Char('l') => self.listen_only = !self.listen_only,
+            KeyCode::Char('n') => self.no_requests = !self.no_requests,
+            KeyCode::Char('r') if self.open.is_none() => self.records = !self.records,
+            KeyCode::Char('i') if self.open.is_some() => self.toggle_in_place(),
+            KeyCode::Char('/') => self.is_typing = true,
             KeyCode::Char('y') => return self.copy(),
-            KeyCode::Enter => return self.open(),
-            KeyCode::Esc | KeyCode::Char('q') => return Some(ChoiceOutcome::Quit),
+            KeyCode::Enter => return self.open_after(None),
+            KeyCode::Esc if !self.search.is_empty() => self.search.clear(),
+            KeyCode::Char('B') if self.open.is_some() => return Some(ChoiceOutcome::Close),
+            KeyCode::Esc | KeyCode::Char('q') => return Some(ChoiceOutcome::Close),
             _ => {}
         }
         None
@@ -174,17 +273,61 @@ impl BusChoice {
         self.message = Some(message.into());
     }
 
-    fn toggle(&mut self) {
-        if let Some(chosen) = self.chosen.get_mut(self.selected) {
-            *chosen = !*chosen;
+    fn type_search(&mut self, key: Key) {
+        match key.code {
+            KeyCode::Enter => self.is_typing = false,
+            KeyCode::Esc => {
+                self.is_typing = false;
+                self.search.clear();
+            }
+            KeyCode::Backspace => {
+                self.search.pop();
+            }
+            KeyCode::Up => self.move_by(-1),
+            KeyCode::Down => self.move_by(1),
+            KeyCode::Char(c) if !key.ctrl && !key.alt && self.search.len() < MAX_SEARCH => {
+                self.search.push(c);
+            }
+            _ => {}
         }
+        let shown = self.shown();
+        if !shown.contains(&self.selected)
+            && let Some(first) = shown.first()
+        {
+            self.selected = *first;
+        }
+    }
+
+    fn move_by(&mut self, by: isize) {
+        let shown = self.shown();
+        let at = shown.iter().position(|at| *at == self.selected).unwrap_or(0);
+        let at = at.saturating_add_signed(by).min(shown.len().saturating_sub(1));
+        self.selected = shown.get(at).copied().unwrap_or(self.selected);
+    }
+
+    fn toggle(&mut self) {
+        if self.is_open(self.selected) && !self.in_place {
+            return self.show_open(self.selected);
+        }
+        let Some(offer) = self.offers.get(self.selected) else { return };
+        if !self.chosen.remove(&offer.argument) {
+            self.chosen.insert(offer.argument.clone());
+        }
+    }
+
+    fn toggle_in_place(&mut self) {
+        if self.open.as_ref().is_some_and(|open| open.has_log) {
+            return self.show("a log is open: no bus can be added beside it");
+        }
+        self.in_place = !self.in_place;
     }
 
     fn next_rate(&mut self) {
         if self.bit_rate(self.selected).is_none() {
             return self.show("the bit rate is chosen for serial adapters only");
         }
-        let rate = &mut self.rates[self.selected];
+        let argument = self.offers[self.selected].argument.clone();
+        let rate = self.rates.entry(argument).or_insert(USUAL_RATE);
         *rate = (*rate + 1) % BIT_RATES.len();
     }
 
@@ -197,10 +340,15 @@ impl BusChoice {
         command.map(ChoiceOutcome::Copy)
     }
 
+    fn show_open(&mut self, at: usize) {
+        let name = self.offers[at].name.clone();
+        self.show(format!("{name} is open already"));
+    }
+
     /// The lines to open: those chosen, else the selected one.
     fn wanted(&self) -> Vec<usize> {
-        let chosen: Vec<usize> = (0..self.offers.len()).filter(|at| self.chosen[*at]).collect();
-        if chosen.is_empty() && self.selected < self.offers.len() {
+        let chosen: Vec<usize> = (0..self.offers.len()).filter(|at| self.is_chosen(*at)).collect();
+        if chosen.is_empty() && self.shown().contains(&self.selected) {
             return vec![self.selected];
         }
         chosen
@@ -211,7 +359,20 @@ impl BusChoice {
         self.wanted().into_iter().filter(|at| self.offers[*at].is_unknown)
     }
 
-    fn open(&mut self) -> Option<ChoiceOutcome> {
+    /// Returns true if the wanted buses cannot be open beside those of the session, or are not to be.
+    fn replaces(&self) -> bool {
+        let Some(open) = &self.open else { return false };
+        let worlds = open.arguments.iter().map(String::as_str);
+        let wanted = self.wanted();
+        let wanted = wanted.iter().map(|at| &*self.offers[*at].argument);
+        let worlds: Vec<BusWorld> = worlds.chain(wanted).map(BusWorld::of).collect();
+        let fit = worlds.windows(2).all(|pair| pair[0] == pair[1]);
+        self.in_place || open.has_log || !fit || worlds.contains(&BusWorld::Log)
+    }
+
+    /// Opens the wanted buses, after this question was answered with yes; the next question comes
+    /// first.
+    fn open_after(&mut self, answered: Option<ChoiceQuestion>) -> Option<ChoiceOutcome> {
         let wanted = self.wanted();
         if wanted.is_empty() {
             self.show("nothing is selected");
@@ -222,21 +383,37 @@ impl BusChoice {
             self.show(format!("{name} is down; y copies the command"));
             return None;
         }
-        if self.unknown().next().is_some() {
-            self.asks = true;
+        let replaces = self.replaces();
+        if let Some(at) = wanted.iter().find(|at| self.is_open(**at) && !replaces) {
+            self.show_open(*at);
             return None;
         }
-        Some(self.outcome())
-    }
-
-    fn outcome(&self) -> ChoiceOutcome {
+        if answered.is_none() && self.unknown().next().is_some() {
+            self.question = Some(ChoiceQuestion::UnknownAdapter);
+            return None;
+        }
+        if answered != Some(ChoiceQuestion::Replace) && replaces {
+            self.question = Some(ChoiceQuestion::Replace);
+            return None;
+        }
         let argument = |at: usize| match self.bit_rate(at) {
             Some(rate) => format!("{}@{rate}", self.offers[at].argument),
             None => self.offers[at].argument.clone(),
         };
-        let buses = self.wanted().into_iter().map(argument).collect();
+        let buses = wanted.into_iter().map(argument).collect();
         let listen_only = self.listen_only || self.unknown().next().is_some();
-        ChoiceOutcome::Open { buses, listen_only }
+        let options = self.options();
+        Some(ChoiceOutcome::Open(BusSelection { buses, listen_only, replaces, ..options }))
+    }
+
+    fn options(&self) -> BusSelection {
+        BusSelection {
+            buses: Vec::new(),
+            listen_only: self.listen_only,
+            no_requests: self.no_requests,
+            records: self.records,
+            replaces: false,
+        }
     }
 }
 
@@ -277,7 +454,7 @@ mod tests {
     #[allow(clippy::unnecessary_wraps)] // Compared with the result of a key.
     fn opens(buses: &[&str], listen_only: bool) -> Option<ChoiceOutcome> {
         let buses = buses.iter().map(|bus| (*bus).to_owned()).collect();
-        Some(ChoiceOutcome::Open { buses, listen_only })
+        Some(ChoiceOutcome::Open(BusSelection { buses, listen_only, ..BusSelection::default() }))
     }
 
     #[test]
@@ -289,7 +466,7 @@ mod tests {
             press(&mut choice, "Space End Space l Enter"),
             opens(&["can0", "sim:boiler"], true)
         );
-        assert_eq!(press(&mut choice, "q"), Some(ChoiceOutcome::Quit));
+        assert_eq!(press(&mut choice, "q"), Some(ChoiceOutcome::Close));
     }
 
     #[test]
@@ -318,5 +495,79 @@ mod tests {
         let mut choice = BusChoice::new("", Vec::new());
         assert_eq!(press(&mut choice, "Enter"), None);
         assert_eq!(press(&mut choice, "Down Space e y Enter"), None);
+    }
+
+    fn interface(name: &str, command: Option<&str>) -> BusOffer {
+        let command = command.map(str::to_owned);
+        BusOffer { command, ..offer(OfferKind::Interface, name) }
+    }
+
+    #[test]
+    fn awaited_interface_is_opened_once_it_is_up() {
+        let mut choice = choice().waiting_for(vec!["can1".to_owned()]);
+        assert_eq!(choice.offers()[choice.selected()].name, "can1");
+        assert_eq!(choice.take_awaited(), None);
+        let other = offer(OfferKind::Simulated, "sim:boiler");
+        assert!(choice.handle_offers(vec![interface("can1", None), other.clone()]));
+        let opened = choice.clone().take_awaited().unwrap();
+        assert_eq!(opened.buses, ["can1"]);
+        assert!(!choice.handle_offers(vec![interface("can1", None), other]), "nothing changed");
+        // Another choice was begun.
+        press(&mut choice, "End Space");
+        assert_eq!(choice.take_awaited(), None);
+    }
+
+    #[test]
+    fn selection_stays_on_its_line_when_others_appear() {
+        let mut choice = BusChoice::new("", vec![interface("can3", None)]);
+        press(&mut choice, "Space");
+        choice.handle_offers(vec![interface("can1", None), interface("can3", None)]);
+        assert_eq!(choice.selected(), 1);
+        assert!(choice.is_chosen(1) && !choice.is_chosen(0));
+        choice.handle_offers(Vec::new());
+        assert_eq!(press(&mut choice, "Enter"), None);
+    }
+
+    #[test]
+    fn search_leaves_lines_with_all_words() {
+        let mut choice = choice();
+        let names = |choice: &BusChoice| -> Vec<String> {
+            choice.shown().into_iter().map(|at| choice.offers()[at].name.clone()).collect()
+        };
+        press(&mut choice, "/ S E r i a l Space t t y");
+        assert_eq!(names(&choice), ["/dev/ttyUSB0"]);
+        assert_eq!(choice.offers()[choice.selected()].name, "/dev/ttyUSB0");
+        assert_eq!(choice.search(), Some(("SErial tty", true)));
+        press(&mut choice, "x Enter");
+        assert_eq!(press(&mut choice, "Enter"), None, "no line");
+        assert_eq!(press(&mut choice, "Esc"), None, "all lines again");
+        assert_eq!((names(&choice).len(), choice.search()), (4, None));
+    }
+
+    #[test]
+    fn bus_is_added_beside_its_like_and_replaces_others() {
+        let over = |open: &[&str], has_log: bool| {
+            let arguments = open.iter().map(|it| (*it).to_owned()).collect();
+            choice().over(OpenBuses { arguments, has_log })
+        };
+        let replaces = |outcome: Option<ChoiceOutcome>| match outcome {
+            Some(ChoiceOutcome::Open(selection)) => Some(selection.replaces),
+            _ => None,
+        };
+        assert_eq!(replaces(press(&mut over(&["can7"], false), "Home Down Enter")), Some(false));
+        let mut simulated = over(&["can7"], false);
+        assert_eq!(press(&mut simulated, "End Enter"), None);
+        let question = "Close can7 and drop its frames? y n";
+        assert_eq!(simulated.note().as_deref(), Some(question));
+        assert_eq!(replaces(press(&mut simulated, "y")), Some(true));
+        let mut wanted = over(&["can7"], false);
+        assert_eq!(replaces(press(&mut wanted, "Home Down i Enter y")), Some(true));
+        let mut log = over(&["session.log"], true);
+        assert_eq!(replaces(press(&mut log, "Home Down Enter y")), Some(true));
+        assert_eq!(press(&mut log, "i"), None);
+        assert_eq!(log.is_in_place(), Some(true), "a log has no bus beside it");
+        let mut same = over(&["can0"], false);
+        assert_eq!(press(&mut same, "Home Down Enter"), None);
+        assert_eq!(same.note().as_deref(), Some("can0 is open already"));
     }
 }
