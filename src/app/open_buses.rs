@@ -33,7 +33,7 @@ impl App {
         let has_edits = self.file().unsaved() > 0;
         let Some(choice) = &mut self.bus_choice else { return false };
         match choice.handle_key(key) {
-            None => {}
+            None | Some(ChoiceOutcome::NextTheme) => {}
             Some(ChoiceOutcome::Copy(text)) => self.effects.push_back(Effect::Copy(text)),
             Some(ChoiceOutcome::Close) => self.close_bus_choice(),
             Some(ChoiceOutcome::Open(wanted)) if wanted.replaces && has_edits => {

@@ -46,6 +46,8 @@ pub struct Setup {
     pub only: Vec<IdFilter>,
     /// The buses were chosen from a list: adapters listen first.
     pub listens_first: bool,
+    /// Name of the theme chosen with the buses; before that of the command line.
+    pub chosen_theme: Option<String>,
     /// Name of the theme in the settings; `None` for the default.
     pub theme: Option<String>,
     /// Bytes per second to the terminal in the settings; `None` for the built-in number.
@@ -100,6 +102,7 @@ impl Setup {
             record_filter,
             only,
             listens_first: false,
+            chosen_theme: None,
             theme,
             screen_budget: settings.screen_budget,
             signs,
@@ -109,7 +112,8 @@ impl Setup {
 
     /// Returns the setup for buses that were chosen from the list; what is recorded goes to a new file.
     pub fn for_selection(&self, wanted: &BusSelection) -> Self {
-        let mut setup = Self { listens_first: true, ..self.clone() };
+        let chosen_theme = wanted.theme.clone().or(self.chosen_theme.clone());
+        let mut setup = Self { listens_first: true, chosen_theme, ..self.clone() };
         setup.config = selected_config(&setup.config, wanted);
         if wanted.records && setup.record.is_none() {
             setup.record = Some(Target { path: PathBuf::from("session.log"), max_bytes: None });

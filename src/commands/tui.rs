@@ -150,14 +150,15 @@ impl<'a> Chooser<'a> {
     fn choose(&self, mut choice: BusChoice) -> Result<u8, Failure> {
         choice.handle_offers(bus_offers::offers(self.settings.scouting.utc_offset_seconds));
         let wanted = self.screen.theme.as_deref().or(self.setup.theme.as_deref());
-        let themes = ThemeLoader::new(self.setup.folder.clone(), wanted.unwrap_or(usual_theme()))
-            .or_else(|_| ThemeLoader::new(None, usual_theme()))
-            .map_err(Failure::Usage)?;
+        let mut themes =
+            ThemeLoader::new(self.setup.folder.clone(), wanted.unwrap_or(usual_theme()))
+                .or_else(|_| ThemeLoader::new(None, usual_theme()))
+                .map_err(Failure::Usage)?;
         let signs = self.setup.signs.unwrap_or_else(terminal::signs);
         let runtime = headless::runtime()?;
         let exit = runtime.block_on(async {
             let scout = BusScout::spawn(&self.settings.scouting, Vec::new())?;
-            bus_picker::choose(choice, scout, &themes, signs).await
+            bus_picker::choose(choice, scout, &mut themes, signs).await
         });
         runtime.shutdown_background();
         match exit.context("the terminal")? {
@@ -262,7 +263,7 @@ fn show(
     let clock = open::clock(buses, speed.unwrap_or(1.0))?;
     let usual = usual_theme();
     let screen = chooser.screen;
-    let theme = screen.theme.as_deref();
+    let theme = setup.chosen_theme.as_deref().or(screen.theme.as_deref());
     let mut wanted = theme.or(setup.theme.as_deref()).unwrap_or(usual);
     let mut warnings = setup.warnings.clone();
     let mut themes = match ThemeLoader::new(setup.folder.clone(), wanted) {
@@ -316,7 +317,10 @@ fn show(
     Ok(match result? {
         (TuiExit::Quit, false) => Ending::Over(EXIT_OK),
         (TuiExit::Quit | TuiExit::Reopen(_), true) => Ending::Over(EXIT_UNUSABLE),
-        (TuiExit::Reopen(wanted), false) => Ending::Reopen(wanted),
+        (TuiExit::Reopen(wanted), false) => {
+            let theme = Some(themes.current.name.clone());
+            Ending::Reopen(BusSelection { theme, ..wanted })
+        }
         (TuiExit::Terminated | TuiExit::Hangup, _) => Ending::Over(EXIT_INTERRUPTED),
     })
 }

@@ -163,9 +163,10 @@ impl LineDecoder {
         if summary.frames == 0 {
             self.before_frame += used as u64;
         }
-        if self.skipped >= MAX_WITHOUT_FRAME {
+        let is_inside_line = self.skipped > 0;
+        if is_inside_line && self.skipped + used as u64 >= MAX_WITHOUT_FRAME {
             summary.damage = Some(Damage::NoLineEnd);
-        } else if summary.frames == 0 && self.before_frame >= MAX_WITHOUT_FRAME {
+        } else if !is_inside_line && summary.frames == 0 && self.before_frame >= MAX_WITHOUT_FRAME {
             summary.damage = Some(Damage::NoFrame);
         }
     }

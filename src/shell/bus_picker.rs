@@ -4,7 +4,7 @@
 //! not know what a session is.
 
 use super::bus_scout::BusScout;
-use super::terminal::Terminal;
+use super::terminal::{self, Terminal};
 use super::tui_loop::{Signals, ThemeLoader, TuiWake, key_of, next_event};
 use crate::app::{BusChoice, BusSelection, ChoiceOutcome, Signs};
 use crossterm::event::{Event, EventStream, KeyEventKind};
@@ -26,9 +26,21 @@ pub enum PickerExit {
 /// # Errors
 /// The terminal cannot be taken over.
 pub async fn choose(
+    choice: BusChoice,
+    scout: BusScout,
+    themes: &mut ThemeLoader,
+    signs: Signs,
+) -> io::Result<PickerExit> {
+    match choose_on_terminal(choice, scout, themes, signs).await {
+        Err(_) if terminal::is_lost() => Ok(PickerExit::Interrupted),
+        exit => exit,
+    }
+}
+
+async fn choose_on_terminal(
     mut choice: BusChoice,
     mut scout: BusScout,
-    themes: &ThemeLoader,
+    themes: &mut ThemeLoader,
     signs: Signs,
 ) -> io::Result<PickerExit> {
     let mut signals = Signals::new()?;
@@ -60,6 +72,11 @@ pub async fn choose(
                 match key_of(key).and_then(|key| choice.handle_key(key)) {
                     None => {}
                     Some(ChoiceOutcome::Copy(text)) => terminal.copy(&text)?,
+                    Some(ChoiceOutcome::NextTheme) => {
+                        if let Some(name) = themes.choose_next() {
+                            choice.set_theme(name);
+                        }
+                    }
                     Some(ChoiceOutcome::Close) => return Ok(PickerExit::Quit),
                     Some(ChoiceOutcome::Open(wanted)) => return Ok(PickerExit::Open(wanted)),
                 }

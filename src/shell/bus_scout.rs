@@ -92,7 +92,9 @@ fn look(settings: &ScoutSettings, open: &[String], to: &Sender<Vec<BusOffer>>) {
         let until = Monotonic::now() + PERIOD;
         while Monotonic::now() < until && !to.is_closed() {
             thread::sleep(STEP);
-            heard.values_mut().for_each(|listener| listener.read(&clock));
+            for listener in heard.values_mut() {
+                listener.read(&clock);
+            }
         }
         heard.values_mut().for_each(Listener::end);
     }
@@ -193,7 +195,7 @@ mod tests {
         let config = Config { listen_only: true, ..Config::default() };
         let spec = BusSpec::Sim("boiler".to_owned());
         let mut listener = Listener::of(&spec, clock.clone(), config).unwrap();
-        let deadline = Monotonic::now() + Duration::from_secs(60);
+        let deadline = Monotonic::now() + Duration::from_mins(1);
         while !listener.facts().contains('@') {
             assert!(Monotonic::now() < deadline, "{}", listener.facts());
             thread::sleep(STEP);

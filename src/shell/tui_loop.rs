@@ -357,6 +357,15 @@ impl ThemeLoader {
         Ok(())
     }
 
+    /// Switches to the next theme that can be used; returns its name.
+    pub fn choose_next(&mut self) -> Option<String> {
+        let names = self.names();
+        let at = names.iter().position(|name| *name == self.current.name).unwrap_or(0);
+        let others = names.iter().cycle().skip(at + 1).take(names.len());
+        let others: Vec<String> = others.cloned().collect();
+        others.into_iter().find(|name| self.choose(name).is_ok())
+    }
+
     fn set(&mut self, theme: Theme) {
         let tinted = self.background.map(|it| theme.clone().tinted(it, self.colours));
         self.current = tinted.unwrap_or_else(|| theme.clone());

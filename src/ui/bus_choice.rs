@@ -136,8 +136,9 @@ fn bottom_lines(choice: &BusChoice, theme: &Theme, is_high: bool) -> Vec<Line<'s
             line(Role::Input, format!(" / {words}{keys}Esc all lines again"))
         }
         (None, None) => {
-            let leave = if choice.is_in_place().is_some() { "Esc close" } else { "q quit" };
-            let keys = " Enter open  Space several  e bit rate  / search  y copy command";
+            let is_first = choice.is_in_place().is_none();
+            let leave = if is_first { "t theme  q quit" } else { "Esc close" };
+            let keys = " Enter open  Space several  e bit rate  / search  y copy";
             line(Role::Muted, format!("{keys}  {leave}"))
         }
     });

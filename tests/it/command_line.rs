@@ -707,7 +707,8 @@ fn scan_table_has_the_headlines_and_times_of_the_screen() {
     }
     assert!(table.contains("  Two devices answer as ACT at address 14.\n"), "{table}");
     let watched = descan(&["watch", "file:session.log"], folder.path());
-    let line = text(&watched.stdout).lines().find(|line| line.contains("confirmed: ")).unwrap();
+    let lines = text(&watched.stdout);
+    let line = lines.lines().find(|line| line.contains("confirmed: ")).unwrap();
     assert!(line.contains("SPARE01 joined, conflicts with BOILER03 (since "), "{line}");
     assert!(line.contains("). Two devices "), "{line}");
 }
@@ -718,7 +719,7 @@ fn input_without_frames_ends_with_its_cause() {
     let folder = tempfile::tempdir().unwrap();
     let scan = |input: &str| {
         let output = descan(&["scan", input], folder.path());
-        (output.status.code(), text(&output.stderr).to_owned())
+        (output.status.code(), text(&output.stderr))
     };
     let (code, said) = scan("file:/dev/zero");
     assert_eq!(code, Some(3), "{said}");
@@ -734,7 +735,7 @@ fn input_without_frames_ends_with_its_cause() {
         .spawn()
         .unwrap();
     let mut stdin = child.stdin.take().unwrap();
-    let block = [0; 1 << 20];
+    let block = vec![0; 1 << 20];
     // The reader ends before the writer.
     let written = (0..100).take_while(|_| stdin.write_all(&block).is_ok()).count();
     assert!(written < 40, "{written} MB were read");

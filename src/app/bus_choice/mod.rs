@@ -62,6 +62,8 @@ pub struct BusChoice {
     open: Option<OpenBuses>,
     /// Chosen buses take the place of those that are open.
     in_place: bool,
+    /// The theme that was chosen.
+    theme: Option<String>,
     /// Interfaces that are opened once they are all up.
     awaited: Vec<String>,
     question: Option<ChoiceQuestion>,
@@ -84,6 +86,7 @@ impl BusChoice {
             records: false,
             open: None,
             in_place: false,
+            theme: None,
             awaited: Vec::new(),
             question: None,
             message: None,
@@ -257,6 +260,7 @@ impl BusChoice {
             KeyCode::Char('n') => self.no_requests = !self.no_requests,
             KeyCode::Char('r') if self.open.is_none() => self.records = !self.records,
             KeyCode::Char('i') if self.open.is_some() => self.toggle_in_place(),
+            KeyCode::Char('t') if self.open.is_none() => return Some(ChoiceOutcome::NextTheme),
             KeyCode::Char('/') => self.is_typing = true,
             KeyCode::Char('y') => return self.copy(),
             KeyCode::Enter => return self.open_after(None),
@@ -266,6 +270,12 @@ impl BusChoice {
             _ => {}
         }
         None
+    }
+
+    /// Takes the name of the theme that is used now.
+    pub fn set_theme(&mut self, name: String) {
+        self.show(format!("theme {name}"));
+        self.theme = Some(name);
     }
 
     /// Shows a message until the next key.
@@ -413,6 +423,7 @@ impl BusChoice {
             no_requests: self.no_requests,
             records: self.records,
             replaces: false,
+            theme: self.theme.clone(),
         }
     }
 }

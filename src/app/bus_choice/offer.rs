@@ -63,6 +63,8 @@ pub struct BusSelection {
     pub records: bool,
     /// Close the buses that are open; otherwise these are added to them.
     pub replaces: bool,
+    /// Theme that was chosen with them; `None` for that of the settings.
+    pub theme: Option<String>,
 }
 
 /// What is done after a key.
@@ -72,6 +74,8 @@ pub enum ChoiceOutcome {
     Open(BusSelection),
     /// Copy a command to the clipboard.
     Copy(String),
+    /// Use the next theme, then call [`BusChoice::set_theme`](super::BusChoice::set_theme).
+    NextTheme,
     /// Close the list; without a session, end the program.
     Close,
 }
