@@ -261,6 +261,9 @@ fn is_like_an_interface(word: &str) -> bool {
 
 /// The error for a word that is neither a command, a file nor a bus.
 fn unknown_word(word: &str) -> String {
+    if Path::new(word).is_dir() {
+        return format!("{word} is a folder; name a log in it: descan {word}/session.log");
+    }
     if word.contains(['.', '/']) {
         return format!("{word}: file not found; check the name, or name a bus: descan can0");
     }

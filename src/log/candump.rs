@@ -179,6 +179,11 @@ impl LogDecoder for LineDecoder {
         }
         let end = memchr::memchr(b'\n', bytes);
         self.check_damage(end.map_or(bytes.len(), |end| end + 1), summary);
+        if summary.damage.is_some() {
+            self.partial.clear();
+            self.skipped = 0;
+            return (bytes.len(), DecodeStep::End);
+        }
         let Some(end) = end else {
             self.keep_cut(bytes, summary);
             let is_over = summary.foreign.is_some();

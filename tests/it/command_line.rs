@@ -644,9 +644,11 @@ fn bus_off_controller_is_reported() {
 #[test]
 fn invalid_arguments_are_one_line_with_the_fix() {
     let folder = tempfile::tempdir().unwrap();
+    std::fs::create_dir(folder.path().join("folder")).unwrap();
     for (arguments, hint) in [
         (&["scan", "--jsn"][..], "--json"),
         (&["session.logg"], "session.logg: file not found; check the name"),
+        (&["folder"], "folder is a folder; name a log in it: descan folder/session.log"),
         (&["help", "scenario"], "did you mean scenarios?"),
         (&["scna", "can0"], "did you mean the command descan scan?"),
         (&["boiler"], "boiler is not a command or a bus"),
@@ -714,6 +716,20 @@ fn scan_table_has_the_headlines_and_times_of_the_screen() {
 }
 
 #[test]
+fn empty_log_names_the_way_out() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("empty.log"), "").unwrap();
+    for (input, way_out) in
+        [("empty.log", "check that it is the right log"), ("-", "candump -L can0 | descan scan -")]
+    {
+        let output = descan(&["scan", input], folder.path());
+        let said = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(0), "{said}");
+        assert!(said.contains("0 frames; ") && said.contains(way_out), "{said}");
+    }
+}
+
+#[test]
 fn input_without_frames_ends_with_its_cause() {
     use std::io::Write;
     let folder = tempfile::tempdir().unwrap();
@@ -751,8 +767,12 @@ fn unusable_input_is_named_and_exits_3() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("odd.toml"), "bitrate = 125000\nnoise = 1\n").unwrap();
     std::fs::write(folder.path().join("bad.toml"), "framing = \"morse\"").unwrap();
+    std::fs::write(folder.path().join("words.log"), "hello\n").unwrap();
     for (arguments, hint) in [
         (&["scan", "file:nothing.log"][..], "nothing.log"),
+        (&["scan", "nothing.log"], "cannot be read: No such file or directory; check the name"),
+        (&["watch", "./"], "cannot be read: is a directory; name a log in it"),
+        (&["scan", "words.log"], "use a candump -L log or pcapng"),
         (&["scan", "sim:nothing"], "boiler"),
         (&["scan", "sim:boiler", "--profile", "nothing.toml"], "file not found"),
         (&["scan", "sim:boiler", "--profile", "bad.toml"], "morse"),
