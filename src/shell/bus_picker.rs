@@ -48,7 +48,7 @@ async fn choose_on_terminal(
     let mut input = EventStream::new();
     loop {
         let theme = &themes.current;
-        terminal.draw_frame(|frame| crate::ui::draw_choice(&choice, theme, signs, frame))?;
+        terminal.draw_frame(|frame| crate::ui::draw_choice(&choice, None, theme, signs, frame))?;
         let event = tokio::select! {
             biased;
             signal = signals.next() => match signal {

@@ -2,7 +2,7 @@
 
 use super::ascii;
 use super::brush::fit;
-use crate::app::{BIT_RATES, BusChoice, BusOffer, Signs};
+use crate::app::{Alarm, BIT_RATES, BusChoice, BusOffer, Signs};
 use crate::text::Escaped;
 use crate::theme::{Role, Theme};
 use ratatui::Frame;
@@ -15,8 +15,14 @@ const NAME: usize = 20;
 /// Height from which the other kinds of buses have a line.
 const HIGH: u16 = 12;
 
-/// Draws the list.
-pub fn draw_choice(choice: &BusChoice, theme: &Theme, signs: Signs, frame: &mut Frame) {
+/// Draws the list, below the alarm of the session if there is one.
+pub fn draw_choice(
+    choice: &BusChoice,
+    alarm: Option<&Alarm>,
+    theme: &Theme,
+    signs: Signs,
+    frame: &mut Frame,
+) {
     let area = frame.area();
     let buffer = frame.buffer_mut();
     buffer.set_style(area, theme.style(Role::Background));
@@ -28,20 +34,27 @@ pub fn draw_choice(choice: &BusChoice, theme: &Theme, signs: Signs, frame: &mut 
     let rule = format!("─{title}{} {reason} ─", "─".repeat(rest));
     buffer.set_stringn(0, area.y, fit(&rule, width), width, theme.style(Role::BorderFocus));
 
+    let mut top = area.y + 1;
+    if let Some(alarm) = alarm.filter(|_| area.height >= HIGH) {
+        let text = fit(&format!(" ⚠ {}", alarm.text), width);
+        let role = if alarm.is_seen { Role::Confirmed } else { Role::Alarm };
+        buffer.set_stringn(0, top, text, width, theme.style(role));
+        top += 1;
+    }
     let (lines, selected) = lines_of(choice, theme, width);
     let below = bottom_lines(choice, theme, area.height >= HIGH);
-    let room = usize::from(area.height).saturating_sub(1 + below.len());
+    let room = usize::from(area.bottom().saturating_sub(top)).saturating_sub(below.len());
     let first = (selected.unwrap_or(0) + 1).saturating_sub(room);
     for (row, line) in lines.iter().skip(first).take(room).enumerate() {
-        let y = area.y + 1 + row as u16;
+        let y = top + row as u16;
         buffer.set_line(0, y, line, area.width);
         if Some(row + first) == selected {
             let line = Rect { y, height: 1, ..area };
             buffer.set_style(line, theme.style(Role::Selected));
         }
     }
-    let top = area.bottom().saturating_sub(below.len() as u16).max(area.y + 1);
-    for (y, line) in (top..area.bottom()).zip(&below) {
+    let first = area.bottom().saturating_sub(below.len() as u16).max(top);
+    for (y, line) in (first..area.bottom()).zip(&below) {
         buffer.set_line(0, y, line, area.width);
     }
     if signs == Signs::Ascii {

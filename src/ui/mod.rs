@@ -65,7 +65,7 @@ pub use symbols::SYMBOLS;
 /// of wrapped text is known only after drawing.
 pub fn draw(app: &App, theme: &Theme, frame: &mut Frame) -> Option<u16> {
     if let Some(choice) = app.bus_choice() {
-        draw_choice(choice, theme, app.signs(), frame);
+        draw_choice(choice, app.alarm(), theme, app.signs(), frame);
         return None;
     }
     let area = frame.area();

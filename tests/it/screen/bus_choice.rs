@@ -1,10 +1,11 @@
 //! The list of buses over a running session.
 
 use super::snapshot;
-use crate::common::harness::Stage;
+use crate::common::harness::{BOILER, Stage};
 use descan::app::{BusOffer, BusSelection, Effect, OfferKind};
 use descan::discovery::Config;
 use descan::frame::BusIndex;
+use descan::sim::Scenario;
 use descan::status::{BusStatus, Link};
 
 fn offer(kind: OfferKind, argument: &str, facts: &str) -> BusOffer {
@@ -76,15 +77,37 @@ fn list_over_a_session_sends_nothing_and_receives() {
 }
 
 #[test]
-fn moments_before_and_during_the_list_stay_right() {
+fn list_over_a_session_keeps_the_alarm() {
     let mut stage = Stage::boiler();
-    stage.until(6.0).keys("B").until(12.0).keys("Esc").until(20.0);
-    let present = stage.screen();
-    stage.keys("Space");
-    let devices = |screen: &str| -> Vec<String> {
-        screen.lines().skip(3).take(9).map(str::to_owned).collect()
+    stage.until(40.0).keys("B");
+    assert!(stage.screen().contains("⚠ Address 14: SPARE01 joined"), "{}", stage.screen());
+}
+
+/// The page without the first line, whose ages differ, and without events and time bar.
+fn page(stage: &Stage) -> Vec<String> {
+    stage.screen().lines().skip(1).take(18).map(str::to_owned).collect()
+}
+
+#[test]
+fn moments_during_the_list_are_those_of_a_run_until_then() {
+    let run = |until: f64| {
+        let scenario = Scenario::builtin("boiler").unwrap();
+        let config = Config { seed: 7, ..Config::default() };
+        let file = Some(BOILER.as_bytes().to_vec());
+        let mut stage = Stage::with_room(&scenario, file, config, 16 << 20);
+        stage.until(until.min(6.0)).keys("B").until(until.min(12.0)).keys("Esc").until(until);
+        stage
     };
-    assert_eq!(devices(&stage.screen()), devices(&present));
+    let mut past = run(20.0);
+    for moment in ["12:00:08.500", "12:00:11", "12:00:14"] {
+        past.keys(":").text(moment).keys("Enter");
+        let at = past.app.past_moment().expect(moment);
+        let mut then = run(at.time.as_secs_f64() + 1.5e-6);
+        assert_eq!(then.app.capture().end(), at.frames, "{moment}");
+        then.keys("Space");
+        assert_eq!(page(&past), page(&then), "{moment}");
+        past.keys("Space");
+    }
 }
 
 #[test]
