@@ -40,17 +40,23 @@ pub fn ui(arguments: &Arguments, speed: Option<f64>, screen: &ScreenArgs) -> Res
     }
     let chooser = || Chooser::new(&arguments.common, screen);
     if arguments.buses.is_empty() && std::io::stdin().is_terminal() {
+        if speed.is_some() {
+            let why = "--speed needs a log: descan file:LOG --speed 10";
+            return Err(Failure::Usage(why.to_owned()));
+        }
         let interfaces = bus::interfaces();
         let mut up = interfaces.iter().filter(|interface| interface.up);
         let (Some(only), None) = (up.next(), up.next()) else {
+            // The only one is waited for, as if it were named.
+            if let [down] = &interfaces[..]
+                && let Some(choice) = unusable(&[BusSpec::SocketCan(down.name.clone())])
+            {
+                return chooser()?.choose(choice);
+            }
             let reason = match interfaces.len() {
                 0 => "no CAN interface found",
                 _ => "not exactly one CAN interface is up",
             };
-            if speed.is_some() {
-                let why = "--speed needs a log: descan file:LOG --speed 10";
-                return Err(Failure::Usage(why.to_owned()));
-            }
             return chooser()?.choose(BusChoice::new(reason, Vec::new()));
         };
         let only = BusSpec::SocketCan(only.name.clone());
@@ -255,12 +261,13 @@ fn show(
     setup: &Setup,
     chooser: &Chooser,
 ) -> Result<Ending, Failure> {
+    let clock = open::clock(buses, speed.unwrap_or(1.0))?;
+    // Those that are logs.
     for bus in buses {
         if let BusSpec::File(path) = bus {
             bus_offers::remember_log(path);
         }
     }
-    let clock = open::clock(buses, speed.unwrap_or(1.0))?;
     let usual = usual_theme();
     let screen = chooser.screen;
     let theme = setup.chosen_theme.as_deref().or(screen.theme.as_deref());

@@ -37,8 +37,8 @@ pub fn draw_choice(
     let mut top = area.y + 1;
     if let Some(alarm) = alarm.filter(|_| area.height >= HIGH) {
         let text = fit(&format!(" ⚠ {}", alarm.text), width);
-        let role = if alarm.is_seen { Role::Confirmed } else { Role::Alarm };
-        buffer.set_stringn(0, top, text, width, theme.style(role));
+        let look = if alarm.is_seen { Role::Confirmed } else { Role::Alarm };
+        buffer.set_stringn(0, top, text, width, theme.style(look));
         top += 1;
     }
     let (lines, selected) = lines_of(choice, theme, width);
