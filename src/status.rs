@@ -112,6 +112,10 @@ pub struct BusStatus {
     pub fd: bool,
     /// Whether the *controller* is listen-only and sends no ACK.
     pub listen_only: bool,
+    /// Whether the adapter is listen-only until it has received a valid frame; then it sends.
+    pub listens_first: bool,
+    /// Whether nothing is sent at present, as while the user chooses buses.
+    pub is_sending_paused: bool,
     /// The present name of an interface that was renamed after it was opened.
     pub renamed: Option<String>,
     /// How often the bus returned after it was down or unplugged for any time.

@@ -199,6 +199,25 @@ impl Theme {
         self.styles[role as usize]
     }
 
+    /// Returns the theme with a tint of the selected row beside the terminal's own background: where the
+    /// theme paints neither, but underlines the row, and the terminal has a colour between.
+    #[must_use]
+    pub fn tinted(mut self, background: [u8; 3], colours: Colours) -> Self {
+        let selected = self.style(Role::Selected);
+        let is_underlined = selected == Style::new().add_modifier(Modifier::UNDERLINED);
+        let paints = self.style(Role::Background).bg.is_some();
+        if paints || !is_underlined || colours == Colours::Sixteen {
+            return self;
+        }
+        let [red, green, blue] = background;
+        let own = nearest(Color::Rgb(red, green, blue), colours);
+        let tints = TINTS.map(|share| nearest(tint(background, share), colours));
+        if let Some(tint) = tints.into_iter().find(|tint| *tint != own) {
+            self.styles[Role::Selected as usize] = Style::new().bg(tint);
+        }
+        self
+    }
+
     /// Returns the theme with each colour replaced by the nearest one that the terminal has.
     #[must_use]
     pub fn limited(mut self, colours: Colours) -> Self {
@@ -329,6 +348,20 @@ impl Theme {
     }
 }
 
+/// Shares of the way from the background to white, or to black, of a tint: the first one that the
+/// terminal can show. The first is that of the theme `dark`.
+const TINTS: [f32; 3] = [0.11, 0.17, 0.25];
+
+/// Returns a colour beside a background, towards white on a dark one and towards black on a light one.
+fn tint(background: [u8; 3], share: f32) -> Color {
+    let [red, green, blue] = background.map(f32::from);
+    // Luminance by ITU-R BT.601.
+    let is_dark = 0.299 * red + 0.587 * green + 0.114 * blue < 128.0;
+    let end = if is_dark { 255.0 } else { 0.0 };
+    let [red, green, blue] = [red, green, blue].map(|part| part + (end - part) * share);
+    Color::Rgb(red as u8, green as u8, blue as u8)
+}
+
 /// Name, colour and usual value of the 16 colours.
 const SIXTEEN: [(&str, Color, [u8; 3]); 16] = [
     ("black", Color::Black, [0, 0, 0]),
@@ -457,5 +490,30 @@ mod tests {
         assert_eq!(message("inherits = \"nice\""), "line 1: theme \"nice\" not found");
         assert!(message("inherits = \"ours\"").contains("inherits from itself"));
         assert!(message("text = ").starts_with("line 1: "));
+    }
+
+    #[test]
+    fn selected_row_is_tinted_beside_the_background_of_the_terminal() {
+        let selected = |name: &str, background, colours| {
+            let theme = Theme::built_in(name).unwrap().limited(colours);
+            theme.tinted(background, colours).style(Role::Selected)
+        };
+        let underlined = Style::new().add_modifier(Modifier::UNDERLINED);
+        let (dark, light) = ([0x1c, 0x1f, 0x24], [0xfd, 0xf6, 0xe3]);
+        let tint = |red, green, blue| Style::new().bg(Color::Rgb(red, green, blue));
+        assert_eq!(selected("terminal", dark, Colours::Full), tint(0x34, 0x37, 0x3c));
+        assert_eq!(selected("terminal", light, Colours::Full), tint(0xe1, 0xda, 0xca));
+        assert_eq!(selected("terminal", dark, Colours::Sixteen), underlined);
+        for grey in 0..=255 {
+            let background = [grey; 3];
+            let found = selected("terminal", background, Colours::Indexed).bg;
+            let own = nearest(Color::Rgb(grey, grey, grey), Colours::Indexed);
+            assert!(found.is_some_and(|it| it != own), "{grey}: {found:?}");
+        }
+        // Themes that paint, or mark the row otherwise.
+        for name in ["dark", "light", "high-contrast", "mono"] {
+            let own = Theme::built_in(name).unwrap().limited(Colours::Full).style(Role::Selected);
+            assert_eq!(selected(name, dark, Colours::Full), own, "{name}");
+        }
     }
 }

@@ -91,6 +91,7 @@ impl App {
             Action::ClearLost => self.remove_lost_devices(),
             Action::Identify => self.ask_identify(),
             Action::BitRate => self.ask_bitrate(),
+            Action::Buses => self.list_buses(),
             Action::SaveCapture => self.ask_capture_path(),
             Action::Pause => self.control_playback(PlaybackCommand::Pause),
             Action::PreviousEvent => self.go_to_event(-1, |_| true),

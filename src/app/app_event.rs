@@ -66,6 +66,8 @@ pub struct EventLine {
     pub source: String,
     /// What happened.
     pub text: String,
+    /// Of a finding: what was observed, as a sentence; empty if `text` has it.
+    pub explanation: String,
 }
 
 /// State of a bus at one moment.
@@ -204,7 +206,9 @@ impl App {
             let width = self.buses().iter().map(|bus| bus.name.width()).max().unwrap_or(0);
             format!("{bus}{}", " ".repeat(width.saturating_sub(bus.width())))
         });
-        AppEvent::Line(EventLine { time: line.time, bus_column, source, text: line.text.clone() })
+        let plain = || (line.text.clone(), String::new());
+        let (text, explanation) = self.explained(line).unwrap_or_else(plain);
+        AppEvent::Line(EventLine { time: line.time, bus_column, source, text, explanation })
     }
 
     fn event_context(&self, bus: Option<BusIndex>, time: Instant) -> EventContext {

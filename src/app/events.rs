@@ -209,10 +209,11 @@ impl App {
     }
 
     /// Handles a new status of a bus.
-    pub(super) fn bus_changed(&mut self, index: BusIndex, status: BusStatus) {
+    pub(super) fn bus_changed(&mut self, index: BusIndex, mut status: BusStatus) {
         let now = self.clock.now();
         let changes_before = self.buses.get(index).map(|bus| bus.status.log_changes);
         let is_another_log = changes_before.is_some_and(|before| before < status.log_changes);
+        status.is_sending_paused = self.bus_choice.is_some();
         let Some(changes) = self.buses.update_status(now, index, status) else { return };
         if is_another_log {
             let entry = TimelineEntry::new(now, TimelineKind::Bus, "another log begins").on(index);

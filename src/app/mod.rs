@@ -61,6 +61,7 @@ mod load_bars;
 mod marks;
 mod navigate;
 mod notices;
+mod open_buses;
 mod page_filters;
 mod past;
 mod pinned_moments;
@@ -86,7 +87,9 @@ mod view;
 pub use alarm::Alarm;
 pub use app_event::{AppEvent, BusSnapshot, DeviceEvent, EventContext, EventLine, FileSnapshot};
 pub use beat_strip::{Beat, BeatKind, BeatStats};
-pub use bus_choice::{BusChoice, BusOffer, ChoiceOutcome, OfferKind};
+pub use bus_choice::{
+    BIT_RATES, BusChoice, BusOffer, BusSelection, ChoiceOutcome, OfferKind, OpenBuses,
+};
 pub use buses::{
     AddressHolder, AddressNames, Bus, Buses, ErrorKinds, LoadHistory, LoadMeter, LoadSample,
     LoadSecond, LoadShares, Redundancy, RedundantDevice, ShareCounts, TxBlocked,
@@ -271,6 +274,11 @@ pub enum Effect {
     FindBitrate(BusIndex),
     /// Control the playback of logs; then call [`App::handle_playback`].
     Playback(PlaybackCommand),
+    /// Call [`App::handle_offers`] with the buses that can be opened, as long as
+    /// [`App::bus_choice`] is shown.
+    ListBuses,
+    /// Open these buses: in place of all, or beside them; then call [`App::handle_opened`].
+    OpenBuses(BusSelection),
     /// Ring the terminal bell.
     Bell,
     /// Redraw the whole screen.
@@ -373,6 +381,8 @@ pub struct App {
     alarms: Alarms,
     lane_records: LaneRecords,
     help: HelpView,
+    /// The list of buses that is shown over the page.
+    bus_choice: Option<Box<BusChoice>>,
     /// The comparison of two moments that is open.
     comparison: Option<Box<MomentComparison>>,
     /// The proof that is being written.
@@ -429,6 +439,7 @@ impl App {
             alarms: Alarms::default(),
             lane_records: LaneRecords::default(),
             help: HelpView::default(),
+            bus_choice: None,
             comparison: None,
             proof: None,
             content,
@@ -553,6 +564,9 @@ impl App {
         if self.input.prompt().is_some() {
             self.handle_prompt_key(key);
         } else if self.type_in_help(key) || self.select_mark_of(key) || self.use_filter_of(key) {
+        } else if let Some(action) = self.input.lookup_global(key) {
+            self.run(action);
+        } else if self.type_in_bus_choice(key) {
         } else if let Some(action) = self.input.lookup(key) {
             self.run(action);
             self.input.note_executed(now, action);

@@ -50,6 +50,9 @@ use kind::OpenRequest;
 pub struct Options {
     /// Send no frames. (Whether the controller sends ACKs is its own setting.)
     pub listen_only: bool,
+    /// Listen until a valid frame is received before sending, where the bus needs a bit rate that was
+    /// not named by the user: a wrong one destroys the frames of others.
+    pub listens_first: bool,
     /// Receive only frames with these identifiers, and error frames, if the bus can filter at no
     /// cost: then [`BusStatus::filtered`](crate::status::BusStatus::filtered) is set. Empty: all.
     pub only: Vec<IdFilter>,

@@ -229,7 +229,7 @@ async fn open_log(
     let first = tokio::select! {
         biased;
         reason = stop.next() => Err(reason),
-        batch = first_batch(spec, &mut log) => Ok(batch.map_err(unusable)?),
+        batch = first_batch(spec, &mut log, is_file) => Ok(batch.map_err(unusable)?),
     };
     let (epoch, start) =
         (first.as_ref().map_or_else(|_| Epoch::default(), LogBatch::epoch), log.start());
@@ -243,10 +243,11 @@ async fn open_log(
 }
 
 /// Waits for the first frames, or the end. Prints on standard error when it is doubtful that the
-/// input is a log, which may not end.
-async fn first_batch(spec: &BusSpec, log: &mut LogInput) -> io::Result<LogBatch> {
+/// input is a log; not of a file, which ends soon.
+async fn first_batch(spec: &BusSpec, log: &mut LogInput, is_file: bool) -> io::Result<LogBatch> {
     loop {
         match log.first().await? {
+            LogBatch::Doubtful(_) if is_file => {}
             LogBatch::Doubtful(entries) => {
                 output::warn(format_args!("{spec}: {entries}; {READABLE_LOGS}"));
             }
@@ -347,6 +348,11 @@ pub fn warn_tx_blocked(bus: &BusSnapshot) {
         let fault = bus.status.fault.as_ref().map(Diagnostic::to_string);
         let why = fault.as_deref().unwrap_or(bus.status.state.name());
         warn(why.strip_prefix(&bus.name).map_or(why, str::trim_start));
+    } else if bus.status.listens_first {
+        warn(
+            "no valid frame received, listen-only until then; check the bit rate; for a device \
+             that is alone name it: slcan:DEVICE@RATE",
+        );
     } else if bus.status.unanswered && bus.is_up {
         warn("no response from the adapter; check adapter and baud rate");
     } else {
@@ -407,7 +413,13 @@ fn report_unreadable(spec: &BusSpec, session: &Session) -> Result<(), Failure> {
     if summary.frames == 0 && is_damaged {
         return Err(Failure::Unusable(format!("{spec}: {summary}; {READABLE_LOGS}")));
     }
-    if is_damaged || summary.frames == 0 {
+    if summary.frames == 0 {
+        let way_out = match spec {
+            BusSpec::Stdin => "pipe a log into it: candump -L can0 | descan scan -",
+            _ => "check that it is the right log",
+        };
+        output::warn(format_args!("{spec}: {summary}; {way_out}"));
+    } else if is_damaged {
         output::warn(format_args!("{spec}: {summary}"));
     }
     Ok(())

@@ -1,7 +1,7 @@
 //! From arguments to an open session: profile, settings, buses, des.json.
 
 use super::{Failure, output};
-use crate::app::{App, AppOptions, Filter, FrameSelector, RowKind, Signs};
+use crate::app::{App, AppOptions, BusSelection, Filter, FrameSelector, RowKind, Signs};
 use crate::bus::{self, BusSpec, CanInterface, Clock, Options, Port};
 use crate::cli::{self, CommonArgs, SessionArgs as Arguments};
 use crate::diagnostic::Diagnostic;
@@ -19,7 +19,7 @@ use crate::status::RecordingStatus;
 use crate::text::{SafeLines, on_one_line, printable};
 use crate::time::Epoch;
 use crate::wire::profile::Profile;
-use std::io::{self, BufReader};
+use std::io::{self, BufReader, IsTerminal};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
@@ -28,6 +28,7 @@ use std::time::Duration;
 const DEFAULT_FILE: &str = "des.json";
 
 /// The user's settings and the arguments, combined.
+#[derive(Clone)]
 pub struct Setup {
     /// The user's settings folder.
     pub folder: Option<ConfigFolder>,
@@ -43,8 +44,14 @@ pub struct Setup {
     pub record_filter: Option<(String, Filter)>,
     /// Patterns of the frames to receive; empty for all.
     pub only: Vec<IdFilter>,
+    /// The buses were chosen from a list: adapters listen first.
+    pub listens_first: bool,
+    /// Name of the theme chosen with the buses; before that of the command line.
+    pub chosen_theme: Option<String>,
     /// Name of the theme in the settings; `None` for the default.
     pub theme: Option<String>,
+    /// Bytes per second to the terminal in the settings; `None` for the built-in number.
+    pub screen_budget: Option<f64>,
     /// Signs in the settings; `None` for those of the terminal.
     pub signs: Option<Signs>,
     /// Errors in the user's settings. Already printed, but a screen hides that.
@@ -94,10 +101,27 @@ impl Setup {
             record,
             record_filter,
             only,
+            listens_first: false,
+            chosen_theme: None,
             theme,
+            screen_budget: settings.screen_budget,
             signs,
             warnings,
         })
+    }
+
+    /// Returns the setup for buses that were chosen from the list; what is recorded goes to a new file.
+    pub fn for_selection(&self, wanted: &BusSelection) -> Self {
+        let chosen_theme = wanted.theme.clone().or(self.chosen_theme.clone());
+        let mut setup = Self { listens_first: true, chosen_theme, ..self.clone() };
+        setup.config = selected_config(&setup.config, wanted);
+        if wanted.records && setup.record.is_none() {
+            setup.record = Some(Target { path: PathBuf::from("session.log"), max_bytes: None });
+        }
+        if let Some(target) = &mut setup.record {
+            target.path = free_path(&target.path);
+        }
+        setup
     }
 
     /// Starts the recording, if requested. Call when all else is open.
@@ -116,6 +140,28 @@ impl Setup {
     pub fn record_selector(&self) -> Option<FrameSelector> {
         self.record_filter.as_ref().map(|(_, filter)| FrameSelector::new(filter.clone()))
     }
+}
+
+fn selected_config(config: &Config, wanted: &BusSelection) -> Config {
+    Config {
+        listen_only: config.listen_only || wanted.listen_only,
+        send_requests: config.send_requests && !wanted.no_requests,
+        ..config.clone()
+    }
+}
+
+/// Returns this path, or the first one with a number behind its name that does not exist:
+/// `session-2.log`.
+fn free_path(path: &Path) -> PathBuf {
+    let named = |number: u32| {
+        let mut name = path.file_stem().unwrap_or_default().to_owned();
+        name.push(format!("-{number}."));
+        name.push(path.extension().unwrap_or_default());
+        path.with_file_name(name)
+    };
+    let mut paths = std::iter::once(path.to_owned()).chain((2..=u32::MAX).map(named));
+    // A file that cannot be seen is reported when it is created.
+    paths.find(|path| !path.exists()).unwrap_or_else(|| path.to_owned())
 }
 
 /// Parses an option that is a filter; empty without it.
@@ -155,6 +201,10 @@ pub fn buses(arguments: &Arguments) -> Result<Vec<BusSpec>, Failure> {
     let stdins = buses.iter().filter(|bus| **bus == BusSpec::Stdin).count();
     if stdins > 1 {
         return Err(Failure::Usage("standard input (-) can be read only once".to_owned()));
+    }
+    if stdins > 0 && io::stdin().is_terminal() {
+        let why = "standard input is a terminal; pipe a log: candump -L can0 | descan -";
+        return Err(Failure::Usage(why.to_owned()));
     }
     for (at, bus) in buses.iter().enumerate() {
         if let Some(other) = buses[..at].iter().find(|other| is_same(bus, other)) {
@@ -211,6 +261,9 @@ fn is_like_an_interface(word: &str) -> bool {
 
 /// The error for a word that is neither a command, a file nor a bus.
 fn unknown_word(word: &str) -> String {
+    if Path::new(word).is_dir() {
+        return format!("{word} is a folder; name a log in it: descan {word}/session.log");
+    }
     if word.contains(['.', '/']) {
         return format!("{word}: file not found; check the name, or name a bus: descan can0");
     }
@@ -329,7 +382,9 @@ pub fn session(
     for (index, spec) in buses.iter().enumerate() {
         let listen_only = setup.config.listen_only || is_log(spec);
         let index = BusIndex(index as u8);
-        let options = Options { listen_only, only: setup.only.clone() };
+        let only = setup.only.clone();
+        let listens_first = setup.listens_first || has_unknown_rate(spec);
+        let options = Options { listen_only, listens_first, only };
         let port = bus::open(spec, index, clock.clone(), options)?;
         named.push((port.name().to_owned(), Config { listen_only, ..setup.config.clone() }));
         ports.push(port);
@@ -346,6 +401,33 @@ pub fn session(
         session.record(recorder, setup.record_selector());
     }
     Ok(session)
+}
+
+/// Returns true for an adapter that keeps its own bit rate.
+fn has_unknown_rate(spec: &BusSpec) -> bool {
+    matches!(spec, BusSpec::Slcan(adapter) if adapter.bitrate.is_none())
+}
+
+/// Opens further buses in a session; returns their names.
+///
+/// # Errors
+/// The cause, as a message; buses before the one that cannot be opened stay open.
+pub fn add_buses(
+    session: &mut Session,
+    setup: &Setup,
+    wanted: &BusSelection,
+) -> Result<Vec<String>, String> {
+    let config = selected_config(&setup.config, wanted);
+    for argument in &wanted.buses {
+        let spec: BusSpec = argument.parse().map_err(|fault: Diagnostic| fault.to_string())?;
+        let next = session.next_bus().zip(session.clock().cloned());
+        let (index, clock) = next.ok_or("a log is open: no bus can be added beside it")?;
+        let (listen_only, only) = (config.listen_only, setup.only.clone());
+        let options = Options { listen_only, listens_first: true, only };
+        let port = bus::open(&spec, index, clock, options).map_err(|fault| fault.to_string())?;
+        session.add_bus(port, config.clone());
+    }
+    Ok(wanted.buses.clone())
 }
 
 /// Prints on standard error what was recorded.

@@ -4,12 +4,14 @@
 
 use super::{Failure, output};
 use crate::app::{
-    App, Bus, BusSnapshot, Decoded, FileSnapshot, Redundancy, RedundantDevice, Scope,
+    App, Bus, BusSnapshot, Decoded, FileSnapshot, Problem, Redundancy, RedundantDevice, Scope,
     format_time_of_day,
 };
 use crate::bitrate::kbit;
 use crate::discovery::{Device, DeviceService, OwnAddress};
-use crate::finding::{Evidence, ExitCodeScope, Finding, FindingKind, FindingState, SeenUid};
+use crate::finding::{
+    Evidence, ExitCodeScope, Finding, FindingKey, FindingKind, FindingState, SeenUid,
+};
 use crate::frame::{BusIndex, Frame};
 use crate::regular_file::shown;
 use crate::status::Link;
@@ -28,6 +30,8 @@ pub struct ScanReport {
     devices: Vec<DeviceReport>,
     findings: Vec<FindingReport>,
     file: FileReport,
+    #[serde(skip)]
+    problems: Vec<ProblemReport>,
 }
 
 #[derive(Debug, Serialize)]
@@ -166,9 +170,19 @@ pub(super) struct FindingReport {
     remedy: String,
     #[serde(skip)]
     counts: bool,
-    /// Times of its first evidence and of its end, for tables.
     #[serde(skip)]
+    key: FindingKey,
+}
+
+/// A problem of the screen, for tables.
+#[derive(Debug)]
+struct ProblemReport {
+    confidence: &'static str,
+    headline: String,
+    /// Times of its begin and of its end, as on the screen.
     times: String,
+    keys: Vec<FindingKey>,
+    remedy: String,
 }
 
 #[derive(Debug, Serialize)]
@@ -233,6 +247,7 @@ impl ScanReport {
             devices,
             findings,
             file: of_file(&app.file_snapshot()),
+            problems: of_problems(app),
         }
     }
 
@@ -277,23 +292,37 @@ impl ScanReport {
         text.push('\n');
         text.push_str(&self.device_table());
         text.push_str(&self.on_several_buses());
-        for finding in self.findings.iter().filter(|finding| finding.superseded_by.is_none()) {
-            let bus = finding.bus.as_ref().filter(|_| self.buses.len() > 1);
-            let bus = bus.map(|bus| format!(" on {bus}")).unwrap_or_default();
-            let (confidence, kind) = (finding.confidence, finding.kind);
-            let _ = writeln!(text, "\n{confidence} {kind}{bus}, {}", finding.times);
-            let _ = writeln!(text, "  {}", finding.text);
-            let over = FindingState::Cleared.name() == finding.confidence;
-            if over {
-                text.push_str("  No longer present.\n");
-            } else if !finding.remedy.is_empty() {
-                let _ = writeln!(text, "  {}", finding.remedy);
-            }
+        for problem in &self.problems {
+            self.write_problem(problem, &mut text);
         }
         if let Some(problem) = &self.file.problem {
             let _ = writeln!(text, "\n{problem}");
         }
         text
+    }
+
+    /// Writes a problem: the headline of the screen, then its findings.
+    fn write_problem(&self, problem: &ProblemReport, text: &mut String) {
+        let findings = self.findings.iter().filter(|it| problem.keys.contains(&it.key));
+        let findings: Vec<_> = findings.filter(|it| it.superseded_by.is_none()).collect();
+        if findings.is_empty() {
+            return;
+        }
+        let _ = writeln!(text, "\n{} {}", problem.confidence, problem.headline);
+        for finding in &findings {
+            let bus = finding.bus.as_ref().filter(|_| self.buses.len() > 1);
+            let bus = bus.map(|bus| format!(" on {bus}")).unwrap_or_default();
+            let (confidence, kind) = (finding.confidence, finding.kind);
+            let _ = writeln!(text, "  {confidence} {kind}{bus}, {}", problem.times);
+            if finding.text.strip_suffix('.').unwrap_or(&finding.text) != problem.headline {
+                let _ = writeln!(text, "  {}", finding.text);
+            }
+        }
+        if FindingState::Cleared.name() == problem.confidence {
+            text.push_str("  No longer present.\n");
+        } else if !problem.remedy.is_empty() {
+            let _ = writeln!(text, "  {}", problem.remedy);
+        }
     }
 
     /// Returns a line for each device that is on two buses.
@@ -485,7 +514,6 @@ pub(super) fn of_finding(
     scope: Scope,
 ) -> FindingReport {
     let epoch = app.epoch();
-    let time = |at: Instant| format_time_of_day(app, at);
     let cleared_at = finding.cleared_at();
     FindingReport {
         kind: finding.key.kind.name(),
@@ -508,11 +536,27 @@ pub(super) fn of_finding(
                 ExitCodeScope::Check(_) => scope == Scope::Check,
                 ExitCodeScope::Nothing => false,
             },
-        times: match cleared_at {
-            Some(cleared) => format!("{} to {}", time(finding.first), time(cleared)),
-            None => format!("since {}", time(finding.first)),
-        },
+        key: finding.key.clone(),
     }
+}
+
+/// The problems of the screen, by the time of their begin.
+fn of_problems(app: &App) -> Vec<ProblemReport> {
+    let time = |at: Instant| format_time_of_day(app, at);
+    let list = app.problems();
+    let mut problems: Vec<Problem> = list.iter().collect();
+    problems.sort_by_key(Problem::began);
+    let of_problem = |problem: &Problem| ProblemReport {
+        confidence: problem.state().name(),
+        headline: app.headline(problem).full,
+        times: match problem.ended() {
+            Some(ended) => format!("{} to {}", time(problem.began()), time(ended)),
+            None => format!("since {}", time(problem.began())),
+        },
+        keys: problem.findings.iter().map(|finding| finding.key.clone()).collect(),
+        remedy: problem.head().remedy.clone(),
+    };
+    problems.iter().map(of_problem).collect()
 }
 
 fn of_evidence(app: &App, piece: &Evidence) -> EvidenceReport {

@@ -2,21 +2,28 @@
 
 use super::open::{self, Setup};
 use super::report::counted;
-use super::{EXIT_INTERRUPTED, EXIT_OK, EXIT_UNUSABLE, Failure, headless, output};
-use crate::app::{AppOptions, BusChoice, COLOURLESS_THEME, ChoiceOutcome};
-use crate::bus::{self, BusSpec, Clock};
+use super::{EXIT_INTERRUPTED, EXIT_OK, EXIT_UNUSABLE, EXIT_USAGE, Failure, headless, output};
+use crate::app::{AppOptions, BusChoice, BusOffer, BusSelection, COLOURLESS_THEME};
+use crate::bus::{self, BusSpec, Clock, Options};
 use crate::cli::{CommonArgs, ScreenArgs, SessionArgs as Arguments};
+use crate::frame::BusIndex;
 use crate::regular_file::shown;
+use crate::shell::bus_picker::PickerExit;
+use crate::shell::bus_scout::{BusScout, ScoutSettings};
 use crate::shell::config::ConfigFolder;
+use crate::shell::paint_pace::SCREEN_BUDGET;
 use crate::shell::session::Session;
-use crate::shell::tui_loop::{self, ThemeLoader, TuiExit};
-use crate::shell::{bus_picker, recovery, stop, terminal};
+use crate::shell::tui_loop::{self, LoopSettings, ThemeLoader, TuiExit};
+use crate::shell::{bus_offers, bus_picker, recovery, stop, terminal};
+use crate::status::Link;
 use anyhow::Context;
+use std::fmt::Write as _;
 use std::future::poll_fn;
 use std::io::IsTerminal;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::path::{Path, PathBuf};
 use std::pin::pin;
+use std::sync::Arc;
 use std::task::Poll;
 use std::thread;
 use std::time::Duration;
@@ -27,86 +34,197 @@ const SAVE_TIMEOUT: Duration = Duration::from_millis(600);
 
 /// `descan [BUS…]`.
 pub fn ui(arguments: &Arguments, speed: Option<f64>, screen: &ScreenArgs) -> Result<u8, Failure> {
-    let has_terminal = std::io::stdout().is_terminal() && std::io::stdin().is_terminal();
-    if arguments.buses.is_empty() && has_terminal {
+    let has_terminal = std::io::stdout().is_terminal();
+    if arguments.buses.is_empty() && !has_terminal {
+        return list_without_terminal();
+    }
+    let chooser = || Chooser::new(&arguments.common, screen);
+    if arguments.buses.is_empty() && std::io::stdin().is_terminal() {
+        if speed.is_some() {
+            let why = "--speed needs a log: descan file:LOG --speed 10";
+            return Err(Failure::Usage(why.to_owned()));
+        }
         let interfaces = bus::interfaces();
         let mut up = interfaces.iter().filter(|interface| interface.up);
         let (Some(only), None) = (up.next(), up.next()) else {
-            return choose(arguments, speed, screen);
+            // The only one is waited for, as if it were named.
+            if let [down] = &interfaces[..]
+                && let Some(choice) = unusable(&[BusSpec::SocketCan(down.name.clone())])
+            {
+                return chooser()?.choose(choice);
+            }
+            let reason = match interfaces.len() {
+                0 => "no CAN interface found",
+                _ => "not exactly one CAN interface is up",
+            };
+            return chooser()?.choose(BusChoice::new(reason, Vec::new()));
         };
-        let setup = Setup::new(&arguments.common)?;
-        return open_and_show(&[BusSpec::SocketCan(only.name.clone())], &setup, speed, screen);
-    }
-    let buses = open::buses(arguments);
-    if arguments.buses.is_empty() {
-        needs_terminal()?;
+        let only = BusSpec::SocketCan(only.name.clone());
+        return chooser()?.show_all(&[only], speed);
     }
     // A mistyped command is reported before the missing terminal.
-    let buses = buses?;
-    needs_terminal()?;
-    let setup = Setup::new(&arguments.common)?;
-    open_and_show(&buses, &setup, speed, screen)
-}
-
-/// Shows the list of buses, then those that the user chooses.
-fn choose(arguments: &Arguments, speed: Option<f64>, screen: &ScreenArgs) -> Result<u8, Failure> {
-    let mut setup = Setup::new(&arguments.common)?;
-    let reason = match bus::interfaces().len() {
-        0 => "no CAN interface found",
-        _ => "not exactly one CAN interface is up",
-    };
-    let choice = BusChoice::new(reason, bus_picker::offers());
-    let wanted = screen.theme.as_deref().or(setup.theme.as_deref()).unwrap_or(usual_theme());
-    let themes = ThemeLoader::new(setup.folder.clone(), wanted)
-        .or_else(|_| ThemeLoader::new(None, usual_theme()))
-        .map_err(Failure::Usage)?;
-    let signs = setup.signs.unwrap_or_else(terminal::signs);
-    terminal::restore_on_panic();
-    let runtime = headless::runtime()?;
-    let chosen = runtime.block_on(bus_picker::choose(choice, &themes.current, signs));
-    runtime.shutdown_background();
-    let Some(ChoiceOutcome::Open { buses, listen_only }) = chosen.context("the terminal")? else {
-        return Ok(EXIT_OK);
-    };
-    let parse = |bus: &String| bus.parse().map_err(Failure::from);
-    let buses = buses.iter().map(parse).collect::<Result<Vec<BusSpec>, Failure>>()?;
-    setup.config.listen_only |= listen_only;
-    open_and_show(&buses, &setup, speed, screen)
-}
-
-fn open_and_show(
-    buses: &[BusSpec],
-    setup: &Setup,
-    speed: Option<f64>,
-    screen: &ScreenArgs,
-) -> Result<u8, Failure> {
-    open::check_speed(speed, buses)?;
-    for bus in buses {
-        if let BusSpec::File(path) = bus {
-            bus_picker::remember_log(path);
+    let buses = open::buses(arguments)?;
+    match unusable(&buses) {
+        Some(_) if !has_terminal => list_without_terminal(),
+        Some(choice) => chooser()?.choose(choice),
+        None => {
+            needs_terminal()?;
+            chooser()?.show_all(&buses, speed)
         }
     }
-    let clock = open::clock(buses, speed.unwrap_or(1.0))?;
-    show(buses, setup, clock, screen)
+}
+
+/// Prints the list of buses, and that the screen needs a terminal.
+fn list_without_terminal() -> Result<u8, Failure> {
+    // The message and the exit code are those of a missing terminal, also where nothing can be printed.
+    let _ = output::print(&text_of(&bus_offers::offers(open::utc_offset_seconds())));
+    needs_terminal().map(|()| EXIT_USAGE)
+}
+
+/// Returns the list that waits for the interfaces of the command line, if none of them can be used.
+fn unusable(buses: &[BusSpec]) -> Option<BusChoice> {
+    let mut awaited = Vec::new();
+    let mut causes = Vec::new();
+    let mut remedy = None;
+    for bus in buses {
+        let BusSpec::SocketCan(name) = bus else { return None };
+        let options = Options { listen_only: true, ..Options::default() };
+        // Its status is known at once.
+        let port = bus::open(bus, BusIndex(0), Clock::start(), options).ok()?;
+        let status = port.queue().status();
+        if !matches!(status.link, Link::Down | Link::Missing | Link::NoKernel) {
+            return None;
+        }
+        let fault = status.fault?;
+        // The line of an interface that is down has its command.
+        remedy = remedy.or(fault.remedy().filter(|_| status.link != Link::Down).map(str::to_owned));
+        if !causes.iter().any(|cause| cause == fault.cause()) {
+            causes.push(fault.cause().to_owned());
+        }
+        awaited.push(name.clone());
+    }
+    if awaited.is_empty() {
+        return None;
+    }
+    let way_out = remedy.unwrap_or_else(|| "it opens when it is up".to_owned());
+    let note = format!("waiting for {}: {way_out}", awaited.join(", "));
+    let reason = format!("{}: waiting for it", causes.join(", "));
+    let mut choice = BusChoice::new(reason, Vec::new()).waiting_for(awaited);
+    choice.show(note);
+    Some(choice)
+}
+
+/// The list of buses for where there is no terminal.
+fn text_of(offers: &[BusOffer]) -> String {
+    let mut text = String::new();
+    let mut section = None;
+    for offer in offers {
+        if section.replace(offer.kind) != Some(offer.kind) {
+            let _ = writeln!(text, "{}", offer.kind.title());
+        }
+        let command = offer.command.as_deref().map(|it| format!("  {it}")).unwrap_or_default();
+        let _ = writeln!(text, "  {:<32} {}{command}", offer.argument, offer.facts);
+    }
+    text
+}
+
+/// Buses on the screen, one session after another, as they are chosen.
+struct Chooser<'a> {
+    screen: &'a ScreenArgs,
+    /// The settings and arguments, whatever was chosen.
+    setup: Setup,
+    /// des.json of buses that are chosen.
+    file: PathBuf,
+    settings: LoopSettings,
+}
+
+impl<'a> Chooser<'a> {
+    fn new(common: &CommonArgs, screen: &'a ScreenArgs) -> Result<Self, Failure> {
+        let setup = Setup::new(common)?;
+        let scouting = ScoutSettings {
+            profile: Arc::clone(&setup.config.profile),
+            utc_offset_seconds: open::utc_offset_seconds(),
+        };
+        let screen_budget = setup.screen_budget.unwrap_or(SCREEN_BUDGET);
+        let settings = LoopSettings { scouting, screen_budget };
+        terminal::restore_on_panic();
+        stop::exit_if_stuck(EXIT_INTERRUPTED, terminal::restore).context("no signals")?;
+        Ok(Self { screen, file: setup.file.clone(), setup, settings })
+    }
+
+    /// Shows the list of buses, then those that the user chooses.
+    fn choose(&self, mut choice: BusChoice) -> Result<u8, Failure> {
+        choice.handle_offers(bus_offers::offers(self.settings.scouting.utc_offset_seconds));
+        let wanted = self.screen.theme.as_deref().or(self.setup.theme.as_deref());
+        let mut themes =
+            ThemeLoader::new(self.setup.folder.clone(), wanted.unwrap_or(usual_theme()))
+                .or_else(|_| ThemeLoader::new(None, usual_theme()))
+                .map_err(Failure::Usage)?;
+        let signs = self.setup.signs.unwrap_or_else(terminal::signs);
+        let runtime = headless::runtime()?;
+        let exit = runtime.block_on(async {
+            let scout = BusScout::spawn(&self.settings.scouting, Vec::new())?;
+            bus_picker::choose(choice, scout, &mut themes, signs).await
+        });
+        runtime.shutdown_background();
+        match exit.context("the terminal")? {
+            PickerExit::Open(wanted) => self.show_chosen(&wanted),
+            PickerExit::Quit => Ok(EXIT_OK),
+            PickerExit::Interrupted => Ok(EXIT_INTERRUPTED),
+        }
+    }
+
+    fn show_chosen(&self, wanted: &BusSelection) -> Result<u8, Failure> {
+        let setup = Setup { file: self.file.clone(), ..self.setup.for_selection(wanted) };
+        let parse = |bus: &String| bus.parse().map_err(Failure::from);
+        let shown = wanted.buses.iter().map(parse).collect::<Result<Vec<BusSpec>, Failure>>();
+        match shown.and_then(|buses| show(&buses, None, &setup, self)) {
+            // A log that was deleted, a scenario with a mistake.
+            Err(Failure::Unusable(why)) => self.choose(BusChoice::new(why, Vec::new())),
+            shown => self.go_on(shown?),
+        }
+    }
+
+    /// Shows the buses of the command line, then those that the user chooses.
+    fn show_all(&self, buses: &[BusSpec], speed: Option<f64>) -> Result<u8, Failure> {
+        open::check_speed(speed, buses)?;
+        self.go_on(show(buses, speed, &self.setup, self)?)
+    }
+
+    fn go_on(&self, ending: Ending) -> Result<u8, Failure> {
+        match ending {
+            Ending::Over(code) => Ok(code),
+            Ending::Reopen(wanted) => self.show_chosen(&wanted),
+        }
+    }
+}
+
+/// How a session on the screen ended.
+enum Ending {
+    /// With an exit code.
+    Over(u8),
+    /// Other buses were chosen.
+    Reopen(BusSelection),
 }
 
 /// `descan demo`: a simulated bus, and a des.json of its own in a temporary folder.
 pub fn demo(system: &str, common: &CommonArgs, screen: &ScreenArgs) -> Result<u8, Failure> {
     needs_terminal()?;
-    let mut setup = Setup::new(common)?;
+    let mut chooser = Chooser::new(common, screen)?;
     let buses = [BusSpec::Sim(system.to_owned())];
     if common.file.is_some() {
-        return show(&buses, &setup, Clock::start(), screen);
+        return chooser.show_all(&buses, None);
     }
     let folder = tempfile::Builder::new()
         .prefix("descan-demo-")
         .tempdir()
         .context("no temporary folder for the demo's des.json")?;
-    setup.file = folder.path().join("des.json");
-    std::fs::write(&setup.file, example(system)).context("the demo's des.json")?;
-    let code = show(&buses, &setup, Clock::start(), screen)?;
+    let file = folder.path().join("des.json");
+    chooser.setup.file.clone_from(&file);
+    std::fs::write(&file, example(system)).context("the demo's des.json")?;
+    let code = chooser.show_all(&buses, None)?;
     // An edited file is kept; otherwise the folder is deleted.
-    let edited = std::fs::read(&setup.file).is_ok_and(|now| now != example(system).as_bytes());
+    let edited = std::fs::read(&file).is_ok_and(|now| now != example(system).as_bytes());
     if edited {
         let kept = folder.keep().join("des.json");
         // The terminal may be gone.
@@ -133,19 +251,26 @@ fn needs_terminal() -> Result<(), Failure> {
 
 /// Name of the theme, unless one is given.
 fn usual_theme() -> &'static str {
-    let colourless = std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
-    if colourless { COLOURLESS_THEME } else { "terminal" }
+    if tui_loop::no_colour() { COLOURLESS_THEME } else { "terminal" }
 }
 
 /// Shows the buses.
 fn show(
     buses: &[BusSpec],
+    speed: Option<f64>,
     setup: &Setup,
-    clock: Clock,
-    screen: &ScreenArgs,
-) -> Result<u8, Failure> {
+    chooser: &Chooser,
+) -> Result<Ending, Failure> {
+    let clock = open::clock(buses, speed.unwrap_or(1.0))?;
+    // Those that are logs.
+    for bus in buses {
+        if let BusSpec::File(path) = bus {
+            bus_offers::remember_log(path);
+        }
+    }
     let usual = usual_theme();
-    let theme = screen.theme.as_deref();
+    let screen = chooser.screen;
+    let theme = setup.chosen_theme.as_deref().or(screen.theme.as_deref());
     let mut wanted = theme.or(setup.theme.as_deref()).unwrap_or(usual);
     let mut warnings = setup.warnings.clone();
     let mut themes = match ThemeLoader::new(setup.folder.clone(), wanted) {
@@ -168,17 +293,18 @@ fn show(
         themes: themes.names(),
         signs: setup.signs.unwrap_or_else(terminal::signs),
         theme_faults: themes.faults(),
-        utc_offset_seconds: open::utc_offset_seconds(),
+        utc_offset_seconds: chooser.settings.scouting.utc_offset_seconds,
         warnings,
         capture_room: usize::try_from(screen.capture.0).ok(),
         ..AppOptions::default()
     };
-    terminal::restore_on_panic();
-    stop::exit_if_stuck(EXIT_INTERRUPTED, terminal::restore).context("no signals")?;
     let runtime = headless::runtime()?;
     let result = runtime.block_on(async {
         let mut session = open::session(buses, setup, clock, options)?;
-        let ending = match catch_panic(tui_loop::run(&mut session, &mut themes)).await {
+        let add =
+            |session: &mut Session, wanted: &BusSelection| open::add_buses(session, setup, wanted);
+        let ui = tui_loop::run(&mut session, &mut themes, &chooser.settings, &add);
+        let ending = match catch_panic(ui).await {
             Ok(ending) => ending.context("the terminal"),
             Err(panic) => {
                 save_edits_at_risk(&session, &setup.file);
@@ -187,7 +313,7 @@ fn show(
         };
         // The user quits with unsaved edits only if they are not to be waited for.
         let gives_up = matches!(ending, Ok(TuiExit::Quit)) && session.app.file().unsaved() > 0;
-        let is_asked_to_end = !matches!(ending, Ok(TuiExit::Quit));
+        let is_asked_to_end = !matches!(ending, Ok(TuiExit::Quit | TuiExit::Reopen(_)));
         session.finish_work(!gives_up, is_asked_to_end.then_some(SAVE_TIMEOUT)).await;
         open::report_recording(session.finish_recording());
         let is_lost = save_edits_at_risk(&session, &setup.file);
@@ -196,9 +322,13 @@ fn show(
     // Not dropped, which would wait for all blocking work.
     runtime.shutdown_background();
     Ok(match result? {
-        (TuiExit::Quit, false) => EXIT_OK,
-        (TuiExit::Quit, true) => EXIT_UNUSABLE,
-        (TuiExit::Terminated | TuiExit::Hangup, _) => EXIT_INTERRUPTED,
+        (TuiExit::Quit, false) => Ending::Over(EXIT_OK),
+        (TuiExit::Quit | TuiExit::Reopen(_), true) => Ending::Over(EXIT_UNUSABLE),
+        (TuiExit::Reopen(wanted), false) => {
+            let theme = Some(themes.current.name.clone());
+            Ending::Reopen(BusSelection { theme, ..wanted })
+        }
+        (TuiExit::Terminated | TuiExit::Hangup, _) => Ending::Over(EXIT_INTERRUPTED),
     })
 }
 

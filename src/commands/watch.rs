@@ -119,13 +119,15 @@ impl EventWriter {
 
 // --- as text --------------------------------------------------------------------------------
 
-/// `07:08:55.123 can0   12 FEED        identified as FEED`: the bus column if there are several.
+/// `07:08:55.123 can0   12 FEED        identified as FEED`: the bus column if there are several. What
+/// was observed of a finding stands behind its headline: an event is one line.
 fn text_line(time: &str, line: &EventLine) -> String {
     /// Address, space and name, in columns.
     const SOURCE: usize = 16;
     let bus = line.bus_column.as_ref().map_or(String::new(), |bus| format!(" {bus}"));
     let space = " ".repeat(SOURCE.saturating_sub(line.source.width()));
-    format!("{time}{bus} {}{space} {}\n", line.source, line.text)
+    let why = if line.explanation.is_empty() { "" } else { ". " };
+    format!("{time}{bus} {}{space} {}{why}{}\n", line.source, line.text, line.explanation)
 }
 
 // --- as JSON --------------------------------------------------------------------------------

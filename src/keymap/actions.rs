@@ -126,7 +126,7 @@ impl Action {
         use Action::{Add, AddAll, DeleteEntry, EditAddress, NewEntry, Redo, Rename, Undo};
         matches!(self, EditAddress | Add | AddAll | NewEntry | Rename | DeleteEntry | Undo | Redo)
             || matches!(self, Action::Rescan | Action::Identify)
-            || matches!(self, Action::ClearLost | Action::BitRate | Action::Save)
+            || matches!(self, Action::ClearLost | Action::BitRate | Action::Buses | Action::Save)
     }
 
     /// Returns true if the action types, switches or follows the filter of a page.
@@ -219,6 +219,7 @@ actions! {
         ClearLost "clear-lost" "Remove lost devices; confirm changed versions" "clear lost" ["c"];
         Identify "identify" "Send identify: blink or beep (confirms; needs a profile)" "identify" ["i"];
         BitRate "bit-rate" "Search the bit rate, listen-only (confirms; needs root)" "bit rate" ["b"];
+        Buses "buses" "Open buses beside or in place of these" "buses" ["B"];
         SaveCapture "save-capture" "Save the captured frames (.log or .pcapng)" "save log" ["w"];
     }
     Browse Log: {

@@ -5,8 +5,8 @@
 //! numbers: [`super::LogSummary`] assigns them.
 
 use super::{
-    DecodeStep, ForeignFormat, FormatMatch, LogDecoder, LogEncoder, LogEntry, LogFormat,
-    LogSummary, plain_line,
+    Damage, DecodeStep, ForeignFormat, FormatMatch, LogDecoder, LogEncoder, LogEntry, LogFormat,
+    LogSummary, MAX_WITHOUT_FRAME, plain_line,
 };
 use crate::frame::socketcan::{ERROR_FLAG, with_fd_flags};
 use crate::frame::{CanId, Frame};
@@ -133,6 +133,10 @@ impl fmt::Display for LogEntry<'_> {
 struct LineDecoder {
     /// A line cut by the end of a piece; at most one byte longer than [`MAX_LINE`].
     partial: Vec<u8>,
+    /// Bytes of a line that is too long and counted as unreadable; 0 in any other line.
+    skipped: u64,
+    /// Bytes before the first frame.
+    before_frame: u64,
 }
 
 impl LineDecoder {
@@ -141,16 +145,55 @@ impl LineDecoder {
         let room = (MAX_LINE + 1).saturating_sub(self.partial.len());
         self.partial.extend_from_slice(&piece[..piece.len().min(room)]);
     }
+
+    /// Appends a piece without a line end; a line that is too long counts at once, as it may not end.
+    fn keep_cut(&mut self, piece: &[u8], summary: &mut LogSummary) {
+        self.keep(piece);
+        if self.skipped == 0 && self.partial.len() > MAX_LINE {
+            take_line(&self.partial, summary);
+            self.skipped = MAX_LINE as u64;
+        }
+        if self.skipped > 0 {
+            self.skipped += piece.len() as u64;
+        }
+    }
+
+    /// Notes damage if what was read is too much for a log.
+    fn check_damage(&mut self, used: usize, summary: &mut LogSummary) {
+        if summary.frames == 0 {
+            self.before_frame += used as u64;
+        }
+        let is_inside_line = self.skipped > 0;
+        if is_inside_line && self.skipped + used as u64 >= MAX_WITHOUT_FRAME {
+            summary.damage = Some(Damage::NoLineEnd);
+        } else if !is_inside_line && summary.frames == 0 && self.before_frame >= MAX_WITHOUT_FRAME {
+            summary.damage = Some(Damage::NoFrame);
+        }
+    }
 }
 
 impl LogDecoder for LineDecoder {
     fn decode(&mut self, bytes: &[u8], summary: &mut LogSummary) -> (usize, DecodeStep) {
-        let Some(end) = memchr::memchr(b'\n', bytes) else {
-            self.keep(bytes);
-            return (bytes.len(), DecodeStep::Nothing);
+        if summary.damage.is_some() {
+            return (bytes.len(), DecodeStep::End);
+        }
+        let end = memchr::memchr(b'\n', bytes);
+        self.check_damage(end.map_or(bytes.len(), |end| end + 1), summary);
+        if summary.damage.is_some() {
+            self.partial.clear();
+            self.skipped = 0;
+            return (bytes.len(), DecodeStep::End);
+        }
+        let Some(end) = end else {
+            self.keep_cut(bytes, summary);
+            let is_over = summary.foreign.is_some();
+            return (bytes.len(), if is_over { DecodeStep::End } else { DecodeStep::Nothing });
         };
         let frame = if self.partial.is_empty() {
             take_line(&bytes[..end], summary)
+        } else if std::mem::take(&mut self.skipped) > 0 {
+            self.partial.clear();
+            None
         } else {
             self.keep(&bytes[..end]);
             let frame = take_line(&self.partial, summary);
@@ -202,7 +245,8 @@ impl LogDecoder for LineDecoder {
         if self.partial.is_empty() {
             return None;
         }
-        let frame = take_line(&self.partial, summary);
+        let is_counted = std::mem::take(&mut self.skipped) > 0;
+        let frame = if is_counted { None } else { take_line(&self.partial, summary) };
         self.partial.clear();
         frame
     }

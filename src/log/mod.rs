@@ -5,6 +5,7 @@
 //! [`LogEncoder`] appends to a buffer. Opens no files and reads no clock. Does not know buses.
 
 pub mod candump;
+mod damage;
 mod foreign;
 mod frame_source;
 pub mod pcapng;
@@ -12,6 +13,7 @@ mod plain_line;
 mod reader;
 mod summary;
 
+pub use damage::{Damage, MAX_WITHOUT_FRAME};
 pub use foreign::ForeignFormat;
 pub use frame_source::FrameSource;
 pub use reader::{LogPosition, LogReader};

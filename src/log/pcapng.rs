@@ -6,6 +6,8 @@
 //! interfaces; unknown blocks and link types are skipped. Allocation does not depend on lengths in
 //! the file. Does not know moments or bus numbers: [`super::LogSummary`] assigns them.
 
+pub use super::damage::Damage;
+
 use super::{DecodeStep, FormatMatch, LogDecoder, LogEncoder, LogEntry, LogFormat, LogSummary};
 use crate::frame::socketcan::{self as fields, ERROR_FLAG, EXTENDED_FLAG, FD_FORMAT};
 use crate::frame::{BusIndex, CanId, Frame};
@@ -92,30 +94,6 @@ pub enum PacketFault {
     /// A CAN XL frame.
     #[error("a CAN XL frame")]
     Xl,
-}
-
-/// Why the rest of a file cannot be read.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, thiserror::Error)]
-pub enum Damage {
-    /// The file ends inside a block.
-    #[error("truncated inside a block")]
-    Truncated,
-    /// A block has an impossible length, so the start of the next one is unknown.
-    #[error("invalid block length of {0} bytes: the rest cannot be read")]
-    Length(u32),
-    /// The two lengths of a block, at its start and its end, differ.
-    #[error("the two lengths of a block differ: the rest cannot be read")]
-    Lengths,
-    /// A section has no known byte order.
-    #[error("section without byte-order magic: the rest cannot be read")]
-    ByteOrder,
-}
-
-impl Damage {
-    /// Returns true if the rest becomes readable when the file grows.
-    pub fn is_truncated(self) -> bool {
-        self == Damage::Truncated
-    }
 }
 
 /// Splits a file into blocks and reads them.

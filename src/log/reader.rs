@@ -255,8 +255,8 @@ mod tests {
     use super::*;
     use crate::frame::CanId;
     use crate::log::EntryFault;
-    use crate::log::LogEntry;
     use crate::log::candump::LineFault;
+    use crate::log::{LogEntry, MAX_WITHOUT_FRAME};
 
     const LOG: &str = "\
 (1436509052.249713) can0 02015402#04
@@ -404,6 +404,51 @@ not a line
             assert_eq!(frames.len(), 1);
             assert_eq!(tally.first_unreadable, Some((1, LineFault::TooLong.into())));
         }
+    }
+
+    /// A log that gives the same bytes forever, and counts them.
+    struct Endless<'b>(&'b [u8], u64);
+
+    impl io::Read for Endless<'_> {
+        fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+            for (to, from) in buffer.iter_mut().zip(self.0.iter().cycle()) {
+                *to = *from;
+            }
+            self.1 += buffer.len() as u64;
+            Ok(buffer.len())
+        }
+    }
+
+    #[test]
+    fn endless_input_without_frames_ends_with_its_cause() {
+        for (bytes, cause) in [
+            (&b"\0"[..], "line 1 cannot be read: the line is too long; no line end in 16 MB"),
+            (
+                b"not a frame\n",
+                "does not begin with (SECONDS.FRACTION); no frame in the first 16 MB",
+            ),
+        ] {
+            let source =
+                BufReader::with_capacity(65_536 / bytes.len() * bytes.len(), Endless(bytes, 0));
+            let mut reader = LogReader::new(source);
+            assert_eq!(reader.next_frame().unwrap(), None);
+            assert!(reader.summary().to_string().contains(cause), "{}", reader.summary());
+            assert!(reader.is_damaged() && !reader.has_partial_entry());
+            assert!(reader.source().get_ref().1 < 2 * MAX_WITHOUT_FRAME);
+            assert_eq!(reader.next_frame().unwrap(), None, "nothing more is read");
+        }
+    }
+
+    #[test]
+    fn line_that_does_not_end_is_doubtful_before_its_end() {
+        let pieces = ["x".repeat(600), "y".repeat(600)].concat();
+        let mut reader = LogReader::new(BufReader::with_capacity(64, pieces.as_bytes()));
+        let mut is_doubtful = false;
+        while reader.step().unwrap() != DecodeStep::End {
+            is_doubtful |= reader.summary().is_doubtful(true);
+        }
+        assert!(is_doubtful);
+        assert_eq!(reader.summary().unreadable, 1, "counted once");
     }
 
     #[test]

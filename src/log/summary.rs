@@ -6,8 +6,9 @@
 
 use super::LogEntry;
 use super::candump::LineFault;
+use super::damage::Damage;
 use super::foreign::ForeignFormat;
-use super::pcapng::{Damage, PacketFault};
+use super::pcapng::PacketFault;
 use crate::frame::{BusIndex, Frame};
 use crate::time::{Duration, Epoch, Instant};
 use std::fmt;

@@ -1,232 +1,88 @@
-//! The picker of buses: what the machine has, the list on the terminal, and the logs opened before.
+//! The list of buses on the terminal, before a session.
 //!
-//! Reads folders and a small file of paths; opens no bus and sends nothing. Bounded: 10 logs, 16 serial
-//! devices.
+//! Inputs: keys, signals, what the machine has. Output: the buses to open. Opens no bus to send. Does
+//! not know what a session is.
 
-use super::terminal::Terminal;
-use super::tui_loop::{Signals, TuiWake, key_of, next_event};
-use crate::app::{BusChoice, BusOffer, ChoiceOutcome, OfferKind, Signs};
-use crate::bus::{self, CanInterface};
-use crate::regular_file::{read_text, shown};
-use crate::text::printable;
-use crate::theme::Theme;
+use super::bus_scout::BusScout;
+use super::terminal::{self, Terminal};
+use super::tui_loop::{Signals, ThemeLoader, TuiWake, key_of, next_event};
+use crate::app::{BusChoice, BusSelection, ChoiceOutcome, Signs};
 use crossterm::event::{Event, EventStream, KeyEventKind};
-use etcetera::{BaseStrategy, choose_base_strategy};
-use std::fs;
 use std::io;
-use std::os::unix::ffi::OsStrExt;
-use std::path::{Path, PathBuf};
 
-/// Most logs that are remembered.
-const MAX_LOGS: usize = 10;
-/// Most serial devices that are listed.
-const MAX_ADAPTERS: usize = 16;
-
-/// Words in the name of a serial device that is a CAN adapter.
-const ADAPTER_WORDS: [&str; 5] = ["can", "slcan", "lawicel", "usbtin", "zubax"];
-
-/// Returns everything that can be opened.
-pub fn offers() -> Vec<BusOffer> {
-    let mut offers: Vec<BusOffer> = bus::interfaces().iter().map(of_interface).collect();
-    offers.extend(adapters(Path::new("/dev")));
-    offers.extend(recent_logs().iter().map(|path| of_log(path)));
-    for (argument, facts) in
-        [("sim:boiler", "125k, 10 devices, a conflict after 28 s"), ("sim:drone", "1M, 12 devices")]
-    {
-        offers.push(BusOffer {
-            kind: OfferKind::Simulated,
-            name: argument.to_owned(),
-            facts: facts.to_owned(),
-            argument: argument.to_owned(),
-            command: None,
-            is_unknown: false,
-        });
-    }
-    offers
+/// How the list ended.
+#[derive(Debug)]
+pub enum PickerExit {
+    /// These buses are to be opened.
+    Open(BusSelection),
+    /// The user quit.
+    Quit,
+    /// A signal ended it, or the terminal is gone.
+    Interrupted,
 }
 
-fn of_interface(interface: &CanInterface) -> BusOffer {
-    let name = printable(interface.name.as_bytes());
-    let rate = interface.bitrate.map_or_else(|| "–".to_owned(), |rate| format!("{}k", rate / 1000));
-    let state = if interface.is_virtual { "up (virtual)" } else { "up" };
-    let command = match (interface.up, interface.is_virtual) {
-        (true, _) => None,
-        (false, true) => Some(format!("sudo ip link set {name} up")),
-        (false, false) => {
-            let rate = interface.bitrate.unwrap_or(125_000);
-            Some(format!("sudo ip link set {name} up type can bitrate {rate}"))
-        }
-    };
-    BusOffer {
-        kind: OfferKind::Interface,
-        facts: format!("{rate:<6} {state}"),
-        argument: interface.name.clone(),
-        name,
-        command,
-        is_unknown: false,
-    }
-}
-
-/// The serial devices of a folder like `/dev`: those with an identity first.
-fn adapters(dev: &Path) -> Vec<BusOffer> {
-    let mut offers: Vec<BusOffer> = Vec::new();
-    let mut known = Vec::new();
-    let mut by_id = entries(&dev.join("serial/by-id"), |_| true);
-    by_id.sort();
-    for path in by_id {
-        let Ok(target) = fs::canonicalize(&path) else { continue };
-        let identity = path.file_name().unwrap_or_default().as_bytes();
-        let identity = printable(identity);
-        let lower = identity.to_lowercase();
-        let is_known = ADAPTER_WORDS.iter().any(|word| lower.contains(word));
-        offers.push(of_adapter(&target, &identity, is_known));
-        known.push(target);
-    }
-    let is_serial = |name: &str| name.starts_with("ttyACM") || name.starts_with("ttyUSB");
-    let mut others = entries(dev, is_serial);
-    others.sort();
-    others.retain(|path| !known.contains(path));
-    offers.extend(others.iter().map(|path| of_adapter(path, "", false)));
-    offers.truncate(MAX_ADAPTERS);
-    offers
-}
-
-fn entries(folder: &Path, is_wanted: impl Fn(&str) -> bool) -> Vec<PathBuf> {
-    let Ok(entries) = fs::read_dir(folder) else { return Vec::new() };
-    let paths = entries.filter_map(|entry| Some(entry.ok()?.path()));
-    let named =
-        |path: &PathBuf| path.file_name().is_some_and(|it| is_wanted(&it.to_string_lossy()));
-    paths.filter(named).collect()
-}
-
-fn of_adapter(path: &Path, identity: &str, is_known: bool) -> BusOffer {
-    let what = if is_known { "slcan" } else { "unknown adapter, Enter asks" };
-    BusOffer {
-        kind: OfferKind::Adapter,
-        name: shown(path),
-        facts: [what, identity].join("  ").trim_end().to_owned(),
-        argument: format!("slcan:{}", path.display()),
-        command: None,
-        is_unknown: !is_known,
-    }
-}
-
-fn of_log(path: &Path) -> BusOffer {
-    BusOffer {
-        kind: OfferKind::Log,
-        name: printable(path.file_name().unwrap_or_default().as_bytes()),
-        facts: path.parent().map(shown).unwrap_or_default(),
-        argument: format!("file:{}", path.display()),
-        command: None,
-        is_unknown: false,
-    }
-}
-
-/// File with the paths of the logs that were opened, a line each, the latest first.
-fn logs_file() -> Option<PathBuf> {
-    let base = choose_base_strategy().ok()?;
-    Some(base.state_dir()?.join("descan").join("recent-logs"))
-}
-
-/// The logs opened before that are still there, the latest first.
-fn recent_logs() -> Vec<PathBuf> {
-    let text = logs_file().and_then(|path| read_text(&path).ok().flatten()).unwrap_or_default();
-    let paths = text.lines().take(MAX_LOGS).map(PathBuf::from);
-    paths.filter(|path| path.is_file()).collect()
-}
-
-/// Remembers a log that is opened; without a folder for it, nothing is.
-pub fn remember_log(path: &Path) {
-    let (Some(file), Ok(path)) = (logs_file(), fs::canonicalize(path)) else { return };
-    let Some(name) = path.to_str().filter(|name| !name.contains('\n') && path.is_file()) else {
-        return;
-    };
-    let before = recent_logs();
-    let others = before.iter().filter(|it| **it != path).filter_map(|it| it.to_str());
-    let lines: Vec<&str> = std::iter::once(name).chain(others).take(MAX_LOGS).collect();
-    let Some(folder) = file.parent() else { return };
-    // A convenience: a full disk or a folder of another user does not concern the session.
-    let _ = fs::create_dir_all(folder).and_then(|()| fs::write(&file, lines.join("\n") + "\n"));
-}
-
-/// Shows the list until a choice is made; `None` if the user quits or the terminal is gone.
+/// Shows the list until a choice is made, or until an interface that it waits for is up.
 ///
 /// # Errors
 /// The terminal cannot be taken over.
 pub async fn choose(
-    mut choice: BusChoice,
-    theme: &Theme,
+    choice: BusChoice,
+    scout: BusScout,
+    themes: &mut ThemeLoader,
     signs: Signs,
-) -> io::Result<Option<ChoiceOutcome>> {
+) -> io::Result<PickerExit> {
+    match choose_on_terminal(choice, scout, themes, signs).await {
+        Err(_) if terminal::is_lost() => Ok(PickerExit::Interrupted),
+        exit => exit,
+    }
+}
+
+async fn choose_on_terminal(
+    mut choice: BusChoice,
+    mut scout: BusScout,
+    themes: &mut ThemeLoader,
+    signs: Signs,
+) -> io::Result<PickerExit> {
     let mut signals = Signals::new()?;
     let mut terminal = Terminal::enter()?;
     let mut input = EventStream::new();
     loop {
-        terminal.draw_frame(|frame| crate::ui::draw_choice(&choice, theme, signs, frame))?;
+        let theme = &themes.current;
+        terminal.draw_frame(|frame| crate::ui::draw_choice(&choice, None, theme, signs, frame))?;
         let event = tokio::select! {
             biased;
             signal = signals.next() => match signal {
-                TuiWake::Terminate | TuiWake::Hangup => return Ok(None),
+                TuiWake::Terminate | TuiWake::Hangup => return Ok(PickerExit::Interrupted),
                 TuiWake::Stop => {
                     terminal.suspend()?;
                     continue;
                 }
             },
             event = next_event(&mut input) => event,
+            offers = scout.next() => {
+                choice.handle_offers(offers);
+                if let Some(awaited) = choice.take_awaited() {
+                    return Ok(PickerExit::Open(awaited));
+                }
+                continue;
+            }
         };
         match event {
             Some(Ok(Event::Key(key))) if key.kind != KeyEventKind::Release => {
                 match key_of(key).and_then(|key| choice.handle_key(key)) {
                     None => {}
                     Some(ChoiceOutcome::Copy(text)) => terminal.copy(&text)?,
-                    Some(ChoiceOutcome::Quit) => return Ok(None),
-                    Some(open) => return Ok(Some(open)),
+                    Some(ChoiceOutcome::NextTheme) => {
+                        if let Some(name) = themes.choose_next() {
+                            choice.set_theme(name);
+                        }
+                    }
+                    Some(ChoiceOutcome::Close) => return Ok(PickerExit::Quit),
+                    Some(ChoiceOutcome::Open(wanted)) => return Ok(PickerExit::Open(wanted)),
                 }
             }
             Some(Ok(_)) => {}
-            Some(Err(_)) | None => return Ok(None),
+            Some(Err(_)) | None => return Ok(PickerExit::Interrupted),
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn serial_devices_are_listed_once_with_their_identity() {
-        let dev = tempfile::tempdir().unwrap();
-        let dev = fs::canonicalize(dev.path()).unwrap();
-        fs::create_dir_all(dev.join("serial/by-id")).unwrap();
-        for name in ["ttyACM0", "ttyUSB0", "ttyUSB1", "tty0"] {
-            fs::write(dev.join(name), "").unwrap();
-        }
-        let link = |name: &str, to: &str| {
-            std::os::unix::fs::symlink(dev.join(to), dev.join("serial/by-id").join(name)).unwrap();
-        };
-        link("usb-CANable_1234", "ttyACM0");
-        link("usb-FTDI_5678", "ttyUSB1");
-        let found: Vec<_> = adapters(&dev)
-            .into_iter()
-            .map(|offer| (offer.name.rsplit('/').next().unwrap().to_owned(), offer.is_unknown))
-            .collect();
-        let expected = [("ttyACM0", false), ("ttyUSB1", true), ("ttyUSB0", true)];
-        assert_eq!(found, expected.map(|(name, is_unknown)| (name.to_owned(), is_unknown)));
-    }
-
-    #[test]
-    fn interface_that_is_down_has_its_command() {
-        let mut interface = CanInterface {
-            name: "can1".to_owned(),
-            up: false,
-            is_virtual: false,
-            bitrate: Some(250_000),
-            state: crate::status::BusState::Unknown,
-        };
-        let command = |interface: &CanInterface| of_interface(interface).command;
-        let expected = "sudo ip link set can1 up type can bitrate 250000";
-        assert_eq!(command(&interface).as_deref(), Some(expected));
-        interface.up = true;
-        assert_eq!(command(&interface), None);
     }
 }

@@ -29,6 +29,8 @@ pub struct UserSettings {
     pub start_share: Option<f64>,
     /// Transmit budget afterwards, 0.001 to 1.
     pub steady_share: Option<f64>,
+    /// Bytes per second to the terminal for what the bus changes, 200 to 1000000.
+    pub screen_budget: Option<f64>,
 }
 
 impl UserSettings {
@@ -49,6 +51,9 @@ impl UserSettings {
         }
         if !settings.round_period.is_none_or(|period| (0.0..=86_400.0).contains(&period)) {
             return Err("round_period is a number of seconds, 0 to 86400".to_owned());
+        }
+        if !settings.screen_budget.is_none_or(|budget| (200.0..=1e6).contains(&budget)) {
+            return Err("screen_budget is a number of bytes per second, 200 to 1000000".to_owned());
         }
         if settings.signs.as_ref().is_some_and(|name| Signs::from_name(name).is_none()) {
             return Err("signs is \"unicode\" or \"ascii\"".to_owned());
@@ -305,6 +310,7 @@ mod tests {
             ("start_share = 30", "0.001 to 1"),
             ("signs = \"emoji\"", "\"unicode\" or \"ascii\""),
             ("round_period = -1", "0 to 86400"),
+            ("screen_budget = 20", "200 to 1000000"),
         ] {
             fs::write(folder.path().join("config.toml"), text).unwrap();
             let error = config.settings().unwrap_err();

@@ -11,13 +11,18 @@
 //! cell_encoder    cells as bytes
 //! store           des.json on disk            file_watcher  changes by other programs
 //! recovery        copy of unsaved edits       config        the user's settings
+//! bus_picker      the list of buses           bus_scout     what can be opened, as it changes
+//! bus_offers      interfaces, adapters, logs  background_colour   that of the terminal
 //! waiting         futures for optional sources
 //! ```
 //!
 //! Knows tokio, threads, clocks and the file system, so that nothing above has to.
 
+pub mod background_colour;
 pub mod bitrate_search;
+pub mod bus_offers;
 pub mod bus_picker;
+pub mod bus_scout;
 mod cell_encoder;
 pub mod config;
 pub mod file_watcher;

@@ -1,9 +1,10 @@
 //! When the screen is drawn, and how much of it is sent.
 //!
-//! Inputs: keys, bytes sent and how long that took. Outputs: the time of the next draw, the most bytes
-//! of it. What a key changes is drawn at once; what the bus changes as often as a budget of bytes per
+//! Inputs: keys, bytes sent and how long that took, answers of the terminal. Outputs: the time of the
+//! next draw, the most bytes of it, when to ask the terminal. What a key changes is drawn at once; what the bus changes as often as a budget of bytes per
 //! second allows. A line that is known to be slow is never sent more than it takes in a short time, so
-//! that the effect of a key does not wait behind old screens.
+//! that the effect of a key does not wait behind old screens. A slow connection takes many screens before
+//! a write waits for it: what is on its way shows in the time to the terminal's answer to a question.
 //!
 //! A state machine without I/O, in real time. Does not know what is drawn.
 
@@ -25,6 +26,12 @@ const LEAST_PART: f64 = 100.0;
 const SHARE: f64 = 0.5;
 /// A write that takes longer waited for the line.
 const BLOCKED: Duration = Duration::from_millis(60);
+/// Bytes after which the terminal is asked again: a part of a screen.
+const ASK_AFTER: u64 = 1000;
+/// An answer that is late by this is one of a line that still takes what was sent before.
+const LATE: Duration = Duration::from_millis(250);
+/// Longest time for which the bus waits for an answer: it may be lost.
+const HELD: Duration = Duration::from_secs(10);
 /// Lines that take more bytes per second are not slow.
 const FAST: f64 = 100_000.0;
 /// A line that was slow is tried faster by a quarter after this time without a wait.
@@ -51,6 +58,14 @@ pub struct PaintPace {
     taken: Instant,
     /// Last time that the line was found to be slow.
     waited: Instant,
+    /// Bytes sent; those before the last question, and before the last answered one.
+    sent: u64,
+    asked: u64,
+    answered: u64,
+    /// When the open question was asked.
+    question: Option<Instant>,
+    /// Shortest time to an answer; `None` if the terminal has not answered yet.
+    round_trip: Option<Duration>,
 }
 
 impl PaintPace {
@@ -68,6 +83,11 @@ impl PaintPace {
             in_budget: Instant::ZERO,
             taken: Instant::ZERO,
             waited: Instant::ZERO,
+            sent: 0,
+            asked: 0,
+            answered: 0,
+            question: None,
+            round_trip: None,
         }
     }
 
@@ -87,8 +107,51 @@ impl PaintPace {
         let Some(drawn) = self.drawn else { return Instant::ZERO };
         let pace = if self.has_new_key { PACE_AFTER_KEY } else { PACE };
         let due = (drawn + pace).max(self.taken);
+        if let Some(held) = self.held_until().filter(|_| !self.has_new_key) {
+            return due.max(held);
+        }
         // The rest of a screen waits for the line only: it was begun within the budget.
         if self.is_partial || self.is_after_key(due) { due } else { due.max(self.in_budget) }
+    }
+
+    /// Until when what the bus changes waits for a late answer; `None` while none is late.
+    fn held_until(&self) -> Option<Instant> {
+        let asked = self.question.filter(|_| self.sent > self.asked + ASK_AFTER)?;
+        self.round_trip.map(|_| asked + HELD)
+    }
+
+    /// Returns true if the terminal has answered.
+    pub fn is_answered(&self) -> bool {
+        self.round_trip.is_some()
+    }
+
+    /// Returns true if the terminal is to be asked: it answers, and enough was sent since.
+    pub fn wants_answer(&self) -> bool {
+        self.question.is_none() && self.round_trip.is_some() && self.sent - self.asked >= ASK_AFTER
+    }
+
+    /// Notes that the terminal was asked.
+    pub fn note_question(&mut self, now: Instant) {
+        self.question = Some(now);
+        self.asked = self.sent;
+    }
+
+    /// Notes an answer: the terminal has all bytes sent before the question.
+    pub fn note_answer(&mut self, now: Instant) {
+        let Some(asked) = self.question.take() else { return };
+        let took = now.since(asked);
+        let usual = self.round_trip.map_or(took, |usual| usual.min(took));
+        self.round_trip = Some(usual);
+        let late = took.saturating_sub(usual);
+        let bytes = (self.asked - self.answered) as usize;
+        self.answered = self.asked;
+        if !self.is_line_set && late >= LATE {
+            self.measure(now, bytes, late);
+            if let Some(line) = self.line {
+                let on_the_way = (self.sent - self.asked) as f64;
+                self.taken = now + Duration::from_secs_f64(on_the_way / line);
+            }
+        }
     }
 
     /// Returns true if the rest of a screen is to be sent.
@@ -116,6 +179,7 @@ impl PaintPace {
         if !self.is_line_set {
             self.measure(now, bytes, took);
         }
+        self.sent += bytes as u64;
         let bytes = bytes as f64;
         let budget = self.line.map_or(self.budget, |line| self.budget.min(line * SHARE));
         if !self.is_after_key(now) {
@@ -197,5 +261,41 @@ mod tests {
             pace.drawn(at(18_000 + turn * 15_000), 200, NO_TIME, true);
         }
         assert_eq!(pace.most_bytes(), usize::MAX);
+    }
+
+    #[test]
+    fn late_answer_shows_how_much_the_line_takes() {
+        let mut pace = PaintPace::new(2000.0, None);
+        pace.note_question(at(0));
+        pace.drawn(at(5), 3000, NO_TIME, true);
+        assert!(!pace.wants_answer(), "one is open");
+        pace.note_answer(at(80));
+        assert!(pace.wants_answer());
+        assert_eq!(pace.most_bytes(), usize::MAX, "the usual time");
+        pace.note_question(at(100));
+        // Two screens more; the bus waits for the answer, a key does not.
+        pace.note_key(at(101));
+        pace.drawn(at(110), 6000, NO_TIME, true);
+        assert_eq!(pace.due(), at(10_100));
+        pace.note_key(at(200));
+        assert_eq!(pace.due(), at(120));
+        pace.note_answer(at(3180));
+        // 3,000 bytes in 3 s; 6,000 are on their way.
+        assert_eq!(pace.most_bytes(), 250);
+        assert_eq!(pace.due(), at(9180));
+        // Fast again: tried so after a while.
+        pace.note_question(at(20_000));
+        pace.note_answer(at(20_090));
+        pace.drawn(at(20_100), 100, NO_TIME, true);
+        assert_eq!(pace.most_bytes(), 312);
+    }
+
+    #[test]
+    fn terminal_that_never_answers_is_not_asked_again() {
+        let mut pace = PaintPace::new(2000.0, None);
+        pace.note_question(at(0));
+        pace.drawn(at(5), 9000, NO_TIME, true);
+        assert!(!pace.wants_answer());
+        assert_eq!(pace.due(), at(4505), "within the budget");
     }
 }

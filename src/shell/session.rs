@@ -162,6 +162,32 @@ impl Session {
         )
     }
 
+    /// The number of the next bus; `None` if no bus can be added: beside a log, whose interfaces take
+    /// the numbers after it, or with 256 buses.
+    pub fn next_bus(&self) -> Option<BusIndex> {
+        let SessionInput::Ports { clock, ports, .. } = &self.input else { return None };
+        let is_one_each = ports.len() == self.app.buses().len();
+        let next = u8::try_from(ports.len()).ok().map(BusIndex);
+        next.filter(|_| is_one_each && clock.playback().is_none())
+    }
+
+    /// The clock of the buses; `None` for a log that is read by its own.
+    pub fn clock(&self) -> Option<&Clock> {
+        match &self.input {
+            SessionInput::Ports { clock, .. } => Some(clock),
+            SessionInput::Log(..) => None,
+        }
+    }
+
+    /// Adds a bus, opened with the number of [`Self::next_bus`].
+    pub fn add_bus(&mut self, port: Port, config: Config) {
+        let now = self.now();
+        let SessionInput::Ports { ports, interfaces, .. } = &mut self.input else { return };
+        self.app.add_bus(now, port.name().to_owned(), config);
+        ports.push(port);
+        interfaces.push(Vec::new());
+    }
+
     /// A session on one log. Its interfaces become buses with settings `config` as they are named.
     pub fn of_log(app: App, log: LogInput, config: Config, store: Option<Store>) -> Self {
         let resumed = app.now();

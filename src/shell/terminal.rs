@@ -172,6 +172,13 @@ pub fn line_rate() -> Option<f64> {
     (1..NO_LINE_BAUD).contains(&baud).then(|| f64::from(baud) / 11.0)
 }
 
+/// Returns true if the terminal may be asked for its background: an emulator, which ignores what it
+/// does not know, and not at the end of a serial line, where a real one may be.
+pub fn tells_background() -> bool {
+    let terminal = std::env::var("TERM").unwrap_or_default();
+    has_title() && !terminal.is_empty() && !terminal.starts_with("vt") && line_rate().is_none()
+}
+
 /// Returns false for the console of Linux, which has no window and may print the title.
 fn has_title() -> bool {
     std::env::var("TERM").is_ok_and(|terminal| terminal != "linux" && terminal != "dumb")

@@ -2,17 +2,24 @@
 //!
 //! Wakes up only for an input or a deadline; draws only changes, at the pace of [`PaintPace`].
 
+use super::background_colour::{BackgroundReply, QUESTION};
+use super::bus_scout::{BusScout, ScoutSettings};
 use super::config::ConfigFolder;
 use super::file_watcher::{DiskContent, FileWatcher};
-use super::paint_pace::{PaintPace, SCREEN_BUDGET};
+use super::paint_pace::PaintPace;
 use super::session::Session;
 use super::stop::output_closed;
 use super::store::Store;
 use super::terminal::{self, Terminal};
-use crate::app::{Effect, Mouse, MouseKind, SavedFilter, SavedFilterChange};
+use super::waiting::sleep_for;
+use crate::app::{
+    BusOffer, BusSelection, COLOURLESS_THEME, Effect, Mouse, MouseKind, SavedFilter,
+    SavedFilterChange,
+};
 use crate::keymap::{Key, KeyCode};
 use crate::regular_file::{MAX_TEXT_BYTES, read_text, text_of};
 use crate::theme::{Colours, Theme};
+use crate::time::Duration;
 use crossterm::event::{
     self, Event, EventStream, KeyEvent, KeyEventKind, KeyModifiers, MouseButton, MouseEventKind,
 };
@@ -23,29 +30,59 @@ use std::sync::Arc;
 use std::task::Poll;
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::Notify;
-use tokio::time::{Instant, sleep_until};
+use tokio::time::{Instant, sleep_until, timeout_at};
+
+/// Longest wait for the first answer of the terminal when the UI ends, which it does soon after the start
+/// then: a round trip on a slow connection.
+const FIRST_REPLY: Duration = Duration::from_millis(300);
+/// The same for a later answer of a terminal that answers: it waits behind some screens on a slow line.
+const LATE_REPLY: Duration = Duration::from_secs(5);
 
 /// How the UI ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub enum TuiExit {
     /// The user quit.
     Quit,
+    /// The user chose other buses in place of those of the session.
+    Reopen(BusSelection),
     /// SIGTERM or SIGINT.
     Terminated,
     /// The terminal is gone.
     Hangup,
 }
 
+/// Settings of the loop.
+#[derive(Clone, Debug)]
+pub struct LoopSettings {
+    /// How to look for buses that can be opened.
+    pub scouting: ScoutSettings,
+    /// Bytes per second to the terminal for what the bus changes.
+    pub screen_budget: f64,
+}
+
+/// Opens buses beside those of a session; returns their names, or the cause as a message.
+pub type BusOpener<'o> = dyn Fn(&mut Session, &BusSelection) -> Result<Vec<String>, String> + 'o;
+
 /// Runs the UI until it ends. The terminal is restored on every way out. A closed terminal is
 /// [`TuiExit::Hangup`], not an error.
-pub async fn run(session: &mut Session, themes: &mut ThemeLoader) -> io::Result<TuiExit> {
-    match run_on_terminal(session, themes).await {
+pub async fn run(
+    session: &mut Session,
+    themes: &mut ThemeLoader,
+    settings: &LoopSettings,
+    open: &BusOpener<'_>,
+) -> io::Result<TuiExit> {
+    match run_on_terminal(session, themes, settings, open).await {
         Err(_) if terminal::is_lost() => Ok(TuiExit::Hangup),
         exit => exit,
     }
 }
 
-async fn run_on_terminal(session: &mut Session, themes: &mut ThemeLoader) -> io::Result<TuiExit> {
+async fn run_on_terminal(
+    session: &mut Session,
+    themes: &mut ThemeLoader,
+    settings: &LoopSettings,
+    open: &BusOpener<'_>,
+) -> io::Result<TuiExit> {
     let mut signals = Signals::new()?;
     let mut terminal = Terminal::enter()?;
     let mut input = EventStream::new();
@@ -53,12 +90,25 @@ async fn run_on_terminal(session: &mut Session, themes: &mut ThemeLoader) -> io:
     session.app.handle_resize(columns, rows);
     let start = Instant::now();
     let elapsed = || crate::time::Instant::ZERO + start.elapsed();
-    let mut pace = PaintPace::new(SCREEN_BUDGET, terminal::line_rate());
+    let mut pace = PaintPace::new(settings.screen_budget, terminal::line_rate());
+    let mut scout: Option<BusScout> = None;
+    let mut background = BackgroundReply::default();
+    if themes.can_tint() && terminal::tells_background() {
+        terminal.write(QUESTION)?;
+        background.note_asked(elapsed());
+        pace.note_question(elapsed());
+    }
     loop {
         for effect in session.flush_effects() {
             match effect {
-                Effect::Quit => return Ok(TuiExit::Quit),
+                Effect::Quit => {
+                    let wait = if pace.is_answered() { LATE_REPLY } else { FIRST_REPLY };
+                    take_late_reply(&mut background, &mut input, (elapsed(), wait)).await;
+                    return Ok(TuiExit::Quit);
+                }
                 Effect::Suspend => {
+                    let wait = if pace.is_answered() { LATE_REPLY } else { FIRST_REPLY };
+                    take_late_reply(&mut background, &mut input, (elapsed(), wait)).await;
                     drop(input);
                     terminal.suspend()?;
                     input = EventStream::new();
@@ -78,6 +128,15 @@ async fn run_on_terminal(session: &mut Session, themes: &mut ThemeLoader) -> io:
                 Effect::ChangeFilters(change) => {
                     session.app.handle_saved_filters(themes.change_filters(&change));
                 }
+                Effect::ListBuses => {
+                    let names = session.app.buses().iter().map(|bus| bus.name.clone()).collect();
+                    scout = Some(BusScout::spawn(&settings.scouting, names)?);
+                }
+                Effect::OpenBuses(wanted) if wanted.replaces => return Ok(TuiExit::Reopen(wanted)),
+                Effect::OpenBuses(wanted) => {
+                    let result = open(session, &wanted);
+                    session.app.handle_opened(session.now(), result);
+                }
                 Effect::Save { .. }
                 | Effect::ReadFile
                 | Effect::WriteFile { .. }
@@ -86,7 +145,11 @@ async fn run_on_terminal(session: &mut Session, themes: &mut ThemeLoader) -> io:
                 | Effect::FindBitrate(_) => {}
             }
         }
+        if session.app.bus_choice().is_none() {
+            scout = None;
+        }
         let draw_at = start + pace.due().since(crate::time::Instant::ZERO);
+        let held = background.poll_timeout().map(|at| at.since(elapsed()));
         tokio::select! {
             biased;
             signal = signals.next() => match signal {
@@ -99,12 +162,21 @@ async fn run_on_terminal(session: &mut Session, themes: &mut ThemeLoader) -> io:
             },
             event = next_event(&mut input) => match event {
                 Some(Ok(event)) => {
-                    pace.note_key(elapsed());
-                    if matches!(event, Event::Resize(..)) {
-                        // The terminal may have changed the old content.
-                        terminal.redraw()?;
+                    let (events, answer) = background.take(elapsed(), event);
+                    if let Some(colour) = answer {
+                        pace.note_answer(elapsed());
+                        if themes.set_background(colour) {
+                            session.app.handle_theme(session.now(), Ok(()));
+                        }
                     }
-                    handle_input(session, &event);
+                    for event in events {
+                        pace.note_key(elapsed());
+                        if matches!(event, Event::Resize(..)) {
+                            // The terminal may have changed the old content.
+                            terminal.redraw()?;
+                        }
+                        handle_input(session, &event);
+                    }
                 }
                 Some(Err(_)) | None => return Ok(TuiExit::Hangup),
             },
@@ -115,6 +187,18 @@ async fn run_on_terminal(session: &mut Session, themes: &mut ThemeLoader) -> io:
                 let part = terminal.draw(&mut session.app, &themes.current, pace.most_bytes())?;
                 terminal.set_title(session.app.terminal_title())?;
                 pace.drawn(elapsed(), part.bytes, part.took, part.is_complete);
+                if pace.wants_answer() {
+                    terminal.write(QUESTION)?;
+                    background.note_asked(elapsed());
+                    pace.note_question(elapsed());
+                }
+            }
+            offers = next_offers(&mut scout) => session.app.handle_offers(session.now(), offers),
+            () = sleep_for(held) => {
+                for event in background.handle_timeout(elapsed()) {
+                    pace.note_key(elapsed());
+                    handle_input(session, &event);
+                }
             }
             reading = themes.changed() => {
                 let result = themes.reload(reading);
@@ -122,6 +206,31 @@ async fn run_on_terminal(session: &mut Session, themes: &mut ThemeLoader) -> io:
             }
             wake = session.next() => session.handle_wake(wake),
         }
+    }
+}
+
+/// Waits for an answer of the terminal that may be on its way: the shell would take it as typed.
+async fn take_late_reply(
+    background: &mut BackgroundReply,
+    input: &mut EventStream,
+    (now, longest): (crate::time::Instant, Duration),
+) {
+    if !background.is_awaited(now, longest) {
+        return;
+    }
+    let until = Instant::now() + longest;
+    while let Ok(Some(Ok(event))) = timeout_at(until, next_event(input)).await {
+        if background.take(now, event).1.is_some() {
+            return;
+        }
+    }
+}
+
+/// Waits for the next look at what can be opened; forever without a scout.
+async fn next_offers(scout: &mut Option<BusScout>) -> Vec<BusOffer> {
+    match scout {
+        Some(scout) => scout.next().await,
+        None => pending().await,
     }
 }
 
@@ -194,8 +303,12 @@ pub(super) fn key_of(event: KeyEvent) -> Option<Key> {
 
 /// The current theme, and the file that it was read from.
 pub struct ThemeLoader {
-    /// The current theme.
+    /// The current theme, as the terminal can show it.
     pub current: Theme,
+    /// The same without the tint beside the background of the terminal.
+    untinted: Theme,
+    /// The terminal's own background, where it tells it.
+    background: Option<[u8; 3]>,
     colours: Colours,
     folder: Option<ConfigFolder>,
     watch: Option<FileWatcher>,
@@ -209,7 +322,14 @@ impl ThemeLoader {
     pub fn new(folder: Option<ConfigFolder>, name: &str) -> Result<Self, String> {
         let (built_in, text) = crate::theme::BUILT_IN[0];
         let first = Theme::parse(built_in, text, |_| None).map_err(|error| error.to_string())?;
-        let mut themes = Self { current: first, colours: colours(), folder, watch: None };
+        let mut themes = Self {
+            untinted: first.clone(),
+            current: first,
+            background: None,
+            colours: colours(),
+            folder,
+            watch: None,
+        };
         themes.choose(name)?;
         Ok(themes)
     }
@@ -220,12 +340,13 @@ impl ThemeLoader {
     /// No such theme, or it is invalid.
     pub fn choose(&mut self, name: &str) -> Result<(), String> {
         let text = self.text_of(name)?;
-        self.current = match &text {
+        let theme = match &text {
             Some(text) => self.parse(name, text)?,
             None => Theme::built_in(name)
                 .map(|theme| theme.limited(self.colours))
                 .ok_or_else(|| format!("not found; available: {}", self.names().join(", ")))?,
         };
+        self.set(theme);
         self.watch = match (&self.folder, text) {
             (Some(folder), Some(text)) => {
                 let store = Store::new(folder.theme_path(name)).with_max_bytes(MAX_TEXT_BYTES);
@@ -234,6 +355,37 @@ impl ThemeLoader {
             _ => None,
         };
         Ok(())
+    }
+
+    /// Switches to the next theme that can be used; returns its name.
+    pub fn choose_next(&mut self) -> Option<String> {
+        let names = self.names();
+        let at = names.iter().position(|name| *name == self.current.name).unwrap_or(0);
+        let others = names.iter().cycle().skip(at + 1).take(names.len());
+        let others: Vec<String> = others.cloned().collect();
+        others.into_iter().find(|name| self.choose(name).is_ok())
+    }
+
+    fn set(&mut self, theme: Theme) {
+        let tinted = self.background.map(|it| theme.clone().tinted(it, self.colours));
+        self.current = tinted.unwrap_or_else(|| theme.clone());
+        self.untinted = theme;
+    }
+
+    /// Returns true if the terminal has colours for a tint.
+    fn can_tint(&self) -> bool {
+        let has_colour = self.untinted.name != COLOURLESS_THEME;
+        has_colour && self.colours != Colours::Sixteen && !no_colour()
+    }
+
+    /// Takes the terminal's own background colour: red, green and blue. Returns true if it is another
+    /// one.
+    fn set_background(&mut self, colour: [u8; 3]) -> bool {
+        let is_new = self.background.replace(colour) != Some(colour);
+        if is_new {
+            self.set(self.untinted.clone());
+        }
+        is_new
     }
 
     /// Changes the filters that are stored; returns all of them.
@@ -308,9 +460,15 @@ impl ThemeLoader {
         let Some(bytes) = reading.map_err(|fault| fault.to_string())? else { return Ok(()) };
         let text = text_of(bytes).map_err(|fault| fault.to_string())?;
         let name = self.current.name.clone();
-        self.current = self.parse(&name, &text)?;
+        let theme = self.parse(&name, &text)?;
+        self.set(theme);
         Ok(())
     }
+}
+
+/// Returns true if the user wants no colours (no-color.org).
+pub fn no_colour() -> bool {
+    std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty())
 }
 
 /// Number of colours of the terminal, by its environment variables.

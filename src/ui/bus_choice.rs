@@ -2,79 +2,158 @@
 
 use super::ascii;
 use super::brush::fit;
-use crate::app::{BusChoice, Signs};
+use crate::app::{Alarm, BIT_RATES, BusChoice, BusOffer, Signs};
+use crate::text::Escaped;
 use crate::theme::{Role, Theme};
 use ratatui::Frame;
+use ratatui::layout::Rect;
 use ratatui::text::{Line, Span};
+use unicode_width::UnicodeWidthStr;
 
 /// Width of the name, in columns.
-const NAME: usize = 22;
+const NAME: usize = 20;
+/// Height from which the other kinds of buses have a line.
+const HIGH: u16 = 12;
 
-/// Draws the list.
-pub fn draw_choice(choice: &BusChoice, theme: &Theme, signs: Signs, frame: &mut Frame) {
+/// Draws the list, below the alarm of the session if there is one.
+pub fn draw_choice(
+    choice: &BusChoice,
+    alarm: Option<&Alarm>,
+    theme: &Theme,
+    signs: Signs,
+    frame: &mut Frame,
+) {
     let area = frame.area();
     let buffer = frame.buffer_mut();
     buffer.set_style(area, theme.style(Role::Background));
     buffer.set_style(area, theme.style(Role::Text));
     let width = usize::from(area.width);
+    let title = " descan: which bus? ";
+    let reason = Escaped(choice.reason.as_bytes()).to_string();
+    let rest = width.saturating_sub(title.len() + reason.width() + 4);
+    let rule = format!("─{title}{} {reason} ─", "─".repeat(rest));
+    buffer.set_stringn(0, area.y, fit(&rule, width), width, theme.style(Role::BorderFocus));
+
+    let mut top = area.y + 1;
+    if let Some(alarm) = alarm.filter(|_| area.height >= HIGH) {
+        let text = fit(&format!(" ⚠ {}", alarm.text), width);
+        let look = if alarm.is_seen { Role::Confirmed } else { Role::Alarm };
+        buffer.set_stringn(0, top, text, width, theme.style(look));
+        top += 1;
+    }
+    let (lines, selected) = lines_of(choice, theme, width);
+    let below = bottom_lines(choice, theme, area.height >= HIGH);
+    let room = usize::from(area.bottom().saturating_sub(top)).saturating_sub(below.len());
+    let first = (selected.unwrap_or(0) + 1).saturating_sub(room);
+    for (row, line) in lines.iter().skip(first).take(room).enumerate() {
+        let y = top + row as u16;
+        buffer.set_line(0, y, line, area.width);
+        if Some(row + first) == selected {
+            let line = Rect { y, height: 1, ..area };
+            buffer.set_style(line, theme.style(Role::Selected));
+        }
+    }
+    let first = area.bottom().saturating_sub(below.len() as u16).max(top);
+    for (y, line) in (first..area.bottom()).zip(&below) {
+        buffer.set_line(0, y, line, area.width);
+    }
+    if signs == Signs::Ascii {
+        ascii::replace(buffer);
+    }
+}
+
+/// Returns the lines of the list, and the place of the selected one.
+fn lines_of(
+    choice: &BusChoice,
+    theme: &Theme,
+    width: usize,
+) -> (Vec<Line<'static>>, Option<usize>) {
     let span = |role, text: String| Span::styled(text, theme.style(role));
     let mut lines = Vec::new();
-    let mut selected_line = 0;
+    let mut selected_line = None;
     let mut section = None;
-    for (at, offer) in choice.offers().iter().enumerate() {
+    for at in choice.shown() {
+        let offer = &choice.offers()[at];
         if section.replace(offer.kind) != Some(offer.kind) {
             lines.push(Line::from(span(Role::Header, format!(" {}", offer.kind.title()))));
         }
         let is_selected = at == choice.selected();
         if is_selected {
-            selected_line = lines.len();
+            selected_line = Some(lines.len());
         }
         let sign = if is_selected { "▸" } else { " " };
-        let chosen = if choice.is_chosen(at) { "✓" } else { " " };
-        let rate = choice.bit_rate(at).map(|rate| format!("{}k  ", rate / 1000));
-        let (role, note) = match &offer.command {
-            Some(command) => (Role::Warning, format!("DOWN   {command}")),
-            None => (Role::Text, offer.facts.clone()),
+        let chosen = match (choice.is_chosen(at), choice.is_open(at)) {
+            (true, _) => "✓",
+            (false, true) => "●",
+            (false, false) => " ",
         };
-        let text = format!("{}{note}", rate.unwrap_or_default());
+        let role = if offer.command.is_some() { Role::Warning } else { Role::Text };
+        let text = facts_of(choice, at, offer, is_selected);
         lines.push(Line::from(vec![
             span(Role::FileOk, format!("{sign}{chosen} ")),
             span(Role::Title, format!("{} ", fit(&offer.name, NAME))),
             span(role, fit(&text, width.saturating_sub(NAME + 4)).trim_end().to_owned()),
         ]));
     }
-    let title = " descan: which bus? ";
-    let rest = width.saturating_sub(title.len() + choice.reason.chars().count() + 4);
-    let rule = format!("─{title}{} {} ─", "─".repeat(rest), choice.reason);
-    buffer.set_stringn(0, area.y, fit(&rule, width), width, theme.style(Role::BorderFocus));
-    let room = usize::from(area.height).saturating_sub(3);
-    let first = (selected_line + 1).saturating_sub(room);
-    for (row, line) in lines.iter().skip(first).take(room).enumerate() {
-        let y = area.y + 1 + row as u16;
-        buffer.set_line(0, y, line, area.width);
-        if row + first == selected_line && !choice.offers().is_empty() {
-            let line = ratatui::layout::Rect { y, height: 1, ..area };
-            buffer.set_style(line, theme.style(Role::Selected));
+    if lines.is_empty() {
+        let why =
+            if choice.offers().is_empty() { "looking…" } else { "no line with these words" };
+        lines.push(Line::from(span(Role::Muted, format!(" {why}"))));
+    }
+    (lines, selected_line)
+}
+
+fn facts_of(choice: &BusChoice, at: usize, offer: &BusOffer, is_selected: bool) -> String {
+    if let Some(command) = &offer.command {
+        // The command has the bit rate.
+        return format!("DOWN  {command}");
+    }
+    if choice.is_open(at) {
+        return "open".to_owned();
+    }
+    match choice.bit_rate(at) {
+        None => offer.facts.clone(),
+        Some(rate) if !is_selected => format!("{}k  {}", rate / 1000, offer.facts),
+        Some(rate) => {
+            let rates = BIT_RATES.map(|each| {
+                let text = (each / 1000).to_string();
+                if each == rate { format!("[{text}]") } else { text }
+            });
+            format!("kbit/s: {}  {}", rates.join(" "), offer.facts)
         }
     }
-    if area.height > 2 {
-        let tick = if choice.is_listen_only() { "x" } else { " " };
-        let text = format!(
-            " [{tick}] listen only (l)   Other: descan udp:239.74.163.2   descan socketcand://HOST/can0"
-        );
-        let text = fit(&text, width);
-        buffer.set_stringn(0, area.bottom() - 2, text, width, theme.style(Role::Muted));
+}
+
+/// Returns the lines below the list: options, other kinds of buses, keys or a message.
+fn bottom_lines(choice: &BusChoice, theme: &Theme, is_high: bool) -> Vec<Line<'static>> {
+    let line = |role, text: String| Line::from(Span::styled(text, theme.style(role)));
+    let option = |is_on: bool, text: &str| format!("[{}] {text}", if is_on { "x" } else { " " });
+    let mut options = vec![
+        option(choice.is_listen_only(), "listen only (l)"),
+        option(choice.is_without_requests(), "ask no names (n)"),
+    ];
+    options.extend(choice.is_recorded().map(|is_on| option(is_on, "record to session.log (r)")));
+    options.extend(choice.is_in_place().map(|is_on| option(is_on, "in place of the open (i)")));
+    let mut lines = Vec::new();
+    if is_high {
+        let other =
+            " Other: udp:239.74.163.2   socketcand://HOST/can0   ssh HOST candump -L can0 | …";
+        lines.push(line(Role::Muted, other.to_owned()));
     }
-    let keys = " Space choose several  Enter open  e bit rate  y copy command  q quit";
-    let (style_of, text) = match choice.note() {
-        Some(note) => (Role::Warning, format!(" {note}")),
-        None => (Role::Muted, keys.to_owned()),
-    };
-    if area.height > 1 {
-        let text = fit(&text, width);
-        buffer.set_stringn(0, area.bottom() - 1, text, width, theme.style(style_of));
-    }
-    if signs == Signs::Ascii {
-        ascii::replace(buffer);
-    }
+    lines.push(line(Role::Muted, format!(" {}", options.join("   "))));
+    lines.push(match (choice.note(), choice.search()) {
+        (Some(note), _) => line(Role::Warning, format!(" {note}")),
+        (None, Some((words, is_typing))) => {
+            let words = Escaped(words.as_bytes());
+            let keys = if is_typing { "▏  Enter keep  " } else { "  " };
+            line(Role::Input, format!(" / {words}{keys}Esc all lines again"))
+        }
+        (None, None) => {
+            let is_first = choice.is_in_place().is_none();
+            let leave = if is_first { "t theme  q quit" } else { "Esc close" };
+            let keys = " Enter open  Space several  e bit rate  / search  y copy";
+            line(Role::Muted, format!("{keys}  {leave}"))
+        }
+    });
+    lines
 }

@@ -64,6 +64,10 @@ pub use symbols::SYMBOLS;
 /// scrolled, limited to its end; `None` if the screen has none. The app stores it, since the length
 /// of wrapped text is known only after drawing.
 pub fn draw(app: &App, theme: &Theme, frame: &mut Frame) -> Option<u16> {
+    if let Some(choice) = app.bus_choice() {
+        draw_choice(choice, app.alarm(), theme, app.signs(), frame);
+        return None;
+    }
     let area = frame.area();
     let mut screen = app.screen();
     if screen.whole != area {

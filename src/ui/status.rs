@@ -440,6 +440,9 @@ fn warning(brush: &DrawContext, bus: &Bus) -> Option<Part> {
         let is_log = brush.app.playback().is_some();
         return part(Role::Warning, format!("listen-only{acks}")).filter(|_| !is_log);
     }
+    if bus.status.listens_first {
+        return part(Role::Warning, "listen-only until a valid frame".to_owned());
+    }
     let why = match bus.tx_blocked()? {
         TxBlocked::QueueFull => "transmit queue full",
         TxBlocked::NoAck => "no ACK",

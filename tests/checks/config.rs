@@ -13,6 +13,8 @@ pub const CONFIG: Target = Target {
                 for share in [settings.start_share, settings.steady_share].into_iter().flatten() {
                     assert!((0.001..=1.0).contains(&share), "{share}");
                 }
+                let budget = settings.screen_budget.unwrap_or(1800.0);
+                assert!((200.0..=1e6).contains(&budget), "{budget}");
                 assert!(settings.round_period().is_none_or(|period| period.as_secs() <= 86_400));
             }
             Err(message) => assert!(!message.is_empty()),
@@ -23,6 +25,7 @@ pub const CONFIG: Target = Target {
         b"round_period = ",
         b"start_share = ",
         b"steady_share = ",
+        b"screen_budget = ",
         b"0.001",
         b"nan",
         b"inf",

@@ -27,6 +27,7 @@ pub const SLCAN: Target = Target {
             bitrate: choices.one_of(&[None, Some(500_000), Some(1)]),
             data_bitrate: choices.one_of(&[None, Some(2_000_000)]),
             listen_only: choices.flag(),
+            listens_first: choices.flag(),
         };
         let mut run = Run::new(Slcan::new("dev", settings));
         run.can_send = !settings.listen_only;

@@ -644,9 +644,11 @@ fn bus_off_controller_is_reported() {
 #[test]
 fn invalid_arguments_are_one_line_with_the_fix() {
     let folder = tempfile::tempdir().unwrap();
+    std::fs::create_dir(folder.path().join("folder")).unwrap();
     for (arguments, hint) in [
         (&["scan", "--jsn"][..], "--json"),
         (&["session.logg"], "session.logg: file not found; check the name"),
+        (&["folder"], "folder is a folder; name a log in it: descan folder/session.log"),
         (&["help", "scenario"], "did you mean scenarios?"),
         (&["scna", "can0"], "did you mean the command descan scan?"),
         (&["boiler"], "boiler is not a command or a bus"),
@@ -663,7 +665,6 @@ fn invalid_arguments_are_one_line_with_the_fix() {
         (&["scan", "can0", "can0"], "can0 is the same bus as can0"),
         (&["scan", "slcan:/dev/ttyS0@125000", "slcan:/dev/ttyS0"], "the same bus"),
         (&["sim", "sim:boiler"], "descan demo"),
-        (&[], "descan scan or descan watch"),
         (&["demo"], "descan scan or descan watch"),
     ] {
         let output = descan(arguments, folder.path());
@@ -676,12 +677,102 @@ fn invalid_arguments_are_one_line_with_the_fix() {
 }
 
 #[test]
+fn list_of_buses_is_printed_without_a_terminal() {
+    let folder = tempfile::tempdir().unwrap();
+    for arguments in [&[][..], &["nocan7"]] {
+        let output = descan(arguments, folder.path());
+        let said = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{said}");
+        assert_eq!(said.lines().count(), 1, "{said}");
+        assert!(said.contains("descan scan or descan watch"), "{said}");
+        let list = text(&output.stdout);
+        assert!(list.contains("Simulated\n  sim:boiler "), "{list}");
+        assert!(!list.contains('\x1b'), "{list}");
+    }
+}
+
+#[test]
+fn scan_table_has_the_headlines_and_times_of_the_screen() {
+    let folder = tempfile::tempdir().unwrap();
+    let scenario = Scenario::builtin("boiler").unwrap();
+    std::fs::write(folder.path().join("session.log"), log(&scenario, 45)).unwrap();
+    let output = descan(&["scan", "file:session.log"], folder.path());
+    let table = text(&output.stdout);
+    let headline = table.lines().find(|line| line.starts_with("confirmed Address 14: SPARE01 "));
+    let headline = headline.unwrap_or_else(|| panic!("{table}"));
+    let joined = headline.split("joined ").nth(1).and_then(|rest| rest.split(',').next());
+    let joined = joined.unwrap_or_else(|| panic!("{headline}"));
+    assert!(headline.contains(", conflicts with BOILER03 (since "), "{headline}");
+    for kind in ["one-address-two-identities", "same-name-same-address"] {
+        let line = format!("  confirmed {kind}, since {joined}\n");
+        assert!(table.contains(&line), "{line}{table}");
+    }
+    assert!(table.contains("  Two devices answer as ACT at address 14.\n"), "{table}");
+    let watched = descan(&["watch", "file:session.log"], folder.path());
+    let lines = text(&watched.stdout);
+    let line = lines.lines().find(|line| line.contains("confirmed: ")).unwrap();
+    assert!(line.contains("SPARE01 joined, conflicts with BOILER03 (since "), "{line}");
+    assert!(line.contains("). Two devices "), "{line}");
+}
+
+#[test]
+fn empty_log_names_the_way_out() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("empty.log"), "").unwrap();
+    for (input, way_out) in
+        [("empty.log", "check that it is the right log"), ("-", "candump -L can0 | descan scan -")]
+    {
+        let output = descan(&["scan", input], folder.path());
+        let said = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(0), "{said}");
+        assert!(said.contains("0 frames; ") && said.contains(way_out), "{said}");
+    }
+}
+
+#[test]
+fn input_without_frames_ends_with_its_cause() {
+    use std::io::Write;
+    let folder = tempfile::tempdir().unwrap();
+    let scan = |input: &str| {
+        let output = descan(&["scan", input], folder.path());
+        (output.status.code(), text(&output.stderr))
+    };
+    let (code, said) = scan("file:/dev/zero");
+    assert_eq!(code, Some(3), "{said}");
+    assert!(said.contains("no line end in 16 MB"), "{said}");
+    assert!(said.contains("use a candump -L log or pcapng"), "{said}");
+    // As from a pipe that stays open.
+    let mut child = Command::new(env!("CARGO_BIN_EXE_descan"))
+        .args(["scan", "-"])
+        .current_dir(folder.path())
+        .stdin(Stdio::piped())
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut stdin = child.stdin.take().unwrap();
+    let block = vec![0; 1 << 20];
+    // The reader ends before the writer.
+    let written = (0..100).take_while(|_| stdin.write_all(&block).is_ok()).count();
+    assert!(written < 40, "{written} MB were read");
+    let output = child.wait_with_output().unwrap();
+    let said = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(3), "{said}");
+    assert!(said.contains("the line is too long"), "{said}");
+    drop(stdin);
+}
+
+#[test]
 fn unusable_input_is_named_and_exits_3() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("odd.toml"), "bitrate = 125000\nnoise = 1\n").unwrap();
     std::fs::write(folder.path().join("bad.toml"), "framing = \"morse\"").unwrap();
+    std::fs::write(folder.path().join("words.log"), "hello\n").unwrap();
     for (arguments, hint) in [
         (&["scan", "file:nothing.log"][..], "nothing.log"),
+        (&["scan", "nothing.log"], "cannot be read: No such file or directory; check the name"),
+        (&["watch", "./"], "cannot be read: is a directory; name a log in it"),
+        (&["scan", "words.log"], "use a candump -L log or pcapng"),
         (&["scan", "sim:nothing"], "boiler"),
         (&["scan", "sim:boiler", "--profile", "nothing.toml"], "file not found"),
         (&["scan", "sim:boiler", "--profile", "bad.toml"], "morse"),

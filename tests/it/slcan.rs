@@ -336,6 +336,30 @@ fn listen_only_opens_with_l_and_sends_nothing() {
 }
 
 #[test]
+fn assumed_bit_rate_is_used_to_send_after_a_valid_frame() {
+    let mut adapter = Adapter::new();
+    let mut bus = OpenBus::listen_first(&adapter.spec("@500000"));
+    adapter.be_opened();
+    let status = bus.wait_for_link(Link::Up);
+    assert!(status.listens_first && status.listen_only, "{status:?}");
+    assert!(adapter.heard.contains(&"L".to_owned()) && !adapter.heard.contains(&"O".to_owned()));
+    adapter.say("T123456780\r");
+    adapter.be_opened();
+    let status = bus.wait_for_status("opened to send", |status| !status.listens_first);
+    assert_eq!((status.link, status.listen_only), (Link::Up, false));
+    assert_eq!(adapter.heard.last().map(String::as_str), Some("O"));
+    assert_eq!(bus.wait_for_frames(1).len(), 1);
+    bus.send(&Frame::classic(1, &[]));
+    assert_eq!(adapter.hear_frame(), "T000000010");
+    // Unplugged and plugged in, it may be at another bus.
+    adapter.pty.unplug();
+    bus.wait_for_link(Link::Unplugged);
+    adapter.pty.plug_in();
+    adapter.be_opened();
+    bus.wait_for_status("listening again", |status| status.listens_first);
+}
+
+#[test]
 fn garbage_is_counted_and_next_line_is_read() {
     let (mut adapter, mut bus) = open("@500000");
     adapter.pty.write(b"\xFF\x80\x00half a li");

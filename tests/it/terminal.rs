@@ -634,3 +634,160 @@ fn buses_are_offered_where_none_is_named_or_up() {
     assert_eq!(pty.wait(), 0);
     pty.assert_given_back();
 }
+
+/// Returns the lines of the screen with a background of their own in the first column.
+fn tinted_rows(screen: &vt100::Screen) -> Vec<(u16, u8)> {
+    let colour = |row| match screen.cell(row, 0)?.bgcolor() {
+        vt100::Color::Idx(index) => Some((row, index)),
+        _ => None,
+    };
+    (3..20).filter_map(colour).collect()
+}
+
+fn asks_for_background(pty: &Pty) -> bool {
+    pty.bytes.windows(6).any(|bytes| bytes == b"\x1b]11;?")
+}
+
+#[test]
+fn selected_row_is_tinted_by_the_told_background() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut pty = demo(folder.path());
+    pty.wait_for("DISP");
+    assert!(asks_for_background(&pty));
+    assert_eq!(tinted_rows(pty.vt()), []);
+    // Between keys, in two parts.
+    pty.send("j\x1b]11;rgb:1c1c/1f1f");
+    pty.send("/2424\x1b\\j");
+    pty.wait_until(
+        "the tint",
+        |screen| matches!(tinted_rows(screen)[..], [(_, index)] if index >= 232),
+    );
+    let (row, _) = tinted_rows(pty.vt())[0];
+    assert_eq!(row, 6, "two rows down: {}", pty.screen());
+    assert!(pty.screen().contains("1 Devices"), "no key was made up: {}", pty.screen());
+    // A theme that paints itself, and back.
+    pty.send("t");
+    pty.wait_for("high-contrast");
+    pty.send("\x1b");
+    pty.wait_until("the list", |screen| !screen.contents().contains("high-contrast"));
+    pty.send("q");
+    assert_eq!(pty.wait(), 0);
+    pty.assert_given_back();
+}
+
+#[test]
+fn late_answer_of_the_terminal_makes_no_keys() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut pty = demo(folder.path());
+    // One that was not asked for, or twice.
+    for _ in 0..2 {
+        pty.send("\x1b]11;rgb:ffff/ffff/ffff\x07");
+    }
+    pty.wait_until("the tint", |screen| !tinted_rows(screen).is_empty());
+    assert!(pty.screen().contains("1 Devices"), "{}", pty.screen());
+    pty.send("q");
+    assert_eq!(pty.wait(), 0);
+}
+
+#[test]
+fn terminal_is_not_asked_where_no_tint_is_shown() {
+    for (variable, value) in [("TERM", "linux"), ("TERM", "xterm"), ("NO_COLOR", "1")] {
+        let folder = tempfile::tempdir().unwrap();
+        let program = env!("CARGO_BIN_EXE_descan");
+        let command = format!("{variable}={value} exec {program} sim:boiler");
+        let mut pty = Pty::run("/bin/sh", &["-c", &command], folder.path(), SMALL);
+        pty.wait_for("FEED");
+        assert!(!asks_for_background(&pty), "{variable}={value}");
+        pty.send("q");
+        assert_eq!(pty.wait(), 0);
+    }
+}
+
+#[test]
+fn screen_budget_bounds_what_the_bus_changes() {
+    let count = |budget: u32| {
+        let folder = tempfile::tempdir().unwrap();
+        let config = folder.path().join("config/descan");
+        std::fs::create_dir_all(&config).unwrap();
+        std::fs::write(config.join("config.toml"), format!("screen_budget = {budget}")).unwrap();
+        let mut pty = Pty::start(&["sim:drone"], folder.path(), SMALL);
+        pty.wait_for("IMU");
+        pty.send("2");
+        pty.wait_for("FROM");
+        // What the key asked for is not counted.
+        pty.count_for(Duration::from_secs(1));
+        let bytes = pty.count_for(Duration::from_secs(4));
+        pty.send("q");
+        assert_eq!(pty.wait(), 0);
+        bytes
+    };
+    let (low, high) = (count(300), count(20_000));
+    assert!(low < 300 * 4 + 1500, "{low}");
+    assert!(high > low * 3, "{high} {low}");
+}
+
+/// A connection that is slow, without a speed that is set: late answers show it.
+#[test]
+fn keys_act_on_a_line_that_is_found_slow_by_its_answers() {
+    let folder = tempfile::tempdir().unwrap();
+    let program = env!("CARGO_BIN_EXE_descan");
+    let mut pty = Pty::run_on_line(program, &["sim:drone"], folder.path(), (120, 40), Some(2000));
+    pty.answers = true;
+    pty.wait_for("q quit");
+    pty.wait_for("MOT4");
+    // Screens until the speed is known.
+    for key in ["2", "3", "5"] {
+        pty.send(key);
+        pty.count_for(Duration::from_secs(4));
+    }
+    for (key, effect) in [("2", "FROM"), ("1", "STATE"), ("?", "Keys of"), ("?", "STATE")] {
+        let start = Instant::now();
+        pty.send(key);
+        pty.wait_until(key, |screen| screen.contents().contains(effect));
+        let took = start.elapsed();
+        assert!(took < SLOW_ANSWER * 2, "{key}: {effect} after {took:?}\n{}", pty.screen());
+    }
+    pty.send("q");
+    assert_eq!(pty.wait(), 0);
+}
+
+#[test]
+fn list_of_buses_adds_a_bus_and_replaces_all() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut pty = demo(folder.path());
+    pty.send("B");
+    pty.wait_for("which bus?");
+    pty.wait_for("sim:drone");
+    pty.send("/drone\r");
+    pty.wait_until("one line", |screen| !screen.contents().contains("sim:boiler  "));
+    pty.send("\r");
+    pty.wait_for("opened sim:drone");
+    pty.wait_for("IMU");
+    assert!(pty.screen().contains("FEED"), "{}", pty.screen());
+    pty.send("B");
+    pty.wait_for("which bus?");
+    pty.wait_for("sim:drone");
+    pty.send("Gi\r");
+    pty.wait_for("Close sim:boiler, sim:drone and drop its frames?");
+    pty.send("y");
+    pty.wait_until("the drone alone", |screen| {
+        let text = screen.contents();
+        text.contains("IMU") && !text.contains("FEED")
+    });
+    pty.send("q");
+    assert_eq!(pty.wait(), 0);
+    pty.assert_given_back();
+}
+
+#[test]
+fn interface_that_is_missing_is_shown_above_the_list_of_buses() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut pty = Pty::start(&["nocan7"], folder.path(), SMALL);
+    pty.wait_for("waiting for it");
+    pty.wait_for("sim:boiler");
+    pty.send("/boiler\r\r");
+    pty.wait_for("FEED");
+    pty.send("q");
+    assert_eq!(pty.wait(), 0);
+    pty.assert_given_back();
+}

@@ -195,6 +195,51 @@ fn screen_waits_for_its_interface() {
 }
 
 #[test]
+fn list_of_buses_opens_a_missing_interface_when_it_appears() {
+    let Some(vcan) = Vcan::later("vcan-late") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let mut pty = Pty::start(&[vcan.name()], folder.path(), (80, 24));
+    pty.wait_for("vcan-late not found: waiting for it");
+    vcan.create().unwrap();
+    let devices = simulated(vcan.name(), "boiler");
+    pty.wait_for("FEED");
+    drop(devices);
+    pty.send("q");
+    assert_eq!(pty.wait(), 0);
+    pty.assert_given_back();
+    // One that is down has the command.
+    vcan.down();
+    let mut pty = Pty::start(&[vcan.name()], folder.path(), (80, 24));
+    pty.wait_for("vcan-late is down: waiting for it");
+    pty.wait_for("sudo ip link set vcan-late up");
+    vcan.up();
+    pty.wait_for("1 Devices");
+    pty.send("q");
+    assert_eq!(pty.wait(), 0);
+}
+
+#[test]
+fn list_of_buses_has_what_is_heard_on_interfaces_that_are_up() {
+    let Some(one) = Vcan::new("vcan-one") else { return };
+    let Some(other) = Vcan::new("vcan-other") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let _devices = simulated(other.name(), "boiler");
+    let mut pty = Pty::start(&[one.name()], folder.path(), (100, 30));
+    pty.wait_for("1 Devices");
+    pty.send("B");
+    pty.wait_until("what is heard", |screen| {
+        let text = screen.contents();
+        let line = text.lines().find(|line| line.contains("vcan-other"));
+        line.is_some_and(|line| line.contains("f/s") && line.contains("@10"))
+    });
+    pty.send("/other\r\r");
+    pty.wait_for("opened vcan-other");
+    pty.wait_for("FEED");
+    pty.send("q");
+    assert_eq!(pty.wait(), 0);
+}
+
+#[test]
 fn two_inspectors_share_one_bus() {
     let Some(vcan) = Vcan::new("dsp-two") else { return };
     let folder = tempfile::tempdir().unwrap();

@@ -77,7 +77,7 @@ const IN_WORDS: &str = "\
 06:17:32.100 can0             open
 06:17:32.100  12 ?            appeared
 06:17:32.500  12 FEED         identified as FEED
-06:17:32.500  12 FEED         confirmed: FEED is at address 12; the file pins it to 31.
+06:17:32.500  12 FEED         confirmed: FEED (BOILER01) is pinned to 31 in des.json. FEED is at address 12; the file pins it to 31.
 06:17:32.700  12 FEED         1 service
 06:17:34.100  12 FEED         WORK → UFUNC
 06:17:35.100  12 FEED         UFUNC → WORK

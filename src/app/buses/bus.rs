@@ -222,6 +222,11 @@ impl Bus {
             || matches!(self.status.state, BusState::BusOff | BusState::Stopped)
     }
 
+    /// Returns true if nothing can or may be transmitted at present.
+    fn cannot_send(&self) -> bool {
+        self.is_unreachable() || self.status.listens_first || self.status.is_sending_paused
+    }
+
     // ---- changes ---------------------------------------------------------------------------
 
     /// Passes a frame to the engine and the load meter.
@@ -268,7 +273,7 @@ impl Bus {
     /// repeated now and then, so that the engine goes on listening.
     pub(in crate::app) fn must_discard_frames(&self, now: Instant) -> bool {
         let is_due = || self.discarded_at.is_none_or(|at| now.since(at) >= DISCARD_INTERVAL);
-        self.is_unreachable() && (self.engine.has_frames_to_send() || is_due())
+        self.cannot_send() && (self.engine.has_frames_to_send() || is_due())
     }
 
     /// A frame queued now would be late, and its missing ACK would prove nothing.

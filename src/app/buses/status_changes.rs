@@ -25,6 +25,16 @@ pub(super) fn status_changes(old: &BusStatus, status: &BusStatus) -> Vec<(Timeli
             ),
         });
     }
+    match (old.listens_first, status.listens_first) {
+        (false, true) => {
+            let text = "listen-only until a valid frame is received";
+            lines.push((TimelineKind::Bus, text.to_owned()));
+        }
+        (true, false) if status.link == Link::Up => {
+            lines.push((TimelineKind::Bus, "valid frame received: opened to send".to_owned()));
+        }
+        _ => {}
+    }
     if status.filtered && !old.filtered {
         lines.push((
             TimelineKind::Bus,

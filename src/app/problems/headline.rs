@@ -6,9 +6,9 @@
 
 use super::{Problem, ProblemKey, format_duration};
 use crate::app::capture::decoded::uid_text;
-use crate::app::{App, format_time_of_day};
+use crate::app::{App, TimelineEntry, format_time_of_day};
 use crate::discovery::Device;
-use crate::finding::{FindingKind, FindingState, SeenUid};
+use crate::finding::{Finding, FindingKind, FindingState, SeenUid};
 use crate::text::join_first;
 use crate::time::{Duration, Instant};
 use crate::wire::id::Address;
@@ -99,6 +99,38 @@ impl App {
             },
             ProblemKey::Finding(_) => ProblemHeadline { label, short, long, full },
         }
+    }
+
+    /// The headline of the problem that a finding belongs to; of the finding alone while the problem is
+    /// in another state.
+    pub fn headline_of(&self, finding: &Finding) -> ProblemHeadline {
+        let problems = self.problems_with(|other| other.key == finding.key);
+        let problem = problems.first().filter(|problem| problem.state() == finding.state);
+        let alone = || Problem {
+            key: ProblemKey::of(&finding.key),
+            findings: vec![finding],
+            is_muted: false,
+        };
+        problem.map_or_else(|| self.headline(&alone()), |problem| self.headline(problem))
+    }
+
+    /// Headline and explanation of a line of the timeline that is a finding; `None` for any other.
+    pub(in crate::app) fn explained(&self, line: &TimelineEntry) -> Option<(String, String)> {
+        let (kind, (state, text)) = line.finding.zip(line.text.split_once(": "))?;
+        let mut findings = self.problems.findings(&self.buses);
+        let finding = findings.find(|finding| {
+            finding.key.kind == kind && finding.state.name() == state && finding.text == text
+        })?;
+        let headline = self.headline_of(finding);
+        // The address stands in front.
+        let words = if line.address.is_some() && !headline.long.is_empty() {
+            headline.long
+        } else {
+            headline.full
+        };
+        let is_same = words == text.strip_suffix('.').unwrap_or(text);
+        let explanation = if is_same { String::new() } else { text.to_owned() };
+        Some((format!("{state}: {words}"), explanation))
     }
 
     fn words_of(&self, problem: &Problem) -> Words {

@@ -250,6 +250,9 @@ pub fn bus_obstacle(bus: &Bus) -> Option<String> {
         },
         (_, BusState::BusOff) => format!("{name} is bus-off: nothing is received"),
         (_, BusState::Stopped) => format!("{name} is stopped"),
+        _ if bus.status.listens_first => {
+            format!("{name} is listen-only until a valid frame is received")
+        }
         _ => match bus.tx_blocked()? {
             TxBlocked::QueueFull => {
                 format!("cannot send requests: transmit queue of {name} is stuck")

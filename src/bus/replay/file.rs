@@ -46,5 +46,15 @@ pub fn open_log(path: &Path) -> Result<File, Diagnostic> {
         let is_folder = log.metadata()?.is_dir();
         if is_folder { Err(io::ErrorKind::IsADirectory.into()) } else { Ok(log) }
     });
-    opened.map_err(|error| Diagnostic::unreadable(format_args!("file:{}", shown(path)), &error))
+    opened.map_err(|error| {
+        let fault = Diagnostic::unreadable(format_args!("file:{}", shown(path)), &error);
+        match error.kind() {
+            io::ErrorKind::NotFound => fault.with_remedy("check the name"),
+            io::ErrorKind::IsADirectory => fault.with_remedy("name a log in it"),
+            io::ErrorKind::PermissionDenied => {
+                fault.with_remedy(format!("allow it: sudo chmod a+r {}", shown(path)))
+            }
+            _ => fault,
+        }
+    })
 }

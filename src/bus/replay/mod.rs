@@ -359,9 +359,15 @@ impl Replay {
         if self.reader.has_partial_entry() && self.reader.summary().damage.is_none() {
             summary.push_str("; last line incomplete");
         }
+        let fault = Diagnostic::new(summary);
+        let fault = match self.reader.summary() {
+            summary if summary.frames > 0 => fault,
+            summary if summary.lost_entries() > 0 => fault.with_remedy(READABLE_LOGS),
+            _ => fault.with_remedy("check that it is the right log"),
+        };
         self.clock.log_ends(self.bus);
         self.shared.queue.update_status(|status| {
-            (status.link, status.fault) = (Link::Ended, Some(Diagnostic::new(summary)));
+            (status.link, status.fault) = (Link::Ended, Some(fault));
         });
     }
 }

@@ -42,7 +42,8 @@ const BAUD_RATE: BaudRate = BaudRate::B115200;
 pub(super) fn open(address: &SlcanAddress, request: OpenRequest) -> Result<Port, Diagnostic> {
     let SlcanAddress { device, bitrate, data_bitrate } = address.clone();
     let listen_only = request.options.listen_only;
-    let settings = SlcanSettings { bitrate, data_bitrate, listen_only };
+    let listens_first = request.options.listens_first;
+    let settings = SlcanSettings { bitrate, data_bitrate, listen_only, listens_first };
     let protocol = Slcan::new(&device.to_string_lossy(), settings);
     let status = BusStatus {
         bitrate,

@@ -9,6 +9,8 @@
 //! setting   N, S, Y, then O or L, each after the response to the one before
 //! open      frames; F each second
 //! ```
+//!
+//! With a bit rate that may be wrong it is opened by L, and by O after the first valid frame.
 
 use super::line::{
     AdapterReply, Flags, LinePiece, LineSplitter, data_rate_code, encode, name, parse, rate_code,
@@ -56,6 +58,8 @@ pub struct SlcanSettings {
     pub data_bitrate: Option<u32>,
     /// `L` instead of `O`.
     pub listen_only: bool,
+    /// `L` until a valid frame is received: the bit rate may be wrong.
+    pub listens_first: bool,
 }
 
 /// State of the protocol with one adapter.
@@ -77,6 +81,8 @@ pub struct Slcan {
     /// Its controller is error-warning, error-passive or bus-off.
     is_troubled: bool,
     takes_fd: bool,
+    /// It is listen-only until it receives a valid frame.
+    is_listening: bool,
     version: Option<String>,
     serial: Option<String>,
     readable: u64,
@@ -131,6 +137,7 @@ impl Slcan {
             reports_state: false,
             is_troubled: false,
             takes_fd: false,
+            is_listening: settings.listens_first && !settings.listen_only,
             version: None,
             serial: None,
             readable: 0,
@@ -189,12 +196,16 @@ impl Slcan {
         wanted.into_iter().find(|command| rank(*command) > done).unwrap_or(SetupCommand::Open)
     }
 
+    fn is_listen_only(&self) -> bool {
+        self.settings.listen_only || self.is_listening
+    }
+
     fn text(&self, command: SetupCommand) -> String {
         match command {
             SetupCommand::Serial => "N".to_owned(),
             SetupCommand::Rate(code) => format!("S{code}"),
             SetupCommand::DataRate(code) => format!("Y{code}"),
-            SetupCommand::Open if self.settings.listen_only => "L".to_owned(),
+            SetupCommand::Open if self.is_listen_only() => "L".to_owned(),
             SetupCommand::Open => "O".to_owned(),
         }
     }
@@ -231,6 +242,10 @@ impl Slcan {
                 Diagnostic::new(format!("{device} rejects {rate} bit/s ({text})"))
                     .with_remedy("use another rate, or none to keep the adapter's")
             }
+            SetupCommand::Open if self.is_listening => {
+                Diagnostic::new(format!("{device} rejects listen-only ({text})"))
+                    .with_remedy(format!("name its bit rate: descan slcan:{device}@500000"))
+            }
             SetupCommand::Open if self.settings.listen_only => {
                 Diagnostic::new(format!("{device} rejects listen-only ({text})"))
             }
@@ -256,7 +271,8 @@ impl Slcan {
         status.bitrate = self.settings.bitrate;
         status.fd = self.takes_fd;
         status.data_bitrate = self.settings.data_bitrate.filter(|_| self.takes_fd);
-        status.listen_only = self.settings.listen_only;
+        status.listen_only = self.is_listen_only();
+        status.listens_first = self.is_listening;
         status.unanswered = self.readable == 0;
         status.note = Some(self.describe_adapter());
     }
@@ -275,6 +291,13 @@ impl Slcan {
         if self.settings.bitrate.is_none() {
             parts.push("adapter's bit rate kept (unknown)".to_owned());
         }
+        if self.is_listening {
+            let rate = self.settings.bitrate.map_or("RATE".to_owned(), |rate| rate.to_string());
+            let device = &self.device;
+            parts.push(format!(
+                "a device that is alone gets no ACK; for it: descan slcan:{device}@{rate}"
+            ));
+        }
         if self.settings.data_bitrate.is_some() && !self.takes_fd {
             parts.push("adapter does not support FD frames".to_owned());
         }
@@ -292,6 +315,9 @@ impl Slcan {
                 exchange.status.fd |= frame.is_fd;
                 self.takes_fd |= frame.is_fd;
                 exchange.frames.push(frame.with_time(time));
+                if self.is_listening && self.stage == SlcanStage::Open {
+                    self.open_to_send(now, exchange);
+                }
             }
             AdapterReply::State { state, tec, rec } => {
                 self.reports_state = true;
@@ -374,6 +400,17 @@ impl Slcan {
             self.flags.wanted = false;
             self.flags.requested = None;
         }
+    }
+
+    /// Opens the channel again to send: a valid frame shows that the bit rate is right.
+    fn open_to_send(&mut self, now: Instant, exchange: &mut ProtocolIo) {
+        self.is_listening = false;
+        if self.responses {
+            return self.open_again(now, exchange);
+        }
+        // Its responses need not be waited for.
+        exchange.write(b"C\r");
+        self.set(now, None, exchange);
     }
 
     /// Opens the channel again at the first, late response of an adapter. Returns true if it does.
@@ -528,7 +565,7 @@ impl Protocol for Slcan {
     }
 
     fn has_room(&self) -> bool {
-        self.stage == SlcanStage::Open && self.own.has_room()
+        self.stage == SlcanStage::Open && !self.is_listening && self.own.has_room()
     }
 
     fn send(&mut self, _: Instant, frame: &Frame, exchange: &mut ProtocolIo) {
@@ -682,6 +719,65 @@ mod tests {
         assert_eq!(test.pass(11), "F.");
         test.handle_reply(13, b"F20\r");
         assert_eq!(test.exchange.status.state, BusState::ErrorPassive);
+    }
+
+    const LISTENS_FIRST: SlcanSettings = SlcanSettings {
+        bitrate: Some(500_000),
+        data_bitrate: None,
+        listen_only: false,
+        listens_first: true,
+    };
+
+    #[test]
+    fn adapter_listens_until_a_valid_frame_and_is_opened_to_send() {
+        let mut test = SlcanTest::begin(LISTENS_FIRST);
+        test.handle_reply(1, b"\r\r");
+        test.pass(1);
+        test.handle_reply(2, b"\r");
+        assert_eq!(test.handle_reply(3, b"\r"), "L.");
+        test.handle_reply(4, b"\r");
+        let status = &test.exchange.status;
+        assert_eq!((status.link, status.listens_first, status.listen_only), (Link::Up, true, true));
+        assert!(status.note.as_ref().is_some_and(|note| note.contains("@500000")), "{status:?}");
+        assert!(!test.slcan.has_room());
+        test.pass(4);
+        // Neither flags nor what cannot be read are a frame.
+        test.handle_reply(5, b"F00\rnonsense\r");
+        assert!(test.exchange.status.listens_first);
+        assert_eq!(test.handle_reply(6, b"T123456780\r"), "C.V.");
+        assert_eq!(test.exchange.frames.len(), 1);
+        assert_eq!(test.exchange.status.link, Link::Up, "the link stays");
+        test.handle_reply(7, b"\r\r");
+        assert_eq!(test.pass(7), "N.");
+        test.handle_reply(8, b"\r");
+        assert_eq!(test.handle_reply(9, b"\r"), "O.");
+        test.handle_reply(10, b"\r");
+        let status = &test.exchange.status;
+        assert_eq!((status.listens_first, status.listen_only), (false, false));
+        assert!(test.slcan.has_room());
+    }
+
+    #[test]
+    fn adapter_without_responses_is_opened_to_send_at_once() {
+        let mut test = SlcanTest::begin(LISTENS_FIRST);
+        test.sent();
+        assert!(test.pass(1_200).ends_with("S6.L."));
+        assert_eq!(test.handle_reply(1_300, b"T123456780\r"), "C.S6.O.");
+        assert!(!test.exchange.status.listens_first);
+        assert_eq!(test.handle_reply(1_400, b"T123456780\r"), "");
+    }
+
+    #[test]
+    fn adapter_without_listen_only_names_the_way_out() {
+        let mut test = SlcanTest::begin(LISTENS_FIRST);
+        test.handle_reply(1, b"\r\r");
+        test.pass(1);
+        test.handle_reply(2, b"\r");
+        test.handle_reply(3, b"\r");
+        test.handle_reply(4, b"\x07");
+        let broken = test.exchange.broken.as_ref().map(|it| it.fault.to_string());
+        let fault = "dev rejects listen-only (L); name its bit rate: descan slcan:dev@500000";
+        assert_eq!(broken.as_deref(), Some(fault));
     }
 
     #[test]

@@ -24,6 +24,11 @@ impl OpenBus {
         Self::open_with(spec, Options { listen_only: true, ..Options::default() })
     }
 
+    /// Opens a bus whose bit rate is assumed.
+    pub fn listen_first(spec: &str) -> Self {
+        Self::open_with(spec, Options { listens_first: true, ..Options::default() })
+    }
+
     fn open_with(spec: &str, options: Options) -> Self {
         let clock = Clock::start();
         let spec: BusSpec = spec.parse().expect("a bus");

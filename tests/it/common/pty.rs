@@ -24,6 +24,9 @@ pub const PATIENCE: Duration = Duration::from_mins(1);
 /// A slow line makes up for so much time in which a busy machine did not run it.
 const LATE: Duration = Duration::from_millis(300);
 
+/// Asks the terminal for its background colour.
+const QUESTION: &[u8] = b"\x1b]11;?\x1b\\";
+
 pub struct Pty {
     child: Box<dyn Child + Send + Sync>,
     master: Box<dyn MasterPty + Send>,
@@ -32,6 +35,8 @@ pub struct Pty {
     parser: vt100::Parser,
     /// All bytes written to the terminal.
     pub bytes: Vec<u8>,
+    /// It answers what its background colour is.
+    pub answers: bool,
     settings: String,
 }
 
@@ -90,7 +95,8 @@ impl Pty {
         });
         let writer = Some(pair.master.take_writer().unwrap());
         let parser = vt100::Parser::new(cells(rows), cells(columns), 0);
-        Self { child, master: pair.master, writer, output, parser, bytes: Vec::new(), settings }
+        let (master, bytes, answers) = (pair.master, Vec::new(), false);
+        Self { child, master, writer, output, parser, bytes, answers, settings }
     }
 
     /// Types keys.
@@ -119,7 +125,14 @@ impl Pty {
 
     fn take(&mut self, bytes: &[u8]) {
         self.parser.process(bytes);
+        // A question may be in two pieces.
+        let from = self.bytes.len().saturating_sub(QUESTION.len() - 1);
         self.bytes.extend_from_slice(bytes);
+        let pieces = self.bytes[from..].windows(QUESTION.len());
+        let questions = pieces.filter(|piece| *piece == QUESTION).count();
+        for _ in 0..if self.answers { questions } else { 0 } {
+            self.send("\x1b]11;rgb:1c1c/1f1f/2424\x1b\\");
+        }
     }
 
     /// Reads the output for this long and returns its length in bytes.
@@ -137,6 +150,11 @@ impl Pty {
 
     pub fn screen(&self) -> String {
         self.parser.screen().contents()
+    }
+
+    /// The screen with its colours.
+    pub fn vt(&self) -> &vt100::Screen {
+        self.parser.screen()
     }
 
     pub fn pid(&self) -> Pid {

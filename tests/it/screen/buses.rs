@@ -513,3 +513,27 @@ fn load_without_a_bit_rate_is_unknown() {
     stage.app.handle_bus(stage.app.now(), BusIndex(0), status);
     assert!(one_line(&stage.screen()).contains("load – "), "{}", stage.screen());
 }
+
+#[test]
+fn listening_adapter_sends_nothing_until_a_valid_frame() {
+    let mut stage = Stage::boiler();
+    let status = |listens_first| BusStatus {
+        link: Link::Up,
+        bitrate: Some(125_000),
+        listens_first,
+        ..BusStatus::default()
+    };
+    stage.app.handle_bus(Instant::ZERO, BusIndex(0), status(true));
+    stage.until(8.0).size(120, 36);
+    assert_eq!(stage.app.buses()[0].counters().sent, 0);
+    assert!(stage.screen().contains("listen-only until a valid frame"), "{}", stage.screen());
+    stage.keys("r");
+    let refusal = "can0 is listen-only until a valid frame is received";
+    assert!(stage.screen().contains(refusal), "{}", stage.screen());
+    stage.app.handle_bus(stage.app.now(), BusIndex(0), status(false));
+    stage.until(16.0).keys("3 v");
+    assert!(stage.app.buses()[0].counters().sent > 0);
+    let screen = stage.screen();
+    assert!(screen.contains("valid frame received: opened to send"), "{screen}");
+    assert!(screen.contains("own 0"), "{screen}");
+}

@@ -3,6 +3,7 @@
 mod alarm;
 mod ascii;
 mod bus;
+mod bus_choice;
 mod buses;
 mod calls;
 mod candidates;

@@ -1,0 +1,35 @@
+//! Why the rest of a log cannot be read. Plain values; does not know how formats find it.
+
+/// Bytes without a frame, or without a line end, after which a text is no log: no greeting of a server
+/// and no line is as long, and a device that never ends has as much in a moment.
+pub const MAX_WITHOUT_FRAME: u64 = 16 << 20;
+
+/// Damage after which nothing of a log can be read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, thiserror::Error)]
+pub enum Damage {
+    /// The file ends inside a block.
+    #[error("truncated inside a block")]
+    Truncated,
+    /// A block has an impossible length, so the start of the next one is unknown.
+    #[error("invalid block length of {0} bytes: the rest cannot be read")]
+    Length(u32),
+    /// The two lengths of a block, at its start and its end, differ.
+    #[error("the two lengths of a block differ: the rest cannot be read")]
+    Lengths,
+    /// A section has no known byte order.
+    #[error("section without byte-order magic: the rest cannot be read")]
+    ByteOrder,
+    /// A text of [`MAX_WITHOUT_FRAME`] bytes without a line end.
+    #[error("no line end in 16 MB: the rest is not read")]
+    NoLineEnd,
+    /// Lines of [`MAX_WITHOUT_FRAME`] bytes, none of which is a frame.
+    #[error("no frame in the first 16 MB: the rest is not read")]
+    NoFrame,
+}
+
+impl Damage {
+    /// Returns true if the rest becomes readable when the file grows.
+    pub fn is_truncated(self) -> bool {
+        self == Damage::Truncated
+    }
+}

@@ -1,0 +1,215 @@
+//! What can be opened on this machine: CAN interfaces, serial devices, logs opened before, simulations.
+//!
+//! Reads folders and a small file of paths; opens no bus and sends nothing. Bounded: 10 logs, 16 serial
+//! devices. Does not know how the list is shown.
+
+use crate::app::{BusOffer, OfferKind};
+use crate::bus::{self, CanInterface};
+use crate::regular_file::{read_text, shown};
+use crate::status::{BusState, size};
+use crate::text::printable;
+use etcetera::{BaseStrategy, choose_base_strategy};
+use std::fs;
+use std::os::unix::ffi::OsStrExt;
+use std::path::{Path, PathBuf};
+use time::{OffsetDateTime, UtcOffset};
+
+/// Most logs that are remembered.
+const MAX_LOGS: usize = 10;
+/// Most serial devices that are listed.
+const MAX_ADAPTERS: usize = 16;
+
+/// Words in the name of a serial device that is a CAN adapter.
+const ADAPTER_WORDS: [&str; 5] = ["can", "slcan", "lawicel", "usbtin", "zubax"];
+
+/// Returns everything that can be opened; times are in this offset from UTC.
+pub fn offers(utc_offset_seconds: i32) -> Vec<BusOffer> {
+    let interfaces = bus::interfaces();
+    let interfaces = interfaces.iter().map(|interface| of_interface(interface, ""));
+    interfaces.chain(others(utc_offset_seconds)).collect()
+}
+
+/// Returns everything that can be opened but CAN interfaces.
+pub fn others(utc_offset_seconds: i32) -> Vec<BusOffer> {
+    let mut offers = adapters(Path::new("/dev"));
+    offers.extend(recent_logs().iter().map(|path| of_log(path, utc_offset_seconds)));
+    for (argument, facts) in
+        [("sim:boiler", "125k, 10 devices, a conflict after 28 s"), ("sim:drone", "1M, 12 devices")]
+    {
+        offers.push(BusOffer {
+            kind: OfferKind::Simulated,
+            name: argument.to_owned(),
+            facts: facts.to_owned(),
+            argument: argument.to_owned(),
+            command: None,
+            is_unknown: false,
+        });
+    }
+    offers
+}
+
+/// Returns the line of an interface; `heard` is what was received on it.
+pub fn of_interface(interface: &CanInterface, heard: &str) -> BusOffer {
+    let name = printable(interface.name.as_bytes());
+    let rate = interface.bitrate.map_or_else(|| "–".to_owned(), |rate| format!("{}k", rate / 1000));
+    let state = match (interface.up, interface.is_virtual, interface.state) {
+        (false, ..) => "DOWN",
+        (true, true, _) => "up (virtual)",
+        (true, false, BusState::ErrorActive) => "active",
+        (true, false, BusState::Unknown) => "up",
+        (true, false, state) => state.name(),
+    };
+    let command = match (interface.up, interface.is_virtual) {
+        (true, _) => None,
+        (false, true) => Some(format!("sudo ip link set {name} up")),
+        (false, false) => {
+            let rate = interface.bitrate.unwrap_or(125_000);
+            Some(format!("sudo ip link set {name} up type can bitrate {rate}"))
+        }
+    };
+    BusOffer {
+        kind: OfferKind::Interface,
+        facts: format!("{rate:<6} {state:<12} {heard}").trim_end().to_owned(),
+        argument: interface.name.clone(),
+        name,
+        command,
+        is_unknown: false,
+    }
+}
+
+/// The serial devices of a folder like `/dev`: those with an identity first.
+fn adapters(dev: &Path) -> Vec<BusOffer> {
+    let mut offers: Vec<BusOffer> = Vec::new();
+    let mut known = Vec::new();
+    let mut by_id = entries(&dev.join("serial/by-id"), |_| true);
+    by_id.sort();
+    for path in by_id {
+        let Ok(target) = fs::canonicalize(&path) else { continue };
+        let identity = path.file_name().unwrap_or_default().as_bytes();
+        let identity = printable(identity);
+        let lower = identity.to_lowercase();
+        let is_known = ADAPTER_WORDS.iter().any(|word| lower.contains(word));
+        offers.push(of_adapter(&target, &identity, is_known));
+        known.push(target);
+    }
+    let is_serial = |name: &str| name.starts_with("ttyACM") || name.starts_with("ttyUSB");
+    let mut others = entries(dev, is_serial);
+    others.sort();
+    others.retain(|path| !known.contains(path));
+    offers.extend(others.iter().map(|path| of_adapter(path, "", false)));
+    offers.truncate(MAX_ADAPTERS);
+    offers
+}
+
+fn entries(folder: &Path, is_wanted: impl Fn(&str) -> bool) -> Vec<PathBuf> {
+    let Ok(entries) = fs::read_dir(folder) else { return Vec::new() };
+    let paths = entries.filter_map(|entry| Some(entry.ok()?.path()));
+    let named =
+        |path: &PathBuf| path.file_name().is_some_and(|it| is_wanted(&it.to_string_lossy()));
+    paths.filter(named).collect()
+}
+
+fn of_adapter(path: &Path, identity: &str, is_known: bool) -> BusOffer {
+    let what = if is_known { "slcan" } else { "unknown adapter, Enter asks" };
+    BusOffer {
+        kind: OfferKind::Adapter,
+        name: shown(path),
+        facts: [what, identity].join("  ").trim_end().to_owned(),
+        argument: format!("slcan:{}", path.display()),
+        command: None,
+        is_unknown: !is_known,
+    }
+}
+
+fn of_log(path: &Path, utc_offset_seconds: i32) -> BusOffer {
+    BusOffer {
+        kind: OfferKind::Log,
+        name: printable(path.file_name().unwrap_or_default().as_bytes()),
+        facts: facts_of_log(path, utc_offset_seconds),
+        argument: format!("file:{}", path.display()),
+        command: None,
+        is_unknown: false,
+    }
+}
+
+/// Size, time of the last change, and folder of a log.
+fn facts_of_log(path: &Path, utc_offset_seconds: i32) -> String {
+    let folder = path.parent().map(shown).unwrap_or_default();
+    let Ok(metadata) = fs::metadata(path) else { return folder };
+    let changed = metadata.modified().ok().map(|at| {
+        let offset = UtcOffset::from_whole_seconds(utc_offset_seconds).unwrap_or(UtcOffset::UTC);
+        let at = OffsetDateTime::from(at).to_offset(offset);
+        let (date, time) = (at.date(), at.time());
+        format!("{date}  {:02}:{:02}  ", time.hour(), time.minute())
+    });
+    format!("{:<8}{}{folder}", size(metadata.len()), changed.unwrap_or_default())
+}
+
+/// File with the paths of the logs that were opened, a line each, the latest first.
+fn logs_file() -> Option<PathBuf> {
+    let base = choose_base_strategy().ok()?;
+    Some(base.state_dir()?.join("descan").join("recent-logs"))
+}
+
+/// The logs opened before that are still there, the latest first.
+fn recent_logs() -> Vec<PathBuf> {
+    let text = logs_file().and_then(|path| read_text(&path).ok().flatten()).unwrap_or_default();
+    let paths = text.lines().take(MAX_LOGS).map(PathBuf::from);
+    paths.filter(|path| path.is_file()).collect()
+}
+
+/// Remembers a log that is opened; without a folder for it, nothing is.
+pub fn remember_log(path: &Path) {
+    let (Some(file), Ok(path)) = (logs_file(), fs::canonicalize(path)) else { return };
+    let Some(name) = path.to_str().filter(|name| !name.contains('\n') && path.is_file()) else {
+        return;
+    };
+    let before = recent_logs();
+    let others = before.iter().filter(|it| **it != path).filter_map(|it| it.to_str());
+    let lines: Vec<&str> = std::iter::once(name).chain(others).take(MAX_LOGS).collect();
+    let Some(folder) = file.parent() else { return };
+    // A convenience: a full disk or a folder of another user does not concern the session.
+    let _ = fs::create_dir_all(folder).and_then(|()| fs::write(&file, lines.join("\n") + "\n"));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn serial_devices_are_listed_once_with_their_identity() {
+        let dev = tempfile::tempdir().unwrap();
+        let dev = fs::canonicalize(dev.path()).unwrap();
+        fs::create_dir_all(dev.join("serial/by-id")).unwrap();
+        for name in ["ttyACM0", "ttyUSB0", "ttyUSB1", "tty0"] {
+            fs::write(dev.join(name), "").unwrap();
+        }
+        let link = |name: &str, to: &str| {
+            std::os::unix::fs::symlink(dev.join(to), dev.join("serial/by-id").join(name)).unwrap();
+        };
+        link("usb-CANable_1234", "ttyACM0");
+        link("usb-FTDI_5678", "ttyUSB1");
+        let found: Vec<_> = adapters(&dev)
+            .into_iter()
+            .map(|offer| (offer.name.rsplit('/').next().unwrap().to_owned(), offer.is_unknown))
+            .collect();
+        let expected = [("ttyACM0", false), ("ttyUSB1", true), ("ttyUSB0", true)];
+        assert_eq!(found, expected.map(|(name, is_unknown)| (name.to_owned(), is_unknown)));
+    }
+
+    #[test]
+    fn interface_that_is_down_has_its_command() {
+        let mut interface = CanInterface {
+            name: "can1".to_owned(),
+            up: false,
+            is_virtual: false,
+            bitrate: Some(250_000),
+            state: crate::status::BusState::Unknown,
+        };
+        let command = |interface: &CanInterface| of_interface(interface, "").command;
+        let expected = "sudo ip link set can1 up type can bitrate 250000";
+        assert_eq!(command(&interface).as_deref(), Some(expected));
+        interface.up = true;
+        assert_eq!(command(&interface), None);
+    }
+}
