@@ -419,7 +419,9 @@ impl App {
             let at = (time.as_micros().checked_sub(start)? + skipped) / cell;
             usize::try_from(at).ok().filter(|at| *at < cells)
         };
-        let ruler = self.ruler(first, cell, cells);
+        let shown = epoch.unix_micros(self.shown_time()) / cell;
+        let until = usize::try_from((shown + 1).saturating_sub(first)).unwrap_or(usize::MAX);
+        let ruler = self.ruler(first, cell, cells, until);
         let mut axis = BeatsOnAxis { ruler, beats: vec![None; cells], answers: vec![None; cells] };
         let end = start_time + length;
         let period = self.profile(bus).heartbeat.period();
@@ -468,14 +470,16 @@ impl App {
         Some(axis)
     }
 
-    /// Seconds on an axis that begins with the cell `first` since 1970.
-    fn ruler(&self, first: u64, cell: u64, cells: usize) -> String {
+    /// Seconds on an axis that begins with the cell `first` since 1970; blank from the cell `until` on,
+    /// which is behind the shown moment.
+    fn ruler(&self, first: u64, cell: u64, cells: usize, until: usize) -> String {
         let second = 1_000_000 / cell;
         // With wide cells two seconds have room for a time.
         let step = if second < 8 { 2 * second } else { second };
-        let mut ruler: Vec<char> = vec!['·'; cells];
+        let mut ruler: Vec<char> = vec!['·'; until.min(cells)];
+        ruler.resize(cells, ' ');
         let mut is_first = true;
-        for at in 0..cells {
+        for at in 0..until.min(cells) {
             let number = first + at as u64;
             if !number.is_multiple_of(step) {
                 if is_first {
@@ -490,8 +494,11 @@ impl App {
             let text = if is_first || is_minute { &clock[..] } else { &clock[clock.len() - 2..] };
             is_first = false;
             ruler[at] = '╷';
-            for (place, c) in (at + 1..cells).zip(text.chars()) {
-                ruler[place] = c;
+            // A part of a time is another one.
+            if let Some(places) = ruler.get_mut(at + 1..=at + text.len()) {
+                for (place, c) in places.iter_mut().zip(text.chars()) {
+                    *place = c;
+                }
             }
         }
         ruler.into_iter().collect()

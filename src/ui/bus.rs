@@ -4,11 +4,9 @@
 
 use super::brush::{DrawContext, bus_label, fit, fit_right};
 use super::chart::{bar, chart_rows, grouped, rounded, scale_text, scale_top};
-use super::tabs::draw_views;
 use super::timeline::entry_line;
 use crate::app::{
-    Bus, BusPageLayout, BusRegions, ChartSpan, LoadBar, LoadHistory, LoadSample, Page, bar_lines,
-    format_time_of_day,
+    Bus, BusPageLayout, BusRegions, LoadBar, LoadHistory, LoadSample, bar_lines, format_time_of_day,
 };
 use crate::discovery::OwnAddress;
 use crate::frame::BusIndex;
@@ -30,7 +28,6 @@ const SHARE: usize = 8;
 
 /// Draws the page.
 pub fn draw(brush: &mut DrawContext) {
-    draw_spans(brush);
     let page = brush.app.bus_page();
     let axis = ChartAxis::new(brush, &page);
     for (at, regions) in page.buses.iter().enumerate() {
@@ -73,17 +70,6 @@ impl BusView<'_> {
 fn label(brush: &DrawContext, index: BusIndex) -> String {
     let several = brush.app.buses().len() > 1;
     if several { bus_label(brush.app, index, 8) } else { String::new() }
-}
-
-/// Draws the spans of time and their key into the rule of the page names.
-fn draw_spans(brush: &mut DrawContext) {
-    let open = brush.app.chart_span();
-    let titles = ChartSpan::ALL.map(ChartSpan::title);
-    let last = if open == ChartSpan::All { "" } else { "last " };
-    let tabs = brush.screen.tabs(Page::Bus, brush.app.counts());
-    let end = tabs.last().map_or(0, |(_, start, text)| start + text.width() as u16);
-    let alone = format!("{last}{}", open.title());
-    draw_views(brush, &titles, open.title(), &alone, end);
 }
 
 // ---- state and counters --------------------------------------------------------------------

@@ -4,6 +4,7 @@
 
 use super::brush::{DrawContext, cut, fit, wrap};
 use super::chart::grouped;
+use super::status::WIDE;
 use crate::app::{
     BarKey, FileError, FileStatus, Focus, InputCheck, Page, Prompt, PromptKind, addition_refusal,
     format_duration, is_about,
@@ -326,7 +327,9 @@ fn hint_line(brush: &DrawContext, mode: KeyMode, width: usize) -> Vec<Span<'stat
         _ => Vec::new(),
     };
     let back: &[Action] = if is_browsing { &[A::Cancel] } else { &[] };
-    let mut actions = if is_frozen || !pairs.is_empty() {
+    let mut actions = if is_frozen && is_browsing && says_present(brush) {
+        [back, &[A::Frames], actions].concat()
+    } else if is_frozen || !pairs.is_empty() {
         [back, actions].concat()
     } else {
         [first, back, actions].concat()
@@ -340,14 +343,23 @@ fn hint_line(brush: &DrawContext, mode: KeyMode, width: usize) -> Vec<Span<'stat
     let mut all = pairs;
     if !all.is_empty() {
         // The help is the way to all other keys.
-        all.insert(1, first.iter().find_map(|action| hint(brush, *action)));
+        let at = usize::from(!is_frozen || !says_present(brush));
+        all.insert(at, first.iter().find_map(|action| hint(brush, *action)));
     }
     all.extend(actions.iter().map(|action| hint(brush, *action)));
-    if is_frozen {
-        all.extend(first.iter().skip(1).map(|action| hint(brush, *action)));
+    if is_frozen && is_browsing {
+        let last = [&[A::Mark], first.get(1..).unwrap_or_default()].concat();
+        all.extend(last.iter().map(|action| hint(brush, *action)));
     }
+    let mut keys = Vec::new();
+    let all = all.into_iter().flatten().filter(|(key, _)| {
+        let is_new = !keys.contains(key);
+        keys.push(key.clone());
+        is_new
+    });
+    let all: Vec<Hint> = all.collect();
     let mut spans = vec![Span::raw(" ")];
-    spans.extend(fitting(brush, all.into_iter().flatten(), width.saturating_sub(1)));
+    spans.extend(fitting(brush, all.into_iter(), width.saturating_sub(1)));
     spans
 }
 
@@ -364,20 +376,37 @@ fn frozen_hints(brush: &DrawContext) -> Vec<Option<Hint>> {
         Some(_) => "play",
         None => "live",
     };
+    let proof = || one(brush, A::WriteProof, "proof").filter(|_| app.view().page == Page::Problems);
+    let step = || pair(brush, A::Back, A::Into, &cell).filter(|_| has_bar);
+    let frame = pair(brush, A::PreviousFrame, A::NextFrame, "frame");
+    let event = pair(brush, A::PreviousEvent, A::NextEvent, "event");
+    let problem = pair(brush, A::PreviousProblem, A::NextProblem, "problem");
+    if says_present(brush) {
+        // What does not fit is less important.
+        let diff = one(brush, A::Compare, "diff");
+        let time = one(brush, A::GoTo, "time");
+        let pace = pair(brush, A::Slower, A::Faster, "play").filter(|_| app.play_pace().is_some());
+        return vec![proof(), pace, step(), event, problem, time, diff, frame];
+    }
     vec![
         one(brush, A::Freeze, live),
-        one(brush, A::WriteProof, "proof").filter(|_| app.view().page == Page::Problems),
-        pair(brush, A::Back, A::Into, &cell).filter(|_| has_bar),
+        proof(),
+        step(),
         shift(brush, &far).filter(|_| has_bar),
-        pair(brush, A::PreviousFrame, A::NextFrame, "frame"),
-        pair(brush, A::PreviousEvent, A::NextEvent, "event"),
-        pair(brush, A::PreviousProblem, A::NextProblem, "problem"),
+        frame,
+        event,
+        problem,
         pair(brush, A::Slower, A::Faster, "play"),
         one(brush, A::GoTo, "time"),
         one(brush, A::Mark, "mark"),
         one(brush, A::Compare, "diff"),
         pair(brush, A::ZoomOut, A::ZoomIn, "zoom").filter(|_| has_bar),
     ]
+}
+
+/// Returns true if the key of the present stands in the first line only: the footer has no room for both.
+fn says_present(brush: &DrawContext) -> bool {
+    (WIDE..BOTH).contains(&brush.screen.whole.width) && brush.screen.status.height > 0
 }
 
 /// Keys of a log that is played.
@@ -393,6 +422,9 @@ fn log_hints(brush: &DrawContext) -> Vec<Option<Hint>> {
         one(brush, A::GoTo, "time"),
     ]
 }
+
+/// Width from which the footer of a past moment has the key of the present, too, in columns.
+const BOTH: u16 = 100;
 
 /// Cells of the time bar that the keys of a long step move.
 const FAR_CELLS: u32 = 10;

@@ -8,7 +8,6 @@ mod evidence;
 
 use super::brush::{DrawContext, bus_label, fit, fit_right, labelled};
 use super::symbols;
-use super::tabs::draw_views;
 use crate::app::{Page, Problem, ProblemsView, clock_millis, format_duration, length_text};
 use crate::finding::FindingState;
 use crate::theme::Role;
@@ -16,25 +15,10 @@ use ratatui::layout::Rect;
 use ratatui::text::Line;
 use unicode_width::UnicodeWidthStr;
 
-/// Draws the list, the views and the details.
+/// Draws the list and the details.
 pub fn draw(brush: &mut DrawContext) {
-    draw_problem_views(brush);
     draw_list(brush);
     details::draw(brush);
-}
-
-/// Draws the views of the list into the rule of the page names.
-fn draw_problem_views(brush: &mut DrawContext) {
-    let app = brush.app;
-    // The filter and the title of details in the place of the list stand there.
-    if !app.page_filter(Page::Problems).text().trim().is_empty() || brush.screen.list.height == 0 {
-        return;
-    }
-    let open = app.view().problems_view.title();
-    let titles = ProblemsView::ALL.map(ProblemsView::title);
-    let tabs = brush.screen.tabs(Page::Problems, app.counts());
-    let end = tabs.last().map_or(0, |(_, start, text)| start + text.width() as u16);
-    draw_views(brush, &titles, open, open, end);
 }
 
 /// Returns the sign of a problem, the role of the sign, and that of the text.
