@@ -125,7 +125,7 @@ use page_filters::PageFilters;
 pub use play::PlayPace;
 pub use problems::{
     ConflictSide, ConflictSides, EvidenceItem, Matching, Problem, ProblemHeadline, ProblemKey,
-    ProblemList, Scope, SideBasis, format_duration, is_about, length_text,
+    ProblemList, Scope, SideBasis, format_duration, growing_length_text, is_about, length_text,
 };
 pub use saved_filters::{MAX_SAVED_FILTERS, SavedFilter, SavedFilterChange};
 pub use signs::Signs;

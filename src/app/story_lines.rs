@@ -7,9 +7,9 @@ use super::filter::Filter;
 use super::input::Overlay;
 use super::notices::TimelineEntry;
 use super::stories::{HiddenKinds, Stories, Story, StoryKind, StoryLine, StoryStep};
-use super::{App, Page, clock_millis, format_duration};
+use super::{App, Page, clock_millis, growing_length_text, length_text};
 use crate::text::Name;
-use crate::time::{Duration, Instant};
+use crate::time::Instant;
 
 /// Identity of a line of the Timeline page.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -116,14 +116,8 @@ impl App {
     pub fn story_length(&self, line: &StoryLine) -> Option<String> {
         match line.to {
             Some(to) if to == line.from => None,
-            Some(to) => Some(format_length(to.since(line.from))),
-            None => {
-                let length = self.shown_time().since(line.from);
-                Some(match length.as_secs() {
-                    seconds @ 0..=59 => format!("{seconds} s"),
-                    _ => format_duration(length),
-                })
-            }
+            Some(to) => Some(length_text(to.since(line.from))),
+            None => Some(growing_length_text(self.display_time().since(line.from))),
         }
     }
 
@@ -248,14 +242,5 @@ impl App {
         if self.view.timeline.selected().is_some() {
             self.view.timeline.update(&keys, height);
         }
-    }
-}
-
-/// Length of a story that is over: `24.2 s`, `12 ms`, `2m05s`.
-fn format_length(length: Duration) -> String {
-    match length.as_millis() {
-        0..=999 => format!("{} ms", length.as_millis()),
-        1000..=59_949 => format!("{:.1} s", length.as_secs_f64()),
-        _ => format_duration(length),
     }
 }

@@ -8,7 +8,7 @@ mod evidence;
 
 use super::brush::{DrawContext, bus_label, fit, fit_right, labelled};
 use super::symbols;
-use crate::app::{Page, Problem, ProblemsView, clock_millis, format_duration, length_text};
+use crate::app::{Page, Problem, ProblemsView, clock_millis, growing_length_text, length_text};
 use crate::finding::FindingState;
 use crate::theme::Role;
 use ratatui::layout::Rect;
@@ -175,11 +175,9 @@ fn state_word(problem: &Problem) -> &'static str {
 /// How long a problem is there, in whole seconds while it is, so that it changes once a second.
 fn length_of(brush: &DrawContext, problem: &Problem) -> String {
     let began = problem.began();
-    let seconds = brush.app.display_time().since(began).as_secs();
     match problem.ended() {
         Some(ended) => length_text(ended.since(began)),
-        None if seconds < 100 => format!("{seconds} s"),
-        None => format_duration(brush.app.display_time().since(began)),
+        None => growing_length_text(brush.app.display_time().since(began)),
     }
 }
 

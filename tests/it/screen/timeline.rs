@@ -145,3 +145,16 @@ fn hidden_kinds_have_no_lines_and_are_counted() {
     stage.keys("x Down Down Down Down Down = Esc");
     assert_eq!(stage.app.lines_shown().len(), all);
 }
+
+#[test]
+fn length_of_a_conflict_is_that_of_the_problems_page() {
+    let mut stage = with_past();
+    stage.until(75.0).size(120, 40).keys("3");
+    let line = lines_with(&mut stage, "conflict SPARE01 / BOILER03").pop().unwrap();
+    assert!(line.contains(", over"), "{line}");
+    stage.keys("4");
+    let screen = stage.screen();
+    let problem = screen.lines().find(|line| line.contains("SPARE01 joined, conf")).unwrap();
+    let length = problem.split("  ").find(|text| text.trim().ends_with(" s")).unwrap().trim();
+    assert!(line.contains(&format!(" {length} ")), "{length}\n{line}\n{problem}");
+}
