@@ -870,9 +870,10 @@ impl App {
         self.shown_buses().device(id)
     }
 
-    /// The device of a row; `None` for the row of an entry.
-    pub fn device_of(&self, row: &Row) -> Option<&Device> {
-        row.device(self.shown_buses())
+    /// The device of a row, as far as it is known of the board of a shared address alone; `None` for the
+    /// row of an entry.
+    pub fn device_of<'a>(&'a self, row: &'a Row) -> Option<&'a Device> {
+        row.board_device.as_deref().or_else(|| row.device(self.shown_buses()))
     }
 
     /// The devices of a row: several where buses are redundant.
