@@ -348,7 +348,8 @@ impl App {
     }
 
     fn commit_prompt(&mut self) {
-        if let Some(super::InputCheck::Rejected(_)) = self.prompt_check() {
+        let check = self.prompt().map(|prompt| prompt.validate(self.prompt_context()));
+        if let Some(super::InputCheck::Rejected(_)) = check {
             self.effects.push_back(Effect::Bell);
             let is_edit = self.input.prompt().is_some_and(|prompt| prompt.kind.is_edit());
             if is_edit && self.editor.file.conflict().is_some() {
@@ -357,7 +358,11 @@ impl App {
             return;
         }
         let Some(prompt) = self.input.close_prompt() else { return };
-        match prompt.commit(self.prompt_context()) {
+        let outcome = prompt.commit(self.prompt_context());
+        if outcome.is_write() {
+            self.input.note_written(prompt);
+        }
+        match outcome {
             PromptOutcome::Nothing => {}
             PromptOutcome::SetFilter(page, text) => self.commit_filter(page, &text),
             PromptOutcome::Edit(operations) => self.edit(&operations),

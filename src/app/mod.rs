@@ -648,6 +648,11 @@ impl App {
             return self.notices.redraw.set_dirty();
         }
         let is_copy = self.editor.handle_written(path, result.is_ok());
+        if let Err(why) = &result
+            && self.reopen_prompt(path, &format!("not saved: {why}"))
+        {
+            return;
+        }
         let path = crate::text::printable(path.as_os_str().as_encoded_bytes());
         match result {
             Ok(()) if is_copy => {
@@ -1232,7 +1237,9 @@ impl App {
 
     /// Validation of the open prompt.
     pub fn prompt_check(&self) -> Option<InputCheck> {
-        Some(self.prompt()?.validate(self.prompt_context()))
+        let prompt = self.prompt()?;
+        let failure = prompt.failure.clone().map(InputCheck::Rejected);
+        Some(failure.unwrap_or_else(|| prompt.validate(self.prompt_context())))
     }
 
     /// Text before the line of the open prompt.

@@ -27,6 +27,7 @@ use crate::document::EntryKey;
 use crate::frame::BusIndex;
 use crate::keymap::{Action, Key, KeyMode, Keymap};
 use crate::time::Instant;
+use std::path::Path;
 use type_ahead::TypeAheadGuard;
 
 /// A question with the answers yes and no.
@@ -75,13 +76,21 @@ pub(super) struct Input {
     overlay: Overlay,
     /// The prompt that was open when an edit conflict appeared; it opens again afterwards.
     suspended_prompt: Option<Prompt>,
+    /// The last prompt whose path is being written; it opens again if that fails.
+    written_prompt: Option<Prompt>,
     guard: Option<TypeAheadGuard>,
 }
 
 impl Input {
     /// Returns an input without an overlay.
     pub fn new(keymap: Keymap) -> Self {
-        Self { keymap, overlay: Overlay::None, suspended_prompt: None, guard: None }
+        Self {
+            keymap,
+            overlay: Overlay::None,
+            suspended_prompt: None,
+            written_prompt: None,
+            guard: None,
+        }
     }
 
     /// The keymap.
@@ -172,6 +181,24 @@ impl Input {
                 None
             }
         }
+    }
+
+    /// Remembers the prompt of a path that is being written.
+    pub fn note_written(&mut self, prompt: Prompt) {
+        self.written_prompt = Some(prompt);
+    }
+
+    /// Opens the prompt of a path again that was not written, with the cause; returns false if it is
+    /// another one, or something else is open meanwhile.
+    pub fn reopen_prompt(&mut self, path: &Path, cause: &str) -> bool {
+        let is_it = |prompt: &mut Prompt| Path::new(prompt.text()) == path;
+        let Some(mut prompt) = self.written_prompt.take_if(is_it) else { return false };
+        if self.has_overlay() {
+            return false;
+        }
+        prompt.failure = Some(cause.to_owned());
+        self.overlay = Overlay::Prompt(prompt);
+        true
     }
 
     /// Closes the question and returns it; another overlay stays open.
