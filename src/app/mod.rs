@@ -112,7 +112,7 @@ pub use frame_sides::FrameSides;
 pub use help_view::HelpView;
 pub use history::{BusesReplay, FRAMES_PER_ROOM, Moment, RecordedBuses};
 pub use input::{FilterPrompt, InputCheck, Overlay, Prompt, PromptKind, Question};
-pub use lanes::{Lane, LaneCell, Lanes, format_step};
+pub use lanes::{Lane, LaneBoard, LaneCell, Lanes, format_step};
 pub use listing::{addition_refusal, same_services};
 pub use load_bars::{LoadBar, bar_lines};
 pub use marks::{MAX_MARKS, Mark, Marks};

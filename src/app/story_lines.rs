@@ -121,6 +121,30 @@ impl App {
         }
     }
 
+    /// The stories that changed last until the moment that is shown, at most `most` of those that are
+    /// wanted, with the time of the change, oldest first.
+    pub fn latest_stories(
+        &self,
+        most: usize,
+        is_wanted: impl Fn(&Story) -> bool,
+    ) -> Vec<(&Story, Instant)> {
+        let at = self.shown_time();
+        let begun = self.stories().iter().take_while(|story| story.begin() <= at);
+        let wanted = begun.filter(|story| is_wanted(story));
+        let mut latest: Vec<(&Story, Instant)> =
+            wanted.filter_map(|story| Some((story, story.last_change(at)?))).collect();
+        latest.sort_by_key(|(_, time)| *time);
+        latest.split_off(latest.len().saturating_sub(most))
+    }
+
+    /// The stories about buses that changed last, with the time of the change, oldest first.
+    pub fn latest_bus_stories(&self, most: usize) -> Vec<(&Story, Instant)> {
+        self.latest_stories(most, |story| {
+            let entry = story.subject(self.shown_time());
+            entry.bus.is_some() && entry.device.is_none() && entry.address.is_none()
+        })
+    }
+
     /// Number of occurrences of a step, and the time of the last one, as of the moment that is shown.
     pub fn step_times(&self, step: &StoryStep) -> (u32, Instant) {
         let at = self.shown_time();

@@ -286,7 +286,7 @@ fn hint_line(brush: &DrawContext, mode: KeyMode, width: usize) -> Vec<Span<'stat
             A::Frames,
             A::Problem,
             A::Kinds,
-            A::ZoomIn,
+            A::ZoomOut,
             A::OpenParts,
             A::Identifiers,
             A::Filter,
@@ -295,9 +295,15 @@ fn hint_line(brush: &DrawContext, mode: KeyMode, width: usize) -> Vec<Span<'stat
             A::Compare,
             A::SaveCapture,
         ],
-        (KeyMode::Browse, Page::Bus, _) => {
-            &[A::Details, A::Frames, A::Identifiers, A::Freeze, A::BitRate, A::SaveCapture]
-        }
+        (KeyMode::Browse, Page::Bus, _) => &[
+            A::Details,
+            A::Frames,
+            A::ZoomOut,
+            A::Identifiers,
+            A::Freeze,
+            A::BitRate,
+            A::SaveCapture,
+        ],
         (KeyMode::Browse, Page::Problems, _) => &[
             A::Details,
             A::Frames,
@@ -453,7 +459,7 @@ fn pair(brush: &DrawContext, back: Action, forward: Action, does: &str) -> Optio
     let (back, forward) = (key(back)?, key(forward)?);
     let keys = match (back.code, forward.code) {
         (KeyCode::Left, KeyCode::Right) if !back.shift && !forward.shift => "← →".to_owned(),
-        _ => format!("{back} {forward}"),
+        _ => format!("{back} {forward}").replace("Minus", "-"),
     };
     Some((keys, does.to_owned()))
 }
@@ -494,7 +500,7 @@ fn applies(brush: &DrawContext, action: Action) -> bool {
         }
         (A::Frames, Page::Traffic) => view.shows_calls() && view.call_list().is_none(),
         (A::OpenParts | A::Kinds, Page::Timeline) if brush.screen.list.height == 0 => false,
-        (A::ZoomIn, Page::Timeline) => brush.screen.lanes.height > 1,
+        (A::ZoomOut, Page::Timeline) => brush.screen.lanes.height > 1,
         (A::Details | A::Frames | A::OpenParts, Page::Timeline) => !app.lines_shown().is_empty(),
         (A::Filter | A::Identifiers | A::Rescan, Page::Traffic) if view.evidence.is_some() => false,
         (A::Details | A::Frames, Page::Bus) => app.selected_bar().is_some(),
@@ -531,6 +537,9 @@ type Hint = (String, String);
 /// Returns the first key of an action and what it does on the open page; `None` if it has no key.
 fn hint(brush: &DrawContext, action: Action) -> Option<Hint> {
     use Action as A;
+    if action == A::ZoomOut {
+        return pair(brush, A::ZoomOut, A::ZoomIn, "zoom");
+    }
     let (key, word) = brush.app.keymap().hint(action)?;
     let view = brush.app.view();
     let here = match (action, view.page, &view.evidence) {

@@ -4,7 +4,8 @@
 //! Does not know how cells are computed.
 
 use super::brush::{DrawContext, bus_cell, fit};
-use crate::app::{Lane, LaneCell, Lanes, clock_millis, format_step, format_time_of_day};
+use super::problems::boards::side_role;
+use crate::app::{Lane, LaneBoard, LaneCell, Lanes, clock_millis, format_step, format_time_of_day};
 use crate::discovery::Presence;
 use crate::theme::Role;
 use crate::time::Duration;
@@ -31,7 +32,9 @@ pub fn draw(brush: &mut DrawContext) {
     brush.line(area, 0, &axis);
     let selected = brush.app.selected_lane();
     for (row, lane) in lanes.rows.iter().enumerate() {
-        let is_selected = selected == Some(lane.device);
+        // Of the boards of a device the first one is selected.
+        let is_first = lane.board.as_ref().is_none_or(|board| board.side == 0);
+        let is_selected = selected == Some(lane.device) && is_first;
         let line = lane_line(brush, &lanes, lane, is_selected);
         let row = row as u16 + 1;
         brush.line(area, row, &line);
@@ -107,11 +110,18 @@ fn lane_line(brush: &DrawContext, lanes: &Lanes, lane: &Lane, is_selected: bool)
     }
     let label = app.device(lane.device).map_or_else(String::new, |device| {
         let name = device.name.as_ref().map(|name| name.quoted().to_string());
-        format!("{:>3} {}", device.address.number(), name.as_deref().unwrap_or("?"))
+        let side = lane.board.as_ref().map(|board| board.letter().to_string()).unwrap_or_default();
+        format!("{:>3}{side} {}", device.address.number(), name.as_deref().unwrap_or("?"))
     });
-    spans.push(brush.span(Role::Text, format!("{} ", fit(&label, width))));
+    let label_role = lane.board.as_ref().map_or(Role::Text, |board| side_role(board.side));
+    spans.push(brush.span(label_role, format!("{} ", fit(&label, width))));
     spans.extend(runs(brush, lane.cells.iter().map(|cell| sign_of(*cell))));
-    let (state, presence) = app.lane_state(lane.device);
+    let (state, presence) = match lane.board {
+        Some(LaneBoard { has_left: true, .. }) => {
+            (Presence::Lost.name().to_owned(), Some(Presence::Lost))
+        }
+        _ => app.lane_state(lane.device),
+    };
     let role = match presence {
         _ if state == "CONFLICT" => Role::Confirmed,
         None | Some(Presence::Online) => Role::Online,
