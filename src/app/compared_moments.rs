@@ -396,7 +396,7 @@ fn rank_of(difference: &Difference, line: &super::TimelineEntry) -> usize {
         DifferenceKind::Heartbeat | DifferenceKind::Bus => &[],
     };
     let rank = |event: &&str| words.iter().position(|word| word == event).map_or(0, |at| at + 1);
-    line.events.iter().map(|event| rank(&event)).max().unwrap_or(0)
+    line.events.iter().map(rank).max().unwrap_or(0)
 }
 
 /// Returns load, errors and frames of each bus that both states have.

@@ -337,6 +337,7 @@ impl App {
     /// Handles a change of the line: a filter applies while it is typed; while it is wrong, the one
     /// before applies.
     pub(super) fn prompt_changed(&mut self) {
+        self.input.forget_failure();
         self.notices.redraw.set_dirty();
         self.filter_typed();
     }

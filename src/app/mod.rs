@@ -1238,7 +1238,7 @@ impl App {
     /// Validation of the open prompt.
     pub fn prompt_check(&self) -> Option<InputCheck> {
         let prompt = self.prompt()?;
-        let failure = prompt.failure.clone().map(InputCheck::Rejected);
+        let failure = self.input.failure().map(|why| InputCheck::Rejected(why.to_owned()));
         Some(failure.unwrap_or_else(|| prompt.validate(self.prompt_context())))
     }
 

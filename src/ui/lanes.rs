@@ -95,7 +95,7 @@ fn put_time(cells: &mut [(String, Role)], text: &str) {
         }
     }
     if is_free(&cells[0]) {
-        cells[0].0 = "╷".to_owned();
+        cells[0].0.replace_range(.., "╷");
     }
 }
 

@@ -187,22 +187,23 @@ impl LoadShares {
         if std::mem::take(&mut self.is_first) {
             self.total = Arc::default();
         }
-        self.push(self.running.counts(TEN));
+        let ten = self.running.counts(TEN);
+        self.push(&ten);
         self.running.clear();
         // Tens in which nothing was received; the clock of a log may advance by years.
         let empty = seconds / TEN - 1;
         for _ in 0..empty.min(MAX_EMPTY) {
-            self.push(ShareCounts { seconds: TEN, ..ShareCounts::default() });
+            self.push(&ShareCounts { seconds: TEN, ..ShareCounts::default() });
         }
         Arc::make_mut(&mut self.total).seconds += empty.saturating_sub(MAX_EMPTY) * TEN;
         self.start += seconds / TEN * TEN;
     }
 
     /// Takes the counts of ten seconds.
-    fn push(&mut self, ten: ShareCounts) {
-        Arc::make_mut(&mut self.total).add(&ten);
+    fn push(&mut self, ten: &ShareCounts) {
+        Arc::make_mut(&mut self.total).add(ten);
         for (row, (seconds, most)) in self.rows.iter_mut().zip(UNITS) {
-            row.running.add(&ten);
+            row.running.add(ten);
             if row.running.seconds >= seconds {
                 if row.whole.len() == most {
                     row.whole.pop_front();

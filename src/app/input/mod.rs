@@ -78,6 +78,8 @@ pub(super) struct Input {
     suspended_prompt: Option<Prompt>,
     /// The last prompt whose path is being written; it opens again if that fails.
     written_prompt: Option<Prompt>,
+    /// Why the path of the open prompt was not written; until the line changes.
+    failure: Option<String>,
     guard: Option<TypeAheadGuard>,
 }
 
@@ -89,6 +91,7 @@ impl Input {
             overlay: Overlay::None,
             suspended_prompt: None,
             written_prompt: None,
+            failure: None,
             guard: None,
         }
     }
@@ -159,6 +162,7 @@ impl Input {
 
     /// Opens an overlay in place of the present one.
     pub fn open(&mut self, overlay: Overlay) {
+        self.failure = None;
         self.overlay = overlay;
     }
 
@@ -169,6 +173,7 @@ impl Input {
 
     /// Closes the overlay and returns it.
     pub fn close(&mut self) -> Overlay {
+        self.failure = None;
         std::mem::take(&mut self.overlay)
     }
 
@@ -192,13 +197,23 @@ impl Input {
     /// another one, or something else is open meanwhile.
     pub fn reopen_prompt(&mut self, path: &Path, cause: &str) -> bool {
         let is_it = |prompt: &mut Prompt| Path::new(prompt.text()) == path;
-        let Some(mut prompt) = self.written_prompt.take_if(is_it) else { return false };
+        let Some(prompt) = self.written_prompt.take_if(is_it) else { return false };
         if self.has_overlay() {
             return false;
         }
-        prompt.failure = Some(cause.to_owned());
-        self.overlay = Overlay::Prompt(prompt);
+        self.open(Overlay::Prompt(prompt));
+        self.failure = Some(cause.to_owned());
         true
+    }
+
+    /// Why the path of the open prompt was not written.
+    pub fn failure(&self) -> Option<&str> {
+        self.failure.as_deref()
+    }
+
+    /// Takes that the line of the open prompt changed.
+    pub fn forget_failure(&mut self) {
+        self.failure = None;
     }
 
     /// Closes the question and returns it; another overlay stays open.

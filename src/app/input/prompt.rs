@@ -26,8 +26,6 @@ pub struct Prompt {
     pub input: LineInput,
     /// The text is the present value: the first typed character replaces it.
     pub replaces_on_typing: bool,
-    /// Why the line was not executed when it was committed; until it changes.
-    pub failure: Option<String>,
 }
 
 /// Purpose of a prompt, with its own state.
@@ -107,7 +105,7 @@ impl Prompt {
     /// Returns a prompt that begins with this text.
     pub(in crate::app) fn new(kind: PromptKind, text: String) -> Self {
         let untouched = matches!(kind, PromptKind::Address(_)) && !text.is_empty();
-        Self { kind, input: LineInput::new(text), replaces_on_typing: untouched, failure: None }
+        Self { kind, input: LineInput::new(text), replaces_on_typing: untouched }
     }
 
     /// The line without blanks at its ends.
@@ -175,7 +173,6 @@ impl Prompt {
     }
 
     fn change(&mut self, requests: &[InputRequest]) {
-        self.failure = None;
         for &request in requests {
             let grows = matches!(request, InputRequest::InsertChar(_));
             if std::mem::take(&mut self.replaces_on_typing) && grows {
