@@ -27,6 +27,12 @@ fn device_of_board(device: &Device, board: &Board) -> Device {
         (own.rebooted_at, own.reboots, own.moved_from, own.error_code) = (None, 0, None, None);
         (own.previous_services, own.first_services) = (None, None);
     }
+    for query in [&mut own.name_query, &mut own.services_query] {
+        // A response before it joined is that of another board.
+        if query.responded_at.is_some_and(|at| at < sender.since) {
+            (query.sent_at, query.responded_at, query.response_time) = (None, None, None);
+        }
+    }
     // Which of the lists is whose is known only where one was received before the others joined.
     if !own.services_are_shared {
         let others = std::mem::take(&mut own.other_services);

@@ -274,6 +274,9 @@ impl App {
                 told = Some((rank, line));
             }
         }
+        // What else happened to its device does not explain a finding.
+        let is_finding = difference.kind == DifferenceKind::Finding;
+        let told = told.filter(|(rank, _)| *rank > 0 || !is_finding);
         let Some((_, line)) = told else { return String::new() };
         let at = super::format_time_of_day(self, line.last);
         let more = if count > 1 { format!(" +{}", count - 1) } else { String::new() };

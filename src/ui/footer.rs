@@ -261,11 +261,11 @@ fn hint_line(brush: &DrawContext, mode: KeyMode, width: usize) -> Vec<Span<'stat
             A::EditAddress,
             A::Add,
             A::Filter,
+            A::Freeze,
             A::Rescan,
             A::Undo,
             A::Details,
             A::Frames,
-            A::Freeze,
             A::Sort,
             A::Problem,
             A::ClearLost,
@@ -284,13 +284,13 @@ fn hint_line(brush: &DrawContext, mode: KeyMode, width: usize) -> Vec<Span<'stat
         (KeyMode::Browse, Page::Timeline, _) => &[
             A::Details,
             A::Frames,
-            A::Problem,
             A::Kinds,
-            A::ZoomOut,
-            A::OpenParts,
             A::Identifiers,
-            A::Filter,
             A::Freeze,
+            A::ZoomOut,
+            A::Problem,
+            A::OpenParts,
+            A::Filter,
             A::Mark,
             A::Compare,
             A::SaveCapture,
@@ -308,9 +308,9 @@ fn hint_line(brush: &DrawContext, mode: KeyMode, width: usize) -> Vec<Span<'stat
             A::Details,
             A::Frames,
             A::Problem,
-            A::EditAddress,
-            A::Mute,
             A::WriteProof,
+            A::Mute,
+            A::EditAddress,
             A::Identifiers,
             A::Filter,
             A::Rescan,
@@ -537,8 +537,10 @@ type Hint = (String, String);
 /// Returns the first key of an action and what it does on the open page; `None` if it has no key.
 fn hint(brush: &DrawContext, action: Action) -> Option<Hint> {
     use Action as A;
-    if action == A::ZoomOut {
-        return pair(brush, A::ZoomOut, A::ZoomIn, "zoom");
+    match action {
+        A::ZoomOut => return pair(brush, A::ZoomOut, A::ZoomIn, "zoom"),
+        A::ThemeUp => return pair(brush, A::ThemeUp, A::ThemeDown, "choose"),
+        _ => {}
     }
     let (key, word) = brush.app.keymap().hint(action)?;
     let view = brush.app.view();
@@ -575,7 +577,8 @@ fn hint(brush: &DrawContext, action: Action) -> Option<Hint> {
         (A::Mute, ..) if brush.app.selected_problem().is_some_and(|it| it.is_muted) => "unmute",
         _ => word,
     };
-    Some((key.to_string(), here.to_owned()))
+    // An action without a word stands beside its opposite.
+    (!here.is_empty()).then(|| (key.to_string(), here.to_owned()))
 }
 
 /// Returns keys with their hints, without those that do not fit `width` cells.

@@ -235,7 +235,8 @@ fn details_of_a_board_are_its_own() {
     assert!(second.contains("ACT @14B · SPARE01 CONFLICT · online since 12:00:26 "), "{second}");
     assert!(second.contains("mode WORK since 12:00:27 modes ARSLV → WORK"), "{second}");
     assert!(second.contains("services not read"), "{second}");
-    assert!(second.contains("seen since 12:00:26"), "{second}");
+    assert!(second.contains("seen since 12:00:26 requests name "), "{second}");
+    assert!(!second.contains("services 1") && first.contains(" services 1"), "{first} {second}");
     // As in its row, in the matrix and in the panel of the problem.
     let row = stage.screen().lines().find(|line| line.contains("14B")).unwrap().to_owned();
     assert!(!row.contains("VALVE"), "{row}");
