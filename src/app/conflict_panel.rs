@@ -24,7 +24,7 @@ const MAX_AXIS_BEATS: usize = 4096;
 /// Frames on the axis up to which responses are counted: 10 s of a full bus at 1 Mbit/s.
 const MAX_COUNTED_FRAMES: u64 = 100_000;
 /// Periods after the last evidence that still belong to a conflict that is over.
-const AFTER_PERIODS: u32 = 10;
+pub(super) const AFTER_PERIODS: u32 = 10;
 /// Deviation from a second up to which the phase in the second stays the same.
 const SECOND_TOLERANCE: f64 = 0.005;
 /// Heartbeats that the phase of a board is the median of.

@@ -5,7 +5,8 @@
 //! of each. A board that has a device of its own has its lane there. Does not know how lanes are drawn.
 
 use super::{Lane, LaneCell};
-use crate::app::problems::{Problem, ProblemKey};
+use crate::app::conflict_panel::AFTER_PERIODS;
+use crate::app::problems::{ConflictSides, Problem, ProblemKey, ProblemList};
 use crate::app::time_axis::TimeAxis;
 use crate::app::{App, side_letter};
 use crate::discovery::DeviceId;
@@ -64,62 +65,85 @@ impl LaneBoard {
     }
 }
 
+/// A conflict whose boards have lanes.
+struct LaneConflict<'a> {
+    problem: Problem<'a>,
+    /// The device at its address.
+    device: DeviceId,
+    /// The boards without a device of their own: places in the order of joining, and UIDs; two or more.
+    boards: Vec<(usize, Uid)>,
+}
+
 impl App {
     /// The boards of the devices whose lanes show a conflict, in the order of joining: two or more of each.
     pub(super) fn boards_of_lanes(&self) -> BTreeMap<DeviceId, Vec<LaneBoard>> {
+        let problems = self.problems();
+        let shown = self.conflicts_on_lanes(&problems).into_iter();
+        let boards = shown.filter_map(|LaneConflict { problem, device, boards }| {
+            let sides = self.conflict_sides(&problem)?;
+            let board = |(side, uid)| self.board_of_lane(&problem, &sides, side, uid);
+            Some((device, boards.into_iter().map(board).collect()))
+        });
+        boards.collect()
+    }
+
+    /// The number of lanes of boards besides those of their devices.
+    pub(super) fn further_lanes(&self) -> usize {
+        let problems = self.problems();
+        self.conflicts_on_lanes(&problems).iter().map(|conflict| conflict.boards.len() - 1).sum()
+    }
+
+    /// The conflicts in the time of the lanes.
+    fn conflicts_on_lanes<'a>(&'a self, problems: &'a ProblemList) -> Vec<LaneConflict<'a>> {
         if !self.shows_lanes() {
-            return BTreeMap::new();
+            return Vec::new();
         }
-        let (problems, axis) = (self.problems(), self.lane_axis());
+        let axis = self.lane_axis();
         let is_shown = |problem: &Problem| {
             let ended = problem.ended().unwrap_or(Instant::LATEST);
             problem.is_address_conflict() && problem.first() < axis.end() && ended >= axis.begin
         };
-        let conflicts = problems.iter().filter(is_shown);
-        let boards = conflicts.filter_map(|problem| self.boards_with_lanes(&problem));
-        boards.take(MAX_CONFLICTS).collect()
+        let with_boards = |problem: Problem<'a>| {
+            let ProblemKey::Address(bus, address) = problem.key else { return None };
+            let of_bus = self.bus(bus)?;
+            let device = of_bus.device_at(address)?.id;
+            let has_own = |uid: Uid| {
+                of_bus.devices().iter().any(|other| other.uid == Some(uid) && other.id != device)
+            };
+            let uids = problem.boards().into_iter().map(|board| board.uid).enumerate();
+            let boards: Vec<_> = uids.filter(|(_, uid)| !has_own(*uid)).take(MAX_BOARDS).collect();
+            (boards.len() > 1).then_some(LaneConflict { problem, device, boards })
+        };
+        problems.iter().filter(is_shown).filter_map(with_boards).take(MAX_CONFLICTS).collect()
     }
 
-    fn boards_with_lanes(&self, problem: &Problem) -> Option<(DeviceId, Vec<LaneBoard>)> {
-        let ProblemKey::Address(bus, address) = problem.key else { return None };
-        let of_bus = self.bus(bus)?;
-        let device = of_bus.device_at(address)?.id;
-        let has_own = |uid: Uid| {
-            of_bus.devices().iter().any(|other| other.uid == Some(uid) && other.id != device)
-        };
-        let known = problem.boards();
-        if known.iter().filter(|board| !has_own(board.uid)).count() < 2 {
-            return None;
-        }
-        let sides = self.conflict_sides(problem)?;
-        let period = of_bus.heartbeat_period(address);
-        let end = self.display_time();
-        // Of a conflict that is over the heartbeats soon after it are known.
-        let known_until = problem.ended().map_or(end, |ended| end.min(ended + period * 10));
-        let board = |(side, uid): (usize, Uid)| {
-            let at = sides.sides.iter().position(|side| side.uid == Some(uid));
-            let mut visits: Vec<(Instant, Instant)> = Vec::new();
-            for (beat, _) in sides.beats().filter(|(_, side)| side.is_some() && *side == at) {
-                match visits.last_mut() {
-                    Some((_, last)) if beat.time.since(*last) <= period * AWAY_PERIODS => {
-                        *last = beat.time;
-                    }
-                    _ => visits.push((beat.time, beat.time)),
+    fn board_of_lane(
+        &self,
+        problem: &Problem,
+        sides: &ConflictSides,
+        side: usize,
+        uid: Uid,
+    ) -> LaneBoard {
+        let period = self.profile(problem.bus().unwrap_or_default()).heartbeat.period();
+        let at = sides.sides.iter().position(|side| side.uid == Some(uid));
+        let mut visits: Vec<(Instant, Instant)> = Vec::new();
+        for (beat, _) in sides.beats().filter(|(_, side)| side.is_some() && *side == at) {
+            match visits.last_mut() {
+                Some((_, last)) if beat.time.since(*last) <= period * AWAY_PERIODS => {
+                    *last = beat.time;
                 }
+                _ => visits.push((beat.time, beat.time)),
             }
-            visits.drain(..visits.len().saturating_sub(MAX_VISITS));
-            let has_left = at.is_some_and(|at| {
-                let own = sides.sides[at].period.unwrap_or(period);
-                sides.has_left(at, known_until, own)
-            });
-            if let Some((_, last)) = visits.last_mut().filter(|_| !has_left) {
-                *last = Instant::LATEST;
-            }
-            LaneBoard { side, uid, visits, has_left }
-        };
-        let boards = known.iter().map(|board| board.uid).enumerate();
-        let boards = boards.filter(|(_, uid)| !has_own(*uid)).take(MAX_BOARDS).map(board);
-        let boards: Vec<LaneBoard> = boards.collect();
-        Some((device, boards))
+        }
+        visits.drain(..visits.len().saturating_sub(MAX_VISITS));
+        // Of a conflict that is over the heartbeats soon after it are known.
+        let end = self.display_time();
+        let known = problem.ended().map_or(end, |ended| end.min(ended + period * AFTER_PERIODS));
+        let has_left = at
+            .is_some_and(|at| sides.has_left(at, known, sides.sides[at].period.unwrap_or(period)));
+        if let Some((_, last)) = visits.last_mut().filter(|_| !has_left) {
+            *last = Instant::LATEST;
+        }
+        LaneBoard { side, uid, visits, has_left }
     }
 }

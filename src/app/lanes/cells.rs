@@ -261,7 +261,7 @@ mod tests {
         assert_eq!(lane(&events, &[], 6.5), "━━━━━→━             ", "`→4` is another address");
         let lost = (6.5, EventKind::Presence(Presence::Lost));
         let events = [(0.0, EventKind::FirstFrame), moved(5.0), lost];
-        assert_eq!(lane(&events, &[], 8.5), "━━━━━→··            ");
+        assert_eq!(lane(&events, &[], 8.5), "━━━━━→···           ");
         let events = [(0.0, EventKind::FirstFrame), moved(5.0), moved(7.0)];
         assert_eq!(lane(&events, &[], 12.0), "━━━━━→━→40━━━       ");
     }

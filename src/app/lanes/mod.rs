@@ -146,8 +146,7 @@ impl App {
 
     /// The number of lanes, for the layout.
     pub(super) fn count_lanes(&mut self) {
-        let boards = self.boards_of_lanes().into_iter();
-        let further: usize = boards.map(|(_, boards)| boards.len() - 1).sum();
+        let further = self.further_lanes();
         self.view.lane_count = self.shown_buses().devices().count() + further;
     }
 
