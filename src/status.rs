@@ -127,6 +127,8 @@ pub struct BusStatus {
     pub filtered: bool,
     /// Size of the kernel's receive buffer in bytes, as the kernel counts them.
     pub receive_buffer: Option<u32>,
+    /// The most frames that waited in the kernel's receive buffer at once, where that is counted.
+    pub most_waiting: u32,
     /// Frames lost because the kernel's receive buffer was full.
     pub kernel_drops: u64,
     /// Overruns of the controller; each lost one frame or more.
@@ -155,6 +157,16 @@ pub struct BusStatus {
     pub fault: Option<Diagnostic>,
     /// Information on one line that is not a fault: an adapter's name, a log that was replaced.
     pub note: Option<String>,
+}
+
+/// Bytes of the receive buffer that the kernel counts for a frame, about.
+pub const KERNEL_BYTES_PER_FRAME: u32 = 800;
+
+impl BusStatus {
+    /// About how many frames the kernel's receive buffer holds; `None` if its size is not known.
+    pub fn receive_buffer_frames(&self) -> Option<u32> {
+        self.receive_buffer.map(|bytes| bytes / KERNEL_BYTES_PER_FRAME)
+    }
 }
 
 /// Status of the playback of logs.

@@ -42,6 +42,8 @@ impl App {
             Action::Back if self.moves_conflict_axis() => self.move_conflict_axis(-1),
             Action::ZoomOut if self.view.page == Page::Timeline => self.zoom_lanes(1),
             Action::ZoomIn if self.view.page == Page::Timeline => self.zoom_lanes(-1),
+            Action::ZoomOut if self.view.page == Page::Bus => self.zoom_charts(1),
+            Action::ZoomIn if self.view.page == Page::Bus => self.zoom_charts(-1),
             Action::ZoomOut => self.zoom_conflict_axis(-1),
             Action::ZoomIn => self.zoom_conflict_axis(1),
             Action::WriteProof => self.ask_proof_path(),

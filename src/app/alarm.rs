@@ -224,7 +224,9 @@ fn words(
         _ => {
             let name = names.first().map_or_else(|| "one name".to_owned(), Clone::clone);
             (
-                format!("Address {address}{place}: a second {name} joined {since} (UIDs unknown)"),
+                format!(
+                    "Address {address}{place}: a second {name} detected {since} (UIDs unknown)"
+                ),
                 format!("{address}: two of {name}"),
             )
         }

@@ -7,10 +7,41 @@ use super::Inputs;
 use super::capture::decoded::uid_text;
 use super::view::{Board, FileStatus, Row, RowKey, RowState};
 use crate::discovery::{AddressSender, Device};
+use std::sync::Arc;
 
 /// Boards with rows of their own at one address, at most: as many as values of an address are
 /// remembered by the engine.
 const MAX_BOARDS: usize = 8;
+
+/// Returns what is known of a board at the address of a device, as a device: times, mode, services. What
+/// the device had before belongs to the board that joined first.
+fn device_of_board(device: &Device, board: &Board) -> Device {
+    let sender = &board.sender;
+    let mut own = device.clone();
+    (own.uid, own.mode) = (Some(sender.uid), sender.mode);
+    (own.first_seen, own.presence_since) = (sender.since, sender.since);
+    // Modes of several boards in one list are those of none.
+    own.mode_history.clear();
+    let is_first = board.side == 'A';
+    if !is_first {
+        (own.rebooted_at, own.reboots, own.moved_from, own.error_code) = (None, 0, None, None);
+        (own.previous_services, own.first_services) = (None, None);
+    }
+    for query in [&mut own.name_query, &mut own.services_query] {
+        // A response before it joined is that of another board.
+        if query.responded_at.is_some_and(|at| at < sender.since) {
+            (query.sent_at, query.responded_at, query.response_time) = (None, None, None);
+        }
+    }
+    // Which of the lists is whose is known only where one was received before the others joined.
+    if !own.services_are_shared {
+        let others = std::mem::take(&mut own.other_services);
+        if !is_first {
+            own.services = <[_; 1]>::try_from(others).ok().map(|[only]| only);
+        }
+    }
+    own
+}
 
 impl Inputs<'_> {
     /// Returns a row for each board that is known at the address of a device in conflict; else its
@@ -46,6 +77,7 @@ impl Inputs<'_> {
         let holder = holder.unwrap_or(0);
         let rows = own.iter().enumerate().map(|(at, board)| {
             let mut row = Row { board: Some(*board), uid: Some(board.sender.uid), ..row.clone() };
+            row.board_device = Some(Arc::new(device_of_board(device, board)));
             if at > 0 {
                 row.key = RowKey::Board(device.id, board.sender.uid);
             }

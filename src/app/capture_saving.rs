@@ -53,6 +53,13 @@ impl App {
         }
     }
 
+    /// Opens the prompt of a path again that was not written, with the cause; returns false if it cannot
+    /// be opened.
+    pub(super) fn reopen_prompt(&mut self, path: &Path, cause: &str) -> bool {
+        self.notices.redraw.set_dirty();
+        self.input.reopen_prompt(path, cause)
+    }
+
     /// Takes the result of an [`Effect::WriteLog`]; `Err` with the cause.
     pub fn handle_written_log(
         &mut self,

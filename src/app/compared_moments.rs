@@ -46,8 +46,7 @@ pub struct ComparedMoment {
 pub struct ComparisonRow {
     /// The difference.
     pub difference: Difference,
-    /// The last event between the moments, of a new device the first one, and the number of the
-    /// others; of a bus its frames. Empty without one.
+    /// The event between the moments that explains it best, and the number of the others; of a bus its frames. Empty without one.
     pub events: String,
 }
 
@@ -89,6 +88,13 @@ impl MomentComparison {
     /// What was not compared.
     pub fn unknown(&self) -> &[UnknownPart] {
         &self.unknown
+    }
+
+    /// Returns true if there was no device yet at the first moment.
+    pub fn is_before_devices(&self) -> bool {
+        let [before, after] = self.sides.each_ref().map(|side| side.inventory.as_ref());
+        let has_none = |side: Option<&Inventory>| side.is_some_and(|it| it.devices.is_empty());
+        has_none(before) && !has_none(after)
     }
 
     /// Index of the selected row, and of the first row that is shown on `height` lines.
@@ -238,8 +244,8 @@ impl App {
         inventory_of(inputs, past.problems.findings(&past.buses), self.file().path().is_some())
     }
 
-    /// Returns the last event of a device between two moments, of a new device the first one, and
-    /// the number of the others.
+    /// Returns the event between two moments that explains a difference of a device best: the last one,
+    /// of a new device the first one; and the number of the others.
     fn events_between(&self, difference: &Difference, moments: [Moment; 2]) -> String {
         let [from, to] = moments.map(|moment| moment.time);
         let (from, to) = (from.min(to), from.max(to));
@@ -263,11 +269,15 @@ impl App {
         let (mut told, mut count) = (None, 0);
         for line in lines {
             count += 1;
-            if told.is_none() || !is_new {
-                told = Some(line);
+            let rank = rank_of(difference, line);
+            if told.is_none_or(|(before, _)| if is_new { rank > before } else { rank >= before }) {
+                told = Some((rank, line));
             }
         }
-        let Some(line) = told else { return String::new() };
+        // What else happened to its device does not explain a finding.
+        let is_finding = difference.kind == DifferenceKind::Finding;
+        let told = told.filter(|(rank, _)| *rank > 0 || !is_finding);
+        let Some((_, line)) = told else { return String::new() };
         let at = super::format_time_of_day(self, line.last);
         let more = if count > 1 { format!(" +{}", count - 1) } else { String::new() };
         format!("{at} {}{more}", line.text)
@@ -368,6 +378,28 @@ impl App {
         self.comparison = None;
         self.input.close();
     }
+}
+
+/// Returns how well a line of the timeline explains a difference: 0 if it is about something else.
+fn rank_of(difference: &Difference, line: &super::TimelineEntry) -> usize {
+    let words: &[&str] = match difference.kind {
+        DifferenceKind::Presence => {
+            return usize::from(line.finding.is_none() && line.mode.is_none());
+        }
+        DifferenceKind::Finding => {
+            return usize::from(line.finding.is_some_and(|kind| kind.name() == difference.detail));
+        }
+        DifferenceKind::Boards | DifferenceKind::Uid => &["finding", "uid"],
+        DifferenceKind::Address => &["claimed", "gave-up", "moved"],
+        DifferenceKind::Name => &["named"],
+        DifferenceKind::Mode => &["rebooted", "mode"],
+        // New firmware begins with a reboot.
+        DifferenceKind::Services | DifferenceKind::Version => &["services", "rebooted"],
+        DifferenceKind::File => &["file"],
+        DifferenceKind::Heartbeat | DifferenceKind::Bus => &[],
+    };
+    let rank = |event: &&str| words.iter().position(|word| word == event).map_or(0, |at| at + 1);
+    line.events.iter().map(rank).max().unwrap_or(0)
 }
 
 /// Returns load, errors and frames of each bus that both states have.

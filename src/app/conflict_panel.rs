@@ -5,7 +5,7 @@
 //! cannot be distinguished. Does not know how it is drawn.
 
 use super::problems::{ConflictSides, Problem, ProblemKey, SideBasis, label_of};
-use super::{App, CallPart, CapturedHeartbeat, clock_millis, format_time_of_day};
+use super::{App, CallPart, CapturedHeartbeat, Row, clock_millis, format_time_of_day};
 use crate::discovery::{Device, DeviceService};
 use crate::frame::{BusIndex, CanId, Frame};
 use crate::keymap::Action;
@@ -24,7 +24,7 @@ const MAX_AXIS_BEATS: usize = 4096;
 /// Frames on the axis up to which responses are counted: 10 s of a full bus at 1 Mbit/s.
 const MAX_COUNTED_FRAMES: u64 = 100_000;
 /// Periods after the last evidence that still belong to a conflict that is over.
-const AFTER_PERIODS: u32 = 10;
+pub(super) const AFTER_PERIODS: u32 = 10;
 /// Deviation from a second up to which the phase in the second stays the same.
 const SECOND_TOLERANCE: f64 = 0.005;
 /// Heartbeats that the phase of a board is the median of.
@@ -112,7 +112,8 @@ impl App {
             panel.rows.push(("heartbeat", beats));
             panel.rows.push(("mode", column(&|at| self.mode_text(&panel, at, is_wide))));
         }
-        panel.rows.push(("services", services_texts(&panel, &devices, is_wide)));
+        let away = self.sides_away(bus, &panel, &devices);
+        panel.rows.push(("services", services_texts(&panel, &devices, &away, is_wide)));
         if self.has_shown_file() {
             panel.rows.push(("des.json", self.entry_texts(bus, &panel, &devices, is_wide)));
         }
@@ -132,6 +133,19 @@ impl App {
             problem.boards().iter().map(|board| (board.uid, board.since)).collect();
         let during = problem.first()..problem.last();
         Some(ConflictSides::new(&beats, &boards, during, period))
+    }
+
+    /// The modes of the board of a row, with the times of their first heartbeats, oldest first.
+    pub fn board_modes(&self, row: &Row) -> Vec<(Instant, Mode)> {
+        let place = row.board.zip(row.bus).zip(row.address);
+        let Some(((board, bus), address)) = place else { return Vec::new() };
+        let key = ProblemKey::Address(bus, address);
+        let problems = self.problems();
+        let problem = problems.iter().find(|problem| problem.key == key);
+        let sides = problem.and_then(|problem| self.conflict_sides(&problem));
+        let sides = sides.map_or_else(Vec::new, |sides| sides.sides);
+        let own = sides.into_iter().find(|side| side.uid == Some(board.sender.uid));
+        own.map_or_else(Vec::new, |side| side.modes)
     }
 
     /// Heartbeats of an address at the moment that is shown, until a time, newest first.
@@ -190,13 +204,35 @@ impl App {
         };
         let profile = self.profile(bus);
         let sides = panel.sides.sides.iter().enumerate().skip(panel.first);
+        let away = self.sides_away(bus, panel, devices);
         let title = |(at, side): (usize, &super::ConflictSide)| {
+            let moved = away.get(at - panel.first).copied().flatten();
+            let moved = moved.and_then(|device| device.name.as_ref());
+            let names = moved.map_or(names.clone(), |name| format!(" · {}", name.quoted()));
             let uid = side.uid.map_or("no UID".to_owned(), |uid| {
                 label_of(super::capture::decoded::uid_text(&profile, uid))
             });
             format!("{} {uid}{names}", side_letter(at))
         };
         sides.map(title).collect()
+    }
+
+    /// For each board that has a column, its device if that has another address now.
+    fn sides_away(
+        &self,
+        bus: BusIndex,
+        panel: &ConflictPanel,
+        devices: &[&Device],
+    ) -> Vec<Option<&Device>> {
+        let all = self.bus(bus).map_or(&[][..], |bus| bus.devices());
+        let is_here = |device: &Device| devices.iter().any(|here| here.id == device.id);
+        let sides = panel.sides.sides.iter().skip(panel.first);
+        sides
+            .map(|side| {
+                let uid = side.uid.filter(|uid| !uid.is_blank())?;
+                all.iter().find(|device| device.uid == Some(uid) && !is_here(device))
+            })
+            .collect()
     }
 
     fn joined_text(
@@ -419,7 +455,9 @@ impl App {
             let at = (time.as_micros().checked_sub(start)? + skipped) / cell;
             usize::try_from(at).ok().filter(|at| *at < cells)
         };
-        let ruler = self.ruler(first, cell, cells);
+        let shown = epoch.unix_micros(self.shown_time()) / cell;
+        let until = usize::try_from((shown + 1).saturating_sub(first)).unwrap_or(usize::MAX);
+        let ruler = self.ruler(first, cell, cells, until);
         let mut axis = BeatsOnAxis { ruler, beats: vec![None; cells], answers: vec![None; cells] };
         let end = start_time + length;
         let period = self.profile(bus).heartbeat.period();
@@ -468,14 +506,16 @@ impl App {
         Some(axis)
     }
 
-    /// Seconds on an axis that begins with the cell `first` since 1970.
-    fn ruler(&self, first: u64, cell: u64, cells: usize) -> String {
+    /// Seconds on an axis that begins with the cell `first` since 1970; blank from the cell `until` on,
+    /// which is behind the shown moment.
+    fn ruler(&self, first: u64, cell: u64, cells: usize, until: usize) -> String {
         let second = 1_000_000 / cell;
         // With wide cells two seconds have room for a time.
         let step = if second < 8 { 2 * second } else { second };
-        let mut ruler: Vec<char> = vec!['·'; cells];
+        let mut ruler: Vec<char> = vec!['·'; until.min(cells)];
+        ruler.resize(cells, ' ');
         let mut is_first = true;
-        for at in 0..cells {
+        for at in 0..until.min(cells) {
             let number = first + at as u64;
             if !number.is_multiple_of(step) {
                 if is_first {
@@ -490,8 +530,11 @@ impl App {
             let text = if is_first || is_minute { &clock[..] } else { &clock[clock.len() - 2..] };
             is_first = false;
             ruler[at] = '╷';
-            for (place, c) in (at + 1..cells).zip(text.chars()) {
-                ruler[place] = c;
+            // A part of a time is another one.
+            if let Some(places) = ruler.get_mut(at + 1..=at + text.len()) {
+                for (place, c) in places.iter_mut().zip(text.chars()) {
+                    *place = c;
+                }
             }
         }
         ruler.into_iter().collect()
@@ -548,8 +591,21 @@ fn services_text(services: &[DeviceService], wide: bool) -> String {
 }
 
 /// Lists of services. Responses do not show which of the boards sent them.
-fn services_texts(panel: &ConflictPanel, devices: &[&Device], wide: bool) -> Vec<String> {
+fn services_texts(
+    panel: &ConflictPanel,
+    devices: &[&Device],
+    away: &[Option<&Device>],
+    wide: bool,
+) -> Vec<String> {
     let count = panel.titles.len();
+    if let ([device], true) = (devices, away.iter().any(Option::is_some)) {
+        // Those that have another address now have their lists there.
+        let own = away.iter().map(|away| {
+            let services = away.unwrap_or(device).services.as_ref();
+            services.map_or("not read".to_owned(), |own| services_text(own, wide))
+        });
+        return own.collect();
+    }
     if let [device] = devices {
         let Some(own) = &device.services else { return vec!["not read".to_owned()] };
         let own = services_text(own, wide);

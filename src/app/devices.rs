@@ -214,6 +214,7 @@ impl Inputs<'_> {
             differences: others.map_or(0, |(listed, own)| count_differences(Some(listed), own)),
             uid: device.uid,
             board: None,
+            board_device: None,
             entry,
         }
     }
@@ -264,6 +265,7 @@ impl Inputs<'_> {
             differences: 0,
             uid: None,
             board: None,
+            board_device: None,
             entry: Some(entry.index),
         })
     }

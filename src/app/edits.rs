@@ -337,6 +337,7 @@ impl App {
     /// Handles a change of the line: a filter applies while it is typed; while it is wrong, the one
     /// before applies.
     pub(super) fn prompt_changed(&mut self) {
+        self.input.forget_failure();
         self.notices.redraw.set_dirty();
         self.filter_typed();
     }
@@ -348,7 +349,8 @@ impl App {
     }
 
     fn commit_prompt(&mut self) {
-        if let Some(super::InputCheck::Rejected(_)) = self.prompt_check() {
+        let check = self.prompt().map(|prompt| prompt.validate(self.prompt_context()));
+        if let Some(super::InputCheck::Rejected(_)) = check {
             self.effects.push_back(Effect::Bell);
             let is_edit = self.input.prompt().is_some_and(|prompt| prompt.kind.is_edit());
             if is_edit && self.editor.file.conflict().is_some() {
@@ -357,7 +359,11 @@ impl App {
             return;
         }
         let Some(prompt) = self.input.close_prompt() else { return };
-        match prompt.commit(self.prompt_context()) {
+        let outcome = prompt.commit(self.prompt_context());
+        if outcome.is_write() {
+            self.input.note_written(prompt);
+        }
+        match outcome {
             PromptOutcome::Nothing => {}
             PromptOutcome::SetFilter(page, text) => self.commit_filter(page, &text),
             PromptOutcome::Edit(operations) => self.edit(&operations),

@@ -166,7 +166,8 @@ impl App {
         for finding in changes.into_iter().filter(|it| it.key.kind != FindingKind::Unlisted) {
             let entry = TimelineEntry::of_finding(now, &finding);
             let Finding { key, state, text, .. } = finding;
-            let change = StoryChange::Finding { key, state, parties: Vec::new(), text };
+            let (parties, since, until) = (Vec::new(), None, now);
+            let change = StoryChange::Finding { key, state, parties, text, since, until };
             self.notices.note_step(&entry, change);
         }
     }

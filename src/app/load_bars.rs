@@ -5,12 +5,13 @@
 //! drawn.
 
 use super::view::{BarKey, BusPageLayout, ChartSpan, Page};
-use super::{App, Bus, TimelineEntry};
+use super::{App, Bus, ShareCounts};
 use crate::frame::BusIndex;
 use crate::text::Name;
 use crate::wire::id::Address;
 use ratatui::layout::{Position, Rect};
 use std::ops::Range;
+use std::sync::Arc;
 
 /// A bar.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -22,53 +23,60 @@ pub struct LoadBar {
 }
 
 impl Bus {
-    /// The bus time to which shares relate, in bits: that of the counted seconds, or of the frames
-    /// where the bit rate is not known; 0 before anything is counted.
-    pub fn share_base(&self) -> u64 {
-        let counts = self.meter.shares.latest();
-        if self.lacks_bit_rate() {
+    /// The sums of a span of time.
+    pub fn shares_of(&self, span: ChartSpan) -> Arc<ShareCounts> {
+        self.meter.shares.span(span.seconds())
+    }
+
+    /// Part of the bus time of the counted seconds, 0–1; where the bit rate is not known, of the bus time
+    /// of their frames. 0 before anything is counted.
+    pub fn share_of(&self, bits: u64, counts: &ShareCounts) -> f64 {
+        let base = if self.lacks_bit_rate() {
             counts.bits
         } else {
             counts.seconds * u64::from(self.bits_per_second())
-        }
-    }
-
-    /// Part of the bus time, 0–1; 0 before anything is counted.
-    pub fn share_of(&self, bits: u64) -> f64 {
-        bits as f64 / self.share_base().max(1) as f64
+        };
+        bits as f64 / base.max(1) as f64
     }
 
     /// The bars by sender, the longest first.
-    pub fn sender_bars(&self, bus: BusIndex) -> Vec<LoadBar> {
-        let senders = self.meter.shares.latest().senders();
-        self.bars(senders.map(|(address, bits)| (BarKey::Sender(bus, address), bits)))
+    pub fn sender_bars(&self, bus: BusIndex, span: ChartSpan) -> Vec<LoadBar> {
+        let counts = self.shares_of(span);
+        let senders = counts.senders();
+        self.bars(senders.map(|(address, bits)| (BarKey::Sender(bus, address), bits)), &counts)
     }
 
     /// The bars by service, the longest first.
-    pub fn service_bars(&self, bus: BusIndex) -> Vec<LoadBar> {
-        let services = self.meter.shares.latest().services();
-        self.bars(services.map(|(service, bits)| (BarKey::Service(bus, service), bits)))
+    pub fn service_bars(&self, bus: BusIndex, span: ChartSpan) -> Vec<LoadBar> {
+        let counts = self.shares_of(span);
+        let services = counts.services();
+        self.bars(services.map(|(service, bits)| (BarKey::Service(bus, service), bits)), &counts)
     }
 
     /// The bus time that has no bar of its own: of errors and frames of another protocol, if there
     /// are any, and the free time, if the bit rate is known.
-    pub fn other_shares(&self) -> Vec<(&'static str, f64)> {
-        let counts = self.meter.shares.latest();
+    pub fn other_shares(&self, span: ChartSpan) -> Vec<(&'static str, f64)> {
+        let counts = self.shares_of(span);
         let others = [("errors", counts.errors), ("non-platform", counts.non_platform)];
         let mut shares: Vec<(&str, f64)> = Vec::with_capacity(3);
         let some = others.into_iter().filter(|(_, bits)| *bits > 0);
-        shares.extend(some.map(|(word, bits)| (word, self.share_of(bits))));
+        shares.extend(some.map(|(word, bits)| (word, self.share_of(bits, &counts))));
         if !self.lacks_bit_rate() && counts.seconds > 0 {
-            shares.push(("free", (1.0 - self.share_of(counts.bits)).max(0.0)));
+            shares.push(("free", (1.0 - self.share_of(counts.bits, &counts)).max(0.0)));
         }
         shares
     }
 
-    fn bars(&self, sums: impl Iterator<Item = (BarKey, u64)>) -> Vec<LoadBar> {
+    fn bars(
+        &self,
+        sums: impl Iterator<Item = (BarKey, u64)>,
+        counts: &ShareCounts,
+    ) -> Vec<LoadBar> {
         let mut sums: Vec<(BarKey, u64)> = sums.collect();
         // Of equal ones the lower number first: the sort is stable.
         sums.sort_by_key(|(_, bits)| std::cmp::Reverse(*bits));
-        sums.into_iter().map(|(key, bits)| LoadBar { key, share: self.share_of(bits) }).collect()
+        let bar = |(key, bits)| LoadBar { key, share: self.share_of(bits, counts) };
+        sums.into_iter().map(bar).collect()
     }
 }
 
@@ -83,10 +91,11 @@ pub fn bar_lines(area: Rect, others: usize) -> (usize, usize) {
 impl App {
     /// Keys of all bars, in the order in which the selection goes through them.
     pub fn bar_keys(&self) -> Vec<BarKey> {
+        let span = self.chart_span();
         let buses = self.buses().iter().enumerate();
         let bars = buses.flat_map(|(at, bus)| {
             let index = BusIndex(at as u8);
-            [bus.sender_bars(index), bus.service_bars(index)]
+            [bus.sender_bars(index, span), bus.service_bars(index, span)]
         });
         bars.flatten().map(|bar| bar.key).collect()
     }
@@ -105,21 +114,25 @@ impl App {
         BusPageLayout::new(area, self.buses().len(), selected)
     }
 
-    /// Timeline lines about buses, at most those until the moment that is shown, newest first.
-    pub fn bus_lines(&self) -> impl Iterator<Item = &TimelineEntry> {
-        let end = self.view.frozen.map_or(u64::MAX, |frozen| frozen.lines);
-        let lines = self.timeline().entries().rev().filter(move |line| line.number < end);
-        lines.filter(|it| it.bus.is_some() && it.device.is_none() && it.address.is_none())
-    }
-
     /// The time that the charts of the page Bus show.
     pub fn chart_span(&self) -> ChartSpan {
         self.view.chart_span
     }
 
-    /// Shows the next span of time in the charts.
+    /// Shows the next span of time in charts and bars.
     pub(super) fn next_chart_span(&mut self) {
         self.view.chart_span = self.view.chart_span.next();
+        self.settle_bars();
+        self.notices.redraw.set_dirty();
+    }
+
+    /// Shows the span with more time, or with -1 less.
+    pub(super) fn zoom_charts(&mut self, by: isize) {
+        let Some(span) = self.view.chart_span.zoomed(by) else {
+            return self.show_error("no other span of time");
+        };
+        self.view.chart_span = span;
+        self.settle_bars();
         self.notices.redraw.set_dirty();
     }
 
@@ -142,14 +155,14 @@ impl App {
 
     /// Selects the bar at a place on the screen.
     pub(super) fn click_bar(&mut self, place: Position) {
-        let page = self.bus_page();
+        let (page, span) = (self.bus_page(), self.chart_span());
         let mut clicked = None;
         for (at, regions) in page.buses.iter().enumerate() {
             let index = BusIndex((page.first + at) as u8);
             let Some(bus) = self.bus(index) else { continue };
             for (area, bars, others) in [
-                (regions.senders, bus.sender_bars(index), bus.other_shares().len()),
-                (regions.services, bus.service_bars(index), 0),
+                (regions.senders, bus.sender_bars(index, span), bus.other_shares(span).len()),
+                (regions.services, bus.service_bars(index, span), 0),
             ] {
                 let line = usize::from(place.y.saturating_sub(area.y));
                 let (lines, _) = bar_lines(area, others);
@@ -213,11 +226,11 @@ impl App {
 
     /// The selected bar in one line, with its share.
     pub(super) fn bar_text(&self) -> Option<String> {
-        let key = self.selected_bar()?;
+        let (key, span) = (self.selected_bar()?, self.chart_span());
         let bus = self.bus(key.bus())?;
         let bars = match key {
-            BarKey::Sender(index, _) => bus.sender_bars(index),
-            BarKey::Service(index, _) => bus.service_bars(index),
+            BarKey::Sender(index, _) => bus.sender_bars(index, span),
+            BarKey::Service(index, _) => bus.service_bars(index, span),
         };
         let share = bars.iter().find(|bar| bar.key == key)?.share * 100.0;
         let of = if bus.lacks_bit_rate() { "of the frames on" } else { "of" };

@@ -89,13 +89,7 @@ impl App {
         let shown = if text.is_empty() { "moment marked" } else { text };
         let mut line = TimelineEntry::new(moment.time, TimelineKind::Mark(letter), shown);
         line.name = Some("mark".into());
-        let number = self.notices.insert_line(line);
-        let is_shown = moment.time <= self.shown_time();
-        if let Some(frozen) = &mut self.view.frozen
-            && (frozen.lines > number || frozen.lines == number && is_shown)
-        {
-            frozen.lines += 1;
-        }
+        self.notices.insert_line(line);
         self.marks.0.push(Mark { letter, moment, text: text.to_owned() });
         self.renew_time_bar();
         let at = clock_millis(self, moment.time);

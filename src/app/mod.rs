@@ -116,7 +116,7 @@ pub use frame_sides::FrameSides;
 pub use help_view::HelpView;
 pub use history::{BusesReplay, FRAMES_PER_ROOM, Moment, RecordedBuses};
 pub use input::{FilterPrompt, InputCheck, Overlay, Prompt, PromptKind, Question};
-pub use lanes::{Lane, LaneCell, Lanes, format_step};
+pub use lanes::{Lane, LaneBoard, LaneCell, Lanes, format_step};
 pub use listing::{addition_refusal, same_services};
 pub use load_bars::{LoadBar, bar_lines};
 pub use marks::{MAX_MARKS, Mark, Marks};
@@ -130,7 +130,7 @@ pub use play::PlayPace;
 use play::SoughtEvent;
 pub use problems::{
     ConflictSide, ConflictSides, EvidenceItem, Matching, Problem, ProblemHeadline, ProblemKey,
-    ProblemList, Scope, SideBasis, format_duration, is_about, length_text,
+    ProblemList, Scope, SideBasis, format_duration, growing_length_text, is_about, length_text,
 };
 pub use saved_filters::{MAX_SAVED_FILTERS, SavedFilter, SavedFilterChange};
 pub use signs::Signs;
@@ -667,6 +667,11 @@ impl App {
             return self.notices.redraw.set_dirty();
         }
         let is_copy = self.editor.handle_written(path, result.is_ok());
+        if let Err(why) = &result
+            && self.reopen_prompt(path, &format!("not saved: {why}"))
+        {
+            return;
+        }
         let path = crate::text::printable(path.as_os_str().as_encoded_bytes());
         match result {
             Ok(()) if is_copy => {
@@ -889,9 +894,10 @@ impl App {
         self.shown_buses().device(id)
     }
 
-    /// The device of a row; `None` for the row of an entry.
-    pub fn device_of(&self, row: &Row) -> Option<&Device> {
-        row.device(self.shown_buses())
+    /// The device of a row, as far as it is known of the board of a shared address alone; `None` for the
+    /// row of an entry.
+    pub fn device_of<'a>(&'a self, row: &'a Row) -> Option<&'a Device> {
+        row.board_device.as_deref().or_else(|| row.device(self.shown_buses()))
     }
 
     /// The devices of a row: several where buses are redundant.
@@ -1258,7 +1264,9 @@ impl App {
 
     /// Validation of the open prompt.
     pub fn prompt_check(&self) -> Option<InputCheck> {
-        Some(self.prompt()?.validate(self.prompt_context()))
+        let prompt = self.prompt()?;
+        let failure = self.input.failure().map(|why| InputCheck::Rejected(why.to_owned()));
+        Some(failure.unwrap_or_else(|| prompt.validate(self.prompt_context())))
     }
 
     /// Text before the line of the open prompt.

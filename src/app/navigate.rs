@@ -254,6 +254,7 @@ impl App {
         self.view.open_page(page);
         self.filter_frames();
         self.settle_bars();
+        self.count_lanes();
         self.notices.redraw.set_dirty();
     }
 

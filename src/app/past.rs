@@ -245,9 +245,7 @@ impl App {
 
     fn show_past(&mut self, moment: Moment, buses: Buses) {
         let past = self.past_at(moment, buses);
-        let later = self.timeline().entries().find(|line| line.time > moment.time);
-        let lines = later.map_or(self.timeline().end(), |line| line.number);
-        self.view.frozen = Some(Frozen { frames: moment.frames, lines });
+        self.view.frozen = Some(Frozen { frames: moment.frames });
         self.notices.timeline_mut().pin_lines(true);
         self.past = Some(Box::new(past));
         self.settle_alarm();

@@ -7,9 +7,9 @@ use super::filter::Filter;
 use super::input::Overlay;
 use super::notices::TimelineEntry;
 use super::stories::{HiddenKinds, Stories, Story, StoryKind, StoryLine, StoryStep};
-use super::{App, Page, clock_millis, format_duration};
+use super::{App, Page, clock_millis, growing_length_text, length_text};
 use crate::text::Name;
-use crate::time::{Duration, Instant};
+use crate::time::Instant;
 
 /// Identity of a line of the Timeline page.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -116,15 +116,33 @@ impl App {
     pub fn story_length(&self, line: &StoryLine) -> Option<String> {
         match line.to {
             Some(to) if to == line.from => None,
-            Some(to) => Some(format_length(to.since(line.from))),
-            None => {
-                let length = self.shown_time().since(line.from);
-                Some(match length.as_secs() {
-                    seconds @ 0..=59 => format!("{seconds} s"),
-                    _ => format_duration(length),
-                })
-            }
+            Some(to) => Some(length_text(to.since(line.from))),
+            None => Some(growing_length_text(self.display_time().since(line.from))),
         }
+    }
+
+    /// The stories that changed last until the moment that is shown, at most `most` of those that are
+    /// wanted, with the time of the change, oldest first.
+    pub fn latest_stories(
+        &self,
+        most: usize,
+        is_wanted: impl Fn(&Story) -> bool,
+    ) -> Vec<(&Story, Instant)> {
+        let at = self.shown_time();
+        let begun = self.stories().iter().take_while(|story| story.begin() <= at);
+        let wanted = begun.filter(|story| is_wanted(story));
+        let mut latest: Vec<(&Story, Instant)> =
+            wanted.filter_map(|story| Some((story, story.last_change(at)?))).collect();
+        latest.sort_by_key(|(_, time)| *time);
+        latest.split_off(latest.len().saturating_sub(most))
+    }
+
+    /// The stories about buses that changed last, with the time of the change, oldest first.
+    pub fn latest_bus_stories(&self, most: usize) -> Vec<(&Story, Instant)> {
+        self.latest_stories(most, |story| {
+            let entry = story.subject(self.shown_time());
+            entry.bus.is_some() && entry.device.is_none() && entry.address.is_none()
+        })
     }
 
     /// Number of occurrences of a step, and the time of the last one, as of the moment that is shown.
@@ -248,14 +266,5 @@ impl App {
         if self.view.timeline.selected().is_some() {
             self.view.timeline.update(&keys, height);
         }
-    }
-}
-
-/// Length of a story that is over: `24.2 s`, `12 ms`, `2m05s`.
-fn format_length(length: Duration) -> String {
-    match length.as_millis() {
-        0..=999 => format!("{} ms", length.as_millis()),
-        1000..=59_949 => format!("{:.1} s", length.as_secs_f64()),
-        _ => format_duration(length),
     }
 }

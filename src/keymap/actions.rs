@@ -239,7 +239,7 @@ actions! {
         ScrubBack "scrub-back" "Frozen: ten cells of the time bar earlier" "" ["Shift-Left"];
         ScrubForward "scrub-forward" "Frozen: ten cells later" "" ["Shift-Right"];
         TimeBar "time-bar" "Show or hide the time bar on a small screen" "" ["T"];
-        ZoomOut "zoom-out" "Time bar, lanes, conflict panel: more time" "zoom" ["-"];
+        ZoomOut "zoom-out" "Time bar, lanes, charts, panel: more time" "zoom" ["-"];
         ZoomIn "zoom-in" "The same: less time" "" ["+"];
         Mark "mark" "Mark the moment that is shown (a, b, c …)" "mark" ["M"];
         Marks "marks" "List the marks: go to one, remove one" "marks" ["'"];

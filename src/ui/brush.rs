@@ -28,6 +28,8 @@ pub struct DrawContext<'a> {
     /// Lines by which the scrolled text (details, help) is scrolled, at most to its end; `None` if
     /// the page has none.
     pub scrolled: Option<u16>,
+    /// Cells of the title of a panel that takes the place of the page.
+    pub panel_title: u16,
 }
 
 /// Returns `area` without its first and last column.
@@ -155,6 +157,7 @@ impl DrawContext<'_> {
         let rule = Rect { height: self.screen.tabs.height, y: self.screen.tabs.y, ..whole };
         self.rule(rule, Role::BorderFocus);
         let title = Line::from(self.span(Role::TabActive, title.to_owned()));
+        self.panel_title = title.width() as u16;
         let room = super::moment::start(self).saturating_sub(2);
         self.line(Rect { x: 1, width: room, ..rule }, 0, &title);
         let y = rule.bottom();

@@ -4,11 +4,10 @@
 
 use super::brush::{DrawContext, bus_label, fit, fit_right};
 use super::chart::{bar, chart_rows, grouped, rounded, scale_text, scale_top};
-use super::tabs::draw_views;
-use super::timeline::entry_line;
+use super::timeline::latest_line;
 use crate::app::{
-    Bus, BusPageLayout, BusRegions, ChartSpan, LoadBar, LoadHistory, LoadSample, Page, bar_lines,
-    format_time_of_day,
+    Bus, BusPageLayout, BusRegions, ChartSpan, LoadBar, LoadHistory, LoadSample, bar_lines,
+    format_time_of_day, growing_length_text,
 };
 use crate::discovery::OwnAddress;
 use crate::frame::BusIndex;
@@ -30,7 +29,6 @@ const SHARE: usize = 8;
 
 /// Draws the page.
 pub fn draw(brush: &mut DrawContext) {
-    draw_spans(brush);
     let page = brush.app.bus_page();
     let axis = ChartAxis::new(brush, &page);
     for (at, regions) in page.buses.iter().enumerate() {
@@ -75,17 +73,6 @@ fn label(brush: &DrawContext, index: BusIndex) -> String {
     if several { bus_label(brush.app, index, 8) } else { String::new() }
 }
 
-/// Draws the spans of time and their key into the rule of the page names.
-fn draw_spans(brush: &mut DrawContext) {
-    let open = brush.app.chart_span();
-    let titles = ChartSpan::ALL.map(ChartSpan::title);
-    let last = if open == ChartSpan::All { "" } else { "last " };
-    let tabs = brush.screen.tabs(Page::Bus, brush.app.counts());
-    let end = tabs.last().map_or(0, |(_, start, text)| start + text.width() as u16);
-    let alone = format!("{last}{}", open.title());
-    draw_views(brush, &titles, open.title(), &alone, end);
-}
-
 // ---- state and counters --------------------------------------------------------------------
 
 /// Draws state and counters, as many as fit: the first ones are the most important.
@@ -101,10 +88,14 @@ fn draw_facts(brush: &mut DrawContext, shown: &BusView) {
     if brush.app.buses().len() > 1 {
         facts.insert(0, vec![brush.span(Role::Title, shown.label.clone())]);
     }
-    for fact in facts {
+    for fact in facts.into_iter().filter(|fact| !fact.is_empty()) {
         let width = fact.iter().map(Span::width).sum::<usize>();
         let used = lines[row].width();
         if used > 0 && used + 2 + width > room {
+            // On the last line, a shorter one may fit.
+            if row + 1 == lines.len() {
+                continue;
+            }
             row += 1;
         }
         let Some(line) = lines.get_mut(row) else { break };
@@ -154,7 +145,7 @@ fn facts(brush: &DrawContext, shown: &BusView) -> Vec<Vec<Span<'static>>> {
     let counts = bus.meter.shares.latest();
     let is_share_known = !bus.lacks_bit_rate() && counts.seconds > 0;
     let own_share = if is_share_known {
-        format!("{} %", percent(bus.share_of(counts.own)))
+        format!("{} %", percent(bus.share_of(counts.own, counts)))
     } else {
         "–".to_owned()
     };
@@ -175,7 +166,12 @@ fn facts(brush: &DrawContext, shown: &BusView) -> Vec<Vec<Span<'static>>> {
     let latency = latency.map_or("–".to_owned(), |it| {
         format!("p50 {}  p99 {}  max {} ms", millis(it.p50), millis(it.p99), millis(it.max))
     });
-    let buffer = status.receive_buffer.map(|bytes| format!("{} KiB", bytes / 1024));
+    let buffer = buffer_text(bus);
+    let buffer = text("receive buffer", buffer.unwrap_or_else(|| "–".to_owned()));
+    // What is not known comes last.
+    let is_known = status.receive_buffer.is_some();
+    let (known_buffer, no_buffer) =
+        if is_known { (buffer, Vec::new()) } else { (Vec::new(), buffer) };
     let role = if is_bad { Role::Error } else { Role::Text };
     vec![
         vec![brush.span(Role::Text, bitrate)],
@@ -188,12 +184,28 @@ fn facts(brush: &DrawContext, shown: &BusView) -> Vec<Vec<Span<'static>>> {
         text("frames", grouped(counters.frames)),
         count("errors", counters.errors, Role::Warning),
         lost,
+        known_buffer,
         count("not sent", status.transmit_failures, Role::Warning),
         count("non-platform", counters.non_platform, Role::Text),
         count("non-conforming", counters.non_conforming, Role::Warning),
         text("latency", latency),
-        text("receive buffer", buffer.unwrap_or_else(|| "–".to_owned())),
+        no_buffer,
     ]
+}
+
+/// Returns how many frames the kernel's receive buffer holds, for how long it can be left unread at the
+/// present rate, and how full it was at most; `None` if its size is not known, as of logs.
+fn buffer_text(bus: &Bus) -> Option<String> {
+    let frames = bus.status.receive_buffer_frames()?;
+    let seconds = bus.meter.seconds();
+    let count = seconds.len().max(1) as f64;
+    let rate = seconds.map(|second| f64::from(second.frames)).sum::<f64>() / count;
+    let lasts = match f64::from(frames) / rate {
+        seconds if rate <= 0.0 || seconds >= 60.0 => String::new(),
+        seconds => format!(" ({seconds:.1} s)"),
+    };
+    let most = bus.status.most_waiting;
+    Some(format!("{} frames{lasts}, max {}", grouped(frames.into()), grouped(most.into())))
 }
 
 /// Returns a bit rate in kbit/s.
@@ -383,13 +395,14 @@ fn draw_bars(brush: &mut DrawContext, shown: &BusView) {
         (_, None) => "load ≈",
         _ => "load",
     };
-    let others = bus.other_shares();
+    let span = brush.app.chart_span();
+    let others = bus.other_shares(span);
     let regions = shown.regions;
     let title = shown.titled(&format!("{what} by device"));
-    draw_bar_list(brush, regions.senders, bus, &title, &bus.sender_bars(index), &others);
+    draw_bar_list(brush, regions.senders, bus, &title, &bus.sender_bars(index, span), &others);
     // Below the devices, or beside them: the bus is named there.
     let title = format!("{what} by service");
-    draw_bar_list(brush, regions.services, bus, &title, &bus.service_bars(index), &[]);
+    draw_bar_list(brush, regions.services, bus, &title, &bus.service_bars(index, span), &[]);
 }
 
 fn draw_bar_list(
@@ -403,16 +416,17 @@ fn draw_bar_list(
     if area.height == 0 {
         return;
     }
-    let seconds = bus.meter.shares.latest().seconds;
+    let counts = bus.shares_of(brush.app.chart_span());
+    let seconds = counts.seconds;
     let (lines, other_lines) = bar_lines(area, others.len());
-    let mut since = if seconds > 0 { format!("last {seconds} s") } else { String::new() };
+    let mut since = if seconds > 0 { span_text(brush, seconds) } else { String::new() };
     if bars.len() > lines {
         since = format!("{since}  {lines} of {}", bars.len());
     }
     heading(brush, Rect { height: 1, ..area }, title, &since);
     let below = Rect { y: area.y + 1, height: area.height - 1, ..area };
     if bars.is_empty() {
-        let text = match bus.meter.shares.latest().bits {
+        let text = match counts.bits {
             _ if seconds == 0 => "  –",
             0 => "  no frames",
             _ => "  no such frames",
@@ -456,6 +470,12 @@ fn draw_bar_list(
         brush.line(below, row, &line);
         row += 1;
     }
+}
+
+/// Returns the time that bars are of: `last 2m00s`, `all 3m34s`.
+fn span_text(brush: &DrawContext, seconds: u64) -> String {
+    let word = if brush.app.chart_span() == ChartSpan::All { "all" } else { "last" };
+    format!("{word} {}", growing_length_text(Duration::from_secs(seconds)))
 }
 
 // ---- errors and events ---------------------------------------------------------------------
@@ -505,15 +525,13 @@ fn draw_events(brush: &mut DrawContext, area: Rect) {
         return;
     }
     heading(brush, Rect { height: 1, ..area }, "what happened to the bus", "");
-    let app = brush.app;
-    let mut lines: Vec<_> = app.bus_lines().take(usize::from(area.height - 1)).collect();
-    lines.reverse();
-    if lines.is_empty() {
+    let stories = brush.app.latest_bus_stories(usize::from(area.height - 1));
+    if stories.is_empty() {
         let line = Line::from(brush.span(Role::Muted, "  nothing so far"));
         return brush.line(area, 1, &line);
     }
-    for (row, entry) in lines.into_iter().enumerate() {
-        let line = entry_line(brush, entry, if area.width >= 60 { 12 } else { 8 });
+    for (row, (story, time)) in stories.into_iter().enumerate() {
+        let line = latest_line(brush, story, time, if area.width >= 60 { 12 } else { 8 });
         brush.line(area, row as u16 + 1, &line);
     }
 }

@@ -23,15 +23,19 @@ use crate::app::{
 use crate::discovery::Presence;
 use crate::finding::FindingState;
 use crate::inventory::{DifferenceKind, DifferenceSide, DifferenceValue};
+use crate::keymap::Action;
 use crate::theme::Role;
 use crate::time::Instant;
 use ratatui::layout::Rect;
 use ratatui::text::Line;
+use unicode_width::UnicodeWidthStr;
 
 /// Least width with the column EVENTS BETWEEN.
 const WITH_EVENTS: u16 = 110;
 /// Least height with the selected row below.
 const WITH_DETAILS: u16 = 12;
+/// Least cells of a value.
+const LEAST_VALUE: usize = 10;
 /// Lines of the selected row, with their rule.
 const DETAILS: u16 = 5;
 
@@ -41,24 +45,39 @@ struct ComparisonColumns {
     bus: usize,
     name: usize,
     what: usize,
-    value: usize,
+    before: usize,
+    after: usize,
     events: usize,
 }
 
 impl ComparisonColumns {
-    fn new(width: u16, has_buses: bool) -> Self {
+    /// Columns as wide as what stands in them, as far as there is room.
+    fn new(width: u16, has_buses: bool, comparison: &MomentComparison) -> Self {
         let has_events = width >= WITH_EVENTS;
         let bus = if has_buses { 8 } else { 0 };
-        let (name, what) = match width {
-            160.. => (13, 28),
-            WITH_EVENTS.. => (11, 23),
-            60.. => (10, 15),
-            _ => (8, 10),
+        let (name, what, most) = match width {
+            160.. => (13, 28, 32),
+            WITH_EVENTS.. => (11, 15, 30),
+            60.. => (10, 15, 28),
+            _ => (8, 10, 10),
         };
+        let rows = comparison.rows().unwrap_or_default().iter().map(|row| &row.difference);
+        let longest = rows.clone().map(|it| it.what().width() + 1).max().unwrap_or(0);
+        let what = longest.clamp(what, most);
         let left = usize::from(width).saturating_sub(8 + bus + name + what);
-        let value = if has_events { left * 3 / 10 } else { left / 2 };
-        let events = if has_events { left.saturating_sub(2 * value) } else { 0 };
-        Self { bus, name, what, value, events }
+        let events = if has_events { left * 2 / 5 } else { 0 };
+        let values = left - events;
+        let cells = |value: &DifferenceValue| value.to_string().width() + 1;
+        let before = rows.clone().map(|it| cells(&it.before)).max().unwrap_or(0);
+        let after = rows.map(|it| cells(&it.after)).max().unwrap_or(0);
+        let half = values / 2;
+        let before = match (before <= half, after <= half) {
+            (false, true) => before.min(values - after),
+            (true, false) => before.max(LEAST_VALUE),
+            _ => half,
+        };
+        let after = values.saturating_sub(before);
+        Self { bus, name, what, before, after, events }
     }
 }
 
@@ -69,7 +88,7 @@ pub fn draw(brush: &mut DrawContext) {
     let title = title(brush, comparison);
     let mut area = brush.panel(&title);
     let has_buses = app.buses().len() > 1;
-    let columns = ComparisonColumns::new(area.width, has_buses);
+    let columns = ComparisonColumns::new(area.width, has_buses, comparison);
     let header = brush.span(Role::Header, header(columns));
     brush.line(area, 0, &Line::from(header));
     area = Rect { y: area.y + 1, height: area.height.saturating_sub(1), ..area };
@@ -133,7 +152,11 @@ fn title(brush: &DrawContext, comparison: &MomentComparison) -> String {
     let is_after = comparison.is_after_chosen();
     let (from, to) = (before.moment.time, after.moment.time);
     let (sign, apart) = if from <= to { ("", to.since(from)) } else { ("−", from.since(to)) };
-    let begin = if width >= 60 { "What changed: " } else { "" };
+    let begin = match width {
+        100.. => "What changed: ",
+        60.. => "Changed: ",
+        _ => "",
+    };
     let (before, after) = (side("A", before, !is_after), side("B", after, is_after));
     format!(" {begin}{before} → {after}, {sign}{:.1} s ", apart.as_secs_f64())
 }
@@ -145,8 +168,8 @@ fn header(columns: ComparisonColumns) -> String {
         "   {bus}ADDR {}{}{}{}{events}",
         fit("NAME", columns.name),
         fit("WHAT", columns.what),
-        fit("A", columns.value),
-        fit("B", columns.value),
+        fit("A", columns.before),
+        fit("B", columns.after),
     )
 }
 
@@ -173,8 +196,8 @@ fn row_line(
         brush.span(Role::Text, format!("{} ", fit_right(&address, 4))),
         brush.span(Role::Text, cell(subject.name.as_deref().unwrap_or(unknown), columns.name)),
         brush.span(Role::Text, cell(&difference.what(), columns.what)),
-        brush.span(Role::Muted, cell(&difference.before.to_string(), columns.value)),
-        brush.span(Role::Text, cell(&difference.after.to_string(), columns.value)),
+        brush.span(Role::Muted, cell(&difference.before.to_string(), columns.before)),
+        brush.span(Role::Text, cell(&difference.after.to_string(), columns.after)),
         brush.span(Role::Muted, fit(&row.events, columns.events)),
     ])
 }
@@ -214,7 +237,7 @@ fn has_several(value: &DifferenceValue) -> bool {
     matches!(value, DifferenceValue::Words(words) if words.len() > 1)
 }
 
-/// Returns what buses without a difference did, and what was not compared.
+/// Returns why all devices are new, what buses without a difference did, and what was not compared.
 fn note_lines(
     brush: &DrawContext,
     comparison: &MomentComparison,
@@ -226,8 +249,8 @@ fn note_lines(
             cell(&short_name(&note.bus, columns.bus.max(1) - 1), columns.bus),
             cell("bus", columns.name),
             cell("load, errors", columns.what),
-            cell(&note.before, columns.value),
-            cell(&note.after, columns.value),
+            cell(&note.before, columns.before),
+            cell(&note.after, columns.after),
             fit(&note.events, columns.events),
         );
         Line::from(brush.span(Role::Muted, text))
@@ -239,7 +262,14 @@ fn note_lines(
         };
         Line::from(brush.span(Role::Muted, format!("   {}", unknown.text(side))))
     });
-    comparison.notes().iter().map(note).chain(unknown).collect()
+    let is_empty = comparison.is_before_devices().then(|| {
+        let app = brush.app;
+        let (side, later) = (app.key_of(Action::CompareSide), app.key_of(Action::CompareLater));
+        let first = if comparison.is_after_chosen() { format!("{side} {later}") } else { later };
+        let text = format!("   A is before the first device: all are new; {first} moves it on");
+        Line::from(brush.span(Role::Muted, text))
+    });
+    is_empty.into_iter().chain(comparison.notes().iter().map(note)).chain(unknown).collect()
 }
 
 /// Draws the whole of the selected row.

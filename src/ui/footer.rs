@@ -4,6 +4,7 @@
 
 use super::brush::{DrawContext, cut, fit, wrap};
 use super::chart::grouped;
+use super::status::WIDE;
 use crate::app::{
     BarKey, FileError, FileStatus, Focus, InputCheck, Page, Prompt, PromptKind, addition_refusal,
     format_duration, is_about,
@@ -260,11 +261,11 @@ fn hint_line(brush: &DrawContext, mode: KeyMode, width: usize) -> Vec<Span<'stat
             A::EditAddress,
             A::Add,
             A::Filter,
+            A::Freeze,
             A::Rescan,
             A::Undo,
             A::Details,
             A::Frames,
-            A::Freeze,
             A::Sort,
             A::Problem,
             A::ClearLost,
@@ -283,27 +284,33 @@ fn hint_line(brush: &DrawContext, mode: KeyMode, width: usize) -> Vec<Span<'stat
         (KeyMode::Browse, Page::Timeline, _) => &[
             A::Details,
             A::Frames,
-            A::Problem,
             A::Kinds,
-            A::ZoomIn,
-            A::OpenParts,
             A::Identifiers,
-            A::Filter,
             A::Freeze,
+            A::ZoomOut,
+            A::Problem,
+            A::OpenParts,
+            A::Filter,
             A::Mark,
             A::Compare,
             A::SaveCapture,
         ],
-        (KeyMode::Browse, Page::Bus, _) => {
-            &[A::Details, A::Frames, A::Identifiers, A::Freeze, A::BitRate, A::SaveCapture]
-        }
+        (KeyMode::Browse, Page::Bus, _) => &[
+            A::Details,
+            A::Frames,
+            A::ZoomOut,
+            A::Identifiers,
+            A::Freeze,
+            A::BitRate,
+            A::SaveCapture,
+        ],
         (KeyMode::Browse, Page::Problems, _) => &[
             A::Details,
             A::Frames,
             A::Problem,
-            A::EditAddress,
-            A::Mute,
             A::WriteProof,
+            A::Mute,
+            A::EditAddress,
             A::Identifiers,
             A::Filter,
             A::Rescan,
@@ -326,7 +333,9 @@ fn hint_line(brush: &DrawContext, mode: KeyMode, width: usize) -> Vec<Span<'stat
         _ => Vec::new(),
     };
     let back: &[Action] = if is_browsing { &[A::Cancel] } else { &[] };
-    let mut actions = if is_frozen || !pairs.is_empty() {
+    let mut actions = if is_frozen && is_browsing && says_present(brush) {
+        [back, &[A::Frames], actions].concat()
+    } else if is_frozen || !pairs.is_empty() {
         [back, actions].concat()
     } else {
         [first, back, actions].concat()
@@ -340,14 +349,23 @@ fn hint_line(brush: &DrawContext, mode: KeyMode, width: usize) -> Vec<Span<'stat
     let mut all = pairs;
     if !all.is_empty() {
         // The help is the way to all other keys.
-        all.insert(1, first.iter().find_map(|action| hint(brush, *action)));
+        let at = usize::from(!is_frozen || !says_present(brush));
+        all.insert(at, first.iter().find_map(|action| hint(brush, *action)));
     }
     all.extend(actions.iter().map(|action| hint(brush, *action)));
-    if is_frozen {
-        all.extend(first.iter().skip(1).map(|action| hint(brush, *action)));
+    if is_frozen && is_browsing {
+        let last = [&[A::Mark], first.get(1..).unwrap_or_default()].concat();
+        all.extend(last.iter().map(|action| hint(brush, *action)));
     }
+    let mut keys = Vec::new();
+    let all = all.into_iter().flatten().filter(|(key, _)| {
+        let is_new = !keys.contains(key);
+        keys.push(key.clone());
+        is_new
+    });
+    let all: Vec<Hint> = all.collect();
     let mut spans = vec![Span::raw(" ")];
-    spans.extend(fitting(brush, all.into_iter().flatten(), width.saturating_sub(1)));
+    spans.extend(fitting(brush, all.into_iter(), width.saturating_sub(1)));
     spans
 }
 
@@ -364,20 +382,37 @@ fn frozen_hints(brush: &DrawContext) -> Vec<Option<Hint>> {
         Some(_) => "play",
         None => "live",
     };
+    let proof = || one(brush, A::WriteProof, "proof").filter(|_| app.view().page == Page::Problems);
+    let step = || pair(brush, A::Back, A::Into, &cell).filter(|_| has_bar);
+    let frame = pair(brush, A::PreviousFrame, A::NextFrame, "frame");
+    let event = pair(brush, A::PreviousEvent, A::NextEvent, "event");
+    let problem = pair(brush, A::PreviousProblem, A::NextProblem, "problem");
+    if says_present(brush) {
+        // What does not fit is less important.
+        let diff = one(brush, A::Compare, "diff");
+        let time = one(brush, A::GoTo, "time");
+        let pace = pair(brush, A::Slower, A::Faster, "play").filter(|_| app.play_pace().is_some());
+        return vec![proof(), pace, step(), event, problem, time, diff, frame];
+    }
     vec![
         one(brush, A::Freeze, live),
-        one(brush, A::WriteProof, "proof").filter(|_| app.view().page == Page::Problems),
-        pair(brush, A::Back, A::Into, &cell).filter(|_| has_bar),
+        proof(),
+        step(),
         shift(brush, &far).filter(|_| has_bar),
-        pair(brush, A::PreviousFrame, A::NextFrame, "frame"),
-        pair(brush, A::PreviousEvent, A::NextEvent, "event"),
-        pair(brush, A::PreviousProblem, A::NextProblem, "problem"),
+        frame,
+        event,
+        problem,
         pair(brush, A::Slower, A::Faster, "play"),
         one(brush, A::GoTo, "time"),
         one(brush, A::Mark, "mark"),
         one(brush, A::Compare, "diff"),
         pair(brush, A::ZoomOut, A::ZoomIn, "zoom").filter(|_| has_bar),
     ]
+}
+
+/// Returns true if the key of the present stands in the first line only: the footer has no room for both.
+fn says_present(brush: &DrawContext) -> bool {
+    (WIDE..BOTH).contains(&brush.screen.whole.width) && brush.screen.status.height > 0
 }
 
 /// Keys of a log that is played.
@@ -393,6 +428,9 @@ fn log_hints(brush: &DrawContext) -> Vec<Option<Hint>> {
         one(brush, A::GoTo, "time"),
     ]
 }
+
+/// Width from which the footer of a past moment has the key of the present, too, in columns.
+const BOTH: u16 = 100;
 
 /// Cells of the time bar that the keys of a long step move.
 const FAR_CELLS: u32 = 10;
@@ -421,7 +459,7 @@ fn pair(brush: &DrawContext, back: Action, forward: Action, does: &str) -> Optio
     let (back, forward) = (key(back)?, key(forward)?);
     let keys = match (back.code, forward.code) {
         (KeyCode::Left, KeyCode::Right) if !back.shift && !forward.shift => "← →".to_owned(),
-        _ => format!("{back} {forward}"),
+        _ => format!("{back} {forward}").replace("Minus", "-"),
     };
     Some((keys, does.to_owned()))
 }
@@ -462,7 +500,7 @@ fn applies(brush: &DrawContext, action: Action) -> bool {
         }
         (A::Frames, Page::Traffic) => view.shows_calls() && view.call_list().is_none(),
         (A::OpenParts | A::Kinds, Page::Timeline) if brush.screen.list.height == 0 => false,
-        (A::ZoomIn, Page::Timeline) => brush.screen.lanes.height > 1,
+        (A::ZoomOut, Page::Timeline) => brush.screen.lanes.height > 1,
         (A::Details | A::Frames | A::OpenParts, Page::Timeline) => !app.lines_shown().is_empty(),
         (A::Filter | A::Identifiers | A::Rescan, Page::Traffic) if view.evidence.is_some() => false,
         (A::Details | A::Frames, Page::Bus) => app.selected_bar().is_some(),
@@ -499,6 +537,11 @@ type Hint = (String, String);
 /// Returns the first key of an action and what it does on the open page; `None` if it has no key.
 fn hint(brush: &DrawContext, action: Action) -> Option<Hint> {
     use Action as A;
+    match action {
+        A::ZoomOut => return pair(brush, A::ZoomOut, A::ZoomIn, "zoom"),
+        A::ThemeUp => return pair(brush, A::ThemeUp, A::ThemeDown, "choose"),
+        _ => {}
+    }
     let (key, word) = brush.app.keymap().hint(action)?;
     let view = brush.app.view();
     let here = match (action, view.page, &view.evidence) {
@@ -534,7 +577,8 @@ fn hint(brush: &DrawContext, action: Action) -> Option<Hint> {
         (A::Mute, ..) if brush.app.selected_problem().is_some_and(|it| it.is_muted) => "unmute",
         _ => word,
     };
-    Some((key.to_string(), here.to_owned()))
+    // An action without a word stands beside its opposite.
+    (!here.is_empty()).then(|| (key.to_string(), here.to_owned()))
 }
 
 /// Returns keys with their hints, without those that do not fit `width` cells.

@@ -259,9 +259,6 @@ fn capture(brush: &DrawContext, width: u16) -> HelpSection {
     HelpSection { title: "Capture".to_owned(), entries }
 }
 
-/// Approximate size of a waiting frame in the kernel's receive buffer, in bytes.
-const KERNEL_BYTES_PER_FRAME: u32 = 800;
-
 /// The counters of each bus and the size of the kernel's receive buffer. All places where frames
 /// can be lost are listed, also while their counters are 0.
 fn counters(brush: &DrawContext, width: u16) -> Vec<HelpSection> {
@@ -291,8 +288,8 @@ fn counters(brush: &DrawContext, width: u16) -> Vec<HelpSection> {
             let left = format!("{name:<14}{count:>9}");
             entries.push(two_columns(brush, (Role::Text, &left), 24, meaning, width));
         }
-        let buffer = status.receive_buffer.map(|bytes| {
-            let held = bytes / KERNEL_BYTES_PER_FRAME;
+        let buffer = status.receive_buffer.zip(status.receive_buffer_frames());
+        let buffer = buffer.map(|(bytes, held)| {
             format!("receive buffer {}, about {held} frames", size(u64::from(bytes)))
         });
         for text in buffer.into_iter().chain(status.note.clone()) {

@@ -4,7 +4,8 @@
 //! Does not know how cells are computed.
 
 use super::brush::{DrawContext, bus_cell, fit};
-use crate::app::{Lane, LaneCell, Lanes, clock_millis, format_step, format_time_of_day};
+use super::problems::boards::side_role;
+use crate::app::{Lane, LaneBoard, LaneCell, Lanes, clock_millis, format_step, format_time_of_day};
 use crate::discovery::Presence;
 use crate::theme::Role;
 use crate::time::Duration;
@@ -31,7 +32,9 @@ pub fn draw(brush: &mut DrawContext) {
     brush.line(area, 0, &axis);
     let selected = brush.app.selected_lane();
     for (row, lane) in lanes.rows.iter().enumerate() {
-        let is_selected = selected == Some(lane.device);
+        // Of the boards of a device the first one is selected.
+        let is_first = lane.board.as_ref().is_none_or(|board| board.side == 0);
+        let is_selected = selected == Some(lane.device) && is_first;
         let line = lane_line(brush, &lanes, lane, is_selected);
         let row = row as u16 + 1;
         brush.line(area, row, &line);
@@ -52,21 +55,6 @@ fn axis_line(brush: &DrawContext, lanes: &Lanes) -> Line<'static> {
     let tick = TICKS.iter().find(|tick| **tick >= step * TICK_CELLS);
     let tick = tick.copied().unwrap_or(step * TICK_CELLS);
     let mut cells: Vec<(String, Role)> = vec![(" ".to_owned(), Role::Muted); axis.cells];
-    let first = app.epoch().unix_micros(axis.begin) / 1000;
-    for number in first.div_ceil(tick)..=first / tick + axis.cells as u64 {
-        let at = axis.begin + Duration::from_millis(number * tick - first);
-        if !axis.contains(at) {
-            break;
-        }
-        let text = if tick < 1000 { clock_millis(app, at) } else { format_time_of_day(app, at) };
-        let cell = axis.cell(at);
-        if cell + text.width() < axis.cells {
-            let text = format!("╷{text}");
-            for (place, c) in cells[cell..].iter_mut().zip(text.chars()) {
-                place.0 = c.to_string();
-            }
-        }
-    }
     for mark in app.marks().by_letter() {
         if axis.contains(mark.moment.time) {
             cells[axis.cell(mark.moment.time)] = (mark.letter.to_string(), Role::Match);
@@ -76,6 +64,16 @@ fn axis_line(brush: &DrawContext, lanes: &Lanes) -> Line<'static> {
         let role = if app.past_moment().is_some() { Role::Warning } else { Role::Title };
         cells[axis.cell(lanes.shown)] = ("▼".to_owned(), role);
     }
+    let first = app.epoch().unix_micros(axis.begin) / 1000;
+    for number in first.div_ceil(tick)..=first / tick + axis.cells as u64 {
+        let at = axis.begin + Duration::from_millis(number * tick - first);
+        // What is behind the shown moment is blank.
+        if !axis.contains(at) || at > lanes.shown {
+            break;
+        }
+        let text = if tick < 1000 { clock_millis(app, at) } else { format_time_of_day(app, at) };
+        put_time(&mut cells[axis.cell(at)..], &text);
+    }
     let step = format_step(axis.step());
     let label = fit(&format!(" {step} a cell"), usize::from(lanes.left));
     let label = if lanes.left < 14 { fit(&format!(" {step}"), label.width()) } else { label };
@@ -84,6 +82,21 @@ fn axis_line(brush: &DrawContext, lanes: &Lanes) -> Line<'static> {
     let at = format_time_of_day(app, lanes.shown);
     spans.push(brush.span(Role::Muted, fit(&format!(" AT {at}"), usize::from(lanes.right))));
     Line::from(spans)
+}
+
+/// Puts a time into the cells from its own one on. The shown moment and marks stay; a time that would be
+/// cut by them is left out, but for the sign of its cell.
+fn put_time(cells: &mut [(String, Role)], text: &str) {
+    let is_free = |cell: &(String, Role)| cell.0 == " ";
+    let width = text.width();
+    if cells.len() > width + 1 && cells[1..=width].iter().all(is_free) {
+        for (cell, c) in cells[1..].iter_mut().zip(text.chars()) {
+            cell.0 = c.to_string();
+        }
+    }
+    if is_free(&cells[0]) {
+        cells[0].0.replace_range(.., "╷");
+    }
 }
 
 fn lane_line(brush: &DrawContext, lanes: &Lanes, lane: &Lane, is_selected: bool) -> Line<'static> {
@@ -97,11 +110,18 @@ fn lane_line(brush: &DrawContext, lanes: &Lanes, lane: &Lane, is_selected: bool)
     }
     let label = app.device(lane.device).map_or_else(String::new, |device| {
         let name = device.name.as_ref().map(|name| name.quoted().to_string());
-        format!("{:>3} {}", device.address.number(), name.as_deref().unwrap_or("?"))
+        let side = lane.board.as_ref().map(|board| board.letter().to_string()).unwrap_or_default();
+        format!("{:>3}{side} {}", device.address.number(), name.as_deref().unwrap_or("?"))
     });
-    spans.push(brush.span(Role::Text, format!("{} ", fit(&label, width))));
+    let label_role = lane.board.as_ref().map_or(Role::Text, |board| side_role(board.side));
+    spans.push(brush.span(label_role, format!("{} ", fit(&label, width))));
     spans.extend(runs(brush, lane.cells.iter().map(|cell| sign_of(*cell))));
-    let (state, presence) = app.lane_state(lane.device);
+    let (state, presence) = match lane.board {
+        Some(LaneBoard { has_left: true, .. }) => {
+            (Presence::Lost.name().to_owned(), Some(Presence::Lost))
+        }
+        _ => app.lane_state(lane.device),
+    };
     let role = match presence {
         _ if state == "CONFLICT" => Role::Confirmed,
         None | Some(Presence::Online) => Role::Online,

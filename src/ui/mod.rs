@@ -81,6 +81,7 @@ pub fn draw(app: &App, theme: &Theme, frame: &mut Frame) -> Option<u16> {
         buffer: frame.buffer_mut(),
         cursor: None,
         scrolled: None,
+        panel_title: 0,
     };
     brush.fill(area, Role::Background);
     brush.fill(area, Role::Text);

@@ -10,8 +10,10 @@ use ratatui::layout::Rect;
 use ratatui::text::{Line, Span};
 use unicode_width::UnicodeWidthStr;
 
-/// Width from which the rule goes on behind the moment, in columns.
+/// Width from which the rule has the views of the page, and goes on behind the moment, in columns.
 const RULE_WIDTH: u16 = 60;
+/// Cells of the title of a panel for which the clock gives way at most.
+const MOST_TITLE: u16 = 60;
 
 /// Returns what is shown and its text.
 fn text(brush: &DrawContext) -> (Role, String) {
@@ -28,11 +30,25 @@ fn text(brush: &DrawContext) -> (Role, String) {
     };
     let stands = app.is_idle() && app.playback().is_none() && app.past_moment().is_none();
     let long = format!(" {} {word} ", format_time_of_day(app, app.display_time()));
-    let room = brush.screen.tabs.width.saturating_sub(tabs_end(brush));
-    if stands || long.width() > usize::from(room) {
-        return (role, format!(" {word} "));
+    let short = format!(" {word} ");
+    let end = tabs_end(brush);
+    let width = brush.screen.tabs.width;
+    if stands || long.width() > usize::from(width.saturating_sub(end)) {
+        return (role, short);
     }
-    (role, long)
+    // The clock gives way to the view or the filter of the page, and to the title of a panel.
+    let (wanted, least) = if end == 0 {
+        (brush.panel_title, brush.panel_title.min(MOST_TITLE))
+    } else {
+        super::tabs::title_cells(brush)
+    };
+    let beside = |text: &str| {
+        let behind = u16::from(width >= RULE_WIDTH);
+        width.saturating_sub(end + text.width() as u16 + behind)
+    };
+    let gives_way =
+        width >= RULE_WIDTH && beside(&long) <= wanted + 1 && beside(&short) > least + 1;
+    (role, if gives_way { short } else { long })
 }
 
 /// Returns the column behind the names of the pages; 0 where a dialog takes the place of the page.

@@ -22,7 +22,7 @@ const ASSUMED: &str = "≈";
 /// Width from which the first line has the length of the log, in columns.
 const NARROW: u16 = 60;
 /// Width from which it says how the present is shown again.
-const WIDE: u16 = 76;
+pub const WIDE: u16 = 76;
 
 /// Time whose least and most load are the scale; so it becomes narrower only after that.
 const SCALE_SECONDS: u64 = 60;

@@ -215,7 +215,7 @@ fn who(brush: &DrawContext, entry: &TimelineEntry, width: usize) -> String {
 }
 
 /// Sign and role of a story; true if its text has the colour of other text.
-fn sign_of(sign: StorySign) -> (String, Role, bool) {
+pub fn sign_of(sign: StorySign) -> (String, Role, bool) {
     let (text, role, is_plain) = match sign {
         StorySign::Improved => ("+", Role::Online, true),
         StorySign::Change => ("~", Role::Text, true),

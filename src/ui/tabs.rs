@@ -3,7 +3,9 @@
 
 use super::brush::{DrawContext, fit};
 use super::{moment, traffic};
-use crate::app::{DeviceView, Focus, Page, PageFilter, TimelineView, TrafficView};
+use crate::app::{
+    ChartSpan, DeviceView, Focus, Page, PageFilter, ProblemsView, TimelineView, TrafficView,
+};
 use crate::keymap::Action;
 use crate::theme::Role;
 use ratatui::layout::Rect;
@@ -38,31 +40,17 @@ pub fn draw(brush: &mut DrawContext) {
         let line = Line::from(brush.span(role, text));
         brush.line(at, 0, &line);
     }
-    let shown = match &brush.app.view().evidence {
-        Some(evidence) => Some(format!(" ◆ {} ", evidence.title)),
-        None => traffic::title(brush.app)
-            .filter(|_| open == Page::Traffic)
-            .or_else(|| chip(brush.app.page_filter(open), brush.app.hidden_frames())),
-    };
     let room = moment::start(brush).saturating_sub(end + 1);
-    if let Some(text) = shown {
+    match PageTitle::of(brush) {
         // On narrow screens the end of the filter gives way.
-        let width = usize::from(room);
-        if width >= text.width().min(LEAST) {
-            let text = if text.width() > width { fit(&text, width) } else { text };
+        PageTitle::Text(text) if usize::from(room) >= text.width().min(LEAST) => {
+            let wide = text.width() > usize::from(room);
+            let text = if wide { fit(&text, usize::from(room)) } else { text };
             let line = Line::from(brush.span(Role::Match, text));
             brush.line(Rect { x: end + 1, width: room, ..area }, 0, &line);
         }
-    } else if open == Page::Traffic {
-        let view = brush.app.view().traffic_view.title();
-        draw_views(brush, &TrafficView::ALL.map(TrafficView::title), view, view, end);
-    } else if open == Page::Devices {
-        let view = brush.app.view().devices_page.view.title();
-        draw_views(brush, &DeviceView::ALL.map(DeviceView::title), view, view, end);
-    } else if open == Page::Timeline {
-        let views = TimelineView::all(area.width).iter().map(|view| view.title());
-        let view = brush.app.view().timeline_shown().title();
-        draw_views(brush, &views.collect::<Vec<_>>(), view, view, end);
+        PageTitle::Views(views) => draw_views(brush, &views, end),
+        _ => {}
     }
     if brush.app.past_moment().is_some() {
         brush.fill(area, Role::Frozen);
@@ -101,40 +89,122 @@ fn title(brush: &DrawContext) -> Option<String> {
     }
 }
 
-/// Draws the views of the page and their key at the right end of the rule, behind the column `end`; with
-/// less room the open one as `alone`, without the key, or none.
-pub fn draw_views(
-    brush: &mut DrawContext,
-    titles: &[&'static str],
-    open: &str,
-    alone: &str,
-    end: u16,
-) {
-    let area = brush.screen.tabs;
-    if area.height == 0 {
-        return;
+/// The views of the open page.
+struct PageViews {
+    titles: Vec<&'static str>,
+    open: &'static str,
+    /// Text of the open one where it stands alone.
+    alone: String,
+}
+
+impl PageViews {
+    fn new(titles: impl IntoIterator<Item = &'static str>, open: &'static str) -> Self {
+        Self { titles: titles.into_iter().collect(), open, alone: open.to_owned() }
     }
-    let key = brush.app.keymap().keys_of(Action::Identifiers).next();
-    let key = key.map(|key| format!(" ({key})")).unwrap_or_default();
-    let mut all = vec![brush.span(Role::Muted, " ")];
-    for (at, title) in titles.iter().enumerate() {
-        if at > 0 {
-            all.push(brush.span(Role::Muted, " · "));
+
+    fn of(brush: &DrawContext) -> Option<Self> {
+        let (app, view) = (brush.app, brush.app.view());
+        Some(match view.page {
+            Page::Traffic => {
+                Self::new(TrafficView::ALL.map(TrafficView::title), view.traffic_view.title())
+            }
+            Page::Devices => {
+                let open = view.devices_page.view.title();
+                Self::new(DeviceView::ALL.map(DeviceView::title), open)
+            }
+            Page::Timeline => {
+                let all = TimelineView::all(brush.screen.tabs.width).iter();
+                Self::new(all.map(|view| view.title()), view.timeline_shown().title())
+            }
+            // The title of details in the place of the list stands there.
+            Page::Problems if brush.screen.list.height == 0 => return None,
+            Page::Problems => {
+                Self::new(ProblemsView::ALL.map(ProblemsView::title), view.problems_view.title())
+            }
+            Page::Bus => {
+                let open = app.chart_span();
+                let last = if open == ChartSpan::All { "" } else { "last " };
+                let alone = format!("{last}{}", open.title());
+                Self { alone, ..Self::new(ChartSpan::ALL.map(ChartSpan::title), open.title()) }
+            }
+        })
+    }
+
+    /// Returns all views and their key; the open one and the key; the open one.
+    fn texts(&self, brush: &DrawContext) -> [Vec<Span<'static>>; 3] {
+        let key = brush.app.keymap().keys_of(Action::Identifiers).next();
+        let key = key.map(|key| format!(" ({key})")).unwrap_or_default();
+        let mut all = vec![brush.span(Role::Muted, " ")];
+        for (at, title) in self.titles.iter().enumerate() {
+            if at > 0 {
+                all.push(brush.span(Role::Muted, " · "));
+            }
+            let role = if *title == self.open { Role::Title } else { Role::Muted };
+            all.push(brush.span(role, *title));
         }
-        let role = if *title == open { Role::Title } else { Role::Muted };
-        all.push(brush.span(role, *title));
+        all.push(brush.span(Role::Muted, format!("{key} ")));
+        let one = vec![
+            brush.span(Role::Title, format!(" {}", self.alone)),
+            brush.span(Role::Muted, format!("{key} ")),
+        ];
+        [all, one, vec![brush.span(Role::Title, format!(" {} ", self.open))]]
     }
-    all.push(brush.span(Role::Muted, format!("{key} ")));
-    let one = vec![
-        brush.span(Role::Title, format!(" {alone}")),
-        brush.span(Role::Muted, format!("{key} ")),
-    ];
+}
+
+/// What stands between the names of the pages and the moment.
+enum PageTitle {
+    /// The filter, the title of the evidence or of a list.
+    Text(String),
+    Views(PageViews),
+    None,
+}
+
+impl PageTitle {
+    fn of(brush: &DrawContext) -> Self {
+        let app = brush.app;
+        let open = app.view().page;
+        let text = match &app.view().evidence {
+            Some(evidence) => Some(format!(" ◆ {} ", evidence.title)),
+            None => traffic::title(app)
+                .filter(|_| open == Page::Traffic)
+                .or_else(|| chip(app.page_filter(open), app.hidden_frames())),
+        };
+        match text {
+            Some(text) => Self::Text(text),
+            None => PageViews::of(brush).map_or(Self::None, Self::Views),
+        }
+    }
+}
+
+/// Returns the cells that the title of the page wants beside the moment, and those with which it is
+/// shown at all. A view that is the first of its page needs no name, unless the first line has the time
+/// of the moment; so does the end of a filter.
+pub fn title_cells(brush: &DrawContext) -> (u16, u16) {
+    let is_past = brush.app.past_moment().is_some();
+    let (wanted, least) = match PageTitle::of(brush) {
+        PageTitle::Text(text) => {
+            let least = text.width().min(LEAST);
+            (if is_past { text.width() } else { least }, least)
+        }
+        PageTitle::Views(views) if is_past || views.titles.first() != Some(&views.open) => {
+            // With blanks, and the rule at one side.
+            let cells = views.open.width() + 3;
+            (cells, cells)
+        }
+        PageTitle::Views(_) | PageTitle::None => (0, 0),
+    };
+    (wanted as u16, least as u16)
+}
+
+/// Draws the views of the page and their key at the right end of the rule, behind the column `end`; with
+/// less room the open one, without the key, or none.
+fn draw_views(brush: &mut DrawContext, views: &PageViews, end: u16) {
+    let area = brush.screen.tabs;
     let right = moment::start(brush);
     let room = usize::from(right.saturating_sub(end + 2));
-    let short = vec![brush.span(Role::Title, format!(" {open} "))];
-    let fits = |spans: &&Vec<Span>| spans.iter().map(Span::width).sum::<usize>() <= room;
-    if let Some(spans) = [&all, &one, &short].into_iter().find(fits) {
-        let line = Line::from(spans.clone());
+    let fits = |spans: &Vec<Span>| spans.iter().map(Span::width).sum::<usize>() <= room;
+    if let Some(spans) = views.texts(brush).into_iter().find(fits) {
+        let line = Line::from(spans);
         let width = line.width() as u16;
         brush.line(Rect { x: right - width - 1, width, ..area }, 0, &line);
     }

@@ -134,8 +134,16 @@ fn proof_is_asked_for_and_never_overwrites() {
     let screen = stage.screen();
     assert!(screen.contains("proof not saved: a/b.pcapng already exists"), "{screen}");
     assert!(stage.effects.iter().all(|effect| !matches!(effect, Effect::WriteFile { .. })));
+    // The path can be corrected, or tried again.
+    assert_eq!(stage.app.prompt().unwrap().input.value(), "a/b.md");
+    stage.keys("Enter");
+    assert_eq!(written(&mut stage).0, Path::new("a/b.pcapng"));
+    report(&mut stage, &path, Err(Diagnostic::new("a/b.pcapng already exists")));
+    stage.keys("2");
+    let screen = stage.screen();
+    assert!(screen.contains("a/b.md2") && !screen.contains("already exists"), "{screen}");
     // One of the two is written.
-    stage.keys("X Enter");
+    stage.keys("Esc X Enter");
     let (path, _) = written(&mut stage);
     report(&mut stage, &path, Ok(()));
     let (path, _) = written(&mut stage);

@@ -473,7 +473,11 @@ fn log_is_paused_stepped_and_resumed_by_keys() {
     pty.send(">");
     pty.wait_for("PAUSED 2:00 3%");
     // Deadlines between two frames passed at their own time.
-    pty.wait_for("06:18:37 ○ ? @12        lost");
+    pty.wait_for("● ? @12        lost, returned");
+    pty.send("3Go");
+    pty.wait_for("│ 06:18:37");
+    pty.send("o1");
+    pty.wait_for("─ latest ");
     pty.send("))))))))))))");
     pty.wait_for("PAUSED 2:00 3% ×4096");
     pty.send("(P");

@@ -106,7 +106,7 @@ impl LoadMeter {
 
     /// Size in bytes, as of a copy.
     pub(super) fn size(&self) -> usize {
-        self.history.size() + LoadShares::size()
+        self.history.size() + self.shares.size()
     }
 
     /// Returns true if no frame was counted in the stored seconds.

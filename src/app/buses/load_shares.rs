@@ -1,17 +1,25 @@
-//! Bus time by sender and by service, in the last whole ten seconds.
+//! Bus time by sender and by service: of the last ten seconds, of longer spans, and of all time.
 //!
 //! Input: the frames of one bus with their length in bits. Output: sums that change every ten
-//! seconds; in the first ten, every second. Counting a frame allocates nothing. Does not know the
-//! bit rate and names.
+//! seconds, or with the unit of a longer span; in the first ten seconds every second. Counting a frame
+//! allocates nothing. Bounded: sums of 28 units, which copies share. Does not know the bit rate and names.
 
 use crate::frame::{CanId, Frame, FrameKind};
 use crate::wire::id::{Address, Header, MessageType, Service};
+use std::collections::VecDeque;
+use std::sync::Arc;
 
 /// Number of service numbers.
 const SERVICES: usize = 1024;
+/// Seconds of the smallest unit.
+const TEN: u64 = 10;
+/// For each unit its seconds, and how many of them are kept: two minutes, ten minutes, an hour.
+const UNITS: [(u64, usize); 3] = [(TEN, 12), (60, 10), (600, 6)];
+/// Tens without a frame that are added one by one: more than the longest span.
+const MAX_EMPTY: u64 = 400;
 
 /// Bus time in some seconds by sender and by service, in nominal bit times.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct ShareCounts {
     /// Length in seconds; 0 before the first second is over.
     pub seconds: u64,
@@ -23,36 +31,71 @@ pub struct ShareCounts {
     pub non_platform: u64,
     /// Bus time of the frames that descan sent.
     pub own: u64,
+    /// By number, ascending; none is 0.
+    senders: Vec<(u16, u64)>,
+    services: Vec<(u16, u64)>,
+}
+
+impl ShareCounts {
+    /// Adds the counts of other seconds.
+    fn add(&mut self, other: &Self) {
+        self.seconds += other.seconds;
+        self.bits += other.bits;
+        self.errors += other.errors;
+        self.non_platform += other.non_platform;
+        self.own += other.own;
+        merge(&mut self.senders, &other.senders);
+        merge(&mut self.services, &other.services);
+    }
+
+    /// Bus time of each address that sent something.
+    pub fn senders(&self) -> impl Iterator<Item = (Address, u64)> {
+        self.senders.iter().map(|(at, bits)| (Address::from_bits(*at as u8), *bits))
+    }
+
+    /// Bus time of each service with a frame; debug messages have none.
+    pub fn services(&self) -> impl Iterator<Item = (Service, u64)> {
+        self.services.iter().map(|(number, bits)| (Service::from_bits(*number), *bits))
+    }
+
+    /// Size in bytes.
+    fn size(&self) -> usize {
+        size_of::<Self>() + (self.senders.len() + self.services.len()) * size_of::<(u16, u64)>()
+    }
+}
+
+/// Adds sorted counts to others.
+fn merge(to: &mut Vec<(u16, u64)>, from: &[(u16, u64)]) {
+    for (number, bits) in from {
+        match to.binary_search_by_key(number, |(number, _)| *number) {
+            Ok(at) => to[at].1 += bits,
+            Err(at) => to.insert(at, (*number, *bits)),
+        }
+    }
+}
+
+/// Counts of the running ten seconds: a place for each number, so that counting is cheap.
+#[derive(Clone, Debug)]
+struct RunningCounts {
+    bits: u64,
+    errors: u64,
+    non_platform: u64,
+    own: u64,
     senders: Box<[u32; Address::COUNT]>,
     services: Box<[u32; SERVICES]>,
 }
 
-impl ShareCounts {
+impl RunningCounts {
     fn new() -> Self {
-        Self {
-            seconds: 0,
-            bits: 0,
-            errors: 0,
-            non_platform: 0,
-            own: 0,
-            senders: Box::new([0; Address::COUNT]),
-            services: Box::new([0; SERVICES]),
-        }
+        let (senders, services) = (Box::new([0; Address::COUNT]), Box::new([0; SERVICES]));
+        Self { bits: 0, errors: 0, non_platform: 0, own: 0, senders, services }
     }
 
     /// Sets all counts to 0.
     fn clear(&mut self) {
         self.senders.fill(0);
         self.services.fill(0);
-        (self.seconds, self.bits, self.errors, self.non_platform, self.own) = (0, 0, 0, 0, 0);
-    }
-
-    /// Takes the counts of another one, without an allocation.
-    fn copy_from(&mut self, other: &Self) {
-        *self.senders = *other.senders;
-        *self.services = *other.services;
-        (self.seconds, self.bits, self.errors) = (other.seconds, other.bits, other.errors);
-        (self.non_platform, self.own) = (other.non_platform, other.own);
+        (self.bits, self.errors, self.non_platform, self.own) = (0, 0, 0, 0);
     }
 
     fn add(&mut self, frame: &Frame, bits: u64) {
@@ -77,42 +120,54 @@ impl ShareCounts {
         }
     }
 
-    /// Bus time of each address that sent something.
-    pub fn senders(&self) -> impl Iterator<Item = (Address, u64)> {
-        Address::all()
-            .zip(self.senders.iter())
-            .map(|(address, bits)| (address, u64::from(*bits)))
-            .filter(|(_, bits)| *bits > 0)
-    }
-
-    /// Bus time of each service with a frame; debug messages have none.
-    pub fn services(&self) -> impl Iterator<Item = (Service, u64)> {
-        let numbers = (0..SERVICES as u16).map(Service::from_bits);
-        numbers
-            .zip(self.services.iter())
-            .map(|(service, bits)| (service, u64::from(*bits)))
-            .filter(|(_, bits)| *bits > 0)
+    /// Returns the counts as those of so many seconds.
+    fn counts(&self, seconds: u64) -> ShareCounts {
+        let sums = |all: &[u32]| -> Vec<(u16, u64)> {
+            let some = (0..).zip(all).filter(|(_, bits)| **bits > 0);
+            some.map(|(number, bits)| (number, u64::from(*bits))).collect()
+        };
+        ShareCounts {
+            seconds,
+            bits: self.bits,
+            errors: self.errors,
+            non_platform: self.non_platform,
+            own: self.own,
+            senders: sums(&self.senders[..]),
+            services: sums(&self.services[..]),
+        }
     }
 }
 
-/// Sums of the running ten seconds, and those of the last whole ones.
+/// The last units of one length, and the running one.
+#[derive(Clone, Debug, Default)]
+struct UnitRow {
+    whole: VecDeque<Arc<ShareCounts>>,
+    running: ShareCounts,
+}
+
+/// Sums of the running ten seconds, of the units before, and of all time.
 #[derive(Clone, Debug)]
 pub struct LoadShares {
     /// First second of the running ten.
     start: u64,
+    running: RunningCounts,
+    /// Those of [`UNITS`].
+    rows: [UnitRow; UNITS.len()],
+    /// Until the running ten; before the first ten seconds are over until the last second.
+    total: Arc<ShareCounts>,
     is_first: bool,
-    running: ShareCounts,
-    whole: ShareCounts,
 }
 
 impl LoadShares {
-    /// Time of which the sums are shown, in seconds.
-    pub const SECONDS: u64 = 10;
-
     /// Returns sums that start with this second.
     pub(super) fn new(second: u64) -> Self {
-        let (running, whole) = (ShareCounts::new(), ShareCounts::new());
-        Self { start: second, is_first: true, running, whole }
+        Self {
+            start: second,
+            running: RunningCounts::new(),
+            rows: Default::default(),
+            total: Arc::default(),
+            is_first: true,
+        }
     }
 
     /// Counts a frame of so many bits.
@@ -123,31 +178,113 @@ impl LoadShares {
     /// Takes that all seconds before `second` are over.
     pub(super) fn advance(&mut self, second: u64) {
         let seconds = second.saturating_sub(self.start);
-        if seconds < Self::SECONDS {
+        if seconds < TEN {
             if self.is_first {
-                self.running.seconds = seconds;
-                self.whole.copy_from(&self.running);
+                self.total = Arc::new(self.running.counts(seconds));
             }
             return;
         }
-        self.running.seconds = seconds;
-        std::mem::swap(&mut self.running, &mut self.whole);
+        if std::mem::take(&mut self.is_first) {
+            self.total = Arc::default();
+        }
+        let ten = self.running.counts(TEN);
+        self.push(&ten);
         self.running.clear();
-        (self.start, self.is_first) = (second, false);
-        if seconds >= 2 * Self::SECONDS {
-            // Nothing was received for long.
-            self.whole.clear();
-            self.whole.seconds = Self::SECONDS;
+        // Tens in which nothing was received; the clock of a log may advance by years.
+        let empty = seconds / TEN - 1;
+        for _ in 0..empty.min(MAX_EMPTY) {
+            self.push(&ShareCounts { seconds: TEN, ..ShareCounts::default() });
+        }
+        Arc::make_mut(&mut self.total).seconds += empty.saturating_sub(MAX_EMPTY) * TEN;
+        self.start += seconds / TEN * TEN;
+    }
+
+    /// Takes the counts of ten seconds.
+    fn push(&mut self, ten: &ShareCounts) {
+        Arc::make_mut(&mut self.total).add(ten);
+        for (row, (seconds, most)) in self.rows.iter_mut().zip(UNITS) {
+            row.running.add(ten);
+            if row.running.seconds >= seconds {
+                if row.whole.len() == most {
+                    row.whole.pop_front();
+                }
+                row.whole.push_back(Arc::new(std::mem::take(&mut row.running)));
+            }
         }
     }
 
     /// The sums of the last whole ten seconds; before, of the first whole seconds.
     pub fn latest(&self) -> &ShareCounts {
-        &self.whole
+        self.rows[0].whole.back().unwrap_or(&self.total)
+    }
+
+    /// The sums of the last so many seconds, in whole units; `None` or less time since the start: of all.
+    pub fn span(&self, seconds: Option<u64>) -> Arc<ShareCounts> {
+        let is_row = |(unit, most): &(u64, usize)| seconds == Some(unit * *most as u64);
+        let row = UNITS.iter().position(is_row);
+        match (row, seconds) {
+            (Some(row), Some(seconds)) if self.total.seconds > seconds => {
+                let mut sum = ShareCounts::default();
+                self.rows[row].whole.iter().for_each(|unit| sum.add(unit));
+                Arc::new(sum)
+            }
+            _ => Arc::clone(&self.total),
+        }
     }
 
     /// Size in bytes, as of a copy.
-    pub(super) fn size() -> usize {
-        2 * (size_of::<[u32; Address::COUNT]>() + size_of::<[u32; SERVICES]>())
+    pub(super) fn size(&self) -> usize {
+        let running = size_of::<[u32; Address::COUNT]>() + size_of::<[u32; SERVICES]>();
+        let row = |row: &UnitRow| {
+            row.running.size() + row.whole.iter().map(|unit| unit.size()).sum::<usize>()
+        };
+        running + self.total.size() + self.rows.iter().map(row).sum::<usize>()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A frame that an address sends.
+    fn frame(source: u8) -> Frame {
+        Frame::new(CanId::Extended(0x0400_0001 | u32::from(source) << 17), &[0; 8])
+    }
+
+    #[test]
+    fn spans_are_of_their_last_units() {
+        let mut shares = LoadShares::new(7);
+        for second in 7..7 + 5000 {
+            let source = if second < 4000 { 10 } else { 11 };
+            shares.add(&frame(source), 100);
+            shares.advance(second + 1);
+        }
+        for (span, seconds) in [(120, 120), (600, 600), (3600, 3600)] {
+            let sum = shares.span(Some(span));
+            assert_eq!((sum.seconds, sum.bits), (seconds, seconds * 100), "{span}");
+        }
+        assert_eq!(shares.span(None).seconds, 5000);
+        let of_10 = |span| -> u64 {
+            let sum = shares.span(span);
+            sum.senders().filter(|(at, _)| at.number() == 10).map(|(_, bits)| bits).sum()
+        };
+        assert_eq!(of_10(None), 3993 * 100);
+        assert_eq!(of_10(Some(120)), 0);
+        assert_eq!(of_10(Some(600)), 0);
+        // The last whole unit of ten minutes ends up to ten minutes ago.
+        assert!((2500..=3200).contains(&(of_10(Some(3600)) / 100)), "{}", of_10(Some(3600)));
+        assert_eq!(shares.latest().seconds, TEN);
+    }
+
+    #[test]
+    fn first_seconds_are_shown_and_years_cost_little() {
+        let mut shares = LoadShares::new(0);
+        shares.add(&frame(10), 50);
+        shares.advance(1);
+        assert_eq!((shares.latest().seconds, shares.span(Some(120)).bits), (1, 50));
+        shares.advance(100_000_000);
+        assert_eq!(shares.span(None).seconds, 100_000_000);
+        assert_eq!((shares.span(None).bits, shares.span(Some(120)).bits), (50, 0));
+        assert!(shares.size() < 20_000, "{}", shares.size());
     }
 }

@@ -27,6 +27,7 @@ use crate::document::EntryKey;
 use crate::frame::BusIndex;
 use crate::keymap::{Action, Key, KeyMode, Keymap};
 use crate::time::Instant;
+use std::path::Path;
 use type_ahead::TypeAheadGuard;
 
 /// A question with the answers yes and no.
@@ -75,13 +76,24 @@ pub(super) struct Input {
     overlay: Overlay,
     /// The prompt that was open when an edit conflict appeared; it opens again afterwards.
     suspended_prompt: Option<Prompt>,
+    /// The last prompt whose path is being written; it opens again if that fails.
+    written_prompt: Option<Prompt>,
+    /// Why the path of the open prompt was not written; until the line changes.
+    failure: Option<String>,
     guard: Option<TypeAheadGuard>,
 }
 
 impl Input {
     /// Returns an input without an overlay.
     pub fn new(keymap: Keymap) -> Self {
-        Self { keymap, overlay: Overlay::None, suspended_prompt: None, guard: None }
+        Self {
+            keymap,
+            overlay: Overlay::None,
+            suspended_prompt: None,
+            written_prompt: None,
+            failure: None,
+            guard: None,
+        }
     }
 
     /// The keymap.
@@ -150,6 +162,7 @@ impl Input {
 
     /// Opens an overlay in place of the present one.
     pub fn open(&mut self, overlay: Overlay) {
+        self.failure = None;
         self.overlay = overlay;
     }
 
@@ -160,6 +173,7 @@ impl Input {
 
     /// Closes the overlay and returns it.
     pub fn close(&mut self) -> Overlay {
+        self.failure = None;
         std::mem::take(&mut self.overlay)
     }
 
@@ -172,6 +186,34 @@ impl Input {
                 None
             }
         }
+    }
+
+    /// Remembers the prompt of a path that is being written.
+    pub fn note_written(&mut self, prompt: Prompt) {
+        self.written_prompt = Some(prompt);
+    }
+
+    /// Opens the prompt of a path again that was not written, with the cause; returns false if it is
+    /// another one, or something else is open meanwhile.
+    pub fn reopen_prompt(&mut self, path: &Path, cause: &str) -> bool {
+        let is_it = |prompt: &mut Prompt| Path::new(prompt.text()) == path;
+        let Some(prompt) = self.written_prompt.take_if(is_it) else { return false };
+        if self.has_overlay() {
+            return false;
+        }
+        self.open(Overlay::Prompt(prompt));
+        self.failure = Some(cause.to_owned());
+        true
+    }
+
+    /// Why the path of the open prompt was not written.
+    pub fn failure(&self) -> Option<&str> {
+        self.failure.as_deref()
+    }
+
+    /// Takes that the line of the open prompt changed.
+    pub fn forget_failure(&mut self) {
+        self.failure = None;
     }
 
     /// Closes the question and returns it; another overlay stays open.

@@ -109,7 +109,7 @@ impl Prompt {
     }
 
     /// The line without blanks at its ends.
-    fn text(&self) -> &str {
+    pub(super) fn text(&self) -> &str {
         self.input.value().trim()
     }
 

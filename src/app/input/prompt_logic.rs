@@ -75,6 +75,13 @@ pub(in crate::app) enum PromptOutcome {
     SetMark(Moment, String),
 }
 
+impl PromptOutcome {
+    /// Returns true if a file is written to the typed path.
+    pub fn is_write(&self) -> bool {
+        matches!(self, Self::SaveCapture(_) | Self::SaveCopy(_) | Self::WriteProof(..))
+    }
+}
+
 /// What committing a prompt edits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum EditTarget {

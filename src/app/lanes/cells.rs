@@ -169,17 +169,20 @@ fn put_events(
         }
     }
     let moves = record.changes.iter().filter_map(|(time, change)| match change {
-        LaneChange::Moved(address) => Some((*time, *address)),
+        LaneChange::Moved(address) => Some((axis.cell(*time), *time, *address)),
         _ => None,
     });
-    for (time, address) in moves.filter(|(time, _)| axis.contains(*time)) {
-        let text = format!("→{address}");
-        for (offset, c) in text.chars().enumerate() {
-            // An absence is not hidden by the digits.
-            let place = cells.get_mut(axis.cell(time) + offset);
-            if let Some(place) = place.filter(|it| offset == 0 || it.is_present()) {
-                *place = LaneCell::Moved(c);
-            }
+    let moves: Vec<_> = moves.filter(|(_, time, _)| axis.contains(*time)).collect();
+    for (at, (cell, _, address)) in moves.iter().enumerate() {
+        let text: Vec<char> = format!("→{address}").chars().collect();
+        let Some(places) = cells.get_mut(*cell..) else { continue };
+        // All digits or none: `→11` of `→110` is another address. An absence is not hidden by them.
+        let next = moves.get(at + 1).map_or(places.len(), |next| next.0.saturating_sub(*cell));
+        let room = next.min(places.len());
+        let has_room = room >= text.len() && places[1..text.len()].iter().all(|it| it.is_present());
+        let shown = if has_room { text.len() } else { 1 };
+        for (place, c) in places.iter_mut().zip(&text[..shown]) {
+            *place = LaneCell::Moved(*c);
         }
     }
     for (cell, event) in shown.iter().filter(|(_, event)| *event == LaneCell::Rebooted) {
@@ -248,6 +251,19 @@ mod tests {
         let span = ConflictSpan { address, from: at(3.0), to: at(16.5), is_confirmed: true };
         let shown = lane(&events, &[span], 60.0);
         assert_eq!(shown, "  ━▓▓▓▓▓╌···▓↻▓→40━━", "not at the new address");
+    }
+
+    #[test]
+    fn new_address_has_all_digits_or_none() {
+        let moved = |at: f64| (at, EventKind::Moved { from: Address::from_bits(20) });
+        let events = [(0.0, EventKind::FirstFrame), moved(5.0)];
+        assert_eq!(lane(&events, &[], 7.5), "━━━━━→40            ");
+        assert_eq!(lane(&events, &[], 6.5), "━━━━━→━             ", "`→4` is another address");
+        let lost = (6.5, EventKind::Presence(Presence::Lost));
+        let events = [(0.0, EventKind::FirstFrame), moved(5.0), lost];
+        assert_eq!(lane(&events, &[], 8.5), "━━━━━→···           ");
+        let events = [(0.0, EventKind::FirstFrame), moved(5.0), moved(7.0)];
+        assert_eq!(lane(&events, &[], 12.0), "━━━━━→━→40━━━       ");
     }
 
     #[test]

@@ -5,9 +5,11 @@
 //! moment that is shown. Bounded by the screen and by what is recorded. Does not know how lanes are
 //! drawn.
 
+mod board;
 mod cells;
 mod record;
 
+pub use board::LaneBoard;
 pub(super) use cells::ConflictSpan;
 pub use cells::LaneCell;
 pub(super) use record::LaneRecords;
@@ -44,6 +46,8 @@ const AXIS_PARTS: u64 = 4;
 pub struct Lane {
     /// The device.
     pub device: DeviceId,
+    /// The board, where several share the address of the device.
+    pub board: Option<LaneBoard>,
     /// Its cells.
     pub cells: Vec<LaneCell>,
 }
@@ -142,7 +146,8 @@ impl App {
 
     /// The number of lanes, for the layout.
     pub(super) fn count_lanes(&mut self) {
-        self.view.lane_count = self.shown_buses().devices().count();
+        let further = self.further_lanes();
+        self.view.lane_count = self.shown_buses().devices().count() + further;
     }
 
     /// The lanes that fit the screen, as of the moment that is shown.
@@ -156,15 +161,24 @@ impl App {
         }
         // The axis, and the errors.
         let height = usize::from(self.screen().lanes.height.saturating_sub(2));
-        let (devices, hidden) = self.lanes_in_view(height, &axis, shown, &conflicts);
+        let boards = self.boards_of_lanes();
+        let further: usize = boards.values().map(|boards| boards.len() - 1).sum();
+        // Boards have at most half of the lines.
+        let room = height - further.min(height / 2);
+        let (devices, hidden) = self.lanes_in_view(room, &axis, shown, &conflicts);
         let no_conflicts = Vec::new();
-        let lane = |device: DeviceId| {
+        let lanes = |device: DeviceId| {
             let spans = conflicts.get(&device.bus).unwrap_or(&no_conflicts);
             let record = self.lane_records.get(device);
             let cells = record.map(|record| lane_cells(record, spans, &axis, shown));
-            Lane { device, cells: cells.unwrap_or_else(|| vec![LaneCell::Blank; axis.cells]) }
+            let cells = cells.unwrap_or_else(|| vec![LaneCell::Blank; axis.cells]);
+            match boards.get(&device) {
+                None => vec![Lane { device, board: None, cells }],
+                Some(boards) => boards.iter().map(|it| it.lane(device, &cells, &axis)).collect(),
+            }
         };
-        let rows = devices.into_iter().map(lane).collect();
+        let mut rows: Vec<Lane> = devices.into_iter().flat_map(lanes).collect();
+        rows.truncate(height);
         let errors = self.errors_in_cells(&axis);
         Lanes { axis, shown, rows, hidden, errors, left, right }
     }

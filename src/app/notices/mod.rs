@@ -159,9 +159,9 @@ impl Notices {
     }
 
     /// Inserts a line at its time.
-    pub fn insert_line(&mut self, entry: TimelineEntry) -> u64 {
+    pub fn insert_line(&mut self, entry: TimelineEntry) {
         self.note_step(&entry, StoryChange::Text);
-        self.timeline.insert(entry)
+        self.timeline.insert(entry);
     }
 
     /// Adds an event to the story that it belongs to.

@@ -178,7 +178,7 @@ impl App {
                     format!("boards answered as {}{until}", join_first(names, LISTED, ", "))
                 }
             };
-            let long = format!("{text} (since {since})");
+            let long = format!("{text} (detected {since})");
             return Words { label, short: text, long: long.clone(), full: long };
         }
         let answering = names.first().map_or(String::new(), |name| format!(" as {name}"));
@@ -196,7 +196,7 @@ impl App {
         }
         if !head.excludes_one_device {
             let short = format!("two boards{answering} {note}, or one that sends twice{until}");
-            let long = format!("{short} (since {since})");
+            let long = format!("{short} (detected {since})");
             return Words { label, short, full: long.clone(), long };
         }
         let verb = verb_of(head.state);
@@ -207,9 +207,9 @@ impl App {
             Words {
                 label,
                 short: format!("a second board{answering} {verb} the first {note}{until}"),
-                long: format!("a second board joined {note}, {verb} the one since {first}{until}"),
+                long: format!("a second board {note}, {verb} the one since {first}{until}"),
                 full: format!(
-                    "a second board joined {since} {note}, {verb} the one since {first}{until}"
+                    "a second board detected {since} {note}, {verb} the one since {first}{until}"
                 ),
             }
         } else {
@@ -422,10 +422,22 @@ fn and_list(mut parts: Vec<String>) -> String {
     }
 }
 
-/// `1.2 s`, from 100 s on `3m12s`.
+/// The length of what is over: `12 ms`, `24.2 s`, `2m05s`.
 pub fn length_text(length: Duration) -> String {
-    let seconds = length.as_secs_f64();
-    if seconds < 100.0 { format!("{seconds:.1} s") } else { format_duration(length) }
+    match length.as_millis() {
+        0 => "0 s".to_owned(),
+        millis @ 1..=999 => format!("{millis} ms"),
+        1000..=59_949 => format!("{:.1} s", length.as_secs_f64()),
+        _ => format_duration(length),
+    }
+}
+
+/// The length of what goes on, in whole seconds: `24 s`, `2m05s`.
+pub fn growing_length_text(length: Duration) -> String {
+    match length.as_secs() {
+        seconds @ 0..=59 => format!("{seconds} s"),
+        _ => format_duration(length),
+    }
 }
 
 fn debug_words(problem: &Problem) -> Words {

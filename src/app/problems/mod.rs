@@ -15,7 +15,7 @@ mod sides;
 pub use comparison::Scope;
 pub use group::{EvidenceItem, Problem, ProblemKey, is_about};
 pub(super) use headline::label_of;
-pub use headline::{ProblemHeadline, length_text};
+pub use headline::{ProblemHeadline, growing_length_text, length_text};
 pub use list::ProblemList;
 pub use matching::Matching;
 pub use missing_reason::{bus_obstacle, format_duration};

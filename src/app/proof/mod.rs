@@ -98,10 +98,16 @@ impl App {
                 let report = printable(proof.report.as_os_str().as_encoded_bytes());
                 self.show_info(format!("saved: {report} and its .pcapng"));
             }
-            (Err(why), Some(_)) => self.show_error(format!("proof not saved: {why}")),
-            (Err(why), None) => {
-                let frames = printable(proof.frames.as_os_str().as_encoded_bytes());
-                self.show_error(format!("report not saved: {why}; frames saved: {frames}"));
+            (Err(why), text) => {
+                let (path, frames) = (proof.report.clone(), proof.frames.as_os_str());
+                let frames = printable(frames.as_encoded_bytes());
+                let cause = match text {
+                    Some(_) => format!("proof not saved: {why}"),
+                    None => format!("report not saved: {why}; frames saved: {frames}"),
+                };
+                if !self.reopen_prompt(&path, &cause) {
+                    self.show_error(cause);
+                }
             }
         }
         self.proof = None;

@@ -8,6 +8,7 @@ use crate::app::notices::{changes_of, device_label, uid_text};
 use crate::discovery::{Event, EventKind, OtherDevice, Presence, ServicesNews};
 use crate::finding::{Finding, FindingKey, FindingState, SeenUid};
 use crate::frame::BusIndex;
+use crate::time::Instant;
 use crate::wire::id::Address;
 use crate::wire::node::Mode;
 
@@ -65,6 +66,10 @@ pub enum StoryChange {
         parties: Vec<String>,
         /// What is wrong, as a sentence.
         text: String,
+        /// Time at which its newest board joined; `None` for fewer than two boards with UIDs.
+        since: Option<Instant>,
+        /// Time of the last evidence.
+        until: Instant,
     },
     /// descan took this address.
     OwnAddress(Address),
@@ -117,7 +122,12 @@ impl StoryChange {
                 let finding = buses.finding(bus, key);
                 let parties = finding.map_or_else(Vec::new, parties_of);
                 let text = finding.map_or_else(String::new, |finding| finding.text.clone());
-                Self::Finding { key: key.clone(), state: *state, parties, text }
+                let until = finding.map_or(event.time, |finding| finding.last.min(event.time));
+                let since = finding.and_then(|finding| match &finding.uids[..] {
+                    [_, .., newest] => Some(newest.since),
+                    _ => None,
+                });
+                Self::Finding { key: key.clone(), state: *state, parties, text, since, until }
             }
             EventKind::OwnAddress(address) => Self::OwnAddress(*address),
             EventKind::OwnAddressLost(_) | EventKind::NoAddress(_) => Self::NoOwnAddress,

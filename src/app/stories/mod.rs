@@ -357,6 +357,8 @@ mod tests {
             state,
             parties: vec!["SPARE01".to_owned(), "BOILER03".to_owned()],
             text: "Two devices share an address.".to_owned(),
+            since: None,
+            until: Instant::LATEST,
         }
     }
 

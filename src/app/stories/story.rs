@@ -117,6 +117,11 @@ impl Story {
         self.steps.iter().filter(move |step| step.entry.time <= at)
     }
 
+    /// Time of the last step or its last repetition until a moment; `None` before the first one.
+    pub fn last_change(&self, at: Instant) -> Option<Instant> {
+        self.steps_until(at).map(|step| step.last(at)).max()
+    }
+
     /// The step with this number; `None` if it was dropped.
     pub fn step(&self, number: u32) -> Option<&StoryStep> {
         self.steps.iter().find(|step| step.number == number)

@@ -7,12 +7,12 @@ use super::kind::StoryKind;
 use super::story::{ATTACH_WITHIN, Story, StoryKey, StoryStep};
 use crate::app::lanes::ConflictSpan;
 use crate::app::notices::TimelineEntry;
-use crate::app::problems::ProblemKey;
+use crate::app::problems::{ProblemKey, length_text};
 use crate::app::timeline_kind::TimelineKind;
 use crate::discovery::Presence;
 use crate::finding::{FindingKey, FindingKind, FindingState};
 use crate::frame::BusIndex;
-use crate::time::Instant;
+use crate::time::{Duration, Instant};
 use crate::wire::id::Address;
 use crate::wire::node::Mode;
 use std::fmt::Write;
@@ -64,6 +64,8 @@ struct FindingStep<'a> {
     state: FindingState,
     parties: &'a [String],
     text: &'a str,
+    since: Option<Instant>,
+    until: Instant,
 }
 
 /// What the steps of a story say together.
@@ -90,6 +92,7 @@ struct Summary<'a> {
     /// Another log began.
     is_cut: bool,
     last: Option<&'a StoryStep>,
+    first_time: Option<Instant>,
     last_time: Instant,
     cycle: u32,
 }
@@ -118,6 +121,7 @@ impl<'a> Summary<'a> {
 
     fn add(&mut self, step: &'a StoryStep) {
         self.cycle = step.cycle;
+        self.first_time.get_or_insert(step.entry.time);
         match &step.change {
             StoryChange::Appeared => self.has_appeared = true,
             StoryChange::Named => self.is_named = true,
@@ -146,7 +150,7 @@ impl<'a> Summary<'a> {
                 (self.is_absent, self.has_returned) = (*presence != Presence::Online, false);
             }
             StoryChange::Returned => (self.is_absent, self.has_returned) = (false, true),
-            StoryChange::Finding { key, state, parties, text } => {
+            StoryChange::Finding { key, state, parties, text, since, until } => {
                 match state {
                     FindingState::Confirmed => {
                         self.confirmed.get_or_insert(step.entry.time);
@@ -156,7 +160,8 @@ impl<'a> Summary<'a> {
                 }
                 let parties = &**parties;
                 self.findings.retain(|finding| finding.key != key);
-                self.findings.push(FindingStep { key, state: *state, parties, text });
+                let (state, since, until) = (*state, *since, (*until).min(step.entry.time));
+                self.findings.push(FindingStep { key, state, parties, text, since, until });
             }
             StoryChange::NoOwnAddress | StoryChange::NoAck => self.is_blocked = true,
             StoryChange::OwnAddress(_) | StoryChange::Acknowledged => self.is_blocked = false,
@@ -169,6 +174,20 @@ impl<'a> Summary<'a> {
         if step.change != StoryChange::AnotherLog {
             self.last = Some(step);
         }
+    }
+
+    /// Time of the end: of a problem its last evidence, as on the Problems page.
+    fn end(&self) -> Instant {
+        self.findings.iter().map(|finding| finding.until).max().unwrap_or(self.last_time)
+    }
+
+    /// Length of the conflict as on the Problems page, where the story began earlier.
+    fn own_length(&self) -> Option<Duration> {
+        /// The two beginnings are those of one frame and of its finding.
+        const SAME: Duration = Duration::from_millis(100);
+        let since = self.findings.iter().filter_map(|finding| finding.since).max()?;
+        let is_later = since.since(self.first_time?) > SAME;
+        (is_later && self.cycle < 2).then(|| self.end().since(since))
     }
 
     fn is_problem_over(&self) -> bool {
@@ -322,7 +341,10 @@ impl<'a> Summary<'a> {
         }
         parts.extend(self.uid.map(|(from, to)| format!("UID {from}→{to}")));
         if !self.findings.is_empty() && self.is_problem_over() {
-            parts.push("over".to_owned());
+            parts.push(match self.own_length() {
+                Some(length) => format!("over after {}", length_text(length)),
+                None => "over".to_owned(),
+            });
         }
         if parts.is_empty() { self.last_text() } else { parts.join(", ") }
     }
@@ -467,7 +489,7 @@ impl Story {
             return Vec::new();
         };
         let (mut spans, mut open) = (Vec::new(), Vec::new());
-        let mut span: Option<ConflictSpan> = None;
+        let (mut span, mut last): (Option<ConflictSpan>, _) = (None, Instant::ZERO);
         for step in self.steps_until(at) {
             if step.change == StoryChange::AnotherLog {
                 open.clear();
@@ -475,11 +497,12 @@ impl Story {
                     span.take().map(|span| (bus, ConflictSpan { to: step.entry.time, ..span })),
                 );
             }
-            let StoryChange::Finding { key, state, .. } = &step.change else { continue };
+            let StoryChange::Finding { key, state, until, .. } = &step.change else { continue };
             if !key.kind.is_conflict() {
                 continue;
             }
             let time = step.entry.time;
+            last = last.max((*until).min(time));
             open.retain(|it| *it != key);
             if *state != FindingState::Cleared {
                 open.push(key);
@@ -487,7 +510,7 @@ impl Story {
                     ConflictSpan { address, from: time, to: Instant::LATEST, is_confirmed: false };
                 span.get_or_insert(begun).is_confirmed |= *state == FindingState::Confirmed;
             } else if let Some(over) = span.take_if(|_| open.is_empty()) {
-                spans.push((bus, ConflictSpan { to: time, ..over }));
+                spans.push((bus, ConflictSpan { to: last.max(over.from), ..over }));
             }
         }
         spans.extend(span.map(|span| (bus, span)));
@@ -524,7 +547,7 @@ impl Story {
             kind: summary.kind(&self.key),
             sign: summary.sign(&self.key),
             from: self.begin(),
-            to: (!summary.is_open(&self.key, at)).then_some(summary.last_time),
+            to: (!summary.is_open(&self.key, at)).then(|| summary.end().max(self.begin())),
             what: summary.what(&self.key, at, clock),
         })
     }

@@ -19,7 +19,7 @@ use crate::frame::BusIndex;
 use crate::wire::id::{Address, Service};
 use ratatui::layout::Rect;
 
-/// Time that the charts show.
+/// Time that the charts and the bars show.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub enum ChartSpan {
     /// At least the last 2 minutes; a sample a second.
@@ -27,19 +27,22 @@ pub enum ChartSpan {
     TwoMinutes,
     /// At least the last 10 minutes.
     TenMinutes,
+    /// At least the last hour.
+    OneHour,
     /// All time since the start.
     All,
 }
 
 impl ChartSpan {
     /// All spans, in the order of the key.
-    pub const ALL: [ChartSpan; 3] = [Self::TwoMinutes, Self::TenMinutes, Self::All];
+    pub const ALL: [ChartSpan; 4] = [Self::TwoMinutes, Self::TenMinutes, Self::OneHour, Self::All];
 
     /// Text on the screen.
     pub const fn title(self) -> &'static str {
         match self {
             Self::TwoMinutes => "2 min",
             Self::TenMinutes => "10 min",
+            Self::OneHour => "1 h",
             Self::All => "all",
         }
     }
@@ -49,9 +52,26 @@ impl ChartSpan {
     pub const fn next(self) -> Self {
         match self {
             Self::TwoMinutes => Self::TenMinutes,
-            Self::TenMinutes => Self::All,
+            Self::TenMinutes => Self::OneHour,
+            Self::OneHour => Self::All,
             Self::All => Self::TwoMinutes,
         }
+    }
+
+    /// Length in seconds; `None` for all time.
+    pub const fn seconds(self) -> Option<u64> {
+        match self {
+            Self::TwoMinutes => Some(120),
+            Self::TenMinutes => Some(600),
+            Self::OneHour => Some(3600),
+            Self::All => None,
+        }
+    }
+
+    /// The span with more time, or with -1 less; `None` behind the last one.
+    pub fn zoomed(self, by: isize) -> Option<Self> {
+        let at = Self::ALL.iter().position(|span| *span == self)?;
+        Self::ALL.get(at.checked_add_signed(by)?).copied()
     }
 
     /// Seconds of each of `samples` samples, where `seconds` are stored.
@@ -60,7 +80,8 @@ impl ChartSpan {
         match self {
             Self::TwoMinutes => 1,
             Self::TenMinutes => 600_u64.div_ceil(samples),
-            // A power of two: the samples stay for long.
+            // Powers of two, as those in which all time is stored: the samples stay for long.
+            Self::OneHour => 3600_u64.div_ceil(samples).next_power_of_two(),
             Self::All => seconds.div_ceil(samples).max(1).next_power_of_two(),
         }
     }

@@ -58,6 +58,4 @@ pub enum Focus {
 pub struct Frozen {
     /// Number after the last frame shown.
     pub frames: u64,
-    /// Number after the last line of the timeline shown.
-    pub lines: u64,
 }

@@ -7,6 +7,7 @@ use crate::frame::BusIndex;
 use crate::text::Name;
 use crate::wire::id::Address;
 use crate::wire::node::{Mode, Uid};
+use std::sync::Arc;
 
 /// Identity of a row, stable while other rows appear and disappear.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
@@ -61,6 +62,8 @@ pub struct Row {
     pub uid: Option<Uid>,
     /// The board, if several are known at its address.
     pub board: Option<Board>,
+    /// What is known of the board alone, as a device.
+    pub board_device: Option<Arc<Device>>,
 }
 
 impl Row {

@@ -49,7 +49,8 @@ pub struct Screen {
     pub details: Rect,
     /// Rule with the title of the details of a device below the list.
     pub details_rule: Rect,
-    /// Rule below the list, above the latest lines of the timeline or the details of a frame.
+    /// Rule below the list, above the latest lines of the timeline or the details of a frame; below the
+    /// identifiers, with the time that their statistics are of.
     pub lower_rule: Rect,
     /// Latest lines of the timeline.
     pub latest: Rect,
@@ -120,6 +121,9 @@ impl Screen {
         let has_details = view.has_details();
         if has_details && view.page == Page::Traffic && rows >= SPLIT_HEIGHT {
             screen.details = take_bottom(&mut left, (rows / 3).clamp(7, 14));
+            screen.lower_rule = take_bottom(&mut left, 1);
+        } else if view.page == Page::Traffic && view.shows_identifiers() && rows >= SPLIT_HEIGHT {
+            // What the statistics are of.
             screen.lower_rule = take_bottom(&mut left, 1);
         } else if has_details && view.page == Page::Problems && rows >= SPLIT_HEIGHT {
             // Below the list, which has as many rows as it wants, at most a part of the page.

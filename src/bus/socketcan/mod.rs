@@ -65,7 +65,7 @@ fn start(name: &str, request: OpenRequest) -> io::Result<Port> {
         bus: index,
         timestamps: RxTimestamps::new(clock),
         drops_before: 0,
-        reported: (0, 0),
+        reported: (0, 0, 0),
         was_up: false,
         only: options.only,
         tx: TxQueue::new(Arc::clone(&shared), RETRY_TIMEOUT),
@@ -218,7 +218,7 @@ struct SocketReader {
     /// Kernel drops of sockets that were closed since.
     drops_before: u64,
     /// The kernel drops and the frames in flight, as in the status.
-    reported: (u64, u64),
+    reported: (u64, u64, u32),
     /// Whether the interface existed before: then a missing one was unplugged.
     was_up: bool,
     /// The identifiers to receive; empty: all.
@@ -367,11 +367,12 @@ impl SocketReader {
         if !frames.is_empty() && self.monitor.is_down.load(Ordering::Acquire) {
             self.monitor.refresh_now(&self.shared);
         }
-        let reported = (self.drops_before + socket.drops(), socket.unconfirmed());
+        let reported =
+            (self.drops_before + socket.drops(), socket.unconfirmed(), socket.most_waiting());
         if reported != self.reported || reports.total > 0 {
             self.reported = reported;
             self.shared.queue.update_status(|status| {
-                (status.kernel_drops, status.unconfirmed) = reported;
+                (status.kernel_drops, status.unconfirmed, status.most_waiting) = reported;
                 status.missing_acks += reports.missing_acks;
                 status.controller_overruns += reports.overruns;
             });

@@ -3,6 +3,7 @@
 
 use crate::frame::socketcan::{self as fields, EXTENDED_FLAG, FD_FORMAT, REMOTE_FLAG};
 use crate::frame::{Frame, IdFilter};
+use crate::status::KERNEL_BYTES_PER_FRAME;
 use nix::cmsg_space;
 use nix::libc::{MSG_DONTWAIT, MSG_PEEK, SO_RCVBUF, SO_RCVBUFFORCE, SO_RXQ_OVFL, SOL_SOCKET};
 use nix::sys::socket::{ControlMessageOwned, MsgFlags, MultiHeaders, RecvMsg, recvmmsg, recvmsg};
@@ -15,8 +16,6 @@ use std::os::fd::{AsFd, AsRawFd, BorrowedFd};
 const BATCH: usize = 64;
 /// Frames read before frames are sent and the port is served.
 const MAX_READ: usize = 1024;
-/// Bytes of the receive buffer that the kernel counts for a frame, about.
-const BYTES_PER_FRAME: u32 = 800;
 /// The kernel's default receive buffer in bytes.
 const USUAL_BUFFER: u32 = 212_992;
 /// Requested receive buffer in bytes: one second of a full 1 Mbit/s bus. The default of 212,992 holds
@@ -50,6 +49,9 @@ pub(super) struct RawSocket {
     /// Frames read since the drop counter was queried.
     since_query: usize,
     receive_buffer: Option<u32>,
+    /// Frames read since the receive buffer was empty, and the most of them.
+    waiting: u32,
+    most_waiting: u32,
     unconfirmed: u64,
 }
 
@@ -84,6 +86,8 @@ impl RawSocket {
             drops: Drops::default(),
             since_query: 0,
             receive_buffer: receive_buffer.ok().and_then(|bytes| u32::try_from(bytes).ok()),
+            waiting: 0,
+            most_waiting: 0,
             unconfirmed: 0,
         })
     }
@@ -104,6 +108,11 @@ impl RawSocket {
             }
         };
         self.since_query += frames.len() - before;
+        self.waiting = self.waiting.saturating_add((frames.len() - before) as u32);
+        self.most_waiting = self.most_waiting.max(self.waiting);
+        if !matches!(outcome, Ok(true)) {
+            self.waiting = 0;
+        }
         match outcome {
             Err(error) if error.kind() == ErrorKind::WouldBlock => {
                 if self.since_query >= MIN_BUFFER_FRAMES {
@@ -204,7 +213,13 @@ impl RawSocket {
 
     /// About how many frames the receive buffer holds.
     pub(super) fn capacity(&self) -> u32 {
-        self.receive_buffer.unwrap_or(USUAL_BUFFER) / BYTES_PER_FRAME
+        self.receive_buffer.unwrap_or(USUAL_BUFFER) / KERNEL_BYTES_PER_FRAME
+    }
+
+    /// The most frames that waited in the receive buffer at once; at most those that arrived while the
+    /// others were read are counted with them.
+    pub(super) fn most_waiting(&self) -> u32 {
+        self.most_waiting
     }
 
     /// Size of the receive buffer in bytes, as the kernel counts them.

@@ -16,6 +16,8 @@ use crate::discovery::{Device, Query};
 use crate::finding::{Finding, FindingKind, FindingState};
 use crate::keymap::Action;
 use crate::theme::Role;
+use crate::time::Instant;
+use crate::wire::node::Mode;
 use ratatui::layout::Rect;
 use ratatui::text::Line;
 use unicode_width::UnicodeWidthStr;
@@ -334,9 +336,13 @@ impl<'b, 'a> DeviceDetails<'b, 'a> {
             let blank = if rest.is_empty() { "" } else { " " };
             self.add("heartbeat", Role::Text, &format!("{first}{blank}{rest}"));
         }
-        let modes: Vec<String> = device.mode_history.iter().map(|it| it.mode.to_string()).collect();
-        let since = device.mode_history.back().filter(|_| self.row.board.is_none());
-        let since = since.map(|change| format!(" since {}", format_time_of_day(app, change.time)));
+        let modes: Vec<(Instant, Mode)> = match self.row.board {
+            Some(_) => app.board_modes(self.row),
+            None => device.mode_history.iter().map(|it| (it.time, it.mode)).collect(),
+        };
+        let since =
+            modes.last().map(|(time, _)| format!(" since {}", format_time_of_day(app, *time)));
+        let modes: Vec<String> = modes.iter().map(|(_, mode)| mode.to_string()).collect();
         let mode = match self.row.mode_of(device) {
             Some(mode) => mode.to_string(),
             None if device.is_working => "working (U bit)".to_owned(),

@@ -33,6 +33,9 @@ impl DeviceDetails<'_, '_> {
     pub(super) fn services(&mut self, device: &Device) {
         self.blank();
         let Some(services) = &device.services else {
+            if self.row.board.is_some() {
+                return self.unread_services(device);
+            }
             let state = match device.services_query.state {
                 _ if device.services_query.fault == Some(QueryFault::TwoResponses) => {
                     "two devices respond at once"
@@ -51,7 +54,9 @@ impl DeviceDetails<'_, '_> {
         if services.is_empty() && removed.is_empty() && listed.is_none() {
             return self.add("services", Role::Text, "none");
         }
-        let lacks_other = self.row.state == RowState::Conflict && device.other_services.is_empty();
+        let is_board = self.row.board.is_some();
+        let is_in_conflict = self.row.state == RowState::Conflict && !is_board;
+        let lacks_other = is_in_conflict && device.other_services.is_empty();
         let is_of_one = device.services_are_shared || lacks_other;
         let whose = is_of_one.then(|| whose_services(device));
         let table = self.table(device, listed);
@@ -71,10 +76,25 @@ impl DeviceDetails<'_, '_> {
             self.other_services(device, other);
         }
         if lacks_other && device.has_colliding_services() {
-            let text = "Two responses at once would destroy each other, so the other list is not requested.";
-            for line in wrap(text, usize::from(self.width)) {
-                self.lines.push(Line::from(self.brush.span(Role::Muted, line)));
-            }
+            self.why_unread();
+        }
+    }
+
+    /// Services of a board that sent no list of its own.
+    fn unread_services(&mut self, device: &Device) {
+        if device.has_colliding_services() {
+            self.add("services", Role::Muted, "not read");
+            self.why_unread();
+        } else {
+            self.add("services", Role::Muted, "no other list received");
+        }
+    }
+
+    fn why_unread(&mut self) {
+        let text =
+            "Two responses at once would destroy each other, so the other list is not requested.";
+        for line in wrap(text, usize::from(self.width)) {
+            self.lines.push(Line::from(self.brush.span(Role::Muted, line)));
         }
     }
 

@@ -8,33 +8,17 @@ mod evidence;
 
 use super::brush::{DrawContext, bus_label, fit, fit_right, labelled};
 use super::symbols;
-use super::tabs::draw_views;
-use crate::app::{Page, Problem, ProblemsView, clock_millis, format_duration, length_text};
+use crate::app::{Page, Problem, ProblemsView, clock_millis, growing_length_text, length_text};
 use crate::finding::FindingState;
 use crate::theme::Role;
 use ratatui::layout::Rect;
 use ratatui::text::Line;
 use unicode_width::UnicodeWidthStr;
 
-/// Draws the list, the views and the details.
+/// Draws the list and the details.
 pub fn draw(brush: &mut DrawContext) {
-    draw_problem_views(brush);
     draw_list(brush);
     details::draw(brush);
-}
-
-/// Draws the views of the list into the rule of the page names.
-fn draw_problem_views(brush: &mut DrawContext) {
-    let app = brush.app;
-    // The filter and the title of details in the place of the list stand there.
-    if !app.page_filter(Page::Problems).text().trim().is_empty() || brush.screen.list.height == 0 {
-        return;
-    }
-    let open = app.view().problems_view.title();
-    let titles = ProblemsView::ALL.map(ProblemsView::title);
-    let tabs = brush.screen.tabs(Page::Problems, app.counts());
-    let end = tabs.last().map_or(0, |(_, start, text)| start + text.width() as u16);
-    draw_views(brush, &titles, open, open, end);
 }
 
 /// Returns the sign of a problem, the role of the sign, and that of the text.
@@ -191,11 +175,9 @@ fn state_word(problem: &Problem) -> &'static str {
 /// How long a problem is there, in whole seconds while it is, so that it changes once a second.
 fn length_of(brush: &DrawContext, problem: &Problem) -> String {
     let began = problem.began();
-    let seconds = brush.app.display_time().since(began).as_secs();
     match problem.ended() {
         Some(ended) => length_text(ended.since(began)),
-        None if seconds < 100 => format!("{seconds} s"),
-        None => format_duration(brush.app.display_time().since(began)),
+        None => growing_length_text(brush.app.display_time().since(began)),
     }
 }
 

@@ -6,6 +6,7 @@ use super::draw_uncounted;
 use crate::app::{Decoded, IdentifierKind, IdentifierStats};
 use crate::theme::Role;
 use crate::time::Duration;
+use ratatui::layout::Rect;
 use ratatui::text::{Line, Span};
 use std::fmt::Write;
 
@@ -85,6 +86,7 @@ pub fn draw(brush: &mut DrawContext) {
         brush.span(Role::Header, columns.title(brush.app.view().counts_base().is_some())),
     );
     brush.line(header, 0, &line);
+    draw_span(brush, columns);
     let app = brush.app;
     let rows = app.identifiers_shown();
     let selected = app.view().identifiers.index(rows.iter().map(|row| &row.key));
@@ -105,6 +107,20 @@ pub fn draw(brush: &mut DrawContext) {
         brush.line(list, list.height - 1, &line);
     }
     draw_uncounted(brush, list);
+}
+
+/// Draws what the statistics are of into the rule below the list.
+fn draw_span(brush: &mut DrawContext, columns: IdentifierColumns) {
+    let rule = brush.screen.lower_rule;
+    if rule.height == 0 || !columns.has_period {
+        return;
+    }
+    brush.rule(rule, Role::Border);
+    let means = if columns.has_extremes { "min, avg, max" } else { "avg" };
+    let text = format!(" {means}: last minute · JITTER: 95 % of the last 256 intervals ");
+    let line = Line::from(brush.span(Role::Muted, text));
+    let area = Rect { x: rule.x + 1, width: rule.width.saturating_sub(2), ..rule };
+    brush.line(area, 0, &line);
 }
 
 fn identifier_line(

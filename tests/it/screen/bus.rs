@@ -3,7 +3,7 @@
 use super::two_buses::Pair;
 use super::{one_line, snapshot, styles_of, text_snapshot};
 use crate::common::harness::{BOILER, Stage};
-use descan::app::{App, AppOptions, BarKey, Mouse, MouseKind, Page};
+use descan::app::{App, AppOptions, BarKey, ChartSpan, Mouse, MouseKind, Page};
 use descan::discovery::Config;
 use descan::frame::bits::FrameBits;
 use descan::frame::{BusIndex, CanId, Frame};
@@ -143,19 +143,19 @@ fn shares_are_those_of_the_frames_sent() {
     bench.keys("5").seconds(10, &second);
     let bus = &bench.app.buses()[0];
     let share = |frame: &Frame, count: f64| bits(frame) * count / 125_000.0;
-    let bars = bus.sender_bars(BusIndex(0));
+    let bars = bus.sender_bars(BusIndex(0), ChartSpan::TwoMinutes);
     let senders: Vec<BarKey> = bars.iter().map(|bar| bar.key).collect();
     let sender = |address| BarKey::Sender(BusIndex(0), Address::new(address).unwrap());
     assert_eq!(senders, [sender(10), sender(11), sender(0)], "the longest first");
     let near = |one: f64, other: f64| (one - other).abs() < 1e-9;
     assert!(near(bars[0].share, share(&feed, 30.0)), "{bars:?}");
     assert!(near(bars[1].share, share(&heat, 10.0)), "{bars:?}");
-    let services = bus.service_bars(BusIndex(0));
+    let services = bus.service_bars(BusIndex(0), ChartSpan::TwoMinutes);
     let service = BarKey::Service(BusIndex(0), Service::new(0x101).unwrap());
     assert_eq!(services[0].key, service);
     assert!(near(services[0].share, share(&feed, 30.0) + share(&own, 1.0)), "{services:?}");
     let all = share(&feed, 30.0) + share(&heat, 10.0) + share(&standard, 5.0) + share(&own, 1.0);
-    let others = bus.other_shares();
+    let others = bus.other_shares(ChartSpan::TwoMinutes);
     let standard = share(&standard, 5.0);
     assert_eq!(others.iter().map(|it| it.0).collect::<Vec<_>>(), ["non-platform", "free"]);
     assert!(near(others[0].1, standard) && near(others[1].1, 1.0 - all), "{others:?}");
@@ -186,7 +186,8 @@ fn frames_without_a_sender_have_a_bar_of_their_own() {
     assert!(screen.contains(" no frames "), "{screen}");
     let screen = one_line(&bench.seconds(10, &[standard; 4]).screen(120, 40));
     assert!(screen.contains(" no such frames "), "{screen}");
-    let share = format!(" {:.1} %", bits(&standard) * 4.0 / 1250.0);
+    // Of 20 s, with such frames in 10 of them.
+    let share = format!(" {:.1} %", bits(&standard) * 4.0 / 2500.0);
     let bar = &screen[screen.rfind("non-platform").unwrap()..];
     assert!(bar.chars().take(50).collect::<String>().contains(&share), "{share}: {bar}");
 }
@@ -323,7 +324,7 @@ fn bar_leads_to_its_device_and_frames() {
     assert_eq!(stage.app.view().page, Page::Devices);
     assert_eq!(stage.app.selected_row().unwrap().address, Some(address));
     // The services follow the devices.
-    let senders = stage.app.buses()[0].sender_bars(BusIndex(0)).len();
+    let senders = stage.app.buses()[0].sender_bars(BusIndex(0), ChartSpan::TwoMinutes).len();
     stage.keys("5 Home").keys(&"j ".repeat(senders)).keys("Enter");
     assert_eq!(stage.app.view().page, Page::Traffic);
     let filter = stage.app.page_filter(Page::Traffic).text().to_owned();
@@ -352,7 +353,7 @@ fn click_selects_a_bar() {
     stage.app.handle_mouse(now, press(5, 3));
     assert_eq!(stage.app.selected_bar(), Some(keys[2]));
     stage.app.handle_mouse(now, press(60, 1));
-    let services = stage.app.buses()[0].service_bars(BusIndex(0));
+    let services = stage.app.buses()[0].service_bars(BusIndex(0), ChartSpan::TwoMinutes);
     assert_eq!(stage.app.selected_bar(), Some(services[0].key));
 }
 
@@ -454,4 +455,49 @@ fn full_bus_at_rest_sends_little_to_the_terminal() {
         let each = bytes / 60;
         assert!(each <= 2000, "{width}×{height}: {each} bytes in a second");
     }
+}
+
+#[test]
+fn zoom_keys_change_the_span_of_charts_and_bars() {
+    let mut bench = Bench::new();
+    bench.keys("5").seconds(700, &[frame(10, 0x101)]).seconds(130, &[frame(11, 0x102)]);
+    let text = |bench: &mut Bench| one_line(&bench.screen(120, 40));
+    let screen = text(&mut bench);
+    assert!(screen.contains("load by device last 2m00s"), "{screen}");
+    assert!(screen.contains("? @11") && !screen.contains("? @10"), "of the same span: {screen}");
+    let span = |bench: &Bench| bench.app.chart_span();
+    for (key, expected, title) in [
+        ("-", ChartSpan::TenMinutes, "load by device last 10m00s"),
+        ("-", ChartSpan::OneHour, "load by device last 13m50s"),
+        ("-", ChartSpan::All, "load by device all 13m50s"),
+        ("-", ChartSpan::All, "no other span of time"),
+        ("+", ChartSpan::OneHour, "load by device last 13m50s"),
+        ("+", ChartSpan::TenMinutes, "load by service last 10m00s"),
+        ("+", ChartSpan::TwoMinutes, "load by device last 2m00s"),
+    ] {
+        let screen = text(bench.keys(key));
+        assert!(screen.contains(title), "{key} {title}: {screen}");
+        assert_eq!(span(&bench), expected);
+        assert_eq!(screen.contains("? @10"), expected != ChartSpan::TwoMinutes, "{screen}");
+    }
+}
+
+#[test]
+fn receive_buffer_says_how_much_it_holds_and_how_full_it_was() {
+    let status = BusStatus {
+        link: Link::Up,
+        bitrate: Some(125_000),
+        receive_buffer: Some(212_992),
+        most_waiting: 12,
+        ..BusStatus::default()
+    };
+    let mut bench = Bench::new().status(status);
+    let screen = one_line(&bench.keys("5").seconds(40, &[frame(10, 0x101); 50]).screen(120, 40));
+    assert!(screen.contains("receive buffer 266 frames (5.3 s), max 12"), "{screen}");
+    let screen = one_line(&bench.screen(80, 24));
+    assert!(screen.contains("receive buffer 266 frames (5.3 s), max 12"), "{screen}");
+    // A log has none.
+    let mut bench = Bench::new();
+    let screen = bench.keys("5").seconds(5, &[frame(10, 0x101)]).screen(120, 40);
+    assert!(screen.contains("receive buffer –"), "{screen}");
 }

@@ -2,6 +2,7 @@
 
 use crate::common::harness::Stage;
 use descan::app::{Effect, WrittenFrames};
+use descan::diagnostic::Diagnostic;
 use std::path::Path;
 
 /// The log that was to be written last: its lines, and the numbers of frames.
@@ -15,6 +16,30 @@ fn saved(stage: &mut Stage, name: &str) -> (Vec<String>, WrittenFrames) {
     stage.app.handle_written_log(now, &path, Ok(frames));
     let text = String::from_utf8(bytes).unwrap();
     (text.lines().map(str::to_owned).collect(), frames)
+}
+
+#[test]
+fn path_that_cannot_be_written_stays_in_the_prompt() {
+    let mut stage = Stage::boiler();
+    stage.until(20.0).keys("2 w Ctrl-u").text("/no/x.log").keys("Enter");
+    let failed = |stage: &mut Stage, path: &str| {
+        let (now, why) = (stage.app.now(), Diagnostic::new("no such folder"));
+        stage.app.handle_written_log(now, Path::new(path), Err(why));
+    };
+    failed(&mut stage, "/no/x.log");
+    let screen = stage.screen();
+    assert!(screen.contains("save frames to: /no/x.log"), "{screen}");
+    assert!(screen.contains("✗ not saved: no such folder"), "{screen}");
+    let (_, frames) = {
+        stage.keys("Esc");
+        saved(&mut stage, "x.log")
+    };
+    assert!(frames.written > 0 && stage.app.prompt().is_none());
+    // Another dialog is not replaced.
+    stage.keys("w Ctrl-u").text("/no/y.log").keys("Enter ?");
+    failed(&mut stage, "/no/y.log");
+    assert!(stage.app.prompt().is_none());
+    assert!(stage.app.message().is_some_and(|it| it.text.contains("no such folder")));
 }
 
 #[test]

@@ -51,6 +51,26 @@ fn comparison_matches_snapshots() {
 }
 
 #[test]
+fn start_before_the_first_device_is_explained() {
+    let mut stage = boiler();
+    stage.until(30.0).keys("d");
+    let hint = "A is before the first device: all are new; Right moves it on";
+    assert!(one_line(&stage.screen()).contains(hint), "{}", stage.screen());
+    assert!(!one_line(&stage.keys("Right").screen()).contains("before the first device"));
+    stage.keys("Left Tab");
+    assert!(one_line(&stage.screen()).contains("all are new; Tab Right moves it on"));
+}
+
+#[test]
+fn row_of_versions_names_the_reboot_between() {
+    let mut stage = boiler();
+    stage.until(50.0).keys("M Enter").until(75.0).keys("d");
+    let rows = comparison(&stage.app).rows().unwrap();
+    let row = rows.iter().find(|row| row.difference.what() == "version").unwrap();
+    assert!(row.events.contains(" rebooted"), "{}", row.events);
+}
+
+#[test]
 fn last_mark_before_the_moment_is_compared() {
     let mut stage = boiler();
     stage.until(10.0).keys("M Enter").until(20.0).keys("M Enter").until(30.0).keys("d");

@@ -399,3 +399,21 @@ fn frames_of_boards_with_blank_uids_are_told_apart_by_phase() {
     let turns = letters.contains("ABAB");
     assert!(turns && letters.chars().all(|letter| "AB".contains(letter)), "{letters}");
 }
+
+#[test]
+fn board_that_moved_on_keeps_its_name_and_services() {
+    let config = Config { seed: 7, ..Config::default() };
+    let boiler = Scenario::builtin("boiler").unwrap();
+    let mut stage = Stage::with_room(&boiler, None, config, 16 << 20);
+    stage.until(175.0).size(160, 40).keys("4");
+    while stage.app.selected_problem().unwrap().head().key.address != Address::new(16) {
+        stage.keys("j");
+    }
+    let screen = stage.screen();
+    assert!(
+        screen.contains(" A BOILER09 · HEAT ") && screen.contains("│ B BOILER06 · DIN"),
+        "{screen}"
+    );
+    let services = row(&stage, "services");
+    assert!(services.contains("RELAY") && services.contains("│ IN 3"), "{services}");
+}

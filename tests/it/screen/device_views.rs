@@ -195,7 +195,10 @@ fn changed_version_is_shown_until_it_is_confirmed() {
     assert!(line(&matrix, "▸●   10").contains("2.1→2.2≠"), "{matrix}");
     let screen = stage.keys("v v c").screen();
     assert!(screen.contains("changes of 1 device confirmed"), "{screen}");
-    assert!(!screen.contains("2.1→2.2"), "{screen}");
+    // The line of the timeline stays.
+    let (page, latest) = screen.split_once("─ latest").unwrap();
+    assert!(!page.contains("2.1→2.2"), "{screen}");
+    assert!(latest.contains("rebooted: AUGER 2.1→2.2"), "{screen}");
     // A past moment has what had changed then.
     stage.keys(":").text("12:01:08").keys("Enter");
     assert!(line(&stage.screen(), "▸●   10").contains(change), "{}", stage.screen());

@@ -203,3 +203,59 @@ fn cells_have_few_combining_marks() {
     let longest = buffer.content.iter().map(|cell| cell.symbol().chars().count()).max();
     assert_eq!(longest, Some(31));
 }
+
+/// The details at the right of the list, as one line.
+fn details(stage: &Stage) -> String {
+    let screen = stage.screen();
+    let right = screen.lines().filter_map(|line| line.split('│').nth(1));
+    right.flat_map(str::split_whitespace).collect::<Vec<_>>().join(" ")
+}
+
+#[test]
+fn details_of_a_board_are_its_own() {
+    let mut stage = Stage::boiler();
+    stage.until(45.0).size(200, 60);
+    let select = |stage: &mut Stage, side: &str| {
+        stage.keys("Home");
+        while stage
+            .app
+            .selected_row()
+            .and_then(|row| row.board)
+            .is_none_or(|it| it.side.to_string() != side)
+        {
+            stage.keys("j");
+        }
+        details(stage)
+    };
+    let first = select(&mut stage, "A");
+    assert!(first.contains("ACT @14A · BOILER03 CONFLICT · online since 12:00:05 "), "{first}");
+    assert!(first.contains("mode WORK since 12:00:06 modes ARSLV → WORK"), "{first}");
+    assert!(first.contains("services 4 now"), "{first}");
+    let second = select(&mut stage, "B");
+    assert!(second.contains("ACT @14B · SPARE01 CONFLICT · online since 12:00:26 "), "{second}");
+    assert!(second.contains("mode WORK since 12:00:27 modes ARSLV → WORK"), "{second}");
+    assert!(second.contains("services not read"), "{second}");
+    assert!(second.contains("seen since 12:00:26 requests name "), "{second}");
+    assert!(!second.contains("services 1") && first.contains(" services 1"), "{first} {second}");
+    // As in its row, in the matrix and in the panel of the problem.
+    let row = stage.screen().lines().find(|line| line.contains("14B")).unwrap().to_owned();
+    assert!(!row.contains("VALVE"), "{row}");
+    stage.keys("v");
+    let lines = |stage: &Stage, side: &str| {
+        stage.screen().lines().find(|line| line.contains(side)).unwrap().to_owned()
+    };
+    assert!(lines(&stage, "14A").contains(" 1.2 ") && !lines(&stage, "14B").contains(" 1.2 "));
+    stage.keys("v v p");
+    assert!(stage.screen().contains("│ not read: responses collide"), "{}", stage.screen());
+}
+
+#[test]
+fn number_of_present_devices_is_that_of_their_rows() {
+    let mut stage = Stage::boiler();
+    stage.until(45.0);
+    let rows = stage.app.rows().iter();
+    let present = rows.filter(|row| !["missing", "lost"].contains(&row.state.word())).count();
+    let boards = stage.app.rows().iter().filter(|row| row.board.is_some()).count();
+    assert_eq!(boards, 2, "each board of the conflict is one");
+    assert!(stage.screen().contains(&format!("● {present} present")), "{}", stage.screen());
+}

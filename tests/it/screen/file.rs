@@ -252,7 +252,8 @@ fn copy_is_saved_to_another_path() {
     assert_eq!(stage.effects.last(), Some(&Effect::WriteFile { path: path.clone(), bytes }));
     stage.app.handle_written(stage.app.now(), &path, Err(Diagnostic::new("no such folder")));
     assert!(stage.screen().contains(" not saved: no such folder"), "{}", stage.screen());
-    assert!(stage.keys("q").screen().contains("1 edit is not saved. Quit anyway?"));
+    assert!(stage.screen().contains("save a copy as: /else/b.json"), "{}", stage.screen());
+    assert!(stage.keys("Esc q").screen().contains("1 edit is not saved. Quit anyway?"));
     stage.keys("n W Ctrl-u").text("/else/b.json").keys("Enter");
     stage.app.handle_written(stage.app.now(), &path, Ok(()));
     assert!(stage.screen().contains("a copy with all edits: /else/b.json"));

@@ -39,7 +39,8 @@ fn lanes_show_moves_reboots_absences_and_conflicts() {
     let stage = boiler(120, 40, 175.0);
     for (label, signs) in [
         ("10 FEED", &["↻"][..]),
-        ("14 ACT", &["▓▓▓▓"]),
+        ("14A ACT", &["▓▓▓▓", "━━━"]),
+        ("14B ACT", &["▓▓▓▓", "···"]),
         ("16 DIN", &["━I"]),
         ("20 DISP", &["→40━", "→20━"]),
         ("30 PSU", &["U─"]),
@@ -53,6 +54,36 @@ fn lanes_show_moves_reboots_absences_and_conflicts() {
         }
     }
     assert!(lane(&stage, "10 FEED").ends_with("online WORK"), "{}", lane(&stage, "10 FEED"));
+}
+
+#[test]
+fn boards_of_a_conflict_have_lanes_of_their_own() {
+    let cells = |stage: &Stage, label: &str| {
+        let line = lane(stage, label);
+        line.chars().filter(|c| "━─▓▒·A".contains(*c)).collect::<String>()
+    };
+    // SPARE01 joins at 27 s, and leaves at 50 s.
+    let stage = boiler(120, 40, 26.0);
+    assert!(lane(&stage, "14 ACT").contains("━━━"), "{}", stage.screen());
+    let stage = boiler(120, 40, 45.0);
+    let (first, second) = (lane(&stage, "14A ACT"), lane(&stage, "14B ACT"));
+    assert!(first.contains("━▓▓▓") && first.ends_with("CONFLICT"), "{first}");
+    assert!(second.contains("▓▓▓") && second.ends_with("CONFLICT"), "{second}");
+    let place = |line: &str, sign: char| line.chars().position(|c| c == sign).unwrap();
+    assert_eq!(place(&first, '▓'), place(&second, '▓'), "both from the joining on");
+    assert!(!second.contains('━'), "nothing before it: {second}");
+    let mut stage = boiler(120, 40, 75.0);
+    let second = lane(&stage, "14B ACT");
+    assert!(second.contains("▓·") && second.ends_with("lost"), "{second}");
+    assert!(lane(&stage, "14A ACT").ends_with("online WORK"));
+    assert!(!cells(&stage, "14A ACT").contains('·'));
+    // As it was then.
+    stage.keys(":").text("12:00:45").keys("Enter");
+    assert!(lane(&stage, "14B ACT").ends_with("CONFLICT"), "{}", stage.screen());
+    assert!(!cells(&stage, "14B ACT").contains('·'));
+    // A board that moved on has its lane as a device.
+    let stage = boiler(120, 40, 175.0);
+    assert!(!stage.screen().contains("16A"), "{}", stage.screen());
 }
 
 #[test]

@@ -42,7 +42,9 @@ fn page_rule_ends_with_the_moment_at_every_size_and_page() {
         }
         stage.keys("1 Space");
         let rule = rule(&stage);
-        assert!(rule.trim_end_matches([' ', '─']).ends_with(" 12:00:40 FROZEN"), "{rule}");
+        // At 80 the first line has the time, and the rule the view.
+        let end = if columns == 80 { " list (v) ─ FROZEN" } else { " 12:00:40 FROZEN" };
+        assert!(rule.trim_end_matches([' ', '─']).ends_with(end), "{rule}");
         stage.keys("Space");
     }
     snapshot!("moment_200x45", stage.size(200, 45));
@@ -74,6 +76,34 @@ fn first_line_of_a_past_moment_names_it_at_every_size_and_page() {
     assert!(line.contains(" · 1") && line.contains(" ago · LIVE with Esc  now ⚠ 14: "), "{line}");
     stage.keys("Esc");
     assert!(stage.app.past_moment().is_none());
+}
+
+#[test]
+fn past_moment_at_80_columns_names_the_view_and_the_keys() {
+    let mut stage = boiler();
+    stage.until(40.0).keys("[ [").size(80, 24);
+    for keys in ["1", "2", "3", "4", "5"] {
+        let is_frozen = stage.keys(keys).app.past_moment().is_some();
+        let first = rule(&stage);
+        for _ in 0..3 {
+            let line = rule(stage.keys("v"));
+            assert!(is_frozen && line.contains(" FROZEN"), "{line}");
+            let view = line.split("5 Bus").nth(1).unwrap().replace(['─', ' '], "");
+            assert!(view.ends_with("FROZEN") && view.len() > "FROZEN".len(), "{keys}: {line}");
+            let footer = stage.screen().lines().last().unwrap().to_owned();
+            for key in ["? help", "← → ", "[ ] event", "{ } problem", "g time"] {
+                assert!(footer.contains(key), "{keys}: {footer}");
+            }
+            assert!(keys == "4" || footer.contains("d diff  < > frame"), "{keys}: {footer}");
+            assert_eq!(footer.contains("X proof"), keys == "4", "{footer}");
+            if line == first {
+                break;
+            }
+        }
+    }
+    // What is chosen stands in the place of the views.
+    let line = rule(stage.keys("2 v v /").text("src:feed").keys("Enter"));
+    assert!(line.contains(" /src:feed ") && line.contains(" FROZEN"), "{line}");
 }
 
 #[test]

@@ -145,3 +145,42 @@ fn hidden_kinds_have_no_lines_and_are_counted() {
     stage.keys("x Down Down Down Down Down = Esc");
     assert_eq!(stage.app.lines_shown().len(), all);
 }
+
+#[test]
+fn length_of_a_conflict_is_that_of_the_problems_page() {
+    let mut stage = with_past();
+    stage.until(75.0).size(120, 40).keys("3");
+    let line = lines_with(&mut stage, "conflict SPARE01 / BOILER03").pop().unwrap();
+    assert!(line.contains(", over"), "{line}");
+    stage.keys("4");
+    let screen = stage.screen();
+    let problem = screen.lines().find(|line| line.contains("SPARE01 joined, conf")).unwrap();
+    let length = problem.split("  ").find(|text| text.trim().ends_with(" s")).unwrap().trim();
+    assert!(line.contains(&format!(" {length} ")), "{length}\n{line}\n{problem}");
+}
+
+#[test]
+fn latest_lines_are_those_of_the_timeline() {
+    let mut stage = with_past();
+    stage.until(45.0).size(160, 60).keys("1");
+    let screen = stage.screen();
+    let latest: Vec<&str> =
+        screen.lines().skip_while(|line| !line.contains("─ latest ─")).collect();
+    let words = "conflict SPARE01 / BOILER03, confirmed 12:00:31.";
+    let line = latest.iter().find(|line| line.contains(words)).expect(&screen);
+    assert!(line.starts_with(" 12:00:3") && line.contains(" ⚠ ACT @14 "), "{line}");
+    let count = latest.iter().filter(|line| line.contains("SPARE01 / BOILER03")).count();
+    assert_eq!(count, 1, "a line for each story");
+    assert!(latest.iter().any(|line| line.contains("joined at 107 (claimed), CFG, 2 services")));
+    // Of a past moment those of then.
+    stage.keys(":").text("12:00:29").keys("Enter");
+    let screen = stage.screen();
+    assert!(screen.contains(" ? ACT @14      conflict SPARE01 / BOILER03, suspected"), "{screen}");
+    stage.keys("Esc").until(150.0);
+    let words = "Bus errors: ";
+    assert!(!lines_with(&mut stage, words).is_empty());
+    let screen = stage.keys("5").screen();
+    let bus: Vec<&str> =
+        screen.lines().skip_while(|line| !line.contains("what happened to")).collect();
+    assert!(bus.iter().filter(|line| line.contains(words)).count() == 1, "{screen}");
+}

@@ -180,3 +180,14 @@ fn times_of_frames_have_four_formats() {
     stage.keys("z").size(120, 24);
     assert!(last(&stage).contains("12:00:01.510  1485.0 "), "{}", last(&stage));
 }
+
+#[test]
+fn identifiers_say_what_their_statistics_are_of() {
+    let mut stage = Stage::boiler();
+    stage.until(20.0).keys("2 v");
+    let rule = " avg: last minute · JITTER: 95 % of the last 256 intervals ";
+    assert!(stage.screen().contains(rule), "{}", stage.screen());
+    let rule = " min, avg, max: last minute · JITTER: 95 % of the last 256 intervals ";
+    assert!(stage.size(120, 30).screen().contains(rule));
+    assert!(!stage.size(80, 16).screen().contains("last minute"), "it gives way");
+}
