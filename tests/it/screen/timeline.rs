@@ -171,6 +171,10 @@ fn latest_lines_are_those_of_the_timeline() {
     assert!(line.starts_with(" 12:00:3") && line.contains(" ⚠ ACT @14 "), "{line}");
     let count = latest.iter().filter(|line| line.contains("SPARE01 / BOILER03")).count();
     assert_eq!(count, 1, "a line for each story");
+    let lines = latest.iter().skip(1).take_while(|line| !line.contains('├'));
+    let times = lines.map(|line| line.get(1..9).unwrap_or_default());
+    let times: Vec<&str> = times.take_while(|time| time.contains(':')).collect();
+    assert!(times.len() > 3 && times.is_sorted(), "the last change at the bottom: {times:?}");
     assert!(latest.iter().any(|line| line.contains("joined at 107 (claimed), CFG, 2 services")));
     // Of a past moment those of then.
     stage.keys(":").text("12:00:29").keys("Enter");
