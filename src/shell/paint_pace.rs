@@ -32,6 +32,11 @@ const ASK_AFTER: u64 = 1000;
 const LATE: Duration = Duration::from_millis(250);
 /// Longest time for which the bus waits for an answer: it may be lost.
 const HELD: Duration = Duration::from_secs(10);
+/// Time between two writes that waited within which the line is slow: one alone may have waited for
+/// the program itself, on a busy board or while it was stopped.
+const AGAIN: Duration = Duration::from_secs(5);
+/// Slowest line that is measured, in bytes per second: 4,800 baud.
+const SLOWEST: f64 = 480.0;
 /// Lines that take more bytes per second are not slow.
 const FAST: f64 = 100_000.0;
 /// A line that was slow is tried faster by a quarter after this time without a wait.
@@ -58,6 +63,8 @@ pub struct PaintPace {
     taken: Instant,
     /// Last time that the line was found to be slow.
     waited: Instant,
+    /// The last write that waited while the line did not count as slow.
+    blocked: Option<Instant>,
     /// Bytes sent; those before the last question, and before the last answered one.
     sent: u64,
     asked: u64,
@@ -83,6 +90,7 @@ impl PaintPace {
             in_budget: Instant::ZERO,
             taken: Instant::ZERO,
             waited: Instant::ZERO,
+            blocked: None,
             sent: 0,
             asked: 0,
             answered: 0,
@@ -146,6 +154,8 @@ impl PaintPace {
         let bytes = (self.asked - self.answered) as usize;
         self.answered = self.asked;
         if !self.is_line_set && late >= LATE {
+            // It had many bytes to take.
+            self.blocked = Some(now);
             self.measure(now, bytes, late);
             if let Some(line) = self.line {
                 let on_the_way = (self.sent - self.asked) as f64;
@@ -196,9 +206,13 @@ impl PaintPace {
     /// Notes how fast the line took bytes.
     fn measure(&mut self, now: Instant, bytes: usize, took: Duration) {
         if took >= BLOCKED {
-            let rate = (bytes as f64 / took.as_secs_f64()).max(1.0);
-            self.waited = now;
-            self.line = Some(self.line.map_or(rate, |line| line.min(rate)));
+            let rate = (bytes as f64 / took.as_secs_f64()).max(SLOWEST);
+            let before = self.blocked.replace(now);
+            let is_again = before.is_some_and(|before| now - took <= before + AGAIN);
+            if self.line.is_some() || is_again {
+                self.waited = now;
+                self.line = Some(self.line.map_or(rate, |line| line.min(rate)));
+            }
         } else if let Some(line) = self.line
             && now.since(self.waited) >= RETRY
         {
@@ -250,6 +264,8 @@ mod tests {
     #[test]
     fn line_that_blocks_is_measured_and_tried_again_faster() {
         let mut pace = PaintPace::new(2000.0, None);
+        pace.drawn(at(1000), 2000, Duration::from_secs(1), true);
+        assert_eq!(pace.most_bytes(), usize::MAX, "the program may have been stopped");
         pace.drawn(at(3000), 2000, Duration::from_secs(2), true);
         assert_eq!(pace.most_bytes(), 250);
         pace.drawn(at(9000), 200, NO_TIME, true);

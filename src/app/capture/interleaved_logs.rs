@@ -206,7 +206,7 @@ mod tests {
 
     /// A log of frames 10 ms apart; the identifier is the number of the frame.
     #[derive(Debug)]
-    struct Log {
+    struct NumberedLog {
         bus: BusIndex,
         numbers: Range<u64>,
     }
@@ -216,7 +216,7 @@ mod tests {
         Frame::classic(number as u32, &[]).with_bus(bus).with_time(time)
     }
 
-    impl FrameSource for Log {
+    impl FrameSource for NumberedLog {
         fn numbers(&self) -> Range<u64> {
             self.numbers.clone()
         }
@@ -229,7 +229,7 @@ mod tests {
 
     fn logs(starts: [u64; 3]) -> InterleavedLogs {
         let log = |(at, start): (usize, u64)| -> Box<dyn FrameSource> {
-            Box::new(Log { bus: BusIndex(at as u8), numbers: start..1 << 40 })
+            Box::new(NumberedLog { bus: BusIndex(at as u8), numbers: start..1 << 40 })
         };
         InterleavedLogs::new(starts.into_iter().enumerate().map(log).collect(), ROOM)
     }
