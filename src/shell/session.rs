@@ -143,7 +143,7 @@ impl Session {
         let mut order = None;
         match logs {
             Some(mut logs) if logs.len() == 1 => {
-                logs.drain(..).for_each(|it| app.set_frame_source(it))
+                logs.drain(..).for_each(|it| app.set_frame_source(it));
             }
             Some(logs) if !logs.is_empty() => {
                 let logs = InterleavedLogs::new(logs, app.capture().room() / ORDER_PART);

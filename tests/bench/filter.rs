@@ -92,7 +92,9 @@ fn app_of_log(recorded: &[Frame]) -> App {
         port.queue().take_status();
         frames.clear();
         port.queue().drain(&mut frames, 4096);
-        frames.iter().for_each(|frame| take(&mut app, *frame));
+        for frame in &frames {
+            take(&mut app, *frame);
+        }
         if frames.is_empty() {
             std::thread::sleep(Duration::from_millis(1));
         }

@@ -531,8 +531,7 @@ mod tests {
         let mut time = at(0);
         for number in 0..2_000 {
             // An hour between two frames: each is in a block of its own.
-            time +=
-                Duration::from_hours(if number < 10 { 0 } else { 1 }) + Duration::from_micros(500);
+            time += Duration::from_hours(u64::from(number >= 10)) + Duration::from_micros(500);
             while store.about_to_drop(time).is_some() {
                 store.drop_oldest(std::slice::from_ref(&pin));
             }

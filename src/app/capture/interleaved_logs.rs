@@ -28,6 +28,9 @@ struct OrderPlace {
     times: Vec<Option<Instant>>,
 }
 
+/// The place of a log, and numbers of its frames.
+type LogPart = (usize, Range<u64>);
+
 /// In which order the frames were taken.
 #[derive(Debug)]
 struct FrameOrder {
@@ -77,7 +80,7 @@ impl FrameOrder {
     }
 
     /// The parts of the logs in which frames are, in their order, and the place before them.
-    fn parts(&self, numbers: &Range<u64>) -> Option<(&OrderPlace, Vec<(usize, Range<u64>)>)> {
+    fn parts(&self, numbers: &Range<u64>) -> Option<(&OrderPlace, Vec<LogPart>)> {
         let after = self.places.partition_point(|place| place.number <= numbers.start);
         let place = self.places.get(after.checked_sub(1)?)?;
         let from = usize::try_from(place.bytes - self.dropped).ok()?;
