@@ -59,7 +59,7 @@ pub struct Options {
 }
 
 /// Opens a bus. Its frames get the number `index`; a log of several interfaces also takes the
-/// numbers after it: see [`Queue::names`].
+/// numbers after it: see [`Queue::names_from`].
 ///
 /// # Errors
 ///
