@@ -1,10 +1,11 @@
 //! When the screen is drawn, and how much of it is sent.
 //!
 //! Inputs: keys, bytes sent and how long that took, answers of the terminal. Outputs: the time of the
-//! next draw, the most bytes of it, when to ask the terminal. What a key changes is drawn at once; what the bus changes as often as a budget of bytes per
-//! second allows. A line that is known to be slow is never sent more than it takes in a short time, so
-//! that the effect of a key does not wait behind old screens. A slow connection takes many screens before
-//! a write waits for it: what is on its way shows in the time to the terminal's answer to a question.
+//! next draw, the most bytes of it, when to ask the terminal. What a key changes is drawn at once; what
+//! the bus changes as often as a budget of bytes per second allows. A line that is known to be slow is
+//! never sent more than it takes in a short time, so that the effect of a key does not wait behind old
+//! screens. A slow connection takes many screens before a write waits for it: what is on its way shows in
+//! the time to the terminal's answer to a question.
 //!
 //! A state machine without I/O, in real time. Does not know what is drawn.
 
