@@ -45,10 +45,7 @@ impl Queue {
 
     /// Appends at most `max` frames to `frames`, oldest first. Returns how many.
     pub fn drain(&self, frames: &mut Vec<Frame>, max: usize) -> usize {
-        let mut contents = self.contents();
-        let count = max.min(contents.frames.len());
-        frames.extend(contents.frames.drain(..count));
-        count
+        self.drain_until(frames, max, Instant::LATEST)
     }
 
     /// Time of the oldest frame to take.

@@ -114,7 +114,7 @@ fn unusable(buses: &[BusSpec]) -> Option<BusChoice> {
     Some(choice)
 }
 
-/// The list of buses for where there is no terminal.
+/// The list of buses as text, where there is no terminal.
 fn text_of(offers: &[BusOffer]) -> String {
     let mut text = String::new();
     let mut section = None;

@@ -1,7 +1,8 @@
 //! Why the rest of a log cannot be read. Plain values; does not know how formats find it.
 
-/// Bytes without a frame, or without a line end, after which a text is no log: no greeting of a server
-/// and no line is as long, and a device that never ends has as much in a moment.
+/// Bytes without a frame, or without a line end, after which input does not count as a log. Chosen: no
+/// line is as long, nor is what a server says before its first frame, and input that never ends has as
+/// much within a second.
 pub const MAX_WITHOUT_FRAME: u64 = 16 << 20;
 
 /// Damage after which nothing of a log can be read.

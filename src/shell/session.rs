@@ -696,6 +696,9 @@ impl Session {
                 BusIndex(next)
             };
             named.push(bus);
+            if let Some(order) = order {
+                order.set_buses(port_at, named);
+            }
         }
         let mut end = before;
         for at in before..self.batch.len() {
@@ -709,7 +712,6 @@ impl Session {
         }
         self.batch.truncate(end);
         if let Some(order) = order {
-            order.set_buses(port_at, named);
             order.push(port_at, &self.batch[before..]);
         }
     }

@@ -102,13 +102,11 @@ async fn run_on_terminal(
         for effect in session.flush_effects() {
             match effect {
                 Effect::Quit => {
-                    let wait = if pace.is_answered() { LATE_REPLY } else { FIRST_REPLY };
-                    take_late_reply(&mut background, &mut input, (elapsed(), wait)).await;
+                    take_late_reply(&mut background, &mut input, &pace, elapsed()).await;
                     return Ok(TuiExit::Quit);
                 }
                 Effect::Suspend => {
-                    let wait = if pace.is_answered() { LATE_REPLY } else { FIRST_REPLY };
-                    take_late_reply(&mut background, &mut input, (elapsed(), wait)).await;
+                    take_late_reply(&mut background, &mut input, &pace, elapsed()).await;
                     drop(input);
                     terminal.suspend()?;
                     input = EventStream::new();
@@ -213,8 +211,10 @@ async fn run_on_terminal(
 async fn take_late_reply(
     background: &mut BackgroundReply,
     input: &mut EventStream,
-    (now, longest): (crate::time::Instant, Duration),
+    pace: &PaintPace,
+    now: crate::time::Instant,
 ) {
+    let longest = if pace.is_answered() { LATE_REPLY } else { FIRST_REPLY };
     if !background.is_awaited(now, longest) {
         return;
     }

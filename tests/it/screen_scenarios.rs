@@ -33,7 +33,7 @@ fn step(stage: &mut Stage, word: &str, rest: &str) -> Option<String> {
             let is_shown = screen.lines().any(|line| squeezed(line).contains(&wanted));
             return (is_shown != (word == "shows")).then_some(screen);
         }
-        other => return Some(format!("{other} is no step")),
+        other => return Some(format!("unknown step {other}")),
     }
     None
 }

@@ -17,7 +17,7 @@ const NAMES_PER_ADDRESS: usize = 16;
 pub struct AddressHolder {
     /// First frame from there; the first holder that is kept holds all times before, too.
     pub since: Instant,
-    /// `None` for nobody: another log began.
+    /// `None` if no device is known there: another log began.
     device: Option<DeviceId>,
     /// `None` while it is not known.
     pub name: Option<Name>,
@@ -99,7 +99,7 @@ impl AddressNames {
         self.push(address, AddressHolder { since: time, device, name, is_outdated: false });
     }
 
-    /// Notes that from now on nobody has an address that is known: another log begins.
+    /// Notes that from now on no device is known at any address: another log begins.
     pub(super) fn vacate(&mut self, since: Instant) {
         let held =
             |address: &Address| self.holders(*address).last().is_some_and(|it| it.device.is_some());
