@@ -254,11 +254,11 @@ impl Clock {
 impl PlaybackPace {
     fn now(&mut self) -> Instant {
         let pace = if self.is_standing() { self.from } else { self.pace() };
-        let now = if self.is_standing() && self.reads_to <= pace {
-            pace
-        } else {
-            let pace = pace.max(self.reads_to);
-            self.next().map_or(pace, |next| pace.min(next))
+        let now = match self.next() {
+            // What is read ahead is known up to the next frame; of a pipe nothing is.
+            Some(next) if self.reads_to > pace => self.reads_to.min(next),
+            Some(next) if !self.is_standing() => pace.min(next),
+            _ => pace,
         };
         // A moment that passed stays so.
         self.reached = self.reached.max(now);

@@ -292,6 +292,31 @@ fn truncated_or_replaced_file_is_read_from_start() {
     assert!(frames.is_sorted_by_key(|frame| frame.time));
 }
 
+/// Tests that the clock does not run ahead of what was written to a pipe.
+#[test]
+fn pipe_is_read_ahead_only_as_far_as_it_is_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("pipe.log");
+    nix::unistd::mkfifo(&path, nix::sys::stat::Mode::S_IRWXU).unwrap();
+    let pipe = path.clone();
+    let writer = std::thread::spawn(move || {
+        let mut pipe = File::options().write(true).open(pipe).unwrap();
+        pipe.write_all(b"(1000.0) can0 00000001#\n(1000.5) can0 00000002#\n").unwrap();
+        pipe
+    });
+    let clock = Clock::replaying(Epoch::from_unix_micros(1_000_000_000), 1.0);
+    let port = open(&BusSpec::File(path), clock.clone());
+    let _pipe = writer.join().unwrap();
+    clock.control(PlaybackCommand::Pause);
+    clock.control(PlaybackCommand::ReadTo(Instant::LATEST));
+    port.wake();
+    let mut frames = Vec::new();
+    take_with(&port, &mut frames, 2, || {});
+    assert!(clock.now() < Instant::ZERO + Duration::from_hours(1), "{:?}", clock.now());
+    clock.control(PlaybackCommand::Pause);
+    assert!(clock.now() < Instant::ZERO + Duration::from_hours(1), "{:?}", clock.now());
+}
+
 #[test]
 fn last_line_without_newline_is_read() {
     let (_folder, spec) = log_file("(1000.0) can0 00000001#\n(1000.1) can0 00000002#");
