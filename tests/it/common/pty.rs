@@ -179,7 +179,8 @@ impl Pty {
                 self.take(&bytes);
             }
             if let Some(status) = self.child.try_wait().unwrap() {
-                while let Ok(bytes) = self.output.recv_timeout(Duration::from_millis(50)) {
+                // A slow line still carries the last bytes; it ends when it has carried all.
+                while let Ok(bytes) = self.output.recv_timeout(PATIENCE) {
                     self.take(&bytes);
                 }
                 return status.exit_code();
