@@ -13,18 +13,23 @@ const SLOWEST: f64 = 0.001;
 const FASTEST: f64 = 100_000.0;
 /// How far a replay may lag behind its speed and still catch up.
 const MAX_LAG: Duration = Duration::from_millis(250);
+/// How soon the reader of one of several logs asks again whether its next frame is due.
+const ASK_AGAIN: Duration = Duration::from_millis(100);
+/// How far the date of a file that grows again may be ahead of other files that grow.
+const MAX_AHEAD: Duration = Duration::from_mins(1);
 
 /// The clock of a session, counting from its start; clones share it. The clock of a session of logs
 /// can be paused, stepped from frame to frame, and run faster and slower.
 #[derive(Clone, Debug)]
 pub struct Clock {
     epoch: Epoch,
-    is_replaying: bool,
     pace: Arc<Mutex<PlaybackPace>>,
 }
 
 #[derive(Debug)]
 struct PlaybackPace {
+    /// It is the clock of logs alone.
+    is_replaying: bool,
     /// It was `from` at `since`, and has run at `speed` since then.
     since: Monotonic,
     from: Instant,
@@ -36,8 +41,10 @@ struct PlaybackPace {
     reads_to: Instant,
     /// Time of the last frame of each log, as far as it is known.
     ends: BTreeMap<BusIndex, Instant>,
-    /// It is the clock of logs, and none is open yet.
-    awaits_log: bool,
+    /// How many logs are not open yet; with the last one it starts to run.
+    awaited_logs: usize,
+    /// Times of the first frames of the logs, from the first log on, as far as they are known.
+    starts: Vec<Option<Instant>>,
     /// Where each log is.
     logs: BTreeMap<BusIndex, LogPlace>,
 }
@@ -48,10 +55,13 @@ enum LogPlace {
     /// Its next frame has this moment or, if it was not read yet, a later one. The clock does not
     /// pass it before the frame is taken.
     Next(Instant),
-    /// Its entries are read as they are written, and the clock runs meanwhile. The moment of the
-    /// next one, if it was read.
+    /// A pipe, read as it is written, and the clock runs meanwhile. The moment of the next frame, if
+    /// it was read.
     Live(Option<Instant>),
-    /// All that was written of it is read: the clock stands at this moment until there is more.
+    /// A file that has grown after its end. Its next frame has this moment, or a later one.
+    Followed(Instant),
+    /// A file that has grown, of which all is read that was written. Its writer may have more that it
+    /// has not written yet, with this moment or a later one: the clock does not pass it.
     Read(Instant),
     /// At its end, for now.
     Ended,
@@ -60,22 +70,32 @@ enum LogPlace {
 impl Clock {
     /// A clock that starts now.
     pub fn start() -> Self {
-        Self::with(Epoch::from_unix_micros(wall_micros()), 1.0, false)
+        Self::with(Epoch::from_unix_micros(wall_micros()), 1.0, None)
     }
 
-    /// A clock that starts when the first log opens, at `epoch`, and runs `speed` times as fast as
-    /// real time, so that ages and timeouts keep the pace of the recording. A speed that is not a
-    /// positive number counts as 1.
+    /// A clock that starts when a log opens, at `epoch`, and runs `speed` times as fast as real time,
+    /// so that ages and timeouts keep the pace of the recording. A speed that is not a positive number
+    /// counts as 1.
     pub fn replaying(epoch: Epoch, speed: f64) -> Self {
-        Self::with(epoch, if speed.is_finite() && speed > 0.0 { speed } else { 1.0 }, true)
+        Self::of_logs(epoch, speed, vec![None])
     }
 
-    fn with(epoch: Epoch, speed: f64, is_replaying: bool) -> Self {
+    /// As [`replaying`](Self::replaying), but it starts when as many logs are open as there are times
+    /// in `starts`: the time of the first frame of each, `None` for the present when that frame is read.
+    pub fn of_logs(epoch: Epoch, speed: f64, starts: Vec<Option<Instant>>) -> Self {
+        let speed = if speed.is_finite() && speed > 0.0 { speed } else { 1.0 };
+        Self::with(epoch, speed, Some(starts))
+    }
+
+    fn with(epoch: Epoch, speed: f64, starts: Option<Vec<Option<Instant>>>) -> Self {
+        let is_replaying = starts.is_some();
+        let starts = starts.unwrap_or_default();
         let logs = BTreeMap::new();
         let (since, from) = (Monotonic::now(), Instant::ZERO);
         let reached = from;
-        let awaits_log = is_replaying;
+        let awaited_logs = starts.len();
         let pace = PlaybackPace {
+            is_replaying,
             since,
             from,
             reached,
@@ -83,10 +103,11 @@ impl Clock {
             is_paused: false,
             reads_to: Instant::ZERO,
             ends: BTreeMap::new(),
-            awaits_log,
+            awaited_logs,
+            starts,
             logs,
         };
-        Self { epoch, is_replaying, pace: Arc::new(Mutex::new(pace)) }
+        Self { epoch, pace: Arc::new(Mutex::new(pace)) }
     }
 
     /// The present moment.
@@ -108,7 +129,9 @@ impl Clock {
     pub fn until(&self, at: Instant) -> Duration {
         let mut pace = self.pace();
         let left = at.since(pace.now());
-        let stands = pace.is_standing() || pace.awaits_more();
+        // What moves it then are frames, not time.
+        let stands =
+            pace.is_standing() || pace.is_led() || pace.read_to().is_some_and(|it| it < at);
         if stands && !left.is_zero() { Duration::MAX } else { left.div_f64(pace.speed) }
     }
 
@@ -116,31 +139,43 @@ impl Clock {
     /// taken.
     pub(super) fn is_due(&self, at: Instant) -> bool {
         let mut pace = self.pace();
-        let now = if pace.is_standing() { pace.now() } else { pace.pace() };
-        at <= now
+        if pace.is_standing() { at <= pace.now() } else { pace.is_led() || at <= pace.pace() }
     }
 
-    /// Wall-clock time until a frame of this moment [is due](Self::is_due); [`Duration::MAX`] while the
-    /// clock stands.
+    /// Wall-clock time until a frame of this moment [is due](Self::is_due), or until that is asked again
+    /// because another log may have moved the clock; [`Duration::MAX`] while a clock of one log stands.
     pub(super) fn until_due(&self, at: Instant) -> Duration {
         let pace = self.pace();
-        if pace.is_standing() { Duration::MAX } else { at.since(pace.pace()).div_f64(pace.speed) }
+        let left = if pace.is_standing() {
+            Duration::MAX
+        } else if pace.is_led() {
+            Duration::ZERO
+        } else {
+            at.since(pace.pace()).div_f64(pace.speed)
+        };
+        let is_one = pace.logs.len() + pace.awaited_logs == 1;
+        if is_one { left } else { left.min(ASK_AGAIN) }
     }
 
     /// Moment before which a log has no further frame, besides those that were delivered; `None` if that
     /// is not known, and at its end.
     pub fn next_of(&self, log: BusIndex) -> Option<Instant> {
         match self.pace().logs.get(&log)? {
-            LogPlace::Next(at) => Some(*at),
-            LogPlace::Live(_) | LogPlace::Read(_) | LogPlace::Ended => None,
+            LogPlace::Next(at) | LogPlace::Followed(at) | LogPlace::Read(at) => Some(*at),
+            LogPlace::Live(_) | LogPlace::Ended => None,
         }
+    }
+
+    /// Time of the first frame of a log; `None` if it is the present when that frame is read.
+    pub(super) fn start_of(&self, log: BusIndex) -> Option<Instant> {
+        self.pace().starts.get(usize::from(log.0)).copied().flatten()
     }
 
     /// The status of the playback; `None` unless all buses are logs.
     pub fn playback(&self) -> Option<Playback> {
         let mut pace = self.pace();
         let now = pace.now();
-        self.is_replaying.then_some(Playback {
+        pace.is_replaying.then_some(Playback {
             speed: pace.speed,
             is_paused: pace.is_paused,
             is_ended: pace.is_ended(),
@@ -152,7 +187,7 @@ impl Clock {
     /// Executes a playback command, if all buses are logs. The caller wakes threads that sleep by
     /// this clock.
     pub fn control(&self, command: PlaybackCommand) {
-        if !self.is_replaying {
+        if !self.pace().is_replaying {
             return;
         }
         self.change(|pace| match command {
@@ -160,7 +195,7 @@ impl Clock {
             PlaybackCommand::Step => {
                 pace.is_paused = true;
                 let next = pace.logs.values().filter_map(|place| match place {
-                    LogPlace::Next(at) => Some(*at),
+                    LogPlace::Next(at) | LogPlace::Followed(at) => Some(*at),
                     LogPlace::Live(next) => *next,
                     LogPlace::Read(_) | LogPlace::Ended => None,
                 });
@@ -176,8 +211,10 @@ impl Clock {
     /// Adds a log; `is_live`: it is read as it is written.
     pub(super) fn log_opens(&self, log: BusIndex, is_live: bool) {
         self.change(|pace| {
-            let place = if is_live { LogPlace::Live(None) } else { LogPlace::Next(pace.from) };
-            pace.awaits_log = false;
+            let start = pace.starts.get(usize::from(log.0)).copied().flatten();
+            let start = start.unwrap_or(pace.from);
+            let place = if is_live { LogPlace::Live(None) } else { LogPlace::Next(start) };
+            pace.awaited_logs = pace.awaited_logs.saturating_sub(1);
             pace.logs.insert(log, place);
         });
     }
@@ -189,6 +226,7 @@ impl Clock {
         pace.drop_lag();
         let waits = match pace.logs.get(&log) {
             Some(LogPlace::Live(_)) => LogPlace::Live(Some(next)),
+            Some(LogPlace::Followed(_) | LogPlace::Read(_)) => LogPlace::Followed(next),
             _ => LogPlace::Next(next),
         };
         pace.logs.insert(log, waits);
@@ -214,27 +252,41 @@ impl Clock {
         });
     }
 
-    /// Notes that a log continues after its end with a frame of this moment. With a single log the
-    /// clock jumps to it.
-    pub(super) fn log_resumed(&self, log: BusIndex, next: Instant) {
+    /// Notes that a file continues after its end, and returns the time of its first new frame: its own,
+    /// `dated`, where nothing else goes by the clock, or files that grow, too, and it is not past nor far
+    /// ahead of these. Otherwise that frame is of now.
+    pub(super) fn log_resumes(&self, log: BusIndex, dated: Instant) -> Instant {
+        let mut next = dated;
         self.change(|pace| {
-            pace.logs.insert(log, LogPlace::Live(None));
-            // From now on lines come as they are written.
-            pace.speed = 1.0;
-            if pace.logs.len() == 1 {
-                pace.from = pace.from.max(next);
+            let is_alone = pace
+                .logs
+                .iter()
+                .all(|(other, place)| *other == log || matches!(place, LogPlace::Ended));
+            pace.logs.insert(log, LogPlace::Followed(dated));
+            let is_led = pace.is_led();
+            let latest = if !is_led {
+                pace.from
+            } else if is_alone {
+                Instant::LATEST
+            } else {
+                pace.from + MAX_AHEAD
+            };
+            next = if dated <= latest { dated.max(pace.from) } else { pace.from };
+            pace.logs.insert(log, LogPlace::Followed(next));
+            if is_led {
+                // From now on lines come as they are written.
+                pace.speed = 1.0;
             }
         });
+        next
     }
 
-    /// Notes that all that was written of a log is read. Its writer may have more that it has not
-    /// written yet, so with a single log the clock stands until there is more: silence since the last
-    /// frame says nothing about the devices.
-    pub(super) fn log_awaits_more(&self, log: BusIndex) {
+    /// Notes that all that was written of a log is read, up to a frame of this moment. Its writer may
+    /// have more that it has not written yet, so the clock does not run on: silence since that frame says
+    /// nothing about the devices.
+    pub(super) fn log_awaits_more(&self, log: BusIndex, last: Instant) {
         self.change(|pace| {
-            if pace.logs.len() == 1 {
-                pace.logs.insert(log, LogPlace::Read(pace.from));
-            }
+            pace.logs.insert(log, LogPlace::Read(last));
         });
     }
 
@@ -253,11 +305,13 @@ impl Clock {
 
 impl PlaybackPace {
     fn now(&mut self) -> Instant {
-        let pace = if self.is_standing() { self.from } else { self.pace() };
+        let stands = self.is_standing();
+        let pace = if stands { self.from } else { self.pace() };
         let now = match self.next() {
             // What is read ahead is known up to the next frame; of a pipe nothing is.
             Some(next) if self.reads_to > pace => self.reads_to.min(next),
-            Some(next) if !self.is_standing() => pace.min(next),
+            Some(next) if !stands && self.is_led() => next,
+            Some(next) if !stands => pace.min(next),
             _ => pace,
         };
         // A moment that passed stays so.
@@ -270,18 +324,38 @@ impl PlaybackPace {
         self.from + self.since.elapsed().mul_f64(self.speed)
     }
 
-    /// The moment of the first frame that waits to be taken, or of the last one where more is awaited.
+    /// The moment that it does not pass: of the first frame that waits to be taken, or of the last one
+    /// where more is awaited.
     fn next(&self) -> Option<Instant> {
         let next = self.logs.values().filter_map(|place| match place {
-            LogPlace::Next(at) | LogPlace::Read(at) => Some(*at),
+            LogPlace::Next(at) => Some(*at),
+            LogPlace::Followed(at) | LogPlace::Read(at) => self.is_replaying.then_some(*at),
             LogPlace::Live(_) | LogPlace::Ended => None,
         });
         next.min()
     }
 
-    /// Returns true if it stands until more of a log is written.
-    fn awaits_more(&self) -> bool {
-        self.logs.values().any(|place| matches!(place, LogPlace::Read(_)))
+    /// The moment that it does not pass until more of a log is written.
+    fn read_to(&self) -> Option<Instant> {
+        let places = self.logs.values().filter(|_| self.is_replaying);
+        let read = places.filter_map(|place| match place {
+            LogPlace::Read(at) => Some(*at),
+            _ => None,
+        });
+        read.min()
+    }
+
+    /// Returns true if it goes by the frames of files that grow, as fast as they are written.
+    fn is_led(&self) -> bool {
+        self.is_replaying && !self.is_ended() && self.are_all_followed()
+    }
+
+    /// Returns true if all logs are followed, but for those at their ends.
+    fn are_all_followed(&self) -> bool {
+        self.logs.values().all(|place| match place {
+            LogPlace::Followed(_) | LogPlace::Read(_) | LogPlace::Ended => true,
+            LogPlace::Next(_) | LogPlace::Live(_) => false,
+        })
     }
 
     fn begin_at_now(&mut self) {
@@ -301,12 +375,13 @@ impl PlaybackPace {
     }
 
     fn is_standing(&self) -> bool {
-        self.is_paused || self.awaits_log || self.is_ended()
+        self.is_paused || self.awaited_logs > 0 || self.is_ended()
     }
 
+    /// Returns true if all logs are at their ends.
     fn is_ended(&self) -> bool {
         let ended = |place: &LogPlace| matches!(place, LogPlace::Ended);
-        !self.logs.is_empty() && self.logs.values().all(ended)
+        self.is_replaying && !self.logs.is_empty() && self.logs.values().all(ended)
     }
 }
 
@@ -418,13 +493,66 @@ mod tests {
         let end = clock.now();
         assert_eq!(clock.playback().map(|it| it.is_ended), Some(true));
         assert_eq!(clock.now(), end);
-        // It does not leap where another log goes by it.
-        clock.log_resumed(first, end + Duration::from_hours(5));
-        assert!(clock.now() < end + Duration::from_hours(1));
+    }
+
+    #[test]
+    fn clock_goes_by_the_frames_of_files_that_grow() {
+        let clock = Clock::of_logs(Epoch::default(), 8.0, vec![Some(Instant::ZERO), None]);
+        let (first, second) = (BusIndex(0), BusIndex(1));
+        let at = |seconds| Instant::ZERO + Duration::from_secs(seconds);
+        clock.log_opens(first, false);
+        assert_eq!(clock.until(at(1)), Duration::MAX, "the second one is not open");
+        clock.log_opens(second, false);
+        clock.log_ends(second);
+        clock.log_waits(first, at(10_000));
+        assert_eq!(clock.log_resumes(second, at(9_000)), clock.now(), "the first one is played");
+        clock.log_ends(second);
+        clock.log_waits(first, Instant::ZERO);
+        clock.log_ends(first);
+        let end = clock.now();
         assert_eq!(
-            clock.playback(),
-            Some(Playback { speed: 1.0, is_paused: false, is_ended: false, ..Playback::default() })
+            clock.log_resumes(first, end + Duration::from_hours(5)),
+            end + Duration::from_hours(5)
         );
+        assert_eq!(clock.now(), end + Duration::from_hours(5));
+        assert_eq!(
+            clock.playback().map(|it| it.speed),
+            Some(1.0),
+            "lines come as they are written"
+        );
+        // All is read that was written.
+        let last = clock.now();
+        clock.log_awaits_more(first, last);
+        assert_eq!(clock.until(last + Duration::from_secs(1)), Duration::MAX);
+        assert_eq!(clock.now(), last);
+        // The second one grows, too: both set the time.
+        assert_eq!(clock.log_resumes(second, last - Duration::from_secs(8)), last, "late");
+        clock.log_waits(second, last + Duration::from_secs(3));
+        assert_eq!(clock.now(), last);
+        assert!(clock.is_due(last + Duration::from_secs(3)));
+        clock.log_waits(first, last + Duration::from_secs(2));
+        assert_eq!(clock.now(), last + Duration::from_secs(2));
+        clock.log_ends(first);
+        assert_eq!(clock.now(), last + Duration::from_secs(3));
+        let far = clock.now() + Duration::from_hours(5);
+        assert_eq!(clock.log_resumes(first, far), clock.now(), "not years ahead of the other");
+    }
+
+    #[test]
+    fn live_clock_is_not_held_up_by_logs() {
+        let clock = Clock::start();
+        let log = BusIndex(1);
+        clock.log_opens(log, false);
+        clock.log_ends(log);
+        let soon = clock.now() + Duration::from_millis(1);
+        assert!(clock.until(soon) < Duration::from_secs(1));
+        clock.log_awaits_more(log, clock.now());
+        assert!(clock.until(clock.now() + Duration::from_millis(1)) < Duration::from_secs(1));
+        assert!(clock.log_resumes(log, far_future()) < far_future());
+    }
+
+    fn far_future() -> Instant {
+        Instant::ZERO + Duration::from_hours(9)
     }
 
     #[test]

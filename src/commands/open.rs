@@ -9,7 +9,7 @@ use crate::discovery::Config;
 use crate::frame::{BusIndex, IdFilter};
 use crate::guide;
 use crate::keymap::Keymap;
-use crate::log::LogSummary;
+use crate::log::LogReader;
 use crate::regular_file::{read_text, shown};
 use crate::shell::config::{ConfigFolder, UserSettings};
 use crate::shell::recorder::{Recorder, Size, Target};
@@ -17,7 +17,7 @@ use crate::shell::session::Session;
 use crate::shell::store::Store;
 use crate::status::RecordingStatus;
 use crate::text::{SafeLines, on_one_line, printable};
-use crate::time::Epoch;
+use crate::time::{Epoch, Instant};
 use crate::wire::profile::Profile;
 use std::io::{self, BufReader, IsTerminal};
 use std::path::{Path, PathBuf};
@@ -239,7 +239,8 @@ fn names_of(interfaces: &[CanInterface]) -> String {
 fn known(bus: &BusSpec) -> Result<BusSpec, Failure> {
     match bus {
         BusSpec::SocketCan(word) if !bus::interface_exists(word) => {
-            if Path::new(word).is_file() {
+            // Also a pipe.
+            if std::fs::metadata(word).is_ok_and(|it| !it.is_dir()) {
                 Ok(BusSpec::File(word.into()))
             } else if is_like_an_interface(word) {
                 Ok(bus.clone())
@@ -301,19 +302,43 @@ pub fn check_speed(speed: Option<f64>, buses: &[BusSpec]) -> Result<(), Failure>
 
 /// The clock of a session; logs keep the pace, times `speed`, and the dates of their recording.
 pub fn clock(buses: &[BusSpec], speed: f64) -> Result<Clock, Failure> {
-    let log = buses.iter().find_map(|bus| match bus {
-        BusSpec::File(path) => Some(path),
-        _ => None,
-    });
     // Beside a live bus, a log is replayed in real time, from now.
     if !buses.iter().all(is_log) {
         return Ok(Clock::start());
     }
-    let epoch = match log {
-        Some(path) => epoch_of(path)?,
-        None => Clock::start().epoch(),
+    let ranges: Vec<Option<LogDates>> = buses.iter().map(range_of).collect::<Result<_, _>>()?;
+    let Some(first) = ranges.iter().flatten().next() else {
+        let starts = vec![None; buses.len()];
+        return Ok(Clock::of_logs(Clock::start().epoch(), speed, starts));
     };
-    Ok(Clock::replaying(epoch, speed))
+    let epoch = Epoch::from_unix_micros(common_start(&ranges, first));
+    let start_of =
+        |range: &LogDates| Instant::from_micros(range.first - common_start(&ranges, range));
+    let starts = ranges.iter().map(|range| range.as_ref().map(start_of)).collect();
+    Ok(Clock::of_logs(epoch, speed, starts))
+}
+
+/// The dates between which a log was recorded, in Unix microseconds.
+struct LogDates {
+    first: u64,
+    last: u64,
+}
+
+/// Start of the logs that were recorded at the same time as this one, or at the same time as one of
+/// them, and so on. These keep their dates; recordings of other times begin together with them.
+fn common_start(ranges: &[Option<LogDates>], log: &LogDates) -> u64 {
+    let (mut first, mut last) = (log.first, log.last);
+    loop {
+        let meets = |range: &&LogDates| range.first <= last && range.last >= first;
+        let met = ranges.iter().flatten().filter(meets);
+        let (from, until) = met.fold((first, last), |(from, until), range| {
+            (from.min(range.first), until.max(range.last))
+        });
+        if (from, until) == (first, last) {
+            return first;
+        }
+        (first, last) = (from, until);
+    }
 }
 
 /// The log, if the input is one; `None` for buses.
@@ -344,28 +369,32 @@ pub fn is_log(bus: &BusSpec) -> bool {
     matches!(bus, BusSpec::File(_) | BusSpec::Stdin)
 }
 
-/// Unix time of the first frame of a log; now if it is not a file.
+/// The dates of a log; `None` if it is not a file, or has no frame.
 ///
 /// # Errors
 /// It cannot be read, or is of another format.
-fn epoch_of(path: &Path) -> Result<Epoch, Failure> {
-    let log = bus::open_log(path)?;
-    let first = || -> io::Result<_> {
-        if !log.metadata()?.is_file() {
-            return Ok(None);
-        }
-        let mut reader = crate::log::LogReader::new(BufReader::new(log));
-        reader.next_frame()?;
-        Ok(Some(reader.summary().clone()))
-    };
-    let name = format_args!("file:{}", shown(path));
-    match first().map_err(|error| Diagnostic::unreadable(name, &error))? {
-        None => Ok(Clock::start().epoch()),
-        Some(LogSummary { foreign: Some(foreign), .. }) => {
-            Err(Failure::Unusable(format!("{name}: {foreign}")))
-        }
-        Some(summary) => Ok(summary.epoch.unwrap_or_default()),
+fn range_of(bus: &BusSpec) -> Result<Option<LogDates>, Failure> {
+    let BusSpec::File(path) = bus else { return Ok(None) };
+    // A pipe is opened once: its writer ends when that is closed.
+    if std::fs::metadata(path).is_ok_and(|it| !it.is_file() && !it.is_dir()) {
+        return Ok(None);
     }
+    let log = bus::open_log(path)?;
+    let name = format_args!("file:{}", shown(path));
+    let read = || -> io::Result<_> {
+        let mut reader = LogReader::new(BufReader::new(&log));
+        reader.next_frame()?;
+        let last = reader.position().last_time_of(&log)?;
+        Ok((reader.summary().clone(), last))
+    };
+    let (summary, last) = read().map_err(|error| Diagnostic::unreadable(name, &error))?;
+    if let Some(foreign) = summary.foreign {
+        return Err(Failure::Unusable(format!("{name}: {foreign}")));
+    }
+    Ok(summary.epoch.map(|epoch| LogDates {
+        first: epoch.unix_micros(Instant::ZERO),
+        last: epoch.unix_micros(last.unwrap_or(Instant::ZERO)),
+    }))
 }
 
 /// Opens the buses and joins them with the app.

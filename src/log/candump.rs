@@ -160,13 +160,16 @@ impl LineDecoder {
 
     /// Notes damage if what was read is too much for a log.
     fn check_damage(&mut self, used: usize, summary: &mut LogSummary) {
-        if summary.frames == 0 {
+        if summary.own_frames() == 0 {
             self.before_frame += used as u64;
         }
         let is_inside_line = self.skipped > 0;
         if is_inside_line && self.skipped + used as u64 >= MAX_WITHOUT_FRAME {
             summary.damage = Some(Damage::NoLineEnd);
-        } else if !is_inside_line && summary.frames == 0 && self.before_frame >= MAX_WITHOUT_FRAME {
+        } else if !is_inside_line
+            && summary.own_frames() == 0
+            && self.before_frame >= MAX_WITHOUT_FRAME
+        {
             summary.damage = Some(Damage::NoFrame);
         }
     }
@@ -259,7 +262,7 @@ impl LogDecoder for LineDecoder {
 fn take_line(line: &[u8], summary: &mut LogSummary) -> Option<Frame> {
     let line = line.strip_prefix(BYTE_ORDER_MARK).filter(|_| summary.entries == 0).unwrap_or(line);
     let entry = parse_line(line);
-    if entry.is_err() && summary.frames == 0 {
+    if entry.is_err() && summary.own_frames() == 0 {
         summary.foreign = ForeignFormat::of_line(line);
     }
     summary.take(entry)

@@ -8,7 +8,12 @@
 use super::{DecodeStep, LogDecoder, LogFormat, LogSummary};
 use crate::frame::Frame;
 use crate::time::Instant;
+use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read};
+use std::os::unix::fs::FileExt;
+
+/// Bytes of the end of a log in which its last frame is looked for.
+const TAIL: usize = 1 << 16;
 
 /// Reads the frames of a log. The first frame is at [`Instant::ZERO`](crate::time::Instant::ZERO).
 /// A frame dated up to 1 s before its predecessor gets the same moment; after a larger step back,
@@ -41,7 +46,19 @@ impl LogPosition {
 
     /// Moment of the last frame in the last bytes of this log, if its clock is not set back between;
     /// `None` if none is found there.
-    pub fn last_time_in(&self, tail: &[u8]) -> Option<Instant> {
+    ///
+    /// # Errors
+    ///
+    /// Those of the file system.
+    pub fn last_time_of(&self, log: &File) -> io::Result<Option<Instant>> {
+        let size = log.metadata()?.len();
+        let mut tail = vec![0; TAIL.min(usize::try_from(size).unwrap_or(TAIL))];
+        let start = size - tail.len() as u64;
+        log.read_exact_at(&mut tail, start)?;
+        Ok(self.last_time_in(&tail))
+    }
+
+    fn last_time_in(&self, tail: &[u8]) -> Option<Instant> {
         let start = self.decoder.as_ref()?.entry_start(tail)?;
         let reader = LogReader::at(&tail[start..], self);
         reader.map_while(Result::ok).last().map(|frame| frame.time)
@@ -206,7 +223,7 @@ impl<R: Read> LogReader<BufReader<R>> {
         self.source.consume(left);
         self.head.clear();
         self.decoder = None;
-        (self.summary.damage, self.summary.foreign) = (None, None);
+        self.summary.begin_another_log();
     }
 
     /// Returns the next frame that is buffered as a whole; `None` if the source must be read.
@@ -233,7 +250,7 @@ impl<R: Read> LogReader<BufReader<R>> {
     }
 
     /// Returns true if a step makes progress without a read from the source.
-    fn has_buffered(&self) -> bool {
+    pub fn has_buffered(&self) -> bool {
         let buffer = self.source.buffer();
         match &self.decoder {
             None => !buffer.is_empty(),

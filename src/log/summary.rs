@@ -41,8 +41,10 @@ pub struct LogSummary {
     pub(super) unit: &'static str,
     /// Entries, readable or not.
     pub entries: u64,
-    /// Frames.
+    /// Frames, also of logs before that this one replaced.
     pub frames: u64,
+    /// Frames of the logs before.
+    frames_before: u64,
     /// Entries that cannot be read.
     pub unreadable: u64,
     /// First unreadable entry: its number, counted from 1, and its fault.
@@ -89,6 +91,19 @@ impl LogSummary {
         (self.unreadable, self.first_unreadable) = (0, None);
     }
 
+    /// Returns the number of frames of this log, without those of logs that it replaced.
+    pub fn own_frames(&self) -> u64 {
+        self.frames - self.frames_before
+    }
+
+    /// Counts the entries of another log, which follows. Interfaces, frames and time go on.
+    pub(super) fn begin_another_log(&mut self) {
+        self.forget_unreadable();
+        (self.entries, self.clock_steps_back) = (0, 0);
+        (self.damage, self.foreign) = (None, None);
+        self.frames_before = self.frames;
+    }
+
     /// Returns the number of entries that cannot be read; of a damaged log, its rest counts as one.
     pub fn lost_entries(&self) -> u64 {
         self.unreadable + u64::from(self.damage.is_some() || self.foreign.is_some())
@@ -100,7 +115,7 @@ impl LogSummary {
     pub fn is_doubtful(&self, is_all: bool) -> bool {
         /// Entries of a short greeting.
         const GREETING: u64 = 8;
-        self.frames == 0 && self.unreadable >= if is_all { 1 } else { GREETING }
+        self.own_frames() == 0 && self.unreadable >= if is_all { 1 } else { GREETING }
     }
 
     /// Counts an entry; returns its frame with bus and moment.
@@ -169,7 +184,8 @@ impl LogSummary {
             std::mem::swap(&mut self.ahead, &mut self.ahead_before);
         }
         let late_by = late(self.ahead);
-        self.clock_steps_back += u64::from(late_by < 0);
+        // Another log has other dates.
+        self.clock_steps_back += u64::from(late_by < 0 && self.own_frames() > 0);
         if late_by < -micros(MAX_REORDER) {
             let set_back = u64::try_from(-late_by).unwrap_or(u64::MAX);
             self.ahead_before = self.ahead;
@@ -197,7 +213,8 @@ impl fmt::Display for LogSummary {
             return write!(f, "{foreign}");
         }
         let plural = |count| if count == 1 { "" } else { "s" };
-        write!(f, "{} frame{}", self.frames, plural(self.frames))?;
+        let frames = self.own_frames();
+        write!(f, "{frames} frame{}", plural(frames))?;
         if self.interfaces.len() > 1 {
             write!(f, " of {} interfaces", self.interfaces.len())?;
         }

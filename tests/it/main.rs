@@ -53,6 +53,7 @@ mod scenarios;
 mod schema;
 mod screen;
 mod screen_scenarios;
+mod several_logs;
 mod shared_services;
 mod sim;
 mod simulation;

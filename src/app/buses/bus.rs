@@ -343,6 +343,8 @@ impl Bus {
         let has_listened = self.has_listened(now);
         let kept = self.up_since.filter(|_| is_up(new) || has_listened);
         self.up_since = kept.or(is_up(new).then_some(now));
+        // While others went on, the devices of a log at its end were not heard.
+        let stood_since = self.ended.filter(|ended| is_up(new) && *ended < now);
         let was_open = !matches!(old.link, Link::Opening | Link::Ended);
         // The counters show an outage that began and ended between two statuses.
         let was_away = !is_up(&old) || old.outages < new.outages || old.bus_offs < new.bus_offs;
@@ -367,7 +369,10 @@ impl Bus {
             self.engine.suspend(now);
             self.quarantined_until = None;
         }
-        if came_back {
+        if let Some(since) = stood_since {
+            self.engine.suspend(since);
+        }
+        if came_back || stood_since.is_some() {
             self.engine.restart(now);
         }
         if newly_lost > 0 {

@@ -83,11 +83,7 @@ impl LogIndex {
     /// file does not show it. Call when the first frame was read.
     pub fn last_time(&self, position: &LogPosition) -> Option<Instant> {
         let log = Arc::clone(&self.places().log);
-        let size = log.metadata().ok()?.len();
-        let mut tail = vec![0; PART.min(usize::try_from(size).ok()?)];
-        let start = size - tail.len() as u64;
-        log.read_exact_at(&mut tail, start).ok()?;
-        position.last_time_in(&tail)
+        position.last_time_of(&log).ok()?
     }
 
     // A panic of another thread leaves nothing half-done in here, so its poison is ignored.

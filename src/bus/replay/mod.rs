@@ -30,6 +30,10 @@ use std::time::Instant as Monotonic;
 /// Lateness of a frame beyond which the rest of the log is shifted with it. A live log
 /// (`ssh board candump -L can0 | descan -`) is always a little late.
 const MAX_LATENESS: Duration = Duration::from_millis(250);
+/// Of a log that is not shown at its own dates.
+const OTHER_DATES: &str = "recorded at another time: begins with the first log";
+/// Smallest difference of the times shown and those of the log that is reported.
+const MIN_MOVE: Duration = Duration::from_millis(100);
 /// How long to wait for the consumer when the queue is full.
 const FULL_QUEUE_NAP: Duration = Duration::from_millis(5);
 /// Most frames that are delivered together while a log is read as fast as possible.
@@ -60,6 +64,13 @@ fn start(log: File, path: Option<&Path>, request: OpenRequest) -> io::Result<Por
     let metadata = log.metadata()?;
     let (is_file, size) = (metadata.is_file(), metadata.len());
     clock.log_opens(bus, !is_file);
+    let later = clock.start_of(bus).map_or(Duration::ZERO, |start| start.since(clock.now()));
+    if !later.is_zero() {
+        let note = format!("its first frame is {:.1} s after the start", later.as_secs_f64());
+        shared.queue.update_status(|status| {
+            (status.link, status.note) = (Link::Opening, Some(note));
+        });
+    }
     let mut port = Port::new(&name, Arc::clone(&shared), true);
     let path = path.filter(|_| is_file).map(Path::to_owned);
     let source = LogSource { log, shared: Arc::clone(&shared), is_file, read: 0, size };
@@ -80,7 +91,11 @@ fn start(log: File, path: Option<&Path>, request: OpenRequest) -> io::Result<Por
             path,
             bus,
             clock,
+            start: None,
             anchor: None,
+            last: Instant::ZERO,
+            awaits_start: true,
+            is_resuming: false,
             reads_to: Instant::ZERO,
             waiting: Vec::with_capacity(AT_ONCE),
             named: 0,
@@ -106,8 +121,17 @@ struct Replay {
     /// Bus of its first interface.
     bus: BusIndex,
     clock: Clock,
-    /// A moment of the log and the same moment of the session.
+    /// Moment of its first frame in the log, and in the session.
+    start: Option<(Instant, Instant)>,
+    /// Moment of a frame in the log, and in the session, from which on it is shown: that of its start,
+    /// unless it is late since.
     anchor: Option<(Instant, Instant)>,
+    /// Time of its last frame that was delivered.
+    last: Instant,
+    /// Its first frame was not delivered yet.
+    awaits_start: bool,
+    /// The next frame is the first one after its end.
+    is_resuming: bool,
     /// Moment up to which frames are delivered as fast as possible, as it was last looked at.
     reads_to: Instant,
     /// Frames that are delivered together.
@@ -181,6 +205,10 @@ impl Replay {
 
     fn next_frame(&mut self) -> io::Result<Option<Frame>> {
         let frame = loop {
+            // A pipe may not have more for long.
+            if self.path.is_none() && !self.reader.has_buffered() && !self.flush()? {
+                break None;
+            }
             match self.reader.step()? {
                 DecodeStep::Frame(frame) => break Some(frame),
                 DecodeStep::End => break None,
@@ -216,26 +244,23 @@ impl Replay {
         }
         let (from, to) = self.anchor.unwrap_or_else(|| self.begin_at(&frame));
         let mut due = to + frame.time.since(from);
-        if due <= self.reads_to && !self.follows {
+        let is_in_time = due >= self.clock.now();
+        if due <= self.reads_to && !self.follows && (self.path.is_some() || is_in_time) {
             return self.play_at_once(frame.with_time(due));
         }
         if !self.flush()? {
             return Ok(false);
         }
-        self.clock.log_waits(self.bus, due);
-        if self.follows {
-            let is_paused = || self.clock.playback().is_some_and(|it| it.is_paused);
-            while is_paused() && self.clock.now() < due && !self.shared.is_stopped() {
-                self.shared.wait(None, None)?;
-            }
-            self.clock.log_resumed(self.bus, due);
+        let planned = due;
+        if std::mem::take(&mut self.is_resuming) {
+            let (from, to) = self.start.unwrap_or((from, to));
+            let dated = to + frame.time.since(from);
+            due = self.clock.log_resumes(self.bus, dated);
+            self.report_moved(dated, due);
         }
-        let now = self.clock.now();
-        let earliest = now - self.clock.run_in(MAX_LATENESS);
-        let latest = if self.follows { now } else { due };
-        let moved = due.min(latest).max(earliest);
-        if moved != due {
-            due = moved;
+        self.clock.log_waits(self.bus, due);
+        due = due.max(self.clock.now() - self.clock.run_in(MAX_LATENESS));
+        if due != planned {
             self.anchor = Some((frame.time, due));
             self.clock.log_waits(self.bus, due);
         }
@@ -245,7 +270,7 @@ impl Replay {
             }
             let is_full = self.shared.queue.room() == 0;
             self.reads_to = self.clock.reads_to();
-            let is_read_ahead = due <= self.reads_to && !self.follows;
+            let is_read_ahead = due <= self.reads_to;
             if (is_read_ahead || self.clock.is_due(due)) && !is_full {
                 break;
             }
@@ -253,17 +278,22 @@ impl Replay {
             self.shared.wait(None, Some(nap))?;
         }
         self.report_position();
+        self.report_start();
         let bus = BusIndex(self.bus.0.saturating_add(frame.bus.0));
         self.shared.queue.push(&[frame.with_time(due).with_bus(bus)]);
+        self.last = due;
         Ok(true)
     }
 
     /// Returns the time of the first frame in the log, and in the session.
     fn begin_at(&mut self, frame: &Frame) -> (Instant, Instant) {
         // The session begins with the log, if its dates are the log's.
-        let is_own = self.reader.summary().epoch == Some(self.clock.epoch());
-        let to = if is_own { Instant::ZERO } else { self.clock.now() };
-        self.anchor = Some((frame.time, to));
+        let epoch = self.reader.summary().epoch;
+        let own = Some(Instant::ZERO).filter(|_| epoch == Some(self.clock.epoch()));
+        let start = self.clock.start_of(self.bus).or(own);
+        let to = start.unwrap_or_else(|| self.clock.now());
+        self.start = Some((frame.time, to));
+        self.anchor = self.start;
         let last = self.index.as_ref().and_then(|it| it.last_time(&self.reader.position()));
         if let Some(last) = last {
             self.clock.set_log_end(self.bus, to + last.since(frame.time));
@@ -277,6 +307,7 @@ impl Replay {
             // The clock does not pass it before it is delivered.
             self.clock.log_waits(self.bus, frame.time);
         }
+        self.last = frame.time;
         let bus = BusIndex(self.bus.0.saturating_add(frame.bus.0));
         self.waiting.push(frame.with_bus(bus));
         if self.waiting.len() < AT_ONCE { Ok(true) } else { self.flush() }
@@ -293,6 +324,7 @@ impl Replay {
             }
             self.shared.wait(None, Some(FULL_QUEUE_NAP))?;
         }
+        self.report_start();
         self.shared.queue.push(&self.waiting);
         self.waiting.clear();
         self.reads_to = self.clock.reads_to();
@@ -311,6 +343,32 @@ impl Replay {
         let note = format!("{}; {READABLE_LOGS}", summary.unreadable_entries());
         self.shared.queue.update_status(|status| status.note = Some(note));
         self.report_position();
+    }
+
+    /// Reports that its first frame is delivered.
+    fn report_start(&mut self) {
+        if !std::mem::take(&mut self.awaits_start) {
+            return;
+        }
+        let other_dates = || {
+            let (from, to) = self.start?;
+            let own = self.reader.summary().epoch?.unix_micros(from);
+            self.clock.start_of(self.bus)?;
+            (self.clock.epoch().unix_micros(to) != own).then_some(OTHER_DATES.to_owned())
+        };
+        let note = other_dates();
+        self.shared.queue.update_status(|status| (status.link, status.note) = (Link::Up, note));
+    }
+
+    /// Reports that frames are shown at other times than they are dated, from one after the end of the
+    /// log on.
+    fn report_moved(&self, dated: Instant, due: Instant) {
+        let (by, way) =
+            if due >= dated { (due.since(dated), "later") } else { (dated.since(due), "earlier") };
+        let seconds = by.as_secs_f64();
+        let note = format!("its times are shown {seconds:.1} s {way} than in the log");
+        let note = Some(note).filter(|_| by >= MIN_MOVE);
+        self.shared.queue.update_status(|status| status.note = note);
     }
 
     /// Reports how much is read, if the size is known.
@@ -335,7 +393,7 @@ impl Replay {
         let since = Monotonic::now();
         let mut is_told = false;
         if self.follows {
-            self.clock.log_awaits_more(self.bus);
+            self.clock.log_awaits_more(self.bus, self.last);
         }
         while !self.shared.is_stopped() {
             // Before the file has grown once, its end counts as the end of the log.
@@ -345,6 +403,7 @@ impl Replay {
             }
             let is_damaged = self.reader.is_damaged();
             if let Some(more) = self.reader.source_mut().get_mut().check_file(&path, is_damaged)? {
+                self.is_resuming = is_told || matches!(more, Continuation::Anew(_));
                 return Ok(Some(more));
             }
             self.shared.wait(None, Some(LOOK_EVERY))?;
@@ -361,7 +420,7 @@ impl Replay {
         }
         let fault = Diagnostic::new(summary);
         let fault = match self.reader.summary() {
-            summary if summary.frames > 0 => fault,
+            summary if summary.own_frames() > 0 => fault,
             summary if summary.lost_entries() > 0 => fault.with_remedy(READABLE_LOGS),
             _ => fault.with_remedy("check that it is the right log"),
         };

@@ -5,6 +5,8 @@
 //! bounded: a batch of frames a turn, the newest content of the file, one save at a time. Does not
 //! know the screen.
 
+mod several_logs;
+
 use super::bitrate_search::{RunningSearch, SearchNews};
 use super::file_watcher::FileWatcher;
 use super::log_input::{LogBatch, LogInput, LogPace};
@@ -410,22 +412,6 @@ impl Session {
         }
     }
 
-    /// The ports whose news are waited for: all, or while frames of logs wait for an earlier one, those
-    /// of which it may be.
-    fn awaited_ports(&self) -> Vec<usize> {
-        let SessionInput::Ports { ports, .. } = &self.input else { return Vec::new() };
-        // In this order: a frame may arrive in between.
-        let has_frames: Vec<bool> = ports.iter().map(|port| port.queue().has_frames()).collect();
-        let waits = self.is_merged() && has_frames.contains(&true) && self.next_log().is_none();
-        (0..ports.len()).filter(|at| !waits || !has_frames[*at]).collect()
-    }
-
-    /// Returns true if the frames of several logs are handled in the order of their times.
-    fn is_merged(&self) -> bool {
-        let SessionInput::Ports { ports, .. } = &self.input else { return false };
-        ports.len() > 1 && self.is_replay()
-    }
-
     /// Returns the time; handles a stall.
     fn begin_turn(&mut self) -> Instant {
         let now = self.now();
@@ -614,7 +600,7 @@ impl Session {
         let count = ports.len();
         let begun = Monotonic::now();
         if self.is_merged() {
-            (0..count).for_each(|at| self.receive_status(now, at));
+            self.receive_statuses(now);
             while self.receive_merged(now) && begun.elapsed() < TURN {}
         } else {
             for at in 0..count {
@@ -625,36 +611,6 @@ impl Session {
         }
         // Time stops at the end of all logs.
         self.report_playback();
-    }
-
-    /// Handles frames of several logs in the order of their times; returns false if there are none, or if
-    /// an earlier one of another log is still being read.
-    fn receive_merged(&mut self, now: Instant) -> bool {
-        self.batch.clear();
-        while self.batch.len() < BATCH
-            && let Some((port_at, until)) = self.next_log()
-        {
-            self.take_frames(now, port_at, until);
-        }
-        self.handle_batch(now)
-    }
-
-    /// The log with the earliest frame that was read, and the moment up to which it has no later frames
-    /// than the others; `None` if another log may have an earlier one.
-    fn next_log(&self) -> Option<(usize, Instant)> {
-        let SessionInput::Ports { clock, ports, .. } = &self.input else { return None };
-        let known = ports.iter().enumerate().map(|(at, port)| {
-            // In this order: a frame may arrive in between.
-            let next = own_bus(at).and_then(|log| clock.next_of(log));
-            (port.queue().first_time(), next)
-        });
-        let known: Vec<(Option<Instant>, Option<Instant>)> = known.collect();
-        let firsts = known.iter().enumerate().filter_map(|(at, (first, _))| Some((at, (*first)?)));
-        let (earliest, first) = firsts.min_by_key(|(_, first)| *first)?;
-        let others = known.iter().enumerate().filter(|(at, _)| *at != earliest);
-        let until = others.filter_map(|(_, (first, next))| first.or(*next)).min();
-        let until = until.unwrap_or(Instant::LATEST);
-        (first <= until).then_some((earliest, until))
     }
 
     fn receive_status(&mut self, now: Instant, port_at: usize) {
