@@ -2,7 +2,7 @@
 //! lost; status of playback and recording. Plain values; does not know their source.
 
 use crate::diagnostic::Diagnostic;
-use crate::time::Instant;
+use crate::time::{Duration, Instant};
 use std::fmt;
 
 /// Whether frames can be received and sent.
@@ -264,6 +264,16 @@ impl fmt::Display for RecordingStatus {
             None => Ok(()),
             Some(failure) => write!(f, "; incomplete: {failure}"),
         }
+    }
+}
+
+/// A length of time, or a place in a log: `0:50`, `1:02:10`.
+pub fn length_text(length: Duration) -> String {
+    let seconds = length.as_secs();
+    let (hours, minutes, seconds) = (seconds / 3600, seconds / 60 % 60, seconds % 60);
+    match hours {
+        0 => format!("{minutes}:{seconds:02}"),
+        _ => format!("{hours}:{minutes:02}:{seconds:02}"),
     }
 }
 

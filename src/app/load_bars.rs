@@ -57,7 +57,13 @@ impl Bus {
     /// are any, and the free time, if the bit rate is known.
     pub fn other_shares(&self, span: ChartSpan) -> Vec<(&'static str, f64)> {
         let counts = self.shares_of(span);
-        let others = [("errors", counts.errors), ("non-platform", counts.non_platform)];
+        // Of a bus of another protocol nothing has a bar of its own.
+        let non_platform = if self.is_foreign() {
+            counts.bits.saturating_sub(counts.errors)
+        } else {
+            counts.non_platform
+        };
+        let others = [("errors", counts.errors), ("non-platform", non_platform)];
         let mut shares: Vec<(&str, f64)> = Vec::with_capacity(3);
         let some = others.into_iter().filter(|(_, bits)| *bits > 0);
         shares.extend(some.map(|(word, bits)| (word, self.share_of(bits, &counts))));
@@ -72,7 +78,8 @@ impl Bus {
         sums: impl Iterator<Item = (BarKey, u64)>,
         counts: &ShareCounts,
     ) -> Vec<LoadBar> {
-        let mut sums: Vec<(BarKey, u64)> = sums.collect();
+        let is_foreign = self.is_foreign();
+        let mut sums: Vec<(BarKey, u64)> = sums.filter(|_| !is_foreign).collect();
         // Of equal ones the lower number first: the sort is stable.
         sums.sort_by_key(|(_, bits)| std::cmp::Reverse(*bits));
         let bar = |(key, bits)| LoadBar { key, share: self.share_of(bits, counts) };

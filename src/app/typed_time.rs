@@ -45,6 +45,18 @@ pub(super) fn parse_time_of_day(text: &str) -> Option<i128> {
     (is_plain && is_valid).then(|| (of_day * 1e6).round() as i128)
 }
 
+/// Parses `2:05`, `2:05.250` and `1:02:05`, as the position in a log is shown: the time since its start.
+pub(super) fn parse_position(text: &str) -> Option<Duration> {
+    let with_hours = match text.matches(':').count() {
+        1 => format!("0:{text}"),
+        // A time of day may begin with 0.
+        2 if !text.starts_with('0') => text.to_owned(),
+        _ => return None,
+    };
+    let micros = parse_time_of_day(&with_hours)?;
+    u64::try_from(micros).ok().map(Duration::from_micros)
+}
+
 /// Parses `2026-11-24` and `2026-11-24T13:51:20`: microseconds since 1970-01-01 00:00 on the same
 /// clock.
 pub(super) fn parse_date_time(text: &str) -> Option<i128> {

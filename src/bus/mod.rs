@@ -32,6 +32,7 @@ pub use kind::BusKind;
 pub use port::{Port, TransmitError};
 pub use queue::Queue;
 pub use remote::stream::{Protocol, ProtocolIo, Unavailable};
+pub use replay::dates::LogDates;
 pub use replay::file::open_log;
 pub use sim::scenario;
 pub use slcan::{Slcan, SlcanAddress, SlcanSettings};

@@ -2,14 +2,13 @@
 
 use super::{Failure, output};
 use crate::app::{App, AppOptions, BusSelection, Filter, FrameSelector, RowKind, Signs};
-use crate::bus::{self, BusSpec, CanInterface, Clock, Options, Port};
+use crate::bus::{self, BusSpec, CanInterface, Clock, LogDates, Options, Port};
 use crate::cli::{self, CommonArgs, SessionArgs as Arguments};
 use crate::diagnostic::Diagnostic;
 use crate::discovery::Config;
 use crate::frame::{BusIndex, IdFilter};
 use crate::guide;
 use crate::keymap::Keymap;
-use crate::log::LogReader;
 use crate::regular_file::{read_text, shown};
 use crate::shell::config::{ConfigFolder, UserSettings};
 use crate::shell::recorder::{Recorder, Size, Target};
@@ -19,7 +18,7 @@ use crate::status::RecordingStatus;
 use crate::text::{SafeLines, on_one_line, printable};
 use crate::time::{Epoch, Instant};
 use crate::wire::profile::Profile;
-use std::io::{self, BufReader, IsTerminal};
+use std::io::{self, IsTerminal};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
@@ -306,38 +305,30 @@ pub fn clock(buses: &[BusSpec], speed: f64) -> Result<Clock, Failure> {
     if !buses.iter().all(is_log) {
         return Ok(Clock::start());
     }
-    let ranges: Vec<Option<LogDates>> = buses.iter().map(range_of).collect::<Result<_, _>>()?;
-    let Some(first) = ranges.iter().flatten().next() else {
-        let starts = vec![None; buses.len()];
-        return Ok(Clock::of_logs(Clock::start().epoch(), speed, starts));
+    let logs: Vec<Option<LogDates>> = buses.iter().map(dates_of).collect::<Result<_, _>>()?;
+    let epoch = match logs.iter().flatten().next() {
+        Some(first) => Epoch::from_unix_micros(common_start(&logs, first)),
+        None => Clock::start().epoch(),
     };
-    let epoch = Epoch::from_unix_micros(common_start(&ranges, first));
-    let start_of =
-        |range: &LogDates| Instant::from_micros(range.first - common_start(&ranges, range));
-    let starts = ranges.iter().map(|range| range.as_ref().map(start_of)).collect();
+    let start_of = |log: &LogDates| Instant::from_micros(log.first - common_start(&logs, log));
+    let starts = logs.iter().map(|log| log.as_ref().map(start_of)).collect();
     Ok(Clock::of_logs(epoch, speed, starts))
-}
-
-/// The dates between which a log was recorded, in Unix microseconds.
-struct LogDates {
-    first: u64,
-    last: u64,
 }
 
 /// Start of the logs that were recorded at the same time as this one, or at the same time as one of
 /// them, and so on. These keep their dates; recordings of other times begin together with them.
-fn common_start(ranges: &[Option<LogDates>], log: &LogDates) -> u64 {
-    let (mut first, mut last) = (log.first, log.last);
+fn common_start(logs: &[Option<LogDates>], log: &LogDates) -> u64 {
+    let mut all = *log;
     loop {
-        let meets = |range: &&LogDates| range.first <= last && range.last >= first;
-        let met = ranges.iter().flatten().filter(meets);
-        let (from, until) = met.fold((first, last), |(from, until), range| {
-            (from.min(range.first), until.max(range.last))
+        let met = logs.iter().flatten().filter(|other| other.meets(&all));
+        let next = met.fold(all, |all, other| LogDates {
+            first: all.first.min(other.first),
+            last: all.last.max(other.last),
         });
-        if (from, until) == (first, last) {
-            return first;
+        if next == all {
+            return all.first;
         }
-        (first, last) = (from, until);
+        all = next;
     }
 }
 
@@ -373,7 +364,7 @@ pub fn is_log(bus: &BusSpec) -> bool {
 ///
 /// # Errors
 /// It cannot be read, or is of another format.
-fn range_of(bus: &BusSpec) -> Result<Option<LogDates>, Failure> {
+fn dates_of(bus: &BusSpec) -> Result<Option<LogDates>, Failure> {
     let BusSpec::File(path) = bus else { return Ok(None) };
     // A pipe is opened once: its writer ends when that is closed.
     if std::fs::metadata(path).is_ok_and(|it| !it.is_file() && !it.is_dir()) {
@@ -381,20 +372,12 @@ fn range_of(bus: &BusSpec) -> Result<Option<LogDates>, Failure> {
     }
     let log = bus::open_log(path)?;
     let name = format_args!("file:{}", shown(path));
-    let read = || -> io::Result<_> {
-        let mut reader = LogReader::new(BufReader::new(&log));
-        reader.next_frame()?;
-        let last = reader.position().last_time_of(&log)?;
-        Ok((reader.summary().clone(), last))
-    };
-    let (summary, last) = read().map_err(|error| Diagnostic::unreadable(name, &error))?;
-    if let Some(foreign) = summary.foreign {
-        return Err(Failure::Unusable(format!("{name}: {foreign}")));
+    let read = LogDates::read(&log);
+    let (summary, dates) = read.map_err(|error| Diagnostic::unreadable(name, &error))?;
+    match summary.foreign {
+        Some(foreign) => Err(Failure::Unusable(format!("{name}: {foreign}"))),
+        None => Ok(dates),
     }
-    Ok(summary.epoch.map(|epoch| LogDates {
-        first: epoch.unix_micros(Instant::ZERO),
-        last: epoch.unix_micros(last.unwrap_or(Instant::ZERO)),
-    }))
 }
 
 /// Opens the buses and joins them with the app.

@@ -3,20 +3,23 @@
 use super::open::{self, Setup};
 use super::report::counted;
 use super::{EXIT_INTERRUPTED, EXIT_OK, EXIT_UNUSABLE, EXIT_USAGE, Failure, headless, output};
-use crate::app::{AppOptions, BusChoice, BusOffer, BusSelection, COLOURLESS_THEME};
+use crate::app::{App, AppOptions, Bus, BusChoice, BusOffer, BusSelection, COLOURLESS_THEME};
 use crate::bus::{self, BusSpec, Clock, Options};
 use crate::cli::{CommonArgs, ScreenArgs, SessionArgs as Arguments};
+use crate::finding::{Finding, FindingState};
 use crate::frame::BusIndex;
 use crate::regular_file::shown;
 use crate::shell::bus_picker::PickerExit;
 use crate::shell::bus_scout::{BusScout, ScoutSettings};
 use crate::shell::config::ConfigFolder;
 use crate::shell::paint_pace::SCREEN_BUDGET;
+use crate::shell::recent_logs::{remember_contents, remember_log};
 use crate::shell::session::Session;
 use crate::shell::tui_loop::{self, LoopSettings, ThemeLoader, TuiExit};
 use crate::shell::{bus_offers, bus_picker, recovery, stop, terminal};
 use crate::status::Link;
 use anyhow::Context;
+use std::collections::BTreeSet;
 use std::fmt::Write as _;
 use std::future::poll_fn;
 use std::io::IsTerminal;
@@ -168,9 +171,21 @@ impl<'a> Chooser<'a> {
         });
         runtime.shutdown_background();
         match exit.context("the terminal")? {
-            PickerExit::Open(wanted) => self.show_chosen(&wanted),
+            PickerExit::Open(wanted) => {
+                self.keep_theme(&wanted);
+                self.show_chosen(&wanted)
+            }
             PickerExit::Quit => Ok(EXIT_OK),
             PickerExit::Interrupted => Ok(EXIT_INTERRUPTED),
+        }
+    }
+
+    /// Keeps a theme that was chosen in the list, as the theme picker does.
+    fn keep_theme(&self, wanted: &BusSelection) {
+        if let (Some(theme), Some(folder)) = (&wanted.theme, &self.setup.folder)
+            && let Err(why) = folder.keep_theme(theme)
+        {
+            output::warn(format_args!("theme {theme} is not kept: {why}"));
         }
     }
 
@@ -265,7 +280,7 @@ fn show(
     // Those that are logs.
     for bus in buses {
         if let BusSpec::File(path) = bus {
-            bus_offers::remember_log(path);
+            remember_log(path);
         }
     }
     let usual = usual_theme();
@@ -316,6 +331,7 @@ fn show(
         let is_asked_to_end = !matches!(ending, Ok(TuiExit::Quit | TuiExit::Reopen(_)));
         session.finish_work(!gives_up, is_asked_to_end.then_some(SAVE_TIMEOUT)).await;
         open::report_recording(session.finish_recording());
+        remember_logs(buses, &session.app);
         let is_lost = save_edits_at_risk(&session, &setup.file);
         Ok::<_, Failure>((ending?, is_lost))
     });
@@ -330,6 +346,40 @@ fn show(
         }
         (TuiExit::Terminated | TuiExit::Hangup, _) => Ending::Over(EXIT_INTERRUPTED),
     })
+}
+
+/// Remembers for the list of buses what was found in logs that were read to their ends.
+fn remember_logs(specs: &[BusSpec], app: &App) {
+    let all = app.buses();
+    for (at, spec) in specs.iter().enumerate() {
+        // All interfaces of a single log; of several, those after the first have no fixed places.
+        let own = if specs.len() == 1 { all } else { all.get(at..=at).unwrap_or_default() };
+        let is_whole = own.iter().all(|bus| bus.status.link == Link::Ended) && !own.is_empty();
+        let BusSpec::File(path) = spec else { continue };
+        if is_whole && all.len() == own.len().max(specs.len()) {
+            remember_contents(path, &contents(own));
+        }
+    }
+}
+
+/// The devices of buses, and their conflicts: `9 devices, 2 conflicts`.
+fn contents(buses: &[Bus]) -> String {
+    let devices = buses.iter().flat_map(Bus::devices).filter(|device| !device.is_debug).count();
+    let is_conflict = |finding: &&Finding| {
+        finding.key.kind.is_conflict() && finding.state == FindingState::Confirmed
+    };
+    // One address may be the subject of several findings.
+    let conflicts = |bus: &Bus| {
+        let confirmed = bus.findings().iter().filter(is_conflict);
+        confirmed.flat_map(|finding| &finding.addresses).collect::<BTreeSet<_>>().len()
+    };
+    let conflicts: usize = buses.iter().map(conflicts).sum();
+    let devices = counted(devices as u64, "device");
+    if conflicts == 0 {
+        devices
+    } else {
+        format!("{devices}, {}", counted(conflicts as u64, "conflict"))
+    }
 }
 
 /// Returns the output of a future, or the cause of its panic.

@@ -1,21 +1,19 @@
 //! What can be opened on this machine: CAN interfaces, serial devices, logs opened before, simulations.
 //!
-//! Reads folders and a small file of paths; opens no bus and sends nothing. Bounded: 10 logs, 16 serial
+//! Reads folders, the list of logs and the ends of these; opens no bus and sends nothing. Bounded: 10 logs, 16 serial
 //! devices. Does not know how the list is shown.
 
+use super::recent_logs::{RecentLog, recent_logs};
 use crate::app::{BusOffer, OfferKind};
 use crate::bus::{self, CanInterface};
-use crate::regular_file::{read_text, shown};
-use crate::status::{BusState, size};
+use crate::regular_file::shown;
+use crate::status::{BusState, length_text};
 use crate::text::printable;
-use etcetera::{BaseStrategy, choose_base_strategy};
 use std::fs;
 use std::os::unix::ffi::OsStrExt;
 use std::path::{Path, PathBuf};
 use time::{OffsetDateTime, UtcOffset};
 
-/// Most logs that are remembered.
-const MAX_LOGS: usize = 10;
 /// Most serial devices that are listed.
 const MAX_ADAPTERS: usize = 16;
 
@@ -32,7 +30,7 @@ pub fn offers(utc_offset_seconds: i32) -> Vec<BusOffer> {
 /// Returns everything that can be opened but CAN interfaces.
 pub fn others(utc_offset_seconds: i32) -> Vec<BusOffer> {
     let mut offers = adapters(Path::new("/dev"));
-    offers.extend(recent_logs().iter().map(|path| of_log(path, utc_offset_seconds)));
+    offers.extend(recent_logs().iter().map(|log| of_log(log, utc_offset_seconds)));
     for (argument, facts) in
         [("sim:boiler", "125k, 10 devices, a conflict after 28 s"), ("sim:drone", "1M, 12 devices")]
     {
@@ -121,55 +119,31 @@ fn of_adapter(path: &Path, identity: &str, is_known: bool) -> BusOffer {
     }
 }
 
-fn of_log(path: &Path, utc_offset_seconds: i32) -> BusOffer {
+fn of_log(log: &RecentLog, utc_offset_seconds: i32) -> BusOffer {
     BusOffer {
         kind: OfferKind::Log,
-        name: printable(path.file_name().unwrap_or_default().as_bytes()),
-        facts: facts_of_log(path, utc_offset_seconds),
-        argument: format!("file:{}", path.display()),
+        name: printable(log.path.file_name().unwrap_or_default().as_bytes()),
+        facts: facts_of_log(log, utc_offset_seconds),
+        argument: format!("file:{}", log.path.display()),
         command: None,
         is_unknown: false,
     }
 }
 
-/// Size, time of the last change, and folder of a log.
-fn facts_of_log(path: &Path, utc_offset_seconds: i32) -> String {
-    let folder = path.parent().map(shown).unwrap_or_default();
-    let Ok(metadata) = fs::metadata(path) else { return folder };
+/// Length, what was found, time of the last change and folder of a log.
+fn facts_of_log(log: &RecentLog, utc_offset_seconds: i32) -> String {
+    let folder = log.path.parent().map(shown).unwrap_or_default();
+    let Ok(metadata) = fs::metadata(&log.path) else { return folder };
     let changed = metadata.modified().ok().map(|at| {
         let offset = UtcOffset::from_whole_seconds(utc_offset_seconds).unwrap_or(UtcOffset::UTC);
         let at = OffsetDateTime::from(at).to_offset(offset);
         let (date, time) = (at.date(), at.time());
-        format!("{date}  {:02}:{:02}  ", time.hour(), time.minute())
+        format!("{date} {:02}:{:02}", time.hour(), time.minute())
     });
-    format!("{:<8}{}{folder}", size(metadata.len()), changed.unwrap_or_default())
-}
-
-/// File with the paths of the logs that were opened, a line each, the latest first.
-fn logs_file() -> Option<PathBuf> {
-    let base = choose_base_strategy().ok()?;
-    Some(base.state_dir()?.join("descan").join("recent-logs"))
-}
-
-/// The logs opened before that are still there, the latest first.
-fn recent_logs() -> Vec<PathBuf> {
-    let text = logs_file().and_then(|path| read_text(&path).ok().flatten()).unwrap_or_default();
-    let paths = text.lines().take(MAX_LOGS).map(PathBuf::from);
-    paths.filter(|path| path.is_file()).collect()
-}
-
-/// Remembers a log that is opened; without a folder for it, nothing is.
-pub fn remember_log(path: &Path) {
-    let (Some(file), Ok(path)) = (logs_file(), fs::canonicalize(path)) else { return };
-    let Some(name) = path.to_str().filter(|name| !name.contains('\n') && path.is_file()) else {
-        return;
-    };
-    let before = recent_logs();
-    let others = before.iter().filter(|it| **it != path).filter_map(|it| it.to_str());
-    let lines: Vec<&str> = std::iter::once(name).chain(others).take(MAX_LOGS).collect();
-    let Some(folder) = file.parent() else { return };
-    // A convenience: a full disk or a folder of another user does not concern the session.
-    let _ = fs::create_dir_all(folder).and_then(|()| fs::write(&file, lines.join("\n") + "\n"));
+    let length = log.length().map_or_else(|| "–".to_owned(), length_text);
+    let contents = printable(log.contents.as_bytes());
+    let changed = changed.unwrap_or_default();
+    format!("{length:<8} {contents:<23} {changed}  {folder}")
 }
 
 #[cfg(test)]

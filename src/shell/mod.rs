@@ -13,6 +13,7 @@
 //! recovery        copy of unsaved edits       config        the user's settings
 //! bus_picker      the list of buses           bus_scout     what can be opened, as it changes
 //! bus_offers      interfaces, adapters, logs  background_colour   that of the terminal
+//! recent_logs     logs opened before, and what was found in them
 //! waiting         futures for optional sources
 //! ```
 //!
@@ -29,6 +30,7 @@ pub mod file_watcher;
 pub mod log_input;
 pub mod paint_pace;
 pub mod painted_screen;
+pub mod recent_logs;
 pub mod recorder;
 pub mod recovery;
 pub mod session;

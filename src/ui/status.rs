@@ -8,7 +8,7 @@ use crate::app::{App, Bus, FileError, Overlay, TxBlocked, clock_millis, format_d
 use crate::discovery::OwnAddress;
 use crate::frame::BusIndex;
 use crate::keymap::Action;
-use crate::status::{BusState, Link, size};
+use crate::status::{BusState, Link, length_text, size};
 use crate::theme::Role;
 use crate::time::Instant;
 use ratatui::layout::Rect;
@@ -133,9 +133,9 @@ fn moment_parts(brush: &DrawContext) -> Parts {
     let columns = brush.screen.whole.width;
     let mut text = format!("{} {}", past_word(app), clock_millis(app, moment.time));
     if app.playback().is_some() {
-        let _ = write!(text, " · log {}", log_time(moment.time));
+        let _ = write!(text, " · log {}", length_text(moment.time.since(Instant::ZERO)));
         if columns >= NARROW {
-            let _ = write!(text, " of {}", log_time(app.last_moment()));
+            let _ = write!(text, " of {}", length_text(app.last_moment().since(Instant::ZERO)));
         }
         if columns >= WIDE {
             let does = if app.play_pace().is_some() { "stops" } else { "plays" };
@@ -153,16 +153,6 @@ fn moment_parts(brush: &DrawContext) -> Parts {
         parts.push(Part::cut_to(6, WARNING, vec![brush.span(Role::Frozen, text)]));
     }
     parts
-}
-
-/// Returns a place in a log: `0:50`, `1:02:10`.
-fn log_time(at: Instant) -> String {
-    let seconds = at.as_micros() / 1_000_000;
-    let (hours, minutes, seconds) = (seconds / 3600, seconds / 60 % 60, seconds % 60);
-    match hours {
-        0 => format!("{minutes}:{seconds:02}"),
-        _ => format!("{hours}:{minutes:02}:{seconds:02}"),
-    }
 }
 
 /// Returns the word for a past moment: `FROZEN`, `PLAY ×2`, `PLAY ×-1/4`.
@@ -352,7 +342,7 @@ fn load(brush: &DrawContext, bus: &Bus, cells: usize) -> Parts {
 fn place_in_log(brush: &DrawContext, bus: &Bus) -> Option<Vec<Span<'static>>> {
     let playback = brush.app.playback().filter(|_| brush.app.past_moment().is_none())?;
     let is_ended = bus.status.link == Link::Ended;
-    let mut text = format!(" {}", log_time(brush.app.display_time()));
+    let mut text = format!(" {}", length_text(brush.app.display_time().since(Instant::ZERO)));
     if let Some(percent) = bus.status.percent.filter(|_| !is_ended) {
         let _ = write!(text, " {percent}%");
     }

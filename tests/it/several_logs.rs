@@ -180,6 +180,7 @@ fn log_replaced_beside_another_keeps_its_own_times() {
     fs::rename(folder.path().join("next"), folder.path().join("left.log")).unwrap();
     pty.wait_for("log replaced");
     pty.wait_for("left         end of log");
+    pty.wait_for(" left  end of log");
     assert_nothing_invented(&mut pty);
     pty.send("5");
     pty.wait_for("frames by device");

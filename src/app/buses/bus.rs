@@ -7,8 +7,8 @@ use super::load_meter::LoadMeter;
 use super::status_changes::status_changes;
 use crate::app::timeline_kind::TimelineKind;
 use crate::discovery::{
-    AddressSender, BusTraffic, Config, Counters, Device, DeviceId, DiscoveryProgress, Engine,
-    Event, OwnAddress,
+    AddressSender, BusTraffic, BusVerdict, Config, Counters, Device, DeviceId, DiscoveryProgress,
+    Engine, Event, OwnAddress,
 };
 use crate::finding::Finding;
 use crate::frame::Frame;
@@ -145,6 +145,11 @@ impl Bus {
     /// What its frames show about its protocol.
     pub fn traffic(&self) -> BusTraffic {
         self.engine.traffic()
+    }
+
+    /// Returns true if it speaks another protocol than DES.
+    pub fn is_foreign(&self) -> bool {
+        self.traffic().verdict() == BusVerdict::Foreign
     }
 
     /// Progress of the enumeration.

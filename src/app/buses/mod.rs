@@ -24,7 +24,7 @@ pub use load_shares::{LoadShares, ShareCounts};
 pub use redundancy::{Redundancy, RedundantDevice};
 
 use super::timeline_kind::TimelineKind;
-use crate::discovery::{BusVerdict, Config, Device, DeviceId, Event, OwnAddress};
+use crate::discovery::{Config, Device, DeviceId, Event, OwnAddress};
 use crate::document::Document;
 use crate::finding::{Finding, FindingKey, FindingKind, FindingState};
 use crate::frame::{BusIndex, Frame};
@@ -130,7 +130,7 @@ impl Buses {
 
     /// Returns true if a bus speaks another protocol than DES.
     pub fn is_foreign(&self, bus: BusIndex) -> bool {
-        self.get(bus).is_some_and(|bus| bus.traffic().verdict() == BusVerdict::Foreign)
+        self.get(bus).is_some_and(Bus::is_foreign)
     }
 
     /// Name of the device that had an address at a moment; `own` for descan's own address, else the

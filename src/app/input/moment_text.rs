@@ -1,12 +1,13 @@
-//! Moments as they are typed: `13:51:20.250`, `-2m`, `+10s`, `50%`, `#5123`, `a`.
+//! Moments as they are typed: `13:51:20.250`, `2:05`, `-2m`, `+10s`, `50%`, `#5123`, `a`.
 //!
 //! Pure. Does not know what is shown at a moment.
 
-use crate::app::typed_time::{DAY, parse_duration, parse_time_of_day};
+use crate::app::typed_time::{DAY, parse_duration, parse_position, parse_time_of_day};
 use crate::time::{Duration, Instant};
 
 /// Forms of a moment, for the prompt.
-pub(super) const FORMS: &str = "13:51:20 or 13:51:20.250, -2m, +10s, 50%, #5123 (frame), a (mark)";
+pub(super) const FORMS: &str =
+    "13:51:20.250, 2:05 (since the start), -2m, +10s, 50%, #5123 (frame), a (mark)";
 
 /// Moments that can be shown.
 #[derive(Clone, Copy, Debug)]
@@ -67,7 +68,11 @@ impl MomentTarget {
         } else if let Some(ahead) = text.strip_prefix('+') {
             range.shown + parse_duration(ahead, "s").ok_or_else(no_form)?
         } else {
-            range.at_wall_time(parse_time_of_day(text).ok_or_else(no_form)?)
+            // Where no such time of day is kept, it may be the position that a log shows: 2:05.
+            let of_day = parse_time_of_day(text).map(|of_day| range.at_wall_time(of_day));
+            let position = parse_position(text).map(|position| Instant::ZERO + position);
+            let is_kept = |time: &Instant| (begin..=end).contains(time);
+            of_day.filter(is_kept).or(position.filter(is_kept)).or(of_day).ok_or_else(no_form)?
         };
         if (begin..=end).contains(&time) {
             return Ok(Self::Time(time));
@@ -134,6 +139,9 @@ mod tests {
             ("0%", 5.0),
             ("50 %", 22.5),
             ("100%", 40.0),
+            // No such time of day is kept: since the start.
+            ("0:31", 31.0),
+            ("0:39.5", 39.5),
         ] {
             let time = MomentTarget::parse(text, &range());
             assert_eq!(time, Ok(MomentTarget::Time(at(expected))), "{text}");
@@ -156,6 +164,8 @@ mod tests {
         for (text, said) in [
             ("23:59:54", "23:59:54: not kept; 23:59:55.000 to 00:00:30.000 is"),
             ("00:00:31", "not kept"),
+            ("0:00:31", "not kept"),
+            ("0:41", "not kept"),
             ("-26s", "not kept"),
             ("-99999999999999999999h", "not a moment"),
             ("+11s", "not kept"),

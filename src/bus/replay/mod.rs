@@ -5,6 +5,7 @@
 //! The end of a file may be temporary: if the file grows, new frames are delivered as they are
 //! written; if it is truncated or replaced, it is read from its start. Does not know log formats.
 
+pub(super) mod dates;
 pub(super) mod file;
 mod index;
 pub(super) mod stdin;
@@ -424,10 +425,11 @@ impl Replay {
             summary if summary.lost_entries() > 0 => fault.with_remedy(READABLE_LOGS),
             _ => fault.with_remedy("check that it is the right log"),
         };
-        self.clock.log_ends(self.bus);
+        // In this order: what reads the queue knows of the end before the clock goes on without it.
         self.shared.queue.update_status(|status| {
             (status.link, status.fault) = (Link::Ended, Some(fault));
         });
+        self.clock.log_ends(self.bus);
     }
 }
 

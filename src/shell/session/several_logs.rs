@@ -1,6 +1,7 @@
 //! Frames of several logs, handled in the order of their times.
 
 use super::{BATCH, Session, SessionInput, own_bus};
+use crate::bus::Port;
 use crate::status::Link;
 use crate::time::Instant;
 
@@ -38,16 +39,28 @@ impl Session {
         while self.batch.len() < BATCH
             && let Some((port_at, first, until)) = self.next_log()
         {
-            if self.is_opening(port_at) {
-                if !self.batch.is_empty() {
-                    break;
-                }
+            let (begins, is_due) = (self.is_opening(port_at), self.is_status_due());
+            if (begins || is_due) && !self.batch.is_empty() {
+                break;
+            }
+            if is_due {
+                // The devices of a log that ends are not awaited while the others go on.
+                self.receive_statuses(self.app.now());
+            }
+            if begins {
                 self.app.advance_to(first);
                 self.receive_status(first, port_at);
             }
             self.take_frames(now, port_at, until);
         }
         self.handle_batch(now)
+    }
+
+    /// Returns true if the status of a log changed whose frames are all handled.
+    fn is_status_due(&self) -> bool {
+        let SessionInput::Ports { ports, .. } = &self.input else { return false };
+        let mut queues = ports.iter().map(Port::queue);
+        queues.any(|queue| queue.has_new_status() && !queue.has_frames())
     }
 
     /// Returns true if no frame of a port was handled, because its log begins later than others.

@@ -74,8 +74,7 @@ pub fn draw(brush: &mut DrawContext) {
         if app.page_filter(Page::Traffic).is_on() {
             return brush.draw_no_match(list, "no call matches the filter");
         }
-        let is_foreign = |bus: &Bus| bus.traffic().foreign_reason().is_some();
-        let all_foreign = !app.buses().is_empty() && app.buses().iter().all(is_foreign);
+        let all_foreign = !app.buses().is_empty() && app.buses().iter().all(Bus::is_foreign);
         let text = if all_foreign {
             "   no calls: the bus speaks another protocol"
         } else {

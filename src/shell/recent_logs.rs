@@ -1,0 +1,121 @@
+//! Logs that were opened on the screen, and what was found in them, in a small file of the user.
+//!
+//! A convenience: a full disk or a folder of another user does not concern the session. Bounded: 10 logs.
+
+use crate::bus::LogDates;
+use crate::regular_file::read_text;
+use crate::time::Duration;
+use etcetera::{BaseStrategy, choose_base_strategy};
+use std::fs::{self, File};
+use std::path::{Path, PathBuf};
+
+/// Most logs that are remembered.
+const MAX_LOGS: usize = 10;
+
+/// A log that was opened.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct RecentLog {
+    /// Its file.
+    pub path: PathBuf,
+    /// What was found up to its end, as `9 devices, 2 conflicts`; empty if that is not known.
+    pub contents: String,
+}
+
+impl RecentLog {
+    /// Time from its first frame to its last; `None` if it cannot be read.
+    pub fn length(&self) -> Option<Duration> {
+        let log = File::open(&self.path).ok()?;
+        let (_, dates) = LogDates::read(&log).ok()?;
+        dates.as_ref().map(LogDates::length)
+    }
+
+    /// Parses a line of the file: a path, and behind a tab the contents.
+    fn parse(line: &str) -> Self {
+        let known = line.rsplit_once('\t').filter(|_| !Path::new(line).exists());
+        let (path, contents) = known.unwrap_or((line, ""));
+        Self { path: path.into(), contents: contents.to_owned() }
+    }
+}
+
+/// The logs opened before that are still there, the latest first.
+pub fn recent_logs() -> Vec<RecentLog> {
+    logs_file().map(|file| read(&file)).unwrap_or_default()
+}
+
+/// Remembers a log that is opened.
+pub fn remember_log(path: &Path) {
+    logs_file().inspect(|file| write(file, path, None));
+}
+
+/// Remembers what was found in a log.
+pub fn remember_contents(path: &Path, contents: &str) {
+    logs_file().inspect(|file| write(file, path, Some(contents)));
+}
+
+/// File with the logs that were opened, a line each, the latest first.
+fn logs_file() -> Option<PathBuf> {
+    let base = choose_base_strategy().ok()?;
+    Some(base.state_dir()?.join("descan").join("recent-logs"))
+}
+
+fn read(file: &Path) -> Vec<RecentLog> {
+    let text = read_text(file).ok().flatten().unwrap_or_default();
+    let logs = text.lines().take(MAX_LOGS).map(RecentLog::parse);
+    logs.filter(|log| log.path.is_file()).collect()
+}
+
+/// Puts a log at the first place; without new contents those before are kept.
+fn write(file: &Path, path: &Path, contents: Option<&str>) {
+    let Ok(path) = fs::canonicalize(path) else { return };
+    if !path.is_file() || path.to_str().is_none_or(|name| name.contains('\n')) {
+        return;
+    }
+    let (same, others): (Vec<_>, Vec<_>) = read(file).into_iter().partition(|it| it.path == path);
+    let before = same.into_iter().next().map(|log| log.contents);
+    let contents = contents.map(str::to_owned).or(before).unwrap_or_default();
+    let logs = std::iter::once(RecentLog { path, contents }).chain(others).take(MAX_LOGS);
+    let lines = logs.filter_map(|log| Some(format!("{}\t{}\n", log.path.to_str()?, log.contents)));
+    let text: String = lines.collect();
+    let Some(folder) = file.parent() else { return };
+    let _ = fs::create_dir_all(folder).and_then(|()| fs::write(file, text));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn latest_logs_are_kept_with_what_was_found_in_them() {
+        let folder = tempfile::tempdir().unwrap();
+        let folder = fs::canonicalize(folder.path()).unwrap();
+        let file = folder.join("state/recent-logs");
+        let log = |name: &str| {
+            fs::write(folder.join(name), "(1.0) can0 123#\n(61.5) can0 123#\n").unwrap();
+            folder.join(name)
+        };
+        let with_tab = log("a\tb.log");
+        write(&file, &with_tab, None);
+        write(&file, &log("one.log"), Some("9 devices"));
+        for number in 0..12 {
+            write(&file, &log(&format!("{number}.log")), None);
+            write(&file, &folder.join("one.log"), None);
+        }
+        let found = read(&file);
+        assert_eq!(found.len(), MAX_LOGS);
+        assert_eq!(
+            (found[0].path.clone(), &*found[0].contents),
+            (folder.join("one.log"), "9 devices")
+        );
+        assert_eq!(found[0].length(), Some(Duration::from_millis(60_500)));
+        write(&file, &with_tab, None);
+        assert_eq!((&read(&file)[0].path, &*read(&file)[0].contents), (&with_tab, ""));
+        // A list of paths alone.
+        fs::write(&file, format!("{}\n", folder.join("one.log").display())).unwrap();
+        assert_eq!(
+            read(&file),
+            [RecentLog { path: folder.join("one.log"), contents: String::new() }]
+        );
+        fs::remove_file(folder.join("one.log")).unwrap();
+        assert_eq!(read(&file), []);
+    }
+}
