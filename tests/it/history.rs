@@ -68,6 +68,9 @@ fn past_state_is_that_of_its_moment() {
                 5 => status.state = BusState::ErrorActive,
                 6 => stage.app.handle_stall(now - Duration::from_millis(300), now),
                 7 => status.log_changes += 1,
+                8 => {
+                    status.link = if status.link == Link::Ended { Link::Up } else { Link::Ended };
+                }
                 _ => {}
             }
             stage.app.handle_bus(now, BusIndex(0), status.clone());
