@@ -4,20 +4,20 @@
 //! The traffic is the simulator's boiler with chatter, replayed in a loop with shifted times. The log is
 //! in the page cache.
 
-use descan::app::{App, AppOptions, Filter, RowKind};
-use descan::bus::{self, BusSpec, Clock, Options};
-use descan::discovery::Config;
-use descan::frame::{BusIndex, Frame};
-use descan::log::candump::write_line;
+#[path = "looped.rs"]
+mod looped;
+
+use descan::app::{App, Filter, RowKind};
+use descan::frame::Frame;
 use descan::sim::{Scenario, Sim};
-use descan::status::PlaybackCommand;
-use descan::time::{Duration, Epoch, Instant};
-use std::io::{BufWriter, Write};
+use descan::time::{Duration, Instant};
+use looped::LoopedFrames;
 
 const FRAMES: usize = 1_000_000;
 const LOG_FRAMES: usize = 4_000_000;
 /// Runs of each filter; the fastest counts.
 const RUNS: usize = 3;
+const BITRATE: u32 = 125_000;
 /// Span of the recorded traffic.
 const SPAN: Duration = Duration::from_secs(200);
 const FILTERS: &[&str] = &[
@@ -37,69 +37,11 @@ const FILTERS: &[&str] = &[
 ];
 
 fn main() {
-    let recorded = record();
+    let frames = LoopedFrames { recorded: record(), span: SPAN };
     println!("in memory:");
-    let mut app = new_app();
-    for frame in looped(&recorded, FRAMES) {
-        take(&mut app, frame);
-    }
-    measure(&app);
+    measure(&frames.app_of_bus(BITRATE, FRAMES));
     println!("of a log, most of which is read again:");
-    measure(&app_of_log(&recorded));
-}
-
-fn new_app() -> App {
-    let config = Config { listen_only: true, bitrate: Some(125_000), ..Config::default() };
-    let options = AppOptions { buses: vec![("sim".to_owned(), config)], ..AppOptions::default() };
-    App::new(Instant::ZERO, options)
-}
-
-/// The recorded frames over and over, until there are so many.
-fn looped(recorded: &[Frame], count: usize) -> impl Iterator<Item = Frame> {
-    let frames = (0..).flat_map(|turn| {
-        let offset = SPAN * turn;
-        recorded.iter().map(move |frame| frame.with_time(frame.time + offset))
-    });
-    frames.take(count)
-}
-
-fn take(app: &mut App, frame: Frame) {
-    while let Some(due) = app.poll_timeout().filter(|due| *due <= frame.time) {
-        app.handle_timeout(due);
-    }
-    app.handle_frames(frame.time, &[frame]);
-    while app.poll_effect().is_some() {}
-}
-
-/// An application that has read a log.
-fn app_of_log(recorded: &[Frame]) -> App {
-    let file = tempfile::Builder::new().suffix(".log").tempfile().expect("a file");
-    let mut log = BufWriter::new(&file);
-    for frame in looped(recorded, LOG_FRAMES) {
-        write_line(&mut log, Epoch::default(), "sim", &frame).expect("a log");
-    }
-    log.flush().expect("a log");
-    let clock = Clock::replaying(Epoch::default(), 1.0);
-    let spec = BusSpec::File(file.path().to_owned());
-    let port = bus::open(&spec, BusIndex(0), clock.clone(), Options::default());
-    let mut port = port.expect("a port");
-    let mut app = new_app();
-    app.set_frame_source(port.take_frame_source().expect("a file"));
-    clock.control(PlaybackCommand::ReadTo(Instant::LATEST));
-    port.wake();
-    let mut frames = Vec::new();
-    while !port.queue().is_finished() {
-        port.queue().take_status();
-        frames.clear();
-        port.queue().drain(&mut frames, 4096);
-        for frame in &frames {
-            take(&mut app, *frame);
-        }
-        if frames.is_empty() {
-            std::thread::sleep(Duration::from_millis(1));
-        }
-    }
-    app
+    measure(&frames.app_of_log(BITRATE, LOG_FRAMES));
 }
 
 fn measure(app: &App) {

@@ -5,96 +5,40 @@
 //! with others, at 1 Mbit/s; replayed in a loop with shifted times. Each of 1,000 moments is gone to
 //! from another one, and its page is drawn, in any of its views. The log is in the page cache.
 
-use descan::app::{App, AppOptions};
-use descan::bus::{self, BusSpec, Clock, Options};
-use descan::discovery::Config;
-use descan::frame::{BusIndex, Frame};
+#[path = "looped.rs"]
+mod looped;
+
+use descan::app::App;
+use descan::frame::Frame;
 use descan::keymap::Key;
-use descan::log::candump::write_line;
 use descan::sim::{Fault, Scenario, Sim};
-use descan::status::PlaybackCommand;
 use descan::theme::Theme;
-use descan::time::{Duration, Epoch, Instant};
+use descan::time::{Duration, Instant};
 use descan::ui;
 use descan::wire::node::Uid;
+use looped::LoopedFrames;
 use ratatui::Terminal;
 use ratatui::backend::TestBackend;
-use std::io::{self, BufWriter, Write};
 
 const FRAMES: usize = 1_000_000;
 const LOG_FRAMES: usize = 10_000_000;
 const MOMENTS: usize = 1_000;
 
+const BITRATE: u32 = 1_000_000;
 /// Span of the recorded traffic.
 const SPAN: Duration = Duration::from_secs(10);
 
 fn main() {
-    let recorded = record();
-    let mut app = new_app();
+    let frames = LoopedFrames { recorded: record(), span: SPAN };
     let start = std::time::Instant::now();
-    for frame in looped(&recorded, FRAMES) {
-        take(&mut app, frame);
-    }
+    let app = frames.app_of_bus(BITRATE, FRAMES);
     println!("in memory:");
     measure(app, FRAMES, start.elapsed());
 
-    let mut log = tempfile::Builder::new().suffix(".log").tempfile().expect("a file");
-    write_log(&mut log, looped(&recorded, LOG_FRAMES)).expect("a log");
-    let clock = Clock::replaying(Epoch::default(), 1.0);
-    let spec = BusSpec::File(log.path().to_owned());
-    let port = bus::open(&spec, BusIndex(0), clock.clone(), Options::default());
-    let mut port = port.expect("a port");
-    let mut app = new_app();
-    app.set_frame_source(port.take_frame_source().expect("a file"));
-    clock.control(PlaybackCommand::ReadTo(Instant::LATEST));
-    port.wake();
-    let (start, mut frames) = (std::time::Instant::now(), Vec::new());
-    while !port.queue().is_finished() {
-        port.queue().take_status();
-        frames.clear();
-        port.queue().drain(&mut frames, 4096);
-        for frame in &frames {
-            take(&mut app, *frame);
-        }
-        if frames.is_empty() {
-            std::thread::sleep(Duration::from_millis(1));
-        }
-    }
-    println!("log:");
+    let start = std::time::Instant::now();
+    let app = frames.app_of_log(BITRATE, LOG_FRAMES);
+    println!("of a log that is written and read:");
     measure(app, LOG_FRAMES, start.elapsed());
-}
-
-fn new_app() -> App {
-    let config = Config { listen_only: true, bitrate: Some(1_000_000), ..Config::default() };
-    let options = AppOptions { buses: vec![("sim".to_owned(), config)], ..AppOptions::default() };
-    let mut app = App::new(Instant::ZERO, options);
-    app.handle_resize(120, 40);
-    app
-}
-
-/// The recorded frames over and over, until there are so many.
-fn looped(recorded: &[Frame], count: usize) -> impl Iterator<Item = Frame> {
-    let loops = (0..).map(|turn| SPAN * turn);
-    let frames = loops
-        .flat_map(|offset| recorded.iter().map(move |frame| frame.with_time(frame.time + offset)));
-    frames.take(count)
-}
-
-fn write_log(to: &mut impl Write, frames: impl Iterator<Item = Frame>) -> io::Result<()> {
-    let mut to = BufWriter::new(to);
-    for frame in frames {
-        write_line(&mut to, Epoch::default(), "sim", &frame)?;
-    }
-    to.flush()
-}
-
-fn take(app: &mut App, frame: Frame) {
-    while let Some(due) = app.poll_timeout().filter(|due| *due <= frame.time) {
-        app.handle_timeout(due);
-    }
-    app.handle_frames(frame.time, &[frame]);
-    while app.poll_effect().is_some() {}
-    app.take_dirty();
 }
 
 /// Goes to random moments, and prints how long that takes.
