@@ -155,6 +155,22 @@ impl App {
             Action::HelpPageDown => self.page_help(1),
             Action::HelpFirst => self.input.scroll_help(i16::MIN),
             Action::HelpLast => self.input.scroll_help(i16::MAX),
+            // The list executes these itself: there may be no session.
+            Action::ChoiceUp
+            | Action::ChoiceDown
+            | Action::ChoiceFirst
+            | Action::ChoiceLast
+            | Action::ChoiceOpen
+            | Action::ChoiceToggle
+            | Action::ChoiceBitrate
+            | Action::ChoiceSearch
+            | Action::ChoiceCopy
+            | Action::ChoiceListenOnly
+            | Action::ChoiceNoNames
+            | Action::ChoiceRecord
+            | Action::ChoiceInPlace
+            | Action::ChoiceTheme
+            | Action::ChoiceClose => {}
             Action::Yes => self.confirm(true),
             Action::No => self.confirm(false),
             Action::Ours => self.resolve(true),

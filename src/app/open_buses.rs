@@ -23,7 +23,9 @@ impl App {
         let arguments: Vec<String> = self.buses.iter().map(|bus| bus.name.clone()).collect();
         let reason = format!("{} open; nothing is sent meanwhile", arguments.join(", "));
         let open = OpenBuses { arguments, has_log };
-        self.bus_choice = Some(Box::new(BusChoice::new(reason, Vec::new()).over(open)));
+        let keymap = self.keymap().clone();
+        let choice = BusChoice::new(reason, Vec::new()).with_keymap(keymap).over(open);
+        self.bus_choice = Some(Box::new(choice));
         self.pause_sending(true);
         self.effects.push_back(Effect::ListBuses);
     }

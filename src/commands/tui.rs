@@ -156,7 +156,8 @@ impl<'a> Chooser<'a> {
     }
 
     /// Shows the list of buses, then those that the user chooses.
-    fn choose(&self, mut choice: BusChoice) -> Result<u8, Failure> {
+    fn choose(&self, choice: BusChoice) -> Result<u8, Failure> {
+        let mut choice = choice.with_keymap(self.setup.keymap.clone());
         choice.handle_offers(bus_offers::offers(self.settings.scouting.utc_offset_seconds));
         let wanted = self.screen.theme.as_deref().or(self.setup.theme.as_deref());
         let mut themes =

@@ -46,6 +46,8 @@ pub enum KeyMode {
     Kinds,
     /// The theme picker is open.
     Themes,
+    /// The list of buses is open.
+    Choice,
 }
 
 /// Sections of the help.
@@ -313,6 +315,23 @@ actions! {
         ThemeDown "theme-down" "Themes: show the next one" "" ["Down" "j"];
         ThemeKeep "theme-keep" "Themes: keep it in config.toml" "keep" ["Enter"];
         ThemesClose "themes-close" "Themes: back to the one before" "close" ["Esc" "t" "q"];
+    }
+    Choice Answer: {
+        ChoiceUp "choice-up" "Buses: the line before" "" ["Up" "k"];
+        ChoiceDown "choice-down" "Buses: the next line" "" ["Down" "j"];
+        ChoiceFirst "choice-first" "Buses: the first line" "" ["Home"];
+        ChoiceLast "choice-last" "Buses: the last line" "" ["End" "G"];
+        ChoiceOpen "choice-open" "Buses: open the chosen ones, or this one" "open" ["Enter"];
+        ChoiceToggle "choice-toggle" "Buses: choose several" "several" ["Space"];
+        ChoiceBitrate "choice-bitrate" "Buses: next bit rate of an adapter" "bit rate" ["e"];
+        ChoiceSearch "choice-search" "Buses: only lines with words" "search" ["/"];
+        ChoiceCopy "choice-copy" "Buses: copy the command of the line" "copy" ["y"];
+        ChoiceListenOnly "choice-listen-only" "Buses: listen only" "" ["l"];
+        ChoiceNoNames "choice-no-names" "Buses: ask no names" "" ["n"];
+        ChoiceRecord "choice-record" "Buses: record to a file" "" ["r"];
+        ChoiceInPlace "choice-in-place" "Buses: in place of the open ones" "" ["i"];
+        ChoiceTheme "choice-theme" "Buses: next theme" "theme" ["t"];
+        ChoiceClose "choice-close" "Buses: close the list" "close" ["q" "Esc"];
     }
     Confirm Answer: {
         Yes "yes" "Yes" "yes" ["y"];

@@ -3,6 +3,7 @@
 use super::ascii;
 use super::brush::fit;
 use crate::app::{Alarm, BIT_RATES, BusChoice, BusOffer, Signs};
+use crate::keymap::Action;
 use crate::text::Escaped;
 use crate::theme::{Role, Theme};
 use ratatui::Frame;
@@ -124,16 +125,34 @@ fn facts_of(choice: &BusChoice, at: usize, offer: &BusOffer, is_selected: bool) 
     }
 }
 
+/// Actions whose keys are shown below the list.
+const KEYS: [Action; 7] = [
+    Action::ChoiceOpen,
+    Action::ChoiceToggle,
+    Action::ChoiceBitrate,
+    Action::ChoiceSearch,
+    Action::ChoiceCopy,
+    Action::ChoiceTheme,
+    Action::ChoiceClose,
+];
+
 /// Returns the lines below the list: options, other kinds of buses, keys or a message.
 fn bottom_lines(choice: &BusChoice, theme: &Theme, is_high: bool) -> Vec<Line<'static>> {
     let line = |role, text: String| Line::from(Span::styled(text, theme.style(role)));
-    let option = |is_on: bool, text: &str| format!("[{}] {text}", if is_on { "x" } else { " " });
+    let option = |is_on: bool, text: &str, action| {
+        let key = choice.keymap().key_text(action);
+        format!("[{}] {text} ({key})", if is_on { "x" } else { " " })
+    };
     let mut options = vec![
-        option(choice.is_listen_only(), "listen only (l)"),
-        option(choice.is_without_requests(), "ask no names (n)"),
+        option(choice.is_listen_only(), "listen only", Action::ChoiceListenOnly),
+        option(choice.is_without_requests(), "ask no names", Action::ChoiceNoNames),
     ];
-    options.extend(choice.is_recorded().map(|is_on| option(is_on, "record to session.log (r)")));
-    options.extend(choice.is_in_place().map(|is_on| option(is_on, "in place of the open (i)")));
+    let records = choice.is_recorded();
+    options
+        .extend(records.map(|is_on| option(is_on, "record to session.log", Action::ChoiceRecord)));
+    let in_place = choice.is_in_place();
+    options
+        .extend(in_place.map(|is_on| option(is_on, "in place of the open", Action::ChoiceInPlace)));
     let mut lines = Vec::new();
     if is_high {
         let other =
@@ -150,9 +169,13 @@ fn bottom_lines(choice: &BusChoice, theme: &Theme, is_high: bool) -> Vec<Line<'s
         }
         (None, None) => {
             let is_first = choice.is_in_place().is_none();
-            let leave = if is_first { "t theme  q quit" } else { "Esc close" };
-            let keys = " Enter open  Space several  e bit rate  / search  y copy";
-            line(Role::Muted, format!("{keys}  {leave}"))
+            let shown = KEYS.iter().filter(|action| is_first || **action != Action::ChoiceTheme);
+            let hint = |action: &Action| {
+                let (key, word) = choice.keymap().hint(*action)?;
+                let quits = is_first && *action == Action::ChoiceClose;
+                Some(format!("{key} {}", if quits { "quit" } else { word }))
+            };
+            line(Role::Muted, format!(" {}", shown.filter_map(hint).collect::<Vec<_>>().join("  ")))
         }
     });
     lines

@@ -252,6 +252,8 @@ fn hint_line(brush: &DrawContext, mode: KeyMode, width: usize) -> Vec<Span<'stat
         (KeyMode::Conflict, ..) => &[A::Ours, A::Theirs, A::Later],
         (KeyMode::Filters, ..) => &[A::FilterUse, A::FilterRemove, A::FiltersClose],
         (KeyMode::Kinds, ..) => &[A::KindToggle, A::KindOnly, A::KindsClose],
+        // It is drawn with its keys.
+        (KeyMode::Choice, ..) => &[],
         (KeyMode::Themes, ..) => &[A::ThemeUp, A::ThemeDown, A::ThemeKeep, A::ThemesClose],
         (KeyMode::Marks, ..) => &[A::MarkGo, A::MarkRemove, A::MarksClose],
         (KeyMode::Compare, ..) => {

@@ -5,7 +5,7 @@ use super::offer::BusWorld;
 use super::{
     BIT_RATES, BusChoice, BusSelection, ChoiceOutcome, ChoiceQuestion, MAX_SEARCH, USUAL_RATE,
 };
-use crate::keymap::{Key, KeyCode};
+use crate::keymap::{Action, Key, KeyCode, KeyMode};
 
 impl BusChoice {
     /// Handles a key.
@@ -18,29 +18,35 @@ impl BusChoice {
             self.type_search(key);
             return None;
         }
-        let key = key.on_latin_keyboard().filter(|_| !key.ctrl).unwrap_or(key);
         if let Some(question) = self.question.take() {
-            let is_yes = key.code == KeyCode::Char('y');
+            let is_yes = self.keymap.lookup(KeyMode::Confirm, key) == Some(Action::Yes);
             return if is_yes { self.open_after(Some(question)) } else { None };
         }
-        match key.code {
-            KeyCode::Up | KeyCode::Char('k') => self.move_by(-1),
-            KeyCode::Down | KeyCode::Char('j') => self.move_by(1),
-            KeyCode::Home => self.move_by(isize::MIN),
-            KeyCode::End | KeyCode::Char('G') => self.move_by(isize::MAX),
-            KeyCode::Char(' ') => self.toggle(),
-            KeyCode::Char('e') => self.next_rate(),
-            KeyCode::Char('l') => self.listen_only = !self.listen_only,
-            KeyCode::Char('n') => self.no_requests = !self.no_requests,
-            KeyCode::Char('r') if self.open.is_none() => self.records = !self.records,
-            KeyCode::Char('i') if self.open.is_some() => self.toggle_in_place(),
-            KeyCode::Char('t') if self.open.is_none() => return Some(ChoiceOutcome::NextTheme),
-            KeyCode::Char('/') => self.is_typing = true,
-            KeyCode::Char('y') => return self.copy(),
-            KeyCode::Enter => return self.open_after(None),
-            KeyCode::Esc if !self.search.is_empty() => self.search.clear(),
-            KeyCode::Char('B') if self.open.is_some() => return Some(ChoiceOutcome::Close),
-            KeyCode::Esc | KeyCode::Char('q') => return Some(ChoiceOutcome::Close),
+        let is_open = self.open.is_some();
+        match self.keymap.lookup(KeyMode::Choice, key) {
+            Some(Action::ChoiceUp) => self.move_by(-1),
+            Some(Action::ChoiceDown) => self.move_by(1),
+            Some(Action::ChoiceFirst) => self.move_by(isize::MIN),
+            Some(Action::ChoiceLast) => self.move_by(isize::MAX),
+            Some(Action::ChoiceToggle) => self.toggle(),
+            Some(Action::ChoiceBitrate) => self.next_rate(),
+            Some(Action::ChoiceListenOnly) => self.listen_only = !self.listen_only,
+            Some(Action::ChoiceNoNames) => self.no_requests = !self.no_requests,
+            Some(Action::ChoiceRecord) if !is_open => self.records = !self.records,
+            Some(Action::ChoiceInPlace) if is_open => self.toggle_in_place(),
+            Some(Action::ChoiceTheme) if !is_open => return Some(ChoiceOutcome::NextTheme),
+            Some(Action::ChoiceSearch) => self.is_typing = true,
+            Some(Action::ChoiceCopy) => return self.copy(),
+            Some(Action::ChoiceOpen) => return self.open_after(None),
+            Some(Action::ChoiceClose) if key.code == KeyCode::Esc && !self.search.is_empty() => {
+                self.search.clear();
+            }
+            Some(Action::ChoiceClose) => return Some(ChoiceOutcome::Close),
+            // The key that opened the list.
+            None if is_open => {
+                let opens = self.keymap.lookup(KeyMode::Browse, key) == Some(Action::Buses);
+                return opens.then_some(ChoiceOutcome::Close);
+            }
             _ => {}
         }
         None

@@ -9,6 +9,7 @@ mod offer;
 
 pub use offer::{BusOffer, BusSelection, ChoiceOutcome, OfferKind};
 
+use crate::keymap::Keymap;
 use offer::without_rates;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -58,6 +59,7 @@ pub struct BusChoice {
     listen_only: bool,
     no_requests: bool,
     records: bool,
+    keymap: Keymap,
     /// The session below; `None` before one.
     open: Option<OpenBuses>,
     /// Chosen buses take the place of those that are open.
@@ -84,6 +86,7 @@ impl BusChoice {
             listen_only: false,
             no_requests: false,
             records: false,
+            keymap: Keymap::default(),
             open: None,
             in_place: false,
             theme: None,
@@ -101,6 +104,13 @@ impl BusChoice {
     pub fn waiting_for(mut self, interfaces: Vec<String>) -> Self {
         self.awaited = interfaces;
         self.select_usable();
+        self
+    }
+
+    /// Uses these keys instead of the default ones.
+    #[must_use]
+    pub fn with_keymap(mut self, keymap: Keymap) -> Self {
+        self.keymap = keymap;
         self
     }
 
@@ -189,6 +199,11 @@ impl BusChoice {
         let offer = self.offers.get(at)?;
         let rate = self.rates.get(&offer.argument).copied().unwrap_or(USUAL_RATE);
         (offer.kind == OfferKind::Adapter).then(|| BIT_RATES[rate])
+    }
+
+    /// Its keys.
+    pub fn keymap(&self) -> &Keymap {
+        &self.keymap
     }
 
     /// No frames will be sent.
