@@ -50,6 +50,7 @@ impl App {
             Action::Into if self.past.is_some() => self.scrub(1),
             Action::Back if self.past.is_some() => self.scrub(-1),
             Action::Back if self.shows_lanes() => self.scrub(-1),
+            Action::Into if self.shows_lanes() => self.scrub(1),
             Action::Into => self.go_into(),
             Action::Back => self.go_back(),
             Action::NextPage => self.turn_page(1),

@@ -8,6 +8,7 @@ use super::listing::{addition_refusal, update_operation};
 use super::notices::TimelineEntry;
 use super::problems::bus_obstacle;
 use super::timeline_kind::TimelineKind;
+use super::view::Page;
 use super::{
     App, Bus, EditRefusal, Effect, Overlay, Prompt, PromptContext, PromptKind, PromptOutcome,
     PromptResult, Question, RowKey, inputs,
@@ -454,6 +455,9 @@ impl App {
 
     /// Removes the lost devices.
     pub(super) fn remove_lost_devices(&mut self) {
+        if self.view.page != Page::Devices {
+            return self.show_error("lost devices are removed on the Devices page");
+        }
         let lost = self.counts().lost;
         let changed =
             self.buses.devices().filter(|it| it.is_present() && it.has_changed_services());

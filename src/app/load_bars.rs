@@ -240,7 +240,7 @@ impl App {
             BarKey::Service(index, _) => bus.service_bars(index, span),
         };
         let share = bars.iter().find(|bar| bar.key == key)?.share * 100.0;
-        let of = if bus.lacks_bit_rate() { "of the frames on" } else { "of" };
+        let of = if bus.lacks_bit_rate() { "of the bus time of frames on" } else { "of" };
         let label = self.bar_label(key);
         Some(format!("{label} {share:.1} % {of} {}", bus.name))
     }

@@ -298,7 +298,7 @@ impl App {
     pub(super) fn go_into(&mut self) {
         let view = &self.view;
         match view.page {
-            Page::Timeline => self.go_to_frames(),
+            Page::Timeline => self.go_from_here(Self::go_to_frames),
             Page::Traffic if view.evidence.is_none() && !view.frame_details => self.open_details(),
             _ => self.focus_details(true),
         }
@@ -440,12 +440,23 @@ impl App {
         if view.page == Page::Traffic && (view.shows_identifiers() || view.shows_calls()) {
             return self.toggle_counts_base();
         }
+        if view.page != Page::Traffic {
+            return self.show_error("times of frames are chosen on Traffic");
+        }
         self.view.time_format = self.view.time_format.next();
         self.show_info(self.view.time_format.describe());
     }
 
     /// Reverses the order of the rows.
     pub(super) fn reverse_order(&mut self) {
+        let is_sorted = match self.view.page {
+            Page::Devices => true,
+            Page::Traffic => self.view.shows_identifiers() || self.view.shows_calls(),
+            _ => false,
+        };
+        if !is_sorted {
+            return self.show_error("sort works on Devices, identifiers and calls");
+        }
         self.view.is_reversed = !self.view.is_reversed;
         self.refresh_rows();
         self.show_info(if self.view.is_reversed { "order reversed" } else { "order as before" });
@@ -576,8 +587,10 @@ impl App {
 
     /// A problem in one line: times, length, state, title, text, UIDs.
     fn problem_text(&self, problem: &Problem) -> String {
-        let (first, last) = (problem.first(), problem.last());
-        let times = format!("{} – {}", clock_millis(self, first), clock_millis(self, last));
+        let (first, ended) = (problem.began(), problem.ended());
+        let last = ended.unwrap_or(self.display_time());
+        let until = ended.map_or_else(|| "now".to_owned(), |ended| clock_millis(self, ended));
+        let times = format!("{} – {until}", clock_millis(self, first));
         let length = format_duration(last.since(first));
         let (state, title, text) = (problem.state(), problem.title(), &problem.head().text);
         let uids = self.uids_in(problem);

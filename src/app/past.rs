@@ -133,6 +133,11 @@ impl App {
         if self.is_of_logs() && time > self.clock.now() {
             return self.read_ahead(time);
         }
+        // The end of a log is its present.
+        if self.clock.playback().is_some_and(|it| it.is_ended) && time >= self.last_moment() {
+            self.show_present();
+            return self.show_info("end of the log");
+        }
         self.go_to(self.buses.moment(&self.traffic.capture, time));
     }
 

@@ -391,7 +391,8 @@ fn draw_axis(brush: &mut DrawContext, area: Rect, axis: ChartAxis) {
 fn draw_bars(brush: &mut DrawContext, shown: &BusView) {
     let (bus, index) = (shown.bus, shown.index);
     let what = match (bus.lacks_bit_rate(), bus.status.bitrate) {
-        (true, _) => "frames",
+        // Its parts are of the bits, not of the number of frames.
+        (true, _) => "bits",
         (_, None) => "load ≈",
         _ => "load",
     };

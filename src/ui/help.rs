@@ -176,6 +176,7 @@ fn keys_of(page: Page) -> &'static [Action] {
     match page {
         Page::Devices => &[
             A::Details,
+            A::Identifiers,
             A::Into,
             A::Back,
             A::Frames,
@@ -204,10 +205,27 @@ fn keys_of(page: Page) -> &'static [Action] {
             A::SortReverse,
             A::SaveCapture,
         ],
-        Page::Timeline => &[A::Details, A::Frames, A::Problem, A::Mark, A::Compare],
-        Page::Problems => {
-            &[A::Details, A::Frames, A::Problem, A::WriteProof, A::Mute, A::EditAddress]
-        }
+        Page::Timeline => &[
+            A::Details,
+            A::Identifiers,
+            A::Kinds,
+            A::OpenParts,
+            A::ZoomOut,
+            A::ZoomIn,
+            A::Frames,
+            A::Problem,
+            A::Mark,
+            A::Compare,
+        ],
+        Page::Problems => &[
+            A::Details,
+            A::Identifiers,
+            A::Frames,
+            A::Problem,
+            A::WriteProof,
+            A::Mute,
+            A::EditAddress,
+        ],
         Page::Bus => &[A::Details, A::Frames, A::Identifiers, A::BitRate, A::SaveCapture],
     }
 }
@@ -217,7 +235,7 @@ fn action_lines(brush: &DrawContext, action: &ActionInfo, width: u16) -> Vec<Lin
     let keys: Vec<String> =
         brush.app.keymap().keys_of(action.action).map(|key| key.to_string()).collect();
     let keys = if keys.is_empty() { "–".to_owned() } else { keys.join(" ") };
-    let key_width = if width < 50 { 10 } else { 15 };
+    let key_width = if width < 50 { 11 } else { 15 };
     two_columns(brush, (Role::HintKey, &keys), key_width, action.doc, width)
 }
 

@@ -108,7 +108,7 @@ fn proof_of_a_conflict_names_boards_frames_and_rules() {
     assert!(contains(&frames, &title));
     assert!(stored.len() > 4 * pieces.len(), "{} frames", stored.len());
     assert!(
-        text.contains(&format!("{} frames around them", stored.len() - pieces.len())),
+        text.contains(&format!("{} frames up to a second before", stored.len() - pieces.len())),
         "{text}"
     );
 }

@@ -49,7 +49,7 @@ fn interfaces_of_several_logs_are_buses_of_their_own() {
     let mut pty = Pty::start(&arguments, folder.path(), (120, 60));
     pty.wait_for(" can0  end of log");
     pty.send("5");
-    pty.wait_for("frames by device");
+    pty.wait_for("bits by device");
     let frames = |name: &str, count: usize| {
         let thousands = format!("frames {},{:03}", count / 1000, count % 1000);
         let screen = pty.screen();
@@ -89,7 +89,7 @@ fn several_logs_are_read_ahead_together() {
     }
     // A moment before is shown of both.
     pty.send(":50%\r5");
-    pty.wait_for("frames by device");
+    pty.wait_for("bits by device");
     pty.wait_for("FROZEN");
     let screen = pty.screen();
     let count = |name: &str| {
@@ -183,7 +183,7 @@ fn log_replaced_beside_another_keeps_its_own_times() {
     pty.wait_for(" left  end of log");
     assert_nothing_invented(&mut pty);
     pty.send("5");
-    pty.wait_for("frames by device");
+    pty.wait_for("bits by device");
     let frames = format!("frames {},{:03}", logs[0].len() / 1000, logs[0].len() % 1000);
     assert!(pty.screen().matches(&frames).count() >= 1, "{frames}: {}", pty.screen());
     pty.send("q");

@@ -60,6 +60,8 @@ impl IdentifierKey {
 
 /// Intervals that the jitter is of.
 const INTERVALS: usize = 256;
+/// Fewest intervals of which one in twenty does not make the jitter.
+const MIN_REGULAR: usize = 20;
 /// Parts of the time in which least, mean and greatest interval are: together a minute.
 const PARTS: usize = 6;
 const PART: Duration = Duration::from_secs(10);
@@ -75,8 +77,11 @@ pub struct FramePeriod {
     pub mean: Duration,
     /// Greatest interval.
     pub max: Duration,
-    /// 95 % of the last 256 intervals are at most so far from their mean.
+    /// 95 % of the last 256 intervals are at most so far from their median, so that one absence does
+    /// not count.
     pub jitter: Duration,
+    /// There are enough intervals for the jitter to be one.
+    pub is_regular: bool,
 }
 
 /// Intervals of a part of the time, in microseconds.
@@ -186,10 +191,12 @@ impl IdentifierStats {
             max: one.max.max(other.max),
             sum: one.sum.saturating_add(other.sum),
         })?;
-        let recent: u64 = self.intervals.iter().map(|&it| u64::from(it)).sum();
-        let mean = recent.checked_div(self.intervals.len() as u64)?;
-        let mut apart: Vec<u64> =
-            self.intervals.iter().map(|&it| u64::from(it).abs_diff(mean)).collect();
+        let mut apart: Vec<u64> = self.intervals.iter().map(|&it| u64::from(it)).collect();
+        let middle = apart.len() / 2;
+        let (_, &mut median, _) = apart.select_nth_unstable(middle);
+        for it in &mut apart {
+            *it = it.abs_diff(median);
+        }
         let rank = (apart.len() * 95).div_ceil(100).max(1) - 1;
         let (_, &mut jitter, _) = apart.select_nth_unstable(rank);
         Some(FramePeriod {
@@ -197,21 +204,23 @@ impl IdentifierStats {
             mean: Duration::from_micros(all.sum / u64::from(all.count)),
             max: Duration::from_micros(all.max),
             jitter: Duration::from_micros(jitter),
+            is_regular: apart.len() >= MIN_REGULAR,
         })
     }
 
-    /// Returns true for requests and responses, which have no period.
-    pub fn is_called(&self) -> bool {
-        matches!(self.last.id, CanId::Extended(_))
-            && matches!(
-                FrameRole::of(&self.last, false),
-                FrameRole::Request | FrameRole::Response | FrameRole::FailedResponse
-            )
+    /// Returns true for requests, responses and error frames, which have no period.
+    pub fn has_no_period(&self) -> bool {
+        self.key.kind == IdentifierKind::Error
+            || matches!(self.last.id, CanId::Extended(_))
+                && matches!(
+                    FrameRole::of(&self.last, false),
+                    FrameRole::Request | FrameRole::Response | FrameRole::FailedResponse
+                )
     }
 
-    /// The period; `None` for requests and responses, too.
+    /// The period; `None` for requests, responses and error frames, too.
     pub fn own_period(&self) -> Option<FramePeriod> {
-        if self.is_called() { None } else { self.period() }
+        if self.has_no_period() { None } else { self.period() }
     }
 
     /// When a byte changed last; `None` if it is as in the first frame, and for later ones than the
@@ -339,6 +348,7 @@ mod tests {
         let row = &identifiers.rows()[0];
         let period = row.period().unwrap();
         let millis = Duration::from_millis;
+        assert!(period.is_regular);
         assert_eq!((period.min, period.max), (millis(90), millis(110)));
         assert!(period.mean.abs_diff(millis(100)) < Duration::from_micros(50), "{period:?}");
         assert!(period.jitter <= Duration::from_micros(20), "95 % are on time: {period:?}");

@@ -363,7 +363,10 @@ impl Traffic {
                     .sort_by_cached_key(|row| row.own_period().map_or(Duration::MAX, |it| it.mean));
             }
             IdentifierOrder::Jitter => {
-                shown.sort_by_cached_key(|row| Reverse(row.own_period().map(|it| it.jitter)));
+                // A few intervals have no jitter that could be compared.
+                shown.sort_by_cached_key(|row| {
+                    Reverse(row.own_period().map(|it| (it.is_regular, it.jitter)))
+                });
             }
             IdentifierOrder::Newest => shown.sort_by_key(|row| Reverse(row.last.time)),
         }

@@ -11,6 +11,8 @@ use std::collections::BTreeMap;
 pub struct ProofFrames {
     /// Stored pieces, oldest first.
     pub pieces: Vec<EvidenceItem>,
+    /// Number of stored pieces from before the problem began, which are left out.
+    pub earlier: usize,
     /// Frames in the order of time, each with the place of its piece of evidence.
     pub frames: Vec<(Frame, Option<usize>)>,
     /// Pieces whose surroundings are no longer captured.
@@ -20,7 +22,14 @@ pub struct ProofFrames {
 /// Returns the evidence of a problem, with the frames of a second before and after each piece as far as
 /// they are captured. If those are too many, the nearest ones.
 pub fn of_problem(app: &App, problem: &Problem) -> ProofFrames {
-    let pieces = problem.evidence();
+    let mut pieces = problem.evidence();
+    // The address may have been contested before, by other boards or in another state.
+    let all = pieces.len();
+    let begin = problem.began() - AROUND_EVIDENCE;
+    if pieces.iter().any(|piece| piece.time >= begin) {
+        pieces.retain(|piece| piece.time >= begin);
+    }
+    let earlier = all - pieces.len();
     let (capture, end) = (&app.traffic.capture, app.traffic.end(&app.view));
     let each = MAX_FRAMES / (2 * pieces.len().max(1));
     let mut numbered: BTreeMap<u64, (Frame, Option<usize>)> = BTreeMap::new();
@@ -53,7 +62,7 @@ pub fn of_problem(app: &App, problem: &Problem) -> ProofFrames {
     }
     let mut frames: Vec<(Frame, Option<usize>)> = numbered.into_values().chain(stored).collect();
     frames.sort_by_key(|(frame, _)| frame.time);
-    ProofFrames { pieces, frames, alone }
+    ProofFrames { pieces, earlier, frames, alone }
 }
 
 /// Returns the frames as pcapng. A comment names the piece of evidence that a packet is.

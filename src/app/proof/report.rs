@@ -92,10 +92,15 @@ fn evidence(text: &mut String, app: &App, problem: &Problem, proof: &ProofFrames
     let _ = writeln!(
         text,
         "{stored} of {count} events, the first and the last ones. The file {} has these frames, and \
-         {} frames around them; Wireshark and tshark open it, and its comments name the events.\n",
+         {} frames up to a second before and after each, not all between; Wireshark and tshark open \
+         it, and its comments name the events.\n",
         Plain(file),
         proof.frames.len().saturating_sub(proof.pieces.len()),
     );
+    if proof.earlier > 0 {
+        let began = date_time(app, problem.began());
+        let _ = writeln!(text, "{} events before {began} are left out.\n", proof.earlier);
+    }
     if proof.alone > 0 {
         let _ = writeln!(
             text,
@@ -218,8 +223,16 @@ fn setup(text: &mut String, app: &App, problem: &Problem, proof: &ProofFrames) {
             .map_or("unknown bit rate".to_owned(), |rate| format!("{rate} bit/s"));
         table.row(&["bus", &format!("{name}, {rate}")]);
         let config = bus.config();
-        let mode = if config.listen_only { "listen-only: descan sent nothing" } else { "active" };
-        table.row(&["descan", mode]);
+        let sent = proof.frames.iter().filter(|(frame, _)| frame.is_tx).count();
+        let mode = match (app.playback().is_some(), config.listen_only) {
+            (true, _) if sent > 0 => format!(
+                "reads a log; {sent} of the frames below were sent by the program that recorded it"
+            ),
+            (true, _) => "reads a log".to_owned(),
+            (false, true) => "listen-only: descan sent nothing".to_owned(),
+            (false, false) => "active".to_owned(),
+        };
+        table.row(&["descan", &mode]);
         let profile = if config.profile.given {
             "given"
         } else {
@@ -235,7 +248,8 @@ fn setup(text: &mut String, app: &App, problem: &Problem, proof: &ProofFrames) {
         table.row(&["frames lost", &bus.lost().to_string()]);
         table.row(&["bus errors", &bus.counters().errors.to_string()]);
     }
-    table.row(&["written", &date_time(app, app.now())]);
+    let what = if app.playback().is_some() { "log read to" } else { "written" };
+    table.row(&[what, &date_time(app, app.now())]);
     if let Some(moment) = app.past_moment() {
         table.row(&["moment shown", &date_time(app, moment.time)]);
     }

@@ -107,7 +107,7 @@ impl LogStats {
     pub fn intervals(&self, row: &IdentifierStats) -> Option<&LogIntervals> {
         self.intervals
             .get(self.identifiers.place_of(&row.key)?)
-            .filter(|it| it.count > 0 && !row.is_called())
+            .filter(|it| it.count > 0 && !row.has_no_period())
     }
 
     /// Frames per second, of a count of frames; `None` for a log without duration.

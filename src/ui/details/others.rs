@@ -26,8 +26,10 @@ impl DeviceDetails<'_, '_> {
             row.board.is_some() && row.bus == self.row.bus && row.address == self.row.address
         };
         self.blank();
-        let rows: Vec<&crate::app::Row> = app.rows().iter().filter(is_here).collect();
-        for (at, row) in rows.into_iter().enumerate() {
+        let mut rows: Vec<&crate::app::Row> = app.rows().iter().filter(is_here).collect();
+        // Whatever the order of the list is.
+        rows.sort_by_key(|row| row.board.map(|board| board.side));
+        for row in rows {
             let Some(board) = row.board else { continue };
             let uid = uid_text(app, device, board.sender.uid);
             let text = format!("{uid} joined {}", clock_millis(app, board.sender.since));
@@ -43,8 +45,13 @@ impl DeviceDetails<'_, '_> {
                 .zip(stats.jitter)
                 .map(|(period, jitter)| format!("{} {}", period_text(period), jitter_text(jitter)));
             let missed = (stats.missed > 0).then(|| format!("{} missed", stats.missed));
-            let order = [None, Some("second"), Some("third")].get(at).copied();
-            let order = order.unwrap_or(Some("later")).map(str::to_owned);
+            let order = match board.side {
+                'A' => None,
+                'B' => Some("second"),
+                'C' => Some("third"),
+                _ => Some("later"),
+            };
+            let order = order.map(str::to_owned);
             let texts: Vec<String> = [order, mode, period, missed].into_iter().flatten().collect();
             let text = texts.join(", ");
             self.lines.extend(labelled(self.brush, "  ", Role::Muted, &text, self.width));

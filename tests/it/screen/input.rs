@@ -259,7 +259,7 @@ fn copied_problem_and_evidence_have_time_and_identity() {
         stage.keys("j");
     }
     let problem = copied(&mut stage);
-    assert!(problem.starts_with("12:00:") && problem.contains(" – 12:00:"), "{problem}");
+    assert!(problem.starts_with("12:00:") && problem.contains(" – now ("), "{problem}");
     assert!(problem.contains("s) confirmed: ") && problem.contains("@14"), "{problem}");
     assert!(problem.contains("; UIDs ") && problem.contains("BOILER03"), "{problem}");
     assert!(!problem.contains(".;"), "{problem}");
