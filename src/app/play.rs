@@ -72,6 +72,11 @@ impl Play {
     }
 }
 
+/// How far a log is read at first to find the next event: what is read is the present afterwards.
+const SEEK_STEP: Duration = Duration::from_secs(2);
+/// How far it is read at most before the next look.
+const MAX_SEEK_STEP: Duration = Duration::from_mins(10);
+
 /// The event up to which a log is read: the first one after a moment, of the kinds that are selected.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct SoughtEvent {
@@ -189,7 +194,7 @@ impl App {
 
     /// Reads the log up to the next event after a moment, which is shown then.
     pub(super) fn read_to_event(&mut self, from: Instant, is_wanted: fn(TimelineKind) -> bool) {
-        self.read_ahead(Instant::LATEST);
+        self.read_ahead(self.clock.now() + SEEK_STEP);
         self.sought_event = Some(SoughtEvent { from, is_wanted });
         self.show_info("reading the log up to the next one; Esc stops");
     }
@@ -203,12 +208,16 @@ impl App {
         }
         self.hold_log();
         let at = super::format_time_of_day(self, to);
+        self.read_to(to);
+        self.show_info(format!("reading the log up to {at}; Esc stops"));
+    }
+
+    fn read_to(&mut self, to: Instant) {
         // The last moment is the end, also of a log that has grown.
         let end = self.clock.playback().and_then(|it| it.end);
         let to = if end.is_some_and(|end| to >= end) { Instant::LATEST } else { to };
         self.reading_ahead = Some(to);
         self.effects.push_back(Effect::Playback(PlaybackCommand::ReadTo(to)));
-        self.show_info(format!("reading the log up to {at}; Esc stops"));
     }
 
     /// Shows the moment to which the log was read, once it is reached; at the end of the log the present.
@@ -230,6 +239,12 @@ impl App {
                 None => self.show_info("end of the log"),
             }
         } else if self.clock.now() >= to {
+            if let Some(sought) = self.sought_event {
+                // Each step is longer, so that a long silence is passed quickly.
+                let read = to.since(sought.from);
+                self.read_to(to + SEEK_STEP.max(read.min(MAX_SEEK_STEP)));
+                return;
+            }
             self.reading_ahead = None;
             self.replay_at(to);
         }

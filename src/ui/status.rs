@@ -342,7 +342,8 @@ fn load(brush: &DrawContext, bus: &Bus, cells: usize) -> Parts {
 fn place_in_log(brush: &DrawContext, bus: &Bus) -> Option<Vec<Span<'static>>> {
     let playback = brush.app.playback().filter(|_| brush.app.past_moment().is_none())?;
     let is_ended = bus.status.link == Link::Ended;
-    let mut text = format!(" {}", length_text(brush.app.display_time().since(Instant::ZERO)));
+    let at = bus.ended.unwrap_or(brush.app.display_time());
+    let mut text = format!(" {}", length_text(at.since(Instant::ZERO)));
     if let Some(percent) = bus.status.percent.filter(|_| !is_ended) {
         let _ = write!(text, " {percent}%");
     }

@@ -12,7 +12,7 @@ use std::path::Path;
 const INVENTED: [&str; 8] =
     ["suspected", "confirmed", "rebooted", "stale", "lost", "silent", "returned", "twice"];
 
-/// The second log is a pipe, which opens when a writer opens it: the first one is not read before.
+/// The second log is a pipe with a writer that ends.
 #[test]
 fn logs_begin_when_all_are_open() {
     let folder = tempfile::tempdir().unwrap();
@@ -151,7 +151,15 @@ fn logs_that_grow_in_turns_invent_nothing() {
     };
     grow(0);
     pty.wait_for(" left  log 0:19");
-    grow(1);
+    // A line that is no frame, and the begin of one, change nothing.
+    let append = |at: usize, text: &str| {
+        OpenOptions::new().append(true).open(path(at)).unwrap().write_all(text.as_bytes()).unwrap();
+    };
+    append(1, "\n");
+    let (begin, rest) = logs[1][piece].split_at(25);
+    append(1, begin);
+    append(1, rest);
+    append(1, &logs[1][piece + 1..2 * piece].concat());
     // The other one is late by then.
     pty.wait_for("right        its times are shown 10.");
     pty.wait_for(" left  end of log");
@@ -222,6 +230,39 @@ fn logs_of_one_time_keep_their_dates() {
         let screen = screen.contents();
         screen.lines().any(|line| line.contains(&clock) && line.contains("right            open"))
     });
+    pty.send("q");
+    assert_eq!(pty.wait(), 0);
+}
+
+/// The first log ends long before the other one.
+#[test]
+fn log_that_ends_before_others_keeps_its_last_state() {
+    let folder = tempfile::tempdir().unwrap();
+    let logs = write_two(folder.path());
+    fs::write(folder.path().join("left.log"), logs[0][..logs[0].len() / 4].concat()).unwrap();
+    let arguments = ["left.log", "right.log", "--file", "des.json"];
+    let mut pty = Pty::start(&arguments, folder.path(), (120, 60));
+    pty.wait_for("N1");
+    pty.send(":100%\r");
+    pty.wait_for(" left  end of log 0:09");
+    pty.wait_for(" right  end of log 0:39");
+    pty.send("1");
+    pty.wait_for("11 present");
+    assert!(!pty.screen().contains("lost"), "{}", pty.screen());
+    assert_nothing_invented(&mut pty);
+    pty.send("q");
+    assert_eq!(pty.wait(), 0);
+}
+
+/// Nothing waits for the writer of a pipe.
+#[test]
+fn pipe_without_a_writer_holds_nothing_up() {
+    let folder = tempfile::tempdir().unwrap();
+    write_log(&folder.path().join("session.log"));
+    nix::unistd::mkfifo(&folder.path().join("pipe"), Mode::S_IRWXU).unwrap();
+    let arguments = ["session.log", "pipe", "--file", "des.json", "--speed", "1000"];
+    let mut pty = Pty::start(&arguments, folder.path(), (100, 60));
+    pty.wait_for(" can0  end of log");
     pty.send("q");
     assert_eq!(pty.wait(), 0);
 }

@@ -23,7 +23,16 @@ impl BusChoice {
             return if is_yes { self.open_after(Some(question)) } else { None };
         }
         let is_open = self.open.is_some();
-        match self.keymap.lookup(KeyMode::Choice, key) {
+        let action = self.keymap.lookup(KeyMode::Choice, key);
+        let is_of_line = matches!(
+            action,
+            Some(Action::ChoiceToggle | Action::ChoiceBitrate | Action::ChoiceCopy)
+        );
+        if is_of_line && !self.shown().contains(&self.selected) {
+            self.show("no line is shown");
+            return None;
+        }
+        match action {
             Some(Action::ChoiceUp) => self.move_by(-1),
             Some(Action::ChoiceDown) => self.move_by(1),
             Some(Action::ChoiceFirst) => self.move_by(isize::MIN),

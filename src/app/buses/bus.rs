@@ -376,6 +376,8 @@ impl Bus {
         }
         if let Some(since) = stood_since {
             self.engine.suspend(since);
+            self.meter.advance(since, true);
+            self.meter.advance(now, false);
         }
         if came_back || stood_since.is_some() {
             self.engine.restart(now);

@@ -7,6 +7,7 @@ use crate::log::LogFormat;
 use crate::regular_file::shown;
 use std::fs::File;
 use std::io;
+use std::os::unix::fs::{FileTypeExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 
 pub(in crate::bus) const KIND: BusKind = BusKind {
@@ -33,7 +34,11 @@ pub(in crate::bus) fn text(path: &Path) -> String {
 }
 
 pub(in crate::bus) fn open(path: &Path, request: OpenRequest) -> Result<Port, Diagnostic> {
-    super::open(open_log(path)?, Some(path), request)
+    let is_pipe = std::fs::metadata(path).is_ok_and(|it| it.file_type().is_fifo());
+    // A pipe opens before a writer does: its frames are waited for where other buses are not held up.
+    let pipe = || File::options().read(true).custom_flags(nix::libc::O_NONBLOCK).open(path).ok();
+    let log = if is_pipe { pipe() } else { None };
+    super::open(log.map_or_else(|| open_log(path), Ok)?, Some(path), request)
 }
 
 /// Opens a log.

@@ -97,6 +97,7 @@ fn start(log: File, path: Option<&Path>, request: OpenRequest) -> io::Result<Por
             last: Instant::ZERO,
             awaits_start: true,
             is_resuming: false,
+            is_another: false,
             reads_to: Instant::ZERO,
             waiting: Vec::with_capacity(AT_ONCE),
             named: 0,
@@ -133,6 +134,8 @@ struct Replay {
     awaits_start: bool,
     /// The next frame is the first one after its end.
     is_resuming: bool,
+    /// The next frame is the first one of another log.
+    is_another: bool,
     /// Moment up to which frames are delivered as fast as possible, as it was last looked at.
     reads_to: Instant,
     /// Frames that are delivered together.
@@ -173,11 +176,8 @@ impl Replay {
             }
             let Some(more) = self.wait_for_more()? else { return Ok(()) };
             self.follows = true;
-            match more {
-                Continuation::Grown => self.shared.queue.update_status(|status| {
-                    (status.link, status.fault) = (Link::Up, None);
-                }),
-                Continuation::Anew(why) => self.begin_another_log(why)?,
+            if let Continuation::Anew(why) = more {
+                self.begin_another_log(why)?;
             }
         }
     }
@@ -257,7 +257,7 @@ impl Replay {
             let (from, to) = self.start.unwrap_or((from, to));
             let dated = to + frame.time.since(from);
             due = self.clock.log_resumes(self.bus, dated);
-            self.report_moved(dated, due);
+            self.report_resumed(dated, due);
         }
         self.clock.log_waits(self.bus, due);
         due = due.max(self.clock.now() - self.clock.run_in(MAX_LATENESS));
@@ -361,15 +361,20 @@ impl Replay {
         self.shared.queue.update_status(|status| (status.link, status.note) = (Link::Up, note));
     }
 
-    /// Reports that frames are shown at other times than they are dated, from one after the end of the
-    /// log on.
-    fn report_moved(&self, dated: Instant, due: Instant) {
+    /// Reports that frames follow after the end of the log, and whether they are shown at other times
+    /// than they are dated. The dates of another log are not compared with those of the one before.
+    fn report_resumed(&mut self, dated: Instant, due: Instant) {
+        if std::mem::take(&mut self.is_another) {
+            return;
+        }
         let (by, way) =
             if due >= dated { (due.since(dated), "later") } else { (dated.since(due), "earlier") };
         let seconds = by.as_secs_f64();
         let note = format!("its times are shown {seconds:.1} s {way} than in the log");
         let note = Some(note).filter(|_| by >= MIN_MOVE);
-        self.shared.queue.update_status(|status| status.note = note);
+        self.shared.queue.update_status(|status| {
+            (status.link, status.fault, status.note) = (Link::Up, None, note);
+        });
     }
 
     /// Reports how much is read, if the size is known.
@@ -393,18 +398,21 @@ impl Replay {
         };
         let since = Monotonic::now();
         let mut is_told = false;
-        if self.follows {
+        // What was written after its end had no frame: it is still at its end.
+        let is_at_end = !self.follows || self.is_resuming;
+        if !is_at_end {
             self.clock.log_awaits_more(self.bus, self.last);
         }
         while !self.shared.is_stopped() {
             // Before the file has grown once, its end counts as the end of the log.
-            if !is_told && (!self.follows || since.elapsed() >= IDLE_BEFORE_END) {
+            if !is_told && (is_at_end || since.elapsed() >= IDLE_BEFORE_END) {
                 self.end();
                 is_told = true;
             }
             let is_damaged = self.reader.is_damaged();
             if let Some(more) = self.reader.source_mut().get_mut().check_file(&path, is_damaged)? {
-                self.is_resuming = is_told || matches!(more, Continuation::Anew(_));
+                self.is_resuming |= is_told || matches!(more, Continuation::Anew(_));
+                self.is_another |= matches!(more, Continuation::Anew(_));
                 return Ok(Some(more));
             }
             self.shared.wait(None, Some(LOOK_EVERY))?;
@@ -493,13 +501,21 @@ impl LogSource {
 
 impl Read for LogSource {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
-        while !self.shared.wait(Some(self.log.as_fd()), None)? {
+        loop {
+            if self.shared.wait(Some(self.log.as_fd()), None)? {
+                match self.log.read(buffer) {
+                    // A pipe that another reader was quicker at.
+                    Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
+                    read => {
+                        let read = read?;
+                        self.read += read as u64;
+                        return Ok(read);
+                    }
+                }
+            }
             if self.shared.is_stopped() {
                 return Ok(0);
             }
         }
-        let read = self.log.read(buffer)?;
-        self.read += read as u64;
-        Ok(read)
     }
 }
