@@ -69,12 +69,7 @@ fn interfaces_of_several_logs_are_buses_of_their_own() {
 #[test]
 fn several_logs_are_read_ahead_together() {
     let folder = tempfile::tempdir().unwrap();
-    write_log(&folder.path().join("one.log"));
-    let one = fs::read_to_string(folder.path().join("one.log")).unwrap();
-    for name in ["left", "right"] {
-        let log = folder.path().join(format!("{name}.log"));
-        fs::write(log, one.replace(" can0 ", &format!(" {name} "))).unwrap();
-    }
+    let [lines, _] = write_two(folder.path());
     let arguments = ["left.log", "right.log", "--file", "des.json"];
     let mut pty = Pty::start(&arguments, folder.path(), (120, 60));
     pty.wait_for("N1");
@@ -99,7 +94,7 @@ fn several_logs_are_read_ahead_together() {
         rest.split_whitespace().next()?.replace(',', "").parse::<usize>().ok()
     };
     let (left, right) = (count("left").unwrap(), count("right").unwrap());
-    let all = one.lines().count();
+    let all = lines.len();
     assert!(
         left.abs_diff(right) <= 1 && left.abs_diff(all / 2) < all / 10,
         "{left} {right} of {all}"
