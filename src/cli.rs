@@ -257,7 +257,10 @@ Examples:
   descan diff good.log now.log
   descan diff good.json now.log --json | jq -r '.differences[].kind'
   descan scan can0 --json | descan diff good.json -
-  ssh board cat /tmp/now.log | descan diff good.log -")]
+  ssh board cat /tmp/now.log | descan diff good.log -
+Two moments of one log, here 10 s after its start and its end:
+  descan log session.log --time 10 --write start.log
+  descan diff start.log session.log")]
 pub struct DiffArgs {
     /// Log or document to compare with; - is standard input
     #[arg(value_name = "BEFORE", value_hint = clap::ValueHint::FilePath)]
