@@ -341,6 +341,9 @@ fn load(brush: &DrawContext, bus: &Bus, cells: usize) -> Parts {
 /// Returns whether a replay is paused, its position, percent and speed; `None` without a log.
 fn place_in_log(brush: &DrawContext, bus: &Bus) -> Option<Vec<Span<'static>>> {
     let playback = brush.app.playback().filter(|_| brush.app.past_moment().is_none())?;
+    if bus.status.link == Link::Opening {
+        return None;
+    }
     let is_ended = bus.status.link == Link::Ended;
     let at = bus.ended.unwrap_or(brush.app.display_time());
     let mut text = format!(" {}", length_text(at.since(Instant::ZERO)));
@@ -396,6 +399,7 @@ fn rate(bits: u32) -> String {
 /// Returns the state of the interface and the controller as a word.
 fn state(brush: &DrawContext, index: BusIndex, bus: &Bus) -> Span<'static> {
     let (word, role) = match (bus.status.link, bus.status.state) {
+        (Link::Opening, _) if brush.app.playback().is_some() => ("begins later", Role::Muted),
         (Link::Opening, _) => ("opening", Role::Muted),
         (Link::Down, _) | (Link::Up, BusState::Down) => ("DOWN", Role::Error),
         (Link::Missing, _) => ("MISSING", Role::Error),
