@@ -168,7 +168,7 @@ impl Clock {
 
     /// Time of the first frame of a log; `None` if it is the present when that frame is read.
     pub(super) fn start_of(&self, log: BusIndex) -> Option<Instant> {
-        self.pace().starts.get(usize::from(log.0)).copied().flatten()
+        self.pace().start_of(log)
     }
 
     /// The status of the playback; `None` unless all buses are logs.
@@ -211,8 +211,7 @@ impl Clock {
     /// Adds a log; `is_live`: it is read as it is written.
     pub(super) fn log_opens(&self, log: BusIndex, is_live: bool) {
         self.change(|pace| {
-            let start = pace.starts.get(usize::from(log.0)).copied().flatten();
-            let start = start.unwrap_or(pace.from);
+            let start = pace.start_of(log).unwrap_or(pace.from);
             let place = if is_live { LogPlace::Live(None) } else { LogPlace::Next(start) };
             pace.awaited_logs = pace.awaited_logs.saturating_sub(1);
             pace.logs.insert(log, place);
@@ -322,6 +321,10 @@ impl PlaybackPace {
     /// How far it would be if no log held it up.
     fn pace(&self) -> Instant {
         self.from + self.since.elapsed().mul_f64(self.speed)
+    }
+
+    fn start_of(&self, log: BusIndex) -> Option<Instant> {
+        self.starts.get(usize::from(log.0)).copied().flatten()
     }
 
     /// The moment that it does not pass: of the first frame that waits to be taken, or of the last one

@@ -3,7 +3,7 @@
 //! Reads folders, the list of logs and the ends of these; opens no bus and sends nothing. Bounded: 10 logs, 16 serial
 //! devices. Does not know how the list is shown.
 
-use super::recent_logs::{RecentLog, recent_logs};
+use super::recent_logs::{LogLengths, RecentLog, recent_logs};
 use crate::app::{BusOffer, OfferKind};
 use crate::bus::{self, CanInterface};
 use crate::regular_file::shown;
@@ -24,13 +24,13 @@ const ADAPTER_WORDS: [&str; 5] = ["can", "slcan", "lawicel", "usbtin", "zubax"];
 pub fn offers(utc_offset_seconds: i32) -> Vec<BusOffer> {
     let interfaces = bus::interfaces();
     let interfaces = interfaces.iter().map(|interface| of_interface(interface, ""));
-    interfaces.chain(others(utc_offset_seconds)).collect()
+    interfaces.chain(others(utc_offset_seconds, &mut LogLengths::default())).collect()
 }
 
 /// Returns everything that can be opened but CAN interfaces.
-pub fn others(utc_offset_seconds: i32) -> Vec<BusOffer> {
+pub fn others(utc_offset_seconds: i32, lengths: &mut LogLengths) -> Vec<BusOffer> {
     let mut offers = adapters(Path::new("/dev"));
-    offers.extend(recent_logs().iter().map(|log| of_log(log, utc_offset_seconds)));
+    offers.extend(recent_logs().iter().map(|log| of_log(log, utc_offset_seconds, lengths)));
     for (argument, facts) in
         [("sim:boiler", "125k, 10 devices, a conflict after 28 s"), ("sim:drone", "1M, 12 devices")]
     {
@@ -119,11 +119,11 @@ fn of_adapter(path: &Path, identity: &str, is_known: bool) -> BusOffer {
     }
 }
 
-fn of_log(log: &RecentLog, utc_offset_seconds: i32) -> BusOffer {
+fn of_log(log: &RecentLog, utc_offset_seconds: i32, lengths: &mut LogLengths) -> BusOffer {
     BusOffer {
         kind: OfferKind::Log,
         name: printable(log.path.file_name().unwrap_or_default().as_bytes()),
-        facts: facts_of_log(log, utc_offset_seconds),
+        facts: facts_of_log(log, utc_offset_seconds, lengths),
         argument: format!("file:{}", log.path.display()),
         command: None,
         is_unknown: false,
@@ -131,7 +131,7 @@ fn of_log(log: &RecentLog, utc_offset_seconds: i32) -> BusOffer {
 }
 
 /// Length, what was found, time of the last change and folder of a log.
-fn facts_of_log(log: &RecentLog, utc_offset_seconds: i32) -> String {
+fn facts_of_log(log: &RecentLog, utc_offset_seconds: i32, lengths: &mut LogLengths) -> String {
     let folder = log.path.parent().map(shown).unwrap_or_default();
     let Ok(metadata) = fs::metadata(&log.path) else { return folder };
     let changed = metadata.modified().ok().map(|at| {
@@ -140,7 +140,7 @@ fn facts_of_log(log: &RecentLog, utc_offset_seconds: i32) -> String {
         let (date, time) = (at.date(), at.time());
         format!("{date} {:02}:{:02}", time.hour(), time.minute())
     });
-    let length = log.length().map_or_else(|| "–".to_owned(), length_text);
+    let length = lengths.of(&log.path, &metadata).map_or_else(|| "–".to_owned(), length_text);
     let contents = printable(log.contents.as_bytes());
     let changed = changed.unwrap_or_default();
     format!("{length:<8} {contents:<23} {changed}  {folder}")

@@ -4,6 +4,7 @@
 //! and changes no setting. Bounded: 16 interfaces are listened to. Does not know how the list is shown.
 
 use super::bus_offers::{of_interface, others};
+use super::recent_logs::LogLengths;
 use crate::app::BusOffer;
 use crate::bus::{self, BusSpec, CanInterface, Clock, Options, Port};
 use crate::discovery::{Config, Engine};
@@ -69,6 +70,7 @@ fn look(settings: &ScoutSettings, open: &[String], to: &Sender<Vec<BusOffer>>) {
     let config = Config { listen_only: true, profile, ..Config::default() };
     let clock = Clock::start();
     let mut heard: BTreeMap<String, Listener> = BTreeMap::new();
+    let mut lengths = LogLengths::default();
     while !to.is_closed() {
         let interfaces = bus::interfaces();
         let is_up = |name: &String| interfaces.iter().any(|it| it.up && it.name == *name);
@@ -84,7 +86,7 @@ fn look(settings: &ScoutSettings, open: &[String], to: &Sender<Vec<BusOffer>>) {
             of_interface(interface, facts.as_deref().unwrap_or_default())
         });
         let mut offers: Vec<BusOffer> = offers.collect();
-        offers.extend(others(settings.utc_offset_seconds));
+        offers.extend(others(settings.utc_offset_seconds, &mut lengths));
         if to.blocking_send(offers).is_err() {
             return;
         }

@@ -6,8 +6,10 @@ use crate::bus::LogDates;
 use crate::regular_file::read_text;
 use crate::time::Duration;
 use etcetera::{BaseStrategy, choose_base_strategy};
-use std::fs::{self, File};
+use std::collections::BTreeMap;
+use std::fs::{self, File, Metadata};
 use std::path::{Path, PathBuf};
+use std::time::SystemTime;
 
 /// Most logs that are remembered.
 const MAX_LOGS: usize = 10;
@@ -21,14 +23,36 @@ pub struct RecentLog {
     pub contents: String,
 }
 
-impl RecentLog {
-    /// Time from its first frame to its last; `None` if it cannot be read.
-    pub fn length(&self) -> Option<Duration> {
-        let log = File::open(&self.path).ok()?;
-        let (_, dates) = LogDates::read(&log).ok()?;
-        dates.as_ref().map(LogDates::length)
-    }
+/// Lengths of logs, read again only where the file has changed: the list is made every second.
+#[derive(Debug, Default)]
+pub struct LogLengths {
+    read: BTreeMap<PathBuf, (u64, Option<SystemTime>, Option<Duration>)>,
+}
 
+impl LogLengths {
+    /// Time from the first frame of a log to its last; `None` if it cannot be read.
+    pub fn of(&mut self, path: &Path, metadata: &Metadata) -> Option<Duration> {
+        let (size, changed) = (metadata.len(), metadata.modified().ok());
+        match self.read.get(path) {
+            Some(&(read_size, read_at, length)) if (read_size, read_at) == (size, changed) => {
+                length
+            }
+            _ => {
+                let length = length_of(path);
+                self.read.insert(path.to_owned(), (size, changed, length));
+                length
+            }
+        }
+    }
+}
+
+fn length_of(path: &Path) -> Option<Duration> {
+    let log = File::open(path).ok()?;
+    let (_, dates) = LogDates::read(&log).ok()?;
+    dates.as_ref().map(LogDates::length)
+}
+
+impl RecentLog {
     /// Parses a line of the file: a path, and behind a tab the contents.
     fn parse(line: &str) -> Self {
         let known = line.rsplit_once('\t').filter(|_| !Path::new(line).exists());
@@ -106,7 +130,12 @@ mod tests {
             (found[0].path.clone(), &*found[0].contents),
             (folder.join("one.log"), "9 devices")
         );
-        assert_eq!(found[0].length(), Some(Duration::from_millis(60_500)));
+        let mut lengths = LogLengths::default();
+        let mut length = || lengths.of(&found[0].path, &fs::metadata(&found[0].path).unwrap());
+        assert_eq!(length(), Some(Duration::from_millis(60_500)));
+        assert_eq!(length(), Some(Duration::from_millis(60_500)));
+        fs::write(&found[0].path, "(1.0) can0 123#\n(2.0) can0 123#R\n").unwrap();
+        assert_eq!(length(), Some(Duration::from_secs(1)), "it has changed");
         write(&file, &with_tab, None);
         assert_eq!((&read(&file)[0].path, &*read(&file)[0].contents), (&with_tab, ""));
         // A list of paths alone.

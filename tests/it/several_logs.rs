@@ -14,7 +14,7 @@ const INVENTED: [&str; 8] =
 
 /// The second log is a pipe with a writer that ends.
 #[test]
-fn logs_begin_when_all_are_open() {
+fn log_beside_a_pipe_is_shown_from_its_start() {
     let folder = tempfile::tempdir().unwrap();
     let log = folder.path().join("session.log");
     write_log(&log);
@@ -70,18 +70,8 @@ fn interfaces_of_several_logs_are_buses_of_their_own() {
 fn several_logs_are_read_ahead_together() {
     let folder = tempfile::tempdir().unwrap();
     let [lines, _] = write_two(folder.path());
-    let arguments = ["left.log", "right.log", "--file", "des.json"];
-    let mut pty = Pty::start(&arguments, folder.path(), (120, 60));
-    pty.wait_for("N1");
-    pty.send(":100%\r");
-    pty.wait_for(" left  end of log");
-    pty.wait_for(" right  end of log");
-    pty.send("3G");
-    pty.wait_for("lanes and lines");
-    let screen = pty.screen();
-    for word in ["suspected", "rebooted", "stale", "lost", "silent", "returned"] {
-        assert!(!screen.contains(&format!(" {word}")), "{word}: {screen}");
-    }
+    let mut pty = read_two(folder.path());
+    assert_nothing_invented(&mut pty);
     // A moment before is shown of both.
     pty.send(":50%\r5");
     pty.wait_for("bits by device");
@@ -114,6 +104,17 @@ fn write_two(folder: &Path) -> [Vec<String>; 2] {
     })
 }
 
+/// Opens `left.log` and `right.log`, and reads both to their ends.
+fn read_two(folder: &Path) -> Pty {
+    let arguments = ["left.log", "right.log", "--file", "des.json"];
+    let mut pty = Pty::start(&arguments, folder, (120, 60));
+    pty.wait_for("N1");
+    pty.send(":100%\r");
+    pty.wait_for(" left  end of log");
+    pty.wait_for(" right  end of log");
+    pty
+}
+
 /// Shows the lines of the timeline and asserts that nothing is invented.
 fn assert_nothing_invented(pty: &mut Pty) {
     pty.send("3G");
@@ -134,19 +135,14 @@ fn logs_that_grow_in_turns_invent_nothing() {
     for (at, lines) in logs.iter().enumerate() {
         fs::write(path(at), lines[..piece].concat()).unwrap();
     }
-    let arguments = ["left.log", "right.log", "--file", "des.json"];
-    let mut pty = Pty::start(&arguments, folder.path(), (120, 60));
-    pty.wait_for("N1");
-    pty.send(":100%\r");
-    pty.wait_for(" left  end of log");
-    pty.wait_for(" right  end of log");
+    let mut pty = read_two(folder.path());
     let grow = |at: usize| {
         let mut log = OpenOptions::new().append(true).open(path(at)).unwrap();
         log.write_all(logs[at][piece..2 * piece].concat().as_bytes()).unwrap();
     };
     grow(0);
     pty.wait_for(" left  log 0:19");
-    // A line that is no frame, and the begin of one, change nothing.
+    // An empty line, and the start of one with a frame, change nothing.
     let append = |at: usize, text: &str| {
         OpenOptions::new().append(true).open(path(at)).unwrap().write_all(text.as_bytes()).unwrap();
     };
@@ -173,12 +169,7 @@ fn log_replaced_beside_another_keeps_its_own_times() {
     let folder = tempfile::tempdir().unwrap();
     let logs = write_two(folder.path());
     fs::write(folder.path().join("left.log"), logs[0][..logs[0].len() / 4].concat()).unwrap();
-    let arguments = ["left.log", "right.log", "--file", "des.json"];
-    let mut pty = Pty::start(&arguments, folder.path(), (120, 60));
-    pty.wait_for("N1");
-    pty.send(":100%\r");
-    pty.wait_for(" left  end of log");
-    pty.wait_for(" right  end of log");
+    let mut pty = read_two(folder.path());
     fs::write(folder.path().join("next"), logs[0].concat()).unwrap();
     fs::rename(folder.path().join("next"), folder.path().join("left.log")).unwrap();
     pty.wait_for("log replaced");
@@ -235,10 +226,7 @@ fn log_that_ends_before_others_keeps_its_last_state() {
     let folder = tempfile::tempdir().unwrap();
     let logs = write_two(folder.path());
     fs::write(folder.path().join("left.log"), logs[0][..logs[0].len() / 4].concat()).unwrap();
-    let arguments = ["left.log", "right.log", "--file", "des.json"];
-    let mut pty = Pty::start(&arguments, folder.path(), (120, 60));
-    pty.wait_for("N1");
-    pty.send(":100%\r");
+    let mut pty = read_two(folder.path());
     pty.wait_for(" left  end of log 0:09");
     pty.wait_for(" right  end of log 0:39");
     pty.send("1");

@@ -36,9 +36,8 @@ pub(in crate::bus) fn text(path: &Path) -> String {
 pub(in crate::bus) fn open(path: &Path, request: OpenRequest) -> Result<Port, Diagnostic> {
     let is_pipe = std::fs::metadata(path).is_ok_and(|it| it.file_type().is_fifo());
     // A pipe opens before a writer does: its frames are waited for where other buses are not held up.
-    let pipe = || File::options().read(true).custom_flags(nix::libc::O_NONBLOCK).open(path).ok();
-    let log = if is_pipe { pipe() } else { None };
-    super::open(log.map_or_else(|| open_log(path), Ok)?, Some(path), request)
+    let flags = if is_pipe { nix::libc::O_NONBLOCK } else { 0 };
+    super::open(open_with(path, flags)?, Some(path), request)
 }
 
 /// Opens a log.
@@ -47,7 +46,11 @@ pub(in crate::bus) fn open(path: &Path, request: OpenRequest) -> Result<Port, Di
 ///
 /// Those of the file system; a folder is not a log.
 pub fn open_log(path: &Path) -> Result<File, Diagnostic> {
-    let opened = File::open(path).and_then(|log| {
+    open_with(path, 0)
+}
+
+fn open_with(path: &Path, flags: i32) -> Result<File, Diagnostic> {
+    let opened = File::options().read(true).custom_flags(flags).open(path).and_then(|log| {
         let is_folder = log.metadata()?.is_dir();
         if is_folder { Err(io::ErrorKind::IsADirectory.into()) } else { Ok(log) }
     });
