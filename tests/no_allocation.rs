@@ -82,6 +82,7 @@ fn steady_traffic_allocates_almost_nothing() {
     for number in 110..115 {
         let frames = second(number);
         for part in frames.chunks(50) {
+            app.advance_to(part.last().unwrap().time);
             let before = ALLOCATIONS.get();
             app.handle_frames(part.last().unwrap().time, part);
             allocations += ALLOCATIONS.get() - before;

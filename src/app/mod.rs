@@ -50,6 +50,7 @@ mod filter_commands;
 mod followed_frames;
 mod frame_selector;
 mod frame_sides;
+mod frames;
 mod help_view;
 mod history;
 mod input;
@@ -70,7 +71,6 @@ mod play;
 mod problem_page;
 mod problems;
 mod proof;
-mod recorded_frames;
 mod saved_filters;
 mod signs;
 mod stories;
@@ -479,25 +479,6 @@ impl App {
     }
 
     // ---- handle_*: input -------------------------------------------------------------------
-
-    /// Takes frames, each with its own time.
-    pub fn handle_frames(&mut self, now: Instant, frames: &[Frame]) {
-        self.clock.set(now);
-        for frame in frames {
-            if self.buses.receive(frame) {
-                self.capture_frame(frame);
-                // After each frame: an event has the data of its moment.
-                if self.buses.has_events() {
-                    self.take_events();
-                }
-            }
-        }
-        if !frames.is_empty() && self.view.page == Page::Traffic && self.view.frozen.is_none() {
-            self.request_redraw();
-        }
-        self.complete_bus_events(now);
-        self.buses.keep_history(now, &self.traffic.capture);
-    }
 
     fn capture_frame(&mut self, frame: &Frame) {
         while let Some((numbers, times)) = self.traffic.capture.about_to_drop(frame.time) {

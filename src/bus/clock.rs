@@ -115,6 +115,12 @@ impl Clock {
         self.pace().now()
     }
 
+    /// Lets time pass.
+    #[cfg(test)]
+    pub(crate) fn elapse(&self, time: Duration) {
+        self.pace().since -= time;
+    }
+
     /// The Unix time of the start.
     pub fn epoch(&self) -> Epoch {
         self.epoch
@@ -564,13 +570,12 @@ mod tests {
         let log = BusIndex(0);
         clock.log_opens(log, false);
         let at = Instant::from_micros;
-        let elapses = |time| clock.pace().since -= time;
         clock.log_waits(log, at(1_000));
-        elapses(Duration::from_millis(3));
+        clock.elapse(Duration::from_millis(3));
         assert_eq!(clock.now(), at(1_000), "not beyond the frame");
         clock.log_waits(log, at(2_000));
         assert_eq!(clock.now(), at(2_000), "and with that in time for the next");
-        elapses(Duration::from_secs(5));
+        clock.elapse(Duration::from_secs(5));
         clock.log_waits(log, at(3_000_000));
         let now = clock.now();
         assert!(now >= at(2_000) && now < at(2_000_000), "held up for long it goes on: {now}");

@@ -47,6 +47,12 @@ impl Port {
         Self { name, shared, listen_only, threads: Vec::new(), frames: None }
     }
 
+    /// A port whose frames a test pushes into its queue.
+    #[cfg(test)]
+    pub(crate) fn for_test(name: &str) -> Self {
+        Self::new(name, Arc::new(PortShared::new().expect("a pipe")), true)
+    }
+
     /// Starts a thread of the bus. If it panics, the link becomes [`Link::Failed`].
     ///
     /// # Errors
@@ -87,6 +93,18 @@ impl Port {
         self.shared.waker.wake();
     }
 
+    /// Allows the threads to collect frames for longer while no response is awaited: what is due must
+    /// then wait for [`Queue::complete_until`].
+    pub fn allow_collecting(&self) {
+        self.shared.may_collect.store(true, Ordering::Release);
+    }
+
+    /// Makes the threads deliver frames promptly for a while: a response is awaited, on this bus or
+    /// another.
+    pub fn expect_response(&self) {
+        self.shared.expect_response();
+    }
+
     /// Queues a frame to be sent; never blocks. A frame that is rejected later is counted in
     /// [`BusStatus::transmit_failures`](crate::status::BusStatus::transmit_failures); one that was
     /// on the bus is received back with `is_tx`.
@@ -118,6 +136,10 @@ pub(super) struct PortShared {
     pub(super) queue: Queue,
     outbox: Mutex<VecDeque<Frame>>,
     stopped: AtomicBool,
+    /// See [`Port::allow_collecting`].
+    may_collect: AtomicBool,
+    /// A response is awaited since the thread last asked.
+    expects_response: AtomicBool,
     waker: Waker,
 }
 
@@ -127,6 +149,8 @@ impl PortShared {
             queue: Queue::new(Queue::CAPACITY),
             outbox: Mutex::default(),
             stopped: AtomicBool::new(false),
+            may_collect: AtomicBool::new(false),
+            expects_response: AtomicBool::new(false),
             waker: Waker::new()?,
         })
     }
@@ -134,6 +158,21 @@ impl PortShared {
     /// Returns true if the port was dropped: the thread must return.
     pub(super) fn is_stopped(&self) -> bool {
         self.stopped.load(Ordering::Acquire)
+    }
+
+    /// Returns true if frames may be collected for longer while no response is awaited.
+    pub(super) fn may_collect(&self) -> bool {
+        self.may_collect.load(Ordering::Acquire)
+    }
+
+    /// Returns true once after a frame was queued, or a response is awaited of another bus.
+    pub(super) fn take_expects_response(&self) -> bool {
+        self.expects_response.swap(false, Ordering::AcqRel)
+    }
+
+    fn expect_response(&self) {
+        self.expects_response.store(true, Ordering::Release);
+        self.waker.wake();
     }
 
     /// Takes the next frame to send.
@@ -174,7 +213,7 @@ impl PortShared {
         }
         outbox.push_back(frame);
         drop(outbox);
-        self.waker.wake();
+        self.expect_response();
         Ok(())
     }
 

@@ -25,6 +25,10 @@ struct Contents {
     names: Vec<String>,
     status: BusStatus,
     status_is_new: bool,
+    /// As [`Queue::push_until`] was told; `None`: the thread takes each frame as it arrives.
+    complete_until: Option<Instant>,
+    /// The frames became complete without a further one.
+    is_newly_complete: bool,
 }
 
 impl Queue {
@@ -36,7 +40,8 @@ impl Queue {
         Self { capacity, contents: Mutex::default(), news: Notify::new() }
     }
 
-    /// Waits until there are frames, or the status differs from the one taken last. Cancel safe.
+    /// Waits until there are frames, the status differs from the one taken last, or there is no
+    /// [incomplete part](Self::complete_until) any more. Cancel safe.
     pub async fn ready(&self) {
         while !self.contents().has_news() {
             self.news.notified().await;
@@ -63,10 +68,18 @@ impl Queue {
         count
     }
 
+    /// Moment up to which all frames of the bus were taken from here: a later one waits here, or may
+    /// wait where the thread collects them. `None`: up to the present.
+    pub fn complete_until(&self) -> Option<Instant> {
+        let contents = self.contents();
+        contents.frames.front().map(|frame| frame.time).or(contents.complete_until)
+    }
+
     /// The status; `None` if it has not changed since it was last taken. A final link state is
     /// reported only after the last frame was taken.
     pub fn take_status(&self) -> Option<BusStatus> {
         let mut contents = self.contents();
+        contents.is_newly_complete = false;
         if contents.status.link.is_final() && !contents.frames.is_empty() {
             let status = BusStatus { link: Link::Up, fault: None, ..contents.status.clone() };
             return contents.status_is_new.then_some(status);
@@ -94,7 +107,14 @@ impl Queue {
     /// Appends frames. Those that do not fit are dropped and counted in
     /// [`BusStatus::queue_drops`].
     pub fn push(&self, frames: &[Frame]) {
+        self.push_until(frames, None);
+    }
+
+    /// The same, of a thread that now collects frames: those later than `complete_until` are not read
+    /// before it pushes again, or [says](Self::set_complete) that there are none.
+    pub fn push_until(&self, frames: &[Frame], complete_until: Option<Instant>) {
         let mut contents = self.contents();
+        contents.complete_until = complete_until;
         let room = self.capacity - contents.frames.len();
         let (fitting, lost) = frames.split_at(room.min(frames.len()));
         contents.frames.extend(fitting);
@@ -104,6 +124,16 @@ impl Queue {
         }
         drop(contents);
         self.news.notify_one();
+    }
+
+    /// The thread takes each frame as it arrives from now on.
+    pub fn set_complete(&self) {
+        let mut contents = self.contents();
+        if contents.complete_until.take().is_some() {
+            contents.is_newly_complete = true;
+            drop(contents);
+            self.news.notify_one();
+        }
     }
 
     /// Returns true if the status has changed since it was last taken.
@@ -141,6 +171,7 @@ impl Queue {
 
     /// Sets a final link state and its cause, unless the link is final already.
     pub fn finish(&self, link: Link, fault: Diagnostic) {
+        self.set_complete();
         self.update_status(|status| {
             if !status.link.is_final() {
                 status.link = link;
@@ -157,7 +188,7 @@ impl Queue {
 
 impl Contents {
     fn has_news(&self) -> bool {
-        !self.frames.is_empty() || self.status_is_new
+        !self.frames.is_empty() || self.status_is_new || self.is_newly_complete
     }
 }
 

@@ -31,16 +31,22 @@ use std::io;
 use std::os::fd::AsFd;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant as Monotonic};
 
 /// Period of reading the state of the interface, and of the attempts to open a missing one.
 const REFRESH_PERIOD: Duration = Duration::from_secs(1);
 /// Shortest time between two reads of the state: error frames can arrive by the thousand.
 const MIN_REFRESH_INTERVAL: Duration = Duration::from_millis(100);
-/// Longest delay in which frames are collected: wake-ups cost more than system calls. Shorter than
-/// any time that matters here: responses are collected for at least 60 ms, and a heartbeat counts as
-/// missed 30 ms after its time at the earliest.
+/// Longest delay in which frames are collected while a response is awaited: wake-ups cost more than
+/// system calls. Shorter than any time that matters then: responses are collected for at least 60 ms,
+/// and a heartbeat counts as missed 30 ms after its time at the earliest.
 const MAX_BATCH_DELAY: Duration = Duration::from_millis(20);
+/// The same while no response is awaited: less than the time between two draws of the screen. What is
+/// due waits for the frames then.
+const MAX_QUIET_DELAY: Duration = Duration::from_millis(100);
+/// How long a response is awaited after a frame was queued: longer than any timeout of a request or a
+/// transfer.
+const RESPONSE_TIME: Duration = Duration::from_secs(2);
 /// Interval and limit of the attempts to send a frame while the kernel's transmit queue is full. A
 /// full 125 kbit/s bus sends about one frame per millisecond.
 const RETRY_INTERVAL: Duration = Duration::from_millis(2);
@@ -70,6 +76,7 @@ fn start(name: &str, request: OpenRequest) -> io::Result<Port> {
         only: options.only,
         tx: TxQueue::new(Arc::clone(&shared), RETRY_TIMEOUT),
         is_full: false,
+        expected: None,
     };
     let socket = reader.find();
     monitor.refresh(&shared, PendingReport::default());
@@ -227,6 +234,8 @@ struct SocketReader {
     tx: TxQueue,
     /// Whether the status has the transmit queue as full.
     is_full: bool,
+    /// When a response was last expected.
+    expected: Option<Monotonic>,
 }
 
 impl SocketReader {
@@ -326,43 +335,62 @@ impl SocketReader {
             if !is_gone {
                 self.send_pending(&mut socket);
             }
-            self.deliver(&batch, &mut frames, &socket);
+            self.date(&batch, &mut frames);
+            // The frames' times save reading the clock.
+            let newest = frames.last().map_or(last_arrival, |frame| frame.time);
+            let since_last = newest.since(std::mem::replace(&mut last_arrival, newest));
+            let longest = self.longest_delay();
+            let batch_delay = batch_delay(since_last, frames.len() as u32, room, longest);
+            let is_collecting = longest > MAX_BATCH_DELAY && batch_delay.is_some();
+            self.deliver(&frames, is_collecting.then_some(newest), &socket);
             if is_gone {
                 break;
             }
-            if batch.is_empty() {
+            if let Some(batch_delay) = batch_delay {
+                let wait = self.retry_wait().map_or(batch_delay, |wait| wait.min(batch_delay));
+                self.shared.wait(None, Some(wait))?;
+            } else if frames.is_empty() {
                 self.shared.wait(Some(socket.as_fd()), self.retry_wait())?;
-            } else {
-                // The frames' times save reading the clock.
-                let newest = frames.last().map_or(last_arrival, |frame| frame.time);
-                let batch_delay = batch_delay(newest.since(last_arrival), batch.len() as u32, room);
-                last_arrival = newest;
-                if let Some(batch_delay) = batch_delay {
-                    self.shared.wait(
-                        None,
-                        Some(self.retry_wait().map_or(batch_delay, |wait| wait.min(batch_delay))),
-                    )?;
-                }
             }
         }
+        self.shared.queue.set_complete();
         socket.query_drops();
         self.drops_before += socket.drops();
         self.monitor.ifindex.store(0, Ordering::Release);
         Ok(())
     }
 
-    /// The status goes first: the consumer never sees frames newer than it.
-    fn deliver(&mut self, batch: &[ReceivedFrame], frames: &mut Vec<Frame>, socket: &RawSocket) {
-        let mut reports = ErrorFrameSummary::default();
+    /// Replaces `frames` by those of the batch, with their times.
+    fn date(&mut self, batch: &[ReceivedFrame], frames: &mut Vec<Frame>) {
         frames.clear();
         if !batch.is_empty() {
             self.timestamps.read_clocks();
         }
         for received in batch {
             let time = self.timestamps.date(received.stamp_micros);
-            let frame = received.frame.with_time(time).with_bus(self.bus);
-            reports.note(&frame);
-            frames.push(frame);
+            frames.push(received.frame.with_time(time).with_bus(self.bus));
+        }
+    }
+
+    /// How long frames may be collected.
+    fn longest_delay(&mut self) -> Duration {
+        if self.shared.take_expects_response() {
+            self.expected = Some(Monotonic::now());
+        }
+        let is_awaited = |at: Monotonic| at.elapsed() < RESPONSE_TIME;
+        if self.shared.may_collect() && !self.expected.is_some_and(is_awaited) {
+            MAX_QUIET_DELAY
+        } else {
+            MAX_BATCH_DELAY
+        }
+    }
+
+    /// The status goes first: the consumer never sees frames newer than it. Without frames there are
+    /// none up to the present.
+    fn deliver(&mut self, frames: &[Frame], complete_until: Option<Instant>, socket: &RawSocket) {
+        let mut reports = ErrorFrameSummary::default();
+        for frame in frames {
+            reports.note(frame);
         }
         if !frames.is_empty() && self.monitor.is_down.load(Ordering::Acquire) {
             self.monitor.refresh_now(&self.shared);
@@ -377,8 +405,10 @@ impl SocketReader {
                 status.controller_overruns += reports.overruns;
             });
         }
-        if !frames.is_empty() {
-            self.shared.queue.push(frames);
+        if frames.is_empty() {
+            self.shared.queue.set_complete();
+        } else {
+            self.shared.queue.push_until(frames, complete_until);
         }
         if reports.total > 0 {
             self.monitor.request(|request| {
@@ -420,13 +450,14 @@ impl SocketReader {
     }
 }
 
-/// How long to collect frames: `None` if the bus is quiet (the next frame wakes the reader); shorter
-/// the faster they arrive, so that at most `room` do.
-fn batch_delay(since_last: Duration, count: u32, room: u32) -> Option<Duration> {
-    if since_last > MAX_BATCH_DELAY && count < 2 {
+/// How long to collect frames after `count` of them, at most `longest`: `None` if the bus is quiet (the
+/// next frame wakes the reader); shorter the faster they arrive, so that at most `room` do.
+fn batch_delay(since_last: Duration, count: u32, room: u32, longest: Duration) -> Option<Duration> {
+    let interval = since_last.checked_div(count)?;
+    if interval > MAX_BATCH_DELAY {
         return None;
     }
-    let batch_delay = MAX_BATCH_DELAY.min(since_last.saturating_mul(room) / count.max(1));
+    let batch_delay = longest.min(interval.saturating_mul(room));
     (batch_delay >= Duration::from_millis(1)).then_some(batch_delay)
 }
 

@@ -5,7 +5,7 @@
 //! bounded: a batch of frames a turn, the newest content of the file, one save at a time. Does not
 //! know the screen.
 
-mod several_logs;
+mod several_ports;
 
 use super::bitrate_search::{RunningSearch, SearchNews};
 use super::file_watcher::FileWatcher;
@@ -155,6 +155,7 @@ impl Session {
             _ => {}
         }
         let resumed = clock.now();
+        ports.iter().for_each(Port::allow_collecting);
         let interfaces = vec![Vec::new(); ports.len()];
         Self::with_input(
             app,
@@ -186,6 +187,7 @@ impl Session {
         let now = self.now();
         let SessionInput::Ports { ports, interfaces, .. } = &mut self.input else { return };
         self.app.add_bus(now, port.name().to_owned(), config);
+        port.allow_collecting();
         ports.push(port);
         interfaces.push(Vec::new());
     }
@@ -284,15 +286,10 @@ impl Session {
         Instant::ZERO + self.started.elapsed()
     }
 
-    /// The session's time. While frames of a replayed log wait, not later than they are.
+    /// The session's time. While frames wait, not later than they are.
     pub fn now(&self) -> Instant {
         match &self.input {
-            SessionInput::Ports { clock, ports, .. } => {
-                // In this order: a frame may arrive in between.
-                let now = clock.now();
-                let waits = || ports.iter().any(|port| port.queue().has_frames());
-                if clock.playback().is_some() && waits() { now.min(self.app.now()) } else { now }
-            }
+            SessionInput::Ports { clock, ports, .. } => present(clock, ports, self.app.now()),
             SessionInput::Log(log, _) => {
                 log.now().map_or(self.app.now(), |now| now.max(self.app.now()))
             }
@@ -321,6 +318,7 @@ impl Session {
         let timeout = self.app.poll_timeout();
         let real = self.app.poll_real_timeout().map(|at| at.since(self.real_time()));
         let file_due = sleep_for(real);
+        let (is_replay, reached) = (self.is_replay(), self.app.now());
         let (watch, reading) = (self.watch.as_ref(), &mut self.reading);
         let file = async {
             let parsing = if let Some(parsing) = reading {
@@ -364,8 +362,12 @@ impl Session {
             }
         };
         let due = async {
-            let Some((clock, _)) = ports else { return pending().await };
-            sleep_for(timeout.map(|at| clock.until(at))).await;
+            let (Some((clock, ports)), Some(at)) = (ports, timeout) else { return pending().await };
+            sleep_for(Some(clock.until(at))).await;
+            // Frames of before may wait to be read: then those are what is waited for.
+            if !is_replay && present(clock, ports, reached) < at {
+                pending::<()>().await;
+            }
         };
         let buses = async {
             let Some((_, ports)) = ports else { return pending().await };
@@ -376,7 +378,7 @@ impl Session {
                 pending::<()>().await;
             }
             // Where others wait for it, a log may also go on to a later frame that it does not deliver yet.
-            let recheck = if awaits_all { None } else { Some(RECHECK) };
+            let recheck = if awaits_all || !is_replay { None } else { Some(RECHECK) };
             tokio::select! {
                 _ = select_all(ready) => {}
                 () = sleep_for(recheck) => {}
@@ -414,20 +416,19 @@ impl Session {
 
     /// Returns the time; handles a stall.
     fn begin_turn(&mut self) -> Instant {
-        let now = self.now();
-        if self.is_replay() {
-            return now;
-        }
-        let due = self.app.poll_timeout();
-        if let Some(due) =
-            due.filter(|due| *due >= self.stall_checked_from && now.since(*due) >= STALL_THRESHOLD)
+        if let SessionInput::Ports { clock, .. } = &self.input
+            && clock.playback().is_none()
+            && let Some(due) = self.app.poll_timeout()
         {
-            self.stall_checked_from = now;
-            // It may have been stopped since its last turn.
-            let since = due.min(self.app.now());
-            self.app.handle_stall(since, now);
+            let now = clock.now();
+            if due >= self.stall_checked_from && now.since(due) >= STALL_THRESHOLD {
+                self.stall_checked_from = now;
+                // It may have been stopped since its last turn.
+                let since = due.min(self.app.now());
+                self.app.handle_stall(since, now);
+            }
         }
-        now
+        self.now()
     }
 
     /// Handles what [`Session::next`] returned.
@@ -513,8 +514,10 @@ impl Session {
             } else {
                 rest.iter().position(|frame| !is_known(frame)).unwrap_or(rest.len()).max(1)
             };
-            self.app.handle_recorded_frames(&rest[..known]);
-            rest = &rest[known..];
+            let (frames, after) = rest.split_at(known);
+            let last = frames.last().map_or(first.time, |frame| frame.time);
+            self.app.handle_frames(last, frames);
+            rest = after;
         }
         let count = due.len();
         log.take_due(count);
@@ -599,15 +602,12 @@ impl Session {
         let SessionInput::Ports { ports, .. } = &self.input else { return };
         let count = ports.len();
         let begun = Monotonic::now();
-        if self.is_merged() {
+        if count == 1 {
+            self.receive_status(now, 0);
+            while self.receive_batch(now, 0) && begun.elapsed() < TURN {}
+        } else {
             self.receive_statuses(now);
             while self.receive_merged(now) && begun.elapsed() < TURN {}
-        } else {
-            for at in 0..count {
-                self.receive_status(now, at);
-                let share = TURN * (at + 1) as u32 / count as u32;
-                while self.receive_batch(now, at) && begun.elapsed() < share {}
-            }
         }
         // Time stops at the end of all logs.
         self.report_playback();
@@ -626,7 +626,7 @@ impl Session {
     fn receive_batch(&mut self, now: Instant, port_at: usize) -> bool {
         self.batch.clear();
         self.take_frames(now, port_at, Instant::LATEST);
-        self.handle_batch(now)
+        self.handle_batch()
     }
 
     /// Appends frames of a port to the batch, not later than `until`.
@@ -673,11 +673,10 @@ impl Session {
     }
 
     /// Records and handles the frames of the batch; returns false if there are none.
-    fn handle_batch(&mut self, now: Instant) -> bool {
+    fn handle_batch(&mut self) -> bool {
         if self.batch.is_empty() {
             return false;
         }
-        let SessionInput::Ports { clock, .. } = &self.input else { return false };
         if let Some(recorder) = &self.recorder {
             for (at, bus) in self.app.buses().iter().enumerate() {
                 let Ok(at) = u8::try_from(at) else { break };
@@ -688,13 +687,8 @@ impl Session {
                 recorder.record(&self.batch);
             }
         }
-        if clock.playback().is_none() {
-            self.app.handle_frames(now, &self.batch);
-        } else {
-            // Time may have advanced in a large step: deadlines between two frames are handled
-            // between them.
-            self.app.handle_recorded_frames(&self.batch);
-        }
+        // Frames that wait are later than these.
+        self.app.handle_frames(self.now(), &self.batch);
         if self.selector.is_some() {
             self.select_recorded();
             self.recorder.as_ref().inspect(|recorder| recorder.record(&self.batch));
@@ -730,6 +724,8 @@ impl Session {
             {
                 // The port's status reports a full outbox; the engine detects the missing loopback.
                 let _ = port.transmit(&frame);
+                // Frames of all buses are handled in the order of their times: none holds up others.
+                ports.iter().for_each(Port::expect_response);
             }
         }
         let mut rest = Vec::new();
@@ -827,6 +823,19 @@ impl Session {
     }
 }
 
+/// The time of a session of buses that has handled what was until `reached`: not later than the frames
+/// that wait.
+fn present(clock: &Clock, ports: &[Port], reached: Instant) -> Instant {
+    // In this order: a frame may arrive in between.
+    let now = clock.now();
+    if clock.playback().is_some() {
+        let waits = ports.iter().any(|port| port.queue().has_frames());
+        return if waits { now.min(reached) } else { now };
+    }
+    let complete = ports.iter().filter_map(|port| port.queue().complete_until());
+    complete.fold(now, Instant::min).max(reached)
+}
+
 /// Index of the bus of a port, or of its first interface; `None` where there are more than bus indices.
 fn own_bus(port: usize) -> Option<BusIndex> {
     u8::try_from(port).ok().map(BusIndex)
@@ -837,4 +846,112 @@ fn set_link(app: &mut App, now: Instant, at: usize, link: Link) {
     let Some(bus) = app.buses().get(at) else { return };
     let status = BusStatus { link, ..bus.status.clone() };
     app.handle_bus(now, BusIndex(at as u8), status);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::app::AppOptions;
+    use crate::discovery::Presence;
+    use crate::wire::id::{Address, Header, Service};
+    use crate::wire::node::{Heartbeat, Mode, Uid};
+    use crate::wire::profile::Profile;
+    use std::task::{Context, Poll, Waker};
+
+    fn at(millis: u64) -> Instant {
+        Instant::ZERO + Duration::from_millis(millis)
+    }
+
+    fn session(names: &[&str]) -> Session {
+        let config = Config { listen_only: true, ..Config::default() };
+        let buses = names.iter().map(|name| ((*name).to_owned(), config.clone())).collect();
+        let app = App::new(Instant::ZERO, AppOptions { buses, ..AppOptions::default() });
+        let ports = names.iter().map(|name| Port::for_test(name)).collect();
+        Session::new(app, Clock::start(), ports, None)
+    }
+
+    fn port(session: &Session, port_at: usize) -> &Port {
+        let SessionInput::Ports { ports, .. } = &session.input else { panic!("no buses") };
+        &ports[port_at]
+    }
+
+    fn heartbeat(time: Instant) -> Frame {
+        let profile = Profile::default();
+        let (from, service) =
+            (Address::from_bits(14), Service::from_bits(profile.services.heartbeat));
+        let header = Header::unsolicited(from, 7, false, service);
+        let beat =
+            Heartbeat { uid: Some(Uid([1; 6])), mode: Some(Mode::Work), ..Heartbeat::default() };
+        let data = beat.encode(&profile.heartbeat, &profile.modes.codes()).0;
+        Frame::classic(header.encode(), &data).with_time(time)
+    }
+
+    /// Handles all that can be handled without waiting; returns false if there was nothing.
+    fn run(session: &mut Session) -> bool {
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_time().build().unwrap();
+        let _time = runtime.enter();
+        let mut has_run = false;
+        session.flush_effects();
+        loop {
+            // A session yields once before it waits.
+            let wake = {
+                let mut next = Box::pin(session.next());
+                let mut context = Context::from_waker(Waker::noop());
+                let first = next.as_mut().poll(&mut context);
+                if first.is_pending() { next.as_mut().poll(&mut context) } else { first }
+            };
+            let Poll::Ready(wake) = wake else { return has_run };
+            has_run = true;
+            session.handle_wake(wake);
+            session.flush_effects();
+        }
+    }
+
+    #[test]
+    fn device_is_not_lost_while_its_frames_are_collected() {
+        let mut session = session(&["can0"]);
+        let beats: Vec<Frame> = (1..=5).map(|second| heartbeat(at(1000 * second))).collect();
+        session.clock().unwrap().elapse(Duration::from_secs(5));
+        port(&session, 0).queue().push_until(&beats, Some(at(5000)));
+        assert!(run(&mut session));
+        session.clock().unwrap().elapse(Duration::from_secs(1));
+        let presence = |session: &Session| session.app.buses()[0].devices()[0].presence;
+        assert!(!run(&mut session), "frames later than the last one may wait");
+        assert_eq!(session.now(), at(5000));
+        // The others were in time.
+        let beats: Vec<Frame> = (6..=60).map(|second| heartbeat(at(1000 * second))).collect();
+        port(&session, 0).queue().push_until(&beats, Some(at(60_000)));
+        session.stall_checked_from = Instant::LATEST;
+        session.clock().unwrap().elapse(Duration::from_mins(1));
+        assert!(run(&mut session));
+        assert_eq!((session.now(), presence(&session)), (at(60_000), Presence::Online));
+        port(&session, 0).queue().set_complete();
+        assert!(run(&mut session));
+        assert!(session.now() > at(65_000));
+        assert_eq!(presence(&session), Presence::Lost);
+    }
+
+    #[test]
+    fn frames_of_two_buses_are_handled_in_the_order_of_their_times() {
+        let mut session = session(&["can0", "can1"]);
+        let frame = |bus, millis| {
+            Frame::classic(millis as u32, &[]).with_time(at(millis)).with_bus(BusIndex(bus))
+        };
+        session.clock().unwrap().elapse(Duration::from_millis(20));
+        let times = |session: &Session| -> Vec<u64> {
+            let frames = session.app.capture().frames_from(0);
+            frames.map(|(_, frame)| frame.time.as_micros() / 1000).collect()
+        };
+        port(&session, 1).queue().push_until(&[frame(1, 3)], Some(at(3)));
+        port(&session, 0).queue().push(&[frame(0, 2), frame(0, 5), frame(0, 9)]);
+        run(&mut session);
+        assert_eq!(times(&session), [2, 3], "can1 may have a frame before 5 ms");
+        port(&session, 1).queue().push_until(&[frame(1, 7)], Some(at(7)));
+        assert!(run(&mut session));
+        assert_eq!(times(&session), [2, 3, 5, 7]);
+        port(&session, 1).queue().set_complete();
+        assert!(run(&mut session));
+        assert_eq!(times(&session), [2, 3, 5, 7, 9]);
+        assert!(session.now() >= at(20));
+    }
 }

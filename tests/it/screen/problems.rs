@@ -239,7 +239,7 @@ fn evidence_outlives_the_capture() {
     let mut stage = Stage::boiler();
     stage.until(45.0).keys("4");
     let evidence = stage.app.selected_problem().unwrap().findings[0].evidence[0].time;
-    let later = stage.app.now() + Duration::from_secs(10);
+    let later = stage.app.now() + Duration::from_secs(2);
     flood(&mut stage, later);
     let oldest = |stage: &Stage| stage.app.capture().get(0).is_some();
     assert!(!oldest(&stage), "it was before any evidence");

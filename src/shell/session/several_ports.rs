@@ -1,4 +1,4 @@
-//! Frames of several logs, handled in the order of their times.
+//! Frames of several buses or logs, handled in the order of their times.
 
 use super::{BATCH, Session, SessionInput, own_bus};
 use crate::bus::Port;
@@ -6,40 +6,34 @@ use crate::status::Link;
 use crate::time::Instant;
 
 impl Session {
-    /// The ports whose news are waited for: all, or while frames of logs wait for an earlier one, those
-    /// of which it may be.
+    /// The ports whose news are waited for: all, or while frames wait for an earlier one, those of which
+    /// it may be.
     pub(super) fn awaited_ports(&self) -> Vec<usize> {
         let SessionInput::Ports { ports, .. } = &self.input else { return Vec::new() };
         // In this order: a frame may arrive in between.
         let has_frames: Vec<bool> = ports.iter().map(|port| port.queue().has_frames()).collect();
-        let waits = self.is_merged() && has_frames.contains(&true) && self.next_log().is_none();
+        let waits = ports.len() > 1 && has_frames.contains(&true) && self.next_port().is_none();
         (0..ports.len()).filter(|at| !waits || !has_frames[*at]).collect()
     }
 
-    /// Returns true if the frames of several logs are handled in the order of their times.
-    pub(super) fn is_merged(&self) -> bool {
-        let SessionInput::Ports { ports, .. } = &self.input else { return false };
-        ports.len() > 1 && self.is_replay()
-    }
-
-    /// Handles the statuses of the logs. One that begins later is up from its first frame on.
+    /// Handles the statuses. A log that begins later is up from its first frame on.
     pub(super) fn receive_statuses(&mut self, now: Instant) {
         let SessionInput::Ports { ports, .. } = &self.input else { return };
-        let begins = |at: &usize| self.is_opening(*at) && ports[*at].queue().has_frames();
+        let begins = |at: &usize| self.begins_later(*at) && ports[*at].queue().has_frames();
         let known: Vec<usize> = (0..ports.len()).filter(|at| !begins(at)).collect();
         for at in known {
             self.receive_status(now, at);
         }
     }
 
-    /// Handles frames of several logs in the order of their times; returns false if there are none, or if
-    /// an earlier one of another log is still being read.
+    /// Handles frames of several ports in the order of their times; returns false if there are none, or
+    /// if an earlier one of another port is still being read.
     pub(super) fn receive_merged(&mut self, now: Instant) -> bool {
         self.batch.clear();
         while self.batch.len() < BATCH
-            && let Some((port_at, first, until)) = self.next_log()
+            && let Some((port_at, first, until)) = self.next_port()
         {
-            let (begins, is_due) = (self.is_opening(port_at), self.is_status_due());
+            let (begins, is_due) = (self.begins_later(port_at), self.is_status_due());
             if (begins || is_due) && !self.batch.is_empty() {
                 break;
             }
@@ -53,29 +47,37 @@ impl Session {
             }
             self.take_frames(now, port_at, until);
         }
-        self.handle_batch(now)
+        self.handle_batch()
     }
 
     /// Returns true if the status of a log changed whose frames are all handled.
     fn is_status_due(&self) -> bool {
         let SessionInput::Ports { ports, .. } = &self.input else { return false };
+        if !self.is_replay() {
+            return false;
+        }
         let mut queues = ports.iter().map(Port::queue);
         queues.any(|queue| queue.has_new_status() && !queue.has_frames())
     }
 
     /// Returns true if no frame of a port was handled, because its log begins later than others.
-    fn is_opening(&self, port_at: usize) -> bool {
+    fn begins_later(&self, port_at: usize) -> bool {
         let bus = own_bus(port_at).and_then(|bus| self.app.bus(bus));
-        bus.is_some_and(|bus| bus.status.link == Link::Opening)
+        self.is_replay() && bus.is_some_and(|bus| bus.status.link == Link::Opening)
     }
 
-    /// The log with the earliest frame that was read, the time of that frame, and the moment up to which
-    /// the log has no later frames than the others; `None` if another log may have an earlier one.
-    fn next_log(&self) -> Option<(usize, Instant, Instant)> {
+    /// The port with the earliest frame that was read, the time of that frame, and the moment up to which
+    /// it has no later frames than the others; `None` if another one may have an earlier one.
+    fn next_port(&self) -> Option<(usize, Instant, Instant)> {
         let SessionInput::Ports { clock, ports, .. } = &self.input else { return None };
+        let is_replay = self.is_replay();
         let known = ports.iter().enumerate().map(|(at, port)| {
             // In this order: a frame may arrive in between.
-            let next = own_bus(at).and_then(|log| clock.next_of(log));
+            let next = if is_replay {
+                own_bus(at).and_then(|log| clock.next_of(log))
+            } else {
+                port.queue().complete_until()
+            };
             (port.queue().first_time(), next)
         });
         let known: Vec<(Option<Instant>, Option<Instant>)> = known.collect();

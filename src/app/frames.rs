@@ -1,17 +1,24 @@
-//! Frames of a log, by the thousand: each is handled at its own time, with what was due before it.
+//! Frames, by the thousand: each is handled at its own time, with what was due before it.
 //!
 //! Input: frames in the order of their times. Output: the state that handling them one by one leads to.
 //! What is due between two frames is looked up again only after something that may have changed it.
-//! Does not know how logs are read.
+//! Does not know where frames come from.
 
 use super::{App, Page};
 use crate::frame::Frame;
 use crate::time::Instant;
 
 impl App {
-    /// Takes frames of a log, each at its own time: [`Self::advance_to`] and [`Self::handle_frames`]
-    /// for each.
-    pub fn handle_recorded_frames(&mut self, frames: &[Frame]) {
+    /// Takes frames, each at its own time, with what is due between two of them. `now` is the present;
+    /// an earlier one than that of the last frame is ignored.
+    pub fn handle_frames(&mut self, now: Instant, frames: &[Frame]) {
+        self.handle_each(frames);
+        let now = self.clock.set(now);
+        self.complete_bus_events(now);
+        self.buses.keep_history(now, &self.traffic.capture);
+    }
+
+    fn handle_each(&mut self, frames: &[Frame]) {
         let mut timers = None;
         // Events may be as late as this, or of this moment: frames of the same time count in them.
         let (events_until, mut events_at) = (self.clock.now(), None);

@@ -1,4 +1,4 @@
-//! Frames of a log handled by the thousand: the same state and the same events as one by one.
+//! Frames handled by the thousand: the same state and the same events as one by one.
 
 use crate::common::inspection;
 use descan::app::{App, AppOptions};
@@ -55,7 +55,7 @@ fn frames_by_the_thousand_are_as_frames_one_by_one() {
                 one_by_one.handle_frames(frame.time, &[*frame]);
             }
             for part in frames.chunks(777) {
-                by_many.handle_recorded_frames(part);
+                by_many.handle_frames(part.last().unwrap().time, part);
             }
             let (expected, found) = (described(&mut one_by_one), described(&mut by_many));
             assert_eq!(found.len(), expected.len(), "{scenario}");
@@ -77,7 +77,7 @@ fn nothing_is_captured_where_nothing_reads_it() {
             ..AppOptions::default()
         },
     );
-    app.handle_recorded_frames(&frames);
+    app.handle_frames(frames.last().unwrap().time, &frames);
     assert!(app.buses()[0].counters().frames > 0);
     assert_eq!(app.capture().end(), 0);
     assert!(app.identifiers().rows().is_empty() && app.calls().rows().is_empty());
