@@ -127,7 +127,7 @@ impl App {
 
     /// Term of the filter for the frames of calls.
     pub(super) fn term_of_calls(key: CallKey) -> String {
-        let (client, service) = (key.client, key.service.number());
+        let (client, service) = (key.client, key.service);
         match key.server {
             Some(server) => format!("at:{client} at:{server} srv:{service} not type:data"),
             None => format!("at:{client} srv:{service} (dst:all or type:rsp) not type:data"),

@@ -537,8 +537,8 @@ impl App {
                     }
                     None => ("a device no longer on the bus".to_owned(), "?".to_owned()),
                 };
-                let service = self.profile(id.bus).commands.identify;
-                format!("Send identify (service {service:03X}) to {name} at {address}?")
+                let service = Service::from_bits(self.profile(id.bus).commands.identify);
+                format!("Send identify (service {service}) to {name} at {address}?")
             }
             Question::FindBitrate(bus) => {
                 let name = self.bus(*bus).map_or("the bus", |bus| bus.name.as_str());

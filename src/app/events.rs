@@ -62,6 +62,9 @@ impl App {
             }
         }
         if any {
+            if self.buses.len() > 1 {
+                self.refresh_redundancy();
+            }
             self.refresh_before_draw();
             self.request_redraw();
         }

@@ -220,7 +220,7 @@ impl App {
         };
         let mut filter = match key {
             BarKey::Sender(_, address) => format!("src:{address}"),
-            BarKey::Service(_, service) => format!("srv:{}", service.number()),
+            BarKey::Service(_, service) => format!("srv:{service}"),
         };
         let name = self.bus(key.bus()).map_or("", |bus| &bus.name);
         if self.buses().len() > 1 && !name.contains('"') {
@@ -261,7 +261,7 @@ impl App {
                 let profile = self.profile(index);
                 let name = profile.service_name(service);
                 let name = name.map(|it| crate::text::Escaped(it.as_bytes()).to_string());
-                name.unwrap_or_else(|| format!("0x{service}"))
+                name.unwrap_or_else(|| service.to_string())
             }
         }
     }

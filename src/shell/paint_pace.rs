@@ -16,7 +16,7 @@ const PACE: Duration = Duration::from_millis(33);
 /// The same after a key.
 const PACE_AFTER_KEY: Duration = Duration::from_millis(10);
 /// Bytes per second for what the bus changes: with the clock and a message, 2,000 at most.
-pub const SCREEN_BUDGET: f64 = 1800.0;
+pub const SCREEN_BUDGET: f64 = 1700.0;
 /// Time after a key in which draws are what the key asked for: counts, a past moment.
 const AFTER_KEY: Duration = Duration::from_millis(500);
 /// What a slow line takes in this time is sent at once.

@@ -88,10 +88,10 @@ impl fmt::Debug for Service {
     }
 }
 
-/// Three hexadecimal digits: `002`.
+/// Three hexadecimal digits: `0x002`.
 impl fmt::Display for Service {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{:03X}", self.0)
+        write!(f, "{:#05X}", self.0)
     }
 }
 

@@ -178,6 +178,8 @@ fn wrong_lines_name_the_place_and_the_way_out() {
         ("a or", 3, "a term is missing after or"),
         ("(a", 1, "not closed"),
         ("name:", 6, "needs a value"),
+        ("name:=", 6, "is not a text"),
+        ("srv:2,0x400", 7, "is not a service; use a name or 0 to 0x3FF"),
         ("kind:\"a", 1, "a quote is not closed"),
     ] {
         let error: FilterError = Filter::parse(line, RowKind::Frame).unwrap_err();

@@ -81,7 +81,7 @@ const IN_WORDS: &str = "\
 06:17:32.700  12 FEED         1 service
 06:17:34.100  12 FEED         WORK → UFUNC
 06:17:35.100  12 FEED         UFUNC → WORK
-06:17:38.500  12 FEED         debug message 02A 01 FE
+06:17:38.500  12 FEED         debug message 0x02A 01 FE
 06:17:39.450  12 FEED         rebooted
 06:17:42.950  12 FEED         stale: heartbeat overdue
 ";
@@ -446,7 +446,7 @@ fn filter_limits_the_output() {
     assert_eq!(lines_with(&rest, "  12 "), 0, "{rest}");
     let named = told("name:fee debug");
     assert_eq!(lines_with(&named, "  12 FEED"), 1, "{named}");
-    assert!(named.contains("debug message 02A 01 FE"), "{named}");
+    assert!(named.contains("debug message 0x02A 01 FE"), "{named}");
 
     let output = watch(&["file:two.log", "--json", "--filter", "at:14"], folder.path());
     for value in values(&output.stdout) {

@@ -200,7 +200,7 @@ impl Decoded {
         let profile = buses.profile(frame.bus);
         let name = |address| buses.name_at(frame.bus, address, frame.time);
         let service = match (kind, profile.service_name(header.service)) {
-            (MessageType::Debug, _) => format!("{:03X}", header.service.number()),
+            (MessageType::Debug, _) => header.service.to_string(),
             (_, Some(name)) => Escaped(name.as_bytes()).to_string(),
             (_, None) => header.service.to_string(),
         };
@@ -278,7 +278,7 @@ pub(in crate::app) fn describe_data(
     let data = frame.data();
     let kind = header.message_type();
     if kind == MessageType::Debug {
-        return (format!("debug message {:03X}", header.service.number()), false);
+        return (format!("debug message {}", header.service), false);
     }
     if header.service == profile.heartbeat_service() && header.response {
         return (describe_heartbeat(profile, data), false);

@@ -8,7 +8,7 @@ use super::Filter;
 use super::expression::Expression;
 use super::field::Field;
 use super::test::{Addresses, Test, TextValue, any_of};
-use super::value::{BytePattern, IdPattern, NumberRange};
+use super::value::{BytePattern, IdPattern, NumberRange, TimeBound};
 use crate::app::buses::{Bus, Buses};
 use crate::app::capture::decoded::{self, FrameRole};
 use crate::app::capture::frame_store::FrameStore;
@@ -90,8 +90,8 @@ enum FrameTest {
     /// A bit for each of [`Mode::ALL`].
     Mode(u8),
     Uid(Vec<TextValue>),
-    Since(Instant),
-    Until(Instant),
+    Since(TimeBound),
+    Until(TimeBound),
     Error,
     Failed,
     ByDescan,
@@ -215,8 +215,8 @@ impl Lookup<'_> {
             Test::Length(ranges) => FrameTest::Length(ranges.clone()),
             Test::Interval(ranges) => FrameTest::Interval(ranges.clone()),
             Test::Data(patterns) => FrameTest::Data(patterns.clone()),
-            Test::Since(bound) => FrameTest::Since(bound.at().unwrap_or(Instant::ZERO)),
-            Test::Until(bound) => FrameTest::Until(bound.at().unwrap_or(Instant::LATEST)),
+            Test::Since(bound) => FrameTest::Since(*bound),
+            Test::Until(bound) => FrameTest::Until(*bound),
             Test::Error => FrameTest::Error,
             Test::ByDescan => FrameTest::ByDescan,
         }
@@ -417,8 +417,8 @@ impl TestedFrame<'_> {
                 let uid = self.heartbeat().and_then(|beat| beat.uid);
                 uid.is_some_and(|uid| self.is_uid(uid, values))
             }
-            FrameTest::Since(at) => frame.time >= *at,
-            FrameTest::Until(at) => frame.time <= *at,
+            FrameTest::Since(bound) => bound.is_since(frame.time),
+            FrameTest::Until(bound) => bound.is_until(frame.time),
             FrameTest::Error => self.is_error(),
             FrameTest::Failed => self.role == FrameRole::FailedResponse,
             FrameTest::ByDescan => frame.is_tx,

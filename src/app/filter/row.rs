@@ -118,8 +118,8 @@ impl Filter {
                 }
                 _ => false,
             }),
-            Test::Since(bound) => bound.at().is_none_or(|at| entry.last >= at),
-            Test::Until(bound) => bound.at().is_none_or(|at| entry.time <= at),
+            Test::Since(bound) => bound.is_since(entry.last),
+            Test::Until(bound) => bound.is_until(entry.time),
             Test::Error => matches!(entry.kind, TimelineKind::Confirmed | TimelineKind::Error),
             Test::ByDescan => entry.kind == TimelineKind::File,
             Test::Id(_) | Test::Length(_) | Test::Interval(_) | Test::Data(_) => false,
@@ -163,8 +163,8 @@ impl Filter {
                 Field::Uid => uid(value),
                 _ => false,
             }),
-            Test::Since(bound) => bound.at().is_none_or(|at| problem.since() >= at),
-            Test::Until(bound) => bound.at().is_none_or(|at| problem.since() <= at),
+            Test::Since(bound) => bound.is_since(problem.since()),
+            Test::Until(bound) => bound.is_until(problem.since()),
             Test::Error => state == FindingState::Confirmed,
             Test::ByDescan | Test::Id(_) | Test::Length(_) | Test::Interval(_) | Test::Data(_) => {
                 false

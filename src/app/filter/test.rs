@@ -209,11 +209,18 @@ impl FieldValue<'_> {
                 |value| FindingKind::ALL.iter().any(|kind| value.is_kind(*kind)),
                 || "a kind of problem".to_owned(),
             )?,
+            // Digits may be part of a name.
+            Field::Service => self.texts(
+                |value| {
+                    value.number.is_none_or(NumberRange::has_service)
+                        || value.text.chars().all(|c| c.is_ascii_digit())
+                },
+                || "a service; use a name or 0 to 0x3FF".to_owned(),
+            )?,
             Field::Name
             | Field::Source
             | Field::Destination
             | Field::Device
-            | Field::Service
             | Field::Uid
             | Field::Bus
             | Field::Text => self.texts(|_| true, String::new)?,
@@ -268,7 +275,7 @@ impl FieldValue<'_> {
     ) -> Result<Test, FilterError> {
         let read = |part: (String, Range<usize>)| {
             let value = TextValue::new(part.0.trim());
-            if value.text.is_empty() || !is_known(&value) {
+            if matches!(&*value.text, "" | "=") || !is_known(&value) {
                 let what = what();
                 let what = if what.is_empty() { "a text" } else { &what };
                 return Err(self.wrong(&part, what));

@@ -7,6 +7,9 @@ use crate::app::typed_time::{DAY, parse_date_time, parse_duration, parse_time_of
 use crate::time::{Duration, Instant};
 use std::ops::Range;
 
+/// The greatest service number (protocol §1.1).
+const MAX_SERVICE: u64 = 0x3FF;
+
 /// Splits a list at its commas outside of quotes; the parts with their place in it, without quotes.
 pub(super) fn list(text: &str) -> Vec<(String, Range<usize>)> {
     let mut is_quoted = false;
@@ -70,6 +73,11 @@ impl NumberRange {
     pub fn parse_interval(text: &str) -> Option<Self> {
         let micros = |text: &str| u64::try_from(parse_duration(text, "ms")?.as_micros()).ok();
         parse_range(text, micros).map(|(low, high)| Self(low, high))
+    }
+
+    /// Returns true if a service number is in it.
+    pub fn has_service(self) -> bool {
+        self.0 <= MAX_SERVICE
     }
 
     pub fn contains(self, value: u64) -> bool {
@@ -175,8 +183,8 @@ impl BytePattern {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct TimeBound {
     typed: TypedTime,
-    /// The moment that was typed; `None` until it is known.
-    at: Option<Instant>,
+    /// The moment that was typed, in microseconds from the start; `None` until it is known.
+    at: Option<i128>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -213,12 +221,17 @@ impl TimeBound {
             },
             TypedTime::Ago(ago) => present.unwrap_or(0) - ago.as_micros().cast_signed(),
         };
-        self.at = Some(Instant::from_micros(u64::try_from(at.max(0)).unwrap_or(u64::MAX)));
+        self.at = Some(at);
     }
 
-    /// The moment; the beginning until it is known.
-    pub fn at(self) -> Option<Instant> {
-        self.at
+    /// Returns true if `time` is the moment or later; always until it is known.
+    pub fn is_since(self, time: Instant) -> bool {
+        self.at.is_none_or(|at| at <= i128::from(time.as_micros()))
+    }
+
+    /// Returns true if `time` is the moment or earlier; always until it is known.
+    pub fn is_until(self, time: Instant) -> bool {
+        self.at.is_none_or(|at| at >= i128::from(time.as_micros()))
     }
 }
 
@@ -301,21 +314,24 @@ mod tests {
 
     #[test]
     fn times_refer_to_the_last_ones() {
-        let seconds = |seconds: u64| Instant::from_micros(seconds * 1_000_000);
+        let seconds = |seconds: i128| seconds * 1_000_000;
+        let instant = |micros: i128| Instant::from_micros(micros.try_into().unwrap());
         // From 23:59:50 on.
         let wall_start = 20_000 * DAY - 10_000_000;
-        let at = |text, now| {
+        let at = |text, now: Option<i128>| {
             let mut bound = TimeBound::parse(text).unwrap();
-            bound.resolve(WallClock { wall_start, now });
-            bound.at().unwrap()
+            bound.resolve(WallClock { wall_start, now: now.map(instant) });
+            bound.at.unwrap()
         };
         assert_eq!(at("0:00:10", Some(seconds(100))), seconds(20));
         assert_eq!(at("0:00:10", Some(seconds(90_000))), seconds(86_420));
         assert_eq!(at("0:00:10", None), seconds(20));
         assert_eq!(at("-30", Some(seconds(100))), seconds(70));
-        assert_eq!(at("-3m", Some(seconds(100))), seconds(0));
+        assert_eq!(at("-3m", Some(seconds(100))), seconds(-80));
         assert_eq!(at("2024-10-04T00:00:05", None), seconds(15));
-        assert_eq!(at("1990-01-01", None), seconds(0));
+        let mut before = TimeBound::parse("1990-01-01").unwrap();
+        before.resolve(WallClock { wall_start, now: None });
+        assert!(before.is_since(Instant::ZERO) && !before.is_until(Instant::ZERO));
         for text in ["", "-", "soon", "13", "25:00", "2024-10-32"] {
             assert_eq!(TimeBound::parse(text), None, "{text}");
         }

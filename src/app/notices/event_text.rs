@@ -125,7 +125,7 @@ pub fn event_text(buses: &Buses, bus: BusIndex, event: &Event) -> Option<(Timeli
             (TimelineKind::Bus, "frames are acknowledged: sending resumed".to_owned())
         }
         EventKind::DebugMessage { code, data } => {
-            (TimelineKind::Change, format!("debug message {code:03X} {}", hex(data, " ")))
+            (TimelineKind::Change, format!("debug message {code:#05X} {}", hex(data, " ")))
         }
     })
 }

@@ -142,7 +142,7 @@ fn fields_of(frame: &Frame) -> String {
     let header = Header::decode(id);
     let bit = u8::from;
     format!(
-        "{} U={} D={} R={} B={} ERR={} SRC={} DST={} SRV=0x{}",
+        "{} U={} D={} R={} B={} ERR={} SRC={} DST={} SRV={}",
         header.message_type().name(),
         bit(header.from_non_working),
         bit(header.to_non_working),
@@ -240,7 +240,7 @@ fn setup(text: &mut String, app: &App, problem: &Problem, proof: &ProofFrames) {
         };
         table.row(&["profile", profile]);
         let services = format!(
-            "heartbeat SRV=0x{}, DES SRV=0x{}",
+            "heartbeat SRV={}, DES SRV={}",
             config.profile.heartbeat_service(),
             config.profile.des_service()
         );

@@ -144,14 +144,14 @@ fn counts_begin_anew_at_a_moment() {
     ]);
     stage.size(120, 30).keys("2 v v");
     let row = |stage: &mut Stage| rows(stage).into_iter().find(|it| it.contains("3→9")).unwrap();
-    assert!(row(&mut stage).contains(" 020 2 "), "{}", stage.screen());
+    assert!(row(&mut stage).contains(" 0x020 2 "), "{}", stage.screen());
     stage.keys("z");
-    assert!(row(&mut stage).contains(" 020 0 "), "{}", stage.screen());
+    assert!(row(&mut stage).contains(" 0x020 0 "), "{}", stage.screen());
     assert!(stage.screen().contains("counts since "), "{}", stage.screen());
     hear(&mut stage, &[(100, frame(false, true, 1)), (103, frame(true, true, 1))]);
     // One call, of 3 ms; none failed since.
     let since = row(&mut stage);
-    assert!(since.contains(" 020 1 ") && since.contains(" 3.0 3.0 3.0 0 0"), "{since}");
+    assert!(since.contains(" 0x020 1 ") && since.contains(" 3.0 3.0 3.0 0 0"), "{since}");
     // A moment before it has all counts of then.
     stage.keys("<");
     stage.keys("< < <");

@@ -121,7 +121,7 @@ fn single_key_sends_only_discovery_frames() {
         ours.filter(|(_, frame)| frame.platform_id().is_some_and(|id| id & 0x3FF == 0x18)).count()
     };
     stage.keys("i");
-    assert!(stage.screen().contains("Send identify (service 018) to FEED at 10?"));
+    assert!(stage.screen().contains("Send identify (service 0x018) to FEED at 10?"));
     stage.keys("n").until(25.0);
     assert_eq!(sent(&stage), 0);
     stage.keys("i y").until(26.0);

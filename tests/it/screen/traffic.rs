@@ -146,7 +146,7 @@ fn identifiers_and_calls_are_counted() {
     stage.keys("f");
     assert_eq!(
         stage.app.page_filter(descan::app::Page::Traffic).text(),
-        "at:0 at:10 srv:2 not type:data"
+        "at:0 at:10 srv:0x002 not type:data"
     );
     let screen = stage.keys("Home").screen();
     assert!(screen.contains("1 rsp") && screen.contains(" ms"), "{screen}");
