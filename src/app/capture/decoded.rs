@@ -199,10 +199,9 @@ impl Decoded {
         let kind = header.message_type();
         let profile = buses.profile(frame.bus);
         let name = |address| buses.name_at(frame.bus, address, frame.time);
-        let service = match (kind, profile.service_name(header.service)) {
-            (MessageType::Debug, _) => header.service.to_string(),
-            (_, Some(name)) => Escaped(name.as_bytes()).to_string(),
-            (_, None) => header.service.to_string(),
+        let service = match profile.service_name(header.service) {
+            Some(name) if kind != MessageType::Debug => Escaped(name.as_bytes()).to_string(),
+            _ => header.service.to_string(),
         };
         Self {
             source: name(header.source),

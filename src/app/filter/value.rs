@@ -184,7 +184,7 @@ impl BytePattern {
 pub(super) struct TimeBound {
     typed: TypedTime,
     /// The moment that was typed, in microseconds from the start; `None` until it is known.
-    at: Option<i128>,
+    at: Option<i64>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -221,17 +221,18 @@ impl TimeBound {
             },
             TypedTime::Ago(ago) => present.unwrap_or(0) - ago.as_micros().cast_signed(),
         };
-        self.at = Some(at);
+        let bound = i128::from(i64::MAX);
+        self.at = i64::try_from(at.clamp(-bound, bound)).ok();
     }
 
     /// Returns true if `time` is the moment or later; always until it is known.
     pub fn is_since(self, time: Instant) -> bool {
-        self.at.is_none_or(|at| at <= i128::from(time.as_micros()))
+        self.at.is_none_or(|at| i128::from(at) <= i128::from(time.as_micros()))
     }
 
     /// Returns true if `time` is the moment or earlier; always until it is known.
     pub fn is_until(self, time: Instant) -> bool {
-        self.at.is_none_or(|at| at >= i128::from(time.as_micros()))
+        self.at.is_none_or(|at| i128::from(at) >= i128::from(time.as_micros()))
     }
 }
 
@@ -321,7 +322,7 @@ mod tests {
         let at = |text, now: Option<i128>| {
             let mut bound = TimeBound::parse(text).unwrap();
             bound.resolve(WallClock { wall_start, now: now.map(instant) });
-            bound.at.unwrap()
+            i128::from(bound.at.unwrap())
         };
         assert_eq!(at("0:00:10", Some(seconds(100))), seconds(20));
         assert_eq!(at("0:00:10", Some(seconds(90_000))), seconds(86_420));
