@@ -207,6 +207,8 @@ pub struct AppOptions {
     pub utc_offset_seconds: i32,
     /// Names of the buses, and settings of their engines.
     pub buses: Vec<(String, Config)>,
+    /// Paths of the logs that are read, whole.
+    pub logs: Vec<PathBuf>,
     /// Path of des.json, which need not exist; `None` without a file.
     pub file_path: Option<PathBuf>,
     /// Keymap.
@@ -342,6 +344,7 @@ fn pinned_times(buses: &Buses, block: Range<Instant>) -> Vec<Range<Instant>> {
 #[derive(Debug)]
 pub struct App {
     clock: AppClock,
+    logs: Vec<PathBuf>,
     buses: RecordedBuses,
     traffic: Traffic,
     editor: FileEditor,
@@ -406,6 +409,7 @@ impl App {
         event_filter.resolve(filter::WallClock { wall_start: clock.wall_start(), now: None });
         let mut app = Self {
             clock,
+            logs: options.logs,
             buses: RecordedBuses::new(now, Buses::new(now, options.buses), buses_room),
             traffic: if options.without_capture {
                 Traffic::off()
@@ -833,6 +837,11 @@ impl App {
     /// The moment up to which ages are counted: now, or the end of the last log.
     pub fn display_time(&self) -> Instant {
         self.shown_buses().display_time(self.shown_time())
+    }
+
+    /// Paths of the logs that are read.
+    pub(crate) fn logs(&self) -> &[PathBuf] {
+        &self.logs
     }
 
     /// Unix time of [`Instant::ZERO`].

@@ -20,8 +20,9 @@ impl App {
     pub(super) fn list_buses(&mut self) {
         let is_log = |status: &BusStatus| matches!(status.link, Link::Ended);
         let has_log = self.playback().is_some() || self.buses.iter().any(|it| is_log(&it.status));
-        let arguments: Vec<String> = self.buses.iter().map(|bus| bus.name.clone()).collect();
+        let mut arguments: Vec<String> = self.buses.iter().map(|bus| bus.name.clone()).collect();
         let reason = format!("{} open; nothing is sent meanwhile", arguments.join(", "));
+        arguments.extend(self.logs.iter().map(|path| format!("file:{}", path.display())));
         let open = OpenBuses { arguments, has_log };
         let keymap = self.keymap().clone();
         let choice = BusChoice::new(reason, Vec::new()).with_keymap(keymap).over(open);

@@ -18,6 +18,7 @@ use crate::status::RecordingStatus;
 use crate::text::{SafeLines, on_one_line, printable};
 use crate::time::{Epoch, Instant};
 use crate::wire::profile::Profile;
+use std::fs;
 use std::io::{self, IsTerminal};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -404,6 +405,7 @@ pub fn session(
     let options = AppOptions {
         epoch: clock.epoch(),
         buses: named,
+        logs: logs_of(buses),
         file_path: Some(setup.file.clone()),
         ..options
     };
@@ -413,6 +415,15 @@ pub fn session(
         session.record(recorder, setup.record_selector());
     }
     Ok(session)
+}
+
+/// Returns the paths of the logs among the buses.
+fn logs_of(buses: &[BusSpec]) -> Vec<PathBuf> {
+    let path = |spec: &BusSpec| match spec {
+        BusSpec::File(path) => Some(fs::canonicalize(path).unwrap_or_else(|_| path.clone())),
+        _ => None,
+    };
+    buses.iter().filter_map(path).collect()
 }
 
 /// Returns true for an adapter that keeps its own bit rate.

@@ -795,3 +795,29 @@ fn interface_that_is_missing_is_shown_above_the_list_of_buses() {
     assert_eq!(pty.wait(), 0);
     pty.assert_given_back();
 }
+
+#[test]
+fn open_log_is_marked_in_the_list_of_buses() {
+    let folder = tempfile::tempdir().unwrap();
+    let logs = ["one.log", "two.log"];
+    for log in logs {
+        let line = "(1436509052.100000) can0 07180001#8AFA6C9724110400\n";
+        std::fs::write(folder.path().join(log), line).unwrap();
+        let mut pty = Pty::start(&[&format!("file:{log}")], folder.path(), SMALL);
+        pty.wait_for("END");
+        if log == "two.log" {
+            pty.send("B");
+            pty.wait_until("both logs", |screen| {
+                let text = screen.contents();
+                let line = |name| text.lines().find(|line| line.contains(name)).unwrap_or_default();
+                line("two.log").contains('●') && !line("one.log").is_empty()
+            });
+            let text = pty.screen();
+            assert!(!text.lines().any(|it| it.contains("one.log") && it.contains('●')), "{text}");
+            pty.send("\x1b");
+            pty.wait_until("closed", |screen| !screen.contents().contains("which bus?"));
+        }
+        pty.send("q");
+        assert_eq!(pty.wait(), 0);
+    }
+}

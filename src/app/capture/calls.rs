@@ -2,12 +2,12 @@
 //!
 //! Input: frames with their numbers. Output: statistics by client, server and service, and what each
 //! frame is in its call. A response is to the oldest open request from its receiver to its sender, of
-//! its service; if there is none, to the last broadcast. A node that does not
-//! work responds to requests to such nodes only. Of DES, a name response is to a name request, and a
-//! request that is sent in both framings is one. A request that is open longer
-//! than the timeout is unanswered. Bounded: 1024 rows, 64 open requests in each, latencies of the last 1024
-//! calls, the last 128 calls one by one. A frame of a known row allocates nothing, but for the first 128
-//! calls. Does not know how calls are shown.
+//! its service; if there is none, to the oldest open broadcast that its sender has not responded to,
+//! unless a request that was responded to is later. A node that does not work responds to requests to such nodes only. Of DES, a name response is
+//! to a name request, and a request that is sent in both framings is one. A request that is open longer
+//! than the timeout is unanswered. Bounded: 1024 rows, 64 open requests in each, latencies of the last
+//! 1024 calls, the last 128 calls one by one. A frame of a known row allocates nothing, but for the
+//! first 128 calls. Does not know how calls are shown.
 
 use super::decoded::FrameRole;
 use crate::frame::{BusIndex, CanId, Frame};
@@ -52,8 +52,8 @@ struct OpenCall {
     /// Only nodes that do not work respond, with U = 1.
     to_non_working: bool,
     message: Option<DesMessage>,
-    /// Responses so far, to a broadcast.
-    responses: u32,
+    /// Addresses that responded to a broadcast, a bit for each.
+    responders: u128,
 }
 
 impl OpenCall {
@@ -264,7 +264,7 @@ impl CallStats {
 
     fn close_oldest(&mut self) {
         let Some(call) = self.open.pop_front() else { return };
-        if call.responses == 0 {
+        if call.responders == 0 {
             self.unanswered += 1;
             if let Some(kept) = self.kept_mut(call.number) {
                 kept.result = CallResult::Unanswered;
@@ -286,15 +286,17 @@ impl CallStats {
         header: Header,
         message: Option<DesMessage>,
     ) -> Option<CallPart> {
-        let is_to = |call: &OpenCall| call.is_request_of(header, message);
+        let sender = 1 << header.source.number();
+        let is_to =
+            |call: &OpenCall| call.is_request_of(header, message) && call.responders & sender == 0;
         let mut candidates = self.open.iter().enumerate().filter(|(_, call)| is_to(call));
-        let (first, count) = (candidates.next()?.0, 1 + candidates.count());
-        let (call, is_ambiguous) = if self.key.server.is_some() {
-            (self.open.remove(first)?, count > 1)
+        let (first, is_ambiguous) = (candidates.next()?.0, candidates.next().is_some());
+        let call = if self.key.server.is_some() {
+            self.open.remove(first)?
         } else {
-            let last = self.open.iter_mut().rev().find(|call| is_to(call))?;
-            last.responses += 1;
-            (*last, false)
+            let call = self.open.get_mut(first)?;
+            call.responders |= sender;
+            *call
         };
         self.answered = Some(call);
         let latency = time.since(call.time);
@@ -316,6 +318,17 @@ impl CallStats {
             }
         }
         Some(CallPart::Response { request: call.number, latency, is_ambiguous })
+    }
+
+    /// Time of the last open request that a response may be to.
+    fn last_open(&self, header: Header, message: Option<DesMessage>) -> Option<Instant> {
+        let call = self.open.iter().rev().find(|call| call.is_request_of(header, message))?;
+        Some(call.time)
+    }
+
+    /// Time of the last request that was responded to, if a response may be to it.
+    fn last_answered(&self, header: Header, message: Option<DesMessage>) -> Option<Instant> {
+        self.answered.filter(|call| call.is_request_of(header, message)).map(|call| call.time)
     }
 
     /// Takes a further response to the last request that was responded to, as of a second board at the
@@ -410,18 +423,27 @@ impl Calls {
             row.expire(frame.time, timeout);
             let message = is_des.then(|| DesMessage::of_request(frame)).flatten();
             let (time, to_non_working) = (frame.time, header.to_non_working);
-            let is_new = row.open(OpenCall { number, time, to_non_working, message, responses: 0 });
+            let is_new =
+                row.open(OpenCall { number, time, to_non_working, message, responders: 0 });
             return is_new.then_some(CallPart::Request { responses: 0, is_unanswered: false });
         }
         let message = is_des.then(|| DesMessage::of_response(frame)).flatten();
-        let answered = [targeted, to_all].into_iter().find_map(|key| {
-            let row = self.rows.get_mut(*self.index.get(&key)? as usize)?;
+        // A further response is to the later one of a targeted request and a broadcast.
+        let is_further = self.get(&targeted).is_some_and(|one| {
+            let all = self.get(&to_all).and_then(|all| all.last_open(header, message));
+            one.last_answered(header, message) > all
+        });
+        let keys = if is_further { &[targeted][..] } else { &[targeted, to_all][..] };
+        let answered = keys.iter().find_map(|key| {
+            let row = self.rows.get_mut(*self.index.get(key)? as usize)?;
             row.expire(frame.time, timeout);
             row.respond((number, frame.time), header, message)
         });
         answered.or_else(|| {
-            let row = self.rows.get_mut(*self.index.get(&targeted)? as usize)?;
-            row.respond_again(frame.time, header, message, timeout)
+            keys.iter().rev().find_map(|key| {
+                let row = self.rows.get_mut(*self.index.get(key)? as usize)?;
+                row.respond_again(frame.time, header, message, timeout)
+            })
         })
     }
 
@@ -526,7 +548,7 @@ mod tests {
         add(5, frame(20, false, 1, 9, true));
         assert_eq!(add(6, frame(30, true, 9, 2, true)), None);
         assert_eq!(add(7, frame(1021, true, 9, 1, true)), None);
-        // To all: each response is to the last one.
+        // To all: each node responds once.
         add(8, frame(2000, false, 1, 127, true));
         assert_eq!(add(9, frame(2001, true, 8, 1, true)), response(8, 1, false));
         assert_eq!(add(10, frame(2003, true, 9, 1, true)), response(8, 3, false));
@@ -537,6 +559,42 @@ mod tests {
         let millis = Duration::from_millis;
         let latency = Latency { p50: millis(5), p99: millis(12), max: millis(12) };
         assert_eq!(one.latency(), Some(latency));
+    }
+
+    #[test]
+    fn second_response_to_a_request_is_not_to_an_earlier_broadcast() {
+        let (mut calls, profile) = (Calls::default(), Profile::default());
+        let mut add = |number, frame| calls.add(&frame, number, &profile);
+        let response = |request, millis| {
+            let latency = Duration::from_millis(millis);
+            Some(CallPart::Response { request, latency, is_ambiguous: false })
+        };
+        add(0, frame(0, false, 1, 127, true));
+        assert_eq!(add(1, frame(2, true, 9, 1, true)), response(0, 2));
+        add(2, frame(500, false, 1, 9, true));
+        assert_eq!(add(3, frame(503, true, 9, 1, true)), response(2, 3));
+        assert_eq!(add(4, frame(504, true, 9, 1, true)), response(2, 4), "of a second board");
+        add(5, frame(1600, false, 1, 127, true));
+        assert_eq!(add(6, frame(1605, true, 9, 1, true)), response(5, 5), "the later request");
+    }
+
+    #[test]
+    fn responses_to_equal_broadcasts_are_to_the_oldest_not_answered() {
+        let (mut calls, profile) = (Calls::default(), Profile::default());
+        let mut add = |number, frame| calls.add(&frame, number, &profile);
+        let response = |request, millis, is_ambiguous| {
+            let latency = Duration::from_millis(millis);
+            Some(CallPart::Response { request, latency, is_ambiguous })
+        };
+        add(0, frame(0, false, 1, 127, true));
+        add(1, frame(300, false, 1, 127, true));
+        assert_eq!(add(2, frame(350, true, 10, 1, true)), response(0, 350, true));
+        assert_eq!(add(3, frame(351, true, 11, 1, true)), response(0, 351, true));
+        assert_eq!(add(4, frame(352, true, 10, 1, true)), response(1, 52, false));
+        assert_eq!(add(5, frame(353, true, 10, 1, true)), response(1, 53, false), "again");
+        calls.tick(Instant::from_micros(9_000_000), |_| Duration::from_secs(1));
+        let all = &calls.rows()[0];
+        assert_eq!((all.calls, all.responses, all.unanswered, all.ambiguous), (2, 3, 0, 2));
     }
 
     #[test]

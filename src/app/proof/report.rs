@@ -213,6 +213,10 @@ fn setup(text: &mut String, app: &App, problem: &Problem, proof: &ProofFrames) {
     let _ = writeln!(text, "## How it was measured\n");
     let mut table = MarkdownTable::new(&["", ""]);
     table.row(&["program", concat!("descan ", env!("CARGO_PKG_VERSION"))]);
+    for log in app.logs() {
+        let name = log.file_name().unwrap_or_default().to_string_lossy();
+        table.row(&["log", &crate::text::printable(name.as_bytes())]);
+    }
     let buses = app.buses();
     let own = problem.bus().and_then(|bus| app.bus(bus));
     for bus in own.into_iter().chain(buses.iter().filter(|_| own.is_none())) {
