@@ -82,14 +82,49 @@ pub struct HeartbeatStats {
     pub last: Option<Instant>,
     /// Number of heartbeats missed while the bus was up.
     pub missed: u64,
-    intervals: u64,
-    mean_us: f64,
-    variance_us2: f64,
+    /// Between heartbeats of whatever board.
+    all: IntervalStats,
+    /// Between heartbeats of one board.
+    of_board: IntervalStats,
     /// Period and jitter that are shown, in microseconds.
     steady_period_us: f64,
     steady_jitter_us: f64,
     /// Last heartbeat before one that was out of phase.
     in_phase: Option<Instant>,
+    /// Last heartbeats of the last two UIDs, the later one first: several boards at one address each
+    /// have their own period.
+    by_uid: [Option<(Uid, Instant)>; 2],
+}
+
+/// Mean and variance of intervals, the last 64 of them above all.
+#[derive(Clone, Copy, Debug, Default)]
+struct IntervalStats {
+    count: u64,
+    mean_us: f64,
+    variance_us2: f64,
+}
+
+impl IntervalStats {
+    fn add(&mut self, interval: Duration) {
+        self.count += 1;
+        let weight = 1.0 / self.count.min(64) as f64;
+        let micros = interval.as_micros() as f64;
+        let off = micros - self.mean_us;
+        self.mean_us += weight * off;
+        self.variance_us2 = (1.0 - weight) * (self.variance_us2 + weight * off * off);
+    }
+
+    fn deviation_us(&self) -> f64 {
+        self.variance_us2.max(0.0).sqrt()
+    }
+
+    fn mean(&self) -> Option<Duration> {
+        (self.count > 0).then(|| Duration::from_micros(self.mean_us as u64))
+    }
+
+    fn deviation(&self) -> Option<Duration> {
+        (self.count > 1).then(|| Duration::from_micros(self.deviation_us() as u64))
+    }
 }
 
 /// Age of the last heartbeat, in periods, at which a device is stale. Protocol §4.6.
@@ -105,71 +140,107 @@ const STEADY_PERIOD: f64 = 0.005;
 const STEADY_JITTER: f64 = 0.2;
 
 impl HeartbeatStats {
-    /// Returns the mean interval between heartbeats, without gaps; `None` before the first
-    /// interval.
+    /// Returns the mean interval between heartbeats of one board, without gaps; `None` before the
+    /// first interval.
     pub fn period(&self) -> Option<Duration> {
-        (self.intervals > 0).then(|| Duration::from_micros(self.mean_us as u64))
+        self.of_board.mean()
     }
 
     /// Returns the standard deviation of the interval; `None` before the second interval.
     pub fn jitter(&self) -> Option<Duration> {
-        (self.intervals > 1)
-            .then(|| Duration::from_micros(self.variance_us2.max(0.0).sqrt() as u64))
+        self.of_board.deviation()
+    }
+
+    /// Returns the mean interval between heartbeats of whatever board.
+    pub(super) fn period_of_all(&self) -> Option<Duration> {
+        self.all.mean()
+    }
+
+    /// Returns the standard deviation of that interval.
+    pub(super) fn jitter_of_all(&self) -> Option<Duration> {
+        self.all.deviation()
     }
 
     /// Returns the period for the screen: it changes only when the mean interval has changed by half a percent.
     /// `None` before the first interval.
     pub fn steady_period(&self) -> Option<Duration> {
-        (self.intervals > 0).then(|| Duration::from_micros(self.steady_period_us as u64))
+        (self.of_board.count > 0).then(|| Duration::from_micros(self.steady_period_us as u64))
     }
 
     /// Returns the jitter for the screen: it changes only when the standard deviation has changed
     /// by a fifth and by 1 ms. `None` before the second interval.
     pub fn steady_jitter(&self) -> Option<Duration> {
-        (self.intervals > 1).then(|| Duration::from_micros(self.steady_jitter_us as u64))
+        (self.of_board.count > 1).then(|| Duration::from_micros(self.steady_jitter_us as u64))
     }
 
     /// Takes over period and jitter for the screen where they have changed enough.
     fn steady(&mut self) {
-        let jitter_us = self.variance_us2.max(0.0).sqrt();
+        let IntervalStats { count, mean_us, .. } = self.of_board;
+        let jitter_us = self.of_board.deviation_us();
         // The screen shows milliseconds.
         let tolerance = (self.steady_jitter_us * STEADY_JITTER).max(1000.0);
-        if self.intervals <= 2 || (jitter_us - self.steady_jitter_us).abs() > tolerance {
+        if count <= 2 || (jitter_us - self.steady_jitter_us).abs() > tolerance {
             self.steady_jitter_us = jitter_us;
         }
         let tolerance = self.steady_period_us * STEADY_PERIOD;
-        if (self.mean_us - self.steady_period_us).abs() > tolerance {
-            self.steady_period_us = self.mean_us;
+        if (mean_us - self.steady_period_us).abs() > tolerance {
+            self.steady_period_us = mean_us;
         }
     }
 
-    /// Counts a heartbeat and returns the time since the previous one. `period` is the expected
-    /// interval; `missed_in_outage` is the number of heartbeats due since the previous one while
-    /// the bus was down; `None`: the interval is a guess, so none is counted as missed.
+    /// Counts a heartbeat and returns the time since the previous one, of whatever board. `period` is
+    /// the expected interval; `missed_in_outage` is the number of heartbeats due since the previous
+    /// one while the bus was down; `None`: the interval is a guess, so none is counted as missed.
     pub(super) fn record_heartbeat(
         &mut self,
         now: Instant,
+        uid: Option<Uid>,
         period: Duration,
         missed_in_outage: Option<u64>,
     ) -> Option<Duration> {
         self.count += 1;
-        let gap = self.last.replace(now).map(|last| now.since(last));
-        if let Some(gap) = gap {
+        let before = self.last.replace(now);
+        let gap = before.map(|last| now.since(last));
+        let own_before = match uid {
+            Some(uid) => self.replace_last_of(uid, now).or(before.filter(|_| !self.has_two_uids())),
+            None => before,
+        };
+        let is_interval = |gap: &Duration| {
+            let ratio = gap.as_secs_f64() / period.as_secs_f64();
+            ratio > 0.3 && ratio <= 1.5
+        };
+        if let Some(interval) = gap.filter(is_interval) {
+            self.all.add(interval);
+        }
+        let own_gap = own_before.map(|last| now.since(last));
+        if let Some(interval) = own_gap.filter(is_interval) {
+            self.of_board.add(interval);
+            self.steady();
+        }
+        // With another board in between, it is not known whether this one was there.
+        if let Some(gap) = gap.filter(|_| own_before == before) {
             let ratio = gap.as_secs_f64() / period.as_secs_f64();
             if ratio > 1.5 {
                 let due = (ratio - 0.5) as u64;
                 self.missed += missed_in_outage.map_or(0, |missed| due.saturating_sub(missed));
-            } else if ratio > 0.3 {
-                self.intervals += 1;
-                let weight = 1.0 / self.intervals.min(64) as f64;
-                let micros = gap.as_micros() as f64;
-                let off = micros - self.mean_us;
-                self.mean_us += weight * off;
-                self.variance_us2 = (1.0 - weight) * (self.variance_us2 + weight * off * off);
-                self.steady();
             }
         }
         gap
+    }
+
+    /// Sets the time of the last heartbeat with a UID; returns the one before.
+    fn replace_last_of(&mut self, uid: Uid, now: Instant) -> Option<Instant> {
+        let is_it = |it: &Option<(Uid, Instant)>| it.is_some_and(|(known, _)| known == uid);
+        let at = self.by_uid.iter().position(is_it).unwrap_or(1);
+        let before = self.by_uid[at].filter(|(known, _)| *known == uid);
+        self.by_uid[..=at].rotate_right(1);
+        self.by_uid[0] = Some((uid, now));
+        before.map(|(_, time)| time)
+    }
+
+    /// Returns true if heartbeats with two UIDs were received.
+    fn has_two_uids(&self) -> bool {
+        self.by_uid[1].is_some()
     }
 
     /// Forgets the phase, because another device sends the heartbeats now.
@@ -629,5 +700,33 @@ impl Device {
     /// Returns true if the device is not lost.
     pub fn is_present(&self) -> bool {
         self.presence != Presence::Lost
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn period_of_a_board_is_kept_beside_another_one() {
+        let mut stats = HeartbeatStats::default();
+        let (one, other) = (Some(Uid([1; 6])), Some(Uid([2; 6])));
+        let mut beat = |millis: u64, uid| {
+            let at = Instant::from_micros(millis * 1000);
+            stats.record_heartbeat(at, uid, Duration::from_secs(1), Some(0))
+        };
+        for second in 1..60 {
+            beat(second * 1000, one);
+            if (20..40).contains(&second) {
+                let gap = beat(second * 1000 + 500, other);
+                assert_eq!(gap, Some(Duration::from_millis(500)), "of whatever board");
+            }
+        }
+        // It left while the other one stays.
+        (60..90).for_each(|second| drop(beat(second * 1000 + 500, other)));
+        assert_eq!(stats.period(), Some(Duration::from_secs(1)));
+        assert_eq!(stats.jitter(), Some(Duration::ZERO));
+        assert_eq!((stats.missed, stats.count), (0, 109));
+        assert!(stats.period_of_all() < Some(Duration::from_millis(999)));
     }
 }

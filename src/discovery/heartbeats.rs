@@ -116,11 +116,11 @@ impl DeviceTracker {
         let missed_in_outage = previous_heartbeat
             .map_or(0, |last| self.outages.heartbeats_missed_in_outage(last, now, period));
         let Some(device) = self.device_table.get_mut(row) else { return };
-        let expected = device.heartbeat.period();
-        let jitter = device.heartbeat.jitter();
+        let expected = device.heartbeat.period_of_all();
+        let jitter = device.heartbeat.jitter_of_all();
         let expects = self.conflicts.periods().is_reliable(header.source);
-        let gap =
-            device.heartbeat.record_heartbeat(now, period, expects.then_some(missed_in_outage));
+        let expected_in_outage = expects.then_some(missed_in_outage);
+        let gap = device.heartbeat.record_heartbeat(now, heartbeat.uid, period, expected_in_outage);
         // The second one shows when the third is due.
         if device.heartbeat.count <= 2 {
             self.wake_at(now + period * 2);

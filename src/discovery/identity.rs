@@ -83,7 +83,7 @@ impl DeviceTracker {
             other.address != address
                 && other.last_seen <= first_seen
                 && now.since(other.last_seen) > missed
-                && (other.heartbeat.period().is_some() || !other.is_present())
+                && (other.heartbeat.period_of_all().is_some() || !other.is_present())
         };
         let by_uid = uid.and_then(|uid| {
             let row_of_uid = self.claims.row_of(uid);

@@ -252,7 +252,7 @@ mod tests {
     #[test]
     fn snapshots_are_bounded_and_reach_all_times() {
         let buses = Buses::new(Instant::ZERO, vec![("can0".into(), Config::default())]);
-        let room = 400_000;
+        let room = 600_000;
         let mut traffic = Traffic::new(1 << 30, room);
         for number in 0..2_000_000_u64 {
             let time = Instant::from_micros(number * 1_000);
