@@ -72,6 +72,12 @@ pub fn side_letter(side: usize) -> char {
     u8::try_from(side).ok().filter(|side| *side < 26).map_or('#', |side| char::from(b'A' + side))
 }
 
+/// Returns true if heartbeats of a board are no longer captured, or not looked for.
+fn is_cut(panel: &ConflictPanel, at: usize) -> bool {
+    let joined = panel.sides.sides[at].joined;
+    panel.sides.complete_from.is_some_and(|from| joined.is_none_or(|joined| joined < from))
+}
+
 fn ordinal(place: usize) -> String {
     match place {
         1 => "second".to_owned(),
@@ -110,6 +116,10 @@ impl App {
                 .push(("joined", column(&|at| self.joined_text(&panel, at, address, is_wide))));
             let beats = column(&|at| self.heartbeat_text(problem, &panel, at, is_wide));
             panel.rows.push(("heartbeat", beats));
+            if is_wide {
+                let counts = column(&|at| self.beat_counts_text(problem, &panel, at));
+                panel.rows.push(("received", counts));
+            }
             panel.rows.push(("mode", column(&|at| self.mode_text(&panel, at, is_wide))));
         }
         let away = self.sides_away(bus, &panel, &devices);
@@ -129,10 +139,18 @@ impl App {
         let mut beats: Vec<CapturedHeartbeat> =
             self.heartbeats_until(bus, address, until).take(MAX_BEATS).collect();
         beats.reverse();
+        let end = self.end_of_beats(until);
+        let capture = &self.traffic.capture;
+        let first = self.traffic.first_with_heartbeats(end).filter(|first| *first > 0);
+        let kept_from = first.map(|first| capture.time_of(first).unwrap_or(Instant::LATEST));
+        let looked_from = beats.first().filter(|_| beats.len() == MAX_BEATS).map(|beat| beat.time);
+        let complete_from = kept_from.into_iter().chain(looked_from).max();
         let boards: Vec<(Uid, Instant)> =
             problem.boards().iter().map(|board| (board.uid, board.since)).collect();
         let during = problem.first()..problem.last();
-        Some(ConflictSides::new(&beats, &boards, during, period))
+        let mut sides = ConflictSides::new(&beats, &boards, during, period);
+        sides.complete_from = complete_from;
+        Some(sides)
     }
 
     /// The modes of the board of a row, with the times of their first heartbeats, oldest first.
@@ -155,9 +173,13 @@ impl App {
         address: Address,
         until: Option<Instant>,
     ) -> super::CapturedHeartbeats<'_> {
+        self.traffic.heartbeats(self.profile(bus), bus, address, self.end_of_beats(until))
+    }
+
+    /// Number of the frame before which heartbeats are looked for.
+    fn end_of_beats(&self, until: Option<Instant>) -> u64 {
         let end = self.traffic.end(&self.view);
-        let end = until.map_or(end, |until| end.min(self.traffic.capture.at_time(until)));
-        self.traffic.heartbeats(self.profile(bus), bus, address, end)
+        until.map_or(end, |until| end.min(self.traffic.capture.at_time(until)))
     }
 
     /// The board that a piece of evidence is of; `None` for other frames than heartbeats, and where it
@@ -275,10 +297,12 @@ impl App {
             None => self.display_time(),
         };
         let left = sides.has_left(at, end, side.period.unwrap_or(usual));
+        let is_cut = sides.complete_from.is_some_and(|from| from > last);
         let later = sides.beats().rev().take_while(|(beat, _)| beat.time > last);
         let is_unclear = later.map(|(_, side)| side).any(|side| side.is_none());
         let left = match (left, is_unclear) {
             (false, _) => String::new(),
+            _ if is_cut => format!("last kept {}", clock_millis(self, last)),
             (true, true) => format!("unclear since {}", clock_millis(self, last)),
             (true, false) => format!("left: last {}", clock_millis(self, last)),
         };
@@ -313,19 +337,30 @@ impl App {
             }
             parts.push(text);
         }
-        if wide || side.period.is_none() {
-            let count = match side.beats {
-                1 => "1 beat".to_owned(),
-                beats => format!("{beats} beats"),
-            };
-            let absences = match side.absences {
-                0 => String::new(),
-                1 => ", away once".to_owned(),
-                more => format!(", away {more}×"),
-            };
-            parts.push(format!("{count}, {} missed{absences}", side.missed));
+        if !wide && side.period.is_none() {
+            parts.push(format!("received {}", self.beat_counts_text(problem, panel, at)));
         }
         parts.join(", ")
+    }
+
+    /// How many heartbeats of a board were received and missed, until when.
+    fn beat_counts_text(&self, problem: &Problem, panel: &ConflictPanel, at: usize) -> String {
+        let side = &panel.sides.sides[at];
+        let count = side.beats;
+        if is_cut(panel, at) {
+            return format!("{count} kept, not all");
+        }
+        let absences = match side.absences {
+            0 => String::new(),
+            1 => ", away once".to_owned(),
+            more => format!(", away {more}×"),
+        };
+        let usual = self.profile(problem.bus().unwrap_or_default()).heartbeat.period();
+        let until = problem.ended().map(|ended| ended + usual * AFTER_PERIODS);
+        let until = until.filter(|until| *until < self.display_time());
+        let until =
+            until.map_or(String::new(), |at| format!(" to {}", format_time_of_day(self, at)));
+        format!("{count}{until}, {} missed{absences}", side.missed)
     }
 
     /// Place of the heartbeats of a board in the second, in milliseconds; `None` unless the period is one
@@ -358,6 +393,9 @@ impl App {
         match (&modes[..], names.join(" → ")) {
             ([], _) => "–".to_owned(),
             ([(_, mode)], _) if !wide => mode.name().to_owned(),
+            ([(since, mode)], _) if is_cut(panel, at) => {
+                format!("{mode} since {} or before", clock_millis(self, *since))
+            }
             ([(since, mode)], _) => format!("{mode} since {}", clock_millis(self, *since)),
             ([.., (since, _)], chain) => format!("{chain} {}", clock_millis(self, *since)),
         }

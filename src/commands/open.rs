@@ -325,6 +325,7 @@ fn common_start(logs: &[Option<LogDates>], log: &LogDates) -> u64 {
         let next = met.fold(all, |all, other| LogDates {
             first: all.first.min(other.first),
             last: all.last.max(other.last),
+            has_end: all.has_end && other.has_end,
         });
         if next == all {
             return all.first;

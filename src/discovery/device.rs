@@ -723,7 +723,9 @@ mod tests {
             }
         }
         // It left while the other one stays.
-        (60..90).for_each(|second| drop(beat(second * 1000 + 500, other)));
+        for second in 60..90 {
+            beat(second * 1000 + 500, other);
+        }
         assert_eq!(stats.period(), Some(Duration::from_secs(1)));
         assert_eq!(stats.jitter(), Some(Duration::ZERO));
         assert_eq!((stats.missed, stats.count), (0, 109));

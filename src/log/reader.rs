@@ -61,7 +61,8 @@ impl LogPosition {
     fn last_time_in(&self, tail: &[u8]) -> Option<Instant> {
         let start = self.decoder.as_ref()?.entry_start(tail)?;
         let reader = LogReader::at(&tail[start..], self);
-        reader.map_while(Result::ok).last().map(|frame| frame.time)
+        // What cannot be read may stand between.
+        reader.take(tail.len()).filter_map(Result::ok).last().map(|frame| frame.time)
     }
 }
 

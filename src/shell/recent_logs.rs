@@ -21,6 +21,16 @@ pub struct RecentLog {
     pub path: PathBuf,
     /// What was found up to its end, as `9 devices, 2 conflicts`; empty if that is not known.
     pub contents: String,
+    /// The file that it was found in, as [`version_of`].
+    version: String,
+}
+
+/// Size and time of the last change of a file: another content has another one.
+fn version_of(path: &Path) -> String {
+    let Ok(metadata) = fs::metadata(path) else { return String::new() };
+    let changed = metadata.modified().ok();
+    let changed = changed.and_then(|at| at.duration_since(SystemTime::UNIX_EPOCH).ok());
+    format!("{}-{}", metadata.len(), changed.unwrap_or_default().as_nanos())
 }
 
 /// Lengths of logs, read again only where the file has changed: the list is made every second.
@@ -49,15 +59,23 @@ impl LogLengths {
 fn length_of(path: &Path) -> Option<Duration> {
     let log = File::open(path).ok()?;
     let (_, dates) = LogDates::read(&log).ok()?;
-    dates.as_ref().map(LogDates::length)
+    dates.as_ref().and_then(LogDates::length)
 }
 
 impl RecentLog {
-    /// Parses a line of the file: a path, and behind a tab the contents.
+    /// Parses a line of the file: a path, and behind tabs the contents, and the file in which they
+    /// were found.
     fn parse(line: &str) -> Self {
-        let known = line.rsplit_once('\t').filter(|_| !Path::new(line).exists());
-        let (path, contents) = known.unwrap_or((line, ""));
-        Self { path: path.into(), contents: contents.to_owned() }
+        let mut parts = line.rsplitn(3, '\t');
+        let (version, contents, path) = (parts.next(), parts.next(), parts.next());
+        let (Some(version), Some(contents), Some(path)) = (version, contents, path) else {
+            let (path, version) = (line.into(), String::new());
+            return Self { path, contents: String::new(), version };
+        };
+        let path = PathBuf::from(path);
+        let is_same = version_of(&path) == version;
+        let contents = if is_same { contents.to_owned() } else { String::new() };
+        Self { path, contents, version: version.to_owned() }
     }
 }
 
@@ -97,8 +115,13 @@ fn write(file: &Path, path: &Path, contents: Option<&str>) {
     let (same, others): (Vec<_>, Vec<_>) = read(file).into_iter().partition(|it| it.path == path);
     let before = same.into_iter().next().map(|log| log.contents);
     let contents = contents.map(str::to_owned).or(before).unwrap_or_default();
-    let logs = std::iter::once(RecentLog { path, contents }).chain(others).take(MAX_LOGS);
-    let lines = logs.filter_map(|log| Some(format!("{}\t{}\n", log.path.to_str()?, log.contents)));
+    let version = version_of(&path);
+    let log = RecentLog { path, contents, version };
+    let logs = std::iter::once(log).chain(others).take(MAX_LOGS);
+    let line = |log: RecentLog| {
+        Some(format!("{}\t{}\t{}\n", log.path.to_str()?, log.contents, log.version))
+    };
+    let lines = logs.filter_map(line);
     let text: String = lines.collect();
     let Some(folder) = file.parent() else { return };
     let _ = fs::create_dir_all(folder).and_then(|()| fs::write(file, text));
@@ -136,13 +159,24 @@ mod tests {
         assert_eq!(length(), Some(Duration::from_millis(60_500)));
         fs::write(&found[0].path, "(1.0) can0 123#\n(2.0) can0 123#R\n").unwrap();
         assert_eq!(length(), Some(Duration::from_secs(1)), "it has changed");
+        assert_eq!(read(&file)[0].contents, "", "found in another content");
+        fs::write(&found[0].path, [b"(1.0) can0 123#\n".as_slice(), &[0; 1 << 20]].concat())
+            .unwrap();
+        assert_eq!(length(), None, "its end cannot be read");
+        let broken = b"(1.0) can0 123#\n(9.0) can0 123#\n\0\0\n(x) y\n";
+        fs::write(&found[0].path, broken).unwrap();
+        assert_eq!(length(), Some(Duration::from_secs(8)));
         write(&file, &with_tab, None);
         assert_eq!((&read(&file)[0].path, &*read(&file)[0].contents), (&with_tab, ""));
         // A list of paths alone.
         fs::write(&file, format!("{}\n", folder.join("one.log").display())).unwrap();
         assert_eq!(
             read(&file),
-            [RecentLog { path: folder.join("one.log"), contents: String::new() }]
+            [RecentLog {
+                path: folder.join("one.log"),
+                contents: String::new(),
+                version: String::new()
+            }]
         );
         fs::remove_file(folder.join("one.log")).unwrap();
         assert_eq!(read(&file), []);

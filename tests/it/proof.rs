@@ -203,7 +203,7 @@ fn evidence_without_frames_in_the_capture_is_in_the_proof() {
         let frame = piece.frame.unwrap();
         assert!(stored.iter().any(|it| it.same_on_wire(&frame)), "{piece:?}");
     }
-    assert!(text.contains("events were no longer captured"), "{text}");
+    assert!(text.contains("of the events, frames are missing"), "{text}");
 }
 
 #[test]

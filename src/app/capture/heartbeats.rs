@@ -56,8 +56,7 @@ impl Traffic {
     ) -> CapturedHeartbeats<'_> {
         let service = profile.heartbeat_service();
         let end = end.min(self.capture.end());
-        let is_log = self.capture.has_source();
-        let first = if is_log { end.saturating_sub(MAX_LOG_FRAMES) } else { 0 };
+        let first = self.earliest_looked_at(end);
         let mut walk = CapturedHeartbeats { traffic: self, profile, heads: Vec::new(), first };
         for flags in 0..32_u8 {
             let header = Header {
@@ -76,6 +75,16 @@ impl Traffic {
             walk.heads.extend(self.last_within(first..end, &key));
         }
         walk
+    }
+
+    fn earliest_looked_at(&self, end: u64) -> u64 {
+        if self.capture.has_source() { end.saturating_sub(MAX_LOG_FRAMES) } else { 0 }
+    }
+
+    /// Number of the frame from which on all heartbeats before `end` are found; `None` without frames.
+    pub fn first_with_heartbeats(&self, end: u64) -> Option<u64> {
+        let first = self.earliest_looked_at(end).max(self.capture.first());
+        (self.capture.end() > 0).then_some(first)
     }
 
     /// Number of the last stored frame with an identifier among these.

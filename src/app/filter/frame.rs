@@ -466,7 +466,7 @@ impl TestedFrame<'_> {
     }
 
     fn interval_micros(&self) -> Option<u64> {
-        let (store, number) = self.stored?;
+        let (store, number) = self.stored.filter(|_| self.frame.kind != FrameKind::Error)?;
         let before = store.time_of(store.previous(number)?)?;
         u64::try_from(self.frame.time.since(before).as_micros()).ok()
     }

@@ -7,6 +7,8 @@ use crate::app::typed_time::{DAY, parse_date_time, parse_duration, parse_time_of
 use crate::time::{Duration, Instant};
 use std::ops::Range;
 
+const HOUR: i128 = 3_600_000_000;
+
 /// The greatest service number (protocol §1.1).
 const MAX_SERVICE: u64 = 0x3FF;
 
@@ -210,14 +212,14 @@ impl TimeBound {
     }
 
     /// Finds the moment: of a time of day the last one until the present, or if nothing says when
-    /// that is, the first one from the start.
+    /// that is, the first one from an hour before the start on.
     pub fn resolve(&mut self, clock: WallClock) {
         let present = clock.now.map(|now| i128::from(now.as_micros()));
         let at = match self.typed {
             TypedTime::Date(wall) => wall - clock.wall_start,
             TypedTime::OfDay(of_day) => match present {
                 Some(now) => now - (clock.wall_start + now - of_day).rem_euclid(DAY),
-                None => (of_day - clock.wall_start).rem_euclid(DAY),
+                None => (of_day - clock.wall_start + HOUR).rem_euclid(DAY) - HOUR,
             },
             TypedTime::Ago(ago) => present.unwrap_or(0) - ago.as_micros().cast_signed(),
         };
@@ -327,6 +329,8 @@ mod tests {
         assert_eq!(at("0:00:10", Some(seconds(100))), seconds(20));
         assert_eq!(at("0:00:10", Some(seconds(90_000))), seconds(86_420));
         assert_eq!(at("0:00:10", None), seconds(20));
+        assert_eq!(at("23:59", None), seconds(-50), "the minute in which it begins");
+        assert_eq!(at("22:59", None), seconds(24 * 3600 - 3650));
         assert_eq!(at("-30", Some(seconds(100))), seconds(70));
         assert_eq!(at("-3m", Some(seconds(100))), seconds(-80));
         assert_eq!(at("2024-10-04T00:00:05", None), seconds(15));

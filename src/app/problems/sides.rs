@@ -105,6 +105,8 @@ pub struct ConflictSides {
     pub basis: SideBasis,
     /// In the order of joining.
     pub sides: Vec<ConflictSide>,
+    /// The moment from which on all heartbeats are known; `None`: from the start.
+    pub complete_from: Option<Instant>,
     /// The heartbeats, oldest first.
     beats: Vec<CapturedHeartbeat>,
     /// Side of each of them; `None` if it may be of several.
@@ -140,6 +142,7 @@ impl ConflictSides {
         Self::by_phase(beats, &around, period).unwrap_or(Self {
             basis: SideBasis::None,
             sides: Vec::new(),
+            complete_from: None,
             of_beats: vec![None; beats.len()],
             beats: beats.to_vec(),
         })
@@ -163,7 +166,7 @@ impl ConflictSides {
             |beat: &CapturedHeartbeat| sides.iter().position(|side| side.uid == known(beat.uid));
         let of_beats: Vec<Option<usize>> = beats.iter().map(side_of).collect();
         let beats = beats.to_vec();
-        let mut all = Self { basis: SideBasis::Uids, sides, beats, of_beats };
+        let mut all = Self { basis: SideBasis::Uids, sides, complete_from: None, beats, of_beats };
         all.measure(period);
         all
     }
@@ -214,7 +217,8 @@ impl ConflictSides {
             *side = order.iter().position(|it| it == side).unwrap_or(0);
         }
         let beats = beats.to_vec();
-        let mut all = Self { basis: SideBasis::Phases, sides, beats, of_beats };
+        let mut all =
+            Self { basis: SideBasis::Phases, sides, complete_from: None, beats, of_beats };
         all.measure(Duration::from_secs_f64(period));
         Some(all)
     }

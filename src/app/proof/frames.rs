@@ -1,11 +1,17 @@
 //! The frames of a proof: the evidence, and the frames of its bus around each piece.
 
 use super::MAX_FRAMES;
+use crate::app::capture::frame_store::FrameStore;
 use crate::app::problems::{EvidenceItem, Problem};
 use crate::app::{AROUND_EVIDENCE, App};
 use crate::frame::Frame;
 use crate::log::pcapng;
+use crate::time::{Duration, Instant};
 use std::collections::BTreeMap;
+use std::ops::Range;
+
+/// Kept frames around evidence begin so soon after the beginning of their time.
+const BEGINS_WITHIN: Duration = Duration::from_millis(100);
 
 /// The evidence of a problem and the frames around it.
 pub struct ProofFrames {
@@ -15,7 +21,9 @@ pub struct ProofFrames {
     pub earlier: usize,
     /// Frames in the order of time, each with the place of its piece of evidence.
     pub frames: Vec<(Frame, Option<usize>)>,
-    /// Pieces whose surroundings are no longer captured.
+    /// The moment from which the pieces are.
+    pub begin: Instant,
+    /// Pieces of whose surroundings frames are missing: they are no longer captured, or too many.
     pub alone: usize,
 }
 
@@ -25,7 +33,10 @@ pub fn of_problem(app: &App, problem: &Problem) -> ProofFrames {
     let mut pieces = problem.evidence();
     // The address may have been contested before, by other boards or in another state.
     let all = pieces.len();
-    let begin = problem.began() - AROUND_EVIDENCE;
+    let boards = problem.boards();
+    let second = boards.get(1).filter(|_| problem.is_address_conflict());
+    let joined = second.map_or(problem.began(), |board| board.since.min(problem.began()));
+    let begin = joined - AROUND_EVIDENCE;
     if pieces.iter().any(|piece| piece.time >= begin) {
         pieces.retain(|piece| piece.time >= begin);
     }
@@ -45,10 +56,11 @@ pub fn of_problem(app: &App, problem: &Problem) -> ProofFrames {
         let before = capture.numbers_before(middle).filter_map(get).take_while(is_near);
         let known = capture.numbers_from(middle).take_while(|number| *number < end);
         let after = known.filter_map(get).take_while(is_near);
-        let near = before.filter(is_of_bus).take(each).chain(after.filter(is_of_bus).take(each));
-        let mut is_around = false;
-        for (number, frame) in near {
-            is_around = true;
+        let before: Vec<_> = before.filter(is_of_bus).take(each).collect();
+        let after: Vec<_> = after.filter(is_of_bus).take(each).collect();
+        let is_whole = before.len() < each && after.len() < each && is_stored(capture, &time);
+        alone += usize::from(!is_whole);
+        for (number, frame) in before.into_iter().chain(after) {
             numbered.entry(number).or_insert((frame, None));
         }
         match (number, piece.frame) {
@@ -58,11 +70,19 @@ pub fn of_problem(app: &App, problem: &Problem) -> ProofFrames {
             (None, Some(frame)) => stored.push((frame, Some(place))),
             (_, None) => {}
         }
-        alone += usize::from(!is_around);
     }
     let mut frames: Vec<(Frame, Option<usize>)> = numbered.into_values().chain(stored).collect();
     frames.sort_by_key(|(frame, _)| frame.time);
-    ProofFrames { pieces, earlier, frames, alone }
+    ProofFrames { pieces, earlier, frames, begin, alone }
+}
+
+/// Returns true if all frames of a time are stored, as far as is known: kept frames around evidence
+/// begin with the first one of their time.
+fn is_stored(capture: &FrameStore, time: &Range<Instant>) -> bool {
+    let (first, end) = (capture.at_time(time.start), capture.at_time(time.end));
+    let begins = first.checked_sub(1).is_none_or(|before| capture.get(before).is_some())
+        || capture.time_of(first).is_some_and(|at| at.since(time.start) < BEGINS_WITHIN);
+    begins && capture.missing_between(first, end) == 0
 }
 
 /// Returns the frames as pcapng. A comment names the piece of evidence that a packet is.

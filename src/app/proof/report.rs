@@ -89,22 +89,29 @@ fn evidence(text: &mut String, app: &App, problem: &Problem, proof: &ProofFrames
         return;
     }
     let count = problem.count().max(stored);
+    let events = if proof.earlier > 0 {
+        let (first, begin) = (date_time(app, problem.first()), date_time(app, proof.begin));
+        format!(
+            "The {stored} stored events from {begin} on. {count} were counted since {first}, those of \
+             an earlier conflict with them"
+        )
+    } else if stored < count {
+        format!("{stored} of {count} events, the first and the last ones")
+    } else {
+        format!("All {count} events")
+    };
     let _ = writeln!(
         text,
-        "{stored} of {count} events, the first and the last ones. The file {} has these frames, and \
-         {} frames up to a second before and after each, not all between; Wireshark and tshark open \
-         it, and its comments name the events.\n",
+        "{events}. The file {} has these frames, and {} frames up to a second before and after each, \
+         not all between; Wireshark and tshark open it, and its comments name the events.\n",
         Plain(file),
         proof.frames.len().saturating_sub(proof.pieces.len()),
     );
-    if proof.earlier > 0 {
-        let began = date_time(app, problem.began());
-        let _ = writeln!(text, "{} events before {began} are left out.\n", proof.earlier);
-    }
     if proof.alone > 0 {
         let _ = writeln!(
             text,
-            "The frames around {} of the events were no longer captured.\n",
+            "Around {} of the events, frames are missing in it: they were no longer captured, or are \
+             more than fit.\n",
             proof.alone
         );
     }

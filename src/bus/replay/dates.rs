@@ -10,8 +10,10 @@ use std::io::{self, BufReader};
 pub struct LogDates {
     /// Date of the first frame, in microseconds since 1970.
     pub first: u64,
-    /// Date of the last frame, in microseconds since 1970.
+    /// Date of the last frame, in microseconds since 1970; of the first one while it is not known.
     pub last: u64,
+    /// The last frame was found: the end of the log can be read.
+    pub has_end: bool,
 }
 
 impl LogDates {
@@ -26,9 +28,10 @@ impl LogDates {
         reader.next_frame()?;
         let summary = reader.summary().clone();
         let Some(epoch) = summary.epoch else { return Ok((summary, None)) };
-        let last = reader.position().last_time_of(log)?.unwrap_or(Instant::ZERO);
-        let (first, last) = (epoch.unix_micros(Instant::ZERO), epoch.unix_micros(last));
-        Ok((summary, Some(Self { first, last })))
+        let end = reader.position().last_time_of(log)?;
+        let last = epoch.unix_micros(end.unwrap_or(Instant::ZERO));
+        let first = epoch.unix_micros(Instant::ZERO);
+        Ok((summary, Some(Self { first, last, has_end: end.is_some() })))
     }
 
     /// Returns true if the two logs were recorded at the same time, if only for a moment.
@@ -36,8 +39,8 @@ impl LogDates {
         self.first <= other.last && self.last >= other.first
     }
 
-    /// Returns the time from the first frame to the last one.
-    pub fn length(&self) -> Duration {
-        Duration::from_micros(self.last.saturating_sub(self.first))
+    /// Returns the time from the first frame to the last one, if that was found.
+    pub fn length(&self) -> Option<Duration> {
+        self.has_end.then(|| Duration::from_micros(self.last.saturating_sub(self.first)))
     }
 }
