@@ -3,6 +3,7 @@
 //! Inputs: keys, the selected row, the capture. Does not know how they are drawn.
 
 use super::beat_strip::{Beat, BeatKind, beat_cells};
+use super::capture::CapturedHeartbeat;
 use super::view::{DeviceView, Page, Row, RowKey, RowState};
 use super::{App, TrafficView};
 use crate::time::{Duration, Instant};
@@ -11,6 +12,21 @@ use crate::time::{Duration, Instant};
 pub const BEATS_PER_LINE: usize = 60;
 /// Most cells of the history: two hours of the default period. Bounds the work of a draw.
 const MAX_BEATS: usize = 7200;
+
+/// Joins two walks through heartbeats, both newest first.
+fn newest_first(
+    one: impl Iterator<Item = CapturedHeartbeat>,
+    other: impl Iterator<Item = CapturedHeartbeat>,
+) -> impl Iterator<Item = CapturedHeartbeat> {
+    let (mut one, mut other) = (one.peekable(), other.peekable());
+    std::iter::from_fn(move || {
+        let is_other = match (one.peek(), other.peek()) {
+            (Some(one), Some(other)) => other.number > one.number,
+            (one, _) => one.is_none(),
+        };
+        if is_other { other.next() } else { one.next() }
+    })
+}
 
 impl App {
     /// Heartbeats of a row until the moment that is shown, a cell for each period, oldest first, at
@@ -24,12 +40,17 @@ impl App {
         let board = row.board.map(|board| board.sender);
         let moved = device.uid.filter(|uid| device.moved_from.is_some() && !uid.is_blank());
         let uid = board.map(|board| board.uid).or(moved);
-        let is_own = |beat: &super::CapturedHeartbeat| {
+        let is_own = |beat: &CapturedHeartbeat| {
             last.is_none_or(|last| beat.time <= last) && uid.is_none_or(|uid| beat.uid == Some(uid))
         };
         let period = bus.heartbeat_period(device.address);
         let beats = self.heartbeats(device.id.bus, device.address);
-        let beats = beats.take(MAX_BEATS * 4).filter(is_own);
+        let here = beats.take(MAX_BEATS * 4).filter(is_own);
+        // Between its stays at this address it was at the other one.
+        let before = moved.and(device.moved_from).filter(|_| board.is_none());
+        let before = before.map(|address| self.heartbeats(device.id.bus, address));
+        let there = before.into_iter().flatten().take(MAX_BEATS * 4).filter(is_own);
+        let beats = newest_first(here, there);
         // Earlier ones are of another device at the address.
         let begin = match board {
             Some(board) => board.since,

@@ -160,7 +160,7 @@ mod tests {
         fs::write(&found[0].path, "(1.0) can0 123#\n(2.0) can0 123#R\n").unwrap();
         assert_eq!(length(), Some(Duration::from_secs(1)), "it has changed");
         assert_eq!(read(&file)[0].contents, "", "found in another content");
-        fs::write(&found[0].path, [b"(1.0) can0 123#\n".as_slice(), &[0; 1 << 20]].concat())
+        fs::write(&found[0].path, [b"(1.0) can0 123#\n".as_slice(), &vec![0; 1 << 20]].concat())
             .unwrap();
         assert_eq!(length(), None, "its end cannot be read");
         let broken = b"(1.0) can0 123#\n(9.0) can0 123#\n\0\0\n(x) y\n";

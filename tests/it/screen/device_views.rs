@@ -428,3 +428,21 @@ fn heartbeats_while_the_bus_is_down_are_not_missed() {
     let missed: Vec<u64> = of(BeatKind::Missed).map(|it| it.round() as u64).collect();
     assert_eq!(missed, [25], "{cells:?}");
 }
+
+#[test]
+fn heartbeats_of_a_device_that_moved_and_came_back_are_all_its_own() {
+    let config = Config { listen_only: true, ..Config::default() };
+    let mut stage = Stage::with(&Scenario::new(125_000), None, config);
+    for second in 1..30 {
+        let address = if (10..20).contains(&second) { 40 } else { 20 };
+        let millis = second * 1000;
+        stage.until(millis as f64 / 1000.0);
+        let now = stage.app.now();
+        stage.app.handle_frames(now, &[heartbeat(millis, address, *b"MOVING")]);
+    }
+    stage.until(29.5).size(120, 30);
+    let row = stage.app.rows().iter().find(|row| row.address.is_some_and(|it| it.number() == 20));
+    let beats = stage.app.beats_of(&row.expect("a row at 20").clone(), 100);
+    assert_eq!(beats.len(), 29, "{beats:?}");
+    assert!(beats.iter().all(|beat| beat.number.is_some()), "{beats:?}");
+}
