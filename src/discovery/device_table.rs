@@ -143,7 +143,7 @@ impl DeviceTable {
     pub fn move_to_address(&mut self, row: DeviceId, address: Address) {
         let Some(device) = self.get_mut(row) else { return };
         let before = std::mem::replace(&mut device.address, address);
-        device.moved_from = Some(before);
+        device.moved_from = if before == address { device.moved_from } else { Some(before) };
         device.rounds_missed = 0;
         self.vacate(before, row);
         self.current[address.index()] = Some(row);

@@ -13,8 +13,10 @@ impl DeviceTracker {
     /// A row other than the current one means another board at the address.
     pub(super) fn row_of_name(&mut self, now: Instant, row: DeviceId, name: &Name) -> DeviceId {
         let Some(current) = self.device_table.get(row) else { return row };
-        if current.name.as_ref().is_none_or(|own| own == name) {
-            return row;
+        match &current.name {
+            None => return self.row_before(row, name).unwrap_or(row),
+            Some(own) if own == name => return row,
+            Some(_) => {}
         }
         let mut live = current.clone();
         let (address, working) = (live.address, live.is_working);
@@ -49,6 +51,32 @@ impl DeviceTracker {
         }
         self.find_move_of_replaced(row);
         named
+    }
+
+    /// Merges a row without a name into an earlier one of this name at its address, unless their UIDs
+    /// differ: the device has come back after another one was there. Returns the earlier row.
+    fn row_before(&mut self, row: DeviceId, name: &Name) -> Option<DeviceId> {
+        let address = self.device_table.get(row)?.address;
+        let uid = self.uid_of_row(row);
+        let before = self.find_row(|other| {
+            other.id != row
+                && other.address == address
+                && other.name.as_ref() == Some(name)
+                && !is_different_sender(uid, self.uid_of_row(other.id))
+        })?;
+        let was = self.device_table.get(before)?.presence;
+        self.device_table.merge_rows(before, row);
+        let device = self.device_table.get_mut(before)?;
+        device.replaced_at = None;
+        device.services_query.restart(self.now);
+        if let Some(uid) = uid {
+            self.claims.assign_row(uid, before, || self.device_table.reserve());
+        }
+        self.emit(before, EventKind::IdsMerged { previous: row, before: None });
+        if was != Presence::Online {
+            self.emit(before, EventKind::Returned { was });
+        }
+        Some(before)
     }
 
     /// Returns the first row whose device meets the condition.

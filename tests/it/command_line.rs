@@ -329,6 +329,46 @@ fn two_boards_at_12() -> Vec<String> {
     lines
 }
 
+/// Tests a device whose address another one took while it was silent, and gave up when it returned:
+/// its name is received when the other one has left.
+#[test]
+fn device_that_returns_to_its_address_is_one_row() {
+    let mut frames: Vec<(u32, String)> = Vec::new();
+    let beat = |id: u32, millis: u32, data: &str| {
+        (millis, format!("{:08X}#{data}", id | (millis * 7 % 127) << 10))
+    };
+    let (one, other) = ("8AFA6C97241104", "CFA86C97241904");
+    let named = |millis: u32, response: &str| {
+        [beat(0x0200_0002, millis, "0444455301"), (millis + 10, format!("05180002#{response}"))]
+    };
+    frames
+        .extend((0..10).map(|second| beat(0x0718_0001, second * 1000 + 200, &format!("{one}00"))));
+    frames.extend(named(500, "06014645454400"));
+    // It goes to IDLE, and the other one claims its address.
+    frames.push(beat(0x1718_0001, 10_200, "8AFA6C9724110600"));
+    frames.push(beat(0x1718_0001, 13_600, "CFA86C9724190100"));
+    for at in [13_650, 14_650, 15_650, 16_650] {
+        frames.extend(named(at, "060150554D5000"));
+    }
+    frames.extend((14..24).map(|at| beat(0x0718_0001, at * 1000 + 600, &format!("{other}00"))));
+    frames.extend((25..50).map(|at| beat(0x0718_0001, at * 1000 + 200, &format!("{one}00"))));
+    frames.push(beat(0x1750_0001, 25_900, "CFA86C9724190100"));
+    frames.extend((26..50).map(|at| beat(0x0750_0001, at * 1000 + 900, &format!("{other}00"))));
+    frames.extend(named(26_500, "06014645454400"));
+    frames.sort();
+    let line = |(millis, frame): (u32, String)| {
+        format!("({}.{:03}000) can0 {frame}\n", 1_436_509_052 + millis / 1000, millis % 1000)
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let log: String = frames.into_iter().map(line).collect();
+    std::fs::write(folder.path().join("session.log"), log).unwrap();
+    let report = json(&descan(&["scan", "file:session.log", "--json"], folder.path()));
+    let devices = report["devices"].as_array().unwrap();
+    let found = devices.iter().map(|it| (it["address"].as_u64(), it["name"].as_str()));
+    let found: Vec<_> = found.filter(|(address, _)| *address != Some(0)).collect();
+    assert_eq!(found, [(Some(12), Some("FEED")), (Some(40), Some("PUMP"))], "{report:#}");
+}
+
 #[test]
 fn finding_evidence_names_log_lines() {
     let folder = tempfile::tempdir().unwrap();

@@ -430,7 +430,7 @@ fn heartbeats_while_the_bus_is_down_are_not_missed() {
 }
 
 #[test]
-fn heartbeats_of_a_device_that_moved_and_came_back_are_all_its_own() {
+fn heartbeats_of_a_moved_device_are_shown_from_both_addresses() {
     let config = Config { listen_only: true, ..Config::default() };
     let mut stage = Stage::with(&Scenario::new(125_000), None, config);
     for second in 1..30 {
