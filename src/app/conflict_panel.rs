@@ -7,6 +7,7 @@
 use super::problems::{ConflictSides, Problem, ProblemKey, SideBasis, label_of};
 use super::{App, CallPart, CapturedHeartbeat, Row, clock_millis, format_time_of_day};
 use crate::discovery::{Device, DeviceService};
+use crate::finding::FindingState;
 use crate::frame::{BusIndex, CanId, Frame};
 use crate::keymap::Action;
 use crate::text::Escaped;
@@ -450,6 +451,9 @@ impl App {
         let boards = problem.boards();
         if problem.ended().is_some() {
             return String::new();
+        }
+        if problem.state() == FindingState::Suspected {
+            return "Not confirmed yet: unplug no board before it is".to_owned();
         }
         let has_joined = problem.began() > boards.first().map_or(problem.first(), |it| it.since);
         match &boards[..] {

@@ -251,7 +251,9 @@ impl App {
             BarKey::Sender(index, address) => {
                 let device = self.bus(index).and_then(|bus| bus.device_at(address));
                 let name = device.and_then(|device| device.name.as_ref());
-                match name {
+                // It may have left the address.
+                let before = || self.bus(index)?.names().at(address, self.shown_time());
+                match name.or_else(before) {
                     Some(name) => format!("{} @{address}", name.quoted()),
                     None if self.is_own_address(index, address) => format!("own @{address}"),
                     None => format!("? @{address}"),
