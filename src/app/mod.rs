@@ -1099,7 +1099,13 @@ impl App {
     /// Number of frames that the filter of the Traffic page hides; `None` without one, and until all
     /// frames are tested.
     pub fn hidden_frames(&self) -> Option<u64> {
-        self.traffic.hidden(&self.view).filter(|_| self.filter_due.is_none())
+        self.traffic.hidden(&self.view, u64::MAX).filter(|_| self.filter_due.is_none())
+    }
+
+    /// The same of the frames until the moment that is shown.
+    pub fn hidden_frames_shown(&self) -> Option<u64> {
+        let until = self.traffic.end(&self.view);
+        self.traffic.hidden(&self.view, until).filter(|_| self.filter_due.is_none())
     }
 
     /// Rows of the identifier view that match the filter.

@@ -167,7 +167,7 @@ impl PageTitle {
             Some(evidence) => Some(format!(" ◆ {} ", evidence.title)),
             None => traffic::title(app)
                 .filter(|_| open == Page::Traffic)
-                .or_else(|| chip(app.page_filter(open), app.hidden_frames())),
+                .or_else(|| chip(app.page_filter(open), app.hidden_frames_shown())),
         };
         match text {
             Some(text) => Self::Text(text),

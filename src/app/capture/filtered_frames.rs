@@ -30,6 +30,17 @@ impl TestedRange {
         word.is_some_and(|word| word >> (at % BITS) & 1 != 0)
     }
 
+    /// Number of matches before number `until`, of a range that begins with `start`.
+    fn count(&self, start: u64, until: u64) -> u64 {
+        if until >= self.end {
+            return self.count;
+        }
+        let (words, rest) = ((until - start) / BITS, (until - start) % BITS);
+        let whole = self.matches.iter().take(words as usize).map(|it| it.count_ones()).sum::<u32>();
+        let last = self.matches.get(words as usize).map_or(0, |word| word & ((1 << rest) - 1));
+        u64::from(whole + last.count_ones())
+    }
+
     fn push(&mut self, start: u64, is_match: bool) {
         let at = self.end - start;
         if at.is_multiple_of(BITS) {
@@ -134,9 +145,10 @@ impl FilteredFrames {
         }
     }
 
-    /// Number of tested frames that do not match.
-    pub fn hidden(&self) -> u64 {
-        self.tested.iter().map(|(start, range)| range.end - start - range.count).sum()
+    /// Number of tested frames before number `until` that do not match.
+    pub fn hidden(&self, until: u64) -> u64 {
+        let ranges = self.tested.range(..until);
+        ranges.map(|(start, range)| until.min(range.end) - start - range.count(*start, until)).sum()
     }
 
     /// Returns true if a frame matches.

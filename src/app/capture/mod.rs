@@ -232,11 +232,11 @@ impl Traffic {
         is_complete
     }
 
-    /// Number of tested frames that the filter hides; `None` if it does not apply.
-    pub fn hidden(&self, view: &View) -> Option<u64> {
+    /// Number of tested frames before number `until` that the filter hides; `None` if it does not apply.
+    pub fn hidden(&self, view: &View, until: u64) -> Option<u64> {
         let is_frames = view.traffic_view == TrafficView::Frames;
         let is_shown = view.page == Page::Traffic && is_frames && self.is_filtered(view);
-        is_shown.then(|| self.filtered.hidden())
+        is_shown.then(|| self.filtered.hidden(until))
     }
 
     /// Returns true if the filter applies: around evidence all frames are shown.

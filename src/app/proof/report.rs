@@ -270,7 +270,14 @@ fn setup(text: &mut String, app: &App, problem: &Problem, proof: &ProofFrames) {
     }
     text.push_str(&table.finish());
     let offset = app.utc_offset_text();
-    let _ = writeln!(text, "\nTimes are those of the computer that recorded, {offset}.\n");
+    let whose = match (app.playback().is_some(), app.logs().len()) {
+        (true, 0) => "at which the frames were read from standard input or a pipe",
+        (true, 2..) => {
+            "of the computer that recorded the first log; a log of another time begins with it"
+        }
+        _ => "of the computer that recorded",
+    };
+    let _ = writeln!(text, "\nTimes are those {whose}, {offset}.\n");
 }
 
 fn remedy(text: &mut String, problem: &Problem) {

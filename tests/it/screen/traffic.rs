@@ -2,9 +2,11 @@
 
 use super::snapshot;
 use crate::common::harness::Stage;
+use descan::discovery::Config;
 use descan::frame::{CanId, Frame};
 use descan::sim::Scenario;
 use descan::time::Duration;
+use descan::wire::id::Header;
 
 #[test]
 fn traffic_page_and_details_match_snapshot() {
@@ -190,4 +192,22 @@ fn identifiers_say_what_their_statistics_are_of() {
     let rule = " min, avg, max: last minute · JITTER: 95 % of the last 256 intervals ";
     assert!(stage.size(120, 30).screen().contains(rule));
     assert!(!stage.size(80, 16).screen().contains("last minute"), "it gives way");
+}
+
+#[test]
+fn hidden_rows_are_counted_until_the_moment_that_is_shown() {
+    let config = Config { seed: 7, ..Config::default() };
+    let boiler = Scenario::builtin("boiler").unwrap();
+    let mut stage = Stage::with_room(&boiler, None, config, 16 << 20);
+    stage.until(45.0).size(120, 40).keys("2 /").text("src:FEED").keys("Enter :");
+    stage.text("12:00:20").keys("Enter");
+    let moment = stage.app.past_moment().expect("a past moment").time;
+    let is_hidden = |frame: &Frame| {
+        frame.platform_id().is_none_or(|id| Header::decode(id).source.number() != 10)
+    };
+    let before = stage.app.capture().frames_from(0).take_while(|(_, frame)| frame.time <= moment);
+    let hidden = before.filter(|(_, frame)| is_hidden(frame)).count();
+    assert!(hidden > 500, "{hidden}");
+    assert_eq!(stage.app.hidden_frames_shown(), Some(hidden as u64));
+    assert!(stage.screen().contains(&format!("{hidden} hidden")), "{}", stage.screen());
 }
