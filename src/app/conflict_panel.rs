@@ -25,7 +25,7 @@ const MAX_AXIS_BEATS: usize = 4096;
 /// Frames on the axis up to which responses are counted: 10 s of a full bus at 1 Mbit/s.
 const MAX_COUNTED_FRAMES: u64 = 100_000;
 /// Periods after the last evidence that still belong to a conflict that is over.
-pub(super) const AFTER_PERIODS: u32 = 10;
+const AFTER_PERIODS: u32 = 10;
 /// Deviation from a second up to which the phase in the second stays the same.
 const SECOND_TOLERANCE: f64 = 0.005;
 /// Heartbeats that the phase of a board is the median of.
@@ -71,6 +71,11 @@ pub struct BeatCell {
 /// Letter of a board, by its place in the order of joining.
 pub fn side_letter(side: usize) -> char {
     u8::try_from(side).ok().filter(|side| *side < 26).map_or('#', |side| char::from(b'A' + side))
+}
+
+/// The moment up to which heartbeats belong to a conflict that is over; `None` while it is open.
+pub(super) fn end_of_conflict(problem: &Problem, period: Duration) -> Option<Instant> {
+    problem.ended().map(|ended| ended + period * AFTER_PERIODS)
 }
 
 /// Returns true if heartbeats of a board are no longer captured, or not looked for.
@@ -136,14 +141,11 @@ impl App {
     pub fn conflict_sides(&self, problem: &Problem) -> Option<ConflictSides> {
         let (bus, address) = conflict_address(problem)?;
         let period = self.profile(bus).heartbeat.period();
-        let until = problem.ended().map(|at| at + period * AFTER_PERIODS);
+        let until = end_of_conflict(problem, period);
         let mut beats: Vec<CapturedHeartbeat> =
             self.heartbeats_until(bus, address, until).take(MAX_BEATS).collect();
         beats.reverse();
-        let end = self.end_of_beats(until);
-        let capture = &self.traffic.capture;
-        let first = self.traffic.first_with_heartbeats(end).filter(|first| *first > 0);
-        let kept_from = first.map(|first| capture.time_of(first).unwrap_or(Instant::LATEST));
+        let kept_from = self.traffic.heartbeats_found_from(self.end_of_beats(until));
         let looked_from = beats.first().filter(|_| beats.len() == MAX_BEATS).map(|beat| beat.time);
         let complete_from = kept_from.into_iter().chain(looked_from).max();
         let boards: Vec<(Uid, Instant)> =
@@ -293,10 +295,8 @@ impl App {
         let side = &sides.sides[at];
         let Some(last) = side.last else { return "no longer in the capture".to_owned() };
         let usual = self.profile(problem.bus().unwrap_or_default()).heartbeat.period();
-        let end = match problem.ended() {
-            Some(ended) => self.display_time().min(ended + usual * AFTER_PERIODS),
-            None => self.display_time(),
-        };
+        let now = self.display_time();
+        let end = end_of_conflict(problem, usual).map_or(now, |end| end.min(now));
         let left = sides.has_left(at, end, side.period.unwrap_or(usual));
         let is_cut = sides.complete_from.is_some_and(|from| from > last);
         let later = sides.beats().rev().take_while(|(beat, _)| beat.time > last);
@@ -357,8 +357,7 @@ impl App {
             more => format!(", away {more}×"),
         };
         let usual = self.profile(problem.bus().unwrap_or_default()).heartbeat.period();
-        let until = problem.ended().map(|ended| ended + usual * AFTER_PERIODS);
-        let until = until.filter(|until| *until < self.display_time());
+        let until = end_of_conflict(problem, usual).filter(|until| *until < self.display_time());
         let until =
             until.map_or(String::new(), |at| format!(" to {}", format_time_of_day(self, at)));
         format!("{count}{until}, {} missed{absences}", side.missed)

@@ -25,7 +25,8 @@ struct Contents {
     names: Vec<String>,
     status: BusStatus,
     status_is_new: bool,
-    /// As [`Queue::push_until`] was told; `None`: the thread takes each frame as it arrives.
+    /// Moment up to which all frames were read, while the thread collects later ones; `None` while it
+    /// takes each frame as it arrives.
     complete_until: Option<Instant>,
     /// The frames became complete without a further one.
     is_newly_complete: bool,

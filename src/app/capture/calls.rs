@@ -3,11 +3,11 @@
 //! Input: frames with their numbers. Output: statistics by client, server and service, and what each
 //! frame is in its call. A response is to the oldest open request from its receiver to its sender, of
 //! its service; if there is none, to the oldest open broadcast that its sender has not responded to,
-//! unless a request that was responded to is later. A node that does not work responds to requests to such nodes only. Of DES, a name response is
-//! to a name request, and a request that is sent in both framings is one. A request that is open longer
-//! than the timeout is unanswered. Bounded: 1024 rows, 64 open requests in each, latencies of the last
-//! 1024 calls, the last 128 calls one by one. A frame of a known row allocates nothing, but for the
-//! first 128 calls. Does not know how calls are shown.
+//! unless a request that was responded to is later. A node that does not work responds to requests to
+//! such nodes only. Of DES, a name response is to a name request, and a request that is sent in both
+//! framings is one. A request that is open longer than the timeout is unanswered. Bounded: 1024 rows, 64
+//! open requests in each, latencies of the last 1024 calls, the last 128 calls one by one. A frame of a
+//! known row allocates nothing, but for the first 128 calls. Does not know how calls are shown.
 
 use super::decoded::FrameRole;
 use crate::frame::{BusIndex, CanId, Frame};
@@ -530,28 +530,29 @@ mod tests {
         Frame::classic(header.encode(), &[1]).with_time(Instant::from_micros(millis * 1000))
     }
 
+    fn response(request: u64, millis: u64, is_ambiguous: bool) -> CallPart {
+        let latency = Duration::from_millis(millis);
+        CallPart::Response { request, latency, is_ambiguous }
+    }
+
     #[test]
     fn responses_belong_to_the_oldest_open_request() {
         let (mut calls, profile) = (Calls::default(), Profile::default());
         let mut add = |number, frame| calls.add(&frame, number, &profile);
-        let response = |request, millis, is_ambiguous| {
-            let latency = Duration::from_millis(millis);
-            Some(CallPart::Response { request, latency, is_ambiguous })
-        };
         add(0, frame(0, false, 1, 9, true));
         add(1, frame(10, false, 1, 9, true));
-        assert_eq!(add(2, frame(12, true, 9, 1, true)), response(0, 12, true));
-        assert_eq!(add(3, frame(15, true, 9, 1, false)), response(1, 5, false));
+        assert_eq!(add(2, frame(12, true, 9, 1, true)), Some(response(0, 12, true)));
+        assert_eq!(add(3, frame(15, true, 9, 1, false)), Some(response(1, 5, false)));
         let again = add(4, frame(16, true, 9, 1, true));
-        assert_eq!(again, response(1, 6, false), "a second response, which does not count");
+        assert_eq!(again, Some(response(1, 6, false)), "a second response, which does not count");
         // Of another client, and too late.
         add(5, frame(20, false, 1, 9, true));
         assert_eq!(add(6, frame(30, true, 9, 2, true)), None);
         assert_eq!(add(7, frame(1021, true, 9, 1, true)), None);
         // To all: each node responds once.
         add(8, frame(2000, false, 1, 127, true));
-        assert_eq!(add(9, frame(2001, true, 8, 1, true)), response(8, 1, false));
-        assert_eq!(add(10, frame(2003, true, 9, 1, true)), response(8, 3, false));
+        assert_eq!(add(9, frame(2001, true, 8, 1, true)), Some(response(8, 1, false)));
+        assert_eq!(add(10, frame(2003, true, 9, 1, true)), Some(response(8, 3, false)));
         calls.tick(Instant::from_micros(9_000_000), |_| Duration::from_secs(1));
         let [one, all] = calls.rows() else { panic!("two rows") };
         assert_eq!((one.calls, one.responses, one.failed, one.unanswered), (3, 2, 1, 1));
@@ -565,33 +566,30 @@ mod tests {
     fn second_response_to_a_request_is_not_to_an_earlier_broadcast() {
         let (mut calls, profile) = (Calls::default(), Profile::default());
         let mut add = |number, frame| calls.add(&frame, number, &profile);
-        let response = |request, millis| {
-            let latency = Duration::from_millis(millis);
-            Some(CallPart::Response { request, latency, is_ambiguous: false })
-        };
+        let response = |request, millis| response(request, millis, false);
         add(0, frame(0, false, 1, 127, true));
-        assert_eq!(add(1, frame(2, true, 9, 1, true)), response(0, 2));
+        assert_eq!(add(1, frame(2, true, 9, 1, true)), Some(response(0, 2)));
         add(2, frame(500, false, 1, 9, true));
-        assert_eq!(add(3, frame(503, true, 9, 1, true)), response(2, 3));
-        assert_eq!(add(4, frame(504, true, 9, 1, true)), response(2, 4), "of a second board");
+        assert_eq!(add(3, frame(503, true, 9, 1, true)), Some(response(2, 3)));
+        assert_eq!(add(4, frame(504, true, 9, 1, true)), Some(response(2, 4)), "of a second board");
         add(5, frame(1600, false, 1, 127, true));
-        assert_eq!(add(6, frame(1605, true, 9, 1, true)), response(5, 5), "the later request");
+        assert_eq!(
+            add(6, frame(1605, true, 9, 1, true)),
+            Some(response(5, 5)),
+            "the later request"
+        );
     }
 
     #[test]
     fn responses_to_equal_broadcasts_are_to_the_oldest_not_answered() {
         let (mut calls, profile) = (Calls::default(), Profile::default());
         let mut add = |number, frame| calls.add(&frame, number, &profile);
-        let response = |request, millis, is_ambiguous| {
-            let latency = Duration::from_millis(millis);
-            Some(CallPart::Response { request, latency, is_ambiguous })
-        };
         add(0, frame(0, false, 1, 127, true));
         add(1, frame(300, false, 1, 127, true));
-        assert_eq!(add(2, frame(350, true, 10, 1, true)), response(0, 350, true));
-        assert_eq!(add(3, frame(351, true, 11, 1, true)), response(0, 351, true));
-        assert_eq!(add(4, frame(352, true, 10, 1, true)), response(1, 52, false));
-        assert_eq!(add(5, frame(353, true, 10, 1, true)), response(1, 53, false), "again");
+        assert_eq!(add(2, frame(350, true, 10, 1, true)), Some(response(0, 350, true)));
+        assert_eq!(add(3, frame(351, true, 11, 1, true)), Some(response(0, 351, true)));
+        assert_eq!(add(4, frame(352, true, 10, 1, true)), Some(response(1, 52, false)));
+        assert_eq!(add(5, frame(353, true, 10, 1, true)), Some(response(1, 53, false)), "again");
         calls.tick(Instant::from_micros(9_000_000), |_| Duration::from_secs(1));
         let all = &calls.rows()[0];
         assert_eq!((all.calls, all.responses, all.unanswered, all.ambiguous), (2, 3, 0, 2));

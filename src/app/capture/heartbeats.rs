@@ -81,10 +81,10 @@ impl Traffic {
         if self.capture.has_source() { end.saturating_sub(MAX_LOG_FRAMES) } else { 0 }
     }
 
-    /// Number of the frame from which on all heartbeats before `end` are found; `None` without frames.
-    pub fn first_with_heartbeats(&self, end: u64) -> Option<u64> {
+    /// Moment from which on all heartbeats before frame `end` are found; `None`: from the start.
+    pub fn heartbeats_found_from(&self, end: u64) -> Option<Instant> {
         let first = self.earliest_looked_at(end).max(self.capture.first());
-        (self.capture.end() > 0).then_some(first)
+        (first > 0).then(|| self.capture.time_of(first).unwrap_or(Instant::LATEST))
     }
 
     /// Number of the last stored frame with an identifier among these.

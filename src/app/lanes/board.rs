@@ -5,7 +5,7 @@
 //! of each. A board that has a device of its own has its lane there. Does not know how lanes are drawn.
 
 use super::{Lane, LaneCell};
-use crate::app::conflict_panel::AFTER_PERIODS;
+use crate::app::conflict_panel::end_of_conflict;
 use crate::app::problems::{ConflictSides, Problem, ProblemKey, ProblemList};
 use crate::app::time_axis::TimeAxis;
 use crate::app::{App, side_letter};
@@ -138,7 +138,7 @@ impl App {
         visits.drain(..visits.len().saturating_sub(MAX_VISITS));
         // Of a conflict that is over the heartbeats soon after it are known.
         let end = self.display_time();
-        let known = problem.ended().map_or(end, |ended| end.min(ended + period * AFTER_PERIODS));
+        let known = end_of_conflict(problem, period).map_or(end, |at| end.min(at));
         let has_left = at
             .is_some_and(|at| sides.has_left(at, known, sides.sides[at].period.unwrap_or(period)));
         if let Some((_, last)) = visits.last_mut().filter(|_| !has_left) {

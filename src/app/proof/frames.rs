@@ -24,7 +24,7 @@ pub struct ProofFrames {
     /// The moment from which the pieces are.
     pub begin: Instant,
     /// Pieces of whose surroundings frames are missing: they are no longer captured, or too many.
-    pub alone: usize,
+    pub incomplete: usize,
 }
 
 /// Returns the evidence of a problem, with the frames of a second before and after each piece as far as
@@ -45,7 +45,7 @@ pub fn of_problem(app: &App, problem: &Problem) -> ProofFrames {
     let each = MAX_FRAMES / (2 * pieces.len().max(1));
     let mut numbered: BTreeMap<u64, (Frame, Option<usize>)> = BTreeMap::new();
     let mut stored = Vec::new();
-    let mut alone = 0;
+    let mut incomplete = 0;
     for (place, piece) in pieces.iter().enumerate() {
         let number = piece.frame.and_then(|frame| app.captured(&frame));
         let middle = number.unwrap_or_else(|| capture.at_time(piece.time));
@@ -59,7 +59,7 @@ pub fn of_problem(app: &App, problem: &Problem) -> ProofFrames {
         let before: Vec<_> = before.filter(is_of_bus).take(each).collect();
         let after: Vec<_> = after.filter(is_of_bus).take(each).collect();
         let is_whole = before.len() < each && after.len() < each && is_stored(capture, &time);
-        alone += usize::from(!is_whole);
+        incomplete += usize::from(!is_whole);
         for (number, frame) in before.into_iter().chain(after) {
             numbered.entry(number).or_insert((frame, None));
         }
@@ -73,7 +73,7 @@ pub fn of_problem(app: &App, problem: &Problem) -> ProofFrames {
     }
     let mut frames: Vec<(Frame, Option<usize>)> = numbered.into_values().chain(stored).collect();
     frames.sort_by_key(|(frame, _)| frame.time);
-    ProofFrames { pieces, earlier, frames, begin, alone }
+    ProofFrames { pieces, earlier, frames, begin, incomplete }
 }
 
 /// Returns true if all frames of a time are stored, as far as is known: kept frames around evidence

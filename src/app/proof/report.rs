@@ -107,12 +107,12 @@ fn evidence(text: &mut String, app: &App, problem: &Problem, proof: &ProofFrames
         Plain(file),
         proof.frames.len().saturating_sub(proof.pieces.len()),
     );
-    if proof.alone > 0 {
+    if proof.incomplete > 0 {
         let _ = writeln!(
             text,
             "Around {} of the events, frames are missing in it: they were no longer captured, or are \
              more than fit.\n",
-            proof.alone
+            proof.incomplete
         );
     }
     let sides = app.conflict_sides(problem);
