@@ -199,7 +199,8 @@ fn words(
             (format!("{text} since {since}"), format!("{}: {}", list("/"), uid.label()))
         }
         (kind, [before @ .., newest]) if !before.is_empty() => {
-            let joined = time_of_day(newest.since);
+            let joined = if newest.has_returned() { "returned" } else { "joined" };
+            let at = time_of_day(newest.since);
             let first = time_of_day(before[0].since);
             let others = join_first(labels(before), SHOWN_DEVICES, " and ");
             let newest = newest.label();
@@ -208,7 +209,7 @@ fn words(
                 _ => format!("Address {address}"),
             };
             let text = format!(
-                "{start}{place}: {newest} joined {joined}, conflicts with {others} (since {first})"
+                "{start}{place}: {newest} {joined} {at}, conflicts with {others} (since {first})"
             );
             let before = join_first(labels(before), SHOWN_DEVICES, " / ");
             (text, format!("{address}: {newest} / {before}"))

@@ -7,7 +7,8 @@
 use super::problems::{ConflictSides, Problem, ProblemKey, SideBasis, label_of};
 use super::{App, CallPart, CapturedHeartbeat, Row, clock_millis, format_time_of_day};
 use crate::discovery::{Device, DeviceService};
-use crate::finding::FindingState;
+use crate::document::Entry;
+use crate::finding::{FindingState, SeenUid};
 use crate::frame::{BusIndex, CanId, Frame};
 use crate::keymap::Action;
 use crate::text::Escaped;
@@ -84,7 +85,8 @@ fn is_cut(panel: &ConflictPanel, at: usize) -> bool {
     panel.sides.complete_from.is_some_and(|from| joined.is_none_or(|joined| joined < from))
 }
 
-fn ordinal(place: usize) -> String {
+/// Place of a board in the order of joining, which begins with 0, in words.
+pub fn ordinal(place: usize) -> String {
     match place {
         1 => "second".to_owned(),
         2 => "third".to_owned(),
@@ -133,7 +135,8 @@ impl App {
         if self.has_shown_file() {
             panel.rows.push(("des.json", self.entry_texts(bus, &panel, &devices, is_wide)));
         }
-        panel.remedy = self.conflict_remedy(problem, &panel, address);
+        let listed = self.listed_uid(bus, address, &devices);
+        panel.remedy = self.conflict_remedy(problem, &panel, address, listed);
         Some(panel)
     }
 
@@ -148,10 +151,8 @@ impl App {
         let kept_from = self.traffic.heartbeats_found_from(self.end_of_beats(until));
         let looked_from = beats.first().filter(|_| beats.len() == MAX_BEATS).map(|beat| beat.time);
         let complete_from = kept_from.into_iter().chain(looked_from).max();
-        let boards: Vec<(Uid, Instant)> =
-            problem.boards().iter().map(|board| (board.uid, board.since)).collect();
         let during = problem.first()..problem.last();
-        let mut sides = ConflictSides::new(&beats, &boards, during, period);
+        let mut sides = ConflictSides::new(&beats, &problem.boards(), during, period);
         sides.complete_from = complete_from;
         Some(sides)
     }
@@ -279,6 +280,10 @@ impl App {
                 .is_some_and(|it| it.time == joined && it.number > 0 && has_earlier(it.number));
         let before = if is_older { "before " } else { "" };
         let place = if at > 0 { format!(", {}", ordinal(at)) } else { String::new() };
+        if let Some(first) = side.first.filter(|first| *first < joined) {
+            let first = format_time_of_day(self, first);
+            return format!("{first}{place}, back {time}");
+        }
         let is_told = side.has_claimed && wide;
         let claim = if is_told { format!(", claimed {address} in ARSLV") } else { String::new() };
         format!("{before}{time}{place}{claim}")
@@ -441,34 +446,62 @@ impl App {
         places.map(cell).collect()
     }
 
+    /// UID of a static entry with this address that is of one of the devices, if it has a UID.
+    fn listed_uid(&self, bus: BusIndex, address: Address, devices: &[&Device]) -> Option<Uid> {
+        let matching = self.matching();
+        let alphabet = &self.profile(bus).uid;
+        let entries = devices.iter().filter_map(|device| matching.entry_of(device.id));
+        let entries = entries.filter_map(|at| self.document().entries().get(at));
+        let uid_of = |entry: &Entry| Uid::parse(entry.uid.as_ref()?, alphabet);
+        let is_there = |entry: &&Entry| {
+            entry.is_static && entry.address.and_then(Address::new) == Some(address)
+        };
+        entries.filter(is_there).find_map(uid_of)
+    }
+
     fn conflict_remedy(
         &self,
         problem: &Problem,
         panel: &ConflictPanel,
         address: Address,
+        listed: Option<Uid>,
     ) -> String {
-        let boards = problem.boards();
         if problem.ended().is_some() {
             return String::new();
         }
         if problem.state() == FindingState::Suspected {
             return "Not confirmed yet: unplug no board before it is".to_owned();
         }
-        let has_joined = problem.began() > boards.first().map_or(problem.first(), |it| it.since);
-        match &boards[..] {
-            [_, .., newest] if has_joined && address != Address::DEBUG => {
-                let key = self.key_of(Action::EditAddress);
-                let sides = &panel.sides.sides;
-                let side = sides.iter().position(|side| side.uid == Some(newest.uid));
-                let place = ordinal(side.unwrap_or(sides.len().max(boards.len()) - 1));
-                let board = label_of(newest.label());
-                format!(
-                    "Unplug {board} ({place}); a write to {address} would reach both. \
-                     Then pin it: {key}"
-                )
-            }
-            _ => problem.head().remedy.clone(),
+        let boards = problem.boards();
+        // The entry of des.json says whose the address is, else who was there first.
+        let is_listed = |board: &&SeenUid| Some(board.uid) == listed;
+        let owner = boards.iter().find(is_listed).or(boards.first());
+        let is_other = |board: &&SeenUid| Some(board.uid) != owner.map(|it| it.uid);
+        let other = boards.iter().rev().find(is_other);
+        let (Some(owner), Some(other)) = (owner, other) else {
+            return problem.head().remedy.clone();
+        };
+        let is_decided = Some(owner.uid) == listed || other.first > owner.first;
+        if !is_decided || address == Address::DEBUG {
+            return problem.head().remedy.clone();
         }
+        let label = |board: &SeenUid| label_of(board.label());
+        let why = if Some(owner.uid) == listed {
+            format!("{} is in {}", label(owner), self.file().name())
+        } else {
+            let sides = &panel.sides.sides;
+            let side = sides.iter().position(|side| side.uid == Some(other.uid));
+            let place = ordinal(side.unwrap_or(sides.len().max(boards.len()) - 1));
+            let since = format_time_of_day(self, owner.first);
+            if owner.has_returned() {
+                format!("{place}: {} was there from {since} on", label(owner))
+            } else {
+                place
+            }
+        };
+        let key = self.key_of(Action::EditAddress);
+        let other = label(other);
+        format!("Unplug {other} ({why}); a write to {address} would reach both. Then pin it: {key}")
     }
 
     // ---- the axis --------------------------------------------------------------------------

@@ -17,6 +17,8 @@ const MAX_LAG: Duration = Duration::from_millis(250);
 const ASK_AGAIN: Duration = Duration::from_millis(100);
 /// How far the date of a file that grows again may be ahead of other files that grow.
 const MAX_AHEAD: Duration = Duration::from_mins(1);
+/// How long a fast clock waits for the writer of a pipe: longer than another program takes its turn.
+const WRITER_GRACE: Duration = Duration::from_secs(1);
 
 /// The clock of a session, counting from its start; clones share it. The clock of a session of logs
 /// can be paused, stepped from frame to frame, and run faster and slower.
@@ -55,9 +57,9 @@ enum LogPlace {
     /// Its next frame has this moment or, if it was not read yet, a later one. The clock does not
     /// pass it before the frame is taken.
     Next(Instant),
-    /// A pipe, read as it is written, and the clock runs meanwhile. The moment of the next frame, if
-    /// it was read.
-    Live(Option<Instant>),
+    /// A pipe, read as it is written. Its next frame has this moment, or a later one. At its own speed
+    /// the clock runs meanwhile; a clock that runs faster would pass what its writer sends next.
+    Live { at: Instant, awaits: PipeAwaits },
     /// A file that has grown after its end. Its next frame has this moment, or a later one.
     Followed(Instant),
     /// A file that has grown, of which all is read that was written. Its writer may have more that it
@@ -65,6 +67,17 @@ enum LogPlace {
     Read(Instant),
     /// At its end, for now.
     Ended,
+}
+
+/// What the replay of a pipe waits for.
+#[derive(Clone, Copy, Debug)]
+enum PipeAwaits {
+    /// That its next frame, which was read, is due and taken.
+    Frame,
+    /// Its writer, which was quick until this time.
+    Writer(Monotonic),
+    /// Its writer, which has written nothing yet, or nothing for a while: the clock goes on without it.
+    SlowWriter,
 }
 
 impl Clock {
@@ -118,7 +131,13 @@ impl Clock {
     /// Lets time pass.
     #[cfg(test)]
     pub(crate) fn elapse(&self, time: Duration) {
-        self.pace().since -= time;
+        let mut pace = self.pace();
+        pace.since -= time;
+        for place in pace.logs.values_mut() {
+            if let LogPlace::Live { awaits: PipeAwaits::Writer(since), .. } = place {
+                *since -= time;
+            }
+        }
     }
 
     /// The Unix time of the start.
@@ -135,6 +154,9 @@ impl Clock {
     pub fn until(&self, at: Instant) -> Duration {
         let mut pace = self.pace();
         let left = at.since(pace.now());
+        if let Some(grace) = pace.writer_grace(at) {
+            return grace;
+        }
         // What moves it then are frames, not time.
         let stands =
             pace.is_standing() || pace.is_led() || pace.read_to().is_some_and(|it| it < at);
@@ -166,9 +188,11 @@ impl Clock {
     /// Moment before which a log has no further frame, besides those that were delivered; `None` if that
     /// is not known, and at its end.
     pub fn next_of(&self, log: BusIndex) -> Option<Instant> {
-        match self.pace().logs.get(&log)? {
+        let pace = self.pace();
+        match pace.logs.get(&log)? {
             LogPlace::Next(at) | LogPlace::Followed(at) | LogPlace::Read(at) => Some(*at),
-            LogPlace::Live(_) | LogPlace::Ended => None,
+            LogPlace::Live { at, awaits } => Some(*at).filter(|_| pace.waits_for_pipe(*awaits)),
+            LogPlace::Ended => None,
         }
     }
 
@@ -201,9 +225,10 @@ impl Clock {
             PlaybackCommand::Step => {
                 pace.is_paused = true;
                 let next = pace.logs.values().filter_map(|place| match place {
-                    LogPlace::Next(at) | LogPlace::Followed(at) => Some(*at),
-                    LogPlace::Live(next) => *next,
-                    LogPlace::Read(_) | LogPlace::Ended => None,
+                    LogPlace::Next(at)
+                    | LogPlace::Followed(at)
+                    | LogPlace::Live { at, awaits: PipeAwaits::Frame } => Some(*at),
+                    LogPlace::Live { .. } | LogPlace::Read(_) | LogPlace::Ended => None,
                 });
                 pace.from = next.min().map_or(pace.from, |next| next.max(pace.from));
             }
@@ -218,7 +243,8 @@ impl Clock {
     pub(super) fn log_opens(&self, log: BusIndex, is_live: bool) {
         self.change(|pace| {
             let start = pace.start_of(log).unwrap_or(pace.from);
-            let place = if is_live { LogPlace::Live(None) } else { LogPlace::Next(start) };
+            let live = LogPlace::Live { at: pace.from, awaits: PipeAwaits::SlowWriter };
+            let place = if is_live { live } else { LogPlace::Next(start) };
             pace.awaited_logs = pace.awaited_logs.saturating_sub(1);
             pace.logs.insert(log, place);
         });
@@ -230,7 +256,7 @@ impl Clock {
         let mut pace = self.pace();
         pace.drop_lag();
         let waits = match pace.logs.get(&log) {
-            Some(LogPlace::Live(_)) => LogPlace::Live(Some(next)),
+            Some(LogPlace::Live { .. }) => LogPlace::Live { at: next, awaits: PipeAwaits::Frame },
             Some(LogPlace::Followed(_) | LogPlace::Read(_)) => LogPlace::Followed(next),
             _ => LogPlace::Next(next),
         };
@@ -295,6 +321,14 @@ impl Clock {
         });
     }
 
+    /// Notes that all that was written to a pipe is read, up to a frame of this moment.
+    pub(super) fn log_awaits_writer(&self, log: BusIndex, last: Instant) {
+        // The pace stays: this is so again and again.
+        if let Some(place @ LogPlace::Live { .. }) = self.pace().logs.get_mut(&log) {
+            *place = LogPlace::Live { at: last, awaits: PipeAwaits::Writer(Monotonic::now()) };
+        }
+    }
+
     /// Changes the pace from now on.
     fn change(&self, change: impl FnOnce(&mut PlaybackPace)) {
         let mut pace = self.pace();
@@ -310,6 +344,14 @@ impl Clock {
 
 impl PlaybackPace {
     fn now(&mut self) -> Instant {
+        self.release_pipes();
+        // A moment that passed stays so.
+        self.reached = self.held_now();
+        self.reached
+    }
+
+    /// The present moment, with all that holds it up.
+    fn held_now(&self) -> Instant {
         let stands = self.is_standing();
         let pace = if stands { self.from } else { self.pace() };
         let now = match self.next() {
@@ -319,9 +361,7 @@ impl PlaybackPace {
             Some(next) if !stands => pace.min(next),
             _ => pace,
         };
-        // A moment that passed stays so.
-        self.reached = self.reached.max(now);
-        self.reached
+        self.reached.max(now)
     }
 
     /// How far it would be if no log held it up.
@@ -339,9 +379,42 @@ impl PlaybackPace {
         let next = self.logs.values().filter_map(|place| match place {
             LogPlace::Next(at) => Some(*at),
             LogPlace::Followed(at) | LogPlace::Read(at) => self.is_replaying.then_some(*at),
-            LogPlace::Live(_) | LogPlace::Ended => None,
+            LogPlace::Live { at, awaits } => Some(*at).filter(|_| self.waits_for_pipe(*awaits)),
+            LogPlace::Ended => None,
         });
         next.min()
+    }
+
+    /// Returns true if it would pass what is written to a pipe: it is faster.
+    fn waits_for_pipe(&self, awaits: PipeAwaits) -> bool {
+        self.is_replaying && self.speed > 1.0 && !matches!(awaits, PipeAwaits::SlowWriter)
+    }
+
+    /// Real time for which it waits before a moment for the writer of a pipe; `None` if it does not.
+    fn writer_grace(&self, before: Instant) -> Option<Duration> {
+        let waits = self.logs.values().filter_map(|place| match place {
+            LogPlace::Live { at, awaits: awaits @ PipeAwaits::Writer(since) } => {
+                let left = WRITER_GRACE.saturating_sub(since.elapsed());
+                Some(left).filter(|_| *at < before && self.waits_for_pipe(*awaits))
+            }
+            _ => None,
+        });
+        waits.min()
+    }
+
+    /// Goes on, from now, without a pipe whose writer is slow.
+    fn release_pipes(&mut self) {
+        if self.writer_grace(Instant::LATEST) != Some(Duration::ZERO) {
+            return;
+        }
+        (self.from, self.since) = (self.held_now(), Monotonic::now());
+        for place in self.logs.values_mut() {
+            if let LogPlace::Live { awaits, .. } = place
+                && matches!(awaits, PipeAwaits::Writer(since) if since.elapsed() >= WRITER_GRACE)
+            {
+                *awaits = PipeAwaits::SlowWriter;
+            }
+        }
     }
 
     /// The moment that it does not pass until more of a log is written.
@@ -363,7 +436,7 @@ impl PlaybackPace {
     fn are_all_followed(&self) -> bool {
         self.logs.values().all(|place| match place {
             LogPlace::Followed(_) | LogPlace::Read(_) | LogPlace::Ended => true,
-            LogPlace::Next(_) | LogPlace::Live(_) => false,
+            LogPlace::Next(_) | LogPlace::Live { .. } => false,
         })
     }
 
@@ -467,7 +540,7 @@ mod tests {
         let clock = Clock::replaying(Epoch::from_unix_micros(7), 1_000.0);
         assert_eq!(clock.epoch().unix_micros(Instant::ZERO), 7);
         assert_eq!(clock.until(Instant::from_micros(1)), Duration::MAX, "no log is open");
-        clock.log_opens(BusIndex(0), true);
+        clock.log_opens(BusIndex(0), false);
         let at = clock.now() + Duration::from_secs(1_000);
         let wait = clock.until(at);
         assert!(wait <= Duration::from_secs(1) && wait > Duration::from_millis(900), "{wait:?}");
@@ -502,6 +575,40 @@ mod tests {
         let end = clock.now();
         assert_eq!(clock.playback().map(|it| it.is_ended), Some(true));
         assert_eq!(clock.now(), end);
+    }
+
+    #[test]
+    fn fast_clock_waits_for_what_is_written_to_a_pipe() {
+        let pipe = BusIndex(0);
+        for (speed, waits) in [(1.0, false), (1000.0, true)] {
+            let clock = Clock::replaying(Epoch::default(), speed);
+            clock.log_opens(pipe, true);
+            let at = |seconds| Instant::ZERO + Duration::from_secs(seconds);
+            clock.log_waits(pipe, at(60));
+            clock.elapse(Duration::from_secs(100));
+            assert_eq!(clock.now() == at(60), waits, "{speed}");
+            clock.log_awaits_writer(pipe, at(60));
+            clock.elapse(WRITER_GRACE / 2);
+            assert_eq!(clock.now() == at(60), waits, "{speed}");
+            assert_eq!(clock.next_of(pipe).is_some(), waits);
+        }
+    }
+
+    #[test]
+    fn fast_clock_goes_on_without_a_slow_writer() {
+        let clock = Clock::replaying(Epoch::default(), 1000.0);
+        let (pipe, at) = (BusIndex(0), |seconds| Instant::ZERO + Duration::from_secs(seconds));
+        clock.log_opens(pipe, true);
+        clock.log_waits(pipe, at(2));
+        clock.log_awaits_writer(pipe, at(2));
+        clock.elapse(WRITER_GRACE / 2);
+        assert!(clock.until(at(3600)) <= WRITER_GRACE, "asked again when it is over");
+        clock.elapse(WRITER_GRACE / 2);
+        // From where it stood.
+        assert!((at(2)..at(60)).contains(&clock.now()), "{:?}", clock.now());
+        clock.elapse(Duration::from_secs(1));
+        assert!(clock.now() > at(1000));
+        assert_eq!(clock.next_of(pipe), None);
     }
 
     #[test]

@@ -52,6 +52,8 @@ pub(super) struct ClaimUpdate {
     pub is_other_node: bool,
     /// Previous mode of the sender; `None` if unknown.
     pub mode_before: Option<Mode>,
+    /// Its first heartbeat from the address, before any absence.
+    pub first: Instant,
     /// True if this is a new claim of the address, not a repeated one.
     pub claims: bool,
     /// Address that it left, where it was in conflict or had no row.
@@ -70,8 +72,10 @@ pub struct AddressSender {
     pub device: DeviceId,
     /// Last mode; `None` if its heartbeats carry none.
     pub mode: Option<Mode>,
-    /// First heartbeat from the address.
+    /// First heartbeat from the address, after its last absence of more than five periods.
     pub since: Instant,
+    /// First heartbeat from the address, before any absence.
+    pub first: Instant,
     /// Last heartbeat from the address.
     pub last: Instant,
 }
@@ -85,9 +89,11 @@ struct Node {
     is_rowless: bool,
     address: Address,
     mode: Option<Mode>,
-    /// First and last heartbeat from the address.
+    /// First and last heartbeat from the address, without those before it was absent.
     since: Instant,
     last: Instant,
+    /// First heartbeat from the address, before it was absent.
+    first: Instant,
     has_claimed: bool,
     /// Time since when another node sends heartbeats from the address too.
     contested_since: Option<Instant>,
@@ -144,6 +150,7 @@ impl AddressClaims {
                 mode: None,
                 since: now,
                 last: now,
+                first: now,
                 has_claimed: false,
                 contested_since: None,
                 is_reported: false,
@@ -160,6 +167,7 @@ impl AddressClaims {
             device: node.device,
             is_other_node,
             mode_before: node.mode,
+            first: if node.address == address { node.first } else { now },
             claims: mode == Some(Mode::Arslv)
                 && (node.mode != mode || node.address != address || silence > gap),
             left: None,
@@ -179,6 +187,7 @@ impl AddressClaims {
             }
             node.address = address;
         }
+        node.first = update.first;
         if is_new_here {
             node.since = now;
             (node.has_claimed, node.contested_since, node.is_reported) = (false, None, false);
@@ -218,7 +227,8 @@ impl AddressClaims {
         }
     }
 
-    /// Returns the nodes that send heartbeats from `address`, in the order of joining.
+    /// Returns the nodes that send heartbeats from `address`, the one that was there first at the
+    /// start, although it may have been absent since.
     pub fn senders(&self, now: Instant, address: Address, period: Duration) -> Vec<AddressSender> {
         let resolution_time = period * RESOLUTION_PERIODS;
         let here = self
@@ -232,9 +242,10 @@ impl AddressClaims {
                 mode: node.mode,
                 since: node.since,
                 last: node.last,
+                first: node.first,
             })
             .collect();
-        all.sort_by_key(|sender| (sender.since, sender.uid));
+        all.sort_by_key(|sender| (sender.first, sender.uid));
         all
     }
 

@@ -582,9 +582,7 @@ impl FindingTracker {
         if let Some(at) = self.findings.iter().position(|finding| finding.key == key) {
             if self.findings[at].state == FindingState::Cleared {
                 self.evidence_states[at] = state;
-                self.findings[at].evidence.clear();
-                self.findings[at].uids.clear();
-                self.findings[at].superseded_by = None;
+                self.findings[at].begin_again(now);
                 self.set(now, at, FindingState::Suspected);
             }
             return Some(at);
@@ -743,10 +741,8 @@ impl FindingTracker {
     }
 
     /// Sets the UIDs in the heartbeats that a finding is about.
-    pub fn set_uids(&mut self, at: usize, uids: impl Iterator<Item = SeenUid>) {
-        let known = &mut self.findings[at].uids;
-        known.clear();
-        known.extend(uids);
+    pub fn set_uids(&mut self, at: usize, uids: Vec<SeenUid>) {
+        self.findings[at].uids = uids;
         self.describe(at);
     }
 
@@ -847,8 +843,7 @@ impl FindingTracker {
             return;
         };
         let key = FindingKey::at(FindingKind::AddressContested, self.bus, Some(address));
-        let (names, evidence) =
-            (self.findings[at].names.clone(), self.findings[at].evidence.clone());
+        let Finding { names, evidence, .. } = self.findings[at].clone();
         if let Some(contested) = self.open(now, key) {
             for name in &names {
                 self.findings[contested].add_name(name);

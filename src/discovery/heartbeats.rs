@@ -210,7 +210,7 @@ impl DeviceTracker {
         let mode = ModeFlags { is_working: device.is_working, is_resolving: device.is_resolving };
         let name = device.name.clone();
         if repetition == Repetition::None && header.response {
-            let uid = heartbeat.uid;
+            let uid = sender.uid_and_first();
             let change =
                 self.conflicts.note_heartbeat(now, address, uid, mode, name.as_ref(), frame);
             if change == PeriodChange::Expected {

@@ -39,6 +39,14 @@ pub(super) struct HeartbeatSender {
     holder: Option<OtherDevice>,
 }
 
+impl HeartbeatSender {
+    /// Its UID and its first heartbeat from the address, before any absence; `None` if the UID is
+    /// blank.
+    pub(super) fn uid_and_first(&self) -> Option<(Uid, Instant)> {
+        self.known.map(|(uid, update)| (uid, update.first))
+    }
+}
+
 impl DeviceTracker {
     /// Determines the sender of a heartbeat, and whether it claims its address.
     pub(super) fn note_sender(&mut self, claim: HeartbeatContext) -> HeartbeatSender {

@@ -77,11 +77,18 @@ pub struct SeenUid {
     pub uid: Uid,
     /// Its text in the alphabet of the bus.
     pub text: UidText,
-    /// Time of its first heartbeat from the address.
+    /// Time of its first heartbeat from the address, after its last absence of more than five periods.
     pub since: Instant,
+    /// Time of its first heartbeat from the address, before any absence; `since` if it had none.
+    pub first: Instant,
 }
 
 impl SeenUid {
+    /// Returns true if it was at the address before, then absent, and came back.
+    pub fn has_returned(&self) -> bool {
+        self.first < self.since
+    }
+
     /// Returns the text with all characters printable.
     pub fn label(&self) -> String {
         Escaped(self.text.to_string().as_bytes()).to_string()
@@ -183,6 +190,14 @@ impl Finding {
             text: String::new(),
             remedy: String::new(),
         }
+    }
+
+    /// Forgets what was observed before it was cleared: the fault is there again, from `now` on.
+    pub(crate) fn begin_again(&mut self, now: Instant) {
+        let Self { state, changed, position, .. } = *self;
+        let (text, remedy) = (std::mem::take(&mut self.text), std::mem::take(&mut self.remedy));
+        let new = Self::new(self.key.clone(), now);
+        *self = Self { state, changed, position, text, remedy, ..new };
     }
 
     /// Adds an observation. When the store is full, the oldest of its second half is dropped that

@@ -199,7 +199,7 @@ impl LogInput {
         let frame = self.waiting.get(self.next).map(|frame| frame.time);
         let at = [frame, timeout, self.until].into_iter().flatten().min();
         // Without a log clock only a batch moves time.
-        let has_clock = self.pace != LogPace::AtOnce && self.has_begun;
+        let has_clock = self.pace != LogPace::AtOnce && self.has_begun && !self.is_held();
         let due = sleep_for(at.filter(|_| has_clock).map(|at| self.wait_until(at)));
         let may_read = !self.has_waiting() && self.summary.is_none();
         tokio::select! {
@@ -244,7 +244,7 @@ impl LogInput {
 
     /// The frames that are due, within the range, oldest first; [`Self::take_due`] removes them.
     pub fn due(&self) -> &[Frame] {
-        let now = self.now().unwrap_or(NEVER).min(self.until.unwrap_or(NEVER));
+        let now = self.paced().unwrap_or(NEVER).min(self.until.unwrap_or(NEVER));
         let waiting = self.waiting.get(self.next..).unwrap_or_default();
         &waiting[..waiting.partition_point(|frame| frame.time <= now)]
     }
@@ -270,10 +270,24 @@ impl LogInput {
         }
     }
 
-    /// Log time; `None` without a clock: before the first frame, and if the log is read at once.
+    /// Log time; `None` without a clock: before the first frame, and if the log is read at once. It does
+    /// not pass a frame that waits, nor, faster than recorded, what is read next.
     pub fn now(&self) -> Option<Instant> {
+        let next = self.waiting.get(self.next).map(|frame| frame.time);
+        let held = || self.waiting.last().map_or(self.start, |frame| frame.time);
+        let limit = next.or_else(|| self.is_held().then(held));
+        Some(self.paced()?.min(limit.unwrap_or(NEVER)))
+    }
+
+    /// Log time by the clock, whatever was read.
+    fn paced(&self) -> Option<Instant> {
         let (since, from) = self.anchor?;
         Some(from + since.elapsed().saturating_sub(self.grace()).mul_f64(self.speed()))
+    }
+
+    /// Returns true while time stands until more is read: the grace is not long at this speed.
+    fn is_held(&self) -> bool {
+        self.speed() > 1.0 && !self.has_waiting() && self.summary.is_none()
     }
 
     fn wait_until(&self, at: Instant) -> Duration {

@@ -553,7 +553,7 @@ fn full_speed_log_leaves_keys_and_signals_working() {
         let command = format!("exec {} - --speed 100000 < pipe", env!("CARGO_BIN_EXE_descan"));
         let mut pty = Pty::run("/bin/sh", &["-c", &command], folder.path(), SMALL);
         // Each address has several names: the frames are handled.
-        pty.wait_for("4 Problems 1");
+        pty.wait_for("CONFLICT");
         pty.send("3");
         pty.wait_for("WHO");
         pty.send("4");

@@ -211,6 +211,20 @@ fn playback_speed_does_not_change_the_output() {
     piped.stdin = None;
     assert_eq!(essence(&piped.rest()), essence(TOLD));
     assert_eq!(piped.exit_code(), 0);
+    // Much faster than its lines come.
+    let mut slow = Watching::start(&["-", "--json", "--speed", "100000"], folder.path());
+    let mut output = String::new();
+    let half = LOG.len() / 2 + LOG[LOG.len() / 2..].find('\n').unwrap() + 1;
+    slow.write(&LOG[..half]);
+    while !output.contains("appeared") {
+        output.push_str(&slow.line());
+        output.push('\n');
+    }
+    slow.write(&LOG[half..]);
+    slow.stdin = None;
+    output += &slow.rest();
+    assert_eq!(essence(&output), essence(TOLD));
+    assert_eq!(slow.exit_code(), 0);
 }
 
 #[test]

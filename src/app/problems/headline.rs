@@ -16,6 +16,8 @@ use crate::wire::node::Uid;
 
 /// Boards or names in a sentence; the others are counted.
 const LISTED: usize = 3;
+/// Time without bus errors from which they are said to be over.
+const WITHOUT_ERRORS: Duration = Duration::from_secs(3);
 /// Heartbeat periods between the first heartbeats of two boards up to which none of them joined
 /// second: one that sends since long ago is received within a period.
 const TOGETHER_PERIODS: f64 = 1.5;
@@ -48,12 +50,12 @@ impl Words {
 }
 
 impl Problem<'_> {
-    /// UIDs of the boards in a conflict, the one that was received first at the start: those of the
-    /// finding with the most.
+    /// UIDs of the boards in a conflict, the one that was received first at the start, although it may
+    /// have been absent since: those of the finding with the most.
     pub fn boards(&self) -> Vec<SeenUid> {
         let most = self.findings.iter().rev().max_by_key(|finding| finding.uids.len());
         let mut boards = most.map_or_else(Vec::new, |finding| finding.uids.clone());
-        boards.sort_by_key(|board| board.since);
+        boards.sort_by_key(|board| (board.first, board.since));
         boards
     }
 
@@ -65,13 +67,12 @@ impl Problem<'_> {
             })
     }
 
-    /// Time since when the problem is there: of a conflict, when its newest board joined.
+    /// Time since when the problem is there: of a conflict, when the last of its boards joined or came
+    /// back.
     pub fn began(&self) -> Instant {
         let boards = self.boards();
-        match &boards[..] {
-            [_, .., newest] if self.is_address_conflict() => newest.since,
-            _ => self.first(),
-        }
+        let last = boards.iter().map(|board| board.since).max();
+        last.filter(|_| boards.len() > 1 && self.is_address_conflict()).unwrap_or(self.first())
     }
 
     /// Time of its end; `None` while it is open.
@@ -141,6 +142,7 @@ impl App {
             | FindingKind::AnswersDoubled => self.conflict_words(problem),
             FindingKind::TwoDebugDevices => debug_words(problem),
             FindingKind::AddressContested => self.contested_words(problem),
+            FindingKind::BusErrors => self.bus_errors_words(problem),
             FindingKind::OneUidTwoAddresses => one_uid_words(problem),
             FindingKind::WrongAddress => self.wrong_address_words(problem),
             FindingKind::Missing => self.missing_words(problem),
@@ -225,8 +227,10 @@ impl App {
         let labels = |boards: &[SeenUid]| -> Vec<String> {
             boards.iter().map(|board| label_of(board.label())).collect()
         };
-        let (newest, before) = boards.split_last().expect("at least two boards");
-        let mut latest_first = labels(boards);
+        let mut by_joining = boards.to_vec();
+        by_joining.sort_by_key(|board| board.since);
+        let (newest, before) = by_joining.split_last().expect("at least two boards");
+        let mut latest_first = labels(&by_joining);
         latest_first.reverse();
         let label = join_first(latest_first, LISTED, " / ");
         let state = problem.state();
@@ -246,12 +250,13 @@ impl App {
             return Words { label, short, full: long.clone(), long };
         }
         let (newest_label, others) = (label_of(newest.label()), and_list(labels(before)));
-        let (verb, joined) = (verb_of(state), format_time_of_day(self, newest.since));
+        let (verb, at) = (verb_of(state), format_time_of_day(self, newest.since));
+        let joined = if newest.has_returned() { "returned" } else { "joined" };
         Words {
             label,
             short: format!("{newest_label} {verb} {others}"),
-            long: format!("{newest_label} joined, {verb} {others} (since {first}){until}"),
-            full: format!("{newest_label} joined {joined}, {verb} {others} (since {first}){until}"),
+            long: format!("{newest_label} {joined}, {verb} {others} (since {first}){until}"),
+            full: format!("{newest_label} {joined} {at}, {verb} {others} (since {first}){until}"),
         }
     }
 
@@ -272,6 +277,20 @@ impl App {
             let text = format!("contested, one board gave way after {length}");
             Words::same("contested".to_owned(), text)
         }
+    }
+
+    /// Bus errors. Their rate is that of the last ten seconds before the last one, and the finding
+    /// outlives them: says until when there were any.
+    fn bus_errors_words(&self, problem: &Problem) -> Words {
+        let words = sentence_words(problem);
+        let last = problem.head().last;
+        let is_open = problem.ended().is_none();
+        if !is_open || self.display_time().since(last) < WITHOUT_ERRORS {
+            return words;
+        }
+        let until = format!("Bus errors until {}:", format_time_of_day(self, last));
+        let text = words.full.replacen("Bus errors:", &until, 1);
+        Words { label: words.label, ..Words::same(String::new(), text) }
     }
 
     /// A device at another address than its entry: `DISP (BOILER04) is pinned to 21 in des.json`.

@@ -6,6 +6,7 @@
 //! none. Does not know names, des.json or how sides are shown.
 
 use crate::app::capture::CapturedHeartbeat;
+use crate::finding::SeenUid;
 use crate::time::{Duration, Instant};
 use crate::wire::node::{Mode, Uid};
 use std::ops::Range;
@@ -47,8 +48,10 @@ pub enum SideBasis {
 pub struct ConflictSide {
     /// UID; `None` if it is blank, or that of several boards.
     pub uid: Option<Uid>,
-    /// Time of its first heartbeat.
+    /// Time of its first heartbeat, after its last absence.
     pub joined: Option<Instant>,
+    /// Time of its first heartbeat, before any absence.
+    pub first: Option<Instant>,
     /// Its first heartbeat was a claim of the address, in INIT or ARSLV.
     pub has_claimed: bool,
     /// Its heartbeats in the capture.
@@ -72,6 +75,7 @@ impl ConflictSide {
         Self {
             uid,
             joined,
+            first: joined,
             has_claimed: false,
             beats: 0,
             last: None,
@@ -103,7 +107,7 @@ impl ConflictSide {
 pub struct ConflictSides {
     /// What tells them apart.
     pub basis: SideBasis,
-    /// In the order of joining.
+    /// The one that was there first at the start.
     pub sides: Vec<ConflictSide>,
     /// The moment from which on all heartbeats are known; `None`: from the start.
     pub complete_from: Option<Instant>,
@@ -120,10 +124,10 @@ fn known(uid: Option<Uid>) -> Option<Uid> {
 
 impl ConflictSides {
     /// Tells the boards apart. `beats`: heartbeats of the address, oldest first; `boards`: UIDs of the
-    /// finding with the time of their first heartbeats; `during`: first and last evidence.
+    /// finding; `during`: first and last evidence.
     pub fn new(
         beats: &[CapturedHeartbeat],
-        boards: &[(Uid, Instant)],
+        boards: &[SeenUid],
         during: Range<Instant>,
         period: Duration,
     ) -> Self {
@@ -131,7 +135,8 @@ impl ConflictSides {
         let around = during.start - margin..during.end + margin;
         let recent = beats.iter().filter(|beat| around.contains(&beat.time));
         let mut uids: Vec<Option<Uid>> = Vec::new();
-        for uid in boards.iter().map(|(uid, _)| Some(*uid)).chain(recent.map(|it| known(it.uid))) {
+        for uid in boards.iter().map(|board| Some(board.uid)).chain(recent.map(|it| known(it.uid)))
+        {
             if !uids.contains(&uid) {
                 uids.push(uid);
             }
@@ -150,18 +155,19 @@ impl ConflictSides {
 
     fn by_uid(
         beats: &[CapturedHeartbeat],
-        boards: &[(Uid, Instant)],
+        boards: &[SeenUid],
         uids: &[Option<Uid>],
         period: Duration,
     ) -> Self {
-        let joined = |uid: &Option<Uid>| {
-            let listed = boards.iter().find(|(listed, _)| Some(*listed) == *uid).map(|(_, at)| *at);
+        let new_side = |uid: &Option<Uid>| {
+            let listed = boards.iter().find(|board| Some(board.uid) == *uid);
             let captured = beats.iter().find(|beat| known(beat.uid) == *uid).map(|beat| beat.time);
-            listed.or(captured)
+            let joined = listed.map(|board| board.since).or(captured);
+            let first = listed.map(|board| board.first).or(captured);
+            ConflictSide { first, ..ConflictSide::new(*uid, joined) }
         };
-        let mut sides: Vec<ConflictSide> =
-            uids.iter().map(|uid| ConflictSide::new(*uid, joined(uid))).collect();
-        sides.sort_by_key(|side| side.joined);
+        let mut sides: Vec<ConflictSide> = uids.iter().map(new_side).collect();
+        sides.sort_by_key(|side| (side.first, side.joined));
         let side_of =
             |beat: &CapturedHeartbeat| sides.iter().position(|side| side.uid == known(beat.uid));
         let of_beats: Vec<Option<usize>> = beats.iter().map(side_of).collect();
@@ -354,6 +360,7 @@ fn follow(phases: &mut [f64], time: f64, period: f64) -> Option<usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::wire::profile::Profile;
 
     const PERIOD: Duration = Duration::from_secs(1);
 
@@ -371,13 +378,18 @@ mod tests {
         Instant::from_micros(millis * 1000)
     }
 
+    fn seen(uid: u8, first: u64, since: u64) -> SeenUid {
+        let (uid, text) = (Uid([uid; 6]), Uid([uid; 6]).text(&Profile::default().uid));
+        SeenUid { uid, text, since: at(since), first: at(first) }
+    }
+
     #[test]
     fn boards_with_uids_are_in_the_order_of_joining() {
         let mut beats: Vec<_> = (0..20).map(|at| beat(791 + 1000 * at, 1)).collect();
         beats.extend((5..20).map(|at| beat(819 + 1000 * at, 2)));
         beats.sort_by_key(|beat| beat.time);
         let (one, two) = (Uid([1; 6]), Uid([2; 6]));
-        let boards = [(two, at(5819)), (one, at(791))];
+        let boards = [seen(2, 5819, 5819), seen(1, 791, 791)];
         let sides = ConflictSides::new(&beats, &boards, at(5819)..at(20_000), PERIOD);
         let uids: Vec<Option<Uid>> = sides.sides.iter().map(|side| side.uid).collect();
         assert_eq!((sides.basis, uids), (SideBasis::Uids, vec![Some(one), Some(two)]));
@@ -407,12 +419,25 @@ mod tests {
         beats.extend((5..12).map(|at| beat(219 + 1000 * at, 2)));
         beats.extend((40..60).map(|at| beat(555 + 1000 * at, 2)));
         beats.sort_by_key(|beat| beat.time);
-        let boards = [(Uid([1; 6]), at(791)), (Uid([2; 6]), at(40_555))];
+        let boards = [seen(1, 791, 791), seen(2, 5219, 40_555)];
         let sides = ConflictSides::new(&beats, &boards, at(40_555)..at(59_000), PERIOD);
         let second = &sides.sides[1];
         assert_eq!((second.joined, second.beats), (Some(at(40_555)), 20));
         assert_eq!((second.missed, second.absences), (0, 0));
         assert!(second.modes.iter().all(|(since, _)| *since >= at(40_555)));
+    }
+
+    #[test]
+    fn board_that_was_there_first_and_came_back_is_the_first_one() {
+        let mut beats: Vec<_> = (0..10).map(|at| beat(791 + 1000 * at, 1)).collect();
+        beats.extend((20..60).map(|at| beat(219 + 1000 * at, 2)));
+        beats.extend((40..60).map(|at| beat(791 + 1000 * at, 1)));
+        beats.sort_by_key(|beat| beat.time);
+        let boards = [seen(2, 20_219, 20_219), seen(1, 791, 40_791)];
+        let sides = ConflictSides::new(&beats, &boards, at(40_791)..at(59_000), PERIOD);
+        let first = &sides.sides[0];
+        assert_eq!((first.uid, first.first), (Some(Uid([1; 6])), Some(at(791))));
+        assert_eq!((first.joined, first.beats), (Some(at(40_791)), 20));
     }
 
     #[test]

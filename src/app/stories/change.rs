@@ -123,11 +123,16 @@ impl StoryChange {
                 let parties = finding.map_or_else(Vec::new, parties_of);
                 let text = finding.map_or_else(String::new, |finding| finding.text.clone());
                 let until = finding.map_or(event.time, |finding| finding.last.min(event.time));
-                let since = finding.and_then(|finding| match &finding.uids[..] {
-                    [_, .., newest] => Some(newest.since),
-                    _ => None,
-                });
-                Self::Finding { key: key.clone(), state: *state, parties, text, since, until }
+                let joined = finding.filter(|finding| finding.uids.len() > 1);
+                let joined = joined.and_then(|it| it.uids.iter().map(|seen| seen.since).max());
+                Self::Finding {
+                    key: key.clone(),
+                    state: *state,
+                    parties,
+                    text,
+                    since: joined,
+                    until,
+                }
             }
             EventKind::OwnAddress(address) => Self::OwnAddress(*address),
             EventKind::OwnAddressLost(_) | EventKind::NoAddress(_) => Self::NoOwnAddress,

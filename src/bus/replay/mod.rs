@@ -207,8 +207,11 @@ impl Replay {
     fn next_frame(&mut self) -> io::Result<Option<Frame>> {
         let frame = loop {
             // A pipe may not have more for long.
-            if self.path.is_none() && !self.reader.has_buffered() && !self.flush()? {
-                break None;
+            if self.path.is_none() && !self.reader.has_buffered() {
+                if !self.flush()? {
+                    break None;
+                }
+                self.clock.log_awaits_writer(self.bus, self.last);
             }
             match self.reader.step()? {
                 DecodeStep::Frame(frame) => break Some(frame),

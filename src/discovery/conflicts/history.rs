@@ -4,7 +4,7 @@
 //! Does not decide what an observation means: the detectors do.
 
 use super::query_responses::QueryResponseMatcher;
-use super::recent_values::RecentValues;
+use super::recent_values::{MAX_VALUES, RecentValues};
 use crate::frame::Frame;
 use crate::text::Name;
 use crate::time::{Duration, Instant};
@@ -171,6 +171,9 @@ pub(super) struct AddressHistory {
     pub name_repeats: u32,
     name_repeated_at: Option<Instant>,
     pub uids: RecentValues<Uid>,
+    /// Time of the first heartbeat with each of the UIDs that were received last, before any absence
+    /// of their devices; at most [`MAX_VALUES`].
+    first_by_uid: VecDeque<(Uid, Instant)>,
     /// Time of the last heartbeat with a blank UID or none.
     pub last_without_uid: Option<Instant>,
     /// UID, unless blank or none, and time of the last heartbeat before the device was lost.
@@ -232,6 +235,19 @@ impl AddressHistory {
         if is_other_phase || is_other_uid {
             self.sender_changed_at = Some(now);
         }
+    }
+
+    /// Notes when a device with this UID first sent a heartbeat from the address.
+    pub fn note_first(&mut self, uid: Uid, first: Instant) {
+        if self.first_by_uid.back() != Some(&(uid, first)) {
+            self.first_by_uid.retain(|(known, _)| *known != uid);
+            push_bounded(&mut self.first_by_uid, (uid, first), MAX_VALUES);
+        }
+    }
+
+    /// Time of the first heartbeat with this UID, as noted.
+    pub fn first_of(&self, uid: Uid) -> Option<Instant> {
+        self.first_by_uid.iter().find(|(known, _)| *known == uid).map(|(_, first)| *first)
     }
 
     /// Notes a name response; `is_repeated`: with the name of the last one.

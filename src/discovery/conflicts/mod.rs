@@ -371,12 +371,12 @@ impl ConflictDetector {
     }
 
     /// Notes a heartbeat that does not repeat the previous one. Returns what it changed in the
-    /// periods.
+    /// periods. `sender`: its UID, not blank, and when it first sent a heartbeat from the address.
     pub fn note_heartbeat(
         &mut self,
         now: Instant,
         address: Address,
-        uid: Option<Uid>,
+        sender: Option<(Uid, Instant)>,
         mode: ModeFlags,
         name: Option<&Name>,
         frame: &Frame,
@@ -391,7 +391,10 @@ impl ConflictDetector {
             history.note_settled(now);
             history.seen[usize::from(mode.is_working)] = Some(now);
         }
-        let uid = uid.filter(|uid| !uid.is_blank());
+        if let Some((uid, first)) = sender {
+            history.note_first(uid, first);
+        }
+        let uid = sender.map(|(uid, _)| uid);
         history.note_sender(now, uid, period);
         let observed = if let Some(uid) = uid {
             history.uids.observe(now, &uid, period * UID_MEMORY_PERIODS)
@@ -808,11 +811,15 @@ impl ConflictDetector {
         let address = evidence.address;
         let at = self.finding_tracker.report(now, evidence)?;
         let remembered = self.periods.of(address) * UID_MEMORY_PERIODS;
-        let uids = self.histories[address.index()].uids.recent(now, remembered).into_iter();
-        let uids = uids.map(|(uid, since)| {
-            let text = uid.text(&self.alphabet);
-            SeenUid { uid: *uid, text, since }
+        let history = &self.histories[address.index()];
+        let uids = history.uids.recent(now, remembered).into_iter().map(|(uid, since)| {
+            // An absence is longer than the memory.
+            let was_absent = |first: &Instant| since.since(*first) > remembered;
+            let first = history.first_of(*uid).filter(was_absent).unwrap_or(since);
+            SeenUid { uid: *uid, text: uid.text(&self.alphabet), since, first }
         });
+        let mut uids: Vec<SeenUid> = uids.collect();
+        uids.sort_by_key(|seen| (seen.first, seen.since));
         self.finding_tracker.set_uids(at, uids);
         Some(at)
     }

@@ -6,7 +6,7 @@ use std::collections::VecDeque;
 
 /// Most values remembered of one address: names, UIDs or service lists. Bounds the memory; more
 /// count as returning.
-const MAX_VALUES: usize = 8;
+pub(super) const MAX_VALUES: usize = 8;
 
 /// Detects values that return to an address: A, B, A or A, B, C, A.
 #[derive(Clone, Debug)]

@@ -2,7 +2,9 @@
 //! same device on other buses.
 
 use super::DeviceDetails;
-use crate::app::{BeatStats, Redundancy, clock_millis, format_time_of_day, twin_differences};
+use crate::app::{
+    BeatStats, Redundancy, clock_millis, format_time_of_day, ordinal, twin_differences,
+};
 use crate::discovery::Device;
 use crate::text::join_first;
 use crate::theme::Role;
@@ -32,10 +34,12 @@ impl DeviceDetails<'_, '_> {
         for row in rows {
             let Some(board) = row.board else { continue };
             let uid = uid_text(app, device, board.sender.uid);
-            let text = format!("{uid} joined {}", clock_millis(app, board.sender.since));
+            let sender = board.sender;
+            let joined = if sender.first < sender.since { "back" } else { "joined" };
+            let text = format!("{uid} {joined} {}", clock_millis(app, board.sender.since));
             let is_wide = text.width() + 2 <= usize::from(self.width);
             let since = format_time_of_day(app, board.sender.since);
-            let text = if is_wide { text } else { format!("{uid} joined {since}") };
+            let text = if is_wide { text } else { format!("{uid} {joined} {since}") };
             let side = format!("{} ", board.side);
             self.lines.extend(labelled(self.brush, &side, Role::Text, &text, self.width));
             let stats = BeatStats::of(&app.beats_of(row, STATS_BEATS));
@@ -45,13 +49,8 @@ impl DeviceDetails<'_, '_> {
                 .zip(stats.jitter)
                 .map(|(period, jitter)| format!("{} {}", period_text(period), jitter_text(jitter)));
             let missed = (stats.missed > 0).then(|| format!("{} missed", stats.missed));
-            let order = match board.side {
-                'A' => None,
-                'B' => Some("second"),
-                'C' => Some("third"),
-                _ => Some("later"),
-            };
-            let order = order.map(str::to_owned);
+            let place = (board.side as usize).saturating_sub('A' as usize);
+            let order = (place > 0).then(|| ordinal(place));
             let texts: Vec<String> = [order, mode, period, missed].into_iter().flatten().collect();
             let text = texts.join(", ");
             self.lines.extend(labelled(self.brush, "  ", Role::Muted, &text, self.width));

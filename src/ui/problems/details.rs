@@ -206,7 +206,8 @@ impl ProblemDetails<'_, '_> {
         {
             let others = later.iter().map(|seen| {
                 let since = format_time_of_day(self.brush.app, seen.since);
-                format!("{}, since {since}", seen.label())
+                let back = if seen.has_returned() { "back " } else { "" };
+                format!("{}, {back}since {since}", seen.label())
             });
             let others = others.collect::<Vec<String>>().join(", and ");
             let verb = match (head.state, later.len()) {

@@ -101,6 +101,24 @@ fn conflict_of_two_uids_matches_snapshots() {
 }
 
 #[test]
+fn row_of_a_suspected_conflict_has_the_uid_of_its_board() {
+    let mut stage = Stage::boiler();
+    // One after a heartbeat of each.
+    for seconds in [27.9, 28.81, 28.9, 29.81] {
+        stage.until(seconds).keys("1");
+        let place = |row: &descan::app::Row| row.address == Address::new(14);
+        let rows: Vec<_> = stage.app.rows().iter().filter(|row| place(row)).collect();
+        let uids: Vec<_> = rows.iter().map(|row| row.uid).collect();
+        assert_eq!(uids, [Some(uid("BOILER03"))], "at {seconds}");
+    }
+    while stage.app.selected_row().unwrap().address != Address::new(14) {
+        stage.keys("j");
+    }
+    let screen = stage.size(120, 40).screen();
+    assert!(screen.contains("ACT @14 · BOILER03 and SPARE01"), "{screen}");
+}
+
+#[test]
 fn three_boards_have_three_columns_in_the_order_of_joining() {
     let boards = [
         board("ACT", "one", uid("ONE"), 0.0),
@@ -186,6 +204,42 @@ fn board_that_left_stays_with_its_last_heartbeat() {
         assert_eq!(is_open, is_listed, "{view}\n{}", stage.screen());
     }
     compare_with_past(&scenario, 90.0, 60.0);
+}
+
+#[test]
+fn board_that_comes_back_was_there_before_the_other() {
+    // Absent for longer than heartbeats are remembered, then until its row is lost.
+    for (left, joined, back) in [(12.0, 19.0, 27.0), (12.0, 45.0, 60.0)] {
+        let boards =
+            [board("ACT", "one", uid("ONE"), 0.0), board("ACT", "two", uid("TWO"), joined)];
+        let scenario = scenario(&boards)
+            .at(Duration::from_secs_f64(left), "one", DeviceAction::PowerOff)
+            .at(Duration::from_secs_f64(back), "one", DeviceAction::PowerOn);
+        let mut stage = shown(&scenario, back + 20.0);
+        let screen = stage.size(120, 40).screen();
+        let words = "ONE returned, conflicts with TWO (since 12:00:";
+        assert!(screen.contains(words), "{screen}");
+        assert!(screen.contains("A ONE") && screen.contains("B TWO"), "{screen}");
+        assert!(row(&stage, "joined").contains("12:00:00, back 12:0"), "{screen}");
+        let remedy = "Unplug TWO (second: ONE was there from 12:00:00 on); a write to 14";
+        assert!(super::one_line(&screen).contains(remedy), "{screen}");
+        // The letters are the same on the other pages.
+        let letters = |stage: &Stage| {
+            let side = |row: &descan::app::Row| row.board.map(|board| board.side);
+            let place = |row: &descan::app::Row| (row.uid, side(row));
+            stage
+                .app
+                .rows()
+                .iter()
+                .map(place)
+                .filter(|(_, side)| side.is_some())
+                .collect::<Vec<_>>()
+        };
+        let mut all = letters(&stage);
+        all.sort_by_key(|(_, side)| *side);
+        assert_eq!(all, [(Some(uid("ONE")), Some('A')), (Some(uid("TWO")), Some('B'))]);
+        compare_with_past(&scenario, back + 20.0, back + 12.0);
+    }
 }
 
 #[test]
@@ -411,9 +465,9 @@ fn board_that_moved_on_keeps_its_name_and_services() {
     }
     let screen = stage.screen();
     assert!(
-        screen.contains(" A BOILER09 · HEAT ") && screen.contains("│ B BOILER06 · DIN"),
+        screen.contains(" A BOILER06 · DIN ") && screen.contains("│ B BOILER09 · HEAT"),
         "{screen}"
     );
     let services = row(&stage, "services");
-    assert!(services.contains("RELAY") && services.contains("│ IN 3"), "{services}");
+    assert!(services.contains(" IN 3 ") && services.contains("RELAY"), "{services}");
 }
