@@ -46,14 +46,17 @@ fn device_of_board(device: &Device, board: &Board) -> Device {
 impl Inputs<'_> {
     /// Returns a row for each board that is known at the address of a device in conflict; else its
     /// own row.
-    pub(super) fn board_rows(&self, row: Row, device: &Device) -> Vec<Row> {
-        if row.state != RowState::Conflict || !row.redundant_ids.is_empty() {
-            return vec![row];
-        }
+    pub(super) fn board_rows(&self, mut row: Row, device: &Device) -> Vec<Row> {
         let Some(bus) = self.buses.get(device.id.bus) else { return vec![row] };
         let mut senders = bus.senders_at(device.address);
         senders.truncate(MAX_BOARDS);
-        if senders.len() < 2 {
+        if senders.len() < 2 || !row.redundant_ids.is_empty() {
+            return vec![row];
+        }
+        if row.state != RowState::Conflict {
+            // Mode and times are those of the board that the row is of, whoever sent the last heartbeat.
+            let owner = senders.iter().find(|sender| sender.device == device.id);
+            row.uid = owner.map(|owner| owner.uid).or(row.uid);
             return vec![row];
         }
         let is_current = bus.device_at(device.address).is_some_and(|it| it.id == device.id);

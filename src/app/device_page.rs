@@ -37,6 +37,9 @@ impl App {
         let current = bus.device_at(device.address).map(|it| it.id);
         // Heartbeats at the address after another device took it are not of this one.
         let last = device.heartbeat.last.filter(|_| current != Some(device.id));
+        if current != Some(device.id) && last.is_none() {
+            return Vec::new();
+        }
         let board = row.board.map(|board| board.sender);
         let moved = device.uid.filter(|uid| device.moved_from.is_some() && !uid.is_blank());
         let uid = board.map(|board| board.uid).or(moved);

@@ -3,8 +3,8 @@
 use super::capture::{CallKey, Decoded, IdentifierKey, IdentifierKind};
 use super::input::Overlay;
 use super::view::{EvidenceView, Focus, Page, Row, TrafficView};
-use super::{App, Effect, EvidenceItem, Problem, clock_millis, format_duration};
-use crate::finding::FindingKind;
+use super::{App, Effect, EvidenceItem, Problem, clock_millis, growing_length_text, length_text};
+use crate::finding::{FindingKind, SeenUid};
 use crate::frame::BusIndex;
 use crate::keymap::Action;
 use crate::status::PlaybackCommand;
@@ -588,10 +588,12 @@ impl App {
     /// A problem in one line: times, length, state, title, text, UIDs.
     fn problem_text(&self, problem: &Problem) -> String {
         let (first, ended) = (problem.began(), problem.ended());
-        let last = ended.unwrap_or(self.display_time());
         let until = ended.map_or_else(|| "now".to_owned(), |ended| clock_millis(self, ended));
         let times = format!("{} – {until}", clock_millis(self, first));
-        let length = format_duration(last.since(first));
+        let length = match ended {
+            Some(ended) => length_text(ended.since(first)),
+            None => growing_length_text(self.display_time().since(first)),
+        };
         let (state, title, text) = (problem.state(), problem.title(), &problem.head().text);
         let uids = self.uids_in(problem);
         let uids = if uids.is_empty() { uids } else { format!("; UIDs {uids}") };
@@ -599,9 +601,13 @@ impl App {
         format!("{times} ({length}) {state}: {title}: {text}{uids}")
     }
 
-    /// UIDs of the devices at the addresses of a problem, in the alphabet of the profile; blank ones
-    /// are left out.
+    /// UIDs of the boards of a problem, else of the devices at its addresses, in the alphabet of the
+    /// profile; blank ones are left out.
     fn uids_in(&self, problem: &Problem) -> String {
+        let boards = problem.boards();
+        if boards.len() > 1 {
+            return boards.iter().map(SeenUid::label).collect::<Vec<String>>().join(", ");
+        }
         let addresses = problem.addresses();
         let bus = problem.bus().and_then(|bus| self.bus(bus));
         let Some(bus) = bus else { return String::new() };

@@ -483,12 +483,16 @@ impl<'b, 'a> DeviceDetails<'b, 'a> {
 pub fn title(app: &App, row: &Row) -> String {
     let name = row.name.as_ref().map_or("?".to_owned(), |it| it.quoted().to_string());
     let Some((device, address)) = app.device_of(row).zip(row.address) else { return name };
-    let mut uids: Vec<String> = match row.uid.filter(|_| row.board.is_some()) {
-        Some(uid) => vec![devices::uid_text(app, device, uid)],
-        None => {
-            app.uids_of(device).iter().map(|uid| devices::uid_text(app, device, *uid)).collect()
-        }
+    let bus = row.bus.and_then(|bus| app.bus(bus));
+    let senders = bus.map_or_else(Vec::new, |bus| bus.senders_at(address));
+    let known = match row.board {
+        Some(board) => vec![board.sender.uid],
+        // Before it is sure that there are several, too.
+        None if senders.len() > 1 => senders.iter().map(|sender| sender.uid).collect(),
+        None => app.uids_of(device),
     };
+    let mut uids: Vec<String> =
+        known.iter().map(|uid| devices::uid_text(app, device, *uid)).collect();
     // Sorted: the order of reception changes with each heartbeat.
     uids.sort();
     let side = row.board.map(|board| board.side.to_string()).unwrap_or_default();
