@@ -866,6 +866,7 @@ impl FindingTracker {
         let was_open = before != FindingState::Cleared;
         let is_open = state != FindingState::Cleared;
         finding.changed = now;
+        finding.was_confirmed |= state == FindingState::Confirmed;
         let (key, is_conflict) = (finding.key.clone(), finding.key.kind.is_conflict());
         if is_open != was_open {
             self.count_open_conflict(&key, is_open);

@@ -155,6 +155,8 @@ pub struct Finding {
     /// Evidence stored, oldest first: the first and the last observations, at least one of each
     /// sender and at most [`Finding::MAX_EVIDENCE`].
     pub evidence: VecDeque<Evidence>,
+    /// True if it was confirmed since it began, and so is not only suspected, or was.
+    pub was_confirmed: bool,
     /// Kind of the finding that explains the evidence of this one, which was cleared for it.
     pub superseded_by: Option<FindingKind>,
     /// True if one device that sends its frames twice does not explain the evidence.
@@ -179,6 +181,7 @@ impl Finding {
             key,
             state: FindingState::Suspected,
             uids: Vec::new(),
+            was_confirmed: false,
             superseded_by: None,
             excludes_one_device: false,
             first: now,

@@ -112,6 +112,13 @@ impl<'a> Problem<'a> {
         addresses
     }
 
+    /// Returns true if it is a conflict that is over and was never confirmed.
+    pub fn was_only_suspected(&self) -> bool {
+        self.state() == FindingState::Cleared
+            && self.is_address_conflict()
+            && !self.findings.iter().any(|finding| finding.was_confirmed)
+    }
+
     /// Names, without duplicates.
     pub fn names(&self) -> Vec<&'a Name> {
         let mut names = Vec::new();

@@ -201,7 +201,7 @@ impl App {
             let long = format!("{short} (detected {since})");
             return Words { label, short, full: long.clone(), long };
         }
-        let verb = verb_of(head.state);
+        let verb = verb_of(problem);
         let first = self.device_of_problem(problem).map(|device| device.first_seen);
         let first = first.filter(|first| problem.first().since(*first) > self.together(problem));
         if let Some(first) = first {
@@ -233,15 +233,13 @@ impl App {
         let mut latest_first = labels(&by_joining);
         latest_first.reverse();
         let label = join_first(latest_first, LISTED, " / ");
-        let state = problem.state();
         let until = self.until(problem);
         let first = format_time_of_day(self, before[0].since);
         let apart = before.last().map_or(Duration::ZERO, |last| newest.since.since(last.since));
         if apart <= self.together(problem) {
-            let verb = match state {
-                FindingState::Cleared => "conflicted",
-                FindingState::Suspected => "may conflict",
-                FindingState::Confirmed => "conflict",
+            let verb = match verb_of(problem) {
+                "conflicts with" => "conflict",
+                verb => verb.trim_end_matches(" with"),
             };
             let all = and_list(labels(boards));
             let short = format!("{all} {verb}{until}");
@@ -250,7 +248,7 @@ impl App {
             return Words { label, short, full: long.clone(), long };
         }
         let (newest_label, others) = (label_of(newest.label()), and_list(labels(before)));
-        let (verb, at) = (verb_of(state), format_time_of_day(self, newest.since));
+        let (verb, at) = (verb_of(problem), format_time_of_day(self, newest.since));
         let joined = if newest.has_returned() { "returned" } else { "joined" };
         Words {
             label,
@@ -296,7 +294,8 @@ impl App {
     /// A device at another address than its entry: `DISP (BOILER04) is pinned to 21 in des.json`.
     fn wrong_address_words(&self, problem: &Problem) -> Words {
         let Some(pinned) = self.listed_address(problem) else { return sentence_words(problem) };
-        let name = self.device_label_of(problem);
+        let device = self.listed_device(problem);
+        let name = device.map_or_else(|| name_of(problem), |device| self.device_label(device));
         let at = problem.head().key.address.map_or(String::new(), |at| format!(" at {at}"));
         let file = self.file().name();
         let short = format!("{name} is pinned to {pinned} in {file}");
@@ -403,9 +402,12 @@ impl App {
         format!("{name} ({})", join_first(uids, LISTED, " / "))
     }
 
-    fn device_label_of(&self, problem: &Problem) -> String {
-        let device = self.device_of_problem(problem);
-        device.map_or_else(|| name_of(problem), |device| self.device_label(device))
+    /// The device of the entry that a problem is about; of several at the address the one that matches.
+    fn listed_device(&self, problem: &Problem) -> Option<&Device> {
+        let entry = self.shown_problems().entry_of(&problem.head().key)?;
+        let matching = self.matching();
+        let mut devices = matching.devices_of(entry).iter().filter_map(|id| self.device(*id));
+        devices.find(|device| Some(device.address) == problem.head().key.address)
     }
 
     /// Address of the entry that a problem is about.
@@ -415,8 +417,9 @@ impl App {
     }
 }
 
-fn verb_of(state: FindingState) -> &'static str {
-    match state {
+fn verb_of(problem: &Problem) -> &'static str {
+    match problem.state() {
+        FindingState::Cleared if problem.was_only_suspected() => "may have conflicted with",
         FindingState::Cleared => "conflicted with",
         FindingState::Suspected => "may conflict with",
         FindingState::Confirmed => "conflicts with",

@@ -177,6 +177,9 @@ impl ProblemDetails<'_, '_> {
             self.brush.span(
                 Role::Muted,
                 match head.state {
+                    FindingState::Cleared if self.problem.was_only_suspected() => {
+                        format!("{at}, {ago} ago, never confirmed")
+                    }
                     FindingState::Cleared => format!("{at}, {ago} ago"),
                     _ => format!("since {at}, {ago}"),
                 },
@@ -211,6 +214,7 @@ impl ProblemDetails<'_, '_> {
             });
             let others = others.collect::<Vec<String>>().join(", and ");
             let verb = match (head.state, later.len()) {
+                (FindingState::Cleared, _) if !head.was_confirmed => "may have conflicted",
                 (FindingState::Cleared, _) => "conflicted",
                 (_, 1) => "conflicts",
                 _ => "conflict",

@@ -468,6 +468,8 @@ fn board_that_moved_on_keeps_its_name_and_services() {
         screen.contains(" A BOILER06 · DIN ") && screen.contains("│ B BOILER09 · HEAT"),
         "{screen}"
     );
+    let words = "BOILER06 returned, may have conflicted with BOILER09 (since 12:02:33)";
+    assert!(screen.contains(words) && screen.contains("never confirmed"), "{screen}");
     let services = row(&stage, "services");
     assert!(services.contains(" IN 3 ") && services.contains("RELAY"), "{services}");
 }
