@@ -540,7 +540,12 @@ impl App {
 
     /// Controls the playback of a log.
     pub(super) fn control_playback(&mut self, command: PlaybackCommand) {
-        if self.clock.playback().is_some() {
+        let playback = self.clock.playback();
+        let is_ended = playback.is_some_and(|playback| playback.is_ended);
+        if is_ended && matches!(command, PlaybackCommand::Pause | PlaybackCommand::Step) {
+            let back = self.key_of(Action::PreviousFrame);
+            self.show_info(format!("end of the log: nothing follows; {back} steps back"));
+        } else if playback.is_some() {
             self.effects.push_back(Effect::Playback(command));
         } else {
             self.show_error(match command {

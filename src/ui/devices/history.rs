@@ -98,7 +98,10 @@ fn about(
     let key = app.key_of(Action::Details);
     let Some((at, beat)) = chosen.and_then(|at| Some((at, beats.get(at)?))) else {
         let (left, right) = (app.key_of(Action::Back), app.key_of(Action::Into));
-        let text = format!("{left} {right} choose a heartbeat; {key} shows its frames");
+        let close = app.key_of(Action::Heartbeats);
+        let text = format!(
+            "{left} {right} choose a heartbeat; {key} shows its frames; {close} closes this"
+        );
         return indented(brush, Role::Muted, &text, " ", width);
     };
     let time = clock_millis(app, beat.time);
