@@ -119,7 +119,8 @@ impl App {
         }
         let time = self.shown_time();
         let frames = self.traffic.end(&self.view);
-        let base = CountsBase::new(time, frames, self.identifiers(), self.calls());
+        let is_foreign = |bus| self.shown_buses().is_foreign(bus);
+        let base = CountsBase::new(time, frames, self.identifiers(), self.calls(), is_foreign);
         self.view.counts_base = Some(Box::new(base));
         let key = self.key_of(crate::keymap::Action::TimeFormat);
         self.show_info(format!("counts since {}; {key} counts all", clock_millis(self, time)));

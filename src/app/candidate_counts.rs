@@ -191,7 +191,7 @@ impl App {
                     Some(filter),
                     buses,
                 );
-                (rows.len(), identifiers.rows().len())
+                (rows.len(), identifiers.rows_of(|bus| buses.is_foreign(bus)).count())
             }
             Page::Bus => (0, 0),
         }

@@ -165,7 +165,8 @@ impl App {
         Some(match self.view.page {
             Page::Devices => (count(self.rows().len()), count(self.devices.all())),
             Page::Traffic if self.view.shows_identifiers() => {
-                let all = self.identifiers().rows().len();
+                let buses = self.shown_buses();
+                let all = self.identifiers().rows_of(|bus| buses.is_foreign(bus)).count();
                 (count(self.identifiers_shown().len()), count(all))
             }
             Page::Traffic if let Some(list) = self.view.call_list() => {

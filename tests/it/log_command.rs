@@ -390,3 +390,23 @@ fn matching_frames_are_written_as_another_log() {
     }
     assert!(!folder.0.path().join("e.log").exists());
 }
+
+#[test]
+fn identifiers_of_another_protocol_are_as_they_are() {
+    // Ten senders at regular intervals, whose identifiers differ where RND7 of a broadcast is.
+    let line = |number: u32| {
+        let id = 0x1E00_0000 | (number % 10) << 10 | 0x0003_0155;
+        let time = 1_436_509_000.0 + f64::from(number) / 100.0;
+        format!("({time:.6}) can0 {id:08X}#{number:08X}\n")
+    };
+    let folder = Folder::with((0..600).map(line).collect::<String>());
+    let (code, out, error) = folder.log(&["a.log", "--stats", "--json"]);
+    assert!(code == 0 && error.contains("does not speak DES"), "{error}");
+    let stats: Value = serde_json::from_str(&out).unwrap();
+    let rows = stats["identifiers"].as_array().unwrap();
+    assert_eq!(rows.len(), 10, "{stats:#}");
+    for row in rows {
+        assert_eq!((&row["count"], &row["id"].as_str().unwrap()[..2]), (&json!(60), "1E"));
+        assert_eq!(row["period_ms"]["mean"], json!(100.0), "{row:#}");
+    }
+}

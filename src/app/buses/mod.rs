@@ -24,7 +24,7 @@ pub use load_shares::{LoadShares, ShareCounts};
 pub use redundancy::{Redundancy, RedundantDevice};
 
 use super::timeline_kind::TimelineKind;
-use crate::discovery::{Config, Device, DeviceId, Event, OwnAddress};
+use crate::discovery::{BusVerdict, Config, Device, DeviceId, Event, OwnAddress};
 use crate::document::Document;
 use crate::finding::{Finding, FindingKey, FindingKind, FindingState};
 use crate::frame::{BusIndex, Frame};
@@ -131,6 +131,11 @@ impl Buses {
     /// Returns true if a bus speaks another protocol than DES.
     pub fn is_foreign(&self, bus: BusIndex) -> bool {
         self.get(bus).is_some_and(Bus::is_foreign)
+    }
+
+    /// Returns true if a bus is known to speak DES.
+    pub fn speaks_des(&self, bus: BusIndex) -> bool {
+        self.get(bus).is_some_and(|bus| bus.traffic().verdict() == BusVerdict::Des)
     }
 
     /// Name of the device that had an address at a moment; `own` for descan's own address, else the

@@ -5,6 +5,7 @@
 
 use super::calls::{CallKey, CallStats, Calls};
 use super::identifiers::{IdentifierKey, IdentifierStats, Identifiers};
+use crate::frame::BusIndex;
 use crate::time::Instant;
 use std::collections::HashMap;
 
@@ -45,12 +46,20 @@ pub struct CountsBase {
 }
 
 impl CountsBase {
-    /// Returns the counts of these tables, which are those of a moment.
-    pub fn new(time: Instant, frames: u64, identifiers: &Identifiers, calls: &Calls) -> Self {
+    /// Returns the counts of these tables, which are those of a moment; `is_foreign`: a bus speaks another
+    /// protocol.
+    pub fn new(
+        time: Instant,
+        frames: u64,
+        identifiers: &Identifiers,
+        calls: &Calls,
+        is_foreign: impl Fn(BusIndex) -> bool + Copy,
+    ) -> Self {
+        let identifiers = identifiers.rows_of(is_foreign);
         Self {
             time,
             frames,
-            identifiers: identifiers.rows().iter().map(|row| (row.key, row.count)).collect(),
+            identifiers: identifiers.map(|row| (row.key, row.count)).collect(),
             calls: calls.rows().iter().map(|row| (row.key, CallCounts::of(row))).collect(),
         }
     }

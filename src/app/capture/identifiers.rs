@@ -1,6 +1,9 @@
 //! Statistics of the frames of each identifier.
 //!
-//! Bounded: 4096 identifiers; the last 256 intervals of each, and those of the last minute as sums. A
+//! Broadcasts with one identifier but for RND7 share a row. While a bus is not known to speak DES, its
+//! broadcasts have rows with their identifiers as they are, too: in another protocol no bits are random.
+//!
+//! Bounded: twice 4096 identifiers; the last 256 intervals of each, and those of the last minute as sums. A
 //! frame with a known identifier allocates nothing. Does not know how frames are shown.
 
 use super::decoded::FrameRole;
@@ -46,6 +49,13 @@ impl IdentifierKey {
             (FrameKind::Data, id) => (IdentifierKind::Data, id),
         };
         Self { bus: frame.bus, id, kind, fd: frame.is_fd }
+    }
+
+    /// Returns true if identifiers of broadcasts share this key.
+    fn is_of_broadcasts(self) -> bool {
+        let (kind, id) = (self.kind, self.id);
+        kind == IdentifierKind::Data
+            && matches!(id, CanId::Extended(id) if Header::decode(id).broadcast)
     }
 
     /// The key in one number, which is hashed at once.
@@ -208,19 +218,20 @@ impl IdentifierStats {
         })
     }
 
-    /// Returns true for requests, responses and error frames, which have no period.
-    pub fn has_no_period(&self) -> bool {
+    /// Returns true for requests, responses and error frames, which have no period; `is_foreign`: the bus
+    /// speaks another protocol.
+    pub fn has_no_period(&self, is_foreign: bool) -> bool {
         self.key.kind == IdentifierKind::Error
             || matches!(self.last.id, CanId::Extended(_))
                 && matches!(
-                    FrameRole::of(&self.last, false),
+                    FrameRole::of(&self.last, is_foreign),
                     FrameRole::Request | FrameRole::Response | FrameRole::FailedResponse
                 )
     }
 
     /// The period; `None` for requests, responses and error frames, too.
-    pub fn own_period(&self) -> Option<FramePeriod> {
-        if self.has_no_period() { None } else { self.period() }
+    pub fn own_period(&self, is_foreign: bool) -> Option<FramePeriod> {
+        if self.has_no_period(is_foreign) { None } else { self.period() }
     }
 
     /// When a byte changed last; `None` if it is as in the first frame, and for later ones than the
@@ -248,35 +259,32 @@ pub struct IdentifierLink {
     pub previous: Option<u64>,
 }
 
-/// Table of identifiers.
-#[derive(Clone, Debug)]
-pub struct Identifiers {
+/// Rows by their keys.
+#[derive(Clone, Debug, Default)]
+struct IdentifierTable {
     rows: Vec<IdentifierStats>,
     /// By the packed key.
     index: HashMap<u64, u32, RandomState>,
     refused: u64,
 }
 
-impl Identifiers {
-    /// Largest number of identifiers in the table.
-    pub const MAX: usize = 4096;
+/// Tables of identifiers.
+#[derive(Clone, Debug, Default)]
+pub struct Identifiers {
+    table: IdentifierTable,
+    /// Broadcasts with their identifiers as they are, of buses that may speak another protocol.
+    unmasked: IdentifierTable,
+}
 
-    /// Returns an empty table.
-    pub fn new() -> Self {
-        let index = HashMap::with_capacity_and_hasher(256, RandomState::default());
-        Self { rows: Vec::new(), index, refused: 0 }
-    }
-
-    /// Counts a frame, which has this number in the capture. Returns its row; `None` without one.
-    pub fn add(&mut self, frame: &Frame, number: u64) -> Option<IdentifierLink> {
-        let key = IdentifierKey::of(frame);
+impl IdentifierTable {
+    fn add(&mut self, key: IdentifierKey, frame: &Frame, number: u64) -> Option<IdentifierLink> {
         let packed = key.packed();
         if let Some(&at) = self.index.get(&packed) {
             let row = &mut self.rows[at as usize];
             let previous = Some(row.number);
             row.add(frame, number);
             return Some(IdentifierLink { row: at as usize, previous });
-        } else if self.rows.len() < Self::MAX {
+        } else if self.rows.len() < Identifiers::MAX {
             let at = self.rows.len();
             self.index.insert(packed, at as u32);
             self.rows.push(IdentifierStats::new(key, frame, number));
@@ -286,51 +294,116 @@ impl Identifiers {
         None
     }
 
-    /// Ends a second for the frame rates.
-    pub fn tick(&mut self) {
+    fn tick(&mut self) {
         for row in &mut self.rows {
             row.rate = std::mem::take(&mut row.current);
         }
     }
 
-    /// Bytes of memory, as of a copy.
-    pub(super) fn size(&self) -> usize {
+    fn size(&self) -> usize {
         let in_row = |row: &IdentifierStats| {
             size_of::<(IdentifierStats, u64, u32)>() + row.intervals.len() * size_of::<u32>()
         };
         self.rows.iter().map(in_row).sum()
     }
 
-    /// Rows, in the order in which their identifiers were first received.
-    pub fn rows(&self) -> &[IdentifierStats] {
-        &self.rows
+    fn place_of(&self, key: &IdentifierKey) -> Option<usize> {
+        self.index.get(&key.packed()).map(|at| *at as usize)
+    }
+}
+
+impl Identifiers {
+    /// Largest number of identifiers in a table.
+    pub const MAX: usize = 4096;
+
+    /// Returns empty tables.
+    pub fn new() -> Self {
+        Self::default()
     }
 
-    /// The row of an identifier; `None` if it was not received, or has no row.
-    pub fn get(&self, key: &IdentifierKey) -> Option<&IdentifierStats> {
-        self.rows.get(*self.index.get(&key.packed())? as usize)
+    /// Counts a frame, which has this number in the capture. Returns its row; `None` without one.
+    pub fn add(&mut self, frame: &Frame, number: u64) -> Option<IdentifierLink> {
+        self.table.add(IdentifierKey::of(frame), frame, number)
+    }
+
+    /// Counts a frame of a bus that may speak another protocol, which was [added](Self::add), with its
+    /// identifier as it is, if that differs. Returns the place of its row; `None` without one.
+    pub fn add_unmasked(&mut self, frame: &Frame, number: u64) -> Option<usize> {
+        let key = IdentifierKey::of(frame);
+        if !key.is_of_broadcasts() {
+            return None;
+        }
+        let link = self.unmasked.add(IdentifierKey { id: frame.id, ..key }, frame, number);
+        link.map(|link| link.row)
+    }
+
+    /// Ends a second for the frame rates.
+    pub fn tick(&mut self) {
+        self.table.tick();
+        self.unmasked.tick();
+    }
+
+    /// Bytes of memory, as of a copy.
+    pub(super) fn size(&self) -> usize {
+        self.table.size() + self.unmasked.size()
+    }
+
+    /// Rows, in the order in which their identifiers were first received.
+    pub fn rows(&self) -> &[IdentifierStats] {
+        &self.table.rows
+    }
+
+    /// Rows with the identifiers as they are on the buses that speak another protocol.
+    pub fn rows_of(
+        &self,
+        is_foreign: impl Fn(BusIndex) -> bool + Copy,
+    ) -> impl Iterator<Item = &IdentifierStats> {
+        let is_masked =
+            move |row: &&IdentifierStats| is_foreign(row.key.bus) && row.key.is_of_broadcasts();
+        let rows = self.table.rows.iter().filter(move |row| !is_masked(row));
+        rows.chain(self.unmasked.rows.iter().filter(move |row| is_foreign(row.key.bus)))
     }
 
     /// The place of the row of an identifier; `None` without one.
     pub fn place_of(&self, key: &IdentifierKey) -> Option<usize> {
-        self.index.get(&key.packed()).map(|at| *at as usize)
+        self.table.place_of(key)
     }
 
-    /// Number of frames without a row, because the table was full.
+    /// The place of the row of an identifier as it is; `None` without one.
+    pub fn unmasked_place_of(&self, key: &IdentifierKey) -> Option<usize> {
+        self.unmasked.place_of(key)
+    }
+
+    /// Number of frames without a row, because a table was full.
     pub fn refused(&self) -> u64 {
-        self.refused
-    }
-}
-
-impl Default for Identifiers {
-    fn default() -> Self {
-        Self::new()
+        self.table.refused + self.unmasked.refused
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn broadcasts_of_another_protocol_have_their_own_identifiers() {
+        let mut identifiers = Identifiers::new();
+        let broadcast = 1 << 25;
+        for (number, id) in [broadcast | 0x0400, broadcast | 0x0800, 0x0400].into_iter().enumerate()
+        {
+            let frame = Frame::classic(id, &[]);
+            identifiers.add(&frame, number as u64);
+            identifiers.add_unmasked(&frame, number as u64);
+        }
+        let ids = |is_foreign: bool| {
+            let ids = identifiers.rows_of(move |_| is_foreign).map(|row| row.key.id);
+            let mut ids: Vec<CanId> = ids.collect();
+            ids.sort_unstable();
+            ids
+        };
+        let extended = |ids: &[u32]| ids.iter().map(|id| CanId::Extended(*id)).collect::<Vec<_>>();
+        assert_eq!(ids(false), extended(&[0x0400, broadcast]));
+        assert_eq!(ids(true), extended(&[0x0400, broadcast | 0x0400, broadcast | 0x0800]));
+    }
 
     #[test]
     fn period_is_that_of_the_last_minute() {

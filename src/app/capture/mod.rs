@@ -100,6 +100,9 @@ impl Traffic {
         }
         let number = self.capture.end();
         let link = self.identifiers.add(frame, number);
+        if !buses.speaks_des(frame.bus) {
+            self.identifiers.add_unmasked(frame, number);
+        }
         if let Some(bus) = buses.get(frame.bus) {
             self.calls.add(frame, number, &bus.config().profile);
         }
@@ -345,7 +348,7 @@ impl Traffic {
         buses: &Buses,
     ) -> Vec<&'a IdentifierStats> {
         let matcher = filter.map(|filter| filter.for_frames(buses));
-        let rows = identifiers.rows().iter();
+        let rows = identifiers.rows_of(|bus| buses.is_foreign(bus));
         // With the identifier of the row: its random destination is shown as 0.
         let is_shown = |row: &&IdentifierStats| {
             let mut frame = row.last;
@@ -354,18 +357,18 @@ impl Traffic {
         };
         let mut shown: Vec<&IdentifierStats> = rows.filter(is_shown).collect();
         shown.sort_by_key(|row| row.key);
+        let period = |row: &IdentifierStats| row.own_period(buses.is_foreign(row.key.bus));
         match view.identifier_order {
             IdentifierOrder::Id => {}
             IdentifierOrder::Count => shown.sort_by_key(|row| Reverse(view.frame_count(row))),
             IdentifierOrder::Rate => shown.sort_by_key(|row| Reverse(row.rate)),
             IdentifierOrder::Period => {
-                shown
-                    .sort_by_cached_key(|row| row.own_period().map_or(Duration::MAX, |it| it.mean));
+                shown.sort_by_cached_key(|row| period(row).map_or(Duration::MAX, |it| it.mean));
             }
             IdentifierOrder::Jitter => {
                 // A few intervals have no jitter that could be compared.
                 shown.sort_by_cached_key(|row| {
-                    Reverse(row.own_period().map(|it| (it.is_regular, it.jitter)))
+                    Reverse(period(row).map(|it| (it.is_regular, it.jitter)))
                 });
             }
             IdentifierOrder::Newest => shown.sort_by_key(|row| Reverse(row.last.time)),

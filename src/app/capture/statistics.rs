@@ -29,6 +29,9 @@ impl FrameStatistics {
     /// Counts a frame of these buses.
     pub(super) fn add(&mut self, frame: &Frame, number: u64, buses: &Buses) {
         self.identifiers.add(frame, number);
+        if !buses.speaks_des(frame.bus) {
+            self.identifiers.add_unmasked(frame, number);
+        }
         if let Some(bus) = buses.get(frame.bus) {
             self.calls.add(frame, number, &bus.config().profile);
         }

@@ -56,6 +56,8 @@ pub struct LogStats {
     pub calls: Calls,
     /// By row of the identifiers.
     intervals: Vec<LogIntervals>,
+    /// The same of identifiers as they are.
+    unmasked_intervals: Vec<LogIntervals>,
 }
 
 impl LogStats {
@@ -76,14 +78,34 @@ impl LogStats {
             self.errors.add(ErrorReport::of(frame));
         }
         let link = self.identifiers.add(frame, self.frames);
-        self.frames += 1;
-        let Some(link) = link else { return };
-        if let Some(intervals) = self.intervals.get_mut(link.row) {
-            intervals.add(time);
-        } else {
-            let (min, max) = (Duration::MAX, Duration::ZERO);
-            self.intervals.push(LogIntervals { first: time, last: time, count: 0, min, max });
+        if let Some(link) = link {
+            add_interval(&mut self.intervals, link.row, time);
         }
+        if !app.history().speaks_des(frame.bus)
+            && let Some(row) = self.identifiers.add_unmasked(frame, self.frames)
+        {
+            add_interval(&mut self.unmasked_intervals, row, time);
+        }
+        self.frames += 1;
+    }
+
+    /// Rows of identifiers, as they are on buses that speak another protocol, with the intervals in the
+    /// whole log: `None` before the second frame, and for requests and responses, which have no period.
+    pub fn identifier_rows<'a>(
+        &'a self,
+        app: &'a App,
+    ) -> Vec<(&'a IdentifierStats, Option<&'a LogIntervals>)> {
+        let is_foreign = |bus| app.history().is_foreign(bus);
+        let intervals = |row: &IdentifierStats| {
+            let unmasked = self.identifiers.unmasked_place_of(&row.key);
+            let all = match unmasked.filter(|_| is_foreign(row.key.bus)) {
+                Some(at) => self.unmasked_intervals.get(at),
+                None => self.intervals.get(self.identifiers.place_of(&row.key)?),
+            };
+            all.filter(|it| it.count > 0 && !row.has_no_period(is_foreign(row.key.bus)))
+        };
+        let rows = self.identifiers.rows_of(is_foreign);
+        rows.map(|row| (row, intervals(row))).collect()
     }
 
     /// Ends the requests that are open for too long at the last frame.
@@ -102,18 +124,20 @@ impl LogStats {
         FrameRole::ALL.into_iter().map(|role| (role, self.roles[role as usize]))
     }
 
-    /// Intervals of an identifier in the whole log; `None` before its second frame, and for requests
-    /// and responses, which have no period.
-    pub fn intervals(&self, row: &IdentifierStats) -> Option<&LogIntervals> {
-        self.intervals
-            .get(self.identifiers.place_of(&row.key)?)
-            .filter(|it| it.count > 0 && !row.has_no_period())
-    }
-
     /// Frames per second, of a count of frames; `None` for a log without duration.
     pub fn rate(&self, count: u64) -> Option<f64> {
         let (first, last) = self.span?;
         let seconds = last.since(first).as_secs_f64();
         (seconds > 0.0).then(|| count as f64 / seconds)
+    }
+}
+
+/// Adds a frame to the intervals of a row; the next row is new.
+fn add_interval(all: &mut Vec<LogIntervals>, row: usize, time: Instant) {
+    if let Some(intervals) = all.get_mut(row) {
+        intervals.add(time);
+    } else {
+        let (min, max) = (Duration::MAX, Duration::ZERO);
+        all.push(LogIntervals { first: time, last: time, count: 0, min, max });
     }
 }

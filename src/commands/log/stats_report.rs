@@ -124,7 +124,10 @@ impl<'a> StatsReport<'a> {
                 no_ack: errors.no_ack,
                 other: errors.other,
             },
-            identifiers: rows(stats).iter().map(|row| identifier(app, stats, row)).collect(),
+            identifiers: rows(app, stats)
+                .into_iter()
+                .map(|row| identifier(app, stats, row))
+                .collect(),
             identifiers_left_out: stats.identifiers.refused(),
             calls: stats.call_rows(app).map(|row| call(app, stats, row)).collect(),
             calls_left_out: stats.calls.refused(),
@@ -132,7 +135,14 @@ impl<'a> StatsReport<'a> {
     }
 }
 
-fn identifier<'a>(app: &'a App, stats: &LogStats, row: &IdentifierStats) -> IdentifierReport<'a> {
+/// An identifier with its intervals in the whole log.
+type IdentifierRow<'a> = (&'a IdentifierStats, Option<&'a LogIntervals>);
+
+fn identifier<'a>(
+    app: &'a App,
+    stats: &LogStats,
+    (row, intervals): IdentifierRow,
+) -> IdentifierReport<'a> {
     let (bus, last) = (row.key.bus, row.last.time);
     let decoded = Decoded::of(app, &row.last);
     let header = decoded.header;
@@ -153,7 +163,7 @@ fn identifier<'a>(app: &'a App, stats: &LogStats, row: &IdentifierStats) -> Iden
         service_name: service.and_then(|service| service_name_of(app, bus, service)),
         count: row.count,
         rate: stats.rate(row.count),
-        period_ms: stats.intervals(row).and_then(|it| period(it, row)),
+        period_ms: intervals.and_then(|it| period(it, row)),
     }
 }
 
@@ -200,9 +210,9 @@ fn bus_name(app: &App, bus: BusIndex) -> Option<&str> {
 }
 
 /// Returns the identifiers by bus and identifier.
-fn rows(stats: &LogStats) -> Vec<&IdentifierStats> {
-    let mut rows: Vec<_> = stats.identifiers.rows().iter().collect();
-    rows.sort_by_key(|row| row.key);
+fn rows<'a>(app: &'a App, stats: &'a LogStats) -> Vec<IdentifierRow<'a>> {
+    let mut rows = stats.identifier_rows(app);
+    rows.sort_by_key(|(row, _)| row.key);
     rows
 }
 
@@ -267,7 +277,7 @@ fn identifier_table(app: &App, stats: &LogStats) -> String {
         ">MAX ms",
         ">JITTER ms",
     ]);
-    for row in rows(stats) {
+    for (row, intervals) in rows(app, stats) {
         let decoded = Decoded::of(app, &row.last);
         let (from, to) = decoded.header.map_or_else(Default::default, |header| {
             let to = if header.broadcast {
@@ -281,7 +291,7 @@ fn identifier_table(app: &App, stats: &LogStats) -> String {
             IdentifierKind::Error => String::new(),
             _ => row.key.id.to_string(),
         };
-        let period = stats.intervals(row).and_then(|it| period(it, row));
+        let period = intervals.and_then(|it| period(it, row));
         let cell =
             |value: Option<f64>| value.map_or_else(|| "–".to_owned(), |it| format!("{it:.1}"));
         table.push([

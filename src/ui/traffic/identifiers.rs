@@ -3,7 +3,7 @@
 use super::super::brush::{DrawContext, bus_cell, fit, fit_right};
 use super::cells::{BYTES, bytes, ends, millis, width_of_ends};
 use super::draw_uncounted;
-use crate::app::{Decoded, IdentifierKind, IdentifierStats};
+use crate::app::{Bus, Decoded, IdentifierKind, IdentifierStats};
 use crate::theme::Role;
 use crate::time::Duration;
 use ratatui::layout::Rect;
@@ -165,7 +165,8 @@ fn identifier_line(
     if columns.has_rate {
         spans.push(brush.span(plain, format!("{rate:>5} ")));
     }
-    let period = row.own_period();
+    let is_foreign = brush.app.bus(row.key.bus).is_some_and(Bus::is_foreign);
+    let period = row.own_period(is_foreign);
     let cell = |time: Option<Duration>| {
         format!("{} ", fit_right(&time.map_or_else(|| "–".to_owned(), millis), 7))
     };
