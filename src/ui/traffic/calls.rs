@@ -10,12 +10,19 @@ use crate::wire::id::Address;
 use ratatui::text::{Line, Span};
 use std::fmt::Write;
 
-/// Cells of a name with its address.
+/// Cells of a name with its address, and on a narrow screen.
 const END: usize = 12;
+const SHORT_END: usize = 8;
+/// Width from which names have all their cells, without the bus.
+const WITH_LONG_ENDS: u16 = 68;
+/// Cells of the bus.
+const BUS: u16 = 7;
 
 /// Columns that give way on a narrow screen.
 #[derive(Clone, Copy)]
 struct CallColumns {
+    /// Cells of the client, and of the server.
+    end: usize,
     has_bus: bool,
     has_rate: bool,
     has_median: bool,
@@ -25,8 +32,11 @@ struct CallColumns {
 
 impl CallColumns {
     fn new(brush: &DrawContext, width: u16) -> Self {
+        let has_bus = brush.app.buses().len() > 1 && width >= WITH_LONG_ENDS;
+        let is_wide = width >= WITH_LONG_ENDS + if has_bus { BUS } else { 0 };
         Self {
-            has_bus: brush.app.buses().len() > 1 && width >= 60,
+            end: if is_wide { END } else { SHORT_END },
+            has_bus,
             has_rate: width >= 86,
             has_median: width >= 72,
             has_max: width >= 96,
@@ -40,7 +50,12 @@ impl CallColumns {
         if self.has_bus {
             title += "BUS    ";
         }
-        let _ = write!(title, "{}→{} SERVICE   ", fit_right("CLIENT", END), fit("SERVER", END));
+        let _ = write!(
+            title,
+            "{}→{} SERVICE   ",
+            fit_right("CLIENT", self.end),
+            fit("SERVER", self.end)
+        );
         title += if since { " +CALLS " } else { "  CALLS " };
         if self.has_rate {
             title += "   /s ";
@@ -132,9 +147,9 @@ fn call_line(
     }
     let service = app.service_name(key.bus, key.service);
     spans.extend([
-        brush.span(Role::Text, fit_right(&client, END)),
+        brush.span(Role::Text, fit_right(&client, columns.end)),
         brush.span(Role::Muted, "→"),
-        brush.span(Role::Text, format!("{} ", fit(&server, END))),
+        brush.span(Role::Text, format!("{} ", fit(&server, columns.end))),
         brush.span(Role::Text, format!("{} ", fit(&service, 9))),
         brush.span(Role::Text, format!("{:>7} ", counts.calls)),
     ]);

@@ -143,6 +143,8 @@ fn identifiers_and_calls_are_counted() {
     stage.keys("S v");
     snapshot!("calls_120x30", stage);
     snapshot!("calls_80x24", stage.size(80, 24));
+    let narrow = stage.size(60, 15).screen();
+    assert!(narrow.contains(" UNANSW FAILED"), "{narrow}");
     // Their frames: each request with its responses.
     stage.size(120, 30).keys("Home j");
     stage.keys("f");
