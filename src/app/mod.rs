@@ -21,9 +21,9 @@
 //! filter    the filter language          page_filters  the filter of each page
 //! ```
 //!
-//! The wiring stands in `mod` (handlers, polls, accessors), `actions`, `events` (from parts to the
-//! timeline), `edits` (commands that change the file or the bus) and `navigate` (commands that
-//! change the view).
+//! The wiring stands in `mod` (handlers, polls, accessors), `shown_state` and `traffic_page` (what is
+//! shown of the present or of a past moment), `actions`, `events` (from parts to the timeline), `edits`
+//! (commands that change the file or the bus) and `navigate` (commands that change the view).
 
 mod actions;
 mod alarm;
@@ -72,6 +72,7 @@ mod problem_page;
 mod problems;
 mod proof;
 mod saved_filters;
+mod shown_state;
 mod signs;
 mod stories;
 mod story_lines;
@@ -79,6 +80,7 @@ mod theme_picker;
 mod time_axis;
 mod time_bar;
 mod timeline_kind;
+mod traffic_page;
 mod typed_time;
 mod varint;
 mod versions;
@@ -163,10 +165,8 @@ use crate::frame::{BusIndex, Frame};
 use crate::keymap::{Action, Key, KeyMode, Keymap};
 use crate::log::FrameSource;
 use crate::status::{BusStatus, Playback, PlaybackCommand, RecordingStatus};
-use crate::text::{Escaped, Name};
+use crate::text::Name;
 use crate::time::{Duration, Epoch, Instant, debug_assert_later};
-use crate::wire::id::{Address, Service};
-use crate::wire::profile::Profile;
 use alarm::Alarms;
 use candidate_counts::CandidateCounts;
 use capture::Traffic;
@@ -180,10 +180,9 @@ use past::Past;
 use places::Place;
 use play::Play;
 use problems::Problems;
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
 /// Contents of des.json that are kept for past moments. Chosen: edits of a long day; each is shared with
 /// the undo steps.
@@ -819,26 +818,6 @@ impl App {
         self.clock.now()
     }
 
-    /// The buses at the moment that is shown.
-    fn shown_buses(&self) -> &Buses {
-        self.past.as_ref().map_or(&self.buses, |past| &past.buses)
-    }
-
-    /// The problems at the moment that is shown.
-    fn shown_problems(&self) -> &Problems {
-        self.past.as_ref().map_or(&self.problems, |past| &past.problems)
-    }
-
-    /// The moment that is shown.
-    fn shown_time(&self) -> Instant {
-        self.past.as_ref().map_or(self.clock.now(), |past| past.moment.time)
-    }
-
-    /// The moment up to which ages are counted: now, or the end of the last log.
-    pub fn display_time(&self) -> Instant {
-        self.shown_buses().display_time(self.shown_time())
-    }
-
     /// Paths of the logs that are read.
     pub(crate) fn logs(&self) -> &[PathBuf] {
         &self.logs
@@ -867,82 +846,6 @@ impl App {
     /// State of the playback; `None` unless all buses are logs.
     pub fn playback(&self) -> Option<Playback> {
         self.clock.playback()
-    }
-
-    /// The buses, in the order of their indices.
-    pub fn buses(&self) -> &[Bus] {
-        self.shown_buses().as_slice()
-    }
-
-    /// The bus with this index; `None` for an unknown index.
-    pub fn bus(&self, index: BusIndex) -> Option<&Bus> {
-        self.shown_buses().get(index)
-    }
-
-    /// The device with this identity; `None` after its removal.
-    pub fn device(&self, id: DeviceId) -> Option<&Device> {
-        self.shown_buses().device(id)
-    }
-
-    /// The device of a row, as far as it is known of the board of a shared address alone; `None` for the
-    /// row of an entry.
-    pub fn device_of<'a>(&'a self, row: &'a Row) -> Option<&'a Device> {
-        row.board_device.as_deref().or_else(|| row.device(self.shown_buses()))
-    }
-
-    /// The devices of a row: several where buses are redundant.
-    pub fn devices_of<'a>(&'a self, row: &'a Row) -> impl Iterator<Item = &'a Device> {
-        row.devices(self.shown_buses())
-    }
-
-    /// The same device on other buses.
-    pub fn redundant_devices(&self, id: DeviceId) -> &[RedundantDevice] {
-        self.shown_buses().redundant_devices(id)
-    }
-
-    /// Returns true if an address conflict is confirmed at the address of a device: its heartbeat
-    /// statistics are those of two devices then.
-    pub fn is_shared(&self, device: &Device) -> bool {
-        self.shown_buses().is_shared(device)
-    }
-
-    /// UIDs in the heartbeats of a device; two where alternating UIDs are confirmed.
-    pub fn uids_of(&self, device: &Device) -> Vec<crate::wire::node::Uid> {
-        self.shown_buses().uids_of(device)
-    }
-
-    /// Profile of a bus; the default one for an unknown index.
-    pub fn profile(&self, bus: BusIndex) -> Arc<Profile> {
-        self.shown_buses().profile(bus)
-    }
-
-    /// Returns true if descan holds this address on this bus.
-    pub fn is_own_address(&self, bus: BusIndex, address: Address) -> bool {
-        self.shown_buses().is_own_address(bus, address)
-    }
-
-    /// The reason why descan has no address on a bus: the `wanted` one is used by another node, or
-    /// with `None` all are used.
-    pub fn no_address_reasons(&self, bus: BusIndex, wanted: Option<Address>) -> Option<String> {
-        self.shown_buses().no_address_reason(bus, wanted)
-    }
-
-    /// Returns true if a bus was searched long enough to report a device as missing.
-    pub fn is_search_complete(&self, bus: BusIndex) -> bool {
-        self.shown_buses().is_search_complete(bus, self.shown_time())
-    }
-
-    /// Why the buses that speak another protocol are taken for such; `None` without any. Of several buses
-    /// they are named.
-    pub fn foreign_reason(&self) -> Option<String> {
-        let buses = self.buses();
-        let reasons = buses.iter().filter_map(|bus| {
-            let reason = bus.traffic().foreign_reason()?;
-            let name = crate::text::printable(bus.name.as_bytes());
-            Some(if buses.len() > 1 { format!("{name}: {reason}") } else { reason })
-        });
-        let reasons: Vec<String> = reasons.collect();
-        (!reasons.is_empty()).then(|| reasons.join("; "))
     }
 
     /// Returns true if the bit rate of a bus is being searched.
@@ -989,16 +892,6 @@ impl App {
         self.shown_problems().matching()
     }
 
-    /// Reasons why no device matches an entry, the likeliest first.
-    pub fn missing_reasons(&self, entry: &Entry) -> Vec<String> {
-        shown_inputs!(self).missing_reasons(entry)
-    }
-
-    /// Reasons why the name or the services of a device are not known.
-    pub fn incomplete_reasons(&self, device: &Device) -> Vec<String> {
-        shown_inputs!(self).incomplete_reasons(device)
-    }
-
     /// All findings: bus by bus, then those of the comparison with the file.
     pub fn findings(&self) -> impl Iterator<Item = &Finding> {
         self.shown_problems().findings(self.shown_buses())
@@ -1010,80 +903,9 @@ impl App {
         problems::compare(inputs, scope)
     }
 
-    /// All problems: confirmed, suspected, cleared, muted; by severity within each.
-    pub fn problems(&self) -> ProblemList<'_> {
-        self.shown_problems().list(self.shown_buses())
-    }
-
-    /// The problems with a finding that `is_wanted` selects.
-    pub fn problems_with(&self, is_wanted: impl Fn(&Finding) -> bool) -> Vec<Problem<'_>> {
-        self.shown_problems().list_with(self.shown_buses(), is_wanted)
-    }
-
-    /// Returns true if `is_wanted` selects a finding.
-    pub fn has_finding(&self, is_wanted: impl Fn(&Finding) -> bool) -> bool {
-        self.shown_problems().findings(self.shown_buses()).any(is_wanted)
-    }
-
-    /// The problems of the view that match the filter.
-    pub fn problems_shown(&self) -> ProblemList<'_> {
-        let mut problems = self.problems();
-        let view = self.view.problems_view;
-        if view != ProblemsView::All {
-            problems.retain(|problem| view.lists(problem));
-        }
-        if let Some(filter) = self.filters.of(Page::Problems).active() {
-            problems.retain(|problem| filter.matches_problem(self.shown_buses(), problem));
-        }
-        problems
-    }
-
-    /// The selected problem.
-    pub fn selected_problem(&self) -> Option<Problem<'_>> {
-        let shown = self.problems_shown();
-        shown.get(self.view.problems.index(shown.keys())?)
-    }
-
-    /// The rows of the Devices page, sorted and filtered.
-    pub fn rows(&self) -> &[Row] {
-        self.devices.rows()
-    }
-
-    /// Number of rows by state, whatever the filter, and of problems.
-    pub fn counts(&self) -> Counts {
-        let is_file_broken = self.editor.file.problem().is_some();
-        Counts { is_file_broken, ..self.devices.counts() }
-    }
-
-    /// The selected row.
-    pub fn selected_row(&self) -> Option<&Row> {
-        self.rows().get(self.selected_row_index()?)
-    }
-
-    /// Place of the selected row.
-    pub fn selected_row_index(&self) -> Option<usize> {
-        self.devices.selected_index(&self.view)
-    }
-
-    /// The device of the selected row.
-    pub fn selected_device(&self) -> Option<&Device> {
-        self.device_of(self.selected_row()?)
-    }
-
-    /// The captured frames.
-    pub fn capture(&self) -> &FrameStore {
-        &self.traffic.capture
-    }
-
     /// The buses, now and in the past.
     pub fn history(&self) -> &RecordedBuses {
         &self.buses
-    }
-
-    /// Statistics of the frames of each identifier.
-    pub fn identifiers(&self) -> &Identifiers {
-        let past = self.past.as_ref().and_then(|past| past.statistics.as_ref());
-        past.map_or(&self.traffic.identifiers, |count| &count.statistics().identifiers)
     }
 
     /// State of the recording; `None` without one.
@@ -1091,141 +913,9 @@ impl App {
         self.traffic.recording()
     }
 
-    /// Numbers of the frames on `height` lines, oldest first, and the selected one.
-    pub fn frames_shown(&self, height: usize) -> (Vec<u64>, Option<u64>) {
-        self.traffic.shown(&self.view, height)
-    }
-
-    /// Number of frames that the filter of the Traffic page hides; `None` without one, and until all
-    /// frames are tested.
-    pub fn hidden_frames(&self) -> Option<u64> {
-        self.traffic.hidden(&self.view, u64::MAX).filter(|_| self.filter_due.is_none())
-    }
-
-    /// The same of the frames until the moment that is shown.
-    pub fn hidden_frames_shown(&self) -> Option<u64> {
-        let until = self.traffic.end(&self.view);
-        self.traffic.hidden(&self.view, until).filter(|_| self.filter_due.is_none())
-    }
-
-    /// Rows of the identifier view that match the filter.
-    pub fn identifiers_shown(&self) -> Vec<&IdentifierStats> {
-        let filter = self.filters.of(Page::Traffic).active();
-        Traffic::identifiers_shown(self.identifiers(), &self.view, filter, self.shown_buses())
-    }
-
-    /// Statistics of calls.
-    pub fn calls(&self) -> &Calls {
-        let past = self.past.as_ref().and_then(|past| past.statistics.as_ref());
-        past.map_or(&self.traffic.calls, |count| &count.statistics().calls)
-    }
-
-    /// Number of frames before the moment that is shown which the statistics lack: they are still
-    /// counted.
-    pub fn uncounted_frames(&self) -> u64 {
-        let past = self.past.as_ref().and_then(|past| past.statistics.as_ref());
-        past.map_or(0, StatisticsCount::left)
-    }
-
-    /// Rows of the view of calls that match the filter.
-    pub fn calls_shown(&self) -> Vec<&CallStats> {
-        let filter = self.filters.of(Page::Traffic).active();
-        self.traffic.calls_shown(self.calls(), &self.view, filter, self.shown_buses())
-    }
-
-    /// What these frames, oldest first, are in calls, by number.
-    pub fn call_parts(&self, shown: &[u64]) -> BTreeMap<u64, CallPart> {
-        let end = self.traffic.end(&self.view);
-        self.traffic.call_parts_of(self.shown_buses(), shown, end)
-    }
-
-    /// Text of the ISO 15765-2 transfer that a captured frame is part of.
-    pub fn transfer_text(&self, number: u64) -> Option<String> {
-        self.traffic.transfer_text(number)
-    }
-
-    /// The transfer that begins with a captured frame, as far as it is shown.
-    pub fn transfer(&self, number: u64) -> Option<Transfer> {
-        self.traffic.transfer(&self.view, number)
-    }
-
-    /// Returns true if the frames of the transfer that begins with a frame have rows of their own.
-    pub fn is_transfer_open(&self, number: u64) -> bool {
-        self.view.open_transfers.contains(&number)
-    }
-
-    /// Heartbeats of an address until the moment that is shown, newest first, as far as they are
-    /// captured.
-    pub fn heartbeats(&self, bus: BusIndex, address: Address) -> CapturedHeartbeats<'_> {
-        let end = self.traffic.end(&self.view);
-        self.traffic.heartbeats(self.shown_buses().profile(bus), bus, address, end)
-    }
-
-    /// Number of a frame in the capture; `None` once it was dropped.
-    pub fn captured(&self, frame: &Frame) -> Option<u64> {
-        self.traffic.number_of(frame)
-    }
-
-    /// The evidence, if only its own frames are shown.
-    pub fn evidence_alone(&self) -> Option<&EvidenceView> {
-        self.view.evidence_alone()
-    }
-
-    /// The piece of the open evidence that a captured frame is.
-    pub fn piece_of(&self, frame: &Frame) -> Option<&EvidenceItem> {
-        let pieces = &self.view.evidence.as_ref()?.pieces;
-        pieces.iter().find(|piece| piece.frame.as_ref() == Some(frame))
-    }
-
-    /// The selected frame on the Traffic page.
-    pub fn selected_frame(&self) -> Option<Frame> {
-        match self.view.evidence_alone() {
-            Some(evidence) => evidence.selected()?.1.frame,
-            None if self.view.call_list().is_some() => {
-                let call = self.selected_call()?;
-                self.traffic.capture.get(call.request)
-            }
-            None if self.view.shows_calls() => {
-                let rows = self.calls_shown();
-                let selected = self.view.calls.index(rows.iter().map(|row| &row.key))?;
-                rows.get(selected).and_then(|row| self.traffic.capture.get(row.last_number))
-            }
-            None if self.view.shows_identifiers() => {
-                let rows = self.identifiers_shown();
-                let selected = self.view.identifiers.index(rows.iter().map(|row| &row.key))?;
-                rows.get(selected).map(|row| row.last)
-            }
-            None => self.traffic.capture.get(self.view.traffic?),
-        }
-    }
-
     /// The timeline.
     pub fn timeline(&self) -> &Timeline {
         self.notices.timeline()
-    }
-
-    /// Prepares a filter for the frames of a log: names are those of a frame's moment, as far as known.
-    pub fn log_matcher(&self, filter: &Filter) -> FrameMatcher {
-        let mut filter = filter.clone();
-        filter.resolve(filter::WallClock { wall_start: self.clock.wall_start(), now: None });
-        filter.for_frames(&self.buses)
-    }
-
-    /// Name of the device that had an address at a moment, else the address.
-    pub fn name_at(&self, bus: BusIndex, address: Address, time: Instant) -> String {
-        self.shown_buses().name_at(bus, address, time)
-    }
-
-    /// Name of a service in the profile of a bus, else its number.
-    pub fn service_name(&self, bus: BusIndex, service: Service) -> String {
-        let profile = self.shown_buses().profile(bus);
-        let name = profile.service_name(service).map(|name| Escaped(name.as_bytes()).to_string());
-        name.unwrap_or_else(|| service.to_string())
-    }
-
-    /// Name of the device that a line is about.
-    pub fn name_on_line<'a>(&'a self, entry: &'a TimelineEntry) -> Option<&'a Name> {
-        entry.device_name(self.shown_buses())
     }
 
     /// The message in the footer.
