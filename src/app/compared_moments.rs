@@ -253,6 +253,13 @@ impl App {
         let is_of = |subject: &DifferenceSubject, line: &super::TimelineEntry| {
             let bus = line.bus.and_then(|bus| self.bus(bus)).map(|bus| &*bus.name);
             let is_here = bus.is_none() || bus == subject.bus.as_deref();
+            // Two devices may share an address; a conflict is one of both.
+            let name = self.name_on_line(line).filter(|_| line.finding.is_none());
+            let is_other =
+                name.zip(subject.name.as_ref()).is_some_and(|(name, own)| name.to_string() != *own);
+            if is_other {
+                return false;
+            }
             match (subject.address, line.address) {
                 (Some(address), Some(at)) => is_here && at.number() == address,
                 (None, None) => bus.is_some() && is_here,
