@@ -124,7 +124,7 @@ pub(super) fn lane_cells(
         *place = if worst == LaneCell::Blank { state.cell() } else { worst };
     }
     put_conflicts(&mut cells[..last], conflicts, &addresses, axis, until);
-    put_events(&mut cells[..last], &shown, record, axis);
+    put_events(&mut cells[..last], &shown, record, axis, until);
     cells
 }
 
@@ -160,6 +160,7 @@ fn put_events(
     shown: &[(usize, LaneCell)],
     record: &LaneRecord,
     axis: &TimeAxis,
+    until: Instant,
 ) {
     for (cell, event) in shown {
         if let LaneCell::Mode(_) = event
@@ -172,7 +173,8 @@ fn put_events(
         LaneChange::Moved(address) => Some((axis.cell(*time), *time, *address)),
         _ => None,
     });
-    let moves: Vec<_> = moves.filter(|(_, time, _)| axis.contains(*time)).collect();
+    let moves: Vec<_> =
+        moves.filter(|(_, time, _)| axis.contains(*time) && *time <= until).collect();
     for (at, (cell, _, address)) in moves.iter().enumerate() {
         let text: Vec<char> = format!("→{address}").chars().collect();
         let Some(places) = cells.get_mut(*cell..) else { continue };
@@ -264,6 +266,8 @@ mod tests {
         assert_eq!(lane(&events, &[], 8.5), "━━━━━→···           ");
         let events = [(0.0, EventKind::FirstFrame), moved(5.0), moved(7.0)];
         assert_eq!(lane(&events, &[], 12.0), "━━━━━→━→40━━━       ");
+        let events = [(0.0, EventKind::FirstFrame), moved(5.5)];
+        assert_eq!(lane(&events, &[], 5.2), "━━━━━━              ", "later in the same cell");
     }
 
     #[test]
