@@ -61,8 +61,9 @@ impl Inputs<'_> {
         }
         let is_current = bus.device_at(device.address).is_some_and(|it| it.id == device.id);
         let is_own = |sender: &AddressSender| {
-            // A board without a row of its own is known only by its heartbeats.
-            let is_rowless = self.buses.device(sender.device).is_none();
+            // A board without a row of its own here is known only by its heartbeats.
+            let row = self.buses.device(sender.device);
+            let is_rowless = row.is_none_or(|row| row.address != device.address);
             sender.device == device.id || is_current && is_rowless
         };
         let all = senders.iter().zip('A'..);

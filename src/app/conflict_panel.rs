@@ -4,7 +4,7 @@
 //! Output: a column of text for each board, and the heartbeats on one time axis. Says where boards
 //! cannot be distinguished. Does not know how it is drawn.
 
-use super::problems::{ConflictSides, Problem, ProblemKey, SideBasis, label_of};
+use super::problems::{ConflictSides, Problem, ProblemKey, SideBasis, and_list, label_of};
 use super::{App, CallPart, CapturedHeartbeat, Row, clock_millis, format_time_of_day};
 use crate::discovery::{Device, DeviceService};
 use crate::document::Entry;
@@ -143,7 +143,7 @@ impl App {
     /// The boards of a conflict and their heartbeats; `None` for any other problem.
     pub fn conflict_sides(&self, problem: &Problem) -> Option<ConflictSides> {
         let (bus, address) = conflict_address(problem)?;
-        let period = self.profile(bus).heartbeat.period();
+        let period = self.period_at(bus, address);
         let until = end_of_conflict(problem, period);
         let mut beats: Vec<CapturedHeartbeat> =
             self.heartbeats_until(bus, address, until).take(MAX_BEATS).collect();
@@ -168,6 +168,19 @@ impl App {
         let sides = sides.map_or_else(Vec::new, |sides| sides.sides);
         let own = sides.into_iter().find(|side| side.uid == Some(board.sender.uid));
         own.map_or_else(Vec::new, |side| side.modes)
+    }
+
+    /// Heartbeat period of an address: measured, else that of the profile.
+    fn period_at(&self, bus: BusIndex, address: Address) -> Duration {
+        let usual = || self.profile(bus).heartbeat.period();
+        self.bus(bus).map_or_else(usual, |bus| bus.heartbeat_period(address))
+    }
+
+    /// The same of the address of a conflict.
+    pub(super) fn period_of(&self, problem: &Problem) -> Duration {
+        let bus = problem.bus().unwrap_or_default();
+        let usual = || self.profile(bus).heartbeat.period();
+        problem.head().key.address.map_or_else(usual, |address| self.period_at(bus, address))
     }
 
     /// Heartbeats of an address at the moment that is shown, until a time, newest first.
@@ -299,7 +312,7 @@ impl App {
         let sides = &panel.sides;
         let side = &sides.sides[at];
         let Some(last) = side.last else { return "no longer in the capture".to_owned() };
-        let usual = self.profile(problem.bus().unwrap_or_default()).heartbeat.period();
+        let usual = self.period_of(problem);
         let now = self.display_time();
         let end = end_of_conflict(problem, usual).map_or(now, |end| end.min(now));
         let left = sides.has_left(at, end, side.period.unwrap_or(usual));
@@ -361,7 +374,7 @@ impl App {
             1 => ", away once".to_owned(),
             more => format!(", away {more}×"),
         };
-        let usual = self.profile(problem.bus().unwrap_or_default()).heartbeat.period();
+        let usual = self.period_of(problem);
         let until = end_of_conflict(problem, usual).filter(|until| *until < self.display_time());
         let until =
             until.map_or(String::new(), |at| format!(" to {}", format_time_of_day(self, at)));
@@ -477,8 +490,8 @@ impl App {
         let is_listed = |board: &&SeenUid| Some(board.uid) == listed;
         let owner = boards.iter().find(is_listed).or(boards.first());
         let is_other = |board: &&SeenUid| Some(board.uid) != owner.map(|it| it.uid);
-        let other = boards.iter().rev().find(is_other);
-        let (Some(owner), Some(other)) = (owner, other) else {
+        let others: Vec<&SeenUid> = boards.iter().filter(is_other).collect();
+        let (Some(owner), [.., other]) = (owner, &others[..]) else {
             return problem.head().remedy.clone();
         };
         let is_decided = Some(owner.uid) == listed || other.first > owner.first;
@@ -500,6 +513,14 @@ impl App {
             }
         };
         let key = self.key_of(Action::EditAddress);
+        if others.len() > 1 {
+            let why =
+                if Some(owner.uid) == listed { why } else { format!("{} was first", label(owner)) };
+            let all = and_list(others.iter().map(|board| label(board)).collect());
+            return format!(
+                "Unplug {all} ({why}); a write to {address} would reach all. Then pin them: {key}"
+            );
+        }
         let other = label(other);
         format!("Unplug {other} ({why}); a write to {address} would reach both. Then pin it: {key}")
     }
@@ -534,7 +555,7 @@ impl App {
         let ruler = self.ruler(first, cell, cells, until);
         let mut axis = BeatsOnAxis { ruler, beats: vec![None; cells], answers: vec![None; cells] };
         let end = start_time + length;
-        let period = self.profile(bus).heartbeat.period();
+        let period = self.period_at(bus, address);
         let walk = self.heartbeats_until(bus, address, Some(end)).take(MAX_AXIS_BEATS);
         let mut beats: Vec<CapturedHeartbeat> =
             walk.take_while(|beat| beat.time + period * 10 > start_time).collect();

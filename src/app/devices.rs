@@ -378,7 +378,9 @@ fn place(row: &Row) -> impl Ord {
 /// Returns true if a finding of its bus concerns this device.
 pub fn concerns(finding: &Finding, device: &Device) -> bool {
     let named = |name: &Name| finding.names.is_empty() || finding.names.contains(name);
+    // A board of a conflict may have a row with another name.
+    let has_uid = device.uid.is_some_and(|uid| finding.uids.iter().any(|seen| seen.uid == uid));
     finding.key.bus == Some(device.id.bus)
         && finding.addresses.contains(&device.address)
-        && device.name.as_ref().is_none_or(named)
+        && (has_uid || device.name.as_ref().is_none_or(named))
 }

@@ -17,8 +17,9 @@ const MAX_LAG: Duration = Duration::from_millis(250);
 const ASK_AGAIN: Duration = Duration::from_millis(100);
 /// How far the date of a file that grows again may be ahead of other files that grow.
 const MAX_AHEAD: Duration = Duration::from_mins(1);
-/// How long a fast clock waits for the writer of a pipe: longer than another program takes its turn.
-const WRITER_GRACE: Duration = Duration::from_secs(1);
+/// How long a fast clock waits for the writer of a pipe while there are other logs: longer than another
+/// program pauses.
+const WRITER_GRACE: Duration = Duration::from_secs(10);
 
 /// The clock of a session, counting from its start; clones share it. The clock of a session of logs
 /// can be paused, stepped from frame to frame, and run faster and slower.
@@ -76,7 +77,8 @@ enum PipeAwaits {
     Frame,
     /// Its writer, which was quick until this time.
     Writer(Monotonic),
-    /// Its writer, which has written nothing yet, or nothing for a while: the clock goes on without it.
+    /// Its writer, which has written nothing yet, or nothing for a while beside other logs: the clock goes
+    /// on without it.
     SlowWriter,
 }
 
@@ -394,7 +396,14 @@ impl PlaybackPace {
     fn writer_grace(&self, before: Instant) -> Option<Duration> {
         let waits = self.logs.values().filter_map(|place| match place {
             LogPlace::Live { at, awaits: awaits @ PipeAwaits::Writer(since) } => {
-                let left = WRITER_GRACE.saturating_sub(since.elapsed());
+                // Without other logs there is nothing to go on with.
+                let is_alone =
+                    self.logs.values().filter(|it| !matches!(it, LogPlace::Ended)).count() == 1;
+                let left = if is_alone {
+                    Duration::MAX
+                } else {
+                    WRITER_GRACE.saturating_sub(since.elapsed())
+                };
                 Some(left).filter(|_| *at < before && self.waits_for_pipe(*awaits))
             }
             _ => None,
@@ -595,10 +604,13 @@ mod tests {
     }
 
     #[test]
-    fn fast_clock_goes_on_without_a_slow_writer() {
-        let clock = Clock::replaying(Epoch::default(), 1000.0);
-        let (pipe, at) = (BusIndex(0), |seconds| Instant::ZERO + Duration::from_secs(seconds));
+    fn fast_clock_goes_on_without_a_slow_writer_beside_another_log() {
+        let clock = Clock::of_logs(Epoch::default(), 1000.0, vec![None, None]);
+        let (pipe, other) = (BusIndex(0), BusIndex(1));
+        let at = |seconds| Instant::ZERO + Duration::from_secs(seconds);
         clock.log_opens(pipe, true);
+        clock.log_opens(other, false);
+        clock.log_waits(other, at(1_000_000));
         clock.log_waits(pipe, at(2));
         clock.log_awaits_writer(pipe, at(2));
         clock.elapse(WRITER_GRACE / 2);
@@ -609,6 +621,14 @@ mod tests {
         clock.elapse(Duration::from_secs(1));
         assert!(clock.now() > at(1000));
         assert_eq!(clock.next_of(pipe), None);
+        // Alone it waits for as long as that takes.
+        clock.log_waits(pipe, at(500_000));
+        clock.elapse(Duration::from_secs(1000));
+        clock.log_ends(other);
+        let now = clock.now();
+        clock.log_awaits_writer(pipe, now);
+        clock.elapse(WRITER_GRACE * 10);
+        assert_eq!((clock.now(), clock.until(at(3_000_000))), (now, Duration::MAX));
     }
 
     #[test]

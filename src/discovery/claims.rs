@@ -355,6 +355,18 @@ impl AddressClaims {
         (self.uid_of(device) == Some(uid)).then_some(device)
     }
 
+    /// Returns the last heartbeat from `address` of the node of a row.
+    pub fn last_of_row(&self, row: DeviceId, address: Address) -> Option<Instant> {
+        let node = self.nodes.iter().find(|node| node.device == row && node.address == address)?;
+        Some(node.last)
+    }
+
+    /// Returns the last heartbeat with this UID from `address`.
+    pub fn last_of(&self, uid: Uid, address: Address) -> Option<Instant> {
+        let node = self.nodes.iter().find(|node| node.uid == uid && node.address == address)?;
+        Some(node.last)
+    }
+
     /// Returns the last mode of the node with this UID.
     pub fn mode_of(&self, uid: Uid) -> Option<Mode> {
         self.nodes.iter().find(|node| node.uid == uid)?.mode

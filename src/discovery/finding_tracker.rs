@@ -282,6 +282,16 @@ impl FindingTracker {
         self.confirmed_conflicts[address.index()] > 0
     }
 
+    /// Returns the kind of a confirmed conflict of two devices at `address`.
+    fn confirmed_conflict(&self, address: Address) -> Option<FindingKind> {
+        let is_it = |finding: &&Finding| {
+            finding.key.address == Some(address)
+                && finding.state == FindingState::Confirmed
+                && is_address_conflict(&finding.key)
+        };
+        self.findings.iter().find(is_it).map(|finding| finding.key.kind)
+    }
+
     /// Returns true if several devices seem to use `address`.
     pub fn is_shared(&self, address: Address) -> bool {
         self.findings.iter().any(|finding| {
@@ -545,6 +555,11 @@ impl FindingTracker {
 
     fn find(&self, kind: FindingKind, address: Address) -> Option<usize> {
         self.findings.iter().position(|f| f.key.kind == kind && f.key.address == Some(address))
+    }
+
+    /// Returns when a finding was cleared; `None` if it is open, or never was.
+    pub fn cleared_at(&self, kind: FindingKind, address: Address) -> Option<Instant> {
+        self.findings[self.find(kind, address)?].cleared_at()
     }
 
     /// Returns true if the finding is suspected or confirmed.
@@ -834,9 +849,16 @@ impl FindingTracker {
             let then = finding.first - period * CLAIM_PERIODS;
             self.contests[address.index()].is_real(then, shared, period)
         };
+        // Beside a confirmed conflict nobody gave way.
+        let is_alone = |address: Address| !self.has_confirmed_conflict(address);
         let was_contested = finding.state == FindingState::Suspected
+            && finding.key.address.is_some_and(is_alone)
             && finding.key.kind != FindingKind::OneUidTwoAddresses
             && finding.key.address.is_some_and(is_contested);
+        let confirmed = finding.key.address.and_then(|address| self.confirmed_conflict(address));
+        if finding.state == FindingState::Suspected {
+            self.findings[at].superseded_by = confirmed;
+        }
         self.set(now, at, FindingState::Cleared);
         let (kind, address) = (self.findings[at].key.kind, self.findings[at].key.address);
         let (true, true, Some(address)) = (was_contested, kind.is_conflict(), address) else {

@@ -6,6 +6,7 @@ use super::device_tracker::DeviceTracker;
 use super::{Device, DeviceId, EventKind, Presence};
 use crate::text::Name;
 use crate::time::Instant;
+use crate::wire::id::Address;
 use crate::wire::node::Uid;
 
 impl DeviceTracker {
@@ -20,6 +21,13 @@ impl DeviceTracker {
         }
         let mut live = current.clone();
         let (address, working) = (live.address, live.is_working);
+        let period = self.period_of(address);
+        let is_alone = |uid: &Uid| {
+            let is_heard =
+                self.claims.last_of(*uid, address).is_some_and(|last| now.since(last) < period * 2);
+            is_heard && !self.claims.is_shared(now, address, period, *uid)
+        };
+        let alone = live.uid.filter(|uid| !uid.is_blank()).filter(is_alone);
         let known = self.find_row(|it| it.address == address && it.name.as_ref() == Some(name));
         self.replace_row(row);
         // A UID seen here before the last response with the old name belongs to the old board.
@@ -46,11 +54,42 @@ impl DeviceTracker {
                 self.claims.assign_row(uid, named, || self.device_table.reserve());
             }
             self.emit(named, EventKind::FirstFrame);
-        } else if device.presence == Presence::Lost {
-            device.services_query.restart(now);
+        } else {
+            if device.presence == Presence::Lost {
+                device.services_query.restart(now);
+            }
+            // The only sender of heartbeats has this name.
+            if let Some(uid) = alone {
+                self.claims.assign_row(uid, named, || self.device_table.reserve());
+            }
         }
         self.find_move_of_replaced(row);
         named
+    }
+
+    /// Makes the row of a UID the current one at its address again: it was replaced by that of another
+    /// device, which sends no heartbeats any more.
+    pub(super) fn restore_row(&mut self, address: Address, uid: Option<Uid>) {
+        let Some(uid) = uid.filter(|uid| !uid.is_blank()) else { return };
+        let Some(current) = self.device_table.current_row(address) else { return };
+        let Some(own) = self.claims.row_of(uid).filter(|own| *own != current) else { return };
+        let is_here = self.device_table.get(own).is_some_and(|it| it.address == address);
+        let is_of_another = self.claims.uid_of(current).is_some_and(|other| other != uid);
+        let is_shared = || self.claims.is_shared(self.now, address, self.period_of(address), uid);
+        if !is_here || !is_of_another || is_shared() {
+            return;
+        }
+        let Some(mut live) = self.device_table.get(current).cloned() else { return };
+        self.replace_row(current);
+        self.device_table.make_current(own);
+        live.uid = Some(uid);
+        live.mode = self.claims.mode_of(uid).or(live.mode);
+        let Some(device) = self.device_table.get_mut(own) else { return };
+        device.copy_state_from(&live);
+        device.replaced_at = None;
+        // Which of the names is that of the UID may have been a guess.
+        device.name_query.restart(self.now);
+        self.wake_at(self.now);
     }
 
     /// Merges a row without a name into an earlier one of this name at its address, unless their UIDs

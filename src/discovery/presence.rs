@@ -240,7 +240,7 @@ impl DeviceTracker {
     }
 
     /// Returns the presence of a row that was replaced at its address: present while it still
-    /// responds.
+    /// responds, or sends heartbeats with its own UID.
     fn replaced_row_presence(&self, device: &Device) -> Presence {
         match (self.replaced_row_leaves(device), device.mode) {
             (Some(leaves), Some(Mode::Idle)) if leaves <= self.now => Presence::Asleep,
@@ -258,7 +258,8 @@ impl DeviceTracker {
             if self.conflicts.finding_tracker().is_open_at(device.address) { 8 } else { 4 };
         let responded = device.name_query.responded_at.max(device.replaced_at);
         let responded = responded.unwrap_or(device.last_seen);
-        Some(responded + self.period_of(device.address) * periods)
+        let heard = self.claims.last_of_row(device.id, device.address).max(Some(responded))?;
+        Some(heard + self.period_of(device.address) * periods)
     }
 
     /// Returns when the presence of a row changes if no frame is received.

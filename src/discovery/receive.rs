@@ -121,6 +121,9 @@ impl Engine {
             return;
         }
         self.handle_own_address_used(now, header.source, frame);
+        if let PlatformContent::Heartbeat(heartbeat) = content {
+            self.tracker.restore_row(header.source, heartbeat.uid);
+        }
         let Some(row) = self.tracker.device_for_source(observation, header) else {
             self.tracker.counters.over_limit += 1;
             return;

@@ -410,6 +410,63 @@ fn unsolicited_names_are_evaluated() {
     check(cases);
 }
 
+/// Two boards at 14 with names of their own, the second one from 10.4 s until `left`, each asked once.
+fn two_named_boards(seconds: f64, left: f64) -> Log {
+    let mut log =
+        Log::default().lives(14, 0.1, seconds, FEED).lives(14, 10.4, left.min(seconds), PUMP);
+    for (at, name) in [(0.7, "AAA"), (10.6, "BBB")] {
+        log.asks(at, 0, "0444455301");
+        log.answers(at + 0.002, 14, 0, &isotp(name));
+    }
+    log
+}
+
+#[test]
+fn named_board_is_there_while_it_sends_heartbeats() {
+    let folder = tempfile::tempdir().unwrap();
+    let log = two_named_boards(40.0, 99.0).text();
+    let events = run(folder.path(), &["watch"], &log);
+    let lost: Vec<_> = events.iter().filter(|value| value["event"] == "lost").collect();
+    assert!(lost.is_empty(), "{lost:#?}");
+    let told: Vec<Told> = watched(folder.path(), &log);
+    assert!(told.iter().all(|told| told.0 != "address-contested"), "{told:?}");
+    // The names are an observation of the conflict that stays.
+    let states: Vec<_> = told.iter().map(|(kind, state, _)| (&kind[..], &state[..])).collect();
+    assert!(states.contains(&("one-address-two-identities", "confirmed")), "{states:?}");
+    assert!(!states.contains(&("one-address-two-identities", "cleared")), "{states:?}");
+}
+
+#[test]
+fn board_that_stays_keeps_its_name_and_uid() {
+    let folder = tempfile::tempdir().unwrap();
+    let values = run(folder.path(), &["scan"], &two_named_boards(60.0, 20.0).text());
+    let devices = values[0]["devices"].as_array().unwrap();
+    let text = |device: &Value, key: &str| device[key].as_str().unwrap_or("–").to_owned();
+    let here = devices.iter().filter(|device| device["address"] == 14);
+    let mut here: Vec<_> =
+        here.map(|device| ["name", "presence", "uid"].map(|key| text(device, key))).collect();
+    here.sort();
+    assert_eq!(here.len(), 2, "{devices:#?}");
+    assert_eq!(
+        (&*here[0][0], &*here[0][1], &*here[1][0], &*here[1][1]),
+        ("AAA", "online", "BBB", "lost")
+    );
+    assert_ne!(here[0][2], here[1][2]);
+}
+
+#[test]
+fn name_after_a_conflict_is_no_evidence_of_the_one_before() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut log = two_named_boards(60.0, 20.0);
+    log.asks(45.0, 0, "0444455301");
+    log.answers(45.002, 14, 0, &isotp("AAA"));
+    let values = run(folder.path(), &["watch"], &log.text());
+    let findings = values.iter().filter(|value| value["event"] == "finding");
+    let late = findings.filter(|value| value["time"].as_f64().unwrap() > 1_436_509_052.0 + 40.0);
+    let late: Vec<_> = late.collect();
+    assert!(late.is_empty(), "{late:#?}");
+}
+
 #[test]
 fn uid_conflict_and_debug_conflict_are_found() {
     let mut cases: Vec<Case> = Vec::new();

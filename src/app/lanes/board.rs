@@ -124,7 +124,7 @@ impl App {
         side: usize,
         uid: Uid,
     ) -> LaneBoard {
-        let period = self.profile(problem.bus().unwrap_or_default()).heartbeat.period();
+        let period = self.period_of(problem);
         let at = sides.sides.iter().position(|side| side.uid == Some(uid));
         let mut visits: Vec<(Instant, Instant)> = Vec::new();
         for (beat, _) in sides.beats().filter(|(_, side)| side.is_some() && *side == at) {

@@ -353,8 +353,7 @@ impl App {
 
     /// Time between the first heartbeats of two boards up to which both are there since the start.
     fn together(&self, problem: &Problem) -> Duration {
-        let profile = self.profile(problem.bus().unwrap_or_default());
-        profile.heartbeat.period().mul_f64(TOGETHER_PERIODS)
+        self.period_of(problem).mul_f64(TOGETHER_PERIODS)
     }
 
     /// The device at the address of a problem.
@@ -432,7 +431,7 @@ pub(in crate::app) fn label_of(uid: String) -> String {
 }
 
 /// `A`, `A and B`, `A, B and C`, `A, B, C and 2 more`.
-fn and_list(mut parts: Vec<String>) -> String {
+pub(in crate::app) fn and_list(mut parts: Vec<String>) -> String {
     let more = parts.len().saturating_sub(LISTED);
     if more > 0 {
         parts.truncate(LISTED);

@@ -14,6 +14,7 @@ mod sides;
 
 pub use comparison::Scope;
 pub use group::{EvidenceItem, Problem, ProblemKey, is_about};
+pub(super) use headline::and_list;
 pub(super) use headline::label_of;
 pub use headline::{ProblemHeadline, growing_length_text, length_text};
 pub use list::ProblemList;

@@ -211,7 +211,9 @@ impl Replay {
                 if !self.flush()? {
                     break None;
                 }
-                self.clock.log_awaits_writer(self.bus, self.last);
+                if !self.awaits_start {
+                    self.clock.log_awaits_writer(self.bus, self.last);
+                }
             }
             match self.reader.step()? {
                 DecodeStep::Frame(frame) => break Some(frame),

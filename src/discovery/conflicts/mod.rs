@@ -314,6 +314,11 @@ impl ConflictDetector {
         let before_frame = history.name_frame.replace(*frame);
         let Some(before) = before.filter(|before| before != name) else { return };
         let kind = FindingKind::OneAddressTwoNames;
+        // One of two devices left: the name of the other one is what is expected.
+        let cleared_at = self.finding_tracker.cleared_at(kind, address);
+        if returned.is_none() && cleared_at > before_at {
+            return;
+        }
         let (strength, since) = match returned {
             Some(_) if !is_swapped => (EvidenceStrength::Strong, Some(since)),
             _ => (EvidenceStrength::Weak, None),

@@ -5,7 +5,7 @@ use crate::common::harness::{Stage, text_of};
 use descan::app::{Effect, Page, ProblemKey};
 use descan::discovery::Config;
 use descan::frame::{BusIndex, CanId, Frame};
-use descan::sim::{DeviceAction, DeviceSpec, Fault, Scenario};
+use descan::sim::{AddressChoice, DeviceAction, DeviceSpec, Fault, Scenario};
 use descan::time::{Duration, Instant};
 use descan::wire::id::Address;
 use descan::wire::node::Uid;
@@ -133,6 +133,21 @@ fn three_boards_have_three_columns_in_the_order_of_joining() {
     assert!(screen.contains("THREE joined, conflicts with ONE and TWO (since 12:00:"), "{screen}");
     assert!(row(&stage, "joined").contains("third"), "{screen}");
     compare_with_past(&scenario, 30.0, 21.0);
+}
+
+#[test]
+fn board_from_another_address_has_a_row_in_the_conflict() {
+    let boards = [board("ACT", "one", uid("ONE"), 0.0), board("ACT", "two", uid("TWO"), 0.5)];
+    let mut scenario = scenario(&boards);
+    let moves = |address| DeviceAction::Move(AddressChoice::Fixed(Address::new(address).unwrap()));
+    scenario = scenario.at(Duration::from_secs(1), "two", moves(20));
+    scenario = scenario.at(Duration::from_secs(20), "two", moves(14));
+    let stage = shown(&scenario, 40.0);
+    let side = |row: &descan::app::Row| row.board.map(|board| (board.side, board.sender.uid));
+    let here = stage.app.rows().iter().filter(|row| row.address == Address::new(14));
+    let mut sides: Vec<_> = here.filter_map(side).collect();
+    sides.sort_unstable_by_key(|(side, _)| *side);
+    assert_eq!(sides, [('A', uid("ONE")), ('B', uid("TWO"))], "{}", stage.screen());
 }
 
 #[test]
