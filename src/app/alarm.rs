@@ -4,13 +4,12 @@
 //! conflict that is confirmed now while a past moment is shown, the title of the terminal. Computed
 //! when the problems change. Does not know how it is drawn.
 
+use super::App;
 use super::problems::{Problem, ProblemKey, ProblemList};
 use super::view::Page;
-use super::{App, format_time_of_day};
-use crate::finding::{Finding, FindingKind, FindingState, SeenUid};
+use crate::finding::{Finding, FindingState};
 use crate::keymap::Action;
-use crate::text::{Escaped, Name, join_first};
-use crate::time::Instant;
+use crate::text::{Escaped, join_first};
 use std::collections::BTreeSet;
 
 /// UIDs or names in a text; the others are counted.
@@ -147,15 +146,8 @@ impl App {
         let wanted: Vec<Problem> =
             conflicts(problems).filter(|problem| is_wanted(&problem.key)).collect();
         let newest = wanted.iter().max_by_key(|problem| problem.since())?;
-        let finding = conflict_of(newest)?;
-        let place = match newest.bus().filter(|_| self.buses.len() > 1) {
-            Some(bus) => self.bus(bus).map_or(String::new(), |bus| {
-                format!(" on {}", Escaped(bus.name_without_rates().as_bytes()))
-            }),
-            None => String::new(),
-        };
-        let at = |time| format_time_of_day(self, time);
-        let (text, short) = words(finding, &place, at);
+        let headline = self.headline(newest);
+        let (text, short) = (headline.full, headline.label);
         let is_seen = self.alarms.seen.contains(&newest.key);
         let (problem, others) = (newest.key.clone(), wanted.len() - 1);
         Some(Alarm { problem, text, short, others, is_seen })
@@ -164,72 +156,9 @@ impl App {
 
 /// The confirmed conflicts of a list that are not muted.
 fn conflicts<'a>(problems: &'a ProblemList<'_>) -> impl Iterator<Item = Problem<'a>> {
-    problems.iter().filter(|problem| !problem.is_muted && conflict_of(problem).is_some())
-}
-
-/// The finding of a problem that says most about its confirmed conflict.
-fn conflict_of<'a>(problem: &Problem<'a>) -> Option<&'a Finding> {
-    let is_conflict =
-        |it: &&&Finding| it.state == FindingState::Confirmed && it.key.kind.is_conflict();
-    let known = |it: &&&Finding| (it.uids.len().min(2), it.names.len().min(2));
-    // Of equal ones the first, which is the most severe.
-    problem.findings.iter().rev().filter(is_conflict).max_by_key(known).copied()
-}
-
-/// A conflict as a sentence and in short.
-fn words(
-    finding: &Finding,
-    place: &str,
-    time_of_day: impl Fn(Instant) -> String,
-) -> (String, String) {
-    let list = |separator: &str| {
-        let all = finding.addresses.iter().map(ToString::to_string);
-        join_first(all.collect(), SHOWN_DEVICES, separator)
-    };
-    let mut uids: Vec<&SeenUid> = finding.uids.iter().collect();
-    uids.sort_by_key(|uid| uid.since);
-    let labels = |uids: &[&SeenUid]| uids.iter().map(|uid| uid.label()).collect::<Vec<_>>();
-    let names: Vec<String> =
-        finding.names.iter().map(Name::quoted).map(|it| it.to_string()).collect();
-    let since = time_of_day(finding.first);
-    let address = finding.key.address.map_or_else(|| list("/"), |it| it.to_string());
-    match (finding.key.kind, &uids[..]) {
-        (FindingKind::OneUidTwoAddresses, [uid, ..]) => {
-            let text = format!("UID {} at addresses {}{place}", uid.label(), list(" and "));
-            (format!("{text} since {since}"), format!("{}: {}", list("/"), uid.label()))
-        }
-        (kind, [before @ .., newest]) if !before.is_empty() => {
-            let joined = if newest.has_returned() { "returned" } else { "joined" };
-            let at = time_of_day(newest.since);
-            let first = time_of_day(before[0].since);
-            let others = join_first(labels(before), SHOWN_DEVICES, " and ");
-            let newest = newest.label();
-            let start = match kind {
-                FindingKind::TwoDebugDevices => format!("Debug devices at {address}"),
-                _ => format!("Address {address}"),
-            };
-            let text = format!(
-                "{start}{place}: {newest} {joined} {at}, conflicts with {others} (since {first})"
-            );
-            let before = join_first(labels(before), SHOWN_DEVICES, " / ");
-            (text, format!("{address}: {newest} / {before}"))
-        }
-        _ if names.len() > 1 => {
-            let text = join_first(names.clone(), SHOWN_DEVICES, " and ");
-            let short = join_first(names, SHOWN_DEVICES, " / ");
-            (
-                format!("Address {address}{place}: {text} conflict since {since} (UIDs unknown)"),
-                format!("{address}: {short}"),
-            )
-        }
-        _ => {
-            let name = names.first().map_or_else(|| "one name".to_owned(), Clone::clone);
-            (
-                format!(
-                    "Address {address}{place}: a second {name} detected {since} (UIDs unknown)"
-                ),
-                format!("{address}: two of {name}"),
-            )
-        }
-    }
+    let is_confirmed =
+        |it: &&Finding| it.state == FindingState::Confirmed && it.key.kind.is_conflict();
+    problems
+        .iter()
+        .filter(move |problem| !problem.is_muted && problem.findings.iter().any(is_confirmed))
 }

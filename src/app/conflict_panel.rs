@@ -237,17 +237,26 @@ impl App {
             .iter()
             .filter_map(|device| Some(device.name.as_ref()?.quoted().to_string()))
             .collect();
+        let has_several = names.len() > 1;
         let names = match &names[..] {
             [] => String::new(),
             names => format!(" · {}", names.join(" or ")),
+        };
+        // While both send heartbeats, each may have a row of its own.
+        let here = |side: &super::ConflictSide| {
+            let (bus, address) = (self.bus(bus)?, devices.first()?.address);
+            let senders = bus.senders_at(address);
+            let sender = senders.iter().find(|sender| Some(sender.uid) == side.uid)?;
+            devices.iter().copied().find(|device| device.id == sender.device)
         };
         let profile = self.profile(bus);
         let sides = panel.sides.sides.iter().enumerate().skip(panel.first);
         let away = self.sides_away(bus, panel, devices);
         let title = |(at, side): (usize, &super::ConflictSide)| {
             let moved = away.get(at - panel.first).copied().flatten();
-            let moved = moved.and_then(|device| device.name.as_ref());
-            let names = moved.map_or(names.clone(), |name| format!(" · {}", name.quoted()));
+            let own = moved.or_else(|| here(side).filter(|_| has_several));
+            let name = own.and_then(|device| device.name.as_ref());
+            let names = name.map_or(names.clone(), |name| format!(" · {}", name.quoted()));
             let uid = side.uid.map_or("no UID".to_owned(), |uid| {
                 label_of(super::capture::decoded::uid_text(&profile, uid))
             });

@@ -35,12 +35,14 @@ impl App {
         let Some(device) = self.device_of(row) else { return Vec::new() };
         let Some(bus) = self.bus(device.id.bus) else { return Vec::new() };
         let current = bus.device_at(device.address).map(|it| it.id);
-        // Heartbeats at the address after another device took it are not of this one.
-        let last = device.heartbeat.last.filter(|_| current != Some(device.id));
-        if current != Some(device.id) && last.is_none() {
+        let board = row.board.map(|board| board.sender);
+        // Heartbeats at the address after another device took it are not of this one, except those with
+        // the UID of its board.
+        let is_replaced = current != Some(device.id) && board.is_none();
+        let last = device.heartbeat.last.filter(|_| is_replaced);
+        if is_replaced && last.is_none() {
             return Vec::new();
         }
-        let board = row.board.map(|board| board.sender);
         let moved = device.uid.filter(|uid| device.moved_from.is_some() && !uid.is_blank());
         let uid = board.map(|board| board.uid).or(moved);
         let is_own = |beat: &CapturedHeartbeat| {

@@ -26,7 +26,8 @@ pub fn draw(brush: &mut DrawContext) {
     let behind: usize = counts.iter().map(Span::width).sum();
     let width = usize::from(area.width);
     let room = width.saturating_sub(3 + others.width() + behind + usize::from(behind > 0));
-    let without_since = alarm.text.rsplit_once(" (since").map_or(&*alarm.text, |(text, _)| text);
+    let end = [" (since", " (detected"].into_iter().find_map(|word| alarm.text.rfind(word));
+    let without_since = &alarm.text[..end.unwrap_or(alarm.text.len())];
     let texts = [&*alarm.text, without_since, &alarm.short];
     let text = texts.into_iter().find(|text| text.width() <= room).unwrap_or(&alarm.short);
     let text = if text.width() > room { fit(text, room) } else { text.to_owned() };

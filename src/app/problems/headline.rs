@@ -98,6 +98,9 @@ impl App {
                 long,
                 full: format!("Address {address}{on}: {full}"),
             },
+            ProblemKey::Finding(_) if problem.head().key.kind.is_conflict() => {
+                ProblemHeadline { label, short, long, full: format!("{full}{on}") }
+            }
             ProblemKey::Finding(_) => ProblemHeadline { label, short, long, full },
         }
     }
