@@ -546,7 +546,7 @@ impl App {
         let (bus, address) = conflict_address(problem)?;
         let cell = u64::from(self.view.conflict_axis.cell_millis()) * 1000;
         let epoch = self.epoch();
-        let middle = epoch.unix_micros(problem.began()) / cell;
+        let middle = epoch.unix_micros(problem.newest_joined()) / cell;
         let shift = self.view.conflict_axis.shift(&problem.key);
         let first = middle.saturating_sub(cells as u64 * 9 / 20).saturating_add_signed(shift);
         let start = i128::from(first * cell) - i128::from(epoch.unix_micros(Instant::ZERO));

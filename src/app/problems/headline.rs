@@ -67,17 +67,28 @@ impl Problem<'_> {
             })
     }
 
-    /// Time since when the problem is there: of a conflict, when the last of its boards joined or came
+    /// Time since when the problem is there: of a conflict, when the second of its boards joined or came
     /// back.
     pub fn began(&self) -> Instant {
-        let boards = self.boards();
-        let last = boards.iter().map(|board| board.since).max();
-        last.filter(|_| boards.len() > 1 && self.is_address_conflict()).unwrap_or(self.first())
+        self.joined().get(1).copied().unwrap_or(self.first())
+    }
+
+    /// Time when the last of the boards of a conflict joined or came back; else when it began.
+    pub fn newest_joined(&self) -> Instant {
+        self.joined().get(1..).and_then(<[Instant]>::last).copied().unwrap_or(self.first())
+    }
+
+    /// When each of the boards of a conflict joined or came back, the first time first.
+    fn joined(&self) -> Vec<Instant> {
+        let boards = if self.is_address_conflict() { self.boards() } else { Vec::new() };
+        let mut joined: Vec<Instant> = boards.iter().map(|board| board.since).collect();
+        joined.sort_unstable();
+        joined
     }
 
     /// Time of its end; `None` while it is open.
     pub fn ended(&self) -> Option<Instant> {
-        (self.state() == FindingState::Cleared).then(|| self.last().max(self.began()))
+        (self.state() == FindingState::Cleared).then(|| self.last().max(self.newest_joined()))
     }
 }
 
