@@ -54,7 +54,8 @@ impl Inputs<'_> {
             return vec![row];
         }
         if row.state != RowState::Conflict {
-            // Mode and times are those of the board that the row is of, whoever sent the last heartbeat.
+            // Mode and times are those of the board of this row; another one may have sent the last
+            // heartbeat.
             let owner = senders.iter().find(|sender| sender.device == device.id);
             row.uid = owner.map(|owner| owner.uid).or(row.uid);
             return vec![row];

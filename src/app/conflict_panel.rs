@@ -503,35 +503,33 @@ impl App {
         let (Some(owner), [.., other]) = (owner, &others[..]) else {
             return problem.head().remedy.clone();
         };
-        let is_decided = Some(owner.uid) == listed || other.first > owner.first;
-        if !is_decided || address == Address::DEBUG {
+        let is_in_file = Some(owner.uid) == listed;
+        if !is_in_file && other.first <= owner.first || address == Address::DEBUG {
             return problem.head().remedy.clone();
         }
         let label = |board: &SeenUid| label_of(board.label());
-        let why = if Some(owner.uid) == listed {
-            format!("{} is in {}", label(owner), self.file().name())
+        let owner_label = label(owner);
+        let why = if is_in_file {
+            format!("{owner_label} is in {}", self.file().name())
+        } else if others.len() > 1 {
+            format!("{owner_label} was first")
         } else {
             let sides = &panel.sides.sides;
             let side = sides.iter().position(|side| side.uid == Some(other.uid));
             let place = ordinal(side.unwrap_or(sides.len().max(boards.len()) - 1));
-            let since = format_time_of_day(self, owner.first);
             if owner.has_returned() {
-                format!("{place}: {} was there from {since} on", label(owner))
+                let since = format_time_of_day(self, owner.first);
+                format!("{place}: {owner_label} was there from {since} on")
             } else {
                 place
             }
         };
         let key = self.key_of(Action::EditAddress);
-        if others.len() > 1 {
-            let why =
-                if Some(owner.uid) == listed { why } else { format!("{} was first", label(owner)) };
-            let all = and_list(others.iter().map(|board| label(board)).collect());
-            return format!(
-                "Unplug {all} ({why}); a write to {address} would reach all. Then pin them: {key}"
-            );
-        }
-        let other = label(other);
-        format!("Unplug {other} ({why}); a write to {address} would reach both. Then pin it: {key}")
+        let (all, them) = if others.len() > 1 { ("all", "them") } else { ("both", "it") };
+        let others = and_list(others.into_iter().map(label).collect());
+        format!(
+            "Unplug {others} ({why}); a write to {address} would reach {all}. Then pin {them}: {key}"
+        )
     }
 
     // ---- the axis --------------------------------------------------------------------------

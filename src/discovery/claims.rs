@@ -361,10 +361,13 @@ impl AddressClaims {
         Some(node.last)
     }
 
+    fn node_at(&self, uid: Uid, address: Address) -> Option<&Node> {
+        self.nodes.iter().find(|node| node.uid == uid && node.address == address)
+    }
+
     /// Returns the last heartbeat with this UID from `address`.
     pub fn last_of(&self, uid: Uid, address: Address) -> Option<Instant> {
-        let node = self.nodes.iter().find(|node| node.uid == uid && node.address == address)?;
-        Some(node.last)
+        Some(self.node_at(uid, address)?.last)
     }
 
     /// Returns the last mode of the node with this UID.
@@ -374,8 +377,7 @@ impl AddressClaims {
 
     /// Returns since when that node sends heartbeats from `address`.
     pub fn since(&self, uid: Uid, address: Address) -> Option<Instant> {
-        let node = self.nodes.iter().find(|node| node.uid == uid && node.address == address)?;
-        Some(node.since)
+        Some(self.node_at(uid, address)?.since)
     }
 
     /// Returns since when another node than `uid` sends heartbeats from `address`.

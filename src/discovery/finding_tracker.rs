@@ -849,13 +849,13 @@ impl FindingTracker {
             let then = finding.first - period * CLAIM_PERIODS;
             self.contests[address.index()].is_real(then, shared, period)
         };
-        // Beside a confirmed conflict nobody gave way.
-        let is_alone = |address: Address| !self.has_confirmed_conflict(address);
+        // While a conflict is confirmed at the address, it explains the evidence, and no device gave up
+        // the address.
+        let confirmed = finding.key.address.and_then(|address| self.confirmed_conflict(address));
         let was_contested = finding.state == FindingState::Suspected
-            && finding.key.address.is_some_and(is_alone)
+            && confirmed.is_none()
             && finding.key.kind != FindingKind::OneUidTwoAddresses
             && finding.key.address.is_some_and(is_contested);
-        let confirmed = finding.key.address.and_then(|address| self.confirmed_conflict(address));
         if finding.state == FindingState::Suspected {
             self.findings[at].superseded_by = confirmed;
         }

@@ -428,10 +428,10 @@ fn named_board_is_there_while_it_sends_heartbeats() {
     let events = run(folder.path(), &["watch"], &log);
     let lost: Vec<_> = events.iter().filter(|value| value["event"] == "lost").collect();
     assert!(lost.is_empty(), "{lost:#?}");
-    let told: Vec<Told> = watched(folder.path(), &log);
-    assert!(told.iter().all(|told| told.0 != "address-contested"), "{told:?}");
+    let findings: Vec<Told> = watched(folder.path(), &log);
+    assert!(findings.iter().all(|(kind, ..)| kind != "address-contested"), "{findings:?}");
     // The names are an observation of the conflict that stays.
-    let states: Vec<_> = told.iter().map(|(kind, state, _)| (&kind[..], &state[..])).collect();
+    let states: Vec<_> = findings.iter().map(|(kind, state, _)| (&kind[..], &state[..])).collect();
     assert!(states.contains(&("one-address-two-identities", "confirmed")), "{states:?}");
     assert!(!states.contains(&("one-address-two-identities", "cleared")), "{states:?}");
 }
