@@ -306,13 +306,6 @@ impl AddressClaims {
             .collect()
     }
 
-    /// Returns true if a node other than `uid` still holds `address`.
-    pub fn is_shared(&self, now: Instant, address: Address, period: Duration, uid: Uid) -> bool {
-        let holds = period.mul_f64(HOLD_PERIODS);
-        let mut others = self.nodes.iter().filter(|it| it.address == address && it.uid != uid);
-        others.any(|node| now.since(node.last) < holds)
-    }
-
     /// Returns true if other nodes than that row send heartbeats from `address` now, and all of
     /// them have rows.
     pub fn are_others_known(
@@ -363,11 +356,6 @@ impl AddressClaims {
 
     fn node_at(&self, uid: Uid, address: Address) -> Option<&Node> {
         self.nodes.iter().find(|node| node.uid == uid && node.address == address)
-    }
-
-    /// Returns the last heartbeat with this UID from `address`.
-    pub fn last_of(&self, uid: Uid, address: Address) -> Option<Instant> {
-        Some(self.node_at(uid, address)?.last)
     }
 
     /// Returns the last mode of the node with this UID.

@@ -514,6 +514,8 @@ pub struct Device {
     pub rebooted_at: Option<Instant>,
     /// Time at which another row became the current one at its address.
     pub(super) replaced_at: Option<Instant>,
+    /// UID in the last heartbeat from its address, which may be of another device.
+    pub(super) heartbeat_uid: Option<Uid>,
     /// UID in its heartbeats before the present one.
     pub(super) uid_before: Option<Uid>,
     /// True if the last heartbeat had mode INIT or ARSLV: the node is about to change its mode.
@@ -561,6 +563,7 @@ impl Device {
             reboots: 0,
             rebooted_at: None,
             replaced_at: None,
+            heartbeat_uid: None,
             uid_before: None,
             is_resolving: false,
             last_heartbeat_was_other_node: false,
@@ -599,6 +602,7 @@ impl Device {
     pub(super) fn copy_state_from(&mut self, live: &Self) {
         self.heartbeat = live.heartbeat.clone();
         self.uid = live.uid;
+        self.heartbeat_uid = live.heartbeat_uid;
         self.mode = live.mode;
         self.error_code = live.error_code;
         self.is_working = live.is_working;

@@ -125,6 +125,7 @@ impl DeviceTable {
         device.mode = fresh.mode.or(device.mode);
         device.error_code = fresh.error_code;
         device.uid = fresh.uid.or(device.uid);
+        device.heartbeat_uid = fresh.heartbeat_uid.or(device.heartbeat_uid);
         device.framing = fresh.framing.or(device.framing);
         device.services = fresh.services.or(device.services.take());
         device.first_services = device.first_services.take().or(fresh.first_services);

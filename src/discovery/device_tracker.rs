@@ -13,6 +13,7 @@ use super::presence::Outages;
 use super::recent_requests::RecentRequests;
 use super::recorded_node::RecordedNodes;
 use super::rounds::FRAME_BITS;
+use super::sender_names::SenderNames;
 use super::{Config, Counters, DeviceId, Event, EventKind, Presence, ProtocolDeviation};
 use crate::finding::{FindingKind, FindingState};
 use crate::frame::Frame;
@@ -57,6 +58,7 @@ pub(super) struct DeviceTracker {
     pub recent_requests: RecentRequests,
     pub device_table: DeviceTable,
     pub claims: AddressClaims,
+    pub sender_names: SenderNames,
     pub conflicts: ConflictDetector,
     pub errors: BusErrorTracker,
     pub lateness: BusDelayTracker,
@@ -80,6 +82,7 @@ impl DeviceTracker {
             lateness: BusDelayTracker::default(),
             protocol: ProtocolDetector::new(&config.profile.heartbeat),
             claims: AddressClaims::new(),
+            sender_names: SenderNames::default(),
             outages: Outages::default(),
             events: VecDeque::new(),
             counters: Counters::default(),
@@ -242,6 +245,7 @@ impl DeviceTracker {
         }
         self.device_table.clear();
         self.claims = AddressClaims::new();
+        self.sender_names = SenderNames::default();
         self.lateness = BusDelayTracker::default();
         self.conflicts.remove_devices();
         for address in Address::all() {

@@ -282,10 +282,13 @@ impl FindingTracker {
         self.confirmed_conflicts[address.index()] > 0
     }
 
-    /// Returns the kind of a confirmed conflict of two devices at `address`.
-    fn confirmed_conflict(&self, address: Address) -> Option<FindingKind> {
+    /// Returns the kind of a confirmed conflict of two devices at the address of a finding, other than
+    /// that finding.
+    fn other_confirmed_conflict(&self, of: &Finding) -> Option<FindingKind> {
         let is_it = |finding: &&Finding| {
-            finding.key.address == Some(address)
+            of.key.address.is_some()
+                && finding.key.address == of.key.address
+                && finding.key.kind != of.key.kind
                 && finding.state == FindingState::Confirmed
                 && is_address_conflict(&finding.key)
         };
@@ -851,12 +854,13 @@ impl FindingTracker {
         };
         // While a conflict is confirmed at the address, it explains the evidence, and no device gave up
         // the address.
-        let confirmed = finding.key.address.and_then(|address| self.confirmed_conflict(address));
+        let confirmed = self.other_confirmed_conflict(finding);
         let was_contested = finding.state == FindingState::Suspected
             && confirmed.is_none()
             && finding.key.kind != FindingKind::OneUidTwoAddresses
             && finding.key.address.is_some_and(is_contested);
-        if finding.state == FindingState::Suspected {
+        // Two devices remain two when only one kind of evidence for them goes on.
+        if is_address_conflict(&finding.key) {
             self.findings[at].superseded_by = confirmed;
         }
         self.set(now, at, FindingState::Cleared);

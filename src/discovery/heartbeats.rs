@@ -1,6 +1,6 @@
 //! Heartbeats: updates mode, UID and statistics of a device, detects reboots and duplicate UIDs.
 
-use super::conflicts::{ModeFlags, Repetition};
+use super::conflicts::{Repetition, SenderState};
 use super::device::{MISSED_HEARTBEAT_PERIODS, ModeChange, ProtocolDeviation, Query};
 use super::device_tracker::DeviceTracker;
 use super::local_node::is_inspector_uid;
@@ -125,6 +125,7 @@ impl DeviceTracker {
         if device.heartbeat.count <= 2 {
             self.wake_at(now + period * 2);
         }
+        let is_of_other_board = self.is_of_other_board(row, header.source, heartbeat.uid);
         let Some(device) = self.device_table.get_mut(row) else { return };
         device.is_resolving = matches!(heartbeat.mode, Some(Mode::Init | Mode::Arslv));
         device.error_code = heartbeat.error.or(device.error_code);
@@ -134,19 +135,23 @@ impl DeviceTracker {
             device.note_deviation(ProtocolDeviation::ShortHeartbeat);
         }
         let was_lost = device.presence == Presence::Lost;
-        let uid_before = device.uid;
+        let uid_before = device.heartbeat_uid;
         let mode_before = device.mode;
-        let uid_changed = match (heartbeat.uid, device.uid) {
+        let uid_changed = match (heartbeat.uid, uid_before) {
             (Some(new), Some(old)) => new != old,
             (Some(_), None) => true,
             _ => false,
         };
         if uid_changed {
-            device.uid_before = device.uid;
-            device.uid = heartbeat.uid;
+            device.uid_before = uid_before;
+            device.heartbeat_uid = heartbeat.uid;
+            if !is_of_other_board {
+                device.uid = heartbeat.uid;
+            }
         }
         let address = header.source;
         let claim = HeartbeatContext { row, address, heartbeat, uid_before, mode_before, gap };
+        self.sender_names.note_heartbeat(now, address, heartbeat.uid);
         let sender = self.note_sender(claim);
         let Some(device) = self.device_table.get_mut(row) else { return };
         device.last_heartbeat_was_other_node = sender.is_other_node;
@@ -203,16 +208,30 @@ impl DeviceTracker {
                 self.emit(row, EventKind::Mode { from, to: mode });
             }
         }
+        if let Some(other) = self.other_row_of_sender(address, heartbeat.uid) {
+            self.update_device_presence(other);
+            if let Some(mode) = heartbeat.mode.filter(|_| sender.is_other_node) {
+                self.set_mode_of_replaced(other, mode);
+            }
+        }
         if restarted {
             self.note_reboot(now, row);
         }
         let Some(device) = self.device_table.get(row) else { return };
-        let mode = ModeFlags { is_working: device.is_working, is_resolving: device.is_resolving };
+        let state = SenderState {
+            is_working: device.is_working,
+            is_resolving: device.is_resolving,
+            are_two_named: self.sender_names.are_two_named(
+                now,
+                address,
+                self.conflicts.periods().of(address),
+            ),
+        };
         let name = device.name.clone();
         if repetition == Repetition::None && header.response {
             let uid = sender.uid_and_first();
             let change =
-                self.conflicts.note_heartbeat(now, address, uid, mode, name.as_ref(), frame);
+                self.conflicts.note_heartbeat(now, address, uid, state, name.as_ref(), frame);
             if change == PeriodChange::Expected {
                 self.lateness.note_period(address);
             }
@@ -234,6 +253,25 @@ impl DeviceTracker {
         if let (Some(uid), Some(previous), false) = (heartbeat.uid, previous_heartbeat, uid_changed)
         {
             self.compare_uid(now, address, uid, previous, frame);
+        }
+    }
+
+    /// Returns true if a heartbeat with this UID is not of the device of `row`: its sender has another
+    /// row at the address, or the device sends its own UID there too.
+    fn is_of_other_board(&self, row: DeviceId, address: Address, uid: Option<Uid>) -> bool {
+        let period = self.period_of(address);
+        self.other_row_of_sender(address, uid).is_some()
+            || self.sender_names.is_present_beside(self.now, row, address, period, uid)
+    }
+
+    /// Sets the mode of a device whose row is not the current one at its address.
+    fn set_mode_of_replaced(&mut self, row: DeviceId, mode: Mode) {
+        let now = self.now;
+        let Some(device) = self.device_table.get_mut(row) else { return };
+        let from = device.mode.replace(mode);
+        if from != Some(mode) {
+            device.remember_mode(ModeChange { time: now, mode });
+            self.emit(row, EventKind::Mode { from, to: mode });
         }
     }
 
@@ -262,10 +300,12 @@ impl DeviceTracker {
         let period = self.period_of(device.address);
         // A device known for longer sent no heartbeats before.
         let known = !first || device.name.is_some() && now.since(device.first_seen) > period * 3;
-        let uids = device.uid_before.zip(device.uid);
+        let uids = device.uid_before.zip(device.heartbeat_uid);
         let uids = uids.filter(|(from, to)| !from.is_blank() && !to.is_blank());
         let is_shared = self.conflicts.finding_tracker().is_known_shared(device.address);
-        if let Some((from, to)) = uids.filter(|_| !is_claim && !is_shared) {
+        let is_known = self.sender_names.row_of(device.address, device.heartbeat_uid).is_some()
+            || self.other_row_of_sender(device.address, device.heartbeat_uid).is_some();
+        if let Some((from, to)) = uids.filter(|_| !is_claim && !is_shared && !is_known) {
             self.emit(row, EventKind::UidChanged { from, to });
         }
         let Some(device) = self.device_table.get(row) else { return };
@@ -297,7 +337,7 @@ impl DeviceTracker {
         }
         // A replaced row does not send anything any more.
         let devices = self.device_table.devices().iter();
-        let mut same = devices.filter(|it| it.uid == Some(uid) && it.address != address);
+        let mut same = devices.filter(|it| it.heartbeat_uid == Some(uid) && it.address != address);
         let other = same.find_map(|other| {
             let last = other.heartbeat.last.filter(|last| *last > previous)?;
             self.device_table.is_current(other).then_some((other.address, last))

@@ -14,31 +14,48 @@ impl DeviceTracker {
     /// A row other than the current one means another board at the address.
     pub(super) fn row_of_name(&mut self, now: Instant, row: DeviceId, name: &Name) -> DeviceId {
         let Some(current) = self.device_table.get(row) else { return row };
-        match &current.name {
-            None => return self.row_before(row, name).unwrap_or(row),
-            Some(own) if own == name => return row,
-            Some(_) => {}
-        }
-        let mut live = current.clone();
-        let (address, working) = (live.address, live.is_working);
+        let (address, is_own) = (current.address, current.name.as_ref() == Some(name));
         let period = self.period_of(address);
-        let is_alone = |uid: &Uid| {
-            let is_heard =
-                self.claims.last_of(*uid, address).is_some_and(|last| now.since(last) < period * 2);
-            is_heard && !self.claims.is_shared(now, address, period, *uid)
+        let known = if is_own {
+            Some(row)
+        } else {
+            self.find_row(|it| it.address == address && it.name.as_ref() == Some(name))
         };
-        let alone = live.uid.filter(|uid| !uid.is_blank()).filter(is_alone);
-        let known = self.find_row(|it| it.address == address && it.name.as_ref() == Some(name));
-        self.replace_row(row);
+        let sender = self.sender_names.sender_of_name(now, address, period, known);
+        let named = match &current.name {
+            None => self.row_before(row, name).unwrap_or(row),
+            Some(_) if is_own => row,
+            Some(_) => self.replace_by_named(row, known, sender),
+        };
+        self.sender_names.note_name(now, address, period, named, sender);
+        named
+    }
+
+    /// Makes another row than `row` the current one, because another name was received from its
+    /// address: `known`, or a new one. `sender`: the UID that belongs to the name, blank for a device
+    /// without one. Returns the current row.
+    fn replace_by_named(
+        &mut self,
+        row: DeviceId,
+        known: Option<DeviceId>,
+        sender: Option<Uid>,
+    ) -> DeviceId {
+        let now = self.now;
+        let Some(mut live) = self.device_table.get(row).cloned() else { return row };
+        let (address, working) = (live.address, live.is_working);
         // A UID seen here before the last response with the old name belongs to the old board.
         let name_received_at = live.name_query.responded_at;
+        live.uid = live.heartbeat_uid;
         let own = live.uid.filter(|uid| self.claims.row_of(*uid) == Some(row));
         let since = own.and_then(|uid| self.claims.since(uid, address));
-        if since
+        let is_of_old_board = since
             .zip(name_received_at)
-            .is_some_and(|(since, name_received_at)| since <= name_received_at)
-        {
-            live.uid = None;
+            .is_some_and(|(since, name_received_at)| since <= name_received_at);
+        self.replace_row(row);
+        if let Some(uid) = sender {
+            live.uid = Some(uid);
+        } else if is_of_old_board {
+            (live.uid, live.heartbeat_uid) = (None, None);
         }
         let named = known.or_else(|| self.device_table.insert(now, address, working));
         let Some(named) = named else { return row };
@@ -49,41 +66,52 @@ impl DeviceTracker {
         device.copy_state_from(&live);
         device.mode = mode;
         device.last_seen = now;
+        if known.is_some() && device.presence == Presence::Lost {
+            device.services_query.restart(now);
+        }
+        let uid = if known.is_none() { live.uid } else { sender };
+        if let Some(uid) = uid.filter(|uid| !uid.is_blank()) {
+            self.claims.assign_row(uid, named, || self.device_table.reserve());
+        }
         if known.is_none() {
-            if let Some(uid) = live.uid.filter(|uid| !uid.is_blank()) {
-                self.claims.assign_row(uid, named, || self.device_table.reserve());
-            }
             self.emit(named, EventKind::FirstFrame);
-        } else {
-            if device.presence == Presence::Lost {
-                device.services_query.restart(now);
-            }
-            // The only sender of heartbeats has this name.
-            if let Some(uid) = alone {
-                self.claims.assign_row(uid, named, || self.device_table.reserve());
-            }
         }
         self.find_move_of_replaced(row);
         named
     }
 
-    /// Makes the row of a UID the current one at its address again: it was replaced by that of another
-    /// device, which sends no heartbeats any more.
-    pub(super) fn restore_row(&mut self, address: Address, uid: Option<Uid>) {
-        let Some(uid) = uid.filter(|uid| !uid.is_blank()) else { return };
-        let Some(current) = self.device_table.current_row(address) else { return };
-        let Some(own) = self.claims.row_of(uid).filter(|own| *own != current) else { return };
+    /// Returns the row of another name at `address` that is known to be that of the sender with this
+    /// UID.
+    pub(super) fn other_row_of_sender(
+        &self,
+        address: Address,
+        uid: Option<Uid>,
+    ) -> Option<DeviceId> {
+        let current = self.device_table.current_row(address)?;
+        let of_claims = || self.claims.row_of(uid.filter(|uid| !uid.is_blank())?);
+        let own = self.sender_names.row_of(address, uid).or_else(of_claims)?;
         let is_here = self.device_table.get(own).is_some_and(|it| it.address == address);
-        let is_of_another = self.claims.uid_of(current).is_some_and(|other| other != uid);
-        let is_shared = || self.claims.is_shared(self.now, address, self.period_of(address), uid);
-        if !is_here || !is_of_another || is_shared() {
+        (own != current && is_here).then_some(own)
+    }
+
+    /// Makes the row of a sender of heartbeats the current one at its address again: it was replaced
+    /// by that of another device, which sends none any more.
+    pub(super) fn restore_row(&mut self, address: Address, uid: Option<Uid>) {
+        let Some(current) = self.device_table.current_row(address) else { return };
+        let Some(own) = self.other_row_of_sender(address, uid) else { return };
+        let of_current = self.sender_names.uid_of(current, address);
+        let is_of_another = of_current
+            .or_else(|| self.claims.uid_of(current))
+            .is_some_and(|other| is_different_sender(Some(other), uid.or(Some(Uid::BLANK))));
+        let period = self.period_of(address);
+        if !is_of_another || self.sender_names.is_shared(self.now, address, period, uid) {
             return;
         }
         let Some(mut live) = self.device_table.get(current).cloned() else { return };
         self.replace_row(current);
         self.device_table.make_current(own);
-        live.uid = Some(uid);
-        live.mode = self.claims.mode_of(uid).or(live.mode);
+        live.uid = uid;
+        live.mode = uid.and_then(|uid| self.claims.mode_of(uid)).or(live.mode);
         let Some(device) = self.device_table.get_mut(own) else { return };
         device.copy_state_from(&live);
         device.replaced_at = None;
@@ -105,6 +133,7 @@ impl DeviceTracker {
         })?;
         let was = self.device_table.get(before)?.presence;
         self.device_table.merge_rows(before, row);
+        self.sender_names.merge_rows(before, row);
         let device = self.device_table.get_mut(before)?;
         device.replaced_at = None;
         device.services_query.restart(self.now);
@@ -208,6 +237,11 @@ impl DeviceTracker {
         old.replaced_at = Some(now);
         // Heartbeats since the other board is there do not belong to this row.
         old.uid = old.uid_before.take().or(old.uid);
+        let Some(uid) = self.sender_names.uid_of(row, old.address) else { return };
+        old.uid = Some(uid);
+        if !uid.is_blank() {
+            self.claims.assign_row(uid, row, || self.device_table.reserve());
+        }
     }
 
     /// Returns the only other row with that name, if it can be the same device.
@@ -261,6 +295,7 @@ impl DeviceTracker {
         let is_reported = fresh.moved_from == Some(from);
         let is_known_by_uid = self.uid_of_row(old).is_some() && self.uid_of_row(new).is_some();
         self.device_table.merge_rows(old, new);
+        self.sender_names.merge_rows(old, new);
         self.emit(old, EventKind::IdsMerged { previous: new, before: None });
         if !is_known_by_uid {
             self.emit_gave_up_by_name(old, from);

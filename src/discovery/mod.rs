@@ -25,6 +25,7 @@
 //! device_table       the device rows
 //! heartbeats         mode, UID, reboots
 //! identity           replaced boards, moved devices
+//! sender_names       which name is that of which UID
 //! claims             address claims and addresses given up
 //! resolution         events about them
 //! periods            heartbeat period of each address
@@ -74,6 +75,7 @@ mod requester;
 mod resolution;
 mod responses;
 mod rounds;
+mod sender_names;
 mod transfers;
 
 pub use bus_protocol::{BusTraffic, BusVerdict};

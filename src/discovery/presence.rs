@@ -16,6 +16,8 @@ use crate::time::{Duration, Instant};
 use crate::wire::node::Mode;
 use std::collections::VecDeque;
 
+/// Age of the last heartbeat, in periods, at which a device is lost. Protocol §4.6.
+const LOST_PERIODS: u32 = 5;
 /// Enumeration rounds without a response after which a device without heartbeats is lost. Protocol
 /// §4.6.
 const LOST_AFTER_ROUNDS: u32 = 3;
@@ -120,7 +122,7 @@ impl PresenceInput<'_> {
     /// not.
     pub fn evaluate(&self, device: &Device, now: Instant) -> (Presence, Option<Instant>) {
         let period = self.periods.of_presence(device.address);
-        let lost_after = period * 5;
+        let lost_after = period * LOST_PERIODS;
         let is_known = device.heartbeat.count > 1 || self.periods.is_reliable(device.address);
         let stale_after = if is_known { period.mul_f64(STALE_PERIODS) } else { lost_after };
         let Some(last_heartbeat) = device.heartbeat.last.filter(|_| !is_claim_only(device, period))
@@ -220,12 +222,14 @@ impl DeviceTracker {
         device.is_resolving &= presence == Presence::Online;
         if presence == Presence::Online {
             // It may have been offline for a firmware update.
-            if self.errors.is_suspect(address) {
-                device.services_query.schedule(self.now);
-            } else {
-                device.services_query.restart(self.now);
+            if is_current {
+                if self.errors.is_suspect(address) {
+                    device.services_query.schedule(self.now);
+                } else {
+                    device.services_query.restart(self.now);
+                }
+                self.wake_at(self.now);
             }
-            self.wake_at(self.now);
             self.emit(row, EventKind::Returned { was });
         } else {
             self.emit(row, EventKind::Presence(presence));
@@ -240,8 +244,16 @@ impl DeviceTracker {
     }
 
     /// Returns the presence of a row that was replaced at its address: present while it still
-    /// responds, or sends heartbeats with its own UID.
+    /// responds, or sends heartbeats of its own.
     fn replaced_row_presence(&self, device: &Device) -> Presence {
+        let is_gone = matches!(device.presence, Presence::Lost | Presence::Asleep);
+        let period = self.period_of(device.address);
+        if is_gone
+            && let Some(heard) = self.sender_names.last_of(device.id, device.address)
+            && self.now.since(heard) < period.mul_f64(STALE_PERIODS)
+        {
+            return Presence::Online;
+        }
         match (self.replaced_row_leaves(device), device.mode) {
             (Some(leaves), Some(Mode::Idle)) if leaves <= self.now => Presence::Asleep,
             (Some(leaves), _) if leaves <= self.now => Presence::Lost,
@@ -249,17 +261,29 @@ impl DeviceTracker {
         }
     }
 
-    /// Returns when a replaced row leaves without another response; `None` if it has left.
+    /// Returns when a replaced row leaves without another response; `None` if it has left, or if that
+    /// is not known.
     fn replaced_row_leaves(&self, device: &Device) -> Option<Instant> {
         if matches!(device.presence, Presence::Lost | Presence::Asleep) {
             return None;
         }
-        let periods =
-            if self.conflicts.finding_tracker().is_open_at(device.address) { 8 } else { 4 };
-        let responded = device.name_query.responded_at.max(device.replaced_at);
-        let responded = responded.unwrap_or(device.last_seen);
-        let heard = self.claims.last_of_row(device.id, device.address).max(Some(responded))?;
-        Some(heard + self.period_of(device.address) * periods)
+        let period = self.period_of(device.address);
+        let is_open = self.conflicts.finding_tracker().is_open_at(device.address);
+        let after_response = period * if is_open { 8 } else { 4 };
+        let responded = device.name_query.responded_at;
+        if let Some(last) = self.sender_names.last_of(device.id, device.address) {
+            let last = self.presence_input().shifted_by_outages(last);
+            let leaves = responded.map(|at| at + after_response);
+            return Some((last + period * LOST_PERIODS).max(leaves.unwrap_or(last)));
+        }
+        let own = self.claims.last_of_row(device.id, device.address);
+        // While a conflict is confirmed, its heartbeats are among those of the others.
+        if own.is_none() && self.conflicts.finding_tracker().has_confirmed_conflict(device.address)
+        {
+            return None;
+        }
+        let heard = own.max(responded).max(device.replaced_at);
+        Some(heard.unwrap_or(device.last_seen) + after_response)
     }
 
     /// Returns when the presence of a row changes if no frame is received.

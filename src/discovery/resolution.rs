@@ -58,6 +58,9 @@ impl DeviceTracker {
         let held = gap.is_some_and(|gap| gap < self.gap_limit(address));
         let over_holder = arslv && held;
         let before = not_blank(uid_before);
+        // The sender has its own row at this address, and has not sent its name again yet.
+        let has_other_row = self.other_row_of_sender(address, heartbeat.uid).is_some()
+            && self.sender_names.is_shared(now, address, self.period_of(address), heartbeat.uid);
         let Some(uid) = not_blank(heartbeat.uid) else {
             let again = heartbeat.mode == mode_before && held;
             if over_holder {
@@ -66,17 +69,12 @@ impl DeviceTracker {
             return HeartbeatSender {
                 known: None,
                 mode_before,
-                is_other_node: over_holder,
+                is_other_node: over_holder || has_other_row,
                 claims: heartbeat.mode == Some(Mode::Arslv) && !again,
                 holder: over_holder.then(|| self.party(row, before)),
             };
         };
-        // The sender has its own row at this address, and has not sent its name again yet.
-        let own = self.claims.row_of(uid).filter(|own| *own != row);
-        let own =
-            own.and_then(|own| self.device_table.get(own)).is_some_and(|it| it.address == address)
-                && self.claims.is_shared(now, address, self.period_of(address), uid);
-        let over_holder = own || (over_holder && before.is_none());
+        let over_holder = has_other_row || (over_holder && before.is_none());
         let heartbeat_input = HeartbeatInput {
             now,
             address,
@@ -227,7 +225,7 @@ impl DeviceTracker {
     fn blank_party(&self, address: Address, then: Instant) -> Option<OtherDevice> {
         let device = self.device_table.current_device(address)?;
         let last = device.heartbeat.last.filter(|last| *last > then)?;
-        let is_blank = device.uid.is_none_or(Uid::is_blank);
+        let is_blank = device.heartbeat_uid.is_none_or(Uid::is_blank);
         (is_blank && self.now.since(last) < self.gap_limit(address))
             .then(|| self.party(device.id, None))
     }

@@ -70,6 +70,9 @@ impl fmt::Display for Mode {
 pub struct Uid(pub [u8; 6]);
 
 impl Uid {
+    /// UID of all 00.
+    pub const BLANK: Self = Self([0; 6]);
+
     /// Returns true if all bits are 0 or all are 1: no UID was ever assigned. Blank UIDs identify
     /// no device.
     pub fn is_blank(self) -> bool {

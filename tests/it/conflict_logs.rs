@@ -454,6 +454,192 @@ fn board_that_stays_keeps_its_name_and_uid() {
     assert_ne!(here[0][2], here[1][2]);
 }
 
+/// A board at 14: name, UID, and the times between which it sends heartbeats.
+struct NamedBoard {
+    name: &'static str,
+    uid: &'static str,
+    phase: f64,
+    present: Vec<(f64, f64)>,
+}
+
+impl NamedBoard {
+    fn new(name: &'static str, uid: &'static str, phase: f64, present: &[(f64, f64)]) -> Self {
+        Self { name, uid, phase, present: present.to_vec() }
+    }
+
+    fn heartbeats(&self) -> Vec<f64> {
+        let all = (0..200).map(|second| f64::from(second) + self.phase);
+        let is_present =
+            |at: &f64| self.present.iter().any(|&(from, until)| (from..until).contains(at));
+        all.filter(is_present).collect()
+    }
+
+    /// Returns the time since its last heartbeat.
+    fn silence(&self, at: f64) -> f64 {
+        let before = self.heartbeats().into_iter().rfind(|heard| *heard < at + 0.01);
+        before.map_or(f64::INFINITY, |heard| at - heard)
+    }
+}
+
+/// Returns a log of the boards; `names`: when a name was asked, and which boards responded.
+fn log_of_boards(boards: &[&NamedBoard], names: &[(f64, &[&NamedBoard])]) -> Log {
+    let mut log = Log::default();
+    for board in boards {
+        for at in board.heartbeats() {
+            log = log.lives(14, at, at + 0.5, board.uid);
+        }
+    }
+    for (at, responding) in names {
+        log.asks(*at, 0, "0444455301");
+        for (place, board) in responding.iter().enumerate() {
+            log.answers(at + 0.002 * (place as f64 + 1.0), 14, 0, &isotp(board.name));
+        }
+    }
+    log
+}
+
+/// Returns what `watch` and `scan` say wrongly about the boards of a log: presence and UID by name,
+/// and whether one of them gave way.
+fn faults_about_boards(folder: &Path, boards: &[&NamedBoard], log: Log) -> Vec<String> {
+    let end = log.lines.iter().map(|(at, _)| *at).fold(0.0, f64::max);
+    let text = log.text();
+    let mut faults = Vec::new();
+    for value in run(folder, &["watch"], &text) {
+        let at = value["time"].as_f64().unwrap_or(0.0) - 1_436_509_052.0;
+        let board = boards.iter().find(|board| value["name"] == board.name);
+        match (value["event"].as_str().unwrap_or_default(), board) {
+            ("lost", Some(board)) if board.silence(at) < 3.9 => {
+                faults.push(format!(
+                    "{at:.2}: {} lost, {:.1} s after a heartbeat",
+                    board.name,
+                    board.silence(at)
+                ));
+            }
+            ("finding", _) if value["finding"]["kind"] == "address-contested" => {
+                faults.push(format!("{at:.2}: a board gave way"));
+            }
+            _ => {}
+        }
+    }
+    let devices = run(folder, &["scan"], &text)[0]["devices"].as_array().unwrap().clone();
+    for device in devices.iter().filter(|device| device["address"] == 14) {
+        let Some(board) = boards.iter().find(|board| device["name"] == board.name) else {
+            continue;
+        };
+        let (presence, silence) = (device["presence"].as_str().unwrap(), board.silence(end));
+        let is_wrong = silence < 1.1 && presence == "lost" || silence > 9.0 && presence != "lost";
+        if is_wrong {
+            faults.push(format!("{} is {presence}, {silence:.1} s after a heartbeat", board.name));
+        }
+        let bytes =
+            (0..6).map(|at| u8::from_str_radix(&board.uid[2 * at..2 * at + 2], 16).unwrap());
+        let uid = descan::wire::node::Uid(bytes.collect::<Vec<_>>().try_into().unwrap());
+        let uid = uid.text(&descan::wire::profile::Profile::default().uid).to_string();
+        if device["uid"] != uid {
+            faults.push(format!("{} has the UID {}, not {uid:?}", board.name, device["uid"]));
+        }
+    }
+    faults
+}
+
+#[test]
+fn known_board_that_returns_beside_another_one_is_there() {
+    let folder = tempfile::tempdir().unwrap();
+    for uids in [[FEED, PUMP], [BLANK, PUMP], [FEED, BLANK]] {
+        let one = NamedBoard::new("BBB", uids[0], 0.1, &[(0.0, 12.0), (30.0, 60.0)]);
+        let other = NamedBoard::new("AAA", uids[1], 0.4, &[(12.0, 60.0)]);
+        let log = log_of_boards(&[&one, &other], &[(4.5, &[&one]), (26.5, &[&other])]);
+        let faults = faults_about_boards(folder.path(), &[&one, &other], log);
+        assert!(faults.is_empty(), "{uids:?}: {faults:#?}");
+    }
+}
+
+#[test]
+fn known_board_that_replaces_another_one_again_has_its_own_row() {
+    let folder = tempfile::tempdir().unwrap();
+    for uids in [[FEED, PUMP], [BLANK, PUMP], [FEED, BLANK]] {
+        let one = NamedBoard::new("BBB", uids[0], 0.1, &[(0.0, 12.0), (26.0, 40.0)]);
+        let other = NamedBoard::new("AAA", uids[1], 0.4, &[(12.0, 26.0), (40.0, 60.0)]);
+        let log = log_of_boards(&[&one, &other], &[(4.5, &[&one]), (18.5, &[&other])]);
+        let text = log.clone().text();
+        let faults = faults_about_boards(folder.path(), &[&one, &other], log);
+        assert!(faults.is_empty(), "{uids:?}: {faults:#?}");
+        let events = run(folder.path(), &["watch"], &text);
+        let events: Vec<_> = events.iter().filter(|it| it["address"] == 14).collect();
+        let late = |event: &str| events.iter().filter(|it| it["event"] == event).count();
+        assert_eq!(late("returned"), 2, "each once: {events:#?}");
+        assert!(late("uid") <= 1, "only the first swap is one to an unknown board: {events:#?}");
+    }
+}
+
+#[test]
+fn two_named_boards_one_without_uid_are_a_conflict_of_names() {
+    let folder = tempfile::tempdir().unwrap();
+    for uids in [[FEED, BLANK], [BLANK, FEED]] {
+        let one = NamedBoard::new("AAA", uids[0], 0.1, &[(0.0, 60.0)]);
+        let other = NamedBoard::new("BBB", uids[1], 0.4, &[(10.0, 60.0)]);
+        let log = log_of_boards(&[&one, &other], &[(4.5, &[&one]), (14.5, &[&other])]);
+        let scanned = scanned(folder.path(), &log.clone().text());
+        let confirmed: Vec<_> =
+            scanned.iter().filter(|(_, state, _)| state == "confirmed").collect();
+        assert_eq!(confirmed, [&("one-address-two-names".to_owned(), "confirmed".to_owned(), 14)]);
+        let faults = faults_about_boards(folder.path(), &[&one, &other], log);
+        assert!(faults.is_empty(), "{uids:?}: {faults:#?}");
+    }
+}
+
+#[test]
+fn names_of_two_boards_are_part_of_the_conflict_that_goes_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let one = NamedBoard::new("AAA", FEED, 0.1, &[(0.0, 90.0)]);
+    let other = NamedBoard::new("BBB", PUMP, 0.4, &[(10.0, 90.0)]);
+    let both: &[&NamedBoard] = &[&one, &other];
+    let names: Vec<_> = (1..8).map(|count| (f64::from(count) * 4.0 + 0.5, both)).collect();
+    let events = run(folder.path(), &["watch"], &log_of_boards(both, &names).text());
+    let findings = events.iter().map(|event| &event["finding"]).filter(|it| !it.is_null());
+    let cleared: Vec<_> = findings.filter(|it| it["confidence"] == "cleared").collect();
+    assert_eq!(cleared.len(), 1, "{cleared:#?}");
+    assert_eq!(cleared[0]["superseded_by"], "one-address-two-identities", "{cleared:#?}");
+}
+
+#[test]
+fn random_logs_of_two_named_boards_show_each_as_it_was() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut wrong = Vec::new();
+    for seed in 0..80 {
+        let mut random = fastrand::Rng::with_seed(seed);
+        let mut windows = |first: f64| {
+            let mut windows = vec![(first, first + 10.0 + random.f64() * 20.0)];
+            while let Some((_, until)) = windows.last().filter(|(_, until)| *until < 80.0) {
+                let from = until + 8.0 + random.f64() * 10.0;
+                windows.push((from, from + 10.0 + random.f64() * 20.0));
+            }
+            windows.into_iter().map(|(from, until)| (from, until.min(100.0))).collect::<Vec<_>>()
+        };
+        let one = NamedBoard::new("AAA", FEED, 0.1, &windows(0.0));
+        let uid = if seed % 3 == 0 { BLANK } else { PUMP };
+        // The second one joins when the name of the first one is known.
+        let other = NamedBoard::new("BBB", uid, 0.4, &windows(6.0 + seed as f64 / 10.0));
+        let mut names: Vec<(f64, Vec<&NamedBoard>)> = vec![(4.5, vec![&one])];
+        for count in 1..10 {
+            // They have sent a heartbeat since.
+            let at = 10.0 * f64::from(count) + 5.0;
+            let has_joined = |board: &&NamedBoard| {
+                board.present.iter().any(|&(from, until)| from + 2.0 < at && at < until)
+            };
+            let mut present: Vec<_> = [&other, &one].into_iter().filter(has_joined).collect();
+            present.truncate(random.usize(1..3));
+            names.push((at, present));
+        }
+        let names: Vec<_> = names.iter().map(|(at, boards)| (*at, &boards[..])).collect();
+        let log = log_of_boards(&[&one, &other], &names);
+        for fault in faults_about_boards(folder.path(), &[&one, &other], log) {
+            wrong.push(format!("seed {seed}: {fault}"));
+        }
+    }
+    assert!(wrong.is_empty(), "{wrong:#?}");
+}
+
 #[test]
 fn name_after_a_conflict_is_no_evidence_of_the_one_before() {
     let folder = tempfile::tempdir().unwrap();

@@ -92,13 +92,16 @@ pub(super) struct ResponseStart {
     pub is_resolving: bool,
 }
 
-/// Mode of a heartbeat's sender, as far as the U bit and address resolution show it.
+/// What is known about the sender of a heartbeat besides its UID: its mode, as far as the U bit and
+/// address resolution show it, and whether it is alone.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct ModeFlags {
+pub(super) struct SenderState {
     /// True in a working mode, by the U bit.
     pub is_working: bool,
     /// True in INIT or ARSLV: the node is about to change its mode.
     pub is_resolving: bool,
+    /// True if two senders are at the address whose names are known and differ.
+    pub are_two_named: bool,
 }
 
 /// Whether a frame repeats an earlier one.
@@ -382,19 +385,19 @@ impl ConflictDetector {
         now: Instant,
         address: Address,
         sender: Option<(Uid, Instant)>,
-        mode: ModeFlags,
+        state: SenderState,
         name: Option<&Name>,
         frame: &Frame,
     ) -> PeriodChange {
         let period = self.periods.of(address);
         let history = &mut self.histories[address.index()];
-        if mode.is_resolving {
+        if state.is_resolving {
             history.resolving_at = Some(now);
             history.resolving_since.get_or_insert(now);
         } else {
             history.resolving_since = None;
             history.note_settled(now);
-            history.seen[usize::from(mode.is_working)] = Some(now);
+            history.seen[usize::from(state.is_working)] = Some(now);
         }
         if let Some((uid, first)) = sender {
             history.note_first(uid, first);
@@ -413,13 +416,13 @@ impl ConflictDetector {
         let uid_returned = observed.return_count.filter(|_| interleaves);
         // Two devices alternate with every heartbeat; one device keeps a changed U bit for longer.
         let mode_returned =
-            history.working.observe(now, &mode.is_working, period.mul_f64(1.05)).return_count;
+            history.working.observe(now, &state.is_working, period.mul_f64(1.05)).return_count;
         let times = history.heartbeats.times();
         let mut pattern = rhythm::pattern(times, period);
         let reboots =
             history.resolving_at.is_some_and(|at| now.since(at) < period * WINDOW_PERIODS);
         let counted = if reboots { &history.settled } else { times };
-        if !mode.is_resolving && rhythm::is_crowded(counted, period) {
+        if !state.is_resolving && rhythm::is_crowded(counted, period) {
             pattern.two_phases = true;
             pattern.since = pattern.since.or(Some(now - period));
         }
@@ -481,10 +484,15 @@ impl ConflictDetector {
                 })
             }
             None if is_open => None,
-            None => self.rhythm_evidence(now, address, pattern, name, frame),
+            None => self.rhythm_evidence(now, address, pattern, state.are_two_named, name, frame),
         };
         if let Some(evidence) = evidence {
+            let (kind, until) = (evidence.kind, evidence.until.unwrap_or(now));
             self.report(now, evidence);
+            if kind == FindingKind::OneAddressTwoNames && state.are_two_named {
+                let same = FindingKind::SameNameSameAddress;
+                self.finding_tracker.supersede(now, until, same, kind, address);
+            }
         }
         // Devices that claim an address in turns send these heartbeats unscheduled.
         let history = &self.histories[address.index()];
@@ -492,10 +500,10 @@ impl ConflictDetector {
             history.sender_changed_at.is_some_and(|at| now.since(at) < interval)
         };
         // A claim comes after a restart.
-        let may_be_scheduled = |(before, _): &_| *before == uid && !mode.is_resolving;
+        let may_be_scheduled = |(before, _): &_| *before == uid && !state.is_resolving;
         let before_loss = history.before_loss.filter(may_be_scheduled);
         let interval = observed.interval.or(before_loss.map(|(_, at)| now.since(at)));
-        let scheduled = interval.filter(|it| !(mode.is_resolving && takes_turns(*it)));
+        let scheduled = interval.filter(|it| !(state.is_resolving && takes_turns(*it)));
         self.histories[address.index()].before_loss = None;
         let Some(interval) = scheduled else { return PeriodChange::None };
         let change = self.periods.note_interval(address, interval);
@@ -529,6 +537,7 @@ impl ConflictDetector {
         now: Instant,
         address: Address,
         pattern: HeartbeatPattern,
+        are_two_named: bool,
         name: Option<&'a Name>,
         frame: &'a Frame,
     ) -> Option<NewEvidence<'a>> {
@@ -549,7 +558,7 @@ impl ConflictDetector {
                 || self.finding_tracker.is_confirmed(same, address));
         let (kind, strength, description) = match pattern.two_phases {
             _ if !double_rate && !pattern.two_phases => return None,
-            true if others.has_two_names => {
+            true if are_two_named || others.has_two_names => {
                 (FindingKind::OneAddressTwoNames, EvidenceStrength::Strong, SECOND_PHASE)
             }
             // One change of the name does not show that both are there.

@@ -1,0 +1,192 @@
+//! Names of senders: which row is that of which sender of heartbeats, at an address that several
+//! devices may use.
+//!
+//! A heartbeat shows no name, and a name response no UID. While a single sender is at the address,
+//! or while all others are known by name, a name received there is that of this sender. Heartbeats
+//! without a UID are of one more sender: a device sends its UID each time, or never.
+
+use super::DeviceId;
+use crate::time::{Duration, Instant};
+use crate::wire::id::Address;
+use crate::wire::node::Uid;
+
+/// Maximum number of senders stored; beyond that the one silent for the longest time is dropped.
+/// Bounds the memory: two senders at each address.
+const MAX_SENDERS: usize = 256;
+/// Periods without a heartbeat for which a sender may still be at its address. After that it is
+/// stale (protocol §4.6).
+const PRESENT_PERIODS: f64 = 2.5;
+
+/// A sender of heartbeats at an address.
+#[derive(Clone, Copy, Debug)]
+struct NamedSender {
+    address: Address,
+    /// All 00 where its heartbeats carry none.
+    uid: Uid,
+    last: Instant,
+    /// Row of its name, if known.
+    row: Option<DeviceId>,
+    /// Row of another name than its own, or of a name that another sender had, received while it was
+    /// the only sender.
+    contradicted_by: Option<DeviceId>,
+}
+
+/// Senders of heartbeats on one bus, and the rows of their names. UIDs that it returns are blank for
+/// a sender without one.
+#[derive(Clone, Debug, Default)]
+pub(super) struct SenderNames {
+    senders: Vec<NamedSender>,
+}
+
+impl SenderNames {
+    /// Notes a heartbeat.
+    pub fn note_heartbeat(&mut self, now: Instant, address: Address, uid: Option<Uid>) {
+        if let Some(sender) = self.find_mut(address, uid) {
+            sender.last = now;
+            return;
+        }
+        let uid = known_or_blank(uid);
+        let sender = NamedSender { address, uid, last: now, row: None, contradicted_by: None };
+        if self.senders.len() < MAX_SENDERS {
+            self.senders.push(sender);
+        } else if let Some(oldest) = self.senders.iter_mut().min_by_key(|it| it.last) {
+            *oldest = sender;
+        }
+    }
+
+    /// Returns the UID of the sender whose name was received at `address`; `None` if it may be that
+    /// of several. `named`: the row of that name, if there is one.
+    pub fn sender_of_name(
+        &self,
+        now: Instant,
+        address: Address,
+        period: Duration,
+        named: Option<DeviceId>,
+    ) -> Option<Uid> {
+        let present: Vec<&NamedSender> = self.present(now, address, period).collect();
+        if let Some(row) = named
+            && let Some(sender) = present.iter().find(|sender| sender.row == Some(row))
+        {
+            return Some(sender.uid);
+        }
+        // A device may respond before its first heartbeat.
+        let is_expected = named.is_some_and(|row| self.of_row(row, address).is_some());
+        let mut unnamed = present.iter().filter(|sender| sender.row.is_none());
+        let unnamed = (unnamed.next(), unnamed.next());
+        match (unnamed, &*present) {
+            ((Some(sender), None), _) if !is_expected => Some(sender.uid),
+            // A device has another name if it responds with it twice.
+            (_, [only]) if named.is_some() && only.contradicted_by == named => Some(only.uid),
+            _ => None,
+        }
+    }
+
+    /// Notes that a name was received at `address` whose row is `row`; `sender`: what
+    /// [`sender_of_name`](Self::sender_of_name) returned for it.
+    pub fn note_name(
+        &mut self,
+        now: Instant,
+        address: Address,
+        period: Duration,
+        row: DeviceId,
+        sender: Option<Uid>,
+    ) {
+        if sender.is_some() {
+            for other in self.senders.iter_mut().filter(|it| it.address == address) {
+                other.row = other.row.filter(|own| *own != row);
+            }
+            if let Some(sender) = self.find_mut(address, sender) {
+                (sender.row, sender.contradicted_by) = (Some(row), None);
+            }
+            return;
+        }
+        let present: Vec<Uid> = self.present(now, address, period).map(|it| it.uid).collect();
+        if let [only] = *present
+            && let Some(sender) = self.find_mut(address, Some(only))
+        {
+            sender.contradicted_by = Some(row);
+        }
+    }
+
+    /// Replaces row `new` by `old`, into which it was merged.
+    pub fn merge_rows(&mut self, old: DeviceId, new: DeviceId) {
+        for sender in self.senders.iter_mut().filter(|sender| sender.row == Some(new)) {
+            sender.row = Some(old);
+        }
+    }
+
+    /// Returns the row of a sender's name.
+    pub fn row_of(&self, address: Address, uid: Option<Uid>) -> Option<DeviceId> {
+        let uid = known_or_blank(uid);
+        self.senders.iter().find(|it| it.address == address && it.uid == uid)?.row
+    }
+
+    /// Returns the UID in the heartbeats of the device of a row.
+    pub fn uid_of(&self, row: DeviceId, address: Address) -> Option<Uid> {
+        Some(self.of_row(row, address)?.uid)
+    }
+
+    /// Returns the last heartbeat of the device of a row. Without a UID it may be that of another
+    /// device, once another name was received.
+    pub fn last_of(&self, row: DeviceId, address: Address) -> Option<Instant> {
+        let sender = self.of_row(row, address)?;
+        let is_certain = !sender.uid.is_blank() || sender.contradicted_by.is_none();
+        is_certain.then_some(sender.last)
+    }
+
+    /// Returns true if another sender than that with this UID is at `address`.
+    pub fn is_shared(
+        &self,
+        now: Instant,
+        address: Address,
+        period: Duration,
+        uid: Option<Uid>,
+    ) -> bool {
+        let uid = known_or_blank(uid);
+        self.present(now, address, period).any(|it| it.uid != uid)
+    }
+
+    /// Returns true if the device of `row` is at `address` and sends another UID than this one.
+    pub fn is_present_beside(
+        &self,
+        now: Instant,
+        row: DeviceId,
+        address: Address,
+        period: Duration,
+        uid: Option<Uid>,
+    ) -> bool {
+        let uid = known_or_blank(uid);
+        let mut present = self.present(now, address, period);
+        present.any(|sender| sender.row == Some(row) && sender.uid != uid)
+    }
+
+    /// Returns true if two senders are at `address` whose names are known and differ.
+    pub fn are_two_named(&self, now: Instant, address: Address, period: Duration) -> bool {
+        let mut rows = self.present(now, address, period).filter_map(|sender| sender.row);
+        rows.next().is_some_and(|first| rows.any(|other| other != first))
+    }
+
+    fn find_mut(&mut self, address: Address, uid: Option<Uid>) -> Option<&mut NamedSender> {
+        let uid = known_or_blank(uid);
+        self.senders.iter_mut().find(|it| it.address == address && it.uid == uid)
+    }
+
+    fn of_row(&self, row: DeviceId, address: Address) -> Option<&NamedSender> {
+        self.senders.iter().find(|it| it.row == Some(row) && it.address == address)
+    }
+
+    fn present(
+        &self,
+        now: Instant,
+        address: Address,
+        period: Duration,
+    ) -> impl Iterator<Item = &NamedSender> {
+        let limit = period.mul_f64(PRESENT_PERIODS);
+        let here = self.senders.iter().filter(move |it| it.address == address);
+        here.filter(move |it| now.since(it.last) < limit)
+    }
+}
+
+fn known_or_blank(uid: Option<Uid>) -> Uid {
+    uid.filter(|uid| !uid.is_blank()).unwrap_or(Uid::BLANK)
+}
