@@ -105,6 +105,11 @@ impl DeviceTracker {
         self.conflicts.periods().of(address)
     }
 
+    /// Returns the heartbeat period of the slowest sender at `address`: by it a sender is absent.
+    pub fn sender_period(&self, address: Address) -> Duration {
+        self.conflicts.longest_period(address)
+    }
+
     /// Returns when the window of a request sent now closes: the response time on a busy and slow
     /// bus.
     pub fn response_window(&self) -> Instant {

@@ -508,10 +508,23 @@ impl FindingTracker {
         self.periods = *periods;
     }
 
+    /// Returns the heartbeat period of the profile.
+    pub fn default_period(&self) -> Duration {
+        self.default_period
+    }
+
     /// Returns the heartbeat period of the address that a finding concerns.
     fn period_of(&self, at: usize) -> Duration {
-        let address = self.findings[at].key.address;
-        address.map_or(self.default_period, |address| self.periods[address.index()])
+        let key = &self.findings[at].key;
+        let Some(address) = key.address else { return self.default_period };
+        let period = self.periods[address.index()];
+        match key.kind {
+            // The second sender may be slower than the first.
+            FindingKind::OneAddressTwoIdentities | FindingKind::TwoDebugDevices => {
+                period.max(self.default_period)
+            }
+            _ => period,
+        }
     }
 
     /// Age at which evidence no longer supports a finding.

@@ -224,8 +224,9 @@ impl DeviceTracker {
             are_two_named: self.sender_names.are_two_named(
                 now,
                 address,
-                self.conflicts.periods().of(address),
+                self.sender_period(address),
             ),
+            longest_period: self.sender_names.longest_period(now, address),
         };
         let name = device.name.clone();
         if repetition == Repetition::None && header.response {
@@ -259,7 +260,7 @@ impl DeviceTracker {
     /// Returns true if a heartbeat with this UID is not of the device of `row`: its sender has another
     /// row at the address, or the device sends its own UID there too.
     fn is_of_other_board(&self, row: DeviceId, address: Address, uid: Option<Uid>) -> bool {
-        let period = self.period_of(address);
+        let period = self.sender_period(address);
         self.other_row_of_sender(address, uid).is_some()
             || self.sender_names.is_present_beside(self.now, row, address, period, uid)
     }

@@ -15,7 +15,7 @@ impl DeviceTracker {
     pub(super) fn row_of_name(&mut self, now: Instant, row: DeviceId, name: &Name) -> DeviceId {
         let Some(current) = self.device_table.get(row) else { return row };
         let (address, is_own) = (current.address, current.name.as_ref() == Some(name));
-        let period = self.period_of(address);
+        let period = self.sender_period(address);
         let known = if is_own {
             Some(row)
         } else {
@@ -103,7 +103,7 @@ impl DeviceTracker {
         let is_of_another = of_current
             .or_else(|| self.claims.uid_of(current))
             .is_some_and(|other| is_different_sender(Some(other), uid.or(Some(Uid::BLANK))));
-        let period = self.period_of(address);
+        let period = self.sender_period(address);
         if !is_of_another || self.sender_names.is_shared(self.now, address, period, uid) {
             return;
         }

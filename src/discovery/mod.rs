@@ -423,7 +423,7 @@ impl Engine {
     /// Returns the nodes that send heartbeats with a UID from `address` or did so until at most 5
     /// periods ago, in the order of joining; several while they are in conflict.
     pub fn senders_at(&self, address: Address) -> Vec<AddressSender> {
-        self.tracker.claims.senders(self.tracker.now, address, self.tracker.period_of(address))
+        self.tracker.claims.senders(self.tracker.now, address, self.tracker.sender_period(address))
     }
 
     /// Returns the heartbeat period of an address: measured, else that of the profile.

@@ -8,6 +8,7 @@
 //! unless frames arrive between them; or, without rounds, stale 30 s after the last frame. Time in
 //! which the bus was down does not count.
 
+use super::conflicts::ConflictDetector;
 use super::device::{Device, Presence, STALE_PERIODS};
 use super::device_tracker::DeviceTracker;
 use super::periods::HeartbeatPeriods;
@@ -106,6 +107,7 @@ impl Outages {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PresenceInput<'a> {
     pub periods: &'a HeartbeatPeriods,
+    pub conflicts: &'a ConflictDetector,
     /// True if enumeration rounds are sent.
     pub rounds: bool,
     pub outages: &'a Outages,
@@ -121,7 +123,7 @@ impl PresenceInput<'_> {
     /// Returns the presence at `now`, and when it changes if no frame is received; `None`: it does
     /// not.
     pub fn evaluate(&self, device: &Device, now: Instant) -> (Presence, Option<Instant>) {
-        let period = self.periods.of_presence(device.address);
+        let period = self.conflicts.presence_period(device.address);
         let lost_after = period * LOST_PERIODS;
         let is_known = device.heartbeat.count > 1 || self.periods.is_reliable(device.address);
         let stale_after = if is_known { period.mul_f64(STALE_PERIODS) } else { lost_after };
@@ -176,6 +178,7 @@ impl DeviceTracker {
         PresenceInput {
             outages: &self.outages,
             periods: self.conflicts.periods(),
+            conflicts: &self.conflicts,
             rounds: (self.recorded_nodes.has_inspector()
                 || !self.config.listen_only && self.config.send_requests)
                 && !self.config.round_period.is_zero(),
@@ -247,7 +250,7 @@ impl DeviceTracker {
     /// responds, or sends heartbeats of its own.
     fn replaced_row_presence(&self, device: &Device) -> Presence {
         let is_gone = matches!(device.presence, Presence::Lost | Presence::Asleep);
-        let period = self.period_of(device.address);
+        let period = self.sender_period(device.address);
         if is_gone
             && let Some(heard) = self.sender_names.last_of(device.id, device.address)
             && self.now.since(heard) < period.mul_f64(STALE_PERIODS)
@@ -267,7 +270,7 @@ impl DeviceTracker {
         if matches!(device.presence, Presence::Lost | Presence::Asleep) {
             return None;
         }
-        let period = self.period_of(device.address);
+        let period = self.sender_period(device.address);
         let is_open = self.conflicts.finding_tracker().is_open_at(device.address);
         let after_response = period * if is_open { 8 } else { 4 };
         let responded = device.name_query.responded_at;

@@ -60,7 +60,12 @@ impl DeviceTracker {
         let before = not_blank(uid_before);
         // The sender has its own row at this address, and has not sent its name again yet.
         let has_other_row = self.other_row_of_sender(address, heartbeat.uid).is_some()
-            && self.sender_names.is_shared(now, address, self.period_of(address), heartbeat.uid);
+            && self.sender_names.is_shared(
+                now,
+                address,
+                self.sender_period(address),
+                heartbeat.uid,
+            );
         let Some(uid) = not_blank(heartbeat.uid) else {
             let again = heartbeat.mode == mode_before && held;
             if over_holder {
@@ -78,7 +83,7 @@ impl DeviceTracker {
         let heartbeat_input = HeartbeatInput {
             now,
             address,
-            period: self.period_of(address),
+            period: self.sender_period(address),
             uid,
             mode: heartbeat.mode,
             row,
@@ -104,7 +109,7 @@ impl DeviceTracker {
         let Some((uid, update)) = sender.known else { return };
         let now = self.now;
         if let (Some(left), Some(then)) = (update.left, update.gave_up) {
-            let to = self.claims.is_still_active(now, left, self.period_of(left), then, uid);
+            let to = self.claims.is_still_active(now, left, self.sender_period(left), then, uid);
             let to = to.map(|(device, uid)| self.party(device, Some(uid)));
             let to = to.or_else(|| self.blank_party(left, then));
             // The row there may stand for the other node now.
@@ -115,7 +120,7 @@ impl DeviceTracker {
             self.emit_for(Some(device), left, kind);
             self.conflicts.finding_tracker_mut().note_gave_up(now, left);
         }
-        let period = self.period_of(address);
+        let period = self.sender_period(address);
         for (device, silent) in self.claims.nodes_that_stopped(now, address, period, uid) {
             let to = Some(self.party(update.device, Some(uid)));
             let kind = EventKind::GaveUpAddress { uid: Some(silent), to, inferred: true };
@@ -178,7 +183,7 @@ impl DeviceTracker {
 
     /// Emits that a device known by its name alone left an address that another node claimed.
     pub(super) fn emit_gave_up_by_name(&mut self, device: DeviceId, from: Address) {
-        let period = self.period_of(from);
+        let period = self.sender_period(from);
         let since = self.claims.claimed_while_held(from);
         let concerns = since.is_some_and(|at| self.now.since(at) < period * CLAIM_RELEVANT_PERIODS);
         if concerns && let Some(to) = self.blank_party(from, Instant::ZERO) {
@@ -198,7 +203,12 @@ impl DeviceTracker {
     fn row_left(&self, left: Address, update: &ClaimUpdate) -> Option<DeviceId> {
         let device = self.device_table.get(update.device)?;
         let silent = self.now.since(device.last_seen) > self.gap_limit(left)
-            || self.claims.are_others_known(self.now, left, self.period_of(left), update.device);
+            || self.claims.are_others_known(
+                self.now,
+                left,
+                self.sender_period(left),
+                update.device,
+            );
         let has_left = silent || !self.device_table.is_current(device);
         (device.address == left && has_left).then_some(update.device)
     }
@@ -212,7 +222,7 @@ impl DeviceTracker {
 
     /// Returns the gap between heartbeats from which at least one is missing.
     fn gap_limit(&self, address: Address) -> Duration {
-        self.period_of(address).mul_f64(MISSED_HEARTBEAT_PERIODS)
+        self.sender_period(address).mul_f64(MISSED_HEARTBEAT_PERIODS)
     }
 
     fn party(&self, device: DeviceId, uid: Option<Uid>) -> OtherDevice {

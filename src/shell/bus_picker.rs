@@ -5,9 +5,10 @@
 
 use super::bus_scout::BusScout;
 use super::terminal::{self, Terminal};
-use super::tui_loop::{Signals, ThemeLoader, TuiWake, key_of, next_event};
+use super::terminal_input::TerminalInput;
+use super::tui_loop::{Signals, ThemeLoader, TuiWake, key_of};
 use crate::app::{BusChoice, BusSelection, ChoiceOutcome, Signs};
-use crossterm::event::{Event, EventStream, KeyEventKind};
+use crossterm::event::{Event, KeyEventKind};
 use std::io;
 
 /// How the list ended.
@@ -45,7 +46,7 @@ async fn choose_on_terminal(
 ) -> io::Result<PickerExit> {
     let mut signals = Signals::new()?;
     let mut terminal = Terminal::enter()?;
-    let mut input = EventStream::new();
+    let mut input = TerminalInput::start()?;
     loop {
         let theme = &themes.current;
         terminal.draw_frame(|frame| crate::ui::draw_choice(&choice, None, theme, signs, frame))?;
@@ -58,7 +59,7 @@ async fn choose_on_terminal(
                     continue;
                 }
             },
-            event = next_event(&mut input) => event,
+            event = input.next() => event,
             offers = scout.next() => {
                 choice.handle_offers(offers);
                 if let Some(awaited) = choice.take_awaited() {

@@ -9,6 +9,7 @@
 //! tui_loop        keys, signals and drawing   terminal      taking it over, restoring it
 //! painted_screen  what the terminal shows     paint_pace    when it is drawn
 //! cell_encoder    cells as bytes
+//! terminal_input  keys, read by a thread
 //! store           des.json on disk            file_watcher  changes by other programs
 //! recovery        copy of unsaved edits       config        the user's settings
 //! bus_picker      the list of buses           bus_scout     what can be opened, as it changes
@@ -37,5 +38,6 @@ pub mod session;
 pub mod stop;
 pub mod store;
 pub mod terminal;
+mod terminal_input;
 pub mod tui_loop;
 mod waiting;

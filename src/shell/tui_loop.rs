@@ -11,6 +11,7 @@ use super::session::Session;
 use super::stop::output_closed;
 use super::store::Store;
 use super::terminal::{self, Terminal};
+use super::terminal_input::TerminalInput;
 use super::waiting::sleep_for;
 use crate::app::{
     BusOffer, BusSelection, COLOURLESS_THEME, Effect, Mouse, MouseKind, SavedFilter,
@@ -21,13 +22,11 @@ use crate::regular_file::{MAX_TEXT_BYTES, read_text, text_of};
 use crate::theme::{Colours, Theme};
 use crate::time::Duration;
 use crossterm::event::{
-    self, Event, EventStream, KeyEvent, KeyEventKind, KeyModifiers, MouseButton, MouseEventKind,
+    self, Event, KeyEvent, KeyEventKind, KeyModifiers, MouseButton, MouseEventKind,
 };
-use futures_util::StreamExt;
-use std::future::{pending, poll_fn};
+use std::future::pending;
 use std::io;
 use std::sync::Arc;
-use std::task::Poll;
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::Notify;
 use tokio::time::{Instant, sleep_until, timeout_at};
@@ -85,7 +84,7 @@ async fn run_on_terminal(
 ) -> io::Result<TuiExit> {
     let mut signals = Signals::new()?;
     let mut terminal = Terminal::enter()?;
-    let mut input = EventStream::new();
+    let mut input = TerminalInput::start()?;
     let (columns, rows) = terminal.size()?;
     session.app.handle_resize(columns, rows);
     let start = Instant::now();
@@ -109,7 +108,7 @@ async fn run_on_terminal(
                     take_late_reply(&mut background, &mut input, &pace, elapsed()).await;
                     drop(input);
                     terminal.suspend()?;
-                    input = EventStream::new();
+                    input = TerminalInput::start()?;
                     resized(session, &terminal)?;
                 }
                 Effect::Redraw => terminal.redraw()?,
@@ -158,7 +157,7 @@ async fn run_on_terminal(
                     resized(session, &terminal)?;
                 }
             },
-            event = next_event(&mut input) => match event {
+            event = input.next() => match event {
                 Some(Ok(event)) => {
                     let (events, answer) = background.take(elapsed(), event);
                     if let Some(colour) = answer {
@@ -210,7 +209,7 @@ async fn run_on_terminal(
 /// Waits for an answer of the terminal that may be on its way: the shell would take it as typed.
 async fn take_late_reply(
     background: &mut BackgroundReply,
-    input: &mut EventStream,
+    input: &mut TerminalInput,
     pace: &PaintPace,
     now: crate::time::Instant,
 ) {
@@ -219,7 +218,7 @@ async fn take_late_reply(
         return;
     }
     let until = Instant::now() + longest;
-    while let Ok(Some(Ok(event))) = timeout_at(until, next_event(input)).await {
+    while let Ok(Some(Ok(event))) = timeout_at(until, input.next()).await {
         if background.take(now, event).1.is_some() {
             return;
         }
@@ -232,17 +231,6 @@ async fn next_offers(scout: &mut Option<BusScout>) -> Vec<BusOffer> {
         Some(scout) => scout.next().await,
         None => pending().await,
     }
-}
-
-/// Returns the next input event, `None` once the terminal is closed: crossterm would then read
-/// end of file in an endless loop.
-pub(super) async fn next_event(input: &mut EventStream) -> Option<io::Result<Event>> {
-    poll_fn(
-        |context| {
-            if terminal::is_lost() { Poll::Ready(None) } else { input.poll_next_unpin(context) }
-        },
-    )
-    .await
 }
 
 fn resized(session: &mut Session, terminal: &Terminal) -> io::Result<()> {

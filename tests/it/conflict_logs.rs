@@ -234,6 +234,29 @@ fn three_to_nine_senders_at_one_address_are_found() {
 }
 
 #[test]
+fn conflict_of_senders_with_unlike_periods_is_confirmed_once() {
+    let folder = tempfile::tempdir().unwrap();
+    for (first, second) in [(0.2, 1.0), (0.1, 1.0), (0.1, 2.0), (1.0, 0.2), (1.0, 3.0), (1.0, 5.0)]
+    {
+        let log = Log::default().beats(14, 0.05, 95.0, first, &format!("{FEED}0400"));
+        let log = log.beats(14, 20.037, 70.0, second, &format!("{PUMP}0400"));
+        let events = run(folder.path(), &["watch"], &log.text());
+        let states: Vec<&str> = events
+            .iter()
+            .filter(|event| event["event"] == "finding")
+            .map(|event| event["finding"]["confidence"].as_str().unwrap())
+            .collect();
+        assert_eq!(
+            states,
+            ["suspected", "confirmed", "cleared"],
+            "each {first} s, each {second} s"
+        );
+        let lost = events.iter().find(|event| event["event"] == "lost");
+        assert!(lost.is_none(), "each {first} s, each {second} s: {lost:?}");
+    }
+}
+
+#[test]
 fn text_of_conflict_counts_the_devices() {
     let folder = tempfile::tempdir().unwrap();
     for (count, begin) in [(2, "Two devices"), (3, "3 devices"), (9, "8 or more devices")] {

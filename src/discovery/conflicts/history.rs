@@ -171,6 +171,8 @@ pub(super) struct AddressHistory {
     pub name_repeats: u32,
     name_repeated_at: Option<Instant>,
     pub uids: RecentValues<Uid>,
+    /// Heartbeat period of the slowest sender, where another one is faster.
+    pub longest_period: Option<Duration>,
     /// Time of the first heartbeat with each of the UIDs that were received last, before any absence
     /// of their devices; at most [`MAX_VALUES`].
     first_by_uid: VecDeque<(Uid, Instant)>,

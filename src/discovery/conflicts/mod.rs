@@ -48,6 +48,9 @@ const UID_MEMORY_PERIODS: u32 = 5;
 /// Longest time between two heartbeats of a sender, in periods, if another one sends meanwhile: one
 /// of them may be lost. Boards that take turns are plugged in and start for longer.
 const INTERLEAVED_PERIODS: f64 = 2.6;
+/// Factor by which the period of a sender exceeds that of its address if another sender there is
+/// faster. Chosen: far above any jitter.
+const SLOWER_FACTOR: f64 = 1.5;
 
 /// Periods without a change of the name after which equal responses come from devices of one name:
 /// ten requests about a suspected finding, one per second, or one round of another inspector.
@@ -102,6 +105,8 @@ pub(super) struct SenderState {
     pub is_resolving: bool,
     /// True if two senders are at the address whose names are known and differ.
     pub are_two_named: bool,
+    /// Longest heartbeat period of the senders at the address, if known.
+    pub longest_period: Option<Duration>,
 }
 
 /// Whether a frame repeats an earlier one.
@@ -389,7 +394,9 @@ impl ConflictDetector {
         name: Option<&Name>,
         frame: &Frame,
     ) -> PeriodChange {
+        self.set_longest_period(address, state.longest_period);
         let period = self.periods.of(address);
+        let turn_period = self.turn_period(address);
         let history = &mut self.histories[address.index()];
         if state.is_resolving {
             history.resolving_at = Some(now);
@@ -405,14 +412,14 @@ impl ConflictDetector {
         let uid = sender.map(|(uid, _)| uid);
         history.note_sender(now, uid, period);
         let observed = if let Some(uid) = uid {
-            history.uids.observe(now, &uid, period * UID_MEMORY_PERIODS)
+            history.uids.observe(now, &uid, turn_period * UID_MEMORY_PERIODS)
         } else {
             let last = history.last_without_uid.replace(now);
             ObservedValue { interval: last.map(|last| now.since(last)), return_count: None }
         };
         // Boards that are swapped to and fro do not send heartbeats in turns.
         let interleaves =
-            observed.interval.is_none_or(|it| it <= period.mul_f64(INTERLEAVED_PERIODS));
+            observed.interval.is_none_or(|it| it <= turn_period.mul_f64(INTERLEAVED_PERIODS));
         let uid_returned = observed.return_count.filter(|_| interleaves);
         // Two devices alternate with every heartbeat; one device keeps a changed U bit for longer.
         let mode_returned =
@@ -437,7 +444,7 @@ impl ConflictDetector {
             .flatten();
         for last in history.uids.second_last_seen().into_iter().chain(in_other_phase) {
             // Some of its heartbeats may be lost.
-            let until = last + period * UID_MEMORY_PERIODS;
+            let until = last + turn_period * UID_MEMORY_PERIODS;
             self.finding_tracker.note_several_senders(until, address);
         }
         history.note_rate(pattern.double_rate, period);
@@ -452,7 +459,7 @@ impl ConflictDetector {
         let history = &self.histories[address.index()];
         let confirmed = self.finding_tracker.is_confirmed(identity, address);
         let alternation = match (uid_returned, mode_returned) {
-            (Some(_), _) => Some(self.alternating_uids(now, period, history)),
+            (Some(_), _) => Some(self.alternating_uids(now, turn_period, history)),
             (None, Some(returns)) if returns >= 2 && (pattern.double_rate || confirmed) => {
                 Some(Alternation {
                     again: "U bit changed back".into(),
@@ -513,8 +520,44 @@ impl ConflictDetector {
         change
     }
 
+    /// Sets the longest period of the senders at `address`, if some are slower than the others.
+    fn set_longest_period(&mut self, address: Address, longest: Option<Duration>) {
+        let several = self.periods.of(address).mul_f64(SLOWER_FACTOR);
+        let longest = longest.filter(|longest| *longest > several);
+        let known = &mut self.histories[address.index()].longest_period;
+        if std::mem::replace(known, longest) != longest {
+            self.apply_periods();
+        }
+    }
+
+    /// Returns the heartbeat period of the slowest sender at `address`: what two senders show in turns
+    /// comes as often.
+    pub fn longest_period(&self, address: Address) -> Duration {
+        self.periods.of(address).max(self.slower_period(address))
+    }
+
+    /// Returns the period in which two senders at `address` send heartbeats in turns: before that of a
+    /// second one is known, it may be the profile's.
+    fn turn_period(&self, address: Address) -> Duration {
+        self.longest_period(address).max(self.finding_tracker.default_period())
+    }
+
+    /// Returns the period by which the presence of `address` is judged.
+    pub fn presence_period(&self, address: Address) -> Duration {
+        self.periods.of_presence(address).max(self.slower_period(address))
+    }
+
+    /// Returns the period of a sender that is slower than another one; zero if there is none.
+    fn slower_period(&self, address: Address) -> Duration {
+        self.histories[address.index()].longest_period.unwrap_or_default()
+    }
+
     fn apply_periods(&mut self) {
-        self.finding_tracker.set_periods(self.periods.all());
+        let mut periods = *self.periods.all();
+        for (period, history) in periods.iter_mut().zip(&self.histories) {
+            *period = history.longest_period.map_or(*period, |longest| longest.max(*period));
+        }
+        self.finding_tracker.set_periods(&periods);
         self.repeated_frames.set_period(self.periods.typical());
     }
 
@@ -748,7 +791,7 @@ impl ConflictDetector {
     /// Returns true if there are signs that several devices use `address`: a conflict is suspected
     /// there, or the UID changed.
     pub fn is_shared_perhaps(&self, now: Instant, address: Address) -> bool {
-        let remembered = self.periods.of(address) * UID_MEMORY_PERIODS;
+        let remembered = self.turn_period(address) * UID_MEMORY_PERIODS;
         self.finding_tracker.is_open_at(address)
             || self.histories[address.index()].uids.changed_within(now, remembered)
     }
@@ -824,7 +867,7 @@ impl ConflictDetector {
     fn report(&mut self, now: Instant, evidence: NewEvidence<'_>) -> Option<usize> {
         let address = evidence.address;
         let at = self.finding_tracker.report(now, evidence)?;
-        let remembered = self.periods.of(address) * UID_MEMORY_PERIODS;
+        let remembered = self.turn_period(address) * UID_MEMORY_PERIODS;
         let history = &self.histories[address.index()];
         let uids = history.uids.recent(now, remembered).into_iter().map(|(uid, since)| {
             // An absence is longer than the memory.
