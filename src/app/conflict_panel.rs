@@ -166,7 +166,7 @@ impl App {
         let problem = problems.iter().find(|problem| problem.key == key);
         let sides = problem.and_then(|problem| self.conflict_sides(&problem));
         let sides = sides.map_or_else(Vec::new, |sides| sides.sides);
-        let own = sides.into_iter().find(|side| side.uid == Some(board.sender.uid));
+        let own = sides.into_iter().find(|side| board.sender.has_uid(side.uid));
         own.map_or_else(Vec::new, |side| side.modes)
     }
 
@@ -246,7 +246,7 @@ impl App {
         let here = |side: &super::ConflictSide| {
             let (bus, address) = (self.bus(bus)?, devices.first()?.address);
             let senders = bus.senders_at(address);
-            let sender = senders.iter().find(|sender| Some(sender.uid) == side.uid)?;
+            let sender = senders.iter().find(|sender| sender.has_uid(side.uid))?;
             devices.iter().copied().find(|device| device.id == sender.device)
         };
         let profile = self.profile(bus);

@@ -44,9 +44,10 @@ impl App {
             return Vec::new();
         }
         let moved = device.uid.filter(|uid| device.moved_from.is_some() && !uid.is_blank());
-        let uid = board.map(|board| board.uid).or(moved);
         let is_own = |beat: &CapturedHeartbeat| {
-            last.is_none_or(|last| beat.time <= last) && uid.is_none_or(|uid| beat.uid == Some(uid))
+            last.is_none_or(|last| beat.time <= last)
+                && board.is_none_or(|board| board.has_uid(beat.uid))
+                && moved.is_none_or(|uid| board.is_some() || beat.uid == Some(uid))
         };
         let period = bus.heartbeat_period(device.address);
         let beats = self.heartbeats(device.id.bus, device.address);

@@ -66,7 +66,7 @@ pub(super) struct ClaimUpdate {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct AddressSender {
-    /// UID, not blank.
+    /// UID; blank for heartbeats without one, of which several nodes look like one.
     pub uid: Uid,
     /// Its row; that of no device where only its heartbeats are known.
     pub device: DeviceId,
@@ -78,6 +78,14 @@ pub struct AddressSender {
     pub first: Instant,
     /// Last heartbeat from the address.
     pub last: Instant,
+}
+
+impl AddressSender {
+    /// Returns true if a heartbeat with this UID is one of its.
+    pub fn has_uid(&self, uid: Option<Uid>) -> bool {
+        let known = uid.filter(|uid| !uid.is_blank());
+        known == Some(self.uid).filter(|own| !own.is_blank())
+    }
 }
 
 /// Node known by its UID.

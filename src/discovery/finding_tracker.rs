@@ -668,6 +668,7 @@ impl FindingTracker {
             self.requested_at[address.index()] = None;
         }
         self.evidence_states[at].excludes_one_device |= evidence.excludes_one_device;
+        self.note_began(at);
         self.describe(at);
         if strength != EvidenceStrength::Weak && explains_doubled_answers(kind) {
             let until = evidence.until.unwrap_or(now);
@@ -682,6 +683,15 @@ impl FindingTracker {
             self.update_state(now, evidence.until.unwrap_or(now), at);
         }
         Some(at)
+    }
+
+    /// Stores since when the evidence shows two senders. Once that is confirmed, a gap in the evidence
+    /// does not change it.
+    fn note_began(&mut self, at: usize) {
+        let began = self.evidence_states[at].began;
+        let finding = &mut self.findings[at];
+        let known = finding.began.filter(|_| finding.state == FindingState::Confirmed);
+        finding.began = known.into_iter().chain(began).min();
     }
 
     /// Counts an observation whose finding had its last one at `last`.
@@ -837,6 +847,7 @@ impl FindingTracker {
                     (self.evidence_states[old].began, self.evidence_states[new].began);
                 self.evidence_states[new].began = before.into_iter().chain(began).min();
                 self.evidence_states[new].strong += self.evidence_states[old].strong;
+                self.note_began(new);
             }
             self.findings[old].superseded_by = Some(self.findings[new].key.kind);
             self.set(now, old, FindingState::Cleared);

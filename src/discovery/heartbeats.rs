@@ -151,7 +151,8 @@ impl DeviceTracker {
         }
         let address = header.source;
         let claim = HeartbeatContext { row, address, heartbeat, uid_before, mode_before, gap };
-        self.sender_names.note_heartbeat(now, address, heartbeat.uid);
+        let sender_period = self.sender_period(address);
+        self.sender_names.note_heartbeat(now, address, sender_period, heartbeat);
         let sender = self.note_sender(claim);
         let Some(device) = self.device_table.get_mut(row) else { return };
         device.last_heartbeat_was_other_node = sender.is_other_node;

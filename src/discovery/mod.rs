@@ -420,10 +420,18 @@ impl Engine {
         self.tracker.device_table.current_device(address)
     }
 
-    /// Returns the nodes that send heartbeats with a UID from `address` or did so until at most 5
-    /// periods ago, in the order of joining; several while they are in conflict.
+    /// Returns the nodes that send heartbeats from `address` or did so until at most 5 periods ago, in
+    /// the order of joining; several while they are in conflict.
     pub fn senders_at(&self, address: Address) -> Vec<AddressSender> {
-        self.tracker.claims.senders(self.tracker.now, address, self.tracker.sender_period(address))
+        let (now, period) = (self.tracker.now, self.tracker.sender_period(address));
+        let mut senders = self.tracker.claims.senders(now, address, period);
+        let current = self.tracker.device_table.current_row(address);
+        let names = &self.tracker.sender_names;
+        // Alone it is the device of the row.
+        let blank = names.blank_sender(now, address, period, current);
+        senders.extend(blank.filter(|_| !senders.is_empty()));
+        senders.sort_by_key(|sender| (sender.first, sender.uid));
+        senders
     }
 
     /// Returns the heartbeat period of an address: measured, else that of the profile.

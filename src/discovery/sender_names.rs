@@ -5,10 +5,10 @@
 //! or while all others are known by name, a name received there is that of this sender. Heartbeats
 //! without a UID are of one more sender: a device sends its UID each time, or never.
 
-use super::DeviceId;
+use super::{AddressSender, DeviceId};
 use crate::time::{Duration, Instant};
 use crate::wire::id::Address;
-use crate::wire::node::Uid;
+use crate::wire::node::{Heartbeat, Mode, Uid};
 
 /// Maximum number of senders stored; beyond that the one silent for the longest time is dropped.
 /// Bounds the memory: two senders at each address.
@@ -16,6 +16,8 @@ const MAX_SENDERS: usize = 256;
 /// Periods without a heartbeat for which a sender may still be at its address. After that it is
 /// stale (protocol §4.6).
 const PRESENT_PERIODS: f64 = 2.5;
+/// Periods without a heartbeat after which a sender was absent.
+const ABSENT_PERIODS: u32 = 5;
 /// Deviation of an interval from the one before it up to which both are a period. Chosen: the bus
 /// delays heartbeats by some milliseconds.
 const INTERVAL_TOLERANCE: f64 = 0.2;
@@ -30,6 +32,12 @@ struct NamedSender {
     /// All 00 where its heartbeats carry none.
     uid: Uid,
     last: Instant,
+    /// First heartbeat after its last absence of more than five periods.
+    since: Instant,
+    /// First heartbeat, before any absence.
+    first: Instant,
+    /// Last mode; `None` if its heartbeats carry none.
+    mode: Option<Mode>,
     /// Time between its last two heartbeats.
     interval: Duration,
     /// Number of intervals in a row that are equal to the one before them.
@@ -47,6 +55,9 @@ impl NamedSender {
             address,
             uid,
             last: now,
+            since: now,
+            first: now,
+            mode: None,
             interval: Duration::ZERO,
             equal_count: 0,
             row: None,
@@ -54,8 +65,11 @@ impl NamedSender {
         }
     }
 
-    fn note_heartbeat(&mut self, now: Instant) {
+    fn note_heartbeat(&mut self, now: Instant, period: Duration) {
         let interval = now.since(self.last);
+        if interval > self.period().unwrap_or(period).max(period) * ABSENT_PERIODS {
+            self.since = now;
+        }
         let deviation = interval.abs_diff(self.interval);
         let is_equal = deviation < self.interval.mul_f64(INTERVAL_TOLERANCE);
         self.equal_count = if is_equal { self.equal_count.saturating_add(1) } else { 0 };
@@ -76,13 +90,21 @@ pub(super) struct SenderNames {
 }
 
 impl SenderNames {
-    /// Notes a heartbeat.
-    pub fn note_heartbeat(&mut self, now: Instant, address: Address, uid: Option<Uid>) {
-        if let Some(sender) = self.find_mut(address, uid) {
-            sender.note_heartbeat(now);
+    /// Notes a heartbeat. `period`: that of the slowest sender at its address.
+    pub fn note_heartbeat(
+        &mut self,
+        now: Instant,
+        address: Address,
+        period: Duration,
+        heartbeat: Heartbeat,
+    ) {
+        if let Some(sender) = self.find_mut(address, heartbeat.uid) {
+            sender.note_heartbeat(now, period);
+            sender.mode = heartbeat.mode.or(sender.mode);
             return;
         }
-        let sender = NamedSender::new(now, address, known_or_blank(uid));
+        let new = NamedSender::new(now, address, known_or_blank(heartbeat.uid));
+        let sender = NamedSender { mode: heartbeat.mode, ..new };
         if self.senders.len() < MAX_SENDERS {
             self.senders.push(sender);
         } else if let Some(oldest) = self.senders.iter_mut().min_by_key(|it| it.last) {
@@ -194,6 +216,28 @@ impl SenderNames {
         let uid = known_or_blank(uid);
         let mut present = self.present(now, address, period);
         present.any(|sender| sender.row == Some(row) && sender.uid != uid)
+    }
+
+    /// Returns the sender without a UID at `address`, unless it has been absent for more than five
+    /// periods. `current`: the row at the address, for a sender whose name is not known.
+    pub fn blank_sender(
+        &self,
+        now: Instant,
+        address: Address,
+        period: Duration,
+        current: Option<DeviceId>,
+    ) -> Option<AddressSender> {
+        let is_it = |it: &&NamedSender| it.address == address && it.uid == Uid::BLANK;
+        let sender = self.senders.iter().find(is_it)?;
+        let device = sender.row.or(current)?;
+        (now.since(sender.last) < period * ABSENT_PERIODS).then_some(AddressSender {
+            uid: Uid::BLANK,
+            device,
+            mode: sender.mode,
+            since: sender.since,
+            first: sender.first,
+            last: sender.last,
+        })
     }
 
     /// Returns the longest period of the senders at `address`; `None` if none is known.

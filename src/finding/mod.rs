@@ -145,6 +145,9 @@ pub struct Finding {
     pub uids: Vec<SeenUid>,
     /// Time of the first evidence.
     pub first: Instant,
+    /// Time since when the evidence shows two senders, which may be later than the first frame of it;
+    /// `None` where none is that strong.
+    pub began: Option<Instant>,
     /// Time of the last evidence.
     pub last: Instant,
     /// Time of the last change of `state`.
@@ -185,6 +188,7 @@ impl Finding {
             superseded_by: None,
             excludes_one_device: false,
             first: now,
+            began: None,
             last: now,
             changed: now,
             count: 0,

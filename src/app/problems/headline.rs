@@ -70,12 +70,19 @@ impl Problem<'_> {
     /// Time since when the problem is there: of a conflict, when the second of its boards joined or came
     /// back.
     pub fn began(&self) -> Instant {
-        self.joined().get(1).copied().unwrap_or(self.first())
+        self.joined().get(1).copied().unwrap_or_else(|| self.shown_since())
     }
 
     /// Time when the last of the boards of a conflict joined or came back; else when it began.
     pub fn newest_joined(&self) -> Instant {
-        self.joined().get(1..).and_then(<[Instant]>::last).copied().unwrap_or(self.first())
+        let newest = self.joined().get(1..).and_then(<[Instant]>::last).copied();
+        newest.unwrap_or_else(|| self.shown_since())
+    }
+
+    /// Time since when its evidence shows two boards; else that of its first evidence.
+    fn shown_since(&self) -> Instant {
+        let findings = self.findings.iter().filter(|finding| finding.superseded_by.is_none());
+        findings.filter_map(|finding| finding.began).min().unwrap_or(self.first())
     }
 
     /// When each of the boards of a conflict joined or came back, the first time first.
