@@ -184,6 +184,31 @@ fn boards_with_blank_uids_are_told_apart_by_phase() {
 }
 
 #[test]
+fn board_without_uid_has_its_row_beside_one_with_a_uid() {
+    for (one, two) in [(Uid([1; 6]), Uid([0; 6])), (Uid([0xFF; 6]), Uid([1; 6]))] {
+        let boards = [board("ACT", "one", one, 0.0), board("PUMP", "two", two, 12.3)];
+        let scenario = scenario(&boards);
+        let mut stage = shown(&scenario, 40.0);
+        let screen = stage.size(120, 40).screen();
+        for words in ["one board answers as ACT, the other as PUMP", "· ACT ", "· PUMP"] {
+            assert!(screen.contains(words), "{words}\n{screen}");
+        }
+        assert!(!screen.contains("ACT or PUMP"), "{screen}");
+        let screen = stage.keys("1").screen();
+        for (row, name) in [("14A", "ACT"), ("14B", "PUMP")] {
+            let line = screen.lines().find(|line| line.contains(row) && line.contains("CONFLICT"));
+            let line = line.unwrap_or_else(|| panic!("no {row}\n{screen}"));
+            assert!(line.contains(name) && line.contains("1.00 s"), "{line}");
+            assert!(
+                line.contains("blank") == (name == if one.is_blank() { "ACT" } else { "PUMP" }),
+                "{line}"
+            );
+        }
+        compare_with_past(&scenario, 40.0, 33.0);
+    }
+}
+
+#[test]
 fn boards_that_cannot_be_told_apart_are_marked() {
     let boards = [board("ACT", "one", Uid([0; 6]), 0.0), board("ACT", "two", Uid([0; 6]), 12.3)];
     // Heartbeats that the engine has seen, and the capture has not: too few to show their phases.
