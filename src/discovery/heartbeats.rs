@@ -125,7 +125,7 @@ impl DeviceTracker {
         if device.heartbeat.count <= 2 {
             self.wake_at(now + period * 2);
         }
-        let is_of_other_board = self.is_of_other_board(row, header.source, heartbeat.uid);
+        let may_be_other_board = self.may_be_other_board(row, header.source, heartbeat.uid);
         let Some(device) = self.device_table.get_mut(row) else { return };
         device.is_resolving = matches!(heartbeat.mode, Some(Mode::Init | Mode::Arslv));
         device.error_code = heartbeat.error.or(device.error_code);
@@ -145,9 +145,9 @@ impl DeviceTracker {
         if uid_changed {
             device.uid_before = uid_before;
             device.heartbeat_uid = heartbeat.uid;
-            if !is_of_other_board {
-                device.uid = heartbeat.uid;
-            }
+        }
+        if heartbeat.uid.is_some() && !may_be_other_board {
+            device.uid = heartbeat.uid;
         }
         let address = header.source;
         let claim = HeartbeatContext { row, address, heartbeat, uid_before, mode_before, gap };
@@ -258,12 +258,14 @@ impl DeviceTracker {
         }
     }
 
-    /// Returns true if a heartbeat with this UID is not of the device of `row`: its sender has another
-    /// row at the address, or the device sends its own UID there too.
-    fn is_of_other_board(&self, row: DeviceId, address: Address, uid: Option<Uid>) -> bool {
+    /// Returns true if a heartbeat with this UID may not be of the device of `row`: several send
+    /// heartbeats from the address, and its name is not known to be that of the row.
+    fn may_be_other_board(&self, row: DeviceId, address: Address, uid: Option<Uid>) -> bool {
         let period = self.sender_period(address);
-        self.other_row_of_sender(address, uid).is_some()
-            || self.sender_names.is_present_beside(self.now, row, address, period, uid)
+        let own = self.sender_names.row_of(address, uid);
+        own != Some(row)
+            && (self.other_row_of_sender(address, uid).is_some()
+                || self.sender_names.is_shared(self.now, address, period, uid))
     }
 
     /// Sets the mode of a device whose row is not the current one at its address.

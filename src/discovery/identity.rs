@@ -43,6 +43,7 @@ impl DeviceTracker {
         let now = self.now;
         let Some(mut live) = self.device_table.get(row).cloned() else { return row };
         let (address, working) = (live.address, live.is_working);
+        let period = self.sender_period(address);
         // A UID seen here before the last response with the old name belongs to the old board.
         let name_received_at = live.name_query.responded_at;
         live.uid = live.heartbeat_uid;
@@ -57,6 +58,11 @@ impl DeviceTracker {
         } else if is_of_old_board {
             (live.uid, live.heartbeat_uid) = (None, None);
         }
+        let uid = if known.is_none() { live.uid } else { sender };
+        if sender.is_none() && self.sender_names.is_shared(now, address, period, live.uid) {
+            // It may be that of another board.
+            live.uid = None;
+        }
         let named = known.or_else(|| self.device_table.insert(now, address, working));
         let Some(named) = named else { return row };
         self.device_table.make_current(named);
@@ -69,7 +75,6 @@ impl DeviceTracker {
         if known.is_some() && device.presence == Presence::Lost {
             device.services_query.restart(now);
         }
-        let uid = if known.is_none() { live.uid } else { sender };
         if let Some(uid) = uid.filter(|uid| !uid.is_blank()) {
             self.claims.assign_row(uid, named, || self.device_table.reserve());
         }
@@ -172,13 +177,18 @@ impl DeviceTracker {
         let (now, periods) = (self.now, self.conflicts.periods());
         let (uid, name, address) =
             (device.uid.filter(|uid| !uid.is_blank()), device.name.clone(), device.address);
-        let first_seen = device.first_seen;
+        // Since when it is here; another device may have had the row before.
+        let since = uid.and_then(|uid| self.claims.since(uid, address));
+        let since = since.unwrap_or(device.first_seen).max(device.first_seen);
         // A device without heartbeats is silent between rounds, and has left only when it is lost.
         let gone = |other: &Device| {
             let missed = periods.of(other.address).mul_f64(MISSED_HEARTBEAT_PERIODS);
+            // Another device may have its row now.
+            let last = self.sender_names.last_of(other.id, other.address);
+            let last = last.unwrap_or(other.last_seen);
             other.address != address
-                && other.last_seen <= first_seen
-                && now.since(other.last_seen) > missed
+                && last <= since
+                && now.since(last) > missed
                 && (other.heartbeat.period_of_all().is_some() || !other.is_present())
         };
         let by_uid = uid.and_then(|uid| {
@@ -239,6 +249,7 @@ impl DeviceTracker {
         old.uid = old.uid_before.take().or(old.uid);
         let Some(uid) = self.sender_names.uid_of(row, old.address) else { return };
         old.uid = Some(uid);
+        old.mode = self.sender_names.mode_of(row, old.address).or(old.mode);
         if !uid.is_blank() {
             self.claims.assign_row(uid, row, || self.device_table.reserve());
         }

@@ -16,6 +16,12 @@ const MAX_SENDERS: usize = 256;
 /// Periods without a heartbeat for which a sender may still be at its address. After that it is
 /// stale (protocol §4.6).
 const PRESENT_PERIODS: f64 = 2.5;
+/// Number of responses in a row with another name after which the next one shows that the only
+/// sender has it. One may be that of a device without heartbeats.
+const CONTRADICTIONS: u32 = 1;
+/// The same where another device responds too: some in a row may be its, when responses of the
+/// sender are lost.
+const CONTRADICTIONS_SHARED: u32 = 3;
 /// Periods without a heartbeat after which a sender was absent.
 const ABSENT_PERIODS: u32 = 5;
 /// Deviation of an interval from the one before it up to which both are a period. Chosen: the bus
@@ -47,6 +53,11 @@ struct NamedSender {
     /// Row of another name than its own, or of a name that another sender had, received while it was
     /// the only sender.
     contradicted_by: Option<DeviceId>,
+    /// Number of times in a row that this name was received.
+    contradictions: u32,
+    /// True if its own name was received after it: another device, which sends no heartbeats or the
+    /// same UID, is there too.
+    is_shared: bool,
 }
 
 impl NamedSender {
@@ -62,6 +73,8 @@ impl NamedSender {
             equal_count: 0,
             row: None,
             contradicted_by: None,
+            contradictions: 0,
+            is_shared: false,
         }
     }
 
@@ -133,8 +146,10 @@ impl SenderNames {
         let unnamed = (unnamed.next(), unnamed.next());
         match (unnamed, &*present) {
             ((Some(sender), None), _) if !is_expected => Some(sender.uid),
-            // A device has another name if it responds with it twice.
-            (_, [only]) if named.is_some() && only.contradicted_by == named => Some(only.uid),
+            (_, [only]) if named.is_some() && only.contradicted_by == named => {
+                let most = if only.is_shared { CONTRADICTIONS_SHARED } else { CONTRADICTIONS };
+                (only.contradictions >= most).then_some(only.uid)
+            }
             _ => None,
         }
     }
@@ -150,11 +165,14 @@ impl SenderNames {
         sender: Option<Uid>,
     ) {
         if sender.is_some() {
+            let had_name = self.row_of(address, sender) == Some(row);
             for other in self.senders.iter_mut().filter(|it| it.address == address) {
                 other.row = other.row.filter(|own| *own != row);
             }
             if let Some(sender) = self.find_mut(address, sender) {
-                (sender.row, sender.contradicted_by) = (Some(row), None);
+                sender.row = Some(row);
+                sender.is_shared = had_name && (sender.is_shared || sender.contradictions > 0);
+                (sender.contradicted_by, sender.contradictions) = (None, 0);
             }
             return;
         }
@@ -162,7 +180,8 @@ impl SenderNames {
         if let [only] = *present
             && let Some(sender) = self.find_mut(address, Some(only))
         {
-            sender.contradicted_by = Some(row);
+            let is_again = sender.contradicted_by.replace(row) == Some(row);
+            sender.contradictions = if is_again { sender.contradictions + 1 } else { 1 };
         }
     }
 
@@ -184,6 +203,11 @@ impl SenderNames {
         Some(self.of_row(row, address)?.uid)
     }
 
+    /// Returns the last mode of the device of a row.
+    pub fn mode_of(&self, row: DeviceId, address: Address) -> Option<Mode> {
+        self.of_row(row, address)?.mode
+    }
+
     /// Returns the last heartbeat of the device of a row. Without a UID it may be that of another
     /// device, once another name was received.
     pub fn last_of(&self, row: DeviceId, address: Address) -> Option<Instant> {
@@ -202,20 +226,6 @@ impl SenderNames {
     ) -> bool {
         let uid = known_or_blank(uid);
         self.present(now, address, period).any(|it| it.uid != uid)
-    }
-
-    /// Returns true if the device of `row` is at `address` and sends another UID than this one.
-    pub fn is_present_beside(
-        &self,
-        now: Instant,
-        row: DeviceId,
-        address: Address,
-        period: Duration,
-        uid: Option<Uid>,
-    ) -> bool {
-        let uid = known_or_blank(uid);
-        let mut present = self.present(now, address, period);
-        present.any(|sender| sender.row == Some(row) && sender.uid != uid)
     }
 
     /// Returns the sender without a UID at `address`, unless it has been absent for more than five
@@ -250,10 +260,14 @@ impl SenderNames {
         present.max()
     }
 
-    /// Returns true if two senders are at `address` whose names are known and differ.
+    /// Returns true if two senders are at `address` whose names are known and differ, and neither
+    /// took the place of the other.
     pub fn are_two_named(&self, now: Instant, address: Address, period: Duration) -> bool {
-        let mut rows = self.present(now, address, period).filter_map(|sender| sender.row);
-        rows.next().is_some_and(|first| rows.any(|other| other != first))
+        let named = || self.present(now, address, period).filter(|sender| sender.row.is_some());
+        let are_beside = |one: &NamedSender, other: &NamedSender| {
+            one.row != other.row && one.last > other.since && other.last > one.since
+        };
+        named().any(|one| named().any(|other| are_beside(one, other)))
     }
 
     fn find_mut(&mut self, address: Address, uid: Option<Uid>) -> Option<&mut NamedSender> {

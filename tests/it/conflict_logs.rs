@@ -663,6 +663,78 @@ fn random_logs_of_two_named_boards_show_each_as_it_was() {
     assert!(wrong.is_empty(), "{wrong:#?}");
 }
 
+/// Returns address, name, UID and presence of each device that has a name, sorted.
+fn named_devices(folder: &Path, log: Log) -> Vec<(u64, String, String, String)> {
+    let scan = run(folder, &["scan"], &log.text());
+    let text = |device: &Value, key: &str| device[key].as_str().unwrap_or("–").to_owned();
+    let devices = scan[0]["devices"].as_array().unwrap().iter();
+    let named = devices.filter(|device| device["name"].is_string());
+    let mut all: Vec<_> = named
+        .map(|it| {
+            let address = it["address"].as_u64().unwrap();
+            (address, text(it, "name"), text(it, "uid"), text(it, "presence"))
+        })
+        .collect();
+    all.sort();
+    all
+}
+
+#[test]
+fn known_boards_that_swap_addresses_move_both() {
+    let folder = tempfile::tempdir().unwrap();
+    for back in [21.0, 24.0, 30.0] {
+        let mut log = Log::default().lives(9, 0.1, 20.0, FEED).lives(30, 0.3, 20.0, PUMP);
+        log.answers(5.0, 9, 0, &isotp("AAA"));
+        log.answers(6.0, 30, 0, &isotp("BBB"));
+        let log = log.lives(30, back + 0.1, 80.0, FEED).lives(9, back + 0.3, 80.0, PUMP);
+        let own = |address, name: &str, uid: &str| {
+            (address, name.to_owned(), uid.to_owned(), "online".to_owned())
+        };
+        assert_eq!(
+            named_devices(folder.path(), log),
+            [own(9, "BBB", "DSCANPK9"), own(30, "AAA", "BOILER01")],
+            "back at {back} s"
+        );
+    }
+}
+
+#[test]
+fn new_uid_of_a_named_row_is_shown_once_it_is_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    for gap in [0.5, 1.0, 4.0, 20.0] {
+        let mut log = Log::default().lives(14, 0.1, 5.0, FEED).lives(14, 4.1 + gap, 60.0, PUMP);
+        log.answers(2.0, 14, 0, &isotp("AAA"));
+        let devices = named_devices(folder.path(), log);
+        assert_eq!(devices.len(), 1, "gap of {gap} s: {devices:?}");
+        assert_eq!((&*devices[0].2, &*devices[0].3), ("DSCANPK9", "online"), "gap of {gap} s");
+    }
+}
+
+#[test]
+fn board_asleep_when_another_one_took_its_address_is_asleep() {
+    let folder = tempfile::tempdir().unwrap();
+    let log = Log::default().lives(14, 0.1, 10.0, FEED).lives(14, 22.4, 60.0, PUMP);
+    let mut log = log.beats(14, 10.1, 13.0, 1.0, &format!("{FEED}0600"));
+    log.answers(2.0, 14, 0, &isotp("AAA"));
+    log.answers(35.0, 14, 0, &isotp("BBB"));
+    let devices = named_devices(folder.path(), log);
+    let shown: Vec<_> = devices.iter().map(|(_, name, uid, is)| (&**name, &**uid, &**is)).collect();
+    assert_eq!(shown, [("AAA", "BOILER01", "asleep"), ("BBB", "DSCANPK9", "online")]);
+}
+
+#[test]
+fn board_beside_one_that_only_responds_keeps_its_uid() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut log = Log::default().lives(14, 0.1, 80.0, FEED);
+    for (at, name) in [(1, "AAA"), (21, "BBB"), (31, "AAA"), (41, "BBB"), (51, "BBB"), (71, "BBB")]
+    {
+        log.answers(f64::from(at), 14, 0, &isotp(name));
+    }
+    let devices = named_devices(folder.path(), log);
+    assert_eq!(devices[0].1, "AAA");
+    assert_eq!((&*devices[0].2, &*devices[0].3), ("BOILER01", "online"), "{devices:?}");
+}
+
 #[test]
 fn name_after_a_conflict_is_no_evidence_of_the_one_before() {
     let folder = tempfile::tempdir().unwrap();
