@@ -307,6 +307,28 @@ impl EntryReader<'_, '_> {
         self.wrong_type_in(&format!("`{}`", member.key()), at, expected);
     }
 
+    /// Reports an item of `services` that is no service: the member that is wrong, if it is one.
+    fn wrong_service(&mut self, number: usize, item: &scan::Item) {
+        let item_text = format!("`services` item {number}");
+        if !item.key.is_empty() {
+            return self.wrong_type_in(&item_text, &item.value, "a version, as a string");
+        }
+        let is_string = |value: &str| value.starts_with('"');
+        let members = scan::container(self.body, &item.value).filter(|_| item.value.len() > 1);
+        let members = members.map_or_else(Vec::new, |container| container.items);
+        for member in members {
+            let key = text::from_json(&self.body[member.key.clone()]).unwrap_or_default();
+            let value = &self.body[member.value.clone()];
+            let is_text = matches!(&*key, "name" | "version");
+            if is_text && !is_string(value) && (key == "name" || value != "null") {
+                let what = format!("`{key}` in {item_text}");
+                return self.wrong_type_in(&what, &member.value, "a string");
+            }
+        }
+        let expected = "an object of `name`, `version` and `extra`, all strings";
+        self.wrong_type_in(&item_text, &item.value, expected);
+    }
+
     fn wrong_type_in(&mut self, what: &str, at: &Span, expected: &str) {
         let found = JsonKind(&self.body[at.clone()]);
         self.findings.wrong_type(what, at.start, &found, expected, self.entry());
@@ -398,12 +420,7 @@ impl EntryReader<'_, '_> {
                 self.findings.duplicate(member, at, self.entry());
             }
             let Some(service) = service else {
-                let expected = if item.key.is_empty() {
-                    "an object of `name`, `version` and `extra`, all strings"
-                } else {
-                    "a version, as a string"
-                };
-                self.wrong_type_in(&format!("`services` item {number}"), &item.value, expected);
+                self.wrong_service(number, &item);
                 continue;
             };
             if !item.key.is_empty() {

@@ -148,6 +148,8 @@ impl fmt::Display for Key {
             text.push_str(if held { name } else { "" });
         }
         match (NAMED.iter().find(|(code, _)| *code == self.code), self.code) {
+            // Alone it needs no name, which separates it from a modifier.
+            (Some(_), KeyCode::Char('-')) if text.is_empty() => text.push('-'),
             (Some((_, name)), _) => text.push_str(name),
             (None, KeyCode::Char(c)) => text.push(c),
             (None, KeyCode::F(number)) => text.extend(["F", number.to_string().as_str()]),
@@ -167,7 +169,19 @@ mod tests {
 
     #[test]
     fn key_notation_round_trips() {
-        for text in ["r", "G", "?", "Space", "Ctrl-r", "Shift-Tab", "F12", "PgDn", "Alt-Enter"] {
+        for text in [
+            "r",
+            "G",
+            "?",
+            "-",
+            "Ctrl-Minus",
+            "Space",
+            "Ctrl-r",
+            "Shift-Tab",
+            "F12",
+            "PgDn",
+            "Alt-Enter",
+        ] {
             let key = Key::parse(text).unwrap_or_else(|| panic!("{text}"));
             assert_eq!(key.to_string(), text);
         }

@@ -240,6 +240,7 @@ fn resized(session: &mut Session, terminal: &Terminal) -> io::Result<()> {
 }
 
 fn handle_input(session: &mut Session, event: &Event) {
+    session.update_real_time();
     let now = session.now();
     match event {
         Event::Key(key) if key.kind != KeyEventKind::Release => {

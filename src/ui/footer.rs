@@ -461,7 +461,7 @@ fn pair(brush: &DrawContext, back: Action, forward: Action, does: &str) -> Optio
     let (back, forward) = (key(back)?, key(forward)?);
     let keys = match (back.code, forward.code) {
         (KeyCode::Left, KeyCode::Right) if !back.shift && !forward.shift => "← →".to_owned(),
-        _ => format!("{back} {forward}").replace("Minus", "-"),
+        _ => format!("{back} {forward}"),
     };
     Some((keys, does.to_owned()))
 }

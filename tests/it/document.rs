@@ -367,6 +367,12 @@ fn wrong_member_types_are_findings() {
             vec![0],
         ),
         (
+            r#"[{"name": "A", "services": [{"name": "DES", "version": 1.0}]}]"#,
+            WrongType,
+            "line 1, column 56: `version` in `services` item 1 is a number; it must be a string",
+            vec![0],
+        ),
+        (
             r#"[{"name": "A", "services": {"DES": 1.0}}]"#,
             WrongType,
             "line 1, column 36: `services` item 1 is a number; it must be a version, as a string",

@@ -185,6 +185,14 @@ fn standard_input_prints_the_same_frames_as_they_arrive() {
 }
 
 #[test]
+fn filter_without_a_match_says_so() {
+    let folder = Folder::with(LOG);
+    let (code, out, error) = folder.log(&["a.log", "--filter", "srv:99"]);
+    assert_eq!((code, &*out), (0, ""));
+    assert_eq!(error, "descan: none of 10 frames match the filter\n");
+}
+
+#[test]
 fn filter_and_range_select_the_frames() {
     let folder = Folder::with(LOG);
     let count = |arguments: &[&str]| folder.objects(&[&["a.log"], arguments].concat()).len();

@@ -455,6 +455,31 @@ fn log_plays_as_timed_and_stays_open_at_its_end() {
 }
 
 #[test]
+fn frozen_moment_of_a_log_plays_from_where_it_is() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut log = String::new();
+    for beat in 0..300 {
+        let second = 1_436_509_052 + beat;
+        writeln!(log, "({second}.100000) can7 07183C01#8AFA6C9724110400").unwrap();
+    }
+    std::fs::write(folder.path().join("session.log"), log).unwrap();
+    let mut pty = Pty::start(&["file:session.log", "--speed", "1000"], folder.path(), SMALL);
+    pty.wait_for("end of log");
+    pty.send("g2:00\r");
+    pty.wait_for("FROZEN 06:19:32");
+    // While the user reads the screen, nothing moves.
+    pty.count_for(Duration::from_secs(4));
+    pty.send(")");
+    pty.wait_for("PLAY ×1");
+    let screen = pty.screen();
+    let shown =
+        ["06:19:32", "06:19:33"].iter().any(|time| screen.contains(&format!("PLAY ×1 {time}")));
+    assert!(shown, "{screen}");
+    pty.send("q");
+    assert_eq!(pty.wait(), 0);
+}
+
+#[test]
 fn log_is_paused_stepped_and_resumed_by_keys() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("session.log");

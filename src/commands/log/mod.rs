@@ -148,7 +148,10 @@ struct FramePrinter {
     /// Frames that are still to be printed; `None` for all.
     left: Option<u64>,
     calls: Calls,
+    /// Number of frames that were looked at.
     number: u64,
+    /// True if one of them matched.
+    has_printed: bool,
     line: String,
     output: LineOutput,
 }
@@ -171,6 +174,7 @@ impl FramePrinter {
             left: log.limit,
             calls: Calls::default(),
             number: 0,
+            has_printed: false,
             line: String::new(),
             output: LineOutput::default(),
         })
@@ -195,6 +199,7 @@ impl FramePrinter {
             }
             return Ok(ControlFlow::Continue(()));
         }
+        self.has_printed = true;
         self.print(app, frame, part)?;
         if let Some(left) = &mut self.left {
             *left -= 1;
@@ -240,6 +245,10 @@ impl FramePrinter {
             } else {
                 self.output.print(&stats_report::text(app, stats))?;
             }
+        }
+        // A script sees it by the number of objects.
+        if matches!(self.kind, FrameOutput::Text(_)) && !self.has_printed && self.number > 0 {
+            super::output::warn(format_args!("none of {} frames match the filter", self.number));
         }
         self.output.flush()
     }

@@ -281,6 +281,11 @@ impl Session {
         }
     }
 
+    /// Tells the app the real time: while a log is paused, nothing else does.
+    pub fn update_real_time(&mut self) {
+        self.app.set_real_time(self.real_time());
+    }
+
     /// Real time since the start of the session.
     fn real_time(&self) -> Instant {
         Instant::ZERO + self.started.elapsed()
@@ -435,7 +440,7 @@ impl Session {
     pub fn handle_wake(&mut self, wake: SessionWake) {
         let now = self.begin_turn();
         let real = self.real_time();
-        self.app.set_real_time(real);
+        self.update_real_time();
         match wake {
             SessionWake::Due => {}
             SessionWake::FileDue => self.app.handle_real_timeout(real),
