@@ -62,6 +62,7 @@ impl App {
             }
         }
         if any {
+            self.compare_file_soon();
             if self.buses.len() > 1 {
                 self.refresh_redundancy();
             }

@@ -6,7 +6,11 @@
 
 use super::{App, Page};
 use crate::frame::Frame;
-use crate::time::Instant;
+use crate::time::{Duration, Instant};
+
+/// Time from an event to the comparison of des.json with the buses. Chosen: not noticed, and events
+/// that belong together are compared once.
+const COMPARISON_DELAY: Duration = Duration::from_millis(200);
 
 impl App {
     /// Takes frames, each at its own time, with what is due between two of them. `now` is the present;
@@ -24,6 +28,7 @@ impl App {
         let (events_until, mut events_at) = (self.clock.now(), None);
         for frame in frames {
             let now = frame.time;
+            self.compare_file_by(now);
             // It was idle if nothing changes with time; a frame may end that.
             let due = match timers {
                 Some(due) if !self.was_idle => due,
@@ -49,6 +54,22 @@ impl App {
                 self.complete_bus_events(now);
             }
             self.buses.keep_history(now, &self.traffic.capture);
+        }
+    }
+
+    /// Compares the file with the buses some time after an event: a log that is read fast is not drawn
+    /// between two events, and its differences have their times whatever its speed is.
+    pub(super) fn compare_file_soon(&mut self) {
+        if self.view.has_screen && self.is_of_logs() && self.editor.file.is_there() {
+            self.file_comparison_due.get_or_insert(self.clock.now() + COMPARISON_DELAY);
+        }
+    }
+
+    /// Compares the file with the buses if that is due before a frame.
+    fn compare_file_by(&mut self, next: Instant) {
+        if let Some(due) = self.file_comparison_due.take_if(|due| *due <= next) {
+            self.clock.set(due);
+            self.refresh_problems();
         }
     }
 }

@@ -356,6 +356,8 @@ pub struct App {
     effects: VecDeque<Effect>,
     /// Nothing on the screen changed with time at the last full second.
     was_idle: bool,
+    /// When to compare des.json with the buses, between frames of a log.
+    file_comparison_due: Option<Instant>,
     filters: PageFilters,
     /// When the next part of the frames is tested by the filter.
     filter_due: Option<Instant>,
@@ -424,6 +426,7 @@ impl App {
             themes: Themes::new(options.theme, options.themes, options.theme_faults),
             effects: VecDeque::new(),
             was_idle: false,
+            file_comparison_due: None,
             filters: PageFilters::default(),
             filter_due: None,
             candidate_counts: None,
