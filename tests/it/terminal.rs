@@ -481,6 +481,35 @@ fn frozen_moment_of_a_log_plays_from_where_it_is() {
 }
 
 #[test]
+fn difference_from_file_ends_at_its_time() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut log = String::new();
+    for beat in 0..300 {
+        let second = 1_436_509_052 + beat;
+        writeln!(log, "({second}.100000) can7 073C3C01#8AFA6C9724110400").unwrap();
+        if beat >= 25 {
+            writeln!(log, "({second}.200000) can7 07183C01#9338E1BB0AD90400").unwrap();
+        }
+        if beat == 25 {
+            writeln!(log, "({second}.300000) can7 05180002#0601464545440000").unwrap();
+        }
+    }
+    std::fs::write(folder.path().join("session.log"), log).unwrap();
+    let file = r#"{"devices": [{"name": "FEED", "address": 12, "static": true}]}"#;
+    std::fs::write(folder.path().join("des.json"), file).unwrap();
+    let mut pty = Pty::start(&["file:session.log"], folder.path(), (120, 40));
+    pty.wait_for("missing");
+    pty.send("g100%\r");
+    pty.wait_for("end of log");
+    pty.wait_for("over: FEED (at 12) is listed but not on the bus");
+    let screen = pty.screen();
+    let line = screen.lines().find(|line| line.contains("over: FEED")).unwrap();
+    assert!(line.contains(" 06:17:57"), "{line}");
+    pty.send("q");
+    assert_eq!(pty.wait(), 0);
+}
+
+#[test]
 fn log_is_paused_stepped_and_resumed_by_keys() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("session.log");
