@@ -125,7 +125,9 @@ impl DeviceTracker {
         if device.heartbeat.count <= 2 {
             self.wake_at(now + period * 2);
         }
-        let may_be_other_board = self.may_be_other_board(row, header.source, heartbeat.uid);
+        let other_row = self.other_row_of_sender(header.source, heartbeat.uid);
+        let may_be_other_board =
+            self.may_be_other_board(row, other_row, header.source, heartbeat.uid);
         let Some(device) = self.device_table.get_mut(row) else { return };
         device.is_resolving = matches!(heartbeat.mode, Some(Mode::Init | Mode::Arslv));
         device.error_code = heartbeat.error.or(device.error_code);
@@ -150,7 +152,16 @@ impl DeviceTracker {
             device.uid = heartbeat.uid;
         }
         let address = header.source;
-        let claim = HeartbeatContext { row, address, heartbeat, uid_before, mode_before, gap };
+        let has_other_row = other_row.is_some();
+        let claim = HeartbeatContext {
+            row,
+            has_other_row,
+            address,
+            heartbeat,
+            uid_before,
+            mode_before,
+            gap,
+        };
         let sender_period = self.sender_period(address);
         self.sender_names.note_heartbeat(now, address, sender_period, heartbeat);
         let sender = self.note_sender(claim);
@@ -209,7 +220,7 @@ impl DeviceTracker {
                 self.emit(row, EventKind::Mode { from, to: mode });
             }
         }
-        if let Some(other) = self.other_row_of_sender(address, heartbeat.uid) {
+        if let Some(other) = other_row {
             self.update_device_presence(other);
             if let Some(mode) = heartbeat.mode.filter(|_| sender.is_other_node) {
                 self.set_mode_of_replaced(other, mode);
@@ -260,12 +271,17 @@ impl DeviceTracker {
 
     /// Returns true if a heartbeat with this UID may not be of the device of `row`: several send
     /// heartbeats from the address, and its name is not known to be that of the row.
-    fn may_be_other_board(&self, row: DeviceId, address: Address, uid: Option<Uid>) -> bool {
+    fn may_be_other_board(
+        &self,
+        row: DeviceId,
+        other_row: Option<DeviceId>,
+        address: Address,
+        uid: Option<Uid>,
+    ) -> bool {
         let period = self.sender_period(address);
         let own = self.sender_names.row_of(address, uid);
         own != Some(row)
-            && (self.other_row_of_sender(address, uid).is_some()
-                || self.sender_names.is_shared(self.now, address, period, uid))
+            && (other_row.is_some() || self.sender_names.is_shared(self.now, address, period, uid))
     }
 
     /// Sets the mode of a device whose row is not the current one at its address.

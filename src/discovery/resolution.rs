@@ -19,6 +19,8 @@ const CLAIM_RELEVANT_PERIODS: u32 = 12;
 #[derive(Clone, Copy, Debug)]
 pub(super) struct HeartbeatContext {
     pub row: DeviceId,
+    /// True if its sender is known to have another row at the address.
+    pub has_other_row: bool,
     pub address: Address,
     pub heartbeat: Heartbeat,
     pub uid_before: Option<Uid>,
@@ -50,7 +52,15 @@ impl HeartbeatSender {
 impl DeviceTracker {
     /// Determines the sender of a heartbeat, and whether it claims its address.
     pub(super) fn note_sender(&mut self, claim: HeartbeatContext) -> HeartbeatSender {
-        let HeartbeatContext { row, address, heartbeat, uid_before, mode_before, gap } = claim;
+        let HeartbeatContext {
+            row,
+            has_other_row,
+            address,
+            heartbeat,
+            uid_before,
+            mode_before,
+            gap,
+        } = claim;
         let not_blank = |uid: Option<Uid>| uid.filter(|uid| !uid.is_blank());
         let now = self.now;
         let arslv = heartbeat.mode == Some(Mode::Arslv) && mode_before != Some(Mode::Arslv);
@@ -59,7 +69,7 @@ impl DeviceTracker {
         let over_holder = arslv && held;
         let before = not_blank(uid_before);
         // The sender has its own row at this address, and has not sent its name again yet.
-        let has_other_row = self.other_row_of_sender(address, heartbeat.uid).is_some()
+        let has_other_row = has_other_row
             && self.sender_names.is_shared(
                 now,
                 address,

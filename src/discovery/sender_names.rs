@@ -9,6 +9,7 @@ use super::{AddressSender, DeviceId};
 use crate::time::{Duration, Instant};
 use crate::wire::id::Address;
 use crate::wire::node::{Heartbeat, Mode, Uid};
+use std::ops::Range;
 
 /// Maximum number of senders stored; beyond that the one silent for the longest time is dropped.
 /// Bounds the memory: two senders at each address.
@@ -99,6 +100,7 @@ impl NamedSender {
 /// a sender without one.
 #[derive(Clone, Debug, Default)]
 pub(super) struct SenderNames {
+    /// In the order of their addresses.
     senders: Vec<NamedSender>,
 }
 
@@ -118,11 +120,28 @@ impl SenderNames {
         }
         let new = NamedSender::new(now, address, known_or_blank(heartbeat.uid));
         let sender = NamedSender { mode: heartbeat.mode, ..new };
-        if self.senders.len() < MAX_SENDERS {
-            self.senders.push(sender);
-        } else if let Some(oldest) = self.senders.iter_mut().min_by_key(|it| it.last) {
-            *oldest = sender;
+        if self.senders.len() == MAX_SENDERS {
+            let all = self.senders.iter().enumerate();
+            let oldest = all.min_by_key(|(_, sender)| sender.last).map_or(0, |(at, _)| at);
+            self.senders.remove(oldest);
         }
+        let at = self.range_of(address).end;
+        self.senders.insert(at, sender);
+    }
+
+    fn range_of(&self, address: Address) -> Range<usize> {
+        let begin = self.senders.partition_point(|it| it.address < address);
+        let here = self.senders[begin..].iter().take_while(|it| it.address == address);
+        begin..begin + here.count()
+    }
+
+    fn at(&self, address: Address) -> &[NamedSender] {
+        &self.senders[self.range_of(address)]
+    }
+
+    fn at_mut(&mut self, address: Address) -> &mut [NamedSender] {
+        let range = self.range_of(address);
+        &mut self.senders[range]
     }
 
     /// Returns the UID of the sender whose name was received at `address`; `None` if it may be that
@@ -166,7 +185,7 @@ impl SenderNames {
     ) {
         if sender.is_some() {
             let had_name = self.row_of(address, sender) == Some(row);
-            for other in self.senders.iter_mut().filter(|it| it.address == address) {
+            for other in self.at_mut(address) {
                 other.row = other.row.filter(|own| *own != row);
             }
             if let Some(sender) = self.find_mut(address, sender) {
@@ -195,7 +214,7 @@ impl SenderNames {
     /// Returns the row of a sender's name.
     pub fn row_of(&self, address: Address, uid: Option<Uid>) -> Option<DeviceId> {
         let uid = known_or_blank(uid);
-        self.senders.iter().find(|it| it.address == address && it.uid == uid)?.row
+        self.at(address).iter().find(|it| it.uid == uid)?.row
     }
 
     /// Returns the UID in the heartbeats of the device of a row.
@@ -237,8 +256,7 @@ impl SenderNames {
         period: Duration,
         current: Option<DeviceId>,
     ) -> Option<AddressSender> {
-        let is_it = |it: &&NamedSender| it.address == address && it.uid == Uid::BLANK;
-        let sender = self.senders.iter().find(is_it)?;
+        let sender = self.at(address).iter().find(|it| it.uid == Uid::BLANK)?;
         let device = sender.row.or(current)?;
         (now.since(sender.last) < period * ABSENT_PERIODS).then_some(AddressSender {
             uid: Uid::BLANK,
@@ -252,8 +270,7 @@ impl SenderNames {
 
     /// Returns the longest period of the senders at `address`; `None` if none is known.
     pub fn longest_period(&self, now: Instant, address: Address) -> Option<Duration> {
-        let here = self.senders.iter().filter(|it| it.address == address);
-        let present = here.filter_map(|sender| {
+        let present = self.at(address).iter().filter_map(|sender| {
             let period = sender.period()?;
             (now.since(sender.last) < period.mul_f64(PRESENT_PERIODS)).then_some(period)
         });
@@ -272,11 +289,11 @@ impl SenderNames {
 
     fn find_mut(&mut self, address: Address, uid: Option<Uid>) -> Option<&mut NamedSender> {
         let uid = known_or_blank(uid);
-        self.senders.iter_mut().find(|it| it.address == address && it.uid == uid)
+        self.at_mut(address).iter_mut().find(|it| it.uid == uid)
     }
 
     fn of_row(&self, row: DeviceId, address: Address) -> Option<&NamedSender> {
-        self.senders.iter().find(|it| it.row == Some(row) && it.address == address)
+        self.at(address).iter().find(|it| it.row == Some(row))
     }
 
     fn present(
@@ -286,8 +303,7 @@ impl SenderNames {
         period: Duration,
     ) -> impl Iterator<Item = &NamedSender> {
         let limit = period.mul_f64(PRESENT_PERIODS);
-        let here = self.senders.iter().filter(move |it| it.address == address);
-        here.filter(move |it| now.since(it.last) < limit)
+        self.at(address).iter().filter(move |it| now.since(it.last) < limit)
     }
 }
 
