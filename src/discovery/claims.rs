@@ -83,8 +83,7 @@ pub struct AddressSender {
 impl AddressSender {
     /// Returns true if a heartbeat with this UID is one of its.
     pub fn has_uid(&self, uid: Option<Uid>) -> bool {
-        let known = uid.filter(|uid| !uid.is_blank());
-        known == Some(self.uid).filter(|own| !own.is_blank())
+        uid.and_then(Uid::not_blank) == self.uid.not_blank()
     }
 }
 

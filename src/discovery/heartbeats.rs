@@ -233,11 +233,7 @@ impl DeviceTracker {
         let state = SenderState {
             is_working: device.is_working,
             is_resolving: device.is_resolving,
-            are_two_named: self.sender_names.are_two_named(
-                now,
-                address,
-                self.sender_period(address),
-            ),
+            are_two_named: self.sender_names.are_two_named(now, address, sender_period),
             longest_period: self.sender_names.longest_period(now, address),
         };
         let name = device.name.clone();

@@ -75,7 +75,7 @@ impl DeviceTracker {
         if known.is_some() && device.presence == Presence::Lost {
             device.services_query.restart(now);
         }
-        if let Some(uid) = uid.filter(|uid| !uid.is_blank()) {
+        if let Some(uid) = uid.and_then(Uid::not_blank) {
             self.claims.assign_row(uid, named, || self.device_table.reserve());
         }
         if known.is_none() {
@@ -93,7 +93,7 @@ impl DeviceTracker {
         uid: Option<Uid>,
     ) -> Option<DeviceId> {
         let current = self.device_table.current_row(address)?;
-        let of_claims = || self.claims.row_of(uid.filter(|uid| !uid.is_blank())?);
+        let of_claims = || self.claims.row_of(uid?.not_blank()?);
         let own = self.sender_names.row_of(address, uid).or_else(of_claims)?;
         let is_here = self.device_table.get(own).is_some_and(|it| it.address == address);
         (own != current && is_here).then_some(own)
@@ -250,7 +250,7 @@ impl DeviceTracker {
         let Some(uid) = self.sender_names.uid_of(row, old.address) else { return };
         old.uid = Some(uid);
         old.mode = self.sender_names.mode_of(row, old.address).or(old.mode);
-        if !uid.is_blank() {
+        if let Some(uid) = uid.not_blank() {
             self.claims.assign_row(uid, row, || self.device_table.reserve());
         }
     }
@@ -326,6 +326,5 @@ impl DeviceTracker {
 /// Returns true if two heartbeats come from different devices: a device sends its UID each time, or
 /// never.
 fn is_different_sender(one: Option<Uid>, other: Option<Uid>) -> bool {
-    let known = |uid: Uid| (!uid.is_blank()).then_some(uid);
-    one.zip(other).is_some_and(|(one, other)| known(one) != known(other))
+    one.zip(other).is_some_and(|(one, other)| one.not_blank() != other.not_blank())
 }

@@ -11,7 +11,6 @@
 use super::conflicts::ConflictDetector;
 use super::device::{Device, Presence, STALE_PERIODS};
 use super::device_tracker::DeviceTracker;
-use super::periods::HeartbeatPeriods;
 use super::{DeviceId, EventKind};
 use crate::time::{Duration, Instant};
 use crate::wire::node::Mode;
@@ -106,7 +105,6 @@ impl Outages {
 /// Input of the presence decision.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PresenceInput<'a> {
-    pub periods: &'a HeartbeatPeriods,
     pub conflicts: &'a ConflictDetector,
     /// True if enumeration rounds are sent.
     pub rounds: bool,
@@ -125,7 +123,8 @@ impl PresenceInput<'_> {
     pub fn evaluate(&self, device: &Device, now: Instant) -> (Presence, Option<Instant>) {
         let period = self.conflicts.presence_period(device.address);
         let lost_after = period * LOST_PERIODS;
-        let is_known = device.heartbeat.count > 1 || self.periods.is_reliable(device.address);
+        let is_known =
+            device.heartbeat.count > 1 || self.conflicts.periods().is_reliable(device.address);
         let stale_after = if is_known { period.mul_f64(STALE_PERIODS) } else { lost_after };
         let Some(last_heartbeat) = device.heartbeat.last.filter(|_| !is_claim_only(device, period))
         else {
@@ -177,7 +176,6 @@ impl DeviceTracker {
     fn presence_input(&self) -> PresenceInput<'_> {
         PresenceInput {
             outages: &self.outages,
-            periods: self.conflicts.periods(),
             conflicts: &self.conflicts,
             rounds: (self.recorded_nodes.has_inspector()
                 || !self.config.listen_only && self.config.send_requests)

@@ -61,7 +61,7 @@ impl DeviceTracker {
             mode_before,
             gap,
         } = claim;
-        let not_blank = |uid: Option<Uid>| uid.filter(|uid| !uid.is_blank());
+        let not_blank = |uid: Option<Uid>| uid.and_then(Uid::not_blank);
         let now = self.now;
         let arslv = heartbeat.mode == Some(Mode::Arslv) && mode_before != Some(Mode::Arslv);
         // A node that claims its address again was silent before; a holder does not claim.

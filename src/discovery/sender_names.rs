@@ -308,5 +308,5 @@ impl SenderNames {
 }
 
 fn known_or_blank(uid: Option<Uid>) -> Uid {
-    uid.filter(|uid| !uid.is_blank()).unwrap_or(Uid::BLANK)
+    uid.and_then(Uid::not_blank).unwrap_or(Uid::BLANK)
 }

@@ -307,16 +307,16 @@ impl EntryReader<'_, '_> {
         self.wrong_type_in(&format!("`{}`", member.key()), at, expected);
     }
 
-    /// Reports an item of `services` that is no service: the member that is wrong, if it is one.
+    /// Reports an item of `services` with a wrong type: its first wrong member, else the item.
     fn wrong_service(&mut self, number: usize, item: &scan::Item) {
         let item_text = format!("`services` item {number}");
         if !item.key.is_empty() {
             return self.wrong_type_in(&item_text, &item.value, "a version, as a string");
         }
         let is_string = |value: &str| value.starts_with('"');
-        let members = scan::container(self.body, &item.value).filter(|_| item.value.len() > 1);
-        let members = members.map_or_else(Vec::new, |container| container.items);
-        for member in members {
+        let is_object = self.body[item.value.clone()].starts_with('{');
+        let members = scan::container(self.body, &item.value).filter(|_| is_object);
+        for member in members.map_or_else(Vec::new, |object| object.items) {
             let key = text::from_json(&self.body[member.key.clone()]).unwrap_or_default();
             let value = &self.body[member.value.clone()];
             let is_text = matches!(&*key, "name" | "version");

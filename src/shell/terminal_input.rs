@@ -82,7 +82,7 @@ fn read_until_stopped(
     });
 }
 
-/// Sends the next event. Returns false once the terminal is closed or nobody receives events.
+/// Sends the next event. Returns false once the terminal is closed, or [`TerminalInput`] is dropped.
 async fn send_next(stream: &mut EventStream, sender: &Sender<io::Result<Event>>) -> bool {
     // An event that was taken is not lost when this is stopped.
     let Ok(permit) = sender.reserve().await else { return false };

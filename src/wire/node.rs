@@ -73,6 +73,11 @@ impl Uid {
     /// UID of all 00.
     pub const BLANK: Self = Self([0; 6]);
 
+    /// Returns the UID, unless it is blank.
+    pub fn not_blank(self) -> Option<Self> {
+        (!self.is_blank()).then_some(self)
+    }
+
     /// Returns true if all bits are 0 or all are 1: no UID was ever assigned. Blank UIDs identify
     /// no device.
     pub fn is_blank(self) -> bool {

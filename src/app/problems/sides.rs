@@ -119,7 +119,7 @@ pub struct ConflictSides {
 
 /// A UID that is not blank.
 fn known(uid: Option<Uid>) -> Option<Uid> {
-    uid.filter(|uid| !uid.is_blank())
+    uid.and_then(Uid::not_blank)
 }
 
 impl ConflictSides {

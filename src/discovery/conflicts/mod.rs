@@ -554,8 +554,8 @@ impl ConflictDetector {
 
     fn apply_periods(&mut self) {
         let mut periods = *self.periods.all();
-        for (period, history) in periods.iter_mut().zip(&self.histories) {
-            *period = history.longest_period.map_or(*period, |longest| longest.max(*period));
+        for (period, address) in periods.iter_mut().zip(Address::all()) {
+            *period = self.longest_period(address);
         }
         self.finding_tracker.set_periods(&periods);
         self.repeated_frames.set_period(self.periods.typical());
