@@ -18,8 +18,10 @@ use std::collections::VecDeque;
 use std::ops::{Deref, Range};
 use std::sync::Arc;
 
-/// Room for captured frames, as a multiple of that for the past.
-pub const FRAMES_PER_ROOM: usize = 3;
+/// Room for captured frames, as a multiple of that for the past in a large capture.
+const FRAMES_PER_ROOM: usize = 3;
+/// Room for the past in a small capture, in bytes: some snapshots of a bus full of devices.
+const PAST_ROOM: usize = 2 << 20;
 /// Snapshots of a full capture. Those that others are near to are dropped when they take too much room.
 const SNAPSHOTS: usize = 64;
 /// Bounds of the work between two snapshots: about 10 ms of replay, and 3 % of it for the
@@ -28,9 +30,15 @@ const SNAPSHOT_WORK: Range<usize> = 256..65_536;
 /// Work of an input in frames: what becomes due costs more than a frame.
 const INPUT_WORK: u64 = 8;
 /// Part of the room for the moments around evidence.
-const PINNED_PART: usize = 3;
+const PINNED_PART: usize = 2;
 /// Fewer snapshots than these are not thinned out: the history becomes shorter.
 const MIN_SNAPSHOTS: usize = 4;
+
+/// Bytes of a capture of `room` bytes that are for the past: what the frames were is of little use
+/// without the state of the buses, so a small capture gives most of its room to it.
+pub(super) fn past_room(room: usize) -> usize {
+    (room / (FRAMES_PER_ROOM + 1)).max(PAST_ROOM.min(room / 4 * 3))
+}
 
 /// The buses after so many frames and inputs.
 #[derive(Clone, Debug)]
@@ -230,6 +238,9 @@ impl RecordedBuses {
         if self.room == 0 || self.work < self.last_work + self.snapshot_work {
             return;
         }
+        if self.snapshots.back().is_some_and(|it| self.frames - it.frames < self.spacing(store)) {
+            return;
+        }
         let (first, keeps_first) = (store.first(), store.has_source());
         self.pinned.drop_before(store.oldest());
         // A moment needs a snapshot before it and all frames since.
@@ -238,7 +249,7 @@ impl RecordedBuses {
         }
         self.take_snapshot(now);
         while self.snapshots.len() > 1 && self.size() > self.room {
-            if self.snapshots.len() > MIN_SNAPSHOTS || keeps_first {
+            if self.snapshots.len() > MIN_SNAPSHOTS || first == 0 || keeps_first {
                 self.thin_out();
             } else {
                 self.snapshots.pop_front();
@@ -251,6 +262,18 @@ impl RecordedBuses {
         }
         let needed = self.snapshots.front().map_or(self.journal.end(), |oldest| oldest.place);
         self.journal.drop_before(needed);
+    }
+
+    /// Least number of frames between two snapshots: that of the captured frames divided among as many
+    /// snapshots as there is room for, if these are few.
+    fn spacing(&self, store: &FrameStore) -> u64 {
+        let size = self.snapshots.back().map_or(0, |snapshot| snapshot.size);
+        let room = self.room.saturating_sub(self.journal.size() + self.pinned.size());
+        let snapshots = (room / size.max(1)).max(1);
+        if snapshots > SNAPSHOTS || store.has_source() {
+            return 0;
+        }
+        (store.end() - store.first()) / snapshots as u64
     }
 
     /// Keeps what is needed to replay the frames around evidence that only a snapshot between the frames

@@ -116,7 +116,7 @@ pub use filter::{
 pub use frame_selector::FrameSelector;
 pub use frame_sides::FrameSides;
 pub use help_view::HelpView;
-pub use history::{BusesReplay, FRAMES_PER_ROOM, Moment, RecordedBuses};
+pub use history::{BusesReplay, Moment, RecordedBuses};
 pub use input::{FilterPrompt, InputCheck, Overlay, Prompt, PromptKind, Question};
 pub use lanes::{Lane, LaneBoard, LaneCell, Lanes, format_step};
 pub use listing::{addition_refusal, same_services};
@@ -400,7 +400,7 @@ impl App {
     /// Returns the program at its start.
     pub fn new(now: Instant, options: AppOptions) -> Self {
         let room = options.capture_room.unwrap_or(DEFAULT_CAPTURE);
-        let past_room = room / (FRAMES_PER_ROOM + 1);
+        let past_room = history::past_room(room);
         let buses_room = past_room - past_room / STATISTICS_PART;
         let editor = FileEditor::new(options.file_path);
         let content = editor.file.content();

@@ -3,7 +3,10 @@
 use super::capture::{CallKey, Decoded, IdentifierKey, IdentifierKind};
 use super::input::Overlay;
 use super::view::{EvidenceView, Focus, Page, Row, TrafficView};
-use super::{App, Effect, EvidenceItem, Problem, clock_millis, growing_length_text, length_text};
+use super::{
+    AROUND_EVIDENCE, App, Effect, EvidenceItem, Problem, clock_millis, growing_length_text,
+    length_text,
+};
 use crate::finding::{FindingKind, SeenUid};
 use crate::frame::BusIndex;
 use crate::keymap::Action;
@@ -350,14 +353,17 @@ impl App {
         let capture = &self.traffic.capture;
         let number = capture.at_time(time);
         let first = capture.get(capture.first()).map(|first| first.time);
-        let refusal = match (capture.get(number), first) {
-            (_, None) => Some("no frames captured yet"),
-            (_, Some(first)) if first > time && capture.first() > 0 => {
-                Some("frames no longer in the capture")
+        let next = capture.get(number).map(|frame| frame.time);
+        // Frames around evidence are kept longer than those before and after them.
+        let is_near = next.is_some_and(|next| next.since(time) <= AROUND_EVIDENCE);
+        let refusal = match first {
+            None => Some("no frames captured yet"),
+            Some(first) if first > time && capture.first() == 0 => {
+                Some("no frames captured before this line")
             }
-            (_, Some(first)) if first > time => Some("no frames captured before this line"),
-            (None, _) => Some("no frames captured since this line"),
-            _ => None,
+            Some(first) if first > time && !is_near => Some("frames no longer in the capture"),
+            Some(_) if next.is_none() => Some("no frames captured since this line"),
+            Some(_) => None,
         };
         if let Some(refusal) = refusal {
             return self.show_error(refusal);

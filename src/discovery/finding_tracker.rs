@@ -7,6 +7,7 @@
 //!
 //! Does not know what counts as evidence: [`super::conflicts`] does.
 
+use super::address_table::AddressTable;
 use super::finding_text;
 use crate::finding::{Evidence, Finding, FindingKey, FindingKind, FindingState, SeenUid};
 use crate::frame::{BusIndex, Frame};
@@ -185,7 +186,7 @@ pub(super) struct FindingTracker {
     /// Time until which the heartbeats of each address show several nodes.
     several_senders_until: [Option<Instant>; Address::COUNT],
     /// Claims of each address, and nodes that gave it up.
-    contests: Vec<Contest>,
+    contests: AddressTable<Contest>,
     seed: u64,
     pub over_limit: u64,
 }
@@ -230,7 +231,7 @@ impl FindingTracker {
             open_conflicts: [0; Address::COUNT],
             confirmed_conflicts: [0; Address::COUNT],
             several_senders_until: [None; Address::COUNT],
-            contests: vec![Contest::default(); Address::COUNT],
+            contests: AddressTable::new(),
             seed,
             over_limit: 0,
         }
@@ -445,7 +446,7 @@ impl FindingTracker {
 
     /// Notes a claim of `address`; `is_held`: another node sends heartbeats there.
     pub fn note_claim(&mut self, now: Instant, address: Address, uid: Option<Uid>, is_held: bool) {
-        let contest = &mut self.contests[address.index()];
+        let contest = &mut self.contests[address];
         if is_held {
             contest.claimed_while_held = Some(now);
         }
@@ -458,7 +459,7 @@ impl FindingTracker {
 
     /// Notes that a node that shared `address` was found elsewhere.
     pub fn note_gave_up(&mut self, now: Instant, address: Address) {
-        self.contests[address.index()].gave_up = Some(now);
+        self.contests[address].gave_up = Some(now);
     }
 
     /// Returns until when a finding is kept because several nodes send heartbeats; `None` if they
@@ -498,7 +499,7 @@ impl FindingTracker {
         self.open_conflicts = [0; Address::COUNT];
         self.confirmed_conflicts = [0; Address::COUNT];
         self.several_senders_until = [None; Address::COUNT];
-        self.contests.fill_with(Contest::default);
+        self.contests = AddressTable::new();
     }
 
     // --- findings ------------------------------------------------------------------------
@@ -874,7 +875,7 @@ impl FindingTracker {
         let is_contested = |address: Address| {
             let shared = finding.last.since(finding.first);
             let then = finding.first - period * CLAIM_PERIODS;
-            self.contests[address.index()].is_real(then, shared, period)
+            self.contests[address].is_real(then, shared, period)
         };
         // While a conflict is confirmed at the address, it explains the evidence, and no device gave up
         // the address.

@@ -47,6 +47,7 @@
 //! device, event, config: data that other modules read
 //! ```
 
+mod address_table;
 mod bus_protocol;
 mod claims;
 mod config;

@@ -248,13 +248,12 @@ impl Engine {
             let sent_at = self.tracker.now;
             self.tracker.recent_requests.note_broadcast(sent_at, header.destination, is_own);
         }
-        self.tracker.conflicts.note_broadcast(now);
+        let table = &self.tracker.device_table;
         let mut awaited = 0;
         for address in Address::all() {
             // The request is sent to working and to non-working nodes; a node responds to one of
             // them.
-            let known = self.tracker.device_table.current_device(address);
-            let may_respond = known.is_some_and(|device| {
+            let may_respond = table.current_device(address).is_some_and(|device| {
                 address != header.source
                     && device.is_working != header.to_non_working
                     && device.is_present()
@@ -262,12 +261,12 @@ impl Engine {
                     && device.framing.is_none_or(|it| it == framing)
             });
             awaited |= u128::from(may_respond) << address.index();
-            let fits =
-                |device: &Device| device.is_working != header.to_non_working || device.is_resolving;
-            if known.is_none_or(fits) {
-                self.tracker.conflicts.note_request(now, address, request, framing, parties);
-            }
         }
+        let fits =
+            |device: &Device| device.is_working != header.to_non_working || device.is_resolving;
+        self.tracker.conflicts.note_broadcast(now, request, framing, parties, |address| {
+            table.current_device(address).is_none_or(fits)
+        });
         if let Request::Name = request {
             self.tracker.errors.note_broadcast(now, ends, awaited, frame);
         }

@@ -4,7 +4,7 @@ use crate::common::harness::{BOILER, Stage};
 use crate::simulation::random_scenario::World;
 use descan::app::{App, Buses, BusesReplay, Moment, StoryLine};
 use descan::discovery::{Config, Device};
-use descan::frame::BusIndex;
+use descan::frame::{BusIndex, CanId, Frame};
 use descan::sim::{DeviceAction, Fault, Scenario};
 use descan::status::{BusState, BusStatus, Link};
 use descan::time::{Duration, Instant};
@@ -284,4 +284,34 @@ fn typed_moment_is_shown_or_refused() {
     assert!(stage.screen().contains("soon: not a moment; use 13:51:20"), "{}", stage.screen());
     stage.keys("Esc Esc");
     assert!(stage.app.past_moment().is_none(), "Esc shows the present");
+}
+
+/// Tests that in a small capture every moment can be shown whose frames are there, and that frames and
+/// states around the evidence of a conflict are shown long after.
+#[test]
+fn small_capture_shows_its_past_and_that_of_evidence() {
+    let config = Config { seed: 7, ..Config::default() };
+    let file = Some(BOILER.as_bytes().to_vec());
+    let scenario = Scenario::builtin("boiler").unwrap();
+    let mut stage = Stage::with_room(&scenario, file, config, 1_000_000);
+    stage.until(45.0).keys(":").text("12:00:03").keys("Enter");
+    assert!(stage.app.past_moment().is_some(), "{}", stage.screen());
+    stage.keys("Esc");
+    let id = CanId::Extended(0x0714_0101);
+    for number in 0..60_000 {
+        let mut frame = Frame::new(id, &[0xDA, 0, 0x8C, 0x10, 0, 0, 0, 0]);
+        frame.time = Instant::from_micros(45_001_000 + 500 * number);
+        stage.app.advance_to(frame.time);
+        stage.app.handle_frames(frame.time, &[frame]);
+    }
+    let since = stage.app.history().begin(stage.app.capture());
+    assert!(since > Instant::ZERO + Duration::from_secs(50), "{since:?}");
+    stage.keys("3 /").text("kind:conflict").keys("Enter Home f");
+    assert!(stage.screen().contains("▸ 12:00:26.8"), "{}", stage.screen());
+    stage.keys("3 Enter");
+    let moment = stage.app.past_moment().expect("the moment of the evidence");
+    assert!(moment.time < Instant::ZERO + Duration::from_secs(30), "{:?}", moment.time);
+    // What lies between is not kept.
+    stage.keys("Esc 3 Esc Home f");
+    assert!(stage.screen().contains("frames no longer in the capture"), "{}", stage.screen());
 }

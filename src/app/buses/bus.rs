@@ -24,9 +24,9 @@ const QUEUE_STALE_AFTER: Duration = Duration::from_millis(1500);
 const ONLY_ERRORS_MIN: u32 = 64;
 
 /// Memory of the engine, and more for each device and each finding, in bytes. Measured: the
-/// resident memory of 100 copies of buses with 1 to 18 devices.
-const BYTES_OF_A_BUS: usize = 270_000;
-const BYTES_OF_A_DEVICE: usize = 2_500;
+/// resident memory of 200 copies of buses with 1 to 100 devices.
+const BYTES_OF_A_BUS: usize = 40_000;
+const BYTES_OF_A_DEVICE: usize = 4_500;
 const BYTES_OF_A_FINDING: usize = 3_000;
 
 /// Time between two calls that discard frames to be sent where there are none. Chosen: a small part of

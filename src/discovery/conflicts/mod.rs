@@ -15,6 +15,7 @@ mod recent_values;
 mod repeated_frames;
 mod rhythm;
 
+use super::address_table::AddressTable;
 use super::finding_text;
 use super::finding_tracker::{CLAIM_PERIODS, EvidenceStrength, FindingTracker, NewEvidence};
 use super::periods::{HeartbeatPeriods, PeriodChange};
@@ -155,7 +156,7 @@ pub(super) struct ConflictDetector {
     are_requests_rare: bool,
     /// Alphabet of UIDs, for the text of evidence.
     alphabet: UidProfile,
-    histories: Vec<AddressHistory>,
+    histories: AddressTable<AddressHistory>,
     repeated_frames: RepeatedFrameDetector,
     finding_tracker: FindingTracker,
     /// Surplus responses before this time may belong to delayed requests.
@@ -169,7 +170,7 @@ impl ConflictDetector {
             periods: HeartbeatPeriods::new(period, profile.given),
             are_requests_rare: listen_only,
             alphabet: profile.uid.clone(),
-            histories: (0..Address::COUNT).map(|_| AddressHistory::default()).collect(),
+            histories: AddressTable::new(),
             repeated_frames: RepeatedFrameDetector::new(period),
             finding_tracker: FindingTracker::new(bus, profile, listen_only, seed),
             ignore_surplus_until: Instant::ZERO,
@@ -205,7 +206,7 @@ impl ConflictDetector {
         let recently = |seen: &Option<Instant>| seen.is_some_and(|at| now.since(at) < recent);
         let open = self.finding_tracker.is_open_at(address);
         let differ = self.finding_tracker.is_open(FindingKind::OneAddressTwoNames, address);
-        let history = &mut self.histories[address.index()];
+        let history = &mut self.histories[address];
         let both = open && history.seen.iter().all(recently) && (differ || !history.sent_both);
         history.sent_both = both;
         both
@@ -223,12 +224,25 @@ impl ConflictDetector {
         parties: RequestOrigin,
     ) {
         self.finding_tracker.note_request(now, address);
-        self.histories[address.index()].matcher(request, framing).note_request(now, parties);
+        self.histories[address].matcher(request, framing).note_request(now, parties);
     }
 
-    /// Notes a broadcast request.
-    pub fn note_broadcast(&mut self, now: Instant) {
+    /// Notes a broadcast request, to which the addresses respond for which `may_respond` returns true.
+    pub fn note_broadcast(
+        &mut self,
+        now: Instant,
+        request: Request,
+        framing: Framing,
+        parties: RequestOrigin,
+        may_respond: impl Fn(Address) -> bool,
+    ) {
         self.repeated_frames.note_broadcast(now);
+        for address in Address::all().filter(|address| may_respond(*address)) {
+            self.finding_tracker.note_request(now, address);
+        }
+        self.histories.change_where(may_respond, |history| {
+            history.matcher(request, framing).note_request(now, parties);
+        });
     }
 
     /// Notes the first frame of a response. If it is one more than the requests, returns
@@ -243,7 +257,7 @@ impl ConflictDetector {
         let ResponseStart { from: address, to, request, framing, is_working, is_resolving } =
             response;
         let window = PAIR_WINDOW.min(self.periods.of(address) / 8);
-        let history = &mut self.histories[address.index()];
+        let history = &mut self.histories[address];
         if !is_resolving {
             history.seen[usize::from(is_working)] = Some(now);
         }
@@ -311,7 +325,7 @@ impl ConflictDetector {
     pub fn note_name(&mut self, now: Instant, address: Address, name: &Name, frame: &Frame) {
         let timeout = self.alternation_timeout(address);
         let period = self.periods.of(address);
-        let history = &mut self.histories[address.index()];
+        let history = &mut self.histories[address];
         let before = history.names.current().cloned();
         history.note_name_response(now, before.as_ref() == Some(name), period);
         let before_at = history.name_at.replace(now);
@@ -362,7 +376,7 @@ impl ConflictDetector {
         frame: &Frame,
     ) {
         let timeout = self.alternation_timeout(address);
-        let history = &mut self.histories[address.index()];
+        let history = &mut self.histories[address];
         let before = history.services.current().copied();
         let returned = history.services.observe(now, &digest, timeout).return_count;
         let since = history.services.second_since(now, timeout);
@@ -397,7 +411,7 @@ impl ConflictDetector {
         self.set_longest_period(address, state.longest_period);
         let period = self.periods.of(address);
         let turn_period = self.turn_period(address);
-        let history = &mut self.histories[address.index()];
+        let history = &mut self.histories[address];
         if state.is_resolving {
             history.resolving_at = Some(now);
             history.resolving_since.get_or_insert(now);
@@ -456,7 +470,7 @@ impl ConflictDetector {
         }
 
         let identity = identity_kind(address);
-        let history = &self.histories[address.index()];
+        let history = &self.histories[address];
         let confirmed = self.finding_tracker.is_confirmed(identity, address);
         let alternation = match (uid_returned, mode_returned) {
             (Some(_), _) => Some(self.alternating_uids(now, turn_period, history)),
@@ -502,7 +516,7 @@ impl ConflictDetector {
             }
         }
         // Devices that claim an address in turns send these heartbeats unscheduled.
-        let history = &self.histories[address.index()];
+        let history = &self.histories[address];
         let takes_turns = |interval: Duration| {
             history.sender_changed_at.is_some_and(|at| now.since(at) < interval)
         };
@@ -511,7 +525,7 @@ impl ConflictDetector {
         let before_loss = history.before_loss.filter(may_be_scheduled);
         let interval = observed.interval.or(before_loss.map(|(_, at)| now.since(at)));
         let scheduled = interval.filter(|it| !(state.is_resolving && takes_turns(*it)));
-        self.histories[address.index()].before_loss = None;
+        self.histories[address].before_loss = None;
         let Some(interval) = scheduled else { return PeriodChange::None };
         let change = self.periods.note_interval(address, interval);
         if change == PeriodChange::Expected {
@@ -524,7 +538,7 @@ impl ConflictDetector {
     fn set_longest_period(&mut self, address: Address, longest: Option<Duration>) {
         let several = self.periods.of(address).mul_f64(SLOWER_FACTOR);
         let longest = longest.filter(|longest| *longest > several);
-        let known = &mut self.histories[address.index()].longest_period;
+        let known = &mut self.histories[address].longest_period;
         if std::mem::replace(known, longest) != longest {
             self.apply_periods();
         }
@@ -549,7 +563,7 @@ impl ConflictDetector {
 
     /// Returns the period of a sender that is slower than another one; zero if there is none.
     fn slower_period(&self, address: Address) -> Duration {
-        self.histories[address.index()].longest_period.unwrap_or_default()
+        self.histories[address].longest_period.unwrap_or_default()
     }
 
     fn apply_periods(&mut self) {
@@ -590,7 +604,7 @@ impl ConflictDetector {
         }
         let same = FindingKind::SameNameSameAddress;
         let others = self.findings_at(now, address);
-        let history = &self.histories[address.index()];
+        let history = &self.histories[address];
         // A single device with another period is followed up and then ignored; a conflict confirmed
         // by other means stays confirmed while the rate is double.
         let is_supported =
@@ -670,7 +684,7 @@ impl ConflictDetector {
     /// previous one.
     fn record_heartbeat(&mut self, now: Instant, source: Address, frame: &Frame) -> bool {
         let period = self.periods.of(source);
-        let history = &mut self.histories[source.index()];
+        let history = &mut self.histories[source];
         let recorded = history.heartbeats.record(now, frame, period);
         let was_repeated = self.repeated_frames.is_repeated(now, source);
         self.repeated_frames.note_heartbeat(now, source, recorded);
@@ -684,7 +698,7 @@ impl ConflictDetector {
                 self.finding_tracker.reset_suspicion(kind, address);
             }
         }
-        let original = self.histories[source.index()].heartbeats.last();
+        let original = self.histories[source].heartbeats.last();
         if recorded.copy_delay.is_some()
             && let Some(original) = original.copied()
         {
@@ -729,7 +743,7 @@ impl ConflictDetector {
 
     /// Notes what the malformed response noted next is for, if that is known.
     pub fn note_malformed_request(&mut self, address: Address, request: Option<Request>) {
-        self.histories[address.index()].malformed = request;
+        self.histories[address].malformed = request;
     }
 
     /// Notes a malformed response.
@@ -765,7 +779,7 @@ impl ConflictDetector {
     ) {
         let kind = FindingKind::MalformedAnswer;
         let is_open = self.finding_tracker.is_open(kind, address);
-        let history = &mut self.histories[address.index()];
+        let history = &mut self.histories[address];
         history.aborted = if is_open { history.aborted.saturating_add(1) } else { 1 };
         let request = history.malformed.unwrap_or(Request::Services);
         let by_chance = if history.responded[request as usize] {
@@ -793,12 +807,12 @@ impl ConflictDetector {
     pub fn is_shared_perhaps(&self, now: Instant, address: Address) -> bool {
         let remembered = self.turn_period(address) * UID_MEMORY_PERIODS;
         self.finding_tracker.is_open_at(address)
-            || self.histories[address.index()].uids.changed_within(now, remembered)
+            || self.histories[address].uids.changed_within(now, remembered)
     }
 
     /// Returns true if the heartbeats from `address` carry no UID, by which devices differ.
     pub fn has_no_uid(&self, address: Address) -> bool {
-        self.histories[address.index()].last_without_uid.is_some()
+        self.histories[address].last_without_uid.is_some()
     }
 
     /// Returns true if devices seem to receive requests twice, or descan receives all frames twice.
@@ -808,7 +822,7 @@ impl ConflictDetector {
 
     /// Notes a valid response, which clears malformed-answer of the same request.
     pub fn note_valid_response(&mut self, now: Instant, address: Address, request: Request) {
-        let history = &mut self.histories[address.index()];
+        let history = &mut self.histories[address];
         history.responded[request as usize] = true;
         if history.malformed.unwrap_or(Request::Services) == request {
             history.aborted = 0;
@@ -835,12 +849,12 @@ impl ConflictDetector {
 
     /// Returns the last heartbeat frame of `address`.
     pub fn last_heartbeat(&self, address: Address) -> Option<Frame> {
-        self.histories[address.index()].heartbeats.last().copied()
+        self.histories[address].heartbeats.last().copied()
     }
 
     /// Forgets the history of `address` and clears its conflicts: its device is lost.
     pub fn forget(&mut self, now: Instant, address: Address) {
-        self.histories[address.index()].forget(self.periods.is_measured(address));
+        self.histories[address].forget(self.periods.is_measured(address));
         self.periods.forget(address);
         self.apply_periods();
         self.finding_tracker.forget(now, address);
@@ -849,7 +863,7 @@ impl ConflictDetector {
     /// Forgets all addresses: no device uses them.
     pub fn remove_devices(&mut self) {
         self.periods.clear();
-        self.histories.fill_with(AddressHistory::default);
+        self.histories = AddressTable::new();
         self.repeated_frames = RepeatedFrameDetector::new(self.periods.typical());
         self.finding_tracker.remove_findings_of_devices();
         self.apply_periods();
@@ -858,7 +872,7 @@ impl ConflictDetector {
     /// Forgets the values of `address` that could alternate: its device moved away, so the next one
     /// there is not in conflict with it.
     pub fn note_left(&mut self, address: Address) {
-        self.histories[address.index()].forget_values();
+        self.histories[address].forget_values();
     }
 
     // --- state --------------------------------------------------------------------------
@@ -868,7 +882,7 @@ impl ConflictDetector {
         let address = evidence.address;
         let at = self.finding_tracker.report(now, evidence)?;
         let remembered = self.turn_period(address) * UID_MEMORY_PERIODS;
-        let history = &self.histories[address.index()];
+        let history = &self.histories[address];
         let uids = history.uids.recent(now, remembered).into_iter().map(|(uid, since)| {
             // An absence is longer than the memory.
             let was_absent = |first: &Instant| since.since(*first) > remembered;
@@ -900,7 +914,7 @@ impl ConflictDetector {
     /// Returns the findings about `address` that explain other evidence there.
     fn findings_at(&self, now: Instant, address: Address) -> AddressFindings {
         let two_names = FindingKind::OneAddressTwoNames;
-        let history = &self.histories[address.index()];
+        let history = &self.histories[address];
         let AddressHistory { names, heartbeats, second_sender_at, .. } = history;
         let period = self.periods.of(address);
         let recent = period.mul_f64(INTERLEAVED_PERIODS);

@@ -12,6 +12,7 @@
 //! with responses than with heartbeats.
 
 use super::history::RecordedHeartbeat;
+use crate::discovery::address_table::AddressTable;
 use crate::frame::Frame;
 use crate::time::{Duration, Instant};
 use crate::wire::id::Address;
@@ -67,7 +68,7 @@ pub(super) struct RepeatedFrameDetector {
     echoed_until: Instant,
     responses: RoundResponses,
     /// Copied heartbeats of each address.
-    series: Vec<CopySeries>,
+    series: AddressTable<CopySeries>,
 }
 
 /// Successive copied heartbeats of one address.
@@ -168,7 +169,7 @@ impl RepeatedFrameDetector {
             awaiting_copy: VecDeque::new(),
             echoed_until: Instant::ZERO,
             responses: RoundResponses::default(),
-            series: (0..Address::COUNT).map(|_| CopySeries::default()).collect(),
+            series: AddressTable::new(),
         }
     }
 
@@ -184,13 +185,13 @@ impl RepeatedFrameDetector {
 
     /// Returns true if the frames of `address` are repeated.
     pub fn is_repeated(&self, now: Instant, address: Address) -> bool {
-        self.is_active(now) || now < self.series[address.index()].active_until
+        self.is_active(now) || now < self.series[address].active_until
     }
 
     /// Returns true if copies, some of whose originals are lost, explain the timing of the heartbeats
     /// of `address`: they have copies, and none came as late as a copy and was another one.
     pub fn explains_timing(&self, now: Instant, address: Address) -> bool {
-        let CopySeries { differs_at, uncopied, .. } = self.series[address.index()];
+        let CopySeries { differs_at, uncopied, .. } = self.series[address];
         let recent = self.period * 10;
         self.is_repeated(now, address)
             && uncopied < MAX_UNCOPIED
@@ -200,7 +201,7 @@ impl RepeatedFrameDetector {
     /// Returns the shortest delay of the copies of `address`, or of all with `None`: later ones
     /// waited for other frames.
     pub fn delay_of(&self, address: Option<Address>) -> Duration {
-        match address.map(|address| &self.series[address.index()]) {
+        match address.map(|address| &self.series[address]) {
             Some(series) if series.count > 0 => series.shortest,
             _ => self.shortest.unwrap_or(self.delay),
         }
@@ -223,7 +224,7 @@ impl RepeatedFrameDetector {
         if !self.is_repeated(now, source) {
             return false;
         }
-        let series = &self.series[source.index()];
+        let series = &self.series[source];
         let delay = self.delay.max(series.longest).max(series.further);
         let window = (delay * 2).max(Duration::from_millis(20));
         let longest = self.delay.max(MAX_DELAY_OF_ONE) * 2;
@@ -252,7 +253,7 @@ impl RepeatedFrameDetector {
     /// Notes a heartbeat from `address`; call before [`is_copy`](Self::is_copy).
     pub fn note_heartbeat(&mut self, now: Instant, address: Address, recorded: RecordedHeartbeat) {
         let period = self.period;
-        let series = &mut self.series[address.index()];
+        let series = &mut self.series[address];
         let delay = self.delay.max(series.longest);
         let is_other = recorded.is_new && recorded.copy_delay.is_none();
         if is_other && recorded.gap.is_some_and(|gap| gap <= delay + DELAY_JITTER) {
@@ -262,7 +263,7 @@ impl RepeatedFrameDetector {
             self.several_sources_until = Instant::ZERO;
             self.response_pairs = ResponsePairs::default();
         }
-        let series = &mut self.series[address.index()];
+        let series = &mut self.series[address];
         if let Some(delay) = recorded.copy_delay {
             series.uncopied = 0;
             self.note_copied_heartbeat(now, address, delay);
@@ -314,7 +315,7 @@ impl RepeatedFrameDetector {
 
     fn note_copy_of_one(&mut self, now: Instant, address: Address, delay: Duration) {
         let period = self.period;
-        let series = &mut self.series[address.index()];
+        let series = &mut self.series[address];
         series.add(delay);
         let has_two = series.response_pairs.two_responders_since(series.shortest).is_some();
         if series.count >= COPIES_OF_ONE && series.is_steady() && !has_two {
@@ -331,7 +332,7 @@ impl RepeatedFrameDetector {
     /// Notes a response of `address` equal to one received `delay` before.
     pub fn note_duplicate(&mut self, now: Instant, address: Address, delay: Duration) {
         self.response_pairs.add(now, delay, self.period);
-        let series = &mut self.series[address.index()];
+        let series = &mut self.series[address];
         series.response_pairs.add(now, delay, self.period);
         if series.response_pairs.two_responders_since(series.shortest).is_some() {
             series.active_until = series.active_until.min(now);
@@ -349,7 +350,7 @@ impl RepeatedFrameDetector {
     /// Returns since when `address` responds twice although its heartbeats seemed repeated: two
     /// devices with equal random numbers.
     pub fn two_devices_since(&self, address: Address) -> Option<Instant> {
-        let series = &self.series[address.index()];
+        let series = &self.series[address];
         let is_copied = series.count >= COPIES_OF_ONE;
         series.response_pairs.two_responders_since(series.shortest).filter(|_| is_copied)
     }
