@@ -247,8 +247,9 @@ fn evidence_outlives_the_capture() {
     stage.keys("Enter Enter").size(80, 40);
     snapshot!("evidence_around_kept", stage);
     // They are bounded, too.
+    stage.keys("Esc Esc Esc Esc");
     flood(&mut stage, evidence);
-    stage.size(80, 24).keys("Esc Esc Enter");
+    stage.size(80, 24).keys("4 Home f");
     snapshot!("evidence_forgotten", stage);
     stage.keys("Enter");
     let screen = stage.screen();
