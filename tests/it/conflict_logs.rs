@@ -813,6 +813,29 @@ fn apparent_conflicts_are_not_confirmed() {
     check(cases);
 }
 
+/// Tests that one board with a shorter period than expected is never two, however often it restarts or is
+/// replaced in its first seconds.
+#[test]
+fn restarting_board_with_a_shorter_period_is_not_confirmed() {
+    let boards = [FEED, SENS, "000000000000"];
+    let cases = (0..60).map(|seed| {
+        let mut rng = fastrand::Rng::with_seed(seed);
+        let mut between = |from: f64, until: f64| from + (until - from) * rng.f64();
+        let period = [0.5, 0.5, 0.25, 0.4, 0.7][seed as usize % 5];
+        let (mut log, mut at, mut lives) = (Log::default(), 0.0, Vec::new());
+        for life in 0..=1 + seed % 3 {
+            let is_last = life == 1 + seed % 3;
+            let until = at + if is_last { 40.0 } else { between(0.6, 6.0) };
+            let board = boards[between(0.0, 3.0) as usize];
+            log = log.beats(14, at + between(0.0, period), until, period, &format!("{board}0400"));
+            lives.push(format!("{at:.3} to {until:.3} {board}"));
+            at = until + between(0.0, 1.5);
+        }
+        (format!("seed {seed}, a period of {period} s, {lives:?}"), log, NOTHING)
+    });
+    check(cases.collect());
+}
+
 impl Log {
     /// Returns its lines, shifted by so many seconds.
     fn and_at(self, later: f64) -> Vec<(f64, String)> {

@@ -52,6 +52,12 @@ const MIN_ALTERNATING_GAPS: usize = TWO_PHASE_TIMES - 1;
 /// lost, ten in a row are received in 3 % of the cases. Longer ones before may be of one sender alone.
 const MAX_GAPS_WITHOUT_LOSS: usize = 10;
 
+/// Restarts in [`WINDOW_PERIODS`] after which heartbeats may be those of one sender. Chosen: a board whose
+/// plug bounces; several senders have more intervals that are no multiples.
+const MAX_RESTARTS: usize = 3;
+/// Periods of a run between restarts that shows several senders by the parts of the period. Chosen: two.
+const MIN_RUN_PERIODS: f64 = 2.0;
+
 /// A sender with a shorter period than expected, some of whose heartbeats may be lost.
 pub(super) struct FasterSender {
     /// Number of its periods in an expected one; `None` if that is not a whole number.
@@ -63,6 +69,43 @@ pub(super) struct FasterSender {
     pub has_losses: bool,
     /// True if every other of its heartbeats is late by the same time: two senders.
     pub alternates: bool,
+}
+
+impl FasterSender {
+    /// Returns true if the heartbeats may be those of one sender, although several look similar.
+    pub fn may_be_one(&self) -> bool {
+        match self.parts {
+            None => true,
+            // Two senders half a period apart look like one.
+            Some(2) => !self.alternates,
+            Some(_) => self.has_most_parts,
+        }
+    }
+}
+
+/// Returns true if one sender with a shorter period, which restarted or was replaced a few times,
+/// explains the heartbeats of the last periods: between these times all intervals are multiples of
+/// the same period.
+pub(super) fn may_have_restarted(times: &VecDeque<Instant>, period: Duration) -> bool {
+    let gaps: Vec<f64> = gaps_within(times, period, f64::from(WINDOW_PERIODS)).collect();
+    let mut ascending = gaps.clone();
+    ascending.sort_unstable_by(f64::total_cmp);
+    let Some(&step) = ascending.get(gaps.len().saturating_sub(1) / 2) else { return false };
+    if step < MIN_FASTER_PERIOD {
+        return false;
+    }
+    let is_restart = |gap: &f64| {
+        let steps = (gap / step).round();
+        steps < 1.0 || (gap / step - steps).abs() > GRID_TOLERANCE
+    };
+    let is_one = |run: &[f64]| {
+        let whole: f64 = run.iter().sum();
+        let steps: f64 = run.iter().map(|gap| (gap / step).round()).sum();
+        // Of a short run the parts of the period say nothing.
+        whole < MIN_RUN_PERIODS || grid_with(|| run.iter().copied(), whole / steps).may_be_one()
+    };
+    gaps.iter().filter(|gap| is_restart(gap)).count() <= MAX_RESTARTS
+        && gaps.split(is_restart).all(is_one)
 }
 
 /// Returns the sender of whose period all intervals in the last periods are multiples.

@@ -2,6 +2,7 @@
 
 use super::grid::{
     MIN_PHASE_CONTRAST, SAME_PHASE, TWO_PHASE_TIMES, WINDOW_PERIODS, grid_of, may_be_one_sender,
+    may_have_restarted,
 };
 use super::history::{MAX_PHASES, WHOLE_PERIOD};
 use crate::time::{Duration, Instant};
@@ -106,12 +107,8 @@ pub(super) fn is_crowded(times: &VecDeque<Instant>, period: Duration) -> bool {
     };
     has_more(MAX_OF_ONE, period * WINDOW_PERIODS)
         && has_more(MAX_OF_ONE_AT_END, period.mul_f64(END_PERIODS))
-        && grid_of(times, period).is_none_or(|grid| match grid.parts {
-            None => false,
-            // Two senders half a period apart look like one.
-            Some(2) => grid.alternates,
-            Some(_) => !grid.has_most_parts,
-        })
+        && !grid_of(times, period).is_some_and(|grid| grid.may_be_one())
+        && !may_have_restarted(times, period)
 }
 
 /// Returns the time of the last heartbeat in another phase than the newest one, if heartbeats
