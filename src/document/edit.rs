@@ -1,7 +1,7 @@
 //! Application of edits: splices values into the text, parses the result and compares it with the
 //! intended content.
 
-use super::entry::{Entry, Member, read_service_noting};
+use super::entry::{Entry, Member, ServiceFaults, read_service_noting};
 use super::layout::{self, EntryStyle, Layout, Members, ServicesStyle, newline, spliced};
 use super::operation::{NewEntry, Operation, RemovedEntry};
 use super::position::{Position, Positions};
@@ -481,9 +481,9 @@ impl Document {
             if !item.key.is_empty() && !keys.insert(key.clone()) {
                 return Err(self.duplicate(&key, item.key.start));
             }
-            let mut again = Vec::new();
-            let service = read_service_noting(self.body(), &item, &mut again);
-            if let Some((key, at)) = again.first() {
+            let mut faults = ServiceFaults::default();
+            let service = read_service_noting(self.body(), &item, &mut faults);
+            if let Some((key, at)) = faults.again.first() {
                 return Err(self.duplicate(key, *at));
             }
             if service.is_none() {

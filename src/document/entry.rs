@@ -165,14 +165,38 @@ fn read(
 
 /// Reads an item of `services`, a list or an object; `None` if it is not a service.
 pub(super) fn read_service(body: &str, item: &scan::Item) -> Option<ListedService> {
-    read_service_noting(body, item, &mut Vec::new())
+    read_service_noting(body, item, &mut ServiceFaults::default())
 }
 
-/// As [`read_service`]; adds duplicate members with their offsets to `again`.
+/// Members of a service that are not as descan reads them, with their offsets.
+#[derive(Default)]
+pub(super) struct ServiceFaults {
+    /// Members that occurred before.
+    pub again: Vec<(&'static str, usize)>,
+    /// Names of unknown members.
+    unknown: Vec<(String, usize)>,
+    /// Which of [`SERVICE_MEMBERS`] occur.
+    seen: [bool; SERVICE_MEMBERS.len()],
+}
+
+impl ServiceFaults {
+    fn report(self, findings: &mut Findings, entry: Option<usize>) {
+        for (member, at) in self.again {
+            findings.duplicate(member, at, entry);
+        }
+        for (key, at) in self.unknown {
+            let members = SERVICE_MEMBERS.into_iter().zip(self.seen);
+            let missing = members.filter(|(_, is_seen)| !is_seen).map(|(member, _)| member);
+            findings.misspelled(&key, at, missing, entry);
+        }
+    }
+}
+
+/// As [`read_service`]; notes members that are not as expected.
 pub(super) fn read_service_noting(
     body: &str,
     item: &scan::Item,
-    again: &mut Vec<(&'static str, usize)>,
+    faults: &mut ServiceFaults,
 ) -> Option<ListedService> {
     let value = &body[item.value.clone()];
     if !item.key.is_empty() {
@@ -184,14 +208,15 @@ pub(super) fn read_service_noting(
     }
     let mut name = None;
     let mut service = ListedService::default();
-    let mut seen = [false; SERVICE_MEMBERS.len()];
     for member in scan::container(body, &item.value)?.items {
         let value = &body[member.value.clone()];
         let key = text::from_json(&body[member.key.clone()]).unwrap_or_default();
-        if let Some(at) = SERVICE_MEMBERS.iter().position(|known| *known == key)
-            && std::mem::replace(&mut seen[at], true)
-        {
-            again.push((SERVICE_MEMBERS[at], member.key.start));
+        match SERVICE_MEMBERS.iter().position(|known| *known == key) {
+            Some(at) if std::mem::replace(&mut faults.seen[at], true) => {
+                faults.again.push((SERVICE_MEMBERS[at], member.key.start));
+            }
+            Some(_) => {}
+            None => faults.unknown.push((key.clone().into_owned(), member.key.start)),
         }
         match &*key {
             "name" => name = Some(text::from_json(value)?.into_owned()),
@@ -250,10 +275,16 @@ impl EntryReader<'_, '_> {
         }
         let name = bytes.or(name.map(String::into_bytes))?;
         let address = of(Member::Address);
+        let is_static = of(Member::Static).is_some_and(|at| self.flag(at));
+        if let Some(at) = of(Member::Static).filter(|_| is_static && address.is_none()) {
+            let message = "`static` without an `address`; nothing is pinned".to_owned();
+            let kind = DocumentFindingKind::StaticWithoutAddress;
+            self.findings.add(kind, at.start, message, self.entry());
+        }
         Some(Entry {
             name_text: crate::text::printable(&name),
             address: address.and_then(|at| self.address(at)),
-            is_static: of(Member::Static).is_some_and(|at| self.flag(at)),
+            is_static,
             bus: of(Member::Bus).and_then(|at| self.string(Member::Bus, at)),
             uid: of(Member::Uid).and_then(|at| self.string(Member::Uid, at)),
             services: of(Member::Services).and_then(|at| self.services(at)),
@@ -271,9 +302,12 @@ impl EntryReader<'_, '_> {
     /// Returns the last value of each known member; null counts as absent.
     fn members(&mut self, span: &Span) -> Vec<(Member, Span)> {
         let mut found: Vec<(Member, Span)> = Vec::with_capacity(Member::ALL.len());
-        let mut duplicates = Vec::new();
+        let (mut duplicates, mut unknown) = (Vec::new(), Vec::new());
         for item in scan::items_at(self.body, span).into_iter().flatten() {
-            let Some(member) = Member::of(&self.body[item.key.clone()]) else { continue };
+            let Some(member) = Member::of(&self.body[item.key.clone()]) else {
+                unknown.push(item.key);
+                continue;
+            };
             self.present.add(member);
             match found.iter_mut().find(|(earlier, _)| *earlier == member) {
                 Some(earlier) => {
@@ -295,6 +329,12 @@ impl EntryReader<'_, '_> {
         });
         for (member, at) in duplicates {
             self.findings.duplicate(member.key(), at, self.entry());
+        }
+        for key in unknown {
+            let Some(name) = text::from_json(&self.body[key.clone()]) else { continue };
+            let missing = Member::ALL.into_iter().filter(|member| !self.present.has(*member));
+            let missing = missing.map(Member::key);
+            self.findings.misspelled(&name, key.start, missing, self.entry());
         }
         found
     }
@@ -414,11 +454,9 @@ impl EntryReader<'_, '_> {
             if services.len() > MAX_SERVICES {
                 break;
             }
-            let mut again = Vec::new();
-            let service = read_service_noting(self.body, &item, &mut again);
-            for (member, at) in again {
-                self.findings.duplicate(member, at, self.entry());
-            }
+            let mut faults = ServiceFaults::default();
+            let service = read_service_noting(self.body, &item, &mut faults);
+            faults.report(self.findings, self.entry());
             let Some(service) = service else {
                 self.wrong_service(number, &item);
                 continue;

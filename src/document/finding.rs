@@ -4,6 +4,7 @@ use std::fmt;
 
 use super::position::{Position, Positions};
 use super::syntax::JsonKind;
+use super::text;
 
 /// A fault in the file. The rest of the file is used.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -38,6 +39,10 @@ pub enum DocumentFindingKind {
     NamesDiffer,
     /// A member occurs twice; the last one is used.
     DuplicateMember,
+    /// A member that descan does not read, with nearly the name of one that is missing.
+    MisspelledMember,
+    /// An entry with `static`, but without an address.
+    StaticWithoutAddress,
     /// Several entries have the same static address on one bus.
     DuplicateAddress,
     /// Several entries have the same name and address on one bus.
@@ -56,6 +61,9 @@ impl fmt::Display for DocumentFinding {
         write!(f, "{}: {}", self.position, self.message)
     }
 }
+
+/// Fewest bytes of a name in which one wrong letter is a mistake: shorter ones differ by chance.
+const MIN_MISSPELLED: usize = 4;
 
 /// Most findings kept: a wrong file may have as many as it has bytes.
 const MAX_FINDINGS: usize = 1000;
@@ -113,6 +121,27 @@ impl<'a> Findings<'a> {
     pub fn duplicate(&mut self, key: &str, at: usize, entry: Option<usize>) {
         let message = format!("duplicate `{key}`; the last one is used");
         self.add(DocumentFindingKind::DuplicateMember, at, message, entry);
+    }
+
+    /// Adds a finding if an unknown member of this name is probably one of the `missing` ones.
+    pub fn misspelled(
+        &mut self,
+        key: &str,
+        at: usize,
+        missing: impl IntoIterator<Item = &'static str>,
+        entry: Option<usize>,
+    ) {
+        let is_meant = |known: &&str| {
+            key.eq_ignore_ascii_case(known)
+                || known.len().min(key.len()) >= MIN_MISSPELLED
+                    && key.len() <= known.len() + 1
+                    && strsim::damerau_levenshtein(key, known) == 1
+        };
+        if let Some(meant) = missing.into_iter().find(is_meant) {
+            let key = text::brief(key.as_bytes());
+            let message = format!("`{key}` is not read; is `{meant}` meant?");
+            self.add(DocumentFindingKind::MisspelledMember, at, message, entry);
+        }
     }
 
     /// Adds a finding: `what`, a member or a part of one, is `found` instead of `expected`.

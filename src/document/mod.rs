@@ -296,14 +296,21 @@ fn read_root(body: &str, findings: &mut Findings) -> Root {
         return Root::Other(span);
     }
     let mut devices: Option<Span> = None;
-    let mut again = None;
+    let (mut again, mut unknown) = (None, Vec::new());
     for item in scan::items_at(body, &span).into_iter().flatten() {
-        if text::from_json(&body[item.key.clone()]).as_deref() != Some("devices") {
+        let key = text::from_json(&body[item.key.clone()]);
+        if key.as_deref() != Some("devices") {
+            unknown.extend(key.map(|key| (key, item.key.start)));
             continue;
         }
         if devices.replace(item.value).is_some() {
             again = again.or(Some(item.key.start));
             findings.duplicate("devices", item.key.start, None);
+        }
+    }
+    if devices.is_none() {
+        for (key, at) in unknown {
+            findings.misspelled(&key, at, ["devices"], None);
         }
     }
     devices = devices.filter(|devices| &body[devices.clone()] != "null");

@@ -247,7 +247,8 @@ fn deep_nesting_does_not_overflow_the_stack() {
 #[test]
 fn wrong_member_types_are_findings() {
     use DocumentFindingKind::{
-        AddressRange, DuplicateMember, MissingName, NamesDiffer, NotAnEntry, NotDevices, WrongType,
+        AddressRange, DuplicateMember, MissingName, MisspelledMember, NamesDiffer, NotAnEntry,
+        NotDevices, StaticWithoutAddress, WrongType,
     };
     for (source, kind, message, entries) in [
         (
@@ -394,6 +395,30 @@ fn wrong_member_types_are_findings() {
             r#"[{"name": "A", "address": 1, "address": 2}]"#,
             DuplicateMember,
             "line 1, column 30: duplicate `address`; the last one is used",
+            vec![0],
+        ),
+        (
+            r#"{"Devices": []}"#,
+            MisspelledMember,
+            "line 1, column 2: `Devices` is not read; is `devices` meant?",
+            vec![],
+        ),
+        (
+            r#"[{"name": "A", "adress": 1, "n\u0061mes": "B", "bsu": "can0", "address_old": 2}]"#,
+            MisspelledMember,
+            "line 1, column 16: `adress` is not read; is `address` meant?",
+            vec![0],
+        ),
+        (
+            r#"[{"name": "A", "services": [{"name": "B", "verison": "1.0"}]}]"#,
+            MisspelledMember,
+            "line 1, column 43: `verison` is not read; is `version` meant?",
+            vec![0],
+        ),
+        (
+            r#"[{"name": "A", "address": null, "static": true}]"#,
+            StaticWithoutAddress,
+            "line 1, column 43: `static` without an `address`; nothing is pinned",
             vec![0],
         ),
     ] {

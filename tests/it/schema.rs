@@ -25,13 +25,15 @@ const GOOD: [&str; 7] = [
 ];
 
 /// Files in which descan reports a finding.
-const BAD: [&str; 9] = [
+const BAD: [&str; 11] = [
     r#"{"devices":{"name":"FEED"}}"#,
     r#"[{"address":12}]"#,
     r#"[{"name":"FEED","address":0}]"#,
     r#"[{"name":"FEED","address":128}]"#,
     r#"[{"name":"FEED","address":"12"}]"#,
     r#"[{"name":"FEED","static":"yes"}]"#,
+    r#"[{"name":"FEED","static":true}]"#,
+    r#"[{"name":"FEED","static":true,"address":null}]"#,
     r#"[{"name":"FEED","name_hex":"F"}]"#,
     r#"[{"name":"FEED","services":"DES"}]"#,
     r#"["FEED"]"#,

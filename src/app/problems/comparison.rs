@@ -252,7 +252,9 @@ impl From<DocumentFindingKind> for FindingKind {
             | Fault::WrongType
             | Fault::AddressRange
             | Fault::NamesDiffer
-            | Fault::DuplicateMember => FindingKind::FileShape,
+            | Fault::DuplicateMember
+            | Fault::MisspelledMember
+            | Fault::StaticWithoutAddress => FindingKind::FileShape,
         }
     }
 }
