@@ -7,7 +7,7 @@ use ratatui::buffer::Buffer;
 const BRAILLE: std::ops::Range<u32> = 0x2800..0x2900;
 
 /// Bars of a chart by the number of eighths or dots that are filled, at most 8.
-const LEVELS: [&str; 9] = [" ", ".", ".", ":", ":", "=", "=", "#", "#"];
+const LEVELS: [&str; 9] = [" ", ".", ",", ":", ":", "=", "=", "#", "#"];
 
 /// Replaces all characters beyond ASCII in a drawn screen.
 pub fn replace(buffer: &mut Buffer) {
@@ -25,25 +25,25 @@ fn form_of(symbol: &str) -> &'static str {
     match c {
         '●' => "*",
         '○' | '◇' => "o",
-        '◐' | '◑' => "%",
+        '◐' | '◑' | '▒' => "%",
         '◒' => "z",
         '⚠' => "!",
         '✗' | '×' => "x",
-        '≈' | '…' => "~",
+        '≈' | '…' | '╌' | '±' => "~",
         '·' | '•' => ".",
-        '–' | '—' | '−' | '─' | '━' | '╌' | '═' => "-",
+        '–' | '—' | '−' | '─' | '═' => "-",
         '│' | '┃' | '┊' | '╷' | '╵' | '▏' | '▎' | '▍' => "|",
-        '┌' | '┐' | '└' | '┘' | '├' | '┤' | '┬' | '┴' | '┼' | '±' => "+",
+        '┌' | '┐' | '└' | '┘' | '├' | '┤' | '┬' | '┴' | '┼' => "+",
         '▸' | '→' | '›' => ">",
         '◂' | '←' | '‹' => "<",
         '▼' => "V",
         '✓' | '↓' | '⌄' => "v",
         '▲' | '↑' => "^",
         '↻' => "@",
-        '≠' | '◆' | '▒' | '▓' => "#",
-        '▌' | '▋' | '▊' | '▉' => "=",
+        '≠' | '◆' | '▓' => "#",
+        '━' | '▌' | '▋' | '▊' | '▉' => "=",
         '▁'..='█' => LEVELS[(u32::from(c) - u32::from('▁') + 1) as usize],
-        '²' => "2",
+        '²' => "\"",
         '³' => "3",
         '¹' => "1",
         'µ' | 'μ' => "u",
@@ -71,6 +71,24 @@ mod tests {
         }
         for c in '▁'..='█' {
             assert_ne!(form_of(&c.to_string()), "?", "{c}");
+        }
+        // Signs that stand beside each other in a lane, a heartbeat strip or a column.
+        for signs in ["━─╌·▓▒↻!▏", "▂▅█×·", "●◐◌◒○·⚠?", "✓✗≠…·+!"]
+        {
+            let mut forms: Vec<_> =
+                signs
+                    .chars()
+                    .map(|c| {
+                        if c.is_ascii() {
+                            c
+                        } else {
+                            form_of(&c.to_string()).chars().next().unwrap()
+                        }
+                    })
+                    .collect();
+            forms.sort_unstable();
+            forms.dedup();
+            assert_eq!(forms.len(), signs.chars().count(), "{signs}: {forms:?}");
         }
         assert_eq!((form_of("⠀"), form_of("⣿"), form_of("温")), (" ", "#", "?"));
     }
