@@ -18,8 +18,10 @@ const TICK_CELLS: u64 = 15;
 /// Distances between the times on the axis, in milliseconds.
 const TICKS: [u64; 20] = [
     200, 500, 1000, 2000, 5000, 10_000, 20_000, 30_000, 60_000, 120_000, 300_000, 600_000, 900_000,
-    1_800_000, 3_600_000, 7_200_000, 14_400_000, 21_600_000, 43_200_000, 86_400_000,
+    1_800_000, 3_600_000, 7_200_000, 14_400_000, 21_600_000, 43_200_000, DAY,
 ];
+/// A day in milliseconds. Times that far apart have a date.
+const DAY: u64 = 86_400_000;
 
 /// Draws the lanes.
 pub fn draw(brush: &mut DrawContext) {
@@ -53,7 +55,7 @@ fn axis_line(brush: &DrawContext, lanes: &Lanes) -> Line<'static> {
     let axis = lanes.axis;
     let step = (axis.step().as_millis() as u64).max(1);
     let tick = TICKS.iter().find(|tick| **tick >= step * TICK_CELLS);
-    let tick = tick.copied().unwrap_or(step * TICK_CELLS);
+    let tick = tick.copied().unwrap_or((step * TICK_CELLS).next_multiple_of(DAY));
     let mut cells: Vec<(String, Role)> = vec![(" ".to_owned(), Role::Muted); axis.cells];
     for mark in app.marks().by_letter() {
         if axis.contains(mark.moment.time) {
@@ -71,7 +73,16 @@ fn axis_line(brush: &DrawContext, lanes: &Lanes) -> Line<'static> {
         if !axis.contains(at) || at > lanes.shown {
             break;
         }
-        let text = if tick < 1000 { clock_millis(app, at) } else { format_time_of_day(app, at) };
+        let text = match tick {
+            ..1000 => clock_millis(app, at),
+            1000..DAY => format_time_of_day(app, at),
+            // Without the year and the seconds: `11-21 06:00`.
+            DAY.. => {
+                let text = app.date_time_text(at);
+                let of_year = text.split_once('-').map_or(&*text, |(_, rest)| rest);
+                of_year.rsplit_once(':').map_or(of_year, |(minute, _)| minute).to_owned()
+            }
+        };
         put_time(&mut cells[axis.cell(at)..], &text);
     }
     let step = format_step(axis.step());

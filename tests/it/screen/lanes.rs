@@ -4,6 +4,7 @@ use super::{one_line, snapshot, styles_of, text_snapshot};
 use crate::common::harness::Stage;
 use descan::app::{LaneCell, Mouse, MouseKind, Page};
 use descan::discovery::Config;
+use descan::frame::{CanId, Frame};
 use descan::sim::Scenario;
 use descan::time::{Duration, Instant};
 
@@ -54,6 +55,22 @@ fn lanes_show_moves_reboots_absences_and_conflicts() {
         }
     }
     assert!(lane(&stage, "10 FEED").ends_with("online WORK"), "{}", lane(&stage, "10 FEED"));
+}
+
+#[test]
+fn times_days_apart_have_their_date() {
+    let scenario = Scenario::new(500_000);
+    let config = Config { listen_only: true, ..Config::default() };
+    let mut stage = Stage::with_room(&scenario, None, config, 64 << 20);
+    let heartbeat = Frame::new(CanId::Extended(0x073D_D401), &[0, 0, 0, 0, 0, 0, 4, 0]);
+    for day in 0..12 {
+        let at = Instant::ZERO + Duration::from_secs(86_400 * day);
+        stage.app.advance_to(at);
+        stage.app.handle_frames(at, &[heartbeat.with_time(at)]);
+    }
+    let screen = stage.size(120, 24).keys("3").screen();
+    let axis = screen.lines().find(|line| line.contains("a cell")).unwrap_or(&screen);
+    assert!(axis.contains("╷11-24 00:00") && axis.contains("╷11-27 00:00"), "{axis}");
 }
 
 #[test]
