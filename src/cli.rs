@@ -136,8 +136,33 @@ Examples:
         #[arg(value_name = "NAME", value_parser = GuideName, hide_possible_values = true)]
         name: Option<String>,
     },
+    /// Print the built-in profile, a TOML file with comments, or check one
+    #[command(after_help = "\
+Exit code of check: 0 fine, 1 a mistake in the file, 2 wrong usage, 3 file not readable.
+
+Examples:
+  descan profile > line7.toml
+  descan profile check line7.toml")]
+    Profile {
+        /// What to do instead of printing it.
+        #[command(subcommand)]
+        command: Option<ProfileCommand>,
+    },
     /// Print the JSON Schema of des.json
     Schema,
+}
+
+/// `descan profile`.
+#[derive(Debug, Subcommand)]
+pub enum ProfileCommand {
+    /// Check a profile and list all values with their origin
+    Check {
+        /// The profile, a TOML file
+        file: PathBuf,
+        /// Print JSON instead of text
+        #[arg(long)]
+        json: bool,
+    },
 }
 
 /// Bounds of `--capture`, in bytes.

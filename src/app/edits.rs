@@ -18,6 +18,7 @@ use crate::document::{EntryKey, Operation};
 use crate::frame::{BusIndex, Frame};
 use crate::keymap::{Action, Key};
 use crate::wire::id::{Header, Service};
+use crate::wire::profile::ProfileKey;
 
 impl App {
     // ---- des.json --------------------------------------------------------------------------
@@ -505,8 +506,9 @@ impl App {
         if let Some(obstacle) = self.tx_obstacle(id.bus, bus) {
             return Err(obstacle);
         }
-        if !config.profile.given {
-            return Err("identify needs --profile: its service number is assumed".to_owned());
+        if !config.profile.is_given(ProfileKey::Identify) {
+            let why = "identify needs a profile with commands.identify: its number is assumed";
+            return Err(why.to_owned());
         }
         let OwnAddress::Held(own) = bus.own_address() else {
             return Err("descan has no address on this bus yet".to_owned());

@@ -9,14 +9,16 @@ use super::notices::{TimelineEntry, event_text, join_lines, join_short};
 use super::problems::ProblemKey;
 use super::stories::StoryChange;
 use super::timeline_kind::TimelineKind;
-use super::{App, AppEvent, Effect};
+use super::{App, AppEvent, BusSelection, Effect};
 use crate::discovery::{DeviceId, Event, EventKind};
 use crate::finding::{Finding, FindingKind};
 use crate::frame::BusIndex;
 use crate::keymap::Action;
 use crate::status::{BusStatus, RecordingStatus};
 use crate::time::Instant;
+use crate::wire::profile::{Profile, ProfileKey};
 use std::fmt::Write;
+use std::sync::Arc;
 
 /// Document findings that get a line of their own when the file changes.
 const LISTED_FINDINGS: usize = 20;
@@ -242,6 +244,53 @@ impl App {
         } else {
             self.request_redraw();
         }
+    }
+
+    /// Takes a profile that was saved. Frames are read by it from now on; logs are opened again.
+    pub(super) fn profile_changed(&mut self, name: &str, profile: &Arc<Profile>) {
+        let now = self.clock.now();
+        let Some(before) = self.buses.iter().next().map(|bus| bus.config().profile.clone()) else {
+            return;
+        };
+        if self.clock.playback().is_some() && profile.reads_otherwise(&before) {
+            if self.logs.is_empty() {
+                return self.show_info(format!("{name} changed: read the frames again with it"));
+            }
+            let logs = self.logs.iter().map(|path| format!("file:{}", path.display()));
+            let again =
+                BusSelection { buses: logs.collect(), replaces: true, ..BusSelection::default() };
+            return self.effects.push_back(Effect::OpenBuses(again));
+        }
+        let is_other = |key: &&ProfileKey| {
+            before.value(**key) != profile.value(**key)
+                || before.origin(**key) != profile.origin(**key)
+        };
+        let changes: Vec<String> = ProfileKey::ALL
+            .iter()
+            .filter(is_other)
+            .map(|key| match (before.value(*key), profile.value(*key)) {
+                (old, new) if old == new => {
+                    format!("{} {}", key.name(), profile.origin(*key).word())
+                }
+                (old, new) => format!("{} {old} → {new}", key.name()),
+            })
+            .collect();
+        if changes.is_empty() {
+            return;
+        }
+        let over = self.buses.set_profile(now, profile);
+        self.traffic.take_profile();
+        self.take_events();
+        for index in &over {
+            let entry = TimelineEntry::new(now, TimelineKind::Bus, "another profile").on(*index);
+            self.notices.end_stories(*index, &entry);
+        }
+        let what = if over.is_empty() { "" } else { "; devices start over" };
+        let text = format!("{name}: {}{what}", changes.join(", "));
+        self.add_line(TimelineKind::File, &text);
+        self.show_info(text);
+        self.refresh_before_draw();
+        self.notices.redraw.set_dirty();
     }
 
     /// Takes the state of the recording; reports its start, its first lost frames and its failure.

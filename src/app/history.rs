@@ -14,6 +14,7 @@ use crate::discovery::{Config, DeviceId, Event};
 use crate::frame::{BusIndex, Frame};
 use crate::status::BusStatus;
 use crate::time::Instant;
+use crate::wire::profile::Profile;
 use std::collections::VecDeque;
 use std::ops::{Deref, Range};
 use std::sync::Arc;
@@ -203,6 +204,13 @@ impl RecordedBuses {
     pub(super) fn tick(&mut self, now: Instant) {
         self.note(now, BusesInput::Tick);
         self.now.tick(now);
+    }
+
+    /// Reads the frames of all buses by another profile from now on; returns the buses whose devices
+    /// start over.
+    pub(super) fn set_profile(&mut self, now: Instant, profile: &Arc<Profile>) -> Vec<BusIndex> {
+        self.note(now, BusesInput::Profile(profile.clone()));
+        self.now.set_profile(now, profile)
     }
 
     /// Starts or ends a bit rate search.
@@ -545,6 +553,9 @@ impl Buses {
             BusesInput::RemoveLost => self.remove_lost_devices(),
             BusesInput::Rename(index, name) => {
                 self.rename(*index, name.clone());
+            }
+            BusesInput::Profile(profile) => {
+                self.set_profile(now, profile);
             }
             BusesInput::Add(name, config) => {
                 self.add(now, name.clone(), Config::clone(config));

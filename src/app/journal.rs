@@ -6,6 +6,7 @@ use crate::discovery::Config;
 use crate::frame::BusIndex;
 use crate::status::BusStatus;
 use crate::time::Instant;
+use crate::wire::profile::Profile;
 use std::collections::VecDeque;
 use std::sync::Arc;
 
@@ -39,6 +40,8 @@ pub(super) enum BusesInput {
     Rename(BusIndex, String),
     /// A bus is added.
     Add(String, Arc<Config>),
+    /// The frames of all buses are read by another profile.
+    Profile(Arc<Profile>),
 }
 
 /// An input, with the number of frames that the buses took before it.

@@ -167,6 +167,7 @@ use crate::log::FrameSource;
 use crate::status::{BusStatus, Playback, PlaybackCommand, RecordingStatus};
 use crate::text::Name;
 use crate::time::{Duration, Epoch, Instant, debug_assert_later};
+use crate::wire::profile::Profile;
 use alarm::Alarms;
 use candidate_counts::CandidateCounts;
 use capture::Traffic;
@@ -183,6 +184,7 @@ use problems::Problems;
 use std::collections::VecDeque;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// Contents of des.json that are kept for past moments. Chosen: edits of a long day; each is shared with
 /// the undo steps.
@@ -605,6 +607,19 @@ impl App {
         if was_emptied && !is_emptied && change == FileChange::None {
             // The former content is back: edits that waited are saved.
             self.save_pending();
+        }
+    }
+
+    /// Takes the profile `name`, which was saved by another program; a wrong one changes nothing.
+    pub fn handle_profile(&mut self, now: Instant, name: &str, profile: Result<Profile, String>) {
+        let now = self.clock.set(now);
+        match profile {
+            Ok(profile) => self.profile_changed(name, &Arc::new(profile)),
+            Err(why) => {
+                let text = format!("{name}: {why}; the profile before stays in force");
+                self.add_line(TimelineKind::Error, &text);
+                self.notices.file_error(now, text);
+            }
         }
     }
 

@@ -11,6 +11,7 @@ mod headless;
 mod log;
 mod open;
 pub mod output;
+mod profile;
 mod report;
 mod scan;
 mod simulate;
@@ -75,6 +76,7 @@ pub fn run(cli: Cli) -> ExitCode {
         }
         Some(Command::Man { name }) => guide::man(name.as_deref()),
         Some(Command::Help { name }) => guide::help(name.as_deref()),
+        Some(Command::Profile { command }) => profile::run(command.as_ref()),
         Some(Command::Schema) => print_own(crate::document::SCHEMA.as_bytes()).map(|()| EXIT_OK),
     };
     ExitCode::from(match result {

@@ -9,13 +9,13 @@ use crate::discovery::Config;
 use crate::frame::{BusIndex, IdFilter};
 use crate::guide;
 use crate::keymap::Keymap;
-use crate::regular_file::{read_text, shown};
+use crate::regular_file::shown;
 use crate::shell::config::{ConfigFolder, UserSettings};
 use crate::shell::recorder::{Recorder, Size, Target};
 use crate::shell::session::Session;
 use crate::shell::store::Store;
 use crate::status::RecordingStatus;
-use crate::text::{SafeLines, on_one_line, printable};
+use crate::text::{SafeLines, printable};
 use crate::time::{Epoch, Instant};
 use crate::wire::profile::Profile;
 use std::fs;
@@ -36,6 +36,8 @@ pub struct Setup {
     pub keymap: Keymap,
     /// The settings of every bus's engine.
     pub config: Config,
+    /// File of the profile; `None` for the built-in one.
+    pub profile: Option<PathBuf>,
     /// Where des.json is.
     pub file: PathBuf,
     /// Where frames are recorded.
@@ -97,6 +99,7 @@ impl Setup {
             folder,
             keymap,
             config,
+            profile: common.profile.clone(),
             file,
             record,
             record_filter,
@@ -122,6 +125,15 @@ impl Setup {
             target.path = free_path(&target.path);
         }
         setup
+    }
+
+    /// Reads the profile again: it may have been saved since.
+    ///
+    /// # Errors
+    /// It cannot be used.
+    pub fn read_profile(&mut self) -> Result<(), Failure> {
+        self.config.profile = Arc::new(profile(self.profile.as_deref())?);
+        Ok(())
     }
 
     /// Starts the recording, if requested. Call when all else is open.
@@ -185,10 +197,7 @@ pub fn warn<T: Default>(warnings: &mut Vec<String>, why: &str) -> T {
 
 /// Reads a profile; `None` returns the assumed values.
 pub fn profile(path: Option<&Path>) -> Result<Profile, Failure> {
-    let Some(path) = path else { return Ok(Profile::default()) };
-    let unusable = |why: &str| Diagnostic::new(why).of(shown(path));
-    let text = read_text(path)?.ok_or_else(|| unusable("file not found"))?;
-    Ok(Profile::parse(&text).map_err(|error| unusable(&on_one_line(&error.to_string())))?)
+    path.map_or_else(|| Ok(Profile::default()), super::profile::read)
 }
 
 /// The buses of the arguments; without any, the only CAN interface.
@@ -412,6 +421,9 @@ pub fn session(
     };
     let app = App::new(start, options);
     let mut session = Session::new(app, clock, ports, Some(Store::new(&setup.file)));
+    if let Some(path) = &setup.profile {
+        session.watch_profile(path);
+    }
     if let Some(recorder) = setup.recorder()? {
         session.record(recorder, setup.record_selector());
     }

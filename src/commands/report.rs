@@ -18,15 +18,17 @@ use crate::status::Link;
 use crate::text::Name;
 use crate::time::{Duration, Instant};
 use crate::wire::id::Address;
+use crate::wire::profile::ValueWithOrigin;
 use serde::Serialize;
 use std::cmp::Reverse;
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
 /// The report.
 #[derive(Debug, Serialize)]
 pub struct ScanReport {
     descan: &'static str,
-    buses: Vec<BusReport>,
+    buses: Vec<ScannedBusReport>,
     devices: Vec<DeviceReport>,
     findings: Vec<FindingReport>,
     file: FileReport,
@@ -49,6 +51,14 @@ pub(super) struct BusReport {
     /// Messages of an adapter or a server that could not be decoded.
     unreadable: u64,
     verdict: &'static str,
+}
+
+/// A bus, with the profile by which its frames were read.
+#[derive(Debug, Serialize)]
+struct ScannedBusReport {
+    #[serde(flatten)]
+    bus: BusReport,
+    profile: BTreeMap<&'static str, ValueWithOrigin>,
 }
 
 /// Lost frames by place; the sum is `lost`.
@@ -242,7 +252,7 @@ impl ScanReport {
             descan: env!("CARGO_PKG_VERSION"),
             buses: (0..=u8::MAX)
                 .map_while(|at| app.bus_snapshot(BusIndex(at), now))
-                .map(of_bus)
+                .map(|bus| of_scanned_bus(app, bus))
                 .collect(),
             devices,
             findings,
@@ -269,7 +279,7 @@ impl ScanReport {
     /// Returns tables as text.
     pub fn tables(&self) -> String {
         let mut text = String::new();
-        for bus in &self.buses {
+        for ScannedBusReport { bus, .. } in &self.buses {
             let rate = bus.bitrate.map_or("bit rate unknown".to_owned(), kbit);
             // Virtual interfaces and logs do not report a controller state.
             let state = match bus.state {
@@ -424,6 +434,11 @@ pub(super) fn of_bus(bus: BusSnapshot) -> BusReport {
         unreadable: bus.status.unreadable,
         verdict: bus.traffic.verdict().name(),
     }
+}
+
+fn of_scanned_bus(app: &App, bus: BusSnapshot) -> ScannedBusReport {
+    let profile = app.bus(bus.index).map(|bus| bus.config().profile.values());
+    ScannedBusReport { bus: of_bus(bus), profile: profile.unwrap_or_default() }
 }
 
 fn of_siblings(app: &App, device: &Device) -> Vec<SiblingReport> {

@@ -12,7 +12,7 @@ use crate::wire::framing::Framing;
 use crate::wire::id::{Address, Header};
 use crate::wire::isotp::{FlowControl, Pci, Segmenter};
 use crate::wire::node::{Heartbeat, Mode, Uid};
-use crate::wire::profile::{Announce, Profile, UidProfile};
+use crate::wire::profile::{Announce, Profile, ProfileKey, UidProfile};
 use std::collections::VecDeque;
 
 /// Name in descan's name response.
@@ -258,7 +258,7 @@ impl LocalNode {
         match profile.heartbeat.announce {
             Announce::Always => true,
             Announce::Never => false,
-            Announce::Auto => profile.given || self.heartbeat_known,
+            Announce::Auto => profile.is_given(ProfileKey::Heartbeat) || self.heartbeat_known,
         }
     }
 

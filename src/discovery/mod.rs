@@ -92,9 +92,11 @@ use crate::finding::Finding;
 use crate::frame::Frame;
 use crate::time::{Duration, Instant, debug_assert_later};
 use crate::wire::id::Address;
+use crate::wire::profile::Profile;
 use device_tracker::DeviceTracker;
 use observation::{Observation, ObservationKind};
 use requester::Requester;
+use std::sync::Arc;
 use transfers::Transfers;
 
 /// What is done can make more due at once: a finished round the next one, a cleared finding a query.
@@ -392,6 +394,21 @@ impl Engine {
         let findings = before.conflicts.finding_tracker();
         next.tracker.conflicts.finding_tracker_mut().count_after(findings);
         *self = next;
+    }
+
+    /// Command: reads frames by another profile from now on. Returns true if devices and findings depend
+    /// on what changed: they start over.
+    pub fn set_profile(&mut self, now: Instant, profile: Arc<Profile>) -> bool {
+        let before = std::mem::replace(&mut self.tracker.config.profile, profile);
+        let starts_over = self.tracker.config.profile.reads_otherwise(&before);
+        if starts_over {
+            let is_suspended = self.is_suspended();
+            self.begin_another_recording(now);
+            if is_suspended {
+                self.suspend(now);
+            }
+        }
+        starts_over
     }
 
     /// Notes that delayed requests were sent all at once: a device that responds to several of

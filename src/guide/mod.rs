@@ -52,7 +52,7 @@ topics! {
     "des.json" "des-json" ["schema"] "the list of devices and static addresses";
     "scripting" "scripting" ["scan" "check" "watch" "diff" "log"] "scan, check, watch, diff and log: JSON, exit codes, CI";
     "recording" "recording" [] "recording to a file, logs and their replay";
-    "profile" "profile" [] "values that the protocol leaves open";
+    "profiles" "profiles" ["profile"] "values that the protocol leaves open";
     "settings" "settings" [] "config.toml, keys.toml, themes, and all files used";
     "scenarios" "scenarios" ["demo" "sim"] "the demo, and simulated devices of your own";
     "protocol" "protocol" [] "the protocol on the bus, numbered for reference";
@@ -172,17 +172,31 @@ pub fn manual(mut program: Command, name: Option<&str>) -> Result<String, Unknow
     let Some(name) = name.filter(|name| *name != "descan") else {
         return Ok(command_page(&program, None));
     };
-    if let Some(command) = program.find_subcommand(name) {
+    if let Some(command) = command_of_page(&program, name) {
         return Ok(command_page(command, Some(name)));
     }
     let topic = topic(name).ok_or_else(|| UnknownTopic::new(name, &program))?;
     Ok(topic_page(topic))
 }
 
+/// Returns the command of a name, or of two with a dash between them: `profile-check`.
+fn command_of_page<'c>(program: &'c Command, name: &str) -> Option<&'c Command> {
+    program.find_subcommand(name).or_else(|| {
+        program.get_subcommands().find_map(|command| {
+            let inner = name.strip_prefix(command.get_name())?.strip_prefix('-')?;
+            command.find_subcommand(inner)
+        })
+    })
+}
+
 /// Returns the name and the section of every manual page.
 pub fn pages(program: &Command) -> Vec<(String, u8)> {
-    let commands =
-        program.get_subcommands().map(|command| format!("descan-{}", command.get_name()));
+    let commands = program.get_subcommands().flat_map(|command| {
+        let outer = format!("descan-{}", command.get_name());
+        let inner = command.get_subcommands().filter(|inner| inner.get_name() != "help");
+        let inner = inner.map(|inner| format!("{outer}-{}", inner.get_name()));
+        std::iter::once(outer.clone()).chain(inner.collect::<Vec<_>>())
+    });
     let topics = TOPICS.iter().map(|topic| (topic.page(), 7));
     let commands = std::iter::once("descan".to_owned()).chain(commands).map(|name| (name, 1));
     commands.chain(topics).collect()

@@ -492,9 +492,10 @@ fn load_chart(bus: &Bus, cells: usize) -> (String, String) {
     (fit_right(&chart, cells), format!(" {least:.0}–{most:.0}%"))
 }
 
-/// Returns the sign that a bus is read with assumed values (no profile given).
+/// Returns the sign that devices are read with assumed values.
 fn assumed(brush: &DrawContext) -> Option<Part> {
-    let assumed = brush.app.buses().iter().any(|bus| !bus.config().profile.given);
+    let assumed =
+        brush.app.buses().iter().any(|bus| bus.config().profile.assumed().next().is_some());
     let spans = vec![brush.span(Role::Suspected, ASSUMED), brush.span(Role::Muted, " assumed")];
     assumed.then(|| Part::new(ASSUMPTION, spans))
 }

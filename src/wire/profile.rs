@@ -1,20 +1,27 @@
 //! The profile: numbers and layouts that the sources of the protocol leave open.
 //!
 //! Source: protocol §9. [`Profile::default`] has the assumed values; [`Profile::parse`] (feature
-//! `std`) reads a TOML file, which may set any part of them. Does not know which values the devices
-//! on a bus really use.
+//! `std`) reads a TOML file, which may set any part of them; [`Profile::origin`] says of each where it
+//! comes from. Does not know which values the devices on a bus really use.
 
 #[cfg(feature = "std")]
 mod file;
+mod keys;
+#[cfg(feature = "std")]
+mod values;
 
 #[cfg(feature = "std")]
 pub use file::ProfileError;
+pub use keys::{ProfileKey, ValueOrigin};
+#[cfg(feature = "std")]
+pub use values::{ProfileValue, ValueWithOrigin};
 
 use super::des::Request;
 use super::framing::Framing;
 use super::id::Service;
 use super::node::Heartbeat;
 use crate::time::Duration;
+use keys::ValueOrigins;
 #[cfg(feature = "std")]
 use serde::Deserialize;
 #[cfg(feature = "std")]
@@ -50,9 +57,9 @@ pub struct Profile {
     #[cfg(feature = "std")]
     #[serde(deserialize_with = "file::service_names")]
     pub service_names: BTreeMap<u16, String>,
-    /// True if the values were read from a profile, false if they are assumed.
+    /// Where each value comes from.
     #[cfg_attr(feature = "std", serde(skip))]
-    pub given: bool,
+    origins: ValueOrigins,
 }
 
 impl Default for Profile {
@@ -70,7 +77,7 @@ impl Default for Profile {
             uid: UidProfile::default(),
             #[cfg(feature = "std")]
             service_names: BTreeMap::new(),
-            given: false,
+            origins: ValueOrigins::default(),
         }
     }
 }
@@ -84,6 +91,23 @@ impl Profile {
     /// Reads a heartbeat's data, which may be shorter than the layout.
     pub fn heartbeat_of(&self, data: &[u8]) -> Heartbeat {
         Heartbeat::decode(data, &self.heartbeat, &self.modes.codes())
+    }
+
+    /// Returns true if devices and their findings are read otherwise than by another profile.
+    pub fn reads_otherwise(&self, other: &Self) -> bool {
+        // What cannot change anything for devices is made equal.
+        let mut like = self.clone();
+        like.descriptor.clone_from(&other.descriptor);
+        like.commands.clone_from(&other.commands);
+        like.calls.clone_from(&other.calls);
+        (like.services.config, like.services.config_mask) =
+            (other.services.config, other.services.config_mask);
+        #[cfg(feature = "std")]
+        like.service_names.clone_from(&other.service_names);
+        for key in ProfileKey::ALL.iter().filter(|key| !key.is_for_devices()) {
+            like.set_origin(*key, other.origin(*key));
+        }
+        like != *other
     }
 
     /// Returns the service number of DES.
@@ -231,7 +255,7 @@ impl HeartbeatProfile {
 /// Whether descan sends heartbeats (protocol §6.2).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub enum Announce {
-    /// Only if a profile is given or after a heartbeat that matches the assumed values: the assumed
+    /// Only if `services.heartbeat` is given, or after a heartbeat that matches the values: an assumed
     /// service number might be a command of some device.
     #[default]
     Auto,

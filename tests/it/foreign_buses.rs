@@ -153,8 +153,7 @@ fn silent_bus_is_asked_again_and_again() {
 #[test]
 fn given_profile_sends_no_heartbeat_on_a_foreign_bus() {
     for announce in [Announce::Auto, Announce::Always] {
-        let mut profile = Profile::default();
-        profile.given = true;
+        let mut profile = Profile::parse("services.heartbeat = 0x001").unwrap();
         profile.heartbeat.announce = announce;
         let config = || Config { profile: Arc::new(profile.clone()), ..Config::default() };
         let (_, sent) = observed_with(config(), standard(20_000), 20_000);

@@ -41,6 +41,7 @@ mod malicious_input;
 mod missing_reasons;
 mod pcapng;
 mod pictures;
+mod profile;
 mod proof;
 mod random_buses;
 mod random_input;

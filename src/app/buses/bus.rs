@@ -15,6 +15,8 @@ use crate::frame::Frame;
 use crate::status::{BusState, BusStatus, Link, RateSearch};
 use crate::time::{Duration, Instant, debug_assert_later};
 use crate::wire::id::Address;
+use crate::wire::profile::Profile;
+use std::sync::Arc;
 
 /// Listening time after which a listed device counts as missing where no requests are sent.
 const LISTEN_TIME: Duration = Duration::from_secs(5);
@@ -389,6 +391,15 @@ impl Bus {
     }
 
     /// Forgets the devices of the log before; who was where remains known for its frames.
+    /// Reads frames by another profile from now on. Returns true if the devices start over.
+    pub(super) fn set_profile(&mut self, now: Instant, profile: &Arc<Profile>) -> bool {
+        let starts_over = self.engine.set_profile(now, profile.clone());
+        if starts_over {
+            self.names.vacate(now);
+        }
+        starts_over
+    }
+
     fn begin_another_log(&mut self, now: Instant) {
         self.engine.begin_another_recording(now);
         self.names.vacate(now);

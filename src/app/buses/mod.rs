@@ -361,6 +361,14 @@ impl Buses {
         self.all_mut().for_each(Bus::remove_lost_devices);
     }
 
+    /// Reads frames by another profile from now on; returns the buses whose devices start over.
+    pub(super) fn set_profile(&mut self, now: Instant, profile: &Arc<Profile>) -> Vec<BusIndex> {
+        let buses = self.list.iter_mut().zip(0..);
+        let over = buses
+            .filter_map(|(bus, index)| bus.set_profile(now, profile).then_some(BusIndex(index)));
+        over.collect()
+    }
+
     /// Closes the load seconds that are over; a log that ended keeps its last ones.
     pub(super) fn tick(&mut self, now: Instant) {
         for bus in self.list.iter_mut().filter(|bus| bus.ended.is_none()) {

@@ -113,6 +113,11 @@ impl Traffic {
         self.capture.push(frame, link);
     }
 
+    /// Takes that the buses have another profile.
+    pub fn take_profile(&mut self) {
+        self.des_services.clear();
+    }
+
     /// Ends a second of these buses.
     pub fn tick(&mut self, now: Instant, buses: &Buses) {
         self.identifiers.tick();

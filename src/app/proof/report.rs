@@ -10,6 +10,7 @@ use crate::frame::Frame;
 use crate::text::hex;
 use crate::time::Instant;
 use crate::wire::id::{Header, MessageType};
+use crate::wire::profile::ProfileKey;
 use std::fmt::Write;
 
 /// Returns the report. `file`: name of the file with the frames.
@@ -244,12 +245,12 @@ fn setup(text: &mut String, app: &App, problem: &Problem, proof: &ProofFrames) {
             (false, false) => "active".to_owned(),
         };
         table.row(&["descan", &mode]);
-        let profile = if config.profile.given {
-            "given"
-        } else {
-            "assumed: service numbers and the layout of heartbeats are not confirmed"
+        let assumed: Vec<&str> = config.profile.assumed().map(ProfileKey::name).collect();
+        let profile = match &assumed[..] {
+            [] => "given".to_owned(),
+            assumed => format!("assumed, not confirmed: {}", assumed.join(", ")),
         };
-        table.row(&["profile", profile]);
+        table.row(&["profile", &profile]);
         let services = format!(
             "heartbeat SRV={}, DES SRV={}",
             config.profile.heartbeat_service(),

@@ -29,7 +29,7 @@ use crate::wire::framing::{Framing, strip_raw_padding};
 use crate::wire::id::Address;
 use crate::wire::isotp::{Pci, TransferFault};
 use crate::wire::node::Uid;
-use crate::wire::profile::{Profile, UidProfile};
+use crate::wire::profile::{Profile, ProfileKey, UidProfile};
 use grid::WINDOW_PERIODS;
 use history::{AddressHistory, MAX_DOUBLE_RATE_HEARTBEATS};
 pub(super) use query_responses::RequestOrigin;
@@ -167,7 +167,7 @@ impl ConflictDetector {
     pub fn new(bus: BusIndex, profile: &Profile, listen_only: bool, seed: u64) -> Self {
         let period = profile.heartbeat.period();
         Self {
-            periods: HeartbeatPeriods::new(period, profile.given),
+            periods: HeartbeatPeriods::new(period, profile.is_given(ProfileKey::PeriodMs)),
             are_requests_rare: listen_only,
             alphabet: profile.uid.clone(),
             histories: AddressTable::new(),

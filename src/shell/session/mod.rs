@@ -8,7 +8,7 @@
 mod several_ports;
 
 use super::bitrate_search::{RunningSearch, SearchNews};
-use super::file_watcher::FileWatcher;
+use super::file_watcher::{DiskContent, FileWatcher};
 use super::log_input::{LogBatch, LogInput, LogPace};
 use super::recorder::Recorder;
 use super::store::{SaveError, Saved, Store, write_new};
@@ -23,13 +23,15 @@ use crate::discovery::Config;
 use crate::document::Document;
 use crate::frame::{BusIndex, Frame};
 use crate::log::{LogSummary, UnreadableEntries};
+use crate::regular_file::{shown, text_of};
 use crate::status::{BusStatus, Link, RecordingStatus};
 use crate::time::Instant;
+use crate::wire::profile::Profile;
 use futures_util::future::select_all;
 use std::fs::File;
 use std::future::{Future, pending};
 use std::io::{self, Write};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::pin::Pin;
 use std::time::{Duration, Instant as Monotonic};
 use tokio::task::{JoinHandle, spawn_blocking, yield_now};
@@ -63,6 +65,8 @@ pub enum SessionWake {
     Log(io::Result<LogBatch>),
     /// Another program changed des.json.
     File(FileReading),
+    /// Another program changed the profile.
+    Profile(DiskContent),
     /// Work on files is done.
     FileJobDone(FileJobResult),
     /// The recording grew or stopped.
@@ -123,6 +127,8 @@ pub struct Session {
     input_end: Option<InputEnd>,
     store: Option<Store>,
     watch: Option<FileWatcher>,
+    /// The profile's file, and what watches it.
+    profile: Option<(PathBuf, FileWatcher)>,
     /// Parses new content of des.json, off the thread that draws.
     reading: Option<JoinHandle<FileReading>>,
     work: Vec<FileJob>,
@@ -208,6 +214,7 @@ impl Session {
             stall_checked_from: resumed,
             store,
             watch: None,
+            profile: None,
             reading: None,
             work: Vec::new(),
             recorder: None,
@@ -219,6 +226,13 @@ impl Session {
         session.report_playback();
         session.open_file();
         session
+    }
+
+    /// Watches the file of the profile: once another program saves it, frames are read by it.
+    pub fn watch_profile(&mut self, path: &Path) {
+        let store = Store::new(path);
+        let known = store.read();
+        self.profile = Some((path.to_owned(), FileWatcher::spawn(store, known)));
     }
 
     /// Records the selected frames from now on, all without a selector; of a log, without status in
@@ -338,6 +352,7 @@ impl Session {
                 FileReading::Error(Diagnostic::new(format!("reader stopped: {broken}")))
             })
         };
+        let profile = file_changed(self.profile.as_ref().map(|(_, watcher)| watcher));
         let recorder = self.recorder.as_ref();
         let recording = async {
             match recorder {
@@ -403,6 +418,7 @@ impl Session {
             () = due => SessionWake::Due,
             () = file_due => SessionWake::FileDue,
             reading = file => SessionWake::File(reading),
+            content = profile => SessionWake::Profile(content),
             (result, at) = done => {
                 drop(self.work.swap_remove(at));
                 match result {
@@ -459,6 +475,7 @@ impl Session {
             }
             SessionWake::Search(news) => self.take_search(now, news),
             SessionWake::File(reading) => self.app.handle_file(now, reading),
+            SessionWake::Profile(content) => self.take_profile(now, content),
             SessionWake::FileJobDone(FileJobResult::Saved(outcome, content)) => {
                 self.update_watch(&outcome, content);
                 self.app.handle_saved(now, outcome);
@@ -471,6 +488,16 @@ impl Session {
             }
         }
         self.advance_log();
+    }
+
+    fn take_profile(&mut self, now: Instant, content: DiskContent) {
+        let Some((path, _)) = &self.profile else { return };
+        let missing = || Diagnostic::new("file not found");
+        let text = content.and_then(|content| text_of(content.ok_or_else(missing)?));
+        let profile = text.map_err(|fault| fault.to_string()).and_then(|text| {
+            Profile::parse(&text).map_err(|error| format!("{error}: {}", error.line_text()))
+        });
+        self.app.handle_profile(now, &shown(path), profile);
     }
 
     /// Makes the file watch know the content of a save, or read the file again where that is not

@@ -1,70 +1,139 @@
 //! Reading of profile files (TOML).
 
-use super::{Announce, Profile};
+use super::{Announce, Profile, ProfileKey, ProfileValue, ValueOrigin};
 use crate::wire::id::Service;
 use serde::{Deserialize, Deserializer};
 use std::collections::BTreeMap;
+use std::ops::Range;
+use toml::de::DeTable;
 
-/// Why a profile cannot be used.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum ProfileError {
-    /// Not TOML, or an unknown name or type.
-    #[error("{0}")]
-    Syntax(#[from] toml::de::Error),
-    /// A value outside its range.
-    #[error("{key}: {value} is not {expected}")]
-    Range {
-        /// Name of the value.
-        key: &'static str,
-        /// The value given.
-        value: String,
-        /// The allowed values.
-        expected: &'static str,
-    },
+/// Why a profile cannot be used: what is wrong, and where.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("line {line}, column {column}: {message}")]
+pub struct ProfileError {
+    message: String,
+    line: usize,
+    column: usize,
+    /// Number of characters concerned, at least one.
+    width: usize,
+    text: String,
+}
+
+impl ProfileError {
+    fn new(file: &str, span: Option<Range<usize>>, message: String) -> Self {
+        let span = span.unwrap_or(0..0);
+        let at = file.floor_char_boundary(span.start);
+        let start = file[..at].rfind('\n').map_or(0, |before| before + 1);
+        let text = file[start..].lines().next().unwrap_or_default();
+        let end = file.floor_char_boundary(span.end).min(start + text.len()).max(at);
+        Self {
+            message,
+            line: file[..at].matches('\n').count() + 1,
+            column: file[start..at].chars().count() + 1,
+            width: file[at..end].chars().count().max(1),
+            text: text.to_owned(),
+        }
+    }
+
+    /// Place in the file: line and column, from 1 on.
+    pub fn place(&self) -> (usize, usize) {
+        (self.line, self.column)
+    }
+
+    /// The line concerned, without blanks around it, safe on a terminal.
+    pub fn line_text(&self) -> String {
+        crate::text::printable(self.text.trim().as_bytes())
+    }
+
+    /// The line concerned, with a mark under what is wrong: two lines, safe on a terminal.
+    pub fn excerpt(&self) -> String {
+        /// Characters of a line that are shown.
+        const LENGTH: usize = 120;
+        let shown = |c: char| if crate::text::is_printable(c) { c } else { '?' };
+        // The mark stays in view.
+        let skipped = (self.column - 1).saturating_sub(LENGTH / 2);
+        let text: String = self.text.chars().skip(skipped).take(LENGTH).map(shown).collect();
+        let before = self.column - 1 - skipped;
+        let marks = "^".repeat(self.width.min(text.chars().count().saturating_sub(before)).max(1));
+        format!("{text}\n{}{marks}", " ".repeat(before))
+    }
+}
+
+/// Places of the values in a file, by name: `services.des`.
+#[derive(Default)]
+struct ValuePlaces(BTreeMap<String, Range<usize>>);
+
+impl ValuePlaces {
+    fn of(file: &str) -> Self {
+        let mut places = Self::default();
+        if let Ok(table) = DeTable::parse(file) {
+            places.add("", table.get_ref());
+        }
+        places
+    }
+
+    fn add(&mut self, prefix: &str, table: &DeTable) {
+        for (key, value) in table {
+            let name = format!("{prefix}{}", key.get_ref());
+            if let Some(inner) = value.get_ref().as_table() {
+                self.add(&format!("{name}."), inner);
+            }
+            self.0.insert(name, value.span());
+        }
+    }
+
+    /// Returns the place of this value; of several modes that of the last one.
+    fn get(&self, name: &str) -> Option<Range<usize>> {
+        let within = |it: &&String| it.strip_prefix(name).is_some_and(|it| it.starts_with('.'));
+        let last = || self.0.iter().filter(|(it, _)| within(it)).map(|(_, span)| span);
+        self.0.get(name).or_else(|| last().max_by_key(|span| span.start)).cloned()
+    }
+}
+
+/// A value out of its range: its name, what it is, and what is allowed.
+struct RangeFault {
+    key: &'static str,
+    value: String,
+    expected: &'static str,
 }
 
 impl Profile {
     /// Reads a profile, a TOML file that may set any part of the values.
     ///
     /// ```
-    /// use descan::wire::profile::Profile;
+    /// use descan::wire::profile::{Profile, ProfileKey, ValueOrigin};
     ///
     /// let profile = Profile::parse("services.des = 0x005").unwrap();
     /// assert_eq!(profile.des_service().number(), 5);
+    /// assert_eq!(profile.origin(ProfileKey::Des), ValueOrigin::Given);
+    /// assert_eq!(profile.origin(ProfileKey::Heartbeat), ValueOrigin::Assumed);
     /// ```
     ///
     /// # Errors
     /// [`ProfileError`] if the text is not TOML, has unknown names, or a value is out of range.
     pub fn parse(text: &str) -> Result<Self, ProfileError> {
-        let mut profile: Self = toml::from_str(text)?;
-        profile.given = true;
-        profile.check()?;
+        let mut profile: Self = toml::from_str(text).map_err(|error: toml::de::Error| {
+            ProfileError::new(text, error.span(), crate::text::on_one_line(error.message()))
+        })?;
+        let places = ValuePlaces::of(text);
+        profile.check().map_err(|RangeFault { key, value, expected }| {
+            ProfileError::new(text, places.get(key), format!("{key}: {value} is not {expected}"))
+        })?;
+        for key in ProfileKey::ALL {
+            if places.0.contains_key(key.name()) {
+                profile.set_origin(*key, ValueOrigin::Given);
+            }
+        }
         Ok(profile)
     }
 
-    fn check(&self) -> Result<(), ProfileError> {
-        let range =
-            |key, value: String, expected| Err(ProfileError::Range { key, value, expected });
-        let services = [
-            ("services.heartbeat", self.services.heartbeat),
-            ("services.des", self.services.des),
-            ("services.config", self.services.config),
-            ("services.config_mask", self.services.config_mask),
-            ("descriptor.gid", self.descriptor.gid),
-            ("descriptor.uid", self.descriptor.uid),
-            ("descriptor.sn", self.descriptor.sn),
-            ("descriptor.fw", self.descriptor.fw),
-            ("descriptor.caps", self.descriptor.caps),
-            ("descriptor.bspd", self.descriptor.bspd),
-            ("descriptor.addr", self.descriptor.addr),
-            ("descriptor.autostart", self.descriptor.autostart),
-            ("commands.identify", self.commands.identify),
-            ("commands.mode", self.commands.mode),
-        ];
-        for (key, number) in services {
-            if number > 0x3FF {
-                return range(key, number.to_string(), "a service number, 0 to 0x3FF");
+    fn check(&self) -> Result<(), RangeFault> {
+        let range = |key, value: String, expected| Err(RangeFault { key, value, expected });
+        for key in ProfileKey::ALL {
+            if let ProfileValue::Service(number) = self.value(*key)
+                && number > 0x3FF
+            {
+                return range(key.name(), number.to_string(), "a service number, 0 to 0x3FF");
             }
         }
         if self.services.heartbeat == self.services.des {

@@ -109,9 +109,8 @@ fn filter_fields_work_on_every_page() {
 fn single_key_sends_only_discovery_frames() {
     let mut stage = Stage::boiler();
     stage.until(24.0).keys("i");
-    assert!(stage.screen().contains("identify needs --profile"), "{}", stage.screen());
-    let mut profile = descan::wire::profile::Profile::default();
-    profile.given = true;
+    assert!(stage.screen().contains("identify needs a profile with"), "{}", stage.screen());
+    let profile = descan::wire::profile::Profile::parse("commands.identify = 0x018").unwrap();
     let config = Config { profile: profile.into(), seed: 7, ..Config::default() };
     let scenario = Scenario::builtin("boiler").unwrap();
     let mut stage = Stage::with(&scenario, Some(BOILER), config);

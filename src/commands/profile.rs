@@ -1,0 +1,62 @@
+//! `descan profile`: the built-in profile, and the check of a file.
+
+use super::{EXIT_FINDINGS, EXIT_OK, Failure, output};
+use crate::cli::ProfileCommand;
+use crate::diagnostic::Diagnostic;
+use crate::regular_file::{read_text, shown};
+use crate::wire::profile::{Profile, ProfileError, ProfileKey, ValueOrigin};
+use std::fmt::Write as _;
+use std::path::Path;
+
+/// `descan profile [check FILE]`.
+pub fn run(command: Option<&ProfileCommand>) -> Result<u8, Failure> {
+    match command {
+        None => output::print(Profile::BUILT_IN).map(|()| EXIT_OK),
+        Some(ProfileCommand::Check { file, json }) => check(file, *json),
+    }
+}
+
+/// Reads a profile.
+///
+/// # Errors
+/// It cannot be read, or is wrong: the text has the place and the wrong line.
+pub fn read(path: &Path) -> Result<Profile, Failure> {
+    let wrong = |error: ProfileError| {
+        Diagnostic::new(format!("{}: {error}: {}", shown(path), error.line_text()))
+    };
+    Ok(Profile::parse(&text_of(path)?).map_err(wrong)?)
+}
+
+fn text_of(path: &Path) -> Result<String, Failure> {
+    let missing = || Diagnostic::new("file not found").of(shown(path));
+    Ok(read_text(path)?.ok_or_else(missing)?)
+}
+
+fn fault(path: &Path, error: &ProfileError) -> String {
+    let excerpt = error.excerpt().replace('\n', "\n  ");
+    format!("{}: {error}\n  {excerpt}", shown(path))
+}
+
+fn check(path: &Path, json: bool) -> Result<u8, Failure> {
+    let profile = match Profile::parse(&text_of(path)?) {
+        Ok(profile) => profile,
+        Err(error) => {
+            output::warn(fault(path, &error));
+            return Ok(EXIT_FINDINGS);
+        }
+    };
+    if json {
+        let text = serde_json::to_string_pretty(&profile.values()).map_err(anyhow::Error::from)?;
+        output::print_json(&(text + "\n"))?;
+        return Ok(EXIT_OK);
+    }
+    let mut text = String::new();
+    for key in ProfileKey::ALL {
+        let (value, origin) = (profile.value(*key).to_string(), profile.origin(*key).word());
+        let _ = writeln!(text, "{:<24} {value:<9} {origin}", key.name());
+    }
+    let given = ProfileKey::ALL.iter().filter(|key| profile.origin(**key) == ValueOrigin::Given);
+    let (given, all) = (given.count(), ProfileKey::ALL.len());
+    let _ = writeln!(text, "{}: {given} of {all} values given", shown(path));
+    output::print(&text).map(|()| EXIT_OK)
+}

@@ -1,0 +1,155 @@
+//! Values of the profile by key, for the screen, for JSON and for files.
+
+use super::{Announce, FramingChoice, Profile, ProfileKey};
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::fmt;
+
+/// The value of a key. As text it is what a file says.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[serde(untagged)]
+#[non_exhaustive]
+pub enum ProfileValue {
+    /// A service number, or a mask of them.
+    Service(u16),
+    /// Another number.
+    Number(u32),
+    /// A switch; false for an offset that there is none.
+    Switch(bool),
+    /// A text.
+    Text(String),
+    /// Names of services by number.
+    Names(BTreeMap<u16, String>),
+}
+
+impl fmt::Display for ProfileValue {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Service(number) => write!(f, "0x{number:03X}"),
+            Self::Number(number) => write!(f, "{number}"),
+            Self::Switch(is_on) => write!(f, "{is_on}"),
+            Self::Text(text) => f.write_str(&quoted(text)),
+            Self::Names(names) => {
+                f.write_str("{")?;
+                for (at, (number, name)) in names.iter().enumerate() {
+                    let comma = if at == 0 { "" } else { "," };
+                    write!(f, "{comma} \"0x{number:03X}\" = {}", quoted(name))?;
+                }
+                f.write_str(if names.is_empty() { "}" } else { " }" })
+            }
+        }
+    }
+}
+
+/// A text as a basic string of TOML.
+fn quoted(text: &str) -> String {
+    toml::Value::from(text).to_string()
+}
+
+/// A value and where it comes from.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct ValueWithOrigin {
+    /// The value.
+    pub value: ProfileValue,
+    /// `assumed`, `given` or `learnt`.
+    pub origin: &'static str,
+}
+
+impl Profile {
+    /// The built-in profile as a file with comments, which sets nothing: the values are comments, too.
+    pub const BUILT_IN: &str = include_str!("built_in.toml");
+
+    /// All values with their origins, by the names of their keys.
+    pub fn values(&self) -> BTreeMap<&'static str, ValueWithOrigin> {
+        let value = |key: ProfileKey| {
+            let (value, origin) = (self.value(key), self.origin(key).word());
+            (key.name(), ValueWithOrigin { value, origin })
+        };
+        ProfileKey::ALL.iter().map(|key| value(*key)).collect()
+    }
+
+    /// The value of a key.
+    pub fn value(&self, key: ProfileKey) -> ProfileValue {
+        use ProfileKey as Key;
+        use ProfileValue::{Names, Number, Service, Switch, Text};
+        let Self { services, descriptor, commands, heartbeat, isotp, modes, .. } = self;
+        let offset = |at: Option<u8>| at.map_or(Switch(false), |at| Number(u32::from(at)));
+        let byte = |value: u8| Number(u32::from(value));
+        match key {
+            Key::Framing => Text(self.framing.word().to_owned()),
+            Key::RequestErr => byte(u8::from(self.request_err)),
+            Key::Heartbeat => Service(services.heartbeat),
+            Key::Des => Service(services.des),
+            Key::Config => Service(services.config),
+            Key::ConfigMask => Service(services.config_mask),
+            Key::Gid => Service(descriptor.gid),
+            Key::Uid => Service(descriptor.uid),
+            Key::Sn => Service(descriptor.sn),
+            Key::Fw => Service(descriptor.fw),
+            Key::Caps => Service(descriptor.caps),
+            Key::Bspd => Service(descriptor.bspd),
+            Key::Addr => Service(descriptor.addr),
+            Key::Autostart => Service(descriptor.autostart),
+            Key::Identify => Service(commands.identify),
+            Key::Mode => Service(commands.mode),
+            Key::UidOffset => offset(heartbeat.uid_offset),
+            Key::ModeOffset => offset(heartbeat.mode_offset),
+            Key::ErrorOffset => offset(heartbeat.error_offset),
+            Key::PeriodMs => Number(heartbeat.period_ms),
+            Key::Announce => match heartbeat.announce {
+                Announce::Auto => Text("auto".to_owned()),
+                Announce::Always => Switch(true),
+                Announce::Never => Switch(false),
+            },
+            Key::FdPadding => byte(isotp.fd_padding),
+            Key::BlockSize => byte(isotp.block_size),
+            Key::StMin => byte(isotp.st_min),
+            Key::TimeoutMs => Number(self.calls.timeout_ms),
+            Key::Init => byte(modes.init),
+            Key::Arslv => byte(modes.arslv),
+            Key::Cfg => byte(modes.cfg),
+            Key::Boot => byte(modes.boot),
+            Key::Work => byte(modes.work),
+            Key::Ufunc => byte(modes.ufunc),
+            Key::Idle => byte(modes.idle),
+            Key::Alphabet => Text(self.uid.alphabet.iter().collect()),
+            Key::ServiceNames => Names(self.service_names.clone()),
+        }
+    }
+}
+
+impl FramingChoice {
+    /// The word in a file.
+    fn word(self) -> &'static str {
+        match self {
+            Self::Auto => "auto",
+            Self::Isotp => "isotp",
+            Self::Raw => "raw",
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::wire::profile::ValueOrigin;
+
+    #[test]
+    fn built_in_file_has_all_values_and_sets_none() {
+        let written = Profile::parse(Profile::BUILT_IN).unwrap();
+        let is_given = |key: &&ProfileKey| written.origin(**key) == ValueOrigin::Given;
+        let given: Vec<_> = ProfileKey::ALL.iter().filter(is_given).collect();
+        assert_eq!(given, [&ProfileKey::ServiceNames], "a table without names");
+        let lines = Profile::BUILT_IN.lines().map(|line| match line.strip_prefix('#') {
+            Some(value) if !value.starts_with(' ') => value,
+            _ => line,
+        });
+        let text = lines.collect::<Vec<_>>().join("\n");
+        let written = Profile::parse(&text).unwrap();
+        let built_in = Profile::default();
+        for key in ProfileKey::ALL.iter().filter(|key| **key != ProfileKey::ServiceNames) {
+            assert_eq!(written.value(*key), built_in.value(*key), "{}", key.name());
+            assert_eq!(written.origin(*key), ValueOrigin::Given, "{}", key.name());
+        }
+    }
+}
