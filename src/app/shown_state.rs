@@ -55,6 +55,17 @@ impl App {
         self.shown_buses().device(id)
     }
 
+    /// Median of the errors of the heartbeat periods of the other devices on its bus, in ppm; `None` of
+    /// fewer than two.
+    pub fn usual_period_error(&self, id: DeviceId) -> Option<f64> {
+        let bus = self.shown_buses().get(id.bus)?;
+        let others = bus.devices().iter().filter(|device| device.id != id);
+        let mut errors: Vec<f64> =
+            others.filter_map(|it| it.heartbeat.period_error()).map(|error| error.ppm).collect();
+        errors.sort_unstable_by(f64::total_cmp);
+        if errors.len() < 2 { None } else { errors.get((errors.len() - 1) / 2).copied() }
+    }
+
     /// The device of a row, as far as it is known of the board of a shared address alone; `None` for the
     /// row of an entry.
     pub fn device_of<'a>(&'a self, row: &'a Row) -> Option<&'a Device> {

@@ -150,6 +150,8 @@ struct HeartbeatReport {
     period_ms: Option<f64>,
     jitter_ms: Option<f64>,
     missed: u64,
+    period_error_ppm: Option<f64>,
+    period_uncertainty_ppm: Option<f64>,
 }
 
 #[derive(Debug, Serialize)]
@@ -470,6 +472,8 @@ fn of_device(app: &App, bus: &Bus, device: &Device) -> DeviceReport {
     let clash = conflicts.clone().next().is_some();
     let at_one_address =
         conflicts.find(|finding| finding.addresses.len() == 1 && finding.uids.len() > 1);
+    let error = device.heartbeat.period_error().filter(|_| !app.is_shared(device));
+    let tenths = |ppm: f64| (ppm * 10.0).round() / 10.0;
     DeviceReport {
         bus: bus.name.clone(),
         address: device.address.number(),
@@ -489,6 +493,8 @@ fn of_device(app: &App, bus: &Bus, device: &Device) -> DeviceReport {
             period_ms: device.heartbeat.period().map(millis),
             jitter_ms: device.heartbeat.jitter().map(millis),
             missed: device.heartbeat.missed,
+            period_error_ppm: error.map(|error| tenths(error.ppm)),
+            period_uncertainty_ppm: error.map(|error| tenths(error.uncertainty)),
         },
         file: of_entry(app, device),
         also: of_siblings(app, device),

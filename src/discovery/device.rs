@@ -4,6 +4,7 @@
 //! (protocol §5.1). Changed only by the [`super::Engine`].
 
 use super::ServicesNews;
+use super::period_error::{PeriodError, PeriodMeter};
 use crate::frame::BusIndex;
 use crate::text::Name;
 use crate::time::{Duration, Instant};
@@ -94,6 +95,7 @@ pub struct HeartbeatStats {
     /// Last heartbeats of the last two UIDs, the later one first: several boards at one address each
     /// have their own period.
     by_uid: [Option<(Uid, Instant)>; 2],
+    period_meter: PeriodMeter,
 }
 
 /// Mean and variance of intervals, the last 64 of them above all.
@@ -173,6 +175,12 @@ impl HeartbeatStats {
         (self.of_board.count > 1).then(|| Duration::from_micros(self.steady_jitter_us as u64))
     }
 
+    /// Returns the error of the period against the nominal one; `None` before it is known, and of
+    /// several boards.
+    pub fn period_error(&self) -> Option<PeriodError> {
+        self.period_meter.error(self.jitter()?).filter(|_| !self.has_two_uids())
+    }
+
     /// Takes over period and jitter for the screen where they have changed enough.
     fn steady(&mut self) {
         let IntervalStats { count, mean_us, .. } = self.of_board;
@@ -217,6 +225,7 @@ impl HeartbeatStats {
             self.of_board.add(interval);
             self.steady();
         }
+        self.period_meter.note(now, period);
         // With another board in between, it is not known whether this one was there.
         if let Some(gap) = gap.filter(|_| own_before == before) {
             let ratio = gap.as_secs_f64() / period.as_secs_f64();
@@ -246,6 +255,7 @@ impl HeartbeatStats {
     /// Forgets the phase, because another device sends the heartbeats now.
     pub(super) fn forget_phase(&mut self) {
         self.in_phase = None;
+        self.period_meter.forget();
     }
 
     /// Returns true if the heartbeat at `now` shows that its sender restarted: the previous

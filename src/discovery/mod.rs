@@ -66,6 +66,7 @@ mod idle_gaps;
 mod local_node;
 mod observation;
 mod outbox;
+mod period_error;
 mod periods;
 mod presence;
 mod query_scheduler;
@@ -87,6 +88,7 @@ pub use device::{
     Query, QueryFault, QueryState,
 };
 pub use event::{Event, EventKind, OtherDevice, ServicesNews};
+pub use period_error::PeriodError;
 
 use crate::finding::Finding;
 use crate::frame::Frame;

@@ -336,6 +336,7 @@ impl<'b, 'a> DeviceDetails<'b, 'a> {
             let blank = if rest.is_empty() { "" } else { " " };
             self.add("heartbeat", Role::Text, &format!("{first}{blank}{rest}"));
         }
+        self.clock(device, true);
         let modes: Vec<(Instant, Mode)> = match self.row.board {
             Some(_) => app.board_modes(self.row),
             None => device.mode_history.iter().map(|it| (it.time, it.mode)).collect(),
@@ -359,11 +360,28 @@ impl<'b, 'a> DeviceDetails<'b, 'a> {
         }
     }
 
-    /// Framing, debug device; the UID is in the title.
+    /// Error of the heartbeat period: among the first lines only if the clock is not like those of the
+    /// other devices.
+    fn clock(&mut self, device: &Device, is_outlier: bool) {
+        let app = self.app();
+        let error = device.heartbeat.period_error().filter(|_| !app.is_shared(device));
+        let Some(error) = error else { return };
+        // Of the other devices, by the same clock of descan.
+        let others = app.usual_period_error(device.id).filter(|others| error.is_outlier(*others));
+        if others.is_some() != is_outlier {
+            return;
+        }
+        let role = if is_outlier { Role::Warning } else { Role::Text };
+        let others = others.map(|others| format!(", others {others:+.0}")).unwrap_or_default();
+        self.add("clock", role, &format!("{}{others}", error.text()));
+    }
+
+    /// Framing, clock, debug device; the UID is in the title.
     fn identity(&mut self, device: &Device) {
         if let Some(framing) = device.framing {
             self.add("framing", Role::Text, &framing.to_string());
         }
+        self.clock(device, false);
         if device.is_debug {
             self.add("", Role::Text, "debug device");
         }

@@ -259,3 +259,44 @@ fn number_of_present_devices_is_that_of_their_rows() {
     assert_eq!(boards, 2, "each board of the conflict is one");
     assert!(stage.screen().contains(&format!("● {present} present")), "{}", stage.screen());
 }
+
+/// Tests that the error of each clock is measured, shown, and marked where it is not like the others.
+#[test]
+fn error_of_a_clock_is_shown_and_an_outlier_marked() {
+    use descan::sim::DeviceSpec;
+    let mut scenario = Scenario::new(500_000);
+    let errors = [0, 40, -60, 1500, -2500];
+    for (at, ppm) in errors.into_iter().enumerate() {
+        let mut spec = DeviceSpec::new(&format!("D{at}")).fixed(10 + at as u8);
+        spec.tolerance_ppm = ppm;
+        scenario = scenario.with(spec);
+    }
+    let mut stage = Stage::new(&scenario, None);
+    stage.size(120, 40).until(8.0);
+    let known = |stage: &Stage| {
+        let mut devices: Vec<_> = stage.app.buses()[0].devices().iter().collect();
+        devices.sort_by_key(|device| device.address);
+        let errors = devices.iter().filter_map(|device| device.heartbeat.period_error());
+        errors.collect::<Vec<_>>()
+    };
+    assert_eq!(known(&stage), [], "too early");
+    stage.until(120.0);
+    let known = known(&stage);
+    assert_eq!(known.len(), errors.len());
+    for (error, meant) in known.iter().zip(errors) {
+        let apart = (error.ppm - f64::from(meant)).abs();
+        assert!(apart <= error.uncertainty + 1.0 && error.uncertainty < 50.0, "{meant}: {error:?}");
+    }
+    let line = |stage: &Stage| {
+        let screen = stage.screen();
+        let line = screen.lines().find_map(|line| {
+            Some(line.split_once("clock  ")?.1.split('│').next()?.trim().to_owned())
+        });
+        line.unwrap_or_else(|| panic!("{screen}"))
+    };
+    assert!(line(stage.keys("Home Down")).ends_with("ppm slow"), "{}", line(&stage));
+    let slow = line(stage.keys("Down Down"));
+    assert!(slow.starts_with("150") && slow.contains(" ppm slow, others "), "{slow}");
+    let fast = line(stage.keys("Down"));
+    assert!(fast.starts_with("250") && fast.contains(" ppm fast, others "), "{fast}");
+}
