@@ -287,10 +287,18 @@ impl App {
         }
         let what = if over.is_empty() { "" } else { "; devices start over" };
         let text = format!("{name}: {}{what}", changes.join(", "));
-        self.add_line(TimelineKind::File, &text);
+        self.add_line_to_all_buses(TimelineKind::File, &text);
         self.show_info(text);
         self.refresh_before_draw();
         self.notices.redraw.set_dirty();
+    }
+
+    /// Adds a line of each bus to the timeline.
+    pub(super) fn add_line_to_all_buses(&mut self, kind: TimelineKind, text: &str) {
+        let now = self.clock.now();
+        for index in (0..self.buses.len()).map(|index| BusIndex(index as u8)) {
+            self.report_line(TimelineEntry::new(now, kind, text.to_owned()).on(index));
+        }
     }
 
     /// Takes the state of the recording; reports its start, its first lost frames and its failure.

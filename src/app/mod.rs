@@ -617,7 +617,7 @@ impl App {
             Ok(profile) => self.profile_changed(name, &Arc::new(profile)),
             Err(why) => {
                 let text = format!("{name}: {why}; the profile before stays in force");
-                self.add_line(TimelineKind::Error, &text);
+                self.add_line_to_all_buses(TimelineKind::Error, &text);
                 self.notices.file_error(now, text);
             }
         }

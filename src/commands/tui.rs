@@ -193,8 +193,11 @@ impl<'a> Chooser<'a> {
     fn show_chosen(&self, wanted: &BusSelection) -> Result<u8, Failure> {
         let mut setup = Setup { file: self.file.clone(), ..self.setup.for_selection(wanted) };
         let parse = |bus: &String| bus.parse().map_err(Failure::from);
-        let shown = setup.read_profile().and_then(|()| wanted.buses.iter().map(parse).collect());
-        match shown.and_then(|buses: Vec<BusSpec>| show(&buses, None, &setup, self)) {
+        if let Err(why) = setup.read_profile() {
+            setup.warnings.push(format!("{why}; the profile before stays in force"));
+        }
+        let shown = wanted.buses.iter().map(parse).collect::<Result<Vec<BusSpec>, Failure>>();
+        match shown.and_then(|buses| show(&buses, None, &setup, self)) {
             // A log that was deleted, a scenario with a mistake.
             Err(Failure::Unusable(why)) => self.choose(BusChoice::new(why, Vec::new())),
             shown => self.go_on(shown?),

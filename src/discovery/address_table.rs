@@ -35,12 +35,12 @@ impl<T: Clone> AddressTable<T> {
     /// Changes the values of the addresses for which `applies` returns true.
     pub fn change_where(&mut self, applies: impl Fn(Address) -> bool, change: impl Fn(&mut T)) {
         for address in Address::all() {
-            let applies = applies(address);
-            if applies != (self.places[address.index()] == 0) {
-                let value = &mut self[address];
-                if applies {
-                    change(value);
-                }
+            let is_used = self.places[address.index()] != 0;
+            match (applies(address), is_used) {
+                (true, true) => change(&mut self[address]),
+                // It gets its own value, that of before the change.
+                (false, false) => _ = &mut self[address],
+                _ => {}
             }
         }
         change(&mut self.default);

@@ -108,6 +108,14 @@ impl LocalNode {
         local_node
     }
 
+    /// Takes another profile, by which no heartbeat was received yet. Drops the frames to be sent.
+    pub fn set_profile(&mut self, profile: &Profile) {
+        self.period = profile.heartbeat.period();
+        self.heartbeat_known = false;
+        self.responses.clear();
+        self.requests.clear();
+    }
+
     /// Releases the address and listens for used addresses for 1.5 × BUS_CFG_HR_TIME.
     pub fn listen(&mut self, now: Instant) {
         self.state = AddressState::Listening { until: now + self.period.mul_f64(1.5) };

@@ -405,7 +405,12 @@ impl Engine {
         let starts_over = self.tracker.config.profile.reads_otherwise(&before);
         if starts_over {
             let is_suspended = self.is_suspended();
+            let mut local_node = self.requester.local_node.clone();
+            let rng = self.requester.rng.clone();
             self.begin_another_recording(now);
+            // descan stays on the bus, at its address.
+            local_node.set_profile(&self.tracker.config.profile);
+            (self.requester.local_node, self.requester.rng) = (local_node, rng);
             if is_suspended {
                 self.suspend(now);
             }

@@ -3,8 +3,9 @@
 use crate::common::harness::Stage;
 use crate::common::pty::Pty;
 use descan::app::TimelineKind;
-use descan::discovery::Config;
+use descan::discovery::{Config, OwnAddress};
 use descan::sim::Scenario;
+use descan::wire::id::Address;
 use descan::wire::profile::{Profile, ProfileKey, ValueOrigin};
 use serde_json::Value;
 use std::fs;
@@ -195,9 +196,12 @@ fn saved_profile_is_in_force_at_once() {
     // Another number of DES: devices start over, and nobody responds to it.
     save(&mut stage, "services.des = 0x005");
     assert_eq!(stage.app.buses()[0].devices().len(), 0);
+    let own = |stage: &Stage| stage.app.buses()[0].own_address();
+    assert!(matches!(own(&stage), OwnAddress::Held(Address::DEBUG)), "descan stays where it is");
     let moment = stage.app.now();
     stage.until(32.0);
     assert_eq!(named(&stage), 0);
+    assert!(matches!(own(&stage), OwnAddress::Held(Address::DEBUG)), "{:?}", own(&stage));
     assert!(stage.app.buses()[0].devices().len() >= 8, "heartbeats are as before");
     assert!(stage.app.buses()[0].counters().frames > sent, "counters go on");
     let told = lines(&stage, TimelineKind::File).join("\n");
