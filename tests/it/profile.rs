@@ -193,7 +193,7 @@ fn saved_profile_is_in_force_at_once() {
     assert!(errors.contains("the profile before stays in force"), "{errors}");
     assert!(named(&stage) >= 8);
     assert_eq!(stage.app.buses()[0].config().profile.commands.identify, 0x1F);
-    // Another number of DES: devices start over, and nobody responds to it.
+    // Another number of DES: devices start over, and no device responds to it.
     save(&mut stage, "services.des = 0x005");
     assert_eq!(stage.app.buses()[0].devices().len(), 0);
     let own = |stage: &Stage| stage.app.buses()[0].own_address();

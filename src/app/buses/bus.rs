@@ -390,7 +390,6 @@ impl Bus {
         Some(lines)
     }
 
-    /// Forgets the devices of the log before; who was where remains known for its frames.
     /// Reads frames by another profile from now on. Returns true if the devices start over.
     pub(super) fn set_profile(&mut self, now: Instant, profile: &Arc<Profile>) -> bool {
         let starts_over = self.engine.set_profile(now, profile.clone());
@@ -400,6 +399,7 @@ impl Bus {
         starts_over
     }
 
+    /// Forgets the devices of the log before; who was where remains known for its frames.
     fn begin_another_log(&mut self, now: Instant) {
         self.engine.begin_another_recording(now);
         self.names.vacate(now);

@@ -113,7 +113,7 @@ impl Traffic {
         self.capture.push(frame, link);
     }
 
-    /// Takes that the buses have another profile.
+    /// Forgets the service numbers of the profile before. Call when the buses have another one.
     pub fn take_profile(&mut self) {
         self.des_services.clear();
     }
