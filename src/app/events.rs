@@ -261,13 +261,9 @@ impl App {
                 BusSelection { buses: logs.collect(), replaces: true, ..BusSelection::default() };
             return self.effects.push_back(Effect::OpenBuses(again));
         }
-        let is_other = |key: &&ProfileKey| {
-            before.value(**key) != profile.value(**key)
-                || before.origin(**key) != profile.origin(**key)
-        };
         let changes: Vec<String> = ProfileKey::ALL
             .iter()
-            .filter(is_other)
+            .filter(|key| profile.differs_in(**key, &before))
             .map(|key| match (before.value(*key), profile.value(*key)) {
                 (old, new) if old == new => {
                     format!("{} {}", key.name(), profile.origin(*key).word())

@@ -93,23 +93,6 @@ impl Profile {
         Heartbeat::decode(data, &self.heartbeat, &self.modes.codes())
     }
 
-    /// Returns true if devices and their findings are read otherwise than by another profile.
-    pub fn reads_otherwise(&self, other: &Self) -> bool {
-        // What cannot change anything for devices is made equal.
-        let mut like = self.clone();
-        like.descriptor.clone_from(&other.descriptor);
-        like.commands.clone_from(&other.commands);
-        like.calls.clone_from(&other.calls);
-        (like.services.config, like.services.config_mask) =
-            (other.services.config, other.services.config_mask);
-        #[cfg(feature = "std")]
-        like.service_names.clone_from(&other.service_names);
-        for key in ProfileKey::ALL.iter().filter(|key| !key.is_for_devices()) {
-            like.set_origin(*key, other.origin(*key));
-        }
-        like != *other
-    }
-
     /// Returns the service number of DES.
     pub fn des_service(&self) -> Service {
         Service::from_bits(self.services.des)

@@ -97,28 +97,6 @@ impl ProfileKey {
         Self::ALL.iter().copied().find(|key| key.name() == name)
     }
 
-    /// Returns true if devices and their findings depend on the value: not on the numbers of commands,
-    /// of descriptors, and on names of services.
-    pub(super) fn is_for_devices(self) -> bool {
-        !matches!(
-            self,
-            Self::Config
-                | Self::ConfigMask
-                | Self::Gid
-                | Self::Uid
-                | Self::Sn
-                | Self::Fw
-                | Self::Caps
-                | Self::Bspd
-                | Self::Addr
-                | Self::Autostart
-                | Self::Identify
-                | Self::Mode
-                | Self::TimeoutMs
-                | Self::ServiceNames
-        )
-    }
-
     fn bit(self) -> u64 {
         1 << self as u32
     }

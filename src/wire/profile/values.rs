@@ -46,6 +46,30 @@ fn quoted(text: &str) -> String {
     toml::Value::from(text).to_string()
 }
 
+impl ProfileKey {
+    /// Returns true if devices and their findings depend on the value: not on the numbers of commands,
+    /// of descriptors, and on names of services.
+    fn is_for_devices(self) -> bool {
+        !matches!(
+            self,
+            Self::Config
+                | Self::ConfigMask
+                | Self::Gid
+                | Self::Uid
+                | Self::Sn
+                | Self::Fw
+                | Self::Caps
+                | Self::Bspd
+                | Self::Addr
+                | Self::Autostart
+                | Self::Identify
+                | Self::Mode
+                | Self::TimeoutMs
+                | Self::ServiceNames
+        )
+    }
+}
+
 /// A value and where it comes from.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct ValueWithOrigin {
@@ -58,6 +82,17 @@ pub struct ValueWithOrigin {
 impl Profile {
     /// The built-in profile as a file with comments, which sets nothing: the values are comments, too.
     pub const BUILT_IN: &str = include_str!("built_in.toml");
+
+    /// Returns true if the value of a key, or where it comes from, differs from another profile's.
+    pub fn differs_in(&self, key: ProfileKey, other: &Self) -> bool {
+        self.value(key) != other.value(key) || self.origin(key) != other.origin(key)
+    }
+
+    /// Returns true if devices and their findings are read otherwise than by another profile.
+    pub fn reads_otherwise(&self, other: &Self) -> bool {
+        let mut keys = ProfileKey::ALL.iter().filter(|key| key.is_for_devices());
+        keys.any(|key| self.differs_in(*key, other))
+    }
 
     /// All values with their origins, by the names of their keys.
     pub fn values(&self) -> BTreeMap<&'static str, ValueWithOrigin> {
