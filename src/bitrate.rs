@@ -19,6 +19,16 @@ pub fn kbit(rate: u32) -> String {
     format!("{} kbit/s", f64::from(rate) / 1000.0)
 }
 
+/// Reads a bit rate, in bit/s: `125000`, or short as the screen shows it, `125k`, `1M`; `None` if
+/// the text is none.
+pub fn parse(text: &str) -> Option<u32> {
+    let (number, factor) = match text.strip_suffix(['k', 'K']) {
+        Some(number) => (number, 1_000),
+        None => text.strip_suffix('M').map_or((text, 1), |number| (number, 1_000_000)),
+    };
+    number.parse::<u32>().ok()?.checked_mul(factor)
+}
+
 /// Whether the controller is listen-only during the search.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ListenMode {

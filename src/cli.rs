@@ -2,6 +2,7 @@
 //!
 //! Opens and reads no files.
 
+use crate::bitrate;
 use crate::bus::{self, BusSpec};
 use crate::guide;
 use crate::log::LogFormat;
@@ -487,7 +488,7 @@ fn capture(text: &str) -> Result<Size, String> {
 }
 
 fn bitrate(text: &str) -> Result<u32, String> {
-    let bitrate = text.parse().ok().filter(|rate| (10_000..=1_000_000).contains(rate));
+    let bitrate = bitrate::parse(text).filter(|rate| (10_000..=1_000_000).contains(rate));
     bitrate.ok_or_else(|| "a bit rate from 10000 to 1000000".to_owned())
 }
 

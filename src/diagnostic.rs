@@ -3,6 +3,7 @@
 //! Does not know the object where the reader does: the screen names the file already; the command
 //! line puts it in front.
 
+use std::cmp::Reverse;
 use std::{fmt, io};
 
 /// Why something cannot be done, and what to do about it.
@@ -60,4 +61,18 @@ impl fmt::Display for Diagnostic {
 pub fn without_number(error: &io::Error) -> String {
     let text = error.to_string();
     text.split(" (os error").next().unwrap_or(&text).to_owned()
+}
+
+/// Returns the word that is most like a misspelled one: one or two letters differ, and not all of
+/// them; `None` if there is none.
+pub fn nearest_word<'a>(word: &str, words: impl Iterator<Item = &'a str>) -> Option<&'a str> {
+    /// Most letters that differ.
+    const MAX_DISTANCE: usize = 2;
+    let most = word.chars().count().saturating_sub(1).min(MAX_DISTANCE);
+    let distance = |other: &&str| strsim::damerau_levenshtein(word, other);
+    // The first letters are rarely the wrong ones.
+    let begin = |other: &&str| word.chars().zip(other.chars()).take_while(|(a, b)| a == b).count();
+    words
+        .min_by_key(|other| (distance(other), Reverse(begin(other))))
+        .filter(|other| distance(other) <= most)
 }

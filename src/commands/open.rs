@@ -4,10 +4,9 @@ use super::{Failure, output};
 use crate::app::{App, AppOptions, BusSelection, Filter, FrameSelector, RowKind, Signs};
 use crate::bus::{self, BusSpec, CanInterface, Clock, LogDates, Options, Port};
 use crate::cli::{self, CommonArgs, SessionArgs as Arguments};
-use crate::diagnostic::Diagnostic;
+use crate::diagnostic::{Diagnostic, nearest_word};
 use crate::discovery::Config;
 use crate::frame::{BusIndex, IdFilter};
-use crate::guide;
 use crate::keymap::Keymap;
 use crate::regular_file::shown;
 use crate::shell::config::{ConfigFolder, UserSettings};
@@ -279,7 +278,7 @@ fn unknown_word(word: &str) -> String {
     }
     let program = cli::program();
     let names = program.get_subcommands().map(clap::Command::get_name);
-    let nearest = guide::nearest_word(word, names);
+    let nearest = nearest_word(word, names);
     let there = bus::interfaces();
     let remedy = match (nearest, &there[..]) {
         (Some(command), _) => format!("did you mean the command descan {command}?"),

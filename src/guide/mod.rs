@@ -9,6 +9,7 @@ pub mod render;
 mod roff;
 pub mod tables;
 
+use crate::diagnostic::nearest_word;
 use clap::Command;
 use clap_mangen::Man;
 use markdown::{GuideBlock, GuideSpan, plain};
@@ -56,14 +57,6 @@ topics! {
     "settings" "settings" [] "config.toml, keys.toml, themes, and all files used";
     "scenarios" "scenarios" ["demo" "sim"] "the demo, and simulated devices of your own";
     "protocol" "protocol" [] "the protocol on the bus, numbered for reference";
-}
-
-/// Returns the word that differs least, by two letters at most.
-pub fn nearest_word<'a>(word: &str, words: impl Iterator<Item = &'a str>) -> Option<&'a str> {
-    /// Most letters that differ.
-    const MAX_DISTANCE: usize = 2;
-    let distance = |other: &&str| strsim::damerau_levenshtein(word, other);
-    words.min_by_key(distance).filter(|other| distance(other) <= MAX_DISTANCE)
 }
 
 /// Returns the topic of a name (in any case) or slug; `None` if there is none.

@@ -165,6 +165,7 @@ fn fields_select_the_frames_that_have_them() {
 fn wrong_lines_name_the_place_and_the_way_out() {
     for (line, column, said) in [
         ("at:14 tipe:rsp", 7, "unknown field tipe; use type:; quote"),
+        ("dat:11", 1, "unknown field dat; use data:;"),
         ("at:128", 4, "\"128\" is not an address; use 0 to 127"),
         ("at:12,x,14", 7, "\"x\" is not an address"),
         ("data:0", 6, "\"0\" is not bytes in hexadecimal; for example data:"),

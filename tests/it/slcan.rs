@@ -601,7 +601,7 @@ impl Drop for Program {
 #[test]
 fn simulated_devices_are_found_through_the_port() {
     let (one, other) = (Pty::new(), Pty::new());
-    let spec = |pty: &Pty| format!("slcan:{}@125000", pty.path().display());
+    let spec = |pty: &Pty| format!("slcan:{}@125k", pty.path().display());
     let (sim_at, scan_at) = (spec(&one), spec(&other));
     let _bridge = Bridge::between(&one, &other);
     let _sim = Program::start(&["sim", &sim_at]);

@@ -669,7 +669,10 @@ fn filter_that_cannot_match_is_rejected() {
         ("is:", "is: needs a value, for example is:suspected"),
         ("text:\"\"", "text: needs a value"),
         ("is:foo", "is:foo: \"foo\" is not a state; use suspected, confirmed, cleared, error"),
-        ("kind:zzz", "kind:zzz: \"zzz\" is not a kind of problem; for example kind:uid"),
+        (
+            "kind:zzz",
+            "kind:zzz: \"zzz\" is not a kind of problem, for example kind:uid; the word of an event stands alone: moved",
+        ),
         ("type:rsp_cc", "type:rsp_cc: \"rsp_cc\" is not a kind of problem"),
         ("name:\"my", "a quote is not closed"),
     ] {

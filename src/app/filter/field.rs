@@ -4,6 +4,7 @@
 
 use super::FilterError;
 use crate::app::view::Page;
+use crate::diagnostic::nearest_word;
 use std::ops::Range;
 
 /// What a filter selects from. All have the same language; some fields are of some rows only.
@@ -182,7 +183,9 @@ impl Field {
                 Err(FilterError::new(text, range))
             }
             None => {
-                let way_out = match nearest_field(name, rows) {
+                let fields = FILTER_FIELDS.iter().filter(|it| it.field.is_of(rows));
+                let words = fields.flat_map(|it| it.words).copied();
+                let way_out = match nearest_word(name, words) {
                     Some(near) => format!("{near}:"),
                     None => fields_of(rows),
                 };
@@ -193,14 +196,6 @@ impl Field {
             }
         }
     }
-}
-
-/// Returns the field whose name is most like `name`, unless none is like it.
-fn nearest_field(name: &str, rows: RowKind) -> Option<&'static str> {
-    let words = FILTER_FIELDS.iter().filter(|it| it.field.is_of(rows)).flat_map(|it| it.words);
-    let near = words.map(|word| (strsim::damerau_levenshtein(word, name), *word));
-    let (distance, word) = near.min_by_key(|(distance, _)| *distance)?;
-    (distance <= 2 && distance < name.chars().count()).then_some(word)
 }
 
 /// Returns the names of the fields that the rows have.

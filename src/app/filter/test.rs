@@ -207,7 +207,13 @@ impl FieldValue<'_> {
             )?,
             Field::Type => self.texts(
                 |value| FindingKind::ALL.iter().any(|kind| value.is_kind(*kind)),
-                || "a kind of problem".to_owned(),
+                || match self.rows {
+                    RowKind::Event => {
+                        let example = self.field.example(self.rows);
+                        format!("a kind of problem, for example {example}; the word of an event stands alone: moved")
+                    }
+                    _ => "a kind of problem".to_owned(),
+                },
             )?,
             // Digits may be part of a name.
             Field::Service => self.texts(

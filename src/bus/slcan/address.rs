@@ -1,6 +1,7 @@
 //! `slcan:DEVICE[@RATE[/DATA_RATE]]`: what an slcan argument names.
 
 use super::line::{self, data_rate_code, data_rates, rate_code};
+use crate::bitrate;
 use crate::bus::kind::BusKind;
 use crate::diagnostic::Diagnostic;
 use std::path::PathBuf;
@@ -33,7 +34,7 @@ pub(in crate::bus) fn parse(text: &str) -> Result<SlcanAddress, Diagnostic> {
     };
     let rate = |text: &str| {
         let fault = || Diagnostic::new(format!("{rates} is not a bit rate"));
-        text.parse::<u32>().map_err(|_| fault().with_remedy(format!("use {}", KIND.example)))
+        bitrate::parse(text).ok_or_else(|| fault().with_remedy(format!("use {}", KIND.example)))
     };
     let (bitrate, data_bitrate) = match rates.split_once('/') {
         Some((bitrate, data)) => (rate(bitrate)?, Some(rate(data)?)),
