@@ -20,6 +20,7 @@
 //!   [`diagnostic`]: cause and remedy of an error.
 //! * [`finding`]: what is wrong, with its evidence; one table of all kinds.
 //! * [`discovery`]: the engine of one bus: frames and time in; devices, findings and requests out.
+//! * [`learning`]: values of the profile, from the frames of a bus.
 //! * [`document`]: des.json: parse, edit in place, merge.
 //! * [`inventory`]: buses and devices of one moment; differences between two.
 //! * [`log`]: log formats, candump and pcapng.
@@ -61,6 +62,8 @@ pub mod error_report;
 pub mod finding;
 #[cfg(feature = "std")]
 pub mod inventory;
+#[cfg(feature = "std")]
+pub mod learning;
 #[cfg(feature = "std")]
 pub mod log;
 #[cfg(feature = "std")]

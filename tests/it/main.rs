@@ -35,6 +35,7 @@ mod guide;
 mod heartbeat_periods;
 mod history;
 mod indexed_log;
+mod learning;
 mod log;
 mod log_command;
 mod malicious_input;

@@ -1,0 +1,183 @@
+//! The service of heartbeats, and their period.
+//!
+//! Heartbeats are unsolicited and regular, and every node sends them (CAN platform §3.2.4). Frames of
+//! another service may be so, too: what decides is that nodes which do not work send them (U = 1),
+//! and that they carry a UID, another one for each node.
+
+use super::layout::has_other_content;
+use super::period::Period;
+use super::unsolicited::{Sender, UnsolicitedFrames};
+use super::{Certainty, MAX_FRAMES, ProfileProposal, counted};
+use crate::frame::Frame;
+use crate::time::{Duration, Instant};
+use crate::wire::id::{Address, Service};
+use crate::wire::profile::{ProfileKey, ProfileValue};
+use std::cmp::Ordering;
+
+/// Time of listening before any is proposed: in it, heartbeats of up to a second come several times,
+/// beside regular frames of other services that come more often.
+const MIN_LISTENING: Duration = Duration::from_secs(8);
+/// Frames of all nodes, and of each.
+const MIN_FRAMES: u32 = 10;
+const MIN_FRAMES_EACH: u32 = 3;
+const MIN_NODES: usize = 2;
+/// Frames of one node from which on it is known whether they are regular.
+const MIN_KNOWN: u32 = 6;
+/// Periods for which a node was there before its heartbeats are expected.
+const EXPECTED_AFTER: f64 = 4.0;
+/// Part of the nodes that send them, at least: one may be faulty.
+const MIN_COVERED: f64 = 0.8;
+/// Length of a UID.
+const UID_BYTES: usize = 6;
+/// Longest period of a profile, in milliseconds.
+const MAX_PERIOD: u32 = 60_000;
+const MIN_PERIOD: u32 = 10;
+
+/// The heartbeats of a bus.
+#[derive(Debug)]
+pub(super) struct Heartbeats<'a> {
+    service: Service,
+    period: Period,
+    /// Their senders, by address.
+    pub senders: Vec<(Address, &'a Sender)>,
+    certainty: Certainty,
+}
+
+/// What distinguishes heartbeats from other regular frames, the stronger sign first.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+struct Signs {
+    /// A node sends them while it works and while it does not, with other contents.
+    in_both_modes: bool,
+    /// Each node has its own content, as long as a UID.
+    own_contents: bool,
+}
+
+impl<'a> Heartbeats<'a> {
+    /// Finds them; `None` if no service is known to be theirs.
+    pub fn find(frames: &'a UnsolicitedFrames, listening: Duration) -> Option<Self> {
+        if listening < MIN_LISTENING || frames.is_full() {
+            return None;
+        }
+        let services = frames.services().into_iter();
+        let all: Vec<ServiceFrames<'a>> =
+            services.map(|service| ServiceFrames::new(frames, service)).collect();
+        let fitting: Vec<(&ServiceFrames<'a>, Self)> =
+            all.iter().filter_map(|of| Some((of, of.heartbeats(frames, listening)?))).collect();
+        let (best, found) = fitting.iter().max_by_key(|(of, _)| of.signs)?;
+        let is_doubtful = |other: &ServiceFrames<'_>| {
+            let fits = fitting.iter().any(|(of, _)| of.service == other.service);
+            match other.signs.cmp(&best.signs) {
+                // One of the two is slower, or was lost more often.
+                Ordering::Greater => true,
+                Ordering::Equal => fits || other.is_early(),
+                Ordering::Less => false,
+            }
+        };
+        let mut others = all.iter().filter(|of| of.service != best.service);
+        if others.any(is_doubtful) {
+            return None;
+        }
+        let is_certain = best.signs != Signs::default() && fitting.len() == 1;
+        let certainty = if is_certain { Certainty::Certain } else { Certainty::Likely };
+        Some(Self { certainty, senders: found.senders.clone(), ..*found })
+    }
+
+    /// Proposals of service and period.
+    pub fn proposals(&self) -> [ProfileProposal; 2] {
+        let nodes = counted(self.senders.len(), "node");
+        let seconds = self.period.micros / 1e6;
+        let contents = self.senders.iter().filter_map(|(_, sender)| sender.contents.first());
+        let mut frames: Vec<Frame> = contents.take(MAX_FRAMES).map(|it| it.frame).collect();
+        frames.sort_by_key(|frame| frame.time);
+        let period = if seconds >= 1.0 {
+            format!("{seconds:.2} s")
+        } else {
+            format!("{:.1} ms", seconds * 1000.0)
+        };
+        [
+            ProfileProposal {
+                key: ProfileKey::Heartbeat,
+                value: ProfileValue::Service(self.service.number()),
+                certainty: self.certainty,
+                evidence: format!("{nodes}, every {period}"),
+                frames: frames.clone(),
+            },
+            ProfileProposal {
+                key: ProfileKey::PeriodMs,
+                value: ProfileValue::Number(self.period.millis()),
+                certainty: self.certainty,
+                evidence: format!("{} of {nodes}", counted(self.period.intervals, "interval")),
+                frames,
+            },
+        ]
+    }
+}
+
+/// Frames with one service number that may be heartbeats.
+struct ServiceFrames<'a> {
+    service: Service,
+    /// Their senders, by address.
+    senders: Vec<(Address, &'a Sender)>,
+    signs: Signs,
+}
+
+impl<'a> ServiceFrames<'a> {
+    fn new(frames: &'a UnsolicitedFrames, service: Service) -> Self {
+        let senders = frames.senders_of(service);
+        let is_own = |(at, sender): &(Address, &Sender)| {
+            let mut others = senders.iter().filter(|(other, _)| other != at);
+            others.all(|(_, other)| has_other_content(sender, other, UID_BYTES))
+        };
+        let signs = Signs {
+            in_both_modes: senders.iter().any(|(_, sender)| changes_with_mode(sender)),
+            own_contents: senders.len() >= MIN_NODES && senders.iter().all(is_own),
+        };
+        Self { service, senders, signs }
+    }
+
+    /// Returns true if there are too few to tell whether they are regular.
+    fn is_early(&self) -> bool {
+        let most = self.senders.iter().map(|(_, sender)| sender.frames).max();
+        most.is_some_and(|most| most < MIN_KNOWN)
+    }
+
+    /// They as heartbeats; `None` if they are too few, irregular, or not of all nodes.
+    fn heartbeats(
+        &self,
+        frames: &UnsolicitedFrames,
+        listening: Duration,
+    ) -> Option<Heartbeats<'a>> {
+        let mut senders = self.senders.clone();
+        senders.retain(|(_, sender)| sender.frames >= MIN_FRAMES_EACH);
+        let total: u32 = senders.iter().map(|(_, sender)| sender.frames).sum();
+        if senders.len() < MIN_NODES || total < MIN_FRAMES {
+            return None;
+        }
+        let period = Period::find(&senders.iter().map(|(_, sender)| *sender).collect::<Vec<_>>())?;
+        senders.retain(|(_, sender)| period.is_of(sender));
+        let with_rnd7 = senders.iter().filter(|(_, sender)| sender.has_random_rnd7()).count();
+        let expected_after = EXPECTED_AFTER * period.micros / 1e6;
+        let was_there =
+            |first: Instant, last: Instant| last.since(first).as_secs_f64() >= expected_after;
+        let (mut expected, mut covered) = (0, 0);
+        for (source, ..) in frames.sources().filter(|(_, first, last)| was_there(*first, *last)) {
+            expected += 1;
+            covered += usize::from(senders.iter().any(|(of, _)| *of == source));
+        }
+        let fits = senders.len() >= MIN_NODES
+            && with_rnd7 * 2 >= senders.len()
+            && f64::from(covered as u32) >= MIN_COVERED * f64::from(expected)
+            && (MIN_PERIOD..=MAX_PERIOD).contains(&period.millis())
+            && listening.as_secs_f64() >= expected_after;
+        let Self { service, .. } = *self;
+        fits.then_some(Heartbeats { service, period, senders, certainty: Certainty::Likely })
+    }
+}
+
+/// Returns true if a sender sends other contents while it works than while it does not.
+fn changes_with_mode(sender: &Sender) -> bool {
+    let of = |is_non_working| {
+        sender.contents.iter().filter(move |it| it.is_non_working == is_non_working)
+    };
+    of(false).any(|working| of(true).any(|other| other.data() != working.data()))
+}

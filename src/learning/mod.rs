@@ -1,0 +1,135 @@
+//! Values of the profile that the frames of a bus show (protocol §9).
+//!
+//! Input: the frames of a bus, in the order of their times. Output: proposals, each with its
+//! evidence. [`heartbeat`] finds the service of heartbeats and their period, [`layout`] the bytes of
+//! UID, mode and error code in them, [`enumeration`] the service of DES and its framing. Bounded
+//! memory. Does not know the values in force, and changes none: see
+//! [`Profile::learn`](crate::wire::profile::Profile::learn).
+//!
+//! A value that is not known is not proposed. What several services or bytes may be is no proposal.
+
+mod enumeration;
+mod heartbeat;
+mod layout;
+mod period;
+mod unsolicited;
+
+use crate::frame::{Frame, FrameKind};
+use crate::time::{Duration, Instant};
+use crate::wire::id::{Address, Header};
+use crate::wire::profile::{ProfileKey, ProfileValue};
+use enumeration::DesServices;
+use heartbeat::Heartbeats;
+use unsolicited::UnsolicitedFrames;
+
+/// Impossible identifiers that show another protocol, with [`MAX_IMPOSSIBLE`].
+const MIN_IMPOSSIBLE: u64 = 10;
+/// Largest part of the frames with impossible identifiers: in logs of other protocols with 29-bit
+/// identifiers it is more than a quarter.
+const MAX_IMPOSSIBLE: f64 = 0.2;
+
+/// How sure a proposal is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Certainty {
+    /// The only value that fits, but frames of other meaning might fit too.
+    Likely,
+    /// No other value fits, and devices differ or changed as only this meaning explains.
+    Certain,
+}
+
+impl Certainty {
+    /// The word for it, on the screen and in JSON.
+    pub const fn word(self) -> &'static str {
+        match self {
+            Self::Likely => "likely",
+            Self::Certain => "certain",
+        }
+    }
+}
+
+/// A value of the profile that was learnt from frames.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ProfileProposal {
+    /// What it is the value of.
+    pub key: ProfileKey,
+    /// The value.
+    pub value: ProfileValue,
+    /// How sure it is.
+    pub certainty: Certainty,
+    /// What shows it, in a few words: `9 nodes, 1.00 s`.
+    pub evidence: String,
+    /// Some of the frames that show it, in the order of their times.
+    pub frames: Vec<Frame>,
+}
+
+/// Frames of evidence of a proposal, at most.
+const MAX_FRAMES: usize = 6;
+
+/// Learns the profile of a bus from its frames.
+#[derive(Clone, Debug, Default)]
+pub struct ProfileLearner {
+    frames: u64,
+    impossible: u64,
+    first: Option<Instant>,
+    last: Instant,
+    unsolicited: UnsolicitedFrames,
+    des: DesServices,
+}
+
+impl ProfileLearner {
+    /// Takes a frame of the bus. Frames that descan sent are not taken for those of a device.
+    pub fn handle_frame(&mut self, frame: &Frame) {
+        if frame.kind == FrameKind::Error {
+            return;
+        }
+        self.frames += 1;
+        self.first.get_or_insert(frame.time);
+        self.last = self.last.max(frame.time);
+        let header = frame.platform_id().map(Header::decode);
+        let Some(header) = header.filter(|header| header.is_conforming()) else {
+            self.impossible += 1;
+            return;
+        };
+        self.des.handle_frame(frame, header);
+        if !frame.is_tx && header.response && header.source != Address::DEBUG {
+            self.unsolicited.handle_frame(frame, header);
+        }
+    }
+
+    /// Number of data and remote frames that it has taken.
+    pub fn frames(&self) -> u64 {
+        self.frames
+    }
+
+    /// Time from the first to the last frame.
+    pub fn duration(&self) -> Duration {
+        self.first.map_or(Duration::ZERO, |first| self.last.since(first))
+    }
+
+    /// Returns true if the bus speaks another protocol: nothing is learnt from it.
+    pub fn is_foreign(&self) -> bool {
+        let share = self.impossible as f64 / self.frames.max(1) as f64;
+        self.impossible >= MIN_IMPOSSIBLE && share >= MAX_IMPOSSIBLE
+    }
+
+    /// The values that the frames show, in the order of the keys' importance.
+    pub fn proposals(&self) -> Vec<ProfileProposal> {
+        if self.is_foreign() {
+            return Vec::new();
+        }
+        let heartbeats = Heartbeats::find(&self.unsolicited, self.duration());
+        let mut proposals = Vec::new();
+        if let Some(heartbeats) = &heartbeats {
+            proposals.extend(heartbeats.proposals());
+            proposals.extend(layout::proposals(heartbeats));
+        }
+        let nodes = self.unsolicited.sources().map(|(source, ..)| source).collect::<Vec<_>>();
+        proposals.extend(self.des.proposals(&nodes, heartbeats.is_some()));
+        proposals
+    }
+}
+
+/// `1 node`, `2 nodes`.
+fn counted(count: usize, one: &str) -> String {
+    format!("{count} {one}{}", if count == 1 { "" } else { "s" })
+}

@@ -1,0 +1,170 @@
+//! Unsolicited frames of each source with each service number: which may be heartbeats.
+//!
+//! A heartbeat has few contents: those of its modes. A source and service with many is not kept.
+
+use crate::frame::Frame;
+use crate::time::Instant;
+use crate::wire::id::{Address, Header, Service};
+use foldhash::fast::FixedState;
+use std::collections::HashMap;
+
+/// Pairs of a source and a service that are kept. A bus of the platform has at most 127 sources, and
+/// each of them few services.
+const MAX_SENDERS: usize = 1024;
+/// Contents of a heartbeat: modes and error codes, of two boards at one address.
+const MAX_CONTENTS: usize = 12;
+/// Intervals of a sender that are kept, the last ones.
+pub(super) const MAX_INTERVALS: usize = 24;
+/// Frames from which on a sender with as many contents is none of heartbeats.
+const MIN_FRAMES: u32 = 4;
+
+/// All of them.
+#[derive(Clone, Debug, Default)]
+pub(super) struct UnsolicitedFrames {
+    senders: HashMap<(Address, Service), Sender, FixedState>,
+    /// First and last response or unsolicited frame of each source.
+    sources: HashMap<Address, (Instant, Instant), FixedState>,
+    /// There are more pairs than are kept.
+    is_full: bool,
+}
+
+/// Frames of one source with one service number.
+#[derive(Clone, Debug)]
+pub(super) struct Sender {
+    pub frames: u32,
+    last: Instant,
+    /// The last intervals, in microseconds.
+    pub intervals: Vec<u32>,
+    next_interval: usize,
+    /// Different contents; empty if there were too many.
+    pub contents: Vec<Content>,
+    is_variable: bool,
+    /// The RND7 of its frames, one bit each.
+    rnd7: u128,
+}
+
+/// A content of frames of one sender.
+#[derive(Clone, Debug)]
+pub(super) struct Content {
+    /// U: its sender does not work.
+    pub is_non_working: bool,
+    /// The first frame with it.
+    pub frame: Frame,
+    pub count: u32,
+}
+
+impl Content {
+    pub fn data(&self) -> &[u8] {
+        self.frame.data()
+    }
+}
+
+impl UnsolicitedFrames {
+    /// Takes a conforming response or unsolicited frame of another node.
+    pub fn handle_frame(&mut self, frame: &Frame, header: Header) {
+        let seen = self.sources.entry(header.source).or_insert((frame.time, frame.time));
+        seen.1 = seen.1.max(frame.time);
+        if !header.broadcast {
+            return;
+        }
+        let key = (header.source, header.service);
+        if let Some(sender) = self.senders.get_mut(&key) {
+            sender.add(frame, header);
+        } else if self.senders.len() < MAX_SENDERS {
+            self.senders.insert(key, Sender::new(frame, header));
+        } else {
+            self.is_full = true;
+        }
+    }
+
+    /// Returns true if it does not know all frames: there are more services and sources than a bus of
+    /// the platform has.
+    pub fn is_full(&self) -> bool {
+        self.is_full
+    }
+
+    /// First and last frame of each source.
+    pub fn sources(&self) -> impl Iterator<Item = (Address, Instant, Instant)> {
+        self.sources.iter().map(|(source, (first, last))| (*source, *first, *last))
+    }
+
+    /// The service numbers, in their order.
+    pub fn services(&self) -> Vec<Service> {
+        let mut services: Vec<Service> = self.senders.keys().map(|(_, service)| *service).collect();
+        services.sort_unstable();
+        services.dedup();
+        services
+    }
+
+    /// The senders of a service that may be those of heartbeats, by address.
+    pub fn senders_of(&self, service: Service) -> Vec<(Address, &Sender)> {
+        let mut senders: Vec<(Address, &Sender)> = self
+            .senders
+            .iter()
+            .filter(|((_, of), sender)| *of == service && sender.may_be_heartbeats())
+            .map(|((source, _), sender)| (*source, sender))
+            .collect();
+        senders.sort_unstable_by_key(|(source, _)| *source);
+        senders
+    }
+}
+
+impl Sender {
+    fn new(frame: &Frame, header: Header) -> Self {
+        let mut sender = Self {
+            frames: 0,
+            last: frame.time,
+            intervals: Vec::new(),
+            next_interval: 0,
+            contents: Vec::new(),
+            is_variable: false,
+            rnd7: 0,
+        };
+        sender.count(frame, header);
+        sender
+    }
+
+    fn add(&mut self, frame: &Frame, header: Header) {
+        let micros = frame.time.since(self.last).as_micros();
+        self.last = self.last.max(frame.time);
+        if self.is_variable {
+            return;
+        }
+        let micros = u32::try_from(micros).unwrap_or(u32::MAX);
+        match self.intervals.get_mut(self.next_interval) {
+            Some(oldest) => *oldest = micros,
+            None => self.intervals.push(micros),
+        }
+        self.next_interval = (self.next_interval + 1) % MAX_INTERVALS;
+        self.count(frame, header);
+    }
+
+    fn count(&mut self, frame: &Frame, header: Header) {
+        self.frames = self.frames.saturating_add(1);
+        self.rnd7 |= 1 << header.destination.index();
+        let is_non_working = header.from_non_working;
+        let mut contents = self.contents.iter_mut();
+        if let Some(content) = contents
+            .find(|it| it.is_non_working == is_non_working && it.frame.data() == frame.data())
+        {
+            content.count = content.count.saturating_add(1);
+        } else if self.contents.len() < MAX_CONTENTS {
+            self.contents.push(Content { is_non_working, frame: *frame, count: 1 });
+        } else {
+            self.is_variable = true;
+            self.contents = Vec::new();
+            self.intervals = Vec::new();
+        }
+    }
+
+    /// Returns true if its contents are few enough for heartbeats.
+    fn may_be_heartbeats(&self) -> bool {
+        let contents = self.contents.len() as u32;
+        !self.is_variable && (self.frames < MIN_FRAMES || contents * 2 <= self.frames + 1)
+    }
+
+    /// Returns true if its RND7 changes, as those of the platform do.
+    pub fn has_random_rnd7(&self) -> bool {
+        self.rnd7.count_ones() > 1
+    }
+}

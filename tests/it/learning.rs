@@ -1,0 +1,377 @@
+//! Profiles that are learnt from the frames of a bus: random profiles and devices, with losses.
+//!
+//! `SEEDS=10000 cargo test --release --test it learning` runs more seeds, `FIRST=…` others; `SEED=17`
+//! runs one and prints its proposals.
+
+use descan::frame::Frame;
+use descan::learning::{ProfileLearner, ProfileProposal};
+use descan::sim::{AddressChoice, DeviceAction, DeviceFraming, DeviceSpec, Scenario, Sim};
+use descan::time::{Duration, Instant};
+use descan::wire::des::Request;
+use descan::wire::framing::Framing;
+use descan::wire::id::{Address, Header, Service};
+use descan::wire::node::{Mode, Uid};
+use descan::wire::profile::{Profile, ProfileKey, ProfileValue};
+use std::collections::{BTreeMap, BTreeSet};
+
+/// Deviation of a right period: clocks of 100 ppm, and what a delay of heartbeats hides in a short
+/// time.
+const PERIOD_DEVIATION: f64 = 0.02;
+
+/// A random profile, and a bus with devices that use it.
+struct World {
+    profile: Profile,
+    frames: Vec<Frame>,
+    /// `isotp`, `raw`.
+    framings: BTreeSet<&'static str>,
+    uids: UidKind,
+}
+
+/// What UIDs of a bus have in common.
+#[derive(Clone, Copy)]
+enum UidKind {
+    /// They are text that differs in its end.
+    Text,
+    /// Three bytes are the same. Which six bytes they belong to is not known before a mode changes.
+    SharedBeginning,
+    Random,
+}
+
+impl World {
+    fn new(seed: u64) -> Self {
+        let mut rng = fastrand::Rng::with_seed(seed);
+        let profile = random_profile(&mut rng);
+        let period = profile.heartbeat.period();
+        let mut framings = BTreeSet::new();
+        let kinds = [UidKind::Text, UidKind::SharedBeginning, UidKind::Random];
+        let uids = kinds[rng.usize(0..3)];
+        let scenario = random_scenario(&mut rng, &profile, &mut framings, uids);
+        let mut sim = Sim::with_profile(&scenario, rng.u64(..), profile.clone());
+        let tool = sim.attach();
+        let end = Instant::ZERO + Duration::from_millis(10_500).max(period * 16);
+        let asks = rng.bool();
+        let is_lossy = rng.bool();
+        let loss = if is_lossy { rng.f64() * 0.3 } else { 0.0 };
+        let constant = constant_data(&mut rng, &scenario);
+        let mut frames = Vec::new();
+        let mut next_request = Instant::ZERO + Duration::from_millis(rng.u64(100..3000));
+        while sim.now() < end {
+            let until = end.min(next_request);
+            sim.advance(until);
+            while let Some(frame) = sim.poll_frame(tool) {
+                if rng.f64() >= loss {
+                    frames.push(frame);
+                }
+            }
+            if asks && sim.now() == next_request {
+                let rnd7 = rng.u8(0..128);
+                for to_non_working in [false, true] {
+                    for framing in [Framing::Isotp, Framing::Raw] {
+                        let header = Header::broadcast(
+                            Address::DEBUG,
+                            rnd7,
+                            to_non_working,
+                            profile.des_service(),
+                        );
+                        let (data, len) = Profile::request_bytes(Request::Name, framing);
+                        sim.transmit(tool, Frame::classic(header.encode(), &data[..len]));
+                    }
+                }
+            }
+            if sim.now() >= next_request {
+                next_request += Duration::from_millis(rng.u64(1000..5000));
+            }
+        }
+        frames.extend(constant.into_iter().filter(|frame| frame.time <= end && rng.f64() >= loss));
+        frames.sort_by_key(|frame| frame.time);
+        Self { profile, frames, framings, uids }
+    }
+
+    /// Addresses with their heartbeats: data and U bit of each.
+    fn heartbeats(&self) -> BTreeMap<Address, Vec<(bool, &[u8])>> {
+        let mut all = BTreeMap::<_, Vec<_>>::new();
+        for frame in &self.frames {
+            let header = Header::decode(frame.platform_id().unwrap_or_default());
+            let is_one = header.response
+                && header.broadcast
+                && header.service == self.profile.heartbeat_service()
+                && !frame.is_tx;
+            if is_one {
+                let beats = all.entry(header.source).or_default();
+                beats.push((header.from_non_working, frame.data()));
+            }
+        }
+        all
+    }
+
+    /// Why a proposal is wrong; `None` if it is right.
+    fn fault_of(&self, proposal: &ProfileProposal) -> Option<String> {
+        let is_right = match (proposal.key, &proposal.value) {
+            (ProfileKey::PeriodMs, ProfileValue::Number(millis)) => {
+                let truth = f64::from(self.profile.heartbeat.period_ms);
+                (f64::from(*millis) - truth).abs() <= PERIOD_DEVIATION * truth
+            }
+            (ProfileKey::Framing, ProfileValue::Text(word)) => self.framings.iter().eq([word]),
+            (key, value) => self.profile.value(key) == *value,
+        };
+        let truth = self.profile.value(proposal.key);
+        (!is_right).then(|| format!("{} {}, not {truth}", proposal.key.name(), proposal.value))
+    }
+}
+
+fn random_profile(rng: &mut fastrand::Rng) -> Profile {
+    let mut profile = Profile::default();
+    profile.services.heartbeat = rng.u16(0..0x400);
+    profile.services.des = (profile.services.heartbeat + rng.u16(1..0x400)) & 0x3FF;
+    profile.heartbeat.period_ms = match rng.u8(0..10) {
+        0 => rng.u32(10..100),
+        1 => rng.u32(100..1000),
+        2 => rng.u32(1000..5000),
+        3 => 200,
+        4 => 500,
+        5 => 2000,
+        _ => 1000,
+    };
+    let mut parts = ['u', 'm', 'e', '.'];
+    rng.shuffle(&mut parts);
+    let heartbeat = &mut profile.heartbeat;
+    (heartbeat.uid_offset, heartbeat.mode_offset, heartbeat.error_offset) = (None, None, None);
+    let mut at = 0;
+    for part in parts {
+        let (offset, length, probability) = match part {
+            'u' => (&mut heartbeat.uid_offset, 6, 0.9),
+            'm' => (&mut heartbeat.mode_offset, 1, 0.9),
+            'e' => (&mut heartbeat.error_offset, 1, 0.7),
+            // A byte that has no meaning.
+            _ => {
+                at += u8::from(at == 0 && rng.u8(0..8) == 0);
+                continue;
+            }
+        };
+        if rng.f64() < probability && at + length <= 8 {
+            *offset = Some(at);
+            at += length;
+        }
+    }
+    let mut codes: Vec<u8> = (0..=255).collect();
+    if rng.bool() {
+        rng.shuffle(&mut codes);
+    }
+    let modes = &mut profile.modes;
+    let all = [
+        &mut modes.init,
+        &mut modes.arslv,
+        &mut modes.cfg,
+        &mut modes.boot,
+        &mut modes.work,
+        &mut modes.ufunc,
+        &mut modes.idle,
+    ];
+    for (code, number) in all.into_iter().zip(codes) {
+        *code = number;
+    }
+    profile
+}
+
+fn random_scenario(
+    rng: &mut fastrand::Rng,
+    profile: &Profile,
+    framings: &mut BTreeSet<&'static str>,
+    uids: UidKind,
+) -> Scenario {
+    let mut scenario = Scenario::new([250_000, 500_000, 1_000_000][rng.usize(0..3)]);
+    let count = if rng.bool() { 2 } else { rng.usize(2..12) };
+    let mut addresses: Vec<u8> = (1..128).collect();
+    rng.shuffle(&mut addresses);
+    let period = profile.heartbeat.period();
+    let free = || -> Vec<u16> {
+        (0..0x400)
+            .filter(|it| ![profile.services.heartbeat, profile.services.des].contains(it))
+            .filter(|it| !(0x010..=0x019).contains(it))
+            .collect()
+    };
+    let mut services = free();
+    rng.shuffle(&mut services);
+    let framing = match rng.u8(0..3) {
+        0 => Some(DeviceFraming::Raw),
+        1 => Some(DeviceFraming::Isotp),
+        _ => None,
+    };
+    let prefix: [u8; 5] = std::array::from_fn(|_| rng.u8(..));
+    let is_shared = rng.bool();
+    for (at, address) in addresses.into_iter().take(count).enumerate() {
+        let uid = match uids {
+            UidKind::Text => Uid::parse(&format!("BOARD{at:03}"), &profile.uid).unwrap(),
+            UidKind::SharedBeginning => {
+                let [a, b, c, ..] = prefix;
+                Uid([a, b, c, rng.u8(..), rng.u8(..), rng.u8(..)])
+            }
+            UidKind::Random => Uid(std::array::from_fn(|_| rng.u8(..))),
+        };
+        let own_framing = framing
+            .unwrap_or_else(|| if rng.bool() { DeviceFraming::Raw } else { DeviceFraming::Isotp });
+        framings.insert(match own_framing {
+            DeviceFraming::Raw => "raw",
+            _ => "isotp",
+        });
+        let mut device = DeviceSpec::new(&format!("D{at}"))
+            .uid(uid)
+            .address(AddressChoice::Preferred(Address::from_bits(address)))
+            .framing(own_framing);
+        device.tolerance_ppm = rng.i32(-100..=100);
+        if rng.u8(0..3) == 0 {
+            device.max_heartbeat_delay = period.mul_f64(rng.f64() * 0.04);
+        }
+        if rng.u8(0..3) > 0 {
+            device = device.skips_address_resolution();
+            if rng.u8(0..5) == 0 {
+                device.mode = Some(Mode::Cfg);
+            }
+        }
+        for _ in 0..rng.usize(0..3) {
+            let service = services[if is_shared { 0 } else { rng.usize(0..4) }];
+            let period = Duration::from_millis(rng.u64(20..1500));
+            device = device.periodic_message(service, period, rng.u8(1..=8));
+        }
+        scenario = scenario.with(device);
+        let label = format!("D{at}");
+        match rng.u8(0..8) {
+            0 => {
+                let time = period.mul_f64(3.0 + rng.f64() * 6.0);
+                scenario = scenario.at(time, &label, DeviceAction::Mode(Mode::Ufunc));
+                scenario = scenario.at(time + period * 3, &label, DeviceAction::Mode(Mode::Work));
+            }
+            1 => {
+                let time = period.mul_f64(3.0 + rng.f64() * 6.0);
+                scenario = scenario.at(time, &label, DeviceAction::Mode(Mode::Cfg));
+            }
+            2 => {
+                let time = period.mul_f64(4.0 + rng.f64() * 4.0);
+                scenario = scenario.at(time, &label, DeviceAction::Reboot { services: None });
+            }
+            _ => {}
+        }
+    }
+    scenario
+}
+
+/// Frames with constant data and a constant period, of all devices while they work: like those of
+/// heartbeats, but without a UID.
+fn constant_data(rng: &mut fastrand::Rng, scenario: &Scenario) -> Vec<Frame> {
+    let mut frames = Vec::new();
+    if rng.u8(0..4) > 0 {
+        return frames;
+    }
+    let service = Service::from_bits(0x3F0 + rng.u16(0..8));
+    let period = Duration::from_millis(rng.u64(50..2000));
+    let data: [u8; 5] = std::array::from_fn(|_| rng.u8(..));
+    let length = rng.usize(1..=5);
+    for device in &scenario.devices {
+        let AddressChoice::Preferred(address) = device.address else { continue };
+        if !device.skips_address_resolution || device.mode.is_some() {
+            continue;
+        }
+        let mut time = Instant::ZERO + period.mul_f64(rng.f64());
+        while time < Instant::ZERO + Duration::from_secs(30) {
+            let header = Header::unsolicited(address, rng.u8(0..128), false, service);
+            frames.push(Frame::classic(header.encode(), &data[..length]).with_time(time));
+            time += period;
+        }
+    }
+    frames
+}
+
+/// Worlds in which a value had to be known, and in which it was.
+#[derive(Default)]
+struct Share {
+    known: u32,
+    all: u32,
+}
+
+impl Share {
+    fn count(&mut self, has_to_be: bool, proposals: &[ProfileProposal], key: ProfileKey) {
+        if has_to_be {
+            self.all += 1;
+            self.known += u32::from(proposals.iter().any(|it| it.key == key));
+        }
+    }
+
+    fn percent(&self) -> f64 {
+        f64::from(self.known) * 100.0 / f64::from(self.all.max(1))
+    }
+}
+
+#[test]
+fn random_profiles_are_learnt_and_never_wrong() {
+    let number = |name: &str| std::env::var(name).ok().and_then(|it| it.parse::<u64>().ok());
+    let first = number("FIRST").unwrap_or(0);
+    let seeds = match number("SEED") {
+        Some(seed) => seed..seed + 1,
+        None => first..first + number("SEEDS").unwrap_or(300),
+    };
+    let mut shares = BTreeMap::<&str, Share>::new();
+    let mut faults = Vec::new();
+    for seed in seeds {
+        let world = World::new(seed);
+        let mut learner = ProfileLearner::default();
+        let mut checked = Instant::ZERO;
+        for frame in &world.frames {
+            learner.handle_frame(frame);
+            if frame.time.since(checked) >= Duration::from_millis(700) {
+                checked = frame.time;
+                for fault in learner.proposals().iter().filter_map(|it| world.fault_of(it)) {
+                    faults.push(format!("seed {seed} at {:?}: {fault}", frame.time));
+                }
+            }
+        }
+        let proposals = learner.proposals();
+        if number("SEED").is_some() {
+            println!("{:#?} {:?}", world.profile.heartbeat, world.profile.services);
+            for proposal in &proposals {
+                println!("{} {} {}", proposal.key.name(), proposal.value, proposal.evidence);
+            }
+        }
+        faults.extend(
+            proposals.iter().filter_map(|it| world.fault_of(it)).map(|it| format!("{seed}: {it}")),
+        );
+        let heartbeats = world.heartbeats();
+        let heard = heartbeats.values().filter(|beats| beats.len() >= 10);
+        let is_heard = heard.count() >= 2 && heartbeats.values().all(|beats| beats.len() >= 10);
+        let mut share = |name, has_to_be, key| {
+            shares.entry(name).or_default().count(has_to_be, &proposals, key);
+        };
+        share("heartbeat", is_heard, ProfileKey::Heartbeat);
+        share("period", is_heard, ProfileKey::PeriodMs);
+        let layout = &world.profile.heartbeat;
+        let uids: BTreeSet<&[u8]> = heartbeats
+            .values()
+            .filter_map(|beats| {
+                let at = usize::from(layout.uid_offset?);
+                beats.first()?.1.get(at..at + 6)
+            })
+            .collect();
+        let name = match world.uids {
+            UidKind::SharedBeginning => "uid with a common beginning",
+            _ => "uid",
+        };
+        share(name, is_heard && uids.len() >= 3, ProfileKey::UidOffset);
+        let changes = |beats: &Vec<(bool, &[u8])>| {
+            beats.iter().any(|(u, _)| *u) && beats.iter().any(|(u, _)| !*u)
+        };
+        let has_changed = layout.mode_offset.is_some() && heartbeats.values().any(changes);
+        share("mode", is_heard && has_changed, ProfileKey::ModeOffset);
+    }
+    for (name, share) in &shares {
+        println!("{name}: {} of {}, {:.1} %", share.known, share.all, share.percent());
+    }
+    assert!(
+        faults.is_empty(),
+        "{} wrong:\n{}",
+        faults.len(),
+        faults[..faults.len().min(20)].join("\n")
+    );
+    for (name, least) in [("heartbeat", 99.0), ("period", 99.0), ("uid", 95.0), ("mode", 90.0)] {
+        let share = &shares[name];
+        assert!(share.all < 20 || share.percent() >= least, "{name}: {:.1} %", share.percent());
+    }
+}
