@@ -107,8 +107,7 @@ impl DesServices {
             _ => None,
         };
         // One that has not responded may have another framing.
-        let is_all =
-            |of: u128| !nodes.is_empty() && nodes.iter().all(|node| of >> node.index() & 1 == 1);
+        let is_all = |of: u128| are_known && nodes.iter().all(|node| of >> node.index() & 1 == 1);
         if let Some((word, _)) =
             framing.filter(|(_, of)| of.count_ones() as usize >= MIN_NODES && is_all(*of))
         {
