@@ -164,6 +164,42 @@ pub enum ProfileCommand {
         #[arg(long)]
         json: bool,
     },
+    /// Learn values from the frames of a bus or of a log; nothing is sent
+    Learn(LearnArgs),
+}
+
+/// `descan profile learn`.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Listens, and prints the values that the frames show, with the evidence of each, and why others are not \
+known. Requests of DES are heard only while another tool enumerates the bus. Nothing is in force: give \
+the written file with --profile.
+
+Exit code: 0 a value was learnt, 1 none, 2 wrong usage, 3 bus or file not usable, 130 interrupted.
+
+Examples:
+  descan profile learn can0
+  descan profile learn can0 --time 60 --write boiler.toml
+  descan profile learn file:session.log --json | jq '.proposals[].value'")]
+pub struct LearnArgs {
+    /// The bus, or the log.
+    #[arg(value_name = "BUS", help = bus::forms(|_| true))]
+    pub bus: BusSpec,
+    /// Write the values to a new FILE, beside those of --profile; never overwrites
+    #[arg(long, value_name = "FILE")]
+    pub write: Option<PathBuf>,
+    /// Values that are known already (TOML)
+    #[arg(long, value_name = "FILE")]
+    pub profile: Option<PathBuf>,
+    /// Stop after SECONDS (log time for a log) [default: 20; log: its end]
+    #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
+    pub time: Option<Duration>,
+    /// Start reading a log SECONDS after its first frame
+    #[arg(long, value_name = "SECONDS", value_parser = moment, allow_negative_numbers = true)]
+    pub from: Option<Duration>,
+    /// Print JSON instead of text
+    #[arg(long)]
+    pub json: bool,
 }
 
 /// Bounds of `--capture`, in bytes.
@@ -465,6 +501,22 @@ pub struct CommonArgs {
     /// Record only matching frames: src:FEED | id:123 | type:rsp | word | !word ...
     #[arg(long, value_name = "EXPR", requires = "record")]
     pub record_filter: Option<String>,
+}
+
+impl CommonArgs {
+    /// Those of a command that only listens.
+    pub fn listen_only(profile: Option<PathBuf>) -> Self {
+        Self {
+            file: None,
+            profile,
+            listen_only: true,
+            no_scan: false,
+            address: None,
+            record: None,
+            record_size: None,
+            record_filter: None,
+        }
+    }
 }
 
 fn address(text: &str) -> Result<Address, String> {

@@ -70,6 +70,7 @@ mod places;
 mod play;
 mod problem_page;
 mod problems;
+mod profile_learning;
 mod proof;
 mod saved_filters;
 mod shown_state;
@@ -134,6 +135,8 @@ pub use problems::{
     ConflictSide, ConflictSides, EvidenceItem, Matching, Problem, ProblemHeadline, ProblemKey,
     ProblemList, Scope, SideBasis, format_duration, growing_length_text, is_about, length_text,
 };
+use profile_learning::ProfileLearners;
+pub use profile_learning::adds_to;
 pub use saved_filters::{MAX_SAVED_FILTERS, SavedFilter, SavedFilterChange};
 pub use signs::Signs;
 pub use stories::{
@@ -233,6 +236,8 @@ pub struct AppOptions {
     /// Bytes of memory for the captured frames and the past of the buses; `None`:
     /// [`DEFAULT_CAPTURE`]; 0: few frames, and no past.
     pub capture_room: Option<usize>,
+    /// Learn the profile of each bus from its frames.
+    pub learns_profile: bool,
     /// Capture no frames, and count neither their identifiers nor calls: nothing reads them.
     pub without_capture: bool,
 }
@@ -389,6 +394,7 @@ pub struct App {
     help: HelpView,
     /// The list of buses that is shown over the page.
     bus_choice: Option<Box<BusChoice>>,
+    learners: ProfileLearners,
     /// The comparison of two moments that is open.
     comparison: Option<Box<MomentComparison>>,
     /// The proof that is being written.
@@ -448,6 +454,7 @@ impl App {
             lane_records: LaneRecords::default(),
             help: HelpView::default(),
             bus_choice: None,
+            learners: ProfileLearners::new(options.learns_profile),
             comparison: None,
             proof: None,
             content,

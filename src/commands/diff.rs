@@ -33,16 +33,7 @@ pub fn run(diff: &DiffArgs) -> Result<u8, Failure> {
             "standard input (-) can be read only once; name a file for one of them".to_owned(),
         ));
     }
-    let setup = Setup::new(&CommonArgs {
-        file: None,
-        profile: diff.profile.clone(),
-        listen_only: true,
-        no_scan: false,
-        address: None,
-        record: None,
-        record_size: None,
-        record_filter: None,
-    })?;
+    let setup = Setup::new(&CommonArgs::listen_only(diff.profile.clone()))?;
     let mut inputs = Vec::new();
     for spec in &specs {
         let Some(input) = read(spec, &setup)? else { return Ok(EXIT_INTERRUPTED) };

@@ -8,6 +8,7 @@ mod diff;
 mod gate;
 mod guide;
 mod headless;
+mod learn;
 mod log;
 mod open;
 pub mod output;

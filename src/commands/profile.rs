@@ -1,4 +1,4 @@
-//! `descan profile`: the built-in profile, and the check of a file.
+//! `descan profile`: the built-in profile, and the check of a file. See [`super::learn`], too.
 
 use super::{EXIT_FINDINGS, EXIT_OK, Failure, output};
 use crate::cli::ProfileCommand;
@@ -8,11 +8,12 @@ use crate::wire::profile::{Profile, ProfileError, ProfileKey, ValueOrigin};
 use std::fmt::Write as _;
 use std::path::Path;
 
-/// `descan profile [check FILE]`.
+/// `descan profile [check FILE | learn BUS]`.
 pub fn run(command: Option<&ProfileCommand>) -> Result<u8, Failure> {
     match command {
         None => output::print(Profile::BUILT_IN).map(|()| EXIT_OK),
         Some(ProfileCommand::Check { file, json }) => check(file, *json),
+        Some(ProfileCommand::Learn(learn)) => super::learn::run(learn),
     }
 }
 

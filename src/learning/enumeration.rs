@@ -114,7 +114,8 @@ impl DesServices {
             proposals.push(ProfileProposal {
                 key: ProfileKey::Framing,
                 value: ProfileValue::Text(word.to_owned()),
-                certainty: Certainty::Likely,
+                // A device that joins later may have the other one, and would not be found.
+                certainty: Certainty::Guess,
                 evidence: format!("all {}", counted(responders, "node")),
                 frames,
             });

@@ -113,6 +113,26 @@ impl<'a> Heartbeats<'a> {
     }
 }
 
+/// Why the service of heartbeats is not known.
+pub(super) fn why_unknown(frames: &UnsolicitedFrames, listening: Duration) -> String {
+    let seconds = MIN_LISTENING.as_secs();
+    let regular = || {
+        let services = frames.services().into_iter();
+        services.map(|service| ServiceFrames::new(frames, service))
+    };
+    if frames.is_full() {
+        "more sources and services than a bus of the platform has".to_owned()
+    } else if listening < MIN_LISTENING {
+        format!("frames of {:.1} s; {seconds} s are needed", listening.as_secs_f64())
+    } else if !regular().any(|of| of.senders.len() >= MIN_NODES) {
+        "no service with unsolicited frames of two nodes whose contents stay the same".to_owned()
+    } else if regular().any(|of| of.heartbeats(frames, listening).is_some()) {
+        "several services may be theirs".to_owned()
+    } else {
+        "no service that all nodes send regularly".to_owned()
+    }
+}
+
 /// Frames with one service number that may be heartbeats.
 struct ServiceFrames<'a> {
     service: Service,

@@ -31,6 +31,8 @@ const MAX_IMPOSSIBLE: f64 = 0.2;
 /// How sure a proposal is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Certainty {
+    /// All that was received fits, but what comes later may not.
+    Guess,
     /// The only value that fits, but frames of other meaning might fit too.
     Likely,
     /// No other value fits, and devices differ or changed as only this meaning explains.
@@ -41,6 +43,7 @@ impl Certainty {
     /// The word for it, on the screen and in JSON.
     pub const fn word(self) -> &'static str {
         match self {
+            Self::Guess => "guess",
             Self::Likely => "likely",
             Self::Certain => "certain",
         }
@@ -61,6 +64,17 @@ pub struct ProfileProposal {
     /// Some of the frames that show it, in the order of their times.
     pub frames: Vec<Frame>,
 }
+
+/// The keys whose values can be learnt.
+pub const LEARNT_KEYS: [ProfileKey; 7] = [
+    ProfileKey::Heartbeat,
+    ProfileKey::PeriodMs,
+    ProfileKey::UidOffset,
+    ProfileKey::ModeOffset,
+    ProfileKey::ErrorOffset,
+    ProfileKey::Des,
+    ProfileKey::Framing,
+];
 
 /// Frames of evidence of a proposal, at most.
 const MAX_FRAMES: usize = 6;
@@ -110,6 +124,28 @@ impl ProfileLearner {
     pub fn is_foreign(&self) -> bool {
         let share = self.impossible as f64 / self.frames.max(1) as f64;
         self.impossible >= MIN_IMPOSSIBLE && share >= MAX_IMPOSSIBLE
+    }
+
+    /// Why a value is not known, in a few words.
+    pub fn why_unknown(&self, key: ProfileKey) -> String {
+        let heartbeats = Heartbeats::find(&self.unsolicited, self.duration());
+        let why = match key {
+            _ if self.frames == 0 => "no frame was received",
+            _ if self.is_foreign() => "the bus speaks another protocol",
+            ProfileKey::Des => "no name request and its response were received",
+            ProfileKey::Framing => "not all nodes sent a name, or not in one framing",
+            ProfileKey::Heartbeat | ProfileKey::PeriodMs => {
+                return heartbeat::why_unknown(&self.unsolicited, self.duration());
+            }
+            _ if heartbeats.is_none() => "heartbeats are not known",
+            ProfileKey::UidOffset => "fewer than three UIDs, or several bytes may be theirs",
+            ProfileKey::ModeOffset => {
+                "no node began or ceased to work (U), or several bytes follow it"
+            }
+            ProfileKey::ErrorOffset => "no node was in UFUNC and in WORK",
+            _ => "it cannot be learnt",
+        };
+        why.to_owned()
     }
 
     /// The values that the frames show, in the order of the keys' importance.

@@ -1,9 +1,9 @@
 //! Values of the profile by key, for the screen, for JSON and for files.
 
-use super::{Announce, FramingChoice, Profile, ProfileKey};
+use super::{Announce, FramingChoice, Profile, ProfileKey, ValueOrigin};
 use serde::Serialize;
 use std::collections::BTreeMap;
-use std::fmt;
+use std::fmt::{self, Write as _};
 
 /// The value of a key. As text it is what a file says.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
@@ -47,6 +47,11 @@ fn quoted(text: &str) -> String {
 }
 
 impl ProfileKey {
+    /// Table of a file that has the key; empty for none.
+    fn section(self) -> &'static str {
+        self.name().split_once('.').map_or("", |(section, _)| section)
+    }
+
     /// Returns true if devices and their findings depend on the value: not on the numbers of commands,
     /// of descriptors, and on names of services.
     fn is_for_devices(self) -> bool {
@@ -101,6 +106,62 @@ impl Profile {
             (key.name(), ValueWithOrigin { value, origin })
         };
         ProfileKey::ALL.iter().map(|key| value(*key)).collect()
+    }
+
+    /// Takes a value that was learnt from frames. Returns false for a key that cannot be learnt, or a
+    /// value that is none of it.
+    pub fn learn(&mut self, key: ProfileKey, value: &ProfileValue) -> bool {
+        use ProfileKey as Key;
+        use ProfileValue::{Number, Service, Text};
+        let Self { services, heartbeat, framing, .. } = self;
+        match (key, value) {
+            (Key::Heartbeat, Service(number)) => services.heartbeat = *number,
+            (Key::Des, Service(number)) => services.des = *number,
+            (Key::PeriodMs, Number(millis)) => heartbeat.period_ms = *millis,
+            (Key::UidOffset | Key::ModeOffset | Key::ErrorOffset, Number(at)) => {
+                let Ok(at) = u8::try_from(*at) else { return false };
+                let offset = match key {
+                    Key::UidOffset => &mut heartbeat.uid_offset,
+                    Key::ModeOffset => &mut heartbeat.mode_offset,
+                    _ => &mut heartbeat.error_offset,
+                };
+                *offset = Some(at);
+            }
+            (Key::Framing, Text(word)) => match FramingChoice::from_word(word) {
+                Some(choice) => *framing = choice,
+                None => return false,
+            },
+            _ => return false,
+        }
+        self.set_origin(key, ValueOrigin::Learnt);
+        true
+    }
+
+    /// The values that are not assumed, as a file. `comment`: a remark on a value, on one line.
+    pub fn to_file(&self, comment: impl Fn(ProfileKey) -> Option<String>) -> String {
+        let mut text = String::new();
+        let mut section = "";
+        for key in ProfileKey::ALL.iter().filter(|key| key.section().is_empty()) {
+            self.write_value(&mut text, *key, comment(*key));
+        }
+        for key in ProfileKey::ALL.iter().filter(|key| !key.section().is_empty()) {
+            if self.origin(*key) != ValueOrigin::Assumed && key.section() != section {
+                section = key.section();
+                let gap = if text.is_empty() { "" } else { "\n" };
+                let _ = writeln!(text, "{gap}[{section}]");
+            }
+            self.write_value(&mut text, *key, comment(*key));
+        }
+        text
+    }
+
+    fn write_value(&self, text: &mut String, key: ProfileKey, comment: Option<String>) {
+        if self.origin(key) == ValueOrigin::Assumed {
+            return;
+        }
+        let comment = comment.map(|comment| format!("  # {comment}")).unwrap_or_default();
+        let name = key.name().rsplit('.').next().unwrap_or_default();
+        let _ = writeln!(text, "{name} = {}{comment}", self.value(key));
     }
 
     /// The value of a key.
@@ -162,12 +223,35 @@ impl FramingChoice {
             Self::Raw => "raw",
         }
     }
+
+    fn from_word(word: &str) -> Option<Self> {
+        [Self::Auto, Self::Isotp, Self::Raw].into_iter().find(|choice| choice.word() == word)
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::wire::profile::ValueOrigin;
+
+    #[test]
+    fn written_file_has_the_values_that_are_not_assumed() {
+        let mut profile = Profile::parse(
+            "request_err = 1\n[uid]\nalphabet = \" !\\\"#$%&'()*+,-./0123456789:;<=>?@ABCDEFGHIJKLMNOPQRSTUVWXYZ[\\\\]^_\"\n\
+             [heartbeat]\nannounce = false\nmode_offset = false\n[service_names]\n\"0x101\" = \"A\\\"B\"\n",
+        )
+        .unwrap();
+        assert!(profile.learn(ProfileKey::Heartbeat, &ProfileValue::Service(0x123)));
+        assert!(profile.learn(ProfileKey::Framing, &ProfileValue::Text("raw".to_owned())));
+        assert!(!profile.learn(ProfileKey::Identify, &ProfileValue::Service(0x123)), "a command");
+        let text = profile.to_file(|key| (key == ProfileKey::Heartbeat).then(|| "3 nodes".into()));
+        assert!(text.contains("[services]\nheartbeat = 0x123  # 3 nodes\n"), "{text}");
+        let read = Profile::parse(&text).unwrap_or_else(|error| panic!("{error}: {text}"));
+        for key in ProfileKey::ALL {
+            assert_eq!(read.value(*key), profile.value(*key), "{}", key.name());
+            let is_assumed = profile.origin(*key) == ValueOrigin::Assumed;
+            assert_eq!(read.origin(*key) == ValueOrigin::Assumed, is_assumed, "{}", key.name());
+        }
+    }
 
     #[test]
     fn built_in_file_has_all_values_and_sets_none() {

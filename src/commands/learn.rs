@@ -1,0 +1,282 @@
+//! `descan profile learn`: values of the profile that the frames of a bus or of a log show. Sends
+//! nothing.
+
+use super::gate::BusGate;
+use super::headless::{self, Limits, RunInput, RunOutcome, warn_foreign};
+use super::open::{self, Setup};
+use super::report::counted;
+use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure, output};
+use crate::app::{App, AppOptions, adds_to};
+use crate::cli::{CommonArgs, LearnArgs};
+use crate::diagnostic::Diagnostic;
+use crate::frame::{BusIndex, Frame};
+use crate::learning::{Certainty, LEARNT_KEYS, ProfileLearner, ProfileProposal};
+use crate::regular_file::shown;
+use crate::shell::log_input::LogPace;
+use crate::shell::stop::StopReason;
+use crate::shell::store::{Store, write_new};
+use crate::time::Epoch;
+use crate::wire::profile::{Profile, ProfileKey, ProfileValue, ValueOrigin};
+use serde::Serialize;
+use std::fmt::Write as _;
+use std::io::Write as _;
+use std::ops::ControlFlow;
+use std::path::Path;
+use std::time::Duration;
+
+/// `--time` of a live bus, unless given.
+const DEFAULT_TIME: Duration = Duration::from_secs(20);
+/// Values that end listening on a live bus: others may never be shown.
+const ENOUGH: [ProfileKey; 5] = [
+    ProfileKey::Heartbeat,
+    ProfileKey::PeriodMs,
+    ProfileKey::UidOffset,
+    ProfileKey::ModeOffset,
+    ProfileKey::Des,
+];
+
+/// Runs it.
+pub fn run(learn: &LearnArgs) -> Result<u8, Failure> {
+    if let Some(path) = &learn.write {
+        Store::new(path).check_new().map_err(|fault| fault.of(shown(path)))?;
+    }
+    let setup = Setup::new(&CommonArgs::listen_only(learn.profile.clone()))?;
+    let bus = std::slice::from_ref(&learn.bus);
+    let is_log = open::log(bus, "profile learn", learn.from)?.is_some();
+    let input = if is_log {
+        RunInput::Log(&learn.bus, Some(LogPace::AtOnce))
+    } else {
+        RunInput::Buses(bus)
+    };
+    let time = learn.time.or((!is_log).then_some(DEFAULT_TIME));
+    let limits = Limits { time, from: learn.from, stuck: EXIT_INTERRUPTED, ..Limits::default() };
+    let options = AppOptions { learns_profile: true, ..AppOptions::default() };
+    let mut gate = BusGate::new(false);
+    let mut looked_at = 0;
+    let RunOutcome { app, ending, recording, .. } =
+        headless::run(input, &setup, options, limits, |session| {
+            let now = session.now();
+            if is_log {
+                return Ok(ControlFlow::Continue(()));
+            }
+            let is_open = gate.allows(&session.app, now)?;
+            // Proposals are made from all that was heard: once a second.
+            let second = now.as_micros() / 1_000_000;
+            let is_due = is_open && std::mem::replace(&mut looked_at, second) != second;
+            let is_enough = is_due && learners(&session.app).any(|(_, it)| knows_enough(it));
+            Ok(if is_enough { ControlFlow::Break(()) } else { ControlFlow::Continue(()) })
+        })?;
+    if ending == Some(StopReason::Interrupted) {
+        return Ok(EXIT_INTERRUPTED);
+    }
+    if !is_log {
+        gate.require_opened(&app)?;
+    }
+    recording?;
+    warn_foreign(&app, &mut Vec::new());
+    let buses: Vec<LearntBus> = learners(&app)
+        .map(|(bus, learner)| LearntBus::new(&app, bus, learner, &setup.config.profile))
+        .collect();
+    if learn.json {
+        let report = LearnReport { descan: env!("CARGO_PKG_VERSION"), buses: &buses };
+        let json = serde_json::to_string_pretty(&report).map_err(anyhow::Error::from)?;
+        output::print_json(&(json + "\n"))?;
+    } else {
+        output::print(&text(&buses))?;
+    }
+    if let Some(path) = &learn.write {
+        write(path, &buses, &setup.config.profile)?;
+    }
+    let has_any = buses.iter().any(|bus| !bus.proposals.is_empty());
+    Ok(if has_any { EXIT_OK } else { EXIT_FINDINGS })
+}
+
+fn learners(app: &App) -> impl Iterator<Item = (BusIndex, &ProfileLearner)> {
+    let buses = (0..app.buses().len()).map(|at| BusIndex(at as u8));
+    buses.filter_map(|bus| Some((bus, app.profile_learner(bus)?)))
+}
+
+fn knows_enough(learner: &ProfileLearner) -> bool {
+    let proposals = learner.proposals();
+    ENOUGH.iter().all(|key| {
+        let mut certain = proposals.iter().filter(|it| it.certainty == Certainty::Certain);
+        certain.any(|it| it.key == *key)
+    })
+}
+
+#[derive(Serialize)]
+struct LearnReport<'a> {
+    descan: &'static str,
+    buses: &'a [LearntBus],
+}
+
+/// What was learnt from one bus.
+#[derive(Serialize)]
+struct LearntBus {
+    name: String,
+    frames: u64,
+    seconds: f64,
+    proposals: Vec<LearntValue>,
+    unknown: Vec<UnknownValue>,
+}
+
+#[derive(Serialize)]
+struct LearntValue {
+    key: &'static str,
+    value: ProfileValue,
+    /// The value in force, and its origin.
+    now: ProfileValue,
+    origin: &'static str,
+    certainty: &'static str,
+    evidence: String,
+    frames: Vec<EvidenceFrame>,
+    #[serde(skip)]
+    proposal: ProfileProposal,
+}
+
+#[derive(Serialize)]
+struct EvidenceFrame {
+    time: f64,
+    frame: String,
+}
+
+#[derive(Serialize)]
+struct UnknownValue {
+    key: &'static str,
+    now: ProfileValue,
+    origin: &'static str,
+    reason: String,
+}
+
+impl LearntBus {
+    fn new(app: &App, bus: BusIndex, learner: &ProfileLearner, profile: &Profile) -> Self {
+        let name = app.buses().get(usize::from(bus.0)).map(|bus| bus.name.clone());
+        let proposals: Vec<LearntValue> = learner
+            .proposals()
+            .into_iter()
+            .map(|proposal| LearntValue::new(proposal, profile, app.epoch()))
+            .collect();
+        let is_unknown = |key: &&ProfileKey| !proposals.iter().any(|it| it.key == key.name());
+        let unknown = LEARNT_KEYS
+            .iter()
+            .filter(is_unknown)
+            .map(|key| UnknownValue {
+                key: key.name(),
+                now: profile.value(*key),
+                origin: profile.origin(*key).word(),
+                reason: learner.why_unknown(*key),
+            })
+            .collect();
+        Self {
+            name: name.unwrap_or_default(),
+            frames: learner.frames(),
+            seconds: learner.duration().as_secs_f64(),
+            proposals,
+            unknown,
+        }
+    }
+}
+
+impl LearntValue {
+    fn new(proposal: ProfileProposal, profile: &Profile, epoch: Epoch) -> Self {
+        let frame = |frame: &Frame| EvidenceFrame {
+            time: epoch.unix_secs(frame.time),
+            frame: frame.to_string(),
+        };
+        Self {
+            key: proposal.key.name(),
+            value: proposal.value.clone(),
+            now: profile.value(proposal.key),
+            origin: profile.origin(proposal.key).word(),
+            certainty: proposal.certainty.word(),
+            evidence: proposal.evidence.clone(),
+            frames: proposal.frames.iter().map(frame).collect(),
+            proposal,
+        }
+    }
+}
+
+/// `≠` where the value in force is another one.
+fn mark(value: &LearntValue) -> &'static str {
+    if value.value == value.now { " " } else { "≠" }
+}
+
+fn text(buses: &[LearntBus]) -> String {
+    let mut text = String::new();
+    if buses.is_empty() {
+        text.push_str("no frame was received\n");
+    }
+    for bus in buses {
+        let (frames, seconds) = (counted(bus.frames, "frame"), bus.seconds);
+        let _ = writeln!(text, "{}: {frames} in {seconds:.1} s", bus.name);
+        let now = |value: &ProfileValue, origin: &str| format!("{value} {origin}");
+        let nows = bus.proposals.iter().map(|it| now(&it.now, it.origin));
+        let nows = nows.chain(bus.unknown.iter().map(|it| now(&it.now, it.origin)));
+        let width = nows.map(|it| it.len()).max().unwrap_or_default().max(3);
+        let _ = writeln!(
+            text,
+            "  {:<22} {:<width$}   {:<7} {:<7} EVIDENCE",
+            "KEY", "NOW", "LEARNT", "SURE"
+        );
+        for key in LEARNT_KEYS.map(ProfileKey::name) {
+            if let Some(value) = bus.proposals.iter().find(|it| it.key == key) {
+                let LearntValue { certainty, evidence, origin, .. } = value;
+                let (now, learnt) = (now(&value.now, origin), value.value.to_string());
+                let mark = mark(value);
+                let _ = writeln!(
+                    text,
+                    "  {key:<22} {now:<width$} {mark} {learnt:<7} {certainty:<7} {evidence}"
+                );
+            } else if let Some(value) = bus.unknown.iter().find(|it| it.key == key) {
+                let UnknownValue { origin, reason, .. } = value;
+                let now = now(&value.now, origin);
+                let _ = writeln!(text, "  {key:<22} {now:<width$}   –       –       {reason}");
+            }
+        }
+    }
+    text
+}
+
+/// Writes the learnt values, with those that the profile gives.
+fn write(path: &Path, buses: &[LearntBus], before: &Profile) -> Result<(), Failure> {
+    let mut profile = before.clone();
+    let mut comments: Vec<(ProfileKey, String)> = Vec::new();
+    for bus in buses {
+        for LearntValue { proposal, .. } in &bus.proposals {
+            let key = proposal.key;
+            let is_other = comments.iter().any(|(known, _)| *known == key)
+                && profile.value(key) != proposal.value;
+            if is_other {
+                let cause = format!("the buses differ in {}", key.name());
+                let fault = Diagnostic::new(cause).with_remedy("learn from one bus");
+                return Err(fault.of(shown(path)).into());
+            }
+            if adds_to(proposal, before) && proposal.certainty > Certainty::Guess {
+                profile.learn(key, &proposal.value);
+                let (certainty, evidence) = (proposal.certainty.word(), &proposal.evidence);
+                comments.push((key, format!("learnt, {certainty}: {evidence}")));
+            }
+        }
+    }
+    let learnt = ProfileKey::ALL.iter().filter(|key| profile.origin(**key) == ValueOrigin::Learnt);
+    let learnt = learnt.count();
+    let guesses = buses.iter().flat_map(|bus| &bus.proposals);
+    let guesses = guesses.filter(|it| it.proposal.certainty == Certainty::Guess);
+    if learnt == 0 {
+        output::say(format_args!("{}: not written: no value was learnt", shown(path)));
+        return Ok(());
+    }
+    let comment = |key| {
+        let known = comments.iter().find(|(known, _)| *known == key);
+        known.map(|(_, comment)| comment.clone())
+    };
+    let mut text = profile.to_file(comment);
+    for LearntValue { key, value, evidence, .. } in guesses {
+        let _ = write!(text, "\n# A guess, not in force: {key} = {value} ({evidence})\n");
+    }
+    write_new(path, None, |file| file.write_all(text.as_bytes()))
+        .map_err(|fault| fault.of(shown(path)))?;
+    let values = counted(learnt as u64, "value");
+    output::say(format_args!("{}: {values} written; use it: --profile {0}", shown(path)));
+    Ok(())
+}
