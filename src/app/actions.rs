@@ -87,7 +87,11 @@ impl App {
             Action::HelpSearch => self.type_help_search(),
             Action::HelpPage => self.next_help_page(),
             Action::HelpClose => self.close_help(),
-            Action::Cancel | Action::MarksClose | Action::FiltersClose | Action::KindsClose => {
+            Action::Cancel
+            | Action::MarksClose
+            | Action::FiltersClose
+            | Action::KindsClose
+            | Action::ProfileClose => {
                 self.cancel();
             }
             Action::Rescan => self.rescan(),
@@ -96,6 +100,13 @@ impl App {
             Action::BitRate => self.ask_bitrate(),
             Action::Buses => self.list_buses(),
             Action::SaveCapture => self.ask_capture_path(),
+            Action::ReviewProfile => self.review_profile(),
+            Action::ProfileUp => self.move_in_profile(-1),
+            Action::ProfileDown => self.move_in_profile(1),
+            Action::ProfileTick => self.tick_profile_value(),
+            Action::ProfileUse => self.ask_profile_path(),
+            Action::ProfileFrames => self.go_from_here(Self::go_to_frames_of_profile),
+            Action::ProfileDismiss => self.dismiss_profile(),
             Action::Pause => self.control_playback(PlaybackCommand::Pause),
             Action::PreviousEvent => self.go_to_event(-1, |_| true),
             Action::NextEvent => self.go_to_event(1, |_| true),

@@ -377,6 +377,7 @@ impl App {
             PromptOutcome::FileInfo(text) => self.file_info(text),
             PromptOutcome::SaveCapture(path) => self.save_capture(path),
             PromptOutcome::WriteProof(problem, path) => self.write_proof(&problem, path),
+            PromptOutcome::UseLearnt(path) => self.use_learnt_profile(path),
             PromptOutcome::GoTo(target) => self.go_to_target(target),
             PromptOutcome::SetMark(moment, text) => self.set_mark(moment, &text),
             PromptOutcome::SaveCopy(path) => {

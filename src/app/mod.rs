@@ -136,7 +136,7 @@ pub use problems::{
     ProblemList, Scope, SideBasis, format_duration, growing_length_text, is_about, length_text,
 };
 use profile_learning::ProfileLearners;
-pub use profile_learning::adds_to;
+pub use profile_learning::{ProfileReview, ProfileRow, adds_to};
 pub use saved_filters::{MAX_SAVED_FILTERS, SavedFilter, SavedFilterChange};
 pub use signs::Signs;
 pub use stories::{
@@ -672,7 +672,7 @@ impl App {
     /// Takes the result of an [`Effect::WriteFile`]; `Err` with the cause.
     pub fn handle_written(&mut self, now: Instant, path: &Path, result: Result<(), Diagnostic>) {
         self.clock.set(now);
-        if self.handle_written_proof(path, &result) {
+        if self.handle_written_profile(path, &result) || self.handle_written_proof(path, &result) {
             return self.notices.redraw.set_dirty();
         }
         let is_copy = self.editor.handle_written(path, result.is_ok());
@@ -1077,6 +1077,7 @@ impl App {
         self.buses.tick(self.clock.now());
         self.traffic.tick(self.clock.now(), &self.buses);
         self.recount_candidates();
+        self.renew_profile_difference();
         // What made it idle is shown, too.
         if !was_idle {
             self.renew_time_bar();

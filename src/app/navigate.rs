@@ -75,6 +75,7 @@ impl App {
             Overlay::Filters(_) => self.move_in_filters(delta.signum()),
             Overlay::Kinds(_) => self.move_in_kinds(delta.signum()),
             Overlay::Themes(_) => self.move_in_themes(delta.signum()),
+            Overlay::Profile => self.move_in_profile(delta.signum()),
             Overlay::Comparison => self.move_in_comparison(delta),
             _ => self.input.scroll_help(delta as i16),
         }
@@ -396,7 +397,7 @@ impl App {
         self.show_frames_with(key.bus, &Self::term_of_calls(key));
     }
 
-    fn show_frames_with(&mut self, bus: BusIndex, term: &str) {
+    pub(super) fn show_frames_with(&mut self, bus: BusIndex, term: &str) {
         let line = term.to_owned() + &self.bus_term(Some(bus));
         self.view.traffic_view = TrafficView::Frames;
         self.view.traffic = None;

@@ -193,6 +193,9 @@ impl<'a> Chooser<'a> {
     fn show_chosen(&self, wanted: &BusSelection) -> Result<u8, Failure> {
         let mut setup = Setup { file: self.file.clone(), ..self.setup.for_selection(wanted) };
         let parse = |bus: &String| bus.parse().map_err(Failure::from);
+        if wanted.profile.is_some() {
+            setup.profile.clone_from(&wanted.profile);
+        }
         if let Err(why) = setup.read_profile() {
             setup.warnings.push(format!("{why}; the profile before stays in force"));
         }
@@ -315,6 +318,7 @@ fn show(
         utc_offset_seconds: chooser.settings.scouting.utc_offset_seconds,
         warnings,
         capture_room: usize::try_from(screen.capture.0).ok(),
+        learns_profile: true,
         ..AppOptions::default()
     };
     let runtime = headless::runtime()?;
@@ -346,7 +350,8 @@ fn show(
         (TuiExit::Quit | TuiExit::Reopen(_), true) => Ending::Over(EXIT_UNUSABLE),
         (TuiExit::Reopen(wanted), false) => {
             let theme = Some(themes.current.name.clone());
-            Ending::Reopen(BusSelection { theme, ..wanted })
+            let profile = wanted.profile.clone().or_else(|| setup.profile.clone());
+            Ending::Reopen(BusSelection { theme, profile, ..wanted })
         }
         (TuiExit::Terminated | TuiExit::Hangup, _) => Ending::Over(EXIT_INTERRUPTED),
     })

@@ -44,6 +44,8 @@ pub enum KeyMode {
     Compare,
     /// The list of the kinds of stories is open.
     Kinds,
+    /// The list of the profile's values is open.
+    Profile,
     /// The theme picker is open.
     Themes,
     /// The list of buses is open.
@@ -222,6 +224,7 @@ actions! {
         Identify "identify" "Send identify: blink or beep (confirms; needs a profile)" "identify" ["i"];
         BitRate "bit-rate" "Search the bit rate, listen-only (confirms; needs root)" "bit rate" ["b"];
         Buses "buses" "Open buses beside or in place of these" "buses" ["B"];
+        ReviewProfile "learn" "Values of the profile, and what the frames show of them" "profile" ["L"];
         SaveCapture "save-capture" "Save the captured frames (.log or .pcapng)" "save log" ["w"];
     }
     Browse Log: {
@@ -309,6 +312,15 @@ actions! {
         CompareLater "compare-later" "Comparison: move it to the next event" "next event" ["Right" "]"];
         CompareSelect "compare-select" "Comparison: go to the device of the row" "go to device" ["Enter"];
         CompareClose "compare-close" "Comparison: close it" "close" ["Esc" "d" "q"];
+    }
+    Profile Answer: {
+        ProfileUp "profile-up" "Profile: the value before" "" ["Up" "k"];
+        ProfileDown "profile-down" "Profile: the next value" "" ["Down" "j"];
+        ProfileTick "profile-choose" "Profile: choose a learnt value, or not" "choose" ["Space"];
+        ProfileUse "profile-use" "Profile: use the chosen values and save them" "use and save" ["Enter"];
+        ProfileFrames "profile-frames" "Profile: frames behind the value" "frames" ["f"];
+        ProfileDismiss "profile-dismiss" "Profile: close, no line about it any more" "not again" ["n"];
+        ProfileClose "profile-close" "Profile: close the list" "close" ["Esc" "L" "q"];
     }
     Themes Answer: {
         ThemeUp "theme-up" "Themes: show the one before" "" ["Up" "k"];

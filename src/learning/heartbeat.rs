@@ -6,7 +6,7 @@
 
 use super::layout::has_other_content;
 use super::period::Period;
-use super::unsolicited::{Sender, UnsolicitedFrames};
+use super::unsolicited::{UnsolicitedFrames, UnsolicitedSender};
 use super::{Certainty, MAX_FRAMES, ProfileProposal, counted};
 use crate::frame::Frame;
 use crate::time::{Duration, Instant};
@@ -39,13 +39,13 @@ pub(super) struct Heartbeats<'a> {
     service: Service,
     period: Period,
     /// Their senders, by address.
-    pub senders: Vec<(Address, &'a Sender)>,
+    pub senders: Vec<(Address, &'a UnsolicitedSender)>,
     certainty: Certainty,
 }
 
 /// What distinguishes heartbeats from other regular frames, the stronger sign first.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
-struct Signs {
+struct HeartbeatSigns {
     /// A node sends them while it works and while it does not, with other contents.
     in_both_modes: bool,
     /// Each node has its own content, as long as a UID.
@@ -77,7 +77,7 @@ impl<'a> Heartbeats<'a> {
         if others.any(is_doubtful) {
             return None;
         }
-        let is_certain = best.signs != Signs::default() && fitting.len() == 1;
+        let is_certain = best.signs != HeartbeatSigns::default() && fitting.len() == 1;
         let certainty = if is_certain { Certainty::Certain } else { Certainty::Likely };
         Some(Self { certainty, senders: found.senders.clone(), ..*found })
     }
@@ -89,10 +89,10 @@ impl<'a> Heartbeats<'a> {
         let contents = self.senders.iter().filter_map(|(_, sender)| sender.contents.first());
         let mut frames: Vec<Frame> = contents.take(MAX_FRAMES).map(|it| it.frame).collect();
         frames.sort_by_key(|frame| frame.time);
-        let period = if seconds >= 1.0 {
-            format!("{seconds:.2} s")
-        } else {
-            format!("{:.1} ms", seconds * 1000.0)
+        let period = match seconds * 1000.0 {
+            1000.0.. => format!("{seconds:.2} s"),
+            millis @ 100.0.. => format!("{millis:.0} ms"),
+            millis => format!("{millis:.1} ms"),
         };
         [
             ProfileProposal {
@@ -137,18 +137,18 @@ pub(super) fn why_unknown(frames: &UnsolicitedFrames, listening: Duration) -> St
 struct ServiceFrames<'a> {
     service: Service,
     /// Their senders, by address.
-    senders: Vec<(Address, &'a Sender)>,
-    signs: Signs,
+    senders: Vec<(Address, &'a UnsolicitedSender)>,
+    signs: HeartbeatSigns,
 }
 
 impl<'a> ServiceFrames<'a> {
     fn new(frames: &'a UnsolicitedFrames, service: Service) -> Self {
         let senders = frames.senders_of(service);
-        let is_own = |(at, sender): &(Address, &Sender)| {
+        let is_own = |(at, sender): &(Address, &UnsolicitedSender)| {
             let mut others = senders.iter().filter(|(other, _)| other != at);
             others.all(|(_, other)| has_other_content(sender, other, UID_BYTES))
         };
-        let signs = Signs {
+        let signs = HeartbeatSigns {
             in_both_modes: senders.iter().any(|(_, sender)| changes_with_mode(sender)),
             own_contents: senders.len() >= MIN_NODES && senders.iter().all(is_own),
         };
@@ -195,7 +195,7 @@ impl<'a> ServiceFrames<'a> {
 }
 
 /// Returns true if a sender sends other contents while it works than while it does not.
-fn changes_with_mode(sender: &Sender) -> bool {
+fn changes_with_mode(sender: &UnsolicitedSender) -> bool {
     let of = |is_non_working| {
         sender.contents.iter().filter(move |it| it.is_non_working == is_non_working)
     };

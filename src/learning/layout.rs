@@ -4,7 +4,7 @@
 //! U = 0 and those with U = 1; the error code is 0 but in one mode in which a node works.
 
 use super::heartbeat::Heartbeats;
-use super::unsolicited::{Content, Sender};
+use super::unsolicited::{SenderContent, UnsolicitedSender};
 use super::{Certainty, MAX_FRAMES, ProfileProposal, counted};
 use crate::frame::Frame;
 use crate::wire::id::Address;
@@ -24,7 +24,11 @@ const WORKING_MODES: usize = 2;
 const MIN_CONSTANT: f64 = 0.75;
 
 /// Returns true if no content of the first is one of the second, and both are as long as asked.
-pub(super) fn has_other_content(one: &Sender, other: &Sender, length: usize) -> bool {
+pub(super) fn has_other_content(
+    one: &UnsolicitedSender,
+    other: &UnsolicitedSender,
+    length: usize,
+) -> bool {
     one.contents
         .iter()
         .all(|a| a.data().len() >= length && other.contents.iter().all(|b| a.data() != b.data()))
@@ -76,7 +80,7 @@ enum ModeLikeness {
 /// Heartbeats of the usual length.
 struct HeartbeatBytes<'a> {
     length: usize,
-    senders: Vec<(Address, Vec<&'a Content>)>,
+    senders: Vec<(Address, Vec<&'a SenderContent>)>,
 }
 
 impl<'a> HeartbeatBytes<'a> {
@@ -89,8 +93,8 @@ impl<'a> HeartbeatBytes<'a> {
             }
         }
         let length = (1..lengths.len()).max_by_key(|length| lengths[*length])?;
-        let of_sender = |(source, sender): &(Address, &'a Sender)| {
-            let contents: Vec<&Content> =
+        let of_sender = |(source, sender): &(Address, &'a UnsolicitedSender)| {
+            let contents: Vec<&SenderContent> =
                 sender.contents.iter().filter(|it| it.data().len() == length).collect();
             (!contents.is_empty()).then_some((*source, contents))
         };
@@ -98,7 +102,7 @@ impl<'a> HeartbeatBytes<'a> {
         (lengths[length] > 0).then_some(Self { length, senders })
     }
 
-    fn contents(&self) -> impl Iterator<Item = (Address, &'a Content)> {
+    fn contents(&self) -> impl Iterator<Item = (Address, &'a SenderContent)> {
         self.senders.iter().flat_map(|(source, all)| all.iter().map(|it| (*source, *it)))
     }
 
@@ -142,8 +146,8 @@ impl<'a> HeartbeatBytes<'a> {
     }
 
     /// Contents of the nodes that were working and not working.
-    fn changed(&self) -> Vec<&[&'a Content]> {
-        let both = |all: &[&Content]| {
+    fn changed(&self) -> Vec<&[&'a SenderContent]> {
+        let both = |all: &[&SenderContent]| {
             all.iter().any(|it| it.is_non_working) && all.iter().any(|it| !it.is_non_working)
         };
         self.senders.iter().map(|(_, all)| &all[..]).filter(|all| both(all)).collect()
@@ -153,7 +157,7 @@ impl<'a> HeartbeatBytes<'a> {
     fn uid(&self, mode: Option<usize>) -> Option<FoundByte> {
         let may_be_uid = |at: &usize| {
             let is_constant =
-                |all: &[&Content]| all.iter().all(|it| it.data()[*at] == all[0].data()[*at]);
+                |all: &[&SenderContent]| all.iter().all(|it| it.data()[*at] == all[0].data()[*at]);
             let nodes = self.senders.iter().filter(|(_, all)| is_constant(all)).count();
             Some(*at) != mode
                 && nodes as f64 >= MIN_CONSTANT * self.senders.len() as f64
@@ -245,7 +249,7 @@ impl<'a> HeartbeatBytes<'a> {
     fn error(&self, mode: usize, uid: Option<usize>) -> Option<FoundByte> {
         let is_free =
             |at: &usize| *at != mode && uid.is_none_or(|uid| !(uid..uid + UID_BYTES).contains(at));
-        let with_error = |at: usize| -> Vec<&Content> {
+        let with_error = |at: usize| -> Vec<&SenderContent> {
             self.contents().map(|(_, it)| it).filter(|it| it.data()[at] != 0).collect()
         };
         let is_error = |at: &usize| {

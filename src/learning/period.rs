@@ -1,7 +1,7 @@
 //! The common period of frames, from intervals of which some are several periods long, because frames
 //! were lost.
 
-use crate::learning::unsolicited::Sender;
+use crate::learning::unsolicited::UnsolicitedSender;
 
 /// Most periods of an interval.
 const MAX_PERIODS: f64 = 8.0;
@@ -16,7 +16,7 @@ const MIN_FITTING_OF_ONE: f64 = 0.6;
 const MIN_SINGLE: f64 = 0.25;
 const MIN_SINGLES: usize = 3;
 /// Intervals that are compared, at most: the search is quadratic.
-const MAX_COMPARED: usize = 256;
+const MAX_COMPARED: usize = 96;
 /// Deviation of clocks that is not told from rounding, as part of the period: 200 ppm, more than that
 /// of a crystal.
 const CLOCK_TOLERANCE: f64 = 0.000_2;
@@ -36,7 +36,7 @@ pub(super) struct Period {
 
 impl Period {
     /// Finds the period of most intervals of all senders; `None` if there is none.
-    pub fn find(senders: &[&Sender]) -> Option<Self> {
+    pub fn find(senders: &[&UnsolicitedSender]) -> Option<Self> {
         let mut all: Vec<f64> = Vec::new();
         // The same number of each sender: one with a long history must not decide alone.
         let each = (MAX_COMPARED / senders.len().max(1)).max(4);
@@ -65,7 +65,7 @@ impl Period {
         (intervals > 0).then_some(Self { micros, low, high, intervals })
     }
 
-    fn of_sender(sender: &Sender, period: f64) -> Option<Fit> {
+    fn of_sender(sender: &UnsolicitedSender, period: f64) -> Option<Fit> {
         let intervals: Vec<f64> = sender.intervals.iter().map(|it| f64::from(*it)).collect();
         let fit = Fit::of(&intervals, period);
         let is_its = fit.fitting as f64 >= MIN_FITTING_OF_ONE * intervals.len() as f64;
@@ -73,7 +73,7 @@ impl Period {
     }
 
     /// Returns true if the frames of a sender come in this period.
-    pub fn is_of(&self, sender: &Sender) -> bool {
+    pub fn is_of(&self, sender: &UnsolicitedSender) -> bool {
         Self::of_sender(sender, self.micros).is_some()
     }
 

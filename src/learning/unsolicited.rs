@@ -21,7 +21,7 @@ const MIN_FRAMES: u32 = 4;
 /// All of them.
 #[derive(Clone, Debug, Default)]
 pub(super) struct UnsolicitedFrames {
-    senders: HashMap<(Address, Service), Sender, FixedState>,
+    senders: HashMap<(Address, Service), UnsolicitedSender, FixedState>,
     /// First and last response or unsolicited frame of each source.
     sources: HashMap<Address, (Instant, Instant), FixedState>,
     /// There are more pairs than are kept.
@@ -30,14 +30,14 @@ pub(super) struct UnsolicitedFrames {
 
 /// Frames of one source with one service number.
 #[derive(Clone, Debug)]
-pub(super) struct Sender {
+pub(super) struct UnsolicitedSender {
     pub frames: u32,
     last: Instant,
     /// The last intervals, in microseconds.
     pub intervals: Vec<u32>,
     next_interval: usize,
     /// Different contents; empty if there were too many.
-    pub contents: Vec<Content>,
+    pub contents: Vec<SenderContent>,
     is_variable: bool,
     /// The RND7 of its frames, one bit each.
     rnd7: u128,
@@ -45,7 +45,7 @@ pub(super) struct Sender {
 
 /// A content of frames of one sender.
 #[derive(Clone, Debug)]
-pub(super) struct Content {
+pub(super) struct SenderContent {
     /// U: its sender does not work.
     pub is_non_working: bool,
     /// The first frame with it.
@@ -53,7 +53,7 @@ pub(super) struct Content {
     pub count: u32,
 }
 
-impl Content {
+impl SenderContent {
     pub fn data(&self) -> &[u8] {
         self.frame.data()
     }
@@ -71,7 +71,7 @@ impl UnsolicitedFrames {
         if let Some(sender) = self.senders.get_mut(&key) {
             sender.add(frame, header);
         } else if self.senders.len() < MAX_SENDERS {
-            self.senders.insert(key, Sender::new(frame, header));
+            self.senders.insert(key, UnsolicitedSender::new(frame, header));
         } else {
             self.is_full = true;
         }
@@ -97,8 +97,8 @@ impl UnsolicitedFrames {
     }
 
     /// The senders of a service that may be those of heartbeats, by address.
-    pub fn senders_of(&self, service: Service) -> Vec<(Address, &Sender)> {
-        let mut senders: Vec<(Address, &Sender)> = self
+    pub fn senders_of(&self, service: Service) -> Vec<(Address, &UnsolicitedSender)> {
+        let mut senders: Vec<(Address, &UnsolicitedSender)> = self
             .senders
             .iter()
             .filter(|((_, of), sender)| *of == service && sender.may_be_heartbeats())
@@ -109,7 +109,7 @@ impl UnsolicitedFrames {
     }
 }
 
-impl Sender {
+impl UnsolicitedSender {
     fn new(frame: &Frame, header: Header) -> Self {
         let mut sender = Self {
             frames: 0,
@@ -149,7 +149,7 @@ impl Sender {
         {
             content.count = content.count.saturating_add(1);
         } else if self.contents.len() < MAX_CONTENTS {
-            self.contents.push(Content { is_non_working, frame: *frame, count: 1 });
+            self.contents.push(SenderContent { is_non_working, frame: *frame, count: 1 });
         } else {
             self.is_variable = true;
             self.contents = Vec::new();

@@ -253,6 +253,9 @@ fn hint_line(brush: &DrawContext, mode: KeyMode, width: usize) -> Vec<Span<'stat
         (KeyMode::Conflict, ..) => &[A::Ours, A::Theirs, A::Later],
         (KeyMode::Filters, ..) => &[A::FilterUse, A::FilterRemove, A::FiltersClose],
         (KeyMode::Kinds, ..) => &[A::KindToggle, A::KindOnly, A::KindsClose],
+        (KeyMode::Profile, ..) => {
+            &[A::ProfileTick, A::ProfileUse, A::ProfileFrames, A::ProfileDismiss, A::ProfileClose]
+        }
         // It is drawn with its keys.
         (KeyMode::Choice, ..) => &[],
         (KeyMode::Themes, ..) => &[A::ThemeUp, A::ThemeDown, A::ThemeKeep, A::ThemesClose],

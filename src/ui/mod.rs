@@ -39,6 +39,7 @@ mod lanes;
 mod marks;
 mod moment;
 mod problems;
+mod profile;
 mod saved_filters;
 mod status;
 mod stories;
@@ -93,6 +94,7 @@ pub fn draw(app: &App, theme: &Theme, frame: &mut Frame) -> Option<u16> {
         Overlay::Marks(selected) => marks::draw(&mut brush, *selected),
         Overlay::Filters(selected) => saved_filters::draw(&mut brush, *selected),
         Overlay::Comparison => comparison::draw(&mut brush),
+        Overlay::Profile => profile::draw(&mut brush),
         Overlay::Kinds(selected) => {
             page(&mut brush);
             story_kinds::draw(&mut brush, *selected);
@@ -130,6 +132,7 @@ fn cut_marks(buffer: &mut Buffer) {
 
 fn page(brush: &mut DrawContext) {
     tabs::draw(brush);
+    profile::draw_banner(brush);
     match brush.app.view().page {
         Page::Devices => {
             devices::draw(brush);

@@ -325,6 +325,15 @@ fn random_profiles_are_learnt_and_never_wrong() {
             }
         }
         let proposals = learner.proposals();
+        let mut learnt = Profile::default();
+        for proposal in &proposals {
+            assert!(learnt.learn(proposal.key, &proposal.value), "seed {seed}: {proposal:?}");
+        }
+        let text = learnt.to_file(|_| None);
+        let read = Profile::parse(&text).unwrap_or_else(|error| panic!("{error}: {text}"));
+        for proposal in &proposals {
+            assert_eq!(read.value(proposal.key), proposal.value, "seed {seed}: {text}");
+        }
         if number("SEED").is_some() {
             println!("{:#?} {:?}", world.profile.heartbeat, world.profile.services);
             for proposal in &proposals {

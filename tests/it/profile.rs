@@ -255,3 +255,91 @@ fn file_of_the_profile_is_watched() {
     pty.send("q");
     assert_eq!(pty.wait(), 0);
 }
+
+// ---- learning ------------------------------------------------------------------------------
+
+/// A log of two devices with heartbeats at 0x155, every 500 ms, mode first, for `seconds`.
+fn log_of_two(seconds: u32) -> String {
+    let mut lines = Vec::new();
+    for beat in 0..seconds * 2 {
+        for (address, serial) in [(10_u32, 0x11), (12, 0x12)] {
+            let time = 1_700_000_000.0 + f64::from(beat) * 0.5 + f64::from(address) * 0.01;
+            let claims = beat == 0;
+            let (flags, mode) = if claims { (0x17, 1) } else { (0x07, 4) };
+            let rnd7 = beat * 37 % 128;
+            let id = flags << 24 | address << 17 | rnd7 << 10 | 0x155;
+            lines.push(format!("({time:.6}) can0 {id:08X}#{mode:02X}8AFA6C9724{serial:02X}00\n"));
+        }
+    }
+    lines.concat()
+}
+
+#[test]
+fn learn_prints_values_with_evidence_and_why_others_are_unknown() {
+    let folder = tempfile::tempdir().unwrap();
+    let log = folder.path().join("two.log");
+    fs::write(&log, log_of_two(12)).unwrap();
+    let bus = format!("file:{}", log.display());
+    let output = descan(&["profile", "learn", &bus], folder.path());
+    let text = String::from_utf8(output.stdout.clone()).unwrap();
+    assert_eq!(output.status.code(), Some(0), "{text}");
+    for line in [
+        "can0: 48 frames in 11.5 s",
+        "services.heartbeat     0x001 assumed  ≠ 0x155   certain 2 nodes, every 500 ms",
+        "heartbeat.period_ms    1000 assumed   ≠ 500     certain 46 intervals of 2 nodes",
+        "heartbeat.mode_offset  6 assumed      ≠ 0       certain 2 values, changes with U in 2 nodes",
+        "heartbeat.uid_offset   0 assumed        –       –       fewer than three UIDs",
+        "services.des           0x002 assumed    –       –       no name request and its response",
+    ] {
+        assert!(text.contains(line), "{line}\n{text}");
+    }
+    let output = descan(&["profile", "learn", &bus, "--json"], folder.path());
+    let json: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let heartbeat = &json["buses"][0]["proposals"][0];
+    assert_eq!(
+        (&heartbeat["key"], &heartbeat["value"]),
+        (&"services.heartbeat".into(), &0x155.into())
+    );
+    assert_eq!((&heartbeat["now"], &heartbeat["origin"]), (&1.into(), &"assumed".into()));
+    assert!(heartbeat["frames"][0]["frame"].as_str().unwrap().contains('#'), "{heartbeat}");
+    let unknown = json["buses"][0]["unknown"].as_array().unwrap();
+    assert!(unknown.iter().any(|it| it["key"] == "services.des"), "{json}");
+}
+
+#[test]
+fn learnt_profile_has_given_values_and_overwrites_no_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    fs::write(path("two.log"), log_of_two(12)).unwrap();
+    fs::write(path("given.toml"), "[services]\ndes = 0x123\n").unwrap();
+    let bus = format!("file:{}", path("two.log"));
+    let (given, learnt) = (path("given.toml"), path("learnt.toml"));
+    let arguments = ["profile", "learn", &bus, "--profile", &given, "--write", &learnt];
+    let output = descan(&arguments, folder.path());
+    assert_eq!(output.status.code(), Some(0), "{output:?}");
+    let text = fs::read_to_string(&learnt).unwrap();
+    let profile = Profile::parse(&text).unwrap_or_else(|error| panic!("{error}: {text}"));
+    assert_eq!((profile.services.heartbeat, profile.services.des), (0x155, 0x123), "{text}");
+    assert!(text.contains("heartbeat = 0x155  # learnt, certain: 2 nodes, every 500 ms"), "{text}");
+    let output = descan(&arguments, folder.path());
+    let stderr = stderr(&output);
+    assert_eq!((output.status.code(), stderr.lines().count()), (Some(3), 1), "{stderr}");
+    assert!(stderr.contains("learnt.toml") && stderr.contains("exists"), "{stderr}");
+    assert_eq!(fs::read_to_string(&learnt).unwrap(), text, "not written again");
+}
+
+#[test]
+fn log_without_known_values_gives_none() {
+    let folder = tempfile::tempdir().unwrap();
+    let log = folder.path().join("short.log");
+    fs::write(&log, log_of_two(3)).unwrap();
+    let (bus, file) = (format!("file:{}", log.display()), folder.path().join("none.toml"));
+    let output =
+        descan(&["profile", "learn", &bus, "--write", file.to_str().unwrap()], folder.path());
+    let text = String::from_utf8(output.stdout.clone()).unwrap();
+    assert_eq!(output.status.code(), Some(1), "{text}");
+    assert!(text.contains("frames of 2.5 s; 8 s are needed"), "{text}");
+    let stderr = stderr(&output);
+    assert!(stderr.contains("not written: no value was learnt"), "{stderr}");
+    assert!(!file.exists());
+}

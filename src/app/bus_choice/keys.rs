@@ -213,6 +213,7 @@ impl BusChoice {
             records: self.records,
             replaces: false,
             theme: self.theme.clone(),
+            profile: None,
         }
     }
 }

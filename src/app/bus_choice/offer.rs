@@ -1,5 +1,7 @@
 //! A line of the list of buses, and what is done with the chosen ones. Plain values; does not know keys.
 
+use std::path::PathBuf;
+
 /// Sections of the list, in their order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum OfferKind {
@@ -65,6 +67,8 @@ pub struct BusSelection {
     pub replaces: bool,
     /// Theme that was chosen with them; `None` for that of the settings.
     pub theme: Option<String>,
+    /// File of the profile to read frames by; `None` for the one before.
+    pub profile: Option<PathBuf>,
 }
 
 /// What is done after a key.

@@ -17,7 +17,7 @@ pub(super) use prompt::PromptResult;
 pub use prompt::{Prompt, PromptKind};
 pub(super) use prompt_kinds::{
     AddressPrompt, CapturePathPrompt, CopyPathPrompt, MarkPrompt, MomentPrompt, NewEntryPrompt,
-    ProofPathPrompt, RenamePrompt,
+    ProfilePathPrompt, ProofPathPrompt, RenamePrompt,
 };
 pub use prompt_logic::InputCheck;
 pub(super) use prompt_logic::{PromptContext, PromptOutcome, SavedFrames};
@@ -65,6 +65,8 @@ pub enum Overlay {
     Comparison,
     /// The kinds of stories, with the place of the selected one.
     Kinds(usize),
+    /// The values of the profile.
+    Profile,
     /// The themes, with the place of the selected one.
     Themes(usize),
 }
@@ -122,6 +124,7 @@ impl Input {
             Overlay::Filters(_) => KeyMode::Filters,
             Overlay::Comparison => KeyMode::Compare,
             Overlay::Kinds(_) => KeyMode::Kinds,
+            Overlay::Profile => KeyMode::Profile,
             Overlay::Themes(_) => KeyMode::Themes,
         }
     }

@@ -7,7 +7,7 @@
 use super::filter_prompt::FilterPrompt;
 use super::prompt_kinds::{
     AddressPrompt, CapturePathPrompt, CopyPathPrompt, MarkPrompt, MomentPrompt, NewEntryPrompt,
-    ProofPathPrompt, RenamePrompt,
+    ProfilePathPrompt, ProofPathPrompt, RenamePrompt,
 };
 use super::prompt_logic::{EditTarget, InputCheck, PromptContext, PromptLogic, PromptOutcome};
 use crate::keymap::{Key, KeyCode};
@@ -45,6 +45,8 @@ pub enum PromptKind {
     CopyPath(CopyPathPrompt),
     /// Path of the proof of a problem.
     ProofPath(ProofPathPrompt),
+    /// Path of a profile with learnt values.
+    ProfilePath(ProfilePathPrompt),
     /// Moment to go to.
     Moment(MomentPrompt),
     /// Text of a mark.
@@ -80,6 +82,7 @@ impl PromptKind {
             PromptKind::CapturePath(prompt) => prompt,
             PromptKind::CopyPath(prompt) => prompt,
             PromptKind::ProofPath(prompt) => prompt,
+            PromptKind::ProfilePath(prompt) => prompt,
             PromptKind::Moment(prompt) => prompt,
             PromptKind::Mark(prompt) => prompt,
         }

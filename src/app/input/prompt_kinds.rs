@@ -506,6 +506,42 @@ impl PromptLogic for ProofPathPrompt {
     }
 }
 
+/// Prompt for the path of a profile with learnt values.
+#[derive(Clone, Copy, Debug)]
+pub struct ProfilePathPrompt {
+    /// Number of values.
+    pub values: usize,
+    /// Frames of logs are read again, which takes a file.
+    pub is_of_log: bool,
+}
+
+impl PromptLogic for ProfilePathPrompt {
+    fn label(&self) -> &'static str {
+        "use the values, and save them to"
+    }
+
+    fn short_label(&self) -> &'static str {
+        "save to"
+    }
+
+    fn validate(&self, text: &str, _context: PromptContext) -> C {
+        let values = match self.values {
+            1 => "1 value".to_owned(),
+            count => format!("{count} values"),
+        };
+        match text {
+            "" if self.is_of_log => C::Rejected(NO_PATH.to_owned()),
+            "" => C::Accepted(format!("{values}, until descan ends")),
+            _ if self.is_of_log => C::Accepted(format!("{values}; the log is read again")),
+            _ => C::Accepted(values),
+        }
+    }
+
+    fn commit(&self, text: &str, _context: PromptContext) -> PromptOutcome {
+        PromptOutcome::UseLearnt((!text.is_empty()).then(|| PathBuf::from(text)))
+    }
+}
+
 // ---- moments -------------------------------------------------------------------------------
 
 /// Prompt for the moment to go to.

@@ -69,6 +69,8 @@ pub(in crate::app) enum PromptOutcome {
     SaveCopy(PathBuf),
     /// Write the proof of a problem: the path of its report.
     WriteProof(ProblemKey, PathBuf),
+    /// Use the learnt values of the profile, and write them to this path, if there is one.
+    UseLearnt(Option<PathBuf>),
     /// Show a moment.
     GoTo(MomentTarget),
     /// Mark a moment, with a text.
@@ -78,7 +80,13 @@ pub(in crate::app) enum PromptOutcome {
 impl PromptOutcome {
     /// Returns true if a file is written to the typed path.
     pub fn is_write(&self) -> bool {
-        matches!(self, Self::SaveCapture(_) | Self::SaveCopy(_) | Self::WriteProof(..))
+        matches!(
+            self,
+            Self::SaveCapture(_)
+                | Self::SaveCopy(_)
+                | Self::WriteProof(..)
+                | Self::UseLearnt(Some(_))
+        )
     }
 }
 

@@ -59,6 +59,8 @@ pub struct View {
     pub frozen: Option<Frozen>,
     /// A line announces a confirmed conflict.
     pub has_alarm: bool,
+    /// A line says that the profile in force is not that of the devices.
+    pub has_banner: bool,
     /// The time bar is shown on a small screen, too.
     pub has_time_bar: bool,
     /// Halvings of the time in the time bar; 0 shows all.

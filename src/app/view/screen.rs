@@ -33,6 +33,8 @@ pub struct Screen {
     pub alarm: Rect,
     /// Rule with the titles of the pages and the shown moment.
     pub tabs: Rect,
+    /// What devices send otherwise than the profile says.
+    pub banner: Rect,
     /// Lanes of the Timeline page.
     pub lanes: Rect,
     /// Rule above the lines of the Timeline page, with their number and kinds.
@@ -82,6 +84,9 @@ const SMALLEST: u16 = 5;
 /// stopped stay on the screen.
 const STATUS_AND_ALARM: u16 = 9;
 
+/// Least height with the line about the profile, in lines.
+const BANNER_HEIGHT: u16 = 20;
+
 /// Least height with a line for each bus, in lines.
 const SMALL: u16 = 16;
 /// Least height with the rule of the kinds on the Timeline page, in lines.
@@ -99,8 +104,10 @@ impl Screen {
         let status = take_top(&mut left, status_lines);
         let alarm = take_top(&mut left, alarm_lines);
         let tabs = take_top(&mut left, 1);
+        let has_banner = view.has_banner && rows >= BANNER_HEIGHT && columns >= SPLIT_WIDTH;
+        let banner = take_top(&mut left, u16::from(has_banner));
         let footer = take_bottom(&mut left, 1);
-        let mut screen = Self { whole, status, alarm, tabs, footer, ..Self::default() };
+        let mut screen = Self { whole, status, alarm, tabs, banner, footer, ..Self::default() };
         let is_large = columns >= 120 && rows >= 30;
         let is_wanted = is_large || (view.frozen.is_some() || view.has_time_bar) && rows >= 16;
         if is_wanted && columns >= BAR_COLUMNS {

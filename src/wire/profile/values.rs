@@ -113,10 +113,31 @@ impl Profile {
     pub fn learn(&mut self, key: ProfileKey, value: &ProfileValue) -> bool {
         use ProfileKey as Key;
         use ProfileValue::{Number, Service, Text};
+        let is_given = |key| self.origin(key) != ValueOrigin::Assumed;
+        let [heartbeat_is_given, des_is_given] = [Key::Heartbeat, Key::Des].map(is_given);
         let Self { services, heartbeat, framing, .. } = self;
         match (key, value) {
-            (Key::Heartbeat, Service(number)) => services.heartbeat = *number,
-            (Key::Des, Service(number)) => services.des = *number,
+            // The two have different numbers: an assumed one gives way.
+            (Key::Heartbeat, Service(number)) => {
+                let before = std::mem::replace(&mut services.heartbeat, *number);
+                if services.des == *number && before != *number {
+                    if des_is_given {
+                        services.heartbeat = before;
+                        return false;
+                    }
+                    services.des = before;
+                }
+            }
+            (Key::Des, Service(number)) => {
+                let before = std::mem::replace(&mut services.des, *number);
+                if services.heartbeat == *number && before != *number {
+                    if heartbeat_is_given {
+                        services.des = before;
+                        return false;
+                    }
+                    services.heartbeat = before;
+                }
+            }
             (Key::PeriodMs, Number(millis)) => heartbeat.period_ms = *millis,
             (Key::UidOffset | Key::ModeOffset | Key::ErrorOffset, Number(at)) => {
                 let Ok(at) = u8::try_from(*at) else { return false };
@@ -145,7 +166,7 @@ impl Profile {
             self.write_value(&mut text, *key, comment(*key));
         }
         for key in ProfileKey::ALL.iter().filter(|key| !key.section().is_empty()) {
-            if self.origin(*key) != ValueOrigin::Assumed && key.section() != section {
+            if self.is_written(*key) && key.section() != section {
                 section = key.section();
                 let gap = if text.is_empty() { "" } else { "\n" };
                 let _ = writeln!(text, "{gap}[{section}]");
@@ -155,8 +176,13 @@ impl Profile {
         text
     }
 
+    /// Returns true if a file needs the value: one that is assumed may have given way to another one.
+    fn is_written(&self, key: ProfileKey) -> bool {
+        self.origin(key) != ValueOrigin::Assumed || self.value(key) != Self::default().value(key)
+    }
+
     fn write_value(&self, text: &mut String, key: ProfileKey, comment: Option<String>) {
-        if self.origin(key) == ValueOrigin::Assumed {
+        if !self.is_written(key) {
             return;
         }
         let comment = comment.map(|comment| format!("  # {comment}")).unwrap_or_default();

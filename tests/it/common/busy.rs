@@ -59,6 +59,7 @@ impl Busy {
             buses: vec![("can0".to_owned(), config)],
             file_path: Some("des.json".into()),
             theme: "dark".to_owned(),
+            learns_profile: true,
             ..AppOptions::default()
         };
         let mut app = App::new(Instant::ZERO, options);

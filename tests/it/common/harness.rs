@@ -78,6 +78,7 @@ impl Stage {
                 theme: "terminal".to_owned(),
                 themes: BUILT_IN.iter().map(|(name, _)| (*name).to_owned()).collect(),
                 capture_room: Some(room),
+                learns_profile: true,
                 ..AppOptions::default()
             },
         );

@@ -23,6 +23,7 @@ mod marks;
 mod moment;
 mod play;
 mod problems;
+mod profile;
 mod themes;
 mod time_bar;
 mod timeline;
