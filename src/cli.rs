@@ -171,9 +171,10 @@ pub enum ProfileCommand {
 /// `descan profile learn`.
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Listens, and prints the values that the frames show, with the evidence of each, and why others are not \
-known. Requests of DES are heard only while another tool enumerates the bus. Nothing is in force: give \
-the written file with --profile.
+Listens for at least 8 s, and prints the values that the frames show, with the evidence of each, and why \
+others are not known. Requests of DES are heard only while another tool enumerates the bus. Certain: no \
+other value fits; likely: other frames might fit, too; guess: fits so far. Nothing is in force: give the \
+written file, which has no guesses, with --profile; values of --profile stay.
 
 Exit code: 0 a value was learnt, 1 none, 2 wrong usage, 3 bus or file not usable, 130 interrupted.
 

@@ -136,7 +136,7 @@ pub use problems::{
     ProblemList, Scope, SideBasis, format_duration, growing_length_text, is_about, length_text,
 };
 use profile_learning::ProfileLearners;
-pub use profile_learning::{ProfileReview, ProfileRow, adds_to};
+pub use profile_learning::{ProfileReview, ProfileRow};
 pub use saved_filters::{MAX_SAVED_FILTERS, SavedFilter, SavedFilterChange};
 pub use signs::Signs;
 pub use stories::{

@@ -90,12 +90,6 @@ impl ProfileRow {
     }
 }
 
-/// Returns true if a proposal has another value than the profile, or one that is only assumed there.
-pub fn adds_to(proposal: &ProfileProposal, profile: &Profile) -> bool {
-    profile.value(proposal.key) != proposal.value
-        || profile.origin(proposal.key) == ValueOrigin::Assumed
-}
-
 impl App {
     /// What the frames of a bus showed of its profile; `None` without frames, or if nothing is learnt.
     pub fn profile_learner(&self, bus: BusIndex) -> Option<&ProfileLearner> {
@@ -189,7 +183,7 @@ impl App {
             (bus, proposal)
         });
         let is_ticked = proposal.as_ref().is_some_and(|(_, proposal)| {
-            proposal.certainty > Certainty::Guess && adds_to(proposal, &profile)
+            proposal.certainty > Certainty::Guess && profile.origin(key) == ValueOrigin::Assumed
         });
         let learner = self.learners.list.first().filter(|_| LEARNT_KEYS.contains(&key));
         let reason = match (&proposal, learner) {

@@ -6,7 +6,7 @@ use super::headless::{self, Limits, RunInput, RunOutcome, warn_foreign};
 use super::open::{self, Setup};
 use super::report::counted;
 use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure, output};
-use crate::app::{App, AppOptions, adds_to};
+use crate::app::{App, AppOptions};
 use crate::cli::{CommonArgs, LearnArgs};
 use crate::diagnostic::Diagnostic;
 use crate::frame::{BusIndex, Frame};
@@ -201,6 +201,14 @@ fn mark(value: &LearntValue) -> &'static str {
     if value.value == value.now { " " } else { "≠" }
 }
 
+/// Returns true for the same value, and for periods of clocks that differ by two parts in a hundred.
+fn is_same(one: &ProfileValue, other: &ProfileValue) -> bool {
+    match (one, other) {
+        (ProfileValue::Number(a), ProfileValue::Number(b)) => a.abs_diff(*b) * 50 <= *a,
+        _ => one == other,
+    }
+}
+
 fn text(buses: &[LearntBus]) -> String {
     let mut text = String::new();
     if buses.is_empty() {
@@ -244,14 +252,24 @@ fn write(path: &Path, buses: &[LearntBus], before: &Profile) -> Result<(), Failu
     for bus in buses {
         for LearntValue { proposal, .. } in &bus.proposals {
             let key = proposal.key;
+            if before.is_given(key) {
+                if before.value(key) != proposal.value {
+                    let (given, learnt) = (before.value(key), &proposal.value);
+                    output::warn(format_args!(
+                        "{}: {given} of --profile is kept; frames show {learnt}",
+                        key.name()
+                    ));
+                }
+                continue;
+            }
             let is_other = comments.iter().any(|(known, _)| *known == key)
-                && profile.value(key) != proposal.value;
+                && !is_same(&profile.value(key), &proposal.value);
             if is_other {
                 let cause = format!("the buses differ in {}", key.name());
                 let fault = Diagnostic::new(cause).with_remedy("learn from one bus");
                 return Err(fault.of(shown(path)).into());
             }
-            if adds_to(proposal, before) && proposal.certainty > Certainty::Guess {
+            if proposal.certainty > Certainty::Guess {
                 profile.learn(key, &proposal.value);
                 let (certainty, evidence) = (proposal.certainty.word(), &proposal.evidence);
                 comments.push((key, format!("learnt, {certainty}: {evidence}")));

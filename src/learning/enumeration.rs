@@ -12,6 +12,8 @@ use crate::wire::profile::{ProfileKey, ProfileValue};
 
 /// Services with requests that are kept.
 const MAX_SERVICES: usize = 16;
+/// Letters of a name.
+const MIN_NAME: usize = 3;
 /// Nodes with one framing that show it.
 const MIN_NODES: usize = 2;
 
@@ -28,6 +30,10 @@ struct DesService {
     request: Frame,
     /// Responses with a name.
     names: u32,
+    /// Names of nodes, by address.
+    of_nodes: Vec<(Address, Vec<u8>)>,
+    /// A node had several names: they are none.
+    has_other_names: bool,
     /// The first of them.
     responses: Vec<Frame>,
     /// Nodes that responded in each framing, one bit each.
@@ -50,6 +56,8 @@ impl DesServices {
                 service: header.service,
                 request: *frame,
                 names: 0,
+                of_nodes: Vec::new(),
+                has_other_names: false,
                 responses: Vec::new(),
                 isotp: 0,
                 raw: 0,
@@ -64,14 +72,18 @@ impl DesServices {
             return;
         };
         let Some(framing) = classify_response(frame.data(), frame.is_fd, false) else { return };
-        let is_name = match framing {
-            Framing::Raw => is_name(strip_raw_padding(frame.data())),
+        let name = match framing {
+            Framing::Raw => name_of(strip_raw_padding(frame.data())),
             Framing::Isotp => match Pci::decode(frame.data(), frame.is_fd) {
-                Ok(Pci::Single(message)) => is_name(message),
-                _ => false,
+                Ok(Pci::Single(message)) => name_of(message),
+                _ => None,
             },
         };
-        if is_name {
+        if let Some(name) = name {
+            match known.of_nodes.iter().find(|(node, _)| *node == header.source) {
+                Some((_, before)) => known.has_other_names |= before != name,
+                None => known.of_nodes.push((header.source, name.to_vec())),
+            }
             known.names = known.names.saturating_add(1);
             let nodes = match framing {
                 Framing::Isotp => &mut known.isotp,
@@ -87,7 +99,8 @@ impl DesServices {
     /// Proposals of service and framing. `nodes`: those that sent anything; `are_known`: they were heard
     /// long enough to be all.
     pub fn proposals(&self, nodes: &[Address], are_known: bool) -> Vec<ProfileProposal> {
-        let mut answered = self.services.iter().filter(|known| known.names > 0);
+        let is_answered = |known: &&DesService| known.names > 0 && !known.has_other_names;
+        let mut answered = self.services.iter().filter(is_answered);
         let Some(des) = answered.next().filter(|_| answered.next().is_none()) else {
             return Vec::new();
         };
@@ -97,7 +110,7 @@ impl DesServices {
         let mut proposals = vec![ProfileProposal {
             key: ProfileKey::Des,
             value: ProfileValue::Service(des.service.number()),
-            certainty: if des.names > 1 { Certainty::Certain } else { Certainty::Likely },
+            certainty: des.certainty(),
             evidence: format!("{responses} with a name, of {}", counted(responders, "node")),
             frames: frames.clone(),
         }];
@@ -124,10 +137,24 @@ impl DesServices {
     }
 }
 
-/// Returns true for a name response whose name is text.
-fn is_name(message: &[u8]) -> bool {
+impl DesService {
+    /// Names that are all the same may be another text that begins like one.
+    fn certainty(&self) -> Certainty {
+        let first = self.of_nodes.first().map(|(_, name)| name);
+        let differ = self.of_nodes.iter().any(|(_, name)| Some(name) != first);
+        match self.of_nodes.len() {
+            _ if differ => Certainty::Certain,
+            1 if self.names > 1 => Certainty::Likely,
+            _ => Certainty::Guess,
+        }
+    }
+}
+
+/// The name of a name response, if it is text of a usual length: a status and its value look like a
+/// name of one or two letters.
+fn name_of(message: &[u8]) -> Option<&[u8]> {
     let (name, fault) = des::decode_name(message);
-    message.first() == Some(&des::TYPE_NAME)
-        && fault.is_none()
-        && name.is_some_and(|name| !name.is_empty() && name.iter().all(u8::is_ascii_graphic))
+    let is_text = |name: &&[u8]| name.len() >= MIN_NAME && name.iter().all(u8::is_ascii_graphic);
+    let is_response = message.first() == Some(&des::TYPE_NAME) && fault.is_none();
+    name.filter(is_text).filter(|_| is_response)
 }

@@ -12,7 +12,6 @@ use crate::frame::Frame;
 use crate::time::{Duration, Instant};
 use crate::wire::id::{Address, Service};
 use crate::wire::profile::{ProfileKey, ProfileValue};
-use std::cmp::Ordering;
 
 /// Time of listening before any is proposed: in it, heartbeats of up to a second come several times,
 /// beside regular frames of other services that come more often.
@@ -27,6 +26,12 @@ const MIN_KNOWN: u32 = 6;
 const EXPECTED_AFTER: f64 = 4.0;
 /// Part of the nodes that send them, at least: one may be faulty.
 const MIN_COVERED: f64 = 0.8;
+/// Contents of a node that works, and of one that does not: WORK, UFUNC with two error codes; INIT,
+/// ARSLV, CFG, BOOT.
+const MAX_WORKING: usize = 3;
+const MAX_NON_WORKING: usize = 4;
+/// Services that a reason names.
+const MAX_NAMED: usize = 4;
 /// Length of a UID.
 const UID_BYTES: usize = 6;
 /// Longest period of a profile, in milliseconds.
@@ -64,17 +69,21 @@ impl<'a> Heartbeats<'a> {
         let fitting: Vec<(&ServiceFrames<'a>, Self)> =
             all.iter().filter_map(|of| Some((of, of.heartbeats(frames, listening)?))).collect();
         let (best, found) = fitting.iter().max_by_key(|(of, _)| of.signs)?;
-        let is_doubtful = |other: &ServiceFrames<'_>| {
+        let is_rival = |other: &ServiceFrames<'_>| {
             let fits = fitting.iter().any(|(of, _)| of.service == other.service);
-            match other.signs.cmp(&best.signs) {
-                // One of the two is slower, or was lost more often.
-                Ordering::Greater => true,
-                Ordering::Equal => fits || other.is_early(),
-                Ordering::Less => false,
+            let may_be = fits || other.is_early();
+            let has_uids = frames.has_uids(other.service);
+            if best.signs.in_both_modes {
+                (may_be || has_uids) && frames.has_non_working(other.service)
+            } else if best.signs.own_contents {
+                // A heartbeat carries the UID (CAN platform §3.2.4); shorter frames do not.
+                may_be && other.may_have_uid() || has_uids || other.signs > best.signs
+            } else {
+                may_be || has_uids || other.signs > best.signs
             }
         };
         let mut others = all.iter().filter(|of| of.service != best.service);
-        if others.any(is_doubtful) {
+        if others.any(is_rival) {
             return None;
         }
         let is_certain = best.signs != HeartbeatSigns::default() && fitting.len() == 1;
@@ -83,7 +92,7 @@ impl<'a> Heartbeats<'a> {
     }
 
     /// Proposals of service and period.
-    pub fn proposals(&self) -> [ProfileProposal; 2] {
+    pub fn proposals(&self) -> Vec<ProfileProposal> {
         let nodes = counted(self.senders.len(), "node");
         let seconds = self.period.micros / 1e6;
         let contents = self.senders.iter().filter_map(|(_, sender)| sender.contents.first());
@@ -94,7 +103,7 @@ impl<'a> Heartbeats<'a> {
             millis @ 100.0.. => format!("{millis:.0} ms"),
             millis => format!("{millis:.1} ms"),
         };
-        [
+        let mut proposals = vec![
             ProfileProposal {
                 key: ProfileKey::Heartbeat,
                 value: ProfileValue::Service(self.service.number()),
@@ -109,7 +118,11 @@ impl<'a> Heartbeats<'a> {
                 evidence: format!("{} of {nodes}", counted(self.period.intervals, "interval")),
                 frames,
             },
-        ]
+        ];
+        if !self.period.is_exact() {
+            proposals.truncate(1);
+        }
+        proposals
     }
 }
 
@@ -127,7 +140,10 @@ pub(super) fn why_unknown(frames: &UnsolicitedFrames, listening: Duration) -> St
     } else if !regular().any(|of| of.senders.len() >= MIN_NODES) {
         "no service with unsolicited frames of two nodes whose contents stay the same".to_owned()
     } else if regular().any(|of| of.heartbeats(frames, listening).is_some()) {
-        "several services may be theirs".to_owned()
+        let fit = regular().filter(|of| of.heartbeats(frames, listening).is_some());
+        let numbers: Vec<String> =
+            fit.take(MAX_NAMED).map(|of| format!("0x{:03X}", of.service.number())).collect();
+        format!("several services may be theirs, as {}", numbers.join(", "))
     } else {
         "no service that all nodes send regularly".to_owned()
     }
@@ -157,8 +173,14 @@ impl<'a> ServiceFrames<'a> {
 
     /// Returns true if there are too few to tell whether they are regular.
     fn is_early(&self) -> bool {
-        let most = self.senders.iter().map(|(_, sender)| sender.frames).max();
+        let most = self.senders.iter().map(|(_, sender)| sender.received()).max();
         most.is_some_and(|most| most < MIN_KNOWN)
+    }
+
+    /// Returns true if they are long enough for a UID.
+    fn may_have_uid(&self) -> bool {
+        let contents = self.senders.iter().flat_map(|(_, sender)| &sender.contents);
+        contents.into_iter().any(|content| content.data().len() >= UID_BYTES)
     }
 
     /// They as heartbeats; `None` if they are too few, irregular, or not of all nodes.
@@ -173,7 +195,9 @@ impl<'a> ServiceFrames<'a> {
         if senders.len() < MIN_NODES || total < MIN_FRAMES {
             return None;
         }
-        let period = Period::find(&senders.iter().map(|(_, sender)| *sender).collect::<Vec<_>>())?;
+        let single = senders.iter().map(|(_, sender)| *sender);
+        let single: Vec<&UnsolicitedSender> = single.filter(|it| !it.alternates()).collect();
+        let period = Period::find(&single)?;
         senders.retain(|(_, sender)| period.is_of(sender));
         let with_rnd7 = senders.iter().filter(|(_, sender)| sender.has_random_rnd7()).count();
         let expected_after = EXPECTED_AFTER * period.micros / 1e6;
@@ -194,10 +218,14 @@ impl<'a> ServiceFrames<'a> {
     }
 }
 
-/// Returns true if a sender sends other contents while it works than while it does not.
+/// Returns true if a sender sends other contents while it works than while it does not, and few of each:
+/// those of its modes.
 fn changes_with_mode(sender: &UnsolicitedSender) -> bool {
     let of = |is_non_working| {
         sender.contents.iter().filter(move |it| it.is_non_working == is_non_working)
     };
-    of(false).any(|working| of(true).any(|other| other.data() != working.data()))
+    let [working, others] = [false, true].map(|u| of(u).count());
+    (1..=MAX_WORKING).contains(&working)
+        && (1..=MAX_NON_WORKING).contains(&others)
+        && of(false).all(|working| of(true).all(|other| other.data() != working.data()))
 }

@@ -137,9 +137,16 @@ impl<'a> HeartbeatBytes<'a> {
         }
         let values: BTreeSet<u8> = self.contents().map(|(_, it)| it.data()[at]).collect();
         let nodes = counted(changed.len(), "node");
+        // A flag has two values, which differ in one bit; codes of modes rarely do.
+        let ends = values.first().zip(values.last());
+        let is_flag = values.len() == 2 && ends.is_some_and(|(a, b)| (a ^ b).is_power_of_two());
         Some(FoundByte {
             at,
-            certainty: if changed.len() > 1 { Certainty::Certain } else { Certainty::Likely },
+            certainty: match changed.len() {
+                _ if is_flag => Certainty::Guess,
+                1 => Certainty::Likely,
+                _ => Certainty::Certain,
+            },
             evidence: format!("{}, changes with U in {nodes}", counted(values.len(), "value")),
             frames: first.iter().map(|content| content.frame).collect(),
         })
@@ -196,13 +203,16 @@ impl<'a> HeartbeatBytes<'a> {
         let &[at] = &windows[..] else { return None };
         let uids: BTreeSet<&[u8]> =
             self.contents().map(|(_, content)| &content.data()[at..at + UID_BYTES]).collect();
-        if uids.len() < MIN_UIDS {
+        // More than one for each node, replaced boards apart: it changes.
+        let most = self.senders.len() + self.senders.len() / 4;
+        if !(MIN_UIDS..=most).contains(&uids.len()) {
             return None;
         }
+        let is_known = is_whole && (at == 0 || mode.is_some());
         let nodes = counted(self.senders.len(), "node");
         Some(FoundByte {
             at,
-            certainty: if is_whole { Certainty::Certain } else { Certainty::Likely },
+            certainty: if is_known { Certainty::Certain } else { Certainty::Likely },
             evidence: format!("{nodes}, {}", counted(uids.len(), "value")),
             frames: self.senders.iter().map(|(_, all)| all[0].frame).collect(),
         })

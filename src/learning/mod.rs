@@ -16,7 +16,8 @@ mod unsolicited;
 
 use crate::frame::{Frame, FrameKind};
 use crate::time::{Duration, Instant};
-use crate::wire::id::{Address, Header};
+use crate::wire::framing::classify_request;
+use crate::wire::id::{Address, Header, MessageType};
 use crate::wire::profile::{ProfileKey, ProfileValue};
 use enumeration::DesServices;
 use heartbeat::Heartbeats;
@@ -105,7 +106,12 @@ impl ProfileLearner {
             return;
         };
         self.des.handle_frame(frame, header);
-        if !frame.is_tx && header.response && header.source != Address::DEBUG {
+        // Of a debug message SRV is a code; a request of DES is no heartbeat.
+        let is_other = header.message_type() == MessageType::Debug
+            || header.response && !header.no_error
+            || !header.response
+                && (!header.broadcast || classify_request(frame.data(), frame.is_fd).is_some());
+        if !frame.is_tx && !is_other && header.source != Address::DEBUG {
             self.unsolicited.handle_frame(frame, header);
         }
     }
@@ -132,11 +138,12 @@ impl ProfileLearner {
         let why = match key {
             _ if self.frames == 0 => "no frame was received",
             _ if self.is_foreign() => "the bus speaks another protocol",
-            ProfileKey::Des => "no name request and its response were received",
+            ProfileKey::Des => "no name request and a response with a text as name",
             ProfileKey::Framing => "not all nodes sent a name, or not in one framing",
-            ProfileKey::Heartbeat | ProfileKey::PeriodMs => {
+            ProfileKey::Heartbeat | ProfileKey::PeriodMs if heartbeats.is_none() => {
                 return heartbeat::why_unknown(&self.unsolicited, self.duration());
             }
+            ProfileKey::PeriodMs if heartbeats.is_some() => "heartbeats are too irregular",
             _ if heartbeats.is_none() => "heartbeats are not known",
             ProfileKey::UidOffset => "fewer than three UIDs, or several bytes may be theirs",
             ProfileKey::ModeOffset => {

@@ -17,6 +17,9 @@ const MIN_SINGLE: f64 = 0.25;
 const MIN_SINGLES: usize = 3;
 /// Intervals that are compared, at most: the search is quadratic.
 const MAX_COMPARED: usize = 96;
+/// Largest error of a period that is proposed, as part of it, and of its rounding.
+const MAX_ERROR: f64 = 0.013;
+const MAX_ROUNDING: f64 = 0.007;
 /// Deviation of clocks that is not told from rounding, as part of the period: 200 ppm, more than that
 /// of a crystal.
 const CLOCK_TOLERANCE: f64 = 0.000_2;
@@ -72,6 +75,11 @@ impl Period {
         (is_its && fit.fitting > 0).then_some(fit)
     }
 
+    /// Returns true if its value is known well enough to be told.
+    pub fn is_exact(&self) -> bool {
+        self.high - self.low <= 2.0 * MAX_ERROR * self.micros
+    }
+
     /// Returns true if the frames of a sender come in this period.
     pub fn is_of(&self, sender: &UnsolicitedSender) -> bool {
         Self::of_sender(sender, self.micros).is_some()
@@ -83,7 +91,10 @@ impl Period {
         let steps = [1000.0, 500.0, 100.0, 50.0, 20.0, 10.0, 5.0, 2.0, 1.0];
         let nearest = |step: f64| (middle / step).round() * step;
         let is_between = |millis: &f64| {
-            *millis > 0.0 && *millis * 1000.0 >= self.low && *millis * 1000.0 <= self.high
+            let micros = *millis * 1000.0;
+            *millis > 0.0
+                && (self.low..=self.high).contains(&micros)
+                && (micros - self.micros).abs() <= MAX_ROUNDING * self.micros
         };
         let round = steps.into_iter().map(nearest).find(is_between);
         round.unwrap_or_else(|| middle.round()) as u32
@@ -123,10 +134,13 @@ impl Fit {
         deviations.sort_by(f64::total_cmp);
         // Of delays that are evenly spread, the largest deviation is 3.4 times the median one. Larger ones
         // are of an interval that fits by chance, as after a restart.
-        let largest = (deviations[deviations.len() / 2] * 4.0).max(median * SAME);
+        let usual = deviations[deviations.len() / 2];
+        let largest = (usual * 4.0).max(median * SAME);
         all.retain(|it| deviation(it) <= largest);
         let periods: f64 = all.iter().map(|(_, count)| count).sum();
         let sum: f64 = all.iter().map(|(period, count)| period * count).sum();
-        Self { fitting, singles, mean: sum / periods, error: largest / periods }
+        // Twice the standard error, as if each delay moved all heartbeats after it.
+        let error = (usual * 3.0 / periods.sqrt()).max(median * SAME / periods);
+        Self { fitting, singles, mean: sum / periods, error }
     }
 }

@@ -32,7 +32,19 @@ pub(super) struct UnsolicitedFrames {
 #[derive(Clone, Debug)]
 pub(super) struct UnsolicitedSender {
     pub frames: u32,
+    /// Frames that repeat the one before, RND7 included: copies of a bridge.
+    repeated: u32,
     last: Instant,
+    last_id: Option<u32>,
+    /// The content of the last frame, by its place.
+    last_content: usize,
+    /// How often the content was another one than that before.
+    changes: u32,
+    /// The first frame, and the bytes that differed from it in another one, one bit each.
+    first: Frame,
+    changed_bytes: u64,
+    /// It sent one while it did not work.
+    pub has_non_working: bool,
     /// The last intervals, in microseconds.
     pub intervals: Vec<u32>,
     next_interval: usize,
@@ -96,6 +108,29 @@ impl UnsolicitedFrames {
         services
     }
 
+    /// Returns true if several nodes send frames of a service with six bytes that never change and that
+    /// are others in each node, whatever the other bytes are: a UID, and a counter.
+    pub fn has_uids(&self, service: Service) -> bool {
+        let of = self.senders.iter().filter(|((_, of), _)| *of == service);
+        let constant: Vec<&UnsolicitedSender> =
+            of.map(|(_, sender)| sender).filter(|sender| sender.steady() != 0).collect();
+        let mask = constant.iter().fold(u64::MAX, |mask, sender| mask & sender.steady());
+        let bytes = |sender: &UnsolicitedSender| -> Vec<u8> {
+            let data = sender.first.data().iter().enumerate();
+            data.filter(|(at, _)| mask >> at & 1 == 1).map(|(_, byte)| *byte).collect()
+        };
+        let mut all: Vec<Vec<u8>> = constant.iter().map(|sender| bytes(sender)).collect();
+        let count = all.len();
+        all.sort_unstable();
+        all.dedup();
+        has_run(mask) && count > 1 && all.len() == count
+    }
+
+    /// Returns true if a node sent a frame of a service while it did not work.
+    pub fn has_non_working(&self, service: Service) -> bool {
+        self.senders.iter().any(|((_, of), sender)| *of == service && sender.has_non_working)
+    }
+
     /// The senders of a service that may be those of heartbeats, by address.
     pub fn senders_of(&self, service: Service) -> Vec<(Address, &UnsolicitedSender)> {
         let mut senders: Vec<(Address, &UnsolicitedSender)> = self
@@ -113,7 +148,14 @@ impl UnsolicitedSender {
     fn new(frame: &Frame, header: Header) -> Self {
         let mut sender = Self {
             frames: 0,
+            repeated: 0,
             last: frame.time,
+            last_id: frame.platform_id(),
+            last_content: 0,
+            changes: 0,
+            first: *frame,
+            changed_bytes: 0,
+            has_non_working: false,
             intervals: Vec::new(),
             next_interval: 0,
             contents: Vec::new(),
@@ -125,6 +167,17 @@ impl UnsolicitedSender {
     }
 
     fn add(&mut self, frame: &Frame, header: Header) {
+        let data = frame.data();
+        let is_copy = self.last_id == frame.platform_id()
+            && self.contents.get(self.last_content).is_some_and(|it| it.data() == data);
+        if is_copy {
+            self.repeated = self.repeated.saturating_add(1);
+            return;
+        }
+        self.last_id = frame.platform_id();
+        for (at, byte) in self.first.data().iter().enumerate() {
+            self.changed_bytes |= u64::from(data.get(at) != Some(byte)) << at;
+        }
         let micros = frame.time.since(self.last).as_micros();
         self.last = self.last.max(frame.time);
         if self.is_variable {
@@ -143,10 +196,15 @@ impl UnsolicitedSender {
         self.frames = self.frames.saturating_add(1);
         self.rnd7 |= 1 << header.destination.index();
         let is_non_working = header.from_non_working;
-        let mut contents = self.contents.iter_mut();
-        if let Some(content) = contents
-            .find(|it| it.is_non_working == is_non_working && it.frame.data() == frame.data())
-        {
+        self.has_non_working |= is_non_working;
+        let is_same = |it: &SenderContent| {
+            it.is_non_working == is_non_working && it.frame.data() == frame.data()
+        };
+        let known = self.contents.iter().position(is_same);
+        let place = known.unwrap_or(self.contents.len());
+        self.changes = self.changes.saturating_add(u32::from(place != self.last_content));
+        self.last_content = place;
+        if let Some(content) = self.contents.get_mut(place) {
             content.count = content.count.saturating_add(1);
         } else if self.contents.len() < MAX_CONTENTS {
             self.contents.push(SenderContent { is_non_working, frame: *frame, count: 1 });
@@ -160,11 +218,35 @@ impl UnsolicitedSender {
     /// Returns true if its contents are few enough for heartbeats.
     fn may_be_heartbeats(&self) -> bool {
         let contents = self.contents.len() as u32;
-        !self.is_variable && (self.frames < MIN_FRAMES || contents * 2 <= self.frames + 1)
+        let most = if self.frames < MIN_FRAMES { 2 } else { self.frames.div_ceil(2) };
+        !self.is_variable && contents <= most
+    }
+
+    /// Frames, copies included.
+    pub fn received(&self) -> u32 {
+        self.frames.saturating_add(self.repeated)
+    }
+
+    /// Returns true if contents alternate, as those of two boards at one address.
+    pub fn alternates(&self) -> bool {
+        self.changes * 3 > self.frames
+    }
+
+    /// Bytes that never changed, one bit each; 0 if there are not six in a row.
+    fn steady(&self) -> u64 {
+        let length = self.first.data().len();
+        let all = if length >= 64 { u64::MAX } else { (1 << length) - 1 };
+        let steady = all & !self.changed_bytes;
+        if has_run(steady) { steady } else { 0 }
     }
 
     /// Returns true if its RND7 changes, as those of the platform do.
     pub fn has_random_rnd7(&self) -> bool {
         self.rnd7.count_ones() > 1
     }
+}
+
+/// Returns true if six bits in a row are set.
+fn has_run(mask: u64) -> bool {
+    mask & mask >> 1 & mask >> 2 & mask >> 3 & mask >> 4 & mask >> 5 != 0
 }

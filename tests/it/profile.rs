@@ -289,7 +289,7 @@ fn learn_prints_values_with_evidence_and_why_others_are_unknown() {
         "heartbeat.period_ms    1000 assumed   ≠ 500     certain 46 intervals of 2 nodes",
         "heartbeat.mode_offset  6 assumed      ≠ 0       certain 2 values, changes with U in 2 nodes",
         "heartbeat.uid_offset   0 assumed        –       –       fewer than three UIDs",
-        "services.des           0x002 assumed    –       –       no name request and its response",
+        "services.des           0x002 assumed    –       –       no name request and a response",
     ] {
         assert!(text.contains(line), "{line}\n{text}");
     }
