@@ -1,10 +1,9 @@
 //! Values of the profile that the frames of a bus show (protocol §9).
 //!
 //! Input: the frames of a bus, in the order of their times. Output: proposals, each with its
-//! evidence. [`heartbeat`] finds the service of heartbeats and their period, [`layout`] the bytes of
-//! UID, mode and error code in them, [`enumeration`] the service of DES and its framing. Bounded
-//! memory. Does not know the values in force, and changes none: see
-//! [`Profile::learn`](crate::wire::profile::Profile::learn).
+//! evidence: the service of heartbeats and their period, the bytes of UID, mode and error code in them,
+//! the service of DES and its framing. Bounded memory. Does not know the values in force, and changes
+//! none: see [`Profile::learn`](crate::wire::profile::Profile::learn).
 //!
 //! A value that is not known is not proposed. What several services or bytes may be is no proposal.
 

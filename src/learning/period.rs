@@ -15,6 +15,8 @@ const MIN_FITTING_OF_ONE: f64 = 0.6;
 /// frames lost 70 % are.
 const MIN_SINGLE: f64 = 0.25;
 const MIN_SINGLES: usize = 3;
+/// Intervals of all senders: of few of them, every second frame may have been lost.
+const MIN_INTERVALS: usize = 8;
 /// Intervals that are compared, at most: the search is quadratic.
 const MAX_COMPARED: usize = 96;
 /// Largest error of a period that is proposed, as part of it, and of its rounding.
@@ -47,6 +49,9 @@ impl Period {
             all.extend(sender.intervals.iter().rev().take(each).map(|it| f64::from(*it)));
         }
         all.truncate(MAX_COMPARED);
+        if all.len() < MIN_INTERVALS {
+            return None;
+        }
         let candidates = all.iter().copied().filter(|it| *it > 0.0);
         let rated = candidates.filter_map(|candidate| {
             let fit = Fit::of(&all, candidate);
