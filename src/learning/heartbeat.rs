@@ -99,7 +99,7 @@ impl<'a> Heartbeats<'a> {
         let mut frames: Vec<Frame> = contents.take(MAX_FRAMES).map(|it| it.frame).collect();
         frames.sort_by_key(|frame| frame.time);
         let period = match seconds * 1000.0 {
-            1000.0.. => format!("{seconds:.2} s"),
+            999.5.. => format!("{seconds:.2} s"),
             millis @ 100.0.. => format!("{millis:.0} ms"),
             millis => format!("{millis:.1} ms"),
         };
