@@ -226,6 +226,11 @@ pub fn push_hex(text: &mut String, data: &[u8], between: &str) {
     }
 }
 
+/// Returns a count with its unit: `1 frame`, `2 frames`.
+pub fn counted(count: u64, what: &str) -> String {
+    format!("{count} {what}{}", if count == 1 { "" } else { "s" })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -18,6 +18,7 @@ use crate::status::{BusStatus, RecordingStatus};
 use crate::time::Instant;
 use crate::wire::profile::{Profile, ProfileKey};
 use std::fmt::Write;
+use std::path::PathBuf;
 use std::sync::Arc;
 
 /// Document findings that get a line of their own when the file changes.
@@ -256,10 +257,7 @@ impl App {
             if self.logs.is_empty() {
                 return self.show_info(format!("{name} changed: read the frames again with it"));
             }
-            let logs = self.logs.iter().map(|path| format!("file:{}", path.display()));
-            let again =
-                BusSelection { buses: logs.collect(), replaces: true, ..BusSelection::default() };
-            return self.effects.push_back(Effect::OpenBuses(again));
+            return self.reopen_logs(None);
         }
         let changes: Vec<String> = ProfileKey::ALL
             .iter()
@@ -287,6 +285,14 @@ impl App {
         self.show_info(text);
         self.refresh_before_draw();
         self.notices.redraw.set_dirty();
+    }
+
+    /// Opens the logs again, with the profile of a file; `None`: of the one before.
+    pub(super) fn reopen_logs(&mut self, profile: Option<PathBuf>) {
+        let logs = self.logs.iter().map(|path| format!("file:{}", path.display()));
+        let buses = logs.collect();
+        let again = BusSelection { buses, replaces: true, profile, ..BusSelection::default() };
+        self.effects.push_back(Effect::OpenBuses(again));
     }
 
     /// Adds a line of each bus to the timeline.

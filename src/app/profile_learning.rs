@@ -5,7 +5,7 @@
 //! the present alone. Does not know how the list is drawn.
 
 use super::input::{Overlay, ProfilePathPrompt, PromptKind};
-use super::{App, BusSelection, Effect};
+use super::{App, Effect};
 use crate::diagnostic::Diagnostic;
 use crate::frame::{BusIndex, Frame};
 use crate::learning::{Certainty, LEARNT_KEYS, ProfileLearner, ProfileProposal};
@@ -284,13 +284,7 @@ impl App {
         };
         match result {
             Ok(()) if self.is_of_logs() && !self.logs.is_empty() => {
-                let logs = self.logs.iter().map(|path| format!("file:{}", path.display()));
-                self.effects.push_back(Effect::OpenBuses(BusSelection {
-                    buses: logs.collect(),
-                    replaces: true,
-                    profile: Some(path.to_owned()),
-                    ..BusSelection::default()
-                }));
+                self.reopen_logs(Some(path.to_owned()));
             }
             Ok(()) => {
                 let path = printable(path.as_os_str().as_encoded_bytes());

@@ -3,7 +3,6 @@
 
 use super::headless::{self, Limits, RunInput, warn_foreign};
 use super::open::Setup;
-use super::report::counted;
 use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure, output};
 use crate::app::AppOptions;
 use crate::bus::{self, BusSpec};
@@ -14,6 +13,7 @@ use crate::inventory::{
     MAX_DOCUMENT_BYTES, compare,
 };
 use crate::shell::stop::StopReason;
+use crate::text::counted;
 use crate::time::Instant;
 use serde::Serialize;
 use std::fmt::Write as _;

@@ -4,7 +4,6 @@
 use super::gate::BusGate;
 use super::headless::{self, Limits, RunInput, RunOutcome, warn_foreign};
 use super::open::{self, Setup};
-use super::report::counted;
 use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure, output};
 use crate::app::{App, AppOptions};
 use crate::cli::{CommonArgs, LearnArgs};
@@ -15,6 +14,7 @@ use crate::regular_file::shown;
 use crate::shell::log_input::LogPace;
 use crate::shell::stop::StopReason;
 use crate::shell::store::{Store, write_new};
+use crate::text::counted;
 use crate::time::Epoch;
 use crate::wire::profile::{Profile, ProfileKey, ProfileValue, ValueOrigin};
 use serde::Serialize;

@@ -15,7 +15,7 @@ use crate::finding::{
 use crate::frame::{BusIndex, Frame};
 use crate::regular_file::shown;
 use crate::status::Link;
-use crate::text::Name;
+use crate::text::{Name, counted};
 use crate::time::{Duration, Instant};
 use crate::wire::id::Address;
 use crate::wire::profile::ValueWithOrigin;
@@ -401,11 +401,6 @@ impl ScanReport {
         }
         text
     }
-}
-
-/// Returns a count with its unit: `1 frame`, `2 frames`.
-pub(super) fn counted(count: u64, what: &str) -> String {
-    format!("{count} {what}{}", if count == 1 { "" } else { "s" })
 }
 
 pub(super) fn of_bus(bus: BusSnapshot) -> BusReport {

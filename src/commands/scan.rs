@@ -4,7 +4,7 @@
 use super::gate::BusGate;
 use super::headless::{self, Limits, RunInput, RunOutcome, warn_all_tx_blocked, warn_foreign};
 use super::open::{self, Setup};
-use super::report::{ScanReport, counted};
+use super::report::ScanReport;
 use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure, output};
 use crate::app::{App, AppOptions, Bus, Scope};
 use crate::bus::BusSpec;
@@ -17,6 +17,7 @@ use crate::shell::log_input::LogPace;
 use crate::shell::stop::StopReason;
 use crate::shell::store::{Store, write_new};
 use crate::status::Link;
+use crate::text::counted;
 use crate::time::Instant;
 use std::io::{self, IsTerminal, Write};
 use std::ops::ControlFlow;

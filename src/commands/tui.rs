@@ -1,7 +1,6 @@
 //! `descan [BUS…]` and `descan demo`: the terminal UI, on real and on simulated buses.
 
 use super::open::{self, Setup};
-use super::report::counted;
 use super::{EXIT_INTERRUPTED, EXIT_OK, EXIT_UNUSABLE, EXIT_USAGE, Failure, headless, output};
 use crate::app::{App, AppOptions, Bus, BusChoice, BusOffer, BusSelection, COLOURLESS_THEME};
 use crate::bus::{self, BusSpec, Clock, Options};
@@ -18,6 +17,7 @@ use crate::shell::session::Session;
 use crate::shell::tui_loop::{self, LoopSettings, ThemeLoader, TuiExit};
 use crate::shell::{bus_offers, bus_picker, recovery, stop, terminal};
 use crate::status::Link;
+use crate::text::counted;
 use anyhow::Context;
 use std::collections::BTreeSet;
 use std::fmt::Write as _;

@@ -2,8 +2,9 @@
 //!
 //! A request has the bytes `DES` in it; the service is known once one was answered with a name.
 
-use super::{Certainty, MAX_FRAMES, ProfileProposal, counted};
+use super::{Certainty, MAX_FRAMES, ProfileProposal};
 use crate::frame::Frame;
+use crate::text::counted;
 use crate::wire::des::{self, ReceivedRequest, Request};
 use crate::wire::framing::{Framing, classify_request, classify_response, strip_raw_padding};
 use crate::wire::id::{Address, Header, Service};
@@ -106,12 +107,12 @@ impl DesServices {
         };
         let responders = (des.isotp | des.raw).count_ones() as usize;
         let frames: Vec<Frame> = [des.request].into_iter().chain(des.responses.clone()).collect();
-        let responses = counted(des.names as usize, "response");
+        let responses = counted(des.names as u64, "response");
         let mut proposals = vec![ProfileProposal {
             key: ProfileKey::Des,
             value: ProfileValue::Service(des.service.number()),
             certainty: des.certainty(),
-            evidence: format!("{responses} with a name, of {}", counted(responders, "node")),
+            evidence: format!("{responses} with a name, of {}", counted(responders as u64, "node")),
             frames: frames.clone(),
         }];
         let framing = match (des.isotp, des.raw) {
@@ -129,7 +130,7 @@ impl DesServices {
                 value: ProfileValue::Text(word.to_owned()),
                 // A device that joins later may have the other one, and would not be found.
                 certainty: Certainty::Guess,
-                evidence: format!("all {}", counted(responders, "node")),
+                evidence: format!("all {}", counted(responders as u64, "node")),
                 frames,
             });
         }

@@ -7,11 +7,13 @@
 use super::layout::has_other_content;
 use super::period::Period;
 use super::unsolicited::{UnsolicitedFrames, UnsolicitedSender};
-use super::{Certainty, MAX_FRAMES, ProfileProposal, counted};
+use super::{Certainty, MAX_FRAMES, ProfileProposal};
 use crate::frame::Frame;
+use crate::text::counted;
 use crate::time::{Duration, Instant};
 use crate::wire::id::{Address, Service};
-use crate::wire::profile::{ProfileKey, ProfileValue};
+use crate::wire::node::Uid;
+use crate::wire::profile::{HeartbeatProfile, ProfileKey, ProfileValue};
 
 /// Time of listening before any is proposed: in it, heartbeats of up to a second come several times,
 /// beside regular frames of other services that come more often.
@@ -32,11 +34,6 @@ const MAX_WORKING: usize = 3;
 const MAX_NON_WORKING: usize = 4;
 /// Services that a reason names.
 const MAX_NAMED: usize = 4;
-/// Length of a UID.
-const UID_BYTES: usize = 6;
-/// Longest period of a profile, in milliseconds.
-const MAX_PERIOD: u32 = 60_000;
-const MIN_PERIOD: u32 = 10;
 
 /// The heartbeats of a bus.
 #[derive(Debug)]
@@ -93,7 +90,7 @@ impl<'a> Heartbeats<'a> {
 
     /// Proposals of service and period.
     pub fn proposals(&self) -> Vec<ProfileProposal> {
-        let nodes = counted(self.senders.len(), "node");
+        let nodes = counted(self.senders.len() as u64, "node");
         let seconds = self.period.micros / 1e6;
         let contents = self.senders.iter().filter_map(|(_, sender)| sender.contents.first());
         let mut frames: Vec<Frame> = contents.take(MAX_FRAMES).map(|it| it.frame).collect();
@@ -115,7 +112,10 @@ impl<'a> Heartbeats<'a> {
                 key: ProfileKey::PeriodMs,
                 value: ProfileValue::Number(self.period.millis()),
                 certainty: self.certainty,
-                evidence: format!("{} of {nodes}", counted(self.period.intervals, "interval")),
+                evidence: format!(
+                    "{} of {nodes}",
+                    counted(self.period.intervals as u64, "interval")
+                ),
                 frames,
             },
         ];
@@ -129,21 +129,23 @@ impl<'a> Heartbeats<'a> {
 /// Why the service of heartbeats is not known.
 pub(super) fn why_unknown(frames: &UnsolicitedFrames, listening: Duration) -> String {
     let seconds = MIN_LISTENING.as_secs();
-    let regular = || {
-        let services = frames.services().into_iter();
-        services.map(|service| ServiceFrames::new(frames, service))
-    };
+    let services = frames.services().into_iter();
+    let all: Vec<ServiceFrames<'_>> =
+        services.map(|service| ServiceFrames::new(frames, service)).collect();
+    let fitting: Vec<String> = all
+        .iter()
+        .filter(|of| of.heartbeats(frames, listening).is_some())
+        .take(MAX_NAMED)
+        .map(|of| format!("0x{:03X}", of.service.number()))
+        .collect();
     if frames.is_full() {
         "more sources and services than a bus of the platform has".to_owned()
     } else if listening < MIN_LISTENING {
         format!("frames of {:.1} s; {seconds} s are needed", listening.as_secs_f64())
-    } else if !regular().any(|of| of.senders.len() >= MIN_NODES) {
+    } else if !all.iter().any(|of| of.senders.len() >= MIN_NODES) {
         "no service with unsolicited frames of two nodes whose contents stay the same".to_owned()
-    } else if regular().any(|of| of.heartbeats(frames, listening).is_some()) {
-        let fit = regular().filter(|of| of.heartbeats(frames, listening).is_some());
-        let numbers: Vec<String> =
-            fit.take(MAX_NAMED).map(|of| format!("0x{:03X}", of.service.number())).collect();
-        format!("several services may be theirs, as {}", numbers.join(", "))
+    } else if !fitting.is_empty() {
+        format!("several services may be theirs, as {}", fitting.join(", "))
     } else {
         "no service that all nodes send regularly".to_owned()
     }
@@ -162,7 +164,7 @@ impl<'a> ServiceFrames<'a> {
         let senders = frames.senders_of(service);
         let is_own = |(at, sender): &(Address, &UnsolicitedSender)| {
             let mut others = senders.iter().filter(|(other, _)| other != at);
-            others.all(|(_, other)| has_other_content(sender, other, UID_BYTES))
+            others.all(|(_, other)| has_other_content(sender, other, Uid::LEN))
         };
         let signs = HeartbeatSigns {
             in_both_modes: senders.iter().any(|(_, sender)| changes_with_mode(sender)),
@@ -180,7 +182,7 @@ impl<'a> ServiceFrames<'a> {
     /// Returns true if they are long enough for a UID.
     fn may_have_uid(&self) -> bool {
         let contents = self.senders.iter().flat_map(|(_, sender)| &sender.contents);
-        contents.into_iter().any(|content| content.data().len() >= UID_BYTES)
+        contents.into_iter().any(|content| content.data().len() >= Uid::LEN)
     }
 
     /// They as heartbeats; `None` if they are too few, irregular, or not of all nodes.
@@ -211,7 +213,7 @@ impl<'a> ServiceFrames<'a> {
         let fits = senders.len() >= MIN_NODES
             && with_rnd7 * 2 >= senders.len()
             && f64::from(covered as u32) >= MIN_COVERED * f64::from(expected)
-            && (MIN_PERIOD..=MAX_PERIOD).contains(&period.millis())
+            && HeartbeatProfile::PERIODS.contains(&period.millis())
             && listening.as_secs_f64() >= expected_after;
         let Self { service, .. } = *self;
         fits.then_some(Heartbeats { service, period, senders, certainty: Certainty::Likely })

@@ -5,14 +5,14 @@
 
 use super::heartbeat::Heartbeats;
 use super::unsolicited::{SenderContent, UnsolicitedSender};
-use super::{Certainty, MAX_FRAMES, ProfileProposal, counted};
+use super::{Certainty, MAX_FRAMES, ProfileProposal};
 use crate::frame::Frame;
+use crate::text::counted;
 use crate::wire::id::Address;
 use crate::wire::node::{Mode, Uid};
 use crate::wire::profile::{ProfileKey, ProfileValue, UidProfile};
 use std::collections::BTreeSet;
 
-const UID_BYTES: usize = 6;
 /// Different UIDs that show where they are.
 const MIN_UIDS: usize = 3;
 /// Values of a byte that shows by itself that it belongs to the UID: more than modes of nodes with one
@@ -41,7 +41,7 @@ pub(super) fn proposals(heartbeats: &Heartbeats<'_>) -> Vec<ProfileProposal> {
     let uid = bytes.uid(mode.as_ref().map(|mode| mode.at));
     // A byte of the UID is none of the mode.
     let mode = mode.filter(|mode| {
-        uid.as_ref().is_none_or(|uid| !(uid.at..uid.at + UID_BYTES).contains(&mode.at))
+        uid.as_ref().is_none_or(|uid| !(uid.at..uid.at + Uid::LEN).contains(&mode.at))
     });
     let error = mode.as_ref().and_then(|mode| bytes.error(mode.at, uid.as_ref().map(|uid| uid.at)));
     let found = [
@@ -136,7 +136,7 @@ impl<'a> HeartbeatBytes<'a> {
             return None;
         }
         let values: BTreeSet<u8> = self.contents().map(|(_, it)| it.data()[at]).collect();
-        let nodes = counted(changed.len(), "node");
+        let nodes = counted(changed.len() as u64, "node");
         // A flag has two values, which differ in one bit; codes of modes rarely do.
         let ends = values.first().zip(values.last());
         let is_flag = values.len() == 2 && ends.is_some_and(|(a, b)| (a ^ b).is_power_of_two());
@@ -147,7 +147,10 @@ impl<'a> HeartbeatBytes<'a> {
                 1 => Certainty::Likely,
                 _ => Certainty::Certain,
             },
-            evidence: format!("{}, changes with U in {nodes}", counted(values.len(), "value")),
+            evidence: format!(
+                "{}, changes with U in {nodes}",
+                counted(values.len() as u64, "value")
+            ),
             frames: first.iter().map(|content| content.frame).collect(),
         })
     }
@@ -185,35 +188,35 @@ impl<'a> HeartbeatBytes<'a> {
         let (first, last) = span(&own).or_else(|| span(&many))?;
         let is_own = span(&own).is_some();
         // A byte at the end may have one value in two nodes.
-        let wide = span(&of_two_values).filter(|wide| length(*wide) == UID_BYTES);
+        let wide = span(&of_two_values).filter(|wide| length(*wide) == Uid::LEN);
         let (first, last) = match wide {
-            Some(wide) if last - first + 3 >= UID_BYTES => wide,
+            Some(wide) if last - first + 3 >= Uid::LEN => wide,
             _ => (first, last),
         };
-        let is_whole = is_own && length((first, last)) == UID_BYTES;
-        if length((first, last)) > UID_BYTES {
+        let is_whole = is_own && length((first, last)) == Uid::LEN;
+        if length((first, last)) > Uid::LEN {
             return None;
         }
-        let windows = (last + 1).saturating_sub(UID_BYTES)..=first;
+        let windows = (last + 1).saturating_sub(Uid::LEN)..=first;
         let mut windows: Vec<usize> =
-            windows.filter(|at| (*at..at + UID_BYTES).all(|byte| bytes.contains(&byte))).collect();
+            windows.filter(|at| (*at..at + Uid::LEN).all(|byte| bytes.contains(&byte))).collect();
         if windows.len() > 1 || !is_own || !is_whole && mode.is_none() {
             windows.retain(|at| self.is_text(*at));
         }
         let &[at] = &windows[..] else { return None };
         let uids: BTreeSet<&[u8]> =
-            self.contents().map(|(_, content)| &content.data()[at..at + UID_BYTES]).collect();
+            self.contents().map(|(_, content)| &content.data()[at..at + Uid::LEN]).collect();
         // More than one for each node, replaced boards apart: it changes.
         let most = self.senders.len() + self.senders.len() / 4;
         if !(MIN_UIDS..=most).contains(&uids.len()) {
             return None;
         }
         let is_known = is_whole && (at == 0 || mode.is_some());
-        let nodes = counted(self.senders.len(), "node");
+        let nodes = counted(self.senders.len() as u64, "node");
         Some(FoundByte {
             at,
             certainty: if is_known { Certainty::Certain } else { Certainty::Likely },
-            evidence: format!("{nodes}, {}", counted(uids.len(), "value")),
+            evidence: format!("{nodes}, {}", counted(uids.len() as u64, "value")),
             frames: self.senders.iter().map(|(_, all)| all[0].frame).collect(),
         })
     }
@@ -247,7 +250,7 @@ impl<'a> HeartbeatBytes<'a> {
             text.chars().all(|c| c.is_ascii_uppercase() || c.is_ascii_digit())
         };
         let uids = self.contents().filter_map(|(_, content)| {
-            let bytes = content.data()[at..].first_chunk::<UID_BYTES>()?;
+            let bytes = content.data()[at..].first_chunk::<{ Uid::LEN }>()?;
             Uid(*bytes).not_blank()
         });
         let uids: BTreeSet<Uid> = uids.collect();
@@ -258,7 +261,7 @@ impl<'a> HeartbeatBytes<'a> {
     /// all others.
     fn error(&self, mode: usize, uid: Option<usize>) -> Option<FoundByte> {
         let is_free =
-            |at: &usize| *at != mode && uid.is_none_or(|uid| !(uid..uid + UID_BYTES).contains(at));
+            |at: &usize| *at != mode && uid.is_none_or(|uid| !(uid..uid + Uid::LEN).contains(at));
         let with_error = |at: usize| -> Vec<&SenderContent> {
             self.contents().map(|(_, it)| it).filter(|it| it.data()[at] != 0).collect()
         };
@@ -287,7 +290,7 @@ impl<'a> HeartbeatBytes<'a> {
         Some(FoundByte {
             at,
             certainty: Certainty::Likely,
-            evidence: format!("not 0 in {}, in one mode", counted(count as usize, "heartbeat")),
+            evidence: format!("not 0 in {}, in one mode", counted(count as u64, "heartbeat")),
             frames,
         })
     }

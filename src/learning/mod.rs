@@ -5,7 +5,7 @@
 //! the service of DES and its framing. Bounded memory. Does not know the values in force, and changes
 //! none: see [`Profile::learn`](crate::wire::profile::Profile::learn).
 //!
-//! A value that is not known is not proposed. What several services or bytes may be is no proposal.
+//! A value is proposed only if exactly one service, or one byte, fits its meaning.
 
 mod enumeration;
 mod heartbeat;
@@ -105,7 +105,7 @@ impl ProfileLearner {
             return;
         };
         self.des.handle_frame(frame, header);
-        // Of a debug message SRV is a code; a request of DES is no heartbeat.
+        // In a debug message SRV is the message code; a DES request is not a heartbeat.
         let is_other = header.message_type() == MessageType::Debug
             || header.response && !header.no_error
             || !header.response
@@ -169,9 +169,4 @@ impl ProfileLearner {
         proposals.extend(self.des.proposals(&nodes, heartbeats.is_some()));
         proposals
     }
-}
-
-/// `1 node`, `2 nodes`.
-fn counted(count: usize, one: &str) -> String {
-    format!("{count} {one}{}", if count == 1 { "" } else { "s" })
 }

@@ -22,7 +22,7 @@ const MAX_COMPARED: usize = 96;
 /// Largest error of a period that is proposed, as part of it, and of its rounding.
 const MAX_ERROR: f64 = 0.013;
 const MAX_ROUNDING: f64 = 0.007;
-/// Deviation of clocks that is not told from rounding, as part of the period: 200 ppm, more than that
+/// Deviation of clocks that cannot be distinguished from rounding, as part of the period: 200 ppm, more than that
 /// of a crystal.
 const CLOCK_TOLERANCE: f64 = 0.000_2;
 
@@ -80,7 +80,7 @@ impl Period {
         (is_its && fit.fitting > 0).then_some(fit)
     }
 
-    /// Returns true if its value is known well enough to be told.
+    /// Returns true if its error is small enough for a proposal.
     pub fn is_exact(&self) -> bool {
         self.high - self.low <= 2.0 * MAX_ERROR * self.micros
     }

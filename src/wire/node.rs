@@ -70,6 +70,8 @@ impl fmt::Display for Mode {
 pub struct Uid(pub [u8; 6]);
 
 impl Uid {
+    /// Bytes of a UID.
+    pub const LEN: usize = 6;
     /// UID of all 00.
     pub const BLANK: Self = Self([0; 6]);
 

@@ -21,6 +21,7 @@ use super::framing::Framing;
 use super::id::Service;
 use super::node::Heartbeat;
 use crate::time::Duration;
+use core::ops::RangeInclusive;
 use keys::ValueOrigins;
 #[cfg(feature = "std")]
 use serde::Deserialize;
@@ -229,6 +230,9 @@ impl Default for HeartbeatProfile {
 }
 
 impl HeartbeatProfile {
+    /// Periods that a profile may have, in milliseconds.
+    pub const PERIODS: RangeInclusive<u32> = 10..=60_000;
+
     /// Returns the heartbeat period, BUS_CFG_HR_TIME.
     pub fn period(&self) -> Duration {
         Duration::from_millis(u64::from(self.period_ms))

@@ -34,16 +34,7 @@ use std::ops::ControlFlow;
 pub fn run(log: &LogArgs) -> Result<u8, Failure> {
     let spec = diff::spec_of(&log.log);
     let filter = open::filter("--filter", log.filter.as_deref(), RowKind::Frame)?;
-    let setup = Setup::new(&CommonArgs {
-        file: None,
-        profile: log.profile.clone(),
-        listen_only: true,
-        no_scan: false,
-        address: None,
-        record: None,
-        record_size: None,
-        record_filter: None,
-    })?;
+    let setup = Setup::new(&CommonArgs::listen_only(log.profile.clone()))?;
     let options =
         AppOptions { utc_offset_seconds: open::utc_offset_seconds(), ..AppOptions::default() };
     let file = headless::log_file(&spec)?;

@@ -3,7 +3,6 @@
 //! Scripts rely on the names, types and meanings of the JSON members. Does not know how frames are
 //! counted.
 
-use super::super::report::counted;
 use super::frame_json::{name_of, service_name_of};
 use super::frame_text::{left, right, with_address};
 use super::stats::{LogIntervals, LogStats};
@@ -11,6 +10,7 @@ use crate::app::{
     App, Bus, CallStats, Decoded, FrameRole, IdentifierKind, IdentifierStats, clock_millis,
 };
 use crate::frame::{BusIndex, CanId};
+use crate::text::counted;
 use crate::time::Duration;
 use crate::wire::id::Address;
 use serde::Serialize;

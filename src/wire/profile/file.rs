@@ -1,6 +1,6 @@
 //! Reading of profile files (TOML).
 
-use super::{Announce, Profile, ProfileKey, ProfileValue, ValueOrigin};
+use super::{Announce, HeartbeatProfile, Profile, ProfileKey, ProfileValue, ValueOrigin};
 use crate::wire::id::Service;
 use serde::{Deserialize, Deserializer};
 use std::collections::BTreeMap;
@@ -140,7 +140,7 @@ impl Profile {
             let value = self.services.des.to_string();
             return range("services.des", value, "another number than services.heartbeat");
         }
-        if !(10..=60_000).contains(&self.heartbeat.period_ms) {
+        if !HeartbeatProfile::PERIODS.contains(&self.heartbeat.period_ms) {
             let value = self.heartbeat.period_ms.to_string();
             return range("heartbeat.period_ms", value, "10 to 60000 milliseconds");
         }
