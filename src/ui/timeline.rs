@@ -64,7 +64,7 @@ pub fn shows_bus(brush: &DrawContext) -> bool {
     brush.app.buses().len() > 1 && brush.screen.whole.width >= 60
 }
 
-/// Returns the column SOURCE: name and address of the device, else the bus, else the file.
+/// Returns the column WHO: name and address of the device, else the bus, else the file.
 fn source(brush: &DrawContext, entry: &TimelineEntry, width: usize) -> String {
     let app = brush.app;
     match (app.name_on_line(entry), entry.address) {

@@ -3,6 +3,7 @@
 //!
 //! 60 devices with chatter at 1 Mbit/s: about 7,000 f/s on a simulated bus in the same process. Keys
 //! are typed while a hostile bus arrives on standard input: at 8,000 f/s, and as fast as it is read.
+//! With `pages` or `program` only the first or the second of both.
 
 #[allow(dead_code, reason = "a part is used")]
 #[path = "../it/common/pty.rs"]
@@ -64,8 +65,11 @@ fn bytes_by_page() {
 }
 
 fn main() {
-    bytes_by_page();
-    if std::env::args().any(|it| it == "pages") {
+    let is_asked = |part: &str| std::env::args().any(|it| it == part);
+    if !is_asked("program") {
+        bytes_by_page();
+    }
+    if is_asked("pages") {
         return;
     }
     let folder = tempfile::tempdir().expect("a temporary folder");
@@ -91,7 +95,7 @@ fn keys_on_hostile_input(folder: &Path, is_paced: bool) {
     pty.count_for(Duration::from_secs(20));
     let mut times = Vec::new();
     for (key, effect) in
-        [("3", "SOURCE"), ("?", "Mute or unmute"), ("?", "SOURCE"), ("4", "PROBLEM"), ("1", "NAME")]
+        [("3", "LENGTH"), ("?", "Keys of Timeline"), ("?", "LENGTH"), ("4", "PROBLEM"), ("1", "NAME")]
             .repeat(8)
     {
         let start = Instant::now();
