@@ -97,6 +97,8 @@ impl App {
             Action::Rescan => self.rescan(),
             Action::ClearLost => self.remove_lost_devices(),
             Action::Identify => self.ask_identify(),
+            Action::ReadDescriptor => self.ask_to_read_descriptor(),
+            Action::Command => self.ask_for_command(),
             Action::BitRate => self.ask_bitrate(),
             Action::Buses => self.list_buses(),
             Action::SaveCapture => self.ask_capture_path(),

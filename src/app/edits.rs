@@ -5,7 +5,6 @@
 
 use super::input::{AddressPrompt, CopyPathPrompt, MomentPrompt, NewEntryPrompt, RenamePrompt};
 use super::listing::{addition_refusal, update_operation};
-use super::notices::TimelineEntry;
 use super::problems::bus_obstacle;
 use super::timeline_kind::TimelineKind;
 use super::view::Page;
@@ -15,10 +14,8 @@ use super::{
 };
 use crate::discovery::{Device, DeviceId, OwnAddress};
 use crate::document::{EntryKey, Operation};
-use crate::frame::{BusIndex, Frame};
+use crate::frame::BusIndex;
 use crate::keymap::{Action, Key};
-use crate::wire::id::{Header, Service};
-use crate::wire::profile::ProfileKey;
 
 impl App {
     // ---- des.json --------------------------------------------------------------------------
@@ -377,6 +374,7 @@ impl App {
             PromptOutcome::FileInfo(text) => self.file_info(text),
             PromptOutcome::SaveCapture(path) => self.save_capture(path),
             PromptOutcome::WriteProof(problem, path) => self.write_proof(&problem, path),
+            PromptOutcome::Command(device, command) => self.ask_to_send(device, command),
             PromptOutcome::UseLearnt(path) => self.use_learnt_profile(path),
             PromptOutcome::GoTo(target) => self.go_to_target(target),
             PromptOutcome::SetMark(moment, text) => self.set_mark(moment, &text),
@@ -441,7 +439,7 @@ impl App {
     }
 
     /// The reason why descan cannot send requests on a bus; `None` if it can.
-    fn tx_obstacle(&self, index: BusIndex, bus: &Bus) -> Option<String> {
+    pub(super) fn tx_obstacle(&self, index: BusIndex, bus: &Bus) -> Option<String> {
         let config = bus.config();
         if self.clock.playback().is_some() || bus.ended.is_some() {
             return Some("a log: nothing is sent".to_owned());
@@ -479,47 +477,6 @@ impl App {
         });
     }
 
-    /// Opens the question for sending the identify command to the selected device.
-    pub(super) fn ask_identify(&mut self) {
-        if !self.go_to_row() {
-            return;
-        }
-        let Some(device) = self.selected_device() else {
-            return self.show_error("no device in this row to identify");
-        };
-        let id = device.id;
-        match self.identify_frame(id) {
-            Ok(_) => self.input.ask(Question::Identify(id)),
-            Err(why) => self.show_error(why),
-        }
-    }
-
-    /// Returns the identify command for a device.
-    ///
-    /// # Errors
-    ///
-    /// The reason why it cannot be sent.
-    fn identify_frame(&self, id: DeviceId) -> Result<Frame, String> {
-        let (Some(device), Some(bus)) = (self.device(id), self.bus(id.bus)) else {
-            return Err("device is no longer on the bus".to_owned());
-        };
-        let config = bus.config();
-        if let Some(obstacle) = self.tx_obstacle(id.bus, bus) {
-            return Err(obstacle);
-        }
-        if !config.profile.is_given(ProfileKey::Identify) {
-            let why = "identify needs a profile with commands.identify: its number is assumed";
-            return Err(why.to_owned());
-        }
-        let OwnAddress::Held(own) = bus.own_address() else {
-            return Err("descan has no address on this bus yet".to_owned());
-        };
-        let service = Service::from_bits(config.profile.commands.identify);
-        let mut header = Header::request(own, device.address, !device.is_working, service);
-        header.no_error = config.profile.request_err;
-        Ok(Frame::classic(header.encode(), &[]).with_bus(id.bus).with_time(self.now()))
-    }
-
     // ---- questions -------------------------------------------------------------------------
 
     /// Text of the open question.
@@ -529,20 +486,11 @@ impl App {
             Question::Delete(key, _) => {
                 format!("Delete the entry {key:#} from {}?", self.editor.file.name())
             }
-            Question::Identify(id) => {
-                let (name, address) = match self.device(*id) {
-                    Some(device) => {
-                        let name = device
-                            .name
-                            .as_ref()
-                            .map_or("the device".to_owned(), ToString::to_string);
-                        (name, device.address.to_string())
-                    }
-                    None => ("a device no longer on the bus".to_owned(), "?".to_owned()),
-                };
-                let service = Service::from_bits(self.profile(id.bus).commands.identify);
-                format!("Send identify (service {service}) to {name} at {address}?")
+            Question::Command(id, command) => {
+                let (sent, effect) = self.command_sentences(*id, *command);
+                format!("{sent}? {effect}")
             }
+            Question::Descriptor(id) => self.descriptor_question(*id),
             Question::FindBitrate(bus) => {
                 let name = self.bus(*bus).map_or("the bus", |bus| bus.name.as_str());
                 format!("Search {name}'s bit rate, listen-only? The interface restarts.")
@@ -561,24 +509,9 @@ impl App {
             }
             Question::FindBitrate(bus) => self.find_bitrate(bus),
             Question::Delete(key, text) => self.delete(key, &text),
-            Question::Identify(id) => match self.identify_frame(id) {
-                Ok(frame) => self.send_identify(id, frame),
-                Err(why) => self.show_error(why),
-            },
+            Question::Command(id, command) => self.send_confirmed(id, command),
+            Question::Descriptor(id) => self.read_confirmed(id),
         }
-    }
-
-    fn send_identify(&mut self, id: DeviceId, frame: Frame) {
-        let text = "identify command sent";
-        let mut line = TimelineEntry::new(self.now(), TimelineKind::Bus, text);
-        if let Some(device) = self.device(id) {
-            line = line.on(id.bus);
-            (line.device, line.address) = (Some(id), Some(device.address));
-            line.name.clone_from(&device.name);
-        }
-        self.notices.push_line(line);
-        self.buses.transmit(frame);
-        self.show_info(text);
     }
 
     /// Deletes an entry, unless it changed on disk since the question was opened.

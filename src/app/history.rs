@@ -10,7 +10,7 @@ use super::capture::{BYTES_PER_FRAME, FrameStore};
 use super::journal::{BusesInput, InputJournal, InputsFrom, JournalPlace, PastInput};
 use super::pinned_moments::{PinnedMoments, PinnedRange};
 use super::timeline_kind::TimelineKind;
-use crate::discovery::{Config, DeviceId, Event};
+use crate::discovery::{Config, DeviceId, DeviceRequest, Event, RequestId};
 use crate::frame::{BusIndex, Frame};
 use crate::status::BusStatus;
 use crate::time::Instant;
@@ -171,9 +171,6 @@ impl RecordedBuses {
 
     /// The next frame to transmit; `frame.bus` is the bus to transmit on.
     pub(super) fn poll_transmit(&mut self, now: Instant) -> Option<Frame> {
-        if let Some(frame) = self.now.poll_outbox() {
-            return Some(frame);
-        }
         let is_cut_off = self.now.iter().any(|bus| bus.must_discard_frames(now));
         let frame = self.now.poll_transmit(now);
         // An engine that cannot send starts to listen again.
@@ -183,15 +180,22 @@ impl RecordedBuses {
         frame
     }
 
-    /// Queues a frame for transmission.
-    pub(super) fn transmit(&mut self, frame: Frame) {
-        self.now.transmit(frame);
-    }
-
     /// Restarts the enumeration on all buses.
     pub(super) fn rescan(&mut self, now: Instant) {
         self.note(now, BusesInput::Rescan);
         self.now.rescan(now);
+    }
+
+    /// Sends a request to a device, once; returns `None` if it cannot be sent.
+    pub(super) fn request(&mut self, now: Instant, request: DeviceRequest) -> Option<RequestId> {
+        self.note(now, BusesInput::Request(request.clone()));
+        self.now.request(now, request)
+    }
+
+    /// Reads the descriptor of a device; returns the number of fields.
+    pub(super) fn read_descriptor(&mut self, now: Instant, device: DeviceId) -> usize {
+        self.note(now, BusesInput::ReadDescriptor(device));
+        self.now.read_descriptor(now, device)
     }
 
     /// Removes the lost devices of all buses.
@@ -550,6 +554,12 @@ impl Buses {
             }
             BusesInput::Searched(bus) => self.set_searched(*bus),
             BusesInput::Rescan => self.rescan(now),
+            BusesInput::Request(request) => {
+                self.request(now, request.clone());
+            }
+            BusesInput::ReadDescriptor(device) => {
+                self.read_descriptor(now, *device);
+            }
             BusesInput::RemoveLost => self.remove_lost_devices(),
             BusesInput::Rename(index, name) => {
                 self.rename(*index, name.clone());

@@ -2,7 +2,7 @@
 //! about four bytes. Does not know what an input does.
 
 use super::varint::{read_varint, write_varint};
-use crate::discovery::Config;
+use crate::discovery::{Config, DeviceId, DeviceRequest};
 use crate::frame::BusIndex;
 use crate::status::BusStatus;
 use crate::time::Instant;
@@ -34,6 +34,10 @@ pub(super) enum BusesInput {
     Searched(Option<BusIndex>),
     /// The enumeration starts again.
     Rescan,
+    /// A request to a device.
+    Request(DeviceRequest),
+    /// The descriptor of a device is read.
+    ReadDescriptor(DeviceId),
     /// The lost devices are removed.
     RemoveLost,
     /// A bus has another name.

@@ -40,6 +40,7 @@ mod capture_saving;
 mod clock;
 mod compared_moments;
 mod conflict_panel;
+mod device_command;
 mod device_page;
 mod devices;
 mod edits;
@@ -73,6 +74,7 @@ mod problems;
 mod profile_learning;
 mod proof;
 mod saved_filters;
+mod sent_commands;
 mod shown_state;
 mod signs;
 mod stories;
@@ -107,6 +109,7 @@ pub use capture::{
 };
 pub use compared_moments::{ComparedMoment, ComparisonNote, ComparisonRow, MomentComparison};
 pub use conflict_panel::{BeatCell, BeatsOnAxis, ConflictPanel, MAX_COLUMNS, ordinal, side_letter};
+pub use device_command::{COMMAND_FORMS, DeviceCommand};
 pub use device_page::BEATS_PER_LINE;
 pub use devices::concerns;
 pub use file::{EditRefusal, FileChange, FileError, FileReading, FileState, SaveOutcome, Saving};
@@ -138,6 +141,8 @@ pub use problems::{
 use profile_learning::ProfileLearners;
 pub use profile_learning::{ProfileReview, ProfileRow};
 pub use saved_filters::{MAX_SAVED_FILTERS, SavedFilter, SavedFilterChange};
+pub use sent_commands::EndedCommand;
+use sent_commands::SentCommands;
 pub use signs::Signs;
 pub use stories::{
     HiddenKinds, Stories, Story, StoryChange, StoryKind, StoryLine, StorySign, StoryStep,
@@ -395,6 +400,7 @@ pub struct App {
     /// The list of buses that is shown over the page.
     bus_choice: Option<Box<BusChoice>>,
     learners: ProfileLearners,
+    commands: SentCommands,
     /// The comparison of two moments that is open.
     comparison: Option<Box<MomentComparison>>,
     /// The proof that is being written.
@@ -455,6 +461,7 @@ impl App {
             help: HelpView::default(),
             bus_choice: None,
             learners: ProfileLearners::new(options.learns_profile),
+            commands: SentCommands::default(),
             comparison: None,
             proof: None,
             content,

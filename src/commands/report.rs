@@ -8,15 +8,16 @@ use crate::app::{
     format_time_of_day,
 };
 use crate::bitrate::kbit;
-use crate::discovery::{Device, DeviceService, OwnAddress};
+use crate::discovery::{Device, DeviceDescriptor, DeviceService, FieldContent, OwnAddress};
 use crate::finding::{
     Evidence, ExitCodeScope, Finding, FindingKey, FindingKind, FindingState, SeenUid,
 };
 use crate::frame::{BusIndex, Frame};
 use crate::regular_file::shown;
 use crate::status::Link;
-use crate::text::{Name, counted};
+use crate::text::{Name, counted, hex};
 use crate::time::{Duration, Instant};
+use crate::wire::descriptor::{AddressSetting, DescriptorValue};
 use crate::wire::id::Address;
 use crate::wire::profile::ValueWithOrigin;
 use serde::Serialize;
@@ -87,6 +88,7 @@ struct DeviceReport {
     /// Other lists from the address, each of one of the devices there.
     other_services: Vec<Vec<ServiceReport>>,
     heartbeat: HeartbeatReport,
+    descriptor: DescriptorReport,
     file: EntryReport,
     also: Vec<SiblingReport>,
     quirks: Vec<&'static str>,
@@ -491,6 +493,7 @@ fn of_device(app: &App, bus: &Bus, device: &Device) -> DeviceReport {
             period_error_ppm: error.map(|error| tenths(error.ppm)),
             period_uncertainty_ppm: error.map(|error| tenths(error.uncertainty)),
         },
+        descriptor: of_descriptor(&device.descriptor, app, bus),
         file: of_entry(app, device),
         also: of_siblings(app, device),
         quirks: device.deviations.iter().map(|deviation| deviation.name()).collect(),
@@ -498,6 +501,108 @@ fn of_device(app: &App, bus: &Bus, device: &Device) -> DeviceReport {
             .map_or_else(Vec::new, |finding| finding.uids.iter().map(SeenUid::label).collect()),
         clash,
     }
+}
+
+/// A descriptor: a member for each field, `null` where it was not read.
+#[derive(Debug, Default, Serialize)]
+pub(super) struct DescriptorReport {
+    /// Time of the last read, in seconds.
+    read_at: Option<f64>,
+    gid: Option<String>,
+    uid: Option<String>,
+    sn: Option<u32>,
+    fw: Option<String>,
+    caps: Option<CapabilitiesReport>,
+    bspd: Option<BitrateReport>,
+    addr: Option<AddressReport>,
+    autostart: Option<bool>,
+    /// Fields that were asked for without a value, by their name.
+    faults: BTreeMap<&'static str, FieldFaultReport>,
+}
+
+#[derive(Debug, Serialize)]
+struct CapabilitiesReport {
+    programmable: bool,
+    fpu: bool,
+    cpu: u16,
+    cpu_name: Option<&'static str>,
+    cpu_flags: u16,
+}
+
+#[derive(Debug, Serialize)]
+struct BitrateReport {
+    bitrate: u32,
+    fixed: bool,
+}
+
+#[derive(Debug, Serialize)]
+struct AddressReport {
+    /// `null`: none is set.
+    address: Option<u8>,
+    fixed: bool,
+}
+
+#[derive(Debug, Serialize)]
+struct FieldFaultReport {
+    /// `malformed`, `refused` or `no-response`.
+    fault: &'static str,
+    /// Bytes of a malformed response, as hexadecimal digits.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    data: Option<String>,
+}
+
+pub(super) fn of_descriptor(
+    descriptor: &DeviceDescriptor,
+    app: &App,
+    bus: &Bus,
+) -> DescriptorReport {
+    let mut report = DescriptorReport {
+        read_at: descriptor.read_at().map(|at| app.epoch().unix_secs(at)),
+        ..DescriptorReport::default()
+    };
+    for reading in descriptor.readings() {
+        let value = match &reading.content {
+            FieldContent::Value(value) => *value,
+            other => {
+                let (fault, data) = match other {
+                    FieldContent::Malformed { data, .. } => ("malformed", Some(hex(data, ""))),
+                    FieldContent::Refused => ("refused", None),
+                    FieldContent::NoResponse | FieldContent::Value(_) => ("no-response", None),
+                };
+                report.faults.insert(reading.field.name(), FieldFaultReport { fault, data });
+                continue;
+            }
+        };
+        match value {
+            DescriptorValue::Gid(gid) => report.gid = Some(gid.to_string()),
+            DescriptorValue::Uid(uid) => {
+                report.uid = Some(uid.text(&bus.config().profile.uid).to_string());
+            }
+            DescriptorValue::Serial(serial) => report.sn = Some(serial),
+            DescriptorValue::Firmware(version) => report.fw = Some(version.to_string()),
+            DescriptorValue::Capabilities(able) => {
+                report.caps = Some(CapabilitiesReport {
+                    programmable: able.is_programmable,
+                    fpu: able.has_fpu,
+                    cpu: able.cpu,
+                    cpu_name: able.cpu_name(),
+                    cpu_flags: able.cpu_flags,
+                });
+            }
+            DescriptorValue::Bitrate(setting) => {
+                report.bspd =
+                    Some(BitrateReport { bitrate: setting.rate, fixed: setting.is_fixed });
+            }
+            DescriptorValue::Address(setting) => {
+                report.addr = Some(AddressReport {
+                    address: setting.address().map(Address::number),
+                    fixed: matches!(setting, AddressSetting::Fixed(_)),
+                });
+            }
+            DescriptorValue::Autostart(starts) => report.autostart = Some(starts),
+        }
+    }
+    report
 }
 
 pub(super) fn of_services(services: &[DeviceService]) -> Vec<ServiceReport> {

@@ -6,7 +6,8 @@ use super::gate::BusGate;
 use super::headless::{self, Limits, RunInput};
 use super::open::{self, Setup};
 use super::report::{
-    BusReport, FileReport, FindingReport, ServiceReport, of_bus, of_file, of_finding, of_services,
+    BusReport, DescriptorReport, FileReport, FindingReport, ServiceReport, of_bus, of_descriptor,
+    of_file, of_finding, of_services,
 };
 use super::{EXIT_OK, Failure, output};
 use crate::app::{
@@ -193,6 +194,9 @@ enum EventDetails {
     Returned {
         was: &'static str,
     },
+    Descriptor {
+        descriptor: Box<DescriptorReport>,
+    },
     Debug {
         code: u16,
         /// Hexadecimal digits.
@@ -248,12 +252,20 @@ fn of_event(app: &App, DeviceEvent { context, event, services }: DeviceEvent) ->
         }
         EventKind::Presence(presence) if presence != Presence::Online => EventDetails::Nothing {},
         EventKind::Returned { was } => EventDetails::Returned { was: was.name() },
+        EventKind::DescriptorRead { .. } => {
+            let device = app.device(event.device?)?;
+            let bus = app.bus(device.id.bus)?;
+            let descriptor = Box::new(of_descriptor(&device.descriptor, app, bus));
+            EventDetails::Descriptor { descriptor }
+        }
         EventKind::DebugMessage { code, data } => {
             EventDetails::Debug { code, data: hex(&data, "") }
         }
         // Findings and bus states are events of their own, `returned` reports a device that is
         // online again, and the outcome of an address claim follows it.
         EventKind::Finding { .. }
+        | EventKind::DescriptorField(_)
+        | EventKind::RequestEnded { .. }
         | EventKind::OwnAddress(_)
         | EventKind::OwnAddressLost(_)
         | EventKind::NoAddress(_)

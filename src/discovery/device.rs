@@ -4,6 +4,7 @@
 //! (protocol §5.1). Changed only by the [`super::Engine`].
 
 use super::ServicesNews;
+use super::descriptors::DeviceDescriptor;
 use super::period_error::{PeriodError, PeriodMeter};
 use crate::frame::BusIndex;
 use crate::text::Name;
@@ -508,6 +509,8 @@ pub struct Device {
     pub name_query: Query,
     /// Query for the services.
     pub services_query: Query,
+    /// What it says of itself and of its configuration.
+    pub descriptor: DeviceDescriptor,
     /// Deviations from the platform, each once.
     pub deviations: Vec<ProtocolDeviation>,
     /// Mode changes, oldest first, at most 16.
@@ -565,6 +568,7 @@ impl Device {
             heartbeat: HeartbeatStats::default(),
             name_query: Query::default(),
             services_query: Query::default(),
+            descriptor: DeviceDescriptor::default(),
             deviations: Vec::new(),
             mode_history: VecDeque::new(),
             first_seen: now,

@@ -133,6 +133,7 @@ impl DeviceTable {
         device.last_heartbeat_was_other_node = fresh.last_heartbeat_was_other_node;
         device.name_query = fresh.name_query;
         device.services_query = fresh.services_query;
+        device.descriptor.take_over(fresh.descriptor);
         device.last_seen = fresh.last_seen;
         device.frame_count += fresh.frame_count;
         device.is_debug |= fresh.is_debug;

@@ -4,6 +4,7 @@
 use super::bus_protocol::ProtocolDetector;
 use super::claims::AddressClaims;
 use super::conflicts::ConflictDetector;
+use super::descriptors::OverheardReads;
 use super::device_table::DeviceTable;
 use super::errors::BusErrorTracker;
 use super::finding_tracker::EvidenceStrength;
@@ -63,6 +64,7 @@ pub(super) struct DeviceTracker {
     pub errors: BusErrorTracker,
     pub lateness: BusDelayTracker,
     pub outages: Outages,
+    pub overheard_reads: OverheardReads,
     events: VecDeque<Event>,
 }
 
@@ -84,6 +86,7 @@ impl DeviceTracker {
             claims: AddressClaims::new(),
             sender_names: SenderNames::default(),
             outages: Outages::default(),
+            overheard_reads: OverheardReads::default(),
             events: VecDeque::new(),
             counters: Counters::default(),
             wake: now,
@@ -313,6 +316,7 @@ impl DeviceTracker {
             // A returned device may be another board or have new firmware.
             device.name_query.restart(now);
             device.services_query.restart(now);
+            device.descriptor.is_read = false;
             is_query_due = true;
         }
         if is_query_due {

@@ -1,9 +1,12 @@
 //! Events of one bus, in the order in which they occur, for the timeline and for `watch`.
 
 use super::device::{DeviceId, Presence};
+use super::device_requests::{RequestId, RequestOutcome};
 use crate::finding::{FindingKey, FindingState};
+use crate::frame::Frame;
 use crate::text::Name;
 use crate::time::Instant;
+use crate::wire::descriptor::DescriptorField;
 use crate::wire::id::Address;
 use crate::wire::node::{Mode, Uid};
 
@@ -60,6 +63,24 @@ pub enum EventKind {
         count: usize,
         /// What is new about it.
         news: ServicesNews,
+    },
+    /// A field of its descriptor has another content than before.
+    DescriptorField(DescriptorField),
+    /// descan has read its descriptor.
+    DescriptorRead {
+        /// Number of fields with a value.
+        values: usize,
+        /// Number of fields that were asked for.
+        fields: usize,
+    },
+    /// A request to the device ended ([`Engine::request`](super::Engine::request)).
+    RequestEnded {
+        /// Identity of the request.
+        request: RequestId,
+        /// Its frame; `None` if it was not sent.
+        frame: Option<Frame>,
+        /// How it ended.
+        outcome: RequestOutcome,
     },
     /// The device changed its mode.
     Mode {

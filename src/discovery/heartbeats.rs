@@ -305,6 +305,7 @@ impl DeviceTracker {
         // It may have new firmware.
         schedule(&mut device.services_query, now);
         schedule(&mut device.name_query, now);
+        device.descriptor.is_read = false;
         self.emit(row, EventKind::Rebooted);
         self.wake_at(now);
     }

@@ -227,6 +227,7 @@ impl DeviceTracker {
         device.copy_state_from(&live);
         device.name_query.schedule(now);
         device.services_query.schedule(now);
+        device.descriptor.is_read = false;
         self.conflicts.note_left(from);
         self.conflicts.note_left(live.address);
         self.emit(old, EventKind::Moved { from });
@@ -315,6 +316,7 @@ impl DeviceTracker {
         let now = self.now;
         if let Some(device) = self.device_table.get_mut(old) {
             device.services_query.schedule(now);
+            device.descriptor.is_read = false;
         }
         if !is_reported {
             self.emit(old, EventKind::Moved { from });

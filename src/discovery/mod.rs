@@ -31,6 +31,7 @@
 //! periods            heartbeat period of each address
 //! presence           online, stale, lost
 //! transfers          multi-frame responses
+//! descriptors        what devices are and how they are configured
 //! recorded_node      frames that a log marks as sent
 //! conflicts          history of each address, evidence of conflicts in it
 //! finding_tracker    state of the findings
@@ -41,6 +42,7 @@
 //! local_node         own address, own responses
 //! rounds             enumeration rounds
 //! query_scheduler    which request is sent when
+//! device_requests    requests to one device: descriptors, commands
 //! idle_gaps          requests wait for heartbeats
 //! outbox             transmit budget, acknowledgement
 //!
@@ -52,7 +54,9 @@ mod bus_protocol;
 mod claims;
 mod config;
 mod conflicts;
+mod descriptors;
 mod device;
+mod device_requests;
 mod device_table;
 mod device_tracker;
 mod errors;
@@ -62,7 +66,6 @@ mod finding_tracker;
 mod heartbeats;
 mod identity;
 mod idle_gaps;
-
 mod local_node;
 mod observation;
 mod outbox;
@@ -83,10 +86,12 @@ mod transfers;
 pub use bus_protocol::{BusTraffic, BusVerdict};
 pub use claims::AddressSender;
 pub use config::Config;
+pub use descriptors::{DeviceDescriptor, FieldContent, FieldReading};
 pub use device::{
     Device, DeviceId, DeviceService, HeartbeatStats, ModeChange, Presence, ProtocolDeviation,
     Query, QueryFault, QueryState,
 };
+pub use device_requests::{DeviceRequest, RequestId, RequestObstacle, RequestOutcome};
 pub use event::{Event, EventKind, OtherDevice, ServicesNews};
 pub use period_error::PeriodError;
 
@@ -133,7 +138,7 @@ pub struct DiscoveryProgress {
     pub present: usize,
     /// Number of present devices with known services.
     pub with_services: usize,
-    /// Number of queries without a response that are sent or due.
+    /// Number of queries and other requests without a response that are sent or due.
     pub open_queries: usize,
     /// True if the last rounds found nothing new, no query is open, and no finding is suspected.
     pub is_complete: bool,
@@ -285,6 +290,7 @@ impl Engine {
         self.tracker.check_suspicions();
         self.tracker.check_errors(self.requester.may_send_requests(&self.tracker));
         self.requester.send_due_queries(&mut self.tracker, self.transfers.open_sources());
+        self.step_device_requests();
         self.tracker.emit_finding_changes();
     }
 
@@ -302,6 +308,7 @@ impl Engine {
             self.tracker.counters.sent += 1;
             let sent = Observation::new(now, &frame, &self.tracker.config);
             self.note_own_request(&sent);
+            self.note_own_device_request(&sent);
         }
         self.tracker.wake_at(now);
         Some(frame.with_bus(self.tracker.config.bus))
@@ -316,6 +323,7 @@ impl Engine {
     /// releases the own address, which is claimed again after listening.
     pub fn handle_bus_unavailable(&mut self, now: Instant) {
         self.requester.outbox.clear();
+        self.requester.device_requests.end_all(RequestObstacle::BusUnavailable);
         if !self.tracker.config.listen_only {
             self.requester.local_node.listen(now);
         }
@@ -345,6 +353,7 @@ impl Engine {
             {
                 device.has_asked_all_services = false;
                 device.services_query.schedule(now);
+                device.descriptor.is_read = false;
             }
         }
         self.tracker.wake_at(now);
@@ -376,6 +385,7 @@ impl Engine {
         self.tracker.outages.begin(self.tracker.now);
         self.tracker.end_outage();
         self.requester.outbox.clear();
+        self.requester.device_requests.end_all(RequestObstacle::BusUnavailable);
         self.transfers.clear();
         self.tracker.errors.restart();
         self.requester.rounds.stop();
@@ -395,6 +405,8 @@ impl Engine {
         next.tracker.device_table.number_after(&before.device_table);
         let findings = before.conflicts.finding_tracker();
         next.tracker.conflicts.finding_tracker_mut().count_after(findings);
+        next.requester.device_requests = std::mem::take(&mut self.requester.device_requests);
+        next.requester.device_requests.end_all(RequestObstacle::DeviceLeft);
         *self = next;
     }
 
@@ -498,6 +510,7 @@ impl Engine {
             progress.open_queries += usize::from(is_open(&device.name_query))
                 + usize::from(is_open(&device.services_query));
         }
+        progress.open_queries += self.requester.device_requests.count();
         let is_settled = !self.requester.rounds.is_starting()
             && !self.requester.rounds.is_collecting()
             && progress.open_queries == 0

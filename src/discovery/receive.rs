@@ -40,6 +40,7 @@ impl Engine {
             let back = self.requester.outbox.note_sent(now, frame);
             self.requester.handle_ack_change(&mut self.tracker, back);
             self.note_own_request(&observation);
+            self.note_own_device_request(&observation);
             return;
         }
         let back = self.requester.outbox.note_other_frame(now);
@@ -145,7 +146,8 @@ impl Engine {
             }
             PlatformContent::Response => self.process_response(now, row, header, frame, echoed),
             PlatformContent::Request(request) => self.process_request(now, header, request, frame),
-            PlatformContent::NonConforming | PlatformContent::OtherService => {}
+            PlatformContent::OtherService => self.process_other_service(now, row, header, frame),
+            PlatformContent::NonConforming => {}
         }
         // The frame may have made another row the current one.
         if let Some(device) = self.tracker.device_table.current_device(header.source)

@@ -1,6 +1,7 @@
 //! Requester: descan's own node on one bus and the requests it sends. Which requests are due is
 //! decided in [`query_scheduler`](super::query_scheduler).
 
+use super::device_requests::{DeviceRequests, RequestObstacle};
 use super::device_tracker::DeviceTracker;
 use super::idle_gaps::IdleTracker;
 use super::local_node::{AddressChange, LocalNode};
@@ -18,6 +19,7 @@ pub(super) struct Requester {
     pub outbox: Outbox,
     pub rounds: Rounds,
     pub idle: IdleTracker,
+    pub device_requests: DeviceRequests,
     /// Number of queries that await a response, updated before requests are sent.
     pub waiting: WaitingQueries,
     /// True if the user asked for rounds on a bus that speaks another protocol.
@@ -32,6 +34,7 @@ impl Requester {
             outbox: Outbox::new(now, config.has_loopback),
             rounds: Rounds::new(),
             idle: IdleTracker::new(),
+            device_requests: DeviceRequests::default(),
             waiting: WaitingQueries::default(),
             is_foreign_scanned: false,
             rng,
@@ -58,6 +61,7 @@ impl Requester {
     pub fn poll_timeout(&self, tracker: &DeviceTracker) -> Option<Instant> {
         let due = [
             self.query_timeout(tracker),
+            self.device_request_timeout(tracker),
             self.local_node.poll_timeout(),
             self.outbox.poll_timeout(),
         ];
@@ -115,6 +119,7 @@ impl Requester {
                 tracker.emit_bus_event(EventKind::OwnAddressLost(address));
                 self.rounds.stop();
                 self.outbox.clear();
+                self.device_requests.end_all(RequestObstacle::NoAddress);
             }
             None => {}
         }

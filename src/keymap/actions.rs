@@ -129,7 +129,8 @@ impl Action {
     pub fn edits_or_sends(self) -> bool {
         use Action::{Add, AddAll, DeleteEntry, EditAddress, NewEntry, Redo, Rename, Undo};
         matches!(self, EditAddress | Add | AddAll | NewEntry | Rename | DeleteEntry | Undo | Redo)
-            || matches!(self, Action::Rescan | Action::Identify)
+            || matches!(self, Action::Rescan | Action::Identify | Action::ReadDescriptor)
+            || matches!(self, Action::Command)
             || matches!(self, Action::ClearLost | Action::BitRate | Action::Buses | Action::Save)
     }
 
@@ -222,6 +223,8 @@ actions! {
         Rescan "rescan" "Restart the enumeration" "rescan" ["r"];
         ClearLost "clear-lost" "Remove lost devices; confirm changed versions" "clear lost" ["c"];
         Identify "identify" "Send identify: blink or beep (confirms; needs a profile)" "identify" ["i"];
+        ReadDescriptor "descriptor" "Read the descriptor: type, firmware, settings (confirms; needs a profile)" "descriptor" ["I"];
+        Command "command" "Command to the device: mode, restart, settings (confirms; needs a profile)" "command" ["E"];
         BitRate "bit-rate" "Search the bit rate, listen-only (confirms; needs root)" "bit rate" ["b"];
         Buses "buses" "Open buses beside or in place of these" "buses" ["B"];
         ReviewProfile "learn" "Values of the profile, and what the frames show of them" "profile" ["L"];

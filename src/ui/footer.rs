@@ -14,7 +14,6 @@ use crate::keymap::{Action, KeyCode, KeyMode};
 use crate::text::Escaped;
 use crate::theme::Role;
 use crate::time::Duration;
-use crate::wire::profile::ProfileKey;
 use ratatui::layout::{Position, Rect};
 use ratatui::style::Modifier;
 use ratatui::text::{Line, Span};
@@ -276,6 +275,8 @@ fn hint_line(brush: &DrawContext, mode: KeyMode, width: usize) -> Vec<Span<'stat
             A::Problem,
             A::ClearLost,
             A::Identify,
+            A::ReadDescriptor,
+            A::Command,
         ],
         (KeyMode::Browse, Page::Traffic, _) => &[
             A::Details,
@@ -531,8 +532,8 @@ fn applies(brush: &DrawContext, action: Action) -> bool {
         (A::Problem, Page::Timeline) => app.has_finding(|_| true),
         (A::Undo, _) => app.file().can_undo(),
         (A::ClearLost, _) => app.counts().lost > 0,
-        (A::Identify, _) => {
-            on_any(|config| config.profile.is_given(ProfileKey::Identify)) && device().is_some()
+        (A::Identify | A::ReadDescriptor | A::Command, _) => {
+            app.has_command(action) && device().is_some()
         }
         (A::Rescan, _) => on_any(|config| config.send_requests),
         _ => true,

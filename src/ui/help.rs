@@ -184,6 +184,8 @@ fn keys_of(page: Page) -> &'static [Action] {
             A::Sort,
             A::SortReverse,
             A::Identify,
+            A::ReadDescriptor,
+            A::Command,
             A::ClearLost,
             A::EditAddress,
             A::Add,

@@ -1,5 +1,5 @@
 //! Meaning of the bytes on the bus: identifiers of the CAN platform, messages of DES, their two
-//! framings, and the heartbeat.
+//! framings, the heartbeat, and the descriptor.
 //!
 //! Sources: the DES service document and CAN platform §3.1 to §4.3, as collected in protocol §1 to
 //! §3 and §7. Numbers that the sources leave open are fields of [`profile::Profile`], not
@@ -10,6 +10,7 @@
 //! needs `std`.
 
 pub mod des;
+pub mod descriptor;
 pub mod framing;
 pub mod id;
 pub mod isotp;

@@ -17,6 +17,7 @@ pub use keys::{ProfileKey, ValueOrigin};
 pub use values::{ProfileValue, ValueWithOrigin};
 
 use super::des::Request;
+use super::descriptor::ByteOrder;
 use super::framing::Framing;
 use super::id::Service;
 use super::node::Heartbeat;
@@ -39,6 +40,8 @@ pub struct Profile {
     pub descriptor: DescriptorProfile,
     /// Service numbers of commands.
     pub commands: CommandsProfile,
+    /// Service numbers that change the configuration of a device.
+    pub writes: WritesProfile,
     /// Layout and period of the heartbeat, and whether descan sends one.
     pub heartbeat: HeartbeatProfile,
     /// Framings of DES messages.
@@ -69,6 +72,7 @@ impl Default for Profile {
             services: ServicesProfile::default(),
             descriptor: DescriptorProfile::default(),
             commands: CommandsProfile::default(),
+            writes: WritesProfile::default(),
             heartbeat: HeartbeatProfile::default(),
             framing: FramingChoice::Auto,
             isotp: IsotpProfile::default(),
@@ -141,7 +145,7 @@ impl Default for ServicesProfile {
     }
 }
 
-/// Service numbers of the descriptor fields (protocol §7.4), all assumed.
+/// Service numbers of the descriptor fields (protocol §7.4), and how their values are read; all assumed.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 #[cfg_attr(feature = "std", derive(Deserialize), serde(default, deny_unknown_fields))]
@@ -162,6 +166,10 @@ pub struct DescriptorProfile {
     pub addr: u16,
     /// DEV_CFG_AUTOSTART.
     pub autostart: u16,
+    /// Order of the bytes of numbers. Assumed: the lowest first.
+    pub byte_order: ByteOrder,
+    /// True: descan reads the fields whose numbers a file sets, after it has read the name.
+    pub auto: bool,
 }
 
 impl Default for DescriptorProfile {
@@ -175,11 +183,13 @@ impl Default for DescriptorProfile {
             bspd: 0x015,
             addr: 0x016,
             autostart: 0x017,
+            byte_order: ByteOrder::Little,
+            auto: false,
         }
     }
 }
 
-/// Service numbers of commands, all assumed.
+/// Service numbers of commands, assumed where there is one.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 #[cfg_attr(feature = "std", derive(Deserialize), serde(default, deny_unknown_fields))]
@@ -188,11 +198,54 @@ pub struct CommandsProfile {
     pub identify: u16,
     /// Changes the mode; one byte of data, the mode's code.
     pub mode: u16,
+    /// Restarts the device; no data. None is built in.
+    #[cfg_attr(feature = "std", serde(deserialize_with = "file::service_or_none"))]
+    pub reboot: Option<u16>,
 }
 
 impl Default for CommandsProfile {
     fn default() -> Self {
-        Self { identify: 0x018, mode: 0x019 }
+        Self { identify: 0x018, mode: 0x019, reboot: None }
+    }
+}
+
+/// Service numbers that change the configuration of a device; none is built in. The data of a request
+/// are the new value.
+#[derive(Clone, Debug, PartialEq, Eq, Default)]
+#[non_exhaustive]
+#[cfg_attr(feature = "std", derive(Deserialize), serde(default, deny_unknown_fields))]
+pub struct WritesProfile {
+    /// DEV_CFG_ADDR.
+    #[cfg_attr(feature = "std", serde(deserialize_with = "file::service_or_none"))]
+    pub address: Option<u16>,
+    /// DEV_CFG_BSPD.
+    #[cfg_attr(feature = "std", serde(deserialize_with = "file::service_or_none"))]
+    pub bitrate: Option<u16>,
+    /// When a new value acts. Assumed: at once.
+    pub effect: WriteEffect,
+}
+
+/// When a device acts by a new value of its configuration.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
+#[cfg_attr(feature = "std", derive(Deserialize), serde(rename_all = "lowercase"))]
+pub enum WriteEffect {
+    /// At once.
+    #[default]
+    Now,
+    /// At its next restart.
+    Restart,
+}
+
+impl WriteEffect {
+    /// Both, in the order of a profile's comment.
+    pub const ALL: [Self; 2] = [Self::Now, Self::Restart];
+
+    /// The word in a file.
+    pub const fn word(self) -> &'static str {
+        match self {
+            Self::Now => "now",
+            Self::Restart => "restart",
+        }
     }
 }
 

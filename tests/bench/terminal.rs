@@ -94,9 +94,14 @@ fn keys_on_hostile_input(folder: &Path, is_paced: bool) {
     pty.wait_for("1 Devices");
     pty.count_for(Duration::from_secs(20));
     let mut times = Vec::new();
-    for (key, effect) in
-        [("3", "LENGTH"), ("?", "Keys of Timeline"), ("?", "LENGTH"), ("4", "PROBLEM"), ("1", "NAME")]
-            .repeat(8)
+    for (key, effect) in [
+        ("3", "LENGTH"),
+        ("?", "Keys of Timeline"),
+        ("?", "LENGTH"),
+        ("4", "PROBLEM"),
+        ("1", "NAME"),
+    ]
+    .repeat(8)
     {
         let start = Instant::now();
         pty.send(key);

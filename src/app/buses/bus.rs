@@ -7,8 +7,8 @@ use super::load_meter::LoadMeter;
 use super::status_changes::status_changes;
 use crate::app::timeline_kind::TimelineKind;
 use crate::discovery::{
-    AddressSender, BusTraffic, BusVerdict, Config, Counters, Device, DeviceId, DiscoveryProgress,
-    Engine, Event, OwnAddress,
+    AddressSender, BusTraffic, BusVerdict, Config, Counters, Device, DeviceId, DeviceRequest,
+    DiscoveryProgress, Engine, Event, OwnAddress, RequestId,
 };
 use crate::finding::Finding;
 use crate::frame::Frame;
@@ -306,6 +306,16 @@ impl Bus {
     /// Restarts the enumeration.
     pub(super) fn rescan(&mut self, now: Instant) {
         self.engine.rescan(now);
+    }
+
+    /// Sends a request to a device, once; returns `None` if it cannot be sent.
+    pub(super) fn request(&mut self, now: Instant, request: DeviceRequest) -> Option<RequestId> {
+        self.engine.request(now, request)
+    }
+
+    /// Reads the descriptor of a device; returns the number of fields.
+    pub(super) fn read_descriptor(&mut self, now: Instant, device: DeviceId) -> usize {
+        self.engine.read_descriptor(now, device)
     }
 
     /// Removes the lost devices.

@@ -24,7 +24,9 @@ pub use load_shares::{LoadShares, ShareCounts};
 pub use redundancy::{Redundancy, RedundantDevice};
 
 use super::timeline_kind::TimelineKind;
-use crate::discovery::{BusVerdict, Config, Device, DeviceId, Event, OwnAddress};
+use crate::discovery::{
+    BusVerdict, Config, Device, DeviceId, DeviceRequest, Event, OwnAddress, RequestId,
+};
 use crate::document::Document;
 use crate::finding::{Finding, FindingKey, FindingKind, FindingState};
 use crate::frame::{BusIndex, Frame};
@@ -34,7 +36,6 @@ use crate::wire::id::Address;
 use crate::wire::node::Uid;
 use crate::wire::profile::Profile;
 use redundancy::RedundantDevices;
-use std::collections::VecDeque;
 use std::sync::Arc;
 
 /// Time after a stall in which frames that waited during it may still arrive.
@@ -47,19 +48,13 @@ pub struct Buses {
     redundant: RedundantDevices,
     /// The bus whose bit rate is being searched.
     searched: Option<BusIndex>,
-    /// Frames to transmit that no engine generated.
-    outbox: VecDeque<Frame>,
 }
 
 impl Buses {
     /// Returns buses that start at `now`.
     pub(super) fn new(now: Instant, buses: Vec<(String, Config)>) -> Self {
-        let mut all = Self {
-            list: Vec::new(),
-            redundant: RedundantDevices::default(),
-            searched: None,
-            outbox: VecDeque::new(),
-        };
+        let mut all =
+            Self { list: Vec::new(), redundant: RedundantDevices::default(), searched: None };
         for (name, config) in buses {
             all.add(now, name, config);
         }
@@ -334,26 +329,27 @@ impl Buses {
         self.list.get_mut(usize::from(index.0))?.poll_event()
     }
 
-    /// The next frame to transmit that no engine generated.
-    pub(super) fn poll_outbox(&mut self) -> Option<Frame> {
-        self.outbox.pop_front()
-    }
-
-    /// The next frame of an engine to transmit; `frame.bus` is the bus to transmit on.
+    /// The next frame to transmit; `frame.bus` is the bus to transmit on.
     pub(super) fn poll_transmit(&mut self, now: Instant) -> Option<Frame> {
         self.list.iter_mut().enumerate().find_map(|(index, bus)| {
             bus.poll_transmit(now).map(|frame| frame.with_bus(BusIndex(index as u8)))
         })
     }
 
-    /// Queues a frame for transmission.
-    pub(super) fn transmit(&mut self, frame: Frame) {
-        self.outbox.push_back(frame);
-    }
-
     /// Restarts the enumeration on all buses.
     pub(super) fn rescan(&mut self, now: Instant) {
         self.all_mut().for_each(|bus| bus.rescan(now));
+    }
+
+    /// Sends a request to a device, once; returns `None` if it cannot be sent.
+    pub(super) fn request(&mut self, now: Instant, request: DeviceRequest) -> Option<RequestId> {
+        self.list.get_mut(usize::from(request.device.bus.0))?.request(now, request)
+    }
+
+    /// Reads the descriptor of a device; returns the number of fields.
+    pub(super) fn read_descriptor(&mut self, now: Instant, device: DeviceId) -> usize {
+        let bus = self.list.get_mut(usize::from(device.bus.0));
+        bus.map_or(0, |bus| bus.read_descriptor(now, device))
     }
 
     /// Removes the lost devices of all buses.

@@ -15,13 +15,15 @@ pub use filter_prompt::FilterPrompt;
 pub(super) use moment_text::{MomentRange, MomentTarget, mark_bit};
 pub(super) use prompt::PromptResult;
 pub use prompt::{Prompt, PromptKind};
+pub(super) use prompt_kinds::parse_address;
 pub(super) use prompt_kinds::{
-    AddressPrompt, CapturePathPrompt, CopyPathPrompt, MarkPrompt, MomentPrompt, NewEntryPrompt,
-    ProfilePathPrompt, ProofPathPrompt, RenamePrompt,
+    AddressPrompt, CapturePathPrompt, CommandPrompt, CopyPathPrompt, MarkPrompt, MomentPrompt,
+    NewEntryPrompt, ProfilePathPrompt, ProofPathPrompt, RenamePrompt,
 };
 pub use prompt_logic::InputCheck;
 pub(super) use prompt_logic::{PromptContext, PromptOutcome, SavedFrames};
 
+use super::device_command::DeviceCommand;
 use crate::discovery::DeviceId;
 use crate::document::EntryKey;
 use crate::frame::BusIndex;
@@ -37,8 +39,10 @@ pub enum Question {
     Quit,
     /// Deletion of this entry, as long as the file has it with this text.
     Delete(EntryKey, String),
-    /// Sending the identify command to this device.
-    Identify(DeviceId),
+    /// Sending a command to this device.
+    Command(DeviceId, DeviceCommand),
+    /// Reading the descriptor of this device.
+    Descriptor(DeviceId),
     /// Bit rate search on this bus.
     FindBitrate(BusIndex),
 }

@@ -6,8 +6,8 @@
 
 use super::filter_prompt::FilterPrompt;
 use super::prompt_kinds::{
-    AddressPrompt, CapturePathPrompt, CopyPathPrompt, MarkPrompt, MomentPrompt, NewEntryPrompt,
-    ProfilePathPrompt, ProofPathPrompt, RenamePrompt,
+    AddressPrompt, CapturePathPrompt, CommandPrompt, CopyPathPrompt, MarkPrompt, MomentPrompt,
+    NewEntryPrompt, ProfilePathPrompt, ProofPathPrompt, RenamePrompt,
 };
 use super::prompt_logic::{EditTarget, InputCheck, PromptContext, PromptLogic, PromptOutcome};
 use crate::keymap::{Key, KeyCode};
@@ -47,6 +47,8 @@ pub enum PromptKind {
     ProofPath(ProofPathPrompt),
     /// Path of a profile with learnt values.
     ProfilePath(ProfilePathPrompt),
+    /// Command to a device.
+    Command(CommandPrompt),
     /// Moment to go to.
     Moment(MomentPrompt),
     /// Text of a mark.
@@ -83,6 +85,7 @@ impl PromptKind {
             PromptKind::CopyPath(prompt) => prompt,
             PromptKind::ProofPath(prompt) => prompt,
             PromptKind::ProfilePath(prompt) => prompt,
+            PromptKind::Command(prompt) => prompt,
             PromptKind::Moment(prompt) => prompt,
             PromptKind::Mark(prompt) => prompt,
         }

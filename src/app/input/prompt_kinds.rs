@@ -8,6 +8,7 @@ use super::prompt_logic::{
     EditTarget, InputCheck as C, PromptContext, PromptLogic, PromptOutcome, SavedFrames,
 };
 use crate::app::buses::Bus;
+use crate::app::device_command::{COMMAND_FORMS, DeviceCommand};
 use crate::app::history::Moment;
 use crate::app::listing::new_entry;
 use crate::app::problems::ProblemKey;
@@ -16,6 +17,7 @@ use crate::discovery::DeviceId;
 use crate::document::{Document, Entry, EntryKey, NewEntry, Operation};
 use crate::log::LogFormat;
 use crate::text::Quoted;
+use crate::wire::profile::Profile;
 use std::path::{Path, PathBuf};
 
 /// Effect of Enter after the file was deleted or emptied while the user typed.
@@ -592,6 +594,52 @@ impl PromptLogic for MarkPrompt {
 
     fn commit(&self, text: &str, _context: PromptContext) -> PromptOutcome {
         PromptOutcome::SetMark(self.moment, text.to_owned())
+    }
+}
+
+// ---- a command to a device -----------------------------------------------------------------
+
+/// Prompt for a command to a device, in words.
+#[derive(Clone, Copy, Debug)]
+pub struct CommandPrompt {
+    /// The device.
+    pub device: DeviceId,
+}
+
+impl CommandPrompt {
+    fn profile(self, context: PromptContext<'_>) -> Option<&Profile> {
+        context.buses.get(self.device.bus).map(|bus| &*bus.config().profile)
+    }
+}
+
+impl PromptLogic for CommandPrompt {
+    fn label(&self) -> &'static str {
+        "command"
+    }
+
+    fn validate(&self, text: &str, context: PromptContext) -> C {
+        if text.is_empty() {
+            return C::Accepted(COMMAND_FORMS.to_owned());
+        }
+        match DeviceCommand::parse(text) {
+            Err(why) => C::Rejected(why),
+            Ok(command) => {
+                match self.profile(context).and_then(|profile| command.request(profile)) {
+                    None => C::Rejected(format!("needs {} in a profile", command.key().name())),
+                    Some((service, data)) => {
+                        let data = crate::text::hex(&data, " ");
+                        C::Accepted(format!("Enter asks: service {service} {data}"))
+                    }
+                }
+            }
+        }
+    }
+
+    fn commit(&self, text: &str, _context: PromptContext) -> PromptOutcome {
+        match DeviceCommand::parse(text) {
+            Ok(command) => PromptOutcome::Command(self.device, command),
+            Err(_) => PromptOutcome::Nothing,
+        }
     }
 }
 

@@ -2,10 +2,12 @@
 
 use super::moment_text::{MomentRange, MomentTarget};
 use crate::app::buses::Buses;
+use crate::app::device_command::DeviceCommand;
 use crate::app::file::FileState;
 use crate::app::history::Moment;
 use crate::app::problems::{Matching, ProblemKey};
 use crate::app::view::Page;
+use crate::discovery::DeviceId;
 use crate::document::{NewEntry, Operation};
 use crate::frame::BusIndex;
 use std::path::PathBuf;
@@ -71,6 +73,8 @@ pub(in crate::app) enum PromptOutcome {
     WriteProof(ProblemKey, PathBuf),
     /// Use the learnt values of the profile, and write them to this path, if there is one.
     UseLearnt(Option<PathBuf>),
+    /// Ask whether to send a command to a device.
+    Command(DeviceId, DeviceCommand),
     /// Show a moment.
     GoTo(MomentTarget),
     /// Mark a moment, with a text.

@@ -9,7 +9,7 @@ use crate::discovery::{
 };
 use crate::finding::{FindingKey, FindingState};
 use crate::frame::BusIndex;
-use crate::text::{Escaped, Name, hex, join_first};
+use crate::text::{Escaped, Name, counted, hex, join_first};
 use crate::wire::node::{Mode, Uid};
 
 /// Kind and text of the timeline line of an engine event; `None` for an event without a line.
@@ -39,6 +39,8 @@ pub fn event_text(buses: &Buses, bus: BusIndex, event: &Event) -> Option<(Timeli
         // The row shows the first mode of a device; ARSLV is reported as an address claim.
         EventKind::Mode { from: None, .. }
         | EventKind::Mode { to: Mode::Arslv, .. }
+        | EventKind::DescriptorField(_)
+        | EventKind::RequestEnded { .. }
         | EventKind::IdsMerged { .. } => return None,
         EventKind::Mode { from: Some(from), to } => {
             (TimelineKind::Change, format!("{from} → {to}"))
@@ -64,6 +66,14 @@ pub fn event_text(buses: &Buses, bus: BusIndex, event: &Event) -> Option<(Timeli
             (TimelineKind::Change, format!("{by}gave up {}{to}{guess}", address(event)))
         }
         EventKind::Rebooted => (TimelineKind::Change, "rebooted".to_owned()),
+        EventKind::DescriptorRead { values, fields } if values == fields => (
+            TimelineKind::Improved,
+            format!("descriptor read: {}", counted(*fields as u64, "field")),
+        ),
+        EventKind::DescriptorRead { values, fields } => {
+            let text = format!("descriptor read: {values} of {}", counted(*fields as u64, "field"));
+            (TimelineKind::Change, text)
+        }
         EventKind::Removed => {
             let text = "removed: the bus speaks another protocol";
             (TimelineKind::Change, text.to_owned())
@@ -183,6 +193,9 @@ pub fn event_word(event: &EventKind) -> &'static str {
         EventKind::Rebooted => "rebooted",
         EventKind::UidChanged { .. } => "uid",
         EventKind::Removed => "removed",
+        EventKind::DescriptorField(_) => "field",
+        EventKind::DescriptorRead { .. } => "descriptor",
+        EventKind::RequestEnded { .. } => "response",
         EventKind::Presence(presence) => presence.name(),
         EventKind::Returned { .. } => "returned",
         EventKind::Finding { .. } => "finding",

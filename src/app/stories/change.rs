@@ -139,7 +139,10 @@ impl StoryChange {
             EventKind::NoAck => Self::NoAck,
             EventKind::Acknowledged => Self::Acknowledged,
             EventKind::DebugMessage { .. } => Self::Debug,
-            EventKind::IdsMerged { .. } => Self::Text,
+            EventKind::DescriptorRead { .. }
+            | EventKind::DescriptorField(_)
+            | EventKind::RequestEnded { .. }
+            | EventKind::IdsMerged { .. } => Self::Text,
         }
     }
 }

@@ -2,6 +2,7 @@
 //! heartbeat, entry of des.json; services; other devices, times, and state of the requests. Beside
 //! the list one below the other, below it in three columns.
 
+mod descriptor;
 mod others;
 mod rule;
 mod services;
@@ -161,6 +162,7 @@ impl<'b, 'a> DeviceDetails<'b, 'a> {
     fn fill_identity(&mut self, device: &Device) {
         self.blank();
         self.identity(device);
+        self.descriptor(device);
         self.history(device);
         self.requests(device);
         self.quirks(device);

@@ -213,6 +213,23 @@ pub(super) fn offset<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Optio
     }
 }
 
+/// Reads a service number, or `false` for none.
+pub(super) fn service_or_none<'de, D: Deserializer<'de>>(
+    deserializer: D,
+) -> Result<Option<u16>, D::Error> {
+    #[derive(Deserialize)]
+    #[serde(untagged)]
+    enum ServiceValue {
+        Number(u16),
+        Switch(bool),
+    }
+    match ServiceValue::deserialize(deserializer) {
+        Ok(ServiceValue::Number(number)) => Ok(Some(number)),
+        Ok(ServiceValue::Switch(false)) => Ok(None),
+        _ => Err(serde::de::Error::custom("a service number is 0 to 0x3FF, or false for none")),
+    }
+}
+
 /// Reads 64 printable characters.
 pub(super) fn alphabet<'de, D: Deserializer<'de>>(deserializer: D) -> Result<[char; 64], D::Error> {
     let text = String::deserialize(deserializer)?;

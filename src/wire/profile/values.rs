@@ -1,6 +1,7 @@
 //! Values of the profile by key, for the screen, for JSON and for files.
 
 use super::{Announce, FramingChoice, Profile, ProfileKey, ValueOrigin};
+use crate::wire::descriptor::ByteOrder;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::fmt::{self, Write as _};
@@ -14,7 +15,7 @@ pub enum ProfileValue {
     Service(u16),
     /// Another number.
     Number(u32),
-    /// A switch; false for an offset that there is none.
+    /// A switch; false for an offset or a service that there is none.
     Switch(bool),
     /// A text.
     Text(String),
@@ -67,8 +68,14 @@ impl ProfileKey {
                 | Self::Bspd
                 | Self::Addr
                 | Self::Autostart
+                | Self::ByteOrder
+                | Self::AutoRead
                 | Self::Identify
                 | Self::Mode
+                | Self::Reboot
+                | Self::WriteAddress
+                | Self::WriteBitrate
+                | Self::WriteEffect
                 | Self::TimeoutMs
                 | Self::ServiceNames
         )
@@ -115,7 +122,7 @@ impl Profile {
         use ProfileValue::{Number, Service, Text};
         let is_given = |key| self.origin(key) != ValueOrigin::Assumed;
         let [heartbeat_is_given, des_is_given] = [Key::Heartbeat, Key::Des].map(is_given);
-        let Self { services, heartbeat, framing, .. } = self;
+        let Self { services, descriptor, heartbeat, framing, .. } = self;
         match (key, value) {
             // The two have different numbers: an assumed one gives way.
             (Key::Heartbeat, Service(number)) => {
@@ -147,6 +154,11 @@ impl Profile {
                     _ => &mut heartbeat.error_offset,
                 };
                 *offset = Some(at);
+            }
+            (Key::ByteOrder, Text(word)) => {
+                let order = ByteOrder::ALL.into_iter().find(|order| order.word() == word);
+                let Some(order) = order else { return false };
+                descriptor.byte_order = order;
             }
             (Key::Framing, Text(word)) => match FramingChoice::from_word(word) {
                 Some(choice) => *framing = choice,
@@ -194,8 +206,9 @@ impl Profile {
     pub fn value(&self, key: ProfileKey) -> ProfileValue {
         use ProfileKey as Key;
         use ProfileValue::{Names, Number, Service, Switch, Text};
-        let Self { services, descriptor, commands, heartbeat, isotp, modes, .. } = self;
+        let Self { services, descriptor, commands, writes, heartbeat, isotp, modes, .. } = self;
         let offset = |at: Option<u8>| at.map_or(Switch(false), |at| Number(u32::from(at)));
+        let service = |number: Option<u16>| number.map_or(Switch(false), Service);
         let byte = |value: u8| Number(u32::from(value));
         match key {
             Key::Framing => Text(self.framing.word().to_owned()),
@@ -212,8 +225,14 @@ impl Profile {
             Key::Bspd => Service(descriptor.bspd),
             Key::Addr => Service(descriptor.addr),
             Key::Autostart => Service(descriptor.autostart),
+            Key::ByteOrder => Text(descriptor.byte_order.word().to_owned()),
+            Key::AutoRead => Switch(descriptor.auto),
             Key::Identify => Service(commands.identify),
             Key::Mode => Service(commands.mode),
+            Key::Reboot => service(commands.reboot),
+            Key::WriteAddress => service(writes.address),
+            Key::WriteBitrate => service(writes.bitrate),
+            Key::WriteEffect => Text(writes.effect.word().to_owned()),
             Key::UidOffset => offset(heartbeat.uid_offset),
             Key::ModeOffset => offset(heartbeat.mode_offset),
             Key::ErrorOffset => offset(heartbeat.error_offset),

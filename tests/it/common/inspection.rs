@@ -131,6 +131,11 @@ pub fn describe(event: &Event) -> String {
             format!("joined{who}: was row {} before {before}", was.number)
         }
         EventKind::Removed => format!("removed{who}"),
+        EventKind::DescriptorField(field) => format!("field{who}: {}", field.name()),
+        EventKind::DescriptorRead { values, fields } => {
+            format!("descriptor{who}: {values} of {fields}")
+        }
+        EventKind::RequestEnded { outcome, .. } => format!("response{who}: {outcome:?}"),
         EventKind::Rebooted => format!("rebooted{who}"),
         EventKind::UidChanged { from, to } => format!("uid{who}: {from:?} -> {to:?}"),
         EventKind::Presence(presence) => format!("{presence}{who}"),
