@@ -2,12 +2,14 @@
 //!
 //! Opens and reads no files.
 
+use crate::app::DeviceCommand;
 use crate::bitrate;
 use crate::bus::{self, BusSpec};
 use crate::guide;
 use crate::log::LogFormat;
 use crate::shell::recorder::Size;
 use crate::wire::id::Address;
+use crate::wire::node::Mode;
 use clap::builder::{PossibleValue, StringValueParser, TypedValueParser};
 use clap::{Args, CommandFactory, Parser, Subcommand};
 use std::ffi::OsStr;
@@ -118,6 +120,84 @@ Examples:
         #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
         time: Option<Duration>,
     },
+    /// Let a device blink or beep
+    #[command(after_help = "\
+Needs commands.identify in a profile. Exit code: as of descan mode.
+
+Examples:
+  descan identify can0 FEED --profile line7.toml
+  descan identify can0 14 --profile line7.toml --yes")]
+    Identify(DeviceArgs),
+    /// Set the mode of a device: CFG, BOOT, WORK or IDLE
+    #[command(after_help = "\
+Needs commands.mode in a profile. Says what is sent and what it does, and asks; --yes does not ask. It is \
+sent once.
+
+Exit code: 0 the device responded, 1 it refused, or did not respond, or nothing was sent, 2 wrong usage, \
+3 bus or device not usable, 130 interrupted.
+
+Examples:
+  descan mode can0 FEED CFG --profile line7.toml
+  descan mode can0 BOILER01 IDLE --profile line7.toml --yes --json")]
+    Mode {
+        /// Bus and device.
+        #[command(flatten)]
+        device: DeviceArgs,
+        /// CFG, BOOT, WORK or IDLE
+        #[arg(value_name = "MODE", value_parser = DeviceCommand::parse_mode)]
+        mode: Mode,
+    },
+    /// Restart a device
+    #[command(after_help = "\
+Needs commands.reboot in a profile. Exit code: as of descan mode.
+
+Example:
+  descan restart can0 FEED --profile line7.toml")]
+    Restart(DeviceArgs),
+    /// Read or set the address with which a device starts
+    #[command(after_help = "\
+Reads it without a SETTING, which needs descriptor.addr in a profile; a SETTING needs writes.address, and \
+is asked for. Exit code: as of descan mode.
+
+Examples:
+  descan address can0 FEED --profile line7.toml
+  descan address can0 FEED 12 --profile line7.toml
+  descan address can0 FEED preferred 12 --profile line7.toml --yes
+  descan address can0 FEED none --profile line7.toml")]
+    Address {
+        /// Bus and device.
+        #[command(flatten)]
+        device: DeviceArgs,
+        /// 12 or fixed 12, preferred 12, none
+        #[arg(value_name = "SETTING", num_args = 0..=2)]
+        setting: Vec<String>,
+    },
+    /// Read or set the bit rate with which a device starts
+    #[command(after_help = "\
+Reads it without a SETTING, which needs descriptor.bspd in a profile; a SETTING needs writes.bitrate, and \
+is asked for. Exit code: as of descan mode.
+
+Examples:
+  descan bitrate can0 FEED --profile line7.toml
+  descan bitrate can0 FEED preferred 250k --profile line7.toml")]
+    Bitrate {
+        /// Bus and device.
+        #[command(flatten)]
+        device: DeviceArgs,
+        /// 250k or fixed 250k, preferred 250k
+        #[arg(value_name = "SETTING", num_args = 0..=2)]
+        setting: Vec<String>,
+    },
+    /// Read what a device says of itself: type, firmware, settings
+    #[command(after_help = "\
+Reads the fields whose service numbers a profile sets: descriptor.gid, descriptor.fw and so on.
+
+Exit code: 0 all have a value, 1 one has none, 2 wrong usage, 3 bus or device not usable, 130 interrupted.
+
+Examples:
+  descan descriptor can0 FEED --profile line7.toml
+  descan descriptor can0 14 --profile line7.toml --json")]
+    Descriptor(DeviceArgs),
     /// Find the bit rate of a bus, listen-only
     Speed(SpeedArgs),
     /// Print the completion script of a shell
@@ -166,6 +246,29 @@ pub enum ProfileCommand {
     },
     /// Learn values from the frames of a bus or of a log; nothing is sent
     Learn(LearnArgs),
+}
+
+/// Commands to one device.
+#[derive(Debug, Args)]
+pub struct DeviceArgs {
+    /// The bus.
+    #[arg(value_name = "BUS", help = format!("The bus: {}", bus::forms(|kind| kind.can_send)))]
+    pub bus: BusSpec,
+    /// Name, address or UID of the device
+    #[arg(value_name = "DEVICE")]
+    pub device: String,
+    /// Send without asking
+    #[arg(long)]
+    pub yes: bool,
+    /// Look for the device for SECONDS [default: 15]
+    #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
+    pub time: Option<Duration>,
+    /// Print JSON instead of text
+    #[arg(long)]
+    pub json: bool,
+    /// What it shares with the other commands.
+    #[command(flatten)]
+    pub common: CommonArgs,
 }
 
 /// `descan profile learn`.

@@ -27,7 +27,7 @@ pub enum DeviceCommand {
 }
 
 /// Forms of commands, for hints and errors.
-pub const COMMAND_FORMS: &str = "identify, mode CFG|BOOT|WORK|IDLE, restart, address N|preferred N|none, bitrate 250k|preferred 250k";
+pub const COMMAND_FORMS: &str = "identify, mode M, restart, address 12 or none, bitrate 250k";
 
 impl DeviceCommand {
     /// The modes that a command can demand; a device enters the others by itself.

@@ -14,6 +14,7 @@ use crate::discovery::{Config, DeviceId, DeviceRequest, Event, RequestId};
 use crate::frame::{BusIndex, Frame};
 use crate::status::BusStatus;
 use crate::time::Instant;
+use crate::wire::descriptor::DescriptorField;
 use crate::wire::profile::Profile;
 use std::collections::VecDeque;
 use std::ops::{Deref, Range};
@@ -192,10 +193,15 @@ impl RecordedBuses {
         self.now.request(now, request)
     }
 
-    /// Reads the descriptor of a device; returns the number of fields.
-    pub(super) fn read_descriptor(&mut self, now: Instant, device: DeviceId) -> usize {
-        self.note(now, BusesInput::ReadDescriptor(device));
-        self.now.read_descriptor(now, device)
+    /// Reads a field of the descriptor of a device, or all; returns the number of fields.
+    pub(super) fn read_descriptor(
+        &mut self,
+        now: Instant,
+        device: DeviceId,
+        field: Option<DescriptorField>,
+    ) -> usize {
+        self.note(now, BusesInput::ReadDescriptor(device, field));
+        self.now.read_descriptor(now, device, field)
     }
 
     /// Removes the lost devices of all buses.
@@ -557,8 +563,8 @@ impl Buses {
             BusesInput::Request(request) => {
                 self.request(now, request.clone());
             }
-            BusesInput::ReadDescriptor(device) => {
-                self.read_descriptor(now, *device);
+            BusesInput::ReadDescriptor(device, field) => {
+                self.read_descriptor(now, *device, *field);
             }
             BusesInput::RemoveLost => self.remove_lost_devices(),
             BusesInput::Rename(index, name) => {

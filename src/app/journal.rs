@@ -6,6 +6,7 @@ use crate::discovery::{Config, DeviceId, DeviceRequest};
 use crate::frame::BusIndex;
 use crate::status::BusStatus;
 use crate::time::Instant;
+use crate::wire::descriptor::DescriptorField;
 use crate::wire::profile::Profile;
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -36,8 +37,8 @@ pub(super) enum BusesInput {
     Rescan,
     /// A request to a device.
     Request(DeviceRequest),
-    /// The descriptor of a device is read.
-    ReadDescriptor(DeviceId),
+    /// A field of the descriptor of a device is read, or all.
+    ReadDescriptor(DeviceId, Option<DescriptorField>),
     /// The lost devices are removed.
     RemoveLost,
     /// A bus has another name.

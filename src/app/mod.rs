@@ -121,6 +121,7 @@ pub use frame_selector::FrameSelector;
 pub use frame_sides::FrameSides;
 pub use help_view::HelpView;
 pub use history::{BusesReplay, Moment, RecordedBuses};
+pub use input::parse_address;
 pub use input::{FilterPrompt, InputCheck, Overlay, Prompt, PromptKind, Question};
 pub use lanes::{Lane, LaneBoard, LaneCell, Lanes, format_step};
 pub use listing::{addition_refusal, same_services};

@@ -83,7 +83,7 @@ impl App {
     pub fn command_sentences(&self, id: DeviceId, command: DeviceCommand) -> (String, String) {
         let (profile, who) = (&self.profile(id.bus), self.who(id));
         let bytes = match command.request(profile) {
-            Some((service, data)) if data.is_empty() => format!("service {service}, no data"),
+            Some((service, data)) if data.is_empty() => format!("service {service}"),
             Some((service, data)) => format!("service {service}, data {}", hex(&data, " ")),
             None => key_needed(&[command.key()]),
         };
@@ -131,26 +131,38 @@ impl App {
         Ok(())
     }
 
-    /// Reads the fields of a device's descriptor whose service numbers are given.
+    /// Reads a field of a device's descriptor, or all whose service numbers a file sets.
     ///
     /// # Errors
     ///
     /// The reason why it cannot be read.
-    pub fn read_descriptor(&mut self, id: DeviceId) -> Result<usize, String> {
-        if let Some(why) = self.descriptor_obstacle(id) {
+    pub fn read_descriptor(
+        &mut self,
+        id: DeviceId,
+        field: Option<DescriptorField>,
+    ) -> Result<usize, String> {
+        if let Some(why) = self.descriptor_obstacle(id, field) {
             return Err(why);
         }
-        Ok(self.buses.read_descriptor(self.clock.now(), id))
+        Ok(self.buses.read_descriptor(self.clock.now(), id, field))
     }
 
-    /// Why the descriptor of a device cannot be read; `None` if it can.
-    fn descriptor_obstacle(&self, id: DeviceId) -> Option<String> {
-        let is_known = given_fields(&self.profile(id.bus)).next().is_some();
-        let obstacle = || {
-            let keys = [ProfileKey::Gid, ProfileKey::Fw];
-            (!is_known).then(|| format!("the descriptor {}", key_needed(&keys)))
-        };
+    /// Why a field of a device's descriptor, or all, cannot be read; `None` if it can.
+    pub fn descriptor_obstacle(
+        &self,
+        id: DeviceId,
+        field: Option<DescriptorField>,
+    ) -> Option<String> {
+        let profile = &self.profile(id.bus);
+        let is_known = given_fields(profile).any(|it| field.is_none_or(|field| field == it));
+        let key = field.unwrap_or(DescriptorField::Gid).key();
+        let obstacle = || (!is_known).then(|| format!("the descriptor {}", key_needed(&[key])));
         self.request_obstacle(id).or_else(obstacle)
+    }
+
+    /// Returns true if no field of a device's descriptor is still to be read.
+    pub fn is_descriptor_read(&self, id: DeviceId) -> bool {
+        self.bus(id.bus).is_none_or(|bus| !bus.is_reading_descriptor(id))
     }
 
     // ---- on the screen ---------------------------------------------------------------------
@@ -199,7 +211,7 @@ impl App {
         let Some(id) = self.selected_device().map(|device| device.id) else {
             return self.show_error("no device in this row");
         };
-        match self.descriptor_obstacle(id) {
+        match self.descriptor_obstacle(id, None) {
             None => self.input.ask(Question::Descriptor(id)),
             Some(why) => self.show_error(why),
         }
@@ -230,7 +242,7 @@ impl App {
 
     /// Reads a descriptor as the user confirmed.
     pub(super) fn read_confirmed(&mut self, id: DeviceId) {
-        match self.read_descriptor(id) {
+        match self.read_descriptor(id, None) {
             Ok(fields) => {
                 self.show_info(format!("reading {}", counted(fields as u64, "field")));
             }

@@ -4,6 +4,7 @@
 //! the remedy. Does not parse arguments.
 
 mod check;
+mod device;
 mod diff;
 mod gate;
 mod guide;
@@ -20,8 +21,10 @@ mod speed;
 mod tui;
 mod watch;
 
+use crate::app::DeviceCommand;
 use crate::cli::{self, Cli, Command};
 use crate::diagnostic::Diagnostic;
+use device::DeviceTask;
 use output::print_own;
 use std::process::ExitCode;
 
@@ -71,6 +74,18 @@ pub fn run(cli: Cli) -> ExitCode {
         Some(Command::Diff(diff)) => diff::run(&diff),
         Some(Command::Log(log)) => log::run(&log),
         Some(Command::Sim { bus, scenario, time }) => simulate::run(&bus, &scenario, time),
+        Some(Command::Identify(args)) => {
+            device::run(&args, DeviceTask::Send(DeviceCommand::Identify))
+        }
+        Some(Command::Mode { device, mode }) => {
+            device::run(&device, DeviceTask::Send(DeviceCommand::Mode(mode)))
+        }
+        Some(Command::Restart(args)) => {
+            device::run(&args, DeviceTask::Send(DeviceCommand::Restart))
+        }
+        Some(Command::Address { device, setting }) => device::set_address(&device, &setting),
+        Some(Command::Bitrate { device, setting }) => device::set_bitrate(&device, &setting),
+        Some(Command::Descriptor(args)) => device::run(&args, DeviceTask::Read(None)),
         Some(Command::Speed(speed)) => speed::run(&speed),
         Some(Command::Completions { shell }) => {
             print_own(&cli::completions(shell)).map(|()| EXIT_OK)

@@ -9,10 +9,11 @@ use super::device_tracker::DeviceTracker;
 use super::event::EventKind;
 use super::{DeviceId, is_open};
 use crate::frame::Frame;
+use crate::text::hex;
 use crate::time::Instant;
 use crate::wire::descriptor::{DescriptorFault, DescriptorField, DescriptorValue};
 use crate::wire::id::{Address, Header, Service};
-use crate::wire::profile::{Profile, ValueOrigin};
+use crate::wire::profile::{Profile, UidProfile, ValueOrigin};
 use std::collections::VecDeque;
 
 /// Maximum number of reads of other nodes that wait for a response. Bounds the memory: all fields of
@@ -37,6 +38,19 @@ pub enum FieldContent {
     Refused,
     /// Nothing within the time of `calls.timeout_ms`.
     NoResponse,
+}
+
+impl FieldContent {
+    /// Returns it in words, with the characters of a UID in this alphabet.
+    pub fn in_words(&self, alphabet: &UidProfile) -> String {
+        match self {
+            Self::Value(value) => value.in_words(alphabet).to_string(),
+            Self::Malformed { data, .. } if data.is_empty() => "no data".to_owned(),
+            Self::Malformed { data, fault } => format!("{}: {fault}", hex(data, " ")),
+            Self::Refused => "error response (ERR = 0)".to_owned(),
+            Self::NoResponse => "no response".to_owned(),
+        }
+    }
 }
 
 /// The last read of a field.
@@ -200,13 +214,23 @@ impl DeviceTracker {
 }
 
 impl Engine {
-    /// Command: reads the fields of a device's descriptor whose service numbers a file sets, one by
-    /// one. Returns the number of fields.
-    pub fn read_descriptor(&mut self, now: Instant, device: DeviceId) -> usize {
+    /// Command: reads a field of a device's descriptor, or with `None` all, one by one; only those
+    /// whose service numbers a file sets. Returns the number of fields.
+    pub fn read_descriptor(
+        &mut self,
+        now: Instant,
+        device: DeviceId,
+        field: Option<DescriptorField>,
+    ) -> usize {
         self.tracker.advance(now);
-        let count = self.queue_reads(device);
+        let count = self.queue_reads(device, field);
         self.tracker.wake_at(self.tracker.now);
         count
+    }
+
+    /// Returns true while fields of a device's descriptor are still to be read.
+    pub fn is_reading_descriptor(&self, device: DeviceId) -> bool {
+        self.requester.device_requests.reads_of(device) > 0
     }
 
     /// Queues the reads of devices that were found or restarted, if the profile says so.
@@ -229,16 +253,16 @@ impl Engine {
         let all = table.devices().iter().map(|device| device.id);
         let due: Vec<DeviceId> = all.filter(is_due).collect();
         for id in due {
-            self.queue_reads(id);
+            self.queue_reads(id, None);
         }
     }
 
-    fn queue_reads(&mut self, device: DeviceId) -> usize {
+    fn queue_reads(&mut self, device: DeviceId, only: Option<DescriptorField>) -> usize {
         let profile = self.tracker.config.profile.clone();
         let Some(row) = self.tracker.device_table.get_mut(device) else { return 0 };
-        row.descriptor.is_read = true;
+        row.descriptor.is_read |= only.is_none();
         let mut count = 0;
-        for field in given_fields(&profile) {
+        for field in given_fields(&profile).filter(|field| only.is_none_or(|it| it == *field)) {
             let service = field.service(&profile.descriptor);
             let request = DeviceRequest { device, service, data: Vec::new() };
             let queued = self.requester.device_requests.push(request, Some(field));
@@ -261,10 +285,10 @@ impl Engine {
             return;
         }
         let profile = &self.tracker.config.profile;
-        let given: Vec<DescriptorField> = given_fields(profile).collect();
         let Some(device) = self.tracker.device_table.get(row) else { return };
-        let values = given.iter().filter(|field| device.descriptor.value(**field).is_some());
-        let (values, fields) = (values.count(), given.len());
+        let has_value = |field: &DescriptorField| device.descriptor.value(*field).is_some();
+        let values = given_fields(profile).filter(has_value).count();
+        let fields = given_fields(profile).count();
         self.tracker.emit(row, EventKind::DescriptorRead { values, fields });
     }
 

@@ -6,7 +6,7 @@
 use super::ServicesNews;
 use super::descriptors::DeviceDescriptor;
 use super::period_error::{PeriodError, PeriodMeter};
-use crate::frame::BusIndex;
+use crate::frame::{BusIndex, Frame};
 use crate::text::Name;
 use crate::time::{Duration, Instant};
 use crate::wire::des::{Request, ResponseFault};
@@ -531,6 +531,8 @@ pub struct Device {
     pub(super) heartbeat_uid: Option<Uid>,
     /// UID in its heartbeats before the present one.
     pub(super) uid_before: Option<Uid>,
+    /// A request that it sent after a heartbeat in CFG or BOOT, until the next heartbeat.
+    pub(super) request_in_cfg: Option<Box<Frame>>,
     /// True if the last heartbeat had mode INIT or ARSLV: the node is about to change its mode.
     pub(super) is_resolving: bool,
     /// True if the last heartbeat from its address came from another node that has no row yet.
@@ -579,6 +581,7 @@ impl Device {
             replaced_at: None,
             heartbeat_uid: None,
             uid_before: None,
+            request_in_cfg: None,
             is_resolving: false,
             last_heartbeat_was_other_node: false,
             moved_from: None,

@@ -81,7 +81,7 @@ struct QueuedRequest {
 
 /// A request that waits for its response.
 #[derive(Clone, Debug)]
-struct OpenRequest {
+struct AwaitedRequest {
     id: RequestId,
     device: DeviceId,
     field: Option<DescriptorField>,
@@ -101,7 +101,7 @@ struct EndedRequest {
     outcome: RequestOutcome,
 }
 
-impl OpenRequest {
+impl AwaitedRequest {
     fn end(self, outcome: RequestOutcome) -> EndedRequest {
         let Self { id, device, field, frame, .. } = self;
         EndedRequest { id, device, field, frame: Some(frame), outcome }
@@ -120,7 +120,7 @@ impl QueuedRequest {
 #[derive(Clone, Debug, Default)]
 pub(super) struct DeviceRequests {
     queued: VecDeque<QueuedRequest>,
-    open: Vec<OpenRequest>,
+    open: Vec<AwaitedRequest>,
     ended: VecDeque<EndedRequest>,
     next_id: u64,
     /// When the share of the bus allows the next one.
@@ -270,7 +270,7 @@ impl Requester {
             let bits = 2.0 * nominal_bits(&frame);
             requests.free_at = now + Duration::from_micros((bits / rate.max(1.0) * 1e6) as u64);
             let deadline = now + timeout;
-            requests.open.push(OpenRequest { id, device, field, frame, header, deadline });
+            requests.open.push(AwaitedRequest { id, device, field, frame, header, deadline });
             self.outbox.push(frame);
         }
     }

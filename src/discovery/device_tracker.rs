@@ -21,6 +21,7 @@ use crate::frame::Frame;
 use crate::time::{Duration, Instant};
 use crate::wire::des::Request;
 use crate::wire::id::{Address, Header};
+use crate::wire::node::Mode;
 use std::collections::VecDeque;
 
 /// Maximum number of events waiting to be polled; beyond that the oldest is dropped. Bounds the
@@ -273,6 +274,40 @@ impl DeviceTracker {
         let name = device.name.clone();
         self.conflicts.note_non_conforming(now, source, name.as_ref(), frame);
         self.wake_at(now);
+    }
+
+    /// Notes a request of a node: in CFG and BOOT it may not send any. Its next heartbeat decides, since it
+    /// may have left the mode meanwhile.
+    pub fn note_request_of(&mut self, now: Instant, row: DeviceId, frame: &Frame) {
+        let Some(device) = self.device_table.get_mut(row).filter(|device| !device.is_debug) else {
+            return;
+        };
+        let is_configured = matches!(device.mode, Some(Mode::Cfg | Mode::Boot));
+        let address = device.address;
+        let last = device.heartbeat.last;
+        let is_recent =
+            |last: Instant| now.since(last) < self.conflicts.periods().of(address).mul_f64(1.5);
+        if is_configured
+            && last.is_some_and(is_recent)
+            && !self.conflicts.finding_tracker().is_open_at(address)
+        {
+            device.request_in_cfg = Some(Box::new(*frame));
+        }
+    }
+
+    /// Notes a heartbeat with this mode: a request since the one before was sent in that mode, if the mode
+    /// is still the same.
+    pub fn check_request_in_cfg(&mut self, now: Instant, row: DeviceId, mode: Option<Mode>) {
+        let Some(device) = self.device_table.get_mut(row) else { return };
+        let Some(request) = device.request_in_cfg.take() else { return };
+        let period = self.conflicts.periods().of(device.address);
+        let is_next =
+            device.heartbeat.last.is_some_and(|last| now.since(last) < period.mul_f64(1.5));
+        if is_next && mode.is_some() && mode == device.mode {
+            let (address, name) = (device.address, device.name.clone());
+            self.conflicts.note_request_in_cfg(now, address, name.as_ref(), &request);
+            self.wake_at(now);
+        }
     }
 
     /// Returns the row of a frame's sender; creates it for an unknown address. `None` if there are

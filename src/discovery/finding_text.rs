@@ -96,6 +96,9 @@ pub(super) fn describe(finding: &mut Finding, is_certain: bool) {
         FindingKind::NonConforming => {
             format!("{device} sends identifiers with an unknown message type.")
         }
+        FindingKind::CfgSendsRequests => {
+            format!("{device} sends requests in CFG or BOOT, where it only responds.")
+        }
         // The detector writes the text, which has the fault or the delay in it.
         FindingKind::MalformedAnswer | FindingKind::FramesRepeated => {
             std::mem::take(&mut finding.text)
@@ -114,7 +117,10 @@ pub(super) fn describe(finding: &mut Finding, is_certain: bool) {
         | FindingKind::Missing
         | FindingKind::Unlisted
         | FindingKind::NameDiffers
-        | FindingKind::ServicesDiffer => return,
+        | FindingKind::ServicesDiffer
+        | FindingKind::FixedBitrateDiffers
+        | FindingKind::FixedAddressDiffers
+        | FindingKind::TypeServicesDiffer => return,
     };
     finding.remedy = if finding.key.kind == FindingKind::TwoDebugDevices && concerns_own_address {
         "No action needed: descan moves to another address. Or quit the other tool.".to_owned()

@@ -129,6 +129,9 @@ impl Engine {
             self.tracker.counters.over_limit += 1;
             return;
         };
+        if !header.response && !matches!(content, PlatformContent::Heartbeat(_)) {
+            self.tracker.note_request_of(now, row, frame);
+        }
         match content {
             PlatformContent::Debug => {
                 let (code, data) = (header.service.number(), frame.data().to_vec());

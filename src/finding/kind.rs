@@ -76,13 +76,15 @@ pub enum CheckSection {
     NameDiffers,
     /// Devices with other services than their entry.
     ServicesDiffer,
+    /// Devices with settings that move them elsewhere at their next start.
+    SettingsDiffer,
     /// Errors in the file itself.
     FileErrors,
 }
 
 impl CheckSection {
     /// All sections, in the order of the output.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 9] = [
         Self::Conflicts,
         Self::Missing,
         Self::WrongAddress,
@@ -90,6 +92,7 @@ impl CheckSection {
         Self::NotInFile,
         Self::NameDiffers,
         Self::ServicesDiffer,
+        Self::SettingsDiffer,
         Self::FileErrors,
     ];
 
@@ -103,6 +106,7 @@ impl CheckSection {
             Self::NotInFile => "not in file",
             Self::NameDiffers => "name differs",
             Self::ServicesDiffer => "services differ",
+            Self::SettingsDiffer => "settings differ",
             Self::FileErrors => "file errors",
         }
     }
@@ -380,6 +384,59 @@ finding_kinds! {
             headline: "services differ from file",
             remedy: "Add them to the file, or check the firmware.",
             confirmation: None,
+        },
+        at_address: None,
+    },
+    /// A device is set to a fixed bit rate that is not that of the bus.
+    FixedBitrateDiffers: FindingKindInfo {
+        name: "fixed-bit-rate-differs",
+        severity: 72,
+        grouping: Grouping::Single,
+        exit_code_of: ExitCodeScope::Check(CheckSection::SettingsDiffer),
+        wording: Wording {
+            headline: "fixed bit rate differs from the bus",
+            remedy: "Set it to the bit rate of the bus, or to a preferred one, before it restarts.",
+            confirmation: None,
+        },
+        at_address: None,
+    },
+    /// A device is set to a fixed address that is not the static one of its entry.
+    FixedAddressDiffers: FindingKindInfo {
+        name: "fixed-address-differs",
+        severity: 58,
+        grouping: Grouping::Single,
+        exit_code_of: ExitCodeScope::Check(CheckSection::SettingsDiffer),
+        wording: Wording {
+            headline: "fixed address differs from file",
+            remedy: "Set the address of the device to {static address}, or change the file to {fixed address}.",
+            confirmation: None,
+        },
+        at_address: None,
+    },
+    /// A device has other services than another one of its type and major firmware version (CAN
+    /// platform §3.2).
+    TypeServicesDiffer: FindingKindInfo {
+        name: "type-services-differ",
+        severity: 52,
+        grouping: Grouping::Single,
+        exit_code_of: ExitCodeScope::Nothing,
+        wording: Wording {
+            headline: "services differ within a type",
+            remedy: "Give one of the two firmwares another major version, or one of the devices another GID.",
+            confirmation: None,
+        },
+        at_address: None,
+    },
+    /// A device in CFG or BOOT sends requests (CAN platform §3.2.4.3).
+    CfgSendsRequests: FindingKindInfo {
+        name: "cfg-sends-requests",
+        severity: 35,
+        grouping: Grouping::Single,
+        exit_code_of: ExitCodeScope::Nothing,
+        wording: Wording {
+            headline: "sends requests while it is configured",
+            remedy: "Check its firmware: in CFG and BOOT a device sends responses and heartbeats alone.",
+            confirmation: SEEN_AGAIN,
         },
         at_address: None,
     },

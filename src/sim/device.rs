@@ -7,12 +7,15 @@ mod serve;
 
 use super::bus::{SimBus, StationIndex};
 use super::reply::TxResponses;
-use super::scenario::{AddressChoice, DeviceAction, DeviceSpec, Fault};
+use super::scenario::{DeviceAction, DeviceSpec, Fault};
 use crate::frame::Frame;
 use crate::time::Duration;
+use crate::wire::des::Request;
+use crate::wire::descriptor::{AddressSetting, BitrateSetting};
+use crate::wire::framing::Framing;
 use crate::wire::id::{Address, Header};
 use crate::wire::node::{Heartbeat, Mode};
-use crate::wire::profile::Profile;
+use crate::wire::profile::{Profile, WriteEffect};
 
 /// BUS_CFG_TXERR_MAX: error counter at which a device disconnects and starts again.
 const MAX_ERRORS: u16 = 128;
@@ -49,6 +52,8 @@ impl DeviceIo<'_> {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum DeviceStage {
     Off,
+    /// INIT at a fixed bit rate that is not that of the bus: hears nothing.
+    OtherBitrate,
     /// INIT: listen-only until a frame arrives or 1.5 × BUS_CFG_HR_TIME ends.
     Init {
         until: u64,
@@ -123,7 +128,7 @@ impl SimDevice {
 
     /// Returns true if it needs all frames, during address resolution.
     pub fn is_listening(&self) -> bool {
-        !matches!(self.stage, DeviceStage::Off | DeviceStage::Run)
+        !matches!(self.stage, DeviceStage::Off | DeviceStage::OtherBitrate | DeviceStage::Run)
     }
 
     fn is_working(&self) -> bool {
@@ -140,7 +145,10 @@ impl SimDevice {
             DeviceStage::Init { until }
             | DeviceStage::Listen { until }
             | DeviceStage::Wait { until, .. } => Some(until),
-            DeviceStage::Off | DeviceStage::Claim { .. } | DeviceStage::Run => None,
+            DeviceStage::Off
+            | DeviceStage::OtherBitrate
+            | DeviceStage::Claim { .. }
+            | DeviceStage::Run => None,
         };
         let chatter = self.chatter_at.iter().copied().min().filter(|&at| at != u64::MAX);
         [stage, self.beat_at, chatter, self.replies.next()].into_iter().flatten().min()
@@ -194,18 +202,24 @@ impl SimDevice {
     /// Enters INIT, listen-only.
     fn begin(&mut self, port: &mut DeviceIo) {
         self.stop();
-        port.bus.set_attached(port.station, true);
-        port.bus.controller_mut(port.station).listen_only = true;
         self.mode = Mode::Init;
         self.address = None;
+        let rate = self.spec.descriptor.bitrate.filter(|setting| setting.is_fixed);
+        let hears_nothing = rate.is_some_and(|setting| setting.rate != port.bus.bitrate());
+        port.bus.set_attached(port.station, !hears_nothing);
+        if hears_nothing {
+            self.stage = DeviceStage::OtherBitrate;
+            return;
+        }
+        port.bus.controller_mut(port.station).listen_only = true;
         self.stage = DeviceStage::Init { until: port.now + port.heartbeat_time() * 3 / 2 };
     }
 
     /// Enters its final mode at once, without address resolution.
     fn settle(&mut self, port: &mut DeviceIo) {
         let address = match self.spec.address {
-            AddressChoice::Preferred(address) | AddressChoice::Fixed(address) => address,
-            AddressChoice::Any => Address::from_bits(self.rng.u8(1..128)),
+            AddressSetting::Preferred(address) | AddressSetting::Fixed(address) => address,
+            AddressSetting::None => Address::from_bits(self.rng.u8(1..128)),
         };
         self.settle_at(address, port);
     }
@@ -241,11 +255,11 @@ impl SimDevice {
     fn choose(&mut self, port: &mut DeviceIo) {
         let is_free = |address: Address| self.in_use >> address.index() & 1 == 0;
         let wanted = match self.spec.address {
-            AddressChoice::Any => None,
-            AddressChoice::Preferred(address) | AddressChoice::Fixed(address) => Some(address),
+            AddressSetting::None => None,
+            AddressSetting::Preferred(address) | AddressSetting::Fixed(address) => Some(address),
         };
         let wanted = wanted.filter(|&address| is_free(address) || !self.can_give_up());
-        let choice = if wanted.is_some() || matches!(self.spec.address, AddressChoice::Fixed(_)) {
+        let choice = if wanted.is_some() || matches!(self.spec.address, AddressSetting::Fixed(_)) {
             wanted
         } else {
             let free: Vec<Address> = Address::nodes().filter(|&at| is_free(at)).collect();
@@ -275,7 +289,7 @@ impl SimDevice {
     fn run(&mut self, address: Address, port: &mut DeviceIo) {
         self.address = Some(address);
         self.stage = DeviceStage::Run;
-        let configured = self.spec.address != AddressChoice::Any && !self.spec.uid.is_blank();
+        let configured = self.spec.address != AddressSetting::None && !self.spec.uid.is_blank();
         self.mode = match self.spec.mode {
             Some(Mode::Init | Mode::Arslv) | None if self.spec.autostart && configured => {
                 Mode::Work
@@ -327,6 +341,18 @@ impl SimDevice {
         let Some(address) = self.address else { return };
         let frame = self.heartbeat(address, port);
         port.send(frame);
+        if self.spec.faults.has(Fault::SendsRequests) {
+            self.send_request(address, port);
+        }
+    }
+
+    /// Sends a name request to all.
+    fn send_request(&mut self, address: Address, port: &mut DeviceIo) {
+        let (rnd7, service) = (self.rng.u8(0..128), port.profile.des_service());
+        let header = Header::broadcast(address, rnd7, false, service);
+        let (data, len) = Profile::request_bytes(Request::Name, Framing::Isotp);
+        let frame = self.frame(header, &data[..len], port);
+        port.send(frame);
     }
 
     /// Sends periodic data with slowly changing values, like a sensor's.
@@ -362,7 +388,7 @@ impl SimDevice {
             return;
         }
         match self.stage {
-            DeviceStage::Off => {}
+            DeviceStage::Off | DeviceStage::OtherBitrate => {}
             DeviceStage::Init { .. } => {
                 self.listen(port);
                 self.note_addresses(header);
@@ -459,6 +485,9 @@ impl SimDevice {
                     self.listen(port);
                 }
             }
+            DeviceAction::StoreAddress(address) => self.spec.address = address,
+            DeviceAction::StoreBitrate(setting) => self.store_bitrate(setting, port),
+            DeviceAction::Firmware(version) => self.spec.descriptor.firmware = version,
             DeviceAction::Services(services) => self.spec.services = services,
             DeviceAction::Mode(mode) => self.set_mode(mode, port),
             DeviceAction::Name(name) => self.spec.name = name,
@@ -466,6 +495,14 @@ impl SimDevice {
             DeviceAction::AddFault(fault) => self.set_fault(fault, true, port),
             DeviceAction::RemoveFault(fault) => self.set_fault(fault, false, port),
             DeviceAction::SetFrameErrorProbability(_) => {}
+        }
+    }
+
+    /// Stores another bit rate; acts by it at once, if the profile says so.
+    fn store_bitrate(&mut self, setting: BitrateSetting, port: &mut DeviceIo) {
+        self.spec.descriptor.bitrate = Some(setting);
+        if self.is_on() && port.profile.writes.effect == WriteEffect::Now {
+            self.begin(port);
         }
     }
 

@@ -25,23 +25,27 @@
 //! gid = "010203040506"
 //! serial = 7
 //! firmware = [2, 1]
+//! programmable = true
+//! fpu = false
+//! bit_rate = { fixed = 125000 }       # or { preferred = 125000 }
 //!
 //! [[at]]
 //! time = 30.0                         # seconds; again with every = 60.0
 //! device = "the valve"
 //! do = "reboot"                       # optional: services
-//! # join, leave, quick-reboot, move (address), services (services), mode (mode), name (name or
+//! # join, leave, firmware (firmware), quick-reboot, move (address), services (services), mode (mode), name (name or
 //! # name_hex), uid (uid), break and mend (fault); without a device: error-rate (rate)
 //! ```
 //!
 //! Translation only; the meaning of the values is in [`super::scenario`].
 
 use super::scenario::{
-    AddressChoice, Descriptor, DeviceAction, DeviceFraming, DeviceSpec, Fault, Faults,
-    PeriodicMessage, Scenario, ScenarioError, TimetableEvent, uid_of,
+    Descriptor, DeviceAction, DeviceFraming, DeviceSpec, Fault, Faults, PeriodicMessage, Scenario,
+    ScenarioError, TimetableEvent, uid_of,
 };
 use crate::time::{Duration, Instant};
-use crate::wire::id::Service;
+use crate::wire::descriptor::{AddressSetting, BitrateSetting, FirmwareVersion, Gid};
+use crate::wire::id::{Address, Service};
 use crate::wire::node::{Mode, Uid};
 use crate::wire::profile::UidProfile;
 use serde::Deserialize;
@@ -75,12 +79,15 @@ struct DeviceWritten {
     label: Option<String>,
     name: Option<String>,
     name_hex: Option<String>,
-    address: Option<AddressChoice>,
+    address: Option<AddressRead>,
     uid: Option<String>,
     gid: Option<String>,
     #[serde(default)]
     serial: u32,
     firmware: Option<[u16; 2]>,
+    programmable: Option<bool>,
+    fpu: Option<bool>,
+    bit_rate: Option<BitrateRead>,
     services: Option<Vec<Vec<String>>>,
     autostart: Option<bool>,
     mode: Option<String>,
@@ -100,6 +107,61 @@ struct DeviceWritten {
     faults: Vec<Fault>,
     #[serde(default)]
     chatter: Vec<ChatterWritten>,
+}
+
+/// DEV_CFG_ADDR.
+#[derive(Clone, Copy, Deserialize)]
+#[serde(try_from = "AddressWritten")]
+struct AddressRead(AddressSetting);
+
+#[derive(Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum AddressWritten {
+    Any,
+    Preferred(u8),
+    Fixed(u8),
+}
+
+impl TryFrom<AddressWritten> for AddressRead {
+    type Error = String;
+    fn try_from(written: AddressWritten) -> Result<Self, String> {
+        let address = |number| {
+            Address::new(number)
+                .filter(|&address| address != Address::DEBUG)
+                .ok_or_else(|| format!("{number} is not a node address (1 to 127)"))
+        };
+        Ok(Self(match written {
+            AddressWritten::Any => AddressSetting::None,
+            AddressWritten::Preferred(number) => AddressSetting::Preferred(address(number)?),
+            AddressWritten::Fixed(number) => AddressSetting::Fixed(address(number)?),
+        }))
+    }
+}
+
+/// DEV_CFG_BSPD.
+#[derive(Clone, Copy, Deserialize)]
+#[serde(try_from = "BitrateWritten")]
+struct BitrateRead(BitrateSetting);
+
+#[derive(Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum BitrateWritten {
+    Preferred(u32),
+    Fixed(u32),
+}
+
+impl TryFrom<BitrateWritten> for BitrateRead {
+    type Error = String;
+    fn try_from(written: BitrateWritten) -> Result<Self, String> {
+        let (rate, is_fixed) = match written {
+            BitrateWritten::Preferred(rate) => (rate, false),
+            BitrateWritten::Fixed(rate) => (rate, true),
+        };
+        if !BitrateSetting::RATES.contains(&rate) {
+            return Err(format!("{rate} is not 125000, 250000, 500000 or 1000000"));
+        }
+        Ok(Self(BitrateSetting { rate, is_fixed }))
+    }
 }
 
 /// Time in seconds, or `false` for a device that only the timetable switches on.
@@ -133,7 +195,8 @@ struct EventWritten {
     #[serde(rename = "do")]
     what: EventAction,
     services: Option<Vec<Vec<String>>>,
-    address: Option<AddressChoice>,
+    address: Option<AddressRead>,
+    firmware: Option<[u16; 2]>,
     mode: Option<String>,
     name: Option<String>,
     name_hex: Option<String>,
@@ -148,6 +211,7 @@ enum EventAction {
     Join,
     Leave,
     Reboot,
+    Firmware,
     QuickReboot,
     Move,
     Services,
@@ -257,16 +321,18 @@ impl DeviceWritten {
             .collect::<Result<_, ScenarioError>>()?;
         let mut descriptor = Descriptor { serial: self.serial, ..defaults.descriptor };
         if let Some(gid) = self.gid {
-            let bytes = bytes_of_hex(&gid).and_then(|bytes| bytes.try_into().ok());
-            descriptor.gid = bytes
+            descriptor.gid = Gid::parse(&gid)
                 .ok_or_else(|| place.out_of_range("gid", &gid, "twelve hexadecimal digits"))?;
         }
         if let Some([major, minor]) = self.firmware {
-            descriptor.firmware = (major, minor);
+            descriptor.firmware = FirmwareVersion { major, minor };
         }
+        descriptor.capabilities.is_programmable = self.programmable.unwrap_or(false);
+        descriptor.capabilities.has_fpu = self.fpu.unwrap_or(false);
+        descriptor.bitrate = self.bit_rate.map(|it| it.0);
         Ok(DeviceSpec {
             descriptor,
-            address: self.address.unwrap_or(defaults.address),
+            address: self.address.map_or(defaults.address, |it| it.0),
             uid: self.uid.map_or(Ok(uid_of(&label)), |uid| place.uid(&uid))?,
             services: self
                 .services
@@ -305,6 +371,7 @@ impl EventWritten {
             ("name", self.name.is_some(), &[EventAction::Name]),
             ("name_hex", self.name_hex.is_some(), &[EventAction::Name]),
             ("uid", self.uid.is_some(), &[EventAction::Uid]),
+            ("firmware", self.firmware.is_some(), &[EventAction::Firmware]),
             ("fault", self.fault.is_some(), &[EventAction::Break, EventAction::Mend]),
             ("rate", self.rate.is_some(), &[EventAction::ErrorRate]),
         ];
@@ -319,8 +386,14 @@ impl EventWritten {
             EventAction::Join => DeviceAction::PowerOn,
             EventAction::Leave => DeviceAction::PowerOff,
             EventAction::Reboot => DeviceAction::Reboot { services },
+            EventAction::Firmware => {
+                let [major, minor] = self.firmware.ok_or_else(|| needs("firmware"))?;
+                DeviceAction::Firmware(FirmwareVersion { major, minor })
+            }
             EventAction::QuickReboot => DeviceAction::WatchdogReset,
-            EventAction::Move => DeviceAction::Move(self.address.ok_or_else(|| needs("address"))?),
+            EventAction::Move => {
+                DeviceAction::Move(self.address.ok_or_else(|| needs("address"))?.0)
+            }
             EventAction::Services => {
                 DeviceAction::Services(services.ok_or_else(|| needs("services"))?)
             }

@@ -22,8 +22,8 @@ mod world;
 pub use bus::{BusErrorCause, Statistics};
 pub use controller::ControllerState;
 pub use scenario::{
-    AddressChoice, Descriptor, DeviceAction, DeviceFraming, DeviceSpec, Fault, Faults,
-    PeriodicMessage, Scenario, ScenarioError, TimetableEvent,
+    Descriptor, DeviceAction, DeviceFraming, DeviceSpec, Fault, Faults, PeriodicMessage, Scenario,
+    ScenarioError, TimetableEvent,
 };
 pub use view::{DeviceState, SimDeviceId, SimStation, StationStatus};
 pub use world::Sim;

@@ -4,6 +4,7 @@
 //! ([`Scenario::new`], [`DeviceSpec::new`]).
 
 use crate::time::{Duration, Instant};
+use crate::wire::descriptor::{AddressSetting, BitrateSetting, Capabilities, FirmwareVersion, Gid};
 use crate::wire::framing::Framing;
 use crate::wire::id::{Address, Service};
 use crate::wire::node::{Mode, Uid};
@@ -91,7 +92,7 @@ impl Scenario {
         let mut scenario = Self::new(bitrate);
         for address in Address::nodes().take(count) {
             let mut device = DeviceSpec::new(&format!("N{:03}", address.number()))
-                .address(AddressChoice::Preferred(address))
+                .address(AddressSetting::Preferred(address))
                 .skips_address_resolution();
             for service in 0..services {
                 device = device.service(&format!("SRV{service:03}"), "1.0");
@@ -99,42 +100,6 @@ impl Scenario {
             scenario = scenario.with(device);
         }
         scenario
-    }
-}
-
-/// DEV_CFG_ADDR: the address that a device uses (protocol §7.5).
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
-#[serde(try_from = "AddressWritten")]
-pub enum AddressChoice {
-    /// Any free address; such a device waits for configuration in mode CFG.
-    Any,
-    /// This address if it is free, else any other.
-    Preferred(Address),
-    /// This address or none.
-    Fixed(Address),
-}
-
-#[derive(Deserialize)]
-#[serde(rename_all = "lowercase")]
-enum AddressWritten {
-    Any,
-    Preferred(u8),
-    Fixed(u8),
-}
-
-impl TryFrom<AddressWritten> for AddressChoice {
-    type Error = String;
-    fn try_from(written: AddressWritten) -> Result<Self, String> {
-        let address = |number| {
-            Address::new(number)
-                .filter(|&address| address != Address::DEBUG)
-                .ok_or_else(|| format!("{number} is not a node address (1 to 127)"))
-        };
-        Ok(match written {
-            AddressWritten::Any => Self::Any,
-            AddressWritten::Preferred(number) => Self::Preferred(address(number)?),
-            AddressWritten::Fixed(number) => Self::Fixed(address(number)?),
-        })
     }
 }
 
@@ -192,6 +157,17 @@ pub enum Fault {
     /// Never gives up its address or its mode.
     #[serde(rename = "never-gives-way")]
     KeepsAddress,
+    /// Refuses to change its configuration.
+    Locked,
+    /// Responds to reads of its descriptor with one byte too few.
+    #[serde(rename = "short-descriptor")]
+    ShortDescriptor,
+    /// Does not respond to reads of its descriptor, nor to commands.
+    #[serde(rename = "no-descriptor")]
+    NoDescriptor,
+    /// Sends a name request to all each second, in each mode.
+    #[serde(rename = "sends-requests")]
+    SendsRequests,
 }
 
 /// A set of faults.
@@ -227,11 +203,15 @@ pub struct PeriodicMessage {
 #[non_exhaustive]
 pub struct Descriptor {
     /// DEV_INFO_GID: the type of device.
-    pub gid: [u8; 6],
+    pub gid: Gid,
     /// DEV_INFO_SN: the serial number; 0 = none.
     pub serial: u32,
     /// DEV_INFO_FW_MAJ and DEV_INFO_FW_MIN.
-    pub firmware: (u16, u16),
+    pub firmware: FirmwareVersion,
+    /// DEV_INFO_PROG, DEV_INFO_FPU, DEV_INFO_CPU and DEV_INFO_CPU_FLAGS.
+    pub capabilities: Capabilities,
+    /// DEV_CFG_BSPD; `None`: preferred, the bit rate of the bus.
+    pub bitrate: Option<BitrateSetting>,
 }
 
 /// Configuration of a simulated device.
@@ -243,7 +223,7 @@ pub struct DeviceSpec {
     /// Name, any bytes but 0.
     pub name: Vec<u8>,
     /// DEV_CFG_ADDR.
-    pub address: AddressChoice,
+    pub address: AddressSetting,
     /// UID; if blank, the device waits for configuration in mode CFG.
     pub uid: Uid,
     /// Further descriptor fields.
@@ -283,9 +263,13 @@ impl DeviceSpec {
         Self {
             label: name.to_owned(),
             name: name.as_bytes().to_vec(),
-            address: AddressChoice::Any,
+            address: AddressSetting::None,
             uid: uid_of(name),
-            descriptor: Descriptor { firmware: (1, 0), ..Descriptor::default() },
+            descriptor: Descriptor {
+                firmware: FirmwareVersion { major: 1, minor: 0 },
+                capabilities: Capabilities { cpu: 1, ..Capabilities::default() },
+                ..Descriptor::default()
+            },
             services: vec![vec![b"DES".to_vec(), b"1.0".to_vec()]],
             autostart: true,
             mode: None,
@@ -318,7 +302,7 @@ impl DeviceSpec {
 
     /// Sets the address.
     #[must_use]
-    pub fn address(mut self, address: AddressChoice) -> Self {
+    pub fn address(mut self, address: AddressSetting) -> Self {
         self.address = address;
         self
     }
@@ -326,13 +310,13 @@ impl DeviceSpec {
     /// Sets the fixed address `number`; only the low seven bits count.
     #[must_use]
     pub fn fixed(self, number: u8) -> Self {
-        self.address(AddressChoice::Fixed(Address::from_bits(number)))
+        self.address(AddressSetting::Fixed(Address::from_bits(number)))
     }
 
     /// Sets the preferred address `number`; only the low seven bits count.
     #[must_use]
     pub fn preferred(self, number: u8) -> Self {
-        self.address(AddressChoice::Preferred(Address::from_bits(number)))
+        self.address(AddressSetting::Preferred(Address::from_bits(number)))
     }
 
     /// Sets the UID.
@@ -416,7 +400,13 @@ pub enum DeviceAction {
     /// and pending responses are lost.
     WatchdogReset,
     /// Configures another address, which it resolves.
-    Move(AddressChoice),
+    Move(AddressSetting),
+    /// Stores another DEV_CFG_ADDR, for its next start.
+    StoreAddress(AddressSetting),
+    /// Stores another DEV_CFG_BSPD, for its next start.
+    StoreBitrate(BitrateSetting),
+    /// Changes its firmware version.
+    Firmware(FirmwareVersion),
     /// Changes its services without a reboot.
     Services(Vec<Vec<Vec<u8>>>),
     /// Changes its mode; INIT and ARSLV start address resolution.

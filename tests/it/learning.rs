@@ -5,9 +5,10 @@
 
 use descan::frame::Frame;
 use descan::learning::{Certainty, ProfileLearner, ProfileProposal};
-use descan::sim::{AddressChoice, DeviceAction, DeviceFraming, DeviceSpec, Scenario, Sim};
+use descan::sim::{DeviceAction, DeviceFraming, DeviceSpec, Scenario, Sim};
 use descan::time::{Duration, Instant};
 use descan::wire::des::Request;
+use descan::wire::descriptor::AddressSetting;
 use descan::wire::framing::Framing;
 use descan::wire::id::{Address, Header, Service};
 use descan::wire::node::{Mode, Uid};
@@ -217,7 +218,7 @@ fn random_scenario(
         let mut device = DeviceSpec::new(&format!("DEV{at}"))
             .label(&format!("D{at}"))
             .uid(uid)
-            .address(AddressChoice::Preferred(Address::from_bits(address)))
+            .address(AddressSetting::Preferred(Address::from_bits(address)))
             .framing(own_framing);
         device.tolerance_ppm = rng.i32(-100..=100);
         if rng.u8(0..3) == 0 {
@@ -268,7 +269,7 @@ fn constant_data(rng: &mut fastrand::Rng, scenario: &Scenario) -> Vec<Frame> {
     let data: [u8; 5] = std::array::from_fn(|_| rng.u8(..));
     let length = rng.usize(1..=5);
     for device in &scenario.devices {
-        let AddressChoice::Preferred(address) = device.address else { continue };
+        let AddressSetting::Preferred(address) = device.address else { continue };
         if !device.skips_address_resolution || device.mode.is_some() {
             continue;
         }

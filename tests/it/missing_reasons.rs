@@ -218,7 +218,9 @@ fn address_in_use_is_the_reason() {
     stage.until(20.0);
     let why = stage.why(0);
     assert!(why[0].starts_with("only VALVE was at 44, last seen "), "{why:?}");
-    let moves = DeviceAction::Move(descan::sim::AddressChoice::Fixed(Address::new(45).unwrap()));
+    let moves = DeviceAction::Move(descan::wire::descriptor::AddressSetting::Fixed(
+        Address::new(45).unwrap(),
+    ));
     let moves = bus().with(other()).at(Duration::from_secs(4), "VALVE", moves);
     let mut stage = Stage::new(&[moves], &Config::default(), PUMP);
     stage.until(20.0);

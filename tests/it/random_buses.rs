@@ -6,8 +6,9 @@
 use crate::common::inspection::{FAULTS, Inspection, describe};
 use descan::discovery::{Config, Presence};
 use descan::finding::{FindingKind, FindingState};
-use descan::sim::{AddressChoice, DeviceFraming, DeviceSpec, Fault, Scenario};
+use descan::sim::{DeviceFraming, DeviceSpec, Fault, Scenario};
 use descan::time::{Duration, Instant};
+use descan::wire::descriptor::AddressSetting;
 use descan::wire::id::Address;
 use descan::wire::node::{Mode, Uid};
 use std::fmt::Write;
@@ -163,7 +164,7 @@ fn tried(seed: u64, config: Config, wrong: &mut String) {
     for event in &inspection.events {
         use descan::discovery::EventKind as K;
         let quiet = scenario.devices.iter().any(|spec| {
-            spec.address == event.address.map_or(spec.address, AddressChoice::Fixed)
+            spec.address == event.address.map_or(spec.address, AddressSetting::Fixed)
                 && spec.faults.has(Fault::NoHeartbeat)
         });
         let odd = match &event.kind {

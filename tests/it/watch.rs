@@ -141,7 +141,7 @@ fn guide_example_matches_the_output() {
     for value in values(TOLD.as_bytes()) {
         assert!(words.contains(&value["event"].as_str().unwrap()), "{value}");
     }
-    assert_eq!(words.len(), 17);
+    assert_eq!(words.len(), 18);
 }
 
 #[test]

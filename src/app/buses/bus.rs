@@ -14,6 +14,7 @@ use crate::finding::Finding;
 use crate::frame::Frame;
 use crate::status::{BusState, BusStatus, Link, RateSearch};
 use crate::time::{Duration, Instant, debug_assert_later};
+use crate::wire::descriptor::DescriptorField;
 use crate::wire::id::Address;
 use crate::wire::profile::Profile;
 use std::sync::Arc;
@@ -313,9 +314,19 @@ impl Bus {
         self.engine.request(now, request)
     }
 
-    /// Reads the descriptor of a device; returns the number of fields.
-    pub(super) fn read_descriptor(&mut self, now: Instant, device: DeviceId) -> usize {
-        self.engine.read_descriptor(now, device)
+    /// Reads a field of the descriptor of a device, or all; returns the number of fields.
+    pub(super) fn read_descriptor(
+        &mut self,
+        now: Instant,
+        device: DeviceId,
+        field: Option<DescriptorField>,
+    ) -> usize {
+        self.engine.read_descriptor(now, device, field)
+    }
+
+    /// Returns true while fields of a device's descriptor are still to be read.
+    pub fn is_reading_descriptor(&self, device: DeviceId) -> bool {
+        self.engine.is_reading_descriptor(device)
     }
 
     /// Removes the lost devices.

@@ -32,6 +32,7 @@ use crate::finding::{Finding, FindingKey, FindingKind, FindingState};
 use crate::frame::{BusIndex, Frame};
 use crate::status::BusStatus;
 use crate::time::{Duration, Instant};
+use crate::wire::descriptor::DescriptorField;
 use crate::wire::id::Address;
 use crate::wire::node::Uid;
 use crate::wire::profile::Profile;
@@ -346,10 +347,15 @@ impl Buses {
         self.list.get_mut(usize::from(request.device.bus.0))?.request(now, request)
     }
 
-    /// Reads the descriptor of a device; returns the number of fields.
-    pub(super) fn read_descriptor(&mut self, now: Instant, device: DeviceId) -> usize {
+    /// Reads a field of the descriptor of a device, or all; returns the number of fields.
+    pub(super) fn read_descriptor(
+        &mut self,
+        now: Instant,
+        device: DeviceId,
+        field: Option<DescriptorField>,
+    ) -> usize {
         let bus = self.list.get_mut(usize::from(device.bus.0));
-        bus.map_or(0, |bus| bus.read_descriptor(now, device))
+        bus.map_or(0, |bus| bus.read_descriptor(now, device, field))
     }
 
     /// Removes the lost devices of all buses.

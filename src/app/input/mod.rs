@@ -15,7 +15,7 @@ pub use filter_prompt::FilterPrompt;
 pub(super) use moment_text::{MomentRange, MomentTarget, mark_bit};
 pub(super) use prompt::PromptResult;
 pub use prompt::{Prompt, PromptKind};
-pub(super) use prompt_kinds::parse_address;
+pub use prompt_kinds::parse_address;
 pub(super) use prompt_kinds::{
     AddressPrompt, CapturePathPrompt, CommandPrompt, CopyPathPrompt, MarkPrompt, MomentPrompt,
     NewEntryPrompt, ProfilePathPrompt, ProofPathPrompt, RenamePrompt,

@@ -21,20 +21,21 @@ pub enum Scope {
 }
 
 /// Values of the placeholders in a remedy.
-type Values<'a> = &'a [(&'a str, &'a dyn std::fmt::Display)];
+pub(super) type Values<'a> = &'a [(&'a str, &'a dyn std::fmt::Display)];
 
-/// Differences between des.json and the buses.
+/// Differences between des.json and the buses, and what the descriptors show.
 pub(super) struct Comparison<'a> {
-    inputs: Inputs<'a>,
+    pub(super) inputs: Inputs<'a>,
     pub found: Vec<Finding>,
     /// Places of the entries that the findings are about, in the same order.
     pub entries: Vec<Option<usize>>,
 }
 
 impl<'a> Comparison<'a> {
-    /// Compares file and buses; without a file there are no differences.
+    /// Compares file and buses; without a file there are only those that the descriptors show.
     pub fn new(inputs: Inputs<'a>, scope: Scope) -> Self {
         let mut comparison = Self { inputs, found: Vec::new(), entries: Vec::new() };
+        comparison.descriptors();
         if !inputs.has_file {
             return comparison;
         }
@@ -102,6 +103,7 @@ impl<'a> Comparison<'a> {
                 self.is_about(Some(entry.index));
             }
             self.name(entry, device);
+            self.fixed_address(entry, device);
             if scope == Scope::Check {
                 self.services(entry, device);
             }
@@ -219,7 +221,7 @@ impl<'a> Comparison<'a> {
         }
     }
 
-    fn add(
+    pub(super) fn add(
         &mut self,
         kind: FindingKind,
         bus: Option<BusIndex>,

@@ -5,6 +5,7 @@
 //! muting changed.
 
 mod comparison;
+mod descriptors;
 mod group;
 mod headline;
 mod list;

@@ -847,6 +847,23 @@ impl ConflictDetector {
         self.report(now, evidence);
     }
 
+    /// Notes a request of a device in CFG or BOOT.
+    pub fn note_request_in_cfg(
+        &mut self,
+        now: Instant,
+        address: Address,
+        name: Option<&Name>,
+        frame: &Frame,
+    ) {
+        let what = "request between two heartbeats in CFG or BOOT";
+        let kind = FindingKind::CfgSendsRequests;
+        let evidence = NewEvidence {
+            name,
+            ..NewEvidence::new(kind, address, frame, EvidenceStrength::Proof, what)
+        };
+        self.report(now, evidence);
+    }
+
     /// Returns the last heartbeat frame of `address`.
     pub fn last_heartbeat(&self, address: Address) -> Option<Frame> {
         self.histories[address].heartbeats.last().copied()

@@ -1,18 +1,20 @@
 //! Responses of a device to requests: DES, descriptor fields and commands (protocol §2, §7.4).
 //!
-//! Service numbers and layouts of the descriptor come from the profile. A request without data
-//! reads a field; any other request writes it if it is writable. Does not know how responses are
+//! Service numbers come from the profile. A request without data reads a field; UID, address and
+//! bit rate can be written. Does not know how responses are
 //! split into frames: see [`super::super::reply`].
 
 use super::{DeviceIo, SimDevice, nanos_of};
 use crate::frame::Frame;
 use crate::sim::reply::ResponseFormat;
-use crate::sim::scenario::{AddressChoice, DeviceAction, Fault};
+use crate::sim::scenario::{DeviceAction, Fault};
 use crate::wire::des::{self, ReceivedRequest, Request};
+use crate::wire::descriptor::{AddressSetting, BitrateSetting, DescriptorField, DescriptorValue};
 use crate::wire::framing::{Framing, classify_request};
-use crate::wire::id::{Address, Header};
+use crate::wire::id::Header;
 use crate::wire::isotp::Pci;
 use crate::wire::node::{Mode, Uid};
+use crate::wire::profile::{Profile, WriteEffect};
 
 /// Result of a request for a descriptor field or of a command.
 enum Served {
@@ -115,61 +117,74 @@ impl SimDevice {
     }
 
     fn serve(&self, service: u16, data: &[u8], port: &DeviceIo) -> Option<Served> {
-        let (fields, commands) = (&port.profile.descriptor, &port.profile.commands);
-        let read = data.is_empty();
-        let served = if service == fields.gid && read {
-            Served::Value(self.spec.descriptor.gid.to_vec())
-        } else if service == fields.uid && read {
-            Served::Value(self.spec.uid.0.to_vec())
-        } else if service == fields.uid {
-            data.try_into()
-                .map_or(Served::Refused, |uid| Served::Done(Some(DeviceAction::Uid(Uid(uid)))))
-        } else if service == fields.sn && read {
-            Served::Value(self.spec.descriptor.serial.to_le_bytes().to_vec())
-        } else if service == fields.fw && read {
-            let (major, minor) = self.spec.descriptor.firmware;
-            Served::Value([major.to_le_bytes(), minor.to_le_bytes()].concat())
-        } else if service == fields.caps && read {
-            // Programmable, no FPU, RV32I, no flags.
-            Served::Value(vec![1, 1, 0, 0, 0])
-        } else if service == fields.bspd && read {
-            let rates = [125_000, 250_000, 500_000, 1_000_000];
-            let at = rates.iter().position(|&rate| rate == port.bus.bitrate());
-            Served::Value(vec![at.map_or(0x80, |at| at as u8 | 0x80)])
-        } else if service == fields.addr && read {
-            Served::Value(vec![match self.spec.address {
-                AddressChoice::Any => 0,
-                AddressChoice::Fixed(address) => address.number(),
-                AddressChoice::Preferred(address) => address.number() | 0x80,
-            }])
-        } else if service == fields.addr {
-            match *data {
-                [0] => Served::Done(Some(DeviceAction::Move(AddressChoice::Any))),
-                [0x80] => Served::Refused,
-                [code] => {
-                    let address = Address::from_bits(code);
-                    let fixed = code & 0x80 == 0;
-                    let choice =
-                        if fixed { AddressChoice::Fixed } else { AddressChoice::Preferred };
-                    Served::Done(Some(DeviceAction::Move(choice(address))))
-                }
-                _ => Served::Refused,
-            }
-        } else if service == fields.autostart && read {
-            Served::Value(vec![u8::from(self.spec.autostart)])
+        if self.spec.faults.has(Fault::NoDescriptor) {
+            return None;
+        }
+        let Profile { descriptor: fields, commands, writes, .. } = port.profile;
+        let is_field = |field: &DescriptorField| field.service(fields).number() == service;
+        let field = DescriptorField::ALL.into_iter().find(is_field);
+        let served = if let Some(field) = field.filter(|_| data.is_empty()) {
+            let (bytes, len) = self.value(field, port).encode(fields.byte_order);
+            let missing = usize::from(self.spec.faults.has(Fault::ShortDescriptor));
+            Served::Value(bytes[..len - missing].to_vec())
+        } else if let Some(written) = write_of(service, data, port.profile) {
+            if self.spec.faults.has(Fault::Locked) { Served::Refused } else { written }
         } else if service == commands.identify {
             Served::Done(None)
+        } else if Some(service) == commands.reboot && data.is_empty() {
+            Served::Done(Some(DeviceAction::Reboot { services: None }))
         } else if service == commands.mode {
             let code = data.first().filter(|_| data.len() == 1);
             let mode = code.and_then(|code| port.modes.iter().position(|known| known == code));
             mode.map_or(Served::Refused, |at| Served::Done(Some(DeviceAction::Mode(Mode::ALL[at]))))
-        } else if [fields.gid, fields.sn, fields.fw, fields.caps, fields.bspd, fields.autostart]
-            .contains(&service)
-        {
+        } else if field.is_some() || [writes.address, writes.bitrate].contains(&Some(service)) {
             Served::Refused
         } else {
             return None;
         };
         Some(served)
     }
+
+    /// Returns the value of a field of its descriptor.
+    fn value(&self, field: DescriptorField, port: &DeviceIo) -> DescriptorValue {
+        let spec = &self.spec;
+        match field {
+            DescriptorField::Gid => DescriptorValue::Gid(spec.descriptor.gid),
+            DescriptorField::Uid => DescriptorValue::Uid(spec.uid),
+            DescriptorField::Serial => DescriptorValue::Serial(spec.descriptor.serial),
+            DescriptorField::Firmware => DescriptorValue::Firmware(spec.descriptor.firmware),
+            DescriptorField::Capabilities => {
+                DescriptorValue::Capabilities(spec.descriptor.capabilities)
+            }
+            DescriptorField::Bitrate => {
+                let of_bus = BitrateSetting { rate: port.bus.bitrate(), is_fixed: false };
+                DescriptorValue::Bitrate(spec.descriptor.bitrate.unwrap_or(of_bus))
+            }
+            DescriptorField::Address => DescriptorValue::Address(spec.address),
+            DescriptorField::Autostart => DescriptorValue::Autostart(spec.autostart),
+        }
+    }
+}
+
+/// Returns what a request that writes a setting demands; `None` if it writes none.
+fn write_of(service: u16, data: &[u8], profile: &Profile) -> Option<Served> {
+    let Profile { descriptor: fields, writes, .. } = profile;
+    let code = match *data {
+        [] => return None,
+        [code] => Some(code),
+        _ => None,
+    };
+    let action = if service == fields.uid {
+        data.try_into().ok().map(|uid| DeviceAction::Uid(Uid(uid)))
+    } else if Some(service) == writes.address {
+        code.and_then(AddressSetting::from_code).map(match writes.effect {
+            WriteEffect::Now => DeviceAction::Move,
+            WriteEffect::Restart => DeviceAction::StoreAddress,
+        })
+    } else if Some(service) == writes.bitrate {
+        code.and_then(BitrateSetting::from_code).map(DeviceAction::StoreBitrate)
+    } else {
+        return None;
+    };
+    Some(action.map_or(Served::Refused, |action| Served::Done(Some(action))))
 }

@@ -5,8 +5,9 @@ use crate::common::harness::{Stage, text_of};
 use descan::app::{Effect, Page, ProblemKey};
 use descan::discovery::Config;
 use descan::frame::{BusIndex, CanId, Frame};
-use descan::sim::{AddressChoice, DeviceAction, DeviceSpec, Fault, Scenario};
+use descan::sim::{DeviceAction, DeviceSpec, Fault, Scenario};
 use descan::time::{Duration, Instant};
+use descan::wire::descriptor::AddressSetting;
 use descan::wire::id::Address;
 use descan::wire::node::Uid;
 use descan::wire::profile::Profile;
@@ -139,7 +140,7 @@ fn three_boards_have_three_columns_in_the_order_of_joining() {
 fn board_from_another_address_has_a_row_in_the_conflict() {
     let boards = [board("ACT", "one", uid("ONE"), 0.0), board("ACT", "two", uid("TWO"), 0.5)];
     let mut scenario = scenario(&boards);
-    let moves = |address| DeviceAction::Move(AddressChoice::Fixed(Address::new(address).unwrap()));
+    let moves = |address| DeviceAction::Move(AddressSetting::Fixed(Address::new(address).unwrap()));
     scenario = scenario.at(Duration::from_secs(1), "two", moves(20));
     scenario = scenario.at(Duration::from_secs(20), "two", moves(14));
     let stage = shown(&scenario, 40.0);

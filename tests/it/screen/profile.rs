@@ -3,8 +3,9 @@
 use super::snapshot;
 use crate::common::harness::Stage;
 use descan::app::Effect;
-use descan::sim::{AddressChoice, DeviceAction, DeviceSpec, Scenario, Sim};
+use descan::sim::{DeviceAction, DeviceSpec, Scenario, Sim};
 use descan::time::Duration;
+use descan::wire::descriptor::AddressSetting;
 use descan::wire::id::Address;
 use descan::wire::node::{Mode, Uid};
 use descan::wire::profile::{Profile, ProfileKey, ValueOrigin};
@@ -27,7 +28,7 @@ fn unlike_the_profile() -> Stage {
         let uid = Uid::parse(&format!("LINE00{at}"), &Profile::default().uid).unwrap();
         let address = Address::from_bits(10 + at as u8);
         let device =
-            DeviceSpec::new(name).label(name).uid(uid).address(AddressChoice::Preferred(address));
+            DeviceSpec::new(name).label(name).uid(uid).address(AddressSetting::Preferred(address));
         scenario = scenario.with(device.service("DES", "1.0"));
     }
     let scenario = scenario.at(Duration::from_secs(6), "ACT", DeviceAction::Mode(Mode::Ufunc)).at(

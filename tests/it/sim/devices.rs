@@ -2,8 +2,9 @@
 
 use super::{address, after, at_ms, beats, bus_with, from, is_error};
 use crate::common::sweep;
-use descan::sim::{AddressChoice, DeviceAction, DeviceSpec, Fault, Scenario, Sim, SimStation};
+use descan::sim::{DeviceAction, DeviceSpec, Fault, Scenario, Sim, SimStation};
 use descan::time::Duration;
+use descan::wire::descriptor::AddressSetting;
 use descan::wire::id::Address;
 use descan::wire::node::{Mode, Uid};
 
@@ -222,7 +223,7 @@ fn device_actions_take_effect() {
     let last_words = beats(&last_words, 1);
     assert_eq!(last_words.len(), 1, "asleep");
     assert_eq!(last_words[0].data()[6], 6);
-    sim.apply(a, DeviceAction::Move(AddressChoice::Fixed(address(9))));
+    sim.apply(a, DeviceAction::Move(AddressSetting::Fixed(address(9))));
     sim.advance(sim.now() + Duration::from_secs(5));
     assert_eq!(state(&sim, "A"), (Some(Mode::Work), Some(9)));
     sim.apply(a, DeviceAction::Reboot { services: Some(vec![vec![b"X".to_vec(), b"2".to_vec()]]) });
@@ -284,7 +285,7 @@ fn random_faults_removed_leave_unique_addresses() {
         for _ in 0..150 {
             let device = rng.choice(&devices).copied().unwrap();
             let fault = rng.choice(FAULTS).unwrap();
-            let wanted = AddressChoice::Fixed(address(rng.u8(1..5)));
+            let wanted = AddressSetting::Fixed(address(rng.u8(1..5)));
             match rng.u8(0..9) {
                 0 => sim.apply(device, DeviceAction::PowerOff),
                 1 => sim.apply(device, DeviceAction::PowerOn),
@@ -315,7 +316,7 @@ fn random_faults_removed_leave_unique_addresses() {
             for fault in FAULTS {
                 sim.apply(device, DeviceAction::RemoveFault(fault));
             }
-            let preferred = AddressChoice::Preferred(address(rng.u8(1..5)));
+            let preferred = AddressSetting::Preferred(address(rng.u8(1..5)));
             sim.apply(device, DeviceAction::Move(preferred));
             sim.apply(device, DeviceAction::PowerOn);
         }

@@ -7,9 +7,10 @@ use super::random_scenario::ForeignNodes;
 use super::{Inspector, Run};
 use descan::discovery::{EventKind, OwnAddress, Presence};
 use descan::finding::{FindingKind, FindingState};
-use descan::sim::{AddressChoice, DeviceAction, DeviceSpec, Fault};
+use descan::sim::{DeviceAction, DeviceSpec, Fault};
 use descan::text::Name;
 use descan::time::{Duration, Instant};
+use descan::wire::descriptor::AddressSetting;
 use descan::wire::id::{Address, Header};
 use descan::wire::node::{Mode, Uid};
 use std::collections::{BTreeMap, BTreeSet};
@@ -858,7 +859,7 @@ impl Case<'_> {
 }
 
 fn is_fixed(spec: &DeviceSpec, address: Address) -> bool {
-    matches!(spec.address, AddressChoice::Fixed(at) | AddressChoice::Preferred(at) if at == address)
+    matches!(spec.address, AddressSetting::Fixed(at) | AddressSetting::Preferred(at) if at == address)
 }
 
 /// Returns true if its heartbeats are received regularly.

@@ -1,8 +1,9 @@
 //! Ground truth of a run: which devices shared an address or a UID, and when, sampled from the
 //! simulator.
 
-use descan::sim::{AddressChoice, DeviceSpec, Fault, Sim, SimDeviceId};
+use descan::sim::{DeviceSpec, Fault, Sim, SimDeviceId};
 use descan::time::{Duration, Instant};
+use descan::wire::descriptor::AddressSetting;
 use descan::wire::id::Address;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -76,7 +77,7 @@ impl Truth {
         }
         let mut fixed: BTreeMap<[u8; 6], Vec<Address>> = BTreeMap::new();
         for (spec, &id) in specs.iter().zip(devices) {
-            if let (AddressChoice::Fixed(address), Some(_)) =
+            if let (AddressSetting::Fixed(address), Some(_)) =
                 (spec.address, sim.device_state(id).mode)
             {
                 let uid = sim.device_state(id).uid;
@@ -94,7 +95,7 @@ impl Truth {
         self.sampled = Some(now);
         let mut stubborn: BTreeMap<Address, Vec<usize>> = BTreeMap::new();
         for (index, spec) in specs.iter().enumerate() {
-            if let AddressChoice::Fixed(address) = spec.address
+            if let AddressSetting::Fixed(address) = spec.address
                 && spec.faults.has(Fault::KeepsAddress)
                 && sim.device_state(devices[index]).mode.is_some()
             {

@@ -4,8 +4,9 @@ use super::link_faults::{Deafness, Gateway, Jump, Lens};
 use crate::common::inspection::FAULTS;
 use descan::discovery::Config;
 use descan::frame::{CanId, Frame};
-use descan::sim::{AddressChoice, DeviceAction, DeviceFraming, DeviceSpec, Fault, Scenario};
+use descan::sim::{DeviceAction, DeviceFraming, DeviceSpec, Fault, Scenario};
 use descan::time::Duration;
+use descan::wire::descriptor::AddressSetting;
 use descan::wire::id::Header;
 use descan::wire::node::{Mode, Uid};
 use descan::wire::profile::Profile;
@@ -451,8 +452,8 @@ impl Maker {
         self.touched.push(other.label.clone());
         other.name = format!("X{label}").into_bytes();
         other.uid = self.uid();
-        if let AddressChoice::Fixed(address) = other.address {
-            other.address = AddressChoice::Preferred(address);
+        if let AddressSetting::Fixed(address) = other.address {
+            other.address = AddressSetting::Preferred(address);
         }
         other.skips_address_resolution = true;
         other.power_on = None;
@@ -507,7 +508,7 @@ impl Maker {
     /// Lets the first inspector receive the frames of a device twice.
     fn gateway(&mut self, inspector: &mut Inspector) {
         let Some(device) = self.take() else { return };
-        let AddressChoice::Fixed(address) = device.address else { return };
+        let AddressSetting::Fixed(address) = device.address else { return };
         let from = if self.rng.bool() { millis(0) } else { self.moment() };
         let until = if self.rng.bool() { millis(BUSY + CALM) } else { from + millis(12_000) };
         let delay = Duration::from_micros(self.rng.u64(3000..50_000));
@@ -571,13 +572,13 @@ impl Maker {
     fn foreign_nodes(&mut self) {
         let is_extended = self.rng.bool();
         let devices = &self.scenario.devices;
-        let used: Vec<AddressChoice> = devices.iter().map(|device| device.address).collect();
+        let used: Vec<AddressSetting> = devices.iter().map(|device| device.address).collect();
         let is_disturbing = |id: &CanId| match id {
             CanId::Extended(id) => {
                 let header = Header::decode(*id);
                 let profile = Profile::default();
                 [profile.heartbeat_service(), profile.des_service()].contains(&header.service)
-                    || used.contains(&AddressChoice::Fixed(header.source))
+                    || used.contains(&AddressSetting::Fixed(header.source))
             }
             CanId::Standard(_) => false,
         };

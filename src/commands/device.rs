@@ -1,0 +1,336 @@
+//! `descan identify`, `mode`, `restart`, `address`, `bitrate` and `descriptor`: one command to one
+//! device, or what it says of itself. Waits until the device is found, asks, sends once, and waits
+//! for the response.
+
+use super::gate::BusGate;
+use super::headless::{self, Limits, RunInput, RunOutcome, warn_foreign};
+use super::open::{self, Setup};
+use super::output::{self, ask, say};
+use super::report::{DescriptorReport, of_descriptor};
+use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure};
+use crate::app::{App, AppOptions, DeviceCommand};
+use crate::cli::DeviceArgs;
+use crate::discovery::{Device, DeviceId, FieldContent, RequestOutcome};
+use crate::frame::BusIndex;
+use crate::shell::stop::StopReason;
+use crate::text::{hex, join_first};
+use crate::time::Instant;
+use crate::wire::descriptor::DescriptorField;
+use serde::Serialize;
+use std::io::{self, BufRead, IsTerminal};
+use std::ops::ControlFlow;
+use std::sync::mpsc::{Receiver, TryRecvError, channel};
+use std::time::Duration;
+
+/// Time in which the device must be found, unless given.
+const DEFAULT_TIME: Duration = Duration::from_secs(15);
+/// Devices that a message names; the others are counted.
+const NAMED_DEVICES: usize = 12;
+
+/// What a device is asked for.
+#[derive(Clone, Copy, Debug)]
+pub enum DeviceTask {
+    /// A command, after the user's consent.
+    Send(DeviceCommand),
+    /// A field of its descriptor, or all.
+    Read(Option<DescriptorField>),
+}
+
+/// Sets the address with which a device starts; reads it without a setting.
+pub fn set_address(args: &DeviceArgs, setting: &[String]) -> Result<u8, Failure> {
+    let task = if setting.is_empty() {
+        DeviceTask::Read(Some(DescriptorField::Address))
+    } else {
+        let setting = DeviceCommand::parse_address(&words(setting)).map_err(Failure::Usage)?;
+        DeviceTask::Send(DeviceCommand::Address(setting))
+    };
+    run(args, task)
+}
+
+/// Sets the bit rate with which a device starts; reads it without a setting.
+pub fn set_bitrate(args: &DeviceArgs, setting: &[String]) -> Result<u8, Failure> {
+    let task = if setting.is_empty() {
+        DeviceTask::Read(Some(DescriptorField::Bitrate))
+    } else {
+        let setting = DeviceCommand::parse_bitrate(&words(setting)).map_err(Failure::Usage)?;
+        DeviceTask::Send(DeviceCommand::Bitrate(setting))
+    };
+    run(args, task)
+}
+
+fn words(setting: &[String]) -> Vec<&str> {
+    setting.iter().flat_map(|text| text.split_whitespace()).collect()
+}
+
+/// How far it is.
+enum CommandStage {
+    /// The device is looked for.
+    Searching,
+    /// The user is asked.
+    Asking(DeviceId, Receiver<bool>),
+    /// Its end is awaited.
+    Waiting(DeviceId),
+    /// The user said no.
+    Declined,
+    /// It ended.
+    Done(DeviceId),
+}
+
+/// Runs it.
+pub fn run(args: &DeviceArgs, task: DeviceTask) -> Result<u8, Failure> {
+    let is_read = matches!(task, DeviceTask::Read(_));
+    let may_ask = io::stdin().is_terminal() && io::stderr().is_terminal();
+    if !is_read && !args.yes && !may_ask {
+        let text = "it asks before it sends, and there is no terminal: give --yes";
+        return Err(Failure::Usage(text.to_owned()));
+    }
+    let buses = std::slice::from_ref(&args.bus);
+    if open::log(buses, "a command", None)?.is_some() {
+        return Err(Failure::Usage("a log has no device to send to".to_owned()));
+    }
+    let setup = Setup::new(&args.common)?;
+    let time = args.time.unwrap_or(DEFAULT_TIME);
+    let limits = Limits { stuck: EXIT_INTERRUPTED, ..Limits::default() };
+    let mut gate = BusGate::new(false);
+    let (mut stage, mut began) = (CommandStage::Searching, None);
+    let RunOutcome { app, ending, recording, .. } =
+        headless::run(RunInput::Buses(buses), &setup, AppOptions::default(), limits, |session| {
+            let now = session.now();
+            if !gate.allows(&session.app, now)? {
+                return Ok(ControlFlow::Continue(()));
+            }
+            let began = *began.get_or_insert(now);
+            advance(&mut stage, &mut session.app, args, task, (now, began + time))?;
+            let is_over = matches!(stage, CommandStage::Done(_) | CommandStage::Declined);
+            Ok(if is_over { ControlFlow::Break(()) } else { ControlFlow::Continue(()) })
+        })?;
+    if ending == Some(StopReason::Interrupted) {
+        return Ok(EXIT_INTERRUPTED);
+    }
+    gate.require_opened(&app)?;
+    recording?;
+    if let CommandStage::Done(device) = stage {
+        return report(&app, device, task, args.json);
+    }
+    say("nothing was sent");
+    Ok(EXIT_FINDINGS)
+}
+
+/// Takes the next step, if it is time for it.
+fn advance(
+    stage: &mut CommandStage,
+    app: &mut App,
+    args: &DeviceArgs,
+    task: DeviceTask,
+    (now, end): (Instant, Instant),
+) -> Result<(), Failure> {
+    let next = match stage {
+        CommandStage::Searching => match find(app, &args.device, now >= end)? {
+            Some(device) => begin(app, device, task, args.yes)?,
+            None if now < end => return Ok(()),
+            None => {
+                warn_foreign(app, &mut Vec::new());
+                return Err(Failure::Unusable(not_found(app, &args.device)));
+            }
+        },
+        CommandStage::Asking(device, answer) => match answer.try_recv() {
+            Ok(true) => start(app, *device, task)?,
+            Ok(false) | Err(TryRecvError::Disconnected) => CommandStage::Declined,
+            Err(TryRecvError::Empty) => return Ok(()),
+        },
+        CommandStage::Waiting(device) if is_ended(app, *device, task) => {
+            CommandStage::Done(*device)
+        }
+        CommandStage::Waiting(_) | CommandStage::Declined | CommandStage::Done(_) => return Ok(()),
+    };
+    *stage = next;
+    Ok(())
+}
+
+/// Asks, or starts at once.
+fn begin(
+    app: &mut App,
+    device: DeviceId,
+    task: DeviceTask,
+    yes: bool,
+) -> Result<CommandStage, Failure> {
+    let DeviceTask::Send(command) = task else { return start(app, device, task) };
+    if let Some(why) = app.command_obstacle(device, command) {
+        return Err(Failure::Unusable(why));
+    }
+    let (sent, effect) = app.command_sentences(device, command);
+    if yes {
+        say(format!("{sent}. {effect}"));
+        return start(app, device, task);
+    }
+    ask(format!("{sent}? {effect} [y/N]"));
+    let (sender, answer) = channel();
+    std::thread::spawn(move || {
+        let mut line = String::new();
+        let is_read = io::stdin().lock().read_line(&mut line).is_ok();
+        let is_yes = ["y", "yes"].contains(&line.trim().to_lowercase().as_str());
+        // The command may have ended.
+        let _ = sender.send(is_read && is_yes);
+    });
+    Ok(CommandStage::Asking(device, answer))
+}
+
+/// Sends it.
+fn start(app: &mut App, device: DeviceId, task: DeviceTask) -> Result<CommandStage, Failure> {
+    match task {
+        DeviceTask::Send(command) => app.send_command(device, command),
+        DeviceTask::Read(field) => app.read_descriptor(device, field).map(|_| ()),
+    }
+    .map_err(Failure::Unusable)?;
+    Ok(CommandStage::Waiting(device))
+}
+
+fn is_ended(app: &App, device: DeviceId, task: DeviceTask) -> bool {
+    match task {
+        DeviceTask::Send(_) => app.ended_commands().next().is_some(),
+        DeviceTask::Read(_) => app.is_descriptor_read(device),
+    }
+}
+
+/// Returns the device that an argument names, by its name, UID or address, once the rounds at start
+/// are over; `is_last`: as far as it is known.
+///
+/// # Errors
+///
+/// Several devices fit.
+fn find(app: &App, wanted: &str, is_last: bool) -> Result<Option<DeviceId>, Failure> {
+    let Some(bus) = app.bus(BusIndex(0)) else { return Ok(None) };
+    let is_it = |device: &&Device| {
+        let name = device.name.as_ref().map(ToString::to_string);
+        let uid = device.uid.map(|uid| uid.text(&bus.config().profile.uid).to_string());
+        let number = crate::app::parse_address(wanted);
+        device.is_present()
+            && (name.as_deref() == Some(wanted)
+                || uid.as_deref() == Some(wanted)
+                || number == Some(device.address.number()))
+    };
+    let found: Vec<&Device> = bus.devices().iter().filter(is_it).collect();
+    match &found[..] {
+        [] => Ok(None),
+        // Another one of the same name may be found later.
+        [_] if !is_last && !bus.progress().is_complete => Ok(None),
+        [device] => Ok(Some(device.id)),
+        several => {
+            let places = several.iter().map(|device| format!("at {}", device.address));
+            let places = join_first(places.collect(), NAMED_DEVICES, " and ");
+            Err(Failure::Usage(format!(
+                "several devices are {wanted}, {places}: give the address of one"
+            )))
+        }
+    }
+}
+
+fn not_found(app: &App, wanted: &str) -> String {
+    let bus = app.bus(BusIndex(0));
+    let devices = bus.map_or(&[][..], |bus| bus.devices());
+    let known = devices.iter().filter(|device| device.is_present()).map(|device| {
+        let name = device.name.as_ref().map_or("?".to_owned(), ToString::to_string);
+        format!("{name} at {}", device.address)
+    });
+    let known: Vec<String> = known.collect();
+    if known.is_empty() {
+        return format!("{wanted} was not found: no device is on the bus");
+    }
+    format!("{wanted} was not found; there are {}", join_first(known, NAMED_DEVICES, ", "))
+}
+
+/// A command, as JSON.
+#[derive(Serialize)]
+struct CommandReport<'a> {
+    descan: &'static str,
+    bus: &'a str,
+    address: Option<u8>,
+    name: Option<String>,
+    command: String,
+    /// The frame; `null` if it was not sent.
+    frame: Option<String>,
+    /// `responded`, `refused`, `no-response` or `not-sent`.
+    outcome: &'static str,
+    /// Data of the response, as hexadecimal digits.
+    data: Option<String>,
+}
+
+/// A descriptor, as JSON.
+#[derive(Serialize)]
+struct ReadReport<'a> {
+    descan: &'static str,
+    bus: &'a str,
+    address: u8,
+    name: Option<String>,
+    descriptor: DescriptorReport,
+}
+
+fn report(app: &App, id: DeviceId, task: DeviceTask, is_json: bool) -> Result<u8, Failure> {
+    let descan = env!("CARGO_PKG_VERSION");
+    let Some(bus) = app.bus(id.bus) else { return Ok(EXIT_FINDINGS) };
+    let device = app.device(id);
+    let name = device.and_then(|device| device.name.as_ref()).map(ToString::to_string);
+    let address = device.map(|device| device.address.number());
+    let print_json = |json: serde_json::Result<String>| -> Result<(), Failure> {
+        output::print_json(&(json.map_err(anyhow::Error::from)? + "\n"))
+    };
+    match task {
+        DeviceTask::Send(_) => {
+            let Some(ended) = app.ended_commands().last() else { return Ok(EXIT_FINDINGS) };
+            let (outcome, data) = match &ended.outcome {
+                RequestOutcome::Responded(data) => ("responded", Some(data)),
+                RequestOutcome::Refused(data) => ("refused", Some(data)),
+                RequestOutcome::NoResponse => ("no-response", None),
+                RequestOutcome::NotSent(_) => ("not-sent", None),
+            };
+            let frame = ended.frame.map(|frame| frame.to_string());
+            if is_json {
+                print_json(serde_json::to_string_pretty(&CommandReport {
+                    descan,
+                    bus: &bus.name,
+                    address,
+                    name,
+                    command: ended.command.to_string(),
+                    frame,
+                    outcome,
+                    data: data.map(|data| hex(data, "")),
+                }))?;
+            } else {
+                let sent = frame.map(|frame| format!(" ({frame})")).unwrap_or_default();
+                output::print(&format!("{}{sent}: {}\n", ended.command, ended.text))?;
+            }
+            let is_done = matches!(ended.outcome, RequestOutcome::Responded(_));
+            Ok(if is_done { EXIT_OK } else { EXIT_FINDINGS })
+        }
+        DeviceTask::Read(field) => {
+            let Some(device) = device else { return Ok(EXIT_FINDINGS) };
+            if is_json {
+                print_json(serde_json::to_string_pretty(&ReadReport {
+                    descan,
+                    bus: &bus.name,
+                    address: device.address.number(),
+                    name,
+                    descriptor: of_descriptor(&device.descriptor, app, bus),
+                }))?;
+            } else {
+                output::print(&descriptor_table(device, field, app))?;
+            }
+            let readings = device.descriptor.readings().iter();
+            let mut asked = readings.filter(|it| field.is_none_or(|field| field == it.field));
+            let is_done = asked.all(|it| matches!(it.content, FieldContent::Value(_)));
+            Ok(if is_done { EXIT_OK } else { EXIT_FINDINGS })
+        }
+    }
+}
+
+/// A line for each field that was read.
+fn descriptor_table(device: &Device, only: Option<DescriptorField>, app: &App) -> String {
+    let profile = app.profile(device.id.bus);
+    let readings = device.descriptor.readings().iter();
+    let lines = readings.filter(|reading| only.is_none_or(|field| field == reading.field));
+    let lines = lines.map(|reading| {
+        let text = reading.content.in_words(&profile.uid);
+        format!("{:9}  {text}\n", reading.field.label())
+    });
+    lines.collect()
+}
