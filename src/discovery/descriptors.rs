@@ -198,17 +198,10 @@ impl DeviceTracker {
     ) {
         let now = self.now;
         let Some(device) = self.device_table.get_mut(row) else { return };
-        let fault = match &content {
-            FieldContent::Malformed { fault, .. } => Some(*fault),
-            _ => None,
-        };
+        self.counters.malformed += u64::from(matches!(content, FieldContent::Malformed { .. }));
         let reading = FieldReading { field, time: now, content, frame: frame.copied() };
         if device.descriptor.store(reading) {
             self.emit(row, EventKind::DescriptorField(field));
-        }
-        if let Some((fault, frame)) = fault.zip(frame) {
-            let fault = format!("{}: {fault}", field.label());
-            self.report_malformed(now, row, None, &fault, frame);
         }
     }
 }

@@ -206,7 +206,10 @@ impl DeviceRequests {
     }
 
     fn poll_timeout(&self, may_send: bool) -> Option<Instant> {
-        let is_due = may_send && !self.queued.is_empty() && self.open.len() < MAX_OPEN;
+        let is_busy = |device| self.open.iter().any(|open| open.device == device);
+        let is_due = may_send
+            && self.open.len() < MAX_OPEN
+            && self.queued.iter().any(|queued| !is_busy(queued.request.device));
         let next = is_due.then_some(self.free_at);
         self.open.iter().map(|open| open.deadline).chain(next).min()
     }
@@ -249,8 +252,7 @@ impl Requester {
         {
             let device = requests.queued[at].request.device;
             // A device gets its requests one after the other, in their order.
-            let is_busy = requests.open.iter().any(|open| open.device == device)
-                || requests.queued.iter().take(at).any(|it| it.request.device == device);
+            let is_busy = requests.open.iter().any(|open| open.device == device);
             if is_busy {
                 at += 1;
                 continue;

@@ -118,6 +118,7 @@ pub(super) fn describe(finding: &mut Finding, is_certain: bool) {
         | FindingKind::Unlisted
         | FindingKind::NameDiffers
         | FindingKind::ServicesDiffer
+        | FindingKind::MalformedDescriptor
         | FindingKind::FixedBitrateDiffers
         | FindingKind::FixedAddressDiffers
         | FindingKind::TypeServicesDiffer => return,

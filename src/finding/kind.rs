@@ -427,6 +427,19 @@ finding_kinds! {
         },
         at_address: None,
     },
+    /// A device responds to reads of its descriptor with data that are no value of the field.
+    MalformedDescriptor: FindingKindInfo {
+        name: "malformed-descriptor",
+        severity: 42,
+        grouping: Grouping::Single,
+        exit_code_of: ExitCodeScope::Nothing,
+        wording: Wording {
+            headline: "malformed descriptor",
+            remedy: "Check the fields of its descriptor in its firmware, and their numbers in the profile.",
+            confirmation: None,
+        },
+        at_address: None,
+    },
     /// A device in CFG or BOOT sends requests (CAN platform §3.2.4.3).
     CfgSendsRequests: FindingKindInfo {
         name: "cfg-sends-requests",

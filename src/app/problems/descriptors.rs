@@ -6,17 +6,18 @@
 use super::comparison::{Comparison, Values};
 use crate::app::buses::Bus;
 use crate::bitrate::kbit;
-use crate::discovery::{Device, FieldReading};
+use crate::discovery::{Device, FieldContent, FieldReading};
 use crate::document::Entry;
 use crate::finding::{Evidence, FindingKind};
 use crate::text::{Quoted, join_first};
 use crate::wire::descriptor::{AddressSetting, DescriptorField, DescriptorValue, Gid};
 use crate::wire::id::Address;
 use crate::wire::node::Mode;
+use crate::wire::profile::UidProfile;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Services that a text names; the others are counted.
-const NAMED_SERVICES: usize = 4;
+/// Services or fields that a text names; the others are counted.
+const NAMED: usize = 4;
 
 /// Devices of one type and major firmware version.
 type DevicesOfType<'a> = BTreeMap<(Gid, u16), Vec<(&'a Device, BTreeSet<&'a [u8]>)>>;
@@ -26,12 +27,35 @@ impl Comparison<'_> {
     pub(super) fn descriptors(&mut self) {
         let buses = self.inputs.buses;
         for bus in buses.iter() {
-            let Some(rate) = bus.config().bitrate else { continue };
+            let alphabet = &bus.config().profile.uid;
             for device in bus.devices().iter().filter(|device| device.is_present()) {
-                self.fixed_bitrate(device, rate);
+                self.malformed_fields(device, alphabet);
+                if let Some(rate) = bus.config().bitrate {
+                    self.fixed_bitrate(device, rate);
+                }
             }
         }
         self.services_of_types();
+    }
+
+    /// Adds fields that were sent with data that are no value.
+    fn malformed_fields(&mut self, device: &Device, alphabet: &UidProfile) {
+        let is_malformed =
+            |it: &&FieldReading| matches!(it.content, FieldContent::Malformed { .. });
+        let malformed = device.descriptor.readings().iter().filter(is_malformed);
+        let fields: Vec<String> = malformed
+            .clone()
+            .map(|it| format!("{} {}", it.field.label(), it.content.in_words(alphabet)))
+            .collect();
+        if fields.is_empty() {
+            return;
+        }
+        let fields = join_first(fields, NAMED, "; ");
+        let text = format!("{} sends a malformed descriptor: {fields}.", label_of(device));
+        self.add_of(FindingKind::MalformedDescriptor, device, text, &[]);
+        for reading in malformed {
+            self.prove_by(device, reading.field);
+        }
     }
 
     /// Adds a fixed bit rate that is not that of the bus.
@@ -99,7 +123,7 @@ impl Comparison<'_> {
             for (device, names) in devices.iter().filter(|(_, names)| names != usual) {
                 let list = |names: Vec<&&[u8]>| {
                     let names = names.into_iter().map(|name| Quoted(name).to_string());
-                    join_first(names.collect(), NAMED_SERVICES, ", ")
+                    join_first(names.collect(), NAMED, ", ")
                 };
                 let (more, less) = (
                     names.difference(usual).collect::<Vec<_>>(),
