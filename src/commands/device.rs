@@ -228,7 +228,9 @@ fn find(app: &App, wanted: &str, is_last: bool) -> Result<Option<DeviceId>, Fail
 fn not_found(app: &App, wanted: &str) -> String {
     let bus = app.bus(BusIndex(0));
     let devices = bus.map_or(&[][..], |bus| bus.devices());
-    let known = devices.iter().filter(|device| device.is_present()).map(|device| {
+    let mut present: Vec<&Device> = devices.iter().filter(|it| it.is_present()).collect();
+    present.sort_by_key(|device| device.address);
+    let known = present.into_iter().map(|device| {
         let name = device.name.as_ref().map_or("?".to_owned(), ToString::to_string);
         format!("{name} at {}", device.address)
     });

@@ -16,6 +16,7 @@ use crate::shell::recent_logs::{remember_contents, remember_log};
 use crate::shell::session::Session;
 use crate::shell::tui_loop::{self, LoopSettings, ThemeLoader, TuiExit};
 use crate::shell::{bus_offers, bus_picker, recovery, stop, terminal};
+use crate::sim::Scenario;
 use crate::status::Link;
 use crate::text::counted;
 use anyhow::Context;
@@ -233,6 +234,11 @@ enum Ending {
 pub fn demo(system: &str, common: &CommonArgs, screen: &ScreenArgs) -> Result<u8, Failure> {
     needs_terminal()?;
     let mut chooser = Chooser::new(common, screen)?;
+    if common.profile.is_none() {
+        // Its devices are known: their numbers are given.
+        let scenario = Scenario::builtin(system).context("the demo's scenario")?;
+        chooser.setup.config.profile = Arc::new(scenario.profile);
+    }
     let buses = [BusSpec::Sim(system.to_owned())];
     if common.file.is_some() {
         return chooser.show_all(&buses, None);

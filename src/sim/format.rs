@@ -4,6 +4,9 @@
 //! bitrate = 125000                    # needed; then optional: data_bitrate, seed, error_rate,
 //! error_rate = 0.01                   # observer_loss
 //!
+//! [profile.commands]                  # what the devices use, as in a profile
+//! reboot = 0x01A
+//!
 //! [[device]]                          # all but the name is optional
 //! name = "ACT"                        # or name_hex = "414354"
 //! label = "the valve"                 # label in the timetable; else its name
@@ -47,7 +50,7 @@ use crate::time::{Duration, Instant};
 use crate::wire::descriptor::{AddressSetting, BitrateSetting, FirmwareVersion, Gid};
 use crate::wire::id::{Address, Service};
 use crate::wire::node::{Mode, Uid};
-use crate::wire::profile::UidProfile;
+use crate::wire::profile::{Profile, UidProfile};
 use serde::Deserialize;
 use std::collections::BTreeSet;
 use std::fmt::Display;
@@ -71,6 +74,7 @@ struct ScenarioWritten {
     device: Vec<DeviceWritten>,
     #[serde(default)]
     at: Vec<EventWritten>,
+    profile: Option<toml::Table>,
 }
 
 #[derive(Deserialize)]
@@ -242,6 +246,7 @@ impl Scenario {
             rx_loss: bus.share("observer_loss", written.observer_loss)?,
             devices: Vec::new(),
             timetable: Vec::new(),
+            profile: profile_of(written.profile)?,
         };
         bus.range("bitrate", scenario.bitrate, 10_000, 1_000_000, "10000 to 1000000 bit/s")?;
         bus.range("data_bitrate", scenario.data_bitrate, 10_000, 8_000_000, "up to 8000000 bit/s")?;
@@ -272,6 +277,15 @@ impl Scenario {
         }
         Ok(scenario)
     }
+}
+
+/// Reads the table `profile`, which has what a profile file has.
+fn profile_of(written: Option<toml::Table>) -> Result<Profile, ScenarioError> {
+    let Some(table) = written else { return Ok(Profile::default()) };
+    Profile::parse(&table.to_string()).map_err(|error| {
+        ScenarioPath("[profile]".to_owned())
+            .incomplete(&format!("has a mistake: {}", error.message()))
+    })
 }
 
 impl DeviceWritten {

@@ -8,6 +8,7 @@ use crate::wire::descriptor::{AddressSetting, BitrateSetting, Capabilities, Firm
 use crate::wire::framing::Framing;
 use crate::wire::id::{Address, Service};
 use crate::wire::node::{Mode, Uid};
+use crate::wire::profile::Profile;
 use serde::Deserialize;
 
 /// Initial state of a simulated bus, and its timetable.
@@ -28,6 +29,8 @@ pub struct Scenario {
     pub devices: Vec<DeviceSpec>,
     /// Actions on devices and their times.
     pub timetable: Vec<TimetableEvent>,
+    /// Values that the devices use where the protocol leaves them open.
+    pub profile: Profile,
 }
 
 impl Default for Scenario {
@@ -40,6 +43,7 @@ impl Default for Scenario {
             rx_loss: 0.0,
             devices: Vec::new(),
             timetable: Vec::new(),
+            profile: Profile::default(),
         }
     }
 }

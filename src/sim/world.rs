@@ -79,17 +79,17 @@ struct TimetableSlot {
 }
 
 impl Sim {
-    /// Creates a simulation of `scenario` with the default profile.
+    /// Creates a simulation of `scenario` with its profile.
     pub fn new(scenario: &Scenario, seed: u64) -> Self {
-        Self::with_profile(scenario, seed, Profile::default())
+        Self::with_profile(scenario, seed, scenario.profile.clone())
     }
 
-    /// Creates a simulation with the default profile and the scenario's own seed.
+    /// Creates a simulation with the scenario's own profile and seed.
     pub fn from_scenario(scenario: &Scenario) -> Self {
         Self::new(scenario, scenario.seed)
     }
 
-    /// Creates a simulation whose devices use `profile`.
+    /// Creates a simulation whose devices use another profile than that of the scenario.
     pub fn with_profile(scenario: &Scenario, seed: u64, profile: Profile) -> Self {
         let mut rng = fastrand::Rng::with_seed(seed);
         let bus = SimBus::new(

@@ -18,6 +18,7 @@ mod conflict_evidence;
 mod conflict_logs;
 mod conventions;
 mod deadlines;
+mod device_commands;
 mod device_requests;
 mod diff;
 mod discovery;

@@ -35,6 +35,11 @@ impl ProfileError {
         }
     }
 
+    /// What is wrong, without the place.
+    pub fn message(&self) -> &str {
+        &self.message
+    }
+
     /// Place in the file: line and column, from 1 on.
     pub fn place(&self) -> (usize, usize) {
         (self.line, self.column)
