@@ -273,6 +273,7 @@ impl App {
         if changes.is_empty() {
             return;
         }
+        self.learners.set_profile(profile.clone());
         let over = self.buses.set_profile(now, profile);
         self.traffic.take_profile();
         self.take_events();

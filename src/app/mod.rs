@@ -487,6 +487,7 @@ impl App {
 
     /// Adds a bus that starts at `now`, as for a log with several; at most 256 buses.
     pub fn add_bus(&mut self, now: Instant, name: String, config: Config) {
+        self.learners.set_profile(config.profile.clone());
         if self.buses.add(now, name, config) {
             self.refresh_before_draw();
             self.notices.redraw.set_dirty();

@@ -24,6 +24,8 @@ const USUAL_PATH: &str = "learned.toml";
 #[derive(Debug, Default)]
 pub(super) struct ProfileLearners {
     is_on: bool,
+    /// The values in force.
+    profile: Arc<Profile>,
     list: Vec<ProfileLearner>,
     looked_at: Option<Instant>,
     /// What differs; empty if nothing does.
@@ -41,13 +43,23 @@ impl ProfileLearners {
         Self { is_on, ..Self::default() }
     }
 
+    /// Takes another profile in force.
+    pub fn set_profile(&mut self, profile: Arc<Profile>) {
+        self.list.iter_mut().for_each(|learner| learner.set_profile(&profile));
+        self.profile = profile;
+    }
+
     pub fn handle_frame(&mut self, frame: &Frame) {
         if !self.is_on {
             return;
         }
         let at = usize::from(frame.bus.0);
         if self.list.len() <= at {
-            self.list.resize_with(at + 1, ProfileLearner::default);
+            self.list.resize_with(at + 1, || {
+                let mut learner = ProfileLearner::default();
+                learner.set_profile(&self.profile);
+                learner
+            });
         }
         self.list[at].handle_frame(frame);
     }

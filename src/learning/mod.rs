@@ -2,11 +2,12 @@
 //!
 //! Input: the frames of a bus, in the order of their times. Output: proposals, each with its
 //! evidence: the service of heartbeats and their period, the bytes of UID, mode and error code in them,
-//! the service of DES and its framing. Bounded memory. Does not know the values in force, and changes
-//! none: see [`Profile::learn`](crate::wire::profile::Profile::learn).
+//! the service of DES and its framing, the byte order of descriptors. Bounded memory. Of the values in
+//! force it knows the services of the descriptor that a file sets, and it changes none: see [`Profile::learn`](crate::wire::profile::Profile::learn).
 //!
 //! A value is proposed only if exactly one service, or one byte, fits its meaning.
 
+mod byte_order;
 mod enumeration;
 mod heartbeat;
 mod layout;
@@ -17,7 +18,8 @@ use crate::frame::{Frame, FrameKind};
 use crate::time::{Duration, Instant};
 use crate::wire::framing::classify_request;
 use crate::wire::id::{Address, Header, MessageType};
-use crate::wire::profile::{ProfileKey, ProfileValue};
+use crate::wire::profile::{Profile, ProfileKey, ProfileValue};
+use byte_order::FieldResponses;
 use enumeration::DesServices;
 use heartbeat::Heartbeats;
 use unsolicited::UnsolicitedFrames;
@@ -66,7 +68,7 @@ pub struct ProfileProposal {
 }
 
 /// The keys whose values can be learnt.
-pub const LEARNT_KEYS: [ProfileKey; 7] = [
+pub const LEARNT_KEYS: [ProfileKey; 8] = [
     ProfileKey::Heartbeat,
     ProfileKey::PeriodMs,
     ProfileKey::UidOffset,
@@ -74,6 +76,7 @@ pub const LEARNT_KEYS: [ProfileKey; 7] = [
     ProfileKey::ErrorOffset,
     ProfileKey::Des,
     ProfileKey::Framing,
+    ProfileKey::ByteOrder,
 ];
 
 /// Frames of evidence of a proposal, at most.
@@ -88,9 +91,16 @@ pub struct ProfileLearner {
     last: Instant,
     unsolicited: UnsolicitedFrames,
     des: DesServices,
+    fields: FieldResponses,
 }
 
 impl ProfileLearner {
+    /// Takes the values in force: with the services of the descriptor that a file sets, responses to reads
+    /// of it show its byte order.
+    pub fn set_profile(&mut self, profile: &Profile) {
+        self.fields.set_profile(profile);
+    }
+
     /// Takes a frame of the bus. Frames that descan sent are not taken for those of a device.
     pub fn handle_frame(&mut self, frame: &Frame) {
         if frame.kind == FrameKind::Error {
@@ -105,6 +115,7 @@ impl ProfileLearner {
             return;
         };
         self.des.handle_frame(frame, header);
+        self.fields.handle_frame(frame, header);
         // In a debug message SRV is the message code; a DES request is not a heartbeat.
         let is_other = header.message_type() == MessageType::Debug
             || header.response && !header.no_error
@@ -138,6 +149,9 @@ impl ProfileLearner {
             _ if self.frames == 0 => "no frame was received",
             _ if self.is_foreign() => "the bus speaks another protocol",
             ProfileKey::Des => "no name request and a response with a text as name",
+            ProfileKey::ByteOrder => {
+                "no read of a descriptor with a given number, or plausible in both orders"
+            }
             ProfileKey::Framing => "not all nodes sent a name, or not in one framing",
             ProfileKey::Heartbeat | ProfileKey::PeriodMs if heartbeats.is_none() => {
                 return heartbeat::why_unknown(&self.unsolicited, self.duration());
@@ -167,6 +181,7 @@ impl ProfileLearner {
         }
         let nodes = self.unsolicited.sources().map(|(source, ..)| source).collect::<Vec<_>>();
         proposals.extend(self.des.proposals(&nodes, heartbeats.is_some()));
+        proposals.extend(self.fields.proposal());
         proposals
     }
 }

@@ -9,6 +9,7 @@ use descan::discovery::{
 };
 use descan::finding::{Finding, FindingKind, FindingState};
 use descan::frame::Frame;
+use descan::learning::ProfileLearner;
 use descan::sim::{DeviceAction, DeviceSpec, Fault, Scenario, Sim};
 use descan::time::{Duration, Instant};
 use descan::wire::descriptor::{
@@ -17,7 +18,7 @@ use descan::wire::descriptor::{
 };
 use descan::wire::id::{Address, Header, Service};
 use descan::wire::node::{Mode, Uid};
-use descan::wire::profile::{Profile, UidProfile};
+use descan::wire::profile::{Profile, ProfileKey, ProfileValue, UidProfile};
 
 /// All numbers as they are built in, but given, and those that are not built in.
 const GIVEN: &str = "[descriptor]\ngid = 0x010\nuid = 0x011\nsn = 0x012\nfw = 0x013\ncaps = 0x014\n\
@@ -42,15 +43,12 @@ fn settled(name: &str, address: u8) -> DeviceSpec {
 
 /// A bus whose devices have this profile, and an inspector that has it, too.
 fn bus(devices: &[DeviceSpec], profile: &str) -> Inspection {
-    bus_of(devices, profile, Config::default())
-}
-
-fn bus_of(devices: &[DeviceSpec], profile: &str, config: Config) -> Inspection {
     let profile = Profile::parse(profile).unwrap();
     let scenario = devices.iter().cloned().fold(Scenario::new(125_000), Scenario::with);
     let mut sim = Sim::with_profile(&scenario, 3, profile.clone());
     let station = sim.attach();
-    let config = Config { bitrate: Some(125_000), profile: profile.into(), seed: 3, ..config };
+    let config =
+        Config { bitrate: Some(125_000), profile: profile.into(), seed: 3, ..Config::default() };
     let engine = Engine::new(Instant::ZERO, config);
     Inspection { sim, station, engine, events: Vec::new(), frames: Vec::new() }
 }
@@ -127,6 +125,11 @@ fn all_fields_are_read_in_both_byte_orders() {
         for (field, value) in DescriptorField::ALL.into_iter().zip(values) {
             assert_eq!(content(&bus, 10, field), Some(FieldContent::Value(value)), "{order}");
         }
+        let mut learner = ProfileLearner::default();
+        learner.set_profile(&Profile::parse(GIVEN).unwrap());
+        bus.frames.iter().for_each(|frame| learner.handle_frame(frame));
+        let learnt = learner.proposals().into_iter().find(|it| it.key == ProfileKey::ByteOrder);
+        assert_eq!(learnt.map(|it| it.value), Some(ProfileValue::Text(order.to_owned())));
         let read: Vec<_> = requests(&bus, 0x010..=0x01A).into_iter().map(|it| it.0).collect();
         assert_eq!(read, (0x010..=0x017).collect::<Vec<_>>(), "each once, of one device");
         assert!(requests(&bus, 0x010..=0x017).iter().all(|(_, frame)| frame.is_empty()));

@@ -285,11 +285,11 @@ fn learn_prints_values_with_evidence_and_why_others_are_unknown() {
     assert_eq!(output.status.code(), Some(0), "{text}");
     for line in [
         "can0: 48 frames in 11.5 s",
-        "services.heartbeat     0x001 assumed  ≠ 0x155   certain 2 nodes, every 500 ms",
-        "heartbeat.period_ms    1000 assumed   ≠ 500     certain 46 intervals of 2 nodes",
-        "heartbeat.mode_offset  6 assumed      ≠ 0       certain 2 values, changes with U in 2 nodes",
-        "heartbeat.uid_offset   0 assumed        –       –       fewer than three UIDs",
-        "services.des           0x002 assumed    –       –       no name request and a response",
+        "services.heartbeat     0x001 assumed    ≠ 0x155   certain 2 nodes, every 500 ms",
+        "heartbeat.period_ms    1000 assumed     ≠ 500     certain 46 intervals of 2 nodes",
+        "heartbeat.mode_offset  6 assumed        ≠ 0       certain 2 values, changes with U in 2 nodes",
+        "heartbeat.uid_offset   0 assumed          –       –       fewer than three UIDs",
+        "services.des           0x002 assumed      –       –       no name request and a response",
     ] {
         assert!(text.contains(line), "{line}\n{text}");
     }

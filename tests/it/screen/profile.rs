@@ -131,7 +131,7 @@ fn frames_behind_a_value_are_those_of_its_service() {
     stage.until(14.0).keys("L f").size(120, 36);
     let screen = stage.screen();
     assert!(screen.contains("/srv:0x155"), "{screen}");
-    stage.keys("Backspace L j j j j j j j Space");
+    stage.keys("Backspace L j j j j j j j j Space");
     let screen = stage.screen();
     assert!(screen.contains("request_err is not known from frames"), "{screen}");
 }
