@@ -8,7 +8,7 @@ use crate::bus::{self, BusSpec};
 use crate::guide;
 use crate::log::LogFormat;
 use crate::shell::recorder::Size;
-use crate::wire::id::Address;
+use crate::wire::id::{Address, Service};
 use crate::wire::node::Mode;
 use clap::builder::{PossibleValue, StringValueParser, TypedValueParser};
 use clap::{Args, CommandFactory, Parser, Subcommand};
@@ -279,16 +279,30 @@ others are not known. Requests of DES are heard only while another tool enumerat
 other value fits; likely: other frames might fit, too; guess: fits so far. Nothing is in force: give the \
 written file, which has no guesses, with --profile; values of --profile stay.
 
+With --search it sends: name requests to one device, service by service, some 2000 in two minutes, until \
+it answers. The device may take one for a command, so it must be in CFG or BOOT, and the bus may carry \
+nothing else. It stops without acknowledgement, at an error warning, or when the device begins to work.
+
 Exit code: 0 a value was learnt, 1 none, 2 wrong usage, 3 bus or file not usable, 130 interrupted.
 
 Examples:
   descan profile learn can0
   descan profile learn can0 --time 60 --write boiler.toml
+  descan profile learn can0 --search 12
   descan profile learn file:session.log --json | jq '.proposals[].value'")]
 pub struct LearnArgs {
     /// The bus, or the log.
     #[arg(value_name = "BUS", help = bus::forms(|_| true))]
     pub bus: BusSpec,
+    /// Search the service number of DES: ask the device at ADDRESS on each service, after a question
+    #[arg(long, value_name = "ADDRESS", value_parser = address, allow_negative_numbers = true)]
+    pub search: Option<Address>,
+    /// First service of the search, as 0x019
+    #[arg(long, value_name = "SERVICE", requires = "search", value_parser = service)]
+    pub search_from: Option<Service>,
+    /// Search without asking
+    #[arg(long, requires = "search")]
+    pub yes: bool,
     /// Write the values to a new FILE, beside those of --profile; never overwrites
     #[arg(long, value_name = "FILE")]
     pub write: Option<PathBuf>,
@@ -629,6 +643,14 @@ fn address(text: &str) -> Result<Address, String> {
         None => text.parse().ok(),
     };
     number.and_then(Address::new).ok_or_else(|| "an address is a number from 0 to 127".to_owned())
+}
+
+fn service(text: &str) -> Result<Service, String> {
+    let number = match text.strip_prefix("0x") {
+        Some(hex) => u16::from_str_radix(hex, 16).ok(),
+        None => text.parse().ok(),
+    };
+    number.and_then(Service::new).ok_or_else(|| "a service is a number, 0 to 0x3FF".to_owned())
 }
 
 fn recording(text: &str) -> Result<PathBuf, String> {

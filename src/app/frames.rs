@@ -41,6 +41,7 @@ impl App {
             self.clock.set(now);
             if self.buses.receive(frame) {
                 self.learners.handle_frame(frame);
+                self.note_for_search(frame);
                 self.capture_frame(frame);
                 if self.buses.has_events() {
                     self.take_events();

@@ -187,6 +187,12 @@ impl RecordedBuses {
         self.now.rescan(now);
     }
 
+    /// Sends a frame as it stands.
+    pub(super) fn send(&mut self, now: Instant, frame: Frame) {
+        self.note(now, BusesInput::Send(frame));
+        self.now.send(now, frame);
+    }
+
     /// Sends a request to a device, once; returns `None` if it cannot be sent.
     pub(super) fn request(&mut self, now: Instant, request: DeviceRequest) -> Option<RequestId> {
         self.note(now, BusesInput::Request(request.clone()));
@@ -560,6 +566,7 @@ impl Buses {
             }
             BusesInput::Searched(bus) => self.set_searched(*bus),
             BusesInput::Rescan => self.rescan(now),
+            BusesInput::Send(frame) => self.send(now, *frame),
             BusesInput::Request(request) => {
                 self.request(now, request.clone());
             }

@@ -3,7 +3,7 @@
 
 use super::varint::{read_varint, write_varint};
 use crate::discovery::{Config, DeviceId, DeviceRequest};
-use crate::frame::BusIndex;
+use crate::frame::{BusIndex, Frame};
 use crate::status::BusStatus;
 use crate::time::Instant;
 use crate::wire::descriptor::DescriptorField;
@@ -35,6 +35,8 @@ pub(super) enum BusesInput {
     Searched(Option<BusIndex>),
     /// The enumeration starts again.
     Rescan,
+    /// A frame is sent as it stands.
+    Send(Frame),
     /// A request to a device.
     Request(DeviceRequest),
     /// A field of the descriptor of a device is read, or all.

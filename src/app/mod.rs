@@ -40,6 +40,7 @@ mod capture_saving;
 mod clock;
 mod compared_moments;
 mod conflict_panel;
+mod des_search;
 mod device_command;
 mod device_page;
 mod devices;
@@ -109,6 +110,7 @@ pub use capture::{
 };
 pub use compared_moments::{ComparedMoment, ComparisonNote, ComparisonRow, MomentComparison};
 pub use conflict_panel::{BeatCell, BeatsOnAxis, ConflictPanel, MAX_COLUMNS, ordinal, side_letter};
+use des_search::BusSearch;
 pub use device_command::{COMMAND_FORMS, DeviceCommand};
 pub use device_page::BEATS_PER_LINE;
 pub use devices::concerns;
@@ -402,6 +404,7 @@ pub struct App {
     bus_choice: Option<Box<BusChoice>>,
     learners: ProfileLearners,
     commands: SentCommands,
+    search: Option<Box<BusSearch>>,
     /// The comparison of two moments that is open.
     comparison: Option<Box<MomentComparison>>,
     /// The proof that is being written.
@@ -463,6 +466,7 @@ impl App {
             bus_choice: None,
             learners: ProfileLearners::new(options.learns_profile),
             commands: SentCommands::default(),
+            search: None,
             comparison: None,
             proof: None,
             content,
@@ -515,6 +519,7 @@ impl App {
     /// Does what is due at `now`.
     pub fn handle_timeout(&mut self, now: Instant) {
         self.clock.set(now);
+        self.step_des_search(now);
         self.buses.handle_timeout(now);
         self.take_events();
         if self.clock.take_second(now) {
@@ -763,7 +768,8 @@ impl App {
         let file = self.editor.poll_timeout().filter(|_| !self.clock.has_real());
         let parts = self.buses.poll_timeout().into_iter().chain(self.notices.poll_timeout());
         let screen = self.poll_screen_timeout().filter(|_| !self.clock.has_real());
-        parts.chain(second).chain(file).chain(screen).chain(self.reading_ahead).min()
+        let search = self.search_timeout();
+        parts.chain(second).chain(file).chain(screen).chain(self.reading_ahead).chain(search).min()
     }
 
     /// Sets the real time, by which des.json is saved again and a file that has become empty is

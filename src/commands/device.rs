@@ -5,7 +5,7 @@
 use super::gate::BusGate;
 use super::headless::{self, Limits, RunInput, RunOutcome, warn_foreign};
 use super::open::{self, Setup};
-use super::output::{self, ask, say};
+use super::output::{self, answer, ask, may_ask, say};
 use super::report::{DescriptorReport, of_descriptor};
 use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure};
 use crate::app::{App, AppOptions, DeviceCommand};
@@ -17,9 +17,8 @@ use crate::text::{hex, join_first};
 use crate::time::Instant;
 use crate::wire::descriptor::DescriptorField;
 use serde::Serialize;
-use std::io::{self, BufRead, IsTerminal};
 use std::ops::ControlFlow;
-use std::sync::mpsc::{Receiver, TryRecvError, channel};
+use std::sync::mpsc::{Receiver, TryRecvError};
 use std::time::Duration;
 
 /// Time in which the device must be found, unless given.
@@ -79,8 +78,7 @@ enum CommandStage {
 /// Runs it.
 pub fn run(args: &DeviceArgs, task: DeviceTask) -> Result<u8, Failure> {
     let is_read = matches!(task, DeviceTask::Read(_));
-    let may_ask = io::stdin().is_terminal() && io::stderr().is_terminal();
-    if !is_read && !args.yes && !may_ask {
+    if !is_read && !args.yes && !may_ask() {
         let text = "it asks before it sends, and there is no terminal: give --yes";
         return Err(Failure::Usage(text.to_owned()));
     }
@@ -164,15 +162,7 @@ fn begin(
         return start(app, device, task);
     }
     ask(format!("{sent}? {effect} [y/N]"));
-    let (sender, answer) = channel();
-    std::thread::spawn(move || {
-        let mut line = String::new();
-        let is_read = io::stdin().lock().read_line(&mut line).is_ok();
-        let is_yes = ["y", "yes"].contains(&line.trim().to_lowercase().as_str());
-        // The command may have ended.
-        let _ = sender.send(is_read && is_yes);
-    });
-    Ok(CommandStage::Asking(device, answer))
+    Ok(CommandStage::Asking(device, answer()))
 }
 
 /// Sends it.

@@ -4,28 +4,37 @@
 use super::gate::BusGate;
 use super::headless::{self, Limits, RunInput, RunOutcome, warn_foreign};
 use super::open::{self, Setup};
+use super::output::{answer, ask, may_ask, say};
 use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure, output};
 use crate::app::{App, AppOptions};
 use crate::cli::{CommonArgs, LearnArgs};
 use crate::diagnostic::Diagnostic;
 use crate::frame::{BusIndex, Frame};
-use crate::learning::{Certainty, LEARNT_KEYS, ProfileLearner, ProfileProposal};
+use crate::learning::{
+    Certainty, DesSearch, LEARNT_KEYS, ProfileLearner, ProfileProposal, SearchEnd,
+};
 use crate::regular_file::shown;
 use crate::shell::log_input::LogPace;
 use crate::shell::stop::StopReason;
 use crate::shell::store::{Store, write_new};
 use crate::text::counted;
-use crate::time::Epoch;
+use crate::time::{Epoch, Instant};
+use crate::wire::id::{Address, Service};
 use crate::wire::profile::{Profile, ProfileKey, ProfileValue, ValueOrigin};
 use serde::Serialize;
 use std::fmt::Write as _;
 use std::io::Write as _;
 use std::ops::ControlFlow;
 use std::path::Path;
+use std::sync::mpsc::{Receiver, TryRecvError};
 use std::time::Duration;
 
 /// `--time` of a live bus, unless given.
 const DEFAULT_TIME: Duration = Duration::from_secs(20);
+/// Time in which a bus is listened to before a search: what else it carries.
+const SEARCH_LISTENING: Duration = Duration::from_secs(8);
+/// Requests after which the progress of a search is told.
+const TOLD_REQUESTS: usize = 400;
 /// Values that end listening on a live bus: others may never be shown.
 const ENOUGH: [ProfileKey; 5] = [
     ProfileKey::Heartbeat,
@@ -40,15 +49,23 @@ pub fn run(learn: &LearnArgs) -> Result<u8, Failure> {
     if let Some(path) = &learn.write {
         Store::new(path).check_new().map_err(|fault| fault.of(shown(path)))?;
     }
-    let setup = Setup::new(&CommonArgs::listen_only(learn.profile.clone()))?;
+    let mut common = CommonArgs::listen_only(learn.profile.clone());
+    if learn.search.is_some() {
+        // No request but those of the search.
+        (common.listen_only, common.no_scan) = (false, true);
+    }
+    let setup = Setup::new(&common)?;
     let bus = std::slice::from_ref(&learn.bus);
     let is_log = open::log(bus, "profile learn", learn.from)?.is_some();
+    let mut search = SearchStep::new(learn, is_log)?;
     let input = if is_log {
         RunInput::Log(&learn.bus, Some(LogPace::AtOnce))
     } else {
         RunInput::Buses(bus)
     };
     let time = learn.time.or((!is_log).then_some(DEFAULT_TIME));
+    // A search ends by itself.
+    let time = time.filter(|_| learn.search.is_none());
     let limits = Limits { time, from: learn.from, stuck: EXIT_INTERRUPTED, ..Limits::default() };
     let options = AppOptions { learns_profile: true, ..AppOptions::default() };
     let mut gate = BusGate::new(false);
@@ -60,6 +77,16 @@ pub fn run(learn: &LearnArgs) -> Result<u8, Failure> {
                 return Ok(ControlFlow::Continue(()));
             }
             let is_open = gate.allows(&session.app, now)?;
+            if let Some(device) = learn.search {
+                let from = learn.search_from.unwrap_or_default();
+                let task = SearchTask { device, from, yes: learn.yes };
+                let is_over = is_open && search.advance(&mut session.app, task)?;
+                return Ok(if is_over {
+                    ControlFlow::Break(())
+                } else {
+                    ControlFlow::Continue(())
+                });
+            }
             // Proposals are made from all that was heard: once a second.
             let second = now.as_micros() / 1_000_000;
             let is_due = is_open && std::mem::replace(&mut looked_at, second) != second;
@@ -74,6 +101,9 @@ pub fn run(learn: &LearnArgs) -> Result<u8, Failure> {
     }
     recording?;
     warn_foreign(&app, &mut Vec::new());
+    if let Some(end) = app.des_search().and_then(DesSearch::end) {
+        say(end_text(end));
+    }
     let buses: Vec<LearntBus> = learners(&app)
         .map(|(bus, learner)| LearntBus::new(&app, bus, learner, &setup.config.profile))
         .collect();
@@ -89,6 +119,112 @@ pub fn run(learn: &LearnArgs) -> Result<u8, Failure> {
     }
     let has_any = buses.iter().any(|bus| !bus.proposals.is_empty());
     Ok(if has_any { EXIT_OK } else { EXIT_FINDINGS })
+}
+
+/// How far a search is.
+enum SearchStep {
+    /// The bus is listened to: what else it carries, and whether the device works.
+    Listening(Option<Instant>),
+    /// The user is asked.
+    Asking(Receiver<bool>),
+    /// It runs; with the part that was told.
+    Running(usize),
+}
+
+/// What is searched: the device, the first service, without a question.
+#[derive(Clone, Copy)]
+struct SearchTask {
+    device: Address,
+    from: Service,
+    yes: bool,
+}
+
+impl SearchStep {
+    fn new(learn: &LearnArgs, is_log: bool) -> Result<Self, Failure> {
+        if learn.search.is_some() && is_log {
+            return Err(Failure::Usage("a log has no device to ask".to_owned()));
+        }
+        if learn.search.is_some() && !learn.yes && !may_ask() {
+            let text = "the search asks before it sends, and there is no terminal: give --yes";
+            return Err(Failure::Usage(text.to_owned()));
+        }
+        Ok(Self::Listening(None))
+    }
+
+    /// Takes the next step, if it is time for it; returns true once it is over.
+    fn advance(&mut self, app: &mut App, task: SearchTask) -> Result<bool, Failure> {
+        let SearchTask { device, yes, .. } = task;
+        let (bus, now) = (BusIndex(0), app.now());
+        match self {
+            Self::Listening(began) => {
+                let began = *began.get_or_insert(now);
+                if now.since(began) < SEARCH_LISTENING {
+                    return Ok(false);
+                }
+                let is_known = |learner: &ProfileLearner| {
+                    learner.proposals().iter().any(|it| it.key == ProfileKey::Des)
+                };
+                if app.profile_learner(bus).is_some_and(is_known) {
+                    say("no search: the service number of DES is known from other requests");
+                    return Ok(true);
+                }
+                if let Some(why) = app.search_obstacle(bus, device) {
+                    return Err(Failure::Unusable(why));
+                }
+                let question = format!(
+                    "Ask the device at {device} for its name on up to 1024 services, in two minutes? It \
+                     may take a request for a command: restart, change its settings, move what it \
+                     controls. It stops at the first answer."
+                );
+                *self = if yes {
+                    say(question.replace('?', "."));
+                    start_search(app, task)?
+                } else {
+                    ask(format!("{question} [y/N]"));
+                    Self::Asking(answer())
+                };
+            }
+            Self::Asking(answer) => match answer.try_recv() {
+                Ok(true) => *self = start_search(app, task)?,
+                Ok(false) | Err(TryRecvError::Disconnected) => {
+                    say("nothing was sent");
+                    return Ok(true);
+                }
+                Err(TryRecvError::Empty) => {}
+            },
+            Self::Running(told) => {
+                let Some(search) = app.des_search() else { return Ok(true) };
+                let (sent, all) = search.progress();
+                if sent >= *told + TOLD_REQUESTS {
+                    *told = sent;
+                    say(format!("{sent} of {all} requests sent, no answer"));
+                }
+                return Ok(search.end().is_some());
+            }
+        }
+        Ok(false)
+    }
+}
+
+fn start_search(app: &mut App, task: SearchTask) -> Result<SearchStep, Failure> {
+    app.start_des_search(BusIndex(0), task.device, task.from).map_err(Failure::Unusable)?;
+    Ok(SearchStep::Running(0))
+}
+
+fn end_text(end: &SearchEnd) -> String {
+    match end {
+        SearchEnd::Answered { service, is_des: true } => {
+            format!("answered with a DES response on service {service}")
+        }
+        SearchEnd::Answered { service, is_des: false } => {
+            format!(
+                "stopped: answered on service {service}, with no DES response; go on behind it with \
+                 --search-from"
+            )
+        }
+        SearchEnd::Exhausted => "the device answered on no service".to_owned(),
+        SearchEnd::Stopped(why) => format!("stopped: {why}"),
+    }
 }
 
 fn learners(app: &App) -> impl Iterator<Item = (BusIndex, &ProfileLearner)> {

@@ -7,7 +7,9 @@
 use super::Failure;
 use crate::text::SafeLines;
 use std::fmt::{Display, Write as _};
-use std::io::{self, Write};
+use std::io::{self, BufRead, IsTerminal, Write};
+use std::sync::mpsc::{Receiver, channel};
+use std::thread;
 
 /// Prints text on standard output and flushes it.
 ///
@@ -150,6 +152,24 @@ pub fn say(text: impl Display) {
 /// Prints a question on standard error, without a line end.
 pub fn ask(text: impl Display) {
     let _ = write!(io::stderr(), "{} ", SafeLines(&text.to_string()));
+}
+
+/// Returns true if a question can be asked: on a terminal.
+pub fn may_ask() -> bool {
+    io::stdin().is_terminal() && io::stderr().is_terminal()
+}
+
+/// Reads the answer to a question from standard input, while the program goes on: true for yes.
+pub fn answer() -> Receiver<bool> {
+    let (sender, answer) = channel();
+    thread::spawn(move || {
+        let mut line = String::new();
+        let is_read = io::stdin().lock().read_line(&mut line).is_ok();
+        let is_yes = ["y", "yes"].contains(&line.trim().to_lowercase().as_str());
+        // The program may be about to end.
+        let _ = sender.send(is_read && is_yes);
+    });
+    answer
 }
 
 /// Replaces the present line of the terminal at standard error.

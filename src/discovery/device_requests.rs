@@ -285,6 +285,16 @@ impl Requester {
 }
 
 impl Engine {
+    /// Command: sends a frame as it stands, once, unless nothing can be sent at present. Its share of
+    /// the bus is the caller's care.
+    pub fn send(&mut self, now: Instant, frame: Frame) {
+        self.tracker.advance(now);
+        if self.requester.request_obstacle(&self.tracker).is_none() {
+            self.requester.outbox.push(frame);
+            self.tracker.wake_at(self.tracker.now);
+        }
+    }
+
     /// Command: sends a request to one device, once. Its end is an [`EventKind::RequestEnded`].
     /// Returns `None` if the data are longer than 8 bytes, or too many requests wait.
     pub fn request(&mut self, now: Instant, request: DeviceRequest) -> Option<RequestId> {

@@ -12,12 +12,15 @@ mod enumeration;
 mod heartbeat;
 mod layout;
 mod period;
+mod search;
 mod unsolicited;
+
+pub use search::{DesSearch, SearchEnd, SearchStop};
 
 use crate::frame::{Frame, FrameKind};
 use crate::time::{Duration, Instant};
 use crate::wire::framing::classify_request;
-use crate::wire::id::{Address, Header, MessageType};
+use crate::wire::id::{Address, Header, MessageType, Service};
 use crate::wire::profile::{Profile, ProfileKey, ProfileValue};
 use byte_order::FieldResponses;
 use enumeration::DesServices;
@@ -87,6 +90,9 @@ const MAX_FRAMES: usize = 6;
 pub struct ProfileLearner {
     frames: u64,
     impossible: u64,
+    /// Addresses of nodes that sent a frame, and of those whose last one had U = 1; one bit each.
+    heard: u128,
+    not_working: u128,
     first: Option<Instant>,
     last: Instant,
     unsolicited: UnsolicitedFrames,
@@ -114,6 +120,12 @@ impl ProfileLearner {
             self.impossible += 1;
             return;
         };
+        if !frame.is_tx && header.message_type() != MessageType::Debug {
+            let node = 1 << header.source.index();
+            self.heard |= node;
+            self.not_working =
+                self.not_working & !node | if header.from_non_working { node } else { 0 };
+        }
         self.des.handle_frame(frame, header);
         self.fields.handle_frame(frame, header);
         // In a debug message SRV is the message code; a DES request is not a heartbeat.
@@ -134,6 +146,22 @@ impl ProfileLearner {
     /// Time from the first to the last frame.
     pub fn duration(&self) -> Duration {
         self.first.map_or(Duration::ZERO, |first| self.last.since(first))
+    }
+
+    /// Number of frames that are not of the CAN platform.
+    pub fn other_frames(&self) -> u64 {
+        self.impossible
+    }
+
+    /// Returns true if the last frame of the node at an address had U = 0; `None` without a frame of it.
+    pub fn is_working(&self, address: Address) -> Option<bool> {
+        let node = 1u128 << address.index();
+        (self.heard & node != 0).then_some(self.not_working & node == 0)
+    }
+
+    /// Returns true if nodes send frames of this service unsolicited.
+    pub fn is_unsolicited_service(&self, service: Service) -> bool {
+        self.unsolicited.has_service(service)
     }
 
     /// Returns true if the bus speaks another protocol: nothing is learnt from it.

@@ -100,6 +100,11 @@ impl UnsolicitedFrames {
         self.sources.iter().map(|(source, (first, last))| (*source, *first, *last))
     }
 
+    /// Returns true if some node sends frames of this service.
+    pub fn has_service(&self, service: Service) -> bool {
+        self.senders.keys().any(|(_, known)| *known == service)
+    }
+
     /// The service numbers, in their order.
     pub fn services(&self) -> Vec<Service> {
         let mut services: Vec<Service> = self.senders.keys().map(|(_, service)| *service).collect();

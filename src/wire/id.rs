@@ -66,6 +66,9 @@ impl fmt::Display for Address {
 pub struct Service(u16);
 
 impl Service {
+    /// Highest number.
+    pub const MAX: u16 = 0x3FF;
+
     /// Returns the service `number`; `None` above 1023.
     pub const fn new(number: u16) -> Option<Self> {
         if number < 1024 { Some(Self(number)) } else { None }

@@ -290,3 +290,47 @@ fn learnt_values_allow_no_command() {
         assert_eq!(command.request(&profile), None);
     }
 }
+
+#[test]
+fn des_is_searched_only_on_a_device_that_does_not_work() {
+    let folder = tempfile::tempdir().unwrap();
+    let bus = "bitrate = 125000\n[profile.services]\ndes = 0x00A\n\
+        [[device]]\nname = \"FEED\"\naddress = { fixed = 10 }\nsettled = true\nautostart = false\n\
+        faults = [\"no-descriptor\"]\n\
+        [[device]]\nname = \"SENS\"\naddress = { fixed = 12 }\nsettled = true\n\
+        [[device]]\nname = \"ACT\"\naddress = { fixed = 14 }\nsettled = true\nautostart = false\n";
+    std::fs::write(folder.path().join("bus.toml"), bus).unwrap();
+    std::thread::scope(|scope| {
+        let learn = |rest: &[&str]| {
+            let output = Command::new(env!("CARGO_BIN_EXE_descan"))
+                .args(["profile", "learn", "sim:bus.toml", "--search"])
+                .args(rest)
+                .current_dir(folder.path())
+                .stdin(Stdio::null())
+                .output()
+                .expect("the program starts");
+            (text(&output.stdout), text(&output.stderr), output.status.code())
+        };
+        scope.spawn(move || {
+            let (told, said, code) = learn(&["10", "--yes"]);
+            assert!(said.contains("answered with a DES response on service 0x00A"), "{said}");
+            assert!(told.contains("services.des           0x002 assumed    ≠ 0x00A"), "{told}");
+            assert_eq!(code, Some(0));
+        });
+        scope.spawn(move || {
+            let (_, said, code) = learn(&["12", "--yes"]);
+            assert!(said.contains("the device at 12 is working: set it to CFG or BOOT"), "{said}");
+            assert_eq!(code, Some(3));
+        });
+        scope.spawn(move || {
+            let (_, said, code) = learn(&["14", "--yes", "--search-from", "0x016"]);
+            assert!(said.contains("stopped: answered on service 0x018, with no DES"), "{said}");
+            assert_eq!(code, Some(1), "nothing is known");
+        });
+        scope.spawn(move || {
+            let (_, said, code) = learn(&["10"]);
+            assert!(said.contains("there is no terminal: give --yes"), "{said}");
+            assert_eq!(code, Some(2));
+        });
+    });
+}

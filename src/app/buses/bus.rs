@@ -309,6 +309,11 @@ impl Bus {
         self.engine.rescan(now);
     }
 
+    /// Sends a frame as it stands.
+    pub(super) fn send(&mut self, now: Instant, frame: Frame) {
+        self.engine.send(now, frame);
+    }
+
     /// Sends a request to a device, once; returns `None` if it cannot be sent.
     pub(super) fn request(&mut self, now: Instant, request: DeviceRequest) -> Option<RequestId> {
         self.engine.request(now, request)

@@ -342,6 +342,13 @@ impl Buses {
         self.all_mut().for_each(|bus| bus.rescan(now));
     }
 
+    /// Sends a frame as it stands.
+    pub(super) fn send(&mut self, now: Instant, frame: Frame) {
+        if let Some(bus) = self.list.get_mut(usize::from(frame.bus.0)) {
+            bus.send(now, frame);
+        }
+    }
+
     /// Sends a request to a device, once; returns `None` if it cannot be sent.
     pub(super) fn request(&mut self, now: Instant, request: DeviceRequest) -> Option<RequestId> {
         self.list.get_mut(usize::from(request.device.bus.0))?.request(now, request)
