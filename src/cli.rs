@@ -100,26 +100,8 @@ pub enum Command {
     Diff(DiffArgs),
     /// Print the frames of a log, decoded, one per line, or their statistics
     Log(LogArgs),
-    /// Simulate the devices of a scenario on a bus
-    #[command(after_help = "\
-Examples:
-  descan sim vcan0
-  descan sim udp:239.74.163.2 --scenario drone
-  descan sim slcan:/dev/ttyACM0@500000 --scenario line.toml --time 60")]
-    Sim {
-        /// The bus, of a kind that sends.
-        #[arg(
-            value_name = "BUS",
-            help = format!("Bus to simulate the devices on: {}", bus::forms(|kind| kind.can_send))
-        )]
-        bus: BusSpec,
-        /// Scenario: boiler, drone or a TOML file
-        #[arg(long, default_value = "boiler", value_name = "SCENARIO")]
-        scenario: String,
-        /// Stop after SECONDS; without it, run until interrupted
-        #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
-        time: Option<Duration>,
-    },
+    /// Simulate the devices of a scenario on a bus, or one device
+    Sim(SimArgs),
     /// Let a device blink or beep
     #[command(after_help = "\
 Needs commands.identify in a profile. Exit code: as of descan mode.
@@ -246,6 +228,44 @@ pub enum ProfileCommand {
     },
     /// Learn values from the frames of a bus or of a log; nothing is sent
     Learn(LearnArgs),
+}
+
+/// `descan sim`.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+With --device it is one device: its name, its services, and its address, or else one that follows from \
+its name. It works as soon as it has its address, and answers requests as the profile says.
+
+Examples:
+  descan sim vcan0
+  descan sim udp:239.74.163.2 --scenario drone
+  descan sim slcan:/dev/ttyACM0@500000 --scenario line.toml --time 60
+  descan sim vcan0 --device FEED --services AUGER=2.1,MOTOR=1.4 --node-address 10")]
+pub struct SimArgs {
+    /// The bus, of a kind that sends.
+    #[arg(
+        value_name = "BUS",
+        help = format!("Bus to simulate the devices on: {}", bus::forms(|kind| kind.can_send))
+    )]
+    pub bus: BusSpec,
+    /// Scenario: boiler, drone or a TOML file [default: boiler]
+    #[arg(long, value_name = "SCENARIO", conflicts_with = "device")]
+    pub scenario: Option<String>,
+    /// One device of this NAME, in place of a scenario
+    #[arg(long, value_name = "NAME")]
+    pub device: Option<String>,
+    /// Its services besides DES, with versions: A=1.0,B=2
+    #[arg(long, value_name = "LIST", requires = "device", value_delimiter = ',', value_parser = version)]
+    pub services: Vec<(String, String)>,
+    /// Its fixed address, 1 to 127
+    #[arg(long, value_name = "N", requires = "device", value_parser = node_address)]
+    pub node_address: Option<Address>,
+    /// What it uses where the protocol leaves values open (TOML)
+    #[arg(long, value_name = "FILE", requires = "device")]
+    pub profile: Option<PathBuf>,
+    /// Stop after SECONDS; without it, run until interrupted
+    #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
+    pub time: Option<Duration>,
 }
 
 /// Commands to one device.
@@ -643,6 +663,19 @@ fn address(text: &str) -> Result<Address, String> {
         None => text.parse().ok(),
     };
     number.and_then(Address::new).ok_or_else(|| "an address is a number from 0 to 127".to_owned())
+}
+
+fn node_address(text: &str) -> Result<Address, String> {
+    let node = address(text).ok().filter(|address| *address != Address::DEBUG);
+    node.ok_or_else(|| "an address of a node is a number from 1 to 127".to_owned())
+}
+
+fn version(text: &str) -> Result<(String, String), String> {
+    let (name, version) = text.split_once('=').unwrap_or((text, ""));
+    if name.is_empty() || text.contains('\0') {
+        return Err("a service is NAME=VERSION".to_owned());
+    }
+    Ok((name.to_owned(), version.to_owned()))
 }
 
 fn service(text: &str) -> Result<Service, String> {

@@ -73,7 +73,7 @@ pub fn run(cli: Cli) -> ExitCode {
         Some(Command::Watch(watch)) => watch::run(&watch),
         Some(Command::Diff(diff)) => diff::run(&diff),
         Some(Command::Log(log)) => log::run(&log),
-        Some(Command::Sim { bus, scenario, time }) => simulate::run(&bus, &scenario, time),
+        Some(Command::Sim(args)) => simulate::run(&args),
         Some(Command::Identify(args)) => {
             device::run(&args, DeviceTask::Send(DeviceCommand::Identify))
         }

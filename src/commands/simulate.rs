@@ -1,32 +1,41 @@
 //! `descan sim`: simulated devices on a real bus. Their own bus is simulated; frames are relayed
 //! between the two in both directions.
 
-use super::{EXIT_OK, EXIT_UNUSABLE, Failure, headless, output};
-use crate::bus::{self, BusSpec, Clock, Options};
+use super::{EXIT_OK, EXIT_UNUSABLE, Failure, headless, open, output};
+use crate::bus::{self, Clock, Options};
+use crate::cli::SimArgs;
 use crate::diagnostic::Diagnostic;
 use crate::frame::{BusIndex, Frame, FrameKind};
 use crate::shell::stop;
-use crate::sim::Sim;
+use crate::sim::{DeviceSpec, Scenario, Sim};
 use crate::status::Link;
+use crate::text::counted;
 use crate::time::Instant;
 use anyhow::Context;
 use std::time::Duration;
 use tokio::signal::unix::{SignalKind, signal};
 
+/// Bit rate of the simulated bus of one device, in bit/s: that of the bus is at most this.
+const SIMULATED_BITRATE: u32 = 1_000_000;
 /// Shortest time between two relays.
 const NAP: Duration = Duration::from_millis(2);
 
-/// Runs until interrupted, or for `time`.
+/// Runs until interrupted, or for `--time`.
 ///
 /// # Errors
-/// The bus cannot transmit or be opened, or the scenario is invalid.
-pub fn run(spec: &BusSpec, scenario: &str, time: Option<Duration>) -> Result<u8, Failure> {
+/// The bus cannot transmit or be opened, or the scenario or the profile is invalid.
+pub fn run(args: &SimArgs) -> Result<u8, Failure> {
+    let (spec, time) = (&args.bus, args.time);
     if !spec.kind().can_send {
         return Err(Failure::Usage(format!(
             "cannot simulate devices on {spec}; for a simulated bus: descan demo"
         )));
     }
-    let scenario = bus::scenario(scenario).map_err(|error| Failure::Unusable(error.to_string()))?;
+    let scenario = match &args.device {
+        Some(name) => one_device(name, args)?,
+        None => bus::scenario(args.scenario.as_deref().unwrap_or("boiler"))
+            .map_err(|error| Failure::Unusable(error.to_string()))?,
+    };
     let clock = Clock::start();
     let mut sim = Sim::from_scenario(&scenario);
     let station = sim.attach();
@@ -59,8 +68,8 @@ pub fn run(spec: &BusSpec, scenario: &str, time: Option<Duration>) -> Result<u8,
                 return Ok(EXIT_OK);
             }
             if status.link == Link::Up && start.is_none() {
-                let devices = scenario.devices.len();
-                output::say(format_args!("{devices} devices on {spec}; Ctrl-C stops"));
+                let devices = counted(scenario.devices.len() as u64, "device");
+                output::say(format_args!("{devices} on {spec}; Ctrl-C stops"));
                 start = Some(now);
             }
             heard.clear();
@@ -88,4 +97,22 @@ pub fn run(spec: &BusSpec, scenario: &str, time: Option<Duration>) -> Result<u8,
             }
         }
     })
+}
+
+/// Returns the scenario of one device that works once it has its address.
+fn one_device(name: &str, args: &SimArgs) -> Result<Scenario, Failure> {
+    let device = DeviceSpec::new(name);
+    let device = if let Some(address) = args.node_address {
+        device.fixed(address.number())
+    } else {
+        // Without an address of its own it would stay in CFG.
+        let sum = name.bytes().fold(0u32, |sum, byte| sum * 31 % 127 + u32::from(byte));
+        device.preferred((sum % 127) as u8 + 1)
+    };
+    let device = args
+        .services
+        .iter()
+        .fold(device, |device, (service, version)| device.service(service, version));
+    let profile = open::profile(args.profile.as_deref())?;
+    Ok(Scenario { profile, ..Scenario::new(SIMULATED_BITRATE).with(device) })
 }

@@ -169,7 +169,7 @@ fn named_topics_commands_and_options_exist() {
     let commands = command_names();
     let mut options = BTreeSet::from(["help".to_owned(), "version".to_owned()]);
     let program = cli::program();
-    let inner = program.get_subcommands().flat_map(|command| command.get_subcommands());
+    let inner = program.get_subcommands().flat_map(clap::Command::get_subcommands);
     for command in std::iter::once(&program).chain(program.get_subcommands()).chain(inner) {
         options.extend(command.get_arguments().filter_map(|it| it.get_long()).map(str::to_owned));
     }

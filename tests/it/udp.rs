@@ -347,3 +347,48 @@ fn simulated_devices() {
     let feed = devices.iter().find(|device| device["name"] == "FEED").expect("FEED is there");
     assert_eq!((&feed["address"], &feed["services"][0]["name"]), (&10.into(), &"DES".into()));
 }
+
+// --- devices in other processes --------------------------------------------------------------
+
+#[test]
+fn simulated_device_of_a_shell_is_found_and_takes_commands() {
+    in_namespace("device_of_a_shell");
+}
+
+#[test]
+#[ignore = "called by simulated_device_of_a_shell_is_found_and_takes_commands"]
+fn device_of_a_shell() {
+    check_namespace();
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("p.toml"), "commands.mode = 0x019\n").unwrap();
+    let descan = |arguments: &[&str]| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_descan"));
+        command.args(arguments).current_dir(folder.path()).stdin(Stdio::null());
+        command
+    };
+    let bus = bus_of(V4);
+    let simulate = |more: &[&str]| {
+        let arguments = [&["sim", &bus, "--time", "60"][..], more].concat();
+        descan(&arguments).stderr(Stdio::null()).spawn().expect("the program starts")
+    };
+    let feed = ["--device", "FEED", "--services", "AUGER=2.1,MOTOR", "--node-address", "10"];
+    let devices: [Child; 2] = [simulate(&feed), simulate(&["--device", "SENS"])];
+    let scan = descan(&["scan", &bus, "--json", "--expect", "2", "--time", "30"]).output().unwrap();
+    let report: serde_json::Value = serde_json::from_slice(&scan.stdout).unwrap();
+    let found = &report["devices"][0];
+    let mode = descan(&["mode", &bus, "FEED", "CFG", "--profile", "p.toml", "--yes"]).output();
+    let mode = mode.unwrap();
+    for mut device in devices {
+        device.kill().unwrap();
+        device.wait().unwrap();
+    }
+    assert_eq!((scan.status.code(), &found["name"]), (Some(0), &"FEED".into()), "{report}");
+    assert_eq!(found["address"], 10);
+    let services = found["services"].as_array().unwrap();
+    let text = |value: &serde_json::Value| value.as_str().unwrap().to_owned();
+    let services: Vec<_> =
+        services.iter().map(|it| text(&it["name"]) + " " + &text(&it["version"])).collect();
+    assert_eq!(services, ["DES 1.0", "AUGER 2.1", "MOTOR "]);
+    let told = String::from_utf8(mode.stdout).unwrap();
+    assert!(told.ends_with("#02): the device responded\n"), "{told}");
+}
