@@ -5,7 +5,7 @@
 use super::input::parse_address;
 use crate::bitrate;
 use crate::discovery::Device;
-use crate::wire::descriptor::{AddressSetting, BitrateSetting, DescriptorField, DescriptorValue};
+use crate::wire::descriptor::{AddressSetting, BitrateSetting};
 use crate::wire::id::{Address, Service};
 use crate::wire::node::Mode;
 use crate::wire::profile::{Profile, ProfileKey, WriteEffect};
@@ -197,24 +197,6 @@ impl DeviceCommand {
                 ),
                 _ => format!("It may leave this bus{when} if that has another bit rate."),
             },
-        }
-    }
-
-    /// Returns true if a field of the descriptor shows that the device has done it.
-    pub fn is_shown_by(self, value: DescriptorValue) -> bool {
-        match (self, value) {
-            (Self::Address(set), DescriptorValue::Address(read)) => set == read,
-            (Self::Bitrate(set), DescriptorValue::Bitrate(read)) => set == read,
-            _ => false,
-        }
-    }
-
-    /// Returns the field of the descriptor that it changes.
-    pub const fn field(self) -> Option<DescriptorField> {
-        match self {
-            Self::Address(_) => Some(DescriptorField::Address),
-            Self::Bitrate(_) => Some(DescriptorField::Bitrate),
-            Self::Identify | Self::Mode(_) | Self::Restart => None,
         }
     }
 }

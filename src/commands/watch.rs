@@ -199,6 +199,8 @@ enum EventDetails {
     },
     Debug {
         code: u16,
+        /// Its name in the profile.
+        code_name: Option<String>,
         /// Hexadecimal digits.
         data: String,
     },
@@ -259,7 +261,10 @@ fn of_event(app: &App, DeviceEvent { context, event, services }: DeviceEvent) ->
             EventDetails::Descriptor { descriptor }
         }
         EventKind::DebugMessage { code, data } => {
-            EventDetails::Debug { code, data: hex(&data, "") }
+            let bus = event.device.and_then(|id| app.bus(id.bus));
+            let names = bus.map(|bus| &bus.config().profile.debug_names);
+            let code_name = names.and_then(|names| names.get(&code).cloned());
+            EventDetails::Debug { code, code_name, data: hex(&data, "") }
         }
         // Findings and bus states are events of their own, `returned` reports a device that is
         // online again, and the outcome of an address claim follows it.

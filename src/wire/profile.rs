@@ -61,6 +61,10 @@ pub struct Profile {
     #[cfg(feature = "std")]
     #[serde(deserialize_with = "file::service_names")]
     pub service_names: BTreeMap<u16, String>,
+    /// Names of DEBUG messages, by their code.
+    #[cfg(feature = "std")]
+    #[serde(deserialize_with = "file::service_names")]
+    pub debug_names: BTreeMap<u16, String>,
     /// Where each value comes from.
     #[cfg_attr(feature = "std", serde(skip))]
     origins: ValueOrigins,
@@ -82,6 +86,8 @@ impl Default for Profile {
             uid: UidProfile::default(),
             #[cfg(feature = "std")]
             service_names: BTreeMap::new(),
+            #[cfg(feature = "std")]
+            debug_names: BTreeMap::new(),
             origins: ValueOrigins::default(),
         }
     }

@@ -110,7 +110,7 @@ fn origin_of_each_value_is_told() {
     let row = |key: &str| table.lines().find(|line| line.starts_with(key)).unwrap_or(&table);
     assert_eq!(row("services.des").split_whitespace().nth(2), Some("given"));
     assert_eq!(row("services.heartbeat").split_whitespace().nth(2), Some("assumed"));
-    assert!(table.ends_with("p.toml: 1 of 40 values given\n"), "{table}");
+    assert!(table.ends_with("p.toml: 1 of 41 values given\n"), "{table}");
     let json = descan(&["profile", "check", "p.toml", "--json"], folder.path());
     let values: Value = serde_json::from_slice(&json.stdout).unwrap();
     assert_eq!(values["services.des"], serde_json::json!({ "value": 2, "origin": "given" }));

@@ -53,7 +53,7 @@ const TOLD: &str = r#"{"time":1436509052.1,"event":"file","file":{"path":"des.js
 {"time":1436509052.7,"event":"services","bus":"can0","address":12,"name":"FEED","services":[{"index":0,"name":"DES","version":"1.0","extra":[]}],"changed":false,"other_device":false}
 {"time":1436509054.100001,"event":"mode","bus":"can0","address":12,"name":"FEED","mode":"UFUNC","from":"WORK"}
 {"time":1436509055.1,"event":"mode","bus":"can0","address":12,"name":"FEED","mode":"WORK","from":"UFUNC"}
-{"time":1436509058.5,"event":"debug","bus":"can0","address":12,"name":"FEED","code":42,"data":"01FE"}
+{"time":1436509058.5,"event":"debug","bus":"can0","address":12,"name":"FEED","code":42,"code_name":null,"data":"01FE"}
 {"time":1436509059.45,"event":"rebooted","bus":"can0","address":12,"name":"FEED"}
 {"time":1436509062.95,"event":"stale","bus":"can0","address":12,"name":"FEED"}
 {"time":1436509063.45,"event":"returned","bus":"can0","address":12,"name":"FEED","was":"stale"}
@@ -783,4 +783,18 @@ fn services_events_of_one_batch_keep_their_values() {
     assert_eq!(values, ["DES 1", "DES 2", "TMP 2"]);
     let changed = ["1 service", "1 service: DES 1 → 2", "1 service: TMP added, DES removed"];
     assert_eq!(lines, changed);
+}
+
+#[test]
+fn debug_messages_have_the_names_of_the_profile() {
+    let folder = folder();
+    let profile = "[debug_names]\n\"0x02A\" = \"UNDERVOLTAGE\"\n";
+    std::fs::write(folder.path().join("p.toml"), profile).unwrap();
+    let given = ["file:session.log", "--profile", "p.toml"];
+    let words = watch(&given, folder.path());
+    let words = text(&words.stdout);
+    assert!(words.contains("FEED         debug message UNDERVOLTAGE 01 FE\n"), "{words}");
+    let json = watch(&[&given[..], &["--json"]].concat(), folder.path());
+    let named = values(&json.stdout).into_iter().find(|value| value["event"] == "debug").unwrap();
+    assert_eq!((&named["code"], &named["code_name"]), (&42.into(), &"UNDERVOLTAGE".into()));
 }

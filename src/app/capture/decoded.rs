@@ -277,7 +277,7 @@ pub(in crate::app) fn describe_data(
     let data = frame.data();
     let kind = header.message_type();
     if kind == MessageType::Debug {
-        return (format!("debug message {}", header.service), false);
+        return (format!("debug message {}", profile.debug_text(header.service)), false);
     }
     if header.service == profile.heartbeat_service() && header.response {
         return (describe_heartbeat(profile, data), false);

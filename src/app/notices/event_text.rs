@@ -10,6 +10,7 @@ use crate::discovery::{
 use crate::finding::{FindingKey, FindingState};
 use crate::frame::BusIndex;
 use crate::text::{Escaped, Name, counted, hex, join_first};
+use crate::wire::id::Service;
 use crate::wire::node::{Mode, Uid};
 
 /// Kind and text of the timeline line of an engine event; `None` for an event without a line.
@@ -135,7 +136,11 @@ pub fn event_text(buses: &Buses, bus: BusIndex, event: &Event) -> Option<(Timeli
             (TimelineKind::Bus, "frames are acknowledged: sending resumed".to_owned())
         }
         EventKind::DebugMessage { code, data } => {
-            (TimelineKind::Change, format!("debug message {code:#05X} {}", hex(data, " ")))
+            let code = Service::from_bits(*code);
+            let profile = buses.get(bus).map(|bus| &bus.config().profile);
+            let name = profile.map_or_else(|| code.to_string(), |profile| profile.debug_text(code));
+            let text = format!("debug message {name} {}", hex(data, " "));
+            (TimelineKind::Change, text.trim_end().to_owned())
         }
     })
 }

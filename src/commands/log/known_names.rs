@@ -63,10 +63,12 @@ impl ServiceTexts {
         Self { column, json_name: serde_json::to_string(&name).unwrap_or_default() }
     }
 
-    fn of_debug(code: Service) -> Self {
+    fn of_debug(app: &App, bus: BusIndex, code: Service) -> Self {
+        let profile = app.profile(bus);
         let mut column = String::new();
-        left(&mut column, &code.to_string(), SERVICE);
-        Self { column, json_name: "null".to_owned() }
+        left(&mut column, &profile.debug_text(code), SERVICE);
+        let name = profile.debug_names.get(&code.number());
+        Self { column, json_name: serde_json::to_string(&name).unwrap_or_default() }
     }
 }
 
@@ -119,7 +121,7 @@ impl KnownNames {
         }
         all[usize::from(service.number()) % SERVICES].get_or_insert_with(|| {
             if is_debug {
-                ServiceTexts::of_debug(service)
+                ServiceTexts::of_debug(app, bus, service)
             } else {
                 ServiceTexts::new(app, bus, service)
             }

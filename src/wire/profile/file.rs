@@ -175,6 +175,14 @@ impl Profile {
     }
 }
 
+impl Profile {
+    /// Returns the name of a DEBUG message from `debug_names`, else its code.
+    pub fn debug_text(&self, code: Service) -> String {
+        let name = self.debug_names.get(&code.number());
+        name.map_or_else(|| code.to_string(), |name| crate::text::printable(name.as_bytes()))
+    }
+}
+
 impl<'de> Deserialize<'de> for Announce {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         #[derive(Deserialize)]

@@ -92,6 +92,7 @@ profile_keys! {
     Idle "modes.IDLE",
     Alphabet "uid.alphabet",
     ServiceNames "service_names",
+    DebugNames "debug_names",
 }
 
 impl ProfileKey {

@@ -78,6 +78,7 @@ impl ProfileKey {
                 | Self::WriteEffect
                 | Self::TimeoutMs
                 | Self::ServiceNames
+                | Self::DebugNames
         )
     }
 }
@@ -255,6 +256,7 @@ impl Profile {
             Key::Idle => byte(modes.idle),
             Key::Alphabet => Text(self.uid.alphabet.iter().collect()),
             Key::ServiceNames => Names(self.service_names.clone()),
+            Key::DebugNames => Names(self.debug_names.clone()),
         }
     }
 }
@@ -303,7 +305,8 @@ mod tests {
         let written = Profile::parse(Profile::BUILT_IN).unwrap();
         let is_given = |key: &&ProfileKey| written.origin(**key) == ValueOrigin::Given;
         let given: Vec<_> = ProfileKey::ALL.iter().filter(is_given).collect();
-        assert_eq!(given, [&ProfileKey::ServiceNames], "a table without names");
+        let tables = [&ProfileKey::ServiceNames, &ProfileKey::DebugNames];
+        assert_eq!(given, tables, "tables without names");
         let lines = Profile::BUILT_IN.lines().map(|line| match line.strip_prefix('#') {
             Some(value) if !value.starts_with(' ') => value,
             _ => line,
@@ -311,7 +314,7 @@ mod tests {
         let text = lines.collect::<Vec<_>>().join("\n");
         let written = Profile::parse(&text).unwrap();
         let built_in = Profile::default();
-        for key in ProfileKey::ALL.iter().filter(|key| **key != ProfileKey::ServiceNames) {
+        for key in ProfileKey::ALL.iter().filter(|key| !tables.contains(key)) {
             assert_eq!(written.value(*key), built_in.value(*key), "{}", key.name());
             assert_eq!(written.origin(*key), ValueOrigin::Given, "{}", key.name());
         }
