@@ -274,7 +274,7 @@ pub struct DeviceArgs {
     /// The bus.
     #[arg(value_name = "BUS", help = format!("The bus: {}", bus::forms(|kind| kind.can_send)))]
     pub bus: BusSpec,
-    /// Name, address or UID of the device
+    /// Name, UID or address of the device; @12 is the address in any case
     #[arg(value_name = "DEVICE")]
     pub device: String,
     /// Send without asking

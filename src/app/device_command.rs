@@ -90,6 +90,7 @@ impl DeviceCommand {
         };
         match words {
             ["none"] => Ok(AddressSetting::None),
+            ["fixed" | "preferred"] => Err(format!("{} needs an address: 12", words[0])),
             ["fixed", text] | [text] => address(text).map(AddressSetting::Fixed),
             ["preferred", text] => address(text).map(AddressSetting::Preferred),
             _ => Err("an address is 12, fixed 12, preferred 12 or none".to_owned()),

@@ -8,7 +8,7 @@ use super::open::{self, Setup};
 use super::output::{self, answer, ask, may_ask, say};
 use super::report::{DescriptorReport, of_descriptor};
 use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure};
-use crate::app::{App, AppOptions, DeviceCommand};
+use crate::app::{App, AppOptions, DeviceCommand, parse_address};
 use crate::cli::DeviceArgs;
 use crate::discovery::{Device, DeviceId, FieldContent, RequestOutcome};
 use crate::frame::BusIndex;
@@ -18,6 +18,7 @@ use crate::time::Instant;
 use crate::wire::descriptor::DescriptorField;
 use serde::Serialize;
 use std::ops::ControlFlow;
+use std::sync::Arc;
 use std::sync::mpsc::{Receiver, TryRecvError};
 use std::time::Duration;
 
@@ -86,7 +87,12 @@ pub fn run(args: &DeviceArgs, task: DeviceTask) -> Result<u8, Failure> {
     if open::log(buses, "a command", None)?.is_some() {
         return Err(Failure::Usage("a log has no device to send to".to_owned()));
     }
-    let setup = Setup::new(&args.common)?;
+    if args.common.listen_only {
+        return Err(Failure::Unusable("listen-only: no requests are sent".to_owned()));
+    }
+    let mut setup = Setup::new(&args.common)?;
+    // The device alone is asked.
+    Arc::make_mut(&mut setup.config.profile).descriptor.auto = false;
     let time = args.time.unwrap_or(DEFAULT_TIME);
     let limits = Limits { stuck: EXIT_INTERRUPTED, ..Limits::default() };
     let mut gate = BusGate::new(false);
@@ -193,7 +199,7 @@ fn find(app: &App, wanted: &str, is_last: bool) -> Result<Option<DeviceId>, Fail
     let is_it = |device: &&Device| {
         let name = device.name.as_ref().map(ToString::to_string);
         let uid = device.uid.map(|uid| uid.text(&bus.config().profile.uid).to_string());
-        let number = crate::app::parse_address(wanted);
+        let number = parse_address(wanted.strip_prefix('@').unwrap_or(wanted));
         device.is_present()
             && (name.as_deref() == Some(wanted)
                 || uid.as_deref() == Some(wanted)
@@ -209,7 +215,7 @@ fn find(app: &App, wanted: &str, is_last: bool) -> Result<Option<DeviceId>, Fail
             let places = several.iter().map(|device| format!("at {}", device.address));
             let places = join_first(places.collect(), NAMED_DEVICES, " and ");
             Err(Failure::Usage(format!(
-                "several devices are {wanted}, {places}: give the address of one"
+                "several devices are {wanted}, {places}: give the address of one, as @12"
             )))
         }
     }

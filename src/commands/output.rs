@@ -6,6 +6,7 @@
 
 use super::Failure;
 use crate::text::SafeLines;
+use nix::sys::termios::{FlushArg, tcflush};
 use std::fmt::{Display, Write as _};
 use std::io::{self, BufRead, IsTerminal, Write};
 use std::sync::mpsc::{Receiver, channel};
@@ -149,8 +150,9 @@ pub fn say(text: impl Display) {
     let _ = io::stderr().write_all(line.as_bytes());
 }
 
-/// Prints a question on standard error, without a line end.
+/// Prints a question on standard error, without a line end. What was typed before it is no answer.
 pub fn ask(text: impl Display) {
+    let _ = tcflush(io::stdin(), FlushArg::TCIFLUSH);
     let _ = write!(io::stderr(), "{} ", SafeLines(&text.to_string()));
 }
 

@@ -100,6 +100,11 @@ impl DeviceDescriptor {
         self.readings.iter().map(|reading| reading.time).max()
     }
 
+    /// Forgets a field: it was written since.
+    fn forget(&mut self, field: DescriptorField) {
+        self.readings.retain(|reading| reading.field != field);
+    }
+
     /// Takes over what was read of the same device under another row.
     pub(super) fn take_over(&mut self, later: Self) {
         for reading in later.readings {
@@ -123,57 +128,73 @@ impl DeviceDescriptor {
     }
 }
 
-/// A read by another node that waits for its response.
+/// A read, or a write of a setting, that waits for its response.
 #[derive(Clone, Copy, Debug)]
 struct OverheardRead {
     time: Instant,
     requester: Address,
     device: Address,
+    service: Service,
     field: DescriptorField,
+    is_write: bool,
 }
 
-/// Reads by other nodes, and by the inspector that recorded a log.
+/// Reads and writes of all nodes, descan among them.
 #[derive(Clone, Debug, Default)]
 pub(super) struct OverheardReads(VecDeque<OverheardRead>);
 
 impl OverheardReads {
-    /// Notes a targeted request; only an empty one to the service of a field is a read.
+    /// Notes a targeted request: an empty one to the service of a field reads it, and data written to a
+    /// setting change it.
     pub fn note_request(&mut self, now: Instant, header: Header, data: &[u8], profile: &Profile) {
-        if !data.is_empty() {
-            return;
-        }
-        let Some(field) = field_of(header.service, profile) else { return };
+        let is_write = !data.is_empty();
+        let service = header.service;
+        let field =
+            if is_write { setting_of(service, profile) } else { field_of(service, profile) };
+        let Some(field) = field else { return };
         if self.0.len() == MAX_OVERHEARD {
             self.0.pop_front();
         }
         let (requester, device) = (header.source, header.destination);
-        self.0.push_back(OverheardRead { time: now, requester, device, field });
+        let access = OverheardRead { time: now, requester, device, service, field, is_write };
+        self.0.push_back(access);
     }
 
-    /// Returns the field of the read that a response answers. `is_echo`: its DST is that of the
-    /// request, not the requester.
+    /// Returns the field of the oldest read or write that a response answers, and true for a write. `is_echo`:
+    /// its DST is that of the request, not the requester.
     fn take(
         &mut self,
         now: Instant,
         header: Header,
         is_echo: bool,
         profile: &Profile,
-    ) -> Option<DescriptorField> {
+    ) -> Option<(DescriptorField, bool)> {
         let timeout = profile.calls.timeout();
         self.0.retain(|read| now.since(read.time) <= timeout);
-        let field = field_of(header.service, profile)?;
         let at = self.0.iter().position(|read| {
-            read.field == field
+            read.service == header.service
                 && read.device == header.source
                 && (is_echo || read.requester == header.destination)
         })?;
-        self.0.remove(at).map(|read| read.field)
+        self.0.remove(at).map(|read| (read.field, read.is_write))
     }
 }
 
 /// Returns the field that a service reads, if its number is not assumed.
 fn field_of(service: Service, profile: &Profile) -> Option<DescriptorField> {
     known_fields(profile).find(|field| field.service(&profile.descriptor) == service)
+}
+
+/// Returns the field that a service writes, if a file sets its number.
+fn setting_of(service: Service, profile: &Profile) -> Option<DescriptorField> {
+    let number = Some(service.number());
+    if profile.writes.address == number {
+        Some(DescriptorField::Address)
+    } else if profile.writes.bitrate == number {
+        Some(DescriptorField::Bitrate)
+    } else {
+        None
+    }
 }
 
 /// Returns the fields whose service number is not assumed.
@@ -216,7 +237,7 @@ impl Engine {
         field: Option<DescriptorField>,
     ) -> usize {
         self.tracker.advance(now);
-        let count = self.queue_reads(device, field);
+        let count = self.queue_reads(device, field, false);
         self.tracker.wake_at(self.tracker.now);
         count
     }
@@ -246,11 +267,16 @@ impl Engine {
         let all = table.devices().iter().map(|device| device.id);
         let due: Vec<DeviceId> = all.filter(is_due).collect();
         for id in due {
-            self.queue_reads(id, None);
+            self.queue_reads(id, None, true);
         }
     }
 
-    fn queue_reads(&mut self, device: DeviceId, only: Option<DescriptorField>) -> usize {
+    fn queue_reads(
+        &mut self,
+        device: DeviceId,
+        only: Option<DescriptorField>,
+        is_automatic: bool,
+    ) -> usize {
         let profile = self.tracker.config.profile.clone();
         let Some(row) = self.tracker.device_table.get_mut(device) else { return 0 };
         row.descriptor.is_read |= only.is_none();
@@ -258,7 +284,8 @@ impl Engine {
         for field in given_fields(&profile).filter(|field| only.is_none_or(|it| it == *field)) {
             let service = field.service(&profile.descriptor);
             let request = DeviceRequest { device, service, data: Vec::new() };
-            let queued = self.requester.device_requests.push(request, Some(field));
+            let requests = &mut self.requester.device_requests;
+            let queued = requests.push(request, Some(field), is_automatic);
             count += usize::from(queued.is_some());
         }
         count
@@ -285,19 +312,28 @@ impl Engine {
         self.tracker.emit(row, EventKind::DescriptorRead { values, fields });
     }
 
-    /// Takes a response of another service than DES: it may answer a read.
+    /// Takes a response of another service than DES: it may answer a read or a write.
     pub(super) fn note_field_response(
         &mut self,
         row: DeviceId,
         header: Header,
-        field: Option<DescriptorField>,
         is_echo: bool,
         frame: &Frame,
     ) {
         let now = self.tracker.now;
         let profile = self.tracker.config.profile.clone();
-        let overheard = self.tracker.overheard_reads.take(now, header, is_echo, &profile);
-        let Some(field) = field.or(overheard) else { return };
+        let accessed = self.tracker.overheard_reads.take(now, header, is_echo, &profile);
+        let Some((field, is_write)) = accessed else { return };
+        if is_write {
+            if header.no_error
+                && let Some(device) = self.tracker.device_table.get_mut(row)
+            {
+                // What the device made of the data is known once it is read.
+                device.descriptor.forget(field);
+                self.tracker.emit(row, EventKind::DescriptorField(field));
+            }
+            return;
+        }
         let content = if header.no_error {
             let order = profile.descriptor.byte_order;
             match DescriptorValue::decode(field, frame.data(), order) {

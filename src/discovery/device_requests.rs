@@ -77,6 +77,8 @@ struct QueuedRequest {
     id: RequestId,
     request: DeviceRequest,
     field: Option<DescriptorField>,
+    /// No user demands it: a read after the name.
+    is_automatic: bool,
 }
 
 /// A request that waits for its response.
@@ -110,7 +112,7 @@ impl AwaitedRequest {
 
 impl QueuedRequest {
     fn end(self, why: RequestObstacle) -> EndedRequest {
-        let Self { id, request, field } = self;
+        let Self { id, request, field, .. } = self;
         let (device, outcome) = (request.device, RequestOutcome::NotSent(why));
         EndedRequest { id, device, field, frame: None, outcome }
     }
@@ -128,11 +130,13 @@ pub(super) struct DeviceRequests {
 }
 
 impl DeviceRequests {
-    /// Queues a request; returns `None` if too many wait. `field`: what it reads.
+    /// Queues a request; returns `None` if too many wait. `field`: what it reads; `is_automatic`: no
+    /// user demands it.
     pub fn push(
         &mut self,
         request: DeviceRequest,
         field: Option<DescriptorField>,
+        is_automatic: bool,
     ) -> Option<RequestId> {
         let is_long = request.data.len() > Frame::MAX_CLASSIC_DATA;
         if self.queued.len() == MAX_QUEUED || is_long {
@@ -140,7 +144,10 @@ impl DeviceRequests {
         }
         let id = RequestId(self.next_id);
         self.next_id += 1;
-        self.queued.push_back(QueuedRequest { id, request, field });
+        // What the user demands goes first.
+        let automatic = self.queued.iter().position(|queued| queued.is_automatic);
+        let at = automatic.filter(|_| !is_automatic).unwrap_or(self.queued.len());
+        self.queued.insert(at, QueuedRequest { id, request, field, is_automatic });
         Some(id)
     }
 
@@ -153,7 +160,8 @@ impl DeviceRequests {
     pub fn reads_of(&self, device: DeviceId) -> usize {
         let open = self.open.iter().filter(|it| it.device == device && it.field.is_some());
         let is_read = |it: &&QueuedRequest| it.request.device == device && it.field.is_some();
-        open.count() + self.queued.iter().filter(is_read).count()
+        let ended = self.ended.iter().filter(|it| it.device == device && it.field.is_some());
+        open.count() + self.queued.iter().filter(is_read).count() + ended.count()
     }
 
     /// Ends all requests, none of which gets a response any more.
@@ -170,29 +178,24 @@ impl DeviceRequests {
         }
     }
 
-    /// Ends the request that a response answers; returns what it read. `is_echo`: the DST of the
-    /// response is that of the request.
-    fn take_response(
-        &mut self,
-        header: Header,
-        is_echo: bool,
-        data: &[u8],
-    ) -> Option<DescriptorField> {
+    /// Ends the request that a response answers. `is_echo`: the DST of the response is that of the
+    /// request.
+    fn take_response(&mut self, header: Header, is_echo: bool, data: &[u8]) {
         let at = self.open.iter().position(|open| {
             let asked = open.header;
             asked.destination == header.source
                 && asked.service == header.service
                 && (is_echo || asked.source == header.destination)
-        })?;
+        });
+        let Some(at) = at else { return };
         let open = self.open.swap_remove(at);
-        let (field, data) = (open.field, data.to_vec());
+        let data = data.to_vec();
         let outcome = if header.no_error {
             RequestOutcome::Responded(data)
         } else {
             RequestOutcome::Refused(data)
         };
         self.ended.push_back(open.end(outcome));
-        field
     }
 
     /// Ends the requests whose response is overdue.
@@ -264,7 +267,7 @@ impl Requester {
                 requests.ended.push_back(queued.end(RequestObstacle::DeviceLeft));
                 continue;
             };
-            let QueuedRequest { id, request, field } = queued;
+            let QueuedRequest { id, request, field, .. } = queued;
             let mut header = Header::request(own, row.address, !row.is_working, request.service);
             header.no_error = tracker.config.profile.request_err;
             let frame = Frame::classic(header.encode(), &request.data);
@@ -299,7 +302,7 @@ impl Engine {
     /// Returns `None` if the data are longer than 8 bytes, or too many requests wait.
     pub fn request(&mut self, now: Instant, request: DeviceRequest) -> Option<RequestId> {
         self.tracker.advance(now);
-        let id = self.requester.device_requests.push(request, None);
+        let id = self.requester.device_requests.push(request, None, false);
         self.tracker.wake_at(self.tracker.now);
         id
     }
@@ -337,9 +340,7 @@ impl Engine {
         let ObservationKind::Platform(header, _) = kind else { return };
         let timeout = self.tracker.config.profile.calls.timeout();
         self.requester.device_requests.note_sent(now, frame, timeout);
-        if self.tracker.config.listen_only {
-            self.note_device_request(now, header, frame);
-        }
+        self.note_device_request(now, header, frame);
     }
 
     /// Notes a request of another node.
@@ -367,8 +368,8 @@ impl Engine {
         }
         let is_echo = header.destination == header.source;
         let requests = &mut self.requester.device_requests;
-        let field = requests.take_response(header, is_echo, frame.data());
-        self.note_field_response(row, header, field, is_echo, frame);
+        requests.take_response(header, is_echo, frame.data());
+        self.note_field_response(row, header, is_echo, frame);
         self.report_ended_requests();
         self.tracker.wake_at(now);
     }
@@ -384,11 +385,11 @@ mod tests {
         let device = DeviceId { bus: crate::frame::BusIndex(0), number: 1 };
         let service = Service::from_bits(0x123);
         let request = |len| DeviceRequest { device, service, data: vec![0; len] };
-        assert!(requests.push(request(9), None).is_none(), "longer than a frame");
+        assert!(requests.push(request(9), None, false).is_none(), "longer than a frame");
         for _ in 0..MAX_QUEUED {
-            assert!(requests.push(request(8), None).is_some());
+            assert!(requests.push(request(8), None, false).is_some());
         }
-        assert!(requests.push(request(8), None).is_none());
+        assert!(requests.push(request(8), None, false).is_none());
         requests.end_all(RequestObstacle::NoAck);
         assert_eq!((requests.count(), requests.ended.len()), (0, MAX_QUEUED));
     }

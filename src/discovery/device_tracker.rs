@@ -21,7 +21,7 @@ use crate::frame::Frame;
 use crate::time::{Duration, Instant};
 use crate::wire::des::Request;
 use crate::wire::id::{Address, Header};
-use crate::wire::node::Mode;
+use crate::wire::node::{Heartbeat, Mode};
 use std::collections::VecDeque;
 
 /// Maximum number of events waiting to be polled; beyond that the oldest is dropped. Bounds the
@@ -282,14 +282,16 @@ impl DeviceTracker {
         let Some(device) = self.device_table.get_mut(row).filter(|device| !device.is_debug) else {
             return;
         };
-        let is_configured = matches!(device.mode, Some(Mode::Cfg | Mode::Boot));
+        // A mode that contradicts U is read by a wrong code.
+        let is_configured = matches!(device.mode, Some(Mode::Cfg | Mode::Boot))
+            && !device.deviations.contains(&ProtocolDeviation::ModeContradictsU);
         let address = device.address;
         let last = device.heartbeat.last;
         let is_recent =
             |last: Instant| now.since(last) < self.conflicts.periods().of(address).mul_f64(1.5);
         if is_configured
             && last.is_some_and(is_recent)
-            && !self.conflicts.finding_tracker().is_open_at(address)
+            && !self.conflicts.is_shared_perhaps(now, address)
         {
             device.request_in_cfg = Some(Box::new(*frame));
         }
@@ -297,13 +299,17 @@ impl DeviceTracker {
 
     /// Notes a heartbeat with this mode: a request since the one before was sent in that mode, if the mode
     /// is still the same.
-    pub fn check_request_in_cfg(&mut self, now: Instant, row: DeviceId, mode: Option<Mode>) {
+    pub fn check_request_in_cfg(&mut self, now: Instant, row: DeviceId, heartbeat: &Heartbeat) {
         let Some(device) = self.device_table.get_mut(row) else { return };
         let Some(request) = device.request_in_cfg.take() else { return };
         let period = self.conflicts.periods().of(device.address);
         let is_next =
             device.heartbeat.last.is_some_and(|last| now.since(last) < period.mul_f64(1.5));
-        if is_next && mode.is_some() && mode == device.mode {
+        let is_same = heartbeat.mode.is_some()
+            && heartbeat.mode == device.mode
+            && heartbeat.uid == device.heartbeat_uid;
+        let is_shared = self.conflicts.is_shared_perhaps(now, device.address);
+        if is_next && is_same && !is_shared {
             let (address, name) = (device.address, device.name.clone());
             self.conflicts.note_request_in_cfg(now, address, name.as_ref(), &request);
             self.wake_at(now);

@@ -106,7 +106,7 @@ impl DeviceTracker {
         repetition: Repetition,
     ) {
         let now = self.now;
-        self.check_request_in_cfg(now, row, heartbeat.mode);
+        self.check_request_in_cfg(now, row, &heartbeat);
         let period = self.conflicts.periods().of(header.source);
         let Some(device) = self.device_table.get(row) else { return };
         let previous_heartbeat = device.heartbeat.last;

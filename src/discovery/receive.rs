@@ -47,6 +47,12 @@ impl Engine {
         self.requester.handle_ack_change(&mut self.tracker, back);
         if !header.is_conforming() {
             self.tracker.process_non_conforming(header.source, frame);
+            if !header.response
+                && header.from_non_working
+                && let Some(row) = self.tracker.device_table.current_row(header.source)
+            {
+                self.tracker.note_request_of(now, row, frame);
+            }
             if let PlatformContent::NonConforming = content {
                 return;
             }

@@ -449,7 +449,9 @@ finding_kinds! {
         wording: Wording {
             headline: "sends requests while it is configured",
             remedy: "Check its firmware: in CFG and BOOT a device sends responses and heartbeats alone.",
-            confirmation: SEEN_AGAIN,
+            confirmation: Some(
+                "Confirmed by requests with U = 1; with U = 0 it may have worked between two heartbeats.",
+            ),
         },
         at_address: None,
     },

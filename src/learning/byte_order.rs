@@ -93,12 +93,8 @@ impl FieldResponses {
             (0, 1..) => 1,
             _ => return None,
         };
-        let certainty = match (codes[order], frames[order].len()) {
-            (2.., _) => Certainty::Certain,
-            // Of versions and serial numbers some are large.
-            (1, _) | (_, 3..) => Certainty::Likely,
-            _ => Certainty::Guess,
-        };
+        // Only two codes of processors are defined; versions and serial numbers may be large.
+        let certainty = if codes[order] > 0 { Certainty::Likely } else { Certainty::Guess };
         let mut evidence = std::mem::take(&mut frames[order]);
         let count = counted(evidence.len() as u64, "response");
         let is_are = if evidence.len() == 1 { "is" } else { "are" };
@@ -148,7 +144,7 @@ mod tests {
 
     #[test]
     fn order_is_that_in_which_all_is_plausible() {
-        let little = ("\"little\"".to_owned(), Certainty::Certain);
+        let little = ("\"little\"".to_owned(), Certainty::Likely);
         let big = |certainty| Some(("\"big\"".to_owned(), certainty));
         assert_eq!(
             learn(&[(0x102, 1, &[1, 1, 0, 0, 0]), (0x102, 2, &[3, 2, 0, 0, 0])]),

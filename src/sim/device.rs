@@ -349,7 +349,8 @@ impl SimDevice {
     /// Sends a name request to all.
     fn send_request(&mut self, address: Address, port: &mut DeviceIo) {
         let (rnd7, service) = (self.rng.u8(0..128), port.profile.des_service());
-        let header = Header::broadcast(address, rnd7, false, service);
+        let mut header = Header::broadcast(address, rnd7, false, service);
+        header.from_non_working = !self.is_working();
         let (data, len) = Profile::request_bytes(Request::Name, Framing::Isotp);
         let frame = self.frame(header, &data[..len], port);
         port.send(frame);

@@ -113,7 +113,6 @@ impl DescriptorField {
 /// Order of the bytes of a number of several bytes. The GID and the UID are bytes in the order of
 /// the frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
-#[cfg_attr(feature = "std", derive(serde::Deserialize), serde(rename_all = "lowercase"))]
 pub enum ByteOrder {
     /// The lowest byte first.
     #[default]

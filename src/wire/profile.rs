@@ -173,6 +173,7 @@ pub struct DescriptorProfile {
     /// DEV_CFG_AUTOSTART.
     pub autostart: u16,
     /// Order of the bytes of numbers. Assumed: the lowest first.
+    #[cfg_attr(feature = "std", serde(deserialize_with = "file::byte_order"))]
     pub byte_order: ByteOrder,
     /// True: descan reads the fields whose numbers a file sets, after it has read the name.
     pub auto: bool,

@@ -442,3 +442,86 @@ fn services_of_one_type_and_major_version_are_compared() {
           has OXYG and lacks TEMP."]
     );
 }
+
+/// A candump log, as frames received: time in ms, identifier, data.
+fn heard(engine: &mut Engine, lines: &[(u64, u32, &[u8])]) {
+    for (millis, id, data) in lines {
+        let at = Instant::ZERO + Duration::from_millis(*millis);
+        engine.handle_frame(&Frame::classic(*id, data).with_time(at));
+        engine.handle_timeout(at);
+    }
+}
+
+#[test]
+fn response_to_a_write_is_no_value_and_what_was_read_before_is_forgotten() {
+    let profile = Profile::parse(GIVEN).unwrap().into();
+    let config = Config { listen_only: true, profile, ..Config::default() };
+    let mut engine = Engine::new(Instant::ZERO, config);
+    let node = Address::new(10).unwrap();
+    let service = Service::new(0x016).unwrap();
+    let request = Header::request(Address::DEBUG, node, false, service);
+    let response = request.response(node, false).encode();
+    let request = request.encode();
+    let heartbeat = Header::unsolicited(node, 7, false, Service::new(1).unwrap()).encode();
+    let beat = [0x8A, 0xFA, 0x6C, 0x97, 0x24, 0x11, 4, 0];
+    let beats = [(0, heartbeat, &beat[..]), (1000, heartbeat, &beat)];
+    heard(&mut engine, &beats);
+    let address = |engine: &Engine| {
+        let device = engine.device_at(node).expect("a device");
+        device.descriptor.reading(DescriptorField::Address).map(|it| it.content.clone())
+    };
+    let value = |number| {
+        let setting = AddressSetting::Fixed(Address::new(number).unwrap());
+        Some(FieldContent::Value(DescriptorValue::Address(setting)))
+    };
+    heard(&mut engine, &[(1100, request, &[]), (1105, response, &[10])]);
+    assert_eq!(address(&engine), value(10));
+    // A write and a read at once, answered in their order.
+    heard(&mut engine, &[(1200, request, &[33]), (1201, request, &[]), (1205, response, &[])]);
+    assert_eq!(address(&engine), None, "it was written");
+    heard(&mut engine, &[(1210, response, &[33])]);
+    assert_eq!(address(&engine), value(33));
+}
+
+#[test]
+fn requests_with_either_u_bit_are_told_apart() {
+    // A device that says with U = 0 that it works may have done so between two heartbeats.
+    for (from_non_working, state) in
+        [(true, FindingState::Confirmed), (false, FindingState::Suspected)]
+    {
+        let mut engine =
+            Engine::new(Instant::ZERO, Config { listen_only: true, ..Config::default() });
+        let node = Address::new(20).unwrap();
+        let beat = Header::unsolicited(node, 7, true, Service::new(1).unwrap()).encode();
+        let mut request = Header::broadcast(node, 9, false, Service::new(0x100).unwrap());
+        request.from_non_working = from_non_working;
+        for second in 0..12 {
+            heard(&mut engine, &[(1000 * second, beat, &[1, 2, 3, 4, 5, 6, 2, 0])]);
+            heard(&mut engine, &[(1000 * second + 500, request.encode(), &[])]);
+        }
+        let found =
+            engine.findings().iter().find(|it| it.key.kind == FindingKind::CfgSendsRequests);
+        assert_eq!(found.map(|it| it.state), Some(state), "U = {from_non_working}");
+    }
+}
+
+#[test]
+fn mode_that_contradicts_u_is_no_mode_that_forbids_requests() {
+    let mut engine = Engine::new(Instant::ZERO, Config { listen_only: true, ..Config::default() });
+    let node = Address::new(20).unwrap();
+    let beat = Header::unsolicited(node, 7, false, Service::new(1).unwrap()).encode();
+    let other = Header::unsolicited(Address::new(21).unwrap(), 7, false, Service::new(1).unwrap());
+    let request = Header::broadcast(node, 9, false, Service::new(0x100).unwrap()).encode();
+    for second in 0..12 {
+        heard(
+            &mut engine,
+            &[
+                (1000 * second, beat, &[1, 2, 3, 4, 5, 6, 2, 0]),
+                (1000 * second + 100, other.encode(), &[1, 2, 3, 4, 5, 7, 4, 0]),
+                (1000 * second + 500, request, &[]),
+            ],
+        );
+    }
+    let found = engine.findings().iter().find(|it| it.key.kind == FindingKind::CfgSendsRequests);
+    assert_eq!(found.map(|it| &it.text), None);
+}

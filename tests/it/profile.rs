@@ -343,3 +343,41 @@ fn log_without_known_values_gives_none() {
     assert!(stderr.contains("not written: no value was learnt"), "{stderr}");
     assert!(!file.exists());
 }
+
+#[test]
+fn number_of_two_keys_is_a_mistake_unless_it_reads_and_writes_one_field() {
+    for (text, message) in [
+        (
+            "[descriptor]\ngid = 0x01A\n[commands]\nreboot = 0x01A\n",
+            "line 4, column 10: commands.reboot: 0x01A is the number of descriptor.gid, too",
+        ),
+        (
+            "[commands]\nidentify = 0x001\n",
+            "line 2, column 12: commands.identify: 0x001 is the number of services.heartbeat, too",
+        ),
+        (
+            "[commands]\nmode = 0x002\n",
+            "line 2, column 8: commands.mode: 0x002 is the number of services.des, too",
+        ),
+        (
+            "[writes]\naddress = 0x100\nbitrate = 0x100\n",
+            "line 3, column 11: writes.bitrate: 0x100 is the number of writes.address, too",
+        ),
+        (
+            "[descriptor]\nbyte_order = true\n",
+            "line 2, column 14: a byte order is \"little\" or \"big\"",
+        ),
+    ] {
+        let error = Profile::parse(text).unwrap_err().to_string();
+        assert_eq!(error, message);
+    }
+    let both =
+        "[descriptor]\naddr = 0x016\nbspd = 0x015\n[writes]\naddress = 0x016\nbitrate = 0x015\n";
+    assert!(Profile::parse(both).is_ok());
+    // An assumed number is neither sent nor read.
+    assert!(Profile::parse("[commands]\nreboot = 0x010\n").is_ok());
+    // What is learnt takes no number of a command.
+    let mut profile = Profile::parse("[commands]\nreboot = 0x123\n").unwrap();
+    let number = descan::wire::profile::ProfileValue::Service(0x123);
+    assert!(!profile.learn(ProfileKey::Des, &number));
+}

@@ -26,7 +26,7 @@ use crate::text::{Escaped, Name};
 use crate::time::{Duration, Instant};
 use crate::wire::des::Request;
 use crate::wire::framing::{Framing, strip_raw_padding};
-use crate::wire::id::Address;
+use crate::wire::id::{Address, Header};
 use crate::wire::isotp::{Pci, TransferFault};
 use crate::wire::node::Uid;
 use crate::wire::profile::{Profile, ProfileKey, UidProfile};
@@ -857,10 +857,15 @@ impl ConflictDetector {
     ) {
         let what = "request between two heartbeats in CFG or BOOT";
         let kind = FindingKind::CfgSendsRequests;
-        let evidence = NewEvidence {
-            name,
-            ..NewEvidence::new(kind, address, frame, EvidenceStrength::Proof, what)
+        let header = frame.platform_id().map(Header::decode);
+        // With U = 0 it says that it works: it may have done so between the heartbeats.
+        let strength = if header.is_some_and(|header| header.from_non_working) {
+            EvidenceStrength::Proof
+        } else {
+            EvidenceStrength::Weak
         };
+        let evidence =
+            NewEvidence { name, ..NewEvidence::new(kind, address, frame, strength, what) };
         self.report(now, evidence);
     }
 

@@ -1,6 +1,7 @@
 //! Reading of profile files (TOML).
 
 use super::{Announce, HeartbeatProfile, Profile, ProfileKey, ProfileValue, ValueOrigin};
+use crate::wire::descriptor::ByteOrder;
 use crate::wire::id::Service;
 use serde::{Deserialize, Deserializer};
 use std::collections::BTreeMap;
@@ -129,7 +130,36 @@ impl Profile {
                 profile.set_origin(*key, ValueOrigin::Given);
             }
         }
+        if let Some((key, other)) = profile.shared_number() {
+            let span = [key, other].into_iter().find_map(|key| places.get(key.name()));
+            let (name, value) = (key.name(), profile.value(key));
+            let message = format!("{name}: {value} is the number of {}, too", other.name());
+            return Err(ProfileError::new(text, span, message));
+        }
         Ok(profile)
+    }
+
+    /// Returns two keys with one service number, of those that are sent or received: a read would be a
+    /// command. A field may be written by the number that reads it.
+    fn shared_number(&self) -> Option<(ProfileKey, ProfileKey)> {
+        use ProfileKey as Key;
+        let is_used = |key: &&Key| {
+            let is_number = !matches!(key, Key::Config | Key::ConfigMask);
+            is_number && (self.is_given(**key) || matches!(key, Key::Heartbeat | Key::Des))
+        };
+        let number = |key: &Key| match self.value(*key) {
+            ProfileValue::Service(number) => Some((*key, number)),
+            _ => None,
+        };
+        let used: Vec<(Key, u16)> = Key::ALL.iter().filter(is_used).filter_map(number).collect();
+        let may_share = |one, other| {
+            matches!((one, other), (Key::Addr, Key::WriteAddress) | (Key::Bspd, Key::WriteBitrate))
+        };
+        used.iter().enumerate().find_map(|(at, (other, number))| {
+            let mut later = used[at + 1..].iter();
+            let same = later.find(|(key, it)| it == number && !may_share(*other, *key))?;
+            Some((same.0, *other))
+        })
     }
 
     fn check(&self) -> Result<(), RangeFault> {
@@ -224,6 +254,15 @@ pub(super) fn offset<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Optio
         OffsetValue::Switch(false) => Ok(None),
         _ => Err(serde::de::Error::custom("an offset is 0 to 63, or false for none")),
     }
+}
+
+/// Reads `little` or `big`.
+pub(super) fn byte_order<'de, D: Deserializer<'de>>(
+    deserializer: D,
+) -> Result<ByteOrder, D::Error> {
+    let word = String::deserialize(deserializer).unwrap_or_default();
+    let order = ByteOrder::ALL.into_iter().find(|order| order.word() == word);
+    order.ok_or_else(|| serde::de::Error::custom("a byte order is \"little\" or \"big\""))
 }
 
 /// Reads a service number, or `false` for none.

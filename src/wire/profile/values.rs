@@ -122,6 +122,18 @@ impl Profile {
         use ProfileKey as Key;
         use ProfileValue::{Number, Service, Text};
         let is_given = |key| self.origin(key) != ValueOrigin::Assumed;
+        // A number that a file gives to something else.
+        if let (Key::Heartbeat | Key::Des, Service(number)) = (key, value)
+            && ProfileKey::ALL.iter().any(|other| {
+                *other != key
+                    && *other != Key::Heartbeat
+                    && *other != Key::Des
+                    && self.is_given(*other)
+                    && self.value(*other) == Service(*number)
+            })
+        {
+            return false;
+        }
         let [heartbeat_is_given, des_is_given] = [Key::Heartbeat, Key::Des].map(is_given);
         let Self { services, descriptor, heartbeat, framing, .. } = self;
         match (key, value) {

@@ -7,6 +7,7 @@ use descan::time::Duration;
 use descan::wire::descriptor::AddressSetting;
 use descan::wire::id::Address;
 use descan::wire::node::{Mode, Uid};
+use descan::wire::profile::Profile;
 
 fn state(sim: &Sim, label: &str) -> (Option<Mode>, Option<u8>) {
     let state = sim.device_state(sim.device(label).unwrap());
@@ -236,7 +237,11 @@ fn device_actions_take_effect() {
 
 #[test]
 fn descriptor_is_read_and_address_written() {
-    let (mut sim, me) = bus_with([settled("A", 1), settled("B", 2)]);
+    let profile = Profile::parse("writes.address = 0x016").unwrap();
+    let mut scenario = Scenario::new(125_000).with(settled("A", 1)).with(settled("B", 2));
+    scenario.profile = profile;
+    let mut sim = Sim::new(&scenario, 1);
+    let me = sim.attach();
     let ask = |sim: &mut Sim, me: SimStation, to: u8, service: u16, data: &[u8]| {
         let service = descan::wire::id::Service::new(service).unwrap();
         let header = descan::wire::id::Header::request(address(0), address(to), false, service);
