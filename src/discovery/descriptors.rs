@@ -16,9 +16,9 @@ use crate::wire::id::{Address, Header, Service};
 use crate::wire::profile::{Profile, UidProfile, ValueOrigin};
 use std::collections::VecDeque;
 
-/// Maximum number of reads of other nodes that wait for a response. Bounds the memory: all fields of
-/// four devices.
-const MAX_OVERHEARD: usize = 32;
+/// Maximum number of reads and writes that wait for a response. Bounds the memory: all fields of four
+/// devices.
+const MAX_ACCESSES: usize = 32;
 /// Bytes of a malformed response that are stored. As many as a frame of classic CAN has.
 const MAX_STORED: usize = 8;
 
@@ -130,7 +130,7 @@ impl DeviceDescriptor {
 
 /// A read, or a write of a setting, that waits for its response.
 #[derive(Clone, Copy, Debug)]
-struct OverheardRead {
+struct FieldAccess {
     time: Instant,
     requester: Address,
     device: Address,
@@ -141,9 +141,9 @@ struct OverheardRead {
 
 /// Reads and writes of all nodes, descan among them.
 #[derive(Clone, Debug, Default)]
-pub(super) struct OverheardReads(VecDeque<OverheardRead>);
+pub(super) struct FieldAccesses(VecDeque<FieldAccess>);
 
-impl OverheardReads {
+impl FieldAccesses {
     /// Notes a targeted request: an empty one to the service of a field reads it, and data written to a
     /// setting change it.
     pub fn note_request(&mut self, now: Instant, header: Header, data: &[u8], profile: &Profile) {
@@ -152,11 +152,11 @@ impl OverheardReads {
         let field =
             if is_write { setting_of(service, profile) } else { field_of(service, profile) };
         let Some(field) = field else { return };
-        if self.0.len() == MAX_OVERHEARD {
+        if self.0.len() == MAX_ACCESSES {
             self.0.pop_front();
         }
         let (requester, device) = (header.source, header.destination);
-        let access = OverheardRead { time: now, requester, device, service, field, is_write };
+        let access = FieldAccess { time: now, requester, device, service, field, is_write };
         self.0.push_back(access);
     }
 
@@ -322,7 +322,7 @@ impl Engine {
     ) {
         let now = self.tracker.now;
         let profile = self.tracker.config.profile.clone();
-        let accessed = self.tracker.overheard_reads.take(now, header, is_echo, &profile);
+        let accessed = self.tracker.field_accesses.take(now, header, is_echo, &profile);
         let Some((field, is_write)) = accessed else { return };
         if is_write {
             if header.no_error

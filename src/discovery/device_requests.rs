@@ -347,7 +347,7 @@ impl Engine {
     pub(super) fn note_device_request(&mut self, now: Instant, header: Header, frame: &Frame) {
         if header.is_conforming() && !header.response && !header.broadcast {
             let profile = self.tracker.config.profile.clone();
-            let reads = &mut self.tracker.overheard_reads;
+            let reads = &mut self.tracker.field_accesses;
             reads.note_request(now, header, frame.data(), &profile);
         }
     }

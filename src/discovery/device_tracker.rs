@@ -4,7 +4,7 @@
 use super::bus_protocol::ProtocolDetector;
 use super::claims::AddressClaims;
 use super::conflicts::ConflictDetector;
-use super::descriptors::OverheardReads;
+use super::descriptors::FieldAccesses;
 use super::device_table::DeviceTable;
 use super::errors::BusErrorTracker;
 use super::finding_tracker::EvidenceStrength;
@@ -65,7 +65,7 @@ pub(super) struct DeviceTracker {
     pub errors: BusErrorTracker,
     pub lateness: BusDelayTracker,
     pub outages: Outages,
-    pub overheard_reads: OverheardReads,
+    pub field_accesses: FieldAccesses,
     events: VecDeque<Event>,
 }
 
@@ -87,7 +87,7 @@ impl DeviceTracker {
             claims: AddressClaims::new(),
             sender_names: SenderNames::default(),
             outages: Outages::default(),
-            overheard_reads: OverheardReads::default(),
+            field_accesses: FieldAccesses::default(),
             events: VecDeque::new(),
             counters: Counters::default(),
             wake: now,
