@@ -453,7 +453,7 @@ fn heard(engine: &mut Engine, lines: &[(u64, u32, &[u8])]) {
 }
 
 #[test]
-fn response_to_a_write_is_no_value_and_what_was_read_before_is_forgotten() {
+fn response_to_a_write_is_no_value_of_the_field() {
     let profile = Profile::parse(GIVEN).unwrap().into();
     let config = Config { listen_only: true, profile, ..Config::default() };
     let mut engine = Engine::new(Instant::ZERO, config);

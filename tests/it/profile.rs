@@ -345,7 +345,7 @@ fn log_without_known_values_gives_none() {
 }
 
 #[test]
-fn number_of_two_keys_is_a_mistake_unless_it_reads_and_writes_one_field() {
+fn number_of_two_keys_is_a_mistake() {
     for (text, message) in [
         (
             "[descriptor]\ngid = 0x01A\n[commands]\nreboot = 0x01A\n",
