@@ -211,6 +211,14 @@ Examples:
         #[command(subcommand)]
         command: Option<ProfileCommand>,
     },
+    /// List the types of devices that are known, and mistakes in their files
+    #[command(after_help = "\
+Exit code: 0 fine, 1 a mistake in a file, 2 wrong usage, 3 file not readable.
+
+Examples:
+  descan catalogue
+  descan catalogue devices/feeder.toml")]
+    Catalogue(CatalogueArgs),
     /// Print the JSON Schema of des.json
     Schema,
 }
@@ -593,6 +601,17 @@ pub struct SpeedArgs {
     pub json: bool,
 }
 
+/// `descan catalogue`.
+#[derive(Debug, Args)]
+pub struct CatalogueArgs {
+    /// Files or folders to read alone
+    #[arg(value_name = "PATH")]
+    pub paths: Vec<PathBuf>,
+    /// Print a JSON array
+    #[arg(long)]
+    pub json: bool,
+}
+
 /// Buses, and what concerns them.
 #[derive(Debug, Args, Clone)]
 pub struct SessionArgs {
@@ -616,6 +635,9 @@ pub struct CommonArgs {
     /// Values the protocol leaves open: service numbers, framing, heartbeat layout (TOML)
     #[arg(long, value_name = "FILE")]
     pub profile: Option<PathBuf>,
+    /// A folder with types of devices, in place of devices beside des.json; repeatable
+    #[arg(long, value_name = "FOLDER")]
+    pub catalogue: Vec<PathBuf>,
     /// Never transmit; learn from other nodes' traffic
     #[arg(long)]
     pub listen_only: bool,
@@ -647,6 +669,7 @@ impl CommonArgs {
         Self {
             file: None,
             profile,
+            catalogue: Vec::new(),
             listen_only: true,
             no_scan: false,
             address: None,

@@ -20,6 +20,7 @@
 //!   [`diagnostic`]: cause and remedy of an error.
 //! * [`finding`]: what is wrong, with its evidence; one table of all kinds.
 //! * [`discovery`]: the engine of one bus: frames and time in; devices, findings and requests out.
+//! * [`catalogue`]: types of devices, as files describe them. [`toml_error`]: mistakes in such files.
 //! * [`learning`]: values of the profile, from the frames of a bus.
 //! * [`document`]: des.json: parse, edit in place, merge.
 //! * [`inventory`]: buses and devices of one moment; differences between two.
@@ -51,6 +52,8 @@ pub mod wire;
 #[cfg(feature = "std")]
 pub mod bitrate;
 #[cfg(feature = "std")]
+pub mod catalogue;
+#[cfg(feature = "std")]
 pub mod diagnostic;
 #[cfg(feature = "std")]
 pub mod discovery;
@@ -70,6 +73,8 @@ pub mod log;
 pub mod sim;
 #[cfg(feature = "std")]
 pub mod text;
+#[cfg(feature = "std")]
+pub mod toml_error;
 
 #[cfg(feature = "program")]
 pub mod app;

@@ -10,6 +10,7 @@ use super::capture::{BYTES_PER_FRAME, FrameStore};
 use super::journal::{BusesInput, InputJournal, InputsFrom, JournalPlace, PastInput};
 use super::pinned_moments::{PinnedMoments, PinnedRange};
 use super::timeline_kind::TimelineKind;
+use crate::catalogue::Catalogue;
 use crate::discovery::{Config, DeviceId, DeviceRequest, Event, RequestId};
 use crate::frame::{BusIndex, Frame};
 use crate::status::BusStatus;
@@ -227,6 +228,11 @@ impl RecordedBuses {
     pub(super) fn set_profile(&mut self, now: Instant, profile: &Arc<Profile>) -> Vec<BusIndex> {
         self.note(now, BusesInput::Profile(profile.clone()));
         self.now.set_profile(now, profile)
+    }
+
+    /// Sets what is known of types of devices; it is not a part of the past.
+    pub(super) fn set_catalogue(&mut self, catalogue: Arc<Catalogue>) {
+        self.now.set_catalogue(catalogue);
     }
 
     /// Starts or ends a bit rate search.

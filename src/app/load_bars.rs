@@ -260,10 +260,7 @@ impl App {
                 }
             }
             BarKey::Service(index, service) => {
-                let profile = self.profile(index);
-                let name = profile.service_name(service);
-                let name = name.map(|it| crate::text::Escaped(it.as_bytes()).to_string());
-                name.unwrap_or_else(|| service.to_string())
+                self.service_name(index, service, None)
             }
         }
     }

@@ -168,6 +168,7 @@ pub use view::{
 };
 
 use crate::bitrate::{SearchOutcome, SearchProgress};
+use crate::catalogue::{Catalogue, CatalogueFile};
 use crate::diagnostic::Diagnostic;
 use crate::discovery::{Config, Device, DeviceId};
 use crate::document::{Document, Entry, NewEntry, Operation};
@@ -244,6 +245,8 @@ pub struct AppOptions {
     /// Bytes of memory for the captured frames and the past of the buses; `None`:
     /// [`DEFAULT_CAPTURE`]; 0: few frames, and no past.
     pub capture_room: Option<usize>,
+    /// What is known of types of devices.
+    pub catalogue: Arc<Catalogue>,
     /// Learn the profile of each bus from its frames.
     pub learns_profile: bool,
     /// Capture no frames, and count neither their identifiers nor calls: nothing reads them.
@@ -478,6 +481,7 @@ impl App {
             app.notices.push_line(line);
             app.show_error(warning);
         }
+        app.buses.set_catalogue(options.catalogue);
         app
     }
 
@@ -642,6 +646,40 @@ impl App {
                 self.notices.file_error(now, text);
             }
         }
+    }
+
+    /// Takes what is known of types of devices: at the start, and when a file of it was saved.
+    pub fn handle_catalogue(&mut self, now: Instant, catalogue: Arc<Catalogue>) {
+        let now = self.clock.set(now);
+        let before = Arc::clone(self.buses.catalogue());
+        let fault_of = |catalogue: &Catalogue, path: &str| {
+            let file = catalogue.files().iter().find(|file| file.path == path)?;
+            file.fault.clone()
+        };
+        for file in catalogue.files() {
+            let Some(why) = &file.fault else { continue };
+            if fault_of(&before, &file.path).as_ref() != Some(why) {
+                let kept = if file.device_type.is_some() { "; what it said before stays" } else { "" };
+                let text = format!("{}: {why}{kept}", file.path);
+                self.add_line_to_all_buses(TimelineKind::Error, &text);
+                self.notices.file_error(now, text);
+            }
+        }
+        let is_mended = |file: &&CatalogueFile| {
+            file.fault.is_some() && fault_of(&catalogue, &file.path).is_none()
+        };
+        let mended: Vec<String> =
+            before.files().iter().filter(is_mended).map(|file| file.path.clone()).collect();
+        for path in mended {
+            self.show_info(format!("{path}: read"));
+        }
+        self.buses.set_catalogue(Arc::clone(&catalogue));
+        if let Some(past) = &mut self.past {
+            past.buses.set_catalogue(catalogue);
+        }
+        self.refresh_before_draw();
+        self.filter_frames();
+        self.notices.redraw.set_dirty();
     }
 
     /// Takes that the folder of a new des.json does not exist.

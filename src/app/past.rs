@@ -14,6 +14,7 @@ use super::view::Frozen;
 use super::{App, Buses, clock_millis};
 use crate::status::PlaybackCommand;
 use crate::time::Instant;
+use std::sync::Arc;
 
 /// Work of a replay in frames between which keys are handled: about 10 ms.
 pub(super) const REPLAY_PART: u64 = 50_000;
@@ -239,6 +240,7 @@ impl App {
     /// Returns a past moment, with the buses as they were.
     pub(super) fn past_at(&mut self, moment: Moment, mut buses: Buses) -> Past {
         buses.refresh_redundancy();
+        buses.set_catalogue(Arc::clone(self.buses.catalogue()));
         let mut problems = self.problems.for_moment(moment.time);
         self.note_content();
         let mut before = self.contents_before.iter();

@@ -8,13 +8,14 @@ use super::timeline_kind::TimelineKind;
 use super::{App, format_time_of_day};
 use crate::discovery::{
     Device, DeviceId, DeviceRequest, Event, EventKind, OwnAddress, RequestId, RequestOutcome,
+    given_fields,
 };
 use crate::frame::{BusIndex, Frame};
 use crate::keymap::Action;
 use crate::text::{counted, hex};
 use crate::time::Instant;
 use crate::wire::descriptor::DescriptorField;
-use crate::wire::profile::{Profile, ProfileKey};
+use crate::wire::profile::ProfileKey;
 use std::collections::{BTreeMap, VecDeque};
 
 /// Maximum number of ended commands that are kept. Bounds the memory; a command line sends one.
@@ -56,7 +57,7 @@ impl App {
         let profile = &self.profile(id.bus);
         let obstacle = || {
             let is_known = command.request(profile).is_some();
-            (!is_known).then(|| format!("{command} {}", key_needed(&[command.key()])))
+            (!is_known).then(|| format!("{command} {}", key_needed(command.key())))
         };
         self.request_obstacle(id).or_else(obstacle)
     }
@@ -85,7 +86,7 @@ impl App {
         let bytes = match command.request(profile) {
             Some((service, data)) if data.is_empty() => format!("service {service}"),
             Some((service, data)) => format!("service {service}, data {}", hex(&data, " ")),
-            None => key_needed(&[command.key()]),
+            None => key_needed(command.key()),
         };
         let sent = format!("Send {command} ({bytes}) to {who}");
         let rate = self.bus(id.bus).and_then(|bus| bus.config().bitrate);
@@ -156,7 +157,7 @@ impl App {
         let profile = &self.profile(id.bus);
         let is_known = given_fields(profile).any(|it| field.is_none_or(|field| field == it));
         let key = field.unwrap_or(DescriptorField::Gid).key();
-        let obstacle = || (!is_known).then(|| format!("the descriptor {}", key_needed(&[key])));
+        let obstacle = || (!is_known).then(|| format!("the descriptor {}", key_needed(key)));
         self.request_obstacle(id).or_else(obstacle)
     }
 
@@ -310,13 +311,7 @@ impl App {
     }
 }
 
-/// The fields whose service numbers a file sets.
-fn given_fields(profile: &Profile) -> impl Iterator<Item = DescriptorField> {
-    DescriptorField::ALL.into_iter().filter(|field| profile.is_given(field.key()))
-}
-
-/// What is missing in the profile: one of these keys.
-fn key_needed(keys: &[ProfileKey]) -> String {
-    let names: Vec<&str> = keys.iter().map(|key| key.name()).collect();
-    format!("needs a profile with {}: no number is known for sure", names.join(", "))
+/// What is missing in the profile: this key.
+fn key_needed(key: ProfileKey) -> String {
+    format!("needs a profile with {}: no number is known for sure", key.name())
 }

@@ -8,6 +8,7 @@ use super::notices::TimelineEntry;
 use super::problems::{Problem, ProblemList, Problems};
 use super::view::{Counts, Page, ProblemsView, Row};
 use super::{App, Bus, shown_inputs};
+use crate::catalogue::Catalogue;
 use crate::discovery::{Device, DeviceId};
 use crate::document::Entry;
 use crate::finding::Finding;
@@ -21,8 +22,13 @@ use std::sync::Arc;
 
 impl App {
     /// The buses at the moment that is shown.
-    pub(super) fn shown_buses(&self) -> &Buses {
+    pub(crate) fn shown_buses(&self) -> &Buses {
         self.past.as_ref().map_or(&self.buses, |past| &past.buses)
+    }
+
+    /// What is known of types of devices.
+    pub fn catalogue(&self) -> &Arc<Catalogue> {
+        self.buses.catalogue()
     }
 
     /// The problems at the moment that is shown.
@@ -202,10 +208,17 @@ impl App {
         self.shown_buses().name_at(bus, address, time)
     }
 
-    /// Name of a service in the profile of a bus, else its number.
-    pub fn service_name(&self, bus: BusIndex, service: Service) -> String {
-        let profile = self.shown_buses().profile(bus);
-        let name = profile.service_name(service).map(|name| Escaped(name.as_bytes()).to_string());
+    /// Name of a service in the profile of a bus or in the catalogue, else its number. `server`: the
+    /// device that has it.
+    pub fn service_name(
+        &self,
+        bus: BusIndex,
+        service: Service,
+        server: Option<Address>,
+    ) -> String {
+        let server = server.map(|address| (address, self.shown_time()));
+        let name = self.shown_buses().service_name(bus, service, server);
+        let name = name.map(|name| Escaped(name.as_bytes()).to_string());
         name.unwrap_or_else(|| service.to_string())
     }
 

@@ -21,6 +21,7 @@ use std::fs::File;
 use std::io;
 use std::ops::ControlFlow;
 use std::os::fd::AsFd;
+use std::sync::Arc;
 use std::time::Duration;
 use tokio::signal::unix::{SignalKind, signal};
 use tokio::task::yield_now;
@@ -234,7 +235,8 @@ async fn open_log(
     let (epoch, start) =
         (first.as_ref().map_or_else(|_| Epoch::default(), LogBatch::epoch), log.start());
     let store = options.file_path.as_deref().map(Store::new);
-    let options = AppOptions { epoch, ..options };
+    let catalogue = Arc::clone(&setup.catalogue);
+    let options = AppOptions { epoch, catalogue, ..options };
     let mut session = Session::of_log(App::new(start, options), log, setup.config.clone(), store);
     if let Some(recorder) = recorder {
         session.record(recorder, setup.record_selector());

@@ -3,6 +3,7 @@
 //! Each returns the exit code that scripts rely on, or a [`Failure`] whose text names the cause and
 //! the remedy. Does not parse arguments.
 
+mod catalogue;
 mod check;
 mod device;
 mod diff;
@@ -93,6 +94,7 @@ pub fn run(cli: Cli) -> ExitCode {
         Some(Command::Man { name }) => guide::man(name.as_deref()),
         Some(Command::Help { name }) => guide::help(name.as_deref()),
         Some(Command::Profile { command }) => profile::run(command.as_ref()),
+        Some(Command::Catalogue(args)) => catalogue::run(&args),
         Some(Command::Schema) => print_own(crate::document::SCHEMA.as_bytes()).map(|()| EXIT_OK),
     };
     ExitCode::from(match result {

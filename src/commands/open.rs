@@ -3,12 +3,14 @@
 use super::{Failure, output};
 use crate::app::{App, AppOptions, BusSelection, Filter, FrameSelector, RowKind, Signs};
 use crate::bus::{self, BusSpec, CanInterface, Clock, LogDates, Options, Port};
+use crate::catalogue::{Catalogue, CatalogueText};
 use crate::cli::{self, CommonArgs, SessionArgs as Arguments};
 use crate::diagnostic::{Diagnostic, nearest_word};
 use crate::discovery::Config;
 use crate::frame::{BusIndex, IdFilter};
 use crate::keymap::Keymap;
 use crate::regular_file::shown;
+use crate::shell::catalogue_folders::CatalogueFolders;
 use crate::shell::config::{ConfigFolder, UserSettings};
 use crate::shell::recorder::{Recorder, Size, Target};
 use crate::shell::session::Session;
@@ -39,6 +41,10 @@ pub struct Setup {
     pub profile: Option<PathBuf>,
     /// Where des.json is.
     pub file: PathBuf,
+    /// What is known of types of devices.
+    pub catalogue: Arc<Catalogue>,
+    /// Where it is read from, and what was read.
+    pub catalogue_files: (CatalogueFolders, Vec<CatalogueText>),
     /// Where frames are recorded.
     pub record: Option<Target>,
     /// Which frames are recorded: the line and its filter; `None` for all.
@@ -84,7 +90,7 @@ impl Setup {
             seed: fastrand::u64(..),
             ..built_in
         };
-        let file = common.file.clone().unwrap_or_else(|| PathBuf::from(DEFAULT_FILE));
+        let file = common.file.clone().unwrap_or_else(default_file);
         let signs = settings.signs.as_deref().and_then(Signs::from_name);
         let theme = settings.theme;
         let max_bytes = common.record_size.map(|Size(bytes)| bytes);
@@ -94,12 +100,14 @@ impl Setup {
         let line = line.filter(|_| !record_filter.is_empty());
         let record_filter = line.map(|line| (line.to_owned(), record_filter));
         let only = Vec::new();
-        Ok(Self {
+        let mut setup = Self {
             folder,
             keymap,
             config,
             profile: common.profile.clone(),
             file,
+            catalogue: Arc::default(),
+            catalogue_files: Default::default(),
             record,
             record_filter,
             only,
@@ -109,7 +117,27 @@ impl Setup {
             screen_budget: settings.screen_budget,
             signs,
             warnings,
-        })
+        };
+        setup.read_catalogue(match &common.catalogue[..] {
+            [] => CatalogueFolders::beside(&setup.file),
+            folders => CatalogueFolders::of(folders.to_vec()),
+        });
+        Ok(setup)
+    }
+
+    /// Reads the catalogue; mistakes in its files are warnings.
+    pub fn read_catalogue(&mut self, folders: CatalogueFolders) {
+        let texts = folders.read();
+        let catalogue = Catalogue::default().read(texts.clone());
+        for file in catalogue.files() {
+            if let Some(why) = &file.fault {
+                let warning = format!("{}: {why}; it is not used", file.path);
+                output::warn(&warning);
+                self.warnings.push(warning);
+            }
+        }
+        self.catalogue = Arc::new(catalogue);
+        self.catalogue_files = (folders, texts);
     }
 
     /// Returns the setup for buses that were chosen from the list; what is recorded goes to a new file.
@@ -192,6 +220,11 @@ pub fn warn<T: Default>(warnings: &mut Vec<String>, why: &str) -> T {
     output::warn(format_args!("{why} (built-in values are used)"));
     warnings.push(SafeLines(why).to_string());
     T::default()
+}
+
+/// Where des.json is, unless it is given.
+pub fn default_file() -> PathBuf {
+    PathBuf::from(DEFAULT_FILE)
 }
 
 /// Reads a profile; `None` returns the assumed values.
@@ -416,6 +449,7 @@ pub fn session(
         buses: named,
         logs: logs_of(buses),
         file_path: Some(setup.file.clone()),
+        catalogue: Arc::clone(&setup.catalogue),
         ..options
     };
     let app = App::new(start, options);
@@ -423,6 +457,8 @@ pub fn session(
     if let Some(path) = &setup.profile {
         session.watch_profile(path);
     }
+    let (folders, texts) = setup.catalogue_files.clone();
+    session.watch_catalogue(folders, texts);
     if let Some(recorder) = setup.recorder()? {
         session.record(recorder, setup.record_selector());
     }

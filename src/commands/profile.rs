@@ -4,7 +4,8 @@ use super::{EXIT_FINDINGS, EXIT_OK, Failure, output};
 use crate::cli::ProfileCommand;
 use crate::diagnostic::Diagnostic;
 use crate::regular_file::{read_text, shown};
-use crate::wire::profile::{Profile, ProfileError, ProfileKey, ValueOrigin};
+use crate::toml_error::TomlError;
+use crate::wire::profile::{Profile, ProfileKey, ValueOrigin};
 use std::fmt::Write as _;
 use std::path::Path;
 
@@ -22,7 +23,7 @@ pub fn run(command: Option<&ProfileCommand>) -> Result<u8, Failure> {
 /// # Errors
 /// It cannot be read, or is wrong: the text has the place and the wrong line.
 pub fn read(path: &Path) -> Result<Profile, Failure> {
-    let wrong = |error: ProfileError| {
+    let wrong = |error: TomlError| {
         Diagnostic::new(format!("{}: {error}: {}", shown(path), error.line_text()))
     };
     Ok(Profile::parse(&text_of(path)?).map_err(wrong)?)
@@ -33,7 +34,7 @@ fn text_of(path: &Path) -> Result<String, Failure> {
     Ok(read_text(path)?.ok_or_else(missing)?)
 }
 
-fn fault(path: &Path, error: &ProfileError) -> String {
+fn fault(path: &Path, error: &TomlError) -> String {
     let excerpt = error.excerpt().replace('\n', "\n  ");
     format!("{}: {error}\n  {excerpt}", shown(path))
 }

@@ -8,6 +8,7 @@ use crate::app::{
     format_time_of_day,
 };
 use crate::bitrate::kbit;
+use crate::catalogue::TypeBasis;
 use crate::discovery::{Device, DeviceDescriptor, DeviceService, FieldContent, OwnAddress};
 use crate::finding::{
     Evidence, ExitCodeScope, Finding, FindingKey, FindingKind, FindingState, SeenUid,
@@ -89,6 +90,9 @@ struct DeviceReport {
     other_services: Vec<Vec<ServiceReport>>,
     heartbeat: HeartbeatReport,
     descriptor: DescriptorReport,
+    /// `null` if the catalogue has none for it.
+    #[serde(rename = "type")]
+    device_type: Option<DeviceTypeReport>,
     file: EntryReport,
     also: Vec<SiblingReport>,
     quirks: Vec<&'static str>,
@@ -494,6 +498,7 @@ fn of_device(app: &App, bus: &Bus, device: &Device) -> DeviceReport {
             period_uncertainty_ppm: error.map(|error| tenths(error.uncertainty)),
         },
         descriptor: of_descriptor(&device.descriptor, app, bus),
+        device_type: of_type(app, device),
         file: of_entry(app, device),
         also: of_siblings(app, device),
         quirks: device.deviations.iter().map(|deviation| deviation.name()).collect(),
@@ -501,6 +506,34 @@ fn of_device(app: &App, bus: &Bus, device: &Device) -> DeviceReport {
             .map_or_else(Vec::new, |finding| finding.uids.iter().map(SeenUid::label).collect()),
         clash,
     }
+}
+
+/// The type of a device in the catalogue.
+#[derive(Debug, Serialize)]
+struct DeviceTypeReport {
+    gid: Option<String>,
+    name: Option<String>,
+    title: Option<String>,
+    documentation: Option<String>,
+    /// `gid` or `name`.
+    by: &'static str,
+    /// How the services of the device differ, in words; `null` if they do not, or are not known.
+    difference: Option<String>,
+}
+
+fn of_type(app: &App, device: &Device) -> Option<DeviceTypeReport> {
+    let (found, basis) = app.shown_buses().type_of(device)?;
+    Some(DeviceTypeReport {
+        gid: found.gid.map(|gid| gid.to_string()),
+        name: found.name.clone(),
+        title: Some(found.title.clone()).filter(|title| !title.is_empty()),
+        documentation: found.documentation.clone(),
+        by: match basis {
+            TypeBasis::Gid => "gid",
+            TypeBasis::Name => "name",
+        },
+        difference: device.services.as_ref().and_then(|own| found.difference(own)),
+    })
 }
 
 /// A descriptor: a member for each field, `null` where it was not read.

@@ -10,6 +10,7 @@ use crate::frame::BusIndex;
 use crate::regular_file::shown;
 use crate::shell::bus_picker::PickerExit;
 use crate::shell::bus_scout::{BusScout, ScoutSettings};
+use crate::shell::catalogue_folders::CatalogueFolders;
 use crate::shell::config::ConfigFolder;
 use crate::shell::paint_pace::SCREEN_BUDGET;
 use crate::shell::recent_logs::{remember_contents, remember_log};
@@ -250,6 +251,14 @@ pub fn demo(system: &str, common: &CommonArgs, screen: &ScreenArgs) -> Result<u8
     let file = folder.path().join("des.json");
     chooser.setup.file.clone_from(&file);
     std::fs::write(&file, example(system)).context("the demo's des.json")?;
+    if common.catalogue.is_empty() && system == "boiler" {
+        let devices = folder.path().join("devices");
+        std::fs::create_dir(&devices).context("the demo's catalogue")?;
+        for (name, text) in DEMO_CATALOGUE {
+            std::fs::write(devices.join(name), text).context("the demo's catalogue")?;
+        }
+        chooser.setup.read_catalogue(CatalogueFolders::beside(&file));
+    }
     let code = chooser.show_all(&buses, None)?;
     // An edited file is kept; otherwise the folder is deleted.
     let edited = std::fs::read(&file).is_ok_and(|now| now != example(system).as_bytes());
@@ -268,6 +277,13 @@ fn example(system: &str) -> &'static str {
         _ => include_str!("demo/boiler.json"),
     }
 }
+
+/// Types of the devices of the boiler.
+const DEMO_CATALOGUE: [(&str, &str); 3] = [
+    ("common.toml", include_str!("../../tests/project/devices/common.toml")),
+    ("feeder.toml", include_str!("../../tests/project/devices/feeder.toml")),
+    ("sensor.toml", include_str!("../../tests/project/devices/sensor.toml")),
+];
 
 fn needs_terminal() -> Result<(), Failure> {
     if std::io::stdout().is_terminal() {

@@ -3,6 +3,7 @@
 //! Scripts rely on the names, types and meanings of the JSON members.
 
 use super::gate::BusGate;
+use super::log::field_json;
 use super::headless::{self, Limits, RunInput};
 use super::open::{self, Setup};
 use super::report::{
@@ -22,10 +23,12 @@ use crate::shell::log_input::LogPace;
 use crate::shell::stop::StopReason;
 use crate::text::hex;
 use crate::time::Instant;
-use crate::wire::id::{Address, Header};
+use crate::wire::data_layout::FieldValue;
+use crate::wire::id::{Address, Header, Service};
 use crate::wire::node::{Mode, Uid};
 use anyhow::Context;
 use serde::Serialize;
+use serde_json::{Map, Value};
 use std::ops::ControlFlow;
 use unicode_width::UnicodeWidthStr;
 
@@ -199,10 +202,12 @@ enum EventDetails {
     },
     Debug {
         code: u16,
-        /// Its name in the profile.
+        /// Its name in the profile or in the catalogue.
         code_name: Option<String>,
         /// Hexadecimal digits.
         data: String,
+        /// The parameters by name, as the catalogue describes them.
+        fields: Option<Map<String, Value>>,
     },
 }
 
@@ -261,10 +266,15 @@ fn of_event(app: &App, DeviceEvent { context, event, services }: DeviceEvent) ->
             EventDetails::Descriptor { descriptor }
         }
         EventKind::DebugMessage { code, data } => {
-            let bus = event.device.and_then(|id| app.bus(id.bus));
-            let names = bus.map(|bus| &bus.config().profile.debug_names);
-            let code_name = names.and_then(|names| names.get(&code).cloned());
-            EventDetails::Debug { code, code_name, data: hex(&data, "") }
+            let bus = event.device?.bus;
+            let types = app.shown_buses().types_at(bus, event.address, event.time);
+            let code_name = types.debug_name(&app.profile(bus), Service::from_bits(code));
+            let values = types.debug_values(code, &data);
+            let of_field = |field: &FieldValue<'_>| {
+                (field.name.to_owned(), field.value.as_ref().map_or(Value::Null, field_json))
+            };
+            let fields = (!values.is_empty()).then(|| values.iter().map(of_field).collect());
+            EventDetails::Debug { code, code_name, data: hex(&data, ""), fields }
         }
         // Findings and bus states are events of their own, `returned` reports a device that is
         // online again, and the outcome of an address claim follows it.

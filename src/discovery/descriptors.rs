@@ -204,7 +204,7 @@ fn known_fields(profile: &Profile) -> impl Iterator<Item = DescriptorField> {
 }
 
 /// Returns the fields whose service number a file sets: only these are read.
-fn given_fields(profile: &Profile) -> impl Iterator<Item = DescriptorField> {
+pub fn given_fields(profile: &Profile) -> impl Iterator<Item = DescriptorField> {
     known_fields(profile).filter(|field| profile.is_given(field.key()))
 }
 

@@ -121,7 +121,8 @@ pub(super) fn describe(finding: &mut Finding, is_certain: bool) {
         | FindingKind::MalformedDescriptor
         | FindingKind::FixedBitrateDiffers
         | FindingKind::FixedAddressDiffers
-        | FindingKind::TypeServicesDiffer => return,
+        | FindingKind::TypeServicesDiffer
+        | FindingKind::CatalogueDiffers => return,
     };
     finding.remedy = if finding.key.kind == FindingKind::TwoDebugDevices && concerns_own_address {
         "No action needed: descan moves to another address. Or quit the other tool.".to_owned()

@@ -86,7 +86,7 @@ mod transfers;
 pub use bus_protocol::{BusTraffic, BusVerdict};
 pub use claims::AddressSender;
 pub use config::Config;
-pub use descriptors::{DeviceDescriptor, FieldContent, FieldReading};
+pub use descriptors::{DeviceDescriptor, FieldContent, FieldReading, given_fields};
 pub use device::{
     Device, DeviceId, DeviceService, HeartbeatStats, ModeChange, Presence, ProtocolDeviation,
     Query, QueryFault, QueryState,

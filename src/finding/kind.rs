@@ -427,6 +427,19 @@ finding_kinds! {
         },
         at_address: None,
     },
+    /// A device has other services than the catalogue says of its type.
+    CatalogueDiffers: FindingKindInfo {
+        name: "catalogue-differs",
+        severity: 51,
+        grouping: Grouping::Single,
+        exit_code_of: ExitCodeScope::Check(CheckSection::ServicesDiffer),
+        wording: Wording {
+            headline: "not as its type in the catalogue",
+            remedy: "Check its firmware, or correct the file of its type.",
+            confirmation: Some("Stays suspected while only its name says which type it is: read its GID."),
+        },
+        at_address: None,
+    },
     /// A device responds to reads of its descriptor with data that are no value of the field.
     MalformedDescriptor: FindingKindInfo {
         name: "malformed-descriptor",

@@ -54,6 +54,7 @@ topics! {
     "scripting" "scripting" ["scan" "check" "watch" "diff" "log"] "scan, check, watch, diff and log: JSON, exit codes, CI";
     "recording" "recording" [] "recording to a file, logs and their replay";
     "profiles" "profiles" ["profile"] "values that the protocol leaves open";
+    "catalogue" "catalogue" ["catalogue"] "types of devices: names and data of services";
     "commands" "commands" ["identify" "mode" "restart" "address" "bitrate" "descriptor"] "commands to one device, and its descriptor";
     "settings" "settings" [] "config.toml, keys.toml, themes, and all files used";
     "scenarios" "scenarios" ["demo" "sim"] "the demo, and simulated devices of your own";

@@ -25,10 +25,10 @@ use crate::diagnostic::Diagnostic;
 pub type DiskContent = Result<Option<Vec<u8>>, Diagnostic>;
 
 /// Time without events before the file is read: editors write in several steps.
-const QUIET: Duration = Duration::from_millis(100);
+pub(super) const QUIET: Duration = Duration::from_millis(100);
 
 /// Longest wait for such a time.
-const QUIET_TIMEOUT: Duration = Duration::from_millis(300);
+pub(super) const QUIET_TIMEOUT: Duration = Duration::from_millis(300);
 
 /// Time between reads without events.
 const POLL_PERIOD: Duration = Duration::from_secs(1);
@@ -321,7 +321,7 @@ fn lock(paths: &Mutex<Paths>) -> MutexGuard<'_, Paths> {
 }
 
 /// Returns true if the folder is on a file system whose changes by other machines cause no events.
-fn is_remote(folder: &Path) -> bool {
+pub(super) fn is_remote(folder: &Path) -> bool {
     const REMOTE: [FsType; 7] = [
         statfs::NFS_SUPER_MAGIC,
         statfs::SMB_SUPER_MAGIC,

@@ -14,6 +14,7 @@
 //! recovery        copy of unsaved edits       config        the user's settings
 //! bus_picker      the list of buses           bus_scout     what can be opened, as it changes
 //! bus_offers      interfaces, adapters, logs  background_colour   that of the terminal
+//! catalogue_folders  files of types of devices
 //! recent_logs     logs opened before, and what was found in them
 //! waiting         futures for optional sources
 //! ```
@@ -25,6 +26,7 @@ pub mod bitrate_search;
 pub mod bus_offers;
 pub mod bus_picker;
 pub mod bus_scout;
+pub mod catalogue_folders;
 mod cell_encoder;
 pub mod config;
 pub mod file_watcher;

@@ -9,6 +9,8 @@
 //! `no_std` and without an allocator; buffers are the caller's. Only [`profile::Profile::parse`]
 //! needs `std`.
 
+#[cfg(feature = "std")]
+pub mod data_layout;
 pub mod des;
 pub mod descriptor;
 pub mod framing;

@@ -11,7 +11,8 @@ mod keys;
 mod values;
 
 #[cfg(feature = "std")]
-pub use file::ProfileError;
+pub(crate) use file::byte_order;
+#[cfg(feature = "std")]
 pub use keys::{ProfileKey, ValueOrigin};
 #[cfg(feature = "std")]
 pub use values::{ProfileValue, ValueWithOrigin};

@@ -25,6 +25,13 @@ pub struct AddressHolder {
     is_outdated: bool,
 }
 
+impl AddressHolder {
+    /// The device; `None` if none is known there: another log began.
+    pub fn device(&self) -> Option<DeviceId> {
+        self.device
+    }
+}
+
 /// Names by address and time.
 #[derive(Clone, Debug, Default)]
 pub struct AddressNames {
@@ -140,9 +147,14 @@ impl AddressNames {
 
     /// The name of the device that had an address at a moment.
     pub fn at(&self, address: Address, time: Instant) -> Option<&Name> {
+        self.holder_at(address, time)?.name.as_ref()
+    }
+
+    /// Who had an address at a moment.
+    pub fn holder_at(&self, address: Address, time: Instant) -> Option<&AddressHolder> {
         let holders = self.holders(address);
         let later = holders.partition_point(|holder| holder.since <= time);
-        holders.get(later.saturating_sub(1))?.name.as_ref()
+        holders.get(later.saturating_sub(1))
     }
 
     /// Bytes of memory.

@@ -6,6 +6,7 @@
 
 mod address_names;
 mod bus;
+mod device_types;
 mod error_kinds;
 mod load_history;
 mod load_meter;
@@ -16,6 +17,7 @@ mod status_changes;
 
 pub use address_names::{AddressHolder, AddressNames};
 pub use bus::{Bus, TxBlocked};
+pub use device_types::{BusTypes, FrameTypes};
 pub use error_kinds::ErrorKinds;
 pub use load_history::{LoadHistory, LoadSample};
 pub use load_meter::LoadMeter;
@@ -24,6 +26,7 @@ pub use load_shares::{LoadShares, ShareCounts};
 pub use redundancy::{Redundancy, RedundantDevice};
 
 use super::timeline_kind::TimelineKind;
+use crate::catalogue::Catalogue;
 use crate::discovery::{
     BusVerdict, Config, Device, DeviceId, DeviceRequest, Event, OwnAddress, RequestId,
 };
@@ -49,13 +52,19 @@ pub struct Buses {
     redundant: RedundantDevices,
     /// The bus whose bit rate is being searched.
     searched: Option<BusIndex>,
+    /// What is known of types of devices.
+    catalogue: Arc<Catalogue>,
 }
 
 impl Buses {
     /// Returns buses that start at `now`.
     pub(super) fn new(now: Instant, buses: Vec<(String, Config)>) -> Self {
-        let mut all =
-            Self { list: Vec::new(), redundant: RedundantDevices::default(), searched: None };
+        let mut all = Self {
+            list: Vec::new(),
+            redundant: RedundantDevices::default(),
+            searched: None,
+            catalogue: Arc::default(),
+        };
         for (name, config) in buses {
             all.add(now, name, config);
         }

@@ -3,7 +3,7 @@
 //! Input: a frame and the devices of its bus. A frame is decoded when it is shown, not when it is
 //! received. Text from devices is escaped ([`Escaped`]).
 
-use crate::app::buses::Buses;
+use crate::app::buses::{Buses, FrameTypes};
 use crate::error_report::ErrorReport;
 use crate::frame::{CanId, Frame, FrameKind};
 use crate::text::Escaped;
@@ -169,14 +169,15 @@ impl FrameMeaning {
                 _,
             )
             | (_, CanId::Standard(_)) => {
-                let text = meaning_of(frame, role, None);
+                let text = meaning_of(frame, role, None, FrameTypes::default());
                 return Self { header: None, role, text, is_error: role == FrameRole::Error };
             }
             (_, CanId::Extended(id)) => Header::decode(id),
         };
+        let types = buses.frame_types(header, frame);
         let (text, bad) = match buses.get(frame.bus) {
-            Some(bus) => describe_message(&bus.config().profile, header, frame),
-            None => describe_message(&Profile::default(), header, frame),
+            Some(bus) => describe_message(&bus.config().profile, types, header, frame),
+            None => describe_message(&Profile::default(), types, header, frame),
         };
         let is_error = is_failed(header) || bad || !header.is_conforming();
         Self { header: Some(header), role, text, is_error }
@@ -197,9 +198,10 @@ impl Decoded {
             return Self { role, kind, text, is_error, ..Self::default() };
         };
         let kind = header.message_type();
-        let profile = buses.profile(frame.bus);
         let name = |address| buses.name_at(frame.bus, address, frame.time);
-        let service = match profile.service_name(header.service) {
+        let server = if header.response { header.source } else { header.destination };
+        let server = (header.response || !header.broadcast).then_some((server, frame.time));
+        let service = match buses.service_name(frame.bus, header.service, server) {
             Some(name) if kind != MessageType::Debug => Escaped(name.as_bytes()).to_string(),
             _ => header.service.to_string(),
         };
@@ -230,11 +232,13 @@ fn is_failed(header: Header) -> bool {
     header.response && !header.no_error && header.is_conforming()
 }
 
-/// The meaning of a frame in words; empty if there is none. `profile` is that of its bus.
+/// The meaning of a frame in words; empty if there is none. `profile` is that of its bus, `types` what
+/// the catalogue says about it.
 pub(in crate::app) fn meaning_of(
     frame: &Frame,
     role: FrameRole,
     profile: Option<&Profile>,
+    types: FrameTypes<'_>,
 ) -> String {
     match (role, frame.id, profile) {
         (FrameRole::Error, ..) => {
@@ -244,7 +248,7 @@ pub(in crate::app) fn meaning_of(
         (FrameRole::Remote, ..) => "remote frame".to_owned(),
         (FrameRole::Standard, ..) => "11-bit ID".to_owned(),
         (_, CanId::Extended(id), Some(profile)) => {
-            describe_message(profile, Header::decode(id), frame).0
+            describe_message(profile, types, Header::decode(id), frame).0
         }
         _ => String::new(),
     }
@@ -253,10 +257,11 @@ pub(in crate::app) fn meaning_of(
 /// The meaning of a platform frame, and true if it is malformed.
 pub(in crate::app) fn describe_message(
     profile: &Profile,
+    types: FrameTypes<'_>,
     header: Header,
     frame: &Frame,
 ) -> (String, bool) {
-    let (mut text, bad) = describe_data(profile, header, frame);
+    let (mut text, bad) = describe_data(profile, types, header, frame);
     if is_failed(header) {
         text.insert_str(0, if text.is_empty() { "error" } else { "error: " });
     }
@@ -271,19 +276,24 @@ pub(in crate::app) fn uid_text(profile: &Profile, uid: Uid) -> String {
 /// Text of the data of a platform frame, and true if they are malformed.
 pub(in crate::app) fn describe_data(
     profile: &Profile,
+    types: FrameTypes<'_>,
     header: Header,
     frame: &Frame,
 ) -> (String, bool) {
     let data = frame.data();
     let kind = header.message_type();
     if kind == MessageType::Debug {
-        return (format!("debug message {}", profile.debug_text(header.service)), false);
+        let text = types.debug_text(profile, header.service, data);
+        return (format!("debug message {text}"), false);
     }
     if header.service == profile.heartbeat_service() && header.response {
         return (describe_heartbeat(profile, data), false);
     }
     if header.service != profile.des_service() {
-        return (String::new(), false);
+        // The data of an error response are its code.
+        let is_described = !is_failed(header) && header.is_conforming();
+        let words = if is_described { types.data_in_words(header, data) } else { None };
+        return (words.unwrap_or_default(), false);
     }
     if !header.response {
         return match classify_request(data, frame.is_fd) {

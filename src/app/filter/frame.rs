@@ -9,7 +9,7 @@ use super::expression::Expression;
 use super::field::Field;
 use super::test::{Addresses, Test, TextValue, any_of};
 use super::value::{BytePattern, IdPattern, NumberRange, TimeBound};
-use crate::app::buses::{Bus, Buses};
+use crate::app::buses::{Bus, BusTypes, Buses, FrameTypes};
 use crate::app::capture::decoded::{self, FrameRole};
 use crate::app::capture::frame_store::FrameStore;
 use crate::app::capture::transfer;
@@ -34,6 +34,8 @@ struct KnownBuses {
     foreign: usize,
     /// Changes with every name.
     names: u64,
+    /// Changes with the types of devices.
+    types: u64,
     /// Changes with descan's own addresses.
     own: u64,
 }
@@ -49,6 +51,7 @@ impl KnownBuses {
             buses: buses.len(),
             foreign: indices.filter(|index| buses.is_foreign(*index)).count(),
             names: buses.names_revision(),
+            types: buses.types_revision(),
             own: buses.iter().fold(0, |sum: u64, bus| sum.wrapping_mul(131) + own(bus)),
         }
     }
@@ -67,6 +70,7 @@ pub struct FrameMatcher {
 struct BusFacts {
     profile: Arc<Profile>,
     is_foreign: bool,
+    types: BusTypes,
 }
 
 /// A test with everything looked up. Lists of sets are by bus.
@@ -160,6 +164,7 @@ impl Filter {
         let facts = buses.iter().enumerate().map(|(index, bus)| BusFacts {
             profile: bus.config().profile.clone(),
             is_foreign: buses.is_foreign(BusIndex(index as u8)),
+            types: BusTypes::of(buses, BusIndex(index as u8)),
         });
         let lookup = Lookup { buses };
         FrameMatcher {
@@ -184,9 +189,15 @@ impl Filter {
         self.expression.for_each(&mut |test| {
             needs |= match test {
                 Test::Word(_) => true,
+                // The type of a device may be known by its name.
                 Test::Text(field, _) => matches!(
                     field,
-                    Field::Name | Field::Source | Field::Destination | Field::Device
+                    Field::Name
+                        | Field::Source
+                        | Field::Destination
+                        | Field::Device
+                        | Field::Service
+                        | Field::Text
                 ),
                 _ => false,
             };
@@ -303,18 +314,21 @@ impl Lookup<'_> {
 
     /// Services whose name and number `fits` accepts.
     fn services(&self, fits: impl Fn(&str, u16) -> bool) -> Vec<Services> {
-        let of_bus = |bus: &Bus| {
-            let profile = &bus.config().profile;
+        let of_bus = |index: usize| {
+            let names = self.buses.service_names(BusIndex(index as u8));
             let mut set = Services([0; SERVICES / 64]);
             for number in 0..SERVICES as u16 {
-                let name = profile.service_name(Service::from_bits(number)).unwrap_or_default();
-                if fits(name, number) {
+                let is_in = match names.get(&number) {
+                    Some(names) => names.iter().any(|name| fits(name, number)),
+                    None => fits("", number),
+                };
+                if is_in {
                     set.0[usize::from(number) / 64] |= 1 << (number % 64);
                 }
             }
             set
         };
-        self.buses.iter().map(of_bus).collect()
+        (0..self.buses.len()).map(of_bus).collect()
     }
 }
 
@@ -347,6 +361,7 @@ struct TestedFrame<'a> {
     header: Option<Header>,
     role: FrameRole,
     profile: Option<&'a Profile>,
+    types: Option<&'a BusTypes>,
     stored: Option<(&'a FrameStore, u64)>,
 }
 
@@ -371,7 +386,8 @@ impl FrameMatcher {
             _ => None,
         };
         let profile = facts.map(|facts| &*facts.profile);
-        let tested = TestedFrame { frame, header, role, profile, stored };
+        let types = facts.map(|facts| &facts.types);
+        let tested = TestedFrame { frame, header, role, profile, types, stored };
         self.expression.is_match(&mut |test| tested.passes(test))
     }
 }
@@ -512,11 +528,17 @@ impl TestedFrame<'_> {
     /// The meaning of a platform frame, and true if it is malformed.
     fn described(&self) -> Option<(String, bool)> {
         let (header, profile) = self.header.zip(self.profile)?;
-        Some(decoded::describe_data(profile, header, self.frame))
+        Some(decoded::describe_data(profile, self.frame_types(), header, self.frame))
     }
 
     /// The meaning of the frame, as the screen shows it.
     fn meaning(&self) -> String {
-        decoded::meaning_of(self.frame, self.role, self.profile)
+        decoded::meaning_of(self.frame, self.role, self.profile, self.frame_types())
+    }
+
+    /// What the catalogue says about the frame.
+    fn frame_types(&self) -> FrameTypes<'_> {
+        let known = self.types.zip(self.header);
+        known.map_or_else(FrameTypes::default, |(types, header)| types.of_frame(header, self.frame))
     }
 }

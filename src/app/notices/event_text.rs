@@ -137,8 +137,8 @@ pub fn event_text(buses: &Buses, bus: BusIndex, event: &Event) -> Option<(Timeli
         }
         EventKind::DebugMessage { code, data } => {
             let code = Service::from_bits(*code);
-            let profile = buses.get(bus).map(|bus| &bus.config().profile);
-            let name = profile.map_or_else(|| code.to_string(), |profile| profile.debug_text(code));
+            let types = buses.types_at(bus, event.address, event.time);
+            let name = types.debug_text(&buses.profile(bus), code, data);
             let text = format!("debug message {name} {}", hex(data, " "));
             (TimelineKind::Change, text.trim_end().to_owned())
         }

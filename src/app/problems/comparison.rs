@@ -36,6 +36,7 @@ impl<'a> Comparison<'a> {
     pub fn new(inputs: Inputs<'a>, scope: Scope) -> Self {
         let mut comparison = Self { inputs, found: Vec::new(), entries: Vec::new() };
         comparison.descriptors();
+        comparison.catalogue();
         if !inputs.has_file {
             return comparison;
         }

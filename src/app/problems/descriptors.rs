@@ -6,9 +6,10 @@
 use super::comparison::{Comparison, Values};
 use crate::app::buses::Bus;
 use crate::bitrate::kbit;
+use crate::catalogue::TypeBasis;
 use crate::discovery::{Device, FieldContent, FieldReading};
 use crate::document::Entry;
-use crate::finding::{Evidence, FindingKind};
+use crate::finding::{Evidence, FindingKind, FindingState};
 use crate::text::{Quoted, join_first};
 use crate::wire::descriptor::{AddressSetting, DescriptorField, DescriptorValue, Gid};
 use crate::wire::id::Address;
@@ -36,6 +37,29 @@ impl Comparison<'_> {
             }
         }
         self.services_of_types();
+    }
+
+    /// Adds devices with other services than the catalogue says of their types.
+    pub(super) fn catalogue(&mut self) {
+        let buses = self.inputs.buses;
+        let present = buses.iter().flat_map(Bus::devices).filter(|it| it.is_present());
+        for device in present.filter(|it| it.mode != Some(Mode::Boot) && !it.services_are_shared) {
+            let Some((found, basis)) = buses.type_of(device) else { continue };
+            let Some(difference) = device.services.as_ref().and_then(|own| found.difference(own))
+            else {
+                continue;
+            };
+            let (label, by) = (label_of(device), match basis {
+                TypeBasis::Gid => "by its GID",
+                TypeBasis::Name => "by its name",
+            });
+            let text = format!("{label} is a {} {by}, but {difference}.", found.label());
+            self.add_of(FindingKind::CatalogueDiffers, device, text, &[]);
+            match (basis, self.found.last_mut()) {
+                (TypeBasis::Name, Some(finding)) => finding.state = FindingState::Suspected,
+                _ => self.prove_by(device, DescriptorField::Gid),
+            }
+        }
     }
 
     /// Adds fields that were sent with data that are no value.

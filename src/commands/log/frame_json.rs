@@ -7,10 +7,12 @@ use super::frame_text::push_number;
 use super::known_names::KnownNames;
 use crate::app::{App, Bus, CallPart, FrameMeaning, FrameRole};
 use crate::frame::{BusIndex, CanId, Frame, FrameKind};
-use crate::text::{Escaped, push_hex};
+use crate::text::{Escaped, hex, push_hex};
 use crate::time::Instant;
+use crate::wire::data_layout::{DataValue, FieldValue};
 use crate::wire::id::{Address, Service};
 use serde::Serialize;
+use serde_json::Value;
 
 /// Unix times in microseconds of which the shortest decimal number that is read as the same
 /// floating-point number has these six digits, without zeros at the end: from 1 s on, as before there
@@ -30,7 +32,7 @@ impl FrameJson {
     /// Members: `time` (Unix seconds), `bus`, `id` (3 or 8 hexadecimal digits; `null` for an error
     /// frame), `extended`, `fd`, `kind` (as in a filter behind `type:`), `from`, `to` (`null` for a
     /// broadcast, too), `from_name`, `to_name`, `service`, `service_name`, `len`, `data` (hexadecimal
-    /// digits), `text`, `failed` (a response with ERR = 0), `error`, `tx`; of a response `request`
+    /// digits), `text`, `fields` (by name, as the catalogue describes them), `failed` (a response with ERR = 0), `error`, `tx`; of a response `request`
     /// (Unix seconds), `latency_ms` and `ambiguous` (several equal requests were open).
     pub fn write(&mut self, line: &mut String, app: &App, frame: &Frame, part: Option<CallPart>) {
         let FrameMeaning { header, role, text, is_error } = FrameMeaning::of(app, frame);
@@ -62,7 +64,7 @@ impl FrameJson {
         push_optional_number(line, header.map(|header| header.service.number().into()));
         line.push_str(",\"service_name\":");
         line.push_str(match header {
-            Some(header) => &self.names.service(app, frame.bus, header.service, role).json_name,
+            Some(header) => &self.names.service(app, frame, header, role).json_name,
             None => "null",
         });
         line.push_str(",\"len\":");
@@ -71,6 +73,12 @@ impl FrameJson {
         push_hex(line, frame.data(), "");
         line.push_str("\",\"text\":");
         push_text(line, Some(&*text).filter(|text| !text.is_empty()));
+        line.push_str(",\"fields\":");
+        let types = header.map(|header| (header, app.shown_buses().frame_types(header, frame)));
+        match types {
+            Some((header, types)) => push_fields(line, &types.data_values(header, frame.data())),
+            None => line.push_str("null"),
+        }
         push_flag(line, ",\"failed\":", role == FrameRole::FailedResponse);
         push_flag(line, ",\"error\":", is_error);
         push_flag(line, ",\"tx\":", frame.is_tx);
@@ -139,6 +147,40 @@ fn push_text(line: &mut String, text: Option<&str>) {
     }
 }
 
+/// Appends the fields of the data as an object; `null` where the catalogue has none.
+fn push_fields(line: &mut String, values: &[FieldValue<'_>]) {
+    if values.is_empty() {
+        return line.push_str("null");
+    }
+    for (at, field) in values.iter().enumerate() {
+        line.push(if at == 0 { '{' } else { ',' });
+        push_text(line, Some(field.name));
+        line.push(':');
+        match &field.value {
+            Some(value) => push_serialized(line, field_json(value)),
+            None => line.push_str("null"),
+        }
+    }
+    line.push('}');
+}
+
+/// Returns a value of a field as JSON: a number, a truth value or a text; `null` for a number that JSON
+/// has not.
+pub fn field_json(value: &DataValue<'_>) -> Value {
+    match value {
+        DataValue::Integer(number) => u64::try_from(*number)
+            .map(Value::from)
+            .or_else(|_| i64::try_from(*number).map(Value::from))
+            .unwrap_or_default(),
+        DataValue::Scaled(..) => value.to_string().parse::<f64>().map_or(Value::Null, Value::from),
+        DataValue::Float(number) => Value::from(*number),
+        DataValue::Bool(is_set) => Value::from(*is_set),
+        DataValue::Named(name) => Value::from(*name),
+        DataValue::Text(text) => Value::from(Escaped(text).to_string()),
+        DataValue::Bytes(bytes) => Value::from(hex(bytes, "")),
+    }
+}
+
 fn push_serialized(line: &mut String, value: impl Serialize) {
     // Numbers and strings have no errors.
     line.push_str(&serde_json::to_string(&value).unwrap_or_default());
@@ -149,9 +191,15 @@ pub fn name_of(app: &App, bus: BusIndex, address: Address, time: Instant) -> Opt
     Some(app.bus(bus)?.names().at(address, time)?.to_string())
 }
 
-/// Returns the name of a service in the profile; `None` if it has none there.
-pub fn service_name_of(app: &App, bus: BusIndex, service: Service) -> Option<String> {
-    let name = app.bus(bus)?.config().profile.service_name(service)?;
+/// Returns the name of a service in the profile or in the catalogue; `None` if it has none there.
+/// `server`: the device that has it, and the moment.
+pub fn service_name_of(
+    app: &App,
+    bus: BusIndex,
+    service: Service,
+    server: Option<(Address, Instant)>,
+) -> Option<String> {
+    let name = app.shown_buses().service_name(bus, service, server)?;
     Some(Escaped(name.as_bytes()).to_string())
 }
 

@@ -60,7 +60,7 @@ impl FrameText {
                 line.push_str(&end.receiver);
             }
             line.push(' ');
-            line.push_str(&self.names.service(app, frame.bus, header.service, role).column);
+            line.push_str(&self.names.service(app, frame, header, role).column);
         } else {
             blanks(line, END + 1 + END + 1 + SERVICE);
         }

@@ -7,9 +7,9 @@ use super::frame_json::service_name_of;
 use super::frame_text::{END, SERVICE, left, right, with_address};
 use crate::app::{App, Bus, FrameRole};
 use crate::discovery::OwnAddress;
-use crate::frame::BusIndex;
+use crate::frame::{BusIndex, Frame};
 use crate::time::Instant;
-use crate::wire::id::{Address, Service};
+use crate::wire::id::{Address, Header};
 use std::ops::Range;
 
 /// Number of service numbers.
@@ -56,18 +56,18 @@ pub struct ServiceTexts {
 }
 
 impl ServiceTexts {
-    fn new(app: &App, bus: BusIndex, service: Service) -> Self {
+    fn new(app: &App, frame: &Frame, header: Header, role: FrameRole) -> Self {
+        let (bus, number) = (frame.bus, header.service);
+        let name = if role == FrameRole::Debug {
+            let types = app.shown_buses().frame_types(header, frame);
+            types.debug_name(&app.profile(bus), number)
+        } else {
+            let server = if header.response { header.source } else { header.destination };
+            let is_one = header.response || !header.broadcast;
+            service_name_of(app, bus, number, is_one.then_some((server, frame.time)))
+        };
         let mut column = String::new();
-        left(&mut column, &app.service_name(bus, service), SERVICE);
-        let name = service_name_of(app, bus, service);
-        Self { column, json_name: serde_json::to_string(&name).unwrap_or_default() }
-    }
-
-    fn of_debug(app: &App, bus: BusIndex, code: Service) -> Self {
-        let profile = app.profile(bus);
-        let mut column = String::new();
-        left(&mut column, &profile.debug_text(code), SERVICE);
-        let name = profile.debug_names.get(&code.number());
+        left(&mut column, name.as_ref().unwrap_or(&number.to_string()), SERVICE);
         Self { column, json_name: serde_json::to_string(&name).unwrap_or_default() }
     }
 }
@@ -109,23 +109,22 @@ impl KnownNames {
     pub fn service(
         &mut self,
         app: &App,
-        bus: BusIndex,
-        service: Service,
+        frame: &Frame,
+        header: Header,
         role: FrameRole,
     ) -> &ServiceTexts {
-        let texts = self.bus(bus);
+        let texts = self.bus(frame.bus);
         let is_debug = role == FrameRole::Debug;
         let all = if is_debug { &mut texts.debug_messages } else { &mut texts.services };
         if all.is_empty() {
             *all = vec![None; SERVICES];
         }
-        all[usize::from(service.number()) % SERVICES].get_or_insert_with(|| {
-            if is_debug {
-                ServiceTexts::of_debug(app, bus, service)
-            } else {
-                ServiceTexts::new(app, bus, service)
-            }
-        })
+        let known = &mut all[usize::from(header.service.number()) % SERVICES];
+        // By the catalogue a number has another name on another device.
+        if !app.shown_buses().catalogue().is_empty() {
+            *known = None;
+        }
+        known.get_or_insert_with(|| ServiceTexts::new(app, frame, header, role))
     }
 
     fn bus(&mut self, bus: BusIndex) -> &mut BusTexts {

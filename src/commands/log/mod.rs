@@ -13,6 +13,8 @@ mod known_names;
 mod stats;
 mod stats_report;
 
+pub(super) use frame_json::field_json;
+
 use super::headless::{self, Limits, RunInput};
 use super::open::{self, Setup};
 use super::output::LineOutput;

@@ -148,6 +148,7 @@ fn identifier<'a>(
     let header = decoded.header;
     let receiver = header.filter(|header| !header.broadcast).map(|header| header.destination);
     let service = header.filter(|_| decoded.role != FrameRole::Debug).map(|it| it.service);
+    let server = header.filter(|it| it.response).map(|it| (it.source, last));
     let is_error = row.key.kind == IdentifierKind::Error;
     IdentifierReport {
         bus: bus_name(app, bus),
@@ -160,7 +161,7 @@ fn identifier<'a>(
         from_name: header.and_then(|header| name_of(app, bus, header.source, last)),
         to_name: receiver.and_then(|address| name_of(app, bus, address, last)),
         service: header.map(|header| header.service.number()),
-        service_name: service.and_then(|service| service_name_of(app, bus, service)),
+        service_name: service.and_then(|service| service_name_of(app, bus, service, server)),
         count: row.count,
         rate: stats.rate(row.count),
         period_ms: intervals.and_then(|it| period(it, row)),
@@ -186,7 +187,12 @@ fn call<'a>(app: &'a App, stats: &LogStats, row: &CallStats) -> CallReport<'a> {
         client_name: name(key.client),
         server_name: key.server.and_then(name),
         service: key.service.number(),
-        service_name: service_name_of(app, key.bus, key.service),
+        service_name: service_name_of(
+            app,
+            key.bus,
+            key.service,
+            key.server.map(|address| (address, row.last)),
+        ),
         calls: row.calls,
         rate: stats.rate(row.calls),
         responses: row.responses,
@@ -330,7 +336,7 @@ fn call_table(app: &App, stats: &LogStats) -> String {
             bus_name(app, key.bus).unwrap_or("?").to_owned(),
             end(key.client),
             key.server.map_or_else(|| "all".to_owned(), end),
-            app.service_name(key.bus, key.service),
+            app.service_name(key.bus, key.service, key.server),
             row.calls.to_string(),
             stats.rate(row.calls).map_or_else(|| "–".to_owned(), |it| format!("{it:.1}")),
             cell(latency.map(|it| it.p50)),

@@ -8,16 +8,18 @@
 mod several_ports;
 
 use super::bitrate_search::{RunningSearch, SearchNews};
+use super::catalogue_folders::{CatalogueFolders, CatalogueWatcher};
 use super::file_watcher::{DiskContent, FileWatcher};
 use super::log_input::{LogBatch, LogInput, LogPace};
 use super::recorder::Recorder;
 use super::store::{SaveError, Saved, Store, write_new};
-use super::waiting::{file_changed, sleep_for};
+use super::waiting::{catalogue_changed, file_changed, sleep_for};
 use crate::app::{
     App, Effect, FileReading, FrameSelector, InterleavedLogs, InterleavedOrder, SaveOutcome,
     WrittenFrames,
 };
 use crate::bus::{Clock, Port};
+use crate::catalogue::CatalogueText;
 use crate::diagnostic::Diagnostic;
 use crate::discovery::Config;
 use crate::document::Document;
@@ -33,6 +35,7 @@ use std::future::{Future, pending};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::pin::Pin;
+use std::sync::Arc;
 use std::time::{Duration, Instant as Monotonic};
 use tokio::task::{JoinHandle, spawn_blocking, yield_now};
 
@@ -67,6 +70,8 @@ pub enum SessionWake {
     File(FileReading),
     /// Another program changed the profile.
     Profile(DiskContent),
+    /// Another program changed a file of the catalogue.
+    Catalogue(Vec<CatalogueText>),
     /// Work on files is done.
     FileJobDone(FileJobResult),
     /// The recording grew or stopped.
@@ -129,6 +134,8 @@ pub struct Session {
     watch: Option<FileWatcher>,
     /// The profile's file, and what watches it.
     profile: Option<(PathBuf, FileWatcher)>,
+    /// Watches the folders of the catalogue.
+    catalogue: Option<CatalogueWatcher>,
     /// Parses new content of des.json, off the thread that draws.
     reading: Option<JoinHandle<FileReading>>,
     work: Vec<FileJob>,
@@ -215,6 +222,7 @@ impl Session {
             store,
             watch: None,
             profile: None,
+            catalogue: None,
             reading: None,
             work: Vec::new(),
             recorder: None,
@@ -233,6 +241,11 @@ impl Session {
         let store = Store::new(path);
         let known = store.read();
         self.profile = Some((path.to_owned(), FileWatcher::spawn(store, known)));
+    }
+
+    /// Watches the folders of the catalogue; `known` is what was read.
+    pub fn watch_catalogue(&mut self, folders: CatalogueFolders, known: Vec<CatalogueText>) {
+        self.catalogue = Some(CatalogueWatcher::spawn(folders, known));
     }
 
     /// Records the selected frames from now on, all without a selector; of a log, without status in
@@ -353,6 +366,7 @@ impl Session {
             })
         };
         let profile = file_changed(self.profile.as_ref().map(|(_, watcher)| watcher));
+        let catalogue = catalogue_changed(self.catalogue.as_ref());
         let recorder = self.recorder.as_ref();
         let recording = async {
             match recorder {
@@ -419,6 +433,7 @@ impl Session {
             () = file_due => SessionWake::FileDue,
             reading = file => SessionWake::File(reading),
             content = profile => SessionWake::Profile(content),
+            texts = catalogue => SessionWake::Catalogue(texts),
             (result, at) = done => {
                 drop(self.work.swap_remove(at));
                 match result {
@@ -476,6 +491,10 @@ impl Session {
             SessionWake::Search(news) => self.take_search(now, news),
             SessionWake::File(reading) => self.app.handle_file(now, reading),
             SessionWake::Profile(content) => self.take_profile(now, content),
+            SessionWake::Catalogue(texts) => {
+                let catalogue = self.app.catalogue().read(texts);
+                self.app.handle_catalogue(now, Arc::new(catalogue));
+            }
             SessionWake::FileJobDone(FileJobResult::Saved(outcome, content)) => {
                 self.update_watch(&outcome, content);
                 self.app.handle_saved(now, outcome);

@@ -3,6 +3,7 @@
 //! the list one below the other, below it in three columns.
 
 mod descriptor;
+mod device_type;
 mod others;
 mod rule;
 mod services;
@@ -162,6 +163,7 @@ impl<'b, 'a> DeviceDetails<'b, 'a> {
     fn fill_identity(&mut self, device: &Device) {
         self.blank();
         self.identity(device);
+        self.device_type(device);
         self.descriptor(device);
         self.history(device);
         self.requests(device);

@@ -20,7 +20,7 @@ pub fn title(app: &App) -> Option<String> {
     let key = app.view().call_list()?.key;
     let last = app.calls().get(&key)?.last;
     let (client, server) = ends_of_call(app, key, last);
-    Some(format!(" {client}→{server} {} ", app.service_name(key.bus, key.service)))
+    Some(format!(" {client}→{server} {} ", app.service_name(key.bus, key.service, key.server)))
 }
 
 /// Draws the list.

@@ -145,7 +145,7 @@ fn call_line(
     if columns.has_bus {
         spans.push(brush.span(Role::Muted, bus_cell(app, Some(key.bus))));
     }
-    let service = app.service_name(key.bus, key.service);
+    let service = app.service_name(key.bus, key.service, key.server);
     spans.extend([
         brush.span(Role::Text, fit_right(&client, columns.end)),
         brush.span(Role::Muted, "→"),

@@ -3,98 +3,9 @@
 use super::{Announce, HeartbeatProfile, Profile, ProfileKey, ProfileValue, ValueOrigin};
 use crate::wire::descriptor::ByteOrder;
 use crate::wire::id::Service;
+use crate::toml_error::{TomlError, ValuePlaces};
 use serde::{Deserialize, Deserializer};
 use std::collections::BTreeMap;
-use std::ops::Range;
-use toml::de::DeTable;
-
-/// Why a profile cannot be used: what is wrong, and where.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("line {line}, column {column}: {message}")]
-pub struct ProfileError {
-    message: String,
-    line: usize,
-    column: usize,
-    /// Number of characters concerned, at least one.
-    width: usize,
-    text: String,
-}
-
-impl ProfileError {
-    fn new(file: &str, span: Option<Range<usize>>, message: String) -> Self {
-        let span = span.unwrap_or(0..0);
-        let at = file.floor_char_boundary(span.start);
-        let start = file[..at].rfind('\n').map_or(0, |before| before + 1);
-        let text = file[start..].lines().next().unwrap_or_default();
-        let end = file.floor_char_boundary(span.end).min(start + text.len()).max(at);
-        Self {
-            message,
-            line: file[..at].matches('\n').count() + 1,
-            column: file[start..at].chars().count() + 1,
-            width: file[at..end].chars().count().max(1),
-            text: text.to_owned(),
-        }
-    }
-
-    /// What is wrong, without the place.
-    pub fn message(&self) -> &str {
-        &self.message
-    }
-
-    /// Place in the file: line and column, from 1 on.
-    pub fn place(&self) -> (usize, usize) {
-        (self.line, self.column)
-    }
-
-    /// The line concerned, without blanks around it, safe on a terminal.
-    pub fn line_text(&self) -> String {
-        crate::text::printable(self.text.trim().as_bytes())
-    }
-
-    /// The line concerned, with a mark under what is wrong: two lines, safe on a terminal.
-    pub fn excerpt(&self) -> String {
-        /// Characters of a line that are shown.
-        const LENGTH: usize = 120;
-        let shown = |c: char| if crate::text::is_printable(c) { c } else { '?' };
-        // The mark stays in view.
-        let skipped = (self.column - 1).saturating_sub(LENGTH / 2);
-        let text: String = self.text.chars().skip(skipped).take(LENGTH).map(shown).collect();
-        let before = self.column - 1 - skipped;
-        let marks = "^".repeat(self.width.min(text.chars().count().saturating_sub(before)).max(1));
-        format!("{text}\n{}{marks}", " ".repeat(before))
-    }
-}
-
-/// Places of the values in a file, by name: `services.des`.
-#[derive(Default)]
-struct ValuePlaces(BTreeMap<String, Range<usize>>);
-
-impl ValuePlaces {
-    fn of(file: &str) -> Self {
-        let mut places = Self::default();
-        if let Ok(table) = DeTable::parse(file) {
-            places.add("", table.get_ref());
-        }
-        places
-    }
-
-    fn add(&mut self, prefix: &str, table: &DeTable) {
-        for (key, value) in table {
-            let name = format!("{prefix}{}", key.get_ref());
-            if let Some(inner) = value.get_ref().as_table() {
-                self.add(&format!("{name}."), inner);
-            }
-            self.0.insert(name, value.span());
-        }
-    }
-
-    /// Returns the place of this value; of several modes that of the last one.
-    fn get(&self, name: &str) -> Option<Range<usize>> {
-        let within = |it: &&String| it.strip_prefix(name).is_some_and(|it| it.starts_with('.'));
-        let last = || self.0.iter().filter(|(it, _)| within(it)).map(|(_, span)| span);
-        self.0.get(name).or_else(|| last().max_by_key(|span| span.start)).cloned()
-    }
-}
 
 /// A value out of its range: its name, what it is, and what is allowed.
 struct RangeFault {
@@ -116,17 +27,15 @@ impl Profile {
     /// ```
     ///
     /// # Errors
-    /// [`ProfileError`] if the text is not TOML, has unknown names, or a value is out of range.
-    pub fn parse(text: &str) -> Result<Self, ProfileError> {
-        let mut profile: Self = toml::from_str(text).map_err(|error: toml::de::Error| {
-            ProfileError::new(text, error.span(), crate::text::on_one_line(error.message()))
-        })?;
+    /// [`TomlError`] if the text is not TOML, has unknown names, or a value is out of range.
+    pub fn parse(text: &str) -> Result<Self, TomlError> {
+        let mut profile: Self = toml::from_str(text).map_err(|error| TomlError::of(text, &error))?;
         let places = ValuePlaces::of(text);
         profile.check().map_err(|RangeFault { key, value, expected }| {
-            ProfileError::new(text, places.get(key), format!("{key}: {value} is not {expected}"))
+            TomlError::new(text, places.get(key), format!("{key}: {value} is not {expected}"))
         })?;
         for key in ProfileKey::ALL {
-            if places.0.contains_key(key.name()) {
+            if places.contains(key.name()) {
                 profile.set_origin(*key, ValueOrigin::Given);
             }
         }
@@ -134,7 +43,7 @@ impl Profile {
             let span = [key, other].into_iter().find_map(|key| places.get(key.name()));
             let (name, value) = (key.name(), profile.value(key));
             let message = format!("{name}: {value} is the number of {}, too", other.name());
-            return Err(ProfileError::new(text, span, message));
+            return Err(TomlError::new(text, span, message));
         }
         Ok(profile)
     }
@@ -257,7 +166,7 @@ pub(super) fn offset<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Optio
 }
 
 /// Reads `little` or `big`.
-pub(super) fn byte_order<'de, D: Deserializer<'de>>(
+pub(crate) fn byte_order<'de, D: Deserializer<'de>>(
     deserializer: D,
 ) -> Result<ByteOrder, D::Error> {
     let word = String::deserialize(deserializer).unwrap_or_default();

@@ -1,0 +1,248 @@
+//! The types of the devices on the buses, and the words of the catalogue for their frames.
+//!
+//! Who had an address is looked up as of the frame; its type is what is known of the device now.
+
+use super::{Bus, Buses};
+use crate::catalogue::{Catalogue, DeviceType, TypeBasis, TypeService};
+use crate::discovery::Device;
+use crate::frame::{BusIndex, Frame};
+use crate::time::Instant;
+use crate::wire::data_layout::FieldValue;
+use crate::wire::descriptor::{DescriptorField, DescriptorValue, Gid};
+use crate::wire::id::{Address, Header, MessageType, Service};
+use crate::wire::profile::Profile;
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+
+/// What the catalogue says about a frame: of its device, and of all devices.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct FrameTypes<'a> {
+    device: Option<&'a DeviceType>,
+    common: &'a [Arc<DeviceType>],
+}
+
+impl<'a> FrameTypes<'a> {
+    fn all(self) -> impl Iterator<Item = &'a DeviceType> {
+        self.device.into_iter().chain(self.common.iter().map(|it| &**it))
+    }
+
+    /// Returns the service with a number.
+    pub fn service(self, number: Service) -> Option<&'a TypeService> {
+        self.all().find_map(|it| it.service(number))
+    }
+
+    /// Returns the data of a frame in words, escaped; `None` if no file has fields for them.
+    pub fn data_in_words(self, header: Header, data: &[u8]) -> Option<String> {
+        self.all().find_map(|it| it.data_in_words(header, data))
+    }
+
+    /// Returns the fields of the data of a frame.
+    pub fn data_values<'b>(self, header: Header, data: &'b [u8]) -> Vec<FieldValue<'b>>
+    where
+        'a: 'b,
+    {
+        if header.message_type() == MessageType::Debug {
+            return self.debug_values(header.service.number(), data);
+        }
+        let values = self.all().map(|it| it.data_values(header, data));
+        values.into_iter().find(|values| !values.is_empty()).unwrap_or_default()
+    }
+
+    /// Returns the parameters of a DEBUG message.
+    pub fn debug_values<'b>(self, code: u16, data: &'b [u8]) -> Vec<FieldValue<'b>>
+    where
+        'a: 'b,
+    {
+        let known = self.all().find(|it| it.debug_messages.contains_key(&code));
+        known.map_or_else(Vec::new, |it| it.parameter_values(code, data))
+    }
+
+    /// Returns the name of a DEBUG message, escaped: from the profile, else from the catalogue.
+    pub fn debug_name(self, profile: &Profile, code: Service) -> Option<String> {
+        let named = profile.debug_names.get(&code.number());
+        let named = named.map(|name| crate::text::printable(name.as_bytes()));
+        let known = || self.all().find_map(|it| it.debug_messages.get(&code.number()));
+        named.or_else(|| Some(known()?.name.clone()))
+    }
+
+    /// Returns a DEBUG message in words, escaped: its name, else its code, and its parameters.
+    pub fn debug_text(self, profile: &Profile, code: Service, data: &[u8]) -> String {
+        let name = self.debug_name(profile, code).unwrap_or_else(|| code.to_string());
+        let parameters = self.all().map(|it| it.parameters_in_words(code.number(), data));
+        match parameters.into_iter().find(|text| !text.is_empty()) {
+            Some(parameters) => format!("{name}: {parameters}"),
+            None => name,
+        }
+    }
+}
+
+/// Returns the address of the device whose type describes a frame: who serves, or sends.
+fn described_end(header: Header) -> Option<Address> {
+    match (header.response, header.broadcast) {
+        (true, _) => Some(header.source),
+        (false, false) => Some(header.destination),
+        (false, true) => None,
+    }
+}
+
+/// The types of the devices at the addresses of a bus, for many frames.
+#[derive(Clone, Debug, Default)]
+pub struct BusTypes {
+    common: Vec<Arc<DeviceType>>,
+    /// By address, each with the time from which on it is there; empty if no type is known.
+    held: Vec<Vec<(Instant, Option<Arc<DeviceType>>)>>,
+}
+
+impl BusTypes {
+    /// Collects the types of a bus.
+    pub fn of(buses: &Buses, index: BusIndex) -> Self {
+        let catalogue = &buses.catalogue;
+        let Some(bus) = buses.get(index).filter(|_| !catalogue.is_empty()) else {
+            return Self::default();
+        };
+        let of_address = |address: Address| {
+            let holders = bus.names().holders(address).iter();
+            holders.map(|it| (it.since, bus.type_at(catalogue, address, it.since).cloned())).collect()
+        };
+        Self {
+            common: catalogue.common_types().to_vec(),
+            held: Address::all().map(of_address).collect(),
+        }
+    }
+
+    /// Returns what is known about a frame.
+    pub fn of_frame(&self, header: Header, frame: &Frame) -> FrameTypes<'_> {
+        let at = described_end(header).and_then(|address| self.held.get(address.index()));
+        let held = at.and_then(|held| {
+            let later = held.partition_point(|(since, _)| *since <= frame.time);
+            held.get(later.saturating_sub(1))?.1.as_deref()
+        });
+        FrameTypes { device: held, common: &self.common }
+    }
+}
+
+impl Bus {
+    /// Returns the type of the device that had an address at a moment.
+    fn type_at<'a>(
+        &self,
+        catalogue: &'a Catalogue,
+        address: Address,
+        time: Instant,
+    ) -> Option<&'a Arc<DeviceType>> {
+        let holder = self.names().holder_at(address, time)?;
+        let device = holder.device().and_then(|id| self.device(id));
+        let gid = device.and_then(gid_of);
+        let name = holder.name.as_ref().map(|name| name.as_bytes());
+        catalogue.type_of(gid, name).map(|(found, _)| found)
+    }
+}
+
+/// Returns the GID of a device, if it was read.
+fn gid_of(device: &Device) -> Option<Gid> {
+    match device.descriptor.value(DescriptorField::Gid) {
+        Some(DescriptorValue::Gid(gid)) => Some(gid),
+        _ => None,
+    }
+}
+
+impl Buses {
+    /// What is known of types of devices.
+    pub fn catalogue(&self) -> &Arc<Catalogue> {
+        &self.catalogue
+    }
+
+    /// Sets what is known of types of devices.
+    pub(in crate::app) fn set_catalogue(&mut self, catalogue: Arc<Catalogue>) {
+        self.catalogue = catalogue;
+    }
+
+    /// Returns a number that changes with the types of devices, other than by their names.
+    pub fn types_revision(&self) -> u64 {
+        if self.catalogue.is_empty() {
+            return self.catalogue.revision();
+        }
+        let gids = self.devices().filter_map(gid_of);
+        let bits = gids.map(|Gid(bytes)| {
+            bytes.iter().fold(1, |bits: u64, byte| bits << 8 | u64::from(*byte))
+        });
+        let add = |sum: u64, bits: u64| sum.wrapping_mul(0x0100_0000_01B3).wrapping_add(bits);
+        bits.fold(self.catalogue.revision(), add)
+    }
+
+    /// Returns the type of a device, and how it is known.
+    pub fn type_of(&self, device: &Device) -> Option<(&Arc<DeviceType>, TypeBasis)> {
+        let name = device.name.as_ref().map(|name| name.as_bytes());
+        self.catalogue.type_of(gid_of(device), name)
+    }
+
+    /// Returns what the catalogue says about a frame.
+    pub fn frame_types(&self, header: Header, frame: &Frame) -> FrameTypes<'_> {
+        self.types_at(frame.bus, described_end(header), frame.time)
+    }
+
+    /// Returns what the catalogue says about the device that had an address at a moment, and about all.
+    pub fn types_at(
+        &self,
+        index: BusIndex,
+        address: Option<Address>,
+        time: Instant,
+    ) -> FrameTypes<'_> {
+        if self.catalogue.is_empty() {
+            return FrameTypes::default();
+        }
+        let at = |address| self.get(index)?.type_at(&self.catalogue, address, time);
+        let device = address.and_then(at).map(|it| &**it);
+        FrameTypes { device, common: self.catalogue.common_types() }
+    }
+
+    /// Returns the name of a service on a bus: from the profile, else from the type of the device that
+    /// has it, from what all devices share, or from all types on the bus if they agree. `server`: the
+    /// device, and the moment.
+    pub fn service_name(
+        &self,
+        index: BusIndex,
+        service: Service,
+        server: Option<(Address, Instant)>,
+    ) -> Option<String> {
+        let bus = self.get(index)?;
+        if let Some(name) = bus.config().profile.service_name(service) {
+            return Some(name.to_owned());
+        }
+        if self.catalogue.is_empty() {
+            return None;
+        }
+        let at = |(address, time)| bus.type_at(&self.catalogue, address, time);
+        let own = server.and_then(at).and_then(|it| it.service(service));
+        let common = || self.catalogue.common().find_map(|it| it.service(service));
+        if let Some(known) = own.or_else(common) {
+            return Some(known.name.clone());
+        }
+        let mut names = self.types_on(bus).filter_map(|it| it.service(service)).map(|it| &it.name);
+        let first = names.next()?;
+        names.all(|name| name == first).then(|| first.clone())
+    }
+
+    /// Names of services on a bus by number, of the profile and of all types on it.
+    pub fn service_names(&self, index: BusIndex) -> BTreeMap<u16, BTreeSet<String>> {
+        let mut names = BTreeMap::<u16, BTreeSet<String>>::new();
+        let Some(bus) = self.get(index) else { return names };
+        let profile = &bus.config().profile;
+        let types = self.types_on(bus).map(|it| &**it).chain(self.catalogue.common());
+        for service in types.flat_map(|it| &it.services) {
+            if let Some(number) = service.number {
+                names.entry(number.number()).or_default().insert(service.name.clone());
+            }
+        }
+        for number in 0..=Service::MAX {
+            if let Some(name) = profile.service_name(Service::from_bits(number)) {
+                names.insert(number, BTreeSet::from([name.to_owned()]));
+            }
+        }
+        names
+    }
+
+    fn types_on<'a>(&'a self, bus: &'a Bus) -> impl Iterator<Item = &'a Arc<DeviceType>> {
+        let devices = if self.catalogue.is_empty() { &[] } else { bus.devices() };
+        devices.iter().filter_map(|device| self.type_of(device)).map(|(found, _)| found)
+    }
+}
