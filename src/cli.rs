@@ -211,6 +211,17 @@ Examples:
         #[command(subcommand)]
         command: Option<ProfileCommand>,
     },
+    /// Write the project file of the buses at hand, descan.toml
+    #[command(after_help = "\
+Enumerates the buses, as scan does, and writes descan.toml in this folder; one that is there is not \
+replaced.
+
+Exit code: 0 written, 2 wrong usage, 3 bus or file not usable, 130 interrupted.
+
+Examples:
+  descan init can0 can1
+  descan init can0 --profile boiler.toml")]
+    Init(InitArgs),
     /// List the types of devices that are known, and mistakes in their files
     #[command(after_help = "\
 Exit code: 0 fine, 1 a mistake in a file, 2 wrong usage, 3 file not readable.
@@ -601,6 +612,17 @@ pub struct SpeedArgs {
     pub json: bool,
 }
 
+/// `descan init`.
+#[derive(Debug, Args)]
+pub struct InitArgs {
+    /// Buses, and what concerns them.
+    #[command(flatten)]
+    pub session: SessionArgs,
+    /// Enumerate for SECONDS at most [default: 15]
+    #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
+    pub time: Option<Duration>,
+}
+
 /// `descan catalogue`.
 #[derive(Debug, Args)]
 pub struct CatalogueArgs {
@@ -638,6 +660,12 @@ pub struct CommonArgs {
     /// A folder with types of devices, in place of devices beside des.json; repeatable
     #[arg(long, value_name = "FOLDER")]
     pub catalogue: Vec<PathBuf>,
+    /// The project file [default: descan.toml in this folder or above]
+    #[arg(long, value_name = "FILE", conflicts_with = "no_project")]
+    pub project: Option<PathBuf>,
+    /// Take no project file
+    #[arg(long)]
+    pub no_project: bool,
     /// Never transmit; learn from other nodes' traffic
     #[arg(long)]
     pub listen_only: bool,
@@ -670,6 +698,8 @@ impl CommonArgs {
             file: None,
             profile,
             catalogue: Vec::new(),
+            project: None,
+            no_project: false,
             listen_only: true,
             no_scan: false,
             address: None,

@@ -31,6 +31,7 @@
 //! * [`app`]: all state of the program, without I/O; [`keymap`]: its actions and keys.
 //! * [`theme`], [`ui`]: colours; drawing.
 //! * [`regular_file`]: bounded reading of files.
+//! * [`project`]: the project file.
 //! * [`bus`]: frames from and to interfaces, adapters, servers, logs and simulations.
 //! * [`shell`]: event loop, terminal, files, signals.
 //! * [`guide`]: what a user looks up: `descan help`, `descan man`.
@@ -88,6 +89,8 @@ pub mod commands;
 pub mod guide;
 #[cfg(feature = "program")]
 pub mod keymap;
+#[cfg(feature = "program")]
+pub mod project;
 #[cfg(feature = "program")]
 pub mod regular_file;
 #[cfg(feature = "program")]

@@ -73,6 +73,7 @@ mod play;
 mod problem_page;
 mod problems;
 mod profile_learning;
+mod project_facts;
 mod proof;
 mod saved_filters;
 mod sent_commands;
@@ -142,6 +143,7 @@ pub use problems::{
     ProblemList, Scope, SideBasis, format_duration, growing_length_text, is_about, length_text,
 };
 use profile_learning::ProfileLearners;
+pub use project_facts::{ProjectFacts, RedundantTask, TaskDevice, TaskEnd, TaskState};
 pub use profile_learning::{ProfileReview, ProfileRow};
 pub use saved_filters::{MAX_SAVED_FILTERS, SavedFilter, SavedFilterChange};
 pub use sent_commands::EndedCommand;
@@ -247,6 +249,8 @@ pub struct AppOptions {
     pub capture_room: Option<usize>,
     /// What is known of types of devices.
     pub catalogue: Arc<Catalogue>,
+    /// What the project says about the buses.
+    pub project: Arc<ProjectFacts>,
     /// Learn the profile of each bus from its frames.
     pub learns_profile: bool,
     /// Capture no frames, and count neither their identifiers nor calls: nothing reads them.
@@ -429,10 +433,12 @@ impl App {
         let mut event_filter = options.event_filter;
         // Events of a log may be of any time.
         event_filter.resolve(filter::WallClock { wall_start: clock.wall_start(), now: None });
+        let mut buses = Buses::new(now, options.buses);
+        buses.set_project(options.project);
         let mut app = Self {
             clock,
             logs: options.logs,
-            buses: RecordedBuses::new(now, Buses::new(now, options.buses), buses_room),
+            buses: RecordedBuses::new(now, buses, buses_room),
             traffic: if options.without_capture {
                 Traffic::off()
             } else {

@@ -37,7 +37,7 @@ impl App {
     }
 
     /// The moment that is shown.
-    pub(super) fn shown_time(&self) -> Instant {
+    pub(crate) fn shown_time(&self) -> Instant {
         self.past.as_ref().map_or(self.clock.now(), |past| past.moment.time)
     }
 

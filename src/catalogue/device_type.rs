@@ -106,16 +106,16 @@ struct DebugMessageEntry {
 }
 
 /// A mistake in a file: the name of the value, and what is wrong about it.
-struct EntryFault {
+struct TypeFault {
     key: &'static str,
     message: String,
 }
 
-fn fault(key: &'static str, message: impl Into<String>) -> EntryFault {
-    EntryFault { key, message: message.into() }
+fn fault(key: &'static str, message: impl Into<String>) -> TypeFault {
+    TypeFault { key, message: message.into() }
 }
 
-fn line_of(key: &'static str, text: Option<String>) -> Result<String, EntryFault> {
+fn line_of(key: &'static str, text: Option<String>) -> Result<String, TypeFault> {
     let text = text.unwrap_or_default();
     if text.chars().count() > MAX_LINE || text.chars().any(|c| !crate::text::is_printable(c)) {
         let message = format!("at most {MAX_LINE} printable characters on one line");
@@ -129,7 +129,7 @@ fn number_of(number: u16, what: &str) -> Result<Service, String> {
 }
 
 impl DeviceTypeEntry {
-    fn checked(self) -> Result<DeviceType, EntryFault> {
+    fn checked(self) -> Result<DeviceType, TypeFault> {
         let gid = self.gid.map(|text| {
             let digits = text.replace([' ', ':'], "");
             Gid::parse(&digits).filter(|gid| !gid.is_blank()).ok_or_else(|| {
@@ -213,7 +213,7 @@ impl DeviceType {
     pub fn parse(text: &str) -> Result<Self, TomlError> {
         let entry: DeviceTypeEntry =
             toml::from_str(text).map_err(|error| TomlError::of(text, &error))?;
-        entry.checked().map_err(|EntryFault { key, message }| {
+        entry.checked().map_err(|TypeFault { key, message }| {
             TomlError::new(text, ValuePlaces::of(text).get(key), message)
         })
     }

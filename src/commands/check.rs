@@ -17,7 +17,7 @@ use std::fmt::Write as _;
 /// Runs it.
 pub fn run(check: &CheckArgs) -> Result<u8, Failure> {
     let buses = open::buses(&check.run.session)?;
-    let setup = Setup::new(&check.run.session.common)?;
+    let setup = Setup::for_buses(&check.run.session.common, &buses)?;
     let log = open::log(&buses, "check", check.run.from)?;
     let RunOutcome { app, now, ending, recording } = if let Some(log) = log {
         read_log(log, (check.run.from, check.run.time), &setup, require_file)?

@@ -90,7 +90,7 @@ pub fn run(args: &DeviceArgs, task: DeviceTask) -> Result<u8, Failure> {
     if args.common.listen_only {
         return Err(Failure::Unusable("listen-only: no requests are sent".to_owned()));
     }
-    let mut setup = Setup::new(&args.common)?;
+    let mut setup = Setup::for_buses(&args.common, std::slice::from_ref(&args.bus))?;
     // The device alone is asked.
     Arc::make_mut(&mut setup.config.profile).descriptor.auto = false;
     let time = args.time.unwrap_or(DEFAULT_TIME);

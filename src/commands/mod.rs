@@ -10,11 +10,13 @@ mod diff;
 mod gate;
 mod guide;
 mod headless;
+mod init;
 mod learn;
 mod log;
 mod open;
 pub mod output;
 mod profile;
+mod project;
 mod report;
 mod scan;
 mod simulate;
@@ -94,6 +96,7 @@ pub fn run(cli: Cli) -> ExitCode {
         Some(Command::Man { name }) => guide::man(name.as_deref()),
         Some(Command::Help { name }) => guide::help(name.as_deref()),
         Some(Command::Profile { command }) => profile::run(command.as_ref()),
+        Some(Command::Init(args)) => init::run(&args),
         Some(Command::Catalogue(args)) => catalogue::run(&args),
         Some(Command::Schema) => print_own(crate::document::SCHEMA.as_bytes()).map(|()| EXIT_OK),
     };

@@ -1,7 +1,9 @@
 //! From arguments to an open session: profile, settings, buses, des.json.
 
 use super::{Failure, output};
-use crate::app::{App, AppOptions, BusSelection, Filter, FrameSelector, RowKind, Signs};
+use crate::app::{
+    App, AppOptions, BusSelection, Filter, FrameSelector, ProjectFacts, RowKind, Signs,
+};
 use crate::bus::{self, BusSpec, CanInterface, Clock, LogDates, Options, Port};
 use crate::catalogue::{Catalogue, CatalogueText};
 use crate::cli::{self, CommonArgs, SessionArgs as Arguments};
@@ -9,6 +11,7 @@ use crate::diagnostic::{Diagnostic, nearest_word};
 use crate::discovery::Config;
 use crate::frame::{BusIndex, IdFilter};
 use crate::keymap::Keymap;
+use crate::project::Project;
 use crate::regular_file::shown;
 use crate::shell::catalogue_folders::CatalogueFolders;
 use crate::shell::config::{ConfigFolder, UserSettings};
@@ -19,6 +22,7 @@ use crate::status::RecordingStatus;
 use crate::text::{SafeLines, printable};
 use crate::time::{Epoch, Instant};
 use crate::wire::profile::Profile;
+use std::collections::BTreeMap;
 use std::fs;
 use std::io::{self, IsTerminal};
 use std::path::{Path, PathBuf};
@@ -41,6 +45,10 @@ pub struct Setup {
     pub profile: Option<PathBuf>,
     /// Where des.json is.
     pub file: PathBuf,
+    /// Names of simulated buses that the project has, by their arguments.
+    pub bus_names: BTreeMap<String, String>,
+    /// What the project says about the buses.
+    pub project: Arc<ProjectFacts>,
     /// What is known of types of devices.
     pub catalogue: Arc<Catalogue>,
     /// Where it is read from, and what was read.
@@ -71,6 +79,18 @@ impl Setup {
     /// # Errors
     /// The profile cannot be used, or the filter of the recording has a mistake.
     pub fn new(common: &CommonArgs) -> Result<Self, Failure> {
+        Self::for_buses(common, &[])
+    }
+
+    /// The same, with the des.json of these buses.
+    ///
+    /// # Errors
+    /// As [`Setup::new`]; or the project has a mistake, or another des.json for each of the buses.
+    pub fn for_buses(common: &CommonArgs, buses: &[BusSpec]) -> Result<Self, Failure> {
+        let project = super::project::of(common, true)?;
+        let project = project.map(|(_, project)| project);
+        let profile_path =
+            common.profile.clone().or_else(|| project.as_ref()?.profile.clone());
         let folder = ConfigFolder::of_user();
         let settings = folder.as_ref().map_or(Ok(UserSettings::default()), ConfigFolder::settings);
         let mut warnings = Vec::new();
@@ -79,7 +99,7 @@ impl Setup {
         let keymap = keymap.unwrap_or_else(|why| warn(&mut warnings, &why));
         let built_in = Config::default();
         let config = Config {
-            profile: Arc::new(profile(common.profile.as_deref())?),
+            profile: Arc::new(profile(profile_path.as_deref())?),
             listen_only: common.listen_only,
             send_requests: !common.no_scan,
             address: common.address,
@@ -90,7 +110,11 @@ impl Setup {
             seed: fastrand::u64(..),
             ..built_in
         };
-        let file = common.file.clone().unwrap_or_else(default_file);
+        let file = match (&common.file, &project) {
+            (Some(file), _) => file.clone(),
+            (None, None) => default_file(),
+            (None, Some(project)) => project.file_of(buses).map_err(files_differ)?,
+        };
         let signs = settings.signs.as_deref().and_then(Signs::from_name);
         let theme = settings.theme;
         let max_bytes = common.record_size.map(|Size(bytes)| bytes);
@@ -104,8 +128,10 @@ impl Setup {
             folder,
             keymap,
             config,
-            profile: common.profile.clone(),
+            profile: profile_path,
             file,
+            bus_names: project.as_ref().map(simulated_names).unwrap_or_default(),
+            project: Arc::new(project.as_ref().map(Project::facts).unwrap_or_default()),
             catalogue: Arc::default(),
             catalogue_files: Default::default(),
             record,
@@ -118,9 +144,11 @@ impl Setup {
             signs,
             warnings,
         };
-        setup.read_catalogue(match &common.catalogue[..] {
-            [] => CatalogueFolders::beside(&setup.file),
-            folders => CatalogueFolders::of(folders.to_vec()),
+        let own = project.and_then(|project| project.catalogue);
+        setup.read_catalogue(match (&common.catalogue[..], own) {
+            ([], Some(own)) => CatalogueFolders::of(own),
+            ([], None) => CatalogueFolders::beside(&setup.file),
+            (folders, _) => CatalogueFolders::of(folders.to_vec()),
         });
         Ok(setup)
     }
@@ -238,7 +266,10 @@ pub fn profile(path: Option<&Path>) -> Result<Profile, Failure> {
 /// A word names no bus, a bus is named twice, or none is named and there is not exactly one CAN
 /// interface.
 pub fn buses(arguments: &Arguments) -> Result<Vec<BusSpec>, Failure> {
-    let buses: Vec<BusSpec> = arguments.buses.iter().map(known).collect::<Result<_, _>>()?;
+    let mut buses: Vec<BusSpec> = arguments.buses.iter().map(known).collect::<Result<_, _>>()?;
+    if buses.is_empty() {
+        buses = super::project::buses(&arguments.common)?;
+    }
     let stdins = buses.iter().filter(|bus| **bus == BusSpec::Stdin).count();
     if stdins > 1 {
         return Err(Failure::Usage("standard input (-) can be read only once".to_owned()));
@@ -271,6 +302,19 @@ const NAME_A_BUS: &str = "name a bus (descan can0, descan file:LOG), or try it o
 
 fn names_of(interfaces: &[CanInterface]) -> String {
     interfaces.iter().map(|it| it.name.as_str()).collect::<Vec<_>>().join(", ")
+}
+
+/// Names of simulated buses by their arguments, which have the whole path of the scenario.
+fn simulated_names(project: &Project) -> BTreeMap<String, String> {
+    let simulated = project.buses.iter().filter(|bus| matches!(bus.spec, BusSpec::Sim(_)));
+    simulated.map(|bus| (bus.spec.to_string(), bus.name.clone())).collect()
+}
+
+/// Why buses of a project cannot be open together.
+fn files_differ((one, other): (String, String)) -> Failure {
+    Failure::Usage(format!(
+        "{one} and {other} have different des.json in the project; open one of them: descan {one}"
+    ))
 }
 
 /// Returns what a BUS argument names: a word is an interface, or a log in this folder.
@@ -441,7 +485,8 @@ pub fn session(
         let listens_first = setup.listens_first || has_unknown_rate(spec);
         let options = Options { listen_only, listens_first, only };
         let port = bus::open(spec, index, clock.clone(), options)?;
-        named.push((port.name().to_owned(), Config { listen_only, ..setup.config.clone() }));
+        let name = setup.bus_names.get(port.name()).map_or(port.name(), String::as_str);
+        named.push((name.to_owned(), Config { listen_only, ..setup.config.clone() }));
         ports.push(port);
     }
     let options = AppOptions {
@@ -450,6 +495,7 @@ pub fn session(
         logs: logs_of(buses),
         file_path: Some(setup.file.clone()),
         catalogue: Arc::clone(&setup.catalogue),
+        project: Arc::clone(&setup.project),
         ..options
     };
     let app = App::new(start, options);

@@ -9,7 +9,7 @@ use crate::app::{
 };
 use crate::bitrate::kbit;
 use crate::catalogue::TypeBasis;
-use crate::discovery::{Device, DeviceDescriptor, DeviceService, FieldContent, OwnAddress};
+use crate::discovery::{DebugCount, Device, DeviceDescriptor, DeviceService, FieldContent, OwnAddress};
 use crate::finding::{
     Evidence, ExitCodeScope, Finding, FindingKey, FindingKind, FindingState, SeenUid,
 };
@@ -90,6 +90,7 @@ struct DeviceReport {
     other_services: Vec<Vec<ServiceReport>>,
     heartbeat: HeartbeatReport,
     descriptor: DescriptorReport,
+    debug: DebugReport,
     /// `null` if the catalogue has none for it.
     #[serde(rename = "type")]
     device_type: Option<DeviceTypeReport>,
@@ -498,6 +499,7 @@ fn of_device(app: &App, bus: &Bus, device: &Device) -> DeviceReport {
             period_uncertainty_ppm: error.map(|error| tenths(error.uncertainty)),
         },
         descriptor: of_descriptor(&device.descriptor, app, bus),
+        debug: of_debug(app, device),
         device_type: of_type(app, device),
         file: of_entry(app, device),
         also: of_siblings(app, device),
@@ -506,6 +508,37 @@ fn of_device(app: &App, bus: &Bus, device: &Device) -> DeviceReport {
             .map_or_else(Vec::new, |finding| finding.uids.iter().map(SeenUid::label).collect()),
         clash,
     }
+}
+
+/// DEBUG messages of a device.
+#[derive(Debug, Serialize)]
+struct DebugReport {
+    count: u64,
+    /// By code, at most 32.
+    codes: Vec<DebugCodeReport>,
+}
+
+#[derive(Debug, Serialize)]
+struct DebugCodeReport {
+    code: u16,
+    name: Option<String>,
+    count: u64,
+    last: f64,
+}
+
+fn of_debug(app: &App, device: &Device) -> DebugReport {
+    let (bus, at) = (device.id.bus, Some(device.address));
+    let of_code = |known: &DebugCount| DebugCodeReport {
+        code: known.code.number(),
+        name: app
+            .shown_buses()
+            .types_at(bus, at, known.last)
+            .debug_name(&app.profile(bus), known.code),
+        count: known.count,
+        last: app.epoch().unix_secs(known.last),
+    };
+    let codes = device.debug_messages.by_code().iter().map(of_code).collect();
+    DebugReport { count: device.debug_messages.total(), codes }
 }
 
 /// The type of a device in the catalogue.

@@ -30,7 +30,7 @@ pub fn run(scan: &ScanArgs) -> Result<u8, Failure> {
         Store::new(path).check_new().map_err(|fault| fault.of(shown(path)))?;
     }
     let buses = open::buses(&scan.run.session)?;
-    let setup = Setup::new(&scan.run.session.common)?;
+    let setup = Setup::for_buses(&scan.run.session.common, &buses)?;
     let log = open::log(&buses, "scan", scan.run.from)?;
     if scan.stay.is_some() && log.is_some() {
         return Err(Failure::Usage("--for needs a live bus; for a log use --time".to_owned()));

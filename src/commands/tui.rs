@@ -40,10 +40,15 @@ const SAVE_TIMEOUT: Duration = Duration::from_millis(600);
 /// `descan [BUS…]`.
 pub fn ui(arguments: &Arguments, speed: Option<f64>, screen: &ScreenArgs) -> Result<u8, Failure> {
     let has_terminal = std::io::stdout().is_terminal();
+    let mut arguments = arguments.clone();
+    if arguments.buses.is_empty() && has_terminal {
+        arguments.buses = super::project::buses(&arguments.common)?;
+    }
+    let arguments = &arguments;
     if arguments.buses.is_empty() && !has_terminal {
         return list_without_terminal();
     }
-    let chooser = || Chooser::new(&arguments.common, screen);
+    let chooser = || Chooser::new(&arguments.common, &arguments.buses, screen);
     if arguments.buses.is_empty() && std::io::stdin().is_terminal() {
         if speed.is_some() {
             let why = "--speed needs a log: descan file:LOG --speed 10";
@@ -144,8 +149,12 @@ struct Chooser<'a> {
 }
 
 impl<'a> Chooser<'a> {
-    fn new(common: &CommonArgs, screen: &'a ScreenArgs) -> Result<Self, Failure> {
-        let setup = Setup::new(common)?;
+    fn new(
+        common: &CommonArgs,
+        buses: &[BusSpec],
+        screen: &'a ScreenArgs,
+    ) -> Result<Self, Failure> {
+        let setup = Setup::for_buses(common, buses)?;
         let scouting = ScoutSettings {
             profile: Arc::clone(&setup.config.profile),
             utc_offset_seconds: open::utc_offset_seconds(),
@@ -234,7 +243,8 @@ enum Ending {
 /// `descan demo`: a simulated bus, and a des.json of its own in a temporary folder.
 pub fn demo(system: &str, common: &CommonArgs, screen: &ScreenArgs) -> Result<u8, Failure> {
     needs_terminal()?;
-    let mut chooser = Chooser::new(common, screen)?;
+    let common = &CommonArgs { no_project: true, project: None, ..common.clone() };
+    let mut chooser = Chooser::new(common, &[], screen)?;
     if common.profile.is_none() {
         // Its devices are known: their numbers are given.
         let scenario = Scenario::builtin(system).context("the demo's scenario")?;

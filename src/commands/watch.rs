@@ -36,7 +36,7 @@ use unicode_width::UnicodeWidthStr;
 pub fn run(watch: &WatchArgs) -> Result<u8, Failure> {
     let buses = open::buses(&watch.run.session)?;
     open::check_speed(watch.speed, &buses)?;
-    let mut setup = Setup::new(&watch.run.session.common)?;
+    let mut setup = Setup::for_buses(&watch.run.session.common, &buses)?;
     let interest = open::filter("--filter", watch.filter.as_deref(), RowKind::Event)?;
     setup.only = frames_of_interest(&interest, &setup);
     let options = AppOptions {

@@ -4,6 +4,7 @@
 //! (protocol §5.1). Changed only by the [`super::Engine`].
 
 use super::ServicesNews;
+use super::debug_messages::DebugCounts;
 use super::descriptors::DeviceDescriptor;
 use super::period_error::{PeriodError, PeriodMeter};
 use crate::frame::{BusIndex, Frame};
@@ -511,6 +512,8 @@ pub struct Device {
     pub services_query: Query,
     /// What it says of itself and of its configuration.
     pub descriptor: DeviceDescriptor,
+    /// DEBUG messages from it.
+    pub debug_messages: DebugCounts,
     /// Deviations from the platform, each once.
     pub deviations: Vec<ProtocolDeviation>,
     /// Mode changes, oldest first, at most 16.
@@ -571,6 +574,7 @@ impl Device {
             name_query: Query::default(),
             services_query: Query::default(),
             descriptor: DeviceDescriptor::default(),
+            debug_messages: DebugCounts::default(),
             deviations: Vec::new(),
             mode_history: VecDeque::new(),
             first_seen: now,

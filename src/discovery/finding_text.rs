@@ -122,7 +122,10 @@ pub(super) fn describe(finding: &mut Finding, is_certain: bool) {
         | FindingKind::FixedBitrateDiffers
         | FindingKind::FixedAddressDiffers
         | FindingKind::TypeServicesDiffer
-        | FindingKind::CatalogueDiffers => return,
+        | FindingKind::CatalogueDiffers
+        | FindingKind::TaskFailed
+        | FindingKind::RedundancyLost
+        | FindingKind::BitrateDiffers => return,
     };
     finding.remedy = if finding.key.kind == FindingKind::TwoDebugDevices && concerns_own_address {
         "No action needed: descan moves to another address. Or quit the other tool.".to_owned()

@@ -54,6 +54,7 @@ mod bus_protocol;
 mod claims;
 mod config;
 mod conflicts;
+mod debug_messages;
 mod descriptors;
 mod device;
 mod device_requests;
@@ -86,6 +87,7 @@ mod transfers;
 pub use bus_protocol::{BusTraffic, BusVerdict};
 pub use claims::AddressSender;
 pub use config::Config;
+pub use debug_messages::{DebugCount, DebugCounts};
 pub use descriptors::{DeviceDescriptor, FieldContent, FieldReading, given_fields};
 pub use device::{
     Device, DeviceId, DeviceService, HeartbeatStats, ModeChange, Presence, ProtocolDeviation,

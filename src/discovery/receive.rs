@@ -140,6 +140,9 @@ impl Engine {
         }
         match content {
             PlatformContent::Debug => {
+                if let Some(device) = self.tracker.device_table.get_mut(row) {
+                    device.debug_messages.note(now, header.service);
+                }
                 let (code, data) = (header.service.number(), frame.data().to_vec());
                 self.tracker.emit(row, EventKind::DebugMessage { code, data });
                 return;

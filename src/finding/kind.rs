@@ -427,6 +427,46 @@ finding_kinds! {
         },
         at_address: None,
     },
+    /// All devices of a redundant task of the project fail.
+    TaskFailed: FindingKindInfo {
+        name: "task-failed",
+        severity: 82,
+        grouping: Grouping::Single,
+        exit_code_of: ExitCodeScope::Check(CheckSection::Missing),
+        wording: Wording {
+            headline: "no device does the task",
+            remedy: "Check power, wiring and mode of each of them.",
+            confirmation: None,
+        },
+        at_address: None,
+    },
+    /// One device of a redundant task of the project fails, and another one works (CAN platform
+    /// §3.1.4).
+    RedundancyLost: FindingKindInfo {
+        name: "redundancy-lost",
+        severity: 62,
+        grouping: Grouping::Single,
+        exit_code_of: ExitCodeScope::Check(CheckSection::Missing),
+        wording: Wording {
+            headline: "redundancy lost",
+            remedy: "Repair the one that fails before the other one does.",
+            confirmation: None,
+        },
+        at_address: None,
+    },
+    /// A bus has another bit rate than the project says.
+    BitrateDiffers: FindingKindInfo {
+        name: "bit-rate-differs",
+        severity: 83,
+        grouping: Grouping::Single,
+        exit_code_of: ExitCodeScope::Check(CheckSection::SettingsDiffer),
+        wording: Wording {
+            headline: "bit rate differs from the project",
+            remedy: "Set the interface to {project rate}, or correct descan.toml if the devices have {rate}.",
+            confirmation: None,
+        },
+        at_address: None,
+    },
     /// A device has other services than the catalogue says of its type.
     CatalogueDiffers: FindingKindInfo {
         name: "catalogue-differs",

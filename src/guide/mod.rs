@@ -54,7 +54,8 @@ topics! {
     "scripting" "scripting" ["scan" "check" "watch" "diff" "log"] "scan, check, watch, diff and log: JSON, exit codes, CI";
     "recording" "recording" [] "recording to a file, logs and their replay";
     "profiles" "profiles" ["profile"] "values that the protocol leaves open";
-    "catalogue" "catalogue" ["catalogue"] "types of devices: names and data of services";
+    "project" "project" ["init"] "descan.toml: the buses and files of a system";
+    "device-types" "device-types" ["catalogue"] "the catalogue: names and data of services by type";
     "commands" "commands" ["identify" "mode" "restart" "address" "bitrate" "descriptor"] "commands to one device, and its descriptor";
     "settings" "settings" [] "config.toml, keys.toml, themes, and all files used";
     "scenarios" "scenarios" ["demo" "sim"] "the demo, and simulated devices of your own";

@@ -15,6 +15,7 @@
 //! bus_picker      the list of buses           bus_scout     what can be opened, as it changes
 //! bus_offers      interfaces, adapters, logs  background_colour   that of the terminal
 //! catalogue_folders  files of types of devices
+//! project_search  descan.toml, in this folder or above
 //! recent_logs     logs opened before, and what was found in them
 //! waiting         futures for optional sources
 //! ```
@@ -33,6 +34,7 @@ pub mod file_watcher;
 pub mod log_input;
 pub mod paint_pace;
 pub mod painted_screen;
+pub mod project_search;
 pub mod recent_logs;
 pub mod recorder;
 pub mod recovery;

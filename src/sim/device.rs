@@ -361,9 +361,14 @@ impl SimDevice {
         let chatter = self.spec.periodic_messages[at];
         let period = self.in_device_clock(nanos_of(chatter.period));
         self.chatter_at[at] = port.now + period;
-        let Some(address) = self.address.filter(|_| self.is_working()) else { return };
+        let may_send = self.is_working() || chatter.is_debug;
+        let Some(address) = self.address.filter(|_| may_send) else { return };
         let rnd7 = self.rng.u8(0..128);
-        let header = Header::unsolicited(address, rnd7, false, chatter.service);
+        let mut header = Header::unsolicited(address, rnd7, false, chatter.service);
+        if chatter.is_debug {
+            (header.from_non_working, header.to_non_working) = (true, true);
+            header.destination = Address::from_bits(127);
+        }
         self.chatter_count = self.chatter_count.wrapping_add(1);
         let mut data = [0; Frame::MAX_DATA];
         let count = self.chatter_count.to_le_bytes();

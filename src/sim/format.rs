@@ -24,7 +24,7 @@
 //! tolerance_ppm = 40
 //! delay_us = [200, 1000]              # before responses
 //! faults = ["drop-frame"]             # see Fault
-//! chatter = [{ service = 0x130, period_ms = 250, length = 8 }]
+//! chatter = [{ service = 0x130, period_ms = 250, length = 8, debug = false }]
 //! gid = "010203040506"
 //! serial = 7
 //! firmware = [2, 1]
@@ -183,6 +183,8 @@ struct ChatterWritten {
     period_ms: f64,
     #[serde(default = "eight")]
     length: u8,
+    #[serde(default)]
+    debug: bool,
 }
 
 const fn eight() -> u8 {
@@ -330,7 +332,8 @@ impl DeviceWritten {
                     place.out_of_range("chatter.service", &chatter.service, "0 to 1023")
                 })?;
                 let period = place.period("chatter.period_ms", chatter.period_ms)?;
-                Ok(PeriodicMessage { service, period, length: chatter.length })
+                let (length, is_debug) = (chatter.length, chatter.debug);
+                Ok(PeriodicMessage { service, period, length, is_debug })
             })
             .collect::<Result<_, ScenarioError>>()?;
         let mut descriptor = Descriptor { serial: self.serial, ..defaults.descriptor };

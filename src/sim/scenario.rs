@@ -200,6 +200,8 @@ pub struct PeriodicMessage {
     pub period: Duration,
     /// Bytes per frame, 0 to 8 (0 to 64 for a device with FD).
     pub length: u8,
+    /// A DEBUG message, whose code is the service number.
+    pub is_debug: bool,
 }
 
 /// Descriptor fields on which nothing else depends (protocol §7.4).
@@ -372,6 +374,7 @@ impl DeviceSpec {
             service: Service::from_bits(service),
             period,
             length,
+            is_debug: false,
         });
         self
     }

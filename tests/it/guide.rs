@@ -1,5 +1,7 @@
 //! The guide is complete, its references resolve, and its examples work.
 
+use descan::catalogue::DeviceType;
+use descan::project::Project;
 use descan::app::{FILTER_FIELDS, FILTER_WORDS};
 use descan::cli;
 use descan::document::Document;
@@ -292,6 +294,8 @@ fn examples_are_accepted() {
                 let settings = folder.settings().unwrap();
                 assert!(settings.theme.is_some() && settings.steady_share.is_some());
             }
+            "toml device type" => drop(DeviceType::parse(&text).unwrap()),
+            "toml descan.toml" => drop(Project::parse(&text, Path::new("")).unwrap()),
             "toml theme" => drop(Theme::parse("own", &text, |_| None).unwrap()),
             "text" => {}
             other => panic!("{name}: a block is marked \"{other}\""),

@@ -9,6 +9,7 @@ mod bitrate_search;
 mod builtin_scenarios;
 mod bus_outages;
 mod candump;
+mod catalogue;
 mod check;
 #[path = "../checks/mod.rs"]
 mod checks;

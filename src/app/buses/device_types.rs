@@ -196,8 +196,8 @@ impl Buses {
     }
 
     /// Returns the name of a service on a bus: from the profile, else from the type of the device that
-    /// has it, from what all devices share, or from all types on the bus if they agree. `server`: the
-    /// device, and the moment.
+    /// has it, or from what all devices share; without a device from all types on the bus, if they
+    /// agree. `server`: the device, and the moment.
     pub fn service_name(
         &self,
         index: BusIndex,
@@ -217,25 +217,25 @@ impl Buses {
         if let Some(known) = own.or_else(common) {
             return Some(known.name.clone());
         }
+        if server.is_some() {
+            return None;
+        }
         let mut names = self.types_on(bus).filter_map(|it| it.service(service)).map(|it| &it.name);
         let first = names.next()?;
         names.all(|name| name == first).then(|| first.clone())
     }
 
-    /// Names of services on a bus by number, of the profile and of all types on it.
-    pub fn service_names(&self, index: BusIndex) -> BTreeMap<u16, BTreeSet<String>> {
+    /// Names of services by number, of all types on a bus, where the profile has none.
+    pub fn service_names_of_types(&self, index: BusIndex) -> BTreeMap<u16, BTreeSet<String>> {
         let mut names = BTreeMap::<u16, BTreeSet<String>>::new();
         let Some(bus) = self.get(index) else { return names };
         let profile = &bus.config().profile;
         let types = self.types_on(bus).map(|it| &**it).chain(self.catalogue.common());
         for service in types.flat_map(|it| &it.services) {
-            if let Some(number) = service.number {
+            if let Some(number) = service.number
+                && profile.service_name(number).is_none()
+            {
                 names.entry(number.number()).or_default().insert(service.name.clone());
-            }
-        }
-        for number in 0..=Service::MAX {
-            if let Some(name) = profile.service_name(Service::from_bits(number)) {
-                names.insert(number, BTreeSet::from([name.to_owned()]));
             }
         }
         names

@@ -25,6 +25,7 @@ pub use load_second::LoadSecond;
 pub use load_shares::{LoadShares, ShareCounts};
 pub use redundancy::{Redundancy, RedundantDevice};
 
+use super::project_facts::ProjectFacts;
 use super::timeline_kind::TimelineKind;
 use crate::catalogue::Catalogue;
 use crate::discovery::{
@@ -54,6 +55,8 @@ pub struct Buses {
     searched: Option<BusIndex>,
     /// What is known of types of devices.
     catalogue: Arc<Catalogue>,
+    /// What the project says about the buses.
+    project: Arc<ProjectFacts>,
 }
 
 impl Buses {
@@ -64,6 +67,7 @@ impl Buses {
             redundant: RedundantDevices::default(),
             searched: None,
             catalogue: Arc::default(),
+            project: Arc::default(),
         };
         for (name, config) in buses {
             all.add(now, name, config);
@@ -90,6 +94,16 @@ impl Buses {
     #[expect(clippy::iter_without_into_iter, reason = "loops name what they go through")]
     pub fn iter(&self) -> std::slice::Iter<'_, Bus> {
         self.list.iter()
+    }
+
+    /// What the project says about the buses.
+    pub fn project(&self) -> &ProjectFacts {
+        &self.project
+    }
+
+    /// Sets what the project says about the buses: before anything is received.
+    pub(super) fn set_project(&mut self, project: Arc<ProjectFacts>) {
+        self.project = project;
     }
 
     /// Approximate size in bytes, as of a copy.

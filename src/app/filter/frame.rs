@@ -19,6 +19,7 @@ use crate::time::Instant;
 use crate::wire::id::{Address, Header, MessageType, Service};
 use crate::wire::node::{Heartbeat, Mode, Uid};
 use crate::wire::profile::Profile;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 /// Number of service numbers.
@@ -132,14 +133,19 @@ impl NamedAddresses {
     }
 }
 
-/// A set of services, a bit for each.
+/// A set of services.
 #[derive(Debug)]
-struct Services([u64; SERVICES / 64]);
+struct Services {
+    /// A bit for each number that is in the set on all devices.
+    numbers: [u64; SERVICES / 64],
+    /// Names in the set, of numbers that have a name on some types of devices.
+    by_type: BTreeMap<u16, BTreeSet<String>>,
+}
 
 impl Services {
     fn contains(&self, service: Service) -> bool {
         let number = usize::from(service.number());
-        self.0.get(number / 64).is_some_and(|word| word >> (number % 64) & 1 != 0)
+        self.numbers.get(number / 64).is_some_and(|word| word >> (number % 64) & 1 != 0)
     }
 }
 
@@ -315,15 +321,19 @@ impl Lookup<'_> {
     /// Services whose name and number `fits` accepts.
     fn services(&self, fits: impl Fn(&str, u16) -> bool) -> Vec<Services> {
         let of_bus = |index: usize| {
-            let names = self.buses.service_names(BusIndex(index as u8));
-            let mut set = Services([0; SERVICES / 64]);
+            let index = BusIndex(index as u8);
+            let profile = self.buses.profile(index);
+            let mut set = Services { numbers: [0; SERVICES / 64], by_type: BTreeMap::new() };
             for number in 0..SERVICES as u16 {
-                let is_in = match names.get(&number) {
-                    Some(names) => names.iter().any(|name| fits(name, number)),
-                    None => fits("", number),
-                };
-                if is_in {
-                    set.0[usize::from(number) / 64] |= 1 << (number % 64);
+                let name = profile.service_name(Service::from_bits(number)).unwrap_or_default();
+                if fits(name, number) {
+                    set.numbers[usize::from(number) / 64] |= 1 << (number % 64);
+                }
+            }
+            for (number, mut names) in self.buses.service_names_of_types(index) {
+                names.retain(|name| fits(name, number));
+                if !names.is_empty() {
+                    set.by_type.insert(number, names);
                 }
             }
             set
@@ -454,7 +464,15 @@ impl TestedFrame<'_> {
 
     fn is_service_in(&self, set: Option<&Services>) -> bool {
         let (Some(header), Some(set)) = (self.header, set) else { return false };
-        self.role != FrameRole::Debug && set.contains(header.service)
+        if self.role == FrameRole::Debug {
+            return false;
+        }
+        set.contains(header.service)
+            || set.by_type.get(&header.service.number()).is_some_and(|names| {
+                let to_all = !header.response && header.broadcast;
+                let own = self.frame_types().service(header.service);
+                own.map_or(to_all, |service| names.contains(&service.name))
+            })
     }
 
     fn has_word(&self, word: &WordTest) -> bool {

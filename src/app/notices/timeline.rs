@@ -1,7 +1,7 @@
 //! Timeline: one line per event of devices, buses, the file and edits. Lines outlive the devices.
 //!
-//! Bounded: 4096 lines. A line that repeats one of the last 8 within 5 s is counted instead of
-//! added, and moves to the end.
+//! Bounded: 4096 lines. A line that repeats one of the last 8 within 5 s, or is of a DEBUG message
+//! with the same code, is counted instead of added, and moves to the end.
 
 use super::event_text::{event_word, finding_line, other_names};
 use crate::app::buses::Buses;
@@ -40,6 +40,8 @@ pub struct TimelineEntry {
     pub mode: Option<Mode>,
     /// Kind of the finding, where the line reports one.
     pub finding: Option<FindingKind>,
+    /// Code of the DEBUG message, where the line reports one.
+    pub debug_code: Option<u16>,
     /// Event, for the user.
     pub text: String,
     /// Kind of event.
@@ -75,16 +77,21 @@ impl Timeline {
     /// Adds a line. A line that it repeats is removed and counted in it.
     pub fn push(&mut self, mut entry: TimelineEntry) {
         let last = self.entries.len().saturating_sub(Self::REPEAT_LINES)..self.entries.len();
+        // Of DEBUG messages a device may send hundreds a second, each with other parameters.
+        let is_same_message = |other: &TimelineEntry| {
+            entry.debug_code.is_some() && other.debug_code == entry.debug_code
+        };
         let repeated = last.rev().find(|&at| {
             let other = &self.entries[at];
             other.number >= self.held
                 && other.device == entry.device
                 && other.bus == entry.bus
-                && other.text == entry.text
+                && (other.text == entry.text || is_same_message(other))
                 && entry.time.since(other.last) <= Self::REPEAT_WITHIN
         });
         if let Some(repeated) = repeated.and_then(|at| self.entries.remove(at)) {
-            entry = TimelineEntry { times: repeated.times + 1, last: entry.time, ..repeated };
+            let TimelineEntry { text, time, .. } = entry;
+            entry = TimelineEntry { times: repeated.times + 1, last: time, text, ..repeated };
         }
         if self.entries.len() == Self::ENTRIES {
             self.entries.pop_front();
@@ -208,6 +215,7 @@ impl TimelineEntry {
             events: vec![kind.event_word()],
             mode: None,
             finding: None,
+            debug_code: None,
             text: text.into(),
             kind,
             times: 1,
@@ -224,6 +232,7 @@ impl TimelineEntry {
         match &event.kind {
             EventKind::Finding { key, .. } => line.finding = Some(key.kind),
             EventKind::Mode { to, .. } => line.mode = Some(*to),
+            EventKind::DebugMessage { code, .. } => line.debug_code = Some(*code),
             _ => {}
         }
         line

@@ -37,6 +37,7 @@ impl<'a> Comparison<'a> {
         let mut comparison = Self { inputs, found: Vec::new(), entries: Vec::new() };
         comparison.descriptors();
         comparison.catalogue();
+        comparison.project();
         if !inputs.has_file {
             return comparison;
         }

@@ -49,7 +49,7 @@ impl Comparison<'_> {
             else {
                 continue;
             };
-            let (label, by) = (label_of(device), match basis {
+            let (label, by) = (label_of_device(device), match basis {
                 TypeBasis::Gid => "by its GID",
                 TypeBasis::Name => "by its name",
             });
@@ -75,7 +75,7 @@ impl Comparison<'_> {
             return;
         }
         let fields = join_first(fields, NAMED, "; ");
-        let text = format!("{} sends a malformed descriptor: {fields}.", label_of(device));
+        let text = format!("{} sends a malformed descriptor: {fields}.", label_of_device(device));
         self.add_of(FindingKind::MalformedDescriptor, device, text, &[]);
         for reading in malformed {
             self.prove_by(device, reading.field);
@@ -93,7 +93,7 @@ impl Comparison<'_> {
         }
         let text = format!(
             "{} is set to {setting}, the bus has {}: it is lost at its next restart.",
-            label_of(device),
+            label_of_device(device),
             kbit(rate)
         );
         self.add_of(FindingKind::FixedBitrateDiffers, device, text, &[]);
@@ -158,8 +158,8 @@ impl Comparison<'_> {
                 let differences: Vec<String> = more.into_iter().chain(less).collect();
                 let text = format!(
                     "{} and {} are of one type (GID 0x{gid}, firmware {major}), but the first {}.",
-                    label_of(device),
-                    label_of(example),
+                    label_of_device(device),
+                    label_of_device(example),
                     differences.join(" and ")
                 );
                 self.add_of(FindingKind::TypeServicesDiffer, device, text, &[]);
@@ -187,7 +187,8 @@ impl Comparison<'_> {
     }
 }
 
-fn label_of(device: &Device) -> String {
+/// A device in a sentence: its name and its address.
+pub(in crate::app) fn label_of_device(device: &Device) -> String {
     let name = device.name.as_ref();
     let name = name.map_or("An unnamed device".to_owned(), |name| name.quoted().to_string());
     format!("{name} at {}", device.address)

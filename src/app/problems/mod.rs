@@ -11,9 +11,11 @@ mod headline;
 mod list;
 mod matching;
 mod missing_reason;
+mod project;
 mod sides;
 
 pub use comparison::Scope;
+pub(super) use descriptors::label_of_device;
 pub use group::{EvidenceItem, Problem, ProblemKey, is_about};
 pub(super) use headline::and_list;
 pub(super) use headline::label_of;

@@ -79,8 +79,8 @@ pub enum StoryChange {
     NoAck,
     /// They are acknowledged again.
     Acknowledged,
-    /// A DEBUG message.
-    Debug,
+    /// A DEBUG message with this code.
+    Debug(u16),
     /// Another log began: what was known of the bus before is over.
     AnotherLog,
 }
@@ -138,7 +138,7 @@ impl StoryChange {
             EventKind::OwnAddressLost(_) | EventKind::NoAddress(_) => Self::NoOwnAddress,
             EventKind::NoAck => Self::NoAck,
             EventKind::Acknowledged => Self::Acknowledged,
-            EventKind::DebugMessage { .. } => Self::Debug,
+            EventKind::DebugMessage { code, .. } => Self::Debug(*code),
             EventKind::DescriptorRead { .. }
             | EventKind::DescriptorField(_)
             | EventKind::RequestEnded { .. }

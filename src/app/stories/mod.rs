@@ -167,7 +167,12 @@ impl Stories {
                 StoryKey::Own(bus)
             }
             (StoryChange::NoAck | StoryChange::Acknowledged, Some(bus), _) => StoryKey::Ack(bus),
-            (StoryChange::Text | StoryChange::Debug, ..) | (_, _, None) => {
+            (StoryChange::Debug(code), bus, device) => {
+                let key = StoryKey::Debug(bus, device, *code);
+                let is_repeated = |story: &&Story| at.since(story.last()) <= REPEAT_WITHIN;
+                return attach_or(self.latest(&key).filter(is_repeated), key);
+            }
+            (StoryChange::Text, ..) | (_, _, None) => {
                 let key = StoryKey::Text(entry.bus, entry.device, entry.text.clone());
                 let is_mark = matches!(entry.kind, TimelineKind::Mark(_));
                 let is_repeated =
@@ -480,7 +485,7 @@ mod tests {
             9 => StoryChange::Presence(presences[rng.usize(0..presences.len())]),
             10 => StoryChange::Returned,
             11 => finding(states[rng.usize(0..states.len())], address),
-            12 => StoryChange::Debug,
+            12 => StoryChange::Debug(rng.u16(0..3)),
             _ => StoryChange::Text,
         };
         (entry(millis, device, address, &format!("text {}", rng.u8(0..5))), change)

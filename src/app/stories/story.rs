@@ -32,6 +32,8 @@ pub(super) enum StoryKey {
     Own(BusIndex),
     /// Acknowledgement of the frames of descan on a bus.
     Ack(BusIndex),
+    /// DEBUG messages with one code.
+    Debug(Option<BusIndex>, Option<DeviceId>, u16),
     /// Events with the same text.
     Text(Option<BusIndex>, Option<DeviceId>, String),
 }
@@ -151,7 +153,7 @@ impl Story {
         let is_over = !self.is_open(entry.time);
         if let Some(last) = self.steps.last_mut() {
             let is_same = last.change == change && last.entry.text == entry.text;
-            if is_same && matches!(change, StoryChange::Text | StoryChange::Debug) {
+            if is_same && matches!(change, StoryChange::Text | StoryChange::Debug(_)) {
                 return last.repeat(entry.time);
             }
         }

@@ -95,6 +95,9 @@ struct Summary<'a> {
     first_time: Option<Instant>,
     last_time: Instant,
     cycle: u32,
+    /// Number of steps, and of their occurrences.
+    steps: u32,
+    times: u32,
 }
 
 impl StoryChange {
@@ -115,6 +118,8 @@ impl<'a> Summary<'a> {
         for step in steps {
             summary.add(step);
             summary.last_time = summary.last_time.max(step.last(at));
+            summary.steps += 1;
+            summary.times = summary.times.saturating_add(step.times(at));
         }
         summary
     }
@@ -169,7 +174,7 @@ impl<'a> Summary<'a> {
             StoryChange::Text
             | StoryChange::OtherServices
             | StoryChange::Removed
-            | StoryChange::Debug => {}
+            | StoryChange::Debug(_) => {}
         }
         if step.change != StoryChange::AnotherLog {
             self.last = Some(step);
@@ -217,7 +222,7 @@ impl<'a> Summary<'a> {
                 self.is_absent || is_settling && is_recent
             }
             StoryKey::Own(_) | StoryKey::Ack(_) => self.is_blocked,
-            StoryKey::Text(..) => false,
+            StoryKey::Text(..) | StoryKey::Debug(..) => false,
         }
     }
 
@@ -228,6 +233,7 @@ impl<'a> Summary<'a> {
             StoryKey::Ack(_) => StoryKind::Bus,
             StoryKey::Problem(problem) => self.kind_of_problem(problem),
             StoryKey::Text(..) => self.last.map_or(StoryKind::Own, kind_of_text),
+            StoryKey::Debug(..) => StoryKind::Debug,
             StoryKey::Device(_) if self.has_rebooted => StoryKind::Reboot,
             StoryKey::Device(_) if !self.moves.is_empty() => StoryKind::Move,
             StoryKey::Device(_) if self.has_appeared => StoryKind::Join,
@@ -263,7 +269,9 @@ impl<'a> Summary<'a> {
             StoryKey::Mode(_) => absence.unwrap_or(StorySign::Change),
             StoryKey::Own(_) | StoryKey::Ack(_) if self.is_blocked => StorySign::Error,
             StoryKey::Own(_) | StoryKey::Ack(_) => StorySign::Plain,
-            StoryKey::Text(..) => self.last.map_or(StorySign::Plain, |step| sign_of(&step.entry)),
+            StoryKey::Text(..) | StoryKey::Debug(..) => {
+                self.last.map_or(StorySign::Plain, |step| sign_of(&step.entry))
+            }
             StoryKey::Device(_) => match self.kind(key) {
                 _ if absence.is_some() => absence.unwrap_or(StorySign::Change),
                 StoryKind::Join => StorySign::Improved,
@@ -279,9 +287,15 @@ impl<'a> Summary<'a> {
             StoryKey::Problem(ProblemKey::Finding(_)) => self.finding_words(),
             StoryKey::Mode(_) => self.mode_words(),
             StoryKey::Device(_) => self.device_words(),
-            StoryKey::Own(_) | StoryKey::Ack(_) | StoryKey::Text(..) => self.last_text(),
+            StoryKey::Own(_)
+            | StoryKey::Ack(_)
+            | StoryKey::Text(..)
+            | StoryKey::Debug(..) => self.last_text(),
         };
-        let times = self.last.map_or(1, |step| step.times(at));
+        let times = match key {
+            StoryKey::Debug(..) => self.occurrences(),
+            _ => self.last.map_or(1, |step| step.times(at)),
+        };
         if times > 1 {
             let _ = write!(text, " ×{times}");
         }
@@ -289,6 +303,12 @@ impl<'a> Summary<'a> {
             let _ = write!(text, ", {} times", self.cycle);
         }
         text
+    }
+
+    /// Number of occurrences of all steps; steps that were dropped count once.
+    fn occurrences(&self) -> u32 {
+        let dropped = self.last.map_or(0, |step| step.number.saturating_sub(self.steps));
+        self.times.saturating_add(dropped)
     }
 
     fn last_text(&self) -> String {
@@ -454,7 +474,7 @@ fn chain<T: ToString>(parts: &[T], arrow: &str) -> String {
 /// Kind of a story that is known by its text alone.
 fn kind_of_text(step: &StoryStep) -> StoryKind {
     match (step.entry.kind, &step.change) {
-        (_, StoryChange::Debug) => StoryKind::Debug,
+        (_, StoryChange::Debug(_)) => StoryKind::Debug,
         (TimelineKind::Mark(_), _) => StoryKind::Mark,
         (TimelineKind::File, _) => StoryKind::File,
         // Errors of des.json have no name of their own.

@@ -151,6 +151,7 @@ impl<'b, 'a> DeviceDetails<'b, 'a> {
         self.state(device);
         if let Some(device) = device {
             self.other_buses(device);
+            self.tasks(device);
             self.boards(device);
         }
         self.findings(device);
@@ -167,6 +168,7 @@ impl<'b, 'a> DeviceDetails<'b, 'a> {
         self.descriptor(device);
         self.history(device);
         self.requests(device);
+        self.debug_messages(device);
         self.quirks(device);
     }
 

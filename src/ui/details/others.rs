@@ -3,7 +3,7 @@
 
 use super::DeviceDetails;
 use crate::app::{
-    BeatStats, Redundancy, clock_millis, format_time_of_day, ordinal, twin_differences,
+    BeatStats, Redundancy, TaskState, clock_millis, format_time_of_day, ordinal, twin_differences,
 };
 use crate::discovery::Device;
 use crate::text::join_first;
@@ -18,6 +18,28 @@ const MAX_TWINS: usize = 3;
 const MAX_DIFFERENCES: usize = 6;
 
 impl DeviceDetails<'_, '_> {
+    /// The tasks of the project that the device does, and the others that do them.
+    pub(super) fn tasks(&mut self, device: &Device) {
+        let app = self.app();
+        for task in &app.shown_buses().project().tasks {
+            let ends = task.ends(app.shown_buses(), app.shown_time());
+            let Some(own) = ends.iter().find(|end| end.device == Some(device.id)) else { continue };
+            self.blank();
+            self.add("task", Role::Text, &task.task);
+            let failed = ends.iter().filter_map(|end| end.state.since()).max();
+            let is_alone = own.state == TaskState::Works
+                && ends.iter().all(|end| end.device == own.device || end.state.is_out());
+            if let Some(since) = failed.filter(|_| is_alone) {
+                let since = format_time_of_day(app, since);
+                self.add("", Role::Warning, &format!("! alone since {since}"));
+            }
+            for end in ends.iter().filter(|end| end.device != own.device || end.device.is_none()) {
+                let role = if end.state.is_out() { Role::Warning } else { Role::Text };
+                self.add("also by", role, &format!("{} {}", end.label, end.state.words()));
+            }
+        }
+    }
+
     /// The boards at the address: joining, mode and heartbeats of each.
     pub(super) fn boards(&mut self, device: &Device) {
         if self.row.board.is_none() {

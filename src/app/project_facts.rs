@@ -1,0 +1,161 @@
+//! What the project says about the buses: bit rates, and which devices do one task on two buses.
+//!
+//! Pure: the facts and the buses in, the state of each task out. Does not know the project file.
+
+use super::buses::{Bus, Buses};
+use super::problems::label_of_device;
+use crate::discovery::{Device, DeviceId, Presence};
+use crate::frame::BusIndex;
+use crate::time::Instant;
+use crate::wire::id::Address;
+use crate::wire::node::Mode;
+use std::collections::BTreeMap;
+
+/// What a project says.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct ProjectFacts {
+    /// Bit rates that buses should have, by bus name, in bit/s.
+    pub bitrates: BTreeMap<String, u32>,
+    /// Tasks of several devices.
+    pub tasks: Vec<RedundantTask>,
+}
+
+/// A task that several devices do, each on its own bus (CAN platform §3.1.4).
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct RedundantTask {
+    /// The task, in words.
+    pub task: String,
+    /// The devices: at least two.
+    pub devices: Vec<TaskDevice>,
+}
+
+/// A device of a task; what is `None` may be anything.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct TaskDevice {
+    /// Name of the bus.
+    pub bus: String,
+    /// Name.
+    pub name: Option<String>,
+    /// Text of the UID.
+    pub uid: Option<String>,
+    /// Address.
+    pub address: Option<Address>,
+}
+
+impl TaskDevice {
+    fn is(&self, device: &Device, bus: &Bus) -> bool {
+        let is_named =
+            |name: &String| device.name.as_ref().is_some_and(|it| it.as_bytes() == name.as_bytes());
+        let alphabet = &bus.config().profile.uid;
+        let has_uid =
+            |uid: &String| device.uid.is_some_and(|own| own.text(alphabet).to_string() == *uid);
+        self.name.as_ref().is_none_or(is_named)
+            && self.uid.as_ref().is_none_or(has_uid)
+            && self.address.is_none_or(|address| device.address == address)
+    }
+
+    /// What it is called: `SENS at 12 on can0`.
+    pub fn label(&self) -> String {
+        let name = self.name.as_ref().or(self.uid.as_ref());
+        let name = name.map_or("a device", |name| name.as_str());
+        let at = self.address.map(|address| format!(" at {address}")).unwrap_or_default();
+        format!("{name}{at} on {}", self.bus)
+    }
+}
+
+/// Whether a device does its task.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TaskState {
+    /// It works.
+    Works,
+    /// It is lost or asleep, since then.
+    Away(Presence, Instant),
+    /// It is in another mode than WORK, since then.
+    InMode(Mode, Instant),
+    /// It was not heard, and its bus was searched.
+    Missing,
+    /// Its bus is not open, or still searched.
+    Unknown,
+}
+
+/// A device of a task, and what it does at present.
+#[derive(Clone, Debug)]
+pub struct TaskEnd {
+    /// The device; `None` if it was not heard.
+    pub device: Option<DeviceId>,
+    /// What it is called.
+    pub label: String,
+    /// Whether it does its task.
+    pub state: TaskState,
+}
+
+impl TaskState {
+    /// Returns true if the device is known not to do its task.
+    pub fn is_out(self) -> bool {
+        !matches!(self, Self::Works | Self::Unknown)
+    }
+
+    /// Returns since when it does not do its task, if that is known.
+    pub fn since(self) -> Option<Instant> {
+        match self {
+            Self::Away(_, since) | Self::InMode(_, since) => Some(since),
+            _ => None,
+        }
+    }
+
+    /// Returns it in words: `is lost`.
+    pub fn words(self) -> String {
+        match self {
+            Self::Works => "works".to_owned(),
+            Self::Away(presence, _) => format!("is {presence}"),
+            Self::InMode(mode, _) => format!("is in {mode}"),
+            Self::Missing => "is not on the bus".to_owned(),
+            Self::Unknown => "is not known yet".to_owned(),
+        }
+    }
+}
+
+/// Returns the state of a device of a task.
+fn state_of(device: &Device) -> TaskState {
+    let in_mode = |mode| {
+        let change = device.mode_history.iter().rev().find(|change| change.mode == mode);
+        TaskState::InMode(mode, change.map_or(device.first_seen, |change| change.time))
+    };
+    match device.mode {
+        _ if !device.is_present() || device.presence == Presence::Asleep => {
+            TaskState::Away(device.presence, device.presence_since)
+        }
+        Some(mode) if mode != Mode::Work => in_mode(mode),
+        None if !device.is_working => in_mode(Mode::Cfg),
+        _ => TaskState::Works,
+    }
+}
+
+impl RedundantTask {
+    /// Returns what each device of the task does at present.
+    pub fn ends(&self, buses: &Buses, now: Instant) -> Vec<TaskEnd> {
+        let end = |wanted: &TaskDevice| {
+            let bus = buses.iter().enumerate().find(|(_, it)| it.name_without_rates() == wanted.bus);
+            let Some((index, bus)) = bus else {
+                let (device, label) = (None, wanted.label());
+                return TaskEnd { device, label, state: TaskState::Unknown };
+            };
+            let found = bus.devices().iter().filter(|device| wanted.is(device, bus));
+            // Of several the one that works, else the last that was heard.
+            let rank = |device: &&Device| (state_of(device) == TaskState::Works, device.last_seen);
+            match found.max_by_key(rank) {
+                Some(device) => TaskEnd {
+                    device: Some(device.id),
+                    label: format!("{} on {}", label_of_device(device), bus.name),
+                    state: state_of(device),
+                },
+                None => {
+                    let is_missing = buses.is_search_complete(BusIndex(index as u8), now);
+                    let state = if is_missing { TaskState::Missing } else { TaskState::Unknown };
+                    TaskEnd { device: None, label: wanted.label(), state }
+                }
+            }
+        };
+        self.devices.iter().map(end).collect()
+    }
+}
