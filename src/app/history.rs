@@ -9,6 +9,7 @@ use super::buses::{Buses, Redundancy};
 use super::capture::{BYTES_PER_FRAME, FrameStore};
 use super::journal::{BusesInput, InputJournal, InputsFrom, JournalPlace, PastInput};
 use super::pinned_moments::{PinnedMoments, PinnedRange};
+use super::project_facts::ProjectFacts;
 use super::timeline_kind::TimelineKind;
 use crate::catalogue::Catalogue;
 use crate::discovery::{Config, DeviceId, DeviceRequest, Event, RequestId};
@@ -233,6 +234,11 @@ impl RecordedBuses {
     /// Sets what is known of types of devices; it is not a part of the past.
     pub(super) fn set_catalogue(&mut self, catalogue: Arc<Catalogue>) {
         self.now.set_catalogue(catalogue);
+    }
+
+    /// Sets what the project says about the buses; it is not a part of the past.
+    pub(super) fn set_project(&mut self, project: Arc<ProjectFacts>) {
+        self.now.set_project(project);
     }
 
     /// Starts or ends a bit rate search.

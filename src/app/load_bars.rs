@@ -259,9 +259,7 @@ impl App {
                     None => format!("? @{address}"),
                 }
             }
-            BarKey::Service(index, service) => {
-                self.service_name(index, service, None)
-            }
+            BarKey::Service(index, service) => self.service_name(index, service, None),
         }
     }
 }

@@ -143,8 +143,8 @@ pub use problems::{
     ProblemList, Scope, SideBasis, format_duration, growing_length_text, is_about, length_text,
 };
 use profile_learning::ProfileLearners;
-pub use project_facts::{ProjectFacts, RedundantTask, TaskDevice, TaskEnd, TaskState};
 pub use profile_learning::{ProfileReview, ProfileRow};
+pub use project_facts::{ProjectFacts, RedundantTask, TaskDevice, TaskEnd, TaskState};
 pub use saved_filters::{MAX_SAVED_FILTERS, SavedFilter, SavedFilterChange};
 pub use sent_commands::EndedCommand;
 use sent_commands::SentCommands;
@@ -654,6 +654,39 @@ impl App {
         }
     }
 
+    /// Takes what the project `name` says, which was saved by another program; a wrong one changes
+    /// nothing.
+    pub fn handle_project(
+        &mut self,
+        now: Instant,
+        name: &str,
+        project: Result<ProjectFacts, String>,
+    ) {
+        let now = self.clock.set(now);
+        match project {
+            Ok(project) if project == **self.buses.project() => {
+                self.show_info(format!(
+                    "{name}: saved; buses and files are read at the next start"
+                ));
+            }
+            Ok(project) => {
+                let project = Arc::new(project);
+                self.buses.set_project(Arc::clone(&project));
+                if let Some(past) = &mut self.past {
+                    past.buses.set_project(project);
+                }
+                self.show_info(format!("{name}: read"));
+                self.refresh_before_draw();
+            }
+            Err(why) => {
+                let text = format!("{name}: {why}; the project before stays in force");
+                self.add_line_to_all_buses(TimelineKind::Error, &text);
+                self.notices.file_error(now, text);
+            }
+        }
+        self.notices.redraw.set_dirty();
+    }
+
     /// Takes what is known of types of devices: at the start, and when a file of it was saved.
     pub fn handle_catalogue(&mut self, now: Instant, catalogue: Arc<Catalogue>) {
         let now = self.clock.set(now);
@@ -665,7 +698,8 @@ impl App {
         for file in catalogue.files() {
             let Some(why) = &file.fault else { continue };
             if fault_of(&before, &file.path).as_ref() != Some(why) {
-                let kept = if file.device_type.is_some() { "; what it said before stays" } else { "" };
+                let kept =
+                    if file.device_type.is_some() { "; what it said before stays" } else { "" };
                 let text = format!("{}: {why}{kept}", file.path);
                 self.add_line_to_all_buses(TimelineKind::Error, &text);
                 self.notices.file_error(now, text);

@@ -135,7 +135,8 @@ impl RedundantTask {
     /// Returns what each device of the task does at present.
     pub fn ends(&self, buses: &Buses, now: Instant) -> Vec<TaskEnd> {
         let end = |wanted: &TaskDevice| {
-            let bus = buses.iter().enumerate().find(|(_, it)| it.name_without_rates() == wanted.bus);
+            let bus =
+                buses.iter().enumerate().find(|(_, it)| it.name_without_rates() == wanted.bus);
             let Some((index, bus)) = bus else {
                 let (device, label) = (None, wanted.label());
                 return TaskEnd { device, label, state: TaskState::Unknown };

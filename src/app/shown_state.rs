@@ -210,12 +210,7 @@ impl App {
 
     /// Name of a service in the profile of a bus or in the catalogue, else its number. `server`: the
     /// device that has it.
-    pub fn service_name(
-        &self,
-        bus: BusIndex,
-        service: Service,
-        server: Option<Address>,
-    ) -> String {
+    pub fn service_name(&self, bus: BusIndex, service: Service, server: Option<Address>) -> String {
         let server = server.map(|address| (address, self.shown_time()));
         let name = self.shown_buses().service_name(bus, service, server);
         let name = name.map(|name| Escaped(name.as_bytes()).to_string());

@@ -3,7 +3,7 @@
 use crate::discovery::DeviceService;
 use crate::text::{Quoted, join_first, printable};
 use crate::toml_error::{TomlError, ValuePlaces};
-use crate::wire::data_layout::{DataLayout, FieldValue, check_name};
+use crate::wire::data_layout::{DataFieldValue, DataLayout, check_name};
 use crate::wire::descriptor::{ByteOrder, Gid};
 use crate::wire::id::{Header, Service};
 use crate::wire::profile;
@@ -134,7 +134,10 @@ impl DeviceTypeEntry {
             let digits = text.replace([' ', ':'], "");
             Gid::parse(&digits).filter(|gid| !gid.is_blank()).ok_or_else(|| {
                 let text = printable(text.as_bytes());
-                fault("gid", format!("gid: \"{text}\" is not 12 hexadecimal digits, not all 0 or F"))
+                fault(
+                    "gid",
+                    format!("gid: \"{text}\" is not 12 hexadecimal digits, not all 0 or F"),
+                )
             })
         });
         if let Some(name) = &self.name {
@@ -149,7 +152,8 @@ impl DeviceTypeEntry {
             if services.iter().any(|known| known.name == service.name) {
                 return Err(fault("services", format!("two services are called {}", service.name)));
             }
-            let same = services.iter().find(|it| it.number.is_some() && it.number == service.number);
+            let same =
+                services.iter().find(|it| it.number.is_some() && it.number == service.number);
             if let Some(same) = same {
                 let message = format!("{} and {} have one number", same.name, service.name);
                 return Err(fault("services", message));
@@ -245,7 +249,7 @@ impl DeviceType {
     }
 
     /// Returns the fields of the data of a frame of one of its services.
-    pub fn data_values<'a>(&'a self, header: Header, data: &'a [u8]) -> Vec<FieldValue<'a>> {
+    pub fn data_values<'a>(&'a self, header: Header, data: &'a [u8]) -> Vec<DataFieldValue<'a>> {
         let layout = self.service(header.service).map(|service| service.layout(header));
         layout.map_or_else(Vec::new, |layout| layout.values(data, self.byte_order))
     }
@@ -257,7 +261,7 @@ impl DeviceType {
     }
 
     /// Returns the parameters of a DEBUG message.
-    pub fn parameter_values<'a>(&'a self, code: u16, data: &'a [u8]) -> Vec<FieldValue<'a>> {
+    pub fn parameter_values<'a>(&'a self, code: u16, data: &'a [u8]) -> Vec<DataFieldValue<'a>> {
         let message = self.debug_messages.get(&code);
         message.map_or_else(Vec::new, |it| it.parameters.values(data, self.byte_order))
     }
@@ -276,8 +280,7 @@ impl DeviceType {
         let known: BTreeSet<&[u8]> =
             self.services.iter().map(|it| it.name.as_bytes()).chain([&b"DES"[..]]).collect();
         let more = services.iter().filter(|own| !known.contains(own.name.as_bytes()));
-        let more: Vec<String> =
-            more.map(|own| Quoted(own.name.as_bytes()).to_string()).collect();
+        let more: Vec<String> = more.map(|own| Quoted(own.name.as_bytes()).to_string()).collect();
         let other = self.services.iter().filter_map(|service| {
             let (own, version) = (of(service)?, service.version.as_ref()?);
             let fits = is_version(own.version.as_bytes(), version);

@@ -22,7 +22,8 @@ pub fn run(args: &CatalogueArgs) -> Result<u8, Failure> {
         (texts_of(&args.paths)?, Vec::new())
     };
     let catalogue = Catalogue::default().read(texts);
-    let faults = catalogue.files().iter().filter_map(|file| Some((&file.path, file.fault.as_ref()?)));
+    let faults =
+        catalogue.files().iter().filter_map(|file| Some((&file.path, file.fault.as_ref()?)));
     for (path, why) in faults.clone() {
         output::warn(format_args!("{path}: {why}"));
     }

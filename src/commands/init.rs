@@ -59,7 +59,9 @@ fn project_text(buses: &[BusSpec], app: &App, setup: &Setup, common: &CommonArgs
         Some(profile) => {
             let _ = writeln!(text, "profile = {}", path(profile));
         }
-        None => text.push_str("# profile = \"profile.toml\"  # values that the protocol leaves open\n"),
+        None => {
+            text.push_str("# profile = \"profile.toml\"  # values that the protocol leaves open\n")
+        }
     }
     let _ = writeln!(text, "file = {}", path(&setup.file));
     if !common.catalogue.is_empty() {

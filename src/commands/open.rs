@@ -45,6 +45,8 @@ pub struct Setup {
     pub profile: Option<PathBuf>,
     /// Where des.json is.
     pub file: PathBuf,
+    /// File of the project.
+    pub project_path: Option<PathBuf>,
     /// Names of simulated buses that the project has, by their arguments.
     pub bus_names: BTreeMap<String, String>,
     /// What the project says about the buses.
@@ -87,10 +89,8 @@ impl Setup {
     /// # Errors
     /// As [`Setup::new`]; or the project has a mistake, or another des.json for each of the buses.
     pub fn for_buses(common: &CommonArgs, buses: &[BusSpec]) -> Result<Self, Failure> {
-        let project = super::project::of(common, true)?;
-        let project = project.map(|(_, project)| project);
-        let profile_path =
-            common.profile.clone().or_else(|| project.as_ref()?.profile.clone());
+        let (project_path, project) = super::project::of(common, true)?.unzip();
+        let profile_path = common.profile.clone().or_else(|| project.as_ref()?.profile.clone());
         let folder = ConfigFolder::of_user();
         let settings = folder.as_ref().map_or(Ok(UserSettings::default()), ConfigFolder::settings);
         let mut warnings = Vec::new();
@@ -130,6 +130,7 @@ impl Setup {
             config,
             profile: profile_path,
             file,
+            project_path,
             bus_names: project.as_ref().map(simulated_names).unwrap_or_default(),
             project: Arc::new(project.as_ref().map(Project::facts).unwrap_or_default()),
             catalogue: Arc::default(),
@@ -502,6 +503,9 @@ pub fn session(
     let mut session = Session::new(app, clock, ports, Some(Store::new(&setup.file)));
     if let Some(path) = &setup.profile {
         session.watch_profile(path);
+    }
+    if let Some(path) = &setup.project_path {
+        session.watch_project(path);
     }
     let (folders, texts) = setup.catalogue_files.clone();
     session.watch_catalogue(folders, texts);

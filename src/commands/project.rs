@@ -74,9 +74,13 @@ fn ask_for(project: &Path, bus: &BusSpec) -> Result<(), Failure> {
         );
         return Err(Failure::Usage(why));
     }
-    output::ask(format_args!("{file} opens {bus}, on another machine. Open it, from now on? [y/N]"));
+    output::ask(format_args!(
+        "{file} opens {bus}, on another machine. Open it, from now on? [y/N]"
+    ));
     if !output::answer().recv().unwrap_or(false) {
-        return Err(Failure::Usage(format!("{bus} is not opened; --no-project opens none of them")));
+        return Err(Failure::Usage(format!(
+            "{bus} is not opened; --no-project opens none of them"
+        )));
     }
     if let Err(error) = agree(project, &bus.to_string()) {
         output::warn(format_args!("the answer is not kept: {error}"));

@@ -9,7 +9,9 @@ use crate::app::{
 };
 use crate::bitrate::kbit;
 use crate::catalogue::TypeBasis;
-use crate::discovery::{DebugCount, Device, DeviceDescriptor, DeviceService, FieldContent, OwnAddress};
+use crate::discovery::{
+    DebugCount, Device, DeviceDescriptor, DeviceService, FieldContent, OwnAddress,
+};
 use crate::finding::{
     Evidence, ExitCodeScope, Finding, FindingKey, FindingKind, FindingState, SeenUid,
 };

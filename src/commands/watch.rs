@@ -3,8 +3,8 @@
 //! Scripts rely on the names, types and meanings of the JSON members.
 
 use super::gate::BusGate;
-use super::log::field_json;
 use super::headless::{self, Limits, RunInput};
+use super::log::field_json;
 use super::open::{self, Setup};
 use super::report::{
     BusReport, DescriptorReport, FileReport, FindingReport, ServiceReport, of_bus, of_descriptor,
@@ -23,7 +23,7 @@ use crate::shell::log_input::LogPace;
 use crate::shell::stop::StopReason;
 use crate::text::hex;
 use crate::time::Instant;
-use crate::wire::data_layout::FieldValue;
+use crate::wire::data_layout::DataFieldValue;
 use crate::wire::id::{Address, Header, Service};
 use crate::wire::node::{Mode, Uid};
 use anyhow::Context;
@@ -270,7 +270,7 @@ fn of_event(app: &App, DeviceEvent { context, event, services }: DeviceEvent) ->
             let types = app.shown_buses().types_at(bus, event.address, event.time);
             let code_name = types.debug_name(&app.profile(bus), Service::from_bits(code));
             let values = types.debug_values(code, &data);
-            let of_field = |field: &FieldValue<'_>| {
+            let of_field = |field: &DataFieldValue<'_>| {
                 (field.name.to_owned(), field.value.as_ref().map_or(Value::Null, field_json))
             };
             let fields = (!values.is_empty()).then(|| values.iter().map(of_field).collect());

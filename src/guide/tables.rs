@@ -1,6 +1,6 @@
 //! Tables of the guide that are generated from the code: keys, symbols, findings, filter fields,
-//! theme roles. Input: Markdown in which a line `<!-- table: keys -->` stands for a table. Output:
-//! Markdown.
+//! theme roles; and files of the example project. Input: Markdown in which a line
+//! `<!-- table: keys -->` stands for a table. Output: Markdown.
 
 use crate::app::{FILTER_FIELDS, FILTER_WORDS, Page, RowKind};
 use crate::finding::FindingKind;
@@ -20,6 +20,16 @@ pub fn expand(text: &str) -> String {
     out
 }
 
+/// The example project: a boiler with two buses.
+const EXAMPLE_PROJECT: &str = include_str!("../../tests/project/descan.toml");
+/// The type of its feeder.
+const EXAMPLE_TYPE: &str = include_str!("../../tests/project/devices/feeder.toml");
+
+/// Returns a file as a block of code.
+fn block(info: &str, text: &str) -> String {
+    format!("```{info}\n{}\n```", text.trim_end())
+}
+
 /// Returns the table of that name; empty if there is none (the tests of the guide report that).
 fn table(name: &str) -> String {
     match name {
@@ -29,6 +39,8 @@ fn table(name: &str) -> String {
         "filter" => filter(),
         "filter-pages" => filter_pages(),
         "roles" => roles(),
+        "example-project" => block("toml descan.toml", EXAMPLE_PROJECT),
+        "example-type" => block("toml device type", EXAMPLE_TYPE),
         _ => String::new(),
     }
 }

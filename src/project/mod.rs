@@ -162,7 +162,8 @@ impl ProjectBusEntry {
             }
             // A project sets no bit rate, as an adapter's is set by its address.
             BusSpec::Slcan(adapter) if adapter.bitrate.is_some() => {
-                let why = "a project sets no bit rate: write the adapter without @, and bitrate = N";
+                let why =
+                    "a project sets no bit rate: write the adapter without @, and bitrate = N";
                 return Err((span, why.to_owned()));
             }
             BusSpec::File(path) => BusSpec::File(folder.join(path)),

@@ -113,6 +113,21 @@ fn concerns(event: &notify::Event, folders: &[PathBuf]) -> bool {
     event.need_rescan() || event.paths.iter().any(is_near)
 }
 
+/// The folders whose changes can affect these: those that exist and the one above, else the nearest one
+/// above that exists.
+fn watched_for(folders: &[PathBuf]) -> BTreeSet<PathBuf> {
+    let mut watched = BTreeSet::new();
+    for folder in folders {
+        if let Some(there) = folder.ancestors().find(|path| path.is_dir()) {
+            watched.insert(there.to_owned());
+            // The folder itself may be moved away.
+            watched
+                .extend(folder.parent().filter(|_| there == folder.as_path()).map(Path::to_owned));
+        }
+    }
+    watched
+}
+
 /// Watches the folders on a separate thread, until dropped. There is no queue:
 /// [`CatalogueWatcher::changed`] returns the newest texts.
 #[derive(Debug)]
@@ -226,6 +241,8 @@ impl CatalogueThread {
     /// Watches each folder, or the nearest one above it that exists. Returns false if some changes
     /// cause no events.
     fn watch(&mut self) -> bool {
+        /// Changes of the folders that are tolerated during it.
+        const ATTEMPTS: usize = 8;
         let absolute = |path: &PathBuf| std::path::absolute(path).unwrap_or_else(|_| path.clone());
         let folders: Vec<PathBuf> = self.folders.folders.iter().map(absolute).collect();
         let (wake, concerned) = (self.wake.clone(), folders.clone());
@@ -236,17 +253,22 @@ impl CatalogueThread {
         };
         // A new one each time: a folder that was replaced has another identity.
         let Ok(mut watcher) = notify::recommended_watcher(told) else { return false };
-        let mut is_told = true;
-        for folder in &folders {
-            let there = folder.ancestors().find(|path| path.is_dir());
-            let Some(there) = there else { continue };
-            is_told &= watcher.watch(there, RecursiveMode::NonRecursive).is_ok();
-            is_told &= !is_remote(there);
-            // The folder itself may be moved away.
-            if there == folder.as_path() && let Some(above) = folder.parent() {
-                is_told &= watcher.watch(above, RecursiveMode::NonRecursive).is_ok();
+        let (mut is_told, mut is_settled) = (true, false);
+        let mut watched = watched_for(&folders);
+        for _ in 0..ATTEMPTS {
+            for folder in &watched {
+                is_told &= watcher.watch(folder, RecursiveMode::NonRecursive).is_ok();
+                is_told &= !is_remote(folder);
             }
+            // Between finding a folder and watching it, it may have come or gone unnoticed.
+            let again = watched_for(&folders);
+            is_settled = again == watched;
+            if is_settled {
+                break;
+            }
+            watched = again;
         }
+        is_told &= is_settled;
         self.watcher = Some(watcher);
         is_told
     }

@@ -323,7 +323,8 @@ impl SimDevice {
     fn schedule_heartbeat(&mut self, port: &DeviceIo) {
         self.next_heartbeat += self.heartbeat_period(port);
         let late = self.rng.u64(0..=nanos_of(self.spec.max_heartbeat_delay));
-        let beats = !self.spec.faults.has(Fault::NoHeartbeat) && self.mode != Mode::Idle;
+        let is_awake = self.mode != Mode::Idle || self.spec.idle_ends_by_command;
+        let beats = !self.spec.faults.has(Fault::NoHeartbeat) && is_awake;
         self.beat_at = beats.then_some((self.next_heartbeat + late).max(port.now));
     }
 
@@ -532,6 +533,10 @@ impl SimDevice {
                 if mode == Mode::Idle {
                     self.send_heartbeat(port);
                     self.stop();
+                    if self.spec.idle_ends_by_command {
+                        self.next_heartbeat = port.now;
+                        self.schedule_heartbeat(port);
+                    }
                 } else if slept {
                     self.next_heartbeat = port.now;
                     self.schedule_heartbeat(port);

@@ -14,6 +14,7 @@
 //! uid = "BOILER03"                    # "" = blank; else made of the label
 //! services = [["DES", "1.0"], ["VALVE", "1.2", "more"]]
 //! autostart = true
+//! idle = "power"                       # or "command": what ends IDLE
 //! mode = "WORK"                       # instead of the configured one
 //! power_on = 4.0                      # seconds; false = off
 //! settled = true                      # has its address at the first power-on
@@ -94,6 +95,8 @@ struct DeviceWritten {
     bit_rate: Option<BitrateRead>,
     services: Option<Vec<Vec<String>>>,
     autostart: Option<bool>,
+    #[serde(default)]
+    idle: IdleWritten,
     mode: Option<String>,
     power_on: Option<PowerOn>,
     #[serde(default)]
@@ -111,6 +114,15 @@ struct DeviceWritten {
     faults: Vec<Fault>,
     #[serde(default)]
     chatter: Vec<ChatterWritten>,
+}
+
+/// What ends the mode IDLE.
+#[derive(Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum IdleWritten {
+    #[default]
+    Power,
+    Command,
 }
 
 /// DEV_CFG_ADDR.
@@ -355,6 +367,7 @@ impl DeviceWritten {
                 .services
                 .map_or(Ok(defaults.services), |services| place.services(services))?,
             autostart: self.autostart.unwrap_or(defaults.autostart),
+            idle_ends_by_command: self.idle == IdleWritten::Command,
             mode: self.mode.map(|mode| place.mode(&mode)).transpose()?,
             power_on,
             skips_address_resolution: self.settled,

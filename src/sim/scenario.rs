@@ -238,6 +238,8 @@ pub struct DeviceSpec {
     pub services: Vec<Vec<Vec<u8>>>,
     /// DEV_CFG_AUTOSTART: enters mode WORK once it has an address.
     pub autostart: bool,
+    /// In IDLE it still sends heartbeats, and a mode command ends it; otherwise only power does.
+    pub idle_ends_by_command: bool,
     /// Mode after address resolution; `None`: as configured.
     pub mode: Option<Mode>,
     /// Time of power-on after the start; `None`: by the timetable only.
@@ -278,6 +280,7 @@ impl DeviceSpec {
             },
             services: vec![vec![b"DES".to_vec(), b"1.0".to_vec()]],
             autostart: true,
+            idle_ends_by_command: false,
             mode: None,
             power_on: Some(Duration::ZERO),
             skips_address_resolution: false,

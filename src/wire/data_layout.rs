@@ -117,7 +117,7 @@ pub enum DataValue<'a> {
 
 /// A field and its value.
 #[derive(Clone, Debug, PartialEq)]
-pub struct FieldValue<'a> {
+pub struct DataFieldValue<'a> {
     /// Name of the field.
     pub name: &'a str,
     /// Unit; empty without one.
@@ -346,8 +346,8 @@ impl DataLayout {
     }
 
     /// Returns the fields of data, in the order of the file.
-    pub fn values<'a>(&'a self, data: &'a [u8], order: ByteOrder) -> Vec<FieldValue<'a>> {
-        let value = |field: &'a DataField| FieldValue {
+    pub fn values<'a>(&'a self, data: &'a [u8], order: ByteOrder) -> Vec<DataFieldValue<'a>> {
+        let value = |field: &'a DataField| DataFieldValue {
             name: &field.name,
             unit: &field.unit,
             value: field.value(data, order),
@@ -379,7 +379,7 @@ impl DataLayout {
 }
 
 /// `speed 1200 rpm`, escaped.
-impl fmt::Display for FieldValue<'_> {
+impl fmt::Display for DataFieldValue<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Some(value) = &self.value else { return write!(f, "{} –", self.name) };
         write!(f, "{} {value}", self.name)?;
@@ -455,7 +455,10 @@ mod tests {
             (r#"{ name = "a", type = "u7" }"#, "a type is one of"),
             (r#"{ name = "", type = "u8" }"#, "1 to 40 characters"),
             (r#"{ name = "a\u001b", type = "u8" }"#, "not printable"),
-            (r#"{ name = "a", type = "u8" }, { name = "a", type = "u8" }"#, "two fields are called a"),
+            (
+                r#"{ name = "a", type = "u8" }, { name = "a", type = "u8" }"#,
+                "two fields are called a",
+            ),
             (r#"{ name = "a", type = "u8", bit = 7, bits = 2 }"#, "exceed the 8 bits"),
             (r#"{ name = "a", type = "u8", bit = 4294967295, bits = 2 }"#, "exceed the 8 bits"),
             (r#"{ name = "a", type = "u8", bits = 0 }"#, "exceed"),

@@ -122,8 +122,7 @@ fn log_names_services_and_shows_data_as_fields() {
 #[test]
 fn device_that_is_not_as_its_type_is_a_finding_of_check() {
     let folder = Folder::new();
-    let (code, out, error) =
-        folder.run(&["check", "sim:bus.toml", "--json", "--time", "30"]);
+    let (code, out, error) = folder.run(&["check", "sim:bus.toml", "--json", "--time", "30"]);
     assert_eq!(code, 1, "{error}");
     let report: Value = serde_json::from_str(&out).unwrap();
     let found = |kind: &str| -> Vec<&Value> {
@@ -133,11 +132,13 @@ fn device_that_is_not_as_its_type_is_a_finding_of_check() {
     // Their GIDs are not read without their number.
     let by_name = found("catalogue-differs");
     assert_eq!(by_name.len(), 1, "{out}");
-    assert_eq!((&by_name[0]["address"], &by_name[0]["confidence"]), (&json!(13), &json!("suspected")));
+    assert_eq!(
+        (&by_name[0]["address"], &by_name[0]["confidence"]),
+        (&json!(13), &json!("suspected"))
+    );
     folder.write("p.toml", "[descriptor]\ngid = 0x010\nauto = true\n");
-    let (_, out, _) = folder.run(&[
-        "check", "sim:bus.toml", "--json", "--profile", "p.toml", "--time", "30",
-    ]);
+    let (_, out, _) =
+        folder.run(&["check", "sim:bus.toml", "--json", "--profile", "p.toml", "--time", "30"]);
     let report: Value = serde_json::from_str(&out).unwrap();
     let all = report["findings"].as_array().unwrap();
     let found: Vec<&Value> =
@@ -157,7 +158,10 @@ fn device_that_is_not_as_its_type_is_a_finding_of_check() {
     assert_eq!(device(12)["type"]["difference"], Value::Null);
     let debug = &device(13)["debug"];
     assert!(debug["count"].as_u64().unwrap() >= 8, "{debug}");
-    assert_eq!((&debug["codes"][0]["code"], &debug["codes"][0]["name"]), (&json!(2), &json!("ASSERT")));
+    assert_eq!(
+        (&debug["codes"][0]["code"], &debug["codes"][0]["name"]),
+        (&json!(2), &json!("ASSERT"))
+    );
 }
 
 #[test]
@@ -174,7 +178,10 @@ fn file_with_a_mistake_is_named_with_its_line() {
     assert!(error.contains(expected) && error.contains("it is not used"), "{error}");
     let (code, out, _) = folder.run(&["catalogue", "devices/sensor.toml", "--json"]);
     let files: Value = serde_json::from_str(&out).unwrap();
-    assert_eq!((code, &files[0]["title"], &files[0]["services"]), (0, &json!("Sensor board"), &json!(4)));
+    assert_eq!(
+        (code, &files[0]["title"], &files[0]["services"]),
+        (0, &json!("Sensor board"), &json!(4))
+    );
     folder.write("devices/copy.toml", "gid = '000000000022'\ntitle = 'copy'");
     let (_, _, error) = folder.run(&["catalogue"]);
     assert!(error.contains("sensor.toml: the GID of devices/copy.toml, too"), "{error}");
@@ -227,7 +234,8 @@ fn debug_messages_of_a_code_are_one_line_of_the_timeline() {
     let screen = stage.screen();
     let lines: Vec<&str> = screen.lines().filter(|line| line.contains("debug message")).collect();
     assert_eq!(lines.len(), 1, "{screen}");
-    let times: u32 = lines[0].split('×').nth(1).unwrap().split(' ').next().unwrap().parse().unwrap();
+    let times: u32 =
+        lines[0].split('×').nth(1).unwrap().split(' ').next().unwrap().parse().unwrap();
     assert!((60..100).contains(&times), "{}", lines[0]);
     assert_eq!(stage.app.timeline().entries().filter(|it| it.debug_code.is_some()).count(), 1);
 }
@@ -241,9 +249,8 @@ fn watcher_notices_files_that_come_change_and_go() {
     let folders = CatalogueFolders::only(&devices);
     let watcher = CatalogueWatcher::spawn(folders.clone(), folders.read());
     let next = || {
-        let changed = async {
-            tokio::time::timeout(Duration::from_secs(30), watcher.changed()).await
-        };
+        let changed =
+            async { tokio::time::timeout(Duration::from_secs(30), watcher.changed()).await };
         let texts = runtime.block_on(changed).expect("a change is noticed");
         Catalogue::default().read(texts).len()
     };

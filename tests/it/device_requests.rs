@@ -4,7 +4,7 @@
 use crate::common::harness::Stage;
 use crate::common::inspection::Inspection;
 use descan::discovery::{
-    Config, DeviceId, DeviceRequest, Engine, EventKind, FieldContent, RequestObstacle,
+    Config, DeviceId, DeviceRequest, Engine, EventKind, FieldContent, Presence, RequestObstacle,
     RequestOutcome,
 };
 use descan::finding::{Finding, FindingKind, FindingState};
@@ -25,6 +25,38 @@ const GIVEN: &str = "[descriptor]\ngid = 0x010\nuid = 0x011\nsn = 0x012\nfw = 0x
     bspd = 0x015\naddr = 0x016\nautostart = 0x017\n\
     [commands]\nidentify = 0x018\nmode = 0x019\nreboot = 0x01A\n\
     [writes]\naddress = 0x016\nbitrate = 0x015\n";
+
+#[test]
+fn device_in_idle_is_woken_by_a_command_or_by_power_alone() {
+    let sleeper = |name: &str, address, by_command| {
+        let mut spec = settled(name, address);
+        spec.idle_ends_by_command = by_command;
+        spec
+    };
+    let devices = [sleeper("A", 10, true), sleeper("B", 11, false)];
+    let mut bus = bus(&devices, GIVEN);
+    run(&mut bus, 6.0);
+    let mode = |bus: &Inspection, address| {
+        let row = bus.engine.devices().iter().find(|it| it.address.number() == address).unwrap();
+        (row.mode, row.presence)
+    };
+    let command = |bus: &mut Inspection, address, code: u8, time: f64| {
+        let device = device(bus, address);
+        let service = Service::from_bits(0x019);
+        let request = DeviceRequest { device, service, data: vec![code] };
+        bus.engine.request(at(time), request).unwrap();
+    };
+    command(&mut bus, 10, 6, 6.0);
+    command(&mut bus, 11, 6, 6.0);
+    run(&mut bus, 16.0);
+    assert_eq!(mode(&bus, 10), (Some(Mode::Idle), Presence::Online));
+    assert_eq!(mode(&bus, 11), (Some(Mode::Idle), Presence::Asleep));
+    command(&mut bus, 10, 4, 16.0);
+    command(&mut bus, 11, 4, 16.0);
+    run(&mut bus, 20.0);
+    assert_eq!(mode(&bus, 10), (Some(Mode::Work), Presence::Online));
+    assert_eq!(mode(&bus, 11).1, Presence::Asleep);
+}
 
 fn at(seconds: f64) -> Instant {
     Instant::ZERO + Duration::from_secs_f64(seconds)

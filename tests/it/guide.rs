@@ -1,8 +1,7 @@
 //! The guide is complete, its references resolve, and its examples work.
 
-use descan::catalogue::DeviceType;
-use descan::project::Project;
 use descan::app::{FILTER_FIELDS, FILTER_WORDS};
+use descan::catalogue::DeviceType;
 use descan::cli;
 use descan::document::Document;
 use descan::finding::FindingKind;
@@ -10,6 +9,7 @@ use descan::guide::markdown::{GuideBlock, plain};
 use descan::guide::render::{TextLayout, render};
 use descan::guide::{self, TOPICS, Topic};
 use descan::keymap::{ACTIONS, Keymap};
+use descan::project::Project;
 use descan::sim::Scenario;
 use descan::theme::{Role, Theme};
 use descan::ui::SYMBOLS;

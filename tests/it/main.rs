@@ -46,6 +46,7 @@ mod missing_reasons;
 mod pcapng;
 mod pictures;
 mod profile;
+mod project;
 mod proof;
 mod random_buses;
 mod random_input;

@@ -7,7 +7,7 @@ use crate::catalogue::{Catalogue, DeviceType, TypeBasis, TypeService};
 use crate::discovery::Device;
 use crate::frame::{BusIndex, Frame};
 use crate::time::Instant;
-use crate::wire::data_layout::FieldValue;
+use crate::wire::data_layout::DataFieldValue;
 use crate::wire::descriptor::{DescriptorField, DescriptorValue, Gid};
 use crate::wire::id::{Address, Header, MessageType, Service};
 use crate::wire::profile::Profile;
@@ -37,7 +37,7 @@ impl<'a> FrameTypes<'a> {
     }
 
     /// Returns the fields of the data of a frame.
-    pub fn data_values<'b>(self, header: Header, data: &'b [u8]) -> Vec<FieldValue<'b>>
+    pub fn data_values<'b>(self, header: Header, data: &'b [u8]) -> Vec<DataFieldValue<'b>>
     where
         'a: 'b,
     {
@@ -49,7 +49,7 @@ impl<'a> FrameTypes<'a> {
     }
 
     /// Returns the parameters of a DEBUG message.
-    pub fn debug_values<'b>(self, code: u16, data: &'b [u8]) -> Vec<FieldValue<'b>>
+    pub fn debug_values<'b>(self, code: u16, data: &'b [u8]) -> Vec<DataFieldValue<'b>>
     where
         'a: 'b,
     {
@@ -102,7 +102,9 @@ impl BusTypes {
         };
         let of_address = |address: Address| {
             let holders = bus.names().holders(address).iter();
-            holders.map(|it| (it.since, bus.type_at(catalogue, address, it.since).cloned())).collect()
+            holders
+                .map(|it| (it.since, bus.type_at(catalogue, address, it.since).cloned()))
+                .collect()
         };
         Self {
             common: catalogue.common_types().to_vec(),
@@ -162,9 +164,8 @@ impl Buses {
             return self.catalogue.revision();
         }
         let gids = self.devices().filter_map(gid_of);
-        let bits = gids.map(|Gid(bytes)| {
-            bytes.iter().fold(1, |bits: u64, byte| bits << 8 | u64::from(*byte))
-        });
+        let bits = gids
+            .map(|Gid(bytes)| bytes.iter().fold(1, |bits: u64, byte| bits << 8 | u64::from(*byte)));
         let add = |sum: u64, bits: u64| sum.wrapping_mul(0x0100_0000_01B3).wrapping_add(bits);
         bits.fold(self.catalogue.revision(), add)
     }

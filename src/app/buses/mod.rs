@@ -97,11 +97,11 @@ impl Buses {
     }
 
     /// What the project says about the buses.
-    pub fn project(&self) -> &ProjectFacts {
+    pub fn project(&self) -> &Arc<ProjectFacts> {
         &self.project
     }
 
-    /// Sets what the project says about the buses: before anything is received.
+    /// Sets what the project says about the buses.
     pub(super) fn set_project(&mut self, project: Arc<ProjectFacts>) {
         self.project = project;
     }

@@ -139,7 +139,10 @@ pub fn event_text(buses: &Buses, bus: BusIndex, event: &Event) -> Option<(Timeli
             let code = Service::from_bits(*code);
             let types = buses.types_at(bus, event.address, event.time);
             let name = types.debug_text(&buses.profile(bus), code, data);
-            let text = format!("debug message {name} {}", hex(data, " "));
+            let is_described = !types.debug_values(code.number(), data).is_empty();
+            let bytes = hex(data, " ");
+            let bytes = if is_described { format!("({bytes})") } else { bytes };
+            let text = format!("debug message {name} {bytes}");
             (TimelineKind::Change, text.trim_end().to_owned())
         }
     })

@@ -49,10 +49,13 @@ impl Comparison<'_> {
             else {
                 continue;
             };
-            let (label, by) = (label_of_device(device), match basis {
-                TypeBasis::Gid => "by its GID",
-                TypeBasis::Name => "by its name",
-            });
+            let (label, by) = (
+                label_of_device(device),
+                match basis {
+                    TypeBasis::Gid => "by its GID",
+                    TypeBasis::Name => "by its name",
+                },
+            );
             let text = format!("{label} is a {} {by}, but {difference}.", found.label());
             self.add_of(FindingKind::CatalogueDiffers, device, text, &[]);
             match (basis, self.found.last_mut()) {

@@ -287,10 +287,9 @@ impl<'a> Summary<'a> {
             StoryKey::Problem(ProblemKey::Finding(_)) => self.finding_words(),
             StoryKey::Mode(_) => self.mode_words(),
             StoryKey::Device(_) => self.device_words(),
-            StoryKey::Own(_)
-            | StoryKey::Ack(_)
-            | StoryKey::Text(..)
-            | StoryKey::Debug(..) => self.last_text(),
+            StoryKey::Own(_) | StoryKey::Ack(_) | StoryKey::Text(..) | StoryKey::Debug(..) => {
+                self.last_text()
+            }
         };
         let times = match key {
             StoryKey::Debug(..) => self.occurrences(),

@@ -9,7 +9,7 @@ use crate::app::{App, Bus, CallPart, FrameMeaning, FrameRole};
 use crate::frame::{BusIndex, CanId, Frame, FrameKind};
 use crate::text::{Escaped, hex, push_hex};
 use crate::time::Instant;
-use crate::wire::data_layout::{DataValue, FieldValue};
+use crate::wire::data_layout::{DataFieldValue, DataValue};
 use crate::wire::id::{Address, Service};
 use serde::Serialize;
 use serde_json::Value;
@@ -148,7 +148,7 @@ fn push_text(line: &mut String, text: Option<&str>) {
 }
 
 /// Appends the fields of the data as an object; `null` where the catalogue has none.
-fn push_fields(line: &mut String, values: &[FieldValue<'_>]) {
+fn push_fields(line: &mut String, values: &[DataFieldValue<'_>]) {
     if values.is_empty() {
         return line.push_str("null");
     }

@@ -25,6 +25,7 @@ use crate::discovery::Config;
 use crate::document::Document;
 use crate::frame::{BusIndex, Frame};
 use crate::log::{LogSummary, UnreadableEntries};
+use crate::project::Project;
 use crate::regular_file::{shown, text_of};
 use crate::status::{BusStatus, Link, RecordingStatus};
 use crate::time::Instant;
@@ -70,6 +71,8 @@ pub enum SessionWake {
     File(FileReading),
     /// Another program changed the profile.
     Profile(DiskContent),
+    /// Another program changed the project.
+    Project(DiskContent),
     /// Another program changed a file of the catalogue.
     Catalogue(Vec<CatalogueText>),
     /// Work on files is done.
@@ -134,6 +137,8 @@ pub struct Session {
     watch: Option<FileWatcher>,
     /// The profile's file, and what watches it.
     profile: Option<(PathBuf, FileWatcher)>,
+    /// The project's file, and what watches it.
+    project: Option<(PathBuf, FileWatcher)>,
     /// Watches the folders of the catalogue.
     catalogue: Option<CatalogueWatcher>,
     /// Parses new content of des.json, off the thread that draws.
@@ -222,6 +227,7 @@ impl Session {
             store,
             watch: None,
             profile: None,
+            project: None,
             catalogue: None,
             reading: None,
             work: Vec::new(),
@@ -241,6 +247,13 @@ impl Session {
         let store = Store::new(path);
         let known = store.read();
         self.profile = Some((path.to_owned(), FileWatcher::spawn(store, known)));
+    }
+
+    /// Watches the file of the project: once another program saves it, its facts are in force.
+    pub fn watch_project(&mut self, path: &Path) {
+        let store = Store::new(path);
+        let known = store.read();
+        self.project = Some((path.to_owned(), FileWatcher::spawn(store, known)));
     }
 
     /// Watches the folders of the catalogue; `known` is what was read.
@@ -366,6 +379,7 @@ impl Session {
             })
         };
         let profile = file_changed(self.profile.as_ref().map(|(_, watcher)| watcher));
+        let project = file_changed(self.project.as_ref().map(|(_, watcher)| watcher));
         let catalogue = catalogue_changed(self.catalogue.as_ref());
         let recorder = self.recorder.as_ref();
         let recording = async {
@@ -433,6 +447,7 @@ impl Session {
             () = file_due => SessionWake::FileDue,
             reading = file => SessionWake::File(reading),
             content = profile => SessionWake::Profile(content),
+            content = project => SessionWake::Project(content),
             texts = catalogue => SessionWake::Catalogue(texts),
             (result, at) = done => {
                 drop(self.work.swap_remove(at));
@@ -491,6 +506,7 @@ impl Session {
             SessionWake::Search(news) => self.take_search(now, news),
             SessionWake::File(reading) => self.app.handle_file(now, reading),
             SessionWake::Profile(content) => self.take_profile(now, content),
+            SessionWake::Project(content) => self.take_project(now, content),
             SessionWake::Catalogue(texts) => {
                 let catalogue = self.app.catalogue().read(texts);
                 self.app.handle_catalogue(now, Arc::new(catalogue));
@@ -517,6 +533,18 @@ impl Session {
             Profile::parse(&text).map_err(|error| format!("{error}: {}", error.line_text()))
         });
         self.app.handle_profile(now, &shown(path), profile);
+    }
+
+    fn take_project(&mut self, now: Instant, content: DiskContent) {
+        let Some((path, _)) = &self.project else { return };
+        let missing = || Diagnostic::new("file not found");
+        let text = content.and_then(|content| text_of(content.ok_or_else(missing)?));
+        let folder = path.parent().unwrap_or(Path::new(""));
+        let project = text.map_err(|fault| fault.to_string()).and_then(|text| {
+            let project = Project::parse(&text, folder);
+            project.map_err(|error| format!("{error}: {}", error.line_text()))
+        });
+        self.app.handle_project(now, &shown(path), project.map(|project| project.facts()));
     }
 
     /// Makes the file watch know the content of a save, or read the file again where that is not

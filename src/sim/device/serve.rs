@@ -31,7 +31,7 @@ impl SimDevice {
     pub(super) fn handle_request(&mut self, frame: &Frame, header: Header, port: &mut DeviceIo) {
         if header.service == port.profile.des_service() {
             self.handle_des(frame, header, port);
-        } else if !header.broadcast && self.accepts(header) {
+        } else if !header.broadcast && (self.accepts(header) || self.is_woken_by(header, port)) {
             self.handle_common(frame, header, port);
         }
     }
@@ -39,6 +39,12 @@ impl SimDevice {
     /// Returns true if a request addresses nodes in its mode and it is not in IDLE.
     fn accepts(&self, header: Header) -> bool {
         header.to_non_working != self.is_working() && self.mode != Mode::Idle
+    }
+
+    /// Returns true if a request is the command that a device waits for in IDLE (CAN platform §3.2.4.5).
+    fn is_woken_by(&self, header: Header, port: &DeviceIo) -> bool {
+        let waits = self.mode == Mode::Idle && self.spec.idle_ends_by_command;
+        waits && header.to_non_working && header.service.number() == port.profile.commands.mode
     }
 
     fn handle_des(&mut self, frame: &Frame, header: Header, port: &mut DeviceIo) {

@@ -1,9 +1,9 @@
 //! Reading of profile files (TOML).
 
 use super::{Announce, HeartbeatProfile, Profile, ProfileKey, ProfileValue, ValueOrigin};
+use crate::toml_error::{TomlError, ValuePlaces};
 use crate::wire::descriptor::ByteOrder;
 use crate::wire::id::Service;
-use crate::toml_error::{TomlError, ValuePlaces};
 use serde::{Deserialize, Deserializer};
 use std::collections::BTreeMap;
 
@@ -29,7 +29,8 @@ impl Profile {
     /// # Errors
     /// [`TomlError`] if the text is not TOML, has unknown names, or a value is out of range.
     pub fn parse(text: &str) -> Result<Self, TomlError> {
-        let mut profile: Self = toml::from_str(text).map_err(|error| TomlError::of(text, &error))?;
+        let mut profile: Self =
+            toml::from_str(text).map_err(|error| TomlError::of(text, &error))?;
         let places = ValuePlaces::of(text);
         profile.check().map_err(|RangeFault { key, value, expected }| {
             TomlError::new(text, places.get(key), format!("{key}: {value} is not {expected}"))

@@ -2,18 +2,22 @@
 
 use super::text_snapshot;
 use crate::common::harness::{Stage, text_of};
-use descan::app::{App, AppOptions, FileReading, InputCheck};
+use descan::app::{App, AppOptions, FileReading, InputCheck, ProjectFacts};
 use descan::diagnostic::Diagnostic;
 use descan::discovery::Config;
+use descan::finding::FindingKind;
 use descan::frame::BusIndex;
 use descan::keymap::Key;
+use descan::project::Project;
 use descan::sim::{DeviceAction, Scenario, Sim, SimStation};
 use descan::status::{BusStatus, Link};
 use descan::theme::Theme;
 use descan::time::{Duration, Instant};
 use descan::ui;
+use descan::wire::node::Mode;
 use ratatui::Terminal;
 use ratatui::backend::TestBackend;
+use std::sync::Arc;
 
 /// Two simulated buses in one app.
 pub(super) struct Pair {
@@ -23,9 +27,14 @@ pub(super) struct Pair {
 
 impl Pair {
     pub(super) fn new(scenarios: [&Scenario; 2]) -> Self {
+        Self::with_project(scenarios, ProjectFacts::default())
+    }
+
+    fn with_project(scenarios: [&Scenario; 2], project: ProjectFacts) -> Self {
         let buses = ["can0", "can1"].map(|name| (name.to_owned(), Config::default()));
         let file_path = Some("des.json".into());
-        let options = AppOptions { buses: buses.to_vec(), file_path, ..AppOptions::default() };
+        let (buses, project) = (buses.to_vec(), Arc::new(project));
+        let options = AppOptions { buses, file_path, project, ..AppOptions::default() };
         let mut app = App::new(Instant::ZERO, options);
         app.handle_file(Instant::ZERO, FileReading::Content(None));
         let mut seed = 0;
@@ -204,4 +213,72 @@ fn scheme_is_dropped_before_the_name_is_cut() {
         }
         assert!(!rows.clone().any(|row| row.contains("…oil")), "{page}: {screen}");
     }
+}
+
+/// The boiler of the example project: the water sensor of its first bus is away from 20 to 40 s; that of
+/// the second may stop working at 5 s.
+fn example_project(spare_stops_working: bool) -> Pair {
+    let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/project");
+    let read = |name: &str| std::fs::read_to_string(folder.join(name)).unwrap();
+    let [main, mut spare] =
+        ["main.toml", "spare.toml"].map(|name| Scenario::parse(&read(name)).unwrap());
+    if spare_stops_working {
+        spare = spare.at(Duration::from_secs(5), "SENS", DeviceAction::Mode(Mode::Cfg));
+    }
+    let project = Project::parse(&read("descan.toml"), &folder).unwrap();
+    let mut facts = project.facts();
+    for device in facts.tasks.iter_mut().flat_map(|task| &mut task.devices) {
+        device.bus = if device.bus == "sim:main.toml" { "can0" } else { "can1" }.to_owned();
+    }
+    facts.bitrates = [("can0".to_owned(), 125_000), ("can1".to_owned(), 250_000)].into();
+    Pair::with_project([&main, &spare], facts)
+}
+
+fn findings(pair: &Pair, kind: FindingKind) -> Vec<(String, Instant)> {
+    let all = pair.app.findings().filter(|finding| finding.key.kind == kind);
+    all.map(|finding| (finding.text.clone(), finding.first)).collect()
+}
+
+#[test]
+fn device_that_stands_in_for_another_is_alone_until_it_returns() {
+    let mut pair = example_project(false);
+    pair.run(0..18);
+    assert_eq!(findings(&pair, FindingKind::RedundancyLost), []);
+    pair.run(18..35);
+    let [(text, since)] = &findings(&pair, FindingKind::RedundancyLost)[..] else { panic!() };
+    assert_eq!(
+        text,
+        "water temperature: SENS at 12 on can0 is lost; SENS at 12 on can1 does it alone."
+    );
+    let seconds = since.since(Instant::ZERO).as_secs_f64();
+    assert!((20.0..26.5).contains(&seconds), "{seconds}");
+    let screen = pair.keys("down enter").screen(150, 50);
+    assert!(screen.contains("water temperature"), "{screen}");
+    assert!(screen.contains("! alone since"), "{screen}");
+    assert!(screen.contains("SENS at 12 on can0 is lost"), "{screen}");
+    pair.run(35..50);
+    assert_eq!(findings(&pair, FindingKind::RedundancyLost), []);
+    let screen = pair.screen(150, 50);
+    assert!(screen.contains("SENS at 12 on can0 works"), "{screen}");
+}
+
+#[test]
+fn task_without_a_working_device_has_failed() {
+    let mut pair = example_project(true);
+    pair.run(0..10);
+    let [(text, _)] = &findings(&pair, FindingKind::RedundancyLost)[..] else { panic!() };
+    assert!(text.contains("SENS at 12 on can1 is in CFG; SENS at 12 on can0 does"), "{text}");
+    pair.run(10..35);
+    assert_eq!(findings(&pair, FindingKind::RedundancyLost), []);
+    let [(text, _)] = &findings(&pair, FindingKind::TaskFailed)[..] else { panic!() };
+    assert!(text.contains("is lost") && text.contains("is in CFG"), "{text}");
+}
+
+#[test]
+fn bus_with_another_bit_rate_than_the_project_is_a_finding() {
+    let mut pair = example_project(false);
+    pair.run(0..3);
+    let found = findings(&pair, FindingKind::BitrateDiffers);
+    assert_eq!(found.len(), 1);
+    assert_eq!(found[0].0, "can1 has 125 kbit/s; the project says 250 kbit/s.");
 }

@@ -1,0 +1,223 @@
+//! The project file, from outside: what a folder with `descan.toml` opens, what wins over it, and
+//! mistakes in it.
+
+use crate::common::pty::Pty;
+use descan::project::Project;
+use serde_json::{Value, json};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+struct Folder(tempfile::TempDir);
+
+impl Folder {
+    fn empty() -> Self {
+        Self(tempfile::tempdir().unwrap())
+    }
+
+    /// A copy of the example project, as a clone of its repository.
+    fn example() -> Self {
+        let folder = Self::empty();
+        let example = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/project");
+        std::fs::create_dir(folder.path("devices")).unwrap();
+        for part in ["", "devices"] {
+            for entry in std::fs::read_dir(example.join(part)).unwrap().flatten() {
+                if entry.path().is_file() {
+                    let to = folder.path(part).join(entry.file_name());
+                    std::fs::copy(entry.path(), to).unwrap();
+                }
+            }
+        }
+        folder
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+
+    fn write(&self, name: &str, text: &str) {
+        std::fs::write(self.path(name), text).unwrap();
+    }
+
+    /// Runs the program in a folder; returns exit code, standard output and standard error.
+    fn run_in(&self, inner: &str, arguments: &[&str]) -> (i32, String, String) {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_descan"));
+        command.args(arguments).current_dir(self.path(inner)).stdin(Stdio::null());
+        for (name, folder) in [("CONFIG", "config"), ("DATA", "data"), ("STATE", "state")] {
+            command.env(format!("XDG_{name}_HOME"), self.path(folder));
+        }
+        let output = command.output().expect("the program starts");
+        let text = |bytes: Vec<u8>| String::from_utf8(bytes).expect("output is UTF-8");
+        (output.status.code().unwrap(), text(output.stdout), text(output.stderr))
+    }
+
+    fn run(&self, arguments: &[&str]) -> (i32, String, String) {
+        self.run_in("", arguments)
+    }
+}
+
+fn json_of(out: &str) -> Value {
+    serde_json::from_str(out).unwrap_or_else(|error| panic!("{error}: {out}"))
+}
+
+#[test]
+fn folder_of_a_project_opens_all_its_buses_with_names() {
+    let folder = Folder::example();
+    std::fs::create_dir(folder.path("in")).unwrap();
+    let (code, out, error) = folder.run_in("in", &["check", "--json", "--time", "30"]);
+    assert_eq!(code, 0, "{out}{error}");
+    let report = json_of(&out);
+    let bus = |at: usize| report["buses"][at]["name"].clone();
+    assert_eq!((bus(0), bus(1)), (json!("sim:main.toml"), json!("sim:spare.toml")));
+    let devices = report["devices"].as_array().unwrap();
+    let named: Vec<_> = devices
+        .iter()
+        .map(|it| (it["name"].as_str().unwrap(), it["type"]["title"].as_str().unwrap()))
+        .collect();
+    let sensor = ("SENS", "Sensor board");
+    assert_eq!(named, [("FEED", "Pellet feeder"), sensor, sensor]);
+    // The profile of the project is in force.
+    assert_eq!(report["buses"][0]["profile"]["descriptor.auto"]["value"], json!(true));
+    assert_eq!(report["file"]["entries"], 3);
+}
+
+#[test]
+fn buses_and_options_of_the_command_line_win() {
+    let folder = Folder::example();
+    folder.write("other.json", "{ \"devices\": [] }");
+    folder.write("other.toml", "[services]\ndes = 0x002\n");
+    let options = ["--file", "other.json", "--profile", "other.toml", "--time", "30"];
+    let (_, out, error) =
+        folder.run(&[&["scan", "sim:spare.toml", "--json"][..], &options].concat());
+    let report = json_of(&out);
+    assert_eq!(report["buses"].as_array().unwrap().len(), 1, "{error}");
+    assert_eq!(report["file"]["entries"], 0);
+    let (origin, auto) = ("origin", &report["buses"][0]["profile"]["descriptor.auto"]);
+    assert_eq!(auto[origin], "assumed");
+    // Its types of devices are still known.
+    assert_eq!(report["devices"][0]["type"]["title"], "Sensor board");
+    let (_, out, _) =
+        folder.run(&["scan", "sim:spare.toml", "--json", "--no-project", "--time", "30"]);
+    let report = json_of(&out);
+    assert_eq!(report["buses"][0]["name"], "sim:spare.toml");
+    assert_eq!(report["file"]["path"], "des.json");
+    let file = folder.path("descan.toml");
+    let other = Folder::empty();
+    let (code, out, error) =
+        other.run(&["scan", "--json", "--project", file.to_str().unwrap(), "--time", "30"]);
+    assert_eq!((code, json_of(&out)["devices"].as_array().unwrap().len()), (0, 3), "{error}");
+}
+
+#[test]
+fn buses_with_different_files_are_opened_one_by_one() {
+    let folder = Folder::example();
+    folder.write("one.json", "{ \"devices\": [{ \"name\": \"SENS\" }] }");
+    let text = std::fs::read_to_string(folder.path("descan.toml")).unwrap();
+    let own = "bus = \"sim:spare.toml\"\nfile = \"one.json\"\nbitrate";
+    folder.write("descan.toml", &text.replace("bus = \"sim:spare.toml\"\nbitrate", own));
+    let (code, _, error) = folder.run(&["scan"]);
+    assert_eq!(code, 2);
+    assert!(error.contains("different des.json") && error.contains("open one of them"), "{error}");
+}
+
+#[test]
+fn mistake_is_named_with_its_line_and_nothing_is_opened() {
+    let cases = [
+        ("prifile = 'x'", "line 1, column 1: unknown field `prifile`"),
+        (
+            "[[bus]]\nbus = 'slcan:/dev/ttyACM0@500000'",
+            "line 2, column 7: a project sets no bit rate",
+        ),
+        ("[[bus]]\nbus = '-'", "line 2, column 7: a project has no standard input"),
+        ("[[bus]]\nbus = 'pcan:1'", "line 2, column 7: pcan: unknown bus type"),
+        ("[[bus]]\nbus = 'can0'\n[[bus]]\nbus = 'can0'", "line 4, column 7: stands twice"),
+        ("[[bus]]\nbus = 'can0'\nbitrate = 125", "line 3, column 11: bitrate is 10000"),
+        (
+            "[[redundant]]\ntask = 't'\ndevices = []",
+            "line 2, column 8: a redundant task has at least",
+        ),
+        (
+            "[[bus]]\nbus = 'can0'\n[[redundant]]\ntask = 't'\ndevices = [{ bus = 'can0', name = 'A' },\n\
+             { bus = 'can1', name = 'A' }]",
+            "line 6, column 1: can1 is no bus of this project",
+        ),
+        (
+            "[[bus]]\nbus = 'can0'\n[[redundant]]\ntask = 't'\ndevices = [{ bus = 'can0' },\n\
+             { bus = 'can0', name = 'A' }]",
+            "line 5, column 12: a device has a name",
+        ),
+        (
+            "[[bus]]\nbus = 'can0'\n[[redundant]]\ntask = 't'\ndevices = [{ bus = 'can0', address = 200 },\n\
+             { bus = 'can0', name = 'A' }]",
+            "line 5, column 12: address 200 is not",
+        ),
+        ("[[redundant]]\ntask = \"\\u001b\"\ndevices = []", "line 2, column 8: task has 1 to 60"),
+    ];
+    for (text, expected) in cases {
+        let error = Project::parse(text, Path::new("")).unwrap_err().to_string();
+        assert!(error.starts_with(expected), "{text}: {error}");
+    }
+    let folder = Folder::example();
+    folder.write("descan.toml", "file = 'des.json'\nbus = 7\n");
+    let (code, out, error) = folder.run(&["scan", "sim:main.toml"]);
+    assert_eq!((code, &*out), (3, ""));
+    assert!(
+        error.contains("descan.toml: line 2, column 7") && error.contains("bus = 7"),
+        "{error}"
+    );
+}
+
+#[test]
+fn bus_on_another_machine_is_opened_after_asking_once() {
+    let folder = Folder::empty();
+    // No one is there: it is asked for before it is opened.
+    folder.write("descan.toml", "[[bus]]\nbus = 'socketcand://127.0.0.1:1/can0'\n");
+    let (code, _, error) = folder.run(&["scan", "--time", "1"]);
+    assert_eq!(code, 2);
+    assert!(
+        error.contains("on another machine") && error.contains("descan socketcand:"),
+        "{error}"
+    );
+    let script = format!(
+        "XDG_STATE_HOME={0}/state XDG_CONFIG_HOME={0}/config {1} scan --time 1; echo code $?",
+        folder.0.path().display(),
+        env!("CARGO_BIN_EXE_descan")
+    );
+    let ask = |answer: Option<&str>, until: &str| {
+        let mut pty = Pty::run("sh", &["-c", &script], folder.0.path(), (120, 30));
+        if let Some(answer) = answer {
+            pty.wait_for("from now on? [y/N]");
+            pty.send(answer);
+        }
+        pty.wait_for(until);
+        assert_eq!(pty.screen().contains("from now on?"), answer.is_some());
+        pty.wait();
+    };
+    ask(Some("n\r"), "code 2");
+    ask(Some("y\r"), "code 3");
+    ask(None, "code 3");
+    // Of another project it is asked again.
+    folder.write("descan.toml", "[[bus]]\nbus = 'socketcand://127.0.0.1:2/can0'\n");
+    ask(Some("n\r"), "is not opened");
+}
+
+#[test]
+fn init_writes_a_project_that_is_accepted() {
+    let folder = Folder::empty();
+    let (code, out, error) = folder.run(&["init", "sim:boiler", "--time", "20"]);
+    assert_eq!(code, 0, "{error}");
+    assert!(
+        error.contains("wrote descan.toml") && error.contains("scan --write des.json"),
+        "{error}"
+    );
+    let text = std::fs::read_to_string(folder.path("descan.toml")).unwrap();
+    assert_eq!(text, out);
+    assert!(
+        text.contains("bus = \"sim:boiler\"\nbitrate = 125000\n# 3 devices: FEED 10"),
+        "{text}"
+    );
+    let (code, out, _) = folder.run(&["scan", "--json", "--time", "20"]);
+    assert_eq!((code, &json_of(&out)["buses"][0]["name"]), (0, &json!("sim:boiler")));
+    let (code, _, error) = folder.run(&["init", "sim:boiler"]);
+    assert_eq!(code, 3);
+    assert!(error.contains("already exists"), "{error}");
+}
