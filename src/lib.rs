@@ -21,6 +21,7 @@
 //! * [`finding`]: what is wrong, with its evidence; one table of all kinds.
 //! * [`discovery`]: the engine of one bus: frames and time in; devices, findings and requests out.
 //! * [`learning`]: values of the profile, from the frames of a bus.
+//! * [`address_plan`]: plans that give devices other addresses, and their execution.
 //! * [`document`]: des.json: parse, edit in place, merge.
 //! * [`inventory`]: buses and devices of one moment; differences between two.
 //! * [`log`]: log formats, candump and pcapng.
@@ -48,6 +49,8 @@ pub mod frame;
 pub mod time;
 pub mod wire;
 
+#[cfg(feature = "std")]
+pub mod address_plan;
 #[cfg(feature = "std")]
 pub mod bitrate;
 #[cfg(feature = "std")]

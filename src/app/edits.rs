@@ -234,7 +234,7 @@ impl App {
         self.show_info(format!("edit not saved; {key} reopens the conflict"));
     }
 
-    fn edit(&mut self, operations: &[Operation]) {
+    pub(super) fn edit(&mut self, operations: &[Operation]) {
         match self.editor.file.edit(operations) {
             Ok(name) => self.edited(&name),
             Err(refusal) => self.file_error(refusal.to_string()),

@@ -15,6 +15,7 @@
 //! bus_picker      the list of buses           bus_scout     what can be opened, as it changes
 //! bus_offers      interfaces, adapters, logs  background_colour   that of the terminal
 //! recent_logs     logs opened before, and what was found in them
+//! plan_files      plans of addresses on disk
 //! waiting         futures for optional sources
 //! ```
 //!
@@ -31,6 +32,7 @@ pub mod file_watcher;
 pub mod log_input;
 pub mod paint_pace;
 pub mod painted_screen;
+pub mod plan_files;
 pub mod recent_logs;
 pub mod recorder;
 pub mod recovery;
