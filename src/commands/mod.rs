@@ -3,6 +3,7 @@
 //! Each returns the exit code that scripts rely on, or a [`Failure`] whose text names the cause and
 //! the remedy. Does not parse arguments.
 
+mod apply;
 mod check;
 mod device;
 mod diff;
@@ -85,6 +86,7 @@ pub fn run(cli: Cli) -> ExitCode {
         }
         Some(Command::Address { device, setting }) => device::set_address(&device, &setting),
         Some(Command::Bitrate { device, setting }) => device::set_bitrate(&device, &setting),
+        Some(Command::Apply(args)) => apply::run(&args),
         Some(Command::Descriptor(args)) => device::run(&args, DeviceTask::Read(None)),
         Some(Command::Speed(speed)) => speed::run(&speed),
         Some(Command::Completions { shell }) => {
