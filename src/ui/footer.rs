@@ -255,6 +255,15 @@ fn hint_line(brush: &DrawContext, mode: KeyMode, width: usize) -> Vec<Span<'stat
         (KeyMode::Profile, ..) => {
             &[A::ProfileTick, A::ProfileUse, A::ProfileFrames, A::ProfileDismiss, A::ProfileClose]
         }
+        (KeyMode::Plan, ..) => &[
+            A::PlanStart,
+            A::PlanLeaveOut,
+            A::PlanEarlier,
+            A::PlanLater,
+            A::PlanStop,
+            A::PlanUndo,
+            A::PlanClose,
+        ],
         // It is drawn with its keys.
         (KeyMode::Choice, ..) => &[],
         (KeyMode::Themes, ..) => &[A::ThemeUp, A::ThemeDown, A::ThemeKeep, A::ThemesClose],

@@ -4,6 +4,7 @@
 //! the environment, the current directory or the signal handlers. Programs of their own are
 //! `no_allocation` (its own allocator) and `interrupted_saves` (starts itself under strace).
 
+mod address_plans;
 mod adversarial_logs;
 mod bitrate_search;
 mod builtin_scenarios;

@@ -4,6 +4,7 @@
 //! One plan at a time, about the present alone. Its file is written by the shell, which reports back
 //! before the first request of a step is sent. Does not know how it is drawn.
 
+mod dialog;
 mod goals;
 mod known_devices;
 
@@ -62,7 +63,9 @@ pub struct PlanSession {
     open: Option<(RequestId, usize)>,
     /// The last request of each step.
     frames: Vec<Option<Frame>>,
-    pub(super) selected: usize,
+    selected: usize,
+    /// The user has seen that it stopped.
+    is_seen: bool,
 }
 
 impl PlanSession {
@@ -225,6 +228,7 @@ impl App {
             open: None,
             frames: Vec::new(),
             selected: 0,
+            is_seen: true,
         }));
         if !is_read {
             self.renew_plan();
@@ -386,10 +390,14 @@ impl App {
                 return self.renew_plan();
             }
         }
-        if session.run.is_some() {
+        let has_run = session.run.is_some();
+        if has_run {
             self.step_run(now, &mut session);
         }
         self.plan = Some(session);
+        if has_run {
+            self.show_plan_change();
+        }
     }
 
     fn step_run(&mut self, now: Instant, session: &mut PlanSession) {
@@ -419,6 +427,17 @@ impl App {
             }
         }
         self.report_plan_news(session);
+    }
+
+    /// Notes what changed on the screen through a look after the plan.
+    fn show_plan_change(&mut self) {
+        let is_open = matches!(self.input.overlay(), super::Overlay::Plan);
+        if let Some(session) = &mut self.plan
+            && session.run.is_some()
+        {
+            session.is_seen = is_open || session.is_seen && !session.is_running();
+        }
+        self.renew_banner();
     }
 
     fn send_for_plan(&mut self, bus: BusIndex, request: PlanRequest) -> Result<RequestId, String> {
