@@ -22,6 +22,11 @@ impl AddressSet {
         self.0 |= 1 << address.index();
     }
 
+    /// Returns true if it has another address than this one.
+    pub const fn has_other(self, address: Address) -> bool {
+        self.0 & !(1 << address.index()) != 0
+    }
+
     /// Returns the addresses of both.
     #[must_use]
     pub const fn with(self, other: Self) -> Self {
@@ -95,6 +100,8 @@ pub struct KnownDevice {
     pub address: Address,
     /// The setting it has stored; `None` if it is unknown.
     pub setting: Option<AddressSetting>,
+    /// Addresses that it may have stored, or come back to, as a plan's file tells.
+    pub possible: AddressSet,
     /// It is at its address now.
     pub is_present: bool,
     /// Another device uses the same address.

@@ -217,7 +217,7 @@ impl<'a> Planner<'a> {
         }
         let setting = goal.setting.unwrap_or(self.options.setting(goal.to));
         if device.setting.is_none_or(|stored| stored == setting) {
-            if device.address == goal.to {
+            if device.address == goal.to && !device.possible.has_other(goal.to) {
                 return Err(LeftOutReason::AlreadyThere);
             }
             if device.setting.is_some() && self.options.effect == StepEffect::Deferred {
@@ -259,7 +259,8 @@ impl<'a> Planner<'a> {
     /// Returns the addresses that a device uses or has stored. `is_leaving`: it leaves its address at
     /// its next restart, or before.
     fn taken(&self, device: &KnownDevice, is_leaving: bool) -> AddressSet {
-        let mut taken: AddressSet = device.stored().into_iter().collect();
+        let stored: AddressSet = device.stored().into_iter().collect();
+        let mut taken = stored.with(device.possible);
         // Of settings that act later all are stored before the first acts: what counts is where the
         // devices are after they all restart.
         let acts_later = is_leaving && self.options.effect == StepEffect::Deferred;
@@ -274,8 +275,6 @@ impl<'a> Planner<'a> {
         let mut devices = self.bus.devices.iter().enumerate();
         let holder = devices.find(|(place, device)| {
             *place != except
-                // What it may have stored itself holds up others alone.
-                && device.identity != self.bus.devices[except].identity
                 && !self.movers.iter().any(|mover| mover.device == *place)
                 && self.taken(device, self.is_stored(*place)).has(address)
         });
@@ -390,11 +389,11 @@ impl<'a> Planner<'a> {
         let mover = self.movers.remove(at);
         let to = self.goals[mover.goal].to;
         let wanted = self.goals[mover.goal].setting.unwrap_or(self.options.setting(to));
-        let is_stored =
-            mover.setting == Some(wanted) && self.options.effect == StepEffect::Restart;
+        let is_stored = mover.setting == Some(wanted) && self.options.effect == StepEffect::Restart;
         let reason = match (self.freed_by[to.index()], mover.setting) {
             _ if is_stored => StepReason::Restart,
             (_, Some(setting)) if mover.at == to => StepReason::Setting(setting),
+            (_, None) if mover.at == to => StepReason::Unclear,
             (Some(step), _) => StepReason::After(step),
             (None, _) => StepReason::Free(to),
         };
@@ -464,6 +463,7 @@ mod tests {
             identity: DeviceIdentity { uid: Some(Uid(uid)), name: Some(Name::from(name)) },
             address: address(number),
             setting: Some(AddressSetting::Fixed(address(number))),
+            possible: AddressSet::default(),
             is_present: true,
             is_shared: false,
             is_debug: false,
@@ -491,12 +491,14 @@ mod tests {
     }
 
     fn lines(plan: &AddressPlan) -> Vec<String> {
-        let steps = plan.steps.iter().map(|it| {
-            format!("{} {} → {}: {}", it.device.label(), it.from, it.to, it.why())
-        });
-        let left = plan.left_out.iter().map(|it| {
-            format!("{} – {}: {}", it.device.label(), it.to, it.reason)
-        });
+        let steps = plan
+            .steps
+            .iter()
+            .map(|it| format!("{} {} → {}: {}", it.device.label(), it.from, it.to, it.why()));
+        let left = plan
+            .left_out
+            .iter()
+            .map(|it| format!("{} – {}: {}", it.device.label(), it.to, it.reason));
         steps.chain(left).collect()
     }
 
@@ -509,7 +511,8 @@ mod tests {
     fn check(bus: &PlanBus, plan: &AddressPlan, goals: &[AddressGoal], effect: StepEffect) {
         let mut live: Vec<Option<Address>> =
             bus.devices.iter().map(|it| it.is_present.then_some(it.address)).collect();
-        let mut stored: Vec<Option<Address>> = bus.devices.iter().map(KnownDevice::stored).collect();
+        let mut stored: Vec<Option<Address>> =
+            bus.devices.iter().map(KnownDevice::stored).collect();
         for step in &plan.steps {
             let at = goals[step.goal].device.unwrap();
             let others = |all: &[Option<Address>]| {

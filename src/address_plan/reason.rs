@@ -22,6 +22,8 @@ pub enum StepReason {
     },
     /// It stays at its address, where it has another setting.
     Setting(AddressSetting),
+    /// It stays at its address, and it is not known what it has stored.
+    Unclear,
     /// It has the setting already, and has not restarted since.
     Restart,
 }
@@ -38,6 +40,7 @@ impl fmt::Display for StepReason {
                 write!(f, "through free {through}: cycle of {devices}")
             }
             Self::Setting(setting) => write!(f, "its setting is {setting}"),
+            Self::Unclear => f.write_str("its setting is not known"),
             Self::Restart => f.write_str("stored already: it restarts"),
         }
     }

@@ -208,9 +208,8 @@ impl PlanRecord {
     /// Addresses at which a device of the plan may come back, as far as the file tells.
     pub fn possible_addresses(&self, device: usize) -> Vec<Address> {
         let original = self.devices.get(device).map(|it| it.original.address);
-        let is_begun = |step: &&RecordedStep| {
-            step.device == device && step.state != StepState::Pending.word()
-        };
+        let is_begun =
+            |step: &&RecordedStep| step.device == device && step.state != StepState::Pending.word();
         let begun = self.steps.iter().filter(is_begun).flat_map(|step| [step.from, step.to]);
         let mut all: Vec<u8> = original.into_iter().chain(begun).collect();
         all.sort_unstable();

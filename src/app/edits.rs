@@ -535,6 +535,12 @@ impl App {
     /// Quits; with unsaved edits opens a question instead, and descan quits as soon as they are
     /// saved.
     pub(super) fn ask_quit(&mut self) {
+        if self.plan.as_ref().is_some_and(|session| session.is_running()) {
+            let (plan, stop) = (self.key_of(Action::Plan), self.key_of(Action::PlanStop));
+            let now = self.key_of(Action::QuitNow);
+            let text = format!("a plan runs: {plan} {stop} stops it after this step; {now} quits");
+            return self.show_error(text);
+        }
         if self.editor.file.unsaved() > 0 {
             self.input.ask(Question::Quit);
         } else {

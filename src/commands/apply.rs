@@ -117,7 +117,9 @@ fn require_key(setup: &Setup, key: ProfileKey, what: &str) -> Result<(), Failure
         return Ok(());
     }
     let name = key.name();
-    Err(Failure::Unusable(format!("{what} needs a profile with {name}: no number is known for sure")))
+    Err(Failure::Unusable(format!(
+        "{what} needs a profile with {name}: no number is known for sure"
+    )))
 }
 
 /// Returns what the devices are to get; reads the plan that goes on or is taken back.
@@ -259,6 +261,9 @@ impl Apply<'_> {
         let state = session.run().map(|run| run.state());
         match state {
             None if self.has_declined => say("nothing was written"),
+            None if session.plan().leaves_out() && session.plan().steps.is_empty() => {
+                say("no step can be done: see what is left out");
+            }
             None if session.plan().steps.is_empty() => say("nothing to do"),
             None => {}
             Some(state) => {
@@ -339,7 +344,8 @@ fn is_missing(app: &App, bus: &Bus, task: &PlanTask) -> bool {
 
 /// The plan as a table.
 fn table(app: &App, session: &PlanSession) -> String {
-    let mut rows = vec![["ORDER", "DEVICE", "UID", "FROM", "TO", "WHY", "STATE"].map(str::to_owned)];
+    let mut rows =
+        vec![["ORDER", "DEVICE", "UID", "FROM", "TO", "WHY", "STATE"].map(str::to_owned)];
     let uid = |identity: &DeviceIdentity| uid_text(app, session, identity);
     for (at, step) in session.plan().steps.iter().enumerate() {
         rows.push([
@@ -357,14 +363,19 @@ fn table(app: &App, session: &PlanSession) -> String {
         rows.push([
             "–".to_owned(),
             left.device.label(),
-            uid(&left.device),
+            if left.at.is_none() && left.device.uid.is_none() {
+                "–".to_owned()
+            } else {
+                uid(&left.device)
+            },
             left.at.map_or("–".to_owned(), |at| at.to_string()),
             left.to.to_string(),
             left.reason.to_string(),
             state.to_owned(),
         ]);
     }
-    let width = |column: usize| rows.iter().map(|row| row[column].chars().count()).max().unwrap_or(0);
+    let width =
+        |column: usize| rows.iter().map(|row| row[column].chars().count()).max().unwrap_or(0);
     let widths: [usize; 7] = std::array::from_fn(width);
     let mut text = String::new();
     for row in &rows {

@@ -51,7 +51,10 @@ pub fn read_plan(wanted: &str) -> Result<(String, PlanRecord), Diagnostic> {
         [PathBuf::from(wanted), folder.join(wanted), folder.join(format!("{wanted}.json"))];
     let path = candidates.into_iter().find(|path| path.is_file());
     let path = path.ok_or_else(|| {
-        Diagnostic::new(format!("{wanted}: plan not found, neither here nor in {}", folder.display()))
+        Diagnostic::new(format!(
+            "{wanted}: plan not found, neither here nor in {}",
+            folder.display()
+        ))
     })?;
     let record = read_path(&path)?;
     Ok((file_name(&path), record))

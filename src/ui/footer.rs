@@ -544,6 +544,13 @@ fn applies(brush: &DrawContext, action: Action) -> bool {
         (A::Identify | A::ReadDescriptor | A::Command, _) => {
             app.has_command(action) && device().is_some()
         }
+        (A::PlanStop, _) => app.address_plan().is_some_and(|plan| plan.is_running()),
+        (A::PlanStart | A::PlanLeaveOut | A::PlanEarlier | A::PlanLater, _) => {
+            app.address_plan().is_some_and(|plan| plan.can_start(action == A::PlanStart))
+        }
+        (A::PlanUndo, _) => {
+            app.address_plan().is_some_and(|plan| plan.record().is_some() && !plan.is_running())
+        }
         (A::Rescan, _) => on_any(|config| config.send_requests),
         _ => true,
     }

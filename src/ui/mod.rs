@@ -38,8 +38,8 @@ mod help;
 mod lanes;
 mod marks;
 mod moment;
-mod problems;
 mod plan;
+mod problems;
 mod profile;
 mod saved_filters;
 mod status;
@@ -52,7 +52,7 @@ mod time_bar;
 mod timeline;
 mod traffic;
 
-use crate::app::{App, Overlay, Page, Signs};
+use crate::app::{App, Overlay, Page, Question, Signs};
 use crate::text::with_few_marks;
 use crate::theme::{Role, Theme};
 use brush::DrawContext;
@@ -96,7 +96,7 @@ pub fn draw(app: &App, theme: &Theme, frame: &mut Frame) -> Option<u16> {
         Overlay::Filters(selected) => saved_filters::draw(&mut brush, *selected),
         Overlay::Comparison => comparison::draw(&mut brush),
         Overlay::Profile => profile::draw(&mut brush),
-        Overlay::Plan => plan::draw(&mut brush),
+        Overlay::Plan | Overlay::Question(Question::Plan) => plan::draw(&mut brush),
         Overlay::Kinds(selected) => {
             page(&mut brush);
             story_kinds::draw(&mut brush, *selected);

@@ -13,11 +13,11 @@
 //!  [x] fixed addresses   [ ] restart each   plan: 20261121-120036-can0.json
 //! ```
 //!
-//! Narrow screens leave out the UID, then ORDER.
+//! Narrow screens leave out the UID, then ORDER and WHY.
 
 use super::brush::{DrawContext, fit, fit_right};
 use crate::address_plan::{LeftOut, PlanStep, RunState, StepEffect, StepState};
-use crate::app::{Decoded, PlanSession, PlanTask};
+use crate::app::{PlanSession, PlanTask};
 use crate::keymap::Action;
 use crate::text::{counted, hex};
 use crate::theme::Role;
@@ -27,12 +27,14 @@ use unicode_width::UnicodeWidthStr;
 
 /// Least width with the UIDs.
 const WITH_UIDS: u16 = 76;
+/// Least width with the order and the reason.
+const WITH_REASONS: u16 = 60;
 /// Least height with what is below the list.
 const WITH_DETAILS: u16 = 12;
 /// Lines below the list: rule, two requests, two about the plan.
 const DETAILS: u16 = 5;
 /// Columns of the state.
-const STATE_WIDTH: usize = 12;
+const STATE_WIDTH: usize = 13;
 
 /// Draws the line above the page, if a plan runs; returns false if there is none.
 pub fn draw_banner(brush: &mut DrawContext) -> bool {
@@ -55,9 +57,8 @@ pub fn draw(brush: &mut DrawContext) {
     let Some(session) = brush.app.address_plan() else { return };
     let area = brush.panel(&title(brush, session));
     let area = Rect { height: area.height.saturating_sub(brush.screen.time_bar.height), ..area };
-    let has_uids = area.width >= WITH_UIDS;
-    let why = why_width(area, has_uids);
-    let header = row_text(["", "DEVICE", "UID", "FROM", "TO", "WHY"], has_uids, why);
+    let columns = PlanColumns::new(area);
+    let header = columns.row(["", "DEVICE", "UID", "FROM", "TO", "WHY"], false);
     let header = format!("{header}STATE");
     brush.line(area, 0, &Line::from(brush.span(Role::Header, header)));
     let below = if area.height >= WITH_DETAILS { DETAILS } else { 0 };
@@ -75,10 +76,10 @@ pub fn draw(brush: &mut DrawContext) {
     for row in (top..session.rows()).take(height) {
         let plan = session.plan();
         let spans = match plan.steps.get(row) {
-            Some(step) => step_spans(brush, session, (row, step), has_uids, why),
+            Some(step) => step_spans(brush, session, (row, step), (columns, row == selected)),
             None => {
                 let left = &plan.left_out[row - plan.steps.len()];
-                left_out_spans(brush, session, left, has_uids, why)
+                left_out_spans(brush, session, left, (columns, row == selected))
             }
         };
         let at = (row - top) as u16;
@@ -124,17 +125,33 @@ fn title(brush: &DrawContext, session: &PlanSession) -> String {
     format!(" Plan: give {devices} {source} ─ {state} ")
 }
 
-/// Columns of the reason: what the others leave.
-fn why_width(area: Rect, has_uids: bool) -> usize {
-    let others = 2 + 4 + 11 + if has_uids { 10 } else { 0 } + 5 + 5 + 1 + STATE_WIDTH;
-    usize::from(area.width).saturating_sub(others).clamp(8, 48)
+/// Which columns there are, and how wide.
+#[derive(Clone, Copy)]
+struct PlanColumns {
+    has_uids: bool,
+    has_reasons: bool,
+    /// Columns of the reason: what the others leave.
+    why: usize,
 }
 
-fn row_text(cells: [&str; 6], has_uids: bool, why: usize) -> String {
-    let [order, name, uid, from, to, reason] = cells;
-    let uid = if has_uids { format!("{} ", fit(uid, 9)) } else { String::new() };
-    let (from, to) = (fit_right(from, 4), fit_right(to, 4));
-    format!("  {} {} {uid}{from} {to}  {} ", fit(order, 3), fit(name, 10), fit(reason, why))
+impl PlanColumns {
+    fn new(area: Rect) -> Self {
+        let (has_uids, has_reasons) = (area.width >= WITH_UIDS, area.width >= WITH_REASONS);
+        let others = 2 + 4 + 11 + if has_uids { 10 } else { 0 } + 5 + 5 + 1 + STATE_WIDTH;
+        let why = usize::from(area.width).saturating_sub(others).clamp(8, 48);
+        Self { has_uids, has_reasons, why }
+    }
+
+    fn row(self, cells: [&str; 6], is_selected: bool) -> String {
+        let [order, name, uid, from, to, reason] = cells;
+        let sign = if is_selected { "▸" } else { " " };
+        let order = if self.has_reasons { format!("{} ", fit(order, 3)) } else { String::new() };
+        let uid = if self.has_uids { format!("{} ", fit(uid, 9)) } else { String::new() };
+        let reason =
+            if self.has_reasons { format!("{} ", fit(reason, self.why)) } else { String::new() };
+        let (name, from, to) = (fit(name, 10), fit_right(from, 4), fit_right(to, 4));
+        format!("{sign} {order}{name} {uid}{from} {to}  {reason}")
+    }
 }
 
 fn uid_text(brush: &DrawContext, session: &PlanSession, step: &PlanStep) -> String {
@@ -146,8 +163,7 @@ fn step_spans(
     brush: &DrawContext,
     session: &PlanSession,
     (at, step): (usize, &PlanStep),
-    has_uids: bool,
-    why: usize,
+    (columns, is_selected): (PlanColumns, bool),
 ) -> Vec<Span<'static>> {
     let state = session.step_state(at);
     let role = match state {
@@ -172,7 +188,7 @@ fn step_spans(
         StepState::Failed(cause) => cause.clone(),
         _ => step.why(),
     };
-    let row = row_text([&order, &name, &uid, &from, &to, &reason], has_uids, why);
+    let row = columns.row([&order, &name, &uid, &from, &to, &reason], is_selected);
     vec![brush.span(Role::Text, row), brush.span(role, word)]
 }
 
@@ -180,22 +196,17 @@ fn left_out_spans(
     brush: &DrawContext,
     session: &PlanSession,
     left: &LeftOut,
-    has_uids: bool,
-    why: usize,
+    (columns, is_selected): (PlanColumns, bool),
 ) -> Vec<Span<'static>> {
     let profile = brush.app.profile(session.bus());
     let uid = left.device.uid.map(|uid| uid.text(&profile.uid).to_string());
     let from = left.at.map_or("–".to_owned(), |at| at.to_string());
-    let (name, to, reason) =
-        (left.device.label(), left.to.to_string(), left.reason.to_string());
+    let (name, to, reason) = (left.device.label(), left.to.to_string(), left.reason.to_string());
     let uid = uid.unwrap_or_else(|| if left.at.is_some() { "blank" } else { "–" }.to_owned());
-    let row = row_text(["–", &name, &uid, &from, &to, &reason], has_uids, why);
+    let row = columns.row(["–", &name, &uid, &from, &to, &reason], is_selected);
     let is_done = left.reason.is_done();
     let role = if is_done { Role::Muted } else { Role::Suspected };
-    vec![
-        brush.span(Role::Muted, row),
-        brush.span(role, if is_done { "–" } else { "left out" }),
-    ]
+    vec![brush.span(Role::Muted, row), brush.span(role, if is_done { "–" } else { "left out" })]
 }
 
 fn draw_details(brush: &mut DrawContext, session: &PlanSession, selected: usize, rule: Rect) {
@@ -203,7 +214,8 @@ fn draw_details(brush: &mut DrawContext, session: &PlanSession, selected: usize,
     let area = Rect { y: rule.bottom(), height: DETAILS - 1, ..rule };
     let width = usize::from(rule.width);
     let step = session.plan().steps.get(selected);
-    let title = match (step, session.plan().left_out.get(selected.wrapping_sub(session.plan().steps.len()))) {
+    let place = selected.wrapping_sub(session.plan().steps.len());
+    let title = match (step, session.plan().left_out.get(place)) {
         (Some(step), _) => {
             let (name, from, to) = (step.device.label(), step.from, step.to);
             format!(" step {}: {name} {from} → {to} ", selected + 1)
@@ -218,10 +230,10 @@ fn draw_details(brush: &mut DrawContext, session: &PlanSession, selected: usize,
         if let StepState::Failed(cause) = session.step_state(selected) {
             lines.push(Line::from(brush.span(Role::Error, format!(" {cause}"))));
         }
-        for frame in brush.app.plan_frames(session, selected).iter().take(2 - lines.len()) {
+        let frames = brush.app.plan_frames(session, selected);
+        for (frame, meaning) in frames.iter().take(2 - lines.len()) {
             let id = frame.platform_id().unwrap_or_default();
             let text = format!(" {id:08X} {}", hex(frame.data(), " "));
-            let meaning = Decoded::of(brush.app, frame).meaning();
             lines.push(Line::from(vec![
                 brush.span(Role::Request, text),
                 brush.span(Role::Muted, format!("  {meaning}")),

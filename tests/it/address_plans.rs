@@ -458,7 +458,7 @@ fn device_that_takes_the_address_meanwhile_stops_the_plan() {
 fn devices_without_a_uid_are_moved_by_their_addresses() {
     for is_readable in [true, false] {
         let specs = [10, 12, 13].into_iter().map(|number| {
-            let mut spec = DeviceSpec::new("SENS").fixed(number);
+            let mut spec = DeviceSpec::new("SENS").fixed(number).uid(Uid([0; 6]));
             spec.skips_address_resolution = true;
             spec
         });
@@ -482,7 +482,7 @@ fn devices_without_a_uid_are_moved_by_their_addresses() {
 }
 
 #[test]
-fn settings_that_are_not_read_are_known_from_the_file_of_the_plan() {
+fn unread_settings_are_known_from_the_file() {
     let (from, wanted) = permutation(6, 8);
     let mut line = Line::new(&from, &wanted, Writes::Later, 8);
     line.profile = Writes::Later.profile(false);
@@ -494,6 +494,10 @@ fn settings_that_are_not_read_are_known_from_the_file_of_the_plan() {
     line.writing = None;
     line.app = Line::start(line.sim.now(), &line.file, &line.profile, 9);
     line.plan(PlanTask::Resume(Box::new(record), name));
+    let plan = line.app.address_plan().unwrap().plan();
+    let left = plan.left_out.iter().map(|it| it.reason.to_string());
+    let left: Vec<String> = left.collect();
+    assert!(!left.is_empty() && left.iter().all(|why| why.starts_with("stored: ")), "{left:?}");
     line.finish();
     // Those that the second plan left to the restart may still be on their way.
     line.run(5.0, |_| false);
@@ -520,7 +524,9 @@ fn file_of_a_plan_is_checked() {
         let wrong = parse(&text.replacen(from, to, 1));
         assert!(why.is_empty() || wrong.unwrap_err().starts_with(why), "{from} → {to}");
     }
-    let nobody = text.replace("uid_hex\": \"", "uid_hex\": \"x").replace("name_hex\": \"", "name_hex\": \"x");
+    let nobody = text
+        .replace("uid_hex\": \"", "uid_hex\": \"x")
+        .replace("name_hex\": \"", "name_hex\": \"x");
     assert_eq!(parse(&nobody).unwrap_err(), "device 1 has neither UID nor name");
     assert!(PlanRecord::parse(&vec![b' '; 2 << 20]).is_err());
 }

@@ -6,6 +6,7 @@
 
 mod address_plans;
 mod adversarial_logs;
+mod apply_command;
 mod bitrate_search;
 mod builtin_scenarios;
 mod bus_outages;

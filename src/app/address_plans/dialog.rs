@@ -3,6 +3,7 @@
 use super::goals::GoalKey;
 use super::{PlanSession, PlanTask};
 use crate::address_plan::{RunState, StepEffect};
+use crate::app::device_command::DeviceCommand;
 use crate::app::input::{Overlay, Question};
 use crate::app::{App, view::Page};
 use crate::frame::{BusIndex, Frame};
@@ -15,6 +16,15 @@ impl PlanSession {
     /// Place of the selected row: a step, or behind the steps a device without one.
     pub const fn selected(&self) -> usize {
         self.selected
+    }
+
+    /// Returns true if its steps can be changed; `again`: or what is left of it can be planned.
+    pub fn can_start(&self, again: bool) -> bool {
+        match self.run.as_ref().map(|run| run.state()) {
+            None => !self.is_reading(),
+            Some(RunState::Stopped(_)) => again,
+            Some(_) => false,
+        }
     }
 
     /// Place of the goal of a row.
@@ -103,9 +113,13 @@ impl App {
     /// Moves the device of the selected step to an earlier or a later place, as far as addresses allow.
     pub(in crate::app) fn reorder_plan(&mut self, is_later: bool) {
         let Some(session) = self.changeable_plan() else { return };
-        // The order of the final steps.
-        let steps = session.plan.steps.iter().filter(|step| !step.is_detour());
-        let mut order: Vec<usize> = steps.map(|step| step.goal).collect();
+        // The order of the first steps.
+        let mut order: Vec<usize> = Vec::new();
+        for step in &session.plan.steps {
+            if !order.contains(&step.goal) {
+                order.push(step.goal);
+            }
+        }
         let selected = session.goal_of_row(session.selected);
         let Some(at) = order.iter().position(|goal| Some(*goal) == selected) else { return };
         let other = if is_later { at + 1 } else { at.wrapping_sub(1) };
@@ -215,8 +229,10 @@ impl App {
 
     /// The plan, as long as it is not started; else reports why it stays as it is.
     fn changeable_plan(&mut self) -> Option<&mut PlanSession> {
-        let is_free =
-            self.plan.as_ref().is_some_and(|session| session.run.is_none() && !session.is_reading());
+        let is_free = self
+            .plan
+            .as_ref()
+            .is_some_and(|session| session.run.is_none() && !session.is_reading());
         if !is_free {
             self.show_error("the plan is started, or not ready");
             return None;
@@ -235,26 +251,30 @@ impl App {
         session.selected = row.unwrap_or(session.selected);
     }
 
-    /// The requests of a step: those sent, else those that will be.
-    pub fn plan_frames(&self, session: &PlanSession, step: usize) -> Vec<Frame> {
-        if let Some(frame) = session.frame(step) {
-            return vec![*frame];
-        }
+    /// The requests of a step with their meanings: the last one sent, else those that will be.
+    pub fn plan_frames(&self, session: &PlanSession, step: usize) -> Vec<(Frame, String)> {
         let Some(planned) = session.plan().steps.get(step) else { return Vec::new() };
         let Some(bus) = self.buses.get(session.bus) else { return Vec::new() };
         let crate::discovery::OwnAddress::Held(own) = bus.own_address() else { return Vec::new() };
         let profile = self.buses.profile(session.bus);
-        let write = planned.setting.map(super::DeviceCommand::Address);
+        let write = planned.setting.map(DeviceCommand::Address);
         let restarts = self.plan_effect(session) == StepEffect::Restart;
-        let restart = restarts.then_some(super::DeviceCommand::Restart);
+        let restart = restarts.then_some(DeviceCommand::Restart);
         let is_working = bus.device_at(planned.from).is_none_or(|device| device.is_working);
         let commands = write.into_iter().chain(restart);
         let frames = commands.filter_map(|command| {
             let (service, data) = command.request(&profile)?;
             let mut header = Header::request(own, planned.from, !is_working, service);
             header.no_error = profile.request_err;
-            Some(Frame::classic(header.encode(), &data))
+            Some((Frame::classic(header.encode(), &data), command.to_string()))
         });
-        frames.collect()
+        match session.frame(step) {
+            None => frames.collect(),
+            Some(sent) => {
+                let is_it = |it: &(Frame, String)| it.0.data() == sent.data();
+                let meaning = frames.filter(is_it).map(|it| it.1).next();
+                vec![(*sent, format!("{}, sent", meaning.unwrap_or_default()))]
+            }
+        }
     }
 }

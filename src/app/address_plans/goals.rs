@@ -43,15 +43,14 @@ impl App {
     pub(super) fn address_goals(&self, session: &PlanSession, bus: &PlanBus) -> Vec<AddressGoal> {
         let mut goals = match &session.task {
             PlanTask::ToFile => self.goals_of_file(session.bus, bus),
-            PlanTask::Resume(record, _) => goals_of_record(record, bus, |it| {
-                (Address::from_bits(it.to), None)
-            }),
+            PlanTask::Resume(record, _) => {
+                goals_of_record(record, bus, |it| (Address::from_bits(it.to), None))
+            }
             PlanTask::TakeBack(record, _) => goals_of_record(record, bus, |it| {
                 let (address, setting) = it.place();
                 // A setting that leads elsewhere cannot be confirmed.
-                let setting = setting.filter(|setting| {
-                    *setting == AddressSetting::Preferred(address)
-                });
+                let setting =
+                    setting.filter(|setting| *setting == AddressSetting::Preferred(address));
                 (address, setting)
             }),
         };

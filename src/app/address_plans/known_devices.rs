@@ -3,11 +3,14 @@
 
 use super::PlanTask;
 use super::goals::place_in;
-use crate::address_plan::{AddressSet, DeviceIdentity, KnownDevice, PlanBus, PlanRecord};
+use crate::address_plan::{
+    AddressSet, DeviceIdentity, KnownDevice, PlanBus, PlanRecord, StepEffect,
+};
 use crate::app::{App, Bus};
 use crate::discovery::{Device, OwnAddress};
 use crate::finding::{Finding, FindingKind, FindingState};
 use crate::frame::BusIndex;
+use crate::time::Instant;
 use crate::wire::descriptor::{AddressSetting, DescriptorField, DescriptorValue};
 
 /// Conflicts of several devices at one address.
@@ -37,6 +40,7 @@ fn known_device(bus: &Bus, device: &Device) -> KnownDevice {
         identity: identity_of(device),
         address: device.address,
         setting,
+        possible: AddressSet::default(),
         is_present: device.is_present() && current.is_some_and(|it| it.id == device.id),
         is_shared: shared.any(|finding| finding.addresses.contains(&device.address)),
         is_debug: device.is_debug,
@@ -69,37 +73,36 @@ impl App {
 }
 
 /// Adds what a file tells: settings that were stored and not read, and the addresses at which devices
-/// that are not heard may come back.
+/// may come back that are not heard, or whose last write is not known to have arrived.
 fn add_recorded(devices: &mut Vec<KnownDevice>, record: &PlanRecord) {
+    let possible = |place| record.possible_addresses(place).into_iter().collect::<AddressSet>();
     let mut heard = vec![false; record.devices.len()];
     for device in devices.iter_mut().filter(|device| device.is_present) {
         let Some(place) = place_in(record, &device.identity, device.address) else { continue };
         heard[place] = true;
-        if device.setting.is_some() {
+        // Where writes act at once, a device is where its setting is.
+        if device.setting.is_some() || record.effect == StepEffect::AtOnce.word() {
             continue;
         }
         let steps = record.steps.iter().filter(|step| step.device == place);
-        let last = steps.filter(|step| step.state != "pending").next_back();
-        let stored = last.filter(|step| step.state == "stored" || step.state == "responded");
-        let code = stored.and_then(|step| step.setting);
-        device.setting = code.and_then(AddressSetting::from_code);
-    }
-    for (place, recorded) in record.devices.iter().enumerate() {
-        let steps = record.steps.iter().filter(|step| step.device == place);
-        let is_unclear = steps.clone().any(|step| step.state == "sent" || step.state == "failed");
-        if heard[place] && !is_unclear {
-            continue;
+        match steps.filter(|step| step.state != "pending").next_back() {
+            None => {}
+            Some(last) if last.state == "stored" || last.state == "responded" => {
+                device.setting = last.setting.and_then(AddressSetting::from_code);
+            }
+            Some(last) if last.state == "confirmed" => {}
+            Some(_) => device.possible = possible(place),
         }
-        let identity = recorded.identity();
-        let last_heard = crate::time::Instant::ZERO;
-        devices.extend(record.possible_addresses(place).into_iter().map(|address| KnownDevice {
-            identity: identity.clone(),
-            address,
-            setting: Some(AddressSetting::Fixed(address)),
-            is_present: false,
-            is_shared: false,
-            is_debug: false,
-            last_heard,
-        }));
     }
+    let absent = record.devices.iter().enumerate().filter(|(place, _)| !heard[*place]);
+    devices.extend(absent.map(|(place, recorded)| KnownDevice {
+        identity: recorded.identity(),
+        address: recorded.place().0,
+        setting: None,
+        possible: possible(place),
+        is_present: false,
+        is_shared: false,
+        is_debug: false,
+        last_heard: Instant::ZERO,
+    }));
 }

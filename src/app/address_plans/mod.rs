@@ -482,6 +482,9 @@ impl App {
         let count = run.states().len();
         let news: Vec<_> = std::iter::from_fn(|| run.poll_news()).collect();
         for it in news {
+            if let Some(step) = it.step.filter(|_| it.is_failure) {
+                session.selected = step;
+            }
             let kind = if it.is_failure { TimelineKind::Error } else { TimelineKind::Improved };
             let step = it.step.and_then(|at| Some((at, session.plan().steps.get(at)?)));
             let text = match step {
@@ -520,15 +523,13 @@ impl App {
             (self.plan_effect(session), self.plan_step_time(session).as_secs_f64());
         let frames = counted(plan.requests(effect) as u64, "request");
         let what = match effect {
-            StepEffect::AtOnce => format!(
-                "each device leaves the bus for some seconds, at most {seconds:.0} each"
-            ),
+            StepEffect::AtOnce => {
+                format!("each device leaves the bus for some seconds, at most {seconds:.0} each")
+            }
             StepEffect::Restart => format!(
                 "each device restarts and leaves the bus for some seconds, at most {seconds:.0} each"
             ),
-            StepEffect::Deferred => {
-                "in force after a restart of all devices at once".to_owned()
-            }
+            StepEffect::Deferred => "in force after a restart of all devices at once".to_owned(),
         };
         Some(format!("Change {devices} on {}? Sends {frames}; {what}.", bus.name))
     }
