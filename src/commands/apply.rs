@@ -201,8 +201,10 @@ impl Apply<'_> {
 
     fn show_plan(&mut self, app: &mut App) -> Result<(), Failure> {
         let Some(session) = app.address_plan() else { return Ok(()) };
-        if !self.args.json {
-            output::print(&table(app, session))?;
+        match (self.args.json, self.args.yes) {
+            (false, _) => output::print(&table(app, session))?,
+            (true, false) => say(table(app, session).trim_end()),
+            (true, true) => {}
         }
         if session.plan().steps.is_empty() || self.args.dry_run {
             self.stage = ApplyStage::Over;

@@ -234,7 +234,7 @@ actions! {
         SaveCapture "save-capture" "Save the captured frames (.log or .pcapng)" "save log" ["w"];
     }
     Browse Log: {
-        Pause "pause" "Pause or resume the log" "pause" [];
+        Pause "pause" "Pause or resume the log" "pause" ["Ctrl-p"];
         Slower "slower" "Halve the replay speed" "slower" ["("];
         Faster "faster" "Double the replay speed" "faster" [")"];
     }

@@ -92,7 +92,7 @@ fn plan_is_shown_asked_for_and_applied() {
                  3 of 4  SENS 13 → 12 (00003416#0C): confirmed\n\
                  4 of 4  SENS 127 → 13 (0001FC16#0D): confirmed\n"
             );
-            let asked = "Change 3 addresses on sim:bus.toml? Sends 4 requests; each device leaves \
+            let asked = "Change 3 addresses on sim:bus.toml? Sends 4 requests (service 0x016); each device leaves \
                          the bus for some seconds, at most 5 each.";
             assert!(said.starts_with(asked), "{said}");
             assert!(said.contains("all steps are confirmed"), "{said}");
@@ -197,4 +197,61 @@ fn plan_without_consent_key_file_or_bus_writes_nothing() {
         });
     });
     assert!(plans(folder.path()).is_empty());
+}
+
+/// `lo` with multicast, in a network namespace of its own: nothing is sent elsewhere.
+const NETWORK: &str = "ip link set lo up multicast on && ip route add 224.0.0.0/4 dev lo";
+
+/// Devices in one process, three plans in others: what each said.
+const UDP_SCRIPT: &str = r#"
+"$0" sim udp:239.74.163.2 --scenario bus.toml --time 100 > /dev/null &
+for more in --yes "--yes --undo" --dry-run; do
+    "$0" apply udp:239.74.163.2 --profile profile.toml $more; echo "exit code $?"
+done
+kill $!
+"#;
+
+#[test]
+fn plan_of_devices_in_another_process_is_taken_back() {
+    let user = if nix::unistd::geteuid().is_root() { "-n" } else { "-rn" };
+    let attempt = Command::new("unshare").args([user, "sh", "-c", NETWORK]).output();
+    if !attempt.is_ok_and(|output| output.status.success()) {
+        let must_run = std::env::var("CI").is_ok_and(|ci| ci == "true");
+        assert!(!must_run, "no network namespace");
+        return;
+    }
+    let order = FILE.replace("FEED\",\"address\":10", "FEED\",\"address\":11");
+    let folder = folder("\"locked\"", &order);
+    let output = Command::new("unshare")
+        .args([user, "sh", "-c", &format!("{NETWORK} && {{ {UDP_SCRIPT} }}")])
+        .arg(env!("CARGO_BIN_EXE_descan"))
+        .current_dir(folder.path())
+        .env("XDG_CONFIG_HOME", folder.path().join("config"))
+        .env("XDG_STATE_HOME", folder.path().join("state"))
+        .stdin(Stdio::null())
+        .output()
+        .unwrap();
+    let told = String::from_utf8(output.stdout).unwrap();
+    let lines: Vec<&str> = told.lines().filter(|line| !line.starts_with("ORDER")).collect();
+    let expected = [
+        "1      FEED    BOILER01  10    11   11 is free                         pending",
+        "2      LAST    BOILER09  15    22   22 is free                         pending",
+        "3      SENS    BOILER02  12    127  through free 127: swaps with SENS  pending",
+        "4      SENS    BOILER05  13    12   after step 3                       pending",
+        "5      SENS    BOILER02  127   13   after step 4                       pending",
+        "1 of 5  FEED 10 → 11 (00002816#0B): confirmed",
+        "2 of 5  LAST 15 → 22 (00003C16#16): failed: refused with an error response",
+        "exit code 1",
+        "1      FEED    BOILER01  11    10  10 is free     pending",
+        "–      SENS    BOILER02  12    12  already there  –",
+        "–      SENS    BOILER05  13    13  already there  –",
+        "–      LAST    BOILER09  15    15  already there  –",
+        "1 of 1  FEED 11 → 10 (00002C16#0A): confirmed",
+        "exit code 0",
+    ];
+    assert_eq!(&lines[..expected.len().min(lines.len())], expected, "{told}");
+    assert!(lines[expected.len()].contains("FEED    BOILER01  10    11"), "as before: {told}");
+    let plans = plans(folder.path());
+    assert_eq!(plans.len(), 2);
+    assert!(plans[1].source.starts_with("undo of "), "{}", plans[1].source);
 }

@@ -129,10 +129,14 @@ impl App {
         order.swap(at, other);
         session.order = order.iter().filter_map(|goal| session.goal_key(*goal)).collect();
         let Some(key) = selected.and_then(|goal| session.goal_key(goal)) else { return };
-        let before = session.plan.steps.clone();
+        let moves = |session: &PlanSession| -> Vec<_> {
+            let steps = session.plan.steps.iter();
+            steps.map(|step| (step.device.clone(), step.from, step.to)).collect()
+        };
+        let before = moves(session);
         self.renew_plan();
         self.select_goal(&key);
-        if self.plan.as_ref().is_some_and(|session| session.plan.steps == before) {
+        if self.plan.as_ref().is_some_and(|session| moves(session) == before) {
             self.show_error("the order follows from the addresses");
         }
     }

@@ -1,7 +1,6 @@
 //! What the engine of a bus knows of its devices, as a plan needs it; with what a plan's file tells of
 //! those that are not heard.
 
-use super::PlanTask;
 use super::goals::place_in;
 use crate::address_plan::{
     AddressSet, DeviceIdentity, KnownDevice, PlanBus, PlanRecord, StepEffect,
@@ -49,8 +48,8 @@ fn known_device(bus: &Bus, device: &Device) -> KnownDevice {
 }
 
 impl App {
-    /// What is known of the devices of a bus now.
-    pub(super) fn known_devices(&self, index: BusIndex, task: &PlanTask) -> PlanBus {
+    /// What is known of the devices of a bus now. `record`: what a plan's file tells of them.
+    pub(super) fn known_devices(&self, index: BusIndex, record: Option<&PlanRecord>) -> PlanBus {
         let Some(bus) = self.buses.get(index) else { return PlanBus::default() };
         let own = match bus.own_address() {
             OwnAddress::Held(own) => Some(own),
@@ -65,7 +64,7 @@ impl App {
         let conflicts = bus.findings().iter().filter(is_confirmed);
         let conflicts: AddressSet =
             conflicts.flat_map(|finding| finding.addresses.iter().copied()).collect();
-        if let PlanTask::Resume(record, _) | PlanTask::TakeBack(record, _) = task {
+        if let Some(record) = record {
             add_recorded(&mut devices, record);
         }
         PlanBus { devices, own, conflicts }

@@ -57,6 +57,8 @@ pub struct PlanSession {
     /// The file of the run: its name and content, and the place in it of each goal.
     record: Option<(String, PlanRecord)>,
     places: Vec<Option<usize>>,
+    /// The state that the content of the file has.
+    recorded: u64,
     /// The state that is being written.
     writing: Option<u64>,
     /// The request that waits for its end, and its step.
@@ -123,6 +125,25 @@ impl PlanSession {
     /// Content of the file of the run.
     pub fn record(&self) -> Option<&PlanRecord> {
         self.record.as_ref().map(|(_, record)| record)
+    }
+
+    /// Takes the state of the run into the content of its file.
+    fn renew_record(&mut self, unix_secs: f64) {
+        if let (Some(run), Some((_, record))) = (&self.run, &mut self.record)
+            && self.recorded != run.revision()
+        {
+            record.update(run, &self.places, unix_secs);
+            self.recorded = run.revision();
+        }
+    }
+
+    /// What a file tells of the devices: that of the run, else that of the task.
+    fn known_record(&self) -> Option<&PlanRecord> {
+        match &self.task {
+            _ if self.run.is_some() => self.record(),
+            PlanTask::ToFile => None,
+            PlanTask::Resume(record, _) | PlanTask::TakeBack(record, _) => Some(record),
+        }
     }
 
     /// Returns true if settings are fixed addresses, else preferred ones.
@@ -224,6 +245,7 @@ impl App {
             run: None,
             record: None,
             places: Vec::new(),
+            recorded: 0,
             writing: None,
             open: None,
             frames: Vec::new(),
@@ -249,7 +271,7 @@ impl App {
     pub(super) fn renew_plan(&mut self) {
         let Some(mut session) = self.plan.take() else { return };
         if session.run.is_none() && !session.is_reading() {
-            let bus = self.known_devices(session.bus, &session.task);
+            let bus = self.known_devices(session.bus, session.known_record());
             session.goals = self.address_goals(&session, &bus);
             let options = self.plan_options(&session);
             session.plan = AddressPlan::new(&bus, &session.goals, &options);
@@ -289,7 +311,7 @@ impl App {
         if let Some(why) = self.plan_obstacle(session.bus) {
             return Err(why);
         }
-        let bus = self.known_devices(session.bus, &session.task);
+        let bus = self.known_devices(session.bus, session.known_record());
         let (effect, timing) = (self.plan_effect(session), self.plan_timing(session.bus));
         let (name, mut record) = self.new_record(session, effect);
         // The device of each goal with a step, as the file has it.
@@ -402,28 +424,29 @@ impl App {
 
     fn step_run(&mut self, now: Instant, session: &mut PlanSession) {
         let obstacle = self.plan_obstacle(session.bus);
+        session.renew_record(self.clock.epoch().unix_secs(now));
+        let (index, record) = (session.bus, session.record.as_ref().map(|(_, record)| record));
         let Some(run) = &mut session.run else { return };
         if run.poll_timeout(now).is_some_and(|due| due <= now) {
             match obstacle {
                 Some(why) if run.is_running() => run.handle_obstacle(why),
-                _ => run.handle_timeout(now, &self.known_devices(session.bus, &session.task)),
+                _ => run.handle_timeout(now, &self.known_devices(index, record)),
             }
         }
         if let Some(request) = run.poll_request() {
             let step = run.current();
             run.handle_sent(now);
-            match self.send_for_plan(session.bus, request) {
+            match self.send_for_plan(index, request) {
                 Ok(id) => session.open = Some((id, step)),
                 Err(why) => run.handle_request_end(RequestEnd::NotSent(why)),
             }
         }
         if !run.is_stored() && session.writing.is_none() {
-            let changed = self.clock.epoch().unix_secs(now);
-            if let Some((name, record)) = &mut session.record {
-                record.update(run, &session.places, changed);
+            session.writing = Some(run.revision());
+            session.renew_record(self.clock.epoch().unix_secs(now));
+            if let Some((name, record)) = &session.record {
                 let (name, bytes) = (name.clone(), record.to_bytes());
                 self.effects.push_back(Effect::WritePlan { name, bytes });
-                session.writing = Some(run.revision());
             }
         }
         self.report_plan_news(session);
@@ -522,6 +545,10 @@ impl App {
         let (effect, seconds) =
             (self.plan_effect(session), self.plan_step_time(session).as_secs_f64());
         let frames = counted(plan.requests(effect) as u64, "request");
+        let profile = self.buses.profile(session.bus);
+        let write = profile.writes.address.unwrap_or_default();
+        let restart = profile.commands.reboot.filter(|_| effect == StepEffect::Restart);
+        let restart = restart.map(|number| format!(" and 0x{number:03X}")).unwrap_or_default();
         let what = match effect {
             StepEffect::AtOnce => {
                 format!("each device leaves the bus for some seconds, at most {seconds:.0} each")
@@ -531,7 +558,10 @@ impl App {
             ),
             StepEffect::Deferred => "in force after a restart of all devices at once".to_owned(),
         };
-        Some(format!("Change {devices} on {}? Sends {frames}; {what}.", bus.name))
+        let name = &bus.name;
+        Some(format!(
+            "Change {devices} on {name}? Sends {frames} (service 0x{write:03X}{restart}); {what}."
+        ))
     }
 }
 

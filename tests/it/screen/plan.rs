@@ -154,7 +154,7 @@ fn order_and_settings_change_before_the_start_only() {
     stage.keys("Enter y s").until(30.0);
     let screen = stage.screen();
     assert!(screen.contains("stopped: as you demanded"), "{screen}");
-    assert!(screen.contains("preferred 11"), "{screen}");
+    assert!(screen.contains("preferred 31"), "{screen}");
     let written = stage.effects.iter().filter(|it| matches!(it, Effect::WritePlan { .. }));
     assert!(written.count() > 2);
 }
