@@ -170,6 +170,8 @@ Examples:
         #[arg(value_name = "SETTING", num_args = 0..=2)]
         setting: Vec<String>,
     },
+    /// Give the devices of a bus the addresses of des.json
+    Apply(ApplyArgs),
     /// Read what a device says of itself: type, firmware, settings
     #[command(after_help = "\
 Reads the fields whose service numbers a profile sets: descriptor.gid, descriptor.fw and so on.
@@ -300,6 +302,74 @@ pub struct DeviceArgs {
     #[arg(long)]
     pub yes: bool,
     /// Look for the device for SECONDS [default: 15]
+    #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
+    pub time: Option<Duration>,
+    /// Print JSON instead of text
+    #[arg(long)]
+    pub json: bool,
+    /// What it shares with the other commands.
+    #[command(flatten)]
+    pub common: CommonArgs,
+}
+
+/// `descan apply`.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Needs writes.address in a profile. Prints the plan, asks, and changes one device after the other: each must \
+be heard at its new address before the next one is written. Stops at the first surprise and never repeats \
+a write. Where writes act at a restart (writes.effect), --restart restarts each device after its write, \
+which needs commands.reboot; without it all are stored and in force after a restart of all at once. The \
+plan lies in $XDG_STATE_HOME/descan/plans: --resume goes on with it, --undo takes it back.
+
+Exit code: 0 all are confirmed, or nothing is to be done, 1 it stopped, or a device is left out, 2 wrong \
+usage, 3 bus, file or profile not usable, 130 interrupted.
+
+Examples:
+  descan apply can0 --profile line7.toml --dry-run
+  descan apply can0 line7.json --profile line7.toml --yes
+  descan apply can0 --profile line7.toml --resume
+  descan apply can0 --profile line7.toml --undo=20261121-120036-can0.json
+  descan apply can0 --from-bus")]
+pub struct ApplyArgs {
+    /// The bus.
+    #[arg(value_name = "BUS", help = format!("The bus: {}", bus::forms(|kind| kind.can_send)))]
+    pub bus: BusSpec,
+    /// The des.json file, as --file
+    #[arg(value_name = "DES_JSON", conflicts_with = "file", value_hint = clap::ValueHint::FilePath)]
+    pub des_json: Option<PathBuf>,
+    /// Print the plan and write nothing
+    #[arg(long, conflicts_with = "yes")]
+    pub dry_run: bool,
+    /// Start without asking
+    #[arg(long)]
+    pub yes: bool,
+    /// Restart each device after its write
+    #[arg(long, conflicts_with = "from_bus")]
+    pub restart: bool,
+    /// Go on with the last plan of this bus, or with PLAN
+    #[arg(
+        long,
+        value_name = "PLAN",
+        num_args = 0..=1,
+        require_equals = true,
+        default_missing_value = "",
+        conflicts_with_all = ["des_json", "undo", "from_bus"]
+    )]
+    pub resume: Option<String>,
+    /// Give the devices the addresses they had before the last plan of this bus, or before PLAN
+    #[arg(
+        long,
+        value_name = "PLAN",
+        num_args = 0..=1,
+        require_equals = true,
+        default_missing_value = "",
+        conflicts_with_all = ["des_json", "from_bus"]
+    )]
+    pub undo: Option<String>,
+    /// Give the entries of des.json the addresses of the bus, pinned; writes to no device
+    #[arg(long)]
+    pub from_bus: bool,
+    /// Wait at most SECONDS for the devices [default: 15]
     #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
     pub time: Option<Duration>,
     /// Print JSON instead of text

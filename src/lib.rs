@@ -22,6 +22,7 @@
 //! * [`discovery`]: the engine of one bus: frames and time in; devices, findings and requests out.
 //! * [`catalogue`]: types of devices, as files describe them. [`toml_error`]: mistakes in such files.
 //! * [`learning`]: values of the profile, from the frames of a bus.
+//! * [`address_plan`]: plans that give devices other addresses, and their execution.
 //! * [`document`]: des.json: parse, edit in place, merge.
 //! * [`inventory`]: buses and devices of one moment; differences between two.
 //! * [`log`]: log formats, candump and pcapng.
@@ -50,6 +51,8 @@ pub mod frame;
 pub mod time;
 pub mod wire;
 
+#[cfg(feature = "std")]
+pub mod address_plan;
 #[cfg(feature = "std")]
 pub mod bitrate;
 #[cfg(feature = "std")]

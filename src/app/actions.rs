@@ -91,7 +91,8 @@ impl App {
             | Action::MarksClose
             | Action::FiltersClose
             | Action::KindsClose
-            | Action::ProfileClose => {
+            | Action::ProfileClose
+            | Action::PlanClose => {
                 self.cancel();
             }
             Action::Rescan => self.rescan(),
@@ -109,6 +110,17 @@ impl App {
             Action::ProfileUse => self.ask_profile_path(),
             Action::ProfileFrames => self.go_from_here(Self::go_to_frames_of_profile),
             Action::ProfileDismiss => self.dismiss_profile(),
+            Action::Plan => self.open_plan(),
+            Action::PlanUp => self.move_in_plan(-1),
+            Action::PlanDown => self.move_in_plan(1),
+            Action::PlanStart => self.ask_to_start_plan(),
+            Action::PlanLeaveOut => self.leave_out_of_plan(),
+            Action::PlanEarlier => self.reorder_plan(false),
+            Action::PlanLater => self.reorder_plan(true),
+            Action::PlanStop => self.stop_plan(),
+            Action::PlanUndo => self.take_plan_back(),
+            Action::PlanFixed => self.toggle_plan_setting(),
+            Action::PlanRestart => self.toggle_plan_restarts(),
             Action::Pause => self.control_playback(PlaybackCommand::Pause),
             Action::PreviousEvent => self.go_to_event(-1, |_| true),
             Action::NextEvent => self.go_to_event(1, |_| true),

@@ -234,7 +234,7 @@ impl App {
         self.show_info(format!("edit not saved; {key} reopens the conflict"));
     }
 
-    fn edit(&mut self, operations: &[Operation]) {
+    pub(super) fn edit(&mut self, operations: &[Operation]) {
         match self.editor.file.edit(operations) {
             Ok(name) => self.edited(&name),
             Err(refusal) => self.file_error(refusal.to_string()),
@@ -491,6 +491,7 @@ impl App {
                 format!("{sent}? {effect}")
             }
             Question::Descriptor(id) => self.descriptor_question(*id),
+            Question::Plan => self.plan_question()?,
             Question::FindBitrate(bus) => {
                 let name = self.bus(*bus).map_or("the bus", |bus| bus.name.as_str());
                 format!("Search {name}'s bit rate, listen-only? The interface restarts.")
@@ -501,6 +502,9 @@ impl App {
     /// Closes the question and executes its action, after `yes`.
     pub(super) fn confirm(&mut self, yes: bool) {
         let question = self.input.close_question();
+        if question == Some(Question::Plan) {
+            return self.plan_answered(yes);
+        }
         let Some(question) = question.filter(|_| yes) else { return };
         match question {
             Question::Quit => {
@@ -511,6 +515,7 @@ impl App {
             Question::Delete(key, text) => self.delete(key, &text),
             Question::Command(id, command) => self.send_confirmed(id, command),
             Question::Descriptor(id) => self.read_confirmed(id),
+            Question::Plan => {}
         }
     }
 
@@ -530,6 +535,12 @@ impl App {
     /// Quits; with unsaved edits opens a question instead, and descan quits as soon as they are
     /// saved.
     pub(super) fn ask_quit(&mut self) {
+        if self.plan.as_ref().is_some_and(|session| session.is_running()) {
+            let (plan, stop) = (self.key_of(Action::Plan), self.key_of(Action::PlanStop));
+            let now = self.key_of(Action::QuitNow);
+            let text = format!("a plan runs: {plan} {stop} stops it after this step; {now} quits");
+            return self.show_error(text);
+        }
         if self.editor.file.unsaved() > 0 {
             self.input.ask(Question::Quit);
         } else {

@@ -80,7 +80,9 @@ impl App {
         {
             self.notices.reassign(*was, *before, device);
         }
-        self.end_command(bus, &event);
+        if !self.end_plan_request(bus, &event) {
+            self.end_command(bus, &event);
+        }
         let emits = self.notices.emits_events();
         if !emits {
             self.lane_records.handle_event(&event);

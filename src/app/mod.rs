@@ -26,6 +26,7 @@
 //! (commands that change the file or the bus) and `navigate` (commands that change the view).
 
 mod actions;
+mod address_plans;
 mod alarm;
 mod app_event;
 mod beat_strip;
@@ -91,6 +92,7 @@ mod varint;
 mod versions;
 mod view;
 
+pub use address_plans::{PlanSession, PlanTask};
 pub use alarm::Alarm;
 pub use app_event::{AppEvent, BusSnapshot, DeviceEvent, EventContext, EventLine, FileSnapshot};
 pub use beat_strip::{Beat, BeatKind, BeatStats};
@@ -284,6 +286,14 @@ pub enum Effect {
         /// The frames.
         log: CapturedLog,
     },
+    /// Write the file of a plan with this name, in place of its content before; then call
+    /// [`App::handle_plan_written`].
+    WritePlan {
+        /// Name of the file.
+        name: String,
+        /// Content.
+        bytes: Vec<u8>,
+    },
     /// Copy text to the clipboard.
     Copy(String),
     /// Change the filters that are stored; then call [`App::handle_saved_filters`].
@@ -412,6 +422,8 @@ pub struct App {
     learners: ProfileLearners,
     commands: SentCommands,
     search: Option<Box<BusSearch>>,
+    /// The plan of addresses.
+    plan: Option<Box<PlanSession>>,
     /// The comparison of two moments that is open.
     comparison: Option<Box<MomentComparison>>,
     /// The proof that is being written.
@@ -476,6 +488,7 @@ impl App {
             learners: ProfileLearners::new(options.learns_profile),
             commands: SentCommands::default(),
             search: None,
+            plan: None,
             comparison: None,
             proof: None,
             content,
@@ -532,6 +545,7 @@ impl App {
         self.step_des_search(now);
         self.buses.handle_timeout(now);
         self.take_events();
+        self.step_plan(now);
         if self.clock.take_second(now) {
             self.tick();
         }
@@ -846,7 +860,7 @@ impl App {
         let file = self.editor.poll_timeout().filter(|_| !self.clock.has_real());
         let parts = self.buses.poll_timeout().into_iter().chain(self.notices.poll_timeout());
         let screen = self.poll_screen_timeout().filter(|_| !self.clock.has_real());
-        let search = self.search_timeout();
+        let search = self.search_timeout().into_iter().chain(self.plan_timeout());
         parts.chain(second).chain(file).chain(screen).chain(self.reading_ahead).chain(search).min()
     }
 

@@ -76,6 +76,7 @@ impl App {
             Overlay::Kinds(_) => self.move_in_kinds(delta.signum()),
             Overlay::Themes(_) => self.move_in_themes(delta.signum()),
             Overlay::Profile => self.move_in_profile(delta.signum()),
+            Overlay::Plan => self.move_in_plan(delta.signum()),
             Overlay::Comparison => self.move_in_comparison(delta),
             _ => self.input.scroll_help(delta as i16),
         }

@@ -144,7 +144,7 @@ impl App {
         let text = all.join("; ");
         if text != self.learners.difference {
             self.learners.difference = text;
-            self.view.has_banner = self.profile_difference().is_some();
+            self.renew_banner();
             self.notices.redraw.set_dirty();
         }
     }
@@ -243,7 +243,7 @@ impl App {
     /// Closes the list, and does not show the line again.
     pub(super) fn dismiss_profile(&mut self) {
         self.learners.is_dismissed = true;
-        self.view.has_banner = false;
+        self.renew_banner();
         self.input.close();
         let key = self.key_of(crate::keymap::Action::ReviewProfile);
         self.show_info(format!("not shown again until descan ends; {key} opens the list"));

@@ -4,6 +4,7 @@
 //! the remedy. Does not parse arguments.
 
 mod catalogue;
+mod apply;
 mod check;
 mod device;
 mod diff;
@@ -88,6 +89,7 @@ pub fn run(cli: Cli) -> ExitCode {
         }
         Some(Command::Address { device, setting }) => device::set_address(&device, &setting),
         Some(Command::Bitrate { device, setting }) => device::set_bitrate(&device, &setting),
+        Some(Command::Apply(args)) => apply::run(&args),
         Some(Command::Descriptor(args)) => device::run(&args, DeviceTask::Read(None)),
         Some(Command::Speed(speed)) => speed::run(&speed),
         Some(Command::Completions { shell }) => {

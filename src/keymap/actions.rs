@@ -46,6 +46,8 @@ pub enum KeyMode {
     Kinds,
     /// The list of the profile's values is open.
     Profile,
+    /// The plan of addresses is open.
+    Plan,
     /// The theme picker is open.
     Themes,
     /// The list of buses is open.
@@ -228,10 +230,11 @@ actions! {
         BitRate "bit-rate" "Search the bit rate, listen-only (confirms; needs root)" "bit rate" ["b"];
         Buses "buses" "Open buses beside or in place of these" "buses" ["B"];
         ReviewProfile "learn" "Values of the profile, and what the frames show of them" "profile" ["L"];
+        Plan "plan" "Plan of addresses as in des.json (confirms); a log: pause" "plan" ["P"];
         SaveCapture "save-capture" "Save the captured frames (.log or .pcapng)" "save log" ["w"];
     }
     Browse Log: {
-        Pause "pause" "Pause or resume the log" "pause" ["P"];
+        Pause "pause" "Pause or resume the log" "pause" ["Ctrl-p"];
         Slower "slower" "Halve the replay speed" "slower" ["("];
         Faster "faster" "Double the replay speed" "faster" [")"];
     }
@@ -324,6 +327,19 @@ actions! {
         ProfileFrames "profile-frames" "Profile: frames behind the value" "frames" ["f"];
         ProfileDismiss "profile-dismiss" "Profile: close, no line about it any more" "not again" ["n"];
         ProfileClose "profile-close" "Profile: close the list" "close" ["Esc" "L" "q"];
+    }
+    Plan Answer: {
+        PlanUp "plan-up" "Plan: the row before" "" ["Up" "k"];
+        PlanDown "plan-down" "Plan: the next row" "" ["Down" "j"];
+        PlanStart "plan-start" "Plan: start it, or what is left (confirms)" "start" ["Enter"];
+        PlanLeaveOut "plan-leave-out" "Plan: leave the device out, or not" "leave out" ["Space"];
+        PlanEarlier "plan-earlier" "Plan: the device earlier" "earlier" ["K"];
+        PlanLater "plan-later" "Plan: the device later" "later" ["J"];
+        PlanStop "plan-stop" "Plan: stop after this step, or go on" "stop after this" ["s"];
+        PlanUndo "plan-undo" "Plan: the way back to the former addresses" "way back" ["u"];
+        PlanFixed "plan-fixed" "Plan: fixed or preferred addresses" "" ["x"];
+        PlanRestart "plan-restart" "Plan: restart each device after its write" "restart each" ["r"];
+        PlanClose "plan-close" "Plan: close it; a run goes on" "close" ["Esc" "P" "q"];
     }
     Themes Answer: {
         ThemeUp "theme-up" "Themes: show the one before" "" ["Up" "k"];

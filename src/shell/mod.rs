@@ -17,6 +17,7 @@
 //! catalogue_folders  files of types of devices
 //! project_search  descan.toml, in this folder or above
 //! recent_logs     logs opened before, and what was found in them
+//! plan_files      plans of addresses on disk
 //! waiting         futures for optional sources
 //! ```
 //!
@@ -35,6 +36,7 @@ pub mod log_input;
 pub mod paint_pace;
 pub mod painted_screen;
 pub mod project_search;
+pub mod plan_files;
 pub mod recent_logs;
 pub mod recorder;
 pub mod recovery;

@@ -138,6 +138,7 @@ async fn run_on_terminal(
                 | Effect::ReadFile
                 | Effect::WriteFile { .. }
                 | Effect::WriteLog { .. }
+                | Effect::WritePlan { .. }
                 | Effect::Playback(_)
                 | Effect::FindBitrate(_) => {}
             }

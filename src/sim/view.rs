@@ -1,6 +1,7 @@
 //! Public view of a simulation: handles, status of stations, true state of devices.
 
 use super::controller::ControllerState;
+use crate::wire::descriptor::AddressSetting;
 use crate::wire::id::Address;
 use crate::wire::node::{Mode, Uid};
 
@@ -48,6 +49,8 @@ pub struct DeviceState<'a> {
     pub mode: Option<Mode>,
     /// Address; `None` before the end of address resolution.
     pub address: Option<Address>,
+    /// The address that it has stored.
+    pub setting: AddressSetting,
     /// Services, each a list of strings.
     pub services: &'a [Vec<Vec<u8>>],
     /// Transmit and receive error counters.

@@ -265,6 +265,7 @@ impl Sim {
             uid: it.spec.uid,
             mode: it.is_on().then(|| it.mode()),
             address: it.address(),
+            setting: it.spec.address,
             services: &it.spec.services,
             counters: self.bus.controller(self.stations[index]).counters(),
         }

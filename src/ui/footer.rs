@@ -255,6 +255,15 @@ fn hint_line(brush: &DrawContext, mode: KeyMode, width: usize) -> Vec<Span<'stat
         (KeyMode::Profile, ..) => {
             &[A::ProfileTick, A::ProfileUse, A::ProfileFrames, A::ProfileDismiss, A::ProfileClose]
         }
+        (KeyMode::Plan, ..) => &[
+            A::PlanStart,
+            A::PlanLeaveOut,
+            A::PlanEarlier,
+            A::PlanLater,
+            A::PlanStop,
+            A::PlanUndo,
+            A::PlanClose,
+        ],
         // It is drawn with its keys.
         (KeyMode::Choice, ..) => &[],
         (KeyMode::Themes, ..) => &[A::ThemeUp, A::ThemeDown, A::ThemeKeep, A::ThemesClose],
@@ -534,6 +543,13 @@ fn applies(brush: &DrawContext, action: Action) -> bool {
         (A::ClearLost, _) => app.counts().lost > 0,
         (A::Identify | A::ReadDescriptor | A::Command, _) => {
             app.has_command(action) && device().is_some()
+        }
+        (A::PlanStop, _) => app.address_plan().is_some_and(|plan| plan.is_running()),
+        (A::PlanStart | A::PlanLeaveOut | A::PlanEarlier | A::PlanLater, _) => {
+            app.address_plan().is_some_and(|plan| plan.can_start(action == A::PlanStart))
+        }
+        (A::PlanUndo, _) => {
+            app.address_plan().is_some_and(|plan| plan.record().is_some() && !plan.is_running())
         }
         (A::Rescan, _) => on_any(|config| config.send_requests),
         _ => true,

@@ -16,7 +16,7 @@
 //! ```
 //!
 //! The help (`help.rs`), an edit conflict (`conflict.rs`), the marks (`marks.rs`) and a comparison
-//! (`comparison.rs`) take the place of the page. The regions are computed by
+//! (`comparison.rs`), the plan (`plan.rs`) take the place of the page. The regions are computed by
 //! [`crate::app::Screen`].
 //!
 //! Inputs: the app, read only, and a theme. Output: cells, and the limit of the scrolled text. No
@@ -38,6 +38,7 @@ mod help;
 mod lanes;
 mod marks;
 mod moment;
+mod plan;
 mod problems;
 mod profile;
 mod saved_filters;
@@ -51,7 +52,7 @@ mod time_bar;
 mod timeline;
 mod traffic;
 
-use crate::app::{App, Overlay, Page, Signs};
+use crate::app::{App, Overlay, Page, Question, Signs};
 use crate::text::with_few_marks;
 use crate::theme::{Role, Theme};
 use brush::DrawContext;
@@ -95,6 +96,7 @@ pub fn draw(app: &App, theme: &Theme, frame: &mut Frame) -> Option<u16> {
         Overlay::Filters(selected) => saved_filters::draw(&mut brush, *selected),
         Overlay::Comparison => comparison::draw(&mut brush),
         Overlay::Profile => profile::draw(&mut brush),
+        Overlay::Plan | Overlay::Question(Question::Plan) => plan::draw(&mut brush),
         Overlay::Kinds(selected) => {
             page(&mut brush);
             story_kinds::draw(&mut brush, *selected);
@@ -132,7 +134,9 @@ fn cut_marks(buffer: &mut Buffer) {
 
 fn page(brush: &mut DrawContext) {
     tabs::draw(brush);
-    profile::draw_banner(brush);
+    if !plan::draw_banner(brush) {
+        profile::draw_banner(brush);
+    }
     match brush.app.view().page {
         Page::Devices => {
             devices::draw(brush);

@@ -4,7 +4,9 @@
 //! the environment, the current directory or the signal handlers. Programs of their own are
 //! `no_allocation` (its own allocator) and `interrupted_saves` (starts itself under strace).
 
+mod address_plans;
 mod adversarial_logs;
+mod apply_command;
 mod bitrate_search;
 mod builtin_scenarios;
 mod bus_outages;

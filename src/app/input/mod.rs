@@ -45,6 +45,8 @@ pub enum Question {
     Descriptor(DeviceId),
     /// Bit rate search on this bus.
     FindBitrate(BusIndex),
+    /// Start of the plan of addresses.
+    Plan,
 }
 
 /// Overlay over the page.
@@ -71,6 +73,8 @@ pub enum Overlay {
     Kinds(usize),
     /// The values of the profile.
     Profile,
+    /// The plan of addresses.
+    Plan,
     /// The themes, with the place of the selected one.
     Themes(usize),
 }
@@ -129,6 +133,7 @@ impl Input {
             Overlay::Comparison => KeyMode::Compare,
             Overlay::Kinds(_) => KeyMode::Kinds,
             Overlay::Profile => KeyMode::Profile,
+            Overlay::Plan => KeyMode::Plan,
             Overlay::Themes(_) => KeyMode::Themes,
         }
     }

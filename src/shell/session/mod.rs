@@ -11,6 +11,7 @@ use super::bitrate_search::{RunningSearch, SearchNews};
 use super::catalogue_folders::{CatalogueFolders, CatalogueWatcher};
 use super::file_watcher::{DiskContent, FileWatcher};
 use super::log_input::{LogBatch, LogInput, LogPace};
+use super::plan_files::write_plan;
 use super::recorder::Recorder;
 use super::store::{SaveError, Saved, Store, write_new};
 use super::waiting::{catalogue_changed, file_changed, sleep_for};
@@ -103,6 +104,8 @@ pub enum FileJobResult {
     Written(PathBuf, Result<(), Diagnostic>),
     /// Writing the captured frames.
     WrittenLog(PathBuf, Result<WrittenFrames, Diagnostic>),
+    /// Writing the file of a plan.
+    WrittenPlan(Result<(), String>),
 }
 
 /// Work on files, on a separate thread.
@@ -521,6 +524,9 @@ impl Session {
             SessionWake::FileJobDone(FileJobResult::WrittenLog(path, result)) => {
                 self.app.handle_written_log(now, &path, result);
             }
+            SessionWake::FileJobDone(FileJobResult::WrittenPlan(result)) => {
+                self.app.handle_plan_written(now, result);
+            }
         }
         self.advance_log();
     }
@@ -818,6 +824,10 @@ impl Session {
                 Effect::WriteLog { path, log } => {
                     let write = move |file: &mut File| log.write_to(file);
                     self.start_write(path, write, FileJobResult::WrittenLog);
+                }
+                Effect::WritePlan { name, bytes } => {
+                    let write = move || FileJobResult::WrittenPlan(write_plan(&name, &bytes));
+                    self.work.push(FileJob { handle: spawn_blocking(write), is_save: false });
                 }
                 Effect::ReadFile => {
                     // What is being parsed was read before.

@@ -149,6 +149,9 @@ impl Stage {
             } else {
                 self.save(now, &effect);
             }
+            if let Effect::WritePlan { .. } = effect {
+                self.app.handle_plan_written(now, Ok(()));
+            }
             if effect == Effect::ReadFile {
                 let reading = FileReading::Content(self.file.clone());
                 self.app.handle_file(now, reading);

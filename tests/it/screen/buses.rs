@@ -150,7 +150,7 @@ fn unreadable_data_is_one_timeline_line() {
 fn playback_keys_work_on_logs_only() {
     let mut stage = Stage::boiler();
     stage.until(24.0).keys("P");
-    assert!(stage.screen().contains("only a log can be paused"), "{}", stage.screen());
+    assert!(stage.screen().contains("plan: needs a profile with"), "{}", stage.screen());
     let mut playback =
         Playback { speed: 1.0, is_paused: false, is_ended: false, ..Playback::default() };
     let now = stage.app.now();

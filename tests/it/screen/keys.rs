@@ -131,7 +131,7 @@ fn keys_of_a_log_and_of_a_live_bus_name_the_other() {
     let mut stage = Stage::boiler();
     stage.until(8.0);
     for (key, answer) in [
-        ("P", "only a log can be paused"),
+        ("P", "plan: needs a profile with writes.address: no number is known for sure"),
         (">", "only a log can be stepped"),
         (")", "live: Space freezes; then a moment can be played"),
     ] {

@@ -21,6 +21,7 @@ mod keys;
 mod lanes;
 mod marks;
 mod moment;
+mod plan;
 mod play;
 mod problems;
 mod profile;

@@ -1,0 +1,148 @@
+//! Which device is to have which address: from des.json, or from a plan's file.
+
+use super::{PlanSession, PlanTask};
+use crate::address_plan::{
+    AddressGoal, AddressSet, DeviceIdentity, PlanBus, PlanRecord, RecordedDevice,
+};
+use crate::app::problems::Matching;
+use crate::app::{App, Bus};
+use crate::document::{Entry, Operation};
+use crate::frame::BusIndex;
+use crate::text::Name;
+use crate::wire::descriptor::AddressSetting;
+use crate::wire::id::Address;
+use crate::wire::node::Uid;
+
+/// A goal, in any order of goals.
+pub(super) type GoalKey = (DeviceIdentity, Address);
+
+/// Returns the place of a device in a file; of several that look the same, of that which may be at this
+/// address.
+pub(super) fn place_in(
+    record: &PlanRecord,
+    identity: &DeviceIdentity,
+    address: Address,
+) -> Option<usize> {
+    let same = |place: &usize| record.devices[*place].identity().is_same(identity);
+    let places: Vec<usize> = (0..record.devices.len()).filter(same).collect();
+    let at_address = |place: &&usize| record.possible_addresses(**place).contains(&address);
+    match &places[..] {
+        [only] => Some(*only),
+        several => several.iter().find(at_address).copied(),
+    }
+}
+
+/// Returns the address that the user pinned in an entry.
+fn pinned(entry: &Entry) -> Option<Address> {
+    let address = entry.address.filter(|_| entry.is_static).and_then(Address::new);
+    address.filter(|address| *address != Address::DEBUG)
+}
+
+impl App {
+    /// The goals of a plan, in the order that the user chose, else by the present address.
+    pub(super) fn address_goals(&self, session: &PlanSession, bus: &PlanBus) -> Vec<AddressGoal> {
+        let mut goals = match &session.task {
+            PlanTask::ToFile => self.goals_of_file(session.bus, bus),
+            PlanTask::Resume(record, _) => {
+                goals_of_record(record, bus, |it| (Address::from_bits(it.to), None))
+            }
+            PlanTask::TakeBack(record, _) => goals_of_record(record, bus, |it| {
+                let (address, setting) = it.place();
+                // A setting that leads elsewhere cannot be confirmed.
+                let setting =
+                    setting.filter(|setting| *setting == AddressSetting::Preferred(address));
+                (address, setting)
+            }),
+        };
+        let key = |goal: &AddressGoal| (goal.identity.clone(), goal.to);
+        for goal in &mut goals {
+            goal.is_left_out = session.left_out.contains(&key(goal));
+        }
+        goals.sort_by_cached_key(|goal| {
+            let place = session.order.iter().position(|it| *it == key(goal));
+            let at = goal.device.map(|device| bus.devices[device].address);
+            (place.unwrap_or(usize::MAX), at.is_none(), at, goal.to)
+        });
+        goals
+    }
+
+    fn goals_of_file(&self, index: BusIndex, known: &PlanBus) -> Vec<AddressGoal> {
+        let Some(bus) = self.buses.get(index) else { return Vec::new() };
+        let document = self.editor.file.document();
+        let matching = Matching::new(document.entries(), self.buses.as_slice());
+        let entries = document.entries().iter().filter(|entry| entry.is_for_bus(&bus.name));
+        let goals = entries.filter_map(|entry| {
+            let to = pinned(entry)?;
+            let devices = matching.devices_of(entry.index);
+            let own = devices.iter().find(|id| id.bus == index);
+            // The device is on another bus, or another entry is about it.
+            if own.is_none() && (!devices.is_empty() || matching.is_duplicate(entry.index)) {
+                return None;
+            }
+            let device = own.and_then(|id| bus.devices().iter().position(|it| it.id == *id));
+            let identity = match device {
+                Some(place) => known.devices[place].identity.clone(),
+                None => identity_of_entry(entry, bus),
+            };
+            Some(AddressGoal { device, identity, to, setting: None, is_left_out: false })
+        });
+        goals.collect()
+    }
+
+    /// The addresses that entries pin on a bus.
+    pub(super) fn reserved_addresses(&self, index: BusIndex) -> AddressSet {
+        let Some(bus) = self.buses.get(index) else { return AddressSet::default() };
+        let entries = self.editor.file.document().entries().iter();
+        entries.filter(|entry| entry.is_for_bus(&bus.name)).filter_map(pinned).collect()
+    }
+
+    /// The edits that give the entries of a bus the addresses of their devices, pinned.
+    pub fn pins_of_bus(&self, index: BusIndex) -> Vec<Operation> {
+        let Some(bus) = self.buses.get(index) else { return Vec::new() };
+        let document = self.editor.file.document();
+        let matching = Matching::new(document.entries(), self.buses.as_slice());
+        let entries = document.entries().iter();
+        let edits = entries.filter_map(|entry| {
+            let device = matching.devices_of(entry.index).iter().find(|id| id.bus == index)?;
+            let device = bus.device(*device).filter(|it| it.is_present() && !it.is_debug)?;
+            let to = device.address.number();
+            let is_same = entry.address == Some(to) && entry.is_static;
+            let (entry, from) = (document.key(entry.index), entry.address);
+            (!is_same && to > 0).then_some(Operation::PinAddress { entry, from, to })
+        });
+        edits.collect()
+    }
+
+    /// Applies the edits of [`App::pins_of_bus`] as one.
+    pub fn pin_bus(&mut self, pins: &[Operation]) {
+        self.edit(pins);
+    }
+}
+
+fn identity_of_entry(entry: &Entry, bus: &Bus) -> DeviceIdentity {
+    let alphabet = &bus.config().profile.uid;
+    let uid = entry.uid.as_deref().map(str::trim).and_then(|text| Uid::parse(text, alphabet));
+    let uid = uid.filter(|uid| !uid.is_blank());
+    DeviceIdentity { uid, name: Some(Name::new(&entry.name)) }
+}
+
+/// Returns the goals of the devices of a file.
+fn goals_of_record(
+    record: &PlanRecord,
+    bus: &PlanBus,
+    goal: impl Fn(&RecordedDevice) -> (Address, Option<AddressSetting>),
+) -> Vec<AddressGoal> {
+    let goals = record.devices.iter().enumerate().map(|(place, recorded)| {
+        let is_it = |device: &crate::address_plan::KnownDevice| {
+            device.is_present && place_in(record, &device.identity, device.address) == Some(place)
+        };
+        let device = bus.devices.iter().position(is_it);
+        let identity = match device {
+            Some(device) => bus.devices[device].identity.clone(),
+            None => recorded.identity(),
+        };
+        let (to, setting) = goal(recorded);
+        AddressGoal { device, identity, to, setting, is_left_out: false }
+    });
+    goals.collect()
+}

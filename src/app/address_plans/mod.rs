@@ -1,0 +1,573 @@
+//! The plan that gives the devices of a bus other addresses: what it is made from, its run, and the
+//! requests that the run demands.
+//!
+//! One plan at a time, about the present alone. Its file is written by the shell, which reports back
+//! before the first request of a step is sent. Does not know how it is drawn.
+
+mod dialog;
+mod goals;
+mod known_devices;
+
+use super::device_command::DeviceCommand;
+use super::notices::TimelineEntry;
+use super::timeline_kind::TimelineKind;
+use super::{App, Effect};
+use crate::address_plan::{
+    AddressGoal, AddressPlan, PlanOptions, PlanRecord, PlanRequest, PlanRun, PlanTiming,
+    RecordedDevice, RequestEnd, RunState, StepEffect, StepState,
+};
+use crate::discovery::{DeviceRequest, Event, EventKind, OwnAddress, RequestId, RequestOutcome};
+use crate::frame::{BusIndex, Frame};
+use crate::text::{counted, hex};
+use crate::time::{Duration, Instant};
+use crate::wire::descriptor::DescriptorField;
+use crate::wire::profile::{Profile, ProfileKey, WriteEffect};
+use goals::GoalKey;
+
+/// Time between two looks whether the settings are read.
+const READ_INTERVAL: Duration = Duration::from_millis(100);
+/// Longest name of a bus in the name of a file.
+const MAX_BUS_NAME: usize = 40;
+
+/// Which addresses the devices are to have.
+#[derive(Clone, Debug, PartialEq)]
+pub enum PlanTask {
+    /// The static ones of des.json.
+    ToFile,
+    /// Those of a plan that was not finished, with the name of its file.
+    Resume(Box<PlanRecord>, String),
+    /// Those that the devices had before a plan, with the name of its file.
+    TakeBack(Box<PlanRecord>, String),
+}
+
+/// A plan and its run.
+#[derive(Debug)]
+pub struct PlanSession {
+    bus: BusIndex,
+    task: PlanTask,
+    restarts: bool,
+    is_fixed: bool,
+    /// When to look again whether the settings are read; `None` once they are.
+    reading_due: Option<Instant>,
+    goals: Vec<AddressGoal>,
+    left_out: Vec<GoalKey>,
+    order: Vec<GoalKey>,
+    plan: AddressPlan,
+    run: Option<PlanRun>,
+    /// The file of the run: its name and content, and the place in it of each goal.
+    record: Option<(String, PlanRecord)>,
+    places: Vec<Option<usize>>,
+    /// The state that the content of the file has.
+    recorded: u64,
+    /// The state that is being written.
+    writing: Option<u64>,
+    /// The request that waits for its end, and its step.
+    open: Option<(RequestId, usize)>,
+    /// The last request of each step.
+    frames: Vec<Option<Frame>>,
+    selected: usize,
+    /// The user has seen that it stopped.
+    is_seen: bool,
+}
+
+impl PlanSession {
+    /// The bus.
+    pub const fn bus(&self) -> BusIndex {
+        self.bus
+    }
+
+    /// What it is for.
+    pub const fn task(&self) -> &PlanTask {
+        &self.task
+    }
+
+    /// The plan: that of the run, if there is one.
+    pub fn plan(&self) -> &AddressPlan {
+        self.run.as_ref().map_or(&self.plan, PlanRun::plan)
+    }
+
+    /// The run; `None` before it is started.
+    pub const fn run(&self) -> Option<&PlanRun> {
+        self.run.as_ref()
+    }
+
+    /// Returns true while stored settings are read, and no plan is made yet.
+    pub const fn is_reading(&self) -> bool {
+        self.reading_due.is_some()
+    }
+
+    /// Returns true while steps are done.
+    pub fn is_running(&self) -> bool {
+        self.run.as_ref().is_some_and(PlanRun::is_running)
+    }
+
+    /// Returns true if the file has the present state.
+    pub fn is_stored(&self) -> bool {
+        self.writing.is_none() && self.run.as_ref().is_none_or(PlanRun::is_stored)
+    }
+
+    /// State of a step; pending before the start.
+    pub fn step_state(&self, step: usize) -> StepState {
+        let state = self.run.as_ref().and_then(|run| run.states().get(step));
+        state.cloned().unwrap_or(StepState::Pending)
+    }
+
+    /// The last request that was sent in a step.
+    pub fn frame(&self, step: usize) -> Option<&Frame> {
+        self.frames.get(step)?.as_ref()
+    }
+
+    /// Name of the file of the run.
+    pub fn file_name(&self) -> Option<&str> {
+        self.record.as_ref().map(|(name, _)| name.as_str())
+    }
+
+    /// Content of the file of the run.
+    pub fn record(&self) -> Option<&PlanRecord> {
+        self.record.as_ref().map(|(_, record)| record)
+    }
+
+    /// Takes the state of the run into the content of its file.
+    fn renew_record(&mut self, unix_secs: f64) {
+        if let (Some(run), Some((_, record))) = (&self.run, &mut self.record)
+            && self.recorded != run.revision()
+        {
+            record.update(run, &self.places, unix_secs);
+            self.recorded = run.revision();
+        }
+    }
+
+    /// What a file tells of the devices: that of the run, else that of the task.
+    fn known_record(&self) -> Option<&PlanRecord> {
+        match &self.task {
+            _ if self.run.is_some() => self.record(),
+            PlanTask::ToFile => None,
+            PlanTask::Resume(record, _) | PlanTask::TakeBack(record, _) => Some(record),
+        }
+    }
+
+    /// Returns true if settings are fixed addresses, else preferred ones.
+    pub const fn is_fixed(&self) -> bool {
+        self.is_fixed
+    }
+
+    /// Returns true if descan restarts each device after its write.
+    pub const fn restarts(&self) -> bool {
+        self.restarts
+    }
+}
+
+/// When a write acts.
+fn effect_of(profile: &Profile, restarts: bool) -> StepEffect {
+    match profile.writes.effect {
+        WriteEffect::Now => StepEffect::AtOnce,
+        WriteEffect::Restart if restarts => StepEffect::Restart,
+        WriteEffect::Restart => StepEffect::Deferred,
+    }
+}
+
+impl App {
+    /// The plan that is shown, runs, or ended last.
+    pub fn address_plan(&self) -> Option<&PlanSession> {
+        self.plan.as_deref()
+    }
+
+    /// When the writes of the plan act.
+    pub fn plan_effect(&self, session: &PlanSession) -> StepEffect {
+        effect_of(&self.buses.profile(session.bus), session.restarts)
+    }
+
+    /// Longest time of a step of the plan.
+    pub fn plan_step_time(&self, session: &PlanSession) -> Duration {
+        self.plan_timing(session.bus).step(self.plan_effect(session))
+    }
+
+    fn plan_timing(&self, bus: BusIndex) -> PlanTiming {
+        let profile = self.buses.profile(bus);
+        PlanTiming { period: profile.heartbeat.period(), response: profile.calls.timeout() }
+    }
+
+    /// Why no addresses can be written on a bus; `None` if they can.
+    pub fn plan_obstacle(&self, index: BusIndex) -> Option<String> {
+        let bus = self.buses.get(index)?;
+        if let Some(obstacle) = self.tx_obstacle(index, bus) {
+            return Some(obstacle);
+        }
+        let profile = self.buses.profile(index);
+        if profile.writes.address.is_none() || !profile.is_given(ProfileKey::WriteAddress) {
+            let key = ProfileKey::WriteAddress.name();
+            return Some(format!("needs a profile with {key}: no number is known for sure"));
+        }
+        match bus.own_address() {
+            OwnAddress::Held(_) => None,
+            _ => Some("descan has no address on this bus yet".to_owned()),
+        }
+    }
+
+    /// Prepares a plan: reads the stored settings, where the profile has their number, and makes it
+    /// then. Nothing is written.
+    ///
+    /// # Errors
+    ///
+    /// What forbids it.
+    pub fn prepare_plan(
+        &mut self,
+        bus: BusIndex,
+        task: PlanTask,
+        restarts: bool,
+    ) -> Result<(), String> {
+        if self.plan.as_ref().is_some_and(|session| session.is_running()) {
+            return Err("a plan is running".to_owned());
+        }
+        if let Some(why) = self.plan_obstacle(bus) {
+            return Err(why);
+        }
+        let profile = self.buses.profile(bus);
+        if restarts && !profile.is_given(ProfileKey::Reboot) {
+            let key = ProfileKey::Reboot.name();
+            return Err(format!("a restart needs a profile with {key}"));
+        }
+        if task == PlanTask::ToFile && !self.editor.file.is_there() {
+            return Err(format!("{} does not exist", self.editor.file.name()));
+        }
+        let is_read = profile.is_given(ProfileKey::Addr) && self.read_settings(bus);
+        let now = self.clock.now();
+        self.plan = Some(Box::new(PlanSession {
+            bus,
+            task,
+            restarts: restarts && profile.writes.effect == WriteEffect::Restart,
+            is_fixed: true,
+            reading_due: is_read.then_some(now + READ_INTERVAL),
+            goals: Vec::new(),
+            left_out: Vec::new(),
+            order: Vec::new(),
+            plan: AddressPlan::default(),
+            run: None,
+            record: None,
+            places: Vec::new(),
+            recorded: 0,
+            writing: None,
+            open: None,
+            frames: Vec::new(),
+            selected: 0,
+            is_seen: true,
+        }));
+        if !is_read {
+            self.renew_plan();
+        }
+        Ok(())
+    }
+
+    /// Reads the stored settings of all present devices; returns true if there are any.
+    fn read_settings(&mut self, index: BusIndex) -> bool {
+        let Some(bus) = self.buses.get(index) else { return false };
+        let devices = bus.devices().iter().filter(|device| device.is_present() && !device.is_debug);
+        let ids: Vec<_> = devices.map(|device| device.id).collect();
+        let (now, field) = (self.clock.now(), Some(DescriptorField::Address));
+        ids.into_iter().fold(false, |any, id| self.buses.read_descriptor(now, id, field) > 0 || any)
+    }
+
+    /// Makes the plan again, from what is known now.
+    pub(super) fn renew_plan(&mut self) {
+        let Some(mut session) = self.plan.take() else { return };
+        if session.run.is_none() && !session.is_reading() {
+            let bus = self.known_devices(session.bus, session.known_record());
+            session.goals = self.address_goals(&session, &bus);
+            let options = self.plan_options(&session);
+            session.plan = AddressPlan::new(&bus, &session.goals, &options);
+            session.selected = session.selected.min(session.rows().saturating_sub(1));
+        }
+        self.plan = Some(session);
+        self.notices.redraw.set_dirty();
+    }
+
+    fn plan_options(&self, session: &PlanSession) -> PlanOptions {
+        PlanOptions {
+            effect: self.plan_effect(session),
+            is_fixed: session.is_fixed,
+            reserved: self.reserved_addresses(session.bus),
+        }
+    }
+
+    /// Starts the plan, made again from what is known now: its first request is sent when its file is
+    /// written.
+    ///
+    /// # Errors
+    ///
+    /// What forbids it.
+    pub fn start_plan(&mut self) -> Result<(), String> {
+        self.renew_plan();
+        let Some(mut session) = self.plan.take() else { return Err("there is no plan".into()) };
+        let result = self.start_session(&mut session);
+        self.plan = Some(session);
+        self.step_plan(self.clock.now());
+        result
+    }
+
+    fn start_session(&mut self, session: &mut PlanSession) -> Result<(), String> {
+        if session.is_reading() || session.run.is_some() {
+            return Err("the plan is not ready".to_owned());
+        }
+        if let Some(why) = self.plan_obstacle(session.bus) {
+            return Err(why);
+        }
+        let bus = self.known_devices(session.bus, session.known_record());
+        let (effect, timing) = (self.plan_effect(session), self.plan_timing(session.bus));
+        let (name, mut record) = self.new_record(session, effect);
+        // The device of each goal with a step, as the file has it.
+        session.places = vec![None; session.goals.len()];
+        for step in &session.plan.steps {
+            let goal = &session.goals[step.goal];
+            let Some(device) = goal.device.map(|place| &bus.devices[place]) else { continue };
+            if session.places[step.goal].is_some() {
+                continue;
+            }
+            let place = goals::place_in(&record, &device.identity, device.address);
+            let place = place.unwrap_or_else(|| {
+                let (at, stored) = (device.address, device.setting);
+                record.devices.push(RecordedDevice::new(&device.identity, at, stored, goal.to));
+                record.devices.len() - 1
+            });
+            record.devices[place].to = goal.to.number();
+            session.places[step.goal] = Some(place);
+        }
+        let run = PlanRun::new(session.plan.clone(), effect, timing, &bus);
+        session.frames = vec![None; run.states().len()];
+        session.run = Some(run);
+        session.record = Some((name, record));
+        Ok(())
+    }
+
+    /// The name and the content of a run's file; that of a plan that goes on is kept.
+    fn new_record(&self, session: &PlanSession, effect: StepEffect) -> (String, PlanRecord) {
+        let now = self.clock.epoch().unix_secs(self.clock.now());
+        let source = match &session.task {
+            PlanTask::Resume(record, name) => {
+                let record = PlanRecord { effect: effect.word().to_owned(), ..(**record).clone() };
+                return (name.clone(), record);
+            }
+            PlanTask::ToFile => self.editor.file.name().to_owned(),
+            PlanTask::TakeBack(_, name) => format!("undo of {name}"),
+        };
+        let bus = self.buses.get(session.bus).map_or_else(String::new, |bus| bus.name.clone());
+        let plain = |c: char| if c.is_ascii_alphanumeric() { c } else { '-' };
+        let short: String = bus.chars().map(plain).take(MAX_BUS_NAME).collect();
+        let name = format!("{}-{short}.json", self.clock.stamp());
+        let record = PlanRecord {
+            descan: String::new(),
+            version: 1,
+            bus,
+            started: now,
+            changed: now,
+            source,
+            effect: effect.word().to_owned(),
+            state: RunState::Running.word().to_owned(),
+            stopped: None,
+            devices: Vec::new(),
+            steps: Vec::new(),
+        };
+        (name, record)
+    }
+
+    /// Takes that the file of the plan was written, or why not.
+    pub fn handle_plan_written(&mut self, now: Instant, result: Result<(), String>) {
+        let now = self.clock.set(now);
+        if let Some(session) = &mut self.plan
+            && let (Some(revision), Some(run)) = (session.writing.take(), &mut session.run)
+        {
+            run.handle_stored(revision, result);
+        }
+        self.step_plan(now);
+    }
+
+    /// Stops the run after the present step, or does not any more.
+    pub fn stop_plan_after_step(&mut self) {
+        if let Some(run) = self.plan.as_mut().and_then(|session| session.run.as_mut()) {
+            run.stop_after_step();
+        }
+        self.notices.redraw.set_dirty();
+    }
+
+    // ---- the run ---------------------------------------------------------------------------
+
+    /// When the plan is to be looked after.
+    pub(super) fn plan_timeout(&self) -> Option<Instant> {
+        let session = self.plan.as_ref()?;
+        let run = session.run.as_ref().and_then(|run| run.poll_timeout(self.clock.now()));
+        run.into_iter().chain(session.reading_due).min()
+    }
+
+    /// Looks after the plan.
+    pub(super) fn step_plan(&mut self, now: Instant) {
+        let Some(mut session) = self.plan.take() else { return };
+        if session.reading_due.is_some_and(|due| due <= now) {
+            let bus = self.buses.get(session.bus);
+            let is_read = |bus: &super::Bus| {
+                !bus.devices().iter().any(|device| bus.is_reading_descriptor(device.id))
+            };
+            session.reading_due = Some(now + READ_INTERVAL);
+            if bus.is_none_or(is_read) {
+                session.reading_due = None;
+                self.plan = Some(session);
+                return self.renew_plan();
+            }
+        }
+        let has_run = session.run.is_some();
+        if has_run {
+            self.step_run(now, &mut session);
+        }
+        self.plan = Some(session);
+        if has_run {
+            self.show_plan_change();
+        }
+    }
+
+    fn step_run(&mut self, now: Instant, session: &mut PlanSession) {
+        let obstacle = self.plan_obstacle(session.bus);
+        session.renew_record(self.clock.epoch().unix_secs(now));
+        let (index, record) = (session.bus, session.record.as_ref().map(|(_, record)| record));
+        let Some(run) = &mut session.run else { return };
+        if run.poll_timeout(now).is_some_and(|due| due <= now) {
+            match obstacle {
+                Some(why) if run.is_running() => run.handle_obstacle(why),
+                _ => run.handle_timeout(now, &self.known_devices(index, record)),
+            }
+        }
+        if let Some(request) = run.poll_request() {
+            let step = run.current();
+            run.handle_sent(now);
+            match self.send_for_plan(index, request) {
+                Ok(id) => session.open = Some((id, step)),
+                Err(why) => run.handle_request_end(RequestEnd::NotSent(why)),
+            }
+        }
+        if !run.is_stored() && session.writing.is_none() {
+            session.writing = Some(run.revision());
+            session.renew_record(self.clock.epoch().unix_secs(now));
+            if let Some((name, record)) = &session.record {
+                let (name, bytes) = (name.clone(), record.to_bytes());
+                self.effects.push_back(Effect::WritePlan { name, bytes });
+            }
+        }
+        self.report_plan_news(session);
+    }
+
+    /// Notes what changed on the screen through a look after the plan.
+    fn show_plan_change(&mut self) {
+        let is_open = matches!(self.input.overlay(), super::Overlay::Plan);
+        if let Some(session) = &mut self.plan
+            && session.run.is_some()
+        {
+            session.is_seen = is_open || session.is_seen && !session.is_running();
+        }
+        self.renew_banner();
+    }
+
+    fn send_for_plan(&mut self, bus: BusIndex, request: PlanRequest) -> Result<RequestId, String> {
+        let (at, command) = match request {
+            PlanRequest::Write(at, setting) => (at, DeviceCommand::Address(setting)),
+            PlanRequest::Restart(at) => (at, DeviceCommand::Restart),
+        };
+        let device = self.buses.get(bus).and_then(|bus| bus.device_at(at));
+        let device = device.ok_or_else(|| format!("no device at {at}"))?.id;
+        let request = command.request(&self.buses.profile(bus));
+        let (service, data) = request.ok_or("its service number is not known")?;
+        let request = DeviceRequest { device, service, data };
+        let sent = self.buses.request(self.clock.now(), request);
+        sent.ok_or_else(|| "too many requests wait to be sent".to_owned())
+    }
+
+    /// Takes the end of a request of the plan; returns false for another request.
+    pub(super) fn end_plan_request(&mut self, bus: BusIndex, event: &Event) -> bool {
+        let EventKind::RequestEnded { request, frame, outcome } = &event.kind else { return false };
+        let timeout = self.buses.profile(bus).calls.timeout();
+        let Some(session) = self.plan.as_mut().filter(|session| session.bus == bus) else {
+            return false;
+        };
+        let Some((_, step)) = session.open.take_if(|(id, _)| id == request) else { return false };
+        if let Some(place) = session.frames.get_mut(step).filter(|_| frame.is_some()) {
+            *place = *frame;
+        }
+        let end = match outcome {
+            RequestOutcome::Responded(_) => RequestEnd::Responded,
+            RequestOutcome::Refused(code) => RequestEnd::Refused(hex(code, " ")),
+            RequestOutcome::NoResponse => RequestEnd::NoResponse(timeout),
+            RequestOutcome::NotSent(why) => RequestEnd::NotSent(why.to_string()),
+        };
+        if let Some(run) = &mut session.run {
+            run.handle_request_end(end);
+        }
+        true
+    }
+
+    fn report_plan_news(&mut self, session: &mut PlanSession) {
+        let Some(run) = &mut session.run else { return };
+        let count = run.states().len();
+        let news: Vec<_> = std::iter::from_fn(|| run.poll_news()).collect();
+        for it in news {
+            if let Some(step) = it.step.filter(|_| it.is_failure) {
+                session.selected = step;
+            }
+            let kind = if it.is_failure { TimelineKind::Error } else { TimelineKind::Improved };
+            let step = it.step.and_then(|at| Some((at, session.plan().steps.get(at)?)));
+            let text = match step {
+                Some((at, step)) => {
+                    let frame = session.frame(at).map(|frame| format!(" ({frame})"));
+                    let (frame, from, to) = (frame.unwrap_or_default(), step.from, step.to);
+                    format!("plan step {} of {count}, {from} → {to}{frame}: {}", at + 1, it.text)
+                }
+                None => format!("plan: {}", it.text),
+            };
+            let mut line = TimelineEntry::new(self.clock.now(), kind, text).on(session.bus);
+            if let Some((_, step)) = step {
+                line.name.clone_from(&step.device.name);
+                line.address = Some(step.to);
+                let bus = self.buses.get(session.bus);
+                let near = [step.to, step.from].map(|at| bus.and_then(|bus| bus.device_at(at)));
+                line.device = near.into_iter().flatten().next().map(|device| device.id);
+            }
+            self.report_line(line);
+            if it.step.is_none() {
+                let text = format!("plan: {}", it.text);
+                if it.is_failure { self.show_error(text) } else { self.show_info(text) }
+            }
+        }
+        self.notices.redraw.set_dirty();
+    }
+
+    /// The question before a plan is started.
+    pub fn plan_question(&self) -> Option<String> {
+        let session = self.plan.as_ref()?;
+        let bus = self.buses.get(session.bus)?;
+        let plan = session.plan();
+        let devices = counted(plan.devices() as u64, "address");
+        let devices = devices.replace("addresss", "addresses");
+        let (effect, seconds) =
+            (self.plan_effect(session), self.plan_step_time(session).as_secs_f64());
+        let frames = counted(plan.requests(effect) as u64, "request");
+        let profile = self.buses.profile(session.bus);
+        let write = profile.writes.address.unwrap_or_default();
+        let restart = profile.commands.reboot.filter(|_| effect == StepEffect::Restart);
+        let restart = restart.map(|number| format!(" and 0x{number:03X}")).unwrap_or_default();
+        let what = match effect {
+            StepEffect::AtOnce => {
+                format!("each device leaves the bus for some seconds, at most {seconds:.0} each")
+            }
+            StepEffect::Restart => format!(
+                "each device restarts and leaves the bus for some seconds, at most {seconds:.0} each"
+            ),
+            StepEffect::Deferred => "in force after a restart of all devices at once".to_owned(),
+        };
+        let name = &bus.name;
+        Some(format!(
+            "Change {devices} on {name}? Sends {frames} (service 0x{write:03X}{restart}); {what}."
+        ))
+    }
+}
+
+impl PlanSession {
+    /// Number of rows of the list: steps, then devices without one.
+    pub fn rows(&self) -> usize {
+        self.plan().steps.len() + self.plan().left_out.len()
+    }
+}

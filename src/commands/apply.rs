@@ -1,0 +1,540 @@
+//! `descan apply`: gives the devices of a bus the addresses of des.json, or of a plan's file; or
+//! des.json those of the bus. Waits for the devices, prints the plan, asks, and prints each step as it
+//! ends.
+
+use super::gate::{BusGate, FileGate};
+use super::headless::{self, Limits, RunInput, RunOutcome, warn_foreign};
+use super::open::{self, Setup};
+use super::output::{self, answer, ask, may_ask, say};
+use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure};
+use crate::address_plan::{DeviceIdentity, PlanRecord, PlanStep, RunState, StepState};
+use crate::app::{App, AppOptions, Bus, PlanSession, PlanTask};
+use crate::cli::ApplyArgs;
+use crate::discovery::OwnAddress;
+use crate::document::Operation;
+use crate::frame::BusIndex;
+use crate::shell::plan_files::{latest_plan, plans_folder, read_plan};
+use crate::shell::stop::StopReason;
+use crate::text::counted;
+use crate::time::Instant;
+use crate::wire::profile::ProfileKey;
+use serde::Serialize;
+use std::fmt::Write as _;
+use std::ops::ControlFlow;
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, TryRecvError};
+use std::time::Duration;
+
+/// Time in which the devices must be found, unless given.
+const DEFAULT_TIME: Duration = Duration::from_secs(15);
+/// The bus: there is one.
+const BUS: BusIndex = BusIndex(0);
+
+/// How far it is.
+enum ApplyStage {
+    /// The devices are looked for.
+    Searching,
+    /// Their settings are read.
+    Reading,
+    /// The user is asked.
+    Asking(Receiver<bool>),
+    /// Steps are done; so many were printed.
+    Running(usize),
+    /// The edits of des.json are being saved.
+    Saving,
+    /// Nothing is to be done, or the user said no, or only the plan was wanted.
+    Over,
+    /// The run, or the save, ended.
+    Done,
+}
+
+struct Apply<'a> {
+    args: &'a ApplyArgs,
+    task: PlanTask,
+    stage: ApplyStage,
+    file: FileGate,
+    pins: Vec<Operation>,
+    has_declined: bool,
+}
+
+/// Runs it.
+pub fn run(args: &ApplyArgs) -> Result<u8, Failure> {
+    if !args.yes && !args.dry_run && !may_ask() {
+        let text = "it asks before it writes, and there is no terminal: give --yes or --dry-run";
+        return Err(Failure::Usage(text.to_owned()));
+    }
+    let buses = std::slice::from_ref(&args.bus);
+    if open::log(buses, "apply", None)?.is_some() {
+        return Err(Failure::Usage("a log has no device to write to".to_owned()));
+    }
+    let mut setup = Setup::new(&args.common)?;
+    if let Some(file) = &args.des_json {
+        setup.file.clone_from(file);
+    }
+    if !args.from_bus {
+        if args.common.listen_only {
+            return Err(Failure::Unusable("listen-only: no requests are sent".to_owned()));
+        }
+        require_key(&setup, ProfileKey::WriteAddress, "apply")?;
+        if args.restart {
+            require_key(&setup, ProfileKey::Reboot, "--restart")?;
+        }
+    }
+    // The settings of the addresses alone are read.
+    Arc::make_mut(&mut setup.config.profile).descriptor.auto = false;
+    let task = task(args)?;
+    let time = args.time.unwrap_or(DEFAULT_TIME);
+    let limits = Limits { stuck: EXIT_INTERRUPTED, ..Limits::default() };
+    let mut gate = BusGate::new(false);
+    let (file, pins) = (FileGate::default(), Vec::new());
+    let stage = ApplyStage::Searching;
+    let mut apply = Apply { args, task, stage, file, pins, has_declined: false };
+    let mut began = None;
+    let RunOutcome { app, ending, recording, .. } =
+        headless::run(RunInput::Buses(buses), &setup, AppOptions::default(), limits, |session| {
+            let now = session.now();
+            if !gate.allows(&session.app, now)? {
+                return Ok(ControlFlow::Continue(()));
+            }
+            let began = *began.get_or_insert(now);
+            apply.advance(&mut session.app, now, began + time)?;
+            let is_over = matches!(apply.stage, ApplyStage::Over | ApplyStage::Done);
+            Ok(if is_over { ControlFlow::Break(()) } else { ControlFlow::Continue(()) })
+        })?;
+    if ending == Some(StopReason::Interrupted) {
+        if let ApplyStage::Running(_) = apply.stage {
+            say(format!("interrupted; go on with: descan apply {} --resume", args.bus));
+        }
+        return Ok(EXIT_INTERRUPTED);
+    }
+    gate.require_opened(&app)?;
+    recording?;
+    apply.report(&app)
+}
+
+fn require_key(setup: &Setup, key: ProfileKey, what: &str) -> Result<(), Failure> {
+    if setup.config.profile.is_given(key) {
+        return Ok(());
+    }
+    let name = key.name();
+    Err(Failure::Unusable(format!(
+        "{what} needs a profile with {name}: no number is known for sure"
+    )))
+}
+
+/// Returns what the devices are to get; reads the plan that goes on or is taken back.
+fn task(args: &ApplyArgs) -> Result<PlanTask, Failure> {
+    let bus = args.bus.to_string();
+    let find = |wanted: &str| -> Result<(String, PlanRecord), Failure> {
+        let found = if wanted.is_empty() { latest_plan(&bus)? } else { Some(read_plan(wanted)?) };
+        found.ok_or_else(|| {
+            let folder = plans_folder().unwrap_or_default();
+            Failure::Unusable(format!("no plan of {bus} in {}", folder.display()))
+        })
+    };
+    match (&args.resume, &args.undo) {
+        (Some(wanted), _) => {
+            let (name, record) = find(wanted)?;
+            Ok(PlanTask::Resume(Box::new(record), name))
+        }
+        (_, Some(wanted)) => {
+            let (name, record) = find(wanted)?;
+            Ok(PlanTask::TakeBack(Box::new(record), name))
+        }
+        _ => Ok(PlanTask::ToFile),
+    }
+}
+
+impl Apply<'_> {
+    /// Takes the next step, if it is time for it.
+    fn advance(&mut self, app: &mut App, now: Instant, end: Instant) -> Result<(), Failure> {
+        match &mut self.stage {
+            ApplyStage::Searching => {
+                let is_usable = self.task != PlanTask::ToFile || self.file.allows(app, now)?;
+                if is_usable && (is_found(app, &self.task) || now >= end) {
+                    self.begin(app)?;
+                }
+            }
+            ApplyStage::Reading => {
+                if !app.address_plan().is_some_and(PlanSession::is_reading) {
+                    self.show_plan(app)?;
+                }
+            }
+            ApplyStage::Asking(answer) => match answer.try_recv() {
+                Ok(true) => self.start(app)?,
+                Ok(false) | Err(TryRecvError::Disconnected) => {
+                    self.has_declined = true;
+                    self.stage = ApplyStage::Over;
+                }
+                Err(TryRecvError::Empty) => {}
+            },
+            ApplyStage::Running(printed) => {
+                let Some(session) = app.address_plan() else { return Ok(()) };
+                print_steps(session, printed, self.args.json)?;
+                if !session.is_running() && session.is_stored() {
+                    self.stage = ApplyStage::Done;
+                }
+            }
+            ApplyStage::Saving => {
+                let file = app.file();
+                if let Some(problem) = file.problem() {
+                    return Err(Failure::Unusable(format!("{}: {problem}", file.name())));
+                }
+                if file.is_settled() && !file.is_saving() {
+                    self.stage = ApplyStage::Done;
+                }
+            }
+            ApplyStage::Over | ApplyStage::Done => {}
+        }
+        Ok(())
+    }
+
+    fn begin(&mut self, app: &mut App) -> Result<(), Failure> {
+        warn_foreign(app, &mut Vec::new());
+        if self.args.from_bus {
+            return self.show_pins(app);
+        }
+        app.prepare_plan(BUS, self.task.clone(), self.args.restart).map_err(Failure::Unusable)?;
+        self.stage = ApplyStage::Reading;
+        Ok(())
+    }
+
+    fn show_plan(&mut self, app: &mut App) -> Result<(), Failure> {
+        let Some(session) = app.address_plan() else { return Ok(()) };
+        match (self.args.json, self.args.yes) {
+            (false, _) => output::print(&table(app, session))?,
+            (true, false) => say(table(app, session).trim_end()),
+            (true, true) => {}
+        }
+        if session.plan().steps.is_empty() || self.args.dry_run {
+            self.stage = ApplyStage::Over;
+            return Ok(());
+        }
+        let question = app.plan_question().unwrap_or_default();
+        self.ask_or_start(app, &question)
+    }
+
+    fn show_pins(&mut self, app: &mut App) -> Result<(), Failure> {
+        self.pins = app.pins_of_bus(BUS);
+        if !self.args.json {
+            let lines: String = self.pins.iter().map(|pin| format!("{pin}\n")).collect();
+            output::print(&lines)?;
+        }
+        if self.pins.is_empty() || self.args.dry_run {
+            self.stage = ApplyStage::Over;
+            return Ok(());
+        }
+        let edits = counted(self.pins.len() as u64, "address");
+        let edits = edits.replace("addresss", "addresses");
+        let question = format!("Pin {edits} in {}? Nothing is sent.", app.file().name());
+        self.ask_or_start(app, &question)
+    }
+
+    fn ask_or_start(&mut self, app: &mut App, question: &str) -> Result<(), Failure> {
+        if self.args.yes {
+            say(question);
+            return self.start(app);
+        }
+        ask(format!("{question} [y/N]"));
+        self.stage = ApplyStage::Asking(answer());
+        Ok(())
+    }
+
+    fn start(&mut self, app: &mut App) -> Result<(), Failure> {
+        if self.args.from_bus {
+            app.pin_bus(&self.pins);
+            self.stage = ApplyStage::Saving;
+            return Ok(());
+        }
+        app.start_plan().map_err(Failure::Unusable)?;
+        self.stage = ApplyStage::Running(0);
+        Ok(())
+    }
+
+    /// Prints the end, and returns the exit code.
+    fn report(&self, app: &App) -> Result<u8, Failure> {
+        if self.args.from_bus {
+            return self.report_pins(app);
+        }
+        let Some(session) = app.address_plan() else { return Ok(EXIT_FINDINGS) };
+        if self.args.json {
+            print_json(&ApplyReport::new(app, session))?;
+        }
+        let state = session.run().map(|run| run.state());
+        match state {
+            None if self.has_declined => say("nothing was written"),
+            None if session.plan().leaves_out() && session.plan().steps.is_empty() => {
+                say("no step can be done: see what is left out");
+            }
+            None if session.plan().steps.is_empty() => say("nothing to do"),
+            None => {}
+            Some(state) => {
+                let text = match state {
+                    RunState::Done => "all steps are confirmed".to_owned(),
+                    RunState::Stopped(cause) => format!("stopped: {cause}"),
+                    RunState::Stored => "stored: restart all devices at once, then check with: \
+                                         descan apply --resume"
+                        .to_owned(),
+                    RunState::Running => "not finished".to_owned(),
+                };
+                say(text);
+                if let Some(name) = session.file_name() {
+                    let folder = plans_folder().unwrap_or_default();
+                    say(format!("plan: {}", folder.join(name).display()));
+                }
+            }
+        }
+        let is_done = match state {
+            None => self.args.dry_run || session.plan().steps.is_empty(),
+            Some(state) => *state == RunState::Done,
+        };
+        let is_all = is_done && !session.plan().leaves_out();
+        Ok(if is_all { EXIT_OK } else { EXIT_FINDINGS })
+    }
+
+    fn report_pins(&self, app: &App) -> Result<u8, Failure> {
+        if self.args.json {
+            let is_saved = matches!(self.stage, ApplyStage::Done);
+            let edits = self.pins.iter().map(ToString::to_string).collect();
+            let file = app.file().name().to_owned();
+            print_json(&PinReport { descan: env!("CARGO_PKG_VERSION"), file, edits, is_saved })?;
+        }
+        match self.stage {
+            _ if self.has_declined => say("nothing was written"),
+            _ if self.pins.is_empty() => {
+                say(format!("{} has the addresses of the bus", app.file().name()));
+            }
+            ApplyStage::Done => say(format!("saved: {}", app.file().name())),
+            _ => {}
+        }
+        Ok(if self.has_declined { EXIT_FINDINGS } else { EXIT_OK })
+    }
+}
+
+/// Returns true if the rounds at start are over and all devices are found.
+fn is_found(app: &App, task: &PlanTask) -> bool {
+    let Some(bus) = app.bus(BUS) else { return false };
+    let is_ready = matches!(bus.own_address(), OwnAddress::Held(_)) && bus.progress().is_complete;
+    is_ready && !is_missing(app, bus, task)
+}
+
+fn is_missing(app: &App, bus: &Bus, task: &PlanTask) -> bool {
+    match task {
+        PlanTask::ToFile => {
+            let entries = app.file().document().entries().iter();
+            let mut pinned = entries.filter(|it| it.is_static && it.is_for_bus(&bus.name));
+            pinned.any(|entry| {
+                let mut devices = app.matching().devices_of(entry.index).iter();
+                !app.matching().is_duplicate(entry.index)
+                    && !devices.any(|id| app.device(*id).is_some_and(|it| it.is_present()))
+            })
+        }
+        PlanTask::Resume(record, _) | PlanTask::TakeBack(record, _) => {
+            record.devices.iter().any(|recorded| {
+                let wanted = recorded.identity();
+                !bus.devices().iter().any(|device| {
+                    let uid = device.uid.filter(|uid| !uid.is_blank());
+                    let own = DeviceIdentity { uid, name: device.name.clone() };
+                    device.is_present() && wanted.is_same(&own)
+                })
+            })
+        }
+    }
+}
+
+// ---- text ------------------------------------------------------------------------------------
+
+/// The plan as a table.
+fn table(app: &App, session: &PlanSession) -> String {
+    let mut rows =
+        vec![["ORDER", "DEVICE", "UID", "FROM", "TO", "WHY", "STATE"].map(str::to_owned)];
+    let uid = |identity: &DeviceIdentity| uid_text(app, session, identity);
+    for (at, step) in session.plan().steps.iter().enumerate() {
+        rows.push([
+            (at + 1).to_string(),
+            step.device.label(),
+            uid(&step.device),
+            step.from.to_string(),
+            step.to.to_string(),
+            step.why(),
+            session.step_state(at).to_string(),
+        ]);
+    }
+    for left in &session.plan().left_out {
+        let state = if left.reason.is_done() { "–" } else { "left out" };
+        rows.push([
+            "–".to_owned(),
+            left.device.label(),
+            if left.at.is_none() && left.device.uid.is_none() {
+                "–".to_owned()
+            } else {
+                uid(&left.device)
+            },
+            left.at.map_or("–".to_owned(), |at| at.to_string()),
+            left.to.to_string(),
+            left.reason.to_string(),
+            state.to_owned(),
+        ]);
+    }
+    let width =
+        |column: usize| rows.iter().map(|row| row[column].chars().count()).max().unwrap_or(0);
+    let widths: [usize; 7] = std::array::from_fn(width);
+    let mut text = String::new();
+    for row in &rows {
+        let mut line = String::new();
+        for (cell, width) in row.iter().zip(widths) {
+            let _ = write!(line, "{cell:width$}  ");
+        }
+        text.push_str(line.trim_end());
+        text.push('\n');
+    }
+    text
+}
+
+fn uid_text(app: &App, session: &PlanSession, identity: &DeviceIdentity) -> String {
+    let profile = app.profile(session.bus());
+    identity.uid.map_or("blank".to_owned(), |uid| uid.text(&profile.uid).to_string())
+}
+
+/// Prints the steps that ended since.
+fn print_steps(session: &PlanSession, printed: &mut usize, is_json: bool) -> Result<(), Failure> {
+    let count = session.plan().steps.len();
+    while *printed < count {
+        let state = session.step_state(*printed);
+        let is_over =
+            matches!(state, StepState::Confirmed | StepState::Stored | StepState::Failed(_));
+        if !is_over {
+            return Ok(());
+        }
+        let step = &session.plan().steps[*printed];
+        let frame = session.frame(*printed).map(|frame| format!(" ({frame})"));
+        let line = format!(
+            "{} of {count}  {} {} → {}{}: {state}",
+            *printed + 1,
+            step.device.label(),
+            step.from,
+            step.to,
+            frame.unwrap_or_default()
+        );
+        if is_json {
+            say(line);
+        } else {
+            output::print(&format!("{line}\n"))?;
+        }
+        *printed += 1;
+    }
+    Ok(())
+}
+
+// ---- JSON ------------------------------------------------------------------------------------
+
+/// The edits of des.json, as JSON.
+#[derive(Serialize)]
+struct PinReport {
+    descan: &'static str,
+    file: String,
+    edits: Vec<String>,
+    #[serde(rename = "saved")]
+    is_saved: bool,
+}
+
+/// A plan and what became of it, as JSON.
+#[derive(Serialize)]
+struct ApplyReport<'a> {
+    descan: &'static str,
+    bus: &'a str,
+    /// `now`, `restart` or `later`.
+    effect: &'static str,
+    /// Name of the plan's file; `null` if nothing was started.
+    plan: Option<&'a str>,
+    /// `planned`, `running`, `stopped`, `stored` or `done`.
+    state: &'static str,
+    /// Why it stopped.
+    stopped: Option<String>,
+    steps: Vec<StepReport>,
+    left_out: Vec<LeftOutReport>,
+}
+
+/// A step, as JSON.
+#[derive(Serialize)]
+struct StepReport {
+    order: usize,
+    name: Option<String>,
+    uid: String,
+    from: u8,
+    to: u8,
+    /// What is written, as `descan address` takes it; `null`: the device only restarts.
+    setting: Option<String>,
+    why: String,
+    state: &'static str,
+    /// Why it failed.
+    cause: Option<String>,
+    /// The last request of the step; `null` if none was sent.
+    frame: Option<String>,
+}
+
+/// A device without a step, as JSON.
+#[derive(Serialize)]
+struct LeftOutReport {
+    name: Option<String>,
+    uid: String,
+    from: Option<u8>,
+    to: u8,
+    reason: &'static str,
+    why: String,
+}
+
+impl<'a> ApplyReport<'a> {
+    fn new(app: &'a App, session: &'a PlanSession) -> Self {
+        let profile = app.profile(session.bus());
+        let uid = |identity: &DeviceIdentity| {
+            identity.uid.map_or(String::new(), |uid| uid.text(&profile.uid).to_string())
+        };
+        let name = |identity: &DeviceIdentity| identity.name.as_ref().map(ToString::to_string);
+        let step = |(at, step): (usize, &PlanStep)| {
+            let state = session.step_state(at);
+            StepReport {
+                order: at + 1,
+                name: name(&step.device),
+                uid: uid(&step.device),
+                from: step.from.number(),
+                to: step.to.number(),
+                setting: step.setting.map(|setting| setting.to_string()),
+                why: step.why(),
+                state: state.word(),
+                cause: match state {
+                    StepState::Failed(cause) => Some(cause),
+                    _ => None,
+                },
+                frame: session.frame(at).map(ToString::to_string),
+            }
+        };
+        let run = session.run().map(|run| run.state());
+        let left_out = session.plan().left_out.iter().map(|left| LeftOutReport {
+            name: name(&left.device),
+            uid: uid(&left.device),
+            from: left.at.map(|at| at.number()),
+            to: left.to.number(),
+            reason: left.reason.word(),
+            why: left.reason.to_string(),
+        });
+        Self {
+            descan: env!("CARGO_PKG_VERSION"),
+            bus: app.bus(session.bus()).map_or("", |bus| &bus.name),
+            effect: app.plan_effect(session).word(),
+            plan: session.file_name(),
+            state: run.map_or("planned", RunState::word),
+            stopped: match run {
+                Some(RunState::Stopped(cause)) => Some(cause.clone()),
+                _ => None,
+            },
+            steps: session.plan().steps.iter().enumerate().map(step).collect(),
+            left_out: left_out.collect(),
+        }
+    }
+}
+
+fn print_json(report: &impl Serialize) -> Result<(), Failure> {
+    let json = serde_json::to_string_pretty(report).map_err(anyhow::Error::from)?;
+    output::print_json(&(json + "\n"))
+}

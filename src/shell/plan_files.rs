@@ -1,0 +1,94 @@
+//! Files of plans of addresses, in a folder of the user: written as a whole, found by their bus.
+//!
+//! A file is written to a temporary one beside it, synced, and put in its place, so that a power cut
+//! leaves the old content or the new one. Does not know what is in a plan: see
+//! [`crate::address_plan::PlanRecord`].
+
+use crate::address_plan::{MAX_RECORD_BYTES, PlanRecord};
+use crate::diagnostic::{Diagnostic, without_number};
+use crate::regular_file;
+use etcetera::{BaseStrategy, choose_base_strategy};
+use std::fs::{self, File};
+use std::io::{self, Write as _};
+use std::path::{Path, PathBuf};
+
+/// Most files that are looked at for the last plan of a bus, the latest first.
+const MAX_LOOKED_AT: usize = 1000;
+
+/// `$XDG_STATE_HOME/descan/plans`, by default `~/.local/state/descan/plans`; `None` without a home
+/// folder.
+pub fn plans_folder() -> Option<PathBuf> {
+    let base = choose_base_strategy().ok()?;
+    Some(base.state_dir()?.join("descan").join("plans"))
+}
+
+/// Writes the file of a plan with this name; returns when it has reached the disk.
+///
+/// # Errors
+/// The cause, with the folder.
+pub fn write_plan(name: &str, content: &[u8]) -> Result<(), String> {
+    let folder = plans_folder().ok_or("no home folder; set XDG_STATE_HOME")?;
+    let written = write_in(&folder, name, content);
+    written.map_err(|error| format!("{}: {}", folder.display(), without_number(&error)))
+}
+
+fn write_in(folder: &Path, name: &str, content: &[u8]) -> io::Result<()> {
+    fs::create_dir_all(folder)?;
+    let mut file = tempfile::Builder::new().prefix(".plan-").tempfile_in(folder)?;
+    file.write_all(content)?;
+    file.as_file().sync_all()?;
+    file.persist(folder.join(name)).map_err(|failed| failed.error)?;
+    File::open(folder)?.sync_all()
+}
+
+/// Reads a plan: a path, or the name of a file in the folder of plans, with or without `.json`.
+///
+/// # Errors
+/// It cannot be read, or is no plan; with its path.
+pub fn read_plan(wanted: &str) -> Result<(String, PlanRecord), Diagnostic> {
+    let folder = plans_folder().unwrap_or_default();
+    let candidates =
+        [PathBuf::from(wanted), folder.join(wanted), folder.join(format!("{wanted}.json"))];
+    let path = candidates.into_iter().find(|path| path.is_file());
+    let path = path.ok_or_else(|| {
+        Diagnostic::new(format!(
+            "{wanted}: plan not found, neither here nor in {}",
+            folder.display()
+        ))
+    })?;
+    let record = read_path(&path)?;
+    Ok((file_name(&path), record))
+}
+
+/// Reads the latest plan of a bus; `None` if there is none.
+///
+/// # Errors
+/// The latest file cannot be read, or is no plan.
+pub fn latest_plan(bus: &str) -> Result<Option<(String, PlanRecord)>, Diagnostic> {
+    let Some(folder) = plans_folder() else { return Ok(None) };
+    let entries = fs::read_dir(&folder).into_iter().flatten().flatten();
+    let mut names: Vec<String> = entries
+        .filter_map(|entry| entry.file_name().into_string().ok())
+        .filter(|name| name.ends_with(".json") && !name.starts_with('.'))
+        .collect();
+    // A name begins with its time.
+    names.sort_unstable();
+    for name in names.into_iter().rev().take(MAX_LOOKED_AT) {
+        let record = read_path(&folder.join(&name))?;
+        if record.bus == bus {
+            return Ok(Some((name, record)));
+        }
+    }
+    Ok(None)
+}
+
+fn read_path(path: &Path) -> Result<PlanRecord, Diagnostic> {
+    let shown = regular_file::shown(path);
+    let content = regular_file::read(path, MAX_RECORD_BYTES).map_err(|fault| fault.of(&shown))?;
+    let content = content.ok_or_else(|| Diagnostic::new("file not found").of(&shown))?;
+    PlanRecord::parse(&content).map_err(|why| Diagnostic::new(why).of(&shown))
+}
+
+fn file_name(path: &Path) -> String {
+    path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
+}

@@ -1,0 +1,532 @@
+//! Plans of addresses against simulated devices: at no moment two devices have one address, live or
+//! stored, whatever is switched off in between.
+
+use descan::address_plan::{PlanRecord, RunState, StepState};
+use descan::app::{App, AppOptions, Effect, FileReading, PlanTask};
+use descan::discovery::Config;
+use descan::frame::{BusIndex, Frame};
+use descan::sim::{DeviceAction, DeviceSpec, Fault, Scenario, Sim, SimDeviceId, SimStation};
+use descan::status::{BusState, BusStatus, Link};
+use descan::time::{Duration, Instant};
+use descan::wire::descriptor::AddressSetting;
+use descan::wire::id::{Address, Header};
+use descan::wire::node::Uid;
+use descan::wire::profile::{Profile, UidProfile};
+use std::fmt::Write as _;
+
+const BUS: BusIndex = BusIndex(0);
+
+/// When writes act, and who restarts the devices.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Writes {
+    Now,
+    Restart,
+    /// The user restarts all at once.
+    Later,
+}
+
+impl Writes {
+    const ALL: [Self; 3] = [Self::Now, Self::Restart, Self::Later];
+
+    /// With or without a number that reads what is stored.
+    fn profile(self, is_readable: bool) -> Profile {
+        let effect = if self == Self::Now { "now" } else { "restart" };
+        let read = if is_readable { "[descriptor]\naddr = 0x016\n" } else { "" };
+        let text = format!(
+            "{read}[commands]\nreboot = 0x01A\n[writes]\naddress = 0x016\neffect = \"{effect}\"\n"
+        );
+        Profile::parse(&text).unwrap()
+    }
+}
+
+fn address(number: u8) -> Address {
+    Address::new(number).unwrap()
+}
+
+fn label(at: usize) -> String {
+    format!("N{at:03}")
+}
+
+/// A device that works at this address.
+fn device(at: usize, number: u8) -> DeviceSpec {
+    let uid = Uid::parse(&format!("PLAN{at:03}"), &UidProfile::default()).unwrap();
+    let mut spec = DeviceSpec::new(&label(at)).fixed(number).uid(uid);
+    spec.skips_address_resolution = true;
+    spec
+}
+
+/// descan on a bus of devices, with a disk for the plan's file.
+struct Line {
+    sim: Sim,
+    station: SimStation,
+    app: App,
+    writes: Writes,
+    profile: Profile,
+    devices: Vec<SimDeviceId>,
+    file: String,
+    /// The file of the plan, as it is on disk.
+    disk: Option<(String, Vec<u8>)>,
+    /// It is being written.
+    writing: Option<(String, Vec<u8>)>,
+    /// Frames that descan sent to the write service.
+    sent: Vec<Frame>,
+    /// Addresses are checked.
+    is_checked: bool,
+}
+
+impl Line {
+    /// Devices at these addresses, which are to have those.
+    fn new(addresses: &[u8], wanted: &[u8], writes: Writes, seed: u64) -> Self {
+        let specs = addresses.iter().enumerate().map(|(at, number)| device(at, *number)).collect();
+        let mut file = r#"{"devices":["#.to_owned();
+        for (at, number) in wanted.iter().enumerate() {
+            let comma = if at == 0 { "" } else { "," };
+            let _ = write!(
+                file,
+                r#"{comma}{{"name":"{}","address":{number},"static":true}}"#,
+                label(at)
+            );
+        }
+        Self::of(specs, file + "]}", writes, writes.profile(true), seed)
+    }
+
+    fn of(
+        specs: Vec<DeviceSpec>,
+        file: String,
+        writes: Writes,
+        profile: Profile,
+        seed: u64,
+    ) -> Self {
+        let scenario = specs.into_iter().fold(Scenario::new(500_000), Scenario::with);
+        let mut sim = Sim::with_profile(&scenario, seed, profile.clone());
+        let station = sim.attach();
+        let app = Self::start(Instant::ZERO, &file, &profile, seed);
+        let devices = sim.devices().collect();
+        Self {
+            sim,
+            station,
+            app,
+            writes,
+            profile,
+            devices,
+            file,
+            disk: None,
+            writing: None,
+            sent: Vec::new(),
+            is_checked: true,
+        }
+    }
+
+    fn start(now: Instant, file: &str, profile: &Profile, seed: u64) -> App {
+        let profile = profile.clone().into();
+        let config = Config { profile, bitrate: Some(500_000), seed, ..Config::default() };
+        let options = AppOptions {
+            buses: vec![("can0".to_owned(), config)],
+            file_path: Some("des.json".into()),
+            capture_room: Some(0),
+            without_capture: true,
+            ..AppOptions::default()
+        };
+        let mut app = App::new(now, options);
+        let status = BusStatus {
+            link: Link::Up,
+            state: BusState::ErrorActive,
+            bitrate: Some(500_000),
+            ..BusStatus::default()
+        };
+        app.handle_bus(now, BUS, status);
+        app.handle_file(now, FileReading::Content(Some(file.as_bytes().to_vec())));
+        app
+    }
+
+    /// Runs until it is enough, at most so many seconds; returns whether it is.
+    fn run(&mut self, seconds: f64, mut enough: impl FnMut(&Self) -> bool) -> bool {
+        let end = self.sim.now() + Duration::from_secs_f64(seconds);
+        while self.sim.now() < end {
+            let now = self.sim.now();
+            while let Some(frame) = self.sim.poll_frame(self.station) {
+                if let Some(id) = frame.platform_id().filter(|_| frame.is_tx) {
+                    let is_write = Header::decode(id).service.number() == 0x016;
+                    if is_write && !frame.is_empty() {
+                        self.sent.push(frame);
+                    }
+                }
+                self.app.handle_frames(now, &[frame]);
+            }
+            if let Some(written) = self.writing.take() {
+                self.disk = Some(written);
+                self.app.handle_plan_written(now, Ok(()));
+            }
+            if self.app.poll_timeout().is_some_and(|due| due <= now) {
+                self.app.handle_timeout(now);
+            }
+            while let Some(frame) = self.app.poll_transmit(now) {
+                self.sim.transmit(self.station, frame);
+            }
+            while let Some(effect) = self.app.poll_effect() {
+                if let Effect::WritePlan { name, bytes } = effect {
+                    self.writing = Some((name, bytes));
+                }
+            }
+            if enough(self) {
+                return true;
+            }
+            let due = [self.app.poll_timeout(), self.sim.next_event(), Some(end)];
+            let next = due.into_iter().flatten().min().unwrap_or(end);
+            self.sim.advance(next.max(now));
+            self.check();
+        }
+        false
+    }
+
+    /// No two devices have one address, live or stored.
+    fn check(&self) {
+        if !self.is_checked {
+            return;
+        }
+        let (mut live, mut stored) = (0u128, 0u128);
+        for device in &self.devices {
+            let state = self.sim.device_state(*device);
+            if let Some(address) = state.address {
+                let bit = 1 << address.index();
+                assert_eq!(live & bit, 0, "two live at {address}, {}", self.sim.now());
+                live |= bit;
+            }
+            if let AddressSetting::Fixed(address) = state.setting {
+                let bit = 1 << address.index();
+                assert_eq!(stored & bit, 0, "two stored {address}, {}", self.sim.now());
+                stored |= bit;
+            }
+        }
+    }
+
+    fn is_complete(&self) -> bool {
+        let bus = &self.app.buses()[0];
+        let named = bus.devices().iter().filter(|it| it.is_present() && it.name.is_some());
+        bus.progress().is_complete && named.count() >= self.devices.len()
+    }
+
+    /// Waits for all devices, makes a plan and returns when it is made.
+    fn plan(&mut self, task: PlanTask) {
+        self.run(40.0, Self::is_complete);
+        self.app.prepare_plan(BUS, task, self.writes == Writes::Restart).unwrap();
+        let is_read = |line: &Self| !line.app.address_plan().unwrap().is_reading();
+        assert!(self.run(60.0, is_read), "the settings are read");
+    }
+
+    fn state(&self) -> Option<RunState> {
+        Some(self.app.address_plan()?.run()?.state().clone())
+    }
+
+    /// Starts the plan and runs it to its end, or until it is enough.
+    fn apply(&mut self, mut enough: impl FnMut(&Self) -> bool) {
+        self.app.start_plan().unwrap();
+        let ends = |line: &Self| {
+            let session = line.app.address_plan().unwrap();
+            !session.is_running() && session.is_stored()
+        };
+        assert!(self.run(3000.0, |line| ends(line) || enough(line)), "the plan ends");
+    }
+
+    /// Runs the plan to its end. Where settings act later, all devices are switched off and on.
+    fn finish(&mut self) {
+        self.apply(|_| false);
+        if self.writes == Writes::Later && self.state() == Some(RunState::Stored) {
+            self.switch_off_and_on();
+            assert!(self.run(60.0, |line| line.state() == Some(RunState::Done)));
+        }
+        assert_eq!(self.state(), Some(RunState::Done), "{}", self.plan_text());
+    }
+
+    fn switch_off_and_on(&mut self) {
+        for device in self.devices.clone() {
+            self.sim.apply(device, DeviceAction::PowerOff);
+        }
+        self.run(0.5, |_| false);
+        for device in self.devices.clone() {
+            self.sim.apply(device, DeviceAction::PowerOn);
+        }
+    }
+
+    /// The power fails for devices and descan: what was not written is lost.
+    fn cut_power(&mut self, seed: u64) {
+        for device in self.devices.clone() {
+            self.sim.apply(device, DeviceAction::PowerOff);
+        }
+        self.writing = None;
+        let later = self.sim.now() + Duration::from_secs(2);
+        self.sim.advance(later);
+        while self.sim.poll_frame(self.station).is_some() {}
+        self.app = Self::start(later, &self.file, &self.profile, seed);
+        for device in self.devices.clone() {
+            self.sim.apply(device, DeviceAction::PowerOn);
+        }
+    }
+
+    /// The file of the plan, as it is on disk.
+    fn record(&self) -> (String, PlanRecord) {
+        let (name, bytes) = self.disk.clone().expect("a file");
+        (name, PlanRecord::parse(&bytes).unwrap())
+    }
+
+    fn addresses(&self) -> Vec<Option<u8>> {
+        let states = self.devices.iter().map(|it| self.sim.device_state(*it));
+        states.map(|state| state.address.map(Address::number)).collect()
+    }
+
+    fn plan_text(&self) -> String {
+        let session = self.app.address_plan().unwrap();
+        let mut text = format!("{:?}\n", self.state());
+        for (at, step) in session.plan().steps.iter().enumerate() {
+            let (state, why) = (session.step_state(at), step.why());
+            let name = step.device.label();
+            let _ = writeln!(text, "{name} {} → {} {why}: {state}", step.from, step.to);
+        }
+        for left in &session.plan().left_out {
+            let _ = writeln!(text, "{} – {}: {}", left.device.label(), left.to, left.reason);
+        }
+        text
+    }
+}
+
+/// So many different addresses at random, twice: the same ones in another order.
+fn permutation(count: usize, seed: u64) -> (Vec<u8>, Vec<u8>) {
+    let mut rng = fastrand::Rng::with_seed(seed);
+    let mut all: Vec<u8> = (1..128).collect();
+    rng.shuffle(&mut all);
+    all.truncate(count);
+    let from = all.clone();
+    rng.shuffle(&mut all);
+    (from, all)
+}
+
+fn some(addresses: &[u8]) -> Vec<Option<u8>> {
+    addresses.iter().copied().map(Some).collect()
+}
+
+/// Permutes devices; with a cut, of the power of all in the middle of a random step.
+fn permute(count: usize, writes: Writes, is_cut: bool, seed: u64) {
+    let (from, wanted) = permutation(count, seed);
+    let mut line = Line::new(&from, &wanted, writes, seed);
+    line.plan(PlanTask::ToFile);
+    if is_cut {
+        let mut rng = fastrand::Rng::with_seed(seed);
+        let steps = line.app.address_plan().unwrap().plan().steps.len();
+        let (step, within) = (rng.usize(..steps.max(1)), rng.f64() * 3.0);
+        let is_at = |line: &Line| {
+            let run = line.app.address_plan().unwrap().run().unwrap();
+            run.current() >= step && run.sent_at(step).is_some()
+        };
+        line.apply(is_at);
+        line.run(within, |_| false);
+        line.cut_power(seed);
+        let (name, record) = line.record();
+        line.plan(PlanTask::Resume(Box::new(record), name));
+    }
+    let plan = line.app.address_plan().unwrap().plan();
+    assert_eq!(plan.left_out.iter().filter(|it| !it.reason.is_done()).count(), 0, "{seed}");
+    if !plan.steps.is_empty() {
+        line.finish();
+    }
+    assert_eq!(line.addresses(), some(&wanted), "seed {seed}, {writes:?}");
+    line.check();
+}
+
+#[test]
+fn permuted_devices_never_meet() {
+    std::thread::scope(|scope| {
+        scope.spawn(|| permute(126, Writes::Now, false, 1));
+        for writes in Writes::ALL {
+            scope.spawn(move || (2..4).for_each(|seed| permute(24, writes, false, seed)));
+        }
+    });
+}
+
+#[test]
+fn power_cut_at_any_step_ends_the_same() {
+    std::thread::scope(|scope| {
+        for writes in Writes::ALL {
+            scope.spawn(move || (10..16).for_each(|seed| permute(12, writes, true, seed)));
+        }
+    });
+}
+
+/// More of the same: `PLAN_SEEDS=40 cargo test --test it -- --ignored wide_permutations`.
+#[test]
+#[ignore = "takes minutes"]
+fn wide_permutations() {
+    let seeds = std::env::var("PLAN_SEEDS").ok().and_then(|text| text.parse().ok()).unwrap_or(10);
+    for seed in 100..100 + seeds {
+        for writes in Writes::ALL {
+            permute(126, writes, seed % 2 == 0, seed);
+            permute(1 + seed as usize % 30, writes, true, seed);
+        }
+    }
+}
+
+#[test]
+fn cycle_of_127_devices_is_refused_and_nothing_is_sent() {
+    let from: Vec<u8> = (1..128).collect();
+    let mut wanted = from.clone();
+    wanted.rotate_left(1);
+    let mut line = Line::new(&from, &wanted, Writes::Now, 5);
+    line.plan(PlanTask::ToFile);
+    let plan = line.app.address_plan().unwrap().plan();
+    assert!(plan.steps.is_empty());
+    assert_eq!(plan.left_out.len(), 127);
+    let why = plan.left_out[0].reason.to_string();
+    assert_eq!(why, "a cycle, and no address is free");
+    line.apply(|_| false);
+    assert_eq!(line.state(), Some(RunState::Done));
+    assert_eq!(line.sent.len(), 0);
+    assert_eq!(line.addresses(), some(&from));
+}
+
+#[test]
+fn locked_device_stops_the_plan_and_undo_brings_others_back() {
+    let mut line = Line::new(&[10, 12, 13, 14], &[20, 13, 12, 24], Writes::Now, 3);
+    let locked = line.sim.device("N003").unwrap();
+    line.sim.apply(locked, DeviceAction::AddFault(Fault::Locked));
+    line.plan(PlanTask::ToFile);
+    line.apply(|_| false);
+    let stopped = "step 2, N003: refused with an error response";
+    assert_eq!(line.state(), Some(RunState::Stopped(stopped.to_owned())));
+    let (name, record) = line.record();
+    let states: Vec<&str> = record.steps.iter().map(|step| step.state.as_str()).collect();
+    assert_eq!(states, ["confirmed", "failed", "pending", "pending", "pending"]);
+    assert_eq!(record.steps[1].cause.as_deref(), Some("refused with an error response"));
+    assert_eq!(record.stopped.as_deref(), Some(stopped));
+    assert_eq!(line.addresses(), some(&[20, 12, 13, 14]));
+    assert_eq!(line.sent.len(), 2, "nothing is repeated");
+    // Unlocked, it goes on.
+    line.sim.apply(locked, DeviceAction::RemoveFault(Fault::Locked));
+    line.plan(PlanTask::Resume(Box::new(record), name));
+    line.finish();
+    assert_eq!(line.addresses(), some(&[20, 13, 12, 24]));
+    // All go back to where they were before the first step.
+    let (name, record) = line.record();
+    assert!(record.is_done());
+    line.plan(PlanTask::TakeBack(Box::new(record), name.clone()));
+    line.finish();
+    assert_eq!(line.addresses(), some(&[10, 12, 13, 14]));
+    assert_eq!(line.record().1.source, format!("undo of {name}"));
+}
+
+#[test]
+fn lost_response_of_a_device_that_moved_is_no_failure() {
+    let mut line = Line::new(&[10, 12], &[20, 12], Writes::Now, 3);
+    line.plan(PlanTask::ToFile);
+    line.app.start_plan().unwrap();
+    assert!(line.run(5.0, |line| !line.sent.is_empty()));
+    // It has the write and is off before its response is heard.
+    let mover = line.devices[0];
+    line.sim.apply(mover, DeviceAction::StoreAddress(AddressSetting::Fixed(address(20))));
+    line.sim.apply(mover, DeviceAction::Reboot { services: None });
+    assert!(line.run(20.0, |line| line.state() != Some(RunState::Running)));
+    assert_eq!(line.state(), Some(RunState::Done), "{}", line.plan_text());
+}
+
+#[test]
+fn write_without_an_effect_is_told_with_what_was_heard() {
+    let mut line = Line::new(&[10, 12], &[20, 12], Writes::Now, 3);
+    line.plan(PlanTask::ToFile);
+    let mute = line.devices[0];
+    line.sim.apply(mute, DeviceAction::AddFault(Fault::NoDescriptor));
+    line.apply(|_| false);
+    let session = line.app.address_plan().unwrap();
+    let cause = "not at 20 within 5 s: it did not respond, heard at 10";
+    assert_eq!(session.step_state(0), StepState::Failed(cause.to_owned()));
+    assert_eq!(line.sent.len(), 1);
+    let told = line.app.timeline().entries().find(|line| line.text.contains("plan step")).unwrap();
+    assert_eq!(told.text, format!("plan step 1 of 1, 10 → 20 (00002816#14): failed: {cause}"));
+}
+
+#[test]
+fn device_that_takes_the_address_meanwhile_stops_the_plan() {
+    let mut line = Line::new(&[10, 12], &[20, 13], Writes::Now, 3);
+    line.is_checked = false;
+    line.plan(PlanTask::ToFile);
+    line.sim.add_device(device(9, 13));
+    line.apply(|_| false);
+    let session = line.app.address_plan().unwrap();
+    assert_eq!(session.step_state(0), StepState::Confirmed);
+    assert_eq!(session.step_state(1), StepState::Failed("13 is used by N009".to_owned()));
+    assert_eq!(line.sent.len(), 1);
+}
+
+#[test]
+fn devices_without_a_uid_are_moved_by_their_addresses() {
+    for is_readable in [true, false] {
+        let specs = [10, 12, 13].into_iter().map(|number| {
+            let mut spec = DeviceSpec::new("SENS").fixed(number).uid(Uid([0; 6]));
+            spec.skips_address_resolution = true;
+            spec
+        });
+        let file = r#"[{"name":"SENS","address":10,"static":true},
+            {"name":"SENS","address":12,"static":true},
+            {"name":"SENS","address":13,"static":true}]"#;
+        let profile = Writes::Now.profile(is_readable);
+        let mut line = Line::of(specs.collect(), file.to_owned(), Writes::Now, profile, 3);
+        line.plan(PlanTask::ToFile);
+        assert!(line.app.address_plan().unwrap().plan().steps.is_empty());
+        // One of them, by its name, where the others are in their places.
+        let moved = file.replace("13", "30");
+        line.app.handle_file(line.sim.now(), FileReading::Content(Some(moved.into_bytes())));
+        line.plan(PlanTask::ToFile);
+        let plan = line.app.address_plan().unwrap().plan();
+        let why: Vec<String> = plan.steps.iter().map(|step| step.why()).collect();
+        assert_eq!(why, ["no UID: by its address"], "{}", line.plan_text());
+        line.finish();
+        assert_eq!(line.addresses(), some(&[10, 12, 30]));
+    }
+}
+
+#[test]
+fn unread_settings_are_known_from_the_file() {
+    let (from, wanted) = permutation(6, 8);
+    let mut line = Line::new(&from, &wanted, Writes::Later, 8);
+    line.profile = Writes::Later.profile(false);
+    line.app = Line::start(Instant::ZERO, &line.file, &line.profile, 8);
+    line.plan(PlanTask::ToFile);
+    line.apply(|line| line.app.address_plan().unwrap().run().unwrap().finished() == 3);
+    // descan ends, the devices go on.
+    let (name, record) = line.record();
+    line.writing = None;
+    line.app = Line::start(line.sim.now(), &line.file, &line.profile, 9);
+    line.plan(PlanTask::Resume(Box::new(record), name));
+    let plan = line.app.address_plan().unwrap().plan();
+    let left = plan.left_out.iter().map(|it| it.reason.to_string());
+    let left: Vec<String> = left.collect();
+    assert!(!left.is_empty() && left.iter().all(|why| why.starts_with("stored: ")), "{left:?}");
+    line.finish();
+    // Those that the second plan left to the restart may still be on their way.
+    line.run(5.0, |_| false);
+    assert_eq!(line.addresses(), some(&wanted));
+}
+
+#[test]
+fn file_of_a_plan_is_checked() {
+    let mut line = Line::new(&[10, 12], &[20, 12], Writes::Now, 3);
+    line.plan(PlanTask::ToFile);
+    line.finish();
+    let (_, bytes) = line.disk.clone().unwrap();
+    let text = String::from_utf8(bytes).unwrap();
+    let parse = |text: &str| PlanRecord::parse(text.as_bytes());
+    assert_eq!(parse(&text).unwrap(), line.record().1);
+    for (from, to, why) in [
+        ("{", "[", "not a plan of descan: line 2, column"),
+        ("\"version\": 1", "\"version\": 2", "format 2 is not known: 1 is"),
+        ("\"to\": 20", "\"to\": 128", "128 is not an address: 1 to 127"),
+        ("\"to\": 20", "\"to\": 0", "0 is not an address: 1 to 127"),
+        ("\"device\": 0", "\"device\": 7", "a step of an unknown device"),
+        ("\"name_hex\": \"", "\"name_hex\": \"é", ""),
+    ] {
+        let wrong = parse(&text.replacen(from, to, 1));
+        assert!(why.is_empty() || wrong.unwrap_err().starts_with(why), "{from} → {to}");
+    }
+    let nobody = text
+        .replace("uid_hex\": \"", "uid_hex\": \"x")
+        .replace("name_hex\": \"", "name_hex\": \"x");
+    assert_eq!(parse(&nobody).unwrap_err(), "device 1 has neither UID nor name");
+    assert!(PlanRecord::parse(&vec![b' '; 2 << 20]).is_err());
+}
