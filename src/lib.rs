@@ -20,6 +20,7 @@
 //!   [`diagnostic`]: cause and remedy of an error.
 //! * [`finding`]: what is wrong, with its evidence; one table of all kinds.
 //! * [`discovery`]: the engine of one bus: frames and time in; devices, findings and requests out.
+//! * [`composer`]: frames by fields with names, and the answers to them.
 //! * [`learning`]: values of the profile, from the frames of a bus.
 //! * [`document`]: des.json: parse, edit in place, merge.
 //! * [`inventory`]: buses and devices of one moment; differences between two.
@@ -50,6 +51,8 @@ pub mod wire;
 
 #[cfg(feature = "std")]
 pub mod bitrate;
+#[cfg(feature = "std")]
+pub mod composer;
 #[cfg(feature = "std")]
 pub mod diagnostic;
 #[cfg(feature = "std")]

@@ -14,6 +14,7 @@ mod check;
 mod checks;
 mod command_line;
 mod common;
+mod composer;
 mod conflict_evidence;
 mod conflict_logs;
 mod conventions;

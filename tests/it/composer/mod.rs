@@ -1,0 +1,3 @@
+//! The composer: frames by fields and in words, what it says of them, and sending them.
+
+mod words;
