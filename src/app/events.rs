@@ -81,6 +81,7 @@ impl App {
             self.notices.reassign(*was, *before, device);
         }
         self.end_command(bus, &event);
+        self.note_sending_event(bus, &event);
         let emits = self.notices.emits_events();
         if !emits {
             self.lane_records.handle_event(&event);

@@ -76,6 +76,7 @@ mod profile_learning;
 mod proof;
 mod saved_filters;
 mod sent_commands;
+mod sent_frames;
 mod shown_state;
 mod signs;
 mod stories;
@@ -146,6 +147,8 @@ pub use profile_learning::{ProfileReview, ProfileRow};
 pub use saved_filters::{MAX_SAVED_FILTERS, SavedFilter, SavedFilterChange};
 pub use sent_commands::EndedCommand;
 use sent_commands::SentCommands;
+use sent_frames::Sendings;
+pub use sent_frames::{SendingResult, SentAnswer, SentFrames, format_millis};
 pub use signs::Signs;
 pub use stories::{
     HiddenKinds, Stories, Story, StoryChange, StoryKind, StoryLine, StorySign, StoryStep,
@@ -404,6 +407,7 @@ pub struct App {
     bus_choice: Option<Box<BusChoice>>,
     learners: ProfileLearners,
     commands: SentCommands,
+    sendings: Sendings,
     search: Option<Box<BusSearch>>,
     /// The comparison of two moments that is open.
     comparison: Option<Box<MomentComparison>>,
@@ -466,6 +470,7 @@ impl App {
             bus_choice: None,
             learners: ProfileLearners::new(options.learns_profile),
             commands: SentCommands::default(),
+            sendings: Sendings::default(),
             search: None,
             comparison: None,
             proof: None,
@@ -522,6 +527,7 @@ impl App {
         self.step_des_search(now);
         self.buses.handle_timeout(now);
         self.take_events();
+        self.step_sending(now);
         if self.clock.take_second(now) {
             self.tick();
         }
@@ -768,8 +774,8 @@ impl App {
         let file = self.editor.poll_timeout().filter(|_| !self.clock.has_real());
         let parts = self.buses.poll_timeout().into_iter().chain(self.notices.poll_timeout());
         let screen = self.poll_screen_timeout().filter(|_| !self.clock.has_real());
-        let search = self.search_timeout();
-        parts.chain(second).chain(file).chain(screen).chain(self.reading_ahead).chain(search).min()
+        let own = self.search_timeout().into_iter().chain(self.sending_timeout());
+        parts.chain(second).chain(file).chain(screen).chain(self.reading_ahead).chain(own).min()
     }
 
     /// Sets the real time, by which des.json is saved again and a file that has become empty is

@@ -16,6 +16,7 @@ pub mod output;
 mod profile;
 mod report;
 mod scan;
+mod send;
 mod simulate;
 mod speed;
 mod tui;
@@ -86,6 +87,7 @@ pub fn run(cli: Cli) -> ExitCode {
         Some(Command::Address { device, setting }) => device::set_address(&device, &setting),
         Some(Command::Bitrate { device, setting }) => device::set_bitrate(&device, &setting),
         Some(Command::Descriptor(args)) => device::run(&args, DeviceTask::Read(None)),
+        Some(Command::Send(args)) => send::run(&args),
         Some(Command::Speed(speed)) => speed::run(&speed),
         Some(Command::Completions { shell }) => {
             print_own(&cli::completions(shell)).map(|()| EXIT_OK)

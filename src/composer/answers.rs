@@ -103,6 +103,15 @@ impl AnswerCollector {
         self.open.push_back(SentCopy { number, time });
     }
 
+    /// Notes the frame of a copy: the DST of a broadcast may be another one than in the first.
+    pub fn note_frame(&mut self, frame: &Frame) {
+        let Some(header) = frame.platform_id().map(Header::decode) else { return };
+        let is_it = |it: &&mut Header| it.broadcast && it.to_non_working == header.to_non_working;
+        if let Some(request) = self.requests.iter_mut().find(is_it) {
+            request.destination = header.destination;
+        }
+    }
+
     /// Returns true while the frames of a response are arriving.
     pub fn is_receiving(&self) -> bool {
         !self.transfers.is_empty()

@@ -43,6 +43,10 @@ pub struct Composed {
     pub change: Option<String>,
     /// The sender, unless it is descan's own address: the device there gives the address up.
     pub foreign_source: Option<Address>,
+    /// What becomes of the device at the foreign source; empty without one.
+    pub source_warning: String,
+    /// descan's own address when it was composed.
+    pub own: Option<Address>,
     /// What to consider.
     pub warnings: Vec<String>,
 }
@@ -301,6 +305,8 @@ fn composed(frames: Vec<Frame>, around: Surroundings<'_>) -> Composed {
         receiver: "the bus".to_owned(),
         change: None,
         foreign_source: None,
+        source_warning: String::new(),
+        own: around.own,
         warnings: Vec::new(),
         frames,
     };
@@ -315,6 +321,9 @@ fn composed(frames: Vec<Frame>, around: Surroundings<'_>) -> Composed {
     composed.meaning = meanings.collect::<Vec<_>>().join("; and ");
     composed.foreign_source =
         Some(header.source).filter(|source| around.own.is_some_and(|own| own != *source));
+    if let Some(source) = composed.foreign_source {
+        composed.source_warning = source_warning(source, header.from_non_working, around);
+    }
     let warnings = &mut composed.warnings;
     if !header.is_conforming() {
         let what = if header.message_type() == MessageType::Debug {
@@ -342,6 +351,22 @@ fn composed(frames: Vec<Frame>, around: Surroundings<'_>) -> Composed {
     composed.change = change_of(header, &message, around.profile);
     warn_of_content(&mut composed.warnings, header, &first, around);
     composed
+}
+
+/// What a frame from the address of another node does to that (CAN platform §3.2.4.4).
+fn source_warning(source: Address, is_non_working: bool, around: Surroundings<'_>) -> String {
+    let node = around.node(source);
+    let who = node.map_or(format!("a device at {source}"), KnownNode::label);
+    let doubt = if node.is_some() { "" } else { "; none is known there now" };
+    match node {
+        Some(node) if is_non_working && node.is_working => format!(
+            "The source address is {source}, not descan's own: {who} works and keeps it, as U is 1; \
+             in CFG or BOOT it would give its address up"
+        ),
+        _ => format!(
+            "The source address is {source}, not descan's own: {who} will give its address up{doubt}"
+        ),
+    }
 }
 
 fn warn_of_receiver(composed: &mut Composed, header: Header, around: Surroundings<'_>) {

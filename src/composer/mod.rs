@@ -7,6 +7,7 @@
 //! compose    frames, meaning, warnings
 //! changes    what a request changes in a device
 //! fill       a composition that makes a given frame
+//! repeat     how often it is sent
 //! answers    responses to what was sent
 //! ```
 //!
@@ -18,19 +19,18 @@ mod changes;
 mod compose;
 mod fields;
 mod fill;
+mod repeat;
 mod words;
 
 pub use answers::{Answer, AnswerCollector};
 pub use compose::{Composed, Receivers};
 pub use fields::ServiceWord;
+pub use repeat::{MAX_REPEATS, Repeat};
 
 use crate::wire::framing::Framing;
 use crate::wire::id::Address;
 use crate::wire::profile::Profile;
 use std::fmt;
-
-/// Most copies of a composition that are sent one after the other.
-pub const MAX_REPEATS: u32 = 1000;
 
 /// What kind of frame is composed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
