@@ -491,6 +491,7 @@ impl App {
                 format!("{sent}? {effect}")
             }
             Question::Descriptor(id) => self.descriptor_question(*id),
+            Question::SendFrames { is_about_source } => self.frames_question(*is_about_source),
             Question::FindBitrate(bus) => {
                 let name = self.bus(*bus).map_or("the bus", |bus| bus.name.as_str());
                 format!("Search {name}'s bit rate, listen-only? The interface restarts.")
@@ -501,6 +502,9 @@ impl App {
     /// Closes the question and executes its action, after `yes`.
     pub(super) fn confirm(&mut self, yes: bool) {
         let question = self.input.close_question();
+        if let Some(Question::SendFrames { is_about_source }) = question {
+            return self.confirm_frames(is_about_source, yes);
+        }
         let Some(question) = question.filter(|_| yes) else { return };
         match question {
             Question::Quit => {
@@ -511,6 +515,7 @@ impl App {
             Question::Delete(key, text) => self.delete(key, &text),
             Question::Command(id, command) => self.send_confirmed(id, command),
             Question::Descriptor(id) => self.read_confirmed(id),
+            Question::SendFrames { .. } => {}
         }
     }
 

@@ -39,6 +39,7 @@ mod capture;
 mod capture_saving;
 mod clock;
 mod compared_moments;
+mod composer_dialog;
 mod conflict_panel;
 mod des_search;
 mod device_command;
@@ -110,6 +111,7 @@ pub use capture::{
     Transfer, WrittenFrames,
 };
 pub use compared_moments::{ComparedMoment, ComparisonNote, ComparisonRow, MomentComparison};
+pub use composer_dialog::{ComposerDialog, DialogField};
 pub use conflict_panel::{BeatCell, BeatsOnAxis, ConflictPanel, MAX_COLUMNS, ordinal, side_letter};
 use des_search::BusSearch;
 pub use device_command::{COMMAND_FORMS, DeviceCommand};
@@ -408,6 +410,8 @@ pub struct App {
     learners: ProfileLearners,
     commands: SentCommands,
     sendings: Sendings,
+    /// The content of the composer.
+    composer: Option<Box<ComposerDialog>>,
     search: Option<Box<BusSearch>>,
     /// The comparison of two moments that is open.
     comparison: Option<Box<MomentComparison>>,
@@ -471,6 +475,7 @@ impl App {
             learners: ProfileLearners::new(options.learns_profile),
             commands: SentCommands::default(),
             sendings: Sendings::default(),
+            composer: None,
             search: None,
             comparison: None,
             proof: None,
@@ -582,7 +587,7 @@ impl App {
         } else if self.type_in_help(key) || self.select_mark_of(key) || self.use_filter_of(key) {
         } else if let Some(action) = self.input.lookup_global(key) {
             self.run(action);
-        } else if self.type_in_bus_choice(key) {
+        } else if self.type_in_bus_choice(key) || self.type_in_composer(key) {
         } else if let Some(action) = self.input.lookup(key) {
             self.run(action);
             self.input.note_executed(now, action);
@@ -597,6 +602,8 @@ impl App {
         if let Some(prompt) = self.input.prompt_mut() {
             prompt.paste(text);
             self.prompt_changed();
+        } else {
+            self.paste_in_composer(text);
         }
     }
 

@@ -89,6 +89,8 @@ pub struct SentFrames {
     pub end: Option<SequenceEnd>,
     /// What became of it; `None` until it is done.
     pub result: Option<SendingResult>,
+    /// Number of frames on the bus.
+    frames: u32,
     sequence: SequenceId,
     wait: Duration,
     collector: AnswerCollector,
@@ -313,6 +315,7 @@ impl App {
             repeat,
             asked: now,
             copies: 0,
+            frames: 0,
             last_sent: None,
             answers: VecDeque::new(),
             answer_count: 0,
@@ -348,6 +351,8 @@ impl App {
             EventKind::FrameSent { sequence, copy, frame } if *sequence == sending.sequence => {
                 sending.collector.note_sent(*copy, event.time);
                 sending.collector.note_frame(frame);
+                sending.frames += 1;
+                sending.copies = sending.frames / sending.composed.frames.len().max(1) as u32;
                 sending.last_sent = Some(event.time);
             }
             EventKind::SequenceEnded { sequence, copies, why }

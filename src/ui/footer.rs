@@ -255,6 +255,9 @@ fn hint_line(brush: &DrawContext, mode: KeyMode, width: usize) -> Vec<Span<'stat
         (KeyMode::Profile, ..) => {
             &[A::ProfileTick, A::ProfileUse, A::ProfileFrames, A::ProfileDismiss, A::ProfileClose]
         }
+        (KeyMode::Compose, ..) => {
+            &[A::ComposeSend, A::ComposeNext, A::ComposeOlder, A::ComposeClose]
+        }
         // It is drawn with its keys.
         (KeyMode::Choice, ..) => &[],
         (KeyMode::Themes, ..) => &[A::ThemeUp, A::ThemeDown, A::ThemeKeep, A::ThemesClose],
