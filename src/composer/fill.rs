@@ -6,7 +6,7 @@ use crate::text::hex;
 use crate::wire::des::{ReceivedRequest, Request};
 use crate::wire::framing::{Framing, classify_request};
 use crate::wire::id::{Header, MessageType};
-use crate::wire::isotp::Pci;
+use crate::wire::isotp::{Pci, single_frame};
 
 impl Composition {
     /// Returns the composition that makes this frame: by its fields where they make exactly the same one,
@@ -42,7 +42,15 @@ fn of_header(header: Header, frame: &Frame, around: Surroundings<'_>) -> Composi
     let mut framing = None;
     let mut data = hex(frame.data(), " ");
     if is_des && !header.broadcast | !header.response {
+        // With padding the frame is another one.
+        let is_whole = |it: Framing, message: &[u8]| match it {
+            Framing::Raw => frame.len() == message.len(),
+            Framing::Isotp => {
+                single_frame(message, frame.is_fd).is_some_and(|it| it.as_bytes() == frame.data())
+            }
+        };
         let request = classify_request(frame.data(), frame.is_fd).filter(|_| !header.response);
+        let request = request.filter(|(it, message)| is_whole(*it, message));
         let known = request.and_then(|(it, message)| match Request::decode(message) {
             Some(ReceivedRequest::Known(Request::Name)) => Some((it, "name")),
             Some(ReceivedRequest::Known(Request::Services)) => Some((it, "services")),
@@ -50,7 +58,7 @@ fn of_header(header: Header, frame: &Frame, around: Surroundings<'_>) -> Composi
         });
         match (known, Pci::decode(frame.data(), frame.is_fd)) {
             (Some((it, word)), _) => (framing, data) = (Some(it), word.to_owned()),
-            (None, Ok(Pci::Single(message))) => {
+            (None, Ok(Pci::Single(message))) if is_whole(Framing::Isotp, message) => {
                 (framing, data) = (Some(Framing::Isotp), hex(message, " "));
             }
             _ => framing = Some(Framing::Raw),

@@ -55,6 +55,7 @@ topics! {
     "recording" "recording" [] "recording to a file, logs and their replay";
     "profiles" "profiles" ["profile"] "values that the protocol leaves open";
     "commands" "commands" ["identify" "mode" "restart" "address" "bitrate" "descriptor"] "commands to one device, and its descriptor";
+    "composer" "composer" ["send"] "any frame or request, composed by fields and sent";
     "settings" "settings" [] "config.toml, keys.toml, themes, and all files used";
     "scenarios" "scenarios" ["demo" "sim"] "the demo, and simulated devices of your own";
     "protocol" "protocol" [] "the protocol on the bus, numbered for reference";

@@ -250,13 +250,13 @@ fn below(
         Ok(composed) => {
             let time = bus_time(brush, dialog, composed);
             add("  =", Role::Title, &format!("{}  {time}", composed.frame_text()));
-            add("", Role::Text, &composed.meaning);
             if let Some(change) = &composed.change {
                 add("  !", Role::Warning, &format!("it {change}"));
             }
             if !composed.source_warning.is_empty() {
                 add("  !", Role::Warning, &composed.source_warning);
             }
+            add("", Role::Text, &composed.meaning);
             for warning in &composed.warnings {
                 add("  !", Role::Warning, warning);
             }

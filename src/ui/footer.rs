@@ -539,6 +539,9 @@ fn applies(brush: &DrawContext, action: Action) -> bool {
             app.has_command(action) && device().is_some()
         }
         (A::Rescan, _) => on_any(|config| config.send_requests),
+        (A::ComposeSend, _) => {
+            app.composer_dialog().is_some_and(|dialog| app.dialog_obstacle(dialog).is_none())
+        }
         _ => true,
     }
 }

@@ -369,7 +369,7 @@ fn composed_request() {
     let words = ["send", "udp:", "request", "des", "services", "to", "FEED", "--yes"];
     let output = descan(&words).output().unwrap();
     let words = String::from_utf8_lossy(&output.stdout);
-    assert!(words.contains("services: DES 1.0, AUGER 2.1"), "{words}");
+    assert!(words.contains("5 services: DES 1.0, CFG 1.3, AUGER 2.1"), "{words}");
     assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
 }
 

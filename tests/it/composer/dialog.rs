@@ -87,7 +87,7 @@ fn escape_stops_the_copies_before_it_closes() {
     let mut stage = boiler();
     stage
         .size(120, 40)
-        .keys("C Shift-Tab Shift-Tab Ctrl-u")
+        .keys("C Shift-Tab Shift-Tab Shift-Tab Ctrl-u")
         .text("50")
         .keys("Tab Ctrl-u")
         .text("200");
@@ -107,7 +107,7 @@ fn escape_stops_the_copies_before_it_closes() {
 #[test]
 fn traffic_fills_the_fields_from_the_selected_frame() {
     let mut stage = boiler();
-    stage.size(120, 40).keys("2").keys("/").text("srv:des & src:10").keys("Enter Up").until(10.5);
+    stage.size(120, 40).keys("2 /").text("src:10 srv:des").keys("Enter Home").until(10.5);
     let frame = stage.app.selected_frame().expect("a frame of FEED");
     stage.keys("C");
     let dialog = stage.app.composer_dialog().unwrap();

@@ -61,7 +61,7 @@ fn answers_are_matched_and_decoded_with_latency() {
     // An answer of several frames: descan sends flow control for it.
     let sent = once(&mut stage, "request des services to FEED");
     let text = &sent.answers[0].text;
-    assert!(text.starts_with("5 services: DES 1.0, AUGER 2.1, "), "{text}");
+    assert!(text.starts_with("5 services: DES 1.0, CFG 1.3, AUGER 2.1, "), "{text}");
     assert!(!sent.answers[0].answer.is_incomplete);
     // To all: from each that works, the multi-frame answers together.
     let sent = once(&mut stage, "request des services to all");
@@ -145,7 +145,7 @@ fn copies_stop_without_acknowledgement() {
     stage.until(12.0);
     let devices: Vec<_> = stage.sim.devices().collect();
     devices.into_iter().for_each(|device| stage.sim.apply(device, DeviceAction::PowerOff));
-    stage.until(20.0);
+    stage.until(13.5);
     let sent = last(&stage);
     assert!((9..=11).contains(&sent.copies), "{}", sent.copies);
     assert!(sent.outcome_text().contains("ended: no node acknowledges"), "{}", sent.outcome_text());
