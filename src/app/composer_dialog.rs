@@ -372,12 +372,7 @@ impl App {
     }
 
     fn recall_sent(&mut self, by: isize) {
-        let mut all: Vec<Composition> = Vec::new();
-        for sent in self.sent_frames().rev() {
-            if !all.contains(&sent.composition) {
-                all.push(sent.composition.clone());
-            }
-        }
+        let all = self.sent_compositions();
         let Some(dialog) = &mut self.composer else { return };
         let last = all.len().cast_signed() - 1;
         // Up is older.

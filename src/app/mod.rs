@@ -246,6 +246,8 @@ pub struct AppOptions {
     pub event_filter: Filter,
     /// Filters that the user saved.
     pub saved_filters: Vec<SavedFilter>,
+    /// Compositions sent in earlier runs, in words, the latest first.
+    pub recent_frames: Vec<String>,
     /// Bytes of memory for the captured frames and the past of the buses; `None`:
     /// [`DEFAULT_CAPTURE`]; 0: few frames, and no past.
     pub capture_room: Option<usize>,
@@ -293,6 +295,8 @@ pub enum Effect {
     /// Search the bit rate of this bus, listen-only; call [`App::handle_bitrate_search`] with the
     /// progress, [`App::handle_bitrate`] with the result.
     FindBitrate(BusIndex),
+    /// Remember a composition that is sent, in words, for later runs.
+    RememberFrame(String),
     /// Control the playback of logs; then call [`App::handle_playback`].
     Playback(PlaybackCommand),
     /// Call [`App::handle_offers`] with the buses that can be opened, as long as
@@ -474,7 +478,7 @@ impl App {
             bus_choice: None,
             learners: ProfileLearners::new(options.learns_profile),
             commands: SentCommands::default(),
-            sendings: Sendings::default(),
+            sendings: Sendings::new(options.recent_frames),
             composer: None,
             search: None,
             comparison: None,

@@ -6,7 +6,7 @@
 
 use super::notices::TimelineEntry;
 use super::timeline_kind::TimelineKind;
-use super::{App, Bus, format_duration};
+use super::{App, Bus, Effect, format_duration};
 use crate::composer::{
     Answer, AnswerCollector, Composed, Composition, KnownNode, Mistake, Receivers, Repeat,
     Surroundings,
@@ -148,11 +148,33 @@ impl SentFrames {
 #[derive(Debug, Default)]
 pub(super) struct Sendings {
     list: VecDeque<SentFrames>,
+    /// Compositions of earlier runs, in words, the latest first.
+    earlier: Vec<String>,
     rng: Option<fastrand::Rng>,
     rnd7: u8,
 }
 
+impl Sendings {
+    /// Returns none; `earlier`: compositions of earlier runs, in words, the latest first.
+    pub fn new(earlier: Vec<String>) -> Self {
+        Self { earlier, ..Self::default() }
+    }
+}
+
 impl App {
+    /// Compositions that were sent, also in earlier runs, the latest first, each once.
+    pub(super) fn sent_compositions(&self) -> Vec<Composition> {
+        let now = self.sent_frames().rev().map(|sent| sent.composition.clone());
+        let earlier = self.sendings.earlier.iter().filter_map(|it| Composition::parse(it).ok());
+        let mut all: Vec<Composition> = Vec::new();
+        for composition in now.chain(earlier) {
+            if !all.contains(&composition) {
+                all.push(composition);
+            }
+        }
+        all
+    }
+
     /// What was composed and sent, oldest first, at most 50.
     pub fn sent_frames(&self) -> impl DoubleEndedIterator<Item = &SentFrames> {
         self.sendings.list.iter()
@@ -254,7 +276,7 @@ impl App {
             }
         }
         if let Some(change) = &composed.change {
-            effects.push(format!("It {change}."));
+            effects.insert(0, format!("It {change}."));
         }
         effects.extend(composed.warnings.iter().map(|warning| {
             let mut letters = warning.chars();
@@ -304,6 +326,9 @@ impl App {
         let sequence = sequence.ok_or("other frames are being sent: stop them first")?;
         self.finish_sending();
         self.renew_random_destination(bus);
+        if self.view.has_screen {
+            self.effects.push_back(Effect::RememberFrame(composition.to_words()));
+        }
         if self.sendings.list.len() == MAX_SENDINGS {
             self.sendings.list.pop_front();
         }
@@ -410,7 +435,10 @@ impl App {
     /// When [`App::step_sending`] is due.
     pub(super) fn sending_timeout(&self) -> Option<Instant> {
         let sending = self.sendings.list.back()?;
-        let closes = sending.closes_at().filter(|_| sending.result.is_none());
+        // A caller may wait for answers after the first.
+        let now = self.clock.now();
+        let is_due = |at: &Instant| sending.result.is_none() || *at > now;
+        let closes = sending.closes_at().filter(is_due);
         let is_receiving = sending.collector.is_receiving();
         closes.filter(|_| !is_receiving).into_iter().chain(sending.collector.poll_timeout()).min()
     }

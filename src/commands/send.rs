@@ -8,9 +8,7 @@ use super::output::{self, answer, ask, may_ask, say};
 use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure};
 use crate::app::{App, AppOptions, SendingResult, SentAnswer, SentFrames, format_millis};
 use crate::cli::SendArgs;
-use crate::composer::{
-    Composed, Composition, CompositionField, MessageKind, Mistake, Repeat, Surroundings,
-};
+use crate::composer::{Composed, Composition, CompositionField, Mistake, Repeat, Surroundings};
 use crate::discovery::{OwnAddress, SequenceEnd};
 use crate::frame::BusIndex;
 use crate::shell::stop::StopReason;
@@ -54,9 +52,12 @@ pub fn run(args: &SendArgs) -> Result<u8, Failure> {
     let mut setup = Setup::new(&args.common)?;
     // Mistakes of the text, before the bus is opened.
     let around = Surroundings { profile: &setup.config.profile, own: None, nodes: &[], rnd7: 0 };
-    if let Err(why) = composition.compose(around).map(|_| ()).or_else(of_bus_only) {
-        return Err(usage(&words, &why, false));
-    }
+    let needs_devices = match composition.compose(around) {
+        Ok(composed) => composed.may_be_answered(),
+        // The device may be found.
+        Err(why) if why.is_of_bus => true,
+        Err(why) => return Err(usage(&words, &why, false)),
+    };
     if args.common.listen_only {
         return Err(Failure::Unusable("listen-only: no frames are sent".to_owned()));
     }
@@ -72,6 +73,7 @@ pub fn run(args: &SendArgs) -> Result<u8, Failure> {
         args,
         composition,
         repeat,
+        needs_devices,
         stage: SendStage::Searching,
         printed: Printed::default(),
     };
@@ -111,11 +113,6 @@ fn usage(words: &str, why: &Mistake, is_of_words: bool) -> Failure {
     Failure::Usage(format!("{why}{place}"))
 }
 
-/// Leaves out a mistake that the bus may correct.
-fn of_bus_only(why: Mistake) -> Result<(), Mistake> {
-    if why.is_of_bus { Ok(()) } else { Err(why) }
-}
-
 /// How much of a sending is printed.
 #[derive(Default)]
 struct Printed {
@@ -127,6 +124,7 @@ struct FrameSender<'a> {
     args: &'a SendArgs,
     composition: Composition,
     repeat: Repeat,
+    needs_devices: bool,
     stage: SendStage,
     printed: Printed,
 }
@@ -172,9 +170,7 @@ impl FrameSender<'_> {
         let Some(bus) = app.bus(BUS) else { return Ok(None) };
         let is_held = matches!(bus.own_address(), OwnAddress::Held(_));
         // Framing and mode of the receiver are known then, and no round mixes with the answers.
-        let needs_devices =
-            matches!(self.composition.kind, MessageKind::Request | MessageKind::Raw);
-        let is_ready = is_held && (bus.progress().is_complete || !needs_devices);
+        let is_ready = is_held && (bus.progress().is_complete || !self.needs_devices);
         if !is_ready && !is_last {
             return Ok(None);
         }

@@ -1,7 +1,7 @@
 //! Frames of a composition, with their meaning and what to consider before they are sent.
 
 use super::changes::change_of;
-use super::fields::{Sender, Target, Who, data, sender, service, target, with_near};
+use super::fields::{TypedReceiver, TypedSender, Who, data, sender, service, target, with_near};
 use super::{Composition, CompositionField, KnownNode, MessageKind, Mistake, Surroundings};
 use crate::frame::{Frame, FrameKind};
 use crate::log::candump::parse_frame;
@@ -120,11 +120,14 @@ impl Composition {
     }
 
     fn frames(&self, around: Surroundings<'_>) -> Result<Vec<Frame>, Mistake> {
-        let target =
-            if self.kind.has(CompositionField::To) { target(&self.to)? } else { Target::None };
+        let target = if self.kind.has(CompositionField::To) {
+            target(&self.to)?
+        } else {
+            TypedReceiver::None
+        };
         let service = service(&self.service, around.profile, self.kind)?;
         let message = data(&self.data, service, self.kind, around.profile)?;
-        let Sender { address, not_working } = sender(&self.from)?;
+        let TypedSender { address, not_working } = sender(&self.from)?;
         let source = address.or(around.own).unwrap_or(Address::DEBUG);
         let mut header = Header::request(source, Address::MAX, false, service);
         header.from_non_working = not_working;
@@ -146,9 +149,9 @@ impl Composition {
             }
             MessageKind::Unsolicited => {
                 let rnd7 = match target {
-                    Target::None => around.rnd7,
-                    Target::All { works: None, rnd7 } => rnd7.unwrap_or(around.rnd7),
-                    Target::All { .. } | Target::One { .. } => {
+                    TypedReceiver::None => around.rnd7,
+                    TypedReceiver::All { works: None, rnd7 } => rnd7.unwrap_or(around.rnd7),
+                    TypedReceiver::All { .. } | TypedReceiver::One { .. } => {
                         let text = "unsolicited data goes to all: leave it empty, or rnd 85";
                         return Err(Mistake::new(CompositionField::To, 0, text));
                     }
@@ -225,10 +228,10 @@ impl Composition {
 /// The headers of a request, and its receiver.
 fn request_headers<'a>(
     header: Header,
-    to: &Target,
+    to: &TypedReceiver,
     around: Surroundings<'a>,
 ) -> Result<(Vec<Header>, Option<&'a KnownNode>), Mistake> {
-    let Target::All { works, rnd7 } = to else {
+    let TypedReceiver::All { works, rnd7 } = to else {
         let (destination, node, works) = receiver(to, around)?;
         let to_non_working = !works.or(node.map(|node| node.is_working)).unwrap_or(true);
         return Ok((vec![Header { destination, to_non_working, ..header }], node));
@@ -241,16 +244,16 @@ fn request_headers<'a>(
 
 /// The one receiver, the node if it is known, and whether it works, as typed.
 fn receiver<'a>(
-    to: &Target,
+    to: &TypedReceiver,
     around: Surroundings<'a>,
 ) -> Result<(Address, Option<&'a KnownNode>, Option<bool>), Mistake> {
     let wrong = |column, text: String| Mistake::new(CompositionField::To, column, text);
     let (who, works, column) = match to {
-        Target::One { who, works, column } => (who, *works, *column),
-        Target::None => {
+        TypedReceiver::One { who, works, column } => (who, *works, *column),
+        TypedReceiver::None => {
             return Err(wrong(0, "a receiver is needed: a name, UID or address".to_owned()));
         }
-        Target::All { .. } => {
+        TypedReceiver::All { .. } => {
             return Err(wrong(0, "a response goes to one node: a name, UID or address".to_owned()));
         }
     };

@@ -13,7 +13,7 @@ use crate::wire::profile::Profile;
 
 /// A word of a field.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Token {
+pub(super) struct FieldToken {
     /// Number of characters before it.
     pub column: usize,
     /// Without quotes and escapes.
@@ -22,7 +22,7 @@ pub(super) struct Token {
     pub is_quoted: bool,
 }
 
-impl Token {
+impl FieldToken {
     /// Returns true if it is this word, and not in quotes.
     pub fn is(&self, word: &str) -> bool {
         !self.is_quoted && self.text.eq_ignore_ascii_case(word)
@@ -39,7 +39,7 @@ impl Token {
 /// # Errors
 ///
 /// A quote without its end: the column of its begin.
-pub(super) fn tokens(text: &str) -> Result<Vec<Token>, usize> {
+pub(super) fn tokens(text: &str) -> Result<Vec<FieldToken>, usize> {
     let mut tokens = Vec::new();
     let mut chars = text.chars().enumerate().peekable();
     while let Some((column, c)) = chars.next() {
@@ -51,7 +51,7 @@ pub(super) fn tokens(text: &str) -> Result<Vec<Token>, usize> {
             while let Some((_, c)) = chars.next_if(|(_, c)| !c.is_whitespace()) {
                 text.push(c);
             }
-            tokens.push(Token { column, text, is_quoted: false });
+            tokens.push(FieldToken { column, text, is_quoted: false });
             continue;
         }
         let mut text = String::new();
@@ -63,13 +63,16 @@ pub(super) fn tokens(text: &str) -> Result<Vec<Token>, usize> {
                 None => return Err(column),
             }
         }
-        tokens.push(Token { column, text, is_quoted: true });
+        tokens.push(FieldToken { column, text, is_quoted: true });
     }
     Ok(tokens)
 }
 
 /// Returns the tokens of a field.
-pub(super) fn field_tokens(field: CompositionField, text: &str) -> Result<Vec<Token>, Mistake> {
+pub(super) fn field_tokens(
+    field: CompositionField,
+    text: &str,
+) -> Result<Vec<FieldToken>, Mistake> {
     tokens(text).map_err(|column| Mistake::new(field, column, "a quote has no end: \"text\""))
 }
 
@@ -102,14 +105,14 @@ pub(super) fn with_near<'a>(
     known: impl Iterator<Item = &'a str>,
 ) -> String {
     match nearest_word(&word.to_lowercase(), known) {
-        Some(near) => format!("{text}; did you mean {near}?"),
+        Some(near) => format!("{text}; did you mean {}?", printable(near.as_bytes())),
         None => text,
     }
 }
 
 /// To whom a frame goes, as typed.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) enum Target {
+pub(super) enum TypedReceiver {
     /// Nothing is typed.
     None,
     /// One node; `works`: as typed.
@@ -127,11 +130,11 @@ pub(super) enum Who {
 }
 
 /// Reads the receiver.
-pub(super) fn target(text: &str) -> Result<Target, Mistake> {
+pub(super) fn target(text: &str) -> Result<TypedReceiver, Mistake> {
     let field = CompositionField::To;
     let all = field_tokens(field, text)?;
     let mut rest = all.iter();
-    let Some(first) = rest.clone().next() else { return Ok(Target::None) };
+    let Some(first) = rest.clone().next() else { return Ok(TypedReceiver::None) };
     let mut who = None;
     let is_all = first.is("all");
     if is_all {
@@ -165,12 +168,12 @@ pub(super) fn target(text: &str) -> Result<Target, Mistake> {
         }
     }
     Ok(match who {
-        Some(who) => Target::One { who, works, column: first.column },
-        None => Target::All { works, rnd7 },
+        Some(who) => TypedReceiver::One { who, works, column: first.column },
+        None => TypedReceiver::All { works, rnd7 },
     })
 }
 
-fn one(token: &Token) -> Result<Who, Mistake> {
+fn one(token: &FieldToken) -> Result<Who, Mistake> {
     if token.is_quoted {
         return Ok(Who::Named(token.text.clone()));
     }
@@ -194,7 +197,7 @@ fn one(token: &Token) -> Result<Who, Mistake> {
 
 /// Who sends, as typed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Sender {
+pub(super) struct TypedSender {
     /// `None`: descan.
     pub address: Option<Address>,
     /// U = 1.
@@ -202,9 +205,9 @@ pub(super) struct Sender {
 }
 
 /// Reads the sender.
-pub(super) fn sender(text: &str) -> Result<Sender, Mistake> {
+pub(super) fn sender(text: &str) -> Result<TypedSender, Mistake> {
     let field = CompositionField::From;
-    let mut sender = Sender { address: None, not_working: false };
+    let mut sender = TypedSender { address: None, not_working: false };
     for (at, token) in field_tokens(field, text)?.iter().enumerate() {
         let digits = token.text.strip_prefix('@').unwrap_or(&token.text);
         let address = number(digits).and_then(|it| u8::try_from(it).ok()).and_then(Address::new);
@@ -337,7 +340,7 @@ pub(super) fn data(
 }
 
 /// Reads hexadecimal bytes.
-fn bytes(token: &Token, words: &[&str], data: &mut Vec<u8>) -> Result<(), Mistake> {
+fn bytes(token: &FieldToken, words: &[&str], data: &mut Vec<u8>) -> Result<(), Mistake> {
     let wrong = |at: usize, text: String| {
         Err(Mistake::new(CompositionField::Data, token.column + at, text))
     };

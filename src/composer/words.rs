@@ -1,6 +1,6 @@
 //! A composition in words: `request des name to FEED`, `051C0002#0444455301`, and the inverse.
 
-use super::fields::{Token, quoted, tokens, with_near};
+use super::fields::{FieldToken, quoted, tokens, with_near};
 use super::{Composition, CompositionField, MessageKind, Mistake};
 use crate::wire::framing::Framing;
 
@@ -132,7 +132,7 @@ impl Composition {
 }
 
 /// The flag that a word is.
-fn flag(token: &Token) -> Option<(CompositionField, Option<Framing>)> {
+fn flag(token: &FieldToken) -> Option<(CompositionField, Option<Framing>)> {
     if token.is("isotp") {
         Some((CompositionField::Framing, Some(Framing::Isotp)))
     } else if token.is("raw") {
@@ -144,7 +144,7 @@ fn flag(token: &Token) -> Option<(CompositionField, Option<Framing>)> {
     }
 }
 
-fn not_of_kind(kind: MessageKind, token: &Token) -> String {
+fn not_of_kind(kind: MessageKind, token: &FieldToken) -> String {
     let reason = match (kind, token.text.to_ascii_lowercase().as_str()) {
         (MessageKind::Debug, "to") => ": it goes to all",
         (_, "error") => ": a response reports an error",
@@ -153,7 +153,7 @@ fn not_of_kind(kind: MessageKind, token: &Token) -> String {
     format!("{} has no {}{reason}", kind.word(), token.shown())
 }
 
-fn raw(rest: &[Token]) -> Result<Composition, Mistake> {
+fn raw(rest: &[FieldToken]) -> Result<Composition, Mistake> {
     let wrong = |column, text: &str| Mistake::new(CompositionField::Kind, column, text);
     match rest {
         [frame] => Ok(Composition {
@@ -169,7 +169,7 @@ fn raw(rest: &[Token]) -> Result<Composition, Mistake> {
 }
 
 /// A token as it was written.
-fn written(token: &Token) -> String {
+fn written(token: &FieldToken) -> String {
     if token.is_quoted { quoted(&token.text) } else { token.text.clone() }
 }
 
@@ -184,11 +184,11 @@ fn as_written(text: &str) -> String {
 }
 
 /// The last token.
-fn text_of(all: &[Token]) -> Option<&Token> {
+fn text_of(all: &[FieldToken]) -> Option<&FieldToken> {
     all.last()
 }
 
 /// The column behind a token.
-fn text_len(token: Option<&Token>) -> usize {
+fn text_len(token: Option<&FieldToken>) -> usize {
     token.map_or(0, |it| it.column + it.text.chars().count())
 }

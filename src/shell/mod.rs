@@ -14,6 +14,7 @@
 //! recovery        copy of unsaved edits       config        the user's settings
 //! bus_picker      the list of buses           bus_scout     what can be opened, as it changes
 //! bus_offers      interfaces, adapters, logs  background_colour   that of the terminal
+//! recent_frames   frames composed and sent before
 //! recent_logs     logs opened before, and what was found in them
 //! waiting         futures for optional sources
 //! ```
@@ -31,6 +32,7 @@ pub mod file_watcher;
 pub mod log_input;
 pub mod paint_pace;
 pub mod painted_screen;
+pub mod recent_frames;
 pub mod recent_logs;
 pub mod recorder;
 pub mod recovery;

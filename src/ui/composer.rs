@@ -108,12 +108,13 @@ fn draw_row(
         [DialogField::Copies, DialogField::Every] => {
             brush.line(area, 0, &Line::from(spans));
             let x = area.x + LABEL as u16;
-            let number = Rect { x, width: NUMBER as u16, ..area };
+            let number = Rect { x, width: NUMBER as u16, ..area }.intersection(area);
             draw_text(brush, number, dialog, DialogField::Copies, None, has_cursor);
-            let between = Rect { x: number.right() + 1, width: 8, ..area };
+            let between = Rect { x: number.right() + 1, width: 8, ..area }.intersection(area);
             let line = Line::from(brush.span(Role::Muted, "× every"));
             brush.line(between, 0, &line);
             let number = Rect { x: between.right(), width: NUMBER as u16, ..area };
+            let number = number.intersection(area);
             draw_text(brush, number, dialog, DialogField::Every, None, has_cursor);
             let rest = Rect {
                 x: number.right() + 1,
@@ -132,8 +133,10 @@ fn draw_row(
             let text = dialog.line(*field).map_or(0, |line| line.value().width() + 1);
             let width = text.max(FIELD).min(room);
             let at = Rect { x: area.x + LABEL as u16, width: width as u16, ..area };
+            let at = at.intersection(area);
             draw_text(brush, at, dialog, *field, mistake, has_cursor);
-            let rest = Rect { x: at.right(), width: area.right() - at.right(), ..area };
+            let rest =
+                Rect { x: at.right(), width: area.right().saturating_sub(at.right()), ..area };
             if hint.width() + 2 <= usize::from(rest.width) {
                 let line = Line::from(brush.span(Role::Muted, format!("  {hint}")));
                 brush.line(rest, 0, &line);
@@ -204,7 +207,7 @@ fn draw_text(
 ) {
     let Some(line) = dialog.line(field) else { return };
     let width = usize::from(at.width);
-    if width == 0 {
+    if width == 0 || at.height == 0 {
         return;
     }
     let scroll = line.visual_scroll(width.saturating_sub(1));

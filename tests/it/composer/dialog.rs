@@ -2,9 +2,10 @@
 
 use crate::common::harness::Stage;
 use crate::screen::text_snapshot;
-use descan::app::SendingResult;
+use descan::app::{App, AppOptions, Effect, SendingResult};
 use descan::discovery::Config;
 use descan::sim::Scenario;
+use descan::time::Instant;
 
 fn boiler() -> Stage {
     let mut stage = Stage::boiler();
@@ -60,6 +61,26 @@ fn enter_asks_and_answers_stand_below() {
     assert!(stage.app.composer_dialog().is_none());
     stage.keys("C");
     assert_eq!(data(&stage), "services", "it keeps its content");
+}
+
+#[test]
+fn earlier_runs_are_recalled_and_sent_frames_remembered() {
+    let options = AppOptions {
+        buses: vec![("can0".to_owned(), Config::default())],
+        recent_frames: vec!["debug 0x005 01".to_owned(), "not words".to_owned()],
+        ..AppOptions::default()
+    };
+    let mut stage = boiler();
+    stage.keys("C Enter y");
+    let is_remembered = |effect: &Effect| {
+        *effect == Effect::RememberFrame("request des data name to @10".to_owned())
+    };
+    assert!(stage.effects.iter().any(is_remembered), "{:?}", stage.effects);
+    let mut stage = boiler();
+    stage.app = App::new(Instant::ZERO, options);
+    stage.size(80, 24).keys("C Tab Tab Up");
+    let composition = stage.app.composer_dialog().unwrap().composition();
+    assert_eq!(composition.to_words(), "debug 0x005 data 01");
 }
 
 #[test]
