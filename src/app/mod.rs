@@ -27,6 +27,7 @@
 
 mod actions;
 mod alarm;
+mod answer_text;
 mod app_event;
 mod beat_strip;
 mod bitrate;
@@ -93,6 +94,7 @@ mod versions;
 mod view;
 
 pub use alarm::Alarm;
+pub use answer_text::format_millis;
 pub use app_event::{AppEvent, BusSnapshot, DeviceEvent, EventContext, EventLine, FileSnapshot};
 pub use beat_strip::{Beat, BeatKind, BeatStats};
 pub use bus_choice::{
@@ -150,7 +152,7 @@ pub use saved_filters::{MAX_SAVED_FILTERS, SavedFilter, SavedFilterChange};
 pub use sent_commands::EndedCommand;
 use sent_commands::SentCommands;
 use sent_frames::Sendings;
-pub use sent_frames::{SendingResult, SentAnswer, SentFrames, format_millis};
+pub use sent_frames::{SendingResult, SentAnswer, SentFrames};
 pub use signs::Signs;
 pub use stories::{
     HiddenKinds, Stories, Story, StoryChange, StoryKind, StoryLine, StorySign, StoryStep,

@@ -4,6 +4,7 @@
 //! come. It is a line of the timeline then. Answers that come later are kept with it until the next one.
 //! Does not know how fields are typed or drawn.
 
+use super::answer_text::{answer_text, format_millis};
 use super::notices::TimelineEntry;
 use super::timeline_kind::TimelineKind;
 use super::{App, Bus, Effect, format_duration};
@@ -11,17 +12,12 @@ use crate::composer::{
     Answer, AnswerCollector, Composed, Composition, KnownNode, Mistake, Receivers, Repeat,
     Surroundings,
 };
-use crate::discovery::{
-    Event, EventKind, FieldContent, FrameSequence, OwnAddress, SequenceEnd, SequenceId,
-};
+use crate::discovery::{Event, EventKind, FrameSequence, OwnAddress, SequenceEnd, SequenceId};
 use crate::frame::{BusIndex, Frame};
 use crate::status::BusState;
-use crate::text::{Name, counted, hex};
+use crate::text::counted;
 use crate::time::{Duration, Instant};
-use crate::wire::des::{self, ServicesResponse};
-use crate::wire::descriptor::{DescriptorField, DescriptorValue};
-use crate::wire::id::{Address, Header};
-use crate::wire::profile::Profile;
+use crate::wire::id::Address;
 use std::collections::VecDeque;
 
 /// Sendings that are kept. Bounds the memory.
@@ -374,8 +370,7 @@ impl App {
         };
         match &event.kind {
             EventKind::FrameSent { sequence, copy, frame } if *sequence == sending.sequence => {
-                sending.collector.note_sent(*copy, event.time);
-                sending.collector.note_frame(frame);
+                sending.collector.note_sent(*copy, event.time, frame);
                 sending.frames += 1;
                 sending.copies = sending.frames / sending.composed.frames.len().max(1) as u32;
                 sending.last_sent = Some(event.time);
@@ -549,72 +544,5 @@ fn sequence_of(composed: &Composed, repeat: Repeat, renews_destination: bool) ->
         copies: repeat.copies,
         interval: repeat.interval,
         renews_destination,
-    }
-}
-
-/// Milliseconds with one digit behind the point: `1.2 ms`.
-pub fn format_millis(time: Duration) -> String {
-    format!("{:.1} ms", time.as_secs_f64() * 1e3)
-}
-
-/// What an answer says, printable.
-fn answer_text(answer: &Answer, request: Option<&Frame>, profile: &Profile) -> String {
-    let data = &answer.message;
-    let bytes =
-        if data.is_empty() { "no data".to_owned() } else { format!("data {}", hex(data, " ")) };
-    if answer.is_incomplete {
-        return format!("an answer that broke off after {}", counted(data.len() as u64, "byte"));
-    }
-    if answer.is_error {
-        return if data.is_empty() {
-            "error response".to_owned()
-        } else {
-            format!("error response, {bytes}")
-        };
-    }
-    if answer.framing.is_some() {
-        return des_text(data).unwrap_or(bytes);
-    }
-    let header = request.and_then(Frame::platform_id).map(Header::decode);
-    let is_of = |field: &DescriptorField| {
-        header.is_some_and(|header| field.service(&profile.descriptor) == header.service)
-    };
-    let field = DescriptorField::ALL.into_iter().find(is_of).filter(|_| !data.is_empty());
-    let value = field.and_then(|field| {
-        let value = DescriptorValue::decode(field, data, profile.descriptor.byte_order).ok()?;
-        let words = FieldContent::Value(value).in_words(&profile.uid);
-        Some(format!("{} {words} ({bytes})", field.label()))
-    });
-    value.unwrap_or(bytes)
-}
-
-/// A DES response in words.
-fn des_text(message: &[u8]) -> Option<String> {
-    match message.first()? {
-        &des::TYPE_NAME => {
-            let (name, fault) = des::decode_name(message);
-            let fault = fault.map(|fault| format!(" ({fault})")).unwrap_or_default();
-            Some(format!("name {}{fault}", Name::new(name?)))
-        }
-        &des::TYPE_SERVICES => {
-            let response = ServicesResponse::decode(message);
-            let services: Vec<String> = response
-                .services()
-                .map(|service| {
-                    let strings: Vec<String> =
-                        service.strings().map(|it| Name::new(it).to_string()).collect();
-                    strings.join(" ")
-                })
-                .collect();
-            let fault = response.fault().map(|fault| format!(" ({fault})")).unwrap_or_default();
-            let count = counted(services.len() as u64, "service");
-            let list = if services.is_empty() {
-                String::new()
-            } else {
-                format!(": {}", services.join(", "))
-            };
-            Some(format!("{count}{list}{fault}"))
-        }
-        _ => None,
     }
 }

@@ -44,6 +44,7 @@ pub struct Answer {
 struct SentCopy {
     number: u32,
     time: Instant,
+    to_non_working: bool,
 }
 
 /// A response whose frames are arriving.
@@ -92,24 +93,18 @@ impl AnswerCollector {
         }
     }
 
-    /// Notes that a copy is on the bus.
-    pub fn note_sent(&mut self, number: u32, time: Instant) {
-        if self.requests.is_empty() || self.open.back().is_some_and(|it| it.number == number) {
-            return;
-        }
+    /// Notes that a frame of a copy is on the bus. The DST of a broadcast may be another one than in the
+    /// copy before.
+    pub fn note_sent(&mut self, number: u32, time: Instant, frame: &Frame) {
+        let Some(header) = frame.platform_id().map(Header::decode) else { return };
+        let to_non_working = header.to_non_working;
+        let is_it = |it: &&mut Header| it.to_non_working == to_non_working;
+        let Some(request) = self.requests.iter_mut().find(is_it) else { return };
+        request.destination = header.destination;
         if self.open.len() == MAX_OPEN {
             self.open.pop_front();
         }
-        self.open.push_back(SentCopy { number, time });
-    }
-
-    /// Notes the frame of a copy: the DST of a broadcast may be another one than in the first.
-    pub fn note_frame(&mut self, frame: &Frame) {
-        let Some(header) = frame.platform_id().map(Header::decode) else { return };
-        let is_it = |it: &&mut Header| it.broadcast && it.to_non_working == header.to_non_working;
-        if let Some(request) = self.requests.iter_mut().find(is_it) {
-            request.destination = header.destination;
-        }
+        self.open.push_back(SentCopy { number, time, to_non_working });
     }
 
     /// Returns true while the frames of a response are arriving.
@@ -200,7 +195,8 @@ impl AnswerCollector {
         let is_targeted =
             self.requests.iter().any(|it| !it.broadcast && it.destination == header.source);
         if !is_targeted {
-            return self.open.back().copied();
+            let is_it = |sent: &&SentCopy| sent.to_non_working == header.from_non_working;
+            return self.open.iter().rev().find(is_it).copied();
         }
         let sent = self.open.pop_front();
         // A second board at the address answers, too.

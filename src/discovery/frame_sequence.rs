@@ -57,7 +57,7 @@ pub enum SequenceEnd {
     #[error("stopped")]
     Stopped,
     /// The controller became error-passive or bus-off.
-    #[error("the controller has too many errors (error-passive or bus-off)")]
+    #[error("the controller is error-passive or bus-off: no ACK, or frames are destroyed")]
     ControllerErrors,
     /// A frame was not on the bus in time.
     #[error("the last frame was not on the bus within 3 s")]
@@ -146,8 +146,14 @@ impl FrameSequences {
         Some(match &running.waiting {
             Some((_, deadline)) => *deadline,
             None if running.queued == running.total() => Instant::ZERO,
-            None => running.due.max(self.free_at),
+            None => self.next_at(running),
         })
+    }
+
+    /// When the next frame is due. The frames of one copy follow each other: they are one request to all.
+    fn next_at(&self, running: &RunningSequence) -> Instant {
+        let is_within = running.queued % running.frames().max(1) > 0;
+        if is_within { Instant::ZERO } else { running.due.max(self.free_at) }
     }
 }
 
@@ -182,7 +188,7 @@ impl Requester {
         };
         if let Some(end) = end {
             self.end_sequence(tracker, end);
-        } else if running.waiting.is_none() && running.due.max(self.sequences.free_at) <= now {
+        } else if running.waiting.is_none() && self.sequences.next_at(running) <= now {
             self.queue_next(tracker);
         }
     }
@@ -207,7 +213,6 @@ impl Requester {
         }
         running.queued += 1;
         running.waiting = Some((frame, now + CONFIRMATION_TIMEOUT));
-        // Frames of one copy belong together.
         let time = Duration::from_micros((bits(&frame, present) / rate.max(1.0) * 1e6) as u64);
         self.sequences.free_at = self.sequences.free_at.max(now) + time;
         if let Some(header) = frame.platform_id().map(Header::decode)

@@ -80,6 +80,27 @@ fn answers_are_matched_and_decoded_with_latency() {
     assert_eq!(frames.len(), 1, "it is an own frame of Traffic");
 }
 
+#[test]
+fn two_boards_at_an_address_are_warned_of_and_both_answer() {
+    let mut stage = Stage::boiler();
+    stage.until(50.0);
+    let sent = once(&mut stage, "request des name to @14");
+    assert_eq!(sent.composed.warnings, ["two boards have address 14: all of them will answer"]);
+    assert_eq!((sent.answer_count, sent.copies, sent.answered), (2, 1, 1), "{:?}", sent.answers);
+    assert!(sent.outcome_text().starts_with("2 answers after "), "{}", sent.outcome_text());
+}
+
+#[test]
+fn request_to_all_has_its_two_frames_together() {
+    let mut stage = Stage::boiler();
+    stage.until(60.0);
+    send(&mut stage, "request 0x123 to all", Repeat::default()).unwrap();
+    stage.until(62.0);
+    let frames = own_frames(&stage, 0x123);
+    let gap = frames[1].time.since(frames[0].time);
+    assert!(frames.len() == 2 && gap < Duration::from_millis(20), "{frames:?}");
+}
+
 trait FramesMade {
     fn frames_made(&self) -> usize;
 }
