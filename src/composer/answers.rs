@@ -2,7 +2,8 @@
 //!
 //! Inputs: the frames of the bus, in their order. A response is of the same service, from the receiver
 //! (of a broadcast from any node of the kind it is to), to the sender of the request or with its DST. A
-//! targeted response is to the oldest copy without one. Messages of several ISO-TP frames are put
+//! targeted response is to the oldest copy without one; a second one, as of another board, counts until
+//! descan sends another request of the service. Messages of several ISO-TP frames are put
 //! together; flow control is the engine's care. Bounded: 64 open copies, 16 open transfers. Does not
 //! know when the wait for answers is over.
 
@@ -66,6 +67,10 @@ pub struct AnswerCollector {
     open: VecDeque<SentCopy>,
     /// The last copy with a response.
     answered: Option<SentCopy>,
+    /// descan has sent another request of the service since the last copy.
+    is_mixed: bool,
+    /// Addresses that responded to the last copy, a bit for each.
+    responders: u128,
     transfers: Vec<OpenTransfer>,
 }
 
@@ -89,6 +94,8 @@ impl AnswerCollector {
             timeout,
             open: VecDeque::new(),
             answered: None,
+            is_mixed: false,
+            responders: 0,
             transfers: Vec::new(),
         }
     }
@@ -101,6 +108,9 @@ impl AnswerCollector {
         let is_it = |it: &&mut Header| it.to_non_working == to_non_working;
         let Some(request) = self.requests.iter_mut().find(is_it) else { return };
         request.destination = header.destination;
+        if self.open.back().is_none_or(|sent| sent.number != number) {
+            (self.is_mixed, self.responders) = (false, 0);
+        }
         if self.open.len() == MAX_OPEN {
             self.open.pop_front();
         }
@@ -115,7 +125,11 @@ impl AnswerCollector {
     /// Takes a frame of another node; returns a response that is complete with it.
     pub fn handle_frame(&mut self, frame: &Frame) -> Option<Answer> {
         let header = Header::decode(frame.platform_id()?);
-        if frame.is_tx || !self.is_response(header) {
+        if frame.is_tx {
+            self.note_other_request(header, frame);
+            return None;
+        }
+        if !self.is_response(header) {
             return None;
         }
         let data = frame.data();
@@ -170,6 +184,16 @@ impl AnswerCollector {
         self.transfers.iter().map(|it| it.parts.deadline()).min()
     }
 
+    /// Notes a request of descan that is not a copy: devices respond to it, too.
+    fn note_other_request(&mut self, header: Header, frame: &Frame) {
+        let is_of_service = self.requests.iter().any(|it| it.service == header.service);
+        let is_flow = matches!(Pci::decode(frame.data(), frame.is_fd), Ok(Pci::Flow(_)));
+        if is_of_service && !header.response && !is_flow && !self.requests.contains(&header) {
+            self.is_mixed = true;
+            self.answered = None;
+        }
+    }
+
     fn is_response(&self, header: Header) -> bool {
         header.response
             && !header.broadcast
@@ -196,12 +220,16 @@ impl AnswerCollector {
             self.requests.iter().any(|it| !it.broadcast && it.destination == header.source);
         if !is_targeted {
             let is_it = |sent: &&SentCopy| sent.to_non_working == header.from_non_working;
-            return self.open.iter().rev().find(is_it).copied();
+            let sender = 1 << header.source.number();
+            let is_again = self.is_mixed && self.responders & sender != 0;
+            self.responders |= sender;
+            return self.open.iter().rev().find(is_it).copied().filter(|_| !is_again);
         }
         let sent = self.open.pop_front();
+        let is_mixed = self.is_mixed;
         // A second board at the address answers, too.
         let again = self.answered.filter(|sent| !is_late(*sent));
-        self.answered = sent.or(self.answered);
+        self.answered = sent.filter(|_| !is_mixed).or(self.answered);
         sent.or(again)
     }
 

@@ -81,6 +81,23 @@ fn answers_are_matched_and_decoded_with_latency() {
 }
 
 #[test]
+fn answer_to_a_round_is_not_one_to_the_request() {
+    let mut stage = boiler();
+    // A round begins every 10 s; the answers are to descan, too.
+    stage.keys("r").until(11.0);
+    for words in ["request des name to FEED", "request des name to all working"] {
+        for delay in 0..4 {
+            send(&mut stage, words, Repeat::default()).unwrap();
+            let now = stage.app.now().as_micros() as f64 / 1e6;
+            stage.until(now + 0.1 + 0.05 * f64::from(delay)).keys("r").until(now + 3.0);
+            let sent = last(&stage);
+            let of_feed = sent.answers.iter().filter(|it| it.who == "FEED @10").count();
+            assert_eq!(of_feed, 1, "{words}: {:?}", sent.answers);
+        }
+    }
+}
+
+#[test]
 fn two_boards_at_an_address_are_warned_of_and_both_answer() {
     let mut stage = Stage::boiler();
     stage.until(50.0);
