@@ -50,13 +50,13 @@ pub(super) fn answer_text(answer: &Answer, request: Option<&Frame>, profile: &Pr
 
 /// A DES response in words.
 fn des_text(message: &[u8]) -> Option<String> {
-    match message.first()? {
-        &des::TYPE_NAME => {
+    match *message.first()? {
+        des::TYPE_NAME => {
             let (name, fault) = des::decode_name(message);
             let fault = fault.map(|fault| format!(" ({fault})")).unwrap_or_default();
             Some(format!("name {}{fault}", Name::new(name?)))
         }
-        &des::TYPE_SERVICES => {
+        des::TYPE_SERVICES => {
             let response = ServicesResponse::decode(message);
             let services: Vec<String> = response
                 .services()

@@ -266,7 +266,8 @@ impl App {
         if repeat.copies > 1 {
             let spacing = self.least_spacing(bus, composed);
             let interval = repeat.interval.max(spacing * composed.frames.len() as u32);
-            sent += &format!(", {} times, one every {}", repeat.copies, format_millis(interval));
+            let (copies, interval_text) = (repeat.copies, format_millis(interval));
+            sent = format!("{sent}, {copies} times, one every {interval_text}");
             if interval > repeat.interval {
                 effects.push("The steady share of the bus allows no more.".to_owned());
             }
@@ -467,8 +468,7 @@ impl App {
         let Some(sending) = self.sendings.list.back() else { return };
         let kind = match result {
             SendingResult::Done if sending.answer_count > 0 => TimelineKind::Improved,
-            SendingResult::Done => TimelineKind::Bus,
-            SendingResult::Ended(SequenceEnd::Stopped) => TimelineKind::Bus,
+            SendingResult::Done | SendingResult::Ended(SequenceEnd::Stopped) => TimelineKind::Bus,
             _ => TimelineKind::Error,
         };
         let (bus, what) = (sending.bus, sending.outcome_text());

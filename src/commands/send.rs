@@ -14,7 +14,7 @@ use crate::frame::BusIndex;
 use crate::shell::stop::StopReason;
 use crate::text::hex;
 use crate::time::Instant;
-use crate::wire::id::Header;
+use crate::wire::id::{Address, Header};
 use serde::Serialize;
 use std::ops::ControlFlow;
 use std::sync::Arc;
@@ -233,10 +233,9 @@ impl FrameSender<'_> {
         let result = sending.result.unwrap_or(SendingResult::NoAnswer);
         let outcome = match result {
             SendingResult::Done if sending.answer_count > 0 => "answered",
-            SendingResult::Done => "sent",
             SendingResult::Refused => "error-response",
             SendingResult::NoAnswer => "no-answer",
-            SendingResult::Ended(SequenceEnd::Complete) => "sent",
+            SendingResult::Done | SendingResult::Ended(SequenceEnd::Complete) => "sent",
             SendingResult::Ended(_) if sending.copies > 0 => "stopped",
             SendingResult::Ended(_) => "not-sent",
         };
@@ -297,7 +296,7 @@ fn print_sent(sending: &SentFrames, app: &App, is_json: bool) -> Result<(), Fail
         meaning: &composed.meaning,
         change: composed.change.as_deref(),
         warnings: &composed.warnings,
-        foreign_source: composed.foreign_source.map(|it| it.number()),
+        foreign_source: composed.foreign_source.map(Address::number),
         repeat: sending.repeat.copies,
     })
 }

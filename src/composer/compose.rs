@@ -1,8 +1,9 @@
 //! Frames of a composition, with their meaning and what to consider before they are sent.
 
 use super::changes::change_of;
-use super::fields::{TypedReceiver, TypedSender, Who, data, sender, service, target, with_near};
+use super::fields::{TypedReceiver, TypedSender, Who, data, sender, service, target};
 use super::{Composition, CompositionField, KnownNode, MessageKind, Mistake, Surroundings};
+use crate::diagnostic::nearest_word;
 use crate::frame::{Frame, FrameKind};
 use crate::log::candump::parse_frame;
 use crate::text::{counted, hex, join_first, printable};
@@ -171,9 +172,12 @@ impl Composition {
         let framing = self.framing_for(service, node, around.profile);
         let content = self.content(&message, framing)?;
         let padding = around.profile.isotp.fd_padding;
-        let frame = |header: Header| match self.is_fd {
-            true => Frame::fd(header.encode(), &content, padding),
-            false => Frame::classic(header.encode(), &content),
+        let frame = |header: Header| {
+            if self.is_fd {
+                Frame::fd(header.encode(), &content, padding)
+            } else {
+                Frame::classic(header.encode(), &content)
+            }
         };
         Ok(headers.into_iter().map(frame).collect())
     }
@@ -234,7 +238,7 @@ fn request_headers<'a>(
     let TypedReceiver::All { works, rnd7 } = to else {
         let (destination, node, works) = receiver(to, around)?;
         let to_non_working = !works.or(node.map(|node| node.is_working)).unwrap_or(true);
-        return Ok((vec![Header { destination, to_non_working, ..header }], node));
+        return Ok((vec![Header { to_non_working, destination, ..header }], node));
     };
     let destination = Address::from_bits(rnd7.unwrap_or(around.rnd7));
     let to_all =
@@ -279,9 +283,9 @@ fn receiver<'a>(
                 ),
             };
             let lower: Vec<String> = known.iter().map(|it| it.to_lowercase()).collect();
-            let near = lower
-                .iter()
-                .position(|it| with_near(String::new(), name, std::iter::once(it.as_str())) != "");
+            let all_names = lower.iter().map(String::as_str);
+            let near = nearest_word(&name.to_lowercase(), all_names);
+            let near = near.and_then(|near| lower.iter().position(|it| it == near));
             let text = match near {
                 Some(at) => format!("{text}; did you mean {}?", known[at]),
                 None => text,
@@ -340,13 +344,13 @@ fn composed(frames: Vec<Frame>, around: Surroundings<'_>) -> Composed {
     let message = message_of(&first, header, around.profile);
     if header.broadcast {
         composed.receivers = Receivers::All;
-        composed.receiver = match (header.response, composed.frames.len(), header.to_non_working) {
+        let receiver = match (header.response, composed.frames.len(), header.to_non_working) {
             (true, ..) => "all",
             (_, 2.., _) => "all devices",
             (.., true) => "all devices that do not work",
             _ => "all working devices",
-        }
-        .to_owned();
+        };
+        receiver.clone_into(&mut composed.receiver);
     } else {
         composed.receivers = Receivers::One(header.destination);
         warn_of_receiver(&mut composed, header, around);

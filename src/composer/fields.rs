@@ -346,13 +346,13 @@ fn bytes(token: &FieldToken, words: &[&str], data: &mut Vec<u8>) -> Result<(), M
     };
     let prefix = if token.text.starts_with("0x") || token.text.starts_with("0X") { 2 } else { 0 };
     let digits: Vec<char> = token.text.chars().skip(prefix).collect();
-    let or_words: String = words.iter().map(|word| format!(", {word}")).collect();
+    let or_words = [&[""], words].concat().join(", ");
     if let Some(at) = digits.iter().position(|c| !c.is_ascii_hexdigit()) {
         let text = format!("{} is not data: bytes as 01 FF, \"text\"{or_words}", token.shown());
         let text = with_near(text, &token.text, words.iter().copied());
         return wrong(if words.is_empty() { prefix + at } else { 0 }, text);
     }
-    if digits.is_empty() || digits.len() % 2 != 0 {
+    if digits.is_empty() || !digits.len().is_multiple_of(2) {
         return wrong(0, format!("{}: a byte has two digits, as 01", token.shown()));
     }
     let value = |c: char| c.to_digit(16).unwrap_or_default() as u8;

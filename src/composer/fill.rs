@@ -41,7 +41,7 @@ fn of_header(header: Header, frame: &Frame, around: Surroundings<'_>) -> Composi
     let is_des = header.service == profile.des_service();
     let mut framing = None;
     let mut data = hex(frame.data(), " ");
-    if is_des && !header.broadcast | !header.response {
+    if is_des && (!header.broadcast || !header.response) {
         // With padding the frame is another one.
         let is_whole = |it: Framing, message: &[u8]| match it {
             Framing::Raw => frame.len() == message.len(),

@@ -152,7 +152,7 @@ impl FrameSequences {
 
     /// When the next frame is due. The frames of one copy follow each other: they are one request to all.
     fn next_at(&self, running: &RunningSequence) -> Instant {
-        let is_within = running.queued % running.frames().max(1) > 0;
+        let is_within = !running.queued.is_multiple_of(running.frames().max(1));
         if is_within { Instant::ZERO } else { running.due.max(self.free_at) }
     }
 }

@@ -183,7 +183,9 @@ fn copies_stop_without_acknowledgement() {
     send(&mut stage, "request 0x123 01 to FEED", Repeat::new(100, 200).unwrap()).unwrap();
     stage.until(12.0);
     let devices: Vec<_> = stage.sim.devices().collect();
-    devices.into_iter().for_each(|device| stage.sim.apply(device, DeviceAction::PowerOff));
+    for device in devices {
+        stage.sim.apply(device, DeviceAction::PowerOff);
+    }
     stage.until(13.5);
     let sent = last(&stage);
     assert!((9..=11).contains(&sent.copies), "{}", sent.copies);

@@ -1,7 +1,8 @@
 //! Compositions in words: the frames that they make, round trips, mistakes.
 
 use descan::composer::{
-    Composition, CompositionField, KnownNode, MAX_REPEATS, MessageKind, Receivers, Surroundings,
+    Composition, CompositionField, KnownNode, MAX_REPEATS, MessageKind, Receivers, Repeat,
+    Surroundings,
 };
 use descan::frame::{CanId, Frame};
 use descan::wire::framing::Framing;
@@ -251,7 +252,16 @@ fn meaning_and_warnings_say_what_will_be_sent() {
         assert_eq!(composed(words).warnings, [warning], "{words}");
     }
     assert_eq!(composed("123#00").foreign_source, None);
-    assert!(MAX_REPEATS == 1000);
+}
+
+#[test]
+fn repeat_is_bounded() {
+    assert!(Repeat::new(MAX_REPEATS, 0).is_ok());
+    assert_eq!(Repeat::parse("", " "), Ok(Repeat::default()));
+    assert_eq!(Repeat::parse("1001", "1").unwrap_err(), "repeat is 1 to 1000, not 1001");
+    assert_eq!(Repeat::parse("0", "1").unwrap_err(), "repeat is 1 to 1000, not 0");
+    assert_eq!(Repeat::parse("1", "60001").unwrap_err(), "every is 0 to 60000 ms, not 60001");
+    assert_eq!(Repeat::parse("x", "1").unwrap_err(), "repeat is a number");
 }
 
 #[test]
