@@ -182,6 +182,21 @@ Examples:
   descan descriptor can0 FEED --profile line7.toml
   descan descriptor can0 14 --profile line7.toml --json")]
     Descriptor(DeviceArgs),
+    /// Send one frame or request, by fields with names
+    #[command(after_help = "\
+Says the frame and what it means, and asks; --yes does not ask. A source other than descan's own address is \
+a second question. Prints the answers with their latency.
+
+Exit code: 0 sent, and answered where one device must answer; 1 an error response, or no answer; 2 wrong \
+usage; 3 bus not usable, or not acknowledged; 130 interrupted. More: descan help send
+
+Examples:
+  descan send can0 request des name to FEED
+  descan send can0 request des services to @12 --yes
+  descan send can0 request 0x123 01 02 to FEED --repeat 100 --every 50 --yes
+  descan send can0 request des name to all working --json --yes
+  descan send can0 051C0002#0444455301")]
+    Send(SendArgs),
     /// Find the bit rate of a bus, listen-only
     Speed(SpeedArgs),
     /// Print the completion script of a shell
@@ -373,6 +388,38 @@ pub struct ApplyArgs {
     #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
     pub time: Option<Duration>,
     /// Print JSON instead of text
+    #[arg(long)]
+    pub json: bool,
+    /// What it shares with the other commands.
+    #[command(flatten)]
+    pub common: CommonArgs,
+}
+
+/// `descan send`.
+#[derive(Debug, Args)]
+pub struct SendArgs {
+    /// The bus.
+    #[arg(value_name = "BUS", help = format!("The bus: {}", bus::forms(|kind| kind.can_send)))]
+    pub bus: BusSpec,
+    /// What is sent: request des name to FEED, or a frame: 051C0002#0444455301
+    #[arg(value_name = "WORDS", required = true)]
+    pub words: Vec<String>,
+    /// Send N copies, at most 1000 [default: 1]
+    #[arg(long, value_name = "N", default_value_t = 1, hide_default_value = true)]
+    pub repeat: u32,
+    /// Send a copy every MS milliseconds, as far as the bus allows [default: 1000]
+    #[arg(long, value_name = "MS", default_value_t = 1000, hide_default_value = true)]
+    pub every: u32,
+    /// Send without asking
+    #[arg(long)]
+    pub yes: bool,
+    /// Wait SECONDS for answers, all of them [default: until answered, at most calls.timeout_ms]
+    #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
+    pub wait: Option<Duration>,
+    /// Look for the device for SECONDS [default: 15]
+    #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
+    pub time: Option<Duration>,
+    /// Print JSON instead of text, an object a line
     #[arg(long)]
     pub json: bool,
     /// What it shares with the other commands.

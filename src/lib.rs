@@ -21,6 +21,7 @@
 //! * [`finding`]: what is wrong, with its evidence; one table of all kinds.
 //! * [`discovery`]: the engine of one bus: frames and time in; devices, findings and requests out.
 //! * [`catalogue`]: types of devices, as files describe them. [`toml_error`]: mistakes in such files.
+//! * [`composer`]: frames by fields with names, and the answers to them.
 //! * [`learning`]: values of the profile, from the frames of a bus.
 //! * [`address_plan`]: plans that give devices other addresses, and their execution.
 //! * [`document`]: des.json: parse, edit in place, merge.
@@ -57,6 +58,8 @@ pub mod address_plan;
 pub mod bitrate;
 #[cfg(feature = "std")]
 pub mod catalogue;
+#[cfg(feature = "std")]
+pub mod composer;
 #[cfg(feature = "std")]
 pub mod diagnostic;
 #[cfg(feature = "std")]

@@ -492,6 +492,7 @@ impl App {
             }
             Question::Descriptor(id) => self.descriptor_question(*id),
             Question::Plan => self.plan_question()?,
+            Question::SendFrames { is_about_source } => self.frames_question(*is_about_source),
             Question::FindBitrate(bus) => {
                 let name = self.bus(*bus).map_or("the bus", |bus| bus.name.as_str());
                 format!("Search {name}'s bit rate, listen-only? The interface restarts.")
@@ -505,6 +506,9 @@ impl App {
         if question == Some(Question::Plan) {
             return self.plan_answered(yes);
         }
+        if let Some(Question::SendFrames { is_about_source }) = question {
+            return self.confirm_frames(is_about_source, yes);
+        }
         let Some(question) = question.filter(|_| yes) else { return };
         match question {
             Question::Quit => {
@@ -516,6 +520,7 @@ impl App {
             Question::Command(id, command) => self.send_confirmed(id, command),
             Question::Descriptor(id) => self.read_confirmed(id),
             Question::Plan => {}
+            Question::SendFrames { .. } => {}
         }
     }
 

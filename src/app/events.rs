@@ -83,6 +83,7 @@ impl App {
         if !self.end_plan_request(bus, &event) {
             self.end_command(bus, &event);
         }
+        self.note_sending_event(bus, &event);
         let emits = self.notices.emits_events();
         if !emits {
             self.lane_records.handle_event(&event);

@@ -47,6 +47,7 @@ impl App {
                     self.take_events();
                     (timers, events_at) = (None, Some(now));
                 }
+                self.note_frame_for_sending(frame);
             }
             if self.view.page == Page::Traffic && self.view.frozen.is_none() {
                 self.request_redraw();

@@ -12,7 +12,9 @@ use super::pinned_moments::{PinnedMoments, PinnedRange};
 use super::project_facts::ProjectFacts;
 use super::timeline_kind::TimelineKind;
 use crate::catalogue::Catalogue;
-use crate::discovery::{Config, DeviceId, DeviceRequest, Event, RequestId};
+use crate::discovery::{
+    Config, DeviceId, DeviceRequest, Event, FrameSequence, RequestId, SequenceId,
+};
 use crate::frame::{BusIndex, Frame};
 use crate::status::BusStatus;
 use crate::time::Instant;
@@ -193,6 +195,23 @@ impl RecordedBuses {
     pub(super) fn send(&mut self, now: Instant, frame: Frame) {
         self.note(now, BusesInput::Send(frame));
         self.now.send(now, frame);
+    }
+
+    /// Sends frames as they are; returns `None` if others are being sent.
+    pub(super) fn send_frames(
+        &mut self,
+        now: Instant,
+        index: BusIndex,
+        sequence: FrameSequence,
+    ) -> Option<SequenceId> {
+        self.note(now, BusesInput::SendFrames(index, Arc::new(sequence.clone())));
+        self.now.send_frames(now, index, sequence)
+    }
+
+    /// Sends no further frame of the sequence of a bus.
+    pub(super) fn stop_frames(&mut self, now: Instant, index: BusIndex) {
+        self.note(now, BusesInput::StopFrames(index));
+        self.now.stop_frames(now, index);
     }
 
     /// Sends a request to a device, once; returns `None` if it cannot be sent.
@@ -579,6 +598,10 @@ impl Buses {
             BusesInput::Searched(bus) => self.set_searched(*bus),
             BusesInput::Rescan => self.rescan(now),
             BusesInput::Send(frame) => self.send(now, *frame),
+            BusesInput::SendFrames(index, sequence) => {
+                self.send_frames(now, *index, FrameSequence::clone(sequence));
+            }
+            BusesInput::StopFrames(index) => self.stop_frames(now, *index),
             BusesInput::Request(request) => {
                 self.request(now, request.clone());
             }

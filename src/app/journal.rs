@@ -2,7 +2,7 @@
 //! about four bytes. Does not know what an input does.
 
 use super::varint::{read_varint, write_varint};
-use crate::discovery::{Config, DeviceId, DeviceRequest};
+use crate::discovery::{Config, DeviceId, DeviceRequest, FrameSequence};
 use crate::frame::{BusIndex, Frame};
 use crate::status::BusStatus;
 use crate::time::Instant;
@@ -37,6 +37,10 @@ pub(super) enum BusesInput {
     Rescan,
     /// A frame is sent as it stands.
     Send(Frame),
+    /// Frames are sent as they are.
+    SendFrames(BusIndex, Arc<FrameSequence>),
+    /// No further frame of a sequence is sent.
+    StopFrames(BusIndex),
     /// A request to a device.
     Request(DeviceRequest),
     /// A field of the descriptor of a device is read, or all.

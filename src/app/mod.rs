@@ -28,6 +28,7 @@
 mod actions;
 mod address_plans;
 mod alarm;
+mod answer_text;
 mod app_event;
 mod beat_strip;
 mod bitrate;
@@ -40,6 +41,7 @@ mod capture;
 mod capture_saving;
 mod clock;
 mod compared_moments;
+mod composer_dialog;
 mod conflict_panel;
 mod des_search;
 mod device_command;
@@ -78,6 +80,7 @@ mod project_facts;
 mod proof;
 mod saved_filters;
 mod sent_commands;
+mod sent_frames;
 mod shown_state;
 mod signs;
 mod stories;
@@ -94,6 +97,7 @@ mod view;
 
 pub use address_plans::{PlanSession, PlanTask};
 pub use alarm::Alarm;
+pub use answer_text::format_millis;
 pub use app_event::{AppEvent, BusSnapshot, DeviceEvent, EventContext, EventLine, FileSnapshot};
 pub use beat_strip::{Beat, BeatKind, BeatStats};
 pub use bus_choice::{
@@ -112,6 +116,7 @@ pub use capture::{
     Transfer, WrittenFrames,
 };
 pub use compared_moments::{ComparedMoment, ComparisonNote, ComparisonRow, MomentComparison};
+pub use composer_dialog::{ComposerDialog, DialogField};
 pub use conflict_panel::{BeatCell, BeatsOnAxis, ConflictPanel, MAX_COLUMNS, ordinal, side_letter};
 use des_search::BusSearch;
 pub use device_command::{COMMAND_FORMS, DeviceCommand};
@@ -150,6 +155,8 @@ pub use project_facts::{ProjectFacts, RedundantTask, TaskDevice, TaskEnd, TaskSt
 pub use saved_filters::{MAX_SAVED_FILTERS, SavedFilter, SavedFilterChange};
 pub use sent_commands::EndedCommand;
 use sent_commands::SentCommands;
+use sent_frames::Sendings;
+pub use sent_frames::{SendingResult, SentAnswer, SentFrames};
 pub use signs::Signs;
 pub use stories::{
     HiddenKinds, Stories, Story, StoryChange, StoryKind, StoryLine, StorySign, StoryStep,
@@ -246,6 +253,8 @@ pub struct AppOptions {
     pub event_filter: Filter,
     /// Filters that the user saved.
     pub saved_filters: Vec<SavedFilter>,
+    /// Compositions sent in earlier runs, in words, the latest first.
+    pub recent_frames: Vec<String>,
     /// Bytes of memory for the captured frames and the past of the buses; `None`:
     /// [`DEFAULT_CAPTURE`]; 0: few frames, and no past.
     pub capture_room: Option<usize>,
@@ -305,6 +314,8 @@ pub enum Effect {
     /// Search the bit rate of this bus, listen-only; call [`App::handle_bitrate_search`] with the
     /// progress, [`App::handle_bitrate`] with the result.
     FindBitrate(BusIndex),
+    /// Remember a composition that is sent, in words, for later runs.
+    RememberFrame(String),
     /// Control the playback of logs; then call [`App::handle_playback`].
     Playback(PlaybackCommand),
     /// Call [`App::handle_offers`] with the buses that can be opened, as long as
@@ -421,6 +432,9 @@ pub struct App {
     bus_choice: Option<Box<BusChoice>>,
     learners: ProfileLearners,
     commands: SentCommands,
+    sendings: Sendings,
+    /// The content of the composer.
+    composer: Option<Box<ComposerDialog>>,
     search: Option<Box<BusSearch>>,
     /// The plan of addresses.
     plan: Option<Box<PlanSession>>,
@@ -487,6 +501,8 @@ impl App {
             bus_choice: None,
             learners: ProfileLearners::new(options.learns_profile),
             commands: SentCommands::default(),
+            sendings: Sendings::new(options.recent_frames),
+            composer: None,
             search: None,
             plan: None,
             comparison: None,
@@ -546,6 +562,7 @@ impl App {
         self.buses.handle_timeout(now);
         self.take_events();
         self.step_plan(now);
+        self.step_sending(now);
         if self.clock.take_second(now) {
             self.tick();
         }
@@ -600,7 +617,7 @@ impl App {
         } else if self.type_in_help(key) || self.select_mark_of(key) || self.use_filter_of(key) {
         } else if let Some(action) = self.input.lookup_global(key) {
             self.run(action);
-        } else if self.type_in_bus_choice(key) {
+        } else if self.type_in_bus_choice(key) || self.type_in_composer(key) {
         } else if let Some(action) = self.input.lookup(key) {
             self.run(action);
             self.input.note_executed(now, action);
@@ -615,6 +632,8 @@ impl App {
         if let Some(prompt) = self.input.prompt_mut() {
             prompt.paste(text);
             self.prompt_changed();
+        } else {
+            self.paste_in_composer(text);
         }
     }
 
@@ -860,8 +879,9 @@ impl App {
         let file = self.editor.poll_timeout().filter(|_| !self.clock.has_real());
         let parts = self.buses.poll_timeout().into_iter().chain(self.notices.poll_timeout());
         let screen = self.poll_screen_timeout().filter(|_| !self.clock.has_real());
-        let search = self.search_timeout().into_iter().chain(self.plan_timeout());
-        parts.chain(second).chain(file).chain(screen).chain(self.reading_ahead).chain(search).min()
+        let own = self.search_timeout().into_iter().chain(self.plan_timeout());
+        let own = own.chain(self.sending_timeout());
+        parts.chain(second).chain(file).chain(screen).chain(self.reading_ahead).chain(own).min()
     }
 
     /// Sets the real time, by which des.json is saved again and a file that has become empty is

@@ -20,6 +20,7 @@ mod profile;
 mod project;
 mod report;
 mod scan;
+mod send;
 mod simulate;
 mod speed;
 mod tui;
@@ -91,6 +92,7 @@ pub fn run(cli: Cli) -> ExitCode {
         Some(Command::Bitrate { device, setting }) => device::set_bitrate(&device, &setting),
         Some(Command::Apply(args)) => apply::run(&args),
         Some(Command::Descriptor(args)) => device::run(&args, DeviceTask::Read(None)),
+        Some(Command::Send(args)) => send::run(&args),
         Some(Command::Speed(speed)) => speed::run(&speed),
         Some(Command::Completions { shell }) => {
             print_own(&cli::completions(shell)).map(|()| EXIT_OK)

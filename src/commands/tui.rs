@@ -13,6 +13,7 @@ use crate::shell::bus_scout::{BusScout, ScoutSettings};
 use crate::shell::catalogue_folders::CatalogueFolders;
 use crate::shell::config::ConfigFolder;
 use crate::shell::paint_pace::SCREEN_BUDGET;
+use crate::shell::recent_frames::recent_frames;
 use crate::shell::recent_logs::{remember_contents, remember_log};
 use crate::shell::session::Session;
 use crate::shell::tui_loop::{self, LoopSettings, ThemeLoader, TuiExit};
@@ -342,6 +343,7 @@ fn show(
     let saved_filters = saved_filters.unwrap_or_else(|why| open::warn(&mut warnings, &why));
     let options = AppOptions {
         saved_filters,
+        recent_frames: recent_frames(),
         keymap: setup.keymap.clone(),
         theme: wanted.to_owned(),
         themes: themes.names(),

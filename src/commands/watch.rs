@@ -281,6 +281,8 @@ fn of_event(app: &App, DeviceEvent { context, event, services }: DeviceEvent) ->
         EventKind::Finding { .. }
         | EventKind::DescriptorField(_)
         | EventKind::RequestEnded { .. }
+        | EventKind::FrameSent { .. }
+        | EventKind::SequenceEnded { .. }
         | EventKind::OwnAddress(_)
         | EventKind::OwnAddressLost(_)
         | EventKind::NoAddress(_)

@@ -220,7 +220,7 @@ impl DeviceRequests {
 
 impl Requester {
     /// Why no request can be sent at present; `None` if one can, or can soon.
-    fn request_obstacle(&self, tracker: &DeviceTracker) -> Option<RequestObstacle> {
+    pub(super) fn request_obstacle(&self, tracker: &DeviceTracker) -> Option<RequestObstacle> {
         if self.outbox.has_no_ack() {
             Some(RequestObstacle::NoAck)
         } else if tracker.config.listen_only {

@@ -2,6 +2,7 @@
 
 use super::device::{DeviceId, Presence};
 use super::device_requests::{RequestId, RequestOutcome};
+use super::frame_sequence::{SequenceEnd, SequenceId};
 use crate::finding::{FindingKey, FindingState};
 use crate::frame::Frame;
 use crate::text::Name;
@@ -81,6 +82,24 @@ pub enum EventKind {
         frame: Option<Frame>,
         /// How it ended.
         outcome: RequestOutcome,
+    },
+    /// A frame of a sequence is on the bus ([`Engine::send_frames`](super::Engine::send_frames)).
+    FrameSent {
+        /// Identity of the sequence.
+        sequence: SequenceId,
+        /// Number of the copy, from 1.
+        copy: u32,
+        /// The frame.
+        frame: Frame,
+    },
+    /// A sequence of frames ended.
+    SequenceEnded {
+        /// Identity of the sequence.
+        sequence: SequenceId,
+        /// Number of copies that are on the bus.
+        copies: u32,
+        /// Why it ended.
+        why: SequenceEnd,
     },
     /// The device changed its mode.
     Mode {

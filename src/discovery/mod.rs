@@ -43,6 +43,7 @@
 //! rounds             enumeration rounds
 //! query_scheduler    which request is sent when
 //! device_requests    requests to one device: descriptors, commands
+//! frame_sequence     frames that the user sends as they are
 //! idle_gaps          requests wait for heartbeats
 //! outbox             transmit budget, acknowledgement
 //!
@@ -64,6 +65,7 @@ mod errors;
 mod event;
 mod finding_text;
 mod finding_tracker;
+mod frame_sequence;
 mod heartbeats;
 mod identity;
 mod idle_gaps;
@@ -95,6 +97,7 @@ pub use device::{
 };
 pub use device_requests::{DeviceRequest, RequestId, RequestObstacle, RequestOutcome};
 pub use event::{Event, EventKind, OtherDevice, ServicesNews};
+pub use frame_sequence::{FrameSequence, SequenceEnd, SequenceId};
 pub use period_error::PeriodError;
 
 use crate::finding::Finding;
@@ -293,6 +296,7 @@ impl Engine {
         self.tracker.check_errors(self.requester.may_send_requests(&self.tracker));
         self.requester.send_due_queries(&mut self.tracker, self.transfers.open_sources());
         self.step_device_requests();
+        self.requester.send_sequence(&mut self.tracker);
         self.tracker.emit_finding_changes();
     }
 
@@ -311,6 +315,7 @@ impl Engine {
             let sent = Observation::new(now, &frame, &self.tracker.config);
             self.note_own_request(&sent);
             self.note_own_device_request(&sent);
+            self.requester.note_sequence_frame(&mut self.tracker, &frame);
         }
         self.tracker.wake_at(now);
         Some(frame.with_bus(self.tracker.config.bus))
@@ -326,6 +331,7 @@ impl Engine {
     pub fn handle_bus_unavailable(&mut self, now: Instant) {
         self.requester.outbox.clear();
         self.requester.device_requests.end_all(RequestObstacle::BusUnavailable);
+        self.end_sequence_of_lost_bus();
         if !self.tracker.config.listen_only {
             self.requester.local_node.listen(now);
         }
@@ -388,6 +394,7 @@ impl Engine {
         self.tracker.end_outage();
         self.requester.outbox.clear();
         self.requester.device_requests.end_all(RequestObstacle::BusUnavailable);
+        self.end_sequence_of_lost_bus();
         self.transfers.clear();
         self.tracker.errors.restart();
         self.requester.rounds.stop();
@@ -409,6 +416,8 @@ impl Engine {
         next.tracker.conflicts.finding_tracker_mut().count_after(findings);
         next.requester.device_requests = std::mem::take(&mut self.requester.device_requests);
         next.requester.device_requests.end_all(RequestObstacle::DeviceLeft);
+        next.requester.sequences = std::mem::take(&mut self.requester.sequences);
+        next.requester.end_sequence(&mut next.tracker, SequenceEnd::Stopped);
         *self = next;
     }
 
@@ -543,6 +552,11 @@ impl Engine {
     }
 
     // --- private --------------------------------------------------------------------------
+
+    fn end_sequence_of_lost_bus(&mut self) {
+        let why = SequenceEnd::Obstacle(RequestObstacle::BusUnavailable);
+        self.requester.end_sequence(&mut self.tracker, why);
+    }
 
     fn next_wake(&self) -> Instant {
         let mut wake = NO_TIMEOUT;

@@ -35,7 +35,17 @@ impl Engine {
         if !is_own {
             self.note_traffic(&observation);
         }
-        let ObservationKind::Platform(header, content) = observation.kind else { return };
+        if is_own {
+            self.requester.note_sequence_frame(&mut self.tracker, frame);
+        }
+        let ObservationKind::Platform(header, content) = observation.kind else {
+            // It is acknowledged, whatever its identifier is.
+            if is_own {
+                let back = self.requester.outbox.note_sent(now, frame);
+                self.requester.handle_ack_change(&mut self.tracker, back);
+            }
+            return;
+        };
         if is_own {
             let back = self.requester.outbox.note_sent(now, frame);
             self.requester.handle_ack_change(&mut self.tracker, back);

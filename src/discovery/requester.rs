@@ -3,6 +3,7 @@
 
 use super::device_requests::{DeviceRequests, RequestObstacle};
 use super::device_tracker::DeviceTracker;
+use super::frame_sequence::FrameSequences;
 use super::idle_gaps::IdleTracker;
 use super::local_node::{AddressChange, LocalNode};
 use super::outbox::{AckChange, Outbox};
@@ -20,6 +21,7 @@ pub(super) struct Requester {
     pub rounds: Rounds,
     pub idle: IdleTracker,
     pub device_requests: DeviceRequests,
+    pub sequences: FrameSequences,
     /// Number of queries that await a response, updated before requests are sent.
     pub waiting: WaitingQueries,
     /// True if the user asked for rounds on a bus that speaks another protocol.
@@ -35,6 +37,7 @@ impl Requester {
             rounds: Rounds::new(),
             idle: IdleTracker::new(),
             device_requests: DeviceRequests::default(),
+            sequences: FrameSequences::default(),
             waiting: WaitingQueries::default(),
             is_foreign_scanned: false,
             rng,
@@ -62,6 +65,7 @@ impl Requester {
         let due = [
             self.query_timeout(tracker),
             self.device_request_timeout(tracker),
+            self.sequence_timeout(),
             self.local_node.poll_timeout(),
             self.outbox.poll_timeout(),
         ];

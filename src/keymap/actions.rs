@@ -48,6 +48,8 @@ pub enum KeyMode {
     Profile,
     /// The plan of addresses is open.
     Plan,
+    /// The composer is open; keys without an action are typed.
+    Compose,
     /// The theme picker is open.
     Themes,
     /// The list of buses is open.
@@ -227,6 +229,7 @@ actions! {
         Identify "identify" "Send identify: blink or beep (confirms; needs a profile)" "identify" ["i"];
         ReadDescriptor "descriptor" "Read the descriptor: type, firmware, settings (confirms; needs a profile)" "descriptor" ["I"];
         Command "command" "Command to the device: mode, restart, settings (confirms; needs a profile)" "command" ["E"];
+        Compose "compose" "Compose a frame or a request, and send it (confirms)" "compose" ["C"];
         BitRate "bit-rate" "Search the bit rate, listen-only (confirms; needs root)" "bit rate" ["b"];
         Buses "buses" "Open buses beside or in place of these" "buses" ["B"];
         ReviewProfile "learn" "Values of the profile, and what the frames show of them" "profile" ["L"];
@@ -340,6 +343,14 @@ actions! {
         PlanFixed "plan-fixed" "Plan: fixed or preferred addresses" "" ["x"];
         PlanRestart "plan-restart" "Plan: restart each device after its write" "restart each" ["r"];
         PlanClose "plan-close" "Plan: close it; a run goes on" "close" ["Esc" "P" "q"];
+    }
+    Compose Answer: {
+        ComposeNext "compose-next" "Composer: the next field" "field" ["Tab"];
+        ComposePrevious "compose-previous" "Composer: the field before" "" ["Shift-Tab"];
+        ComposeOlder "compose-older" "Composer: sent before; a device or service before" "sent before" ["Up"];
+        ComposeNewer "compose-newer" "Composer: sent after it; the next device or service" "" ["Down"];
+        ComposeSend "compose-send" "Composer: send it (confirms)" "send" ["Enter"];
+        ComposeClose "compose-close" "Composer: stop sending, or close" "close" ["Esc"];
     }
     Themes Answer: {
         ThemeUp "theme-up" "Themes: show the one before" "" ["Up" "k"];

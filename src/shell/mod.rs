@@ -16,6 +16,7 @@
 //! bus_offers      interfaces, adapters, logs  background_colour   that of the terminal
 //! catalogue_folders  files of types of devices
 //! project_search  descan.toml, in this folder or above
+//! recent_frames   frames composed and sent before
 //! recent_logs     logs opened before, and what was found in them
 //! plan_files      plans of addresses on disk
 //! waiting         futures for optional sources
@@ -37,6 +38,7 @@ pub mod paint_pace;
 pub mod painted_screen;
 pub mod project_search;
 pub mod plan_files;
+pub mod recent_frames;
 pub mod recent_logs;
 pub mod recorder;
 pub mod recovery;

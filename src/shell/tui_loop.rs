@@ -7,6 +7,7 @@ use super::bus_scout::{BusScout, ScoutSettings};
 use super::config::ConfigFolder;
 use super::file_watcher::{DiskContent, FileWatcher};
 use super::paint_pace::PaintPace;
+use super::recent_frames::remember_frame;
 use super::session::Session;
 use super::stop::output_closed;
 use super::store::Store;
@@ -122,6 +123,7 @@ async fn run_on_terminal(
                     let result = themes.keep(&name);
                     session.app.handle_kept_theme(session.now(), result);
                 }
+                Effect::RememberFrame(words) => remember_frame(&words),
                 Effect::ChangeFilters(change) => {
                     session.app.handle_saved_filters(themes.change_filters(&change));
                 }

@@ -56,7 +56,7 @@ impl DrawContext<'_> {
 
     /// Draws a line into row `row` of an area, cut at its end with `…`; nothing below the area.
     pub fn line(&mut self, area: Rect, row: u16, line: &Line) {
-        if row >= area.height {
+        if row >= area.height || area.width == 0 {
             return;
         }
         let width = usize::from(area.width);

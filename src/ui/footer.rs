@@ -264,6 +264,9 @@ fn hint_line(brush: &DrawContext, mode: KeyMode, width: usize) -> Vec<Span<'stat
             A::PlanUndo,
             A::PlanClose,
         ],
+        (KeyMode::Compose, ..) => {
+            &[A::ComposeSend, A::ComposeNext, A::ComposeOlder, A::ComposeClose]
+        }
         // It is drawn with its keys.
         (KeyMode::Choice, ..) => &[],
         (KeyMode::Themes, ..) => &[A::ThemeUp, A::ThemeDown, A::ThemeKeep, A::ThemesClose],
@@ -552,6 +555,9 @@ fn applies(brush: &DrawContext, action: Action) -> bool {
             app.address_plan().is_some_and(|plan| plan.record().is_some() && !plan.is_running())
         }
         (A::Rescan, _) => on_any(|config| config.send_requests),
+        (A::ComposeSend, _) => {
+            app.composer_dialog().is_some_and(|dialog| app.dialog_obstacle(dialog).is_none())
+        }
         _ => true,
     }
 }

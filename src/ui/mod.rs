@@ -30,6 +30,7 @@ mod bus;
 mod bus_choice;
 mod chart;
 mod comparison;
+mod composer;
 mod conflict;
 mod details;
 mod devices;
@@ -97,6 +98,7 @@ pub fn draw(app: &App, theme: &Theme, frame: &mut Frame) -> Option<u16> {
         Overlay::Comparison => comparison::draw(&mut brush),
         Overlay::Profile => profile::draw(&mut brush),
         Overlay::Plan | Overlay::Question(Question::Plan) => plan::draw(&mut brush),
+        _ if app.composer_dialog().is_some() => composer::draw(&mut brush),
         Overlay::Kinds(selected) => {
             page(&mut brush);
             story_kinds::draw(&mut brush, *selected);

@@ -53,10 +53,11 @@ fn text(brush: &DrawContext) -> (Role, String) {
 
 /// Returns the column behind the names of the pages; 0 where a dialog takes the place of the page.
 pub fn tabs_end(brush: &DrawContext) -> u16 {
-    if !matches!(
+    let is_page = matches!(
         brush.app.overlay(),
         Overlay::None | Overlay::Question(_) | Overlay::Prompt(_) | Overlay::Themes(_)
-    ) {
+    );
+    if !is_page || brush.app.composer_dialog().is_some() {
         return 0;
     }
     let tabs = brush.screen.tabs(brush.app.view().page, brush.app.counts());

@@ -17,6 +17,7 @@ mod check;
 mod checks;
 mod command_line;
 mod common;
+mod composer;
 mod conflict_evidence;
 mod conflict_logs;
 mod conventions;

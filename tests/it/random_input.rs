@@ -32,7 +32,7 @@ enum Step {
 
 fn any_key() -> impl Strategy<Value = Key> {
     let code = prop_oneof![
-        10 => prop::sample::select("ervaADnRucst?/qgGhjkl1234 yoibwmp44mp0123456789xкуЙ\u{1b}\u{202e}".chars().collect::<Vec<_>>())
+        10 => prop::sample::select("ervaADnRCucst?/qgGhjkl1234 yoibwmp44mp0123456789xкуЙ\u{1b}\u{202e}".chars().collect::<Vec<_>>())
             .prop_map(KeyCode::Char),
         2 => Just(KeyCode::Enter),
         2 => Just(KeyCode::Esc),

@@ -348,6 +348,31 @@ fn simulated_devices() {
     assert_eq!((&feed["address"], &feed["services"][0]["name"]), (&10.into(), &"DES".into()));
 }
 
+#[test]
+fn request_to_another_process_is_answered_in_several_frames() {
+    in_namespace("composed_request");
+}
+
+#[test]
+#[ignore = "run by another test"]
+fn composed_request() {
+    check_namespace();
+    let folder = tempfile::tempdir().unwrap();
+    let descan = |arguments: &[&str]| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_descan"));
+        command.args(arguments).current_dir(folder.path()).stdin(Stdio::null());
+        command.env("XDG_CONFIG_HOME", folder.path().join("config"));
+        command
+    };
+    let sim = descan(&["sim", "udp:"]).stderr(Stdio::null()).spawn().unwrap();
+    let _sim = Running(sim);
+    let words = ["send", "udp:", "request", "des", "services", "to", "FEED", "--yes"];
+    let output = descan(&words).output().unwrap();
+    let words = String::from_utf8_lossy(&output.stdout);
+    assert!(words.contains("5 services: DES 1.0, CFG 1.3, AUGER 2.1"), "{words}");
+    assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
+}
+
 // --- devices in other processes --------------------------------------------------------------
 
 #[test]

@@ -8,7 +8,8 @@ use super::status_changes::status_changes;
 use crate::app::timeline_kind::TimelineKind;
 use crate::discovery::{
     AddressSender, BusTraffic, BusVerdict, Config, Counters, Device, DeviceId, DeviceRequest,
-    DiscoveryProgress, Engine, Event, OwnAddress, RequestId,
+    DiscoveryProgress, Engine, Event, FrameSequence, OwnAddress, RequestId, SequenceEnd,
+    SequenceId,
 };
 use crate::finding::Finding;
 use crate::frame::Frame;
@@ -314,6 +315,25 @@ impl Bus {
         self.engine.send(now, frame);
     }
 
+    /// Sends frames as they are; returns `None` if others are being sent.
+    pub(super) fn send_frames(
+        &mut self,
+        now: Instant,
+        sequence: FrameSequence,
+    ) -> Option<SequenceId> {
+        self.engine.send_frames(now, sequence)
+    }
+
+    /// Sends no further frame of its sequence.
+    pub(super) fn stop_frames(&mut self, now: Instant, why: SequenceEnd) {
+        self.engine.stop_frames(now, why);
+    }
+
+    /// Returns true while frames are being sent by [`Self::send_frames`].
+    pub fn is_sending_frames(&self) -> bool {
+        self.engine.is_sending_frames()
+    }
+
     /// Sends a request to a device, once; returns `None` if it cannot be sent.
     pub(super) fn request(&mut self, now: Instant, request: DeviceRequest) -> Option<RequestId> {
         self.engine.request(now, request)
@@ -409,6 +429,11 @@ impl Bus {
         }
         if came_back || stood_since.is_some() {
             self.engine.restart(now);
+        }
+        if old.state != self.status.state
+            && matches!(self.status.state, BusState::ErrorPassive | BusState::BusOff)
+        {
+            self.engine.stop_frames(now, SequenceEnd::ControllerErrors);
         }
         if newly_lost > 0 {
             self.engine.handle_lost_frames(now, newly_lost);

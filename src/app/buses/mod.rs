@@ -29,7 +29,8 @@ use super::project_facts::ProjectFacts;
 use super::timeline_kind::TimelineKind;
 use crate::catalogue::Catalogue;
 use crate::discovery::{
-    BusVerdict, Config, Device, DeviceId, DeviceRequest, Event, OwnAddress, RequestId,
+    BusVerdict, Config, Device, DeviceId, DeviceRequest, Event, FrameSequence, OwnAddress,
+    RequestId, SequenceEnd, SequenceId,
 };
 use crate::document::Document;
 use crate::finding::{Finding, FindingKey, FindingKind, FindingState};
@@ -363,6 +364,23 @@ impl Buses {
     /// Restarts the enumeration on all buses.
     pub(super) fn rescan(&mut self, now: Instant) {
         self.all_mut().for_each(|bus| bus.rescan(now));
+    }
+
+    /// Sends frames as they are; returns `None` if others are being sent, or for an unknown bus.
+    pub(super) fn send_frames(
+        &mut self,
+        now: Instant,
+        index: BusIndex,
+        sequence: FrameSequence,
+    ) -> Option<SequenceId> {
+        self.get_mut(index)?.send_frames(now, sequence)
+    }
+
+    /// Sends no further frame of the sequence of a bus.
+    pub(super) fn stop_frames(&mut self, now: Instant, index: BusIndex) {
+        if let Some(bus) = self.get_mut(index) {
+            bus.stop_frames(now, SequenceEnd::Stopped);
+        }
     }
 
     /// Sends a frame as it stands.

@@ -13,8 +13,8 @@ mod type_ahead;
 
 pub use filter_prompt::FilterPrompt;
 pub(super) use moment_text::{MomentRange, MomentTarget, mark_bit};
-pub(super) use prompt::PromptResult;
 pub use prompt::{Prompt, PromptKind};
+pub(super) use prompt::{PromptResult, line_request};
 pub use prompt_kinds::parse_address;
 pub(super) use prompt_kinds::{
     AddressPrompt, CapturePathPrompt, CommandPrompt, CopyPathPrompt, MarkPrompt, MomentPrompt,
@@ -43,6 +43,11 @@ pub enum Question {
     Command(DeviceId, DeviceCommand),
     /// Reading the descriptor of this device.
     Descriptor(DeviceId),
+    /// Sending what is composed; or, after that, that its source is not descan's own address.
+    SendFrames {
+        /// The second question.
+        is_about_source: bool,
+    },
     /// Bit rate search on this bus.
     FindBitrate(BusIndex),
     /// Start of the plan of addresses.
@@ -77,6 +82,8 @@ pub enum Overlay {
     Plan,
     /// The themes, with the place of the selected one.
     Themes(usize),
+    /// The dialog in which a frame is composed.
+    Compose,
 }
 
 /// Keymap, overlay and type-ahead guard.
@@ -135,6 +142,7 @@ impl Input {
             Overlay::Profile => KeyMode::Profile,
             Overlay::Plan => KeyMode::Plan,
             Overlay::Themes(_) => KeyMode::Themes,
+            Overlay::Compose => KeyMode::Compose,
         }
     }
 
@@ -146,6 +154,11 @@ impl Input {
     /// The action of a key that applies in every mode, also while a prompt is open.
     pub fn lookup_global(&self, key: Key) -> Option<Action> {
         self.keymap.lookup(KeyMode::Browse, key).filter(|action| action.is_global())
+    }
+
+    /// Returns true if a frame is being composed.
+    pub fn is_composing(&self) -> bool {
+        matches!(self.overlay, Overlay::Compose)
     }
 
     /// The open prompt.

@@ -156,7 +156,7 @@ impl Prompt {
             KeyCode::Tab if self.is_in_name() => self.change(&[InputRequest::InsertChar(' ')]),
             KeyCode::Tab => return PromptResult::NextBus,
             _ => {
-                if let Some(request) = request(key) {
+                if let Some(request) = line_request(key) {
                     self.change(&[request]);
                 }
             }
@@ -192,7 +192,7 @@ impl Prompt {
 }
 
 /// The change of the line that a key requests; `None` for a key without one.
-fn request(key: Key) -> Option<InputRequest> {
+pub(in crate::app) fn line_request(key: Key) -> Option<InputRequest> {
     use InputRequest as R;
     Some(match (key.code, key.ctrl, key.alt) {
         (KeyCode::Char(c), false, false) if is_printable(c) => R::InsertChar(c),

@@ -42,6 +42,8 @@ pub fn event_text(buses: &Buses, bus: BusIndex, event: &Event) -> Option<(Timeli
         | EventKind::Mode { to: Mode::Arslv, .. }
         | EventKind::DescriptorField(_)
         | EventKind::RequestEnded { .. }
+        | EventKind::FrameSent { .. }
+        | EventKind::SequenceEnded { .. }
         | EventKind::IdsMerged { .. } => return None,
         EventKind::Mode { from: Some(from), to } => {
             (TimelineKind::Change, format!("{from} → {to}"))
@@ -204,6 +206,7 @@ pub fn event_word(event: &EventKind) -> &'static str {
         EventKind::DescriptorField(_) => "field",
         EventKind::DescriptorRead { .. } => "descriptor",
         EventKind::RequestEnded { .. } => "response",
+        EventKind::FrameSent { .. } | EventKind::SequenceEnded { .. } => "sent",
         EventKind::Presence(presence) => presence.name(),
         EventKind::Returned { .. } => "returned",
         EventKind::Finding { .. } => "finding",

@@ -142,6 +142,8 @@ impl StoryChange {
             EventKind::DescriptorRead { .. }
             | EventKind::DescriptorField(_)
             | EventKind::RequestEnded { .. }
+            | EventKind::FrameSent { .. }
+            | EventKind::SequenceEnded { .. }
             | EventKind::IdsMerged { .. } => Self::Text,
         }
     }

@@ -136,6 +136,8 @@ pub fn describe(event: &Event) -> String {
             format!("descriptor{who}: {values} of {fields}")
         }
         EventKind::RequestEnded { outcome, .. } => format!("response{who}: {outcome:?}"),
+        EventKind::FrameSent { copy, frame, .. } => format!("sent {copy}: {frame}"),
+        EventKind::SequenceEnded { copies, why, .. } => format!("sent {copies} in all: {why}"),
         EventKind::Rebooted => format!("rebooted{who}"),
         EventKind::UidChanged { from, to } => format!("uid{who}: {from:?} -> {to:?}"),
         EventKind::Presence(presence) => format!("{presence}{who}"),
