@@ -98,25 +98,25 @@ fn log_names_services_and_shows_data_as_fields() {
     let lines: Vec<&str> = out.lines().collect();
     let ends = |at: usize, text: &str| assert!(lines[at].ends_with(text), "{}", lines[at]);
     assert!(lines[2].contains("FEED@10→all          AUGER"), "{}", lines[2]);
-    ends(2, "turns 780, load 12.4 %, running yes, direction forward, motor 23.6 °C, + 00 00");
+    ends(2, "turns 780, load 12.4 %, running yes, back no, motor 23.6 °C, + 00 00");
     // The same service number on a device of another type.
     assert!(lines[3].contains("SENS@12→all          0x101"), "{}", lines[3]);
     ends(3, "0C 03 1F 10 EC 00 00 00");
     assert!(lines[4].contains("AUGER"), "{}", lines[4]);
     ends(4, "speed 1200 rpm");
     ends(6, "debug message JAMMED: current 10.00 A, tries –");
-    ends(7, "turns 780, load –, running –, direction –, motor –");
+    ends(7, "turns 780, load –, running –, back –, motor –");
     let (_, out, _) = folder.run(&["log", "a.log", "--json"]);
     let frames: Vec<Value> = out.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
     let expected = json!({
-        "turns": 780, "load": 12.4, "running": true, "direction": "forward", "motor": 23.6
+        "turns": 780, "load": 12.4, "running": true, "back": false, "motor": 23.6
     });
     assert_eq!((&frames[2]["fields"], &frames[2]["service_name"]), (&expected, &json!("AUGER")));
     assert_eq!(frames[3]["fields"], Value::Null);
     assert_eq!(frames[6]["fields"], json!({ "current": 10.0, "tries": null }));
     assert_eq!(frames[6]["service_name"], "JAMMED");
     let found = |filter: &str| folder.run(&["log", "a.log", "--filter", filter]).1.lines().count();
-    assert_eq!((found("forward"), found("srv:AUGER"), found("jammed")), (1, 4, 1));
+    assert_eq!((found("turns"), found("srv:AUGER"), found("jammed")), (2, 4, 1));
 }
 
 #[test]
