@@ -174,10 +174,10 @@ impl PlanRecord {
 
     /// Takes the state of a run. `places`: the place in `devices` of the device of each goal.
     pub fn update(&mut self, run: &PlanRun, places: &[Option<usize>], changed: f64) {
-        self.descan = env!("CARGO_PKG_VERSION").to_owned();
+        env!("CARGO_PKG_VERSION").clone_into(&mut self.descan);
         self.version = VERSION;
         self.changed = changed;
-        self.state = run.state().word().to_owned();
+        run.state().word().clone_into(&mut self.state);
         self.stopped = match run.state() {
             RunState::Stopped(cause) => Some(cause.clone()),
             _ => None,

@@ -6,8 +6,8 @@ use super::brush::{DrawContext, cut, fit, wrap};
 use super::chart::grouped;
 use super::status::WIDE;
 use crate::app::{
-    BarKey, FileError, FileStatus, Focus, InputCheck, Page, Prompt, PromptKind, addition_refusal,
-    format_duration, is_about,
+    BarKey, FileError, FileStatus, Focus, InputCheck, Page, PlanSession, Prompt, PromptKind,
+    addition_refusal, format_duration, is_about,
 };
 use crate::discovery::Config;
 use crate::keymap::{Action, KeyCode, KeyMode};
@@ -547,7 +547,7 @@ fn applies(brush: &DrawContext, action: Action) -> bool {
         (A::Identify | A::ReadDescriptor | A::Command, _) => {
             app.has_command(action) && device().is_some()
         }
-        (A::PlanStop, _) => app.address_plan().is_some_and(|plan| plan.is_running()),
+        (A::PlanStop, _) => app.address_plan().is_some_and(PlanSession::is_running),
         (A::PlanStart | A::PlanLeaveOut | A::PlanEarlier | A::PlanLater, _) => {
             app.address_plan().is_some_and(|plan| plan.can_start(action == A::PlanStart))
         }

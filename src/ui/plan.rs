@@ -16,13 +16,14 @@
 //! Narrow screens leave out the UID, then ORDER and WHY.
 
 use super::brush::{DrawContext, fit, fit_right};
-use crate::address_plan::{LeftOut, PlanStep, RunState, StepEffect, StepState};
+use crate::address_plan::{LeftOut, PlanRun, PlanStep, RunState, StepEffect, StepState};
 use crate::app::{PlanSession, PlanTask};
 use crate::keymap::Action;
 use crate::text::{counted, hex};
 use crate::theme::Role;
 use ratatui::layout::Rect;
 use ratatui::text::{Line, Span};
+use std::fmt::Write as _;
 use unicode_width::UnicodeWidthStr;
 
 /// Least width with the UIDs.
@@ -75,12 +76,11 @@ pub fn draw(brush: &mut DrawContext) {
     let top = (selected + 1).saturating_sub(height);
     for row in (top..session.rows()).take(height) {
         let plan = session.plan();
-        let spans = match plan.steps.get(row) {
-            Some(step) => step_spans(brush, session, (row, step), (columns, row == selected)),
-            None => {
-                let left = &plan.left_out[row - plan.steps.len()];
-                left_out_spans(brush, session, left, (columns, row == selected))
-            }
+        let look = (columns, row == selected);
+        let spans = if let Some(step) = plan.steps.get(row) {
+            step_spans(brush, session, (row, step), look)
+        } else {
+            left_out_spans(brush, session, &plan.left_out[row - plan.steps.len()], look)
         };
         let at = (row - top) as u16;
         brush.line(list, at, &Line::from(spans));
@@ -111,7 +111,7 @@ fn title(brush: &DrawContext, session: &PlanSession) -> String {
         PlanTask::Resume(..) => "their addresses, what is left".to_owned(),
         PlanTask::TakeBack(..) => "their former addresses".to_owned(),
     };
-    let state = match session.run().map(|run| run.state()) {
+    let state = match session.run().map(PlanRun::state) {
         None => format!("sends {requests}"),
         Some(RunState::Running) => {
             let run = session.run();
@@ -241,7 +241,7 @@ fn draw_details(brush: &mut DrawContext, session: &PlanSession, selected: usize,
         }
     }
     brush.lines(area, &lines, 0);
-    let text = match session.run().map(|run| run.state()) {
+    let text = match session.run().map(PlanRun::state) {
         Some(RunState::Stopped(cause)) => format!(" stopped: {cause}"),
         Some(RunState::Stored) => {
             " stored: in force after a restart of all devices at once".to_owned()
@@ -252,10 +252,10 @@ fn draw_details(brush: &mut DrawContext, session: &PlanSession, selected: usize,
     let tick = |is_on: bool| if is_on { "[x]" } else { "[ ]" };
     let mut text = format!(" {} fixed addresses", tick(session.is_fixed()));
     if brush.app.plan_effect(session) != StepEffect::AtOnce {
-        text.push_str(&format!("   {} restart each", tick(session.restarts())));
+        let _ = write!(text, "   {} restart each", tick(session.restarts()));
     }
     if let Some(name) = session.file_name() {
-        text.push_str(&format!("   plan: {name}"));
+        let _ = write!(text, "   plan: {name}");
     }
     brush.line(area, 3, &Line::from(brush.span(Role::Muted, text)));
 }

@@ -1,7 +1,7 @@
 //! Plans of addresses against simulated devices: at no moment two devices have one address, live or
 //! stored, whatever is switched off in between.
 
-use descan::address_plan::{PlanRecord, RunState, StepState};
+use descan::address_plan::{PlanRecord, PlanStep, RunState, StepState};
 use descan::app::{App, AppOptions, Effect, FileReading, PlanTask};
 use descan::discovery::Config;
 use descan::frame::{BusIndex, Frame};
@@ -474,7 +474,7 @@ fn devices_without_a_uid_are_moved_by_their_addresses() {
         line.app.handle_file(line.sim.now(), FileReading::Content(Some(moved.into_bytes())));
         line.plan(PlanTask::ToFile);
         let plan = line.app.address_plan().unwrap().plan();
-        let why: Vec<String> = plan.steps.iter().map(|step| step.why()).collect();
+        let why: Vec<String> = plan.steps.iter().map(PlanStep::why).collect();
         assert_eq!(why, ["no UID: by its address"], "{}", line.plan_text());
         line.finish();
         assert_eq!(line.addresses(), some(&[10, 12, 30]));

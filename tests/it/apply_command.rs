@@ -3,6 +3,7 @@
 
 use descan::address_plan::PlanRecord;
 use serde_json::Value;
+use std::fmt::Write as _;
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
 
@@ -19,7 +20,8 @@ fn bus(faults: &str) -> String {
         ("LAST", "uid = \"BOILER09\"", 15),
     ] {
         let faults = if name == "LAST" { faults } else { "" };
-        text += &format!(
+        let _ = write!(
+            text,
             "[[device]]\nname = \"{name}\"\nlabel = \"{name}{address}\"\n{uid}\n\
              address = {{ fixed = {address} }}\nsettled = true\nfaults = [{faults}]\n"
         );

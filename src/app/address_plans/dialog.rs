@@ -2,7 +2,7 @@
 
 use super::goals::GoalKey;
 use super::{PlanSession, PlanTask};
-use crate::address_plan::{RunState, StepEffect};
+use crate::address_plan::{PlanRun, RunState, StepEffect};
 use crate::app::device_command::DeviceCommand;
 use crate::app::input::{Overlay, Question};
 use crate::app::{App, view::Page};
@@ -20,7 +20,7 @@ impl PlanSession {
 
     /// Returns true if its steps can be changed; `again`: or what is left of it can be planned.
     pub fn can_start(&self, again: bool) -> bool {
-        match self.run.as_ref().map(|run| run.state()) {
+        match self.run.as_ref().map(PlanRun::state) {
             None => !self.is_reading(),
             Some(RunState::Stopped(_)) => again,
             Some(_) => false,
@@ -49,7 +49,7 @@ impl App {
             let key = self.key_of(Action::Freeze);
             return self.show_error(format!("frozen: {key} shows the present first"));
         }
-        let keeps = |session: &PlanSession| match session.run.as_ref().map(|run| run.state()) {
+        let keeps = |session: &PlanSession| match session.run.as_ref().map(PlanRun::state) {
             Some(RunState::Running | RunState::Stopped(_) | RunState::Stored) => true,
             Some(RunState::Done) | None => false,
         };
@@ -227,7 +227,7 @@ impl App {
         }
         self.stop_plan_after_step();
         let run = self.plan.as_ref().and_then(|session| session.run.as_ref());
-        let stops = run.is_some_and(|run| run.stops_after_step());
+        let stops = run.is_some_and(PlanRun::stops_after_step);
         self.show_info(if stops { "stops after this step" } else { "goes on after this step" });
     }
 

@@ -2,15 +2,17 @@
 //! des.json those of the bus. Waits for the devices, prints the plan, asks, and prints each step as it
 //! ends.
 
+mod plan_report;
+
 use super::gate::{BusGate, FileGate};
 use super::headless::{self, Limits, RunInput, RunOutcome, warn_foreign};
 use super::open::{self, Setup};
 use super::output::{self, answer, ask, may_ask, say};
 use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure};
-use crate::address_plan::{DeviceIdentity, PlanRecord, PlanStep, RunState, StepState};
+use crate::address_plan::{DeviceIdentity, PlanRecord, PlanRun, RunState};
 use crate::app::{App, AppOptions, Bus, PlanSession, PlanTask};
 use crate::cli::ApplyArgs;
-use crate::discovery::OwnAddress;
+use crate::discovery::{Device, OwnAddress};
 use crate::document::Operation;
 use crate::frame::BusIndex;
 use crate::shell::plan_files::{latest_plan, plans_folder, read_plan};
@@ -18,8 +20,7 @@ use crate::shell::stop::StopReason;
 use crate::text::counted;
 use crate::time::Instant;
 use crate::wire::profile::ProfileKey;
-use serde::Serialize;
-use std::fmt::Write as _;
+use plan_report::{ApplyReport, PinReport, print_json, print_steps, table};
 use std::ops::ControlFlow;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, TryRecvError};
@@ -217,8 +218,9 @@ impl Apply<'_> {
     fn show_pins(&mut self, app: &mut App) -> Result<(), Failure> {
         self.pins = app.pins_of_bus(BUS);
         if !self.args.json {
-            let lines: String = self.pins.iter().map(|pin| format!("{pin}\n")).collect();
-            output::print(&lines)?;
+            for pin in &self.pins {
+                output::print(&format!("{pin}\n"))?;
+            }
         }
         if self.pins.is_empty() || self.args.dry_run {
             self.stage = ApplyStage::Over;
@@ -260,7 +262,7 @@ impl Apply<'_> {
         if self.args.json {
             print_json(&ApplyReport::new(app, session))?;
         }
-        let state = session.run().map(|run| run.state());
+        let state = session.run().map(PlanRun::state);
         match state {
             None if self.has_declined => say("nothing was written"),
             None if session.plan().leaves_out() && session.plan().steps.is_empty() => {
@@ -296,7 +298,7 @@ impl Apply<'_> {
         if self.args.json {
             let is_saved = matches!(self.stage, ApplyStage::Done);
             let edits = self.pins.iter().map(ToString::to_string).collect();
-            let file = app.file().name().to_owned();
+            let file = app.file().name().clone();
             print_json(&PinReport { descan: env!("CARGO_PKG_VERSION"), file, edits, is_saved })?;
         }
         match self.stage {
@@ -326,7 +328,7 @@ fn is_missing(app: &App, bus: &Bus, task: &PlanTask) -> bool {
             pinned.any(|entry| {
                 let mut devices = app.matching().devices_of(entry.index).iter();
                 !app.matching().is_duplicate(entry.index)
-                    && !devices.any(|id| app.device(*id).is_some_and(|it| it.is_present()))
+                    && !devices.any(|id| app.device(*id).is_some_and(Device::is_present))
             })
         }
         PlanTask::Resume(record, _) | PlanTask::TakeBack(record, _) => {
@@ -340,201 +342,4 @@ fn is_missing(app: &App, bus: &Bus, task: &PlanTask) -> bool {
             })
         }
     }
-}
-
-// ---- text ------------------------------------------------------------------------------------
-
-/// The plan as a table.
-fn table(app: &App, session: &PlanSession) -> String {
-    let mut rows =
-        vec![["ORDER", "DEVICE", "UID", "FROM", "TO", "WHY", "STATE"].map(str::to_owned)];
-    let uid = |identity: &DeviceIdentity| uid_text(app, session, identity);
-    for (at, step) in session.plan().steps.iter().enumerate() {
-        rows.push([
-            (at + 1).to_string(),
-            step.device.label(),
-            uid(&step.device),
-            step.from.to_string(),
-            step.to.to_string(),
-            step.why(),
-            session.step_state(at).to_string(),
-        ]);
-    }
-    for left in &session.plan().left_out {
-        let state = if left.reason.is_done() { "–" } else { "left out" };
-        rows.push([
-            "–".to_owned(),
-            left.device.label(),
-            if left.at.is_none() && left.device.uid.is_none() {
-                "–".to_owned()
-            } else {
-                uid(&left.device)
-            },
-            left.at.map_or("–".to_owned(), |at| at.to_string()),
-            left.to.to_string(),
-            left.reason.to_string(),
-            state.to_owned(),
-        ]);
-    }
-    let width =
-        |column: usize| rows.iter().map(|row| row[column].chars().count()).max().unwrap_or(0);
-    let widths: [usize; 7] = std::array::from_fn(width);
-    let mut text = String::new();
-    for row in &rows {
-        let mut line = String::new();
-        for (cell, width) in row.iter().zip(widths) {
-            let _ = write!(line, "{cell:width$}  ");
-        }
-        text.push_str(line.trim_end());
-        text.push('\n');
-    }
-    text
-}
-
-fn uid_text(app: &App, session: &PlanSession, identity: &DeviceIdentity) -> String {
-    let profile = app.profile(session.bus());
-    identity.uid.map_or("blank".to_owned(), |uid| uid.text(&profile.uid).to_string())
-}
-
-/// Prints the steps that ended since.
-fn print_steps(session: &PlanSession, printed: &mut usize, is_json: bool) -> Result<(), Failure> {
-    let count = session.plan().steps.len();
-    while *printed < count {
-        let state = session.step_state(*printed);
-        let is_over =
-            matches!(state, StepState::Confirmed | StepState::Stored | StepState::Failed(_));
-        if !is_over {
-            return Ok(());
-        }
-        let step = &session.plan().steps[*printed];
-        let frame = session.frame(*printed).map(|frame| format!(" ({frame})"));
-        let line = format!(
-            "{} of {count}  {} {} → {}{}: {state}",
-            *printed + 1,
-            step.device.label(),
-            step.from,
-            step.to,
-            frame.unwrap_or_default()
-        );
-        if is_json {
-            say(line);
-        } else {
-            output::print(&format!("{line}\n"))?;
-        }
-        *printed += 1;
-    }
-    Ok(())
-}
-
-// ---- JSON ------------------------------------------------------------------------------------
-
-/// The edits of des.json, as JSON.
-#[derive(Serialize)]
-struct PinReport {
-    descan: &'static str,
-    file: String,
-    edits: Vec<String>,
-    #[serde(rename = "saved")]
-    is_saved: bool,
-}
-
-/// A plan and what became of it, as JSON.
-#[derive(Serialize)]
-struct ApplyReport<'a> {
-    descan: &'static str,
-    bus: &'a str,
-    /// `now`, `restart` or `later`.
-    effect: &'static str,
-    /// Name of the plan's file; `null` if nothing was started.
-    plan: Option<&'a str>,
-    /// `planned`, `running`, `stopped`, `stored` or `done`.
-    state: &'static str,
-    /// Why it stopped.
-    stopped: Option<String>,
-    steps: Vec<StepReport>,
-    left_out: Vec<LeftOutReport>,
-}
-
-/// A step, as JSON.
-#[derive(Serialize)]
-struct StepReport {
-    order: usize,
-    name: Option<String>,
-    uid: String,
-    from: u8,
-    to: u8,
-    /// What is written, as `descan address` takes it; `null`: the device only restarts.
-    setting: Option<String>,
-    why: String,
-    state: &'static str,
-    /// Why it failed.
-    cause: Option<String>,
-    /// The last request of the step; `null` if none was sent.
-    frame: Option<String>,
-}
-
-/// A device without a step, as JSON.
-#[derive(Serialize)]
-struct LeftOutReport {
-    name: Option<String>,
-    uid: String,
-    from: Option<u8>,
-    to: u8,
-    reason: &'static str,
-    why: String,
-}
-
-impl<'a> ApplyReport<'a> {
-    fn new(app: &'a App, session: &'a PlanSession) -> Self {
-        let profile = app.profile(session.bus());
-        let uid = |identity: &DeviceIdentity| {
-            identity.uid.map_or(String::new(), |uid| uid.text(&profile.uid).to_string())
-        };
-        let name = |identity: &DeviceIdentity| identity.name.as_ref().map(ToString::to_string);
-        let step = |(at, step): (usize, &PlanStep)| {
-            let state = session.step_state(at);
-            StepReport {
-                order: at + 1,
-                name: name(&step.device),
-                uid: uid(&step.device),
-                from: step.from.number(),
-                to: step.to.number(),
-                setting: step.setting.map(|setting| setting.to_string()),
-                why: step.why(),
-                state: state.word(),
-                cause: match state {
-                    StepState::Failed(cause) => Some(cause),
-                    _ => None,
-                },
-                frame: session.frame(at).map(ToString::to_string),
-            }
-        };
-        let run = session.run().map(|run| run.state());
-        let left_out = session.plan().left_out.iter().map(|left| LeftOutReport {
-            name: name(&left.device),
-            uid: uid(&left.device),
-            from: left.at.map(|at| at.number()),
-            to: left.to.number(),
-            reason: left.reason.word(),
-            why: left.reason.to_string(),
-        });
-        Self {
-            descan: env!("CARGO_PKG_VERSION"),
-            bus: app.bus(session.bus()).map_or("", |bus| &bus.name),
-            effect: app.plan_effect(session).word(),
-            plan: session.file_name(),
-            state: run.map_or("planned", RunState::word),
-            stopped: match run {
-                Some(RunState::Stopped(cause)) => Some(cause.clone()),
-                _ => None,
-            },
-            steps: session.plan().steps.iter().enumerate().map(step).collect(),
-            left_out: left_out.collect(),
-        }
-    }
-}
-
-fn print_json(report: &impl Serialize) -> Result<(), Failure> {
-    let json = serde_json::to_string_pretty(report).map_err(anyhow::Error::from)?;
-    output::print_json(&(json + "\n"))
 }
