@@ -477,3 +477,65 @@ fn one_name_twice_at_one_address_is_a_conflict() {
 fn two_new_boards_of_one_name_are_a_conflict() {
     collide("dsp-fresh", (("FEED", ""), ("FEED", "")));
 }
+
+/// Two devices whose addresses des.json swaps; what they store, they use at once.
+const SWAP: &str = r#"bitrate = 125000
+[profile.descriptor]
+addr = 0x016
+[profile.commands]
+identify = 0x018
+mode = 0x019
+[profile.writes]
+address = 0x016
+[[device]]
+name = "FEED"
+uid = "BOILER01"
+address = { fixed = 10 }
+settled = true
+services = [["DES", "1.0"], ["AUGER", "2.1"], ["JAM", "1.0"]]
+[[device]]
+name = "SENS"
+uid = "BOILER02"
+address = { fixed = 12 }
+settled = true
+"#;
+
+#[test]
+fn commands_frames_and_plans_reach_devices_on_a_bus() {
+    let Some(vcan) = Vcan::new("dsp-cmd") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let write = |name: &str, text: &str| std::fs::write(folder.path().join(name), text).unwrap();
+    write("swap.toml", SWAP);
+    write(
+        "p.toml",
+        "[descriptor]\naddr = 0x016\n[commands]\nidentify = 0x018\nmode = 0x019\n[writes]\naddress = 0x016\n",
+    );
+    write(
+        "des.json",
+        r#"{ "devices": [ { "name": "FEED", "address": 12, "static": true },
+             { "name": "SENS", "address": 10, "static": true } ] }"#,
+    );
+    let _devices = simulated(vcan.name(), folder.path().join("swap.toml").to_str().unwrap());
+    let descan = |arguments: &[&str]| {
+        let mut command = program();
+        command.args(arguments).args(["--profile", "p.toml", "--yes", "--json"]);
+        command.env("XDG_STATE_HOME", folder.path().join("state"));
+        let output = command.current_dir(folder.path()).stdin(Stdio::null()).output().unwrap();
+        let text = String::from_utf8_lossy(&output.stdout).into_owned();
+        let error = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(0), "{arguments:?}: {text}{error}");
+        text
+    };
+    let bus = vcan.name();
+    let identify: Value = serde_json::from_str(&descan(&["identify", bus, "FEED"])).unwrap();
+    assert_eq!(identify["outcome"], "responded");
+    // Three services: several frames, with flow control of the kernel's bus.
+    let sent = descan(&["send", bus, "request", "des", "services", "to", "FEED"]);
+    assert!(sent.contains("AUGER 2.1, JAM 1.0") && sent.contains("\"answered\""), "{sent}");
+    let applied: Value = serde_json::from_str(&descan(&["apply", bus])).unwrap();
+    assert_eq!((&applied["state"], applied["steps"].as_array().unwrap().len()), (&"done".into(), 3));
+    let report = report(&scan(bus));
+    assert_eq!(device(&report, "FEED")["address"], 12);
+    assert_eq!(device(&report, "SENS")["address"], 10);
+    assert_eq!(report["buses"][0]["errors"], 0);
+}
