@@ -253,7 +253,7 @@ fn device_that_stands_in_for_another_is_alone_until_it_returns() {
     let seconds = since.since(Instant::ZERO).as_secs_f64();
     assert!((20.0..26.5).contains(&seconds), "{seconds}");
     pair.screen(150, 50);
-    let screen = pair.keys("down").screen(150, 50);
+    let screen = pair.keys("down down").screen(150, 50);
     assert!(screen.contains("water temperature"), "{screen}");
     assert!(screen.contains("! alone since"), "{screen}");
     assert!(screen.contains("SENS at 12 on can0 is lost"), "{screen}");
