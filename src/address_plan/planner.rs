@@ -345,27 +345,27 @@ impl<'a> Planner<'a> {
         cycle
     }
 
-    /// Returns the highest address that no device uses, has stored or is to have.
+    /// Returns the highest address that no device uses, has stored or is to have; where settings act
+    /// later, as a last resort one that a device leaves when all restart.
     fn free_address(&self) -> Option<Address> {
         let mut used = self.options.reserved;
-        let mut last = AddressSet::default();
+        // A device that left may come back to its address. One whose setting acts later leaves its
+        // address when all restart.
+        let mut avoided = AddressSet::default();
         for (place, device) in self.bus.devices.iter().enumerate() {
-            match self.movers.iter().find(|mover| mover.device == place) {
-                Some(mover) => {
-                    used = used.with(mover.taken);
-                    used.add(mover.at);
-                }
-                None => used = used.with(self.taken_now(place, device)),
-            }
-            if !device.is_present {
-                last.add(device.address);
+            let mover = self.movers.iter().find(|mover| mover.device == place);
+            used = used.with(match mover {
+                Some(mover) => mover.taken,
+                None => self.taken_now(place, device),
+            });
+            if !device.is_present || self.options.effect == StepEffect::Deferred {
+                avoided.add(device.address);
             }
         }
         self.goals.iter().for_each(|goal| used.add(goal.to));
         self.bus.own.into_iter().for_each(|own| used.add(own));
         let free = |address: &Address| !used.has(*address);
-        // A device that left may come back to its address.
-        let unused = Address::nodes().rev().filter(free).find(|address| !last.has(*address));
+        let unused = Address::nodes().rev().filter(free).find(|address| !avoided.has(*address));
         unused.or_else(|| Address::nodes().rev().find(free))
     }
 
@@ -374,13 +374,7 @@ impl<'a> Planner<'a> {
         let is_it = |step: &&PlanStep| self.goals[step.goal].device == Some(place);
         match self.steps.iter().rfind(is_it) {
             None => self.taken(device, false),
-            Some(step) => {
-                let mut taken: AddressSet = std::iter::once(step.to).collect();
-                if self.options.effect == StepEffect::Deferred {
-                    taken.add(device.address);
-                }
-                taken
-            }
+            Some(step) => std::iter::once(step.to).collect(),
         }
     }
 
@@ -672,6 +666,28 @@ mod tests {
             ]
         );
         assert_eq!(told(StepEffect::Deferred)[2], "C – 22: stored: in force after its restart");
+    }
+
+    #[test]
+    fn cut_cycle_makes_room_for_the_others() {
+        // All but one address are used, and A is at the one that no device is to have.
+        let names: Vec<String> = (1..127).map(|at| format!("N{at:03}")).collect();
+        let mut devices: Vec<(&str, u8, u8)> =
+            names.iter().zip(1..).map(|(name, at)| (name.as_str(), at, at)).collect();
+        devices[0] = ("A", 127, 2);
+        (devices[1].2, devices[3].2, devices[4].2) = (1, 5, 4);
+        for effect in [StepEffect::AtOnce, StepEffect::Deferred] {
+            let told = plan(&devices, effect);
+            assert_eq!(
+                told[..4],
+                [
+                    "N002 2 → 1: 1 is free",
+                    "A 127 → 2: after step 1",
+                    "N004 4 → 127: through free 127: swaps with N005",
+                    "N005 5 → 4: after step 3"
+                ]
+            );
+        }
     }
 
     #[test]
