@@ -3,8 +3,8 @@
 //! Each returns the exit code that scripts rely on, or a [`Failure`] whose text names the cause and
 //! the remedy. Does not parse arguments.
 
-mod catalogue;
 mod apply;
+mod catalogue;
 mod check;
 mod device;
 mod diff;

@@ -533,7 +533,10 @@ fn commands_frames_and_plans_reach_devices_on_a_bus() {
     let sent = descan(&["send", bus, "request", "des", "services", "to", "FEED"]);
     assert!(sent.contains("AUGER 2.1, JAM 1.0") && sent.contains("\"answered\""), "{sent}");
     let applied: Value = serde_json::from_str(&descan(&["apply", bus])).unwrap();
-    assert_eq!((&applied["state"], applied["steps"].as_array().unwrap().len()), (&"done".into(), 3));
+    assert_eq!(
+        (&applied["state"], applied["steps"].as_array().unwrap().len()),
+        (&"done".into(), 3)
+    );
     let report = report(&scan(bus));
     assert_eq!(device(&report, "FEED")["address"], 12);
     assert_eq!(device(&report, "SENS")["address"], 10);
