@@ -53,7 +53,7 @@ const TOLD: &str = r#"{"time":1436509052.1,"event":"file","file":{"path":"des.js
 {"time":1436509052.7,"event":"services","bus":"can0","address":12,"name":"FEED","services":[{"index":0,"name":"DES","version":"1.0","extra":[]}],"changed":false,"other_device":false}
 {"time":1436509054.100001,"event":"mode","bus":"can0","address":12,"name":"FEED","mode":"UFUNC","from":"WORK"}
 {"time":1436509055.1,"event":"mode","bus":"can0","address":12,"name":"FEED","mode":"WORK","from":"UFUNC"}
-{"time":1436509058.5,"event":"debug","bus":"can0","address":12,"name":"FEED","code":42,"code_name":null,"data":"01FE"}
+{"time":1436509058.5,"event":"debug","bus":"can0","address":12,"name":"FEED","code":42,"code_name":null,"data":"01FE","fields":null}
 {"time":1436509059.45,"event":"rebooted","bus":"can0","address":12,"name":"FEED"}
 {"time":1436509062.95,"event":"stale","bus":"can0","address":12,"name":"FEED"}
 {"time":1436509063.45,"event":"returned","bus":"can0","address":12,"name":"FEED","was":"stale"}
