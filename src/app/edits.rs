@@ -519,8 +519,7 @@ impl App {
             Question::Delete(key, text) => self.delete(key, &text),
             Question::Command(id, command) => self.send_confirmed(id, command),
             Question::Descriptor(id) => self.read_confirmed(id),
-            Question::Plan => {}
-            Question::SendFrames { .. } => {}
+            Question::Plan | Question::SendFrames { .. } => {}
         }
     }
 

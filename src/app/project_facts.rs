@@ -144,18 +144,13 @@ impl RedundantTask {
             let found = bus.devices().iter().filter(|device| wanted.is(device, bus));
             // Of several the one that works, else the last that was heard.
             let rank = |device: &&Device| (state_of(device) == TaskState::Works, device.last_seen);
-            match found.max_by_key(rank) {
-                Some(device) => TaskEnd {
-                    device: Some(device.id),
-                    label: format!("{} on {}", label_of_device(device), bus.name),
-                    state: state_of(device),
-                },
-                None => {
-                    let is_missing = buses.is_search_complete(BusIndex(index as u8), now);
-                    let state = if is_missing { TaskState::Missing } else { TaskState::Unknown };
-                    TaskEnd { device: None, label: wanted.label(), state }
-                }
+            if let Some(device) = found.max_by_key(rank) {
+                let label = format!("{} on {}", label_of_device(device), bus.name);
+                return TaskEnd { device: Some(device.id), label, state: state_of(device) };
             }
+            let is_missing = buses.is_search_complete(BusIndex(index as u8), now);
+            let state = if is_missing { TaskState::Missing } else { TaskState::Unknown };
+            TaskEnd { device: None, label: wanted.label(), state }
         };
         self.devices.iter().map(end).collect()
     }

@@ -60,7 +60,7 @@ fn project_text(buses: &[BusSpec], app: &App, setup: &Setup, common: &CommonArgs
             let _ = writeln!(text, "profile = {}", path(profile));
         }
         None => {
-            text.push_str("# profile = \"profile.toml\"  # values that the protocol leaves open\n")
+            text.push_str("# profile = \"profile.toml\"  # values that the protocol leaves open\n");
         }
     }
     let _ = writeln!(text, "file = {}", path(&setup.file));

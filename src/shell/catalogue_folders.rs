@@ -254,19 +254,19 @@ impl CatalogueThread {
         // A new one each time: a folder that was replaced has another identity.
         let Ok(mut watcher) = notify::recommended_watcher(told) else { return false };
         let (mut is_told, mut is_settled) = (true, false);
-        let mut watched = watched_for(&folders);
+        let mut wanted = watched_for(&folders);
         for _ in 0..ATTEMPTS {
-            for folder in &watched {
+            for folder in &wanted {
                 is_told &= watcher.watch(folder, RecursiveMode::NonRecursive).is_ok();
                 is_told &= !is_remote(folder);
             }
             // Between finding a folder and watching it, it may have come or gone unnoticed.
             let again = watched_for(&folders);
-            is_settled = again == watched;
+            is_settled = again == wanted;
             if is_settled {
                 break;
             }
-            watched = again;
+            wanted = again;
         }
         is_told &= is_settled;
         self.watcher = Some(watcher);

@@ -87,8 +87,8 @@ pub fn agree(project: &Path, bus: &str) -> io::Result<()> {
     let Some(file) = agreed_file() else { return Ok(()) };
     let before = read_text(&file).ok().flatten().unwrap_or_default();
     let kept: Vec<&str> = before.lines().rev().take(MAX_AGREED - 1).collect();
-    let mut text: String = kept.into_iter().rev().map(|line| format!("{line}\n")).collect();
-    text.push_str(&line_of(project, bus));
+    let own = line_of(project, bus);
+    let mut text = kept.into_iter().rev().chain([own.as_str()]).collect::<Vec<_>>().join("\n");
     text.push('\n');
     fs::create_dir_all(file.parent().unwrap_or(Path::new("")))?;
     fs::write(file, text)
@@ -96,7 +96,7 @@ pub fn agree(project: &Path, bus: &str) -> io::Result<()> {
 
 /// One line, whatever the names have.
 fn line_of(project: &Path, bus: &str) -> String {
-    format!("{bus:?}\t{project:?}")
+    format!("{bus:?}\t{:?}", project.to_string_lossy())
 }
 
 fn agreed_file() -> Option<PathBuf> {

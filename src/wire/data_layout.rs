@@ -18,7 +18,7 @@ const MAX_DATA: usize = 64;
 /// Most characters of a name or a unit.
 const MAX_NAME: usize = 40;
 /// Most decimals of a scaled value.
-const MAX_DECIMALS: usize = 9;
+const MAX_DECIMALS: i32 = 9;
 
 /// How the bytes of a field are read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -89,8 +89,8 @@ pub struct DataField {
     size: Option<usize>,
     /// Lowest bit and number of bits of the integer that the bytes are; `None` for all.
     bits: Option<(u32, u32)>,
-    scale: f64,
-    offset: f64,
+    /// Scale and offset; `None` for the number itself.
+    scaling: Option<(f64, f64)>,
     unit: String,
     /// Names of values.
     values: BTreeMap<i64, String>,
@@ -212,7 +212,8 @@ impl DataFieldEntry {
             check_name(&unit, "a unit")?;
         }
         let values = values_of(name, kind, self.values)?;
-        Ok(DataField { name: self.name, kind, at, size, bits, scale, offset, unit, values })
+        let scaling = is_scaled.then_some((scale, offset));
+        Ok(DataField { name: self.name, kind, at, size, bits, scaling, unit, values })
     }
 }
 
@@ -222,7 +223,8 @@ fn values_of(
     kind: FieldType,
     written: BTreeMap<String, String>,
 ) -> Result<BTreeMap<i64, String>, String> {
-    if !written.is_empty() && !(kind.is_integer() || kind == FieldType::Bool) {
+    let may_be_named = kind.is_integer() || kind == FieldType::Bool;
+    if !written.is_empty() && !may_be_named {
         return Err(format!("{name}: values are for integers and bool"));
     }
     let named = |(number, text): (String, String)| {
@@ -313,21 +315,19 @@ impl DataField {
 
     /// Returns a number times scale plus offset; `None` if it is not scaled.
     fn scaled(&self, number: f64) -> Option<DataValue<'static>> {
-        if self.scale == 1.0 && self.offset == 0.0 {
-            return None;
-        }
-        let decimals = decimals(self.scale).max(decimals(self.offset));
-        Some(DataValue::Scaled(number * self.scale + self.offset, decimals))
+        let (scale, offset) = self.scaling?;
+        let decimals = decimals(scale).max(decimals(offset));
+        Some(DataValue::Scaled(number * scale + offset, decimals))
     }
 }
 
 /// Number of decimals of a number, at most [`MAX_DECIMALS`].
 fn decimals(number: f64) -> usize {
-    let is_whole = |decimals: &usize| {
-        let shifted = number * 10_f64.powi(*decimals as i32);
+    let is_whole = |decimals: &i32| {
+        let shifted = number * 10_f64.powi(*decimals);
         (shifted - shifted.round()).abs() < 1e-6 * shifted.abs().max(1e-3)
     };
-    (0..MAX_DECIMALS).find(is_whole).unwrap_or(MAX_DECIMALS)
+    (0..MAX_DECIMALS).find(is_whole).unwrap_or(MAX_DECIMALS).unsigned_abs() as usize
 }
 
 /// Returns the integer of at most eight bytes.

@@ -6,6 +6,7 @@ use super::{Bus, Buses};
 use crate::catalogue::{Catalogue, DeviceType, TypeBasis, TypeService};
 use crate::discovery::Device;
 use crate::frame::{BusIndex, Frame};
+use crate::text::Name;
 use crate::time::Instant;
 use crate::wire::data_layout::DataFieldValue;
 use crate::wire::descriptor::{DescriptorField, DescriptorValue, Gid};
@@ -134,7 +135,7 @@ impl Bus {
         let holder = self.names().holder_at(address, time)?;
         let device = holder.device().and_then(|id| self.device(id));
         let gid = device.and_then(gid_of);
-        let name = holder.name.as_ref().map(|name| name.as_bytes());
+        let name = holder.name.as_ref().map(Name::as_bytes);
         catalogue.type_of(gid, name).map(|(found, _)| found)
     }
 }
@@ -172,7 +173,7 @@ impl Buses {
 
     /// Returns the type of a device, and how it is known.
     pub fn type_of(&self, device: &Device) -> Option<(&Arc<DeviceType>, TypeBasis)> {
-        let name = device.name.as_ref().map(|name| name.as_bytes());
+        let name = device.name.as_ref().map(Name::as_bytes);
         self.catalogue.type_of(gid_of(device), name)
     }
 

@@ -228,7 +228,8 @@ fn example_project(spare_stops_working: bool) -> Pair {
     let project = Project::parse(&read("descan.toml"), &folder).unwrap();
     let mut facts = project.facts();
     for device in facts.tasks.iter_mut().flat_map(|task| &mut task.devices) {
-        device.bus = if device.bus == "sim:main.toml" { "can0" } else { "can1" }.to_owned();
+        let name = if device.bus == "sim:main.toml" { "can0" } else { "can1" };
+        name.clone_into(&mut device.bus);
     }
     facts.bitrates = [("can0".to_owned(), 125_000), ("can1".to_owned(), 250_000)].into();
     Pair::with_project([&main, &spare], facts)
