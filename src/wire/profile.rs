@@ -12,7 +12,6 @@ mod values;
 
 #[cfg(feature = "std")]
 pub(crate) use file::byte_order;
-#[cfg(feature = "std")]
 pub use keys::{ProfileKey, ValueOrigin};
 #[cfg(feature = "std")]
 pub use values::{ProfileValue, ValueWithOrigin};

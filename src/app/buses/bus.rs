@@ -329,7 +329,7 @@ impl Bus {
         self.engine.stop_frames(now, why);
     }
 
-    /// Returns true while frames are being sent by [`Self::send_frames`].
+    /// Returns true while a sequence of frames is being sent.
     pub fn is_sending_frames(&self) -> bool {
         self.engine.is_sending_frames()
     }
