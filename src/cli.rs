@@ -676,6 +676,15 @@ pub struct LogArgs {
     /// Values the protocol leaves open: service numbers, framing, heartbeat layout (TOML)
     #[arg(long, value_name = "FILE")]
     pub profile: Option<PathBuf>,
+    /// A folder with types of devices, in place of devices beside des.json; repeatable
+    #[arg(long, value_name = "FOLDER")]
+    pub catalogue: Vec<PathBuf>,
+    /// The project file [default: descan.toml in this folder or above]
+    #[arg(long, value_name = "FILE", conflicts_with = "no_project")]
+    pub project: Option<PathBuf>,
+    /// Take no project file
+    #[arg(long)]
+    pub no_project: bool,
 }
 
 /// What the commands without a screen share.

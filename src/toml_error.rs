@@ -52,7 +52,11 @@ impl TomlError {
 
     /// The line concerned, without blanks around it, safe on a terminal.
     pub fn line_text(&self) -> String {
-        crate::text::printable(self.text.trim().as_bytes())
+        const LENGTH: usize = 160;
+        let text = self.text.trim();
+        let shown: String = text.chars().take(LENGTH).collect();
+        let rest = if shown.len() < text.len() { "…" } else { "" };
+        crate::text::printable(shown.as_bytes()) + rest
     }
 
     /// The line concerned, with a mark under what is wrong: two lines, safe on a terminal.

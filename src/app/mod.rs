@@ -1205,6 +1205,10 @@ impl App {
         self.traffic.tick(self.clock.now(), &self.buses);
         self.recount_candidates();
         self.renew_profile_difference();
+        // Of its tasks, some findings are confirmed by time alone.
+        if !self.buses.project().tasks.is_empty() {
+            self.refresh_before_draw();
+        }
         // What made it idle is shown, too.
         if !was_idle {
             self.renew_time_bar();

@@ -6,10 +6,16 @@ use super::buses::{Bus, Buses};
 use super::problems::label_of_device;
 use crate::discovery::{Device, DeviceId, Presence};
 use crate::frame::BusIndex;
-use crate::time::Instant;
+use crate::time::{Duration, Instant};
 use crate::wire::id::Address;
 use crate::wire::node::Mode;
 use std::collections::BTreeMap;
+
+/// Time for which a device must fail before that is certain: five heartbeat periods of the platform, in
+/// which one that starts or restarts has its address.
+const CERTAIN_AFTER: Duration = Duration::from_secs(5);
+/// Time of listening after which a device that was not heard is certainly not there.
+const MISSING_AFTER: Duration = Duration::from_secs(10);
 
 /// What a project says.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -54,6 +60,38 @@ impl TaskDevice {
             && self.address.is_none_or(|address| device.address == address)
     }
 
+    /// Returns what the device does at present; `taken` are other devices of the task.
+    fn end(&self, buses: &Buses, now: Instant, taken: &[DeviceId]) -> TaskEnd {
+        let unheard =
+            |state, is_certain| TaskEnd { device: None, label: self.label(), state, is_certain };
+        let bus = buses.iter().enumerate().find(|(_, it)| it.name_without_rates() == self.bus);
+        let Some((index, bus)) = bus else { return unheard(TaskState::Unknown, false) };
+        let others = || bus.devices().iter().filter(|device| !taken.contains(&device.id));
+        // Of several the one that works, else the last that was heard.
+        let rank = |device: &&Device| (state_of(device) == TaskState::Works, device.last_seen);
+        let found = others().filter(|device| self.is(device, bus)).max_by_key(rank);
+        if let Some(device) = found {
+            let label = format!("{} on {}", label_of_device(device), bus.name);
+            let state = state_of(device);
+            let is_certain = match state {
+                TaskState::Away(Presence::Lost, _) => true,
+                _ => state.since().is_some_and(|since| now.since(since) >= CERTAIN_AFTER),
+            };
+            return TaskEnd { device: Some(device.id), label, state, is_certain };
+        }
+        // It may be one whose name or UID is not known.
+        let perhaps = |device: &Device| {
+            device.is_present()
+                && self.address.is_none_or(|address| device.address == address)
+                && (device.name.is_none() || self.uid.is_some() && device.uid.is_none())
+        };
+        let is_searched = buses.is_search_complete(BusIndex(index as u8), now);
+        if !is_searched || others().any(perhaps) {
+            return unheard(TaskState::Unknown, false);
+        }
+        unheard(TaskState::Missing, bus.is_up_for(now, MISSING_AFTER))
+    }
+
     /// What it is called: `SENS at 12 on can0`.
     pub fn label(&self) -> String {
         let name = self.name.as_ref().or(self.uid.as_ref());
@@ -87,6 +125,8 @@ pub struct TaskEnd {
     pub label: String,
     /// Whether it does its task.
     pub state: TaskState,
+    /// True if it fails for so long that no start or restart is the cause.
+    pub is_certain: bool,
 }
 
 impl TaskState {
@@ -134,24 +174,11 @@ fn state_of(device: &Device) -> TaskState {
 impl RedundantTask {
     /// Returns what each device of the task does at present.
     pub fn ends(&self, buses: &Buses, now: Instant) -> Vec<TaskEnd> {
-        let end = |wanted: &TaskDevice| {
-            let bus =
-                buses.iter().enumerate().find(|(_, it)| it.name_without_rates() == wanted.bus);
-            let Some((index, bus)) = bus else {
-                let (device, label) = (None, wanted.label());
-                return TaskEnd { device, label, state: TaskState::Unknown };
-            };
-            let found = bus.devices().iter().filter(|device| wanted.is(device, bus));
-            // Of several the one that works, else the last that was heard.
-            let rank = |device: &&Device| (state_of(device) == TaskState::Works, device.last_seen);
-            if let Some(device) = found.max_by_key(rank) {
-                let label = format!("{} on {}", label_of_device(device), bus.name);
-                return TaskEnd { device: Some(device.id), label, state: state_of(device) };
-            }
-            let is_missing = buses.is_search_complete(BusIndex(index as u8), now);
-            let state = if is_missing { TaskState::Missing } else { TaskState::Unknown };
-            TaskEnd { device: None, label: wanted.label(), state }
-        };
-        self.devices.iter().map(end).collect()
+        let mut ends: Vec<TaskEnd> = Vec::with_capacity(self.devices.len());
+        for wanted in &self.devices {
+            let taken: Vec<DeviceId> = ends.iter().filter_map(|end| end.device).collect();
+            ends.push(wanted.end(buses, now, &taken));
+        }
+        ends
     }
 }

@@ -310,6 +310,17 @@ impl App {
         if composed.own.map(OwnAddress::Held) != Some(of.own_address()) {
             return Err("descan has another address now: compose it again".to_owned());
         }
+        if let Receivers::One(_) = composed.receivers {
+            let again = self.compose(bus, composition).map_err(|why| why.text)?;
+            if again.receiver != composed.receiver || again.frames != composed.frames {
+                return Err(format!(
+                    "not sent: it was asked for {}, now it is {} to {}; compose it again",
+                    composed.receiver,
+                    again.frame_text(),
+                    again.receiver
+                ));
+            }
+        }
         let is_passive = matches!(of.status.state, BusState::ErrorPassive | BusState::BusOff);
         if repeat.copies > 1 && is_passive {
             return Err(format!("the controller is {}: nothing is repeated", of.status.state));

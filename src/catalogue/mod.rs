@@ -68,8 +68,11 @@ impl Catalogue {
     #[must_use]
     pub fn read(&self, texts: Vec<CatalogueText>) -> Self {
         let mut catalogue = Self { revision: self.revision + 1, ..Self::default() };
-        for CatalogueText { path, folder, text } in texts.into_iter().take(MAX_FILES) {
-            let parsed = text.map_err(|fault| fault.to_string()).and_then(|text| {
+        // And what each folder has to say.
+        for CatalogueText { path, folder, text } in texts.into_iter().take(2 * MAX_FILES) {
+            let own = format!("{path}: ");
+            let said = |fault: Diagnostic| fault.to_string().replacen(&own, "", 1);
+            let parsed = text.map_err(said).and_then(|text| {
                 DeviceType::parse(&text).map_err(|error| format!("{error}: {}", error.line_text()))
             });
             let file = match parsed {
@@ -160,12 +163,14 @@ impl Catalogue {
         gid: Option<Gid>,
         name: Option<&[u8]>,
     ) -> Option<(&Arc<DeviceType>, TypeBasis)> {
-        if let Some(gid) = gid.filter(|gid| !gid.is_blank()) {
-            return self.by_gid.get(&gid).map(|it| (it, TypeBasis::Gid));
+        let gid = gid.filter(|gid| !gid.is_blank());
+        if let Some(found) = gid.and_then(|gid| self.by_gid.get(&gid)) {
+            return Some((found, TypeBasis::Gid));
         }
         let name = std::str::from_utf8(name?).ok()?;
         let found = self.by_name.get(name)?.as_ref()?;
-        Some((found, TypeBasis::Name))
+        // A device with another GID is not of a type that has one.
+        (gid.is_none() || found.gid.is_none()).then_some((found, TypeBasis::Name))
     }
 
     /// What all devices share: from files without GID and name.
@@ -195,6 +200,7 @@ mod tests {
             text("c.toml", 0, "name = 'C'\ntitle = 'three'"),
             text("a2.toml", 1, "gid = '000000000001'\ntitle = 'another one'"),
             text("c2.toml", 1, "name = 'C'\ntitle = 'another three'"),
+            text("d.toml", 1, "gid = '000000000007'\nname = 'D'\ntitle = 'four'"),
         ]);
         let title = |gid: Option<&str>, name: &str| {
             let gid = gid.and_then(Gid::parse);
@@ -202,7 +208,8 @@ mod tests {
             found.map(|(found, basis)| (found.title.clone(), basis))
         };
         assert_eq!(title(Some("000000000001"), "C"), Some(("one".into(), TypeBasis::Gid)));
-        assert_eq!(title(Some("000000000003"), "C"), None, "its GID is of another type");
+        assert_eq!(title(Some("000000000003"), "D"), None, "its GID is of another type");
+        assert_eq!(title(Some("000000000003"), "C"), Some(("three".into(), TypeBasis::Name)));
         assert_eq!(title(None, "C"), Some(("three".into(), TypeBasis::Name)));
         assert_eq!(title(Some("000000000000"), "C"), Some(("three".into(), TypeBasis::Name)));
         assert_eq!(title(None, "A"), None, "two types have the name");

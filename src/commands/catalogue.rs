@@ -3,7 +3,7 @@
 use super::open::default_file;
 use super::{EXIT_FINDINGS, EXIT_OK, Failure, output};
 use crate::catalogue::{Catalogue, CatalogueFile, CatalogueText};
-use crate::cli::CatalogueArgs;
+use crate::cli::{CatalogueArgs, CommonArgs};
 use crate::diagnostic::Diagnostic;
 use crate::regular_file::{read_text, shown};
 use crate::shell::catalogue_folders::CatalogueFolders;
@@ -15,11 +15,11 @@ use unicode_width::UnicodeWidthStr;
 
 /// Prints the files, as a table or as JSON; a file with a mistake is exit code 1.
 pub fn run(args: &CatalogueArgs) -> Result<u8, Failure> {
-    let (texts, folders) = if args.paths.is_empty() {
-        let folders = CatalogueFolders::beside(&default_file());
+    let (texts, folders): (_, Vec<String>) = if args.paths.is_empty() {
+        let folders = folders_in_use()?;
         (folders.read(), folders.paths().iter().map(|path| shown(path)).collect())
     } else {
-        (texts_of(&args.paths)?, Vec::new())
+        (texts_of(&args.paths)?, args.paths.iter().map(|path| shown(path)).collect())
     };
     let catalogue = Catalogue::default().read(texts);
     let faults =
@@ -37,6 +37,16 @@ pub fn run(args: &CatalogueArgs) -> Result<u8, Failure> {
         output::print(&table(&catalogue))?;
     }
     Ok(if faults.count() == 0 { EXIT_OK } else { EXIT_FINDINGS })
+}
+
+/// The folders that other commands read here.
+fn folders_in_use() -> Result<CatalogueFolders, Failure> {
+    let project = super::project::of(&CommonArgs::listen_only(None))?;
+    Ok(match project.map(|(_, project)| (project.catalogue, project.file)) {
+        None => CatalogueFolders::beside(&default_file(), false),
+        Some((Some(folders), _)) => CatalogueFolders::of(folders),
+        Some((None, file)) => CatalogueFolders::beside(&file, true),
+    })
 }
 
 /// Reads files, and the files of folders.

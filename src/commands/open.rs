@@ -89,7 +89,7 @@ impl Setup {
     /// # Errors
     /// As [`Setup::new`]; or the project has a mistake, or another des.json for each of the buses.
     pub fn for_buses(common: &CommonArgs, buses: &[BusSpec]) -> Result<Self, Failure> {
-        let (project_path, project) = super::project::of(common, true)?.unzip();
+        let (project_path, project) = super::project::of(common)?.unzip();
         let profile_path = common.profile.clone().or_else(|| project.as_ref()?.profile.clone());
         let folder = ConfigFolder::of_user();
         let settings = folder.as_ref().map_or(Ok(UserSettings::default()), ConfigFolder::settings);
@@ -145,10 +145,18 @@ impl Setup {
             signs,
             warnings,
         };
+        let has_project = project.is_some();
         let own = project.and_then(|project| project.catalogue);
+        let is_named = !common.catalogue.is_empty();
+        let named = if is_named { Some(&common.catalogue) } else { own.as_ref() };
+        if let Some(folder) = named.into_iter().flatten().find(|folder| !folder.is_dir()) {
+            let folder = shown(folder);
+            return Err(Failure::Unusable(format!("catalogue {folder}: not a folder; name one")));
+        }
         setup.read_catalogue(match (&common.catalogue[..], own) {
             ([], Some(own)) => CatalogueFolders::of(own),
-            ([], None) => CatalogueFolders::beside(&setup.file),
+            // The folder of a project is meant for it.
+            ([], None) => CatalogueFolders::beside(&setup.file, has_project),
             (folders, _) => CatalogueFolders::of(folders.to_vec()),
         });
         Ok(setup)

@@ -8,13 +8,14 @@ use crate::project::Project;
 use crate::regular_file::{read_text, shown};
 use crate::shell::project_search::{self, FoundProject, agree, is_agreed};
 use std::path::{Path, PathBuf};
+use std::sync::Once;
 
-/// Finds and reads the project; `None` without one. `warns`: a file that is ignored is named.
+/// Finds and reads the project; `None` without one. A file that is ignored is named, once.
 ///
 /// # Errors
 ///
 /// The file cannot be read, or has a mistake: the text has the place and the wrong line.
-pub fn of(common: &CommonArgs, warns: bool) -> Result<Option<(PathBuf, Project)>, Failure> {
+pub fn of(common: &CommonArgs) -> Result<Option<(PathBuf, Project)>, Failure> {
     if common.no_project {
         return Ok(None);
     }
@@ -22,7 +23,9 @@ pub fn of(common: &CommonArgs, warns: bool) -> Result<Option<(PathBuf, Project)>
         Some(path) => FoundProject { path: Some(path.clone()), ignored: None },
         None => std::env::current_dir().map(|it| project_search::find(&it)).unwrap_or_default(),
     };
-    if let Some((path, user)) = found.ignored.filter(|_| warns) {
+    static IS_NAMED: Once = Once::new();
+    if let Some((path, user)) = found.ignored.filter(|_| !IS_NAMED.is_completed()) {
+        IS_NAMED.call_once(|| {});
         let path = shown(&path);
         output::warn(format_args!("{path} is of {user}: ignored; --project {path} takes it"));
     }
@@ -43,7 +46,7 @@ pub fn of(common: &CommonArgs, warns: bool) -> Result<Option<(PathBuf, Project)>
 ///
 /// As [`of`]; or the user refuses a bus, or cannot be asked.
 pub fn buses(common: &CommonArgs) -> Result<Vec<BusSpec>, Failure> {
-    let Some((path, project)) = of(common, false)? else { return Ok(Vec::new()) };
+    let Some((path, project)) = of(common)? else { return Ok(Vec::new()) };
     let path = std::path::absolute(&path).unwrap_or(path);
     for bus in &project.buses {
         if is_remote(&bus.spec) && !is_agreed(&path, &bus.spec.to_string()) {

@@ -180,9 +180,10 @@ impl FrameSender<'_> {
         }
         app.renew_random_destination(BUS);
         let composed = app.compose(BUS, &self.composition);
-        composed.map(Some).map_err(|why| match why.text {
-            text if text.starts_with("several") => Failure::Usage(text),
-            text => Failure::Unusable(text),
+        // A receiver that is not there is a fact of the bus; the rest is wrong in any world.
+        composed.map(Some).map_err(|why| match why.field {
+            CompositionField::To if !why.text.starts_with("several") => Failure::Unusable(why.text),
+            _ => Failure::Usage(why.text),
         })
     }
 

@@ -268,7 +268,7 @@ pub fn demo(system: &str, common: &CommonArgs, screen: &ScreenArgs) -> Result<u8
         for (name, text) in DEMO_CATALOGUE {
             std::fs::write(devices.join(name), text).context("the demo's catalogue")?;
         }
-        chooser.setup.read_catalogue(CatalogueFolders::beside(&file));
+        chooser.setup.read_catalogue(CatalogueFolders::beside(&file, true));
     }
     let code = chooser.show_all(&buses, None)?;
     // An edited file is kept; otherwise the folder is deleted.

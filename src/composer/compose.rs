@@ -8,6 +8,7 @@ use crate::frame::{Frame, FrameKind};
 use crate::log::candump::parse_frame;
 use crate::text::{counted, hex, join_first, printable};
 use crate::wire::des::{ReceivedRequest, Request};
+use crate::wire::descriptor::AddressSetting;
 use crate::wire::framing::{Framing, classify_request};
 use crate::wire::id::{Address, Header, MessageType, Service};
 use crate::wire::isotp::{self, Pci};
@@ -419,6 +420,20 @@ fn warn_of_content(
             " (number assumed)"
         };
         warnings.push(format!("nodes read it as a heartbeat of {who}{doubt}"));
+    }
+    let is_write = profile.writes.address == Some(header.service.number()) && !header.response;
+    if let (true, &[code]) = (is_write, frame.data())
+        && let Some(address) = AddressSetting::from_code(code).and_then(AddressSetting::address)
+    {
+        if header.broadcast {
+            warnings.push(format!("all devices get the address {address}: they conflict"));
+        } else if address != header.destination
+            && let Some(node) = around.node(address)
+        {
+            let other = node.label();
+            warnings
+                .push(format!("{other} uses {address}: the device stays mute until it is gone"));
+        }
     }
     if header.service == profile.des_service() && !header.response {
         let request = classify_request(frame.data(), frame.is_fd);

@@ -529,7 +529,7 @@ pub struct Device {
     /// Time of the last reboot; `None` if there was none.
     pub rebooted_at: Option<Instant>,
     /// Time at which another row became the current one at its address.
-    pub(super) replaced_at: Option<Instant>,
+    pub(crate) replaced_at: Option<Instant>,
     /// UID in the last heartbeat from its address, which may be of another device.
     pub(super) heartbeat_uid: Option<Uid>,
     /// UID in its heartbeats before the present one.

@@ -152,6 +152,9 @@ const CONFLICT_CONFIRMATION: Option<&str> = Some(
 );
 /// Remedy for two devices at one address.
 const SEPARATE_DEVICES: &str = "Switch one of them off, then give the other one a free address.";
+/// Confirmation hint of redundant tasks.
+const TASK_CONFIRMATION: Option<&str> =
+    Some("Confirmed after five seconds; after ten if a device was never heard.");
 /// Confirmation hint of observations that are confirmed when repeated.
 const SEEN_AGAIN: Option<&str> = Some("Seen once; confirmed when seen again.");
 
@@ -436,7 +439,7 @@ finding_kinds! {
         wording: Wording {
             headline: "no device does the task",
             remedy: "Check power, wiring and mode of each of them.",
-            confirmation: None,
+            confirmation: TASK_CONFIRMATION,
         },
         at_address: None,
     },
@@ -450,7 +453,7 @@ finding_kinds! {
         wording: Wording {
             headline: "redundancy lost",
             remedy: "Repair the one that fails before the other one does.",
-            confirmation: None,
+            confirmation: TASK_CONFIRMATION,
         },
         at_address: None,
     },

@@ -10,7 +10,7 @@ use crate::toml_error::TomlError;
 use crate::wire::id::Address;
 use serde::Deserialize;
 use std::ops::Range;
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 use toml::Spanned;
 
 /// Name of the file.
@@ -166,9 +166,9 @@ impl ProjectBusEntry {
                     "a project sets no bit rate: write the adapter without @, and bitrate = N";
                 return Err((span, why.to_owned()));
             }
-            BusSpec::File(path) => BusSpec::File(folder.join(path)),
+            BusSpec::File(path) => BusSpec::File(joined(folder, &path)),
             BusSpec::Sim(name) if crate::sim::Scenario::builtin_text(&name).is_none() => {
-                BusSpec::Sim(folder.join(name).display().to_string())
+                BusSpec::Sim(joined(folder, Path::new(&name)).display().to_string())
             }
             other => other,
         };
@@ -181,6 +181,12 @@ impl ProjectBusEntry {
         let (name, file) = (self.bus.into_inner(), self.file.map(|file| folder.join(file)));
         Ok(ProjectBus { name, spec, bitrate, file })
     }
+}
+
+/// Returns a path of a folder, without `.` in it: each has one form.
+fn joined(folder: &Path, path: &Path) -> PathBuf {
+    let path = folder.join(path);
+    path.components().filter(|part| *part != Component::CurDir).collect()
 }
 
 impl RedundantTaskEntry {
@@ -208,8 +214,14 @@ impl RedundantTaskEntry {
 
 impl TaskDeviceEntry {
     fn checked(self, buses: &[ProjectBus]) -> Result<TaskDevice, String> {
-        if !buses.iter().any(|bus| bus.name == self.bus) {
-            return Err(format!("{} is no bus of this project", printable(self.bus.as_bytes())));
+        let bus = buses.iter().find(|bus| bus.name == self.bus);
+        let name = printable(self.bus.as_bytes());
+        match bus.map(|bus| &bus.spec) {
+            None => return Err(format!("{name} is no bus of this project")),
+            Some(BusSpec::File(_)) => {
+                return Err(format!("{name} is a log; redundant devices are on live buses"));
+            }
+            Some(_) => {}
         }
         let address = self.address.map(|number| {
             Address::new(number).ok_or_else(|| format!("address {number} is not 0 to 127"))

@@ -32,10 +32,10 @@ pub struct CatalogueFolders {
 }
 
 impl CatalogueFolders {
-    /// The folder beside des.json, if there is that file, and the user's own.
-    pub fn beside(file: &Path) -> Self {
+    /// The folder beside des.json, if there is that file or `is_expected`, and the user's own.
+    pub fn beside(file: &Path, is_expected: bool) -> Self {
         let folder = file.parent().unwrap_or(Path::new("")).join(FOLDER);
-        let folders = if file.exists() { vec![folder] } else { Vec::new() };
+        let folders = if is_expected || file.exists() { vec![folder] } else { Vec::new() };
         Self { folders }.with_user_folder()
     }
 
@@ -69,6 +69,13 @@ impl CatalogueFolders {
             match files_of(path) {
                 Ok(files) => {
                     let room = MAX_FILES.saturating_sub(texts.len());
+                    if files.len() > room {
+                        let why = format!(
+                            "has more than {MAX_FILES} files with the others; these are not read"
+                        );
+                        let text = Err(Diagnostic::new(why));
+                        texts.push(CatalogueText { path: shown(path), folder, text });
+                    }
                     texts.extend(files.into_iter().take(room).map(|file| {
                         let missing = || Diagnostic::new("file not found").of(shown(&file));
                         let text = read_text(&file).and_then(|text| text.ok_or_else(missing));

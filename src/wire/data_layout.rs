@@ -245,8 +245,8 @@ fn values_of(
 ///
 /// It is empty, long, or has characters that are not printable.
 pub(crate) fn check_name(text: &str, what: &str) -> Result<(), String> {
-    if text.is_empty() || text.chars().count() > MAX_NAME {
-        return Err(format!("{what} has 1 to {MAX_NAME} characters"));
+    if text.trim().is_empty() || text.trim() != text || text.chars().count() > MAX_NAME {
+        return Err(format!("{what} has 1 to {MAX_NAME} characters, without blanks around them"));
     }
     match text.chars().find(|&c| !is_printable(c)) {
         Some(odd) => Err(format!("{what}: {odd:?} is not printable")),
@@ -316,18 +316,33 @@ impl DataField {
     /// Returns a number times scale plus offset; `None` if it is not scaled.
     fn scaled(&self, number: f64) -> Option<DataValue<'static>> {
         let (scale, offset) = self.scaling?;
-        let decimals = decimals(scale).max(decimals(offset));
-        Some(DataValue::Scaled(number * scale + offset, decimals))
+        let value = number * scale + offset;
+        let decimals = decimals(scale).zip(decimals(offset)).filter(|_| self.kind.is_integer());
+        Some(match decimals {
+            Some((one, other)) => DataValue::Scaled(value, one.max(other)),
+            None => DataValue::Float(value),
+        })
     }
 }
 
-/// Number of decimals of a number, at most [`MAX_DECIMALS`].
-fn decimals(number: f64) -> usize {
+/// Number of decimals of a number; `None` for more than [`MAX_DECIMALS`].
+fn decimals(number: f64) -> Option<usize> {
     let is_whole = |decimals: &i32| {
         let shifted = number * 10_f64.powi(*decimals);
-        (shifted - shifted.round()).abs() < 1e-6 * shifted.abs().max(1e-3)
+        (shifted - shifted.round()).abs() < 1e-9 * shifted.abs() || number == 0.0
     };
-    (0..MAX_DECIMALS).find(is_whole).unwrap_or(MAX_DECIMALS).unsigned_abs() as usize
+    (0..=MAX_DECIMALS).find(is_whole).map(|decimals| decimals.unsigned_abs() as usize)
+}
+
+/// Writes a number with nine significant digits, more than an `f32` has; with an exponent where it is
+/// far from 1.
+fn write_number(f: &mut fmt::Formatter<'_>, number: f64) -> fmt::Result {
+    let rounded = format!("{number:.8e}").parse::<f64>().unwrap_or(number);
+    if rounded == 0.0 || !rounded.is_finite() || (1e-6..1e15).contains(&rounded.abs()) {
+        write!(f, "{rounded}")
+    } else {
+        write!(f, "{rounded:e}")
+    }
 }
 
 /// Returns the integer of at most eight bytes.
@@ -393,7 +408,7 @@ impl fmt::Display for DataValue<'_> {
         match self {
             Self::Integer(number) => write!(f, "{number}"),
             Self::Scaled(number, decimals) => write!(f, "{number:.decimals$}"),
-            Self::Float(number) => write!(f, "{number}"),
+            Self::Float(number) => write_number(f, *number),
             Self::Bool(is_set) => f.write_str(if *is_set { "yes" } else { "no" }),
             Self::Named(name) => f.write_str(name),
             Self::Text(text) => write!(f, "\"{}\"", Escaped(text)),
@@ -438,6 +453,15 @@ mod tests {
         let float = r#"{ name = "f", type = "f32" }, { name = "n", type = "text" }"#;
         assert_eq!(words(float, &[0, 0, 0x20, 0x41, b'a', 0x1B, 0, b'z']), "f 10, n \"a\\x1B\"");
         assert_eq!(words(r#"{ name = "i", type = "i64" }"#, &[0xFF; 8]), "i -1");
+        let scaled = |scale: &str, number: f32| {
+            let field = format!("{{ name = \"v\", type = \"f32\", {scale} }}");
+            words(&field, &number.to_le_bytes())
+        };
+        assert_eq!(scaled("scale = 1000", 0.0004), "v 0.4");
+        assert_eq!(scaled("offset = -273", 300.65), "v 27.6499939");
+        assert_eq!(scaled("unit = \"V\"", 0.1), "v 0.100000001 V");
+        assert_eq!(scaled("scale = 1e30", 2.0), "v 2e30");
+        assert_eq!(words(r#"{ name = "u", type = "u8", scale = 1e-20 }"#, &[5]), "u 5e-20");
         assert_eq!(words(r#"{ name = "u", type = "u64" }"#, &[0xFF; 8]), format!("u {}", u64::MAX));
     }
 

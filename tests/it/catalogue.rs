@@ -176,6 +176,9 @@ fn file_with_a_mistake_is_named_with_its_line() {
     let (code, _, error) = folder.run(&["log", "a.log"]);
     assert_eq!(code, 0);
     assert!(error.contains(expected) && error.contains("it is not used"), "{error}");
+    let (code, _, error) = folder.run(&["log", "a.log", "--catalogue", "device"]);
+    assert_eq!(code, 3);
+    assert!(error.contains("catalogue device: not a folder"), "{error}");
     let (code, out, _) = folder.run(&["catalogue", "devices/sensor.toml", "--json"]);
     let files: Value = serde_json::from_str(&out).unwrap();
     assert_eq!(

@@ -108,6 +108,16 @@ fn buses_and_options_of_the_command_line_win() {
 }
 
 #[test]
+fn device_without_a_name_may_be_that_of_a_task() {
+    let folder = Folder::example();
+    let (_, out, _) = folder.run(&["check", "--json", "--listen-only", "--time", "7"]);
+    let findings = json_of(&out)["findings"].clone();
+    let kinds = findings.as_array().unwrap().iter().map(|it| it["kind"].as_str().unwrap());
+    let kinds: Vec<&str> = kinds.collect();
+    assert!(!kinds.contains(&"task-failed") && !kinds.contains(&"redundancy-lost"), "{kinds:?}");
+}
+
+#[test]
 fn buses_with_different_files_are_opened_one_by_one() {
     let folder = Folder::example();
     folder.write("one.json", "{ \"devices\": [{ \"name\": \"SENS\" }] }");
@@ -149,6 +159,15 @@ fn mistake_is_named_with_its_line_and_nothing_is_opened() {
             "[[bus]]\nbus = 'can0'\n[[redundant]]\ntask = 't'\ndevices = [{ bus = 'can0', address = 200 },\n\
              { bus = 'can0', name = 'A' }]",
             "line 5, column 12: address 200 is not",
+        ),
+        (
+            "[[bus]]\nbus = 'file:a.log'\n[[redundant]]\ntask = 't'\ndevices = [{ bus = 'file:a.log', name = 'A' },\n\
+             { bus = 'file:a.log', name = 'B' }]",
+            "line 5, column 12: file:a.log is a log",
+        ),
+        (
+            "[[bus]]\nbus = 'sim:a.toml'\n[[bus]]\nbus = 'sim:./a.toml'",
+            "line 4, column 7: stands twice",
         ),
         ("[[redundant]]\ntask = \"\\u001b\"\ndevices = []", "line 2, column 8: task has 1 to 60"),
     ];

@@ -197,7 +197,12 @@ impl Bus {
 
     /// Returns true if the bus was up long enough to receive something of each device.
     pub(super) fn has_listened(&self, now: Instant) -> bool {
-        self.up_since.is_some_and(|since| now.since(since) >= LISTEN_TIME)
+        self.is_up_for(now, LISTEN_TIME)
+    }
+
+    /// Returns true if the bus has been up for this long.
+    pub(in crate::app) fn is_up_for(&self, now: Instant, time: Duration) -> bool {
+        self.up_since.is_some_and(|since| now.since(since) >= time)
     }
 
     /// Returns true if at least 64 bus errors and no valid frame were received in the last 3 s: the

@@ -134,7 +134,9 @@ impl Bus {
     ) -> Option<&'a Arc<DeviceType>> {
         let holder = self.names().holder_at(address, time)?;
         let device = holder.device().and_then(|id| self.device(id));
-        let gid = device.and_then(gid_of);
+        // Of the board before nothing but the name is known.
+        let is_it = |device: &&Device| device.replaced_at.is_none_or(|at| at <= time);
+        let gid = device.filter(is_it).and_then(gid_of);
         let name = holder.name.as_ref().map(Name::as_bytes);
         catalogue.type_of(gid, name).map(|(found, _)| found)
     }

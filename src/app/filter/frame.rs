@@ -139,7 +139,16 @@ struct Services {
     /// A bit for each number that is in the set on all devices.
     numbers: [u64; SERVICES / 64],
     /// Names in the set, of numbers that have a name on some types of devices.
-    by_type: BTreeMap<u16, BTreeSet<String>>,
+    by_type: BTreeMap<u16, TypedService>,
+}
+
+/// A service number that has a name on some types of devices.
+#[derive(Debug)]
+struct TypedService {
+    /// The names that are in the set.
+    names: BTreeSet<String>,
+    /// All types have one name: that of a request to all, too.
+    is_unanimous: bool,
 }
 
 impl Services {
@@ -331,9 +340,10 @@ impl Lookup<'_> {
                 }
             }
             for (number, mut names) in self.buses.service_names_of_types(index) {
+                let is_unanimous = names.len() == 1;
                 names.retain(|name| fits(name, number));
                 if !names.is_empty() {
-                    set.by_type.insert(number, names);
+                    set.by_type.insert(number, TypedService { names, is_unanimous });
                 }
             }
             set
@@ -468,10 +478,10 @@ impl TestedFrame<'_> {
             return false;
         }
         set.contains(header.service)
-            || set.by_type.get(&header.service.number()).is_some_and(|names| {
-                let to_all = !header.response && header.broadcast;
+            || set.by_type.get(&header.service.number()).is_some_and(|typed| {
+                let to_all = !header.response && header.broadcast && typed.is_unanimous;
                 let own = self.frame_types().service(header.service);
-                own.map_or(to_all, |service| names.contains(&service.name))
+                own.map_or(to_all, |service| typed.names.contains(&service.name))
             })
     }
 

@@ -3,7 +3,9 @@
 //!
 //! Pure: facts and buses in, findings out.
 
+use super::and_list;
 use super::comparison::{Comparison, Values};
+use crate::app::buses::Bus;
 use crate::app::project_facts::{TaskEnd, TaskState};
 use crate::bitrate::kbit;
 use crate::finding::{FindingKind, FindingState};
@@ -39,28 +41,43 @@ impl Comparison<'_> {
         for task in &buses.project().tasks {
             let ends = task.ends(buses, now);
             let out: Vec<&TaskEnd> = ends.iter().filter(|end| end.state.is_out()).collect();
-            let Some(first) = out.first() else { continue };
-            let working = ends.iter().find(|end| end.state == TaskState::Works);
+            if out.is_empty() {
+                continue;
+            }
+            let works = |end: &&TaskEnd| end.state == TaskState::Works;
+            let working = ends.iter().filter(works).map(|end| end.label.clone());
+            let working: Vec<String> = working.collect();
             let why: Vec<String> =
                 out.iter().map(|end| format!("{} {}", end.label, end.state.words())).collect();
             let why = why.join(", ");
-            let (kind, text) = match working {
-                Some(working) => {
-                    let text = format!("{}: {why}; {} does it alone.", task.task, working.label);
+            let (kind, text) = match &working[..] {
+                // The other one may be there.
+                [] if out.len() < ends.len() => continue,
+                [] => (FindingKind::TaskFailed, format!("{}: {why}.", task.task)),
+                [alone] => {
+                    let text = format!("{}: {why}; {alone} does it alone.", task.task);
                     (FindingKind::RedundancyLost, text)
                 }
-                // The other one may be there.
-                None if out.len() < ends.len() => continue,
-                None => (FindingKind::TaskFailed, format!("{}: {why}.", task.task)),
+                _ => {
+                    let text = format!("{}: {why}; {} do it.", task.task, and_list(working));
+                    (FindingKind::RedundancyLost, text)
+                }
             };
-            let device = first.device.and_then(|id| buses.device(id));
-            let bus = first.device.map(|id| id.bus);
-            let name = Some(Name::new(task.task.as_bytes()));
-            self.add(kind, bus, device.map(|it| it.address), name, text, &[]);
+            // The same finding whichever of the devices fails.
+            let first = task.devices.first();
+            let is_first = |bus: &Bus| first.is_some_and(|it| it.bus == bus.name_without_rates());
+            let bus = buses.iter().position(is_first).map(|at| BusIndex(at as u8));
+            self.add(kind, bus, None, Some(Name::new(task.task.as_bytes())), text, &[]);
             if let Some(finding) = self.found.last_mut() {
                 let since = out.iter().filter_map(|end| end.state.since()).max();
                 finding.first = since.unwrap_or(now);
-                finding.state = FindingState::Confirmed;
+                let is_certain = out.iter().all(|end| end.is_certain);
+                finding.state =
+                    if is_certain { FindingState::Confirmed } else { FindingState::Suspected };
+                let devices = out.iter().filter_map(|end| buses.device(end.device?));
+                finding.addresses = devices.map(|device| device.address).collect();
+                finding.addresses.sort_unstable();
+                finding.addresses.dedup();
             }
         }
     }

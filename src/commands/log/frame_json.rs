@@ -173,7 +173,7 @@ pub fn field_json(value: &DataValue<'_>) -> Value {
             .or_else(|_| i64::try_from(*number).map(Value::from))
             .unwrap_or_default(),
         DataValue::Scaled(..) => value.to_string().parse::<f64>().map_or(Value::Null, Value::from),
-        DataValue::Float(number) => Value::from(*number),
+        DataValue::Float(_) => value.to_string().parse::<f64>().map_or(Value::Null, Value::from),
         DataValue::Bool(is_set) => Value::from(*is_set),
         DataValue::Named(name) => Value::from(*name),
         DataValue::Text(text) => Value::from(Escaped(text).to_string()),

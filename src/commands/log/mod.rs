@@ -36,7 +36,12 @@ use std::ops::ControlFlow;
 pub fn run(log: &LogArgs) -> Result<u8, Failure> {
     let spec = diff::spec_of(&log.log);
     let filter = open::filter("--filter", log.filter.as_deref(), RowKind::Frame)?;
-    let setup = Setup::new(&CommonArgs::listen_only(log.profile.clone()))?;
+    let setup = Setup::new(&CommonArgs {
+        catalogue: log.catalogue.clone(),
+        project: log.project.clone(),
+        no_project: log.no_project,
+        ..CommonArgs::listen_only(log.profile.clone())
+    })?;
     let options =
         AppOptions { utc_offset_seconds: open::utc_offset_seconds(), ..AppOptions::default() };
     let file = headless::log_file(&spec)?;

@@ -245,7 +245,9 @@ fn device_that_stands_in_for_another_is_alone_until_it_returns() {
     let mut pair = example_project(false);
     pair.run(0..18);
     assert_eq!(findings(&pair, FindingKind::RedundancyLost), []);
-    pair.run(18..35);
+    pair.run(18..23);
+    assert_eq!(findings(&pair, FindingKind::RedundancyLost), [], "late heartbeats fail no task");
+    pair.run(23..35);
     let [(text, since)] = &findings(&pair, FindingKind::RedundancyLost)[..] else { panic!() };
     assert_eq!(
         text,
