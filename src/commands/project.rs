@@ -10,6 +10,9 @@ use crate::shell::project_search::{self, FoundProject, agree, is_agreed};
 use std::path::{Path, PathBuf};
 use std::sync::Once;
 
+/// Done once a file that is ignored was named.
+static IS_NAMED: Once = Once::new();
+
 /// Finds and reads the project; `None` without one. A file that is ignored is named, once.
 ///
 /// # Errors
@@ -23,7 +26,6 @@ pub fn of(common: &CommonArgs) -> Result<Option<(PathBuf, Project)>, Failure> {
         Some(path) => FoundProject { path: Some(path.clone()), ignored: None },
         None => std::env::current_dir().map(|it| project_search::find(&it)).unwrap_or_default(),
     };
-    static IS_NAMED: Once = Once::new();
     if let Some((path, user)) = found.ignored.filter(|_| !IS_NAMED.is_completed()) {
         IS_NAMED.call_once(|| {});
         let path = shown(&path);

@@ -172,8 +172,9 @@ pub fn field_json(value: &DataValue<'_>) -> Value {
             .map(Value::from)
             .or_else(|_| i64::try_from(*number).map(Value::from))
             .unwrap_or_default(),
-        DataValue::Scaled(..) => value.to_string().parse::<f64>().map_or(Value::Null, Value::from),
-        DataValue::Float(_) => value.to_string().parse::<f64>().map_or(Value::Null, Value::from),
+        DataValue::Scaled(..) | DataValue::Float(_) => {
+            value.to_string().parse::<f64>().map_or(Value::Null, Value::from)
+        }
         DataValue::Bool(is_set) => Value::from(*is_set),
         DataValue::Named(name) => Value::from(*name),
         DataValue::Text(text) => Value::from(Escaped(text).to_string()),
