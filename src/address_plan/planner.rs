@@ -6,6 +6,7 @@
 
 use super::known_bus::{AddressSet, DeviceIdentity, KnownDevice, PlanBus};
 use super::reason::{LeftOutReason, StepReason};
+use crate::text::counted;
 use crate::wire::descriptor::AddressSetting;
 use crate::wire::id::Address;
 
@@ -144,6 +145,21 @@ impl AddressPlan {
         let writes = self.steps.iter().filter(|step| step.setting.is_some()).count();
         let restarts = if effect == StepEffect::Restart { self.steps.len() } else { 0 };
         writes + restarts
+    }
+
+    /// How its steps differ from those of an earlier plan; `None` if they do not.
+    pub fn change_since(&self, earlier: &Self) -> Option<String> {
+        // The places of the goals depend on devices without a step.
+        let is_same = |(a, b): (&PlanStep, &PlanStep)| {
+            let other = PlanStep { goal: a.goal, ..b.clone() };
+            *a == other
+        };
+        let (now, before) = (self.steps.len(), earlier.steps.len());
+        if now != before {
+            return Some(format!("{}, before {before}", counted(now as u64, "step")));
+        }
+        let at = self.steps.iter().zip(&earlier.steps).position(|both| !is_same(both))?;
+        Some(format!("step {} is another one", at + 1))
     }
 
     /// Returns true if a device has no step although it is not at its address.

@@ -2,7 +2,7 @@
 //! stored, whatever is switched off in between.
 
 use descan::address_plan::{PlanRecord, PlanStep, RunState, StepState};
-use descan::app::{App, AppOptions, Effect, FileReading, PlanTask};
+use descan::app::{App, AppOptions, Effect, FileReading, PlanStart, PlanTask};
 use descan::discovery::Config;
 use descan::frame::{BusIndex, Frame};
 use descan::sim::{DeviceAction, DeviceSpec, Fault, Scenario, Sim, SimDeviceId, SimStation};
@@ -220,7 +220,7 @@ impl Line {
 
     /// Starts the plan and runs it to its end, or until it is enough.
     fn apply(&mut self, mut enough: impl FnMut(&Self) -> bool) {
-        self.app.start_plan().unwrap();
+        assert_eq!(self.app.start_plan(), Ok(PlanStart::Started));
         let ends = |line: &Self| {
             let session = line.app.address_plan().unwrap();
             !session.is_running() && session.is_stored()
@@ -454,6 +454,22 @@ fn device_that_takes_the_address_meanwhile_stops_the_plan() {
     assert_eq!(session.step_state(0), StepState::Confirmed);
     assert_eq!(session.step_state(1), StepState::Failed("13 is used by N009".to_owned()));
     assert_eq!(line.sent.len(), 1);
+}
+
+#[test]
+fn device_that_joins_before_the_start_is_shown_first() {
+    let mut line = Line::new(&[10, 12], &[20, 12, 30], Writes::Now, 3);
+    line.plan(PlanTask::ToFile);
+    let added = line.sim.add_device(device(2, 14));
+    line.devices.push(added);
+    line.run(5.0, |_| false);
+    let change = "the plan has changed: 2 steps, before 1".to_owned();
+    assert_eq!(line.app.start_plan(), Ok(PlanStart::Changed(change)));
+    line.run(5.0, |_| false);
+    assert_eq!((line.sent.len(), line.state()), (0, None));
+    assert!(line.plan_text().contains("N002 14 → 30"), "{}", line.plan_text());
+    line.finish();
+    assert_eq!(line.addresses(), some(&[20, 12, 30]));
 }
 
 #[test]

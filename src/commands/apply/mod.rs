@@ -10,7 +10,7 @@ use super::open::{self, Setup};
 use super::output::{self, answer, ask, may_ask, say};
 use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure};
 use crate::address_plan::{DeviceIdentity, PlanRecord, PlanRun, RunState};
-use crate::app::{App, AppOptions, Bus, PlanSession, PlanTask};
+use crate::app::{App, AppOptions, Bus, PlanSession, PlanStart, PlanTask};
 use crate::cli::ApplyArgs;
 use crate::discovery::{Device, OwnAddress};
 use crate::document::Operation;
@@ -248,8 +248,13 @@ impl Apply<'_> {
             self.stage = ApplyStage::Saving;
             return Ok(());
         }
-        app.start_plan().map_err(Failure::Unusable)?;
-        self.stage = ApplyStage::Running(0);
+        match app.start_plan().map_err(Failure::Unusable)? {
+            PlanStart::Started => self.stage = ApplyStage::Running(0),
+            PlanStart::Changed(change) => {
+                say(change);
+                self.show_plan(app)?;
+            }
+        }
         Ok(())
     }
 
