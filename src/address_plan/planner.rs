@@ -21,6 +21,8 @@ pub struct AddressGoal {
     pub to: Address,
     /// The setting that is written; `None`: that of [`PlanOptions::setting`].
     pub setting: Option<AddressSetting>,
+    /// The device has another name or another UID than the one that is to have the address.
+    pub is_another: bool,
     /// The user leaves it out.
     pub is_left_out: bool,
 }
@@ -239,6 +241,9 @@ impl<'a> Planner<'a> {
             if device.setting.is_some() && self.options.effect == StepEffect::Deferred {
                 return Err(LeftOutReason::Stored);
             }
+        }
+        if goal.is_another {
+            return Err(LeftOutReason::Another(device.address));
         }
         if !device.identity.is_known() {
             return Err(LeftOutReason::NoIdentity);
@@ -490,6 +495,7 @@ mod tests {
             identity: known[at].identity.clone(),
             to: address(it.2),
             setting: None,
+            is_another: false,
             is_left_out: false,
         });
         let goals = goals.collect();
@@ -645,6 +651,7 @@ mod tests {
             identity: DeviceIdentity { uid: None, name: Some("PUMP".into()) },
             to: address(44),
             setting: None,
+            is_another: false,
             is_left_out: false,
         });
         let plan = AddressPlan::new(&bus, &goals, &options(StepEffect::AtOnce));

@@ -473,6 +473,43 @@ fn device_that_joins_before_the_start_is_shown_first() {
 }
 
 #[test]
+fn second_board_at_the_address_gets_no_write() {
+    // Both were heard within five heartbeat periods; the entry has the one, then the other.
+    for seed in 3..9 {
+        let mut line = Line::new(&[10, 12], &[10, 13], Writes::Now, seed);
+        line.is_checked = false;
+        line.plan(PlanTask::ToFile);
+        line.sim.add_device(device(9, 12));
+        line.run(0.2 * seed as f64, |_| false);
+        let other = |line: &Line| line.app.buses()[0].senders_at(address(12)).len() > 1;
+        line.run(5.0, other);
+        if line.app.start_plan() == Ok(PlanStart::Started) {
+            line.run(10.0, |line| line.state() != Some(RunState::Running));
+        }
+        assert_eq!(line.sent.len(), 0, "seed {seed}: {}", line.plan_text());
+        assert!(line.plan_text().contains("shares 12"), "seed {seed}: {}", line.plan_text());
+    }
+}
+
+#[test]
+fn device_unlike_its_entry_is_left_out_as_shared() {
+    for wrong in [r#""name":"N001","uid":"PLAN007""#, r#""name":"INTR","uid":"PLAN001""#] {
+        let file = format!(
+            r#"[{{"name":"N000","address":10,"static":true}},
+            {{{wrong},"address":13,"static":true}}]"#
+        );
+        let specs = vec![device(0, 10), device(1, 12)];
+        let profile = Writes::Now.profile(true);
+        let mut line = Line::of(specs, file, Writes::Now, profile, 3);
+        line.plan(PlanTask::ToFile);
+        let plan = line.app.address_plan().unwrap().plan();
+        assert!(plan.steps.is_empty(), "{}", line.plan_text());
+        let words: Vec<&str> = plan.left_out.iter().map(|it| it.reason.word()).collect();
+        assert!(words.contains(&"shared-address"), "{wrong}: {}", line.plan_text());
+    }
+}
+
+#[test]
 fn devices_without_a_uid_are_moved_by_their_addresses() {
     for is_readable in [true, false] {
         let specs = [10, 12, 13].into_iter().map(|number| {

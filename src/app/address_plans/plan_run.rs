@@ -1,7 +1,8 @@
 //! The run of a plan: its clock, its requests and their ends, its file, its lines on the timeline.
 
+use super::known_devices::{identity_of, is_heard_twice};
 use super::{PlanSession, READ_INTERVAL};
-use crate::address_plan::{PlanRequest, RequestEnd};
+use crate::address_plan::{DeviceIdentity, PlanRequest, RequestEnd};
 use crate::app::device_command::DeviceCommand;
 use crate::app::notices::TimelineEntry;
 use crate::app::timeline_kind::TimelineKind;
@@ -58,7 +59,8 @@ impl App {
         if let Some(request) = run.poll_request() {
             let step = run.current();
             run.handle_sent(now);
-            match self.send_for_plan(index, request) {
+            let identity = run.plan().steps[step].device.clone();
+            match self.send_for_plan(index, request, &identity) {
                 Ok(id) => session.open = Some((id, step)),
                 Err(why) => run.handle_request_end(RequestEnd::NotSent(why)),
             }
@@ -85,13 +87,27 @@ impl App {
         self.renew_banner();
     }
 
-    fn send_for_plan(&mut self, bus: BusIndex, request: PlanRequest) -> Result<RequestId, String> {
+    /// Sends a request, if the device with this identity is still alone at its address.
+    fn send_for_plan(
+        &mut self,
+        bus: BusIndex,
+        request: PlanRequest,
+        identity: &DeviceIdentity,
+    ) -> Result<RequestId, String> {
         let (at, command) = match request {
             PlanRequest::Write(at, setting) => (at, DeviceCommand::Address(setting)),
             PlanRequest::Restart(at) => (at, DeviceCommand::Restart),
         };
-        let device = self.buses.get(bus).and_then(|bus| bus.device_at(at));
-        let device = device.ok_or_else(|| format!("no device at {at}"))?.id;
+        let here = self.buses.get(bus).and_then(|bus| Some((bus, bus.device_at(at)?)));
+        let (on, device) = here.ok_or_else(|| format!("no device at {at}"))?;
+        let found = identity_of(device);
+        if !identity.is_same(&found) {
+            return Err(format!("{} is at {at} now", found.label()));
+        }
+        if is_heard_twice(on, device, self.clock.now()) {
+            return Err(format!("another device is at {at}, too"));
+        }
+        let device = device.id;
         let request = command.request(&self.buses.profile(bus));
         let (service, data) = request.ok_or("its service number is not known")?;
         let request = DeviceRequest { device, service, data };
