@@ -6,9 +6,10 @@ use crate::address_plan::{DeviceIdentity, PlanRequest, RequestEnd};
 use crate::app::device_command::DeviceCommand;
 use crate::app::notices::TimelineEntry;
 use crate::app::timeline_kind::TimelineKind;
-use crate::app::{App, Bus, Effect, Overlay};
-use crate::discovery::{DeviceRequest, Event, EventKind, RequestId, RequestOutcome};
+use crate::app::{App, Bus, Effect, Overlay, TxBlocked};
+use crate::discovery::{DeviceRequest, Event, EventKind, OwnAddress, RequestId, RequestOutcome};
 use crate::frame::BusIndex;
+use crate::status::BusState;
 use crate::text::hex;
 use crate::time::Instant;
 
@@ -47,12 +48,21 @@ impl App {
 
     fn step_run(&mut self, now: Instant, session: &mut PlanSession) {
         let obstacle = self.plan_obstacle(session.bus);
+        // The device that moves may be the only one that acknowledges.
+        let has_only_no_ack = self.buses.get(session.bus).is_some_and(|bus| {
+            bus.tx_blocked() == Some(TxBlocked::NoAck)
+                && !bus.status.listens_first
+                && bus.status.state != BusState::BusOff
+                && matches!(bus.own_address(), OwnAddress::Held(_))
+        });
         session.renew_record(self.clock.epoch().unix_secs(now));
         let (index, record) = (session.bus, session.record.as_ref().map(|(_, record)| record));
         let Some(run) = &mut session.run else { return };
         if run.poll_timeout(now).is_some_and(|due| due <= now) {
             match obstacle {
-                Some(why) if run.is_running() => run.handle_obstacle(why),
+                Some(why) if run.is_running() && !(run.is_waiting() && has_only_no_ack) => {
+                    run.handle_obstacle(why);
+                }
                 _ => run.handle_timeout(now, &self.known_devices(index, record)),
             }
         }
