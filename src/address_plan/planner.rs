@@ -285,17 +285,33 @@ impl<'a> Planner<'a> {
         // Of settings that act later all are stored before the first acts: what counts is where the
         // devices are after they all restart.
         let acts_later = is_leaving && self.options.effect == StepEffect::Deferred;
-        if device.is_present && !(acts_later && device.setting.is_some()) {
+        let stays = if device.is_present {
+            !(acts_later && device.setting.is_some())
+        } else {
+            // It may come back to where it was heard last.
+            !self.is_heard_elsewhere(device)
+        };
+        if stays {
             taken.add(device.address);
         }
         taken
     }
 
+    /// Returns true if a device that left is known by its UID to be at another address.
+    fn is_heard_elsewhere(&self, device: &KnownDevice) -> bool {
+        let uid = device.identity.uid;
+        uid.is_some() && self.bus.devices.iter().any(|it| it.is_present && it.identity.uid == uid)
+    }
+
     /// Returns the device at an address, or with it stored, that does not move.
     fn staying_holder(&self, address: Address, except: usize) -> Option<&KnownDevice> {
         let mut devices = self.bus.devices.iter().enumerate();
+        let mover = &self.bus.devices[except].identity;
         let holder = devices.find(|(place, device)| {
+            // A row that it left, before its name was known, is no other device.
+            let is_its_own = !device.is_present && mover.is_same(&device.identity);
             *place != except
+                && !is_its_own
                 && !self.movers.iter().any(|mover| mover.device == *place)
                 && self.taken(device, self.is_stored(*place)).has(address)
         });
@@ -314,7 +330,9 @@ impl<'a> Planner<'a> {
             let held = self.movers.iter().enumerate().find_map(|(at, mover)| {
                 let to = self.goals[mover.goal].to;
                 let holder = self.staying_holder(to, mover.device)?;
-                Some((at, LeftOutReason::Held(to, holder.identity.label())))
+                let absent = if holder.is_present { "" } else { " (absent)" };
+                let holder = format!("{}{absent}", holder.identity.label());
+                Some((at, LeftOutReason::Held(to, holder)))
             });
             let Some((at, reason)) = held else { return };
             let mover = self.movers.remove(at);
