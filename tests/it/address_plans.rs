@@ -473,25 +473,6 @@ fn device_that_joins_before_the_start_is_shown_first() {
 }
 
 #[test]
-fn second_board_at_the_address_gets_no_write() {
-    // Both were heard within five heartbeat periods; the entry has the one, then the other.
-    for seed in 3..9 {
-        let mut line = Line::new(&[10, 12], &[10, 13], Writes::Now, seed);
-        line.is_checked = false;
-        line.plan(PlanTask::ToFile);
-        line.sim.add_device(device(9, 12));
-        line.run(0.2 * seed as f64, |_| false);
-        let other = |line: &Line| line.app.buses()[0].senders_at(address(12)).len() > 1;
-        line.run(5.0, other);
-        if line.app.start_plan() == Ok(PlanStart::Started) {
-            line.run(10.0, |line| line.state() != Some(RunState::Running));
-        }
-        assert_eq!(line.sent.len(), 0, "seed {seed}: {}", line.plan_text());
-        assert!(line.plan_text().contains("shares 12"), "seed {seed}: {}", line.plan_text());
-    }
-}
-
-#[test]
 fn device_unlike_its_entry_is_left_out_as_shared() {
     for wrong in [r#""name":"N001","uid":"PLAN007""#, r#""name":"INTR","uid":"PLAN001""#] {
         let file = format!(
@@ -507,6 +488,43 @@ fn device_unlike_its_entry_is_left_out_as_shared() {
         let words: Vec<&str> = plan.left_out.iter().map(|it| it.reason.word()).collect();
         assert!(words.contains(&"shared-address"), "{wrong}: {}", line.plan_text());
     }
+}
+
+#[test]
+fn address_of_a_lost_device_is_given_to_nobody() {
+    let mut line = Line::new(&[10, 12], &[12], Writes::Now, 3);
+    line.run(40.0, Line::is_complete);
+    line.sim.apply(line.devices[1], DeviceAction::PowerOff);
+    line.run(10.0, |_| false);
+    line.plan(PlanTask::ToFile);
+    let text = line.plan_text();
+    assert!(text.contains("N000 – 12: 12 is used by N001 (absent)"), "{text}");
+}
+
+#[test]
+fn only_device_of_a_bus_is_confirmed_after_its_move() {
+    for writes in [Writes::Now, Writes::Restart] {
+        let mut line = Line::new(&[10], &[20], writes, 3);
+        line.plan(PlanTask::ToFile);
+        line.finish();
+        assert_eq!(line.addresses(), some(&[20]));
+    }
+}
+
+#[test]
+fn failed_write_of_an_earlier_run_stays_known() {
+    let mut line = Line::new(&[10, 12], &[20, 13], Writes::Now, 3);
+    line.plan(PlanTask::ToFile);
+    line.sim.apply(line.devices[1], DeviceAction::AddFault(Fault::Locked));
+    line.apply(|_| false);
+    let (name, record) = line.record();
+    line.sim.apply(line.devices[1], DeviceAction::PowerOff);
+    line.run(10.0, |_| false);
+    line.plan(PlanTask::Resume(Box::new(record), name));
+    line.apply(|_| false);
+    let (_, record) = line.record();
+    let at = record.devices.iter().position(|it| it.to == 13).unwrap();
+    assert_eq!(record.possible_addresses(at), [address(12), address(13)], "{record:?}");
 }
 
 #[test]

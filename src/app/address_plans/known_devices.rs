@@ -113,8 +113,8 @@ fn add_recorded(devices: &mut Vec<KnownDevice>, record: &PlanRecord) {
         if device.setting.is_some() || record.effect == StepEffect::AtOnce.word() {
             continue;
         }
-        let mut steps = record.steps.iter().filter(|step| step.device == place);
-        match steps.rfind(|step| step.state != "pending") {
+        let mut steps = record.all_steps().filter(|step| step.device == place);
+        match steps.rfind(|step| step.is_begun()) {
             None => {}
             Some(last) if last.state == "stored" || last.state == "responded" => {
                 device.setting = last.setting.and_then(AddressSetting::from_code);

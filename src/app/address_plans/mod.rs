@@ -357,7 +357,9 @@ impl App {
         let now = self.clock.epoch().unix_secs(self.clock.now());
         let source = match &session.task {
             PlanTask::Resume(record, name) => {
-                let record = PlanRecord { effect: effect.word().to_owned(), ..(**record).clone() };
+                let mut record =
+                    PlanRecord { effect: effect.word().to_owned(), ..(**record).clone() };
+                record.begin_again();
                 return (name.clone(), record);
             }
             PlanTask::ToFile => self.editor.file.name().clone(),
@@ -379,6 +381,7 @@ impl App {
             stopped: None,
             devices: Vec::new(),
             steps: Vec::new(),
+            earlier: Vec::new(),
         };
         (name, record)
     }
