@@ -85,9 +85,13 @@ impl DeviceIdentity {
         }
     }
 
-    /// Returns the name for texts; without one, `the device`.
+    /// Returns the name for texts; without one the UID, as hexadecimal digits.
     pub fn label(&self) -> String {
-        self.name.as_ref().map_or("the device".to_owned(), ToString::to_string)
+        match (&self.name, self.uid) {
+            (Some(name), _) => name.to_string(),
+            (None, Some(uid)) => format!("UID {}", crate::text::hex(&uid.0, "")),
+            (None, None) => "the device".to_owned(),
+        }
     }
 }
 

@@ -6,6 +6,7 @@
 
 use super::known_bus::{AddressSet, DeviceIdentity, KnownDevice, PlanBus};
 use super::reason::{LeftOutReason, StepReason};
+use crate::text::counted;
 use crate::wire::descriptor::AddressSetting;
 use crate::wire::id::Address;
 
@@ -20,6 +21,8 @@ pub struct AddressGoal {
     pub to: Address,
     /// The setting that is written; `None`: that of [`PlanOptions::setting`].
     pub setting: Option<AddressSetting>,
+    /// The device has another name or another UID than the one that is to have the address.
+    pub is_another: bool,
     /// The user leaves it out.
     pub is_left_out: bool,
 }
@@ -146,6 +149,21 @@ impl AddressPlan {
         writes + restarts
     }
 
+    /// How its steps differ from those of an earlier plan; `None` if they do not.
+    pub fn change_since(&self, earlier: &Self) -> Option<String> {
+        // The places of the goals depend on devices without a step.
+        let is_same = |(a, b): (&PlanStep, &PlanStep)| {
+            let other = PlanStep { goal: a.goal, ..b.clone() };
+            *a == other
+        };
+        let (now, before) = (self.steps.len(), earlier.steps.len());
+        if now != before {
+            return Some(format!("{}, before {before}", counted(now as u64, "step")));
+        }
+        let at = self.steps.iter().zip(&earlier.steps).position(|both| !is_same(both))?;
+        Some(format!("step {} is another one", at + 1))
+    }
+
     /// Returns true if a device has no step although it is not at its address.
     pub fn leaves_out(&self) -> bool {
         self.left_out.iter().any(|it| !it.reason.is_done())
@@ -224,6 +242,9 @@ impl<'a> Planner<'a> {
                 return Err(LeftOutReason::Stored);
             }
         }
+        if goal.is_another {
+            return Err(LeftOutReason::Another(device.address));
+        }
         if !device.identity.is_known() {
             return Err(LeftOutReason::NoIdentity);
         }
@@ -264,17 +285,33 @@ impl<'a> Planner<'a> {
         // Of settings that act later all are stored before the first acts: what counts is where the
         // devices are after they all restart.
         let acts_later = is_leaving && self.options.effect == StepEffect::Deferred;
-        if device.is_present && !(acts_later && device.setting.is_some()) {
+        let stays = if device.is_present {
+            !(acts_later && device.setting.is_some())
+        } else {
+            // It may come back to where it was heard last.
+            !self.is_heard_elsewhere(device)
+        };
+        if stays {
             taken.add(device.address);
         }
         taken
     }
 
+    /// Returns true if a device that left is known by its UID to be at another address.
+    fn is_heard_elsewhere(&self, device: &KnownDevice) -> bool {
+        let uid = device.identity.uid;
+        uid.is_some() && self.bus.devices.iter().any(|it| it.is_present && it.identity.uid == uid)
+    }
+
     /// Returns the device at an address, or with it stored, that does not move.
     fn staying_holder(&self, address: Address, except: usize) -> Option<&KnownDevice> {
         let mut devices = self.bus.devices.iter().enumerate();
+        let mover = &self.bus.devices[except].identity;
         let holder = devices.find(|(place, device)| {
+            // A row that it left, before its name was known, is no other device.
+            let is_its_own = !device.is_present && mover.is_same(&device.identity);
             *place != except
+                && !is_its_own
                 && !self.movers.iter().any(|mover| mover.device == *place)
                 && self.taken(device, self.is_stored(*place)).has(address)
         });
@@ -293,7 +330,9 @@ impl<'a> Planner<'a> {
             let held = self.movers.iter().enumerate().find_map(|(at, mover)| {
                 let to = self.goals[mover.goal].to;
                 let holder = self.staying_holder(to, mover.device)?;
-                Some((at, LeftOutReason::Held(to, holder.identity.label())))
+                let absent = if holder.is_present { "" } else { " (absent)" };
+                let holder = format!("{}{absent}", holder.identity.label());
+                Some((at, LeftOutReason::Held(to, holder)))
             });
             let Some((at, reason)) = held else { return };
             let mover = self.movers.remove(at);
@@ -474,6 +513,7 @@ mod tests {
             identity: known[at].identity.clone(),
             to: address(it.2),
             setting: None,
+            is_another: false,
             is_left_out: false,
         });
         let goals = goals.collect();
@@ -629,6 +669,7 @@ mod tests {
             identity: DeviceIdentity { uid: None, name: Some("PUMP".into()) },
             to: address(44),
             setting: None,
+            is_another: false,
             is_left_out: false,
         });
         let plan = AddressPlan::new(&bus, &goals, &options(StepEffect::AtOnce));

@@ -55,6 +55,8 @@ pub enum LeftOutReason {
     Stored,
     /// Another device uses its address: a write would reach both.
     Shared(Address),
+    /// Its name or its UID is not that of its entry: two devices may be at its address.
+    Another(Address),
     /// Its UID is at another address, too.
     SameUid(Address),
     /// It is not on the bus.
@@ -86,7 +88,7 @@ impl LeftOutReason {
         match self {
             Self::AlreadyThere => "already-there",
             Self::Stored => "stored",
-            Self::Shared(_) => "shared-address",
+            Self::Shared(_) | Self::Another(_) => "shared-address",
             Self::SameUid(_) => "same-uid",
             Self::NotPresent => "not-present",
             Self::NoIdentity => "no-identity",
@@ -106,6 +108,7 @@ impl fmt::Display for LeftOutReason {
             Self::AlreadyThere => f.write_str("already there"),
             Self::Stored => f.write_str("stored: in force after its restart"),
             Self::Shared(address) => write!(f, "shares {address}: unplug one"),
+            Self::Another(address) => write!(f, "at {address}: not the name and UID listed"),
             Self::SameUid(address) => write!(f, "its UID is at {address}, too"),
             Self::NotPresent => f.write_str("not on the bus"),
             Self::NoIdentity => f.write_str("no UID and no name"),

@@ -44,6 +44,9 @@ pub struct PlanRecord {
     pub devices: Vec<RecordedDevice>,
     /// The steps, in their order.
     pub steps: Vec<RecordedStep>,
+    /// The steps of earlier runs of this plan that were begun: their devices may have what they wrote.
+    #[serde(default)]
+    pub earlier: Vec<RecordedStep>,
 }
 
 /// A device of a plan.
@@ -124,6 +127,13 @@ impl RecordedDevice {
     }
 }
 
+impl RecordedStep {
+    /// Returns true if its request was sent, or may have been.
+    pub fn is_begun(&self) -> bool {
+        self.state != StepState::Pending.word()
+    }
+}
+
 /// Returns the bytes of hexadecimal digits; `None` if it has others.
 fn bytes_of(digits: &str) -> Option<Vec<u8>> {
     let is_even = digits.len().is_multiple_of(2) && digits.is_ascii();
@@ -153,11 +163,11 @@ impl PlanRecord {
         if self.version != VERSION {
             return Err(format!("format {} is not known: {VERSION} is", self.version));
         }
-        if self.devices.len().max(self.steps.len()) > MAX_ROWS {
+        if self.devices.len().max(self.steps.len()).max(self.earlier.len()) > MAX_ROWS {
             return Err(format!("more than {MAX_ROWS} devices or steps"));
         }
         let addresses = self.devices.iter().flat_map(|it| [it.original.address, it.to]);
-        let addresses = addresses.chain(self.steps.iter().flat_map(|it| [it.from, it.to]));
+        let addresses = addresses.chain(self.all_steps().flat_map(|it| [it.from, it.to]));
         let is_wrong = |address: &u8| !(1..128).contains(address);
         if let Some(wrong) = { addresses }.find(is_wrong) {
             return Err(format!("{wrong} is not an address: 1 to 127"));
@@ -166,7 +176,7 @@ impl PlanRecord {
         if let Some(at) = self.devices.iter().position(has_no_identity) {
             return Err(format!("device {} has neither UID nor name", at + 1));
         }
-        if self.steps.iter().any(|step| step.device >= self.devices.len()) {
+        if self.all_steps().any(|step| step.device >= self.devices.len()) {
             return Err("a step of an unknown device".to_owned());
         }
         Ok(())
@@ -200,6 +210,29 @@ impl PlanRecord {
         self.steps = steps.collect();
     }
 
+    /// The steps of all runs, the first one first.
+    pub fn all_steps(&self) -> impl DoubleEndedIterator<Item = &RecordedStep> {
+        self.earlier.iter().chain(&self.steps)
+    }
+
+    /// Prepares for another run: keeps the steps that were begun as earlier ones, of each device those
+    /// since it was confirmed last.
+    pub fn begin_again(&mut self) {
+        let steps = std::mem::take(&mut self.steps);
+        self.earlier.extend(steps.into_iter().filter(RecordedStep::is_begun));
+        let mut kept: Vec<RecordedStep> = Vec::new();
+        for step in std::mem::take(&mut self.earlier) {
+            if step.state == StepState::Confirmed.word() {
+                kept.retain(|it| it.device != step.device);
+            }
+            // A run that is repeated fails in the same way.
+            kept.retain(|it| *it != step);
+            kept.push(step);
+        }
+        kept.drain(..kept.len().saturating_sub(MAX_ROWS));
+        self.earlier = kept;
+    }
+
     /// Returns true if nothing remains to be done.
     pub fn is_done(&self) -> bool {
         self.state == RunState::Done.word()
@@ -208,9 +241,8 @@ impl PlanRecord {
     /// Addresses at which a device of the plan may come back, as far as the file tells.
     pub fn possible_addresses(&self, device: usize) -> Vec<Address> {
         let original = self.devices.get(device).map(|it| it.original.address);
-        let is_begun =
-            |step: &&RecordedStep| step.device == device && step.state != StepState::Pending.word();
-        let begun = self.steps.iter().filter(is_begun).flat_map(|step| [step.from, step.to]);
+        let is_begun = |step: &&RecordedStep| step.device == device && step.is_begun();
+        let begun = self.all_steps().filter(is_begun).flat_map(|step| [step.from, step.to]);
         let mut all: Vec<u8> = original.into_iter().chain(begun).collect();
         all.sort_unstable();
         all.dedup();

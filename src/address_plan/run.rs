@@ -219,6 +219,24 @@ impl PlanRun {
         self.state == RunState::Running
     }
 
+    /// What is true of all steps once none waits any more.
+    pub fn end_text(&self) -> &'static str {
+        // Where a device stays at its address, nothing that is heard confirms its setting.
+        let is_unheard = |(step, state): (&PlanStep, &StepState)| {
+            *state == StepState::Stored && !step.is_detour() && step.from == step.to
+        };
+        if self.plan.steps.iter().zip(&self.states).any(is_unheard) {
+            "all settings are stored: in force after a restart of the devices"
+        } else {
+            "all steps are confirmed"
+        }
+    }
+
+    /// Returns true if a request was sent, and the device is awaited.
+    pub const fn is_waiting(&self) -> bool {
+        matches!(self.phase, StepPhase::Waiting { .. })
+    }
+
     /// Place of the step that is done, or is next.
     pub const fn current(&self) -> usize {
         self.current
@@ -528,7 +546,7 @@ impl PlanRun {
             return;
         }
         let text = match waiting {
-            0 => "all steps are confirmed".to_owned(),
+            0 => self.end_text().to_owned(),
             _ => format!("{waiting} stored: in force after a restart of all devices at once"),
         };
         self.state = state;

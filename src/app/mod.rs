@@ -95,7 +95,7 @@ mod varint;
 mod versions;
 mod view;
 
-pub use address_plans::{PlanSession, PlanTask};
+pub use address_plans::{PlanSession, PlanStart, PlanTask};
 pub use alarm::Alarm;
 pub use answer_text::format_millis;
 pub use app_event::{AppEvent, BusSnapshot, DeviceEvent, EventContext, EventLine, FileSnapshot};

@@ -2,7 +2,7 @@
 //! stored, whatever is switched off in between.
 
 use descan::address_plan::{PlanRecord, PlanStep, RunState, StepState};
-use descan::app::{App, AppOptions, Effect, FileReading, PlanTask};
+use descan::app::{App, AppOptions, Effect, FileReading, PlanStart, PlanTask};
 use descan::discovery::Config;
 use descan::frame::{BusIndex, Frame};
 use descan::sim::{DeviceAction, DeviceSpec, Fault, Scenario, Sim, SimDeviceId, SimStation};
@@ -220,7 +220,7 @@ impl Line {
 
     /// Starts the plan and runs it to its end, or until it is enough.
     fn apply(&mut self, mut enough: impl FnMut(&Self) -> bool) {
-        self.app.start_plan().unwrap();
+        assert_eq!(self.app.start_plan(), Ok(PlanStart::Started));
         let ends = |line: &Self| {
             let session = line.app.address_plan().unwrap();
             !session.is_running() && session.is_stored()
@@ -454,6 +454,77 @@ fn device_that_takes_the_address_meanwhile_stops_the_plan() {
     assert_eq!(session.step_state(0), StepState::Confirmed);
     assert_eq!(session.step_state(1), StepState::Failed("13 is used by N009".to_owned()));
     assert_eq!(line.sent.len(), 1);
+}
+
+#[test]
+fn device_that_joins_before_the_start_is_shown_first() {
+    let mut line = Line::new(&[10, 12], &[20, 12, 30], Writes::Now, 3);
+    line.plan(PlanTask::ToFile);
+    let added = line.sim.add_device(device(2, 14));
+    line.devices.push(added);
+    line.run(5.0, |_| false);
+    let change = "the plan has changed: 2 steps, before 1".to_owned();
+    assert_eq!(line.app.start_plan(), Ok(PlanStart::Changed(change)));
+    line.run(5.0, |_| false);
+    assert_eq!((line.sent.len(), line.state()), (0, None));
+    assert!(line.plan_text().contains("N002 14 → 30"), "{}", line.plan_text());
+    line.finish();
+    assert_eq!(line.addresses(), some(&[20, 12, 30]));
+}
+
+#[test]
+fn device_unlike_its_entry_is_left_out_as_shared() {
+    for wrong in [r#""name":"N001","uid":"PLAN007""#, r#""name":"INTR","uid":"PLAN001""#] {
+        let file = format!(
+            r#"[{{"name":"N000","address":10,"static":true}},
+            {{{wrong},"address":13,"static":true}}]"#
+        );
+        let specs = vec![device(0, 10), device(1, 12)];
+        let profile = Writes::Now.profile(true);
+        let mut line = Line::of(specs, file, Writes::Now, profile, 3);
+        line.plan(PlanTask::ToFile);
+        let plan = line.app.address_plan().unwrap().plan();
+        assert!(plan.steps.is_empty(), "{}", line.plan_text());
+        let words: Vec<&str> = plan.left_out.iter().map(|it| it.reason.word()).collect();
+        assert!(words.contains(&"shared-address"), "{wrong}: {}", line.plan_text());
+    }
+}
+
+#[test]
+fn address_of_a_lost_device_is_given_to_nobody() {
+    let mut line = Line::new(&[10, 12], &[12], Writes::Now, 3);
+    line.run(40.0, Line::is_complete);
+    line.sim.apply(line.devices[1], DeviceAction::PowerOff);
+    line.run(10.0, |_| false);
+    line.plan(PlanTask::ToFile);
+    let text = line.plan_text();
+    assert!(text.contains("N000 – 12: 12 is used by N001 (absent)"), "{text}");
+}
+
+#[test]
+fn only_device_of_a_bus_is_confirmed_after_its_move() {
+    for writes in [Writes::Now, Writes::Restart] {
+        let mut line = Line::new(&[10], &[20], writes, 3);
+        line.plan(PlanTask::ToFile);
+        line.finish();
+        assert_eq!(line.addresses(), some(&[20]));
+    }
+}
+
+#[test]
+fn failed_write_of_an_earlier_run_stays_known() {
+    let mut line = Line::new(&[10, 12], &[20, 13], Writes::Now, 3);
+    line.plan(PlanTask::ToFile);
+    line.sim.apply(line.devices[1], DeviceAction::AddFault(Fault::Locked));
+    line.apply(|_| false);
+    let (name, record) = line.record();
+    line.sim.apply(line.devices[1], DeviceAction::PowerOff);
+    line.run(10.0, |_| false);
+    line.plan(PlanTask::Resume(Box::new(record), name));
+    line.apply(|_| false);
+    let (_, record) = line.record();
+    let at = record.devices.iter().position(|it| it.to == 13).unwrap();
+    assert_eq!(record.possible_addresses(at), [address(12), address(13)], "{record:?}");
 }
 
 #[test]

@@ -141,6 +141,18 @@ fn refused_write_stops_and_is_told_in_json_and_in_the_file() {
 }
 
 #[test]
+fn mistakes_of_the_file_are_named_and_are_no_success() {
+    for wrong in ["200", "0", "\"22\""] {
+        let folder =
+            folder("", &format!("[{{\"name\":\"LAST\",\"address\":{wrong},\"static\":true}}]"));
+        let given = ["--profile", "profile.toml", "--yes", "--time", "4"];
+        let (told, said, code) = apply(folder.path(), &given);
+        assert!(said.contains("des.json, line 1, column"), "{wrong}: {said}");
+        assert_eq!(code, Some(1), "{wrong}: {told}{said}");
+    }
+}
+
+#[test]
 fn addresses_of_the_bus_go_into_the_file() {
     let folder = folder("", FILE);
     let (told, _, code) = apply(folder.path(), &["--from-bus", "--yes"]);

@@ -1,7 +1,7 @@
 //! The plan on the screen: opening it, the selected row, leaving a step out, the order, the question.
 
 use super::goals::GoalKey;
-use super::{PlanSession, PlanTask};
+use super::{PlanSession, PlanStart, PlanTask};
 use crate::address_plan::{PlanRun, RunState, StepEffect};
 use crate::app::device_command::DeviceCommand;
 use crate::app::input::{Overlay, Question};
@@ -213,7 +213,7 @@ impl App {
 
     /// Takes the answer to the question, and shows the plan again.
     pub(in crate::app) fn plan_answered(&mut self, is_yes: bool) {
-        if is_yes && let Err(why) = self.start_plan() {
+        if is_yes && let Err(why) | Ok(PlanStart::Changed(why)) = self.start_plan() {
             self.show_error(why);
         }
         self.input.open(Overlay::Plan);

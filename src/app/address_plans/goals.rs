@@ -6,6 +6,7 @@ use crate::address_plan::{
 };
 use crate::app::problems::Matching;
 use crate::app::{App, Bus};
+use crate::discovery::Device;
 use crate::document::{Entry, Operation};
 use crate::frame::BusIndex;
 use crate::text::Name;
@@ -84,7 +85,9 @@ impl App {
                 Some(place) => known.devices[place].identity.clone(),
                 None => identity_of_entry(entry, bus),
             };
-            Some(AddressGoal { device, identity, to, setting: None, is_left_out: false })
+            let is_another = device.is_some_and(|at| is_another(entry, &bus.devices()[at], bus));
+            let (setting, is_left_out) = (None, false);
+            Some(AddressGoal { device, identity, to, setting, is_another, is_left_out })
         });
         goals.collect()
     }
@@ -126,6 +129,18 @@ fn identity_of_entry(entry: &Entry, bus: &Bus) -> DeviceIdentity {
     DeviceIdentity { uid, name: Some(Name::new(&entry.name)) }
 }
 
+/// Returns true if the name or the UID of the device of an entry is not that of the entry: two devices
+/// may be mixed up.
+fn is_another(entry: &Entry, device: &Device, bus: &Bus) -> bool {
+    let alphabet = &bus.config().profile.uid;
+    let listed = entry.uid.as_deref().map(str::trim).filter(|listed| !listed.is_empty());
+    let is_other_uid = listed.zip(device.uid).is_some_and(|(listed, uid)| {
+        // Of a UID that cannot be read nothing is known.
+        Uid::parse(listed, alphabet).is_some_and(|listed| listed != uid)
+    });
+    is_other_uid || device.name.is_some() && !device.is_named(&entry.name)
+}
+
 /// Returns the goals of the devices of a file.
 fn goals_of_record(
     record: &PlanRecord,
@@ -142,7 +157,8 @@ fn goals_of_record(
             None => recorded.identity(),
         };
         let (to, setting) = goal(recorded);
-        AddressGoal { device, identity, to, setting, is_left_out: false }
+        let (is_another, is_left_out) = (false, false);
+        AddressGoal { device, identity, to, setting, is_another, is_left_out }
     });
     goals.collect()
 }

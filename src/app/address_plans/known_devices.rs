@@ -11,6 +11,7 @@ use crate::finding::{Finding, FindingKind, FindingState};
 use crate::frame::BusIndex;
 use crate::time::Instant;
 use crate::wire::descriptor::{AddressSetting, DescriptorField, DescriptorValue};
+use crate::wire::node::Uid;
 
 /// Conflicts of several devices at one address.
 const SHARED_ADDRESS: [FindingKind; 3] = [
@@ -19,13 +20,40 @@ const SHARED_ADDRESS: [FindingKind; 3] = [
     FindingKind::OneAddressTwoIdentities,
 ];
 
+/// Heartbeat periods for which a device that is not heard any more may still be at its address.
+const SHARED_PERIODS: u32 = 5;
+
 /// Returns by what a device is recognised.
 pub(super) fn identity_of(device: &Device) -> DeviceIdentity {
     let uid = device.uid.filter(|uid| !uid.is_blank());
     DeviceIdentity { uid, name: device.name.clone() }
 }
 
-fn known_device(bus: &Bus, device: &Device) -> KnownDevice {
+/// Returns true if another device was heard at the address of this one within the last heartbeat
+/// periods, and nowhere else since: a write may reach that one.
+pub(super) fn is_heard_twice(bus: &Bus, device: &Device, now: Instant) -> bool {
+    let address = device.address;
+    let has_left = |uid: Uid, last: Instant| {
+        let elsewhere = |it: &Device| it.address != address && it.last_seen > last;
+        let known = uid.not_blank().is_some();
+        known && bus.devices().iter().any(|it| it.uid == Some(uid) && elsewhere(it))
+    };
+    let senders = bus.senders_at(address).into_iter();
+    if senders.filter(|it| !has_left(it.uid, it.last)).count() > 1 {
+        return true;
+    }
+    let recently = bus.config().profile.heartbeat.period() * SHARED_PERIODS;
+    let identity = identity_of(device);
+    bus.devices().iter().any(|other| {
+        other.id != device.id
+            && other.address == address
+            && now.since(other.last_seen) <= recently
+            && identity.is_other(&identity_of(other))
+            && !other.uid.is_some_and(|uid| has_left(uid, other.last_seen))
+    })
+}
+
+fn known_device(bus: &Bus, device: &Device, now: Instant) -> KnownDevice {
     let is_open = |finding: &&Finding| {
         SHARED_ADDRESS.contains(&finding.key.kind) && finding.state != FindingState::Cleared
     };
@@ -41,7 +69,8 @@ fn known_device(bus: &Bus, device: &Device) -> KnownDevice {
         setting,
         possible: AddressSet::default(),
         is_present: device.is_present() && current.is_some_and(|it| it.id == device.id),
-        is_shared: shared.any(|finding| finding.addresses.contains(&device.address)),
+        is_shared: shared.any(|finding| finding.addresses.contains(&device.address))
+            || is_heard_twice(bus, device, now),
         is_debug: device.is_debug,
         last_heard: device.last_seen,
     }
@@ -56,8 +85,9 @@ impl App {
             _ => None,
         };
         // descan's own frames make no row; a device with its address would be shared.
-        let mut devices: Vec<KnownDevice> =
-            bus.devices().iter().map(|device| known_device(bus, device)).collect();
+        let now = self.clock.now();
+        let known = bus.devices().iter().map(|device| known_device(bus, device, now));
+        let mut devices: Vec<KnownDevice> = known.collect();
         let is_confirmed = |finding: &&Finding| {
             finding.key.kind.is_conflict() && finding.state == FindingState::Confirmed
         };
@@ -83,8 +113,8 @@ fn add_recorded(devices: &mut Vec<KnownDevice>, record: &PlanRecord) {
         if device.setting.is_some() || record.effect == StepEffect::AtOnce.word() {
             continue;
         }
-        let mut steps = record.steps.iter().filter(|step| step.device == place);
-        match steps.rfind(|step| step.state != "pending") {
+        let mut steps = record.all_steps().filter(|step| step.device == place);
+        match steps.rfind(|step| step.is_begun()) {
             None => {}
             Some(last) if last.state == "stored" || last.state == "responded" => {
                 device.setting = last.setting.and_then(AddressSetting::from_code);

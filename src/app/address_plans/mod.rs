@@ -38,6 +38,15 @@ pub enum PlanTask {
     TakeBack(Box<PlanRecord>, String),
 }
 
+/// What became of the start of a plan.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum PlanStart {
+    /// It runs.
+    Started,
+    /// Other steps than those that were shown are due, for this reason: they are to be asked for again.
+    Changed(String),
+}
+
 /// A plan and its run.
 #[derive(Debug)]
 pub struct PlanSession {
@@ -289,16 +298,21 @@ impl App {
         }
     }
 
-    /// Starts the plan, made again from what is known now: its first request is sent when its file is
-    /// written.
+    /// Starts the plan as it was shown: its first request is sent when its file is written. What is
+    /// known now may lead to other steps: then these are the plan, and nothing is started.
     ///
     /// # Errors
     ///
     /// What forbids it.
-    pub fn start_plan(&mut self) -> Result<(), String> {
+    pub fn start_plan(&mut self) -> Result<PlanStart, String> {
+        let shown = self.plan.as_ref().map(|session| session.plan.clone());
         self.renew_plan();
         let Some(mut session) = self.plan.take() else { return Err("there is no plan".into()) };
-        let result = self.start_session(&mut session);
+        let change = shown.and_then(|shown| session.plan.change_since(&shown));
+        let result = match change {
+            Some(change) => Ok(PlanStart::Changed(format!("the plan has changed: {change}"))),
+            None => self.start_session(&mut session).map(|()| PlanStart::Started),
+        };
         self.plan = Some(session);
         self.step_plan(self.clock.now());
         result
@@ -343,7 +357,9 @@ impl App {
         let now = self.clock.epoch().unix_secs(self.clock.now());
         let source = match &session.task {
             PlanTask::Resume(record, name) => {
-                let record = PlanRecord { effect: effect.word().to_owned(), ..(**record).clone() };
+                let mut record =
+                    PlanRecord { effect: effect.word().to_owned(), ..(**record).clone() };
+                record.begin_again();
                 return (name.clone(), record);
             }
             PlanTask::ToFile => self.editor.file.name().clone(),
@@ -365,6 +381,7 @@ impl App {
             stopped: None,
             devices: Vec::new(),
             steps: Vec::new(),
+            earlier: Vec::new(),
         };
         (name, record)
     }

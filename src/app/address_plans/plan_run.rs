@@ -1,13 +1,15 @@
 //! The run of a plan: its clock, its requests and their ends, its file, its lines on the timeline.
 
+use super::known_devices::{identity_of, is_heard_twice};
 use super::{PlanSession, READ_INTERVAL};
-use crate::address_plan::{PlanRequest, RequestEnd};
+use crate::address_plan::{DeviceIdentity, PlanRequest, RequestEnd};
 use crate::app::device_command::DeviceCommand;
 use crate::app::notices::TimelineEntry;
 use crate::app::timeline_kind::TimelineKind;
-use crate::app::{App, Bus, Effect, Overlay};
-use crate::discovery::{DeviceRequest, Event, EventKind, RequestId, RequestOutcome};
+use crate::app::{App, Bus, Effect, Overlay, TxBlocked};
+use crate::discovery::{DeviceRequest, Event, EventKind, OwnAddress, RequestId, RequestOutcome};
 use crate::frame::BusIndex;
+use crate::status::BusState;
 use crate::text::hex;
 use crate::time::Instant;
 
@@ -46,19 +48,29 @@ impl App {
 
     fn step_run(&mut self, now: Instant, session: &mut PlanSession) {
         let obstacle = self.plan_obstacle(session.bus);
+        // The device that moves may be the only one that acknowledges.
+        let has_only_no_ack = self.buses.get(session.bus).is_some_and(|bus| {
+            bus.tx_blocked() == Some(TxBlocked::NoAck)
+                && !bus.status.listens_first
+                && bus.status.state != BusState::BusOff
+                && matches!(bus.own_address(), OwnAddress::Held(_))
+        });
         session.renew_record(self.clock.epoch().unix_secs(now));
         let (index, record) = (session.bus, session.record.as_ref().map(|(_, record)| record));
         let Some(run) = &mut session.run else { return };
         if run.poll_timeout(now).is_some_and(|due| due <= now) {
             match obstacle {
-                Some(why) if run.is_running() => run.handle_obstacle(why),
+                Some(why) if run.is_running() && !(run.is_waiting() && has_only_no_ack) => {
+                    run.handle_obstacle(why);
+                }
                 _ => run.handle_timeout(now, &self.known_devices(index, record)),
             }
         }
         if let Some(request) = run.poll_request() {
             let step = run.current();
             run.handle_sent(now);
-            match self.send_for_plan(index, request) {
+            let identity = run.plan().steps[step].device.clone();
+            match self.send_for_plan(index, request, &identity) {
                 Ok(id) => session.open = Some((id, step)),
                 Err(why) => run.handle_request_end(RequestEnd::NotSent(why)),
             }
@@ -85,13 +97,27 @@ impl App {
         self.renew_banner();
     }
 
-    fn send_for_plan(&mut self, bus: BusIndex, request: PlanRequest) -> Result<RequestId, String> {
+    /// Sends a request, if the device with this identity is still alone at its address.
+    fn send_for_plan(
+        &mut self,
+        bus: BusIndex,
+        request: PlanRequest,
+        identity: &DeviceIdentity,
+    ) -> Result<RequestId, String> {
         let (at, command) = match request {
             PlanRequest::Write(at, setting) => (at, DeviceCommand::Address(setting)),
             PlanRequest::Restart(at) => (at, DeviceCommand::Restart),
         };
-        let device = self.buses.get(bus).and_then(|bus| bus.device_at(at));
-        let device = device.ok_or_else(|| format!("no device at {at}"))?.id;
+        let here = self.buses.get(bus).and_then(|bus| Some((bus, bus.device_at(at)?)));
+        let (on, device) = here.ok_or_else(|| format!("no device at {at}"))?;
+        let found = identity_of(device);
+        if !identity.is_same(&found) {
+            return Err(format!("{} is at {at} now", found.label()));
+        }
+        if is_heard_twice(on, device, self.clock.now()) {
+            return Err(format!("another device is at {at}, too"));
+        }
+        let device = device.id;
         let request = command.request(&self.buses.profile(bus));
         let (service, data) = request.ok_or("its service number is not known")?;
         let request = DeviceRequest { device, service, data };

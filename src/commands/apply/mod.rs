@@ -10,7 +10,7 @@ use super::open::{self, Setup};
 use super::output::{self, answer, ask, may_ask, say};
 use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure};
 use crate::address_plan::{DeviceIdentity, PlanRecord, PlanRun, RunState};
-use crate::app::{App, AppOptions, Bus, PlanSession, PlanTask};
+use crate::app::{App, AppOptions, Bus, PlanSession, PlanStart, PlanTask};
 use crate::cli::ApplyArgs;
 use crate::discovery::{Device, OwnAddress};
 use crate::document::Operation;
@@ -56,6 +56,8 @@ struct Apply<'a> {
     file: FileGate,
     pins: Vec<Operation>,
     has_declined: bool,
+    /// des.json has mistakes: some of its addresses may be missing.
+    has_mistakes: bool,
 }
 
 /// Runs it.
@@ -89,7 +91,8 @@ pub fn run(args: &ApplyArgs) -> Result<u8, Failure> {
     let mut gate = BusGate::new(false);
     let (file, pins) = (FileGate::default(), Vec::new());
     let stage = ApplyStage::Searching;
-    let mut apply = Apply { args, task, stage, file, pins, has_declined: false };
+    let (has_declined, has_mistakes) = (false, false);
+    let mut apply = Apply { args, task, stage, file, pins, has_declined, has_mistakes };
     let mut began = None;
     let RunOutcome { app, ending, recording, .. } =
         headless::run(RunInput::Buses(buses), &setup, AppOptions::default(), limits, |session| {
@@ -192,12 +195,24 @@ impl Apply<'_> {
 
     fn begin(&mut self, app: &mut App) -> Result<(), Failure> {
         warn_foreign(app, &mut Vec::new());
+        if self.task == PlanTask::ToFile {
+            self.tell_mistakes(app);
+        }
         if self.args.from_bus {
             return self.show_pins(app);
         }
         app.prepare_plan(BUS, self.task.clone(), self.args.restart).map_err(Failure::Unusable)?;
         self.stage = ApplyStage::Reading;
         Ok(())
+    }
+
+    /// Names what is wrong in des.json.
+    fn tell_mistakes(&mut self, app: &App) {
+        let file = app.file();
+        for finding in file.document().findings() {
+            self.has_mistakes = true;
+            say(format!("{}, {}: {}", file.name(), finding.position, finding.message));
+        }
     }
 
     fn show_plan(&mut self, app: &mut App) -> Result<(), Failure> {
@@ -248,8 +263,13 @@ impl Apply<'_> {
             self.stage = ApplyStage::Saving;
             return Ok(());
         }
-        app.start_plan().map_err(Failure::Unusable)?;
-        self.stage = ApplyStage::Running(0);
+        match app.start_plan().map_err(Failure::Unusable)? {
+            PlanStart::Started => self.stage = ApplyStage::Running(0),
+            PlanStart::Changed(change) => {
+                say(change);
+                self.show_plan(app)?;
+            }
+        }
         Ok(())
     }
 
@@ -268,11 +288,14 @@ impl Apply<'_> {
             None if session.plan().leaves_out() && session.plan().steps.is_empty() => {
                 say("no step can be done: see what is left out");
             }
+            None if session.plan().steps.is_empty() && self.has_mistakes => {
+                say(format!("nothing to do, as far as {} is right", app.file().name()));
+            }
             None if session.plan().steps.is_empty() => say("nothing to do"),
             None => {}
             Some(state) => {
                 let text = match state {
-                    RunState::Done => "all steps are confirmed".to_owned(),
+                    RunState::Done => session.run().map_or("", PlanRun::end_text).to_owned(),
                     RunState::Stopped(cause) => format!("stopped: {cause}"),
                     RunState::Stored => "stored: restart all devices at once, then check with: \
                                          descan apply --resume"
@@ -290,7 +313,7 @@ impl Apply<'_> {
             None => self.args.dry_run || session.plan().steps.is_empty(),
             Some(state) => *state == RunState::Done,
         };
-        let is_all = is_done && !session.plan().leaves_out();
+        let is_all = is_done && !session.plan().leaves_out() && !self.has_mistakes;
         Ok(if is_all { EXIT_OK } else { EXIT_FINDINGS })
     }
 
@@ -309,7 +332,8 @@ impl Apply<'_> {
             ApplyStage::Done => say(format!("saved: {}", app.file().name())),
             _ => {}
         }
-        Ok(if self.has_declined { EXIT_FINDINGS } else { EXIT_OK })
+        let is_all = !self.has_declined && !self.has_mistakes;
+        Ok(if is_all { EXIT_OK } else { EXIT_FINDINGS })
     }
 }
 

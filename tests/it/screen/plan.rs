@@ -92,6 +92,22 @@ fn plan_is_shown_with_reasons_then_runs_to_its_end() {
 }
 
 #[test]
+fn device_that_joins_during_the_question_is_asked_for_again() {
+    let mut stage = stage("now");
+    stage.keys("P").until(12.0).keys("Enter");
+    let uid = Uid::parse("BOILER11", &UidProfile::default()).unwrap();
+    let mut pump = DeviceSpec::new("PUMP").fixed(40).uid(uid);
+    pump.skips_address_resolution = true;
+    stage.sim.add_device(pump);
+    stage.until(16.0).keys("y").until(18.0);
+    let screen = stage.screen();
+    assert!(screen.contains("the plan has changed: 7 steps, before 6"), "{screen}");
+    assert!(screen.contains("PUMP"), "{screen}");
+    assert!(!stage.effects.iter().any(|it| matches!(it, Effect::WritePlan { .. })));
+    assert!(one_line(stage.keys("Enter").screen().as_str()).contains("Change 6 addresses"));
+}
+
+#[test]
 fn locked_device_stops_the_plan_and_what_is_left_goes_on() {
     let mut stage = stage("now");
     let last = stage.sim.device("LAST").unwrap();
