@@ -103,8 +103,8 @@ pub enum DataValue<'a> {
     Integer(i128),
     /// A scaled number, with this many decimals.
     Scaled(f64, usize),
-    /// A floating point number.
-    Float(f64),
+    /// A floating point number, with this many significant digits.
+    Float(f64, usize),
     /// A truth value.
     Bool(bool),
     /// A value that has a name.
@@ -290,7 +290,9 @@ impl DataField {
                 } else {
                     f64::from_bits(number)
                 };
-                return Some(self.scaled(number).unwrap_or(DataValue::Float(number)));
+                return Some(
+                    self.scaled(number).unwrap_or(DataValue::Float(number, self.digits())),
+                );
             }
             FieldType::Unsigned(_) | FieldType::Signed(_) | FieldType::Bool => {}
         }
@@ -313,6 +315,14 @@ impl DataField {
         Some(self.scaled(number as f64).unwrap_or(DataValue::Integer(number)))
     }
 
+    /// Significant digits of a number: as many as all numbers of its type have.
+    const fn digits(&self) -> usize {
+        match self.kind {
+            FieldType::Float => 6,
+            _ => 15,
+        }
+    }
+
     /// Returns a number times scale plus offset; `None` if it is not scaled.
     fn scaled(&self, number: f64) -> Option<DataValue<'static>> {
         let (scale, offset) = self.scaling?;
@@ -320,7 +330,7 @@ impl DataField {
         let decimals = decimals(scale).zip(decimals(offset)).filter(|_| self.kind.is_integer());
         Some(match decimals {
             Some((one, other)) => DataValue::Scaled(value, one.max(other)),
-            None => DataValue::Float(value),
+            None => DataValue::Float(value, self.digits()),
         })
     }
 }
@@ -334,10 +344,10 @@ fn decimals(number: f64) -> Option<usize> {
     (0..=MAX_DECIMALS).find(is_whole).map(|decimals| decimals.unsigned_abs() as usize)
 }
 
-/// Writes a number with nine significant digits, more than an `f32` has; with an exponent where it is
-/// far from 1.
-fn write_number(f: &mut fmt::Formatter<'_>, number: f64) -> fmt::Result {
-    let rounded = format!("{number:.8e}").parse::<f64>().unwrap_or(number);
+/// Writes a number with so many significant digits; with an exponent where it is far from 1.
+fn write_number(f: &mut fmt::Formatter<'_>, number: f64, digits: usize) -> fmt::Result {
+    let decimals = digits.saturating_sub(1);
+    let rounded = format!("{number:.decimals$e}").parse::<f64>().unwrap_or(number);
     if rounded == 0.0 || !rounded.is_finite() || (1e-6..1e15).contains(&rounded.abs()) {
         write!(f, "{rounded}")
     } else {
@@ -408,7 +418,7 @@ impl fmt::Display for DataValue<'_> {
         match self {
             Self::Integer(number) => write!(f, "{number}"),
             Self::Scaled(number, decimals) => write!(f, "{number:.decimals$}"),
-            Self::Float(number) => write_number(f, *number),
+            Self::Float(number, digits) => write_number(f, *number, *digits),
             Self::Bool(is_set) => f.write_str(if *is_set { "yes" } else { "no" }),
             Self::Named(name) => f.write_str(name),
             Self::Text(text) => write!(f, "\"{}\"", Escaped(text)),
@@ -458,8 +468,8 @@ mod tests {
             words(&field, &number.to_le_bytes())
         };
         assert_eq!(scaled("scale = 1000", 0.0004), "v 0.4");
-        assert_eq!(scaled("offset = -273", 300.65), "v 27.6499939");
-        assert_eq!(scaled("unit = \"V\"", 0.1), "v 0.100000001 V");
+        assert_eq!(scaled("offset = -273", 300.65), "v 27.65");
+        assert_eq!(scaled("unit = \"V\"", 0.1), "v 0.1 V");
         assert_eq!(scaled("scale = 1e30", 2.0), "v 2e30");
         assert_eq!(words(r#"{ name = "u", type = "u8", scale = 1e-20 }"#, &[5]), "u 5e-20");
         assert_eq!(words(r#"{ name = "u", type = "u64" }"#, &[0xFF; 8]), format!("u {}", u64::MAX));

@@ -172,7 +172,7 @@ pub fn field_json(value: &DataValue<'_>) -> Value {
             .map(Value::from)
             .or_else(|_| i64::try_from(*number).map(Value::from))
             .unwrap_or_default(),
-        DataValue::Scaled(..) | DataValue::Float(_) => {
+        DataValue::Scaled(..) | DataValue::Float(..) => {
             value.to_string().parse::<f64>().map_or(Value::Null, Value::from)
         }
         DataValue::Bool(is_set) => Value::from(*is_set),
