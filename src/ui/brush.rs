@@ -243,12 +243,15 @@ pub fn bus_label(app: &App, bus: BusIndex, width: usize) -> String {
 }
 
 /// Returns a name in at most `width` cells: without its scheme, then without its folders, then
-/// without its middle. Names differ at their end.
+/// without the ending of a file, then without its middle. Names differ at their end.
 pub fn short_name(name: &str, width: usize) -> String {
     let tail = name.split_once(':').map_or(name, |(_, tail)| tail);
-    let last = name.rsplit('/').next().unwrap_or(name);
+    let last = tail.rsplit('/').next().unwrap_or(tail);
+    // Not the last number of an IP address.
+    let ending = last.rsplit_once('.').filter(|(_, end)| end.parse::<u8>().is_err());
+    let stem = ending.map_or(last, |(stem, _)| stem);
     let fits = |it: &&str| it.width() <= width && !it.is_empty();
-    if let Some(whole) = [name, tail, last].into_iter().find(fits) {
+    if let Some(whole) = [name, tail, last, stem].into_iter().find(fits) {
         return whole.to_owned();
     }
     let start = cut(name, width.saturating_sub(1) / 3);

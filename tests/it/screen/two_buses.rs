@@ -215,6 +215,19 @@ fn scheme_is_dropped_before_the_name_is_cut() {
     }
 }
 
+#[test]
+fn names_of_scenario_files_are_told_apart() {
+    let mut pair = named_pair(["sim:main.toml", "sim:spare.toml"]);
+    pair.run(0..36);
+    for (page, width) in [("1", 80), ("2", 80), ("3", 80), ("1", 60)] {
+        let screen = pair.keys(page).screen(width, 40);
+        let rows = screen.lines().skip(3);
+        for name in ["main ", "spare "] {
+            assert!(rows.clone().any(|row| row.contains(name)), "{page}: {screen}");
+        }
+    }
+}
+
 /// The boiler of the example project: the water sensor of its first bus is away from 20 to 40 s; that of
 /// the second may stop working at 5 s.
 fn example_project(spare_stops_working: bool) -> Pair {
