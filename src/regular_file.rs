@@ -93,6 +93,15 @@ pub fn read_text(path: &Path) -> Result<Option<String>, Diagnostic> {
     text.map_err(|fault| fault.of(shown(path)))
 }
 
+/// Returns the text of a file that must be there.
+///
+/// # Errors
+/// As [`read_text`], or it does not exist.
+pub fn required_text(path: &Path) -> Result<String, Diagnostic> {
+    let missing = || Diagnostic::new("file not found").of(shown(path));
+    read_text(path)?.ok_or_else(missing)
+}
+
 /// Returns the content as text.
 ///
 /// # Errors

@@ -226,9 +226,10 @@ pub fn push_hex(text: &mut String, data: &[u8], between: &str) {
     }
 }
 
-/// Returns a count with its unit: `1 frame`, `2 frames`.
+/// Returns a count with its unit: `1 frame`, `2 frames`, `2 addresses`.
 pub fn counted(count: u64, what: &str) -> String {
-    format!("{count} {what}{}", if count == 1 { "" } else { "s" })
+    let plural = if what.ends_with('s') { "es" } else { "s" };
+    format!("{count} {what}{}", if count == 1 { "" } else { plural })
 }
 
 #[cfg(test)]

@@ -59,6 +59,11 @@ impl TomlError {
         crate::text::printable(shown.as_bytes()) + rest
     }
 
+    /// The mistake, its place and the line concerned, on one line and safe on a terminal.
+    pub fn with_line(&self) -> String {
+        format!("{self}: {}", self.line_text())
+    }
+
     /// The line concerned, with a mark under what is wrong: two lines, safe on a terminal.
     pub fn excerpt(&self) -> String {
         /// Characters of a line that are shown.

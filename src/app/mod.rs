@@ -155,6 +155,7 @@ pub use project_facts::{ProjectFacts, RedundantTask, TaskDevice, TaskEnd, TaskSt
 pub use saved_filters::{MAX_SAVED_FILTERS, SavedFilter, SavedFilterChange};
 pub use sent_commands::EndedCommand;
 use sent_commands::SentCommands;
+pub(crate) use sent_commands::key_needed;
 use sent_frames::Sendings;
 pub use sent_frames::{SendingResult, SentAnswer, SentFrames};
 pub use signs::Signs;

@@ -312,6 +312,6 @@ impl App {
 }
 
 /// What is missing in the profile: this key.
-fn key_needed(key: ProfileKey) -> String {
+pub(crate) fn key_needed(key: ProfileKey) -> String {
     format!("needs a profile with {}: no number is known for sure", key.name())
 }

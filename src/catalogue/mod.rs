@@ -72,9 +72,9 @@ impl Catalogue {
         for CatalogueText { path, folder, text } in texts.into_iter().take(2 * MAX_FILES) {
             let own = format!("{path}: ");
             let said = |fault: Diagnostic| fault.to_string().replacen(&own, "", 1);
-            let parsed = text.map_err(said).and_then(|text| {
-                DeviceType::parse(&text).map_err(|error| format!("{error}: {}", error.line_text()))
-            });
+            let parsed = text
+                .map_err(said)
+                .and_then(|text| DeviceType::parse(&text).map_err(|error| error.with_line()));
             let file = match parsed {
                 Ok(device_type) => {
                     let device_type = Some(Arc::new(device_type));
@@ -176,11 +176,6 @@ impl Catalogue {
     /// What all devices share: from files without GID and name.
     pub fn common_types(&self) -> &[Arc<DeviceType>] {
         &self.common
-    }
-
-    /// The same, one by one.
-    pub fn common(&self) -> impl Iterator<Item = &DeviceType> {
-        self.common.iter().map(|it| &**it)
     }
 }
 

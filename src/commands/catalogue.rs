@@ -4,13 +4,11 @@ use super::open::default_file;
 use super::{EXIT_FINDINGS, EXIT_OK, Failure, output};
 use crate::catalogue::{Catalogue, CatalogueFile, CatalogueText};
 use crate::cli::{CatalogueArgs, CommonArgs};
-use crate::diagnostic::Diagnostic;
-use crate::regular_file::{read_text, shown};
+use crate::regular_file::{required_text, shown};
 use crate::shell::catalogue_folders::CatalogueFolders;
 use crate::text::counted;
 use serde::Serialize;
 use std::fmt::Write as _;
-use std::path::Path;
 use unicode_width::UnicodeWidthStr;
 
 /// Prints the files, as a table or as JSON; a file with a mistake is exit code 1.
@@ -56,15 +54,14 @@ fn texts_of(paths: &[std::path::PathBuf]) -> Result<Vec<CatalogueText>, Failure>
         if path.is_dir() {
             texts.extend(CatalogueFolders::only(path).read());
         } else {
-            texts.push(CatalogueText { path: shown(path), folder: 0, text: Ok(text_of(path)?) });
+            texts.push(CatalogueText {
+                path: shown(path),
+                folder: 0,
+                text: Ok(required_text(path)?),
+            });
         }
     }
     Ok(texts)
-}
-
-fn text_of(path: &Path) -> Result<String, Failure> {
-    let missing = || Diagnostic::new("file not found").of(shown(path));
-    Ok(read_text(path)?.ok_or_else(missing)?)
 }
 
 /// A file, as JSON.

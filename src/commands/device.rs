@@ -2,28 +2,22 @@
 //! device, or what it says of itself. Waits until the device is found, asks, sends once, and waits
 //! for the response.
 
-use super::gate::BusGate;
-use super::headless::{self, Limits, RunInput, RunOutcome, warn_foreign};
+use super::headless::warn_foreign;
+use super::one_bus::{self, CommandRun};
 use super::open::{self, Setup};
 use super::output::{self, answer, ask, may_ask, say};
 use super::report::{DescriptorReport, of_descriptor};
 use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure};
-use crate::app::{App, AppOptions, DeviceCommand, parse_address};
+use crate::app::{App, DeviceCommand, parse_address};
 use crate::cli::DeviceArgs;
 use crate::discovery::{Device, DeviceId, FieldContent, RequestOutcome};
 use crate::frame::BusIndex;
-use crate::shell::stop::StopReason;
 use crate::text::{hex, join_first};
 use crate::time::Instant;
 use crate::wire::descriptor::DescriptorField;
 use serde::Serialize;
-use std::ops::ControlFlow;
-use std::sync::Arc;
 use std::sync::mpsc::{Receiver, TryRecvError};
-use std::time::Duration;
 
-/// Time in which the device must be found, unless given.
-const DEFAULT_TIME: Duration = Duration::from_secs(15);
 /// Devices that a message names; the others are counted.
 const NAMED_DEVICES: usize = 12;
 
@@ -90,29 +84,16 @@ pub fn run(args: &DeviceArgs, task: DeviceTask) -> Result<u8, Failure> {
     if args.common.listen_only {
         return Err(Failure::Unusable("listen-only: no requests are sent".to_owned()));
     }
-    let mut setup = Setup::for_buses(&args.common, std::slice::from_ref(&args.bus))?;
-    // The device alone is asked.
-    Arc::make_mut(&mut setup.config.profile).descriptor.auto = false;
-    let time = args.time.unwrap_or(DEFAULT_TIME);
-    let limits = Limits { stuck: EXIT_INTERRUPTED, ..Limits::default() };
-    let mut gate = BusGate::new(false);
-    let (mut stage, mut began) = (CommandStage::Searching, None);
-    let RunOutcome { app, ending, recording, .. } =
-        headless::run(RunInput::Buses(buses), &setup, AppOptions::default(), limits, |session| {
-            let now = session.now();
-            if !gate.allows(&session.app, now)? {
-                return Ok(ControlFlow::Continue(()));
-            }
-            let began = *began.get_or_insert(now);
-            advance(&mut stage, &mut session.app, args, task, (now, began + time))?;
-            let is_over = matches!(stage, CommandStage::Done(_) | CommandStage::Declined);
-            Ok(if is_over { ControlFlow::Break(()) } else { ControlFlow::Continue(()) })
+    let setup = Setup::for_buses(&args.common, buses)?;
+    let mut stage = CommandStage::Searching;
+    let CommandRun { app, is_interrupted } =
+        one_bus::run(&args.bus, setup, args.time, |app, now, end| {
+            advance(&mut stage, app, args, task, (now, end))?;
+            Ok(matches!(stage, CommandStage::Done(_) | CommandStage::Declined))
         })?;
-    if ending == Some(StopReason::Interrupted) {
+    if is_interrupted {
         return Ok(EXIT_INTERRUPTED);
     }
-    gate.require_opened(&app)?;
-    recording?;
     if let CommandStage::Done(device) = stage {
         return report(&app, device, task, args.json);
     }

@@ -14,6 +14,7 @@ mod headless;
 mod init;
 mod learn;
 mod log;
+mod one_bus;
 mod open;
 pub mod output;
 mod profile;

@@ -3,7 +3,7 @@
 use super::{EXIT_FINDINGS, EXIT_OK, Failure, output};
 use crate::cli::ProfileCommand;
 use crate::diagnostic::Diagnostic;
-use crate::regular_file::{read_text, shown};
+use crate::regular_file::{required_text, shown};
 use crate::toml_error::TomlError;
 use crate::wire::profile::{Profile, ProfileKey, ValueOrigin};
 use std::fmt::Write as _;
@@ -23,24 +23,18 @@ pub fn run(command: Option<&ProfileCommand>) -> Result<u8, Failure> {
 /// # Errors
 /// It cannot be read, or is wrong: the text has the place and the wrong line.
 pub fn read(path: &Path) -> Result<Profile, Failure> {
-    let wrong = |error: TomlError| {
-        Diagnostic::new(format!("{}: {error}: {}", shown(path), error.line_text()))
-    };
-    Ok(Profile::parse(&text_of(path)?).map_err(wrong)?)
+    let wrong = |error: TomlError| Diagnostic::new(error.with_line()).of(shown(path));
+    Ok(Profile::parse(&required_text(path)?).map_err(wrong)?)
 }
 
-fn text_of(path: &Path) -> Result<String, Failure> {
-    let missing = || Diagnostic::new("file not found").of(shown(path));
-    Ok(read_text(path)?.ok_or_else(missing)?)
-}
-
-fn fault(path: &Path, error: &TomlError) -> String {
+/// The mistake in a file with its place, and below it the wrong line with a mark.
+pub(super) fn fault(path: &Path, error: &TomlError) -> String {
     let excerpt = error.excerpt().replace('\n', "\n  ");
     format!("{}: {error}\n  {excerpt}", shown(path))
 }
 
 fn check(path: &Path, json: bool) -> Result<u8, Failure> {
-    let profile = match Profile::parse(&text_of(path)?) {
+    let profile = match Profile::parse(&required_text(path)?) {
         Ok(profile) => profile,
         Err(error) => {
             output::warn(fault(path, &error));

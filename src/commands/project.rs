@@ -1,11 +1,11 @@
 //! The project of a command: found, read, and combined with the arguments.
 
+use super::profile::fault;
 use super::{Failure, output};
 use crate::bus::BusSpec;
 use crate::cli::CommonArgs;
-use crate::diagnostic::Diagnostic;
 use crate::project::Project;
-use crate::regular_file::{read_text, shown};
+use crate::regular_file::{required_text, shown};
 use crate::shell::project_search::{self, FoundProject, agree, is_agreed};
 use std::path::{Path, PathBuf};
 use std::sync::Once;
@@ -32,13 +32,10 @@ pub fn of(common: &CommonArgs) -> Result<Option<(PathBuf, Project)>, Failure> {
         output::warn(format_args!("{path} is of {user}: ignored; --project {path} takes it"));
     }
     let Some(path) = found.path else { return Ok(None) };
-    let missing = || Diagnostic::new("file not found").of(shown(&path));
-    let text = read_text(&path)?.ok_or_else(missing)?;
+    let text = required_text(&path)?;
     let folder = path.parent().unwrap_or(Path::new(""));
-    let project = Project::parse(&text, folder).map_err(|error| {
-        let excerpt = error.excerpt().replace('\n', "\n  ");
-        Failure::Unusable(format!("{}: {error}\n  {excerpt}", shown(&path)))
-    })?;
+    let project = Project::parse(&text, folder);
+    let project = project.map_err(|error| Failure::Unusable(fault(&path, &error)))?;
     Ok(Some((path, project)))
 }
 

@@ -1,28 +1,22 @@
 //! `descan send`: one composed frame or request. Waits until the receiver is known, says what is sent,
 //! asks, sends, and prints the answers as they come.
 
-use super::gate::BusGate;
-use super::headless::{self, Limits, RunInput, RunOutcome, warn_foreign};
+use super::headless::warn_foreign;
+use super::one_bus::{self, CommandRun};
 use super::open::{self, Setup};
 use super::output::{self, answer, ask, may_ask, say};
 use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure};
-use crate::app::{App, AppOptions, SendingResult, SentAnswer, SentFrames, format_millis};
+use crate::app::{App, SendingResult, SentAnswer, SentFrames, format_millis};
 use crate::cli::SendArgs;
 use crate::composer::{Composed, Composition, CompositionField, Mistake, Repeat, Surroundings};
 use crate::discovery::{OwnAddress, SequenceEnd};
 use crate::frame::BusIndex;
-use crate::shell::stop::StopReason;
 use crate::text::hex;
 use crate::time::Instant;
 use crate::wire::id::{Address, Header};
 use serde::Serialize;
-use std::ops::ControlFlow;
-use std::sync::Arc;
 use std::sync::mpsc::{Receiver, TryRecvError};
-use std::time::Duration;
 
-/// Time in which the device must be found, unless given.
-const DEFAULT_TIME: Duration = Duration::from_secs(15);
 /// The bus; there is one.
 const BUS: BusIndex = BusIndex(0);
 
@@ -49,7 +43,7 @@ pub fn run(args: &SendArgs) -> Result<u8, Failure> {
     if open::log(buses, "send", None)?.is_some() {
         return Err(Failure::Usage("a log has no bus to send to".to_owned()));
     }
-    let mut setup = Setup::new(&args.common)?;
+    let setup = Setup::for_buses(&args.common, buses)?;
     // Mistakes of the text, before the bus is opened.
     let around = Surroundings { profile: &setup.config.profile, own: None, nodes: &[], rnd7: 0 };
     let needs_devices = match composition.compose(around) {
@@ -65,10 +59,6 @@ pub fn run(args: &SendArgs) -> Result<u8, Failure> {
         let text = "it asks before it sends, and there is no terminal: give --yes";
         return Err(Failure::Usage(text.to_owned()));
     }
-    Arc::make_mut(&mut setup.config.profile).descriptor.auto = false;
-    let time = args.time.unwrap_or(DEFAULT_TIME);
-    let limits = Limits { stuck: EXIT_INTERRUPTED, ..Limits::default() };
-    let mut gate = BusGate::new(false);
     let mut sender = FrameSender {
         args,
         composition,
@@ -77,24 +67,15 @@ pub fn run(args: &SendArgs) -> Result<u8, Failure> {
         stage: SendStage::Searching,
         printed: Printed::default(),
     };
-    let mut began = None;
-    let RunOutcome { app, ending, recording, .. } =
-        headless::run(RunInput::Buses(buses), &setup, AppOptions::default(), limits, |session| {
-            let now = session.now();
-            if !gate.allows(&session.app, now)? {
-                return Ok(ControlFlow::Continue(()));
-            }
-            let began = *began.get_or_insert(now);
-            sender.advance(&mut session.app, now >= began + time, now)?;
-            let is_over = matches!(sender.stage, SendStage::Done | SendStage::Declined);
-            Ok(if is_over { ControlFlow::Break(()) } else { ControlFlow::Continue(()) })
+    let CommandRun { app, is_interrupted } =
+        one_bus::run(&args.bus, setup, args.time, |app, now, end| {
+            sender.advance(app, now >= end, now)?;
+            Ok(matches!(sender.stage, SendStage::Done | SendStage::Declined))
         })?;
-    if ending == Some(StopReason::Interrupted) {
+    if is_interrupted {
         sender.print_interrupted(&app)?;
         return Ok(EXIT_INTERRUPTED);
     }
-    gate.require_opened(&app)?;
-    recording?;
     if matches!(sender.stage, SendStage::Done) {
         return sender.finish(&app);
     }

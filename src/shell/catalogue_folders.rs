@@ -6,7 +6,7 @@
 use super::file_watcher::{QUIET, QUIET_TIMEOUT, is_remote};
 use crate::catalogue::{CatalogueText, MAX_FILES};
 use crate::diagnostic::Diagnostic;
-use crate::regular_file::{not_read, read_text, shown};
+use crate::regular_file::{not_read, required_text, shown};
 use etcetera::{BaseStrategy, choose_base_strategy};
 use notify::event::{AccessKind, AccessMode, EventKind};
 use notify::{RecommendedWatcher, RecursiveMode, Watcher as _};
@@ -77,8 +77,7 @@ impl CatalogueFolders {
                         texts.push(CatalogueText { path: shown(path), folder, text });
                     }
                     texts.extend(files.into_iter().take(room).map(|file| {
-                        let missing = || Diagnostic::new("file not found").of(shown(&file));
-                        let text = read_text(&file).and_then(|text| text.ok_or_else(missing));
+                        let text = required_text(&file);
                         CatalogueText { path: shown(&file), folder, text }
                     }));
                 }

@@ -9,7 +9,7 @@ mod goals;
 mod known_devices;
 mod plan_run;
 
-use super::App;
+use super::{App, key_needed};
 use crate::address_plan::{
     AddressGoal, AddressPlan, PlanOptions, PlanRecord, PlanRun, PlanTiming, RecordedDevice,
     RunState, StepEffect, StepState,
@@ -202,8 +202,7 @@ impl App {
         }
         let profile = self.buses.profile(index);
         if profile.writes.address.is_none() || !profile.is_given(ProfileKey::WriteAddress) {
-            let key = ProfileKey::WriteAddress.name();
-            return Some(format!("needs a profile with {key}: no number is known for sure"));
+            return Some(key_needed(ProfileKey::WriteAddress));
         }
         match bus.own_address() {
             OwnAddress::Held(_) => None,
@@ -411,7 +410,6 @@ impl App {
         let bus = self.buses.get(session.bus)?;
         let plan = session.plan();
         let devices = counted(plan.devices() as u64, "address");
-        let devices = devices.replace("addresss", "addresses");
         let (effect, seconds) =
             (self.plan_effect(session), self.plan_step_time(session).as_secs_f64());
         let frames = counted(plan.requests(effect) as u64, "request");

@@ -217,7 +217,7 @@ impl Buses {
         }
         let at = |(address, time)| bus.type_at(&self.catalogue, address, time);
         let own = server.and_then(at).and_then(|it| it.service(service));
-        let common = || self.catalogue.common().find_map(|it| it.service(service));
+        let common = || self.catalogue.common_types().iter().find_map(|it| it.service(service));
         if let Some(known) = own.or_else(common) {
             return Some(known.name.clone());
         }
@@ -234,7 +234,7 @@ impl Buses {
         let mut names = BTreeMap::<u16, BTreeSet<String>>::new();
         let Some(bus) = self.get(index) else { return names };
         let profile = &bus.config().profile;
-        let types = self.types_on(bus).map(|it| &**it).chain(self.catalogue.common());
+        let types = self.types_on(bus).chain(self.catalogue.common_types());
         for service in types.flat_map(|it| &it.services) {
             if let Some(number) = service.number
                 && profile.service_name(number).is_none()

@@ -4,30 +4,25 @@
 
 mod plan_report;
 
-use super::gate::{BusGate, FileGate};
-use super::headless::{self, Limits, RunInput, RunOutcome, warn_foreign};
+use super::gate::FileGate;
+use super::headless::warn_foreign;
+use super::one_bus::{self, CommandRun};
 use super::open::{self, Setup};
 use super::output::{self, answer, ask, may_ask, say};
 use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure};
 use crate::address_plan::{DeviceIdentity, PlanRecord, PlanRun, RunState};
-use crate::app::{App, AppOptions, Bus, PlanSession, PlanStart, PlanTask};
+use crate::app::{App, Bus, PlanSession, PlanStart, PlanTask, key_needed};
 use crate::cli::ApplyArgs;
 use crate::discovery::{Device, OwnAddress};
 use crate::document::Operation;
 use crate::frame::BusIndex;
 use crate::shell::plan_files::{latest_plan, plans_folder, read_plan};
-use crate::shell::stop::StopReason;
 use crate::text::counted;
 use crate::time::Instant;
 use crate::wire::profile::ProfileKey;
 use plan_report::{ApplyReport, PinReport, print_json, print_steps, table};
-use std::ops::ControlFlow;
-use std::sync::Arc;
 use std::sync::mpsc::{Receiver, TryRecvError};
-use std::time::Duration;
 
-/// Time in which the devices must be found, unless given.
-const DEFAULT_TIME: Duration = Duration::from_secs(15);
 /// The bus: there is one.
 const BUS: BusIndex = BusIndex(0);
 
@@ -70,7 +65,7 @@ pub fn run(args: &ApplyArgs) -> Result<u8, Failure> {
     if open::log(buses, "apply", None)?.is_some() {
         return Err(Failure::Usage("a log has no device to write to".to_owned()));
     }
-    let mut setup = Setup::new(&args.common)?;
+    let mut setup = Setup::for_buses(&args.common, buses)?;
     if let Some(file) = &args.des_json {
         setup.file.clone_from(file);
     }
@@ -83,36 +78,22 @@ pub fn run(args: &ApplyArgs) -> Result<u8, Failure> {
             require_key(&setup, ProfileKey::Reboot, "--restart")?;
         }
     }
-    // The settings of the addresses alone are read.
-    Arc::make_mut(&mut setup.config.profile).descriptor.auto = false;
     let task = task(args)?;
-    let time = args.time.unwrap_or(DEFAULT_TIME);
-    let limits = Limits { stuck: EXIT_INTERRUPTED, ..Limits::default() };
-    let mut gate = BusGate::new(false);
     let (file, pins) = (FileGate::default(), Vec::new());
     let stage = ApplyStage::Searching;
     let (has_declined, has_mistakes) = (false, false);
     let mut apply = Apply { args, task, stage, file, pins, has_declined, has_mistakes };
-    let mut began = None;
-    let RunOutcome { app, ending, recording, .. } =
-        headless::run(RunInput::Buses(buses), &setup, AppOptions::default(), limits, |session| {
-            let now = session.now();
-            if !gate.allows(&session.app, now)? {
-                return Ok(ControlFlow::Continue(()));
-            }
-            let began = *began.get_or_insert(now);
-            apply.advance(&mut session.app, now, began + time)?;
-            let is_over = matches!(apply.stage, ApplyStage::Over | ApplyStage::Done);
-            Ok(if is_over { ControlFlow::Break(()) } else { ControlFlow::Continue(()) })
+    let CommandRun { app, is_interrupted } =
+        one_bus::run(&args.bus, setup, args.time, |app, now, end| {
+            apply.advance(app, now, end)?;
+            Ok(matches!(apply.stage, ApplyStage::Over | ApplyStage::Done))
         })?;
-    if ending == Some(StopReason::Interrupted) {
+    if is_interrupted {
         if let ApplyStage::Running(_) = apply.stage {
             say(format!("interrupted; go on with: descan apply {} --resume", args.bus));
         }
         return Ok(EXIT_INTERRUPTED);
     }
-    gate.require_opened(&app)?;
-    recording?;
     apply.report(&app)
 }
 
@@ -120,10 +101,7 @@ fn require_key(setup: &Setup, key: ProfileKey, what: &str) -> Result<(), Failure
     if setup.config.profile.is_given(key) {
         return Ok(());
     }
-    let name = key.name();
-    Err(Failure::Unusable(format!(
-        "{what} needs a profile with {name}: no number is known for sure"
-    )))
+    Err(Failure::Unusable(format!("{what} {}", key_needed(key))))
 }
 
 /// Returns what the devices are to get; reads the plan that goes on or is taken back.
@@ -242,7 +220,6 @@ impl Apply<'_> {
             return Ok(());
         }
         let edits = counted(self.pins.len() as u64, "address");
-        let edits = edits.replace("addresss", "addresses");
         let question = format!("Pin {edits} in {}? Nothing is sent.", app.file().name());
         self.ask_or_start(app, &question)
     }

@@ -130,6 +130,13 @@ enum SessionInput {
     Log(Box<LogInput>, Box<Config>),
 }
 
+/// The text of a file that must be there, or why it cannot be read.
+fn text_on_disk(content: DiskContent) -> Result<String, String> {
+    let missing = || Diagnostic::new("file not found");
+    let text = content.and_then(|content| text_of(content.ok_or_else(missing)?));
+    text.map_err(|fault| fault.to_string())
+}
+
 /// See the module's documentation.
 pub struct Session {
     /// All state.
@@ -533,23 +540,16 @@ impl Session {
 
     fn take_profile(&mut self, now: Instant, content: DiskContent) {
         let Some((path, _)) = &self.profile else { return };
-        let missing = || Diagnostic::new("file not found");
-        let text = content.and_then(|content| text_of(content.ok_or_else(missing)?));
-        let profile = text.map_err(|fault| fault.to_string()).and_then(|text| {
-            Profile::parse(&text).map_err(|error| format!("{error}: {}", error.line_text()))
-        });
+        let profile = text_on_disk(content)
+            .and_then(|text| Profile::parse(&text).map_err(|error| error.with_line()));
         self.app.handle_profile(now, &shown(path), profile);
     }
 
     fn take_project(&mut self, now: Instant, content: DiskContent) {
         let Some((path, _)) = &self.project else { return };
-        let missing = || Diagnostic::new("file not found");
-        let text = content.and_then(|content| text_of(content.ok_or_else(missing)?));
         let folder = path.parent().unwrap_or(Path::new(""));
-        let project = text.map_err(|fault| fault.to_string()).and_then(|text| {
-            let project = Project::parse(&text, folder);
-            project.map_err(|error| format!("{error}: {}", error.line_text()))
-        });
+        let project = text_on_disk(content)
+            .and_then(|text| Project::parse(&text, folder).map_err(|error| error.with_line()));
         self.app.handle_project(now, &shown(path), project.map(|project| project.facts()));
     }
 
