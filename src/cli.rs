@@ -381,6 +381,9 @@ pub struct ApplyArgs {
         conflicts_with_all = ["des_json", "from_bus"]
     )]
     pub undo: Option<String>,
+    /// Take the addresses of devices of earlier plans that are not heard as free
+    #[arg(long, conflicts_with = "from_bus")]
+    pub forget_absent: bool,
     /// Give the entries of des.json the addresses of the bus, pinned; writes to no device
     #[arg(long)]
     pub from_bus: bool,

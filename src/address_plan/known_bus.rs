@@ -5,6 +5,7 @@ use crate::time::Instant;
 use crate::wire::descriptor::AddressSetting;
 use crate::wire::id::Address;
 use crate::wire::node::Uid;
+use crate::wire::profile::UidProfile;
 use std::fmt;
 
 /// A set of addresses.
@@ -51,43 +52,61 @@ impl fmt::Debug for AddressSet {
 /// By what a device is recognised at another address: its UID, else its name.
 #[derive(Clone, Debug, PartialEq, Eq, Default)]
 pub struct DeviceIdentity {
-    /// DEV_CFG_UID; `None` if it is blank or unknown.
+    /// DEV_CFG_UID, which may be blank; `None` if it was not heard.
     pub uid: Option<Uid>,
     /// The name; `None` if it is unknown.
     pub name: Option<Name>,
 }
 
 impl DeviceIdentity {
+    /// Returns the UID, unless it is blank or unknown.
+    pub fn own_uid(&self) -> Option<Uid> {
+        self.uid.and_then(Uid::not_blank)
+    }
+
     /// Returns true if it can be recognised at all.
-    pub const fn is_known(&self) -> bool {
-        self.uid.is_some() || self.name.is_some()
+    pub fn is_known(&self) -> bool {
+        self.own_uid().is_some() || self.name.is_some()
     }
 
     /// Returns true if the device with identity `other` is this one, as far as it is known.
     pub fn is_same(&self, other: &Self) -> bool {
         match (self.uid, other.uid) {
+            (Some(own), Some(other_uid)) if own.is_blank() && other_uid.is_blank() => {
+                self.has_name_of(other)
+            }
             (Some(own), Some(other)) => own == other,
-            (None, None) => self.name.is_some() && self.name == other.name,
-            _ => false,
+            // It may be another one with the same name, as long as its UID is not heard.
+            (Some(own), None) => own.is_blank() && self.has_name_of(other),
+            (None, _) => self.has_name_of(other),
         }
     }
 
     /// Returns true if a device with identity `other` is another one for sure.
     pub fn is_other(&self, other: &Self) -> bool {
+        let has_other_name = self.name.is_some() && other.name.is_some() && !self.has_name_of(other);
         match (self.uid, other.uid) {
-            (Some(own), Some(other)) => own != other,
-            (None, Some(_)) => true,
-            // The UID of the other is not known yet, or blank.
-            (_, None) => match (&self.name, &other.name) {
-                (Some(own), Some(other)) => own != other,
-                _ => false,
-            },
+            (Some(own), Some(other)) if !(own.is_blank() && other.is_blank()) => own != other,
+            _ => has_other_name,
+        }
+    }
+
+    fn has_name_of(&self, other: &Self) -> bool {
+        self.name.is_some() && self.name == other.name
+    }
+
+    /// Returns the UID for lists: `blank`, or a dash if it was not heard.
+    pub fn uid_text(&self, alphabet: &UidProfile) -> String {
+        match (self.uid, self.own_uid()) {
+            (None, _) => "–".to_owned(),
+            (Some(_), None) => "blank".to_owned(),
+            (_, Some(uid)) => uid.text(alphabet).to_string(),
         }
     }
 
     /// Returns the name for texts; without one the UID, as hexadecimal digits.
     pub fn label(&self) -> String {
-        match (&self.name, self.uid) {
+        match (&self.name, self.own_uid()) {
             (Some(name), _) => name.to_string(),
             (None, Some(uid)) => format!("UID {}", crate::text::hex(&uid.0, "")),
             (None, None) => "the device".to_owned(),
@@ -110,9 +129,15 @@ pub struct KnownDevice {
     pub is_present: bool,
     /// Another device uses the same address.
     pub is_shared: bool,
+    /// When another device was heard last at the same address, as far as it is known to be another one.
+    pub other_heard: Option<Instant>,
+    /// Another board with the same UID is at this address.
+    pub same_uid_at: Option<Address>,
     /// It is a debug device.
     pub is_debug: bool,
-    /// Time of its last frame.
+    /// Time of its first frame and of its last one.
+    pub first_heard: Instant,
+    /// See `first_heard`.
     pub last_heard: Instant,
 }
 
@@ -120,6 +145,13 @@ impl KnownDevice {
     /// Returns the address it has stored, fixed or preferred.
     pub fn stored(&self) -> Option<Address> {
         self.setting.and_then(AddressSetting::address)
+    }
+
+    /// Returns true if `row` is what remains of this device where it was before: it is not present, looks
+    /// the same, and was not heard any more when this one was. Without a UID, it may be another board.
+    pub fn is_trace(&self, row: &Self) -> bool {
+        let is_earlier = self.identity.own_uid().is_some() || row.last_heard < self.first_heard;
+        !row.is_present && is_earlier && self.identity.is_same(&row.identity)
     }
 }
 
@@ -132,6 +164,8 @@ pub struct PlanBus {
     pub own: Option<Address>,
     /// Addresses with a confirmed conflict.
     pub conflicts: AddressSet,
+    /// The bus was heard for so long that each device sent several heartbeats.
+    pub is_observed: bool,
 }
 
 impl PlanBus {

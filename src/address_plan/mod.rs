@@ -15,5 +15,7 @@ mod run;
 pub use known_bus::{AddressSet, DeviceIdentity, KnownDevice, PlanBus};
 pub use planner::{AddressGoal, AddressPlan, LeftOut, PlanOptions, PlanStep, StepEffect};
 pub use reason::{LeftOutReason, StepReason};
-pub use record::{MAX_RECORD_BYTES, PlanRecord, RecordedDevice, RecordedPlace, RecordedStep};
+pub use record::{
+    MAX_RECORD_BYTES, PlanRecord, RecordedDevice, RecordedPlace, RecordedStep, UnsettledDevice,
+};
 pub use run::{PlanNews, PlanRequest, PlanRun, PlanTiming, RequestEnd, RunState, StepState};

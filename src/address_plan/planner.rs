@@ -21,8 +21,8 @@ pub struct AddressGoal {
     pub to: Address,
     /// The setting that is written; `None`: that of [`PlanOptions::setting`].
     pub setting: Option<AddressSetting>,
-    /// The device has another name or another UID than the one that is to have the address.
-    pub is_another: bool,
+    /// Why the device is not to be written; `None` if nothing is known that forbids it.
+    pub doubt: Option<LeftOutReason>,
     /// The user leaves it out.
     pub is_left_out: bool,
 }
@@ -96,7 +96,7 @@ impl PlanStep {
 
     /// Why it can be done, in words.
     pub fn why(&self) -> String {
-        if self.device.uid.is_none() && matches!(self.reason, StepReason::Free(_)) {
+        if self.device.own_uid().is_none() && matches!(self.reason, StepReason::Free(_)) {
             return "no UID: by its address".to_owned();
         }
         self.reason.to_string()
@@ -219,7 +219,8 @@ impl<'a> Planner<'a> {
     /// Returns the device of a goal as one that moves.
     fn obstacle(&self, at: usize) -> Result<Mover, LeftOutReason> {
         let goal = &self.goals[at];
-        let place = goal.device.ok_or(LeftOutReason::NotPresent)?;
+        let missing = || goal.doubt.clone().unwrap_or(LeftOutReason::NotPresent);
+        let place = goal.device.ok_or_else(missing)?;
         let device = &self.bus.devices[place];
         if !device.is_present {
             return Err(LeftOutReason::NotPresent);
@@ -233,6 +234,9 @@ impl<'a> Planner<'a> {
         if let Some(other) = self.same_uid(place) {
             return Err(LeftOutReason::SameUid(other));
         }
+        if let Some(doubt) = &goal.doubt {
+            return Err(doubt.clone());
+        }
         let setting = goal.setting.unwrap_or(self.options.setting(goal.to));
         if device.setting.is_none_or(|stored| stored == setting) {
             if device.address == goal.to && !device.possible.has_other(goal.to) {
@@ -242,17 +246,17 @@ impl<'a> Planner<'a> {
                 return Err(LeftOutReason::Stored);
             }
         }
-        if goal.is_another {
-            return Err(LeftOutReason::Another(device.address));
-        }
         if !device.identity.is_known() {
             return Err(LeftOutReason::NoIdentity);
         }
         if self.bus.own == Some(goal.to) {
             return Err(LeftOutReason::OwnAddress);
         }
-        let earlier = self.goals[..at].iter().find(|it| it.to == goal.to && it.device.is_some());
-        if let Some(earlier) = earlier {
+        let mut earlier = self.goals[..at].iter().filter(|it| it.device.is_some());
+        if earlier.clone().any(|it| it.device == goal.device) {
+            return Err(LeftOutReason::ListedTwice);
+        }
+        if let Some(earlier) = earlier.find(|it| it.to == goal.to) {
             return Err(LeftOutReason::Wanted(earlier.identity.label()));
         }
         if goal.is_left_out {
@@ -269,12 +273,13 @@ impl<'a> Planner<'a> {
 
     /// Returns the address of another present device with the UID of this one.
     fn same_uid(&self, place: usize) -> Option<Address> {
-        let uid = self.bus.devices[place].identity.uid?;
+        let device = &self.bus.devices[place];
+        let uid = device.identity.own_uid()?;
         let mut others = self.bus.devices.iter().enumerate();
         let other = others.find(|(at, other)| {
             *at != place && other.is_present && other.identity.uid == Some(uid)
         });
-        other.map(|(_, other)| other.address)
+        other.map(|(_, other)| other.address).or(device.same_uid_at)
     }
 
     /// Returns the addresses that a device uses or has stored. `is_leaving`: it leaves its address at
@@ -299,19 +304,17 @@ impl<'a> Planner<'a> {
 
     /// Returns true if a device that left is known by its UID to be at another address.
     fn is_heard_elsewhere(&self, device: &KnownDevice) -> bool {
-        let uid = device.identity.uid;
+        let uid = device.identity.own_uid();
         uid.is_some() && self.bus.devices.iter().any(|it| it.is_present && it.identity.uid == uid)
     }
 
     /// Returns the device at an address, or with it stored, that does not move.
     fn staying_holder(&self, address: Address, except: usize) -> Option<&KnownDevice> {
         let mut devices = self.bus.devices.iter().enumerate();
-        let mover = &self.bus.devices[except].identity;
+        let mover = &self.bus.devices[except];
         let holder = devices.find(|(place, device)| {
-            // A row that it left, before its name was known, is no other device.
-            let is_its_own = !device.is_present && mover.is_same(&device.identity);
             *place != except
-                && !is_its_own
+                && !mover.is_trace(device)
                 && !self.movers.iter().any(|mover| mover.device == *place)
                 && self.taken(device, self.is_stored(*place)).has(address)
         });
@@ -499,7 +502,10 @@ mod tests {
             possible: AddressSet::default(),
             is_present: true,
             is_shared: false,
+            other_heard: None,
+            same_uid_at: None,
             is_debug: false,
+            first_heard: Instant::ZERO,
             last_heard: Instant::ZERO,
         }
     }
@@ -513,7 +519,7 @@ mod tests {
             identity: known[at].identity.clone(),
             to: address(it.2),
             setting: None,
-            is_another: false,
+            doubt: None,
             is_left_out: false,
         });
         let goals = goals.collect();
@@ -669,7 +675,7 @@ mod tests {
             identity: DeviceIdentity { uid: None, name: Some("PUMP".into()) },
             to: address(44),
             setting: None,
-            is_another: false,
+            doubt: None,
             is_left_out: false,
         });
         let plan = AddressPlan::new(&bus, &goals, &options(StepEffect::AtOnce));

@@ -59,6 +59,12 @@ pub enum LeftOutReason {
     Another(Address),
     /// Its UID is at another address, too.
     SameUid(Address),
+    /// Its entry has a UID, and none was heard from it: it may be another device.
+    UidNotHeard,
+    /// The UID of its entry has characters that no UID has, or too many.
+    UidUnreadable,
+    /// An earlier entry is about the same device.
+    ListedTwice,
     /// It is not on the bus.
     NotPresent,
     /// Neither UID nor name is known: it would not be recognised.
@@ -90,6 +96,9 @@ impl LeftOutReason {
             Self::Stored => "stored",
             Self::Shared(_) | Self::Another(_) => "shared-address",
             Self::SameUid(_) => "same-uid",
+            Self::UidNotHeard => "uid-not-heard",
+            Self::UidUnreadable => "uid-unreadable",
+            Self::ListedTwice => "listed-twice",
             Self::NotPresent => "not-present",
             Self::NoIdentity => "no-identity",
             Self::Debug => "debug-device",
@@ -110,6 +119,9 @@ impl fmt::Display for LeftOutReason {
             Self::Shared(address) => write!(f, "shares {address}: unplug one"),
             Self::Another(address) => write!(f, "at {address}: not the name and UID listed"),
             Self::SameUid(address) => write!(f, "its UID is at {address}, too"),
+            Self::UidNotHeard => f.write_str("its UID was not heard"),
+            Self::UidUnreadable => f.write_str("the UID of its entry is none"),
+            Self::ListedTwice => f.write_str("listed twice"),
             Self::NotPresent => f.write_str("not on the bus"),
             Self::NoIdentity => f.write_str("no UID and no name"),
             Self::Debug => f.write_str("a debug device"),

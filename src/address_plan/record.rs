@@ -4,7 +4,7 @@
 //! JSON. Written before the first request and after each change; read to go on with a plan, or to
 //! take it back. A file may be of anybody: its size and its values are checked.
 
-use super::known_bus::DeviceIdentity;
+use super::known_bus::{AddressSet, DeviceIdentity};
 use super::run::{PlanRun, RunState, StepState};
 use crate::text::Name;
 use crate::wire::descriptor::AddressSetting;
@@ -16,6 +16,8 @@ use serde::{Deserialize, Serialize};
 pub const MAX_RECORD_BYTES: u64 = 1 << 20;
 /// Version of the format.
 const VERSION: u32 = 1;
+/// Longest name of a bus in the name of a file.
+const MAX_BUS_NAME: usize = 40;
 /// Most devices and steps of a file.
 const MAX_ROWS: usize = 1024;
 
@@ -47,6 +49,25 @@ pub struct PlanRecord {
     /// The steps of earlier runs of this plan that were begun: their devices may have what they wrote.
     #[serde(default)]
     pub earlier: Vec<RecordedStep>,
+    /// Devices of earlier plans of the bus of which it was not known, at the start, what they have
+    /// stored.
+    #[serde(default)]
+    pub unsettled: Vec<UnsettledDevice>,
+}
+
+/// A device of which it is not known what it has stored.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct UnsettledDevice {
+    /// The name, for people; `null` if it was unknown.
+    pub name: Option<String>,
+    /// Its bytes, as hexadecimal digits.
+    pub name_hex: Option<String>,
+    /// The bytes of the UID, as hexadecimal digits; `null` if it was not heard.
+    pub uid_hex: Option<String>,
+    /// The addresses that it may have stored, or come back to.
+    pub addresses: Vec<u8>,
+    /// The code of the setting that it confirmed to have stored; `null` if it confirmed none.
+    pub stored: Option<u8>,
 }
 
 /// A device of a plan.
@@ -56,7 +77,7 @@ pub struct RecordedDevice {
     pub name: Option<String>,
     /// Its bytes, as hexadecimal digits.
     pub name_hex: Option<String>,
-    /// The bytes of the UID, as hexadecimal digits; `null` if it was blank.
+    /// The bytes of the UID, as hexadecimal digits; `null` if it was not heard.
     pub uid_hex: Option<String>,
     /// Where it was.
     pub original: RecordedPlace,
@@ -114,10 +135,7 @@ impl RecordedDevice {
 
     /// Returns who it is.
     pub fn identity(&self) -> DeviceIdentity {
-        let uid = self.uid_hex.as_deref().and_then(bytes_of);
-        let uid = uid.and_then(|bytes| <[u8; 6]>::try_from(bytes).ok()).map(Uid);
-        let name = self.name_hex.as_deref().and_then(bytes_of).map(|bytes| Name::new(&bytes));
-        DeviceIdentity { uid: uid.filter(|uid| !uid.is_blank()), name }
+        identity(self.uid_hex.as_deref(), self.name_hex.as_deref())
     }
 
     /// Returns where it was, and the setting that it had stored.
@@ -127,11 +145,35 @@ impl RecordedDevice {
     }
 }
 
+impl UnsettledDevice {
+    /// Returns who it is.
+    pub fn identity(&self) -> DeviceIdentity {
+        identity(self.uid_hex.as_deref(), self.name_hex.as_deref())
+    }
+
+    /// Returns the addresses that it may have stored, or come back to.
+    pub fn possible(&self) -> AddressSet {
+        self.addresses.iter().copied().map(Address::from_bits).collect()
+    }
+
+    /// Returns the setting that it has stored; `None` if that is not known.
+    pub fn setting(&self) -> Option<AddressSetting> {
+        self.stored.and_then(AddressSetting::from_code)
+    }
+}
+
 impl RecordedStep {
     /// Returns true if its request was sent, or may have been.
     pub fn is_begun(&self) -> bool {
         self.state != StepState::Pending.word()
     }
+}
+
+/// Returns who a device is, from hexadecimal digits.
+fn identity(uid_hex: Option<&str>, name_hex: Option<&str>) -> DeviceIdentity {
+    let uid = uid_hex.and_then(bytes_of).and_then(|bytes| <[u8; 6]>::try_from(bytes).ok());
+    let name = name_hex.and_then(bytes_of).map(|bytes| Name::new(&bytes));
+    DeviceIdentity { uid: uid.map(Uid), name }
 }
 
 /// Returns the bytes of hexadecimal digits; `None` if it has others.
@@ -143,6 +185,13 @@ fn bytes_of(digits: &str) -> Option<Vec<u8>> {
 }
 
 impl PlanRecord {
+    /// Returns the name of the file of a plan that is started at `time`.
+    pub fn file_name(time: &str, bus: &str) -> String {
+        let plain = |c: char| if c.is_ascii_alphanumeric() { c } else { '-' };
+        let bus: String = bus.chars().map(plain).take(MAX_BUS_NAME).collect();
+        format!("{time}-{bus}.json")
+    }
+
     /// Reads the content of a file.
     ///
     /// # Errors
@@ -163,11 +212,14 @@ impl PlanRecord {
         if self.version != VERSION {
             return Err(format!("format {} is not known: {VERSION} is", self.version));
         }
-        if self.devices.len().max(self.steps.len()).max(self.earlier.len()) > MAX_ROWS {
+        let lengths =
+            [self.devices.len(), self.steps.len(), self.earlier.len(), self.unsettled.len()];
+        if lengths.into_iter().any(|length| length > MAX_ROWS) {
             return Err(format!("more than {MAX_ROWS} devices or steps"));
         }
         let addresses = self.devices.iter().flat_map(|it| [it.original.address, it.to]);
         let addresses = addresses.chain(self.all_steps().flat_map(|it| [it.from, it.to]));
+        let addresses = addresses.chain(self.unsettled.iter().flat_map(|it| it.addresses.clone()));
         let is_wrong = |address: &u8| !(1..128).contains(address);
         if let Some(wrong) = { addresses }.find(is_wrong) {
             return Err(format!("{wrong} is not an address: 1 to 127"));
@@ -175,6 +227,9 @@ impl PlanRecord {
         let has_no_identity = |it: &RecordedDevice| !it.identity().is_known();
         if let Some(at) = self.devices.iter().position(has_no_identity) {
             return Err(format!("device {} has neither UID nor name", at + 1));
+        }
+        if let Some(at) = self.unsettled.iter().position(|it| !it.identity().is_known()) {
+            return Err(format!("unsettled device {} has neither UID nor name", at + 1));
         }
         if self.all_steps().any(|step| step.device >= self.devices.len()) {
             return Err("a step of an unknown device".to_owned());
@@ -247,6 +302,49 @@ impl PlanRecord {
         all.sort_unstable();
         all.dedup();
         all.into_iter().map(Address::from_bits).collect()
+    }
+
+    /// The devices of which it is not known what they have stored: those whose last write was not
+    /// confirmed, and those of earlier plans.
+    pub fn unsettled_devices(&self) -> Vec<UnsettledDevice> {
+        let is_confirmed = |step: &RecordedStep| step.state == StepState::Confirmed.word();
+        let is_open = |place: &usize| self.last_begun(*place).is_some_and(|it| !is_confirmed(it));
+        let own = (0..self.devices.len()).filter(is_open).map(|place| self.unsettled_device(place));
+        let is_written = |it: &UnsettledDevice| {
+            let identity = it.identity();
+            let is_it = |place: usize| identity.is_same(&self.devices[place].identity());
+            (0..self.devices.len()).any(|place| is_it(place) && self.last_begun(place).is_some())
+        };
+        let earlier = self.unsettled.iter().filter(|it| !is_written(it)).cloned();
+        own.chain(earlier).collect()
+    }
+
+    /// The other devices of the plan, with the addresses at which they were.
+    pub fn settled_devices(&self) -> Vec<UnsettledDevice> {
+        let is_confirmed = |step: &RecordedStep| step.state == StepState::Confirmed.word();
+        let is_settled = |place: &usize| self.last_begun(*place).is_none_or(is_confirmed);
+        let settled = (0..self.devices.len()).filter(is_settled);
+        settled.map(|place| self.unsettled_device(place)).collect()
+    }
+
+    fn unsettled_device(&self, place: usize) -> UnsettledDevice {
+        let device = &self.devices[place];
+        let has_it = |it: &&RecordedStep| {
+            it.state == StepState::Stored.word() || it.state == StepState::Responded.word()
+        };
+        let possible = self.possible_addresses(place);
+        UnsettledDevice {
+            name: device.name.clone(),
+            name_hex: device.name_hex.clone(),
+            uid_hex: device.uid_hex.clone(),
+            addresses: possible.iter().map(|address| address.number()).collect(),
+            stored: self.last_begun(place).filter(has_it).and_then(|it| it.setting),
+        }
+    }
+
+    /// The last step of a device that was begun.
+    pub fn last_begun(&self, device: usize) -> Option<&RecordedStep> {
+        self.all_steps().rfind(|step| step.device == device && step.is_begun())
     }
 
     /// Returns the content of the file.

@@ -162,6 +162,7 @@ pub struct PlanRun {
     timing: PlanTiming,
     states: Vec<StepState>,
     sent_at: Vec<Option<Instant>>,
+    confirmed_at: Vec<Option<Instant>>,
     state: RunState,
     current: usize,
     phase: StepPhase,
@@ -185,6 +186,7 @@ impl PlanRun {
             timing,
             states: vec![StepState::Pending; count],
             sent_at: vec![None; count],
+            confirmed_at: vec![None; count],
             state: RunState::Running,
             current: 0,
             phase: StepPhase::Next,
@@ -332,13 +334,8 @@ impl PlanRun {
         if !self.is_running() {
             return;
         }
-        if let Some(address) = self.new_conflict(bus) {
-            if let StepPhase::Waiting { .. } = self.phase {
-                self.fail(format!("an address conflict at {address}"));
-            } else {
-                self.stop(format!("an address conflict at {address}"));
-            }
-            return;
+        if let Some(surprise) = self.new_conflict(bus).or_else(|| self.taken_address(bus)) {
+            return self.handle_obstacle(surprise);
         }
         if let StepPhase::Waiting { sent, until, is_ended } = self.phase {
             self.judge(now, (sent, until, is_ended), bus);
@@ -393,6 +390,10 @@ impl PlanRun {
     // ---- steps -----------------------------------------------------------------------------
 
     fn begin_step(&mut self, now: Instant, bus: &PlanBus) {
+        // Of two at one address, both must have been heard.
+        if !bus.is_observed {
+            return;
+        }
         let step = &self.plan.steps[self.current];
         let Some(device) = bus.find(&step.device, step.from) else {
             let text = format!("{} is not on the bus any more", step.device.label());
@@ -489,11 +490,25 @@ impl PlanRun {
         format!("not at {} within {seconds:.0} s: {answer}, {heard}", step.to)
     }
 
-    fn new_conflict(&self, bus: &PlanBus) -> Option<Address> {
+    fn new_conflict(&self, bus: &PlanBus) -> Option<String> {
         let steps = &self.plan.steps;
         let mut addresses = steps.iter().flat_map(|step| [step.from, step.to]);
         let is_new = |at: &Address| bus.conflicts.has(*at) && !self.known_conflicts.has(*at);
-        addresses.find(is_new)
+        addresses.find(is_new).map(|address| format!("an address conflict at {address}"))
+    }
+
+    /// Returns that another device is heard at an address that was confirmed.
+    fn taken_address(&self, bus: &PlanBus) -> Option<String> {
+        self.plan.steps.iter().zip(&self.confirmed_at).find_map(|(step, confirmed)| {
+            let (confirmed, there) = (Some((*confirmed)?), bus.device_at(step.to)?);
+            let is_later = |heard: Option<Instant>| heard.is_some() && heard > confirmed;
+            if step.device.is_other(&there.identity) && is_later(Some(there.last_heard)) {
+                let who = there.identity.label();
+                return Some(format!("{who} is at {}, too, after {}", step.to, step.device.label()));
+            }
+            let is_shared = step.device.is_same(&there.identity) && is_later(there.other_heard);
+            is_shared.then(|| format!("another device is at {}, too", step.to))
+        })
     }
 
     /// Confirms the settings that are stored once their devices are heard at their addresses.
@@ -510,6 +525,7 @@ impl PlanRun {
             let waits = self.states[at] == StepState::Stored && step.from != step.to;
             if waits && !step.is_detour() && is_heard(&step.device) {
                 self.states[at] = StepState::Confirmed;
+                self.confirmed_at[at] = self.looked_at;
                 self.tell(Some(at), StepState::Confirmed.word().to_owned(), false);
                 is_changed = true;
             }
@@ -525,6 +541,14 @@ impl PlanRun {
     fn end_step(&mut self, state: StepState) {
         let at = self.current;
         self.tell(Some(at), state.word().to_owned(), false);
+        if state == StepState::Confirmed {
+            // The step that brought it to its place before is over.
+            let device = &self.plan.steps[at].device;
+            for (step, confirmed) in self.plan.steps.iter().zip(&mut self.confirmed_at) {
+                *confirmed = confirmed.filter(|_| !step.device.is_same(device));
+            }
+            self.confirmed_at[at] = self.looked_at;
+        }
         self.states[at] = state;
         self.current += 1;
         self.phase = StepPhase::Next;

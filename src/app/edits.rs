@@ -463,6 +463,7 @@ impl App {
             self.buses.devices().filter(|it| it.is_present() && it.has_changed_services());
         let changed = changed.count();
         self.buses.remove_lost_devices(self.clock.now());
+        self.forget_absent_devices();
         self.take_events();
         self.refresh();
         let lost = match lost {

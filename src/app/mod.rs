@@ -296,6 +296,11 @@ pub enum Effect {
         /// The frames.
         log: CapturedLog,
     },
+    /// Read the last plan of a bus; then call [`App::handle_last_plan`].
+    ReadLastPlan {
+        /// Name of the bus.
+        bus: String,
+    },
     /// Write the file of a plan with this name, in place of its content before; then call
     /// [`App::handle_plan_written`].
     WritePlan {
@@ -439,6 +444,8 @@ pub struct App {
     search: Option<Box<BusSearch>>,
     /// The plan of addresses.
     plan: Option<Box<PlanSession>>,
+    /// Devices that are not heard keep no address in the next plan.
+    forgets_absent_devices: bool,
     /// The comparison of two moments that is open.
     comparison: Option<Box<MomentComparison>>,
     /// The proof that is being written.
@@ -506,6 +513,7 @@ impl App {
             composer: None,
             search: None,
             plan: None,
+            forgets_absent_devices: false,
             comparison: None,
             proof: None,
             content,

@@ -87,6 +87,17 @@ impl AddressSender {
     }
 }
 
+/// Where a UID was heard last.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct HeardUid {
+    /// The UID, not blank.
+    pub uid: Uid,
+    /// The address.
+    pub address: Address,
+    /// Its last heartbeat.
+    pub last: Instant,
+}
+
 /// Node known by its UID.
 #[derive(Clone, Debug)]
 struct Node {
@@ -254,6 +265,22 @@ impl AddressClaims {
             .collect();
         all.sort_by_key(|sender| (sender.first, sender.uid));
         all
+    }
+
+    /// Returns where each UID was heard last.
+    pub fn heard_uids(&self) -> impl Iterator<Item = HeardUid> {
+        self.nodes.iter().map(|node| HeardUid {
+            uid: node.uid,
+            address: node.address,
+            last: node.last,
+        })
+    }
+
+    /// Forgets the nodes that are not heard any more. `period`: of the heartbeats of an address.
+    pub fn forget_absent(&mut self, now: Instant, period: impl Fn(Address) -> Duration) {
+        let is_there =
+            |node: &Node| now.since(node.last) < period(node.address) * RESOLUTION_PERIODS;
+        self.nodes.retain(is_there);
     }
 
     /// Stores a node and returns its index; replaces the one silent for the longest time if full.

@@ -87,7 +87,7 @@ mod sender_names;
 mod transfers;
 
 pub use bus_protocol::{BusTraffic, BusVerdict};
-pub use claims::AddressSender;
+pub use claims::{AddressSender, HeardUid};
 pub use config::Config;
 pub use debug_messages::{DebugCount, DebugCounts};
 pub use descriptors::{DeviceDescriptor, FieldContent, FieldReading, given_fields};
@@ -369,6 +369,10 @@ impl Engine {
 
     /// Command: removes the lost devices, and forgets what has changed in the services of the others.
     pub fn remove_lost_devices(&mut self) {
+        let tracker = &mut self.tracker;
+        let (now, periods) = (tracker.now, Address::all().map(|it| tracker.sender_period(it)));
+        let periods: Vec<Duration> = periods.collect();
+        tracker.claims.forget_absent(now, |address| periods[address.index()]);
         self.tracker.device_table.remove_lost();
         self.tracker.device_table.devices_mut().iter_mut().for_each(Device::confirm_services);
     }
@@ -480,6 +484,11 @@ impl Engine {
         senders.extend(blank.filter(|_| !senders.is_empty()));
         senders.sort_by_key(|sender| (sender.first, sender.uid));
         senders
+    }
+
+    /// Returns where each UID was heard last, that of devices without a row, too.
+    pub fn heard_uids(&self) -> impl Iterator<Item = HeardUid> {
+        self.tracker.claims.heard_uids()
     }
 
     /// Returns the heartbeat period of an address: measured, else that of the profile.

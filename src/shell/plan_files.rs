@@ -66,10 +66,11 @@ pub fn read_plan(wanted: &str) -> Result<(String, PlanRecord), Diagnostic> {
 /// The latest file cannot be read, or is no plan.
 pub fn latest_plan(bus: &str) -> Result<Option<(String, PlanRecord)>, Diagnostic> {
     let Some(folder) = plans_folder() else { return Ok(None) };
+    let end = PlanRecord::file_name("", bus);
     let entries = fs::read_dir(&folder).into_iter().flatten().flatten();
     let mut names: Vec<String> = entries
         .filter_map(|entry| entry.file_name().into_string().ok())
-        .filter(|name| name.strip_suffix(".json").is_some_and(|stem| !stem.starts_with('.')))
+        .filter(|name| name.ends_with(&end) && !name.starts_with('.'))
         .collect();
     // A name begins with its time.
     names.sort_unstable();

@@ -140,6 +140,7 @@ async fn run_on_terminal(
                 | Effect::ReadFile
                 | Effect::WriteFile { .. }
                 | Effect::WriteLog { .. }
+                | Effect::ReadLastPlan { .. }
                 | Effect::WritePlan { .. }
                 | Effect::Playback(_)
                 | Effect::FindBitrate(_) => {}

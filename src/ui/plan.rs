@@ -16,7 +16,7 @@
 //! Narrow screens leave out the UID, then ORDER and WHY.
 
 use super::brush::{DrawContext, fit, fit_right};
-use crate::address_plan::{LeftOut, PlanRun, PlanStep, RunState, StepEffect, StepState};
+use crate::address_plan::{DeviceIdentity, LeftOut, PlanRun, PlanStep, RunState, StepEffect, StepState};
 use crate::app::{PlanSession, PlanTask};
 use crate::keymap::Action;
 use crate::text::{counted, hex};
@@ -154,9 +154,8 @@ impl PlanColumns {
     }
 }
 
-fn uid_text(brush: &DrawContext, session: &PlanSession, step: &PlanStep) -> String {
-    let profile = brush.app.profile(session.bus());
-    step.device.uid.map_or("blank".to_owned(), |uid| uid.text(&profile.uid).to_string())
+fn uid_text(brush: &DrawContext, session: &PlanSession, device: &DeviceIdentity) -> String {
+    device.uid_text(&brush.app.profile(session.bus()).uid)
 }
 
 fn step_spans(
@@ -183,7 +182,7 @@ fn step_spans(
         _ => state.word().to_owned(),
     };
     let (order, from, to) = ((at + 1).to_string(), step.from.to_string(), step.to.to_string());
-    let (name, uid) = (step.device.label(), uid_text(brush, session, step));
+    let (name, uid) = (step.device.label(), uid_text(brush, session, &step.device));
     let reason = match &state {
         StepState::Failed(cause) => cause.clone(),
         _ => step.why(),
@@ -198,11 +197,9 @@ fn left_out_spans(
     left: &LeftOut,
     (columns, is_selected): (PlanColumns, bool),
 ) -> Vec<Span<'static>> {
-    let profile = brush.app.profile(session.bus());
-    let uid = left.device.uid.map(|uid| uid.text(&profile.uid).to_string());
+    let uid = uid_text(brush, session, &left.device);
     let from = left.at.map_or("–".to_owned(), |at| at.to_string());
     let (name, to, reason) = (left.device.label(), left.to.to_string(), left.reason.to_string());
-    let uid = uid.unwrap_or_else(|| if left.at.is_some() { "blank" } else { "–" }.to_owned());
     let row = columns.row(["–", &name, &uid, &from, &to, &reason], is_selected);
     let is_done = left.reason.is_done();
     let role = if is_done { Role::Muted } else { Role::Suspected };

@@ -164,8 +164,15 @@ impl Line {
                 self.sim.transmit(self.station, frame);
             }
             while let Some(effect) = self.app.poll_effect() {
-                if let Effect::WritePlan { name, bytes } = effect {
-                    self.writing = Some((name, bytes));
+                match effect {
+                    Effect::WritePlan { name, bytes } => self.writing = Some((name, bytes)),
+                    Effect::ReadLastPlan { bus } => {
+                        let last = self.disk.as_ref().map(|(name, bytes)| {
+                            (name.clone(), PlanRecord::parse(bytes).unwrap())
+                        });
+                        self.app.handle_last_plan(now, &bus, Ok(last));
+                    }
+                    _ => {}
                 }
             }
             if enough(self) {

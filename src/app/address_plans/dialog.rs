@@ -172,7 +172,8 @@ impl App {
         if session.is_running() {
             return self.show_error("the plan runs: stop it first");
         }
-        let Some((name, record)) = session.record.clone() else {
+        let own = session.record.as_ref().or_else(|| session.last_plan());
+        let Some((name, record)) = own.cloned() else {
             return self.show_error("nothing was written: nothing to take back");
         };
         let (bus, restarts) = (session.bus, session.restarts);
@@ -189,6 +190,10 @@ impl App {
         let state = session.run.as_ref().map(|run| run.state().clone());
         match state {
             None if session.is_reading() => self.show_error("settings are being read"),
+            None if session.problem().is_some() => {
+                let why = session.problem().cloned().unwrap_or_default();
+                self.show_error(format!("plan: {why}"));
+            }
             None if session.plan.steps.is_empty() => self.show_error("no step to do"),
             None => match self.plan_obstacle(session.bus) {
                 None => self.input.ask(Question::Plan),
@@ -242,6 +247,18 @@ impl App {
             return None;
         }
         self.plan.as_deref_mut()
+    }
+
+    /// Makes the plan again, with the same device selected.
+    pub(super) fn renew_shown_plan(&mut self) {
+        let Some(session) = &self.plan else { return };
+        let (shown, selected) = (session.plan.clone(), session.goal_of_row(session.selected));
+        let selected = selected.and_then(|goal| session.goal_key(goal));
+        self.renew_plan();
+        let is_same = self.plan.as_ref().is_some_and(|session| session.plan == shown);
+        if let Some(selected) = selected.filter(|_| !is_same) {
+            self.select_goal(&selected);
+        }
     }
 
     fn select_goal(&mut self, key: &GoalKey) {

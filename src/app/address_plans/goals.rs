@@ -1,13 +1,15 @@
 //! Which device is to have which address: from des.json, or from a plan's file.
 
+use super::known_devices::is_shared_address;
 use super::{PlanSession, PlanTask};
 use crate::address_plan::{
-    AddressGoal, AddressSet, DeviceIdentity, PlanBus, PlanRecord, RecordedDevice,
+    AddressGoal, AddressSet, DeviceIdentity, LeftOutReason, PlanBus, PlanRecord, RecordedDevice,
 };
 use crate::app::problems::Matching;
 use crate::app::{App, Bus};
 use crate::discovery::Device;
 use crate::document::{Entry, Operation};
+use crate::finding::Finding;
 use crate::frame::BusIndex;
 use crate::text::Name;
 use crate::wire::descriptor::AddressSetting;
@@ -85,9 +87,12 @@ impl App {
                 Some(place) => known.devices[place].identity.clone(),
                 None => identity_of_entry(entry, bus),
             };
-            let is_another = device.is_some_and(|at| is_another(entry, &bus.devices()[at], bus));
+            let doubt = match device {
+                Some(at) => doubt_of(entry, &bus.devices()[at], bus),
+                None => shared_address(entry, bus).map(LeftOutReason::Shared),
+            };
             let (setting, is_left_out) = (None, false);
-            Some(AddressGoal { device, identity, to, setting, is_another, is_left_out })
+            Some(AddressGoal { device, identity, to, setting, doubt, is_left_out })
         });
         goals.collect()
     }
@@ -125,20 +130,34 @@ impl App {
 fn identity_of_entry(entry: &Entry, bus: &Bus) -> DeviceIdentity {
     let alphabet = &bus.config().profile.uid;
     let uid = entry.uid.as_deref().map(str::trim).and_then(|text| Uid::parse(text, alphabet));
-    let uid = uid.filter(|uid| !uid.is_blank());
-    DeviceIdentity { uid, name: Some(Name::new(&entry.name)) }
+    DeviceIdentity { uid: uid.and_then(Uid::not_blank), name: Some(Name::new(&entry.name)) }
 }
 
-/// Returns true if the name or the UID of the device of an entry is not that of the entry: two devices
-/// may be mixed up.
-fn is_another(entry: &Entry, device: &Device, bus: &Bus) -> bool {
+/// Why the device of an entry may be another one than the listed one.
+fn doubt_of(entry: &Entry, device: &Device, bus: &Bus) -> Option<LeftOutReason> {
     let alphabet = &bus.config().profile.uid;
     let listed = entry.uid.as_deref().map(str::trim).filter(|listed| !listed.is_empty());
-    let is_other_uid = listed.zip(device.uid).is_some_and(|(listed, uid)| {
-        // Of a UID that cannot be read nothing is known.
-        Uid::parse(listed, alphabet).is_some_and(|listed| listed != uid)
-    });
-    is_other_uid || device.name.is_some() && !device.is_named(&entry.name)
+    let listed = match listed.map(|listed| Uid::parse(listed, alphabet)) {
+        Some(None) => return Some(LeftOutReason::UidUnreadable),
+        Some(Some(uid)) => uid.not_blank(),
+        None => None,
+    };
+    let is_other_uid = listed.zip(device.uid).is_some_and(|(listed, uid)| listed != uid);
+    if is_other_uid || device.name.is_some() && !device.is_named(&entry.name) {
+        return Some(LeftOutReason::Another(device.address));
+    }
+    (listed.is_some() && device.uid.is_none()).then_some(LeftOutReason::UidNotHeard)
+}
+
+/// Returns the address at which the device of an entry is in conflict with another one.
+fn shared_address(entry: &Entry, bus: &Bus) -> Option<Address> {
+    let uid = identity_of_entry(entry, bus).own_uid();
+    let mut conflicts = bus.findings().iter().filter(|finding| is_shared_address(finding));
+    let is_it = |finding: &&Finding| {
+        finding.names.contains(&Name::new(&entry.name))
+            || uid.is_some() && finding.uids.iter().any(|seen| Some(seen.uid) == uid)
+    };
+    conflicts.find(is_it)?.addresses.first().copied()
 }
 
 /// Returns the goals of the devices of a file.
@@ -157,8 +176,7 @@ fn goals_of_record(
             None => recorded.identity(),
         };
         let (to, setting) = goal(recorded);
-        let (is_another, is_left_out) = (false, false);
-        AddressGoal { device, identity, to, setting, is_another, is_left_out }
+        AddressGoal { device, identity, to, setting, doubt: None, is_left_out: false }
     });
     goals.collect()
 }

@@ -1,16 +1,16 @@
 //! What the engine of a bus knows of its devices, as a plan needs it; with what a plan's file tells of
 //! those that are not heard.
 
-use super::goals::place_in;
 use crate::address_plan::{
-    AddressSet, DeviceIdentity, KnownDevice, PlanBus, PlanRecord, StepEffect,
+    AddressSet, DeviceIdentity, KnownDevice, PlanBus, PlanRecord, StepEffect, UnsettledDevice,
 };
 use crate::app::{App, Bus};
-use crate::discovery::{Device, OwnAddress};
+use crate::discovery::{Device, HeardUid, OwnAddress};
 use crate::finding::{Finding, FindingKind, FindingState};
 use crate::frame::BusIndex;
 use crate::time::Instant;
-use crate::wire::descriptor::{AddressSetting, DescriptorField, DescriptorValue};
+use crate::wire::descriptor::{DescriptorField, DescriptorValue};
+use crate::wire::id::Address;
 use crate::wire::node::Uid;
 
 /// Conflicts of several devices at one address.
@@ -22,16 +22,35 @@ const SHARED_ADDRESS: [FindingKind; 3] = [
 
 /// Heartbeat periods for which a device that is not heard any more may still be at its address.
 const SHARED_PERIODS: u32 = 5;
+/// Most devices of earlier plans in the file of a plan.
+const MAX_UNSETTLED: usize = 512;
+/// Heartbeat periods after which each device was heard, even if two of its heartbeats are lost. Chosen.
+const OBSERVED_PERIODS: u32 = 3;
+
+/// What earlier plans of a bus tell of its devices.
+#[derive(Clone, Copy, Default)]
+pub(super) struct PlanKnowledge<'a> {
+    /// The file of the run, or that of the task.
+    pub record: Option<&'a PlanRecord>,
+    /// The last plan of the bus, if it is another one.
+    pub earlier: Option<&'a PlanRecord>,
+    /// Nothing is known of devices that are not heard: their addresses are free.
+    pub forgets_absent: bool,
+}
 
 /// Returns by what a device is recognised.
 pub(super) fn identity_of(device: &Device) -> DeviceIdentity {
-    let uid = device.uid.filter(|uid| !uid.is_blank());
-    DeviceIdentity { uid, name: device.name.clone() }
+    DeviceIdentity { uid: device.uid, name: device.name.clone() }
 }
 
-/// Returns true if another device was heard at the address of this one within the last heartbeat
-/// periods, and nowhere else since: a write may reach that one.
-pub(super) fn is_heard_twice(bus: &Bus, device: &Device, now: Instant) -> bool {
+/// Returns true if a finding tells of two devices at one address, now.
+pub(super) fn is_shared_address(finding: &Finding) -> bool {
+    SHARED_ADDRESS.contains(&finding.key.kind) && finding.state != FindingState::Cleared
+}
+
+/// Returns when another device was heard last at the address of this one, and nowhere else since: a
+/// write may reach that one. `None` if that was more than some heartbeat periods ago.
+pub(super) fn other_heard(bus: &Bus, device: &Device, now: Instant) -> Option<Instant> {
     let address = device.address;
     let has_left = |uid: Uid, last: Instant| {
         let elsewhere = |it: &Device| it.address != address && it.last_seen > last;
@@ -39,46 +58,86 @@ pub(super) fn is_heard_twice(bus: &Bus, device: &Device, now: Instant) -> bool {
         known && bus.devices().iter().any(|it| it.uid == Some(uid) && elsewhere(it))
     };
     let senders = bus.senders_at(address).into_iter();
-    if senders.filter(|it| !has_left(it.uid, it.last)).count() > 1 {
-        return true;
-    }
+    let mut senders: Vec<_> = senders.filter(|it| !has_left(it.uid, it.last)).collect();
+    // One of them is the device: the one with its UID, else the last one.
+    senders.sort_by_key(|it| (Some(it.uid) == device.uid, it.last));
+    senders.pop();
     let recently = bus.config().profile.heartbeat.period() * SHARED_PERIODS;
     let identity = identity_of(device);
-    bus.devices().iter().any(|other| {
+    let rows = bus.devices().iter().filter(|other| {
         other.id != device.id
             && other.address == address
             && now.since(other.last_seen) <= recently
             && identity.is_other(&identity_of(other))
             && !other.uid.is_some_and(|uid| has_left(uid, other.last_seen))
-    })
+    });
+    senders.iter().map(|it| it.last).chain(rows.map(|other| other.last_seen)).max()
+}
+
+/// Returns the other address at which a board with the UID of this one is, too.
+fn same_uid_at(bus: &Bus, device: &Device) -> Option<Address> {
+    let is_it = |finding: &&Finding| {
+        finding.key.kind == FindingKind::OneUidTwoAddresses
+            && finding.state != FindingState::Cleared
+            && finding.uids.iter().any(|seen| Some(seen.uid) == device.uid)
+    };
+    let finding = bus.findings().iter().find(is_it)?;
+    finding.addresses.iter().copied().find(|address| *address != device.address)
 }
 
 fn known_device(bus: &Bus, device: &Device, now: Instant) -> KnownDevice {
-    let is_open = |finding: &&Finding| {
-        SHARED_ADDRESS.contains(&finding.key.kind) && finding.state != FindingState::Cleared
-    };
-    let mut shared = bus.findings().iter().filter(is_open);
+    let mut shared = bus.findings().iter().filter(|finding| is_shared_address(finding));
     let setting = match device.descriptor.value(DescriptorField::Address) {
         Some(DescriptorValue::Address(setting)) => Some(setting),
         _ => None,
     };
     let current = bus.device_at(device.address);
+    let other_heard = other_heard(bus, device, now);
     KnownDevice {
         identity: identity_of(device),
         address: device.address,
         setting,
         possible: AddressSet::default(),
         is_present: device.is_present() && current.is_some_and(|it| it.id == device.id),
-        is_shared: shared.any(|finding| finding.addresses.contains(&device.address))
-            || is_heard_twice(bus, device, now),
+        is_shared: other_heard.is_some()
+            || shared.any(|finding| finding.addresses.contains(&device.address)),
+        other_heard,
+        same_uid_at: same_uid_at(bus, device),
         is_debug: device.is_debug,
+        first_heard: device.first_seen,
         last_heard: device.last_seen,
     }
 }
 
+/// Returns a device that is not heard.
+fn absent_device(identity: DeviceIdentity, address: Address, last: Instant) -> KnownDevice {
+    KnownDevice {
+        identity,
+        address,
+        setting: None,
+        possible: AddressSet::default(),
+        is_present: false,
+        is_shared: false,
+        other_heard: None,
+        same_uid_at: None,
+        is_debug: false,
+        first_heard: last,
+        last_heard: last,
+    }
+}
+
+/// Boards that were heard, and have no row any more: another one is at their address.
+fn boards_without_row(bus: &Bus) -> impl Iterator<Item = KnownDevice> {
+    let has_no_row = |heard: &HeardUid| bus.devices().iter().all(|it| it.uid != Some(heard.uid));
+    bus.heard_uids().filter(has_no_row).map(|heard| {
+        let identity = DeviceIdentity { uid: Some(heard.uid), name: None };
+        absent_device(identity, heard.address, heard.last)
+    })
+}
+
 impl App {
-    /// What is known of the devices of a bus now. `record`: what a plan's file tells of them.
-    pub(super) fn known_devices(&self, index: BusIndex, record: Option<&PlanRecord>) -> PlanBus {
+    /// What is known of the devices of a bus now.
+    pub(super) fn known_devices(&self, index: BusIndex, knowledge: PlanKnowledge) -> PlanBus {
         let Some(bus) = self.buses.get(index) else { return PlanBus::default() };
         let own = match bus.own_address() {
             OwnAddress::Held(own) => Some(own),
@@ -87,51 +146,106 @@ impl App {
         // descan's own frames make no row; a device with its address would be shared.
         let now = self.clock.now();
         let known = bus.devices().iter().map(|device| known_device(bus, device, now));
-        let mut devices: Vec<KnownDevice> = known.collect();
+        let mut devices: Vec<KnownDevice> = known.chain(boards_without_row(bus)).collect();
         let is_confirmed = |finding: &&Finding| {
             finding.key.kind.is_conflict() && finding.state == FindingState::Confirmed
         };
         let conflicts = bus.findings().iter().filter(is_confirmed);
         let conflicts: AddressSet =
             conflicts.flat_map(|finding| finding.addresses.iter().copied()).collect();
-        if let Some(record) = record {
-            add_recorded(&mut devices, record);
-        }
-        PlanBus { devices, own, conflicts }
+        knowledge.add_to(&mut devices);
+        PlanBus { devices, own, conflicts, is_observed: self.is_observed(bus) }
+    }
+
+    /// Returns true if the bus was heard for so long that each device sent several heartbeats.
+    pub fn is_observed(&self, bus: &Bus) -> bool {
+        let time = bus.config().profile.heartbeat.period() * OBSERVED_PERIODS;
+        bus.is_up_for(self.clock.now(), time)
     }
 }
 
-/// Adds what a file tells: settings that were stored and not read, and the addresses at which devices
-/// may come back that are not heard, or whose last write is not known to have arrived.
-fn add_recorded(devices: &mut Vec<KnownDevice>, record: &PlanRecord) {
-    let possible = |place| record.possible_addresses(place).into_iter().collect::<AddressSet>();
-    let mut heard = vec![false; record.devices.len()];
-    for device in devices.iter_mut().filter(|device| device.is_present) {
-        let Some(place) = place_in(record, &device.identity, device.address) else { continue };
-        heard[place] = true;
-        // Where writes act at once, a device is where its setting is.
-        if device.setting.is_some() || record.effect == StepEffect::AtOnce.word() {
-            continue;
-        }
-        let mut steps = record.all_steps().filter(|step| step.device == place);
-        match steps.rfind(|step| step.is_begun()) {
-            None => {}
-            Some(last) if last.state == "stored" || last.state == "responded" => {
-                device.setting = last.setting.and_then(AddressSetting::from_code);
+impl PlanKnowledge<'_> {
+    /// Adds what files tell: settings that were stored and not read, and the addresses at which devices
+    /// may come back that are not heard, or whose last write is not known to have arrived.
+    fn add_to(self, devices: &mut Vec<KnownDevice>) {
+        for record in self.record.into_iter().chain(self.earlier) {
+            let is_own = self.record.is_some_and(|own| std::ptr::eq(own, record));
+            let unsettled = record.unsettled_devices();
+            let settled = if is_own { record.settled_devices() } else { Vec::new() };
+            let all: Vec<&UnsettledDevice> = unsettled.iter().chain(&settled).collect();
+            for (at, it) in all.iter().enumerate() {
+                match place_of(it, &all, devices) {
+                    Some(place) if at < unsettled.len() => {
+                        // Where writes act at once, a device is where its setting is.
+                        if record.effect != StepEffect::AtOnce.word() {
+                            add_stored(&mut devices[place], it);
+                        }
+                    }
+                    Some(_) => {}
+                    None if self.forgets_absent => {}
+                    None => devices.extend(absent_of(it)),
+                }
             }
-            Some(last) if last.state == "confirmed" => {}
-            Some(_) => device.possible = possible(place),
         }
     }
-    let absent = record.devices.iter().enumerate().filter(|(place, _)| !heard[*place]);
-    devices.extend(absent.map(|(place, recorded)| KnownDevice {
-        identity: recorded.identity(),
-        address: recorded.place().0,
-        setting: None,
-        possible: possible(place),
-        is_present: false,
-        is_shared: false,
-        is_debug: false,
-        last_heard: Instant::ZERO,
-    }));
+}
+
+impl PlanKnowledge<'_> {
+    /// The devices of which it is still not known what they have stored, for the file of a new run.
+    pub fn unsettled_after(self, bus: &PlanBus, new: &PlanRecord) -> Vec<UnsettledDevice> {
+        let mut all: Vec<UnsettledDevice> = new.unsettled.clone();
+        for record in self.record.into_iter().chain(self.earlier) {
+            let is_own = self.record.is_some_and(|own| std::ptr::eq(own, record));
+            let acts_at_once = record.effect == StepEffect::AtOnce.word();
+            let unsettled = record.unsettled_devices();
+            let settled = if is_own { record.settled_devices() } else { Vec::new() };
+            let both: Vec<&UnsettledDevice> = unsettled.iter().chain(&settled).collect();
+            for (at, it) in both.iter().enumerate() {
+                let is_open = match place_of(it, &both, &bus.devices) {
+                    Some(_) => at < unsettled.len() && !acts_at_once,
+                    None => !self.forgets_absent,
+                };
+                let is_known = all.iter().any(|known| known.identity() == it.identity());
+                let is_in_plan = new.devices.iter().any(|own| own.identity() == it.identity());
+                if is_open && !is_known && !is_in_plan && all.len() < MAX_UNSETTLED {
+                    all.push((*it).clone());
+                }
+            }
+        }
+        all
+    }
+}
+
+/// Returns the place of a present device; of several that look the same in a file, of that which may be
+/// at this address.
+fn place_of(
+    wanted: &UnsettledDevice,
+    all: &[&UnsettledDevice],
+    devices: &[KnownDevice],
+) -> Option<usize> {
+    let identity = wanted.identity();
+    let is_only = all.iter().filter(|it| it.identity().is_same(&identity)).count() == 1;
+    let possible = wanted.possible();
+    devices.iter().position(|device| {
+        device.is_present
+            && identity.is_same(&device.identity)
+            && (is_only || possible.has(device.address))
+    })
+}
+
+/// Adds what was written to a device, unless its setting was read.
+fn add_stored(device: &mut KnownDevice, unsettled: &UnsettledDevice) {
+    if device.setting.is_none() {
+        match unsettled.setting() {
+            Some(setting) => device.setting = Some(setting),
+            None => device.possible = unsettled.possible(),
+        }
+    }
+}
+
+/// Returns a device that is not heard.
+fn absent_of(unsettled: &UnsettledDevice) -> Option<KnownDevice> {
+    let address = Address::from_bits(*unsettled.addresses.first()?);
+    let possible = unsettled.possible();
+    Some(KnownDevice { possible, ..absent_device(unsettled.identity(), address, Instant::ZERO) })
 }

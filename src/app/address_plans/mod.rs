@@ -9,7 +9,8 @@ mod goals;
 mod known_devices;
 mod plan_run;
 
-use super::{App, key_needed};
+use known_devices::PlanKnowledge;
+use super::{App, Effect, key_needed};
 use crate::address_plan::{
     AddressGoal, AddressPlan, PlanOptions, PlanRecord, PlanRun, PlanTiming, RecordedDevice,
     RunState, StepEffect, StepState,
@@ -24,8 +25,6 @@ use goals::GoalKey;
 
 /// Time between two looks whether the settings are read.
 const READ_INTERVAL: Duration = Duration::from_millis(100);
-/// Longest name of a bus in the name of a file.
-const MAX_BUS_NAME: usize = 40;
 
 /// Which addresses the devices are to have.
 #[derive(Clone, Debug, PartialEq)]
@@ -47,6 +46,20 @@ pub enum PlanStart {
     Changed(String),
 }
 
+/// The last plan of a bus, in the folder of plans.
+#[derive(Debug)]
+enum LastPlan {
+    /// It is being read.
+    Awaited,
+    /// It was read; `None` if there is none.
+    Read(Option<Box<(String, PlanRecord)>>),
+    /// It cannot be read: what devices have stored is not known.
+    Unreadable(String),
+}
+
+/// Time after which a plan that is shown is made again, from what is known then.
+const RENEWAL_INTERVAL: Duration = Duration::from_millis(500);
+
 /// A plan and its run.
 #[derive(Debug)]
 pub struct PlanSession {
@@ -56,6 +69,8 @@ pub struct PlanSession {
     is_fixed: bool,
     /// When to look again whether the settings are read; `None` once they are.
     reading_due: Option<Instant>,
+    /// When the plan is made again, as long as it is shown and not started.
+    renewal_due: Instant,
     goals: Vec<AddressGoal>,
     left_out: Vec<GoalKey>,
     order: Vec<GoalKey>,
@@ -64,6 +79,10 @@ pub struct PlanSession {
     /// The file of the run: its name and content, and the place in it of each goal.
     record: Option<(String, PlanRecord)>,
     places: Vec<Option<usize>>,
+    /// The last plan of the bus, with the name of its file.
+    last: LastPlan,
+    /// Nothing is known of devices that are not heard: their addresses are free.
+    forgets_absent: bool,
     /// The state that the content of the file has.
     recorded: u64,
     /// The state that is being written.
@@ -98,9 +117,25 @@ impl PlanSession {
         self.run.as_ref()
     }
 
-    /// Returns true while stored settings are read, and no plan is made yet.
+    /// Returns true while stored settings and the last plan are read, and no plan is made yet.
     pub const fn is_reading(&self) -> bool {
-        self.reading_due.is_some()
+        self.reading_due.is_some() || matches!(self.last, LastPlan::Awaited)
+    }
+
+    /// Why no plan can be made; `None` if one can.
+    pub const fn problem(&self) -> Option<&String> {
+        match &self.last {
+            LastPlan::Unreadable(why) => Some(why),
+            _ => None,
+        }
+    }
+
+    /// The last plan of the bus, with the name of its file.
+    fn last_plan(&self) -> Option<&(String, PlanRecord)> {
+        match &self.last {
+            LastPlan::Read(last) => last.as_deref(),
+            _ => None,
+        }
     }
 
     /// Returns true while steps are done.
@@ -144,13 +179,20 @@ impl PlanSession {
         }
     }
 
-    /// What a file tells of the devices: that of the run, else that of the task.
-    fn known_record(&self) -> Option<&PlanRecord> {
-        match &self.task {
-            _ if self.run.is_some() => self.record(),
-            PlanTask::ToFile => None,
-            PlanTask::Resume(record, _) | PlanTask::TakeBack(record, _) => Some(record),
+    /// What files tell of the devices: that of the run, else that of the task, and the last one.
+    fn knowledge(&self) -> PlanKnowledge<'_> {
+        let forgets_absent = self.forgets_absent;
+        if self.run.is_some() {
+            return PlanKnowledge { record: self.record(), earlier: None, forgets_absent };
         }
+        let (record, name) = match &self.task {
+            PlanTask::ToFile => (None, None),
+            PlanTask::Resume(record, name) | PlanTask::TakeBack(record, name) => {
+                (Some(&**record), Some(name))
+            }
+        };
+        let earlier = self.last_plan().filter(|(last, _)| Some(last) != name);
+        PlanKnowledge { record, earlier: earlier.map(|(_, last)| last), forgets_absent }
     }
 
     /// Returns true if settings are fixed addresses, else preferred ones.
@@ -210,6 +252,37 @@ impl App {
         }
     }
 
+    /// Takes the last plan of a bus, with the name of its file, or why it cannot be read.
+    pub fn handle_last_plan(
+        &mut self,
+        now: Instant,
+        bus: &str,
+        last: Result<Option<(String, PlanRecord)>, String>,
+    ) {
+        self.clock.set(now);
+        let Some(mut session) = self.plan.take() else { return };
+        let is_its = self.buses.get(session.bus).is_some_and(|it| it.name == bus);
+        if is_its && matches!(session.last, LastPlan::Awaited) {
+            session.last = match last {
+                Ok(last) => LastPlan::Read(last.map(Box::new)),
+                Err(_) if session.forgets_absent => LastPlan::Read(None),
+                Err(why) => LastPlan::Unreadable(why),
+            };
+        }
+        let problem = session.problem().cloned();
+        self.plan = Some(session);
+        self.notices.redraw.set_dirty();
+        self.renew_plan();
+        if let Some(why) = problem {
+            self.show_error(format!("plan: {why}"));
+        }
+    }
+
+    /// Takes that devices that are not heard keep no address: those of earlier plans are free.
+    pub const fn forget_absent_devices(&mut self) {
+        self.forgets_absent_devices = true;
+    }
+
     /// Prepares a plan: reads the stored settings, where the profile has their number, and makes it
     /// then. Nothing is written.
     ///
@@ -238,12 +311,15 @@ impl App {
         }
         let is_read = profile.is_given(ProfileKey::Addr) && self.read_settings(bus);
         let now = self.clock.now();
+        let name = self.buses.get(bus).map_or_else(String::new, |bus| bus.name.clone());
+        self.effects.push_back(Effect::ReadLastPlan { bus: name });
         self.plan = Some(Box::new(PlanSession {
             bus,
             task,
             restarts: restarts && profile.writes.effect == WriteEffect::Restart,
             is_fixed: true,
             reading_due: is_read.then_some(now + READ_INTERVAL),
+            renewal_due: now + RENEWAL_INTERVAL,
             goals: Vec::new(),
             left_out: Vec::new(),
             order: Vec::new(),
@@ -251,6 +327,8 @@ impl App {
             run: None,
             record: None,
             places: Vec::new(),
+            last: LastPlan::Awaited,
+            forgets_absent: self.forgets_absent_devices,
             recorded: 0,
             writing: None,
             open: None,
@@ -258,9 +336,6 @@ impl App {
             selected: 0,
             is_seen: true,
         }));
-        if !is_read {
-            self.renew_plan();
-        }
         Ok(())
     }
 
@@ -278,15 +353,17 @@ impl App {
     /// Makes the plan again, from what is known now.
     pub(super) fn renew_plan(&mut self) {
         let Some(mut session) = self.plan.take() else { return };
-        if session.run.is_none() && !session.is_reading() {
-            let bus = self.known_devices(session.bus, session.known_record());
+        if session.run.is_none() && !session.is_reading() && session.problem().is_none() {
+            let bus = self.known_devices(session.bus, session.knowledge());
             session.goals = self.address_goals(&session, &bus);
             let options = self.plan_options(&session);
-            session.plan = AddressPlan::new(&bus, &session.goals, &options);
+            let plan = AddressPlan::new(&bus, &session.goals, &options);
+            if std::mem::replace(&mut session.plan, plan) != session.plan {
+                self.notices.redraw.set_dirty();
+            }
             session.selected = session.selected.min(session.rows().saturating_sub(1));
         }
         self.plan = Some(session);
-        self.notices.redraw.set_dirty();
     }
 
     fn plan_options(&self, session: &PlanSession) -> PlanOptions {
@@ -321,12 +398,17 @@ impl App {
         if session.is_reading() || session.run.is_some() {
             return Err("the plan is not ready".to_owned());
         }
+        if let Some(why) = session.problem() {
+            return Err(why.clone());
+        }
+        self.forgets_absent_devices = false;
         if let Some(why) = self.plan_obstacle(session.bus) {
             return Err(why);
         }
-        let bus = self.known_devices(session.bus, session.known_record());
+        let bus = self.known_devices(session.bus, session.knowledge());
         let (effect, timing) = (self.plan_effect(session), self.plan_timing(session.bus));
         let (name, mut record) = self.new_record(session, effect);
+        record.unsettled = session.knowledge().unsettled_after(&bus, &record);
         // The device of each goal with a step, as the file has it.
         session.places = vec![None; session.goals.len()];
         for step in &session.plan.steps {
@@ -365,9 +447,7 @@ impl App {
             PlanTask::TakeBack(_, name) => format!("undo of {name}"),
         };
         let bus = self.buses.get(session.bus).map_or_else(String::new, |bus| bus.name.clone());
-        let plain = |c: char| if c.is_ascii_alphanumeric() { c } else { '-' };
-        let short: String = bus.chars().map(plain).take(MAX_BUS_NAME).collect();
-        let name = format!("{}-{short}.json", self.clock.stamp());
+        let name = PlanRecord::file_name(&self.clock.stamp(), &bus);
         let record = PlanRecord {
             descan: String::new(),
             version: 1,
@@ -381,6 +461,7 @@ impl App {
             devices: Vec::new(),
             steps: Vec::new(),
             earlier: Vec::new(),
+            unsettled: Vec::new(),
         };
         (name, record)
     }

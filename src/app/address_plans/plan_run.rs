@@ -1,7 +1,7 @@
 //! The run of a plan: its clock, its requests and their ends, its file, its lines on the timeline.
 
-use super::known_devices::{identity_of, is_heard_twice};
-use super::{PlanSession, READ_INTERVAL};
+use super::known_devices::{PlanKnowledge, identity_of, other_heard};
+use super::{PlanSession, READ_INTERVAL, RENEWAL_INTERVAL};
 use crate::address_plan::{DeviceIdentity, PlanRequest, RequestEnd};
 use crate::app::device_command::DeviceCommand;
 use crate::app::notices::TimelineEntry;
@@ -18,7 +18,14 @@ impl App {
     pub(in crate::app) fn plan_timeout(&self) -> Option<Instant> {
         let session = self.plan.as_ref()?;
         let run = session.run.as_ref().and_then(|run| run.poll_timeout(self.clock.now()));
-        run.into_iter().chain(session.reading_due).min()
+        let renewal = self.is_plan_shown(session).then_some(session.renewal_due);
+        run.into_iter().chain(session.reading_due).chain(renewal).min()
+    }
+
+    /// Returns true if the plan is shown, and can be made again: not while it is asked about.
+    fn is_plan_shown(&self, session: &PlanSession) -> bool {
+        let is_open = matches!(self.input.overlay(), Overlay::Plan);
+        is_open && session.run.is_none() && !session.is_reading()
     }
 
     /// Looks after the plan.
@@ -33,12 +40,17 @@ impl App {
             if bus.is_none_or(is_read) {
                 session.reading_due = None;
                 self.plan = Some(session);
+                self.notices.redraw.set_dirty();
                 return self.renew_plan();
             }
         }
         let has_run = session.run.is_some();
         if has_run {
             self.step_run(now, &mut session);
+        } else if self.is_plan_shown(&session) && session.renewal_due <= now {
+            session.renewal_due = now + RENEWAL_INTERVAL;
+            self.plan = Some(session);
+            return self.renew_shown_plan();
         }
         self.plan = Some(session);
         if has_run {
@@ -56,14 +68,17 @@ impl App {
                 && matches!(bus.own_address(), OwnAddress::Held(_))
         });
         session.renew_record(self.clock.epoch().unix_secs(now));
-        let (index, record) = (session.bus, session.record.as_ref().map(|(_, record)| record));
+        let index = session.bus;
+        let record = session.record.as_ref().map(|(_, record)| record);
+        let knowledge =
+            PlanKnowledge { record, earlier: None, forgets_absent: session.forgets_absent };
         let Some(run) = &mut session.run else { return };
         if run.poll_timeout(now).is_some_and(|due| due <= now) {
             match obstacle {
                 Some(why) if run.is_running() && !(run.is_waiting() && has_only_no_ack) => {
                     run.handle_obstacle(why);
                 }
-                _ => run.handle_timeout(now, &self.known_devices(index, record)),
+                _ => run.handle_timeout(now, &self.known_devices(index, knowledge)),
             }
         }
         if let Some(request) = run.poll_request() {
@@ -112,9 +127,11 @@ impl App {
         let (on, device) = here.ok_or_else(|| format!("no device at {at}"))?;
         let found = identity_of(device);
         if !identity.is_same(&found) {
-            return Err(format!("{} is at {at} now", found.label()));
+            let who = found.label();
+            let who = if who == identity.label() { format!("another {who}") } else { who };
+            return Err(format!("{who} is at {at} now"));
         }
-        if is_heard_twice(on, device, self.clock.now()) {
+        if other_heard(on, device, self.clock.now()).is_some() {
             return Err(format!("another device is at {at}, too"));
         }
         let device = device.id;

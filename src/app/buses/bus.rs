@@ -7,7 +7,7 @@ use super::load_meter::LoadMeter;
 use super::status_changes::status_changes;
 use crate::app::timeline_kind::TimelineKind;
 use crate::discovery::{
-    AddressSender, BusTraffic, BusVerdict, Config, Counters, Device, DeviceId, DeviceRequest,
+    AddressSender, BusTraffic, BusVerdict, Config, Counters, Device, DeviceId, DeviceRequest, HeardUid,
     DiscoveryProgress, Engine, Event, FrameSequence, OwnAddress, RequestId, SequenceEnd,
     SequenceId,
 };
@@ -119,6 +119,11 @@ impl Bus {
     /// Nodes that send heartbeats with a UID from an address, in the order of joining.
     pub fn senders_at(&self, address: Address) -> Vec<AddressSender> {
         self.engine.senders_at(address)
+    }
+
+    /// Where each UID was heard last.
+    pub fn heard_uids(&self) -> impl Iterator<Item = HeardUid> {
+        self.engine.heard_uids()
     }
 
     /// Heartbeat period of an address: measured, else that of the profile.

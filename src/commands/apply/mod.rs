@@ -11,7 +11,7 @@ use super::open::{self, Setup};
 use super::output::{self, answer, ask, may_ask, say};
 use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure};
 use crate::address_plan::{DeviceIdentity, PlanRecord, PlanRun, RunState};
-use crate::app::{App, Bus, PlanSession, PlanStart, PlanTask, key_needed};
+use crate::app::{App, Bus, PlanStart, PlanTask, key_needed};
 use crate::cli::ApplyArgs;
 use crate::discovery::{Device, OwnAddress};
 use crate::document::Operation;
@@ -138,7 +138,12 @@ impl Apply<'_> {
                 }
             }
             ApplyStage::Reading => {
-                if !app.address_plan().is_some_and(PlanSession::is_reading) {
+                let Some(session) = app.address_plan() else { return Ok(()) };
+                if let Some(why) = session.problem() {
+                    let rest = "remove the file, or give --forget-absent";
+                    return Err(Failure::Unusable(format!("{why}; {rest}")));
+                }
+                if !session.is_reading() {
                     self.show_plan(app)?;
                 }
             }
@@ -178,6 +183,9 @@ impl Apply<'_> {
         }
         if self.args.from_bus {
             return self.show_pins(app);
+        }
+        if self.args.forget_absent {
+            app.forget_absent_devices();
         }
         app.prepare_plan(BUS, self.task.clone(), self.args.restart).map_err(Failure::Unusable)?;
         self.stage = ApplyStage::Reading;
@@ -236,6 +244,11 @@ impl Apply<'_> {
 
     fn start(&mut self, app: &mut App) -> Result<(), Failure> {
         if self.args.from_bus {
+            // A device may have moved while the question was open.
+            if app.pins_of_bus(BUS) != self.pins {
+                say("the addresses of the bus have changed");
+                return self.show_pins(app);
+            }
             app.pin_bus(&self.pins);
             self.stage = ApplyStage::Saving;
             return Ok(());
@@ -317,8 +330,10 @@ impl Apply<'_> {
 /// Returns true if the rounds at start are over and all devices are found.
 fn is_found(app: &App, task: &PlanTask) -> bool {
     let Some(bus) = app.bus(BUS) else { return false };
-    let is_ready = matches!(bus.own_address(), OwnAddress::Held(_)) && bus.progress().is_complete;
-    is_ready && !is_missing(app, bus, task)
+    matches!(bus.own_address(), OwnAddress::Held(_))
+        && bus.progress().is_complete
+        && app.is_observed(bus)
+        && !is_missing(app, bus, task)
 }
 
 fn is_missing(app: &App, bus: &Bus, task: &PlanTask) -> bool {
@@ -327,17 +342,20 @@ fn is_missing(app: &App, bus: &Bus, task: &PlanTask) -> bool {
             let entries = app.file().document().entries().iter();
             let mut pinned = entries.filter(|it| it.is_static && it.is_for_bus(&bus.name));
             pinned.any(|entry| {
+                // A device is known to be the listed one by its UID alone, where the entry has one.
+                let needs_uid = entry.uid.as_deref().is_some_and(|uid| !uid.trim().is_empty());
+                let is_there =
+                    |it: &Device| it.is_present() && (!needs_uid || it.uid.is_some());
                 let mut devices = app.matching().devices_of(entry.index).iter();
                 !app.matching().is_duplicate(entry.index)
-                    && !devices.any(|id| app.device(*id).is_some_and(Device::is_present))
+                    && !devices.any(|id| app.device(*id).is_some_and(is_there))
             })
         }
         PlanTask::Resume(record, _) | PlanTask::TakeBack(record, _) => {
             record.devices.iter().any(|recorded| {
                 let wanted = recorded.identity();
                 !bus.devices().iter().any(|device| {
-                    let uid = device.uid.filter(|uid| !uid.is_blank());
-                    let own = DeviceIdentity { uid, name: device.name.clone() };
+                    let own = DeviceIdentity { uid: device.uid, name: device.name.clone() };
                     device.is_present() && wanted.is_same(&own)
                 })
             })

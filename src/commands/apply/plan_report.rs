@@ -29,11 +29,7 @@ pub fn table(app: &App, session: &PlanSession) -> String {
         rows.push([
             "–".to_owned(),
             left.device.label(),
-            if left.at.is_none() && left.device.uid.is_none() {
-                "–".to_owned()
-            } else {
-                uid(&left.device)
-            },
+            uid(&left.device),
             left.at.map_or("–".to_owned(), |at| at.to_string()),
             left.to.to_string(),
             left.reason.to_string(),
@@ -56,8 +52,7 @@ pub fn table(app: &App, session: &PlanSession) -> String {
 }
 
 fn uid_text(app: &App, session: &PlanSession, identity: &DeviceIdentity) -> String {
-    let profile = app.profile(session.bus());
-    identity.uid.map_or("blank".to_owned(), |uid| uid.text(&profile.uid).to_string())
+    identity.uid_text(&app.profile(session.bus()).uid)
 }
 
 /// Prints the steps that ended since.
@@ -128,7 +123,8 @@ pub struct ApplyReport<'a> {
 struct StepReport {
     order: usize,
     name: Option<String>,
-    uid: String,
+    /// Empty if it is blank, `null` if it was not heard.
+    uid: Option<String>,
     from: u8,
     to: u8,
     /// What is written, as `descan address` takes it; `null`: the device only restarts.
@@ -145,7 +141,8 @@ struct StepReport {
 #[derive(Serialize)]
 struct LeftOutReport {
     name: Option<String>,
-    uid: String,
+    /// Empty if it is blank, `null` if it was not heard.
+    uid: Option<String>,
     from: Option<u8>,
     to: u8,
     reason: &'static str,
@@ -156,7 +153,7 @@ impl<'a> ApplyReport<'a> {
     pub fn new(app: &'a App, session: &'a PlanSession) -> Self {
         let profile = app.profile(session.bus());
         let uid = |identity: &DeviceIdentity| {
-            identity.uid.map_or(String::new(), |uid| uid.text(&profile.uid).to_string())
+            identity.uid.map(|uid| uid.text(&profile.uid).to_string())
         };
         let name = |identity: &DeviceIdentity| identity.name.as_ref().map(ToString::to_string);
         let step = |(at, step): (usize, &PlanStep)| {

@@ -11,10 +11,11 @@ use super::bitrate_search::{RunningSearch, SearchNews};
 use super::catalogue_folders::{CatalogueFolders, CatalogueWatcher};
 use super::file_watcher::{DiskContent, FileWatcher};
 use super::log_input::{LogBatch, LogInput, LogPace};
-use super::plan_files::write_plan;
+use super::plan_files::{latest_plan, write_plan};
 use super::recorder::Recorder;
 use super::store::{SaveError, Saved, Store, write_new};
 use super::waiting::{catalogue_changed, file_changed, sleep_for};
+use crate::address_plan::PlanRecord;
 use crate::app::{
     App, Effect, FileReading, FrameSelector, InterleavedLogs, InterleavedOrder, SaveOutcome,
     WrittenFrames,
@@ -106,6 +107,8 @@ pub enum FileJobResult {
     WrittenLog(PathBuf, Result<WrittenFrames, Diagnostic>),
     /// Writing the file of a plan.
     WrittenPlan(Result<(), String>),
+    /// The last plan of a bus, with the name of its file.
+    ReadLastPlan(String, Result<Option<(String, PlanRecord)>, String>),
 }
 
 /// Work on files, on a separate thread.
@@ -531,6 +534,9 @@ impl Session {
             SessionWake::FileJobDone(FileJobResult::WrittenLog(path, result)) => {
                 self.app.handle_written_log(now, &path, result);
             }
+            SessionWake::FileJobDone(FileJobResult::ReadLastPlan(bus, last)) => {
+                self.app.handle_last_plan(now, &bus, last);
+            }
             SessionWake::FileJobDone(FileJobResult::WrittenPlan(result)) => {
                 self.app.handle_plan_written(now, result);
             }
@@ -824,6 +830,13 @@ impl Session {
                 Effect::WriteLog { path, log } => {
                     let write = move |file: &mut File| log.write_to(file);
                     self.start_write(path, write, FileJobResult::WrittenLog);
+                }
+                Effect::ReadLastPlan { bus } => {
+                    let read = move || {
+                        let last = latest_plan(&bus).map_err(|fault| fault.to_string());
+                        FileJobResult::ReadLastPlan(bus, last)
+                    };
+                    self.work.push(FileJob { handle: spawn_blocking(read), is_save: false });
                 }
                 Effect::WritePlan { name, bytes } => {
                     let write = move || FileJobResult::WrittenPlan(write_plan(&name, &bytes));

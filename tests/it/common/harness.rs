@@ -152,6 +152,9 @@ impl Stage {
             if let Effect::WritePlan { .. } = effect {
                 self.app.handle_plan_written(now, Ok(()));
             }
+            if let Effect::ReadLastPlan { bus } = &effect {
+                self.app.handle_last_plan(now, bus, Ok(None));
+            }
             if effect == Effect::ReadFile {
                 let reading = FileReading::Content(self.file.clone());
                 self.app.handle_file(now, reading);

@@ -81,6 +81,32 @@ fn answers_are_matched_and_decoded_with_latency() {
 }
 
 #[test]
+fn device_that_moved_since_the_question_gets_no_frame() {
+    let mut stage = boiler();
+    stage.until(70.0);
+    let composed = |stage: &Stage, words: &str| {
+        let composition = Composition::parse(words).unwrap();
+        let composed = stage.app.compose(BUS, &composition).unwrap();
+        (composition, composed)
+    };
+    let asked = ["request 0x123 01 to DISP", "request 0x123 01 to @20", "request 0x123 01 to FEED"];
+    let asked = asked.map(|words| composed(&stage, words));
+    // DISP moves to 40.
+    stage.until(85.0);
+    let sent = asked.map(|(composition, composed)| {
+        let repeat = Repeat::default();
+        let sent = stage.app.send_composed(BUS, &composition, &composed, repeat, None);
+        stage.drain(stage.app.now());
+        sent
+    });
+    let moved = "not sent: it was asked for DISP @20, now it is 0000A123#01 to DISP @40; \
+                 compose it again";
+    assert_eq!(sent[0].as_ref().unwrap_err(), moved);
+    assert!(sent[1].as_ref().unwrap_err().contains("asked for DISP @20, now it is"), "{sent:?}");
+    assert_eq!(sent[2], Ok(()));
+}
+
+#[test]
 fn answer_to_a_round_is_not_one_to_the_request() {
     let mut stage = boiler();
     // A round begins every 10 s; the answers are to descan, too.
