@@ -84,7 +84,8 @@ impl DeviceIdentity {
 
     /// Returns true if a device with identity `other` is another one for sure.
     pub fn is_other(&self, other: &Self) -> bool {
-        let has_other_name = self.name.is_some() && other.name.is_some() && !self.has_name_of(other);
+        let has_other_name =
+            self.name.is_some() && other.name.is_some() && !self.has_name_of(other);
         match (self.uid, other.uid) {
             (Some(own), Some(other)) if !(own.is_blank() && other.is_blank()) => own != other,
             _ => has_other_name,

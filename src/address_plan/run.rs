@@ -504,7 +504,11 @@ impl PlanRun {
             let is_later = |heard: Option<Instant>| heard.is_some() && heard > confirmed;
             if step.device.is_other(&there.identity) && is_later(Some(there.last_heard)) {
                 let who = there.identity.label();
-                return Some(format!("{who} is at {}, too, after {}", step.to, step.device.label()));
+                return Some(format!(
+                    "{who} is at {}, too, after {}",
+                    step.to,
+                    step.device.label()
+                ));
             }
             let is_shared = step.device.is_same(&there.identity) && is_later(there.other_heard);
             is_shared.then(|| format!("another device is at {}, too", step.to))

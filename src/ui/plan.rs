@@ -16,7 +16,9 @@
 //! Narrow screens leave out the UID, then ORDER and WHY.
 
 use super::brush::{DrawContext, fit, fit_right};
-use crate::address_plan::{DeviceIdentity, LeftOut, PlanRun, PlanStep, RunState, StepEffect, StepState};
+use crate::address_plan::{
+    DeviceIdentity, LeftOut, PlanRun, PlanStep, RunState, StepEffect, StepState,
+};
 use crate::app::{PlanSession, PlanTask};
 use crate::keymap::Action;
 use crate::text::{counted, hex};

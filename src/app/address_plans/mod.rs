@@ -9,7 +9,6 @@ mod goals;
 mod known_devices;
 mod plan_run;
 
-use known_devices::PlanKnowledge;
 use super::{App, Effect, key_needed};
 use crate::address_plan::{
     AddressGoal, AddressPlan, PlanOptions, PlanRecord, PlanRun, PlanTiming, RecordedDevice,
@@ -22,6 +21,7 @@ use crate::time::{Duration, Instant};
 use crate::wire::descriptor::DescriptorField;
 use crate::wire::profile::{Profile, ProfileKey, WriteEffect};
 use goals::GoalKey;
+use known_devices::PlanKnowledge;
 
 /// Time between two looks whether the settings are read.
 const READ_INTERVAL: Duration = Duration::from_millis(100);

@@ -7,8 +7,8 @@ use super::load_meter::LoadMeter;
 use super::status_changes::status_changes;
 use crate::app::timeline_kind::TimelineKind;
 use crate::discovery::{
-    AddressSender, BusTraffic, BusVerdict, Config, Counters, Device, DeviceId, DeviceRequest, HeardUid,
-    DiscoveryProgress, Engine, Event, FrameSequence, OwnAddress, RequestId, SequenceEnd,
+    AddressSender, BusTraffic, BusVerdict, Config, Counters, Device, DeviceId, DeviceRequest,
+    DiscoveryProgress, Engine, Event, FrameSequence, HeardUid, OwnAddress, RequestId, SequenceEnd,
     SequenceId,
 };
 use crate::finding::Finding;

@@ -344,8 +344,7 @@ fn is_missing(app: &App, bus: &Bus, task: &PlanTask) -> bool {
             pinned.any(|entry| {
                 // A device is known to be the listed one by its UID alone, where the entry has one.
                 let needs_uid = entry.uid.as_deref().is_some_and(|uid| !uid.trim().is_empty());
-                let is_there =
-                    |it: &Device| it.is_present() && (!needs_uid || it.uid.is_some());
+                let is_there = |it: &Device| it.is_present() && (!needs_uid || it.uid.is_some());
                 let mut devices = app.matching().devices_of(entry.index).iter();
                 !app.matching().is_duplicate(entry.index)
                     && !devices.any(|id| app.device(*id).is_some_and(is_there))

@@ -152,9 +152,8 @@ struct LeftOutReport {
 impl<'a> ApplyReport<'a> {
     pub fn new(app: &'a App, session: &'a PlanSession) -> Self {
         let profile = app.profile(session.bus());
-        let uid = |identity: &DeviceIdentity| {
-            identity.uid.map(|uid| uid.text(&profile.uid).to_string())
-        };
+        let uid =
+            |identity: &DeviceIdentity| identity.uid.map(|uid| uid.text(&profile.uid).to_string());
         let name = |identity: &DeviceIdentity| identity.name.as_ref().map(ToString::to_string);
         let step = |(at, step): (usize, &PlanStep)| {
             let state = session.step_state(at);
