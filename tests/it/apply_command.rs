@@ -172,6 +172,23 @@ fn addresses_of_the_bus_go_into_the_file() {
 }
 
 #[test]
+fn last_plan_that_cannot_be_read_is_named() {
+    let folder = folder("", FILE);
+    let plans = folder.path().join("state/descan/plans");
+    std::fs::create_dir_all(&plans).unwrap();
+    std::fs::write(plans.join("20261126-120000-sim-bus-toml.json"), "{}").unwrap();
+    // Those of other buses are not read.
+    std::fs::write(plans.join("20261126-120001-can0.json"), "{}").unwrap();
+    let given = ["--profile", "profile.toml", "--dry-run"];
+    let (_, said, code) = apply(folder.path(), &given);
+    assert!(said.contains("20261126-120000-sim-bus-toml.json: not a plan of descan"), "{said}");
+    assert!(said.contains("; remove the file, or give --forget-absent"), "{said}");
+    assert_eq!(code, Some(3));
+    let (told, _, code) = apply(folder.path(), &[&given[..], &["--forget-absent"]].concat());
+    assert_eq!((told.as_str(), code), (TABLE, Some(0)));
+}
+
+#[test]
 fn plan_without_consent_key_file_or_bus_writes_nothing() {
     let folder = folder("", "{\"devices\":[{\"name\":\"PUMP\",\"address\":44,\"static\":true}]}");
     let given = ["--profile", "profile.toml"];

@@ -1,5 +1,6 @@
 //! Test harness: the app on a simulated bus, with a des.json file.
 
+use descan::address_plan::PlanRecord;
 use descan::app::{App, AppOptions, Effect, FileReading, Overlay, SaveOutcome};
 use descan::diagnostic::Diagnostic;
 use descan::discovery::Config;
@@ -26,6 +27,8 @@ pub struct Stage {
     pub unfinished: Option<Vec<SaveOutcome>>,
     /// Saves without a result, for a disk that hangs.
     pub hanging: Option<Vec<Effect>>,
+    /// The last plan of addresses, with the name of its file.
+    pub last_plan: Option<(String, PlanRecord)>,
     /// The error of every save, for a disk that rejects writes.
     pub refusal: Option<String>,
     pub size: (u16, u16),
@@ -90,6 +93,7 @@ impl Stage {
             effects: Vec::new(),
             unfinished: None,
             hanging: None,
+            last_plan: None,
             refusal: None,
             size: (80, 24),
         };
@@ -149,11 +153,13 @@ impl Stage {
             } else {
                 self.save(now, &effect);
             }
-            if let Effect::WritePlan { .. } = effect {
+            if let Effect::WritePlan { name, bytes } = &effect {
+                self.last_plan = Some((name.clone(), PlanRecord::parse(bytes).unwrap()));
                 self.app.handle_plan_written(now, Ok(()));
             }
             if let Effect::ReadLastPlan { bus } = &effect {
-                self.app.handle_last_plan(now, bus, Ok(None));
+                let last = self.last_plan.clone();
+                self.app.handle_last_plan(now, bus, Ok(last));
             }
             if effect == Effect::ReadFile {
                 let reading = FileReading::Content(self.file.clone());

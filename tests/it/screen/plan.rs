@@ -108,6 +108,38 @@ fn device_that_joins_during_the_question_is_asked_for_again() {
 }
 
 #[test]
+fn shown_plan_follows_the_bus_until_it_is_started() {
+    let mut stage = stage("now");
+    stage.keys("P").until(12.0).keys("j j");
+    let selected = |stage: &mut Stage| {
+        let screen = stage.screen();
+        screen.lines().find(|line| line.contains('▸')).map(str::to_owned).unwrap()
+    };
+    let before = selected(&mut stage);
+    let uid = Uid::parse("BOILER11", &UidProfile::default()).unwrap();
+    let mut pump = DeviceSpec::new("PUMP").fixed(9).uid(uid);
+    pump.skips_address_resolution = true;
+    stage.sim.add_device(pump);
+    stage.until(16.0);
+    assert!(stage.screen().contains("PUMP       BOILER11"), "{}", stage.screen());
+    let name = |row: &str| row.split_whitespace().find(|it| it.len() > 2).map(str::to_owned);
+    assert_eq!(name(&selected(&mut stage)), name(&before), "the same device is selected");
+}
+
+#[test]
+fn last_plan_of_an_earlier_start_is_taken_back() {
+    let mut stage = stage("now");
+    stage.keys("P").until(12.0).keys("Enter y").until(40.0);
+    let last = stage.last_plan.clone();
+    let mut stage = self::stage("now");
+    stage.last_plan = last;
+    // The simulation is a new one: its devices are where they were before the plan.
+    stage.keys("P").until(12.0).keys("u").until(14.0);
+    let screen = stage.screen();
+    assert!(screen.contains("the way back") && screen.contains("already there"), "{screen}");
+}
+
+#[test]
 fn locked_device_stops_the_plan_and_what_is_left_goes_on() {
     let mut stage = stage("now");
     let last = stage.sim.device("LAST").unwrap();
