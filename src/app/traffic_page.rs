@@ -38,7 +38,13 @@ impl App {
         self.traffic.hidden(&self.view, u64::MAX).filter(|_| self.filter_due.is_none())
     }
 
-    /// The same of the frames until the moment that is shown.
+    /// Returns true if only some of the DEBUG messages are shown, because there are many: there is no
+    /// filter.
+    pub fn is_debug_limited(&self) -> bool {
+        self.traffic.is_debug_limited(&self.view)
+    }
+
+    /// The same as [`Self::hidden_frames`], of the frames until the moment that is shown.
     pub fn hidden_frames_shown(&self) -> Option<u64> {
         let until = self.traffic.end(&self.view);
         self.traffic.hidden(&self.view, until).filter(|_| self.filter_due.is_none())

@@ -167,7 +167,8 @@ impl PageTitle {
             Some(evidence) => Some(format!(" ◆ {} ", evidence.title)),
             None => traffic::title(app)
                 .filter(|_| open == Page::Traffic)
-                .or_else(|| chip(app.page_filter(open), app.hidden_frames_shown())),
+                .or_else(|| chip(app.page_filter(open), app.hidden_frames_shown()))
+                .or_else(|| debug_limit(brush).filter(|_| open == Page::Traffic)),
         };
         match text {
             Some(text) => Self::Text(text),
@@ -208,6 +209,12 @@ fn draw_views(brush: &mut DrawContext, views: &PageViews, end: u16) {
         let width = line.width() as u16;
         brush.line(Rect { x: right - width - 1, width, ..area }, 0, &line);
     }
+}
+
+/// What is shown of many DEBUG messages.
+fn debug_limit(brush: &DrawContext) -> Option<String> {
+    let hidden = brush.app.hidden_frames_shown().filter(|_| brush.app.is_debug_limited())?;
+    Some(format!(" {hidden} DEBUG hidden "))
 }
 
 /// The filter of the page and how many frames it hides.

@@ -1,4 +1,4 @@
-//! The stored frames that match a filter.
+//! The stored frames that match a filter; without one, those that are left of many DEBUG messages.
 //!
 //! Inputs: the filter, the stored frames, names of devices. Frames are tested once, the newest first, in parts
 //! that are small enough for a key to be handled between them. A bit per frame is kept.
@@ -6,6 +6,7 @@
 use super::frame_store::FrameStore;
 use crate::app::buses::Buses;
 use crate::app::filter::{Filter, FrameMatcher};
+use crate::frame::{BusIndex, Frame};
 use std::collections::BTreeMap;
 use std::ops::Range;
 
@@ -13,9 +14,14 @@ use std::ops::Range;
 const PART: u64 = 8192;
 const BITS: u64 = u64::BITS as u64;
 
+/// Without a filter, each device has one DEBUG message with a row in each part of time this long, in µs.
+const DEBUG_PART: u64 = 100_000;
+
 /// Frames with consecutive numbers that were tested.
 #[derive(Debug, Default)]
 struct TestedRange {
+    /// Part of time of the last DEBUG message with a row, by bus and address.
+    debug_parts: BTreeMap<(BusIndex, u8), u64>,
     /// Number behind the last one tested.
     end: u64,
     /// A bit for each frame, set if it matches.
@@ -24,6 +30,14 @@ struct TestedRange {
 }
 
 impl TestedRange {
+    /// Returns true if a frame is a DEBUG message, and another one of its device has a row in the same
+    /// part of time.
+    fn is_debug_repeated(&mut self, frame: &Frame, matcher: &FrameMatcher) -> bool {
+        let Some(source) = matcher.debug_source(frame) else { return false };
+        let part = frame.time.as_micros() / DEBUG_PART;
+        self.debug_parts.insert((frame.bus, source.number()), part) == Some(part)
+    }
+
     fn matches(&self, start: u64, number: u64) -> bool {
         let at = number - start;
         let word = self.matches.get((at / BITS) as usize);
@@ -70,6 +84,8 @@ pub(super) struct FilteredFrames {
     generation: u64,
     /// True if only the newest frames are not tested.
     is_complete: bool,
+    /// Devices send DEBUG messages so often that others would not be seen.
+    limits_debug: bool,
 }
 
 impl FilteredFrames {
@@ -77,13 +93,27 @@ impl FilteredFrames {
     pub fn set(&mut self, filter: Option<&Filter>) {
         let filter = filter.cloned().unwrap_or_default();
         if self.filter != filter {
-            *self = Self { filter, ..Self::default() };
+            let limits_debug = self.limits_debug;
+            *self = Self { filter, limits_debug, ..Self::default() };
         }
     }
 
-    /// Returns true if there is a filter.
+    /// Limits the DEBUG messages that are shown without a filter, or does not.
+    pub fn limit_debug(&mut self, limits_debug: bool) {
+        if self.limits_debug != limits_debug {
+            let filter = std::mem::take(&mut self.filter);
+            *self = Self { filter, limits_debug, ..Self::default() };
+        }
+    }
+
+    /// Returns true if there is a filter, or DEBUG messages are limited.
     pub fn is_on(&self) -> bool {
-        !self.filter.is_empty()
+        !self.filter.is_empty() || self.limits_debug
+    }
+
+    /// Returns true if DEBUG messages are limited.
+    pub fn is_debug_limited(&self) -> bool {
+        self.filter.is_empty() && self.limits_debug
     }
 
     /// Tests frames that were not tested, those before number `end` first, and of these the newest.
@@ -137,11 +167,17 @@ impl FilteredFrames {
     }
 
     fn test_range(&mut self, store: &FrameStore, matcher: &FrameMatcher, range: Range<u64>) {
+        let limits_debug = self.is_debug_limited();
         let new = TestedRange { end: range.start, ..TestedRange::default() };
         let tested = self.tested.entry(range.start).or_insert(new);
         let untested = (range.end - tested.end) as usize;
         for (number, frame) in store.frames_from(tested.end).take(untested) {
-            tested.push(range.start, matcher.is_match(&frame, Some((store, number))));
+            let is_match = if limits_debug {
+                !tested.is_debug_repeated(&frame, matcher)
+            } else {
+                matcher.is_match(&frame, Some((store, number)))
+            };
+            tested.push(range.start, is_match);
         }
     }
 

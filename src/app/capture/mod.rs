@@ -230,7 +230,11 @@ impl Traffic {
     /// Tests frames that were not tested, if the Traffic page is open and has a filter. Returns false
     /// if some remain.
     pub fn renew_filter(&mut self, view: &mut View, buses: &Buses) -> bool {
-        if view.page != Page::Traffic || !self.filtered.is_on() {
+        if view.page != Page::Traffic {
+            return true;
+        }
+        self.filtered.limit_debug(buses.devices().any(|it| it.debug_messages.is_frequent()));
+        if !self.filtered.is_on() {
             return true;
         }
         let is_complete = self.filtered.test(&self.capture, buses, self.end(view));
@@ -245,6 +249,11 @@ impl Traffic {
         let is_frames = view.traffic_view == TrafficView::Frames;
         let is_shown = view.page == Page::Traffic && is_frames && self.is_filtered(view);
         is_shown.then(|| self.filtered.hidden(until))
+    }
+
+    /// Returns true if only some of the DEBUG messages are shown, because there are many.
+    pub fn is_debug_limited(&self, view: &View) -> bool {
+        self.filtered.is_debug_limited() && self.is_filtered(view)
     }
 
     /// Returns true if the filter applies: around evidence all frames are shown.

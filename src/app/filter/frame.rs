@@ -391,6 +391,14 @@ impl FrameMatcher {
         self.known == KnownBuses::of(buses)
     }
 
+    /// Returns the source of a DEBUG message; `None` for other frames.
+    pub fn debug_source(&self, frame: &Frame) -> Option<Address> {
+        let id = frame.platform_id()?;
+        let facts = self.buses.get(usize::from(frame.bus.0));
+        let role = FrameRole::of(frame, facts.is_some_and(|facts| facts.is_foreign));
+        (role == FrameRole::Debug).then(|| Header::decode(id).source)
+    }
+
     /// Returns true if a frame matches; `stored` is where it is, if it is. Without it, an interval
     /// matches no frame, and the data of a transfer is that of the frame.
     pub fn is_match(&self, frame: &Frame, stored: Option<(&FrameStore, u64)>) -> bool {

@@ -32,6 +32,30 @@ fn frozen_view_keeps_capturing() {
     assert!(stage.screen().contains("12:00:21.9"));
 }
 
+#[test]
+fn many_debug_messages_leave_room_for_other_frames() {
+    let text = "bitrate = 500000\n[[device]]\nname = \"LOUD\"\naddress = { fixed = 10 }\n\
+        settled = true\nchatter = [{ service = 7, period_ms = 5, length = 2, debug = true }]\n\
+        [[device]]\nname = \"CALM\"\naddress = { fixed = 12 }\nsettled = true\n\
+        chatter = [{ service = 8, period_ms = 500, length = 2, debug = true }]\n";
+    let mut stage = Stage::new(&Scenario::parse(text).unwrap(), None);
+    stage.until(8.0).keys("2");
+    let screen = stage.screen();
+    let rows = |screen: &str, what: &str| screen.lines().filter(|it| it.contains(what)).count();
+    assert!((8..14).contains(&rows(&screen, "dbg    LOUD→all")), "{screen}");
+    assert!(rows(&screen, "dbg    CALM→all") >= 2, "{screen}");
+    let screen = stage.size(100, 24).screen();
+    let (before, _) = screen.split_once(" DEBUG hidden").unwrap();
+    let hidden = before.rsplit(' ').next().unwrap();
+    assert!((1000..1600).contains(&hidden.parse().unwrap()), "{screen}");
+    stage.size(80, 24);
+    // Who asks for them sees them all.
+    stage.keys("/").text("type:dbg").keys("Enter");
+    let screen = stage.screen();
+    assert!(rows(&screen, "dbg    LOUD→all") >= 17, "{screen}");
+    assert!(!screen.contains("DEBUG hidden"), "{screen}");
+}
+
 /// Tests that the newest frames are filtered at once, and the others in parts between which keys are
 /// handled.
 #[test]
