@@ -183,7 +183,7 @@ use crate::bitrate::{SearchOutcome, SearchProgress};
 use crate::catalogue::{Catalogue, CatalogueFile};
 use crate::diagnostic::Diagnostic;
 use crate::discovery::{Config, Device, DeviceId};
-use crate::document::{Document, Entry, NewEntry, Operation};
+use crate::document::{Document, DocumentFinding, Entry, NewEntry, Operation};
 use crate::finding::Finding;
 use crate::frame::{BusIndex, Frame};
 use crate::keymap::{Action, Key, KeyMode, Keymap};
@@ -1014,6 +1014,17 @@ impl App {
     /// Content of des.json with the edits, at the moment that is shown.
     pub fn document(&self) -> &Document {
         self.past.as_ref().map_or(self.editor.file.document(), |past| &past.file.document)
+    }
+
+    /// The mistakes in des.json, as far as they show without devices, in the order of the file; also
+    /// UIDs that the profile does not allow.
+    pub fn file_mistakes(&self) -> Vec<DocumentFinding> {
+        problems::file_mistakes(self.document(), self.shown_buses())
+    }
+
+    /// What is wrong with the UID of an entry of des.json; `None` if a device can have it.
+    pub fn uid_mistake(&self, entry: &Entry) -> Option<String> {
+        problems::mistake_of(self.shown_buses(), entry, entry.uid.as_deref()?)
     }
 
     /// Names of the entries whose static address, set by the user, another program has overwritten;
