@@ -682,8 +682,7 @@ impl App {
             Ok(profile) => self.profile_changed(name, &Arc::new(profile)),
             Err(why) => {
                 let text = format!("{name}: {why}; the profile before stays in force");
-                self.add_line_to_all_buses(TimelineKind::Error, &text);
-                self.notices.file_error(now, text);
+                self.report_wrong_file(now, text);
             }
         }
     }
@@ -714,8 +713,7 @@ impl App {
             }
             Err(why) => {
                 let text = format!("{name}: {why}; the project before stays in force");
-                self.add_line_to_all_buses(TimelineKind::Error, &text);
-                self.notices.file_error(now, text);
+                self.report_wrong_file(now, text);
             }
         }
         self.notices.redraw.set_dirty();
@@ -735,8 +733,7 @@ impl App {
                 let kept =
                     if file.device_type.is_some() { "; what it said before stays" } else { "" };
                 let text = format!("{}: {why}{kept}", file.path);
-                self.add_line_to_all_buses(TimelineKind::Error, &text);
-                self.notices.file_error(now, text);
+                self.report_wrong_file(now, text);
             }
         }
         let is_mended = |file: &&CatalogueFile| {
@@ -754,6 +751,13 @@ impl App {
         self.refresh_before_draw();
         self.filter_frames();
         self.notices.redraw.set_dirty();
+    }
+
+    /// Reports that a file with a mistake was saved, of which the content before stays in force.
+    fn report_wrong_file(&mut self, now: Instant, text: String) {
+        self.add_line_to_all_buses(TimelineKind::Error, &text);
+        self.notices.emit(AppEvent::WrongFile(text.clone()));
+        self.notices.file_error(now, text);
     }
 
     /// Takes that the folder of a new des.json does not exist.
