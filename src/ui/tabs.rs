@@ -167,7 +167,7 @@ impl PageTitle {
             Some(evidence) => Some(format!(" ◆ {} ", evidence.title)),
             None => traffic::title(app)
                 .filter(|_| open == Page::Traffic)
-                .or_else(|| chip(app.page_filter(open), app.hidden_frames_shown())),
+                .or_else(|| chip(app.page_filter(open), app.hidden_rows_shown())),
         };
         match text {
             Some(text) => Self::Text(text),
@@ -210,7 +210,7 @@ fn draw_views(brush: &mut DrawContext, views: &PageViews, end: u16) {
     }
 }
 
-/// The filter of the page and how many frames it hides.
+/// The filter of the page and how many rows it hides.
 fn chip(filter: &PageFilter, hidden: Option<u64>) -> Option<String> {
     let text = filter.text().trim();
     match (filter.is_on(), hidden) {
