@@ -723,21 +723,17 @@ impl App {
     pub fn handle_catalogue(&mut self, now: Instant, catalogue: Arc<Catalogue>) {
         let now = self.clock.set(now);
         let before = Arc::clone(self.buses.catalogue());
-        let fault_of = |catalogue: &Catalogue, path: &str| {
-            let file = catalogue.files().iter().find(|file| file.path == path)?;
-            file.fault.clone()
+        let notice_of = |catalogue: &Catalogue, path: &str| {
+            catalogue.files().iter().find(|file| file.path == path)?.notice()
         };
         for file in catalogue.files() {
-            let Some(why) = &file.fault else { continue };
-            if fault_of(&before, &file.path).as_ref() != Some(why) {
-                let kept =
-                    if file.device_type.is_some() { "; what it said before stays" } else { "" };
-                let text = format!("{}: {why}{kept}", file.path);
+            let Some(text) = file.notice() else { continue };
+            if notice_of(&before, &file.path).as_ref() != Some(&text) {
                 self.report_wrong_file(now, text);
             }
         }
         let is_mended = |file: &&CatalogueFile| {
-            file.fault.is_some() && fault_of(&catalogue, &file.path).is_none()
+            file.notice().is_some() && notice_of(&catalogue, &file.path).is_none()
         };
         let mended: Vec<String> =
             before.files().iter().filter(is_mended).map(|file| file.path.clone()).collect();

@@ -204,8 +204,7 @@ impl Setup {
         let texts = folders.read();
         let catalogue = Catalogue::default().read(texts.clone());
         for file in catalogue.files() {
-            if let Some(why) = &file.fault {
-                let warning = format!("{}: {why}; it is not used", file.path);
+            if let Some(warning) = file.notice() {
                 output::warn(&warning);
                 self.warnings.push(warning);
             }
