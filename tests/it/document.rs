@@ -441,6 +441,7 @@ fn wrong_member_types_are_findings() {
 
 #[test]
 fn contradictory_entries_are_findings() {
+    use DocumentFindingKind::{DuplicateAddress, DuplicateEntry, DuplicateUid, UnusableUid};
     let entry = |name: &str, rest: &str| format!("{{\"name\": \"{name}\", {rest}}}");
     let pinned = |name: &str| entry(name, "\"address\": 12, \"static\": true");
     let on = |name: &str, bus: &str| {
@@ -496,7 +497,6 @@ fn contradictory_entries_are_findings() {
             "line 3, column 72: B at address 12 is listed 2 times: line 3 and line 3",
         ]
     );
-    use DocumentFindingKind::{DuplicateAddress, DuplicateEntry, DuplicateUid, UnusableUid};
     let names = [DuplicateAddress, DuplicateEntry, DuplicateUid, UnusableUid]
         .map(|kind| FindingKind::from(kind).name());
     assert_eq!(

@@ -546,7 +546,7 @@ fn file_errors_are_printed_once() {
 }
 
 #[test]
-fn project_saved_with_a_mistake_is_named_and_the_one_before_stays() {
+fn wrong_project_is_named_and_the_one_before_stays() {
     let folder = tempfile::tempdir().unwrap();
     let save = |text: &str| {
         std::fs::write(folder.path().join("new"), text).unwrap();

@@ -44,12 +44,11 @@ fn mistake_in(uid: &str, alphabet: &UidProfile) -> Option<String> {
     let wrong = uid.chars().find(|character| alphabet.value(*character).is_none())?;
     let wrong = Escaped(wrong.encode_utf8(&mut [0; 4]).as_bytes()).to_string();
     let upper = uid.to_uppercase();
-    let remedy = match Uid::parse(&upper, alphabet) {
-        Some(_) => format!("write it in capitals: {upper}"),
-        None => {
-            let all: String = (0..64).map(|value| alphabet.character(value)).collect();
-            format!("it must be of these characters: {}", Escaped(all.as_bytes()))
-        }
+    let remedy = if Uid::parse(&upper, alphabet).is_some() {
+        format!("write it in capitals: {upper}")
+    } else {
+        let all: String = (0..64).map(|value| alphabet.character(value)).collect();
+        format!("it must be of these characters: {}", Escaped(all.as_bytes()))
     };
     Some(format!("`uid` has `{wrong}`, which is not in the UID alphabet; {remedy}"))
 }

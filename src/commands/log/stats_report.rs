@@ -147,15 +147,13 @@ fn identifier<'a>(
     let decoded = Decoded::of(app, &row.last);
     let header = decoded.header;
     let receiver = header.filter(|header| !header.broadcast).map(|header| header.destination);
-    let name_of_service = |header: Header| match decoded.role {
-        FrameRole::Debug => {
+    let name_of_service = |header: Header| {
+        if decoded.role == FrameRole::Debug {
             let types = app.shown_buses().frame_types(header, &row.last);
-            types.debug_name(&app.profile(bus), header.service)
+            return types.debug_name(&app.profile(bus), header.service);
         }
-        _ => {
-            let server = header.response.then_some((header.source, last));
-            service_name_of(app, bus, header.service, server)
-        }
+        let server = header.response.then_some((header.source, last));
+        service_name_of(app, bus, header.service, server)
     };
     let is_error = row.key.kind == IdentifierKind::Error;
     IdentifierReport {
