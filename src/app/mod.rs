@@ -116,7 +116,7 @@ pub use capture::{
     Transfer, WrittenFrames,
 };
 pub use compared_moments::{ComparedMoment, ComparisonNote, ComparisonRow, MomentComparison};
-pub use composer_dialog::{ComposerDialog, DialogField};
+pub use composer_dialog::{ComposerDialog, DialogField, MAX_TEMPLATES};
 pub use conflict_panel::{BeatCell, BeatsOnAxis, ConflictPanel, MAX_COLUMNS, ordinal, side_letter};
 use des_search::BusSearch;
 pub use device_command::{COMMAND_FORMS, DeviceCommand};
@@ -256,6 +256,8 @@ pub struct AppOptions {
     pub saved_filters: Vec<SavedFilter>,
     /// Compositions sent in earlier runs, in words, the latest first.
     pub recent_frames: Vec<String>,
+    /// Templates of compositions, in words.
+    pub templates: Vec<String>,
     /// Bytes of memory for the captured frames and the past of the buses; `None`:
     /// [`DEFAULT_CAPTURE`]; 0: few frames, and no past.
     pub capture_room: Option<usize>,
@@ -317,6 +319,8 @@ pub enum Effect {
     FindBitrate(BusIndex),
     /// Remember a composition that is sent, in words, for later runs.
     RememberFrame(String),
+    /// Store a template of a composition, in words; call [`App::handle_lost_template`] if it fails.
+    KeepTemplate(String),
     /// Control the playback of logs; then call [`App::handle_playback`].
     Playback(PlaybackCommand),
     /// Call [`App::handle_offers`] with the buses that can be opened, as long as
@@ -423,6 +427,8 @@ pub struct App {
     marks: Marks,
     /// Places that were left, oldest first.
     places: Vec<Place>,
+    /// Templates of compositions, in words.
+    templates: Vec<String>,
     saved_filters: Vec<SavedFilter>,
     time_bar: TimeBar,
     signs: Signs,
@@ -493,6 +499,7 @@ impl App {
             is_log_held: false,
             marks: Marks::default(),
             places: Vec::new(),
+            templates: options.templates,
             saved_filters: options.saved_filters,
             time_bar: TimeBar::default(),
             signs: options.signs,

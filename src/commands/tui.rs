@@ -12,6 +12,7 @@ use crate::shell::bus_picker::PickerExit;
 use crate::shell::bus_scout::{BusScout, ScoutSettings};
 use crate::shell::catalogue_folders::CatalogueFolders;
 use crate::shell::config::ConfigFolder;
+use crate::shell::frame_templates::frame_templates;
 use crate::shell::paint_pace::SCREEN_BUDGET;
 use crate::shell::recent_frames::recent_frames;
 use crate::shell::recent_logs::{remember_contents, remember_log};
@@ -348,6 +349,7 @@ fn show(
     let options = AppOptions {
         saved_filters,
         recent_frames: recent_frames(),
+        templates: frame_templates(),
         keymap: setup.keymap.clone(),
         theme: wanted.to_owned(),
         themes: themes.names(),
