@@ -232,6 +232,14 @@ pub fn counted(count: u64, what: &str) -> String {
     format!("{count} {what}{}", if count == 1 { "" } else { plural })
 }
 
+/// Returns the name of a bus without the bit rates at which an slcan adapter is opened:
+/// `slcan:/dev/ttyACM0` for `slcan:/dev/ttyACM0@500000`.
+pub fn without_bit_rates(bus: &str) -> &str {
+    let is_rates = |text: &str| text.chars().all(|c| c.is_ascii_digit() || c == '/');
+    let parts = bus.rsplit_once('@').filter(|_| bus.starts_with("slcan:"));
+    parts.filter(|(_, rates)| is_rates(rates)).map_or(bus, |(name, _)| name)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -18,6 +18,18 @@ pub struct TomlError {
     text: String,
 }
 
+/// Types as the parser names them at the end of a message, and what is expected in words.
+const TYPE_WORDS: [(&str, &str); 8] = [
+    ("u8", "expected a whole number, 0 to 255"),
+    ("u16", "expected a whole number, 0 to 65535"),
+    ("u32", "expected a whole number, 0 to 4294967295"),
+    ("u64", "expected a whole number from 0"),
+    ("usize", "expected a whole number from 0"),
+    ("i64", "expected a whole number"),
+    ("f64", "expected a number"),
+    ("a boolean", "expected true or false"),
+];
+
 impl TomlError {
     /// Makes an error about a part of a file.
     pub(crate) fn new(file: &str, span: Option<Range<usize>>, message: String) -> Self {
@@ -37,7 +49,11 @@ impl TomlError {
 
     /// Makes it of an error of the parser.
     pub(crate) fn of(file: &str, error: &toml::de::Error) -> Self {
-        Self::new(file, error.span(), crate::text::on_one_line(error.message()))
+        let message = crate::text::on_one_line(error.message());
+        let meaning = TYPE_WORDS.iter().find_map(|(word, meaning)| {
+            Some(format!("{}{meaning}", message.strip_suffix(&format!("expected {word}"))?))
+        });
+        Self::new(file, error.span(), meaning.unwrap_or(message))
     }
 
     /// What is wrong, without the place.

@@ -106,6 +106,8 @@ impl App {
             Action::ComposeOlder => self.recall_in_composer(-1),
             Action::ComposeNewer => self.recall_in_composer(1),
             Action::ComposeSend => self.ask_to_send_frames(),
+            Action::ComposeSave => self.save_template(),
+            Action::ComposeOpen => self.open_template(),
             Action::ComposeClose => self.close_composer(),
             Action::BitRate => self.ask_bitrate(),
             Action::Buses => self.list_buses(),

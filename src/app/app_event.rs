@@ -33,6 +33,9 @@ pub enum AppEvent {
     TxBlocked(Box<BusSnapshot>),
     /// des.json changed on disk, or cannot be used.
     File(Instant, FileSnapshot),
+    /// The profile, the project or a file of the catalogue was saved with a mistake: which, where, and
+    /// what stays in force.
+    WrongFile(String),
 }
 
 /// Time and place of an event.

@@ -5,7 +5,7 @@
 //! shows the frame. Does not know how it is drawn.
 
 use super::input::{Overlay, Question, line_request};
-use super::{App, Page};
+use super::{App, Effect, Page};
 use crate::composer::{
     Composed, Composition, CompositionField, MessageKind, Mistake, Repeat, ServiceWord,
 };
@@ -18,6 +18,8 @@ use tui_input::{Input as LineInput, InputRequest};
 
 /// Longest text of a field, in bytes.
 const MAX_FIELD: usize = 400;
+/// Largest number of templates.
+pub const MAX_TEMPLATES: usize = 99;
 /// Time after the first question in which a key does not answer the second: it was meant for the first.
 const SECOND_QUESTION_DELAY: Duration = Duration::from_millis(500);
 
@@ -100,6 +102,8 @@ pub struct ComposerDialog {
     every: LineInput,
     /// Place in the history, from the newest.
     recalled: Option<usize>,
+    /// Place of the template that was opened.
+    template: Option<usize>,
     pending: Option<PendingFrames>,
 }
 
@@ -129,6 +133,7 @@ impl ComposerDialog {
             copies: LineInput::new("1".to_owned()),
             every: LineInput::new("1000".to_owned()),
             recalled: None,
+            template: None,
             pending: None,
         };
         dialog.fill(composition);
@@ -211,7 +216,7 @@ impl ComposerDialog {
 
     /// Takes a key that is not bound: it is typed, or changes a choice.
     fn handle_key(&mut self, key: Key) {
-        self.recalled = None;
+        (self.recalled, self.template) = (None, None);
         let focus = self.focus;
         if let Some(line) = self.line_mut(focus) {
             let is_number = matches!(focus, DialogField::Copies | DialogField::Every);
@@ -381,6 +386,50 @@ impl App {
             dialog.fill(composition);
             dialog.recalled = Some(at.clamp(0, last).cast_unsigned());
         }
+    }
+
+    /// Saves what is composed as a template, unless its text has a mistake.
+    pub(super) fn save_template(&mut self) {
+        let Some(dialog) = &self.composer else { return };
+        let (composition, bus) = (dialog.composition(), dialog.bus);
+        if let Err(mistake) = self.compose(bus, &composition)
+            && !mistake.is_of_bus
+        {
+            return self.show_error(mistake.text);
+        }
+        let words = composition.to_words();
+        let key = self.key_of(Action::ComposeOpen);
+        if self.templates.contains(&words) {
+            return self.show_info(format!("template is saved already; {key} opens it"));
+        }
+        if self.templates.len() >= MAX_TEMPLATES {
+            return self.show_error(format!("all {MAX_TEMPLATES} templates are saved"));
+        }
+        self.templates.push(words.clone());
+        self.show_info(format!("template saved; {key} opens it"));
+        self.effects.push_back(Effect::KeepTemplate(words));
+    }
+
+    /// Fills the dialog from the next template.
+    pub(super) fn open_template(&mut self) {
+        let all: Vec<Composition> =
+            self.templates.iter().filter_map(|it| Composition::parse(it).ok()).collect();
+        if all.is_empty() {
+            let key = self.key_of(Action::ComposeSave);
+            return self.show_error(format!("no template; {key} saves one"));
+        }
+        let Some(dialog) = &mut self.composer else { return };
+        let next = dialog.template.map_or(0, |at| at + 1) % all.len();
+        dialog.fill(&all[next]);
+        dialog.template = Some(next);
+        self.show_info(format!("template {} of {}", next + 1, all.len()));
+    }
+
+    /// Takes why a template was not stored by [`Effect::KeepTemplate`].
+    pub fn handle_lost_template(&mut self, now: Instant, words: &str, why: &str) {
+        self.clock.set(now);
+        self.templates.retain(|it| it != words);
+        self.show_error(format!("template not saved: {why}"));
     }
 
     /// Asks whether to send what is composed.

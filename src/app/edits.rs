@@ -303,6 +303,7 @@ impl App {
             frames: self.traffic.capture.ranges().map(|range| range.end - range.start).sum(),
             moments: self.moment_range(),
             matches: self.filter_matches(),
+            row_noun: self.row_noun(),
             saved_frames: self.saved_frames(),
         }
     }

@@ -6,7 +6,7 @@ use super::buses::Redundancy;
 use super::file::{FileChange, FileError};
 use super::input::{Overlay, Question};
 use super::notices::{TimelineEntry, event_text, join_lines, join_short};
-use super::problems::ProblemKey;
+use super::problems::{ProblemKey, file_mistakes};
 use super::stories::StoryChange;
 use super::timeline_kind::TimelineKind;
 use super::{App, AppEvent, BusSelection, Effect};
@@ -462,7 +462,7 @@ impl App {
         if matches!(change, FileChange::FirstRead | FileChange::Content | FileChange::Rebased)
             && !emits
         {
-            let findings = file.document().findings();
+            let findings = file_mistakes(file.document(), &self.buses);
             let texts = findings.iter().take(LISTED_FINDINGS).map(ToString::to_string);
             let more = findings.len().saturating_sub(LISTED_FINDINGS);
             let rest = (more > 0).then(|| format!("and {more} more errors in the file"));

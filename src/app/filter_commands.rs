@@ -1,6 +1,6 @@
 //! Commands of the filter: typing it, switching it, searching with it.
 
-use super::filter::{CompletionSource, Filter, WallClock};
+use super::filter::{CompletionSource, Filter, RowKind, WallClock};
 use super::input::{FilterPrompt, Overlay, Prompt, PromptKind};
 use super::page_filters::PageFilter;
 use super::view::{Page, RowKey, TrafficView};
@@ -186,6 +186,29 @@ impl App {
             Page::Problems => (count(self.problems_shown().len()), count(self.problems().len())),
             Page::Bus => return None,
         })
+    }
+
+    /// Word for the rows of the page in a message.
+    pub(super) fn row_noun(&self) -> &'static str {
+        match self.view.page {
+            Page::Traffic if self.view.shows_identifiers() => "identifiers",
+            Page::Traffic if self.view.shows_calls() || self.view.call_list().is_some() => "calls",
+            page => RowKind::of(page).plural(),
+        }
+    }
+
+    /// Number of rows of the Traffic page that its filter hides, until the moment that is shown; `None`
+    /// on other pages, without a filter, and until it is known.
+    pub fn hidden_rows_shown(&self) -> Option<u64> {
+        if self.view.page != Page::Traffic {
+            return None;
+        }
+        if self.view.traffic_view == TrafficView::Frames && self.view.call_list().is_none() {
+            return self.hidden_frames_shown();
+        }
+        let is_on = self.filters.of(Page::Traffic).is_on();
+        let (hits, all) = self.filter_matches().filter(|_| is_on)?;
+        Some(all.saturating_sub(hits))
     }
 
     // ---- searching without hiding ----------------------------------------------------------

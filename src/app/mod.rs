@@ -116,7 +116,7 @@ pub use capture::{
     Transfer, WrittenFrames,
 };
 pub use compared_moments::{ComparedMoment, ComparisonNote, ComparisonRow, MomentComparison};
-pub use composer_dialog::{ComposerDialog, DialogField};
+pub use composer_dialog::{ComposerDialog, DialogField, MAX_TEMPLATES};
 pub use conflict_panel::{BeatCell, BeatsOnAxis, ConflictPanel, MAX_COLUMNS, ordinal, side_letter};
 use des_search::BusSearch;
 pub use device_command::{COMMAND_FORMS, DeviceCommand};
@@ -183,7 +183,7 @@ use crate::bitrate::{SearchOutcome, SearchProgress};
 use crate::catalogue::{Catalogue, CatalogueFile};
 use crate::diagnostic::Diagnostic;
 use crate::discovery::{Config, Device, DeviceId};
-use crate::document::{Document, Entry, NewEntry, Operation};
+use crate::document::{Document, DocumentFinding, Entry, NewEntry, Operation};
 use crate::finding::Finding;
 use crate::frame::{BusIndex, Frame};
 use crate::keymap::{Action, Key, KeyMode, Keymap};
@@ -256,6 +256,8 @@ pub struct AppOptions {
     pub saved_filters: Vec<SavedFilter>,
     /// Compositions sent in earlier runs, in words, the latest first.
     pub recent_frames: Vec<String>,
+    /// Templates of compositions, in words.
+    pub templates: Vec<String>,
     /// Bytes of memory for the captured frames and the past of the buses; `None`:
     /// [`DEFAULT_CAPTURE`]; 0: few frames, and no past.
     pub capture_room: Option<usize>,
@@ -322,6 +324,8 @@ pub enum Effect {
     FindBitrate(BusIndex),
     /// Remember a composition that is sent, in words, for later runs.
     RememberFrame(String),
+    /// Store a template of a composition, in words; call [`App::handle_lost_template`] if it fails.
+    KeepTemplate(String),
     /// Control the playback of logs; then call [`App::handle_playback`].
     Playback(PlaybackCommand),
     /// Call [`App::handle_offers`] with the buses that can be opened, as long as
@@ -428,6 +432,8 @@ pub struct App {
     marks: Marks,
     /// Places that were left, oldest first.
     places: Vec<Place>,
+    /// Templates of compositions, in words.
+    templates: Vec<String>,
     saved_filters: Vec<SavedFilter>,
     time_bar: TimeBar,
     signs: Signs,
@@ -500,6 +506,7 @@ impl App {
             is_log_held: false,
             marks: Marks::default(),
             places: Vec::new(),
+            templates: options.templates,
             saved_filters: options.saved_filters,
             time_bar: TimeBar::default(),
             signs: options.signs,
@@ -690,8 +697,7 @@ impl App {
             Ok(profile) => self.profile_changed(name, &Arc::new(profile)),
             Err(why) => {
                 let text = format!("{name}: {why}; the profile before stays in force");
-                self.add_line_to_all_buses(TimelineKind::Error, &text);
-                self.notices.file_error(now, text);
+                self.report_wrong_file(now, text);
             }
         }
     }
@@ -722,8 +728,7 @@ impl App {
             }
             Err(why) => {
                 let text = format!("{name}: {why}; the project before stays in force");
-                self.add_line_to_all_buses(TimelineKind::Error, &text);
-                self.notices.file_error(now, text);
+                self.report_wrong_file(now, text);
             }
         }
         self.notices.redraw.set_dirty();
@@ -733,22 +738,17 @@ impl App {
     pub fn handle_catalogue(&mut self, now: Instant, catalogue: Arc<Catalogue>) {
         let now = self.clock.set(now);
         let before = Arc::clone(self.buses.catalogue());
-        let fault_of = |catalogue: &Catalogue, path: &str| {
-            let file = catalogue.files().iter().find(|file| file.path == path)?;
-            file.fault.clone()
+        let notice_of = |catalogue: &Catalogue, path: &str| {
+            catalogue.files().iter().find(|file| file.path == path)?.notice()
         };
         for file in catalogue.files() {
-            let Some(why) = &file.fault else { continue };
-            if fault_of(&before, &file.path).as_ref() != Some(why) {
-                let kept =
-                    if file.device_type.is_some() { "; what it said before stays" } else { "" };
-                let text = format!("{}: {why}{kept}", file.path);
-                self.add_line_to_all_buses(TimelineKind::Error, &text);
-                self.notices.file_error(now, text);
+            let Some(text) = file.notice() else { continue };
+            if notice_of(&before, &file.path).as_ref() != Some(&text) {
+                self.report_wrong_file(now, text);
             }
         }
         let is_mended = |file: &&CatalogueFile| {
-            file.fault.is_some() && fault_of(&catalogue, &file.path).is_none()
+            file.notice().is_some() && notice_of(&catalogue, &file.path).is_none()
         };
         let mended: Vec<String> =
             before.files().iter().filter(is_mended).map(|file| file.path.clone()).collect();
@@ -762,6 +762,13 @@ impl App {
         self.refresh_before_draw();
         self.filter_frames();
         self.notices.redraw.set_dirty();
+    }
+
+    /// Reports that a file with a mistake was saved, of which the content before stays in force.
+    fn report_wrong_file(&mut self, now: Instant, text: String) {
+        self.add_line_to_all_buses(TimelineKind::Error, &text);
+        self.notices.emit(AppEvent::WrongFile(text.clone()));
+        self.notices.file_error(now, text);
     }
 
     /// Takes that the folder of a new des.json does not exist.
@@ -1022,6 +1029,17 @@ impl App {
     /// Content of des.json with the edits, at the moment that is shown.
     pub fn document(&self) -> &Document {
         self.past.as_ref().map_or(self.editor.file.document(), |past| &past.file.document)
+    }
+
+    /// The mistakes in des.json, as far as they show without devices, in the order of the file; also
+    /// UIDs that the profile does not allow.
+    pub fn file_mistakes(&self) -> Vec<DocumentFinding> {
+        problems::file_mistakes(self.document(), self.shown_buses())
+    }
+
+    /// What is wrong with the UID of an entry of des.json; `None` if a device can have it.
+    pub fn uid_mistake(&self, entry: &Entry) -> Option<String> {
+        problems::mistake_of(self.shown_buses(), entry, entry.uid.as_deref()?)
     }
 
     /// Names of the entries whose static address, set by the user, another program has overwritten;

@@ -3,12 +3,14 @@
 //! Each port has threads of its own, so reading a bus never waits for the screen: frames and status
 //! arrive in a bounded [`Queue`], and lost frames are counted. Does not know what frames mean.
 //!
-//! A new kind of bus is a module with `KIND`, `parse`, `text` and `open`, and a row in `spec.rs`.
+//! A new kind of bus is a module with `KIND`, `parse`, `normalised`, `text` and `open`,
+//! and a row in `spec.rs`.
 //!
 //! Reading order: [`BusSpec`] (the BUS argument), [`open`], [`Port`], [`Queue`],
 //! [`BusStatus`](crate::status::BusStatus), [`Clock`]; then the kinds:
 //! `socketcan`, `slcan`, `socketcand` and `udp` (what they share is in `remote`), `replay`, `sim`.
 
+mod absolute_path;
 mod clock;
 mod faults;
 mod kind;

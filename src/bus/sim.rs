@@ -1,6 +1,7 @@
 //! `sim:SCENARIO`: a simulated bus as a port. Its virtual time runs with the session's clock. Does not
 //! know what is simulated: [`crate::sim`] does.
 
+use super::absolute_path::absolute;
 use super::clock::Clock;
 use super::faults::cannot_open;
 use super::kind::{BusKind, OpenRequest};
@@ -31,6 +32,14 @@ pub(super) const KIND: BusKind = BusKind {
 
 pub(super) fn parse(text: &str) -> Result<String, Diagnostic> {
     if text.is_empty() { Err(KIND.incomplete()) } else { Ok(text.to_owned()) }
+}
+
+/// The name that all spellings of one simulated bus share: the path of its file, unless built-in.
+pub(super) fn normalised(scenario: &str) -> String {
+    match Scenario::builtin_text(scenario) {
+        Some(_) => scenario.to_owned(),
+        None => absolute(Path::new(scenario)).display().to_string(),
+    }
 }
 
 pub(super) fn text(scenario: &str) -> String {

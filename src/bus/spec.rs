@@ -1,7 +1,7 @@
 //! The BUS argument of the command line: parsing and display.
 //!
-//! Opens nothing: whether an interface or a file exists shows when it is opened. The row of a kind
-//! is in its module; this file has the list of kinds.
+//! Opens nothing: whether an interface or a file exists shows when it is opened. Paths are compared as
+//! the file system resolves them. The row of a kind is in its module; this file has the list of kinds.
 
 use super::kind::{BusKind, OpenRequest};
 use super::port::Port;
@@ -15,7 +15,7 @@ use std::fmt;
 use std::path::PathBuf;
 use std::str::FromStr;
 
-/// One row per kind: its variant, and its module with `KIND`, `parse`, `text` and `open`.
+/// One row per kind: its variant, and its module with `KIND`, `parse`, `normalised`, `text` and `open`.
 macro_rules! bus_kinds {
     ($($(#[$doc:meta])* $variant:ident($address:ty) in $module:ident;)*) => {
         /// One BUS argument.
@@ -44,6 +44,22 @@ macro_rules! bus_kinds {
                     return Some($module::parse(text).map(BusSpec::$variant));
                 })*
                 (scheme == stdin::KIND.scheme && text.is_empty()).then_some(Ok(BusSpec::Stdin))
+            }
+
+            /// Returns true if both name one bus, however they are written: an slcan adapter at any
+            /// bit rate, a file by any path, a server with or without its usual port.
+            pub fn is_same_bus(&self, other: &BusSpec) -> bool {
+                self.normalised() == other.normalised()
+            }
+
+            /// The form that all spellings of one bus share.
+            fn normalised(&self) -> BusSpec {
+                match self {
+                    $(BusSpec::$variant(address) => {
+                        BusSpec::$variant($module::normalised(address))
+                    })*
+                    BusSpec::Stdin => BusSpec::Stdin,
+                }
             }
 
             /// What follows the scheme.

@@ -2,13 +2,15 @@
 
 use crate::discovery::DeviceService;
 use crate::text::{Quoted, join_first, printable};
-use crate::toml_error::{TomlError, ValuePlaces};
-use crate::wire::data_layout::{DataFieldValue, DataLayout, check_name};
+use crate::toml_error::TomlError;
+use crate::wire::data_layout::{DataFieldValue, DataLayout, DataLayoutEntry, check_name};
 use crate::wire::descriptor::{ByteOrder, Gid};
 use crate::wire::id::{Header, Service};
 use crate::wire::profile;
 use serde::Deserialize;
 use std::collections::{BTreeMap, BTreeSet};
+use std::ops::Range;
+use toml::Spanned;
 
 /// Most characters of a title, a summary or a link.
 const MAX_LINE: usize = 200;
@@ -67,136 +69,159 @@ pub struct DebugMessage {
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct DeviceTypeEntry {
-    gid: Option<String>,
-    name: Option<String>,
-    title: Option<String>,
-    documentation: Option<String>,
+    gid: Option<Spanned<String>>,
+    name: Option<Spanned<String>>,
+    title: Option<Spanned<String>>,
+    documentation: Option<Spanned<String>>,
     #[serde(default, deserialize_with = "profile::byte_order")]
     byte_order: ByteOrder,
     #[serde(default)]
-    services: Vec<TypeServiceEntry>,
+    services: Vec<Spanned<TypeServiceEntry>>,
     #[serde(default)]
-    debug: Vec<DebugMessageEntry>,
+    debug: Vec<Spanned<DebugMessageEntry>>,
 }
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct TypeServiceEntry {
-    name: String,
-    version: Option<String>,
-    number: Option<u16>,
+    name: Spanned<String>,
+    version: Option<Spanned<String>>,
+    number: Option<Spanned<u16>>,
     #[serde(default)]
     optional: bool,
-    summary: Option<String>,
+    summary: Option<Spanned<String>>,
     #[serde(default)]
-    request: DataLayout,
+    request: DataLayoutEntry,
     #[serde(default)]
-    response: DataLayout,
+    response: DataLayoutEntry,
     #[serde(default)]
-    data: DataLayout,
+    data: DataLayoutEntry,
 }
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct DebugMessageEntry {
-    code: u16,
-    name: String,
+    code: Spanned<u16>,
+    name: Spanned<String>,
     #[serde(default)]
-    parameters: DataLayout,
+    parameters: DataLayoutEntry,
 }
 
-/// A mistake in a file: the name of the value, and what is wrong about it.
-struct TypeFault {
-    key: &'static str,
-    message: String,
-}
+/// A mistake: its place, and what is wrong.
+type TypeFault = (Range<usize>, String);
 
-fn fault(key: &'static str, message: impl Into<String>) -> TypeFault {
-    TypeFault { key, message: message.into() }
-}
-
-fn line_of(key: &'static str, text: Option<String>) -> Result<String, TypeFault> {
-    let text = text.unwrap_or_default();
+fn line_of(key: &str, text: Option<Spanned<String>>) -> Result<String, TypeFault> {
+    let Some(text) = text else { return Ok(String::new()) };
+    let (span, text) = (text.span(), text.into_inner());
     if text.chars().count() > MAX_LINE || text.chars().any(|c| !crate::text::is_printable(c)) {
         let message = format!("at most {MAX_LINE} printable characters on one line");
-        return Err(fault(key, format!("{key}: {message}")));
+        return Err((span, format!("{key}: {message}")));
     }
     Ok(text)
 }
 
-fn number_of(number: u16, what: &str) -> Result<Service, String> {
-    Service::new(number).ok_or_else(|| format!("{what} is 0 to 0x3FF, not {number}"))
+fn number_of(number: &Spanned<u16>, what: &str) -> Result<Service, TypeFault> {
+    let value = *number.get_ref();
+    let wrong = || (number.span(), format!("{what} is 0 to 0x3FF, not {value}"));
+    Service::new(value).ok_or_else(wrong)
+}
+
+fn name_of(name: Spanned<String>, what: &str) -> Result<String, TypeFault> {
+    let (span, name) = (name.span(), name.into_inner());
+    check_name(&name, what).map_err(|why| (span, why))?;
+    Ok(name)
+}
+
+fn gid_of(text: &Spanned<String>) -> Result<Gid, TypeFault> {
+    let digits = text.get_ref().replace([' ', ':'], "");
+    Gid::parse(&digits).filter(|gid| !gid.is_blank()).ok_or_else(|| {
+        let shown = printable(text.get_ref().as_bytes());
+        (text.span(), format!("gid: \"{shown}\" is not 12 hexadecimal digits, not all 0 or F"))
+    })
+}
+
+/// The place of the first one that is too many.
+fn first_surplus<T>(all: &[Spanned<T>]) -> Option<Range<usize>> {
+    all.get(MAX_SERVICES).map(Spanned::span)
 }
 
 impl DeviceTypeEntry {
     fn checked(self) -> Result<DeviceType, TypeFault> {
-        let gid = self.gid.map(|text| {
-            let digits = text.replace([' ', ':'], "");
-            Gid::parse(&digits).filter(|gid| !gid.is_blank()).ok_or_else(|| {
-                let text = printable(text.as_bytes());
-                fault(
-                    "gid",
-                    format!("gid: \"{text}\" is not 12 hexadecimal digits, not all 0 or F"),
-                )
-            })
-        });
-        if let Some(name) = &self.name {
-            check_name(name, "name").map_err(|why| fault("name", why))?;
-        }
-        if self.services.len() > MAX_SERVICES || self.debug.len() > MAX_SERVICES {
-            return Err(fault("services", format!("at most {MAX_SERVICES} services and messages")));
-        }
-        let mut services: Vec<TypeService> = Vec::with_capacity(self.services.len());
-        for entry in self.services {
-            let service = entry.checked().map_err(|why| fault("services", why))?;
-            if services.iter().any(|known| known.name == service.name) {
-                return Err(fault("services", format!("two services are called {}", service.name)));
-            }
-            let same =
-                services.iter().find(|it| it.number.is_some() && it.number == service.number);
-            if let Some(same) = same {
-                let message = format!("{} and {} have one number", same.name, service.name);
-                return Err(fault("services", message));
-            }
-            services.push(service);
-        }
-        let mut debug_messages = BTreeMap::new();
-        for DebugMessageEntry { code, name, parameters } in self.debug {
-            check_name(&name, "the name of a message").map_err(|why| fault("debug", why))?;
-            number_of(code, "the code of a DEBUG message").map_err(|why| fault("debug", why))?;
-            if debug_messages.insert(code, DebugMessage { name, parameters }).is_some() {
-                return Err(fault("debug", format!("code {code} stands twice")));
-            }
+        let surplus = first_surplus(&self.services).or_else(|| first_surplus(&self.debug));
+        if let Some(span) = surplus {
+            return Err((span, format!("at most {MAX_SERVICES} services and messages")));
         }
         let documentation = line_of("documentation", self.documentation)?;
         Ok(DeviceType {
-            gid: gid.transpose()?,
-            name: self.name,
+            gid: self.gid.as_ref().map(gid_of).transpose()?,
+            name: self.name.map(|name| name_of(name, "name")).transpose()?,
             title: line_of("title", self.title)?,
             documentation: Some(documentation).filter(|link| !link.is_empty()),
-            services,
-            debug_messages,
+            services: services_of(self.services)?,
+            debug_messages: debug_messages_of(self.debug)?,
             byte_order: self.byte_order,
         })
     }
 }
 
-impl TypeServiceEntry {
-    fn checked(self) -> Result<TypeService, String> {
-        let Self { name, version, number, optional, summary, request, response, data } = self;
-        check_name(&name, "the name of a service")?;
-        if let Some(version) = &version {
-            check_name(version, &format!("{name}: a version"))?;
+fn services_of(entries: Vec<Spanned<TypeServiceEntry>>) -> Result<Vec<TypeService>, TypeFault> {
+    let mut services: Vec<TypeService> = Vec::with_capacity(entries.len());
+    for entry in entries {
+        let entry = entry.into_inner();
+        let (name_at, number_at) = (entry.name.span(), entry.number.as_ref().map(Spanned::span));
+        let service = entry.checked()?;
+        if services.iter().any(|known| known.name == service.name) {
+            return Err((name_at, format!("two services are called {}", service.name)));
         }
-        let number = number.map(|number| number_of(number, &format!("{name}: a service number")));
+        let same = services.iter().find(|it| it.number.is_some() && it.number == service.number);
+        if let Some(same) = same {
+            let message = format!("{} and {} have one number", same.name, service.name);
+            return Err((number_at.unwrap_or(name_at), message));
+        }
+        services.push(service);
+    }
+    Ok(services)
+}
+
+fn debug_messages_of(
+    entries: Vec<Spanned<DebugMessageEntry>>,
+) -> Result<BTreeMap<u16, DebugMessage>, TypeFault> {
+    let mut messages = BTreeMap::new();
+    for entry in entries {
+        let DebugMessageEntry { code, name, parameters } = entry.into_inner();
+        let name = name_of(name, "the name of a message")?;
+        let number = number_of(&code, "the code of a DEBUG message")?.number();
+        let message = DebugMessage { name, parameters: parameters.checked()? };
+        if messages.insert(number, message).is_some() {
+            return Err((code.span(), format!("code {number} stands twice")));
+        }
+    }
+    Ok(messages)
+}
+
+impl TypeServiceEntry {
+    fn checked(self) -> Result<TypeService, TypeFault> {
+        let Self { name, version, number, optional, summary, request, response, data } = self;
+        let name_at = name.span();
+        let name = name_of(name, "the name of a service")?;
+        let version = version.map(|version| name_of(version, &format!("{name}: a version")));
+        let number = number.map(|number| number_of(&number, &format!("{name}: a service number")));
         let number = number.transpose()?;
         let has_layout = [&request, &response, &data].into_iter().any(|it| !it.is_empty());
         if has_layout && number.is_none() {
-            return Err(format!("{name}: its fields need a number, by which frames are found"));
+            let text = format!("{name}: its fields need a number, by which frames are found");
+            return Err((name_at, text));
         }
-        let summary = line_of("summary", summary).map_err(|fault| fault.message)?;
-        let is_optional = optional;
-        Ok(TypeService { name, version, number, is_optional, summary, request, response, data })
+        Ok(TypeService {
+            name,
+            version: version.transpose()?,
+            number,
+            is_optional: optional,
+            summary: line_of("summary", summary)?,
+            request: request.checked()?,
+            response: response.checked()?,
+            data: data.checked()?,
+        })
     }
 }
 
@@ -217,14 +242,28 @@ impl DeviceType {
     pub fn parse(text: &str) -> Result<Self, TomlError> {
         let entry: DeviceTypeEntry =
             toml::from_str(text).map_err(|error| TomlError::of(text, &error))?;
-        entry.checked().map_err(|TypeFault { key, message }| {
-            TomlError::new(text, ValuePlaces::of(text).get(key), message)
-        })
+        entry.checked().map_err(|(span, message)| TomlError::new(text, Some(span), message))
     }
 
     /// Returns true if it holds for all devices.
     pub fn is_common(&self) -> bool {
         self.gid.is_none() && self.name.is_none()
+    }
+
+    /// Says what another type of all devices has that this one has otherwise: the same DEBUG code, or the
+    /// same service number; `None` if there is nothing.
+    pub(super) fn shared_number(&self, other: &Self) -> Option<String> {
+        let code = self.debug_messages.iter().find_map(|(code, message)| {
+            let other = other.debug_messages.get(code).filter(|other| *other != message)?;
+            Some(format!("DEBUG code {} is {}", Service::from_bits(*code), other.name))
+        });
+        code.or_else(|| {
+            self.services.iter().find_map(|service| {
+                let number = service.number?;
+                let other = other.service(number).filter(|other| *other != service)?;
+                Some(format!("service {number} is {}", other.name))
+            })
+        })
     }
 
     /// Returns what it is called: its title, else its name.

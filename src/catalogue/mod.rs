@@ -37,7 +37,21 @@ pub struct CatalogueFile {
     pub device_type: Option<Arc<DeviceType>>,
     /// What is wrong, with its place; `None` if nothing is.
     pub fault: Option<String>,
+    /// A number that a file before it has for something else, which counts; `None` if there is none.
+    pub warning: Option<String>,
     folder: usize,
+}
+
+impl CatalogueFile {
+    /// Says what is wrong, and what follows of it; `None` if nothing is.
+    pub fn notice(&self) -> Option<String> {
+        let kept = match self.device_type {
+            Some(_) => "what it said before stays",
+            None => "it is not used",
+        };
+        let fault = self.fault.as_ref().map(|why| format!("{}: {why}; {kept}", self.path));
+        fault.or_else(|| Some(format!("{}: {}", self.path, self.warning.as_ref()?)))
+    }
 }
 
 /// How the type of a device is known.
@@ -78,12 +92,12 @@ impl Catalogue {
             let file = match parsed {
                 Ok(device_type) => {
                     let device_type = Some(Arc::new(device_type));
-                    CatalogueFile { path, device_type, fault: None, folder }
+                    CatalogueFile { path, device_type, fault: None, warning: None, folder }
                 }
                 Err(why) => {
                     let before = self.files.iter().find(|file| file.path == path);
                     let device_type = before.and_then(|file| file.device_type.clone());
-                    CatalogueFile { path, device_type, fault: Some(why), folder }
+                    CatalogueFile { path, device_type, fault: Some(why), warning: None, folder }
                 }
             };
             catalogue.add(file);
@@ -104,10 +118,23 @@ impl Catalogue {
                     file.fault = Some(format!("the GID of {}, too; that one counts", same.path));
                     file.device_type = None;
                 }
-                None => self.index(&device_type, file.folder),
+                None => {
+                    file.warning = self.shared_number(&device_type, file.folder);
+                    self.index(&device_type, file.folder);
+                }
             }
         }
         self.files.push(file);
+    }
+
+    /// Says which number of what all devices share another file of the folder has for something else.
+    fn shared_number(&self, device_type: &DeviceType, folder: usize) -> Option<String> {
+        let is_like = |file: &&CatalogueFile| device_type.is_common() && file.folder == folder;
+        self.files.iter().filter(is_like).find_map(|file| {
+            let other = file.device_type.as_ref().filter(|other| other.is_common())?;
+            let shared = device_type.shared_number(other)?;
+            Some(format!("{shared} in {}, too; that one counts", file.path))
+        })
     }
 
     fn index(&mut self, device_type: &Arc<DeviceType>, folder: usize) {

@@ -20,8 +20,10 @@ pub fn run(args: &CatalogueArgs) -> Result<u8, Failure> {
         (texts_of(&args.paths)?, args.paths.iter().map(|path| shown(path)).collect())
     };
     let catalogue = Catalogue::default().read(texts);
-    let faults =
-        catalogue.files().iter().filter_map(|file| Some((&file.path, file.fault.as_ref()?)));
+    let faults = catalogue
+        .files()
+        .iter()
+        .filter_map(|file| Some((&file.path, file.fault.as_ref().or(file.warning.as_ref())?)));
     for (path, why) in faults.clone() {
         output::warn(format_args!("{path}: {why}"));
     }
@@ -74,6 +76,8 @@ struct TypeReport<'a> {
     documentation: Option<&'a str>,
     services: usize,
     fault: Option<&'a str>,
+    /// A number that another file has for something else.
+    warning: Option<&'a str>,
 }
 
 impl<'a> TypeReport<'a> {
@@ -87,6 +91,7 @@ impl<'a> TypeReport<'a> {
             documentation: known.and_then(|it| it.documentation.as_deref()),
             services: known.map_or(0, |it| it.services.len()),
             fault: file.fault.as_deref(),
+            warning: file.warning.as_deref(),
         }
     }
 }

@@ -236,7 +236,7 @@ async fn open_log(
         (first.as_ref().map_or_else(|_| Epoch::default(), LogBatch::epoch), log.start());
     let store = options.file_path.as_deref().map(Store::new);
     let catalogue = Arc::clone(&setup.catalogue);
-    let project = Arc::clone(&setup.project);
+    let project = setup.project_facts();
     let options = AppOptions { epoch, catalogue, project, ..options };
     let mut session = Session::of_log(App::new(start, options), log, setup.config.clone(), store);
     if let Some(recorder) = recorder {

@@ -22,7 +22,6 @@ use crate::status::RecordingStatus;
 use crate::text::{SafeLines, printable};
 use crate::time::{Epoch, Instant};
 use crate::wire::profile::Profile;
-use std::collections::BTreeMap;
 use std::fs;
 use std::io::{self, IsTerminal};
 use std::path::{Path, PathBuf};
@@ -47,10 +46,12 @@ pub struct Setup {
     pub file: PathBuf,
     /// File of the project.
     pub project_path: Option<PathBuf>,
-    /// Names of simulated buses that the project has, by their arguments.
-    pub bus_names: BTreeMap<String, String>,
-    /// What the project says about the buses.
-    pub project: Arc<ProjectFacts>,
+    /// The project.
+    pub project: Option<Arc<Project>>,
+    /// des.json of the command line.
+    pub named_file: Option<PathBuf>,
+    /// Folders of the catalogue that the command line or the project names.
+    pub named_catalogue: Option<Vec<PathBuf>>,
     /// What is known of types of devices.
     pub catalogue: Arc<Catalogue>,
     /// Where it is read from, and what was read.
@@ -110,11 +111,13 @@ impl Setup {
             seed: fastrand::u64(..),
             ..built_in
         };
-        let file = match (&common.file, &project) {
-            (Some(file), _) => file.clone(),
-            (None, None) => default_file(),
-            (None, Some(project)) => project.file_of(buses).map_err(files_differ)?,
-        };
+        let own = project.as_ref().and_then(|project| project.catalogue.clone());
+        let is_named = !common.catalogue.is_empty();
+        let named_catalogue = if is_named { Some(common.catalogue.clone()) } else { own };
+        if let Some(folder) = named_catalogue.iter().flatten().find(|folder| !folder.is_dir()) {
+            let folder = shown(folder);
+            return Err(Failure::Unusable(format!("catalogue {folder}: not a folder; name one")));
+        }
         let signs = settings.signs.as_deref().and_then(Signs::from_name);
         let theme = settings.theme;
         let max_bytes = common.record_size.map(|Size(bytes)| bytes);
@@ -129,10 +132,11 @@ impl Setup {
             keymap,
             config,
             profile: profile_path,
-            file,
+            file: PathBuf::new(),
             project_path,
-            bus_names: project.as_ref().map(simulated_names).unwrap_or_default(),
-            project: Arc::new(project.as_ref().map(Project::facts).unwrap_or_default()),
+            project: project.map(Arc::new),
+            named_file: common.file.clone(),
+            named_catalogue,
             catalogue: Arc::default(),
             catalogue_files: Default::default(),
             record,
@@ -145,21 +149,54 @@ impl Setup {
             signs,
             warnings,
         };
-        let has_project = project.is_some();
-        let own = project.and_then(|project| project.catalogue);
-        let is_named = !common.catalogue.is_empty();
-        let named = if is_named { Some(&common.catalogue) } else { own.as_ref() };
-        if let Some(folder) = named.into_iter().flatten().find(|folder| !folder.is_dir()) {
-            let folder = shown(folder);
-            return Err(Failure::Unusable(format!("catalogue {folder}: not a folder; name one")));
-        }
-        setup.read_catalogue(match (&common.catalogue[..], own) {
-            ([], Some(own)) => CatalogueFolders::of(own),
-            // The folder of a project is meant for it.
-            ([], None) => CatalogueFolders::beside(&setup.file, has_project),
-            (folders, _) => CatalogueFolders::of(folders.to_vec()),
-        });
+        setup.file = setup.file_of(buses)?;
+        setup.read_catalogue(setup.catalogue_folders());
         Ok(setup)
+    }
+
+    /// Returns the des.json of these buses.
+    ///
+    /// # Errors
+    /// The project has another one for each of the buses.
+    pub fn file_of(&self, buses: &[BusSpec]) -> Result<PathBuf, Failure> {
+        match (&self.named_file, &self.project) {
+            (Some(file), _) => Ok(file.clone()),
+            (None, None) => Ok(default_file()),
+            (None, Some(project)) => project.file_of(buses).map_err(files_differ),
+        }
+    }
+
+    /// Takes the des.json of these buses, which were chosen since, and the catalogue beside it.
+    ///
+    /// # Errors
+    /// As [`Setup::file_of`].
+    pub fn choose_file(&mut self, buses: &[BusSpec]) -> Result<(), Failure> {
+        let file = self.file_of(buses)?;
+        let before = std::mem::replace(&mut self.file, file);
+        if before != self.file && self.named_catalogue.is_none() {
+            self.read_catalogue(self.catalogue_folders());
+        }
+        Ok(())
+    }
+
+    /// The folders of the catalogue: without named ones, that beside des.json.
+    fn catalogue_folders(&self) -> CatalogueFolders {
+        match &self.named_catalogue {
+            Some(folders) => CatalogueFolders::of(folders.clone()),
+            // The folder of a project is meant for it.
+            None => CatalogueFolders::beside(&self.file, self.project.is_some()),
+        }
+    }
+
+    /// Returns the name of a bus: that of the project, if the project has it.
+    pub fn name_of(&self, bus: &BusSpec) -> String {
+        self.project.as_ref().map_or_else(|| bus.to_string(), |project| project.name_of(bus))
+    }
+
+    /// What the project says about the buses.
+    pub fn project_facts(&self) -> Arc<ProjectFacts> {
+        let facts = self.project.as_ref().map(|project| project.facts(&[]));
+        Arc::new(facts.unwrap_or_default())
     }
 
     /// Reads the catalogue; mistakes in its files are warnings.
@@ -167,8 +204,7 @@ impl Setup {
         let texts = folders.read();
         let catalogue = Catalogue::default().read(texts.clone());
         for file in catalogue.files() {
-            if let Some(why) = &file.fault {
-                let warning = format!("{}: {why}; it is not used", file.path);
+            if let Some(warning) = file.notice() {
                 output::warn(&warning);
                 self.warnings.push(warning);
             }
@@ -288,7 +324,8 @@ pub fn buses(arguments: &Arguments) -> Result<Vec<BusSpec>, Failure> {
         return Err(Failure::Usage(why.to_owned()));
     }
     for (at, bus) in buses.iter().enumerate() {
-        if let Some(other) = buses[..at].iter().find(|other| is_same(bus, other)) {
+        // Every device would be listed twice, and descan would respond to itself.
+        if let Some(other) = buses[..at].iter().find(|other| bus.is_same_bus(other)) {
             return Err(Failure::Usage(format!("{bus} is the same bus as {other}; name it once")));
         }
     }
@@ -311,12 +348,6 @@ const NAME_A_BUS: &str = "name a bus (descan can0, descan file:LOG), or try it o
 
 fn names_of(interfaces: &[CanInterface]) -> String {
     interfaces.iter().map(|it| it.name.as_str()).collect::<Vec<_>>().join(", ")
-}
-
-/// Names of simulated buses by their arguments, which have the whole path of the scenario.
-fn simulated_names(project: &Project) -> BTreeMap<String, String> {
-    let simulated = project.buses.iter().filter(|bus| matches!(bus.spec, BusSpec::Sim(_)));
-    simulated.map(|bus| (bus.spec.to_string(), bus.name.clone())).collect()
 }
 
 /// Why buses of a project cannot be open together.
@@ -372,16 +403,6 @@ fn unknown_word(word: &str) -> String {
         (None, there) => format!("available: {}", names_of(there)),
     };
     format!("{word} is not a command or a bus; {remedy}")
-}
-
-/// Returns true if two arguments name one bus: every device would be listed twice, and descan would
-/// respond to itself.
-fn is_same(bus: &BusSpec, other: &BusSpec) -> bool {
-    match (bus, other) {
-        // One adapter, at any bit rate.
-        (BusSpec::Slcan(slcan), BusSpec::Slcan(other)) => slcan.device == other.device,
-        _ => bus == other,
-    }
 }
 
 /// Refuses `--speed` unless all buses are logs: beside a live bus, a log is replayed in real time.
@@ -494,8 +515,7 @@ pub fn session(
         let listens_first = setup.listens_first || has_unknown_rate(spec);
         let options = Options { listen_only, listens_first, only };
         let port = bus::open(spec, index, clock.clone(), options)?;
-        let name = setup.bus_names.get(port.name()).map_or(port.name(), String::as_str);
-        named.push((name.to_owned(), Config { listen_only, ..setup.config.clone() }));
+        named.push((setup.name_of(spec), Config { listen_only, ..setup.config.clone() }));
         ports.push(port);
     }
     let options = AppOptions {
@@ -504,7 +524,7 @@ pub fn session(
         logs: logs_of(buses),
         file_path: Some(setup.file.clone()),
         catalogue: Arc::clone(&setup.catalogue),
-        project: Arc::clone(&setup.project),
+        project: setup.project_facts(),
         ..options
     };
     let app = App::new(start, options);
@@ -547,16 +567,25 @@ pub fn add_buses(
     wanted: &BusSelection,
 ) -> Result<Vec<String>, String> {
     let config = selected_config(&setup.config, wanted);
+    let mut names = Vec::new();
     for argument in &wanted.buses {
         let spec: BusSpec = argument.parse().map_err(|fault: Diagnostic| fault.to_string())?;
+        if let Some((_, name)) = session.open_buses().iter().find(|(it, _)| it.is_same_bus(&spec)) {
+            return Err(format!("{argument} is the same bus as {name}, which is open"));
+        }
+        if setup.file_of(std::slice::from_ref(&spec)).ok().is_none_or(|file| file != setup.file) {
+            return Err(format!("{argument} has another des.json in the project; open it alone"));
+        }
         let next = session.next_bus().zip(session.clock().cloned());
         let (index, clock) = next.ok_or("a log is open: no bus can be added beside it")?;
         let (listen_only, only) = (config.listen_only, setup.only.clone());
         let options = Options { listen_only, listens_first: true, only };
         let port = bus::open(&spec, index, clock, options).map_err(|fault| fault.to_string())?;
-        session.add_bus(port, config.clone());
+        let name = setup.name_of(&spec);
+        session.add_bus(port, name.clone(), config.clone());
+        names.push(name);
     }
-    Ok(wanted.buses.clone())
+    Ok(names)
 }
 
 /// Prints on standard error what was recorded.

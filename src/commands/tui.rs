@@ -12,6 +12,7 @@ use crate::shell::bus_picker::PickerExit;
 use crate::shell::bus_scout::{BusScout, ScoutSettings};
 use crate::shell::catalogue_folders::CatalogueFolders;
 use crate::shell::config::ConfigFolder;
+use crate::shell::frame_templates::frame_templates;
 use crate::shell::paint_pace::SCREEN_BUDGET;
 use crate::shell::recent_frames::recent_frames;
 use crate::shell::recent_logs::{remember_contents, remember_log};
@@ -144,8 +145,6 @@ struct Chooser<'a> {
     screen: &'a ScreenArgs,
     /// The settings and arguments, whatever was chosen.
     setup: Setup,
-    /// des.json of buses that are chosen.
-    file: PathBuf,
     settings: LoopSettings,
 }
 
@@ -164,7 +163,7 @@ impl<'a> Chooser<'a> {
         let settings = LoopSettings { scouting, screen_budget };
         terminal::restore_on_panic();
         stop::exit_if_stuck(EXIT_INTERRUPTED, terminal::restore).context("no signals")?;
-        Ok(Self { screen, file: setup.file.clone(), setup, settings })
+        Ok(Self { screen, setup, settings })
     }
 
     /// Shows the list of buses, then those that the user chooses.
@@ -203,7 +202,7 @@ impl<'a> Chooser<'a> {
     }
 
     fn show_chosen(&self, wanted: &BusSelection) -> Result<u8, Failure> {
-        let mut setup = Setup { file: self.file.clone(), ..self.setup.for_selection(wanted) };
+        let mut setup = self.setup.for_selection(wanted);
         let parse = |bus: &String| bus.parse().map_err(Failure::from);
         if wanted.profile.is_some() {
             setup.profile.clone_from(&wanted.profile);
@@ -212,9 +211,15 @@ impl<'a> Chooser<'a> {
             setup.warnings.push(format!("{why}; the profile before stays in force"));
         }
         let shown = wanted.buses.iter().map(parse).collect::<Result<Vec<BusSpec>, Failure>>();
-        match shown.and_then(|buses| show(&buses, None, &setup, self)) {
-            // A log that was deleted, a scenario with a mistake.
-            Err(Failure::Unusable(why)) => self.choose(BusChoice::new(why, Vec::new())),
+        let result = shown.and_then(|buses| {
+            setup.choose_file(&buses)?;
+            show(&buses, None, &setup, self)
+        });
+        match result {
+            // A log that was deleted, a scenario with a mistake, buses with different des.json.
+            Err(Failure::Unusable(why) | Failure::Usage(why)) => {
+                self.choose(BusChoice::new(why, Vec::new()))
+            }
             shown => self.go_on(shown?),
         }
     }
@@ -344,6 +349,7 @@ fn show(
     let options = AppOptions {
         saved_filters,
         recent_frames: recent_frames(),
+        templates: frame_templates(),
         keymap: setup.keymap.clone(),
         theme: wanted.to_owned(),
         themes: themes.names(),

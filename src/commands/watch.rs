@@ -229,6 +229,11 @@ fn as_value(app: &App, event: AppEvent) -> Option<JsonEvent> {
             headless::warn_tx_blocked(&bus);
             return None;
         }
+        // As text it is a line of the timeline.
+        AppEvent::WrongFile(text) => {
+            output::warn(text);
+            return None;
+        }
         AppEvent::File(at, file) => {
             let what = EventBody::File { file: of_file(&file) };
             JsonEvent { time: time(at), event: "file", what }

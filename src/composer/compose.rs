@@ -1,7 +1,9 @@
 //! Frames of a composition, with their meaning and what to consider before they are sent.
 
 use super::changes::change_of;
-use super::fields::{TypedReceiver, TypedSender, Who, data, sender, service, target};
+use super::fields::{
+    TypedReceiver, TypedSender, Who, data, not_working_column, sender, service, target,
+};
 use super::{Composition, CompositionField, KnownNode, MessageKind, Mistake, Surroundings};
 use crate::diagnostic::nearest_word;
 use crate::frame::{Frame, FrameKind};
@@ -145,6 +147,11 @@ impl Composition {
             }
             MessageKind::Response => {
                 (header.response, header.no_error) = (true, !self.is_error);
+                if let Some(column) = not_working_column(&self.to) {
+                    let text = "a response has D = 0 whatever the receiver is: not-working is for \
+                                requests";
+                    return Err(Mistake::new(CompositionField::To, column, text));
+                }
                 let (destination, node, _) = receiver(&target, around)?;
                 header.destination = destination;
                 (vec![header], node)
@@ -266,9 +273,7 @@ fn receiver<'a>(
         Who::Address(address) => return Ok((*address, around.node(*address), works)),
         Who::Named(name) => name,
     };
-    let is_it =
-        |node: &&KnownNode| node.name.as_deref() == Some(name) || node.uid.as_deref() == Some(name);
-    let found: Vec<&KnownNode> = around.nodes.iter().filter(is_it).collect();
+    let found = around.named(name);
     match &found[..] {
         [node] => Ok((node.address, Some(node), works)),
         [] => {

@@ -34,7 +34,8 @@ impl FieldToken {
     }
 }
 
-/// Splits a field at white space; what stands in `"` is one token.
+/// Splits a field at white space; what stands in `"` is one token, in which `\"` and `\\` are a quote
+/// and a backslash. Other backslashes are themselves, as in the printed form of a name.
 ///
 /// # Errors
 ///
@@ -58,7 +59,10 @@ pub(super) fn tokens(text: &str) -> Result<Vec<FieldToken>, usize> {
         loop {
             match chars.next() {
                 Some((_, '"')) => break,
-                Some((_, '\\')) => text.extend(chars.next().map(|(_, c)| c)),
+                Some((_, '\\')) => {
+                    let escaped = chars.next_if(|(_, c)| matches!(c, '"' | '\\'));
+                    text.push(escaped.map_or('\\', |(_, c)| c));
+                }
                 Some((_, c)) => text.push(c),
                 None => return Err(column),
             }
@@ -129,48 +133,82 @@ pub(super) enum Who {
     Named(String),
 }
 
-/// Reads the receiver.
+/// Reads the receiver, and the words that belong to it, in any order.
 pub(super) fn target(text: &str) -> Result<TypedReceiver, Mistake> {
     let field = CompositionField::To;
+    let wrong = |token: &FieldToken, text: String| Mistake::new(field, token.column, text);
     let all = field_tokens(field, text)?;
+    let (mut who, mut is_all, mut works, mut rnd) = (None, false, None, None);
     let mut rest = all.iter();
-    let Some(first) = rest.clone().next() else { return Ok(TypedReceiver::None) };
-    let mut who = None;
-    let is_all = first.is("all");
-    if is_all {
-        rest.next();
-    } else if !first.is("rnd") {
-        rest.next();
-        who = Some(one(first)?);
-    }
-    let (mut works, mut rnd7) = (None, None);
     while let Some(token) = rest.next() {
-        if token.is("working") {
-            works = Some(true);
-        } else if token.is("not-working") || token.is("non-working") {
-            works = Some(false);
-        } else if token.is("rnd") && who.is_none() {
+        if let Some(mode) = works_of(token) {
+            set_once(&mut works, mode, token, field)?;
+        } else if token.is("rnd") && rnd.is_none() {
             let number = rest.next().and_then(|it| number(&it.text)).filter(|it| *it < 128);
-            let Some(number) = number else {
-                return Err(Mistake::new(field, token.column, "rnd needs a number, 0 to 127"));
-            };
-            rnd7 = Some(number as u8);
+            let number = number.ok_or_else(|| wrong(token, "rnd needs a number, 0 to 127".into()));
+            rnd = Some((token, number? as u8));
+        } else if token.is("all") && who.is_none() && !is_all {
+            is_all = true;
+        } else if who.is_none() && !is_all && !token.is("rnd") {
+            who = Some((one(token)?, token.column));
         } else {
-            let after = if who.is_some() {
-                "working or not-working"
-            } else {
-                "working, not-working or rnd"
-            };
-            let text = format!("{} is not understood after the receiver: {after}", token.shown());
-            let near = ["working", "not-working", "rnd"].into_iter();
-            let text = with_near(text, &token.text, near);
-            return Err(Mistake::new(field, token.column, text));
+            return Err(not_after_receiver(token, who.is_some()));
         }
     }
-    Ok(match who {
-        Some(who) => TypedReceiver::One { who, works, column: first.column },
-        None => TypedReceiver::All { works, rnd7 },
-    })
+    match (who, rnd, all.first()) {
+        (Some(_), Some((rnd, _)), _) => {
+            Err(wrong(rnd, "rnd is the DST of a broadcast: to all rnd 85".to_owned()))
+        }
+        (Some((who, column)), None, _) => Ok(TypedReceiver::One { who, works, column }),
+        (None, _, None) => Ok(TypedReceiver::None),
+        (None, None, Some(first)) if !is_all => {
+            let word = first.shown();
+            let text = format!("{word} needs a receiver: FEED {word}, or all {word}");
+            Err(wrong(first, text))
+        }
+        (None, rnd, _) => Ok(TypedReceiver::All { works, rnd7: rnd.map(|(_, number)| number) }),
+    }
+}
+
+/// The mistake of a word that belongs to no receiver.
+fn not_after_receiver(token: &FieldToken, is_one: bool) -> Mistake {
+    let words: &[&str] =
+        if is_one { &["working", "not-working"] } else { &["working", "not-working", "rnd"] };
+    let may_be = if is_one { "working or not-working" } else { "working, not-working or rnd" };
+    let text = format!(
+        "{} is not understood after the receiver: {may_be}; data there begins with data",
+        token.shown()
+    );
+    let text = with_near(text, &token.text, words.iter().copied());
+    Mistake::new(CompositionField::To, token.column, text)
+}
+
+/// The mode that a word names: working, or not.
+fn works_of(token: &FieldToken) -> Option<bool> {
+    if token.is("not-working") || token.is("non-working") {
+        return Some(false);
+    }
+    token.is("working").then_some(true)
+}
+
+/// Notes a mode; a second one is a mistake.
+fn set_once(
+    mode: &mut Option<bool>,
+    new: bool,
+    token: &FieldToken,
+    field: CompositionField,
+) -> Result<(), Mistake> {
+    if mode.replace(new).is_some() {
+        let text = "one of working and not-working, once".to_owned();
+        return Err(Mistake::new(field, token.column, text));
+    }
+    Ok(())
+}
+
+/// The column of a word that makes the receiver one that does not work.
+pub(super) fn not_working_column(text: &str) -> Option<usize> {
+    let all = tokens(text).ok()?;
+    all.iter().find(|token| works_of(token) == Some(false)).map(|token| token.column)
 }
 
 fn one(token: &FieldToken) -> Result<Who, Mistake> {
@@ -207,16 +245,14 @@ pub(super) struct TypedSender {
 /// Reads the sender.
 pub(super) fn sender(text: &str) -> Result<TypedSender, Mistake> {
     let field = CompositionField::From;
-    let mut sender = TypedSender { address: None, not_working: false };
-    for (at, token) in field_tokens(field, text)?.iter().enumerate() {
+    let (mut from, mut works) = (None, None);
+    for token in &field_tokens(field, text)? {
         let digits = token.text.strip_prefix('@').unwrap_or(&token.text);
         let address = number(digits).and_then(|it| u8::try_from(it).ok()).and_then(Address::new);
-        if token.is("not-working") || token.is("non-working") {
-            sender.not_working = true;
-        } else if token.is("working") {
-            sender.not_working = false;
-        } else if let Some(address) = address.filter(|_| at == 0) {
-            sender.address = Some(address);
+        if let Some(mode) = works_of(token) {
+            set_once(&mut works, mode, token, field)?;
+        } else if let Some(address) = address.filter(|_| from.is_none()) {
+            from = Some(address);
         } else {
             let text =
                 format!("{} is not a sender: an address 0 to 127, not-working", token.shown());
@@ -224,7 +260,7 @@ pub(super) fn sender(text: &str) -> Result<TypedSender, Mistake> {
             return Err(Mistake::new(field, token.column, text));
         }
     }
-    Ok(sender)
+    Ok(TypedSender { address: from, not_working: works == Some(false) })
 }
 
 /// A name by which a service can be typed.

@@ -27,6 +27,7 @@ pub use compose::{Composed, Receivers};
 pub use fields::ServiceWord;
 pub use repeat::{MAX_REPEATS, Repeat};
 
+use crate::text::printable;
 use crate::wire::framing::Framing;
 use crate::wire::id::Address;
 use crate::wire::profile::Profile;
@@ -180,6 +181,17 @@ impl<'a> Surroundings<'a> {
     /// The node at an address.
     pub fn node(self, address: Address) -> Option<&'a KnownNode> {
         self.nodes.iter().find(|node| node.address == address)
+    }
+
+    /// The nodes with a name or UID, as it is printed; else those whose bytes are typed, of which a
+    /// backslash is printed as two.
+    fn named(self, typed: &str) -> Vec<&'a KnownNode> {
+        let named = |text: &str| -> Vec<&'a KnownNode> {
+            let has = |own: &Option<String>| own.as_deref() == Some(text);
+            self.nodes.iter().filter(|node| has(&node.name) || has(&node.uid)).collect()
+        };
+        let found = named(typed);
+        if found.is_empty() { named(&printable(typed.as_bytes())) } else { found }
     }
 }
 

@@ -65,6 +65,11 @@ impl Composition {
                 if !kind.has(of) {
                     return Err(wrong(token.column, not_of_kind(kind, token)));
                 }
+                let is_other = framing.is_some() && composition.framing.is_some();
+                if is_other && composition.framing != framing {
+                    let text = "one of isotp and raw, not both".to_owned();
+                    return Err(wrong(token.column, text));
+                }
                 match of {
                     CompositionField::Error => composition.is_error = true,
                     CompositionField::Fd => composition.is_fd = true,

@@ -301,7 +301,10 @@ impl DeviceTracker {
     /// is still the same.
     pub fn check_request_in_cfg(&mut self, now: Instant, row: DeviceId, heartbeat: &Heartbeat) {
         let Some(device) = self.device_table.get_mut(row) else { return };
-        let Some(request) = device.request_in_cfg.take() else { return };
+        // Its name or UID may have been received since.
+        let Some(request) = device.request_in_cfg.take().filter(|_| !device.is_debug) else {
+            return;
+        };
         let period = self.conflicts.periods().of(device.address);
         let is_next =
             device.heartbeat.last.is_some_and(|last| now.since(last) < period.mul_f64(1.5));

@@ -1,8 +1,9 @@
-//! Contradictory entries that share a bus: the same static address twice, or the same name and
-//! address twice. Pure; returns [`DocumentFinding`]s with line numbers.
+//! Contradictory entries that share a bus: the same static address, the same name and address, or the
+//! same UID twice. Pure; returns [`DocumentFinding`]s with line numbers.
 
 use super::entry::Entry;
 use super::finding::{DocumentFinding, DocumentFindingKind};
+use super::position::Position;
 use super::text::brief;
 use std::collections::HashMap;
 use std::fmt::Write as _;
@@ -14,7 +15,11 @@ use std::fmt::Write as _;
 pub(super) fn duplicates(entries: &[Entry]) -> Vec<DocumentFinding> {
     let mut same_entry: HashMap<(u8, &[u8]), Vec<&Entry>> = HashMap::new();
     let mut same_address: HashMap<u8, Vec<&Entry>> = HashMap::new();
+    let mut same_uid: HashMap<&str, Vec<&Entry>> = HashMap::new();
     for entry in entries {
+        if let Some(uid) = entry.trimmed_uid() {
+            same_uid.entry(uid).or_default().push(entry);
+        }
         let Some(address) = entry.address else { continue };
         same_entry.entry((address, &entry.name)).or_default().push(entry);
         if entry.is_static {
@@ -30,7 +35,8 @@ pub(super) fn duplicates(entries: &[Entry]) -> Vec<DocumentFinding> {
                 group.len(),
                 enumerate(&group, |entry| format!("line {}", entry.position.line)),
             );
-            findings.push(duplicate(DocumentFindingKind::DuplicateEntry, message, &group));
+            let at = group[1].address_position;
+            findings.push(duplicate(DocumentFindingKind::DuplicateEntry, message, at, &group));
         }
     }
     for (address, group) in same_address {
@@ -45,8 +51,12 @@ pub(super) fn duplicates(entries: &[Entry]) -> Vec<DocumentFinding> {
                     format!("{} (line {})", brief(&entry.name), entry.position.line)
                 }),
             );
-            findings.push(duplicate(DocumentFindingKind::DuplicateAddress, message, &group));
+            let at = group[1].address_position;
+            findings.push(duplicate(DocumentFindingKind::DuplicateAddress, message, at, &group));
         }
+    }
+    for (uid, group) in same_uid {
+        findings.extend(on_one_bus(group).iter().filter_map(|group| duplicate_uid(uid, group)));
     }
     findings
 }
@@ -59,17 +69,38 @@ fn on_one_bus(group: Vec<&Entry>) -> Vec<Vec<&Entry>> {
     if group.iter().any(|entry| entry.bus.is_none()) {
         return vec![group];
     }
-    let mut buses: HashMap<&Option<String>, Vec<&Entry>> = HashMap::new();
+    let mut buses: HashMap<Option<&str>, Vec<&Entry>> = HashMap::new();
     for entry in group {
-        buses.entry(&entry.bus).or_default().push(entry);
+        buses.entry(entry.named_bus()).or_default().push(entry);
     }
     buses.into_values().filter(|group| group.len() > 1).collect()
 }
 
-fn duplicate(kind: DocumentFindingKind, message: String, group: &[&Entry]) -> DocumentFinding {
+/// The finding about a UID of several entries; `None` if all are duplicate entries anyway.
+fn duplicate_uid(uid: &str, group: &[&Entry]) -> Option<DocumentFinding> {
+    let place = |entry: &&Entry| Some((entry.address?, entry.name.clone()));
+    let first = place(&group[0]);
+    if first.is_some() && group.iter().all(|entry| place(entry) == first) {
+        return None;
+    }
+    let message = format!(
+        "{} is the `uid` of {} entries: {}",
+        brief(uid.as_bytes()),
+        group.len(),
+        enumerate(group, |entry| format!("{} (line {})", brief(&entry.name), entry.position.line)),
+    );
+    Some(duplicate(DocumentFindingKind::DuplicateUid, message, group[1].uid_position, group))
+}
+
+fn duplicate(
+    kind: DocumentFindingKind,
+    message: String,
+    at: Option<Position>,
+    group: &[&Entry],
+) -> DocumentFinding {
     DocumentFinding {
         kind,
-        position: group[1].address_position.unwrap_or(group[1].position),
+        position: at.unwrap_or(group[1].position),
         message,
         entries: group.iter().map(|entry| entry.index).collect(),
     }

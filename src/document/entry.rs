@@ -8,6 +8,7 @@ use super::position::Position;
 use super::scan::{self, Span};
 use super::syntax::JsonKind;
 use super::text;
+use crate::text::without_bit_rates;
 
 /// One device in the file. Members with a value of the wrong type count as absent and have a
 /// finding.
@@ -26,6 +27,8 @@ pub struct Entry {
     pub bus: Option<String>,
     /// UID as spelled in the file.
     pub uid: Option<String>,
+    /// Start of the value of `uid`; `None` if it is missing.
+    pub uid_position: Option<Position>,
     /// Services in the file's order; `None`: not listed.
     pub services: Option<Vec<ListedService>>,
     /// The services are a list, whose order counts; in an object it does not.
@@ -43,9 +46,20 @@ pub struct Entry {
 }
 
 impl Entry {
-    /// Returns true if the entry applies to the bus with this name: it names that bus, or none.
+    /// Returns true if the entry applies to the bus with this name: it names that bus, or none. An
+    /// adapter is the same bus at any bit rate.
     pub fn is_for_bus(&self, bus: &str) -> bool {
-        self.bus.as_deref().is_none_or(|named| named == bus)
+        self.named_bus().is_none_or(|named| named == without_bit_rates(bus))
+    }
+
+    /// Returns the bus without bit rates; `None`: any bus.
+    pub(super) fn named_bus(&self) -> Option<&str> {
+        self.bus.as_deref().map(without_bit_rates)
+    }
+
+    /// Returns the UID without blanks around it; `None` without one.
+    pub fn trimmed_uid(&self) -> Option<&str> {
+        self.uid.as_deref().map(str::trim).filter(|uid| !uid.is_empty())
     }
 
     /// Returns the services; `None` if the list is missing or empty.
@@ -287,6 +301,7 @@ impl EntryReader<'_, '_> {
             is_static,
             bus: of(Member::Bus).and_then(|at| self.string(Member::Bus, at)),
             uid: of(Member::Uid).and_then(|at| self.string(Member::Uid, at)),
+            uid_position: of(Member::Uid).map(|at| self.findings.position(at.start)),
             services: of(Member::Services).and_then(|at| self.services(at)),
             has_ordered_services: of(Member::Services)
                 .is_some_and(|at| self.body[at.clone()].starts_with('[')),

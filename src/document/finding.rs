@@ -25,7 +25,7 @@ pub struct DocumentFinding {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum DocumentFindingKind {
-    /// The file is neither an object nor a list, or `devices` is not a list.
+    /// The file is neither an object nor a list, or `devices` is missing or not a list.
     NotDevices,
     /// An element of the list is not an object.
     NotAnEntry,
@@ -43,6 +43,10 @@ pub enum DocumentFindingKind {
     MisspelledMember,
     /// An entry with `static`, but without an address.
     StaticWithoutAddress,
+    /// A `uid` that no device can have.
+    UnusableUid,
+    /// Several entries have the same UID on one bus.
+    DuplicateUid,
     /// Several entries have the same static address on one bus.
     DuplicateAddress,
     /// Several entries have the same name and address on one bus.
@@ -79,6 +83,20 @@ pub(super) fn keep_first(findings: &mut Vec<DocumentFinding>, more: usize) {
         let message = format!("{more} more errors after this one");
         findings.push(DocumentFinding { kind, position, message, entries: Vec::new() });
     }
+}
+
+/// Returns `findings` with those of a caller that knows more than the file, as bounded. Where findings
+/// are left out already, there is no room for others.
+pub(super) fn merged(
+    findings: &[DocumentFinding],
+    others: Vec<DocumentFinding>,
+) -> Vec<DocumentFinding> {
+    let mut all = findings.to_vec();
+    if all.len() <= MAX_FINDINGS && !others.is_empty() {
+        all.extend(others);
+        keep_first(&mut all, 0);
+    }
+    all
 }
 
 /// Findings collected while the file is read.
@@ -123,25 +141,28 @@ impl<'a> Findings<'a> {
         self.add(DocumentFindingKind::DuplicateMember, at, message, entry);
     }
 
-    /// Adds a finding if an unknown member of this name is probably one of the `missing` ones.
+    /// Adds a finding if an unknown member of this name is probably one of the `missing` ones; returns
+    /// true then.
     pub fn misspelled(
         &mut self,
         key: &str,
         at: usize,
         missing: impl IntoIterator<Item = &'static str>,
         entry: Option<usize>,
-    ) {
+    ) -> bool {
         let is_meant = |known: &&str| {
             key.eq_ignore_ascii_case(known)
                 || known.len().min(key.len()) >= MIN_MISSPELLED
                     && key.len() <= known.len() + 1
                     && strsim::damerau_levenshtein(key, known) == 1
         };
-        if let Some(meant) = missing.into_iter().find(is_meant) {
+        let meant = missing.into_iter().find(is_meant);
+        if let Some(meant) = meant {
             let key = text::brief(key.as_bytes());
             let message = format!("`{key}` is not read; is `{meant}` meant?");
             self.add(DocumentFindingKind::MisspelledMember, at, message, entry);
         }
+        meant.is_some()
     }
 
     /// Adds a finding: `what`, a member or a part of one, is `found` instead of `expected`.

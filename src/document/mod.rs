@@ -244,6 +244,16 @@ impl Document {
         })
     }
 
+    /// Returns the findings with those about the entries' UIDs. `mistake_of` says what is wrong with
+    /// the UID of an entry; `None` where a device can have it.
+    pub fn findings_with_uids(
+        &self,
+        mistake_of: impl Fn(&Entry, &str) -> Option<String>,
+    ) -> Vec<DocumentFinding> {
+        let wrong = self.entries().iter().filter_map(|entry| uid_finding(entry, &mistake_of));
+        finding::merged(self.findings(), wrong.collect())
+    }
+
     /// Yields the findings about an entry.
     pub fn findings_of(&self, index: usize) -> impl Iterator<Item = &DocumentFinding> {
         let findings = if self.has_findings(index) { self.findings() } else { &[] };
@@ -308,9 +318,14 @@ fn read_root(body: &str, findings: &mut Findings) -> Root {
             findings.duplicate("devices", item.key.start, None);
         }
     }
-    if devices.is_none() {
-        for (key, at) in unknown {
-            findings.misspelled(&key, at, ["devices"], None);
+    if devices.is_none() && !unknown.is_empty() {
+        let mut is_misspelled = false;
+        for (key, at) in &unknown {
+            is_misspelled |= findings.misspelled(key, *at, ["devices"], None);
+        }
+        if !is_misspelled {
+            let message = "the object has no `devices`; it must have a list of them".to_owned();
+            findings.add(DocumentFindingKind::NotDevices, span.start, message, None);
         }
     }
     devices = devices.filter(|devices| &body[devices.clone()] != "null");
@@ -322,6 +337,16 @@ fn read_root(body: &str, findings: &mut Findings) -> Root {
         findings.add(DocumentFindingKind::NotDevices, devices.start, message, None);
     }
     Root::Object { span, devices, again }
+}
+
+fn uid_finding(
+    entry: &Entry,
+    mistake_of: impl Fn(&Entry, &str) -> Option<String>,
+) -> Option<DocumentFinding> {
+    let message = mistake_of(entry, entry.uid.as_deref()?)?;
+    let position = entry.uid_position.unwrap_or(entry.position);
+    let (kind, entries) = (DocumentFindingKind::UnusableUid, vec![entry.index]);
+    Some(DocumentFinding { kind, position, message, entries })
 }
 
 /// Returns, for each entry, the number of earlier entries with its key.

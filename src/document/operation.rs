@@ -171,6 +171,7 @@ impl NewEntry {
             has_ordered_services: true,
             position: super::Position::START,
             address_position: None,
+            uid_position: None,
             index: 0,
             element: 0,
             present: super::entry::Present::default(),

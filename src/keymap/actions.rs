@@ -350,6 +350,8 @@ actions! {
         ComposeOlder "compose-older" "Composer: sent before; a device or service before" "sent before" ["Up"];
         ComposeNewer "compose-newer" "Composer: sent after it; the next device or service" "" ["Down"];
         ComposeSend "compose-send" "Composer: send it (confirms)" "send" ["Enter"];
+        ComposeSave "compose-save" "Composer: save it as a template" "save" ["Ctrl-s"];
+        ComposeOpen "compose-open" "Composer: the next template" "template" ["Ctrl-o"];
         ComposeClose "compose-close" "Composer: stop sending, or close" "close" ["Esc"];
     }
     Themes Answer: {

@@ -1,7 +1,7 @@
 //! The project file `descan.toml`: buses, profile, des.json, catalogue and redundant devices of one
 //! system, kept with it.
 //!
-//! Pure: a text and its folder in, a project out. Does not look for the file, and opens no bus.
+//! Input: a text and its folder; output: a project. Does not look for the file, and opens no bus.
 
 use crate::app::{ProjectFacts, RedundantTask, TaskDevice};
 use crate::bus::BusSpec;
@@ -9,6 +9,7 @@ use crate::text::{is_printable, printable};
 use crate::toml_error::TomlError;
 use crate::wire::id::Address;
 use serde::Deserialize;
+use std::collections::BTreeMap;
 use std::ops::Range;
 use std::path::{Component, Path, PathBuf};
 use toml::Spanned;
@@ -97,12 +98,37 @@ impl Project {
         entry.checked(folder).map_err(|(span, message)| TomlError::new(text, Some(span), message))
     }
 
-    /// What the screen and `check` compare the buses with.
-    pub fn facts(&self) -> ProjectFacts {
-        let rate = |bus: &ProjectBus| Some((bus.name.clone(), bus.bitrate?));
-        ProjectFacts {
-            bitrates: self.buses.iter().filter_map(rate).collect(),
-            tasks: self.tasks.clone(),
+    /// What the screen and `check` compare the buses with. Those that are open have the names with which
+    /// they are.
+    pub fn facts(&self, open: &[(BusSpec, String)]) -> ProjectFacts {
+        let name_of = |bus: &ProjectBus| {
+            let known = open.iter().find(|(spec, _)| spec.is_same_bus(&bus.spec));
+            known.map_or_else(|| bus.name.clone(), |(_, name)| name.clone())
+        };
+        let names: BTreeMap<&str, String> =
+            self.buses.iter().map(|bus| (bus.name.as_str(), name_of(bus))).collect();
+        let mut tasks = self.tasks.clone();
+        for device in tasks.iter_mut().flat_map(|task| &mut task.devices) {
+            if let Some(name) = names.get(device.bus.as_str()) {
+                device.bus.clone_from(name);
+            }
+        }
+        let rate = |bus: &ProjectBus| Some((name_of(bus), bus.bitrate?));
+        ProjectFacts { bitrates: self.buses.iter().filter_map(rate).collect(), tasks }
+    }
+
+    /// Returns the project's bus that a BUS argument names, however it is written.
+    pub fn bus(&self, spec: &BusSpec) -> Option<&ProjectBus> {
+        self.buses.iter().find(|bus| bus.spec.is_same_bus(spec))
+    }
+
+    /// Returns the name of a bus that is opened: that of the project with the bit rates of the argument,
+    /// else as it is written.
+    pub fn name_of(&self, spec: &BusSpec) -> String {
+        match (self.bus(spec), spec) {
+            (None, _) => spec.to_string(),
+            (Some(bus), BusSpec::Slcan(adapter)) => format!("{}{}", bus.name, adapter.rates()),
+            (Some(bus), _) => bus.name.clone(),
         }
     }
 
@@ -112,10 +138,8 @@ impl Project {
     ///
     /// The two buses whose files differ.
     pub fn file_of(&self, buses: &[BusSpec]) -> Result<PathBuf, (String, String)> {
-        let own = |spec: &BusSpec| {
-            let bus = self.buses.iter().find(|bus| bus.spec == *spec);
-            bus.and_then(|bus| bus.file.as_ref()).unwrap_or(&self.file)
-        };
+        let own =
+            |spec: &BusSpec| self.bus(spec).and_then(|bus| bus.file.as_ref()).unwrap_or(&self.file);
         let Some((first, others)) = buses.split_first() else { return Ok(self.file.clone()) };
         match others.iter().find(|other| own(other) != own(first)) {
             Some(other) => Err((first.to_string(), other.to_string())),
@@ -131,7 +155,7 @@ impl ProjectEntry {
         for entry in self.bus {
             let span = entry.bus.span();
             let bus = entry.checked(folder)?;
-            if buses.iter().any(|known| known.spec == bus.spec) {
+            if buses.iter().any(|known| known.spec.is_same_bus(&bus.spec)) {
                 return Err((span, "stands twice".to_owned()));
             }
             buses.push(bus);

@@ -122,6 +122,11 @@ impl ConfigFolder {
         Some(Self { path: base.config_dir().join("descan") })
     }
 
+    /// Where it is.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
     /// The folder at `path`.
     pub fn at(path: impl Into<PathBuf>) -> Self {
         Self { path: path.into() }

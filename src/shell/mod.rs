@@ -16,6 +16,7 @@
 //! bus_offers      interfaces, adapters, logs  background_colour   that of the terminal
 //! catalogue_folders  files of types of devices
 //! project_search  descan.toml, in this folder or above
+//! frame_templates templates of frames
 //! recent_frames   frames composed and sent before
 //! recent_logs     logs opened before, and what was found in them
 //! plan_files      plans of addresses on disk
@@ -33,6 +34,7 @@ pub mod catalogue_folders;
 mod cell_encoder;
 pub mod config;
 pub mod file_watcher;
+pub mod frame_templates;
 pub mod log_input;
 pub mod paint_pace;
 pub mod painted_screen;

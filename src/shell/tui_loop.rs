@@ -6,6 +6,7 @@ use super::background_colour::{BackgroundReply, QUESTION};
 use super::bus_scout::{BusScout, ScoutSettings};
 use super::config::ConfigFolder;
 use super::file_watcher::{DiskContent, FileWatcher};
+use super::frame_templates::keep_template;
 use super::paint_pace::PaintPace;
 use super::recent_frames::remember_frame;
 use super::session::Session;
@@ -124,6 +125,12 @@ async fn run_on_terminal(
                     session.app.handle_kept_theme(session.now(), result);
                 }
                 Effect::RememberFrame(words) => remember_frame(&words),
+                Effect::KeepTemplate(words) => {
+                    if let Err(why) = keep_template(&words) {
+                        let now = session.now();
+                        session.app.handle_lost_template(now, &words, &why.to_string());
+                    }
+                }
                 Effect::ChangeFilters(change) => {
                     session.app.handle_saved_filters(themes.change_filters(&change));
                 }

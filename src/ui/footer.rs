@@ -264,9 +264,14 @@ fn hint_line(brush: &DrawContext, mode: KeyMode, width: usize) -> Vec<Span<'stat
             A::PlanUndo,
             A::PlanClose,
         ],
-        (KeyMode::Compose, ..) => {
-            &[A::ComposeSend, A::ComposeNext, A::ComposeOlder, A::ComposeClose]
-        }
+        (KeyMode::Compose, ..) => &[
+            A::ComposeSend,
+            A::ComposeNext,
+            A::ComposeOlder,
+            A::ComposeOpen,
+            A::ComposeSave,
+            A::ComposeClose,
+        ],
         // It is drawn with its keys.
         (KeyMode::Choice, ..) => &[],
         (KeyMode::Themes, ..) => &[A::ThemeUp, A::ThemeDown, A::ThemeKeep, A::ThemesClose],

@@ -593,7 +593,7 @@ fn file(brush: &DrawContext, whole: bool) -> Parts {
     let entries = brush.app.document().entries().len();
     let unsaved = file.unsaved();
     let is_emptied = file.emptied_since().is_some();
-    let findings = brush.app.document().findings().len();
+    let findings = brush.app.file_mistakes().len();
     let mut more = None;
     let (rank, role, text) = match file.problem() {
         Some(problem) => {

@@ -167,7 +167,7 @@ impl PageTitle {
             Some(evidence) => Some(format!(" ◆ {} ", evidence.title)),
             None => traffic::title(app)
                 .filter(|_| open == Page::Traffic)
-                .or_else(|| chip(app.page_filter(open), app.hidden_frames_shown()))
+                .or_else(|| chip(app.page_filter(open), app.hidden_rows_shown()))
                 .or_else(|| debug_limit(brush).filter(|_| open == Page::Traffic)),
         };
         match text {
@@ -217,7 +217,7 @@ fn debug_limit(brush: &DrawContext) -> Option<String> {
     Some(format!(" {hidden} DEBUG hidden "))
 }
 
-/// The filter of the page and how many frames it hides.
+/// The filter of the page and how many rows it hides.
 fn chip(filter: &PageFilter, hidden: Option<u64>) -> Option<String> {
     let text = filter.text().trim();
     match (filter.is_on(), hidden) {

@@ -7,9 +7,11 @@
 
 use super::descriptor::ByteOrder;
 use crate::text::{Escaped, hex, is_printable};
-use serde::{Deserialize, Deserializer};
+use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::fmt::{self, Write as _};
+use std::ops::Range;
+use toml::Spanned;
 
 /// Most fields of a layout: one for each bit of a frame of classic CAN.
 const MAX_FIELDS: usize = 64;
@@ -211,16 +213,18 @@ impl DataFieldEntry {
         if !unit.is_empty() {
             check_name(&unit, "a unit")?;
         }
-        let values = values_of(name, kind, self.values)?;
+        let width = bits.map_or(8 * size.unwrap_or(1) as u32, |(_, width)| width);
+        let values = values_of(name, kind, width, self.values)?;
         let scaling = is_scaled.then_some((scale, offset));
         Ok(DataField { name: self.name, kind, at, size, bits, scaling, unit, values })
     }
 }
 
-/// Checks the names of values.
+/// Checks the names of values of a field of so many bits.
 fn values_of(
     name: &str,
     kind: FieldType,
+    width: u32,
     written: BTreeMap<String, String>,
 ) -> Result<BTreeMap<i64, String>, String> {
     let may_be_named = kind.is_integer() || kind == FieldType::Bool;
@@ -234,9 +238,22 @@ fn values_of(
             None => number.parse(),
         };
         let number = Escaped(number.as_bytes());
-        value.map(|value| (value, text)).map_err(|_| format!("{name}: \"{number}\" is no integer"))
+        let value = value.map_err(|_| format!("{name}: \"{number}\" is no integer"))?;
+        let (least, most) = range_of(kind, width);
+        if !(least..=most).contains(&i128::from(value)) {
+            return Err(format!("{name}: the value {number} is not {least} to {most}"));
+        }
+        Ok((value, text))
     };
     written.into_iter().map(named).collect()
+}
+
+/// The least and the greatest value of a field of so many bits, 1 to 64.
+const fn range_of(kind: FieldType, width: u32) -> (i128, i128) {
+    match kind {
+        FieldType::Signed(_) => (-(1 << (width - 1)), (1 << (width - 1)) - 1),
+        _ => (0, (1 << width) - 1),
+    }
 }
 
 /// Checks a text that is shown on the screen.
@@ -254,21 +271,36 @@ pub(crate) fn check_name(text: &str, what: &str) -> Result<(), String> {
     }
 }
 
-impl<'de> Deserialize<'de> for DataLayout {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        use serde::de::Error;
-        let entries = Vec::<DataFieldEntry>::deserialize(deserializer)?;
-        if entries.len() > MAX_FIELDS {
-            return Err(D::Error::custom(format!("at most {MAX_FIELDS} fields")));
+/// The fields of the data of a message, as a file has them.
+#[derive(Default, Deserialize)]
+#[serde(transparent)]
+pub(crate) struct DataLayoutEntry(Vec<Spanned<DataFieldEntry>>);
+
+impl DataLayoutEntry {
+    /// Returns true without fields.
+    pub(crate) fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    /// Checks the fields.
+    ///
+    /// # Errors
+    ///
+    /// The place of the first wrong field, and what is wrong.
+    pub(crate) fn checked(self) -> Result<DataLayout, (Range<usize>, String)> {
+        let mut fields: Vec<DataField> = Vec::with_capacity(self.0.len().min(MAX_FIELDS));
+        for entry in self.0 {
+            let (span, entry) = (entry.span(), entry.into_inner());
+            let field = match entry {
+                _ if fields.len() == MAX_FIELDS => Err(format!("at most {MAX_FIELDS} fields")),
+                entry if fields.iter().any(|known| known.name == entry.name) => {
+                    Err(format!("two fields are called {}", entry.name))
+                }
+                entry => entry.checked(fields.last()),
+            };
+            fields.push(field.map_err(|why| (span, why))?);
         }
-        let mut fields: Vec<DataField> = Vec::with_capacity(entries.len());
-        for entry in entries {
-            if fields.iter().any(|known| known.name == entry.name) {
-                return Err(D::Error::custom(format!("two fields are called {}", entry.name)));
-            }
-            fields.push(entry.checked(fields.last()).map_err(D::Error::custom)?);
-        }
-        Ok(Self { fields })
+        Ok(DataLayout { fields })
     }
 }
 
@@ -433,14 +465,14 @@ mod tests {
 
     #[derive(Deserialize)]
     struct LayoutFile {
-        fields: DataLayout,
+        fields: DataLayoutEntry,
     }
 
     fn layout(fields: &str) -> Result<DataLayout, String> {
         let file = format!("fields = [{fields}]");
-        toml::from_str::<LayoutFile>(&file)
-            .map(|file| file.fields)
-            .map_err(|error| error.message().to_owned())
+        let file = toml::from_str::<LayoutFile>(&file);
+        let file = file.map_err(|error| error.message().to_owned())?;
+        file.fields.checked().map_err(|(_, why)| why)
     }
 
     fn words(fields: &str, data: &[u8]) -> String {
@@ -506,6 +538,19 @@ mod tests {
             (r#"{ name = "a", type = "bytes", length = 0 }"#, "at least one byte"),
             (r#"{ name = "a", type = "bytes" }, { name = "b", type = "u8" }"#, "needs at"),
             (r#"{ name = "a", type = "u8", values = { x = "y" } }"#, "no integer"),
+            (
+                r#"{ name = "a", type = "u8", values = { 256 = "y" } }"#,
+                "a: the value 256 is not 0 to 255",
+            ),
+            (
+                r#"{ name = "a", type = "i8", values = { -129 = "y" } }"#,
+                "a: the value -129 is not -128 to 127",
+            ),
+            (
+                r#"{ name = "a", type = "u8", bits = 3, values = { 0x8 = "y" } }"#,
+                "a: the value 0x8 is not 0 to 7",
+            ),
+            (r#"{ name = "a", type = "bool", bit = 1, values = { 2 = "y" } }"#, "is not 0 to 1"),
             (r#"{ name = "a", type = "u8", sclae = 2 }"#, "unknown field"),
         ];
         for (fields, expected) in cases {

@@ -136,12 +136,16 @@ impl Profile {
 #[cfg_attr(feature = "std", derive(Deserialize), serde(default, deny_unknown_fields))]
 pub struct ServicesProfile {
     /// MSG_SRV_HR. Assumed 0x001.
+    #[cfg_attr(feature = "std", serde(deserialize_with = "file::service"))]
     pub heartbeat: u16,
     /// DES. Assumed 0x002.
+    #[cfg_attr(feature = "std", serde(deserialize_with = "file::service"))]
     pub des: u16,
     /// Common configuration commands. Assumed 0x010.
+    #[cfg_attr(feature = "std", serde(deserialize_with = "file::service"))]
     pub config: u16,
     /// MSG_SRV_CFG_MASK. Assumed 0x3F0.
+    #[cfg_attr(feature = "std", serde(deserialize_with = "file::service"))]
     pub config_mask: u16,
 }
 
@@ -157,20 +161,28 @@ impl Default for ServicesProfile {
 #[cfg_attr(feature = "std", derive(Deserialize), serde(default, deny_unknown_fields))]
 pub struct DescriptorProfile {
     /// DEV_INFO_GID: type of the device.
+    #[cfg_attr(feature = "std", serde(deserialize_with = "file::service"))]
     pub gid: u16,
     /// DEV_CFG_UID.
+    #[cfg_attr(feature = "std", serde(deserialize_with = "file::service"))]
     pub uid: u16,
     /// DEV_INFO_SN: serial number.
+    #[cfg_attr(feature = "std", serde(deserialize_with = "file::service"))]
     pub sn: u16,
     /// DEV_INFO_FW_MAJ and DEV_INFO_FW_MIN: firmware version.
+    #[cfg_attr(feature = "std", serde(deserialize_with = "file::service"))]
     pub fw: u16,
     /// Capabilities.
+    #[cfg_attr(feature = "std", serde(deserialize_with = "file::service"))]
     pub caps: u16,
     /// Bit rate.
+    #[cfg_attr(feature = "std", serde(deserialize_with = "file::service"))]
     pub bspd: u16,
     /// DEV_CFG_ADDR: configured address.
+    #[cfg_attr(feature = "std", serde(deserialize_with = "file::service"))]
     pub addr: u16,
     /// DEV_CFG_AUTOSTART.
+    #[cfg_attr(feature = "std", serde(deserialize_with = "file::service"))]
     pub autostart: u16,
     /// Order of the bytes of numbers. Assumed: the lowest first.
     #[cfg_attr(feature = "std", serde(deserialize_with = "file::byte_order"))]
@@ -202,8 +214,10 @@ impl Default for DescriptorProfile {
 #[cfg_attr(feature = "std", derive(Deserialize), serde(default, deny_unknown_fields))]
 pub struct CommandsProfile {
     /// The identify command, TEST in CAN platform §3.2: the device blinks or beeps.
+    #[cfg_attr(feature = "std", serde(deserialize_with = "file::service"))]
     pub identify: u16,
     /// Changes the mode; one byte of data, the mode's code.
+    #[cfg_attr(feature = "std", serde(deserialize_with = "file::service"))]
     pub mode: u16,
     /// Restarts the device; no data. None is built in.
     #[cfg_attr(feature = "std", serde(deserialize_with = "file::service_or_none"))]

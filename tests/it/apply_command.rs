@@ -142,9 +142,25 @@ fn refused_write_stops_and_is_told_in_json_and_in_the_file() {
 
 #[test]
 fn mistakes_of_the_file_are_named_and_are_no_success() {
-    for wrong in ["200", "0", "\"22\""] {
-        let folder =
-            folder("", &format!("[{{\"name\":\"LAST\",\"address\":{wrong},\"static\":true}}]"));
+    let address = |wrong: &str| {
+        let entry = format!(r#"[{{"name":"LAST","address":{wrong},"static":true}}]"#);
+        (wrong.to_owned(), entry)
+    };
+    let uid = r#"[{"name":"LAST","address":22,"static":true,"uid":"boiler09"}]"#;
+    for nothing in ["", "[]", r#"[{"name":"LAST","address":22,"static":null}]"#] {
+        let folder = folder("", nothing);
+        let given = ["--profile", "profile.toml", "--dry-run", "--time", "4"];
+        let (_, said, code) = apply(folder.path(), &given);
+        let why = "nothing to do: des.json pins no address on sim:bus.toml";
+        assert!(said.contains(why), "{nothing}: {said}");
+        assert_eq!(code, Some(1), "{nothing}");
+    }
+    let files = ["200", "0", "\"22\""]
+        .map(address)
+        .into_iter()
+        .chain([uid, r#"{"foo":1}"#].map(|file| (file.to_owned(), file.to_owned())));
+    for (wrong, file) in files {
+        let folder = folder("", &file);
         let given = ["--profile", "profile.toml", "--yes", "--time", "4"];
         let (told, said, code) = apply(folder.path(), &given);
         assert!(said.contains("des.json, line 1, column"), "{wrong}: {said}");

@@ -2,7 +2,7 @@
 //! that differs from its type, mistakes in files, and files that are saved meanwhile.
 
 use crate::common::harness::Stage;
-use descan::catalogue::{Catalogue, CatalogueText};
+use descan::catalogue::{Catalogue, CatalogueText, DeviceType};
 use descan::discovery::Config;
 use descan::shell::catalogue_folders::{CatalogueFolders, CatalogueWatcher};
 use descan::sim::Scenario;
@@ -115,6 +115,11 @@ fn log_names_services_and_shows_data_as_fields() {
     assert_eq!(frames[3]["fields"], Value::Null);
     assert_eq!(frames[6]["fields"], json!({ "current": 10.0, "tries": null }));
     assert_eq!(frames[6]["service_name"], "JAMMED");
+    let (_, out, _) = folder.run(&["log", "a.log", "--stats", "--json"]);
+    let stats: Value = serde_json::from_str(&out).unwrap();
+    let mut identifiers = stats["identifiers"].as_array().unwrap().iter();
+    let debug = identifiers.find(|row| row["kind"] == "dbg").unwrap();
+    assert_eq!(debug["service_name"], "JAMMED");
     let found = |filter: &str| folder.run(&["log", "a.log", "--filter", filter]).1.lines().count();
     assert_eq!((found("turns"), found("srv:AUGER"), found("jammed")), (2, 4, 1));
 }
@@ -188,6 +193,71 @@ fn file_with_a_mistake_is_named_with_its_line() {
     folder.write("devices/copy.toml", "gid = '000000000022'\ntitle = 'copy'");
     let (_, _, error) = folder.run(&["catalogue"]);
     assert!(error.contains("sensor.toml: the GID of devices/copy.toml, too"), "{error}");
+}
+
+#[test]
+fn mistake_in_a_later_service_has_its_own_line() {
+    let head = "name = 'A'\n[[services]]\nname = 'ONE'\nnumber = 0x100\n";
+    for (text, place, wrong) in [
+        ("[[services]]\nname = 'TWO'\nnumber = 0x400\n", (7, 10), "0 to 0x3FF, not 1024"),
+        ("[[services]]\nname = 'ONE'\n", (6, 8), "two services are called ONE"),
+        ("[[services]]\nname = 'TWO'\nnumber = 0x100\n", (7, 10), "ONE and TWO have one number"),
+        ("[[services]]\nname = 'TWO'\nversion = ''\n", (7, 11), "TWO: a version has"),
+        ("[[services]]\nname = 'TWO'\nsummary = \"\\n\"\n", (7, 11), "summary: at most"),
+        (
+            "[[services]]\nname = 'TWO'\ndata = [{ name = 'f', type = 'u8' }]",
+            (6, 8),
+            "need a number",
+        ),
+        (
+            "[[services]]\nname = 'TWO'\nnumber = 2\n[[services.request]]\nname = 'f'\n\
+             type = 'u8'\n[[services.request]]\nname = 'g'\ntype = 'u7'\n",
+            (11, 1),
+            "g: a type is one of",
+        ),
+        (
+            "[[services]]\nname = 'TWO'\nnumber = 2\ndata = [\n  { name = 'f', type = 'u8' },\n  \
+             { name = 'g', type = 'u8', values = { 256 = 'x' } },\n]\n",
+            (10, 3),
+            "g: the value 256 is not 0 to 255",
+        ),
+        (
+            "[[debug]]\ncode = 1\nname = 'X'\n[[debug]]\ncode = 1\nname = 'Y'\n",
+            (9, 8),
+            "stands twice",
+        ),
+        (
+            "[[debug]]\ncode = 1\nname = 'X'\n[[debug]]\ncode = 1024\nname = 'Y'\n",
+            (9, 8),
+            "0 to 0x3FF",
+        ),
+    ] {
+        let error = DeviceType::parse(&format!("{head}{text}")).unwrap_err();
+        assert!(error.message().contains(wrong), "{text}: {error}");
+        assert_eq!(error.place(), place, "{text}: {error}");
+    }
+}
+
+#[test]
+fn number_of_two_common_files_is_named() {
+    let folder = Folder::new();
+    folder.write("devices/zz.toml", "[[debug]]\ncode = 2\nname = 'PANIC'\n");
+    let said = "devices/zz.toml: DEBUG code 0x002 is ASSERT in devices/common.toml, too; that one";
+    let (code, out, error) = folder.run(&["catalogue"]);
+    assert!(code == 1 && error.contains(said) && out.contains("zz.toml"), "{error}{out}");
+    let (code, _, error) = folder.run(&["log", "a.log"]);
+    assert!(code == 0 && error.contains(said) && !error.contains("not used"), "{error}");
+    let (_, out, _) = folder.run(&["catalogue", "--json"]);
+    let files: Value = serde_json::from_str(&out).unwrap();
+    let last = files.as_array().unwrap().last().unwrap();
+    assert!(last["warning"].as_str().unwrap().contains("0x002") && last["fault"].is_null());
+    // The same message in both is no contradiction; a service number of two is one.
+    folder.write("devices/zz.toml", "[[services]]\nname = 'A'\nnumber = 1\n");
+    folder.write("devices/common.toml", "[[services]]\nname = 'B'\nnumber = 1\n");
+    let (_, _, error) = folder.run(&["catalogue"]);
+    assert!(error.contains("service 0x001 is B in devices/common.toml"), "{error}");
+    folder.write("devices/zz.toml", "[[services]]\nname = 'B'\nnumber = 1\n");
+    assert_eq!(folder.run(&["catalogue"]).0, 0);
 }
 
 #[test]

@@ -375,6 +375,31 @@ fn invalid_value_is_a_difference_with_its_line() {
     assert!(found.iter().any(|(kind, _)| kind == "file-shape"), "{found:?}");
 }
 
+#[test]
+fn unusable_uid_is_a_difference_with_what_is_right() {
+    let remedy = [
+        ("", "`uid` is empty; write the UID, or leave `uid` out"),
+        (" ", "`uid` is empty"),
+        ("boiler01", "has `b`, which is not in the UID alphabet; write it in capitals: BOILER01"),
+        ("BOILER012", "`uid` has 9 characters; it must have 1 to 8"),
+        ("8af2e964", "write it in capitals: 8AF2E964"),
+        ("8af2e9b2c411", "`uid` is in hexadecimal; write it as text: "),
+        ("A\\u001bB", "has `\\x1B`, which is not in the UID alphabet; it must be of these"),
+    ];
+    for (uid, said) in remedy {
+        let file = format!("[{{\"name\":\"FEED\"}},\n {{\"name\":\"SENS\",\"uid\":\"{uid}\"}}]");
+        let (code, text) = checked(&file);
+        assert_eq!(code, 1, "{uid}: {text}");
+        assert!(text.contains(said), "{uid}: {text}");
+        assert!(text.contains("(line 2, column 23)"), "{uid}: {text}");
+        assert_eq!(kinds(&file), [("file-shape".to_owned(), None)], "{uid}");
+    }
+    assert_eq!(kinds(r#"[{"name":"FEED","uid":"BOILER01"},{"name":"SENS","uid":"S 1"}]"#), []);
+    // An entry of a bus that is not open cannot be judged.
+    let other = r#"[{"name":"FEED"},{"name":"SENS"},{"name":"X","bus":"can7","uid":"x"}]"#;
+    assert!(kinds(other).iter().all(|(kind, _)| kind != "file-shape"));
+}
+
 /// Tests that an empty log, as from a failed recorder, does not pass the check.
 #[test]
 fn log_without_frames_is_unusable() {

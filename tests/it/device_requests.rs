@@ -538,6 +538,26 @@ fn requests_with_either_u_bit_are_told_apart() {
 }
 
 #[test]
+fn debug_device_at_any_address_may_send_requests() {
+    for (uid, is_found) in [("DSCAN1", false), ("BOILER1", true)] {
+        let mut engine =
+            Engine::new(Instant::ZERO, Config { listen_only: true, ..Config::default() });
+        let node = Address::new(20).unwrap();
+        let beat = Header::unsolicited(node, 7, true, Service::new(1).unwrap()).encode();
+        let mut request = Header::broadcast(node, 9, false, Service::new(0x100).unwrap());
+        request.from_non_working = true;
+        let uid = Uid::parse(uid, &UidProfile::default()).unwrap();
+        let data: Vec<u8> = uid.0.into_iter().chain([2, 0]).collect();
+        for second in 0..12 {
+            heard(&mut engine, &[(1000 * second, beat, &data)]);
+            heard(&mut engine, &[(1000 * second + 500, request.encode(), &[])]);
+        }
+        let mut kinds = engine.findings().iter().map(|it| it.key.kind);
+        assert_eq!(kinds.any(|kind| kind == FindingKind::CfgSendsRequests), is_found, "{uid:?}");
+    }
+}
+
+#[test]
 fn mode_that_contradicts_u_is_no_mode_that_forbids_requests() {
     let mut engine = Engine::new(Instant::ZERO, Config { listen_only: true, ..Config::default() });
     let node = Address::new(20).unwrap();

@@ -258,6 +258,12 @@ fn wrong_member_types_are_findings() {
             vec![],
         ),
         (
+            r#" {"foo": 1}"#,
+            NotDevices,
+            "line 1, column 2: the object has no `devices`; it must have a list of them",
+            vec![],
+        ),
+        (
             r#"{"devices": {}}"#,
             NotDevices,
             "line 1, column 13: `devices` is an object; it must be a list",
@@ -435,6 +441,7 @@ fn wrong_member_types_are_findings() {
 
 #[test]
 fn contradictory_entries_are_findings() {
+    use DocumentFindingKind::{DuplicateAddress, DuplicateEntry, DuplicateUid, UnusableUid};
     let entry = |name: &str, rest: &str| format!("{{\"name\": \"{name}\", {rest}}}");
     let pinned = |name: &str| entry(name, "\"address\": 12, \"static\": true");
     let on = |name: &str, bus: &str| {
@@ -461,6 +468,26 @@ fn contradictory_entries_are_findings() {
     );
     assert_eq!(kinds(&[entry("A", "\"address\": 1"), entry("A", "\"address\": 2")]), [], "twins");
 
+    let with_uid = |name: &str, uid: &str, rest: &str| {
+        entry(name, &format!("\"uid\": \"{uid}\", \"bus\": \"can0\"{rest}"))
+    };
+    let uid = |entries| vec![(DocumentFindingKind::DuplicateUid, entries)];
+    assert_eq!(kinds(&[with_uid("A", "U1", ""), with_uid("B", "U1 ", "")]), uid(vec![0, 1]));
+    assert_eq!(kinds(&[with_uid("A", "U1", ""), with_uid("B", "U2", "")]), []);
+    assert_eq!(kinds(&[with_uid("A", "", ""), with_uid("B", "", "")]), [], "no UID");
+    assert_eq!(
+        kinds(&[with_uid("A", "U1", ""), entry("B", "\"uid\": \"U1\", \"bus\": \"can1\"")]),
+        []
+    );
+    let twice = [with_uid("A", "U1", ", \"address\": 5"), with_uid("A", "U1", ", \"address\": 5")];
+    assert_eq!(kinds(&twice), [(DocumentFindingKind::DuplicateEntry, vec![0, 1])]);
+    let messages =
+        findings(&format!("[\n{},\n{}\n]", with_uid("A", "U1", ""), with_uid("B", "U1", "")));
+    assert_eq!(
+        messages[0].1,
+        "line 3, column 22: U1 is the `uid` of 2 entries: A (line 2) and B (line 3)"
+    );
+
     let messages = findings(&format!("[\n{},\n{}, {}\n]", pinned("A"), pinned("B"), pinned("B")));
     let messages: Vec<&str> = messages.iter().map(|(_, message, _)| message.as_str()).collect();
     assert_eq!(
@@ -470,9 +497,12 @@ fn contradictory_entries_are_findings() {
             "line 3, column 72: B at address 12 is listed 2 times: line 3 and line 3",
         ]
     );
-    let names = [DocumentFindingKind::DuplicateAddress, DocumentFindingKind::DuplicateEntry]
+    let names = [DuplicateAddress, DuplicateEntry, DuplicateUid, UnusableUid]
         .map(|kind| FindingKind::from(kind).name());
-    assert_eq!(names, ["file-duplicate-address", "file-duplicate-entry"]);
+    assert_eq!(
+        names,
+        ["file-duplicate-address", "file-duplicate-entry", "file-shape", "file-shape"]
+    );
 }
 
 // ---- editing: exact bytes ----

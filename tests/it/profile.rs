@@ -364,6 +364,18 @@ fn number_of_two_keys_is_a_mistake() {
             "line 3, column 11: writes.bitrate: 0x100 is the number of writes.address, too",
         ),
         (
+            "[descriptor]\ngid = false\n",
+            "line 2, column 7: a service number is 0 to 0x3FF (1023), without quotes",
+        ),
+        (
+            "[services]\ndes = \"0x002\"\n",
+            "line 2, column 7: a service number is 0 to 0x3FF (1023), without quotes",
+        ),
+        (
+            "[heartbeat]\nperiod_ms = \"1 s\"\n",
+            "line 2, column 13: invalid type: string \"1 s\", expected a whole number, 0 to 4294967295",
+        ),
+        (
             "[descriptor]\nbyte_order = true\n",
             "line 2, column 14: a byte order is \"little\" or \"big\"",
         ),

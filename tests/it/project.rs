@@ -2,6 +2,7 @@
 //! mistakes in it.
 
 use crate::common::pty::Pty;
+use descan::bus::BusSpec;
 use descan::project::Project;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -130,6 +131,79 @@ fn buses_with_different_files_are_opened_one_by_one() {
 }
 
 #[test]
+fn bus_spelled_otherwise_is_the_same_bus() {
+    let folder = Folder::empty();
+    folder.write("a.toml", "");
+    std::os::unix::fs::symlink(folder.path("a.toml"), folder.path("link.toml")).unwrap();
+    let here = |name: &str| format!("sim:{}", folder.path(name).display());
+    let (plain, link, above) = (here("a.toml"), here("link.toml"), here("in/../a.toml"));
+    for (one, other, is_same) in [
+        ("can0", "can0", true),
+        ("can0", "can1", false),
+        ("slcan:/dev/ttyX", "slcan:/dev/ttyX@500000", true),
+        ("slcan:/dev/ttyX@125000", "slcan:/dev/./ttyX@500000/2000000", true),
+        ("slcan:/dev/ttyX", "slcan:/dev/ttyY", false),
+        ("udp:239.74.163.2", "udp:239.74.163.2@43113", true),
+        ("udp:239.74.163.2", "udp:239.74.163.2@43114", false),
+        ("udp:", "udp:ff15:7079:7468:6f6e:6465:6d6f:6d63:6173", true),
+        ("udp:ff15::1%lo", "udp:ff15::1%eth0", false),
+        ("socketcand://Board/can0", "socketcand://board:29536/can0", true),
+        ("socketcand://[::1]/can0", "socketcand://[0:0::1]:29536/can0", true),
+        ("socketcand://board/can0", "socketcand://board/can1", false),
+        ("file:missing.log", "file:./in/../missing.log", true),
+        ("missing.log", "file:missing.log", true),
+        ("file:missing.log", "file:other.log", false),
+        ("sim:boiler", "sim:boiler", true),
+        ("sim:boiler", "sim:./boiler", false),
+        (&plain, &link, true),
+        (&plain, &above, true),
+        ("-", "-", true),
+    ] {
+        let [left, right] = [one, other].map(|text| text.parse::<BusSpec>().unwrap());
+        assert_eq!(left.is_same_bus(&right), is_same, "{one} and {other}");
+    }
+}
+
+#[test]
+fn own_file_of_a_bus_is_used_however_the_bus_is_written() {
+    let text = "file = 'all.json'\n[[bus]]\nbus = 'slcan:/dev/ttyX'\nfile = 'own.json'\n\
+                bitrate = 125000\n[[bus]]\nbus = 'udp:239.74.163.2'\nfile = 'own.json'\n";
+    let project = Project::parse(text, Path::new("/p")).unwrap();
+    for bus in ["slcan:/dev/ttyX", "slcan:/dev/ttyX@500000", "udp:239.74.163.2@43113"] {
+        let file = project.file_of(&[bus.parse().unwrap()]);
+        assert_eq!(file, Ok("/p/own.json".into()), "{bus}");
+    }
+    let file = project.file_of(&["slcan:/dev/ttyY@500000".parse().unwrap()]);
+    assert_eq!(file, Ok("/p/all.json".into()));
+    let named = |bus: &str| project.name_of(&bus.parse().unwrap());
+    assert_eq!(named("slcan:/dev/./ttyX@500000"), "slcan:/dev/ttyX@500000");
+    assert_eq!(named("udp:239.74.163.2@43113"), "udp:239.74.163.2");
+    // The file may be saved with another spelling while the bus is open.
+    let open = [("slcan:/dev/ttyX@500000".parse().unwrap(), "slcan:/dev/../dev/ttyX".to_owned())];
+    assert_eq!(project.facts(&open).bitrates["slcan:/dev/../dev/ttyX"], 125_000);
+}
+
+#[test]
+fn bus_of_a_project_by_another_path_has_its_file_and_facts() {
+    let folder = Folder::example();
+    std::fs::create_dir(folder.path("in")).unwrap();
+    folder.write("one.json", "{ \"devices\": [{ \"name\": \"SENS\" }] }");
+    let text = std::fs::read_to_string(folder.path("descan.toml")).unwrap();
+    let own = "bus = \"sim:spare.toml\"\nfile = \"one.json\"\nbitrate = 250000";
+    let text = text.replace("bus = \"sim:spare.toml\"\nbitrate = 125000", own);
+    folder.write("descan.toml", &text);
+    for (inner, bus) in [("", "sim:./spare.toml"), ("in", "sim:../spare.toml")] {
+        let (_, out, error) = folder.run_in(inner, &["check", bus, "--json", "--time", "30"]);
+        let report = json_of(&out);
+        let file = report["file"]["path"].as_str().unwrap();
+        assert!(file.ends_with("one.json"), "{bus}: {file} {error}");
+        assert_eq!(report["buses"][0]["name"], "sim:spare.toml", "{bus}");
+        let kinds = report["findings"].as_array().unwrap().iter().map(|it| it["kind"].clone());
+        assert!(kinds.into_iter().any(|kind| kind == "bit-rate-differs"), "{bus}: {out}");
+    }
+}
+
+#[test]
 fn mistake_is_named_with_its_line_and_nothing_is_opened() {
     let cases = [
         ("prifile = 'x'", "line 1, column 1: unknown field `prifile`"),
@@ -167,6 +241,10 @@ fn mistake_is_named_with_its_line_and_nothing_is_opened() {
         ),
         (
             "[[bus]]\nbus = 'sim:a.toml'\n[[bus]]\nbus = 'sim:./a.toml'",
+            "line 4, column 7: stands twice",
+        ),
+        (
+            "[[bus]]\nbus = 'udp:239.74.163.2'\n[[bus]]\nbus = 'udp:239.74.163.2@43113'",
             "line 4, column 7: stands twice",
         ),
         ("[[redundant]]\ntask = \"\\u001b\"\ndevices = []", "line 2, column 8: task has 1 to 60"),

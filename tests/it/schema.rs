@@ -14,10 +14,11 @@ for line in sys.stdin:
 "#;
 
 /// Files as users write them, and as descan creates them.
-const GOOD: [&str; 7] = [
+const GOOD: [&str; 8] = [
     r#"{"devices":[{"name":"FEED","address":12,"static":true,"services":[{"name":"DES","version":"1.0"},{"name":"AUGER","version":"2.1"}]}]}"#,
     r#"[{"name":"FEED"},{"name":"SENS","address":127,"bus":"can0","uid":"BOILER01"}]"#,
     r#"{"devices":[]}"#,
+    "{}",
     r#"{"devices":null,"note":"none yet"}"#,
     r#"[{"name":"FEED","services":{"DES":"1.0","AUGER":null},"color":"red"}]"#,
     r#"[{"name":"\\xff","name_hex":"FF","address":null,"static":null}]"#,
@@ -25,7 +26,7 @@ const GOOD: [&str; 7] = [
 ];
 
 /// Files in which descan reports a finding.
-const BAD: [&str; 11] = [
+const BAD: [&str; 12] = [
     r#"{"devices":{"name":"FEED"}}"#,
     r#"[{"address":12}]"#,
     r#"[{"name":"FEED","address":0}]"#,
@@ -37,6 +38,7 @@ const BAD: [&str; 11] = [
     r#"[{"name":"FEED","name_hex":"F"}]"#,
     r#"[{"name":"FEED","services":"DES"}]"#,
     r#"["FEED"]"#,
+    r#"{"foo":1}"#,
 ];
 
 #[test]

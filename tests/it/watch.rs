@@ -546,6 +546,33 @@ fn file_errors_are_printed_once() {
 }
 
 #[test]
+fn wrong_project_is_named_and_the_one_before_stays() {
+    let folder = tempfile::tempdir().unwrap();
+    let save = |text: &str| {
+        std::fs::write(folder.path().join("new"), text).unwrap();
+        std::fs::rename(folder.path().join("new"), folder.path().join("descan.toml")).unwrap();
+    };
+    let project = |rate: &str| format!("[[bus]]\nbus = \"sim:boiler\"\nbitrate = {rate}\n");
+    save(&project("125000"));
+    let mut command = command(&["watch", "--json"], folder.path());
+    command.env("XDG_STATE_HOME", folder.path()).stdin(Stdio::null());
+    let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    let mut events = BufReader::new(child.stdout.take().unwrap()).lines().map(Result::unwrap);
+    let mut words = BufReader::new(child.stderr.take().unwrap()).lines().map(Result::unwrap);
+    events.find(|line| line.contains("appeared")).unwrap();
+    save(&project("125"));
+    let said = words.next().unwrap();
+    let place = "descan.toml: line 3, column 11: bitrate is 10000";
+    assert!(said.contains(place), "{said}");
+    assert!(said.ends_with("the project before stays in force"), "{said}");
+    save(&project("250000"));
+    let next = events.find(|line| line.contains("bit-rate-differs")).unwrap();
+    assert!(next.contains("the project says 250 kbit"), "{next}");
+    child.kill().unwrap();
+    child.wait().unwrap();
+}
+
+#[test]
 fn control_characters_in_names_are_escaped() {
     let name = b"\x1b[2J\xff\\".to_vec();
     let hostile = DeviceSpec::new("x").name(&name).fixed(9).skips_address_resolution();

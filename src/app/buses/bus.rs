@@ -14,6 +14,7 @@ use crate::discovery::{
 use crate::finding::Finding;
 use crate::frame::Frame;
 use crate::status::{BusState, BusStatus, Link, RateSearch};
+use crate::text::without_bit_rates;
 use crate::time::{Duration, Instant, debug_assert_later};
 use crate::wire::descriptor::DescriptorField;
 use crate::wire::id::Address;
@@ -84,9 +85,7 @@ impl Bus {
     /// The name without the bit rates at which an slcan adapter is opened: `slcan:/dev/ttyACM0`
     /// for `slcan:/dev/ttyACM0@500000`.
     pub fn name_without_rates(&self) -> &str {
-        let is_rates = |text: &str| text.chars().all(|c| c.is_ascii_digit() || c == '/');
-        let parts = self.name.rsplit_once('@').filter(|_| self.name.starts_with("slcan:"));
-        parts.filter(|(_, rates)| is_rates(rates)).map_or(&self.name, |(name, _)| name)
+        without_bit_rates(&self.name)
     }
 
     /// Approximate size in bytes, as of a copy.

@@ -183,7 +183,8 @@ impl Buses {
     pub fn entry_bus(&self, document: &Document, bus: Option<BusIndex>) -> Option<String> {
         let bus = self.get(bus?)?;
         let names_another = || document.entries().iter().any(|entry| !entry.is_for_bus(&bus.name));
-        (self.list.len() > 1 || names_another()).then(|| bus.name.clone())
+        let name = || bus.name_without_rates().to_owned();
+        (self.list.len() > 1 || names_another()).then(name)
     }
 
     /// Findings of all engines, bus by bus.

@@ -100,9 +100,9 @@ impl PromptLogic for FilterPrompt {
             Err(error) => C::Rejected(format!("{error}, column {}", error.column(text))),
             Ok(filter) if filter.is_empty() => C::Accepted(rows.syntax().to_owned()),
             Ok(_) => {
-                let rows = rows.plural();
+                let noun = context.row_noun;
                 C::Accepted(match context.matches {
-                    Some((hits, all)) => format!("{hits} of {all} {rows} match"),
+                    Some((hits, all)) => format!("{hits} of {all} {noun} match"),
                     None => "counting …".to_owned(),
                 })
             }

@@ -50,6 +50,8 @@ pub(in crate::app) struct PromptContext<'a> {
     pub moments: MomentRange,
     /// Number of rows of the page that match its filter, and of all.
     pub matches: Option<(u64, u64)>,
+    /// What these rows are: `frames`.
+    pub row_noun: &'static str,
 }
 
 /// Action that a committed prompt requests.

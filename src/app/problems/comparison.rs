@@ -2,6 +2,7 @@
 //!
 //! Pure: entries and devices in, findings out.
 
+use super::uids::file_mistakes;
 use crate::app::Inputs;
 use crate::app::listing::{other_services, service_differences};
 use crate::discovery::Device;
@@ -52,7 +53,7 @@ impl<'a> Comparison<'a> {
     }
 
     fn file_alone(&mut self, document: &Document) {
-        for finding in document.findings() {
+        for finding in file_mistakes(document, self.inputs.buses) {
             let kind = FindingKind::from(finding.kind);
             let entries = finding.entries.iter().filter_map(|&at| document.entries().get(at));
             let names: Vec<Name> = entries.clone().map(|entry| Name::new(&entry.name)).collect();
@@ -258,7 +259,9 @@ impl From<DocumentFindingKind> for FindingKind {
             | Fault::NamesDiffer
             | Fault::DuplicateMember
             | Fault::MisspelledMember
-            | Fault::StaticWithoutAddress => FindingKind::FileShape,
+            | Fault::StaticWithoutAddress
+            | Fault::UnusableUid
+            | Fault::DuplicateUid => FindingKind::FileShape,
         }
     }
 }

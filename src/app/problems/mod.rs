@@ -13,6 +13,7 @@ mod matching;
 mod missing_reason;
 mod project;
 mod sides;
+mod uids;
 
 pub use comparison::Scope;
 pub(super) use descriptors::label_of_device;
@@ -25,6 +26,7 @@ pub use matching::Matching;
 pub use missing_reason::{bus_obstacle, format_duration};
 pub(super) use sides::missed_in;
 pub use sides::{ConflictSide, ConflictSides, SideBasis};
+pub(super) use uids::{file_mistakes, mistake_of};
 
 use super::Inputs;
 use super::buses::Buses;

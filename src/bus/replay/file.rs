@@ -1,5 +1,6 @@
 //! `file:LOG`: a recorded log as a bus.
 
+use super::super::absolute_path::absolute;
 use super::super::kind::{BusKind, OpenRequest};
 use super::super::port::Port;
 use crate::diagnostic::Diagnostic;
@@ -27,6 +28,11 @@ pub(in crate::bus) fn parse(text: &str) -> Result<PathBuf, Diagnostic> {
 pub(in crate::bus) fn is_path(text: &str) -> bool {
     let is_log = || LogFormat::has_log_ending(Path::new(text));
     !text.starts_with("/dev/") && (text.contains('/') || is_log())
+}
+
+/// The path that all spellings of one log share.
+pub(in crate::bus) fn normalised(path: &Path) -> PathBuf {
+    absolute(path)
 }
 
 pub(in crate::bus) fn text(path: &Path) -> String {

@@ -2,6 +2,7 @@
 
 use super::line::{self, data_rate_code, data_rates, rate_code};
 use crate::bitrate;
+use crate::bus::absolute_path::absolute;
 use crate::bus::kind::BusKind;
 use crate::diagnostic::Diagnostic;
 use std::path::PathBuf;
@@ -23,6 +24,15 @@ pub struct SlcanAddress {
     pub bitrate: Option<u32>,
     /// Bit/s of the FD data phase; `None`: no FD frames are sent.
     pub data_bitrate: Option<u32>,
+}
+
+impl SlcanAddress {
+    /// Returns the bit rates as they stand behind the device: `@500000/2000000`; empty without them.
+    pub fn rates(&self) -> String {
+        let bitrate = self.bitrate.map(|rate| format!("@{rate}"));
+        let data_bitrate = self.data_bitrate.map(|rate| format!("/{rate}"));
+        [bitrate, data_bitrate].into_iter().flatten().collect()
+    }
 }
 
 pub(in crate::bus) fn parse(text: &str) -> Result<SlcanAddress, Diagnostic> {
@@ -54,9 +64,11 @@ fn not_supported(rate: u32, phase: &str, rates: &str) -> Diagnostic {
     fault.with_remedy(format!("use {rates}"))
 }
 
+/// The address that all spellings of one bus share: without bit rates.
+pub(in crate::bus) fn normalised(address: &SlcanAddress) -> SlcanAddress {
+    SlcanAddress { device: absolute(&address.device), bitrate: None, data_bitrate: None }
+}
+
 pub(in crate::bus) fn text(address: &SlcanAddress) -> String {
-    let mut text = address.device.display().to_string();
-    text.extend(address.bitrate.map(|rate| format!("@{rate}")));
-    text.extend(address.data_bitrate.map(|rate| format!("/{rate}")));
-    text
+    format!("{}{}", address.device.display(), address.rates())
 }

@@ -8,7 +8,7 @@ mod line;
 mod protocol;
 
 pub use address::SlcanAddress;
-pub(super) use address::{KIND, parse, text};
+pub(super) use address::{KIND, normalised, parse, text};
 pub(super) use line::rate_code;
 pub use protocol::{Slcan, SlcanSettings};
 

@@ -11,7 +11,7 @@ mod name;
 mod socket;
 
 pub use link_info::{CanInterface, interface_exists, interfaces};
-pub(super) use name::{KIND, interface_name, interface_name as parse, text};
+pub(super) use name::{KIND, interface_name, interface_name as parse, normalised, text};
 
 use super::clock::RxTimestamps;
 use super::faults::{cannot_open, unplugged};

@@ -38,6 +38,11 @@ fn not_a_name(text: &str) -> Diagnostic {
     Diagnostic::new(format!("{text} is not an interface name"))
 }
 
+/// The name: there is one spelling of it.
+pub(in crate::bus) fn normalised(name: &str) -> String {
+    name.to_owned()
+}
+
 pub(in crate::bus) fn text(name: &str) -> String {
     name.to_owned()
 }

@@ -1,7 +1,9 @@
 //! Parser of a socketcand argument: `socketcand://HOST[:PORT]/BUS`.
 
+use super::DEFAULT_PORT;
 use crate::bus::kind::BusKind;
 use crate::diagnostic::Diagnostic;
+use std::net::IpAddr;
 
 pub(in crate::bus) const KIND: BusKind = BusKind {
     scheme: "socketcand",
@@ -55,6 +57,16 @@ pub(in crate::bus) fn parse(text: &str) -> Result<SocketcandAddress, Diagnostic>
         return Err(bad());
     }
     Ok(SocketcandAddress { host: host.to_owned(), port, interface: interface.to_owned() })
+}
+
+/// The address that all spellings of one bus share: with the port, and the host in one form.
+pub(in crate::bus) fn normalised(address: &SocketcandAddress) -> SocketcandAddress {
+    let host = match address.host.parse::<IpAddr>() {
+        Ok(host) => host.to_string(),
+        Err(_) => address.host.to_ascii_lowercase(),
+    };
+    let port = Some(address.port.unwrap_or(DEFAULT_PORT));
+    SocketcandAddress { host, port, interface: address.interface.clone() }
 }
 
 pub(in crate::bus) fn text(address: &SocketcandAddress) -> String {

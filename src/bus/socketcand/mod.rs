@@ -9,7 +9,7 @@ mod message;
 mod protocol;
 
 pub use address::SocketcandAddress;
-pub(super) use address::{KIND, parse, text};
+pub(super) use address::{KIND, normalised, parse, text};
 pub use protocol::Socketcand;
 
 use super::faults::{cannot_open, no_response};

@@ -1,5 +1,6 @@
 //! Parser of a udp argument: `udp:[GROUP][%INTERFACE][@PORT]`.
 
+use super::DEFAULT_PORT;
 use crate::bus::kind::BusKind;
 use crate::bus::socketcan::interface_name;
 use crate::diagnostic::Diagnostic;
@@ -51,6 +52,11 @@ pub(in crate::bus) fn parse(text: &str) -> Result<UdpAddress, Diagnostic> {
         return Err(bad());
     }
     Ok(UdpAddress { group, interface, port })
+}
+
+/// The address that all spellings of one bus share: with the port.
+pub(in crate::bus) fn normalised(address: &UdpAddress) -> UdpAddress {
+    UdpAddress { port: Some(address.port.unwrap_or(DEFAULT_PORT)), ..address.clone() }
 }
 
 pub(in crate::bus) fn text(address: &UdpAddress) -> String {

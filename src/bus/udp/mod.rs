@@ -8,7 +8,7 @@ mod message;
 mod sockets;
 
 pub use address::UdpAddress;
-pub(super) use address::{KIND, parse, text};
+pub(super) use address::{KIND, normalised, parse, text};
 pub use message::{decode as decode_datagram, encode as encode_datagram};
 
 use super::clock::{Clock, RxTimestamps};

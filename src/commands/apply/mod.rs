@@ -195,7 +195,7 @@ impl Apply<'_> {
     /// Names what is wrong in des.json.
     fn tell_mistakes(&mut self, app: &App) {
         let file = app.file();
-        for finding in file.document().findings() {
+        for finding in app.file_mistakes() {
             self.has_mistakes = true;
             say(format!("{}, {}: {}", file.name(), finding.position, finding.message));
         }
@@ -273,10 +273,17 @@ impl Apply<'_> {
             print_json(&ApplyReport::new(app, session))?;
         }
         let state = session.run().map(PlanRun::state);
+        let plan = session.plan();
+        let pins_nothing =
+            self.task == PlanTask::ToFile && plan.steps.is_empty() && plan.left_out.is_empty();
         match state {
             None if self.has_declined => say("nothing was written"),
             None if session.plan().leaves_out() && session.plan().steps.is_empty() => {
                 say("no step can be done: see what is left out");
+            }
+            None if pins_nothing => {
+                let file = app.file().name();
+                say(format!("nothing to do: {file} pins no address on {}", self.args.bus));
             }
             None if session.plan().steps.is_empty() && self.has_mistakes => {
                 say(format!("nothing to do, as far as {} is right", app.file().name()));
@@ -303,7 +310,7 @@ impl Apply<'_> {
             None => self.args.dry_run || session.plan().steps.is_empty(),
             Some(state) => *state == RunState::Done,
         };
-        let is_all = is_done && !session.plan().leaves_out() && !self.has_mistakes;
+        let is_all = is_done && !session.plan().leaves_out() && !self.has_mistakes && !pins_nothing;
         Ok(if is_all { EXIT_OK } else { EXIT_FINDINGS })
     }
 

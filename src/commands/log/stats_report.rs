@@ -12,7 +12,7 @@ use crate::app::{
 use crate::frame::{BusIndex, CanId};
 use crate::text::counted;
 use crate::time::Duration;
-use crate::wire::id::Address;
+use crate::wire::id::{Address, Header};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -147,8 +147,14 @@ fn identifier<'a>(
     let decoded = Decoded::of(app, &row.last);
     let header = decoded.header;
     let receiver = header.filter(|header| !header.broadcast).map(|header| header.destination);
-    let service = header.filter(|_| decoded.role != FrameRole::Debug).map(|it| it.service);
-    let server = header.filter(|it| it.response).map(|it| (it.source, last));
+    let name_of_service = |header: Header| {
+        if decoded.role == FrameRole::Debug {
+            let types = app.shown_buses().frame_types(header, &row.last);
+            return types.debug_name(&app.profile(bus), header.service);
+        }
+        let server = header.response.then_some((header.source, last));
+        service_name_of(app, bus, header.service, server)
+    };
     let is_error = row.key.kind == IdentifierKind::Error;
     IdentifierReport {
         bus: bus_name(app, bus),
@@ -161,7 +167,7 @@ fn identifier<'a>(
         from_name: header.and_then(|header| name_of(app, bus, header.source, last)),
         to_name: receiver.and_then(|address| name_of(app, bus, address, last)),
         service: header.map(|header| header.service.number()),
-        service_name: service.and_then(|service| service_name_of(app, bus, service, server)),
+        service_name: header.and_then(name_of_service),
         count: row.count,
         rate: stats.rate(row.count),
         period_ms: intervals.and_then(|it| period(it, row)),

@@ -20,7 +20,7 @@ use crate::app::{
     App, Effect, FileReading, FrameSelector, InterleavedLogs, InterleavedOrder, SaveOutcome,
     WrittenFrames,
 };
-use crate::bus::{Clock, Port};
+use crate::bus::{BusSpec, Clock, Port};
 use crate::catalogue::CatalogueText;
 use crate::diagnostic::Diagnostic;
 use crate::discovery::Config;
@@ -205,6 +205,16 @@ impl Session {
         next.filter(|_| is_one_each && clock.playback().is_none())
     }
 
+    /// The buses with their names, without bit rates; none for a log that is read by its own clock.
+    pub fn open_buses(&self) -> Vec<(BusSpec, String)> {
+        let SessionInput::Ports { ports, .. } = &self.input else { return Vec::new() };
+        let named = ports.iter().enumerate().filter_map(|(at, port)| {
+            let bus = self.app.bus(own_bus(at)?)?;
+            Some((port.name().parse().ok()?, bus.name_without_rates().to_owned()))
+        });
+        named.collect()
+    }
+
     /// The clock of the buses; `None` for a log that is read by its own.
     pub fn clock(&self) -> Option<&Clock> {
         match &self.input {
@@ -214,10 +224,10 @@ impl Session {
     }
 
     /// Adds a bus, opened with the number of [`Self::next_bus`].
-    pub fn add_bus(&mut self, port: Port, config: Config) {
+    pub fn add_bus(&mut self, port: Port, name: String, config: Config) {
         let now = self.now();
         let SessionInput::Ports { ports, interfaces, .. } = &mut self.input else { return };
-        self.app.add_bus(now, port.name().to_owned(), config);
+        self.app.add_bus(now, name, config);
         port.allow_collecting();
         ports.push(port);
         interfaces.push(Vec::new());
@@ -556,7 +566,8 @@ impl Session {
         let folder = path.parent().unwrap_or(Path::new(""));
         let project = text_on_disk(content)
             .and_then(|text| Project::parse(&text, folder).map_err(|error| error.with_line()));
-        self.app.handle_project(now, &shown(path), project.map(|project| project.facts()));
+        let facts = project.map(|project| project.facts(&self.open_buses()));
+        self.app.handle_project(now, &shown(path), facts);
     }
 
     /// Makes the file watch know the content of a save, or read the file again where that is not

@@ -428,6 +428,9 @@ impl<'b, 'a> DeviceDetails<'b, 'a> {
                 let text = format!("! {} ({})", finding.message, finding.position);
                 self.add(" ", Role::Warning, &text);
             }
+            if let Some(mistake) = app.uid_mistake(entry) {
+                self.add(" ", Role::Warning, &format!("! {mistake}"));
+            }
         }
     }
 

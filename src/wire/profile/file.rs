@@ -175,6 +175,12 @@ pub(crate) fn byte_order<'de, D: Deserializer<'de>>(
     order.ok_or_else(|| serde::de::Error::custom("a byte order is \"little\" or \"big\""))
 }
 
+/// Reads a service number. Its range is checked with its name.
+pub(super) fn service<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u16, D::Error> {
+    let wrong = "a service number is 0 to 0x3FF (1023), without quotes";
+    u16::deserialize(deserializer).map_err(|_| serde::de::Error::custom(wrong))
+}
+
 /// Reads a service number, or `false` for none.
 pub(super) fn service_or_none<'de, D: Deserializer<'de>>(
     deserializer: D,

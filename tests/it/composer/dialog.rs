@@ -84,6 +84,48 @@ fn earlier_runs_are_recalled_and_sent_frames_remembered() {
 }
 
 #[test]
+fn templates_are_saved_and_opened_in_turn() {
+    let mut stage = boiler();
+    stage.size(120, 40).keys("C Ctrl-o");
+    assert!(stage.screen().contains("no template; Ctrl-s saves one"), "{}", stage.screen());
+    let name = "request des data name to @10".to_owned();
+    let kept = |stage: &Stage| {
+        let keeps = |it: &&Effect| matches!(it, Effect::KeepTemplate(_));
+        stage.effects.iter().filter(keeps).cloned().collect::<Vec<Effect>>()
+    };
+    stage.keys("Ctrl-s");
+    assert_eq!(kept(&stage), [Effect::KeepTemplate(name.clone())]);
+    stage.keys("Ctrl-s");
+    assert!(stage.screen().contains("saved already"), "{}", stage.screen());
+    // A mistake is none; a device that may come is no mistake of the text.
+    stage.keys("Ctrl-u").text("@12 wroking").keys("Ctrl-s");
+    assert_eq!(kept(&stage).len(), 1);
+    stage.keys("Ctrl-u").text("PUMP").keys("Ctrl-s");
+    let other = "request des data name to PUMP".to_owned();
+    assert_eq!(kept(&stage)[1], Effect::KeepTemplate(other.clone()));
+    let words = |stage: &Stage| stage.app.composer_dialog().unwrap().composition().to_words();
+    for expected in [&name, &other, &name] {
+        stage.keys("Ctrl-o");
+        assert_eq!(words(&stage), *expected);
+    }
+    // One that cannot be stored is none in this run, either.
+    let now = stage.app.now();
+    stage.app.handle_lost_template(now, &other, "no space left");
+    assert!(stage.screen().contains("template not saved: no space left"), "{}", stage.screen());
+    stage.keys("Ctrl-o Ctrl-o");
+    assert_eq!(words(&stage), name);
+    // Those of earlier runs are there; a line that is no composition is left out.
+    let options = AppOptions {
+        buses: vec![("can0".to_owned(), Config::default())],
+        templates: vec!["# own".to_owned(), "debug 0x005 data 01".to_owned()],
+        ..AppOptions::default()
+    };
+    stage.app = App::new(Instant::ZERO, options);
+    stage.keys("C Ctrl-o");
+    assert_eq!(words(&stage), "debug 0x005 data 01");
+}
+
+#[test]
 fn foreign_source_is_a_second_question() {
     let mut stage = boiler();
     stage.size(120, 40).keys("C Tab Tab Tab Tab").text("@12");

@@ -136,8 +136,28 @@ fn mistakes_name_the_word_and_what_would_be_right() {
         ("request des name to @x", "@x is not an address: @0 to @127"),
         (
             "request des name to FEED wroking",
-            "wroking is not understood after the receiver: working or not-working; did you mean working?",
+            "wroking is not understood after the receiver: working or not-working; data there begins with data; did you mean working?",
         ),
+        (
+            "request des name to FEED 01",
+            "01 is not understood after the receiver: working or not-working; data there begins with data",
+        ),
+        (
+            "response 0x123 01 to FEED not-working",
+            "a response has D = 0 whatever the receiver is: not-working is for requests",
+        ),
+        ("request des name to FEED working not-working", "one of working and not-working, once"),
+        (
+            "request des name to not-working",
+            "not-working needs a receiver: FEED not-working, or all not-working",
+        ),
+        ("request des name to FEED rnd 5", "rnd is the DST of a broadcast: to all rnd 85"),
+        (
+            "request des name to all rnd 5 rnd 6",
+            "rnd is not understood after the receiver: working, not-working or rnd; data there begins with data; did you mean rnd?",
+        ),
+        ("response 0x123 to 5 from working not-working", "one of working and not-working, once"),
+        ("request des name to FEED isotp raw", "one of isotp and raw, not both"),
         ("request des name to all rnd 128", "rnd needs a number, 0 to 127"),
         ("request 0x123 1 to 12", "1: a byte has two digits, as 01"),
         ("request 0x123 0G to 12", "0G is not data: bytes as 01 FF, \"text\""),
@@ -170,6 +190,47 @@ fn mistakes_name_the_word_and_what_would_be_right() {
     ];
     for (words, text) in cases {
         assert_eq!(frames(words), Err(text.to_owned()), "{words}");
+    }
+}
+
+#[test]
+fn words_of_a_receiver_and_a_sender_stand_in_any_order() {
+    for (one, other) in [
+        ("request des name to not-working 12", "request des name to 12 not-working"),
+        ("request des name to working all", "request des name to all working"),
+        ("request des name to rnd 3 not-working all", "request des name to all not-working rnd 3"),
+        ("response 0x123 to 5 from not-working 14", "response 0x123 to 5 from 14 not-working"),
+        ("response 0x123 to working 5", "response 0x123 to 5"),
+        ("request 0x123 isotp to 12 data 01", "request 0x123 01 to 12 isotp"),
+    ] {
+        let made = frames(one);
+        assert!(made.is_ok(), "{one}: {made:?}");
+        assert_eq!(made, frames(other), "{one}");
+    }
+    let good = Composition::parse("response 0x123 to FEED not-working").unwrap();
+    let wrong = with_bus(|around| good.compose(around)).unwrap_err();
+    assert_eq!((wrong.field, wrong.column), (CompositionField::To, 5));
+}
+
+#[test]
+fn name_with_a_backslash_is_typed_as_it_is_printed_or_is() {
+    let profile = Profile::default();
+    // As descan prints them.
+    let nodes = [node("A\\\\B", 20), node("C \\\\D", 21), node("E \\x1BF", 22), node("\"Q\"", 23)];
+    let around = Surroundings { profile: &profile, own: None, nodes: &nodes, rnd7: 0 };
+    for (typed, at) in [
+        (r"A\\B", 20),
+        (r"A\B", 20),
+        (r#""A\\B""#, 20),
+        (r#""A\\\\B""#, 20),
+        (r#""C \\D""#, 21),
+        (r#""C \D""#, 21),
+        (r#""E \x1BF""#, 22),
+        (r#""\"Q\"""#, 23),
+    ] {
+        let composition = Composition::parse(&format!("request 0x123 to {typed}")).unwrap();
+        let composed = composition.compose(around).unwrap();
+        assert_eq!(composed.receivers, Receivers::One(address(at)), "{typed}");
     }
 }
 

@@ -98,7 +98,9 @@ fn calls_of_a_row_are_listed_with_latency_and_result() {
         .collect();
     assert_eq!(bytes, [3, 2, 1, 4, 5]);
     // Only failed ones.
-    stage.keys("/").text("failed").keys("Enter");
+    stage.keys("/").text("failed");
+    assert!(stage.screen().contains("1 of 5 calls match"), "{}", stage.screen());
+    stage.keys("Enter");
     assert_eq!(stage.app.calls_listed().len(), 1);
     stage.keys("Enter");
     assert_eq!(stage.app.view().traffic_view, TrafficView::Frames);
@@ -165,4 +167,23 @@ fn counts_begin_anew_at_a_moment() {
     let identifiers = stage.app.identifiers_shown();
     let request = identifiers.iter().find(|it| it.last.data() == [1]).unwrap();
     assert_eq!(stage.app.view().frame_count(request), 3);
+}
+
+#[test]
+fn filter_of_calls_and_identifiers_counts_these() {
+    let other = Frame::classic(0x0700_0001, &[]);
+    let all = [(1000, frame(false, true, 1)), (1012, frame(true, true, 1)), (1500, other)];
+    let mut stage = heard(&all);
+    stage.size(120, 30).keys("2 v v /").text("srv:0x21");
+    assert!(stage.screen().contains("0 of 1 calls match"), "{}", stage.screen());
+    stage.keys("Enter");
+    assert!(stage.screen().contains("/srv:0x21  1 hidden"), "{}", stage.screen());
+    let mut stage = heard(&all);
+    stage.size(120, 30).keys("2 v /").text("srv:0x20");
+    assert!(stage.screen().contains("2 of 3 identifiers match"), "{}", stage.screen());
+    stage.keys("Enter");
+    assert!(stage.screen().contains("/srv:0x20  1 hidden"), "{}", stage.screen());
+    // On another page there are no frames to hide.
+    stage.keys("1 /").text("FEED").keys("Enter");
+    assert!(!stage.screen().contains("hidden"), "{}", stage.screen());
 }

@@ -239,7 +239,7 @@ fn example_project(spare_stops_working: bool) -> Pair {
         spare = spare.at(Duration::from_secs(5), "SENS", DeviceAction::Mode(Mode::Cfg));
     }
     let project = Project::parse(&read("descan.toml"), &folder).unwrap();
-    let mut facts = project.facts();
+    let mut facts = project.facts(&[]);
     for device in facts.tasks.iter_mut().flat_map(|task| &mut task.devices) {
         let name = if device.bus == "sim:main.toml" { "can0" } else { "can1" };
         name.clone_into(&mut device.bus);
