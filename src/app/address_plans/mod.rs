@@ -257,14 +257,14 @@ impl App {
         &mut self,
         now: Instant,
         bus: &str,
-        last: Result<Option<(String, PlanRecord)>, String>,
+        last: Result<Option<Box<(String, PlanRecord)>>, String>,
     ) {
         self.clock.set(now);
         let Some(mut session) = self.plan.take() else { return };
         let is_its = self.buses.get(session.bus).is_some_and(|it| it.name == bus);
         if is_its && matches!(session.last, LastPlan::Awaited) {
             session.last = match last {
-                Ok(last) => LastPlan::Read(last.map(Box::new)),
+                Ok(last) => LastPlan::Read(last),
                 Err(_) if session.forgets_absent => LastPlan::Read(None),
                 Err(why) => LastPlan::Unreadable(why),
             };

@@ -108,7 +108,7 @@ pub enum FileJobResult {
     /// Writing the file of a plan.
     WrittenPlan(Result<(), String>),
     /// The last plan of a bus, with the name of its file.
-    ReadLastPlan(String, Result<Option<(String, PlanRecord)>, String>),
+    ReadLastPlan(String, Result<Option<Box<(String, PlanRecord)>>, String>),
 }
 
 /// Work on files, on a separate thread.
@@ -845,6 +845,7 @@ impl Session {
                 Effect::ReadLastPlan { bus } => {
                     let read = move || {
                         let last = latest_plan(&bus).map_err(|fault| fault.to_string());
+                        let last = last.map(|last| last.map(Box::new));
                         FileJobResult::ReadLastPlan(bus, last)
                     };
                     self.work.push(FileJob { handle: spawn_blocking(read), is_save: false });

@@ -170,7 +170,7 @@ impl Line {
                             .disk
                             .as_ref()
                             .map(|(name, bytes)| (name.clone(), PlanRecord::parse(bytes).unwrap()));
-                        self.app.handle_last_plan(now, &bus, Ok(last));
+                        self.app.handle_last_plan(now, &bus, Ok(last.map(Box::new)));
                     }
                     _ => {}
                 }

@@ -22,7 +22,7 @@ fn settled(name: &str, number: u8, uid: Uid) -> DeviceSpec {
 }
 
 fn change_file(line: &mut Line, file: &str) {
-    line.file = file.to_owned();
+    file.clone_into(&mut line.file);
     let reading = FileReading::Content(Some(file.as_bytes().to_vec()));
     line.app.handle_file(line.sim.now(), reading);
 }

@@ -158,7 +158,7 @@ impl Stage {
                 self.app.handle_plan_written(now, Ok(()));
             }
             if let Effect::ReadLastPlan { bus } = &effect {
-                let last = self.last_plan.clone();
+                let last = self.last_plan.clone().map(Box::new);
                 self.app.handle_last_plan(now, bus, Ok(last));
             }
             if effect == Effect::ReadFile {
