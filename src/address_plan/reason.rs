@@ -120,7 +120,7 @@ impl fmt::Display for LeftOutReason {
             Self::Another(address) => write!(f, "at {address}: not the name and UID listed"),
             Self::SameUid(address) => write!(f, "its UID is at {address}, too"),
             Self::UidNotHeard => f.write_str("its UID was not heard"),
-            Self::UidUnreadable => f.write_str("the UID of its entry is none"),
+            Self::UidUnreadable => f.write_str("the uid of its entry is wrong"),
             Self::ListedTwice => f.write_str("listed twice"),
             Self::NotPresent => f.write_str("not on the bus"),
             Self::NoIdentity => f.write_str("no UID and no name"),

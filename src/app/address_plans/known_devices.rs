@@ -164,73 +164,82 @@ impl App {
     }
 }
 
-impl PlanKnowledge<'_> {
-    /// Adds what files tell: settings that were stored and not read, and the addresses at which devices
-    /// may come back that are not heard, or whose last write is not known to have arrived.
-    fn add_to(self, devices: &mut Vec<KnownDevice>) {
-        for record in self.record.into_iter().chain(self.earlier) {
-            let is_own = self.record.is_some_and(|own| std::ptr::eq(own, record));
-            let unsettled = record.unsettled_devices();
-            let settled = if is_own { record.settled_devices() } else { Vec::new() };
-            let all: Vec<&UnsettledDevice> = unsettled.iter().chain(&settled).collect();
-            for (at, it) in all.iter().enumerate() {
-                match place_of(it, &all, devices) {
-                    Some(place) if at < unsettled.len() => {
-                        // Where writes act at once, a device is where its setting is.
-                        if record.effect != StepEffect::AtOnce.word() {
-                            add_stored(&mut devices[place], it);
-                        }
-                    }
-                    Some(_) => {}
-                    None if self.forgets_absent => {}
-                    None => devices.extend(absent_of(it)),
-                }
-            }
-        }
+/// A device as a file tells of it.
+struct RecordedState {
+    device: UnsettledDevice,
+    /// Its last write is not known to have arrived, or its setting is only stored.
+    is_open: bool,
+    /// No other device of the file looks the same.
+    is_only: bool,
+    /// Writes act at once: where the device is, there its setting is.
+    acts_at_once: bool,
+}
+
+impl RecordedState {
+    /// Returns the place of the device, if it is present; of several that look the same in a file, of
+    /// that which may be at this address.
+    fn place_in(&self, devices: &[KnownDevice]) -> Option<usize> {
+        let (identity, possible) = (self.device.identity(), self.device.possible());
+        devices.iter().position(|device| {
+            device.is_present
+                && identity.is_same(&device.identity)
+                && (self.is_only || possible.has(device.address))
+        })
     }
 }
 
 impl PlanKnowledge<'_> {
+    /// What the files tell: of the own plan all devices, of an earlier one those that it left open.
+    fn recorded_states(self) -> Vec<RecordedState> {
+        let own = self.record.map(|record| (record, record.settled_devices()));
+        let earlier = self.earlier.map(|record| (record, Vec::new()));
+        let mut all = Vec::new();
+        for (record, settled) in own.into_iter().chain(earlier) {
+            let open = record.unsettled_devices().into_iter().map(|device| (device, true));
+            let both: Vec<_> = open.chain(settled.into_iter().map(|it| (it, false))).collect();
+            let identities: Vec<_> = both.iter().map(|(device, _)| device.identity()).collect();
+            let acts_at_once = record.effect == StepEffect::AtOnce.word();
+            all.extend(both.into_iter().map(|(device, is_open)| {
+                let identity = device.identity();
+                let is_only = identities.iter().filter(|it| it.is_same(&identity)).count() == 1;
+                RecordedState { device, is_open, is_only, acts_at_once }
+            }));
+        }
+        all
+    }
+
+    /// Adds what files tell: settings that were stored and not read, and the addresses at which devices
+    /// may come back that are not heard, or whose last write is not known to have arrived.
+    fn add_to(self, devices: &mut Vec<KnownDevice>) {
+        for state in self.recorded_states() {
+            match state.place_in(devices) {
+                Some(place) if state.is_open && !state.acts_at_once => {
+                    add_stored(&mut devices[place], &state.device);
+                }
+                Some(_) => {}
+                None if self.forgets_absent => {}
+                None => devices.extend(absent_of(&state.device)),
+            }
+        }
+    }
+
     /// The devices of which it is still not known what they have stored, for the file of a new run.
     pub fn unsettled_after(self, bus: &PlanBus, new: &PlanRecord) -> Vec<UnsettledDevice> {
         let mut all: Vec<UnsettledDevice> = new.unsettled.clone();
-        for record in self.record.into_iter().chain(self.earlier) {
-            let is_own = self.record.is_some_and(|own| std::ptr::eq(own, record));
-            let acts_at_once = record.effect == StepEffect::AtOnce.word();
-            let unsettled = record.unsettled_devices();
-            let settled = if is_own { record.settled_devices() } else { Vec::new() };
-            let both: Vec<&UnsettledDevice> = unsettled.iter().chain(&settled).collect();
-            for (at, it) in both.iter().enumerate() {
-                let is_open = match place_of(it, &both, &bus.devices) {
-                    Some(_) => at < unsettled.len() && !acts_at_once,
-                    None => !self.forgets_absent,
-                };
-                let is_known = all.iter().any(|known| known.identity() == it.identity());
-                let is_in_plan = new.devices.iter().any(|own| own.identity() == it.identity());
-                if is_open && !is_known && !is_in_plan && all.len() < MAX_UNSETTLED {
-                    all.push((*it).clone());
-                }
+        for state in self.recorded_states() {
+            let is_open = match state.place_in(&bus.devices) {
+                Some(_) => state.is_open && !state.acts_at_once,
+                None => !self.forgets_absent,
+            };
+            let identity = state.device.identity();
+            let is_known = all.iter().any(|known| known.identity() == identity)
+                || new.devices.iter().any(|own| own.identity() == identity);
+            if is_open && !is_known && all.len() < MAX_UNSETTLED {
+                all.push(state.device);
             }
         }
         all
     }
-}
-
-/// Returns the place of a present device; of several that look the same in a file, of that which may be
-/// at this address.
-fn place_of(
-    wanted: &UnsettledDevice,
-    all: &[&UnsettledDevice],
-    devices: &[KnownDevice],
-) -> Option<usize> {
-    let identity = wanted.identity();
-    let is_only = all.iter().filter(|it| it.identity().is_same(&identity)).count() == 1;
-    let possible = wanted.possible();
-    devices.iter().position(|device| {
-        device.is_present
-            && identity.is_same(&device.identity)
-            && (is_only || possible.has(device.address))
-    })
 }
 
 /// Adds what was written to a device, unless its setting was read.

@@ -96,7 +96,7 @@ fn entry_with_an_impossible_uid_is_not_written() {
         let mut line = bus(vec![device(0, 10), device(1, 12)], &file, Writes::Now, true);
         line.plan(PlanTask::ToFile);
         let text = line.plan_text();
-        assert!(text.contains("N000 – 20: the UID of its entry is none"), "{uid}: {text}");
+        assert!(text.contains("N000 – 20: the uid of its entry is wrong"), "{uid}: {text}");
     }
 }
 
