@@ -1,0 +1,931 @@
+/*
+ * des.c - DES responder and node of the CAN platform, for firmware. See des.h.
+ *
+ * CAN platform 3.2.4 (modes, address resolution) and 4 (identifiers), the DES
+ * service document, ISO 15765-2 (transfers, sender's side).
+ *
+ * SPDX-License-Identifier: MIT
+ */
+#include "des.h"
+
+#define MAX_CLASSIC_DATA 8u
+#define MAX_SINGLE 7u
+#if DES_WITH_FD
+#define MAX_DATA 64u
+#define MAX_FD_SINGLE 62u
+#else
+#define MAX_DATA MAX_CLASSIC_DATA
+#endif
+
+/* Times in microseconds. */
+#define HR_TIME (DES_HEARTBEAT_MS * UINT32_C(1000))
+#define LISTEN_TIME (HR_TIME + (HR_TIME / 2u))
+#define N_BS UINT32_C(1000000)
+#define N_WFT_MAX 16u
+/* Half of the range of the clock: what is further ahead is over. */
+#define TIME_HALF UINT32_C(0x80000000)
+
+/* Heartbeats for which a working node with the same UID is remembered. */
+#define UID_MEMORY 5u
+
+enum { STAGE_INIT, STAGE_LISTEN, STAGE_WAIT, STAGE_CLAIM, STAGE_RUN };
+enum { ASKER_FREE, ASKER_READY, ASKER_SENDING, ASKER_FLOW, ASKER_DONE };
+
+/* des_node.busy: one bit for each transmit buffer; and that the controller is silent. */
+#define BUSY_HEARTBEAT (1u << DES_SLOT_HEARTBEAT)
+#define BUSY_RESPONSE (1u << DES_SLOT_RESPONSE)
+#define BUSY_ANY (BUSY_HEARTBEAT | BUSY_RESPONSE)
+#define IS_SILENT 0x80u
+
+/* des_asker.pending and .current. */
+#define ASK_NAME 0x0001u
+#define ASK_NAME_RAW 0x0002u
+#define ASK_SERVICES 0x0004u
+#define ASK_SERVICES_RAW 0x0008u
+#define ASK_TEXT 0x000Fu
+#define ASK_COMMAND 0x0010u
+#define ASK_FIELD 0x0020u /* The first field; the others follow. */
+
+/* des_asker.service */
+#define COMMAND_REFUSED 0x8000u
+
+#define TYPE_NAME 0x01u
+#define TYPE_SERVICES 0x02u
+
+/* Returns true if the moment `at` is not after `now`. */
+static bool is_due(uint32_t at, uint32_t now)
+{
+    return (now - at) < TIME_HALF;
+}
+
+static void copy(uint8_t *to, const uint8_t *from, uint32_t count)
+{
+    uint32_t at;
+
+    for (at = 0u; at < count; at++) {
+        to[at] = from[at];
+    }
+}
+
+/* ---- Random numbers ---------------------------------------------------------- */
+
+uint32_t des_random(des_node *node)
+{
+    uint32_t bits = node->random + node->port->entropy(node->user);
+
+    if (bits == 0u) {
+        bits = UINT32_C(0x9E3779B9);
+    }
+    bits ^= bits << 13;
+    bits ^= bits >> 17;
+    bits ^= bits << 5;
+    node->random = bits;
+    return bits * UINT32_C(0x9E3779B1);
+}
+
+/* ---- Modes --------------------------------------------------------------------- */
+
+static bool is_blank(const uint8_t *uid)
+{
+    uint8_t ones = 0xFFu;
+    uint8_t any = 0u;
+    uint32_t at;
+
+    for (at = 0u; at < 6u; at++) {
+        ones &= uid[at];
+        any |= uid[at];
+    }
+    return (any == 0u) || (ones == 0xFFu);
+}
+
+static bool is_working_mode(uint32_t mode)
+{
+    return (mode == (uint32_t)DES_MODE_WORK) || (mode == (uint32_t)DES_MODE_UFUNC);
+}
+
+/* Returns the mode that the node enters for `mode`, as far as it may. */
+static uint32_t permitted(const des_node *node, uint32_t mode)
+{
+    if (is_working_mode(mode)) {
+        mode = (node->error == 0u) ? (uint32_t)DES_MODE_WORK : (uint32_t)DES_MODE_UFUNC;
+        if ((node->limit != (uint32_t)DES_MODE_WORK) || (node->settings.address == 0u)
+            || (node->uid_in_use != 0u) || is_blank(node->settings.uid)) {
+            mode = DES_MODE_CFG;
+        }
+    }
+    if ((mode == (uint32_t)DES_MODE_CFG) && (node->limit == (uint32_t)DES_MODE_BOOT)) {
+        mode = DES_MODE_BOOT;
+    }
+    return mode;
+}
+
+/* Enters a mode, as far as it is permitted. */
+static void enter(des_node *node, uint32_t mode)
+{
+    mode = permitted(node, mode);
+    if (node->mode != mode) {
+        node->mode = mode;
+        node->port->event(node->user, DES_EVENT_MODE, (uint8_t)mode);
+    }
+}
+
+static void set_bus(des_node *node, uint32_t silent)
+{
+    if ((node->busy & IS_SILENT) != silent) {
+        node->busy = silent;
+        node->port->bus(node->user, node->rate, silent != 0u);
+    }
+}
+
+/* Listens for 1.5 * BUS_CFG_HR_TIME: in INIT for any frame, in ARSLV for addresses in use. */
+static void listen(des_node *node, uint32_t stage, uint32_t now)
+{
+    uint32_t at;
+
+    for (at = 0u; at < DES_ASKERS; at++) {
+        node->askers[at].state = ASKER_FREE;
+    }
+    for (at = 0u; at < 4u; at++) {
+        node->in_use[at] = 0u;
+    }
+    set_bus(node, IS_SILENT);
+    node->stage = stage;
+    node->until = now + LISTEN_TIME;
+    enter(node, (stage == (uint32_t)STAGE_INIT) ? (uint32_t)DES_MODE_INIT
+                                                : (uint32_t)DES_MODE_ARSLV);
+}
+
+/* INIT at a bit rate. */
+static void search(des_node *node, uint32_t rate, uint32_t now)
+{
+    node->rate = (uint8_t)(rate & 3u);
+    node->busy = 0u; /* The controller is configured anew in any case. */
+    listen(node, STAGE_INIT, now);
+}
+
+static bool is_in_use(const des_node *node, uint32_t address)
+{
+    return ((node->in_use[address >> 5] >> (address & 31u)) & 1u) != 0u;
+}
+
+static void note_address(des_node *node, uint32_t address)
+{
+    node->in_use[address >> 5] |= UINT32_C(1) << (address & 31u);
+}
+
+/* ARSLV: chooses an address, to be claimed after a random part of BUS_CFG_HR_TIME; listens on
+ * if it finds none that is free. */
+static void choose(des_node *node, uint32_t now)
+{
+    uint32_t setting = node->settings.address;
+    uint32_t choice = setting & 0x7Fu;
+    uint32_t tries;
+
+    for (tries = 0u; tries < 128u; tries++) {
+        if ((choice != 0u) && !is_in_use(node, choice)) {
+            node->address = choice;
+            node->stage = STAGE_WAIT;
+            node->until = now + (((des_random(node) >> 16) * (HR_TIME >> 10)) >> 6);
+            return;
+        }
+        if ((setting - 1u) < 0x7Fu) {
+            break; /* A fixed address. */
+        }
+        choice = des_random(node) >> 25;
+    }
+    listen(node, STAGE_LISTEN, now);
+}
+
+/* Enters the configured mode, at the address that was claimed. */
+static void run(des_node *node, uint32_t now)
+{
+    node->stage = STAGE_RUN;
+    node->until = now + HR_TIME;
+    enter(node, (node->settings.autostart != 0u) ? (uint32_t)DES_MODE_WORK
+                                                 : (uint32_t)DES_MODE_CFG);
+}
+
+/* Returns true if a command may change the mode to `mode`. */
+static bool can_enter(const des_node *node, uint32_t mode)
+{
+    uint32_t entered = permitted(node, mode);
+
+    return (entered == mode) || (is_working_mode(mode) && is_working_mode(entered));
+}
+
+bool des_set_mode(des_node *node, des_mode mode, uint32_t now)
+{
+    if (!can_enter(node, (uint32_t)mode)) {
+        return false;
+    }
+    if (mode == DES_MODE_INIT) {
+        search(node, node->settings.bitrate, now);
+    } else if (mode == DES_MODE_ARSLV) {
+        listen(node, STAGE_LISTEN, now);
+    } else if (node->stage != (uint32_t)STAGE_RUN) {
+        return false;
+    } else {
+        if (mode == DES_MODE_IDLE) {
+            node->until = now; /* The others learn of it before it sleeps. */
+        }
+        enter(node, (uint32_t)mode);
+    }
+    return true;
+}
+
+/* ---- Heartbeat ------------------------------------------------------------------ */
+
+/* Bytes of the heartbeat: up to the end of its last field. */
+#define HEARTBEAT_UID_END (DES_HEARTBEAT_UID_AT + ((DES_HEARTBEAT_UID_AT < 0) ? 1 : 6))
+#define HEARTBEAT_MODE_END (DES_HEARTBEAT_MODE_AT + 1)
+#define HEARTBEAT_ERROR_END (DES_HEARTBEAT_ERROR_AT + 1)
+#define LONGER(a, b) (((a) > (b)) ? (a) : (b))
+#define HEARTBEAT_LENGTH \
+    LONGER(HEARTBEAT_UID_END, LONGER(HEARTBEAT_MODE_END, HEARTBEAT_ERROR_END))
+
+/* Sends a heartbeat, unless the one before still waits; returns false if it is to be tried
+ * again. */
+static bool send_heartbeat(des_node *node, uint8_t flags)
+{
+    uint8_t data[MAX_CLASSIC_DATA] = {0u};
+    des_frame frame;
+
+    if ((node->busy & BUSY_HEARTBEAT) != 0u) {
+        return true;
+    }
+#if DES_HEARTBEAT_UID_AT >= 0
+    copy(&data[DES_HEARTBEAT_UID_AT], node->settings.uid, 6u);
+#endif
+#if DES_HEARTBEAT_MODE_AT >= 0
+    data[DES_HEARTBEAT_MODE_AT] = (uint8_t)node->mode;
+#endif
+#if DES_HEARTBEAT_ERROR_AT >= 0
+    data[DES_HEARTBEAT_ERROR_AT] = node->error;
+#endif
+    frame.data = data;
+    frame.length = HEARTBEAT_LENGTH;
+    frame.flags = flags;
+    frame.id = des_unsolicited_id(node, DES_SRV_HEARTBEAT);
+    if (!node->port->send(node->user, DES_SLOT_HEARTBEAT, &frame)) {
+        return false;
+    }
+    node->busy |= BUSY_HEARTBEAT;
+    return true;
+}
+
+/* Remembers the heartbeat of a working node with this node's UID, which then must not work. */
+static void check_uid(des_node *node, const des_frame *frame)
+{
+#if DES_HEARTBEAT_UID_AT >= 0
+    uint32_t at;
+
+    if (((frame->id & (DES_ID_U | DES_ID_R | 0x3FFu)) == (DES_ID_R | DES_SRV_HEARTBEAT))
+        && (frame->length >= (DES_HEARTBEAT_UID_AT + 6u))) {
+        for (at = 0u; at < 6u; at++) {
+            if (frame->data[DES_HEARTBEAT_UID_AT + at] != node->settings.uid[at]) {
+                return;
+            }
+        }
+        node->uid_in_use = UID_MEMORY;
+    }
+#else
+    (void)node;
+    (void)frame;
+#endif
+}
+
+/* ---- Requests -------------------------------------------------------------------- */
+
+/* Takes a request: adds it to those of its requester. Returns the requester's entry; NULL if
+ * there is none for it. */
+static des_asker *ask(des_node *node, const des_frame *frame, uint32_t request, uint32_t now)
+{
+    uint32_t peer = des_id_source(frame->id);
+    des_asker *asker = (des_asker *)0;
+    uint32_t at;
+
+    for (at = 0u; at < DES_ASKERS; at++) {
+        des_asker *entry = &node->askers[at];
+
+        if (entry->state == (uint32_t)ASKER_FREE) {
+            if (asker == (des_asker *)0) {
+                asker = entry;
+            }
+        } else if (entry->peer == peer) {
+            asker = entry;
+            break;
+        } else {
+            /* Another requester. */
+        }
+    }
+    if (asker == (des_asker *)0) {
+        node->dropped++;
+    } else {
+        if (asker->state == (uint32_t)ASKER_FREE) {
+            asker->pending = 0u;
+            asker->current = request;
+        }
+        /* A requester that asks again gave up the transfer that is under way: begin again. */
+        if (asker->current == request) {
+            asker->current = 0u;
+            if (asker->state != (uint32_t)ASKER_SENDING) {
+                asker->state = ASKER_READY;
+                asker->at = now;
+            }
+            asker->flags = frame->flags;
+            asker->peer = (uint8_t)peer;
+        }
+        asker->pending |= (uint16_t)request;
+    }
+    return asker;
+}
+
+/* Takes a request that is answered by an empty response; returns false if it is dropped. */
+static bool command(des_node *node, const des_frame *frame, uint32_t service, uint32_t now)
+{
+    des_asker *asker = ask(node, frame, ASK_COMMAND, now);
+
+    if (asker == (des_asker *)0) {
+        return false;
+    }
+    asker->service = (uint16_t)service;
+    asker->value = (frame->length == 0u) ? 0u : frame->data[0];
+    return true;
+}
+
+/* Takes flow control. */
+static void flow(des_node *node, const des_frame *frame, uint32_t now)
+{
+    const uint8_t *data = frame->data;
+    uint32_t at;
+
+    for (at = 0u; at < DES_ASKERS; at++) {
+        des_asker *asker = &node->askers[at];
+
+        if ((asker->state == (uint32_t)ASKER_FLOW) && (asker->peer == des_id_source(frame->id))) {
+            if (data[0] == 0x30u) {
+                asker->block = data[1];
+                asker->st_min = data[2];
+                if (data[2] > 0x7Fu) {
+                    /* 100 to 900 microseconds: 1 ms; a reserved code: 127 ms. */
+                    asker->st_min = ((uint8_t)(data[2] - 0xF1u) <= 8u) ? 1u : 0x7Fu;
+                }
+                asker->state = ASKER_READY;
+                asker->at = now;
+            } else if ((data[0] == 0x31u) && (asker->waits < N_WFT_MAX)) {
+                asker->waits++;
+                asker->at = now + N_BS;
+            } else if (data[0] <= 0x32u) {
+                asker->state = ASKER_DONE;
+            } else {
+                /* Reserved: ignored. */
+            }
+        }
+    }
+}
+
+/* Takes a frame on the number of DES; is_served: the node's mode is addressed. */
+static void receive_des(des_node *node, const des_frame *frame, bool is_served, uint32_t now)
+{
+    const uint8_t *data = frame->data;
+    uint32_t length = frame->length;
+    uint32_t request;
+
+    if ((length >= 3u) && ((data[0] >> 4) == 3u)) {
+        flow(node, frame, now);
+        return;
+    }
+    if (!is_served || (length < 4u)) {
+        return;
+    }
+    request = ASK_NAME;
+#if DES_WITH_RAW
+    if (data[0] == 0x44u) {
+        request = ASK_NAME_RAW;
+        data--;
+        length++;
+    } else
+#endif
+#if DES_WITH_FD
+        if (((frame->flags & DES_FRAME_FD) != 0u) && (data[0] == 0u) && (data[1] == 4u)) {
+        data++;
+        length--;
+    } else
+#endif
+        if (data[0] != 4u) {
+        return;
+    } else {
+        /* A single frame. */
+    }
+    if ((length < 5u) || (data[1] != 0x44u) || (data[2] != 0x45u) || (data[3] != 0x53u)) {
+        return;
+    }
+    if (data[4] == TYPE_SERVICES) {
+        request <<= 2;
+    } else if (data[4] != TYPE_NAME) {
+        if ((frame->id & DES_ID_B) == 0u) {
+            (void)command(node, frame, DES_SRV_DES | COMMAND_REFUSED, now);
+        }
+        return;
+    } else {
+        /* A name request. */
+    }
+    (void)ask(node, frame, request, now);
+}
+
+#if DES_WITH_DESCRIPTOR
+/* A field of the descriptor: where it stands in des_device.info, or in the settings. */
+typedef struct {
+    uint16_t service;
+    uint8_t at;
+    uint8_t length;
+} field_place;
+
+#define FIELD_COUNT 8u
+#define FIRST_SETTING 4u
+
+static const field_place FIELDS[FIELD_COUNT] = {
+    {DES_SRV_GID, 0u, 6u},  {DES_SRV_SN, 6u, 4u},   {DES_SRV_FW, 10u, 4u},
+    {DES_SRV_CAPS, 14u, 5u}, {DES_SRV_UID, 0u, 6u},  {DES_SRV_ADDR, 6u, 1u},
+    {DES_SRV_BSPD, 7u, 1u},  {DES_SRV_AUTOSTART, 8u, 1u}};
+#endif
+
+#if DES_WITH_WRITES
+static bool is_write(uint32_t service)
+{
+    return (service == DES_SRV_WRITE_UID) || (service == DES_SRV_WRITE_ADDRESS)
+        || (service == DES_SRV_WRITE_BITRATE);
+}
+
+/* Writes a setting; returns false if the data are none, or it cannot be stored. */
+static bool write_setting(des_node *node, uint32_t service, const uint8_t *data, uint32_t length)
+{
+    des_settings settings;
+    uint32_t expected = 1u;
+    bool is_valid = true;
+
+    copy((uint8_t *)&settings, (const uint8_t *)&node->settings, sizeof(settings));
+    if (service == DES_SRV_WRITE_UID) {
+        expected = 6u;
+    } else if (service == DES_SRV_WRITE_ADDRESS) {
+        is_valid = data[0] != 0x80u;
+    } else {
+        is_valid = (data[0] & 0x7Fu) <= 3u;
+    }
+    if (!is_valid || (length != expected)) {
+        return false;
+    }
+    if (service == DES_SRV_WRITE_UID) {
+        copy(settings.uid, data, 6u);
+    } else if (service == DES_SRV_WRITE_ADDRESS) {
+        settings.address = data[0];
+    } else {
+        settings.bitrate = data[0];
+    }
+    if (!node->port->store(node->user, &settings)) {
+        return false;
+    }
+    copy((uint8_t *)&node->settings, (const uint8_t *)&settings, sizeof(settings));
+    return true;
+}
+#endif
+
+#if DES_WITH_COMMANDS
+static bool is_mode(uint32_t code)
+{
+    return is_working_mode(code) || (code == (uint32_t)DES_MODE_INIT)
+        || (code == (uint32_t)DES_MODE_ARSLV) || (code == (uint32_t)DES_MODE_CFG)
+        || (code == (uint32_t)DES_MODE_BOOT) || (code == (uint32_t)DES_MODE_IDLE);
+}
+#endif
+
+/* Takes a targeted request for the descriptor, a write or a command; returns false if its
+ * service is none of them. */
+static bool serve(des_node *node, const des_frame *frame, uint32_t now)
+{
+#if DES_WITH_DESCRIPTOR || DES_WITH_WRITES || DES_WITH_COMMANDS
+    uint32_t service = des_id_service(frame->id);
+    uint32_t length = frame->length;
+    bool is_known = false;
+    bool is_done = false;
+#if DES_WITH_DESCRIPTOR
+    uint32_t at;
+
+    for (at = 0u; at < FIELD_COUNT; at++) {
+        if (FIELDS[at].service == service) {
+            if (length == 0u) {
+                (void)ask(node, frame, (uint32_t)ASK_FIELD << at, now);
+                return true;
+            }
+            is_known = true;
+        }
+    }
+#endif
+#if DES_WITH_WRITES
+    if (is_write(service)) {
+        is_known = true;
+        is_done = (length != 0u) && write_setting(node, service, frame->data, length);
+    }
+#endif
+#if DES_WITH_COMMANDS
+    if (service == DES_SRV_MODE) {
+        is_known = true;
+        is_done = (length == 1u) && is_mode(frame->data[0]) && can_enter(node, frame->data[0]);
+    } else if (service == DES_SRV_REBOOT) {
+        is_known = true;
+        is_done = length == 0u;
+    } else if (service == DES_SRV_IDENTIFY) {
+        is_known = true;
+        is_done = true;
+    } else {
+        /* Not a command. */
+    }
+#endif
+    if (is_known) {
+        (void)command(node, frame, service | (is_done ? 0u : COMMAND_REFUSED), now);
+    }
+    return is_known;
+#else
+    (void)node;
+    (void)frame;
+    (void)now;
+    return false;
+#endif
+}
+
+/* Does what a command demands, after its response was sent. */
+static void act(des_node *node, uint32_t service, uint8_t value, uint32_t now)
+{
+#if DES_WITH_WRITES && !DES_WRITES_AT_RESTART
+    if (service == DES_SRV_WRITE_ADDRESS) {
+        listen(node, STAGE_LISTEN, now);
+    }
+    if (service == DES_SRV_WRITE_BITRATE) {
+        search(node, node->settings.bitrate, now);
+    }
+#endif
+#if DES_WITH_COMMANDS
+    if (service == DES_SRV_MODE) {
+        (void)des_set_mode(node, (des_mode)value, now);
+    }
+    if (service == DES_SRV_IDENTIFY) {
+        node->port->event(node->user, DES_EVENT_IDENTIFY, 0u);
+    }
+    if (service == DES_SRV_REBOOT) {
+        node->port->event(node->user, DES_EVENT_REBOOT, 0u);
+        search(node, node->settings.bitrate, now);
+    }
+#endif
+    (void)node;
+    (void)service;
+    (void)value;
+    (void)now;
+}
+
+/* ---- Responses --------------------------------------------------------------------- */
+
+/* Writes the next frame of a name or services response, and counts its bytes as sent. Returns
+ * its length; 0 if the response does not fit its framing. */
+static uint32_t put_text(const des_node *node, des_asker *asker, uint8_t *data)
+{
+    const des_device *device = node->device;
+    const uint8_t *text = (const uint8_t *)device->services;
+    uint32_t total = device->services_size;
+    uint32_t sent = asker->sent;
+    uint32_t capacity = MAX_CLASSIC_DATA;
+    uint32_t head = 1u;
+    uint32_t left;
+    uint8_t type = TYPE_SERVICES;
+
+    if ((asker->current & (ASK_NAME | ASK_NAME_RAW)) != 0u) {
+        text = (const uint8_t *)device->name;
+        total = device->name_size;
+        type = TYPE_NAME;
+    } else if (node->mode == (uint32_t)DES_MODE_BOOT) {
+        total = 0u; /* Without firmware it has no services. */
+    } else {
+        /* Services. */
+    }
+    total++; /* The type byte. */
+#if DES_WITH_FD
+    if ((asker->flags & DES_FRAME_FD) != 0u) {
+        capacity = MAX_DATA;
+    }
+#endif
+    left = total - sent;
+    data[0] = (uint8_t)(0x20u | (asker->sequence & 0x0Fu));
+#if DES_WITH_RAW
+    if ((asker->current & (ASK_NAME_RAW | ASK_SERVICES_RAW)) != 0u) {
+        head = 0u;
+        if (total > capacity) {
+            return 0u;
+        }
+    } else
+#endif
+        if (sent == 0u) {
+        data[0] = (uint8_t)total;
+        if (total > MAX_SINGLE) {
+            data[1] = (uint8_t)total;
+            head = 2u;
+            data[0] = (uint8_t)(0x10u | (total >> 8));
+#if DES_WITH_FD
+            if ((capacity == MAX_DATA) && (total <= MAX_FD_SINGLE)) {
+                data[0] = 0u;
+            }
+#endif
+        }
+    } else {
+        /* A consecutive frame. */
+    }
+    data = &data[head];
+    if (left > (capacity - head)) {
+        left = capacity - head;
+    }
+    asker->sent = (uint16_t)(sent + left);
+    asker->left = (uint16_t)(total - sent - left);
+    head += left;
+    if (sent == 0u) {
+        data[0] = type;
+        data++;
+        left--;
+        sent++;
+    }
+    copy(data, &text[sent - 1u], left);
+    return head;
+}
+
+/* Sends the next frame to a requester, if the transmit buffer takes it. */
+static void respond(des_node *node, des_asker *asker)
+{
+    uint8_t data[MAX_DATA];
+    des_frame frame;
+    uint32_t service = DES_SRV_DES;
+    uint32_t length = 0u;
+    bool is_done = true;
+    uint16_t sent;
+
+    if (asker->current == 0u) {
+        asker->current = asker->pending & (0u - asker->pending);
+        asker->sent = 0u;
+        asker->left = 0u;
+        asker->sequence = 0u;
+        asker->block = 1u; /* A first frame needs flow control. */
+    }
+    sent = asker->sent;
+    if ((asker->current & ASK_TEXT) != 0u) {
+        length = put_text(node, asker, data);
+        is_done = length != 0u;
+    } else {
+        if (asker->current == ASK_COMMAND) {
+            service = asker->service & 0x3FFu;
+            is_done = (asker->service & COMMAND_REFUSED) == 0u;
+        }
+#if DES_WITH_DESCRIPTOR
+        else {
+            const field_place *field = FIELDS;
+            uint32_t bit = ASK_FIELD;
+            const uint8_t *from = node->device->info;
+
+            while (bit != asker->current) {
+                bit <<= 1;
+                field++;
+            }
+            if (bit >= ((uint32_t)ASK_FIELD << FIRST_SETTING)) {
+                from = (const uint8_t *)&node->settings;
+            }
+            service = field->service;
+            length = field->length;
+            copy(data, &from[field->at], length);
+        }
+#endif
+    }
+    frame.flags = 0u;
+#if DES_WITH_FD
+    if ((asker->flags & DES_FRAME_FD) != 0u) {
+        frame.flags = DES_FRAME_FD;
+        /* The lengths of a DLC above 8: up to 24 in steps of 4, then 32, 48, 64. */
+        while ((length > MAX_CLASSIC_DATA)
+               && ((length & ((length <= 24u) ? 3u : ((length <= 32u) ? 7u : 15u))) != 0u)) {
+            data[length] = DES_FD_PADDING;
+            length++;
+        }
+    }
+#endif
+    frame.length = (uint8_t)length;
+    frame.data = data;
+    frame.id = (des_is_working(node) ? 0u : DES_ID_U) | DES_ID_R | (is_done ? DES_ID_ERR : 0u)
+        | (node->address << 17) | ((uint32_t)asker->peer << 10) | service;
+    if (node->port->send(node->user, DES_SLOT_RESPONSE, &frame)) {
+        node->busy |= BUSY_RESPONSE;
+        node->turn = asker;
+        asker->state = ASKER_SENDING;
+        asker->sequence++;
+    } else {
+        asker->sent = sent; /* Again at the next des_poll. */
+    }
+}
+
+/* Handles the end of the transmission of a response's frame. */
+static void response_sent(des_node *node, bool is_sent, uint32_t now)
+{
+    des_asker *asker = node->turn;
+
+    if (asker->state != (uint32_t)ASKER_SENDING) {
+        return; /* The mode has changed meanwhile. */
+    }
+    if (!is_sent || (asker->left == 0u) || (asker->current == 0u)) {
+        bool is_command = is_sent && (asker->current == ASK_COMMAND);
+
+        asker->state = ASKER_DONE;
+        asker->at = now;
+        if (is_command) {
+            act(node, asker->service, asker->value, now);
+        }
+    } else {
+        uint32_t separation = asker->st_min * UINT32_C(1000);
+
+        asker->state = ASKER_READY;
+        if (asker->block != 0u) {
+            asker->block--;
+            if (asker->block == 0u) {
+                asker->state = ASKER_FLOW;
+                asker->waits = 0u;
+                separation = N_BS;
+            }
+        }
+        asker->at = now + separation;
+    }
+}
+
+/* Learns what became of the frames in the transmit buffers. */
+static void collect(des_node *node, uint32_t now)
+{
+    uint8_t slot;
+
+    for (slot = 0u; slot < 2u; slot++) {
+        des_tx result = DES_TX_PENDING;
+
+        if ((node->busy & (1u << slot)) != 0u) {
+            result = node->port->sent(node->user, slot);
+        }
+        if (result != DES_TX_PENDING) {
+            bool is_sent = result == DES_TX_SENT;
+
+            node->busy &= ~(1u << slot);
+            if (slot == DES_SLOT_RESPONSE) {
+                response_sent(node, is_sent, now);
+            } else if (node->stage != (uint32_t)STAGE_CLAIM) {
+                /* A heartbeat. */
+            } else if (is_sent) {
+                run(node, now);
+            } else {
+                /* Chooses again. The controller stays active: two nodes on an empty bus need
+                 * each other's acknowledgement. */
+                node->stage = STAGE_LISTEN;
+            }
+        }
+    }
+}
+
+/* ---- Entry points -------------------------------------------------------------------- */
+
+void des_init(des_node *node, const des_port *port, const des_device *device, void *user,
+              uint32_t now)
+{
+    node->port = port;
+    node->device = device;
+    node->user = user;
+    node->turn = node->askers;
+    node->limit = DES_MODE_WORK;
+    node->error = 0u;
+    node->uid_in_use = 0u;
+    node->dropped = 0u;
+    node->random = 0u;
+    node->mode = DES_MODE_INIT;
+    port->load(user, &node->settings);
+    search(node, node->settings.bitrate, now);
+}
+
+bool des_receive(des_node *node, const des_frame *frame, uint32_t now)
+{
+    uint32_t id = frame->id;
+    uint32_t service = des_id_service(id);
+    bool is_working;
+
+    collect(node, now);
+    if (node->stage == (uint32_t)STAGE_INIT) {
+        listen(node, STAGE_LISTEN, now); /* A frame: the bit rate is right. */
+    }
+    if (!des_id_is_conforming(id)) {
+        return false;
+    }
+    check_uid(node, frame);
+    is_working = des_is_working(node);
+    /* In IDLE it does not check for other users of its address (CAN platform 3.2.4.5), and a
+     * claim does not move a working node (3.2.4.4). */
+    if ((node->stage >= (uint32_t)STAGE_WAIT) && (des_id_source(id) == node->address)
+        && (node->mode != (uint32_t)DES_MODE_IDLE) && (!is_working || ((id & DES_ID_U) == 0u))) {
+        listen(node, STAGE_LISTEN, now);
+    }
+    if (node->stage != (uint32_t)STAGE_RUN) {
+        note_address(node, des_id_source(id));
+        if ((id & DES_ID_B) == 0u) {
+            note_address(node, des_id_destination(id));
+        }
+        return false;
+    }
+    if (((id & DES_ID_B) == 0u) && (des_id_destination(id) != node->address)) {
+        return false;
+    }
+    if ((id & DES_ID_R) != 0u) {
+        return true;
+    }
+    /* Requests to nodes in its mode; in IDLE that to change the mode. */
+    is_working = (((id & DES_ID_D) == 0u) == is_working)
+        && ((node->mode != (uint32_t)DES_MODE_IDLE) || (service == DES_SRV_MODE));
+    if (service == DES_SRV_DES) {
+        receive_des(node, frame, is_working, now);
+        return false;
+    }
+    if (!is_working) {
+        return false;
+    }
+    return ((id & DES_ID_B) != 0u) || !serve(node, frame, now);
+}
+
+/* Sends the responses that are due; returns true if there is nothing to answer. */
+static bool poll_askers(des_node *node, uint32_t now)
+{
+    des_asker *asker = node->turn;
+    bool is_idle = true;
+    uint32_t at;
+
+    for (at = 0u; at < DES_ASKERS; at++) {
+        asker++;
+        if (asker == &node->askers[DES_ASKERS]) {
+            asker = node->askers;
+        }
+        if ((asker->state == (uint32_t)ASKER_DONE)
+            || ((asker->state == (uint32_t)ASKER_FLOW) && is_due(asker->at, now))) {
+            /* Answered, or given up (overflow, N_Bs): turn to its next request. */
+            asker->pending &= (uint16_t)~asker->current;
+            asker->current = 0u;
+            asker->at = now;
+            asker->state = (asker->pending == 0u) ? (uint32_t)ASKER_FREE : (uint32_t)ASKER_READY;
+        }
+        if ((asker->state == (uint32_t)ASKER_READY) && is_due(asker->at, now)
+            && ((node->busy & BUSY_RESPONSE) == 0u)) {
+            respond(node, asker);
+        }
+        is_idle = is_idle && (asker->state == (uint32_t)ASKER_FREE);
+    }
+    return is_idle;
+}
+
+uint32_t des_poll(des_node *node, uint32_t now)
+{
+    uint32_t errors;
+    bool is_until_due;
+
+    collect(node, now);
+    errors = node->port->errors(node->user);
+    is_until_due = is_due(node->until, now);
+    if (node->stage == (uint32_t)STAGE_INIT) {
+        if ((errors & DES_ERROR_SEEN) != 0u) {
+            search(node, node->rate + (uint32_t)(node->settings.bitrate >> 7), now);
+        } else if (is_until_due) {
+            listen(node, STAGE_LISTEN, now); /* No node is there yet. */
+        } else {
+            /* Listens on. */
+        }
+    } else if ((errors & (DES_ERROR_SEEN - 1u)) >= DES_MAX_ERRORS) {
+        search(node, node->settings.bitrate, now);
+    } else if (!is_until_due) {
+        /* Nothing is due but responses. */
+    } else if (node->stage == (uint32_t)STAGE_LISTEN) {
+        choose(node, now);
+    } else if (node->stage == (uint32_t)STAGE_WAIT) {
+        set_bus(node, 0u);
+        if (send_heartbeat(node, DES_FRAME_ONCE)) {
+            node->stage = STAGE_CLAIM;
+        }
+    } else if ((node->stage == (uint32_t)STAGE_RUN) && send_heartbeat(node, 0u)) {
+        if (node->uid_in_use > 0u) {
+            node->uid_in_use--;
+        }
+        node->until += HR_TIME;
+        if (is_due(node->until, now)) {
+            node->until = now + HR_TIME;
+        }
+    } else {
+        /* The claim is being sent, or the heartbeat is tried again. */
+    }
+    if (node->stage == (uint32_t)STAGE_RUN) {
+        enter(node, node->mode); /* What is permitted may have changed. */
+        if (poll_askers(node, now) && ((node->busy & BUSY_ANY) == 0u)
+            && !is_due(node->until, now)) {
+            return node->until - now;
+        }
+    }
+    return DES_POLL_US;
+}
