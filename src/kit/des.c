@@ -37,6 +37,9 @@ enum { ASKER_FREE, ASKER_READY, ASKER_SENDING, ASKER_FLOW, ASKER_DONE };
 #define BUSY_ANY (BUSY_HEARTBEAT | BUSY_RESPONSE)
 #define IS_SILENT 0x80u
 
+/* SRC of an identifier. */
+#define ADDRESS_MASK (UINT32_C(0x7F) << 17)
+
 /* des_asker.pending and .current. */
 #define ASK_NAME 0x0001u
 #define ASK_NAME_RAW 0x0002u
@@ -46,9 +49,17 @@ enum { ASKER_FREE, ASKER_READY, ASKER_SENDING, ASKER_FLOW, ASKER_DONE };
 #define ASK_COMMAND 0x0010u
 #define ASK_FIELD 0x0020u /* The first field; the others follow. */
 
-/* des_asker.service */
-#define COMMAND_REFUSED 0x8000u
+/* Bit of des_asker.service; DES_ID_ERR of the response, 9 bits higher. */
+#define COMMAND_DONE 0x8000u
 
+/* Bytes of the shortest frame with a request. */
+#if DES_WITH_RAW
+#define MIN_REQUEST 4u
+#else
+#define MIN_REQUEST 5u
+#endif
+
+/* Type bytes of requests and responses. */
 #define TYPE_NAME 0x01u
 #define TYPE_SERVICES 0x02u
 
@@ -71,16 +82,10 @@ static void copy(uint8_t *to, const uint8_t *from, uint32_t count)
 
 uint32_t des_random(des_node *node)
 {
-    uint32_t bits = node->random + node->port->entropy(node->user);
-
-    if (bits == 0u) {
-        bits = UINT32_C(0x9E3779B9);
-    }
-    bits ^= bits << 13;
-    bits ^= bits >> 17;
-    bits ^= bits << 5;
-    node->random = bits;
-    return bits * UINT32_C(0x9E3779B1);
+    /* A linear congruential generator: its high bits are the random ones. */
+    node->random = ((node->random + node->port->entropy(node->user)) * UINT32_C(0x9E3779B1))
+        + UINT32_C(0x3C6EF35F);
+    return node->random;
 }
 
 /* ---- Modes --------------------------------------------------------------------- */
@@ -125,6 +130,7 @@ static void enter(des_node *node, uint32_t mode)
     mode = permitted(node, mode);
     if (node->mode != mode) {
         node->mode = mode;
+        node->own = (node->own & ADDRESS_MASK) | (is_working_mode(mode) ? 0u : DES_ID_U);
         node->port->event(node->user, DES_EVENT_MODE, (uint8_t)mode);
     }
 }
@@ -183,7 +189,7 @@ static void choose(des_node *node, uint32_t now)
 
     for (tries = 0u; tries < 128u; tries++) {
         if ((choice != 0u) && !is_in_use(node, choice)) {
-            node->address = choice;
+            node->own = DES_ID_U | (choice << 17);
             node->stage = STAGE_WAIT;
             node->until = now + (((des_random(node) >> 16) * (HR_TIME >> 10)) >> 6);
             return;
@@ -208,9 +214,7 @@ static void run(des_node *node, uint32_t now)
 /* Returns true if a command may change the mode to `mode`. */
 static bool can_enter(const des_node *node, uint32_t mode)
 {
-    uint32_t entered = permitted(node, mode);
-
-    return (entered == mode) || (is_working_mode(mode) && is_working_mode(entered));
+    return !is_working_mode(mode) || is_working_mode(permitted(node, mode));
 }
 
 bool des_set_mode(des_node *node, des_mode mode, uint32_t now)
@@ -243,9 +247,9 @@ bool des_set_mode(des_node *node, des_mode mode, uint32_t now)
 #define HEARTBEAT_LENGTH \
     LONGER(HEARTBEAT_UID_END, LONGER(HEARTBEAT_MODE_END, HEARTBEAT_ERROR_END))
 
-/* Sends a heartbeat, unless the one before still waits; returns false if it is to be tried
- * again. */
-static bool send_heartbeat(des_node *node, uint8_t flags)
+/* Sends the heartbeat that is due, or the claim; returns false if it is to be tried again. One
+ * whose predecessor still waits is left out. */
+static bool send_heartbeat(des_node *node)
 {
     uint8_t data[MAX_CLASSIC_DATA] = {0u};
     des_frame frame;
@@ -264,7 +268,10 @@ static bool send_heartbeat(des_node *node, uint8_t flags)
 #endif
     frame.data = data;
     frame.length = HEARTBEAT_LENGTH;
-    frame.flags = flags;
+    frame.flags = 0u;
+    if (node->stage == (uint32_t)STAGE_WAIT) {
+        frame.flags = DES_FRAME_ONCE;
+    }
     frame.id = des_unsolicited_id(node, DES_SRV_HEARTBEAT);
     if (!node->port->send(node->user, DES_SLOT_HEARTBEAT, &frame)) {
         return false;
@@ -340,29 +347,31 @@ static des_asker *ask(des_node *node, const des_frame *frame, uint32_t request, 
     return asker;
 }
 
-/* Takes a request that is answered by an empty response; returns false if it is dropped. */
-static bool command(des_node *node, const des_frame *frame, uint32_t service, uint32_t now)
+/* Takes a request that is answered by an empty response. `service`: its number, with
+ * COMMAND_DONE unless it is refused. */
+static void command(des_node *node, const des_frame *frame, uint32_t service, uint32_t now)
 {
     des_asker *asker = ask(node, frame, ASK_COMMAND, now);
 
-    if (asker == (des_asker *)0) {
-        return false;
+    if (asker != (des_asker *)0) {
+        asker->service = (uint16_t)service;
+#if DES_WITH_COMMANDS
+        asker->value = (frame->length == 0u) ? 0u : frame->data[0];
+#endif
     }
-    asker->service = (uint16_t)service;
-    asker->value = (frame->length == 0u) ? 0u : frame->data[0];
-    return true;
 }
 
 /* Takes flow control. */
 static void flow(des_node *node, const des_frame *frame, uint32_t now)
 {
     const uint8_t *data = frame->data;
+    uint32_t peer = des_id_source(frame->id);
     uint32_t at;
 
     for (at = 0u; at < DES_ASKERS; at++) {
         des_asker *asker = &node->askers[at];
 
-        if ((asker->state == (uint32_t)ASKER_FLOW) && (asker->peer == des_id_source(frame->id))) {
+        if ((asker->state == (uint32_t)ASKER_FLOW) && (asker->peer == peer)) {
             if (data[0] == 0x30u) {
                 asker->block = data[1];
                 asker->st_min = data[2];
@@ -395,7 +404,7 @@ static void receive_des(des_node *node, const des_frame *frame, bool is_served, 
         flow(node, frame, now);
         return;
     }
-    if (!is_served || (length < 4u)) {
+    if (!is_served || (length < MIN_REQUEST)) {
         return;
     }
     request = ASK_NAME;
@@ -417,14 +426,14 @@ static void receive_des(des_node *node, const des_frame *frame, bool is_served, 
     } else {
         /* A single frame. */
     }
-    if ((length < 5u) || (data[1] != 0x44u) || (data[2] != 0x45u) || (data[3] != 0x53u)) {
+    if (((MIN_REQUEST < 5u) && (length < 5u)) || (data[1] != 0x44u) || (data[2] != 0x45u) || (data[3] != 0x53u)) {
         return;
     }
     if (data[4] == TYPE_SERVICES) {
         request <<= 2;
     } else if (data[4] != TYPE_NAME) {
         if ((frame->id & DES_ID_B) == 0u) {
-            (void)command(node, frame, DES_SRV_DES | COMMAND_REFUSED, now);
+            command(node, frame, DES_SRV_DES, now);
         }
         return;
     } else {
@@ -542,7 +551,7 @@ static bool serve(des_node *node, const des_frame *frame, uint32_t now)
     }
 #endif
     if (is_known) {
-        (void)command(node, frame, service | (is_done ? 0u : COMMAND_REFUSED), now);
+        command(node, frame, service | (is_done ? COMMAND_DONE : 0u), now);
     }
     return is_known;
 #else
@@ -554,31 +563,36 @@ static bool serve(des_node *node, const des_frame *frame, uint32_t now)
 }
 
 /* Does what a command demands, after its response was sent. */
-static void act(des_node *node, uint32_t service, uint8_t value, uint32_t now)
+static void act(des_node *node, const des_asker *asker, uint32_t now)
 {
-#if DES_WITH_WRITES && !DES_WRITES_AT_RESTART
-    if (service == DES_SRV_WRITE_ADDRESS) {
-        listen(node, STAGE_LISTEN, now);
-    }
-    if (service == DES_SRV_WRITE_BITRATE) {
-        search(node, node->settings.bitrate, now);
-    }
-#endif
+#if DES_WITH_WRITES || DES_WITH_COMMANDS
+    uint32_t service = asker->service & 0x3FFu;
+    bool is_done = (asker->service & COMMAND_DONE) != 0u;
 #if DES_WITH_COMMANDS
-    if (service == DES_SRV_MODE) {
+    uint8_t value = asker->value; /* The modes free the entry. */
+
+    if (is_done && (service == DES_SRV_MODE)) {
         (void)des_set_mode(node, (des_mode)value, now);
     }
-    if (service == DES_SRV_IDENTIFY) {
+    if (is_done && (service == DES_SRV_IDENTIFY)) {
         node->port->event(node->user, DES_EVENT_IDENTIFY, 0u);
     }
-    if (service == DES_SRV_REBOOT) {
+    if (is_done && (service == DES_SRV_REBOOT)) {
         node->port->event(node->user, DES_EVENT_REBOOT, 0u);
         search(node, node->settings.bitrate, now);
     }
 #endif
+#if DES_WITH_WRITES && !DES_WRITES_AT_RESTART
+    if (is_done && (service == DES_SRV_WRITE_ADDRESS)) {
+        listen(node, STAGE_LISTEN, now);
+    }
+    if (is_done && (service == DES_SRV_WRITE_BITRATE)) {
+        search(node, node->settings.bitrate, now);
+    }
+#endif
+#endif
     (void)node;
-    (void)service;
-    (void)value;
+    (void)asker;
     (void)now;
 }
 
@@ -588,31 +602,26 @@ static void act(des_node *node, uint32_t service, uint8_t value, uint32_t now)
  * its length; 0 if the response does not fit its framing. */
 static uint32_t put_text(const des_node *node, des_asker *asker, uint8_t *data)
 {
-    const des_device *device = node->device;
-    const uint8_t *text = (const uint8_t *)device->services;
-    uint32_t total = device->services_size;
+    const des_text *text = &node->device->services;
+    uint32_t total = text->size;
     uint32_t sent = asker->sent;
     uint32_t capacity = MAX_CLASSIC_DATA;
     uint32_t head = 1u;
     uint32_t left;
-    uint8_t type = TYPE_SERVICES;
 
     if ((asker->current & (ASK_NAME | ASK_NAME_RAW)) != 0u) {
-        text = (const uint8_t *)device->name;
-        total = device->name_size;
-        type = TYPE_NAME;
+        text = &node->device->name;
+        total = text->size;
     } else if (node->mode == (uint32_t)DES_MODE_BOOT) {
-        total = 0u; /* Without firmware it has no services. */
+        total = 1u; /* Without firmware it has no services. */
     } else {
         /* Services. */
     }
-    total++; /* The type byte. */
 #if DES_WITH_FD
     if ((asker->flags & DES_FRAME_FD) != 0u) {
         capacity = MAX_DATA;
     }
 #endif
-    left = total - sent;
     data[0] = (uint8_t)(0x20u | (asker->sequence & 0x0Fu));
 #if DES_WITH_RAW
     if ((asker->current & (ASK_NAME_RAW | ASK_SERVICES_RAW)) != 0u) {
@@ -637,21 +646,14 @@ static uint32_t put_text(const des_node *node, des_asker *asker, uint8_t *data)
     } else {
         /* A consecutive frame. */
     }
-    data = &data[head];
+    left = total - sent;
     if (left > (capacity - head)) {
         left = capacity - head;
     }
     asker->sent = (uint16_t)(sent + left);
     asker->left = (uint16_t)(total - sent - left);
-    head += left;
-    if (sent == 0u) {
-        data[0] = type;
-        data++;
-        left--;
-        sent++;
-    }
-    copy(data, &text[sent - 1u], left);
-    return head;
+    copy(&data[head], (const uint8_t *)&text->bytes[sent], left);
+    return head + left;
 }
 
 /* Sends the next frame to a requester, if the transmit buffer takes it. */
@@ -659,9 +661,8 @@ static void respond(des_node *node, des_asker *asker)
 {
     uint8_t data[MAX_DATA];
     des_frame frame;
-    uint32_t service = DES_SRV_DES;
+    uint32_t id = DES_ID_ERR | DES_SRV_DES;
     uint32_t length = 0u;
-    bool is_done = true;
     uint16_t sent;
 
     if (asker->current == 0u) {
@@ -674,11 +675,12 @@ static void respond(des_node *node, des_asker *asker)
     sent = asker->sent;
     if ((asker->current & ASK_TEXT) != 0u) {
         length = put_text(node, asker, data);
-        is_done = length != 0u;
+        if (length == 0u) {
+            id = DES_SRV_DES;
+        }
     } else {
         if (asker->current == ASK_COMMAND) {
-            service = asker->service & 0x3FFu;
-            is_done = (asker->service & COMMAND_REFUSED) == 0u;
+            id = (asker->service & 0x3FFu) | ((uint32_t)(asker->service & COMMAND_DONE) << 9);
         }
 #if DES_WITH_DESCRIPTOR
         else {
@@ -693,7 +695,7 @@ static void respond(des_node *node, des_asker *asker)
             if (bit >= ((uint32_t)ASK_FIELD << FIRST_SETTING)) {
                 from = (const uint8_t *)&node->settings;
             }
-            service = field->service;
+            id = DES_ID_ERR | field->service;
             length = field->length;
             copy(data, &from[field->at], length);
         }
@@ -713,8 +715,7 @@ static void respond(des_node *node, des_asker *asker)
 #endif
     frame.length = (uint8_t)length;
     frame.data = data;
-    frame.id = (des_is_working(node) ? 0u : DES_ID_U) | DES_ID_R | (is_done ? DES_ID_ERR : 0u)
-        | (node->address << 17) | ((uint32_t)asker->peer << 10) | service;
+    frame.id = node->own | DES_ID_R | id | ((uint32_t)asker->peer << 10);
     if (node->port->send(node->user, DES_SLOT_RESPONSE, &frame)) {
         node->busy |= BUSY_RESPONSE;
         node->turn = asker;
@@ -730,16 +731,13 @@ static void response_sent(des_node *node, bool is_sent, uint32_t now)
 {
     des_asker *asker = node->turn;
 
-    if (asker->state != (uint32_t)ASKER_SENDING) {
-        return; /* The mode has changed meanwhile. */
-    }
     if (!is_sent || (asker->left == 0u) || (asker->current == 0u)) {
         bool is_command = is_sent && (asker->current == ASK_COMMAND);
 
         asker->state = ASKER_DONE;
         asker->at = now;
         if (is_command) {
-            act(node, asker->service, asker->value, now);
+            act(node, asker, now);
         }
     } else {
         uint32_t separation = asker->st_min * UINT32_C(1000);
@@ -782,6 +780,7 @@ static void collect(des_node *node, uint32_t now)
                 /* Chooses again. The controller stays active: two nodes on an empty bus need
                  * each other's acknowledgement. */
                 node->stage = STAGE_LISTEN;
+                node->until = now;
             }
         }
     }
@@ -810,23 +809,25 @@ bool des_receive(des_node *node, const des_frame *frame, uint32_t now)
 {
     uint32_t id = frame->id;
     uint32_t service = des_id_service(id);
+    bool is_conforming;
     bool is_working;
 
     collect(node, now);
-    if (node->stage == (uint32_t)STAGE_INIT) {
-        listen(node, STAGE_LISTEN, now); /* A frame: the bit rate is right. */
+    is_conforming = des_id_is_conforming(id);
+    /* In INIT any frame shows that the bit rate is right. Another user of its address moves a
+     * node, but not in IDLE (CAN platform 3.2.4.5), nor a claim a working node (3.2.4.4). */
+    if ((node->stage == (uint32_t)STAGE_INIT)
+        || (is_conforming && (node->stage >= (uint32_t)STAGE_WAIT)
+            && (((id ^ node->own) & ADDRESS_MASK) == 0u)
+            && (node->mode != (uint32_t)DES_MODE_IDLE)
+            && ((id & ~node->own & DES_ID_U) == 0u))) {
+        listen(node, STAGE_LISTEN, now);
     }
-    if (!des_id_is_conforming(id)) {
+    if (!is_conforming) {
         return false;
     }
     check_uid(node, frame);
     is_working = des_is_working(node);
-    /* In IDLE it does not check for other users of its address (CAN platform 3.2.4.5), and a
-     * claim does not move a working node (3.2.4.4). */
-    if ((node->stage >= (uint32_t)STAGE_WAIT) && (des_id_source(id) == node->address)
-        && (node->mode != (uint32_t)DES_MODE_IDLE) && (!is_working || ((id & DES_ID_U) == 0u))) {
-        listen(node, STAGE_LISTEN, now);
-    }
     if (node->stage != (uint32_t)STAGE_RUN) {
         note_address(node, des_id_source(id));
         if ((id & DES_ID_B) == 0u) {
@@ -834,7 +835,7 @@ bool des_receive(des_node *node, const des_frame *frame, uint32_t now)
         }
         return false;
     }
-    if (((id & DES_ID_B) == 0u) && (des_id_destination(id) != node->address)) {
+    if (((id & DES_ID_B) == 0u) && ((((id << 7) ^ node->own) & ADDRESS_MASK) != 0u)) {
         return false;
     }
     if ((id & DES_ID_R) != 0u) {
@@ -857,7 +858,7 @@ bool des_receive(des_node *node, const des_frame *frame, uint32_t now)
 static bool poll_askers(des_node *node, uint32_t now)
 {
     des_asker *asker = node->turn;
-    bool is_idle = true;
+    uint32_t states = ASKER_FREE;
     uint32_t at;
 
     for (at = 0u; at < DES_ASKERS; at++) {
@@ -877,48 +878,61 @@ static bool poll_askers(des_node *node, uint32_t now)
             && ((node->busy & BUSY_RESPONSE) == 0u)) {
             respond(node, asker);
         }
-        is_idle = is_idle && (asker->state == (uint32_t)ASKER_FREE);
+        states |= asker->state;
     }
-    return is_idle;
+    return states == (uint32_t)ASKER_FREE;
+}
+
+/* Does what is due in the stage. */
+static void poll_stage(des_node *node, uint32_t now)
+{
+    if (node->stage <= (uint32_t)STAGE_LISTEN) {
+        if (node->stage == (uint32_t)STAGE_LISTEN) {
+            choose(node, now);
+        } else {
+            listen(node, STAGE_LISTEN, now); /* No node is there yet. */
+        }
+    } else if (node->stage != (uint32_t)STAGE_CLAIM) {
+        set_bus(node, 0u); /* Until the first claim it was silent. */
+        if (send_heartbeat(node)) {
+            if (node->stage == (uint32_t)STAGE_WAIT) {
+                node->stage = STAGE_CLAIM;
+            }
+            if (node->uid_in_use > 0u) {
+                node->uid_in_use--;
+            }
+            node->until += HR_TIME;
+            if (is_due(node->until, now)) {
+                node->until = now + HR_TIME;
+            }
+        }
+    } else {
+        /* The claim is being sent. */
+    }
 }
 
 uint32_t des_poll(des_node *node, uint32_t now)
 {
     uint32_t errors;
-    bool is_until_due;
 
     collect(node, now);
     errors = node->port->errors(node->user);
-    is_until_due = is_due(node->until, now);
     if (node->stage == (uint32_t)STAGE_INIT) {
-        if ((errors & DES_ERROR_SEEN) != 0u) {
-            search(node, node->rate + (uint32_t)(node->settings.bitrate >> 7), now);
-        } else if (is_until_due) {
-            listen(node, STAGE_LISTEN, now); /* No node is there yet. */
-        } else {
-            /* Listens on. */
-        }
-    } else if ((errors & (DES_ERROR_SEEN - 1u)) >= DES_MAX_ERRORS) {
-        search(node, node->settings.bitrate, now);
-    } else if (!is_until_due) {
-        /* Nothing is due but responses. */
-    } else if (node->stage == (uint32_t)STAGE_LISTEN) {
-        choose(node, now);
-    } else if (node->stage == (uint32_t)STAGE_WAIT) {
-        set_bus(node, 0u);
-        if (send_heartbeat(node, DES_FRAME_ONCE)) {
-            node->stage = STAGE_CLAIM;
-        }
-    } else if ((node->stage == (uint32_t)STAGE_RUN) && send_heartbeat(node, 0u)) {
-        if (node->uid_in_use > 0u) {
-            node->uid_in_use--;
-        }
-        node->until += HR_TIME;
-        if (is_due(node->until, now)) {
-            node->until = now + HR_TIME;
+        /* Bus errors: another bit rate, unless it is fixed. */
+        errors &= DES_ERROR_SEEN;
+        if (errors != 0u) {
+            node->rate = (uint8_t)(node->rate + (node->settings.bitrate >> 7));
         }
     } else {
-        /* The claim is being sent, or the heartbeat is tried again. */
+        errors = ((errors & (DES_ERROR_SEEN - 1u)) >= DES_MAX_ERRORS) ? 1u : 0u;
+        node->rate = (errors != 0u) ? node->settings.bitrate : node->rate;
+    }
+    if (errors != 0u) {
+        search(node, node->rate, now);
+    } else if (is_due(node->until, now)) {
+        poll_stage(node, now);
+    } else {
+        /* Nothing is due but responses. */
     }
     if (node->stage == (uint32_t)STAGE_RUN) {
         enter(node, node->mode); /* What is permitted may have changed. */

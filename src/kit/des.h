@@ -227,21 +227,28 @@ typedef struct {
  * rate beginning with 125 kbit/s. */
 #define DES_SETTINGS_BLANK { { 0u, 0u, 0u, 0u, 0u, 0u }, 0u, 0x80u, 0u }
 
+/* A response of DES: its type byte, 1 or 2, then its text. */
+typedef struct {
+    const char *bytes;
+    uint16_t size; /* 1 to 4095 bytes. */
+} des_text;
+
 /* What the device is; constant, usually in flash. */
 typedef struct {
-    const char *name;       /* Name; 5 characters or less fit one classic frame. */
-    const char *services;   /* Services as built with DES_SERVICE. */
-    uint16_t name_size;     /* Bytes of name, its terminating zero included; at most 4094. */
-    uint16_t services_size; /* Bytes of services; at most 4094. */
-    uint8_t info[19];       /* Constant fields of the descriptor, as built with DES_INFO. */
+    des_text name;     /* As built with DES_NAME_TEXT. */
+    des_text services; /* As built with DES_SERVICES_TEXT. */
+    uint8_t info[19];  /* Constant fields of the descriptor, as built with DES_INFO. */
 } des_device;
+
+/* The text of a name, a string; 5 characters or less fit one classic frame. */
+#define DES_NAME_TEXT(name) { "\1" name, sizeof("\1" name) }
+
+/* The text of the services, in the order of their indices; of no services: "". */
+#define DES_SERVICES_TEXT(services) { "\2" services, sizeof("\2" services) - 1u }
 
 /* One service: its index as a string of one character ("\0", "\1", ...), its name
  * and its version. A list: DES_SERVICE("\0", "DES", "1.0") DES_SERVICE("\1", "FLOW", "2.1") */
 #define DES_SERVICE(index, name, version) index name "\0" version "\0"
-
-/* The first four members of a des_device, from DES_NAME and DES_SERVICES. */
-#define DES_TEXTS DES_NAME, DES_SERVICES, sizeof(DES_NAME), sizeof(DES_SERVICES) - 1u
 
 /* The bytes of a number, in the order of the bus. */
 #if DES_BIG_ENDIAN
@@ -361,7 +368,7 @@ typedef struct {
     uint32_t until;     /* End of the stage; in RUN when the next heartbeat is due. */
     uint32_t stage;
     uint32_t mode;
-    uint32_t address;   /* The address that is used, or chosen. */
+    uint32_t own;       /* U and SRC of its identifiers. */
     uint32_t busy;      /* Transmit buffers with a frame, one bit each. */
     uint32_t random;    /* State of the generator. */
     des_asker *turn;    /* Requester whose frame was sent last. */
@@ -397,7 +404,7 @@ uint32_t des_poll(des_node *node, uint32_t now);
 /* Changes the mode, as a command from the bus does: INIT begins again, ARSLV resolves the
  * address anew; the others need an address. Returns false if that is not possible: WORK and
  * UFUNC need a configured address, a UID that is not blank and not used by a working node,
- * and des_set_limit to permit them. */
+ * and des_set_limit to permit them. `mode` is one of the seven. */
 bool des_set_mode(des_node *node, des_mode mode, uint32_t now);
 
 /* Limits what the node enters: DES_MODE_WORK (no limit, as after des_init), DES_MODE_CFG
@@ -415,29 +422,8 @@ static inline void des_set_error(des_node *node, uint8_t error)
     node->error = error;
 }
 
-/* Returns 32 random bits, for RND7 and delays of the application. */
+/* Returns a random number, for RND7 and delays of the application: use its high bits. */
 uint32_t des_random(des_node *node);
-
-/* Returns the mode. */
-static inline des_mode des_get_mode(const des_node *node)
-{
-    return (des_mode)node->mode;
-}
-
-/* Returns true in WORK and UFUNC: the node may send requests. */
-static inline bool des_is_working(const des_node *node)
-{
-    return (node->mode == (uint32_t)DES_MODE_WORK) || (node->mode == (uint32_t)DES_MODE_UFUNC);
-}
-
-/* Returns the node's address; 0 in INIT and ARSLV, when it has none and must not send. */
-static inline uint8_t des_get_address(const des_node *node)
-{
-    bool has_none = (node->mode == (uint32_t)DES_MODE_INIT)
-        || (node->mode == (uint32_t)DES_MODE_ARSLV);
-
-    return has_none ? 0u : (uint8_t)node->address;
-}
 
 /* ---- Identifiers, for the application ------------------------------------------ */
 
@@ -473,25 +459,45 @@ static inline bool des_id_is_conforming(uint32_t id)
         && ((flags != 0x1Fu) || (des_id_destination(id) == 127u));
 }
 
+/* Returns the mode. */
+static inline des_mode des_get_mode(const des_node *node)
+{
+    return (des_mode)node->mode;
+}
+
+/* Returns true in WORK and UFUNC: the node may send requests. */
+static inline bool des_is_working(const des_node *node)
+{
+    return (node->own & DES_ID_U) == 0u;
+}
+
+/* Returns the node's address; 0 in INIT and ARSLV, when it has none and must not send. */
+static inline uint8_t des_get_address(const des_node *node)
+{
+    bool has_none = (node->mode == (uint32_t)DES_MODE_INIT)
+        || (node->mode == (uint32_t)DES_MODE_ARSLV);
+
+    return has_none ? 0u : des_id_source(node->own);
+}
+
 /* Returns the identifier of the response to a request; ok = false: with ERR = 0. */
 static inline uint32_t des_response_id(const des_node *node, uint32_t request, bool ok)
 {
-    return (des_is_working(node) ? 0u : DES_ID_U) | DES_ID_R | (ok ? DES_ID_ERR : 0u)
-        | (node->address << 17) | ((uint32_t)des_id_source(request) << 10)
-        | des_id_service(request);
+    return node->own | DES_ID_R | (ok ? DES_ID_ERR : 0u)
+        | ((uint32_t)des_id_source(request) << 10) | des_id_service(request);
 }
 
 /* Returns the identifier of unsolicited data to all, with a new random DST. */
 static inline uint32_t des_unsolicited_id(des_node *node, uint16_t service)
 {
-    return (des_is_working(node) ? 0u : DES_ID_U) | DES_ID_R | DES_ID_B | DES_ID_ERR
-        | (node->address << 17) | ((des_random(node) >> 25) << 10) | service;
+    return node->own | DES_ID_R | DES_ID_B | DES_ID_ERR | ((des_random(node) >> 25) << 10)
+        | service;
 }
 
 /* Returns the identifier of a request to one working node. Only working nodes send it. */
 static inline uint32_t des_request_id(const des_node *node, uint8_t to, uint16_t service)
 {
-    return (node->address << 17) | ((uint32_t)to << 10) | service;
+    return node->own | ((uint32_t)to << 10) | service;
 }
 
 /* An acceptance filter: a frame passes if (id & mask) == filter id. */

@@ -41,6 +41,7 @@ mod guide;
 mod heartbeat_periods;
 mod history;
 mod indexed_log;
+mod kit;
 mod learning;
 mod log;
 mod log_command;

@@ -42,8 +42,8 @@ typedef struct {
     des_tx results[2];
     bool refuses;
     bool is_locked;
-    char name[4096];
-    char services[4096];
+    char name[4098];
+    char services[4098];
 } board;
 
 static board boards[NODES];
@@ -151,10 +151,12 @@ static void set_up(board *own, char **words)
     des_device device = DEVICE;
 
     memset(own, 0, sizeof(*own));
-    device.name = own->name;
-    device.services = own->services;
-    device.name_size = (uint16_t)(from_hex(words[0], own->name) + 1u);
-    device.services_size = (uint16_t)from_hex(words[1], own->services);
+    own->name[0] = 1;
+    own->services[0] = 2;
+    device.name.bytes = own->name;
+    device.name.size = (uint16_t)(from_hex(words[0], &own->name[1]) + 2u);
+    device.services.bytes = own->services;
+    device.services.size = (uint16_t)(from_hex(words[1], &own->services[1]) + 1u);
     memcpy(&own->device, &device, sizeof(device));
     (void)from_hex(words[2], bytes);
     memcpy(own->settings.uid, bytes, 6);

@@ -61,7 +61,7 @@ static bool port_send(void *user, uint8_t slot, const des_frame *frame)
     CHECK(!own->is_silent);
     CHECK(frame->length <= 8u || (is_fd && is_fd_length));
     CHECK(des_id_is_conforming(frame->id) && (frame->id & DES_ID_R) != 0u);
-    CHECK(des_id_source(frame->id) == own->node.address && own->node.address != 0u);
+    CHECK(des_id_source(frame->id) == des_id_source(own->node.own) && des_id_source(own->node.own) != 0u);
     for (at = 0u; at < frame->length; at++) {
         sum = (uint8_t)(sum + frame->data[at]);
     }
@@ -99,7 +99,7 @@ static void port_bus(void *user, uint8_t rate, bool silent)
 static uint32_t port_errors(void *user)
 {
     (void)user;
-    return below(4000u) == 0u ? below(1024u) : below(100u);
+    return below(20000u) == 0u ? below(1024u) : below(100u);
 }
 
 static uint32_t port_entropy(void *user)
@@ -129,8 +129,9 @@ static const des_port PORT = {port_send,    port_sent, port_bus,   port_errors,
                               port_entropy, port_load, port_store, port_event};
 
 #define LONG_NAME "A NAME THAT IS LONGER THAN ONE FRAME, AND THAN A SINGLE FRAME OF CAN FD TOO"
-static const char SERVICES[] = DES_SERVICE("\0", "DES", "1.0") DES_SERVICE("\1", "AUGER", "2.1")
-    DES_SERVICE("\2", "A SERVICE", "WITH A LONG VERSION");
+#define SERVICES                                                                          \
+    DES_SERVICE("\0", "DES", "1.0")                                                       \
+    DES_SERVICE("\1", "AUGER", "2.1") DES_SERVICE("\2", "A SERVICE", "WITH A LONG VERSION")
 
 /* Writes a random frame. The data are in memory of exactly their length. */
 static void random_frame(const board *own, des_frame *frame)
@@ -160,12 +161,12 @@ static void random_frame(const board *own, des_frame *frame)
         bool is_request = below(4u) != 0u;
 
         frame->id = is_request ? (next() & (DES_ID_D | DES_ID_B)) : (frame->id & ~DES_ID_D);
-        frame->id |= (below(4u) == 0u ? own->node.address : below(6u)) << 17;
+        frame->id |= (below(4u) == 0u ? des_id_source(own->node.own) : below(6u)) << 17;
         frame->id &= ~((uint32_t)0x7Fu << 10);
-        frame->id |= (below(4u) != 0u ? own->node.address : below(128u)) << 10;
+        frame->id |= (below(4u) != 0u ? des_id_source(own->node.own) : below(128u)) << 10;
         frame->id &= ~(uint32_t)0x3FFu;
         frame->id |= services[below(sizeof(services) / sizeof(services[0]))];
-        if (below(30u) != 0u && des_id_source(frame->id) == own->node.address) {
+        if (below(1000u) != 0u && des_id_source(frame->id) == des_id_source(own->node.own)) {
             frame->id ^= (uint32_t)0x40u << 17; /* Seldom a conflict. */
         }
     }
@@ -186,8 +187,7 @@ static void random_frame(const board *own, des_frame *frame)
 
 int main(int count, char **arguments)
 {
-    static const des_device device = {LONG_NAME, SERVICES, sizeof(LONG_NAME),
-                                      sizeof(SERVICES) - 1u, {0}};
+    static const des_device device = {DES_NAME_TEXT(LONG_NAME), DES_SERVICES_TEXT(SERVICES), {0}};
     unsigned long calls = count > 1 ? strtoul(arguments[1], NULL, 10) : 1000000ul;
     uint32_t now;
     board *own = malloc(sizeof(*own));
@@ -211,11 +211,11 @@ int main(int count, char **arguments)
             own->stored.bitrate = (uint8_t)(below(4u) | (below(4u) == 0u ? 0u : 0x80u));
             own->stored.autostart = (uint8_t)below(2u);
             des_init(&own->node, &PORT, &device, own, now);
-        } else if (dice < 4u) {
-            (void)des_set_mode(&own->node, (des_mode)below(8u), now);
-        } else if (dice < 5u) {
+        } else if (dice < 4u && below(20u) == 0u) {
+            (void)des_set_mode(&own->node, (des_mode)below(7u), now);
+        } else if (dice == 4u && below(20u) == 0u) {
             des_set_limit(&own->node, (des_mode)(below(4u) == 0u ? 2u + below(2u) : 4u));
-        } else if (dice < 6u) {
+        } else if (dice == 5u) {
             des_set_error(&own->node, (uint8_t)below(2u));
         } else if (dice < 600u) {
             des_frame frame;
@@ -227,6 +227,9 @@ int main(int count, char **arguments)
             uint32_t wait = des_poll(&own->node, now);
 
             CHECK(wait > 0u && wait <= DES_HEARTBEAT_MS * 1000u);
+            if (des_get_address(&own->node) == 0u) {
+                wait = below(300000u); /* Address resolution takes seconds. */
+            }
             now += below(4u) == 0u ? wait : below(2000u);
         }
         if (own->sent > 0u) {
