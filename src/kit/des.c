@@ -304,7 +304,7 @@ static void check_uid(des_node *node, const des_frame *frame)
 /* ---- Requests -------------------------------------------------------------------- */
 
 /* Takes a request: adds it to those of its requester. Returns the requester's entry; NULL if
- * there is none for it. */
+ * the request is dropped. */
 static des_asker *ask(des_node *node, const des_frame *frame, uint32_t request, uint32_t now)
 {
     uint32_t peer = des_id_source(frame->id);
@@ -327,38 +327,31 @@ static des_asker *ask(des_node *node, const des_frame *frame, uint32_t request, 
     }
     if (asker == (des_asker *)0) {
         node->dropped++;
-    } else {
-        if (asker->state == (uint32_t)ASKER_FREE) {
-            asker->pending = 0u;
-            asker->current = request;
-        }
-        /* A requester that asks again gave up the transfer that is under way: begin again. */
-        if (asker->current == request) {
-            asker->current = 0u;
-            if (asker->state != (uint32_t)ASKER_SENDING) {
-                asker->state = ASKER_READY;
-                asker->at = now;
-            }
-            asker->flags = frame->flags;
-            asker->peer = (uint8_t)peer;
-        }
-        asker->pending |= (uint16_t)request;
+        return asker;
     }
-    return asker;
-}
-
-/* Takes a request that is answered by an empty response. `service`: its number, with
- * COMMAND_DONE unless it is refused. */
-static void command(des_node *node, const des_frame *frame, uint32_t service, uint32_t now)
-{
-    des_asker *asker = ask(node, frame, ASK_COMMAND, now);
-
-    if (asker != (des_asker *)0) {
-        asker->service = (uint16_t)service;
-#if DES_WITH_COMMANDS
-        asker->value = (frame->length == 0u) ? 0u : frame->data[0];
+    if (asker->state == (uint32_t)ASKER_FREE) {
+        asker->pending = 0u;
+        asker->current = request;
+    }
+#if DES_WITH_WRITES || DES_WITH_COMMANDS
+    if (((asker->pending & request) == ASK_COMMAND)
+        && ((asker->current != request) || (asker->state == (uint32_t)ASKER_SENDING))) {
+        node->dropped++; /* There is room for one command. */
+        return (des_asker *)0;
+    }
 #endif
+    if (asker->current == request) {
+        /* A requester that asks again gave up the transfer that is under way: begin again. */
+        asker->current = 0u;
+        if (asker->state != (uint32_t)ASKER_SENDING) {
+            asker->state = ASKER_READY;
+            asker->at = now;
+        }
+        asker->flags = frame->flags;
+        asker->peer = (uint8_t)peer;
     }
+    asker->pending |= (uint16_t)request;
+    return asker;
 }
 
 /* Takes flow control. */
@@ -399,6 +392,7 @@ static void receive_des(des_node *node, const des_frame *frame, bool is_served, 
     const uint8_t *data = frame->data;
     uint32_t length = frame->length;
     uint32_t request;
+    des_asker *asker;
 
     if ((length >= 3u) && ((data[0] >> 4) == 3u)) {
         flow(node, frame, now);
@@ -433,7 +427,10 @@ static void receive_des(des_node *node, const des_frame *frame, bool is_served, 
         request <<= 2;
     } else if (data[4] != TYPE_NAME) {
         if ((frame->id & DES_ID_B) == 0u) {
-            command(node, frame, DES_SRV_DES, now);
+            asker = ask(node, frame, ASK_COMMAND, now);
+            if (asker != (des_asker *)0) {
+                asker->service = DES_SRV_DES; /* ERR = 0 */
+            }
         }
         return;
     } else {
@@ -506,17 +503,47 @@ static bool is_mode(uint32_t code)
         || (code == (uint32_t)DES_MODE_ARSLV) || (code == (uint32_t)DES_MODE_CFG)
         || (code == (uint32_t)DES_MODE_BOOT) || (code == (uint32_t)DES_MODE_IDLE);
 }
+
+static bool is_command(uint32_t service)
+{
+    return (service == DES_SRV_MODE) || (service == DES_SRV_IDENTIFY)
+        || (service == DES_SRV_REBOOT);
+}
 #endif
+
+/* Takes a write or a command; returns false if it is refused. */
+static bool take_command(des_node *node, uint32_t service, const uint8_t *data, uint32_t length)
+{
+    bool is_done = false;
+
+#if DES_WITH_WRITES
+    if (is_write(service) && (length != 0u)) {
+        is_done = write_setting(node, service, data, length);
+    }
+#endif
+#if DES_WITH_COMMANDS
+    if (service == DES_SRV_MODE) {
+        is_done = (length == 1u) && is_mode(data[0]) && can_enter(node, data[0]);
+    } else {
+        is_done = is_done || (service == DES_SRV_IDENTIFY)
+            || ((service == DES_SRV_REBOOT) && (length == 0u));
+    }
+#endif
+    (void)node;
+    (void)service;
+    (void)data;
+    (void)length;
+    return is_done;
+}
 
 /* Takes a targeted request for the descriptor, a write or a command; returns false if its
  * service is none of them. */
 static bool serve(des_node *node, const des_frame *frame, uint32_t now)
 {
-#if DES_WITH_DESCRIPTOR || DES_WITH_WRITES || DES_WITH_COMMANDS
     uint32_t service = des_id_service(frame->id);
     uint32_t length = frame->length;
     bool is_known = false;
-    bool is_done = false;
+    des_asker *asker;
 #if DES_WITH_DESCRIPTOR
     uint32_t at;
 
@@ -531,35 +558,25 @@ static bool serve(des_node *node, const des_frame *frame, uint32_t now)
     }
 #endif
 #if DES_WITH_WRITES
-    if (is_write(service)) {
-        is_known = true;
-        is_done = (length != 0u) && write_setting(node, service, frame->data, length);
-    }
+    is_known = is_known || is_write(service);
 #endif
 #if DES_WITH_COMMANDS
-    if (service == DES_SRV_MODE) {
-        is_known = true;
-        is_done = (length == 1u) && is_mode(frame->data[0]) && can_enter(node, frame->data[0]);
-    } else if (service == DES_SRV_REBOOT) {
-        is_known = true;
-        is_done = length == 0u;
-    } else if (service == DES_SRV_IDENTIFY) {
-        is_known = true;
-        is_done = true;
-    } else {
-        /* Not a command. */
-    }
+    is_known = is_known || is_command(service);
 #endif
-    if (is_known) {
-        command(node, frame, service | (is_done ? COMMAND_DONE : 0u), now);
+    if (!is_known) {
+        return false;
     }
-    return is_known;
-#else
-    (void)node;
-    (void)frame;
-    (void)now;
-    return false;
+    asker = ask(node, frame, ASK_COMMAND, now);
+    if (asker != (des_asker *)0) {
+        asker->service = (uint16_t)service;
+        if (take_command(node, service, frame->data, length)) {
+            asker->service |= COMMAND_DONE;
+#if DES_WITH_COMMANDS
+            asker->value = (length == 0u) ? 0u : frame->data[0];
 #endif
+        }
+    }
+    return true;
 }
 
 /* Does what a command demands, after its response was sent. */
@@ -598,9 +615,16 @@ static void act(des_node *node, const des_asker *asker, uint32_t now)
 
 /* ---- Responses --------------------------------------------------------------------- */
 
-/* Writes the next frame of a name or services response, and counts its bytes as sent. Returns
- * its length; 0 if the response does not fit its framing. */
-static uint32_t put_text(const des_node *node, des_asker *asker, uint8_t *data)
+/* What the next frame of a response carries. */
+typedef struct {
+    const uint8_t *bytes;
+    uint32_t count;
+    uint32_t head; /* Bytes of ISO-TP before them. */
+    uint32_t id;   /* ERR and SRV of the identifier. */
+} part;
+
+/* Takes the next part of a name or services response, and writes the head of its frame. */
+static void take_text(const des_node *node, des_asker *asker, uint8_t *data, part *next)
 {
     const des_text *text = &node->device->services;
     uint32_t total = text->size;
@@ -627,7 +651,8 @@ static uint32_t put_text(const des_node *node, des_asker *asker, uint8_t *data)
     if ((asker->current & (ASK_NAME_RAW | ASK_SERVICES_RAW)) != 0u) {
         head = 0u;
         if (total > capacity) {
-            return 0u;
+            next->id = DES_SRV_DES; /* ERR = 0: it does not fit. */
+            return;
         }
     } else
 #endif
@@ -647,13 +672,14 @@ static uint32_t put_text(const des_node *node, des_asker *asker, uint8_t *data)
         /* A consecutive frame. */
     }
     left = total - sent;
-    if (left > (capacity - head)) {
-        left = capacity - head;
+    next->head = head;
+    next->bytes = (const uint8_t *)&text->bytes[sent];
+    next->count = capacity - head;
+    if (left < next->count) {
+        next->count = left;
     }
-    asker->sent = (uint16_t)(sent + left);
-    asker->left = (uint16_t)(total - sent - left);
-    copy(&data[head], (const uint8_t *)&text->bytes[sent], left);
-    return head + left;
+    asker->sent = (uint16_t)(sent + next->count);
+    asker->left = (uint16_t)(left - next->count);
 }
 
 /* Sends the next frame to a requester, if the transmit buffer takes it. */
@@ -661,8 +687,8 @@ static void respond(des_node *node, des_asker *asker)
 {
     uint8_t data[MAX_DATA];
     des_frame frame;
-    uint32_t id = DES_ID_ERR | DES_SRV_DES;
-    uint32_t length = 0u;
+    part next = {data, 0u, 0u, DES_ID_ERR | DES_SRV_DES};
+    uint32_t length;
     uint16_t sent;
 
     if (asker->current == 0u) {
@@ -674,33 +700,32 @@ static void respond(des_node *node, des_asker *asker)
     }
     sent = asker->sent;
     if ((asker->current & ASK_TEXT) != 0u) {
-        length = put_text(node, asker, data);
-        if (length == 0u) {
-            id = DES_SRV_DES;
-        }
+        take_text(node, asker, data, &next);
     } else {
         if (asker->current == ASK_COMMAND) {
-            id = (asker->service & 0x3FFu) | ((uint32_t)(asker->service & COMMAND_DONE) << 9);
+            next.id = (asker->service & 0x3FFu) | ((uint32_t)(asker->service & COMMAND_DONE) << 9);
         }
 #if DES_WITH_DESCRIPTOR
         else {
             const field_place *field = FIELDS;
             uint32_t bit = ASK_FIELD;
-            const uint8_t *from = node->device->info;
 
             while (bit != asker->current) {
                 bit <<= 1;
                 field++;
             }
+            next.bytes = node->device->info;
             if (bit >= ((uint32_t)ASK_FIELD << FIRST_SETTING)) {
-                from = (const uint8_t *)&node->settings;
+                next.bytes = (const uint8_t *)&node->settings;
             }
-            id = DES_ID_ERR | field->service;
-            length = field->length;
-            copy(data, &from[field->at], length);
+            next.bytes = &next.bytes[field->at];
+            next.count = field->length;
+            next.id = DES_ID_ERR | field->service;
         }
 #endif
     }
+    copy(&data[next.head], next.bytes, next.count);
+    length = next.head + next.count;
     frame.flags = 0u;
 #if DES_WITH_FD
     if ((asker->flags & DES_FRAME_FD) != 0u) {
@@ -715,7 +740,7 @@ static void respond(des_node *node, des_asker *asker)
 #endif
     frame.length = (uint8_t)length;
     frame.data = data;
-    frame.id = node->own | DES_ID_R | id | ((uint32_t)asker->peer << 10);
+    frame.id = node->own | DES_ID_R | next.id | ((uint32_t)asker->peer << 10);
     if (node->port->send(node->user, DES_SLOT_RESPONSE, &frame)) {
         node->busy |= BUSY_RESPONSE;
         node->turn = asker;
@@ -755,34 +780,39 @@ static void response_sent(des_node *node, bool is_sent, uint32_t now)
     }
 }
 
+/* Returns what became of the frame in a transmit buffer; PENDING if it is empty. */
+static des_tx result_of(des_node *node, uint8_t slot)
+{
+    uint32_t bit = UINT32_C(1) << slot;
+    des_tx result = DES_TX_PENDING;
+
+    if ((node->busy & bit) != 0u) {
+        result = node->port->sent(node->user, slot);
+        if (result != DES_TX_PENDING) {
+            node->busy ^= bit;
+        }
+    }
+    return result;
+}
+
 /* Learns what became of the frames in the transmit buffers. */
 static void collect(des_node *node, uint32_t now)
 {
-    uint8_t slot;
+    des_tx result = result_of(node, DES_SLOT_HEARTBEAT);
 
-    for (slot = 0u; slot < 2u; slot++) {
-        des_tx result = DES_TX_PENDING;
-
-        if ((node->busy & (1u << slot)) != 0u) {
-            result = node->port->sent(node->user, slot);
+    if ((result != DES_TX_PENDING) && (node->stage == (uint32_t)STAGE_CLAIM)) {
+        if (result == DES_TX_SENT) {
+            run(node, now);
+        } else {
+            /* Chooses again. The controller stays active: two nodes on an empty bus need each
+             * other's acknowledgement. */
+            node->stage = STAGE_LISTEN;
+            node->until = now;
         }
-        if (result != DES_TX_PENDING) {
-            bool is_sent = result == DES_TX_SENT;
-
-            node->busy &= ~(1u << slot);
-            if (slot == DES_SLOT_RESPONSE) {
-                response_sent(node, is_sent, now);
-            } else if (node->stage != (uint32_t)STAGE_CLAIM) {
-                /* A heartbeat. */
-            } else if (is_sent) {
-                run(node, now);
-            } else {
-                /* Chooses again. The controller stays active: two nodes on an empty bus need
-                 * each other's acknowledgement. */
-                node->stage = STAGE_LISTEN;
-                node->until = now;
-            }
-        }
+    }
+    result = result_of(node, DES_SLOT_RESPONSE);
+    if (result != DES_TX_PENDING) {
+        response_sent(node, result == DES_TX_SENT, now);
     }
 }
 

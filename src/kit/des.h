@@ -374,13 +374,13 @@ typedef struct {
     des_asker *turn;    /* Requester whose frame was sent last. */
     des_asker askers[DES_ASKERS];
     uint32_t in_use[4]; /* Addresses in use, one bit each. */
-    des_settings settings;
-    uint8_t rate;
     uint8_t limit;
     uint8_t error;
     uint8_t uid_in_use; /* Heartbeats until a working node with the same UID is forgotten. */
     uint8_t dropped;    /* Requests that were dropped, modulo 256: more than DES_ASKERS
-                         * requesters, or a command before the one before was answered. */
+                         * requesters, or a command before that before was answered. */
+    des_settings settings;
+    uint8_t rate;
 } des_node;
 
 /* Starts a node in INIT, listening only: after power-on, once. Loads the settings and
