@@ -582,28 +582,32 @@ static bool serve(des_node *node, const des_frame *frame, uint32_t now)
 /* Does what a command demands, after its response was sent. */
 static void act(des_node *node, const des_asker *asker, uint32_t now)
 {
-#if DES_WITH_WRITES || DES_WITH_COMMANDS
+#if DES_WITH_COMMANDS || (DES_WITH_WRITES && !DES_WRITES_AT_RESTART)
     uint32_t service = asker->service & 0x3FFu;
-    bool is_done = (asker->service & COMMAND_DONE) != 0u;
 #if DES_WITH_COMMANDS
-    uint8_t value = asker->value; /* The modes free the entry. */
+    uint8_t value = asker->value; /* A change of the mode frees the entry. */
+#endif
 
-    if (is_done && (service == DES_SRV_MODE)) {
+    if ((asker->service & COMMAND_DONE) == 0u) {
+        return;
+    }
+#if DES_WITH_COMMANDS
+    if (service == DES_SRV_MODE) {
         (void)des_set_mode(node, (des_mode)value, now);
     }
-    if (is_done && (service == DES_SRV_IDENTIFY)) {
+    if (service == DES_SRV_IDENTIFY) {
         node->port->event(node->user, DES_EVENT_IDENTIFY, 0u);
     }
-    if (is_done && (service == DES_SRV_REBOOT)) {
+    if (service == DES_SRV_REBOOT) {
         node->port->event(node->user, DES_EVENT_REBOOT, 0u);
         search(node, node->settings.bitrate, now);
     }
 #endif
 #if DES_WITH_WRITES && !DES_WRITES_AT_RESTART
-    if (is_done && (service == DES_SRV_WRITE_ADDRESS)) {
+    if (service == DES_SRV_WRITE_ADDRESS) {
         listen(node, STAGE_LISTEN, now);
     }
-    if (is_done && (service == DES_SRV_WRITE_BITRATE)) {
+    if (service == DES_SRV_WRITE_BITRATE) {
         search(node, node->settings.bitrate, now);
     }
 #endif
@@ -636,7 +640,7 @@ static void take_text(const des_node *node, des_asker *asker, uint8_t *data, par
     if ((asker->current & (ASK_NAME | ASK_NAME_RAW)) != 0u) {
         text = &node->device->name;
         total = text->size;
-    } else if (node->mode == (uint32_t)DES_MODE_BOOT) {
+    } else if ((sent == 0u) && (node->mode == (uint32_t)DES_MODE_BOOT)) {
         total = 1u; /* Without firmware it has no services. */
     } else {
         /* Services. */

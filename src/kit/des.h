@@ -68,7 +68,7 @@ extern "C" {
 #define DES_WITH_COMMANDS 1
 #endif
 
-/* Requesters that are served at the same time, 1 to 100; 20 bytes each. The
+/* Requesters that are served at the same time, 1 to 100; 28 bytes each. The
  * requests of further ones are dropped, see des_node.dropped. */
 #ifndef DES_ASKERS
 #define DES_ASKERS 3

@@ -165,7 +165,7 @@ static void random_frame(const board *own, des_frame *frame)
         frame->id &= ~((uint32_t)0x7Fu << 10);
         frame->id |= (below(4u) != 0u ? des_id_source(own->node.own) : below(128u)) << 10;
         frame->id &= ~(uint32_t)0x3FFu;
-        frame->id |= services[below(sizeof(services) / sizeof(services[0]))];
+        frame->id |= services[below(2u) * below(sizeof(services) / sizeof(services[0]))];
         if (below(1000u) != 0u && des_id_source(frame->id) == des_id_source(own->node.own)) {
             frame->id ^= (uint32_t)0x40u << 17; /* Seldom a conflict. */
         }
@@ -217,7 +217,7 @@ int main(int count, char **arguments)
             des_set_limit(&own->node, (des_mode)(below(4u) == 0u ? 2u + below(2u) : 4u));
         } else if (dice == 5u) {
             des_set_error(&own->node, (uint8_t)below(2u));
-        } else if (dice < 600u) {
+        } else if (dice < (des_get_address(&own->node) != 0u ? 600u : 20u)) {
             des_frame frame;
 
             random_frame(own, &frame);

@@ -63,10 +63,6 @@ impl KitFrame {
     fn source(&self) -> u8 {
         (self.id >> 17 & 0x7F) as u8
     }
-
-    fn service(&self) -> u16 {
-        (self.id & 0x3FF) as u16
-    }
 }
 
 /// What a node did.

@@ -21,12 +21,12 @@ fn from(requester: u8, data: &[u8]) -> KitFrame {
 fn transfer_waits_for_flow_control() {
     let mut board = Board::running(&long());
     let first = board.exchange(&des_request(SERVICES));
-    assert_eq!(data(&first), [[0x10, 55, 2, 0, b'S', b'R', b'V', b'X']]);
+    assert_eq!(data(&first), [[0x10, 61, 2, 0, b'S', b'R', b'V', b'X']]);
     assert!(responses(&board.pass(PERIOD / 2)).is_empty());
     board.receive(&des_request(CONTINUE));
     let rest = responses(&board.pass(20_000));
     let numbers: Vec<u8> = rest.iter().map(|frame| frame.data[0]).collect();
-    assert_eq!(numbers, [0x21, 0x22, 0x23, 0x24, 0x25, 0x26, 0x27]);
+    assert_eq!(numbers, [0x21, 0x22, 0x23, 0x24, 0x25, 0x26, 0x27, 0x28]);
 }
 
 #[test]
@@ -49,7 +49,7 @@ fn block_size_and_stmin_are_kept() {
     assert!((500..3000).contains(&(times[1] - times[0])));
     board.receive(&des_request(&[0x30, 0, 0x80]));
     let times = sent(&board.pass_timed(PERIOD / 2));
-    assert_eq!(times.len(), 2);
+    assert_eq!(times.len(), 3);
     assert!((127_000..130_000).contains(&(times[1] - times[0])), "reserved: 127 ms");
 }
 
@@ -74,7 +74,7 @@ fn wait_prolongs_and_overflow_ends_a_transfer() {
         assert!(responses(&board.pass(PERIOD - 10_000)).is_empty());
     }
     board.receive(&des_request(CONTINUE));
-    assert_eq!(responses(&board.pass(20_000)).len(), 7);
+    assert_eq!(responses(&board.pass(20_000)).len(), 8);
     board.exchange(&des_request(SERVICES));
     for _ in 0..17 {
         board.receive(&des_request(&[0x31, 0, 0]));
@@ -105,7 +105,7 @@ fn repeated_request_begins_its_transfer_again() {
     board.pass(20_000);
     assert_eq!(board.exchange(&des_request(SERVICES))[0].data[0], 0x10);
     board.receive(&des_request(CONTINUE));
-    assert_eq!(responses(&board.pass(20_000)).len(), 7);
+    assert_eq!(responses(&board.pass(20_000)).len(), 8);
     // While a frame of it waits in the transmit buffer.
     board.exchange(&des_request(SERVICES));
     board.receive(&des_request(CONTINUE));
@@ -147,7 +147,7 @@ fn several_requesters_are_served_at_once() {
     for requester in [0, 5, 9] {
         let of: Vec<u8> =
             frames.iter().filter(|it| to(it) == requester).map(|it| it.data[0]).collect();
-        assert_eq!(of, [0x21, 0x22, 0x23, 0x24, 0x25, 0x26, 0x27]);
+        assert_eq!(of, [0x21, 0x22, 0x23, 0x24, 0x25, 0x26, 0x27, 0x28]);
     }
     assert_eq!(board.exchange(&from(77, NAME)).len(), 1);
 }
@@ -160,7 +160,7 @@ fn flow_control_of_others_changes_nothing() {
     assert!(responses(&board.pass(20_000)).is_empty());
     let broadcast = KitFrame::classic(0x0200_0002 | 99 << 10, CONTINUE);
     board.receive(&broadcast);
-    assert_eq!(responses(&board.pass(20_000)).len(), 7);
+    assert_eq!(responses(&board.pass(20_000)).len(), 8);
 }
 
 #[test]
@@ -171,9 +171,9 @@ fn requests_of_one_requester_are_answered_in_turn() {
     assert!(board.exchange(&des_request(b"DES\x01")).is_empty());
     board.receive(&des_request(CONTINUE));
     let frames = data(&responses(&board.pass(50_000)));
-    assert_eq!(frames.len(), 9);
-    assert_eq!(frames[7], [6, 1, b'F', b'E', b'E', b'D', 0]);
-    assert_eq!(frames[8], [1, b'F', b'E', b'E', b'D', 0]);
+    assert_eq!(frames.len(), 10);
+    assert_eq!(frames[8], [6, 1, b'F', b'E', b'E', b'D', 0]);
+    assert_eq!(frames[9], [1, b'F', b'E', b'E', b'D', 0]);
 }
 
 #[test]
@@ -186,7 +186,7 @@ fn rejected_frame_is_sent_later_unchanged() {
     board.driver.run("refuse 0 0");
     let numbers: Vec<u8> =
         responses(&board.pass(50_000)).iter().map(|frame| frame.data[0]).collect();
-    assert_eq!(numbers, [0x21, 0x22, 0x23, 0x24, 0x25, 0x26, 0x27]);
+    assert_eq!(numbers, [0x21, 0x22, 0x23, 0x24, 0x25, 0x26, 0x27, 0x28]);
 }
 
 #[test]
