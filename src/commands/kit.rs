@@ -18,7 +18,8 @@ pub fn run(args: &KitArgs) -> Result<u8, Failure> {
         services: services.map(|(name, version)| (name.to_owned(), version.to_owned())).collect(),
         has_fd: args.fd,
     };
-    let config = kit::config(&device, &profile).map_err(|fault| Failure::Usage(fault.to_string()))?;
+    let config =
+        kit::config(&device, &profile).map_err(|fault| Failure::Usage(fault.to_string()))?;
     let Some(folder) = &args.write else {
         return output::print(&config).map(|()| EXIT_OK);
     };

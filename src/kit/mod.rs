@@ -118,8 +118,9 @@ fn value(text: &mut String, name: &str, value: &str, profile: &Profile, key: Pro
 fn switches(text: &mut String, device: &KitDevice, profile: &Profile) {
     let is_set = |key| profile.origin(key) != ValueOrigin::Assumed;
     let has_writes = profile.writes.address.is_some() || profile.writes.bitrate.is_some();
-    let has_commands =
-        is_set(ProfileKey::Identify) || is_set(ProfileKey::Mode) || profile.commands.reboot.is_some();
+    let has_commands = is_set(ProfileKey::Identify)
+        || is_set(ProfileKey::Mode)
+        || profile.commands.reboot.is_some();
     let has_raw = profile.framing != FramingChoice::Isotp;
     for (name, is_on) in [
         ("FD", device.has_fd),
@@ -142,9 +143,7 @@ fn numbers(text: &mut String, profile: &Profile) {
         let number = field.service(&profile.descriptor).number();
         value(text, &name, &hex(number), profile, field.key());
     }
-    let given = |key, number: u16| {
-        (profile.origin(key) != ValueOrigin::Assumed).then_some(number)
-    };
+    let given = |key, number: u16| (profile.origin(key) != ValueOrigin::Assumed).then_some(number);
     let commands = &profile.commands;
     for (name, number) in [
         ("IDENTIFY", given(ProfileKey::Identify, commands.identify)),

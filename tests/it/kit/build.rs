@@ -66,19 +66,19 @@ bool queue_take(des_frame *frame);
 void application_receive(des_node *own, const des_frame *frame);
 ";
 
-fn root() -> &'static Path {
+pub(super) fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
 }
 
 /// A folder for what is compiled, with a des_config.h.
-fn folder(name: &str, config: &str) -> PathBuf {
+pub(super) fn folder(name: &str, config: &str) -> PathBuf {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("kit").join(name);
     std::fs::create_dir_all(&folder).unwrap();
     std::fs::write(folder.join("des_config.h"), config).unwrap();
     folder
 }
 
-fn run(command: &mut Command) -> Output {
+pub(super) fn run(command: &mut Command) -> Output {
     let output = command.output().unwrap_or_else(|error| panic!("{command:?}: {error}"));
     let text = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(output.status.success(), "{command:?}: {text}");

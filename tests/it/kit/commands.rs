@@ -1,6 +1,8 @@
 //! Descriptor, writes of settings and commands, and requests for the application.
 
-use super::{Act, Board, BoardSpec, KitFrame, PERIOD, heartbeats, mode, modes, request_id, responses};
+use super::{
+    Act, Board, BoardSpec, KitFrame, PERIOD, heartbeats, mode, modes, request_id, responses,
+};
 
 const UID: u16 = 0x011;
 const BSPD: u16 = 0x015;
@@ -85,13 +87,9 @@ fn uid_write_changes_the_heartbeat() {
 #[test]
 fn invalid_or_locked_writes_are_refused() {
     let mut board = Board::running(&BoardSpec::new(12));
-    for (service, data) in [
-        (ADDR, &[0x80][..]),
-        (ADDR, &[1, 2]),
-        (BSPD, &[4]),
-        (BSPD, &[0x84]),
-        (UID, b"SHORT"),
-    ] {
+    for (service, data) in
+        [(ADDR, &[0x80][..]), (ADDR, &[1, 2]), (BSPD, &[4]), (BSPD, &[0x84]), (UID, b"SHORT")]
+    {
         let acts = acts(&mut board, &to(service, data));
         assert_eq!(responses(&acts), refused(service), "{data:?}");
         assert_eq!(acts.len(), 1, "nothing is stored: {acts:?}");
@@ -108,8 +106,7 @@ fn mode_command_changes_the_mode_after_its_response() {
     assert_eq!(responses(&acts), done(MODE));
     assert_eq!(modes(&acts), [mode::CFG]);
     assert!(board.exchange(&to(MODE, &[mode::WORK])).is_empty(), "D = 0 is for working nodes");
-    let to_cfg =
-        |data: &[u8]| KitFrame::classic(request_id(0, 12, true, MODE), data);
+    let to_cfg = |data: &[u8]| KitFrame::classic(request_id(0, 12, true, MODE), data);
     for data in [&[7][..], &[], &[mode::WORK, 0]] {
         assert_eq!(board.exchange(&to_cfg(data))[0].id, 0x1418_0000 | u32::from(MODE));
     }

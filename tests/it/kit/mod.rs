@@ -7,6 +7,7 @@
 
 mod address_resolution;
 mod build;
+mod command;
 mod commands;
 mod transfers;
 mod vectors;
@@ -443,8 +444,7 @@ impl TestBus {
         let end = self.now + micros;
         while self.now < end {
             let due = self.nodes.iter().filter(|node| node.is_on).map(|node| node.poll_at).min();
-            let is_waiting =
-                self.nodes.iter().any(|node| node.buffers.iter().any(Option::is_some));
+            let is_waiting = self.nodes.iter().any(|node| node.buffers.iter().any(Option::is_some));
             let next = due.unwrap_or(end).max(self.now + 1);
             let next = if is_waiting { next.min(self.free_at.max(self.now + 1)) } else { next };
             self.now = next.min(end);

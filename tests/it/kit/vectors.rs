@@ -1,7 +1,7 @@
 //! The examples in tests/vectors, byte for byte.
 
-use super::{Board, BoardSpec, CONTINUE, Driver, KitFrame, NAME, SERVICES, data, des_request};
 use super::{Act, PERIOD, responses, unhex};
+use super::{Board, BoardSpec, CONTINUE, Driver, KitFrame, NAME, SERVICES, data, des_request};
 use serde_json::Value;
 
 fn vectors(text: &str) -> Vec<Value> {
@@ -72,8 +72,13 @@ fn kit_identifier_fields_match_the_vectors() {
             "DEBUG" => field("dst") == 127,
             _ => true,
         };
-        let expected =
-            format!("{} {} {} {}", field("src"), field("dst"), field("srv"), u8::from(is_conforming));
+        let expected = format!(
+            "{} {} {} {}",
+            field("src"),
+            field("dst"),
+            field("srv"),
+            u8::from(is_conforming)
+        );
         let acts = driver.run(&format!("id {}", vector["id"].as_str().unwrap()));
         assert_eq!(acts, [Act::Other(expected)], "{vector}");
     }
