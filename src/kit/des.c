@@ -835,6 +835,7 @@ void des_init(des_node *node, const des_port *port, const des_device *device, vo
     node->dropped = 0u;
     node->random = 0u;
     node->mode = DES_MODE_INIT;
+    node->own = DES_ID_U;
     port->load(user, &node->settings);
     search(node, node->settings.bitrate, now);
 }

@@ -35,9 +35,6 @@ pub enum KitFault {
     /// More than [`MAX_SERVICES`] services.
     #[error("{0} services exceed the limit of 256")]
     TooManyServices(usize),
-    /// Two modes have one code.
-    #[error("profile: modes {0} and {1} have the same code")]
-    EqualModes(Mode, Mode),
 }
 
 /// Returns the text of des_config.h.
@@ -46,9 +43,9 @@ pub enum KitFault {
 /// set are not served.
 ///
 /// # Errors
-/// [`KitFault`] if a response is too long, or the profile has two modes with one code.
+/// [`KitFault`] if a response is too long.
 pub fn config(device: &KitDevice, profile: &Profile) -> Result<String, KitFault> {
-    check(device, profile)?;
+    check(device)?;
     let mut text = String::from(
         "/*\n * des_config.h - what the device is, and the numbers of the profile, for des.h.\n \
          * Written by descan kit: change the profile and write it again.\n */\n\
@@ -62,7 +59,7 @@ pub fn config(device: &KitDevice, profile: &Profile) -> Result<String, KitFault>
     Ok(text)
 }
 
-fn check(device: &KitDevice, profile: &Profile) -> Result<(), KitFault> {
+fn check(device: &KitDevice) -> Result<(), KitFault> {
     let name = device.name.len() + 2;
     if name > MAX_MESSAGE {
         return Err(KitFault::TooLong("name", name));
@@ -74,12 +71,6 @@ fn check(device: &KitDevice, profile: &Profile) -> Result<(), KitFault> {
     let services = 1 + services.sum::<usize>();
     if services > MAX_MESSAGE {
         return Err(KitFault::TooLong("services", services));
-    }
-    let codes = profile.modes.codes();
-    for (at, code) in codes.iter().enumerate() {
-        if let Some(other) = codes[..at].iter().position(|other| other == code) {
-            return Err(KitFault::EqualModes(Mode::ALL[other], Mode::ALL[at]));
-        }
     }
     Ok(())
 }

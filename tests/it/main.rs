@@ -76,5 +76,6 @@ mod udp;
 mod undo_redo;
 mod vm_bitrate_search;
 mod vm_end_to_end;
+mod vm_kit;
 mod watch;
 mod wire_vectors;

@@ -121,9 +121,6 @@ fn header_is_refused_for_impossible_devices() {
         kit::config(&device("A", &services), &profile),
         Err(KitFault::TooLong("services", 4099))
     );
-    let equal = Profile::parse("[modes]\nWORK = 2\n").unwrap();
-    let fault = kit::config(&device("A", &[]), &equal).unwrap_err();
-    assert_eq!(fault.to_string(), "profile: modes CFG and WORK have the same code");
 }
 
 #[test]
