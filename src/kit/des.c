@@ -28,8 +28,12 @@
 /* Heartbeats for which a working node with the same UID is remembered. */
 #define UID_MEMORY 5u
 
-enum { STAGE_INIT, STAGE_LISTEN, STAGE_WAIT, STAGE_CLAIM, STAGE_RUN };
+/* The frame that is sent at the end of WAIT is a claim: its flags are a bit of the stage. */
+enum { STAGE_INIT, STAGE_LISTEN, STAGE_WAIT = DES_FRAME_ONCE, STAGE_CLAIM, STAGE_RUN };
 enum { ASKER_FREE, ASKER_READY, ASKER_SENDING, ASKER_FLOW, ASKER_DONE };
+
+/* des_node.wish: ARSLV, because another node uses the address. */
+#define WISH_MOVE (0x100u | DES_MODE_ARSLV)
 
 /* des_node.busy: one bit for each transmit buffer; and that the controller is silent. */
 #define BUSY_HEARTBEAT (1u << DES_SLOT_HEARTBEAT)
@@ -124,49 +128,13 @@ static uint32_t permitted(const des_node *node, uint32_t mode)
     return mode;
 }
 
-/* Enters a mode, as far as it is permitted. */
-static void enter(des_node *node, uint32_t mode)
-{
-    mode = permitted(node, mode);
-    if (node->mode != mode) {
-        node->mode = mode;
-        node->own = (node->own & ADDRESS_MASK) | (is_working_mode(mode) ? 0u : DES_ID_U);
-        node->port->event(node->user, DES_EVENT_MODE, (uint8_t)mode);
-    }
-}
-
+/* Configures the controller, if it is not silent or active as it is to be. */
 static void set_bus(des_node *node, uint32_t silent)
 {
     if ((node->busy & IS_SILENT) != silent) {
         node->busy = silent;
         node->port->bus(node->user, node->rate, silent != 0u);
     }
-}
-
-/* Listens for 1.5 * BUS_CFG_HR_TIME: in INIT for any frame, in ARSLV for addresses in use. */
-static void listen(des_node *node, uint32_t stage, uint32_t now)
-{
-    uint32_t at;
-
-    for (at = 0u; at < DES_ASKERS; at++) {
-        node->askers[at].state = ASKER_FREE;
-    }
-    for (at = 0u; at < 4u; at++) {
-        node->in_use[at] = 0u;
-    }
-    set_bus(node, IS_SILENT);
-    node->stage = stage;
-    node->until = now + LISTEN_TIME;
-    enter(node, (stage == (uint32_t)STAGE_INIT) ? (uint32_t)DES_MODE_INIT
-                                                : (uint32_t)DES_MODE_ARSLV);
-}
-
-/* INIT at a bit rate. */
-static void search(des_node *node, uint32_t rate, uint32_t now)
-{
-    node->rate = (uint8_t)(rate & 3u);
-    node->busy = 0u; /* The controller is configured anew in any case. */
-    listen(node, STAGE_INIT, now);
 }
 
 static bool is_in_use(const des_node *node, uint32_t address)
@@ -179,9 +147,60 @@ static void note_address(des_node *node, uint32_t address)
     node->in_use[address >> 5] |= UINT32_C(1) << (address & 31u);
 }
 
-/* ARSLV: chooses an address, to be claimed after a random part of BUS_CFG_HR_TIME; listens on
+/* Begins to listen for 1.5 * BUS_CFG_HR_TIME: in INIT for any frame, in ARSLV for addresses in
+ * use. */
+static void listen(des_node *node, bool is_init, uint32_t now)
+{
+    uint32_t rate = node->settings.bitrate;
+    uint32_t at;
+
+    if (is_init) {
+        if (node->stage == (uint32_t)STAGE_INIT) {
+            rate = node->rate + (rate >> 7); /* Bus errors: another one, unless it is fixed. */
+        }
+        node->rate = (uint8_t)(rate & 3u);
+        node->busy = 0u; /* The controller is configured anew in any case. */
+    }
+    node->stage = is_init ? STAGE_INIT : STAGE_LISTEN;
+    node->until = now + LISTEN_TIME;
+    for (at = 0u; at < 4u; at++) {
+        node->in_use[at] = 0u;
+    }
+    if (node->wish > 0xFFu) {
+        note_address(node, des_id_source(node->own));
+    }
+    for (at = 0u; at < DES_ASKERS; at++) {
+        node->askers[at].state = ASKER_FREE;
+    }
+    node->wish = DES_MODE_CFG;
+    set_bus(node, IS_SILENT);
+}
+
+/* Enters the mode that is wished, as far as it is permitted. */
+static void change_mode(des_node *node, uint32_t now)
+{
+    uint32_t mode = permitted(node, node->wish) & 0xFFu;
+
+    if ((mode == (uint32_t)DES_MODE_INIT) || (mode == (uint32_t)DES_MODE_ARSLV)) {
+        listen(node, mode == (uint32_t)DES_MODE_INIT, now);
+    } else if (node->stage == (uint32_t)STAGE_RUN) {
+        node->wish = mode;
+    } else {
+        return;
+    }
+    if (node->mode != mode) {
+        if (mode == (uint32_t)DES_MODE_IDLE) {
+            node->until = now; /* The others learn of it before it sleeps. */
+        }
+        node->mode = mode;
+        node->own = (node->own & ADDRESS_MASK) | (is_working_mode(mode) ? 0u : DES_ID_U);
+        node->port->event(node->user, DES_EVENT_MODE, (uint8_t)mode);
+    }
+}
+
+/* ARSLV: chooses an address, to be claimed after a random part of BUS_CFG_HR_TIME. Returns false
  * if it finds none that is free. */
-static void choose(des_node *node, uint32_t now)
+static bool choose(des_node *node, uint32_t now)
 {
     uint32_t setting = node->settings.address;
     uint32_t choice = setting & 0x7Fu;
@@ -192,49 +211,14 @@ static void choose(des_node *node, uint32_t now)
             node->own = DES_ID_U | (choice << 17);
             node->stage = STAGE_WAIT;
             node->until = now + (((des_random(node) >> 16) * (HR_TIME >> 10)) >> 6);
-            return;
+            return true;
         }
         if ((setting - 1u) < 0x7Fu) {
             break; /* A fixed address. */
         }
         choice = des_random(node) >> 25;
     }
-    listen(node, STAGE_LISTEN, now);
-}
-
-/* Enters the configured mode, at the address that was claimed. */
-static void run(des_node *node, uint32_t now)
-{
-    node->stage = STAGE_RUN;
-    node->until = now + HR_TIME;
-    enter(node, (node->settings.autostart != 0u) ? (uint32_t)DES_MODE_WORK
-                                                 : (uint32_t)DES_MODE_CFG);
-}
-
-/* Returns true if a command may change the mode to `mode`. */
-static bool can_enter(const des_node *node, uint32_t mode)
-{
-    return !is_working_mode(mode) || is_working_mode(permitted(node, mode));
-}
-
-bool des_set_mode(des_node *node, des_mode mode, uint32_t now)
-{
-    if (!can_enter(node, (uint32_t)mode)) {
-        return false;
-    }
-    if (mode == DES_MODE_INIT) {
-        search(node, node->settings.bitrate, now);
-    } else if (mode == DES_MODE_ARSLV) {
-        listen(node, STAGE_LISTEN, now);
-    } else if (node->stage != (uint32_t)STAGE_RUN) {
-        return false;
-    } else {
-        if (mode == DES_MODE_IDLE) {
-            node->until = now; /* The others learn of it before it sleeps. */
-        }
-        enter(node, (uint32_t)mode);
-    }
-    return true;
+    return false;
 }
 
 /* ---- Heartbeat ------------------------------------------------------------------ */
@@ -268,10 +252,7 @@ static bool send_heartbeat(des_node *node)
 #endif
     frame.data = data;
     frame.length = HEARTBEAT_LENGTH;
-    frame.flags = 0u;
-    if (node->stage == (uint32_t)STAGE_WAIT) {
-        frame.flags = DES_FRAME_ONCE;
-    }
+    frame.flags = (uint8_t)(node->stage & DES_FRAME_ONCE);
     frame.id = des_unsolicited_id(node, DES_SRV_HEARTBEAT);
     if (!node->port->send(node->user, DES_SLOT_HEARTBEAT, &frame)) {
         return false;
@@ -347,7 +328,9 @@ static des_asker *ask(des_node *node, const des_frame *frame, uint32_t request, 
             asker->state = ASKER_READY;
             asker->at = now;
         }
+#if DES_WITH_FD
         asker->flags = frame->flags;
+#endif
         asker->peer = (uint8_t)peer;
     }
     asker->pending |= (uint16_t)request;
@@ -523,7 +506,8 @@ static bool take_command(des_node *node, uint32_t service, const uint8_t *data, 
 #endif
 #if DES_WITH_COMMANDS
     if (service == DES_SRV_MODE) {
-        is_done = (length == 1u) && is_mode(data[0]) && can_enter(node, data[0]);
+        is_done = (length == 1u) && is_mode(data[0])
+            && (!is_working_mode(data[0]) || is_working_mode(permitted(node, data[0])));
     } else {
         is_done = is_done || (service == DES_SRV_IDENTIFY)
             || ((service == DES_SRV_REBOOT) && (length == 0u));
@@ -580,41 +564,37 @@ static bool serve(des_node *node, const des_frame *frame, uint32_t now)
 }
 
 /* Does what a command demands, after its response was sent. */
-static void act(des_node *node, const des_asker *asker, uint32_t now)
+static void act(des_node *node, const des_asker *asker)
 {
 #if DES_WITH_COMMANDS || (DES_WITH_WRITES && !DES_WRITES_AT_RESTART)
     uint32_t service = asker->service & 0x3FFu;
-#if DES_WITH_COMMANDS
-    uint8_t value = asker->value; /* A change of the mode frees the entry. */
-#endif
 
     if ((asker->service & COMMAND_DONE) == 0u) {
         return;
     }
 #if DES_WITH_COMMANDS
     if (service == DES_SRV_MODE) {
-        (void)des_set_mode(node, (des_mode)value, now);
+        node->wish = asker->value;
     }
     if (service == DES_SRV_IDENTIFY) {
         node->port->event(node->user, DES_EVENT_IDENTIFY, 0u);
     }
     if (service == DES_SRV_REBOOT) {
         node->port->event(node->user, DES_EVENT_REBOOT, 0u);
-        search(node, node->settings.bitrate, now);
+        node->wish = DES_MODE_INIT;
     }
 #endif
 #if DES_WITH_WRITES && !DES_WRITES_AT_RESTART
     if (service == DES_SRV_WRITE_ADDRESS) {
-        listen(node, STAGE_LISTEN, now);
+        node->wish = DES_MODE_ARSLV;
     }
     if (service == DES_SRV_WRITE_BITRATE) {
-        search(node, node->settings.bitrate, now);
+        node->wish = DES_MODE_INIT;
     }
 #endif
 #endif
     (void)node;
     (void)asker;
-    (void)now;
 }
 
 /* ---- Responses --------------------------------------------------------------------- */
@@ -707,7 +687,10 @@ static void respond(des_node *node, des_asker *asker)
         take_text(node, asker, data, &next);
     } else {
         if (asker->current == ASK_COMMAND) {
-            next.id = (asker->service & 0x3FFu) | ((uint32_t)(asker->service & COMMAND_DONE) << 9);
+            next.id = asker->service; /* Refused. */
+#if DES_WITH_WRITES || DES_WITH_COMMANDS
+            next.id = (next.id & 0x3FFu) | ((next.id & COMMAND_DONE) << 9);
+#endif
         }
 #if DES_WITH_DESCRIPTOR
         else {
@@ -761,13 +744,10 @@ static void response_sent(des_node *node, bool is_sent, uint32_t now)
     des_asker *asker = node->turn;
 
     if (!is_sent || (asker->left == 0u) || (asker->current == 0u)) {
-        bool is_command = is_sent && (asker->current == ASK_COMMAND);
-
-        asker->state = ASKER_DONE;
-        asker->at = now;
-        if (is_command) {
-            act(node, asker, now);
+        if (is_sent && (asker->current == ASK_COMMAND)) {
+            act(node, asker);
         }
+        asker->state = ASKER_DONE;
     } else {
         uint32_t separation = asker->st_min * UINT32_C(1000);
 
@@ -784,28 +764,36 @@ static void response_sent(des_node *node, bool is_sent, uint32_t now)
     }
 }
 
-/* Returns what became of the frame in a transmit buffer; PENDING if it is empty. */
-static des_tx result_of(des_node *node, uint8_t slot)
+/* Enters the configured mode, at the address that was claimed. */
+static void run(des_node *node, uint32_t now)
 {
-    uint32_t bit = UINT32_C(1) << slot;
-    des_tx result = DES_TX_PENDING;
-
-    if ((node->busy & bit) != 0u) {
-        result = node->port->sent(node->user, slot);
-        if (result != DES_TX_PENDING) {
-            node->busy ^= bit;
-        }
+    node->stage = STAGE_RUN;
+    node->until = now + HR_TIME;
+    if ((node->settings.autostart != 0u) && (node->wish == (uint32_t)DES_MODE_CFG)) {
+        node->wish = DES_MODE_WORK;
     }
-    return result;
 }
 
 /* Learns what became of the frames in the transmit buffers. */
 static void collect(des_node *node, uint32_t now)
 {
-    des_tx result = result_of(node, DES_SLOT_HEARTBEAT);
+    uint8_t slot;
 
-    if ((result != DES_TX_PENDING) && (node->stage == (uint32_t)STAGE_CLAIM)) {
-        if (result == DES_TX_SENT) {
+    for (slot = 0u; slot < 2u; slot++) {
+        des_tx result = DES_TX_PENDING;
+
+        if ((node->busy & (UINT32_C(1) << slot)) != 0u) {
+            result = node->port->sent(node->user, slot);
+        }
+        if (result == DES_TX_PENDING) {
+            continue;
+        }
+        node->busy ^= UINT32_C(1) << slot;
+        if (slot == DES_SLOT_RESPONSE) {
+            response_sent(node, result == DES_TX_SENT, now);
+        } else if (node->stage != (uint32_t)STAGE_CLAIM) {
+            /* A heartbeat. */
+        } else if (result == DES_TX_SENT) {
             run(node, now);
         } else {
             /* Chooses again. The controller stays active: two nodes on an empty bus need each
@@ -814,16 +802,11 @@ static void collect(des_node *node, uint32_t now)
             node->until = now;
         }
     }
-    result = result_of(node, DES_SLOT_RESPONSE);
-    if (result != DES_TX_PENDING) {
-        response_sent(node, result == DES_TX_SENT, now);
-    }
 }
 
 /* ---- Entry points -------------------------------------------------------------------- */
 
-void des_init(des_node *node, const des_port *port, const des_device *device, void *user,
-              uint32_t now)
+void des_init(des_node *node, const des_port *port, const des_device *device, void *user)
 {
     node->port = port;
     node->device = device;
@@ -833,36 +816,37 @@ void des_init(des_node *node, const des_port *port, const des_device *device, vo
     node->error = 0u;
     node->uid_in_use = 0u;
     node->dropped = 0u;
+    node->busy = 0u;
     node->random = 0u;
-    node->mode = DES_MODE_INIT;
     node->own = DES_ID_U;
+    node->mode = DES_MODE_INIT;
+    node->wish = DES_MODE_INIT;
+    node->stage = STAGE_LISTEN;
     port->load(user, &node->settings);
-    search(node, node->settings.bitrate, now);
 }
 
 bool des_receive(des_node *node, const des_frame *frame, uint32_t now)
 {
     uint32_t id = frame->id;
     uint32_t service = des_id_service(id);
-    bool is_conforming;
     bool is_working;
 
     collect(node, now);
-    is_conforming = des_id_is_conforming(id);
-    /* In INIT any frame shows that the bit rate is right. Another user of its address moves a
-     * node, but not in IDLE (CAN platform 3.2.4.5), nor a claim a working node (3.2.4.4). */
-    if ((node->stage == (uint32_t)STAGE_INIT)
-        || (is_conforming && (node->stage >= (uint32_t)STAGE_WAIT)
-            && (((id ^ node->own) & ADDRESS_MASK) == 0u)
-            && (node->mode != (uint32_t)DES_MODE_IDLE)
-            && ((id & ~node->own & DES_ID_U) == 0u))) {
-        listen(node, STAGE_LISTEN, now);
+    if (node->stage == (uint32_t)STAGE_INIT) {
+        node->wish = DES_MODE_ARSLV; /* A frame: the bit rate is right. */
     }
-    if (!is_conforming) {
+    if (!des_id_is_conforming(id)) {
         return false;
     }
     check_uid(node, frame);
     is_working = des_is_working(node);
+    /* Another user of its address moves a node, but not in IDLE (CAN platform 3.2.4.5), nor a
+     * claim a working node (3.2.4.4). */
+    if ((node->stage >= (uint32_t)STAGE_WAIT) && (((id ^ node->own) & ADDRESS_MASK) == 0u)
+        && (node->mode != (uint32_t)DES_MODE_IDLE) && ((id & ~node->own & DES_ID_U) == 0u)) {
+        node->wish = WISH_MOVE;
+        return false;
+    }
     if (node->stage != (uint32_t)STAGE_RUN) {
         note_address(node, des_id_source(id));
         if ((id & DES_ID_B) == 0u) {
@@ -918,31 +902,21 @@ static bool poll_askers(des_node *node, uint32_t now)
     return states == (uint32_t)ASKER_FREE;
 }
 
-/* Does what is due in the stage. */
-static void poll_stage(des_node *node, uint32_t now)
+/* Sends the heartbeat that is due, or the claim. */
+static void beat(des_node *node, uint32_t now)
 {
-    if (node->stage <= (uint32_t)STAGE_LISTEN) {
-        if (node->stage == (uint32_t)STAGE_LISTEN) {
-            choose(node, now);
-        } else {
-            listen(node, STAGE_LISTEN, now); /* No node is there yet. */
+    set_bus(node, 0u); /* Until the first claim it was silent. */
+    if (send_heartbeat(node)) {
+        if (node->stage == (uint32_t)STAGE_WAIT) {
+            node->stage = STAGE_CLAIM;
         }
-    } else if (node->stage != (uint32_t)STAGE_CLAIM) {
-        set_bus(node, 0u); /* Until the first claim it was silent. */
-        if (send_heartbeat(node)) {
-            if (node->stage == (uint32_t)STAGE_WAIT) {
-                node->stage = STAGE_CLAIM;
-            }
-            if (node->uid_in_use > 0u) {
-                node->uid_in_use--;
-            }
-            node->until += HR_TIME;
-            if (is_due(node->until, now)) {
-                node->until = now + HR_TIME;
-            }
+        if (node->uid_in_use > 0u) {
+            node->uid_in_use--;
         }
-    } else {
-        /* The claim is being sent. */
+        node->until += HR_TIME;
+        if (is_due(node->until, now)) {
+            node->until = now + HR_TIME;
+        }
     }
 }
 
@@ -952,29 +926,31 @@ uint32_t des_poll(des_node *node, uint32_t now)
 
     collect(node, now);
     errors = node->port->errors(node->user);
-    if (node->stage == (uint32_t)STAGE_INIT) {
-        /* Bus errors: another bit rate, unless it is fixed. */
-        errors &= DES_ERROR_SEEN;
-        if (errors != 0u) {
-            node->rate = (uint8_t)(node->rate + (node->settings.bitrate >> 7));
+    if (node->stage != (uint32_t)STAGE_INIT) {
+        if ((errors & (DES_ERROR_SEEN - 1u)) >= DES_MAX_ERRORS) {
+            node->wish = DES_MODE_INIT;
         }
+    } else if (((errors & DES_ERROR_SEEN) != 0u) && (node->wish != (uint32_t)DES_MODE_ARSLV)) {
+        node->wish = DES_MODE_INIT;
     } else {
-        errors = ((errors & (DES_ERROR_SEEN - 1u)) >= DES_MAX_ERRORS) ? 1u : 0u;
-        node->rate = (errors != 0u) ? node->settings.bitrate : node->rate;
+        /* Listens on, or has received a frame. */
     }
-    if (errors != 0u) {
-        search(node, node->rate, now);
-    } else if (is_due(node->until, now)) {
-        poll_stage(node, now);
-    } else {
-        /* Nothing is due but responses. */
-    }
-    if (node->stage == (uint32_t)STAGE_RUN) {
-        enter(node, node->mode); /* What is permitted may have changed. */
-        if (poll_askers(node, now) && ((node->busy & BUSY_ANY) == 0u)
-            && !is_due(node->until, now)) {
-            return node->until - now;
+    change_mode(node, now);
+    if (is_due(node->until, now)) {
+        if (node->stage <= (uint32_t)STAGE_LISTEN) {
+            /* INIT: no node is there yet. ARSLV: no address is free. */
+            if ((node->stage == (uint32_t)STAGE_INIT) || !choose(node, now)) {
+                node->wish = DES_MODE_ARSLV;
+            }
+        } else if (node->stage != (uint32_t)STAGE_CLAIM) {
+            beat(node, now);
+        } else {
+            /* The claim is being sent. */
         }
+    }
+    if ((node->stage == (uint32_t)STAGE_RUN) && poll_askers(node, now)
+        && ((node->busy & BUSY_ANY) == 0u) && !is_due(node->until, now)) {
+        return node->until - now;
     }
     return DES_POLL_US;
 }

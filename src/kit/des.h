@@ -17,7 +17,7 @@
  *
  *     static des_node node;
  *
- *     des_init(&node, &port, &device, NULL, now_us());
+ *     des_init(&node, &port, &device, NULL);
  *     for (;;) {
  *         while (can_receive(&frame)) {
  *             if (des_receive(&node, &frame, now_us())) {
@@ -29,8 +29,8 @@
  *
  * Context: all functions of one node are called from one context, usually the
  * main loop, with frames from a queue that an interrupt fills. The kit calls the
- * functions of des_port from des_init, des_receive, des_poll, des_set_mode and
- * des_random, never from elsewhere; they must not call the kit. Several nodes (two CAN controllers) are independent of each other.
+ * functions of des_port from des_init, des_receive, des_poll and des_random, never
+ * from elsewhere; they must not call the kit. Several nodes (two CAN controllers) are independent of each other.
  *
  * Time: microseconds, an unsigned 32-bit number that wraps from 0xFFFFFFFF to 0.
  * Each call has the present time. At most 30 minutes may pass between two calls.
@@ -368,12 +368,13 @@ typedef struct {
     uint32_t until;     /* End of the stage; in RUN when the next heartbeat is due. */
     uint32_t stage;
     uint32_t mode;
+    uint32_t wish;      /* Mode to be entered with the next des_poll. */
     uint32_t own;       /* U and SRC of its identifiers. */
     uint32_t busy;      /* Transmit buffers with a frame, one bit each. */
     uint32_t random;    /* State of the generator. */
     des_asker *turn;    /* Requester whose frame was sent last. */
-    des_asker askers[DES_ASKERS];
     uint32_t in_use[4]; /* Addresses in use, one bit each. */
+    des_asker askers[DES_ASKERS];
     uint8_t limit;
     uint8_t error;
     uint8_t uid_in_use; /* Heartbeats until a working node with the same UID is forgotten. */
@@ -383,11 +384,9 @@ typedef struct {
     uint8_t rate;
 } des_node;
 
-/* Starts a node in INIT, listening only: after power-on, once. Loads the settings and
- * configures the controller, which must be able to work. `port` and `device` stay in use;
- * `user` is passed to the functions of `port`. */
-void des_init(des_node *node, const des_port *port, const des_device *device, void *user,
-              uint32_t now);
+/* Prepares a node that begins in INIT with the next des_poll: after power-on, once. Loads the
+ * settings. `port` and `device` stay in use; `user` is passed to the functions of `port`. */
+void des_init(des_node *node, const des_port *port, const des_device *device, void *user);
 
 /* Takes a received frame, in the order of reception; des_poll should follow soon. Frames
  * that the controller itself sent are not passed. Returns true if the frame is for the
@@ -401,11 +400,14 @@ bool des_receive(des_node *node, const des_frame *frame, uint32_t now);
  * called again, at most one heartbeat period. */
 uint32_t des_poll(des_node *node, uint32_t now);
 
-/* Changes the mode, as a command from the bus does: INIT begins again, ARSLV resolves the
- * address anew; the others need an address. Returns false if that is not possible: WORK and
- * UFUNC need a configured address, a UID that is not blank and not used by a working node,
- * and des_set_limit to permit them. `mode` is one of the seven. */
-bool des_set_mode(des_node *node, des_mode mode, uint32_t now);
+/* Changes the mode with the next des_poll, as a command from the bus does: INIT begins again,
+ * ARSLV resolves the address anew; the others need an address, and WORK and UFUNC also a
+ * configured address, a UID that is not blank and not used by a working node, and des_set_limit
+ * to permit them. DES_EVENT_MODE informs of the mode that was entered. */
+static inline void des_set_mode(des_node *node, des_mode mode)
+{
+    node->wish = (uint32_t)mode;
+}
 
 /* Limits what the node enters: DES_MODE_WORK (no limit, as after des_init), DES_MODE_CFG
  * (supply voltage for configuration only, failed self-test) or DES_MODE_BOOT (no

@@ -13,7 +13,7 @@
  *     errors N VALUE     what the function `errors` returns, until the next call of bus
  *     refuse N B         1: the transmit buffers take no frame
  *     locked N B         1: settings cannot be stored
- *     mode N M           des_set_mode; prints "false" if it returns false
+ *     mode N M           des_set_mode
  *     limit N M          des_set_limit
  *     fault N E          des_set_error
  *     dropped N          prints "dropped COUNT"
@@ -206,7 +206,7 @@ static void run(char **words)
     } else if (strcmp(verb, "time") == 0) {
         now = (uint32_t)number;
     } else if (strcmp(verb, "init") == 0) {
-        des_init(&own->node, &PORT, &own->device, own, now);
+        des_init(&own->node, &PORT, &own->device, own);
     } else if (strcmp(verb, "frame") == 0) {
         receive(own, &words[2]);
     } else if (strcmp(verb, "poll") == 0) {
@@ -220,9 +220,7 @@ static void run(char **words)
     } else if (strcmp(verb, "locked") == 0) {
         own->is_locked = value != 0;
     } else if (strcmp(verb, "mode") == 0) {
-        if (!des_set_mode(&own->node, (des_mode)value, now)) {
-            printf("false\n");
-        }
+        des_set_mode(&own->node, (des_mode)value);
     } else if (strcmp(verb, "limit") == 0) {
         des_set_limit(&own->node, (des_mode)value);
     } else if (strcmp(verb, "fault") == 0) {

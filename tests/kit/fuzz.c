@@ -210,9 +210,9 @@ int main(int count, char **arguments)
             own->stored.address = (uint8_t)below(256u);
             own->stored.bitrate = (uint8_t)(below(4u) | (below(4u) == 0u ? 0u : 0x80u));
             own->stored.autostart = (uint8_t)below(2u);
-            des_init(&own->node, &PORT, &device, own, now);
+            des_init(&own->node, &PORT, &device, own);
         } else if (dice < 4u && below(20u) == 0u) {
-            (void)des_set_mode(&own->node, (des_mode)below(7u), now);
+            des_set_mode(&own->node, (des_mode)below(7u));
         } else if (dice == 4u && below(20u) == 0u) {
             des_set_limit(&own->node, (des_mode)(below(4u) == 0u ? 2u + below(2u) : 4u));
         } else if (dice == 5u) {

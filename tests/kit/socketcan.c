@@ -252,7 +252,7 @@ int main(int count, char **arguments)
     }
     setvbuf(stdout, NULL, _IOLBF, 0);
     own.socket = open_interface(own.interface);
-    des_init(&node, &PORT, &DEVICE, &own, now_us());
+    des_init(&node, &PORT, &DEVICE, &own);
     for (;;) {
         uint32_t wait = des_poll(&node, now_us());
         struct pollfd input = {own.socket, POLLIN, 0};

@@ -207,7 +207,9 @@ impl Board {
         let mut board = Self { driver: Driver::start(), now, holds: false };
         board.driver.set_up(0, spec);
         board.driver.run(&format!("time {now}"));
-        let acts = board.driver.run("init 0");
+        board.driver.run("init 0");
+        let mut acts = board.poll();
+        acts.retain(|act| !matches!(act, Act::Wait(_)));
         (board, acts)
     }
 
@@ -267,6 +269,14 @@ impl Board {
         let command =
             format!("frame 0 {:08X} {} {}", frame.id, hex(&frame.data), u8::from(frame.fd));
         self.command(&command)
+    }
+
+    /// Passes a frame to the node, and polls it once.
+    fn take(&mut self, frame: &KitFrame) -> Vec<Act> {
+        let mut acts = self.receive(frame);
+        acts.extend(self.poll());
+        acts.retain(|act| !matches!(act, Act::Wait(_)));
+        acts
     }
 
     /// Passes a frame and polls for 5 ms; returns the frames that the node sent.
@@ -422,6 +432,7 @@ impl TestBus {
                 self.driver.run(&format!("result {number} {slot} {}", if is_sent { 1 } else { 2 }));
             }
             node.tec = if is_sent { node.tec.saturating_sub(1) } else { node.tec + 8 };
+            node.poll_at = self.now;
             let tec = node.tec;
             self.driver.run(&format!("errors {number} {tec}"));
         }
@@ -435,6 +446,7 @@ impl TestBus {
             if node.is_on && !is_sender && node.rate == rate {
                 let text = format!("frame {number} {:08X} {} 0", frame.id, hex(&frame.data));
                 self.act(number, &text);
+                self.nodes[number].poll_at = self.now;
             }
         }
     }

@@ -196,6 +196,7 @@ fn requests_reach_nodes_of_the_addressed_mode() {
     assert_eq!(board.exchange(&broadcast(0)).len(), 1);
     assert!(board.exchange(&broadcast(1)).is_empty());
     board.command("mode 0 2");
+    board.poll();
     assert!(board.exchange(&broadcast(0)).is_empty());
     let answer = board.exchange(&broadcast(1));
     assert_eq!(answer[0].id, 0x1518_0002, "RSP_CU_TGT");
