@@ -12,6 +12,9 @@ use std::time::Instant;
 const PROFILE: &str = "[services]\nheartbeat = 0x001\ndes = 0x002\n[commands]\nmode = 0x019\n\
                        [writes]\naddress = 0x016\n";
 
+/// Added to an address in DEV_CFG_ADDR: it is preferred, not fixed.
+const PREFERRED: u8 = 0x80;
+
 /// A process that is killed at the end of the test.
 struct KitProcess(Child);
 
@@ -47,7 +50,7 @@ fn started(folder: &Path, name: &str, bus: &str, options: &[&str]) -> KitProcess
     let program = built(folder, name);
     let settings = folder.join(name).join("settings");
     let uid = format!("{name:_<6}");
-    std::fs::write(&settings, [uid.as_bytes(), &[0x80 | 12, 0x80, 1]].concat()).unwrap();
+    std::fs::write(&settings, [uid.as_bytes(), &[PREFERRED + 12, 0x80, 1]].concat()).unwrap();
     let mut command = Command::new(program);
     command.arg(bus).arg(settings).args(options).stdout(Stdio::null());
     KitProcess(command.spawn().unwrap())

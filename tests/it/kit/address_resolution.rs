@@ -1,7 +1,7 @@
 //! INIT, ARSLV and the modes (CAN platform §3.2.4): bit rate, addresses, who gives way.
 
 use super::{Act, Board, BoardSpec, KitFrame, NAME, PERIOD, TestBus, des_request, heartbeat};
-use super::{heartbeats, mode, modes, request_id};
+use super::{PREFERRED, heartbeats, mode, modes, request_id};
 
 const LISTEN: u32 = PERIOD * 3 / 2;
 
@@ -55,8 +55,8 @@ fn addresses_in_use_are_not_claimed() {
     assert_eq!(starts(12, &[(3, 5)], 3 * PERIOD), Some(12));
     assert_eq!(starts(12, &[(12, 5)], 3 * PERIOD), None, "fixed: listens on");
     assert_eq!(starts(12, &[(12, 5)], 5 * PERIOD), Some(12), "until it is free");
-    assert_eq!(starts(0x80 | 12, &[(3, 5)], 3 * PERIOD), Some(12));
-    let other = starts(0x80 | 12, &[(3, 12)], 3 * PERIOD).unwrap();
+    assert_eq!(starts(PREFERRED + 12, &[(3, 5)], 3 * PERIOD), Some(12));
+    let other = starts(PREFERRED + 12, &[(3, 12)], 3 * PERIOD).unwrap();
     assert!(![0, 3, 12].contains(&other));
     let all_but_99: Vec<(u8, u8)> = (1..128).filter(|it| *it != 99).map(|it| (it, 0)).collect();
     let mut board = Board::new(&BoardSpec::new(0));
@@ -73,7 +73,8 @@ fn addresses_in_use_are_not_claimed() {
 
 #[test]
 fn broadcast_destination_is_not_an_address_in_use() {
-    let mut board = Board::new(&BoardSpec::new(12));
+    let mut board = Board::new(&BoardSpec::new(PREFERRED + 12));
+    board.take(&heartbeat(1, *b"BOARD2", true)); // Ends INIT.
     board.receive(&KitFrame::classic(0x0200_0155 | 3 << 17 | 12 << 10, &[]));
     let acts = board.pass(5 * PERIOD);
     assert_eq!(heartbeats(&acts)[0].source(), 12);
@@ -81,7 +82,7 @@ fn broadcast_destination_is_not_an_address_in_use() {
 
 #[test]
 fn other_claim_while_waiting_starts_again() {
-    let mut board = Board::new(&BoardSpec::new(0x80 | 12));
+    let mut board = Board::new(&BoardSpec::new(PREFERRED + 12));
     board.pass(2 * LISTEN);
     let acts = board.take(&heartbeat(12, *b"BOARD2", false));
     assert!(acts.is_empty(), "silent before, silent after: {acts:?}");
@@ -137,7 +138,7 @@ fn error_counter_at_its_limit_leaves_the_bus() {
 
 #[test]
 fn working_node_gives_way_to_working_senders_only() {
-    let mut board = Board::running(&BoardSpec::new(0x80 | 12));
+    let mut board = Board::running(&BoardSpec::new(PREFERRED + 12));
     let acts = board.take(&heartbeat(12, *b"BOARD2", false));
     assert!(modes(&acts).is_empty(), "a claim");
     let acts = board.take(&heartbeat(12, *b"BOARD2", true));
@@ -156,6 +157,15 @@ fn configured_node_gives_way_to_every_sender() {
     let mut board = Board::running(&spec);
     let acts = board.take(&heartbeat(12, *b"BOARD2", false));
     assert_eq!(modes(&acts), [mode::ARSLV]);
+}
+
+#[test]
+fn idle_node_keeps_its_address() {
+    let mut board = Board::running(&BoardSpec::new(12));
+    board.command("mode 0 6");
+    assert_eq!(modes(&board.poll()), [mode::IDLE]);
+    let acts = board.take(&heartbeat(12, *b"BOARD2", true));
+    assert!(modes(&acts).is_empty(), "{acts:?}");
 }
 
 #[test]
@@ -237,7 +247,7 @@ fn node_sends_nothing_and_answers_nothing_before_its_claim() {
 #[test]
 fn two_nodes_with_one_address_end_at_two() {
     for seed in 0..20u32 {
-        let mut specs = [BoardSpec::new(0x80 | 12), BoardSpec::new(0x80 | 12)];
+        let mut specs = [BoardSpec::new(PREFERRED + 12), BoardSpec::new(PREFERRED + 12)];
         specs[1].uid = *b"BOARD2";
         for (number, spec) in (0u32..).zip(&mut specs) {
             spec.entropy = 1 + seed * 7 + number;
@@ -271,8 +281,28 @@ fn fresh_boards_end_at_different_addresses() {
 }
 
 #[test]
+fn third_node_finds_the_bit_rate_of_two_others() {
+    let spec = |address, uid: &[u8; 6], bitrate| BoardSpec {
+        uid: *uid,
+        bitrate,
+        ..BoardSpec::new(address)
+    };
+    let specs = [spec(12, b"BOARD1", 2), spec(13, b"BOARD2", 2), spec(14, b"BOARD3", 0x80)];
+    let mut bus = TestBus::new(&specs);
+    bus.switch_on(0);
+    bus.switch_on(1);
+    bus.pass(8 * u64::from(PERIOD));
+    let before = bus.log.len();
+    bus.switch_on(2);
+    bus.pass(10 * u64::from(PERIOD));
+    assert_eq!((bus.nodes[2].rate, bus.mode(2), bus.address(2)), (2, mode::WORK, Some(14)));
+    let others = bus.log[before..].iter().filter(|(_, sender, _)| *sender < 2).count();
+    assert_eq!(others, 20, "nothing is destroyed");
+}
+
+#[test]
 fn rebooted_node_returns_to_its_address() {
-    let mut specs = [BoardSpec::new(0x80 | 12), BoardSpec::new(0x80 | 13)];
+    let mut specs = [BoardSpec::new(PREFERRED + 12), BoardSpec::new(PREFERRED + 13)];
     specs[1].uid = *b"BOARD2";
     let mut bus = TestBus::new(&specs);
     bus.switch_on(0);
@@ -289,10 +319,22 @@ fn rebooted_node_returns_to_its_address() {
 fn heartbeat_that_waits_does_not_delay_responses() {
     let mut board = Board::running(&BoardSpec::new(12));
     board.holds = true;
-    assert_eq!(heartbeats(&board.pass(PERIOD)).len(), 1);
+    let first = board.pass_timed(PERIOD);
+    assert!(matches!(first[..], [(_, Act::Send { slot: 0, .. })]), "{first:?}");
     let acts = board.pass(3 * PERIOD);
     assert!(heartbeats(&acts).is_empty(), "one at a time: {acts:?}");
     assert_eq!(board.exchange(&des_request(NAME)).len(), 1);
+    // Those that were left out are not made up for, and the phase is kept.
+    board.driver.run("result 0 0 1");
+    board.holds = false;
+    let next = board.pass_timed(2 * PERIOD);
+    let times: Vec<u32> = next
+        .iter()
+        .filter(|(_, act)| matches!(act, Act::Send { slot: 0, .. }))
+        .map(|(at, _)| *at)
+        .collect();
+    assert_eq!(times.len(), 2, "{next:?}");
+    assert!(times.iter().all(|at| (at - first[0].0) % PERIOD < 2000), "{times:?}");
 }
 
 #[test]

@@ -1,5 +1,6 @@
 //! How the kit compiles: without warnings, within its limits of size, and under the sanitizers.
 
+use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::sync::OnceLock;
@@ -239,7 +240,7 @@ fn kit_has_no_warnings_in_any_configuration() {
     for chosen in 0..32 {
         let mut config = String::from(if chosen % 3 == 0 { ALL_NUMBERS } else { "" });
         for (at, switch) in switches.iter().enumerate() {
-            config += &format!("#define DES_WITH_{switch} {}\n", chosen >> at & 1);
+            let _ = writeln!(config, "#define DES_WITH_{switch} {}", chosen >> at & 1);
         }
         if chosen % 5 == 0 {
             config += odd;

@@ -1,7 +1,8 @@
 //! Descriptor, writes of settings and commands, and requests for the application.
 
 use super::{
-    Act, Board, BoardSpec, KitFrame, PERIOD, heartbeats, mode, modes, request_id, responses,
+    Act, Board, BoardSpec, KitFrame, PERIOD, PREFERRED, heartbeats, mode, modes, request_id,
+    responses,
 };
 
 const UID: u16 = 0x011;
@@ -32,7 +33,7 @@ fn acts(board: &mut Board, frame: &KitFrame) -> Vec<Act> {
 
 #[test]
 fn descriptor_fields_are_read() {
-    let mut board = Board::running(&BoardSpec { bitrate: 0x82, ..BoardSpec::new(0x80 | 12) });
+    let mut board = Board::running(&BoardSpec { bitrate: 0x82, ..BoardSpec::new(PREFERRED + 12) });
     let expected: [(u16, &[u8]); 8] = [
         (0x010, &[1, 2, 3, 4, 5, 6]),
         (0x011, b"BOARD1"),
@@ -58,7 +59,7 @@ fn descriptor_fields_are_read() {
 #[test]
 fn address_write_is_stored_and_acts_after_its_response() {
     let mut board = Board::running(&BoardSpec::new(12));
-    let acts = acts(&mut board, &to(ADDR, &[0x80 | 20]));
+    let acts = acts(&mut board, &to(ADDR, &[PREFERRED + 20]));
     let store = Act::Store { uid: b"BOARD1".to_vec(), address: 0x94, bitrate: 0x80 };
     assert_eq!(acts[0], store);
     assert_eq!(responses(&acts), done(ADDR));
@@ -124,6 +125,20 @@ fn idle_node_beats_and_waits_for_the_mode_command() {
     assert!(board.exchange(&to_idle(UID, &[])).is_empty());
     assert_eq!(board.exchange(&to_idle(MODE, &[mode::WORK])).len(), 1);
     assert_eq!(board.exchange(&to(UID, &[])).len(), 1, "awake");
+}
+
+#[test]
+fn second_command_before_the_response_is_dropped() {
+    let mut board = Board::running(&BoardSpec::new(12));
+    board.holds = true;
+    board.receive(&to(ADDR, &[20]));
+    assert_eq!(responses(&board.poll()).len(), 1, "waits in the transmit buffer");
+    let acts = board.receive(&to(BSPD, &[2]));
+    assert!(acts.is_empty(), "nothing is stored: {acts:?}");
+    assert_eq!(board.command("dropped 0"), [Act::Other("dropped 1".to_owned())]);
+    board.driver.run("result 0 1 1");
+    board.holds = false;
+    assert_eq!(modes(&board.pass(5000)), [mode::ARSLV], "the first one acts");
 }
 
 #[test]

@@ -17,6 +17,8 @@ use std::collections::VecDeque;
 use std::io::{BufRead, BufReader, Write};
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 
+/// Added to an address in DEV_CFG_ADDR: it is preferred, not fixed.
+const PREFERRED: u8 = 0x80;
 /// BUS_CFG_HR_TIME, in microseconds.
 const PERIOD: u32 = 1_000_000;
 const NAME: &[u8] = &[4, b'D', b'E', b'S', 1];
@@ -35,10 +37,7 @@ mod mode {
 }
 
 fn hex(bytes: &[u8]) -> String {
-    if bytes.is_empty() {
-        return "-".to_owned();
-    }
-    bytes.iter().map(|byte| format!("{byte:02X}")).collect()
+    if bytes.is_empty() { "-".to_owned() } else { descan::text::hex(bytes, "") }
 }
 
 fn unhex(text: &str) -> Vec<u8> {
@@ -447,6 +446,9 @@ impl TestBus {
                 let text = format!("frame {number} {:08X} {} 0", frame.id, hex(&frame.data));
                 self.act(number, &text);
                 self.nodes[number].poll_at = self.now;
+            } else if node.is_on && !is_sender {
+                // Listening at another bit rate: DES_ERROR_SEEN.
+                self.driver.run(&format!("errors {number} 512"));
             }
         }
     }
