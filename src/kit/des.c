@@ -694,15 +694,15 @@ static void respond(des_node *node, des_asker *asker)
         }
 #if DES_WITH_DESCRIPTOR
         else {
-            const field_place *field = FIELDS;
-            uint32_t bit = ASK_FIELD;
+            const field_place *field;
+            uint32_t at = 0u;
 
-            while (bit != asker->current) {
-                bit <<= 1;
-                field++;
+            while ((at < (FIELD_COUNT - 1u)) && (((uint32_t)ASK_FIELD << at) != asker->current)) {
+                at++;
             }
+            field = &FIELDS[at];
             next.bytes = node->device->info;
-            if (bit >= ((uint32_t)ASK_FIELD << FIRST_SETTING)) {
+            if (at >= FIRST_SETTING) {
                 next.bytes = (const uint8_t *)&node->settings;
             }
             next.bytes = &next.bytes[field->at];
