@@ -247,6 +247,8 @@ Examples:
   descan catalogue
   descan catalogue devices/feeder.toml")]
     Catalogue(CatalogueArgs),
+    /// Write the responder for firmware, in C: des.h, des.c, des_config.h
+    Kit(KitArgs),
     /// Print the JSON Schema of des.json
     Schema,
 }
@@ -264,6 +266,41 @@ pub enum ProfileCommand {
     },
     /// Learn values from the frames of a bus or of a log; nothing is sent
     Learn(LearnArgs),
+}
+
+/// `descan kit`.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Without --write it prints des_config.h: what the device is, and the numbers of the profile. Values that the \
+profile does not set are marked as assumed; commands and writes that it does not set are not served.
+
+Exit code: 0 written, 2 wrong usage, 3 file not readable or not written.
+
+Examples:
+  descan kit --name PUMP --services FLOW=1.0 --profile line7.toml --write firmware/des
+  descan kit --name PUMP --profile line7.toml > des_config.h")]
+pub struct KitArgs {
+    /// Name of the device; 5 characters or less fit one frame
+    #[arg(long, value_name = "NAME", value_parser = device_name)]
+    pub name: String,
+    /// Its services besides DES, with versions: A=1.0,B=2
+    #[arg(long, value_name = "LIST", value_delimiter = ',', value_parser = version)]
+    pub services: Vec<(String, String)>,
+    /// What it uses where the protocol leaves values open (TOML)
+    #[arg(long, value_name = "FILE")]
+    pub profile: Option<PathBuf>,
+    /// Language of the firmware
+    #[arg(long, value_name = "LANG", default_value = "c", value_parser = ["c"])]
+    pub lang: String,
+    /// Its controller sends CAN FD frames, too
+    #[arg(long)]
+    pub fd: bool,
+    /// Write des.h, des.c and des_config.h to this folder
+    #[arg(long, value_name = "DIR")]
+    pub write: Option<PathBuf>,
+    /// Replace files that have other content
+    #[arg(long, requires = "write")]
+    pub force: bool,
 }
 
 /// `descan sim`.
@@ -850,6 +887,13 @@ fn address(text: &str) -> Result<Address, String> {
 fn node_address(text: &str) -> Result<Address, String> {
     let node = address(text).ok().filter(|address| *address != Address::DEBUG);
     node.ok_or_else(|| "an address of a node is a number from 1 to 127".to_owned())
+}
+
+fn device_name(text: &str) -> Result<String, String> {
+    if text.is_empty() || text.contains('\0') {
+        return Err("a name has at least one character".to_owned());
+    }
+    Ok(text.to_owned())
 }
 
 fn version(text: &str) -> Result<(String, String), String> {

@@ -27,6 +27,7 @@
 //! * [`document`]: des.json: parse, edit in place, merge.
 //! * [`inventory`]: buses and devices of one moment; differences between two.
 //! * [`log`]: log formats, candump and pcapng.
+//! * [`kit`]: the responder for firmware, in C, and its header with the numbers of a profile.
 //! * [`sim`]: a bit-timed simulated bus with devices.
 //! * [`bitrate`]: the bit rate search.
 //! * [`status`]: state of a bus, in plain values.
@@ -72,6 +73,8 @@ pub mod error_report;
 pub mod finding;
 #[cfg(feature = "std")]
 pub mod inventory;
+#[cfg(feature = "std")]
+pub mod kit;
 #[cfg(feature = "std")]
 pub mod learning;
 #[cfg(feature = "std")]

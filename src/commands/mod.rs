@@ -12,6 +12,7 @@ mod gate;
 mod guide;
 mod headless;
 mod init;
+mod kit;
 mod learn;
 mod log;
 mod one_bus;
@@ -103,6 +104,7 @@ pub fn run(cli: Cli) -> ExitCode {
         Some(Command::Profile { command }) => profile::run(command.as_ref()),
         Some(Command::Init(args)) => init::run(&args),
         Some(Command::Catalogue(args)) => catalogue::run(&args),
+        Some(Command::Kit(args)) => kit::run(&args),
         Some(Command::Schema) => print_own(crate::document::SCHEMA.as_bytes()).map(|()| EXIT_OK),
     };
     ExitCode::from(match result {

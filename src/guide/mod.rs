@@ -61,6 +61,7 @@ topics! {
     "composer" "composer" ["send"] "any frame or request, composed by fields and sent";
     "settings" "settings" [] "config.toml, keys.toml, themes, and all files used";
     "scenarios" "scenarios" ["demo" "sim"] "the demo, and simulated devices of your own";
+    "firmware" "firmware" ["kit"] "the kit for firmware: your device in an hour";
     "protocol" "protocol" [] "the protocol on the bus, numbered for reference";
 }
 
