@@ -61,8 +61,8 @@ pub enum LeftOutReason {
     SameUid(Address),
     /// Its entry has a UID, and none was heard from it: it may be another device.
     UidNotHeard,
-    /// The UID of its entry has characters that no UID has, or too many.
-    UidUnreadable,
+    /// Its entry in des.json has a mistake.
+    WrongEntry,
     /// An earlier entry is about the same device.
     ListedTwice,
     /// It is not on the bus.
@@ -97,7 +97,7 @@ impl LeftOutReason {
             Self::Shared(_) | Self::Another(_) => "shared-address",
             Self::SameUid(_) => "same-uid",
             Self::UidNotHeard => "uid-not-heard",
-            Self::UidUnreadable => "uid-unreadable",
+            Self::WrongEntry => "entry-mistake",
             Self::ListedTwice => "listed-twice",
             Self::NotPresent => "not-present",
             Self::NoIdentity => "no-identity",
@@ -120,7 +120,7 @@ impl fmt::Display for LeftOutReason {
             Self::Another(address) => write!(f, "at {address}: not the name and UID listed"),
             Self::SameUid(address) => write!(f, "its UID is at {address}, too"),
             Self::UidNotHeard => f.write_str("its UID was not heard"),
-            Self::UidUnreadable => f.write_str("the uid of its entry is wrong"),
+            Self::WrongEntry => f.write_str("its entry has a mistake"),
             Self::ListedTwice => f.write_str("listed twice"),
             Self::NotPresent => f.write_str("not on the bus"),
             Self::NoIdentity => f.write_str("no UID and no name"),

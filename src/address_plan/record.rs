@@ -83,6 +83,9 @@ pub struct RecordedDevice {
     pub original: RecordedPlace,
     /// The address it was to have.
     pub to: u8,
+    /// The code of the setting it was to have; `null`: as all others of the plan.
+    #[serde(default)]
+    pub setting: Option<u8>,
 }
 
 /// An address, and the setting that a device had stored.
@@ -130,6 +133,7 @@ impl RecordedDevice {
                 setting: setting.map(AddressSetting::code),
             },
             to: to.number(),
+            setting: None,
         }
     }
 
@@ -319,12 +323,20 @@ impl PlanRecord {
         own.chain(earlier).collect()
     }
 
-    /// The other devices of the plan, with the addresses at which they were.
+    /// The other devices of the plan, with the address at which each was confirmed, or was before.
     pub fn settled_devices(&self) -> Vec<UnsettledDevice> {
         let is_confirmed = |step: &RecordedStep| step.state == StepState::Confirmed.word();
         let is_settled = |place: &usize| self.last_begun(*place).is_none_or(is_confirmed);
-        let settled = (0..self.devices.len()).filter(is_settled);
-        settled.map(|place| self.unsettled_device(place)).collect()
+        let settled = (0..self.devices.len()).filter(is_settled).map(|place| {
+            let confirmed = self.last_begun(place).map(|step| step.to);
+            let address = confirmed.unwrap_or(self.devices[place].original.address);
+            UnsettledDevice {
+                addresses: vec![address],
+                stored: None,
+                ..self.unsettled_device(place)
+            }
+        });
+        settled.collect()
     }
 
     fn unsettled_device(&self, place: usize) -> UnsettledDevice {

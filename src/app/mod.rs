@@ -310,6 +310,10 @@ pub enum Effect {
         name: String,
         /// Content.
         bytes: Vec<u8>,
+        /// The file must not exist.
+        is_new: bool,
+        /// Name of the bus, of which no other program may run a plan meanwhile; `None` once it ended.
+        runs_on: Option<String>,
     },
     /// Copy text to the clipboard.
     Copy(String),

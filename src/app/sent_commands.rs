@@ -1,11 +1,13 @@
 //! Commands that the user sends to devices: the question before, the sending, and how each ended.
 //! Also the reading of a descriptor, which is asked for in the same way.
 
+use super::address_plans::{identity_of, other_heard};
 use super::device_command::DeviceCommand;
 use super::input::{CommandPrompt, Prompt, PromptKind, Question};
 use super::notices::TimelineEntry;
 use super::timeline_kind::TimelineKind;
 use super::{App, format_time_of_day};
+use crate::address_plan::DeviceIdentity;
 use crate::discovery::{
     Device, DeviceId, DeviceRequest, Event, EventKind, OwnAddress, RequestId, RequestOutcome,
     given_fields,
@@ -15,6 +17,7 @@ use crate::keymap::Action;
 use crate::text::{counted, hex};
 use crate::time::Instant;
 use crate::wire::descriptor::DescriptorField;
+use crate::wire::id::Address;
 use crate::wire::profile::ProfileKey;
 use std::collections::{BTreeMap, VecDeque};
 
@@ -43,6 +46,8 @@ pub struct EndedCommand {
 #[derive(Debug, Default)]
 pub(super) struct SentCommands {
     open: BTreeMap<(BusIndex, RequestId), (DeviceId, DeviceCommand)>,
+    /// The device that the user was asked about last, as it was then.
+    asked: Option<(DeviceId, DeviceIdentity, Address)>,
     ended: VecDeque<EndedCommand>,
 }
 
@@ -59,7 +64,36 @@ impl App {
             let is_known = command.request(profile).is_some();
             (!is_known).then(|| format!("{command} {}", key_needed(command.key())))
         };
-        self.request_obstacle(id).or_else(obstacle)
+        let shared = || self.shared_address(id).filter(|_| command != DeviceCommand::Identify);
+        self.request_obstacle(id).or_else(obstacle).or_else(shared)
+    }
+
+    /// Says that another device uses the address of this one: a request would reach both.
+    fn shared_address(&self, id: DeviceId) -> Option<String> {
+        let (device, bus) = (self.device(id)?, self.bus(id.bus)?);
+        let is_shared =
+            other_heard(bus, device, self.clock.now()).is_some() || self.buses.is_shared(device);
+        is_shared.then(|| format!("another device is at {}, too", device.address))
+    }
+
+    /// Remembers the device that the user is asked about.
+    pub fn note_asked(&mut self, id: DeviceId) {
+        let asked = self.device(id).map(|device| (id, identity_of(device), device.address));
+        self.commands.asked = asked;
+    }
+
+    /// How the device differs from that which the user was asked about; `None` if it does not.
+    fn change_since_asked(&self, id: DeviceId) -> Option<String> {
+        let (_, asked, at) = self.commands.asked.as_ref().filter(|(asked, ..)| *asked == id)?;
+        let device = self.device(id)?;
+        if device.address != *at {
+            return Some(format!(
+                "not sent: it was asked for at {at}, now it is at {}",
+                device.address
+            ));
+        }
+        let is_other = asked.is_other(&identity_of(device));
+        is_other.then(|| format!("not sent: another device is at {at} now"))
     }
 
     /// Why no request can be sent to a device; `None` if one can.
@@ -120,7 +154,8 @@ impl App {
     ///
     /// The reason why it cannot be sent.
     pub fn send_command(&mut self, id: DeviceId, command: DeviceCommand) -> Result<(), String> {
-        if let Some(why) = self.command_obstacle(id, command) {
+        let change = self.change_since_asked(id);
+        if let Some(why) = change.or_else(|| self.command_obstacle(id, command)) {
             return Err(why);
         }
         let request = command.request(&self.profile(id.bus));
@@ -199,7 +234,10 @@ impl App {
     /// Asks whether to send a command.
     pub(super) fn ask_to_send(&mut self, id: DeviceId, command: DeviceCommand) {
         match self.command_obstacle(id, command) {
-            None => self.input.ask(Question::Command(id, command)),
+            None => {
+                self.note_asked(id);
+                self.input.ask(Question::Command(id, command));
+            }
             Some(why) => self.show_error(why),
         }
     }

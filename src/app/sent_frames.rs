@@ -85,6 +85,8 @@ pub struct SentFrames {
     pub end: Option<SequenceEnd>,
     /// What became of it; `None` until it is done.
     pub result: Option<SendingResult>,
+    /// Why it was stopped: the receiver is not the one that was asked for.
+    receiver_change: Option<String>,
     /// Number of frames on the bus.
     frames: u32,
     sequence: SequenceId,
@@ -211,7 +213,41 @@ impl App {
     ///
     /// What is wrong with it.
     pub fn compose(&self, bus: BusIndex, composition: &Composition) -> Result<Composed, Mistake> {
-        self.with_surroundings(bus, |around| composition.compose(around))
+        let mut composed = self.with_surroundings(bus, |around| composition.compose(around))?;
+        if let Receivers::One(address) = composed.receivers {
+            let nodes = self.known_nodes(bus);
+            composed.receiver_node = nodes.into_iter().find(|node| node.address == address);
+        }
+        Ok(composed)
+    }
+
+    /// How the one receiver differs from that which was asked for; `None` if it does not.
+    fn receiver_change(
+        &self,
+        bus: BusIndex,
+        composition: &Composition,
+        composed: &Composed,
+    ) -> Option<String> {
+        let Receivers::One(address) = composed.receivers else { return None };
+        let again = match self.compose(bus, composition) {
+            Ok(again) => again,
+            Err(why) => return Some(why.text),
+        };
+        if again.receiver != composed.receiver || again.frames != composed.frames {
+            return Some(format!(
+                "it was asked for {}, now it is {} to {}",
+                composed.receiver,
+                again.frame_text(),
+                again.receiver
+            ));
+        }
+        let (asked, now) = (composed.receiver_node.as_ref()?, again.receiver_node?);
+        if asked.uid.is_some() && asked.uid != now.uid {
+            let uid = now.uid.unwrap_or_else(|| "none".to_owned());
+            return Some(format!("another device is at {address} now, its UID is {uid}"));
+        }
+        let joined = now.boards > asked.boards;
+        joined.then(|| format!("another device is at {address}, too, now"))
     }
 
     pub(super) fn with_surroundings<T>(
@@ -310,16 +346,8 @@ impl App {
         if composed.own.map(OwnAddress::Held) != Some(of.own_address()) {
             return Err("descan has another address now: compose it again".to_owned());
         }
-        if let Receivers::One(_) = composed.receivers {
-            let again = self.compose(bus, composition).map_err(|why| why.text)?;
-            if again.receiver != composed.receiver || again.frames != composed.frames {
-                return Err(format!(
-                    "not sent: it was asked for {}, now it is {} to {}; compose it again",
-                    composed.receiver,
-                    again.frame_text(),
-                    again.receiver
-                ));
-            }
+        if let Some(change) = self.receiver_change(bus, composition, composed) {
+            return Err(format!("not sent: {change}; compose it again"));
         }
         let is_passive = matches!(of.status.state, BusState::ErrorPassive | BusState::BusOff);
         if repeat.copies > 1 && is_passive {
@@ -357,6 +385,7 @@ impl App {
             latencies: None,
             end: None,
             result: None,
+            receiver_change: None,
             sequence,
             wait,
         });
@@ -386,6 +415,7 @@ impl App {
                 sending.frames += 1;
                 sending.copies = sending.frames / sending.composed.frames.len().max(1) as u32;
                 sending.last_sent = Some(event.time);
+                self.check_receiver(bus);
             }
             EventKind::SequenceEnded { sequence, copies, why }
                 if *sequence == sending.sequence && sending.end.is_none() =>
@@ -393,9 +423,26 @@ impl App {
                 (sending.copies, sending.end) = (*copies, Some(*why));
                 self.check_sending(event.time);
             }
-            _ => return,
+            // A device may have moved, or joined.
+            _ => return self.check_receiver(bus),
         }
         self.request_redraw();
+    }
+
+    /// Sends no further copy if the receiver is not the one that was asked for any more.
+    fn check_receiver(&mut self, bus: BusIndex) {
+        let is_on = |it: &&SentFrames| {
+            it.bus == bus && it.end.is_none() && it.copies < it.repeat.copies && it.copies > 0
+        };
+        let Some(sending) = self.sendings.list.back().filter(is_on) else { return };
+        let change = self.receiver_change(bus, &sending.composition, &sending.composed);
+        if change.is_none() {
+            return;
+        }
+        if let Some(sending) = self.sendings.list.back_mut() {
+            sending.receiver_change = change;
+        }
+        self.buses.stop_frames(self.clock.now(), bus);
     }
 
     /// Takes a frame that may be an answer.
@@ -512,6 +559,10 @@ impl SentFrames {
         }
         match self.end {
             Some(SequenceEnd::Complete) | None => {}
+            Some(SequenceEnd::Stopped) if self.receiver_change.is_some() => {
+                let why = self.receiver_change.as_deref().unwrap_or_default();
+                parts.push(format!("ended: {why}"));
+            }
             Some(end) if copies > 1 => parts.push(format!("ended: {end}")),
             Some(end) => parts.push(format!("not sent: {end}")),
         }

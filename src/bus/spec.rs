@@ -52,6 +52,11 @@ macro_rules! bus_kinds {
                 self.normalised() == other.normalised()
             }
 
+            /// A text that all spellings of one bus share.
+            pub fn key(&self) -> String {
+                self.normalised().to_string()
+            }
+
             /// The form that all spellings of one bus share.
             fn normalised(&self) -> BusSpec {
                 match self {

@@ -144,6 +144,7 @@ fn begin(
         return Err(Failure::Unusable(why));
     }
     let (sent, effect) = app.command_sentences(device, command);
+    app.note_asked(device);
     if yes {
         say(format!("{sent}. {effect}"));
         return start(app, device, task);
@@ -189,8 +190,8 @@ fn find(app: &App, wanted: &str, is_last: bool) -> Result<Option<DeviceId>, Fail
     let found: Vec<&Device> = bus.devices().iter().filter(is_it).collect();
     match &found[..] {
         [] => Ok(None),
-        // Another one of the same name may be found later.
-        [_] if !is_last && !bus.progress().is_complete => Ok(None),
+        // Another one of the same name, or at the same address, may be found later.
+        [_] if !is_last && !(bus.progress().is_complete && app.is_observed(bus)) => Ok(None),
         [device] => Ok(Some(device.id)),
         several => {
             let places = several.iter().map(|device| format!("at {}", device.address));

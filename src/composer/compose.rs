@@ -43,6 +43,8 @@ pub struct Composed {
     pub receivers: Receivers,
     /// The receiver in words: `ACT @14`, `all working devices`.
     pub receiver: String,
+    /// What is known of the one receiver.
+    pub receiver_node: Option<KnownNode>,
     /// What they change in a device; `None`: nothing that the profile knows of.
     pub change: Option<String>,
     /// The sender, unless it is descan's own address: the device there gives the address up.
@@ -316,6 +318,7 @@ fn composed(frames: Vec<Frame>, around: Surroundings<'_>) -> Composed {
         meaning: String::new(),
         receivers: Receivers::Unknown,
         receiver: "the bus".to_owned(),
+        receiver_node: None,
         change: None,
         foreign_source: None,
         source_warning: String::new(),

@@ -21,7 +21,7 @@ use crate::address_plan::{
 };
 use crate::app::{PlanSession, PlanTask};
 use crate::keymap::Action;
-use crate::text::{counted, hex};
+use crate::text::{counted, hex, join_first};
 use crate::theme::Role;
 use ratatui::layout::Rect;
 use ratatui::text::{Line, Span};
@@ -252,6 +252,10 @@ fn draw_details(brush: &mut DrawContext, session: &PlanSession, selected: usize,
     let mut text = format!(" {} fixed addresses", tick(session.is_fixed()));
     if brush.app.plan_effect(session) != StepEffect::AtOnce {
         let _ = write!(text, "   {} restart each", tick(session.restarts()));
+    }
+    if !session.unread().is_empty() {
+        let unread: Vec<String> = session.unread().iter().map(ToString::to_string).collect();
+        let _ = write!(text, "   not read: {}", join_first(unread, 4, ", "));
     }
     if let Some(name) = session.file_name() {
         let _ = write!(text, "   plan: {name}");

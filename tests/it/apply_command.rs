@@ -63,6 +63,7 @@ fn apply(folder: &Path, rest: &[&str]) -> (String, String, Option<i32>) {
 fn plans(folder: &Path) -> Vec<PlanRecord> {
     let files = std::fs::read_dir(folder.join("state/descan/plans")).into_iter().flatten();
     let mut paths: Vec<_> = files.map(|file| file.unwrap().path()).collect();
+    paths.retain(|path| path.extension().is_some_and(|it| it == "json"));
     paths.sort();
     paths.iter().map(|path| PlanRecord::parse(&std::fs::read(path).unwrap()).unwrap()).collect()
 }
@@ -202,6 +203,27 @@ fn last_plan_that_cannot_be_read_is_named() {
     assert_eq!(code, Some(3));
     let (told, _, code) = apply(folder.path(), &[&given[..], &["--forget-absent"]].concat());
     assert_eq!((told.as_str(), code), (TABLE, Some(0)));
+}
+
+#[test]
+fn plan_of_another_bus_is_refused() {
+    let folder = folder("", FILE);
+    let given = ["--profile", "profile.toml", "--yes"];
+    apply(folder.path(), &given);
+    let plans = folder.path().join("state/descan/plans");
+    let files = std::fs::read_dir(plans).unwrap().map(|file| file.unwrap().path());
+    let plan = files.filter(|path| path.extension().is_some_and(|it| it == "json")).next().unwrap();
+    let text = std::fs::read_to_string(&plan).unwrap();
+    std::fs::write(folder.path().join("o.json"), text.replace("sim:bus.toml", "can7")).unwrap();
+    for way in ["--resume=o.json", "--undo=o.json"] {
+        let (_, said, code) = apply(folder.path(), &[&given[..], &[way]].concat());
+        assert!(said.contains("o.json is a plan of can7, not of sim:bus.toml"), "{said}");
+        assert_eq!(code, Some(2));
+    }
+    // Its own one, however the bus is written.
+    std::fs::write(&plan, text.replace("sim:bus.toml", "sim:./bus.toml")).unwrap();
+    let (_, said, _) = apply(folder.path(), &[&given[..], &["--undo"]].concat());
+    assert!(said.contains("nothing to do"), "{said}");
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! Which device is to have which address: from des.json, or from a plan's file.
 
-use super::known_devices::is_shared_address;
+use super::known_devices::{PlanKnowledge, is_shared_address};
 use super::{PlanSession, PlanTask};
 use crate::address_plan::{
     AddressGoal, AddressSet, DeviceIdentity, LeftOutReason, PlanBus, PlanRecord, RecordedDevice,
@@ -15,6 +15,7 @@ use crate::text::Name;
 use crate::wire::descriptor::AddressSetting;
 use crate::wire::id::Address;
 use crate::wire::node::Uid;
+use std::collections::BTreeSet;
 
 /// A goal, in any order of goals.
 pub(super) type GoalKey = (DeviceIdentity, Address);
@@ -46,9 +47,9 @@ impl App {
     pub(super) fn address_goals(&self, session: &PlanSession, bus: &PlanBus) -> Vec<AddressGoal> {
         let mut goals = match &session.task {
             PlanTask::ToFile => self.goals_of_file(session.bus, bus),
-            PlanTask::Resume(record, _) => {
-                goals_of_record(record, bus, |it| (Address::from_bits(it.to), None))
-            }
+            PlanTask::Resume(record, _) => goals_of_record(record, bus, |it| {
+                (Address::from_bits(it.to), it.setting.and_then(AddressSetting::from_code))
+            }),
             PlanTask::TakeBack(record, _) => goals_of_record(record, bus, |it| {
                 let (address, setting) = it.place();
                 // A setting that leads elsewhere cannot be confirmed.
@@ -73,6 +74,8 @@ impl App {
         let Some(bus) = self.buses.get(index) else { return Vec::new() };
         let document = self.editor.file.document();
         let matching = Matching::new(document.entries(), self.buses.as_slice());
+        let mistakes = self.file_mistakes();
+        let wrong: BTreeSet<usize> = mistakes.iter().flat_map(|it| it.entries.clone()).collect();
         let entries = document.entries().iter().filter(|entry| entry.is_for_bus(&bus.name));
         let goals = entries.filter_map(|entry| {
             let to = pinned(entry)?;
@@ -88,6 +91,7 @@ impl App {
                 None => identity_of_entry(entry, bus),
             };
             let doubt = match device {
+                _ if wrong.contains(&entry.index) => Some(LeftOutReason::WrongEntry),
                 Some(at) => doubt_of(entry, &bus.devices()[at], bus),
                 None => shared_address(entry, bus).map(LeftOutReason::Shared),
             };
@@ -104,21 +108,53 @@ impl App {
         entries.filter(|entry| entry.is_for_bus(&bus.name)).filter_map(pinned).collect()
     }
 
-    /// The edits that give the entries of a bus the addresses of their devices, pinned.
-    pub fn pins_of_bus(&self, index: BusIndex) -> Vec<Operation> {
-        let Some(bus) = self.buses.get(index) else { return Vec::new() };
+    /// The edits that give the entries of a bus the addresses of their devices, pinned; and the entries
+    /// that get none, each with the reason.
+    pub fn pins_of_bus(&self, index: BusIndex) -> (Vec<Operation>, Vec<(String, LeftOutReason)>) {
+        let (mut edits, mut left_out) = (Vec::new(), Vec::new());
+        let Some(bus) = self.buses.get(index) else { return (edits, left_out) };
+        let known = self.known_devices(index, PlanKnowledge::default());
         let document = self.editor.file.document();
         let matching = Matching::new(document.entries(), self.buses.as_slice());
-        let entries = document.entries().iter();
-        let edits = entries.filter_map(|entry| {
-            let device = matching.devices_of(entry.index).iter().find(|id| id.bus == index)?;
-            let device = bus.device(*device).filter(|it| it.is_present() && !it.is_debug)?;
-            let to = device.address.number();
-            let is_same = entry.address == Some(to) && entry.is_static;
-            let (entry, from) = (document.key(entry.index), entry.address);
-            (!is_same && to > 0).then_some(Operation::PinAddress { entry, from, to })
-        });
-        edits.collect()
+        let mistakes = self.file_mistakes();
+        let wrong: BTreeSet<usize> = mistakes.iter().flat_map(|it| it.entries.clone()).collect();
+        for entry in document.entries().iter().filter(|entry| entry.is_for_bus(&bus.name)) {
+            let devices = matching.devices_of(entry.index);
+            let own = devices.iter().find(|id| id.bus == index);
+            if own.is_none() && (!devices.is_empty() || matching.is_duplicate(entry.index)) {
+                continue;
+            }
+            let place = own.and_then(|id| bus.devices().iter().position(|it| it.id == *id));
+            let device = place.map(|at| (&bus.devices()[at], &known.devices[at]));
+            let reason = match device {
+                _ if wrong.contains(&entry.index) => Some(LeftOutReason::WrongEntry),
+                None => Some(
+                    shared_address(entry, bus)
+                        .map_or(LeftOutReason::NotPresent, LeftOutReason::Shared),
+                ),
+                Some((_, known)) if !known.is_present => Some(LeftOutReason::NotPresent),
+                Some((_, known)) if known.is_debug => Some(LeftOutReason::Debug),
+                Some((_, known)) if known.is_shared => Some(LeftOutReason::Shared(known.address)),
+                Some((_, known)) if known.same_uid_at.is_some() => {
+                    known.same_uid_at.map(LeftOutReason::SameUid)
+                }
+                Some((device, _)) => doubt_of(entry, device, bus),
+            };
+            match (reason, device) {
+                (None, Some((device, _))) => {
+                    let to = device.address.number();
+                    if entry.address != Some(to) || !entry.is_static {
+                        let (entry, from) = (document.key(entry.index), entry.address);
+                        edits.push(Operation::PinAddress { entry, from, to });
+                    }
+                }
+                (reason, _) => {
+                    let name = Name::new(&entry.name).to_string();
+                    left_out.push((name, reason.unwrap_or(LeftOutReason::NotPresent)));
+                }
+            }
+        }
+        (edits, left_out)
     }
 
     /// Applies the edits of [`App::pins_of_bus`] as one.
@@ -137,11 +173,7 @@ fn identity_of_entry(entry: &Entry, bus: &Bus) -> DeviceIdentity {
 fn doubt_of(entry: &Entry, device: &Device, bus: &Bus) -> Option<LeftOutReason> {
     let alphabet = &bus.config().profile.uid;
     let listed = entry.uid.as_deref().map(str::trim).filter(|listed| !listed.is_empty());
-    let listed = match listed.map(|listed| Uid::parse(listed, alphabet)) {
-        Some(None) => return Some(LeftOutReason::UidUnreadable),
-        Some(Some(uid)) => uid.not_blank(),
-        None => None,
-    };
+    let listed = listed.and_then(|listed| Uid::parse(listed, alphabet)).and_then(Uid::not_blank);
     let is_other_uid = listed.zip(device.uid).is_some_and(|(listed, uid)| listed != uid);
     if is_other_uid || device.name.is_some() && !device.is_named(&entry.name) {
         return Some(LeftOutReason::Another(device.address));

@@ -39,7 +39,7 @@ pub(super) struct PlanKnowledge<'a> {
 }
 
 /// Returns by what a device is recognised.
-pub(super) fn identity_of(device: &Device) -> DeviceIdentity {
+pub(in crate::app) fn identity_of(device: &Device) -> DeviceIdentity {
     DeviceIdentity { uid: device.uid, name: device.name.clone() }
 }
 
@@ -50,7 +50,7 @@ pub(super) fn is_shared_address(finding: &Finding) -> bool {
 
 /// Returns when another device was heard last at the address of this one, and nowhere else since: a
 /// write may reach that one. `None` if that was more than some heartbeat periods ago.
-pub(super) fn other_heard(bus: &Bus, device: &Device, now: Instant) -> Option<Instant> {
+pub(in crate::app) fn other_heard(bus: &Bus, device: &Device, now: Instant) -> Option<Instant> {
     let address = device.address;
     let has_left = |uid: Uid, last: Instant| {
         let elsewhere = |it: &Device| it.address != address && it.last_seen > last;
@@ -92,17 +92,24 @@ fn known_device(bus: &Bus, device: &Device, now: Instant) -> KnownDevice {
         _ => None,
     };
     let current = bus.device_at(device.address);
+    // Its heartbeats may come from elsewhere already.
+    let is_here =
+        |heard: HeardUid| Some(heard.uid) != device.uid || heard.address == device.address;
+    let same_uid_at = same_uid_at(bus, device);
+    let is_here = same_uid_at.is_some()
+        || device.uid.is_none_or(Uid::is_blank)
+        || bus.heard_uids().all(is_here);
     let other_heard = other_heard(bus, device, now);
     KnownDevice {
         identity: identity_of(device),
         address: device.address,
         setting,
         possible: AddressSet::default(),
-        is_present: device.is_present() && current.is_some_and(|it| it.id == device.id),
+        is_present: device.is_present() && is_here && current.is_some_and(|it| it.id == device.id),
         is_shared: other_heard.is_some()
             || shared.any(|finding| finding.addresses.contains(&device.address)),
         other_heard,
-        same_uid_at: same_uid_at(bus, device),
+        same_uid_at,
         is_debug: device.is_debug,
         first_heard: device.first_seen,
         last_heard: device.last_seen,
@@ -189,10 +196,10 @@ impl RecordedState {
 }
 
 impl PlanKnowledge<'_> {
-    /// What the files tell: of the own plan all devices, of an earlier one those that it left open.
+    /// What the files tell.
     fn recorded_states(self) -> Vec<RecordedState> {
         let own = self.record.map(|record| (record, record.settled_devices()));
-        let earlier = self.earlier.map(|record| (record, Vec::new()));
+        let earlier = self.earlier.map(|record| (record, record.settled_devices()));
         let mut all = Vec::new();
         for (record, settled) in own.into_iter().chain(earlier) {
             let open = record.unsettled_devices().into_iter().map(|device| (device, true));

@@ -14,14 +14,16 @@ use crate::address_plan::{
     AddressGoal, AddressPlan, PlanOptions, PlanRecord, PlanRun, PlanTiming, RecordedDevice,
     RunState, StepEffect, StepState,
 };
-use crate::discovery::{OwnAddress, RequestId};
+use crate::discovery::{Device, DeviceId, OwnAddress, RequestId};
 use crate::frame::{BusIndex, Frame};
 use crate::text::counted;
 use crate::time::{Duration, Instant};
-use crate::wire::descriptor::DescriptorField;
+use crate::wire::descriptor::{AddressSetting, DescriptorField};
+use crate::wire::id::Address;
 use crate::wire::profile::{Profile, ProfileKey, WriteEffect};
 use goals::GoalKey;
 use known_devices::PlanKnowledge;
+pub(in crate::app) use known_devices::{identity_of, other_heard};
 
 /// Time between two looks whether the settings are read.
 const READ_INTERVAL: Duration = Duration::from_millis(100);
@@ -57,6 +59,8 @@ enum LastPlan {
     Unreadable(String),
 }
 
+/// How often a setting is read at most, where there is no response.
+const MAX_READS: u32 = 3;
 /// Time after which a plan that is shown is made again, from what is known then.
 const RENEWAL_INTERVAL: Duration = Duration::from_millis(500);
 
@@ -69,6 +73,9 @@ pub struct PlanSession {
     is_fixed: bool,
     /// When to look again whether the settings are read; `None` once they are.
     reading_due: Option<Instant>,
+    /// How often they were read, and the addresses of the devices that did not respond to the last time.
+    reads: u32,
+    unread: Vec<Address>,
     /// When the plan is made again, as long as it is shown and not started.
     renewal_due: Instant,
     goals: Vec<AddressGoal>,
@@ -87,6 +94,8 @@ pub struct PlanSession {
     recorded: u64,
     /// The state that is being written.
     writing: Option<u64>,
+    /// The file was not written yet, and is not that of a plan that goes on.
+    is_file_new: bool,
     /// The request that waits for its end, and its step.
     open: Option<(RequestId, usize)>,
     /// The last request of each step.
@@ -120,6 +129,12 @@ impl PlanSession {
     /// Returns true while stored settings and the last plan are read, and no plan is made yet.
     pub const fn is_reading(&self) -> bool {
         self.reading_due.is_some() || matches!(self.last, LastPlan::Awaited)
+    }
+
+    /// The addresses of the devices whose settings could not be read, although the profile has the
+    /// number: each counts as one that has stored its address.
+    pub fn unread(&self) -> &[Address] {
+        &self.unread
     }
 
     /// Why no plan can be made; `None` if one can.
@@ -309,7 +324,10 @@ impl App {
         if task == PlanTask::ToFile && !self.editor.file.is_there() {
             return Err(format!("{} does not exist", self.editor.file.name()));
         }
-        let is_read = profile.is_given(ProfileKey::Addr) && self.read_settings(bus);
+        let is_read = profile.is_given(ProfileKey::Addr) && {
+            let all = self.readable_devices(bus);
+            self.read_settings(&all)
+        };
         let now = self.clock.now();
         let name = self.buses.get(bus).map_or_else(String::new, |bus| bus.name.clone());
         self.effects.push_back(Effect::ReadLastPlan { bus: name });
@@ -319,6 +337,8 @@ impl App {
             restarts: restarts && profile.writes.effect == WriteEffect::Restart,
             is_fixed: true,
             reading_due: is_read.then_some(now + READ_INTERVAL),
+            reads: 0,
+            unread: Vec::new(),
             renewal_due: now + RENEWAL_INTERVAL,
             goals: Vec::new(),
             left_out: Vec::new(),
@@ -331,6 +351,7 @@ impl App {
             forgets_absent: self.forgets_absent_devices,
             recorded: 0,
             writing: None,
+            is_file_new: true,
             open: None,
             frames: Vec::new(),
             selected: 0,
@@ -339,14 +360,26 @@ impl App {
         Ok(())
     }
 
-    /// Reads the stored settings of all present devices; returns true if there are any.
-    fn read_settings(&mut self, index: BusIndex) -> bool {
-        let Some(bus) = self.buses.get(index) else { return false };
-        let devices = bus.devices().iter().filter(|device| device.is_present() && !device.is_debug);
-        let ids: Vec<_> = devices.map(|device| device.id).collect();
+    /// The devices whose settings can be read.
+    fn readable_devices(&self, index: BusIndex) -> Vec<DeviceId> {
+        let devices = self.buses.get(index).into_iter().flat_map(|bus| bus.devices());
+        let devices = devices.filter(|device| device.is_present() && !device.is_debug);
+        devices.map(|device| device.id).collect()
+    }
+
+    /// Those of them that did not respond, or with nothing that is a setting.
+    fn unread_settings(&self, index: BusIndex) -> Vec<DeviceId> {
+        let mut all = self.readable_devices(index);
+        let is_read = |device: &Device| device.descriptor.value(DescriptorField::Address).is_some();
+        all.retain(|id| !self.device(*id).is_some_and(is_read));
+        all
+    }
+
+    /// Reads the stored settings of these devices; returns true if there are any to read.
+    fn read_settings(&mut self, devices: &[DeviceId]) -> bool {
         let (now, field) = (self.clock.now(), Some(DescriptorField::Address));
         // All of them, whatever the first one gives.
-        let fields = ids.into_iter().map(|id| self.buses.read_descriptor(now, id, field));
+        let fields = devices.iter().map(|id| self.buses.read_descriptor(now, *id, field));
         fields.sum::<usize>() > 0
     }
 
@@ -424,11 +457,13 @@ impl App {
                 record.devices.len() - 1
             });
             record.devices[place].to = goal.to.number();
+            record.devices[place].setting = goal.setting.map(AddressSetting::code);
             session.places[step.goal] = Some(place);
         }
         let run = PlanRun::new(session.plan.clone(), effect, timing, &bus);
         session.frames = vec![None; run.states().len()];
         session.run = Some(run);
+        session.is_file_new = !matches!(session.task, PlanTask::Resume(..));
         session.record = Some((name, record));
         Ok(())
     }

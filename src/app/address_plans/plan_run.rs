@@ -1,7 +1,7 @@
 //! The run of a plan: its clock, its requests and their ends, its file, its lines on the timeline.
 
 use super::known_devices::{PlanKnowledge, identity_of, other_heard};
-use super::{PlanSession, READ_INTERVAL, RENEWAL_INTERVAL};
+use super::{MAX_READS, PlanSession, READ_INTERVAL, RENEWAL_INTERVAL};
 use crate::address_plan::{DeviceIdentity, PlanRequest, RequestEnd};
 use crate::app::device_command::DeviceCommand;
 use crate::app::notices::TimelineEntry;
@@ -38,6 +38,17 @@ impl App {
             };
             session.reading_due = Some(now + READ_INTERVAL);
             if bus.is_none_or(is_read) {
+                let unread = self.unread_settings(session.bus);
+                session.reads += 1;
+                if !unread.is_empty() && session.reads < MAX_READS {
+                    self.plan = Some(session);
+                    self.read_settings(&unread);
+                    // The engine sends at once.
+                    self.buses.handle_timeout(now);
+                    return self.take_events();
+                }
+                session.unread =
+                    unread.iter().filter_map(|id| Some(self.device(*id)?.address)).collect();
                 session.reading_due = None;
                 self.plan = Some(session);
                 self.notices.redraw.set_dirty();
@@ -92,10 +103,13 @@ impl App {
         }
         if !run.is_stored() && session.writing.is_none() {
             session.writing = Some(run.revision());
+            let is_running = run.is_running();
             session.renew_record(self.clock.epoch().unix_secs(now));
             if let Some((name, record)) = &session.record {
                 let (name, bytes) = (name.clone(), record.to_bytes());
-                self.effects.push_back(Effect::WritePlan { name, bytes });
+                let is_new = std::mem::take(&mut session.is_file_new);
+                let runs_on = is_running.then(|| record.bus.clone());
+                self.effects.push_back(Effect::WritePlan { name, bytes, is_new, runs_on });
             }
         }
         self.report_plan_news(session);

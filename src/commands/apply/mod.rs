@@ -10,17 +10,17 @@ use super::one_bus::{self, CommandRun};
 use super::open::{self, Setup};
 use super::output::{self, answer, ask, may_ask, say};
 use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure};
-use crate::address_plan::{DeviceIdentity, PlanRecord, PlanRun, RunState};
+use crate::address_plan::{DeviceIdentity, LeftOutReason, PlanRecord, PlanRun, RunState};
 use crate::app::{App, Bus, PlanStart, PlanTask, key_needed};
 use crate::cli::ApplyArgs;
 use crate::discovery::{Device, OwnAddress};
 use crate::document::Operation;
 use crate::frame::BusIndex;
-use crate::shell::plan_files::{latest_plan, plans_folder, read_plan};
-use crate::text::counted;
+use crate::shell::plan_files::{is_plan_of, latest_plan, plans_folder, read_plan};
+use crate::text::{counted, join_first, printable};
 use crate::time::Instant;
 use crate::wire::profile::ProfileKey;
-use plan_report::{ApplyReport, PinReport, print_json, print_steps, table};
+use plan_report::{ApplyReport, PinReport, UnpinnedReport, print_json, print_steps, table};
 use std::sync::mpsc::{Receiver, TryRecvError};
 
 /// The bus: there is one.
@@ -50,6 +50,8 @@ struct Apply<'a> {
     stage: ApplyStage,
     file: FileGate,
     pins: Vec<Operation>,
+    /// The entries whose devices are not known for sure.
+    unpinned: Vec<(String, LeftOutReason)>,
     has_declined: bool,
     /// des.json has mistakes: some of its addresses may be missing.
     has_mistakes: bool,
@@ -82,7 +84,8 @@ pub fn run(args: &ApplyArgs) -> Result<u8, Failure> {
     let (file, pins) = (FileGate::default(), Vec::new());
     let stage = ApplyStage::Searching;
     let (has_declined, has_mistakes) = (false, false);
-    let mut apply = Apply { args, task, stage, file, pins, has_declined, has_mistakes };
+    let unpinned = Vec::new();
+    let mut apply = Apply { args, task, stage, file, pins, unpinned, has_declined, has_mistakes };
     let CommandRun { app, is_interrupted } =
         one_bus::run(&args.bus, setup, args.time, |app, now, end| {
             apply.advance(app, now, end)?;
@@ -109,6 +112,10 @@ fn task(args: &ApplyArgs) -> Result<PlanTask, Failure> {
     let bus = args.bus.to_string();
     let find = |wanted: &str| -> Result<(String, PlanRecord), Failure> {
         let found = if wanted.is_empty() { latest_plan(&bus)? } else { Some(read_plan(wanted)?) };
+        if let Some((name, record)) = found.as_ref().filter(|it| !is_plan_of(&it.1, &bus)) {
+            let of = printable(record.bus.as_bytes());
+            return Err(Failure::Usage(format!("{name} is a plan of {of}, not of {bus}")));
+        }
         found.ok_or_else(|| {
             let folder = plans_folder().unwrap_or_default();
             Failure::Unusable(format!("no plan of {bus} in {}", folder.display()))
@@ -144,6 +151,15 @@ impl Apply<'_> {
                     return Err(Failure::Unusable(format!("{why}; {rest}")));
                 }
                 if !session.is_reading() {
+                    let unread: Vec<String> =
+                        session.unread().iter().map(ToString::to_string).collect();
+                    if !unread.is_empty() {
+                        let unread = join_first(unread, 8, ", ");
+                        say(format!(
+                            "no setting was read from {unread}: each counts as one that has stored \
+                             its address"
+                        ));
+                    }
                     self.show_plan(app)?;
                 }
             }
@@ -217,11 +233,14 @@ impl Apply<'_> {
     }
 
     fn show_pins(&mut self, app: &mut App) -> Result<(), Failure> {
-        self.pins = app.pins_of_bus(BUS);
+        (self.pins, self.unpinned) = app.pins_of_bus(BUS);
         if !self.args.json {
             for pin in &self.pins {
                 output::print(&format!("{pin}\n"))?;
             }
+        }
+        for (name, reason) in &self.unpinned {
+            say(format!("left out: {name}: {reason}"));
         }
         if self.pins.is_empty() || self.args.dry_run {
             self.stage = ApplyStage::Over;
@@ -245,7 +264,7 @@ impl Apply<'_> {
     fn start(&mut self, app: &mut App) -> Result<(), Failure> {
         if self.args.from_bus {
             // A device may have moved while the question was open.
-            if app.pins_of_bus(BUS) != self.pins {
+            if app.pins_of_bus(BUS).0 != self.pins {
                 say("the addresses of the bus have changed");
                 return self.show_pins(app);
             }
@@ -319,17 +338,20 @@ impl Apply<'_> {
             let is_saved = matches!(self.stage, ApplyStage::Done);
             let edits = self.pins.iter().map(ToString::to_string).collect();
             let file = app.file().name().clone();
-            print_json(&PinReport { descan: env!("CARGO_PKG_VERSION"), file, edits, is_saved })?;
+            let left_out = self.unpinned.iter().map(UnpinnedReport::new).collect();
+            let descan = env!("CARGO_PKG_VERSION");
+            print_json(&PinReport { descan, file, edits, left_out, is_saved })?;
         }
         match self.stage {
             _ if self.has_declined => say("nothing was written"),
+            _ if self.pins.is_empty() && !self.unpinned.is_empty() => say("nothing is pinned"),
             _ if self.pins.is_empty() => {
                 say(format!("{} has the addresses of the bus", app.file().name()));
             }
             ApplyStage::Done => say(format!("saved: {}", app.file().name())),
             _ => {}
         }
-        let is_all = !self.has_declined && !self.has_mistakes;
+        let is_all = !self.has_declined && !self.has_mistakes && self.unpinned.is_empty();
         Ok(if is_all { EXIT_OK } else { EXIT_FINDINGS })
     }
 }

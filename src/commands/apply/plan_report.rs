@@ -1,6 +1,6 @@
 //! What `descan apply` prints: the plan as a table, each step as it ends, and all as JSON.
 
-use crate::address_plan::{DeviceIdentity, PlanRun, PlanStep, RunState, StepState};
+use crate::address_plan::{DeviceIdentity, LeftOutReason, PlanRun, PlanStep, RunState, StepState};
 use crate::app::{App, PlanSession};
 use crate::commands::Failure;
 use crate::commands::output::{self, say};
@@ -97,8 +97,23 @@ pub struct PinReport {
     pub descan: &'static str,
     pub file: String,
     pub edits: Vec<String>,
+    pub left_out: Vec<UnpinnedReport>,
     #[serde(rename = "saved")]
     pub is_saved: bool,
+}
+
+/// An entry that is not pinned, as JSON.
+#[derive(Serialize)]
+pub struct UnpinnedReport {
+    name: String,
+    reason: &'static str,
+    why: String,
+}
+
+impl UnpinnedReport {
+    pub fn new((name, reason): &(String, LeftOutReason)) -> Self {
+        Self { name: name.clone(), reason: reason.word(), why: reason.to_string() }
+    }
 }
 
 /// A plan and what became of it, as JSON.

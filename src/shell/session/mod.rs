@@ -11,7 +11,7 @@ use super::bitrate_search::{RunningSearch, SearchNews};
 use super::catalogue_folders::{CatalogueFolders, CatalogueWatcher};
 use super::file_watcher::{DiskContent, FileWatcher};
 use super::log_input::{LogBatch, LogInput, LogPace};
-use super::plan_files::{latest_plan, write_plan};
+use super::plan_files::{PlanLock, latest_plan, write_plan};
 use super::recorder::Recorder;
 use super::store::{SaveError, Saved, Store, write_new};
 use super::waiting::{catalogue_changed, file_changed, sleep_for};
@@ -166,6 +166,8 @@ pub struct Session {
     stall_checked_from: Instant,
     /// Start of the session, in real time.
     started: Monotonic,
+    /// Held while a plan of addresses runs.
+    plan_lock: Option<PlanLock>,
 }
 
 impl Session {
@@ -257,6 +259,7 @@ impl Session {
             recorder: None,
             selector: None,
             searching: None,
+            plan_lock: None,
             batch: Vec::with_capacity(BATCH),
         };
         session.app.set_real_time(Instant::ZERO);
@@ -850,8 +853,12 @@ impl Session {
                     };
                     self.work.push(FileJob { handle: spawn_blocking(read), is_save: false });
                 }
-                Effect::WritePlan { name, bytes } => {
-                    let write = move || FileJobResult::WrittenPlan(write_plan(&name, &bytes));
+                Effect::WritePlan { name, bytes, is_new, runs_on } => {
+                    let locked = self.lock_plan(runs_on);
+                    let write = move || {
+                        let written = locked.and_then(|()| write_plan(&name, &bytes, is_new));
+                        FileJobResult::WrittenPlan(written)
+                    };
                     self.work.push(FileJob { handle: spawn_blocking(write), is_save: false });
                 }
                 Effect::ReadFile => {
@@ -875,6 +882,16 @@ impl Session {
             }
         }
         rest
+    }
+
+    /// Sees to it that no other program runs a plan on the bus on which one runs here.
+    fn lock_plan(&mut self, runs_on: Option<String>) -> Result<(), String> {
+        match runs_on {
+            None => self.plan_lock = None,
+            Some(bus) if self.plan_lock.is_none() => self.plan_lock = Some(PlanLock::take(&bus)?),
+            Some(_) => {}
+        }
+        Ok(())
     }
 
     /// Writes a new file on a separate thread.

@@ -69,6 +69,8 @@ pub struct Line {
     pub writing: Option<(String, Vec<u8>)>,
     /// Frames that descan sent to the write service.
     pub sent: Vec<Frame>,
+    /// Requests to it without data: reads.
+    pub reads: Vec<Frame>,
     /// Addresses are checked.
     pub is_checked: bool,
 }
@@ -112,6 +114,7 @@ impl Line {
             disk: None,
             writing: None,
             sent: Vec::new(),
+            reads: Vec::new(),
             is_checked: true,
         }
     }
@@ -146,8 +149,10 @@ impl Line {
             while let Some(frame) = self.sim.poll_frame(self.station) {
                 if let Some(id) = frame.platform_id().filter(|_| frame.is_tx) {
                     let is_write = Header::decode(id).service.number() == 0x016;
-                    if is_write && !frame.is_empty() {
-                        self.sent.push(frame);
+                    match is_write {
+                        true if frame.is_empty() => self.reads.push(frame),
+                        true => self.sent.push(frame),
+                        false => {}
                     }
                 }
                 self.app.handle_frames(now, &[frame]);
@@ -164,7 +169,7 @@ impl Line {
             }
             while let Some(effect) = self.app.poll_effect() {
                 match effect {
-                    Effect::WritePlan { name, bytes } => self.writing = Some((name, bytes)),
+                    Effect::WritePlan { name, bytes, .. } => self.writing = Some((name, bytes)),
                     Effect::ReadLastPlan { bus } => {
                         let last = self
                             .disk

@@ -2,7 +2,7 @@
 
 use super::line::{Line, Writes, address, device};
 use descan::address_plan::RunState;
-use descan::app::{FileReading, PlanTask};
+use descan::app::{DeviceCommand, FileReading, PlanTask};
 use descan::sim::{DeviceAction, DeviceSpec, Fault};
 use descan::time::{Duration, Instant};
 use descan::wire::descriptor::AddressSetting;
@@ -96,7 +96,7 @@ fn entry_with_an_impossible_uid_is_not_written() {
         let mut line = bus(vec![device(0, 10), device(1, 12)], &file, Writes::Now, true);
         line.plan(PlanTask::ToFile);
         let text = line.plan_text();
-        assert!(text.contains("N000 – 20: the uid of its entry is wrong"), "{uid}: {text}");
+        assert!(text.contains("N000 – 20: its entry has a mistake"), "{uid}: {text}");
     }
 }
 
@@ -236,4 +236,99 @@ fn address_of_an_absent_twin_without_a_uid_is_kept() {
     line.plan(PlanTask::ToFile);
     let text = line.plan_text();
     assert!(!text.contains("12 → 10"), "{text}");
+}
+
+#[test]
+fn address_of_an_absent_device_of_the_last_plan_is_kept() {
+    // N000 is locked: the plan stops before N001 moves, or after it.
+    for (from, confirmed) in [([10, 12, 13], 0), ([12, 10, 13], 1)] {
+        let specs = (0..3).map(|at| device(at, from[at])).collect();
+        let file = r#"[{"name":"N000","address":11,"static":true},
+            {"name":"N001","address":14,"static":true}]"#;
+        let mut line = bus(specs, file, Writes::Now, false);
+        line.sim.apply(line.devices[0], DeviceAction::AddFault(Fault::Locked));
+        line.plan(PlanTask::ToFile);
+        line.apply(|_| false);
+        let run = line.app.address_plan().unwrap().run().unwrap();
+        assert_eq!(run.finished(), confirmed, "{}", line.plan_text());
+        let absent = line.devices.remove(1);
+        line.sim.apply(absent, DeviceAction::PowerOff);
+        start_again(&mut line);
+        let at = if confirmed == 0 { 12 } else { 14 };
+        change_file(&mut line, &format!(r#"[{{"name":"N002","address":{at},"static":true}}]"#));
+        line.plan(PlanTask::ToFile);
+        let held = format!("N002 – {at}: {at} is used by N001 (absent)");
+        assert!(line.plan_text().contains(&held), "{}", line.plan_text());
+    }
+}
+
+#[test]
+fn pins_of_the_bus_leave_out_what_is_not_sure() {
+    let mut first = device(0, 10);
+    let mut second = settled("N000", 10, device(9, 10).uid);
+    first.faults.set(Fault::KeepsAddress, true);
+    second.faults.set(Fault::KeepsAddress, true);
+    let file = r#"[{"name":"N000","address":5,"static":true},
+        {"name":"N001","address":6,"static":true,"uid":"PLAN008"},
+        {"name":"N002","address":7,"static":true},
+        {"name":"N003","address":8,"static":true}]"#;
+    let specs = vec![first, second, device(1, 12), device(2, 14)];
+    let mut line = bus(specs, file, Writes::Now, false);
+    line.run(12.0, |_| false);
+    let (pins, left_out) = line.app.pins_of_bus(super::line::BUS);
+    let pins: Vec<String> = pins.iter().map(ToString::to_string).collect();
+    assert_eq!(pins, ["address of the entry N002: 7 → 14"]);
+    let left_out: Vec<String> =
+        left_out.iter().map(|(name, why)| format!("{name} {}", why.word())).collect();
+    assert_eq!(left_out, ["N000 shared-address", "N001 shared-address", "N003 not-present"]);
+}
+
+#[test]
+fn setting_that_was_not_read_is_read_again_and_named() {
+    let mut line = Line::new(&[10, 12], &[20, 12], Writes::Now, 3);
+    line.sim.apply(line.devices[1], DeviceAction::AddFault(Fault::NoDescriptor));
+    line.plan(PlanTask::ToFile);
+    assert_eq!(line.app.address_plan().unwrap().unread(), [address(12)]);
+    let reads = line
+        .reads
+        .iter()
+        .filter(|frame| frame.platform_id().is_some_and(|id| (id >> 10) & 0x7F == 12));
+    assert_eq!(reads.count(), 3);
+}
+
+#[test]
+fn command_reaches_the_device_that_was_asked_for_or_none() {
+    let mut line = bus(vec![device(0, 10), device(1, 12)], "[]", Writes::Now, true);
+    line.run(5.0, |_| false);
+    let id = line.app.buses()[0].device_at(address(10)).unwrap().id;
+    let command = DeviceCommand::Address(AddressSetting::Fixed(address(30)));
+    line.app.note_asked(id);
+    line.sim.apply(line.devices[0], DeviceAction::PowerOff);
+    line.run(0.5, |_| false);
+    line.sim.add_device(settled("N000", 10, device(9, 10).uid));
+    line.run(5.0, |_| false);
+    let why = line.app.send_command(id, command).unwrap_err();
+    assert!(why.contains("another device is at 10"), "{why}");
+    // Asked again, it may be written.
+    let id = line.app.buses()[0].device_at(address(10)).unwrap().id;
+    line.run(10.0, |_| false);
+    line.app.note_asked(id);
+    assert_eq!(line.app.send_command(id, command), Ok(()));
+    line.run(2.0, |_| false);
+    assert_eq!(line.sent.len(), 1);
+}
+
+#[test]
+fn command_to_a_shared_address_is_refused() {
+    let mut first = device(0, 10);
+    let mut second = settled("N000", 10, device(9, 10).uid);
+    first.faults.set(Fault::KeepsAddress, true);
+    second.faults.set(Fault::KeepsAddress, true);
+    let mut line = bus(vec![first, second, device(1, 12)], "[]", Writes::Now, true);
+    line.run(6.0, |_| false);
+    let id = line.app.buses()[0].device_at(address(10)).unwrap().id;
+    for command in [DeviceCommand::Address(AddressSetting::None), DeviceCommand::Restart] {
+        let why = line.app.send_command(id, command).unwrap_err();
+        assert_eq!(why, "another device is at 10, too");
+    }
 }

@@ -153,7 +153,7 @@ impl Stage {
             } else {
                 self.save(now, &effect);
             }
-            if let Effect::WritePlan { name, bytes } = &effect {
+            if let Effect::WritePlan { name, bytes, .. } = &effect {
                 self.last_plan = Some((name.clone(), PlanRecord::parse(bytes).unwrap()));
                 self.app.handle_plan_written(now, Ok(()));
             }

@@ -107,6 +107,22 @@ fn device_that_moved_since_the_question_gets_no_frame() {
 }
 
 #[test]
+fn copies_stop_when_the_receiver_moves() {
+    let mut stage = boiler();
+    stage.until(70.0);
+    let composition = Composition::parse("request 0x123 01 to DISP").unwrap();
+    let composed = stage.app.compose(BUS, &composition).unwrap();
+    let repeat = Repeat { copies: 300, interval: Duration::from_millis(100) };
+    stage.app.send_composed(BUS, &composition, &composed, repeat, None).unwrap();
+    // DISP moves to 40 at 75 s.
+    stage.until(110.0);
+    let sent = stage.app.sent_frames().next_back().unwrap();
+    let text = sent.outcome_text();
+    assert!(text.contains("ended: it was asked for DISP @20, now it is"), "{text}");
+    assert!(sent.copies < 100, "{text}");
+}
+
+#[test]
 fn answer_to_a_round_is_not_one_to_the_request() {
     let mut stage = boiler();
     // A round begins every 10 s; the answers are to descan, too.
