@@ -1,0 +1,16 @@
+//! The tests of a node, with the kit in C.
+
+use super::*;
+
+type Driver = KitProcess;
+type Board = SingleBoard<Driver>;
+type TestBus = IdealBus<Driver>;
+
+#[path = "address_resolution.rs"]
+mod address_resolution;
+#[path = "commands.rs"]
+mod commands;
+#[path = "transfers.rs"]
+mod transfers;
+#[path = "vectors.rs"]
+mod vectors;
