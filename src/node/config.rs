@@ -50,7 +50,8 @@ pub struct NodeConfig {
     pub write_bitrate: Option<Service>,
     /// When a written address or bit rate acts.
     pub write_effect: WriteEffect,
-    /// BUS_CFG_HR_TIME in milliseconds, 10 to 60,000 (CAN platform §3.1.7: 1,000).
+    /// BUS_CFG_HR_TIME in milliseconds, 10 to 60,000 (CAN platform §3.1.7: 1,000); other values count
+    /// as the nearest of these.
     pub heartbeat_ms: u32,
     /// Offset of the UID in the heartbeat, 0 to 2; `None`: it does not carry the UID, and other nodes
     /// with this node's UID are not noticed.
@@ -138,7 +139,9 @@ impl NodeConfig {
 
     /// Returns BUS_CFG_HR_TIME.
     pub(super) fn period(&self) -> Duration {
-        Duration::from_millis(u64::from(self.heartbeat_ms))
+        let periods = HeartbeatProfile::PERIODS;
+        let period = self.heartbeat_ms.clamp(*periods.start(), *periods.end());
+        Duration::from_millis(u64::from(period))
     }
 
     fn layout(&self) -> HeartbeatProfile {

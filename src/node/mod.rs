@@ -436,7 +436,7 @@ impl<'a, const REQUESTERS: usize> Node<'a, REQUESTERS> {
 
     /// A heartbeat is due. One whose predecessor still waits is left out.
     fn beat(&mut self, now: Instant) {
-        let period = self.config.period().max(Duration::from_millis(1));
+        let period = self.config.period();
         self.is_heartbeat_due |= !self.has_frame[Slot::Heartbeat as usize];
         self.uid_memory = self.uid_memory.saturating_sub(1);
         self.until += period;
@@ -534,8 +534,8 @@ impl<'a, const REQUESTERS: usize> Node<'a, REQUESTERS> {
                 self.own = choice;
                 self.stage = NodeStage::Wait;
                 let part = u64::from(self.random() >> 16);
-                let delay = u64::from(self.config.heartbeat_ms) * 1000 * part >> 16;
-                self.until = now + Duration::from_micros(delay);
+                let period = self.config.period().as_micros() as u64;
+                self.until = now + Duration::from_micros((period * part) >> 16);
                 return true;
             }
             if matches!(setting, AddressSetting::Fixed(_)) {

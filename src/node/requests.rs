@@ -1,6 +1,6 @@
 //! Requests that a node receives: DES, the descriptor, writes and commands.
 
-use super::requester::{CommandEffect, NodeCommand, ResponseKind};
+use super::requester::{CommandEffect, NodeCommand, ResponseKind, ServedRequester};
 use super::{Node, NodeFrame, StorePending};
 use crate::time::Instant;
 use crate::wire::des::{ReceivedRequest, Request};
@@ -59,7 +59,7 @@ impl<const REQUESTERS: usize> Node<'_, REQUESTERS> {
     fn add(&mut self, header: Header, frame: &NodeFrame, kind: ResponseKind) -> Option<usize> {
         let peer = header.source;
         let known = self.requesters.iter().position(|it| !it.is_free() && it.peer == peer);
-        let free = || self.requesters.iter().position(|it| it.is_free());
+        let free = || self.requesters.iter().position(ServedRequester::is_free);
         let at =
             known.or_else(free).filter(|at| self.requesters[*at].add(peer, frame.is_fd(), kind));
         if at.is_none() {

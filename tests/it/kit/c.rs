@@ -1,4 +1,5 @@
 //! The tests of a node, with the kit in C.
+#![allow(clippy::duplicate_mod)] // The same tests for both nodes.
 
 use super::*;
 

@@ -9,6 +9,8 @@
 mod build;
 mod c;
 mod command;
+mod equality;
+mod node;
 mod node_bench;
 mod rust;
 
