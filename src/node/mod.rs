@@ -200,9 +200,9 @@ struct StorePending {
 
 /// Addresses, one bit each.
 #[derive(Clone, Copy, Debug, Default)]
-struct AddressSet([u32; 4]);
+struct UsedAddresses([u32; 4]);
 
-impl AddressSet {
+impl UsedAddresses {
     fn insert(&mut self, address: Address) {
         self.0[address.index() / 32] |= 1 << (address.index() % 32);
     }
@@ -228,7 +228,7 @@ pub struct Node<'a, const REQUESTERS: usize = 3> {
     error: u8,
     /// Its address from [`NodeStage::Wait`] on.
     own: Address,
-    in_use: AddressSet,
+    in_use: UsedAddresses,
     /// Heartbeats until a working node with the same UID is forgotten.
     uid_memory: u8,
     /// Bit rate in bit/s.
@@ -275,7 +275,7 @@ impl<'a, const REQUESTERS: usize> Node<'a, REQUESTERS> {
             limit: ModeLimit::Work,
             error: 0,
             own: Address::DEBUG,
-            in_use: AddressSet::default(),
+            in_use: UsedAddresses::default(),
             uid_memory: 0,
             rate: settings.bitrate.rate,
             is_silent: false,
@@ -502,7 +502,7 @@ impl<'a, const REQUESTERS: usize> Node<'a, REQUESTERS> {
     fn listen(&mut self, stage: NodeStage, now: Instant) {
         self.stage = stage;
         self.until = now + self.config.period() * 3 / 2;
-        self.in_use = AddressSet::default();
+        self.in_use = UsedAddresses::default();
         if self.wish == ModeWish::Move {
             self.in_use.insert(self.own);
         }

@@ -1,4 +1,4 @@
-//! The tests of a node, with the node in Rust, `descan::node`.
+//! The tests of a node, with that in Rust, `descan::node`.
 #![allow(clippy::duplicate_mod)] // The same tests for both nodes.
 
 use super::*;
