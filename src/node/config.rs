@@ -2,7 +2,6 @@
 
 use super::NodeFrame;
 use crate::frame::Frame;
-use crate::time::Duration;
 use crate::wire::des::MAX_MESSAGE;
 use crate::wire::descriptor::{
     AddressSetting, BitrateSetting, ByteOrder, Capabilities, DescriptorField, DescriptorValue,
@@ -137,11 +136,12 @@ impl NodeConfig {
         }
     }
 
-    /// Returns BUS_CFG_HR_TIME.
-    pub(super) fn period(&self) -> Duration {
+    /// Returns BUS_CFG_HR_TIME in microseconds. Not a [`core::time::Duration`], whose sums take a
+    /// division of 64 bits.
+    pub(super) fn period_micros(&self) -> u64 {
         let periods = HeartbeatProfile::PERIODS;
         let period = self.heartbeat_ms.clamp(*periods.start(), *periods.end());
-        Duration::from_millis(u64::from(period))
+        u64::from(period) * 1000
     }
 
     fn layout(&self) -> HeartbeatProfile {

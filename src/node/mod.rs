@@ -104,7 +104,7 @@ pub use config::{NodeConfig, NodeDevice, NodeSettings};
 pub use frame::NodeFrame;
 
 use crate::frame::IdFilter;
-use crate::time::{Duration, Instant};
+use crate::time::Instant;
 use crate::wire::descriptor::{AddressSetting, BitrateSetting};
 use crate::wire::id::{Address, Header, Service};
 use crate::wire::node::{Heartbeat, Mode};
@@ -196,6 +196,11 @@ struct StorePending {
     effect: CommandEffect,
     /// True once [`NodeAction::Store`] was returned.
     is_reported: bool,
+}
+
+/// Returns the moment `micros` microseconds after another one.
+fn after(at: Instant, micros: u64) -> Instant {
+    Instant::from_micros(at.as_micros().saturating_add(micros))
 }
 
 /// Addresses, one bit each.
@@ -370,7 +375,7 @@ impl<'a, const REQUESTERS: usize> Node<'a, REQUESTERS> {
     /// Enters the configured mode, at the address that was claimed.
     fn run(&mut self, now: Instant) {
         self.stage = NodeStage::Run;
-        self.until = now + self.config.period();
+        self.until = after(now, self.config.period_micros());
         if self.settings.autostart && self.wish == ModeWish::Enter(Mode::Cfg) {
             self.wish = ModeWish::Enter(Mode::Work);
         }
@@ -436,12 +441,12 @@ impl<'a, const REQUESTERS: usize> Node<'a, REQUESTERS> {
 
     /// A heartbeat is due. One whose predecessor still waits is left out.
     fn beat(&mut self, now: Instant) {
-        let period = self.config.period();
+        let period = self.config.period_micros();
         self.is_heartbeat_due |= !self.has_frame[Slot::Heartbeat as usize];
         self.uid_memory = self.uid_memory.saturating_sub(1);
-        self.until += period;
+        self.until = after(self.until, period);
         if self.until <= now {
-            self.until = now + period;
+            self.until = after(now, period);
         }
     }
 
@@ -501,7 +506,7 @@ impl<'a, const REQUESTERS: usize> Node<'a, REQUESTERS> {
     /// Begins to listen for 1.5 * BUS_CFG_HR_TIME.
     fn listen(&mut self, stage: NodeStage, now: Instant) {
         self.stage = stage;
-        self.until = now + self.config.period() * 3 / 2;
+        self.until = after(now, self.config.period_micros() * 3 / 2);
         self.in_use = UsedAddresses::default();
         if self.wish == ModeWish::Move {
             self.in_use.insert(self.own);
@@ -534,8 +539,7 @@ impl<'a, const REQUESTERS: usize> Node<'a, REQUESTERS> {
                 self.own = choice;
                 self.stage = NodeStage::Wait;
                 let part = u64::from(self.random() >> 16);
-                let period = self.config.period().as_micros() as u64;
-                self.until = now + Duration::from_micros((period * part) >> 16);
+                self.until = after(now, (self.config.period_micros() * part) >> 16);
                 return true;
             }
             if matches!(setting, AddressSetting::Fixed(_)) {
