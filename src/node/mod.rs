@@ -78,18 +78,6 @@
 //! let settings = NodeSettings { address, ..NodeSettings::BLANK };
 //! let node: Node = Node::new(&NodeConfig::DEFAULT, &PUMP, settings, 0x1234_5678);
 //! assert_eq!(node.address(), None);
-//! # let _ = step::<NoBoard>;
-//! # struct NoBoard;
-//! # impl Board for NoBoard {
-//! #     fn now(&mut self) -> Instant { Instant::ZERO }
-//! #     fn receive(&mut self) -> Option<NodeFrame> { None }
-//! #     fn errors(&mut self) -> (u16, bool) { (0, false) }
-//! #     fn set_up_can(&mut self, _: u32, _: bool) {}
-//! #     fn is_empty(&mut self, _: Slot) -> bool { true }
-//! #     fn transmit(&mut self, _: Slot, _: &NodeFrame) {}
-//! #     fn transmitted(&mut self, _: Slot) -> Option<bool> { None }
-//! #     fn store(&mut self, _: &NodeSettings) -> bool { true }
-//! # }
 //! ```
 
 mod clock;
