@@ -8,6 +8,8 @@
 //! | feature | adds | modules |
 //! |---|---|---|
 //! | none | decoding and encoding, without `std` or an allocator | [`time`], [`frame`], [`wire`] |
+//! | `node` | the node for firmware, without them too | [`node`] |
+//! | `embedded-can` | its frames from and to those of `embedded-can` | |
 //! | `std` | the library: engine, des.json, simulated bus | and those up to `bitrate` below |
 //! | `program` (default) | the program `descan` | all |
 //!
@@ -28,6 +30,7 @@
 //! * [`inventory`]: buses and devices of one moment; differences between two.
 //! * [`log`]: log formats, candump and pcapng.
 //! * [`kit`]: the responder for firmware, in C, and its header with the numbers of a profile.
+//! * [`node`]: the same node in Rust.
 //! * [`sim`]: a bit-timed simulated bus with devices.
 //! * [`bitrate`]: the bit rate search.
 //! * [`status`]: state of a bus, in plain values.
@@ -52,6 +55,9 @@
 pub mod frame;
 pub mod time;
 pub mod wire;
+
+#[cfg(feature = "node")]
+pub mod node;
 
 #[cfg(feature = "std")]
 pub mod address_plan;

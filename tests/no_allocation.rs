@@ -1,10 +1,13 @@
-//! Processing a frame allocates nothing once the devices and identifiers on the bus are known.
+//! Processing a frame allocates nothing once the devices and identifiers on the bus are known; the
+//! node for firmware allocates nothing at all.
 #![allow(unsafe_code)] // A counting allocator cannot be written without.
 
 use descan::app::{App, AppOptions};
 use descan::discovery::Config;
 use descan::frame::Frame;
+use descan::node::{Node, NodeAction, NodeConfig, NodeDevice, NodeFrame, NodeSettings, Slot};
 use descan::time::{Duration, Instant};
+use descan::wire::descriptor::AddressSetting;
 use descan::wire::id::{Address, Header, Service};
 use descan::wire::node::{Heartbeat, Mode, Uid};
 use descan::wire::profile::Profile;
@@ -90,6 +93,72 @@ fn steady_traffic_allocates_almost_nothing() {
         app.handle_timeout(Instant::from_micros((number + 1) * 1_000_000));
     }
     assert_eq!(allocations, 0, "allocations in 10,000 frames");
+}
+
+/// Passes a frame to a node, lets a second pass, and returns how many frames it sent.
+fn node_second(node: &mut Node, now: &mut Instant, frame: Option<&NodeFrame>) -> usize {
+    let mut count = 0;
+    if let Some(frame) = frame {
+        node.handle_frame(*now, frame);
+    }
+    for _ in 0..100 {
+        node.handle_timeout(*now);
+        while let Some(action) = node.poll_action() {
+            if let NodeAction::Store(_) = action {
+                node.handle_stored(true);
+            }
+        }
+        for slot in Slot::ALL {
+            if node.poll_transmit(slot).is_some() {
+                count += 1;
+                node.handle_transmitted(*now, slot, true);
+            }
+        }
+        *now += Duration::from_millis(10);
+    }
+    count
+}
+
+#[test]
+fn firmware_node_allocates_nothing() {
+    const SERVICES: &[&[&str]] = &[&["DES", "1.0"], &["FLOW", "2.1"], &["PRESSURE", "0.3"]];
+    let device = NodeDevice { services: SERVICES, ..NodeDevice::named("PUMP") };
+    let write = Some(Service::from_bits(0x011));
+    let config = NodeConfig { write_uid: write, ..NodeConfig::DEFAULT };
+    let settings = NodeSettings {
+        uid: Uid([1; 6]),
+        address: AddressSetting::Fixed(Address::from_bits(12)),
+        autostart: true,
+        ..NodeSettings::BLANK
+    };
+    let request = |service: u16, data: &[u8]| {
+        let service = Service::from_bits(service);
+        let header = Header::request(Address::DEBUG, Address::from_bits(12), false, service);
+        NodeFrame::classic(header.encode(), data).unwrap()
+    };
+    let requests = [
+        request(2, &[4, b'D', b'E', b'S', 1]),
+        request(2, &[4, b'D', b'E', b'S', 2]),
+        request(2, &[0x30, 2, 1]),
+        request(2, &[0x30, 0, 0]),
+        request(2, b"DES\x01"),
+        request(0x012, &[]),
+        request(0x011, &[7; 6]),
+        request(0x155, &[1]),
+    ];
+    let before = ALLOCATIONS.get();
+    let mut node = Node::new(&config, &device, settings, 7);
+    let mut now = Instant::ZERO;
+    let mut sent = 0;
+    for _ in 0..5 {
+        sent += node_second(&mut node, &mut now, None);
+    }
+    for request in &requests {
+        sent += node_second(&mut node, &mut now, Some(request));
+    }
+    assert_eq!(ALLOCATIONS.get() - before, 0, "allocations");
+    assert_eq!(node.settings().uid, Uid([7; 6]));
+    assert!(sent > 15, "{sent} frames");
 }
 
 /// Prints the speed; checks no limit, since machines differ. Run with `--release --nocapture

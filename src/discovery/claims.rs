@@ -100,7 +100,7 @@ pub struct HeardUid {
 
 /// Node known by its UID.
 #[derive(Clone, Debug)]
-struct Node {
+struct UidNode {
     uid: Uid,
     device: DeviceId,
     /// True if no row has its id: earlier events are about an unknown node.
@@ -118,7 +118,7 @@ struct Node {
     is_reported: bool,
 }
 
-impl Node {
+impl UidNode {
     /// Returns true if it stopped before the contention became a conflict.
     fn gave_up_before_conflict(&self, period: Duration) -> bool {
         self.contested_since.is_some_and(|began| self.last < began + period * RESOLUTION_PERIODS)
@@ -128,7 +128,7 @@ impl Node {
 /// Nodes of one bus by their UID.
 #[derive(Clone, Debug)]
 pub(super) struct AddressClaims {
-    nodes: Vec<Node>,
+    nodes: Vec<UidNode>,
     /// Time of the last claim of each address while another node sent heartbeats from it.
     claimed_while_held: [Option<Instant>; Address::COUNT],
 }
@@ -149,7 +149,7 @@ impl AddressClaims {
         let gap = period.mul_f64(MISSED_HEARTBEAT_PERIODS);
         let resolution_time = period * RESOLUTION_PERIODS;
         // A replaced board was silent for longer; so is one that is asleep.
-        let is_holder = |node: &Node| {
+        let is_holder = |node: &UidNode| {
             let holds = || now.since(node.last) < period.mul_f64(HOLD_PERIODS);
             node.address == address
                 && node.uid != uid
@@ -160,7 +160,7 @@ impl AddressClaims {
         let known = self.nodes.iter().position(|node| node.uid == uid);
         let at = known.unwrap_or_else(|| {
             let device = if is_other_node { reserve() } else { row };
-            self.remember(Node {
+            self.remember(UidNode {
                 uid,
                 device,
                 is_rowless: is_other_node,
@@ -279,12 +279,12 @@ impl AddressClaims {
     /// Forgets the nodes that are not heard any more. `period`: of the heartbeats of an address.
     pub fn forget_absent(&mut self, now: Instant, period: impl Fn(Address) -> Duration) {
         let is_there =
-            |node: &Node| now.since(node.last) < period(node.address) * RESOLUTION_PERIODS;
+            |node: &UidNode| now.since(node.last) < period(node.address) * RESOLUTION_PERIODS;
         self.nodes.retain(is_there);
     }
 
     /// Stores a node and returns its index; replaces the one silent for the longest time if full.
-    fn remember(&mut self, node: Node) -> usize {
+    fn remember(&mut self, node: UidNode) -> usize {
         if self.nodes.len() < MAX_NODES {
             self.nodes.push(node);
             return self.nodes.len() - 1;
@@ -388,7 +388,7 @@ impl AddressClaims {
         Some(node.last)
     }
 
-    fn node_at(&self, uid: Uid, address: Address) -> Option<&Node> {
+    fn node_at(&self, uid: Uid, address: Address) -> Option<&UidNode> {
         self.nodes.iter().find(|node| node.uid == uid && node.address == address)
     }
 

@@ -1,6 +1,8 @@
 //! INIT, ARSLV and the modes (CAN platform §3.2.4): bit rate, addresses, who gives way.
 
-use super::{Act, Board, BoardSpec, KitFrame, NAME, PERIOD, TestBus, des_request, heartbeat};
+use super::{
+    Act, Bench, Board, BoardSpec, KitFrame, NAME, PERIOD, TestBus, des_request, heartbeat,
+};
 use super::{PREFERRED, heartbeats, mode, modes, request_id};
 
 const LISTEN: u32 = PERIOD * 3 / 2;

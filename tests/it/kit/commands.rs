@@ -1,7 +1,7 @@
 //! Descriptor, writes of settings and commands, and requests for the application.
 
 use super::{
-    Act, Board, BoardSpec, KitFrame, PERIOD, PREFERRED, heartbeats, mode, modes, request_id,
+    Act, Bench, Board, BoardSpec, KitFrame, PERIOD, PREFERRED, heartbeats, mode, modes, request_id,
     responses,
 };
 

@@ -1,16 +1,18 @@
-//! The responder kit in C99, `src/kit`: compiled with the C compiler of this machine and run in a
-//! process of its own, tests/kit/driver.c, with simulated time.
+//! The nodes for firmware, in C99 (`src/kit`) and in Rust (`src/node`), with simulated time: each
+//! test of [`c`] is one of [`rust`], too.
 //!
-//! [`Driver`] is the process, [`Board`] one node without a bus, [`TestBus`] several nodes on an
-//! ideal bus. The size test and the sanitizers need compilers of their own: where they are
+//! [`KitProcess`] is the kit in C, compiled with the C compiler of this machine and run in a process
+//! of its own, tests/kit/driver.c; [`node_bench::NodeBench`] has the same commands for the node in
+//! Rust. [`SingleBoard`] is one node without a bus, [`IdealBus`] several nodes on a bus. The size test and the sanitizers need compilers of their own: where they are
 //! missing they are skipped with a message; in CI all must be installed.
 
-mod address_resolution;
 mod build;
+mod c;
 mod command;
-mod commands;
-mod transfers;
-mod vectors;
+mod equality;
+mod node;
+mod node_bench;
+mod rust;
 
 use build::compiled;
 use std::collections::VecDeque;
@@ -133,38 +135,12 @@ impl BoardSpec {
     }
 }
 
-/// The process of tests/kit/driver.c.
-struct Driver {
-    child: Child,
-    input: ChildStdin,
-    output: BufReader<ChildStdout>,
-}
-
-impl Driver {
-    fn start() -> Self {
-        let mut child = Command::new(compiled("driver"))
-            .stdin(Stdio::piped())
-            .stdout(Stdio::piped())
-            .spawn()
-            .unwrap();
-        let input = child.stdin.take().unwrap();
-        let output = BufReader::new(child.stdout.take().unwrap());
-        Self { child, input, output }
-    }
+/// Nodes under test, with the commands of tests/kit/driver.c.
+trait Bench {
+    fn start() -> Self;
 
     /// Runs a command; returns what the node did.
-    fn run(&mut self, command: &str) -> Vec<Act> {
-        writeln!(self.input, "{command}").unwrap();
-        let mut acts = Vec::new();
-        loop {
-            let mut line = String::new();
-            assert!(self.output.read_line(&mut line).unwrap() > 0, "driver ended: {command}");
-            match line.trim() {
-                "ok" => return acts,
-                line => acts.push(Act::parse(line)),
-            }
-        }
-    }
+    fn run(&mut self, command: &str) -> Vec<Act>;
 
     fn set_up(&mut self, number: usize, spec: &BoardSpec) {
         self.run(&format!(
@@ -180,7 +156,40 @@ impl Driver {
     }
 }
 
-impl Drop for Driver {
+/// The process of tests/kit/driver.c.
+struct KitProcess {
+    child: Child,
+    input: ChildStdin,
+    output: BufReader<ChildStdout>,
+}
+
+impl Bench for KitProcess {
+    fn start() -> Self {
+        let mut child = Command::new(compiled("driver"))
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let input = child.stdin.take().unwrap();
+        let output = BufReader::new(child.stdout.take().unwrap());
+        Self { child, input, output }
+    }
+
+    fn run(&mut self, command: &str) -> Vec<Act> {
+        writeln!(self.input, "{command}").unwrap();
+        let mut acts = Vec::new();
+        loop {
+            let mut line = String::new();
+            assert!(self.output.read_line(&mut line).unwrap() > 0, "driver ended: {command}");
+            match line.trim() {
+                "ok" => return acts,
+                line => acts.push(Act::parse(line)),
+            }
+        }
+    }
+}
+
+impl Drop for KitProcess {
     fn drop(&mut self) {
         let _ = self.child.kill();
         let _ = self.child.wait();
@@ -188,14 +197,14 @@ impl Drop for Driver {
 }
 
 /// One node without a bus: each of its frames is sent at once, unless `holds`.
-struct Board {
-    driver: Driver,
+struct SingleBoard<B> {
+    driver: B,
     now: u32,
     /// Leaves frames in the transmit buffers.
     holds: bool,
 }
 
-impl Board {
+impl<B: Bench> SingleBoard<B> {
     /// Creates a node that is started.
     fn new(spec: &BoardSpec) -> Self {
         Self::starting_at(spec, 0).0
@@ -203,7 +212,7 @@ impl Board {
 
     /// Creates a node that is started at a time; returns what it did, too.
     fn starting_at(spec: &BoardSpec, now: u32) -> (Self, Vec<Act>) {
-        let mut board = Self { driver: Driver::start(), now, holds: false };
+        let mut board = Self { driver: B::start(), now, holds: false };
         board.driver.set_up(0, spec);
         board.driver.run(&format!("time {now}"));
         board.driver.run("init 0");
@@ -335,7 +344,7 @@ fn heartbeat(from: u8, uid: [u8; 6], is_working: bool) -> KitFrame {
     KitFrame::classic(id, &data)
 }
 
-/// A node on a [`TestBus`].
+/// A node on a [`IdealBus`].
 #[derive(Default)]
 struct BusNode {
     is_silent: bool,
@@ -350,8 +359,8 @@ struct BusNode {
 /// Several nodes on an ideal bus: frames take 250 µs, and need another active node to be
 /// acknowledged. Two different frames with one identifier, or at different bit rates, destroy each
 /// other.
-struct TestBus {
-    driver: Driver,
+struct IdealBus<B> {
+    driver: B,
     nodes: Vec<BusNode>,
     now: u64,
     free_at: u64,
@@ -359,11 +368,11 @@ struct TestBus {
     log: Vec<(u64, usize, KitFrame)>,
 }
 
-impl TestBus {
+impl<B: Bench> IdealBus<B> {
     const FRAME_MICROS: u64 = 250;
 
     fn new(specs: &[BoardSpec]) -> Self {
-        let mut driver = Driver::start();
+        let mut driver = B::start();
         for (number, spec) in specs.iter().enumerate() {
             driver.set_up(number, spec);
         }

@@ -1,6 +1,8 @@
 //! Responses in several frames: flow control, several requesters, full transmit buffers.
 
-use super::{Act, Board, BoardSpec, CONTINUE, KitFrame, NAME, PERIOD, SERVICES, data, des_request};
+use super::{
+    Act, Bench, Board, BoardSpec, CONTINUE, KitFrame, NAME, PERIOD, SERVICES, data, des_request,
+};
 use super::{request_id, responses};
 
 /// 61 bytes: a first frame and eight consecutive ones.

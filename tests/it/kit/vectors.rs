@@ -1,7 +1,9 @@
 //! The examples in tests/vectors, byte for byte.
 
 use super::{Act, PERIOD, responses, unhex};
-use super::{Board, BoardSpec, CONTINUE, Driver, KitFrame, NAME, SERVICES, data, des_request};
+use super::{
+    Bench, Board, BoardSpec, CONTINUE, Driver, KitFrame, NAME, SERVICES, data, des_request,
+};
 use serde_json::Value;
 
 fn vectors(text: &str) -> Vec<Value> {

@@ -1,0 +1,17 @@
+//! The tests of a node, with that in Rust, `descan::node`.
+#![allow(clippy::duplicate_mod)] // The same tests for both nodes.
+
+use super::*;
+
+type Driver = node_bench::NodeBench;
+type Board = SingleBoard<Driver>;
+type TestBus = IdealBus<Driver>;
+
+#[path = "address_resolution.rs"]
+mod address_resolution;
+#[path = "commands.rs"]
+mod commands;
+#[path = "transfers.rs"]
+mod transfers;
+#[path = "vectors.rs"]
+mod vectors;
