@@ -30,7 +30,7 @@
 
 /* The frame that is sent at the end of WAIT is a claim: its flags are a bit of the stage. */
 enum { STAGE_INIT, STAGE_LISTEN, STAGE_WAIT = DES_FRAME_ONCE, STAGE_CLAIM, STAGE_RUN };
-enum { ASKER_FREE, ASKER_READY, ASKER_SENDING, ASKER_FLOW, ASKER_DONE };
+enum { REQUESTER_FREE, REQUESTER_READY, REQUESTER_SENDING, REQUESTER_FLOW, REQUESTER_DONE };
 
 /* des_node.wish: ARSLV, because another node uses the address. */
 #define WISH_MOVE (0x100u | DES_MODE_ARSLV)
@@ -44,7 +44,7 @@ enum { ASKER_FREE, ASKER_READY, ASKER_SENDING, ASKER_FLOW, ASKER_DONE };
 /* SRC of an identifier. */
 #define ADDRESS_MASK (UINT32_C(0x7F) << 17)
 
-/* des_asker.pending and .current. */
+/* des_requester.pending and .current. */
 #define ASK_NAME 0x0001u
 #define ASK_NAME_RAW 0x0002u
 #define ASK_SERVICES 0x0004u
@@ -53,7 +53,7 @@ enum { ASKER_FREE, ASKER_READY, ASKER_SENDING, ASKER_FLOW, ASKER_DONE };
 #define ASK_COMMAND 0x0010u
 #define ASK_FIELD 0x0020u /* The first field; the others follow. */
 
-/* Bit of des_asker.service; DES_ID_ERR of the response, 9 bits higher. */
+/* Bit of des_requester.service; DES_ID_ERR of the response, 9 bits higher. */
 #define COMMAND_DONE 0x8000u
 
 /* Bytes of the shortest frame with a request. */
@@ -169,8 +169,8 @@ static void listen(des_node *node, bool is_init, uint32_t now)
     if (node->wish > 0xFFu) {
         note_address(node, des_id_source(node->own));
     }
-    for (at = 0u; at < DES_ASKERS; at++) {
-        node->askers[at].state = ASKER_FREE;
+    for (at = 0u; at < DES_REQUESTERS; at++) {
+        node->requesters[at].state = REQUESTER_FREE;
     }
     node->wish = DES_MODE_CFG;
     set_bus(node, IS_SILENT);
@@ -286,55 +286,55 @@ static void check_uid(des_node *node, const des_frame *frame)
 
 /* Takes a request: adds it to those of its requester. Returns the requester's entry; NULL if
  * the request is dropped. */
-static des_asker *ask(des_node *node, const des_frame *frame, uint32_t request, uint32_t now)
+static des_requester *ask(des_node *node, const des_frame *frame, uint32_t request, uint32_t now)
 {
     uint32_t peer = des_id_source(frame->id);
-    des_asker *asker = (des_asker *)0;
+    des_requester *requester = (des_requester *)0;
     uint32_t at;
 
-    for (at = 0u; at < DES_ASKERS; at++) {
-        des_asker *entry = &node->askers[at];
+    for (at = 0u; at < DES_REQUESTERS; at++) {
+        des_requester *entry = &node->requesters[at];
 
-        if (entry->state == (uint32_t)ASKER_FREE) {
-            if (asker == (des_asker *)0) {
-                asker = entry;
+        if (entry->state == (uint32_t)REQUESTER_FREE) {
+            if (requester == (des_requester *)0) {
+                requester = entry;
             }
         } else if (entry->peer == peer) {
-            asker = entry;
+            requester = entry;
             break;
         } else {
             /* Another requester. */
         }
     }
-    if (asker == (des_asker *)0) {
+    if (requester == (des_requester *)0) {
         node->dropped++;
-        return asker;
+        return requester;
     }
-    if (asker->state == (uint32_t)ASKER_FREE) {
-        asker->pending = 0u;
-        asker->current = request;
+    if (requester->state == (uint32_t)REQUESTER_FREE) {
+        requester->pending = 0u;
+        requester->current = request;
     }
 #if DES_WITH_WRITES || DES_WITH_COMMANDS
-    if (((asker->pending & request) == ASK_COMMAND)
-        && ((asker->current != request) || (asker->state == (uint32_t)ASKER_SENDING))) {
+    if (((requester->pending & request) == ASK_COMMAND)
+        && ((requester->current != request) || (requester->state == (uint32_t)REQUESTER_SENDING))) {
         node->dropped++; /* There is room for one command. */
-        return (des_asker *)0;
+        return (des_requester *)0;
     }
 #endif
-    if (asker->current == request) {
+    if (requester->current == request) {
         /* A requester that asks again gave up the transfer that is under way: begin again. */
-        asker->current = 0u;
-        if (asker->state != (uint32_t)ASKER_SENDING) {
-            asker->state = ASKER_READY;
-            asker->at = now;
+        requester->current = 0u;
+        if (requester->state != (uint32_t)REQUESTER_SENDING) {
+            requester->state = REQUESTER_READY;
+            requester->at = now;
         }
 #if DES_WITH_FD
-        asker->flags = frame->flags;
+        requester->flags = frame->flags;
 #endif
-        asker->peer = (uint8_t)peer;
+        requester->peer = (uint8_t)peer;
     }
-    asker->pending |= (uint16_t)request;
-    return asker;
+    requester->pending |= (uint16_t)request;
+    return requester;
 }
 
 /* Takes flow control. */
@@ -344,24 +344,24 @@ static void flow(des_node *node, const des_frame *frame, uint32_t now)
     uint32_t peer = des_id_source(frame->id);
     uint32_t at;
 
-    for (at = 0u; at < DES_ASKERS; at++) {
-        des_asker *asker = &node->askers[at];
+    for (at = 0u; at < DES_REQUESTERS; at++) {
+        des_requester *requester = &node->requesters[at];
 
-        if ((asker->state == (uint32_t)ASKER_FLOW) && (asker->peer == peer)) {
+        if ((requester->state == (uint32_t)REQUESTER_FLOW) && (requester->peer == peer)) {
             if (data[0] == 0x30u) {
-                asker->block = data[1];
-                asker->st_min = data[2];
+                requester->block = data[1];
+                requester->st_min = data[2];
                 if (data[2] > 0x7Fu) {
                     /* 100 to 900 microseconds: 1 ms; a reserved code: 127 ms. */
-                    asker->st_min = ((uint8_t)(data[2] - 0xF1u) <= 8u) ? 1u : 0x7Fu;
+                    requester->st_min = ((uint8_t)(data[2] - 0xF1u) <= 8u) ? 1u : 0x7Fu;
                 }
-                asker->state = ASKER_READY;
-                asker->at = now;
-            } else if ((data[0] == 0x31u) && (asker->waits < N_WFT_MAX)) {
-                asker->waits++;
-                asker->at = now + N_BS;
+                requester->state = REQUESTER_READY;
+                requester->at = now;
+            } else if ((data[0] == 0x31u) && (requester->waits < N_WFT_MAX)) {
+                requester->waits++;
+                requester->at = now + N_BS;
             } else if (data[0] <= 0x32u) {
-                asker->state = ASKER_DONE;
+                requester->state = REQUESTER_DONE;
             } else {
                 /* Reserved: ignored. */
             }
@@ -375,7 +375,7 @@ static void receive_des(des_node *node, const des_frame *frame, bool is_served, 
     const uint8_t *data = frame->data;
     uint32_t length = frame->length;
     uint32_t request;
-    des_asker *asker;
+    des_requester *requester;
 
     if ((length >= 3u) && ((data[0] >> 4) == 3u)) {
         flow(node, frame, now);
@@ -410,9 +410,9 @@ static void receive_des(des_node *node, const des_frame *frame, bool is_served, 
         request <<= 2;
     } else if (data[4] != TYPE_NAME) {
         if ((frame->id & DES_ID_B) == 0u) {
-            asker = ask(node, frame, ASK_COMMAND, now);
-            if (asker != (des_asker *)0) {
-                asker->service = DES_SRV_DES; /* ERR = 0 */
+            requester = ask(node, frame, ASK_COMMAND, now);
+            if (requester != (des_requester *)0) {
+                requester->service = DES_SRV_DES; /* ERR = 0 */
             }
         }
         return;
@@ -527,7 +527,7 @@ static bool serve(des_node *node, const des_frame *frame, uint32_t now)
     uint32_t service = des_id_service(frame->id);
     uint32_t length = frame->length;
     bool is_known = false;
-    des_asker *asker;
+    des_requester *requester;
 #if DES_WITH_DESCRIPTOR
     uint32_t at;
 
@@ -550,13 +550,13 @@ static bool serve(des_node *node, const des_frame *frame, uint32_t now)
     if (!is_known) {
         return false;
     }
-    asker = ask(node, frame, ASK_COMMAND, now);
-    if (asker != (des_asker *)0) {
-        asker->service = (uint16_t)service;
+    requester = ask(node, frame, ASK_COMMAND, now);
+    if (requester != (des_requester *)0) {
+        requester->service = (uint16_t)service;
         if (take_command(node, service, frame->data, length)) {
-            asker->service |= COMMAND_DONE;
+            requester->service |= COMMAND_DONE;
 #if DES_WITH_COMMANDS
-            asker->value = (length == 0u) ? 0u : frame->data[0];
+            requester->value = (length == 0u) ? 0u : frame->data[0];
 #endif
         }
     }
@@ -564,17 +564,17 @@ static bool serve(des_node *node, const des_frame *frame, uint32_t now)
 }
 
 /* Does what a command demands, after its response was sent. */
-static void act(des_node *node, const des_asker *asker)
+static void act(des_node *node, const des_requester *requester)
 {
 #if DES_WITH_COMMANDS || (DES_WITH_WRITES && !DES_WRITES_AT_RESTART)
-    uint32_t service = asker->service & 0x3FFu;
+    uint32_t service = requester->service & 0x3FFu;
 
-    if ((asker->service & COMMAND_DONE) == 0u) {
+    if ((requester->service & COMMAND_DONE) == 0u) {
         return;
     }
 #if DES_WITH_COMMANDS
     if (service == DES_SRV_MODE) {
-        node->wish = asker->value;
+        node->wish = requester->value;
     }
     if (service == DES_SRV_IDENTIFY) {
         node->port->event(node->user, DES_EVENT_IDENTIFY, 0u);
@@ -594,7 +594,7 @@ static void act(des_node *node, const des_asker *asker)
 #endif
 #endif
     (void)node;
-    (void)asker;
+    (void)requester;
 }
 
 /* ---- Responses --------------------------------------------------------------------- */
@@ -608,16 +608,16 @@ typedef struct {
 } part;
 
 /* Takes the next part of a name or services response, and writes the head of its frame. */
-static void take_text(const des_node *node, des_asker *asker, uint8_t *data, part *next)
+static void take_text(const des_node *node, des_requester *requester, uint8_t *data, part *next)
 {
     const des_text *text = &node->device->services;
     uint32_t total = text->size;
-    uint32_t sent = asker->sent;
+    uint32_t sent = requester->sent;
     uint32_t capacity = MAX_CLASSIC_DATA;
     uint32_t head = 1u;
     uint32_t left;
 
-    if ((asker->current & (ASK_NAME | ASK_NAME_RAW)) != 0u) {
+    if ((requester->current & (ASK_NAME | ASK_NAME_RAW)) != 0u) {
         text = &node->device->name;
         total = text->size;
     } else if ((sent == 0u) && (node->mode == (uint32_t)DES_MODE_BOOT)) {
@@ -626,13 +626,13 @@ static void take_text(const des_node *node, des_asker *asker, uint8_t *data, par
         /* Services. */
     }
 #if DES_WITH_FD
-    if ((asker->flags & DES_FRAME_FD) != 0u) {
+    if ((requester->flags & DES_FRAME_FD) != 0u) {
         capacity = MAX_DATA;
     }
 #endif
-    data[0] = (uint8_t)(0x20u | (asker->sequence & 0x0Fu));
+    data[0] = (uint8_t)(0x20u | (requester->sequence & 0x0Fu));
 #if DES_WITH_RAW
-    if ((asker->current & (ASK_NAME_RAW | ASK_SERVICES_RAW)) != 0u) {
+    if ((requester->current & (ASK_NAME_RAW | ASK_SERVICES_RAW)) != 0u) {
         head = 0u;
         if (total > capacity) {
             next->id = DES_SRV_DES; /* ERR = 0: it does not fit. */
@@ -662,12 +662,12 @@ static void take_text(const des_node *node, des_asker *asker, uint8_t *data, par
     if (left < next->count) {
         next->count = left;
     }
-    asker->sent = (uint16_t)(sent + next->count);
-    asker->left = (uint16_t)(left - next->count);
+    requester->sent = (uint16_t)(sent + next->count);
+    requester->left = (uint16_t)(left - next->count);
 }
 
 /* Sends the next frame to a requester, if the transmit buffer takes it. */
-static void respond(des_node *node, des_asker *asker)
+static void respond(des_node *node, des_requester *requester)
 {
     uint8_t data[MAX_DATA];
     des_frame frame;
@@ -675,19 +675,19 @@ static void respond(des_node *node, des_asker *asker)
     uint32_t length;
     uint16_t sent;
 
-    if (asker->current == 0u) {
-        asker->current = asker->pending & (0u - asker->pending);
-        asker->sent = 0u;
-        asker->left = 0u;
-        asker->sequence = 0u;
-        asker->block = 1u; /* A first frame needs flow control. */
+    if (requester->current == 0u) {
+        requester->current = requester->pending & (0u - requester->pending);
+        requester->sent = 0u;
+        requester->left = 0u;
+        requester->sequence = 0u;
+        requester->block = 1u; /* A first frame needs flow control. */
     }
-    sent = asker->sent;
-    if ((asker->current & ASK_TEXT) != 0u) {
-        take_text(node, asker, data, &next);
+    sent = requester->sent;
+    if ((requester->current & ASK_TEXT) != 0u) {
+        take_text(node, requester, data, &next);
     } else {
-        if (asker->current == ASK_COMMAND) {
-            next.id = asker->service; /* Refused. */
+        if (requester->current == ASK_COMMAND) {
+            next.id = requester->service; /* Refused. */
 #if DES_WITH_WRITES || DES_WITH_COMMANDS
             next.id = (next.id & 0x3FFu) | ((next.id & COMMAND_DONE) << 9);
 #endif
@@ -697,7 +697,7 @@ static void respond(des_node *node, des_asker *asker)
             const field_place *field;
             uint32_t at = 0u;
 
-            while ((at < (FIELD_COUNT - 1u)) && (((uint32_t)ASK_FIELD << at) != asker->current)) {
+            while ((at < (FIELD_COUNT - 1u)) && (((uint32_t)ASK_FIELD << at) != requester->current)) {
                 at++;
             }
             field = &FIELDS[at];
@@ -715,7 +715,7 @@ static void respond(des_node *node, des_asker *asker)
     length = next.head + next.count;
     frame.flags = 0u;
 #if DES_WITH_FD
-    if ((asker->flags & DES_FRAME_FD) != 0u) {
+    if ((requester->flags & DES_FRAME_FD) != 0u) {
         frame.flags = DES_FRAME_FD;
         /* The lengths of a DLC above 8: up to 24 in steps of 4, then 32, 48, 64. */
         while ((length > MAX_CLASSIC_DATA)
@@ -727,40 +727,40 @@ static void respond(des_node *node, des_asker *asker)
 #endif
     frame.length = (uint8_t)length;
     frame.data = data;
-    frame.id = node->own | DES_ID_R | next.id | ((uint32_t)asker->peer << 10);
+    frame.id = node->own | DES_ID_R | next.id | ((uint32_t)requester->peer << 10);
     if (node->port->send(node->user, DES_SLOT_RESPONSE, &frame)) {
         node->busy |= BUSY_RESPONSE;
-        node->turn = asker;
-        asker->state = ASKER_SENDING;
-        asker->sequence++;
+        node->turn = requester;
+        requester->state = REQUESTER_SENDING;
+        requester->sequence++;
     } else {
-        asker->sent = sent; /* Again at the next des_poll. */
+        requester->sent = sent; /* Again at the next des_poll. */
     }
 }
 
 /* Handles the end of the transmission of a response's frame. */
 static void response_sent(des_node *node, bool is_sent, uint32_t now)
 {
-    des_asker *asker = node->turn;
+    des_requester *requester = node->turn;
 
-    if (!is_sent || (asker->left == 0u) || (asker->current == 0u)) {
-        if (is_sent && (asker->current == ASK_COMMAND)) {
-            act(node, asker);
+    if (!is_sent || (requester->left == 0u) || (requester->current == 0u)) {
+        if (is_sent && (requester->current == ASK_COMMAND)) {
+            act(node, requester);
         }
-        asker->state = ASKER_DONE;
+        requester->state = REQUESTER_DONE;
     } else {
-        uint32_t separation = asker->st_min * UINT32_C(1000);
+        uint32_t separation = requester->st_min * UINT32_C(1000);
 
-        asker->state = ASKER_READY;
-        if (asker->block != 0u) {
-            asker->block--;
-            if (asker->block == 0u) {
-                asker->state = ASKER_FLOW;
-                asker->waits = 0u;
+        requester->state = REQUESTER_READY;
+        if (requester->block != 0u) {
+            requester->block--;
+            if (requester->block == 0u) {
+                requester->state = REQUESTER_FLOW;
+                requester->waits = 0u;
                 separation = N_BS;
             }
         }
-        asker->at = now + separation;
+        requester->at = now + separation;
     }
 }
 
@@ -811,7 +811,7 @@ void des_init(des_node *node, const des_port *port, const des_device *device, vo
     node->port = port;
     node->device = device;
     node->user = user;
-    node->turn = node->askers;
+    node->turn = node->requesters;
     node->limit = DES_MODE_WORK;
     node->error = 0u;
     node->uid_in_use = 0u;
@@ -874,32 +874,32 @@ bool des_receive(des_node *node, const des_frame *frame, uint32_t now)
 }
 
 /* Sends the responses that are due; returns true if there is nothing to answer. */
-static bool poll_askers(des_node *node, uint32_t now)
+static bool poll_requesters(des_node *node, uint32_t now)
 {
-    des_asker *asker = node->turn;
-    uint32_t states = ASKER_FREE;
+    des_requester *requester = node->turn;
+    uint32_t states = REQUESTER_FREE;
     uint32_t at;
 
-    for (at = 0u; at < DES_ASKERS; at++) {
-        asker++;
-        if (asker == &node->askers[DES_ASKERS]) {
-            asker = node->askers;
+    for (at = 0u; at < DES_REQUESTERS; at++) {
+        requester++;
+        if (requester == &node->requesters[DES_REQUESTERS]) {
+            requester = node->requesters;
         }
-        if ((asker->state == (uint32_t)ASKER_DONE)
-            || ((asker->state == (uint32_t)ASKER_FLOW) && is_due(asker->at, now))) {
+        if ((requester->state == (uint32_t)REQUESTER_DONE)
+            || ((requester->state == (uint32_t)REQUESTER_FLOW) && is_due(requester->at, now))) {
             /* Answered, or given up (overflow, N_Bs): turn to its next request. */
-            asker->pending &= (uint16_t)~asker->current;
-            asker->current = 0u;
-            asker->at = now;
-            asker->state = (asker->pending == 0u) ? (uint32_t)ASKER_FREE : (uint32_t)ASKER_READY;
+            requester->pending &= (uint16_t)~requester->current;
+            requester->current = 0u;
+            requester->at = now;
+            requester->state = (requester->pending == 0u) ? (uint32_t)REQUESTER_FREE : (uint32_t)REQUESTER_READY;
         }
-        if ((asker->state == (uint32_t)ASKER_READY) && is_due(asker->at, now)
+        if ((requester->state == (uint32_t)REQUESTER_READY) && is_due(requester->at, now)
             && ((node->busy & BUSY_RESPONSE) == 0u)) {
-            respond(node, asker);
+            respond(node, requester);
         }
-        states |= asker->state;
+        states |= requester->state;
     }
-    return states == (uint32_t)ASKER_FREE;
+    return states == (uint32_t)REQUESTER_FREE;
 }
 
 /* Sends the heartbeat that is due, or the claim. */
@@ -948,7 +948,7 @@ uint32_t des_poll(des_node *node, uint32_t now)
             /* The claim is being sent. */
         }
     }
-    if ((node->stage == (uint32_t)STAGE_RUN) && poll_askers(node, now)
+    if ((node->stage == (uint32_t)STAGE_RUN) && poll_requesters(node, now)
         && ((node->busy & BUSY_ANY) == 0u) && !is_due(node->until, now)) {
         return node->until - now;
     }

@@ -70,8 +70,8 @@ extern "C" {
 
 /* Requesters that are served at the same time, 1 to 100; 28 bytes each. The
  * requests of further ones are dropped, see des_node.dropped. */
-#ifndef DES_ASKERS
-#define DES_ASKERS 3
+#ifndef DES_REQUESTERS
+#define DES_REQUESTERS 3
 #endif
 
 /* Service numbers, 0 to 0x3FF. DES_NONE: the device does not serve it. */
@@ -186,8 +186,8 @@ extern "C" {
 #define DES_POLL_US 1000u
 #endif
 
-#if (DES_ASKERS < 1) || (DES_ASKERS > 100)
-#error "DES_ASKERS is 1 to 100"
+#if (DES_REQUESTERS < 1) || (DES_REQUESTERS > 100)
+#error "DES_REQUESTERS is 1 to 100"
 #endif
 #if (DES_HEARTBEAT_MS < 10) || (DES_HEARTBEAT_MS > 60000)
 #error "DES_HEARTBEAT_MS is 10 to 60000"
@@ -358,7 +358,7 @@ typedef struct {
     uint8_t st_min;   /* Least time between two frames, in milliseconds. */
     uint8_t block;    /* Frames until the next flow control; 0: no further one. */
     uint8_t waits;    /* Flow controls with WAIT in a row. */
-} des_asker;
+} des_requester;
 
 /* A node. Its members are private but for `dropped`: use the functions below. */
 typedef struct {
@@ -372,13 +372,13 @@ typedef struct {
     uint32_t own;       /* U and SRC of its identifiers. */
     uint32_t busy;      /* Transmit buffers with a frame, one bit each. */
     uint32_t random;    /* State of the generator. */
-    des_asker *turn;    /* Requester whose frame was sent last. */
+    des_requester *turn;    /* Requester whose frame was sent last. */
     uint32_t in_use[4]; /* Addresses in use, one bit each. */
-    des_asker askers[DES_ASKERS];
+    des_requester requesters[DES_REQUESTERS];
     uint8_t limit;
     uint8_t error;
     uint8_t uid_in_use; /* Heartbeats until a working node with the same UID is forgotten. */
-    uint8_t dropped;    /* Requests that were dropped, modulo 256: more than DES_ASKERS
+    uint8_t dropped;    /* Requests that were dropped, modulo 256: more than DES_REQUESTERS
                          * requesters, or a command before that before was answered. */
     des_settings settings;
     uint8_t rate;

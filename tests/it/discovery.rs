@@ -188,10 +188,10 @@ fn discovery_leaves_gaps_for_heartbeats() {
 #[test]
 fn listen_only_engine_learns_without_sending() {
     let scenario = Scenario::with_many_devices(250_000, 10, 2);
-    let [asker, listener] = inspection::asker_and_listener(&scenario, 5, seconds(8.0));
+    let [requester, listener] = inspection::requester_and_listener(&scenario, 5, seconds(8.0));
     let known = |engine: &descan::discovery::Engine| engine.progress().with_services;
     // The requester is a debug device that does not respond here, so it knows ten devices too.
-    assert_eq!((known(&asker), known(&listener)), (10, 10));
+    assert_eq!((known(&requester), known(&listener)), (10, 10));
 }
 
 #[test]

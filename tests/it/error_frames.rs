@@ -172,7 +172,7 @@ fn suspicion_clears_when_one_of_two_leaves() {
 fn listen_only_suspects_from_foreign_requests() {
     let pair = pair(|other| other.service("VALVE", "2.1"));
     let scenario = with_pair(Scenario::with_many_devices(250_000, 10, 3), pair);
-    for engine in inspection::asker_and_listener(&scenario, 1, seconds(40.0)) {
+    for engine in inspection::requester_and_listener(&scenario, 1, seconds(40.0)) {
         let named = engine.findings().iter().filter(|it| it.key.kind == FindingKind::BusErrors);
         let named: Vec<_> = named.filter_map(|it| it.key.address.map(Address::number)).collect();
         assert_eq!(named, [14]);

@@ -68,7 +68,7 @@ pub const FAULTS: [Fault; 7] = [
 ];
 
 /// Runs two inspectors on that bus until `until`: one sends requests, one is listen-only.
-pub fn asker_and_listener(scenario: &Scenario, seed: u64, until: Instant) -> [Engine; 2] {
+pub fn requester_and_listener(scenario: &Scenario, seed: u64, until: Instant) -> [Engine; 2] {
     let mut sim = Sim::new(scenario, seed);
     let stations = [sim.attach(), sim.attach()];
     let config = Config { bitrate: Some(scenario.bitrate), ..Config::default() };
@@ -82,12 +82,12 @@ pub fn asker_and_listener(scenario: &Scenario, seed: u64, until: Instant) -> [En
             }
             engine.handle_timeout(now);
         }
-        let [asker, listener] = &mut engines;
-        while let Some(frame) = asker.poll_transmit(now) {
+        let [requester, listener] = &mut engines;
+        while let Some(frame) = requester.poll_transmit(now) {
             sim.transmit(stations[0], frame);
         }
         assert!(listener.poll_transmit(now).is_none(), "who listens sends nothing");
-        let next = [asker.poll_timeout(), listener.poll_timeout(), sim.next_event()];
+        let next = [requester.poll_timeout(), listener.poll_timeout(), sim.next_event()];
         let next = next.into_iter().flatten().min().unwrap_or(until);
         sim.advance(next.max(now + Duration::from_micros(1)));
     }

@@ -235,7 +235,7 @@ fn size_of(type_name: &str) -> usize {
 fn kit_has_no_warnings_in_any_configuration() {
     let switches = ["FD", "RAW", "DESCRIPTOR", "WRITES", "COMMANDS"];
     let odd = "#define DES_HEARTBEAT_UID_AT -1\n#define DES_HEARTBEAT_MODE_AT 0\n\
-               #define DES_HEARTBEAT_ERROR_AT -1\n#define DES_BIG_ENDIAN 1\n#define DES_ASKERS 1\n\
+               #define DES_HEARTBEAT_ERROR_AT -1\n#define DES_BIG_ENDIAN 1\n#define DES_REQUESTERS 1\n\
                #define DES_WRITES_AT_RESTART 1\n";
     for chosen in 0..32 {
         let mut config = String::from(if chosen % 3 == 0 { ALL_NUMBERS } else { "" });

@@ -137,7 +137,7 @@ fn several_requesters_are_served_at_once() {
     for requester in [0, 5, 9] {
         assert_eq!(board.exchange(&from(requester, SERVICES)).len(), 1);
     }
-    assert!(board.exchange(&from(77, NAME)).is_empty(), "more than DES_ASKERS");
+    assert!(board.exchange(&from(77, NAME)).is_empty(), "more than DES_REQUESTERS");
     assert_eq!(board.command("dropped 0"), [Act::Other("dropped 1".to_owned())]);
     for requester in [9, 5, 0] {
         board.receive(&from(requester, CONTINUE));
