@@ -188,11 +188,11 @@ fn find(app: &App, wanted: &str, is_last: bool) -> Result<Option<DeviceId>, Fail
                 || number == Some(device.address.number()))
     };
     let found: Vec<&Device> = bus.devices().iter().filter(is_it).collect();
+    // Another one of the same name, or at the same address, may be found later.
+    let is_over = is_last || bus.progress().is_complete && app.is_observed(bus);
     match &found[..] {
         [] => Ok(None),
-        // Another one of the same name, or at the same address, may be found later.
-        [_] if !is_last && !(bus.progress().is_complete && app.is_observed(bus)) => Ok(None),
-        [device] => Ok(Some(device.id)),
+        [device] => Ok(is_over.then_some(device.id)),
         several => {
             let places = several.iter().map(|device| format!("at {}", device.address));
             let places = join_first(places.collect(), NAMED_DEVICES, " and ");

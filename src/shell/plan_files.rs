@@ -112,7 +112,7 @@ pub fn latest_plan(bus: &str) -> Result<Option<(String, PlanRecord)>, Diagnostic
     let entries = fs::read_dir(&folder).into_iter().flatten().flatten();
     let mut names: Vec<String> = entries
         .filter_map(|entry| entry.file_name().into_string().ok())
-        .filter(|name| name.ends_with(".json") && !name.starts_with('.'))
+        .filter(|name| name.strip_suffix(".json").is_some_and(|stem| !stem.starts_with('.')))
         .collect();
     // A name begins with its time.
     names.sort_unstable();

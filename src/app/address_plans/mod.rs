@@ -362,8 +362,8 @@ impl App {
 
     /// The devices whose settings can be read.
     fn readable_devices(&self, index: BusIndex) -> Vec<DeviceId> {
-        let devices = self.buses.get(index).into_iter().flat_map(|bus| bus.devices());
-        let devices = devices.filter(|device| device.is_present() && !device.is_debug);
+        let Some(bus) = self.buses.get(index) else { return Vec::new() };
+        let devices = bus.devices().iter().filter(|device| device.is_present() && !device.is_debug);
         devices.map(|device| device.id).collect()
     }
 
