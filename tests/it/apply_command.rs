@@ -211,8 +211,8 @@ fn plan_of_another_bus_is_refused() {
     let given = ["--profile", "profile.toml", "--yes"];
     apply(folder.path(), &given);
     let plans = folder.path().join("state/descan/plans");
-    let files = std::fs::read_dir(plans).unwrap().map(|file| file.unwrap().path());
-    let plan = files.filter(|path| path.extension().is_some_and(|it| it == "json")).next().unwrap();
+    let mut files = std::fs::read_dir(plans).unwrap().map(|file| file.unwrap().path());
+    let plan = files.find(|path| path.extension().is_some_and(|it| it == "json")).unwrap();
     let text = std::fs::read_to_string(&plan).unwrap();
     std::fs::write(folder.path().join("o.json"), text.replace("sim:bus.toml", "can7")).unwrap();
     for way in ["--resume=o.json", "--undo=o.json"] {
