@@ -1,5 +1,6 @@
 //! The devices of a bus as a plan sees them: who they are, where they are, what they have stored.
 
+use super::reason::LeftOutReason;
 use crate::text::Name;
 use crate::time::Instant;
 use crate::wire::descriptor::AddressSetting;
@@ -146,6 +147,19 @@ impl KnownDevice {
     /// Returns the address it has stored, fixed or preferred.
     pub fn stored(&self) -> Option<Address> {
         self.setting.and_then(AddressSetting::address)
+    }
+
+    /// Why no plan and no pin is about the device as it is now, whatever its address is to be.
+    pub const fn obstacle(&self) -> Option<LeftOutReason> {
+        if !self.is_present {
+            Some(LeftOutReason::NotPresent)
+        } else if self.is_debug {
+            Some(LeftOutReason::Debug)
+        } else if self.is_shared {
+            Some(LeftOutReason::Shared(self.address))
+        } else {
+            None
+        }
     }
 
     /// Returns true if `row` is what remains of this device where it was before: it is not present, looks

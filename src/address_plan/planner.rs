@@ -222,14 +222,8 @@ impl<'a> Planner<'a> {
         let missing = || goal.doubt.clone().unwrap_or(LeftOutReason::NotPresent);
         let place = goal.device.ok_or_else(missing)?;
         let device = &self.bus.devices[place];
-        if !device.is_present {
-            return Err(LeftOutReason::NotPresent);
-        }
-        if device.is_debug {
-            return Err(LeftOutReason::Debug);
-        }
-        if device.is_shared {
-            return Err(LeftOutReason::Shared(device.address));
+        if let Some(obstacle) = device.obstacle() {
+            return Err(obstacle);
         }
         if let Some(other) = self.same_uid(place) {
             return Err(LeftOutReason::SameUid(other));

@@ -36,6 +36,15 @@ pub(super) fn place_in(
     }
 }
 
+/// An entry of des.json, and its device on a bus.
+struct ListedDevice<'a> {
+    entry: &'a Entry,
+    /// Place of the device on the bus; `None` if it was not found.
+    place: Option<usize>,
+    /// Why the device may be another one.
+    doubt: Option<LeftOutReason>,
+}
+
 /// Returns the address that the user pinned in an entry.
 fn pinned(entry: &Entry) -> Option<Address> {
     let address = entry.address.filter(|_| entry.is_static).and_then(Address::new);
@@ -70,30 +79,39 @@ impl App {
         goals
     }
 
-    fn goals_of_file(&self, index: BusIndex, known: &PlanBus) -> Vec<AddressGoal> {
-        let Some(bus) = self.buses.get(index) else { return Vec::new() };
+    /// The entries of des.json that are about a bus, each with its device.
+    fn listed_devices<'a>(&'a self, index: BusIndex, bus: &'a Bus) -> Vec<ListedDevice<'a>> {
         let document = self.editor.file.document();
         let matching = Matching::new(document.entries(), self.buses.as_slice());
         let mistakes = self.file_mistakes();
         let wrong: BTreeSet<usize> = mistakes.iter().flat_map(|it| it.entries.clone()).collect();
         let entries = document.entries().iter().filter(|entry| entry.is_for_bus(&bus.name));
-        let goals = entries.filter_map(|entry| {
-            let to = pinned(entry)?;
+        let listed = entries.filter_map(|entry| {
             let devices = matching.devices_of(entry.index);
             let own = devices.iter().find(|id| id.bus == index);
             // The device is on another bus, or another entry is about it.
             if own.is_none() && (!devices.is_empty() || matching.is_duplicate(entry.index)) {
                 return None;
             }
-            let device = own.and_then(|id| bus.devices().iter().position(|it| it.id == *id));
-            let identity = match device {
-                Some(place) => known.devices[place].identity.clone(),
-                None => identity_of_entry(entry, bus),
-            };
-            let doubt = match device {
+            let place = own.and_then(|id| bus.devices().iter().position(|it| it.id == *id));
+            let doubt = match place {
                 _ if wrong.contains(&entry.index) => Some(LeftOutReason::WrongEntry),
                 Some(at) => doubt_of(entry, &bus.devices()[at], bus),
                 None => shared_address(entry, bus).map(LeftOutReason::Shared),
+            };
+            Some(ListedDevice { entry, place, doubt })
+        });
+        listed.collect()
+    }
+
+    fn goals_of_file(&self, index: BusIndex, known: &PlanBus) -> Vec<AddressGoal> {
+        let Some(bus) = self.buses.get(index) else { return Vec::new() };
+        let listed = self.listed_devices(index, bus).into_iter();
+        let goals = listed.filter_map(|ListedDevice { entry, place: device, doubt }| {
+            let to = pinned(entry)?;
+            let identity = match device {
+                Some(place) => known.devices[place].identity.clone(),
+                None => identity_of_entry(entry, bus),
             };
             let (setting, is_left_out) = (None, false);
             Some(AddressGoal { device, identity, to, setting, doubt, is_left_out })
@@ -115,33 +133,16 @@ impl App {
         let Some(bus) = self.buses.get(index) else { return (edits, left_out) };
         let known = self.known_devices(index, PlanKnowledge::default());
         let document = self.editor.file.document();
-        let matching = Matching::new(document.entries(), self.buses.as_slice());
-        let mistakes = self.file_mistakes();
-        let wrong: BTreeSet<usize> = mistakes.iter().flat_map(|it| it.entries.clone()).collect();
-        for entry in document.entries().iter().filter(|entry| entry.is_for_bus(&bus.name)) {
-            let devices = matching.devices_of(entry.index);
-            let own = devices.iter().find(|id| id.bus == index);
-            if own.is_none() && (!devices.is_empty() || matching.is_duplicate(entry.index)) {
-                continue;
-            }
-            let place = own.and_then(|id| bus.devices().iter().position(|it| it.id == *id));
-            let device = place.map(|at| (&bus.devices()[at], &known.devices[at]));
-            let reason = match device {
-                _ if wrong.contains(&entry.index) => Some(LeftOutReason::WrongEntry),
-                None => Some(
-                    shared_address(entry, bus)
-                        .map_or(LeftOutReason::NotPresent, LeftOutReason::Shared),
-                ),
-                Some((_, known)) if !known.is_present => Some(LeftOutReason::NotPresent),
-                Some((_, known)) if known.is_debug => Some(LeftOutReason::Debug),
-                Some((_, known)) if known.is_shared => Some(LeftOutReason::Shared(known.address)),
-                Some((_, known)) if known.same_uid_at.is_some() => {
-                    known.same_uid_at.map(LeftOutReason::SameUid)
-                }
-                Some((device, _)) => doubt_of(entry, device, bus),
+        for ListedDevice { entry, place, doubt } in self.listed_devices(index, bus) {
+            let device = place.map(|at| &known.devices[at]);
+            let same_uid = || device?.same_uid_at.map(LeftOutReason::SameUid);
+            let reason = match (doubt, device) {
+                (Some(LeftOutReason::WrongEntry), _) => Some(LeftOutReason::WrongEntry),
+                (doubt, Some(device)) => device.obstacle().or_else(same_uid).or(doubt),
+                (doubt, None) => Some(doubt.unwrap_or(LeftOutReason::NotPresent)),
             };
             match (reason, device) {
-                (None, Some((device, _))) => {
+                (None, Some(device)) => {
                     let to = device.address.number();
                     if entry.address != Some(to) || !entry.is_static {
                         let (entry, from) = (document.key(entry.index), entry.address);

@@ -198,12 +198,11 @@ impl RecordedState {
 impl PlanKnowledge<'_> {
     /// What the files tell.
     fn recorded_states(self) -> Vec<RecordedState> {
-        let own = self.record.map(|record| (record, record.settled_devices()));
-        let earlier = self.earlier.map(|record| (record, record.settled_devices()));
         let mut all = Vec::new();
-        for (record, settled) in own.into_iter().chain(earlier) {
+        for record in self.record.into_iter().chain(self.earlier) {
             let open = record.unsettled_devices().into_iter().map(|device| (device, true));
-            let both: Vec<_> = open.chain(settled.into_iter().map(|it| (it, false))).collect();
+            let settled = record.settled_devices().into_iter().map(|device| (device, false));
+            let both: Vec<_> = open.chain(settled).collect();
             let identities: Vec<_> = both.iter().map(|(device, _)| device.identity()).collect();
             let acts_at_once = record.effect == StepEffect::AtOnce.word();
             all.extend(both.into_iter().map(|(device, is_open)| {

@@ -59,7 +59,7 @@ enum LastPlan {
     Unreadable(String),
 }
 
-/// How often a setting is read at most, where there is no response.
+/// Most reads of a setting of a device that does not respond.
 const MAX_READS: u32 = 3;
 /// Time after which a plan that is shown is made again, from what is known then.
 const RENEWAL_INTERVAL: Duration = Duration::from_millis(500);
