@@ -25,7 +25,7 @@ pub struct KitDevice {
     pub has_fd: bool,
 }
 
-/// Why there is no header for a device and a profile.
+/// Why a header cannot be written for a device and a profile.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum KitFault {

@@ -238,7 +238,7 @@ fn values_of(
             None => number.parse(),
         };
         let number = Escaped(number.as_bytes());
-        let value = value.map_err(|_| format!("{name}: \"{number}\" is no integer"))?;
+        let value = value.map_err(|_| format!("{name}: \"{number}\" is not an integer"))?;
         let (least, most) = range_of(kind, width);
         if !(least..=most).contains(&i128::from(value)) {
             return Err(format!("{name}: the value {number} is not {least} to {most}"));

@@ -251,7 +251,7 @@ fn number_of_two_common_files_is_named() {
     let files: Value = serde_json::from_str(&out).unwrap();
     let last = files.as_array().unwrap().last().unwrap();
     assert!(last["warning"].as_str().unwrap().contains("0x002") && last["fault"].is_null());
-    // The same message in both is no contradiction; a service number of two is one.
+    // Both may name the same message; two services with one number contradict each other.
     folder.write("devices/zz.toml", "[[services]]\nname = 'A'\nnumber = 1\n");
     folder.write("devices/common.toml", "[[services]]\nname = 'B'\nnumber = 1\n");
     let (_, _, error) = folder.run(&["catalogue"]);

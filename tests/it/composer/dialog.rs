@@ -97,7 +97,7 @@ fn templates_are_saved_and_opened_in_turn() {
     assert_eq!(kept(&stage), [Effect::KeepTemplate(name.clone())]);
     stage.keys("Ctrl-s");
     assert!(stage.screen().contains("saved already"), "{}", stage.screen());
-    // A mistake is none; a device that may come is no mistake of the text.
+    // Words with a mistake are not saved; those of a device that is absent are.
     stage.keys("Ctrl-u").text("@12 wroking").keys("Ctrl-s");
     assert_eq!(kept(&stage).len(), 1);
     stage.keys("Ctrl-u").text("PUMP").keys("Ctrl-s");
@@ -114,7 +114,7 @@ fn templates_are_saved_and_opened_in_turn() {
     assert!(stage.screen().contains("template not saved: no space left"), "{}", stage.screen());
     stage.keys("Ctrl-o Ctrl-o");
     assert_eq!(words(&stage), name);
-    // Those of earlier runs are there; a line that is no composition is left out.
+    // Those of earlier runs are offered; a line that cannot be read is left out.
     let options = AppOptions {
         buses: vec![("can0".to_owned(), Config::default())],
         templates: vec!["# own".to_owned(), "debug 0x005 data 01".to_owned()],
