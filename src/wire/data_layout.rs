@@ -537,7 +537,7 @@ mod tests {
             (r#"{ name = "a", type = "u8", length = 2 }"#, "for text and bytes"),
             (r#"{ name = "a", type = "bytes", length = 0 }"#, "at least one byte"),
             (r#"{ name = "a", type = "bytes" }, { name = "b", type = "u8" }"#, "needs at"),
-            (r#"{ name = "a", type = "u8", values = { x = "y" } }"#, "no integer"),
+            (r#"{ name = "a", type = "u8", values = { x = "y" } }"#, "not an integer"),
             (
                 r#"{ name = "a", type = "u8", values = { 256 = "y" } }"#,
                 "a: the value 256 is not 0 to 255",
