@@ -65,6 +65,8 @@ pub enum LeftOutReason {
     WrongEntry,
     /// An earlier entry is about the same device.
     ListedTwice,
+    /// Its entry has no UID, and several devices at other addresses have its name.
+    SeveralNamed,
     /// It is not on the bus.
     NotPresent,
     /// Neither UID nor name is known: it would not be recognised.
@@ -94,11 +96,13 @@ impl LeftOutReason {
         match self {
             Self::AlreadyThere => "already-there",
             Self::Stored => "stored",
-            Self::Shared(_) | Self::Another(_) => "shared-address",
+            Self::Shared(_) => "shared-address",
+            Self::Another(_) => "another-device",
             Self::SameUid(_) => "same-uid",
             Self::UidNotHeard => "uid-not-heard",
             Self::WrongEntry => "entry-mistake",
             Self::ListedTwice => "listed-twice",
+            Self::SeveralNamed => "ambiguous-name",
             Self::NotPresent => "not-present",
             Self::NoIdentity => "no-identity",
             Self::Debug => "debug-device",
@@ -122,6 +126,7 @@ impl fmt::Display for LeftOutReason {
             Self::UidNotHeard => f.write_str("its UID was not heard"),
             Self::WrongEntry => f.write_str("its entry has a mistake"),
             Self::ListedTwice => f.write_str("listed twice"),
+            Self::SeveralNamed => f.write_str("several have its name: give its UID"),
             Self::NotPresent => f.write_str("not on the bus"),
             Self::NoIdentity => f.write_str("no UID and no name"),
             Self::Debug => f.write_str("a debug device"),

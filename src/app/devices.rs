@@ -308,7 +308,7 @@ fn sort(rows: &mut [Row], buses: &Buses, by: SortBy) {
         let mode = |row: &Row| known(row.device(buses).and_then(|device| row.mode_of(device)));
         // Statistics of two senders mixed describe neither of them.
         let heartbeat = |row: &Row| {
-            let device = row.device(buses).filter(|device| !buses.is_shared(device));
+            let device = row.device(buses).filter(|device| !buses.has_confirmed_conflict(device));
             device.map(|device| &device.heartbeat)
         };
         let missed = |row: &Row| known(heartbeat(row).map(|beats| Reverse(beats.missed)));

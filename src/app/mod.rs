@@ -81,6 +81,7 @@ mod proof;
 mod saved_filters;
 mod sent_commands;
 mod sent_frames;
+mod shared_address;
 mod shown_state;
 mod signs;
 mod stories;

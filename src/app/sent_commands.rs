@@ -1,10 +1,10 @@
 //! Commands that the user sends to devices: the question before, the sending, and how each ended.
 //! Also the reading of a descriptor, which is asked for in the same way.
 
-use super::address_plans::{identity_of, other_heard};
 use super::device_command::DeviceCommand;
 use super::input::{CommandPrompt, Prompt, PromptKind, Question};
 use super::notices::TimelineEntry;
+use super::shared_address::{identity_of, is_shared};
 use super::timeline_kind::TimelineKind;
 use super::{App, format_time_of_day};
 use crate::address_plan::DeviceIdentity;
@@ -71,9 +71,8 @@ impl App {
     /// Says that another device uses the address of this one: a request would reach both.
     fn shared_address(&self, id: DeviceId) -> Option<String> {
         let (device, bus) = (self.device(id)?, self.bus(id.bus)?);
-        let is_shared =
-            other_heard(bus, device, self.clock.now()).is_some() || self.buses.is_shared(device);
-        is_shared.then(|| format!("another device is at {}, too", device.address))
+        is_shared(bus, device, self.clock.now())
+            .then(|| format!("another device is at {}, too", device.address))
     }
 
     /// Remembers the device that the user is asked about.

@@ -192,7 +192,7 @@ impl App {
             present.filter(|it| of.device_at(it.address).is_none_or(|now| now.id == it.id));
         let mut nodes: Vec<KnownNode> = current
             .map(|device| {
-                let is_shared = self.shown_buses().is_shared(device);
+                let is_shared = self.shown_buses().has_confirmed_conflict(device);
                 KnownNode {
                     address: device.address,
                     name: device.name.as_ref().map(ToString::to_string),

@@ -90,8 +90,8 @@ impl App {
 
     /// Returns true if an address conflict is confirmed at the address of a device: its heartbeat
     /// statistics are those of two devices then.
-    pub fn is_shared(&self, device: &Device) -> bool {
-        self.shown_buses().is_shared(device)
+    pub fn has_confirmed_conflict(&self, device: &Device) -> bool {
+        self.shown_buses().has_confirmed_conflict(device)
     }
 
     /// UIDs in the heartbeats of a device; two where alternating UIDs are confirmed.

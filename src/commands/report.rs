@@ -476,7 +476,7 @@ fn of_device(app: &App, bus: &Bus, device: &Device) -> DeviceReport {
     let clash = conflicts.clone().next().is_some();
     let at_one_address =
         conflicts.find(|finding| finding.addresses.len() == 1 && finding.uids.len() > 1);
-    let error = device.heartbeat.period_error().filter(|_| !app.is_shared(device));
+    let error = device.heartbeat.period_error().filter(|_| !app.has_confirmed_conflict(device));
     let tenths = |ppm: f64| (ppm * 10.0).round() / 10.0;
     DeviceReport {
         bus: bus.name.clone(),

@@ -170,6 +170,31 @@ fn mistakes_of_the_file_are_named_and_are_no_success() {
 }
 
 #[test]
+fn entries_without_a_device_of_their_own_say_why() {
+    let file = r#"[{"name":"SENS","address":20,"static":true},
+        {"name":"FEED","address":21,"static":true},{"name":"FEED","address":22,"static":true},
+        {"name":"LAST","address":23,"static":true,"uid":"BOILER77"},
+        {"name":"GONE","address":24,"static":true}]"#;
+    let folder = folder("", file);
+    let given = ["--profile", "profile.toml", "--dry-run", "--json"];
+    let (told, _, _) = apply(folder.path(), &given);
+    let told: Value = serde_json::from_str(&told).unwrap();
+    let left_out = told["left_out"].as_array().unwrap().iter();
+    let left_out: Vec<_> = left_out.map(|it| (it["to"].as_u64(), it["reason"].as_str())).collect();
+    let expected = [
+        (Some(23), Some("another-device")),
+        (Some(20), Some("ambiguous-name")),
+        (Some(22), Some("listed-twice")),
+        (Some(24), Some("not-present")),
+    ];
+    assert_eq!(left_out, expected, "{told}");
+    let (_, said, code) = apply(folder.path(), &["--from-bus", "--yes"]);
+    assert!(said.contains("left out: SENS: several have its name: give its UID"), "{said}");
+    assert!(said.contains("left out: FEED: listed twice"), "{said}");
+    assert_eq!(code, Some(1));
+}
+
+#[test]
 fn addresses_of_the_bus_go_into_the_file() {
     let folder = folder("", FILE);
     let (told, _, code) = apply(folder.path(), &["--from-bus", "--yes"]);

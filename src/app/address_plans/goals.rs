@@ -1,11 +1,12 @@
 //! Which device is to have which address: from des.json, or from a plan's file.
 
-use super::known_devices::{PlanKnowledge, is_shared_address};
+use super::known_devices::PlanKnowledge;
 use super::{PlanSession, PlanTask};
 use crate::address_plan::{
     AddressGoal, AddressSet, DeviceIdentity, LeftOutReason, PlanBus, PlanRecord, RecordedDevice,
 };
 use crate::app::problems::Matching;
+use crate::app::shared_address::is_shared_address;
 use crate::app::{App, Bus};
 use crate::discovery::Device;
 use crate::document::{Entry, Operation};
@@ -97,7 +98,7 @@ impl App {
             let doubt = match place {
                 _ if wrong.contains(&entry.index) => Some(LeftOutReason::WrongEntry),
                 Some(at) => doubt_of(entry, &bus.devices()[at], bus),
-                None => shared_address(entry, bus).map(LeftOutReason::Shared),
+                None => missing_reason(entry, bus, &matching, index),
             };
             Some(ListedDevice { entry, place, doubt })
         });
@@ -180,6 +181,30 @@ fn doubt_of(entry: &Entry, device: &Device, bus: &Bus) -> Option<LeftOutReason> 
         return Some(LeftOutReason::Another(device.address));
     }
     (listed.is_some() && device.uid.is_none()).then_some(LeftOutReason::UidNotHeard)
+}
+
+/// Why an entry has no device, apart from that it is not on the bus.
+fn missing_reason(
+    entry: &Entry,
+    bus: &Bus,
+    matching: &Matching,
+    index: BusIndex,
+) -> Option<LeftOutReason> {
+    if let Some(address) = shared_address(entry, bus) {
+        return Some(LeftOutReason::Shared(address));
+    }
+    // One with a UID is about that board alone.
+    if entry.uid.as_deref().is_some_and(|uid| !uid.trim().is_empty()) {
+        return None;
+    }
+    let named = bus.devices().iter().filter(|it| it.is_present() && it.is_named(&entry.name));
+    let (listed, open): (Vec<_>, Vec<_>) =
+        named.partition(|it| it.id.bus == index && matching.entry_of(it.id).is_some());
+    match (open.len(), listed.is_empty()) {
+        (0, true) => None,
+        (0, false) => Some(LeftOutReason::ListedTwice),
+        _ => Some(LeftOutReason::SeveralNamed),
+    }
 }
 
 /// Returns the address at which the device of an entry is in conflict with another one.

@@ -4,6 +4,7 @@
 use crate::address_plan::{
     AddressSet, DeviceIdentity, KnownDevice, PlanBus, PlanRecord, StepEffect, UnsettledDevice,
 };
+use crate::app::shared_address::{identity_of, is_shared, other_heard};
 use crate::app::{App, Bus};
 use crate::discovery::{Device, HeardUid, OwnAddress};
 use crate::finding::{Finding, FindingKind, FindingState};
@@ -13,15 +14,6 @@ use crate::wire::descriptor::{DescriptorField, DescriptorValue};
 use crate::wire::id::Address;
 use crate::wire::node::Uid;
 
-/// Conflicts of several devices at one address.
-const SHARED_ADDRESS: [FindingKind; 3] = [
-    FindingKind::SameNameSameAddress,
-    FindingKind::OneAddressTwoNames,
-    FindingKind::OneAddressTwoIdentities,
-];
-
-/// Heartbeat periods for which a device that is not heard any more may still be at its address.
-const SHARED_PERIODS: u32 = 5;
 /// Most devices of earlier plans in the file of a plan.
 const MAX_UNSETTLED: usize = 512;
 /// Heartbeat periods after which each device was heard, even if two of its heartbeats are lost. Chosen.
@@ -38,42 +30,6 @@ pub(super) struct PlanKnowledge<'a> {
     pub forgets_absent: bool,
 }
 
-/// Returns by what a device is recognised.
-pub(in crate::app) fn identity_of(device: &Device) -> DeviceIdentity {
-    DeviceIdentity { uid: device.uid, name: device.name.clone() }
-}
-
-/// Returns true if a finding tells of two devices at one address, now.
-pub(super) fn is_shared_address(finding: &Finding) -> bool {
-    SHARED_ADDRESS.contains(&finding.key.kind) && finding.state != FindingState::Cleared
-}
-
-/// Returns when another device was heard last at the address of this one, and nowhere else since: a
-/// write may reach that one. `None` if that was more than some heartbeat periods ago.
-pub(in crate::app) fn other_heard(bus: &Bus, device: &Device, now: Instant) -> Option<Instant> {
-    let address = device.address;
-    let has_left = |uid: Uid, last: Instant| {
-        let elsewhere = |it: &Device| it.address != address && it.last_seen > last;
-        let known = uid.not_blank().is_some();
-        known && bus.devices().iter().any(|it| it.uid == Some(uid) && elsewhere(it))
-    };
-    let senders = bus.senders_at(address).into_iter();
-    let mut senders: Vec<_> = senders.filter(|it| !has_left(it.uid, it.last)).collect();
-    // One of them is the device: the one with its UID, else the last one.
-    senders.sort_by_key(|it| (Some(it.uid) == device.uid, it.last));
-    senders.pop();
-    let recently = bus.config().profile.heartbeat.period() * SHARED_PERIODS;
-    let identity = identity_of(device);
-    let rows = bus.devices().iter().filter(|other| {
-        other.id != device.id
-            && other.address == address
-            && now.since(other.last_seen) <= recently
-            && identity.is_other(&identity_of(other))
-            && !other.uid.is_some_and(|uid| has_left(uid, other.last_seen))
-    });
-    senders.iter().map(|it| it.last).chain(rows.map(|other| other.last_seen)).max()
-}
-
 /// Returns the other address at which a board with the UID of this one is, too.
 fn same_uid_at(bus: &Bus, device: &Device) -> Option<Address> {
     let is_it = |finding: &&Finding| {
@@ -86,7 +42,6 @@ fn same_uid_at(bus: &Bus, device: &Device) -> Option<Address> {
 }
 
 fn known_device(bus: &Bus, device: &Device, now: Instant) -> KnownDevice {
-    let mut shared = bus.findings().iter().filter(|finding| is_shared_address(finding));
     let setting = match device.descriptor.value(DescriptorField::Address) {
         Some(DescriptorValue::Address(setting)) => Some(setting),
         _ => None,
@@ -99,16 +54,14 @@ fn known_device(bus: &Bus, device: &Device, now: Instant) -> KnownDevice {
     let is_here = same_uid_at.is_some()
         || device.uid.is_none_or(Uid::is_blank)
         || bus.heard_uids().all(is_here);
-    let other_heard = other_heard(bus, device, now);
     KnownDevice {
         identity: identity_of(device),
         address: device.address,
         setting,
         possible: AddressSet::default(),
         is_present: device.is_present() && is_here && current.is_some_and(|it| it.id == device.id),
-        is_shared: other_heard.is_some()
-            || shared.any(|finding| finding.addresses.contains(&device.address)),
-        other_heard,
+        is_shared: is_shared(bus, device, now),
+        other_heard: other_heard(bus, device, now),
         same_uid_at,
         is_debug: device.is_debug,
         first_heard: device.first_seen,

@@ -23,7 +23,6 @@ use crate::wire::id::Address;
 use crate::wire::profile::{Profile, ProfileKey, WriteEffect};
 use goals::GoalKey;
 use known_devices::PlanKnowledge;
-pub(in crate::app) use known_devices::{identity_of, other_heard};
 
 /// Time between two looks whether the settings are read.
 const READ_INTERVAL: Duration = Duration::from_millis(100);

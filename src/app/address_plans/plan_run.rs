@@ -1,10 +1,11 @@
 //! The run of a plan: its clock, its requests and their ends, its file, its lines on the timeline.
 
-use super::known_devices::{PlanKnowledge, identity_of, other_heard};
+use super::known_devices::PlanKnowledge;
 use super::{MAX_READS, PlanSession, READ_INTERVAL, RENEWAL_INTERVAL};
 use crate::address_plan::{DeviceIdentity, PlanRequest, RequestEnd};
 use crate::app::device_command::DeviceCommand;
 use crate::app::notices::TimelineEntry;
+use crate::app::shared_address::{identity_of, is_shared};
 use crate::app::timeline_kind::TimelineKind;
 use crate::app::{App, Bus, Effect, Overlay, TxBlocked};
 use crate::discovery::{DeviceRequest, Event, EventKind, OwnAddress, RequestId, RequestOutcome};
@@ -145,7 +146,7 @@ impl App {
             let who = if who == identity.label() { format!("another {who}") } else { who };
             return Err(format!("{who} is at {at} now"));
         }
-        if other_heard(on, device, self.clock.now()).is_some() {
+        if is_shared(on, device, self.clock.now()) {
             return Err(format!("another device is at {at}, too"));
         }
         let device = device.id;

@@ -199,7 +199,7 @@ impl Buses {
 
     /// Returns true if an address conflict is confirmed at the device's address: its heartbeat
     /// statistics are those of two devices then.
-    pub fn is_shared(&self, device: &Device) -> bool {
+    pub fn has_confirmed_conflict(&self, device: &Device) -> bool {
         self.is_confirmed(device, FindingKind::SameNameSameAddress)
             || self.is_confirmed(device, FindingKind::OneAddressTwoNames)
             || self.is_confirmed(device, FindingKind::OneAddressTwoIdentities)

@@ -312,7 +312,9 @@ impl App {
         let Some(device) = self.shown_buses().device(device) else { return (String::new(), None) };
         let mode = device.mode.map(|mode| format!(" {mode}")).unwrap_or_default();
         let word = match device.presence {
-            Presence::Online if self.shown_buses().is_shared(device) => "CONFLICT".to_owned(),
+            Presence::Online if self.shown_buses().has_confirmed_conflict(device) => {
+                "CONFLICT".to_owned()
+            }
             Presence::Online => format!("online{mode}"),
             other => other.name().to_owned(),
         };

@@ -296,7 +296,7 @@ impl<'b, 'a> DeviceDetails<'b, 'a> {
     fn heartbeat(&mut self, device: &Device) {
         let beats = &device.heartbeat;
         let app = self.app();
-        let is_shared = app.is_shared(device);
+        let is_shared = app.has_confirmed_conflict(device);
         self.blank();
         let stats = BeatStats::of(&if self.row.board.is_some() {
             app.beats_of(self.row, devices::STATS_BEATS)
@@ -370,7 +370,7 @@ impl<'b, 'a> DeviceDetails<'b, 'a> {
     /// other devices.
     fn clock(&mut self, device: &Device, is_outlier: bool) {
         let app = self.app();
-        let error = device.heartbeat.period_error().filter(|_| !app.is_shared(device));
+        let error = device.heartbeat.period_error().filter(|_| !app.has_confirmed_conflict(device));
         let Some(error) = error else { return };
         // Of the other devices, by the same clock of descan.
         let others = app.usual_period_error(device.id).filter(|others| error.is_outlier(*others));

@@ -306,7 +306,7 @@ impl Cells<'_, '_> {
         let (period, jitter, missed) = if row.board.is_some() {
             let stats = BeatStats::of(&app.beats_of(row, STATS_BEATS));
             (stats.period, stats.jitter, Some(stats.missed as u64))
-        } else if app.is_shared(device) || beats.count == 0 {
+        } else if app.has_confirmed_conflict(device) || beats.count == 0 {
             // Statistics of two senders mixed describe neither of them.
             (None, None, None)
         } else {

@@ -196,7 +196,7 @@ fn device_that_joins_before_the_start_is_shown_first() {
 }
 
 #[test]
-fn device_unlike_its_entry_is_left_out_as_shared() {
+fn device_unlike_its_entry_is_left_out() {
     for wrong in [r#""name":"N001","uid":"PLAN007""#, r#""name":"INTR","uid":"PLAN001""#] {
         let file = format!(
             r#"[{{"name":"N000","address":10,"static":true}},
@@ -209,7 +209,7 @@ fn device_unlike_its_entry_is_left_out_as_shared() {
         let plan = line.app.address_plan().unwrap().plan();
         assert!(plan.steps.is_empty(), "{}", line.plan_text());
         let words: Vec<&str> = plan.left_out.iter().map(|it| it.reason.word()).collect();
-        assert!(words.contains(&"shared-address"), "{wrong}: {}", line.plan_text());
+        assert!(words.contains(&"another-device"), "{wrong}: {}", line.plan_text());
     }
 }
 

@@ -280,7 +280,7 @@ fn pins_of_the_bus_leave_out_what_is_not_sure() {
     assert_eq!(pins, ["address of the entry N002: 7 → 14"]);
     let left_out: Vec<String> =
         left_out.iter().map(|(name, why)| format!("{name} {}", why.word())).collect();
-    assert_eq!(left_out, ["N000 shared-address", "N001 shared-address", "N003 not-present"]);
+    assert_eq!(left_out, ["N000 shared-address", "N001 another-device", "N003 not-present"]);
 }
 
 #[test]
