@@ -584,7 +584,10 @@ impl SentFrames {
         let missing = self.copies.saturating_sub(self.answered);
         if self.end == Some(SequenceEnd::Complete) && missing > 0 && self.composed.may_be_answered()
         {
-            let wait = format_duration(self.wait);
+            let wait = match self.wait.as_millis() {
+                millis @ 0..=999 => format!("{millis} ms"),
+                _ => format_duration(self.wait),
+            };
             match copies {
                 1 => parts.push(format!("no answer within {wait}")),
                 _ if self.composed.needs_answer() => {

@@ -47,8 +47,9 @@ fn folder() -> tempfile::TempDir {
 #[test]
 fn send_says_what_is_sent_and_prints_answers() {
     let folder = folder();
+    std::fs::write(folder.path().join("short.toml"), "[calls]\ntimeout_ms = 300\n").unwrap();
     // Words, exit code, what it says before, what it prints.
-    let cases: [(&[&str], i32, &str, &str); 7] = [
+    let cases: [(&[&str], i32, &str, &str); 8] = [
         (
             &["request", "des", "name", "to", "FEED", "--yes"],
             0,
@@ -69,6 +70,12 @@ fn send_says_what_is_sent_and_prints_answers() {
             "3 answers after ",
         ),
         (&["request", "0x123", "01", "to", "FEED", "--yes"], 1, "data 01", "no answer within 1s"),
+        (
+            &["request", "0x123", "02", "to", "FEED", "--yes", "--profile", "short.toml"],
+            1,
+            "data 02",
+            "no answer within 300 ms",
+        ),
         (
             &["request", "mode", "idle", "to", "FEED", "--yes"],
             0,
