@@ -266,6 +266,48 @@ pub enum ProfileCommand {
     },
     /// Learn values from the frames of a bus or of a log; nothing is sent
     Learn(LearnArgs),
+    /// Write what is known of a bus for other programs: Wireshark, and those that read DBC
+    Export(ExportArgs),
+}
+
+/// `descan profile export`.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Takes the numbers of the profile and the types of devices of the catalogue; without options those of the \
+project. Prints the file, or writes it with --write.
+
+--wireshark: a dissector in Lua, with identifier, DES, ISO-TP, heartbeat, names of devices and services. \
+Copy it to the personal Lua plugins of Wireshark 4.0 or later, or give it to tshark; filter with candes.src \
+== 12 or candes.name.
+
+--dbc: messages and signals, in ASCII. DBC has no masks: SRC and DST are 0 in the identifiers, so compare \
+with the mask 0x1F0003FF (cantools: frame_id_mask).
+
+Exit code: 0 written, 2 wrong usage, 3 file not readable or not written.
+
+Examples:
+  descan profile export --wireshark --write candes.lua
+  descan profile export --wireshark --profile line7.toml > candes.lua
+  descan profile export --dbc --catalogue devices --write line7.dbc")]
+pub struct ExportArgs {
+    /// A dissector for Wireshark, in Lua
+    #[arg(long, required_unless_present = "dbc", conflicts_with = "dbc")]
+    pub wireshark: bool,
+    /// A DBC file
+    #[arg(long)]
+    pub dbc: bool,
+    /// What the devices use where the protocol leaves values open (TOML) [default: that of the project]
+    #[arg(long, value_name = "FILE")]
+    pub profile: Option<PathBuf>,
+    /// A folder with types of devices, in place of devices beside des.json; repeatable
+    #[arg(long, value_name = "FOLDER")]
+    pub catalogue: Vec<PathBuf>,
+    /// Write it to FILE, in place of printing it
+    #[arg(long, value_name = "FILE")]
+    pub write: Option<PathBuf>,
+    /// Replace a FILE with other content
+    #[arg(long, requires = "write")]
+    pub force: bool,
 }
 
 /// `descan kit`.

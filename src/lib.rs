@@ -31,6 +31,7 @@
 //! * [`log`]: log formats, candump and pcapng.
 //! * [`kit`]: the responder for firmware, in C, and its header with the numbers of a profile.
 //! * [`node`]: the same node in Rust.
+//! * [`export`]: the profile and the catalogue for Wireshark, and as a DBC file.
 //! * [`sim`]: a bit-timed simulated bus with devices.
 //! * [`bitrate`]: the bit rate search.
 //! * [`status`]: state of a bus, in plain values.
@@ -75,6 +76,8 @@ pub mod discovery;
 pub mod document;
 #[cfg(feature = "std")]
 pub mod error_report;
+#[cfg(feature = "std")]
+pub mod export;
 #[cfg(feature = "std")]
 pub mod finding;
 #[cfg(feature = "std")]

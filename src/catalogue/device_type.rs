@@ -35,7 +35,8 @@ pub struct DeviceType {
     pub services: Vec<TypeService>,
     /// The DEBUG messages, by code.
     pub debug_messages: BTreeMap<u16, DebugMessage>,
-    byte_order: ByteOrder,
+    /// Order of the bytes of numbers in the data.
+    pub byte_order: ByteOrder,
 }
 
 /// A service of a type of device.
@@ -52,9 +53,12 @@ pub struct TypeService {
     pub is_optional: bool,
     /// What it does, for people; empty if the file does not say so.
     pub summary: String,
-    request: DataLayout,
-    response: DataLayout,
-    data: DataLayout,
+    /// Data of its requests.
+    pub request: DataLayout,
+    /// Data of the responses to them.
+    pub response: DataLayout,
+    /// Data that it sends unasked.
+    pub data: DataLayout,
 }
 
 /// A DEBUG message of a type of device.
@@ -63,7 +67,8 @@ pub struct TypeService {
 pub struct DebugMessage {
     /// Its name.
     pub name: String,
-    parameters: DataLayout,
+    /// Its parameters.
+    pub parameters: DataLayout,
 }
 
 #[derive(Deserialize)]

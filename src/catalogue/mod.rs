@@ -200,6 +200,17 @@ impl Catalogue {
         (gid.is_none() || found.gid.is_none()).then_some((found, TypeBasis::Name))
     }
 
+    /// The types, each with a GID or a name.
+    pub fn device_types(&self) -> impl Iterator<Item = &Arc<DeviceType>> {
+        let types = self.files.iter().filter_map(|file| file.device_type.as_ref());
+        types.filter(|it| !it.is_common())
+    }
+
+    /// Names that belong to one type alone, with the type.
+    pub fn named_types(&self) -> impl Iterator<Item = (&str, &Arc<DeviceType>)> {
+        self.by_name.iter().filter_map(|(name, of)| Some((name.as_str(), of.as_ref()?)))
+    }
+
     /// What all devices share: from files without GID and name.
     pub fn common_types(&self) -> &[Arc<DeviceType>] {
         &self.common

@@ -9,12 +9,13 @@ use crate::wire::profile::{Profile, ProfileKey, ValueOrigin};
 use std::fmt::Write as _;
 use std::path::Path;
 
-/// `descan profile [check FILE | learn BUS]`.
+/// `descan profile [check FILE | learn BUS | export]`.
 pub fn run(command: Option<&ProfileCommand>) -> Result<u8, Failure> {
     match command {
         None => output::print(Profile::BUILT_IN).map(|()| EXIT_OK),
         Some(ProfileCommand::Check { file, json }) => check(file, *json),
         Some(ProfileCommand::Learn(learn)) => super::learn::run(learn),
+        Some(ProfileCommand::Export(export)) => super::export::run(export),
     }
 }
 

@@ -62,6 +62,7 @@ topics! {
     "settings" "settings" [] "config.toml, keys.toml, themes, and all files used";
     "scenarios" "scenarios" ["demo" "sim"] "the demo, and simulated devices of your own";
     "firmware" "firmware" ["kit"] "the kit for firmware: your device in an hour";
+    "wireshark" "wireshark" [] "a dissector for Wireshark, and DBC files";
     "protocol" "protocol" [] "the protocol on the bus, numbered for reference";
 }
 

@@ -304,7 +304,43 @@ impl DataLayoutEntry {
     }
 }
 
+/// An integer or a floating-point number: where it is, and what its value means.
+#[derive(Clone, Copy, Debug)]
+pub struct NumberField<'a> {
+    /// Name.
+    pub name: &'a str,
+    /// How its bytes are read.
+    pub kind: FieldType,
+    /// First byte.
+    pub at: usize,
+    /// Number of bytes.
+    pub size: usize,
+    /// Lowest bit of the number that the bytes are, and number of bits.
+    pub bits: (u32, u32),
+    /// Scale and offset.
+    pub scaling: (f64, f64),
+    /// Unit; empty without one.
+    pub unit: &'a str,
+    /// Names of values.
+    pub values: &'a BTreeMap<i64, String>,
+}
+
 impl DataField {
+    /// Returns it as a number; `None` for text and bytes.
+    pub fn number(&self) -> Option<NumberField<'_>> {
+        let size = self.kind.size()?;
+        Some(NumberField {
+            name: &self.name,
+            kind: self.kind,
+            at: self.at,
+            size,
+            bits: self.bits.unwrap_or((0, 8 * size as u32)),
+            scaling: self.scaling.unwrap_or((1.0, 0.0)),
+            unit: &self.unit,
+            values: &self.values,
+        })
+    }
+
     /// Reads the value; `None` if the data are too short.
     fn value<'a>(&'a self, data: &'a [u8], order: ByteOrder) -> Option<DataValue<'a>> {
         let end = self.size.map_or(data.len(), |size| self.at + size);
@@ -400,6 +436,11 @@ impl DataLayout {
     /// Returns true without fields.
     pub fn is_empty(&self) -> bool {
         self.fields.is_empty()
+    }
+
+    /// The fields, in the order of the file.
+    pub fn fields(&self) -> &[DataField] {
+        &self.fields
     }
 
     /// Returns the fields of data, in the order of the file.

@@ -33,6 +33,7 @@ mod document_properties;
 mod doubled_frames;
 mod editing;
 mod error_frames;
+mod export;
 mod external_editors;
 mod filter;
 mod foreign_buses;

@@ -1,0 +1,261 @@
+//! The dissector in tshark: each field is that of descan, on a simulated bus and on random frames.
+
+use super::{descan, export};
+use descan::frame::{BusIndex, CanId, Frame};
+use descan::log::LogReader;
+use descan::log::pcapng::{write_frame, write_interface, write_section};
+use descan::time::{Duration, Instant};
+use descan::wire::des::ServicesResponse;
+use descan::wire::id::{Address, Header, Service};
+use serde_json::Value;
+use std::io::BufReader;
+use std::path::Path;
+use std::process::Command;
+
+const START: u64 = 1_436_509_052_249_713;
+
+/// The dissector's fields that are compared, in this order.
+const FIELDS: [&str; 14] = [
+    "can.id",
+    "candes.type",
+    "candes.u",
+    "candes.d",
+    "candes.r",
+    "candes.b",
+    "candes.err",
+    "candes.src",
+    "candes.dst",
+    "candes.srv",
+    "candes.service",
+    "candes.text",
+    "candes.isotp.message",
+    "candes.service_version",
+];
+
+/// What tshark shows of each frame; `None` if tshark is missing and may be.
+fn tshark(folder: &Path, file: &str) -> Option<Vec<Vec<String>>> {
+    let fields = FIELDS.iter().flat_map(|field| ["-e", field]);
+    let output = Command::new("tshark")
+        .args(["-n", "-X", "lua_script:candes.lua", "-r", file, "-T", "fields"])
+        .args(["-E", "separator=/t", "-E", "occurrence=a", "-E", "aggregator=|"])
+        .args(fields)
+        .current_dir(folder)
+        .env("HOME", folder)
+        .output();
+    match output {
+        Ok(output) => {
+            let said = String::from_utf8_lossy(&output.stderr);
+            assert!(output.status.success() && !said.contains("Lua"), "{said}");
+            let text = String::from_utf8(output.stdout).unwrap();
+            let row = |line: &str| line.split('\t').map(str::to_owned).collect();
+            Some(text.lines().map(row).collect())
+        }
+        Err(missing) => {
+            assert!(std::env::var_os("CI").is_none(), "tshark: {missing}");
+            eprintln!("skipped: tshark: {missing}");
+            None
+        }
+    }
+}
+
+fn write(path: &Path, frames: &[Frame]) {
+    let mut file = Vec::new();
+    write_section(&mut file).unwrap();
+    write_interface(&mut file, "can0").unwrap();
+    for frame in frames {
+        write_frame(&mut file, 0, START + frame.time.as_micros(), frame).unwrap();
+    }
+    std::fs::write(path, file).unwrap();
+}
+
+/// Compares what tshark and descan show of each frame of a file.
+fn compare(folder: &Path, file: &str, options: &[&str]) -> Option<Vec<Vec<String>>> {
+    std::fs::write(
+        folder.join("candes.lua"),
+        export(folder, &[&["--wireshark"], options].concat()),
+    )
+    .unwrap();
+    let shown = tshark(folder, file)?;
+    let (told, said, code) = descan(folder, &[&["log", file, "--json"], options].concat());
+    assert_eq!(code, Some(0), "{said}");
+    let told: Vec<Value> = told.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    assert_eq!(shown.len(), told.len());
+    for (at, (row, frame)) in shown.iter().zip(&told).enumerate() {
+        let about = format!("{file}, frame {}: {row:?}\n{frame}", at + 1);
+        let is_extended = frame["extended"] == true && frame["kind"] != "rtr";
+        if !is_extended {
+            assert_eq!(row[1], "", "{about}");
+            continue;
+        }
+        let id = u32::from_str_radix(frame["id"].as_str().unwrap(), 16).unwrap();
+        let header = Header::decode(id);
+        let flag = |is_set: bool| if is_set { "1" } else { "0" }.to_owned();
+        let expected = [
+            id.to_string(),
+            header.message_type().name().to_owned(),
+            flag(header.from_non_working),
+            flag(header.to_non_working),
+            flag(header.response),
+            flag(header.broadcast),
+            flag(header.no_error),
+            header.source.to_string(),
+            header.destination.to_string(),
+            format!("0x{:04x}", header.service.number()),
+        ];
+        assert_eq!(row[..expected.len()], expected, "{about}");
+        assert_eq!(row[10], frame["service_name"].as_str().unwrap_or(""), "{about}");
+        assert_eq!(row[11], frame["text"].as_str().unwrap_or(""), "{about}");
+    }
+    Some(shown)
+}
+
+#[test]
+fn recorded_bus_is_dissected_as_descan_shows_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let record = ["watch", "sim:boiler", "--time", "6", "--record", "boiler.pcapng"];
+    assert_eq!(descan(folder.path(), &record).2, Some(0));
+    let Some(shown) = compare(folder.path(), "boiler.pcapng", &[]) else { return };
+    // The whole list, at its last frame.
+    let versions: Vec<&str> = shown.iter().map(|row| row[13].as_str()).collect();
+    assert!(versions.contains(&"1.0|1.3|2.1|1.4|1.0"), "{versions:?}");
+}
+
+/// Bytes that are like DES messages, heartbeats and ISO-TP frames, and unlike them.
+fn data(rng: &mut fastrand::Rng) -> Vec<u8> {
+    const PARTS: [&[u8]; 16] = [
+        b"\x04DES\x01",
+        b"DES\x02",
+        b"\x04DES\x07",
+        b"\x06\x01FEED\0",
+        b"\x01A\0",
+        b"\x02\0A\x001\0",
+        b"\x30\0\0",
+        b"\x31\x05\x0A",
+        b"\x33\0\0",
+        b"\x10\x14\x02\0DES\0",
+        b"\x21B\x002\0",
+        "\u{e9}\u{200b}\u{4e16}".as_bytes(),
+        b"\xC3\xFF\\\x1B[m",
+        b"\0\x05\x01AB\0",
+        b"\0\0\0\0\0\0\x04\0",
+        b"\xFF\xFF\xFF\xFF\xFF\xFF",
+    ];
+    let mut bytes = rng.choice(PARTS).unwrap().to_vec();
+    while rng.bool() {
+        match rng.u8(0..3) {
+            0 => bytes.extend_from_slice(rng.choice(PARTS).unwrap()),
+            1 => bytes.push(rng.u8(..)),
+            _ => drop(bytes.pop()),
+        }
+    }
+    bytes
+}
+
+#[test]
+fn random_frames_are_dissected_as_descan_shows_them() {
+    let mut rng = fastrand::Rng::with_seed(11);
+    let mut time = Instant::ZERO;
+    let mut frames = Vec::new();
+    for _ in 0..6000 {
+        let service = *rng.choice([1, 2, 2, 2, 0x123, 0x3FF].iter()).unwrap();
+        let id = rng.u32(..32) << 24 | rng.u32(..5) << 17 | rng.u32(..5) << 10 | service;
+        let mut bytes = data(&mut rng);
+        let mut frame = if rng.u8(..5) == 0 {
+            bytes.truncate(64);
+            Frame::fd(id, &bytes, 0xCC)
+        } else {
+            bytes.truncate(8);
+            Frame::classic(id, &bytes)
+        };
+        if rng.u8(..50) == 0 {
+            frame = Frame::remote(CanId::Extended(id), 0);
+        }
+        time += Duration::from_millis(5);
+        frames.push(frame.with_time(time).with_bus(BusIndex(0)));
+    }
+    let folder = tempfile::tempdir().unwrap();
+    write(&folder.path().join("random.pcapng"), &frames);
+    let profile = "[services]\nheartbeat = 1\n[heartbeat]\nuid_offset = 1\nmode_offset = 0\n\
+                   [modes]\nWORK = 6\nIDLE = 4\n[service_names]\n0x123 = \"A \\\"b\\\" \u{e9}\"\n\
+                   [debug_names]\n0x3FF = \"LAST\"\n";
+    std::fs::write(folder.path().join("p.toml"), profile).unwrap();
+    compare(folder.path(), "random.pcapng", &["--profile", "p.toml"]);
+}
+
+/// The frames of a response in ISO-TP, from one address.
+fn segmented(message: &[u8], from: Address) -> Vec<Frame> {
+    let header = Header::request(Address::DEBUG, from, false, Service::from_bits(2));
+    let id = header.response(from, false).encode();
+    let [high, low] = (message.len() as u16).to_be_bytes();
+    let first = [&[0x10 | high, low][..], &message[..6]].concat();
+    let mut frames = vec![Frame::classic(id, &first)];
+    for (at, part) in message[6..].chunks(7).enumerate() {
+        let sequence = 0x20 | (at + 1) as u8 & 0x0F;
+        frames.push(Frame::classic(id, &[&[sequence], part].concat()));
+    }
+    frames
+}
+
+#[test]
+fn reassembled_services_are_those_of_descan() {
+    let mut rng = fastrand::Rng::with_seed(5);
+    let (mut frames, mut expected) = (Vec::new(), Vec::new());
+    for round in 0..200 {
+        let mut message = vec![2];
+        for index in 0..rng.u8(1..12) {
+            message.push(index);
+            for _ in 0..rng.u8(2..4) {
+                for _ in 0..rng.u8(..6) {
+                    message.push(*rng.choice(b"A1.\x01\x02\xFF".iter()).unwrap());
+                }
+                message.push(0);
+            }
+        }
+        if message.len() < 9 {
+            continue;
+        }
+        if rng.u8(..4) == 0 {
+            message.pop();
+        }
+        frames.extend(segmented(&message, Address::from_bits(1 + round % 100)));
+        expected.push((frames.len() - 1, message));
+    }
+    let mut time = Instant::ZERO;
+    for frame in &mut frames {
+        time += Duration::from_millis(1);
+        *frame = frame.with_time(time);
+    }
+    let folder = tempfile::tempdir().unwrap();
+    write(&folder.path().join("long.pcapng"), &frames);
+    let Some(shown) = compare(folder.path(), "long.pcapng", &[]) else { return };
+    let escaped = |text: &[u8]| descan::text::Escaped(text).to_string();
+    for (at, message) in expected {
+        let hex: String = message.iter().map(|byte| format!("{byte:02x}")).collect();
+        assert_eq!(shown[at][12], hex);
+        let services = ServicesResponse::decode(&message);
+        let versions = services.services().filter(|it| it.strings().count() > 1);
+        let versions: Vec<String> = versions.map(|it| escaped(it.version())).collect();
+        assert_eq!(shown[at][13], versions.join("|"), "{message:02X?}");
+    }
+}
+
+#[test]
+fn services_of_a_named_device_have_their_names() {
+    let folder = tempfile::tempdir().unwrap();
+    let devices = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/project/devices");
+    let record = ["watch", "sim:boiler", "--time", "6", "--record", "boiler.pcapng"];
+    assert_eq!(descan(folder.path(), &record).2, Some(0));
+    let file = std::fs::read(folder.path().join("boiler.pcapng")).unwrap();
+    let frames: Vec<Frame> =
+        LogReader::new(BufReader::new(&file[..])).collect::<Result<_, _>>().unwrap();
+    let lua = export(folder.path(), &["--wireshark", "--catalogue", devices]);
+    std::fs::write(folder.path().join("candes.lua"), lua).unwrap();
+    let Some(shown) = tshark(folder.path(), "boiler.pcapng") else { return };
+    // The last frame of the feeder's service: its name was heard before.
+    let is_auger = |frame: &&Frame| match frame.id {
+        CanId::Extended(id) => id & 0x3FF == 0x101 && id >> 17 & 0x7F == 10,
+        CanId::Standard(_) => false,
+    };
+    let last = frames.iter().rposition(|frame| is_auger(&frame)).expect("a frame of the feeder");
+    assert_eq!(shown[last][10], "AUGER");
+}
