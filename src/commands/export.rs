@@ -3,7 +3,7 @@
 use super::generated_files::write_generated;
 use super::open::default_file;
 use super::{EXIT_OK, Failure, output, profile};
-use crate::catalogue::Catalogue;
+use crate::catalogue::{Catalogue, CatalogueFile};
 use crate::cli::{CommonArgs, ExportArgs};
 use crate::diagnostic::Diagnostic;
 use crate::export::{ExportFacts, dbc, dissector};
@@ -30,7 +30,7 @@ pub fn run(args: &ExportArgs) -> Result<u8, Failure> {
         return Err(Diagnostic::new("not a folder").of(shown(folder)).into());
     }
     let catalogue = Catalogue::default().read(folders.read());
-    for notice in catalogue.files().iter().filter_map(|file| file.notice()) {
+    for notice in catalogue.files().iter().filter_map(CatalogueFile::notice) {
         output::warn(notice);
     }
     let facts = ExportFacts { profile: &profile, catalogue: &catalogue };

@@ -6,7 +6,7 @@
 
 use super::ExportFacts;
 use crate::catalogue::DeviceType;
-use crate::wire::data_layout::{DataLayout, FieldType, NumberField};
+use crate::wire::data_layout::{DataField, DataLayout, FieldType, NumberField};
 use crate::wire::descriptor::{ByteOrder, DescriptorField};
 use crate::wire::id::{Address, Header, MessageType, Service};
 use crate::wire::node::Mode;
@@ -92,7 +92,7 @@ impl DbcSignal {
             _ => None,
         };
         signal.scaling = field.scaling;
-        signal.unit = field.unit.to_owned();
+        field.unit.clone_into(&mut signal.unit);
         signal
     }
 }
@@ -375,7 +375,7 @@ fn add_commands(messages: &mut DbcMessages, profile: &Profile) {
 /// The services and DEBUG messages of a type of device.
 fn add_type(messages: &mut DbcMessages, of: &DeviceType) {
     let signals = |layout: &DataLayout| {
-        let numbers = layout.fields().iter().filter_map(|field| field.number());
+        let numbers = layout.fields().iter().filter_map(DataField::number);
         numbers.map(|field| DbcSignal::of(field, of.byte_order)).collect::<Vec<_>>()
     };
     let of_type = if of.is_common() { String::new() } else { format!("Of {}.", of.label()) };
@@ -406,7 +406,7 @@ fn written(messages: &DbcMessages) -> String {
         let length = if end > 8 { 64 } else { 8 };
         let _ = writeln!(text, "BO_ {} {}: {length} Vector__XXX", id | EXTENDED, message.name);
         for signal in &message.signals {
-            let order = if signal.order == ByteOrder::Little { 1 } else { 0 };
+            let order = u8::from(signal.order == ByteOrder::Little);
             let sign = if signal.is_signed { '-' } else { '+' };
             let (scale, offset) = signal.scaling;
             let _ = writeln!(
