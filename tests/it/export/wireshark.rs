@@ -230,7 +230,7 @@ fn reassembled_services_are_those_of_descan() {
     let Some(shown) = compare(folder.path(), "long.pcapng", &[]) else { return };
     let escaped = |text: &[u8]| descan::text::Escaped(text).to_string();
     for (at, message) in expected {
-        let hex: String = message.iter().map(|byte| format!("{byte:02x}")).collect();
+        let hex = descan::text::hex(&message, "").to_lowercase();
         assert_eq!(shown[at][12], hex);
         let services = ServicesResponse::decode(&message);
         let versions = services.services().filter(|it| it.strings().count() > 1);
