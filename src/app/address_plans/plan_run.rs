@@ -51,6 +51,7 @@ impl App {
                 session.unread =
                     unread.iter().filter_map(|id| Some(self.device(*id)?.address)).collect();
                 session.reading_due = None;
+                session.renewal_due = now + RENEWAL_INTERVAL;
                 self.plan = Some(session);
                 self.notices.redraw.set_dirty();
                 return self.renew_plan();

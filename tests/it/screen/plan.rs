@@ -21,6 +21,11 @@ const FILE: &str = r#"{"devices":[
 
 /// Devices that are not at their addresses, with a profile of this effect.
 fn stage(effect: &str) -> Stage {
+    stage_of(effect, None)
+}
+
+/// The same, where the last of them has a fault.
+fn stage_of(effect: &str, fault: Option<Fault>) -> Stage {
     let profile = format!(
         "[descriptor]\naddr = 0x016\n[commands]\nreboot = 0x01A\n\
          [writes]\naddress = 0x016\neffect = \"{effect}\"\n"
@@ -42,6 +47,10 @@ fn stage(effect: &str) -> Stage {
         device("LAST", "BOILER09", 15),
         device("PSU", "BOILER10", 31),
     ];
+    let mut devices = Vec::from(devices);
+    if let Some(fault) = fault {
+        devices[5].faults.set(fault, true);
+    }
     let scenario = devices.into_iter().fold(Scenario::new(125_000), Scenario::with);
     let config = Config { profile: profile.clone().into(), seed: 7, ..Config::default() };
     let mut stage = Stage::with(&scenario, Some(FILE), config);
@@ -89,6 +98,16 @@ fn plan_is_shown_with_reasons_then_runs_to_its_end() {
             &"plan: all steps are confirmed",
         ]
     );
+}
+
+#[test]
+fn setting_that_cannot_be_read_is_named() {
+    let mut stage = stage_of("now", Some(Fault::NoDescriptor));
+    // Asked up to three times.
+    stage.keys("P").until(20.0);
+    let screen = one_line(&stage.screen());
+    assert!(screen.contains("not read: 31"), "{screen}");
+    assert!(!screen.contains("reading the settings"), "{screen}");
 }
 
 #[test]
