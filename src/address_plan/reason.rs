@@ -65,7 +65,7 @@ pub enum LeftOutReason {
     WrongEntry,
     /// An earlier entry is about the same device.
     ListedTwice,
-    /// Its entry has no UID, and several devices at other addresses have its name.
+    /// Its entry has no UID, and several devices or entries have its name.
     SeveralNamed,
     /// It is not on the bus.
     NotPresent,

@@ -99,6 +99,9 @@ impl App {
             if let Some((page, ..)) = hit {
                 self.show_page(page);
             }
+        } else if mouse.is_in(screen.banner) {
+            let has_plan = self.plan_banner().is_some();
+            if has_plan { self.open_plan() } else { self.review_profile() }
         } else if self.view.page == Page::Bus {
             self.click_bar(Position::new(mouse.column, mouse.row));
         } else if mouse.is_in(screen.list) {

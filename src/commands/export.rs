@@ -42,6 +42,9 @@ pub fn run(args: &ExportArgs) -> Result<u8, Failure> {
         return Err(Diagnostic::new("not the name of a file").of(shown(path)).into());
     };
     let folder = path.parent().filter(|it| !it.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    if !folder.is_dir() {
+        return Err(Diagnostic::new("folder not found").of(shown(folder)).into());
+    }
     write_generated(folder, &[(name, &text)], args.force)?;
     Ok(EXIT_OK)
 }

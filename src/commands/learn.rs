@@ -101,14 +101,24 @@ pub fn run(learn: &LearnArgs) -> Result<u8, Failure> {
     }
     recording?;
     warn_foreign(&app, &mut Vec::new());
-    if let Some(end) = app.des_search().and_then(DesSearch::end) {
+    if matches!(search, SearchStep::Refused) {
+        return Ok(EXIT_FINDINGS);
+    }
+    let end = app.des_search().and_then(DesSearch::end);
+    if let Some(end) = end {
         say(end_text(end));
     }
-    let buses: Vec<LearntBus> = learners(&app)
+    let mut buses: Vec<LearntBus> = learners(&app)
         .map(|(bus, learner)| LearntBus::new(&app, bus, learner, &setup.config.profile))
         .collect();
+    if let Some(SearchEnd::Answered { service, is_des: true }) = end {
+        buses.iter_mut().for_each(|bus| bus.note_found(*service));
+    }
     if learn.json {
-        let report = LearnReport { descan: env!("CARGO_PKG_VERSION"), buses: &buses };
+        let search = learn.search.zip(app.des_search()).zip(end);
+        let search =
+            search.map(|((device, search), end)| DesSearchReport::new(device, search, end));
+        let report = LearnReport { descan: env!("CARGO_PKG_VERSION"), buses: &buses, search };
         let json = serde_json::to_string_pretty(&report).map_err(anyhow::Error::from)?;
         output::print_json(&(json + "\n"))?;
     } else {
@@ -129,6 +139,8 @@ enum SearchStep {
     Asking(Receiver<bool>),
     /// It runs; with the part that was told.
     Running(usize),
+    /// The user refused it.
+    Refused,
 }
 
 /// What is searched: the device, the first service, without a question.
@@ -188,6 +200,7 @@ impl SearchStep {
                 Ok(true) => *self = start_search(app, task)?,
                 Ok(false) | Err(TryRecvError::Disconnected) => {
                     say("nothing was sent");
+                    *self = Self::Refused;
                     return Ok(true);
                 }
                 Err(TryRecvError::Empty) => {}
@@ -201,6 +214,7 @@ impl SearchStep {
                 }
                 return Ok(search.end().is_some());
             }
+            Self::Refused => return Ok(true),
         }
         Ok(false)
     }
@@ -244,6 +258,31 @@ fn knows_enough(learner: &ProfileLearner) -> bool {
 struct LearnReport<'a> {
     descan: &'static str,
     buses: &'a [LearntBus],
+    search: Option<DesSearchReport>,
+}
+
+/// How a search ended.
+#[derive(Serialize)]
+struct DesSearchReport {
+    device: u8,
+    outcome: &'static str,
+    /// The service that was answered.
+    service: Option<u16>,
+    requests: usize,
+    text: String,
+}
+
+impl DesSearchReport {
+    fn new(device: Address, search: &DesSearch, end: &SearchEnd) -> Self {
+        let (outcome, service) = match end {
+            SearchEnd::Answered { service, is_des: true } => ("found", Some(service.number())),
+            SearchEnd::Answered { service, is_des: false } => ("other", Some(service.number())),
+            SearchEnd::Exhausted => ("not-found", None),
+            SearchEnd::Stopped(_) => ("stopped", None),
+        };
+        let (requests, _) = search.progress();
+        Self { device: device.number(), outcome, service, requests, text: end_text(end) }
+    }
 }
 
 /// What was learnt from one bus.
@@ -309,6 +348,22 @@ impl LearntBus {
             seconds: learner.duration().as_secs_f64(),
             proposals,
             unknown,
+        }
+    }
+}
+
+impl LearntBus {
+    /// Takes a service on which a device answered a name request of the search: a name there is no
+    /// accident.
+    fn note_found(&mut self, service: Service) {
+        let value = ProfileValue::Service(service.number());
+        let is_it = |it: &&mut LearntValue| it.proposal.key == ProfileKey::Des && it.value == value;
+        for learnt in self.proposals.iter_mut().filter(is_it) {
+            let proposal = &mut learnt.proposal;
+            proposal.certainty = proposal.certainty.max(Certainty::Likely);
+            proposal.evidence.push_str(", by the search");
+            learnt.certainty = proposal.certainty.word();
+            learnt.evidence.clone_from(&proposal.evidence);
         }
     }
 }

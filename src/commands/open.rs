@@ -398,6 +398,9 @@ fn unknown_word(word: &str) -> String {
     let nearest = nearest_word(word, names);
     let there = bus::interfaces();
     let remedy = match (nearest, &there[..]) {
+        (Some(command), _) if command == word => {
+            format!("the options of a command follow it: descan {command} --help")
+        }
         (Some(command), _) => format!("did you mean the command descan {command}?"),
         (None, []) => format!("no CAN interface found; {NAME_A_BUS}"),
         (None, there) => format!("available: {}", names_of(there)),

@@ -35,8 +35,13 @@ fn known_change(
         let code = first?;
         let at = profile.modes.codes().iter().position(|it| *it == code);
         let mode = at.and_then(|at| Mode::ALL.get(at).copied());
+        let effect = match mode {
+            Some(Mode::Idle) => ", which may end only by switching the power off and on",
+            Some(Mode::Boot) => ", with no services until its firmware starts again",
+            _ => "",
+        };
         let mode = mode.map_or(format!("code 0x{code:02X}"), |mode| mode.to_string());
-        return Some((format!("sets the mode to {mode}"), ProfileKey::Mode));
+        return Some((format!("sets the mode to {mode}{effect}"), ProfileKey::Mode));
     }
     if Some(number) == commands.reboot {
         return Some(("restarts it".to_owned(), ProfileKey::Reboot));
@@ -46,17 +51,22 @@ fn known_change(
     let is_of = |field: DescriptorField| field.service(&profile.descriptor) == service;
     if Some(number) == writes.address || is_of(DescriptorField::Address) {
         let setting = AddressSetting::from_code(code);
+        let effect = match setting {
+            Some(AddressSetting::None) => ", so that it waits in CFG until one is set",
+            Some(AddressSetting::Fixed(_)) => ", where it stays mute if that is used",
+            _ => "",
+        };
         let setting = setting.map_or(format!("code 0x{code:02X}"), |it| it.to_string());
         let is_write = Some(number) == writes.address;
         let key = if is_write { ProfileKey::WriteAddress } else { ProfileKey::Addr };
-        return Some((format!("sets its address to {setting}"), key));
+        return Some((format!("sets its address to {setting}{effect}"), key));
     }
     if Some(number) == writes.bitrate || is_of(DescriptorField::Bitrate) {
         let setting = BitrateSetting::from_code(code);
         let setting = setting.map_or(format!("code 0x{code:02X}"), |it| it.to_string());
         let is_write = Some(number) == writes.bitrate;
         let key = if is_write { ProfileKey::WriteBitrate } else { ProfileKey::Bspd };
-        return Some((format!("sets its bit rate to {setting}"), key));
+        return Some((format!("sets its bit rate to {setting}, and may leave this bus"), key));
     }
     if let Some(field) = DescriptorField::ALL.into_iter().find(|field| is_of(*field)) {
         let text = format!("may set its {} to {}", field.label(), hex(message, " "));

@@ -440,6 +440,8 @@ impl Engine {
             (self.requester.local_node, self.requester.rng) = (local_node, rng);
             if is_suspended {
                 self.suspend(now);
+            } else {
+                self.requester.restart_rounds(&self.tracker);
             }
         }
         starts_over

@@ -20,6 +20,10 @@ const MASK: u32 = 0x1F00_03FF;
 const EXTENDED: u32 = 0x8000_0000;
 /// Most characters of a name.
 const MAX_NAME: usize = 32;
+/// Most bytes of data.
+const MAX_DATA: usize = 64;
+/// Words of a DBC file that are no names; all others of it end in an underscore.
+const KEYWORDS: [&str; 7] = ["VERSION", "FILTER", "INT", "HEX", "FLOAT", "STRING", "ENUM"];
 
 /// A signal of a message.
 struct DbcSignal {
@@ -74,6 +78,24 @@ impl DbcSignal {
         }
     }
 
+    /// The bits of the data that it takes: byte and bit in one number.
+    fn places(&self) -> impl Iterator<Item = usize> {
+        let (start, order) = (self.start, self.order);
+        (0..self.bits).map(move |at| match order {
+            ByteOrder::Little => start + at,
+            ByteOrder::Big => {
+                // From the highest bit downwards, then on in the next byte.
+                let behind = 7 - start % 8 + at;
+                8 * (start / 8 + behind / 8) + 7 - behind % 8
+            }
+        })
+    }
+
+    fn overlaps(&self, other: &Self) -> bool {
+        let taken: BTreeSet<usize> = self.places().collect();
+        other.places().any(|place| taken.contains(&place))
+    }
+
     fn with_values(mut self, values: impl IntoIterator<Item = (i64, String)>) -> Self {
         self.values = values.into_iter().collect();
         self
@@ -102,6 +124,8 @@ impl DbcSignal {
 struct DbcMessages {
     by_id: BTreeMap<u32, DbcMessage>,
     names: BTreeSet<String>,
+    /// Requests have ERR set.
+    has_request_err: bool,
 }
 
 struct DbcMessage {
@@ -121,7 +145,9 @@ impl DbcMessages {
         signals: Vec<DbcSignal>,
         comment: &str,
     ) {
-        let id = header_of(kind, service).encode();
+        let mut header = header_of(kind, service);
+        header.no_error |= self.has_request_err && !header.response;
+        let id = header.encode();
         if let Some(first) = self.by_id.get_mut(&id) {
             if !name.is_empty() && first.name != name_of(name, kind) {
                 let _ = write!(first.comment, " Also {name}.");
@@ -129,12 +155,22 @@ impl DbcMessages {
             return;
         }
         let name = unique(&name_of(name, kind), &mut self.names);
-        let mut known = BTreeSet::new();
-        let signals = signals.into_iter().map(|mut signal| {
+        let (mut known, mut comment) = (BTreeSet::new(), comment.to_owned());
+        let mut kept: Vec<DbcSignal> = Vec::new();
+        for mut signal in signals {
+            // Readers refuse a whole file for either.
+            if signal.end > MAX_DATA || kept.iter().any(|other| other.overlaps(&signal)) {
+                let _ = write!(
+                    comment,
+                    " Without {}, which overlaps another field or the end.",
+                    signal.name
+                );
+                continue;
+            }
             signal.name = unique(&word_of(&signal.name), &mut known);
-            signal
-        });
-        let message = DbcMessage { name, signals: signals.collect(), comment: comment.to_owned() };
+            kept.push(signal);
+        }
+        let message = DbcMessage { name, signals: kept, comment };
         self.by_id.insert(id, message);
     }
 
@@ -189,7 +225,11 @@ fn name_of(name: &str, kind: MessageType) -> String {
 fn word_of(name: &str) -> String {
     let plain = |c: char| if c.is_ascii_alphanumeric() { c } else { '_' };
     let mut word: String = name.chars().map(plain).collect();
-    if word.starts_with(|c: char| c.is_ascii_digit()) || word.is_empty() {
+    word.truncate(word.trim_end_matches('_').len());
+    if KEYWORDS.contains(&&*word)
+        || word.starts_with(|c: char| c.is_ascii_digit())
+        || word.is_empty()
+    {
         word.insert(0, '_');
     }
     if word.len() > MAX_NAME {
@@ -233,11 +273,13 @@ fn plain(text: &str) -> String {
 
 /// Returns the text of a DBC file.
 pub fn dbc(facts: ExportFacts) -> String {
-    let mut messages = DbcMessages::default();
+    let has_request_err = facts.profile.request_err;
+    let mut messages = DbcMessages { has_request_err, ..DbcMessages::default() };
     add_platform(&mut messages, facts.profile);
     add_descriptor(&mut messages, facts.profile);
     add_commands(&mut messages, facts.profile);
-    for of in facts.catalogue.common_types().iter().chain(facts.catalogue.device_types()) {
+    // What a type says of itself counts before what all devices share.
+    for of in facts.catalogue.device_types().chain(facts.catalogue.common_types()) {
         add_type(&mut messages, of);
     }
     for (code, name) in &facts.profile.debug_names {
@@ -384,6 +426,7 @@ fn add_type(messages: &mut DbcMessages, of: &DeviceType) {
         let comment = format!("{} {of_type}", service.summary);
         let layouts = [
             (REQUESTS, &service.request),
+            (BROADCASTS, &service.request),
             (RESPONSES, &service.response),
             (UNSOLICITED, &service.data),
         ];
@@ -428,7 +471,8 @@ fn written(messages: &DbcMessages) -> String {
     );
     for (id, message) in &messages.by_id {
         let comment = plain(&message.comment);
-        let _ = writeln!(text, "CM_ BO_ {} \"Mask 0x{MASK:08X}. {comment}\";", id | EXTENDED);
+        let comment = format!("Mask 0x{MASK:08X}. {}", comment.trim());
+        let _ = writeln!(text, "CM_ BO_ {} \"{}\";", id | EXTENDED, comment.trim_end());
     }
     for (id, message) in &messages.by_id {
         for signal in &message.signals {

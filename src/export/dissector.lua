@@ -438,19 +438,24 @@ end
 -- Transfers that are open, by interface and identifier.
 local transfers = {}
 
-local function reassemble(found, key)
+-- N_Cr: longest wait for the next frame of a transfer, in seconds.
+local n_cr = 1
+
+local function reassemble(found, key, time)
     local pci = found.pci
     if pci.kind == "first" then
         transfers[key] = nil
         if pci.length <= max_message then
-            transfers[key] = { length = pci.length, message = pci.message, sequence = 1 }
+            transfers[key] =
+                { length = pci.length, message = pci.message, sequence = 1, time = time }
         end
     elseif pci.kind == "consecutive" and transfers[key] then
         local open = transfers[key]
-        if pci.sequence ~= open.sequence then
+        if pci.sequence ~= open.sequence or time - open.time > n_cr then
             transfers[key] = nil
             return
         end
+        open.time = time
         open.message = open.message .. pci.message
         open.sequence = (open.sequence + 1) % 16
         if #open.message >= open.length then
@@ -461,7 +466,7 @@ local function reassemble(found, key)
     end
 end
 
-local function des_response(found, data, is_fd, key)
+local function des_response(found, data, is_fd, key, time)
     found.framing = response_framing(data, is_fd)
     if found.framing == "raw" then
         found.message = without_padding(data)
@@ -482,7 +487,7 @@ local function des_response(found, data, is_fd, key)
     elseif pci.kind == "flow control" then
         return "flow control: " .. pci.status
     end
-    reassemble(found, key)
+    reassemble(found, key, time)
     if pci.kind == "first" then
         local what = ({ "name", "services" })[pci.message:byte(1)] or "message"
         return string.format("first frame: %s, %d bytes", what, pci.length)
@@ -542,24 +547,27 @@ function candes.init()
     transfers, names, frames = {}, {}, {}
 end
 
+-- `server_name`: name of the device that serves, or sends.
 local function service_name(header, server_name)
+    local of_type = profile.types[server_name or ""] or { services = {}, debug = {} }
     if header.type == "DEBUG" then
-        return profile.debug_names[header.srv]
+        return profile.debug_names[header.srv] or of_type.debug[header.srv]
+            or profile.common_debug[header.srv]
     end
-    local of_type = profile.types[server_name or ""]
-    return profile.services[header.srv] or (of_type and of_type[header.srv])
+    return profile.services[header.srv] or of_type.services[header.srv]
         or profile.common_services[header.srv]
 end
 
-local function analyse(header, data, is_fd, bus)
+local function analyse(header, data, is_fd, bus, time)
     local found = {}
+    local own = bus .. ":" .. header.src
     if header.type == "DEBUG" then
-        local name = profile.debug_names[header.srv]
+        local name = service_name(header, names[own])
         found.text = "debug message " .. (name or string.format("0x%03X", header.srv))
     elseif header.srv == profile.heartbeat and header.r then
         found.text = heartbeat(found, data)
     elseif header.srv == profile.des and header.r then
-        found.text = des_response(found, data, is_fd, bus .. ":" .. header.id)
+        found.text = des_response(found, data, is_fd, bus .. ":" .. header.id, time)
     elseif header.srv == profile.des then
         found.text = des_request(found, data, is_fd)
     else
@@ -568,8 +576,7 @@ local function analyse(header, data, is_fd, bus)
     if header.failed then
         found.text = found.text == "" and "error" or "error: " .. found.text
     end
-    local own = bus .. ":" .. header.src
-    if found.name and not found.fault and not header.failed and header.conforms then
+    if (found.name or "") ~= "" and not header.failed and header.conforms then
         names[own] = found.name
     end
     local source, receiver = names[own], nil
@@ -578,7 +585,11 @@ local function analyse(header, data, is_fd, bus)
     end
     found.src_name = source and escaped(source)
     found.dst_name = receiver and escaped(receiver)
-    found.service = service_name(header, header.r and source or receiver)
+    local server = receiver
+    if header.r then
+        server = source
+    end
+    found.service = service_name(header, server)
     return found
 end
 
@@ -636,7 +647,7 @@ local function show(tree, header, found)
     end
     if not header.conforms then
         tree:add_proto_expert_info(nonconforming)
-    elseif header.failed then
+    elseif header.failed and not header.b then
         tree:add_proto_expert_info(failed)
     end
 end
@@ -656,7 +667,8 @@ local function dissect(buffer, pinfo, root)
     if not found then
         local bus = interface()
         local data = buffer:len() > 0 and buffer:raw() or ""
-        found = analyse(header, data, canfd_rate() ~= nil, bus and bus.value or 0)
+        bus = bus and bus.value or 0
+        found = analyse(header, data, canfd_rate() ~= nil, bus, tonumber(tostring(pinfo.rel_ts)))
         frames[pinfo.number] = found
     end
     local tree = root:add(candes, buffer())

@@ -2,6 +2,7 @@
 
 use super::ExportFacts;
 use crate::catalogue::DeviceType;
+use crate::text::Escaped;
 use crate::wire::id::Service;
 use crate::wire::node::Mode;
 use std::collections::BTreeMap;
@@ -48,17 +49,21 @@ pub fn dissector(facts: ExportFacts) -> String {
     push_names(&mut text, 1, "services", services);
     let common = facts.catalogue.common_types().iter();
     let (mut services, mut messages) = (BTreeMap::new(), BTreeMap::new());
-    // Of two the first one counts, and those of the profile count most.
+    // Of two the first one counts.
     for of in common.rev() {
         services.extend(services_of(of));
-        messages.extend(of.debug_messages.iter().map(|(code, it)| (*code, it.name.as_str())));
+        messages.extend(messages_of(of));
     }
-    messages.extend(profile.debug_names.iter().map(|(code, name)| (*code, name.as_str())));
     push_names(&mut text, 1, "common_services", services);
-    push_names(&mut text, 1, "debug_names", messages);
+    push_names(&mut text, 1, "common_debug", messages);
+    let given = profile.debug_names.iter().map(|(code, name)| (*code, name.as_str()));
+    push_names(&mut text, 1, "debug_names", given);
     text.push_str("    types = {\n");
     for (name, of) in facts.catalogue.named_types() {
-        push_names(&mut text, 2, &format!("[{}]", quoted(name)), services_of(of));
+        let _ = writeln!(text, "        [{}] = {{", quoted(name));
+        push_names(&mut text, 3, "services", services_of(of));
+        push_names(&mut text, 3, "debug", messages_of(of));
+        text.push_str("        },\n");
     }
     text.push_str("    },\n}\n\n");
     text.push_str(DISSECTOR);
@@ -70,6 +75,11 @@ fn services_of(of: &DeviceType) -> impl Iterator<Item = (u16, &str)> {
     services.filter_map(|service| Some((service.number?.number(), service.name.as_str())))
 }
 
+fn messages_of(of: &DeviceType) -> impl Iterator<Item = (u16, &str)> {
+    of.debug_messages.iter().map(|(code, message)| (*code, message.name.as_str()))
+}
+
+/// Appends a table of names by number; what is not printable is escaped, as descan shows it.
 fn push_names<'a>(
     text: &mut String,
     depth: usize,
@@ -79,7 +89,11 @@ fn push_names<'a>(
     let indent = "    ".repeat(depth);
     let _ = writeln!(text, "{indent}{name} = {{");
     for (number, name) in names {
-        let _ = writeln!(text, "{indent}    [{number}] = {},", quoted(name));
+        let _ = writeln!(
+            text,
+            "{indent}    [{number}] = {},",
+            quoted(&Escaped(name.as_bytes()).to_string())
+        );
     }
     let _ = writeln!(text, "{indent}}},");
 }

@@ -13,8 +13,10 @@ use crate::wire::profile::{ProfileKey, ProfileValue};
 
 /// Services with requests that are kept.
 const MAX_SERVICES: usize = 16;
-/// Letters of a name.
-const MIN_NAME: usize = 3;
+/// Letters of a name in raw framing: a status and its value look like a name of one or two letters.
+const MIN_RAW_NAME: usize = 3;
+/// Letters of a name in ISO-TP, where the length has to fit, too.
+const MIN_ISOTP_NAME: usize = 2;
 /// Nodes with one framing that show it.
 const MIN_NODES: usize = 2;
 
@@ -74,9 +76,9 @@ impl DesServices {
         };
         let Some(framing) = classify_response(frame.data(), frame.is_fd, false) else { return };
         let name = match framing {
-            Framing::Raw => name_of(strip_raw_padding(frame.data())),
+            Framing::Raw => name_of(strip_raw_padding(frame.data()), MIN_RAW_NAME),
             Framing::Isotp => match Pci::decode(frame.data(), frame.is_fd) {
-                Ok(Pci::Single(message)) => name_of(message),
+                Ok(Pci::Single(message)) => name_of(message, MIN_ISOTP_NAME),
                 _ => None,
             },
         };
@@ -151,11 +153,10 @@ impl DesService {
     }
 }
 
-/// The name of a name response, if it is text of a usual length: a status and its value look like a
-/// name of one or two letters.
-fn name_of(message: &[u8]) -> Option<&[u8]> {
+/// The name of a name response, if it is text of so many letters.
+fn name_of(message: &[u8], least: usize) -> Option<&[u8]> {
     let (name, fault) = des::decode_name(message);
-    let is_text = |name: &&[u8]| name.len() >= MIN_NAME && name.iter().all(u8::is_ascii_graphic);
+    let is_text = |name: &&[u8]| name.len() >= least && name.iter().all(u8::is_ascii_graphic);
     let is_response = message.first() == Some(&des::TYPE_NAME) && fault.is_none();
     name.filter(is_text).filter(|_| is_response)
 }

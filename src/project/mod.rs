@@ -80,7 +80,7 @@ struct TaskDeviceEntry {
     bus: String,
     name: Option<String>,
     uid: Option<String>,
-    address: Option<u8>,
+    address: Option<u64>,
 }
 
 /// A mistake: its place, and what is wrong.
@@ -248,7 +248,8 @@ impl TaskDeviceEntry {
             Some(_) => {}
         }
         let address = self.address.map(|number| {
-            Address::new(number).ok_or_else(|| format!("address {number} is not 0 to 127"))
+            let address = u8::try_from(number).ok().and_then(Address::new);
+            address.ok_or_else(|| format!("address {number} is not 0 to 127"))
         });
         let address = address.transpose()?;
         if address.is_none() && self.name.is_none() && self.uid.is_none() {

@@ -7,7 +7,7 @@ use descan::sim::Scenario;
 use descan::wire::descriptor::AddressSetting;
 use descan::wire::node::Mode;
 use descan::wire::profile::{Profile, ProfileKey};
-use serde_json::Value;
+use serde_json::{Value, json};
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
 
@@ -314,8 +314,19 @@ fn des_is_searched_only_on_a_device_that_does_not_work() {
         scope.spawn(move || {
             let (told, said, code) = learn(&["10", "--yes"]);
             assert!(said.contains("answered with a DES response on service 0x00A"), "{said}");
-            assert!(told.contains("services.des           0x002 assumed    ≠ 0x00A"), "{told}");
+            let learnt = "services.des           0x002 assumed    ≠ 0x00A   likely  1 response with \
+                          a name, of 1 node, by the search";
+            assert!(told.contains(learnt), "{told}");
             assert_eq!(code, Some(0));
+            let (told, _, _) = learn(&["10", "--yes", "--search-from", "0x008", "--json"]);
+            let told: Value = serde_json::from_str(&told).unwrap();
+            assert_eq!(
+                told["search"],
+                json!({
+                    "device": 10, "outcome": "found", "service": 10, "requests": 5,
+                    "text": "answered with a DES response on service 0x00A"
+                })
+            );
         });
         scope.spawn(move || {
             let (_, said, code) = learn(&["12", "--yes"]);

@@ -47,8 +47,18 @@ fn mistake_has_its_line_column_and_the_line_itself() {
         ),
         (
             "[modes]\nINIT = 1\n",
-            "line 1, column 1: modes: [1, 1, 2, 3, 4, 5, 6] is not seven different codes",
-            "[modes]\n  ^^^^^^^",
+            "line 2, column 8: modes.ARSLV: 1 is not another code than modes.INIT",
+            "INIT = 1\n         ^",
+        ),
+        (
+            "[services]\nheartbeat = 2\n",
+            "line 2, column 13: services.des: 2 is not another number than services.heartbeat",
+            "heartbeat = 2\n              ^",
+        ),
+        (
+            "[heartbeat]\nuid_offset = 1\nmode_offset = 6\n",
+            "line 3, column 15: heartbeat.mode_offset: 6 is a byte of heartbeat.uid_offset, too",
+            "mode_offset = 6\n                ^",
         ),
         (
             "[heartbeat]\nperiode_ms = 1000\n",
@@ -212,6 +222,10 @@ fn saved_profile_is_in_force_at_once() {
     stage.until(50.0);
     assert!(named(&stage) >= 8);
     assert_eq!(stage.app.buses()[0].config().profile.origin(ProfileKey::Des), ValueOrigin::Assumed);
+    // Without a fitting heartbeat the devices are asked all the same.
+    save(&mut stage, "services.heartbeat = 0x3FF");
+    stage.until(60.0);
+    assert!(named(&stage) >= 8);
     // The past is read by the profile of its time.
     let before = stage
         .app

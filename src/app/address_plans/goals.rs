@@ -87,6 +87,8 @@ impl App {
         let mistakes = self.file_mistakes();
         let wrong: BTreeSet<usize> = mistakes.iter().flat_map(|it| it.entries.clone()).collect();
         let entries = document.entries().iter().filter(|entry| entry.is_for_bus(&bus.name));
+        let names =
+            EntryNames { entries: entries.clone().collect(), matching: &matching, bus, index };
         let listed = entries.filter_map(|entry| {
             let devices = matching.devices_of(entry.index);
             let own = devices.iter().find(|id| id.bus == index);
@@ -97,8 +99,9 @@ impl App {
             let place = own.and_then(|id| bus.devices().iter().position(|it| it.id == *id));
             let doubt = match place {
                 _ if wrong.contains(&entry.index) => Some(LeftOutReason::WrongEntry),
+                _ if names.is_ambiguous(entry) => Some(LeftOutReason::SeveralNamed),
                 Some(at) => doubt_of(entry, &bus.devices()[at], bus),
-                None => missing_reason(entry, bus, &matching, index),
+                None => shared_address(entry, bus).map(LeftOutReason::Shared),
             };
             Some(ListedDevice { entry, place, doubt })
         });
@@ -183,27 +186,46 @@ fn doubt_of(entry: &Entry, device: &Device, bus: &Bus) -> Option<LeftOutReason> 
     (listed.is_some() && device.uid.is_none()).then_some(LeftOutReason::UidNotHeard)
 }
 
-/// Why an entry has no device, apart from that it is not on the bus.
-fn missing_reason(
-    entry: &Entry,
-    bus: &Bus,
-    matching: &Matching,
+/// Which names of entries tell their devices apart.
+struct EntryNames<'a> {
+    /// The entries that are about the bus.
+    entries: Vec<&'a Entry>,
+    matching: &'a Matching,
+    bus: &'a Bus,
     index: BusIndex,
-) -> Option<LeftOutReason> {
-    if let Some(address) = shared_address(entry, bus) {
-        return Some(LeftOutReason::Shared(address));
+}
+
+impl EntryNames<'_> {
+    /// Returns true if several devices or several entries have the name of an entry, and neither UID nor
+    /// address says which belong together.
+    fn is_ambiguous(&self, entry: &Entry) -> bool {
+        let is_open = |entry: &Entry| entry.uid.as_deref().is_none_or(|uid| uid.trim().is_empty());
+        if !is_open(entry) || self.is_at_its_place(entry) {
+            return false;
+        }
+        let alike = self
+            .entries
+            .iter()
+            .filter(|it| it.name == entry.name && is_open(it) && !self.is_at_its_place(it));
+        let by_name = |device: &&Device| {
+            let owner = self.matching.entry_of(device.id);
+            let owner = owner.and_then(|of| self.entries.iter().find(|it| it.index == of));
+            device.is_present()
+                && device.is_named(&entry.name)
+                && owner.is_none_or(|owner| is_open(owner) && !self.is_at_its_place(owner))
+        };
+        match self.bus.devices().iter().filter(by_name).count() {
+            0 => false,
+            1 => alike.count() > 1,
+            _ => true,
+        }
     }
-    // One with a UID is about that board alone.
-    if entry.uid.as_deref().is_some_and(|uid| !uid.trim().is_empty()) {
-        return None;
-    }
-    let named = bus.devices().iter().filter(|it| it.is_present() && it.is_named(&entry.name));
-    let (listed, open): (Vec<_>, Vec<_>) =
-        named.partition(|it| it.id.bus == index && matching.entry_of(it.id).is_some());
-    match (open.len(), listed.is_empty()) {
-        (0, true) => None,
-        (0, false) => Some(LeftOutReason::ListedTwice),
-        _ => Some(LeftOutReason::SeveralNamed),
+
+    /// Returns true if the device of an entry is at the address of the entry.
+    fn is_at_its_place(&self, entry: &Entry) -> bool {
+        let devices = self.matching.devices_of(entry.index).iter();
+        let device = devices.filter(|id| id.bus == self.index).find_map(|id| self.bus.device(*id));
+        device.is_some_and(|device| entry.address == Some(device.address.number()))
     }
 }
 

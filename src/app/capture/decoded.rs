@@ -3,6 +3,7 @@
 //! Input: a frame and the devices of its bus. A frame is decoded when it is shown, not when it is
 //! received. Text from devices is escaped ([`Escaped`]).
 
+use super::configuration_text::configuration_text;
 use crate::app::buses::{Buses, FrameTypes};
 use crate::error_report::ErrorReport;
 use crate::frame::{CanId, Frame, FrameKind};
@@ -293,7 +294,8 @@ pub(in crate::app) fn describe_data(
         // The data of an error response are its code.
         let is_described = !is_failed(header) && header.is_conforming();
         let words = if is_described { types.data_in_words(header, data) } else { None };
-        return (words.unwrap_or_default(), false);
+        let configuration = || configuration_text(profile, header, data).filter(|_| is_described);
+        return (words.or_else(configuration).unwrap_or_default(), false);
     }
     if !header.response {
         return match classify_request(data, frame.is_fd) {

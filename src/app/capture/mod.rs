@@ -6,6 +6,7 @@
 
 pub(super) mod calls;
 mod captured_log;
+mod configuration_text;
 mod counts_base;
 pub(super) mod decoded;
 mod filtered_frames;

@@ -50,7 +50,14 @@ impl Matching {
                 });
                 open.pair(devices, same_uid);
                 open.pair(devices, same_place);
-                open.pair_unique(devices);
+                let is_other = |entry: &Entry, device: &Device| {
+                    let has_uids = entry.uid.as_deref().is_some_and(|uid| !uid.trim().is_empty())
+                        && device.uid.is_some_and(|uid| !uid.is_blank());
+                    has_uids && !same_uid(entry, device)
+                };
+                // Another board than the listed one comes last.
+                open.pair_unique(devices, |entry, device| !is_other(entry, device));
+                open.pair_unique(devices, |_, _| true);
             }
         }
         matching.duplicates = matching.find_duplicates(entries);
@@ -113,10 +120,15 @@ impl Unmatched<'_, '_> {
         }
     }
 
-    fn pair_unique<'d, D: Iterator<Item = &'d Device>>(&mut self, devices: impl Fn() -> D) {
+    fn pair_unique<'d, D: Iterator<Item = &'d Device>>(
+        &mut self,
+        devices: impl Fn() -> D,
+        fits: impl Fn(&Entry, &Device) -> bool,
+    ) {
         for entry in std::mem::take(&mut self.entries) {
+            let named = |device: &&Device| device.is_named(&entry.name) && fits(entry, device);
             let mut open = devices()
-                .filter(|device| self.is_open(device) && device.is_named(&entry.name))
+                .filter(|device| self.is_open(device) && named(device))
                 .map(|device| device.id);
             match (open.next(), open.next()) {
                 (Some(only), None) => self.add(entry.index, only),

@@ -172,6 +172,10 @@ pub fn field_json(value: &DataValue<'_>) -> Value {
             .map(Value::from)
             .or_else(|_| i64::try_from(*number).map(Value::from))
             .unwrap_or_default(),
+        // The shortest number that is the same one, also in 32 bits.
+        DataValue::Float(number, _) if f64::from(*number as f32) == *number => {
+            (*number as f32).to_string().parse::<f64>().map_or(Value::Null, Value::from)
+        }
         DataValue::Scaled(..) | DataValue::Float(..) => {
             value.to_string().parse::<f64>().map_or(Value::Null, Value::from)
         }

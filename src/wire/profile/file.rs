@@ -4,6 +4,7 @@ use super::{Announce, HeartbeatProfile, Profile, ProfileKey, ProfileValue, Value
 use crate::toml_error::{TomlError, ValuePlaces};
 use crate::wire::descriptor::ByteOrder;
 use crate::wire::id::Service;
+use crate::wire::node::Uid;
 use serde::{Deserialize, Deserializer};
 use std::collections::BTreeMap;
 
@@ -11,7 +12,9 @@ use std::collections::BTreeMap;
 struct RangeFault {
     key: &'static str,
     value: String,
-    expected: &'static str,
+    expected: String,
+    /// The key with the same value; that one may be built in, or this one.
+    other: Option<&'static str>,
 }
 
 impl Profile {
@@ -32,13 +35,24 @@ impl Profile {
         let mut profile: Self =
             toml::from_str(text).map_err(|error| TomlError::of(text, &error))?;
         let places = ValuePlaces::of(text);
-        profile.check().map_err(|RangeFault { key, value, expected }| {
-            TomlError::new(text, places.get(key), format!("{key}: {value} is not {expected}"))
+        profile.check().map_err(|RangeFault { key, value, expected, other }| {
+            let span = places.get(key).or_else(|| places.get(other?));
+            TomlError::new(text, span, format!("{key}: {value} is not {expected}"))
         })?;
         for key in ProfileKey::ALL {
-            if places.contains(key.name()) {
+            let is_empty = match key {
+                ProfileKey::ServiceNames => profile.service_names.is_empty(),
+                ProfileKey::DebugNames => profile.debug_names.is_empty(),
+                _ => false,
+            };
+            if places.contains(key.name()) && !is_empty {
                 profile.set_origin(*key, ValueOrigin::Given);
             }
+        }
+        if let Some((key, other)) = profile.shared_byte() {
+            let (name, value) = (key.name(), profile.value(key));
+            let message = format!("{name}: {value} is a byte of {}, too", other.name());
+            return Err(TomlError::new(text, places.get(name), message));
         }
         if let Some((key, other)) = profile.shared_number() {
             let span = [key, other].into_iter().find_map(|key| places.get(key.name()));
@@ -73,7 +87,10 @@ impl Profile {
     }
 
     fn check(&self) -> Result<(), RangeFault> {
-        let range = |key, value: String, expected| Err(RangeFault { key, value, expected });
+        use ProfileKey as Key;
+        let range = |key, value: String, expected: &str| {
+            Err(RangeFault { key, value, expected: expected.to_owned(), other: None })
+        };
         for key in ProfileKey::ALL {
             if let ProfileValue::Service(number) = self.value(*key)
                 && number > 0x3FF
@@ -83,7 +100,9 @@ impl Profile {
         }
         if self.services.heartbeat == self.services.des {
             let value = self.services.des.to_string();
-            return range("services.des", value, "another number than services.heartbeat");
+            let expected = "another number than services.heartbeat".to_owned();
+            let other = Some("services.heartbeat");
+            return Err(RangeFault { key: "services.des", value, expected, other });
         }
         if !HeartbeatProfile::PERIODS.contains(&self.heartbeat.period_ms) {
             let value = self.heartbeat.period_ms.to_string();
@@ -93,12 +112,37 @@ impl Profile {
             let value = self.calls.timeout_ms.to_string();
             return range("calls.timeout_ms", value, "1 to 60000 milliseconds");
         }
-        let mut codes = self.modes.codes();
-        codes.sort_unstable();
-        if codes.windows(2).any(|pair| pair[0] == pair[1]) {
-            return range("modes", format!("{:?}", self.modes.codes()), "seven different codes");
+        let codes = self.modes.codes();
+        let keys = [Key::Init, Key::Arslv, Key::Cfg, Key::Boot, Key::Work, Key::Ufunc, Key::Idle];
+        for (at, key) in keys.into_iter().enumerate() {
+            if let Some(other) = codes[..at].iter().position(|code| *code == codes[at]) {
+                let (key, value, other) = (key.name(), codes[at].to_string(), keys[other].name());
+                let expected = format!("another code than {other}");
+                return Err(RangeFault { key, value, expected, other: Some(other) });
+            }
         }
         Ok(())
+    }
+
+    /// Returns two offsets of the heartbeat that are given, and have a byte in common.
+    fn shared_byte(&self) -> Option<(ProfileKey, ProfileKey)> {
+        use ProfileKey as Key;
+        let layout = &self.heartbeat;
+        let fields = [
+            (Key::UidOffset, layout.uid_offset, Uid::LEN as u8),
+            (Key::ModeOffset, layout.mode_offset, 1),
+            (Key::ErrorOffset, layout.error_offset, 1),
+        ];
+        let given = fields.into_iter().filter(|(key, ..)| self.is_given(*key));
+        let given: Vec<_> = given.filter_map(|(key, at, size)| Some((key, at?, size))).collect();
+        given.iter().enumerate().find_map(|(place, (key, at, size))| {
+            let mut before = given[..place].iter();
+            let is_shared = |(_, other, length): &&(Key, u8, u8)| {
+                u16::from(*at) < u16::from(*other) + u16::from(*length)
+                    && u16::from(*other) < u16::from(*at) + u16::from(*size)
+            };
+            before.find(is_shared).map(|(other, ..)| (*key, *other))
+        })
     }
 
     /// Returns the displayed name of a service, from the platform or from `service_names`; `None`
@@ -110,8 +154,34 @@ impl Profile {
         } else if number == self.services.des {
             Some("DES")
         } else {
-            self.service_names.get(&number).map(String::as_str)
+            let named = self.service_names.get(&number).map(String::as_str);
+            named.or_else(|| self.configuration_name(number))
         }
+    }
+
+    /// Returns the name of a service of the descriptor, of a command or of a write whose number is
+    /// given.
+    fn configuration_name(&self, number: u16) -> Option<&'static str> {
+        use ProfileKey as Key;
+        const NAMES: [(ProfileKey, &str); 13] = [
+            (Key::Gid, "GID"),
+            (Key::Uid, "UID"),
+            (Key::Sn, "SN"),
+            (Key::Fw, "FW"),
+            (Key::Caps, "CAPS"),
+            (Key::Bspd, "BSPD"),
+            (Key::Addr, "ADDR"),
+            (Key::Autostart, "AUTOSTART"),
+            (Key::Identify, "IDENTIFY"),
+            (Key::Mode, "MODE"),
+            (Key::Reboot, "REBOOT"),
+            (Key::WriteAddress, "ADDR"),
+            (Key::WriteBitrate, "BSPD"),
+        ];
+        let is_it = |(key, _): &&(ProfileKey, &str)| {
+            self.is_given(*key) && self.value(*key) == ProfileValue::Service(number)
+        };
+        NAMES.iter().find(is_it).map(|(_, name)| *name)
     }
 }
 

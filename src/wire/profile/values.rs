@@ -316,9 +316,12 @@ mod tests {
     fn built_in_file_has_all_values_and_sets_none() {
         let written = Profile::parse(Profile::BUILT_IN).unwrap();
         let is_given = |key: &&ProfileKey| written.origin(**key) == ValueOrigin::Given;
-        let given: Vec<_> = ProfileKey::ALL.iter().filter(is_given).collect();
+        assert_eq!(
+            ProfileKey::ALL.iter().find(is_given),
+            None,
+            "tables without names count as none"
+        );
         let tables = [&ProfileKey::ServiceNames, &ProfileKey::DebugNames];
-        assert_eq!(given, tables, "tables without names");
         let lines = Profile::BUILT_IN.lines().map(|line| match line.strip_prefix('#') {
             Some(value) if !value.starts_with(' ') => value,
             _ => line,

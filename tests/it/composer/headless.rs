@@ -79,7 +79,8 @@ fn send_says_what_is_sent_and_prints_answers() {
         (
             &["request", "mode", "idle", "to", "FEED", "--yes"],
             0,
-            "It sets the mode to IDLE (if the assumed number is right).",
+            "It sets the mode to IDLE, which may end only by switching the power off and on (if the \
+             assumed number is right).",
             "FEED @10  ",
         ),
         (

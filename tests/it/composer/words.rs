@@ -265,9 +265,15 @@ fn meaning_and_warnings_say_what_will_be_sent() {
     assert_eq!(other.foreign_source, Some(address(14)));
     assert!(other.meaning.contains("from @14 to FEED @10, service 0x155 (AUGER), data 01"));
     let cases = [
-        ("request mode idle to FEED", Some("sets the mode to IDLE")),
+        (
+            "request mode idle to FEED",
+            Some("sets the mode to IDLE, which may end only by switching the power off and on"),
+        ),
         ("request restart to FEED", Some("restarts it")),
-        ("request address 0C to FEED", Some("sets its address to fixed 12")),
+        (
+            "request address 0C to FEED",
+            Some("sets its address to fixed 12, where it stays mute if that is used"),
+        ),
         ("request addr to FEED", None),
         (
             "request identify to FEED",
@@ -275,7 +281,10 @@ fn meaning_and_warnings_say_what_will_be_sent() {
         ),
         (
             "request bspd 81 to FEED",
-            Some("sets its bit rate to preferred 250 kbit/s (if the assumed number is right)"),
+            Some(
+                "sets its bit rate to preferred 250 kbit/s, and may leave this bus (if the assumed \
+                 number is right)",
+            ),
         ),
         (
             "request 0x01F 01 to FEED",

@@ -2,7 +2,7 @@
 
 use super::snapshot;
 use crate::common::harness::Stage;
-use descan::app::Effect;
+use descan::app::{Effect, Mouse, MouseKind};
 use descan::sim::{DeviceAction, DeviceSpec, Scenario, Sim};
 use descan::time::Duration;
 use descan::wire::descriptor::AddressSetting;
@@ -57,7 +57,11 @@ fn values_unlike_the_profile_are_announced_and_taken_over() {
     assert!(line.contains("services.heartbeat 0x155, not 0x001"), "{line}");
     let named = |stage: &Stage| stage.app.buses()[0].devices().iter().any(|it| it.name.is_some());
     assert!(!named(&stage));
-    stage.keys("L");
+    let row = stage.screen().lines().position(|it| it.starts_with(" ≠ the frames show")).unwrap();
+    let click = Mouse { kind: MouseKind::Press, column: 5, row: row as u16 };
+    stage.app.handle_mouse(stage.app.now(), click);
+    assert!(stage.screen().contains("KEY "), "a click opens the list: {}", stage.screen());
+    stage.keys("Esc L");
     snapshot!("profile_80x24", stage);
     // Nothing is in force before Enter, and a path.
     stage.keys("Esc");
