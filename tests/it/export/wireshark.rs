@@ -259,3 +259,38 @@ fn services_of_a_named_device_have_their_names() {
     let last = frames.iter().rposition(|frame| is_auger(&frame)).expect("a frame of the feeder");
     assert_eq!(shown[last][10], "AUGER");
 }
+
+#[test]
+fn late_frames_and_other_devices_lend_no_name() {
+    let at = |number: u8| Address::from_bits(number);
+    let request = |to: u8, service: u16| {
+        Header::request(Address::DEBUG, at(to), false, Service::from_bits(service))
+    };
+    let response = |from: u8, service: u16| request(from, service).response(at(from), false);
+    let mut debug = Header::unsolicited(at(10), 127, true, Service::from_bits(0x021));
+    debug.to_non_working = true;
+    let mut to_feeder = response(12, 0x101);
+    to_feeder.destination = at(10);
+    let frames: [(u64, Header, &[u8]); 6] = [
+        (0, response(10, 2), b"\x06\x01FEED\0"),
+        (1, debug, &[1, 0, 3]),
+        (2, to_feeder, &[1, 2]),
+        (3, request(10, 0x101), &[1, 2]),
+        (4, response(11, 2), b"\x10\x09\x01LATER"),
+        (2004, response(11, 2), b"\x21XY\0"),
+    ];
+    let frames = frames.map(|(millis, header, data)| {
+        let time = Instant::ZERO + Duration::from_millis(millis);
+        Frame::classic(header.encode(), data).with_time(time)
+    });
+    let folder = tempfile::tempdir().unwrap();
+    write(&folder.path().join("names.pcapng"), &frames);
+    let devices = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/project/devices");
+    let lua = export(folder.path(), &["--wireshark", "--catalogue", devices]);
+    std::fs::write(folder.path().join("candes.lua"), lua).unwrap();
+    let Some(shown) = tshark(folder.path(), "names.pcapng") else { return };
+    let services: Vec<&str> = shown.iter().map(|row| row[10].as_str()).collect();
+    assert_eq!(services, ["DES", "JAMMED", "", "AUGER", "DES", "DES"]);
+    assert_eq!(shown[1][11], "debug message JAMMED");
+    assert_eq!(shown[5][12], "", "the transfer had ended");
+}
