@@ -40,6 +40,9 @@ pub(super) enum BusOutcome {
     Frame(Frame),
     /// A frame of [`SimBus::senders`] was destroyed.
     BusError(BusErrorCause),
+    /// A frame of error-passive [`SimBus::senders`] was not acknowledged: valid to listen-only
+    /// stations, since a passive error flag changes nothing on the wire.
+    Unacknowledged(Frame),
     /// Error-passive stations ([`SimBus::passive_error_stations`]) had an error that no other
     /// station noticed.
     PassiveError,
@@ -78,6 +81,12 @@ enum BusPhase {
         ends: u64,
         free: u64,
     },
+    /// A frame of error-passive senders that nobody acknowledges.
+    Unacknowledged {
+        frame: Frame,
+        ends: u64,
+        free: u64,
+    },
     /// Intermission.
     Intermission {
         free: u64,
@@ -94,11 +103,13 @@ pub(super) struct SimBus {
     waiting: Vec<StationIndex>,
     /// Stations with a receive error counter above 0, each once.
     with_receive_errors: Vec<StationIndex>,
-    /// Stations at another bit rate.
+    /// Stations at another bit rate than [`SimBus::bitrate`].
     off_rate: Vec<StationIndex>,
+    /// Bit rate of the frame on the wire: that of its sender.
+    frame_bitrate: u32,
     senders: Vec<StationIndex>,
     passive_error_stations: Vec<StationIndex>,
-    abandoned: Vec<StationIndex>,
+    abandoned: Vec<(StationIndex, Frame)>,
     phase: BusPhase,
     rng: fastrand::Rng,
     statistics: Statistics,
@@ -114,6 +125,7 @@ impl SimBus {
             waiting: Vec::new(),
             with_receive_errors: Vec::new(),
             off_rate: Vec::new(),
+            frame_bitrate: bitrate,
             senders: Vec::new(),
             passive_error_stations: Vec::new(),
             abandoned: Vec::new(),
@@ -127,6 +139,11 @@ impl SimBus {
         self.bitrate
     }
 
+    /// Returns the bit rate of the last frame, in bit/s.
+    pub fn frame_bitrate(&self) -> u32 {
+        self.frame_bitrate
+    }
+
     pub fn data_bitrate(&self) -> u32 {
         self.data_bitrate
     }
@@ -137,7 +154,7 @@ impl SimBus {
 
     /// Adds a station that is off, with a transmit queue of `capacity` frames.
     pub fn add(&mut self, capacity: usize) -> StationIndex {
-        self.controllers.push(Controller::new(capacity));
+        self.controllers.push(Controller::new(capacity, self.bitrate));
         (self.controllers.len() - 1) as StationIndex
     }
 
@@ -159,11 +176,11 @@ impl SimBus {
         self.withdraw(station);
     }
 
-    /// Marks a station's bit rate as different from that of the bus, or as equal.
-    pub fn set_wrong_rate(&mut self, station: StationIndex, wrong: bool) {
-        self.controller_mut(station).wrong_rate = wrong;
+    /// Sets a station's bit rate, in bit/s.
+    pub fn set_bitrate(&mut self, station: StationIndex, bitrate: u32) {
+        self.controller_mut(station).bitrate = bitrate;
         self.off_rate.retain(|&other| other != station);
-        if wrong {
+        if bitrate != self.bitrate {
             self.off_rate.push(station);
         }
     }
@@ -172,10 +189,12 @@ impl SimBus {
     fn withdraw(&mut self, station: StationIndex) {
         let was_sending = self.senders.contains(&station);
         self.senders.retain(|&sender| sender != station);
+        self.abandoned.retain(|(owner, _)| *owner != station);
         if was_sending
             && self.senders.is_empty()
-            && let BusPhase::Frame { ends, free, .. } | BusPhase::BusError { ends, free, .. } =
-                self.phase
+            && let BusPhase::Frame { ends, free, .. }
+            | BusPhase::BusError { ends, free, .. }
+            | BusPhase::Unacknowledged { ends, free, .. } = self.phase
         {
             self.phase = BusPhase::BusError { error: BusErrorCause::Disturbance, ends, free };
         }
@@ -212,7 +231,9 @@ impl SimBus {
         match self.phase {
             BusPhase::Idle => None,
             BusPhase::Start { at } => Some(at + bit_nanos(1, self.bitrate)),
-            BusPhase::Frame { ends, .. } | BusPhase::BusError { ends, .. } => Some(ends),
+            BusPhase::Frame { ends, .. }
+            | BusPhase::BusError { ends, .. }
+            | BusPhase::Unacknowledged { ends, .. } => Some(ends),
             BusPhase::Intermission { free } => Some(free),
         }
     }
@@ -234,6 +255,12 @@ impl SimBus {
                 self.finish_broken(error, free);
                 Some(BusOutcome::BusError(error))
             }
+            BusPhase::Unacknowledged { frame, ends, free } => {
+                self.phase = BusPhase::Intermission { free };
+                self.statistics.errors += 1;
+                self.finish_broken(BusErrorCause::NoAck, free);
+                Some(BusOutcome::Unacknowledged(frame.with_time(super::instant(ends))))
+            }
             BusPhase::Intermission { free } => {
                 self.rest_over(free);
                 None
@@ -251,8 +278,8 @@ impl SimBus {
         &self.passive_error_stations
     }
 
-    /// Returns the stations whose frame was dropped in the last step.
-    pub fn take_abandoned(&mut self) -> Vec<StationIndex> {
+    /// Returns the frames that were dropped, with their stations.
+    pub fn take_abandoned(&mut self) -> Vec<(StationIndex, Frame)> {
         std::mem::take(&mut self.abandoned)
     }
 
@@ -272,7 +299,6 @@ impl SimBus {
     fn arbitrate(&mut self, start: u64) -> Option<BusOutcome> {
         self.senders.clear();
         self.passive_error_stations.clear();
-        self.abandoned.clear();
         let mut lowest = u32::MAX;
         for &station in &self.waiting {
             let controller = &self.controllers[usize::from(station)];
@@ -293,6 +319,8 @@ impl SimBus {
             self.rest_over(start);
             return None;
         }
+        self.drop_losers(start);
+        self.frame_bitrate = self.controller(self.senders[0]).bitrate;
         for &sender in &self.senders {
             self.controllers[usize::from(sender)].begin();
         }
@@ -302,31 +330,51 @@ impl SimBus {
         let broken = if let Some(bits) = broken_at {
             Some((BusErrorCause::Collision, self.early_nanos(&frame, bits)))
         } else if self.is_destroyed_by_rate() {
-            Some((BusErrorCause::Disturbance, bit_nanos(UNREADABLE_AFTER, self.bitrate)))
+            Some((BusErrorCause::Disturbance, bit_nanos(UNREADABLE_AFTER, self.frame_bitrate)))
         } else if self.frame_error_probability > 0.0
             && self.rng.f64() < self.frame_error_probability
         {
             let at = self.rng.u32(1..bits.until_ack().total());
             Some((BusErrorCause::Disturbance, self.early_nanos(&frame, at)))
         } else if !self.is_acknowledged() {
-            let sent = bits.until_ack().nanos(self.bitrate, self.data_bitrate);
+            let sent = bits.until_ack().nanos(self.frame_bitrate, self.data_bitrate);
             Some((BusErrorCause::NoAck, sent))
         } else {
             None
         };
         self.phase = if let Some((error, sent)) = broken {
-            let ends = start + sent + bit_nanos(ERROR_FLAGS, self.bitrate);
-            let free = ends + bit_nanos(ERROR_DELIMITER + INTERMISSION, self.bitrate);
+            let ends = start + sent + bit_nanos(ERROR_FLAGS, self.frame_bitrate);
+            let free = ends + bit_nanos(ERROR_DELIMITER + INTERMISSION, self.frame_bitrate);
             self.statistics.busy_nanos += free - start;
-            BusPhase::BusError { error, ends, free }
+            let is_passive =
+                self.senders.iter().all(|&sender| self.controller(sender).is_passive());
+            if error == BusErrorCause::NoAck && is_passive {
+                BusPhase::Unacknowledged { frame, ends, free }
+            } else {
+                BusPhase::BusError { error, ends, free }
+            }
         } else {
-            let free = start + bits.nanos(self.bitrate, self.data_bitrate);
-            let ends = free - bit_nanos(INTERMISSION, self.bitrate);
+            let free = start + bits.nanos(self.frame_bitrate, self.data_bitrate);
+            let ends = free - bit_nanos(INTERMISSION, self.frame_bitrate);
             self.statistics.busy_nanos += free - start;
             self.statistics.bits += u64::from(bits.total());
             BusPhase::Frame { frame, ends, free }
         };
         (!self.passive_error_stations.is_empty()).then_some(BusOutcome::PassiveError)
+    }
+
+    /// Drops the frames that are not repeated and lost arbitration.
+    fn drop_losers(&mut self, start: u64) {
+        for &station in &self.waiting {
+            let controller = &mut self.controllers[usize::from(station)];
+            let is_in = controller.wants_bus() && controller.suspended_until <= start;
+            if is_in
+                && !self.senders.contains(&station)
+                && let Some(frame) = controller.give_up_once()
+            {
+                self.abandoned.push((station, frame));
+            }
+        }
     }
 
     /// Resolves a collision: several senders of one identifier with different data. A station that
@@ -348,9 +396,8 @@ impl SimBus {
             };
             let notices = if parting.first_is_recessive { first } else { second };
             if self.controller(notices).is_passive() {
-                if self.controllers[usize::from(notices)].count_send_error(false) {
-                    self.abandoned.push(notices);
-                }
+                let dropped = self.controllers[usize::from(notices)].count_send_error(false);
+                self.abandoned.extend(dropped.map(|frame| (notices, frame)));
                 self.passive_error_stations.push(notices);
                 if parting.first_is_recessive {
                     self.senders.swap_remove(0);
@@ -373,17 +420,26 @@ impl SimBus {
         let all = FrameBits::of(frame);
         let tail = all.nominal - all.until_ack().nominal + 2;
         let slow = if all.data == 0 { bits } else { bits.min(all.nominal - tail) };
-        FrameBits { nominal: slow, data: bits - slow }.nanos(self.bitrate, self.data_bitrate)
+        FrameBits { nominal: slow, data: bits - slow }.nanos(self.frame_bitrate, self.data_bitrate)
     }
 
+    /// Returns true if a station at another bit rate destroys the frame.
     fn is_destroyed_by_rate(&self) -> bool {
-        self.senders.iter().any(|&sender| self.controller(sender).wrong_rate)
-            || self.off_rate.iter().any(|&other| self.controller(other).is_destructive())
+        let is_other = |controller: &Controller| controller.bitrate != self.frame_bitrate;
+        let destroys = |it: &Controller| it.is_destructive() && is_other(it);
+        if self.senders.iter().any(|&sender| is_other(self.controller(sender))) {
+            true
+        } else if self.frame_bitrate == self.bitrate {
+            self.off_rate.iter().any(|&station| destroys(self.controller(station)))
+        } else {
+            self.controllers.iter().any(destroys)
+        }
     }
 
     fn is_acknowledged(&self) -> bool {
         self.controllers.iter().enumerate().any(|(station, controller)| {
-            controller.acknowledges() && !self.senders.contains(&(station as StationIndex))
+            controller.acknowledges(self.frame_bitrate)
+                && !self.senders.contains(&(station as StationIndex))
         })
     }
 
@@ -396,9 +452,10 @@ impl SimBus {
             }
         }
         let (controllers, senders) = (&mut self.controllers, &self.senders);
+        let bitrate = self.frame_bitrate;
         self.with_receive_errors.retain(|&station| {
             let controller = &mut controllers[usize::from(station)];
-            if !senders.contains(&station) && controller.is_active() && !controller.wrong_rate {
+            if !senders.contains(&station) && controller.acknowledges(bitrate) {
                 controller.count_received();
             }
             controller.counters().1 > 0
@@ -415,9 +472,8 @@ impl SimBus {
                 continue;
             }
             if self.senders.contains(&station) {
-                if controller.count_send_error(error == BusErrorCause::NoAck) {
-                    self.abandoned.push(station);
-                }
+                let dropped = controller.count_send_error(error == BusErrorCause::NoAck);
+                self.abandoned.extend(dropped.map(|frame| (station, frame)));
                 if controller.is_passive() {
                     controller.suspended_until = suspended_until;
                 }

@@ -89,8 +89,8 @@ pub(super) struct Controller {
     pub attached: bool,
     /// Listen-only.
     pub listen_only: bool,
-    /// Its bit rate differs from that of the bus: receives nothing and destroys frames.
-    pub wrong_rate: bool,
+    /// Bit rate in bit/s. It receives frames with this rate, and destroys others.
+    pub bitrate: u32,
     /// End of suspend transmission, in nanoseconds.
     pub suspended_until: u64,
     tec: u16,
@@ -100,7 +100,7 @@ pub(super) struct Controller {
 
 impl Controller {
     /// Creates a controller that is off, with a queue of `capacity` frames.
-    pub fn new(capacity: usize) -> Self {
+    pub fn new(capacity: usize, bitrate: u32) -> Self {
         Self {
             queue: BinaryHeap::new(),
             on_wire: None,
@@ -109,7 +109,7 @@ impl Controller {
             dropped: 0,
             attached: false,
             listen_only: false,
-            wrong_rate: false,
+            bitrate,
             suspended_until: 0,
             tec: 0,
             rec: 0,
@@ -179,9 +179,9 @@ impl Controller {
         self.attached && !self.bus_off
     }
 
-    /// Returns true if it acknowledges frames of other stations.
-    pub fn acknowledges(&self) -> bool {
-        self.is_active() && !self.wrong_rate
+    /// Returns true if it acknowledges frames of other stations with this bit rate.
+    pub fn acknowledges(&self, bitrate: u32) -> bool {
+        self.is_active() && self.bitrate == bitrate
     }
 
     /// Returns true if its error flags destroy frames.
@@ -221,27 +221,29 @@ impl Controller {
         self.tec = self.tec.saturating_sub(1);
     }
 
-    /// Counts a transmit error and queues the frame again. Returns true if the frame is dropped.
+    /// Takes its next frame from the queue if it is one that is not repeated: it lost arbitration.
+    pub fn give_up_once(&mut self) -> Option<Frame> {
+        let is_once = self.queue.peek().is_some_and(|waiting| waiting.one_shot);
+        if is_once { self.queue.pop().map(|waiting| waiting.frame) } else { None }
+    }
+
+    /// Counts a transmit error and queues the frame again. Returns the frame if it is dropped.
     ///
     /// An error-passive transmitter does not count a missing acknowledgement, so a station alone on
     /// a bus never becomes bus-off (ISO 11898-1).
-    pub fn count_send_error(&mut self, acknowledge: bool) -> bool {
+    pub fn count_send_error(&mut self, acknowledge: bool) -> Option<Frame> {
         if !(acknowledge && self.is_passive()) {
             self.tec += TEC_STEP;
         }
-        let broken = self.on_wire.take();
+        let broken = self.on_wire.take()?;
         if self.tec > BUS_OFF_ABOVE {
             self.bus_off = true;
             self.queue.clear();
-            return true;
+        } else if !broken.one_shot {
+            self.queue.push(broken);
+            return None;
         }
-        match broken {
-            Some(waiting) if !waiting.one_shot => {
-                self.queue.push(waiting);
-                false
-            }
-            _ => true,
-        }
+        Some(broken.frame)
     }
 
     /// Queues the frame on the wire again, after an error-passive transmitter stopped sending it.
@@ -266,7 +268,7 @@ mod tests {
     use super::*;
 
     fn controller() -> Controller {
-        let mut controller = Controller::new(3);
+        let mut controller = Controller::new(3, 125_000);
         controller.attached = true;
         controller
     }
@@ -314,7 +316,7 @@ mod tests {
         controller.enqueue(Frame::classic(1, &[]), false);
         for _ in 0..1000 {
             controller.begin();
-            assert!(!controller.count_send_error(true));
+            assert!(controller.count_send_error(true).is_none());
         }
         assert_eq!(controller.counters(), (128, 0));
     }

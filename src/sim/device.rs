@@ -1,8 +1,10 @@
 //! A simulated device: modes, address resolution, heartbeat and periodic data (protocol §7).
 //!
 //! A state machine without a clock: input is received frames and the time; it sends through a
-//! [`DeviceIo`]. Responses to requests are in [`serve`]. Knows other devices only by their frames.
+//! [`DeviceIo`]. Responses to requests are in [`serve`]; a device may run a [`program`] of the caller
+//! instead. Knows other devices only by their frames.
 
+pub(super) mod program;
 mod serve;
 
 use super::bus::{SimBus, StationIndex};
@@ -16,6 +18,7 @@ use crate::wire::framing::Framing;
 use crate::wire::id::{Address, Header};
 use crate::wire::node::{Heartbeat, Mode};
 use crate::wire::profile::{Profile, WriteEffect};
+use program::{DeviceProgram, RunningProgram};
 
 /// BUS_CFG_TXERR_MAX: error counter at which a device disconnects and starts again.
 const MAX_ERRORS: u16 = 128;
@@ -34,6 +37,10 @@ pub(super) struct DeviceIo<'a> {
 }
 
 impl DeviceIo<'_> {
+    fn reborrow(&mut self) -> DeviceIo<'_> {
+        DeviceIo { bus: &mut *self.bus, ..*self }
+    }
+
     fn send(&mut self, frame: Frame) -> bool {
         self.bus.transmit(self.now, self.station, frame, false)
     }
@@ -91,6 +98,8 @@ pub(super) struct SimDevice {
     replies: TxResponses,
     /// Action to apply after the response with this identifier was sent.
     pending_action: Option<(u32, DeviceAction)>,
+    /// Runs instead of the simulated behaviour.
+    program: Option<RunningProgram>,
 }
 
 impl SimDevice {
@@ -110,24 +119,42 @@ impl SimDevice {
             chatter_count: 0,
             replies: TxResponses::default(),
             pending_action: None,
+            program: None,
         }
     }
 
+    /// Gives it a program, which starts now if the device is on.
+    pub fn set_program(&mut self, program: Box<dyn DeviceProgram>, port: &mut DeviceIo) {
+        let is_on = self.is_on();
+        if is_on {
+            self.power_off(port);
+        }
+        let mut program = RunningProgram::new(program);
+        if is_on {
+            program.power_on(port);
+        }
+        self.program = Some(program);
+    }
+
     pub fn is_on(&self) -> bool {
-        self.stage != DeviceStage::Off
+        let is_on = self.stage != DeviceStage::Off;
+        self.program.as_ref().map_or(is_on, RunningProgram::is_on)
     }
 
     pub fn mode(&self) -> Mode {
-        self.mode
+        self.program.as_ref().map_or(self.mode, RunningProgram::mode)
     }
 
     /// Returns its address; `None` before the end of address resolution.
     pub fn address(&self) -> Option<Address> {
-        self.address
+        self.program.as_ref().map_or(self.address, RunningProgram::address)
     }
 
     /// Returns true if it needs all frames, during address resolution.
     pub fn is_listening(&self) -> bool {
+        if self.program.is_some() {
+            return self.is_on();
+        }
         !matches!(self.stage, DeviceStage::Off | DeviceStage::OtherBitrate | DeviceStage::Run)
     }
 
@@ -141,6 +168,9 @@ impl SimDevice {
 
     /// Returns when to call [`SimDevice::handle_timeout`] next, in nanoseconds; `None` if off.
     pub fn poll_timeout(&self) -> Option<u64> {
+        if let Some(program) = &self.program {
+            return program.poll_timeout();
+        }
         let stage = match self.stage {
             DeviceStage::Init { until }
             | DeviceStage::Listen { until }
@@ -156,6 +186,9 @@ impl SimDevice {
 
     /// Runs all timers that are due.
     pub fn handle_timeout(&mut self, port: &mut DeviceIo) {
+        if let Some(program) = &mut self.program {
+            return program.handle_timeout(port);
+        }
         match self.stage {
             DeviceStage::Init { until } if until <= port.now => self.listen(port),
             DeviceStage::Listen { until } if until <= port.now => self.choose(port),
@@ -391,6 +424,9 @@ impl SimDevice {
 
     /// Handles a frame of another node.
     pub fn handle_frame(&mut self, frame: &Frame, header: Header, port: &mut DeviceIo) {
+        if let Some(program) = &mut self.program {
+            return program.handle_frame(frame, port);
+        }
         if !header.is_conforming() {
             return;
         }
@@ -443,6 +479,9 @@ impl SimDevice {
 
     /// Handles the transmission of one of its frames.
     pub fn handle_sent(&mut self, frame: &Frame, port: &mut DeviceIo) {
+        if let Some(program) = &mut self.program {
+            return program.handle_transmitted(frame, true, port);
+        }
         if let DeviceStage::Claim { choice } = self.stage {
             self.run(choice, port);
         } else if let Some(id) = frame.platform_id() {
@@ -455,7 +494,10 @@ impl SimDevice {
     }
 
     /// Handles a dropped frame: the address claim, the only one that is not repeated.
-    pub fn handle_abandoned(&mut self, port: &mut DeviceIo) {
+    pub fn handle_abandoned(&mut self, frame: &Frame, port: &mut DeviceIo) {
+        if let Some(program) = &mut self.program {
+            return program.handle_transmitted(frame, false, port);
+        }
         if let DeviceStage::Claim { choice } = self.stage {
             self.claim_again(choice, port);
         }
@@ -463,6 +505,9 @@ impl SimDevice {
 
     /// Checks its error counters after a bus error; starts again if they are too high.
     pub fn handle_bus_error(&mut self, port: &mut DeviceIo) {
+        if let Some(program) = &mut self.program {
+            return program.handle_bus_error(port);
+        }
         let (tec, rec) = port.bus.controller(port.station).counters();
         if self.is_on() && tec.max(rec) >= MAX_ERRORS {
             self.begin(port);
@@ -471,6 +516,9 @@ impl SimDevice {
 
     /// Applies an action of the timetable or of the caller.
     pub fn apply(&mut self, action: DeviceAction, port: &mut DeviceIo) {
+        if let Some(program) = &mut self.program {
+            return program.apply(&action, port);
+        }
         match action {
             DeviceAction::PowerOn => self.power_on(port),
             DeviceAction::PowerOff => self.power_off(port),

@@ -2,6 +2,7 @@
 //!
 //! * [`scenario`]: devices and a timetable; from TOML, built in, or built in code.
 //! * [`Sim`]: the running simulation: attach a station, transmit, advance, poll.
+//! * [`DeviceProgram`]: a device of the caller on this bus, firmware under test for example.
 //!
 //! Deterministic: the same scenario, seed and inputs give the same frames. No I/O, no clock, no
 //! threads. Does not know descan: it attaches like any other station.
@@ -21,6 +22,7 @@ mod world;
 
 pub use bus::{BusErrorCause, Statistics};
 pub use controller::ControllerState;
+pub use device::program::{DeviceController, DeviceProgram};
 pub use scenario::{
     Descriptor, DeviceAction, DeviceFraming, DeviceSpec, Fault, Faults, PeriodicMessage, Scenario,
     ScenarioError, TimetableEvent,

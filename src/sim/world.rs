@@ -1,6 +1,7 @@
 //! The running simulation: bus, devices, attached stations and timetable, one event at a time.
 
 use super::bus::{BusErrorCause, BusOutcome, SimBus, StationIndex, Statistics};
+use super::device::program::DeviceProgram;
 use super::device::{DeviceIo, SimDevice};
 use super::inspector::Inspector;
 use super::scenario::{DeviceAction, DeviceSpec, Scenario};
@@ -216,10 +217,10 @@ impl Sim {
         self.bus.wake(self.now, station.0);
     }
 
-    /// Sets a station's bit rate, in bit/s, 10,000 to 1,000,000. If it is not that of the bus, the
-    /// station receives no frames and, unless listen-only, destroys those of other stations.
+    /// Sets a station's bit rate, in bit/s, 10,000 to 1,000,000. It receives the frames of stations
+    /// with this rate only and, unless listen-only, destroys those of others.
     pub fn set_bitrate(&mut self, station: SimStation, bitrate: u32) {
-        self.bus.set_wrong_rate(station.0, bitrate != self.bus.bitrate());
+        self.bus.set_bitrate(station.0, bitrate);
     }
 
     /// Adds a device, switched on at its `power_on`, or now if that has passed. At most 1,024;
@@ -242,6 +243,12 @@ impl Sim {
             None => {}
         }
         SimDeviceId(index)
+    }
+
+    /// Lets a device run a program instead of the simulated behaviour. It starts now if the device is
+    /// on, otherwise with the device's power.
+    pub fn set_program(&mut self, device: SimDeviceId, program: Box<dyn DeviceProgram>) {
+        self.with_device(device.0, |device, port| device.set_program(program, port));
     }
 
     /// Returns the device with this label; `None` if there is none.
@@ -353,6 +360,14 @@ impl Sim {
                 let senders = self.bus.senders().to_vec();
                 self.report_error(error, &senders, false);
             }
+            Some(BusOutcome::Unacknowledged(frame)) => {
+                let senders = self.bus.senders().to_vec();
+                self.report_error(BusErrorCause::NoAck, &senders, true);
+                self.deliver_to_stations(&frame, &senders, true);
+                if let Some(id) = frame.platform_id() {
+                    self.deliver_to_devices(&frame, Header::decode(id), &senders);
+                }
+            }
             Some(BusOutcome::PassiveError) => {
                 let losers = self.bus.passive_error_stations().to_vec();
                 self.report_error(BusErrorCause::Collision, &losers, true);
@@ -361,7 +376,7 @@ impl Sim {
     }
 
     fn deliver(&mut self, frame: &Frame, senders: &[StationIndex]) {
-        self.deliver_to_stations(frame, senders);
+        self.deliver_to_stations(frame, senders, false);
         for &sender in senders {
             if let Owner::Device(device) = self.owners[usize::from(sender)] {
                 self.with_device(device, |device, port| device.handle_sent(frame, port));
@@ -370,6 +385,7 @@ impl Sim {
         if let Some(id) = frame.platform_id() {
             self.deliver_to_devices(frame, Header::decode(id), senders);
         }
+        self.report_abandoned();
     }
 
     /// Delivers a frame to the devices that may react to it.
@@ -392,15 +408,21 @@ impl Sim {
         }
     }
 
-    /// Delivers a frame to the attached stations.
-    fn deliver_to_stations(&mut self, frame: &Frame, senders: &[StationIndex]) {
+    /// Delivers a frame to the attached stations; one that was not acknowledged not to its senders.
+    fn deliver_to_stations(
+        &mut self,
+        frame: &Frame,
+        senders: &[StationIndex],
+        is_unacknowledged: bool,
+    ) {
         for inspector in &mut self.inspectors {
             let controller = self.bus.controller(inspector.station);
-            if !controller.is_receiving() {
+            let is_lost = is_unacknowledged && senders.contains(&inspector.station);
+            if is_lost || !controller.is_receiving() {
                 continue;
             }
             let counters = controller.counters();
-            if controller.wrong_rate {
+            if controller.bitrate != self.bus.frame_bitrate() {
                 inspector.push_error(frame.time, BusErrorCause::Disturbance, false, counters);
             } else if senders.contains(&inspector.station) {
                 inspector.push(frame.with_tx());
@@ -424,13 +446,20 @@ impl Sim {
             }
         }
         self.report_states();
-        for station in self.bus.take_abandoned() {
-            if let Owner::Device(device) = self.owners[usize::from(station)] {
-                self.with_device(device, SimDevice::handle_abandoned);
+        for device in 0..self.devices.len() as u16 {
+            if !senders_only || senders.contains(&self.stations[usize::from(device)]) {
+                self.with_device(device, SimDevice::handle_bus_error);
             }
         }
-        for device in 0..self.devices.len() as u16 {
-            self.with_device(device, SimDevice::handle_bus_error);
+        self.report_abandoned();
+    }
+
+    /// Reports frames that are not repeated to the devices that sent them.
+    fn report_abandoned(&mut self) {
+        for (station, frame) in self.bus.take_abandoned() {
+            if let Owner::Device(device) = self.owners[usize::from(station)] {
+                self.with_device(device, |device, port| device.handle_abandoned(&frame, port));
+            }
         }
     }
 
@@ -454,7 +483,12 @@ impl Sim {
     fn with_device(&mut self, index: u16, act: impl FnOnce(&mut SimDevice, &mut DeviceIo)) {
         let at = usize::from(index);
         let Some(device) = self.devices.get_mut(at) else { return };
-        let before = (device.address(), device.is_listening());
+        // One that receives all frames needs no entry by its address.
+        let routing = |device: &SimDevice| {
+            let is_listening = device.is_listening();
+            (device.address().filter(|_| !is_listening), is_listening)
+        };
+        let before = routing(device);
         let mut port = DeviceIo {
             now: self.now,
             bus: &mut self.bus,
@@ -463,7 +497,7 @@ impl Sim {
             modes: &self.modes,
         };
         act(device, &mut port);
-        let (address, listening) = (device.address(), device.is_listening());
+        let (address, listening) = routing(device);
         if before.0 != address {
             if let Some(old) = before.0 {
                 self.by_address[old.index()].retain(|&other| other != index);

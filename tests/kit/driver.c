@@ -1,7 +1,7 @@
 /*
  * driver.c - runs nodes of the kit for a test program, without a clock or a bus.
  *
- * Commands on standard input, one a line, each with the number of a node, 0 to 15:
+ * Commands on standard input, one a line, each with the number of a node, 0 to 127:
  *
  *     node N NAME SERVICES UID ADDRESS BITRATE AUTOSTART ENTROPY
  *                        sets what node N is, in hexadecimal digits ("-": none)
@@ -18,6 +18,9 @@
  *     fault N E          des_set_error
  *     dropped N          prints "dropped COUNT"
  *     filters N ID       prints "passes" if the node's filters pass an identifier
+ *     step N T E R0 R1 [ID DATA FD]
+ *                        one turn of a main loop: `time T`, `errors N E`, `result N 0 R0` and
+ *                        `result N 1 R1`, `frame N ID DATA FD` if there is one, `poll N`
  *     id ID              prints SRC, DST, SRV and whether it conforms
  *
  * The answer is what the node did, one line each, and "ok":
@@ -31,7 +34,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#define NODES 16
+#define NODES 128
 
 typedef struct {
     des_node node;
@@ -231,6 +234,15 @@ static void run(char **words)
         if (passes(own, (uint32_t)strtoul(words[2], NULL, 16))) {
             printf("passes\n");
         }
+    } else if (strcmp(verb, "step") == 0) {
+        now = value;
+        own->errors = (uint32_t)strtoul(words[3], NULL, 10);
+        own->results[0] = (des_tx)strtoul(words[4], NULL, 10);
+        own->results[1] = (des_tx)strtoul(words[5], NULL, 10);
+        if (words[6][0] != '\0') {
+            receive(own, &words[6]);
+        }
+        printf("wait %" PRIu32 "\n", des_poll(&own->node, now));
     } else if (strcmp(verb, "id") == 0) {
         uint32_t id = (uint32_t)number;
 

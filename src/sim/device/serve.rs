@@ -56,16 +56,30 @@ impl SimDevice {
             return;
         }
         let Some((framing, message)) = classify_request(frame.data(), frame.is_fd) else { return };
-        let Some(ReceivedRequest::Known(request)) = Request::decode(message) else { return };
         let faults = self.spec.faults;
-        let mute = faults.has(Fault::NoDes)
-            || request == Request::Services && (header.broadcast || faults.has(Fault::NoServices));
-        if mute || !self.spec.framing.accepts(framing) {
+        if faults.has(Fault::NoDes) || !self.spec.framing.accepts(framing) {
+            return;
+        }
+        let request = match Request::decode(message) {
+            Some(ReceivedRequest::Known(request)) => request,
+            Some(ReceivedRequest::Reserved(_)) if !header.broadcast => {
+                return self.refuse(header, port);
+            }
+            _ => return,
+        };
+        if request == Request::Services && faults.has(Fault::NoServices) {
             return;
         }
         let message = self.response(request);
         for _ in 0..=u8::from(faults.has(Fault::RespondsTwice)) {
             self.reply(header, framing, message.clone(), port);
+        }
+    }
+
+    /// Answers a targeted request that it cannot process (CAN platform §4.3).
+    fn refuse(&self, header: Header, port: &mut DeviceIo) {
+        if let Some(form) = self.form(header, Framing::Raw, port) {
+            port.send(ResponseFormat { id: form.refusal_id, ..form }.raw(&[]));
         }
     }
 
@@ -142,13 +156,20 @@ impl SimDevice {
         } else if service == commands.mode {
             let code = data.first().filter(|_| data.len() == 1);
             let mode = code.and_then(|code| port.modes.iter().position(|known| known == code));
-            mode.map_or(Served::Refused, |at| Served::Done(Some(DeviceAction::Mode(Mode::ALL[at]))))
+            let mode = mode.map(|at| Mode::ALL[at]).filter(|mode| self.may_enter(*mode));
+            mode.map_or(Served::Refused, |mode| Served::Done(Some(DeviceAction::Mode(mode))))
         } else if field.is_some() || [writes.address, writes.bitrate].contains(&Some(service)) {
             Served::Refused
         } else {
             return None;
         };
         Some(served)
+    }
+
+    /// Returns true unless it is to work without a configured address or a UID (CAN platform §3.2.4.4).
+    fn may_enter(&self, mode: Mode) -> bool {
+        mode.is_working() != Some(true)
+            || self.spec.address != AddressSetting::None && !self.spec.uid.is_blank()
     }
 
     /// Returns the value of a field of its descriptor.

@@ -12,6 +12,7 @@ mod command;
 mod equality;
 mod node;
 mod node_bench;
+mod program;
 mod rust;
 
 use build::compiled;

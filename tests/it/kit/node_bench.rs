@@ -129,6 +129,23 @@ impl NodeBoard {
         acts
     }
 
+    /// One turn of a main loop.
+    fn step(&mut self, clock: &mut ExtendedClock, now: &mut Instant, words: &[&str]) -> Vec<Act> {
+        let number = |at: usize| words[at].parse::<u32>().unwrap();
+        *now = clock.extend(number(0));
+        self.errors = number(1);
+        for slot in Slot::ALL {
+            let result = number(2 + slot as usize);
+            self.results[slot as usize] = [None, Some(true), Some(false)][result as usize];
+        }
+        let mut acts = Vec::new();
+        if words.len() > 4 {
+            acts.extend(self.receive(*now, &words[4..]));
+        }
+        acts.extend(self.poll(*now));
+        acts
+    }
+
     fn store(&mut self, settings: NodeSettings, acts: &mut Vec<Act>) {
         if !self.is_locked {
             self.settings = settings;
@@ -232,6 +249,7 @@ impl Bench for NodeBench {
                 _ => ModeLimit::Work,
             }),
             "fault" => board.node.set_error(value as u8),
+            "step" => return board.step(&mut self.clock, &mut self.now, &words[2..]),
             "dropped" => return vec![Act::Other(format!("dropped {}", board.node.dropped()))],
             "filters" => {
                 let id = u32::from_str_radix(words[2], 16).unwrap();

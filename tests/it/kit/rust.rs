@@ -5,12 +5,16 @@ use super::*;
 
 type Driver = node_bench::NodeBench;
 type Board = SingleBoard<Driver>;
+/// Random buses in the suite.
+const SEEDS: u64 = 20;
 type TestBus = IdealBus<Driver>;
 
 #[path = "address_resolution.rs"]
 mod address_resolution;
 #[path = "commands.rs"]
 mod commands;
+#[path = "simulation.rs"]
+mod simulation;
 #[path = "transfers.rs"]
 mod transfers;
 #[path = "vectors.rs"]

@@ -4,8 +4,8 @@ use super::{address, after, bus_with, des, from};
 use descan::frame::Frame;
 use descan::sim::{DeviceFraming, DeviceSpec, Fault, Sim, SimStation};
 use descan::time::Duration;
-use descan::wire::id::Header;
-use descan::wire::node::Mode;
+use descan::wire::id::{Header, Service};
+use descan::wire::node::{Mode, Uid};
 use serde_json::Value;
 
 const NAME: &[u8] = &[4, b'D', b'E', b'S', 1];
@@ -111,10 +111,34 @@ fn request_is_answered_in_supported_framings_only() {
     assert_eq!(count(DeviceFraming::Raw, NAME), 0);
     assert_eq!(count(DeviceFraming::Both, b"DES\x01"), 1);
     assert_eq!(count(DeviceFraming::Both, NAME), 1);
-    assert_eq!(count(DeviceFraming::Both, b"DES\x00"), 0, "reserved");
-    assert_eq!(count(DeviceFraming::Both, b"DES\x03"), 0, "reserved");
     let refused = exchange(device().framing(DeviceFraming::Raw), b"DES\x02");
     assert!(!refused[0].0.no_error && refused[0].1.is_empty(), "ten bytes fit no frame");
+}
+
+#[test]
+fn reserved_request_type_is_refused() {
+    for request in [b"DES\x00", b"DES\x03"] {
+        let refused = exchange(device().framing(DeviceFraming::Both), request);
+        assert_eq!(refused.len(), 1, "CAN platform 4.3");
+        assert!(!refused[0].0.no_error && refused[0].1.is_empty());
+    }
+}
+
+#[test]
+fn command_to_work_is_refused_without_uid() {
+    let is_executed = |uid: [u8; 6]| {
+        let mut waiting = device().uid(Uid(uid));
+        waiting.mode = Some(Mode::Cfg);
+        let (mut sim, me) = bus_with([waiting]);
+        let command = Service::new(0x019).unwrap();
+        let header = Header::request(address(0), address(12), true, command);
+        sim.transmit(me, Frame::classic(header.encode(), &[4]));
+        let frames = after(&mut sim, me, 20);
+        let answer = from(&frames, 12).into_iter().find(|(header, _)| header.service == command);
+        answer.unwrap().0.no_error
+    };
+    assert!(is_executed(*b"BOARD1"));
+    assert!(!is_executed([0; 6]), "CAN platform 3.2.4.4");
 }
 
 #[test]
@@ -122,9 +146,11 @@ fn broadcast_reaches_devices_of_its_mode() {
     let mut idle = DeviceSpec::new("CFG").fixed(13).skips_address_resolution();
     idle.mode = Some(Mode::Cfg);
     let (mut sim, me) = bus_with([device(), idle]);
-    for (to_not_working, answerer) in [(false, 12), (true, 13)] {
+    for (to_not_working, answerer, request) in
+        [(false, 12, NAME), (true, 13, NAME), (false, 12, SERVICES)]
+    {
         let header = Header::broadcast(address(0), 99, to_not_working, des());
-        sim.transmit(me, Frame::classic(header.encode(), NAME));
+        sim.transmit(me, Frame::classic(header.encode(), request));
         let frames = after(&mut sim, me, 20);
         for number in [12, 13] {
             let answers = from(&frames, number).into_iter().filter(|(h, _)| h.service == des());

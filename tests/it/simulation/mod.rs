@@ -4,9 +4,9 @@
 //! `SEEDS=100000 cargo test --release --test it simulation` runs more seeds; `SEED=17` runs one and
 //! prints its events. A seed that fails becomes a separate scenario.
 
-mod checks;
+pub mod checks;
 mod ground_truth;
-mod link_faults;
+pub mod link_faults;
 pub mod random_scenario;
 
 use crate::common::inspection;
@@ -28,8 +28,8 @@ const SAMPLE: Duration = Duration::from_millis(100);
 const RESTART: Duration = Duration::from_millis(300);
 
 /// A running inspector.
-struct Inspector {
-    engine: Engine,
+pub struct Inspector {
+    pub engine: Engine,
     /// Its events, by the time of the bus.
     events: Vec<(Instant, Event)>,
     /// Every frame passed to it.
@@ -42,12 +42,12 @@ struct Inspector {
     seen: Seen,
 }
 
-struct Run {
-    world: World,
-    sim: Sim,
-    devices: Vec<SimDeviceId>,
+pub struct Run {
+    pub world: World,
+    pub sim: Sim,
+    pub devices: Vec<SimDeviceId>,
     truth: Truth,
-    inspectors: Vec<Inspector>,
+    pub inspectors: Vec<Inspector>,
     foreign: Option<ForeignTraffic>,
 }
 
@@ -78,7 +78,13 @@ fn instant(at: Duration) -> Instant {
 
 impl Run {
     fn new(world: World) -> Self {
+        Self::with_programs(world, |_, _| {})
+    }
+
+    /// Runs a world in which `install` has given programs to some devices.
+    pub fn with_programs(world: World, install: impl FnOnce(&mut Sim, &World)) -> Self {
         let mut sim = Sim::new(&world.scenario, world.seed);
+        install(&mut sim, &world);
         let devices: Vec<SimDeviceId> = sim.devices().collect();
         let foreign = world.foreign.clone().map(|nodes| ForeignTraffic {
             station: sim.attach(),
@@ -206,7 +212,7 @@ fn complaints(seed: u64, aloud: bool) -> Vec<String> {
     complaints
 }
 
-fn tell(run: &Run) {
+pub fn tell(run: &Run) {
     let scenario = &run.world.scenario;
     let (load, loss) = (run.world.load() * 100.0, scenario.rx_loss * 100.0);
     println!("{} bit/s, load {load:.0} %, {loss:.0} % lost", scenario.bitrate);
