@@ -197,6 +197,8 @@ Examples:
   descan send can0 request des name to all working --json --yes
   descan send can0 051C0002#0444455301")]
     Send(SendArgs),
+    /// Test whether a device keeps the rules of DES and of the platform
+    Prove(ProveArgs),
     /// Find the bit rate of a bus, listen-only
     Speed(SpeedArgs),
     /// Print the completion script of a shell
@@ -621,6 +623,9 @@ pub struct CheckArgs {
     /// Wait until every entry has its device, at most --time
     #[arg(long)]
     pub wait_for_all: bool,
+    /// Print a report of tests instead of text: junit, tap or github
+    #[arg(long, value_name = "FORMAT", conflicts_with = "json")]
+    pub report: Option<TestReportFormat>,
 }
 
 /// `descan watch`.
@@ -784,6 +789,73 @@ pub struct RunArgs {
     /// Start reading a log SECONDS after its first frame
     #[arg(long, value_name = "SECONDS", value_parser = moment, allow_negative_numbers = true)]
     pub from: Option<Duration>,
+}
+
+/// `descan prove`.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Observes the device and sends DES requests to it, within the share of the bus. Says for each rule of the \
+documents whether it is kept, broken or not seen, with the frames. Takes half a minute for a device.
+
+Exit code: 0 no rule is broken, 1 one is, 2 wrong usage, 3 bus not usable or device not found, 130 \
+interrupted. More: descan help conformance
+
+Examples:
+  descan prove can0 FEED --profile line7.toml
+  descan prove can0 @12 --json
+  descan prove can0 --all --profile line7.toml --report junit > prove.xml
+  descan prove can0 FEED --profile line7.toml --disrupt-device --yes")]
+pub struct ProveArgs {
+    /// The bus.
+    #[arg(value_name = "BUS", help = format!("The bus: {}", bus::forms(|kind| kind.can_send)))]
+    pub bus: BusSpec,
+    /// Name, UID or address of the device; @12 is the address in any case
+    #[arg(value_name = "DEVICE", required_unless_present = "all", conflicts_with = "all")]
+    pub device: Option<String>,
+    /// Test all devices of the bus, one after the other
+    #[arg(long)]
+    pub all: bool,
+    /// Also throw it out of its work: frames from its address, commands to change its mode
+    #[arg(long)]
+    pub disrupt_device: bool,
+    /// Also test it at a bus load of 80 %; refused while other devices are on the bus
+    #[arg(long)]
+    pub load: bool,
+    /// The bus is a test bench: --load although other devices are on it
+    #[arg(long, requires = "load")]
+    pub bench: bool,
+    /// Also test it after you have switched it off and on
+    #[arg(long, conflicts_with = "all")]
+    pub reboot: bool,
+    /// Do not ask before --disrupt-device and --load; adds neither
+    #[arg(long)]
+    pub yes: bool,
+    /// Look for the device for SECONDS [default: 15]
+    #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
+    pub time: Option<Duration>,
+    /// If a rule is broken, write a report to FILE.md, and the frames to FILE.pcapng
+    #[arg(long, value_name = "FILE.md")]
+    pub proof: Option<PathBuf>,
+    /// Print JSON instead of text
+    #[arg(long)]
+    pub json: bool,
+    /// Print a report of tests instead of text: junit, tap or github
+    #[arg(long, value_name = "FORMAT", conflicts_with = "json")]
+    pub report: Option<TestReportFormat>,
+    /// What it shares with the other commands.
+    #[command(flatten)]
+    pub common: CommonArgs,
+}
+
+/// Formats of a report of tests.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum TestReportFormat {
+    /// JUnit XML.
+    Junit,
+    /// Test Anything Protocol, version 14.
+    Tap,
+    /// Annotations of GitHub Actions: one line for each failure.
+    Github,
 }
 
 /// `descan speed`.

@@ -25,6 +25,7 @@
 //! * [`catalogue`]: types of devices, as files describe them. [`toml_error`]: mistakes in such files.
 //! * [`composer`]: frames by fields with names, and the answers to them.
 //! * [`learning`]: values of the profile, from the frames of a bus.
+//! * [`prove`]: the rules of the documents, and whether a device keeps them.
 //! * [`address_plan`]: plans that give devices other addresses, and their execution.
 //! * [`document`]: des.json: parse, edit in place, merge.
 //! * [`inventory`]: buses and devices of one moment; differences between two.
@@ -88,6 +89,8 @@ pub mod kit;
 pub mod learning;
 #[cfg(feature = "std")]
 pub mod log;
+#[cfg(feature = "std")]
+pub mod prove;
 #[cfg(feature = "std")]
 pub mod sim;
 #[cfg(feature = "std")]

@@ -42,6 +42,7 @@ impl App {
             if self.buses.receive(frame) {
                 self.learners.handle_frame(frame);
                 self.note_for_search(frame);
+                self.note_for_prover(frame);
                 self.capture_frame(frame);
                 if self.buses.has_events() {
                     self.take_events();

@@ -214,6 +214,12 @@ impl RecordedBuses {
         self.now.stop_frames(now, index);
     }
 
+    /// Sends no more requests and flow control by itself on a bus.
+    pub(super) fn yield_requests(&mut self, now: Instant, index: BusIndex) {
+        self.note(now, BusesInput::Yield(index));
+        self.now.yield_requests(now, index);
+    }
+
     /// Sends a request to a device, once; returns `None` if it cannot be sent.
     pub(super) fn request(&mut self, now: Instant, request: DeviceRequest) -> Option<RequestId> {
         self.note(now, BusesInput::Request(request.clone()));
@@ -602,6 +608,7 @@ impl Buses {
                 self.send_frames(now, *index, FrameSequence::clone(sequence));
             }
             BusesInput::StopFrames(index) => self.stop_frames(now, *index),
+            BusesInput::Yield(index) => self.yield_requests(now, *index),
             BusesInput::Request(request) => {
                 self.request(now, request.clone());
             }

@@ -41,6 +41,8 @@ pub(super) enum BusesInput {
     SendFrames(BusIndex, Arc<FrameSequence>),
     /// No further frame of a sequence is sent.
     StopFrames(BusIndex),
+    /// The engine of a bus sends no more requests and flow control by itself.
+    Yield(BusIndex),
     /// A request to a device.
     Request(DeviceRequest),
     /// A field of the descriptor of a device is read, or all.

@@ -46,6 +46,7 @@ mod conflict_panel;
 mod des_search;
 mod device_command;
 mod device_page;
+mod device_proof;
 mod devices;
 mod edits;
 mod events;
@@ -77,7 +78,7 @@ mod problem_page;
 mod problems;
 mod profile_learning;
 mod project_facts;
-mod proof;
+pub(crate) mod proof;
 mod saved_filters;
 mod sent_commands;
 mod sent_frames;
@@ -122,6 +123,7 @@ pub use conflict_panel::{BeatCell, BeatsOnAxis, ConflictPanel, MAX_COLUMNS, ordi
 use des_search::BusSearch;
 pub use device_command::{COMMAND_FORMS, DeviceCommand};
 pub use device_page::BEATS_PER_LINE;
+use device_proof::BusProver;
 pub use devices::concerns;
 pub use file::{EditRefusal, FileChange, FileError, FileReading, FileState, SaveOutcome, Saving};
 pub use filter::{
@@ -453,6 +455,8 @@ pub struct App {
     /// The content of the composer.
     composer: Option<Box<ComposerDialog>>,
     search: Option<Box<BusSearch>>,
+    /// The tests of a device.
+    prover: Option<Box<BusProver>>,
     /// The plan of addresses.
     plan: Option<Box<PlanSession>>,
     /// Devices that are not heard keep no address in the next plan.
@@ -524,6 +528,7 @@ impl App {
             sendings: Sendings::new(options.recent_frames),
             composer: None,
             search: None,
+            prover: None,
             plan: None,
             forgets_absent_devices: false,
             comparison: None,
@@ -580,6 +585,7 @@ impl App {
     pub fn handle_timeout(&mut self, now: Instant) {
         self.clock.set(now);
         self.step_des_search(now);
+        self.step_prover(now);
         self.buses.handle_timeout(now);
         self.take_events();
         self.step_plan(now);
@@ -603,6 +609,7 @@ impl App {
     pub fn handle_stall(&mut self, since: Instant, now: Instant) {
         self.clock.set(now);
         self.buses.handle_stall(since, now);
+        self.note_gap_for_prover(now);
         let seconds = now.since(since).as_secs_f64();
         let text = format!("stopped for {seconds:.1} s; not counted against devices");
         let mut line = TimelineEntry::new(now, TimelineKind::Error, text);
@@ -901,7 +908,7 @@ impl App {
         let parts = self.buses.poll_timeout().into_iter().chain(self.notices.poll_timeout());
         let screen = self.poll_screen_timeout().filter(|_| !self.clock.has_real());
         let own = self.search_timeout().into_iter().chain(self.plan_timeout());
-        let own = own.chain(self.sending_timeout());
+        let own = own.chain(self.sending_timeout()).chain(self.prover_timeout());
         parts.chain(second).chain(file).chain(screen).chain(self.reading_ahead).chain(own).min()
     }
 

@@ -69,7 +69,7 @@ impl App {
     }
 
     /// Says that another device uses the address of this one: a request would reach both.
-    fn shared_address(&self, id: DeviceId) -> Option<String> {
+    pub(super) fn shared_address(&self, id: DeviceId) -> Option<String> {
         let (device, bus) = (self.device(id)?, self.bus(id.bus)?);
         is_shared(bus, device, self.clock.now())
             .then(|| format!("another device is at {}, too", device.address))

@@ -6,7 +6,8 @@ use super::headless::{RunOutcome, warn_all_tx_blocked, warn_foreign};
 use super::open::{self, Setup};
 use super::report::ScanReport;
 use super::scan::{DEFAULT_TIME, look, read_log, warn_incomplete};
-use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure};
+use super::test_report::{CaseOutcome, ReportedCase, test_report};
+use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure, output};
 use crate::app::{App, Bus, Scope};
 use crate::cli::CheckArgs;
 use crate::finding::{CheckSection, Finding, FindingKind, FindingState};
@@ -41,7 +42,12 @@ pub fn run(check: &CheckArgs) -> Result<u8, Failure> {
     warn_all_tx_blocked(&app, now);
     warn_foreign(&app, &mut Vec::new());
     let report = ScanReport::new(&app, now, Scope::Check);
-    report.print(check.run.json, |_| differences(&app, now))?;
+    if let Some(format) = check.report {
+        let name = format!("descan check {}", app.file().name());
+        output::print(&test_report(&name, &cases(&app, now), format))?;
+    } else {
+        report.print(check.run.json, |_| differences(&app, now))?;
+    }
     recording?;
     Ok(if report.has_findings() { EXIT_FINDINGS } else { EXIT_OK })
 }
@@ -56,6 +62,28 @@ fn is_complete(app: &App, now: Instant) -> bool {
             && devices.any(|id| app.device(*id).is_some_and(|it| it.services.is_none()))
     });
     !missing && !unknown
+}
+
+/// A test for each kind of difference.
+fn cases(app: &App, now: Instant) -> Vec<ReportedCase> {
+    let compared = app.compare(now, Scope::Check);
+    let engines = app.buses().iter().flat_map(Bus::findings);
+    let found: Vec<&Finding> =
+        engines.chain(&compared).filter(|it| it.state == FindingState::Confirmed).collect();
+    let of_section = |section: CheckSection| {
+        let is_in = |it: &&&Finding| it.key.kind.check_section() == Some(section);
+        let details: Vec<String> = found.iter().filter(is_in).map(|it| it.text.clone()).collect();
+        let (outcome, text) = match &details[..] {
+            [] => (CaseOutcome::Passed, "no difference".to_owned()),
+            several => {
+                let title = if several.len() == 1 { section.singular() } else { section.title() };
+                (CaseOutcome::Failed, format!("{} {title}", several.len()))
+            }
+        };
+        let suite = app.file().name().clone();
+        ReportedCase { suite, name: section.title().to_owned(), outcome, text, details }
+    };
+    CheckSection::ALL.into_iter().map(of_section).collect()
 }
 
 /// The differences as text: one line each, in groups, and a summary.

@@ -176,7 +176,7 @@ fn is_ended(app: &App, device: DeviceId, task: DeviceTask) -> bool {
 /// # Errors
 ///
 /// Several devices fit.
-fn find(app: &App, wanted: &str, is_last: bool) -> Result<Option<DeviceId>, Failure> {
+pub(super) fn find(app: &App, wanted: &str, is_last: bool) -> Result<Option<DeviceId>, Failure> {
     let Some(bus) = app.bus(BusIndex(0)) else { return Ok(None) };
     let is_it = |device: &&Device| {
         let name = device.name.as_ref().map(ToString::to_string);
@@ -203,7 +203,8 @@ fn find(app: &App, wanted: &str, is_last: bool) -> Result<Option<DeviceId>, Fail
     }
 }
 
-fn not_found(app: &App, wanted: &str) -> String {
+/// Says that no device fits, and which there are.
+pub(super) fn not_found(app: &App, wanted: &str) -> String {
     let bus = app.bus(BusIndex(0));
     let devices = bus.map_or(&[][..], |bus| bus.devices());
     let mut present: Vec<&Device> = devices.iter().filter(|it| it.is_present()).collect();

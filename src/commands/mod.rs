@@ -22,11 +22,13 @@ mod open;
 pub mod output;
 mod profile;
 mod project;
+mod prove;
 mod report;
 mod scan;
 mod send;
 mod simulate;
 mod speed;
+mod test_report;
 mod tui;
 mod watch;
 
@@ -97,6 +99,7 @@ pub fn run(cli: Cli) -> ExitCode {
         Some(Command::Apply(args)) => apply::run(&args),
         Some(Command::Descriptor(args)) => device::run(&args, DeviceTask::Read(None)),
         Some(Command::Send(args)) => send::run(&args),
+        Some(Command::Prove(args)) => prove::run(&args),
         Some(Command::Speed(speed)) => speed::run(&speed),
         Some(Command::Completions { shell }) => {
             print_own(&cli::completions(shell)).map(|()| EXIT_OK)

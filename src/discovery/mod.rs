@@ -367,6 +367,14 @@ impl Engine {
         self.tracker.wake_at(now);
     }
 
+    /// Command: from now on sends no requests and no flow control, only its heartbeat, its responses and
+    /// what [`send`](Self::send) is given: another requester in this program uses its address.
+    pub fn yield_requests(&mut self, now: Instant) {
+        self.tracker.advance(now);
+        self.requester.is_yielded = true;
+        self.tracker.wake_at(self.tracker.now);
+    }
+
     /// Command: removes the lost devices, and forgets what has changed in the services of the others.
     pub fn remove_lost_devices(&mut self) {
         let tracker = &mut self.tracker;

@@ -69,7 +69,11 @@ impl Requester {
             tracker.finish_round(began);
         }
         let Some(own) = self.local_node.held() else { return };
-        if !tracker.config.send_requests || self.outbox.is_paused() || self.is_left_alone(tracker) {
+        if !tracker.config.send_requests
+            || self.is_yielded
+            || self.outbox.is_paused()
+            || self.is_left_alone(tracker)
+        {
             return;
         }
         self.refill(tracker);
@@ -314,6 +318,7 @@ impl Requester {
         let mut due = NO_TIMEOUT;
         let sending = self.local_node.held().is_some()
             && tracker.config.send_requests
+            && !self.is_yielded
             && !self.outbox.is_paused()
             && !self.is_left_alone(tracker);
         let max_waiting = self.idle.max_open(MAX_WAITING, &tracker.config);

@@ -26,6 +26,8 @@ pub(super) struct Requester {
     pub waiting: WaitingQueries,
     /// True if the user asked for rounds on a bus that speaks another protocol.
     pub is_foreign_scanned: bool,
+    /// True if requests and flow control are those of another requester in this program.
+    pub is_yielded: bool,
 }
 
 impl Requester {
@@ -40,6 +42,7 @@ impl Requester {
             sequences: FrameSequences::default(),
             waiting: WaitingQueries::default(),
             is_foreign_scanned: false,
+            is_yielded: false,
             rng,
         }
     }
@@ -74,7 +77,7 @@ impl Requester {
 
     /// Returns true if requests may be sent: an address is held, and requests are wanted.
     pub fn may_send_requests(&self, tracker: &DeviceTracker) -> bool {
-        self.local_node.held().is_some() && tracker.config.send_requests
+        self.local_node.held().is_some() && tracker.config.send_requests && !self.is_yielded
     }
 
     /// Returns true if nothing is sent because the bus speaks another protocol, until the user asks

@@ -301,7 +301,10 @@ impl Engine {
 
     /// Sends flow control, with the responder's targeted request identifier (protocol §3.1).
     fn send_flow_control(&mut self, response: Header, status: FlowStatus, block_size: u8) {
-        let Some(own) = self.requester.local_node.held() else { return };
+        let Some(own) = self.requester.local_node.held().filter(|_| !self.requester.is_yielded)
+        else {
+            return;
+        };
         let mut header =
             Header::request(own, response.source, response.from_non_working, response.service);
         header.no_error = self.tracker.config.profile.request_err;

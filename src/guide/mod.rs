@@ -58,6 +58,7 @@ topics! {
     "device-types" "device-types" ["catalogue"] "the catalogue: names and data of services by type";
     "commands" "commands" ["identify" "mode" "restart" "address" "bitrate" "descriptor"] "commands to one device, and its descriptor";
     "plans" "plans" ["apply"] "addresses of des.json for all devices of a bus";
+    "conformance" "conformance" ["prove"] "the rules that descan prove tests a device by";
     "composer" "composer" ["send"] "any frame or request, composed by fields and sent";
     "settings" "settings" [] "config.toml, keys.toml, themes, and all files used";
     "scenarios" "scenarios" ["demo" "sim"] "the demo, and simulated devices of your own";

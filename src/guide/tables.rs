@@ -5,6 +5,7 @@
 use crate::app::{FILTER_FIELDS, FILTER_WORDS, Page, RowKind};
 use crate::finding::FindingKind;
 use crate::keymap::{ACTIONS, ActionGroup};
+use crate::prove::ConformanceRule;
 use crate::theme::Role;
 use crate::ui::SYMBOLS;
 use std::fmt::Write;
@@ -39,6 +40,7 @@ fn table(name: &str) -> String {
         "filter" => filter(),
         "filter-pages" => filter_pages(),
         "roles" => roles(),
+        "rules" => rules(),
         "example-project" => block("toml descan.toml", EXAMPLE_PROJECT),
         "example-type" => block("toml device type", EXAMPLE_TYPE),
         _ => String::new(),
@@ -69,6 +71,18 @@ fn symbols() -> String {
     let mut out = String::from("| on the screen | meaning |\n|---|---|\n");
     for (_, sign, meaning) in SYMBOLS {
         let _ = writeln!(out, "| {} | {} |", code(sign.trim()), escape(meaning));
+    }
+    out
+}
+
+/// Returns the rules of `descan prove`, each with its sentence, its source and what it needs.
+fn rules() -> String {
+    let mut out = String::from("| rule | the device | source | needs |\n|---|---|---|---|\n");
+    for rule in ConformanceRule::ALL {
+        let (id, sentence) = (code(rule.id()), escape(rule.sentence()));
+        let source = format!("{}, {}", rule.document().name(), rule.section());
+        let needs = rule.need().word();
+        let _ = writeln!(out, "| {id} | {sentence} | {} | {needs} |", escape(&source));
     }
     out
 }

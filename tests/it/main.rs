@@ -53,6 +53,7 @@ mod pictures;
 mod profile;
 mod project;
 mod proof;
+mod prove;
 mod random_buses;
 mod random_input;
 mod readme;

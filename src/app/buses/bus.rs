@@ -338,6 +338,11 @@ impl Bus {
         self.engine.stop_frames(now, why);
     }
 
+    /// Sends no more requests and flow control by itself.
+    pub(super) fn yield_requests(&mut self, now: Instant) {
+        self.engine.yield_requests(now);
+    }
+
     /// Returns true while a sequence of frames is being sent.
     pub fn is_sending_frames(&self) -> bool {
         self.engine.is_sending_frames()

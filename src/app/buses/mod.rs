@@ -384,6 +384,13 @@ impl Buses {
         }
     }
 
+    /// Sends no more requests and flow control by itself on a bus.
+    pub(super) fn yield_requests(&mut self, now: Instant, index: BusIndex) {
+        if let Some(bus) = self.get_mut(index) {
+            bus.yield_requests(now);
+        }
+    }
+
     /// Sends a frame as it stands.
     pub(super) fn send(&mut self, now: Instant, frame: Frame) {
         if let Some(bus) = self.list.get_mut(usize::from(frame.bus.0)) {

@@ -6,7 +6,7 @@
 //! stored.
 
 mod frames;
-mod markdown;
+pub(crate) mod markdown;
 mod report;
 
 use super::input::ProofPathPrompt;

@@ -13,6 +13,8 @@ type TestBus = IdealBus<Driver>;
 mod address_resolution;
 #[path = "commands.rs"]
 mod commands;
+#[path = "conformance.rs"]
+mod conformance;
 #[path = "simulation.rs"]
 mod simulation;
 #[path = "transfers.rs"]
