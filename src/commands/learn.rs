@@ -112,7 +112,9 @@ pub fn run(learn: &LearnArgs) -> Result<u8, Failure> {
         .map(|(bus, learner)| LearntBus::new(&app, bus, learner, &setup.config.profile))
         .collect();
     if let Some(SearchEnd::Answered { service, is_des: true }) = end {
-        buses.iter_mut().for_each(|bus| bus.note_found(*service));
+        for bus in &mut buses {
+            bus.note_found(*service);
+        }
     }
     if learn.json {
         let search = learn.search.zip(app.des_search()).zip(end);

@@ -173,7 +173,7 @@ pub fn field_json(value: &DataValue<'_>) -> Value {
             .or_else(|_| i64::try_from(*number).map(Value::from))
             .unwrap_or_default(),
         // The shortest number that is the same one, also in 32 bits.
-        DataValue::Float(number, _) if f64::from(*number as f32) == *number => {
+        DataValue::Float(number, _) if f64::from(*number as f32).to_bits() == number.to_bits() => {
             (*number as f32).to_string().parse::<f64>().map_or(Value::Null, Value::from)
         }
         DataValue::Scaled(..) | DataValue::Float(..) => {
