@@ -35,9 +35,13 @@ fn is_from_device(frame: &Frame) -> bool {
     frame.platform_id().is_some() && header(frame).source.number() == DEVICE
 }
 
-/// A DES answer of the device.
+/// A DES response of the device, but for a refusal.
 fn is_answer(frame: &Frame) -> bool {
-    is_from_device(frame) && header(frame).service.number() == 2 && header(frame).response
+    is_from_device(frame) && is_des_response(frame) && header(frame).no_error
+}
+
+fn is_des_response(frame: &Frame) -> bool {
+    header(frame).service.number() == 2 && header(frame).response
 }
 
 /// A name answer in a single frame.
@@ -373,6 +377,11 @@ fn reserved_type_answered_as_name_is_named() {
 struct Parrot(Vec<(Instant, Frame)>);
 
 impl Filter for Parrot {
+    fn received(&mut self, frame: Frame) -> Vec<Frame> {
+        let is_refusal = is_des_response(&frame) && !header(&frame).no_error;
+        if is_refusal { Vec::new() } else { vec![frame] }
+    }
+
     fn transmitted(&mut self, now: Instant, frame: Frame) -> Vec<Frame> {
         let is_des = frame.data().starts_with(b"\x04DES") && !header(&frame).broadcast;
         if is_des && !matches!(frame.data()[4], 1 | 2) {
