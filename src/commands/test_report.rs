@@ -82,7 +82,7 @@ impl ReportedCase {
 
 /// Version 14: a line for each test, and the reason of a failure in YAML.
 fn tap(cases: &[ReportedCase]) -> String {
-    let mut out = format!("TAP version 14\n1..{}\n", cases.len());
+    let mut out = format!("TAP version 13\n1..{}\n", cases.len());
     for (number, case) in (1..).zip(cases) {
         let verdict = if case.outcome == CaseOutcome::Failed { "not ok" } else { "ok" };
         let name = escaped(&format!("{}: {}", case.suite, case.name), &['\\', '#']);

@@ -118,7 +118,10 @@ impl ReceivedAnswer {
 
     /// Returns true for a name or services response.
     pub fn is_response(&self) -> bool {
-        matches!(self.kind(), Some(TYPE_NAME | TYPE_SERVICES)) && self.framing.is_some()
+        // With ERR = 0 a byte alone is an error code (CAN platform 4.1).
+        let is_code = !self.header.no_error && self.message.as_ref().is_some_and(|it| it.len() < 2);
+        let is_type = matches!(self.kind(), Some(TYPE_NAME | TYPE_SERVICES));
+        is_type && !is_code && self.framing.is_some()
     }
 }
 

@@ -28,6 +28,9 @@ const LATEST_ANSWER: Duration = Duration::from_secs(10);
 const REGULAR_PERIODS: f64 = 1.2;
 /// Time for which a lost frame makes what follows doubtful: a transfer that was not seen to begin.
 const LOSS_MEMORY: Duration = Duration::from_secs(3);
+/// Time before a request in which a device was heard that is there. Chosen: a device that is switched
+/// off within it is taken for one that the request has stopped.
+const PRESENT_TIME: Duration = Duration::from_millis(200);
 /// Broken transfers that are no lost frames, if none came whole.
 const BROKEN_TRANSFERS: usize = 3;
 
@@ -177,6 +180,8 @@ impl Prover {
             "another requester asked the device".to_owned()
         } else if self.observer.lost_frames() > 0 {
             format!("{} lost", counted(self.observer.lost_frames(), "frame"))
+        } else if exchange.asked_at < self.late_until {
+            "the answer to an earlier request may come late".to_owned()
         } else {
             "the device did not answer".to_owned()
         }
@@ -270,6 +275,10 @@ impl Prover {
         };
         if let Some(text) = fault {
             self.records.add(Rule::AnswerHeader, Sample::Broken, text, &exchange.frames);
+        } else if header.destination == header.source && !header.broadcast {
+            // Section 4.3 says so to the letter.
+            let text = "R = 1, B = 0, D = 0; DST is that of the request (rsp.dst = req.dst)";
+            self.records.add(Rule::AnswerHeader, Sample::Kept, text, &[]);
         } else {
             let text = "R = 1, B = 0, D = 0, to the requester";
             self.records.add(Rule::AnswerHeader, Sample::Kept, text, &[]);
@@ -530,7 +539,11 @@ impl Prover {
             _ => self.judge_silent_test(task, is_alive, &tested),
         }
         if !is_alive {
-            let why = if is_sure { "the device stopped answering" } else { "answers are not sure" };
+            let why = match is_sure {
+                true => "the device stopped answering",
+                false if self.is_away() => "the device left the bus",
+                false => "frames may be lost: silence of the device is not sure",
+            };
             self.silence = Some(why.to_owned());
         }
         self.end_task();
@@ -544,12 +557,17 @@ impl Prover {
         tested: &Exchange,
     ) {
         let frames = &tested.frames;
-        // That the device is away is the question.
-        let is_sure = !tested.is_unsent()
+        // That the device is away is the question; but not if it was before.
+        let last = self.observer.silent_since();
+        let was_there = last.is_some_and(|last| last + PRESENT_TIME >= tested.asked_at);
+        let is_sure = was_there
+            && !tested.is_unsent()
             && !tested.is_disturbed
             && self.observer.is_sure_since(tested.asked_at - LOSS_MEMORY);
         let (sample, text) = if !is_alive && is_sure {
             (Sample::Broken, format!("no answer any more after {what}"))
+        } else if !is_alive && !was_there {
+            (Sample::Unsure, format!("no answer any more after {what}; or it had left before"))
         } else if !is_alive {
             (Sample::Unsure, self.why_unsure(tested))
         } else if was_away && self.is_repeated {
@@ -564,29 +582,43 @@ impl Prover {
     fn judge_silent_test(&mut self, task: ProofTask, is_alive: bool, tested: &Exchange) {
         let frames = &tested.frames;
         let is_alone = self.is_alone(tested) && !tested.is_unsent();
-        let response = tested.answers.iter().find(|it| it.is_response());
+        let is_reserved = matches!(task, ProofTask::Reserved { .. });
+        // A refusal may have an error code that looks like a type.
+        let is_answer =
+            |it: &&ReceivedAnswer| it.is_response() && (it.header.no_error || !is_reserved);
+        let response = tested.answers.iter().find(is_answer);
         let is_other_flag = matches!(task, ProofTask::OtherFlag { .. });
         if is_other_flag && response.is_some_and(|it| fits_flag(tested, it)) {
             let text = "its mode changed meanwhile";
             return self.records.add(Rule::OwnDFlag, Sample::Unsure, text, &[]);
         }
-        let (rule, text) = match task {
-            ProofTask::OtherFlag { .. } => (Rule::OwnDFlag, "answers a request to the other modes"),
-            ProofTask::OtherAddress => {
-                (Rule::OnlyOwnRequests, "answers a request to another address")
-            }
+        let (rule, text, kept) = match task {
+            ProofTask::OtherFlag { .. } => (
+                Rule::OwnDFlag,
+                "answers a request to the other modes",
+                "no answer to requests to the other modes",
+            ),
+            ProofTask::OtherAddress => (
+                Rule::OnlyOwnRequests,
+                "answers a request to another address",
+                "no answer to requests to another address",
+            ),
             ProofTask::Reserved { kind, is_broadcast } => {
                 if !is_broadcast && response.is_none() {
                     self.judge_refusal(kind, is_alone, tested);
                 }
-                (Rule::ReservedNotAnswered, "answers a reserved request type")
+                (
+                    Rule::ReservedNotAnswered,
+                    "answers a reserved request type",
+                    "no name or services response to reserved request types",
+                )
             }
             _ => return,
         };
         if response.is_some() && is_alone {
             self.records.add(rule, Sample::Broken, text, frames);
         } else if is_alive && is_alone {
-            self.records.add(rule, Sample::Kept, "no such answer", &[]);
+            self.records.add(rule, Sample::Kept, kept, &[]);
         } else {
             self.records.add(rule, Sample::Unsure, self.why_unsure(tested), &[]);
         }
@@ -596,7 +628,7 @@ impl Prover {
         let rule = Rule::ReservedRefused;
         let frames: &[Frame] = &tested.frames;
         match tested.answers.first() {
-            Some(answer) if answer.is_refusal() => {
+            Some(answer) if !answer.header.no_error => {
                 let text = format!("refused type {kind:#04X} with {}", answer.frame);
                 self.records.add(rule, Sample::Kept, text, frames);
             }

@@ -338,6 +338,15 @@ impl Prover {
         }
         self.judge_transfers(&mut records);
         self.describe_times(&mut records);
+        if records.is_broken(Rule::FlowControlAwaited) {
+            let follows =
+                [Rule::BlockSizeKept, Rule::StMinKept, Rule::FlowWaitKept, Rule::OverflowKept];
+            records.excuse(&follows, "the device does not wait for flow control");
+        }
+        if records.is_broken(Rule::ModeFlag) {
+            let follows = [Rule::AnswersName, Rule::AnswersBroadcast, Rule::AnswersServices];
+            records.excuse(&follows, "its U flag does not say which requests it takes");
+        }
         let doubt = self.doubt.clone().or_else(|| self.observer.doubt());
         let verdict = |rule: &Rule| {
             let reason = match (rule.need().option(), rule.need()) {

@@ -132,6 +132,22 @@ impl Records {
         *self.of(rule) = RuleRecord::default();
     }
 
+    /// Takes what follows from another rule that is broken for not seen: the device could not keep it.
+    pub fn excuse(&mut self, rules: &[ConformanceRule], why: &str) {
+        for rule in rules {
+            let record = self.of(*rule);
+            if record.broken > 0 {
+                *record = RuleRecord { unsure_text: why.to_owned(), ..RuleRecord::default() };
+            }
+        }
+    }
+
+    /// Returns true if there are enough samples for a rule to be broken.
+    pub fn is_broken(&self, rule: ConformanceRule) -> bool {
+        let record = &self.records[rule as usize];
+        record.broken >= rule.broken_samples() && record.assumed.is_empty()
+    }
+
     /// Number of samples in which a rule was kept, and broken.
     pub fn counts(&self, rule: ConformanceRule) -> (u32, u32) {
         let record = &self.records[rule as usize];

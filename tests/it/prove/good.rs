@@ -6,6 +6,7 @@ use descan::prove::{Conformance, ConformanceRule, RuleNeed};
 use descan::sim::{DeviceAction, DeviceFraming, DeviceSpec, Scenario};
 use descan::time::Duration;
 use descan::wire::framing::Framing;
+use descan::wire::id::Header;
 use descan::wire::node::{Mode, Uid};
 
 /// Devices of a run of the suite.
@@ -37,6 +38,45 @@ fn good_device_keeps_every_rule_that_can_be_seen() {
     assert_eq!(unseen, ["no-requests-unless-working"], "{verdicts:#?}");
     assert_eq!(bench.prover.framing(), Some(Framing::Isotp));
     assert_eq!(bench.prover.name(), Some(&b"FEED"[..]));
+}
+
+#[test]
+fn device_that_leaves_is_not_accused() {
+    for tenths in [62, 81, 100, 120, 150, 170, 191] {
+        let psu = DeviceSpec::new("PSU").fixed(40).skips_address_resolution();
+        let gone = Duration::from_millis(tenths * 100);
+        let scenario = scenario(feed()).with(psu).at(gone, "FEED", DeviceAction::PowerOff);
+        let mut bench = ProofBench::new(&scenario, 12, given_profile(), Box::new(NoFilter));
+        let verdicts = bench.run();
+        assert!(broken(&verdicts).is_empty(), "{tenths}: {:?}", broken(&verdicts));
+    }
+}
+
+/// Gives refusals an error code.
+struct ErrorCode(&'static [u8]);
+
+impl Filter for ErrorCode {
+    fn received(&mut self, mut frame: Frame) -> Vec<Frame> {
+        let header = frame.platform_id().map(Header::decode);
+        let is_refusal = header.is_some_and(|it| it.response && !it.no_error);
+        if is_refusal && !frame.is_tx {
+            let id = header.unwrap().encode();
+            frame = Frame::classic(id, self.0).with_time(frame.time).with_bus(frame.bus);
+        }
+        vec![frame]
+    }
+}
+
+#[test]
+fn refusal_may_have_any_error_code() {
+    for code in [&[1][..], &[2], &[0], &[9, 1], &[2, 1, 0]] {
+        let mut bench =
+            ProofBench::new(&scenario(feed()), 12, given_profile(), Box::new(ErrorCode(code)));
+        let verdicts = bench.run();
+        assert!(broken(&verdicts).is_empty(), "{code:?}: {:?}", broken(&verdicts));
+        let refused = verdict(&verdicts, ConformanceRule::ReservedRefused);
+        assert_eq!(refused.conformance, Conformance::Kept, "{code:?}: {refused:?}");
+    }
 }
 
 #[test]

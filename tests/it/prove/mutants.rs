@@ -111,6 +111,15 @@ fn missing_heartbeat_is_named() {
 }
 
 #[test]
+fn heartbeat_with_the_other_u_flag_is_named_alone() {
+    let change = |frame| {
+        let is_beat = header(&frame).service.number() == 1;
+        vec![with_header(frame, |it| it.from_non_working |= is_beat)]
+    };
+    check(Rule::ModeFlag, good(), from_device(change));
+}
+
+#[test]
 fn fast_heartbeat_is_named() {
     let mut device = good();
     device.heartbeat = Some(Duration::from_millis(500));
