@@ -56,7 +56,11 @@ pub fn other_heard(bus: &Bus, device: &Device, now: Instant) -> Option<Instant> 
 /// Returns true if another device was heard at the address of this one, or a conflict there is at least
 /// suspected.
 pub fn is_shared(bus: &Bus, device: &Device, now: Instant) -> bool {
+    other_heard(bus, device, now).is_some() || has_conflict(bus, device)
+}
+
+/// Returns true if a conflict is at least suspected at the address of a device.
+pub fn has_conflict(bus: &Bus, device: &Device) -> bool {
     let mut conflicts = bus.findings().iter().filter(|finding| is_shared_address(finding));
-    other_heard(bus, device, now).is_some()
-        || conflicts.any(|finding| finding.addresses.contains(&device.address))
+    conflicts.any(|finding| finding.addresses.contains(&device.address))
 }

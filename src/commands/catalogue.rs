@@ -4,6 +4,7 @@ use super::open::default_file;
 use super::{EXIT_FINDINGS, EXIT_OK, Failure, output};
 use crate::catalogue::{Catalogue, CatalogueFile, CatalogueText};
 use crate::cli::{CatalogueArgs, CommonArgs};
+use crate::project::Project;
 use crate::regular_file::{required_text, shown};
 use crate::shell::catalogue_folders::CatalogueFolders;
 use crate::text::counted;
@@ -42,11 +43,16 @@ pub fn run(args: &CatalogueArgs) -> Result<u8, Failure> {
 /// The folders that other commands read here.
 fn folders_in_use() -> Result<CatalogueFolders, Failure> {
     let project = super::project::of(&CommonArgs::listen_only(None))?;
-    Ok(match project.map(|(_, project)| (project.catalogue, project.file)) {
+    Ok(folders_of(project.map(|(_, project)| project)))
+}
+
+/// The folders of a project, or those of this folder.
+pub(super) fn folders_of(project: Option<Project>) -> CatalogueFolders {
+    match project.map(|project| (project.catalogue, project.file)) {
         None => CatalogueFolders::beside(&default_file(), false),
         Some((Some(folders), _)) => CatalogueFolders::of(folders),
         Some((None, file)) => CatalogueFolders::beside(&file, true),
-    })
+    }
 }
 
 /// Reads files, and the files of folders.

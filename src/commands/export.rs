@@ -1,7 +1,7 @@
 //! `descan profile export`: the profile and the catalogue for other programs.
 
+use super::catalogue::folders_of;
 use super::generated_files::write_generated;
-use super::open::default_file;
 use super::{EXIT_OK, Failure, output, profile};
 use crate::catalogue::{Catalogue, CatalogueFile};
 use crate::cli::{CommonArgs, ExportArgs};
@@ -18,13 +18,10 @@ pub fn run(args: &ExportArgs) -> Result<u8, Failure> {
     let of_project = project.as_ref().and_then(|project| project.profile.as_deref());
     let path = args.profile.as_deref().or(of_project);
     let profile = path.map_or(Ok(Profile::default()), profile::read)?;
-    let folders = match project {
-        _ if !args.catalogue.is_empty() => CatalogueFolders::of(args.catalogue.clone()),
-        None => CatalogueFolders::beside(&default_file(), false),
-        Some(project) => match project.catalogue {
-            Some(folders) => CatalogueFolders::of(folders),
-            None => CatalogueFolders::beside(&project.file, true),
-        },
+    let folders = if args.catalogue.is_empty() {
+        folders_of(project)
+    } else {
+        CatalogueFolders::of(args.catalogue.clone())
     };
     if let Some(folder) = args.catalogue.iter().find(|folder| !folder.is_dir()) {
         return Err(Diagnostic::new("not a folder").of(shown(folder)).into());

@@ -33,8 +33,7 @@ fn known_change(
     }
     if number == commands.mode {
         let code = first?;
-        let at = profile.modes.codes().iter().position(|it| *it == code);
-        let mode = at.and_then(|at| Mode::ALL.get(at).copied());
+        let mode = profile.modes.mode(code);
         let effect = match mode {
             Some(Mode::Idle) => ", which may end only by switching the power off and on",
             Some(Mode::Boot) => ", with no services until its firmware starts again",

@@ -48,6 +48,11 @@ impl Mode {
         Self::ALL.into_iter().find(|mode| mode.name() == name)
     }
 
+    /// Returns the mode with a code; `None` if none has it. `codes`: those of [`Mode::ALL`], in that order.
+    pub fn from_code(code: u8, codes: &[u8; 7]) -> Option<Self> {
+        codes.iter().position(|known| *known == code).map(|at| Self::ALL[at])
+    }
+
     /// Returns true if the U bit is 0 in this mode; `None` for IDLE, where it may be either
     /// (protocol §1.3).
     pub const fn is_working(self) -> Option<bool> {
@@ -164,8 +169,7 @@ impl Heartbeat {
         let uid = layout.uid_offset.and_then(|offset| {
             data.get(usize::from(offset)..)?.first_chunk().map(|bytes| Uid(*bytes))
         });
-        let mode = byte(layout.mode_offset)
-            .and_then(|code| modes.iter().position(|&known| known == code).map(|at| Mode::ALL[at]));
+        let mode = byte(layout.mode_offset).and_then(|code| Mode::from_code(code, modes));
         Self { uid, mode, error: byte(layout.error_offset) }
     }
 

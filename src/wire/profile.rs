@@ -20,7 +20,7 @@ use super::des::Request;
 use super::descriptor::ByteOrder;
 use super::framing::Framing;
 use super::id::Service;
-use super::node::Heartbeat;
+use super::node::{Heartbeat, Mode};
 use crate::time::Duration;
 use core::ops::RangeInclusive;
 use keys::ValueOrigins;
@@ -415,6 +415,11 @@ impl ModesProfile {
     /// Returns the codes in the order of [`super::node::Mode::ALL`].
     pub fn codes(&self) -> [u8; 7] {
         [self.init, self.arslv, self.cfg, self.boot, self.work, self.ufunc, self.idle]
+    }
+
+    /// Returns the mode with this code; `None` if no mode has it.
+    pub fn mode(&self, code: u8) -> Option<Mode> {
+        Mode::from_code(code, &self.codes())
     }
 }
 

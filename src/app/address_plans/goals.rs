@@ -170,15 +170,13 @@ impl App {
 
 fn identity_of_entry(entry: &Entry, bus: &Bus) -> DeviceIdentity {
     let alphabet = &bus.config().profile.uid;
-    let uid = entry.uid.as_deref().map(str::trim).and_then(|text| Uid::parse(text, alphabet));
+    let uid = entry.trimmed_uid().and_then(|text| Uid::parse(text, alphabet));
     DeviceIdentity { uid: uid.and_then(Uid::not_blank), name: Some(Name::new(&entry.name)) }
 }
 
 /// Why the device of an entry may be another one than the listed one.
 fn doubt_of(entry: &Entry, device: &Device, bus: &Bus) -> Option<LeftOutReason> {
-    let alphabet = &bus.config().profile.uid;
-    let listed = entry.uid.as_deref().map(str::trim).filter(|listed| !listed.is_empty());
-    let listed = listed.and_then(|listed| Uid::parse(listed, alphabet)).and_then(Uid::not_blank);
+    let listed = identity_of_entry(entry, bus).uid;
     let is_other_uid = listed.zip(device.uid).is_some_and(|(listed, uid)| listed != uid);
     if is_other_uid || device.name.is_some() && !device.is_named(&entry.name) {
         return Some(LeftOutReason::Another(device.address));
@@ -199,7 +197,7 @@ impl EntryNames<'_> {
     /// Returns true if several devices or several entries have the name of an entry, and neither UID nor
     /// address says which belong together.
     fn is_ambiguous(&self, entry: &Entry) -> bool {
-        let is_open = |entry: &Entry| entry.uid.as_deref().is_none_or(|uid| uid.trim().is_empty());
+        let is_open = |entry: &Entry| entry.trimmed_uid().is_none();
         if !is_open(entry) || self.is_at_its_place(entry) {
             return false;
         }

@@ -4,7 +4,7 @@
 use crate::address_plan::{
     AddressSet, DeviceIdentity, KnownDevice, PlanBus, PlanRecord, StepEffect, UnsettledDevice,
 };
-use crate::app::shared_address::{identity_of, is_shared, other_heard};
+use crate::app::shared_address::{has_conflict, identity_of, other_heard};
 use crate::app::{App, Bus};
 use crate::discovery::{Device, HeardUid, OwnAddress};
 use crate::finding::{Finding, FindingKind, FindingState};
@@ -54,14 +54,15 @@ fn known_device(bus: &Bus, device: &Device, now: Instant) -> KnownDevice {
     let is_here = same_uid_at.is_some()
         || device.uid.is_none_or(Uid::is_blank)
         || bus.heard_uids().all(is_here);
+    let other_heard = other_heard(bus, device, now);
     KnownDevice {
         identity: identity_of(device),
         address: device.address,
         setting,
         possible: AddressSet::default(),
         is_present: device.is_present() && is_here && current.is_some_and(|it| it.id == device.id),
-        is_shared: is_shared(bus, device, now),
-        other_heard: other_heard(bus, device, now),
+        is_shared: other_heard.is_some() || has_conflict(bus, device),
+        other_heard,
         same_uid_at,
         is_debug: device.is_debug,
         first_heard: device.first_seen,

@@ -4,7 +4,6 @@
 use crate::discovery::FieldContent;
 use crate::wire::descriptor::{AddressSetting, BitrateSetting, DescriptorField, DescriptorValue};
 use crate::wire::id::{Header, Service};
-use crate::wire::node::Mode;
 use crate::wire::profile::{Profile, ProfileKey};
 
 /// Returns what the data of a frame say; `None` if its service is none of these.
@@ -41,8 +40,7 @@ fn request_text(profile: &Profile, service: Service, data: &[u8]) -> Option<Stri
     }
     if number == commands.mode && profile.is_given(ProfileKey::Mode) {
         let code = *data.first()?;
-        let place = profile.modes.codes().iter().position(|known| *known == code);
-        let mode = place.and_then(|at| Mode::ALL.get(at));
+        let mode = profile.modes.mode(code);
         return Some(mode.map_or(format!("mode 0x{code:02X}"), |mode| format!("mode {mode}")));
     }
     if Some(number) == commands.reboot {

@@ -8,6 +8,7 @@ use crate::app::buses::Bus;
 use crate::discovery::{Device, DeviceId};
 use crate::document::Entry;
 use crate::frame::BusIndex;
+use crate::wire::node::Uid;
 use std::collections::BTreeMap;
 
 /// Entries and their devices.
@@ -35,12 +36,14 @@ impl Matching {
             for here in [true, false] {
                 let devices = || bus.devices().iter().filter(|it| it.is_present() == here);
                 let alphabet = &bus.config().profile.uid;
-                let same_uid = |entry: &Entry, device: &Device| {
-                    let listed = entry.uid.as_deref().map_or("", str::trim);
-                    let own = device.uid.filter(|uid| !uid.is_blank());
-                    !listed.is_empty()
-                        && own.is_some_and(|uid| uid.text(alphabet).to_string() == listed)
+                // `None` if one of them has none.
+                let is_same_uid = |entry: &Entry, device: &Device| {
+                    let own = device.uid.and_then(Uid::not_blank);
+                    let both = entry.trimmed_uid().zip(own);
+                    both.map(|(listed, uid)| uid.text(alphabet).to_string() == listed)
                 };
+                let same_uid =
+                    |entry: &Entry, device: &Device| is_same_uid(entry, device) == Some(true);
                 let same_place = |entry: &Entry, device: &Device| {
                     device.is_named(&entry.name) && entry.address == Some(device.address.number())
                 };
@@ -50,13 +53,10 @@ impl Matching {
                 });
                 open.pair(devices, same_uid);
                 open.pair(devices, same_place);
-                let is_other = |entry: &Entry, device: &Device| {
-                    let has_uids = entry.uid.as_deref().is_some_and(|uid| !uid.trim().is_empty())
-                        && device.uid.is_some_and(|uid| !uid.is_blank());
-                    has_uids && !same_uid(entry, device)
-                };
                 // Another board than the listed one comes last.
-                open.pair_unique(devices, |entry, device| !is_other(entry, device));
+                open.pair_unique(devices, |entry, device| {
+                    is_same_uid(entry, device) != Some(false)
+                });
                 open.pair_unique(devices, |_, _| true);
             }
         }

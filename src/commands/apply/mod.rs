@@ -372,7 +372,7 @@ fn is_missing(app: &App, bus: &Bus, task: &PlanTask) -> bool {
             let mut pinned = entries.filter(|it| it.is_static && it.is_for_bus(&bus.name));
             pinned.any(|entry| {
                 // A device is known to be the listed one by its UID alone, where the entry has one.
-                let needs_uid = entry.uid.as_deref().is_some_and(|uid| !uid.trim().is_empty());
+                let needs_uid = entry.trimmed_uid().is_some();
                 let is_there = |it: &Device| it.is_present() && (!needs_uid || it.uid.is_some());
                 let mut devices = app.matching().devices_of(entry.index).iter();
                 !app.matching().is_duplicate(entry.index)

@@ -155,8 +155,8 @@ impl SimDevice {
             Served::Done(Some(DeviceAction::Reboot { services: None }))
         } else if service == commands.mode {
             let code = data.first().filter(|_| data.len() == 1);
-            let mode = code.and_then(|code| port.modes.iter().position(|known| known == code));
-            let mode = mode.map(|at| Mode::ALL[at]).filter(|mode| self.may_enter(*mode));
+            let mode = code.and_then(|code| Mode::from_code(*code, port.modes));
+            let mode = mode.filter(|mode| self.may_enter(*mode));
             mode.map_or(Served::Refused, |mode| Served::Done(Some(DeviceAction::Mode(mode))))
         } else if field.is_some() || [writes.address, writes.bitrate].contains(&Some(service)) {
             Served::Refused
