@@ -3,6 +3,7 @@
 //! Consumers may read them later than they happened: nothing in them refers to the state of
 //! [`App`].
 
+use super::file::FileIndex;
 use super::{App, FileError, TimelineEntry, TxBlocked};
 use crate::discovery::{
     BusTraffic, Counters, DeviceService, Event, EventKind, OwnAddress, ServicesNews,
@@ -136,9 +137,9 @@ impl App {
         })
     }
 
-    /// The state of des.json.
-    pub fn file_snapshot(&self) -> FileSnapshot {
-        let file = self.file();
+    /// The state of a des.json.
+    pub fn file_snapshot(&self, file: FileIndex) -> FileSnapshot {
+        let file = self.file_at(file);
         FileSnapshot {
             path: file.path().map(Into::into),
             entries: file.is_there().then(|| file.document().entries().len()),
@@ -201,7 +202,7 @@ impl App {
         let source = match (line.address, name) {
             (Some(address), name) => format!("{address:>3} {}", name.as_deref().unwrap_or("?")),
             (None, Some(name)) => name,
-            (None, None) if line.bus.is_none() => self.file().name(),
+            (None, None) if line.bus.is_none() => self.file_at(line.file).name(),
             (None, None) if has_several => String::new(),
             (None, None) => bus.to_owned(),
         };

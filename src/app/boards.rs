@@ -3,8 +3,8 @@
 //! Input: the row of a device in conflict, and the nodes that send heartbeats from its address.
 //! Output: rows. A is the board that joined first. Does not know how a conflict is found.
 
-use super::Inputs;
 use super::capture::decoded::uid_text;
+use super::file_inputs::Inputs;
 use super::view::{Board, FileStatus, Row, RowKey, RowState};
 use crate::discovery::{AddressSender, Device};
 use std::sync::Arc;
@@ -74,7 +74,7 @@ impl Inputs<'_> {
             .collect();
         // An entry belongs to the board with its UID, else to the first one.
         let alphabet = bus.config().profile.clone();
-        let listed = row.entry.and_then(|at| self.document.entries()[at].uid.as_deref());
+        let listed = row.entry.and_then(|place| self.documents.entry(place)?.uid.as_deref());
         let holder = own.iter().position(|board| {
             listed
                 .is_some_and(|listed| uid_text(&alphabet, board.sender.uid).trim() == listed.trim())
@@ -87,7 +87,11 @@ impl Inputs<'_> {
                 row.key = RowKey::Board(device.id, board.sender.uid);
             }
             if at != holder && row.entry.take().is_some() {
-                row.file = if self.has_file { FileStatus::New } else { FileStatus::Nothing };
+                row.file = if self.has_file(device.id.bus) {
+                    FileStatus::New
+                } else {
+                    FileStatus::Nothing
+                };
                 (row.has_findings, row.has_other_services, row.differences) = (false, false, 0);
             }
             row

@@ -237,11 +237,10 @@ impl App {
         let inputs = Inputs {
             now: past.moment.time,
             buses: &past.buses,
-            document: &past.file.document,
-            has_file: past.file.is_there,
+            documents: self.files.documents_of(&past.contents),
             matching: past.problems.matching(),
         };
-        inventory_of(inputs, past.problems.findings(&past.buses), self.file().path().is_some())
+        inventory_of(inputs, past.problems.findings(&past.buses), self.has_file_path())
     }
 
     /// Returns the event between two moments that explains a difference of a device best: the last one,

@@ -6,6 +6,7 @@
 
 use super::problems::{ConflictSides, Problem, ProblemKey, SideBasis, and_list, label_of};
 use super::{App, CallPart, CapturedHeartbeat, Row, clock_millis, format_time_of_day};
+use crate::app::file::EntryPlace;
 use crate::discovery::{Device, DeviceService};
 use crate::document::Entry;
 use crate::finding::{FindingState, SeenUid};
@@ -132,7 +133,7 @@ impl App {
         }
         let away = self.sides_away(bus, &panel, &devices);
         panel.rows.push(("services", services_texts(&panel, &devices, &away, is_wide)));
-        if self.has_shown_file() {
+        if self.has_shown_file(bus) {
             panel.rows.push(("des.json", self.entry_texts(bus, &panel, &devices, is_wide)));
         }
         let listed = self.listed_uid(bus, address, &devices);
@@ -221,8 +222,9 @@ impl App {
         all.iter().filter(|device| device.address == address).collect()
     }
 
-    fn has_shown_file(&self) -> bool {
-        self.past.as_ref().map_or(self.editor.file.is_there(), |past| past.file.is_there)
+    fn has_shown_file(&self, bus: BusIndex) -> bool {
+        let documents = self.shown_documents();
+        documents.is_there(documents.of_bus(bus))
     }
 
     // ---- columns ---------------------------------------------------------------------------
@@ -437,20 +439,20 @@ impl App {
         wide: bool,
     ) -> Vec<String> {
         let matching = self.matching();
-        let mut entries: Vec<usize> =
+        let mut entries: Vec<EntryPlace> =
             devices.iter().filter_map(|device| matching.entry_of(device.id)).collect();
         entries.dedup();
         let alphabet = &self.profile(bus).uid;
-        let text = |at: usize| {
-            let entry = self.document().entries().get(at)?;
+        let text = |at: EntryPlace| {
+            let entry = self.shown_documents().entry(at)?;
             let verb = if entry.is_static { "pinned" } else { "listed" };
             let address = entry.address.map_or(String::new(), |address| format!(" {address}"));
             let column =
                 if wide { format!(", column {}", entry.position.column) } else { String::new() };
             Some(format!("{verb}{address}, line {}{column}", entry.position.line))
         };
-        let owner = |at: usize| {
-            let entry = self.document().entries().get(at)?;
+        let owner = |at: EntryPlace| {
+            let entry = self.shown_documents().entry(at)?;
             let uid = entry.uid.as_ref().and_then(|uid| Uid::parse(uid, alphabet));
             let by_uid = |uid: Uid| panel.sides.sides.iter().position(|it| it.uid == Some(uid));
             Some(uid.and_then(by_uid).unwrap_or(0))
@@ -473,7 +475,7 @@ impl App {
         let matching = self.matching();
         let alphabet = &self.profile(bus).uid;
         let entries = devices.iter().filter_map(|device| matching.entry_of(device.id));
-        let entries = entries.filter_map(|at| self.document().entries().get(at));
+        let entries = entries.filter_map(|at| self.shown_documents().entry(at));
         let uid_of = |entry: &Entry| Uid::parse(entry.uid.as_ref()?, alphabet);
         let is_there = |entry: &&Entry| {
             entry.is_static && entry.address.and_then(Address::new) == Some(address)
@@ -510,7 +512,7 @@ impl App {
         let label = |board: &SeenUid| label_of(board.label());
         let owner_label = label(owner);
         let why = if is_in_file {
-            format!("{owner_label} is in {}", self.file().name())
+            format!("{owner_label} is in {}", self.name_of_file(problem.bus()))
         } else if others.len() > 1 {
             format!("{owner_label} was first")
         } else {

@@ -3,8 +3,9 @@
 //! Inputs: the buses, the file, the problems and the view. Output: rows, sorted and filtered, and
 //! their counts.
 
-use super::Inputs;
 use super::buses::{Bus, Buses};
+use super::file::EntryPlace;
+use super::file_inputs::{FileInputs, Inputs};
 use super::filter::Filter;
 use super::listing::other_services;
 use super::problems::ProblemList;
@@ -135,7 +136,6 @@ impl<'a> BusContents<'a> {
 /// The making of rows.
 impl Inputs<'_> {
     pub(super) fn all_rows(&self) -> Vec<Row> {
-        let entries = self.document.entries();
         let mut rows = Vec::new();
         let contents: Vec<BusContents> = self.buses.iter().map(BusContents::new).collect();
         for bus in self.buses.iter() {
@@ -147,9 +147,11 @@ impl Inputs<'_> {
                 row.map(|row| self.board_rows(row, device)).unwrap_or_default()
             }));
         }
-        for entry in entries {
-            if self.matching.devices_of(entry.index).is_empty() {
-                rows.extend(self.entry_row(entry));
+        for file in self.files() {
+            for entry in file.document.entries() {
+                if file.devices_of(entry).is_empty() {
+                    rows.extend(file.entry_row(entry));
+                }
             }
         }
         rows
@@ -187,13 +189,14 @@ impl Inputs<'_> {
     }
 
     fn device_row(&self, contents: &BusContents, device: &Device) -> Row {
-        let entry = self.matching.entry_of(device.id);
+        let place = self.matching.entry_of(device.id);
+        let entry = self.entry_of(device.id);
         let bus = contents.bus;
         let findings = || contents.findings_about(device);
         let confirmed =
             findings().any(|it| it.state == FindingState::Confirmed && it.key.kind.is_conflict());
         let twin = device.is_present() && contents.has_twins(device);
-        let others = entry.and_then(|at| other_services(&self.document.entries()[at], device));
+        let others = entry.and_then(|entry| other_services(entry, device));
         Row {
             key: RowKey::Device(device.id),
             bus: Some(device.id.bus),
@@ -208,21 +211,21 @@ impl Inputs<'_> {
             suspected: findings().any(|it| it.state == FindingState::Suspected),
             twin,
             redundant_ids: Vec::new(),
-            file: self.file_status(device, entry.map(|at| &self.document.entries()[at])),
-            has_findings: entry.is_some_and(|at| self.document.has_findings(at)),
+            file: self.file_status(device, entry),
+            has_findings: place.is_some_and(|place| self.has_findings(place)),
             has_other_services: others.is_some(),
             differences: others.map_or(0, |(listed, own)| count_differences(Some(listed), own)),
             uid: device.uid,
             board: None,
             board_device: None,
-            entry,
+            entry: place,
         }
     }
 
     fn file_status(&self, device: &Device, entry: Option<&Entry>) -> FileStatus {
         match entry {
             None if device.is_debug || device.name.is_none() => FileStatus::Nothing,
-            None if !self.has_file => FileStatus::Nothing,
+            None if !self.has_file(device.id.bus) => FileStatus::Nothing,
             None => FileStatus::New,
             Some(entry) => match entry.address.filter(|_| entry.is_static) {
                 None => FileStatus::Listed(entry.address),
@@ -232,18 +235,30 @@ impl Inputs<'_> {
         }
     }
 
+    fn has_findings(&self, place: EntryPlace) -> bool {
+        self.documents.get(place.file).is_some_and(|document| document.has_findings(place.index))
+    }
+
+    /// Returns true if the file of a bus exists.
+    pub(super) fn has_file(&self, bus: BusIndex) -> bool {
+        self.documents.is_there(self.documents.of_bus(bus))
+    }
+}
+
+impl FileInputs<'_> {
     /// Row of an entry without a device; `None` where its bus is not open.
     fn entry_row(&self, entry: &Entry) -> Option<Row> {
-        let bus = match &entry.bus {
-            Some(_) => Some(self.buses.iter().position(|bus| entry.is_for_bus(&bus.name))?),
-            None if self.buses.len() == 1 => Some(0),
-            None => None,
+        let mut buses = self.buses().filter(|(_, bus)| entry.is_for_bus(&bus.name));
+        let bus = match (buses.next(), buses.next()) {
+            (None, _) => return None,
+            (Some((only, _)), None) => Some(only),
+            (Some(_), Some(_)) => None,
         };
-        let bus = bus.map(|at| BusIndex(at as u8));
-        let is_duplicate = self.matching.is_duplicate(entry.index);
+        let place = self.place(entry);
+        let is_duplicate = self.all.matching.is_duplicate(place);
         let pending = is_duplicate || !self.is_missing(entry);
         Some(Row {
-            key: RowKey::Entry(self.document.key(entry.index)),
+            key: RowKey::Entry(self.file, self.document.key(entry.index)),
             bus,
             address: entry.address.and_then(Address::new),
             name: Some(Name::new(&entry.name)),
@@ -266,7 +281,7 @@ impl Inputs<'_> {
             uid: None,
             board: None,
             board_device: None,
-            entry: Some(entry.index),
+            entry: Some(place),
         })
     }
 }

@@ -9,8 +9,8 @@ use super::problems::bus_obstacle;
 use super::timeline_kind::TimelineKind;
 use super::view::Page;
 use super::{
-    App, Bus, EditRefusal, Effect, Overlay, Prompt, PromptContext, PromptKind, PromptOutcome,
-    PromptResult, Question, RowKey, inputs,
+    App, Bus, EditRefusal, Effect, EntryPlace, FileIndex, Overlay, Prompt, PromptContext,
+    PromptKind, PromptOutcome, PromptResult, Question, Row, RowKey, inputs,
 };
 use crate::discovery::{Device, DeviceId, OwnAddress};
 use crate::document::{EntryKey, Operation};
@@ -22,7 +22,7 @@ impl App {
 
     /// Opens the prompt for the static address of the selected row.
     pub(super) fn edit_address(&mut self) {
-        if !self.ensure_editable() || !self.go_to_row() {
+        if !self.go_to_editable_row() {
             return;
         }
         if let Some(refusal) = self.board_refusal() {
@@ -33,21 +33,22 @@ impl App {
         if let Some(refusal) = self.device_of(row).and_then(addition_refusal) {
             return self.show_error(refusal);
         }
-        let entry = self.entry_of(row).map(|entry| entry.index);
-        if self.may_edit_entry(entry) {
+        let entry = row.entry;
+        if self.may_edit(self.file_of_row(row), entry) {
             self.open_address_prompt(key);
         }
     }
 
     fn open_address_prompt(&mut self, key: RowKey) {
-        let (prompt, text) = AddressPrompt::new(key, self.prompt_context());
+        let file = key.file(self.files.documents());
+        let (prompt, text) = AddressPrompt::new(key, self.prompt_context(file));
         self.open_prompt(PromptKind::Address(prompt), text);
     }
 
     /// Adds the selected device to the file with its services and its unpinned address. The entry
     /// of a listed device gets the services.
     pub(super) fn add_device(&mut self) {
-        if !self.ensure_editable() || !self.go_to_row() {
+        if !self.go_to_editable_row() {
             return;
         }
         if let Some(refusal) = self.board_refusal() {
@@ -61,18 +62,19 @@ impl App {
             return self.show_error(refusal);
         }
         let devices = self.devices_of(row);
-        let operations: Vec<Operation> =
+        let operations: Vec<(FileIndex, Operation)> =
             devices.filter_map(|device| update_operation(inputs!(self), device)).collect();
         match operations.len() {
             0 => self.file_info("file already matches this device"),
-            _ => self.edit(&operations),
+            _ => self.edit_files(operations),
         }
     }
 
     /// Adds all present devices with a known name to the file, and updates services that differ.
     /// Reports entries that cannot be edited.
     pub(super) fn add_all(&mut self) {
-        if !self.ensure_editable() {
+        // Of several files, one that cannot be edited does not prevent edits of the others.
+        if !self.files.documents().are_several() && !self.ensure_editable() {
             return;
         }
         let known = self
@@ -81,8 +83,7 @@ impl App {
             .filter(|device| device.is_present() && addition_refusal(device).is_none());
         // An entry without services leaves them out by intention of the user.
         let (mut wanted, left): (Vec<&Device>, Vec<&Device>) = known.partition(|device| {
-            let entry = self.matching().entry_of(device.id);
-            let entry = entry.map(|at| &self.editor.file.document().entries()[at]);
+            let entry = inputs!(self).entry_of(device.id);
             entry.is_none_or(|entry| entry.listed_services().is_some())
         });
         if wanted.is_empty() && left.is_empty() {
@@ -91,9 +92,9 @@ impl App {
         wanted.sort_by_key(|device| (device.id.bus, device.address));
         let (mut operations, mut refused) = (Vec::new(), Vec::new());
         for device in wanted {
-            let Some(operation) = update_operation(inputs!(self), device) else { continue };
-            match self.editor.file.check_operation(&operation) {
-                Ok(()) => operations.push(operation),
+            let Some((file, operation)) = update_operation(inputs!(self), device) else { continue };
+            match self.files.get(file).file.check_operation(&operation) {
+                Ok(()) => operations.push((file, operation)),
                 Err(refusal) => refused.push(refusal.to_string()),
             }
         }
@@ -106,7 +107,7 @@ impl App {
                     "all named devices are in the file; {left} without services ({key} adds them)"
                 ));
             }
-            _ => self.edit(&operations),
+            _ => self.edit_files(operations),
         }
         if let Some(refusal) = refused.first() {
             self.file_error(format!("{} not added: {refusal}", refused.len()));
@@ -115,106 +116,128 @@ impl App {
 
     /// Opens the prompt for a new entry.
     pub(super) fn ask_new_entry(&mut self) {
+        let file = self.file_of_selection();
         if self.ensure_editable() {
-            let prompt = NewEntryPrompt::new(self.editor.file.document().clone());
+            let prompt = NewEntryPrompt::new(file, self.files.get(file).file.document().clone());
             self.open_prompt(PromptKind::NewEntry(prompt), String::new());
         }
     }
 
     /// Opens the prompt for the name of the selected entry.
     pub(super) fn ask_rename(&mut self) {
-        if !self.ensure_editable() || !self.go_to_row() {
+        if !self.go_to_editable_row() {
             return;
         }
         if let Some(refusal) = self.board_refusal() {
             return self.show_error(refusal);
         }
-        let Some(at) = self.selected_entry() else { return };
-        if self.may_edit_entry(Some(at)) {
-            let document = self.editor.file.document();
-            let (key, name) = (document.key(at), document.entries()[at].name_text.clone());
-            let prompt = RenamePrompt::new(key, self.prompt_context());
+        let Some(place) = self.selected_entry() else { return };
+        if self.may_edit(place.file, Some(place)) {
+            let document = self.files.get(place.file).file.document();
+            let Some(entry) = document.entries().get(place.index) else { return };
+            let (key, name) = (document.key(place.index), entry.name_text.clone());
+            let prompt = RenamePrompt::new(place.file, key, self.prompt_context(place.file));
             self.open_prompt(PromptKind::Rename(prompt), name);
         }
     }
 
     /// Opens the question for deleting the selected entry.
     pub(super) fn ask_delete(&mut self) {
-        if !self.ensure_editable() || !self.go_to_row() {
+        if !self.go_to_editable_row() {
             return;
         }
         if let Some(refusal) = self.board_refusal() {
             return self.show_error(refusal);
         }
-        let Some(at) = self.selected_entry() else { return };
-        let document = self.editor.file.document();
-        let (key, text) = (document.key(at), document.entry_text(at).to_owned());
-        self.input.ask(Question::Delete(key, text));
+        let Some(EntryPlace { file, index }) = self.selected_entry() else { return };
+        let document = self.files.get(file).file.document();
+        if document.entries().len() > index {
+            let (key, text) = (document.key(index), document.entry_text(index).to_owned());
+            self.input.ask(Question::Delete(file, key, text));
+        }
     }
 
-    /// Undoes the last edit.
+    /// Undoes the last edit, in whichever file it was made.
     pub(super) fn undo(&mut self) {
-        match self.editor.file.undo() {
-            Ok(name) => self.edited(&format!("undone: {name}")),
-            Err(refusal) => self.file_error(refusal.to_string()),
+        let file = self.files.last_edited();
+        match self.files.get_mut(file).file.undo() {
+            Ok(name) => self.edited(file, &format!("undone: {name}")),
+            Err(refusal) => self.report_refusal(file, &refusal),
         }
     }
 
     /// Redoes the edit that was undone last.
     pub(super) fn redo(&mut self) {
-        match self.editor.file.redo() {
-            Ok(name) => self.edited(&format!("redone: {name}")),
-            Err(refusal) => self.file_error(refusal.to_string()),
+        let file = self.files.last_undone();
+        match self.files.get_mut(file).file.redo() {
+            Ok(name) => self.edited(file, &format!("redone: {name}")),
+            Err(refusal) => self.report_refusal(file, &refusal),
         }
     }
 
-    /// Repeats a failed save, or opens the edit conflict that prevents it.
+    /// Repeats failed saves, or opens the edit conflict that prevents one.
     pub(super) fn save(&mut self) {
-        if self.editor.file.conflict().is_some() {
+        if self.files.find(|file| file.conflict().is_some()).is_some() {
             self.show_conflict();
-            self.input.accept_keys();
-        } else if self.editor.file.is_settled() {
-            self.restore_pins();
-        } else if let Err(EditRefusal::Unusable(why)) = self.editor.file.check() {
-            self.file_error(format!("not saved; fix it first: {why}"));
-        } else {
-            self.save_pending();
+            return self.input.accept_keys();
+        }
+        if self.files.states().all(|(_, file)| file.is_settled()) {
+            return self.restore_pins();
+        }
+        for file in self.files.indices() {
+            let state = &self.files.get(file).file;
+            if state.is_settled() {
+                continue;
+            }
+            if let Err(EditRefusal::Unusable(why)) = state.check() {
+                let of_file = self.of_file(file);
+                self.file_error(format!("{of_file}not saved; fix it first: {why}"));
+            } else {
+                self.save_pending(file);
+            }
         }
     }
 
     /// Pins the addresses again that another program has overwritten.
     fn restore_pins(&mut self) {
-        let operations = self.editor.restoring();
+        let restoring = self.files.indices().flat_map(|file| {
+            let operations = self.files.get(file).restoring();
+            operations.into_iter().map(move |operation| (file, operation))
+        });
+        let operations: Vec<(FileIndex, Operation)> = restoring.collect();
         if operations.is_empty() {
             self.file_info("no unsaved changes");
-        } else if self.ensure_editable() {
-            self.edit(&operations);
+        } else {
+            self.edit_files(operations);
         }
     }
 
     /// Opens the prompt for the path of a copy of the file with all edits.
     pub(super) fn ask_copy_path(&mut self) {
-        if !self.editor.file.is_there() {
+        let unsaved = self.files.find(|file| file.unsaved() > 0);
+        let file = unsaved.unwrap_or_else(|| self.file_of_selection());
+        if !self.files.get(file).file.is_there() {
             return self.show_error("nothing to save");
         }
         let path = format!("des-{}.json", self.clock.stamp());
-        self.open_prompt(PromptKind::CopyPath(CopyPathPrompt), path);
+        self.open_prompt(PromptKind::CopyPath(CopyPathPrompt { file }), path);
     }
 
     /// Decides the open edit conflict and opens the next one, if any.
     pub(super) fn resolve(&mut self, ours: bool) {
+        let Some(file) = self.conflicting_file() else { return self.input.leave_conflict() };
         // A file with errors has no known value to choose.
-        if let Err(EditRefusal::Unusable(_)) = self.editor.file.check() {
+        if let Err(EditRefusal::Unusable(_)) = self.files.get(file).file.check() {
             return self.effects.push_back(Effect::Bell);
         }
         self.input.leave_conflict();
-        let (mut kept, mut given_up) = self.editor.file.chosen();
+        let (mut kept, mut given_up) = self.files.get(file).file.chosen();
         *(if ours { &mut kept } else { &mut given_up }) += 1;
-        let change = self.editor.resolve(ours);
-        self.file_changed(change);
+        let change = self.files.get_mut(file).resolve(ours);
+        self.file_changed(file, change);
         // The user has seen the first conflict; the next one takes keys at once.
         self.input.accept_keys();
-        if self.editor.file.conflict().is_none() {
+        if self.files.get(file).file.conflict().is_none() {
             let whose = match (kept, given_up) {
                 (1, 0) => "kept your value".to_owned(),
                 (0, 1) => "kept the file's value".to_owned(),
@@ -222,9 +245,17 @@ impl App {
                 (0, theirs) => format!("kept the file's {theirs} values"),
                 (ours, theirs) => format!("kept {ours} of your values, {theirs} of the file's"),
             };
-            self.add_line(TimelineKind::File, format!("edit conflict: {whose}"));
+            self.add_file_line(file, TimelineKind::File, format!("edit conflict: {whose}"));
             self.file_info(whose);
+            if self.conflicting_file().is_some() {
+                self.show_conflict();
+            }
         }
+    }
+
+    /// The file whose edit conflict is shown.
+    pub fn conflicting_file(&self) -> Option<FileIndex> {
+        self.files.find(|file| file.conflict().is_some())
     }
 
     /// Closes the edit conflict; the edit stays unsaved.
@@ -234,45 +265,106 @@ impl App {
         self.show_info(format!("edit not saved; {key} reopens the conflict"));
     }
 
-    pub(super) fn edit(&mut self, operations: &[Operation]) {
-        match self.editor.file.edit(operations) {
-            Ok(name) => self.edited(&name),
-            Err(refusal) => self.file_error(refusal.to_string()),
+    /// Edits a file.
+    pub(super) fn edit(&mut self, file: FileIndex, operations: &[Operation]) {
+        self.edit_files(operations.iter().map(|operation| (file, operation.clone())).collect());
+    }
+
+    /// Edits several files, each in one step.
+    pub(super) fn edit_files(&mut self, mut operations: Vec<(FileIndex, Operation)>) {
+        operations.sort_by_key(|(file, _)| *file);
+        let mut done = Vec::new();
+        for of_file in operations.chunk_by(|(one, _), (other, _)| one == other) {
+            let Some((file, _)) = of_file.first() else { continue };
+            let own: Vec<Operation> = of_file.iter().map(|(_, it)| it.clone()).collect();
+            match self.files.get_mut(*file).file.edit(&own) {
+                Ok(name) => done.push((*file, name)),
+                Err(refusal) => self.report_refusal(*file, &refusal),
+            }
+        }
+        let Some((last, _)) = done.last() else { return };
+        self.files.forget_undone_but(*last);
+        match &done[..] {
+            [(file, name)] => self.edited(*file, name),
+            several => {
+                for (file, name) in several {
+                    self.edited(*file, name);
+                }
+                let texts = several
+                    .iter()
+                    .map(|(file, name)| format!("{}: {name}", self.files.get(*file).file.name()));
+                let text = texts.collect::<Vec<_>>().join("; ");
+                self.file_info(text);
+            }
         }
     }
 
     /// Reports an edit and begins to save it.
-    fn edited(&mut self, what: &str) {
-        self.add_line(TimelineKind::File, what);
-        self.file_info(what);
-        self.save_pending();
+    fn edited(&mut self, file: FileIndex, what: &str) {
+        self.add_file_line(file, TimelineKind::File, what);
+        let of_file = self.of_file(file);
+        self.file_info(format!("{of_file}{what}"));
+        self.save_pending(file);
         self.refresh();
     }
 
-    /// Returns true if the file can be edited; else reports why, or opens the edit conflict.
+    fn report_refusal(&mut self, file: FileIndex, refusal: &EditRefusal) {
+        let of_file = self.of_file(file);
+        self.file_error(format!("{of_file}{refusal}"));
+    }
+
+    /// Where there are several files, the name of one, for the beginning of a message.
+    pub(super) fn of_file(&self, file: FileIndex) -> String {
+        if self.files.documents().are_several() {
+            format!("{}: ", self.files.get(file).file.name())
+        } else {
+            String::new()
+        }
+    }
+
+    /// The file of the selected row: that of its bus, or of its entry; else the first one.
+    pub(super) fn file_of_selection(&self) -> FileIndex {
+        self.selected_row().map(|row| self.file_of_row(row)).unwrap_or_default()
+    }
+
+    /// The file of a row: that of its bus, or of its entry.
+    pub fn file_of_row(&self, row: &Row) -> FileIndex {
+        row.key.file(self.files.documents())
+    }
+
+    /// From another page, goes to the row of the selection. Returns true if there is one and its file can
+    /// be edited; else reports why not.
+    fn go_to_editable_row(&mut self) -> bool {
+        // A single file is checked before the page changes.
+        let is_known = !self.files.documents().are_several();
+        (!is_known || self.ensure_editable()) && self.go_to_row() && self.ensure_editable()
+    }
+
+    /// Returns true if the file of the selected row can be edited; else reports why, or opens the edit
+    /// conflict.
     fn ensure_editable(&mut self) -> bool {
-        match self.editor.file.check_edit(None) {
+        let file = self.file_of_selection();
+        match self.files.get(file).file.check_edit(None) {
             Err(EditRefusal::Conflict) => {
                 self.show_conflict();
                 false
             }
-            _ => self.may_edit_entry(None),
+            _ => self.may_edit(file, None),
         }
     }
 
-    /// Returns true if the entry at this place can be edited; else reports why.
-    fn may_edit_entry(&mut self, place: Option<usize>) -> bool {
-        let checked = self.editor.file.check_edit(place);
+    /// Returns true if a file, and the entry at this place, can be edited; else reports why.
+    fn may_edit(&mut self, file: FileIndex, place: Option<EntryPlace>) -> bool {
+        let checked = self.files.get(file).file.check_edit(place.map(|place| place.index));
         if let Err(refusal) = &checked {
-            self.file_error(refusal.to_string());
+            self.report_refusal(file, refusal);
         }
         checked.is_ok()
     }
 
     /// Place of the entry of the selected row; shows an error for a row without one.
-    fn selected_entry(&mut self) -> Option<usize> {
-        let entry = self.selected_row().and_then(|row| self.entry_of(row));
-        let place = entry.map(|entry| entry.index);
+    fn selected_entry(&mut self) -> Option<EntryPlace> {
+        let place = self.selected_row().and_then(|row| row.entry);
         if place.is_none() {
             let can_add =
                 self.selected_device().is_some_and(|device| addition_refusal(device).is_none());
@@ -293,10 +385,23 @@ impl App {
         self.open_prompt(PromptKind::Moment(MomentPrompt), String::new());
     }
 
-    /// State that prompts are validated against.
-    pub(super) fn prompt_context(&self) -> PromptContext<'_> {
+    /// State that the open prompt is validated against.
+    pub(super) fn open_prompt_context(&self) -> PromptContext<'_> {
+        self.prompt_context(self.file_of_prompt())
+    }
+
+    /// The file that the open prompt is about.
+    fn file_of_prompt(&self) -> FileIndex {
+        let documents = self.files.documents();
+        self.prompt().and_then(|prompt| prompt.kind.file(documents)).unwrap_or_default()
+    }
+
+    /// State that prompts about a file are validated against.
+    pub(super) fn prompt_context(&self, file: FileIndex) -> PromptContext<'_> {
         PromptContext {
-            file: &self.editor.file,
+            index: file,
+            file: &self.files.get(file).file,
+            documents: self.files.documents(),
             matching: self.problems.matching(),
             buses: &self.buses,
             selected_bus: self.selected_row().and_then(|row| row.bus),
@@ -349,28 +454,29 @@ impl App {
     }
 
     fn commit_prompt(&mut self) {
-        let check = self.prompt().map(|prompt| prompt.validate(self.prompt_context()));
+        let file = self.file_of_prompt();
+        let check = self.prompt().map(|prompt| prompt.validate(self.prompt_context(file)));
         if let Some(super::InputCheck::Rejected(_)) = check {
             self.effects.push_back(Effect::Bell);
             let is_edit = self.input.prompt().is_some_and(|prompt| prompt.kind.is_edit());
-            if is_edit && self.editor.file.conflict().is_some() {
+            if is_edit && self.files.get(file).file.conflict().is_some() {
                 self.show_conflict();
             }
             return;
         }
         let Some(prompt) = self.input.close_prompt() else { return };
-        let outcome = prompt.commit(self.prompt_context());
+        let outcome = prompt.commit(self.prompt_context(file));
         if outcome.is_write() {
             self.input.note_written(prompt);
         }
         match outcome {
             PromptOutcome::Nothing => {}
             PromptOutcome::SetFilter(page, text) => self.commit_filter(page, &text),
-            PromptOutcome::Edit(operations) => self.edit(&operations),
+            PromptOutcome::Edit(operations) => self.edit(file, &operations),
             PromptOutcome::AddEntry(entry) => {
                 let (name, address) = (entry.name.clone(), entry.address);
-                self.edit(&[Operation::Add { entry }]);
-                self.select_entry(&name, address);
+                self.edit(file, &[Operation::Add { entry }]);
+                self.select_entry(file, &name, address);
             }
             PromptOutcome::FileInfo(text) => self.file_info(text),
             PromptOutcome::SaveCapture(path) => self.save_capture(path),
@@ -380,7 +486,7 @@ impl App {
             PromptOutcome::GoTo(target) => self.go_to_target(target),
             PromptOutcome::SetMark(moment, text) => self.set_mark(moment, &text),
             PromptOutcome::SaveCopy(path) => {
-                let bytes = self.editor.start_copy(path.clone());
+                let bytes = self.files.get_mut(file).start_copy(path.clone());
                 self.effects.push_back(Effect::WriteFile { path, bytes });
             }
         }
@@ -404,9 +510,10 @@ impl App {
     }
 
     /// Selects the row of an entry, if the filter shows it.
-    fn select_entry(&mut self, name: &[u8], address: Option<u8>) {
-        let entries = self.editor.file.document().entries();
-        let place = entries.iter().rposition(|it| it.name == name && it.address == address);
+    fn select_entry(&mut self, file: FileIndex, name: &[u8], address: Option<u8>) {
+        let entries = self.files.get(file).file.document().entries();
+        let index = entries.iter().rposition(|it| it.name == name && it.address == address);
+        let place = index.map(|index| EntryPlace { file, index });
         let row = self.rows().iter().find(|row| place.is_some() && row.entry == place);
         if let Some(key) = row.map(|row| row.key.clone()) {
             self.view.devices.select(key);
@@ -484,9 +591,9 @@ impl App {
     /// Text of the open question.
     pub fn question(&self) -> Option<String> {
         Some(match self.input.question()? {
-            Question::Quit => self.editor.quit_question(),
-            Question::Delete(key, _) => {
-                format!("Delete the entry {key:#} from {}?", self.editor.file.name())
+            Question::Quit => self.quit_question(),
+            Question::Delete(file, key, _) => {
+                format!("Delete the entry {key:#} from {}?", self.file_at(*file).name())
             }
             Question::Command(id, command) => {
                 let (sent, effect) = self.command_sentences(*id, *command);
@@ -502,6 +609,18 @@ impl App {
         })
     }
 
+    /// The question whether to quit with unsaved edits; of several files that of the first with any.
+    fn quit_question(&self) -> String {
+        let mut unsaved = self.files.indices().filter(|it| self.files.get(*it).file.unsaved() > 0);
+        match (unsaved.next(), unsaved.next()) {
+            (Some(_), Some(_)) => {
+                let (edits, files) = (self.files.unsaved(), 2 + unsaved.count());
+                format!("{edits} edits of {files} files are not saved. Quit anyway?")
+            }
+            (only, _) => self.files.get(only.unwrap_or_default()).quit_question(),
+        }
+    }
+
     /// Closes the question and executes its action, after `yes`.
     pub(super) fn confirm(&mut self, yes: bool) {
         let question = self.input.close_question();
@@ -514,11 +633,11 @@ impl App {
         let Some(question) = question.filter(|_| yes) else { return };
         match question {
             Question::Quit => {
-                self.editor.discard_edits();
+                self.files.indices().for_each(|file| self.files.get_mut(file).discard_edits());
                 self.quit();
             }
             Question::FindBitrate(bus) => self.find_bitrate(bus),
-            Question::Delete(key, text) => self.delete(key, &text),
+            Question::Delete(file, key, text) => self.delete(file, key, &text),
             Question::Command(id, command) => self.send_confirmed(id, command),
             Question::Descriptor(id) => self.read_confirmed(id),
             Question::Plan | Question::SendFrames { .. } => {}
@@ -526,15 +645,15 @@ impl App {
     }
 
     /// Deletes an entry, unless it changed on disk since the question was opened.
-    fn delete(&mut self, entry: EntryKey, confirmed: &str) {
-        let document = self.editor.file.document();
+    fn delete(&mut self, file: FileIndex, entry: EntryKey, confirmed: &str) {
+        let document = self.files.get(file).file.document();
         match document.find(&entry) {
             Some(at) if document.entry_text(at) != confirmed => {
                 let key = self.key_of(Action::DeleteEntry);
                 let text = format!("not deleted: {entry:#} changed on disk; press {key} again");
                 self.file_error(text);
             }
-            _ => self.edit(&[Operation::Remove { entry }]),
+            _ => self.edit(file, &[Operation::Remove { entry }]),
         }
     }
 
@@ -547,7 +666,7 @@ impl App {
             let text = format!("a plan runs: {plan} {stop} stops it after this step; {now} quits");
             return self.show_error(text);
         }
-        if self.editor.file.unsaved() > 0 {
+        if self.files.unsaved() > 0 {
             self.input.ask(Question::Quit);
         } else {
             self.quit();

@@ -3,13 +3,13 @@
 //! Does not evaluate frames: the engines do.
 
 use super::buses::Redundancy;
-use super::file::{FileChange, FileError};
+use super::file::{FileChange, FileContent, FileError, FileIndex};
 use super::input::{Overlay, Question};
 use super::notices::{TimelineEntry, event_text, join_lines, join_short};
 use super::problems::{ProblemKey, file_mistakes};
 use super::stories::StoryChange;
 use super::timeline_kind::TimelineKind;
-use super::{App, AppEvent, BusSelection, Effect};
+use super::{App, AppEvent, BusSelection, Effect, inputs};
 use crate::discovery::{DeviceId, Event, EventKind};
 use crate::finding::{Finding, FindingKind};
 use crate::frame::BusIndex;
@@ -140,11 +140,13 @@ impl App {
         }
     }
 
-    /// Notes the content of des.json, if it changed.
+    /// Notes the contents of the des.json files, if they changed.
     pub(super) fn note_content(&mut self) {
-        let content = self.editor.file.content();
-        if !content.is_same(&self.content) {
-            let before = std::mem::replace(&mut self.content, content);
+        let contents = self.files.contents();
+        let is_same = |(one, other): (&FileContent, &FileContent)| one.is_same(other);
+        let is_known = contents.len() == self.contents.len();
+        if !is_known || !contents.iter().zip(&self.contents).all(is_same) {
+            let before = std::mem::replace(&mut self.contents, contents);
             if self.contents_before.len() == super::MAX_CONTENTS {
                 self.contents_before.pop_front();
             }
@@ -155,7 +157,7 @@ impl App {
     /// Compares file and buses again and queues the differences that changed.
     pub(super) fn refresh_problems(&mut self) {
         let now = self.clock.now();
-        let before = self.problems.refresh(&self.buses, &self.editor.file.content(), now);
+        let before = self.problems.refresh(&self.buses, self.files.documents(), now);
         if !self.notices.emits_events() {
             return self.note_file_findings(&before, now);
         }
@@ -340,26 +342,26 @@ impl App {
 
     /// Closes the question whether to delete an entry that another program has deleted.
     fn leave_question_about_deleted(&mut self) {
-        let document = self.editor.file.document();
-        let Some(Question::Delete(entry, _)) = self.input.question() else { return };
-        if document.find(entry).is_none() {
+        let Some(Question::Delete(file, entry, _)) = self.input.question() else { return };
+        if self.files.get(*file).file.document().find(entry).is_none() {
             let text = format!("entry no longer in the file: {entry:#}");
             self.input.close_question();
             self.show_error(text);
         }
     }
 
-    /// Takes a change of des.json: reports it, saves what waits, renews rows and problems.
-    pub(super) fn file_changed(&mut self, change: FileChange) {
+    /// Takes a change of a des.json: reports it, saves what waits, renews rows and problems.
+    pub(super) fn file_changed(&mut self, file: FileIndex, change: FileChange) {
         if change == FileChange::None {
             return;
         }
         if matches!(change, FileChange::Content | FileChange::Rebased | FileChange::Conflict) {
             self.notices.clear_file_message(change == FileChange::Rebased);
         }
-        let lines = self.file_lines(change);
+        let lines = self.file_lines(file, change);
         if change == FileChange::Unusable {
-            let (name, problem) = (self.editor.file.name(), self.editor.file.problem());
+            let state = &self.files.get(file).file;
+            let (name, problem) = (state.name(), state.problem());
             let mut whole = problem.map(|it| it.of_file(&name)).unwrap_or_default();
             if problem.is_some_and(FileError::is_not_saved) {
                 // The cause may advise it already.
@@ -375,16 +377,17 @@ impl App {
         let now = self.clock.now();
         let mut is_of_interest = self.notices.is_unfiltered();
         for (kind, text) in lines {
-            let line = TimelineEntry::new(now, kind, text);
+            let line = self.file_line(file, kind, text);
             is_of_interest |= self.notices.passes_filter(&self.buses, &line, &[]);
             self.report_line(line);
         }
         is_of_interest &= self.notices.emits_events();
-        let problem = self.editor.file.problem().filter(|_| change == FileChange::Unusable);
+        let problem = self.files.get(file).file.problem();
+        let problem = problem.filter(|_| change == FileChange::Unusable);
         let excerpt = problem.and_then(FileError::excerpt);
         // The excerpt is read as a whole: the event filter applies to the lines before it.
         for text in excerpt.into_iter().flatten() {
-            let line = TimelineEntry::new(now, TimelineKind::Error, text);
+            let line = self.file_line(file, TimelineKind::Error, text);
             if is_of_interest {
                 let event = self.line_event(&line);
                 self.notices.emit(event);
@@ -392,13 +395,13 @@ impl App {
             self.notices.push_line(line);
         }
         if is_of_interest {
-            let event = AppEvent::File(now, self.file_snapshot());
+            let event = AppEvent::File(now, self.file_snapshot(file));
             self.notices.emit(event);
         }
-        self.leave_conflict_that_is_over(change);
+        self.leave_conflict_that_is_over(file, change);
         if change != FileChange::Unusable {
             self.leave_question_about_deleted();
-            self.save_pending();
+            self.save_pending(file);
         }
         self.quit_if_saved();
         self.notices.redraw.set_dirty();
@@ -409,8 +412,8 @@ impl App {
     }
 
     /// The timeline lines of a change of des.json.
-    fn file_lines(&self, change: FileChange) -> Vec<(TimelineKind, String)> {
-        let file = &self.editor.file;
+    fn file_lines(&self, index: FileIndex, change: FileChange) -> Vec<(TimelineKind, String)> {
+        let file = &self.files.get(index).file;
         let emits = self.notices.emits_events();
         let entries = file.document().entries().len();
         let listed = format!("{entries} {}", if entries == 1 { "entry" } else { "entries" });
@@ -462,7 +465,7 @@ impl App {
         if matches!(change, FileChange::FirstRead | FileChange::Content | FileChange::Rebased)
             && !emits
         {
-            let findings = file_mistakes(file.document(), &self.buses);
+            let findings = inputs!(self).file(index).map(file_mistakes).unwrap_or_default();
             let texts = findings.iter().take(LISTED_FINDINGS).map(ToString::to_string);
             let more = findings.len().saturating_sub(LISTED_FINDINGS);
             let rest = (more > 0).then(|| format!("and {more} more errors in the file"));
@@ -472,10 +475,10 @@ impl App {
     }
 
     /// Begins a save, if edits wait for one.
-    pub(super) fn save_pending(&mut self) {
-        if let Some(saving) = self.editor.file.start_saving() {
+    pub(super) fn save_pending(&mut self, file: FileIndex) {
+        if let Some(saving) = self.files.get_mut(file).file.start_saving() {
             let (expected, content) = (saving.expected, saving.content);
-            self.effects.push_back(Effect::Save { expected, content });
+            self.effects.push_back(Effect::Save { file, expected, content });
         }
     }
 
@@ -485,14 +488,14 @@ impl App {
     }
 
     /// Closes an edit conflict that a further change on disk resolved, with a message.
-    fn leave_conflict_that_is_over(&mut self, change: FileChange) {
-        if !self.input.shows_conflict() || self.editor.file.conflict().is_some() {
+    fn leave_conflict_that_is_over(&mut self, file: FileIndex, change: FileChange) {
+        if !self.input.shows_conflict() || self.conflicting_file().is_some() {
             return;
         }
         self.input.leave_conflict();
         if change != FileChange::Unusable {
             let text = "file changed again: conflict resolved, your edits are included";
-            self.add_line(TimelineKind::File, text);
+            self.add_file_line(file, TimelineKind::File, text);
             self.show_info(text);
         }
     }
@@ -500,7 +503,7 @@ impl App {
     /// Quits if the question whether to quit is open and all edits are saved by now.
     pub(super) fn quit_if_saved(&mut self) {
         let asks = matches!(self.overlay(), Overlay::Question(super::Question::Quit));
-        if asks && self.editor.file.unsaved() == 0 {
+        if asks && self.files.unsaved() == 0 {
             self.input.close();
             self.quit();
         }

@@ -3,8 +3,9 @@
 //! Inputs: buses, findings and des.json of one moment. Output: the values that `scan --json` has, so
 //! that a log, its document and its screen compare equal. Does not know what differs.
 
+use super::App;
 use super::buses::Bus;
-use super::{App, Inputs};
+use super::file_inputs::Inputs;
 use crate::discovery::{Device, DeviceService};
 use crate::finding::{Finding, SeenUid};
 use crate::inventory::{
@@ -17,7 +18,7 @@ use crate::wire::node::Mode;
 impl App {
     /// The inventory of the moment that is shown.
     pub fn inventory(&self) -> Inventory {
-        inventory_of(super::shown_inputs!(self), self.findings(), self.file().path().is_some())
+        inventory_of(super::shown_inputs!(self), self.findings(), self.has_file_path())
     }
 }
 
@@ -92,8 +93,7 @@ fn device_of(inputs: Inputs, name_of_bus: String, bus: &Bus, device: &Device) ->
         }
     };
     let services = device.services.as_ref().filter(|_| !device.services_are_shared);
-    let entry = inputs.matching.entry_of(device.id);
-    let entry = entry.and_then(|at| inputs.document.entries().get(at));
+    let entry = inputs.entry_of(device.id);
     InventoryDevice {
         bus: name_of_bus,
         address: device.address.number(),

@@ -2,16 +2,18 @@
 //!
 //! Pure: devices and entries in, entries and texts out.
 
-use super::Inputs;
 use super::buses::Buses;
+use super::file::{Documents, EntryPlace, FileIndex};
+use super::file_inputs::Inputs;
 use crate::discovery::{Device, DeviceService};
-use crate::document::{Document, Entry, ListedService, NewEntry, Operation};
+use crate::document::{Entry, ListedService, NewEntry, Operation};
 use crate::finding::FindingState;
+use crate::frame::BusIndex;
 use crate::text::{Escaped, Name, join_first};
 
 /// Entry of des.json for a device, with its present address, not pinned; `None` while its name is
 /// not known.
-pub fn new_entry(buses: &Buses, document: &Document, device: &Device) -> Option<NewEntry> {
+pub(super) fn new_entry(buses: &Buses, documents: Documents, device: &Device) -> Option<NewEntry> {
     let bus = buses.get(device.id.bus)?;
     let alphabet = &bus.config().profile.uid;
     // At a shared address the last UID may be the other device's.
@@ -26,10 +28,26 @@ pub fn new_entry(buses: &Buses, document: &Document, device: &Device) -> Option<
         name: device.name.as_ref()?.as_bytes().to_vec(),
         address: Some(device.address.number()).filter(|address| *address > 0),
         is_static: false,
-        bus: buses.entry_bus(document, Some(device.id.bus)),
+        bus: entry_bus(buses, documents, Some(device.id.bus)),
         uid: uid.filter(|uid| !uid.trim().is_empty()),
         services: listed_services(device),
     })
+}
+
+/// Name of the bus for a new entry of its file; `None` if no other bus has that file, unless an entry
+/// names another one: it could have the same content.
+pub(super) fn entry_bus(
+    buses: &Buses,
+    documents: Documents,
+    bus: Option<BusIndex>,
+) -> Option<String> {
+    let index = bus?;
+    let (bus, file) = (buses.get(index)?, documents.of_bus(index));
+    let all = (0..=u8::MAX).map(BusIndex).take(buses.len());
+    let is_shared = all.filter(|other| documents.of_bus(*other) == file).count() > 1;
+    let mut entries = documents.entries(file).iter();
+    let name = || bus.name_without_rates().to_owned();
+    (is_shared || entries.any(|entry| !entry.is_for_bus(&bus.name))).then(name)
 }
 
 /// The reason why a device cannot be added to the file; `None` if it can.
@@ -41,22 +59,23 @@ pub fn addition_refusal(device: &Device) -> Option<&'static str> {
     }
 }
 
-/// The operation that adds a device to the file, or updates the services of its entry; `None` if
-/// the file matches the device or its name is not known.
-pub(super) fn update_operation(inputs: Inputs, device: &Device) -> Option<Operation> {
-    let document = inputs.document;
-    let Some(at) = inputs.matching.entry_of(device.id) else {
-        return Some(Operation::Add { entry: new_entry(inputs.buses, document, device)? });
+/// The operation that adds a device to the file of its bus, or updates the services of its entry;
+/// `None` if the file matches the device or its name is not known.
+pub(super) fn update_operation(inputs: Inputs, device: &Device) -> Option<(FileIndex, Operation)> {
+    let Some(place) = inputs.matching.entry_of(device.id) else {
+        let entry = new_entry(inputs.buses, inputs.documents, device)?;
+        return Some((inputs.documents.of_bus(device.id.bus), Operation::Add { entry }));
     };
+    let EntryPlace { file, index } = place;
     let own = device.services.as_ref()?;
-    let entry = &document.entries()[at];
+    let (document, entry) = (inputs.documents.get(file)?, inputs.documents.entry(place)?);
     if same_services(entry, own) {
         return None;
     }
     let listed = entry.services.as_deref().unwrap_or_default();
     let mut services = listed_services(device);
     leave_open(&mut services, listed);
-    Some(Operation::SetServices { entry: document.key(at), services })
+    Some((file, Operation::SetServices { entry: document.key(index), services }))
 }
 
 fn listed_services(device: &Device) -> Vec<ListedService> {
@@ -156,5 +175,35 @@ pub fn as_listed(name: &Name) -> String {
     match std::str::from_utf8(name.as_bytes()) {
         Ok(text) => text.to_owned(),
         Err(_) => name.to_string(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::app::file::FileEditors;
+    use crate::discovery::Config;
+    use crate::time::Instant;
+    use std::path::PathBuf;
+
+    fn bus_of_new_entry(names: &[&str], files: &[Option<&str>], bus: u8) -> Option<String> {
+        let named = names.iter().map(|name| ((*name).to_owned(), Config::default()));
+        let buses = Buses::new(Instant::ZERO, named.collect());
+        let own = files.iter().map(|path| path.map(PathBuf::from)).collect();
+        let files = FileEditors::new(Some("des.json".into()), own);
+        entry_bus(&buses, files.documents(), Some(BusIndex(bus)))
+    }
+
+    #[test]
+    fn entry_names_its_bus_where_others_have_the_same_file() {
+        let both = ["can0", "can1"];
+        assert_eq!(bus_of_new_entry(&both, &[], 1).as_deref(), Some("can1"));
+        assert_eq!(bus_of_new_entry(&both[..1], &[], 0), None);
+        assert_eq!(bus_of_new_entry(&both, &[None, Some("north.json")], 1), None);
+        assert_eq!(bus_of_new_entry(&both, &[None, Some("north.json")], 0), None);
+        let three = ["can0", "can1", "can2"];
+        let files = [Some("north.json"), None, Some("north.json")];
+        assert_eq!(bus_of_new_entry(&three, &files, 2).as_deref(), Some("can2"));
+        assert_eq!(bus_of_new_entry(&three, &files, 1), None);
     }
 }

@@ -51,6 +51,7 @@ mod devices;
 mod edits;
 mod events;
 mod file;
+mod file_inputs;
 mod filter;
 mod filter_commands;
 mod followed_frames;
@@ -125,7 +126,10 @@ pub use device_command::{COMMAND_FORMS, DeviceCommand};
 pub use device_page::BEATS_PER_LINE;
 use device_proof::BusProver;
 pub use devices::concerns;
-pub use file::{EditRefusal, FileChange, FileError, FileReading, FileState, SaveOutcome, Saving};
+pub use file::{
+    EditRefusal, EntryPlace, FileChange, FileError, FileIndex, FileReading, FileState, SaveOutcome,
+    Saving,
+};
 pub use filter::{
     Completion, CompletionSource, FILTER_FIELDS, FILTER_WORDS, Filter, FilterError, FilterField,
     FrameMatcher, RowKind,
@@ -186,7 +190,7 @@ use crate::bitrate::{SearchOutcome, SearchProgress};
 use crate::catalogue::{Catalogue, CatalogueFile};
 use crate::diagnostic::Diagnostic;
 use crate::discovery::{Config, Device, DeviceId};
-use crate::document::{Document, DocumentFinding, Entry, NewEntry, Operation};
+use crate::document::{Document, DocumentFinding, Entry, NewEntry};
 use crate::finding::Finding;
 use crate::frame::{BusIndex, Frame};
 use crate::keymap::{Action, Key, KeyMode, Keymap};
@@ -200,7 +204,8 @@ use candidate_counts::CandidateCounts;
 use capture::Traffic;
 use clock::AppClock;
 use devices::DeviceRows;
-use file::{FileContent, FileEditor};
+use file::{Documents, FileContent, FileEditors};
+pub(crate) use file_inputs::Inputs;
 use input::{Input, PromptContext, PromptOutcome, PromptResult};
 use lanes::LaneRecords;
 use notices::Notices;
@@ -239,6 +244,9 @@ pub struct AppOptions {
     pub logs: Vec<PathBuf>,
     /// Path of des.json, which need not exist; `None` without a file.
     pub file_path: Option<PathBuf>,
+    /// Paths of the des.json files that buses have in its place, in the order of the buses; `None`, and
+    /// a bus behind the last one, has that of `file_path`.
+    pub own_file_paths: Vec<Option<PathBuf>>,
     /// Keymap.
     pub keymap: Keymap,
     /// Name of the theme.
@@ -278,15 +286,17 @@ pub struct AppOptions {
 /// it and reports the result with the method named at each variant.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Effect {
-    /// Write des.json if the content on disk is `expected`; then call [`App::handle_saved`].
+    /// Write a des.json if the content on disk is `expected`; then call [`App::handle_saved`].
     Save {
+        /// The file.
+        file: FileIndex,
         /// Content on disk before; `None`: no file.
         expected: Option<Document>,
         /// Content to write.
         content: Document,
     },
-    /// Read des.json again, even if it seems unchanged; then call [`App::handle_file`].
-    ReadFile,
+    /// Read a des.json again, even if it seems unchanged; then call [`App::handle_file`].
+    ReadFile(FileIndex),
     /// Write a new file; then call [`App::handle_written`].
     WriteFile {
         /// Path.
@@ -350,25 +360,13 @@ pub enum Effect {
     Quit,
 }
 
-/// The parts that rows, findings and texts are made from.
-#[derive(Clone, Copy)]
-pub(crate) struct Inputs<'a> {
-    now: Instant,
-    buses: &'a Buses,
-    document: &'a Document,
-    /// True if there is a des.json, or edits that make one.
-    has_file: bool,
-    matching: &'a Matching,
-}
-
 /// Borrows [`Inputs`] from the fields of an [`App`], so that its other fields can be changed.
 macro_rules! inputs {
     ($app:expr) => {
         $crate::app::Inputs {
             now: $app.clock.now(),
             buses: &$app.buses,
-            document: $app.editor.file.document(),
-            has_file: $app.editor.file.is_there(),
+            documents: $app.files.documents(),
             matching: $app.problems.matching(),
         }
     };
@@ -382,8 +380,7 @@ macro_rules! shown_inputs {
             Some(past) => $crate::app::Inputs {
                 now: past.moment.time,
                 buses: &past.buses,
-                document: &past.file.document,
-                has_file: past.file.is_there,
+                documents: $app.files.documents_of(&past.contents),
                 matching: past.problems.matching(),
             },
             None => $crate::app::inputs!($app),
@@ -406,7 +403,7 @@ pub struct App {
     logs: Vec<PathBuf>,
     buses: RecordedBuses,
     traffic: Traffic,
-    editor: FileEditor,
+    files: FileEditors,
     problems: Problems,
     devices: DeviceRows,
     view: View,
@@ -465,9 +462,10 @@ pub struct App {
     comparison: Option<Box<MomentComparison>>,
     /// The proof that is being written.
     proof: Option<proof::PendingProof>,
-    /// Content of des.json now, and before: with the time until which it was so, oldest first.
-    content: FileContent,
-    contents_before: VecDeque<(Instant, FileContent)>,
+    /// Contents of the des.json files now, and before: with the time until which they were so, oldest
+    /// first.
+    contents: Vec<FileContent>,
+    contents_before: VecDeque<(Instant, Vec<FileContent>)>,
 }
 
 impl App {
@@ -476,8 +474,8 @@ impl App {
         let room = options.capture_room.unwrap_or(DEFAULT_CAPTURE);
         let past_room = history::past_room(room);
         let buses_room = past_room - past_room / STATISTICS_PART;
-        let editor = FileEditor::new(options.file_path);
-        let content = editor.file.content();
+        let files = FileEditors::new(options.file_path, options.own_file_paths);
+        let contents = files.contents();
         let clock = AppClock::new(now, options.epoch, options.utc_offset_seconds);
         let mut event_filter = options.event_filter;
         // Events of a log may be of any time.
@@ -493,7 +491,7 @@ impl App {
             } else {
                 Traffic::new(room - past_room, past_room / STATISTICS_PART)
             },
-            editor,
+            files,
             problems: Problems::default(),
             devices: DeviceRows::default(),
             view: View { size: (80, 24), ..View::default() },
@@ -533,7 +531,7 @@ impl App {
             forgets_absent_devices: false,
             comparison: None,
             proof: None,
-            content,
+            contents,
             contents_before: VecDeque::new(),
         };
         for warning in options.warnings {
@@ -561,6 +559,15 @@ impl App {
             self.refresh_before_draw();
             self.notices.redraw.set_dirty();
         }
+    }
+
+    /// Sets the des.json of a bus; `None` is that of [`AppOptions::file_path`]. Returns the file if it is
+    /// a new one, which is to be read.
+    pub fn set_file_of_bus(&mut self, bus: BusIndex, path: Option<PathBuf>) -> Option<FileIndex> {
+        let (file, is_new) = self.files.set_file_of(bus, path);
+        self.refresh_before_draw();
+        self.notices.redraw.set_dirty();
+        is_new.then_some(file)
     }
 
     /// Sets the log that all frames come from: those that leave memory are read again from it when they
@@ -686,19 +693,19 @@ impl App {
         }
     }
 
-    /// Takes a reading of des.json.
-    pub fn handle_file(&mut self, now: Instant, reading: FileReading) {
+    /// Takes a reading of a des.json.
+    pub fn handle_file(&mut self, now: Instant, file: FileIndex, reading: FileReading) {
         self.clock.set(now);
-        let was_emptied = self.editor.file.emptied_since().is_some();
-        let change = self.editor.read(self.clock.real(), reading);
-        self.file_changed(change);
-        let is_emptied = self.editor.file.emptied_since().is_some();
+        let was_emptied = self.files.get(file).file.emptied_since().is_some();
+        let change = self.files.get_mut(file).read(self.clock.real(), reading);
+        self.file_changed(file, change);
+        let is_emptied = self.files.get(file).file.emptied_since().is_some();
         if was_emptied || is_emptied {
             self.notices.redraw.set_dirty();
         }
         if was_emptied && !is_emptied && change == FileChange::None {
             // The former content is back: edits that waited are saved.
-            self.save_pending();
+            self.save_pending(file);
         }
     }
 
@@ -784,24 +791,25 @@ impl App {
     }
 
     /// Takes that the folder of a new des.json does not exist.
-    pub fn handle_missing_folder(&mut self, now: Instant, fault: &Diagnostic) {
+    pub fn handle_missing_folder(&mut self, now: Instant, file: FileIndex, fault: &Diagnostic) {
         let now = self.clock.set(now);
         let text = fault.to_string();
-        self.add_line(TimelineKind::Error, &text);
-        let name = self.editor.file.name();
+        self.add_file_line(file, TimelineKind::Error, &text);
+        let name = self.files.get(file).file.name();
         self.notices.file_error(now, format!("{name}: {text}"));
     }
 
     /// Takes the result of an [`Effect::Save`].
-    pub fn handle_saved(&mut self, now: Instant, outcome: SaveOutcome) {
+    pub fn handle_saved(&mut self, now: Instant, file: FileIndex, outcome: SaveOutcome) {
         let now = self.clock.set(now);
-        let report = self.editor.handle_saved(self.clock.real(), outcome);
+        let real = self.clock.real();
+        let report = self.files.get_mut(file).handle_saved(real, outcome);
         self.notices.redraw.set_dirty();
         if report.is_silent {
             return;
         }
         if let Some((text, is_warning)) = report.text {
-            self.add_line(TimelineKind::File, &text);
+            self.add_file_line(file, TimelineKind::File, &text);
             if is_warning {
                 self.notices.file_error(now, text);
             } else {
@@ -810,13 +818,13 @@ impl App {
         }
         // A known problem does not replace the message about the edit.
         let done = if report.is_known { self.notices.take_edit_message() } else { None };
-        self.file_changed(report.change);
+        self.file_changed(file, report.change);
         if let Some(done) = done {
             self.notices.restore_message(done);
         }
-        if self.editor.file.problem().is_none() {
+        if self.files.get(file).file.problem().is_none() {
             // The save may have been refused because of a newer content that was read during it.
-            self.save_pending();
+            self.save_pending(file);
         }
         // An unsaved edit may have been undone, which is not a change of the file.
         self.quit_if_saved();
@@ -828,7 +836,10 @@ impl App {
         if self.handle_written_profile(path, &result) || self.handle_written_proof(path, &result) {
             return self.notices.redraw.set_dirty();
         }
-        let is_copy = self.editor.handle_written(path, result.is_ok());
+        let copied = self
+            .files
+            .indices()
+            .find(|file| self.files.get_mut(*file).handle_written(path, result.is_ok()));
         if let Err(why) = &result
             && self.reopen_prompt(path, &format!("not saved: {why}"))
         {
@@ -836,10 +847,10 @@ impl App {
         }
         let path = crate::text::printable(path.as_os_str().as_encoded_bytes());
         match result {
-            Ok(()) if is_copy => {
+            Ok(()) if let Some(file) = copied => {
                 let line = format!("a copy with all edits: {path}");
                 self.show_info(&line);
-                self.add_line(TimelineKind::File, line);
+                self.add_file_line(file, TimelineKind::File, line);
             }
             Ok(()) => self.show_info(format!("saved: {path}")),
             Err(why) => self.show_error(format!("not saved: {why}")),
@@ -904,7 +915,7 @@ impl App {
     /// The moment at which [`App::handle_timeout`] is due.
     pub fn poll_timeout(&self) -> Option<Instant> {
         let second = (!self.was_idle || !self.is_idle()).then_some(self.clock.next_second());
-        let file = self.editor.poll_timeout().filter(|_| !self.clock.has_real());
+        let file = self.files_timeout().filter(|_| !self.clock.has_real());
         let parts = self.buses.poll_timeout().into_iter().chain(self.notices.poll_timeout());
         let screen = self.poll_screen_timeout().filter(|_| !self.clock.has_real());
         let own = self.search_timeout().into_iter().chain(self.plan_timeout());
@@ -921,7 +932,7 @@ impl App {
 
     /// When to call [`Self::handle_real_timeout`] next, in real time; `None` unless that is set.
     pub fn poll_real_timeout(&self) -> Option<Instant> {
-        let due = self.editor.poll_timeout().into_iter().chain(self.poll_screen_timeout());
+        let due = self.files_timeout().into_iter().chain(self.poll_screen_timeout());
         due.min().filter(|_| self.clock.has_real())
     }
 
@@ -960,12 +971,19 @@ impl App {
 
     fn run_file_timers(&mut self) {
         let real = self.clock.real();
-        if self.editor.start_retry(real) {
-            self.save_pending();
+        for file in self.files.indices() {
+            if self.files.get_mut(file).start_retry(real) {
+                self.save_pending(file);
+            }
+            if self.files.get_mut(file).settle_empty(real) {
+                self.effects.push_back(Effect::ReadFile(file));
+            }
         }
-        if self.editor.settle_empty(real) {
-            self.effects.push_back(Effect::ReadFile);
-        }
+    }
+
+    /// The moment at which a failed save is repeated, or an empty file accepted.
+    fn files_timeout(&self) -> Option<Instant> {
+        self.files.iter().filter_map(|editor| editor.poll_timeout()).min()
     }
 
     /// Returns true if the screen is out of date.
@@ -1033,49 +1051,88 @@ impl App {
         self.shown_buses().searched() == Some(bus)
     }
 
-    /// des.json: content and edits.
+    /// des.json: content and edits. Of several files the first, which buses without one of their own
+    /// have.
     pub fn file(&self) -> &FileState {
-        &self.editor.file
+        self.file_at(FileIndex::default())
     }
 
-    /// Content of des.json with the edits, at the moment that is shown.
-    pub fn document(&self) -> &Document {
-        self.past.as_ref().map_or(self.editor.file.document(), |past| &past.file.document)
+    /// A des.json: content and edits.
+    pub fn file_at(&self, file: FileIndex) -> &FileState {
+        &self.files.get(file).file
     }
 
-    /// The mistakes in des.json, as far as they show without devices, in the order of the file; also
+    /// The des.json files: content and edits.
+    pub fn files(&self) -> impl Iterator<Item = (FileIndex, &FileState)> {
+        self.files.states()
+    }
+
+    /// The des.json of a bus.
+    pub fn file_of_bus(&self, bus: BusIndex) -> FileIndex {
+        self.files.of_bus(bus)
+    }
+
+    /// Returns true if descan was started with a des.json, also one that does not exist.
+    pub(super) fn has_file_path(&self) -> bool {
+        self.files.states().any(|(_, state)| state.path().is_some())
+    }
+
+    /// Content of a des.json with the edits, at the moment that is shown; `None` if it was not open
+    /// then.
+    pub fn document_at(&self, file: FileIndex) -> Option<&Document> {
+        self.shown_documents().get(file)
+    }
+
+    /// The contents of the des.json files, at the moment that is shown.
+    pub(crate) fn shown_documents(&self) -> Documents<'_> {
+        match &self.past {
+            Some(past) => self.files.documents_of(&past.contents),
+            None => self.files.documents(),
+        }
+    }
+
+    /// The mistakes in a des.json, as far as they show without devices, in the order of the file; also
     /// UIDs that the profile does not allow.
-    pub fn file_mistakes(&self) -> Vec<DocumentFinding> {
-        problems::file_mistakes(self.document(), self.shown_buses())
+    pub fn file_mistakes(&self, file: FileIndex) -> Vec<DocumentFinding> {
+        shown_inputs!(self).file(file).map(problems::file_mistakes).unwrap_or_default()
     }
 
-    /// What is wrong with the UID of an entry of des.json; `None` if a device can have it.
-    pub fn uid_mistake(&self, entry: &Entry) -> Option<String> {
-        problems::mistake_of(self.shown_buses(), entry, entry.uid.as_deref()?)
+    /// What is wrong with the UID of an entry of a des.json; `None` if a device can have it.
+    pub fn uid_mistake(&self, file: FileIndex, entry: &Entry) -> Option<String> {
+        problems::mistake_of(shown_inputs!(self).file(file)?, entry, entry.uid.as_deref()?)
     }
 
     /// Names of the entries whose static address, set by the user, another program has overwritten;
     /// [`Action::Save`] restores them.
     pub fn overwritten_pins(&self) -> Vec<Name> {
-        let operations = self.editor.restoring();
-        let entries = operations.iter().filter_map(Operation::entry);
-        entries.map(|entry| Name::new(&entry.name)).collect()
+        let operations = self.files.iter().flat_map(|editor| editor.restoring());
+        let names = operations.filter_map(|it| it.entry().map(|entry| Name::new(&entry.name)));
+        names.collect()
     }
 
-    /// Number of edits that would be lost if the program ended now, and the file with them; `None`
-    /// if they are saved, also in a copy, or discarded by the user.
-    pub fn edits_at_risk(&self) -> Option<(usize, Document)> {
-        self.editor.edits_at_risk()
+    /// Edits that would be lost if the program ended now: of each des.json their number and the content
+    /// with them. Without those that are saved, also in a copy, or discarded by the user.
+    pub fn edits_at_risk(&self) -> Vec<(FileIndex, usize, Document)> {
+        let at_risk = self.files.indices().filter_map(|file| {
+            let (count, document) = self.files.get(file).edits_at_risk()?;
+            Some((file, count, document))
+        });
+        at_risk.collect()
+    }
+
+    /// Number of unsaved edits of all des.json files.
+    pub fn unsaved_edits(&self) -> usize {
+        self.files.unsaved()
     }
 
     /// The entry of a row.
     pub fn entry_of(&self, row: &Row) -> Option<&Entry> {
-        self.document().entries().get(row.entry?)
+        self.shown_documents().entry(row.entry?)
     }
 
     /// Entry of des.json for a device; `None` while its name is not known.
     pub fn new_entry(&self, device: &Device) -> Option<NewEntry> {
-        listing::new_entry(&self.buses, self.editor.file.document(), device)
+        listing::new_entry(&self.buses, self.files.documents(), device)
     }
 
     /// The assignment of entries to devices.
@@ -1143,17 +1200,25 @@ impl App {
     pub fn prompt_check(&self) -> Option<InputCheck> {
         let prompt = self.prompt()?;
         let failure = self.input.failure().map(|why| InputCheck::Rejected(why.to_owned()));
-        Some(failure.unwrap_or_else(|| prompt.validate(self.prompt_context())))
+        Some(failure.unwrap_or_else(|| prompt.validate(self.open_prompt_context())))
     }
 
     /// Text before the line of the open prompt.
     pub fn prompt_label(&self) -> Option<String> {
         let prompt = self.prompt()?;
-        let label = prompt.kind.label();
+        let label = match &prompt.kind {
+            PromptKind::NewEntry(_) | PromptKind::CopyPath(_) => {
+                let documents = self.files.documents();
+                let file = prompt.kind.file(documents).filter(|_| documents.are_several());
+                let of = file.map(|file| format!(" ({})", documents.name(file)));
+                prompt.kind.label().to_owned() + &of.unwrap_or_default()
+            }
+            kind => kind.label().to_owned(),
+        };
         let id = match &prompt.kind {
             PromptKind::Address(prompt) => match prompt.key {
                 RowKey::Device(id) => Some(id),
-                RowKey::Entry(_) | RowKey::Board(..) => None,
+                RowKey::Entry(..) | RowKey::Board(..) => None,
             },
             _ => None,
         };
@@ -1161,7 +1226,8 @@ impl App {
             self.rows().iter().any(|row| row.has_device(*id) && !row.redundant_ids.is_empty())
         };
         let bus = id.filter(joined).and_then(|id| self.bus(id.bus));
-        Some(bus.map_or(label.to_owned(), |bus| format!("{label} on {} (Tab: next)", bus.name)))
+        let on_bus = bus.map(|bus| format!("{label} on {} (Tab: next)", bus.name));
+        Some(on_bus.unwrap_or(label))
     }
 
     /// Signs that the terminal can show.
@@ -1197,10 +1263,20 @@ impl App {
         self.notices.file_error(self.clock.now(), text);
     }
 
-    /// Adds a line to the timeline only.
-    fn add_line(&mut self, kind: TimelineKind, text: impl Into<String>) {
-        let line = TimelineEntry::new(self.clock.now(), kind, text);
+    /// Adds a line about a des.json to the timeline only.
+    fn add_file_line(&mut self, file: FileIndex, kind: TimelineKind, text: impl Into<String>) {
+        let line = self.file_line(file, kind, text);
         self.notices.push_line(line);
+    }
+
+    /// A line of the timeline about a des.json.
+    fn file_line(
+        &self,
+        file: FileIndex,
+        kind: TimelineKind,
+        text: impl Into<String>,
+    ) -> TimelineEntry {
+        TimelineEntry { file, ..TimelineEntry::new(self.clock.now(), kind, text) }
     }
 
     /// Adds a line to the timeline and to the events.
@@ -1233,7 +1309,8 @@ impl App {
         }
         // The most expensive test comes last: this is called in every turn of the event loop.
         let waits = || (0..self.buses.len()).any(|at| !self.is_search_complete(BusIndex(at as u8)));
-        self.buses.is_quiet() && !(self.editor.file.is_there() && waits())
+        let has_file = || self.files.states().any(|(_, file)| file.is_there());
+        self.buses.is_quiet() && !(has_file() && waits())
     }
 
     /// Renews rates and ages, once per second.

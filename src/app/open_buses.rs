@@ -33,7 +33,7 @@ impl App {
 
     /// Handles a key while the list is shown; returns false if it is not.
     pub(super) fn type_in_bus_choice(&mut self, key: Key) -> bool {
-        let has_edits = self.file().unsaved() > 0;
+        let has_edits = self.unsaved_edits() > 0;
         let Some(choice) = &mut self.bus_choice else { return false };
         match choice.handle_key(key) {
             None | Some(ChoiceOutcome::NextTheme) => {}

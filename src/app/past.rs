@@ -28,8 +28,8 @@ pub(super) struct Past {
     pub moment: Moment,
     pub buses: Buses,
     pub problems: Problems,
-    /// Content of des.json.
-    pub file: FileContent,
+    /// Contents of the des.json files.
+    pub contents: Vec<FileContent>,
     /// Statistics of the frames until then, once they are shown.
     pub statistics: Option<StatisticsCount>,
 }
@@ -245,10 +245,10 @@ impl App {
         let mut problems = self.problems.for_moment(moment.time);
         self.note_content();
         let mut before = self.contents_before.iter();
-        let file = before.find(|(until, _)| *until > moment.time);
-        let file = file.map_or(&self.content, |(_, content)| content).clone();
-        problems.refresh(&buses, &file, moment.time);
-        Past { moment, buses, problems, file, statistics: None }
+        let contents = before.find(|(until, _)| *until > moment.time);
+        let contents = contents.map_or(&self.contents, |(_, contents)| contents).clone();
+        problems.refresh(&buses, self.files.documents_of(&contents), moment.time);
+        Past { moment, buses, problems, contents, statistics: None }
     }
 
     fn show_past(&mut self, moment: Moment, buses: Buses) {

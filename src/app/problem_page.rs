@@ -4,6 +4,7 @@
 //! moment. Does not know how the page is drawn.
 
 use super::App;
+use super::file::FileError;
 use super::problems::{EvidenceItem, Problem, ProblemKey};
 use super::view::{Focus, Page, ProblemRoom, ProblemsView};
 
@@ -12,15 +13,14 @@ impl App {
     pub(super) fn note_problem_rows(&mut self, count: usize) {
         /// Lines of the cause why des.json cannot be used, with the one above it.
         const CAUSE: usize = 3;
-        let file = self
-            .editor
-            .file
-            .problem()
-            .map(|problem| CAUSE + problem.excerpt().into_iter().flatten().count());
+        let problems = self.files.states().filter_map(|(_, file)| file.problem());
+        let lines_of =
+            |problem: &FileError| CAUSE + problem.excerpt().into_iter().flatten().count();
+        let file: usize = problems.map(lines_of).sum();
         let lines = |count: usize| u16::try_from(count).unwrap_or(u16::MAX);
         let has_conflict =
             self.problems_shown().keys().any(|key| matches!(key, ProblemKey::Address(..)));
-        let below = lines(file.unwrap_or(0));
+        let below = lines(file);
         self.view.problem_room = ProblemRoom { rows: lines(count), below, has_conflict };
         if count == 0 && self.view.page == Page::Problems {
             self.view.focus = Focus::List;

@@ -8,6 +8,7 @@ use super::notices::TimelineEntry;
 use super::problems::{Problem, ProblemList, Problems};
 use super::view::{Counts, Page, ProblemsView, Row};
 use super::{App, Bus, shown_inputs};
+use crate::app::file::FileIndex;
 use crate::catalogue::Catalogue;
 use crate::discovery::{Device, DeviceId};
 use crate::document::Entry;
@@ -133,9 +134,15 @@ impl App {
         (!reasons.is_empty()).then(|| reasons.join("; "))
     }
 
-    /// Reasons why no device matches an entry, the likeliest first.
-    pub fn missing_reasons(&self, entry: &Entry) -> Vec<String> {
-        shown_inputs!(self).missing_reasons(entry)
+    /// Reasons why no device matches an entry of a des.json, the likeliest first.
+    pub fn missing_reasons(&self, file: FileIndex, entry: &Entry) -> Vec<String> {
+        let file = shown_inputs!(self).file(file);
+        file.map(|file| file.missing_reasons(entry)).unwrap_or_default()
+    }
+
+    /// Name of the des.json of a bus; without a bus that of the first file.
+    pub fn name_of_file(&self, bus: Option<BusIndex>) -> String {
+        self.file_at(bus.map(|bus| self.file_of_bus(bus)).unwrap_or_default()).name()
     }
 
     /// Reasons why the name or the services of a device are not known.
@@ -184,7 +191,7 @@ impl App {
 
     /// Number of rows by state, whatever the filter, and of problems.
     pub fn counts(&self) -> Counts {
-        let is_file_broken = self.editor.file.problem().is_some();
+        let is_file_broken = self.files.states().any(|(_, file)| file.problem().is_some());
         Counts { is_file_broken, ..self.devices.counts() }
     }
 

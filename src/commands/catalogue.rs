@@ -48,11 +48,14 @@ fn folders_in_use() -> Result<CatalogueFolders, Failure> {
 
 /// The folders of a project, or those of this folder.
 pub(super) fn folders_of(project: Option<Project>) -> CatalogueFolders {
-    match project.map(|project| (project.catalogue, project.file)) {
-        None => CatalogueFolders::beside(&default_file(), false),
-        Some((Some(folders), _)) => CatalogueFolders::of(folders),
-        Some((None, file)) => CatalogueFolders::beside(&file, true),
-    }
+    let Some(project) = project else {
+        return CatalogueFolders::beside(&[&default_file()], false);
+    };
+    let files = project.files();
+    project
+        .catalogue
+        .clone()
+        .map_or_else(|| CatalogueFolders::beside(&files, true), CatalogueFolders::of)
 }
 
 /// Reads files, and the files of folders.

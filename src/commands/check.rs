@@ -8,9 +8,11 @@ use super::report::ScanReport;
 use super::scan::{DEFAULT_TIME, look, read_log, warn_incomplete};
 use super::test_report::{CaseOutcome, ReportedCase, test_report};
 use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure, output};
-use crate::app::{App, Bus, Scope};
+use crate::app::{App, Bus, EntryPlace, FileIndex, Scope};
 use crate::cli::CheckArgs;
+use crate::discovery::Device;
 use crate::finding::{CheckSection, Finding, FindingKind, FindingState};
+use crate::frame::BusIndex;
 use crate::shell::stop::StopReason;
 use crate::time::Instant;
 use std::fmt::Write as _;
@@ -43,7 +45,7 @@ pub fn run(check: &CheckArgs) -> Result<u8, Failure> {
     warn_foreign(&app, &mut Vec::new());
     let report = ScanReport::new(&app, now, Scope::Check);
     if let Some(format) = check.report {
-        let name = format!("descan check {}", app.file().name());
+        let name = format!("descan check {}", names_of_files(&app));
         output::print(&test_report(&name, &cases(&app, now), format))?;
     } else {
         report.print(check.run.json, |_| differences(&app, now))?;
@@ -56,12 +58,20 @@ pub fn run(check: &CheckArgs) -> Result<u8, Failure> {
 fn is_complete(app: &App, now: Instant) -> bool {
     let missing =
         app.compare(now, Scope::Check).iter().any(|it| it.key.kind == FindingKind::Missing);
-    let unknown = app.file().document().entries().iter().any(|entry| {
-        let mut devices = app.matching().devices_of(entry.index).iter();
+    let entries = app.files().flat_map(|(file, state)| {
+        let entries = state.document().entries().iter();
+        entries.map(move |entry| (EntryPlace { file, index: entry.index }, entry))
+    });
+    let unknown = entries.into_iter().any(|(place, entry)| {
+        let mut devices = app.matching().devices_of(place).iter();
         entry.listed_services().is_some()
             && devices.any(|id| app.device(*id).is_some_and(|it| it.services.is_none()))
     });
     !missing && !unknown
+}
+
+fn names_of_files(app: &App) -> String {
+    app.files().map(|(_, file)| file.name()).collect::<Vec<_>>().join(", ")
 }
 
 /// A test for each kind of difference.
@@ -80,7 +90,7 @@ fn cases(app: &App, now: Instant) -> Vec<ReportedCase> {
                 (CaseOutcome::Failed, format!("{} {title}", several.len()))
             }
         };
-        let suite = app.file().name().clone();
+        let suite = names_of_files(app);
         ReportedCase { suite, name: section.title().to_owned(), outcome, text, details }
     };
     CheckSection::ALL.into_iter().map(of_section).collect()
@@ -93,7 +103,6 @@ fn differences(app: &App, now: Instant) -> String {
     let found: Vec<&Finding> =
         engines.chain(&compared).filter(|it| it.state == FindingState::Confirmed).collect();
     let mut text = String::new();
-    let mut sums = Vec::new();
     for section in CheckSection::ALL {
         let title = section.title();
         let is_in = |it: &&&Finding| it.key.kind.check_section() == Some(section);
@@ -113,22 +122,36 @@ fn differences(app: &App, now: Instant) -> String {
             let whose = whose.map_or(String::new(), |name| format!("{name}: "));
             let _ = writeln!(text, "  {bus}{whose}{}", finding.text);
         }
-        let title = if group.len() == 1 { section.singular() } else { title };
-        sums.push(format!("{} {title}", group.len()));
     }
-    let here = |bus: &crate::app::Bus| {
-        bus.devices().iter().filter(|it| it.is_present() && !it.is_debug).count()
-    };
-    let buses: Vec<String> = app
-        .buses()
-        .iter()
-        .map(|bus| format!("{} on {}", many(here(bus), "device", "devices"), bus.name))
-        .collect();
-    let file = app.file();
-    let entries = many(file.document().entries().len(), "entry", "entries");
-    let verdict = if sums.is_empty() { "no difference".to_owned() } else { sums.join(", ") };
-    let _ = writeln!(text, "{}: {entries}, {}: {verdict}", file.name(), buses.join(", "));
+    for (index, file) in app.files() {
+        let of_file = |finding: &&&Finding| {
+            let of_bus = finding.key.bus.map(|bus| app.file_of_bus(bus));
+            of_bus.unwrap_or_default() == index
+        };
+        let sums = CheckSection::ALL.into_iter().filter_map(|section| {
+            let is_in = |it: &&&Finding| it.key.kind.check_section() == Some(section);
+            let count = found.iter().filter(is_in).filter(of_file).count();
+            let title = if count == 1 { section.singular() } else { section.title() };
+            (count > 0).then(|| format!("{count} {title}"))
+        });
+        let sums: Vec<String> = sums.collect();
+        let entries = many(file.document().entries().len(), "entry", "entries");
+        let verdict = if sums.is_empty() { "no difference".to_owned() } else { sums.join(", ") };
+        let buses = devices_of_file(app, index);
+        let _ = writeln!(text, "{}: {entries}, {buses}: {verdict}", file.name());
+    }
     text
+}
+
+/// The present devices on the buses of a file: `3 devices on can0`.
+fn devices_of_file(app: &App, file: FileIndex) -> String {
+    let is_here = |device: &&Device| device.is_present() && !device.is_debug;
+    let buses = (0..=u8::MAX).map(BusIndex).zip(app.buses());
+    let buses = buses.filter(|(index, _)| app.file_of_bus(*index) == file).map(|(_, bus)| {
+        let devices = bus.devices().iter().filter(is_here).count();
+        format!("{} on {}", many(devices, "device", "devices"), bus.name)
+    });
+    buses.collect::<Vec<_>>().join(", ")
 }
 
 fn many(count: usize, one: &str, several: &str) -> String {

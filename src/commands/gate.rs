@@ -5,7 +5,7 @@
 
 use super::headless::{why_not_open, why_unusable};
 use super::{Failure, output, report};
-use crate::app::{App, Bus};
+use crate::app::{App, Bus, FileIndex};
 use crate::bus::BusSpec;
 use crate::status::Link;
 use crate::time::{Duration, Instant};
@@ -68,39 +68,56 @@ fn is_awaited(bus: &Bus) -> bool {
 /// entries is expected to have entries again.
 #[derive(Debug, Default)]
 pub struct FileGate {
-    had_entries: bool,
+    /// By file: it had entries.
+    had_entries: Vec<bool>,
 }
 
 impl FileGate {
     /// Time from the start in which invalid JSON may be a file that is just being written.
     const START: Duration = Duration::from_secs(1);
 
-    /// Returns true if the bus can be compared with the file now.
+    /// Returns true if the buses can be compared with their files now.
     ///
     /// # Errors
-    /// The file is missing or invalid, and had no entries before.
+    /// A file is missing or invalid, and had no entries before.
     pub fn allows(&mut self, app: &App, now: Instant) -> Result<bool, Failure> {
-        let file = app.file();
-        self.had_entries |= file.is_there() && !file.document().entries().is_empty();
-        if let Err(failure) = require_file(app) {
-            let is_new = file.problem().is_some() && now.since(Instant::ZERO) < Self::START;
-            return if self.had_entries || is_new { Ok(false) } else { Err(failure) };
+        let mut all_allow = true;
+        for (index, file) in app.files() {
+            let at = usize::from(index.0);
+            if self.had_entries.len() <= at {
+                self.had_entries.resize(at + 1, false);
+            }
+            let has_entries = !file.document().entries().is_empty();
+            self.had_entries[at] |= file.is_there() && has_entries;
+            let had_entries = self.had_entries[at];
+            all_allow &= if let Err(failure) = require_file_at(app, index) {
+                let is_new = file.problem().is_some() && now.since(Instant::ZERO) < Self::START;
+                if !had_entries && !is_new {
+                    return Err(failure);
+                }
+                false
+            } else {
+                file.emptied_since().is_none() && (has_entries || !had_entries)
+            };
         }
-        let has_entries = !file.document().entries().is_empty();
-        Ok(file.emptied_since().is_none() && (has_entries || !self.had_entries))
+        Ok(all_allow)
     }
 }
 
-/// Requires a des.json that can be used.
+/// Requires that each des.json can be used.
 ///
 /// # Errors
-/// It is missing or invalid.
+/// One is missing or invalid.
 pub fn require_file(app: &App) -> Result<(), Failure> {
-    let file = report::of_file(&app.file_snapshot());
+    app.files().try_for_each(|(file, _)| require_file_at(app, file))
+}
+
+fn require_file_at(app: &App, index: FileIndex) -> Result<(), Failure> {
+    let file = report::of_file(&app.file_snapshot(index));
     if let Some(text) = file.problem {
         return Err(Failure::Unusable(text));
     }
-    if !app.file().is_there() {
+    if !app.file_at(index).is_there() {
         let path = file.path;
         return Err(Failure::Unusable(format!(
             "{path}: file not found; create it with: descan scan BUS --write {path}"
@@ -125,7 +142,7 @@ mod tests {
         let mut gate = FileGate::default();
         let mut now = Instant::ZERO;
         let mut read = |reading| {
-            app.handle_file(now, reading);
+            app.handle_file(now, FileIndex::default(), reading);
             app.handle_timeout(now);
             let allowed = gate.allows(&app, now).ok();
             now += Duration::from_millis(1500);

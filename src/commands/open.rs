@@ -42,8 +42,10 @@ pub struct Setup {
     pub config: Config,
     /// File of the profile; `None` for the built-in one.
     pub profile: Option<PathBuf>,
-    /// Where des.json is.
+    /// Where des.json is: that of the first bus.
     pub file: PathBuf,
+    /// The des.json files that further buses have in its place, in the order of the buses.
+    pub own_files: Vec<Option<PathBuf>>,
     /// File of the project.
     pub project_path: Option<PathBuf>,
     /// The project.
@@ -85,10 +87,10 @@ impl Setup {
         Self::for_buses(common, &[])
     }
 
-    /// The same, with the des.json of these buses.
+    /// The same, with the des.json files of these buses.
     ///
     /// # Errors
-    /// As [`Setup::new`]; or the project has a mistake, or another des.json for each of the buses.
+    /// As [`Setup::new`]; or the project has a mistake.
     pub fn for_buses(common: &CommonArgs, buses: &[BusSpec]) -> Result<Self, Failure> {
         let (project_path, project) = super::project::of(common)?.unzip();
         let profile_path = common.profile.clone().or_else(|| project.as_ref()?.profile.clone());
@@ -133,6 +135,7 @@ impl Setup {
             config,
             profile: profile_path,
             file: PathBuf::new(),
+            own_files: Vec::new(),
             project_path,
             project: project.map(Arc::new),
             named_file: common.file.clone(),
@@ -149,42 +152,60 @@ impl Setup {
             signs,
             warnings,
         };
-        setup.file = setup.file_of(buses)?;
+        setup.find_files(buses);
         setup.read_catalogue(setup.catalogue_folders());
         Ok(setup)
     }
 
-    /// Returns the des.json of these buses.
-    ///
-    /// # Errors
-    /// The project has another one for each of the buses.
-    pub fn file_of(&self, buses: &[BusSpec]) -> Result<PathBuf, Failure> {
+    /// Returns the des.json of a bus.
+    pub fn file_of(&self, bus: &BusSpec) -> PathBuf {
         match (&self.named_file, &self.project) {
-            (Some(file), _) => Ok(file.clone()),
-            (None, None) => Ok(default_file()),
-            (None, Some(project)) => project.file_of(buses).map_err(files_differ),
+            (Some(file), _) => file.clone(),
+            (None, None) => default_file(),
+            (None, Some(project)) => project.file_of(bus).to_owned(),
         }
     }
 
-    /// Takes the des.json of these buses, which were chosen since, and the catalogue beside it.
-    ///
-    /// # Errors
-    /// As [`Setup::file_of`].
-    pub fn choose_file(&mut self, buses: &[BusSpec]) -> Result<(), Failure> {
-        let file = self.file_of(buses)?;
-        let before = std::mem::replace(&mut self.file, file);
-        if before != self.file && self.named_catalogue.is_none() {
+    /// Finds the des.json of each of these buses.
+    fn find_files(&mut self, buses: &[BusSpec]) {
+        let files: Vec<PathBuf> = buses.iter().map(|bus| self.file_of(bus)).collect();
+        self.file = match (files.first(), &self.named_file, &self.project) {
+            (Some(first), ..) => first.clone(),
+            (None, Some(named), _) => named.clone(),
+            (None, None, Some(project)) => project.file.clone(),
+            (None, None, None) => default_file(),
+        };
+        let other = |file: PathBuf| (file != self.file).then_some(file);
+        self.own_files = files.into_iter().map(other).collect();
+    }
+
+    /// The des.json files of the session, each once, that of the first bus first.
+    fn files(&self) -> Vec<&Path> {
+        let mut files = vec![self.file.as_path()];
+        for file in self.own_files.iter().flatten() {
+            if !files.contains(&file.as_path()) {
+                files.push(file);
+            }
+        }
+        files
+    }
+
+    /// Takes the des.json files of these buses, which were chosen since, and the catalogue beside them.
+    pub fn choose_files(&mut self, buses: &[BusSpec]) {
+        let before = (self.file.clone(), self.own_files.clone());
+        self.find_files(buses);
+        let is_changed = before != (self.file.clone(), self.own_files.clone());
+        if is_changed && self.named_catalogue.is_none() {
             self.read_catalogue(self.catalogue_folders());
         }
-        Ok(())
     }
 
-    /// The folders of the catalogue: without named ones, that beside des.json.
+    /// The folders of the catalogue: without named ones, those beside the des.json files.
     fn catalogue_folders(&self) -> CatalogueFolders {
         match &self.named_catalogue {
             Some(folders) => CatalogueFolders::of(folders.clone()),
             // The folder of a project is meant for it.
-            None => CatalogueFolders::beside(&self.file, self.project.is_some()),
+            None => CatalogueFolders::beside(&self.files(), self.project.is_some()),
         }
     }
 
@@ -348,13 +369,6 @@ const NAME_A_BUS: &str = "name a bus (descan can0, descan file:LOG), or try it o
 
 fn names_of(interfaces: &[CanInterface]) -> String {
     interfaces.iter().map(|it| it.name.as_str()).collect::<Vec<_>>().join(", ")
-}
-
-/// Why buses of a project cannot be open together.
-fn files_differ((one, other): (String, String)) -> Failure {
-    Failure::Usage(format!(
-        "{one} and {other} have different des.json in the project; open one of them: descan {one}"
-    ))
 }
 
 /// Returns what a BUS argument names: a word is an interface, or a log in this folder.
@@ -526,12 +540,13 @@ pub fn session(
         buses: named,
         logs: logs_of(buses),
         file_path: Some(setup.file.clone()),
+        own_file_paths: setup.own_files.clone(),
         catalogue: Arc::clone(&setup.catalogue),
         project: setup.project_facts(),
         ..options
     };
     let app = App::new(start, options);
-    let mut session = Session::new(app, clock, ports, Some(Store::new(&setup.file)));
+    let mut session = Session::new(app, clock, ports, setup.files().into_iter().map(Store::new));
     if let Some(path) = &setup.profile {
         session.watch_profile(path);
     }
@@ -576,16 +591,14 @@ pub fn add_buses(
         if let Some((_, name)) = session.open_buses().iter().find(|(it, _)| it.is_same_bus(&spec)) {
             return Err(format!("{argument} is the same bus as {name}, which is open"));
         }
-        if setup.file_of(std::slice::from_ref(&spec)).ok().is_none_or(|file| file != setup.file) {
-            return Err(format!("{argument} has another des.json in the project; open it alone"));
-        }
         let next = session.next_bus().zip(session.clock().cloned());
         let (index, clock) = next.ok_or("a log is open: no bus can be added beside it")?;
         let (listen_only, only) = (config.listen_only, setup.only.clone());
         let options = Options { listen_only, listens_first: true, only };
         let port = bus::open(&spec, index, clock, options).map_err(|fault| fault.to_string())?;
         let name = setup.name_of(&spec);
-        session.add_bus(port, name.clone(), config.clone());
+        let file = Some(setup.file_of(&spec)).filter(|file| *file != setup.file);
+        session.add_bus(port, name.clone(), config.clone(), file);
         names.push(name);
     }
     Ok(names)

@@ -4,8 +4,8 @@
 
 use super::{Failure, output};
 use crate::app::{
-    App, Bus, BusSnapshot, Decoded, FileSnapshot, Problem, Redundancy, RedundantDevice, Scope,
-    format_time_of_day,
+    App, Bus, BusSnapshot, Decoded, FileIndex, FileSnapshot, Problem, Redundancy, RedundantDevice,
+    Scope, format_time_of_day,
 };
 use crate::bitrate::kbit;
 use crate::catalogue::TypeBasis;
@@ -27,6 +27,7 @@ use serde::Serialize;
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
+use std::iter::once;
 
 /// The report.
 #[derive(Debug, Serialize)]
@@ -36,6 +37,9 @@ pub struct ScanReport {
     devices: Vec<DeviceReport>,
     findings: Vec<FindingReport>,
     file: FileReport,
+    /// All des.json files, where buses of a project have their own.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    files: Vec<BusFileReport>,
     #[serde(skip)]
     problems: Vec<ProblemReport>,
 }
@@ -230,6 +234,14 @@ pub(super) struct FileReport {
     pub problem: Option<String>,
 }
 
+/// A des.json, with the buses that have it.
+#[derive(Debug, Serialize)]
+pub(super) struct BusFileReport {
+    #[serde(flatten)]
+    file: FileReport,
+    buses: Vec<String>,
+}
+
 impl ScanReport {
     /// Creates the report of the state at `now`. `scope` selects the findings and the differences
     /// from the file; bus load is the average of the session.
@@ -267,7 +279,8 @@ impl ScanReport {
                 .collect(),
             devices,
             findings,
-            file: of_file(&app.file_snapshot()),
+            file: of_file(&app.file_snapshot(FileIndex::default())),
+            files: of_files(app),
             problems: of_problems(app),
         }
     }
@@ -316,7 +329,8 @@ impl ScanReport {
         for problem in &self.problems {
             self.write_problem(problem, &mut text);
         }
-        if let Some(problem) = &self.file.problem {
+        let further = self.files.iter().skip(1).map(|it| &it.file);
+        for problem in once(&self.file).chain(further).filter_map(|file| file.problem.as_ref()) {
             let _ = writeln!(text, "\n{problem}");
         }
         text
@@ -684,8 +698,8 @@ pub(super) fn of_services(services: &[DeviceService]) -> Vec<ServiceReport> {
 }
 
 fn of_entry(app: &App, device: &Device) -> EntryReport {
-    let entry = app.matching().entry_of(device.id);
-    let entry = entry.and_then(|at| app.file().document().entries().get(at));
+    let place = app.matching().entry_of(device.id);
+    let entry = place.and_then(|at| app.file_at(at.file).document().entries().get(at.index));
     EntryReport {
         listed: entry.is_some(),
         address: entry.and_then(|entry| entry.address),
@@ -759,6 +773,22 @@ fn of_evidence(app: &App, piece: &Evidence) -> EvidenceReport {
         meaning: decoded.map(|decoded| decoded.meaning()),
         frame: piece.frame.as_ref().map(Frame::to_string),
     }
+}
+
+/// The files with their buses; none where all buses have one file.
+fn of_files(app: &App) -> Vec<BusFileReport> {
+    if app.files().count() < 2 {
+        return Vec::new();
+    }
+    let of_index = |file: FileIndex| {
+        let buses = (0..=u8::MAX).map(BusIndex).zip(app.buses());
+        let own = buses.filter(|(index, _)| app.file_of_bus(*index) == file);
+        BusFileReport {
+            file: of_file(&app.file_snapshot(file)),
+            buses: own.map(|(_, bus)| bus.name.clone()).collect(),
+        }
+    };
+    app.files().map(|(file, _)| of_index(file)).collect()
 }
 
 pub(super) fn of_file(file: &FileSnapshot) -> FileReport {

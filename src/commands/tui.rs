@@ -212,11 +212,11 @@ impl<'a> Chooser<'a> {
         }
         let shown = wanted.buses.iter().map(parse).collect::<Result<Vec<BusSpec>, Failure>>();
         let result = shown.and_then(|buses| {
-            setup.choose_file(&buses)?;
+            setup.choose_files(&buses);
             show(&buses, None, &setup, self)
         });
         match result {
-            // A log that was deleted, a scenario with a mistake, buses with different des.json.
+            // A log that was deleted, a scenario with a mistake.
             Err(Failure::Unusable(why) | Failure::Usage(why)) => {
                 self.choose(BusChoice::new(why, Vec::new()))
             }
@@ -273,7 +273,7 @@ pub fn demo(system: &str, common: &CommonArgs, screen: &ScreenArgs) -> Result<u8
         for (name, text) in DEMO_CATALOGUE {
             std::fs::write(devices.join(name), text).context("the demo's catalogue")?;
         }
-        chooser.setup.read_catalogue(CatalogueFolders::beside(&file, true));
+        chooser.setup.read_catalogue(CatalogueFolders::beside(&[&file], true));
     }
     let code = chooser.show_all(&buses, None)?;
     // An edited file is kept; otherwise the folder is deleted.
@@ -370,17 +370,17 @@ fn show(
         let ending = match catch_panic(ui).await {
             Ok(ending) => ending.context("the terminal"),
             Err(panic) => {
-                save_edits_at_risk(&session, &setup.file);
+                save_edits_at_risk(&session);
                 resume_unwind(panic);
             }
         };
         // The user quits with unsaved edits only if they are not to be waited for.
-        let gives_up = matches!(ending, Ok(TuiExit::Quit)) && session.app.file().unsaved() > 0;
+        let gives_up = matches!(ending, Ok(TuiExit::Quit)) && session.app.unsaved_edits() > 0;
         let is_asked_to_end = !matches!(ending, Ok(TuiExit::Quit | TuiExit::Reopen(_)));
         session.finish_work(!gives_up, is_asked_to_end.then_some(SAVE_TIMEOUT)).await;
         open::report_recording(session.finish_recording());
         remember_logs(buses, &session.app);
-        let is_lost = save_edits_at_risk(&session, &setup.file);
+        let is_lost = save_edits_at_risk(&session);
         Ok::<_, Failure>((ending?, is_lost))
     });
     // Not dropped, which would wait for all blocking work.
@@ -441,13 +441,14 @@ async fn catch_panic<F: Future>(future: F) -> thread::Result<F::Output> {
     .await
 }
 
-/// Writes and reports a recovery copy of edits that would be lost; returns true if there are any.
-fn save_edits_at_risk(session: &Session, file: &Path) -> bool {
+/// Writes and reports recovery copies of edits that would be lost; returns true if there are any.
+fn save_edits_at_risk(session: &Session) -> bool {
     let edits = session.app.edits_at_risk();
-    if let Some((count, document)) = &edits {
-        report_recovery_copy(file, *count, recovery::save_recovery_copy(document.source()));
+    for (file, count, document) in &edits {
+        let path = session.app.file_at(*file).path().unwrap_or(Path::new(""));
+        report_recovery_copy(path, *count, recovery::save_recovery_copy(document.source()));
     }
-    edits.is_some()
+    !edits.is_empty()
 }
 
 /// Prints on standard error what was not saved, and the path of its recovery copy.

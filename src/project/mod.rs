@@ -132,19 +132,20 @@ impl Project {
         }
     }
 
-    /// Returns des.json of these buses: their own one if all have the same, else that of the project.
-    ///
-    /// # Errors
-    ///
-    /// The two buses whose files differ.
-    pub fn file_of(&self, buses: &[BusSpec]) -> Result<PathBuf, (String, String)> {
-        let own =
-            |spec: &BusSpec| self.bus(spec).and_then(|bus| bus.file.as_ref()).unwrap_or(&self.file);
-        let Some((first, others)) = buses.split_first() else { return Ok(self.file.clone()) };
-        match others.iter().find(|other| own(other) != own(first)) {
-            Some(other) => Err((first.to_string(), other.to_string())),
-            None => Ok(own(first).clone()),
+    /// Returns the des.json files of the buses, each once; without buses that of the project.
+    pub fn files(&self) -> Vec<&Path> {
+        let mut files: Vec<&Path> = Vec::new();
+        for file in self.buses.iter().map(|bus| bus.file.as_deref().unwrap_or(&self.file)) {
+            if !files.contains(&file) {
+                files.push(file);
+            }
         }
+        if files.is_empty() { vec![&self.file] } else { files }
+    }
+
+    /// Returns des.json of a bus: its own one, else that of the project.
+    pub fn file_of(&self, bus: &BusSpec) -> &Path {
+        self.bus(bus).and_then(|bus| bus.file.as_deref()).unwrap_or(&self.file)
     }
 }
 

@@ -32,10 +32,16 @@ pub struct CatalogueFolders {
 }
 
 impl CatalogueFolders {
-    /// The folder beside des.json, if there is that file or `is_expected`, and the user's own.
-    pub fn beside(file: &Path, is_expected: bool) -> Self {
-        let folder = file.parent().unwrap_or(Path::new("")).join(FOLDER);
-        let folders = if is_expected || file.exists() { vec![folder] } else { Vec::new() };
+    /// The folders beside the des.json files, where there is that file or `is_expected`, and the user's
+    /// own.
+    pub fn beside(files: &[&Path], is_expected: bool) -> Self {
+        let mut folders = Vec::new();
+        for file in files.iter().filter(|file| is_expected || file.exists()) {
+            let folder = file.parent().unwrap_or(Path::new("")).join(FOLDER);
+            if !folders.contains(&folder) {
+                folders.push(folder);
+            }
+        }
         Self { folders }.with_user_folder()
     }
 

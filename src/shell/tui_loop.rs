@@ -144,7 +144,7 @@ async fn run_on_terminal(
                     session.app.handle_opened(session.now(), result);
                 }
                 Effect::Save { .. }
-                | Effect::ReadFile
+                | Effect::ReadFile(_)
                 | Effect::WriteFile { .. }
                 | Effect::WriteLog { .. }
                 | Effect::ReadLastPlan { .. }

@@ -12,7 +12,9 @@ pub fn draw(brush: &mut DrawContext) {
     let top = brush.screen.tabs.y;
     let rule = Rect { y: top, height: brush.screen.tabs.height, ..whole };
     brush.rule(rule, Role::BorderFocus);
-    let Some(conflict) = brush.app.file().conflict() else { return };
+    let Some(file) = brush.app.conflicting_file() else { return };
+    let file = brush.app.file_at(file);
+    let Some(conflict) = file.conflict() else { return };
     let title = match (conflict.index, conflict.total) {
         (1, 1) => " Edit conflict ".to_owned(),
         (number, of) => format!(" Edit conflict {number} of {of} "),
@@ -25,14 +27,14 @@ pub fn draw(brush: &mut DrawContext) {
         width: whole.width.saturating_sub(4),
         height: brush.screen.footer.y.saturating_sub(top + rule.height),
     };
-    let name = brush.app.file().name();
+    let name = file.name();
     let text = format!("You and another program changed the same value in {name}.");
     let cause = labelled(brush, "", Role::Text, &text, area.width);
     let edit = conflict.operation.to_string();
     let edit = labelled(brush, "edit       ", Role::Text, &edit, area.width);
     let mut values = labelled(brush, "ours       ", Role::New, &conflict.ours, area.width);
     values.extend(labelled(brush, "theirs     ", Role::Suspected, &conflict.theirs, area.width));
-    let is_broken = brush.app.file().problem().is_some_and(|problem| !problem.is_not_saved());
+    let is_broken = file.problem().is_some_and(|problem| !problem.is_not_saved());
     let text = if is_broken {
         "The file cannot be read now; choose later."
     } else {

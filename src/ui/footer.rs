@@ -102,7 +102,7 @@ fn draw_prompt(brush: &mut DrawContext, area: Rect) {
     let is_begun = !(matches!(prompt.kind, PromptKind::NewEntry(_)) && text.is_empty());
     let (role, note) = match check {
         InputCheck::Accepted(text) => (Role::Muted, text),
-        InputCheck::Rejected(text) if !is_begun && app.file().problem().is_none() => {
+        InputCheck::Rejected(text) if !is_begun && !app.counts().is_file_broken => {
             (Role::Muted, text)
         }
         InputCheck::Warning(text) => (Role::Warning, format!("! {text}")),
@@ -340,7 +340,8 @@ fn hint_line(brush: &DrawContext, mode: KeyMode, width: usize) -> Vec<Span<'stat
             A::Rescan,
         ],
     };
-    let is_not_saved = app.file().problem().is_some_and(FileError::is_not_saved);
+    let mut problems = app.files().filter_map(|(_, file)| file.problem());
+    let is_not_saved = problems.any(FileError::is_not_saved);
     let first: &[Action] = match mode {
         KeyMode::Browse if is_not_saved => &[A::Save, A::SaveCopy, A::Help, A::Quit],
         KeyMode::Browse => &[A::Help, A::Quit],
@@ -547,7 +548,7 @@ fn applies(brush: &DrawContext, action: Action) -> bool {
             app.has_finding(|it| is_about(it, row.bus, row.address, row.name.as_ref()))
         }),
         (A::Problem, Page::Timeline) => app.has_finding(|_| true),
-        (A::Undo, _) => app.file().can_undo(),
+        (A::Undo, _) => app.files().any(|(_, file)| file.can_undo()),
         (A::ClearLost, _) => app.counts().lost > 0,
         (A::Identify | A::ReadDescriptor | A::Command, _) => {
             app.has_command(action) && device().is_some()

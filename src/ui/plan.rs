@@ -109,7 +109,9 @@ fn title(brush: &DrawContext, session: &PlanSession) -> String {
     let devices = counted(plan.devices() as u64, "device");
     let requests = counted(plan.requests(brush.app.plan_effect(session)) as u64, "request");
     let source = match session.task() {
-        PlanTask::ToFile => format!("the addresses of {}", brush.app.file().name()),
+        PlanTask::ToFile => {
+            format!("the addresses of {}", brush.app.name_of_file(Some(session.bus())))
+        }
         PlanTask::Resume(..) => "their addresses, what is left".to_owned(),
         PlanTask::TakeBack(..) => "their former addresses".to_owned(),
     };

@@ -4,7 +4,9 @@
 
 use super::brush::{DrawContext, bus_label, fit, fit_right, short_name};
 use super::chart::chart_rows;
-use crate::app::{App, Bus, FileError, Overlay, TxBlocked, clock_millis, format_duration};
+use crate::app::{
+    App, Bus, FileError, FileIndex, FileState, Overlay, TxBlocked, clock_millis, format_duration,
+};
 use crate::discovery::OwnAddress;
 use crate::frame::BusIndex;
 use crate::keymap::Action;
@@ -578,22 +580,53 @@ fn overwritten_pins(brush: &DrawContext, whole: bool) -> Option<Part> {
 }
 
 /// Returns the name of the file, cut to a third of the width, so that its state has room.
-fn file_name(brush: &DrawContext) -> Span<'static> {
-    let name = brush.app.file().name();
+fn file_name(brush: &DrawContext, file: &FileState) -> Span<'static> {
+    let name = file.name();
     let width = name.width().min(usize::from(brush.screen.whole.width / 3));
     brush.span(Role::Title, format!("{} ", fit(&name, width).trim_end()))
 }
 
-/// Returns the state of des.json; with `whole` also the cause of an error and the next step.
+/// Returns the state of des.json; with `whole` also the cause of an error and the next step. Of several
+/// files, that of the first one that needs the user, else their sum.
 fn file(brush: &DrawContext, whole: bool) -> Parts {
-    let file = brush.app.file();
+    let app = brush.app;
+    if app.files().count() == 1 {
+        return one_file(brush, FileIndex::default(), whole);
+    }
+    let urgency = |file: FileIndex, state: &FileState| {
+        let is_missed = state.is_read() && !state.is_there();
+        match () {
+            () if state.problem().is_some() || state.conflict().is_some() => Some(0),
+            () if state.unsaved() > 0 || state.emptied_since().is_some() => Some(1),
+            () if is_missed || !app.file_mistakes(file).is_empty() => Some(2),
+            () => None,
+        }
+    };
+    let urgent = app.files().filter_map(|(file, state)| Some((urgency(file, state)?, file)));
+    if let Some((_, file)) = urgent.min() {
+        return one_file(brush, file, whole);
+    }
+    let entries = app.files().filter_map(|(file, _)| app.document_at(file));
+    let entries: usize = entries.map(|document| document.entries().len()).sum();
+    let words = match (whole, entries) {
+        (false, _) => format!(" {entries}"),
+        (true, 1) => " 1 entry".to_owned(),
+        (true, _) => format!(" {entries} entries"),
+    };
+    let title = brush.span(Role::Title, format!("{} files ", app.files().count()));
+    let spans = vec![title, brush.span(Role::FileOk, "✓"), brush.span(Role::Text, words)];
+    [Some(Part::named(FILE, spans)), overwritten_pins(brush, whole)].into_iter().flatten().collect()
+}
+
+fn one_file(brush: &DrawContext, index: FileIndex, whole: bool) -> Parts {
+    let file = brush.app.file_at(index);
     if file.path().is_none() {
         return vec![Part::new(FILE, vec![brush.span(Role::Muted, "no file")])];
     }
-    let entries = brush.app.document().entries().len();
+    let entries = brush.app.document_at(index).map_or(0, |it| it.entries().len());
     let unsaved = file.unsaved();
     let is_emptied = file.emptied_since().is_some();
-    let findings = brush.app.file_mistakes().len();
+    let findings = brush.app.file_mistakes(index).len();
     let mut more = None;
     let (rank, role, text) = match file.problem() {
         Some(problem) => {
@@ -645,13 +678,13 @@ fn file(brush: &DrawContext, whole: bool) -> Parts {
                 (true, 1, _) => " in 1 entry".to_owned(),
                 (true, ..) => format!(" in {entries} entries"),
             };
-            let name = file_name(brush);
+            let name = file_name(brush, file);
             let words = brush.span(Role::Text, words);
             let file = Part::named(rank, vec![name, brush.span(role, sign), words]);
             return [Some(file), overwritten_pins(brush, whole)].into_iter().flatten().collect();
         }
     };
-    let name = file_name(brush);
+    let name = file_name(brush, file);
     let mut parts = vec![Part::cut_to(24, rank, vec![name, brush.span(role, text)]).with_name()];
     parts.extend(
         more.filter(|_| whole)

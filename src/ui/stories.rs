@@ -209,7 +209,7 @@ fn who(brush: &DrawContext, entry: &TimelineEntry, width: usize) -> String {
         (Some(name), None) if entry.bus.is_none() => name,
         _ => match entry.bus {
             Some(bus) => bus_label(app, bus, width),
-            None => app.file().name(),
+            None => app.file_at(entry.file).name(),
         },
     }
 }

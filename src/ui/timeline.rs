@@ -83,7 +83,7 @@ fn source(brush: &DrawContext, entry: &TimelineEntry, width: usize) -> String {
         (Some(name), None) if entry.bus.is_none() => name.quoted().to_string(),
         _ => match entry.bus {
             Some(bus) => bus_label(app, bus, width),
-            None => app.file().name(),
+            None => app.file_at(entry.file).name(),
         },
     }
 }

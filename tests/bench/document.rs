@@ -1,6 +1,6 @@
 //! A des.json of 10,000 entries and 5 MB: time to open, to edit and to show it.
 
-use descan::app::{App, AppOptions, Effect, FileReading, SaveOutcome};
+use descan::app::{App, AppOptions, Effect, FileIndex, FileReading, SaveOutcome};
 use descan::discovery::Config;
 use descan::document::{Document, Operation};
 use descan::frame::BusIndex;
@@ -45,7 +45,9 @@ fn main() {
     let status = BusStatus { link: Link::Up, ..BusStatus::default() };
     app.handle_bus(Instant::ZERO, BusIndex(0), status);
     let reading = FileReading::Content(Some(text.clone().into_bytes()));
-    timed("opened in the program", || app.handle_file(Instant::ZERO, reading));
+    timed("opened in the program", || {
+        app.handle_file(Instant::ZERO, FileIndex::default(), reading)
+    });
     // Long enough for entries to be missing.
     let mut seconds = 0;
     let mut worst = 0.0_f64;
@@ -73,10 +75,12 @@ fn main() {
     app.handle_key(app.now(), Key::parse("1").unwrap());
     let theirs = |note: &str| text.replacen("xxx", note, 1).into_bytes();
     let reading = FileReading::Content(Some(theirs("yyy")));
-    timed("changed by others, not parsed", || app.handle_file(app.now(), reading));
+    timed("changed by others, not parsed", || {
+        app.handle_file(app.now(), FileIndex::default(), reading)
+    });
     // In the form that the reader delivers.
     let reading = FileReading::Content(Some(theirs("zzz"))).parsed();
-    timed("changed by others", || app.handle_file(app.now(), reading));
+    timed("changed by others", || app.handle_file(app.now(), FileIndex::default(), reading));
     for key in ["G", "e", "Ctrl-u", "9", "8"] {
         app.handle_key(app.now(), Key::parse(key).unwrap());
     }
@@ -84,12 +88,14 @@ fn main() {
         app.handle_key(app.now(), Key::parse("Enter").unwrap());
         while !matches!(app.poll_effect().expect("a save"), Effect::Save { .. }) {}
     });
-    timed("after it was written", || app.handle_saved(app.now(), SaveOutcome::Saved));
+    timed("after it was written", || {
+        app.handle_saved(app.now(), FileIndex::default(), SaveOutcome::Saved)
+    });
     timed("taken back, until written", || {
         app.handle_key(app.now(), Key::parse("u").unwrap());
         while !matches!(app.poll_effect().expect("a save"), Effect::Save { .. }) {}
     });
-    app.handle_saved(app.now(), SaveOutcome::Saved);
+    app.handle_saved(app.now(), FileIndex::default(), SaveOutcome::Saved);
     app.handle_key(app.now(), Key::parse("D").unwrap());
     timed("an entry deleted, the same", || {
         app.handle_key(app.now(), Key::parse("y").unwrap());

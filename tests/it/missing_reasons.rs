@@ -1,6 +1,6 @@
 //! Reasons why a device in des.json is missing from the bus: each cause, as the details show it.
 
-use descan::app::{App, AppOptions, FileReading};
+use descan::app::{App, AppOptions, FileIndex, FileReading};
 use descan::diagnostic::Diagnostic;
 use descan::discovery::Config;
 use descan::finding::FindingKind;
@@ -45,7 +45,11 @@ impl Stage {
             stage.status(at, Link::Up, BusState::ErrorActive, None);
         }
         let file = format!("{{ \"devices\": [ {entries} ] }}");
-        stage.app.handle_file(Instant::ZERO, FileReading::Content(Some(file.into_bytes())));
+        stage.app.handle_file(
+            Instant::ZERO,
+            FileIndex::default(),
+            FileReading::Content(Some(file.into_bytes())),
+        );
         stage
     }
 
@@ -80,7 +84,7 @@ impl Stage {
 
     /// Returns the reasons for the entry at this index.
     fn why(&self, entry: usize) -> Vec<String> {
-        self.app.missing_reasons(&self.app.file().document().entries()[entry])
+        self.app.missing_reasons(FileIndex::default(), &self.app.file().document().entries()[entry])
     }
 
     /// Returns the text and the remedy of the finding that reports missing devices.

@@ -170,11 +170,11 @@ fn own_file_of_a_bus_is_used_however_the_bus_is_written() {
                 bitrate = 125000\n[[bus]]\nbus = 'udp:239.74.163.2'\nfile = 'own.json'\n";
     let project = Project::parse(text, Path::new("/p")).unwrap();
     for bus in ["slcan:/dev/ttyX", "slcan:/dev/ttyX@500000", "udp:239.74.163.2@43113"] {
-        let file = project.file_of(&[bus.parse().unwrap()]);
-        assert_eq!(file, Ok("/p/own.json".into()), "{bus}");
+        let file = project.file_of(&bus.parse().unwrap());
+        assert_eq!(file, Path::new("/p/own.json"), "{bus}");
     }
-    let file = project.file_of(&["slcan:/dev/ttyY@500000".parse().unwrap()]);
-    assert_eq!(file, Ok("/p/all.json".into()));
+    let file = project.file_of(&"slcan:/dev/ttyY@500000".parse().unwrap());
+    assert_eq!(file, Path::new("/p/all.json"));
     let named = |bus: &str| project.name_of(&bus.parse().unwrap());
     assert_eq!(named("slcan:/dev/./ttyX@500000"), "slcan:/dev/ttyX@500000");
     assert_eq!(named("udp:239.74.163.2@43113"), "udp:239.74.163.2");

@@ -2,7 +2,7 @@
 //! characters on the screen.
 
 use crate::common::sweep;
-use descan::app::{App, AppOptions, Effect, FileReading, Mouse, MouseKind, SaveOutcome};
+use descan::app::{App, AppOptions, Effect, FileIndex, FileReading, Mouse, MouseKind, SaveOutcome};
 use descan::diagnostic::Diagnostic;
 use descan::discovery::Config;
 use descan::document::Document;
@@ -132,10 +132,14 @@ impl Stage {
             }
             Step::File(content) => {
                 self.disk.clone_from(&content);
-                self.app.handle_file(now, FileReading::Content(content));
+                self.app.handle_file(now, FileIndex::default(), FileReading::Content(content));
             }
             Step::FileError => {
-                self.app.handle_file(now, FileReading::Error(Diagnostic::new("is a folder")));
+                self.app.handle_file(
+                    now,
+                    FileIndex::default(),
+                    FileReading::Error(Diagnostic::new("is a folder")),
+                );
             }
             Step::Pause(micros) => self.now = now + Duration::from_micros(micros),
             Step::Saves(saves) => self.saves = saves,
@@ -161,7 +165,7 @@ impl Stage {
         while self.app.poll_transmit(self.now).is_some() {}
         while let Some(effect) = self.app.poll_effect() {
             match effect {
-                Effect::Save { expected, content } if self.saves => {
+                Effect::Save { expected, content, .. } if self.saves => {
                     let expected = expected.as_ref().map(Document::source);
                     let outcome = if expected == self.disk.as_deref() {
                         self.disk = Some(content.source().to_vec());
@@ -169,11 +173,15 @@ impl Stage {
                     } else {
                         SaveOutcome::Changed(FileReading::Content(self.disk.clone()))
                     };
-                    self.app.handle_saved(self.now, outcome);
+                    self.app.handle_saved(self.now, FileIndex::default(), outcome);
                 }
                 Effect::Save { .. } => {
                     let why = "the disk is full".to_owned();
-                    self.app.handle_saved(self.now, SaveOutcome::Failed(Diagnostic::new(why)));
+                    self.app.handle_saved(
+                        self.now,
+                        FileIndex::default(),
+                        SaveOutcome::Failed(Diagnostic::new(why)),
+                    );
                 }
                 Effect::WriteFile { path, .. } => self.app.handle_written(self.now, &path, Ok(())),
                 Effect::UseTheme(_) => self.app.handle_theme(self.now, Ok(())),

@@ -27,7 +27,8 @@ fn select<'s>(stage: &'s mut Stage, name: &str) -> &'s mut Stage {
     stage.keys("Home");
     for _ in 0..20 {
         let row = stage.app.selected_row().unwrap();
-        let entry = row.entry.map(|at| stage.app.file().document().entries()[at].name_text.clone());
+        let entry =
+            row.entry.map(|at| stage.app.file().document().entries()[at.index].name_text.clone());
         if entry.is_some_and(|entry| entry == name) {
             return stage;
         }
@@ -510,7 +511,7 @@ fn leads_to(stage: &mut Stage, problem: &str) -> usize {
         if selected.findings.iter().any(|finding| finding.text.contains(problem)) {
             stage.keys("Enter");
             assert_eq!(stage.app.view().page, descan::app::Page::Devices, "{}", stage.screen());
-            return stage.app.selected_row().unwrap().entry.unwrap();
+            return stage.app.selected_row().unwrap().entry.unwrap().index;
         }
         stage.keys("j");
     }

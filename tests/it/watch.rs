@@ -2,7 +2,7 @@
 
 use crate::common::inspection::log;
 use crate::common::watch_process::{Watching, command};
-use descan::app::{App, AppEvent, AppOptions, FileReading, Filter, RowKind};
+use descan::app::{App, AppEvent, AppOptions, FileIndex, FileReading, Filter, RowKind};
 use descan::diagnostic::Diagnostic;
 use descan::discovery::Config;
 use descan::finding::{FindingKind, FindingState};
@@ -629,7 +629,11 @@ fn findings(scenario: &Scenario, file: &str, seconds: u64) -> Vec<(FindingKind, 
         ..AppOptions::default()
     };
     let mut app = App::new(Instant::ZERO, options);
-    app.handle_file(Instant::ZERO, FileReading::Content(Some(file.as_bytes().to_vec())));
+    app.handle_file(
+        Instant::ZERO,
+        FileIndex::default(),
+        FileReading::Content(Some(file.as_bytes().to_vec())),
+    );
     let mut told = Vec::new();
     let end = Instant::from_micros(seconds * 1_000_000);
     while sim.now() < end {

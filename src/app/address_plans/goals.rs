@@ -5,6 +5,7 @@ use super::{PlanSession, PlanTask};
 use crate::address_plan::{
     AddressGoal, AddressSet, DeviceIdentity, LeftOutReason, PlanBus, PlanRecord, RecordedDevice,
 };
+use crate::app::file::{EntryPlace, FileIndex};
 use crate::app::problems::Matching;
 use crate::app::shared_address::is_shared_address;
 use crate::app::{App, Bus};
@@ -82,18 +83,26 @@ impl App {
 
     /// The entries of des.json that are about a bus, each with its device.
     fn listed_devices<'a>(&'a self, index: BusIndex, bus: &'a Bus) -> Vec<ListedDevice<'a>> {
-        let document = self.editor.file.document();
-        let matching = Matching::new(document.entries(), self.buses.as_slice());
-        let mistakes = self.file_mistakes();
+        let documents = self.files.documents();
+        let matching = Matching::new(documents, &self.buses);
+        let file = documents.of_bus(index);
+        let place = |entry: &Entry| EntryPlace { file, index: entry.index };
+        let mistakes = self.file_mistakes(file);
         let wrong: BTreeSet<usize> = mistakes.iter().flat_map(|it| it.entries.clone()).collect();
-        let entries = document.entries().iter().filter(|entry| entry.is_for_bus(&bus.name));
-        let names =
-            EntryNames { entries: entries.clone().collect(), matching: &matching, bus, index };
+        let entries = documents.entries(file).iter();
+        let entries = entries.filter(|entry| entry.is_for_bus(&bus.name));
+        let names = EntryNames {
+            entries: entries.clone().collect(),
+            matching: &matching,
+            bus,
+            index,
+            file,
+        };
         let listed = entries.filter_map(|entry| {
-            let devices = matching.devices_of(entry.index);
+            let devices = matching.devices_of(place(entry));
             let own = devices.iter().find(|id| id.bus == index);
             // The device is on another bus, or another entry is about it.
-            if own.is_none() && (!devices.is_empty() || matching.is_duplicate(entry.index)) {
+            if own.is_none() && (!devices.is_empty() || matching.is_duplicate(place(entry))) {
                 return None;
             }
             let place = own.and_then(|id| bus.devices().iter().position(|it| it.id == *id));
@@ -126,7 +135,8 @@ impl App {
     /// The addresses that entries pin on a bus.
     pub(super) fn reserved_addresses(&self, index: BusIndex) -> AddressSet {
         let Some(bus) = self.buses.get(index) else { return AddressSet::default() };
-        let entries = self.editor.file.document().entries().iter();
+        let documents = self.files.documents();
+        let entries = documents.entries(documents.of_bus(index)).iter();
         entries.filter(|entry| entry.is_for_bus(&bus.name)).filter_map(pinned).collect()
     }
 
@@ -136,7 +146,7 @@ impl App {
         let (mut edits, mut left_out) = (Vec::new(), Vec::new());
         let Some(bus) = self.buses.get(index) else { return (edits, left_out) };
         let known = self.known_devices(index, PlanKnowledge::default());
-        let document = self.editor.file.document();
+        let document = self.files.get(self.files.of_bus(index)).file.document();
         for ListedDevice { entry, place, doubt } in self.listed_devices(index, bus) {
             let device = place.map(|at| &known.devices[at]);
             let same_uid = || device?.same_uid_at.map(LeftOutReason::SameUid);
@@ -163,8 +173,8 @@ impl App {
     }
 
     /// Applies the edits of [`App::pins_of_bus`] as one.
-    pub fn pin_bus(&mut self, pins: &[Operation]) {
-        self.edit(pins);
+    pub fn pin_bus(&mut self, index: BusIndex, pins: &[Operation]) {
+        self.edit(self.files.of_bus(index), pins);
     }
 }
 
@@ -191,6 +201,8 @@ struct EntryNames<'a> {
     matching: &'a Matching,
     bus: &'a Bus,
     index: BusIndex,
+    /// The file of the bus.
+    file: FileIndex,
 }
 
 impl EntryNames<'_> {
@@ -207,7 +219,7 @@ impl EntryNames<'_> {
             .filter(|it| it.name == entry.name && is_open(it) && !self.is_at_its_place(it));
         let by_name = |device: &&Device| {
             let owner = self.matching.entry_of(device.id);
-            let owner = owner.and_then(|of| self.entries.iter().find(|it| it.index == of));
+            let owner = owner.and_then(|of| self.entries.iter().find(|it| it.index == of.index));
             device.is_present()
                 && device.is_named(&entry.name)
                 && owner.is_none_or(|owner| is_open(owner) && !self.is_at_its_place(owner))
@@ -221,7 +233,8 @@ impl EntryNames<'_> {
 
     /// Returns true if the device of an entry is at the address of the entry.
     fn is_at_its_place(&self, entry: &Entry) -> bool {
-        let devices = self.matching.devices_of(entry.index).iter();
+        let place = EntryPlace { file: self.file, index: entry.index };
+        let devices = self.matching.devices_of(place).iter();
         let device = devices.filter(|id| id.bus == self.index).find_map(|id| self.bus.device(*id));
         device.is_some_and(|device| entry.address == Some(device.address.number()))
     }

@@ -320,8 +320,9 @@ impl App {
             let key = ProfileKey::Reboot.name();
             return Err(format!("a restart needs a profile with {key}"));
         }
-        if task == PlanTask::ToFile && !self.editor.file.is_there() {
-            return Err(format!("{} does not exist", self.editor.file.name()));
+        let file = &self.files.get(self.files.of_bus(bus)).file;
+        if task == PlanTask::ToFile && !file.is_there() {
+            return Err(format!("{} does not exist", file.name()));
         }
         let is_read = profile.is_given(ProfileKey::Addr) && {
             let all = self.readable_devices(bus);
@@ -477,7 +478,7 @@ impl App {
                 record.begin_again();
                 return (name.clone(), record);
             }
-            PlanTask::ToFile => self.editor.file.name().clone(),
+            PlanTask::ToFile => self.file_at(self.file_of_bus(session.bus)).name(),
             PlanTask::TakeBack(_, name) => format!("undo of {name}"),
         };
         let bus = self.buses.get(session.bus).map_or_else(String::new, |bus| bus.name.clone());

@@ -32,7 +32,6 @@ use crate::discovery::{
     BusVerdict, Config, Device, DeviceId, DeviceRequest, Event, FrameSequence, OwnAddress,
     RequestId, SequenceEnd, SequenceId,
 };
-use crate::document::Document;
 use crate::finding::{Finding, FindingKey, FindingKind, FindingState};
 use crate::frame::{BusIndex, Frame};
 use crate::status::BusStatus;
@@ -176,15 +175,6 @@ impl Buses {
     /// Returns true if descan holds this address on this bus.
     pub fn is_own_address(&self, bus: BusIndex, address: Address) -> bool {
         self.get(bus).map(Bus::own_address) == Some(OwnAddress::Held(address))
-    }
-
-    /// Name of the bus for a new entry of des.json; `None` with a single bus, unless an entry names
-    /// another one: it could have the same content.
-    pub fn entry_bus(&self, document: &Document, bus: Option<BusIndex>) -> Option<String> {
-        let bus = self.get(bus?)?;
-        let names_another = || document.entries().iter().any(|entry| !entry.is_for_bus(&bus.name));
-        let name = || bus.name_without_rates().to_owned();
-        (self.list.len() > 1 || names_another()).then(name)
     }
 
     /// Findings of all engines, bus by bus.
@@ -462,15 +452,6 @@ mod tests {
         let mut buses = two_buses();
         assert!(buses.receive(&Frame::classic(1, &[])));
         assert!(!buses.receive(&Frame::classic(1, &[]).with_bus(BusIndex(2))));
-    }
-
-    #[test]
-    fn entry_bus_is_named_with_several_buses_only() {
-        let mut buses = two_buses();
-        let none = Document::empty();
-        assert_eq!(buses.entry_bus(&none, Some(BusIndex(1))).as_deref(), Some("can1"));
-        buses.list.truncate(1);
-        assert_eq!(buses.entry_bus(&none, Some(BusIndex(0))), None);
     }
 
     #[test]

@@ -1,15 +1,19 @@
 //! des.json in the program: content and edits, retries of saving, copies, and quitting with
-//! unsaved edits.
+//! unsaved edits; one file, or several in a project.
 //!
 //! Inputs: readings of the file, edits, results of writing. Outputs: documents to write and texts
 //! for the user. Does not read or write files and does not know the bus.
 
 mod change;
+mod editors;
 mod own_pins;
 mod state;
 mod undo_stack;
 
 pub use change::{EditRefusal, FileChange, FileError, FileReading, SaveOutcome};
+pub(crate) use editors::Documents;
+pub(super) use editors::FileEditors;
+pub use editors::{EntryPlace, FileIndex};
 pub(super) use state::FileContent;
 pub use state::{FileState, Saving};
 

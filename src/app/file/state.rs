@@ -58,6 +58,10 @@ struct Emptied {
 #[derive(Debug)]
 pub struct FileState {
     path: Option<PathBuf>,
+    /// The end of the path that tells it from the other files; empty for its name alone.
+    shown_path: PathBuf,
+    /// Orders its edits among those of all files.
+    turn: u64,
     /// Last valid content on disk; `None` before the first reading.
     disk: Option<Document>,
     is_on_disk: bool,
@@ -102,6 +106,8 @@ impl FileState {
     pub fn new(path: Option<PathBuf>) -> Self {
         Self {
             path,
+            shown_path: PathBuf::new(),
+            turn: 0,
             disk: None,
             is_on_disk: false,
             previous_disk: None,
@@ -122,10 +128,37 @@ impl FileState {
         self.path.as_deref()
     }
 
-    /// File name without folders, for the screen.
+    /// File name for the screen: without folders, unless another file has the same name.
     pub fn name(&self) -> String {
         let name = self.path.as_deref().and_then(Path::file_name).unwrap_or_default();
+        let shown = self.shown_path.as_os_str();
+        let name = if shown.is_empty() { name } else { shown };
         crate::text::printable(name.as_encoded_bytes())
+    }
+
+    /// Sets the end of its path that tells it from the other files.
+    pub(super) fn set_shown_path(&mut self, path: PathBuf) {
+        self.shown_path = path;
+    }
+
+    /// Sets the number that orders the edits made from now on among those of all files.
+    pub(super) fn set_turn(&mut self, turn: u64) {
+        self.turn = turn;
+    }
+
+    /// When the edit that is undone next was made; `None` without one.
+    pub(super) fn undo_turn(&self) -> Option<u64> {
+        self.undo.turn()
+    }
+
+    /// When the edit that is redone next was undone; `None` without one.
+    pub(super) fn redo_turn(&self) -> Option<u64> {
+        self.redo.turn()
+    }
+
+    /// Forgets the edits that were undone: another file was edited since.
+    pub(super) fn forget_undone(&mut self) {
+        self.redo.clear();
     }
 
     /// Last valid content with the unsaved edits.
@@ -391,6 +424,7 @@ impl FileState {
             let name = ours.last().map(ToString::to_string).unwrap_or_default();
             let (after, inverses) = apply_all(&document, ours)?;
             let step = UndoStep::new(after.clone(), inverses, name, self.is_on_disk);
+            let step = step.at(self.turn);
             self.undo.push(step, &document);
             self.redo.clear();
             document = after;
@@ -553,7 +587,7 @@ impl FileState {
         self.pending.extend_from_slice(operations);
         self.document = document.clone();
         self.drop_what_is_on_disk();
-        Ok(UndoStep::new(document, inverses, name, self.is_on_disk))
+        Ok(UndoStep::new(document, inverses, name, self.is_on_disk).at(self.turn))
     }
 
     /// Drops the last `count` pending operations if the content is the same without them, as for an

@@ -20,6 +20,8 @@ pub(super) struct UndoStep {
     pub(super) whole: usize,
     /// The file existed when the edit was made.
     pub(super) had_file: bool,
+    /// Orders it among the steps of all files.
+    pub(super) turn: u64,
 }
 
 impl UndoStep {
@@ -31,7 +33,12 @@ impl UndoStep {
         had_file: bool,
     ) -> Self {
         let whole = operations.len();
-        Self { base: Some(on), operations, name, whole, had_file }
+        Self { base: Some(on), operations, name, whole, had_file, turn: 0 }
+    }
+
+    /// Sets its place among the steps of all files.
+    pub(super) fn at(self, turn: u64) -> Self {
+        Self { turn, ..self }
     }
 
     pub(super) fn shown(&self) -> String {
@@ -50,6 +57,11 @@ impl UndoStack {
     /// Returns true if no step is left.
     pub(super) fn is_empty(&self) -> bool {
         self.0.is_empty()
+    }
+
+    /// The place of the next step among those of all files; `None` if no step is left.
+    pub(super) fn turn(&self) -> Option<u64> {
+        self.0.last().map(|step| step.turn)
     }
 
     /// Pushes a step whose result is `before`.

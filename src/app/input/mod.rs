@@ -24,6 +24,7 @@ pub use prompt_logic::InputCheck;
 pub(super) use prompt_logic::{PromptContext, PromptOutcome, SavedFrames};
 
 use super::device_command::DeviceCommand;
+use crate::app::file::FileIndex;
 use crate::discovery::DeviceId;
 use crate::document::EntryKey;
 use crate::frame::BusIndex;
@@ -38,7 +39,7 @@ pub enum Question {
     /// Quitting with unsaved edits.
     Quit,
     /// Deletion of this entry, as long as the file has it with this text.
-    Delete(EntryKey, String),
+    Delete(FileIndex, EntryKey, String),
     /// Sending a command to this device.
     Command(DeviceId, DeviceCommand),
     /// Reading the descriptor of this device.
@@ -331,7 +332,8 @@ mod tests {
     #[test]
     fn conflict_suspends_and_restores_prompt() {
         let mut input = Input::new(Keymap::default());
-        let prompt = Prompt::new(PromptKind::CopyPath(CopyPathPrompt), "a.json".to_owned());
+        let prompt =
+            Prompt::new(PromptKind::CopyPath(CopyPathPrompt::default()), "a.json".to_owned());
         input.open(Overlay::Prompt(prompt));
         input.show_conflict(NOW);
         assert_eq!(input.lookup(Key::char('o')), Some(Action::Ours));

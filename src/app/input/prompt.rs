@@ -10,6 +10,7 @@ use super::prompt_kinds::{
     NewEntryPrompt, ProfilePathPrompt, ProofPathPrompt, RenamePrompt,
 };
 use super::prompt_logic::{EditTarget, InputCheck, PromptContext, PromptLogic, PromptOutcome};
+use crate::app::file::{Documents, FileIndex};
 use crate::keymap::{Key, KeyCode};
 use crate::text::is_printable;
 use tui_input::{Input as LineInput, InputRequest};
@@ -99,6 +100,11 @@ impl PromptKind {
     /// Text before the line on a narrow screen.
     pub fn short_label(&self) -> &'static str {
         self.logic().short_label()
+    }
+
+    /// The des.json that the prompt is about; `None` if it is about none.
+    pub(in crate::app) fn file(&self, documents: Documents) -> Option<FileIndex> {
+        self.logic().file(documents)
     }
 
     /// Returns true if the prompt edits des.json.
@@ -234,7 +240,8 @@ mod tests {
 
     #[test]
     fn pasted_text_is_cut_to_its_first_line() {
-        let mut prompt = Prompt::new(PromptKind::CopyPath(CopyPathPrompt), String::new());
+        let mut prompt =
+            Prompt::new(PromptKind::CopyPath(CopyPathPrompt::default()), String::new());
         prompt.paste(" a\u{7}b.json\nsecond");
         assert_eq!(prompt.input.value(), "ab.json");
         prompt.paste(&"x".repeat(2 * MAX_LENGTH));

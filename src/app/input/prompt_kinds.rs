@@ -7,14 +7,15 @@ use super::moment_text::{FORMS, MomentTarget};
 use super::prompt_logic::{
     EditTarget, InputCheck as C, PromptContext, PromptLogic, PromptOutcome, SavedFrames,
 };
-use crate::app::buses::Bus;
 use crate::app::device_command::{COMMAND_FORMS, DeviceCommand};
+use crate::app::file::{Documents, FileIndex};
 use crate::app::history::Moment;
-use crate::app::listing::new_entry;
+use crate::app::listing::{entry_bus, new_entry};
 use crate::app::problems::ProblemKey;
 use crate::app::view::RowKey;
 use crate::discovery::DeviceId;
 use crate::document::{Document, Entry, EntryKey, NewEntry, Operation};
+use crate::frame::BusIndex;
 use crate::log::LogFormat;
 use crate::text::Quoted;
 use crate::wire::profile::Profile;
@@ -42,7 +43,7 @@ impl EntryTarget {
         let place = place_of(key, context);
         let device = match key {
             RowKey::Device(id) => Some(*id),
-            RowKey::Entry(_) | RowKey::Board(..) => None,
+            RowKey::Entry(..) | RowKey::Board(..) => None,
         };
         Self { base: on, place, device }
     }
@@ -84,9 +85,12 @@ impl EntryTarget {
 
 fn place_of(key: &RowKey, context: PromptContext) -> Option<usize> {
     match key {
-        RowKey::Device(id) => context.matching.entry_of(*id),
+        RowKey::Device(id) => {
+            let place = context.matching.entry_of(*id);
+            place.filter(|place| place.file == context.index).map(|place| place.index)
+        }
         RowKey::Board(..) => None,
-        RowKey::Entry(key) => context.file.document().find(key),
+        RowKey::Entry(_, key) => context.file.document().find(key),
     }
 }
 
@@ -127,7 +131,7 @@ impl AddressPrompt {
         let before = pinned(entry);
         let on_bus = match &key {
             RowKey::Device(id) => context.buses.device(*id).map(|device| device.address),
-            RowKey::Entry(_) | RowKey::Board(..) => None,
+            RowKey::Entry(..) | RowKey::Board(..) => None,
         };
         let is_unpinned = entry.is_some_and(|entry| !entry.is_static);
         let offered = on_bus.filter(|address| is_unpinned && address.number() > 0);
@@ -177,7 +181,7 @@ impl AddressPrompt {
 
     fn check_address(&self, text: &str, context: PromptContext) -> C {
         let entry = self.target.entry(context);
-        if entry.is_none() && matches!(self.key, RowKey::Entry(_)) {
+        if entry.is_none() && matches!(self.key, RowKey::Entry(..)) {
             return C::Rejected(self.target.deleted_text(context));
         }
         if text.is_empty() {
@@ -191,7 +195,7 @@ impl AddressPrompt {
         };
         let device = match &self.key {
             RowKey::Device(id) => context.buses.device(*id),
-            RowKey::Entry(_) | RowKey::Board(..) => None,
+            RowKey::Entry(..) | RowKey::Board(..) => None,
         };
         if device.is_some_and(|device| device.name.is_none()) {
             return C::Rejected("name not known yet".to_owned());
@@ -204,7 +208,7 @@ impl AddressPrompt {
         }
         let own = |id| match &self.key {
             RowKey::Device(own) => *own == id,
-            RowKey::Entry(_) | RowKey::Board(..) => false,
+            RowKey::Entry(..) | RowKey::Board(..) => false,
         };
         let is_pinned = entry.is_some_and(|it| it.is_static && it.address == Some(address));
         address_in_use(context, address, bus, own).unwrap_or_else(|| {
@@ -225,6 +229,10 @@ impl AddressPrompt {
 impl PromptLogic for AddressPrompt {
     fn label(&self) -> &'static str {
         "static address"
+    }
+
+    fn file(&self, documents: Documents) -> Option<FileIndex> {
+        Some(self.key.file(documents))
     }
 
     fn edit_target(&self, context: PromptContext) -> EditTarget {
@@ -251,11 +259,11 @@ impl PromptLogic for AddressPrompt {
             }
             (Some(to), None) => match self.key {
                 RowKey::Device(id) => context.buses.device(id).and_then(|device| {
-                    let mut entry = new_entry(context.buses, context.file.document(), device)?;
+                    let mut entry = new_entry(context.buses, context.documents, device)?;
                     (entry.address, entry.is_static) = (Some(to), true);
                     Some(Operation::Add { entry })
                 }),
-                RowKey::Entry(_) | RowKey::Board(..) => None,
+                RowKey::Entry(..) | RowKey::Board(..) => None,
             },
             _ => None,
         };
@@ -292,8 +300,11 @@ fn address_in_use(
     bus: Option<&str>,
     is_own: impl Fn(crate::discovery::DeviceId) -> bool,
 ) -> Option<C> {
-    let buses = context.buses.iter().filter(|it| bus.is_none_or(|bus| it.name == bus));
-    let other = buses.flat_map(Bus::devices).find(|device| {
+    let buses = (0..=u8::MAX).map(BusIndex).zip(context.buses.iter());
+    let is_of_file = |index: BusIndex| context.documents.of_bus(index) == context.index;
+    let buses =
+        buses.filter(|(index, it)| is_of_file(*index) && bus.is_none_or(|bus| it.name == bus));
+    let other = buses.flat_map(|(_, bus)| bus.devices()).find(|device| {
         device.address.number() == address && device.is_present() && !is_own(device.id)
     })?;
     let who = other.name.as_ref().map_or("a device".to_owned(), ToString::to_string);
@@ -305,6 +316,7 @@ fn address_in_use(
 /// Prompt for the new name of an entry.
 #[derive(Clone, Debug)]
 pub struct RenamePrompt {
+    file: FileIndex,
     /// The entry when the prompt was opened.
     key: EntryKey,
     target: EntryTarget,
@@ -312,15 +324,19 @@ pub struct RenamePrompt {
 
 impl RenamePrompt {
     /// Returns the prompt for an entry.
-    pub(in crate::app) fn new(key: EntryKey, context: PromptContext) -> Self {
-        let target = EntryTarget::new(&RowKey::Entry(key.clone()), context);
-        Self { key, target }
+    pub(in crate::app) fn new(file: FileIndex, key: EntryKey, context: PromptContext) -> Self {
+        let target = EntryTarget::new(&RowKey::Entry(file, key.clone()), context);
+        Self { file, key, target }
     }
 }
 
 impl PromptLogic for RenamePrompt {
     fn label(&self) -> &'static str {
         "name"
+    }
+
+    fn file(&self, _documents: Documents) -> Option<FileIndex> {
+        Some(self.file)
     }
 
     fn edit_target(&self, context: PromptContext) -> EditTarget {
@@ -363,20 +379,21 @@ impl PromptLogic for RenamePrompt {
 /// Prompt for name and address of a new entry.
 #[derive(Clone, Debug)]
 pub struct NewEntryPrompt {
+    file: FileIndex,
     /// Content of the file when the prompt was opened.
     base: Document,
 }
 
 impl Default for NewEntryPrompt {
     fn default() -> Self {
-        Self { base: Document::empty() }
+        Self { file: FileIndex::default(), base: Document::empty() }
     }
 }
 
 impl NewEntryPrompt {
     /// Returns the prompt for this content of the file.
-    pub(in crate::app) fn new(on: Document) -> Self {
-        Self { base: on }
+    pub(in crate::app) fn new(file: FileIndex, on: Document) -> Self {
+        Self { file, base: on }
     }
 
     fn check_entry(text: &str, context: PromptContext) -> C {
@@ -384,7 +401,7 @@ impl NewEntryPrompt {
             Ok(split) => split,
             Err(why) => return C::Rejected(why.to_owned()),
         };
-        let bus = context.buses.entry_bus(context.file.document(), context.selected_bus);
+        let bus = entry_bus(context.buses, context.documents, context.selected_bus);
         let exists = |entry: &&Entry| entry.name == name && entry.address == address;
         if let Some(other) = context.file.document().entries().iter().find(exists) {
             let line = other.position.line;
@@ -417,6 +434,10 @@ impl PromptLogic for NewEntryPrompt {
         "new entry"
     }
 
+    fn file(&self, _documents: Documents) -> Option<FileIndex> {
+        Some(self.file)
+    }
+
     fn edit_target(&self, _context: PromptContext) -> EditTarget {
         EditTarget::New
     }
@@ -431,7 +452,7 @@ impl PromptLogic for NewEntryPrompt {
 
     fn commit(&self, text: &str, context: PromptContext) -> PromptOutcome {
         let Ok((name, address)) = split_new_entry(text) else { return PromptOutcome::Nothing };
-        let bus = context.buses.entry_bus(context.file.document(), context.selected_bus);
+        let bus = entry_bus(context.buses, context.documents, context.selected_bus);
         let is_static = address.is_some();
         let entry = NewEntry { name, address, is_static, bus, ..NewEntry::default() };
         PromptOutcome::AddEntry(entry)
@@ -646,8 +667,11 @@ impl PromptLogic for CommandPrompt {
 // ---- the copy ------------------------------------------------------------------------------
 
 /// Prompt for the path of a copy of des.json with all edits.
-#[derive(Clone, Copy, Debug)]
-pub struct CopyPathPrompt;
+#[derive(Clone, Copy, Debug, Default)]
+pub struct CopyPathPrompt {
+    /// The file that is copied.
+    pub(in crate::app) file: FileIndex,
+}
 
 impl PromptLogic for CopyPathPrompt {
     fn label(&self) -> &'static str {
@@ -656,6 +680,10 @@ impl PromptLogic for CopyPathPrompt {
 
     fn short_label(&self) -> &'static str {
         "copy as"
+    }
+
+    fn file(&self, _documents: Documents) -> Option<FileIndex> {
+        Some(self.file)
     }
 
     fn validate(&self, text: &str, context: PromptContext) -> C {

@@ -3,7 +3,7 @@
 use super::moment_text::{MomentRange, MomentTarget};
 use crate::app::buses::Buses;
 use crate::app::device_command::DeviceCommand;
-use crate::app::file::FileState;
+use crate::app::file::{Documents, FileIndex, FileState};
 use crate::app::history::Moment;
 use crate::app::problems::{Matching, ProblemKey};
 use crate::app::view::Page;
@@ -37,7 +37,10 @@ pub(in crate::app) enum SavedFrames {
 /// State that prompts are validated against.
 #[derive(Clone, Copy)]
 pub(in crate::app) struct PromptContext<'a> {
+    /// The file that the prompt is about, and its state.
+    pub index: FileIndex,
     pub file: &'a FileState,
+    pub documents: Documents<'a>,
     pub matching: &'a Matching,
     pub buses: &'a Buses,
     /// Bus of the selected row, for a new entry.
@@ -115,6 +118,11 @@ pub(super) trait PromptLogic {
     /// Text before the line on a narrow screen.
     fn short_label(&self) -> &'static str {
         self.label()
+    }
+
+    /// The des.json that the prompt is about; `None` if it is about none.
+    fn file(&self, _documents: Documents) -> Option<FileIndex> {
+        None
     }
 
     /// Returns what committing edits.

@@ -5,6 +5,7 @@
 
 use super::event_text::{event_word, finding_line, other_names};
 use crate::app::buses::Buses;
+use crate::app::file::FileIndex;
 use crate::app::timeline_kind::TimelineKind;
 use crate::discovery::{DeviceId, Event, EventKind};
 use crate::finding::{Finding, FindingKind};
@@ -26,6 +27,8 @@ pub struct TimelineEntry {
     pub last: Instant,
     /// Bus; `None` for a line about the program or the file.
     pub bus: Option<BusIndex>,
+    /// The des.json, of a line about it: one without bus and name.
+    pub file: FileIndex,
     /// Device; `None` for a line about a bus, the program or the file.
     pub device: Option<DeviceId>,
     /// Address of the device at that time.
@@ -85,7 +88,7 @@ impl Timeline {
             let other = &self.entries[at];
             other.number >= self.held
                 && other.device == entry.device
-                && other.bus == entry.bus
+                && (other.bus, other.file) == (entry.bus, entry.file)
                 && (other.text == entry.text || is_same_message(other))
                 && entry.time.since(other.last) <= Self::REPEAT_WITHIN
         });
@@ -208,6 +211,7 @@ impl TimelineEntry {
             time,
             last: time,
             bus: None,
+            file: FileIndex::default(),
             device: None,
             address: None,
             name: None,

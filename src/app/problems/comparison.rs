@@ -3,10 +3,11 @@
 //! Pure: entries and devices in, findings out.
 
 use super::uids::file_mistakes;
-use crate::app::Inputs;
+use crate::app::file::{EntryPlace, FileIndex};
+use crate::app::file_inputs::{FileInputs, Inputs};
 use crate::app::listing::{other_services, service_differences};
 use crate::discovery::Device;
-use crate::document::{Document, DocumentFindingKind, Entry};
+use crate::document::{DocumentFindingKind, Entry};
 use crate::finding::{Finding, FindingKey, FindingKind, FindingState};
 use crate::frame::BusIndex;
 use crate::text::{Name, Quoted};
@@ -29,38 +30,45 @@ pub(super) struct Comparison<'a> {
     pub(super) inputs: Inputs<'a>,
     pub found: Vec<Finding>,
     /// Places of the entries that the findings are about, in the same order.
-    pub entries: Vec<Option<usize>>,
+    pub entries: Vec<Option<EntryPlace>>,
 }
 
 impl<'a> Comparison<'a> {
-    /// Compares file and buses; without a file there are only those that the descriptors show.
+    /// Compares files and buses; without a file there are only those that the descriptors show.
     pub fn new(inputs: Inputs<'a>, scope: Scope) -> Self {
         let mut comparison = Self { inputs, found: Vec::new(), entries: Vec::new() };
         comparison.descriptors();
         comparison.catalogue();
         comparison.project();
-        if !inputs.has_file {
-            return comparison;
-        }
-        comparison.file_alone(inputs.document);
-        for entry in inputs.document.entries() {
-            comparison.entry(entry, scope);
-        }
-        if scope == Scope::Check {
-            comparison.unlisted();
+        for file in inputs.files().filter(|file| file.is_there) {
+            comparison.file_alone(file);
+            for entry in file.document.entries() {
+                comparison.entry(file, entry, scope);
+            }
+            if scope == Scope::Check {
+                comparison.unlisted(file);
+            }
         }
         comparison
     }
 
-    fn file_alone(&mut self, document: &Document) {
-        for finding in file_mistakes(document, self.inputs.buses) {
+    fn file_alone(&mut self, file: FileInputs<'a>) {
+        let document = file.document;
+        // A file that single buses have is known by the first of them.
+        let is_shared = file.file == FileIndex::default();
+        let bus = file.buses().next().map(|(index, _)| index).filter(|_| !is_shared);
+        let name_of_file = match self.inputs.documents.are_several() {
+            true => format!("{}, ", self.inputs.documents.name(file.file)),
+            false => String::new(),
+        };
+        for finding in file_mistakes(file) {
             let kind = FindingKind::from(finding.kind);
             let entries = finding.entries.iter().filter_map(|&at| document.entries().get(at));
             let names: Vec<Name> = entries.clone().map(|entry| Name::new(&entry.name)).collect();
             let address = entries.clone().find_map(|entry| Address::new(entry.address?));
-            let text = format!("{} ({})", finding.message, finding.position);
+            let text = format!("{} ({name_of_file}{})", finding.message, finding.position);
             let name = names.first().cloned();
-            self.add(kind, None, address, name, text, &[]);
+            self.add(kind, bus, address, name, text, &[]);
             if let Some(added) = self.found.last_mut() {
                 if kind == FindingKind::FileShape {
                     // One entry may have several.
@@ -71,27 +79,27 @@ impl<'a> Comparison<'a> {
                     added.add_name(name);
                 }
             }
-            self.is_about(finding.entries.first().copied());
+            let place = |index: &usize| EntryPlace { file: file.file, index: *index };
+            self.is_about(finding.entries.first().map(place));
         }
     }
 
-    fn entry(&mut self, entry: &Entry, scope: Scope) {
-        let inputs = self.inputs;
-        let devices: Vec<&Device> = inputs
-            .matching
-            .devices_of(entry.index)
+    fn entry(&mut self, file: FileInputs<'a>, entry: &'a Entry, scope: Scope) {
+        let (inputs, place) = (self.inputs, file.place(entry));
+        let devices: Vec<&Device> = file
+            .devices_of(entry)
             .iter()
             .filter_map(|&id| inputs.buses.device(id))
             .filter(|device| device.is_present())
             .collect();
         let name = Quoted(&entry.name);
         let pinned = entry.address.filter(|_| entry.is_static).and_then(Address::new);
-        if inputs.matching.is_duplicate(entry.index) {
+        if inputs.matching.is_duplicate(place) {
             // Reported as a finding about the file.
             return;
         }
         if devices.is_empty() {
-            self.missing(entry, scope);
+            self.missing(file, entry, scope);
         }
         for device in &devices {
             if let Some(pinned) = pinned.filter(|pinned| *pinned != device.address) {
@@ -103,20 +111,18 @@ impl<'a> Comparison<'a> {
                 let bus = Some(device.id.bus);
                 let named = device.name.clone();
                 self.add(FindingKind::WrongAddress, bus, Some(device.address), named, text, values);
-                self.is_about(Some(entry.index));
+                self.is_about(Some(place));
             }
-            self.name(entry, device);
+            self.name(file, entry, device);
             self.fixed_address(entry, device);
             if scope == Scope::Check {
                 self.services(entry, device);
             }
         }
         let Some(pinned) = pinned else { return };
-        for (index, bus) in
-            inputs.buses.iter().enumerate().filter(|(_, bus)| entry.is_for_bus(&bus.name))
-        {
+        for (index, bus) in file.buses_of(entry) {
             let other = bus.devices().iter().find(|device| {
-                let is_it = inputs.matching.devices_of(entry.index).contains(&device.id);
+                let is_it = file.devices_of(entry).contains(&device.id);
                 device.address == pinned && device.is_present() && !is_it
             });
             // A device without a known name may be the listed one.
@@ -131,9 +137,9 @@ impl<'a> Comparison<'a> {
             let text = format!("Static address {pinned} of {name} is used by {who}.");
             let values: Values = &[("name", &name)];
             let named = Some(Name::new(&entry.name));
-            let bus = Some(BusIndex(index as u8));
+            let bus = Some(index);
             self.add(FindingKind::StaticAddressTaken, bus, Some(pinned), named, text, values);
-            self.is_about(Some(entry.index));
+            self.is_about(Some(place));
             if let (Some(found), Some(name)) = (self.found.last_mut(), &other.name) {
                 found.add_name(name);
             } else if let Some(found) = self.found.last_mut() {
@@ -142,16 +148,14 @@ impl<'a> Comparison<'a> {
         }
     }
 
-    fn missing(&mut self, entry: &Entry, scope: Scope) {
-        let inputs = self.inputs;
-        let bus = inputs.buses.iter().position(|bus| entry.is_for_bus(&bus.name));
-        let Some(bus) = bus.map(|at| BusIndex(at as u8)) else { return };
-        if scope == Scope::Screen && !inputs.is_missing(entry) {
+    fn missing(&mut self, file: FileInputs<'a>, entry: &'a Entry, scope: Scope) {
+        let Some((bus, _)) = file.buses_of(entry).next() else { return };
+        if scope == Scope::Screen && !file.is_missing(entry) {
             return;
         }
         let address = entry.address.and_then(Address::new);
         let at = address.map(|address| format!(" (at {address})")).unwrap_or_default();
-        let why = inputs.missing_reasons(entry);
+        let why = file.missing_reasons(entry);
         let (first, rest) = why.split_first().map_or(("", &[][..]), |(it, rest)| (it, rest));
         let end = if first.ends_with('?') { "" } else { "." };
         let name = Quoted(&entry.name);
@@ -159,10 +163,10 @@ impl<'a> Comparison<'a> {
         let values: Values = &[("further reasons", &rest.join("; "))];
         let name = Some(Name::new(&entry.name));
         self.add(FindingKind::Missing, Some(bus), address, name, text, values);
-        self.is_about(Some(entry.index));
+        self.is_about(Some(file.place(entry)));
     }
 
-    fn name(&mut self, entry: &Entry, device: &Device) {
+    fn name(&mut self, file: FileInputs<'a>, entry: &Entry, device: &Device) {
         let Some(own) = device.name.as_ref().filter(|_| !device.is_named(&entry.name)) else {
             return;
         };
@@ -172,7 +176,7 @@ impl<'a> Comparison<'a> {
         let named = Some(Name::new(&entry.name));
         let bus = Some(device.id.bus);
         self.add(FindingKind::NameDiffers, bus, Some(address), named, text, values);
-        self.is_about(Some(entry.index));
+        self.is_about(Some(file.place(entry)));
     }
 
     fn services(&mut self, entry: &Entry, device: &Device) {
@@ -187,8 +191,8 @@ impl<'a> Comparison<'a> {
         self.add(FindingKind::ServicesDiffer, bus, Some(device.address), name, text, &[]);
     }
 
-    fn unlisted(&mut self) {
-        for bus in self.inputs.buses.iter() {
+    fn unlisted(&mut self, file: FileInputs<'a>) {
+        for (_, bus) in file.buses() {
             for device in bus.devices() {
                 let listed = self.inputs.matching.entry_of(device.id).is_some();
                 if listed || device.is_debug || !device.is_present() {
@@ -196,7 +200,7 @@ impl<'a> Comparison<'a> {
                 }
                 // Probably the listed device: the finding about its entry has the reason why it is
                 // not identified.
-                if device.name.is_none() && self.is_awaited_at(device.address) {
+                if device.name.is_none() && is_awaited_at(file, device.address) {
                     continue;
                 }
                 let who = device
@@ -210,15 +214,8 @@ impl<'a> Comparison<'a> {
         }
     }
 
-    /// Returns true if an entry without a device has this address.
-    fn is_awaited_at(&self, address: Address) -> bool {
-        let entries = self.inputs.document.entries().iter();
-        let mut here = entries.filter(|entry| entry.address == Some(address.number()));
-        here.any(|entry| self.inputs.matching.devices_of(entry.index).is_empty())
-    }
-
     /// Sets the entry of the last finding.
-    fn is_about(&mut self, entry: Option<usize>) {
+    fn is_about(&mut self, entry: Option<EntryPlace>) {
         if let Some(last) = self.entries.last_mut() {
             *last = entry;
         }
@@ -242,6 +239,13 @@ impl<'a> Comparison<'a> {
         self.found.push(finding);
         self.entries.push(None);
     }
+}
+
+/// Returns true if an entry without a device has this address.
+fn is_awaited_at(file: FileInputs, address: Address) -> bool {
+    let entries = file.document.entries().iter();
+    let mut here = entries.filter(|entry| entry.address == Some(address.number()));
+    here.any(|entry| file.devices_of(entry).is_empty())
 }
 
 /// The kind of the finding that reports a fault in the file.

@@ -318,7 +318,7 @@ impl App {
         let device = self.listed_device(problem);
         let name = device.map_or_else(|| name_of(problem), |device| self.device_label(device));
         let at = problem.head().key.address.map_or(String::new(), |at| format!(" at {at}"));
-        let file = self.file().name();
+        let file = self.name_of_file(problem.bus());
         let short = format!("{name} is pinned to {pinned} in {file}");
         Words {
             label: format!("{name}{at}, not {pinned}"),
@@ -330,7 +330,7 @@ impl App {
 
     fn missing_words(&self, problem: &Problem) -> Words {
         let name = name_of(problem);
-        let file = self.file().name();
+        let file = self.name_of_file(problem.bus());
         let at = problem.head().key.address.map_or(String::new(), |at| format!(" at {at}"));
         let entry = self.shown_problems().entry_of(&problem.head().key);
         let seen = entry.map_or(&[][..], |entry| self.matching().devices_of(entry));
@@ -351,7 +351,7 @@ impl App {
         else {
             return sentence_words(problem);
         };
-        let (listed, file) = (listed.quoted(), self.file().name());
+        let (listed, file) = (listed.quoted(), self.name_of_file(problem.bus()));
         let user = match self.device_of_problem(problem) {
             Some(device) => self.device_label(device),
             None => "another device".to_owned(),
@@ -433,7 +433,7 @@ impl App {
     /// Address of the entry that a problem is about.
     fn listed_address(&self, problem: &Problem) -> Option<Address> {
         let entry = self.shown_problems().entry_of(&problem.head().key)?;
-        self.document().entries().get(entry)?.address.and_then(Address::new)
+        self.shown_documents().entry(entry)?.address.and_then(Address::new)
     }
 }
 

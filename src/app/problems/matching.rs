@@ -2,9 +2,10 @@
 //!
 //! An entry is assigned by UID, then by name and address, then to the only unassigned device with
 //! its name; present devices come before lost ones. An entry without a bus may have a device on
-//! every bus. Does not compare the values of entry and device.
+//! every bus that has its file. Does not compare the values of entry and device.
 
-use crate::app::buses::Bus;
+use crate::app::buses::Buses;
+use crate::app::file::{Documents, EntryPlace, FileIndex};
 use crate::discovery::{Device, DeviceId};
 use crate::document::Entry;
 use crate::frame::BusIndex;
@@ -14,25 +15,28 @@ use std::collections::BTreeMap;
 /// Entries and their devices.
 #[derive(Debug, Default)]
 pub struct Matching {
-    entry_of: BTreeMap<DeviceId, usize>,
-    devices_of: Vec<Vec<DeviceId>>,
-    /// By entry: it repeats another entry that has a device.
-    duplicates: Vec<bool>,
+    entry_of: BTreeMap<DeviceId, EntryPlace>,
+    /// By file and entry.
+    devices_of: Vec<Vec<Vec<DeviceId>>>,
+    /// By file and entry: it repeats another entry that has a device.
+    duplicates: Vec<Vec<bool>>,
 }
 
 impl Matching {
-    /// Assigns the entries to the devices of the buses.
-    pub fn new(entries: &[Entry], buses: &[Bus]) -> Self {
+    /// Assigns the entries of each file to the devices of its buses.
+    pub(in crate::app) fn new(documents: Documents, buses: &Buses) -> Self {
+        let of_file = |file| vec![Vec::new(); documents.entries(file).len()];
         let mut matching = Self {
             entry_of: BTreeMap::new(),
-            devices_of: vec![Vec::new(); entries.len()],
+            devices_of: documents.files().map(of_file).collect(),
             duplicates: Vec::new(),
         };
-        for (index, bus) in buses.iter().enumerate() {
-            let index = BusIndex(index as u8);
+        for (index, bus) in (0..=u8::MAX).map(BusIndex).zip(buses.iter()) {
+            let file = documents.of_bus(index);
+            let entries = documents.entries(file).iter();
             let entries: Vec<&Entry> =
-                entries.iter().filter(|entry| entry.is_for_bus(&bus.name)).collect();
-            let mut open = Unmatched { entries, matching: &mut matching, bus: index };
+                entries.filter(|entry| entry.is_for_bus(&bus.name)).collect();
+            let mut open = Unmatched { entries, matching: &mut matching, file, bus: index };
             for here in [true, false] {
                 let devices = || bus.devices().iter().filter(|it| it.is_present() == here);
                 let alphabet = &bus.config().profile.uid;
@@ -60,13 +64,17 @@ impl Matching {
                 open.pair_unique(devices, |_, _| true);
             }
         }
-        matching.duplicates = matching.find_duplicates(entries);
+        matching.duplicates = documents
+            .files()
+            .map(|file| matching.find_duplicates(file, documents.entries(file)))
+            .collect();
         matching
     }
 
-    fn find_duplicates(&self, entries: &[Entry]) -> Vec<bool> {
+    fn find_duplicates(&self, file: FileIndex, entries: &[Entry]) -> Vec<bool> {
         let content = |entry: &Entry| (entry.address, entry.name.clone());
-        let matched = |entry: &&Entry| !self.devices_of(entry.index).is_empty();
+        let matched =
+            |entry: &&Entry| !self.devices_of(EntryPlace { file, index: entry.index }).is_empty();
         let mut buses_of: BTreeMap<_, Vec<Option<&str>>> = BTreeMap::new();
         for entry in entries.iter().filter(|entry| entry.address.is_some()).filter(matched) {
             buses_of.entry(content(entry)).or_default().push(entry.bus.as_deref());
@@ -83,18 +91,20 @@ impl Matching {
 
     /// Returns true if the entry at this place repeats name and address of another entry that has a
     /// device.
-    pub fn is_duplicate(&self, entry: usize) -> bool {
-        self.duplicates.get(entry) == Some(&true)
+    pub fn is_duplicate(&self, entry: EntryPlace) -> bool {
+        let of_file = self.duplicates.get(usize::from(entry.file.0));
+        of_file.and_then(|of_file| of_file.get(entry.index)) == Some(&true)
     }
 
-    /// Place of the entry of a device; `None` for a device that is not in the file.
-    pub fn entry_of(&self, device: DeviceId) -> Option<usize> {
+    /// Place of the entry of a device; `None` for a device that is not in the file of its bus.
+    pub fn entry_of(&self, device: DeviceId) -> Option<EntryPlace> {
         self.entry_of.get(&device).copied()
     }
 
     /// Devices of the entry at this place, at most one per bus.
-    pub fn devices_of(&self, entry: usize) -> &[DeviceId] {
-        self.devices_of.get(entry).map_or(&[], Vec::as_slice)
+    pub fn devices_of(&self, entry: EntryPlace) -> &[DeviceId] {
+        let of_file = self.devices_of.get(usize::from(entry.file.0));
+        of_file.and_then(|of_file| of_file.get(entry.index)).map_or(&[], Vec::as_slice)
     }
 }
 
@@ -102,6 +112,7 @@ impl Matching {
 struct Unmatched<'e, 'm> {
     entries: Vec<&'e Entry>,
     matching: &'m mut Matching,
+    file: FileIndex,
     bus: BusIndex,
 }
 
@@ -142,7 +153,11 @@ impl Unmatched<'_, '_> {
     }
 
     fn add(&mut self, entry: usize, device: DeviceId) {
-        self.matching.entry_of.insert(device, entry);
-        self.matching.devices_of[entry].push(device);
+        let place = EntryPlace { file: self.file, index: entry };
+        self.matching.entry_of.insert(device, place);
+        let of_file = self.matching.devices_of.get_mut(usize::from(self.file.0));
+        if let Some(devices) = of_file.and_then(|of_file| of_file.get_mut(entry)) {
+            devices.push(device);
+        }
     }
 }

@@ -3,8 +3,8 @@
 //! Checks causes from the nearest (the bus is down) to the farthest (no frame was received); the
 //! texts state observations.
 
-use crate::app::Inputs;
 use crate::app::buses::{Bus, TxBlocked};
+use crate::app::file_inputs::{FileInputs, Inputs};
 use crate::discovery::{Device, OwnAddress, QueryFault, QueryState};
 use crate::document::Entry;
 use crate::frame::BusIndex;
@@ -13,7 +13,7 @@ use crate::text::{Escaped, Quoted};
 use crate::time::Duration;
 use crate::wire::id::Address;
 
-impl Inputs<'_> {
+impl FileInputs<'_> {
     /// Returns true if an entry without a device can be reported as missing: the search is complete
     /// on each of its buses, and no device with an unknown name uses its address.
     pub fn is_missing(&self, entry: &Entry) -> bool {
@@ -23,19 +23,18 @@ impl Inputs<'_> {
                 && device.name.is_none()
                 && !device.name_query.has_failed_since_response
         };
-        let buses = self.buses.iter().enumerate().filter(|(_, bus)| entry.is_for_bus(&bus.name));
-        buses.into_iter().all(|(index, bus)| {
-            self.buses.is_search_complete(BusIndex(index as u8), self.now)
+        let mut buses = self.buses().filter(|(_, bus)| entry.is_for_bus(&bus.name));
+        buses.all(|(index, bus)| {
+            self.all.buses.is_search_complete(index, self.all.now)
                 && !bus.devices().iter().any(perhaps)
         })
     }
 
     /// Reasons why no device matches an entry, the likeliest first; never empty.
     pub fn missing_reasons(&self, entry: &Entry) -> Vec<String> {
-        let buses = self.buses.iter().enumerate().filter(|(_, bus)| entry.is_for_bus(&bus.name));
-        let mut by_bus: Vec<(&str, Vec<String>)> = buses
-            .map(|(at, bus)| (bus.name.as_str(), self.why_on(BusIndex(at as u8), bus, entry)))
-            .collect();
+        let buses = self.buses().filter(|(_, bus)| entry.is_for_bus(&bus.name));
+        let mut by_bus: Vec<(&str, Vec<String>)> =
+            buses.map(|(index, bus)| (bus.name.as_str(), self.why_on(index, bus, entry))).collect();
         let Some((_, first)) = by_bus.first() else {
             let bus = entry.bus.as_deref().unwrap_or_default();
             return vec![format!("listed for bus {}, which is not open", Escaped(bus.as_bytes()))];
@@ -60,8 +59,8 @@ impl Inputs<'_> {
         let mut elsewhere = Vec::new();
         let mut taken = Vec::new();
         for device in bus.devices() {
-            let owner = self.matching.entry_of(device.id);
-            let is_it = owner == Some(entry.index);
+            let owner = self.all.matching.entry_of(device.id);
+            let is_it = owner == Some(self.place(entry));
             let is_namesake = device.is_named(&entry.name);
             match (device.is_present(), owner) {
                 (false, None) if is_namesake => reasons.push(self.was_at(device)),
@@ -82,7 +81,7 @@ impl Inputs<'_> {
             reasons.push(format!("{name} found at {at}{not}: ambiguous"));
         }
         let is_explained = !reasons.is_empty() || entry.address.is_none() && !taken.is_empty();
-        match self.buses.is_search_complete(index, self.now) {
+        match self.all.buses.is_search_complete(index, self.all.now) {
             _ if is_explained => {}
             false => reasons.push("search still running".to_owned()),
             true => why_silent(bus, entry, &mut reasons),
@@ -94,7 +93,8 @@ impl Inputs<'_> {
     }
 
     fn was_at(&self, device: &Device) -> String {
-        let ago = format_duration(self.buses.display_time(self.now).since(device.last_seen));
+        let ago =
+            format_duration(self.all.buses.display_time(self.all.now).since(device.last_seen));
         format!("last seen at {}, {ago} ago", device.address)
     }
 
@@ -113,7 +113,7 @@ impl Inputs<'_> {
                     other.address
                 ));
             }
-            let is_its = self.matching.entry_of(other.id) == Some(entry.index);
+            let is_its = self.all.matching.entry_of(other.id) == Some(self.place(entry));
             if other.address != address || is_its || other.is_named(&entry.name) {
                 continue;
             }
@@ -124,10 +124,11 @@ impl Inputs<'_> {
                 (Some(_), true) => {
                     reasons.push(format!("{} has address {address} now", device_name(other)));
                 }
-                (None, true) => reasons.extend(self.why_unnamed(other)),
+                (None, true) => reasons.extend(self.all.why_unnamed(other)),
                 (_, false) => {
-                    let ago =
-                        format_duration(self.buses.display_time(self.now).since(other.last_seen));
+                    let ago = format_duration(
+                        self.all.buses.display_time(self.all.now).since(other.last_seen),
+                    );
                     gone = Some(format!(
                         "only {} was at {address}, last seen {ago} ago",
                         device_name(other)
@@ -139,7 +140,9 @@ impl Inputs<'_> {
             reasons.extend(gone);
         }
     }
+}
 
+impl Inputs<'_> {
     /// Reasons why the name or the services of a device are not known.
     pub fn incomplete_reasons(&self, device: &Device) -> Vec<String> {
         let mut reasons = Vec::new();

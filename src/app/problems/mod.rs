@@ -28,9 +28,9 @@ pub(super) use sides::missed_in;
 pub use sides::{ConflictSide, ConflictSides, SideBasis};
 pub(super) use uids::{file_mistakes, mistake_of};
 
-use super::Inputs;
 use super::buses::Buses;
-use super::file::FileContent;
+use super::file::{Documents, EntryPlace};
+use super::file_inputs::Inputs;
 use crate::finding::{Finding, FindingKey, FindingState};
 use crate::time::Instant;
 use comparison::Comparison;
@@ -51,7 +51,7 @@ pub(super) struct Problems {
     /// first; at most [`MAX_FORMER`].
     former: VecDeque<(Instant, Finding)>,
     /// Places of the entries that these findings are about, in the same order.
-    finding_entries: Vec<Option<usize>>,
+    finding_entries: Vec<Option<EntryPlace>>,
     /// Muted until the program ends.
     muted: BTreeSet<ProblemKey>,
     /// Incremented when the findings of the file or the muting change.
@@ -111,17 +111,16 @@ impl Problems {
     }
 
     /// Place of the entry that a finding of the comparison is about.
-    pub fn entry_of(&self, key: &FindingKey) -> Option<usize> {
+    pub fn entry_of(&self, key: &FindingKey) -> Option<EntryPlace> {
         let at = self.file_findings.iter().position(|finding| finding.key == *key)?;
         self.finding_entries[at]
     }
 
-    /// Compares file and buses again; a finding that persists keeps its times. Returns the findings
+    /// Compares files and buses again; a finding that persists keeps its times. Returns the findings
     /// before.
-    pub fn refresh(&mut self, buses: &Buses, file: &FileContent, now: Instant) -> Vec<Finding> {
-        let FileContent { document, is_there: has_file } = file;
-        self.matching = Matching::new(document.entries(), buses.as_slice());
-        let inputs = Inputs { now, buses, document, has_file: *has_file, matching: &self.matching };
+    pub fn refresh(&mut self, buses: &Buses, documents: Documents, now: Instant) -> Vec<Finding> {
+        self.matching = Matching::new(documents, buses);
+        let inputs = Inputs { now, buses, documents, matching: &self.matching };
         let Comparison { mut found, entries, .. } = Comparison::new(inputs, Scope::Screen);
         self.finding_entries = entries;
         let known: HashMap<&FindingKey, &Finding> =
@@ -268,7 +267,8 @@ impl Problems {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::app::{FileReading, FileState};
+    use crate::app::FileReading;
+    use crate::app::file::{FileEditors, FileIndex};
     use crate::discovery::Config;
     use crate::frame::{BusIndex, Frame};
     use crate::status::BusStatus;
@@ -277,18 +277,23 @@ mod tests {
     const FILE: &str = r#"{"devices":[{"name":"A","address":12,"static":true},
         {"name":"B","address":12,"static":true},{"name":5}]}"#;
 
-    fn parts() -> (Buses, FileState) {
+    fn parts() -> (Buses, FileEditors) {
         let buses = Buses::new(NOW, vec![("can0".into(), Config::default())]);
-        let mut file = FileState::new(Some("des.json".into()));
-        file.read(NOW, FileReading::Content(Some(FILE.into())));
-        (buses, file)
+        let mut files = FileEditors::new(Some("des.json".into()), Vec::new());
+        read(&mut files, FILE);
+        (buses, files)
+    }
+
+    fn read(files: &mut FileEditors, text: &str) {
+        let content = FileReading::Content(Some(text.into()));
+        files.get_mut(FileIndex::default()).read(NOW, content);
     }
 
     #[test]
     fn list_is_kept_until_something_changes() {
-        let (mut buses, file) = parts();
+        let (mut buses, files) = parts();
         let mut problems = Problems::default();
-        problems.refresh(&buses, &file.content(), NOW);
+        problems.refresh(&buses, files.documents(), NOW);
         let first = problems.stored(&buses);
         assert!(!first.is_empty() && Rc::ptr_eq(&first, &problems.stored(&buses)));
         // A frame alone changes no finding.
@@ -304,9 +309,9 @@ mod tests {
 
     #[test]
     fn muted_problem_is_last_and_does_not_count() {
-        let (buses, file) = parts();
+        let (buses, files) = parts();
         let mut problems = Problems::default();
-        problems.refresh(&buses, &file.content(), NOW);
+        problems.refresh(&buses, files.documents(), NOW);
         let key = problems.list(&buses).get(0).unwrap().key;
         assert!(problems.toggle_muted(key.clone()) && problems.is_muted(&key));
         let list = problems.list(&buses);
@@ -317,14 +322,14 @@ mod tests {
 
     #[test]
     fn cleared_finding_is_reported_once() {
-        let (buses, mut file) = parts();
+        let (buses, mut files) = parts();
         let mut problems = Problems::default();
-        let before = problems.refresh(&buses, &file.content(), NOW);
+        let before = problems.refresh(&buses, files.documents(), NOW);
         assert!(!problems.changes_since(&before, NOW).is_empty());
-        let before = problems.refresh(&buses, &file.content(), NOW);
+        let before = problems.refresh(&buses, files.documents(), NOW);
         assert!(problems.changes_since(&before, NOW).is_empty());
-        file.read(NOW, FileReading::Content(Some(br#"{"devices":[]}"#.to_vec())));
-        let before = problems.refresh(&buses, &file.content(), NOW);
+        read(&mut files, r#"{"devices":[]}"#);
+        let before = problems.refresh(&buses, files.documents(), NOW);
         let changes = problems.changes_since(&before, NOW);
         assert!(!changes.is_empty());
         assert!(changes.iter().all(|it| it.state == FindingState::Cleared));

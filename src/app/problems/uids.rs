@@ -3,8 +3,8 @@
 //! Pure: entries and the UID alphabets of the buses in, mistakes in words out. Does not know which
 //! devices there are.
 
-use crate::app::buses::{Bus, Buses};
-use crate::document::{Document, DocumentFinding, Entry};
+use crate::app::file_inputs::FileInputs;
+use crate::document::{DocumentFinding, Entry};
 use crate::text::Escaped;
 use crate::wire::node::Uid;
 use crate::wire::profile::UidProfile;
@@ -13,14 +13,14 @@ use crate::wire::profile::UidProfile;
 const CHARACTERS: usize = 8;
 
 /// Returns the mistakes of the file, with those that show by the profiles of the buses.
-pub(in crate::app) fn file_mistakes(document: &Document, buses: &Buses) -> Vec<DocumentFinding> {
-    document.findings_with_uids(|entry, uid| mistake_of(buses, entry, uid))
+pub(in crate::app) fn file_mistakes(file: FileInputs) -> Vec<DocumentFinding> {
+    file.document.findings_with_uids(|entry, uid| mistake_of(file, entry, uid))
 }
 
 /// Says what is wrong with the UID of an entry; `None` if a device of one of its buses can have it.
-pub(in crate::app) fn mistake_of(buses: &Buses, entry: &Entry, uid: &str) -> Option<String> {
-    let own = buses.iter().filter(|bus| entry.is_for_bus(&bus.name));
-    let mut mistakes = own.map(|bus: &Bus| mistake_in(uid.trim(), &bus.config().profile.uid));
+pub(in crate::app) fn mistake_of(file: FileInputs, entry: &Entry, uid: &str) -> Option<String> {
+    let own = file.buses().filter(|(_, bus)| entry.is_for_bus(&bus.name));
+    let mut mistakes = own.map(|(_, bus)| mistake_in(uid.trim(), &bus.config().profile.uid));
     let first = mistakes.next()??;
     mistakes.all(|other| other.is_some()).then_some(first)
 }

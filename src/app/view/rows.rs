@@ -1,6 +1,7 @@
 //! Rows of the Devices page: types and sort orders.
 
 use crate::app::buses::Buses;
+use crate::app::file::{Documents, EntryPlace, FileIndex};
 use crate::discovery::{AddressSender, Device, DeviceId, Presence};
 use crate::document::EntryKey;
 use crate::frame::BusIndex;
@@ -17,7 +18,17 @@ pub enum RowKey {
     /// Row of a further board at the address of a device.
     Board(DeviceId, Uid),
     /// Row of an entry without a device.
-    Entry(EntryKey),
+    Entry(FileIndex, EntryKey),
+}
+
+impl RowKey {
+    /// The file that edits of the row change: that of its bus, or of its entry.
+    pub(in crate::app) fn file(&self, documents: Documents) -> FileIndex {
+        match self {
+            Self::Device(id) | Self::Board(id, _) => documents.of_bus(id.bus),
+            Self::Entry(file, _) => *file,
+        }
+    }
 }
 
 /// One of several boards at an address.
@@ -51,7 +62,7 @@ pub struct Row {
     /// Relation to des.json.
     pub file: FileStatus,
     /// Place of its entry in the file.
-    pub entry: Option<usize>,
+    pub entry: Option<EntryPlace>,
     /// Its entry has an invalid value or is a duplicate.
     pub has_findings: bool,
     /// The services of its entry differ from those of the device.
@@ -71,7 +82,7 @@ impl Row {
     pub fn device<'b>(&self, buses: &'b Buses) -> Option<&'b Device> {
         match self.key {
             RowKey::Device(id) | RowKey::Board(id, _) => buses.device(id),
-            RowKey::Entry(_) => None,
+            RowKey::Entry(..) => None,
         }
     }
 

@@ -11,7 +11,7 @@ use super::open::{self, Setup};
 use super::output::{self, answer, ask, may_ask, say};
 use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure};
 use crate::address_plan::{DeviceIdentity, LeftOutReason, PlanRecord, PlanRun, RunState};
-use crate::app::{App, Bus, PlanStart, PlanTask, key_needed};
+use crate::app::{App, Bus, EntryPlace, PlanStart, PlanTask, key_needed};
 use crate::cli::ApplyArgs;
 use crate::discovery::{Device, OwnAddress};
 use crate::document::Operation;
@@ -211,7 +211,7 @@ impl Apply<'_> {
     /// Names what is wrong in des.json.
     fn tell_mistakes(&mut self, app: &App) {
         let file = app.file();
-        for finding in app.file_mistakes() {
+        for finding in app.file_mistakes(app.file_of_bus(BUS)) {
             self.has_mistakes = true;
             say(format!("{}, {}: {}", file.name(), finding.position, finding.message));
         }
@@ -268,7 +268,7 @@ impl Apply<'_> {
                 say("the addresses of the bus have changed");
                 return self.show_pins(app);
             }
-            app.pin_bus(&self.pins);
+            app.pin_bus(BUS, &self.pins);
             self.stage = ApplyStage::Saving;
             return Ok(());
         }
@@ -374,8 +374,9 @@ fn is_missing(app: &App, bus: &Bus, task: &PlanTask) -> bool {
                 // A device is known to be the listed one by its UID alone, where the entry has one.
                 let needs_uid = entry.trimmed_uid().is_some();
                 let is_there = |it: &Device| it.is_present() && (!needs_uid || it.uid.is_some());
-                let mut devices = app.matching().devices_of(entry.index).iter();
-                !app.matching().is_duplicate(entry.index)
+                let place = EntryPlace { file: app.file_of_bus(BUS), index: entry.index };
+                let mut devices = app.matching().devices_of(place).iter();
+                !app.matching().is_duplicate(place)
                     && !devices.any(|id| app.device(*id).is_some_and(is_there))
             })
         }

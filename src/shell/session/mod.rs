@@ -17,8 +17,8 @@ use super::store::{SaveError, Saved, Store, write_new};
 use super::waiting::{catalogue_changed, file_changed, sleep_for};
 use crate::address_plan::PlanRecord;
 use crate::app::{
-    App, Effect, FileReading, FrameSelector, InterleavedLogs, InterleavedOrder, SaveOutcome,
-    WrittenFrames,
+    App, Effect, FileIndex, FileReading, FrameSelector, InterleavedLogs, InterleavedOrder,
+    SaveOutcome, WrittenFrames,
 };
 use crate::bus::{BusSpec, Clock, Port};
 use crate::catalogue::CatalogueText;
@@ -69,8 +69,8 @@ pub enum SessionWake {
     Buses,
     /// Frames of the log were read, or its end; or it cannot be read.
     Log(io::Result<LogBatch>),
-    /// Another program changed des.json.
-    File(FileReading),
+    /// Another program changed a des.json.
+    File(FileIndex, FileReading),
     /// Another program changed the profile.
     Profile(DiskContent),
     /// Another program changed the project.
@@ -99,8 +99,8 @@ pub enum InputEnd {
 /// Result of work on files.
 #[derive(Debug)]
 pub enum FileJobResult {
-    /// Saving des.json, with the content.
-    Saved(SaveOutcome, Vec<u8>),
+    /// Saving a des.json, with the content.
+    Saved(FileIndex, SaveOutcome, Vec<u8>),
     /// Writing another file.
     Written(PathBuf, Result<(), Diagnostic>),
     /// Writing the captured frames.
@@ -114,8 +114,34 @@ pub enum FileJobResult {
 /// Work on files, on a separate thread.
 struct FileJob {
     handle: JoinHandle<FileJobResult>,
-    /// It saves des.json, not another file.
-    is_save: bool,
+    /// The des.json that it saves; `None` for another file.
+    saves: Option<FileIndex>,
+}
+
+/// A des.json on disk.
+struct DesFile {
+    store: Store,
+    /// `None` for a log that is all there: it is compared with the file as it is at the start.
+    watch: Option<FileWatcher>,
+    /// Parses new content, off the thread that draws.
+    reading: Option<JoinHandle<FileReading>>,
+}
+
+impl DesFile {
+    /// Waits until another program changed the file. May be dropped while waiting.
+    async fn next_reading(&mut self) -> FileReading {
+        let parsing = if let Some(parsing) = &mut self.reading {
+            parsing
+        } else {
+            let found = FileReading::from(file_changed(self.watch.as_ref()).await);
+            self.reading.insert(spawn_blocking(|| found.parsed()))
+        };
+        let parsed = parsing.await;
+        self.reading = None;
+        parsed.unwrap_or_else(|broken| {
+            FileReading::Error(Diagnostic::new(format!("reader stopped: {broken}")))
+        })
+    }
 }
 
 /// Where frames come from, and the clock that counts their time.
@@ -146,16 +172,14 @@ pub struct Session {
     pub app: App,
     input: SessionInput,
     input_end: Option<InputEnd>,
-    store: Option<Store>,
-    watch: Option<FileWatcher>,
+    /// The des.json files, each at the place of its index.
+    files: Vec<DesFile>,
     /// The profile's file, and what watches it.
     profile: Option<(PathBuf, FileWatcher)>,
     /// The project's file, and what watches it.
     project: Option<(PathBuf, FileWatcher)>,
     /// Watches the folders of the catalogue.
     catalogue: Option<CatalogueWatcher>,
-    /// Parses new content of des.json, off the thread that draws.
-    reading: Option<JoinHandle<FileReading>>,
     work: Vec<FileJob>,
     recorder: Option<Recorder>,
     /// Selects the recorded frames; `None` for all.
@@ -171,8 +195,14 @@ pub struct Session {
 }
 
 impl Session {
-    /// A session on buses. The port at position n carries the bus of index n.
-    pub fn new(mut app: App, clock: Clock, mut ports: Vec<Port>, store: Option<Store>) -> Self {
+    /// A session on buses. The port at position n carries the bus of index n, and the store at position
+    /// n is of the des.json of index n.
+    pub fn new(
+        mut app: App,
+        clock: Clock,
+        mut ports: Vec<Port>,
+        stores: impl IntoIterator<Item = Store>,
+    ) -> Self {
         // Frames can be read again by their numbers only if all are of logs.
         let logs: Option<Vec<_>> = ports.iter_mut().map(Port::take_frame_source).collect();
         let mut order = None;
@@ -194,7 +224,7 @@ impl Session {
             app,
             SessionInput::Ports { clock, ports, interfaces, order },
             resumed,
-            store,
+            stores,
         )
     }
 
@@ -225,36 +255,49 @@ impl Session {
         }
     }
 
-    /// Adds a bus, opened with the number of [`Self::next_bus`].
-    pub fn add_bus(&mut self, port: Port, name: String, config: Config) {
-        let now = self.now();
+    /// Adds a bus, opened with the number of [`Self::next_bus`]; `file` is its own des.json, if it has
+    /// not that of the session.
+    pub fn add_bus(&mut self, port: Port, name: String, config: Config, file: Option<PathBuf>) {
+        let (now, index) = (self.now(), self.next_bus());
         let SessionInput::Ports { ports, interfaces, .. } = &mut self.input else { return };
         self.app.add_bus(now, name, config);
         port.allow_collecting();
         ports.push(port);
         interfaces.push(Vec::new());
+        let Some((index, path)) = index.zip(file) else { return };
+        if self.app.set_file_of_bus(index, Some(path.clone())).is_some() {
+            self.open_file(Store::new(&path));
+        }
     }
 
     /// A session on one log. Its interfaces become buses with settings `config` as they are named.
-    pub fn of_log(app: App, log: LogInput, config: Config, store: Option<Store>) -> Self {
+    pub fn of_log(
+        app: App,
+        log: LogInput,
+        config: Config,
+        store: impl IntoIterator<Item = Store>,
+    ) -> Self {
         let resumed = app.now();
         let config = Config { listen_only: true, ..config };
         Self::with_input(app, SessionInput::Log(Box::new(log), Box::new(config)), resumed, store)
     }
 
-    fn with_input(app: App, input: SessionInput, resumed: Instant, store: Option<Store>) -> Self {
+    fn with_input(
+        app: App,
+        input: SessionInput,
+        resumed: Instant,
+        stores: impl IntoIterator<Item = Store>,
+    ) -> Self {
         let mut session = Self {
             app,
             input,
             input_end: None,
             started: Monotonic::now(),
             stall_checked_from: resumed,
-            store,
-            watch: None,
+            files: Vec::new(),
             profile: None,
             project: None,
             catalogue: None,
-            reading: None,
             work: Vec::new(),
             recorder: None,
             selector: None,
@@ -264,7 +307,7 @@ impl Session {
         };
         session.app.set_real_time(Instant::ZERO);
         session.report_playback();
-        session.open_file();
+        stores.into_iter().for_each(|store| session.open_file(store));
         session
     }
 
@@ -329,21 +372,20 @@ impl Session {
         }
     }
 
-    fn open_file(&mut self) {
-        let Some(store) = &self.store else { return };
+    /// Opens the next des.json: reads it, and watches it.
+    fn open_file(&mut self, store: Store) {
+        let Ok(file) = u8::try_from(self.files.len()).map(FileIndex) else { return };
         let reading = store.read();
-        // A log that is all there is compared with the file as it is at the start.
         let is_live = match &self.input {
             SessionInput::Ports { .. } => true,
             SessionInput::Log(log, _) => log.pace() == LogPace::Live,
         };
-        if is_live {
-            self.watch = Some(FileWatcher::spawn(store.clone(), reading.clone()));
-        }
+        let watch = is_live.then(|| FileWatcher::spawn(store.clone(), reading.clone()));
         let missing_folder = store.missing_folder();
-        self.app.handle_file(self.now(), reading.into());
+        self.files.push(DesFile { store, watch, reading: None });
+        self.app.handle_file(self.now(), file, reading.into());
         if let Some(fault) = missing_folder {
-            self.app.handle_missing_folder(self.now(), &fault);
+            self.app.handle_missing_folder(self.now(), file, &fault);
         }
     }
 
@@ -390,19 +432,17 @@ impl Session {
         let real = self.app.poll_real_timeout().map(|at| at.since(self.real_time()));
         let file_due = sleep_for(real);
         let (is_replay, reached) = (self.is_replay(), self.app.now());
-        let (watch, reading) = (self.watch.as_ref(), &mut self.reading);
+        let files = &mut self.files;
         let file = async {
-            let parsing = if let Some(parsing) = reading {
-                parsing
-            } else {
-                let found = FileReading::from(file_changed(watch).await);
-                reading.insert(spawn_blocking(|| found.parsed()))
-            };
-            let parsed = parsing.await;
-            *reading = None;
-            parsed.unwrap_or_else(|broken| {
-                FileReading::Error(Diagnostic::new(format!("reader stopped: {broken}")))
-            })
+            let indices = (0..=u8::MAX).map(FileIndex);
+            let readings = indices.zip(files.iter_mut()).map(|(index, file)| {
+                Box::pin(async move { SessionWake::File(index, file.next_reading().await) })
+            });
+            let readings: Vec<_> = readings.collect();
+            if readings.is_empty() {
+                return pending().await;
+            }
+            select_all(readings).await.0
         };
         let profile = file_changed(self.profile.as_ref().map(|(_, watcher)| watcher));
         let project = file_changed(self.project.as_ref().map(|(_, watcher)| watcher));
@@ -471,17 +511,17 @@ impl Session {
             wake = batch_or_due => wake,
             () = due => SessionWake::Due,
             () = file_due => SessionWake::FileDue,
-            reading = file => SessionWake::File(reading),
+            wake = file => wake,
             content = profile => SessionWake::Profile(content),
             content = project => SessionWake::Project(content),
             texts = catalogue => SessionWake::Catalogue(texts),
             (result, at) = done => {
-                drop(self.work.swap_remove(at));
+                let saves = self.work.swap_remove(at).saves.unwrap_or_default();
                 match result {
                     Ok(finished) => SessionWake::FileJobDone(finished),
                     Err(broken) => {
                         let why = Diagnostic::new(format!("saving stopped: {broken}"));
-                        SessionWake::FileJobDone(FileJobResult::Saved(SaveOutcome::Failed(why), Vec::new()))
+                        SessionWake::FileJobDone(FileJobResult::Saved(saves, SaveOutcome::Failed(why), Vec::new()))
                     }
                 }
             }
@@ -530,16 +570,16 @@ impl Session {
                 }
             }
             SessionWake::Search(news) => self.take_search(now, news),
-            SessionWake::File(reading) => self.app.handle_file(now, reading),
+            SessionWake::File(file, reading) => self.app.handle_file(now, file, reading),
             SessionWake::Profile(content) => self.take_profile(now, content),
             SessionWake::Project(content) => self.take_project(now, content),
             SessionWake::Catalogue(texts) => {
                 let catalogue = self.app.catalogue().read(texts);
                 self.app.handle_catalogue(now, Arc::new(catalogue));
             }
-            SessionWake::FileJobDone(FileJobResult::Saved(outcome, content)) => {
-                self.update_watch(&outcome, content);
-                self.app.handle_saved(now, outcome);
+            SessionWake::FileJobDone(FileJobResult::Saved(file, outcome, content)) => {
+                self.update_watch(file, &outcome, content);
+                self.app.handle_saved(now, file, outcome);
             }
             SessionWake::FileJobDone(FileJobResult::Written(path, result)) => {
                 self.app.handle_written(now, &path, result);
@@ -575,15 +615,19 @@ impl Session {
 
     /// Makes the file watch know the content of a save, or read the file again where that is not
     /// certain.
-    fn update_watch(&mut self, outcome: &SaveOutcome, content: Vec<u8>) {
-        let Some(watch) = &self.watch else { return };
-        let is_overtaken = self.app.file().is_base_changed();
+    fn update_watch(&mut self, file: FileIndex, outcome: &SaveOutcome, content: Vec<u8>) {
+        let is_overtaken = self.app.file_at(file).is_base_changed();
+        let Some(DesFile { watch: Some(watch), reading, .. }) =
+            self.files.get_mut(usize::from(file.0))
+        else {
+            return;
+        };
         if matches!(outcome, SaveOutcome::Failed(_)) && !is_overtaken {
             return;
         }
         // What is being parsed was read before, or while the content of a save that was put back
         // was there.
-        let is_old = self.reading.take().is_some();
+        let is_old = reading.take().is_some();
         if outcome.is_on_disk() && !is_old && !is_overtaken {
             watch.set_known(content);
         } else {
@@ -836,7 +880,9 @@ impl Session {
         let mut rest = Vec::new();
         while let Some(effect) = self.app.poll_effect() {
             match effect {
-                Effect::Save { expected, content } => self.start_save(expected, content),
+                Effect::Save { file, expected, content } => {
+                    self.start_save(file, expected, content);
+                }
                 Effect::WriteFile { path, bytes } => {
                     let write = move |file: &mut File| file.write_all(&bytes);
                     self.start_write(path, write, FileJobResult::Written);
@@ -851,7 +897,7 @@ impl Session {
                         let last = last.map(|last| last.map(Box::new));
                         FileJobResult::ReadLastPlan(bus, last)
                     };
-                    self.work.push(FileJob { handle: spawn_blocking(read), is_save: false });
+                    self.work.push(FileJob { handle: spawn_blocking(read), saves: None });
                 }
                 Effect::WritePlan { name, bytes, is_new, runs_on } => {
                     let locked = self.lock_plan(runs_on);
@@ -859,12 +905,13 @@ impl Session {
                         let written = locked.and_then(|()| write_plan(&name, &bytes, is_new));
                         FileJobResult::WrittenPlan(written)
                     };
-                    self.work.push(FileJob { handle: spawn_blocking(write), is_save: false });
+                    self.work.push(FileJob { handle: spawn_blocking(write), saves: None });
                 }
-                Effect::ReadFile => {
+                Effect::ReadFile(file) => {
+                    let Some(file) = self.files.get_mut(usize::from(file.0)) else { continue };
                     // What is being parsed was read before.
-                    self.reading = None;
-                    self.watch.as_ref().inspect(|watch| watch.reread());
+                    file.reading = None;
+                    file.watch.as_ref().inspect(|watch| watch.reread());
                 }
                 Effect::FindBitrate(index) => {
                     let Some(bus) = self.app.bus(index) else { continue };
@@ -906,12 +953,13 @@ impl Session {
             let result = write_new(&path, home.as_deref(), write);
             done(path, result)
         });
-        self.work.push(FileJob { handle, is_save: false });
+        self.work.push(FileJob { handle, saves: None });
     }
 
     /// Saves on a separate thread: fsync may take long on a network file system.
-    fn start_save(&mut self, expected: Option<Document>, content: Document) {
-        let Some(store) = self.store.clone() else { return };
+    fn start_save(&mut self, file: FileIndex, expected: Option<Document>, content: Document) {
+        let Some(open) = self.files.get(usize::from(file.0)) else { return };
+        let store = open.store.clone();
         let handle = spawn_blocking(move || {
             let expected = expected.as_ref().map(Document::source);
             let outcome = match store.save(expected, content.source()) {
@@ -923,16 +971,16 @@ impl Session {
                 Err(SaveError::Unconfirmed(fault)) => SaveOutcome::Unconfirmed(fault),
                 Err(SaveError::Failed(fault)) => SaveOutcome::Failed(fault),
             };
-            FileJobResult::Saved(outcome, content.source().to_vec())
+            FileJobResult::Saved(file, outcome, content.source().to_vec())
         });
-        self.work.push(FileJob { handle, is_save: true });
+        self.work.push(FileJob { handle, saves: Some(file) });
     }
 
     /// Waits for work on files that has started, until Ctrl-C or for `timeout`, so that no file is
     /// left half-written, and takes its results. Waits for a save of des.json only if `waits_for_save`: an interrupted
     /// save leaves either the old or the new content.
     pub async fn finish_work(&mut self, waits_for_save: bool, timeout: Option<Duration>) {
-        let wanted = |work: &FileJob| waits_for_save || !work.is_save;
+        let wanted = |work: &FileJob| waits_for_save || work.saves.is_none();
         let deadline = timeout.map(|timeout| tokio::time::Instant::now() + timeout);
         for work in std::mem::take(&mut self.work).into_iter().filter(wanted) {
             let is_late = async {

@@ -279,11 +279,12 @@ impl<'b, 'a> DeviceDetails<'b, 'a> {
     /// Why the device is missing, or why its name or services are not known, likeliest cause first.
     fn why(&mut self, device: Option<&Device>) {
         let app = self.app();
+        let file = app.file_of_row(self.row);
         let reasons = match (device, app.entry_of(self.row)) {
-            (Some(device), Some(entry)) if !device.is_present() => app.missing_reasons(entry),
+            (Some(device), Some(entry)) if !device.is_present() => app.missing_reasons(file, entry),
             (Some(device), _) => app.incomplete_reasons(device),
             (None, Some(_)) if self.row.state == RowState::Duplicate => Vec::new(),
-            (None, Some(entry)) => app.missing_reasons(entry),
+            (None, Some(entry)) => app.missing_reasons(file, entry),
             (None, None) => Vec::new(),
         };
         for reason in reasons {
@@ -397,7 +398,8 @@ impl<'b, 'a> DeviceDetails<'b, 'a> {
     fn file(&mut self, device: Option<&Device>) {
         let app = self.app();
         self.blank();
-        let name = app.file().name();
+        let index = app.file_of_row(self.row);
+        let name = app.file_at(index).name();
         let (role, text) = match (self.row.file, device) {
             (FileStatus::Nothing, _) => return,
             (FileStatus::New, _) => {
@@ -423,12 +425,17 @@ impl<'b, 'a> DeviceDetails<'b, 'a> {
         let label = if name.width() < 9 { name } else { "file".to_owned() };
         self.add(&label, role, &text);
         if let Some(entry) = app.entry_of(self.row) {
-            self.add(" ", Role::Muted, &entry.position.to_string());
-            for finding in app.document().findings_of(entry.index) {
+            let place = match app.files().count() {
+                1 => entry.position.to_string(),
+                _ => format!("{} of {}", entry.position, app.file_at(index).name()),
+            };
+            self.add(" ", Role::Muted, &place);
+            let document = app.document_at(index);
+            for finding in document.iter().flat_map(|it| it.findings_of(entry.index)) {
                 let text = format!("! {} ({})", finding.message, finding.position);
                 self.add(" ", Role::Warning, &text);
             }
-            if let Some(mistake) = app.uid_mistake(entry) {
+            if let Some(mistake) = app.uid_mistake(index, entry) {
                 self.add(" ", Role::Warning, &format!("! {mistake}"));
             }
         }

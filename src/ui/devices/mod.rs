@@ -524,7 +524,7 @@ fn draw_editor(brush: &mut DrawContext, list: Rect, line: u16, row: &Row, start:
     let Some(prompt) = brush.app.prompt() else { return };
     let is_here = |key: &RowKey| match key {
         RowKey::Device(id) => row.has_device(*id),
-        RowKey::Entry(_) | RowKey::Board(..) => *key == row.key,
+        RowKey::Entry(..) | RowKey::Board(..) => *key == row.key,
     };
     if !matches!(&prompt.kind, PromptKind::Address(it) if is_here(&it.key)) {
         return;

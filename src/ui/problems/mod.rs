@@ -78,7 +78,7 @@ fn draw_list(brush: &mut DrawContext) {
     let app = brush.app;
     let problems = app.problems_shown();
     if problems.is_empty() {
-        if app.file().problem().is_some() && app.problems().is_empty() {
+        if app.counts().is_file_broken && app.problems().is_empty() {
             return;
         }
         if app.page_filter(Page::Problems).is_on() {
@@ -114,16 +114,18 @@ fn draw_list(brush: &mut DrawContext) {
     }
 }
 
-/// Draws why des.json cannot be used, with the lines of the mistake, at the bottom of the list.
+/// Draws why des.json files cannot be used, with the lines of the mistakes, at the bottom of the list.
 /// Returns the area that is left for the problems.
 fn draw_file_problem(brush: &mut DrawContext, list: Rect) -> Rect {
-    let file = brush.app.file();
-    let Some(problem) = file.problem() else { return list };
-    let mut lines = vec![Line::default()];
-    let text = problem.of_file(&file.name());
-    lines.extend(labelled(brush, "  ✗ ", Role::Error, &text, list.width));
-    for text in problem.excerpt().into_iter().flatten() {
-        lines.push(Line::from(brush.span(Role::Text, format!("  {text}"))));
+    let mut lines = Vec::new();
+    for (_, file) in brush.app.files() {
+        let Some(problem) = file.problem() else { continue };
+        lines.push(Line::default());
+        let text = problem.of_file(&file.name());
+        lines.extend(labelled(brush, "  ✗ ", Role::Error, &text, list.width));
+        for text in problem.excerpt().into_iter().flatten() {
+            lines.push(Line::from(brush.span(Role::Text, format!("  {text}"))));
+        }
     }
     let height = list.height.min(lines.len() as u16);
     let left = Rect { height: list.height - height, ..list };

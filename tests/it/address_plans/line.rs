@@ -1,7 +1,7 @@
 //! A bus of simulated devices that are to move, with descan on it and a disk for its plans.
 
 use descan::address_plan::{PlanRecord, RunState};
-use descan::app::{App, AppOptions, Effect, FileReading, PlanStart, PlanTask};
+use descan::app::{App, AppOptions, Effect, FileIndex, FileReading, PlanStart, PlanTask};
 use descan::discovery::Config;
 use descan::frame::{BusIndex, Frame};
 use descan::sim::{DeviceAction, DeviceSpec, Scenario, Sim, SimDeviceId, SimStation};
@@ -137,7 +137,11 @@ impl Line {
             ..BusStatus::default()
         };
         app.handle_bus(now, BUS, status);
-        app.handle_file(now, FileReading::Content(Some(file.as_bytes().to_vec())));
+        app.handle_file(
+            now,
+            FileIndex::default(),
+            FileReading::Content(Some(file.as_bytes().to_vec())),
+        );
         app
     }
 

@@ -5,7 +5,7 @@ mod line;
 mod surprises;
 
 use descan::address_plan::{PlanRecord, PlanStep, RunState, StepState};
-use descan::app::{FileReading, PlanStart, PlanTask};
+use descan::app::{FileIndex, FileReading, PlanStart, PlanTask};
 use descan::sim::{DeviceAction, DeviceSpec, Fault};
 use descan::time::Instant;
 use descan::wire::descriptor::AddressSetting;
@@ -267,7 +267,11 @@ fn devices_without_a_uid_are_moved_by_their_addresses() {
         assert!(line.app.address_plan().unwrap().plan().steps.is_empty());
         // One of them, by its name, where the others are in their places.
         let moved = file.replace("13", "30");
-        line.app.handle_file(line.sim.now(), FileReading::Content(Some(moved.into_bytes())));
+        line.app.handle_file(
+            line.sim.now(),
+            FileIndex::default(),
+            FileReading::Content(Some(moved.into_bytes())),
+        );
         line.plan(PlanTask::ToFile);
         let plan = line.app.address_plan().unwrap().plan();
         let why: Vec<String> = plan.steps.iter().map(PlanStep::why).collect();

@@ -2,7 +2,7 @@
 
 use super::line::{Line, Writes, address, device};
 use descan::address_plan::RunState;
-use descan::app::{DeviceCommand, FileReading, PlanTask};
+use descan::app::{DeviceCommand, FileIndex, FileReading, PlanTask};
 use descan::sim::{DeviceAction, DeviceSpec, Fault};
 use descan::time::{Duration, Instant};
 use descan::wire::descriptor::AddressSetting;
@@ -24,7 +24,7 @@ fn settled(name: &str, number: u8, uid: Uid) -> DeviceSpec {
 fn change_file(line: &mut Line, file: &str) {
     file.clone_into(&mut line.file);
     let reading = FileReading::Content(Some(file.as_bytes().to_vec()));
-    line.app.handle_file(line.sim.now(), reading);
+    line.app.handle_file(line.sim.now(), FileIndex::default(), reading);
 }
 
 /// descan ends, and is started again.

@@ -5,7 +5,7 @@
 
 use super::harness::text_of;
 use super::paced::PacedScreen;
-use descan::app::{App, AppOptions, Effect, FileReading};
+use descan::app::{App, AppOptions, Effect, FileIndex, FileReading};
 use descan::discovery::Config;
 use descan::frame::{BusIndex, Frame};
 use descan::keymap::Key;
@@ -71,7 +71,11 @@ impl Busy {
             ..BusStatus::default()
         };
         app.handle_bus(Instant::ZERO, BusIndex(0), status);
-        app.handle_file(Instant::ZERO, FileReading::Content(Some(FILE.as_bytes().to_vec())));
+        app.handle_file(
+            Instant::ZERO,
+            FileIndex::default(),
+            FileReading::Content(Some(FILE.as_bytes().to_vec())),
+        );
         Self {
             app,
             screen: PacedScreen::new(columns, rows),

@@ -1,7 +1,7 @@
 //! Test harness: the app on a simulated bus, with a des.json file.
 
 use descan::address_plan::PlanRecord;
-use descan::app::{App, AppOptions, Effect, FileReading, Overlay, SaveOutcome};
+use descan::app::{App, AppOptions, Effect, FileIndex, FileReading, Overlay, SaveOutcome};
 use descan::diagnostic::Diagnostic;
 use descan::discovery::Config;
 use descan::document::Document;
@@ -107,7 +107,7 @@ impl Stage {
         };
         stage.app.handle_bus(Instant::ZERO, BusIndex(0), status);
         let content = stage.file.clone();
-        stage.app.handle_file(Instant::ZERO, FileReading::Content(content));
+        stage.app.handle_file(Instant::ZERO, FileIndex::default(), FileReading::Content(content));
         stage
     }
 
@@ -161,9 +161,9 @@ impl Stage {
                 let last = self.last_plan.clone().map(Box::new);
                 self.app.handle_last_plan(now, bus, Ok(last));
             }
-            if effect == Effect::ReadFile {
+            if effect == Effect::ReadFile(FileIndex::default()) {
                 let reading = FileReading::Content(self.file.clone());
-                self.app.handle_file(now, reading);
+                self.app.handle_file(now, FileIndex::default(), reading);
             }
             self.effects.push(effect);
         }
@@ -171,7 +171,7 @@ impl Stage {
 
     /// Writes the file if a save is due.
     fn save(&mut self, now: Instant, effect: &Effect) {
-        let Effect::Save { expected, content } = effect else { return };
+        let Effect::Save { expected, content, .. } = effect else { return };
         let expected = expected.as_ref().map(Document::source);
         let outcome = if let Some(why) = &self.refusal {
             SaveOutcome::Failed(Diagnostic::new(why))
@@ -183,7 +183,7 @@ impl Stage {
         };
         match &mut self.unfinished {
             Some(unfinished) => unfinished.push(outcome),
-            None => self.app.handle_saved(now, outcome),
+            None => self.app.handle_saved(now, FileIndex::default(), outcome),
         }
     }
 
@@ -210,7 +210,7 @@ impl Stage {
 
     pub fn finish_saves(&mut self) -> &mut Self {
         for outcome in std::mem::take(self.unfinished.as_mut().unwrap()) {
-            self.app.handle_saved(self.app.now(), outcome);
+            self.app.handle_saved(self.app.now(), FileIndex::default(), outcome);
         }
         self.drain(self.app.now());
         self
@@ -261,7 +261,7 @@ impl Stage {
     /// Reports the content on disk to the app.
     pub fn notice(&mut self) -> &mut Self {
         let reading = FileReading::Content(self.file.clone()).parsed();
-        self.app.handle_file(self.app.now(), reading);
+        self.app.handle_file(self.app.now(), FileIndex::default(), reading);
         self.drain(self.app.now());
         self
     }

@@ -2,7 +2,7 @@
 
 use super::snapshot;
 use crate::common::harness::{BOILER, Stage, text_of};
-use descan::app::{App, AppOptions, FileReading, Signs};
+use descan::app::{App, AppOptions, FileIndex, FileReading, Signs};
 use descan::discovery::Config;
 use descan::frame::BusIndex;
 use descan::sim::Scenario;
@@ -24,7 +24,7 @@ fn stage() -> Stage {
     let status = BusStatus { link: Link::Up, bitrate, ..BusStatus::default() };
     stage.app.handle_bus(Instant::ZERO, BusIndex(0), status);
     let content = FileReading::Content(Some(BOILER.as_bytes().to_vec()));
-    stage.app.handle_file(Instant::ZERO, content);
+    stage.app.handle_file(Instant::ZERO, FileIndex::default(), content);
     stage.size(80, 24).until(45.0);
     stage
 }

@@ -2,7 +2,7 @@
 
 use super::{one_line, snapshot};
 use crate::common::harness::{BOILER, Stage};
-use descan::app::{Effect, FileReading};
+use descan::app::{Effect, FileIndex, FileReading};
 use descan::diagnostic::Diagnostic;
 use descan::discovery::Config;
 use descan::frame::{BusIndex, Frame};
@@ -31,14 +31,18 @@ fn ended_log_shows_its_final_state() {
     let config = Config { seed: 7, listen_only: true, ..Config::default() };
     let mut stage = Stage::with(&Scenario::builtin("boiler").unwrap(), Some(BOILER), config);
     stage.until(24.0).link(Link::Ended).wait_until(24.5);
-    stage.app.handle_file(stage.app.now(), FileReading::Content(stage.file.clone()));
+    stage.app.handle_file(
+        stage.app.now(),
+        FileIndex::default(),
+        FileReading::Content(stage.file.clone()),
+    );
     let before = stage.screen();
     assert!(before.contains("end of log") && before.contains("9 present"), "{before}");
     stage.wait_until(600.0).app.handle_resize(80, 24);
     assert_eq!(stage.screen(), before);
     // A much later edit of the file changes no device either.
     let at = Instant::ZERO + Duration::from_secs_f64(600.0);
-    stage.app.handle_file(at, FileReading::Content(Some(b"[]".to_vec())));
+    stage.app.handle_file(at, FileIndex::default(), FileReading::Content(Some(b"[]".to_vec())));
     let screen = stage.screen();
     assert!(screen.contains("9 present") && screen.contains("online since 12:00:00"), "{screen}");
     assert_eq!(stage.app.poll_timeout(), None, "nothing is due any more");
@@ -71,7 +75,7 @@ fn unreachable_bus_is_not_reported_free_of_problems() {
         ),
         ..BusStatus::default()
     };
-    stage.app.handle_file(stage.app.now(), FileReading::Content(None));
+    stage.app.handle_file(stage.app.now(), FileIndex::default(), FileReading::Content(None));
     stage.app.handle_bus(Instant::ZERO, BusIndex(0), status);
     for (page, says) in [("1", "no device: no bus is up"), ("4", "no problems so far")] {
         let screen = stage.keys(page).screen();

@@ -4,7 +4,7 @@ use super::snapshot;
 use super::text_snapshot;
 use super::with_two_unsaved_edits;
 use crate::common::harness::{BOILER, Stage};
-use descan::app::{Effect, FileReading, Page, SaveOutcome};
+use descan::app::{Effect, FileIndex, FileReading, Page, SaveOutcome};
 use descan::diagnostic::Diagnostic;
 use descan::keymap::Key;
 use descan::sim::Scenario;
@@ -32,7 +32,7 @@ fn address_is_edited_in_its_row() {
 fn deleted_file_is_reported() {
     let mut stage = Stage::boiler();
     stage.until(24.0);
-    stage.app.handle_file(stage.app.now(), FileReading::Content(None));
+    stage.app.handle_file(stage.app.now(), FileIndex::default(), FileReading::Content(None));
     assert!(stage.screen().contains("des.json     deleted"), "{}", stage.screen());
 }
 
@@ -195,7 +195,11 @@ fn failed_save_is_retried_by_key() {
     }
     let now = stage.app.now();
     while stage.app.poll_effect().is_some() {}
-    stage.app.handle_saved(now, SaveOutcome::Failed(Diagnostic::new("no space left on the disk")));
+    stage.app.handle_saved(
+        now,
+        FileIndex::default(),
+        SaveOutcome::Failed(Diagnostic::new("no space left on the disk")),
+    );
     assert_eq!(stage.app.poll_effect(), None, "not again and again");
     assert!(stage.screen().contains("not saved: no space left"), "{}", stage.screen());
     // It stays visible on the smallest screen, even beside another message.
@@ -454,7 +458,7 @@ fn address_pinned_already_is_reported() {
 fn missing_folder_is_named_at_start() {
     let mut stage = Stage::new(&Scenario::builtin("boiler").unwrap(), None);
     let fault = Diagnostic::new("no such folder").with_remedy("mkdir -p ../nodir");
-    stage.app.handle_missing_folder(stage.app.now(), &fault);
+    stage.app.handle_missing_folder(stage.app.now(), FileIndex::default(), &fault);
     let screen = stage.screen();
     assert!(screen.contains(" des.json: no such folder; mkdir -p ../nodir"), "{screen}");
     assert!(screen.contains("! des.json     no such folder; mkdir -p ../nodir"), "{screen}");

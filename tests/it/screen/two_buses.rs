@@ -2,7 +2,7 @@
 
 use super::text_snapshot;
 use crate::common::harness::{Stage, text_of};
-use descan::app::{App, AppOptions, FileReading, InputCheck, ProjectFacts};
+use descan::app::{App, AppOptions, FileIndex, FileReading, InputCheck, ProjectFacts};
 use descan::diagnostic::Diagnostic;
 use descan::discovery::Config;
 use descan::finding::FindingKind;
@@ -36,7 +36,7 @@ impl Pair {
         let (buses, project) = (buses.to_vec(), Arc::new(project));
         let options = AppOptions { buses, file_path, project, ..AppOptions::default() };
         let mut app = App::new(Instant::ZERO, options);
-        app.handle_file(Instant::ZERO, FileReading::Content(None));
+        app.handle_file(Instant::ZERO, FileIndex::default(), FileReading::Content(None));
         let mut seed = 0;
         let sims = scenarios.map(|scenario| {
             let index = BusIndex(seed as u8);
