@@ -45,6 +45,8 @@ pub enum DocumentFindingKind {
     StaticWithoutAddress,
     /// A `uid` that no device can have.
     UnusableUid,
+    /// The bus of an entry has another des.json.
+    BusOfAnotherFile,
     /// Several entries have the same UID on one bus.
     DuplicateUid,
     /// Several entries have the same static address on one bus.

@@ -244,13 +244,16 @@ impl Document {
         })
     }
 
-    /// Returns the findings with those about the entries' UIDs. `mistake_of` says what is wrong with
-    /// the UID of an entry; `None` where a device can have it.
-    pub fn findings_with_uids(
-        &self,
-        mistake_of: impl Fn(&Entry, &str) -> Option<String>,
-    ) -> Vec<DocumentFinding> {
-        let wrong = self.entries().iter().filter_map(|entry| uid_finding(entry, &mistake_of));
+    /// Returns the findings with those that only a caller can find, who knows devices and buses.
+    /// `mistakes_of` says what is wrong with an entry, and its kind.
+    pub fn findings_with<M>(&self, mistakes_of: impl Fn(&Entry) -> M) -> Vec<DocumentFinding>
+    where
+        M: IntoIterator<Item = (DocumentFindingKind, String)>,
+    {
+        let wrong = self.entries().iter().flat_map(|entry| {
+            let mistakes = mistakes_of(entry).into_iter();
+            mistakes.map(|(kind, message)| entry_finding(entry, kind, message))
+        });
         finding::merged(self.findings(), wrong.collect())
     }
 
@@ -339,14 +342,11 @@ fn read_root(body: &str, findings: &mut Findings) -> Root {
     Root::Object { span, devices, again }
 }
 
-fn uid_finding(
-    entry: &Entry,
-    mistake_of: impl Fn(&Entry, &str) -> Option<String>,
-) -> Option<DocumentFinding> {
-    let message = mistake_of(entry, entry.uid.as_deref()?)?;
-    let position = entry.uid_position.unwrap_or(entry.position);
-    let (kind, entries) = (DocumentFindingKind::UnusableUid, vec![entry.index]);
-    Some(DocumentFinding { kind, position, message, entries })
+/// A finding about an entry, at the value that it is about.
+fn entry_finding(entry: &Entry, kind: DocumentFindingKind, message: String) -> DocumentFinding {
+    let uid = entry.uid_position.filter(|_| kind == DocumentFindingKind::UnusableUid);
+    let position = uid.unwrap_or(entry.position);
+    DocumentFinding { kind, position, message, entries: vec![entry.index] }
 }
 
 /// Returns, for each entry, the number of earlier entries with its key.

@@ -65,6 +65,7 @@ mod scenarios;
 mod schema;
 mod screen;
 mod screen_scenarios;
+mod several_files;
 mod several_logs;
 mod shared_services;
 mod sim;

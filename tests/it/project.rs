@@ -118,16 +118,71 @@ fn device_without_a_name_may_be_that_of_a_task() {
     assert!(!kinds.contains(&"task-failed") && !kinds.contains(&"redundancy-lost"), "{kinds:?}");
 }
 
-#[test]
-fn buses_with_different_files_are_opened_one_by_one() {
+/// A project whose second bus has its own des.json, in a folder of its own.
+fn with_own_file() -> Folder {
     let folder = Folder::example();
-    folder.write("one.json", "{ \"devices\": [{ \"name\": \"SENS\" }] }");
+    std::fs::create_dir(folder.path("south")).unwrap();
+    folder.write("south/des.json", "[ { \"name\": \"SENS\", \"address\": 14, \"static\": true } ]");
     let text = std::fs::read_to_string(folder.path("descan.toml")).unwrap();
-    let own = "bus = \"sim:spare.toml\"\nfile = \"one.json\"\nbitrate";
+    let own = "bus = \"sim:spare.toml\"\nfile = \"south/des.json\"\nbitrate";
     folder.write("descan.toml", &text.replace("bus = \"sim:spare.toml\"\nbitrate", own));
-    let (code, _, error) = folder.run(&["scan"]);
-    assert_eq!(code, 2);
-    assert!(error.contains("different des.json") && error.contains("open one of them"), "{error}");
+    folder
+}
+
+#[test]
+fn each_bus_is_checked_against_its_own_file() {
+    let folder = with_own_file();
+    let (code, out, error) = folder.run(&["check", "--time", "20"]);
+    assert_eq!(code, 1, "{out}{error}");
+    for line in [
+        "  sim:spare.toml: SENS is at address 12; the file pins it to 14.\n",
+        "`bus` is sim:spare.toml, whose file is south/des.json; move the entry there",
+        "\nsouth/des.json: 1 entry, 1 device on sim:spare.toml: 1 wrong address\n",
+    ] {
+        assert!(out.contains(line), "{line}: {out}");
+    }
+    let (_, out, _) = folder.run(&["scan", "--json", "--time", "20"]);
+    let report = json_of(&out);
+    let files: Vec<_> = report["files"].as_array().unwrap().iter().collect();
+    assert_eq!(files.len(), 2);
+    assert_eq!(files[0]["buses"], json!(["sim:main.toml"]));
+    assert_eq!((&files[1]["buses"], &files[1]["entries"]), (&json!(["sim:spare.toml"]), &json!(1)));
+    let spare = report["devices"].as_array().unwrap().iter().find(|it| it["uid"] == "BOILER12");
+    assert_eq!(spare.unwrap()["file"]["address"], 14);
+    // One bus alone has its file alone.
+    let (_, out, _) = folder.run(&["scan", "sim:spare.toml", "--json", "--time", "20"]);
+    assert_eq!(json_of(&out)["files"], Value::Null);
+    assert_eq!(json_of(&out)["file"]["entries"], 1);
+}
+
+#[test]
+fn missing_file_of_one_bus_is_named() {
+    let folder = with_own_file();
+    std::fs::remove_file(folder.path("south/des.json")).unwrap();
+    let (code, _, error) = folder.run(&["check", "--time", "20"]);
+    assert_eq!(code, 3);
+    assert!(error.contains("south/des.json: file not found"), "{error}");
+}
+
+#[test]
+fn screen_edits_the_file_of_each_bus() {
+    let folder = with_own_file();
+    let mut pty = Pty::start(&["--theme", "dark"], folder.0.path(), (100, 30));
+    pty.wait_for("3 present");
+    pty.wait_for("✗ 14");
+    // The row of the spare sensor is the last one.
+    pty.send("Ge");
+    pty.wait_for("static address");
+    pty.send("\x1512\r");
+    pty.wait_for("✓ 12");
+    let saved = || std::fs::read_to_string(folder.path("south/des.json")).unwrap();
+    pty.wait_until("saved", |_| saved().contains("\"address\": 12"));
+    folder.write("south/des.json", &saved().replace("SENS", "PUMP"));
+    pty.wait_for("PUMP");
+    pty.send("q");
+    assert_eq!(pty.wait(), 0);
+    let north = std::fs::read_to_string(folder.path("des.json")).unwrap();
+    assert_eq!(north.matches("SENS").count(), 2, "the other file is as it was");
 }
 
 #[test]

@@ -2,8 +2,8 @@
 //!
 //! Pure: entries and devices in, findings out.
 
-use super::uids::file_mistakes;
-use crate::app::file::{EntryPlace, FileIndex};
+use super::entry_mistakes::file_mistakes;
+use crate::app::file::EntryPlace;
 use crate::app::file_inputs::{FileInputs, Inputs};
 use crate::app::listing::{other_services, service_differences};
 use crate::discovery::Device;
@@ -54,13 +54,12 @@ impl<'a> Comparison<'a> {
 
     fn file_alone(&mut self, file: FileInputs<'a>) {
         let document = file.document;
-        // A file that single buses have is known by the first of them.
-        let is_shared = file.file == FileIndex::default();
-        let bus = file.buses().next().map(|(index, _)| index).filter(|_| !is_shared);
-        let name_of_file = match self.inputs.documents.are_several() {
-            true => format!("{}, ", self.inputs.documents.name(file.file)),
-            false => String::new(),
-        };
+        let (mut bus, mut name_of_file) = (None, String::new());
+        // Several files are told apart by the first of their buses.
+        if self.inputs.documents.are_several() {
+            bus = file.buses().next().map(|(index, _)| index);
+            name_of_file = format!("{}, ", self.inputs.documents.name(file.file));
+        }
         for finding in file_mistakes(file) {
             let kind = FindingKind::from(finding.kind);
             let entries = finding.entries.iter().filter_map(|&at| document.entries().get(at));
@@ -265,6 +264,7 @@ impl From<DocumentFindingKind> for FindingKind {
             | Fault::MisspelledMember
             | Fault::StaticWithoutAddress
             | Fault::UnusableUid
+            | Fault::BusOfAnotherFile
             | Fault::DuplicateUid => FindingKind::FileShape,
         }
     }

@@ -6,6 +6,7 @@
 
 mod comparison;
 mod descriptors;
+mod entry_mistakes;
 mod group;
 mod headline;
 mod list;
@@ -13,10 +14,10 @@ mod matching;
 mod missing_reason;
 mod project;
 mod sides;
-mod uids;
 
 pub use comparison::Scope;
 pub(super) use descriptors::label_of_device;
+pub(super) use entry_mistakes::{file_mistakes, mistake_of};
 pub use group::{EvidenceItem, Problem, ProblemKey, is_about};
 pub(super) use headline::and_list;
 pub(super) use headline::label_of;
@@ -26,7 +27,6 @@ pub use matching::Matching;
 pub use missing_reason::{bus_obstacle, format_duration};
 pub(super) use sides::missed_in;
 pub use sides::{ConflictSide, ConflictSides, SideBasis};
-pub(super) use uids::{file_mistakes, mistake_of};
 
 use super::buses::Buses;
 use super::file::{Documents, EntryPlace};

@@ -1,10 +1,11 @@
-//! Values of `uid` in des.json that no device can have.
+//! Mistakes in a des.json that show by the buses: a `uid` that no device can have, a `bus` that has
+//! another des.json.
 //!
-//! Pure: entries and the UID alphabets of the buses in, mistakes in words out. Does not know which
-//! devices there are.
+//! Pure: entries and the buses in, mistakes in words out. Does not know which devices there are.
 
 use crate::app::file_inputs::FileInputs;
-use crate::document::{DocumentFinding, Entry};
+use crate::document::{DocumentFinding, DocumentFindingKind, Entry};
+use crate::frame::BusIndex;
 use crate::text::Escaped;
 use crate::wire::node::Uid;
 use crate::wire::profile::UidProfile;
@@ -14,7 +15,26 @@ const CHARACTERS: usize = 8;
 
 /// Returns the mistakes of the file, with those that show by the profiles of the buses.
 pub(in crate::app) fn file_mistakes(file: FileInputs) -> Vec<DocumentFinding> {
-    file.document.findings_with_uids(|entry, uid| mistake_of(file, entry, uid))
+    file.document.findings_with(|entry| {
+        let uid = entry.uid.as_deref().and_then(|uid| mistake_of(file, entry, uid));
+        let uid = uid.map(|text| (DocumentFindingKind::UnusableUid, text));
+        let bus = bus_mistake(file, entry);
+        let bus = bus.map(|text| (DocumentFindingKind::BusOfAnotherFile, text));
+        uid.into_iter().chain(bus)
+    })
+}
+
+/// Says which file an entry belongs into whose bus is open with another one; `None` for other entries.
+fn bus_mistake(file: FileInputs, entry: &Entry) -> Option<String> {
+    let bus = entry.bus.as_deref()?;
+    let open = (0..=u8::MAX).map(BusIndex).zip(file.all.buses.iter());
+    let mut of_bus = open.filter(|(_, open)| entry.is_for_bus(&open.name));
+    let documents = file.all.documents;
+    let (other, _) = of_bus.next()?;
+    let is_own = documents.of_bus(other) == file.file
+        || of_bus.any(|(index, _)| documents.of_bus(index) == file.file);
+    let (bus, name) = (Escaped(bus.as_bytes()), documents.name(documents.of_bus(other)));
+    (!is_own).then(|| format!("`bus` is {bus}, whose file is {name}; move the entry there"))
 }
 
 /// Says what is wrong with the UID of an entry; `None` if a device of one of its buses can have it.
