@@ -223,13 +223,17 @@ fn write_document(app: &App, path: &Path) -> Result<(), Failure> {
         let mut devices: Vec<&Device> = bus.devices().iter().filter(|it| !it.is_debug).collect();
         devices.sort_by_key(|device| device.address);
         for device in devices {
-            let Some(entry) = app.new_entry(device).filter(|_| device.is_present()) else {
+            let Some(mut entry) = app.new_entry(device).filter(|_| device.is_present()) else {
                 let reason = if device.is_present() { "no name received" } else { "lost" };
                 let several = app.buses().len() > 1;
                 let bus = if several { format!("{} ", bus.name) } else { String::new() };
                 left_out.push(format!("{bus}@{} ({reason})", device.address));
                 continue;
             };
+            // One file of all buses, also where they have their own.
+            if app.buses().len() > 1 {
+                entry.bus = Some(bus.name_without_rates().to_owned());
+            }
             document = document
                 .apply(&Operation::Add { entry })
                 .map_err(|error| Diagnostic::new(error.to_string()).of(shown(path)))?;

@@ -149,6 +149,10 @@ fn each_bus_is_checked_against_its_own_file() {
     assert_eq!((&files[1]["buses"], &files[1]["entries"]), (&json!(["sim:spare.toml"]), &json!(1)));
     let spare = report["devices"].as_array().unwrap().iter().find(|it| it["uid"] == "BOILER12");
     assert_eq!(spare.unwrap()["file"]["address"], 14);
+    // A written file has the devices of all buses, each with its bus.
+    folder.run(&["scan", "--write", "all.json", "--time", "20"]);
+    let written = std::fs::read_to_string(folder.path("all.json")).unwrap();
+    assert_eq!(written.matches("\"bus\": \"sim:").count(), 3, "{written}");
     // One bus alone has its file alone.
     let (_, out, _) = folder.run(&["scan", "sim:spare.toml", "--json", "--time", "20"]);
     assert_eq!(json_of(&out)["files"], Value::Null);
