@@ -108,9 +108,8 @@ async fn run_on_terminal(
                 }
                 Effect::Suspend => {
                     take_late_reply(&mut background, &mut input, &pace, elapsed()).await;
-                    drop(input);
+                    // Its input stays: started again, crossterm may miss the first key.
                     terminal.suspend()?;
-                    input = TerminalInput::start()?;
                     resized(session, &terminal)?;
                 }
                 Effect::Redraw => terminal.redraw()?,
