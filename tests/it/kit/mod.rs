@@ -14,6 +14,7 @@ mod node;
 mod node_bench;
 mod program;
 mod rust;
+mod rust_config;
 
 use build::compiled;
 use std::collections::VecDeque;
