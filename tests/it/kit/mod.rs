@@ -15,6 +15,7 @@ mod node_bench;
 mod program;
 mod rust;
 mod rust_config;
+mod size;
 
 use build::compiled;
 use std::collections::VecDeque;
