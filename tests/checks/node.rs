@@ -239,6 +239,9 @@ impl<'a> NodeRun<'a> {
             NodeAction::SetUp { bitrate, is_silent } => {
                 assert!(BitrateSetting::RATES.contains(&bitrate), "{bitrate} bit/s");
                 (self.is_active, self.has_frame) = (!is_silent, [false; 2]);
+                if is_silent {
+                    self.address = None; // It listens again: another node uses the address.
+                }
             }
             NodeAction::Store(settings) => {
                 self.stored = settings;
