@@ -196,6 +196,29 @@ impl ProofTask {
         )
     }
 
+    /// What is done, in some words.
+    pub const fn activity(self) -> &'static str {
+        match self {
+            Self::FindFraming => "looks for its framing",
+            Self::Name | Self::Broadcast => "requests its name",
+            Self::Services => "requests its services",
+            Self::Transfer(_) => "tests its transfers",
+            Self::OtherFlag { .. } => "sends requests to the other modes",
+            Self::OtherAddress | Self::WhileOthersAsked => "sends requests to other addresses",
+            Self::Reserved { .. } => "sends requests of reserved types",
+            Self::Malformed(_) => "sends malformed requests",
+            Self::Endless => "sends requests that never end",
+            Self::Displace { .. } => "sends a frame from its address, and waits for it",
+            Self::Occupy => "occupies its address, and waits for it",
+            Self::ChangeMode => "changes its mode",
+            Self::BeginLoad | Self::LoadedName | Self::LoadedServices | Self::EndLoad => {
+                "loads the bus to 80 %"
+            }
+            Self::Reboot => "waits for the power switch",
+            Self::NameAfterReboot | Self::ServicesAfterReboot => "compares it after the reboot",
+        }
+    }
+
     /// The rule that says so.
     pub const fn answer_rule(self) -> Rule {
         match self {
