@@ -161,6 +161,11 @@ impl ProofTask {
         vec![Self::Services, Self::Reboot, Self::NameAfterReboot, Self::ServicesAfterReboot]
     }
 
+    /// Returns true if the device is observed until the task begins.
+    pub const fn needs_observation(self) -> bool {
+        self.is_disruption() || matches!(self, Self::BeginLoad | Self::Reboot)
+    }
+
     /// Returns true if the task throws the device out of its work.
     pub const fn is_disruption(self) -> bool {
         matches!(self, Self::Displace { .. } | Self::Occupy | Self::ChangeMode)
@@ -208,8 +213,8 @@ impl ProofTask {
             Self::Reserved { .. } => "sends requests of reserved types",
             Self::Malformed(_) => "sends malformed requests",
             Self::Endless => "sends requests that never end",
-            Self::Displace { .. } => "sends a frame from its address, and waits for it",
-            Self::Occupy => "occupies its address, and waits for it",
+            Self::Displace { .. } => "sends a frame from its address and waits",
+            Self::Occupy => "occupies its address and waits",
             Self::ChangeMode => "changes its mode",
             Self::BeginLoad | Self::LoadedName | Self::LoadedServices | Self::EndLoad => {
                 "loads the bus to 80 %"

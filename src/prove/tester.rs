@@ -386,7 +386,9 @@ impl Prover {
 
     /// What is done, in some words.
     pub fn activity(&self) -> &'static str {
-        self.task.map_or("observes its heartbeats", ProofTask::activity)
+        // The first test that disturbs the device begins once this was observed for long enough.
+        let is_begun = |task: &ProofTask| self.is_judged || !task.needs_observation();
+        self.task.filter(is_begun).map_or("observes its heartbeats", ProofTask::activity)
     }
 
     /// Whether the device was switched off, while the user is to switch it off and on; otherwise `None`.
@@ -446,6 +448,7 @@ impl Prover {
         // It may have an address that it prefers to the one it had.
         if let Some(address) = self.observer.moved_to() {
             self.take_address(address);
+            self.reboot = self.reboot.map(|(since, _)| (since, true));
         }
         let Some((since, is_off)) = self.reboot else {
             self.observer.exclude(true);

@@ -34,6 +34,9 @@ unsafe extern "Rust" {
     safe fn transmitted(slot: u32) -> u32;
 }
 
+/// Measured: 240 bytes of RAM for three requesters; 5 % more.
+const _: () = assert!(size_of::<Node>() <= 252);
+
 #[panic_handler]
 fn halt(_: &core::panic::PanicInfo<'_>) -> ! {
     loop {}
