@@ -249,7 +249,7 @@ Examples:
   descan catalogue
   descan catalogue devices/feeder.toml")]
     Catalogue(CatalogueArgs),
-    /// Write the responder for firmware, in C: des.h, des.c, des_config.h
+    /// Write the responder for firmware, in C; for that in Rust its configuration
     Kit(KitArgs),
     /// Print the JSON Schema of des.json
     Schema,
@@ -316,13 +316,15 @@ pub struct ExportArgs {
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Without --write it prints des_config.h: what the device is, and the numbers of the profile. Values that the \
-profile does not set are marked as assumed; commands and writes that it does not set are not served.
+profile does not set are marked as assumed; commands and writes that it does not set are not served. With \
+--lang rust it is des_config.rs, a module for the crate descan (feature node).
 
 Exit code: 0 written, 2 wrong usage, 3 file not readable or not written.
 
 Examples:
   descan kit --name PUMP --services FLOW=1.0 --profile line7.toml --write firmware/des
-  descan kit --name PUMP --profile line7.toml > des_config.h")]
+  descan kit --name PUMP --profile line7.toml > des_config.h
+  descan kit --name PUMP --profile line7.toml --lang rust --write src")]
 pub struct KitArgs {
     /// Name of the device; 5 characters or less fit one frame
     #[arg(long, value_name = "NAME", value_parser = device_name)]
@@ -334,17 +336,26 @@ pub struct KitArgs {
     #[arg(long, value_name = "FILE")]
     pub profile: Option<PathBuf>,
     /// Language of the firmware
-    #[arg(long, value_name = "LANG", default_value = "c", value_parser = ["c"])]
-    pub lang: String,
-    /// Its controller sends CAN FD frames, too
+    #[arg(long, value_name = "LANG", value_enum, default_value_t = KitLanguage::C)]
+    pub lang: KitLanguage,
+    /// Its controller sends CAN FD frames, too; in Rust always
     #[arg(long)]
     pub fd: bool,
-    /// Write des.h, des.c and des_config.h to this folder
+    /// Write des.h, des.c and des_config.h, or des_config.rs, to this folder
     #[arg(long, value_name = "DIR")]
     pub write: Option<PathBuf>,
     /// Replace files that have other content
     #[arg(long, requires = "write")]
     pub force: bool,
+}
+
+/// Languages of `descan kit`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum KitLanguage {
+    /// C99: the responder itself, and its header.
+    C,
+    /// Rust: the configuration of the node in the crate descan.
+    Rust,
 }
 
 /// `descan sim`.
@@ -797,8 +808,8 @@ pub struct RunArgs {
 Observes the device and sends DES requests to it, within the share of the bus. Says for each rule of the \
 documents whether it is kept, broken or not seen, with the frames. Takes half a minute for a device.
 
-Exit code: 0 no rule is broken, 1 one is, 2 wrong usage, 3 bus not usable or device not found, 130 \
-interrupted. More: descan help conformance
+Exit code: 0 no rule is broken, 1 one is or an address conflict is confirmed, 2 wrong usage, 3 bus not \
+usable or device not found, 130 interrupted. More: descan help conformance
 
 Examples:
   descan prove can0 FEED --profile line7.toml

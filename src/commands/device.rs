@@ -84,6 +84,7 @@ pub fn run(args: &DeviceArgs, task: DeviceTask) -> Result<u8, Failure> {
     if args.common.listen_only {
         return Err(Failure::Unusable("listen-only: no requests are sent".to_owned()));
     }
+    check_address(&args.device)?;
     let setup = Setup::for_buses(&args.common, buses)?;
     let mut stage = CommandStage::Searching;
     let CommandRun { app, is_interrupted } =
@@ -203,6 +204,31 @@ pub(super) fn find(app: &App, wanted: &str, is_last: bool) -> Result<Option<Devi
     }
 }
 
+/// Refuses an argument for a device that is an address in any case, but none that a device has.
+pub(super) fn check_address(wanted: &str) -> Result<(), Failure> {
+    match wanted.strip_prefix('@') {
+        Some(address) if parse_address(address).is_none() => {
+            Err(Failure::Usage(format!("{wanted}: no such address; addresses are @1 to @127")))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Says that a name which looks like a number is no address either; nothing for other names.
+fn number_hint(wanted: &str) -> String {
+    let digits = wanted.trim_start_matches('#');
+    let hex = digits.strip_prefix("0x").or_else(|| digits.strip_suffix(['h', 'H']));
+    let number = match hex {
+        Some(hex) => u32::from_str_radix(hex, 16),
+        None => digits.parse::<u32>(),
+    };
+    match number {
+        Ok(number @ 1..=127) => format!("; for the address give @{number}"),
+        Ok(_) => "; addresses are 1 to 127, as @12".to_owned(),
+        Err(_) => String::new(),
+    }
+}
+
 /// Says that no device fits, and which there are.
 pub(super) fn not_found(app: &App, wanted: &str) -> String {
     let bus = app.bus(BusIndex(0));
@@ -217,7 +243,8 @@ pub(super) fn not_found(app: &App, wanted: &str) -> String {
     if known.is_empty() {
         return format!("{wanted} was not found: no device is on the bus");
     }
-    format!("{wanted} was not found; there are {}", join_first(known, NAMED_DEVICES, ", "))
+    let known = join_first(known, NAMED_DEVICES, ", ");
+    format!("{wanted} was not found; there are {known}{}", number_hint(wanted))
 }
 
 /// A command, as JSON.

@@ -22,6 +22,8 @@ mod open;
 pub mod output;
 mod profile;
 mod project;
+mod proof_progress;
+mod proof_report;
 mod prove;
 mod report;
 mod scan;

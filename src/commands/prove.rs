@@ -1,28 +1,25 @@
 //! `descan prove`: does a device keep the rules of DES and of the CAN platform? Looks for it, tests it,
 //! prints a verdict on each rule.
 
-use super::device::{find, not_found};
+use super::device::{check_address, find, not_found};
 use super::headless::warn_foreign;
 use super::one_bus::{self, CommandRun};
 use super::open::{self, Setup};
 use super::output::{self, answer, ask, may_ask, say};
-use super::test_report::{CaseOutcome, ReportedCase, test_report};
+use super::proof_progress::ProofProgress;
+use super::proof_report::{ProofReport, ProvenDevice, proof_pcapng};
+use super::test_report::test_report;
 use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure};
 use crate::app::App;
-use crate::app::proof::markdown::{MarkdownTable, Plain};
 use crate::cli::ProveArgs;
 use crate::discovery::{Device, DeviceId};
-use crate::frame::{BusIndex, Frame};
-use crate::log::pcapng;
-use crate::prove::{Conformance, ProofSwitches, Prover, RuleVerdict};
+use crate::frame::BusIndex;
+use crate::prove::ProofSwitches;
 use crate::regular_file::shown;
 use crate::shell::store::{Store, write_new};
-use crate::text::{counted, printable};
-use crate::time::{Epoch, Instant};
-use crate::wire::framing::Framing;
-use serde::Serialize;
+use crate::text::counted;
+use crate::time::Instant;
 use std::collections::VecDeque;
-use std::fmt::Write as _;
 use std::io::Write as _;
 use std::path::Path;
 use std::sync::mpsc::{Receiver, TryRecvError};
@@ -39,9 +36,16 @@ pub fn run(args: &ProveArgs) -> Result<u8, Failure> {
     if args.common.listen_only {
         return Err(Failure::Usage("listen-only: prove sends DES requests".to_owned()));
     }
-    if needs_consent(args) && !may_ask() {
-        let text = "it asks before it disturbs the device, and there is no terminal: give --yes";
+    if let Some(device) = &args.device {
+        check_address(device)?;
+    }
+    if args.reboot && !may_ask() {
+        let text = "--reboot asks to switch the device off and on, and there is no terminal";
         return Err(Failure::Usage(text.to_owned()));
+    }
+    // Other devices on the bus forbid a load, whatever the user says.
+    if !looks_for_others(args) {
+        require_consent(args)?;
     }
     if let Some(path) = &args.proof {
         for path in [path.clone(), path.with_extension("pcapng")] {
@@ -49,32 +53,51 @@ pub fn run(args: &ProveArgs) -> Result<u8, Failure> {
         }
     }
     let setup = Setup::for_buses(&args.common, buses)?;
-    let mut proof = DeviceProof::default();
+    let mut proof = DeviceProof::new();
     let CommandRun { app, is_interrupted } =
         one_bus::run(&args.bus, setup, args.time, |app, now, end| {
             proof.advance(app, args, (now, end))
         })?;
+    proof.progress.clear();
     if is_interrupted {
-        return Ok(EXIT_INTERRUPTED);
+        proof.note_interruption(&app);
+        if proof.proven.is_empty() {
+            return Ok(EXIT_INTERRUPTED);
+        }
     }
     if proof.is_declined {
         say("nothing was sent to the device");
         return Ok(EXIT_FINDINGS);
     }
-    let report = ProofReport::new(&app, &proof.proven);
+    let untested = is_interrupted.then_some(proof.waiting.len());
+    let report = ProofReport::new(&app, &proof.proven, untested);
+    print(&report, args)?;
+    if let Some(path) = args.proof.as_deref().filter(|_| report.has_findings()) {
+        write_proof(&app, &report, &proof.proven, path)?;
+    }
+    Ok(if is_interrupted {
+        EXIT_INTERRUPTED
+    } else if report.has_findings() {
+        EXIT_FINDINGS
+    } else {
+        EXIT_OK
+    })
+}
+
+fn print(report: &ProofReport, args: &ProveArgs) -> Result<(), Failure> {
     if let Some(format) = args.report {
-        let name = format!("descan prove {}", report.bus);
+        let name = format!("descan prove {}", report.bus());
         output::print(&test_report(&name, &report.cases(), format))?;
     } else if args.json {
         let json = serde_json::to_string_pretty(&report).map_err(anyhow::Error::from)?;
         output::print_json(&(json + "\n"))?;
     } else {
-        output::print(&report.text())?;
+        return output::print(&report.text());
     }
-    if let Some(path) = args.proof.as_deref().filter(|_| report.broken > 0) {
-        write_proof(&app, &report, &proof.proven, path)?;
+    if let Some(sentence) = report.incomplete() {
+        say(sentence);
     }
-    Ok(if report.broken > 0 { EXIT_FINDINGS } else { EXIT_OK })
+    Ok(())
 }
 
 /// Writes the proof of what is broken: a report in Markdown, and the frames beside it.
@@ -94,30 +117,6 @@ fn write_proof(
     Ok(())
 }
 
-/// The frames as pcapng. A comment names the rules that a frame is about.
-fn proof_pcapng(app: &App, report: &ProofReport, proven: &[ProvenDevice]) -> Vec<u8> {
-    let mut out = Vec::new();
-    // Writing to memory does not fail.
-    let _ = pcapng::write_section_about(&mut out, &format!("descan prove {}", report.bus));
-    let _ = pcapng::write_interface(&mut out, &report.bus);
-    for device in proven {
-        let broken = device.verdicts.iter().filter(|it| it.conformance == Conformance::Broken);
-        let broken: Vec<&RuleVerdict> = broken.collect();
-        for frame in &device.frames {
-            let rules = broken.iter().filter(|it| it.frames.contains(frame));
-            let rules: Vec<&str> = rules.map(|it| it.rule.id()).collect();
-            let comment = if rules.is_empty() {
-                String::new()
-            } else {
-                format!("broken: {}", rules.join(", "))
-            };
-            let micros = app.epoch().unix_micros(frame.time);
-            let _ = pcapng::write_frame_with(&mut out, 0, micros, frame, &comment);
-        }
-    }
-    out
-}
-
 /// The tests on demand.
 fn switches(args: &ProveArgs) -> ProofSwitches {
     ProofSwitches { disrupts: args.disrupt_device, loads: args.load, reboots: args.reboot }
@@ -126,6 +125,20 @@ fn switches(args: &ProveArgs) -> ProofSwitches {
 /// Returns true if the user is asked before the tests begin.
 fn needs_consent(args: &ProveArgs) -> bool {
     (args.disrupt_device || args.load) && !args.yes
+}
+
+/// Returns true if the devices on the bus decide whether the tests may be made.
+fn looks_for_others(args: &ProveArgs) -> bool {
+    args.load && !args.bench
+}
+
+/// Refuses tests that need a question which cannot be asked.
+fn require_consent(args: &ProveArgs) -> Result<(), Failure> {
+    if needs_consent(args) && !may_ask() {
+        let text = "it asks before it disturbs the device, and there is no terminal: give --yes";
+        return Err(Failure::Usage(text.to_owned()));
+    }
+    Ok(())
 }
 
 fn question(args: &ProveArgs, devices: &str) -> String {
@@ -140,7 +153,7 @@ fn question(args: &ProveArgs, devices: &str) -> String {
 }
 
 /// Refuses to load a bus on which other devices work.
-fn refuse_load(app: &App, tested: &VecDeque<DeviceId>) -> Result<(), Failure> {
+fn refuse_load(app: &App, args: &ProveArgs, tested: &VecDeque<DeviceId>) -> Result<(), Failure> {
     let Some(bus) = app.bus(BUS) else { return Ok(()) };
     let is_other = |it: &&Device| it.is_present() && !(tested.len() == 1 && tested[0] == it.id);
     let others = bus.devices().iter().filter(is_other).count() as u64;
@@ -148,26 +161,47 @@ fn refuse_load(app: &App, tested: &VecDeque<DeviceId>) -> Result<(), Failure> {
         return Ok(());
     }
     let others = counted(others, "other device");
-    Err(Failure::Unusable(format!("--load: {others} on the bus; on a test bench give --bench")))
+    let more = if needs_consent(args) && !may_ask() { " and --yes" } else { "" };
+    let text = format!("--load: {others} on the bus; on a test bench give --bench{more}");
+    Err(Failure::Unusable(text))
 }
 
 /// How far the tests are.
-#[derive(Default)]
 struct DeviceProof {
     /// Devices that are still to be tested.
     waiting: VecDeque<DeviceId>,
     is_found: bool,
     running: Option<DeviceId>,
     proven: Vec<ProvenDevice>,
-    told: usize,
-    /// The user was told to switch the device off and on.
-    is_switch_told: bool,
+    progress: ProofProgress,
+    switch_told: SwitchTold,
     /// The answer of the user, who is asked.
     asked: Option<Receiver<bool>>,
     is_declined: bool,
 }
 
+/// What the user was told to do with the power switch of the device.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum SwitchTold {
+    Nothing,
+    Off,
+    On,
+}
+
 impl DeviceProof {
+    fn new() -> Self {
+        Self {
+            waiting: VecDeque::new(),
+            is_found: false,
+            running: None,
+            proven: Vec::new(),
+            progress: ProofProgress::new(),
+            switch_told: SwitchTold::Nothing,
+            asked: None,
+            is_declined: false,
+        }
+    }
+
     /// Takes the next step, if it is time for it; returns true once all devices are tested.
     fn advance(
         &mut self,
@@ -181,8 +215,9 @@ impl DeviceProof {
             if !self.is_found {
                 return Ok(false);
             }
-            if args.load && !args.bench {
-                refuse_load(app, &self.waiting)?;
+            if looks_for_others(args) {
+                refuse_load(app, args, &self.waiting)?;
+                require_consent(args)?;
             }
             if needs_consent(args) {
                 let devices = counted(self.waiting.len() as u64, "device");
@@ -200,33 +235,49 @@ impl DeviceProof {
                 Err(TryRecvError::Empty) => return Ok(false),
             }
         }
-        if let (Some(id), Some(prover)) = (self.running, app.prover()) {
-            self.told = tell(prover, self.told);
-            if prover.awaits_power_switch() && !std::mem::replace(&mut self.is_switch_told, true) {
-                let device = prover.device();
-                say(format!("switch the device at {device} off, for 5 s, and on again"));
-            }
-            if !prover.is_over() {
+        if let Some(id) = self.running {
+            if !self.watch(app, now) {
                 return Ok(false);
             }
-            self.proven.push(ProvenDevice::new(app, id, prover));
-            self.running = None;
+            self.end_device(app, id);
         }
         let Some(id) = self.waiting.pop_front() else { return Ok(true) };
         app.start_prover(id, switches(args)).map_err(Failure::Unusable)?;
-        (self.running, self.told, self.is_switch_told) = (Some(id), 0, false);
+        (self.running, self.switch_told) = (Some(id), SwitchTold::Nothing);
+        self.progress.begin(now);
         Ok(false)
     }
-}
 
-/// Says how far the tests are, at each tenth.
-fn tell(prover: &Prover, told: usize) -> usize {
-    let (made, all) = prover.progress();
-    let tenth = made * 10 / all.max(1);
-    if tenth > told {
-        say(format!("device at {}: {made} of {all} tests", prover.device()));
+    /// Says how far the tests of a device are, and when to switch it; returns true once they are over.
+    fn watch(&mut self, app: &App, now: Instant) -> bool {
+        let Some(prover) = app.prover() else { return true };
+        let (wanted, text) = match prover.power_switch() {
+            None => (SwitchTold::Nothing, ""),
+            Some(false) => (SwitchTold::Off, "off, for 5 s"),
+            Some(true) => (SwitchTold::On, "on again"),
+        };
+        if wanted > self.switch_told {
+            self.switch_told = wanted;
+            self.progress.clear();
+            say(format!("switch the device at {} {text}", prover.device()));
+        }
+        self.progress.show(prover, now);
+        prover.is_over()
     }
-    tenth.max(told)
+
+    fn end_device(&mut self, app: &App, id: DeviceId) {
+        if let Some(prover) = app.prover() {
+            self.proven.push(ProvenDevice::new(app, id, prover));
+        }
+        self.running = None;
+    }
+
+    /// Takes the verdicts so far of the device that is being tested.
+    fn note_interruption(&mut self, app: &App) {
+        if let Some(id) = self.running {
+            self.end_device(app, id);
+        }
+    }
 }
 
 /// The devices to test, in the order of their addresses; none while they are looked for.
@@ -257,254 +308,4 @@ fn all_devices(app: &App, is_last: bool) -> Vec<DeviceId> {
     let mut devices: Vec<&Device> = devices.collect();
     devices.sort_by_key(|device| device.address);
     devices.into_iter().map(|device| device.id).collect()
-}
-
-/// A device that was tested.
-struct ProvenDevice {
-    address: u8,
-    name: Option<String>,
-    uid: Option<String>,
-    framing: Option<Framing>,
-    heartbeat_ms: Option<[f64; 3]>,
-    response_ms: Option<[f64; 3]>,
-    verdicts: Vec<RuleVerdict>,
-    /// The frames of the bus meanwhile.
-    frames: Vec<Frame>,
-}
-
-impl ProvenDevice {
-    fn new(app: &App, id: DeviceId, prover: &Prover) -> Self {
-        let device = app.device(id);
-        let millis = |seconds: f64| (seconds * 1e6).round() / 1e3;
-        let known = device.and_then(|it| it.name.as_ref()).map(ToString::to_string);
-        let uid = device.and_then(|it| it.uid);
-        Self {
-            address: prover.device().number(),
-            name: prover.name().map(printable).or(known),
-            uid: uid.map(|uid| uid.text(&app.profile(BUS).uid).to_string()),
-            framing: prover.framing(),
-            heartbeat_ms: prover.heartbeat_intervals().map(|all| all.map(millis)),
-            response_ms: prover.latency().map(|all| all.map(|it| millis(it.as_secs_f64()))),
-            verdicts: prover.verdicts(),
-            frames: app.proof_frames().copied().collect(),
-        }
-    }
-}
-
-/// The result, as JSON.
-#[derive(Serialize)]
-struct ProofReport {
-    descan: &'static str,
-    bus: String,
-    kept: usize,
-    broken: usize,
-    not_seen: usize,
-    devices: Vec<ProvenReport>,
-}
-
-/// A device, as JSON.
-#[derive(Serialize)]
-struct ProvenReport {
-    address: u8,
-    name: Option<String>,
-    uid: Option<String>,
-    framing: Option<Framing>,
-    /// Shortest, mean and longest interval.
-    heartbeat_ms: Option<[f64; 3]>,
-    /// Shortest, mean and longest time to an answer.
-    response_ms: Option<[f64; 3]>,
-    kept: usize,
-    broken: usize,
-    not_seen: usize,
-    rules: Vec<RuleReport>,
-}
-
-/// A verdict, as JSON.
-#[derive(Serialize)]
-struct RuleReport {
-    rule: &'static str,
-    /// `kept`, `broken` or `not-seen`.
-    verdict: &'static str,
-    document: &'static str,
-    section: &'static str,
-    needs: &'static str,
-    sentence: &'static str,
-    text: String,
-    samples: u32,
-    assumed: Vec<&'static str>,
-    frames: Vec<ProofFrame>,
-}
-
-/// A frame, as JSON.
-#[derive(Serialize)]
-struct ProofFrame {
-    time: f64,
-    frame: String,
-    tx: bool,
-}
-
-fn count(verdicts: &[RuleVerdict], conformance: Conformance) -> usize {
-    verdicts.iter().filter(|it| it.conformance == conformance).count()
-}
-
-impl ProofReport {
-    fn new(app: &App, proven: &[ProvenDevice]) -> Self {
-        let devices: Vec<ProvenReport> =
-            proven.iter().map(|device| ProvenReport::new(device, app.epoch())).collect();
-        let sum = |of: fn(&ProvenReport) -> usize| devices.iter().map(of).sum();
-        Self {
-            descan: env!("CARGO_PKG_VERSION"),
-            bus: app.bus(BUS).map_or_else(String::new, |bus| bus.name.clone()),
-            kept: sum(|it| it.kept),
-            broken: sum(|it| it.broken),
-            not_seen: sum(|it| it.not_seen),
-            devices,
-        }
-    }
-
-    /// A test for each rule of each device.
-    fn cases(&self) -> Vec<ReportedCase> {
-        let of_device = |device: &ProvenReport| {
-            let suite = device.who();
-            device.rules.iter().map(move |rule| rule.case(suite.clone())).collect::<Vec<_>>()
-        };
-        self.devices.iter().flat_map(of_device).collect()
-    }
-
-    /// What is broken, with the frames, then all verdicts. `frames`: name of the file with the frames.
-    fn markdown(&self, frames: &str) -> String {
-        let mut text = format!("# descan prove {}\n", Plain(&self.bus));
-        for device in &self.devices {
-            let ProvenReport { kept, broken, not_seen, .. } = device;
-            let who = device.who();
-            let sums = format!("{kept} rules kept, {broken} broken, {not_seen} not seen");
-            let _ = writeln!(text, "\n## {}\n\n{sums}.\n", Plain(&who));
-            let broken = device.rules.iter().filter(|it| it.verdict == Conformance::Broken.word());
-            broken.for_each(|rule| rule.write_markdown(&mut text));
-            let mut table = MarkdownTable::new(&["rule", "verdict", "what was seen"]);
-            for rule in &device.rules {
-                table.row(&[rule.rule, rule.verdict, &rule.text]);
-            }
-            text.push_str(&table.finish());
-        }
-        let version = self.descan;
-        let _ = writeln!(
-            text,
-            "\nThe file {} has the frames of the bus; its comments name the rules. Wireshark and \
-             tshark open it. Measured by descan {version}.",
-            Plain(frames)
-        );
-        text
-    }
-
-    /// A line for each rule, and the sums.
-    fn text(&self) -> String {
-        let mut text = String::new();
-        for device in &self.devices {
-            let _ = writeln!(text, "{}:", device.who());
-            device.rules.iter().for_each(|rule| rule.write(&mut text));
-            let _ = writeln!(text);
-        }
-        for device in &self.devices {
-            let ProvenReport { kept, broken, not_seen, .. } = device;
-            let who = device.who();
-            let _ = writeln!(text, "{who}: {kept} kept, {broken} broken, {not_seen} not seen");
-        }
-        text
-    }
-}
-
-impl ProvenReport {
-    fn new(device: &ProvenDevice, epoch: Epoch) -> Self {
-        let verdicts = &device.verdicts;
-        Self {
-            address: device.address,
-            name: device.name.clone(),
-            uid: device.uid.clone(),
-            framing: device.framing,
-            heartbeat_ms: device.heartbeat_ms,
-            response_ms: device.response_ms,
-            kept: count(verdicts, Conformance::Kept),
-            broken: count(verdicts, Conformance::Broken),
-            not_seen: count(verdicts, Conformance::NotSeen),
-            rules: verdicts.iter().map(|it| RuleReport::new(it, epoch)).collect(),
-        }
-    }
-
-    fn who(&self) -> String {
-        format!("{} at {}", self.name.as_deref().unwrap_or("?"), self.address)
-    }
-}
-
-impl RuleReport {
-    fn new(verdict: &RuleVerdict, epoch: Epoch) -> Self {
-        let rule = verdict.rule;
-        let frame = |frame: &Frame| ProofFrame {
-            time: epoch.unix_secs(frame.time),
-            frame: frame.to_string(),
-            tx: frame.is_tx,
-        };
-        Self {
-            rule: rule.id(),
-            verdict: verdict.conformance.word(),
-            document: rule.document().name(),
-            section: rule.section(),
-            needs: rule.need().word(),
-            sentence: rule.sentence(),
-            text: verdict.text.clone(),
-            samples: verdict.samples,
-            assumed: verdict.assumed.iter().map(|key| key.name()).collect(),
-            frames: verdict.frames.iter().map(frame).collect(),
-        }
-    }
-
-    fn case(&self, suite: String) -> ReportedCase {
-        let is = |conformance: Conformance| self.verdict == conformance.word();
-        let outcome = if is(Conformance::Broken) {
-            CaseOutcome::Failed
-        } else if is(Conformance::Kept) {
-            CaseOutcome::Passed
-        } else {
-            CaseOutcome::Skipped
-        };
-        let demand = format!("{} ({}, {})", self.sentence, self.document, self.section);
-        let frames = self.frames.iter().map(|it| format!("{:.6} {}", it.time, it.frame));
-        ReportedCase {
-            suite,
-            name: self.rule.to_owned(),
-            outcome,
-            text: self.text.clone(),
-            details: std::iter::once(demand).chain(frames).collect(),
-        }
-    }
-
-    /// The rule, what it demands, what was seen and the frames.
-    fn write_markdown(&self, text: &mut String) {
-        let Self { rule, sentence, document, section, .. } = self;
-        let source = format!("{document}, {section}");
-        let _ = writeln!(text, "### {rule}: broken\n");
-        let _ = writeln!(text, "The device {} ({}).\n", Plain(sentence), Plain(&source));
-        let _ = writeln!(text, "Seen: {}.\n", Plain(&self.text));
-        let mut table = MarkdownTable::new(&["time", "frame", "sent by"]);
-        for frame in &self.frames {
-            let sender = if frame.tx { "descan" } else { "the device or another node" };
-            table.row(&[&format!("{:.6}", frame.time), &frame.frame, sender]);
-        }
-        text.push_str(&table.finish());
-        text.push('\n');
-    }
-
-    /// A line; of a rule that is broken also what it demands, and the frames.
-    fn write(&self, text: &mut String) {
-        let label = if self.verdict == "not-seen" { "not seen" } else { self.verdict };
-        let _ = writeln!(text, "  {label:8}  {:28}  {}", self.rule, self.text);
-        if self.verdict == Conformance::Broken.word() {
-            let Self { sentence, document, section, .. } = self;
-            let _ = writeln!(text, "            the device {sentence} ({document}, {section})");
-            for frame in &self.frames {
-                let tx = if frame.tx { "  sent by descan" } else { "" };
-                let _ = writeln!(text, "            {:.6}  {}{tx}", frame.time, frame.frame);
-            }
-        }
-    }
 }

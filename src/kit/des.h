@@ -403,10 +403,16 @@ uint32_t des_poll(des_node *node, uint32_t now);
 /* Changes the mode with the next des_poll, as a command from the bus does: INIT begins again,
  * ARSLV resolves the address anew; the others need an address, and WORK and UFUNC also a
  * configured address, a UID that is not blank and not used by a working node, and des_set_limit
- * to permit them. DES_EVENT_MODE informs of the mode that was entered. */
+ * to permit them. INIT that is pending (after des_init, after bus errors) comes first, and so does
+ * another user of the address: then nothing is changed. DES_EVENT_MODE informs of the mode that
+ * was entered. */
 static inline void des_set_mode(des_node *node, des_mode mode)
 {
-    node->wish = (uint32_t)mode;
+    bool is_pending = (node->wish == (uint32_t)DES_MODE_INIT) || (node->wish > 0xFFu);
+
+    if (!is_pending || (mode == DES_MODE_INIT)) {
+        node->wish = (uint32_t)mode;
+    }
 }
 
 /* Limits what the node enters: DES_MODE_WORK (no limit, as after des_init), DES_MODE_CFG

@@ -1,7 +1,12 @@
-//! The responder for firmware: two C99 files, and a header with the numbers of a profile.
+//! The responder for firmware: two C99 files, and a header with the numbers of a profile; for the same
+//! node in Rust a module with them.
 //!
-//! Input: a [`Profile`] and what the device is; output: the text of des_config.h. The files are
+//! Input: a [`Profile`] and what the device is; output: the text of des_config.h or des_config.rs. The files are
 //! tested by tests/it/kit. Pure: opens and writes no files. Does not know C compilers or boards.
+
+mod rust_config;
+
+pub use rust_config::rust_config;
 
 use crate::wire::des::{MAX_MESSAGE, MAX_SERVICES};
 use crate::wire::descriptor::{ByteOrder, DescriptorField};
@@ -14,14 +19,25 @@ pub const HEADER: &str = include_str!("des.h");
 /// des.c, the implementation.
 pub const SOURCE: &str = include_str!("des.c");
 
-/// What a device is, for [`config`].
+/// Keys of the codes of the modes, in the order of [`Mode::ALL`].
+const MODE_KEYS: [ProfileKey; 7] = [
+    ProfileKey::Init,
+    ProfileKey::Arslv,
+    ProfileKey::Cfg,
+    ProfileKey::Boot,
+    ProfileKey::Work,
+    ProfileKey::Ufunc,
+    ProfileKey::Idle,
+];
+
+/// What a device is, for [`config`] and [`rust_config`].
 #[derive(Clone, Debug, PartialEq, Eq, Default)]
 pub struct KitDevice {
     /// Name; without a zero byte.
     pub name: String,
     /// Name and version of its services, in the order of their indices; without a zero byte.
     pub services: Vec<(String, String)>,
-    /// True: its controller sends CAN FD frames.
+    /// True: its controller sends CAN FD frames. The node in Rust has them in any case.
     pub has_fd: bool,
 }
 
@@ -168,16 +184,7 @@ fn heartbeat(text: &mut String, profile: &Profile) {
         let offset = offset.filter(|at| *at <= most).map_or("-1".to_owned(), |at| at.to_string());
         value(text, &format!("DES_HEARTBEAT_{name}_AT"), &offset, profile, key);
     }
-    let keys = [
-        ProfileKey::Init,
-        ProfileKey::Arslv,
-        ProfileKey::Cfg,
-        ProfileKey::Boot,
-        ProfileKey::Work,
-        ProfileKey::Ufunc,
-        ProfileKey::Idle,
-    ];
-    for ((mode, code), key) in Mode::ALL.into_iter().zip(profile.modes.codes()).zip(keys) {
+    for ((mode, code), key) in Mode::ALL.into_iter().zip(profile.modes.codes()).zip(MODE_KEYS) {
         value(text, &format!("DES_CODE_{mode}"), &code.to_string(), profile, key);
     }
 }

@@ -600,9 +600,13 @@ impl<'a, const REQUESTERS: usize> Node<'a, REQUESTERS> {
     /// Changes the mode with the next [`Self::handle_timeout`], as a command from the bus does:
     /// INIT begins again, ARSLV resolves the address anew; the others need an address, and WORK and
     /// UFUNC also a configured address, a UID that is neither blank nor used by a working node, and
-    /// the limit to permit them.
+    /// the limit to permit them. INIT that is pending (of a new node, after bus errors) comes first,
+    /// and so does another user of the address: then nothing is changed.
     pub fn set_mode(&mut self, mode: Mode) {
-        self.wish = ModeWish::Enter(mode);
+        let is_pending = matches!(self.wish, ModeWish::Enter(Mode::Init) | ModeWish::Move);
+        if !is_pending || mode == Mode::Init {
+            self.wish = ModeWish::Enter(mode);
+        }
     }
 
     /// Limits the modes. A node beyond the limit changes its mode with the next

@@ -4,6 +4,7 @@
 //! The segmenter of [`crate::wire::isotp`] is not used: it has one message in a buffer, and counts
 //! STmin from the call that returns a frame instead of from the end of its transmission.
 
+use super::after;
 use crate::time::Instant;
 use crate::wire::descriptor::DescriptorField;
 use crate::wire::framing::Framing;
@@ -183,7 +184,7 @@ impl ServedRequester {
         } else if self.flow.st_min == 0 {
             TransferState::Ready
         } else {
-            TransferState::Separated(now + self.flow.separation())
+            TransferState::Separated(after(now, u64::from(self.flow.separation_micros())))
         };
     }
 

@@ -42,6 +42,9 @@ impl Prover {
         let is_sure = self.is_task_sure;
         self.note_answers(&exchange);
         let is_control = matches!(self.stage, TaskStage::Control(_));
+        if !is_control && exchange.answers.is_empty() {
+            self.unanswered.extend(&exchange.frames);
+        }
         if exchange.answers.is_empty() && (is_control || task.demands_answer()) {
             self.note_silence(task);
         }
@@ -160,7 +163,7 @@ impl Prover {
         } else if is_sure {
             let text = format!("no answer to {}", counted(last as u64, "name request"));
             self.records.depends_on(rule, &[ProfileKey::Des], &self.setup.profile);
-            self.records.add(rule, Sample::Broken, text, &exchange.frames);
+            self.records.add(rule, Sample::Broken, text, &self.unanswered);
         } else {
             self.records.add(rule, Sample::Unsure, self.why_unsure(exchange), &[]);
         }
@@ -214,7 +217,7 @@ impl Prover {
             }
             if is_sure {
                 let text = format!("no answer to {}", counted(attempt as u64 + 1, "request"));
-                self.records.add(rule, Sample::Broken, text, &exchange.frames);
+                self.records.add(rule, Sample::Broken, text, &self.unanswered);
             } else {
                 self.records.add(rule, Sample::Unsure, self.why_unsure(exchange), &[]);
             }

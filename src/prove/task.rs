@@ -161,6 +161,11 @@ impl ProofTask {
         vec![Self::Services, Self::Reboot, Self::NameAfterReboot, Self::ServicesAfterReboot]
     }
 
+    /// Returns true if the device is observed until the task begins.
+    pub const fn needs_observation(self) -> bool {
+        self.is_disruption() || matches!(self, Self::BeginLoad | Self::Reboot)
+    }
+
     /// Returns true if the task throws the device out of its work.
     pub const fn is_disruption(self) -> bool {
         matches!(self, Self::Displace { .. } | Self::Occupy | Self::ChangeMode)
@@ -194,6 +199,29 @@ impl ProofTask {
             self,
             Self::Services | Self::Transfer(_) | Self::LoadedServices | Self::ServicesAfterReboot
         )
+    }
+
+    /// What is done, in some words.
+    pub const fn activity(self) -> &'static str {
+        match self {
+            Self::FindFraming => "looks for its framing",
+            Self::Name | Self::Broadcast => "requests its name",
+            Self::Services => "requests its services",
+            Self::Transfer(_) => "tests its transfers",
+            Self::OtherFlag { .. } => "sends requests to the other modes",
+            Self::OtherAddress | Self::WhileOthersAsked => "sends requests to other addresses",
+            Self::Reserved { .. } => "sends requests of reserved types",
+            Self::Malformed(_) => "sends malformed requests",
+            Self::Endless => "sends requests that never end",
+            Self::Displace { .. } => "sends a frame from its address and waits",
+            Self::Occupy => "occupies its address and waits",
+            Self::ChangeMode => "changes its mode",
+            Self::BeginLoad | Self::LoadedName | Self::LoadedServices | Self::EndLoad => {
+                "loads the bus to 80 %"
+            }
+            Self::Reboot => "waits for the power switch",
+            Self::NameAfterReboot | Self::ServicesAfterReboot => "compares it after the reboot",
+        }
     }
 
     /// The rule that says so.

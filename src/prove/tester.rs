@@ -132,6 +132,8 @@ pub struct Prover {
     pub(super) late_until: Instant,
     /// The tests of segmented answers are on the agenda.
     has_transfers: bool,
+    /// Frames of the attempts of the task without an answer.
+    pub(super) unanswered: Vec<Frame>,
     /// Silence in all exchanges of the task is silence of the device.
     pub(super) is_task_sure: bool,
     /// True: the last malformed request silenced the device for a while, and is repeated.
@@ -191,6 +193,7 @@ impl Prover {
             unusable_answer: None,
             may_answer_late: false,
             has_transfers: false,
+            unanswered: Vec::new(),
             is_task_sure: true,
             is_repeated: false,
             is_over: false,
@@ -347,7 +350,7 @@ impl Prover {
             let follows = [Rule::AnswersName, Rule::AnswersBroadcast, Rule::AnswersServices];
             records.excuse(&follows, "its U flag does not say which requests it takes");
         }
-        let doubt = self.doubt.clone().or_else(|| self.observer.doubt());
+        let doubt = self.doubt();
         let verdict = |rule: &Rule| {
             let reason = match (rule.need().option(), rule.need()) {
                 (_, RuleNeed::Disruption) if self.setup.switches.disrupts => {
@@ -376,9 +379,21 @@ impl Prover {
         self.observer.judge_silence(self.now.since(self.began), records);
     }
 
-    /// Returns true if the user is to switch the device off and on.
-    pub fn awaits_power_switch(&self) -> bool {
-        self.reboot.is_some()
+    /// Why nothing that is seen is surely of the device; `None` if it is.
+    pub fn doubt(&self) -> Option<String> {
+        self.doubt.clone().or_else(|| self.observer.doubt())
+    }
+
+    /// What is done, in some words.
+    pub fn activity(&self) -> &'static str {
+        // The first test that disturbs the device begins once this was observed for long enough.
+        let is_begun = |task: &ProofTask| self.is_judged || !task.needs_observation();
+        self.task.filter(is_begun).map_or("observes its heartbeats", ProofTask::activity)
+    }
+
+    /// Whether the device was switched off, while the user is to switch it off and on; otherwise `None`.
+    pub fn power_switch(&self) -> Option<bool> {
+        self.reboot.map(|(_, is_off)| is_off)
     }
 
     /// Judges what was observed, before descan changes it; returns false until the device was observed for
@@ -430,6 +445,11 @@ impl Prover {
         }
         let period = self.setup.profile.heartbeat.period();
         self.free_at = self.now + period / 4;
+        // It may have an address that it prefers to the one it had.
+        if let Some(address) = self.observer.moved_to() {
+            self.take_address(address);
+            self.reboot = self.reboot.map(|(since, _)| (since, true));
+        }
         let Some((since, is_off)) = self.reboot else {
             self.observer.exclude(true);
             let (name, services) = (self.name.clone(), self.services.clone());
@@ -474,8 +494,7 @@ impl Prover {
         let Some(disruption) = self.disruption.take() else { return };
         let period = self.setup.profile.heartbeat.period();
         if let Some(address) = disruption.returned.filter(|it| *it != self.setup.device) {
-            self.setup.device = address;
-            self.observer.set_device(address);
+            self.take_address(address);
         }
         self.observer.exclude(false);
         // The first heartbeat is a claim, with U = 1; the next one has its mode.
@@ -498,6 +517,7 @@ impl Prover {
             self.stage = TaskStage::Test(0);
             self.is_repeated = false;
             self.is_task_sure = true;
+            self.unanswered.clear();
         }
         let Some(task) = self.task else {
             let end = self.began + self.setup.profile.heartbeat.period() * OBSERVED_PERIODS;
@@ -600,9 +620,13 @@ impl Prover {
         if self.is_away()
             && let Some(address) = self.observer.moved_to()
         {
-            self.setup.device = address;
-            self.observer.set_device(address);
+            self.take_address(address);
         }
+    }
+
+    fn take_address(&mut self, address: Address) {
+        self.setup.device = address;
+        self.observer.set_device(address);
     }
 
     /// The framing and the D flag of an attempt to find those of the device; the likely ones first and

@@ -51,10 +51,15 @@ impl FlowControl {
     /// Returns the minimum time between two consecutive frames. Reserved codes count as 127 ms
     /// (ISO 15765-2).
     pub const fn separation(self) -> Duration {
+        Duration::from_micros(self.separation_micros() as u64)
+    }
+
+    /// Returns [`Self::separation`] in microseconds: as a [`Duration`] it takes a division of 64 bits.
+    pub(crate) const fn separation_micros(self) -> u32 {
         match self.st_min {
-            0..=0x7F => Duration::from_millis(self.st_min as u64),
-            0xF1..=0xF9 => Duration::from_micros((self.st_min as u64 - 0xF0) * 100),
-            _ => Duration::from_millis(127),
+            0..=0x7F => self.st_min as u32 * 1000,
+            0xF1..=0xF9 => (self.st_min as u32 - 0xF0) * 100,
+            _ => 127_000,
         }
     }
 }

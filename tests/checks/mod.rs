@@ -12,6 +12,7 @@ pub mod engine;
 pub mod filter;
 pub mod keys;
 pub mod log;
+pub mod node;
 pub mod profile;
 pub mod protocol;
 pub mod scenario;
@@ -30,7 +31,7 @@ pub struct Target {
 }
 
 /// All targets.
-pub const TARGETS: [Target; 13] = [
+pub const TARGETS: [Target; 14] = [
     protocol::SLCAN,
     protocol::SOCKETCAND,
     udp::UDP,
@@ -44,6 +45,7 @@ pub const TARGETS: [Target; 13] = [
     config::CONFIG,
     scenario::SCENARIO,
     engine::ENGINE,
+    node::NODE,
 ];
 
 /// Asserts that a text contains only printable characters.

@@ -174,3 +174,8 @@ fn scenario_mutations_break_no_rule() {
 fn engine_mutations_break_no_rule() {
     replay("engine", 4_000);
 }
+
+#[test]
+fn node_mutations_break_no_rule() {
+    replay("node", 100_000);
+}

@@ -349,6 +349,51 @@ fn simulated_devices() {
 }
 
 #[test]
+fn device_in_another_process_is_proved() {
+    in_namespace("proved_device");
+}
+
+#[test]
+#[ignore = "run by another test"]
+fn proved_device() {
+    check_namespace();
+    let folder = tempfile::tempdir().unwrap();
+    // Heartbeats ten times as fast as the document says: the tests are over sooner.
+    let profile = "[services]\nheartbeat = 0x001\ndes = 0x002\n\
+                   [heartbeat]\nperiod_ms = 100\nuid_offset = 0\nmode_offset = 6\n";
+    std::fs::write(folder.path().join("profile.toml"), profile).unwrap();
+    let descan = |arguments: &[&str]| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_descan"));
+        command.args(arguments).args(["--profile", "profile.toml"]);
+        command.current_dir(folder.path()).stdin(Stdio::null());
+        command.env("XDG_CONFIG_HOME", folder.path().join("config"));
+        command
+    };
+    let device =
+        ["sim", "udp:", "--device", "FEED", "--services", "AUGER=2.1", "--node-address", "10"];
+    let sim = descan(&device).stderr(Stdio::null()).spawn().unwrap();
+    let _sim = Running(sim);
+    let output = descan(&["prove", "udp:", "FEED", "--json"]).output().unwrap();
+    let words = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(0), "{words}");
+    let report: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(report["broken"], 0, "{report:#}");
+    let rules = report["devices"][0]["rules"].as_array().unwrap();
+    for wanted in [
+        "heartbeat-interval",
+        "answers-name-request",
+        "answers-services-request",
+        "transfer-framing",
+        "st-min",
+        "flow-overflow",
+        "survives-endless-requests",
+    ] {
+        let rule = rules.iter().find(|rule| rule["rule"] == wanted).unwrap();
+        assert_eq!(rule["verdict"], "kept", "{rule:#}");
+    }
+}
+
+#[test]
 fn request_to_another_process_is_answered_in_several_frames() {
     in_namespace("composed_request");
 }

@@ -210,6 +210,7 @@ int main(int count, char **arguments)
             own->stored.address = (uint8_t)below(256u);
             own->stored.bitrate = (uint8_t)(below(4u) | (below(4u) == 0u ? 0u : 0x80u));
             own->stored.autostart = (uint8_t)below(2u);
+            own->is_silent = true; /* Nothing is sent before the controller is set up. */
             des_init(&own->node, &PORT, &device, own);
         } else if (dice < 4u && below(20u) == 0u) {
             des_set_mode(&own->node, (des_mode)below(7u));

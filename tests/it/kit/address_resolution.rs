@@ -32,6 +32,28 @@ fn lone_start_listens_then_claims_its_address() {
 }
 
 #[test]
+fn mode_set_before_the_first_poll_does_not_skip_init() {
+    for code in [mode::WORK, mode::ARSLV, mode::INIT] {
+        let mut board = Board { driver: super::Driver::start(), now: 0, holds: false };
+        board.driver.set_up(0, &BoardSpec::new(12));
+        board.driver.run("init 0");
+        board.driver.run(&format!("mode 0 {code}"));
+        let acts = board.pass(2 * LISTEN - 1);
+        let silent = Act::Bus { rate: 0, silent: true };
+        assert_eq!(acts, [silent, Act::Mode(mode::ARSLV)], "{code}");
+    }
+}
+
+#[test]
+fn mode_set_after_a_conflict_does_not_keep_the_address() {
+    let mut board = Board::running(&BoardSpec::new(12));
+    board.receive(&heartbeat(12, *b"BOARD2", true));
+    board.driver.run(&format!("mode 0 {}", mode::CFG));
+    let modes = modes(&board.poll());
+    assert_eq!(modes, [mode::ARSLV], "another node uses its address");
+}
+
+#[test]
 fn failed_claim_is_repeated_after_a_random_time() {
     let mut board = Board::new(&BoardSpec::new(12));
     board.holds = true;

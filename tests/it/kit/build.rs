@@ -103,7 +103,7 @@ pub(super) fn compiled(program: &str) -> &'static Path {
     DRIVER.get_or_init(|| compile(program, &folder("driver", ALL_NUMBERS), &[]))
 }
 
-fn is_there(program: &str) -> bool {
+pub(super) fn is_there(program: &str) -> bool {
     let is_there = Command::new(program).arg("--version").output().is_ok();
     if !is_there {
         assert!(std::env::var_os("CI").is_none(), "{program} is not installed");
@@ -123,7 +123,7 @@ fn cross_compile(folder: &Path, options: &[&str], source: &Path) -> PathBuf {
     object
 }
 
-fn output_of(program: &str, option: &str, file: &Path) -> String {
+pub(super) fn output_of(program: &str, option: &str, file: &Path) -> String {
     String::from_utf8(run(Command::new(program).arg(option).arg(file)).stdout).unwrap()
 }
 

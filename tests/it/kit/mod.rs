@@ -14,6 +14,8 @@ mod node;
 mod node_bench;
 mod program;
 mod rust;
+mod rust_config;
+mod size;
 
 use build::compiled;
 use std::collections::VecDeque;

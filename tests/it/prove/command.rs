@@ -1,9 +1,12 @@
 //! The command `descan prove`: JSON, reports, exit codes, and what it refuses.
 
+use crate::common::pty::Pty;
 use descan::prove::ConformanceRule;
+use nix::sys::signal::Signal;
 use serde_json::Value;
+use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
-use std::process::{Command, Output, Stdio};
+use std::process::{Child, Command, Output, Stdio};
 
 /// Heartbeats ten times as fast as the document says: the tests are over sooner.
 const PROFILE: &str = "[services]\nheartbeat = 0x001\ndes = 0x002\n[heartbeat]\nperiod_ms = 100\n\
@@ -34,16 +37,17 @@ fn folder() -> tempfile::TempDir {
     folder
 }
 
+/// The command on a bus, without a terminal.
+fn prove_on(bus: &str, folder: &Path, rest: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_descan"));
+    command.args(["prove", bus, "--profile", "profile.toml"]).args(rest).current_dir(folder);
+    command.env("XDG_CONFIG_HOME", folder.join("config")).stdin(Stdio::null());
+    command
+}
+
 /// Runs it on the bus without a terminal.
 fn prove(folder: &Path, rest: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_descan"))
-        .args(["prove", "sim:bus.toml", "--profile", "profile.toml"])
-        .args(rest)
-        .current_dir(folder)
-        .env("XDG_CONFIG_HOME", folder.join("config"))
-        .stdin(Stdio::null())
-        .output()
-        .expect("the program starts")
+    prove_on("sim:bus.toml", folder, rest).output().expect("the program starts")
 }
 
 fn text(bytes: &[u8]) -> String {
@@ -88,6 +92,10 @@ fn broken_rule_exits_1_and_is_proved() {
     assert!(xml.contains("<testcase name=\"one-answer\" classname=\"ACT at 14\">"), "{xml}");
     let report = std::fs::read_to_string(folder.path().join("act.md")).unwrap();
     assert!(report.contains("### one-answer: broken"), "{report}");
+    // Frames are code, as they are.
+    assert!(report.contains("| `00003802#0444455301` | descan |"), "{report}");
+    assert!(report.contains("| reserved-refused | kept | refused type 0x00 with `"), "{report}");
+    assert!(!report.contains("\\#"), "{report}");
     let frames = std::fs::read(folder.path().join("act.pcapng")).unwrap();
     let comment = b"broken: one-answer";
     assert!(frames.windows(comment.len()).any(|part| part == comment));
@@ -96,11 +104,28 @@ fn broken_rule_exits_1_and_is_proved() {
 #[test]
 fn unusable_calls_are_refused() {
     let folder = folder();
-    let cases: [(&[&str], i32, &str); 6] = [
-        (&["NOPE", "--time", "4"], 3, "NOPE was not found; there are FEED at 10, ACT at 14"),
+    let cases: [(&[&str], i32, &str); 15] = [
+        (&["NOPE", "--time", "4"], 3, "NOPE was not found; there are FEED at 10, ACT at 14\n"),
+        (&["200", "--time", "4"], 3, "ACT at 14; addresses are 1 to 127, as @12\n"),
+        (&["0Ah", "--time", "4"], 3, "ACT at 14; for the address give @10\n"),
+        (&["@200"], 2, "@200: no such address; addresses are @1 to @127"),
+        (&["@0"], 2, "@0: no such address"),
+        (&["@FEED"], 2, "@FEED: no such address"),
+        (&["FEED", "--reboot"], 2, "--reboot asks to switch the device off and on"),
+        (&["FEED", "--reboot", "--yes"], 2, "there is no terminal"),
+        (
+            &["FEED", "--load"],
+            3,
+            "1 other device on the bus; on a test bench give --bench and --yes\n",
+        ),
+        (&["FEED", "--load", "--bench"], 2, "give --yes"),
         (&["FEED", "--listen-only"], 2, "listen-only"),
         (&["FEED", "--disrupt-device"], 2, "give --yes"),
-        (&["FEED", "--load", "--yes"], 3, "1 other device on the bus"),
+        (
+            &["FEED", "--load", "--yes"],
+            3,
+            "1 other device on the bus; on a test bench give --bench\n",
+        ),
         (&["FEED", "--all"], 2, "--all"),
         (&[], 2, "<DEVICE>"),
     ];
@@ -109,6 +134,126 @@ fn unusable_calls_are_refused() {
         assert_eq!(output.status.code(), Some(code), "{args:?}: {}", text(&output.stderr));
         assert!(text(&output.stderr).contains(why), "{args:?}: {}", text(&output.stderr));
     }
+}
+
+/// One device alone, with heartbeats as the document says: the tests take 14 s at least.
+const ALONE: &str = r#"
+bitrate = 1000000
+[[device]]
+name = "FEED"
+uid = "BOILER01"
+address = { fixed = 10 }
+settled = true
+services = []
+"#;
+
+#[test]
+fn load_of_a_lone_device_needs_consent() {
+    let folder = folder();
+    std::fs::write(folder.path().join("alone.toml"), ALONE).unwrap();
+    let output = prove_on("sim:alone.toml", folder.path(), &["FEED", "--load"]).output().unwrap();
+    assert_eq!(output.status.code(), Some(2), "{}", text(&output.stderr));
+    assert!(text(&output.stderr).contains("give --yes"), "{}", text(&output.stderr));
+}
+
+/// Two devices with one name at one address.
+const CONFLICT: &str = r#"
+bitrate = 1000000
+[profile.heartbeat]
+period_ms = 100
+[[device]]
+name = "FEED"
+uid = "BOILER01"
+address = { fixed = 10 }
+settled = true
+services = []
+faults = ["never-gives-way"]
+[[device]]
+label = "SECOND"
+name = "FEED"
+uid = "BOILER02"
+address = { fixed = 10 }
+settled = true
+services = []
+faults = ["never-gives-way"]
+"#;
+
+#[test]
+fn confirmed_conflict_is_said_first_and_exits_1() {
+    let folder = folder();
+    std::fs::write(folder.path().join("conflict.toml"), CONFLICT).unwrap();
+    let run = |rest: &[&str]| {
+        let words = [&["@10"], rest].concat();
+        let output = prove_on("sim:conflict.toml", folder.path(), &words).output().unwrap();
+        assert_eq!(output.status.code(), Some(1), "{}", text(&output.stderr));
+        text(&output.stdout)
+    };
+    let told = run(&[]);
+    let mut lines = told.lines();
+    assert_eq!(lines.next(), Some("FEED at 10:"));
+    let conflict = lines.next().unwrap();
+    assert!(conflict.starts_with("  address conflict, confirmed by frames: "), "{told}");
+    assert!(told.ends_with(": 0 kept, 0 broken, 37 not seen\n"), "{told}");
+    let json: Value = serde_json::from_str(&run(&["--json", "--proof", "conflict.md"])).unwrap();
+    assert_eq!(json["devices"][0]["conflict_confirmed"], true);
+    let report = std::fs::read_to_string(folder.path().join("conflict.md")).unwrap();
+    assert!(report.contains("**address conflict, confirmed by frames: "), "{report}");
+    let tap = run(&["--report", "tap"]);
+    assert!(tap.contains("not ok 1 - FEED at 10: address-conflict"), "{tap}");
+}
+
+/// Starts it on the bus of one device, and waits until it tests that.
+fn started(folder: &Path, rest: &[&str]) -> Child {
+    std::fs::write(folder.join("alone.toml"), ALONE).unwrap();
+    std::fs::write(folder.join("profile.toml"), PROFILE.replace("100", "1000")).unwrap();
+    let mut command = prove_on("sim:alone.toml", folder, rest);
+    let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    let mut error = BufReader::new(child.stderr.take().unwrap());
+    let mut line = String::new();
+    error.read_line(&mut line).unwrap();
+    assert!(line.starts_with("device at 10: "), "{line}");
+    child.stderr = Some(error.into_inner());
+    child
+}
+
+/// Interrupts it; returns its output.
+fn interrupted(mut child: Child) -> String {
+    let id = nix::unistd::Pid::from_raw(child.id().cast_signed());
+    nix::sys::signal::kill(id, Signal::SIGINT).unwrap();
+    let mut told = String::new();
+    child.stdout.take().unwrap().read_to_string(&mut told).unwrap();
+    assert_eq!(child.wait().unwrap().code(), Some(130), "{told}");
+    told
+}
+
+#[test]
+fn interrupted_tests_print_what_was_found() {
+    let folder = folder();
+    let told = interrupted(started(folder.path(), &["FEED"]));
+    assert!(told.contains("  kept      answers-name-request "), "{told}");
+    let last = told.lines().last().unwrap();
+    assert!(last.starts_with("interrupted after ") && last.contains("incomplete"), "{told}");
+    let told = interrupted(started(folder.path(), &["FEED", "--json"]));
+    let json: Value = serde_json::from_str(&told).unwrap();
+    let tests = json["devices"][0]["tests"].as_array().unwrap();
+    assert!(json["complete"] == false && tests[0].as_u64() < tests[1].as_u64(), "{told}");
+}
+
+#[test]
+fn progress_line_moves_while_a_test_waits() {
+    let folder = folder();
+    std::fs::write(folder.path().join("alone.toml"), ALONE).unwrap();
+    std::fs::write(folder.path().join("profile.toml"), PROFILE.replace("100", "1000")).unwrap();
+    let words = ["prove", "sim:alone.toml", "FEED", "--profile", "profile.toml"];
+    let mut terminal = Pty::start(&words, folder.path(), (100, 60));
+    for line in ["observes its heartbeats, 1 s", "observes its heartbeats, 2 s"] {
+        terminal.wait_for(line);
+    }
+    terminal.signal(Signal::SIGINT);
+    assert_eq!(terminal.wait(), 130);
+    let screen = terminal.screen();
+    assert!(!screen.contains("observes"), "the line is removed: {screen}");
+    assert!(screen.starts_with("FEED at 10:") && screen.contains("interrupted"), "{screen}");
 }
 
 #[test]

@@ -5,8 +5,9 @@ use descan::frame::Frame;
 use descan::prove::{Conformance, ConformanceRule, RuleNeed};
 use descan::sim::{DeviceAction, DeviceFraming, DeviceSpec, Scenario};
 use descan::time::Duration;
+use descan::wire::descriptor::AddressSetting;
 use descan::wire::framing::Framing;
-use descan::wire::id::Header;
+use descan::wire::id::{Address, Header};
 use descan::wire::node::{Mode, Uid};
 
 /// Devices of a run of the suite.
@@ -140,6 +141,23 @@ fn services_after_a_reboot_are_compared() {
     assert_eq!(rebooted(None).0, Conformance::Kept);
     let other = vec![vec![b"DES".to_vec(), b"2.0".to_vec()]];
     assert_eq!(rebooted(Some(other)), (Conformance::Broken, "another list of services".into()));
+}
+
+#[test]
+fn device_with_another_address_after_a_reboot_is_found() {
+    let at = Duration::from_mins(1);
+    let other = AddressSetting::Fixed(Address::from_bits(30));
+    let scenario = scenario(feed().uid(Uid(*b"BOILER")))
+        .at(at, "FEED", DeviceAction::StoreAddress(other))
+        .at(at, "FEED", DeviceAction::PowerOff)
+        .at(at + Duration::from_secs(6), "FEED", DeviceAction::PowerOn);
+    let filter = Box::new(NoFilter);
+    let mut bench = ProofBench::with(&scenario, 12, given_profile(), filter, Extra::Reboot);
+    let verdicts = bench.run();
+    let verdict = verdict(&verdicts, ConformanceRule::StableOverReboot);
+    assert_eq!(verdict.conformance, Conformance::Kept, "{verdict:?}");
+    assert!(broken(&verdicts).is_empty(), "{:?}", broken(&verdicts));
+    assert_eq!(bench.prover.device().number(), 30);
 }
 
 #[test]

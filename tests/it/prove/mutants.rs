@@ -240,6 +240,24 @@ fn silence_to_services_requests_is_named() {
 }
 
 #[test]
+fn silence_shows_the_requests_of_all_attempts() {
+    for (rule, fault, text) in [
+        (Rule::AnswersServices, Fault::NoServices, "no answer to 4 requests"),
+        (Rule::AnswersName, Fault::NoDes, "no answer to 10 name requests"),
+    ] {
+        let psu = DeviceSpec::new("PSU").fixed(40).skips_address_resolution();
+        let scenario = Scenario::new(125_000).with(good().fault(fault)).with(psu);
+        let filter = Box::new(NoFilter);
+        let verdicts = ProofBench::new(&scenario, DEVICE, given_profile(), filter).run();
+        let verdict = super::bench::verdict(&verdicts, rule);
+        assert_eq!(verdict.text, text);
+        let sent = verdict.frames.iter().filter(|frame| frame.is_tx).count();
+        let wanted = text.split(' ').nth(3).unwrap().parse::<usize>().unwrap();
+        assert_eq!(sent, wanted, "{:?}", verdict.frames);
+    }
+}
+
+#[test]
 fn services_request_refused_is_named() {
     let change = |frame: Frame| {
         let is_list = is_answer(&frame) && frame.data()[0] == 0x10;
