@@ -72,20 +72,24 @@ impl DeviceRows {
             rows.reverse();
         }
         let before = std::mem::replace(&mut self.rows, rows);
-        self.follow_selection(&before, view);
+        self.follow_selection(&before, inputs, view);
         let height = view.screen(inputs.buses.len()).list_rows();
         view.devices.update_keeping(&self.keys(), height);
     }
 
-    /// Moves the selection with its device to another row: a listed device appears, or a lost one
-    /// is removed.
-    fn follow_selection(&self, before: &[Row], view: &mut View) {
+    /// Moves the selection with its device to another row of its bus and file: a listed device appears,
+    /// or a lost one is removed.
+    fn follow_selection(&self, before: &[Row], inputs: Inputs, view: &mut View) {
         let Some(selected) = view.devices.selected() else { return };
         if self.rows.iter().any(|row| row.key == *selected) {
             return;
         }
         let Some(old) = before.iter().find(|row| row.key == *selected) else { return };
-        let same = |row: &&Row| row.name == old.name && row.name.is_some();
+        let file = |row: &Row| row.key.file(inputs.documents);
+        let same = |row: &&Row| {
+            let is_on_its_bus = old.bus.is_none_or(|bus| row.is_on(bus));
+            row.name == old.name && row.name.is_some() && is_on_its_bus && file(row) == file(old)
+        };
         let nearest = self.rows.iter().filter(same).min_by_key(|row| {
             let number = |row: &Row| row.address.map_or(0, |address| i16::from(address.number()));
             (number(row) - number(old)).abs()

@@ -16,6 +16,11 @@ use crate::discovery::{Device, DeviceId, OwnAddress};
 use crate::document::{EntryKey, Operation};
 use crate::frame::BusIndex;
 use crate::keymap::{Action, Key};
+use crate::text::join_first;
+use std::collections::BTreeMap;
+
+/// Files that the question whether to quit names; the others are counted.
+const NAMED_FILES: usize = 2;
 
 impl App {
     // ---- des.json --------------------------------------------------------------------------
@@ -66,7 +71,7 @@ impl App {
             devices.filter_map(|device| update_operation(inputs!(self), device)).collect();
         match operations.len() {
             0 => self.file_info("file already matches this device"),
-            _ => self.edit_files(operations),
+            _ => drop(self.edit_files(operations)),
         }
     }
 
@@ -90,14 +95,16 @@ impl App {
             return self.file_info("no present device with a known name to add");
         }
         wanted.sort_by_key(|device| (device.id.bus, device.address));
-        let (mut operations, mut refused) = (Vec::new(), Vec::new());
+        let mut operations = Vec::new();
+        let mut refused: BTreeMap<FileIndex, Vec<String>> = BTreeMap::new();
         for device in wanted {
             let Some((file, operation)) = update_operation(inputs!(self), device) else { continue };
             match self.files.get(file).file.check_operation(&operation) {
                 Ok(()) => operations.push((file, operation)),
-                Err(refusal) => refused.push(refusal.to_string()),
+                Err(refusal) => refused.entry(file).or_default().push(refusal.to_string()),
             }
         }
+        let mut done = None;
         match operations.len() {
             0 if !refused.is_empty() => {}
             0 if left.is_empty() => self.file_info("all named devices are already in the file"),
@@ -107,11 +114,17 @@ impl App {
                     "all named devices are in the file; {left} without services ({key} adds them)"
                 ));
             }
-            _ => self.edit_files(operations),
+            _ => done = self.edit_files(operations),
         }
-        if let Some(refusal) = refused.first() {
-            self.file_error(format!("{} not added: {refusal}", refused.len()));
+        if refused.is_empty() {
+            return;
         }
+        let not_added = refused.iter().filter_map(|(file, refusals)| {
+            let (of_file, count) = (self.of_file(*file), refusals.len());
+            Some(format!("{of_file}{count} not added: {}", refusals.first()?))
+        });
+        let texts: Vec<String> = not_added.chain(done).collect();
+        self.file_error(texts.join("; "));
     }
 
     /// Opens the prompt for a new entry.
@@ -161,7 +174,7 @@ impl App {
     pub(super) fn undo(&mut self) {
         let file = self.files.last_edited();
         match self.files.get_mut(file).file.undo() {
-            Ok(name) => self.edited(file, &format!("undone: {name}")),
+            Ok(name) => drop(self.edited(file, &format!("undone: {name}"))),
             Err(refusal) => self.report_refusal(file, &refusal),
         }
     }
@@ -170,7 +183,7 @@ impl App {
     pub(super) fn redo(&mut self) {
         let file = self.files.last_undone();
         match self.files.get_mut(file).file.redo() {
-            Ok(name) => self.edited(file, &format!("redone: {name}")),
+            Ok(name) => drop(self.edited(file, &format!("redone: {name}"))),
             Err(refusal) => self.report_refusal(file, &refusal),
         }
     }
@@ -208,14 +221,16 @@ impl App {
         if operations.is_empty() {
             self.file_info("no unsaved changes");
         } else {
-            self.edit_files(operations);
+            let _ = self.edit_files(operations);
         }
     }
 
     /// Opens the prompt for the path of a copy of the file with all edits.
     pub(super) fn ask_copy_path(&mut self) {
-        let unsaved = self.files.find(|file| file.unsaved() > 0);
-        let file = unsaved.unwrap_or_else(|| self.file_of_selection());
+        let selected = self.file_of_selection();
+        let is_at_risk = |file: &FileIndex| self.files.get(*file).edits_at_risk().is_some();
+        let mut wanted = std::iter::once(selected).chain(self.files.indices());
+        let file = wanted.find(is_at_risk).unwrap_or(selected);
         if !self.files.get(file).file.is_there() {
             return self.show_error("nothing to save");
         }
@@ -246,7 +261,8 @@ impl App {
                 (ours, theirs) => format!("kept {ours} of your values, {theirs} of the file's"),
             };
             self.add_file_line(file, TimelineKind::File, format!("edit conflict: {whose}"));
-            self.file_info(whose);
+            let of_file = self.of_file(file);
+            self.file_info(format!("{of_file}{whose}"));
             if self.conflicting_file().is_some() {
                 self.show_conflict();
             }
@@ -262,16 +278,17 @@ impl App {
     pub(super) fn resolve_later(&mut self) {
         self.input.leave_conflict();
         let key = self.key_of(Action::Save);
-        self.show_info(format!("edit not saved; {key} reopens the conflict"));
+        let of_file = self.conflicting_file().map(|file| self.of_file(file)).unwrap_or_default();
+        self.show_info(format!("{of_file}edit not saved; {key} reopens the conflict"));
     }
 
     /// Edits a file.
     pub(super) fn edit(&mut self, file: FileIndex, operations: &[Operation]) {
-        self.edit_files(operations.iter().map(|operation| (file, operation.clone())).collect());
+        let _ = self.edit_files(operations.iter().map(|it| (file, it.clone())).collect());
     }
 
-    /// Edits several files, each in one step.
-    pub(super) fn edit_files(&mut self, mut operations: Vec<(FileIndex, Operation)>) {
+    /// Edits several files, each in one step. Returns what was done, as shown; `None` if nothing was.
+    fn edit_files(&mut self, mut operations: Vec<(FileIndex, Operation)>) -> Option<String> {
         operations.sort_by_key(|(file, _)| *file);
         let mut done = Vec::new();
         for of_file in operations.chunk_by(|(one, _), (other, _)| one == other) {
@@ -282,9 +299,9 @@ impl App {
                 Err(refusal) => self.report_refusal(*file, &refusal),
             }
         }
-        let Some((last, _)) = done.last() else { return };
+        let (last, _) = done.last()?;
         self.files.forget_undone_but(*last);
-        match &done[..] {
+        Some(match &done[..] {
             [(file, name)] => self.edited(*file, name),
             several => {
                 for (file, name) in several {
@@ -294,22 +311,25 @@ impl App {
                     .iter()
                     .map(|(file, name)| format!("{}: {name}", self.files.get(*file).file.name()));
                 let text = texts.collect::<Vec<_>>().join("; ");
-                self.file_info(text);
+                self.file_info(text.as_str());
+                text
             }
-        }
+        })
     }
 
-    /// Reports an edit and begins to save it.
-    fn edited(&mut self, file: FileIndex, what: &str) {
+    /// Reports an edit and begins to save it; returns the text that is shown.
+    fn edited(&mut self, file: FileIndex, what: &str) -> String {
         self.add_file_line(file, TimelineKind::File, what);
-        let of_file = self.of_file(file);
-        self.file_info(format!("{of_file}{what}"));
+        let text = self.of_file(file) + what;
+        self.file_info(text.as_str());
         self.save_pending(file);
         self.refresh();
+        text
     }
 
     fn report_refusal(&mut self, file: FileIndex, refusal: &EditRefusal) {
-        let of_file = self.of_file(file);
+        let is_of_all = matches!(refusal, EditRefusal::NothingToUndo | EditRefusal::NothingToRedo);
+        let of_file = if is_of_all { String::new() } else { self.of_file(file) };
         self.file_error(format!("{of_file}{refusal}"));
     }
 
@@ -609,16 +629,23 @@ impl App {
         })
     }
 
-    /// The question whether to quit with unsaved edits; of several files that of the first with any.
+    /// The question whether to quit with unsaved edits. Of several files with any it names those whose
+    /// edits have no copy.
     fn quit_question(&self) -> String {
-        let mut unsaved = self.files.indices().filter(|it| self.files.get(*it).file.unsaved() > 0);
-        match (unsaved.next(), unsaved.next()) {
-            (Some(_), Some(_)) => {
-                let (edits, files) = (self.files.unsaved(), 2 + unsaved.count());
-                format!("{edits} edits of {files} files are not saved. Quit anyway?")
-            }
-            (only, _) => self.files.get(only.unwrap_or_default()).quit_question(),
+        let unsaved = self.files.indices().filter(|it| self.files.get(*it).file.unsaved() > 0);
+        let unsaved: Vec<FileIndex> = unsaved.collect();
+        let [_, _, ..] = unsaved[..] else {
+            let only = unsaved.first().copied().unwrap_or_default();
+            return self.of_file(only) + &self.files.get(only).quit_question();
+        };
+        let at_risk = unsaved.iter().filter(|it| self.files.get(**it).edits_at_risk().is_some());
+        let names: Vec<String> = at_risk.map(|it| self.files.get(*it).file.name()).collect();
+        if names.is_empty() {
+            let files = unsaved.len();
+            return format!("edits of {files} files are saved only in copies. Quit anyway?");
         }
+        let names = join_first(names, NAMED_FILES, ", ");
+        format!("edits are not saved: {names}. Quit anyway?")
     }
 
     /// Closes the question and executes its action, after `yes`.

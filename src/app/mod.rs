@@ -810,6 +810,7 @@ impl App {
         }
         if let Some((text, is_warning)) = report.text {
             self.add_file_line(file, TimelineKind::File, &text);
+            let text = self.of_file(file) + &text;
             if is_warning {
                 self.notices.file_error(now, text);
             } else {
@@ -849,7 +850,8 @@ impl App {
         match result {
             Ok(()) if let Some(file) = copied => {
                 let line = format!("a copy with all edits: {path}");
-                self.show_info(&line);
+                let of_file = self.of_file(file);
+                self.show_info(format!("{of_file}{line}"));
                 self.add_file_line(file, TimelineKind::File, line);
             }
             Ok(()) => self.show_info(format!("saved: {path}")),
@@ -1081,6 +1083,15 @@ impl App {
     /// then.
     pub fn document_at(&self, file: FileIndex) -> Option<&Document> {
         self.shown_documents().get(file)
+    }
+
+    /// Why a des.json could not be read or saved at the moment that is shown, and true if there was the
+    /// file. A file that cannot be saved now is that of any moment: it needs the user.
+    pub fn shown_file(&self, file: FileIndex) -> (Option<&FileError>, bool) {
+        let documents = self.shown_documents();
+        let present = self.file_at(file).problem();
+        let unsaved = present.filter(|problem| problem.is_not_saved());
+        (unsaved.or(documents.problem(file)), documents.is_there(file))
     }
 
     /// The contents of the des.json files, at the moment that is shown.

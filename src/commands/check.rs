@@ -74,26 +74,48 @@ fn names_of_files(app: &App) -> String {
     app.files().map(|(_, file)| file.name()).collect::<Vec<_>>().join(", ")
 }
 
-/// A test for each kind of difference.
+/// A test for each kind of difference, of each file.
 fn cases(app: &App, now: Instant) -> Vec<ReportedCase> {
     let compared = app.compare(now, Scope::Check);
     let engines = app.buses().iter().flat_map(Bus::findings);
     let found: Vec<&Finding> =
         engines.chain(&compared).filter(|it| it.state == FindingState::Confirmed).collect();
-    let of_section = |section: CheckSection| {
-        let is_in = |it: &&&Finding| it.key.kind.check_section() == Some(section);
-        let details: Vec<String> = found.iter().filter(is_in).map(|it| it.text.clone()).collect();
-        let (outcome, text) = match &details[..] {
-            [] => (CaseOutcome::Passed, "no difference".to_owned()),
-            several => {
-                let title = if several.len() == 1 { section.singular() } else { section.title() };
-                (CaseOutcome::Failed, format!("{} {title}", several.len()))
+    let of_section = |file: FileIndex, section: CheckSection| {
+        let details = found
+            .iter()
+            .filter(|it| it.key.kind.check_section() == Some(section) && is_of(app, it, file))
+            .map(|it| line_of(app, it));
+        let details: Vec<String> = details.collect();
+        let (outcome, text) = match details.len() {
+            0 => (CaseOutcome::Passed, "no difference".to_owned()),
+            count => {
+                let title = if count == 1 { section.singular() } else { section.title() };
+                (CaseOutcome::Failed, format!("{count} {title}"))
             }
         };
-        let suite = names_of_files(app);
+        let suite = app.file_at(file).name();
         ReportedCase { suite, name: section.title().to_owned(), outcome, text, details }
     };
-    CheckSection::ALL.into_iter().map(of_section).collect()
+    let files = app.files().map(|(file, _)| file);
+    let cases = files.flat_map(|file| CheckSection::ALL.map(|section| of_section(file, section)));
+    cases.collect()
+}
+
+/// Returns true if a finding is about a bus that has this file; one about no bus is of the first.
+fn is_of(app: &App, finding: &Finding, file: FileIndex) -> bool {
+    let of_bus = finding.key.bus.map(|bus| app.file_of_bus(bus));
+    of_bus.unwrap_or_default() == file
+}
+
+/// A finding in a line: its bus, where there are several, and its text.
+fn line_of(app: &App, finding: &Finding) -> String {
+    let bus = finding.key.bus.and_then(|bus| app.bus(bus));
+    let bus = bus.filter(|_| app.buses().len() > 1);
+    let bus = bus.map_or(String::new(), |bus| format!("{}: ", bus.name));
+    // Its text names the place in the file, but not the device.
+    let whose = finding.names.first().filter(|_| finding.key.kind == FindingKind::FileShape);
+    let whose = whose.map_or(String::new(), |name| format!("{name}: "));
+    format!("{bus}{whose}{}", finding.text)
 }
 
 /// The differences as text: one line each, in groups, and a summary.
@@ -113,24 +135,13 @@ fn differences(app: &App, now: Instant) -> String {
         group.sort_by_key(|it| (it.position, it.key.bus, it.key.address));
         let _ = writeln!(text, "{title}:");
         for finding in &group {
-            let bus = finding.key.bus.and_then(|bus| app.bus(bus));
-            let bus = bus.filter(|_| app.buses().len() > 1);
-            let bus = bus.map_or(String::new(), |bus| format!("{}: ", bus.name));
-            // Its text names the place in the file, but not the device.
-            let whose =
-                finding.names.first().filter(|_| finding.key.kind == FindingKind::FileShape);
-            let whose = whose.map_or(String::new(), |name| format!("{name}: "));
-            let _ = writeln!(text, "  {bus}{whose}{}", finding.text);
+            let _ = writeln!(text, "  {}", line_of(app, finding));
         }
     }
     for (index, file) in app.files() {
-        let of_file = |finding: &&&Finding| {
-            let of_bus = finding.key.bus.map(|bus| app.file_of_bus(bus));
-            of_bus.unwrap_or_default() == index
-        };
         let sums = CheckSection::ALL.into_iter().filter_map(|section| {
             let is_in = |it: &&&Finding| it.key.kind.check_section() == Some(section);
-            let count = found.iter().filter(is_in).filter(of_file).count();
+            let count = found.iter().filter(is_in).filter(|it| is_of(app, it, index)).count();
             let title = if count == 1 { section.singular() } else { section.title() };
             (count > 0).then(|| format!("{count} {title}"))
         });

@@ -175,8 +175,16 @@ impl Setup {
             (None, None, Some(project)) => project.file.clone(),
             (None, None, None) => default_file(),
         };
-        let other = |file: PathBuf| (file != self.file).then_some(file);
-        self.own_files = files.into_iter().map(other).collect();
+        let mut known = vec![self.file.clone()];
+        let own_files = files.into_iter().map(|file| {
+            let same = known.iter().find(|it| is_same_file(it, &file)).cloned();
+            let file = same.unwrap_or_else(|| {
+                known.push(file.clone());
+                file
+            });
+            (file != self.file).then_some(file)
+        });
+        self.own_files = own_files.collect();
     }
 
     /// The des.json files of the session, each once, that of the first bus first.
@@ -369,6 +377,19 @@ const NAME_A_BUS: &str = "name a bus (descan can0, descan file:LOG), or try it o
 
 fn names_of(interfaces: &[CanInterface]) -> String {
     interfaces.iter().map(|it| it.name.as_str()).collect::<Vec<_>>().join(", ")
+}
+
+/// Returns true if two paths lead to the same file, which need not exist.
+fn is_same_file(one: &Path, other: &Path) -> bool {
+    let whole = |path: &Path| {
+        let folder = path.parent().filter(|it| !it.as_os_str().is_empty());
+        let beside = || {
+            let folder = fs::canonicalize(folder.unwrap_or(Path::new("."))).ok()?;
+            Some(folder.join(path.file_name()?))
+        };
+        fs::canonicalize(path).ok().or_else(beside)
+    };
+    one == other || whole(one).is_some_and(|path| whole(other) == Some(path))
 }
 
 /// Returns what a BUS argument names: a word is an interface, or a log in this folder.
@@ -597,7 +618,11 @@ pub fn add_buses(
         let options = Options { listen_only, listens_first: true, only };
         let port = bus::open(&spec, index, clock, options).map_err(|fault| fault.to_string())?;
         let name = setup.name_of(&spec);
-        let file = Some(setup.file_of(&spec)).filter(|file| *file != setup.file);
+        let file = setup.file_of(&spec);
+        let open: Vec<PathBuf> =
+            session.app.files().filter_map(|(_, file)| file.path().map(Into::into)).collect();
+        let file = open.into_iter().find(|it| is_same_file(it, &file)).unwrap_or(file);
+        let file = Some(file).filter(|file| *file != setup.file);
         session.add_bus(port, name.clone(), config.clone(), file);
         names.push(name);
     }

@@ -50,9 +50,9 @@ pub struct ProjectBus {
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct ProjectEntry {
-    profile: Option<PathBuf>,
-    file: Option<PathBuf>,
-    catalogue: Option<Vec<PathBuf>>,
+    profile: Option<Spanned<PathBuf>>,
+    file: Option<Spanned<PathBuf>>,
+    catalogue: Option<Vec<Spanned<PathBuf>>>,
     #[serde(default)]
     bus: Vec<ProjectBusEntry>,
     #[serde(default)]
@@ -64,7 +64,7 @@ struct ProjectEntry {
 struct ProjectBusEntry {
     bus: Spanned<String>,
     bitrate: Option<Spanned<u32>>,
-    file: Option<PathBuf>,
+    file: Option<Spanned<PathBuf>>,
 }
 
 #[derive(Deserialize)]
@@ -151,7 +151,7 @@ impl Project {
 
 impl ProjectEntry {
     fn checked(self, folder: &Path) -> Result<Project, FaultAt> {
-        let path = |path: PathBuf| folder.join(path);
+        let path = |path: Spanned<PathBuf>| in_folder(folder, path);
         let mut buses: Vec<ProjectBus> = Vec::with_capacity(self.bus.len());
         for entry in self.bus {
             let span = entry.bus.span();
@@ -168,9 +168,9 @@ impl ProjectEntry {
             .collect::<Result<_, FaultAt>>()?;
         Ok(Project {
             buses,
-            profile: self.profile.map(path),
-            file: path(self.file.unwrap_or_else(|| "des.json".into())),
-            catalogue: self.catalogue.map(|all| all.into_iter().map(path).collect()),
+            profile: self.profile.map(path).transpose()?,
+            file: self.file.map(path).transpose()?.unwrap_or_else(|| folder.join("des.json")),
+            catalogue: self.catalogue.map(|all| all.into_iter().map(path).collect()).transpose()?,
             tasks,
         })
     }
@@ -203,9 +203,21 @@ impl ProjectBusEntry {
             return Err((rate.span(), "bitrate is 10000 to 1000000 bit/s".to_owned()));
         }
         let bitrate = self.bitrate.map(Spanned::into_inner);
-        let (name, file) = (self.bus.into_inner(), self.file.map(|file| folder.join(file)));
+        let file = self.file.map(|file| in_folder(folder, file)).transpose()?;
+        let name = self.bus.into_inner();
         Ok(ProjectBus { name, spec, bitrate, file })
     }
+}
+
+/// Returns a path of the project's folder.
+fn in_folder(folder: &Path, path: Spanned<PathBuf>) -> Result<PathBuf, FaultAt> {
+    if path.get_ref().as_os_str().is_empty() {
+        return Err((
+            path.span(),
+            "the path is empty; leave the key out, or name a file".to_owned(),
+        ));
+    }
+    Ok(folder.join(path.into_inner()))
 }
 
 /// Returns a path of a folder, without `.` in it: each has one form.

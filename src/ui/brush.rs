@@ -258,6 +258,18 @@ pub fn short_name(name: &str, width: usize) -> String {
     format!("{start}{}", end_of(name, width - start.width()))
 }
 
+/// Returns the name of a des.json in at most `width` cells. Of one that a folder tells from others of the
+/// same name, that folder: `north/…` of `north/des.json`.
+pub fn short_file_name(name: &str, width: usize) -> String {
+    match name.split_once('/') {
+        Some((folder, _)) if name.width() > width => {
+            let short = format!("{folder}/…");
+            if short.width() <= width { short } else { end_of(folder, width) }
+        }
+        _ => fit(name, width).trim_end().to_owned(),
+    }
+}
+
 /// Returns the name of a bus for the BUS column of Traffic and Timeline, 7 cells; blank for `None`.
 pub fn bus_cell(app: &App, bus: Option<BusIndex>) -> String {
     format!("{} ", fit(&bus.map_or(String::new(), |bus| bus_label(app, bus, 6)), 6))

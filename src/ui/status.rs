@@ -2,7 +2,7 @@
 //! frames, own address), and one for des.json and the counts of devices and problems. On a screen
 //! with one status line both share it. Parts that do not fit are left out by their rank.
 
-use super::brush::{DrawContext, bus_label, fit, fit_right, short_name};
+use super::brush::{DrawContext, bus_label, fit, fit_right, short_file_name, short_name};
 use super::chart::chart_rows;
 use crate::app::{
     App, Bus, FileError, FileIndex, FileState, Overlay, TxBlocked, clock_millis, format_duration,
@@ -208,7 +208,12 @@ fn cut_name(left: &mut Parts, right: &Parts, width: usize, least: usize) {
     let mut named = left.iter_mut().filter(|part| part.has_name);
     if let Some(name) = named.next().and_then(|part| part.spans.first_mut()) {
         let room = name.width().saturating_sub(missing).max(name.width().min(least));
-        name.content = short_name(&name.content, room).into();
+        let whole = name.content.trim_end();
+        name.content = if whole.contains('/') && !whole.contains(':') {
+            format!("{} ", short_file_name(whole, room.saturating_sub(1))).into()
+        } else {
+            short_name(&name.content, room).into()
+        };
     }
 }
 
@@ -583,7 +588,7 @@ fn overwritten_pins(brush: &DrawContext, whole: bool) -> Option<Part> {
 fn file_name(brush: &DrawContext, file: &FileState) -> Span<'static> {
     let name = file.name();
     let width = name.width().min(usize::from(brush.screen.whole.width / 3));
-    brush.span(Role::Title, format!("{} ", fit(&name, width).trim_end()))
+    brush.span(Role::Title, format!("{} ", short_file_name(&name, width)))
 }
 
 /// Returns the state of des.json; with `whole` also the cause of an error and the next step. Of several
@@ -594,17 +599,25 @@ fn file(brush: &DrawContext, whole: bool) -> Parts {
         return one_file(brush, FileIndex::default(), whole);
     }
     let urgency = |file: FileIndex, state: &FileState| {
-        let is_missed = state.is_read() && !state.is_there();
+        let (problem, is_there) = app.shown_file(file);
+        let is_missed = state.is_read() && !is_there;
         match () {
-            () if state.problem().is_some() || state.conflict().is_some() => Some(0),
+            () if problem.is_some() || state.conflict().is_some() => Some(0),
             () if state.unsaved() > 0 || state.emptied_since().is_some() => Some(1),
             () if is_missed || !app.file_mistakes(file).is_empty() => Some(2),
             () => None,
         }
     };
     let urgent = app.files().filter_map(|(file, state)| Some((urgency(file, state)?, file)));
-    if let Some((_, file)) = urgent.min() {
-        return one_file(brush, file, whole);
+    let mut urgent: Vec<_> = urgent.collect();
+    urgent.sort_unstable();
+    if let Some((_, file)) = urgent.first() {
+        let mut parts = one_file(brush, *file, whole);
+        if urgent.len() > 1 {
+            let more = format!("and {} more", urgent.len() - 1);
+            parts.push(Part::new(WARNING, vec![brush.span(Role::Warning, more)]));
+        }
+        return parts;
     }
     let entries = app.files().filter_map(|(file, _)| app.document_at(file));
     let entries: usize = entries.map(|document| document.entries().len()).sum();
@@ -625,10 +638,12 @@ fn one_file(brush: &DrawContext, index: FileIndex, whole: bool) -> Parts {
     }
     let entries = brush.app.document_at(index).map_or(0, |it| it.entries().len());
     let unsaved = file.unsaved();
-    let is_emptied = file.emptied_since().is_some();
+    let is_past = brush.app.past_moment().is_some();
+    let is_emptied = file.emptied_since().is_some() && !is_past;
+    let (problem, is_there) = brush.app.shown_file(index);
     let findings = brush.app.file_mistakes(index).len();
     let mut more = None;
-    let (rank, role, text) = match file.problem() {
+    let (rank, role, text) = match problem {
         Some(problem) => {
             let text = match problem {
                 FileError::Syntax(error) if !whole => {
@@ -640,7 +655,9 @@ fn one_file(brush: &DrawContext, index: FileIndex, whole: bool) -> Parts {
                 FileError::Unconfirmed(_) if !whole => "✗ unconfirmed".to_owned(),
                 problem => format!("✗ {problem}"),
             };
-            if matches!(problem, FileError::Syntax(_)) && file.has_valid_content() {
+            if matches!(problem, FileError::Syntax(_))
+                && (file.has_valid_content() && !is_past || entries > 0)
+            {
                 let valid =
                     if brush.screen.whole.width < 100 { "last valid" } else { "using last valid" };
                 let word = if entries == 1 { "entry" } else { "entries" };
@@ -661,10 +678,10 @@ fn one_file(brush: &DrawContext, index: FileIndex, whole: bool) -> Parts {
         None if is_emptied => (KEPT, Role::Warning, "empty (being written?)".to_owned()),
         None if !file.is_read() => (FILE, Role::Muted, "…".to_owned()),
         // A file that was there is missed.
-        None if !file.is_there() && file.has_valid_content() => {
+        None if !is_there && file.has_valid_content() => {
             (WARNING, Role::Warning, "not found".to_owned())
         }
-        None if !file.is_there() => (FILE, Role::Muted, "not found".to_owned()),
+        None if !is_there => (FILE, Role::Muted, "not found".to_owned()),
         None => {
             let (rank, role, sign) = match findings {
                 0 => (FILE, Role::FileOk, "✓".to_owned()),

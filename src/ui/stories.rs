@@ -4,7 +4,7 @@
 //! StoryColumns that give way, in this order: TO, LENGTH (it stands in front of WHAT then), the
 //! milliseconds of FROM. Does not know what belongs to a story.
 
-use super::brush::{DrawContext, bus_cell, bus_label, fit, fit_right};
+use super::brush::{DrawContext, bus_cell, bus_label, fit, fit_right, short_file_name};
 use super::timeline::shows_bus;
 use super::{lanes, story_kinds};
 use crate::app::{
@@ -209,7 +209,7 @@ fn who(brush: &DrawContext, entry: &TimelineEntry, width: usize) -> String {
         (Some(name), None) if entry.bus.is_none() => name,
         _ => match entry.bus {
             Some(bus) => bus_label(app, bus, width),
-            None => app.file_at(entry.file).name(),
+            None => short_file_name(&app.file_at(entry.file).name(), width),
         },
     }
 }

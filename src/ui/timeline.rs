@@ -1,7 +1,7 @@
 //! The latest stories below Devices and on the Bus page: a line each, the one that changed last at the
 //! bottom.
 
-use super::brush::{DrawContext, bus_cell, bus_label, cut, fit};
+use super::brush::{DrawContext, bus_cell, bus_label, cut, fit, short_file_name};
 use super::stories::sign_of;
 use crate::app::{Story, TimelineEntry, format_time_of_day};
 use crate::theme::Role;
@@ -83,7 +83,7 @@ fn source(brush: &DrawContext, entry: &TimelineEntry, width: usize) -> String {
         (Some(name), None) if entry.bus.is_none() => name.quoted().to_string(),
         _ => match entry.bus {
             Some(bus) => bus_label(app, bus, width),
-            None => app.file_at(entry.file).name(),
+            None => short_file_name(&app.file_at(entry.file).name(), width),
         },
     }
 }

@@ -166,6 +166,58 @@ fn missing_file_of_one_bus_is_named() {
     let (code, _, error) = folder.run(&["check", "--time", "20"]);
     assert_eq!(code, 3);
     assert!(error.contains("south/des.json: file not found"), "{error}");
+    assert!(error.contains("descan scan sim:spare.toml --write"), "{error}");
+}
+
+#[test]
+fn one_file_in_several_spellings_is_one_file() {
+    let folder = with_own_file();
+    std::os::unix::fs::symlink("des.json", folder.path("link.json")).unwrap();
+    std::os::unix::fs::symlink("south", folder.path("again")).unwrap();
+    let text = std::fs::read_to_string(folder.path("descan.toml")).unwrap();
+    for spelling in ["des.json", "./south/../des.json", "link.json", "new.json", "again/des.json"] {
+        let text = text.replace("file = \"south/des.json\"", &format!("file = \"{spelling}\""));
+        let first = "bus = \"sim:main.toml\"\n";
+        let text = match spelling {
+            // Neither of the two exists.
+            "new.json" => text.replace(first, &format!("{first}file = \"./south/../new.json\"\n")),
+            "again/des.json" => text.replace(first, &format!("{first}file = \"south/des.json\"\n")),
+            _ => text,
+        };
+        folder.write("descan.toml", &text);
+        let (_, out, error) = folder.run(&["scan", "--json", "--time", "6"]);
+        let report = json_of(&out);
+        let found = report["files"].as_array().map_or(1, Vec::len);
+        assert_eq!(found, 1, "{spelling}: {error}{}", report["files"]);
+    }
+}
+
+#[test]
+fn test_report_has_a_suite_for_each_file() {
+    let folder = with_own_file();
+    let (code, out, error) = folder.run(&["check", "--report", "junit", "--time", "20"]);
+    assert_eq!(code, 1, "{error}");
+    for name in ["des.json", "south/des.json"] {
+        assert!(out.contains(&format!("<testsuite name=\"{name}\"")), "{out}");
+    }
+    assert!(
+        out.contains("sim:spare.toml: SENS is at address 12; the file pins it to 14."),
+        "{out}"
+    );
+}
+
+#[test]
+fn empty_path_is_a_mistake_with_its_line() {
+    for (text, line) in [
+        ("file = ''\n", "1:8"),
+        ("profile = ''\n", "1:11"),
+        ("catalogue = ['']\n", "1:14"),
+        ("[[bus]]\nbus = 'can0'\nfile = ''\n", "3:8"),
+    ] {
+        let error = Project::parse(text, Path::new("/p")).unwrap_err().with_line();
+        assert!(error.contains("the path is empty"), "{error}");
+        assert!(error.contains(line) || error.contains("line"), "{line}: {error}");
+    }
 }
 
 #[test]

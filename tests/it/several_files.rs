@@ -173,7 +173,11 @@ impl TwoFiles {
     }
 
     fn screen(&self) -> String {
-        let mut terminal = Terminal::new(TestBackend::new(120, 40)).unwrap();
+        self.screen_of(120, 40)
+    }
+
+    fn screen_of(&self, columns: u16, rows: u16) -> String {
+        let mut terminal = Terminal::new(TestBackend::new(columns, rows)).unwrap();
         let theme = Theme::built_in("dark").unwrap();
         let draw = |frame: &mut Frame| {
             ui::draw(&self.app, &theme, frame);
@@ -345,8 +349,9 @@ fn unsaved_edits_of_each_file_are_at_risk() {
     assert_eq!(at_risk, [(FILES[0], 1), (FILES[1], 1)]);
     files.keys("q");
     let screen = files.screen();
-    assert!(screen.contains("2 edits of 2 files are not saved. Quit anyway?"), "{screen}");
-    files.keys("n W Enter");
+    let question = "edits are not saved: north/des.json, south/des.json. Quit anyway?";
+    assert!(screen.contains(question), "{screen}");
+    files.keys("n").select("FEED").keys("W Enter");
     let Some(Effect::WriteFile { path, bytes }) = files.effects.last().cloned() else {
         panic!("{:?}", files.effects.last())
     };
@@ -354,6 +359,96 @@ fn unsaved_edits_of_each_file_are_at_risk() {
     files.app.handle_written(files.app.now(), &path, Ok(()));
     let at_risk = files.app.edits_at_risk();
     assert_eq!(at_risk.iter().map(|(file, ..)| *file).collect::<Vec<_>>(), [FILES[1]]);
+    // The next copy is of the file that has none, whichever row is selected.
+    files.keys("q");
+    assert!(files.screen().contains("edits are not saved: south/des.json. Quit"));
+    files.keys("n W");
+    assert!(files.screen().contains("save a copy as (south/des.json)"), "{}", files.screen());
+    files.keys("Enter");
+    let Some(Effect::WriteFile { path, bytes }) = files.effects.last().cloned() else { panic!() };
+    assert_eq!(String::from_utf8(bytes).unwrap(), SOUTH.replace("90", "60"));
+    files.app.handle_written(files.app.now(), &path, Ok(()));
+    files.keys("q");
+    let screen = files.screen();
+    assert!(screen.contains("edits of 2 files are saved only in copies. Quit anyway?"), "{screen}");
+}
+
+/// Tests that the selection stays on the bus of its row where both files have the same names.
+#[test]
+fn selection_stays_on_its_bus_after_an_edit() {
+    const BOTH: &str = r#"[ { "name": "AAA", "address": 70 }, { "name": "BBB", "address": 71 },
+        { "name": "CCC", "address": 72 } ]"#;
+    let mut files = TwoFiles::new();
+    files.write(FILES[0], BOTH).write(FILES[1], BOTH).until(20).keys("1 End Up");
+    let selected = |files: &TwoFiles| {
+        let row = files.app.selected_row().unwrap();
+        (row.bus, row.name.as_ref().unwrap().to_string())
+    };
+    let south = Some(BusIndex(1));
+    assert_eq!(selected(&files), (south, "BBB".to_owned()));
+    files.keys("e Ctrl-u 3 3 Enter");
+    assert_eq!(selected(&files), (south, "BBB".to_owned()));
+    assert_eq!(files.text(FILES[0]), BOTH);
+    let moved = files.text(FILES[1]).replace("33", "34");
+    files.write(FILES[1], &moved);
+    assert_eq!(selected(&files), (south, "BBB".to_owned()));
+    files.keys("D y");
+    assert_eq!(selected(&files).0, south);
+    assert_eq!(files.text(FILES[0]), BOTH);
+}
+
+#[test]
+fn equal_events_of_two_files_have_lines_of_their_own() {
+    let mut files = TwoFiles::new();
+    files.until(20).write(FILES[0], "[ {").write(FILES[1], "[ {");
+    files.until(21).keys("3");
+    let screen = files.screen();
+    for name in ["north/des.json", "south/des.json"] {
+        let is_it = |line: &str| {
+            line.contains(name) && line.contains("ends inside an object") && line.contains(" ! ")
+        };
+        assert!(screen.lines().any(is_it), "{name}: {screen}");
+    }
+    assert!(screen.contains("and 1 more"), "{screen}");
+}
+
+#[test]
+fn names_cut_at_small_widths_keep_what_differs() {
+    let mut files = TwoFiles::with_files([
+        "/production-line-north/x/des.json",
+        "/production-line-south/x/des.json",
+    ]);
+    files.until(3).write(FILES[1], "[ {");
+    files.app.handle_resize(80, 24);
+    let screen = files.screen_of(80, 24);
+    let status = screen.lines().nth(2).unwrap();
+    assert!(status.contains("south") && !status.contains("north"), "{screen}");
+    assert!(screen.contains("line-south "), "{screen}");
+}
+
+#[test]
+fn past_moment_says_that_a_file_was_broken_or_missing() {
+    let mut files = TwoFiles::new();
+    files.until(20).write(FILES[1], "[ {").keys("Space");
+    let broken = "south/des.json ✗ line 1, column 4";
+    assert!(files.screen().contains(broken), "{}", files.screen());
+    files.write(FILES[1], SOUTH);
+    assert!(files.screen().contains(broken), "it was so then: {}", files.screen());
+    files.keys("Space");
+    assert!(files.screen().contains("2 files ✓ 4 entries"), "{}", files.screen());
+    files.disk[1] = None;
+    files.read(FILES[1]);
+    files.keys("Space").write(FILES[1], SOUTH);
+    assert!(files.screen().contains("south/des.json not found"), "{}", files.screen());
+}
+
+#[test]
+fn devices_not_added_are_reported_beside_those_that_are() {
+    let mut files = TwoFiles::new();
+    files.until(20).write(FILES[1], "[ {").keys("A");
+    let message = files.app.message().unwrap().text.clone();
+    assert!(message.contains("not added: file has errors, fix it first"), "{message}");
+    assert!(message.contains("; north/des.json: 7 new entries"), "{message}");
 }
 
 #[test]
@@ -398,6 +493,8 @@ fn files_are_named_by_what_differs_in_their_paths() {
         (["/site/a.json", "/site/b.json"], ["a.json", "b.json"]),
         (["/site/north/des.json", "/site/south/des.json"], ["north/des.json", "south/des.json"]),
         (["des.json", "south/des.json"], ["des.json", "south/des.json"]),
+        (["/site/des.json", "/site/south/des.json"], ["des.json", "south/des.json"]),
+        (["/home/me/site/des.json", "/srv/des.json"], ["site/des.json", "srv/des.json"]),
         (["/a/x/des.json", "/b/x/des.json"], ["a/x/des.json", "b/x/des.json"]),
     ] {
         let files = TwoFiles::with_files(paths);

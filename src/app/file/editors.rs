@@ -4,7 +4,7 @@
 //! Input: paths, and which bus has which. Output: the editor of each file, and the contents of all at
 //! one moment. Does not read or write files.
 
-use super::{FileContent, FileEditor, FileState};
+use super::{FileContent, FileEditor, FileError, FileState};
 use crate::document::{Document, Entry};
 use crate::frame::BusIndex;
 use std::path::{Component, Path, PathBuf};
@@ -63,10 +63,14 @@ impl FileEditors {
         (file, known.is_none())
     }
 
-    /// Gives each file the shortest end of its path that no other file has as its name.
+    /// Gives each file a name: the shortest end of its path, below the folder that all are in, that no
+    /// other file has.
     fn name_files(&mut self) {
         let paths: Vec<PathBuf> =
             self.editors.iter().map(|it| it.file.path().unwrap_or(Path::new("")).into()).collect();
+        let folder = common_folder(&paths);
+        let below = |path: &PathBuf| path.strip_prefix(&folder).unwrap_or(path).to_owned();
+        let paths: Vec<PathBuf> = paths.iter().map(below).collect();
         for (at, editor) in self.editors.iter_mut().enumerate() {
             let is_own_end = |parts: usize| {
                 let own = end_of(&paths[at], parts);
@@ -164,6 +168,16 @@ impl FileEditors {
     }
 }
 
+/// The innermost folder that all files are in.
+fn common_folder(paths: &[PathBuf]) -> PathBuf {
+    let mut folders = paths.iter().map(|path| path.parent().unwrap_or(Path::new("")));
+    let first = folders.next().unwrap_or(Path::new("")).to_owned();
+    folders.fold(first, |common, folder| {
+        let both = common.components().zip(folder.components());
+        both.take_while(|(one, other)| one == other).map(|(part, _)| part).collect()
+    })
+}
+
 /// The last parts of a path.
 fn end_of(path: &Path, parts: usize) -> PathBuf {
     let all: Vec<Component> = path.components().collect();
@@ -212,6 +226,14 @@ impl<'a> Documents<'a> {
         match self.past {
             Some(contents) => contents.get(usize::from(file.0)).is_some_and(|it| it.is_there),
             None => self.editors.get(file).file.is_there(),
+        }
+    }
+
+    /// Why a file could not be read or saved; `None` for a usable one.
+    pub fn problem(&self, file: FileIndex) -> Option<&'a FileError> {
+        match self.past {
+            Some(contents) => contents.get(usize::from(file.0))?.problem.as_ref(),
+            None => self.editors.get(file).file.problem(),
         }
     }
 

@@ -87,19 +87,24 @@ pub(in crate::app) struct FileContent {
     pub document: Document,
     /// True if there is a file, or edits that make one.
     pub is_there: bool,
+    /// Why it could not be read or saved.
+    pub problem: Option<FileError>,
 }
 
 impl FileContent {
     /// Returns true if both are the same content in memory.
     pub fn is_same(&self, other: &Self) -> bool {
-        self.is_there == other.is_there && self.document.is_same(&other.document)
+        self.is_there == other.is_there
+            && self.document.is_same(&other.document)
+            && self.problem == other.problem
     }
 }
 
 impl FileState {
     /// The content at this moment.
     pub(in crate::app) fn content(&self) -> FileContent {
-        FileContent { document: self.document.clone(), is_there: self.is_there() }
+        let (document, problem) = (self.document.clone(), self.problem.clone());
+        FileContent { document, is_there: self.is_there(), problem }
     }
 
     /// Returns the state of the file at this path, not read yet.

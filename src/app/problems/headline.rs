@@ -167,6 +167,12 @@ impl App {
             FindingKind::OneUidTwoAddresses => one_uid_words(problem),
             FindingKind::WrongAddress => self.wrong_address_words(problem),
             FindingKind::Missing => self.missing_words(problem),
+            FindingKind::FileShape if self.shown_documents().are_several() => {
+                let words = sentence_words(problem);
+                let file = self.name_of_file(problem.bus());
+                let of_file = |text: String| format!("{file}  {text}");
+                Words { short: of_file(words.short), long: of_file(words.long), ..words }
+            }
             FindingKind::StaticAddressTaken => self.address_taken_words(problem),
             _ => sentence_words(problem),
         }

@@ -173,7 +173,7 @@ impl Stories {
                 return attach_or(self.latest(&key).filter(is_repeated), key);
             }
             (StoryChange::Text, ..) | (_, _, None) => {
-                let key = StoryKey::Text(entry.bus, entry.device, entry.text.clone());
+                let key = StoryKey::Text(entry.bus, entry.device, entry.file, entry.text.clone());
                 let is_mark = matches!(entry.kind, TimelineKind::Mark(_));
                 let is_repeated =
                     |story: &&Story| !is_mark && at.since(story.last()) <= REPEAT_WITHIN;

@@ -6,6 +6,7 @@
 //! each finding. Does not know which events belong together.
 
 use super::change::StoryChange;
+use crate::app::file::FileIndex;
 use crate::app::notices::TimelineEntry;
 use crate::app::problems::ProblemKey;
 use crate::discovery::DeviceId;
@@ -34,8 +35,8 @@ pub(super) enum StoryKey {
     Ack(BusIndex),
     /// DEBUG messages with one code.
     Debug(Option<BusIndex>, Option<DeviceId>, u16),
-    /// Events with the same text.
-    Text(Option<BusIndex>, Option<DeviceId>, String),
+    /// Events with the same text; those about files, of the same des.json.
+    Text(Option<BusIndex>, Option<DeviceId>, FileIndex, String),
 }
 
 /// A step of a story.
