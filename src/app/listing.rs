@@ -187,8 +187,8 @@ mod tests {
     use std::path::PathBuf;
 
     fn bus_of_new_entry(names: &[&str], files: &[Option<&str>], bus: u8) -> Option<String> {
-        let named = names.iter().map(|name| ((*name).to_owned(), Config::default()));
-        let buses = Buses::new(Instant::ZERO, named.collect());
+        let configured = names.iter().map(|name| ((*name).to_owned(), Config::default()));
+        let buses = Buses::new(Instant::ZERO, configured.collect());
         let own = files.iter().map(|path| path.map(PathBuf::from)).collect();
         let files = FileEditors::new(Some("des.json".into()), own);
         entry_bus(&buses, files.documents(), Some(BusIndex(bus)))

@@ -204,7 +204,7 @@ use candidate_counts::CandidateCounts;
 use capture::Traffic;
 use clock::AppClock;
 use devices::DeviceRows;
-use file::{Documents, FileContent, FileEditors};
+use file::{Documents, FileContent, FileEditor, FileEditors};
 pub(crate) use file_inputs::Inputs;
 use input::{Input, PromptContext, PromptOutcome, PromptResult};
 use lanes::LaneRecords;
@@ -985,7 +985,7 @@ impl App {
 
     /// The moment at which a failed save is repeated, or an empty file accepted.
     fn files_timeout(&self) -> Option<Instant> {
-        self.files.iter().filter_map(|editor| editor.poll_timeout()).min()
+        self.files.iter().filter_map(FileEditor::poll_timeout).min()
     }
 
     /// Returns true if the screen is out of date.
@@ -1116,7 +1116,7 @@ impl App {
     /// Names of the entries whose static address, set by the user, another program has overwritten;
     /// [`Action::Save`] restores them.
     pub fn overwritten_pins(&self) -> Vec<Name> {
-        let operations = self.files.iter().flat_map(|editor| editor.restoring());
+        let operations = self.files.iter().flat_map(FileEditor::restoring);
         let names = operations.filter_map(|it| it.entry().map(|entry| Name::new(&entry.name)));
         names.collect()
     }

@@ -90,15 +90,15 @@ impl FileGate {
             }
             let has_entries = !file.document().entries().is_empty();
             self.had_entries[at] |= file.is_there() && has_entries;
-            let had_entries = self.had_entries[at];
+            let had_any = self.had_entries[at];
             all_allow &= if let Err(failure) = require_file_at(app, index) {
                 let is_new = file.problem().is_some() && now.since(Instant::ZERO) < Self::START;
-                if !had_entries && !is_new {
+                if !had_any && !is_new {
                     return Err(failure);
                 }
                 false
             } else {
-                file.emptied_since().is_none() && (has_entries || !had_entries)
+                file.emptied_since().is_none() && (has_entries || !had_any)
             };
         }
         Ok(all_allow)

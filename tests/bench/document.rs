@@ -46,7 +46,7 @@ fn main() {
     app.handle_bus(Instant::ZERO, BusIndex(0), status);
     let reading = FileReading::Content(Some(text.clone().into_bytes()));
     timed("opened in the program", || {
-        app.handle_file(Instant::ZERO, FileIndex::default(), reading)
+        app.handle_file(Instant::ZERO, FileIndex::default(), reading);
     });
     // Long enough for entries to be missing.
     let mut seconds = 0;
@@ -76,7 +76,7 @@ fn main() {
     let theirs = |note: &str| text.replacen("xxx", note, 1).into_bytes();
     let reading = FileReading::Content(Some(theirs("yyy")));
     timed("changed by others, not parsed", || {
-        app.handle_file(app.now(), FileIndex::default(), reading)
+        app.handle_file(app.now(), FileIndex::default(), reading);
     });
     // In the form that the reader delivers.
     let reading = FileReading::Content(Some(theirs("zzz"))).parsed();
@@ -89,7 +89,7 @@ fn main() {
         while !matches!(app.poll_effect().expect("a save"), Effect::Save { .. }) {}
     });
     timed("after it was written", || {
-        app.handle_saved(app.now(), FileIndex::default(), SaveOutcome::Saved)
+        app.handle_saved(app.now(), FileIndex::default(), SaveOutcome::Saved);
     });
     timed("taken back, until written", || {
         app.handle_key(app.now(), Key::parse("u").unwrap());
