@@ -3,26 +3,20 @@
 //! Does not evaluate frames: the engines do.
 
 use super::buses::Redundancy;
-use super::file::{FileChange, FileContent, FileError, FileIndex};
-use super::input::{Overlay, Question};
-use super::notices::{TimelineEntry, event_text, join_lines, join_short};
-use super::problems::{ProblemKey, file_mistakes};
+use super::input::Overlay;
+use super::notices::{TimelineEntry, event_text, join_lines};
+use super::problems::ProblemKey;
 use super::stories::StoryChange;
 use super::timeline_kind::TimelineKind;
-use super::{App, AppEvent, BusSelection, Effect, inputs};
+use super::{App, BusSelection, Effect};
 use crate::discovery::{DeviceId, Event, EventKind};
 use crate::finding::{Finding, FindingKind};
 use crate::frame::BusIndex;
-use crate::keymap::Action;
 use crate::status::{BusStatus, RecordingStatus};
 use crate::time::Instant;
 use crate::wire::profile::{Profile, ProfileKey};
-use std::fmt::Write;
 use std::path::PathBuf;
 use std::sync::Arc;
-
-/// Document findings that get a line of their own when the file changes.
-const LISTED_FINDINGS: usize = 20;
 
 /// A line of the events of one frame, which a later event may extend.
 struct TimelineDraft {
@@ -137,20 +131,6 @@ impl App {
             self.notices.emit(event);
         } else if let Some(event) = self.engine_event(bus, event) {
             self.notices.emit(event);
-        }
-    }
-
-    /// Notes the contents of the des.json files, if they changed.
-    pub(super) fn note_content(&mut self) {
-        let contents = self.files.contents();
-        let is_same = |(one, other): (&FileContent, &FileContent)| one.is_same(other);
-        let is_known = contents.len() == self.contents.len();
-        if !is_known || !contents.iter().zip(&self.contents).all(is_same) {
-            let before = std::mem::replace(&mut self.contents, contents);
-            if self.contents_before.len() == super::MAX_CONTENTS {
-                self.contents_before.pop_front();
-            }
-            self.contents_before.push_back((self.clock.now(), before));
         }
     }
 
@@ -338,166 +318,6 @@ impl App {
         line.name = Some("recording".into());
         self.report_line(line);
         self.notices.redraw.set_dirty();
-    }
-
-    /// Closes the question whether to delete an entry that another program has deleted.
-    fn leave_question_about_deleted(&mut self) {
-        let Some(Question::Delete(file, entry, _)) = self.input.question() else { return };
-        if self.files.get(*file).file.document().find(entry).is_none() {
-            let text = format!("entry no longer in the file: {entry:#}");
-            self.input.close_question();
-            self.show_error(text);
-        }
-    }
-
-    /// Takes a change of a des.json: reports it, saves what waits, renews rows and problems.
-    pub(super) fn file_changed(&mut self, file: FileIndex, change: FileChange) {
-        if change == FileChange::None {
-            return;
-        }
-        if matches!(change, FileChange::Content | FileChange::Rebased | FileChange::Conflict) {
-            self.notices.clear_file_message(change == FileChange::Rebased);
-        }
-        let lines = self.file_lines(file, change);
-        if change == FileChange::Unusable {
-            let state = &self.files.get(file).file;
-            let (name, problem) = (state.name(), state.problem());
-            let mut whole = problem.map(|it| it.of_file(&name)).unwrap_or_default();
-            if problem.is_some_and(FileError::is_not_saved) {
-                // The cause may advise it already.
-                let advice =
-                    if whole.contains("save elsewhere") { " with" } else { "; save a copy with" };
-                let _ = write!(whole, "{advice} {}", self.key_of(Action::SaveCopy));
-            }
-            self.file_error(whole);
-        }
-        if change == FileChange::Conflict {
-            self.show_conflict();
-        }
-        let now = self.clock.now();
-        let mut is_of_interest = self.notices.is_unfiltered();
-        for (kind, text) in lines {
-            let line = self.file_line(file, kind, text);
-            is_of_interest |= self.notices.passes_filter(&self.buses, &line, &[]);
-            self.report_line(line);
-        }
-        is_of_interest &= self.notices.emits_events();
-        let problem = self.files.get(file).file.problem();
-        let problem = problem.filter(|_| change == FileChange::Unusable);
-        let excerpt = problem.and_then(FileError::excerpt);
-        // The excerpt is read as a whole: the event filter applies to the lines before it.
-        for text in excerpt.into_iter().flatten() {
-            let line = self.file_line(file, TimelineKind::Error, text);
-            if is_of_interest {
-                let event = self.line_event(&line);
-                self.notices.emit(event);
-            }
-            self.notices.push_line(line);
-        }
-        if is_of_interest {
-            let event = AppEvent::File(now, self.file_snapshot(file));
-            self.notices.emit(event);
-        }
-        self.leave_conflict_that_is_over(file, change);
-        if change != FileChange::Unusable {
-            self.leave_question_about_deleted();
-            self.save_pending(file);
-        }
-        self.quit_if_saved();
-        self.notices.redraw.set_dirty();
-        // A saved edit was in force before.
-        if change != FileChange::Saved {
-            self.refresh();
-        }
-    }
-
-    /// The timeline lines of a change of des.json.
-    fn file_lines(&self, index: FileIndex, change: FileChange) -> Vec<(TimelineKind, String)> {
-        let file = &self.files.get(index).file;
-        let emits = self.notices.emits_events();
-        let entries = file.document().entries().len();
-        let listed = format!("{entries} {}", if entries == 1 { "entry" } else { "entries" });
-        let by_others = match change {
-            FileChange::Content | FileChange::Rebased => file.changed_by_others(),
-            _ => Vec::new(),
-        };
-        let line = match change {
-            FileChange::None | FileChange::Saved => None,
-            // Events are consumed without a screen, where there are no edits.
-            FileChange::FirstRead if !file.is_there() && emits => {
-                Some((TimelineKind::File, "not found: devices are not compared".to_owned()))
-            }
-            FileChange::FirstRead if !file.is_there() => {
-                Some((TimelineKind::File, "not found: the first edit creates it".to_owned()))
-            }
-            FileChange::FirstRead => {
-                let path = file.path().map(|path| path.as_os_str().as_encoded_bytes());
-                let path = crate::text::printable(path.unwrap_or_default());
-                let folder = if path == file.name() { String::new() } else { format!(", {path}") };
-                Some((TimelineKind::File, format!("{listed}{folder}")))
-            }
-            FileChange::Content if !file.is_there() && emits => {
-                Some((TimelineKind::File, "deleted: devices are no longer compared".to_owned()))
-            }
-            FileChange::Content if !file.is_there() => {
-                Some((TimelineKind::File, "deleted: the next edit creates it again".to_owned()))
-            }
-            FileChange::Content if !by_others.is_empty() => None,
-            FileChange::Content => Some((TimelineKind::File, format!("changed on disk: {listed}"))),
-            // The user decided an edit conflict for the file, or both made the same change.
-            FileChange::Rebased if file.unsaved() == 0 => None,
-            FileChange::Rebased => {
-                Some((TimelineKind::File, "changed on disk; your edits are reapplied".to_owned()))
-            }
-            FileChange::Unusable => {
-                let problem = file.problem().map(ToString::to_string).unwrap_or_default();
-                Some((TimelineKind::Error, problem))
-            }
-            FileChange::Conflict => {
-                Some((TimelineKind::Error, "edit conflict: same value changed on disk".to_owned()))
-            }
-        };
-        let by_others = join_short(by_others).into_iter();
-        let by_others =
-            by_others.map(|text| (TimelineKind::File, format!("changed on disk, {text}")));
-        let mut lines: Vec<(TimelineKind, String)> = by_others.chain(line).collect();
-        // As events they are findings.
-        if matches!(change, FileChange::FirstRead | FileChange::Content | FileChange::Rebased)
-            && !emits
-        {
-            let findings = inputs!(self).file(index).map(file_mistakes).unwrap_or_default();
-            let texts = findings.iter().take(LISTED_FINDINGS).map(ToString::to_string);
-            let more = findings.len().saturating_sub(LISTED_FINDINGS);
-            let rest = (more > 0).then(|| format!("and {more} more errors in the file"));
-            lines.extend(texts.chain(rest).map(|text| (TimelineKind::File, text)));
-        }
-        lines
-    }
-
-    /// Begins a save, if edits wait for one.
-    pub(super) fn save_pending(&mut self, file: FileIndex) {
-        if let Some(saving) = self.files.get_mut(file).file.start_saving() {
-            let (expected, content) = (saving.expected, saving.content);
-            self.effects.push_back(Effect::Save { file, expected, content });
-        }
-    }
-
-    /// Opens the edit conflict; an open prompt waits until it is resolved.
-    pub(super) fn show_conflict(&mut self) {
-        self.input.show_conflict(self.clock.now());
-    }
-
-    /// Closes an edit conflict that a further change on disk resolved, with a message.
-    fn leave_conflict_that_is_over(&mut self, file: FileIndex, change: FileChange) {
-        if !self.input.shows_conflict() || self.conflicting_file().is_some() {
-            return;
-        }
-        self.input.leave_conflict();
-        if change != FileChange::Unusable {
-            let text = "file changed again: conflict resolved, your edits are included";
-            self.add_file_line(file, TimelineKind::File, text);
-            self.show_info(text);
-        }
     }
 
     /// Quits if the question whether to quit is open and all edits are saved by now.

@@ -43,6 +43,7 @@ mod clock;
 mod compared_moments;
 mod composer_dialog;
 mod conflict_panel;
+mod des_files;
 mod des_search;
 mod device_command;
 mod device_page;
@@ -190,13 +191,12 @@ use crate::bitrate::{SearchOutcome, SearchProgress};
 use crate::catalogue::{Catalogue, CatalogueFile};
 use crate::diagnostic::Diagnostic;
 use crate::discovery::{Config, Device, DeviceId};
-use crate::document::{Document, DocumentFinding, Entry, NewEntry};
+use crate::document::{Document, Entry, NewEntry};
 use crate::finding::Finding;
 use crate::frame::{BusIndex, Frame};
 use crate::keymap::{Action, Key, KeyMode, Keymap};
 use crate::log::FrameSource;
 use crate::status::{BusStatus, Playback, PlaybackCommand, RecordingStatus};
-use crate::text::Name;
 use crate::time::{Duration, Epoch, Instant, debug_assert_later};
 use crate::wire::profile::Profile;
 use alarm::Alarms;
@@ -204,7 +204,7 @@ use candidate_counts::CandidateCounts;
 use capture::Traffic;
 use clock::AppClock;
 use devices::DeviceRows;
-use file::{Documents, FileContent, FileEditor, FileEditors};
+use file::{FileContent, FileEditors};
 pub(crate) use file_inputs::Inputs;
 use input::{Input, PromptContext, PromptOutcome, PromptResult};
 use lanes::LaneRecords;
@@ -561,15 +561,6 @@ impl App {
         }
     }
 
-    /// Sets the des.json of a bus; `None` is that of [`AppOptions::file_path`]. Returns the file if it is
-    /// a new one, which is to be read.
-    pub fn set_file_of_bus(&mut self, bus: BusIndex, path: Option<PathBuf>) -> Option<FileIndex> {
-        let (file, is_new) = self.files.set_file_of(bus, path);
-        self.refresh_before_draw();
-        self.notices.redraw.set_dirty();
-        is_new.then_some(file)
-    }
-
     /// Sets the log that all frames come from: those that leave memory are read again from it when they
     /// are shown.
     pub fn set_frame_source(&mut self, source: Box<dyn FrameSource>) {
@@ -693,22 +684,6 @@ impl App {
         }
     }
 
-    /// Takes a reading of a des.json.
-    pub fn handle_file(&mut self, now: Instant, file: FileIndex, reading: FileReading) {
-        self.clock.set(now);
-        let was_emptied = self.files.get(file).file.emptied_since().is_some();
-        let change = self.files.get_mut(file).read(self.clock.real(), reading);
-        self.file_changed(file, change);
-        let is_emptied = self.files.get(file).file.emptied_since().is_some();
-        if was_emptied || is_emptied {
-            self.notices.redraw.set_dirty();
-        }
-        if was_emptied && !is_emptied && change == FileChange::None {
-            // The former content is back: edits that waited are saved.
-            self.save_pending(file);
-        }
-    }
-
     /// Takes the profile `name`, which was saved by another program; a wrong one changes nothing.
     pub fn handle_profile(&mut self, now: Instant, name: &str, profile: Result<Profile, String>) {
         let now = self.clock.set(now);
@@ -788,47 +763,6 @@ impl App {
         self.add_line_to_all_buses(TimelineKind::Error, &text);
         self.notices.emit(AppEvent::WrongFile(text.clone()));
         self.notices.file_error(now, text);
-    }
-
-    /// Takes that the folder of a new des.json does not exist.
-    pub fn handle_missing_folder(&mut self, now: Instant, file: FileIndex, fault: &Diagnostic) {
-        let now = self.clock.set(now);
-        let text = fault.to_string();
-        self.add_file_line(file, TimelineKind::Error, &text);
-        let name = self.files.get(file).file.name();
-        self.notices.file_error(now, format!("{name}: {text}"));
-    }
-
-    /// Takes the result of an [`Effect::Save`].
-    pub fn handle_saved(&mut self, now: Instant, file: FileIndex, outcome: SaveOutcome) {
-        let now = self.clock.set(now);
-        let real = self.clock.real();
-        let report = self.files.get_mut(file).handle_saved(real, outcome);
-        self.notices.redraw.set_dirty();
-        if report.is_silent {
-            return;
-        }
-        if let Some((text, is_warning)) = report.text {
-            self.add_file_line(file, TimelineKind::File, &text);
-            let text = self.of_file(file) + &text;
-            if is_warning {
-                self.notices.file_error(now, text);
-            } else {
-                self.notices.file_info(now, text);
-            }
-        }
-        // A known problem does not replace the message about the edit.
-        let done = if report.is_known { self.notices.take_edit_message() } else { None };
-        self.file_changed(file, report.change);
-        if let Some(done) = done {
-            self.notices.restore_message(done);
-        }
-        if self.files.get(file).file.problem().is_none() {
-            // The save may have been refused because of a newer content that was read during it.
-            self.save_pending(file);
-        }
-        // An unsaved edit may have been undone, which is not a change of the file.
-        self.quit_if_saved();
     }
 
     /// Takes the result of an [`Effect::WriteFile`]; `Err` with the cause.
@@ -971,23 +905,6 @@ impl App {
         self.go_on_playing();
     }
 
-    fn run_file_timers(&mut self) {
-        let real = self.clock.real();
-        for file in self.files.indices() {
-            if self.files.get_mut(file).start_retry(real) {
-                self.save_pending(file);
-            }
-            if self.files.get_mut(file).settle_empty(real) {
-                self.effects.push_back(Effect::ReadFile(file));
-            }
-        }
-    }
-
-    /// The moment at which a failed save is repeated, or an empty file accepted.
-    fn files_timeout(&self) -> Option<Instant> {
-        self.files.iter().filter_map(FileEditor::poll_timeout).min()
-    }
-
     /// Returns true if the screen is out of date.
     pub fn is_dirty(&self) -> bool {
         self.notices.redraw.is_dirty()
@@ -1051,89 +968,6 @@ impl App {
     /// Returns true if the bit rate of a bus is being searched.
     pub fn searches_bitrate_of(&self, bus: BusIndex) -> bool {
         self.shown_buses().searched() == Some(bus)
-    }
-
-    /// des.json: content and edits. Of several files the first, which buses without one of their own
-    /// have.
-    pub fn file(&self) -> &FileState {
-        self.file_at(FileIndex::default())
-    }
-
-    /// A des.json: content and edits.
-    pub fn file_at(&self, file: FileIndex) -> &FileState {
-        &self.files.get(file).file
-    }
-
-    /// The des.json files: content and edits.
-    pub fn files(&self) -> impl Iterator<Item = (FileIndex, &FileState)> {
-        self.files.states()
-    }
-
-    /// The des.json of a bus.
-    pub fn file_of_bus(&self, bus: BusIndex) -> FileIndex {
-        self.files.of_bus(bus)
-    }
-
-    /// Returns true if descan was started with a des.json, also one that does not exist.
-    pub(super) fn has_file_path(&self) -> bool {
-        self.files.states().any(|(_, state)| state.path().is_some())
-    }
-
-    /// Content of a des.json with the edits, at the moment that is shown; `None` if it was not open
-    /// then.
-    pub fn document_at(&self, file: FileIndex) -> Option<&Document> {
-        self.shown_documents().get(file)
-    }
-
-    /// Why a des.json could not be read or saved at the moment that is shown, and true if there was the
-    /// file. A file that cannot be saved now is that of any moment: it needs the user.
-    pub fn shown_file(&self, file: FileIndex) -> (Option<&FileError>, bool) {
-        let documents = self.shown_documents();
-        let present = self.file_at(file).problem();
-        let unsaved = present.filter(|problem| problem.is_not_saved());
-        (unsaved.or(documents.problem(file)), documents.is_there(file))
-    }
-
-    /// The contents of the des.json files, at the moment that is shown.
-    pub(crate) fn shown_documents(&self) -> Documents<'_> {
-        match &self.past {
-            Some(past) => self.files.documents_of(&past.contents),
-            None => self.files.documents(),
-        }
-    }
-
-    /// The mistakes in a des.json, as far as they show without devices, in the order of the file; also
-    /// UIDs that the profile does not allow.
-    pub fn file_mistakes(&self, file: FileIndex) -> Vec<DocumentFinding> {
-        shown_inputs!(self).file(file).map(problems::file_mistakes).unwrap_or_default()
-    }
-
-    /// What is wrong with the UID of an entry of a des.json; `None` if a device can have it.
-    pub fn uid_mistake(&self, file: FileIndex, entry: &Entry) -> Option<String> {
-        problems::mistake_of(shown_inputs!(self).file(file)?, entry, entry.uid.as_deref()?)
-    }
-
-    /// Names of the entries whose static address, set by the user, another program has overwritten;
-    /// [`Action::Save`] restores them.
-    pub fn overwritten_pins(&self) -> Vec<Name> {
-        let operations = self.files.iter().flat_map(FileEditor::restoring);
-        let names = operations.filter_map(|it| it.entry().map(|entry| Name::new(&entry.name)));
-        names.collect()
-    }
-
-    /// Edits that would be lost if the program ended now: of each des.json their number and the content
-    /// with them. Without those that are saved, also in a copy, or discarded by the user.
-    pub fn edits_at_risk(&self) -> Vec<(FileIndex, usize, Document)> {
-        let at_risk = self.files.indices().filter_map(|file| {
-            let (count, document) = self.files.get(file).edits_at_risk()?;
-            Some((file, count, document))
-        });
-        at_risk.collect()
-    }
-
-    /// Number of unsaved edits of all des.json files.
-    pub fn unsaved_edits(&self) -> usize {
-        self.files.unsaved()
     }
 
     /// The entry of a row.
@@ -1272,22 +1106,6 @@ impl App {
 
     fn file_error(&mut self, text: impl Into<String>) {
         self.notices.file_error(self.clock.now(), text);
-    }
-
-    /// Adds a line about a des.json to the timeline only.
-    fn add_file_line(&mut self, file: FileIndex, kind: TimelineKind, text: impl Into<String>) {
-        let line = self.file_line(file, kind, text);
-        self.notices.push_line(line);
-    }
-
-    /// A line of the timeline about a des.json.
-    fn file_line(
-        &self,
-        file: FileIndex,
-        kind: TimelineKind,
-        text: impl Into<String>,
-    ) -> TimelineEntry {
-        TimelineEntry { file, ..TimelineEntry::new(self.clock.now(), kind, text) }
     }
 
     /// Adds a line to the timeline and to the events.
