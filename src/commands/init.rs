@@ -6,6 +6,7 @@ use super::{EXIT_INTERRUPTED, EXIT_OK, Failure, output};
 use crate::app::{App, Bus};
 use crate::bus::BusSpec;
 use crate::cli::{CommonArgs, InitArgs};
+use crate::diagnostic::Diagnostic;
 use crate::project::FILE_NAME;
 use crate::regular_file::shown;
 use crate::shell::stop::StopReason;
@@ -21,6 +22,10 @@ const NAMED: usize = 12;
 /// Enumerates the buses and writes the file; one that is there is not replaced.
 pub fn run(args: &InitArgs) -> Result<u8, Failure> {
     let path = Path::new(FILE_NAME);
+    if path.symlink_metadata().is_ok() {
+        let fault = Diagnostic::new("already exists").with_remedy("edit it, or move it away first");
+        return Err(fault.of(shown(path)).into());
+    }
     Store::new(path).check_new().map_err(|fault| fault.of(shown(path)))?;
     // Of a folder above: this is another project.
     let common = CommonArgs { no_project: true, project: None, ..args.session.common.clone() };

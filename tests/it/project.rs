@@ -427,5 +427,5 @@ fn init_writes_a_project_that_is_accepted() {
     assert_eq!((code, &json_of(&out)["buses"][0]["name"]), (0, &json!("sim:boiler")));
     let (code, _, error) = folder.run(&["init", "sim:boiler"]);
     assert_eq!(code, 3);
-    assert!(error.contains("already exists"), "{error}");
+    assert!(error.contains("already exists; edit it, or move it away first"), "{error}");
 }
