@@ -24,8 +24,8 @@ use std::path::PathBuf;
 const LISTED_FINDINGS: usize = 20;
 
 impl App {
-    /// Sets the des.json of a bus; `None` is that of [`AppOptions::file_path`]. Returns the file if it is
-    /// a new one, which is to be read.
+    /// Sets the des.json of a bus; `None` is that of [`super::AppOptions::file_path`]. Returns the file if
+    /// it is a new one, which is to be read.
     pub fn set_file_of_bus(&mut self, bus: BusIndex, path: Option<PathBuf>) -> Option<FileIndex> {
         let (file, is_new) = self.files.set_file_of(bus, path);
         self.refresh_before_draw();
