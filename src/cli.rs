@@ -383,13 +383,13 @@ pub struct SimArgs {
     #[arg(long, value_name = "NAME")]
     pub device: Option<String>,
     /// Its services besides DES, with versions: A=1.0,B=2
-    #[arg(long, value_name = "LIST", requires = "device", value_delimiter = ',', value_parser = version)]
+    #[arg(long, value_name = "LIST", requires = "device", conflicts_with = "scenario", value_delimiter = ',', value_parser = version)]
     pub services: Vec<(String, String)>,
     /// Its fixed address, 1 to 127
-    #[arg(long, value_name = "N", requires = "device", value_parser = node_address)]
+    #[arg(long, value_name = "N", requires = "device", conflicts_with = "scenario", value_parser = node_address)]
     pub node_address: Option<Address>,
     /// What it uses where the protocol leaves values open (TOML)
-    #[arg(long, value_name = "FILE", requires = "device")]
+    #[arg(long, value_name = "FILE", requires = "device", conflicts_with = "scenario")]
     pub profile: Option<PathBuf>,
     /// Stop after SECONDS; without it, run until interrupted
     #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]

@@ -9,7 +9,8 @@ use super::notices::{TimelineEntry, join_short};
 use super::problems::{self, file_mistakes};
 use super::timeline_kind::TimelineKind;
 use super::{
-    App, AppEvent, Effect, FileIndex, FileReading, FileState, SaveOutcome, inputs, shown_inputs,
+    App, AppEvent, Bus, Effect, FileIndex, FileReading, FileState, SaveOutcome, inputs,
+    shown_inputs,
 };
 use crate::diagnostic::Diagnostic;
 use crate::document::{Document, DocumentFinding, Entry};
@@ -126,6 +127,11 @@ impl App {
     /// The des.json of a bus.
     pub fn file_of_bus(&self, bus: BusIndex) -> FileIndex {
         self.files.of_bus(bus)
+    }
+
+    /// The buses that have a des.json.
+    pub fn buses_of_file(&self, file: FileIndex) -> impl Iterator<Item = &Bus> {
+        self.files.documents().buses_of(file, self.shown_buses()).map(|(_, bus)| bus)
     }
 
     /// Returns true if descan was started with a des.json, also one that does not exist.

@@ -252,7 +252,7 @@ impl Inputs<'_> {
 impl FileInputs<'_> {
     /// Row of an entry without a device; `None` where its bus is not open.
     fn entry_row(&self, entry: &Entry) -> Option<Row> {
-        let mut buses = self.buses().filter(|(_, bus)| entry.is_for_bus(&bus.name));
+        let mut buses = self.buses_of(entry);
         let bus = match (buses.next(), buses.next()) {
             (None, _) => return None,
             (Some((only, _)), None) => Some(only),

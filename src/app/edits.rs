@@ -71,7 +71,9 @@ impl App {
             devices.filter_map(|device| update_operation(inputs!(self), device)).collect();
         match operations.len() {
             0 => self.file_info("file already matches this device"),
-            _ => drop(self.edit_files(operations)),
+            _ => {
+                self.edit_files(operations);
+            }
         }
     }
 
@@ -174,7 +176,9 @@ impl App {
     pub(super) fn undo(&mut self) {
         let file = self.files.last_edited();
         match self.files.get_mut(file).file.undo() {
-            Ok(name) => drop(self.edited(file, &format!("undone: {name}"))),
+            Ok(name) => {
+                self.edited(&[(file, format!("undone: {name}"))]);
+            }
             Err(refusal) => self.report_refusal(file, &refusal),
         }
     }
@@ -183,14 +187,16 @@ impl App {
     pub(super) fn redo(&mut self) {
         let file = self.files.last_undone();
         match self.files.get_mut(file).file.redo() {
-            Ok(name) => drop(self.edited(file, &format!("redone: {name}"))),
+            Ok(name) => {
+                self.edited(&[(file, format!("redone: {name}"))]);
+            }
             Err(refusal) => self.report_refusal(file, &refusal),
         }
     }
 
     /// Repeats failed saves, or opens the edit conflict that prevents one.
     pub(super) fn save(&mut self) {
-        if self.files.find(|file| file.conflict().is_some()).is_some() {
+        if self.conflicting_file().is_some() {
             self.show_conflict();
             return self.input.accept_keys();
         }
@@ -221,7 +227,7 @@ impl App {
         if operations.is_empty() {
             self.file_info("no unsaved changes");
         } else {
-            let _ = self.edit_files(operations);
+            self.edit_files(operations);
         }
     }
 
@@ -284,45 +290,42 @@ impl App {
 
     /// Edits a file.
     pub(super) fn edit(&mut self, file: FileIndex, operations: &[Operation]) {
-        let _ = self.edit_files(operations.iter().map(|it| (file, it.clone())).collect());
+        self.edit_files(operations.iter().map(|operation| (file, operation.clone())));
     }
 
     /// Edits several files, each in one step. Returns what was done, as shown; `None` if nothing was.
-    fn edit_files(&mut self, mut operations: Vec<(FileIndex, Operation)>) -> Option<String> {
-        operations.sort_by_key(|(file, _)| *file);
+    fn edit_files(
+        &mut self,
+        operations: impl IntoIterator<Item = (FileIndex, Operation)>,
+    ) -> Option<String> {
+        let mut by_file: BTreeMap<FileIndex, Vec<Operation>> = BTreeMap::new();
+        for (file, operation) in operations {
+            by_file.entry(file).or_default().push(operation);
+        }
         let mut done = Vec::new();
-        for of_file in operations.chunk_by(|(one, _), (other, _)| one == other) {
-            let Some((file, _)) = of_file.first() else { continue };
-            let own: Vec<Operation> = of_file.iter().map(|(_, it)| it.clone()).collect();
-            match self.files.get_mut(*file).file.edit(&own) {
-                Ok(name) => done.push((*file, name)),
-                Err(refusal) => self.report_refusal(*file, &refusal),
+        for (file, operations) in by_file {
+            match self.files.get_mut(file).file.edit(&operations) {
+                Ok(name) => done.push((file, name)),
+                Err(refusal) => self.report_refusal(file, &refusal),
             }
         }
         let (last, _) = done.last()?;
         self.files.forget_undone_but(*last);
-        Some(match &done[..] {
-            [(file, name)] => self.edited(*file, name),
-            several => {
-                for (file, name) in several {
-                    self.edited(*file, name);
-                }
-                let texts = several
-                    .iter()
-                    .map(|(file, name)| format!("{}: {name}", self.files.get(*file).file.name()));
-                let text = texts.collect::<Vec<_>>().join("; ");
-                self.file_info(text.as_str());
-                text
-            }
-        })
+        Some(self.edited(&done))
     }
 
-    /// Reports an edit and begins to save it; returns the text that is shown.
-    fn edited(&mut self, file: FileIndex, what: &str) -> String {
-        self.add_file_line(file, TimelineKind::File, what);
-        let text = self.of_file(file) + what;
+    /// Reports edits and begins to save them; returns the text that is shown.
+    fn edited(&mut self, done: &[(FileIndex, String)]) -> String {
+        let mut texts = Vec::new();
+        for (file, what) in done {
+            self.add_file_line(*file, TimelineKind::File, what);
+            texts.push(self.of_file(*file) + what);
+        }
+        let text = texts.join("; ");
         self.file_info(text.as_str());
-        self.save_pending(file);
+        for (file, _) in done {
+            self.save_pending(*file);
+        }
         self.refresh();
         text
     }

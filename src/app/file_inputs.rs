@@ -49,12 +49,14 @@ pub(crate) struct FileInputs<'a> {
 impl<'a> FileInputs<'a> {
     /// The buses that have this file.
     pub fn buses(self) -> impl Iterator<Item = (BusIndex, &'a Bus)> + Clone {
-        let all = (0..=u8::MAX).map(BusIndex).zip(self.all.buses.iter());
-        all.filter(move |(index, _)| self.all.documents.of_bus(*index) == self.file)
+        self.all.documents.buses_of(self.file, self.all.buses)
     }
 
     /// The buses that an entry of this file is about.
-    pub fn buses_of(self, entry: &'a Entry) -> impl Iterator<Item = (BusIndex, &'a Bus)> + Clone {
+    pub fn buses_of<'e>(
+        self,
+        entry: &'e Entry,
+    ) -> impl Iterator<Item = (BusIndex, &'a Bus)> + Clone + use<'a, 'e> {
         self.buses().filter(|(_, bus)| entry.is_for_bus(&bus.name))
     }
 

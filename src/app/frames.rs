@@ -64,10 +64,7 @@ impl App {
     /// Compares the file with the buses some time after an event: a log that is read fast is not drawn
     /// between two events, and its differences have their times whatever its speed is.
     pub(super) fn compare_file_soon(&mut self) {
-        if self.view.has_screen
-            && self.is_of_logs()
-            && self.files.states().any(|(_, it)| it.is_there())
-        {
+        if self.view.has_screen && self.is_of_logs() && self.files.are_any_there() {
             self.file_comparison_due.get_or_insert(self.clock.now() + COMPARISON_DELAY);
         }
     }

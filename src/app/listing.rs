@@ -43,8 +43,7 @@ pub(super) fn entry_bus(
 ) -> Option<String> {
     let index = bus?;
     let (bus, file) = (buses.get(index)?, documents.of_bus(index));
-    let all = (0..=u8::MAX).map(BusIndex).take(buses.len());
-    let is_shared = all.filter(|other| documents.of_bus(*other) == file).count() > 1;
+    let is_shared = documents.buses_of(file, buses).count() > 1;
     let mut entries = documents.entries(file).iter();
     let name = || bus.name_without_rates().to_owned();
     (is_shared || entries.any(|entry| !entry.is_for_bus(&bus.name))).then(name)

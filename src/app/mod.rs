@@ -1138,8 +1138,7 @@ impl App {
         }
         // The most expensive test comes last: this is called in every turn of the event loop.
         let waits = || (0..self.buses.len()).any(|at| !self.is_search_complete(BusIndex(at as u8)));
-        let has_file = || self.files.states().any(|(_, file)| file.is_there());
-        self.buses.is_quiet() && !(has_file() && waits())
+        self.buses.is_quiet() && !(self.files.are_any_there() && waits())
     }
 
     /// Renews rates and ages, once per second.

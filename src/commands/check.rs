@@ -12,7 +12,6 @@ use crate::app::{App, Bus, EntryPlace, FileIndex, Scope};
 use crate::cli::CheckArgs;
 use crate::discovery::Device;
 use crate::finding::{CheckSection, Finding, FindingKind, FindingState};
-use crate::frame::BusIndex;
 use crate::shell::stop::StopReason;
 use crate::time::Instant;
 use std::fmt::Write as _;
@@ -74,12 +73,16 @@ fn names_of_files(app: &App) -> String {
     app.files().map(|(_, file)| file.name()).collect::<Vec<_>>().join(", ")
 }
 
+/// The confirmed findings: of the buses, then of the comparison.
+fn confirmed(app: &App, now: Instant) -> Vec<Finding> {
+    let engines = app.buses().iter().flat_map(Bus::findings).cloned();
+    let all = engines.chain(app.compare(now, Scope::Check));
+    all.filter(|it| it.state == FindingState::Confirmed).collect()
+}
+
 /// A test for each kind of difference, of each file.
 fn cases(app: &App, now: Instant) -> Vec<ReportedCase> {
-    let compared = app.compare(now, Scope::Check);
-    let engines = app.buses().iter().flat_map(Bus::findings);
-    let found: Vec<&Finding> =
-        engines.chain(&compared).filter(|it| it.state == FindingState::Confirmed).collect();
+    let found = confirmed(app, now);
     let of_section = |file: FileIndex, section: CheckSection| {
         let details = found
             .iter()
@@ -120,14 +123,11 @@ fn line_of(app: &App, finding: &Finding) -> String {
 
 /// The differences as text: one line each, in groups, and a summary.
 fn differences(app: &App, now: Instant) -> String {
-    let compared = app.compare(now, Scope::Check);
-    let engines = app.buses().iter().flat_map(Bus::findings);
-    let found: Vec<&Finding> =
-        engines.chain(&compared).filter(|it| it.state == FindingState::Confirmed).collect();
+    let found = confirmed(app, now);
     let mut text = String::new();
     for section in CheckSection::ALL {
         let title = section.title();
-        let is_in = |it: &&&Finding| it.key.kind.check_section() == Some(section);
+        let is_in = |it: &&Finding| it.key.kind.check_section() == Some(section);
         let mut group: Vec<_> = found.iter().filter(is_in).collect();
         if group.is_empty() {
             continue;
@@ -140,7 +140,7 @@ fn differences(app: &App, now: Instant) -> String {
     }
     for (index, file) in app.files() {
         let sums = CheckSection::ALL.into_iter().filter_map(|section| {
-            let is_in = |it: &&&Finding| it.key.kind.check_section() == Some(section);
+            let is_in = |it: &&Finding| it.key.kind.check_section() == Some(section);
             let count = found.iter().filter(is_in).filter(|it| is_of(app, it, index)).count();
             let title = if count == 1 { section.singular() } else { section.title() };
             (count > 0).then(|| format!("{count} {title}"))
@@ -157,8 +157,7 @@ fn differences(app: &App, now: Instant) -> String {
 /// The present devices on the buses of a file: `3 devices on can0`.
 fn devices_of_file(app: &App, file: FileIndex) -> String {
     let is_here = |device: &&Device| device.is_present() && !device.is_debug;
-    let buses = (0..=u8::MAX).map(BusIndex).zip(app.buses());
-    let buses = buses.filter(|(index, _)| app.file_of_bus(*index) == file).map(|(_, bus)| {
+    let buses = app.buses_of_file(file).map(|bus| {
         let devices = bus.devices().iter().filter(is_here).count();
         format!("{} on {}", many(devices, "device", "devices"), bus.name)
     });

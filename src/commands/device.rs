@@ -214,7 +214,8 @@ pub(super) fn check_address(wanted: &str) -> Result<(), Failure> {
     }
 }
 
-/// Says that a name which looks like a number is no address either; nothing for other names.
+/// How addresses are written, for the message about a name that looks like a number; empty for other
+/// names.
 fn number_hint(wanted: &str) -> String {
     let digits = wanted.trim_start_matches('#');
     let hex = digits.strip_prefix("0x").or_else(|| digits.strip_suffix(['h', 'H']));

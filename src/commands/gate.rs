@@ -7,7 +7,6 @@ use super::headless::{why_not_open, why_unusable};
 use super::{Failure, output, report};
 use crate::app::{App, Bus, FileIndex};
 use crate::bus::BusSpec;
-use crate::frame::BusIndex;
 use crate::status::Link;
 use crate::time::{Duration, Instant};
 
@@ -120,12 +119,10 @@ fn require_file_at(app: &App, index: FileIndex) -> Result<(), Failure> {
     }
     if !app.file_at(index).is_there() {
         let path = file.path;
-        let own = (0..=u8::MAX).map(BusIndex).zip(app.buses());
-        let mut own = own.filter(|(bus, _)| app.file_of_bus(*bus) == index);
         // In a project without BUS all buses would be written.
         let is_one_of_several = app.files().count() > 1;
-        let bus = own.next().filter(|_| is_one_of_several);
-        let bus = bus.map_or("BUS", |(_, bus)| bus.name.as_str());
+        let bus = app.buses_of_file(index).next().filter(|_| is_one_of_several);
+        let bus = bus.map_or("BUS", |bus| bus.name.as_str());
         return Err(Failure::Unusable(format!(
             "{path}: file not found; create it with: descan scan {bus} --write {path}"
         )));

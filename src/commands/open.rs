@@ -160,28 +160,25 @@ impl Setup {
     /// Returns the des.json of a bus.
     pub fn file_of(&self, bus: &BusSpec) -> PathBuf {
         match (&self.named_file, &self.project) {
-            (Some(file), _) => file.clone(),
-            (None, None) => default_file(),
             (None, Some(project)) => project.file_of(bus).to_owned(),
+            _ => self.shared_file(),
         }
+    }
+
+    /// Returns the des.json of buses without one of their own.
+    fn shared_file(&self) -> PathBuf {
+        let of_project = || self.project.as_ref().map(|project| project.file.clone());
+        self.named_file.clone().or_else(of_project).unwrap_or_else(default_file)
     }
 
     /// Finds the des.json of each of these buses.
     fn find_files(&mut self, buses: &[BusSpec]) {
         let files: Vec<PathBuf> = buses.iter().map(|bus| self.file_of(bus)).collect();
-        self.file = match (files.first(), &self.named_file, &self.project) {
-            (Some(first), ..) => first.clone(),
-            (None, Some(named), _) => named.clone(),
-            (None, None, Some(project)) => project.file.clone(),
-            (None, None, None) => default_file(),
-        };
+        self.file = files.first().cloned().unwrap_or_else(|| self.shared_file());
         let mut known = vec![self.file.clone()];
         let own_files = files.into_iter().map(|file| {
-            let same = known.iter().find(|it| is_same_file(it, &file)).cloned();
-            let file = same.unwrap_or_else(|| {
-                known.push(file.clone());
-                file
-            });
+            let file = as_known(&known, file);
+            known.push(file.clone());
             (file != self.file).then_some(file)
         });
         self.own_files = own_files.collect();
@@ -377,6 +374,11 @@ const NAME_A_BUS: &str = "name a bus (descan can0, descan file:LOG), or try it o
 
 fn names_of(interfaces: &[CanInterface]) -> String {
     interfaces.iter().map(|it| it.name.as_str()).collect::<Vec<_>>().join(", ")
+}
+
+/// Returns the path of the same file among the known ones, if it is there.
+fn as_known(known: &[PathBuf], file: PathBuf) -> PathBuf {
+    known.iter().find(|it| is_same_file(it, &file)).cloned().unwrap_or(file)
 }
 
 /// Returns true if two paths lead to the same file, which need not exist.
@@ -621,8 +623,7 @@ pub fn add_buses(
         let file = setup.file_of(&spec);
         let open: Vec<PathBuf> =
             session.app.files().filter_map(|(_, file)| file.path().map(Into::into)).collect();
-        let file = open.into_iter().find(|it| is_same_file(it, &file)).unwrap_or(file);
-        let file = Some(file).filter(|file| *file != setup.file);
+        let file = Some(as_known(&open, file)).filter(|file| *file != setup.file);
         session.add_bus(port, name.clone(), config.clone(), file);
         names.push(name);
     }

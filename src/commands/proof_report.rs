@@ -23,18 +23,7 @@ const BUS: BusIndex = BusIndex(0);
 
 /// A device that was tested.
 pub struct ProvenDevice {
-    address: u8,
-    name: Option<String>,
-    uid: Option<String>,
-    framing: Option<Framing>,
-    heartbeat_ms: Option<[f64; 3]>,
-    response_ms: Option<[f64; 3]>,
-    /// Why nothing that was seen is surely of this device.
-    conflict: Option<String>,
-    /// Frames confirm that several devices use its address.
-    is_conflict_confirmed: bool,
-    /// Tests that were made, and all.
-    progress: (usize, usize),
+    summary: DeviceSummary,
     verdicts: Vec<RuleVerdict>,
     /// The frames of the bus meanwhile.
     frames: Vec<Frame>,
@@ -49,20 +38,40 @@ impl ProvenDevice {
         let millis = |seconds: f64| (seconds * 1e6).round() / 1e3;
         let known = device.and_then(|it| it.name.as_ref()).map(ToString::to_string);
         let uid = device.and_then(|it| it.uid);
-        Self {
+        let (made, all) = prover.progress();
+        let summary = DeviceSummary {
             address: prover.device().number(),
             name: prover.name().map(printable).or(known),
             uid: uid.map(|uid| uid.text(&app.profile(BUS).uid).to_string()),
             framing: prover.framing(),
             heartbeat_ms: prover.heartbeat_intervals().map(|all| all.map(millis)),
             response_ms: prover.latency().map(|all| all.map(|it| millis(it.as_secs_f64()))),
-            is_conflict_confirmed: conflict.is_some() && is_confirmed,
+            conflict_confirmed: conflict.is_some() && is_confirmed,
             conflict,
-            progress: prover.progress(),
-            verdicts: prover.verdicts(),
-            frames: app.proof_frames().copied().collect(),
-        }
+            tests: [made, all],
+        };
+        let frames = app.proof_frames().copied().collect();
+        Self { summary, verdicts: prover.verdicts(), frames }
     }
+}
+
+/// What is known of a device, and of its tests as a whole.
+#[derive(Clone, Serialize)]
+struct DeviceSummary {
+    address: u8,
+    name: Option<String>,
+    uid: Option<String>,
+    framing: Option<Framing>,
+    /// Shortest, mean and longest interval.
+    heartbeat_ms: Option<[f64; 3]>,
+    /// Shortest, mean and longest time to an answer.
+    response_ms: Option<[f64; 3]>,
+    /// Why no rule is seen: another device at its address.
+    conflict: Option<String>,
+    /// Frames confirm the conflict.
+    conflict_confirmed: bool,
+    /// Number of tests made, and of all.
+    tests: [usize; 2],
 }
 
 /// The result, as JSON.
@@ -84,19 +93,8 @@ pub struct ProofReport {
 /// A device, as JSON.
 #[derive(Serialize)]
 struct ProvenReport {
-    address: u8,
-    name: Option<String>,
-    uid: Option<String>,
-    framing: Option<Framing>,
-    /// Shortest, mean and longest interval.
-    heartbeat_ms: Option<[f64; 3]>,
-    /// Shortest, mean and longest time to an answer.
-    response_ms: Option<[f64; 3]>,
-    /// Why no rule is seen: another device at its address.
-    conflict: Option<String>,
-    conflict_confirmed: bool,
-    /// Number of tests made, and of all.
-    tests: [usize; 2],
+    #[serde(flatten)]
+    summary: DeviceSummary,
     kept: usize,
     broken: usize,
     not_seen: usize,
@@ -170,12 +168,12 @@ impl ProofReport {
 
     /// Returns true if a rule is broken, or a conflict is confirmed.
     pub fn has_findings(&self) -> bool {
-        self.broken > 0 || self.devices.iter().any(|device| device.conflict_confirmed)
+        self.broken > 0 || self.devices.iter().any(|device| device.summary.conflict_confirmed)
     }
 
     /// Says that the result is incomplete; `None` if it is not.
     pub fn incomplete(&self) -> Option<String> {
-        let [made, all] = self.devices.last().filter(|_| !self.complete)?.tests;
+        let [made, all] = self.devices.last().filter(|_| !self.complete)?.summary.tests;
         let others = match self.untested as u64 {
             0 => String::new(),
             count => format!(", {} not tested", counted(count, "device")),
@@ -254,15 +252,7 @@ impl ProvenReport {
     fn new(device: &ProvenDevice, epoch: Epoch) -> Self {
         let verdicts = &device.verdicts;
         Self {
-            address: device.address,
-            name: device.name.clone(),
-            uid: device.uid.clone(),
-            framing: device.framing,
-            heartbeat_ms: device.heartbeat_ms,
-            response_ms: device.response_ms,
-            conflict: device.conflict.clone(),
-            conflict_confirmed: device.is_conflict_confirmed,
-            tests: [device.progress.0, device.progress.1],
+            summary: device.summary.clone(),
             kept: count(verdicts, Conformance::Kept),
             broken: count(verdicts, Conformance::Broken),
             not_seen: count(verdicts, Conformance::NotSeen),
@@ -272,13 +262,14 @@ impl ProvenReport {
 
     /// The conflict at its address, and whether frames confirm it.
     fn conflict_sentence(&self) -> Option<String> {
-        let strength = if self.conflict_confirmed { "confirmed by frames" } else { "suspected" };
-        let conflict = self.conflict.as_ref()?;
+        let strength =
+            if self.summary.conflict_confirmed { "confirmed by frames" } else { "suspected" };
+        let conflict = self.summary.conflict.as_ref()?;
         Some(format!("address conflict, {strength}: {conflict}; so no rule is seen"))
     }
 
     fn conflict_case(&self) -> Option<ReportedCase> {
-        let text = self.conflict.clone().filter(|_| self.conflict_confirmed)?;
+        let text = self.summary.conflict.clone().filter(|_| self.summary.conflict_confirmed)?;
         Some(ReportedCase {
             suite: self.who(),
             name: CONFLICT_CASE.to_owned(),
@@ -289,7 +280,7 @@ impl ProvenReport {
     }
 
     fn who(&self) -> String {
-        format!("{} at {}", self.name.as_deref().unwrap_or("?"), self.address)
+        format!("{} at {}", self.summary.name.as_deref().unwrap_or("?"), self.summary.address)
     }
 }
 

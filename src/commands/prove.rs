@@ -174,15 +174,15 @@ struct DeviceProof {
     running: Option<DeviceId>,
     proven: Vec<ProvenDevice>,
     progress: ProofProgress,
-    switch_told: SwitchTold,
+    switch_instruction: SwitchInstruction,
     /// The answer of the user, who is asked.
     asked: Option<Receiver<bool>>,
     is_declined: bool,
 }
 
-/// What the user was told to do with the power switch of the device.
+/// The last instruction about the power switch of the device that was shown.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-enum SwitchTold {
+enum SwitchInstruction {
     Nothing,
     Off,
     On,
@@ -196,7 +196,7 @@ impl DeviceProof {
             running: None,
             proven: Vec::new(),
             progress: ProofProgress::new(),
-            switch_told: SwitchTold::Nothing,
+            switch_instruction: SwitchInstruction::Nothing,
             asked: None,
             is_declined: false,
         }
@@ -243,7 +243,7 @@ impl DeviceProof {
         }
         let Some(id) = self.waiting.pop_front() else { return Ok(true) };
         app.start_prover(id, switches(args)).map_err(Failure::Unusable)?;
-        (self.running, self.switch_told) = (Some(id), SwitchTold::Nothing);
+        (self.running, self.switch_instruction) = (Some(id), SwitchInstruction::Nothing);
         self.progress.begin(now);
         Ok(false)
     }
@@ -252,12 +252,12 @@ impl DeviceProof {
     fn watch(&mut self, app: &App, now: Instant) -> bool {
         let Some(prover) = app.prover() else { return true };
         let (wanted, text) = match prover.power_switch() {
-            None => (SwitchTold::Nothing, ""),
-            Some(false) => (SwitchTold::Off, "off, for 5 s"),
-            Some(true) => (SwitchTold::On, "on again"),
+            None => (SwitchInstruction::Nothing, ""),
+            Some(false) => (SwitchInstruction::Off, "off, for 5 s"),
+            Some(true) => (SwitchInstruction::On, "on again"),
         };
-        if wanted > self.switch_told {
-            self.switch_told = wanted;
+        if wanted > self.switch_instruction {
+            self.switch_instruction = wanted;
             self.progress.clear();
             say(format!("switch the device at {} {text}", prover.device()));
         }

@@ -780,13 +780,9 @@ fn of_files(app: &App) -> Vec<BusFileReport> {
     if app.files().count() < 2 {
         return Vec::new();
     }
-    let of_index = |file: FileIndex| {
-        let buses = (0..=u8::MAX).map(BusIndex).zip(app.buses());
-        let own = buses.filter(|(index, _)| app.file_of_bus(*index) == file);
-        BusFileReport {
-            file: of_file(&app.file_snapshot(file)),
-            buses: own.map(|(_, bus)| bus.name.clone()).collect(),
-        }
+    let of_index = |file: FileIndex| BusFileReport {
+        file: of_file(&app.file_snapshot(file)),
+        buses: app.buses_of_file(file).map(|bus| bus.name.clone()).collect(),
     };
     app.files().map(|(file, _)| of_index(file)).collect()
 }

@@ -38,8 +38,8 @@ struct Part {
     spans: Vec<Span<'static>>,
     /// Cells to which the last span may be cut.
     least: usize,
-    /// Its first span is the name of a bus or of the file, which may be cut.
-    has_name: bool,
+    /// How the name that it begins with is cut; `None`: it begins with none.
+    name: Option<fn(&str, usize) -> String>,
 }
 
 /// What the screen shows is not the present, descan does not transmit, an error, a conflict.
@@ -62,21 +62,25 @@ const MUTED: u8 = 13;
 
 impl Part {
     fn new(rank: u8, spans: Vec<Span<'static>>) -> Self {
-        Self { rank, spans, least: usize::MAX, has_name: false }
+        Self { rank, spans, least: usize::MAX, name: None }
     }
 
     /// A part whose last span is cut to `least` cells where room is short.
     fn cut_to(least: usize, rank: u8, spans: Vec<Span<'static>>) -> Self {
-        Self { rank, spans, least, has_name: false }
+        Self { rank, spans, least, name: None }
     }
 
-    /// A part that begins with a name.
-    fn named(rank: u8, spans: Vec<Span<'static>>) -> Self {
-        Self { has_name: true, ..Self::new(rank, spans) }
+    /// A part that begins with the name of a bus.
+    fn of_bus(rank: u8, spans: Vec<Span<'static>>) -> Self {
+        Self { name: Some(short_name), ..Self::new(rank, spans) }
     }
 
-    fn with_name(self) -> Self {
-        Self { has_name: true, ..self }
+    /// The part, which begins with the name of a file and a blank.
+    fn of_file(self) -> Self {
+        let shortened = |name: &str, width| {
+            if name.contains('/') { short_file_name(name, width) } else { short_name(name, width) }
+        };
+        Self { name: Some(shortened), ..self }
     }
 
     fn width(&self) -> usize {
@@ -205,15 +209,12 @@ fn parts_width(left: &Parts, right: &Parts) -> usize {
 /// Cuts the name at the beginning of a row if the row is wider than `width`, to `least` cells.
 fn cut_name(left: &mut Parts, right: &Parts, width: usize, least: usize) {
     let missing = parts_width(left, right).saturating_sub(width);
-    let mut named = left.iter_mut().filter(|part| part.has_name);
-    if let Some(name) = named.next().and_then(|part| part.spans.first_mut()) {
+    let mut named = left.iter_mut().filter_map(|part| Some((part.name?, part.spans.first_mut()?)));
+    if let Some((shortened, name)) = named.next() {
         let room = name.width().saturating_sub(missing).max(name.width().min(least));
         let whole = name.content.trim_end();
-        name.content = if whole.contains('/') && !whole.contains(':') {
-            format!("{} ", short_file_name(whole, room.saturating_sub(1))).into()
-        } else {
-            short_name(&name.content, room).into()
-        };
+        let blanks = name.content.len() - whole.len();
+        name.content = (shortened(whole, room.saturating_sub(blanks)) + &" ".repeat(blanks)).into();
     }
 }
 
@@ -296,7 +297,7 @@ fn bus_parts(brush: &DrawContext, index: BusIndex) -> Parts {
     }
     // On a narrow screen a past moment has the room of the name.
     let gives_way = columns < usize::from(WIDE) && brush.app.past_moment().is_some();
-    let mut parts = vec![Part::named(if gives_way { OWN } else { KEPT }, name)];
+    let mut parts = vec![Part::of_bus(if gives_way { OWN } else { KEPT }, name)];
     let mut spans = vec![state(brush, index, bus)];
     let place = place_in_log(brush, bus);
     let good = matches!(bus.status.state, BusState::ErrorActive | BusState::Unknown);
@@ -628,7 +629,10 @@ fn file(brush: &DrawContext, whole: bool) -> Parts {
     };
     let title = brush.span(Role::Title, format!("{} files ", app.files().count()));
     let spans = vec![title, brush.span(Role::FileOk, "✓"), brush.span(Role::Text, words)];
-    [Some(Part::named(FILE, spans)), overwritten_pins(brush, whole)].into_iter().flatten().collect()
+    [Some(Part::new(FILE, spans).of_file()), overwritten_pins(brush, whole)]
+        .into_iter()
+        .flatten()
+        .collect()
 }
 
 fn one_file(brush: &DrawContext, index: FileIndex, whole: bool) -> Parts {
@@ -697,12 +701,12 @@ fn one_file(brush: &DrawContext, index: FileIndex, whole: bool) -> Parts {
             };
             let name = file_name(brush, file);
             let words = brush.span(Role::Text, words);
-            let file = Part::named(rank, vec![name, brush.span(role, sign), words]);
+            let file = Part::new(rank, vec![name, brush.span(role, sign), words]).of_file();
             return [Some(file), overwritten_pins(brush, whole)].into_iter().flatten().collect();
         }
     };
     let name = file_name(brush, file);
-    let mut parts = vec![Part::cut_to(24, rank, vec![name, brush.span(role, text)]).with_name()];
+    let mut parts = vec![Part::cut_to(24, rank, vec![name, brush.span(role, text)]).of_file()];
     parts.extend(
         more.filter(|_| whole)
             .map(|(rank, text)| Part::new(rank, vec![brush.span(Role::Muted, text)])),

@@ -51,17 +51,20 @@ const LONG_NAME: &str = "A NAME THAT IS LONGER THAN ONE FRAME, AND THAN A SINGLE
 const SERVICES: &[&[&str]] =
     &[&["DES", "1.0"], &["AUGER", "2.1"], &["A SERVICE", "WITH A LONG VERSION", "AND MORE"]];
 
+/// All service numbers, as in the des_config.h of the kit in C.
+pub const ALL_SERVICES: NodeConfig = NodeConfig {
+    identify: Some(Service::from_bits(0x018)),
+    mode: Some(Service::from_bits(0x019)),
+    reboot: Some(Service::from_bits(0x01A)),
+    write_uid: Some(Service::from_bits(0x011)),
+    write_address: Some(Service::from_bits(0x016)),
+    write_bitrate: Some(Service::from_bits(0x015)),
+    ..NodeConfig::DEFAULT
+};
+
 fn config(choices: &mut Choices<'_>) -> NodeConfig {
     let flags = choices.byte();
-    let all = NodeConfig {
-        identify: Some(Service::from_bits(0x018)),
-        mode: Some(Service::from_bits(0x019)),
-        reboot: Some(Service::from_bits(0x01A)),
-        write_uid: Some(Service::from_bits(0x011)),
-        write_address: Some(Service::from_bits(0x016)),
-        write_bitrate: Some(Service::from_bits(0x015)),
-        ..NodeConfig::DEFAULT
-    };
+    let all = ALL_SERVICES;
     match flags % 8 {
         0..=3 => all,
         4 => NodeConfig { write_effect: WriteEffect::Restart, has_raw_framing: false, ..all },

@@ -705,6 +705,7 @@ fn invalid_arguments_are_one_line_with_the_fix() {
         (&["scan", "can0", "can0"], "can0 is the same bus as can0"),
         (&["scan", "slcan:/dev/ttyS0@125000", "slcan:/dev/ttyS0"], "the same bus"),
         (&["sim", "sim:boiler"], "descan demo"),
+        (&["sim", "udp:", "--scenario", "s.toml", "--profile", "p.toml"], "--profile"),
         (&["demo"], "descan scan or descan watch"),
     ] {
         let output = descan(arguments, folder.path());

@@ -96,6 +96,11 @@ impl Buses {
         self.list.iter()
     }
 
+    /// The buses, each with its index.
+    pub fn indexed(&self) -> impl Iterator<Item = (BusIndex, &Bus)> + Clone {
+        (0..=u8::MAX).map(BusIndex).zip(&self.list)
+    }
+
     /// What the project says about the buses.
     pub fn project(&self) -> &Arc<ProjectFacts> {
         &self.project

@@ -5,6 +5,7 @@
 //! one moment. Does not read or write files.
 
 use super::{FileContent, FileEditor, FileError, FileState};
+use crate::app::buses::{Bus, Buses};
 use crate::document::{Document, Entry};
 use crate::frame::BusIndex;
 use std::path::{Component, Path, PathBuf};
@@ -147,6 +148,11 @@ impl FileEditors {
         }
     }
 
+    /// Returns true if there is one of the files, or edits that make one.
+    pub fn are_any_there(&self) -> bool {
+        self.states().any(|(_, file)| file.is_there())
+    }
+
     /// Number of unsaved edits of all files.
     pub fn unsaved(&self) -> usize {
         self.editors.iter().map(|editor| editor.file.unsaved()).sum()
@@ -211,6 +217,15 @@ impl<'a> Documents<'a> {
     /// The file of a bus.
     pub fn of_bus(&self, bus: BusIndex) -> FileIndex {
         self.editors.of_bus(bus)
+    }
+
+    /// The buses that have a file.
+    pub fn buses_of(
+        self,
+        file: FileIndex,
+        buses: &'a Buses,
+    ) -> impl Iterator<Item = (BusIndex, &'a Bus)> + Clone {
+        buses.indexed().filter(move |(index, _)| self.of_bus(*index) == file)
     }
 
     /// The content of a file; `None` if it was not open at that moment.

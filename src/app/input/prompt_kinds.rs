@@ -15,7 +15,6 @@ use crate::app::problems::ProblemKey;
 use crate::app::view::RowKey;
 use crate::discovery::DeviceId;
 use crate::document::{Document, Entry, EntryKey, NewEntry, Operation};
-use crate::frame::BusIndex;
 use crate::log::LogFormat;
 use crate::text::Quoted;
 use crate::wire::profile::Profile;
@@ -300,10 +299,8 @@ fn address_in_use(
     bus: Option<&str>,
     is_own: impl Fn(crate::discovery::DeviceId) -> bool,
 ) -> Option<C> {
-    let buses = (0..=u8::MAX).map(BusIndex).zip(context.buses.iter());
-    let is_of_file = |index: BusIndex| context.documents.of_bus(index) == context.index;
-    let buses =
-        buses.filter(|(index, it)| is_of_file(*index) && bus.is_none_or(|bus| it.name == bus));
+    let buses = context.documents.buses_of(context.index, context.buses);
+    let buses = buses.filter(|(_, it)| bus.is_none_or(|bus| it.name == bus));
     let other = buses.flat_map(|(_, bus)| bus.devices()).find(|device| {
         device.address.number() == address && device.is_present() && !is_own(device.id)
     })?;

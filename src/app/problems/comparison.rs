@@ -55,7 +55,7 @@ impl<'a> Comparison<'a> {
     fn file_alone(&mut self, file: FileInputs<'a>) {
         let document = file.document;
         let (mut bus, mut name_of_file) = (None, String::new());
-        // Several files are told apart by the first of their buses.
+        // Of several files, a finding has the first bus of its file.
         if self.inputs.documents.are_several() {
             bus = file.buses().next().map(|(index, _)| index);
             name_of_file = format!("{}, ", self.inputs.documents.name(file.file));

@@ -5,7 +5,6 @@
 
 use crate::app::file_inputs::FileInputs;
 use crate::document::{DocumentFinding, DocumentFindingKind, Entry};
-use crate::frame::BusIndex;
 use crate::text::Escaped;
 use crate::wire::node::Uid;
 use crate::wire::profile::UidProfile;
@@ -26,20 +25,19 @@ pub(in crate::app) fn file_mistakes(file: FileInputs) -> Vec<DocumentFinding> {
 
 /// Says which file an entry belongs into whose bus is open with another one; `None` for other entries.
 fn bus_mistake(file: FileInputs, entry: &Entry) -> Option<String> {
-    let bus = entry.bus.as_deref()?;
-    let open = (0..=u8::MAX).map(BusIndex).zip(file.all.buses.iter());
-    let mut of_bus = open.filter(|(_, open)| entry.is_for_bus(&open.name));
-    let documents = file.all.documents;
-    let (other, _) = of_bus.next()?;
-    let is_own = documents.of_bus(other) == file.file
-        || of_bus.any(|(index, _)| documents.of_bus(index) == file.file);
-    let (bus, name) = (Escaped(bus.as_bytes()), documents.name(documents.of_bus(other)));
-    (!is_own).then(|| format!("`bus` is {bus}, whose file is {name}; move the entry there"))
+    let named = entry.bus.as_deref()?;
+    if file.buses_of(entry).next().is_some() {
+        return None;
+    }
+    let (buses, documents) = (file.all.buses, file.all.documents);
+    let (other, _) = buses.indexed().find(|(_, bus)| entry.is_for_bus(&bus.name))?;
+    let (bus, name) = (Escaped(named.as_bytes()), documents.name(documents.of_bus(other)));
+    Some(format!("`bus` is {bus}, whose file is {name}; move the entry there"))
 }
 
 /// Says what is wrong with the UID of an entry; `None` if a device of one of its buses can have it.
 pub(in crate::app) fn mistake_of(file: FileInputs, entry: &Entry, uid: &str) -> Option<String> {
-    let own = file.buses().filter(|(_, bus)| entry.is_for_bus(&bus.name));
+    let own = file.buses_of(entry);
     let mut mistakes = own.map(|(_, bus)| mistake_in(uid.trim(), &bus.config().profile.uid));
     let first = mistakes.next()??;
     mistakes.all(|other| other.is_some()).then_some(first)

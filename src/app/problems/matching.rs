@@ -31,7 +31,7 @@ impl Matching {
             devices_of: documents.files().map(of_file).collect(),
             duplicates: Vec::new(),
         };
-        for (index, bus) in (0..=u8::MAX).map(BusIndex).zip(buses.iter()) {
+        for (index, bus) in buses.indexed() {
             let file = documents.of_bus(index);
             let entries = documents.entries(file).iter();
             let entries: Vec<&Entry> =

@@ -23,8 +23,7 @@ impl FileInputs<'_> {
                 && device.name.is_none()
                 && !device.name_query.has_failed_since_response
         };
-        let mut buses = self.buses().filter(|(_, bus)| entry.is_for_bus(&bus.name));
-        buses.all(|(index, bus)| {
+        self.buses_of(entry).all(|(index, bus)| {
             self.all.buses.is_search_complete(index, self.all.now)
                 && !bus.devices().iter().any(perhaps)
         })

@@ -35,12 +35,14 @@ fn response<const N: usize>(node: &mut Node<'_, N>, now: Instant) -> Option<Node
     Some(frame)
 }
 
-/// Lets a node take its address; returns the time.
-fn start<const N: usize>(node: &mut Node<'_, N>) -> Instant {
+/// Lets a node take its address, for which it stores nothing; returns the time.
+pub(super) fn start<const N: usize>(node: &mut Node<'_, N>) -> Instant {
     let mut now = Instant::ZERO;
     while node.mode() != Mode::Work {
         node.handle_timeout(now);
-        while node.poll_action().is_some() {}
+        while let Some(action) = node.poll_action() {
+            assert!(!matches!(action, NodeAction::Store(_)));
+        }
         if node.poll_transmit(Slot::Heartbeat).is_some() {
             node.handle_transmitted(now, Slot::Heartbeat, true);
         }

@@ -1,29 +1,18 @@
 //! The node in Rust behind the commands of tests/kit/driver.c, in this process.
 
 use super::{Act, Bench, unhex};
+use crate::checks::node::ALL_SERVICES;
 use descan::node::{
-    ExtendedClock, ModeLimit, Node, NodeAction, NodeConfig, NodeDevice, NodeFrame, NodeSettings,
-    Slot,
+    ExtendedClock, ModeLimit, Node, NodeAction, NodeDevice, NodeFrame, NodeSettings, Slot,
 };
 use descan::time::Instant;
 use descan::wire::des::ServicesResponse;
 use descan::wire::descriptor::{
     AddressSetting, BitrateSetting, Capabilities, FirmwareVersion, Gid,
 };
-use descan::wire::id::{Header, Service};
+use descan::wire::id::Header;
 use descan::wire::node::{Mode, Uid};
 use std::collections::BTreeMap;
-
-/// All service numbers, as in the des_config.h of the kit in C.
-const CONFIG: NodeConfig = NodeConfig {
-    identify: Some(Service::from_bits(0x018)),
-    mode: Some(Service::from_bits(0x019)),
-    reboot: Some(Service::from_bits(0x01A)),
-    write_uid: Some(Service::from_bits(0x011)),
-    write_address: Some(Service::from_bits(0x016)),
-    write_bitrate: Some(Service::from_bits(0x015)),
-    ..NodeConfig::DEFAULT
-};
 
 /// Bit of the value of the command `errors`: an error was detected.
 const ERROR_SEEN: u32 = 0x200;
@@ -89,7 +78,7 @@ impl NodeBoard {
         };
         let entropy = u32::from_str_radix(words[6], 16).unwrap();
         Self {
-            node: Node::new(&CONFIG, device, settings, entropy),
+            node: Node::new(&ALL_SERVICES, device, settings, entropy),
             device,
             settings,
             entropy,
@@ -102,7 +91,7 @@ impl NodeBoard {
     }
 
     fn restart(&mut self) {
-        self.node = Node::new(&CONFIG, self.device, self.settings, self.entropy);
+        self.node = Node::new(&ALL_SERVICES, self.device, self.settings, self.entropy);
     }
 
     /// Passes the ends of transmissions to the node.
@@ -170,7 +159,7 @@ impl NodeBoard {
                 }
                 NodeAction::Store(settings) => self.store(settings, &mut acts),
                 NodeAction::ModeChanged(mode) => {
-                    acts.push(Act::Mode(CONFIG.mode_codes[mode as usize]));
+                    acts.push(Act::Mode(ALL_SERVICES.mode_codes[mode as usize]));
                 }
                 NodeAction::Identify => acts.push(Act::Identify),
                 NodeAction::Reboot => acts.push(Act::Reboot),

@@ -3,13 +3,13 @@
 #[path = "../../kit/des_config.rs"]
 mod written;
 
+use super::node::start;
 use super::{BoardSpec, NAME, SERVICES, des_request};
 use descan::kit::{self, KitDevice};
-use descan::node::{Node, NodeAction, NodeConfig, NodeDevice, NodeFrame, NodeSettings, Slot};
-use descan::time::{Duration, Instant};
+use descan::node::{Node, NodeConfig, NodeDevice, NodeFrame, NodeSettings, Slot};
 use descan::wire::descriptor::AddressSetting;
 use descan::wire::id::Address;
-use descan::wire::node::{Mode, Uid};
+use descan::wire::node::Uid;
 use descan::wire::profile::Profile;
 use std::process::Command;
 
@@ -70,23 +70,6 @@ fn configuration_of_another_profile_has_its_values() {
     ] {
         assert!(text.lines().any(|it| it == line), "{line}: {text}");
     }
-}
-
-/// Lets a node with the configuration take its address; returns the time.
-fn start(node: &mut Node) -> Instant {
-    let mut now = Instant::ZERO;
-    while node.mode() != Mode::Work {
-        node.handle_timeout(now);
-        while let Some(action) = node.poll_action() {
-            assert!(!matches!(action, NodeAction::Store(_)));
-        }
-        if node.poll_transmit(Slot::Heartbeat).is_some() {
-            node.handle_transmitted(now, Slot::Heartbeat, true);
-        }
-        now += Duration::from_millis(1);
-        assert!(now < Instant::ZERO + Duration::from_secs(10), "{:?}", node.mode());
-    }
-    now
 }
 
 #[test]

@@ -188,12 +188,12 @@ fn confirmed_conflict_is_said_first_and_exits_1() {
         assert_eq!(output.status.code(), Some(1), "{}", text(&output.stderr));
         text(&output.stdout)
     };
-    let told = run(&[]);
-    let mut lines = told.lines();
+    let printed = run(&[]);
+    let mut lines = printed.lines();
     assert_eq!(lines.next(), Some("FEED at 10:"));
     let conflict = lines.next().unwrap();
-    assert!(conflict.starts_with("  address conflict, confirmed by frames: "), "{told}");
-    assert!(told.ends_with(": 0 kept, 0 broken, 37 not seen\n"), "{told}");
+    assert!(conflict.starts_with("  address conflict, confirmed by frames: "), "{printed}");
+    assert!(printed.ends_with(": 0 kept, 0 broken, 37 not seen\n"), "{printed}");
     let json: Value = serde_json::from_str(&run(&["--json", "--proof", "conflict.md"])).unwrap();
     assert_eq!(json["devices"][0]["conflict_confirmed"], true);
     let report = std::fs::read_to_string(folder.path().join("conflict.md")).unwrap();
@@ -220,23 +220,23 @@ fn started(folder: &Path, rest: &[&str]) -> Child {
 fn interrupted(mut child: Child) -> String {
     let id = nix::unistd::Pid::from_raw(child.id().cast_signed());
     nix::sys::signal::kill(id, Signal::SIGINT).unwrap();
-    let mut told = String::new();
-    child.stdout.take().unwrap().read_to_string(&mut told).unwrap();
-    assert_eq!(child.wait().unwrap().code(), Some(130), "{told}");
-    told
+    let mut printed = String::new();
+    child.stdout.take().unwrap().read_to_string(&mut printed).unwrap();
+    assert_eq!(child.wait().unwrap().code(), Some(130), "{printed}");
+    printed
 }
 
 #[test]
 fn interrupted_tests_print_what_was_found() {
     let folder = folder();
-    let told = interrupted(started(folder.path(), &["FEED"]));
-    assert!(told.contains("  kept      answers-name-request "), "{told}");
-    let last = told.lines().last().unwrap();
-    assert!(last.starts_with("interrupted after ") && last.contains("incomplete"), "{told}");
-    let told = interrupted(started(folder.path(), &["FEED", "--json"]));
-    let json: Value = serde_json::from_str(&told).unwrap();
+    let printed = interrupted(started(folder.path(), &["FEED"]));
+    assert!(printed.contains("  kept      answers-name-request "), "{printed}");
+    let last = printed.lines().last().unwrap();
+    assert!(last.starts_with("interrupted after ") && last.contains("incomplete"), "{printed}");
+    let printed = interrupted(started(folder.path(), &["FEED", "--json"]));
+    let json: Value = serde_json::from_str(&printed).unwrap();
     let tests = json["devices"][0]["tests"].as_array().unwrap();
-    assert!(json["complete"] == false && tests[0].as_u64() < tests[1].as_u64(), "{told}");
+    assert!(json["complete"] == false && tests[0].as_u64() < tests[1].as_u64(), "{printed}");
 }
 
 #[test]
