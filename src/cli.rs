@@ -6,7 +6,7 @@ use crate::app::DeviceCommand;
 use crate::bitrate;
 use crate::bus::{self, BusSpec};
 use crate::guide;
-use crate::log::LogFormat;
+use crate::log::{FORMATS, LogFormat};
 use crate::shell::recorder::Size;
 use crate::wire::id::{Address, Service};
 use crate::wire::node::Mode;
@@ -100,6 +100,8 @@ pub enum Command {
     Diff(DiffArgs),
     /// Print the frames of a log, decoded, one per line, or their statistics
     Log(LogArgs),
+    /// Write a log in another format
+    Convert(ConvertArgs),
     /// Simulate the devices of a scenario on a bus, or one device
     Sim(SimArgs),
     /// Let a device blink or beep
@@ -741,7 +743,7 @@ Examples:
   descan log session.log --stats --json | jq '.identifiers[] | select(.rate > 100) | .id'
   ssh board candump -L can0 | descan log - --filter at:12")]
 pub struct LogArgs {
-    /// Log, candump -L or pcapng; - is standard input
+    /// Log in any format that descan reads; - is standard input
     #[arg(value_name = "FILE", value_hint = clap::ValueHint::FilePath)]
     pub log: PathBuf,
     /// Print JSON instead of text: one object per frame, or one with --stats
@@ -783,6 +785,40 @@ pub struct LogArgs {
     /// Take no project file
     #[arg(long)]
     pub no_project: bool,
+}
+
+/// `descan convert`.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Reads any log that descan reads (descan help logs), compressed or not, and writes all of its frames with \
+their times, directions, channels and FD flags, as far as the format has them. What it does not hold is \
+said at the end. An existing file is replaced only with --force.
+
+Exit code: 0 written, 1 written without what cannot be read, 2 wrong usage, 3 nothing can be read, or not \
+written, 130 interrupted.
+
+Examples:
+  descan convert trace.blf trace.log
+  descan convert session.log.xz session.asc
+  descan convert trace.mf4.gz - --format candump | descan -
+  ssh board candump -L can0 | descan convert - board.blf")]
+pub struct ConvertArgs {
+    /// Log that is read; - is standard input
+    #[arg(value_name = "IN", value_hint = clap::ValueHint::FilePath)]
+    pub input: PathBuf,
+    /// Log that is written; - is standard output
+    #[arg(value_name = "OUT", value_hint = clap::ValueHint::FilePath)]
+    pub output: PathBuf,
+    /// Format of OUT [default: by the ending of its name]
+    #[arg(long, value_name = "FORMAT", value_parser = written_format())]
+    pub format: Option<String>,
+    /// Replace OUT if it exists
+    #[arg(long)]
+    pub force: bool,
+}
+
+fn written_format() -> clap::builder::PossibleValuesParser {
+    FORMATS.iter().map(|format| format.name).collect::<Vec<_>>().into()
 }
 
 /// What the commands without a screen share.

@@ -513,7 +513,8 @@ impl RxTimestamps {
     }
 }
 
-fn wall_micros() -> u64 {
+/// Returns the time of the system clock, in microseconds since 1970.
+pub(crate) fn wall_micros() -> u64 {
     SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_micros() as u64)
 }
 

@@ -28,6 +28,7 @@ mod tx_queue;
 mod udp;
 mod waker;
 
+pub(crate) use clock::wall_micros;
 pub use clock::{Clock, RxTimestamps};
 pub use faults::TuneError;
 pub use kind::BusKind;

@@ -6,6 +6,7 @@
 mod apply;
 mod catalogue;
 mod check;
+mod convert;
 mod device;
 mod diff;
 mod export;
@@ -86,6 +87,7 @@ pub fn run(cli: Cli) -> ExitCode {
         Some(Command::Watch(watch)) => watch::run(&watch),
         Some(Command::Diff(diff)) => diff::run(&diff),
         Some(Command::Log(log)) => log::run(&log),
+        Some(Command::Convert(args)) => convert::run(&args),
         Some(Command::Sim(args)) => simulate::run(&args),
         Some(Command::Identify(args)) => {
             device::run(&args, DeviceTask::Send(DeviceCommand::Identify))

@@ -53,6 +53,7 @@ topics! {
     "des.json" "des-json" ["schema"] "the list of devices and static addresses";
     "scripting" "scripting" ["scan" "check" "watch" "diff" "log"] "scan, check, watch, diff and log: JSON, exit codes, CI";
     "recording" "recording" [] "recording to a file, logs and their replay";
+    "logs" "logs" ["convert"] "the formats of logs, and their conversion";
     "profiles" "profiles" ["profile"] "values that the protocol leaves open";
     "project" "project" ["init"] "descan.toml: the buses and files of a system";
     "device-types" "device-types" ["catalogue"] "the catalogue: names and data of services by type";

@@ -1,32 +1,17 @@
 //! candump's log text (can-utils): `(1436509052.249713) can0 02015402#0444455301`.
 //!
-//! Reads the output of can-utils, python-can and SavvyCAN. A malformed line is a [`LineFault`];
-//! a line that is passed as a whole is read without allocation. Does not know moments or bus
-//! numbers: [`super::LogSummary`] assigns them.
+//! Reads the output of can-utils, python-can and SavvyCAN. A malformed line is a [`LineFault`].
+//! Does not know moments or bus numbers: [`super::LogSummary`] assigns them.
 
-use super::{
-    Damage, DecodeStep, ForeignFormat, FormatMatch, LogDecoder, LogEncoder, LogEntry, LogFormat,
-    LogSummary, MAX_WITHOUT_FRAME, plain_line,
-};
+use super::candump_time::{self, CandumpTimes, PrintedTime};
+use super::fields::{hex_value, words};
+use super::{LogEncoder, LogEntry, candump_screen};
 use crate::frame::socketcan::{ERROR_FLAG, with_fd_flags};
 use crate::frame::{CanId, Frame};
 use crate::text::is_printable;
 use crate::time::Epoch;
 use std::fmt;
 use std::io::{self, Write};
-
-pub(super) const FORMAT: LogFormat = LogFormat {
-    description: "candump text",
-    extensions: &["log", "txt", "candump"],
-    unit: "line",
-    // Text has no magic number: it is the format if no other matches.
-    detect: |_| FormatMatch::No,
-    decoder: || Box::<LineDecoder>::default(),
-    encoder: || Box::new(LineEncoder),
-};
-
-/// Byte order mark, with which some editors begin a file.
-const BYTE_ORDER_MARK: &[u8] = b"\xEF\xBB\xBF";
 
 /// Longest line in bytes; longer ones are not read. A line with an FD frame has at most some 250.
 pub const MAX_LINE: usize = 512;
@@ -66,7 +51,7 @@ pub enum LineFault {
     Trailing,
 }
 
-/// Reads one line, with or without its line end; `None` for a blank line.
+/// Reads one line of the log text, with or without its line end; `None` for a blank line.
 ///
 /// # Errors
 ///
@@ -75,9 +60,20 @@ pub fn parse_line(line: &[u8]) -> Result<Option<LogEntry<'_>>, LineFault> {
     if line.len() > MAX_LINE {
         return Err(LineFault::TooLong);
     }
-    let mut words = line.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty());
-    let Some(time) = words.next() else { return Ok(None) };
-    let unix_micros = parse_time(time).ok_or(LineFault::Time)?;
+    if line.trim_ascii().is_empty() {
+        return Ok(None);
+    }
+    let (time, rest) = candump_time::split(line).ok_or(LineFault::Time)?;
+    let (PrintedTime::Unix(unix_micros) | PrintedTime::Short(unix_micros)) = time;
+    Ok(Some(LogEntry { unix_micros, ..parse_rest(rest)? }))
+}
+
+/// Reads what follows the time of a line of the log text.
+fn parse_rest(line: &[u8]) -> Result<LogEntry<'_>, LineFault> {
+    if line.len() > MAX_LINE {
+        return Err(LineFault::TooLong);
+    }
+    let mut words = words(line);
     let interface = words.next().ok_or(LineFault::Interface)?;
     let interface = std::str::from_utf8(interface).map_err(|_| LineFault::Interface)?;
     // The name is displayed: it must not contain control sequences.
@@ -93,7 +89,7 @@ pub fn parse_line(line: &[u8]) -> Result<Option<LogEntry<'_>>, LineFault> {
     if words.next().is_some() {
         return Err(LineFault::Trailing);
     }
-    Ok(Some(LogEntry { unix_micros, interface, frame }))
+    Ok(LogEntry { unix_micros: 0, interface, frame })
 }
 
 /// Writes one line, dated by `epoch` and the frame's time. The line of a frame sent by descan ends
@@ -128,148 +124,98 @@ impl fmt::Display for LogEntry<'_> {
     }
 }
 
-/// Splits text into lines and reads them.
-#[derive(Clone, Debug, Default)]
-struct LineDecoder {
-    /// A line cut by the end of a piece; at most one byte longer than [`MAX_LINE`].
-    partial: Vec<u8>,
-    /// Bytes of a line that is too long and counted as unreadable; 0 in any other line.
-    skipped: u64,
-    /// Bytes before the first frame.
-    before_frame: u64,
+/// What the lines so far say about those that follow.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct CandumpLines {
+    times: CandumpTimes,
+    /// A line before was of what candump prints without `-L`.
+    is_screen: bool,
 }
 
-impl LineDecoder {
-    /// Appends a piece to a cut line, at most up to one byte more than [`MAX_LINE`].
-    fn keep(&mut self, piece: &[u8]) {
-        let room = (MAX_LINE + 1).saturating_sub(self.partial.len());
-        self.partial.extend_from_slice(&piece[..piece.len().min(room)]);
+impl CandumpLines {
+    /// Returns what the first bytes of a log say.
+    pub fn of_head(head: &[u8]) -> Self {
+        let whole =
+            head.split_inclusive(|&byte| byte == b'\n').filter(|line| line.ends_with(b"\n"));
+        let times = whole.map_while(|line| Some(candump_time::split(line)?.0));
+        Self { times: CandumpTimes::of(times), is_screen: false }
     }
 
-    /// Appends a piece without a line end; a line that is too long counts at once, as it may not end.
-    fn keep_cut(&mut self, piece: &[u8], summary: &mut LogSummary) {
-        self.keep(piece);
-        if self.skipped == 0 && self.partial.len() > MAX_LINE {
-            take_line(&self.partial, summary);
-            self.skipped = MAX_LINE as u64;
-        }
-        if self.skipped > 0 {
-            self.skipped += piece.len() as u64;
-        }
+    /// Returns true if the lines are the usual ones of the log text.
+    pub fn is_usual(&self) -> bool {
+        self.times.is_fixed() && !self.is_screen
     }
 
-    /// Notes damage if what was read is too much for a log.
-    fn check_damage(&mut self, used: usize, summary: &mut LogSummary) {
-        if summary.own_frames() == 0 {
-            self.before_frame += used as u64;
-        }
-        let is_inside_line = self.skipped > 0;
-        if is_inside_line && self.skipped + used as u64 >= MAX_WITHOUT_FRAME {
-            summary.damage = Some(Damage::NoLineEnd);
-        } else if !is_inside_line
-            && summary.own_frames() == 0
-            && self.before_frame >= MAX_WITHOUT_FRAME
-        {
-            summary.damage = Some(Damage::NoFrame);
-        }
+    /// Returns true if the times do not count from lines before.
+    pub fn has_fixed_times(&self) -> bool {
+        self.times.is_fixed()
     }
-}
 
-impl LogDecoder for LineDecoder {
-    fn decode(&mut self, bytes: &[u8], summary: &mut LogSummary) -> (usize, DecodeStep) {
-        if summary.damage.is_some() {
-            return (bytes.len(), DecodeStep::End);
+    /// Returns true if the lines have no times.
+    pub fn is_timeless(&self) -> bool {
+        self.is_screen && self.times.is_empty()
+    }
+
+    /// Reads a line of the log text, or of what candump prints without `-L`; `None` for one without a
+    /// frame.
+    pub fn read<'a>(&mut self, line: &'a [u8]) -> Result<Option<LogEntry<'a>>, LineFault> {
+        if line.len() > MAX_LINE {
+            return Err(LineFault::TooLong);
         }
-        let end = memchr::memchr(b'\n', bytes);
-        self.check_damage(end.map_or(bytes.len(), |end| end + 1), summary);
-        if summary.damage.is_some() {
-            self.partial.clear();
-            self.skipped = 0;
-            return (bytes.len(), DecodeStep::End);
+        // The words of an error frame are below it.
+        if line.trim_ascii().is_empty() || line.starts_with(b"\t") && self.is_screen {
+            return Ok(None);
         }
-        let Some(end) = end else {
-            self.keep_cut(bytes, summary);
-            let is_over = summary.foreign.is_some();
-            return (bytes.len(), if is_over { DecodeStep::End } else { DecodeStep::Nothing });
+        let (time, rest) = match candump_time::split(line) {
+            Some((time, rest)) => (Some(time), rest),
+            None if self.times.is_empty() => (None, line),
+            None => return Err(LineFault::Time),
         };
-        let frame = if self.partial.is_empty() {
-            take_line(&bytes[..end], summary)
-        } else if std::mem::take(&mut self.skipped) > 0 {
-            self.partial.clear();
-            None
-        } else {
-            self.keep(&bytes[..end]);
-            let frame = take_line(&self.partial, summary);
-            self.partial.clear();
-            frame
+        let entry = match candump_screen::parse(rest) {
+            Ok((interface, frame)) => {
+                self.is_screen = true;
+                LogEntry { unix_micros: 0, interface, frame }
+            }
+            Err(fault) if self.is_screen => return Err(fault),
+            Err(_) if time.is_none() => return Err(LineFault::Time),
+            Err(_) => parse_rest(rest)?,
         };
-        let step = match frame {
-            Some(frame) => DecodeStep::Frame(frame),
-            None if summary.foreign.is_some() => DecodeStep::End,
-            None => DecodeStep::Nothing,
-        };
-        (end + 1, step)
-    }
-
-    fn decode_frames(
-        &mut self,
-        bytes: &[u8],
-        summary: &mut LogSummary,
-        frames: &mut Vec<Frame>,
-        most: usize,
-    ) -> usize {
-        let mut used = 0;
-        if !self.partial.is_empty() {
-            return used;
-        }
-        while frames.len() < most
-            && let Some(line) = plain_line::parse(&bytes[used..])
-            && let Some(frame) = summary.take_plain(line.unix_micros, line.interface, &line.frame)
-        {
-            frames.push(frame);
-            used += line.len;
-        }
-        used
-    }
-
-    fn has_partial_entry(&self) -> bool {
-        !self.partial.is_empty()
-    }
-
-    fn entry_start(&self, tail: &[u8]) -> Option<usize> {
-        memchr::memchr(b'\n', tail).map(|end| end + 1)
-    }
-
-    fn copy(&self) -> Box<dyn LogDecoder> {
-        Box::new(self.clone())
-    }
-
-    fn read_partial_entry(&mut self, summary: &mut LogSummary) -> Option<Frame> {
-        if self.partial.is_empty() {
-            return None;
-        }
-        let is_counted = std::mem::take(&mut self.skipped) > 0;
-        let frame = if is_counted { None } else { take_line(&self.partial, summary) };
-        self.partial.clear();
-        frame
-    }
-
-    fn can_decode(&self, bytes: &[u8]) -> bool {
-        bytes.contains(&b'\n')
+        let unix_micros = time.map_or(0, |time| self.times.unix_micros(time));
+        Ok(Some(LogEntry { unix_micros, ..entry }))
     }
 }
 
-fn take_line(line: &[u8], summary: &mut LogSummary) -> Option<Frame> {
-    let line = line.strip_prefix(BYTE_ORDER_MARK).filter(|_| summary.entries == 0).unwrap_or(line);
-    let entry = parse_line(line);
-    if entry.is_err() && summary.own_frames() == 0 {
-        summary.foreign = ForeignFormat::of_line(line);
+/// Returns true if a log that begins with `head` has short times, and more lines are needed to know from
+/// where they count.
+pub(super) fn has_undecided_times(head: &[u8]) -> bool {
+    /// Bytes in which the lines are looked for.
+    const MAX_HEAD: usize = 4096;
+    let is_short = |(at, byte): (usize, &u8)| match at {
+        0 => *byte == b'(',
+        1..=3 => byte.is_ascii_digit(),
+        _ => *byte == b'.',
+    };
+    if head.len() >= MAX_HEAD || !head.iter().take(5).enumerate().all(is_short) {
+        return false;
     }
-    summary.take(entry)
+    // It is looked at again with each line.
+    if !head.ends_with(b"\n") {
+        return true;
+    }
+    let mut times = CandumpTimes::NEW;
+    let mut lines = head.split_inclusive(|&byte| byte == b'\n');
+    let all_have_times = lines.all(|line| match candump_time::split(line) {
+        Some((time, _)) => {
+            times.unix_micros(time);
+            true
+        }
+        None => false,
+    });
+    all_have_times && times.is_undecided()
 }
 
 #[derive(Debug)]
-struct LineEncoder;
+pub(super) struct LineEncoder;
 
 impl LogEncoder for LineEncoder {
     fn begin(&mut self, _: &mut Vec<u8>) -> io::Result<()> {
@@ -398,40 +344,4 @@ fn parse_bytes<'a>(text: &'a [u8], data: &mut [u8]) -> Result<(usize, &'a [u8]),
         rest = after;
     }
     Ok((len, rest))
-}
-
-/// Reads `(SECONDS.FRACTION)` as microseconds; further digits of the fraction are truncated.
-fn parse_time(text: &[u8]) -> Option<u64> {
-    let text = text.strip_prefix(b"(")?.strip_suffix(b")")?;
-    let dot = text.iter().position(|&byte| byte == b'.').unwrap_or(text.len());
-    let (seconds, fraction) = (&text[..dot], text.get(dot + 1..).unwrap_or_default());
-    if seconds.is_empty() {
-        return None;
-    }
-    let seconds = decimal(seconds)?;
-    let mut micros = decimal(&fraction[..fraction.len().min(6)])?;
-    if !fraction.iter().all(u8::is_ascii_digit) {
-        return None;
-    }
-    for _ in fraction.len()..6 {
-        micros *= 10;
-    }
-    seconds.checked_mul(1_000_000)?.checked_add(micros)
-}
-
-/// Parses decimal digits; without digits, 0.
-fn decimal(digits: &[u8]) -> Option<u64> {
-    digits.iter().try_fold(0_u64, |number, digit| {
-        let value = digit.wrapping_sub(b'0');
-        if value > 9 { None } else { number.checked_mul(10)?.checked_add(u64::from(value)) }
-    })
-}
-
-const fn hex_value(digit: u8) -> Option<u8> {
-    match digit {
-        b'0'..=b'9' => Some(digit - b'0'),
-        b'A'..=b'F' => Some(digit - b'A' + 10),
-        b'a'..=b'f' => Some(digit - b'a' + 10),
-        _ => None,
-    }
 }

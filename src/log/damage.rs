@@ -20,6 +20,12 @@ pub enum Damage {
     /// A section has no known byte order.
     #[error("section without byte-order magic: the rest cannot be read")]
     ByteOrder,
+    /// A BLF log has something else where an object begins.
+    #[error("no object where one begins: the rest cannot be read")]
+    Object,
+    /// The compressed data is damaged.
+    #[error("damaged compression: the rest cannot be read")]
+    Compression,
     /// A text of [`MAX_WITHOUT_FRAME`] bytes without a line end.
     #[error("no line end in 16 MB: the rest is not read")]
     NoLineEnd,

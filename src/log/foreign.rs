@@ -7,18 +7,16 @@ use std::fmt;
 /// A log format that is not read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum ForeignFormat {
-    /// Compressed with gzip.
-    Gzip,
-    /// Binary log of Vector's tools.
-    VectorBlf,
-    /// Text log of Vector's tools.
-    VectorAsc,
-    /// Trace of PEAK's tools.
-    PcanTrc,
-    /// Capture of tcpdump and of older Wireshark.
-    Pcap,
-    /// What candump prints without `-L`.
-    CandumpScreen,
+    /// Compressed with bzip2.
+    Bzip2,
+    /// An archive of files.
+    Zip,
+    /// Measurement data of ASAM.
+    Mdf,
+    /// A database of SQLite.
+    Sqlite,
+    /// Text log of BUSMASTER.
+    Busmaster,
 }
 
 /// What is known of a format.
@@ -39,67 +37,43 @@ struct Facts {
 const NO_LINE: fn(&[u8]) -> bool = |_| false;
 
 impl ForeignFormat {
-    const ALL: [Self; 6] = [
-        Self::Gzip,
-        Self::VectorBlf,
-        Self::VectorAsc,
-        Self::PcanTrc,
-        Self::Pcap,
-        Self::CandumpScreen,
-    ];
+    const ALL: [Self; 5] = [Self::Bzip2, Self::Zip, Self::Mdf, Self::Sqlite, Self::Busmaster];
 
     const fn facts(self) -> Facts {
         match self {
-            Self::Gzip => Facts {
-                name: "compressed with gzip",
-                remedy: "decompress it: gunzip -c LOG.gz | descan -",
-                magics: &[&[0x1F, 0x8B]],
+            Self::Bzip2 => Facts {
+                name: "compressed with bzip2",
+                remedy: "decompress it: bunzip2 -c LOG.bz2 | descan -",
+                magics: &[b"BZh"],
                 is_first_line: NO_LINE,
-                extension: Some("gz"),
+                extension: Some("bz2"),
             },
-            Self::VectorBlf => Facts {
-                name: "a Vector BLF log",
-                remedy: "convert it with python-can: python3 -m can.logconvert OLD.blf NEW.log",
-                magics: &[b"LOGG"],
+            Self::Zip => Facts {
+                name: "a zip archive",
+                remedy: "unpack it: unzip -p LOG.zip | descan -",
+                magics: &[b"PK\x03\x04"],
                 is_first_line: NO_LINE,
-                extension: Some("blf"),
+                extension: Some("zip"),
             },
-            Self::VectorAsc => Facts {
-                name: "a Vector ASC log",
-                remedy: "convert it with can-utils: asc2log -I OLD.asc -O NEW.log",
-                magics: &[],
-                is_first_line: |line| {
-                    [&b"date "[..], b"base hex", b"base dec"].iter().any(|it| line.starts_with(it))
-                },
-                extension: Some("asc"),
-            },
-            Self::PcanTrc => Facts {
-                name: "a PCAN trace",
-                remedy: "convert it with python-can: python3 -m can.logconvert OLD.trc NEW.log",
-                magics: &[],
-                is_first_line: |line| {
-                    line.starts_with(b";$FILEVERSION") || line.starts_with(b";##########")
-                },
-                extension: Some("trc"),
-            },
-            Self::Pcap => Facts {
-                name: "a classic pcap file",
-                remedy: "convert it with Wireshark: editcap -F pcapng OLD NEW.pcapng",
-                // Either byte order, with times in microseconds or nanoseconds.
-                magics: &[
-                    &[0xA1, 0xB2, 0xC3, 0xD4],
-                    &[0xD4, 0xC3, 0xB2, 0xA1],
-                    &[0xA1, 0xB2, 0x3C, 0x4D],
-                    &[0x4D, 0x3C, 0xB2, 0xA1],
-                ],
+            Self::Mdf => Facts {
+                name: "an ASAM MDF log",
+                remedy: "convert it with python-can: python3 -m can.logconvert OLD.mf4 NEW.log",
+                magics: &[b"MDF     ", b"UnFinMF "],
                 is_first_line: NO_LINE,
-                extension: Some("pcap"),
+                extension: Some("mf4"),
             },
-            Self::CandumpScreen => Facts {
-                name: "candump's screen output",
-                remedy: "use its log format: candump -L can0",
+            Self::Sqlite => Facts {
+                name: "a database of SQLite",
+                remedy: "convert it with python-can: python3 -m can.logconvert OLD.db NEW.log",
+                magics: &[b"SQLite format 3\0"],
+                is_first_line: NO_LINE,
+                extension: Some("db"),
+            },
+            Self::Busmaster => Facts {
+                name: "a BUSMASTER log",
+                remedy: "export it from BUSMASTER as ASC",
                 magics: &[],
-                is_first_line: is_candump_screen,
+                is_first_line: |line| line.starts_with(b"***BUSMASTER"),
                 extension: None,
             },
         }
@@ -137,17 +111,4 @@ impl fmt::Display for ForeignFormat {
         let Facts { name, remedy, .. } = self.facts();
         write!(f, "{name}; {remedy}")
     }
-}
-
-/// Returns true for `  can0  123   [2]  11 22`, also with a time in parentheses before it.
-fn is_candump_screen(line: &[u8]) -> bool {
-    let words = line.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty());
-    let mut words = words.skip_while(|word| word.starts_with(b"(") && word.ends_with(b")"));
-    let (_, id, length) = (words.next(), words.next(), words.next());
-    let is_id = |id: &[u8]| [3, 8].contains(&id.len()) && id.iter().all(u8::is_ascii_hexdigit);
-    let is_length = |word: &[u8]| {
-        let inner = word.strip_prefix(b"[").and_then(|word| word.strip_suffix(b"]"));
-        inner.is_some_and(|it| !it.is_empty() && it.iter().all(u8::is_ascii_digit))
-    };
-    id.is_some_and(is_id) && length.is_some_and(is_length)
 }

@@ -1,47 +1,148 @@
 //! Log formats: bytes of a recorded log in, frames with their times out, and vice versa.
 //!
-//! A format is a file here and a row of [`FORMATS`], which defines the detection of logs,
-//! `--record`, its errors and its help. [`LogReader`] reads from any [`std::io::BufRead`]; a
-//! [`LogEncoder`] appends to a buffer. Opens no files and reads no clock. Does not know buses.
+//! A format is a file here. [`FORMATS`] defines what is written, with the errors and the help of
+//! `--record`; what a log is that is read, its bytes say. [`LogReader`] reads from any
+//! [`std::io::BufRead`], packed logs through [`Unpacked`]; a [`LogEncoder`] appends to a buffer. Opens no
+//! files and reads no clock. Does not know buses.
 
+mod asc;
+mod blf;
+mod bus_errors;
 pub mod candump;
+mod candump_screen;
+mod candump_time;
+mod channel;
+mod csv;
 mod damage;
+mod dates;
+mod fields;
 mod foreign;
 mod frame_source;
+mod loss;
+mod packet;
+mod pcap;
 pub mod pcapng;
 mod plain_line;
 mod reader;
 mod summary;
+mod text;
+mod trc;
+mod unpack;
 
 pub use damage::{Damage, MAX_WITHOUT_FRAME};
+pub use fields::FieldFault;
 pub use foreign::ForeignFormat;
 pub use frame_source::FrameSource;
+pub use loss::LogLoss;
 pub use reader::{LogPosition, LogReader};
 pub use summary::{EntryFault, LogSummary, UnreadableEntries};
+pub use unpack::{Packing, Unpacked};
 
 use crate::frame::Frame;
 use std::fmt;
 use std::io;
 use std::path::Path;
 
-/// All formats. The first one is used for a log that no other format matches.
-pub static FORMATS: [LogFormat; 2] = [candump::FORMAT, pcapng::FORMAT];
+/// The formats that are written. The first two are for recording, too.
+pub static FORMATS: [LogFormat; 6] = [
+    LogFormat {
+        name: "candump",
+        description: "candump text",
+        extensions: &["log", "txt", "candump"],
+        can_record: true,
+        encoder: || Box::new(candump::LineEncoder),
+    },
+    LogFormat {
+        name: "pcapng",
+        description: "Wireshark",
+        extensions: &["pcapng"],
+        can_record: true,
+        encoder: || Box::<pcapng::BlockEncoder>::default(),
+    },
+    LogFormat {
+        name: "asc",
+        description: "Vector ASC",
+        extensions: &["asc"],
+        can_record: false,
+        encoder: || Box::new(asc::AscEncoder::new()),
+    },
+    LogFormat {
+        name: "blf",
+        description: "Vector BLF",
+        extensions: &["blf"],
+        can_record: false,
+        encoder: || Box::new(blf::BlfEncoder::new()),
+    },
+    LogFormat {
+        name: "trc",
+        description: "PEAK TRC",
+        extensions: &["trc"],
+        can_record: false,
+        encoder: || Box::new(trc::TrcEncoder::new()),
+    },
+    LogFormat {
+        name: "csv",
+        description: "SavvyCAN CSV",
+        extensions: &["csv"],
+        can_record: false,
+        encoder: || Box::new(csv::GvretEncoder::new()),
+    },
+];
+
+/// Binary contents that are read. Any other is text.
+static CONTENTS: [LogContent; 3] = [
+    LogContent {
+        unit: "block",
+        detect: |head| FormatMatch::of_magic(&pcapng::MAGIC, head),
+        decoder: |_| Box::<pcapng::BlockDecoder>::default(),
+    },
+    LogContent {
+        unit: "packet",
+        detect: pcap::detect,
+        decoder: |_| Box::<pcap::PacketDecoder>::default(),
+    },
+    LogContent {
+        unit: "object",
+        detect: |head| FormatMatch::of_magic(blf::MAGIC, head),
+        decoder: |_| Box::<blf::ObjectDecoder>::default(),
+    },
+];
+
+/// Lines of text, in any of the text formats.
+static TEXT: LogContent = LogContent {
+    unit: "line",
+    detect: |_| FormatMatch::No,
+    decoder: |head| Box::new(text::TextDecoder::new(head)),
+};
+
+/// File name endings of logs that are read but not written, in lower case.
+const READ_EXTENSIONS: &[&str] = &["pcap", "gz", "zst", "xz"];
 
 /// The way out where nothing of a log can be read.
-pub const READABLE_LOGS: &str = "use a candump -L log or pcapng";
+pub const READABLE_LOGS: &str = "use candump, pcapng, ASC, BLF, TRC or CSV (descan help logs)";
 
-/// A log format: one row of [`FORMATS`].
+/// A log format that is written: one row of [`FORMATS`].
 #[derive(Debug)]
 pub struct LogFormat {
+    /// Name of the format on the command line.
+    pub name: &'static str,
     /// Use of the format, as in "`.log` for candump text".
     pub description: &'static str,
     /// File name endings without the dot, in lower case; the usual one first.
     pub extensions: &'static [&'static str],
+    /// A bus may be recorded in this format: a file that is cut off can be read.
+    can_record: bool,
+    encoder: fn() -> Box<dyn LogEncoder>,
+}
+
+/// What the bytes of a log are.
+#[derive(Debug)]
+struct LogContent {
     /// Unit of a log, as in "line 3 cannot be read".
     unit: &'static str,
     detect: fn(&[u8]) -> FormatMatch,
-    decoder: fn() -> Box<dyn LogDecoder>,
-    encoder: fn() -> Box<dyn LogEncoder>,
+    /// Returns the decoder of a log with these first bytes.
+    decoder: fn(&[u8]) -> Box<dyn LogDecoder>,
 }
 
 /// Result of matching the first bytes of a log with a format.
@@ -143,6 +244,17 @@ pub trait LogEncoder: fmt::Debug + Send {
     ///
     /// Those of writing to `out`.
     fn end(&mut self, names: &[String], lost: &[u64], out: &mut Vec<u8>) -> io::Result<()>;
+
+    /// Returns the first bytes of a log with their final values, which replace those of
+    /// [`Self::begin`] after the end; `None` if those are final.
+    fn head(&self) -> Option<Vec<u8>> {
+        None
+    }
+
+    /// Returns what the log does not hold of what was written so far.
+    fn loss(&self) -> LogLoss {
+        LogLoss::default()
+    }
 }
 
 /// A file name whose ending is not of a log format.
@@ -155,7 +267,7 @@ impl std::error::Error for UnknownFormat {}
 impl fmt::Display for UnknownFormat {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str("use the ending ")?;
-        for (at, format) in FORMATS.iter().enumerate() {
+        for (at, format) in LogFormat::recorded().enumerate() {
             let [usual, others @ ..] = format.extensions else { continue };
             write!(f, "{}.{usual}", if at == 0 { "" } else { ", or " })?;
             for (at, other) in others.iter().enumerate() {
@@ -168,35 +280,48 @@ impl fmt::Display for UnknownFormat {
 }
 
 impl LogFormat {
-    /// Returns the format of a file by its ending.
+    /// Returns the format in which a file is recorded, by its ending.
     ///
     /// # Errors
     ///
-    /// The file has no ending, or one that is not of a format.
+    /// The file has no ending, or one that is not of such a format.
     pub fn of(path: &Path) -> Result<&'static Self, UnknownFormat> {
+        Self::of_written(path).filter(|format| format.can_record).ok_or(UnknownFormat)
+    }
+
+    /// Returns the format in which a file is written, by its ending; `None` if it has none of a format.
+    pub fn of_written(path: &Path) -> Option<&'static Self> {
         let ending = ending_of(path);
-        FORMATS.iter().find(|it| it.extensions.contains(&ending.as_str())).ok_or(UnknownFormat)
+        FORMATS.iter().find(|it| it.extensions.contains(&ending.as_str()))
     }
 
     /// Returns true if a file has the ending of a log: of a format that is read, or of another one,
     /// whose logs are refused with the way to convert them.
     pub fn has_log_ending(path: &Path) -> bool {
-        Self::of(path).is_ok() || ForeignFormat::has_extension(&ending_of(path))
+        let ending = ending_of(path);
+        Self::of_written(path).is_some()
+            || READ_EXTENSIONS.contains(&ending.as_str())
+            || ForeignFormat::has_extension(&ending)
     }
 
-    /// Returns the usual endings with their uses, for help: `.log for candump text, .pcapng for
-    /// Wireshark`.
+    /// The formats in which buses are recorded.
+    fn recorded() -> impl Iterator<Item = &'static Self> {
+        FORMATS.iter().filter(|format| format.can_record)
+    }
+
+    /// Returns the usual endings for recording with their uses, for help: `.log for candump text,
+    /// .pcapng for Wireshark`.
     pub fn summary() -> String {
-        let rows = FORMATS.iter().filter_map(|format| {
+        let rows = Self::recorded().filter_map(|format| {
             Some(format!(".{} for {}", format.extensions.first()?, format.description))
         });
         rows.collect::<Vec<_>>().join(", ")
     }
 
-    /// Returns the usual ending of each format: `.log or .pcapng`.
+    /// Returns the usual ending of each format for recording: `.log or .pcapng`.
     pub fn usual_endings() -> String {
         let extensions =
-            FORMATS.iter().filter_map(|it| Some(format!(".{}", it.extensions.first()?)));
+            Self::recorded().filter_map(|it| Some(format!(".{}", it.extensions.first()?)));
         extensions.collect::<Vec<_>>().join(" or ")
     }
 
@@ -204,19 +329,26 @@ impl LogFormat {
     pub fn encoder(&self) -> Box<dyn LogEncoder> {
         (self.encoder)()
     }
+}
 
-    /// Returns the format of a log that begins with `head`, or the one that is not read; `None` if
+impl LogContent {
+    /// Returns the content of a log that begins with `head`, or the format that is not read; `None` if
     /// more bytes are needed. With `is_all`, there are no more.
     fn detect(head: &[u8], is_all: bool) -> Option<Result<&'static Self, ForeignFormat>> {
-        let rows = || FORMATS.iter().map(|format| (format, (format.detect)(head)));
-        let found = rows().find(|(_, found)| *found == FormatMatch::Yes);
+        let found = CONTENTS.iter().map(|content| (content, (content.detect)(head)));
         let (foreign, is_foreign) = ForeignFormat::of_head(head);
-        let mut matches = rows().map(|(_, found)| found).chain([is_foreign]);
-        let is_open = !is_all && matches.any(|found| found == FormatMatch::Undecided);
-        let fallback = || (!is_open).then_some(&FORMATS[0]);
+        let mut is_undecided = is_foreign == FormatMatch::Undecided;
+        for (content, matches) in found {
+            match matches {
+                FormatMatch::Yes => return Some(Ok(content)),
+                FormatMatch::Undecided => is_undecided = true,
+                FormatMatch::No => {}
+            }
+        }
         match foreign {
             Some(foreign) => Some(Err(foreign)),
-            None => found.map(|(format, _)| format).or_else(fallback).map(Ok),
+            None if !is_all && (is_undecided || text::needs_more(head)) => None,
+            None => Some(Ok(&TEXT)),
         }
     }
 }
@@ -248,7 +380,7 @@ mod tests {
         let purpose = |path: &str| LogFormat::of(Path::new(path)).map(|format| format.description);
         assert_eq!(purpose("a/b.LOG"), Ok("candump text"));
         assert_eq!(purpose("b.pcapng"), Ok("Wireshark"));
-        for wrong in ["b", "b.pcap", ".log", "b.log.gz"] {
+        for wrong in ["b", "b.pcap", ".log", "b.log.gz", "b.asc"] {
             assert_eq!(purpose(wrong), Err(UnknownFormat), "{wrong}");
         }
     }
@@ -265,15 +397,19 @@ mod tests {
     #[test]
     fn detection_waits_for_enough_bytes() {
         let purpose = |head, is_all| {
-            LogFormat::detect(head, is_all)
-                .map(|found| found.map_or("foreign", |it| it.description))
+            LogContent::detect(head, is_all).map(|found| found.map_or("foreign", |it| it.unit))
         };
         assert_eq!(purpose(b"LOG", false), None);
-        assert_eq!(purpose(b"LOG", true), Some("candump text"));
-        assert_eq!(purpose(b"LOGG", false), Some("foreign"));
+        assert_eq!(purpose(b"LOG", true), Some("line"));
+        assert_eq!(purpose(b"LOGG", false), Some("object"));
+        assert_eq!(purpose(b"PK\x03\x04", false), Some("foreign"));
         assert_eq!(purpose(b"\n\r\r", false), None);
-        assert_eq!(purpose(b"\n\r\r", true), Some("candump text"));
-        assert_eq!(purpose(b"\n\r\r\n", false), Some("Wireshark"));
-        assert_eq!(purpose(b"(", false), Some("candump text"));
+        assert_eq!(purpose(b"\n\r\r", true), Some("line"));
+        assert_eq!(purpose(b"\n\r\r\n", false), Some("block"));
+        assert_eq!(purpose(b"(", false), None);
+        assert_eq!(purpose(b"(1436", false), Some("line"));
+        assert_eq!(purpose(b"(000.000000) can0 1#\n?\n", false), Some("line"));
+        assert_eq!(purpose(b"(000.000000) can0 1#\n", false), None);
+        assert_eq!(purpose(b"(000.000000) can0 1#\n", true), Some("line"));
     }
 }

@@ -8,20 +8,12 @@
 
 pub use super::damage::Damage;
 
-use super::{DecodeStep, FormatMatch, LogDecoder, LogEncoder, LogEntry, LogFormat, LogSummary};
-use crate::frame::socketcan::{self as fields, ERROR_FLAG, EXTENDED_FLAG, FD_FORMAT};
-use crate::frame::{BusIndex, CanId, Frame};
+use super::packet::{self, CAN_HEAD, FileOrder, SOCKETCAN};
+use super::{DecodeStep, LogDecoder, LogEncoder, LogEntry, LogSummary};
+use crate::frame::socketcan::{self as fields, FD_FORMAT};
+use crate::frame::{BusIndex, Frame};
 use std::io::{self, Write};
 use std::sync::Arc;
-
-pub(super) const FORMAT: LogFormat = LogFormat {
-    description: "Wireshark",
-    extensions: &["pcapng"],
-    unit: "block",
-    detect: |head| FormatMatch::of_magic(&MAGIC, head),
-    decoder: || Box::<BlockDecoder>::default(),
-    encoder: || Box::<BlockEncoder>::default(),
-};
 
 /// The first four bytes of a file, in either byte order.
 pub const MAGIC: [u8; 4] = [0x0A, 0x0D, 0x0D, 0x0A];
@@ -37,12 +29,6 @@ const SIMPLE_PACKET: u32 = 3;
 const STATISTICS: u32 = 5;
 const PACKET: u32 = 6;
 const BYTE_ORDER: u32 = 0x1A2B_3C4D;
-
-const SOCKETCAN: u16 = 227;
-/// Bytes before a packet's data: identifier word, length, FD flags, two reserved bytes.
-const CAN_HEAD: usize = 8;
-/// Flag in the length byte of a CAN XL frame.
-const XL_FORMAT: u8 = 0x80;
 
 const COMMENT_OPTION: u16 = 1;
 const NAME_OPTION: u16 = 2;
@@ -65,7 +51,7 @@ const MAX_NAME: usize = 64;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, thiserror::Error)]
 pub enum PacketFault {
     /// The link type is not CAN.
-    #[error("link type {0}, expected 227 (SocketCAN)")]
+    #[error("link type {0}, expected 227 (SocketCAN), 113 or 276 (Linux cooked)")]
     LinkType(u16),
     /// The packet precedes the description of its interface.
     #[error("missing interface description")]
@@ -98,7 +84,7 @@ pub enum PacketFault {
 
 /// Splits a file into blocks and reads them.
 #[derive(Clone, Debug, Default)]
-struct BlockDecoder {
+pub(super) struct BlockDecoder {
     sections: SectionState,
     /// Beginning of an incomplete block; less than [`MAX_BLOCK`] bytes.
     partial: Vec<u8>,
@@ -307,7 +293,7 @@ impl SectionState {
                 self.add_interface(fields);
                 Ok(None)
             }
-            (PACKET, None) => self.packet(fields).map(Some),
+            (PACKET, None) => self.packet(fields),
             (SIMPLE_PACKET, None) => Err(PacketFault::NoTime),
             (OLD_PACKET, None) => Err(PacketFault::OldKind),
             _ => Ok(None),
@@ -344,7 +330,8 @@ impl SectionState {
         Arc::make_mut(&mut self.interfaces).push(interface);
     }
 
-    fn packet(&self, mut fields: Fields<'_>) -> Result<LogEntry<'_>, PacketFault> {
+    /// Reads a packet; `None` for one of another protocol than CAN.
+    fn packet(&self, mut fields: Fields<'_>) -> Result<Option<LogEntry<'_>>, PacketFault> {
         let mut field = || fields.u32().ok_or(PacketFault::Short);
         let (interface, high, low, captured, _original) =
             (field()?, field()?, field()?, field()?, field()?);
@@ -353,19 +340,26 @@ impl SectionState {
                 MAX_INTERFACES => PacketFault::TooManyInterfaces,
                 _ => PacketFault::Interface,
             })?;
-        if interface.link_type != SOCKETCAN {
+        if !packet::is_known(interface.link_type) {
             return Err(PacketFault::LinkType(interface.link_type));
         }
         let data = fields.padded(captured as usize).ok_or(PacketFault::Short)?;
-        let mut frame = decode(data)?;
+        let order = if self.big_endian { FileOrder::Big } else { FileOrder::Little };
+        let Some(packet) = packet::decode(interface.link_type, data, order)? else {
+            return Ok(None);
+        };
+        let mut frame = packet.frame;
         while let Some((option, value)) = fields.option() {
             if option == FLAGS_OPTION {
                 let flags = Fields { bytes: value, ..fields }.u32().unwrap_or(0);
-                frame.is_tx = flags & DIRECTION == OUTBOUND;
+                match flags & DIRECTION {
+                    0 => {}
+                    direction => frame.is_tx = direction == OUTBOUND,
+                }
             }
         }
         let unix_micros = interface.micros(u64::from(high) << 32 | u64::from(low));
-        Ok(LogEntry { unix_micros, interface: &interface.name, frame })
+        Ok(Some(LogEntry { unix_micros, interface: &interface.name, frame }))
     }
 }
 
@@ -447,23 +441,6 @@ impl<'b> Fields<'b> {
         self.bytes = rest;
         Some(*bytes)
     }
-}
-
-/// Decodes a packet. Its identifier word is big-endian in any section.
-fn decode(packet: &[u8]) -> Result<Frame, PacketFault> {
-    let (head, data) = packet.split_at_checked(CAN_HEAD).ok_or(PacketFault::NoFrame)?;
-    let raw = u32::from_be_bytes([head[0], head[1], head[2], head[3]]);
-    let (len, flags) = (usize::from(head[4]), head[5]);
-    if head[4] & XL_FORMAT != 0 {
-        return Err(PacketFault::Xl);
-    }
-    let has_id = raw & (EXTENDED_FLAG | ERROR_FLAG) != 0;
-    if !has_id && raw & CanId::MAX_EXTENDED > u32::from(CanId::MAX_STANDARD) {
-        return Err(PacketFault::NoFrame);
-    }
-    // Writers without the FDF flag mark FD frames only by their length.
-    let fd = flags & FD_FORMAT != 0 || len > Frame::MAX_CLASSIC_DATA;
-    fields::decode(raw, len, fd.then_some(flags), data).ok_or(PacketFault::NoFrame)
 }
 
 // --- writing ------------------------------------------------------------------------------
@@ -577,7 +554,7 @@ pub fn write_statistics(
 
 /// Writes one section; a bus becomes an interface with its first frame.
 #[derive(Debug, Default)]
-struct BlockEncoder {
+pub(super) struct BlockEncoder {
     /// Interfaces by their number in the section.
     interfaces: Vec<InterfaceCount>,
     last_micros: u64,

@@ -5,7 +5,7 @@
 //! log, the frames before the damage are read. Does not know the session's clock: replay is in
 //! `bus::replay`.
 
-use super::{DecodeStep, LogDecoder, LogFormat, LogSummary};
+use super::{Damage, DecodeStep, LogContent, LogDecoder, LogSummary};
 use crate::frame::Frame;
 use crate::time::Instant;
 use std::fs::File;
@@ -27,6 +27,8 @@ pub struct LogReader<R> {
     decoder: Option<Box<dyn LogDecoder>>,
     /// True if a last entry without its end is kept for later instead of being read.
     keeps_unfinished: bool,
+    /// The clock for frames of a log without times.
+    arrival: Option<fn() -> u64>,
     summary: LogSummary,
 }
 
@@ -74,6 +76,7 @@ impl<R: BufRead> LogReader<R> {
             head: position.head.clone(),
             decoder: position.decoder.as_ref().map(|decoder| decoder.copy()),
             keeps_unfinished: false,
+            arrival: None,
             summary: position.summary.clone(),
         }
     }
@@ -94,8 +97,14 @@ impl<R: BufRead> LogReader<R> {
             head: Vec::new(),
             decoder: None,
             keeps_unfinished: false,
+            arrival: None,
             summary: LogSummary::default(),
         }
+    }
+
+    /// Gives frames of a log without times the time at which they are read, in microseconds since 1970.
+    pub fn date_arrivals(&mut self, clock: fn() -> u64) {
+        self.arrival = Some(clock);
     }
 
     /// Keeps a last entry without its end from now on, because another program may still be writing
@@ -111,7 +120,33 @@ impl<R: BufRead> LogReader<R> {
 
     /// Reads the last entry although its end is missing; `None` if there is no such frame.
     pub fn read_partial_entry(&mut self) -> Option<Frame> {
-        self.decoder.as_mut()?.read_partial_entry(&mut self.summary)
+        if self.decoder.is_none() && !self.head.is_empty() {
+            // What is known is all that there is.
+            self.take_content(true);
+        }
+        let decoder = self.decoder.as_mut()?;
+        while !self.head.is_empty() {
+            let (used, step) = decoder.decode(&self.head, &mut self.summary);
+            self.head.drain(..used);
+            match step {
+                DecodeStep::Frame(frame) => return Some(frame),
+                DecodeStep::Nothing => {}
+                DecodeStep::End => return None,
+            }
+        }
+        decoder.read_partial_entry(&mut self.summary)
+    }
+
+    /// Sets the decoder, if the first bytes of the log show its format; with `is_all`, there are no more.
+    fn take_content(&mut self, is_all: bool) {
+        match LogContent::detect(&self.head, is_all) {
+            Some(Ok(content)) => {
+                self.summary.unit = content.unit;
+                self.decoder = Some((content.decoder)(&self.head));
+            }
+            Some(Err(foreign)) => self.summary.foreign = Some(foreign),
+            None => {}
+        }
     }
 
     /// Returns true if the rest cannot be read, even if the source grows.
@@ -166,6 +201,11 @@ impl<R: BufRead> LogReader<R> {
             return Ok(DecodeStep::End);
         }
         let Some(decoder) = &mut self.decoder else { return self.detect() };
+        if let Some(clock) = self.arrival
+            && (self.summary.is_timeless || self.summary.own_frames() == 0)
+        {
+            self.summary.arrival = clock();
+        }
         if !self.head.is_empty() {
             let (used, step) = decoder.decode(&self.head, &mut self.summary);
             self.head.drain(..used);
@@ -174,6 +214,12 @@ impl<R: BufRead> LogReader<R> {
         let buffer = match self.source.fill_buf() {
             Err(error) if error.kind() == io::ErrorKind::Interrupted => {
                 return Ok(DecodeStep::Nothing);
+            }
+            // A packed log: see `Unpacked`.
+            Err(error) if packed_damage(&error).is_some() => {
+                // An entry may be cut off: it is not read.
+                self.summary.damage = packed_damage(&error);
+                return Ok(DecodeStep::End);
             }
             buffer => buffer?,
         };
@@ -197,31 +243,27 @@ impl<R: BufRead> LogReader<R> {
             Err(error) if error.kind() == io::ErrorKind::Interrupted => {
                 return Ok(DecodeStep::Nothing);
             }
+            Err(error) if packed_damage(&error).is_some() => {
+                self.summary.damage = packed_damage(&error);
+                None
+            }
             buffer => buffer?.first().copied(),
         };
-        if byte.is_none() && self.head.is_empty() {
+        // More of it may be written later.
+        if byte.is_none() && (self.head.is_empty() || self.keeps_unfinished) {
             return Ok(DecodeStep::End);
         }
         self.head.extend(byte);
         self.source.consume(usize::from(byte.is_some()));
-        match LogFormat::detect(&self.head, byte.is_none()) {
-            Some(Ok(format)) => {
-                self.summary.unit = format.unit;
-                self.decoder = Some((format.decoder)());
-            }
-            Some(Err(foreign)) => self.summary.foreign = Some(foreign),
-            None => {}
-        }
+        self.take_content(byte.is_none());
         Ok(DecodeStep::Nothing)
     }
 }
 
 impl<R: Read> LogReader<BufReader<R>> {
-    /// Reads the following bytes as the beginning of another log that replaces this one. The
-    /// summary continues.
-    pub fn restart(&mut self) {
-        let left = self.source.buffer().len();
-        self.source.consume(left);
+    /// Reads another log that replaces this one, from its beginning. The summary continues.
+    pub fn restart(&mut self, source: BufReader<R>) {
+        self.source = source;
         self.head.clear();
         self.decoder = None;
         self.summary.begin_another_log();
@@ -257,6 +299,15 @@ impl<R: Read> LogReader<BufReader<R>> {
             None => !buffer.is_empty(),
             Some(decoder) => !self.head.is_empty() || decoder.can_decode(buffer),
         }
+    }
+}
+
+/// Returns the damage of a packed log that an error of [`super::Unpacked`] says.
+fn packed_damage(error: &io::Error) -> Option<Damage> {
+    match error.kind() {
+        io::ErrorKind::UnexpectedEof => Some(Damage::Truncated),
+        io::ErrorKind::InvalidData => Some(Damage::Compression),
+        _ => None,
     }
 }
 
@@ -297,7 +348,7 @@ not a line
             interface: "can0",
             frame: Frame::classic(micros as u32, &[1, 2, 3]),
         };
-        for format in &super::super::FORMATS {
+        for format in super::super::FORMATS.iter().filter(|format| format.can_record) {
             let (mut encoder, mut log) = (format.encoder(), Vec::new());
             encoder.begin(&mut log).unwrap();
             for number in 0..1000 {

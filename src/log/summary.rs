@@ -7,6 +7,7 @@
 use super::LogEntry;
 use super::candump::LineFault;
 use super::damage::Damage;
+use super::fields::FieldFault;
 use super::foreign::ForeignFormat;
 use super::pcapng::PacketFault;
 use crate::frame::{BusIndex, Frame};
@@ -29,6 +30,9 @@ pub enum EntryFault {
     /// A block of a pcapng file.
     #[error(transparent)]
     Packet(#[from] PacketFault),
+    /// A line of another text format, or an object of a BLF log.
+    #[error(transparent)]
+    Field(#[from] FieldFault),
     /// More interface names than there are bus numbers.
     #[error("more than 256 interface names in one log")]
     TooManyInterfaces,
@@ -61,6 +65,12 @@ pub struct LogSummary {
     pub epoch: Option<Epoch>,
     /// Moment of the last frame, counted from the first.
     pub last: Instant,
+    /// Time of the last frame as it is in the log, in microseconds since 1970.
+    pub written_micros: u64,
+    /// The log has no times: its frames have those at which they were read, or all the same.
+    pub is_timeless: bool,
+    /// Time at which the next entry is read, in microseconds since 1970; 0 if it is not known.
+    pub(super) arrival: u64,
     /// Offset added to the times in the log, because the clock was set back.
     ahead: Duration,
     /// Offset before the last clock step. The clock may be set back and forth, and two interfaces
@@ -171,6 +181,7 @@ impl LogSummary {
             None => self.moment(epoch.since_start(unix_micros)),
         };
         self.frames += 1;
+        self.written_micros = unix_micros;
         frame.with_time(self.last)
     }
 
@@ -224,6 +235,9 @@ impl fmt::Display for LogSummary {
         }
         if let Some(damage) = self.damage {
             write!(f, "; {damage}")?;
+        }
+        if self.is_timeless {
+            write!(f, "; without times")?;
         }
         match self.clock_steps_back {
             0 => Ok(()),

@@ -4,8 +4,9 @@
 //! the log is read.
 
 use super::waiting::sleep_for;
+use crate::bus::wall_micros;
 use crate::frame::Frame;
-use crate::log::{DecodeStep, LogReader, LogSummary, UnreadableEntries};
+use crate::log::{DecodeStep, LogReader, LogSummary, Unpacked, UnreadableEntries};
 use crate::time::{Epoch, Instant};
 use std::fs::File;
 use std::io::{self, BufReader};
@@ -309,7 +310,7 @@ impl LogInput {
 /// Reads the first frame; `None` if there is none. Sends a batch when it is doubtful that there is
 /// one.
 fn read_first(
-    reader: &mut LogReader<BufReader<File>>,
+    reader: &mut LogReader<BufReader<Unpacked<'_>>>,
     to: &Sender<io::Result<LogBatch>>,
 ) -> io::Result<Option<Frame>> {
     let mut is_reported = false;
@@ -328,7 +329,7 @@ fn read_first(
     }
 }
 
-fn is_doubtful(reader: &LogReader<BufReader<File>>) -> bool {
+fn is_doubtful(reader: &LogReader<BufReader<Unpacked<'_>>>) -> bool {
     reader.summary().is_doubtful(reader.source().buffer().is_empty())
 }
 
@@ -341,7 +342,11 @@ fn read_all(
     spare: &mpsc::Receiver<Vec<Frame>>,
 ) -> io::Result<()> {
     let from = Instant::ZERO + from;
-    let mut reader = LogReader::new(BufReader::with_capacity(1 << 16, log));
+    let is_file = log.metadata()?.is_file();
+    let mut reader = LogReader::new(BufReader::with_capacity(1 << 16, Unpacked::new(log)));
+    if !is_file {
+        reader.date_arrivals(wall_micros);
+    }
     let mut named = 0;
     let mut next = read_first(&mut reader, to)?;
     loop {

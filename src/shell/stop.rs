@@ -127,8 +127,12 @@ pub fn exit_if_stuck(stuck: u8, restore: impl FnOnce() + Send + 'static) -> io::
     on_signal(stuck, || {}, restore)
 }
 
-/// Calls `notify` on the first signal, on a separate thread, and exits [`EXIT_TIMEOUT`] after it.
-fn on_signal(
+/// Calls `notify` on the first signal, on a separate thread. If the program has not ended 0.9 s later,
+/// calls `restore` and exits with the code `stuck`.
+///
+/// # Errors
+/// No signal handler or thread could be set up.
+pub fn on_signal(
     stuck: u8,
     notify: impl FnOnce() + Send + 'static,
     restore: impl FnOnce() + Send + 'static,

@@ -31,11 +31,16 @@ pub struct Target {
 }
 
 /// All targets.
-pub const TARGETS: [Target; 14] = [
+pub const TARGETS: [Target; 19] = [
     protocol::SLCAN,
     protocol::SOCKETCAND,
     udp::UDP,
     log::CANDUMP,
+    log::ASC,
+    log::TRC,
+    log::CSV,
+    log::PCAP,
+    log::PACKED,
     log::PCAPNG,
     document::DOCUMENT,
     profile::PROFILE,

@@ -1,6 +1,7 @@
 //! When a log was recorded: the dates of its first and its last frame, without what is between.
 
-use crate::log::{LogReader, LogSummary};
+use super::packing;
+use crate::log::{LogReader, LogSummary, Unpacked};
 use crate::time::{Duration, Instant};
 use std::fs::File;
 use std::io::{self, BufReader};
@@ -24,11 +25,13 @@ impl LogDates {
     ///
     /// Those of the file system.
     pub fn read(log: &File) -> io::Result<(LogSummary, Option<Self>)> {
-        let mut reader = LogReader::new(BufReader::new(log));
+        let mut reader = LogReader::new(BufReader::new(Unpacked::new(log)));
         reader.next_frame()?;
         let summary = reader.summary().clone();
         let Some(epoch) = summary.epoch else { return Ok((summary, None)) };
-        let end = reader.position().last_time_of(log)?;
+        // The end of a packed log is not looked for.
+        let end =
+            if packing(log)?.is_some() { None } else { reader.position().last_time_of(log)? };
         let last = epoch.unix_micros(end.unwrap_or(Instant::ZERO));
         let first = epoch.unix_micros(Instant::ZERO);
         Ok((summary, Some(Self { first, last, has_end: end.is_some() })))

@@ -10,22 +10,23 @@ pub(super) mod file;
 mod index;
 pub(super) mod stdin;
 
-use super::clock::Clock;
+use super::clock::{Clock, wall_micros};
 use super::faults::cannot_open;
 use super::kind::OpenRequest;
 use super::port::{Port, PortShared};
 use crate::diagnostic::Diagnostic;
 use crate::frame::{BusIndex, Frame};
-use crate::log::{DecodeStep, LogReader, READABLE_LOGS};
+use crate::log::{DecodeStep, LogReader, Packing, READABLE_LOGS, Unpacked};
 use crate::status::{Link, RateSearch};
 use crate::time::{Duration, Instant};
 use index::LogIndex;
 use std::fs::{self, File, Metadata};
-use std::io::{self, BufReader, Read, Seek, SeekFrom};
+use std::io::{self, BufReader, Read, Seek, SeekFrom, Write};
 use std::os::fd::AsFd;
-use std::os::unix::fs::MetadataExt;
+use std::os::unix::fs::{FileExt, MetadataExt};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant as Monotonic;
 
 /// Lateness of a frame beyond which the rest of the log is shifted with it. A live log
@@ -62,8 +63,8 @@ fn start(log: File, path: Option<&Path>, request: OpenRequest) -> io::Result<Por
         status.rate_search = RateSearch::NoRate;
         status.listen_only = true;
     });
-    let metadata = log.metadata()?;
-    let (is_file, size) = (metadata.is_file(), metadata.len());
+    let log = OpenLog::new(log)?;
+    let is_file = log.is_file;
     clock.log_opens(bus, !is_file);
     let later = clock.start_of(bus).map_or(Duration::ZERO, |start| start.since(clock.now()));
     if !later.is_zero() {
@@ -74,11 +75,13 @@ fn start(log: File, path: Option<&Path>, request: OpenRequest) -> io::Result<Por
     }
     let mut port = Port::new(&name, Arc::clone(&shared), true);
     let path = path.filter(|_| is_file).map(Path::to_owned);
-    let source = LogSource { log, shared: Arc::clone(&shared), is_file, read: 0, size };
-    let reader = LogReader::new(BufReader::with_capacity(1 << 16, source));
+    let (source, unpacked) = log.source(&shared)?;
+    let mut reader = LogReader::new(source);
+    if !is_file {
+        reader.date_arrivals(wall_micros);
+    }
     let index = if is_file {
-        let log = reader.source().get_ref().log.try_clone()?;
-        let index = LogIndex::new(log, bus, reader.position());
+        let index = LogIndex::new(unpacked, bus, reader.position());
         port.set_frame_source(Box::new(index.clone()));
         Some(index)
     } else {
@@ -87,6 +90,7 @@ fn start(log: File, path: Option<&Path>, request: OpenRequest) -> io::Result<Por
     port.serve(move |shared| {
         let mut replay = Replay {
             reader,
+            log,
             index,
             shared: Arc::clone(shared),
             path,
@@ -114,7 +118,8 @@ fn start(log: File, path: Option<&Path>, request: OpenRequest) -> io::Result<Por
 }
 
 struct Replay {
-    reader: LogReader<BufReader<LogSource>>,
+    reader: LogReader<BufReader<Unpacked<'static>>>,
+    log: OpenLog,
     /// Where its frames can be read again; `None` if they cannot.
     index: Option<LogIndex>,
     shared: Arc<PortShared>,
@@ -185,10 +190,10 @@ impl Replay {
     /// Reads another log from its start. Its frames follow after what reads the queue has taken those
     /// before, and knows of the change.
     fn begin_another_log(&mut self, why: &str) -> io::Result<()> {
-        self.reader.restart();
+        let (source, unpacked) = self.log.source(&self.shared)?;
+        self.reader.restart(source);
         if let Some(index) = &self.index {
-            let log = self.reader.source().get_ref().log.try_clone()?;
-            index.restart(log, self.reader.position());
+            index.restart(unpacked, self.reader.position());
         }
         let queue = &self.shared.queue;
         while queue.has_frames() && !self.shared.is_stopped() {
@@ -225,7 +230,7 @@ impl Replay {
             return Ok(frame);
         }
         // The last line may have no end because it is just being written.
-        let written = self.reader.source().get_ref().log.metadata()?.modified()?;
+        let written = self.log.file.metadata()?.modified()?;
         let is_left = written.elapsed().is_ok_and(|age| age >= UNFINISHED);
         Ok(if is_left { self.reader.read_partial_entry() } else { None })
     }
@@ -235,7 +240,7 @@ impl Replay {
         let Some(index) = &self.index else { return };
         let place = || {
             let source = self.reader.source();
-            let offset = source.get_ref().read - source.buffer().len() as u64;
+            let offset = source.get_ref().count() - source.buffer().len() as u64;
             (self.reader.position(), offset)
         };
         index.note_frame(self.reader.summary().frames, place);
@@ -385,8 +390,7 @@ impl Replay {
 
     /// Reports how much is read, if the size is known.
     fn report_position(&mut self) {
-        let source = self.reader.source();
-        let percent = source.get_ref().percent(source.buffer().len());
+        let percent = self.log.percent(self.reader.source().buffer().len());
         let unreadable = self.reader.summary().lost_entries();
         if (percent, unreadable) != (self.percent, self.unreadable) {
             (self.percent, self.unreadable) = (percent, unreadable);
@@ -416,7 +420,7 @@ impl Replay {
                 is_told = true;
             }
             let is_damaged = self.reader.is_damaged();
-            if let Some(more) = self.reader.source_mut().get_mut().check_file(&path, is_damaged)? {
+            if let Some(more) = self.log.check_file(&path, is_damaged)? {
                 self.is_resuming |= is_told || matches!(more, Continuation::Anew(_));
                 self.is_another |= matches!(more, Continuation::Anew(_));
                 return Ok(Some(more));
@@ -454,49 +458,117 @@ impl Drop for Replay {
     }
 }
 
-/// A log that ends when the port is dropped, also while waiting for input.
-struct LogSource {
-    log: File,
-    shared: Arc<PortShared>,
-    is_file: bool,
-    /// Bytes read.
-    read: u64,
-    /// Its size in bytes when it was last checked.
-    size: u64,
+/// Returns how a log file is packed; `None` if it is not.
+fn packing(log: &File) -> io::Result<Option<Packing>> {
+    let mut head = [0; Packing::HEAD];
+    let len = log.read_at(&mut head, 0)?;
+    Ok(Packing::of_head(&head[..len]))
 }
 
-impl LogSource {
+/// Returns a file without a name for what a packed log contains, whose frames are read there again.
+///
+/// # Errors
+///
+/// Those of the file system, with the folder and the way to name another one.
+fn unpacked_file() -> io::Result<(File, PathBuf)> {
+    let folder = std::env::var_os("TMPDIR").map_or_else(|| "/var/tmp".into(), PathBuf::from);
+    match tempfile::tempfile_in(&folder) {
+        Ok(file) => Ok((file, folder)),
+        Err(error) => Err(cannot_unpack(&folder, &error)),
+    }
+}
+
+/// Writes what a packed log contains.
+struct UnpackedCopy {
+    file: File,
+    folder: PathBuf,
+}
+
+impl Write for UnpackedCopy {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.file.write(bytes).map_err(|error| cannot_unpack(&self.folder, &error))
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+fn cannot_unpack(folder: &Path, error: &io::Error) -> io::Error {
+    let folder = folder.display();
+    io::Error::other(format!("cannot unpack it in {folder}: {error}; name another with TMPDIR"))
+}
+
+/// The file of a log.
+struct OpenLog {
+    file: Arc<File>,
+    is_file: bool,
+    /// Bytes read.
+    read: Arc<AtomicU64>,
+    /// Its size in bytes when it was last checked.
+    size: u64,
+    is_packed: bool,
+}
+
+impl OpenLog {
+    fn new(file: File) -> io::Result<Self> {
+        let metadata = file.metadata()?;
+        let is_file = metadata.is_file();
+        let is_packed = is_file && packing(&file)?.is_some();
+        let (file, size) = (Arc::new(file), metadata.len());
+        Ok(Self { file, is_file, read: Arc::default(), size, is_packed })
+    }
+
+    /// Returns the bytes of the log from the start of the file, and the file in which they lie unpacked.
+    fn source(&self, shared: &Arc<PortShared>) -> io::Result<(BufReader<Unpacked<'static>>, File)> {
+        let (file, read) = (Arc::clone(&self.file), Arc::clone(&self.read));
+        let source = LogSource { file, shared: Arc::clone(shared), read };
+        let mut source = Unpacked::new(source);
+        let unpacked = if self.is_packed {
+            let (file, folder) = unpacked_file()?;
+            source = source.with_copy(UnpackedCopy { file: file.try_clone()?, folder });
+            file
+        } else {
+            self.file.try_clone()?
+        };
+        Ok((BufReader::with_capacity(1 << 16, source), unpacked))
+    }
+
     /// How much is decoded, in percent; `buffered` bytes are not. `None` if the size is not known.
     fn percent(&self, buffered: usize) -> Option<u8> {
-        let read = self.read.saturating_sub(buffered as u64);
-        let percent = (read * 100).checked_div(self.size.max(self.read))?;
+        let (all, buffered) = (self.read(), if self.is_packed { 0 } else { buffered as u64 });
+        let percent = (all.saturating_sub(buffered) * 100).checked_div(self.size.max(all))?;
         self.is_file.then(|| percent.min(100) as u8)
     }
 
-    /// Checks whether there is more than was read.
+    fn read(&self) -> u64 {
+        self.read.load(Ordering::Relaxed)
+    }
+
+    /// Checks whether there is more than was read. A packed log that grew is not read on.
     fn check_file(&mut self, path: &Path, is_damaged: bool) -> io::Result<Option<Continuation>> {
-        let own = self.log.metadata()?;
+        let own = self.file.metadata()?;
+        let is_shorter = own.len() < self.read().min(self.size);
         self.size = own.len();
-        if own.len() < self.read {
-            self.log.seek(SeekFrom::Start(0))?;
-            self.read = 0;
+        if is_shorter {
+            (&*self.file).seek(SeekFrom::Start(0))?;
+            *self = Self::new(self.file.try_clone()?)?;
             return Ok(Some(Continuation::Anew(
                 "log truncated: read from its start, devices start over",
             )));
         }
-        if own.len() > self.read {
-            if !is_damaged {
+        if own.len() > self.read() {
+            if !is_damaged && !self.is_packed {
                 return Ok(Some(Continuation::Grown));
             }
             // It cannot be read; but the file may still be truncated.
-            self.read = own.len();
+            self.read.store(own.len(), Ordering::Relaxed);
         }
         let is_other = |there: &Metadata| (there.dev(), there.ino()) != (own.dev(), own.ino());
         if fs::metadata(path).is_ok_and(|there| there.is_file() && is_other(&there))
             && let Ok(log) = File::open(path)
         {
-            self.size = log.metadata()?.len();
-            (self.log, self.read) = (log, 0);
+            *self = Self::new(log)?;
             return Ok(Some(Continuation::Anew(
                 "log replaced: new one is read, devices start over",
             )));
@@ -505,23 +577,29 @@ impl LogSource {
     }
 }
 
+/// The bytes of a log, which ends when the port is dropped, also while waiting for input.
+struct LogSource {
+    file: Arc<File>,
+    shared: Arc<PortShared>,
+    read: Arc<AtomicU64>,
+}
+
 impl Read for LogSource {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
-        loop {
-            if self.shared.wait(Some(self.log.as_fd()), None)? {
-                match self.log.read(buffer) {
+        // It may be read on after the end that it says.
+        while !self.shared.is_stopped() {
+            if self.shared.wait(Some(self.file.as_fd()), None)? {
+                match (&*self.file).read(buffer) {
                     // A pipe that another reader was quicker at.
                     Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
                     read => {
                         let read = read?;
-                        self.read += read as u64;
+                        self.read.fetch_add(read as u64, Ordering::Relaxed);
                         return Ok(read);
                     }
                 }
             }
-            if self.shared.is_stopped() {
-                return Ok(0);
-            }
         }
+        Ok(0)
     }
 }

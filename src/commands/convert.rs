@@ -1,0 +1,193 @@
+//! `descan convert`: a log in another format.
+//!
+//! Reads frame by frame, in constant memory, and writes a file beside OUT, which takes its place at the
+//! end. Does not know formats.
+
+use super::diff::spec_of;
+use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure, output};
+use crate::bus::{self, BusSpec, wall_micros};
+use crate::cli::ConvertArgs;
+use crate::diagnostic::Diagnostic;
+use crate::log::{
+    FORMATS, LogEncoder, LogEntry, LogFormat, LogReader, LogSummary, READABLE_LOGS, Unpacked,
+};
+use crate::regular_file::{self, shown};
+use crate::shell::stop;
+use std::fs::{File, Permissions};
+use std::io::{self, BufReader, Seek, SeekFrom, Write};
+use std::os::fd::AsFd;
+use std::os::unix::fs::PermissionsExt;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use tempfile::NamedTempFile;
+
+/// Bytes that are written at once.
+const PART: usize = 1 << 16;
+
+/// Writes the log.
+pub fn run(args: &ConvertArgs) -> Result<u8, Failure> {
+    let format = format_of(args)?;
+    let spec = spec_of(&args.input);
+    let unusable = |error: io::Error| Failure::from(Diagnostic::unreadable(&spec, &error));
+    let file = match &spec {
+        BusSpec::File(path) => bus::open_log(path)?,
+        _ => File::from(io::stdin().as_fd().try_clone_to_owned().map_err(unusable)?),
+    };
+    let is_file = file.metadata().map_err(unusable)?.is_file();
+    let mut reader = LogReader::new(BufReader::with_capacity(PART, Unpacked::new(file)));
+    if !is_file {
+        reader.date_arrivals(wall_micros);
+    }
+    let mut target = Target::create(&args.output, args.force)?;
+    let is_stopped = target.stop_on_signal()?;
+    let mut encoder = format.encoder();
+    let mut part = Vec::with_capacity(PART + 1024);
+    encoder.begin(&mut part).map_err(|error| target.not_written(&error))?;
+    while !is_stopped.load(Ordering::Relaxed) {
+        let Some(frame) = reader.next_frame().map_err(unusable)? else { break };
+        let summary = reader.summary();
+        let interface = summary.interfaces.get(usize::from(frame.bus.0));
+        let interface = interface.map_or("", String::as_str);
+        let entry = LogEntry { unix_micros: summary.written_micros, interface, frame };
+        let written = encoder.write(entry, u64::MAX, &mut part);
+        written.map_err(|error| target.not_written(&error))?;
+        if part.len() >= PART {
+            target.write(&part)?;
+            part.clear();
+        }
+    }
+    if is_stopped.load(Ordering::Relaxed) {
+        return Ok(EXIT_INTERRUPTED);
+    }
+    let summary = reader.summary();
+    if summary.own_frames() == 0 {
+        let fault = Diagnostic::new(summary.to_string());
+        let fault = if summary.lost_entries() > 0 {
+            fault.with_remedy(READABLE_LOGS)
+        } else {
+            fault.with_remedy("check that it is the right log")
+        };
+        return Err(fault.of(&spec).into());
+    }
+    let names = summary.interfaces.to_vec();
+    encoder.end(&names, &[], &mut part).map_err(|error| target.not_written(&error))?;
+    target.write(&part)?;
+    target.finish(encoder.head(), args.force)?;
+    report(summary, encoder.as_ref(), &spec, &args.output);
+    Ok(if summary.lost_entries() > 0 { EXIT_FINDINGS } else { EXIT_OK })
+}
+
+fn format_of(args: &ConvertArgs) -> Result<&'static LogFormat, Failure> {
+    if let Some(name) = &args.format {
+        // The command line has checked the name.
+        return FORMATS
+            .iter()
+            .find(|format| format.name == name)
+            .ok_or_else(|| Failure::Usage(format!("no format {name}")));
+    }
+    LogFormat::of_written(&args.output).ok_or_else(|| {
+        let names: Vec<_> = FORMATS.iter().map(|format| format.name).collect();
+        let out = shown(&args.output);
+        let cause = "the name says no format";
+        Failure::Usage(format!("{out}: {cause}; --format names one: {}", names.join(", ")))
+    })
+}
+
+/// Prints on standard error what was written, and what was not.
+fn report(summary: &LogSummary, encoder: &dyn LogEncoder, spec: &BusSpec, out: &Path) {
+    output::warn(format_args!("{spec}: {summary}"));
+    let loss = encoder.loss();
+    if !loss.is_empty() {
+        output::warn(format_args!("{}: not in this format: {loss}", shown(out)));
+    }
+}
+
+/// Where the log is written.
+struct Target {
+    path: PathBuf,
+    /// The file until it takes its place; `None` for standard output.
+    file: Option<NamedTempFile>,
+}
+
+impl Target {
+    fn create(path: &Path, force: bool) -> Result<Self, Failure> {
+        let path = path.to_owned();
+        if path == Path::new("-") {
+            return Ok(Self { path, file: None });
+        }
+        // What is no file, such as /dev/full, is not replaced.
+        let metadata = std::fs::metadata(&path).ok();
+        if metadata.as_ref().is_some_and(|it| !it.is_file()) {
+            return Err(Diagnostic::new("not a file").of(shown(&path)).into());
+        }
+        if metadata.is_some() && !force {
+            let fault = Diagnostic::new("already exists").with_remedy("--force replaces it");
+            return Err(fault.of(shown(&path)).into());
+        }
+        // Of a link, the file that it leads to is replaced.
+        let path = std::fs::canonicalize(&path).unwrap_or(path);
+        let folder = path.parent().filter(|it| !it.as_os_str().is_empty());
+        let file = tempfile::Builder::new()
+            .prefix(".descan-")
+            .permissions(Permissions::from_mode(0o666))
+            .tempfile_in(folder.unwrap_or(Path::new(".")));
+        match file {
+            Ok(file) => Ok(Self { path, file: Some(file) }),
+            Err(error) => Err(not_written(&path, &error)),
+        }
+    }
+
+    /// Returns what is set on the first signal. A program that is still waiting for input 0.9 s later
+    /// exits without the file.
+    fn stop_on_signal(&self) -> Result<Arc<AtomicBool>, Failure> {
+        let is_stopped = Arc::new(AtomicBool::new(false));
+        let flag = Arc::clone(&is_stopped);
+        let temporary = self.file.as_ref().map(|file| file.path().to_owned());
+        let discard = move || {
+            if let Some(path) = temporary {
+                // It may be gone.
+                let _ = std::fs::remove_file(path);
+            }
+        };
+        stop::on_signal(EXIT_INTERRUPTED, move || flag.store(true, Ordering::Relaxed), discard)
+            .map_err(|error| Failure::System(error.into()))?;
+        Ok(is_stopped)
+    }
+
+    fn write(&mut self, bytes: &[u8]) -> Result<(), Failure> {
+        match &mut self.file {
+            Some(file) => {
+                let written = file.write_all(bytes);
+                written.map_err(|error| not_written(&self.path, &error))
+            }
+            None => output::print_own(bytes),
+        }
+    }
+
+    /// Replaces the first bytes of the file with `head`, and puts it in its place.
+    fn finish(self, head: Option<Vec<u8>>, force: bool) -> Result<(), Failure> {
+        let Some(mut file) = self.file else { return Ok(()) };
+        let complete = || -> io::Result<()> {
+            if let Some(head) = head {
+                file.seek(SeekFrom::Start(0))?;
+                file.write_all(&head)?;
+            }
+            if force {
+                file.persist(&self.path)?;
+            } else {
+                file.persist_noclobber(&self.path)?;
+            }
+            Ok(())
+        };
+        complete().map_err(|error| not_written(&self.path, &error))
+    }
+
+    fn not_written(&self, error: &io::Error) -> Failure {
+        not_written(&self.path, error)
+    }
+}
+
+fn not_written(path: &Path, error: &io::Error) -> Failure {
+    regular_file::of_system(error, "not written").of(shown(path)).into()
+}

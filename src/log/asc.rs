@@ -1,0 +1,336 @@
+//! ASC, the text log of Vector's tools: reads and writes it.
+//!
+//! Source: the logs that CANalyzer 9 to 12, python-can and SavvyCAN write. Times count from the date of
+//! the measurement, which is local time; with `timestamps relative` each counts from the event before.
+//! Events that are no frames are passed over. Does not know moments or bus numbers.
+
+use super::bus_errors::{bus_error, capture_of, captured, overload};
+use super::channel::{ChannelNumbers, channel_name};
+use super::dates::{asc_date, local_time};
+use super::fields::{
+    FieldFault, bytes, can_id, channel, check_line, data_frame, first_word, fixed_point,
+    len_of_dlc, number, starts_with_ignoring_case as starts, words,
+};
+use super::{LogEncoder, LogEntry, LogLoss};
+use crate::frame::socketcan::{BIT_RATE_SWITCH, ERROR_STATE};
+use crate::frame::{CanId, Frame, FrameKind};
+use std::io::{self, Write};
+
+/// Flags at the end of a line of an FD frame.
+const REMOTE: u32 = 0x10;
+const FD: u32 = 0x1000;
+const SWITCHED: u32 = 0x2000;
+const PASSIVE: u32 = 0x4000;
+
+/// What the lines so far say about those that follow.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct AscLines {
+    /// Base of identifiers and data: 10 or 16.
+    base: u32,
+    /// Each time counts from the event before.
+    is_relative: bool,
+    /// Date of the measurement, in microseconds since 1970.
+    start: u64,
+    /// Time of the last event, in microseconds since the start.
+    last: u64,
+}
+
+impl AscLines {
+    const NEW: Self = Self { base: 16, is_relative: false, start: 0, last: 0 };
+
+    /// Returns the beginning of a log with this line, if it is one of the head of an ASC log.
+    pub fn of_line(line: &[u8]) -> Option<Self> {
+        let line = line.trim_ascii();
+        let is_head =
+            [&b"date "[..], b"base hex", b"base dec", b"// version ", b"begin triggerblock"];
+        is_head.iter().any(|head| starts(line, head)).then_some(Self::NEW)
+    }
+
+    /// Returns true if each time counts from the event before.
+    pub fn is_relative(&self) -> bool {
+        self.is_relative
+    }
+
+    /// Reads a line; `None` for one without a frame.
+    pub fn read<'a>(&mut self, line: &'a [u8]) -> Result<Option<LogEntry<'a>>, FieldFault> {
+        check_line(line)?;
+        let line = line.trim_ascii();
+        if !line.first().is_some_and(u8::is_ascii_digit) {
+            return self.read_head(line).map(|()| None);
+        }
+        let (time, rest) = first_word(line);
+        let time = fixed_point::<6>(time).ok_or(FieldFault::Time)?;
+        let since_start = if self.is_relative { self.last.saturating_add(time) } else { time };
+        let event = self.read_event(rest);
+        self.last = since_start;
+        let Some((number, frame)) = event? else { return Ok(None) };
+        let unix_micros = self.start.saturating_add(since_start);
+        Ok(Some(LogEntry { unix_micros, interface: channel_name(number), frame }))
+    }
+
+    /// Reads a line that is no event.
+    fn read_head(&mut self, line: &[u8]) -> Result<(), FieldFault> {
+        let is_other = [&b"//"[..], b"end triggerblock", b"internal events", b"no internal events"];
+        if line.is_empty() || is_other.iter().any(|start| starts(line, start)) {
+            return Ok(());
+        }
+        if starts(line, b"date ") || starts(line, b"begin triggerblock") {
+            let skipped = if starts(line, b"date ") { 2 } else { 3 };
+            let date = (0..skipped).fold(line, |rest, _| first_word(rest).1);
+            self.start = asc_date(date).ok_or(FieldFault::Date)?;
+            self.last = 0;
+            return Ok(());
+        }
+        if starts(line, b"base ") {
+            let mut words = words(line).skip(1);
+            self.base = if words.next().is_some_and(|it| it.eq_ignore_ascii_case(b"dec")) {
+                10
+            } else {
+                16
+            };
+            self.is_relative = words.nth(1).is_some_and(|it| it.eq_ignore_ascii_case(b"relative"));
+            return Ok(());
+        }
+        Err(FieldFault::Time)
+    }
+
+    /// Reads an event behind its time; `None` for one without a frame.
+    fn read_event(&self, event: &[u8]) -> Result<Option<(u8, Frame)>, FieldFault> {
+        let (word, rest) = first_word(event);
+        if word == b"CANFD" {
+            return self.fd_event(rest);
+        }
+        if !word.iter().all(u8::is_ascii_digit) {
+            return Ok(None);
+        }
+        let (id, rest) = first_word(rest);
+        if let Some(frame) = error_event(id, rest) {
+            return Ok(Some((channel(word)?, frame)));
+        }
+        let (direction, rest) = first_word(rest);
+        let Some(is_tx) = is_tx(direction) else { return Ok(None) };
+        let mut frame = self.classic_frame(id, rest)?;
+        frame.is_tx = is_tx;
+        Ok(Some((channel(word)?, frame)))
+    }
+
+    /// Reads `d 8 01 02 …` or `r 8` behind the direction.
+    fn classic_frame(&self, id: &[u8], rest: &[u8]) -> Result<Frame, FieldFault> {
+        let id = self.id(id, rest)?;
+        let (kind, rest) = first_word(rest);
+        let (length, rest) = first_word(rest);
+        let dlc = number(length, self.base);
+        match kind {
+            b"r" | b"R" => {
+                let is_length = dlc.filter(|dlc| *dlc <= 15);
+                Ok(Frame::remote(id, len_of_dlc(is_length.unwrap_or(0), false)?))
+            }
+            b"d" | b"D" => {
+                let mut data = [0; Frame::MAX_CLASSIC_DATA];
+                let len = len_of_dlc(dlc.ok_or(FieldFault::Length)?, false)?;
+                bytes(rest, self.base, &mut data[..len])?;
+                data_frame(id, &data[..len], None)
+            }
+            _ => Err(FieldFault::Kind),
+        }
+    }
+
+    /// Reads `1 Rx 300 NAME 1 0 8 8 01 02 …` behind the time and `CANFD`.
+    fn fd_event(&self, event: &[u8]) -> Result<Option<(u8, Frame)>, FieldFault> {
+        let (word, rest) = first_word(event);
+        let (direction, rest) = first_word(rest);
+        let Some(is_tx) = is_tx(direction) else { return Ok(None) };
+        let number_of_channel = channel(word)?;
+        let (id, mut rest) = first_word(rest);
+        if let Some(frame) = error_event(id, rest) {
+            return Ok(Some((number_of_channel, frame)));
+        }
+        // A name may stand before BRS.
+        let (mut switched, mut after) = first_word(rest);
+        if !matches!(switched, b"0" | b"1") {
+            rest = after;
+            (switched, after) = first_word(rest);
+        }
+        let (passive, after) = first_word(after);
+        let (dlc, after) = first_word(after);
+        let (length, after) = first_word(after);
+        if !matches!(switched, b"0" | b"1") || !matches!(passive, b"0" | b"1") {
+            return Err(FieldFault::Column);
+        }
+        let dlc = number(dlc, 16).filter(|dlc| *dlc <= 15).ok_or(FieldFault::Length)?;
+        let len = number(length, 10).ok_or(FieldFault::Length)? as usize;
+        let mut data = [0; Frame::MAX_DATA];
+        let data = data.get_mut(..len).ok_or(FieldFault::Length)?;
+        let after = bytes(after, self.base, data)?;
+        let id = self.id(id, after)?;
+        // Duration and number of bits come first.
+        let flags = words(after).nth(2).and_then(|flags| number(flags, 16)).unwrap_or(FD);
+        // Some writers leave the flags out, as 0.
+        let is_classic = flags != 0 && flags & FD == 0 && len <= Frame::MAX_CLASSIC_DATA;
+        let mut frame = if flags & REMOTE != 0 || len == 0 && dlc > 0 {
+            Frame::remote(id, len_of_dlc(dlc, false)?)
+        } else if is_classic {
+            data_frame(id, data, None)?
+        } else {
+            let flag = |word: &[u8], flag| if word == b"1" { flag } else { 0 };
+            let fd_flags = flag(switched, BIT_RATE_SWITCH) | flag(passive, ERROR_STATE);
+            data_frame(id, data, Some(fd_flags))?
+        };
+        frame.is_tx = is_tx;
+        Ok(Some((number_of_channel, frame)))
+    }
+
+    /// Reads an identifier, with `x` for 29 bits; a name has its number at the end of the line.
+    fn id(&self, word: &[u8], line: &[u8]) -> Result<CanId, FieldFault> {
+        let parsed = |word: &[u8], base| {
+            let digits = word.strip_suffix(b"x").or_else(|| word.strip_suffix(b"X"));
+            can_id(number(digits.unwrap_or(word), base), digits.is_some())
+        };
+        parsed(word, self.base).or_else(|fault| {
+            let mut words = words(line).skip_while(|word| *word != b"ID");
+            let (_, sign, decimal) = (words.next(), words.next(), words.next());
+            match decimal.filter(|_| sign == Some(b"=")) {
+                Some(decimal) => parsed(decimal, 10),
+                None => Err(fault),
+            }
+        })
+    }
+}
+
+/// Returns true for a sent frame; `None` for a word that is no direction of a frame on the bus.
+fn is_tx(direction: &[u8]) -> Option<bool> {
+    match direction {
+        b"Rx" => Some(false),
+        b"Tx" => Some(true),
+        _ => None,
+    }
+}
+
+/// Reads `ErrorFrame ECC: 10100010` and `OverloadFrame`.
+fn error_event(word: &[u8], rest: &[u8]) -> Option<Frame> {
+    if word.eq_ignore_ascii_case(b"OverloadFrame") {
+        return Some(overload());
+    }
+    if !word.eq_ignore_ascii_case(b"ErrorFrame") {
+        return None;
+    }
+    let (name, rest) = first_word(rest);
+    let (code, _) = first_word(rest);
+    let bits = number(code, 2).filter(|_| name == b"ECC:" && code.len() == 8);
+    Some(bits.map_or_else(bus_error, |bits| captured(bits as u8)))
+}
+
+/// Writes an ASC log.
+#[derive(Debug)]
+pub(super) struct AscEncoder {
+    channels: ChannelNumbers,
+    /// Date of the first frame, in microseconds since 1970.
+    start: Option<u64>,
+    loss: LogLoss,
+}
+
+impl AscEncoder {
+    pub fn new() -> Self {
+        Self { channels: ChannelNumbers::new(1), start: None, loss: LogLoss::default() }
+    }
+
+    fn write_head(out: &mut Vec<u8>, unix_micros: u64) -> io::Result<()> {
+        let at = local_time(unix_micros);
+        let date = at.strftime("%a %b %d %I:%M:%S");
+        let (millis, half) = (at.millisecond(), if at.hour() < 12 { "am" } else { "pm" });
+        let date = format!("{date}.{millis:03} {half} {}", at.year());
+        write!(out, "date {date}\nbase hex  timestamps absolute\ninternal events logged\n")?;
+        write!(out, "// version 9.0.0\nBegin Triggerblock {date}\n")?;
+        writeln!(out, "   0.000000 Start of measurement")
+    }
+}
+
+impl LogEncoder for AscEncoder {
+    fn begin(&mut self, _: &mut Vec<u8>) -> io::Result<()> {
+        Ok(())
+    }
+
+    fn write(&mut self, entry: LogEntry<'_>, max_len: u64, out: &mut Vec<u8>) -> io::Result<bool> {
+        let before = out.len();
+        let start = if let Some(start) = self.start {
+            start
+        } else {
+            // The date has milliseconds.
+            let start = entry.unix_micros - entry.unix_micros % 1000;
+            Self::write_head(out, start)?;
+            *self.start.insert(start)
+        };
+        self.loss.other_times += u64::from(entry.unix_micros < start);
+        let since_start = entry.unix_micros.saturating_sub(start);
+        let channel = self.channels.number(entry.interface);
+        write!(out, "{:4}.{:06} ", since_start / 1_000_000, since_start % 1_000_000)?;
+        write_event(out, channel, &entry.frame)?;
+        self.loss.error_details += u64::from(!is_whole_error(&entry.frame));
+        let fits = (out.len() - before) as u64 <= max_len;
+        if !fits {
+            out.truncate(before);
+        }
+        Ok(fits)
+    }
+
+    fn end(&mut self, _: &[String], _: &[u64], out: &mut Vec<u8>) -> io::Result<()> {
+        if self.start.is_none() {
+            Self::write_head(out, 0)?;
+        }
+        writeln!(out, "End TriggerBlock")
+    }
+
+    fn loss(&self) -> LogLoss {
+        LogLoss { numbers: self.channels.lost_names(), ..self.loss.clone() }
+    }
+}
+
+/// Returns true for an error frame that is read from its error code capture as it was, and for any other
+/// frame.
+pub(super) fn is_whole_error(frame: &Frame) -> bool {
+    let read = || [bus_error(), overload(), captured(capture_of(frame.data()))];
+    let is_read = || !frame.is_tx && read().iter().any(|it| it.same_on_wire(frame));
+    frame.kind != FrameKind::Error || is_read()
+}
+
+fn write_event(out: &mut Vec<u8>, channel: u8, frame: &Frame) -> io::Result<()> {
+    let direction = if frame.is_tx { "Tx" } else { "Rx" };
+    let id = match frame.id {
+        CanId::Standard(id) => format!("{id:X}"),
+        CanId::Extended(id) => format!("{id:X}x"),
+    };
+    match frame.kind {
+        FrameKind::Error if frame.same_on_wire(&overload()) => {
+            return writeln!(out, "{channel}  OverloadFrame");
+        }
+        FrameKind::Error => {
+            write!(out, "{channel}  ErrorFrame")?;
+            let code = capture_of(frame.data());
+            if !frame.same_on_wire(&bus_error()) {
+                write!(out, "  ECC: {code:08b}")?;
+            }
+            return writeln!(out);
+        }
+        FrameKind::Remote => {
+            return writeln!(out, "{channel}  {id:<15} {direction:<4} r {:x}", frame.len());
+        }
+        FrameKind::Data => {}
+    }
+    if !frame.is_fd {
+        write!(out, "{channel}  {id:<15} {direction:<4} d {:x}", frame.len())?;
+        write_bytes(out, frame.data())?;
+        return writeln!(out);
+    }
+    let (switched, passive) = (u8::from(frame.bit_rate_switch), u8::from(frame.error_state));
+    let (dlc, len) = (super::fields::dlc_of_len(frame.len()), frame.len());
+    write!(out, "CANFD {channel:>3} {direction:<4} {id:>8}  {:>32} ", "")?;
+    write!(out, "{switched} {passive} {dlc:x} {len:>2}")?;
+    write_bytes(out, frame.data())?;
+    let flag = |is_set, flag| if is_set { flag } else { 0 };
+    let flags = FD | flag(frame.bit_rate_switch, SWITCHED) | flag(frame.error_state, PASSIVE);
+    writeln!(out, "        0    0 {flags:>8X}        0        0        0        0        0")
+}
+
+fn write_bytes(out: &mut Vec<u8>, data: &[u8]) -> io::Result<()> {
+    data.iter().try_for_each(|byte| write!(out, " {byte:02X}"))
+}

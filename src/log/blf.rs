@@ -1,0 +1,582 @@
+//! BLF, the binary log of Vector's tools, with its containers opened: reads it, and writes it.
+//!
+//! Source: the logs that CANalyzer and python-can write. [`super::unpack`] opens the containers; what is
+//! read here is the head of the file and the objects, one after the other. The start of the measurement is
+//! in UTC. Objects that are no CAN frames are passed over. Allocation does not depend on lengths in the
+//! file. Does not know moments or bus numbers.
+
+use super::asc::is_whole_error;
+use super::bus_errors::{bus_error, capture_of, captured, overload};
+use super::channel::{ChannelNumbers, channel_name};
+use super::dates::{system_time, system_time_of};
+use super::fields::{FieldFault, can_id, data_frame, dlc_of_len, len_of_dlc};
+use super::{Damage, DecodeStep, LogDecoder, LogEncoder, LogEntry, LogLoss, LogSummary};
+use crate::frame::socketcan::{BIT_RATE_SWITCH, ERROR_STATE};
+use crate::frame::{CanId, Frame, FrameKind};
+use flate2::Compression;
+use flate2::write::ZlibEncoder;
+use std::io::{self, Write};
+
+/// First bytes of a file, and of an object.
+pub(super) const MAGIC: &[u8; 4] = b"LOGG";
+pub(super) const OBJECT: &[u8; 4] = b"LOBJ";
+/// Bytes of an object that are needed to find its length and its type.
+pub(super) const OBJECT_HEAD: usize = 16;
+/// Longest object that is read, in bytes; longer ones are skipped.
+const MAX_OBJECT: usize = 1 << 12;
+/// Bytes of the head of a file as it is written, and the least that is read.
+pub(super) const FILE_HEAD: usize = 144;
+const LEAST_FILE_HEAD: usize = 72;
+/// Most bytes of padding before an object.
+const MAX_PADDING: usize = 4;
+/// Types of objects.
+const MESSAGE: u32 = 1;
+const ERROR: u32 = 2;
+const OVERLOAD: u32 = 3;
+pub(super) const CONTAINER: u32 = 10;
+const ERROR_EXT: u32 = 73;
+const MESSAGE_2: u32 = 86;
+const FD_MESSAGE: u32 = 100;
+const FD_MESSAGE_64: u32 = 101;
+const FD_ERROR_64: u32 = 104;
+/// Flag of an object: its time is in units of 10 µs, not of nanoseconds.
+const TEN_MICROS: u32 = 1;
+const NANOS: u32 = 2;
+/// Flag of an error frame: the error code capture is valid.
+const HAS_CODE: u32 = 1;
+/// Flags of a message.
+const SENT: u8 = 0x01;
+const REMOTE: u8 = 0x80;
+/// Bit of an identifier of 29 bits.
+const EXTENDED: u32 = 0x8000_0000;
+/// FD flags of [`FD_MESSAGE`]: FDF, BRS, ESI.
+const FD: [u8; 3] = [0x01, 0x02, 0x04];
+/// Flags of [`FD_MESSAGE_64`]: remote, FDF, BRS, ESI.
+const FD_64: [u32; 4] = [0x0010, 0x1000, 0x2000, 0x4000];
+/// Bytes of objects in a container.
+const CONTAINER_SIZE: usize = 128 << 10;
+
+/// Reads the head of a file, then its objects.
+#[derive(Clone, Debug, Default)]
+pub(super) struct ObjectDecoder {
+    /// Start of the measurement, in microseconds since 1970; `None` before the head is read.
+    start: Option<u64>,
+    /// Beginning of an incomplete object.
+    partial: Vec<u8>,
+    /// Bytes left to skip of an object that is not read.
+    skip: u64,
+}
+
+/// Reads little-endian fields.
+struct Fields<'b>(&'b [u8]);
+
+impl<'b> Fields<'b> {
+    fn take<const N: usize>(&mut self) -> Result<[u8; N], FieldFault> {
+        let (bytes, rest) = self.0.split_first_chunk().ok_or(FieldFault::Column)?;
+        self.0 = rest;
+        Ok(*bytes)
+    }
+
+    fn u8(&mut self) -> Result<u8, FieldFault> {
+        self.take().map(|[byte]| byte)
+    }
+
+    fn u16(&mut self) -> Result<u16, FieldFault> {
+        self.take().map(u16::from_le_bytes)
+    }
+
+    fn u32(&mut self) -> Result<u32, FieldFault> {
+        self.take().map(u32::from_le_bytes)
+    }
+
+    fn u64(&mut self) -> Result<u64, FieldFault> {
+        self.take().map(u64::from_le_bytes)
+    }
+
+    fn skip(&mut self, len: usize) -> Result<(), FieldFault> {
+        self.0 = self.0.get(len..).ok_or(FieldFault::Column)?;
+        Ok(())
+    }
+
+    /// Returns `len` bytes of a field of `size` bytes.
+    fn data(&mut self, len: usize, size: usize) -> Result<&'b [u8], FieldFault> {
+        let data = self.0.get(..len).filter(|_| len <= size).ok_or(FieldFault::Data)?;
+        self.0 = self.0.get(size..).unwrap_or_default();
+        Ok(data)
+    }
+}
+
+/// Returns the length of the object that begins with these bytes, without its padding, and its type;
+/// `None` if it is no object.
+pub(super) fn object_size(head: &[u8; OBJECT_HEAD]) -> Option<(u32, u32)> {
+    let mut fields = Fields(head.strip_prefix(OBJECT)?);
+    let (_head_len, _version) = (fields.u16().ok()?, fields.u16().ok()?);
+    let (size, kind) = (fields.u32().ok()?, fields.u32().ok()?);
+    (size as usize >= OBJECT_HEAD).then_some((size, kind))
+}
+
+/// Returns the bytes before an object: padding, which some objects have and others lack.
+fn padding(bytes: &[u8]) -> usize {
+    (0..=MAX_PADDING).find(|at| bytes[*at.min(&bytes.len())..].starts_with(OBJECT)).unwrap_or(0)
+}
+
+/// Returns the length of the head of a file that begins with these eight bytes.
+pub(super) fn file_head_len(head: [u8; 8]) -> Option<usize> {
+    let len = Fields(head.strip_prefix(MAGIC)?).u32().ok()? as usize;
+    (LEAST_FILE_HEAD..=1024).contains(&len).then_some(len)
+}
+
+impl ObjectDecoder {
+    /// Appends bytes up to `wanted`; returns their number, and true if there are as many.
+    fn fill(&mut self, bytes: &[u8], wanted: usize) -> (usize, bool) {
+        let count = bytes.len().min(wanted.saturating_sub(self.partial.len()));
+        self.partial.extend_from_slice(&bytes[..count]);
+        (count, self.partial.len() >= wanted)
+    }
+
+    /// Reads to the end of an object or of `bytes`; adds the bytes read to `used`.
+    fn read(
+        &mut self,
+        bytes: &[u8],
+        used: &mut usize,
+        summary: &mut LogSummary,
+    ) -> Result<Option<Frame>, Damage> {
+        let least = if self.start.is_none() { 8 } else { OBJECT_HEAD };
+        let (count, has_head) = self.fill(bytes, least);
+        *used += count;
+        if !has_head {
+            return Ok(None);
+        }
+        let Some(start) = self.start else {
+            let len = self.partial.first_chunk().copied().and_then(file_head_len);
+            let len = len.ok_or(Damage::Object)?;
+            let (count, is_whole) = self.fill(&bytes[*used..], len);
+            *used += count;
+            if is_whole {
+                self.start = Some(start_of(&self.partial).unwrap_or(0));
+                self.partial.clear();
+            }
+            return Ok(None);
+        };
+        let padding = padding(&self.partial);
+        if padding > 0 {
+            self.partial.drain(..padding);
+            return Ok(None);
+        }
+        let size = self.partial.first_chunk().and_then(object_size);
+        let (len, kind) = size.ok_or(Damage::Object)?;
+        if len as usize > MAX_OBJECT || !is_frame(kind) {
+            self.skip = u64::from(len) - self.partial.len() as u64;
+            self.partial.clear();
+            summary.entries += 1;
+            return Ok(None);
+        }
+        let (count, is_whole) = self.fill(&bytes[*used..], len as usize);
+        *used += count;
+        if !is_whole {
+            return Ok(None);
+        }
+        let frame = summary.take(read_object(start, &self.partial).map(Some));
+        self.partial.clear();
+        Ok(frame)
+    }
+}
+
+impl LogDecoder for ObjectDecoder {
+    fn decode(&mut self, bytes: &[u8], summary: &mut LogSummary) -> (usize, DecodeStep) {
+        if summary.damage.is_some_and(|damage| !damage.is_truncated()) {
+            return (0, DecodeStep::End);
+        }
+        // The file has grown since its end was reached.
+        summary.damage = None;
+        if self.skip > 0 {
+            let skipped = bytes.len().min(usize::try_from(self.skip).unwrap_or(usize::MAX));
+            self.skip -= skipped as u64;
+            return (skipped, DecodeStep::Nothing);
+        }
+        let mut used = 0;
+        match self.read(bytes, &mut used, summary) {
+            Ok(frame) => (used, frame.map_or(DecodeStep::Nothing, DecodeStep::Frame)),
+            Err(damage) => {
+                summary.damage = Some(damage);
+                (used, DecodeStep::End)
+            }
+        }
+    }
+
+    fn decode_frames(
+        &mut self,
+        bytes: &[u8],
+        summary: &mut LogSummary,
+        frames: &mut Vec<Frame>,
+        most: usize,
+    ) -> usize {
+        let mut used = 0;
+        let Some(start) = self.start else { return 0 };
+        if summary.damage.is_some() || self.skip > 0 || !self.partial.is_empty() {
+            return 0;
+        }
+        while frames.len() < most
+            && let start_of_object = used + padding(&bytes[used..])
+            && let rest = &bytes[start_of_object..]
+            && let Some((len, kind)) = rest.first_chunk().and_then(object_size)
+            && is_frame(kind)
+            && len as usize <= MAX_OBJECT
+            && let Some(object) = rest.get(..len as usize)
+            && let Ok(entry) = read_object(start, object)
+            && let Some(frame) =
+                summary.take_plain(entry.unix_micros, entry.interface.as_bytes(), &entry.frame)
+        {
+            frames.push(frame);
+            used = start_of_object + object.len();
+        }
+        used
+    }
+
+    fn handle_end(&mut self, summary: &mut LogSummary) {
+        if summary.damage.is_none_or(Damage::is_truncated) {
+            // The last object may have padding.
+            let is_cut = self.skip > 0 || self.partial.iter().any(|&byte| byte != 0);
+            summary.damage = is_cut.then_some(Damage::Truncated);
+        }
+    }
+
+    fn has_partial_entry(&self) -> bool {
+        !self.partial.is_empty()
+    }
+
+    /// Objects begin with a mark, which data may contain too.
+    fn entry_start(&self, _: &[u8]) -> Option<usize> {
+        None
+    }
+
+    fn copy(&self) -> Box<dyn LogDecoder> {
+        Box::new(self.clone())
+    }
+}
+
+fn is_frame(kind: u32) -> bool {
+    matches!(
+        kind,
+        MESSAGE
+            | ERROR
+            | OVERLOAD
+            | ERROR_EXT
+            | MESSAGE_2
+            | FD_MESSAGE
+            | FD_MESSAGE_64
+            | FD_ERROR_64
+    )
+}
+
+/// Returns the start of the measurement, in microseconds since 1970.
+fn start_of(head: &[u8]) -> Option<u64> {
+    let mut fields = Fields(head.get(40..)?);
+    let mut next = || fields.u16().ok();
+    let (year, month, _weekday, day) = (next()?, next()?, next()?, next()?);
+    let (hour, minute, second, millis) = (next()?, next()?, next()?, next()?);
+    system_time([year, month, day, hour, minute, second, millis])
+}
+
+/// Reads an object of a type with a frame.
+fn read_object(start: u64, object: &[u8]) -> Result<LogEntry<'static>, FieldFault> {
+    let mut fields = Fields(object);
+    fields.skip(4)?;
+    let (head_len, version) = (fields.u16()?, fields.u16()?);
+    let (size, kind) = (fields.u32()? as usize, fields.u32()?);
+    let flags = fields.u32()?;
+    fields.skip(4)?;
+    let time = fields.u64()?;
+    if !matches!(version, 1 | 2) {
+        return Err(FieldFault::Kind);
+    }
+    let micros = if flags == TEN_MICROS { time.saturating_mul(10) } else { time / 1000 };
+    let unix_micros = start.saturating_add(micros);
+    let body = object.get(usize::from(head_len)..size).ok_or(FieldFault::Column)?;
+    let (channel, frame) = match kind {
+        MESSAGE | MESSAGE_2 => message(Fields(body))?,
+        ERROR => (Fields(body).u16()?, bus_error()),
+        OVERLOAD => (Fields(body).u16()?, overload()),
+        ERROR_EXT => error_ext(Fields(body))?,
+        FD_MESSAGE => fd_message(Fields(body))?,
+        FD_MESSAGE_64 => fd_message_64(Fields(body), size - usize::from(head_len))?,
+        // FD_ERROR_64
+        _ => (u16::from(Fields(body).u8()?), bus_error()),
+    };
+    let channel = u8::try_from(channel).map_err(|_| FieldFault::Channel)?;
+    Ok(LogEntry { unix_micros, interface: channel_name(channel), frame })
+}
+
+fn id(word: u32) -> Result<CanId, FieldFault> {
+    can_id(Some(word & !EXTENDED), word & EXTENDED != 0)
+}
+
+fn message(mut fields: Fields<'_>) -> Result<(u16, Frame), FieldFault> {
+    let (channel, flags, dlc, word) = (fields.u16()?, fields.u8()?, fields.u8()?, fields.u32()?);
+    let len = len_of_dlc(u32::from(dlc), false)?;
+    let id = id(word)?;
+    let mut frame = if flags & REMOTE != 0 {
+        Frame::remote(id, len)
+    } else {
+        data_frame(id, fields.data(len, Frame::MAX_CLASSIC_DATA)?, None)?
+    };
+    frame.is_tx = flags & SENT != 0;
+    Ok((channel, frame))
+}
+
+/// Reads an error frame: as SocketCAN has it if its identifier and data are there, otherwise by the error
+/// code capture.
+fn error_ext(mut fields: Fields<'_>) -> Result<(u16, Frame), FieldFault> {
+    let (channel, _length) = (fields.u16()?, fields.u16()?);
+    let (flags, code, _position, dlc) = (fields.u32()?, fields.u8()?, fields.u8()?, fields.u8()?);
+    fields.skip(1)?;
+    let (_frame_length, word, _flags_ext) = (fields.u32()?, fields.u32()?, fields.u16()?);
+    fields.skip(2)?;
+    let class = word & CanId::MAX_EXTENDED;
+    let frame = if flags & HAS_CODE != 0 {
+        captured(code)
+    } else if class != 0 && dlc as usize <= Frame::MAX_CLASSIC_DATA {
+        Frame::error(class, fields.data(usize::from(dlc), Frame::MAX_CLASSIC_DATA)?)
+    } else {
+        bus_error()
+    };
+    Ok((channel, frame))
+}
+
+fn fd_message(mut fields: Fields<'_>) -> Result<(u16, Frame), FieldFault> {
+    let (channel, flags, dlc, word) = (fields.u16()?, fields.u8()?, fields.u8()?, fields.u32()?);
+    fields.skip(5)?;
+    let (fd, valid) = (fields.u8()?, usize::from(fields.u8()?));
+    fields.skip(5)?;
+    let [is_fd, switched, passive] = FD.map(|flag| fd & flag != 0);
+    let id = id(word)?;
+    let len = len_of_dlc(u32::from(dlc), is_fd)?;
+    let mut frame = if flags & REMOTE != 0 {
+        Frame::remote(id, len)
+    } else {
+        let data = fields.data(valid.min(len), Frame::MAX_DATA)?;
+        padded_frame(id, data, len, is_fd.then_some(fd_flags(switched, passive)))?
+    };
+    frame.is_tx = flags & SENT != 0;
+    Ok((channel, frame))
+}
+
+fn fd_message_64(mut fields: Fields<'_>, body: usize) -> Result<(u16, Frame), FieldFault> {
+    let (channel, dlc, valid, _count) = (fields.u8()?, fields.u8()?, fields.u8()?, fields.u8()?);
+    let (word, _length, flags) = (fields.u32()?, fields.u32()?, fields.u32()?);
+    fields.skip(16)?;
+    let (_bit_count, direction, extra) = (fields.u16()?, fields.u8()?, usize::from(fields.u8()?));
+    fields.skip(4)?;
+    let [is_remote, is_fd, switched, passive] = FD_64.map(|flag| flags & flag != 0);
+    let id = id(word)?;
+    let len = len_of_dlc(u32::from(dlc), is_fd)?;
+    let mut frame = if is_remote {
+        Frame::remote(id, len)
+    } else {
+        /// Bytes before the data, and of the head of the object.
+        const BEFORE_DATA: usize = 40;
+        const HEAD: usize = 32;
+        // More may stand behind the data; fewer bytes than said are filled up with zeros.
+        let end = if extra > HEAD + BEFORE_DATA { extra - HEAD } else { body };
+        let room = end.saturating_sub(BEFORE_DATA).min(fields.0.len());
+        let data = fields.data(usize::from(valid).min(len).min(room), Frame::MAX_DATA)?;
+        padded_frame(id, data, len, is_fd.then_some(fd_flags(switched, passive)))?
+    };
+    frame.is_tx = direction != 0;
+    Ok((u16::from(channel), frame))
+}
+
+fn fd_flags(switched: bool, passive: bool) -> u8 {
+    let flag = |is_set, flag| if is_set { flag } else { 0 };
+    flag(switched, BIT_RATE_SWITCH) | flag(passive, ERROR_STATE)
+}
+
+/// Returns a data frame of `len` bytes, whose last ones are zeros where `data` has fewer.
+fn padded_frame(
+    id: CanId,
+    data: &[u8],
+    len: usize,
+    fd_flags: Option<u8>,
+) -> Result<Frame, FieldFault> {
+    let mut all = [0; Frame::MAX_DATA];
+    all.get_mut(..data.len()).ok_or(FieldFault::Data)?.copy_from_slice(data);
+    data_frame(id, &all[..len], fd_flags)
+}
+
+/// Writes a BLF log. The head has its final values when [`LogEncoder::head`] replaces it.
+#[derive(Debug, Default)]
+pub(super) struct BlfEncoder {
+    channels: ChannelNumbers,
+    /// Date of the first frame, and of the last one, in microseconds since 1970.
+    start: Option<u64>,
+    last: u64,
+    /// Objects that are not in a container yet.
+    objects: Vec<u8>,
+    count: u32,
+    other_times: u64,
+    error_details: u64,
+    /// Bytes written, and the same without compression.
+    written: u64,
+    uncompressed: u64,
+}
+
+impl BlfEncoder {
+    pub fn new() -> Self {
+        Self { channels: ChannelNumbers::new(1), ..Self::default() }
+    }
+
+    fn file_head(&self) -> Vec<u8> {
+        let mut head = Vec::with_capacity(FILE_HEAD);
+        head.extend_from_slice(MAGIC);
+        head.extend_from_slice(&(FILE_HEAD as u32).to_le_bytes());
+        // An application of no particular maker; version 2.6.8.1 of the format.
+        head.extend_from_slice(&[5, 0, 0, 0, 2, 6, 8, 1]);
+        head.extend_from_slice(&self.written.to_le_bytes());
+        head.extend_from_slice(&(self.uncompressed + FILE_HEAD as u64).to_le_bytes());
+        head.extend_from_slice(&self.count.to_le_bytes());
+        head.extend_from_slice(&0_u32.to_le_bytes());
+        for at in [self.start.unwrap_or(0), self.last] {
+            let fields = if self.start.is_some() { system_time_of(at) } else { [0; 8] };
+            for field in fields {
+                head.extend_from_slice(&field.to_le_bytes());
+            }
+        }
+        head.resize(FILE_HEAD, 0);
+        head
+    }
+
+    /// Writes the head of the file, if nothing was written.
+    fn write_head(&mut self, out: &mut Vec<u8>) {
+        if self.written == 0 {
+            self.written = FILE_HEAD as u64;
+            out.extend_from_slice(&self.file_head());
+        }
+    }
+
+    fn add_object(&mut self, kind: u32, nanos: u64, body: &[u8]) {
+        const HEAD: usize = 32;
+        let size = (HEAD + body.len()) as u32;
+        let to = &mut self.objects;
+        to.extend_from_slice(OBJECT);
+        to.extend_from_slice(&(HEAD as u16).to_le_bytes());
+        to.extend_from_slice(&1_u16.to_le_bytes());
+        to.extend_from_slice(&size.to_le_bytes());
+        to.extend_from_slice(&kind.to_le_bytes());
+        to.extend_from_slice(&NANOS.to_le_bytes());
+        to.extend_from_slice(&[0; 4]);
+        to.extend_from_slice(&nanos.to_le_bytes());
+        to.extend_from_slice(body);
+        to.resize(to.len() + (size % 4) as usize, 0);
+        self.count += 1;
+    }
+
+    /// Writes a container with the first `len` bytes of the objects.
+    fn write_container(&mut self, len: usize, out: &mut Vec<u8>) -> io::Result<()> {
+        const ZLIB: u16 = 2;
+        const HEAD: usize = OBJECT_HEAD + 16;
+        let mut packed = ZlibEncoder::new(Vec::new(), Compression::default());
+        packed.write_all(&self.objects[..len])?;
+        let packed = packed.finish()?;
+        let size = (HEAD + packed.len()) as u32;
+        let before = out.len();
+        out.extend_from_slice(OBJECT);
+        out.extend_from_slice(&(OBJECT_HEAD as u16).to_le_bytes());
+        out.extend_from_slice(&1_u16.to_le_bytes());
+        out.extend_from_slice(&size.to_le_bytes());
+        out.extend_from_slice(&CONTAINER.to_le_bytes());
+        out.extend_from_slice(&ZLIB.to_le_bytes());
+        out.extend_from_slice(&[0; 6]);
+        out.extend_from_slice(&(len as u32).to_le_bytes());
+        out.extend_from_slice(&[0; 4]);
+        out.extend_from_slice(&packed);
+        out.resize(out.len() + (size % 4) as usize, 0);
+        self.written += (out.len() - before) as u64;
+        self.uncompressed += (HEAD + len) as u64;
+        self.objects.drain(..len);
+        Ok(())
+    }
+
+    fn add_frame(&mut self, channel: u8, nanos: u64, frame: &Frame) {
+        let word = match frame.id {
+            CanId::Standard(id) => u32::from(id),
+            CanId::Extended(id) => id | EXTENDED,
+        };
+        let flags = if frame.is_tx { SENT } else { 0 };
+        let flags = flags | if frame.kind == FrameKind::Remote { REMOTE } else { 0 };
+        let mut body = u16::from(channel).to_le_bytes().to_vec();
+        let kind = match (frame.kind, frame.is_fd) {
+            (FrameKind::Error, _) => {
+                // Length, and flags: the identifier and the data are those of SocketCAN.
+                body.extend_from_slice(&[0; 6]);
+                let dlc = frame.data().len() as u8;
+                body.extend_from_slice(&[capture_of(frame.data()), 0, dlc, 0, 0, 0, 0, 0]);
+                body.extend_from_slice(&(word & CanId::MAX_EXTENDED).to_le_bytes());
+                body.extend_from_slice(&[0; 4]);
+                ERROR_EXT
+            }
+            (_, true) => {
+                body.extend_from_slice(&[flags, dlc_of_len(frame.len())]);
+                body.extend_from_slice(&word.to_le_bytes());
+                body.extend_from_slice(&[0; 5]);
+                let set = [true, frame.bit_rate_switch, frame.error_state];
+                let fd = FD.iter().zip(set).filter(|(_, is_set)| *is_set);
+                body.push(fd.fold(0, |all, (flag, _)| all | flag));
+                body.push(frame.data().len() as u8);
+                body.extend_from_slice(&[0; 5]);
+                FD_MESSAGE
+            }
+            (_, false) => {
+                body.extend_from_slice(&[flags, frame.len() as u8]);
+                body.extend_from_slice(&word.to_le_bytes());
+                MESSAGE
+            }
+        };
+        let data_start = body.len();
+        body.extend_from_slice(frame.data());
+        let size = if kind == FD_MESSAGE { Frame::MAX_DATA } else { Frame::MAX_CLASSIC_DATA };
+        body.resize(data_start + size, 0);
+        self.add_object(kind, nanos, &body);
+    }
+}
+
+impl LogEncoder for BlfEncoder {
+    /// The head has the date of the first frame.
+    fn begin(&mut self, _: &mut Vec<u8>) -> io::Result<()> {
+        Ok(())
+    }
+
+    fn write(&mut self, entry: LogEntry<'_>, _: u64, out: &mut Vec<u8>) -> io::Result<bool> {
+        // The date has milliseconds.
+        let start = *self.start.get_or_insert(entry.unix_micros - entry.unix_micros % 1000);
+        self.write_head(out);
+        self.last = entry.unix_micros.max(self.last);
+        let since_start = entry.unix_micros.checked_sub(start);
+        let nanos = since_start.and_then(|micros| micros.checked_mul(1000));
+        self.other_times += u64::from(nanos.is_none());
+        let nanos = nanos.unwrap_or(if since_start.is_some() { u64::MAX } else { 0 });
+        let has_class = !matches!(entry.frame.id, CanId::Extended(0) | CanId::Standard(0));
+        let is_whole = is_whole_error(&entry.frame) || has_class && !entry.frame.is_tx;
+        self.error_details += u64::from(!is_whole);
+        let channel = self.channels.number(entry.interface);
+        self.add_frame(channel, nanos, &entry.frame);
+        while self.objects.len() >= CONTAINER_SIZE {
+            self.write_container(CONTAINER_SIZE, out)?;
+        }
+        Ok(true)
+    }
+
+    fn end(&mut self, _: &[String], _: &[u64], out: &mut Vec<u8>) -> io::Result<()> {
+        self.write_head(out);
+        if self.objects.is_empty() { Ok(()) } else { self.write_container(self.objects.len(), out) }
+    }
+
+    fn head(&self) -> Option<Vec<u8>> {
+        Some(self.file_head())
+    }
+
+    fn loss(&self) -> LogLoss {
+        let (other_times, error_details) = (self.other_times, self.error_details);
+        let numbers = self.channels.lost_names();
+        LogLoss { error_details, other_times, numbers, ..LogLoss::default() }
+    }
+}

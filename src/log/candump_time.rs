@@ -1,0 +1,117 @@
+//! The times of candump's lines, in any of its ways to print them: `(1436509052.249713)`,
+//! `(000.001500)` since the beginning or since the line before, `(2026-11-27 13:51:20.123456)`.
+//!
+//! Does not know what follows the time.
+
+use super::dates::iso_date;
+use super::fields::{decimal, first_word, fixed_point};
+
+/// Lines after which times in three digits of seconds count from the beginning.
+const LINES: u8 = 8;
+
+/// What the lines so far say about the times of those that follow.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct CandumpTimes {
+    origin: TimeOrigin,
+    /// Lines with a short time, up to [`LINES`].
+    seen: u8,
+    /// The last short time, in microseconds.
+    last: u64,
+    /// Sum of the short times, in microseconds.
+    sum: u64,
+}
+
+/// From where short times count.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum TimeOrigin {
+    /// From one of the other two.
+    Unknown,
+    /// From the beginning, or from 1970.
+    Fixed,
+    /// From the line before.
+    Previous,
+}
+
+/// The time of a line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum PrintedTime {
+    /// Since 1970, in microseconds.
+    Unix(u64),
+    /// In three digits of seconds, in microseconds: since 1970, the beginning, or the line before.
+    Short(u64),
+}
+
+impl CandumpTimes {
+    /// Without lines.
+    pub const NEW: Self = Self { origin: TimeOrigin::Unknown, seen: 0, last: 0, sum: 0 };
+
+    /// Returns what lines with these times say, before the first of them.
+    pub fn of(times: impl Iterator<Item = PrintedTime>) -> Self {
+        let mut all = Self::NEW;
+        for time in times {
+            all.unix_micros(time);
+        }
+        Self { origin: all.origin, ..Self::NEW }
+    }
+
+    /// Returns true if no line had a time.
+    pub fn is_empty(&self) -> bool {
+        self.origin == TimeOrigin::Unknown && self.seen == 0
+    }
+
+    /// Returns true if more lines are needed to know from where short times count.
+    pub fn is_undecided(&self) -> bool {
+        self.origin == TimeOrigin::Unknown && self.seen > 0
+    }
+
+    /// Returns true if the times count from 1970, or from the beginning.
+    pub fn is_fixed(&self) -> bool {
+        self.origin == TimeOrigin::Fixed
+    }
+
+    /// Takes the time of a line; returns it in microseconds since 1970, or since the beginning.
+    pub fn unix_micros(&mut self, time: PrintedTime) -> u64 {
+        let micros = match time {
+            PrintedTime::Unix(micros) => {
+                if self.origin == TimeOrigin::Unknown {
+                    self.origin = TimeOrigin::Fixed;
+                }
+                return micros;
+            }
+            PrintedTime::Short(micros) => micros,
+        };
+        self.sum = self.sum.saturating_add(micros);
+        if self.origin == TimeOrigin::Unknown {
+            // Two frames do not begin at the same microsecond.
+            if self.seen > 0 && self.last > 0 && micros <= self.last {
+                self.origin = TimeOrigin::Previous;
+            }
+            self.seen += 1;
+            self.last = micros;
+            if self.seen == LINES && self.origin == TimeOrigin::Unknown {
+                self.origin = TimeOrigin::Fixed;
+            }
+        }
+        if self.origin == TimeOrigin::Previous { self.sum } else { micros }
+    }
+}
+
+/// Splits a line into its time and the rest; `None` if it does not begin with one.
+pub(super) fn split(line: &[u8]) -> Option<(PrintedTime, &[u8])> {
+    let (word, rest) = first_word(line);
+    let word = word.strip_prefix(b"(")?;
+    if let Some(word) = word.strip_suffix(b")") {
+        let point = word.iter().position(|&byte| byte == b'.').unwrap_or(word.len());
+        let seconds = &word[..point];
+        decimal(seconds)?;
+        if word.contains(&b',') {
+            return None;
+        }
+        let micros = fixed_point::<6>(word)?;
+        let is_short = point == 3 && word.len() == 10;
+        let time = if is_short { PrintedTime::Short(micros) } else { PrintedTime::Unix(micros) };
+        return Some((time, rest));
+    }
+    let (time, rest) = first_word(rest);
+    Some((PrintedTime::Unix(iso_date(word, time.strip_suffix(b")")?)?), rest))
+}

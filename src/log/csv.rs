@@ -1,0 +1,249 @@
+//! CSV logs: SavvyCAN's (GVRET), which is read and written, and python-can's, which is read.
+//!
+//! Known by their header lines. Does not know moments or bus numbers.
+
+use super::channel::{ChannelNumbers, ONLY_BUS, bus_name};
+use super::dates::seconds;
+use super::fields::{
+    FieldFault, can_id, channel, check_line, data_frame, decimal, number,
+    starts_with_ignoring_case as starts,
+};
+use super::{LogEncoder, LogEntry, LogLoss};
+use crate::frame::{CanId, Frame, FrameKind};
+use std::io::{self, Write};
+
+/// A column that the header lacks.
+const NONE: u8 = u8::MAX;
+
+/// Columns of a SavvyCAN log, by the number of their place.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct GvretLines {
+    time: u8,
+    id: u8,
+    extended: u8,
+    direction: u8,
+    bus: u8,
+    len: u8,
+    /// The first byte; the others follow.
+    data: u8,
+}
+
+impl GvretLines {
+    /// Returns the columns of a header line: `Time Stamp,ID,Extended,Dir,Bus,LEN,D1,…`.
+    pub fn of_header(line: &[u8]) -> Option<Self> {
+        if !starts(line.trim_ascii(), b"time stamp,") {
+            return None;
+        }
+        let place = |name: &[u8]| {
+            let mut columns = cells(line);
+            columns
+                .position(|cell| cell.eq_ignore_ascii_case(name))
+                .and_then(|at| u8::try_from(at).ok())
+        };
+        Some(Self {
+            time: place(b"time stamp")?,
+            id: place(b"id")?,
+            extended: place(b"extended").unwrap_or(NONE),
+            direction: place(b"dir").unwrap_or(NONE),
+            bus: place(b"bus").unwrap_or(NONE),
+            len: place(b"len")?,
+            data: place(b"d1")?,
+        })
+    }
+
+    /// Reads a line; `None` for the header and for a blank line.
+    pub fn read<'a>(&mut self, line: &'a [u8]) -> Result<Option<LogEntry<'a>>, FieldFault> {
+        check_line(line)?;
+        if line.trim_ascii().is_empty() {
+            return Ok(None);
+        }
+        if let Some(header) = Self::of_header(line) {
+            *self = header;
+            return Ok(None);
+        }
+        let (mut time, mut id, mut len) = (None, &b""[..], None);
+        let (mut is_extended, mut is_tx, mut bus) = (None, false, 0);
+        let mut data = [0; Frame::MAX_DATA];
+        let mut bytes = 0;
+        for (at, cell) in (0..NONE).zip(cells(line)) {
+            match at {
+                _ if at == self.time => time = decimal(cell),
+                _ if at == self.id => id = cell,
+                _ if at == self.extended => {
+                    is_extended = Some(starts(cell, b"true") || cell == b"1");
+                }
+                _ if at == self.direction => is_tx = starts(cell, b"tx"),
+                _ if at == self.bus => bus = channel(cell)?,
+                _ if at == self.len => len = number(cell, 10),
+                _ if at >= self.data && len.is_some_and(|len| bytes < len as usize) => {
+                    let place = data.get_mut(bytes).ok_or(FieldFault::Length)?;
+                    *place = number(cell, 16)
+                        .and_then(|value| u8::try_from(value).ok())
+                        .ok_or(FieldFault::Data)?;
+                    bytes += 1;
+                }
+                _ => {}
+            }
+        }
+        let unix_micros = time.ok_or(FieldFault::Time)?;
+        let len = len.ok_or(FieldFault::Length)? as usize;
+        let id = number(id, 16);
+        let is_extended = is_extended.unwrap_or(id > Some(u32::from(CanId::MAX_STANDARD)));
+        if bytes < len {
+            return Err(FieldFault::Data);
+        }
+        let is_fd = len > Frame::MAX_CLASSIC_DATA;
+        let mut frame = data_frame(can_id(id, is_extended)?, &data[..len], is_fd.then_some(0))?;
+        frame.is_tx = is_tx;
+        Ok(Some(LogEntry { unix_micros, interface: bus_name(bus), frame }))
+    }
+}
+
+/// python-can's CSV log.
+pub(super) struct PythonCanLines;
+
+impl PythonCanLines {
+    pub fn is_header(line: &[u8]) -> bool {
+        starts(line.trim_ascii(), b"timestamp,arbitration_id,")
+    }
+
+    /// Reads a line of the columns `timestamp,arbitration_id,extended,remote,error,dlc,data`; `None` for the
+    /// header and for a blank line.
+    pub fn read(line: &[u8]) -> Result<Option<LogEntry<'_>>, FieldFault> {
+        check_line(line)?;
+        if line.trim_ascii().is_empty() || Self::is_header(line) {
+            return Ok(None);
+        }
+        let mut cells = cells(line);
+        let mut cell = || cells.next().ok_or(FieldFault::Column);
+        let unix_micros = seconds(cell()?).ok_or(FieldFault::Time)?;
+        let id = cell()?;
+        let id = number(id.strip_prefix(b"0x").unwrap_or(id), 16);
+        let flag = |cell: &[u8]| match cell {
+            b"0" => Ok(false),
+            b"1" => Ok(true),
+            _ => Err(FieldFault::Column),
+        };
+        let (is_extended, is_remote, is_error) = (flag(cell()?)?, flag(cell()?)?, flag(cell()?)?);
+        let len = number(cell()?, 10).ok_or(FieldFault::Length)? as usize;
+        let encoded = cell()?;
+        let mut data = [0; Frame::MAX_DATA];
+        let data = data.get_mut(..len).ok_or(FieldFault::Length)?;
+        let frame = if is_remote {
+            let len = Some(len).filter(|len| *len <= Frame::MAX_CLASSIC_DATA);
+            Frame::remote(can_id(id, is_extended)?, len.ok_or(FieldFault::Length)?)
+        } else {
+            base64(encoded, data)?;
+            if is_error {
+                let class = id.filter(|id| *id <= CanId::MAX_EXTENDED).ok_or(FieldFault::Id)?;
+                error_of(class, data)?
+            } else {
+                let is_fd = len > Frame::MAX_CLASSIC_DATA;
+                data_frame(can_id(id, is_extended)?, data, is_fd.then_some(0))?
+            }
+        };
+        Ok(Some(LogEntry { unix_micros, interface: ONLY_BUS, frame }))
+    }
+}
+
+/// Returns an error frame with its class and details; one without them is an error frame on the bus.
+pub(super) fn error_of(class: u32, data: &[u8]) -> Result<Frame, FieldFault> {
+    match data.len() {
+        0 if class == 0 => Ok(super::bus_errors::bus_error()),
+        0..=Frame::MAX_CLASSIC_DATA => Ok(Frame::error(class, data)),
+        _ => Err(FieldFault::Length),
+    }
+}
+
+fn cells(line: &[u8]) -> impl Iterator<Item = &[u8]> {
+    line.split(|&byte| byte == b',').map(<[u8]>::trim_ascii)
+}
+
+/// Reads as many bytes as `data` has from base64 with padding.
+fn base64(text: &[u8], data: &mut [u8]) -> Result<(), FieldFault> {
+    let value = |digit: u8| match digit {
+        b'A'..=b'Z' => Some(digit - b'A'),
+        b'a'..=b'z' => Some(digit - b'a' + 26),
+        b'0'..=b'9' => Some(digit - b'0' + 52),
+        b'+' => Some(62),
+        b'/' => Some(63),
+        _ => None,
+    };
+    let digits = text.trim_ascii_end();
+    let digits = &digits[..digits.iter().position(|&byte| byte == b'=').unwrap_or(digits.len())];
+    if digits.len() * 6 / 8 != data.len() {
+        return Err(FieldFault::Data);
+    }
+    let (mut bits, mut count, mut filled) = (0_u32, 0, 0);
+    for &digit in digits {
+        bits = bits << 6 | u32::from(value(digit).ok_or(FieldFault::Data)?);
+        count += 6;
+        if count >= 8 {
+            count -= 8;
+            data[filled] = (bits >> count) as u8;
+            filled += 1;
+        }
+    }
+    Ok(())
+}
+
+/// Writes SavvyCAN's CSV.
+#[derive(Debug)]
+pub(super) struct GvretEncoder {
+    buses: ChannelNumbers,
+    loss: LogLoss,
+}
+
+impl GvretEncoder {
+    pub fn new() -> Self {
+        Self { buses: ChannelNumbers::new(0), loss: LogLoss::default() }
+    }
+}
+
+impl LogEncoder for GvretEncoder {
+    fn begin(&mut self, out: &mut Vec<u8>) -> io::Result<()> {
+        writeln!(out, "Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2,D3,D4,D5,D6,D7,D8")
+    }
+
+    /// A frame that the format does not have is passed over.
+    fn write(&mut self, entry: LogEntry<'_>, max_len: u64, out: &mut Vec<u8>) -> io::Result<bool> {
+        let (before, frame) = (out.len(), entry.frame);
+        match frame.kind {
+            FrameKind::Data => {}
+            FrameKind::Remote => {
+                self.loss.remote_frames += 1;
+                return Ok(true);
+            }
+            FrameKind::Error => {
+                self.loss.error_frames += 1;
+                return Ok(true);
+            }
+        }
+        let is_classic_length = frame.len() <= Frame::MAX_CLASSIC_DATA;
+        let has_flags = frame.bit_rate_switch || frame.error_state;
+        self.loss.fd_flags += u64::from(frame.is_fd && (is_classic_length || has_flags));
+        let (id, is_extended) = match frame.id {
+            CanId::Standard(id) => (u32::from(id), false),
+            CanId::Extended(id) => (id, true),
+        };
+        let direction = if frame.is_tx { "Tx" } else { "Rx" };
+        let bus = self.buses.number(entry.interface);
+        write!(out, "{},{id:08X},{is_extended},{direction},{bus},", entry.unix_micros)?;
+        write!(out, "{},", frame.len())?;
+        frame.data().iter().try_for_each(|byte| write!(out, "{byte:02X},"))?;
+        writeln!(out)?;
+        let fits = (out.len() - before) as u64 <= max_len;
+        if !fits {
+            out.truncate(before);
+        }
+        Ok(fits)
+    }
+
+    fn end(&mut self, _: &[String], _: &[u64], _: &mut Vec<u8>) -> io::Result<()> {
+        Ok(())
+    }
+
+    fn loss(&self) -> LogLoss {
+        LogLoss { numbers: self.buses.lost_names(), ..self.loss.clone() }
+    }
+}

@@ -1,0 +1,152 @@
+//! Dates in logs, which have no time zone: in the local time of this machine, as their programs write
+//! them.
+
+use super::fields::{decimal, fixed_point, number};
+use jiff::civil::DateTime;
+use jiff::tz::TimeZone;
+
+/// Microseconds from 1970-01-01 back to 1899-12-30, from which TRC counts days.
+const DAYS_BEFORE_1970: i128 = 25_569;
+const MICROS_PER_DAY: i128 = 86_400_000_000;
+/// Parts of a day in which a fraction of days is read: 0.09 µs.
+const PARTS_OF_DAY: i128 = 1_000_000_000_000;
+/// Names of the months in English and in German, as ASC has them.
+const MONTHS: [&[&str]; 12] = [
+    &["jan"],
+    &["feb"],
+    &["mar", "mär", "mrz"],
+    &["apr"],
+    &["may", "mai"],
+    &["jun"],
+    &["jul"],
+    &["aug"],
+    &["sep"],
+    &["oct", "okt"],
+    &["nov"],
+    &["dec", "dez"],
+];
+
+/// Returns the microseconds since 1970 of a local time; `None` before 1970.
+fn unix_micros(local: DateTime) -> Option<u64> {
+    let zoned = local.to_zoned(TimeZone::system()).ok()?;
+    u64::try_from(zoned.timestamp().as_microsecond()).ok()
+}
+
+/// Returns the local time of microseconds since 1970, at most in the year 9999.
+pub(super) fn local_time(unix_micros: u64) -> DateTime {
+    let micros = i64::try_from(unix_micros).unwrap_or(i64::MAX);
+    let timestamp = jiff::Timestamp::from_microsecond(micros).unwrap_or(jiff::Timestamp::MAX);
+    TimeZone::system().to_datetime(timestamp)
+}
+
+/// Parses the date of an ASC log, without its weekday: `Sep 30 10:06:13.191 PM 2017`, in microseconds
+/// since 1970.
+pub(super) fn asc_date(text: &[u8]) -> Option<u64> {
+    let text = std::str::from_utf8(text).ok()?;
+    let words: Vec<_> = text.split_whitespace().take(6).collect();
+    let (month, day, time, half, year) = match *words {
+        [month, day, time, year] => (month, day, time, None, year),
+        [month, day, time, half, year] => (month, day, time, Some(half), year),
+        _ => return None,
+    };
+    let month = month.to_lowercase();
+    let month = MONTHS.iter().position(|names| names.contains(&month.as_str()))?;
+    let (hour, minute, micros) = time_of_day(time.as_bytes())?;
+    let hour = match half.map(str::to_ascii_lowercase).as_deref() {
+        None => hour,
+        Some("am") => hour % 12,
+        Some("pm") => hour % 12 + 12,
+        Some(_) => return None,
+    };
+    let day = number(day.trim_end_matches(['.', ',']).as_bytes(), 10)?;
+    civil(number(year.as_bytes(), 10)?, month as u32 + 1, day, (hour, minute, micros))
+}
+
+/// Parses a date such as `2026-11-27` and a time of day, in microseconds since 1970.
+pub(super) fn iso_date(date: &[u8], time: &[u8]) -> Option<u64> {
+    let mut parts = date.split(|&byte| byte == b'-').map(|part| number(part, 10));
+    let (year, month, day) = (parts.next()??, parts.next()??, parts.next()??);
+    if parts.next().is_some() {
+        return None;
+    }
+    civil(year, month, day, time_of_day(time)?)
+}
+
+/// Returns the microseconds since 1970 of days since 1899-12-30, as TRC counts them.
+pub(super) fn trc_date(days: &[u8]) -> Option<u64> {
+    let days = i128::from(fixed_point::<12>(days)?);
+    let micros = (days * MICROS_PER_DAY + PARTS_OF_DAY / 2) / PARTS_OF_DAY;
+    let local = micros - DAYS_BEFORE_1970 * MICROS_PER_DAY;
+    let local = jiff::Timestamp::from_microsecond(i64::try_from(local).ok()?).ok()?;
+    unix_micros(TimeZone::UTC.to_datetime(local))
+}
+
+/// Returns the days since 1899-12-30 of microseconds since 1970, as TRC counts them, to the microsecond.
+pub(super) fn trc_days(unix_micros: u64) -> String {
+    let local = local_time(unix_micros);
+    let micros = TimeZone::UTC.to_timestamp(local).map_or(0, jiff::Timestamp::as_microsecond);
+    let micros = (i128::from(micros) + DAYS_BEFORE_1970 * MICROS_PER_DAY).max(0);
+    let fraction = micros % MICROS_PER_DAY * PARTS_OF_DAY / MICROS_PER_DAY;
+    format!("{}.{fraction:012}", micros / MICROS_PER_DAY)
+}
+
+/// Returns the microseconds since 1970 of a system time of Windows, in UTC: year, month, day, hour, minute,
+/// second, millisecond.
+pub(super) fn system_time(fields: [u16; 7]) -> Option<u64> {
+    let [year, month, day, hour, minute, second, millis] = fields;
+    let small = |value: u16| i8::try_from(value).ok();
+    let (month, day) = (small(month)?, small(day)?);
+    let date = jiff::civil::Date::new(i16::try_from(year).ok()?, month, day).ok()?;
+    let nanos = i32::from(millis) * 1_000_000;
+    let time = jiff::civil::Time::new(small(hour)?, small(minute)?, small(second)?, nanos).ok()?;
+    let timestamp = TimeZone::UTC.to_timestamp(date.to_datetime(time)).ok()?;
+    u64::try_from(timestamp.as_microsecond()).ok()
+}
+
+/// Returns the system time of Windows of microseconds since 1970, in UTC: year, month, day of the week, day,
+/// hour, minute, second, millisecond.
+pub(super) fn system_time_of(unix_micros: u64) -> [u16; 8] {
+    let micros = i64::try_from(unix_micros).unwrap_or(i64::MAX);
+    let timestamp = jiff::Timestamp::from_microsecond(micros).unwrap_or(jiff::Timestamp::MAX);
+    let at = TimeZone::UTC.to_datetime(timestamp);
+    let weekday = at.weekday().to_sunday_zero_offset();
+    [
+        at.year().cast_unsigned(),
+        i16::from(at.month()).cast_unsigned(),
+        i16::from(weekday).cast_unsigned(),
+        i16::from(at.day()).cast_unsigned(),
+        i16::from(at.hour()).cast_unsigned(),
+        i16::from(at.minute()).cast_unsigned(),
+        i16::from(at.second()).cast_unsigned(),
+        at.millisecond().cast_unsigned(),
+    ]
+}
+
+/// Parses `10:06:13.191` as hour, minute and microseconds since the minute began.
+fn time_of_day(text: &[u8]) -> Option<(u32, u32, u64)> {
+    let mut parts = text.splitn(3, |&byte| byte == b':');
+    let (hour, minute) = (number(parts.next()?, 10)?, number(parts.next()?, 10)?);
+    Some((hour, minute, fixed_point::<6>(parts.next().unwrap_or(b"0"))?))
+}
+
+fn civil(year: u32, month: u32, day: u32, time: (u32, u32, u64)) -> Option<u64> {
+    let (hour, minute, micros) = time;
+    let small = |value: u32| i8::try_from(value).ok();
+    let second = i8::try_from(micros / 1_000_000).ok()?;
+    let nanos = i32::try_from(micros % 1_000_000 * 1000).ok()?;
+    let year = i16::try_from(year).ok()?;
+    let date = jiff::civil::Date::new(year, small(month)?, small(day)?).ok()?;
+    let time = jiff::civil::Time::new(small(hour)?, small(minute)?, second, nanos).ok()?;
+    unix_micros(date.to_datetime(time))
+}
+
+/// Returns seconds and their fraction, in microseconds; `None` if it is no number. The number may have an
+/// exponent.
+pub(super) fn seconds(text: &[u8]) -> Option<u64> {
+    fixed_point::<6>(text).or_else(|| {
+        let seconds: f64 = std::str::from_utf8(text).ok()?.parse().ok()?;
+        let micros = (seconds * 1e6).round();
+        let is_time = (0.0..=1e18).contains(&micros) && !decimal(text).is_some_and(|_| true);
+        is_time.then_some(micros as u64)
+    })
+}

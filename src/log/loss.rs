@@ -1,0 +1,51 @@
+//! What a written log does not hold, by the limits of its format.
+
+use std::fmt;
+
+/// What an encoder has left out, or written as something less.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct LogLoss {
+    /// Remote frames that are not in the log.
+    pub remote_frames: u64,
+    /// Error frames that are not in the log.
+    pub error_frames: u64,
+    /// Error frames without their details.
+    pub error_details: u64,
+    /// FD frames that are read as classic ones, or without BRS or ESI.
+    pub fd_flags: u64,
+    /// Frames whose time the format does not have: before the first one, or centuries after it.
+    pub other_times: u64,
+    /// Interfaces with the numbers that the log has in place of their names.
+    pub numbers: Vec<(String, u8)>,
+}
+
+impl LogLoss {
+    /// Returns true if the log holds all that was written.
+    pub fn is_empty(&self) -> bool {
+        *self == Self::default()
+    }
+}
+
+/// Formats what is lost: `1 remote frame left out; can0 is channel 1`.
+impl fmt::Display for LogLoss {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let counts = [
+            (self.remote_frames, "remote frame", "left out"),
+            (self.error_frames, "error frame", "left out"),
+            (self.error_details, "error frame", "without details"),
+            (self.fd_flags, "FD frame", "without FDF, BRS or ESI"),
+            (self.other_times, "frame", "with another time"),
+        ];
+        let mut separator = "";
+        for (count, what, how) in counts.into_iter().filter(|(count, ..)| *count > 0) {
+            let plural = if count == 1 { "" } else { "s" };
+            write!(f, "{separator}{count} {what}{plural} {how}")?;
+            separator = "; ";
+        }
+        for (name, number) in &self.numbers {
+            write!(f, "{separator}{name} is number {number}")?;
+            separator = ", ";
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,316 @@
+//! TRC, the trace of PEAK's tools, versions 1.0 to 2.1: reads it, and writes 2.1.
+//!
+//! Source: "PEAK CAN TRC File Format" of PEAK-System. The times are milliseconds since `$STARTTIME`, which
+//! is local time in days since 1899-12-30. Status and event lines are passed over. Does not know moments
+//! or bus numbers.
+
+use super::asc::is_whole_error;
+use super::bus_errors::{bus_error, capture_of, captured, overload};
+use super::channel::{ChannelNumbers, channel_name};
+use super::dates::{local_time, trc_date, trc_days};
+use super::fields::{
+    FieldFault, bytes, can_id, channel, check_line, data_frame, dlc_of_len, first_word,
+    fixed_point, len_of_dlc, number, starts_with_ignoring_case as starts,
+};
+use super::{LogEncoder, LogEntry, LogLoss};
+use crate::frame::socketcan::{BIT_RATE_SWITCH, ERROR_STATE};
+use crate::frame::{CanId, Frame, FrameKind};
+use std::io::{self, Write};
+
+/// Most columns of a line.
+const MAX_COLUMNS: usize = 10;
+/// Columns of the versions that do not name them. The number of the message is not among them.
+const COLUMNS_1_0: &[u8] = b"OIlD";
+const COLUMNS_1_1: &[u8] = b"OdIlD";
+const COLUMNS_1_2: &[u8] = b"OBdIlD";
+const COLUMNS_1_3: &[u8] = b"OBdIRlD";
+
+/// What the lines so far say about those that follow.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct TrcLines {
+    /// Letters of the columns behind the number of the message, as `$COLUMNS` has them.
+    columns: [u8; MAX_COLUMNS],
+    /// The columns have a type of message.
+    has_types: bool,
+    /// Date of the beginning, in microseconds since 1970.
+    start: u64,
+}
+
+impl TrcLines {
+    /// Returns the beginning of a trace with this line, if it is one of the head of a trace.
+    pub fn of_line(line: &[u8]) -> Option<Self> {
+        let line = line.trim_ascii();
+        let is_head = line.starts_with(b";$FILEVERSION") || line.starts_with(b";##########");
+        is_head.then(|| Self::new(COLUMNS_1_0))
+    }
+
+    fn new(letters: &[u8]) -> Self {
+        let mut columns = [0; MAX_COLUMNS];
+        let len = letters.len().min(MAX_COLUMNS);
+        columns[..len].copy_from_slice(&letters[..len]);
+        Self { columns, has_types: letters.contains(&b'T'), start: 0 }
+    }
+
+    /// Reads a line; `None` for one without a frame.
+    pub fn read<'a>(&mut self, line: &'a [u8]) -> Result<Option<LogEntry<'a>>, FieldFault> {
+        check_line(line)?;
+        let line = line.trim_ascii();
+        if let Some(comment) = line.strip_prefix(b";") {
+            return self.read_head(comment).map(|()| None);
+        }
+        if line.is_empty() {
+            return Ok(None);
+        }
+        let (message, rest) = first_word(line);
+        number(message.strip_suffix(b")").unwrap_or(message), 10).ok_or(FieldFault::Time)?;
+        self.read_message(rest)
+    }
+
+    /// Reads what stands behind the `;` of a line.
+    fn read_head(&mut self, comment: &[u8]) -> Result<(), FieldFault> {
+        let value = |name: &[u8]| {
+            let value = comment.strip_prefix(name)?.trim_ascii();
+            Some(value.strip_prefix(b"=").unwrap_or(value).trim_ascii())
+        };
+        let columns = if let Some(version) = value(b"$FILEVERSION") {
+            match version {
+                b"1.0" => COLUMNS_1_0,
+                b"1.1" => COLUMNS_1_1,
+                b"1.2" => COLUMNS_1_2,
+                b"1.3" => COLUMNS_1_3,
+                // Later ones name their columns.
+                _ => return Ok(()),
+            }
+        } else if let Some(days) = value(b"$STARTTIME") {
+            self.start = trc_date(days).ok_or(FieldFault::Date)?;
+            return Ok(());
+        } else if let Some(letters) = value(b"$COLUMNS") {
+            let mut columns = [0; MAX_COLUMNS];
+            let named = letters.split(|&byte| byte == b',').map(<[u8]>::trim_ascii);
+            let rest = named.filter(|letter| *letter != b"N");
+            for (at, letter) in rest.enumerate() {
+                let place = columns.get_mut(at).ok_or(FieldFault::Column)?;
+                *place = *letter.first().ok_or(FieldFault::Column)?;
+            }
+            let start = self.start;
+            *self = Self { start, ..Self::new(&columns) };
+            return Ok(());
+        } else {
+            return Ok(());
+        };
+        *self = Self { start: self.start, ..Self::new(columns) };
+        Ok(())
+    }
+
+    /// Reads a line behind the number of the message.
+    fn read_message(&self, line: &[u8]) -> Result<Option<LogEntry<'static>>, FieldFault> {
+        let (mut time, mut kind, mut bus, mut id, mut length) = (None, &b"DT"[..], 1, None, None);
+        let (mut is_tx, mut is_dlc, mut rest) = (false, false, line);
+        for column in self.columns.into_iter().take_while(|column| *column != 0) {
+            if column == b'D' {
+                break;
+            }
+            let (word, after) = first_word(rest);
+            match column {
+                // Milliseconds with at most three places: microseconds.
+                b'O' => time = Some(fixed_point::<3>(word).ok_or(FieldFault::Time)?),
+                b'T' => kind = word,
+                b'B' => bus = channel(word)?,
+                // An error frame has no identifier.
+                b'I' if matches!(word, b"Rx" | b"Tx") => continue,
+                b'I' => id = Some(word),
+                // A status line of some versions has nothing in these columns.
+                b'd' if word == b"Tx" || word == b"Rx" => is_tx = word == b"Tx",
+                b'd' if self.has_types => return Ok(None),
+                // Warnings and errors of version 1.
+                b'd' => return self.other_message(word, time, bus),
+                b'l' | b'L' => (length, is_dlc) = (Some(word), column == b'L'),
+                _ => {}
+            }
+            rest = after;
+        }
+        let unix_micros = self.start.saturating_add(time.ok_or(FieldFault::Time)?);
+        let interface = channel_name(bus);
+        let (is_fd, flags) = match kind {
+            b"DT" | b"RR" => (false, 0),
+            b"FD" => (true, 0),
+            b"FB" => (true, BIT_RATE_SWITCH),
+            b"FE" => (true, ERROR_STATE),
+            b"BI" => (true, BIT_RATE_SWITCH | ERROR_STATE),
+            b"ER" => {
+                let frame = error_frame(rest, is_tx);
+                return Ok(Some(LogEntry { unix_micros, interface, frame }));
+            }
+            // Status, error counters, events.
+            b"ST" | b"EC" | b"EV" => return Ok(None),
+            _ => return Err(FieldFault::Kind),
+        };
+        let id = id.ok_or(FieldFault::Id)?;
+        // A status line of version 1.0.
+        if id == b"FFFFFFFF" && !self.has_types {
+            return Ok(None);
+        }
+        let id = can_id(number(id, 16), id.len() > 4)?;
+        let length = number(length.unwrap_or_default(), 10).ok_or(FieldFault::Length)?;
+        let len = match (is_dlc, is_fd) {
+            (true, _) => len_of_dlc(length, is_fd)?,
+            // Some writers give the DLC of a classic frame.
+            (false, false) => len_of_dlc(length, false)?,
+            (false, true) => length as usize,
+        };
+        let mut frame = if kind == b"RR" || starts(rest.trim_ascii_start(), b"RTR") {
+            Frame::remote(id, len)
+        } else {
+            let mut data = [0; Frame::MAX_DATA];
+            let data = data.get_mut(..len).ok_or(FieldFault::Length)?;
+            bytes(rest, 16, data)?;
+            data_frame(id, data, is_fd.then_some(flags))?
+        };
+        frame.is_tx = is_tx;
+        Ok(Some(LogEntry { unix_micros, interface, frame }))
+    }
+
+    /// Reads a line of version 1 that is neither received nor sent.
+    fn other_message(
+        &self,
+        kind: &[u8],
+        time: Option<u64>,
+        bus: u8,
+    ) -> Result<Option<LogEntry<'static>>, FieldFault> {
+        match kind {
+            b"Warng" => Ok(None),
+            b"Error" => {
+                let unix_micros = self.start.saturating_add(time.ok_or(FieldFault::Time)?);
+                let frame = bus_error();
+                Ok(Some(LogEntry { unix_micros, interface: channel_name(bus), frame }))
+            }
+            _ => Err(FieldFault::Kind),
+        }
+    }
+}
+
+/// Reads the bytes of an error frame: the type of the error, the direction, the place in the frame, and the
+/// error counters.
+fn error_frame(bytes_of_line: &[u8], is_tx: bool) -> Frame {
+    let mut data = [0; 3];
+    if bytes(bytes_of_line, 16, &mut data).is_err() {
+        return bus_error();
+    }
+    let kind = match data[0] {
+        0x01 => 0,
+        0x02 => 1,
+        0x04 => 2,
+        _ => 3,
+    };
+    let direction = if is_tx || data[1] == 0 { 0 } else { 0x20 };
+    captured(kind << 6 | direction | data[2] & 0x1F)
+}
+
+/// Writes a trace of version 2.1.
+#[derive(Debug)]
+pub(super) struct TrcEncoder {
+    channels: ChannelNumbers,
+    /// Date of the first frame, in microseconds since 1970, and the number of frames so far.
+    start: Option<u64>,
+    messages: u64,
+    loss: LogLoss,
+}
+
+impl TrcEncoder {
+    pub fn new() -> Self {
+        Self {
+            channels: ChannelNumbers::new(1),
+            start: None,
+            messages: 0,
+            loss: LogLoss::default(),
+        }
+    }
+
+    fn write_head(out: &mut Vec<u8>, start: u64) -> io::Result<()> {
+        let (days, at) = (trc_days(start), local_time(start));
+        let at = at.strftime("%d.%m.%Y %H:%M:%S.%3f");
+        write!(out, ";$FILEVERSION=2.1\n;$STARTTIME={days}\n;$COLUMNS=N,O,T,B,I,d,R,L,D\n;\n")?;
+        write!(out, ";   Start time: {at}\n;   Generated by descan\n")?;
+        writeln!(out, ";   Message, offset in ms, type, bus, id, direction, reserved, DLC, data\n;")
+    }
+}
+
+/// Returns the type of a data frame.
+fn type_of(frame: &Frame) -> &'static str {
+    match (frame.kind, frame.is_fd, frame.bit_rate_switch, frame.error_state) {
+        (FrameKind::Error, ..) => "ER",
+        (FrameKind::Remote, ..) => "RR",
+        (FrameKind::Data, false, ..) => "DT",
+        (FrameKind::Data, true, false, false) => "FD",
+        (FrameKind::Data, true, true, false) => "FB",
+        (FrameKind::Data, true, false, true) => "FE",
+        (FrameKind::Data, true, true, true) => "BI",
+    }
+}
+
+impl LogEncoder for TrcEncoder {
+    fn begin(&mut self, _: &mut Vec<u8>) -> io::Result<()> {
+        Ok(())
+    }
+
+    fn write(&mut self, entry: LogEntry<'_>, max_len: u64, out: &mut Vec<u8>) -> io::Result<bool> {
+        let before = out.len();
+        let start = if let Some(start) = self.start {
+            start
+        } else {
+            Self::write_head(out, entry.unix_micros)?;
+            *self.start.insert(entry.unix_micros)
+        };
+        self.loss.other_times += u64::from(entry.unix_micros < start);
+        let since_start = entry.unix_micros.saturating_sub(start);
+        self.loss.error_details += u64::from(!is_whole_error(&entry.frame));
+        self.loss.error_details += u64::from(entry.frame.same_on_wire(&overload()));
+        self.messages += 1;
+        let (frame, channel) = (entry.frame, self.channels.number(entry.interface));
+        let id = match (frame.kind, frame.id) {
+            (FrameKind::Error, _) => "-".to_owned(),
+            (_, CanId::Standard(id)) => format!("{id:04X}"),
+            (_, CanId::Extended(id)) => format!("{id:08X}"),
+        };
+        let direction = if frame.is_tx { "Tx" } else { "Rx" };
+        let (millis, micros) = (since_start / 1000, since_start % 1000);
+        let (number, kind) = (self.messages, type_of(&frame));
+        write!(
+            out,
+            "{number:>7} {millis:>9}.{micros:03} {kind} {channel:>2} {id:>9} {direction} -"
+        )?;
+        if frame.kind == FrameKind::Error {
+            write_error(out, &frame)?;
+        } else {
+            write!(out, "  {:<2}  ", dlc_of_len(frame.len()))?;
+            frame.data().iter().try_for_each(|byte| write!(out, " {byte:02X}"))?;
+            writeln!(out)?;
+        }
+        let fits = (out.len() - before) as u64 <= max_len;
+        if !fits {
+            out.truncate(before);
+        }
+        Ok(fits)
+    }
+
+    fn end(&mut self, _: &[String], _: &[u64], out: &mut Vec<u8>) -> io::Result<()> {
+        if self.start.is_none() { Self::write_head(out, 0) } else { Ok(()) }
+    }
+
+    fn loss(&self) -> LogLoss {
+        LogLoss { numbers: self.channels.lost_names(), ..self.loss.clone() }
+    }
+}
+
+/// Writes the bytes of an error frame: see [`error_frame`].
+fn write_error(out: &mut Vec<u8>, frame: &Frame) -> io::Result<()> {
+    if frame.same_on_wire(&bus_error()) {
+        return writeln!(out, "  0");
+    }
+    let code = capture_of(frame.data());
+    let kind = [0x01, 0x02, 0x04, 0x08][usize::from(code >> 6)];
+    let direction = u8::from(code & 0x20 != 0);
+    let counters = frame.data().get(6..8).map_or([0, 0], |it| [it[0], it[1]]);
+    let [sent, received] = counters;
+    writeln!(out, "  5    {kind:02X} {direction:02X} {:02X} {received:02X} {sent:02X}", code & 0x1F)
+}

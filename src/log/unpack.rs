@@ -1,0 +1,575 @@
+//! Packed logs: compressed with gzip, zstd or xz, and the containers of BLF. The bytes of the file in,
+//! those of the log out.
+//!
+//! Known by their first bytes. A log may be packed twice, such as a BLF log in gzip. The memory does not
+//! depend on lengths in the file. Does not know formats but BLF's containers.
+
+use super::blf::{self, OBJECT_HEAD, file_head_len, object_size};
+use flate2::read::MultiGzDecoder;
+use flate2::{Decompress, FlushDecompress, Status};
+use lzma_rust2::Lzma2Reader;
+use ruzstd::decoding::errors::{FrameDecoderError, ReadFrameHeaderError};
+use ruzstd::decoding::{BlockDecodingStrategy, FrameDecoder};
+use std::error::Error;
+use std::io::{self, BufRead, BufReader, Read, Write};
+
+/// How often a log may be packed.
+const MAX_LAYERS: usize = 3;
+/// Most memory of a decompressor, in bytes: the largest dictionary of `xz -9` is half of it.
+const MAX_WINDOW: u32 = 128 << 20;
+
+/// How a log is packed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Packing {
+    /// Compressed with gzip.
+    Gzip,
+    /// Compressed with zstd.
+    Zstd,
+    /// Compressed with xz.
+    Xz,
+    /// The containers of a BLF log.
+    Blf,
+}
+
+impl Packing {
+    /// First bytes of a log that are needed.
+    pub const HEAD: usize = 6;
+
+    const ALL: [(Self, &[u8]); 4] = [
+        (Self::Gzip, &[0x1F, 0x8B]),
+        (Self::Zstd, &[0x28, 0xB5, 0x2F, 0xFD]),
+        (Self::Xz, &[0xFD, b'7', b'z', b'X', b'Z', 0]),
+        (Self::Blf, blf::MAGIC),
+    ];
+
+    /// Returns how a log with these first bytes is packed; `None` if it is not.
+    pub fn of_head(head: &[u8]) -> Option<Self> {
+        Self::ALL.iter().find(|(_, magic)| head.starts_with(magic)).map(|(packing, _)| *packing)
+    }
+
+    /// Returns true if more bytes are needed to know.
+    fn is_undecided(head: &[u8]) -> bool {
+        Self::ALL.iter().any(|(_, magic)| head.len() < magic.len() && magic.starts_with(head))
+    }
+}
+
+/// A log that is unpacked while it is read, or read as it is.
+///
+/// Errors of the file are passed on. The kind [`io::ErrorKind::UnexpectedEof`] says that the packed log is
+/// cut off, [`io::ErrorKind::InvalidData`] that it is damaged.
+pub struct Unpacked<'a> {
+    source: UnpackedSource<'a>,
+    /// Where the unpacked bytes are written, too.
+    copy: Option<Box<dyn Write + Send + 'a>>,
+    /// Why the rest of a packed log cannot be read.
+    failure: Option<io::ErrorKind>,
+    /// Bytes of the log that were read.
+    count: u64,
+}
+
+enum UnpackedSource<'a> {
+    /// Nothing was read.
+    Start(Option<Box<dyn Read + Send + 'a>>),
+    Plain(Box<dyn Read + Send + 'a>),
+    Packed(Box<dyn Read + Send + 'a>),
+}
+
+impl<'a> Unpacked<'a> {
+    /// Begins with the first byte of `source`.
+    pub fn new(source: impl Read + Send + 'a) -> Self {
+        let source = UnpackedSource::Start(Some(Box::new(source)));
+        Self { source, copy: None, failure: None, count: 0 }
+    }
+
+    /// Also writes the bytes of a packed log to `copy`.
+    #[must_use]
+    pub fn with_copy(mut self, copy: impl Write + Send + 'a) -> Self {
+        self.copy = Some(Box::new(copy));
+        self
+    }
+
+    /// Returns the number of bytes of the log that were read, unpacked.
+    pub fn count(&self) -> u64 {
+        self.count
+    }
+
+    /// Reads the first bytes and opens the layers of the log.
+    fn open(source: Box<dyn Read + Send + 'a>) -> io::Result<UnpackedSource<'a>> {
+        let mut source: Box<dyn Read + Send + 'a> = Box::new(Uninterrupted(source));
+        let mut is_packed = false;
+        for _ in 0..MAX_LAYERS {
+            let head = read_head(&mut source)?;
+            let packing = Packing::of_head(&head);
+            let whole = Box::new(io::Cursor::new(head).chain(source));
+            let Some(packing) = packing else {
+                source = whole;
+                break;
+            };
+            is_packed = true;
+            source = match packing {
+                Packing::Gzip => Box::new(MultiGzDecoder::new(whole)),
+                Packing::Zstd => Box::new(ZstdReader::new(whole)),
+                Packing::Xz => Box::new(XzReader::new(whole)),
+                // The objects begin with the same bytes.
+                Packing::Blf => {
+                    source = Box::new(ContainerReader::new(whole));
+                    break;
+                }
+            };
+        }
+        Ok(if is_packed { UnpackedSource::Packed(source) } else { UnpackedSource::Plain(source) })
+    }
+}
+
+/// Reads as many bytes as are needed to know how a log is packed.
+fn read_head(source: &mut (impl Read + ?Sized)) -> io::Result<Vec<u8>> {
+    let mut head = Vec::with_capacity(Packing::HEAD);
+    while Packing::of_head(&head).is_none() && Packing::is_undecided(&head) {
+        let mut byte = [0];
+        match source.read(&mut byte) {
+            Ok(0) => break,
+            Ok(_) => head.extend(byte),
+            Err(error) => return Err(classified(error)),
+        }
+    }
+    Ok(head)
+}
+
+impl Read for Unpacked<'_> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        if let UnpackedSource::Start(source) = &mut self.source {
+            let source = source.take().ok_or(io::ErrorKind::UnexpectedEof)?;
+            self.source = Self::open(source)?;
+        }
+        if let Some(failure) = self.failure {
+            return Err(failure.into());
+        }
+        let count = match &mut self.source {
+            UnpackedSource::Start(_) => 0,
+            UnpackedSource::Plain(source) => source.read(buffer)?,
+            UnpackedSource::Packed(source) => {
+                let read = source.read(buffer).map_err(classified);
+                self.failure = read.as_ref().err().map(io::Error::kind);
+                let count = read?;
+                if let Some(copy) = &mut self.copy {
+                    copy.write_all(&buffer[..count])?;
+                }
+                count
+            }
+        };
+        self.count += count as u64;
+        Ok(count)
+    }
+}
+
+/// Returns an error of a decompressor as it is passed on: one of the file unchanged.
+fn classified(error: io::Error) -> io::Error {
+    let is_of_file = error.raw_os_error().is_some();
+    match error.kind() {
+        io::ErrorKind::UnexpectedEof => error,
+        _ if is_of_file => error,
+        _ => io::Error::new(io::ErrorKind::InvalidData, error),
+    }
+}
+
+/// A source that is read again after an interruption, in the middle of which a decompressor would lose
+/// its place.
+struct Uninterrupted<R>(R);
+
+impl<R: Read> Read for Uninterrupted<R> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        loop {
+            match self.0.read(buffer) {
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                read => return read,
+            }
+        }
+    }
+}
+
+// --- zstd ---------------------------------------------------------------------------------
+
+/// The frames of a zstd file, one after the other.
+struct ZstdReader<R> {
+    source: BufReader<R>,
+    decoder: FrameDecoder,
+    is_inside: bool,
+    /// Why the file ends inside a frame, of which the decoder gives the last bytes.
+    end: Option<io::ErrorKind>,
+}
+
+impl<R: Read> ZstdReader<R> {
+    fn new(source: R) -> Self {
+        let mut decoder = FrameDecoder::new();
+        decoder.set_max_window_size(u64::from(MAX_WINDOW));
+        Self { source: BufReader::new(source), decoder, is_inside: false, end: None }
+    }
+
+    /// Begins the next frame; false at the end of the file.
+    fn begin_frame(&mut self) -> io::Result<bool> {
+        loop {
+            if self.source.fill_buf()?.is_empty() {
+                return Ok(false);
+            }
+            match self.decoder.reset(&mut self.source) {
+                Ok(()) => return Ok(true),
+                Err(FrameDecoderError::ReadFrameHeaderError(ReadFrameHeaderError::SkipFrame {
+                    length,
+                    ..
+                })) => {
+                    let mut skipped = (&mut self.source).take(u64::from(length));
+                    io::copy(&mut skipped, &mut io::sink())?;
+                }
+                Err(error) => return Err(of_zstd(&error)),
+            }
+        }
+    }
+}
+
+/// Returns an error of the decompressor; one of the file, or of its end, if that is its cause.
+fn of_zstd(error: &(dyn Error + 'static)) -> io::Error {
+    let mut cause = Some(error);
+    while let Some(error) = cause {
+        if let Some(error) = error.downcast_ref::<io::Error>() {
+            return match error.raw_os_error() {
+                Some(code) => io::Error::from_raw_os_error(code),
+                None => error.kind().into(),
+            };
+        }
+        cause = error.source();
+    }
+    io::ErrorKind::InvalidData.into()
+}
+
+impl<R: Read> Read for ZstdReader<R> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        loop {
+            if !self.is_inside {
+                if !self.begin_frame()? {
+                    return Ok(0);
+                }
+                self.is_inside = true;
+            }
+            let count = self.decoder.read(buffer)?;
+            if count > 0 {
+                return Ok(count);
+            }
+            if let Some(end) = self.end {
+                return Err(end.into());
+            }
+            if self.decoder.is_finished() {
+                self.is_inside = false;
+                continue;
+            }
+            let one = || BlockDecodingStrategy::UptoBlocks(1);
+            if let Err(error) = self.decoder.decode_blocks(&mut self.source, one()) {
+                let error = of_zstd(&error);
+                if error.kind() != io::ErrorKind::UnexpectedEof || self.end.is_some() {
+                    return Err(error);
+                }
+                // An empty last block, and a check sum: the decoder gives what it holds back.
+                self.end = Some(error.kind());
+                let last = [1, 0, 0, 0, 0, 0, 0];
+                let ended = self.decoder.decode_blocks(&last[..], one());
+                ended.map_err(|error| of_zstd(&error))?;
+            }
+        }
+    }
+}
+
+// --- xz -----------------------------------------------------------------------------------
+
+/// The blocks of an xz file.
+///
+/// Source: "The .xz File Format", version 1.2.1. The check sums are not compared: the decompressor of a
+/// block finds what is damaged.
+struct XzReader<R: Read> {
+    state: XzState<R>,
+    /// Bytes of the check behind a block.
+    check_len: usize,
+}
+
+enum XzState<R: Read> {
+    /// Before a stream.
+    Start(Counted<R>),
+    /// Before a block of a stream, or its end.
+    Stream(Counted<R>),
+    Block(Box<Lzma2Reader<Counted<R>>>),
+    End,
+}
+
+/// Counts the bytes that were read.
+struct Counted<R> {
+    source: BufReader<R>,
+    count: u64,
+}
+
+impl<R: Read> Read for Counted<R> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let count = self.source.read(buffer)?;
+        self.count += count as u64;
+        Ok(count)
+    }
+}
+
+impl<R: Read> XzReader<R> {
+    fn new(source: R) -> Self {
+        let source = Counted { source: BufReader::new(source), count: 0 };
+        Self { state: XzState::Start(source), check_len: 0 }
+    }
+
+    /// Reads the head of a stream; without one it is the end.
+    fn begin_stream(&mut self, mut source: Counted<R>) -> io::Result<XzState<R>> {
+        let mut head = [0; 12];
+        // Zeros may stand between streams.
+        while head[0] == 0 {
+            if source.source.fill_buf()?.is_empty() {
+                return Ok(XzState::End);
+            }
+            source.read_exact(&mut head[..1])?;
+        }
+        source.read_exact(&mut head[1..])?;
+        if Packing::of_head(&head) != Some(Packing::Xz) {
+            return Err(io::ErrorKind::InvalidData.into());
+        }
+        // Blocks are padded from here on.
+        source.count = 0;
+        self.check_len = match head[7] & 0x0F {
+            0 => 0,
+            1..=3 => 4,
+            4..=6 => 8,
+            7..=9 => 16,
+            10..=12 => 32,
+            _ => 64,
+        };
+        Ok(XzState::Stream(source))
+    }
+
+    /// Reads the head of a block; without one it is the end of the stream.
+    fn begin_block(mut source: Counted<R>) -> io::Result<XzState<R>> {
+        let mut size = [0];
+        source.read_exact(&mut size)?;
+        // The index follows the last block.
+        if size == [0] {
+            skip_xz_index(&mut source)?;
+            return Ok(XzState::Start(source));
+        }
+        let mut head = vec![0; usize::from(size[0]) * 4 + 3];
+        source.read_exact(&mut head)?;
+        let dictionary = xz_dictionary(&head).filter(|size| *size <= MAX_WINDOW);
+        let dictionary = dictionary.ok_or(io::ErrorKind::InvalidData)?;
+        let reader = Lzma2Reader::new(source, dictionary, None);
+        Ok(XzState::Block(Box::new(reader)))
+    }
+
+    /// Skips the padding and the check behind a block.
+    fn end_block(&self, source: &mut Counted<R>) -> io::Result<()> {
+        let padding = (4 - source.count % 4) % 4;
+        let mut rest = [0; 3 + 64];
+        source.read_exact(&mut rest[..padding as usize + self.check_len])
+    }
+}
+
+/// Skips the index behind its first byte, and the foot of the stream.
+fn skip_xz_index<R: Read>(source: &mut Counted<R>) -> io::Result<()> {
+    let mut number = || -> io::Result<u64> {
+        let mut value = 0;
+        for shift in (0..63).step_by(7) {
+            let mut byte = [0];
+            source.read_exact(&mut byte)?;
+            value |= u64::from(byte[0] & 0x7F) << shift;
+            if byte[0] & 0x80 == 0 {
+                return Ok(value);
+            }
+        }
+        Err(io::ErrorKind::InvalidData.into())
+    };
+    for _ in 0..number()? {
+        let (_packed, _unpacked) = (number()?, number()?);
+    }
+    let padding = (4 - source.count % 4) % 4;
+    let mut foot = [0; 3 + 4 + 12];
+    source.read_exact(&mut foot[..padding as usize + 4 + 12])
+}
+
+/// Returns the size of the dictionary of a block with this head, behind its first byte; `None` if the block
+/// has another filter than LZMA2 alone.
+fn xz_dictionary(head: &[u8]) -> Option<u32> {
+    let (&flags, mut rest) = head.split_first()?;
+    // The compressed and the uncompressed size may follow.
+    for flag in [0x40, 0x80] {
+        if flags & flag != 0 {
+            let end = rest.iter().position(|byte| byte & 0x80 == 0)?;
+            rest = &rest[end + 1..];
+        }
+    }
+    let [0x21, 1, bits, ..] = *rest else { return None };
+    if flags & 0x3F != 0 || bits > 40 {
+        return None;
+    }
+    let mantissa = 2 | u32::from(bits & 1);
+    if bits == 40 { Some(u32::MAX) } else { Some(mantissa << (bits / 2 + 11)) }
+}
+
+impl<R: Read> Read for XzReader<R> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        if buffer.is_empty() {
+            return Ok(0);
+        }
+        loop {
+            match std::mem::replace(&mut self.state, XzState::End) {
+                XzState::End => return Ok(0),
+                XzState::Start(source) => self.state = self.begin_stream(source)?,
+                XzState::Stream(source) => self.state = Self::begin_block(source)?,
+                XzState::Block(mut block) => {
+                    let count = block.read(buffer)?;
+                    if count > 0 {
+                        self.state = XzState::Block(block);
+                        return Ok(count);
+                    }
+                    let mut source = block.into_inner();
+                    self.end_block(&mut source)?;
+                    self.state = XzState::Stream(source);
+                }
+            }
+        }
+    }
+}
+
+// --- BLF ----------------------------------------------------------------------------------
+
+/// The objects of a BLF log, out of their containers, behind the head of the file.
+struct ContainerReader<R> {
+    source: BufReader<R>,
+    state: ContainerState,
+}
+
+enum ContainerState {
+    FileHead,
+    Object,
+    /// Bytes that are read as they are, before padding.
+    Copy {
+        head: Vec<u8>,
+        at: usize,
+        left: u64,
+        padding: usize,
+    },
+    Zlib {
+        inflate: Box<Decompress>,
+        left: u64,
+        padding: usize,
+    },
+}
+
+impl<R: Read> ContainerReader<R> {
+    fn new(source: R) -> Self {
+        Self { source: BufReader::with_capacity(1 << 16, source), state: ContainerState::FileHead }
+    }
+
+    /// Reads the head of an object; false at the end of the file.
+    fn begin_object(&mut self) -> io::Result<bool> {
+        if self.source.fill_buf()?.is_empty() {
+            return Ok(false);
+        }
+        let invalid = || io::Error::from(io::ErrorKind::InvalidData);
+        let mut head = [0; OBJECT_HEAD];
+        self.source.read_exact(&mut head)?;
+        let (size, kind) = object_size(&head).ok_or_else(invalid)?;
+        let left = u64::from(size) - OBJECT_HEAD as u64;
+        let padding = size as usize % 4;
+        if kind != blf::CONTAINER {
+            self.state = ContainerState::Copy { head: head.to_vec(), at: 0, left, padding };
+            return Ok(true);
+        }
+        let mut container = [0; 16];
+        let left = left.checked_sub(container.len() as u64).ok_or_else(invalid)?;
+        self.source.read_exact(&mut container)?;
+        self.state = match u16::from_le_bytes([container[0], container[1]]) {
+            0 => ContainerState::Copy { head: Vec::new(), at: 0, left, padding },
+            2 => {
+                let inflate = Box::new(Decompress::new(true));
+                ContainerState::Zlib { inflate, left, padding }
+            }
+            _ => return Err(invalid()),
+        };
+        Ok(true)
+    }
+
+    /// Skips bytes and the padding behind an object, of which the last one of a file may lack some.
+    fn end_object(&mut self, left: u64, padding: usize) -> io::Result<()> {
+        let skipped = io::copy(&mut (&mut self.source).take(left), &mut io::sink())?;
+        if skipped < left {
+            return Err(io::ErrorKind::UnexpectedEof.into());
+        }
+        io::copy(&mut (&mut self.source).take(padding as u64), &mut io::sink())?;
+        self.state = ContainerState::Object;
+        Ok(())
+    }
+}
+
+impl<R: Read> Read for ContainerReader<R> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        if buffer.is_empty() {
+            return Ok(0);
+        }
+        loop {
+            match &mut self.state {
+                ContainerState::FileHead => {
+                    let mut head = [0; 8];
+                    self.source.read_exact(&mut head)?;
+                    let len = file_head_len(head).ok_or(io::ErrorKind::InvalidData)? as u64;
+                    let left = len - head.len() as u64;
+                    self.state =
+                        ContainerState::Copy { head: head.to_vec(), at: 0, left, padding: 0 };
+                }
+                ContainerState::Object => {
+                    if !self.begin_object()? {
+                        return Ok(0);
+                    }
+                }
+                ContainerState::Copy { head, at, .. } if *at < head.len() => {
+                    let count = buffer.len().min(head.len() - *at);
+                    buffer[..count].copy_from_slice(&head[*at..*at + count]);
+                    *at += count;
+                    return Ok(count);
+                }
+                ContainerState::Copy { left: 0, padding, .. } => {
+                    let padding = *padding;
+                    self.end_object(0, padding)?;
+                }
+                ContainerState::Copy { left, .. } => {
+                    let most = buffer.len().min(usize::try_from(*left).unwrap_or(usize::MAX));
+                    let count = self.source.read(&mut buffer[..most])?;
+                    if count == 0 {
+                        return Err(io::ErrorKind::UnexpectedEof.into());
+                    }
+                    *left -= count as u64;
+                    return Ok(count);
+                }
+                ContainerState::Zlib { inflate, left, padding } => {
+                    let input = self.source.fill_buf()?;
+                    if input.is_empty() && *left > 0 {
+                        return Err(io::ErrorKind::UnexpectedEof.into());
+                    }
+                    let most = input.len().min(usize::try_from(*left).unwrap_or(usize::MAX));
+                    let (read, written) = (inflate.total_in(), inflate.total_out());
+                    let status =
+                        inflate.decompress(&input[..most], buffer, FlushDecompress::None)?;
+                    let used = inflate.total_in() - read;
+                    let count = (inflate.total_out() - written) as usize;
+                    self.source.consume(used as usize);
+                    *left -= used;
+                    if status == Status::StreamEnd {
+                        let (left, padding) = (*left, *padding);
+                        self.end_object(left, padding)?;
+                    } else if used == 0 && count == 0 {
+                        return Err(io::ErrorKind::InvalidData.into());
+                    }
+                    if count > 0 {
+                        return Ok(count);
+                    }
+                }
+            }
+        }
+    }
+}

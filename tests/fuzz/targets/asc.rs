@@ -1,0 +1,4 @@
+//! Fuzz target `asc`: see [`checks::log`].
+#![no_main]
+
+libfuzzer_sys::fuzz_target!(|input: &[u8]| (checks::log::ASC.check)(input));
