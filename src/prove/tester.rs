@@ -136,7 +136,7 @@ pub struct Prover {
     pub(super) unanswered: Vec<Frame>,
     /// Silence in all exchanges of the task is silence of the device.
     pub(super) is_task_sure: bool,
-    /// True: the last malformed request silenced the device for a while, and is repeated.
+    /// True: the request of the task silenced the device, which was heard again; it is repeated.
     pub(super) is_repeated: bool,
     is_over: bool,
     rng: fastrand::Rng,
