@@ -10,6 +10,7 @@ bitrate = 125000
 name = "FEED"
 address = { fixed = 10 }
 settled = true
+firmware = [2, 1]
 services = [["DES", "1.0"], ["AUGER", "2.1"], ["MOTOR", "3.4"]]
 [[device]]
 name = "SENS"
@@ -40,9 +41,16 @@ fn folder() -> tempfile::TempDir {
 #[test]
 fn send_says_what_is_sent_and_prints_answers() {
     let folder = folder();
+    std::fs::write(folder.path().join("firmware.toml"), "[descriptor]\nfw = 0x013\n").unwrap();
     std::fs::write(folder.path().join("short.toml"), "[calls]\ntimeout_ms = 300\n").unwrap();
     // Words, exit code, what it says before, what it prints.
-    let cases: [(&[&str], i32, &str, &str); 8] = [
+    let cases: [(&[&str], i32, &str, &str); 9] = [
+        (
+            &["request", "0x013", "to", "FEED", "--yes", "--profile", "firmware.toml"],
+            0,
+            "service 0x013 (fw), no data.",
+            "firmware 2.1 (data 02 00 01 00)\n",
+        ),
         (
             &["request", "des", "name", "to", "FEED", "--yes"],
             0,
