@@ -364,8 +364,18 @@ impl Prover {
             }
             return;
         }
+        let is_there = self.records.counts(Rule::AnswersUnderLoad).0 > 0;
+        let is_sure = is_there && self.observer.is_sure_since(self.loaded_at);
         let mut records = std::mem::replace(&mut self.records, Records::new());
-        self.observer.judge_interval(Rule::HeartbeatUnderLoad, &mut records);
+        if is_sure && self.observer.has_no_heartbeat_since(self.loaded_at) {
+            // It answers, so it is on the bus.
+            let rule = Rule::HeartbeatUnderLoad;
+            let time = self.now.since(self.loaded_at).as_secs_f64();
+            records.depends_on(rule, &[ProfileKey::Heartbeat], &self.setup.profile);
+            records.add(rule, Sample::Broken, format!("no heartbeat for {time:.1} s"), &[]);
+        } else {
+            self.observer.judge_interval(Rule::HeartbeatUnderLoad, &mut records);
+        }
         self.records = records;
     }
 

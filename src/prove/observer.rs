@@ -176,6 +176,11 @@ impl Observer {
         }
     }
 
+    /// Returns true if the device sent no heartbeat since `since`.
+    pub fn has_no_heartbeat_since(&self, since: Instant) -> bool {
+        self.heartbeats.back().is_none_or(|beat| beat.frame.time < since)
+    }
+
     /// The device has another address.
     pub fn set_device(&mut self, address: Address) {
         self.device = address;

@@ -104,7 +104,7 @@ pub struct Prover {
     pub(super) before: Option<IdentityBefore>,
     /// Intervals of the heartbeats before the first disruption, in seconds.
     pub(super) intervals: Option<[f64; 3]>,
-    loaded_at: Instant,
+    pub(super) loaded_at: Instant,
     /// True: the samples of the observation are in the records.
     is_judged: bool,
     extensions: u32,
