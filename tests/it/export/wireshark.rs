@@ -266,10 +266,10 @@ fn requests_to_all_have_the_name_on_which_types_agree() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::create_dir(folder.path().join("devices")).unwrap();
     for device in ["FEED", "SENS"] {
-        let mut file = format!("name = \"{device}\"\n");
-        for (_, number, name) in types.iter().filter(|it| it.0 == device) {
-            file += &format!("[[services]]\nname = \"{name}\"\nnumber = {number}\n");
-        }
+        let services = types.iter().filter(|it| it.0 == device).map(|(_, number, name)| {
+            format!("[[services]]\nname = \"{name}\"\nnumber = {number}\n")
+        });
+        let file = format!("name = \"{device}\"\n{}", services.collect::<String>());
         std::fs::write(folder.path().join(format!("devices/{device}.toml")), file).unwrap();
     }
     let name = |from: u8, data: &'static [u8]| {
