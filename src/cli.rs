@@ -899,7 +899,7 @@ pub struct ProveArgs {
 pub enum TestReportFormat {
     /// JUnit XML.
     Junit,
-    /// Test Anything Protocol, version 14.
+    /// Test Anything Protocol, version 13.
     Tap,
     /// Annotations of GitHub Actions: one line for each failure.
     Github,

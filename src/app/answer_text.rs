@@ -1,14 +1,14 @@
 //! Answers to requests that were composed, in words.
 //!
-//! DES responses and fields of the descriptor are decoded, other data are bytes. Everything is printable.
+//! DES responses and fields of the descriptor are decoded as in Traffic, other data are bytes. Everything is printable.
 
+use super::capture::descriptor_content;
 use crate::composer::Answer;
 use crate::discovery::FieldContent;
 use crate::frame::Frame;
 use crate::text::{Name, counted, hex};
 use crate::time::Duration;
 use crate::wire::des::{self, ServicesResponse};
-use crate::wire::descriptor::{DescriptorField, DescriptorValue};
 use crate::wire::id::Header;
 use crate::wire::profile::Profile;
 
@@ -36,16 +36,13 @@ pub(super) fn answer_text(answer: &Answer, request: Option<&Frame>, profile: &Pr
         return des_text(data).unwrap_or(bytes);
     }
     let header = request.and_then(Frame::platform_id).map(Header::decode);
-    let is_of = |field: &DescriptorField| {
-        header.is_some_and(|header| field.service(&profile.descriptor) == header.service)
-    };
-    let field = DescriptorField::ALL.into_iter().find(is_of).filter(|_| !data.is_empty());
-    let value = field.and_then(|field| {
-        let value = DescriptorValue::decode(field, data, profile.descriptor.byte_order).ok()?;
-        let words = FieldContent::Value(value).in_words(&profile.uid);
-        Some(format!("{} {words} ({bytes})", field.label()))
-    });
-    value.unwrap_or(bytes)
+    match header.and_then(|header| descriptor_content(profile, header.service, data)) {
+        Some((field, content @ FieldContent::Value(_))) => {
+            format!("{} {} ({bytes})", field.label(), content.in_words(&profile.uid))
+        }
+        Some((field, content)) => format!("{} {}", field.label(), content.in_words(&profile.uid)),
+        None => bytes,
+    }
 }
 
 /// A DES response in words.

@@ -558,6 +558,20 @@ local function service_name(header, server_name)
         or profile.common_services[header.srv]
 end
 
+-- The name of a service in the types of the devices on a bus so far, if they agree.
+local function agreed_name(bus, srv)
+    local agreed
+    for key, name in pairs(names) do
+        local of_type = key:find(bus .. ":", 1, true) == 1 and profile.types[name]
+        local own = of_type and of_type.services[srv]
+        if own and agreed and own ~= agreed then
+            return nil
+        end
+        agreed = own or agreed
+    end
+    return agreed
+end
+
 local function analyse(header, data, is_fd, bus, time)
     local found = {}
     local own = bus .. ":" .. header.src
@@ -590,6 +604,9 @@ local function analyse(header, data, is_fd, bus, time)
         server = source
     end
     found.service = service_name(header, server)
+    if not found.service and header.b and not header.r then
+        found.service = agreed_name(bus, header.srv)
+    end
     return found
 end
 

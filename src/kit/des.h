@@ -7,7 +7,7 @@
  * and writes of the descriptor and commands. Copy des.h and des.c into the
  * firmware, and a des_config.h beside them:
  *
- *     descan kit --profile line7.toml --name PUMP --service FLOW=1.0 --write DIR
+ *     descan kit --profile line7.toml --name PUMP --services FLOW=1.0 --write DIR
  *
  * It allocates nothing, needs no library, has no threads, timers or globals,
  * and is freestanding C99. It does not know the CAN controller, flash memory or

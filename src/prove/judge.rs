@@ -28,9 +28,11 @@ const LATEST_ANSWER: Duration = Duration::from_secs(10);
 const REGULAR_PERIODS: f64 = 1.2;
 /// Time for which a lost frame makes what follows doubtful: a transfer that was not seen to begin.
 const LOSS_MEMORY: Duration = Duration::from_secs(3);
-/// Time before a request in which a device was heard that is there. Chosen: a device that is switched
-/// off within it is taken for one that the request has stopped.
-const PRESENT_TIME: Duration = Duration::from_millis(200);
+/// Time after a request that may have stopped a device in which it is heard again, or not at all. Chosen:
+/// a person switches it off and on, and it resolves its address.
+const RETURN_TIME: Duration = Duration::from_secs(30);
+/// Periods of heartbeats after which a device without an answer is not one that resolves its address.
+const SETTLED_PERIODS: u32 = 4;
 /// Broken transfers that are no lost frames, if none came whole.
 const BROKEN_TRANSFERS: usize = 3;
 
@@ -362,8 +364,18 @@ impl Prover {
             }
             return;
         }
+        let is_there = self.records.counts(Rule::AnswersUnderLoad).0 > 0;
+        let is_sure = is_there && self.observer.is_sure_since(self.loaded_at);
         let mut records = std::mem::replace(&mut self.records, Records::new());
-        self.observer.judge_interval(Rule::HeartbeatUnderLoad, &mut records);
+        if is_sure && self.observer.has_no_heartbeat_since(self.loaded_at) {
+            // It answers, so it is on the bus.
+            let rule = Rule::HeartbeatUnderLoad;
+            let time = self.now.since(self.loaded_at).as_secs_f64();
+            records.depends_on(rule, &[ProfileKey::Heartbeat], &self.setup.profile);
+            records.add(rule, Sample::Broken, format!("no heartbeat for {time:.1} s"), &[]);
+        } else {
+            self.observer.judge_interval(Rule::HeartbeatUnderLoad, &mut records);
+        }
         self.records = records;
     }
 
@@ -518,14 +530,19 @@ impl Prover {
         is_sure: bool,
     ) {
         let is_alive = exchange.answers.iter().any(ReceivedAnswer::is_response);
-        if !is_alive && attempt + 1 < Self::controls() {
+        let is_repeatable = task.may_stop_device() && !self.is_repeated;
+        let is_heard = is_alive || is_repeatable && self.is_heard_again(exchange);
+        if !is_alive && attempt + 1 < Self::controls()
+            || !is_heard && is_repeatable && self.may_be_heard_again()
+        {
             self.stage = TaskStage::Control(attempt + 1);
             return;
         }
         let Some(tested) = self.tested.take() else { return self.end_task() };
         let was_away = is_alive && attempt >= AWAY_CONTROLS;
+        let has_failed = was_away || !is_alive && self.is_silence_sure(&tested);
         match task {
-            ProofTask::Malformed(_) | ProofTask::Endless if was_away && !self.is_repeated => {
+            _ if is_repeatable && is_heard && has_failed => {
                 // It may have been a coincidence.
                 self.is_repeated = true;
                 self.stage = TaskStage::Test(0);
@@ -552,6 +569,26 @@ impl Prover {
         self.end_task();
     }
 
+    /// Returns true if a device that did not answer a control sends heartbeats, and for so long that it does
+    /// not resolve its address.
+    fn is_heard_again(&self, control: &Exchange) -> bool {
+        let settled = self.setup.profile.heartbeat.period() * SETTLED_PERIODS;
+        !self.is_away() && self.observer.is_present_for(self.now, settled, control.asked_at)
+    }
+
+    /// Returns true while a device that has stopped answering may be heard again.
+    fn may_be_heard_again(&self) -> bool {
+        let longest = RETURN_TIME.max(self.setup.profile.heartbeat.period() * SETTLED_PERIODS);
+        self.tested.as_ref().is_some_and(|it| self.now.since(it.asked_at) < longest)
+    }
+
+    /// Returns true if silence after a test is not one of the bus. That the device is away is the question.
+    fn is_silence_sure(&self, tested: &Exchange) -> bool {
+        !tested.is_unsent()
+            && !tested.is_disturbed
+            && self.observer.is_sure_since(tested.asked_at - LOSS_MEMORY)
+    }
+
     fn judge_survival(
         &mut self,
         rule: Rule,
@@ -559,26 +596,23 @@ impl Prover {
         (is_alive, was_away): (bool, bool),
         tested: &Exchange,
     ) {
-        let frames = &tested.frames;
-        // That the device is away is the question; but not if it was before.
-        let last = self.observer.silent_since();
-        let was_there = last.is_some_and(|last| last + PRESENT_TIME >= tested.asked_at);
-        let is_sure = was_there
-            && !tested.is_unsent()
-            && !tested.is_disturbed
-            && self.observer.is_sure_since(tested.asked_at - LOSS_MEMORY);
-        let (sample, text) = if !is_alive && is_sure {
-            (Sample::Broken, format!("no answer any more after {what}"))
-        } else if !is_alive && !was_there {
-            (Sample::Unsure, format!("no answer any more after {what}; or it had left before"))
-        } else if !is_alive {
-            (Sample::Unsure, self.why_unsure(tested))
-        } else if was_away && self.is_repeated {
-            (Sample::Broken, format!("no answer for seconds after {what}"))
-        } else {
+        let (sample, text) = if is_alive && !(was_away && self.is_repeated) {
             (Sample::Kept, "answers afterwards".to_owned())
+        } else if is_alive {
+            (Sample::Broken, format!("no answer for seconds after {what}, twice"))
+        } else if !self.is_silence_sure(tested) {
+            (Sample::Unsure, self.why_unsure(tested))
+        } else if self.is_repeated {
+            (Sample::Broken, format!("no answer any more after {what}, twice"))
+        } else {
+            let text = format!("not heard again after {what}: stopped by it, or switched off");
+            (Sample::Unsure, text)
         };
-        self.records.add(rule, sample, text, frames);
+        if sample == Sample::Unsure {
+            // That it survived the requests before does not count: this one may have stopped it.
+            self.records.clear(rule);
+        }
+        self.records.add(rule, sample, text, &tested.frames);
     }
 
     /// Judges a request that the device must not answer, or not as it answers others.

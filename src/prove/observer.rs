@@ -27,6 +27,8 @@ const SLOW_INTERVALS: usize = 6;
 const REPEATED_WITHIN: f64 = 0.3;
 /// Heartbeats after which a DST that never changes is not random: one in 128⁷.
 const RANDOM_HEARTBEATS: usize = 8;
+/// Periods without a frame of the device after which it is away.
+const AWAY_PERIODS: f64 = 2.5;
 /// Bits without a frame after which no frame waits: three frames.
 const IDLE_BITS: u64 = 3 * 130;
 /// Changes of the UID at one address that show two nodes: A, B, A.
@@ -81,6 +83,8 @@ pub(super) struct Observer {
     device_frames: u64,
     requests_in_configuration: Vec<Frame>,
     last_device_frame: Option<Frame>,
+    /// The first frame of the device since it was away.
+    present_since: Option<Instant>,
     /// U of the last heartbeat, and the frames that differ from it and from the next one.
     beat_flag: Option<bool>,
     differing: Vec<Frame>,
@@ -120,6 +124,7 @@ impl Observer {
             device_frames: 0,
             requests_in_configuration: Vec::new(),
             last_device_frame: None,
+            present_since: None,
             beat_flag: None,
             differing: Vec::new(),
             flag_mismatches: Vec::new(),
@@ -157,11 +162,31 @@ impl Observer {
         self.last_device_frame.map(|frame| frame.time)
     }
 
+    /// Returns true if the device has sent frames for `time`, the last one after `since`.
+    pub fn is_present_for(&self, now: Instant, time: Duration, since: Instant) -> bool {
+        self.silent_since().is_some_and(|last| last > since)
+            && self.present_since.is_some_and(|first| now.since(first) >= time)
+    }
+
+    /// Notes when the device is heard again, before its frame is noted.
+    fn note_return(&mut self, now: Instant) {
+        let away = self.profile.heartbeat.period().mul_f64(AWAY_PERIODS);
+        if self.silent_since().is_none_or(|last| now.since(last) > away) {
+            self.present_since = Some(now);
+        }
+    }
+
+    /// Returns true if the device sent no heartbeat since `since`.
+    pub fn has_no_heartbeat_since(&self, since: Instant) -> bool {
+        self.heartbeats.back().is_none_or(|beat| beat.frame.time < since)
+    }
+
     /// The device has another address.
     pub fn set_device(&mut self, address: Address) {
         self.device = address;
         let node = std::mem::take(&mut self.others[address.index()]);
         self.last_device_frame = node.last_heartbeat;
+        self.present_since = self.silent_since();
         self.restart_count();
     }
 
@@ -256,6 +281,7 @@ impl Observer {
             return;
         }
         if header.source == self.device {
+            self.note_return(now);
             if self.is_excluded {
                 self.note_excluded(frame, header);
             } else {

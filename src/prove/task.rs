@@ -171,6 +171,11 @@ impl ProofTask {
         matches!(self, Self::Displace { .. } | Self::Occupy | Self::ChangeMode)
     }
 
+    /// Returns true if the task may stop a device that stumbles over it.
+    pub const fn may_stop_device(self) -> bool {
+        matches!(self, Self::Malformed(_) | Self::Endless)
+    }
+
     /// Tests of segmented answers.
     pub fn transfers() -> impl Iterator<Item = Self> {
         TransferTest::ALL.into_iter().flat_map(|test| [Self::Transfer(test); 2])

@@ -104,7 +104,7 @@ pub struct Prover {
     pub(super) before: Option<IdentityBefore>,
     /// Intervals of the heartbeats before the first disruption, in seconds.
     pub(super) intervals: Option<[f64; 3]>,
-    loaded_at: Instant,
+    pub(super) loaded_at: Instant,
     /// True: the samples of the observation are in the records.
     is_judged: bool,
     extensions: u32,
@@ -136,7 +136,7 @@ pub struct Prover {
     pub(super) unanswered: Vec<Frame>,
     /// Silence in all exchanges of the task is silence of the device.
     pub(super) is_task_sure: bool,
-    /// True: the last malformed request silenced the device for a while, and is repeated.
+    /// True: the request of the task silenced the device, which was heard again; it is repeated.
     pub(super) is_repeated: bool,
     is_over: bool,
     rng: fastrand::Rng,

@@ -1,7 +1,7 @@
 //! Hand-written and generated logs, and the address conflicts that `scan --json` and `watch --json`
 //! find in them. On a log, no requests can be sent.
 
-use crate::common::watch_process::command;
+use crate::common::program::command;
 use serde_json::Value;
 use std::collections::BTreeSet;
 use std::fmt::Write;

@@ -1,6 +1,7 @@
 //! Commands to one device, on the command line and on the screen, against simulated devices.
 
 use crate::common::harness::Stage;
+use crate::common::program::{self, text};
 use descan::app::{DeviceCommand, TimelineKind};
 use descan::discovery::Config;
 use descan::sim::Scenario;
@@ -9,7 +10,7 @@ use descan::wire::node::Mode;
 use descan::wire::profile::{Profile, ProfileKey};
 use serde_json::{Value, json};
 use std::path::Path;
-use std::process::{Command, Output, Stdio};
+use std::process::Output;
 
 const PROFILE: &str = "[descriptor]\ngid = 0x010\nfw = 0x013\naddr = 0x016\nbspd = 0x015\n\
     [commands]\nidentify = 0x018\nmode = 0x019\nreboot = 0x01A\n\
@@ -57,18 +58,8 @@ fn folder() -> tempfile::TempDir {
 
 /// Runs a command on the bus without a terminal.
 fn descan(folder: &Path, command: &str, rest: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_descan"))
-        .args([command, "sim:bus.toml"])
-        .args(rest)
-        .current_dir(folder)
-        .env("XDG_CONFIG_HOME", folder.join("config"))
-        .stdin(Stdio::null())
-        .output()
-        .expect("the program starts")
-}
-
-fn text(bytes: &[u8]) -> String {
-    String::from_utf8(bytes.to_vec()).unwrap()
+    let words = [&[command, "sim:bus.toml"], rest].concat();
+    program::command(&words, folder).output().expect("the program starts")
 }
 
 #[test]
@@ -302,13 +293,9 @@ fn des_is_searched_only_on_a_device_that_does_not_work() {
     std::fs::write(folder.path().join("bus.toml"), bus).unwrap();
     std::thread::scope(|scope| {
         let learn = |rest: &[&str]| {
-            let output = Command::new(env!("CARGO_BIN_EXE_descan"))
-                .args(["profile", "learn", "sim:bus.toml", "--search"])
-                .args(rest)
-                .current_dir(folder.path())
-                .stdin(Stdio::null())
-                .output()
-                .expect("the program starts");
+            let words = [&["profile", "learn", "sim:bus.toml", "--search"], rest].concat();
+            let mut command = program::command(&words, folder.path());
+            let output = command.output().expect("the program starts");
             (text(&output.stdout), text(&output.stderr), output.status.code())
         };
         scope.spawn(move || {

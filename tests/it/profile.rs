@@ -1,6 +1,7 @@
 //! The profile: its file, the origin of each value, and what needs a value of its own.
 
 use crate::common::harness::Stage;
+use crate::common::program::command;
 use crate::common::pty::Pty;
 use descan::app::TimelineKind;
 use descan::discovery::{Config, OwnAddress};
@@ -10,16 +11,10 @@ use descan::wire::profile::{Profile, ProfileKey, ValueOrigin};
 use serde_json::Value;
 use std::fs;
 use std::path::Path;
-use std::process::{Command, Output, Stdio};
+use std::process::Output;
 
 fn descan(arguments: &[&str], folder: &Path) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_descan"))
-        .args(arguments)
-        .current_dir(folder)
-        .env("XDG_CONFIG_HOME", folder.join("config"))
-        .stdin(Stdio::null())
-        .output()
-        .expect("the program starts")
+    command(arguments, folder).output().expect("the program starts")
 }
 
 fn stderr(output: &Output) -> String {

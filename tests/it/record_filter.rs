@@ -1,6 +1,6 @@
 //! `--record-filter`, from outside: which frames are in the file, the messages, mistakes.
 
-use crate::common::watch_process::command;
+use crate::common::program::command;
 use std::fs;
 use std::path::Path;
 use std::process::Output;

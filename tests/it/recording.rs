@@ -1,8 +1,8 @@
 //! `--record`, from outside: content of the files, how they end, and the messages.
 
 use crate::common::frames::any_frame;
+use crate::common::program::command;
 use crate::common::pty::{PATIENCE, Pty};
-use crate::common::watch_process::command;
 use descan::frame::{BusIndex, Frame};
 use descan::log::{LogReader, LogSummary};
 use descan::shell::recorder::{Recorder, Target};

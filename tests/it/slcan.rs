@@ -619,6 +619,45 @@ fn simulated_devices_are_found_through_the_port() {
     assert_eq!(report["buses"][0]["bitrate"], 125_000);
 }
 
+/// A device with heartbeats ten times as fast as the document says: its tests are over sooner.
+const TESTED_BUS: &str = r#"
+bitrate = 500000
+[profile.heartbeat]
+period_ms = 100
+[[device]]
+name = "FEED"
+uid = "BOILER01"
+address = { fixed = 10 }
+settled = true
+services = [["AUGER", "1.0"], ["MOTOR", "1.2"], ["LOG", "2.0"]]
+"#;
+
+#[test]
+fn good_device_behind_the_port_breaks_no_rule() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = |name: &str, content: &str| {
+        let path = folder.path().join(name);
+        std::fs::write(&path, content).unwrap();
+        path.to_str().expect("UTF-8").to_owned()
+    };
+    let profile = "[services]\nheartbeat = 0x001\ndes = 0x002\n\
+                   [heartbeat]\nperiod_ms = 100\nuid_offset = 0\nmode_offset = 6\n";
+    let (bus, profile) = (file("bus.toml", TESTED_BUS), file("profile.toml", profile));
+    let (one, other) = (Pty::new(), Pty::new());
+    let spec = |pty: &Pty| format!("slcan:{}@500k", pty.path().display());
+    let (sim_at, proof_at) = (spec(&one), spec(&other));
+    let _bridge = Bridge::between(&one, &other);
+    let _sim = Program::start(&["sim", &sim_at, "--scenario", &bus]);
+    let proof = Program::start(&["prove", &proof_at, "FEED", "--profile", &profile, "--json"]);
+    let (code, out, err) = proof.finish();
+    assert_eq!(code, Some(0), "{out} {err}");
+    let report: serde_json::Value = serde_json::from_str(&out).expect("JSON");
+    let rules = report["devices"][0]["rules"].as_array().expect("rules");
+    let needs = |it: &serde_json::Value| it["needs"] == "requests" && it["verdict"] != "kept";
+    let missing: Vec<_> = rules.iter().filter(|it| needs(it)).collect();
+    assert!(missing.is_empty(), "{missing:#?} {err}");
+}
+
 #[test]
 fn missing_adapter_ends_scan_with_a_remedy() {
     let (code, out, err) = Program::start(&["scan", "slcan:/dev/ttyACM99@500000"]).finish();

@@ -1,7 +1,8 @@
 //! `descan watch`, from outside: the lines it prints, when it prints them, and how it ends.
 
 use crate::common::inspection::log;
-use crate::common::watch_process::{Watching, command};
+use crate::common::program::command;
+use crate::common::watch_process::Watching;
 use descan::app::{App, AppEvent, AppOptions, FileIndex, FileReading, Filter, RowKind};
 use descan::diagnostic::Diagnostic;
 use descan::discovery::Config;

@@ -15,13 +15,24 @@ pub(super) fn configuration_text(profile: &Profile, header: Header, data: &[u8])
     if !header.response {
         return request_text(profile, service, data);
     }
-    let field = field_of(profile, service).filter(|_| header.no_error && !data.is_empty())?;
-    let order = profile.descriptor.byte_order;
-    let content = match DescriptorValue::decode(field, data, order) {
+    let (field, content) =
+        descriptor_content(profile, service, data).filter(|_| header.no_error)?;
+    Some(format!("{} {}", field.label(), content.in_words(&profile.uid)))
+}
+
+/// Returns the field of the descriptor that a response without error on a service is about, and what its
+/// data are; `None` if it is about none, or has no data.
+pub(in crate::app) fn descriptor_content(
+    profile: &Profile,
+    service: Service,
+    data: &[u8],
+) -> Option<(DescriptorField, FieldContent)> {
+    let field = field_of(profile, service).filter(|_| !data.is_empty())?;
+    let content = match DescriptorValue::decode(field, data, profile.descriptor.byte_order) {
         Ok(value) => FieldContent::Value(value),
         Err(fault) => FieldContent::Malformed { data: data.to_vec(), fault },
     };
-    Some(format!("{} {}", field.label(), content.in_words(&profile.uid)))
+    Some((field, content))
 }
 
 /// The field of the descriptor that a service reads.

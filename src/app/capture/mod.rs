@@ -22,6 +22,7 @@ pub(super) mod transfer;
 
 pub use calls::{Call, CallKey, CallPart, CallResult, CallStats, Calls, Latency};
 pub use captured_log::{CapturedLog, WrittenFrames};
+pub(super) use configuration_text::descriptor_content;
 pub use counts_base::{CallCounts, CountsBase};
 pub use decoded::{Decoded, FrameMeaning, FrameRole};
 pub use frame_block::BYTES_PER_FRAME;

@@ -9,6 +9,7 @@ pub mod hostile;
 pub mod inspection;
 pub mod open_bus;
 pub mod paced;
+pub mod program;
 pub mod pty;
 pub mod python;
 pub mod scenario_files;

@@ -1,28 +1,17 @@
 //! A running `descan watch` with open standard input and its output lines.
 
+use super::program::command;
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use serde_json::Value;
 use std::io::{BufRead, BufReader, Write};
 use std::path::Path;
-use std::process::{Child, ChildStdin, Command, Stdio};
+use std::process::{Child, ChildStdin, Stdio};
 use std::sync::mpsc::{Receiver, channel};
 use std::time::Duration;
 
 /// Timeout of every wait, long enough for a busy machine.
 const PATIENCE: Duration = Duration::from_mins(1);
-
-/// Returns the command that runs the program in `folder`.
-pub fn command(arguments: &[&str], folder: &Path) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_descan"));
-    command
-        .args(arguments)
-        .current_dir(folder)
-        .env("XDG_CONFIG_HOME", folder.join("config"))
-        .env("TZ", "UTC")
-        .stdin(Stdio::null());
-    command
-}
 
 /// The running program, its open standard input, and its output lines.
 pub struct Watching {

@@ -1,8 +1,8 @@
 //! `descan send` on a simulated bus, without a terminal.
 
+use crate::common::program::{command, text};
 use serde_json::Value;
 use std::path::Path;
-use std::process::{Command, Stdio};
 
 const BUS: &str = r#"
 bitrate = 125000
@@ -10,6 +10,7 @@ bitrate = 125000
 name = "FEED"
 address = { fixed = 10 }
 settled = true
+firmware = [2, 1]
 services = [["DES", "1.0"], ["AUGER", "2.1"], ["MOTOR", "3.4"]]
 [[device]]
 name = "SENS"
@@ -25,16 +26,9 @@ settled = true
 
 /// Runs it; returns what it printed, what it said, and its exit code.
 fn send(folder: &Path, rest: &[&str]) -> (String, String, i32) {
-    let output = Command::new(env!("CARGO_BIN_EXE_descan"))
-        .args(["send", "sim:bus.toml"])
-        .args(rest)
-        .current_dir(folder)
-        .env("XDG_CONFIG_HOME", folder.join("config"))
-        .stdin(Stdio::null())
-        .output()
-        .expect("the program starts");
-    let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
-    (text(output.stdout), text(output.stderr), output.status.code().unwrap())
+    let words = [&["send", "sim:bus.toml"], rest].concat();
+    let output = command(&words, folder).output().expect("the program starts");
+    (text(&output.stdout), text(&output.stderr), output.status.code().unwrap())
 }
 
 fn folder() -> tempfile::TempDir {
@@ -47,9 +41,16 @@ fn folder() -> tempfile::TempDir {
 #[test]
 fn send_says_what_is_sent_and_prints_answers() {
     let folder = folder();
+    std::fs::write(folder.path().join("firmware.toml"), "[descriptor]\nfw = 0x013\n").unwrap();
     std::fs::write(folder.path().join("short.toml"), "[calls]\ntimeout_ms = 300\n").unwrap();
     // Words, exit code, what it says before, what it prints.
-    let cases: [(&[&str], i32, &str, &str); 8] = [
+    let cases: [(&[&str], i32, &str, &str); 9] = [
+        (
+            &["request", "0x013", "to", "FEED", "--yes", "--profile", "firmware.toml"],
+            0,
+            "service 0x013 (fw), no data.",
+            "firmware 2.1 (data 02 00 01 00)\n",
+        ),
         (
             &["request", "des", "name", "to", "FEED", "--yes"],
             0,
@@ -134,13 +135,9 @@ fn send_refuses_what_is_wrong_or_cannot_be_sent() {
         }
         scope.spawn(|| {
             let run = |bus: &str| {
-                let output = Command::new(env!("CARGO_BIN_EXE_descan"))
-                    .args(["send", bus, "123#00", "--yes", "--time", "4"])
-                    .current_dir(folder.path())
-                    .stdin(Stdio::null())
-                    .output()
-                    .unwrap();
-                (String::from_utf8(output.stderr).unwrap(), output.status.code())
+                let words = ["send", bus, "123#00", "--yes", "--time", "4"];
+                let output = command(&words, folder.path()).output().expect("the program starts");
+                (text(&output.stderr), output.status.code())
             };
             let (said, code) = run("file:a.log");
             assert!(said.contains("a log has no bus to send to"), "{said}");

@@ -261,6 +261,48 @@ fn services_of_a_named_device_have_their_names() {
 }
 
 #[test]
+fn requests_to_all_have_the_name_on_which_types_agree() {
+    let types = [("FEED", 0x101, "AUGER"), ("FEED", 0x105, "ONE"), ("SENS", 0x105, "OTHER")];
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::create_dir(folder.path().join("devices")).unwrap();
+    for device in ["FEED", "SENS"] {
+        let services = types.iter().filter(|it| it.0 == device).map(|(_, number, name)| {
+            format!("[[services]]\nname = \"{name}\"\nnumber = {number}\n")
+        });
+        let file = format!("name = \"{device}\"\n{}", services.collect::<String>());
+        std::fs::write(folder.path().join(format!("devices/{device}.toml")), file).unwrap();
+    }
+    let name = |from: u8, data: &'static [u8]| {
+        let from = Address::from_bits(from);
+        let request = Header::request(Address::DEBUG, from, false, Service::from_bits(2));
+        Frame::classic(request.response(from, false).encode(), data)
+    };
+    let to_all = |service: u16| {
+        let (from, random) = (Address::from_bits(20), Address::from_bits(99));
+        let mut header = Header::request(from, random, false, Service::from_bits(service));
+        header.broadcast = true;
+        Frame::classic(header.encode(), &[1])
+    };
+    let frames = [
+        name(10, b"\x06\x01FEED\0"),
+        name(11, b"\x06\x01SENS\0"),
+        to_all(0x101),
+        to_all(0x105),
+        to_all(0x106),
+    ];
+    let mut time = Instant::ZERO;
+    let frames = frames.map(|frame| {
+        time += Duration::from_millis(1);
+        frame.with_time(time)
+    });
+    write(&folder.path().join("all.pcapng"), &frames);
+    let options = ["--catalogue", "devices"];
+    let Some(shown) = compare(folder.path(), "all.pcapng", &options) else { return };
+    let services: Vec<&str> = shown.iter().map(|row| row[10].as_str()).collect();
+    assert_eq!(services, ["DES", "DES", "AUGER", "", ""]);
+}
+
+#[test]
 fn late_frames_and_other_devices_lend_no_name() {
     let at = |number: u8| Address::from_bits(number);
     let request = |to: u8, service: u16| {

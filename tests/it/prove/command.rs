@@ -1,5 +1,6 @@
 //! The command `descan prove`: JSON, reports, exit codes, and what it refuses.
 
+use crate::common::program::{command, text};
 use crate::common::pty::Pty;
 use descan::prove::ConformanceRule;
 use nix::sys::signal::Signal;
@@ -39,19 +40,12 @@ fn folder() -> tempfile::TempDir {
 
 /// The command on a bus, without a terminal.
 fn prove_on(bus: &str, folder: &Path, rest: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_descan"));
-    command.args(["prove", bus, "--profile", "profile.toml"]).args(rest).current_dir(folder);
-    command.env("XDG_CONFIG_HOME", folder.join("config")).stdin(Stdio::null());
-    command
+    command(&[&["prove", bus, "--profile", "profile.toml"], rest].concat(), folder)
 }
 
 /// Runs it on the bus without a terminal.
 fn prove(folder: &Path, rest: &[&str]) -> Output {
     prove_on("sim:bus.toml", folder, rest).output().expect("the program starts")
-}
-
-fn text(bytes: &[u8]) -> String {
-    String::from_utf8(bytes.to_vec()).unwrap()
 }
 
 /// The members of an object that the guide describes in a table of its topic.
@@ -257,19 +251,36 @@ fn progress_line_moves_while_a_test_waits() {
 }
 
 #[test]
+fn progress_is_printed_in_lines_without_a_terminal() {
+    let folder = folder();
+    // Heartbeats so slow that it observes them for more than 10 s once all other tests are made.
+    let profile = PROFILE.replace("100", "1500");
+    std::fs::write(folder.path().join("profile.toml"), profile).unwrap();
+    let bus = ALONE.replace("[[device]]", "[profile.heartbeat]\nperiod_ms = 1500\n[[device]]");
+    std::fs::write(folder.path().join("slow.toml"), bus).unwrap();
+    let output = prove_on("sim:slow.toml", folder.path(), &["FEED"]).output().unwrap();
+    let said = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(0), "{said}");
+    let lines: Vec<&str> =
+        said.lines().filter_map(|line| line.strip_prefix("device at 10: ")).collect();
+    let tenths = lines.iter().filter_map(|line| line.strip_suffix(" tests")).map(|line| {
+        let (made, all) = line.split_once(" of ").expect("made and all");
+        10 * made.parse::<usize>().unwrap() / all.parse::<usize>().unwrap()
+    });
+    assert_eq!(tenths.collect::<Vec<_>>(), (1..=10).collect::<Vec<_>>(), "{said}");
+    let waits = "tests; observes its heartbeats";
+    assert!(lines.last().is_some_and(|line| line.ends_with(waits)), "{said}");
+}
+
+#[test]
 fn check_prints_reports_of_tests() {
     let folder = folder();
     let entries = r#"{"devices":[{"name":"FEED","address":10},{"name":"GONE","address":99}]}"#;
     std::fs::write(folder.path().join("des.json"), entries).unwrap();
     let check = |format: &str| {
-        let output = Command::new(env!("CARGO_BIN_EXE_descan"))
-            .args(["check", "sim:bus.toml", "--profile", "profile.toml", "--time", "4"])
-            .args(["--report", format])
-            .current_dir(folder.path())
-            .env("XDG_CONFIG_HOME", folder.path().join("config"))
-            .stdin(Stdio::null())
-            .output()
-            .expect("the program starts");
+        let words = ["check", "sim:bus.toml", "--profile", "profile.toml", "--time", "4"];
+        let mut command = command(&words, folder.path());
+        let output = command.args(["--report", format]).output().expect("the program starts");
         assert_eq!(output.status.code(), Some(1), "{}", text(&output.stderr));
         text(&output.stdout)
     };

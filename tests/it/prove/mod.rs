@@ -5,3 +5,4 @@ mod bench;
 mod command;
 mod good;
 mod mutants;
+mod power;

@@ -5,7 +5,7 @@ use descan::frame::{CanId, Frame};
 use descan::prove::ConformanceRule as Rule;
 use descan::sim::{DeviceSpec, Fault, Scenario};
 use descan::time::{Duration, Instant};
-use descan::wire::id::{Address, Header};
+use descan::wire::id::{Address, Header, Service};
 use descan::wire::node::{Mode, Uid};
 use descan::wire::profile::{Profile, ProfileKey, ValueOrigin};
 
@@ -640,6 +640,69 @@ fn mode_that_does_not_change_is_named() {
         vec![if is_command { with_data(&frame, &[4]) } else { frame }]
     };
     check_disrupted(Rule::ModeChanges, good(), given_profile(), to_device(change));
+}
+
+// ---- on a loaded bus ---------------------------------------------------------------------
+
+/// What a device does not do once the bus is loaded.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Overload {
+    /// Take requests.
+    Requests,
+    /// Send the second one of two heartbeats.
+    SomeHeartbeats,
+    /// Send heartbeats.
+    Heartbeats,
+}
+
+/// A device that a loaded bus is too much for.
+struct Overloaded {
+    lacks: Overload,
+    is_loaded: bool,
+    heartbeats: u32,
+}
+
+impl Filter for Overloaded {
+    fn transmitted(&mut self, _now: Instant, frame: Frame) -> Vec<Frame> {
+        self.is_loaded |= header(&frame).service == Service::from_bits(Service::MAX);
+        let is_request = header(&frame).service.number() == 2;
+        let is_lost = self.is_loaded && self.lacks == Overload::Requests && is_request;
+        if is_lost { Vec::new() } else { vec![frame] }
+    }
+
+    fn received(&mut self, frame: Frame) -> Vec<Frame> {
+        if !self.is_loaded || !is_from_device(&frame) || !is_heartbeat(&frame) {
+            return vec![frame];
+        }
+        self.heartbeats += 1;
+        let is_sent = match self.lacks {
+            Overload::Requests => true,
+            Overload::SomeHeartbeats => self.heartbeats.is_multiple_of(2),
+            Overload::Heartbeats => false,
+        };
+        if is_sent { vec![frame] } else { Vec::new() }
+    }
+}
+
+#[track_caller]
+fn check_loaded(rule: Rule, lacks: Overload) {
+    let scenario = Scenario::new(125_000).with(good());
+    let filter = Box::new(Overloaded { lacks, is_loaded: false, heartbeats: 0 });
+    let mut bench = ProofBench::with(&scenario, DEVICE, given_profile(), filter, Extra::Load);
+    let verdicts = bench.run();
+    let named: Vec<Rule> = broken(&verdicts).iter().map(|(rule, _)| *rule).collect();
+    assert_eq!(named, [rule], "{:?}", broken(&verdicts));
+}
+
+#[test]
+fn silence_on_a_loaded_bus_is_named() {
+    check_loaded(Rule::AnswersUnderLoad, Overload::Requests);
+}
+
+#[test]
+fn missing_heartbeats_on_a_loaded_bus_are_named() {
+    check_loaded(Rule::HeartbeatUnderLoad, Overload::SomeHeartbeats);
+    check_loaded(Rule::HeartbeatUnderLoad, Overload::Heartbeats);
 }
 
 // ---- malformed and endless requests ------------------------------------------------------
