@@ -18,8 +18,8 @@ use std::io::{self, BufReader, Seek, SeekFrom, Write};
 use std::os::fd::AsFd;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use tempfile::NamedTempFile;
 
 /// Bytes that are written at once.
@@ -39,8 +39,9 @@ pub fn run(args: &ConvertArgs) -> Result<u8, Failure> {
     if !is_file {
         reader.date_arrivals(wall_micros);
     }
-    let mut target = Target::create(&args.output, args.force)?;
-    let is_stopped = target.stop_on_signal()?;
+    let temporary = Arc::default();
+    let is_stopped = stop_on_signal(&temporary)?;
+    let mut target = ConvertedLog::create(&args.output, args.force, &temporary)?;
     let mut encoder = format.encoder();
     let mut part = Vec::with_capacity(PART + 1024);
     encoder.begin(&mut part).map_err(|error| target.not_written(&error))?;
@@ -103,15 +104,37 @@ fn report(summary: &LogSummary, encoder: &dyn LogEncoder, spec: &BusSpec, out: &
     }
 }
 
+/// Returns what is set on the first signal. A program that is still waiting for input 0.9 s later exits
+/// without the temporary file.
+fn stop_on_signal(temporary: &Arc<Mutex<Option<PathBuf>>>) -> Result<Arc<AtomicBool>, Failure> {
+    let is_stopped = Arc::new(AtomicBool::new(false));
+    let (flag, temporary) = (Arc::clone(&is_stopped), Arc::clone(temporary));
+    let discard = move || {
+        let path = temporary.lock().unwrap_or_else(PoisonError::into_inner).take();
+        if let Some(path) = path {
+            // It may be gone.
+            let _ = std::fs::remove_file(path);
+        }
+    };
+    stop::on_signal(EXIT_INTERRUPTED, move || flag.store(true, Ordering::Relaxed), discard)
+        .map_err(|error| Failure::System(error.into()))?;
+    Ok(is_stopped)
+}
+
 /// Where the log is written.
-struct Target {
+struct ConvertedLog {
     path: PathBuf,
     /// The file until it takes its place; `None` for standard output.
     file: Option<NamedTempFile>,
 }
 
-impl Target {
-    fn create(path: &Path, force: bool) -> Result<Self, Failure> {
+impl ConvertedLog {
+    /// Creates a file, whose path is `temporary`, beside `path`.
+    fn create(
+        path: &Path,
+        force: bool,
+        temporary: &Mutex<Option<PathBuf>>,
+    ) -> Result<Self, Failure> {
         let path = path.to_owned();
         if path == Path::new("-") {
             return Ok(Self { path, file: None });
@@ -132,27 +155,9 @@ impl Target {
             .prefix(".descan-")
             .permissions(Permissions::from_mode(0o666))
             .tempfile_in(folder.unwrap_or(Path::new(".")));
-        match file {
-            Ok(file) => Ok(Self { path, file: Some(file) }),
-            Err(error) => Err(not_written(&path, &error)),
-        }
-    }
-
-    /// Returns what is set on the first signal. A program that is still waiting for input 0.9 s later
-    /// exits without the file.
-    fn stop_on_signal(&self) -> Result<Arc<AtomicBool>, Failure> {
-        let is_stopped = Arc::new(AtomicBool::new(false));
-        let flag = Arc::clone(&is_stopped);
-        let temporary = self.file.as_ref().map(|file| file.path().to_owned());
-        let discard = move || {
-            if let Some(path) = temporary {
-                // It may be gone.
-                let _ = std::fs::remove_file(path);
-            }
-        };
-        stop::on_signal(EXIT_INTERRUPTED, move || flag.store(true, Ordering::Relaxed), discard)
-            .map_err(|error| Failure::System(error.into()))?;
-        Ok(is_stopped)
+        let file = file.map_err(|error| not_written(&path, &error))?;
+        *temporary.lock().unwrap_or_else(PoisonError::into_inner) = Some(file.path().to_owned());
+        Ok(Self { path, file: Some(file) })
     }
 
     fn write(&mut self, bytes: &[u8]) -> Result<(), Failure> {

@@ -68,9 +68,9 @@ pub(super) struct ObjectDecoder {
 }
 
 /// Reads little-endian fields.
-struct Fields<'b>(&'b [u8]);
+struct ObjectFields<'b>(&'b [u8]);
 
-impl<'b> Fields<'b> {
+impl<'b> ObjectFields<'b> {
     fn take<const N: usize>(&mut self) -> Result<[u8; N], FieldFault> {
         let (bytes, rest) = self.0.split_first_chunk().ok_or(FieldFault::Column)?;
         self.0 = rest;
@@ -109,7 +109,7 @@ impl<'b> Fields<'b> {
 /// Returns the length of the object that begins with these bytes, without its padding, and its type;
 /// `None` if it is no object.
 pub(super) fn object_size(head: &[u8; OBJECT_HEAD]) -> Option<(u32, u32)> {
-    let mut fields = Fields(head.strip_prefix(OBJECT)?);
+    let mut fields = ObjectFields(head.strip_prefix(OBJECT)?);
     let (_head_len, _version) = (fields.u16().ok()?, fields.u16().ok()?);
     let (size, kind) = (fields.u32().ok()?, fields.u32().ok()?);
     (size as usize >= OBJECT_HEAD).then_some((size, kind))
@@ -122,7 +122,7 @@ fn padding(bytes: &[u8]) -> usize {
 
 /// Returns the length of the head of a file that begins with these eight bytes.
 pub(super) fn file_head_len(head: [u8; 8]) -> Option<usize> {
-    let len = Fields(head.strip_prefix(MAGIC)?).u32().ok()? as usize;
+    let len = ObjectFields(head.strip_prefix(MAGIC)?).u32().ok()? as usize;
     (LEAST_FILE_HEAD..=1024).contains(&len).then_some(len)
 }
 
@@ -271,7 +271,7 @@ fn is_frame(kind: u32) -> bool {
 
 /// Returns the start of the measurement, in microseconds since 1970.
 fn start_of(head: &[u8]) -> Option<u64> {
-    let mut fields = Fields(head.get(40..)?);
+    let mut fields = ObjectFields(head.get(40..)?);
     let mut next = || fields.u16().ok();
     let (year, month, _weekday, day) = (next()?, next()?, next()?, next()?);
     let (hour, minute, second, millis) = (next()?, next()?, next()?, next()?);
@@ -280,7 +280,7 @@ fn start_of(head: &[u8]) -> Option<u64> {
 
 /// Reads an object of a type with a frame.
 fn read_object(start: u64, object: &[u8]) -> Result<LogEntry<'static>, FieldFault> {
-    let mut fields = Fields(object);
+    let mut fields = ObjectFields(object);
     fields.skip(4)?;
     let (head_len, version) = (fields.u16()?, fields.u16()?);
     let (size, kind) = (fields.u32()? as usize, fields.u32()?);
@@ -294,14 +294,14 @@ fn read_object(start: u64, object: &[u8]) -> Result<LogEntry<'static>, FieldFaul
     let unix_micros = start.saturating_add(micros);
     let body = object.get(usize::from(head_len)..size).ok_or(FieldFault::Column)?;
     let (channel, frame) = match kind {
-        MESSAGE | MESSAGE_2 => message(Fields(body))?,
-        ERROR => (Fields(body).u16()?, bus_error()),
-        OVERLOAD => (Fields(body).u16()?, overload()),
-        ERROR_EXT => error_ext(Fields(body))?,
-        FD_MESSAGE => fd_message(Fields(body))?,
-        FD_MESSAGE_64 => fd_message_64(Fields(body), size - usize::from(head_len))?,
+        MESSAGE | MESSAGE_2 => message(ObjectFields(body))?,
+        ERROR => (ObjectFields(body).u16()?, bus_error()),
+        OVERLOAD => (ObjectFields(body).u16()?, overload()),
+        ERROR_EXT => error_ext(ObjectFields(body))?,
+        FD_MESSAGE => fd_message(ObjectFields(body))?,
+        FD_MESSAGE_64 => fd_message_64(ObjectFields(body), size - usize::from(head_len))?,
         // FD_ERROR_64
-        _ => (u16::from(Fields(body).u8()?), bus_error()),
+        _ => (u16::from(ObjectFields(body).u8()?), bus_error()),
     };
     let channel = u8::try_from(channel).map_err(|_| FieldFault::Channel)?;
     Ok(LogEntry { unix_micros, interface: channel_name(channel), frame })
@@ -311,7 +311,7 @@ fn id(word: u32) -> Result<CanId, FieldFault> {
     can_id(Some(word & !EXTENDED), word & EXTENDED != 0)
 }
 
-fn message(mut fields: Fields<'_>) -> Result<(u16, Frame), FieldFault> {
+fn message(mut fields: ObjectFields<'_>) -> Result<(u16, Frame), FieldFault> {
     let (channel, flags, dlc, word) = (fields.u16()?, fields.u8()?, fields.u8()?, fields.u32()?);
     let len = len_of_dlc(u32::from(dlc), false)?;
     let id = id(word)?;
@@ -326,7 +326,7 @@ fn message(mut fields: Fields<'_>) -> Result<(u16, Frame), FieldFault> {
 
 /// Reads an error frame: as SocketCAN has it if its identifier and data are there, otherwise by the error
 /// code capture.
-fn error_ext(mut fields: Fields<'_>) -> Result<(u16, Frame), FieldFault> {
+fn error_ext(mut fields: ObjectFields<'_>) -> Result<(u16, Frame), FieldFault> {
     let (channel, _length) = (fields.u16()?, fields.u16()?);
     let (flags, code, _position, dlc) = (fields.u32()?, fields.u8()?, fields.u8()?, fields.u8()?);
     fields.skip(1)?;
@@ -343,7 +343,7 @@ fn error_ext(mut fields: Fields<'_>) -> Result<(u16, Frame), FieldFault> {
     Ok((channel, frame))
 }
 
-fn fd_message(mut fields: Fields<'_>) -> Result<(u16, Frame), FieldFault> {
+fn fd_message(mut fields: ObjectFields<'_>) -> Result<(u16, Frame), FieldFault> {
     let (channel, flags, dlc, word) = (fields.u16()?, fields.u8()?, fields.u8()?, fields.u32()?);
     fields.skip(5)?;
     let (fd, valid) = (fields.u8()?, usize::from(fields.u8()?));
@@ -361,7 +361,7 @@ fn fd_message(mut fields: Fields<'_>) -> Result<(u16, Frame), FieldFault> {
     Ok((channel, frame))
 }
 
-fn fd_message_64(mut fields: Fields<'_>, body: usize) -> Result<(u16, Frame), FieldFault> {
+fn fd_message_64(mut fields: ObjectFields<'_>, body: usize) -> Result<(u16, Frame), FieldFault> {
     let (channel, dlc, valid, _count) = (fields.u8()?, fields.u8()?, fields.u8()?, fields.u8()?);
     let (word, _length, flags) = (fields.u32()?, fields.u32()?, fields.u32()?);
     fields.skip(16)?;

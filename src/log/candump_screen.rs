@@ -4,6 +4,7 @@
 //! (`-S`), raw DLCs (`-8`), and in colours (`-c`). Input: a line without its time. Does not know times.
 
 use super::candump::LineFault;
+use super::candump_time::without_colours;
 use super::fields::{first_word, hex_value, number, words};
 use crate::frame::socketcan::{BIT_RATE_SWITCH, ERROR_FLAG, ERROR_STATE, with_fd_flags};
 use crate::frame::{CanId, Frame};
@@ -15,7 +16,7 @@ use crate::text::is_printable;
 ///
 /// The line is not what candump prints.
 pub(super) fn parse(line: &[u8]) -> Result<(&str, Frame), LineFault> {
-    let (interface, rest) = first_word(line);
+    let (interface, rest) = first_word(without_colours(line));
     let interface = std::str::from_utf8(plain(interface)).map_err(|_| LineFault::Interface)?;
     if interface.is_empty() || !interface.chars().all(is_printable) {
         return Err(LineFault::Interface);
@@ -63,14 +64,9 @@ fn extra_info(line: &[u8]) -> (ExtraInfo, &[u8]) {
 }
 
 /// Returns a word without the colours around it.
-fn plain(mut word: &[u8]) -> &[u8] {
-    const ESCAPE: u8 = 0x1B;
-    while let [ESCAPE, b'[', rest @ ..] = word
-        && let Some(end) = rest.iter().position(|&byte| byte == b'm')
-    {
-        word = &rest[end + 1..];
-    }
-    let end = word.iter().position(|&byte| byte == ESCAPE).unwrap_or(word.len());
+fn plain(word: &[u8]) -> &[u8] {
+    let word = without_colours(word);
+    let end = word.iter().position(|&byte| byte == 0x1B).unwrap_or(word.len());
     &word[..end]
 }
 

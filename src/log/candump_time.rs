@@ -96,9 +96,20 @@ impl CandumpTimes {
     }
 }
 
+/// Returns a line without the blanks and the colours before its text.
+pub(super) fn without_colours(mut line: &[u8]) -> &[u8] {
+    const ESCAPE: u8 = 0x1B;
+    loop {
+        line = line.trim_ascii_start();
+        let [ESCAPE, b'[', rest @ ..] = line else { return line };
+        let Some(end) = rest.iter().position(|&byte| byte == b'm') else { return line };
+        line = &rest[end + 1..];
+    }
+}
+
 /// Splits a line into its time and the rest; `None` if it does not begin with one.
 pub(super) fn split(line: &[u8]) -> Option<(PrintedTime, &[u8])> {
-    let (word, rest) = first_word(line);
+    let (word, rest) = first_word(without_colours(line));
     let word = word.strip_prefix(b"(")?;
     if let Some(word) = word.strip_suffix(b")") {
         let point = word.iter().position(|&byte| byte == b'.').unwrap_or(word.len());

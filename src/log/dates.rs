@@ -97,7 +97,7 @@ pub(super) fn system_time(fields: [u16; 7]) -> Option<u64> {
     let small = |value: u16| i8::try_from(value).ok();
     let (month, day) = (small(month)?, small(day)?);
     let date = jiff::civil::Date::new(i16::try_from(year).ok()?, month, day).ok()?;
-    let nanos = i32::from(millis) * 1_000_000;
+    let nanos = i32::from(millis).checked_mul(1_000_000)?;
     let time = jiff::civil::Time::new(small(hour)?, small(minute)?, small(second)?, nanos).ok()?;
     let timestamp = TimeZone::UTC.to_timestamp(date.to_datetime(time)).ok()?;
     u64::try_from(timestamp.as_microsecond()).ok()

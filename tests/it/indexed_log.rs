@@ -10,6 +10,9 @@ use descan::sim::{Fault, Scenario, Sim};
 use descan::status::PlaybackCommand;
 use descan::time::{Duration, Epoch, Instant};
 use descan::wire::node::Uid;
+use flate2::Compression;
+use flate2::write::GzEncoder;
+use ruzstd::encoding::{CompressionLevel, compress_to_vec};
 use std::fs::{self, OpenOptions};
 use std::io::Write;
 use std::path::Path;
@@ -43,7 +46,10 @@ fn traffic(seconds: u64) -> Vec<Frame> {
 
 /// Writes frames as a log, every seventh from a second interface.
 fn write_log(path: &Path, frames: &[Frame]) {
-    let format = LogFormat::of(path).expect("a format");
+    let packed = path.extension().filter(|it| *it == "gz" || *it == "zst");
+    let own = path.with_extension("");
+    let format = LogFormat::of_written(if packed.is_some() { &own } else { path });
+    let format = format.expect("a format");
     let (mut encoder, mut bytes) = (format.encoder(), Vec::new());
     encoder.begin(&mut bytes).unwrap();
     for (at, frame) in frames.iter().enumerate() {
@@ -53,6 +59,19 @@ fn write_log(path: &Path, frames: &[Frame]) {
         encoder.write(LogEntry { unix_micros, interface, frame }, u64::MAX, &mut bytes).unwrap();
     }
     encoder.end(&["can0".into(), "can1".into()], &[0, 0], &mut bytes).unwrap();
+    if let Some(head) = encoder.head() {
+        bytes[..head.len()].copy_from_slice(&head);
+    }
+    let packed = packed.and_then(|packed| packed.to_str());
+    let bytes = match packed {
+        Some("gz") => {
+            let mut packed = GzEncoder::new(Vec::new(), Compression::fast());
+            packed.write_all(&bytes).unwrap();
+            packed.finish().unwrap()
+        }
+        Some(_) => compress_to_vec(&bytes[..], CompressionLevel::Fastest),
+        None => bytes,
+    };
     fs::write(path, bytes).unwrap();
 }
 
@@ -94,7 +113,8 @@ fn app_of(path: &Path) -> (App, Vec<Frame>) {
 fn frames_of_a_file_are_read_again_by_their_numbers() {
     let frames = traffic(8);
     let folder = tempfile::tempdir().unwrap();
-    for name in ["session.log", "session.pcapng"] {
+    let text = ["session.log", "session.asc", "session.trc", "session.log.gz", "session.log.zst"];
+    for name in [&text[..], &["session.pcapng", "session.blf", "session.blf.gz"]].concat() {
         let path = folder.path().join(name);
         write_log(&path, &frames);
         let clock = Clock::replaying(EPOCH, 1.0);

@@ -46,6 +46,7 @@ mod kit;
 mod learning;
 mod log;
 mod log_command;
+mod log_formats;
 mod malicious_input;
 mod missing_reasons;
 mod pcapng;

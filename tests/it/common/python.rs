@@ -36,6 +36,17 @@ impl Python {
         }
     }
 
+    /// Runs a script to its end; returns what it prints.
+    pub fn run(&self, script: &str, arguments: &[&str], variables: &[(&str, &str)]) -> String {
+        let mut command = Command::new(&self.program);
+        command.arg("-c").arg(script).args(arguments).envs(variables.iter().copied());
+        let output = command.output().expect("Python starts");
+        let said = String::from_utf8_lossy(&output.stderr);
+        let printed = String::from_utf8_lossy(&output.stdout).trim().to_owned();
+        assert!(output.status.success(), "{printed}\n{said}");
+        printed
+    }
+
     /// Starts a script.
     pub fn start(&self, script: &str, arguments: &[&str]) -> Peer {
         let mut child = Command::new(&self.program)

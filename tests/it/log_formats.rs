@@ -1,0 +1,363 @@
+//! Logs of all formats: what is read, from whole and damaged files, and `descan convert`.
+
+use crate::common::python::Python;
+use descan::frame::Frame;
+use descan::log::{LogReader, LogSummary, Unpacked};
+use flate2::Compression;
+use flate2::write::GzEncoder;
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
+use ruzstd::encoding::{CompressionLevel, compress_to_vec};
+use std::fs;
+use std::io::{BufReader, Read, Write};
+use std::path::Path;
+use std::process::{Command, Output, Stdio};
+
+/// Frames of every kind, as candump writes them.
+const KINDS: &str = "\
+(1700000000.123456) ch1 02015402#0444455301
+(1700000000.123999) ch2 123#
+(1700000000.623999) ch1 7FF#R4 T
+(1700000001.000000) ch1 1FFFFFFF#R
+(1700000001.000001) ch2 123##0001122334455667788991011 T
+(1700000001.000002) ch2 00000001##1AB
+(1700000001.100000) ch2 00000001##2AB
+(1700000001.200000) ch1 00000001##300
+(1700000002.000000) ch1 20000080#0000000000000000
+(1700000002.000000) ch1 20000088#0000040200000000
+(1700000003.000000) ch1 02015402#1122334455667788 T
+";
+
+fn read(bytes: &[u8]) -> (Vec<Frame>, LogSummary) {
+    let mut reader = LogReader::new(BufReader::new(Unpacked::new(bytes)));
+    let frames = reader.by_ref().map(Result::unwrap).collect();
+    (frames, reader.summary().clone())
+}
+
+/// Returns the times in microseconds since 1970 and the frames of a log.
+fn dated(bytes: &[u8]) -> Vec<String> {
+    let (frames, summary) = read(bytes);
+    let epoch = summary.epoch.unwrap();
+    let name = |frame: &Frame| summary.interfaces[usize::from(frame.bus.0)].clone();
+    let line = |frame: &Frame| {
+        let direction = if frame.is_tx { " T" } else { "" };
+        format!("{} {} {frame}{direction}", epoch.unix_micros(frame.time), name(frame))
+    };
+    frames.iter().map(line).collect()
+}
+
+fn descan(folder: &Path, arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_descan"))
+        .args(arguments)
+        .current_dir(folder)
+        .env("XDG_CONFIG_HOME", folder.join("config"))
+        .stdin(Stdio::null())
+        .output()
+        .unwrap()
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8(bytes.to_vec()).unwrap()
+}
+
+/// Converts a log; returns what is said on standard error.
+fn convert(folder: &Path, from: &str, to: &str) -> String {
+    let output = descan(folder, &["convert", from, to]);
+    let said = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(0), "{from} {to}: {said}");
+    said
+}
+
+fn gzip(bytes: &[u8]) -> Vec<u8> {
+    let mut encoder = GzEncoder::new(Vec::new(), Compression::fast());
+    encoder.write_all(bytes).unwrap();
+    encoder.finish().unwrap()
+}
+
+fn zstd(bytes: &[u8]) -> Vec<u8> {
+    compress_to_vec(bytes, CompressionLevel::Fastest)
+}
+
+// --- what candump prints ------------------------------------------------------------------
+
+#[test]
+fn screen_of_candump_is_read_in_all_its_forms() {
+    for (line, frame) in [
+        ("  can0  02015402   [5]  04 44 45 53 01", "1 can0 02015402#0444455301"),
+        ("  can0  123   [0] ", "1 can0 123#"),
+        ("  can0  123   [4]  remote request", "1 can0 123#R4"),
+        ("  can0  TX - -  123   [2]  11 22", "1 can0 123#1122 T"),
+        ("  can0  RX B E  123  [02]  11 22", "1 can0 123##31122"),
+        (
+            "  can0  123  [12]  00 01 02 03 04 05 06 07 08 09 0A 0B",
+            "1 can0 123##0000102030405060708090A0B",
+        ),
+        ("  vcan_long0       123   [2]  11 22   '.\"'", "1 vcan_long0 123#1122"),
+        ("  can0  123   [3]  33`22`11", "1 can0 123#112233"),
+        ("  can0  123   {F}  11 22 33 44 55 66 77 88", "1 can0 123#1122334455667788"),
+        (
+            "  can0  20000080   [8]  00 00 0A 00 00 00 00 00   ERRORFRAME",
+            "1 can0 20000080#00000A0000000000",
+        ),
+        (" \x1B[1m\x1B[31m  can0\x1B[0m  123   [1]  11", "1 can0 123#11"),
+    ] {
+        for (time, expected) in [(" (0000000000.000001)", true), ("", false)] {
+            let log = format!("{time}{line}\n");
+            let frames = dated(log.as_bytes());
+            let expected = if expected { frame.to_owned() } else { frame.replacen('1', "0", 1) };
+            assert_eq!(frames, [expected], "{log}");
+        }
+    }
+    let (_, summary) =
+        read(b"  can0  123   [1]  11\n\tprotocol-violation{{}{}}\n  can0  1234   [1]  11\n");
+    assert_eq!(
+        summary.to_string(),
+        "1 frame; line 3 cannot be read: the identifier is not 3 or 8 hexadecimal digits in range; \
+         without times"
+    );
+}
+
+#[test]
+fn colours_before_the_time_are_passed_over() {
+    let log = b"\x1B[1m\x1B[31m (0000000001.000000)  can0  123   [1]  11\x1B[0m\n";
+    assert_eq!(dated(log), ["1000000 can0 123#11"]);
+}
+
+#[test]
+fn times_of_candump_are_read_in_all_their_forms() {
+    let log = |times: &[&str], frame: &str| -> String {
+        times.iter().map(|time| format!("({time}) {frame}\n")).collect()
+    };
+    let micros = |log: &str| -> Vec<u64> {
+        let (frames, summary) = read(log.as_bytes());
+        let epoch = summary.epoch.unwrap();
+        frames.iter().map(|frame| epoch.unix_micros(frame.time)).collect()
+    };
+    for frame in ["can0 123#11", " can0  123   [1]  11"] {
+        let since_start = ["000.000000", "000.500000", "000.900000", "001.200000"];
+        assert_eq!(micros(&log(&since_start, frame)), [0, 500_000, 900_000, 1_200_000]);
+        let differences = ["000.000000", "000.500000", "000.900000", "000.200000", "001.000000"];
+        assert_eq!(
+            micros(&log(&differences, frame)),
+            [0, 500_000, 1_400_000, 1_600_000, 2_600_000]
+        );
+        // Equal ones are differences, too: no two frames begin at once.
+        let equal = ["000.000000", "000.100000", "000.100000"];
+        assert_eq!(micros(&log(&equal, frame)), [0, 100_000, 200_000]);
+        let hours = ["998.000000", "999.000000", "1000.000000"];
+        assert_eq!(micros(&log(&hours, frame)), [998_000_000, 999_000_000, 1_000_000_000]);
+    }
+    // A step back after the eighth line is one of the clock.
+    let rising: Vec<_> =
+        (1..=9).map(|at| format!("00{at}.000000")).chain(["002.000000".into()]).collect();
+    let rising: Vec<_> = rising.iter().map(String::as_str).collect();
+    let (_, summary) = read(log(&rising, "can0 123#").as_bytes());
+    assert_eq!(summary.clock_steps_back, 1);
+}
+
+#[test]
+fn frames_without_times_are_dated_when_they_arrive() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut child = Command::new(env!("CARGO_BIN_EXE_descan"))
+        .args(["convert", "-", "-", "--format", "candump"])
+        .current_dir(folder.path())
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    child.stdin.take().unwrap().write_all(b"  can0  123   [1]  11\n  can0  124   [0]\n").unwrap();
+    let mut printed = String::new();
+    child.stdout.take().unwrap().read_to_string(&mut printed).unwrap();
+    child.wait().unwrap();
+    let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap().as_secs();
+    for line in printed.lines() {
+        let seconds: u64 = line[1..].split('.').next().unwrap().parse().unwrap();
+        assert!((now - 60..=now).contains(&seconds), "{printed}");
+    }
+    assert_eq!(printed.lines().count(), 2);
+}
+
+// --- convert ------------------------------------------------------------------------------
+
+#[test]
+fn every_format_holds_every_kind_of_frame() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path();
+    fs::write(path.join("in.log"), KINDS).unwrap();
+    for ending in ["pcapng", "asc", "blf", "trc"] {
+        let log = format!("out.{ending}");
+        let said = convert(path, "in.log", &log);
+        assert!(!said.contains("not in this format"), "{ending}: {said}");
+        convert(path, &log, &format!("{ending}.log"));
+        let again = fs::read_to_string(path.join(format!("{ending}.log"))).unwrap();
+        assert_eq!(again, KINDS, "{ending}");
+    }
+    let said = convert(path, "in.log", "out.csv");
+    assert!(
+        said.ends_with(
+            "out.csv: not in this format: 2 remote frames left out; 2 error frames left out; 3 FD frames \
+             without FDF, BRS or ESI; ch1 is number 0, ch2 is number 1\n"
+        ),
+        "{said}"
+    );
+    convert(path, "out.csv", "csv.log");
+    let again = fs::read_to_string(path.join("csv.log")).unwrap();
+    assert_eq!(again.lines().count(), KINDS.lines().count() - 4);
+    assert!(again.starts_with("(1700000000.123456) bus0 02015402#0444455301\n"), "{again}");
+}
+
+#[test]
+fn file_is_replaced_only_when_it_is_forced() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path();
+    fs::write(path.join("in.log"), KINDS).unwrap();
+    fs::write(path.join("out.asc"), "mine").unwrap();
+    let output = descan(path, &["convert", "in.log", "out.asc"]);
+    assert_eq!(output.status.code(), Some(3));
+    assert!(text(&output.stderr).contains("already exists; --force replaces it"));
+    assert_eq!(fs::read_to_string(path.join("out.asc")).unwrap(), "mine");
+    // A log in place of itself.
+    let output = descan(path, &["convert", "in.log", "in.log", "--force", "--format", "asc"]);
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    assert_eq!(read(&fs::read(path.join("in.log")).unwrap()).0.len(), KINDS.lines().count());
+    for (arguments, code, hint) in [
+        (&["convert", "in.log", "out"][..], 2, "--format names one: candump, pcapng"),
+        (&["convert", "nothing.log", "out.asc"], 3, "check the name"),
+        (&["convert", "in.log", "missing/out.asc"], 3, "missing/out.asc: not written"),
+        (&["convert", "in.log", "/dev/null", "--format", "asc", "--force"], 3, "not a file"),
+        (&["convert", "words.txt", "new.asc"], 3, "cannot be read"),
+    ] {
+        fs::write(path.join("words.txt"), "no log\n").unwrap();
+        let output = descan(path, arguments);
+        let said = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(code), "{arguments:?}: {said}");
+        assert!(said.contains(hint), "{arguments:?}: {said}");
+    }
+    let names: Vec<_> = fs::read_dir(path).unwrap().map(|it| it.unwrap().file_name()).collect();
+    assert_eq!(names.len(), 3, "{names:?}");
+}
+
+#[test]
+fn interrupted_conversion_leaves_no_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut child = Command::new(env!("CARGO_BIN_EXE_descan"))
+        .args(["convert", "-", "out.blf"])
+        .current_dir(folder.path())
+        .stdin(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let mut input = child.stdin.take().unwrap();
+    input.write_all(KINDS.as_bytes()).unwrap();
+    while fs::read_dir(folder.path()).unwrap().count() == 0 {
+        std::thread::yield_now();
+    }
+    kill(Pid::from_raw(child.id().cast_signed()), Signal::SIGINT).unwrap();
+    // Its input does not end.
+    assert_eq!(child.wait().unwrap().code(), Some(130));
+    drop(input);
+    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
+}
+
+// --- packed and damaged logs --------------------------------------------------------------
+
+/// Returns a log of many frames, and its text.
+fn long_log() -> String {
+    (0..20_000_u32)
+        .map(|at| {
+            let (seconds, micros) = (1_700_000_000 + at / 100, at % 100 * 10_000);
+            format!("({seconds}.{micros:06}) ch1 {at:08X}#{:016X}\n", u64::from(at) * 0x9E37_79B9)
+        })
+        .collect()
+}
+
+/// Writes a log in several packings; returns the file names.
+fn write_packed(folder: &Path, log: &str) -> [&'static str; 4] {
+    fs::write(folder.join("in.log"), log).unwrap();
+    convert(folder, "in.log", "in.blf");
+    fs::write(folder.join("in.log.gz"), gzip(log.as_bytes())).unwrap();
+    fs::write(folder.join("in.log.zst"), zstd(log.as_bytes())).unwrap();
+    let blf = fs::read(folder.join("in.blf")).unwrap();
+    fs::write(folder.join("in.blf.gz"), gzip(&blf)).unwrap();
+    ["in.blf", "in.log.gz", "in.log.zst", "in.blf.gz"]
+}
+
+#[test]
+fn cut_and_damaged_logs_are_read_up_to_the_place() {
+    let folder = tempfile::tempdir().unwrap();
+    let log = long_log();
+    let (plain, _) = read(log.as_bytes());
+    for name in write_packed(folder.path(), &log) {
+        let bytes = fs::read(folder.path().join(name)).unwrap();
+        let (frames, summary) = read(&bytes[..bytes.len() / 2]);
+        let expected = &plain[..frames.len()];
+        assert!(frames.len() > 5_000, "{name}: {summary}");
+        assert!(frames.iter().zip(expected).all(|(one, other)| one.same_on_wire(other)), "{name}");
+        assert!(summary.to_string().ends_with("; truncated inside a block"), "{name}: {summary}");
+        let mut damaged = bytes.clone();
+        let at = bytes.len() * 3 / 4;
+        damaged[at..at + 40].fill(0x5A);
+        let (frames, summary) = read(&damaged);
+        assert!(summary.damage.is_some(), "{name}: {summary}");
+        assert!((5_000..plain.len()).contains(&frames.len()), "{name}: {summary}");
+        let half = frames.len().min(plain.len() / 2);
+        let both = frames.iter().zip(&plain[..half]);
+        assert!(both.map(|(one, other)| one.same_on_wire(other)).all(|it| it), "{name}");
+        fs::write(folder.path().join("cut"), &bytes[..bytes.len() / 2]).unwrap();
+        let output = descan(folder.path(), &["convert", "cut", "part.log", "--force"]);
+        assert_eq!(output.status.code(), Some(1), "{name}: {}", text(&output.stderr));
+    }
+    let empty = gzip(b"");
+    for (bytes, cause) in [
+        (&empty[..10], "0 frames; truncated inside a block"),
+        (b"\x1F\x8B\x08\x00\x00\x00", "0 frames; truncated inside a block"),
+        (b"\x28\xB5\x2F\xFD\xFF\xFF\xFF\xFF\xFF", "0 frames; truncated inside a block"),
+        (b"\xFD7zXZ\0garbage-garbage-garbage-garbage", "0 frames; truncated inside a block"),
+        (b"LOGG\xFF\xFF\xFF\xFF", "0 frames; damaged compression: the rest cannot be read"),
+    ] {
+        assert_eq!(read(bytes).1.to_string(), cause, "{bytes:?}");
+    }
+}
+
+#[test]
+fn commands_read_packed_logs() {
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("log.gz"), gzip(&gzip(KINDS.as_bytes()))).unwrap();
+    let output = descan(folder.path(), &["log", "log.gz", "--json"]);
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    assert_eq!(text(&output.stdout).lines().count(), KINDS.lines().count());
+    let mut child = Command::new(env!("CARGO_BIN_EXE_descan"))
+        .args(["watch", "-", "--json"])
+        .current_dir(folder.path())
+        .env("XDG_CONFIG_HOME", folder.path().join("config"))
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    child.stdin.take().unwrap().write_all(&gzip(KINDS.as_bytes())).unwrap();
+    let output = child.wait_with_output().unwrap();
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    assert!(text(&output.stdout).contains("\"bus\":\"ch1\""), "{}", text(&output.stdout));
+}
+
+// --- python-can ---------------------------------------------------------------------------
+
+#[test]
+fn frames_are_those_of_python_can_both_ways() {
+    let Some(python) = Python::with(&["python-can==4.6.1"]) else { return };
+    let script = include_str!("../log_formats/python_can.py");
+    let formats = ["asc", "blf", "trc", "csv", "log"];
+    for (seed, zone) in [("1", "UTC"), ("2", "Europe/Berlin")] {
+        let folder = tempfile::tempdir().unwrap();
+        let program = env!("CARGO_BIN_EXE_descan");
+        let arguments = [&[program, folder.path().to_str().unwrap(), seed][..], &formats].concat();
+        // Its TRC has times in UTC.
+        let skipped = usize::from(zone != "UTC");
+        let arguments: Vec<_> =
+            arguments.into_iter().filter(|it| skipped == 0 || *it != "trc").collect();
+        let found = python.run(script, &arguments, &[("TZ", zone)]);
+        assert!(found.parse::<u32>().is_ok_and(|frames| frames > 1_000), "{zone}: {found}");
+    }
+}
