@@ -800,7 +800,7 @@ written, 130 interrupted.
 Examples:
   descan convert trace.blf trace.log
   descan convert session.log.xz session.asc
-  descan convert trace.mf4.gz - --format candump | descan -
+  descan convert trace.trc.gz - --format candump | descan -
   ssh board candump -L can0 | descan convert - board.blf")]
 pub struct ConvertArgs {
     /// Log that is read; - is standard input

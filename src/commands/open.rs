@@ -461,7 +461,9 @@ pub fn clock(buses: &[BusSpec], speed: f64) -> Result<Clock, Failure> {
     if !buses.iter().all(is_log) {
         return Ok(Clock::start());
     }
-    let logs: Vec<Option<LogDates>> = buses.iter().map(dates_of).collect::<Result<_, _>>()?;
+    let are_several = buses.len() > 1;
+    let dates = buses.iter().map(|bus| dates_of(bus, are_several));
+    let logs: Vec<Option<LogDates>> = dates.collect::<Result<_, _>>()?;
     let epoch = match logs.iter().flatten().next() {
         Some(first) => Epoch::from_unix_micros(common_start(&logs, first)),
         None => Clock::start().epoch(),
@@ -517,11 +519,12 @@ pub fn is_log(bus: &BusSpec) -> bool {
     matches!(bus, BusSpec::File(_) | BusSpec::Stdin)
 }
 
-/// The dates of a log; `None` if it is not a file, or has no frame.
+/// The dates of a log; `None` if it is not a file, or has no frame. With `to_end` the last one is looked
+/// for in all of it.
 ///
 /// # Errors
 /// It cannot be read, or is of another format.
-fn dates_of(bus: &BusSpec) -> Result<Option<LogDates>, Failure> {
+fn dates_of(bus: &BusSpec, to_end: bool) -> Result<Option<LogDates>, Failure> {
     let BusSpec::File(path) = bus else { return Ok(None) };
     // A pipe is opened once: its writer ends when that is closed.
     if std::fs::metadata(path).is_ok_and(|it| !it.is_file() && !it.is_dir()) {
@@ -529,7 +532,7 @@ fn dates_of(bus: &BusSpec) -> Result<Option<LogDates>, Failure> {
     }
     let log = bus::open_log(path)?;
     let name = format_args!("file:{}", shown(path));
-    let read = LogDates::read(&log);
+    let read = if to_end { LogDates::read_to_end(&log) } else { LogDates::read(&log) };
     let (summary, dates) = read.map_err(|error| Diagnostic::unreadable(name, &error))?;
     match summary.foreign {
         Some(foreign) => Err(Failure::Unusable(format!("{name}: {foreign}"))),

@@ -4,7 +4,7 @@
 //! the measurement, which is local time; with `timestamps relative` each counts from the event before.
 //! Events that are no frames are passed over. Does not know moments or bus numbers.
 
-use super::bus_errors::{bus_error, capture_of, captured, overload};
+use super::bus_errors::{bus_error, capture_of, captured, is_on_bus, overload};
 use super::channel::{ChannelNumbers, channel_name};
 use super::dates::{asc_date, local_time};
 use super::fields::{
@@ -41,8 +41,7 @@ impl AscLines {
     /// Returns the beginning of a log with this line, if it is one of the head of an ASC log.
     pub fn of_line(line: &[u8]) -> Option<Self> {
         let line = line.trim_ascii();
-        let is_head =
-            [&b"date "[..], b"base hex", b"base dec", b"// version ", b"begin triggerblock"];
+        let is_head = [&b"date "[..], b"base hex", b"base dec", b"//", b"begin triggerblock"];
         is_head.iter().any(|head| starts(line, head)).then_some(Self::NEW)
     }
 
@@ -76,9 +75,12 @@ impl AscLines {
         }
         if starts(line, b"date ") || starts(line, b"begin triggerblock") {
             let skipped = if starts(line, b"date ") { 2 } else { 3 };
-            let date = (0..skipped).fold(line, |rest, _| first_word(rest).1);
-            self.start = asc_date(date).ok_or(FieldFault::Date)?;
+            let date = (0..skipped).fold(line, |rest, _| first_word(rest).1).trim_ascii();
             self.last = 0;
+            // A block without a date counts from the date of the head.
+            if !date.is_empty() || skipped == 2 {
+                self.start = asc_date(date).ok_or(FieldFault::Date)?;
+            }
             return Ok(());
         }
         if starts(line, b"base ") {
@@ -252,6 +254,10 @@ impl LogEncoder for AscEncoder {
 
     fn write(&mut self, entry: LogEntry<'_>, max_len: u64, out: &mut Vec<u8>) -> io::Result<bool> {
         let before = out.len();
+        if !is_on_bus(&entry.frame) {
+            self.loss.error_frames += 1;
+            return Ok(true);
+        }
         let start = if let Some(start) = self.start {
             start
         } else {

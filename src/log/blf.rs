@@ -153,7 +153,13 @@ impl ObjectDecoder {
             let (count, is_whole) = self.fill(&bytes[*used..], len);
             *used += count;
             if is_whole {
-                self.start = Some(start_of(&self.partial).unwrap_or(0));
+                let start = start_of(&self.partial);
+                // Some writers give no date.
+                let is_given = self.partial[40..56].iter().any(|&byte| byte != 0);
+                if start.is_none() && is_given {
+                    summary.take(Err::<Option<LogEntry<'_>>, _>(FieldFault::Date));
+                }
+                self.start = Some(start.unwrap_or(0));
                 self.partial.clear();
             }
             return Ok(None);

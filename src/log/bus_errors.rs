@@ -1,6 +1,6 @@
 //! Error frames of logs, as SocketCAN has them: which bits say what was wrong.
 
-use crate::frame::Frame;
+use crate::frame::{CanId, Frame, FrameKind};
 
 /// Class bits of a SocketCAN error frame (`linux/can/error.h`).
 const PROTOCOL: u32 = 0x08;
@@ -11,6 +11,17 @@ const FORM_ERROR: u8 = 0x02;
 const STUFF_ERROR: u8 = 0x04;
 const OVERLOAD: u8 = 0x20;
 const TRANSMISSION: u8 = 0x80;
+
+/// Returns true for an error frame of SocketCAN that stands for one on the bus, and for any other frame. The
+/// others report states of the controller.
+pub(super) fn is_on_bus(frame: &Frame) -> bool {
+    match frame.id {
+        CanId::Extended(class) if frame.kind == FrameKind::Error => {
+            class & (PROTOCOL | BUS_ERROR) != 0
+        }
+        _ => true,
+    }
+}
 
 /// An error frame on the bus of which nothing more is known.
 pub(super) fn bus_error() -> Frame {

@@ -5,7 +5,7 @@
 use super::channel::{ChannelNumbers, ONLY_BUS, bus_name};
 use super::dates::seconds;
 use super::fields::{
-    FieldFault, can_id, channel, check_line, data_frame, decimal, number,
+    FieldFault, can_id, channel, check_line, data_frame, decimal, hex_value, number,
     starts_with_ignoring_case as starts,
 };
 use super::{LogEncoder, LogEntry, LogLoss};
@@ -77,9 +77,13 @@ impl GvretLines {
                 _ if at == self.len => len = number(cell, 10),
                 _ if at >= self.data && len.is_some_and(|len| bytes < len as usize) => {
                     let place = data.get_mut(bytes).ok_or(FieldFault::Length)?;
-                    *place = number(cell, 16)
-                        .and_then(|value| u8::try_from(value).ok())
-                        .ok_or(FieldFault::Data)?;
+                    let value = match cell {
+                        [high, low] => {
+                            hex_value(*high).zip(hex_value(*low)).map(|(h, l)| h << 4 | l)
+                        }
+                        _ => number(cell, 16).and_then(|value| u8::try_from(value).ok()),
+                    };
+                    *place = value.ok_or(FieldFault::Data)?;
                     bytes += 1;
                 }
                 _ => {}
@@ -87,7 +91,7 @@ impl GvretLines {
         }
         let unix_micros = time.ok_or(FieldFault::Time)?;
         let len = len.ok_or(FieldFault::Length)? as usize;
-        let id = number(id, 16);
+        let id = number(id.strip_prefix(b"0x").unwrap_or(id), 16);
         let is_extended = is_extended.unwrap_or(id > Some(u32::from(CanId::MAX_STANDARD)));
         if bytes < len {
             return Err(FieldFault::Data);

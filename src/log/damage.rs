@@ -26,6 +26,9 @@ pub enum Damage {
     /// The compressed data is damaged.
     #[error("damaged compression: the rest cannot be read")]
     Compression,
+    /// Decompression needs more memory than descan uses for it.
+    #[error("its compression needs over 128 MB of memory; pack it again, with a smaller window")]
+    Window,
     /// A text of [`MAX_WITHOUT_FRAME`] bytes without a line end.
     #[error("no line end in 16 MB: the rest is not read")]
     NoLineEnd,

@@ -1,7 +1,7 @@
 //! Dates in logs, which have no time zone: in the local time of this machine, as their programs write
 //! them.
 
-use super::fields::{decimal, fixed_point, number};
+use super::fields::{decimal, first_word, fixed_point, number};
 use jiff::civil::DateTime;
 use jiff::tz::TimeZone;
 
@@ -10,20 +10,21 @@ const DAYS_BEFORE_1970: i128 = 25_569;
 const MICROS_PER_DAY: i128 = 86_400_000_000;
 /// Parts of a day in which a fraction of days is read: 0.09 µs.
 const PARTS_OF_DAY: i128 = 1_000_000_000_000;
-/// Names of the months in English and in German, as ASC has them.
+/// Beginnings of the names of the months in English, German, French, Spanish, Italian and Russian, as ASC
+/// has them, in lower case.
 const MONTHS: [&[&str]; 12] = [
-    &["jan"],
-    &["feb"],
-    &["mar", "mär", "mrz"],
-    &["apr"],
-    &["may", "mai"],
-    &["jun"],
-    &["jul"],
-    &["aug"],
-    &["sep"],
-    &["oct", "okt"],
-    &["nov"],
-    &["dec", "dez"],
+    &["jan", "ene", "gen", "янв"],
+    &["feb", "fév", "fev", "фев"],
+    &["mar", "mär", "mrz", "m\u{FFFD}r", "мар"],
+    &["apr", "avr", "abr", "апр"],
+    &["may", "mai", "mag", "май", "мая"],
+    &["jun", "juin", "giu", "июн"],
+    &["jul", "juil", "lug", "июл"],
+    &["aug", "aoû", "aou", "ago", "авг"],
+    &["sep", "set", "сен"],
+    &["oct", "okt", "ott", "окт"],
+    &["nov", "ноя"],
+    &["dec", "dez", "déc", "dic", "дек"],
 ];
 
 /// Returns the microseconds since 1970 of a local time; `None` before 1970.
@@ -42,7 +43,8 @@ pub(super) fn local_time(unix_micros: u64) -> DateTime {
 /// Parses the date of an ASC log, without its weekday: `Sep 30 10:06:13.191 PM 2017`, in microseconds
 /// since 1970.
 pub(super) fn asc_date(text: &[u8]) -> Option<u64> {
-    let text = std::str::from_utf8(text).ok()?;
+    // Logs of other code pages have letters that are not UTF-8.
+    let text = String::from_utf8_lossy(text);
     let words: Vec<_> = text.split_whitespace().take(6).collect();
     let (month, day, time, half, year) = match *words {
         [month, day, time, year] => (month, day, time, None, year),
@@ -50,16 +52,29 @@ pub(super) fn asc_date(text: &[u8]) -> Option<u64> {
         _ => return None,
     };
     let month = month.to_lowercase();
-    let month = MONTHS.iter().position(|names| names.contains(&month.as_str()))?;
+    let is_month = |names: &&[&str]| names.iter().any(|name| month.starts_with(name));
+    let month = MONTHS.iter().position(|names| is_month(&names))?;
     let (hour, minute, micros) = time_of_day(time.as_bytes())?;
     let hour = match half.map(str::to_ascii_lowercase).as_deref() {
         None => hour,
-        Some("am") => hour % 12,
-        Some("pm") => hour % 12 + 12,
+        Some("am" | "a.m.") => hour % 12,
+        Some("pm" | "p.m.") => hour % 12 + 12,
         Some(_) => return None,
     };
     let day = number(day.trim_end_matches(['.', ',']).as_bytes(), 10)?;
     civil(number(year.as_bytes(), 10)?, month as u32 + 1, day, (hour, minute, micros))
+}
+
+/// Parses a date of PEAK's tools such as `18.12.2021 14:28:07.062.0`, in microseconds since 1970.
+pub(super) fn day_month_year(text: &[u8]) -> Option<u64> {
+    let (date, rest) = first_word(text);
+    let (time, _) = first_word(rest);
+    let mut parts = date.split(|&byte| byte == b'.').map(|part| number(part, 10));
+    let (day, month, year) = (parts.next()??, parts.next()??, parts.next()??);
+    // Behind the milliseconds are microseconds.
+    let mut points = time.iter().enumerate().filter(|(_, byte)| **byte == b'.');
+    let end = points.nth(1).map_or(time.len(), |(at, _)| at);
+    civil(year, month, day, time_of_day(&time[..end])?)
 }
 
 /// Parses a date such as `2026-11-27` and a time of day, in microseconds since 1970.

@@ -111,6 +111,15 @@ pub(super) fn bytes<'a>(
     data: &mut [u8],
 ) -> Result<&'a [u8], FieldFault> {
     for byte in data {
+        // The usual form.
+        if let [high, low, b' ', rest @ ..] = line.trim_ascii_start()
+            && base == 16
+            && let (Some(high), Some(low)) = (hex_value(*high), hex_value(*low))
+        {
+            *byte = high << 4 | low;
+            line = rest;
+            continue;
+        }
         let (word, rest) = first_word(line);
         let value = match (base, word) {
             (16, [high, low]) => hex_value(*high).zip(hex_value(*low)).map(|(h, l)| h << 4 | l),

@@ -120,6 +120,10 @@ impl<R: BufRead> LogReader<R> {
 
     /// Reads the last entry although its end is missing; `None` if there is no such frame.
     pub fn read_partial_entry(&mut self) -> Option<Frame> {
+        // The end of a packed log is missing: the entry is cut off.
+        if self.summary.damage.is_some() {
+            return None;
+        }
         if self.decoder.is_none() && !self.head.is_empty() {
             // What is known is all that there is.
             self.take_content(true);
@@ -128,6 +132,7 @@ impl<R: BufRead> LogReader<R> {
         while !self.head.is_empty() {
             let (used, step) = decoder.decode(&self.head, &mut self.summary);
             self.head.drain(..used);
+            self.summary.note_read(used);
             match step {
                 DecodeStep::Frame(frame) => return Some(frame),
                 DecodeStep::Nothing => {}
@@ -209,6 +214,7 @@ impl<R: BufRead> LogReader<R> {
         if !self.head.is_empty() {
             let (used, step) = decoder.decode(&self.head, &mut self.summary);
             self.head.drain(..used);
+            self.summary.note_read(used);
             return Ok(step);
         }
         let buffer = match self.source.fill_buf() {
@@ -219,12 +225,14 @@ impl<R: BufRead> LogReader<R> {
             Err(error) if packed_damage(&error).is_some() => {
                 // An entry may be cut off: it is not read.
                 self.summary.damage = packed_damage(&error);
+                self.summary.note_read(0);
                 return Ok(DecodeStep::End);
             }
             buffer => buffer?,
         };
         if buffer.is_empty() {
             decoder.handle_end(&mut self.summary);
+            self.summary.note_read(0);
             let frame = if self.keeps_unfinished {
                 None
             } else {
@@ -234,6 +242,7 @@ impl<R: BufRead> LogReader<R> {
         }
         let (used, step) = decoder.decode(buffer, &mut self.summary);
         self.source.consume(used);
+        self.summary.note_read(used);
         Ok(step)
     }
 
@@ -289,6 +298,7 @@ impl<R: Read> LogReader<BufReader<R>> {
         if self.head.is_empty() && self.summary.foreign.is_none() {
             let used = decoder.decode_frames(self.source.buffer(), &mut self.summary, frames, most);
             self.source.consume(used);
+            self.summary.note_read(used);
         }
     }
 
@@ -307,6 +317,7 @@ fn packed_damage(error: &io::Error) -> Option<Damage> {
     match error.kind() {
         io::ErrorKind::UnexpectedEof => Some(Damage::Truncated),
         io::ErrorKind::InvalidData => Some(Damage::Compression),
+        io::ErrorKind::OutOfMemory => Some(Damage::Window),
         _ => None,
     }
 }

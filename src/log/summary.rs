@@ -55,6 +55,10 @@ pub struct LogSummary {
     pub first_unreadable: Option<(u64, EntryFault)>,
     /// Why the rest cannot be read; `None` without damage.
     pub damage: Option<Damage>,
+    /// The damage, and the byte of the log, unpacked, at which it was found.
+    damage_at: Option<(Damage, u64)>,
+    /// Bytes of the log, unpacked, that were read.
+    bytes: u64,
     /// The format of a log that is not read; `None` for one that is.
     pub foreign: Option<ForeignFormat>,
     /// Frames dated before the previous frame; each step back of the clock counts once.
@@ -106,11 +110,21 @@ impl LogSummary {
         self.frames - self.frames_before
     }
 
+    /// Counts bytes that were read, and notes where damage was found.
+    #[inline]
+    pub(super) fn note_read(&mut self, bytes: usize) {
+        self.bytes += bytes as u64;
+        let noted = self.damage_at.filter(|(damage, _)| self.damage == Some(*damage));
+        let noted = noted.filter(|(damage, _)| !damage.is_truncated());
+        self.damage_at = self.damage.map(|damage| noted.unwrap_or((damage, self.bytes)));
+    }
+
     /// Counts the entries of another log, which follows. Interfaces, frames and time go on.
     pub(super) fn begin_another_log(&mut self) {
         self.forget_unreadable();
         (self.entries, self.clock_steps_back) = (0, 0);
         (self.damage, self.foreign) = (None, None);
+        (self.damage_at, self.bytes) = (None, 0);
         self.frames_before = self.frames;
     }
 
@@ -234,7 +248,7 @@ impl fmt::Display for LogSummary {
             write!(f, "; {entries}")?;
         }
         if let Some(damage) = self.damage {
-            write!(f, "; {damage}")?;
+            write!(f, "; {damage} (byte {})", self.damage_at.map_or(self.bytes, |(_, byte)| byte))?;
         }
         if self.is_timeless {
             write!(f, "; without times")?;

@@ -36,6 +36,11 @@ impl TextFormat {
             .or_else(|| PythonCanLines::is_header(line).then_some(Self::PythonCan))
     }
 
+    /// Returns true for the format of a log of which no other was found.
+    fn is_candump(&self) -> bool {
+        matches!(self, Self::Candump(_))
+    }
+
     /// Returns true if the lines have no times.
     fn is_timeless(&self) -> bool {
         matches!(self, Self::Candump(lines) if lines.is_timeless())
@@ -119,7 +124,7 @@ impl TextDecoder {
         let line = line.strip_prefix(BYTE_ORDER_MARK).filter(|_| is_first).unwrap_or(line);
         let mut entry = self.format.read(line);
         if entry.is_err() && summary.own_frames() == 0 {
-            if let Some(format) = TextFormat::of_line(line) {
+            if let Some(format) = TextFormat::of_line(line).filter(|_| self.format.is_candump()) {
                 self.format = format;
                 entry = self.format.read(line);
             } else {

@@ -5,9 +5,9 @@
 //! or bus numbers.
 
 use super::asc::is_whole_error;
-use super::bus_errors::{bus_error, capture_of, captured, overload};
+use super::bus_errors::{bus_error, capture_of, captured, is_on_bus, overload};
 use super::channel::{ChannelNumbers, channel_name};
-use super::dates::{local_time, trc_date, trc_days};
+use super::dates::{day_month_year, local_time, trc_date, trc_days};
 use super::fields::{
     FieldFault, bytes, can_id, channel, check_line, data_frame, dlc_of_len, first_word,
     fixed_point, len_of_dlc, number, starts_with_ignoring_case as starts,
@@ -96,6 +96,12 @@ impl TrcLines {
             *self = Self { start, ..Self::new(&columns) };
             return Ok(());
         } else {
+            // Version 1.0 has its date in words.
+            if let Some(date) = comment.trim_ascii().strip_prefix(b"Start time:")
+                && self.start == 0
+            {
+                self.start = day_month_year(date).unwrap_or(0);
+            }
             return Ok(());
         };
         *self = Self { start: self.start, ..Self::new(columns) };
@@ -255,6 +261,10 @@ impl LogEncoder for TrcEncoder {
 
     fn write(&mut self, entry: LogEntry<'_>, max_len: u64, out: &mut Vec<u8>) -> io::Result<bool> {
         let before = out.len();
+        if !is_on_bus(&entry.frame) {
+            self.loss.error_frames += 1;
+            return Ok(true);
+        }
         let start = if let Some(start) = self.start {
             start
         } else {

@@ -56,7 +56,8 @@ impl Packing {
 /// A log that is unpacked while it is read, or read as it is.
 ///
 /// Errors of the file are passed on. The kind [`io::ErrorKind::UnexpectedEof`] says that the packed log is
-/// cut off, [`io::ErrorKind::InvalidData`] that it is damaged.
+/// cut off, [`io::ErrorKind::InvalidData`] that it is damaged, [`io::ErrorKind::OutOfMemory`] that its
+/// decompression needs too much memory.
 pub struct Unpacked<'a> {
     source: UnpackedSource<'a>,
     /// Where the unpacked bytes are written, too.
@@ -168,6 +169,8 @@ fn classified(error: io::Error) -> io::Error {
     match error.kind() {
         io::ErrorKind::UnexpectedEof => error,
         _ if is_of_file => error,
+        // The window of the decompressor is too large.
+        io::ErrorKind::OutOfMemory => error,
         _ => io::Error::new(io::ErrorKind::InvalidData, error),
     }
 }
@@ -220,6 +223,9 @@ impl<R: Read> ZstdReader<R> {
                     let mut skipped = (&mut self.source).take(u64::from(length));
                     io::copy(&mut skipped, &mut io::sink())?;
                 }
+                Err(FrameDecoderError::WindowSizeTooBig { .. }) => {
+                    return Err(io::ErrorKind::OutOfMemory.into());
+                }
                 Err(error) => return Err(of_zstd(&error)),
             }
         }
@@ -258,6 +264,11 @@ impl<R: Read> Read for ZstdReader<R> {
                 return Err(end.into());
             }
             if self.decoder.is_finished() {
+                let written = self.decoder.get_checksum_from_data();
+                let is_other = |sum: &u32| self.decoder.get_calculated_checksum() != Some(*sum);
+                if written.as_ref().is_some_and(is_other) {
+                    return Err(io::ErrorKind::InvalidData.into());
+                }
                 self.is_inside = false;
                 continue;
             }
@@ -281,12 +292,67 @@ impl<R: Read> Read for ZstdReader<R> {
 
 /// The blocks of an xz file.
 ///
-/// Source: "The .xz File Format", version 1.2.1. The check sums are not compared: the decompressor of a
-/// block finds what is damaged.
+/// Source: "The .xz File Format", version 1.2.1. A block is compared with its CRC32 or CRC64; SHA-256 is
+/// not computed.
 struct XzReader<R: Read> {
     state: XzState<R>,
     /// Bytes of the check behind a block.
     check_len: usize,
+    /// The check of what was read of the block; `None` if it is not computed.
+    check: Option<XzCheck>,
+}
+
+/// A cyclic redundancy check, bits reversed.
+#[derive(Clone, Copy)]
+struct XzCheck {
+    table: &'static [u64; 256],
+    start: u64,
+    value: u64,
+}
+
+static CRC32: [u64; 256] = crc_table(0xEDB8_8320);
+static CRC64: [u64; 256] = crc_table(0xC96C_5795_D787_0F42);
+
+/// The remainders of all bytes with a polynomial, bits reversed.
+const fn crc_table(polynomial: u64) -> [u64; 256] {
+    let mut table = [0; 256];
+    let mut byte = 0;
+    while byte < 256 {
+        let (mut value, mut bit) = (byte as u64, 0);
+        while bit < 8 {
+            value = if value & 1 == 1 { value >> 1 ^ polynomial } else { value >> 1 };
+            bit += 1;
+        }
+        table[byte] = value;
+        byte += 1;
+    }
+    table
+}
+
+impl XzCheck {
+    /// Returns the check of this type in the head of a stream; `None` if it is not computed.
+    fn of_type(kind: u8) -> Option<Self> {
+        let (table, start) = match kind {
+            1 => (&CRC32, u64::from(u32::MAX)),
+            4 => (&CRC64, u64::MAX),
+            _ => return None,
+        };
+        Some(Self { table, start, value: start })
+    }
+
+    fn add(&mut self, bytes: &[u8]) {
+        for byte in bytes {
+            let at = (self.value as u8 ^ byte) as usize;
+            self.value = self.value >> 8 ^ self.table[at];
+        }
+    }
+
+    /// Returns true if the check of the bytes is this one, little-endian; begins anew.
+    fn is(&mut self, written: &[u8]) -> bool {
+        let value = self.value ^ self.start;
+        self.value = self.start;
+        value.to_le_bytes().starts_with(written)
+    }
 }
 
 enum XzState<R: Read> {
@@ -315,7 +381,7 @@ impl<R: Read> Read for Counted<R> {
 impl<R: Read> XzReader<R> {
     fn new(source: R) -> Self {
         let source = Counted { source: BufReader::new(source), count: 0 };
-        Self { state: XzState::Start(source), check_len: 0 }
+        Self { state: XzState::Start(source), check_len: 0, check: None }
     }
 
     /// Reads the head of a stream; without one it is the end.
@@ -334,6 +400,7 @@ impl<R: Read> XzReader<R> {
         }
         // Blocks are padded from here on.
         source.count = 0;
+        self.check = XzCheck::of_type(head[7] & 0x0F);
         self.check_len = match head[7] & 0x0F {
             0 => 0,
             1..=3 => 4,
@@ -356,17 +423,22 @@ impl<R: Read> XzReader<R> {
         }
         let mut head = vec![0; usize::from(size[0]) * 4 + 3];
         source.read_exact(&mut head)?;
-        let dictionary = xz_dictionary(&head).filter(|size| *size <= MAX_WINDOW);
-        let dictionary = dictionary.ok_or(io::ErrorKind::InvalidData)?;
+        let dictionary = xz_dictionary(&head).ok_or(io::ErrorKind::InvalidData)?;
+        if dictionary > MAX_WINDOW {
+            return Err(io::ErrorKind::OutOfMemory.into());
+        }
         let reader = Lzma2Reader::new(source, dictionary, None);
         Ok(XzState::Block(Box::new(reader)))
     }
 
-    /// Skips the padding and the check behind a block.
-    fn end_block(&self, source: &mut Counted<R>) -> io::Result<()> {
+    /// Skips the padding behind a block, and compares its check.
+    fn end_block(&mut self, source: &mut Counted<R>) -> io::Result<()> {
         let padding = (4 - source.count % 4) % 4;
         let mut rest = [0; 3 + 64];
-        source.read_exact(&mut rest[..padding as usize + self.check_len])
+        let rest = &mut rest[..padding as usize + self.check_len];
+        source.read_exact(rest)?;
+        let is_same = self.check.as_mut().is_none_or(|check| check.is(&rest[padding as usize..]));
+        if is_same { Ok(()) } else { Err(io::ErrorKind::InvalidData.into()) }
     }
 }
 
@@ -423,6 +495,9 @@ impl<R: Read> Read for XzReader<R> {
                 XzState::Stream(source) => self.state = Self::begin_block(source)?,
                 XzState::Block(mut block) => {
                     let count = block.read(buffer)?;
+                    if let Some(check) = &mut self.check {
+                        check.add(&buffer[..count]);
+                    }
                     if count > 0 {
                         self.state = XzState::Block(block);
                         return Ok(count);

@@ -2,7 +2,7 @@
 //! printed.
 //!
 //! The log is two million frames of the simulator's crowd with chatter, 127 devices at 1 Mbit/s, as
-//! candump text and as pcapng. Each run is a process, from its start to its end; what it prints is
+//! text and binary logs of each format that is written. Each run is a process, from its start to its end; what it prints is
 //! discarded. The file is in the page cache.
 
 use descan::log::{LogEntry, LogFormat};
@@ -19,7 +19,14 @@ const RUNS: usize = 5;
 fn main() {
     let folder = tempfile::tempdir().expect("a folder");
     let frames = record();
-    for (file, what) in [("bus.log", "candump text"), ("bus.pcapng", "pcapng")] {
+    for (file, what) in [
+        ("bus.log", "candump text"),
+        ("bus.pcapng", "pcapng"),
+        ("bus.asc", "ASC"),
+        ("bus.trc", "TRC"),
+        ("bus.csv", "CSV"),
+        ("bus.blf", "BLF"),
+    ] {
         let log = folder.path().join(file);
         let count = write(&log, &frames);
         let log = log.display().to_string();
@@ -51,7 +58,7 @@ fn run(arguments: &[&str]) -> Duration {
 /// Writes the frames again and again, with shifted times, and returns their number.
 fn write(path: &Path, frames: &[descan::frame::Frame]) -> usize {
     let epoch = Epoch::from_unix_micros(1_760_000_000_000_000);
-    let mut encoder = LogFormat::of(path).expect("a log format").encoder();
+    let mut encoder = LogFormat::of_written(path).expect("a log format").encoder();
     let (mut bytes, mut count, mut offset) = (Vec::new(), 0, Duration::ZERO);
     encoder.begin(&mut bytes).expect("written to memory");
     while count < FRAMES {

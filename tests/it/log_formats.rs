@@ -3,6 +3,7 @@
 use crate::common::python::Python;
 use descan::frame::Frame;
 use descan::log::{LogReader, LogSummary, Unpacked};
+use descan::time::Instant;
 use flate2::Compression;
 use flate2::write::GzEncoder;
 use nix::sys::signal::{Signal, kill};
@@ -294,7 +295,10 @@ fn cut_and_damaged_logs_are_read_up_to_the_place() {
         let expected = &plain[..frames.len()];
         assert!(frames.len() > 5_000, "{name}: {summary}");
         assert!(frames.iter().zip(expected).all(|(one, other)| one.same_on_wire(other)), "{name}");
-        assert!(summary.to_string().ends_with("; truncated inside a block"), "{name}: {summary}");
+        assert!(
+            summary.to_string().contains("; truncated inside a block (byte "),
+            "{name}: {summary}"
+        );
         let mut damaged = bytes.clone();
         let at = bytes.len() * 3 / 4;
         damaged[at..at + 40].fill(0x5A);
@@ -310,13 +314,96 @@ fn cut_and_damaged_logs_are_read_up_to_the_place() {
     }
     let empty = gzip(b"");
     for (bytes, cause) in [
-        (&empty[..10], "0 frames; truncated inside a block"),
-        (b"\x1F\x8B\x08\x00\x00\x00", "0 frames; truncated inside a block"),
-        (b"\x28\xB5\x2F\xFD\xFF\xFF\xFF\xFF\xFF", "0 frames; truncated inside a block"),
-        (b"\xFD7zXZ\0garbage-garbage-garbage-garbage", "0 frames; truncated inside a block"),
-        (b"LOGG\xFF\xFF\xFF\xFF", "0 frames; damaged compression: the rest cannot be read"),
+        (&empty[..10], "0 frames; truncated inside a block (byte 0)"),
+        (b"\x1F\x8B\x08\x00\x00\x00", "0 frames; truncated inside a block (byte 0)"),
+        (b"\x28\xB5\x2F\xFD\xFF\xFF\xFF\xFF\xFF", "0 frames; truncated inside a block (byte 0)"),
+        (
+            b"\xFD7zXZ\0garbage-garbage-garbage-garbage",
+            "0 frames; truncated inside a block (byte 0)",
+        ),
+        (
+            b"LOGG\xFF\xFF\xFF\xFF",
+            "0 frames; damaged compression: the rest cannot be read (byte 0)",
+        ),
     ] {
         assert_eq!(read(bytes).1.to_string(), cause, "{bytes:?}");
+    }
+}
+
+#[test]
+fn changed_bytes_of_compressed_logs_are_found() {
+    // The check sums are those of the Python standard library's lzma, and of zstd's own tool.
+    let xz = include_bytes!("../corpus/packed/xz_text");
+    let zst = zstd(long_log().as_bytes());
+    for (name, bytes) in [("xz", &xz[..]), ("zstd", &zst)] {
+        assert_eq!(read(bytes).1.damage, None, "{name}");
+        let mut silent = Vec::new();
+        for at in (0..bytes.len()).step_by(bytes.len() / 100 + 1) {
+            let mut changed = bytes.to_vec();
+            changed[at] ^= 0x10;
+            let (frames, summary) = read(&changed);
+            let is_same = frames == read(bytes).0;
+            if !is_same && summary.lost_entries() == 0 {
+                silent.push(at);
+            }
+        }
+        assert!(silent.is_empty(), "{name}: {silent:?}");
+    }
+    // A dictionary of 512 MB.
+    let mut large = xz.to_vec();
+    let property = 12 + 4;
+    assert_eq!(&large[property - 2..property], [0x21, 0x01], "the filter LZMA2");
+    large[property] = 34;
+    let said = read(&large).1.to_string();
+    assert!(said.contains("needs over 128 MB of memory; pack it again"), "{said}");
+}
+
+#[test]
+fn dates_of_other_languages_and_of_old_versions_are_read() {
+    let asc = |date: &[u8]| {
+        [b"date ", date, b"\nbase hex  timestamps absolute\n 0.5 1 1 Rx d 0\n"].concat()
+    };
+    let september = micros_of(&asc(b"Sam Sep 30 15:06:13.191 2017"));
+    for date in [
+        &b"Sat Sep 30 03:06:13.191 pm 2017"[..],
+        b"Sat Sep 30 03:06:13.191 p.m. 2017",
+        "sam. sept. 30 15:06:13.191 2017".as_bytes(),
+        "Сб сен 30 15:06:13.191 2017".as_bytes(),
+    ] {
+        assert_eq!(micros_of(&asc(date)), september, "{}", String::from_utf8_lossy(date));
+    }
+    let march = micros_of(&asc(b"Wed Mar 15 03:06:13.191 2017"));
+    assert_eq!(micros_of(&asc(b"Mit M\xE4r 15 03:06:13.191 2017")), march);
+    assert_eq!(micros_of(&asc("mer. mars 15 03:06:13.191 2017".as_bytes())), march);
+    // A block without a date keeps that of the head, and its base.
+    let log =
+        b"date Sat Sep 30 15:06:13.191 2017\nbase dec timestamps absolute\nBegin Triggerblock\n \
+        0.5 1 291 Rx d 1 17\n";
+    let (frames, summary) = read(log);
+    assert_eq!((frames[0].to_string(), summary.lost_entries()), ("123#11".into(), 0));
+    assert_eq!(micros_of(log), september);
+    let trc =
+        b";##########\n;   Start time: 30.09.2017 15:06:13.191.0\n     1)       500  0001  0\n";
+    assert_eq!(micros_of(trc), september);
+}
+
+fn micros_of(log: &[u8]) -> u64 {
+    let (_, summary) = read(log);
+    assert_eq!(summary.lost_entries(), 0, "{summary}");
+    summary.epoch.unwrap().unix_micros(Instant::ZERO)
+}
+
+#[test]
+fn states_of_a_controller_are_no_error_frames_of_other_formats() {
+    let folder = tempfile::tempdir().unwrap();
+    let states = "(1.000000) ch1 20000040#0000000000000000\n(2.000000) ch1 123#\n";
+    fs::write(folder.path().join("in.log"), states).unwrap();
+    for ending in ["asc", "trc"] {
+        let out = format!("out.{ending}");
+        let said = convert(folder.path(), "in.log", &out);
+        assert!(said.contains("1 error frame left out"), "{said}");
+        let (frames, _) = read(&fs::read(folder.path().join(out)).unwrap());
+        assert_eq!(frames.len(), 1, "{ending}");
     }
 }
 

@@ -3,6 +3,8 @@
 
 use crate::common::pty::Pty;
 use crate::replay_speed::write_log;
+use flate2::Compression;
+use flate2::write::GzEncoder;
 use nix::sys::stat::Mode;
 use std::fs::{self, OpenOptions};
 use std::io::Write;
@@ -187,6 +189,16 @@ fn log_replaced_beside_another_keeps_its_own_times() {
 /// The second log begins 20 s after the first one, the third one a day later.
 #[test]
 fn logs_of_one_time_keep_their_dates() {
+    dates_are_kept("left.log");
+}
+
+/// The end of a compressed log is known only when all of it was read.
+#[test]
+fn compressed_log_of_the_same_time_keeps_its_dates() {
+    dates_are_kept("left.log.gz");
+}
+
+fn dates_are_kept(left: &str) {
     let folder = tempfile::tempdir().unwrap();
     let logs = write_two(folder.path());
     let half = logs[1].len() / 2;
@@ -198,7 +210,12 @@ fn logs_of_one_time_keep_their_dates() {
     };
     let later: String = logs[0].iter().map(next_day).collect();
     fs::write(folder.path().join("later.log"), later).unwrap();
-    let arguments = ["left.log", "right.log", "later.log", "--file", "des.json"];
+    if left.ends_with(".gz") {
+        let mut encoder = GzEncoder::new(Vec::new(), Compression::fast());
+        encoder.write_all(&fs::read(folder.path().join("left.log")).unwrap()).unwrap();
+        fs::write(folder.path().join(left), encoder.finish().unwrap()).unwrap();
+    }
+    let arguments = [left, "right.log", "later.log", "--file", "des.json"];
     let mut pty = Pty::start(&arguments, folder.path(), (120, 60));
     pty.wait_for("N1");
     pty.send(":100%\r");

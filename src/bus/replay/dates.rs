@@ -1,10 +1,33 @@
 //! When a log was recorded: the dates of its first and its last frame, without what is between.
 
+use super::index::FilePart;
 use super::packing;
 use crate::log::{LogReader, LogSummary, Unpacked};
 use crate::time::{Duration, Instant};
 use std::fs::File;
 use std::io::{self, BufReader};
+use std::sync::Arc;
+
+/// Reads a log to its end; returns the time of its last frame, counted from the first one. `None` if it is
+/// stopped, or has no frame.
+pub(super) fn last_time(
+    log: FilePart,
+    is_stopped: impl Fn() -> bool,
+) -> io::Result<Option<Instant>> {
+    let mut reader = LogReader::new(BufReader::with_capacity(1 << 16, Unpacked::new(log)));
+    let mut frames = Vec::new();
+    let mut last = None;
+    while let Some(frame) = reader.next_frame()? {
+        frames.clear();
+        frames.push(frame);
+        reader.take_buffered(&mut frames, 1024);
+        last = frames.last().map(|frame| frame.time);
+        if is_stopped() {
+            return Ok(None);
+        }
+    }
+    Ok(last)
+}
 
 /// The dates between which a log was recorded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -35,6 +58,22 @@ impl LogDates {
         let last = epoch.unix_micros(end.unwrap_or(Instant::ZERO));
         let first = epoch.unix_micros(Instant::ZERO);
         Ok((summary, Some(Self { first, last, has_end: end.is_some() })))
+    }
+
+    /// Does as [`Self::read`]; where the end of the file does not show the last frame, reads all of them.
+    ///
+    /// # Errors
+    ///
+    /// Those of the file system.
+    pub fn read_to_end(log: &File) -> io::Result<(LogSummary, Option<Self>)> {
+        let (summary, dates) = Self::read(log)?;
+        let Some(dates) = dates.filter(|dates| !dates.has_end) else {
+            return Ok((summary, dates));
+        };
+        let file = FilePart::new(Arc::new(log.try_clone()?));
+        let Some(last) = last_time(file, || false)? else { return Ok((summary, Some(dates))) };
+        let last = summary.epoch.unwrap_or_default().unix_micros(last);
+        Ok((summary, Some(Self { last, has_end: true, ..dates })))
     }
 
     /// Returns true if the two logs were recorded at the same time, if only for a moment.

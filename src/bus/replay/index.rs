@@ -147,9 +147,16 @@ impl FrameSource for LogIndex {
 
 /// A file from an offset on, whose own position stays.
 #[derive(Debug)]
-struct FilePart {
+pub(super) struct FilePart {
     file: Arc<File>,
     offset: u64,
+}
+
+impl FilePart {
+    /// Returns a whole file.
+    pub fn new(file: Arc<File>) -> Self {
+        Self { file, offset: 0 }
+    }
 }
 
 impl Read for FilePart {

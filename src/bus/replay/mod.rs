@@ -19,7 +19,8 @@ use crate::frame::{BusIndex, Frame};
 use crate::log::{DecodeStep, LogReader, Packing, READABLE_LOGS, Unpacked};
 use crate::status::{Link, RateSearch};
 use crate::time::{Duration, Instant};
-use index::LogIndex;
+use dates::last_time;
+use index::{FilePart, LogIndex};
 use std::fs::{self, File, Metadata};
 use std::io::{self, BufReader, Read, Seek, SeekFrom, Write};
 use std::os::fd::AsFd;
@@ -307,10 +308,27 @@ impl Replay {
         self.start = Some((frame.time, to));
         self.anchor = self.start;
         let last = self.index.as_ref().and_then(|it| it.last_time(&self.reader.position()));
-        if let Some(last) = last {
-            self.clock.set_log_end(self.bus, to + last.since(frame.time));
+        match last {
+            Some(last) => self.clock.set_log_end(self.bus, to + last.since(frame.time)),
+            None => self.look_for_end(to - frame.time.since(Instant::ZERO)),
         }
         (frame.time, to)
+    }
+
+    /// Reads the file to its end beside the replay, to know how long the log is; `start` is the time in the
+    /// session of the start of the log.
+    fn look_for_end(&self, start: Instant) {
+        if self.path.is_none() {
+            return;
+        }
+        let file = FilePart::new(Arc::clone(&self.log.file));
+        let (clock, bus, shared) = (self.clock.clone(), self.bus, Arc::clone(&self.shared));
+        // Without a thread, or with a fault, its length is that of what was read.
+        let _ = std::thread::Builder::new().name("log end".into()).spawn(move || {
+            if let Ok(Some(last)) = last_time(file, || shared.is_stopped()) {
+                clock.set_log_end(bus, start + last.since(Instant::ZERO));
+            }
+        });
     }
 
     /// Delivers a frame that is due, together with others. Returns false if the port was dropped.
