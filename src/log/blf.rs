@@ -6,11 +6,12 @@
 //! file. Does not know moments or bus numbers.
 
 use super::asc::is_whole_error;
+use super::binary::{BinaryFormat, EntryInput};
 use super::bus_errors::{bus_error, capture_of, captured, overload};
 use super::channel::{ChannelNumbers, channel_name};
 use super::dates::{system_time, system_time_of};
 use super::fields::{FieldFault, can_id, data_frame, dlc_of_len, len_of_dlc};
-use super::{Damage, DecodeStep, LogDecoder, LogEncoder, LogEntry, LogLoss, LogSummary};
+use super::{Damage, LogEncoder, LogEntry, LogLoss, LogSummary};
 use crate::frame::socketcan::{BIT_RATE_SWITCH, ERROR_STATE};
 use crate::frame::{CanId, Frame, FrameKind};
 use flate2::Compression;
@@ -56,15 +57,11 @@ const FD_64: [u32; 4] = [0x0010, 0x1000, 0x2000, 0x4000];
 /// Bytes of objects in a container.
 const CONTAINER_SIZE: usize = 128 << 10;
 
-/// Reads the head of a file, then its objects.
+/// State that objects depend on.
 #[derive(Clone, Debug, Default)]
-pub(super) struct ObjectDecoder {
+pub(super) struct MeasurementState {
     /// Start of the measurement, in microseconds since 1970; `None` before the head is read.
     start: Option<u64>,
-    /// Beginning of an incomplete object.
-    partial: Vec<u8>,
-    /// Bytes left to skip of an object that is not read.
-    skip: u64,
 }
 
 /// Reads little-endian fields.
@@ -126,138 +123,72 @@ pub(super) fn file_head_len(head: [u8; 8]) -> Option<usize> {
     (LEAST_FILE_HEAD..=1024).contains(&len).then_some(len)
 }
 
-impl ObjectDecoder {
-    /// Appends bytes up to `wanted`; returns their number, and true if there are as many.
-    fn fill(&mut self, bytes: &[u8], wanted: usize) -> (usize, bool) {
-        let count = bytes.len().min(wanted.saturating_sub(self.partial.len()));
-        self.partial.extend_from_slice(&bytes[..count]);
-        (count, self.partial.len() >= wanted)
-    }
-
-    /// Reads to the end of an object or of `bytes`; adds the bytes read to `used`.
-    fn read(
+impl MeasurementState {
+    /// Reads the head of the file.
+    fn read_head(
         &mut self,
-        bytes: &[u8],
-        used: &mut usize,
+        entry: &mut EntryInput<'_>,
         summary: &mut LogSummary,
-    ) -> Result<Option<Frame>, Damage> {
-        let least = if self.start.is_none() { 8 } else { OBJECT_HEAD };
-        let (count, has_head) = self.fill(bytes, least);
-        *used += count;
-        if !has_head {
-            return Ok(None);
+    ) -> Result<(), Damage> {
+        if !entry.fill(8) {
+            return Ok(());
         }
-        let Some(start) = self.start else {
-            let len = self.partial.first_chunk().copied().and_then(file_head_len);
-            let len = len.ok_or(Damage::Object)?;
-            let (count, is_whole) = self.fill(&bytes[*used..], len);
-            *used += count;
-            if is_whole {
-                let start = start_of(&self.partial);
-                // Some writers give no date.
-                let is_given = self.partial[40..56].iter().any(|&byte| byte != 0);
-                if start.is_none() && is_given {
-                    summary.take(Err::<Option<LogEntry<'_>>, _>(FieldFault::Date));
-                }
-                self.start = Some(start.unwrap_or(0));
-                self.partial.clear();
-            }
-            return Ok(None);
-        };
-        let padding = padding(&self.partial);
-        if padding > 0 {
-            self.partial.drain(..padding);
-            return Ok(None);
+        let len = entry.bytes().first_chunk().copied().and_then(file_head_len);
+        if !entry.fill(len.ok_or(Damage::Object)?) {
+            return Ok(());
         }
-        let size = self.partial.first_chunk().and_then(object_size);
-        let (len, kind) = size.ok_or(Damage::Object)?;
-        if len as usize > MAX_OBJECT || !is_frame(kind) {
-            self.skip = u64::from(len) - self.partial.len() as u64;
-            self.partial.clear();
-            summary.entries += 1;
-            return Ok(None);
+        let start = start_of(entry.bytes());
+        // Some writers give no date.
+        let is_given = entry.bytes()[40..56].iter().any(|&byte| byte != 0);
+        if start.is_none() && is_given {
+            summary.take(Err::<Option<LogEntry<'_>>, _>(FieldFault::Date));
         }
-        let (count, is_whole) = self.fill(&bytes[*used..], len as usize);
-        *used += count;
-        if !is_whole {
-            return Ok(None);
-        }
-        let frame = summary.take(read_object(start, &self.partial).map(Some));
-        self.partial.clear();
-        Ok(frame)
+        self.start = Some(start.unwrap_or(0));
+        entry.end();
+        Ok(())
     }
 }
 
-impl LogDecoder for ObjectDecoder {
-    fn decode(&mut self, bytes: &[u8], summary: &mut LogSummary) -> (usize, DecodeStep) {
-        if summary.damage.is_some_and(|damage| !damage.is_truncated()) {
-            return (0, DecodeStep::End);
-        }
-        // The file has grown since its end was reached.
-        summary.damage = None;
-        if self.skip > 0 {
-            let skipped = bytes.len().min(usize::try_from(self.skip).unwrap_or(usize::MAX));
-            self.skip -= skipped as u64;
-            return (skipped, DecodeStep::Nothing);
-        }
-        let mut used = 0;
-        match self.read(bytes, &mut used, summary) {
-            Ok(frame) => (used, frame.map_or(DecodeStep::Nothing, DecodeStep::Frame)),
-            Err(damage) => {
-                summary.damage = Some(damage);
-                (used, DecodeStep::End)
-            }
-        }
-    }
-
-    fn decode_frames(
+impl BinaryFormat for MeasurementState {
+    fn read(
         &mut self,
-        bytes: &[u8],
+        entry: &mut EntryInput<'_>,
         summary: &mut LogSummary,
-        frames: &mut Vec<Frame>,
-        most: usize,
-    ) -> usize {
-        let mut used = 0;
-        let Some(start) = self.start else { return 0 };
-        if summary.damage.is_some() || self.skip > 0 || !self.partial.is_empty() {
-            return 0;
+    ) -> Result<Option<Frame>, Damage> {
+        let Some(start) = self.start else { return self.read_head(entry, summary).map(|()| None) };
+        if !entry.fill(OBJECT_HEAD) {
+            return Ok(None);
         }
-        while frames.len() < most
-            && let start_of_object = used + padding(&bytes[used..])
-            && let rest = &bytes[start_of_object..]
-            && let Some((len, kind)) = rest.first_chunk().and_then(object_size)
-            && is_frame(kind)
-            && len as usize <= MAX_OBJECT
-            && let Some(object) = rest.get(..len as usize)
-            && let Ok(entry) = read_object(start, object)
-            && let Some(frame) =
-                summary.take_plain(entry.unix_micros, entry.interface.as_bytes(), &entry.frame)
-        {
-            frames.push(frame);
-            used = start_of_object + object.len();
+        let padding = padding(entry.bytes());
+        if padding > 0 {
+            entry.discard(padding);
+            return Ok(None);
         }
-        used
-    }
-
-    fn handle_end(&mut self, summary: &mut LogSummary) {
-        if summary.damage.is_none_or(Damage::is_truncated) {
-            // The last object may have padding.
-            let is_cut = self.skip > 0 || self.partial.iter().any(|&byte| byte != 0);
-            summary.damage = is_cut.then_some(Damage::Truncated);
+        let size = entry.bytes().first_chunk().and_then(object_size);
+        let (len, kind) = size.ok_or(Damage::Object)?;
+        if len as usize > MAX_OBJECT || !is_frame(kind) {
+            entry.skip(u64::from(len));
+            summary.entries += 1;
+            return Ok(None);
         }
+        if !entry.fill(len as usize) {
+            return Ok(None);
+        }
+        let frame = summary.take(read_object(start, entry.bytes()).map(Some));
+        entry.end();
+        Ok(frame)
     }
 
-    fn has_partial_entry(&self) -> bool {
-        !self.partial.is_empty()
-    }
-
-    /// Objects begin with a mark, which data may contain too.
-    fn entry_start(&self, _: &[u8]) -> Option<usize> {
-        None
-    }
-
-    fn copy(&self) -> Box<dyn LogDecoder> {
-        Box::new(self.clone())
+    fn read_frame(&mut self, bytes: &[u8], summary: &mut LogSummary) -> Option<(usize, Frame)> {
+        let padding = padding(bytes);
+        let rest = &bytes[padding..];
+        let (len, kind) = rest.first_chunk().and_then(object_size)?;
+        let is_read = is_frame(kind) && len as usize <= MAX_OBJECT;
+        let object = rest.get(..len as usize).filter(|_| is_read)?;
+        let entry = read_object(self.start?, object).ok()?;
+        let name = entry.interface.as_bytes();
+        let frame = summary.take_plain(entry.unix_micros, name, &entry.frame)?;
+        Some((padding + object.len(), frame))
     }
 }
 

@@ -192,7 +192,8 @@ pub(super) fn has_undecided_times(head: &[u8]) -> bool {
     const MAX_HEAD: usize = 4096;
     let is_short = |(at, byte): (usize, &u8)| match at {
         0 => *byte == b'(',
-        1..=3 => byte.is_ascii_digit(),
+        1 => *byte == b'0',
+        2 | 3 => byte.is_ascii_digit(),
         _ => *byte == b'.',
     };
     if head.len() >= MAX_HEAD || !head.iter().take(5).enumerate().all(is_short) {

@@ -9,6 +9,10 @@ use super::fields::{decimal, first_word, fixed_point};
 /// Lines after which times in three digits of seconds count from the beginning.
 const LINES: u8 = 8;
 
+/// First time from which on it is taken for no difference, in microseconds: candump begins at 0, and no bus
+/// is silent for as long.
+const NO_DIFFERENCE: u64 = 100_000_000;
+
 /// What the lines so far say about the times of those that follow.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct CandumpTimes {
@@ -81,6 +85,9 @@ impl CandumpTimes {
             PrintedTime::Short(micros) => micros,
         };
         self.sum = self.sum.saturating_add(micros);
+        if self.seen == 0 && micros >= NO_DIFFERENCE && self.origin == TimeOrigin::Unknown {
+            self.origin = TimeOrigin::Fixed;
+        }
         if self.origin == TimeOrigin::Unknown {
             // Two frames do not begin at the same microsecond.
             if self.seen > 0 && self.last > 0 && micros <= self.last {

@@ -53,7 +53,7 @@ pub(super) fn asc_date(text: &[u8]) -> Option<u64> {
     };
     let month = month.to_lowercase();
     let is_month = |names: &&[&str]| names.iter().any(|name| month.starts_with(name));
-    let month = MONTHS.iter().position(|names| is_month(&names))?;
+    let month = MONTHS.iter().position(is_month)?;
     let (hour, minute, micros) = time_of_day(time.as_bytes())?;
     let hour = match half.map(str::to_ascii_lowercase).as_deref() {
         None => hour,

@@ -6,6 +6,7 @@
 //! files and reads no clock. Does not know buses.
 
 mod asc;
+mod binary;
 mod blf;
 mod bus_errors;
 pub mod candump;
@@ -39,6 +40,7 @@ pub use summary::{EntryFault, LogSummary, UnreadableEntries};
 pub use unpack::{Packing, Unpacked};
 
 use crate::frame::Frame;
+use binary::EntryDecoder;
 use std::fmt;
 use std::io;
 use std::path::Path;
@@ -94,17 +96,17 @@ static CONTENTS: [LogContent; 3] = [
     LogContent {
         unit: "block",
         detect: |head| FormatMatch::of_magic(&pcapng::MAGIC, head),
-        decoder: |_| Box::<pcapng::BlockDecoder>::default(),
+        decoder: |_| Box::<EntryDecoder<pcapng::SectionState>>::default(),
     },
     LogContent {
         unit: "packet",
         detect: pcap::detect,
-        decoder: |_| Box::<pcap::PacketDecoder>::default(),
+        decoder: |_| Box::<EntryDecoder<pcap::CaptureState>>::default(),
     },
     LogContent {
         unit: "object",
         detect: |head| FormatMatch::of_magic(blf::MAGIC, head),
-        decoder: |_| Box::<blf::ObjectDecoder>::default(),
+        decoder: |_| Box::<EntryDecoder<blf::MeasurementState>>::default(),
     },
 ];
 

@@ -3,9 +3,10 @@
 //! Source: draft-ietf-opsawg-pcap. Either byte order, times in microseconds or nanoseconds. Allocation does
 //! not depend on lengths in the file. Does not know moments or bus numbers.
 
+use super::binary::{BinaryFormat, EntryInput};
 use super::packet::{self, FileOrder};
 use super::pcapng::{MAX_BLOCK, PacketFault};
-use super::{Damage, DecodeStep, FormatMatch, LogDecoder, LogEntry, LogSummary};
+use super::{Damage, FormatMatch, LogEntry, LogSummary};
 use crate::frame::Frame;
 
 /// Bytes of the head of a file, and of a packet.
@@ -39,14 +40,10 @@ struct FileHead {
     link_type: u16,
 }
 
-/// Splits a file into packets and reads them.
+/// State that packets depend on.
 #[derive(Clone, Debug, Default)]
-pub(super) struct PacketDecoder {
+pub(super) struct CaptureState {
     head: Option<FileHead>,
-    /// Beginning of an incomplete packet; less than [`MAX_BLOCK`] bytes.
-    partial: Vec<u8>,
-    /// Bytes left to skip of a packet that is too long.
-    skip: u64,
     /// Name of the last interface with a number, and the number.
     interface: Option<(u32, String)>,
 }
@@ -91,57 +88,7 @@ impl FileHead {
     }
 }
 
-impl PacketDecoder {
-    /// Appends bytes to the packet up to `wanted`; returns their number, and true if it is complete.
-    fn fill(&mut self, bytes: &[u8], wanted: usize) -> (usize, bool) {
-        let count = bytes.len().min(wanted.saturating_sub(self.partial.len()));
-        self.partial.extend_from_slice(&bytes[..count]);
-        (count, self.partial.len() >= wanted)
-    }
-
-    /// Reads to the end of a packet or of `bytes`; adds the bytes read to `used`.
-    fn read(
-        &mut self,
-        bytes: &[u8],
-        used: &mut usize,
-        summary: &mut LogSummary,
-    ) -> Result<Option<Frame>, Damage> {
-        let Some(head) = self.head else {
-            let (count, is_whole) = self.fill(bytes, FILE_HEAD);
-            *used += count;
-            if is_whole {
-                self.head = Some(FileHead::new(&self.partial).ok_or(Damage::ByteOrder)?);
-                self.partial.clear();
-            }
-            return Ok(None);
-        };
-        let (count, has_head) = self.fill(bytes, PACKET_HEAD);
-        *used += count;
-        let Some(len) = head.packet_len(&self.partial).filter(|_| has_head) else {
-            return Ok(None);
-        };
-        if len as usize > MAX_BLOCK {
-            self.skip = u64::from(len);
-            self.partial.clear();
-            // No writer has such packets: the length is not one.
-            if len > MAX_PACKET {
-                self.skip = 0;
-                return Err(Damage::Length(len));
-            }
-            return Ok(summary.take(Err::<Option<LogEntry<'_>>, _>(PacketFault::Long)));
-        }
-        let (count, is_whole) = self.fill(&bytes[*used..], PACKET_HEAD + len as usize);
-        *used += count;
-        if !is_whole {
-            return Ok(None);
-        }
-        let packet = std::mem::take(&mut self.partial);
-        let frame = summary.take(self.entry(head, &packet));
-        self.partial = packet;
-        self.partial.clear();
-        Ok(frame)
-    }
-
+impl CaptureState {
     /// Reads a whole packet; `None` for one of another protocol.
     fn entry(
         &mut self,
@@ -165,71 +112,46 @@ impl PacketDecoder {
 /// Longest packet of which the rest of the file is read, in bytes. Chosen: the snapshot length of tcpdump.
 const MAX_PACKET: u32 = 262_144;
 
-impl LogDecoder for PacketDecoder {
-    fn decode(&mut self, bytes: &[u8], summary: &mut LogSummary) -> (usize, DecodeStep) {
-        if summary.damage.is_some_and(|damage| !damage.is_truncated()) {
-            return (0, DecodeStep::End);
-        }
-        // The file has grown since its end was reached.
-        summary.damage = None;
-        if self.skip > 0 {
-            let skipped = bytes.len().min(usize::try_from(self.skip).unwrap_or(usize::MAX));
-            self.skip -= skipped as u64;
-            return (skipped, DecodeStep::Nothing);
-        }
-        let mut used = 0;
-        match self.read(bytes, &mut used, summary) {
-            Ok(frame) => (used, frame.map_or(DecodeStep::Nothing, DecodeStep::Frame)),
-            Err(damage) => {
-                summary.damage = Some(damage);
-                (used, DecodeStep::End)
-            }
-        }
-    }
-
-    fn decode_frames(
+impl BinaryFormat for CaptureState {
+    fn read(
         &mut self,
-        bytes: &[u8],
+        entry: &mut EntryInput<'_>,
         summary: &mut LogSummary,
-        frames: &mut Vec<Frame>,
-        most: usize,
-    ) -> usize {
-        let mut used = 0;
-        let Some(head) = self.head else { return 0 };
-        if summary.damage.is_some() || self.skip > 0 || !self.partial.is_empty() {
-            return 0;
+    ) -> Result<Option<Frame>, Damage> {
+        let Some(head) = self.head else {
+            if entry.fill(FILE_HEAD) {
+                self.head = Some(FileHead::new(entry.bytes()).ok_or(Damage::ByteOrder)?);
+                entry.end();
+            }
+            return Ok(None);
+        };
+        if !entry.fill(PACKET_HEAD) {
+            return Ok(None);
         }
-        while frames.len() < most
-            && let Some(len) = head.packet_len(&bytes[used..]).map(|len| len as usize)
-            && len <= MAX_BLOCK
-            && let Some(packet) = bytes[used..].get(..PACKET_HEAD + len)
-            && let Ok(Some(entry)) = self.entry(head, packet)
-            && let Some(frame) =
-                summary.take_plain(entry.unix_micros, entry.interface.as_bytes(), &entry.frame)
-        {
-            frames.push(frame);
-            used += packet.len();
+        let Some(len) = head.packet_len(entry.bytes()) else { return Ok(None) };
+        // No writer has such packets: the length is not one.
+        if len > MAX_PACKET {
+            return Err(Damage::Length(len));
         }
-        used
-    }
-
-    fn handle_end(&mut self, summary: &mut LogSummary) {
-        if summary.damage.is_none_or(Damage::is_truncated) {
-            summary.damage =
-                (self.skip > 0 || self.has_partial_entry()).then_some(Damage::Truncated);
+        if len as usize > MAX_BLOCK {
+            entry.skip(PACKET_HEAD as u64 + u64::from(len));
+            return Ok(summary.take(Err::<Option<LogEntry<'_>>, _>(PacketFault::Long)));
         }
+        if !entry.fill(PACKET_HEAD + len as usize) {
+            return Ok(None);
+        }
+        let frame = summary.take(self.entry(head, entry.bytes()));
+        entry.end();
+        Ok(frame)
     }
 
-    fn has_partial_entry(&self) -> bool {
-        !self.partial.is_empty()
-    }
-
-    /// Packets have no mark by which one is found.
-    fn entry_start(&self, _: &[u8]) -> Option<usize> {
-        None
-    }
-
-    fn copy(&self) -> Box<dyn LogDecoder> {
-        Box::new(self.clone())
+    fn read_frame(&mut self, bytes: &[u8], summary: &mut LogSummary) -> Option<(usize, Frame)> {
+        let head = self.head?;
+        let len = PACKET_HEAD + head.packet_len(bytes)? as usize;
+        let packet = bytes.get(..len).filter(|_| len <= PACKET_HEAD + MAX_BLOCK)?;
+        let entry = self.entry(head, packet).ok()??;
+        let name = entry.interface.as_bytes();
+        let frame = summary.take_plain(entry.unix_micros, name, &entry.frame)?;
+        Some((len, frame))
     }
 }

@@ -8,8 +8,9 @@
 
 pub use super::damage::Damage;
 
+use super::binary::{BinaryFormat, EntryInput};
 use super::packet::{self, CAN_HEAD, FileOrder, SOCKETCAN};
-use super::{DecodeStep, LogDecoder, LogEncoder, LogEntry, LogSummary};
+use super::{LogEncoder, LogEntry, LogSummary};
 use crate::frame::socketcan::{self as fields, FD_FORMAT};
 use crate::frame::{BusIndex, Frame};
 use std::io::{self, Write};
@@ -82,114 +83,42 @@ pub enum PacketFault {
     Xl,
 }
 
-/// Splits a file into blocks and reads them.
-#[derive(Clone, Debug, Default)]
-pub(super) struct BlockDecoder {
-    sections: SectionState,
-    /// Beginning of an incomplete block; less than [`MAX_BLOCK`] bytes.
-    partial: Vec<u8>,
-    /// Bytes left to skip of a block that is too long.
-    skip: u64,
-}
-
-impl BlockDecoder {
-    /// Appends bytes to the block up to `wanted`; returns their number, and true if it is complete.
-    fn fill(&mut self, bytes: &[u8], wanted: usize) -> (usize, bool) {
-        let count = bytes.len().min(wanted.saturating_sub(self.partial.len()));
-        self.partial.extend_from_slice(&bytes[..count]);
-        (count, self.partial.len() >= wanted)
-    }
-
-    /// Reads to the end of a block or of `bytes`; adds the bytes read to `used`.
+impl BinaryFormat for SectionState {
     fn read(
         &mut self,
-        bytes: &[u8],
-        used: &mut usize,
+        entry: &mut EntryInput<'_>,
         summary: &mut LogSummary,
     ) -> Result<Option<Frame>, Damage> {
-        let (count, has_head) = self.fill(bytes, BLOCK_HEADER_LEN);
-        *used += count;
-        let Some(head) = self.partial.first_chunk().filter(|_| has_head).copied() else {
+        if !entry.fill(BLOCK_HEADER_LEN) {
             return Ok(None);
-        };
-        let len = self.sections.block_len(&head)? as usize;
+        }
+        let Some(head) = entry.bytes().first_chunk().copied() else { return Ok(None) };
+        let len = self.block_len(&head)? as usize;
         if len > MAX_BLOCK {
-            self.skip = (len - self.partial.len()) as u64;
-            self.partial.clear();
-            return Ok(summary.take(self.sections.skip(&head).map(|()| None)));
+            entry.skip(len as u64);
+            return Ok(summary.take(self.skip(&head).map(|()| None)));
         }
-        let (count, is_whole) = self.fill(&bytes[*used..], len);
-        *used += count;
-        if !is_whole {
+        if !entry.fill(len) {
             return Ok(None);
         }
-        let taken = self.sections.take(&self.partial).map(|block| summary.take(block));
-        self.partial.clear();
+        let taken = self.take(entry.bytes()).map(|block| summary.take(block));
+        entry.end();
         taken
     }
-}
 
-impl LogDecoder for BlockDecoder {
-    fn decode(&mut self, bytes: &[u8], summary: &mut LogSummary) -> (usize, DecodeStep) {
-        if summary.damage.is_some_and(|damage| !damage.is_truncated()) {
-            return (0, DecodeStep::End);
-        }
-        // The file has grown since its end was reached.
-        summary.damage = None;
-        if self.skip > 0 {
-            let skipped = bytes.len().min(usize::try_from(self.skip).unwrap_or(usize::MAX));
-            self.skip -= skipped as u64;
-            return (skipped, DecodeStep::Nothing);
-        }
-        let mut used = 0;
-        match self.read(bytes, &mut used, summary) {
-            Ok(frame) => (used, frame.map_or(DecodeStep::Nothing, DecodeStep::Frame)),
-            Err(damage) => {
-                summary.damage = Some(damage);
-                (used, DecodeStep::End)
-            }
-        }
-    }
-
-    fn decode_frames(
-        &mut self,
-        bytes: &[u8],
-        summary: &mut LogSummary,
-        frames: &mut Vec<Frame>,
-        most: usize,
-    ) -> usize {
-        let mut used = 0;
-        if summary.damage.is_some() || self.skip > 0 || !self.partial.is_empty() {
-            return used;
-        }
-        while frames.len() < most
-            && let Some(block) = self.sections.packet_block(&bytes[used..])
-            && let Ok(Ok(Some(entry))) = self.sections.take(block)
-            && let Some(frame) =
-                summary.take_plain(entry.unix_micros, entry.interface.as_bytes(), &entry.frame)
-        {
-            frames.push(frame);
-            used += block.len();
-        }
-        used
-    }
-
-    fn handle_end(&mut self, summary: &mut LogSummary) {
-        if summary.damage.is_none_or(Damage::is_truncated) {
-            summary.damage =
-                (self.skip > 0 || self.has_partial_entry()).then_some(Damage::Truncated);
-        }
-    }
-
-    fn has_partial_entry(&self) -> bool {
-        !self.partial.is_empty()
+    fn read_frame(&mut self, bytes: &[u8], summary: &mut LogSummary) -> Option<(usize, Frame)> {
+        let block = self.packet_block(bytes)?;
+        let entry = self.take(block).ok()?.ok()??;
+        let name = entry.interface.as_bytes();
+        let frame = summary.take_plain(entry.unix_micros, name, &entry.frame)?;
+        Some((block.len(), frame))
     }
 
     fn entry_start(&self, tail: &[u8]) -> Option<usize> {
         // Each block ends with its length.
         let mut start = tail.len();
         while let Some(length) = tail[..start].last_chunk() {
-            let big_endian = self.sections.big_endian;
+            let big_endian = self.big_endian;
             let length = Fields { bytes: length as &[u8; 4], big_endian }.u32()?;
             match start.checked_sub(length as usize) {
                 Some(before) if length >= 12 && length.is_multiple_of(4) => start = before,
@@ -197,10 +126,6 @@ impl LogDecoder for BlockDecoder {
             }
         }
         (start < tail.len()).then_some(start)
-    }
-
-    fn copy(&self) -> Box<dyn LogDecoder> {
-        Box::new(self.clone())
     }
 }
 

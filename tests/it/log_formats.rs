@@ -9,6 +9,7 @@ use flate2::write::GzEncoder;
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use ruzstd::encoding::{CompressionLevel, compress_to_vec};
+use std::fmt::Write as _;
 use std::fs;
 use std::io::{BufReader, Read, Write};
 use std::path::Path;
@@ -127,7 +128,7 @@ fn colours_before_the_time_are_passed_over() {
 #[test]
 fn times_of_candump_are_read_in_all_their_forms() {
     let log = |times: &[&str], frame: &str| -> String {
-        times.iter().map(|time| format!("({time}) {frame}\n")).collect()
+        times.iter().fold(String::new(), |log, time| log + &format!("({time}) {frame}\n"))
     };
     let micros = |log: &str| -> Vec<u64> {
         let (frames, summary) = read(log.as_bytes());
@@ -265,12 +266,13 @@ fn interrupted_conversion_leaves_no_file() {
 
 /// Returns a log of many frames, and its text.
 fn long_log() -> String {
-    (0..20_000_u32)
-        .map(|at| {
-            let (seconds, micros) = (1_700_000_000 + at / 100, at % 100 * 10_000);
-            format!("({seconds}.{micros:06}) ch1 {at:08X}#{:016X}\n", u64::from(at) * 0x9E37_79B9)
-        })
-        .collect()
+    let mut log = String::new();
+    for at in 0..20_000_u32 {
+        let (seconds, micros) = (1_700_000_000 + at / 100, at % 100 * 10_000);
+        let data = u64::from(at) * 0x9E37_79B9;
+        writeln!(log, "({seconds}.{micros:06}) ch1 {at:08X}#{data:016X}").unwrap();
+    }
+    log
 }
 
 /// Writes a log in several packings; returns the file names.
@@ -306,8 +308,8 @@ fn cut_and_damaged_logs_are_read_up_to_the_place() {
         assert!(summary.damage.is_some(), "{name}: {summary}");
         assert!((5_000..plain.len()).contains(&frames.len()), "{name}: {summary}");
         let half = frames.len().min(plain.len() / 2);
-        let both = frames.iter().zip(&plain[..half]);
-        assert!(both.map(|(one, other)| one.same_on_wire(other)).all(|it| it), "{name}");
+        let mut both = frames.iter().zip(&plain[..half]);
+        assert!(both.all(|(one, other)| one.same_on_wire(other)), "{name}");
         fs::write(folder.path().join("cut"), &bytes[..bytes.len() / 2]).unwrap();
         let output = descan(folder.path(), &["convert", "cut", "part.log", "--force"]);
         assert_eq!(output.status.code(), Some(1), "{name}: {}", text(&output.stderr));

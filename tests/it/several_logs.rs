@@ -210,7 +210,7 @@ fn dates_are_kept(left: &str) {
     };
     let later: String = logs[0].iter().map(next_day).collect();
     fs::write(folder.path().join("later.log"), later).unwrap();
-    if left.ends_with(".gz") {
+    if left != "left.log" {
         let mut encoder = GzEncoder::new(Vec::new(), Compression::fast());
         encoder.write_all(&fs::read(folder.path().join("left.log")).unwrap()).unwrap();
         fs::write(folder.path().join(left), encoder.finish().unwrap()).unwrap();
