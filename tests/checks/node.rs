@@ -51,7 +51,7 @@ const LONG_NAME: &str = "A NAME THAT IS LONGER THAN ONE FRAME, AND THAN A SINGLE
 const SERVICES: &[&[&str]] =
     &[&["DES", "1.0"], &["AUGER", "2.1"], &["A SERVICE", "WITH A LONG VERSION", "AND MORE"]];
 
-/// All service numbers, as in the des_config.h of the kit in C.
+/// All service numbers, as in the `des_config.h` of the kit in C.
 pub const ALL_SERVICES: NodeConfig = NodeConfig {
     identify: Some(Service::from_bits(0x018)),
     mode: Some(Service::from_bits(0x019)),
