@@ -137,27 +137,27 @@ fn pcapng_mutations_break_no_rule() {
 
 #[test]
 fn asc_mutations_break_no_rule() {
-    replay("asc", 15_000);
+    replay("asc", 3_000);
 }
 
 #[test]
 fn trc_mutations_break_no_rule() {
-    replay("trc", 15_000);
+    replay("trc", 3_000);
 }
 
 #[test]
 fn csv_mutations_break_no_rule() {
-    replay("csv", 15_000);
+    replay("csv", 3_000);
 }
 
 #[test]
 fn pcap_mutations_break_no_rule() {
-    replay("pcap", 30_000);
+    replay("pcap", 6_000);
 }
 
 #[test]
 fn packed_log_mutations_break_no_rule() {
-    replay("packed", 10_000);
+    replay("packed", 2_000);
 }
 
 #[test]
