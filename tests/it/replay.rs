@@ -127,12 +127,12 @@ fn udp_mutations_break_no_rule() {
 
 #[test]
 fn candump_mutations_break_no_rule() {
-    replay("candump", 15_000);
+    replay("candump", 8_000);
 }
 
 #[test]
 fn pcapng_mutations_break_no_rule() {
-    replay("pcapng", 36_000);
+    replay("pcapng", 12_000);
 }
 
 #[test]
