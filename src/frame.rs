@@ -272,6 +272,20 @@ impl fmt::Debug for Frame {
     }
 }
 
+/// The data length code of `len` bytes, at most 64.
+pub const fn dlc(len: usize) -> u8 {
+    match len {
+        0..=8 => len as u8,
+        9..=12 => 9,
+        13..=16 => 10,
+        17..=20 => 11,
+        21..=24 => 12,
+        25..=32 => 13,
+        33..=48 => 14,
+        _ => 15,
+    }
+}
+
 /// The shortest length with a DLC of its own that holds `len` bytes (ISO 11898-1: 0–8, 12, 16,
 /// 20, 24, 32, 48, 64).
 pub const fn fd_length(len: usize) -> usize {

@@ -4,7 +4,7 @@
 //! Allocates nothing and keeps no tables outside the program's image, so the bus load of a full
 //! bus can be computed frame by frame. Does not know bit rates' history or who sends.
 
-use super::{CanId, Frame, FrameKind};
+use super::{CanId, Frame, FrameKind, dlc};
 
 /// Recessive bits between two frames, counted in [`FrameBits`].
 pub const INTERMISSION: u32 = 3;
@@ -123,7 +123,7 @@ impl Content {
             let reserved = if matches!(frame.id, CanId::Extended(_)) { 2 } else { 1 };
             bits.push(0, reserved);
         }
-        bits.push(dlc(frame.len()), 4);
+        bits.push(u32::from(dlc(frame.len())), 4);
         for &byte in frame.data() {
             bits.push(u32::from(byte), 8);
         }
@@ -221,20 +221,6 @@ fn classic_length(frame: &Frame) -> FrameBits {
     bits = (bits << 8 | behind) << (128 - 8 - len);
     let (_, stuffing) = stuff_bytes(&bits.to_be_bytes()[..len.div_ceil(8)]);
     FrameBits { nominal: len as u32 + stuffing + TAIL, data: 0 }
-}
-
-/// The data length code of `len` bytes.
-const fn dlc(len: usize) -> u32 {
-    match len {
-        0..=8 => len as u32,
-        9..=12 => 9,
-        13..=16 => 10,
-        17..=20 => 11,
-        21..=24 => 12,
-        25..=32 => 13,
-        33..=48 => 14,
-        _ => 15,
-    }
 }
 
 /// One bit of the classic CRC, polynomial 4599.

@@ -13,7 +13,7 @@ use super::fields::{
 };
 use super::{LogEncoder, LogEntry, LogLoss};
 use crate::frame::socketcan::{BIT_RATE_SWITCH, ERROR_STATE};
-use crate::frame::{CanId, Frame, FrameKind};
+use crate::frame::{CanId, Frame, FrameKind, dlc};
 use std::io::{self, Write};
 
 /// Flags at the end of a line of an FD frame.
@@ -328,9 +328,9 @@ fn write_event(out: &mut Vec<u8>, channel: u8, frame: &Frame) -> io::Result<()> 
         return writeln!(out);
     }
     let (switched, passive) = (u8::from(frame.bit_rate_switch), u8::from(frame.error_state));
-    let (dlc, len) = (super::fields::dlc_of_len(frame.len()), frame.len());
+    let (code, len) = (dlc(frame.len()), frame.len());
     write!(out, "CANFD {channel:>3} {direction:<4} {id:>8}  {:>32} ", "")?;
-    write!(out, "{switched} {passive} {dlc:x} {len:>2}")?;
+    write!(out, "{switched} {passive} {code:x} {len:>2}")?;
     write_bytes(out, frame.data())?;
     let flag = |is_set, flag| if is_set { flag } else { 0 };
     let flags = FD | flag(frame.bit_rate_switch, SWITCHED) | flag(frame.error_state, PASSIVE);

@@ -10,10 +10,10 @@ use super::binary::{BinaryFormat, EntryInput};
 use super::bus_errors::{bus_error, capture_of, captured, overload};
 use super::channel::{ChannelNumbers, channel_name};
 use super::dates::{system_time, system_time_of};
-use super::fields::{FieldFault, can_id, data_frame, dlc_of_len, len_of_dlc};
+use super::fields::{FieldFault, can_id, data_frame, len_of_dlc};
 use super::{Damage, LogEncoder, LogEntry, LogLoss, LogSummary};
 use crate::frame::socketcan::{BIT_RATE_SWITCH, ERROR_STATE};
-use crate::frame::{CanId, Frame, FrameKind};
+use crate::frame::{CanId, Frame, FrameKind, dlc};
 use flate2::Compression;
 use flate2::write::ZlibEncoder;
 use std::io::{self, Write};
@@ -452,7 +452,7 @@ impl BlfEncoder {
                 ERROR_EXT
             }
             (_, true) => {
-                body.extend_from_slice(&[flags, dlc_of_len(frame.len())]);
+                body.extend_from_slice(&[flags, dlc(frame.len())]);
                 body.extend_from_slice(&word.to_le_bytes());
                 body.extend_from_slice(&[0; 5]);
                 let set = [true, frame.bit_rate_switch, frame.error_state];

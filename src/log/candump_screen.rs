@@ -5,7 +5,7 @@
 
 use super::candump::LineFault;
 use super::candump_time::without_colours;
-use super::fields::{first_word, hex_value, number, words};
+use super::fields::{first_word, hex_byte, hex_value, number, words};
 use crate::frame::socketcan::{BIT_RATE_SWITCH, ERROR_FLAG, ERROR_STATE, with_fd_flags};
 use crate::frame::{CanId, Frame};
 use crate::text::is_printable;
@@ -116,7 +116,7 @@ fn is_remote(rest: &[u8]) -> bool {
 /// Reads as many bytes as `data` has. What follows them is not read.
 fn parse_data(line: &[u8], data: &mut [u8]) -> Result<(), LineFault> {
     let byte = |word: &[u8]| match word {
-        [high, low] => hex_value(*high).zip(hex_value(*low)).map(|(high, low)| high << 4 | low),
+        [high, low] => hex_byte([*high, *low]),
         _ => None,
     };
     // Swapped bytes: the last one first, with marks between them.

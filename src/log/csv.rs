@@ -5,7 +5,7 @@
 use super::channel::{ChannelNumbers, ONLY_BUS, bus_name};
 use super::dates::seconds;
 use super::fields::{
-    FieldFault, can_id, channel, check_line, data_frame, decimal, hex_value, number,
+    FieldFault, can_id, channel, check_line, data_frame, decimal, hex_byte, number,
     starts_with_ignoring_case as starts,
 };
 use super::{LogEncoder, LogEntry, LogLoss};
@@ -78,9 +78,7 @@ impl GvretLines {
                 _ if at >= self.data && len.is_some_and(|len| bytes < len as usize) => {
                     let place = data.get_mut(bytes).ok_or(FieldFault::Length)?;
                     let value = match cell {
-                        [high, low] => {
-                            hex_value(*high).zip(hex_value(*low)).map(|(h, l)| h << 4 | l)
-                        }
+                        [high, low] => hex_byte([*high, *low]),
                         _ => number(cell, 16).and_then(|value| u8::try_from(value).ok()),
                     };
                     *place = value.ok_or(FieldFault::Data)?;
@@ -151,7 +149,7 @@ impl PythonCanLines {
 }
 
 /// Returns an error frame with its class and details; one without them is an error frame on the bus.
-pub(super) fn error_of(class: u32, data: &[u8]) -> Result<Frame, FieldFault> {
+fn error_of(class: u32, data: &[u8]) -> Result<Frame, FieldFault> {
     match data.len() {
         0 if class == 0 => Ok(super::bus_errors::bus_error()),
         0..=Frame::MAX_CLASSIC_DATA => Ok(Frame::error(class, data)),

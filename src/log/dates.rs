@@ -161,7 +161,7 @@ pub(super) fn seconds(text: &[u8]) -> Option<u64> {
     fixed_point::<6>(text).or_else(|| {
         let seconds: f64 = std::str::from_utf8(text).ok()?.parse().ok()?;
         let micros = (seconds * 1e6).round();
-        let is_time = (0.0..=1e18).contains(&micros) && !decimal(text).is_some_and(|_| true);
+        let is_time = (0.0..=1e18).contains(&micros) && decimal(text).is_none();
         is_time.then_some(micros as u64)
     })
 }

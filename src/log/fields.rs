@@ -36,9 +36,6 @@ pub enum FieldFault {
     /// A type of entry that the format does not have.
     #[error("unknown type of entry")]
     Kind,
-    /// A CAN XL frame.
-    #[error("a CAN XL frame")]
-    Xl,
 }
 
 /// Words of a line, separated by blanks.
@@ -61,6 +58,12 @@ pub(super) const fn hex_value(digit: u8) -> Option<u8> {
         b'a'..=b'f' => Some(digit - b'a' + 10),
         _ => None,
     }
+}
+
+/// The value of two hexadecimal digits.
+pub(super) fn hex_byte(word: [u8; 2]) -> Option<u8> {
+    let [high, low] = word;
+    Some(hex_value(high)? << 4 | hex_value(low)?)
 }
 
 /// Returns the number of these digits in base 10 or 16; `None` without digits, or above 2³² − 1.
@@ -114,15 +117,15 @@ pub(super) fn bytes<'a>(
         // The usual form.
         if let [high, low, b' ', rest @ ..] = line.trim_ascii_start()
             && base == 16
-            && let (Some(high), Some(low)) = (hex_value(*high), hex_value(*low))
+            && let Some(value) = hex_byte([*high, *low])
         {
-            *byte = high << 4 | low;
+            *byte = value;
             line = rest;
             continue;
         }
         let (word, rest) = first_word(line);
         let value = match (base, word) {
-            (16, [high, low]) => hex_value(*high).zip(hex_value(*low)).map(|(h, l)| h << 4 | l),
+            (16, [high, low]) => hex_byte([*high, *low]),
             _ => number(word, base).and_then(|value| u8::try_from(value).ok()),
         };
         *byte = value.ok_or(FieldFault::Data)?;
@@ -175,18 +178,4 @@ pub(super) fn check_line(line: &[u8]) -> Result<(), FieldFault> {
 /// Returns true if `text` begins with `start`, in capitals or not.
 pub(super) fn starts_with_ignoring_case(text: &[u8], start: &[u8]) -> bool {
     text.get(..start.len()).is_some_and(|head| head.eq_ignore_ascii_case(start))
-}
-
-/// Returns the DLC of a number of data bytes, at most 64.
-pub(super) fn dlc_of_len(len: usize) -> u8 {
-    match len {
-        0..=8 => len as u8,
-        9..=12 => 9,
-        13..=16 => 10,
-        17..=20 => 11,
-        21..=24 => 12,
-        25..=32 => 13,
-        33..=48 => 14,
-        _ => 15,
-    }
 }

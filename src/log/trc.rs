@@ -9,12 +9,12 @@ use super::bus_errors::{bus_error, capture_of, captured, is_on_bus, overload};
 use super::channel::{ChannelNumbers, channel_name};
 use super::dates::{day_month_year, local_time, trc_date, trc_days};
 use super::fields::{
-    FieldFault, bytes, can_id, channel, check_line, data_frame, dlc_of_len, first_word,
-    fixed_point, len_of_dlc, number, starts_with_ignoring_case as starts,
+    FieldFault, bytes, can_id, channel, check_line, data_frame, first_word, fixed_point,
+    len_of_dlc, number, starts_with_ignoring_case as starts,
 };
 use super::{LogEncoder, LogEntry, LogLoss};
 use crate::frame::socketcan::{BIT_RATE_SWITCH, ERROR_STATE};
-use crate::frame::{CanId, Frame, FrameKind};
+use crate::frame::{CanId, Frame, FrameKind, dlc};
 use std::io::{self, Write};
 
 /// Most columns of a line.
@@ -292,7 +292,7 @@ impl LogEncoder for TrcEncoder {
         if frame.kind == FrameKind::Error {
             write_error(out, &frame)?;
         } else {
-            write!(out, "  {:<2}  ", dlc_of_len(frame.len()))?;
+            write!(out, "  {:<2}  ", dlc(frame.len()))?;
             frame.data().iter().try_for_each(|byte| write!(out, " {byte:02X}"))?;
             writeln!(out)?;
         }
