@@ -139,7 +139,7 @@ impl ConvertedLog {
         if path == Path::new("-") {
             return Ok(Self { path, file: None });
         }
-        // What is no file, such as /dev/full, is not replaced.
+        // A device such as /dev/full, a pipe and a folder are not replaced.
         let metadata = std::fs::metadata(&path).ok();
         if metadata.as_ref().is_some_and(|it| !it.is_file()) {
             return Err(Diagnostic::new("not a file").of(shown(&path)).into());

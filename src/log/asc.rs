@@ -2,7 +2,7 @@
 //!
 //! Source: the logs that CANalyzer 9 to 12, python-can and SavvyCAN write. Times count from the date of
 //! the measurement, which is local time; with `timestamps relative` each counts from the event before.
-//! Events that are no frames are passed over. Does not know moments or bus numbers.
+//! Other events than frames are passed over. Does not know moments or bus numbers.
 
 use super::bus_errors::{bus_error, capture_of, captured, is_on_bus, overload};
 use super::channel::{ChannelNumbers, channel_name};
@@ -67,7 +67,7 @@ impl AscLines {
         Ok(Some(LogEntry { unix_micros, interface: channel_name(number), frame }))
     }
 
-    /// Reads a line that is no event.
+    /// Reads a line of the head, a comment, or the beginning or end of a block.
     fn read_head(&mut self, line: &[u8]) -> Result<(), FieldFault> {
         let is_other = [&b"//"[..], b"end triggerblock", b"internal events", b"no internal events"];
         if line.is_empty() || is_other.iter().any(|start| starts(line, start)) {
@@ -199,7 +199,7 @@ impl AscLines {
     }
 }
 
-/// Returns true for a sent frame; `None` for a word that is no direction of a frame on the bus.
+/// Returns true for `Tx`, false for `Rx`; `None` for another word, such as that of a transmit request.
 fn is_tx(direction: &[u8]) -> Option<bool> {
     match direction {
         b"Rx" => Some(false),

@@ -2,7 +2,7 @@
 //!
 //! Source: the logs that CANalyzer and python-can write. [`super::unpack`] opens the containers; what is
 //! read here is the head of the file and the objects, one after the other. The start of the measurement is
-//! in UTC. Objects that are no CAN frames are passed over. Allocation does not depend on lengths in the
+//! in UTC. Other objects than CAN frames are passed over. Allocation does not depend on lengths in the
 //! file. Does not know moments or bus numbers.
 
 use super::asc::is_whole_error;
@@ -104,7 +104,7 @@ impl<'b> ObjectFields<'b> {
 }
 
 /// Returns the length of the object that begins with these bytes, without its padding, and its type;
-/// `None` if it is no object.
+/// `None` if the mark of an object is missing.
 pub(super) fn object_size(head: &[u8; OBJECT_HEAD]) -> Option<(u32, u32)> {
     let mut fields = ObjectFields(head.strip_prefix(OBJECT)?);
     let (_head_len, _version) = (fields.u16().ok()?, fields.u16().ok()?);

@@ -155,8 +155,8 @@ fn civil(year: u32, month: u32, day: u32, time: (u32, u32, u64)) -> Option<u64> 
     unix_micros(date.to_datetime(time))
 }
 
-/// Returns seconds and their fraction, in microseconds; `None` if it is no number. The number may have an
-/// exponent.
+/// Returns seconds and their fraction, in microseconds; `None` if the text is not a number. The number may
+/// have an exponent.
 pub(super) fn seconds(text: &[u8]) -> Option<u64> {
     fixed_point::<6>(text).or_else(|| {
         let seconds: f64 = std::str::from_utf8(text).ok()?.parse().ok()?;

@@ -27,7 +27,7 @@ pub enum FieldFault {
     /// No length, or one that a frame cannot have.
     #[error("the length is not that of a frame")]
     Length,
-    /// Fewer bytes than the length says, or text that is no byte.
+    /// Fewer bytes than the length says, or text that is not a byte.
     #[error("the data is not as many bytes as the length says")]
     Data,
     /// A value is missing, or another one than the column allows.
@@ -88,8 +88,8 @@ pub(super) fn decimal(digits: &[u8]) -> Option<u64> {
     })
 }
 
-/// Returns a decimal fraction, such as `2.5`, in units of 10⁻ᴾ; further digits are cut off. `None` if it
-/// is no number, or too large. The point may be a comma.
+/// Returns a decimal fraction, such as `2.5`, in units of 10⁻ᴾ; further digits are cut off. `None` if the
+/// text is not a number, or too large. The point may be a comma.
 pub(super) fn fixed_point<const P: usize>(text: &[u8]) -> Option<u64> {
     let point = text.iter().position(|byte| matches!(byte, b'.' | b','));
     let (whole, fraction) = match point {
