@@ -5,8 +5,12 @@
 use crate::app::DeviceCommand;
 use crate::bitrate;
 use crate::bus::{self, BusSpec};
+#[cfg(feature = "fleet")]
+use crate::fleet::GatewayName;
 use crate::guide;
 use crate::log::{FORMATS, LogFormat};
+#[cfg(feature = "fleet")]
+use crate::shell::broker::{BrokerAccess, BrokerAddress};
 use crate::shell::recorder::Size;
 use crate::wire::id::{Address, Service};
 use crate::wire::node::Mode;
@@ -96,6 +100,12 @@ pub enum Command {
     Check(CheckArgs),
     /// Print events as they happen, one per line
     Watch(WatchArgs),
+    /// Publish what is found on buses to an MQTT broker, for descan fleet
+    #[cfg(feature = "fleet")]
+    Publish(PublishArgs),
+    /// Show the gateways that publish to an MQTT broker: devices, versions, findings
+    #[cfg(feature = "fleet")]
+    Fleet(FleetArgs),
     /// List what changed between two logs, or documents of scan --json
     Diff(DiffArgs),
     /// Print the frames of a log, decoded, one per line, or their statistics
@@ -639,6 +649,18 @@ pub struct CheckArgs {
     /// Print a report of tests instead of text: junit, tap or github
     #[arg(long, value_name = "FORMAT", conflicts_with = "json")]
     pub report: Option<TestReportFormat>,
+    /// Compare what gateways have published: each with FOLDER/GATEWAY/des.json
+    #[cfg(feature = "fleet")]
+    #[arg(long, value_name = "FOLDER", requires = "broker", conflicts_with_all = ["buses", "wait_for_all", "from"])]
+    pub fleet: Option<PathBuf>,
+    /// The broker of --fleet: mqtts://HOST[:PORT], or mqtt:// without TLS
+    #[cfg(feature = "fleet")]
+    #[arg(long, value_name = "URL", requires = "fleet")]
+    pub broker: Option<BrokerAddress>,
+    /// What the broker asks of its clients.
+    #[cfg(feature = "fleet")]
+    #[command(flatten)]
+    pub broker_files: BrokerFiles,
 }
 
 /// `descan watch`.
@@ -675,6 +697,99 @@ pub struct WatchArgs {
     /// Print only matching events: at:12,14 | name:FEED | is:confirmed | word | !word ...
     #[arg(long, value_name = "EXPR")]
     pub filter: Option<String>,
+}
+
+/// What a broker asks of its clients.
+#[cfg(feature = "fleet")]
+#[derive(Debug, Args, Clone)]
+pub struct BrokerFiles {
+    /// Certificates that are trusted, in place of those of the system (PEM)
+    #[arg(long, value_name = "FILE", requires = "broker")]
+    pub ca: Option<PathBuf>,
+    /// Certificate of this client (PEM)
+    #[arg(long, value_name = "FILE", requires_all = ["key", "broker"])]
+    pub cert: Option<PathBuf>,
+    /// Private key of this client (PEM)
+    #[arg(long, value_name = "FILE", requires_all = ["cert", "broker"])]
+    pub key: Option<PathBuf>,
+    /// File with user = "NAME" and password = "PASSWORD" (TOML) [default: the environment,
+    /// DESCAN_MQTT_USER and DESCAN_MQTT_PASSWORD]
+    #[arg(long, value_name = "FILE", requires = "broker")]
+    pub credentials: Option<PathBuf>,
+}
+
+#[cfg(feature = "fleet")]
+impl BrokerFiles {
+    /// What they say about the broker at this address.
+    pub fn access(&self, address: &BrokerAddress) -> BrokerAccess {
+        BrokerAccess {
+            address: address.clone(),
+            ca: self.ca.clone(),
+            identity: self.cert.clone().zip(self.key.clone()),
+            credentials: self.credentials.clone(),
+        }
+    }
+}
+
+/// `descan publish`.
+#[cfg(feature = "fleet")]
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Publishes inventory, findings and bus state as retained JSON under descan/v1/GATEWAY, and events as they \
+happen. Only changes are sent. While the broker is away, events wait, at most 10000. Nothing that comes \
+from the broker is ever sent to a bus. More: descan help fleet
+
+Exit code: 0 ended by a signal or --time, 2 wrong usage, 3 bus, file or broker not usable.
+
+Examples:
+  descan publish can0 --broker mqtts://broker.example.org --gateway boiler-17
+  descan publish can0 can1 --broker mqtt://localhost --listen-only")]
+pub struct PublishArgs {
+    /// The buses and how to treat them.
+    #[command(flatten)]
+    pub session: SessionArgs,
+    /// The broker: mqtts://HOST[:PORT], or mqtt:// without TLS
+    #[arg(long, value_name = "URL")]
+    pub broker: BrokerAddress,
+    /// Name of this gateway, unlike all others at the broker [default: the host name]
+    #[arg(long, value_name = "NAME")]
+    pub gateway: Option<GatewayName>,
+    /// What the broker asks of its clients.
+    #[command(flatten)]
+    pub files: BrokerFiles,
+    /// Stop after SECONDS
+    #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
+    pub time: Option<Duration>,
+}
+
+/// `descan fleet`.
+#[cfg(feature = "fleet")]
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Only reads; nothing is published. With --json, or without a terminal, it prints what all gateways have \
+published, and ends. More: descan help fleet
+
+Exit code: 0 no confirmed conflict, 1 one or more (without a screen), 2 wrong usage, 3 broker not usable, \
+130 interrupted.
+
+Examples:
+  descan fleet --broker mqtts://broker.example.org
+  descan fleet --broker mqtt://localhost --json | jq -r '.gateways[].name'
+  descan check --fleet sites --broker mqtts://broker.example.org
+                                compare each gateway with sites/GATEWAY/des.json")]
+pub struct FleetArgs {
+    /// The broker: mqtts://HOST[:PORT], or mqtt:// without TLS
+    #[arg(long, value_name = "URL")]
+    pub broker: BrokerAddress,
+    /// What the broker asks of its clients.
+    #[command(flatten)]
+    pub files: BrokerFiles,
+    /// Print JSON
+    #[arg(long)]
+    pub json: bool,
+    /// Wait at most SECONDS for the documents [default: 10]
+    #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
+    pub time: Option<Duration>,
 }
 
 /// `descan diff`.

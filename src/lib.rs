@@ -29,6 +29,7 @@
 //! * [`address_plan`]: plans that give devices other addresses, and their execution.
 //! * [`document`]: des.json: parse, edit in place, merge.
 //! * [`inventory`]: buses and devices of one moment; differences between two.
+//! * [`fleet`]: the inventories of many gateways, as they are published over MQTT.
 //! * [`log`]: log formats, candump and pcapng.
 //! * [`kit`]: the responder for firmware, in C, and its header with the numbers of a profile.
 //! * [`node`]: the same node in Rust.
@@ -81,6 +82,8 @@ pub mod error_report;
 pub mod export;
 #[cfg(feature = "std")]
 pub mod finding;
+#[cfg(feature = "std")]
+pub mod fleet;
 #[cfg(feature = "std")]
 pub mod inventory;
 #[cfg(feature = "std")]

@@ -117,5 +117,7 @@ fn finding_of(finding: &Finding, bus: Option<String>) -> InventoryFinding {
         addresses: finding.addresses.iter().map(|address| address.number()).collect(),
         names: finding.names.iter().map(ToString::to_string).collect(),
         uids: finding.uids.iter().map(SeenUid::label).collect(),
+        text: finding.text.clone(),
+        remedy: finding.remedy.clone(),
     }
 }

@@ -13,6 +13,7 @@ use crate::shell::log_input::{LogBatch, LogBatches, LogInput, LogPace, LogRange}
 use crate::shell::session::{InputEnd, Session, SessionWake};
 use crate::shell::stop::{StopReason, StopWaiter};
 use crate::shell::store::Store;
+use crate::shell::waiting::sleep_for;
 use crate::status::{BusState, Link, RecordingStatus};
 use crate::time::{Epoch, Instant};
 use anyhow::Context;
@@ -40,6 +41,8 @@ pub struct Limits {
     pub while_read: bool,
     /// The captured frames are read.
     pub needs_frames: bool,
+    /// Longest time between two turns; `None` if nothing is due by itself.
+    pub turn_period: Option<Duration>,
     /// Exit code if a signal stops it and it cannot finish, as its output is not read.
     pub stuck: u8,
 }
@@ -136,6 +139,7 @@ pub fn run(
                     biased;
                     reason = stop.next() => break Some(reason),
                     next = session.next() => wake = Some(next),
+                    () = sleep_for(limits.turn_period) => {}
                 }
             },
         };

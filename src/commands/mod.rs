@@ -10,6 +10,8 @@ mod convert;
 mod device;
 mod diff;
 mod export;
+#[cfg(feature = "fleet")]
+mod fleet;
 mod gate;
 mod generated_files;
 mod guide;
@@ -26,6 +28,10 @@ mod project;
 mod proof_progress;
 mod proof_report;
 mod prove;
+#[cfg(feature = "fleet")]
+mod publish;
+#[cfg(feature = "fleet")]
+mod published;
 mod report;
 mod scan;
 mod send;
@@ -85,6 +91,10 @@ pub fn run(cli: Cli) -> ExitCode {
         Some(Command::Scan(scan)) => scan::run(&scan),
         Some(Command::Check(check)) => check::run(&check),
         Some(Command::Watch(watch)) => watch::run(&watch),
+        #[cfg(feature = "fleet")]
+        Some(Command::Publish(args)) => publish::run(&args),
+        #[cfg(feature = "fleet")]
+        Some(Command::Fleet(args)) => fleet::run(&args),
         Some(Command::Diff(diff)) => diff::run(&diff),
         Some(Command::Log(log)) => log::run(&log),
         Some(Command::Convert(args)) => convert::run(&args),

@@ -33,10 +33,10 @@ use std::iter::once;
 #[derive(Debug, Serialize)]
 pub struct ScanReport {
     descan: &'static str,
-    buses: Vec<ScannedBusReport>,
-    devices: Vec<DeviceReport>,
-    findings: Vec<FindingReport>,
-    file: FileReport,
+    pub(super) buses: Vec<ScannedBusReport>,
+    pub(super) devices: Vec<DeviceReport>,
+    pub(super) findings: Vec<FindingReport>,
+    pub(super) file: FileReport,
     /// All des.json files, where buses of a project have their own.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     files: Vec<BusFileReport>,
@@ -46,7 +46,7 @@ pub struct ScanReport {
 
 #[derive(Debug, Serialize)]
 pub(super) struct BusReport {
-    name: String,
+    pub name: String,
     bitrate: Option<u32>,
     state: &'static str,
     frames: u64,
@@ -63,9 +63,9 @@ pub(super) struct BusReport {
 
 /// A bus, with the profile by which its frames were read.
 #[derive(Debug, Serialize)]
-struct ScannedBusReport {
+pub(super) struct ScannedBusReport {
     #[serde(flatten)]
-    bus: BusReport,
+    pub bus: BusReport,
     profile: BTreeMap<&'static str, ValueWithOrigin>,
 }
 
@@ -78,12 +78,12 @@ struct LostReport {
 }
 
 #[derive(Debug, Serialize)]
-struct DeviceReport {
-    bus: String,
-    address: u8,
+pub(super) struct DeviceReport {
+    pub bus: String,
+    pub address: u8,
     name: Option<String>,
     name_hex: Option<String>,
-    presence: &'static str,
+    pub presence: &'static str,
     mode: Option<&'static str>,
     working: bool,
     uid: Option<String>,
@@ -178,16 +178,16 @@ struct EntryReport {
 
 #[derive(Debug, Serialize)]
 pub(super) struct FindingReport {
-    kind: &'static str,
-    confidence: &'static str,
-    bus: Option<String>,
-    address: Option<u8>,
+    pub kind: &'static str,
+    pub confidence: &'static str,
+    pub bus: Option<String>,
+    pub address: Option<u8>,
     addresses: Vec<u8>,
     names: Vec<String>,
     uids: Vec<String>,
     first: f64,
     last: f64,
-    cleared_at: Option<f64>,
+    pub cleared_at: Option<f64>,
     /// Kind of the finding that replaced it, if that is why it was cleared.
     superseded_by: Option<&'static str>,
     evidence: Vec<EvidenceReport>,
@@ -196,7 +196,7 @@ pub(super) struct FindingReport {
     #[serde(skip)]
     counts: bool,
     #[serde(skip)]
-    key: FindingKey,
+    pub key: FindingKey,
 }
 
 /// A problem of the screen, for tables.

@@ -137,7 +137,7 @@ fn text_line(time: &str, line: &EventLine) -> String {
 // --- as JSON --------------------------------------------------------------------------------
 
 #[derive(Serialize)]
-struct JsonEvent {
+pub(super) struct JsonEvent {
     /// Unix seconds.
     time: f64,
     event: &'static str,
@@ -211,7 +211,8 @@ enum EventDetails {
     },
 }
 
-fn as_value(app: &App, event: AppEvent) -> Option<JsonEvent> {
+/// Converts an event; `None` for what is not one for scripts.
+pub(super) fn as_value(app: &App, event: AppEvent) -> Option<JsonEvent> {
     let epoch = app.epoch();
     let time = |at: Instant| epoch.unix_secs(at);
     Some(match event {

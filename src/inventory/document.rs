@@ -27,20 +27,55 @@ pub enum InventoryError {
     NotAnInventory(&'static str),
 }
 
+/// Parses JSON, whose errors have line and column.
+fn json<'de, T: Deserialize<'de>>(bytes: &'de [u8]) -> Result<T, InventoryError> {
+    let bytes = bytes.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(bytes);
+    serde_json::from_slice(bytes).map_err(|error| {
+        let text = error.to_string();
+        let (cause, _) = text.rsplit_once(" at line ").unwrap_or((&text, ""));
+        let cause = on_one_line(&shortened(cause));
+        let (line, column) = (error.line(), error.column());
+        InventoryError::Json(format!("line {line}, column {column}: {cause}"))
+    })
+}
+
+impl InventoryBus {
+    /// Parses a member of `buses`.
+    ///
+    /// # Errors
+    /// The bytes are none.
+    pub fn parse(bytes: &[u8]) -> Result<Self, InventoryError> {
+        json::<BusJson>(bytes).map(Self::from)
+    }
+}
+
+impl InventoryDevice {
+    /// Parses a member of `devices`.
+    ///
+    /// # Errors
+    /// The bytes are none.
+    pub fn parse(bytes: &[u8]) -> Result<Self, InventoryError> {
+        json::<DeviceJson>(bytes).map(Self::from)
+    }
+}
+
+impl InventoryFinding {
+    /// Parses a member of `findings`.
+    ///
+    /// # Errors
+    /// The bytes are none.
+    pub fn parse(bytes: &[u8]) -> Result<Self, InventoryError> {
+        json::<FindingJson>(bytes).map(Self::from)
+    }
+}
+
 impl Inventory {
     /// Parses a document.
     ///
     /// # Errors
     /// The bytes are not such a document.
     pub fn parse(bytes: &[u8]) -> Result<Self, InventoryError> {
-        let bytes = bytes.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(bytes);
-        let document: DocumentJson = serde_json::from_slice(bytes).map_err(|error| {
-            let text = error.to_string();
-            let (cause, _) = text.rsplit_once(" at line ").unwrap_or((&text, ""));
-            let cause = on_one_line(&shortened(cause));
-            let (line, column) = (error.line(), error.column());
-            InventoryError::Json(format!("line {line}, column {column}: {cause}"))
-        })?;
+        let document: DocumentJson = json(bytes)?;
         if document.descan.is_none() {
             return Err(InventoryError::NotAnInventory("descan"));
         }
@@ -218,6 +253,10 @@ struct FindingJson {
     names: List<String>,
     #[serde(default)]
     uids: List<String>,
+    #[serde(default)]
+    text: String,
+    #[serde(default)]
+    remedy: String,
 }
 
 #[derive(Deserialize)]
@@ -281,6 +320,8 @@ impl From<FindingJson> for InventoryFinding {
             addresses: finding.addresses.0,
             names: texts(finding.names),
             uids: texts(finding.uids),
+            text: printable_text(finding.text),
+            remedy: printable_text(finding.remedy),
         }
     }
 }

@@ -110,6 +110,10 @@ pub struct InventoryFinding {
     pub names: Vec<String>,
     /// UIDs concerned, printable.
     pub uids: Vec<String>,
+    /// What was observed, printable.
+    pub text: String,
+    /// What can be done, printable.
+    pub remedy: String,
 }
 
 impl Inventory {

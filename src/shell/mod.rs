@@ -20,6 +20,7 @@
 //! recent_frames   frames composed and sent before
 //! recent_logs     logs opened before, and what was found in them
 //! plan_files      plans of addresses on disk
+//! broker          the connection to an MQTT broker
 //! waiting         futures for optional sources
 //! ```
 //!
@@ -27,6 +28,8 @@
 
 pub mod background_colour;
 pub mod bitrate_search;
+#[cfg(feature = "fleet")]
+pub mod broker;
 pub mod bus_offers;
 pub mod bus_picker;
 pub mod bus_scout;
@@ -50,4 +53,4 @@ pub mod store;
 pub mod terminal;
 mod terminal_input;
 pub mod tui_loop;
-mod waiting;
+pub mod waiting;

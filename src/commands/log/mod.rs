@@ -53,6 +53,7 @@ pub fn run(log: &LogArgs) -> Result<u8, Failure> {
         while_read: true,
         needs_frames: !is_file,
         stuck: EXIT_INTERRUPTED,
+        ..Limits::default()
     };
     let mut printer = FramePrinter::new(log, filter)?;
     let ending = if is_file {

@@ -1,0 +1,312 @@
+//! `descan fleet` without a screen, and `descan check --fleet`: what gateways have published.
+//!
+//! Scripts rely on the names, types and meanings of the JSON members.
+
+use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure, headless, output};
+use crate::cli::FleetArgs;
+use crate::finding::{FindingKind, FindingState};
+use crate::fleet::{Fleet, FleetGateway, FleetTopic, GatewayName};
+use crate::inventory::{InventoryDevice, InventoryFinding, InventoryService};
+use crate::shell::broker::{BrokerReader, BrokerSettings, ReaderNotice};
+use crate::shell::stop::{StopReason, StopWaiter};
+use crate::time::{Duration, Instant};
+use anyhow::Context;
+use serde::Serialize;
+use std::fmt::Write as _;
+use tokio::time;
+
+/// Time without a further document after which all are there.
+const QUIET: Duration = Duration::from_millis(400);
+
+/// `--time`, unless given.
+const DEFAULT_TIME: Duration = Duration::from_secs(10);
+
+/// Runs it.
+pub fn run(args: &FleetArgs) -> Result<u8, Failure> {
+    let settings = BrokerSettings::read(&args.files.access(&args.broker))?;
+    let Some(read) = read(&settings, args.time.unwrap_or(DEFAULT_TIME))? else {
+        return Ok(EXIT_INTERRUPTED);
+    };
+    let report = FleetReport::new(&settings, &read);
+    if args.json {
+        let json = serde_json::to_string_pretty(&report).context("JSON")? + "\n";
+        output::print_json(&json)?;
+    } else {
+        output::print(&report.table())?;
+    }
+    warn_rejects(&read.fleet);
+    Ok(if report.gateways.iter().any(|it| it.has_findings) { EXIT_FINDINGS } else { EXIT_OK })
+}
+
+/// All documents at a broker, and when they were there.
+pub struct FleetReading {
+    /// The gateways.
+    pub fleet: Fleet,
+    /// Time of the state.
+    pub now: Instant,
+}
+
+/// Reads all documents at a broker; `None` if it was interrupted.
+///
+/// # Errors
+/// The broker cannot be used, or does not let this user read.
+pub fn read(settings: &BrokerSettings, limit: Duration) -> Result<Option<FleetReading>, Failure> {
+    settings.warnings.iter().for_each(output::warn);
+    headless::runtime()?.block_on(async {
+        let mut stop = StopWaiter::new(Some(limit), EXIT_INTERRUPTED).context("no signal handler")?;
+        let mut reader = BrokerReader::spawn(settings, &FleetTopic::DOCUMENTS).context("no thread")?;
+        let begin = std::time::Instant::now();
+        let now = || Instant::ZERO + begin.elapsed();
+        let mut fleet = Fleet::default();
+        let mut failure = None;
+        let mut is_subscribed = false;
+        loop {
+            tokio::select! {
+                biased;
+                reason = stop.next() => {
+                    if reason == StopReason::Interrupted {
+                        return Ok(None);
+                    }
+                    // Documents without end: what is there by now.
+                    if is_subscribed {
+                        return Ok(Some(FleetReading { fleet, now: now() }));
+                    }
+                    let no_response = || format!("{}: no response", settings.address);
+                    return Err(Failure::Unusable(failure.unwrap_or_else(no_response)));
+                }
+                notice = reader.next() => match notice {
+                    Some(ReaderNotice::Message(topic, payload)) => {
+                        fleet.handle_message(now(), &topic, &payload);
+                    }
+                    Some(ReaderNotice::Subscribed { refused }) if refused > 0 => {
+                        let cause = format!("{}: no right to read descan/v1/#", settings.address);
+                        return Err(Failure::Unusable(cause));
+                    }
+                    Some(ReaderNotice::Subscribed { .. }) => is_subscribed = true,
+                    Some(ReaderNotice::Connected(_)) => {}
+                    Some(ReaderNotice::Failed(why, None)) => return Err(why.diagnostic.into()),
+                    Some(ReaderNotice::Failed(why, Some(_))) => {
+                        failure = Some(why.diagnostic.to_string());
+                    }
+                    None => return Err(Failure::Unusable(format!("{} is closed", settings.address))),
+                },
+                () = time::sleep(QUIET), if is_subscribed => {
+                    return Ok(Some(FleetReading { fleet, now: now() }));
+                }
+            }
+        }
+    })
+}
+
+/// Says what was not used.
+pub fn warn_rejects(fleet: &Fleet) {
+    let rejects = fleet.rejects();
+    let count = rejects.malformed + rejects.oversized;
+    if let Some(last) = rejects.last.as_ref().filter(|_| count > 0) {
+        let documents = if count == 1 { "document" } else { "documents" };
+        output::warn(format_args!("{count} {documents} not used; the last is {last}"));
+    }
+}
+
+/// The report of `fleet --json`.
+#[derive(Serialize)]
+struct FleetReport<'a> {
+    descan: &'static str,
+    broker: String,
+    gateways: Vec<GatewayReport<'a>>,
+    versions: Vec<VersionReport>,
+    /// Documents that could not be used.
+    rejected: u64,
+}
+
+#[derive(Serialize)]
+struct GatewayReport<'a> {
+    name: &'a str,
+    state: &'static str,
+    /// Version of its descan.
+    descan: Option<&'a str>,
+    /// Time of its last status by its clock, in Unix seconds.
+    time: Option<f64>,
+    events: EventReport,
+    buses: Vec<GatewayBusReport<'a>>,
+    devices: Vec<GatewayDeviceReport<'a>>,
+    findings: Vec<GatewayFindingReport<'a>>,
+    #[serde(skip)]
+    has_findings: bool,
+}
+
+#[derive(Serialize)]
+struct EventReport {
+    last: u64,
+    dropped: u64,
+}
+
+#[derive(Serialize)]
+struct GatewayBusReport<'a> {
+    name: &'a str,
+    bitrate: Option<u64>,
+    state: Option<&'a str>,
+    frames: Option<u64>,
+    errors: Option<u64>,
+    lost: Option<u64>,
+    load: Option<f64>,
+}
+
+#[derive(Serialize)]
+struct GatewayDeviceReport<'a> {
+    bus: &'a str,
+    address: u8,
+    name: Option<&'a str>,
+    uid: Option<&'a str>,
+    presence: Option<&'a str>,
+    mode: Option<&'a str>,
+    /// `null` if they are not known.
+    services: Option<Vec<GatewayServiceReport<'a>>>,
+    period_ms: Option<f64>,
+}
+
+#[derive(Serialize)]
+struct GatewayServiceReport<'a> {
+    name: &'a str,
+    version: &'a str,
+}
+
+#[derive(Serialize)]
+struct GatewayFindingReport<'a> {
+    kind: &'a str,
+    confidence: &'a str,
+    bus: Option<&'a str>,
+    address: Option<u8>,
+    addresses: &'a [u8],
+    names: &'a [String],
+    uids: &'a [String],
+    text: &'a str,
+    remedy: &'a str,
+}
+
+#[derive(Serialize)]
+struct VersionReport {
+    service: String,
+    version: String,
+    devices: usize,
+    gateways: Vec<String>,
+}
+
+impl<'a> FleetReport<'a> {
+    fn new(settings: &BrokerSettings, read: &'a FleetReading) -> Self {
+        let gateways = read.fleet.gateways();
+        let versions = read.fleet.versions().into_iter().map(|it| VersionReport {
+            gateways: it.gateways.iter().map(ToString::to_string).collect(),
+            service: it.service,
+            version: it.version,
+            devices: it.devices,
+        });
+        let rejects = read.fleet.rejects();
+        Self {
+            descan: env!("CARGO_PKG_VERSION"),
+            broker: settings.address.to_string(),
+            gateways: gateways.map(|(name, it)| of_gateway(name, it, read.now)).collect(),
+            versions: versions.collect(),
+            rejected: rejects.malformed + rejects.oversized,
+        }
+    }
+
+    /// A line for each gateway.
+    fn table(&self) -> String {
+        let mut text = String::new();
+        let width = self.gateways.iter().map(|it| it.name.len()).max().unwrap_or_default().max(7);
+        let _ = writeln!(text, "{:width$}  STATE    DEVICES  LOST  FINDINGS", "GATEWAY");
+        for gateway in &self.gateways {
+            let lost = gateway.devices.iter().filter(|it| it.presence == Some("lost")).count();
+            let present = gateway.devices.len() - lost;
+            let confirmed =
+                gateway.findings.iter().filter(|it| is_confirmed(it.confidence)).count();
+            let suspected = gateway.findings.len() - confirmed;
+            let findings = match (confirmed, suspected) {
+                (0, 0) => "none".to_owned(),
+                (_, 0) => format!("{confirmed} confirmed"),
+                (0, _) => format!("{suspected} suspected"),
+                _ => format!("{confirmed} confirmed, {suspected} suspected"),
+            };
+            let (name, state) = (gateway.name, gateway.state);
+            let _ = writeln!(text, "{name:width$}  {state:7}  {present:7}  {lost:4}  {findings}");
+        }
+        text
+    }
+}
+
+fn is_confirmed(confidence: &str) -> bool {
+    confidence == FindingState::Confirmed.name()
+}
+
+fn of_gateway<'a>(
+    name: &'a GatewayName,
+    gateway: &'a FleetGateway,
+    now: Instant,
+) -> GatewayReport<'a> {
+    let status = gateway.status();
+    let events = status.map(|status| status.events).unwrap_or_default();
+    let is_device = |device: &&InventoryDevice| {
+        !InventoryDevice::is_debug(device.address, device.name.as_deref(), device.uid.as_deref())
+    };
+    let is_conflict = |finding: &InventoryFinding| {
+        let kind = FindingKind::ALL.iter().find(|kind| kind.name() == finding.kind);
+        is_confirmed(&finding.confidence) && kind.is_some_and(|kind| kind.is_conflict())
+    };
+    GatewayReport {
+        name: name.as_str(),
+        state: gateway.state(now).name(),
+        descan: status.map(|it| it.descan.as_str()).filter(|it| !it.is_empty()),
+        time: status.and_then(|status| status.time),
+        events: EventReport { last: events.last, dropped: events.dropped },
+        buses: gateway
+            .buses()
+            .map(|bus| GatewayBusReport {
+                name: &bus.name,
+                bitrate: bus.bitrate,
+                state: bus.state.as_deref(),
+                frames: bus.frames,
+                errors: bus.errors,
+                lost: bus.lost,
+                load: bus.load,
+            })
+            .collect(),
+        devices: gateway.devices().filter(is_device).map(of_device).collect(),
+        findings: gateway.findings().map(of_finding).collect(),
+        has_findings: gateway.findings().any(is_conflict),
+    }
+}
+
+fn of_device(device: &InventoryDevice) -> GatewayDeviceReport<'_> {
+    GatewayDeviceReport {
+        bus: &device.bus,
+        address: device.address,
+        name: device.name.as_deref(),
+        uid: device.uid.as_deref(),
+        presence: device.presence.as_deref(),
+        mode: device.mode.as_deref(),
+        services: device
+            .services
+            .as_ref()
+            .map(|services| services.iter().map(of_service).collect()),
+        period_ms: device.period_ms,
+    }
+}
+
+fn of_service(service: &InventoryService) -> GatewayServiceReport<'_> {
+    GatewayServiceReport { name: &service.name, version: &service.version }
+}
+
+fn of_finding(finding: &InventoryFinding) -> GatewayFindingReport<'_> {
+    GatewayFindingReport {
+        kind: &finding.kind,
+        confidence: &finding.confidence,
+        bus: finding.bus.as_deref(),
+        address: finding.address,
+        addresses: &finding.addresses,
+        names: &finding.names,
+        uids: &finding.uids,
+        text: &finding.text,
+        remedy: &finding.remedy,
+    }
+}

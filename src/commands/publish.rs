@@ -1,0 +1,169 @@
+//! `descan publish`: what is found on buses, to an MQTT broker.
+
+use super::gate::BusGate;
+use super::headless::{self, Limits, RunInput};
+use super::open::{self, Setup};
+use super::published::{Published, SUMMARY_PERIOD};
+use super::watch;
+use super::{EXIT_OK, Failure, output};
+use crate::app::{App, AppOptions};
+use crate::cli::PublishArgs;
+use crate::fleet::{GatewayName, Publication};
+use crate::shell::broker::{BrokerPublisher, BrokerSettings, PublisherNotice};
+use crate::shell::stop::StopReason;
+use crate::time::{Duration, Instant};
+use anyhow::Context;
+use std::ops::ControlFlow;
+use std::time::{SystemTime, UNIX_EPOCH};
+
+/// Shortest time between two documents of one topic.
+const CHANGE_PERIOD: Duration = Duration::from_secs(1);
+
+/// Longest wait for the broker at the end: less than a signal leaves.
+const FAREWELL: Duration = Duration::from_millis(500);
+
+/// Runs it.
+pub fn run(args: &PublishArgs) -> Result<u8, Failure> {
+    let buses = open::buses(&args.session)?;
+    if let Some(log) = open::log(&buses, "publish", None)? {
+        return Err(Failure::Usage(format!("{log} is a log; publish needs live buses")));
+    }
+    let setup = Setup::for_buses(&args.session.common, &buses)?;
+    let gateway = gateway(args)?;
+    let settings = BrokerSettings::read(&args.files.access(&args.broker))?;
+    settings.warnings.iter().for_each(output::warn);
+    let publication = Publication::new(gateway.clone(), unix_secs() as u64);
+    let publisher = BrokerPublisher::spawn(&settings, publication).context("no thread")?;
+    let options = AppOptions {
+        utc_offset_seconds: open::utc_offset_seconds(),
+        emit_events: true,
+        ..AppOptions::default()
+    };
+    let limits = Limits {
+        time: args.time,
+        turn_period: Some(CHANGE_PERIOD),
+        stuck: EXIT_OK,
+        ..Limits::default()
+    };
+    let mut gate = BusGate::new(true);
+    let mut feed =
+        Feed { publisher, gateway, settings, next: Instant::ZERO, summary: Instant::ZERO };
+    let mut warned = Vec::new();
+    let outcome = headless::run(RunInput::Buses(&buses), &setup, options, limits, |session| {
+        feed.print_notices()?;
+        if gate.allows(&session.app, session.now())? {
+            let now = session.now();
+            feed.publish(&mut session.app, now);
+            headless::warn_foreign(&session.app, &mut warned);
+        }
+        Ok(ControlFlow::Continue(()))
+    })?;
+    let mut app = outcome.app;
+    feed.stop(&mut app, outcome.now);
+    if outcome.ending != Some(StopReason::Interrupted) {
+        gate.require_opened(&app)?;
+    }
+    Ok(EXIT_OK)
+}
+
+/// The name of the gateway: the host's, unless it is given.
+fn gateway(args: &PublishArgs) -> Result<GatewayName, Failure> {
+    if let Some(name) = &args.gateway {
+        return Ok(name.clone());
+    }
+    let host = nix::unistd::gethostname().unwrap_or_default();
+    let host = host.to_string_lossy();
+    host.parse()
+        .map_err(|why| Failure::Usage(format!("host name {host:?}: {why}; give --gateway NAME")))
+}
+
+/// Seconds since 1970 by the clock of this machine.
+fn unix_secs() -> f64 {
+    SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs_f64()
+}
+
+/// What the session gives to the publisher, and when.
+struct Feed {
+    publisher: BrokerPublisher,
+    gateway: GatewayName,
+    settings: BrokerSettings,
+    /// Time of the next documents.
+    next: Instant,
+    /// Time of the next status.
+    summary: Instant,
+}
+
+impl Feed {
+    /// Events at once, documents once a second.
+    fn publish(&mut self, app: &mut App, now: Instant) {
+        self.publish_events(app);
+        if now < self.next {
+            return;
+        }
+        self.next = now + CHANGE_PERIOD;
+        let published = Published::new(app, now);
+        let is_summary_due = now >= self.summary;
+        if is_summary_due {
+            self.summary = now + SUMMARY_PERIOD;
+        }
+        let unix_secs = unix_secs();
+        self.publisher.update(|publication| {
+            publication.handle_documents(now, unix_secs, published.documents);
+            if is_summary_due {
+                publication.handle_status(now, unix_secs, published.summary);
+            }
+        });
+    }
+
+    fn publish_events(&self, app: &mut App) {
+        while let Some(event) = app.poll_app_event() {
+            let value = watch::as_value(app, event).and_then(|it| serde_json::to_value(it).ok());
+            if let Some(value) = value {
+                self.publisher.update(|publication| publication.handle_event(value));
+            }
+        }
+    }
+
+    /// Says on standard error what happens to the connection.
+    ///
+    /// # Errors
+    /// The connection failed, and is not tried again.
+    fn print_notices(&self) -> Result<(), Failure> {
+        while let Some(notice) = self.publisher.poll_notice() {
+            match notice {
+                PublisherNotice::Connected => {
+                    let (gateway, address) = (&self.gateway, &self.settings.address);
+                    output::say(format_args!("publishing to {address} as {gateway}"));
+                }
+                PublisherNotice::Failed(failure, None) => return Err(failure.diagnostic.into()),
+                PublisherNotice::Failed(failure, Some(wait)) => {
+                    let (why, wait) = (failure.diagnostic, wait.as_secs_f64());
+                    output::warn(format_args!("{why}; next attempt in {wait:.0} s"));
+                }
+                PublisherNotice::Refused(topic) => output::warn(format_args!(
+                    "the broker refuses {topic}; let the user write descan/v1/{}/#",
+                    self.gateway
+                )),
+            }
+        }
+        Ok(())
+    }
+
+    /// The last events and documents, and that it stops.
+    fn stop(self, app: &mut App, now: Instant) {
+        self.publish_events(app);
+        let published = Published::new(app, now);
+        let unix_secs = unix_secs();
+        self.publisher.update(|publication| {
+            publication.handle_documents(now, unix_secs, published.documents);
+            publication.handle_stop(now, unix_secs);
+        });
+        let dropped = self.publisher.update(|publication| publication.dropped_events());
+        if !self.publisher.finish(FAREWELL) {
+            output::warn("the broker does not have the last documents and events");
+        }
+        if dropped > 0 {
+            output::warn(format_args!("{dropped} events were dropped while the broker was away"));
+        }
+    }
+}

@@ -1,0 +1,17 @@
+//! Inventories of many gateways over an MQTT broker.
+//!
+//! A gateway is a descan that publishes what it knows of its buses ([`Publication`]): retained
+//! documents for the state of gateway, buses, devices and findings, and messages for events. A viewer
+//! ([`Fleet`]) reads the documents of all gateways. [`FleetTopic`] has the topics of both. Pure: does
+//! not know the connection, TLS or a clock. Nothing here is ever sent to a bus.
+
+mod publication;
+mod topic;
+mod view;
+
+pub use publication::{Delivery, FleetDocument, FleetMessage, MAX_QUEUED_EVENTS, Publication};
+pub use topic::{FleetTopic, GatewayName, GatewayNameError, TopicPath};
+pub use view::{
+    EventCounts, Fleet, FleetGateway, FleetRejects, GatewayState, GatewayStatus,
+    MAX_DOCUMENT_BYTES, MAX_GATEWAYS, ServiceVersion,
+};

@@ -1,0 +1,386 @@
+//! What a gateway publishes: retained documents, of which only changes are sent, and a bounded queue
+//! of events, which wait while the broker is away.
+//!
+//! Inputs: all documents of a moment, events, and what became of messages. Output:
+//! [`Publication::poll_message`]. A state machine without I/O; the caller takes the documents at most
+//! once a second, so that no topic is sent more often.
+
+use super::topic::{GatewayName, TopicPath};
+use crate::time::{Duration, Instant};
+use serde_json::{Map, Value, json};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::sync::Arc;
+
+/// Number of events that wait for the broker at most; the oldest are dropped, and counted.
+pub const MAX_QUEUED_EVENTS: usize = 10_000;
+
+/// Number of bytes of the events that wait for the broker at most.
+const MAX_QUEUED_BYTES: usize = 8 << 20;
+
+/// Number of messages that are sent before the first is acknowledged.
+const MAX_IN_FLIGHT: usize = 64;
+
+/// A document as it is now.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FleetDocument {
+    /// What it is about.
+    pub path: TopicPath,
+    /// An object.
+    pub value: Value,
+    /// Members whose change alone is no reason to send it at once, as `heartbeat.count`.
+    pub counters: &'static [&'static str],
+    /// Time after which a change of these members is sent as well.
+    pub counter_period: Duration,
+}
+
+/// A message to the broker, with QoS 1.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct FleetMessage {
+    /// The topic.
+    pub topic: String,
+    /// The content; empty to clear a retained document.
+    pub payload: Arc<[u8]>,
+    /// The broker keeps it for later subscribers.
+    pub is_retained: bool,
+    /// To be passed back when it is known what became of the message.
+    pub delivery: Delivery,
+}
+
+/// Which message it was.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Delivery {
+    /// A document: its levels after the gateway, and its version.
+    Document(String, u64),
+    /// An event, by its number.
+    Event(u64),
+}
+
+/// A document, and what the broker has of it.
+#[derive(Debug)]
+struct DocumentSlot {
+    /// The content; `None` once it is to be cleared.
+    payload: Option<Arc<[u8]>>,
+    /// The value; of its counters only whether they are known.
+    compared: Value,
+    /// The whole value, if its counters are sent too.
+    whole: Option<Value>,
+    /// Time at which the content was taken.
+    taken: Instant,
+    version: u64,
+}
+
+/// See the module's documentation.
+#[derive(Debug)]
+pub struct Publication {
+    gateway: GatewayName,
+    /// Start of the program, in Unix seconds: tells the documents and events of two runs apart.
+    started: u64,
+    documents: BTreeMap<String, DocumentSlot>,
+    /// Documents to be sent.
+    due: BTreeSet<String>,
+    version: u64,
+    /// Events to be sent, by their number.
+    events: VecDeque<(u64, Arc<[u8]>)>,
+    queued_bytes: usize,
+    /// Events that were sent and are not acknowledged, by their number.
+    sent_events: BTreeMap<u64, Arc<[u8]>>,
+    /// Number of the last event.
+    last_event: u64,
+    dropped_events: u64,
+    in_flight: usize,
+    refused: u64,
+    is_connected: bool,
+}
+
+impl Publication {
+    /// Creates the publication of a program that started at `started`, in Unix seconds.
+    pub fn new(gateway: GatewayName, started: u64) -> Self {
+        Self {
+            gateway,
+            started,
+            documents: BTreeMap::new(),
+            due: BTreeSet::new(),
+            version: 0,
+            events: VecDeque::new(),
+            queued_bytes: 0,
+            sent_events: BTreeMap::new(),
+            last_event: 0,
+            dropped_events: 0,
+            in_flight: 0,
+            refused: 0,
+            is_connected: false,
+        }
+    }
+
+    /// The gateway.
+    pub fn gateway(&self) -> &GatewayName {
+        &self.gateway
+    }
+
+    /// Number of messages that the broker refused.
+    pub fn refused(&self) -> u64 {
+        self.refused
+    }
+
+    /// Number of events that were dropped, as the broker was away for too long.
+    pub fn dropped_events(&self) -> u64 {
+        self.dropped_events
+    }
+
+    /// Returns true if the broker has everything.
+    pub fn is_delivered(&self) -> bool {
+        self.due.is_empty() && self.events.is_empty() && self.in_flight == 0
+    }
+
+    /// The last will: what the broker publishes as the status if the connection is lost.
+    pub fn last_will(&self) -> FleetMessage {
+        let payload = json!({"online": false, "reason": "lost", "started": self.started});
+        FleetMessage {
+            topic: TopicPath::Status.of(&self.gateway),
+            payload: payload.to_string().into_bytes().into(),
+            is_retained: true,
+            delivery: Delivery::Document(TopicPath::Status.to_string(), 0),
+        }
+    }
+
+    /// Takes all documents but the status as of `now` (`unix_secs` on the wall clock). What is not
+    /// among them is cleared.
+    pub fn handle_documents(
+        &mut self,
+        now: Instant,
+        unix_secs: f64,
+        documents: impl IntoIterator<Item = FleetDocument>,
+    ) {
+        let mut gone: BTreeSet<String> = self.documents.keys().cloned().collect();
+        gone.remove(&TopicPath::Status.to_string());
+        for FleetDocument { path, value, counters, counter_period } in documents {
+            let tail = path.to_string();
+            gone.remove(&tail);
+            let compared = without(&value, counters);
+            if let Some(slot) = self.documents.get(&tail).filter(|slot| slot.payload.is_some()) {
+                let is_old = now.since(slot.taken) >= counter_period;
+                if slot.compared == compared && (!is_old || slot.whole.as_ref() == Some(&value)) {
+                    continue;
+                }
+            }
+            let payload = with_members(value.clone(), [("time", json!(unix_secs))]);
+            self.put(tail, &payload, now, compared, Some(value));
+        }
+        for tail in gone {
+            self.clear(tail);
+        }
+    }
+
+    /// Takes the summary of the gateway, which is sent in any case.
+    pub fn handle_status(&mut self, now: Instant, unix_secs: f64, summary: Value) {
+        let events = json!({"last": self.last_event, "dropped": self.dropped_events});
+        let members = [
+            ("online", json!(true)),
+            ("started", json!(self.started)),
+            ("time", json!(unix_secs)),
+            ("events", events),
+        ];
+        let payload = with_members(summary, members);
+        self.put(TopicPath::Status.to_string(), &payload, now, Value::Null, None);
+    }
+
+    /// The program stops: the status says so, as the last message.
+    pub fn handle_stop(&mut self, now: Instant, unix_secs: f64) {
+        let payload = json!({
+            "online": false, "reason": "stopped", "started": self.started, "time": unix_secs,
+        });
+        self.put(TopicPath::Status.to_string(), &payload, now, Value::Null, None);
+    }
+
+    /// Takes an event, an object as in `watch --json`.
+    pub fn handle_event(&mut self, event: Value) {
+        self.last_event += 1;
+        let members = [("seq", json!(self.last_event)), ("started", json!(self.started))];
+        let payload: Arc<[u8]> = with_members(event, members).to_string().into_bytes().into();
+        self.queued_bytes += payload.len();
+        self.events.push_back((self.last_event, payload));
+        self.keep_bound();
+    }
+
+    /// Drops the oldest events above the bound.
+    fn keep_bound(&mut self) {
+        while self.events.len() > MAX_QUEUED_EVENTS || self.queued_bytes > MAX_QUEUED_BYTES {
+            let Some((_, payload)) = self.events.pop_front() else { return };
+            self.queued_bytes -= payload.len();
+            self.dropped_events += 1;
+        }
+    }
+
+    /// The broker is connected. Without a kept session it may have lost what it had: all documents
+    /// are sent again.
+    pub fn handle_connected(&mut self, is_session_kept: bool) {
+        self.is_connected = true;
+        if is_session_kept {
+            // The last will may have replaced it.
+            self.mark_due(TopicPath::Status.to_string());
+        } else {
+            self.due = self.documents.keys().cloned().collect();
+        }
+    }
+
+    /// The connection is lost: nothing is sent until the next one.
+    pub fn handle_disconnected(&mut self) {
+        self.is_connected = false;
+    }
+
+    /// The broker has a document of this gateway with this topic. One of an earlier run, which there is
+    /// no more, is cleared.
+    pub fn handle_retained(&mut self, topic: &str) {
+        let own = self.gateway.topic("");
+        let Some(tail) = topic.strip_prefix(&own) else { return };
+        if !self.documents.contains_key(tail) {
+            self.clear(tail.to_owned());
+        }
+    }
+
+    /// What became of a message: the broker has it.
+    pub fn handle_delivered(&mut self, delivery: &Delivery) {
+        self.in_flight = self.in_flight.saturating_sub(1);
+        match delivery {
+            Delivery::Event(number) => {
+                self.sent_events.remove(number);
+            }
+            Delivery::Document(tail, version) => {
+                let is_clear = |slot: &DocumentSlot| slot.payload.is_none();
+                let slot = self.documents.get(tail).filter(|slot| slot.version == *version);
+                if slot.is_some_and(is_clear) {
+                    self.documents.remove(tail);
+                }
+            }
+        }
+    }
+
+    /// What became of a message: it was lost with the session, and is sent again.
+    pub fn handle_undelivered(&mut self, delivery: &Delivery) {
+        self.in_flight = self.in_flight.saturating_sub(1);
+        match delivery {
+            Delivery::Event(number) => {
+                let Some(payload) = self.sent_events.remove(number) else { return };
+                let at = self.events.partition_point(|(other, _)| other < number);
+                self.queued_bytes += payload.len();
+                self.events.insert(at, (*number, payload));
+                self.keep_bound();
+            }
+            Delivery::Document(tail, version) => {
+                if self.documents.get(tail).is_some_and(|slot| slot.version == *version) {
+                    self.due.insert(tail.clone());
+                }
+            }
+        }
+    }
+
+    /// What became of a message: the broker does not take it.
+    pub fn handle_refused(&mut self, delivery: &Delivery) {
+        self.refused += 1;
+        self.handle_delivered(delivery);
+    }
+
+    /// Returns the next message to send: documents before the status, which tells that they are
+    /// complete, then events.
+    pub fn poll_message(&mut self) -> Option<FleetMessage> {
+        if !self.is_connected || self.in_flight >= MAX_IN_FLIGHT {
+            return None;
+        }
+        let message = self.next_document().or_else(|| self.next_event())?;
+        self.in_flight += 1;
+        Some(message)
+    }
+
+    fn next_document(&mut self) -> Option<FleetMessage> {
+        let status = TopicPath::Status.to_string();
+        let tail = self.due.iter().find(|tail| **tail != status).or(self.due.first())?.clone();
+        self.due.remove(&tail);
+        let slot = self.documents.get(&tail)?;
+        Some(FleetMessage {
+            topic: self.gateway.topic(&tail),
+            payload: slot.payload.clone().unwrap_or_default(),
+            is_retained: true,
+            delivery: Delivery::Document(tail, slot.version),
+        })
+    }
+
+    fn next_event(&mut self) -> Option<FleetMessage> {
+        let (number, payload) = self.events.pop_front()?;
+        self.queued_bytes -= payload.len();
+        self.sent_events.insert(number, Arc::clone(&payload));
+        Some(FleetMessage {
+            topic: TopicPath::Event.of(&self.gateway),
+            payload,
+            is_retained: false,
+            delivery: Delivery::Event(number),
+        })
+    }
+
+    fn put(
+        &mut self,
+        tail: String,
+        payload: &Value,
+        taken: Instant,
+        compared: Value,
+        whole: Option<Value>,
+    ) {
+        self.version += 1;
+        let payload = Some(payload.to_string().into_bytes().into());
+        let version = self.version;
+        let slot = DocumentSlot { payload, compared, whole, taken, version };
+        self.documents.insert(tail.clone(), slot);
+        self.due.insert(tail);
+    }
+
+    /// Clears a document of the broker, unless that is under way.
+    fn clear(&mut self, tail: String) {
+        self.version += 1;
+        let slot = DocumentSlot {
+            payload: None,
+            compared: Value::Null,
+            taken: Instant::ZERO,
+            whole: None,
+            version: self.version,
+        };
+        match self.documents.get(&tail) {
+            Some(known) if known.payload.is_none() => return,
+            _ => self.documents.insert(tail.clone(), slot),
+        };
+        self.due.insert(tail);
+    }
+
+    fn mark_due(&mut self, tail: String) {
+        if self.documents.contains_key(&tail) {
+            self.due.insert(tail);
+        }
+    }
+}
+
+/// Returns an object with further members.
+fn with_members<const COUNT: usize>(
+    object: Value,
+    members: [(&'static str, Value); COUNT],
+) -> Value {
+    let mut map = match object {
+        Value::Object(map) => map,
+        _ => Map::new(),
+    };
+    map.extend(members.map(|(name, value)| (name.to_owned(), value)));
+    Value::Object(map)
+}
+
+/// Returns an object with only whether its counters are known: `heartbeat.count` is a member of a
+/// member.
+fn without(object: &Value, counters: &[&str]) -> Value {
+    let mut object = object.clone();
+    for counter in counters {
+        let (parent, name) = match counter.split_once('.') {
+            Some((parent, name)) => (object.get_mut(parent), name),
+            None => (Some(&mut object), *counter),
+        };
+        if let Some(value) = parent.and_then(|parent| parent.get_mut(name)) {
+            *value = Value::Bool(!value.is_null());
+        }
+    }
+    object
+}

@@ -1,0 +1,328 @@
+//! What a viewer knows of all gateways, from their documents.
+//!
+//! Input: messages of any origin, by topic. Output: the gateways with their inventories, and counters of
+//! what was not used. Bounded: [`MAX_GATEWAYS`], [`MAX_DOCUMENT_BYTES`] for one document,
+//! [`MAX_FLEET_BYTES`] for all. Does not know the connection or the screen.
+
+use super::topic::{FleetTopic, GatewayName, TopicPath};
+use crate::inventory::{Inventory, InventoryBus, InventoryDevice, InventoryFinding};
+use crate::text::on_one_line;
+use crate::time::{Duration, Instant};
+use serde::Deserialize;
+use std::collections::{BTreeMap, BTreeSet};
+
+/// Number of gateways at most; documents of further ones are counted and not used.
+pub const MAX_GATEWAYS: usize = 10_000;
+
+/// Longest document that is read, in bytes.
+pub const MAX_DOCUMENT_BYTES: usize = 64 << 10;
+
+/// Length of all documents together at most, in bytes.
+const MAX_FLEET_BYTES: usize = 128 << 20;
+
+/// Time without a status after which a gateway that is connected is silent: two and a half of its
+/// periods of 30 s.
+const SILENCE: Duration = Duration::from_secs(75);
+
+/// Whether a gateway publishes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum GatewayState {
+    /// The broker published its last will: the connection was lost.
+    Lost,
+    /// It has documents, but no status.
+    Unknown,
+    /// It is connected, and sent no status for more than two periods.
+    Silent,
+    /// It was stopped.
+    Stopped,
+    /// It is connected.
+    Online,
+}
+
+impl GatewayState {
+    /// The word for it, as in JSON.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Lost => "lost",
+            Self::Unknown => "unknown",
+            Self::Silent => "silent",
+            Self::Stopped => "stopped",
+            Self::Online => "online",
+        }
+    }
+}
+
+/// The status of a gateway, as it was published.
+#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
+#[serde(default)]
+pub struct GatewayStatus {
+    /// It is connected.
+    pub online: bool,
+    /// Why it is not: `lost`, `stopped`.
+    pub reason: String,
+    /// Start of the program, in Unix seconds.
+    pub started: u64,
+    /// Time of the status by the clock of the gateway, in Unix seconds.
+    pub time: Option<f64>,
+    /// Version of the program.
+    pub descan: String,
+    /// What was observed of its events.
+    pub events: EventCounts,
+}
+
+/// Counts of events.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(default)]
+pub struct EventCounts {
+    /// Number of the last event.
+    pub last: u64,
+    /// Events that were dropped while the broker was away.
+    pub dropped: u64,
+}
+
+/// A document, and its length as it was published.
+#[derive(Clone, Debug, PartialEq)]
+struct StoredDocument<T> {
+    content: T,
+    bytes: usize,
+}
+
+/// A gateway, and what it published.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct FleetGateway {
+    status: Option<StoredDocument<GatewayStatus>>,
+    /// Time at which the status was received.
+    received: Instant,
+    buses: BTreeMap<String, StoredDocument<InventoryBus>>,
+    devices: BTreeMap<(String, u8), StoredDocument<InventoryDevice>>,
+    findings: BTreeMap<(String, String), StoredDocument<InventoryFinding>>,
+}
+
+impl FleetGateway {
+    /// Its last status.
+    pub fn status(&self) -> Option<&GatewayStatus> {
+        self.status.as_ref().map(|status| &status.content)
+    }
+
+    /// Whether it publishes, at `now`.
+    pub fn state(&self, now: Instant) -> GatewayState {
+        match self.status() {
+            None => GatewayState::Unknown,
+            Some(status) if status.online => {
+                let is_silent = now.since(self.received) > SILENCE;
+                if is_silent { GatewayState::Silent } else { GatewayState::Online }
+            }
+            Some(status) if status.reason == "stopped" => GatewayState::Stopped,
+            Some(_) => GatewayState::Lost,
+        }
+    }
+
+    /// Its buses.
+    pub fn buses(&self) -> impl Iterator<Item = &InventoryBus> {
+        self.buses.values().map(|bus| &bus.content)
+    }
+
+    /// Its devices, by bus and address, debug devices included.
+    pub fn devices(&self) -> impl Iterator<Item = &InventoryDevice> {
+        self.devices.values().map(|device| &device.content)
+    }
+
+    /// Its open findings.
+    pub fn findings(&self) -> impl Iterator<Item = &InventoryFinding> {
+        self.findings.values().map(|finding| &finding.content)
+    }
+
+    /// What is known of its buses and devices.
+    pub fn inventory(&self) -> Inventory {
+        Inventory {
+            buses: self.buses().cloned().collect(),
+            devices: self.devices().cloned().collect(),
+            findings: self.findings().cloned().collect(),
+            is_file_known: self.devices().any(|device| device.entry.is_some()),
+        }
+        .normalized()
+    }
+
+    fn bytes_at(&self, path: &TopicPath) -> usize {
+        let bytes = match path {
+            TopicPath::Status => self.status.as_ref().map(|it| it.bytes),
+            TopicPath::Bus(bus) => self.buses.get(bus).map(|it| it.bytes),
+            TopicPath::Device(bus, address) => {
+                self.devices.get(&(bus.clone(), *address)).map(|it| it.bytes)
+            }
+            TopicPath::Finding(bus, id) => {
+                self.findings.get(&(bus.clone(), id.clone())).map(|it| it.bytes)
+            }
+            TopicPath::Event => None,
+        };
+        bytes.unwrap_or_default()
+    }
+
+    fn remove(&mut self, path: TopicPath) {
+        match path {
+            TopicPath::Status => self.status = None,
+            TopicPath::Bus(bus) => drop(self.buses.remove(&bus)),
+            TopicPath::Device(bus, address) => drop(self.devices.remove(&(bus, address))),
+            TopicPath::Finding(bus, id) => drop(self.findings.remove(&(bus, id))),
+            TopicPath::Event => {}
+        }
+    }
+
+    /// Takes a document.
+    ///
+    /// # Errors
+    /// It is not what its topic says, with the cause.
+    fn insert(&mut self, now: Instant, path: TopicPath, payload: &[u8]) -> Result<(), String> {
+        let bytes = payload.len();
+        match path {
+            TopicPath::Status => {
+                let content: GatewayStatus = serde_json::from_slice(payload)
+                    .map_err(|error| on_one_line(&error.to_string()))?;
+                let descan = crate::text::printable(content.descan.as_bytes());
+                self.status =
+                    Some(StoredDocument { content: GatewayStatus { descan, ..content }, bytes });
+                self.received = now;
+            }
+            TopicPath::Bus(bus) => {
+                let content = InventoryBus::parse(payload).map_err(|it| it.to_string())?;
+                self.buses.insert(bus, StoredDocument { content, bytes });
+            }
+            TopicPath::Device(bus, address) => {
+                let mut content = InventoryDevice::parse(payload).map_err(|it| it.to_string())?;
+                (content.bus, content.address) = (bus.clone(), address);
+                self.devices.insert((bus, address), StoredDocument { content, bytes });
+            }
+            TopicPath::Finding(bus, id) => {
+                let content = InventoryFinding::parse(payload).map_err(|it| it.to_string())?;
+                self.findings.insert((bus, id), StoredDocument { content, bytes });
+            }
+            TopicPath::Event => {}
+        }
+        Ok(())
+    }
+}
+
+/// A version of a service, and where it is in use.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ServiceVersion {
+    /// Name of the service.
+    pub service: String,
+    /// Version; empty without one.
+    pub version: String,
+    /// Gateways with such a device.
+    pub gateways: BTreeSet<GatewayName>,
+    /// Number of devices.
+    pub devices: usize,
+}
+
+/// Messages that were not used.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct FleetRejects {
+    /// Messages with a topic that no gateway has.
+    pub foreign: u64,
+    /// Documents that are not what their topic says.
+    pub malformed: u64,
+    /// Documents that are too long, or above the bound of all.
+    pub oversized: u64,
+    /// The last malformed or oversized one: its topic and the cause.
+    pub last: Option<String>,
+}
+
+/// See the module's documentation.
+#[derive(Clone, Debug, Default)]
+pub struct Fleet {
+    gateways: BTreeMap<GatewayName, FleetGateway>,
+    bytes: usize,
+    rejects: FleetRejects,
+}
+
+impl Fleet {
+    /// The gateways by name.
+    pub fn gateways(&self) -> impl ExactSizeIterator<Item = (&GatewayName, &FleetGateway)> {
+        self.gateways.iter()
+    }
+
+    /// A gateway.
+    pub fn gateway(&self, name: &GatewayName) -> Option<&FleetGateway> {
+        self.gateways.get(name)
+    }
+
+    /// What was not used.
+    pub fn rejects(&self) -> &FleetRejects {
+        &self.rejects
+    }
+
+    /// Takes a message. An empty one clears the document. Events are not kept.
+    pub fn handle_message(&mut self, now: Instant, topic: &[u8], payload: &[u8]) {
+        let Some(FleetTopic { gateway, path }) = FleetTopic::parse(topic) else {
+            self.rejects.foreign += 1;
+            return;
+        };
+        if path == TopicPath::Event {
+            return;
+        }
+        let known = self.gateways.get(&gateway);
+        let before = known.map_or(0, |it| it.bytes_at(&path));
+        let is_full = known.is_none() && self.gateways.len() >= MAX_GATEWAYS;
+        let after = self.bytes - before + payload.len();
+        if payload.len() > MAX_DOCUMENT_BYTES || after > MAX_FLEET_BYTES || is_full {
+            self.rejects.oversized += 1;
+            let why = if is_full { "too many gateways" } else { "too long" };
+            self.rejects.last = Some(format!("{gateway}/{path}: {why}"));
+            return;
+        }
+        if payload.is_empty() {
+            self.bytes = after;
+            self.clear(&gateway, path);
+            return;
+        }
+        let (name, shown) = (gateway.clone(), path.to_string());
+        match self.gateways.entry(gateway).or_default().insert(now, path, payload) {
+            Ok(()) => self.bytes = after,
+            Err(why) => {
+                self.rejects.malformed += 1;
+                self.rejects.last = Some(format!("{name}/{shown}: {why}"));
+                self.forget_if_empty(&name);
+            }
+        }
+    }
+
+    fn clear(&mut self, name: &GatewayName, path: TopicPath) {
+        if let Some(gateway) = self.gateways.get_mut(name) {
+            gateway.remove(path);
+            self.forget_if_empty(name);
+        }
+    }
+
+    /// A gateway without documents is none.
+    fn forget_if_empty(&mut self, name: &GatewayName) {
+        let is_empty = self.gateways.get(name).is_some_and(|it| {
+            let is_empty = it.buses.is_empty() && it.devices.is_empty() && it.findings.is_empty();
+            is_empty && it.status.is_none()
+        });
+        if is_empty {
+            self.gateways.remove(name);
+        }
+    }
+
+    /// The versions in use, by service and version, of devices that are not lost.
+    pub fn versions(&self) -> Vec<ServiceVersion> {
+        let mut found: BTreeMap<(&str, &str), (BTreeSet<&GatewayName>, usize)> = BTreeMap::new();
+        for (name, gateway) in &self.gateways {
+            for device in gateway.devices().filter(|device| device.is_present()) {
+                for service in device.services.iter().flatten() {
+                    let of = found.entry((&service.name, &service.version)).or_default();
+                    of.0.insert(name);
+                    of.1 += 1;
+                }
+            }
+        }
+        let version =
+            |((service, version), (gateways, devices)): ((&str, &str), (BTreeSet<_>, _))| {
+                let gateways = gateways.into_iter().cloned().collect();
+                let (service, version) = (service.to_owned(), version.to_owned());
+                ServiceVersion { service, version, gateways, devices }
+            };
+        found.into_iter().map(version).collect()
+    }
+}

@@ -1,0 +1,137 @@
+//! Why a connection to a broker failed, in words, and whether trying again can help.
+
+use super::BrokerAddress;
+use crate::diagnostic::{Diagnostic, without_number};
+use crate::text::on_one_line;
+use rumqttc::tokio_rustls::rustls;
+use rumqttc::{ConnectReturnCode, ConnectionError, DisconnectReasonCode, StateError, TlsError};
+use std::error::Error;
+use std::io;
+
+/// Why a connection failed.
+#[derive(Clone, Debug)]
+pub struct BrokerFailure {
+    /// Cause and remedy.
+    pub diagnostic: Diagnostic,
+    /// The same will happen again: the user is asked first.
+    pub is_final: bool,
+}
+
+impl BrokerFailure {
+    /// The failure behind an error of the connection.
+    pub(super) fn of(address: &BrokerAddress, error: &ConnectionError) -> Self {
+        let (cause, remedy, is_final) = words(error);
+        let diagnostic = Diagnostic::new(format!("{address}: {cause}"));
+        let diagnostic = match remedy {
+            Some(remedy) => diagnostic.with_remedy(remedy),
+            None => diagnostic,
+        };
+        Self { diagnostic, is_final }
+    }
+}
+
+/// Cause, remedy, and whether it will happen again.
+fn words(error: &ConnectionError) -> (String, Option<&'static str>, bool) {
+    match error {
+        ConnectionError::ConnectionRefused(code)
+        | ConnectionError::MqttState(StateError::ConnFail { reason: code }) => refusal(*code),
+        ConnectionError::MqttState(StateError::ServerDisconnect { reason_code, .. }) => {
+            disconnection(*reason_code)
+        }
+        ConnectionError::MqttState(StateError::IncomingPacketTooLarge { pkt_size, max }) => {
+            let cause = format!("sent a packet of {pkt_size} bytes, more than the {max} agreed on");
+            (cause, Some("use a broker that keeps to Maximum Packet Size of MQTT 5"), false)
+        }
+        ConnectionError::MqttState(StateError::ConnectionAborted) => {
+            ("connection closed by the broker".to_owned(), None, false)
+        }
+        ConnectionError::Timeout(_) => ("no response".to_owned(), None, false),
+        other => deep(other),
+    }
+}
+
+/// The cause of an error that has another one behind it.
+fn deep(error: &ConnectionError) -> (String, Option<&'static str>, bool) {
+    let mut cause: Option<&(dyn Error + 'static)> = Some(error);
+    while let Some(error) = cause {
+        if let Some(tls) = error.downcast_ref::<rustls::Error>() {
+            return tls_words(tls);
+        }
+        if let Some(TlsError::TLS(tls)) = error.downcast_ref::<TlsError>() {
+            return tls_words(tls);
+        }
+        if let Some(io) = error.downcast_ref::<io::Error>() {
+            if let Some(tls) = io.get_ref().and_then(|it| it.downcast_ref::<rustls::Error>()) {
+                return tls_words(tls);
+            }
+            return io_words(io);
+        }
+        cause = error.source();
+    }
+    (on_one_line(&error.to_string()), None, false)
+}
+
+fn io_words(error: &io::Error) -> (String, Option<&'static str>, bool) {
+    match error.kind() {
+        io::ErrorKind::ConnectionRefused => (
+            "connection refused".to_owned(),
+            Some("check host and port, and that the broker runs"),
+            false,
+        ),
+        io::ErrorKind::UnexpectedEof | io::ErrorKind::ConnectionReset => {
+            ("connection closed by the broker".to_owned(), None, false)
+        }
+        _ => (on_one_line(&without_number(error)), None, false),
+    }
+}
+
+fn tls_words(error: &rustls::Error) -> (String, Option<&'static str>, bool) {
+    let (remedy, is_final) = match error {
+        rustls::Error::InvalidCertificate(_) => {
+            (Some("name the certificate that signed it: --ca FILE"), true)
+        }
+        rustls::Error::AlertReceived(_) => {
+            (Some("the broker may ask for a certificate: --cert FILE --key FILE"), true)
+        }
+        rustls::Error::InvalidMessage(_) => {
+            (Some("the broker may have no TLS there: mqtt://, or another port"), true)
+        }
+        _ => (None, false),
+    };
+    (format!("TLS: {}", on_one_line(&error.to_string())), remedy, is_final)
+}
+
+fn refusal(code: ConnectReturnCode) -> (String, Option<&'static str>, bool) {
+    use ConnectReturnCode as Code;
+    match code {
+        Code::BadUserNamePassword | Code::NotAuthorized | Code::Banned => (
+            "user or password refused".to_owned(),
+            Some(
+                "give them by --credentials FILE, or by DESCAN_MQTT_USER and DESCAN_MQTT_PASSWORD",
+            ),
+            true,
+        ),
+        Code::RefusedProtocolVersion | Code::UnsupportedProtocolVersion => (
+            "does not speak MQTT 5".to_owned(),
+            Some("use a broker with MQTT 5, such as mosquitto 1.6 and later"),
+            true,
+        ),
+        Code::BadClientId | Code::ClientIdentifierNotValid => {
+            ("name of the client refused".to_owned(), Some("use another --gateway"), true)
+        }
+        other => (format!("connection refused ({other:?})"), None, false),
+    }
+}
+
+fn disconnection(code: DisconnectReasonCode) -> (String, Option<&'static str>, bool) {
+    use DisconnectReasonCode as Code;
+    match code {
+        Code::SessionTakenOver => (
+            "another client connected with the same name".to_owned(),
+            Some("give each gateway its own --gateway"),
+            true,
+        ),
+        Code::ServerShuttingDown => ("the broker shuts down".to_owned(), None, false),
+        other => (format!("disconnected by the broker ({other:?})"), None, false),
+    }
+}

@@ -1,0 +1,254 @@
+//! A connection that publishes: sends what a [`Publication`] has, and tells it what became of it.
+
+use super::address::BrokerSettings;
+use super::back_off;
+use super::failure::BrokerFailure;
+use crate::fleet::{Delivery, FleetMessage, Publication};
+use crate::time::Duration;
+use futures_util::stream::{FuturesUnordered, StreamExt as _};
+use rumqttc::{
+    AsyncClient, Event, EventLoop, LastWill, Outgoing, Packet, PublishNotice, PublishNoticeError,
+    PublishOptions, QoS, RetainForwardRule, SubscribeFilterInput,
+};
+use std::io;
+use std::sync::mpsc::{self, Receiver, SyncSender};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::thread;
+use tokio::sync::Notify;
+use tokio::time::sleep;
+
+/// Number of notices that wait at most; further ones are dropped.
+const MAX_NOTICES: usize = 64;
+
+/// What happened to the connection.
+#[derive(Clone, Debug)]
+pub enum PublisherNotice {
+    /// The broker is connected.
+    Connected,
+    /// The connection failed, and is tried again after this time; `None` if it is not.
+    Failed(BrokerFailure, Option<Duration>),
+    /// The broker refused a message with this topic: the rights of the user do not allow it.
+    Refused(String),
+}
+
+/// What the two threads share.
+struct Shared {
+    publication: Mutex<Publication>,
+    /// The publication has something to send.
+    changed: Notify,
+    /// Everything may be delivered.
+    delivered: Condvar,
+    stop: Notify,
+}
+
+impl Shared {
+    fn publication(&self) -> MutexGuard<'_, Publication> {
+        self.publication.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// See the module's documentation.
+pub struct BrokerPublisher {
+    shared: Arc<Shared>,
+    notices: Receiver<PublisherNotice>,
+    thread: thread::JoinHandle<()>,
+}
+
+impl BrokerPublisher {
+    /// Connects, on a thread of its own, and connects again when the connection is lost.
+    ///
+    /// # Errors
+    /// No thread could be started.
+    pub fn spawn(settings: &BrokerSettings, publication: Publication) -> io::Result<Self> {
+        let will = publication.last_will();
+        let mut options = settings.options(&format!("descan-{}", publication.gateway()));
+        let payload = will.payload.to_vec();
+        options.set_last_will(LastWill::new(will.topic, payload, QoS::AtLeastOnce, true, None));
+        let own = publication.gateway().filter();
+        let shared = Arc::new(Shared {
+            publication: Mutex::new(publication),
+            changed: Notify::new(),
+            delivered: Condvar::new(),
+            stop: Notify::new(),
+        });
+        let (sender, notices) = mpsc::sync_channel(MAX_NOTICES);
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+        let link =
+            Link { shared: Arc::clone(&shared), notices: sender, settings: settings.clone(), own };
+        let thread = thread::Builder::new().name("broker".to_owned()).spawn(move || {
+            // More than are sent at once: a request never waits for room.
+            let (client, events) = AsyncClient::builder(options).capacity(256).build();
+            runtime.block_on(link.run(&client, events));
+        })?;
+        Ok(Self { shared, notices, thread })
+    }
+
+    /// Changes the publication, and sends what it has then.
+    pub fn update<T>(&self, change: impl FnOnce(&mut Publication) -> T) -> T {
+        let result = change(&mut self.shared.publication());
+        self.shared.changed.notify_one();
+        result
+    }
+
+    /// Returns what happened since.
+    pub fn poll_notice(&self) -> Option<PublisherNotice> {
+        self.notices.try_recv().ok()
+    }
+
+    /// Waits until everything is delivered, at most for `time`, and disconnects. Returns false if
+    /// something was not.
+    pub fn finish(self, time: Duration) -> bool {
+        let publication = self.shared.publication();
+        let waits = |publication: &mut Publication| !publication.is_delivered();
+        let waited = self.shared.delivered.wait_timeout_while(publication, time, waits);
+        let is_delivered = waited.is_ok_and(|(_, result)| !result.timed_out());
+        self.shared.stop.notify_one();
+        // It ends at once, or is left to the end of the program.
+        drop(self.thread);
+        is_delivered
+    }
+}
+
+/// The thread of the connection.
+struct Link {
+    shared: Arc<Shared>,
+    notices: SyncSender<PublisherNotice>,
+    settings: BrokerSettings,
+    /// Topic filter of what this gateway publishes.
+    own: String,
+}
+
+impl Link {
+    async fn run(self, client: &AsyncClient, mut events: EventLoop) {
+        tokio::select! {
+            () = self.receive(client, &mut events) => return,
+            () = self.send(client) => return,
+            () = self.shared.stop.notified() => {}
+        }
+        // Without a DISCONNECT the broker would publish the last will.
+        let _ = client.try_disconnect();
+        let farewell = async {
+            while let Ok(event) = events.poll().await {
+                if matches!(event, Event::Outgoing(Outgoing::Disconnect)) {
+                    break;
+                }
+            }
+        };
+        let _ = tokio::time::timeout(Duration::from_millis(300), farewell).await;
+    }
+
+    /// Drives the connection until it fails for good.
+    async fn receive(&self, client: &AsyncClient, events: &mut EventLoop) {
+        let mut failures = 0;
+        let mut was_connected = false;
+        loop {
+            match events.poll().await {
+                Ok(Event::Incoming(Packet::ConnAck(packet))) => {
+                    (failures, was_connected) = (0, true);
+                    // The session of an earlier run is not this one's: only later ones are kept.
+                    events.options.set_clean_start(false);
+                    self.shared.publication().handle_connected(packet.session_present);
+                    self.shared.changed.notify_one();
+                    if !packet.session_present {
+                        let filter = SubscribeFilterInput::new(&*self.own, QoS::AtLeastOnce)
+                            .no_local(true)
+                            .preserve_retain(true)
+                            .retain_forward_rule(RetainForwardRule::OnEverySubscribe);
+                        let _ = client.try_subscribe_many([filter]);
+                    }
+                    self.report(PublisherNotice::Connected);
+                }
+                Ok(Event::Incoming(Packet::Publish(message))) => {
+                    if message.retain && !message.payload.is_empty() {
+                        let topic = String::from_utf8_lossy(&message.topic);
+                        self.shared.publication().handle_retained(&topic);
+                        self.shared.changed.notify_one();
+                    }
+                }
+                Ok(_) => {}
+                Err(error) => {
+                    self.shared.publication().handle_disconnected();
+                    let failure = BrokerFailure::of(&self.settings.address, &error);
+                    failures += 1;
+                    // Another client with the name would be thrown out in turn, for ever.
+                    let is_taken_over = was_connected && failure.is_final && failures == 1;
+                    if failure.is_final && (!was_connected || is_taken_over) {
+                        self.report(PublisherNotice::Failed(failure, None));
+                        return;
+                    }
+                    let wait = back_off(failures);
+                    self.report(PublisherNotice::Failed(failure, Some(wait)));
+                    sleep(wait).await;
+                }
+            }
+        }
+    }
+
+    /// Sends what the publication has.
+    async fn send(&self, client: &AsyncClient) {
+        let mut sent = FuturesUnordered::new();
+        loop {
+            while let Some(message) = self.next_message() {
+                let FleetMessage { topic, payload, is_retained, delivery } = message;
+                let options = PublishOptions::new(QoS::AtLeastOnce).retain(is_retained);
+                match client.try_publish_tracked(topic.clone(), payload.to_vec(), options) {
+                    Ok(notice) => sent.push(fate(topic, delivery, notice)),
+                    Err(_) => self.shared.publication().handle_undelivered(&delivery),
+                }
+            }
+            tokio::select! {
+                () = self.shared.changed.notified() => {}
+                Some((topic, delivery, fate)) = sent.next(), if !sent.is_empty() => {
+                    self.handle_fate(topic, &delivery, fate);
+                }
+            }
+        }
+    }
+
+    fn next_message(&self) -> Option<FleetMessage> {
+        self.shared.publication().poll_message()
+    }
+
+    fn handle_fate(&self, topic: String, delivery: &Delivery, fate: Fate) {
+        let mut publication = self.shared.publication();
+        match fate {
+            Fate::Delivered => publication.handle_delivered(delivery),
+            Fate::Lost => publication.handle_undelivered(delivery),
+            Fate::Refused => {
+                publication.handle_refused(delivery);
+                if publication.refused() == 1 {
+                    self.report(PublisherNotice::Refused(topic));
+                }
+            }
+        }
+        if publication.is_delivered() {
+            self.shared.delivered.notify_all();
+        }
+    }
+
+    fn report(&self, notice: PublisherNotice) {
+        let _ = self.notices.try_send(notice);
+    }
+}
+
+/// What became of a message.
+enum Fate {
+    Delivered,
+    Lost,
+    Refused,
+}
+
+async fn fate(
+    topic: String,
+    delivery: Delivery,
+    notice: PublishNotice,
+) -> (String, Delivery, Fate) {
+    let fate = match notice.wait_completion_async().await {
+        Ok(()) => Fate::Delivered,
+        Err(PublishNoticeError::V5PubAck(_) | PublishNoticeError::RetainNotSupported) => {
+            Fate::Refused
+        }
+        Err(_) => Fate::Lost,
+    };
+    (topic, delivery, fate)
+}

@@ -1,0 +1,134 @@
+//! A connection that reads: the messages of some topics, in order, and what happens to the connection.
+
+use super::address::BrokerSettings;
+use super::back_off;
+use super::failure::BrokerFailure;
+use crate::time::Duration;
+use rumqttc::{AsyncClient, Event, EventLoop, Packet, QoS, SubscribeFilterInput, SubscribeReasonCode};
+use std::io;
+use std::thread;
+use tokio::sync::mpsc::{self, Receiver, Sender};
+use tokio::time::sleep;
+
+/// Number of messages that wait at most: a reader that is slower holds the broker back.
+const MAX_WAITING: usize = 1024;
+
+/// What a connection brings.
+#[derive(Clone, Debug)]
+pub enum ReaderNotice {
+    /// The broker is connected; true if it kept what was subscribed, and what happened meanwhile.
+    Connected(bool),
+    /// The topics are subscribed, as far as this many are allowed; the rest is refused.
+    Subscribed {
+        /// Number of topic filters that the broker refused.
+        refused: usize,
+    },
+    /// A message: topic and content.
+    Message(Vec<u8>, Vec<u8>),
+    /// The connection failed, and is tried again after this time; `None` if it is not.
+    Failed(BrokerFailure, Option<Duration>),
+}
+
+/// See the module's documentation.
+pub struct BrokerReader {
+    notices: Receiver<ReaderNotice>,
+}
+
+impl BrokerReader {
+    /// Connects, on a thread of its own, subscribes to these topics, and connects again when the
+    /// connection is lost. The thread ends with the reader.
+    ///
+    /// # Errors
+    /// No thread could be started.
+    pub fn spawn(settings: &BrokerSettings, filters: &[&str]) -> io::Result<Self> {
+        // Each viewer has a session of its own.
+        let client_name = format!("descan-view-{:016x}", fastrand::u64(..));
+        let options = settings.options(&client_name);
+        let (sender, notices) = mpsc::channel(MAX_WAITING);
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+        let link = Link {
+            notices: sender,
+            settings: settings.clone(),
+            filters: filters.iter().map(|it| (*it).to_owned()).collect(),
+        };
+        thread::Builder::new().name("broker".to_owned()).spawn(move || {
+            let (client, events) = AsyncClient::builder(options).capacity(16).build();
+            runtime.block_on(link.run(&client, events));
+        })?;
+        Ok(Self { notices })
+    }
+
+    /// Waits for the next notice; `None` after one that says that it is not tried again. May be dropped
+    /// while waiting.
+    pub async fn next(&mut self) -> Option<ReaderNotice> {
+        self.notices.recv().await
+    }
+}
+
+/// The thread of the connection.
+struct Link {
+    notices: Sender<ReaderNotice>,
+    settings: BrokerSettings,
+    filters: Vec<String>,
+}
+
+impl Link {
+    async fn run(self, client: &AsyncClient, mut events: EventLoop) {
+        tokio::select! {
+            () = self.notices.closed() => {
+                let _ = client.try_disconnect();
+                let farewell = async { while events.poll().await.is_ok() {} };
+                let _ = tokio::time::timeout(Duration::from_millis(200), farewell).await;
+            }
+            () = self.receive(client, &mut events) => {}
+        }
+    }
+
+    async fn receive(&self, client: &AsyncClient, events: &mut EventLoop) {
+        let mut failures = 0;
+        let mut was_connected = false;
+        loop {
+            let notice = match events.poll().await {
+                Ok(Event::Incoming(Packet::ConnAck(packet))) => {
+                    (failures, was_connected) = (0, true);
+                    events.options.set_clean_start(false);
+                    if !packet.session_present {
+                        let filters = self.filters.iter().map(|filter| {
+                            SubscribeFilterInput::new(filter.as_str(), QoS::AtLeastOnce)
+                                .preserve_retain(true)
+                        });
+                        let _ = client.try_subscribe_many(filters);
+                    }
+                    ReaderNotice::Connected(packet.session_present)
+                }
+                Ok(Event::Incoming(Packet::SubAck(packet))) => {
+                    let is_refused = |code: &&SubscribeReasonCode| {
+                        !matches!(code, SubscribeReasonCode::Success(_))
+                    };
+                    let refused = packet.return_codes.iter().filter(is_refused).count();
+                    ReaderNotice::Subscribed { refused }
+                }
+                Ok(Event::Incoming(Packet::Publish(message))) => {
+                    ReaderNotice::Message(message.topic.to_vec(), message.payload.to_vec())
+                }
+                Ok(_) => continue,
+                Err(error) => {
+                    let failure = BrokerFailure::of(&self.settings.address, &error);
+                    failures += 1;
+                    let is_over = failure.is_final && !was_connected;
+                    let wait = (!is_over).then(|| back_off(failures));
+                    let notice = ReaderNotice::Failed(failure, wait);
+                    if self.notices.send(notice).await.is_err() {
+                        return;
+                    }
+                    let Some(wait) = wait else { return };
+                    sleep(wait).await;
+                    continue;
+                }
+            };
+            if self.notices.send(notice).await.is_err() {
+                return;
+            }
+        }
+    }
+}
