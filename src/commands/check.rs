@@ -18,6 +18,10 @@ use std::fmt::Write as _;
 
 /// Runs it.
 pub fn run(check: &CheckArgs) -> Result<u8, Failure> {
+    #[cfg(feature = "fleet")]
+    if let Some((folder, broker)) = check.fleet.as_ref().zip(check.broker.as_ref()) {
+        return super::fleet_check::run(check, folder, broker);
+    }
     let buses = open::buses(&check.run.session)?;
     let setup = Setup::for_buses(&check.run.session.common, &buses)?;
     let log = open::log(&buses, "check", check.run.from)?;

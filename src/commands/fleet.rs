@@ -1,4 +1,4 @@
-//! `descan fleet` without a screen, and `descan check --fleet`: what gateways have published.
+//! `descan fleet` without a screen: what gateways have published.
 //!
 //! Scripts rely on the names, types and meanings of the JSON members.
 
@@ -19,7 +19,7 @@ use tokio::time;
 const QUIET: Duration = Duration::from_millis(400);
 
 /// `--time`, unless given.
-const DEFAULT_TIME: Duration = Duration::from_secs(10);
+pub const DEFAULT_TIME: Duration = Duration::from_secs(10);
 
 /// Runs it.
 pub fn run(args: &FleetArgs) -> Result<u8, Failure> {

@@ -12,6 +12,8 @@ mod diff;
 mod export;
 #[cfg(feature = "fleet")]
 mod fleet;
+#[cfg(feature = "fleet")]
+mod fleet_check;
 mod gate;
 mod generated_files;
 mod guide;

@@ -46,8 +46,8 @@ pub fn run(args: &PublishArgs) -> Result<u8, Failure> {
         ..Limits::default()
     };
     let mut gate = BusGate::new(true);
-    let mut feed =
-        Feed { publisher, gateway, settings, next: Instant::ZERO, summary: Instant::ZERO };
+    let summary = (serde_json::Value::Null, Instant::ZERO);
+    let mut feed = Feed { publisher, gateway, settings, next: Instant::ZERO, summary };
     let mut warned = Vec::new();
     let outcome = headless::run(RunInput::Buses(&buses), &setup, options, limits, |session| {
         feed.print_notices()?;
@@ -89,8 +89,8 @@ struct Feed {
     settings: BrokerSettings,
     /// Time of the next documents.
     next: Instant,
-    /// Time of the next status.
-    summary: Instant,
+    /// The last status, and the time of the next one.
+    summary: (serde_json::Value, Instant),
 }
 
 impl Feed {
@@ -102,9 +102,9 @@ impl Feed {
         }
         self.next = now + CHANGE_PERIOD;
         let published = Published::new(app, now);
-        let is_summary_due = now >= self.summary;
+        let is_summary_due = now >= self.summary.1 || published.summary != self.summary.0;
         if is_summary_due {
-            self.summary = now + SUMMARY_PERIOD;
+            self.summary = (published.summary.clone(), now + SUMMARY_PERIOD);
         }
         let unix_secs = unix_secs();
         self.publisher.update(|publication| {

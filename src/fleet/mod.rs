@@ -2,13 +2,15 @@
 //!
 //! A gateway is a descan that publishes what it knows of its buses ([`Publication`]): retained
 //! documents for the state of gateway, buses, devices and findings, and messages for events. A viewer
-//! ([`Fleet`]) reads the documents of all gateways. [`FleetTopic`] has the topics of both. Pure: does
+//! ([`Fleet`]) reads the documents of all gateways, and compares each with its des.json. [`FleetTopic`] has the topics of both. Pure: does
 //! not know the connection, TLS or a clock. Nothing here is ever sent to a bus.
 
+mod expected;
 mod publication;
 mod topic;
 mod view;
 
+pub use expected::{ExpectedDevices, FleetDifference};
 pub use publication::{Delivery, FleetDocument, FleetMessage, MAX_QUEUED_EVENTS, Publication};
 pub use topic::{FleetTopic, GatewayName, GatewayNameError, TopicPath};
 pub use view::{

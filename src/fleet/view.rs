@@ -85,6 +85,8 @@ pub struct EventCounts {
 struct StoredDocument<T> {
     content: T,
     bytes: usize,
+    /// The connection by which it was last received.
+    connection: u32,
 }
 
 /// A gateway, and what it published.
@@ -143,6 +145,20 @@ impl FleetGateway {
         .normalized()
     }
 
+    /// Returns true without any document.
+    fn is_empty(&self) -> bool {
+        let has_parts = [self.buses.len(), self.devices.len(), self.findings.len()] != [0; 3];
+        self.status.is_none() && !has_parts
+    }
+
+    /// Length of all documents.
+    fn bytes(&self) -> usize {
+        let parts = self.buses.values().map(|it| it.bytes);
+        let parts = parts.chain(self.devices.values().map(|it| it.bytes));
+        let parts = parts.chain(self.findings.values().map(|it| it.bytes));
+        parts.chain(self.status.iter().map(|it| it.bytes)).sum()
+    }
+
     fn bytes_at(&self, path: &TopicPath) -> usize {
         let bytes = match path {
             TopicPath::Status => self.status.as_ref().map(|it| it.bytes),
@@ -172,29 +188,37 @@ impl FleetGateway {
     ///
     /// # Errors
     /// It is not what its topic says, with the cause.
-    fn insert(&mut self, now: Instant, path: TopicPath, payload: &[u8]) -> Result<(), String> {
+    fn insert(
+        &mut self,
+        (now, connection): (Instant, u32),
+        path: TopicPath,
+        payload: &[u8],
+    ) -> Result<(), String> {
         let bytes = payload.len();
         match path {
             TopicPath::Status => {
                 let content: GatewayStatus = serde_json::from_slice(payload)
                     .map_err(|error| on_one_line(&error.to_string()))?;
                 let descan = crate::text::printable(content.descan.as_bytes());
-                self.status =
-                    Some(StoredDocument { content: GatewayStatus { descan, ..content }, bytes });
+                self.status = Some(StoredDocument {
+                    content: GatewayStatus { descan, ..content },
+                    bytes,
+                    connection,
+                });
                 self.received = now;
             }
             TopicPath::Bus(bus) => {
                 let content = InventoryBus::parse(payload).map_err(|it| it.to_string())?;
-                self.buses.insert(bus, StoredDocument { content, bytes });
+                self.buses.insert(bus, StoredDocument { content, bytes, connection });
             }
             TopicPath::Device(bus, address) => {
                 let mut content = InventoryDevice::parse(payload).map_err(|it| it.to_string())?;
                 (content.bus, content.address) = (bus.clone(), address);
-                self.devices.insert((bus, address), StoredDocument { content, bytes });
+                self.devices.insert((bus, address), StoredDocument { content, bytes, connection });
             }
             TopicPath::Finding(bus, id) => {
                 let content = InventoryFinding::parse(payload).map_err(|it| it.to_string())?;
-                self.findings.insert((bus, id), StoredDocument { content, bytes });
+                self.findings.insert((bus, id), StoredDocument { content, bytes, connection });
             }
             TopicPath::Event => {}
         }
@@ -234,6 +258,8 @@ pub struct Fleet {
     gateways: BTreeMap<GatewayName, FleetGateway>,
     bytes: usize,
     rejects: FleetRejects,
+    /// Number of the connection.
+    connection: u32,
 }
 
 impl Fleet {
@@ -250,6 +276,25 @@ impl Fleet {
     /// What was not used.
     pub fn rejects(&self) -> &FleetRejects {
         &self.rejects
+    }
+
+    /// The broker is connected again, and kept no session: documents that were cleared meanwhile are
+    /// those that it does not send again until [`Self::handle_complete`].
+    pub fn handle_connected(&mut self) {
+        self.connection += 1;
+    }
+
+    /// All documents that the broker has were received since [`Self::handle_connected`].
+    pub fn handle_complete(&mut self) {
+        let now = self.connection;
+        for gateway in self.gateways.values_mut() {
+            gateway.status = gateway.status.take().filter(|it| it.connection == now);
+            gateway.buses.retain(|_, it| it.connection == now);
+            gateway.devices.retain(|_, it| it.connection == now);
+            gateway.findings.retain(|_, it| it.connection == now);
+        }
+        self.gateways.retain(|_, gateway| !gateway.is_empty());
+        self.bytes = self.gateways.values().map(FleetGateway::bytes).sum();
     }
 
     /// Takes a message. An empty one clears the document. Events are not kept.
@@ -277,7 +322,8 @@ impl Fleet {
             return;
         }
         let (name, shown) = (gateway.clone(), path.to_string());
-        match self.gateways.entry(gateway).or_default().insert(now, path, payload) {
+        let as_of = (now, self.connection);
+        match self.gateways.entry(gateway).or_default().insert(as_of, path, payload) {
             Ok(()) => self.bytes = after,
             Err(why) => {
                 self.rejects.malformed += 1;
@@ -296,11 +342,7 @@ impl Fleet {
 
     /// A gateway without documents is none.
     fn forget_if_empty(&mut self, name: &GatewayName) {
-        let is_empty = self.gateways.get(name).is_some_and(|it| {
-            let is_empty = it.buses.is_empty() && it.devices.is_empty() && it.findings.is_empty();
-            is_empty && it.status.is_none()
-        });
-        if is_empty {
+        if self.gateways.get(name).is_some_and(FleetGateway::is_empty) {
             self.gateways.remove(name);
         }
     }

@@ -4,7 +4,9 @@ use super::address::BrokerSettings;
 use super::back_off;
 use super::failure::BrokerFailure;
 use crate::time::Duration;
-use rumqttc::{AsyncClient, Event, EventLoop, Packet, QoS, SubscribeFilterInput, SubscribeReasonCode};
+use rumqttc::{
+    AsyncClient, Event, EventLoop, Packet, QoS, SubscribeFilterInput, SubscribeReasonCode,
+};
 use std::io;
 use std::thread;
 use tokio::sync::mpsc::{self, Receiver, Sender};

@@ -1,0 +1,244 @@
+//! `descan check --fleet`: each gateway at a broker, compared with the des.json of its folder.
+//!
+//! Scripts rely on the names, types and meanings of the JSON members.
+
+use super::fleet::{self, DEFAULT_TIME};
+use super::test_report::{CaseOutcome, ReportedCase, test_report};
+use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure, output};
+use crate::cli::CheckArgs;
+use crate::diagnostic::Diagnostic;
+use crate::document::Document;
+use crate::finding::CheckSection;
+use crate::fleet::{ExpectedDevices, Fleet, FleetDifference, GatewayName, GatewayState};
+use crate::project::{FILE_NAME, Project};
+use crate::regular_file::{read, read_text, shown};
+use crate::shell::broker::{BrokerAddress, BrokerSettings};
+use crate::text::counted;
+use crate::time::Instant;
+use anyhow::Context;
+use serde::Serialize;
+use std::fmt::Write as _;
+use std::path::Path;
+
+/// Name of a file of entries, unless a project names another.
+const DES_FILE: &str = "des.json";
+
+/// Longest des.json, in bytes.
+const MAX_FILE_BYTES: u64 = 16 << 20;
+
+/// Runs it.
+pub fn run(check: &CheckArgs, folder: &Path, broker: &BrokerAddress) -> Result<u8, Failure> {
+    let sites = sites(folder)?;
+    let settings = BrokerSettings::read(&check.broker_files.access(broker))?;
+    let Some(read) = fleet::read(&settings, check.run.time.unwrap_or(DEFAULT_TIME))? else {
+        return Ok(EXIT_INTERRUPTED);
+    };
+    fleet::warn_rejects(&read.fleet);
+    warn_without_folder(&read.fleet, &sites, folder);
+    let checks: Vec<SiteCheck> =
+        sites.iter().map(|site| SiteCheck::new(site, &read.fleet, read.now)).collect();
+    if let Some(format) = check.report {
+        let cases: Vec<ReportedCase> = checks.iter().flat_map(SiteCheck::cases).collect();
+        output::print(&test_report(&format!("descan check {}", shown(folder)), &cases, format))?;
+    } else if check.run.json {
+        let report = FleetCheckReport { descan: env!("CARGO_PKG_VERSION"), gateways: &checks };
+        output::print_json(&(serde_json::to_string_pretty(&report).context("JSON")? + "\n"))?;
+    } else {
+        let text: String = checks.iter().map(SiteCheck::text).collect();
+        output::print(&text)?;
+    }
+    Ok(if checks.iter().all(SiteCheck::is_passed) { EXIT_OK } else { EXIT_FINDINGS })
+}
+
+/// A folder with the files of a gateway.
+struct Site {
+    gateway: GatewayName,
+    expected: Vec<ExpectedDevices>,
+}
+
+/// Reads the folder of each gateway, by name.
+fn sites(folder: &Path) -> Result<Vec<Site>, Failure> {
+    let entries =
+        std::fs::read_dir(folder).map_err(|error| Diagnostic::unreadable(shown(folder), &error))?;
+    let mut sites = Vec::new();
+    for entry in entries {
+        let path = entry.map_err(|error| Diagnostic::unreadable(shown(folder), &error))?.path();
+        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        if !path.is_dir() || name.starts_with('.') {
+            continue;
+        }
+        let gateway =
+            name.parse().map_err(|why| Diagnostic::new(format!("{}: {why}", shown(&path))))?;
+        sites.push(Site { gateway, expected: expected(&path)? });
+    }
+    if sites.is_empty() {
+        let remedy = format!("put the des.json of each into FOLDER/GATEWAY/{DES_FILE}");
+        let why = format!("{}: no folder of a gateway in it", shown(folder));
+        return Err(Diagnostic::new(why).with_remedy(remedy).into());
+    }
+    sites.sort_by(|one, other| one.gateway.cmp(&other.gateway));
+    Ok(sites)
+}
+
+/// The des.json files of a folder: those of its project, else its own.
+fn expected(folder: &Path) -> Result<Vec<ExpectedDevices>, Failure> {
+    let project_path = folder.join(FILE_NAME);
+    let text = read_text(&project_path).map_err(|fault| fault.of(shown(&project_path)))?;
+    let Some(text) = text else {
+        let document = document(&folder.join(DES_FILE))?;
+        return Ok(vec![ExpectedDevices { document, buses: None }]);
+    };
+    let project = Project::parse(&text, folder)
+        .map_err(|error| Failure::Unusable(format!("{}: {error}", shown(&project_path))))?;
+    let files = project.files();
+    files
+        .into_iter()
+        .map(|file| {
+            let of_file = project.buses.iter().filter(|bus| project.file_of(&bus.spec) == file);
+            let buses: Vec<String> = of_file.map(|bus| bus.name.clone()).collect();
+            let buses = Some(buses).filter(|buses| !buses.is_empty());
+            Ok(ExpectedDevices { document: document(file)?, buses })
+        })
+        .collect()
+}
+
+fn document(path: &Path) -> Result<Document, Failure> {
+    let bytes = read(path, MAX_FILE_BYTES).map_err(|fault| fault.of(shown(path)))?;
+    let bytes = bytes.ok_or_else(|| Diagnostic::new("file not found").of(shown(path)))?;
+    let unusable = |error| Failure::Unusable(format!("{}: {error}", shown(path)));
+    Document::parse(&bytes).map_err(unusable)
+}
+
+/// Says which gateways are not compared.
+fn warn_without_folder(fleet: &Fleet, sites: &[Site], folder: &Path) {
+    let has_folder = |name: &GatewayName| sites.iter().any(|site| site.gateway == *name);
+    let without: Vec<&str> = fleet
+        .gateways()
+        .map(|(name, _)| name)
+        .filter(|name| !has_folder(name))
+        .map(GatewayName::as_str)
+        .collect();
+    if let [first, ..] = without[..] {
+        let count = without.len();
+        let who =
+            if count == 1 { first.to_owned() } else { format!("{count} gateways ({first}, …)") };
+        output::warn(format_args!("{who}: no folder in {}; not compared", shown(folder)));
+    }
+}
+
+#[derive(Serialize)]
+struct FleetCheckReport<'a> {
+    descan: &'static str,
+    gateways: &'a [SiteCheck],
+}
+
+/// A gateway, and how it differs from its files.
+#[derive(Serialize)]
+struct SiteCheck {
+    name: String,
+    /// `missing`: it has published nothing.
+    state: &'static str,
+    entries: usize,
+    devices: usize,
+    differences: Vec<DifferenceReport>,
+    #[serde(skip)]
+    found: Vec<FleetDifference>,
+}
+
+#[derive(Serialize)]
+struct DifferenceReport {
+    section: &'static str,
+    bus: Option<String>,
+    address: Option<u8>,
+    text: String,
+}
+
+impl SiteCheck {
+    fn new(site: &Site, fleet: &Fleet, now: Instant) -> Self {
+        let gateway = fleet.gateway(&site.gateway);
+        let found = gateway.map(|it| it.differences(&site.expected)).unwrap_or_default();
+        let differences = found.iter().map(|it| DifferenceReport {
+            section: it.section.title(),
+            bus: it.bus.clone(),
+            address: it.address,
+            text: it.text.clone(),
+        });
+        Self {
+            name: site.gateway.to_string(),
+            state: gateway.map_or("missing", |it| it.state(now).name()),
+            entries: site.expected.iter().map(|it| it.document.entries().len()).sum(),
+            devices: gateway.map_or(0, |it| it.inventory().present_devices()),
+            differences: differences.collect(),
+            found,
+        }
+    }
+
+    fn is_online(&self) -> bool {
+        self.state == GatewayState::Online.name()
+    }
+
+    fn is_passed(&self) -> bool {
+        self.is_online() && self.found.is_empty()
+    }
+
+    fn in_section(&self, section: CheckSection) -> impl Iterator<Item = &FleetDifference> {
+        self.found.iter().filter(move |it| it.section == section)
+    }
+
+    /// The differences in sections, and a summary; the summary alone if there are none.
+    fn text(&self) -> String {
+        let mut text = String::new();
+        let mut sums = Vec::new();
+        for section in CheckSection::ALL {
+            let mut count = 0;
+            for difference in self.in_section(section) {
+                if count == 0 {
+                    let _ = writeln!(text, "{} {}:", self.name, section.title());
+                }
+                count += 1;
+                let _ = writeln!(text, "  {}", line_of(difference));
+            }
+            let title = if count == 1 { section.singular() } else { section.title() };
+            if count > 0 {
+                sums.push(format!("{count} {title}"));
+            }
+        }
+        if !self.is_online() {
+            sums.insert(0, format!("gateway {}", self.state));
+        }
+        let verdict = if sums.is_empty() { "no difference".to_owned() } else { sums.join(", ") };
+        let entries = if self.entries == 1 { "entry" } else { "entries" };
+        let devices = counted(self.devices as u64, "device");
+        let _ = writeln!(text, "{}: {} {entries}, {devices}: {verdict}", self.name, self.entries);
+        text
+    }
+
+    /// A test for each section, and one for the gateway.
+    fn cases(&self) -> Vec<ReportedCase> {
+        let outcome = |passed| if passed { CaseOutcome::Passed } else { CaseOutcome::Failed };
+        let connection = ReportedCase {
+            suite: self.name.clone(),
+            name: "gateway".to_owned(),
+            outcome: outcome(self.is_online()),
+            text: self.state.to_owned(),
+            details: Vec::new(),
+        };
+        let of_section = |section: CheckSection| {
+            let details: Vec<String> = self.in_section(section).map(line_of).collect();
+            let text = match details.len() {
+                0 => "no difference".to_owned(),
+                1 => format!("1 {}", section.singular()),
+                count => format!("{count} {}", section.title()),
+            };
+            let (suite, name) = (self.name.clone(), section.title().to_owned());
+            ReportedCase { suite, name, outcome: outcome(details.is_empty()), text, details }
+        };
+        std::iter::once(connection).chain(CheckSection::ALL.map(of_section)).collect()
+    }
+}
+
+/// A difference in a line, with its bus.
+fn line_of(difference: &FleetDifference) -> String {
+    let bus = difference.bus.as_ref().map_or(String::new(), |bus| format!("{bus}: "));
+    format!("{bus}{}", difference.text)
+}
