@@ -20,6 +20,9 @@ use tokio::time::sleep;
 /// Number of notices that wait at most; further ones are dropped.
 const MAX_NOTICES: usize = 64;
 
+/// Time in which the documents of an earlier run arrive.
+const READING: Duration = Duration::from_secs(10);
+
 /// What happened to the connection.
 #[derive(Clone, Debug)]
 pub enum PublisherNotice {
@@ -73,8 +76,13 @@ impl BrokerPublisher {
         });
         let (sender, notices) = mpsc::sync_channel(MAX_NOTICES);
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
-        let link =
-            Link { shared: Arc::clone(&shared), notices: sender, settings: settings.clone(), own };
+        let link = Link {
+            shared: Arc::clone(&shared),
+            notices: sender,
+            settings: settings.clone(),
+            own,
+            reading: Notify::new(),
+        };
         let thread = thread::Builder::new().name("broker".to_owned()).spawn(move || {
             // More than are sent at once: a request never waits for room.
             let (client, events) = AsyncClient::builder(options).capacity(256).build();
@@ -116,6 +124,8 @@ struct Link {
     settings: BrokerSettings,
     /// Topic filter of what this gateway publishes.
     own: String,
+    /// The subscription to all documents began.
+    reading: Notify,
 }
 
 impl Link {
@@ -123,6 +133,7 @@ impl Link {
         tokio::select! {
             () = self.receive(client, &mut events) => return,
             () = self.send(client) => return,
+            () = self.stop_reading(client) => return,
             () = self.shared.stop.notified() => {}
         }
         // Without a DISCONNECT the broker would publish the last will.
@@ -149,20 +160,18 @@ impl Link {
                     events.options.set_clean_start(false);
                     self.shared.publication().handle_connected(packet.session_present);
                     self.shared.changed.notify_one();
-                    if !packet.session_present {
-                        let filter = SubscribeFilterInput::new(&*self.own, QoS::AtLeastOnce)
-                            .no_local(true)
-                            .preserve_retain(true)
-                            .retain_forward_rule(RetainForwardRule::OnEverySubscribe);
-                        let _ = client.try_subscribe_many([filter]);
-                    }
+                    self.subscribe(client, packet.session_present);
                     self.report(PublisherNotice::Connected);
                 }
                 Ok(Event::Incoming(Packet::Publish(message))) => {
-                    if message.retain && !message.payload.is_empty() {
-                        let topic = String::from_utf8_lossy(&message.topic);
-                        self.shared.publication().handle_retained(&topic);
-                        self.shared.changed.notify_one();
+                    let topic = String::from_utf8_lossy(&message.topic);
+                    let is_replaced =
+                        self.shared.publication().handle_message(&topic, &message.payload);
+                    self.shared.changed.notify_one();
+                    if is_replaced {
+                        let failure = BrokerFailure::replaced(&self.settings.address);
+                        self.report(PublisherNotice::Failed(failure, None));
+                        return;
                     }
                 }
                 Ok(_) => {}
@@ -170,9 +179,7 @@ impl Link {
                     self.shared.publication().handle_disconnected();
                     let failure = BrokerFailure::of(&self.settings.address, &error);
                     failures += 1;
-                    // Another client with the name would be thrown out in turn, for ever.
-                    let is_taken_over = was_connected && failure.is_final && failures == 1;
-                    if failure.is_final && (!was_connected || is_taken_over) {
+                    if failure.is_final && !was_connected {
                         self.report(PublisherNotice::Failed(failure, None));
                         return;
                     }
@@ -181,6 +188,31 @@ impl Link {
                     sleep(wait).await;
                 }
             }
+        }
+    }
+
+    /// Reads what the broker has of this gateway: its status, which another program may write, and after
+    /// the start all documents, for a while.
+    fn subscribe(&self, client: &AsyncClient, is_session_kept: bool) {
+        let status = self.own.replace('#', "status");
+        let filters = [status.as_str(), self.own.as_str()];
+        let count = if is_session_kept { 1 } else { 2 };
+        let filters = filters.into_iter().take(count).map(|filter| {
+            SubscribeFilterInput::new(filter, QoS::AtLeastOnce)
+                .retain_forward_rule(RetainForwardRule::OnEverySubscribe)
+        });
+        let _ = client.try_subscribe_many(filters);
+        if !is_session_kept {
+            self.reading.notify_one();
+        }
+    }
+
+    /// Ends the subscription to all documents, a while after it began.
+    async fn stop_reading(&self, client: &AsyncClient) {
+        loop {
+            self.reading.notified().await;
+            sleep(READING).await;
+            let _ = client.try_unsubscribe(self.own.as_str());
         }
     }
 
