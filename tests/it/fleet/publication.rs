@@ -140,7 +140,7 @@ fn documents_of_an_earlier_run_are_cleared() {
 #[test]
 fn of_two_programs_with_one_name_the_later_one_stays() {
     let status =
-        |online: bool, started: u64| json!({"online": online, "started": started}).to_string();
+        |online: bool, started: f64| json!({"online": online, "started": started}).to_string();
     let topic = "descan/v1/boiler-17/status";
     let mut publication = publication();
     publication.handle_connected(false);
