@@ -30,7 +30,15 @@
 
 /* The frame that is sent at the end of WAIT is a claim: its flags are a bit of the stage. */
 enum { STAGE_INIT, STAGE_LISTEN, STAGE_WAIT = DES_FRAME_ONCE, STAGE_CLAIM, STAGE_RUN };
-enum { REQUESTER_FREE, REQUESTER_READY, REQUESTER_SENDING, REQUESTER_FLOW, REQUESTER_DONE };
+/* SENDING and LAST: a frame of the response, or its last one, is in the transmit buffer. */
+enum {
+    REQUESTER_FREE,
+    REQUESTER_READY,
+    REQUESTER_FLOW,
+    REQUESTER_DONE,
+    REQUESTER_SENDING,
+    REQUESTER_LAST
+};
 
 /* des_node.wish: ARSLV, because another node uses the address. */
 #define WISH_MOVE (0x100u | DES_MODE_ARSLV)
@@ -52,9 +60,6 @@ enum { REQUESTER_FREE, REQUESTER_READY, REQUESTER_SENDING, REQUESTER_FLOW, REQUE
 #define ASK_TEXT 0x000Fu
 #define ASK_COMMAND 0x0010u
 #define ASK_FIELD 0x0020u /* The first field; the others follow. */
-
-/* Bit of des_requester.service; DES_ID_ERR of the response, 9 bits higher. */
-#define COMMAND_DONE 0x8000u
 
 /* Bytes of the shortest frame with a request. */
 #if DES_WITH_RAW
@@ -137,14 +142,15 @@ static void set_bus(des_node *node, uint32_t silent)
     }
 }
 
-static bool is_in_use(const des_node *node, uint32_t address)
+/* Addresses in use, one bit each; `id` is any identifier with the address as its SRC. */
+static bool is_in_use(const des_node *node, uint32_t id)
 {
-    return ((node->in_use[address >> 5] >> (address & 31u)) & 1u) != 0u;
+    return ((node->in_use[(id >> 22) & 3u] >> ((id >> 17) & 31u)) & 1u) != 0u;
 }
 
-static void note_address(des_node *node, uint32_t address)
+static void note_source(des_node *node, uint32_t id)
 {
-    node->in_use[address >> 5] |= UINT32_C(1) << (address & 31u);
+    node->in_use[(id >> 22) & 3u] |= UINT32_C(1) << ((id >> 17) & 31u);
 }
 
 /* Begins to listen for 1.5 * BUS_CFG_HR_TIME: in INIT for any frame, in ARSLV for addresses in
@@ -167,7 +173,7 @@ static void listen(des_node *node, bool is_init, uint32_t now)
         node->in_use[at] = 0u;
     }
     if (node->wish > 0xFFu) {
-        note_address(node, des_id_source(node->own));
+        note_source(node, node->own);
     }
     for (at = 0u; at < DES_REQUESTERS; at++) {
         node->requesters[at].state = REQUESTER_FREE;
@@ -203,12 +209,12 @@ static void change_mode(des_node *node, uint32_t now)
 static bool choose(des_node *node, uint32_t now)
 {
     uint32_t setting = node->settings.address;
-    uint32_t choice = setting & 0x7Fu;
+    uint32_t choice = (setting & 0x7Fu) << 17; /* At the place of SRC. */
     uint32_t tries;
 
     for (tries = 0u; tries < 128u; tries++) {
         if ((choice != 0u) && !is_in_use(node, choice)) {
-            node->own = DES_ID_U | (choice << 17);
+            node->own = DES_ID_U | choice;
             node->stage = STAGE_WAIT;
             node->until = now + (((des_random(node) >> 16) * (HR_TIME >> 10)) >> 6);
             return true;
@@ -216,9 +222,22 @@ static bool choose(des_node *node, uint32_t now)
         if ((setting - 1u) < 0x7Fu) {
             break; /* A fixed address. */
         }
-        choice = des_random(node) >> 25;
+        choice = (des_random(node) >> 25) << 17;
     }
     return false;
+}
+
+/* ---- Transmission ------------------------------------------------------------------ */
+
+/* Puts a frame into a transmit buffer; returns false if that is not possible now. */
+static bool transmit(des_node *node, uint8_t slot, des_frame *frame)
+{
+    frame->id |= node->own | DES_ID_R;
+    if (!node->port->send(node->user, slot, frame)) {
+        return false;
+    }
+    node->busy |= UINT32_C(1) << slot;
+    return true;
 }
 
 /* ---- Heartbeat ------------------------------------------------------------------ */
@@ -254,11 +273,7 @@ static bool send_heartbeat(des_node *node)
     frame.length = HEARTBEAT_LENGTH;
     frame.flags = (uint8_t)(node->stage & DES_FRAME_ONCE);
     frame.id = des_unsolicited_id(node, DES_SRV_HEARTBEAT);
-    if (!node->port->send(node->user, DES_SLOT_HEARTBEAT, &frame)) {
-        return false;
-    }
-    node->busy |= BUSY_HEARTBEAT;
-    return true;
+    return transmit(node, DES_SLOT_HEARTBEAT, &frame);
 }
 
 /* Remembers the heartbeat of a working node with this node's UID, which then must not work. */
@@ -284,142 +299,88 @@ static void check_uid(des_node *node, const des_frame *frame)
 
 /* ---- Requests -------------------------------------------------------------------- */
 
-/* Takes a request: adds it to those of its requester. Returns the requester's entry; NULL if
- * the request is dropped. */
-static des_requester *ask(des_node *node, const des_frame *frame, uint32_t request, uint32_t now)
+/* Returns the entry of a requester, else a free one; NULL if others have all. */
+static des_requester *find_requester(des_node *node, uint32_t peer)
 {
-    uint32_t peer = des_id_source(frame->id);
-    des_requester *requester = (des_requester *)0;
+    des_requester *found = (des_requester *)0;
     uint32_t at;
 
-    for (at = 0u; at < DES_REQUESTERS; at++) {
-        des_requester *entry = &node->requesters[at];
+    for (at = DES_REQUESTERS; at > 0u; at--) {
+        des_requester *entry = &node->requesters[at - 1u];
 
         if (entry->state == (uint32_t)REQUESTER_FREE) {
-            if (requester == (des_requester *)0) {
-                requester = entry;
-            }
+            found = entry;
         } else if (entry->peer == peer) {
-            requester = entry;
-            break;
+            return entry;
         } else {
             /* Another requester. */
         }
     }
-    if (requester == (des_requester *)0) {
-        node->dropped++;
-        return requester;
-    }
-    if (requester->state == (uint32_t)REQUESTER_FREE) {
-        requester->pending = 0u;
-        requester->current = request;
-    }
-#if DES_WITH_WRITES || DES_WITH_COMMANDS
-    if (((requester->pending & request) == ASK_COMMAND)
-        && ((requester->current != request) || (requester->state == (uint32_t)REQUESTER_SENDING))) {
-        node->dropped++; /* There is room for one command. */
-        return (des_requester *)0;
-    }
-#endif
-    if (requester->current == request) {
-        /* A requester that asks again gave up the transfer that is under way: begin again. */
-        requester->current = 0u;
-        if (requester->state != (uint32_t)REQUESTER_SENDING) {
-            requester->state = REQUESTER_READY;
-            requester->at = now;
-        }
-#if DES_WITH_FD
-        requester->flags = frame->flags;
-#endif
-        requester->peer = (uint8_t)peer;
-    }
-    requester->pending |= (uint16_t)request;
-    return requester;
+    return found;
 }
 
 /* Takes flow control. */
-static void flow(des_node *node, const des_frame *frame, uint32_t now)
+static void flow(des_requester *requester, const uint8_t *data, uint32_t now)
 {
-    const uint8_t *data = frame->data;
-    uint32_t peer = des_id_source(frame->id);
-    uint32_t at;
+    uint32_t status = data[0] & 0x0Fu;
 
-    for (at = 0u; at < DES_REQUESTERS; at++) {
-        des_requester *requester = &node->requesters[at];
-
-        if ((requester->state == (uint32_t)REQUESTER_FLOW) && (requester->peer == peer)) {
-            if (data[0] == 0x30u) {
-                requester->block = data[1];
-                requester->st_min = data[2];
-                if (data[2] > 0x7Fu) {
-                    /* 100 to 900 microseconds: 1 ms; a reserved code: 127 ms. */
-                    requester->st_min = ((uint8_t)(data[2] - 0xF1u) <= 8u) ? 1u : 0x7Fu;
-                }
-                requester->state = REQUESTER_READY;
-                requester->at = now;
-            } else if ((data[0] == 0x31u) && (requester->waits < N_WFT_MAX)) {
-                requester->waits++;
-                requester->at = now + N_BS;
-            } else if (data[0] <= 0x32u) {
-                requester->state = REQUESTER_DONE;
-            } else {
-                /* Reserved: ignored. */
+    if ((status == 1u) && (requester->block < N_WFT_MAX)) {
+        requester->block++;
+        requester->at = now + N_BS;
+    } else if (status <= 2u) {
+        requester->at = now;
+        requester->state = REQUESTER_DONE; /* Overflow, or too many with WAIT. */
+        if (status == 0u) {
+            requester->state = REQUESTER_READY;
+            requester->block = data[1];
+            requester->st_min = data[2];
+            if (data[2] > 0x7Fu) {
+                /* 100 to 900 microseconds: 1 ms; a reserved code: 127 ms. */
+                requester->st_min = ((data[2] - 0xF1u) <= 8u) ? 1u : 0x7Fu;
             }
         }
+    } else {
+        /* Reserved: ignored. */
     }
 }
 
-/* Takes a frame on the number of DES; is_served: the node's mode is addressed. */
-static void receive_des(des_node *node, const des_frame *frame, bool is_served, uint32_t now)
+/* Returns what a frame on the number of DES requests; 0: it is no request. */
+static uint32_t des_request(const des_frame *frame)
 {
     const uint8_t *data = frame->data;
-    uint32_t length = frame->length;
-    uint32_t request;
-    des_requester *requester;
+    uint32_t request = ASK_NAME;
+    uint32_t at = 1u; /* Of the request in the frame. */
 
-    if ((length >= 3u) && ((data[0] >> 4) == 3u)) {
-        flow(node, frame, now);
-        return;
+    if (frame->length < MIN_REQUEST) {
+        return 0u;
     }
-    if (!is_served || (length < MIN_REQUEST)) {
-        return;
-    }
-    request = ASK_NAME;
 #if DES_WITH_RAW
     if (data[0] == 0x44u) {
         request = ASK_NAME_RAW;
-        data--;
-        length++;
+        at = 0u;
     } else
 #endif
 #if DES_WITH_FD
         if (((frame->flags & DES_FRAME_FD) != 0u) && (data[0] == 0u) && (data[1] == 4u)) {
-        data++;
-        length--;
+        at = 2u;
     } else
 #endif
         if (data[0] != 4u) {
-        return;
+        return 0u;
     } else {
         /* A single frame. */
     }
-    if (((MIN_REQUEST < 5u) && (length < 5u)) || (data[1] != 0x44u) || (data[2] != 0x45u) || (data[3] != 0x53u)) {
-        return;
+    if ((frame->length < (at + 4u)) || (data[at] != 0x44u) || (data[at + 1u] != 0x45u)
+        || (data[at + 2u] != 0x53u)) {
+        return 0u;
     }
-    if (data[4] == TYPE_SERVICES) {
-        request <<= 2;
-    } else if (data[4] != TYPE_NAME) {
-        if ((frame->id & DES_ID_B) == 0u) {
-            requester = ask(node, frame, ASK_COMMAND, now);
-            if (requester != (des_requester *)0) {
-                requester->service = DES_SRV_DES; /* ERR = 0 */
-            }
-        }
-        return;
-    } else {
-        /* A name request. */
+    if (data[at + 3u] == TYPE_NAME) {
+        return request;
     }
-    (void)ask(node, frame, request, now);
+    if (data[at + 3u] == TYPE_SERVICES) {
+        return request << 2;
+    }
+    return ((frame->id & DES_ID_B) == 0u) ? ASK_COMMAND : 0u; /* To be refused. */
 }
 
 #if DES_WITH_DESCRIPTOR
@@ -507,7 +468,7 @@ static bool take_command(des_node *node, uint32_t service, const uint8_t *data, 
 #if DES_WITH_COMMANDS
     if (service == DES_SRV_MODE) {
         is_done = (length == 1u) && is_mode(data[0])
-            && (!is_working_mode(data[0]) || is_working_mode(permitted(node, data[0])));
+            && (is_working_mode(data[0]) == is_working_mode(permitted(node, data[0])));
     } else {
         is_done = is_done || (service == DES_SRV_IDENTIFY)
             || ((service == DES_SRV_REBOOT) && (length == 0u));
@@ -520,68 +481,96 @@ static bool take_command(des_node *node, uint32_t service, const uint8_t *data, 
     return is_done;
 }
 
-/* Takes a targeted request for the descriptor, a write or a command; returns false if its
- * service is none of them. */
-static bool serve(des_node *node, const des_frame *frame, uint32_t now)
+/* Returns what a targeted request of another service than DES requests; 0: nothing of the kit. */
+static uint32_t service_request(uint32_t service, uint32_t length)
 {
-    uint32_t service = des_id_service(frame->id);
-    uint32_t length = frame->length;
-    bool is_known = false;
-    des_requester *requester;
+    uint32_t request = 0u;
 #if DES_WITH_DESCRIPTOR
     uint32_t at;
 
     for (at = 0u; at < FIELD_COUNT; at++) {
         if (FIELDS[at].service == service) {
             if (length == 0u) {
-                (void)ask(node, frame, (uint32_t)ASK_FIELD << at, now);
-                return true;
+                return (uint32_t)ASK_FIELD << at;
             }
-            is_known = true;
+            request = ASK_COMMAND;
         }
     }
 #endif
 #if DES_WITH_WRITES
-    is_known = is_known || is_write(service);
-#endif
-#if DES_WITH_COMMANDS
-    is_known = is_known || is_command(service);
-#endif
-    if (!is_known) {
-        return false;
+    if (is_write(service)) {
+        request = ASK_COMMAND;
     }
-    requester = ask(node, frame, ASK_COMMAND, now);
-    if (requester != (des_requester *)0) {
-        requester->service = (uint16_t)service;
-        if (take_command(node, service, frame->data, length)) {
-            requester->service |= COMMAND_DONE;
-#if DES_WITH_COMMANDS
-            requester->value = (length == 0u) ? 0u : frame->data[0];
 #endif
+#if DES_WITH_COMMANDS
+    if (is_command(service)) {
+        request = ASK_COMMAND;
+    }
+#endif
+    (void)service;
+    (void)length;
+    return request;
+}
+
+/* Takes a request: adds it to those of its requester. */
+static void ask(des_node *node, des_requester *requester, const des_frame *frame, uint32_t request,
+                uint32_t now)
+{
+    if (requester == (des_requester *)0) {
+        node->dropped++;
+        return;
+    }
+    if (requester->state == (uint32_t)REQUESTER_FREE) {
+        requester->pending = 0u;
+        requester->current = request;
+    }
+#if DES_WITH_WRITES || DES_WITH_COMMANDS
+    if (((requester->pending & request) == ASK_COMMAND)
+        && ((requester->current != request) || (requester->state >= (uint32_t)REQUESTER_SENDING))) {
+        node->dropped++; /* There is room for one command. */
+        return;
+    }
+#endif
+    if (requester->current == request) {
+        /* A requester that asks again gave up the transfer that is under way: begin again. */
+        requester->current = 0u;
+        if (requester->state < (uint32_t)REQUESTER_SENDING) {
+            requester->state = REQUESTER_READY;
+            requester->at = now;
+        }
+#if DES_WITH_FD
+        requester->flags = frame->flags;
+#endif
+        requester->peer = des_id_source(frame->id);
+    }
+    requester->pending |= request;
+    if (request == ASK_COMMAND) {
+        requester->command = des_id_service(frame->id);
+        requester->value = (frame->length == 0u) ? 0u : frame->data[0];
+        if (take_command(node, requester->command, frame->data, frame->length)) {
+            requester->command |= DES_ID_ERR;
         }
     }
-    return true;
 }
 
 /* Does what a command demands, after its response was sent. */
 static void act(des_node *node, const des_requester *requester)
 {
 #if DES_WITH_COMMANDS || (DES_WITH_WRITES && !DES_WRITES_AT_RESTART)
-    uint32_t service = requester->service & 0x3FFu;
+    uint32_t service = requester->command ^ DES_ID_ERR; /* None of them if it was refused. */
 
-    if ((requester->service & COMMAND_DONE) == 0u) {
-        return;
-    }
 #if DES_WITH_COMMANDS
     if (service == DES_SRV_MODE) {
         node->wish = requester->value;
     }
-    if (service == DES_SRV_IDENTIFY) {
-        node->port->event(node->user, DES_EVENT_IDENTIFY, 0u);
-    }
-    if (service == DES_SRV_REBOOT) {
-        node->port->event(node->user, DES_EVENT_REBOOT, 0u);
-        node->wish = DES_MODE_INIT;
+    if ((service == DES_SRV_IDENTIFY) || (service == DES_SRV_REBOOT)) {
+        des_event event = DES_EVENT_IDENTIFY;
+
+        if (service == DES_SRV_REBOOT) {
+            event = DES_EVENT_REBOOT;
+            node->wish = DES_MODE_INIT;
+        }
+        node->port->event(node->user, event, 0u);
     }
 #endif
 #if DES_WITH_WRITES && !DES_WRITES_AT_RESTART
@@ -602,20 +591,19 @@ static void act(des_node *node, const des_requester *requester)
 /* What the next frame of a response carries. */
 typedef struct {
     const uint8_t *bytes;
-    uint32_t count;
+    uint32_t left; /* Bytes of the response from there on. */
     uint32_t head; /* Bytes of ISO-TP before them. */
     uint32_t id;   /* ERR and SRV of the identifier. */
 } part;
 
-/* Takes the next part of a name or services response, and writes the head of its frame. */
-static void take_text(const des_node *node, des_requester *requester, uint8_t *data, part *next)
+/* Returns what the next frame of a name or services response carries, up to `capacity` bytes, and
+ * writes the head of the frame. */
+static void take_text(const des_node *node, const des_requester *requester, uint32_t capacity,
+                      uint8_t *data, part *next)
 {
     const des_text *text = &node->device->services;
     uint32_t total = text->size;
     uint32_t sent = requester->sent;
-    uint32_t capacity = MAX_CLASSIC_DATA;
-    uint32_t head = 1u;
-    uint32_t left;
 
     if ((requester->current & (ASK_NAME | ASK_NAME_RAW)) != 0u) {
         text = &node->device->name;
@@ -625,46 +613,55 @@ static void take_text(const des_node *node, des_requester *requester, uint8_t *d
     } else {
         /* Services. */
     }
-#if DES_WITH_FD
-    if ((requester->flags & DES_FRAME_FD) != 0u) {
-        capacity = MAX_DATA;
-    }
-#endif
-    data[0] = (uint8_t)(0x20u | (requester->sequence & 0x0Fu));
+    next->bytes = (const uint8_t *)&text->bytes[sent];
+    next->left = total - sent;
 #if DES_WITH_RAW
     if ((requester->current & (ASK_NAME_RAW | ASK_SERVICES_RAW)) != 0u) {
-        head = 0u;
         if (total > capacity) {
+            next->left = 0u;
             next->id = DES_SRV_DES; /* ERR = 0: it does not fit. */
-            return;
         }
-    } else
+        return;
+    }
 #endif
-        if (sent == 0u) {
+    next->head = 1u;
+    if (sent != 0u) {
+        data[0] = (uint8_t)(0x20u | (requester->sequence & 0x0Fu));
+    } else if (total <= MAX_SINGLE) {
         data[0] = (uint8_t)total;
-        if (total > MAX_SINGLE) {
-            data[1] = (uint8_t)total;
-            head = 2u;
-            data[0] = (uint8_t)(0x10u | (total >> 8));
-#if DES_WITH_FD
-            if ((capacity == MAX_DATA) && (total <= MAX_FD_SINGLE)) {
-                data[0] = 0u;
-            }
-#endif
-        }
     } else {
-        /* A consecutive frame. */
+        next->head = 2u;
+        data[0] = (uint8_t)(0x10u | (total >> 8));
+        data[1] = (uint8_t)total;
+#if DES_WITH_FD
+        if ((capacity == MAX_DATA) && (total <= MAX_FD_SINGLE)) {
+            data[0] = 0u;
+        }
+#endif
     }
-    left = total - sent;
-    next->head = head;
-    next->bytes = (const uint8_t *)&text->bytes[sent];
-    next->count = capacity - head;
-    if (left < next->count) {
-        next->count = left;
-    }
-    requester->sent = (uint16_t)(sent + next->count);
-    requester->left = (uint16_t)(left - next->count);
+    (void)capacity;
 }
+
+#if DES_WITH_DESCRIPTOR
+/* Returns what the response with a field of the descriptor carries. */
+static void take_field(const des_node *node, const des_requester *requester, part *next)
+{
+    const field_place *field;
+    uint32_t at = 0u;
+
+    while ((at < (FIELD_COUNT - 1u)) && (((uint32_t)ASK_FIELD << at) != requester->current)) {
+        at++;
+    }
+    field = &FIELDS[at];
+    next->bytes = node->device->info;
+    if (at >= FIRST_SETTING) {
+        next->bytes = (const uint8_t *)&node->settings;
+    }
+    next->bytes = &next->bytes[field->at];
+    next->left = field->length;
+    next->id = DES_ID_ERR | field->service;
+}
+#endif
 
 /* Sends the next frame to a requester, if the transmit buffer takes it. */
 static void respond(des_node *node, des_requester *requester)
@@ -672,69 +669,54 @@ static void respond(des_node *node, des_requester *requester)
     uint8_t data[MAX_DATA];
     des_frame frame;
     part next = {data, 0u, 0u, DES_ID_ERR | DES_SRV_DES};
+    uint32_t capacity = MAX_CLASSIC_DATA;
+    uint32_t count;
     uint32_t length;
-    uint16_t sent;
 
     if (requester->current == 0u) {
         requester->current = requester->pending & (0u - requester->pending);
         requester->sent = 0u;
-        requester->left = 0u;
         requester->sequence = 0u;
         requester->block = 1u; /* A first frame needs flow control. */
     }
-    sent = requester->sent;
-    if ((requester->current & ASK_TEXT) != 0u) {
-        take_text(node, requester, data, &next);
-    } else {
-        if (requester->current == ASK_COMMAND) {
-            next.id = requester->service; /* Refused. */
-#if DES_WITH_WRITES || DES_WITH_COMMANDS
-            next.id = (next.id & 0x3FFu) | ((next.id & COMMAND_DONE) << 9);
-#endif
-        }
-#if DES_WITH_DESCRIPTOR
-        else {
-            const field_place *field;
-            uint32_t at = 0u;
-
-            while ((at < (FIELD_COUNT - 1u)) && (((uint32_t)ASK_FIELD << at) != requester->current)) {
-                at++;
-            }
-            field = &FIELDS[at];
-            next.bytes = node->device->info;
-            if (at >= FIRST_SETTING) {
-                next.bytes = (const uint8_t *)&node->settings;
-            }
-            next.bytes = &next.bytes[field->at];
-            next.count = field->length;
-            next.id = DES_ID_ERR | field->service;
-        }
-#endif
-    }
-    copy(&data[next.head], next.bytes, next.count);
-    length = next.head + next.count;
     frame.flags = 0u;
 #if DES_WITH_FD
-    if ((requester->flags & DES_FRAME_FD) != 0u) {
-        frame.flags = DES_FRAME_FD;
-        /* The lengths of a DLC above 8: up to 24 in steps of 4, then 32, 48, 64. */
-        while ((length > MAX_CLASSIC_DATA)
-               && ((length & ((length <= 24u) ? 3u : ((length <= 32u) ? 7u : 15u))) != 0u)) {
-            data[length] = DES_FD_PADDING;
-            length++;
-        }
+    frame.flags = requester->flags & DES_FRAME_FD;
+    if (frame.flags != 0u) {
+        capacity = MAX_DATA;
+    }
+#endif
+    if ((requester->current & ASK_TEXT) != 0u) {
+        take_text(node, requester, capacity, data, &next);
+    } else if (requester->current == ASK_COMMAND) {
+        next.id = requester->command;
+    } else {
+#if DES_WITH_DESCRIPTOR
+        take_field(node, requester, &next);
+#endif
+    }
+    count = capacity - next.head;
+    if (count > next.left) {
+        count = next.left;
+    }
+    copy(&data[next.head], next.bytes, count);
+    length = next.head + count;
+#if DES_WITH_FD
+    /* The lengths of a DLC above 8: up to 24 in steps of 4, then 32, 48, 64. */
+    while ((length > MAX_CLASSIC_DATA)
+           && ((length & ((length <= 24u) ? 3u : ((length <= 32u) ? 7u : 15u))) != 0u)) {
+        data[length] = DES_FD_PADDING;
+        length++;
     }
 #endif
     frame.length = (uint8_t)length;
     frame.data = data;
-    frame.id = node->own | DES_ID_R | next.id | ((uint32_t)requester->peer << 10);
-    if (node->port->send(node->user, DES_SLOT_RESPONSE, &frame)) {
-        node->busy |= BUSY_RESPONSE;
+    frame.id = next.id | ((uint32_t)requester->peer << 10);
+    if (transmit(node, DES_SLOT_RESPONSE, &frame)) {
         node->turn = requester;
-        requester->state = REQUESTER_SENDING;
+        requester->state = (count == next.left) ? REQUESTER_LAST : REQUESTER_SENDING;
+        requester->sent = (uint16_t)(requester->sent + count);
         requester->sequence++;
-    } else {
-        requester->sent = sent; /* Again at the next des_poll. */
     }
 }
 
@@ -742,26 +724,25 @@ static void respond(des_node *node, des_requester *requester)
 static void response_sent(des_node *node, bool is_sent, uint32_t now)
 {
     des_requester *requester = node->turn;
+    uint32_t wait = 0u;
 
-    if (!is_sent || (requester->left == 0u) || (requester->current == 0u)) {
+    if (!is_sent || (requester->state == (uint32_t)REQUESTER_LAST) || (requester->current == 0u)) {
+        requester->state = REQUESTER_DONE;
         if (is_sent && (requester->current == ASK_COMMAND)) {
             act(node, requester);
         }
-        requester->state = REQUESTER_DONE;
     } else {
-        uint32_t separation = requester->st_min * UINT32_C(1000);
-
         requester->state = REQUESTER_READY;
+        wait = requester->st_min * UINT32_C(1000);
         if (requester->block != 0u) {
             requester->block--;
             if (requester->block == 0u) {
                 requester->state = REQUESTER_FLOW;
-                requester->waits = 0u;
-                separation = N_BS;
+                wait = N_BS;
             }
         }
-        requester->at = now + separation;
     }
+    requester->at = now + wait;
 }
 
 /* Enters the configured mode, at the address that was claimed. */
@@ -827,19 +808,21 @@ void des_init(des_node *node, const des_port *port, const des_device *device, vo
 
 bool des_receive(des_node *node, const des_frame *frame, uint32_t now)
 {
-    uint32_t id = frame->id;
-    uint32_t service = des_id_service(id);
-    bool is_working;
+    uint32_t id;
+    uint32_t service;
+    uint32_t request = 0u;
+    bool is_served;
+    des_requester *requester;
 
     collect(node, now);
     if (node->stage == (uint32_t)STAGE_INIT) {
         node->wish = DES_MODE_ARSLV; /* A frame: the bit rate is right. */
     }
+    id = frame->id;
     if (!des_id_is_conforming(id)) {
         return false;
     }
     check_uid(node, frame);
-    is_working = des_is_working(node);
     /* Another user of its address moves a node, but not in IDLE (CAN platform 3.2.4.5), nor a
      * claim a working node (3.2.4.4). */
     if ((node->stage >= (uint32_t)STAGE_WAIT) && (((id ^ node->own) & ADDRESS_MASK) == 0u)
@@ -848,9 +831,9 @@ bool des_receive(des_node *node, const des_frame *frame, uint32_t now)
         return false;
     }
     if (node->stage != (uint32_t)STAGE_RUN) {
-        note_address(node, des_id_source(id));
+        note_source(node, id);
         if ((id & DES_ID_B) == 0u) {
-            note_address(node, des_id_destination(id));
+            note_source(node, id << 7); /* DST, at the place of SRC. */
         }
         return false;
     }
@@ -860,17 +843,32 @@ bool des_receive(des_node *node, const des_frame *frame, uint32_t now)
     if ((id & DES_ID_R) != 0u) {
         return true;
     }
-    /* Requests to nodes in its mode; in IDLE that to change the mode. */
-    is_working = (((id & DES_ID_D) == 0u) == is_working)
+    service = des_id_service(id);
+    requester = find_requester(node, des_id_source(id));
+    if ((service == DES_SRV_DES) && (frame->length >= 3u) && ((frame->data[0] >> 4) == 3u)) {
+        if ((requester != (des_requester *)0) && (requester->state == (uint32_t)REQUESTER_FLOW)) {
+            flow(requester, frame->data, now);
+        }
+        return false;
+    }
+    /* Requests to nodes in its mode, D is its U; in IDLE that to change the mode. */
+    is_served = ((((id << 1) ^ node->own) & DES_ID_U) == 0u)
         && ((node->mode != (uint32_t)DES_MODE_IDLE) || (service == DES_SRV_MODE));
+    if (!is_served) {
+        return false;
+    }
     if (service == DES_SRV_DES) {
-        receive_des(node, frame, is_working, now);
-        return false;
+        request = des_request(frame);
+    } else if ((id & DES_ID_B) == 0u) {
+        request = service_request(service, frame->length);
+    } else {
+        /* A broadcast to the application. */
     }
-    if (!is_working) {
-        return false;
+    if (request == 0u) {
+        return service != DES_SRV_DES;
     }
-    return ((id & DES_ID_B) != 0u) || !serve(node, frame, now);
+    ask(node, requester, frame, request, now);
+    return false;
 }
 
 /* Sends the responses that are due; returns true if there is nothing to answer. */
@@ -885,17 +883,18 @@ static bool poll_requesters(des_node *node, uint32_t now)
         if (requester == &node->requesters[DES_REQUESTERS]) {
             requester = node->requesters;
         }
-        if ((requester->state == (uint32_t)REQUESTER_DONE)
-            || ((requester->state == (uint32_t)REQUESTER_FLOW) && is_due(requester->at, now))) {
-            /* Answered, or given up (overflow, N_Bs): turn to its next request. */
-            requester->pending &= (uint16_t)~requester->current;
-            requester->current = 0u;
-            requester->at = now;
-            requester->state = (requester->pending == 0u) ? (uint32_t)REQUESTER_FREE : (uint32_t)REQUESTER_READY;
-        }
-        if ((requester->state == (uint32_t)REQUESTER_READY) && is_due(requester->at, now)
-            && ((node->busy & BUSY_RESPONSE) == 0u)) {
-            respond(node, requester);
+        if (is_due(requester->at, now)) {
+            if ((requester->state == (uint32_t)REQUESTER_DONE)
+                || (requester->state == (uint32_t)REQUESTER_FLOW)) {
+                /* Answered, or given up (overflow, N_Bs): turn to its next request. */
+                requester->pending &= ~requester->current;
+                requester->current = 0u;
+                requester->state = (requester->pending == 0u) ? REQUESTER_FREE : REQUESTER_READY;
+            }
+            if ((requester->state == (uint32_t)REQUESTER_READY)
+                && ((node->busy & BUSY_RESPONSE) == 0u)) {
+                respond(node, requester);
+            }
         }
         states |= requester->state;
     }
