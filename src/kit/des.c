@@ -61,6 +61,9 @@ enum {
 #define ASK_COMMAND 0x0010u
 #define ASK_FIELD 0x0020u /* The first field; the others follow. */
 
+/* In des_requester.command and part.id: ERR of the response is 0. */
+#define REFUSED DES_ID_ERR
+
 /* Bytes of the shortest frame with a request. */
 #if DES_WITH_RAW
 #define MIN_REQUEST 4u
@@ -80,10 +83,10 @@ static bool is_due(uint32_t at, uint32_t now)
 
 static void copy(uint8_t *to, const uint8_t *from, uint32_t count)
 {
-    uint32_t at;
-
-    for (at = 0u; at < count; at++) {
-        to[at] = from[at];
+    for (; count > 0u; count--) {
+        *to = *from;
+        to++;
+        from++;
     }
 }
 
@@ -92,8 +95,7 @@ static void copy(uint8_t *to, const uint8_t *from, uint32_t count)
 uint32_t des_random(des_node *node)
 {
     /* A linear congruential generator: its high bits are the random ones. */
-    node->random = ((node->random + node->port->entropy(node->user)) * UINT32_C(0x9E3779B1))
-        + UINT32_C(0x3C6EF35F);
+    node->random = (node->random + node->port->entropy(node->user) + 1u) * UINT32_C(0x9E3779B1);
     return node->random;
 }
 
@@ -185,7 +187,7 @@ static void listen(des_node *node, bool is_init, uint32_t now)
 /* Enters the mode that is wished, as far as it is permitted. */
 static void change_mode(des_node *node, uint32_t now)
 {
-    uint32_t mode = permitted(node, node->wish) & 0xFFu;
+    uint32_t mode = permitted(node, node->wish & 0xFFu);
 
     if ((mode == (uint32_t)DES_MODE_INIT) || (mode == (uint32_t)DES_MODE_ARSLV)) {
         listen(node, mode == (uint32_t)DES_MODE_INIT, now);
@@ -199,7 +201,10 @@ static void change_mode(des_node *node, uint32_t now)
             node->until = now; /* The others learn of it before it sleeps. */
         }
         node->mode = mode;
-        node->own = (node->own & ADDRESS_MASK) | (is_working_mode(mode) ? 0u : DES_ID_U);
+        node->own |= DES_ID_U;
+        if (is_working_mode(mode)) {
+            node->own ^= DES_ID_U;
+        }
         node->port->event(node->user, DES_EVENT_MODE, (uint8_t)mode);
     }
 }
@@ -232,7 +237,6 @@ static bool choose(des_node *node, uint32_t now)
 /* Puts a frame into a transmit buffer; returns false if that is not possible now. */
 static bool transmit(des_node *node, uint8_t slot, des_frame *frame)
 {
-    frame->id |= node->own | DES_ID_R;
     if (!node->port->send(node->user, slot, frame)) {
         return false;
     }
@@ -456,8 +460,10 @@ static bool is_command(uint32_t service)
 #endif
 
 /* Takes a write or a command; returns false if it is refused. */
-static bool take_command(des_node *node, uint32_t service, const uint8_t *data, uint32_t length)
+static bool take_command(des_node *node, des_requester *requester, const uint8_t *data,
+                         uint32_t length)
 {
+    uint32_t service = requester->command;
     bool is_done = false;
 
 #if DES_WITH_WRITES
@@ -467,8 +473,11 @@ static bool take_command(des_node *node, uint32_t service, const uint8_t *data, 
 #endif
 #if DES_WITH_COMMANDS
     if (service == DES_SRV_MODE) {
-        is_done = (length == 1u) && is_mode(data[0])
-            && (is_working_mode(data[0]) == is_working_mode(permitted(node, data[0])));
+        if (length == 1u) {
+            requester->value = data[0];
+            is_done = is_mode(data[0])
+                && (is_working_mode(data[0]) == is_working_mode(permitted(node, data[0])));
+        }
     } else {
         is_done = is_done || (service == DES_SRV_IDENTIFY)
             || ((service == DES_SRV_REBOOT) && (length == 0u));
@@ -546,9 +555,8 @@ static void ask(des_node *node, des_requester *requester, const des_frame *frame
     requester->pending |= request;
     if (request == ASK_COMMAND) {
         requester->command = des_id_service(frame->id);
-        requester->value = (frame->length == 0u) ? 0u : frame->data[0];
-        if (take_command(node, requester->command, frame->data, frame->length)) {
-            requester->command |= DES_ID_ERR;
+        if (!take_command(node, requester, frame->data, frame->length)) {
+            requester->command |= REFUSED;
         }
     }
 }
@@ -557,7 +565,7 @@ static void ask(des_node *node, des_requester *requester, const des_frame *frame
 static void act(des_node *node, const des_requester *requester)
 {
 #if DES_WITH_COMMANDS || (DES_WITH_WRITES && !DES_WRITES_AT_RESTART)
-    uint32_t service = requester->command ^ DES_ID_ERR; /* None of them if it was refused. */
+    uint32_t service = requester->command; /* With REFUSED it is none of these. */
 
 #if DES_WITH_COMMANDS
     if (service == DES_SRV_MODE) {
@@ -593,7 +601,7 @@ typedef struct {
     const uint8_t *bytes;
     uint32_t left; /* Bytes of the response from there on. */
     uint32_t head; /* Bytes of ISO-TP before them. */
-    uint32_t id;   /* ERR and SRV of the identifier. */
+    uint32_t id;   /* SRV of the identifier, and REFUSED. */
 } part;
 
 /* Returns what the next frame of a name or services response carries, up to `capacity` bytes, and
@@ -602,16 +610,16 @@ static void take_text(const des_node *node, const des_requester *requester, uint
                       uint8_t *data, part *next)
 {
     const des_text *text = &node->device->services;
-    uint32_t total = text->size;
     uint32_t sent = requester->sent;
+    uint32_t total;
 
     if ((requester->current & (ASK_NAME | ASK_NAME_RAW)) != 0u) {
         text = &node->device->name;
-        total = text->size;
-    } else if ((sent == 0u) && (node->mode == (uint32_t)DES_MODE_BOOT)) {
+    }
+    total = text->size;
+    if ((text == &node->device->services) && (sent == 0u)
+        && (node->mode == (uint32_t)DES_MODE_BOOT)) {
         total = 1u; /* Without firmware it has no services. */
-    } else {
-        /* Services. */
     }
     next->bytes = (const uint8_t *)&text->bytes[sent];
     next->left = total - sent;
@@ -619,7 +627,7 @@ static void take_text(const des_node *node, const des_requester *requester, uint
     if ((requester->current & (ASK_NAME_RAW | ASK_SERVICES_RAW)) != 0u) {
         if (total > capacity) {
             next->left = 0u;
-            next->id = DES_SRV_DES; /* ERR = 0: it does not fit. */
+            next->id = DES_SRV_DES | REFUSED; /* It does not fit. */
         }
         return;
     }
@@ -646,20 +654,19 @@ static void take_text(const des_node *node, const des_requester *requester, uint
 /* Returns what the response with a field of the descriptor carries. */
 static void take_field(const des_node *node, const des_requester *requester, part *next)
 {
-    const field_place *field;
-    uint32_t at = 0u;
+    const field_place *field = FIELDS;
+    uint32_t bit;
 
-    while ((at < (FIELD_COUNT - 1u)) && (((uint32_t)ASK_FIELD << at) != requester->current)) {
-        at++;
+    for (bit = requester->current; bit > ASK_FIELD; bit >>= 1) {
+        field++;
     }
-    field = &FIELDS[at];
     next->bytes = node->device->info;
-    if (at >= FIRST_SETTING) {
+    if (requester->current >= (ASK_FIELD << FIRST_SETTING)) {
         next->bytes = (const uint8_t *)&node->settings;
     }
     next->bytes = &next->bytes[field->at];
     next->left = field->length;
-    next->id = DES_ID_ERR | field->service;
+    next->id = field->service;
 }
 #endif
 
@@ -668,7 +675,7 @@ static void respond(des_node *node, des_requester *requester)
 {
     uint8_t data[MAX_DATA];
     des_frame frame;
-    part next = {data, 0u, 0u, DES_ID_ERR | DES_SRV_DES};
+    part next = {data, 0u, 0u, DES_SRV_DES};
     uint32_t capacity = MAX_CLASSIC_DATA;
     uint32_t count;
     uint32_t length;
@@ -711,7 +718,7 @@ static void respond(des_node *node, des_requester *requester)
 #endif
     frame.length = (uint8_t)length;
     frame.data = data;
-    frame.id = next.id | ((uint32_t)requester->peer << 10);
+    frame.id = (node->own | DES_ID_R | DES_ID_ERR | ((uint32_t)requester->peer << 10)) ^ next.id;
     if (transmit(node, DES_SLOT_RESPONSE, &frame)) {
         node->turn = requester;
         requester->state = (count == next.left) ? REQUESTER_LAST : REQUESTER_SENDING;
@@ -724,7 +731,7 @@ static void respond(des_node *node, des_requester *requester)
 static void response_sent(des_node *node, bool is_sent, uint32_t now)
 {
     des_requester *requester = node->turn;
-    uint32_t wait = 0u;
+    uint32_t wait = 0u; /* Milliseconds. */
 
     if (!is_sent || (requester->state == (uint32_t)REQUESTER_LAST) || (requester->current == 0u)) {
         requester->state = REQUESTER_DONE;
@@ -733,16 +740,16 @@ static void response_sent(des_node *node, bool is_sent, uint32_t now)
         }
     } else {
         requester->state = REQUESTER_READY;
-        wait = requester->st_min * UINT32_C(1000);
+        wait = requester->st_min;
         if (requester->block != 0u) {
             requester->block--;
             if (requester->block == 0u) {
                 requester->state = REQUESTER_FLOW;
-                wait = N_BS;
+                wait = N_BS / 1000u;
             }
         }
     }
-    requester->at = now + wait;
+    requester->at = now + (wait * 1000u);
 }
 
 /* Enters the configured mode, at the address that was claimed. */
