@@ -46,7 +46,6 @@ enum {
 /* des_node.busy: one bit for each transmit buffer; and that the controller is silent. */
 #define BUSY_HEARTBEAT (1u << DES_SLOT_HEARTBEAT)
 #define BUSY_RESPONSE (1u << DES_SLOT_RESPONSE)
-#define BUSY_ANY (BUSY_HEARTBEAT | BUSY_RESPONSE)
 #define IS_SILENT 0x80u
 
 /* SRC of an identifier. */
@@ -70,6 +69,9 @@ enum {
 #else
 #define MIN_REQUEST 5u
 #endif
+
+/* "DES", with which a request begins. */
+#define DES_LETTERS UINT32_C(0x444553)
 
 /* Type bytes of requests and responses. */
 #define TYPE_NAME 0x01u
@@ -95,7 +97,9 @@ static void copy(uint8_t *to, const uint8_t *from, uint32_t count)
 uint32_t des_random(des_node *node)
 {
     /* A linear congruential generator: its high bits are the random ones. */
-    node->random = (node->random + node->port->entropy(node->user) + 1u) * UINT32_C(0x9E3779B1);
+    uint32_t bits = node->port->entropy(node->user);
+
+    node->random = (node->random + bits + 1u) * UINT32_C(0x9E3779B1);
     return node->random;
 }
 
@@ -157,19 +161,19 @@ static void note_source(des_node *node, uint32_t id)
 
 /* Begins to listen for 1.5 * BUS_CFG_HR_TIME: in INIT for any frame, in ARSLV for addresses in
  * use. */
-static void listen(des_node *node, bool is_init, uint32_t now)
+static void listen(des_node *node, uint32_t mode, uint32_t now)
 {
     uint32_t rate = node->settings.bitrate;
     uint32_t at;
 
-    if (is_init) {
+    if (mode == (uint32_t)DES_MODE_INIT) {
         if (node->stage == (uint32_t)STAGE_INIT) {
             rate = node->rate + (rate >> 7); /* Bus errors: another one, unless it is fixed. */
         }
         node->rate = (uint8_t)(rate & 3u);
         node->busy = 0u; /* The controller is configured anew in any case. */
     }
-    node->stage = is_init ? STAGE_INIT : STAGE_LISTEN;
+    node->stage = (mode == (uint32_t)DES_MODE_INIT) ? STAGE_INIT : STAGE_LISTEN;
     node->until = now + LISTEN_TIME;
     for (at = 0u; at < 4u; at++) {
         node->in_use[at] = 0u;
@@ -190,20 +194,17 @@ static void change_mode(des_node *node, uint32_t now)
     uint32_t mode = permitted(node, node->wish & 0xFFu);
 
     if ((mode == (uint32_t)DES_MODE_INIT) || (mode == (uint32_t)DES_MODE_ARSLV)) {
-        listen(node, mode == (uint32_t)DES_MODE_INIT, now);
+        listen(node, mode, now);
     } else if (node->stage == (uint32_t)STAGE_RUN) {
         node->wish = mode;
     } else {
         return;
     }
     if (node->mode != mode) {
+        node->mode = mode;
+        node->own = (node->own & ADDRESS_MASK) | (is_working_mode(mode) ? 0u : DES_ID_U);
         if (mode == (uint32_t)DES_MODE_IDLE) {
             node->until = now; /* The others learn of it before it sleeps. */
-        }
-        node->mode = mode;
-        node->own |= DES_ID_U;
-        if (is_working_mode(mode)) {
-            node->own ^= DES_ID_U;
         }
         node->port->event(node->user, DES_EVENT_MODE, (uint8_t)mode);
     }
@@ -286,7 +287,7 @@ static void check_uid(des_node *node, const des_frame *frame)
 #if DES_HEARTBEAT_UID_AT >= 0
     uint32_t at;
 
-    if (((frame->id & (DES_ID_U | DES_ID_R | 0x3FFu)) == (DES_ID_R | DES_SRV_HEARTBEAT))
+    if (((des_id_service(frame->id) == DES_SRV_HEARTBEAT) && (((frame->id & (DES_ID_U | DES_ID_R)) >> 24) == (DES_ID_R >> 24)))
         && (frame->length >= (DES_HEARTBEAT_UID_AT + 6u))) {
         for (at = 0u; at < 6u; at++) {
             if (frame->data[DES_HEARTBEAT_UID_AT + at] != node->settings.uid[at]) {
@@ -327,6 +328,7 @@ static des_requester *find_requester(des_node *node, uint32_t peer)
 static void flow(des_requester *requester, const uint8_t *data, uint32_t now)
 {
     uint32_t status = data[0] & 0x0Fu;
+    uint32_t st_min = data[2];
 
     if ((status == 1u) && (requester->block < N_WFT_MAX)) {
         requester->block++;
@@ -337,11 +339,11 @@ static void flow(des_requester *requester, const uint8_t *data, uint32_t now)
         if (status == 0u) {
             requester->state = REQUESTER_READY;
             requester->block = data[1];
-            requester->st_min = data[2];
-            if (data[2] > 0x7Fu) {
+            if (st_min > 0x7Fu) {
                 /* 100 to 900 microseconds: 1 ms; a reserved code: 127 ms. */
-                requester->st_min = ((data[2] - 0xF1u) <= 8u) ? 1u : 0x7Fu;
+                st_min = ((st_min - 0xF1u) <= 8u) ? 1u : 0x7Fu;
             }
+            requester->st_min = (uint8_t)st_min;
         }
     } else {
         /* Reserved: ignored. */
@@ -374,14 +376,17 @@ static uint32_t des_request(const des_frame *frame)
     } else {
         /* A single frame. */
     }
-    if ((frame->length < (at + 4u)) || (data[at] != 0x44u) || (data[at + 1u] != 0x45u)
-        || (data[at + 2u] != 0x53u)) {
+    if ((frame->length < (at + 4u))) {
         return 0u;
     }
-    if (data[at + 3u] == TYPE_NAME) {
+    data = &data[at];
+    if ((((uint32_t)data[0] << 16) | ((uint32_t)data[1] << 8) | data[2]) != DES_LETTERS) {
+        return 0u;
+    }
+    if (data[3] == TYPE_NAME) {
         return request;
     }
-    if (data[at + 3u] == TYPE_SERVICES) {
+    if (data[3] == TYPE_SERVICES) {
         return request << 2;
     }
     return ((frame->id & DES_ID_B) == 0u) ? ASK_COMMAND : 0u; /* To be refused. */
@@ -762,32 +767,38 @@ static void run(des_node *node, uint32_t now)
     }
 }
 
+/* Handles the end of the transmission of a heartbeat or claim. */
+static void heartbeat_sent(des_node *node, bool is_sent, uint32_t now)
+{
+    if (node->stage != (uint32_t)STAGE_CLAIM) {
+        /* A heartbeat. */
+    } else if (is_sent) {
+        run(node, now);
+    } else {
+        /* Chooses again. The controller stays active: two nodes on an empty bus need each
+         * other's acknowledgement. */
+        node->stage = STAGE_LISTEN;
+        node->until = now;
+    }
+}
+
 /* Learns what became of the frames in the transmit buffers. */
 static void collect(des_node *node, uint32_t now)
 {
-    uint8_t slot;
+    des_tx result;
 
-    for (slot = 0u; slot < 2u; slot++) {
-        des_tx result = DES_TX_PENDING;
-
-        if ((node->busy & (UINT32_C(1) << slot)) != 0u) {
-            result = node->port->sent(node->user, slot);
+    if ((node->busy & BUSY_HEARTBEAT) != 0u) {
+        result = node->port->sent(node->user, DES_SLOT_HEARTBEAT);
+        if (result != DES_TX_PENDING) {
+            node->busy ^= BUSY_HEARTBEAT;
+            heartbeat_sent(node, result == DES_TX_SENT, now);
         }
-        if (result == DES_TX_PENDING) {
-            continue;
-        }
-        node->busy ^= UINT32_C(1) << slot;
-        if (slot == DES_SLOT_RESPONSE) {
+    }
+    if ((node->busy & BUSY_RESPONSE) != 0u) {
+        result = node->port->sent(node->user, DES_SLOT_RESPONSE);
+        if (result != DES_TX_PENDING) {
+            node->busy ^= BUSY_RESPONSE;
             response_sent(node, result == DES_TX_SENT, now);
-        } else if (node->stage != (uint32_t)STAGE_CLAIM) {
-            /* A heartbeat. */
-        } else if (result == DES_TX_SENT) {
-            run(node, now);
-        } else {
-            /* Chooses again. The controller stays active: two nodes on an empty bus need each
-             * other's acknowledgement. */
-            node->stage = STAGE_LISTEN;
-            node->until = now;
         }
     }
 }
@@ -816,6 +827,7 @@ void des_init(des_node *node, const des_port *port, const des_device *device, vo
 bool des_receive(des_node *node, const des_frame *frame, uint32_t now)
 {
     uint32_t id;
+    uint32_t differing;
     uint32_t service;
     uint32_t request = 0u;
     bool is_served;
@@ -830,10 +842,11 @@ bool des_receive(des_node *node, const des_frame *frame, uint32_t now)
         return false;
     }
     check_uid(node, frame);
+    differing = id ^ node->own;
     /* Another user of its address moves a node, but not in IDLE (CAN platform 3.2.4.5), nor a
      * claim a working node (3.2.4.4). */
-    if ((node->stage >= (uint32_t)STAGE_WAIT) && (((id ^ node->own) & ADDRESS_MASK) == 0u)
-        && (node->mode != (uint32_t)DES_MODE_IDLE) && ((id & ~node->own & DES_ID_U) == 0u)) {
+    if ((node->stage >= (uint32_t)STAGE_WAIT) && ((differing & ADDRESS_MASK) == 0u)
+        && (node->mode != (uint32_t)DES_MODE_IDLE) && ((id & differing & DES_ID_U) == 0u)) {
         node->wish = WISH_MOVE;
         return false;
     }
@@ -866,13 +879,16 @@ bool des_receive(des_node *node, const des_frame *frame, uint32_t now)
     }
     if (service == DES_SRV_DES) {
         request = des_request(frame);
-    } else if ((id & DES_ID_B) == 0u) {
-        request = service_request(service, frame->length);
+        if (request == 0u) {
+            return false;
+        }
     } else {
-        /* A broadcast to the application. */
-    }
-    if (request == 0u) {
-        return service != DES_SRV_DES;
+        if ((id & DES_ID_B) == 0u) {
+            request = service_request(service, frame->length);
+        }
+        if (request == 0u) {
+            return true; /* Of the application. */
+        }
     }
     ask(node, requester, frame, request, now);
     return false;
@@ -955,7 +971,7 @@ uint32_t des_poll(des_node *node, uint32_t now)
         }
     }
     if ((node->stage == (uint32_t)STAGE_RUN) && poll_requesters(node, now)
-        && ((node->busy & BUSY_ANY) == 0u) && !is_due(node->until, now)) {
+        && (node->busy == 0u) && !is_due(node->until, now)) {
         return node->until - now;
     }
     return DES_POLL_US;

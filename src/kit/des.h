@@ -348,15 +348,15 @@ typedef struct {
     uint32_t state;
     uint32_t current; /* The request that is being answered, a bit of `pending`; 0: none. */
     uint32_t pending; /* Requests to answer, one bit each. */
-    uint32_t command; /* ERR and SRV of the response to a command. */
+    uint32_t command; /* SRV of the response to a command, and whether it is refused. */
     uint16_t sent;    /* Bytes of the response that were sent. */
+    uint8_t sequence; /* Of the next consecutive frame. */
+    uint8_t block;    /* Frames until the next flow control, 0: no further one; while waiting
+                       * for it: flow controls with WAIT in a row. */
+    uint8_t st_min;   /* Least time between two frames, in milliseconds. */
     uint8_t value;    /* Of a command: its data. */
     uint8_t peer;     /* Address of the requester. */
     uint8_t flags;    /* Of its requests' frames. */
-    uint8_t sequence; /* Of the next consecutive frame. */
-    uint8_t st_min;   /* Least time between two frames, in milliseconds. */
-    uint8_t block;    /* Frames until the next flow control, 0: no further one; while waiting
-                       * for it: flow controls with WAIT in a row. */
 } des_requester;
 
 /* A node. Its members are private but for `dropped`: use the functions below. */
