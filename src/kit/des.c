@@ -30,6 +30,7 @@
 
 /* The frame that is sent at the end of WAIT is a claim: its flags are a bit of the stage. */
 enum { STAGE_INIT, STAGE_LISTEN, STAGE_WAIT = DES_FRAME_ONCE, STAGE_CLAIM, STAGE_RUN };
+
 /* SENDING and LAST: a frame of the response, or its last one, is in the transmit buffer. */
 enum {
     REQUESTER_FREE,
@@ -60,7 +61,7 @@ enum {
 #define ASK_COMMAND 0x0010u
 #define ASK_FIELD 0x0020u /* The first field; the others follow. */
 
-/* In des_requester.command and part.id: ERR of the response is 0. */
+/* In des_requester.command and part.service: the request is refused, ERR of the response is 0. */
 #define REFUSED DES_ID_ERR
 
 /* Bytes of the shortest frame with a request. */
@@ -85,10 +86,10 @@ static bool is_due(uint32_t at, uint32_t now)
 
 static void copy(uint8_t *to, const uint8_t *from, uint32_t count)
 {
-    for (; count > 0u; count--) {
-        *to = *from;
-        to++;
-        from++;
+    uint32_t at;
+
+    for (at = 0u; at < count; at++) {
+        to[at] = from[at];
     }
 }
 
@@ -96,9 +97,9 @@ static void copy(uint8_t *to, const uint8_t *from, uint32_t count)
 
 uint32_t des_random(des_node *node)
 {
-    /* A linear congruential generator: its high bits are the random ones. */
     uint32_t bits = node->port->entropy(node->user);
 
+    /* A linear congruential generator: its high bits are the random ones. */
     node->random = (node->random + bits + 1u) * UINT32_C(0x9E3779B1);
     return node->random;
 }
@@ -133,8 +134,8 @@ static uint32_t permitted(const des_node *node, uint32_t mode)
             mode = DES_MODE_CFG;
         }
     }
-    if ((mode == (uint32_t)DES_MODE_CFG) && (node->limit == (uint32_t)DES_MODE_BOOT)) {
-        mode = DES_MODE_BOOT;
+    if (mode == (uint32_t)DES_MODE_CFG) {
+        return (node->limit == (uint32_t)DES_MODE_BOOT) ? (uint32_t)DES_MODE_BOOT : mode;
     }
     return mode;
 }
@@ -148,12 +149,13 @@ static void set_bus(des_node *node, uint32_t silent)
     }
 }
 
-/* Addresses in use, one bit each; `id` is any identifier with the address as its SRC. */
+/* Returns true if the address in SRC of an identifier is in use. */
 static bool is_in_use(const des_node *node, uint32_t id)
 {
     return ((node->in_use[(id >> 22) & 3u] >> ((id >> 17) & 31u)) & 1u) != 0u;
 }
 
+/* Remembers that the address in SRC of an identifier is in use. */
 static void note_source(des_node *node, uint32_t id)
 {
     node->in_use[(id >> 22) & 3u] |= UINT32_C(1) << ((id >> 17) & 31u);
@@ -233,10 +235,10 @@ static bool choose(des_node *node, uint32_t now)
     return false;
 }
 
-/* ---- Transmission ------------------------------------------------------------------ */
+/* ---- Transmission ---------------------------------------------------------------- */
 
 /* Puts a frame into a transmit buffer; returns false if that is not possible now. */
-static bool transmit(des_node *node, uint8_t slot, des_frame *frame)
+static bool transmit(des_node *node, uint8_t slot, const des_frame *frame)
 {
     if (!node->port->send(node->user, slot, frame)) {
         return false;
@@ -287,7 +289,7 @@ static void check_uid(des_node *node, const des_frame *frame)
 #if DES_HEARTBEAT_UID_AT >= 0
     uint32_t at;
 
-    if (((des_id_service(frame->id) == DES_SRV_HEARTBEAT) && (((frame->id & (DES_ID_U | DES_ID_R)) >> 24) == (DES_ID_R >> 24)))
+    if (((frame->id & (DES_ID_U | DES_ID_R | 0x3FFu)) == (DES_ID_R | DES_SRV_HEARTBEAT))
         && (frame->length >= (DES_HEARTBEAT_UID_AT + 6u))) {
         for (at = 0u; at < 6u; at++) {
             if (frame->data[DES_HEARTBEAT_UID_AT + at] != node->settings.uid[at]) {
@@ -376,7 +378,7 @@ static uint32_t des_request(const des_frame *frame)
     } else {
         /* A single frame. */
     }
-    if ((frame->length < (at + 4u))) {
+    if (frame->length < (at + 4u)) {
         return 0u;
     }
     data = &data[at];
@@ -540,7 +542,8 @@ static void ask(des_node *node, des_requester *requester, const des_frame *frame
     }
 #if DES_WITH_WRITES || DES_WITH_COMMANDS
     if (((requester->pending & request) == ASK_COMMAND)
-        && ((requester->current != request) || (requester->state >= (uint32_t)REQUESTER_SENDING))) {
+        && ((requester->current != request)
+            || (requester->state >= (uint32_t)REQUESTER_SENDING))) {
         node->dropped++; /* There is room for one command. */
         return;
     }
@@ -604,9 +607,9 @@ static void act(des_node *node, const des_requester *requester)
 /* What the next frame of a response carries. */
 typedef struct {
     const uint8_t *bytes;
-    uint32_t left; /* Bytes of the response from there on. */
-    uint32_t head; /* Bytes of ISO-TP before them. */
-    uint32_t id;   /* SRV of the identifier, and REFUSED. */
+    uint32_t left;    /* Bytes of the response from there on. */
+    uint32_t head;    /* Bytes of ISO-TP before them. */
+    uint32_t service; /* SRV of the identifier; with REFUSED: ERR = 0. */
 } part;
 
 /* Returns what the next frame of a name or services response carries, up to `capacity` bytes, and
@@ -622,8 +625,8 @@ static void take_text(const des_node *node, const des_requester *requester, uint
         text = &node->device->name;
     }
     total = text->size;
-    if ((text == &node->device->services) && (sent == 0u)
-        && (node->mode == (uint32_t)DES_MODE_BOOT)) {
+    if ((sent == 0u) && (node->mode == (uint32_t)DES_MODE_BOOT)
+        && ((requester->current & (ASK_SERVICES | ASK_SERVICES_RAW)) != 0u)) {
         total = 1u; /* Without firmware it has no services. */
     }
     next->bytes = (const uint8_t *)&text->bytes[sent];
@@ -632,7 +635,7 @@ static void take_text(const des_node *node, const des_requester *requester, uint
     if ((requester->current & (ASK_NAME_RAW | ASK_SERVICES_RAW)) != 0u) {
         if (total > capacity) {
             next->left = 0u;
-            next->id = DES_SRV_DES | REFUSED; /* It does not fit. */
+            next->service = DES_SRV_DES | REFUSED; /* It does not fit. */
         }
         return;
     }
@@ -662,6 +665,7 @@ static void take_field(const des_node *node, const des_requester *requester, par
     const field_place *field = FIELDS;
     uint32_t bit;
 
+    /* ASK_FIELD is the first field; each bit above it, up to FIELD_COUNT - 1, is the next one. */
     for (bit = requester->current; bit > ASK_FIELD; bit >>= 1) {
         field++;
     }
@@ -671,7 +675,7 @@ static void take_field(const des_node *node, const des_requester *requester, par
     }
     next->bytes = &next->bytes[field->at];
     next->left = field->length;
-    next->id = field->service;
+    next->service = field->service;
 }
 #endif
 
@@ -701,8 +705,9 @@ static void respond(des_node *node, des_requester *requester)
     if ((requester->current & ASK_TEXT) != 0u) {
         take_text(node, requester, capacity, data, &next);
     } else if (requester->current == ASK_COMMAND) {
-        next.id = requester->command;
+        next.service = requester->command;
     } else {
+        /* A field of the descriptor. */
 #if DES_WITH_DESCRIPTOR
         take_field(node, requester, &next);
 #endif
@@ -723,7 +728,8 @@ static void respond(des_node *node, des_requester *requester)
 #endif
     frame.length = (uint8_t)length;
     frame.data = data;
-    frame.id = (node->own | DES_ID_R | DES_ID_ERR | ((uint32_t)requester->peer << 10)) ^ next.id;
+    /* REFUSED clears ERR. */
+    frame.id = (node->own | DES_ID_R | DES_ID_ERR | ((uint32_t)requester->peer << 10)) ^ next.service;
     if (transmit(node, DES_SLOT_RESPONSE, &frame)) {
         node->turn = requester;
         requester->state = (count == next.left) ? REQUESTER_LAST : REQUESTER_SENDING;
@@ -738,7 +744,8 @@ static void response_sent(des_node *node, bool is_sent, uint32_t now)
     des_requester *requester = node->turn;
     uint32_t wait = 0u; /* Milliseconds. */
 
-    if (!is_sent || (requester->state == (uint32_t)REQUESTER_LAST) || (requester->current == 0u)) {
+    if (!is_sent || (requester->state == (uint32_t)REQUESTER_LAST)
+        || (requester->current == 0u)) {
         requester->state = REQUESTER_DONE;
         if (is_sent && (requester->current == ASK_COMMAND)) {
             act(node, requester);
@@ -830,7 +837,6 @@ bool des_receive(des_node *node, const des_frame *frame, uint32_t now)
     uint32_t differing;
     uint32_t service;
     uint32_t request = 0u;
-    bool is_served;
     des_requester *requester;
 
     collect(node, now);
@@ -843,8 +849,8 @@ bool des_receive(des_node *node, const des_frame *frame, uint32_t now)
     }
     check_uid(node, frame);
     differing = id ^ node->own;
-    /* Another user of its address moves a node, but not in IDLE (CAN platform 3.2.4.5), nor a
-     * claim a working node (3.2.4.4). */
+    /* Another user of its address moves a node, but not in IDLE (CAN platform 3.2.4.5), nor does
+     * a claim, with U = 1, move a working node, whose U is 0 (3.2.4.4). */
     if ((node->stage >= (uint32_t)STAGE_WAIT) && ((differing & ADDRESS_MASK) == 0u)
         && (node->mode != (uint32_t)DES_MODE_IDLE) && ((id & differing & DES_ID_U) == 0u)) {
         node->wish = WISH_MOVE;
@@ -871,16 +877,15 @@ bool des_receive(des_node *node, const des_frame *frame, uint32_t now)
         }
         return false;
     }
-    /* Requests to nodes in its mode, D is its U; in IDLE that to change the mode. */
-    is_served = ((((id << 1) ^ node->own) & DES_ID_U) == 0u)
-        && ((node->mode != (uint32_t)DES_MODE_IDLE) || (service == DES_SRV_MODE));
-    if (!is_served) {
+    /* Requests to nodes in its mode, where D is its U; in IDLE that to change the mode. */
+    if (((((id << 1) ^ node->own) & DES_ID_U) != 0u)
+        || ((node->mode == (uint32_t)DES_MODE_IDLE) && (service != DES_SRV_MODE))) {
         return false;
     }
     if (service == DES_SRV_DES) {
         request = des_request(frame);
         if (request == 0u) {
-            return false;
+            return false; /* Malformed, or a broadcast of a reserved type. */
         }
     } else {
         if ((id & DES_ID_B) == 0u) {

@@ -30,7 +30,8 @@
  * Context: all functions of one node are called from one context, usually the
  * main loop, with frames from a queue that an interrupt fills. The kit calls the
  * functions of des_port from des_init, des_receive, des_poll and des_random, never
- * from elsewhere; they must not call the kit. Several nodes (two CAN controllers) are independent of each other.
+ * from elsewhere; they must not call the kit. Several nodes (two CAN controllers)
+ * are independent of each other.
  *
  * Time: microseconds, an unsigned 32-bit number that wraps from 0xFFFFFFFF to 0.
  * Each call has the present time. At most 30 minutes may pass between two calls.
