@@ -38,7 +38,7 @@ pub use remote::stream::{Protocol, ProtocolIo, Unavailable};
 pub use replay::dates::LogDates;
 pub use replay::file::open_log;
 pub use sim::scenario;
-pub use slcan::{Slcan, SlcanAddress, SlcanSettings};
+pub use slcan::{Slcan, SlcanAddress, SlcanSettings, serial_ports};
 pub use socketcan::{CanInterface, interface_exists, interfaces};
 pub use socketcand::{Socketcand, SocketcandAddress};
 pub use spec::{BusSpec, KINDS, forms};

@@ -21,6 +21,7 @@
 //! recent_logs     logs opened before, and what was found in them
 //! plan_files      plans of addresses on disk
 //! broker          the connection to an MQTT broker
+//! remote_folder   whether changes of a folder cause no events
 //! waiting         futures for optional sources
 //! ```
 //!
@@ -47,6 +48,7 @@ pub mod recent_frames;
 pub mod recent_logs;
 pub mod recorder;
 pub mod recovery;
+mod remote_folder;
 pub mod session;
 pub mod stop;
 pub mod store;
