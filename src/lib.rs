@@ -93,6 +93,8 @@ pub mod learning;
 #[cfg(feature = "std")]
 pub mod log;
 #[cfg(feature = "std")]
+pub mod positioned_read;
+#[cfg(feature = "std")]
 pub mod prove;
 #[cfg(feature = "std")]
 pub mod sim;
@@ -114,6 +116,8 @@ pub mod guide;
 #[cfg(feature = "program")]
 pub mod keymap;
 #[cfg(feature = "program")]
+pub mod open_file;
+#[cfg(feature = "program")]
 pub mod project;
 #[cfg(feature = "program")]
 pub mod regular_file;
@@ -121,6 +125,8 @@ pub mod regular_file;
 pub mod shell;
 #[cfg(feature = "program")]
 pub mod status;
+#[cfg(feature = "program")]
+pub mod system_error;
 #[cfg(feature = "program")]
 pub mod theme;
 #[cfg(feature = "program")]

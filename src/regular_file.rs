@@ -4,13 +4,11 @@
 //! know what is in a file.
 
 use crate::diagnostic::{Diagnostic, without_number};
+use crate::open_file::open_without_wait;
+use crate::system_error::FileFault;
 use crate::text::printable;
-use nix::errno::Errno;
-use nix::fcntl::OFlag;
 use std::fs::{File, Metadata};
 use std::io::{self, ErrorKind, Read as _, Seek as _};
-use std::os::unix::ffi::OsStrExt as _;
-use std::os::unix::fs::OpenOptionsExt as _;
 use std::path::Path;
 
 /// Longest text file that is read, in bytes: settings, keys, themes, profiles, scenarios.
@@ -29,10 +27,7 @@ impl RegularFile {
     /// # Errors
     /// The fault, without the path, if it cannot be opened or is not a regular file.
     pub fn open(path: &Path) -> Result<Option<Self>, Diagnostic> {
-        // Without O_NONBLOCK, opening a pipe for reading blocks until it has a writer; without
-        // O_NOCTTY, a terminal may become the controlling one.
-        let flags = OFlag::O_NONBLOCK | OFlag::O_NOCTTY;
-        let file = match File::options().read(true).custom_flags(flags.bits()).open(path) {
+        let file = match open_without_wait(path) {
             Ok(file) => file,
             Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
             Err(error) => return Err(not_read(&error)),
@@ -113,7 +108,7 @@ pub fn text_of(content: Vec<u8>) -> Result<String, Diagnostic> {
 
 /// Returns a path as text that is safe on a terminal.
 pub fn shown(path: &Path) -> String {
-    printable(path.as_os_str().as_bytes())
+    printable(path.as_os_str().as_encoded_bytes())
 }
 
 /// Returns the fault if this is not a regular file.
@@ -140,11 +135,11 @@ pub fn not_read(error: &io::Error) -> Diagnostic {
 
 /// Returns the fault of a path that the system does not resolve or open; `None` for other errors.
 pub fn path_fault(error: &io::Error) -> Option<Diagnostic> {
-    let (cause, remedy) = match error.raw_os_error().map(Errno::from_raw)? {
-        Errno::ENOTDIR => ("parent is a file, not a folder", "name another one"),
-        Errno::ENAMETOOLONG => ("the name is too long", "choose a shorter one"),
-        Errno::ELOOP => ("symbolic link loop", "name another file"),
-        Errno::EMFILE | Errno::ENFILE => {
+    let (cause, remedy) = match FileFault::of(error)? {
+        FileFault::ParentIsFile => ("parent is a file, not a folder", "name another one"),
+        FileFault::NameTooLong => ("the name is too long", "choose a shorter one"),
+        FileFault::LinkLoop => ("symbolic link loop", "name another file"),
+        FileFault::TooManyFiles => {
             ("too many files are open", "close other programs, or raise ulimit -n")
         }
         _ => return None,

@@ -11,12 +11,10 @@ use crate::diagnostic::Diagnostic;
 use crate::log::{
     FORMATS, LogEncoder, LogEntry, LogFormat, LogReader, LogSummary, READABLE_LOGS, Unpacked,
 };
+use crate::open_file::{stdin_file, with_usual_mode};
 use crate::regular_file::{self, shown};
 use crate::shell::stop;
-use std::fs::{File, Permissions};
 use std::io::{self, BufReader, Seek, SeekFrom, Write};
-use std::os::fd::AsFd;
-use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -32,7 +30,7 @@ pub fn run(args: &ConvertArgs) -> Result<u8, Failure> {
     let unusable = |error: io::Error| Failure::from(Diagnostic::unreadable(&spec, &error));
     let file = match &spec {
         BusSpec::File(path) => bus::open_log(path)?,
-        _ => File::from(io::stdin().as_fd().try_clone_to_owned().map_err(unusable)?),
+        _ => stdin_file().map_err(unusable)?,
     };
     let is_file = file.metadata().map_err(unusable)?.is_file();
     let mut reader = LogReader::new(BufReader::with_capacity(PART, Unpacked::new(file)));
@@ -151,9 +149,8 @@ impl ConvertedLog {
         // Of a link, the file that it leads to is replaced.
         let path = std::fs::canonicalize(&path).unwrap_or(path);
         let folder = path.parent().filter(|it| !it.as_os_str().is_empty());
-        let file = tempfile::Builder::new()
-            .prefix(".descan-")
-            .permissions(Permissions::from_mode(0o666))
+        let mut builder = tempfile::Builder::new();
+        let file = with_usual_mode(builder.prefix(".descan-"))
             .tempfile_in(folder.unwrap_or(Path::new(".")));
         let file = file.map_err(|error| not_written(&path, &error))?;
         *temporary.lock().unwrap_or_else(PoisonError::into_inner) = Some(file.path().to_owned());

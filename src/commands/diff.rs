@@ -12,6 +12,7 @@ use crate::inventory::{
     Difference, DifferenceSide, DifferenceValue, Inventory, InventoryComparison, InventoryError,
     MAX_DOCUMENT_BYTES, compare,
 };
+use crate::open_file::{pipe_file, stdin_file};
 use crate::shell::stop::StopReason;
 use crate::text::counted;
 use crate::time::Instant;
@@ -20,7 +21,6 @@ use std::fmt::Write as _;
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::ops::ControlFlow;
-use std::os::fd::{AsFd, OwnedFd};
 use std::path::{Path, PathBuf};
 use std::thread;
 use unicode_width::UnicodeWidthStr;
@@ -79,7 +79,7 @@ fn read(spec: &BusSpec, setup: &Setup) -> Result<Option<DiffInput>, Failure> {
             return Err(missing.of(crate::regular_file::shown(path)).into());
         }
         BusSpec::File(path) => bus::open_log(path)?,
-        _ => File::from(io::stdin().as_fd().try_clone_to_owned().map_err(unusable)?),
+        _ => stdin_file().map_err(unusable)?,
     };
     let path = match spec {
         BusSpec::File(path) => crate::regular_file::shown(path),
@@ -164,7 +164,7 @@ fn peek(mut file: File) -> io::Result<(Vec<u8>, File)> {
     thread::Builder::new().name("input".into()).spawn(move || {
         let _ = to.write_all(&begin).and_then(|()| io::copy(&mut file, &mut to));
     })?;
-    Ok((head, File::from(OwnedFd::from(from))))
+    Ok((head, pipe_file(from)))
 }
 
 // ---- JSON ----------------------------------------------------------------------------------

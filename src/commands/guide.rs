@@ -5,6 +5,7 @@ use super::output::print_own;
 use super::{EXIT_OK, Failure};
 use crate::cli;
 use crate::guide::{self, UnknownTopic, render::TextLayout};
+use crate::shell::console;
 use std::io::{self, IsTerminal};
 
 /// `descan help [NAME]`.
@@ -33,7 +34,7 @@ fn layout() -> TextLayout {
     if !out.is_terminal() {
         return TextLayout::PLAIN;
     }
-    let columns = rustix::termios::tcgetwinsize(&out).map_or(0, |size| usize::from(size.ws_col));
-    let is_dumb = std::env::var_os("TERM").is_none_or(|term| term.is_empty() || term == "dumb");
+    let columns = console::columns();
+    let is_dumb = matches!(console::terminal_name().as_str(), "" | "dumb");
     TextLayout { has_styles: !is_dumb, ..TextLayout::for_terminal(columns) }
 }

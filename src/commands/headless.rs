@@ -9,22 +9,21 @@ use crate::bus::{self, BusSpec, UdpAddress};
 use crate::diagnostic::Diagnostic;
 use crate::frame::{BusIndex, Frame};
 use crate::log::READABLE_LOGS;
+use crate::open_file::stdin_file;
 use crate::shell::log_input::{LogBatch, LogBatches, LogInput, LogPace, LogRange};
 use crate::shell::session::{InputEnd, Session, SessionWake};
+use crate::shell::signals::let_writes_fail;
 use crate::shell::stop::{StopReason, StopWaiter};
 use crate::shell::store::Store;
 use crate::shell::waiting::sleep_for;
 use crate::status::{BusState, Link, RecordingStatus};
 use crate::time::{Epoch, Instant};
 use anyhow::Context;
-use nix::sys::signal::Signal;
 use std::fs::File;
 use std::io;
 use std::ops::ControlFlow;
-use std::os::fd::AsFd;
 use std::sync::Arc;
 use std::time::Duration;
-use tokio::signal::unix::{SignalKind, signal};
 use tokio::task::yield_now;
 
 /// Time for an interface to open, on a busy machine.
@@ -209,7 +208,7 @@ pub fn log_file(spec: &BusSpec) -> Result<File, Failure> {
     let unusable = |error: io::Error| Diagnostic::unreadable(spec, &error);
     Ok(match spec {
         BusSpec::File(path) => bus::open_log(path)?,
-        _ => File::from(io::stdin().as_fd().try_clone_to_owned().map_err(unusable)?),
+        _ => stdin_file().map_err(unusable)?,
     })
 }
 
@@ -444,7 +443,7 @@ pub fn runtime() -> Result<tokio::runtime::Runtime, Failure> {
     {
         let _entered = runtime.enter();
         // A write beyond the file size limit fails then, instead of ending the process.
-        drop(signal(SignalKind::from_raw(Signal::SIGXFSZ as i32)).context("no signals")?);
+        let_writes_fail().context("no signals")?;
     }
     Ok(runtime)
 }

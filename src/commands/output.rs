@@ -5,8 +5,8 @@
 //! error are ignored, because a report of them could not be written either.
 
 use super::Failure;
+use crate::shell::console::discard_typed;
 use crate::text::SafeLines;
-use nix::sys::termios::{FlushArg, tcflush};
 use std::fmt::{Display, Write as _};
 use std::io::{self, BufRead, IsTerminal, Write};
 use std::sync::mpsc::{Receiver, channel};
@@ -152,7 +152,7 @@ pub fn say(text: impl Display) {
 
 /// Prints a question on standard error, without a line end. What was typed before it is no answer.
 pub fn ask(text: impl Display) {
-    let _ = tcflush(io::stdin(), FlushArg::TCIFLUSH);
+    discard_typed();
     let _ = write!(io::stderr(), "{} ", SafeLines(&text.to_string()));
 }
 

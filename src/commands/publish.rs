@@ -71,10 +71,19 @@ fn gateway(args: &PublishArgs) -> Result<GatewayName, Failure> {
     if let Some(name) = &args.gateway {
         return Ok(name.clone());
     }
-    let host = nix::unistd::gethostname().unwrap_or_default();
-    let host = host.to_string_lossy();
+    let host = host_name();
     host.parse()
         .map_err(|why| Failure::Usage(format!("host name {host:?}: {why}; give --gateway NAME")))
+}
+
+#[cfg(unix)]
+fn host_name() -> String {
+    nix::unistd::gethostname().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+#[cfg(windows)]
+fn host_name() -> String {
+    std::env::var("COMPUTERNAME").unwrap_or_default()
 }
 
 /// Seconds since 1970 by the clock of this machine.

@@ -6,6 +6,7 @@ use crate::bus::{self, Clock, Options};
 use crate::cli::SimArgs;
 use crate::diagnostic::Diagnostic;
 use crate::frame::{BusIndex, Frame, FrameKind};
+use crate::shell::signals::StopSignals;
 use crate::shell::stop;
 use crate::sim::{DeviceSpec, Scenario, Sim};
 use crate::status::Link;
@@ -13,7 +14,6 @@ use crate::text::counted;
 use crate::time::Instant;
 use anyhow::Context;
 use std::time::Duration;
-use tokio::signal::unix::{SignalKind, signal};
 
 /// Bit rate of the simulated bus of one device, in bit/s: that of the bus is at most this.
 const SIMULATED_BITRATE: u32 = 1_000_000;
@@ -41,8 +41,7 @@ pub fn run(args: &SimArgs) -> Result<u8, Failure> {
     let station = sim.attach();
     headless::runtime()?.block_on(async {
         stop::exit_if_stuck(EXIT_OK, || {}).context("no signals")?;
-        let mut interrupt = signal(SignalKind::interrupt()).context("no signals")?;
-        let mut terminate = signal(SignalKind::terminate()).context("no signals")?;
+        let mut stopped = StopSignals::without_hangup().context("no signals")?;
         // After the signals: an opened adapter is closed again, however soon one arrives.
         let port = bus::open(spec, BusIndex(0), clock.clone(), Options::default())?;
         let mut heard: Vec<Frame> = Vec::new();
@@ -90,8 +89,7 @@ pub fn run(args: &SimArgs) -> Result<u8, Failure> {
             let next = sim.next_event().map_or(NAP, |at| at.since(sim.now())).max(NAP);
             tokio::select! {
                 biased;
-                _ = interrupt.recv() => return Ok(EXIT_OK),
-                _ = terminate.recv() => return Ok(EXIT_OK),
+                () = stopped.next() => return Ok(EXIT_OK),
                 () = tokio::time::sleep(next.min(Duration::from_secs(1))) => {}
                 () = port.queue().ready(), if next > NAP => {}
             }

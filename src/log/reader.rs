@@ -7,10 +7,10 @@
 
 use super::{Damage, DecodeStep, LogContent, LogDecoder, LogSummary};
 use crate::frame::Frame;
+use crate::positioned_read::read_exact_at;
 use crate::time::Instant;
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read};
-use std::os::unix::fs::FileExt;
 
 /// Bytes of the end of a log in which its last frame is looked for.
 const TAIL: usize = 1 << 16;
@@ -56,7 +56,7 @@ impl LogPosition {
         let size = log.metadata()?.len();
         let mut tail = vec![0; TAIL.min(usize::try_from(size).unwrap_or(TAIL))];
         let start = size - tail.len() as u64;
-        log.read_exact_at(&mut tail, start)?;
+        read_exact_at(log, &mut tail, start)?;
         Ok(self.last_time_in(&tail))
     }
 

@@ -22,6 +22,8 @@
 //! plan_files      plans of addresses on disk
 //! broker          the connection to an MQTT broker
 //! remote_folder   whether changes of a folder cause no events
+//! signals         end of the program, Ctrl-Z    console  the terminal's end, speed and name
+//! state_folder    what is kept between runs     file_owner  the user of a file
 //! waiting         futures for optional sources
 //! ```
 //!
@@ -37,6 +39,8 @@ pub mod bus_scout;
 pub mod catalogue_folders;
 mod cell_encoder;
 pub mod config;
+pub mod console;
+mod file_owner;
 pub mod file_watcher;
 pub mod frame_templates;
 pub mod log_input;
@@ -50,6 +54,8 @@ pub mod recorder;
 pub mod recovery;
 mod remote_folder;
 pub mod session;
+pub mod signals;
+mod state_folder;
 pub mod stop;
 pub mod store;
 pub mod terminal;

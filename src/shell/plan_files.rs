@@ -4,12 +4,12 @@
 //! leaves the old content or the new one. Does not know what is in a plan: see
 //! [`crate::address_plan::PlanRecord`].
 
+use super::state_folder::state_folder;
 use crate::address_plan::{MAX_RECORD_BYTES, PlanRecord};
 use crate::bus::BusSpec;
 use crate::diagnostic::{Diagnostic, without_number};
+use crate::open_file::{open_folder, sync_folder};
 use crate::regular_file;
-use etcetera::{BaseStrategy, choose_base_strategy};
-use nix::fcntl::{Flock, FlockArg};
 use std::fs::{self, File};
 use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
@@ -22,13 +22,12 @@ const MAX_LOOKED_AT: usize = 1000;
 /// `$XDG_STATE_HOME/descan/plans`, by default `~/.local/state/descan/plans`; `None` without a home
 /// folder.
 pub fn plans_folder() -> Option<PathBuf> {
-    let base = choose_base_strategy().ok()?;
-    Some(base.state_dir()?.join("descan").join("plans"))
+    Some(state_folder()?.join("plans"))
 }
 
 /// The right to run a plan on a bus, as long as it exists: on this machine one program has it.
 pub struct PlanLock {
-    _file: Flock<File>,
+    _file: File,
 }
 
 impl PlanLock {
@@ -44,8 +43,7 @@ impl PlanLock {
             .and_then(|()| File::options().create(true).append(true).open(folder.join(name)));
         let file =
             opened.map_err(|error| format!("{}: {}", folder.display(), without_number(&error)))?;
-        let locked = Flock::lock(file, FlockArg::LockExclusiveNonblock);
-        let file = locked.map_err(|_| "another program runs a plan on this bus".to_owned())?;
+        file.try_lock().map_err(|_| "another program runs a plan on this bus".to_owned())?;
         Ok(Self { _file: file })
     }
 }
@@ -79,7 +77,7 @@ fn write_in(folder: &Path, name: &str, content: &[u8], is_new: bool) -> io::Resu
     let path = folder.join(name);
     let kept = if is_new { file.persist_noclobber(path) } else { file.persist(path) };
     kept.map_err(|failed| failed.error)?;
-    File::open(folder)?.sync_all()
+    sync_folder(&open_folder(folder)?)
 }
 
 /// Reads a plan: a path, or the name of a file in the folder of plans, with or without `.json`.

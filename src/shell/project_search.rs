@@ -3,13 +3,13 @@
 //! A file in a folder above may be anybody's, so one of another user is not read. Does not know what
 //! is in the file.
 
+use super::file_owner::{device_of, owner_of, readers, user_name};
+use super::state_folder::state_folder;
 use crate::project::FILE_NAME;
 use crate::regular_file::read_text;
-use etcetera::{BaseStrategy, choose_base_strategy, home_dir};
-use nix::unistd::{Uid, User};
+use etcetera::home_dir;
 use std::fs::{self, Metadata};
 use std::io;
-use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
 /// Most buses that are kept.
@@ -28,31 +28,24 @@ pub struct FoundProject {
 /// of the file system.
 pub fn find(folder: &Path) -> FoundProject {
     let home = home_dir().ok().and_then(|home| fs::canonicalize(home).ok());
-    find_below(folder, home.as_deref(), &owners())
-}
-
-/// The users whose files are read: the one who runs descan, also through sudo.
-fn owners() -> Vec<u32> {
-    let user = Uid::effective();
-    let sudo = std::env::var("SUDO_UID").ok().filter(|_| user.is_root());
-    [Some(user.as_raw()), sudo.and_then(|id| id.parse().ok())].into_iter().flatten().collect()
+    find_below(folder, home.as_deref(), &readers())
 }
 
 fn find_below(folder: &Path, home: Option<&Path>, owners: &[u32]) -> FoundProject {
     let mut found = FoundProject::default();
     let Ok(start) = fs::metadata(folder) else { return found };
     for folder in folder.ancestors() {
-        if fs::metadata(folder).ok().is_none_or(|it| it.dev() != start.dev()) {
+        if fs::metadata(folder).ok().is_none_or(|it| device_of(&it) != device_of(&start)) {
             break;
         }
         let path = folder.join(FILE_NAME);
         // The link, and what it leads to.
         let both = [fs::symlink_metadata(&path), fs::metadata(&path)];
         let both: Vec<Metadata> = both.into_iter().flatten().collect();
-        let other = both.iter().find(|it| !owners.contains(&it.uid()));
+        let other = both.iter().find(|it| !owners.contains(&owner_of(it)));
         match (other, both.last()) {
             (Some(other), _) if found.ignored.is_none() => {
-                found.ignored = Some((path, name_of(other.uid())));
+                found.ignored = Some((path, user_name(owner_of(other))));
             }
             (None, Some(file)) if file.is_file() => {
                 found.path = Some(path);
@@ -65,11 +58,6 @@ fn find_below(folder: &Path, home: Option<&Path>, owners: &[u32]) -> FoundProjec
         }
     }
     found
-}
-
-fn name_of(user: u32) -> String {
-    let known = User::from_uid(Uid::from_raw(user)).ok().flatten();
-    known.map_or_else(|| format!("user {user}"), |known| known.name)
 }
 
 /// Returns true if the user agreed that a project opens a bus on another machine.
@@ -100,13 +88,13 @@ fn line_of(project: &Path, bus: &str) -> String {
 }
 
 fn agreed_file() -> Option<PathBuf> {
-    let base = choose_base_strategy().ok()?;
-    Some(base.state_dir()?.join("descan").join("project-buses"))
+    Some(state_folder()?.join("project-buses"))
 }
 
-#[cfg(test)]
+#[cfg(all(test, unix))]
 mod tests {
     use super::*;
+    use nix::unistd::Uid;
 
     #[test]
     fn file_is_found_upwards_until_the_home_folder() {

@@ -2,8 +2,8 @@
 //!
 //! A convenience, as [`recent_logs`](super::recent_logs). Bounded: 50 compositions.
 
+use super::state_folder::state_folder;
 use crate::regular_file::read_text;
-use etcetera::{BaseStrategy, choose_base_strategy};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -22,8 +22,7 @@ pub fn remember_frame(words: &str) {
 
 /// File with a composition a line, the latest first.
 fn frames_file() -> Option<PathBuf> {
-    let base = choose_base_strategy().ok()?;
-    Some(base.state_dir()?.join("descan").join("recent-frames"))
+    Some(state_folder()?.join("recent-frames"))
 }
 
 fn read(file: &Path) -> Vec<String> {

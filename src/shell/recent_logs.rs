@@ -2,10 +2,10 @@
 //!
 //! A convenience: a full disk or a folder of another user does not concern the session. Bounded: 10 logs.
 
+use super::state_folder::state_folder;
 use crate::bus::LogDates;
 use crate::regular_file::read_text;
 use crate::time::Duration;
-use etcetera::{BaseStrategy, choose_base_strategy};
 use std::collections::BTreeMap;
 use std::fs::{self, File, Metadata};
 use std::path::{Path, PathBuf};
@@ -96,8 +96,7 @@ pub fn remember_contents(path: &Path, contents: &str) {
 
 /// File with the logs that were opened, a line each, the latest first.
 fn logs_file() -> Option<PathBuf> {
-    let base = choose_base_strategy().ok()?;
-    Some(base.state_dir()?.join("descan").join("recent-logs"))
+    Some(state_folder()?.join("recent-logs"))
 }
 
 fn read(file: &Path) -> Vec<RecentLog> {

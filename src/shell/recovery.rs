@@ -1,7 +1,7 @@
 //! Recovery copy of unsaved des.json edits, written when descan ends without a prompt (SIGHUP,
 //! SIGTERM, lost terminal).
 
-use etcetera::{BaseStrategy, choose_base_strategy};
+use super::state_folder::state_folder;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
@@ -11,9 +11,7 @@ use std::path::{Path, PathBuf};
 /// # Errors
 /// Neither folder can be written to.
 pub fn save_recovery_copy(content: &[u8]) -> io::Result<PathBuf> {
-    let base = choose_base_strategy().ok();
-    let state = base.and_then(|base| base.state_dir()).map(|folder| folder.join("descan"));
-    let copy = state.and_then(|folder| {
+    let copy = state_folder().and_then(|folder| {
         std::fs::create_dir_all(&folder).ok()?;
         write_copy(&folder, content).ok()
     });

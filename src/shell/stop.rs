@@ -1,18 +1,15 @@
 //! Reasons to stop a program without a screen: a signal, a lost connection, its time limit, a
 //! closed standard output.
 
-use futures_util::future::select_all;
-use nix::errno::Errno;
-use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
+use super::console::wait_until_output_closed;
+use super::signals::StopSignals;
 use std::future::pending;
 use std::io;
-use std::os::fd::AsFd;
 use std::pin::Pin;
 use std::sync::Arc;
 use std::sync::mpsc::sync_channel;
 use std::thread;
 use std::time::Duration;
-use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::Notify;
 use tokio::task::spawn_blocking;
 use tokio::time::{Sleep, sleep, timeout};
@@ -92,21 +89,10 @@ pub(super) fn output_closed() -> Arc<Notify> {
     let notifier = Arc::clone(&closed);
     // Without a thread the next write notices it.
     let _ = thread::Builder::new().name("output".into()).spawn(move || {
-        let stdout = io::stdout();
-        // No events requested: poll(2) returns on errors and hang-up only.
-        let mut watched = [PollFd::new(stdout.as_fd(), PollFlags::empty())];
-        while poll(&mut watched, PollTimeout::NONE) == Err(Errno::EINTR) {}
+        wait_until_output_closed();
         notifier.notify_one();
     });
     closed
-}
-
-/// Returns true if SIGHUP is ignored, as under nohup.
-fn ignores_hangup() -> bool {
-    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let ignored = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
-    let ignored = ignored.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
-    ignored.unwrap_or(0) & 1 << (nix::libc::SIGHUP - 1) != 0
 }
 
 /// Notifies of SIGINT, SIGTERM and SIGHUP, from a separate thread.
@@ -141,16 +127,12 @@ pub fn on_signal(
     let (ready, is_ready) = sync_channel(1);
     thread::Builder::new().name("signals".into()).spawn(move || {
         runtime.block_on(async {
-            let kinds = [SignalKind::interrupt(), SignalKind::terminate(), SignalKind::hangup()];
-            let wanted = if ignores_hangup() { &kinds[..2] } else { &kinds[..] };
-            let signals: io::Result<Vec<Signal>> =
-                wanted.iter().map(|kind| signal(*kind)).collect();
-            let mut signals = match signals {
+            let mut signals = match StopSignals::new() {
                 Ok(signals) => signals,
                 Err(error) => return ready.send(Err(error)).unwrap_or_default(),
             };
             let _ = ready.send(Ok(()));
-            select_all(signals.iter_mut().map(|signal| Box::pin(signal.recv()))).await;
+            signals.next().await;
             notify();
             sleep(EXIT_TIMEOUT).await;
             let restored = spawn_blocking(restore);

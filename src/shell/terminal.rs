@@ -1,17 +1,13 @@
 //! The terminal: taken over at the start and restored on every way out.
 
+use super::console::{self, terminal_name};
 use super::painted_screen::{PaintedPart, PaintedScreen, SYNC_END};
+use super::signals::stop_process;
 use crate::app::Signs;
 use crate::theme::Theme;
 use crossterm::{cursor, event, execute, queue, style, terminal};
-use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use std::io::{self, Stdout, Write};
-use std::os::fd::AsFd;
 use std::sync::atomic::{AtomicBool, Ordering};
-
-/// Buttons and wheel, in SGR coordinates; no any-motion reports, which cost bandwidth over SSH.
-const MOUSE_ON: &str = "\x1b[?1000h\x1b[?1002h\x1b[?1006h";
-const MOUSE_OFF: &str = "\x1b[?1006l\x1b[?1002l\x1b[?1000l";
 
 /// Keeps the title of the window, and gives it back (XTWINOPS); terminals without them ignore it.
 const KEEP_TITLE: &str = "\x1b[22;2t";
@@ -110,7 +106,7 @@ impl Terminal {
     /// when it continues.
     pub fn suspend(&mut self) -> io::Result<()> {
         restore();
-        nix::sys::signal::raise(nix::sys::signal::Signal::SIGSTOP)?;
+        stop_process()?;
         enter()?;
         self.title.clear();
         self.redraw()
@@ -127,15 +123,10 @@ fn enter() -> io::Result<()> {
     terminal::enable_raw_mode()?;
     TAKEN.store(true, Ordering::SeqCst);
     let mut out = io::stdout().lock();
-    execute!(
-        out,
-        terminal::EnterAlternateScreen,
-        event::EnableBracketedPaste,
-        style::Print(MOUSE_ON),
-        style::Print(KEEP_TITLE),
-        cursor::Hide
-    )
-    .inspect_err(|_| restore())
+    queue!(out, terminal::EnterAlternateScreen, event::EnableBracketedPaste)
+        .and_then(|()| console::enable_mouse(&mut out))
+        .and_then(|()| execute!(out, style::Print(KEEP_TITLE), cursor::Hide))
+        .inspect_err(|_| restore())
 }
 
 /// Restores the terminal, in any state. Does nothing if it is not taken over.
@@ -148,7 +139,8 @@ pub fn restore() {
     let mut out = io::stdout().lock();
     // Each step is tried, even if an earlier one fails on a closed terminal.
     let _ = out.write_all(SYNC_END);
-    let _ = queue!(out, style::Print(MOUSE_OFF), event::DisableBracketedPaste);
+    let _ = console::disable_mouse(&mut out);
+    let _ = queue!(out, event::DisableBracketedPaste);
     let _ = queue!(out, style::Print(OLD_TITLE));
     // Cleared, with the cursor at the end: if the window grew in the meantime, tmux copies lines of
     // this screen to the other one.
@@ -159,15 +151,13 @@ pub fn restore() {
 
 /// Returns the signs that the terminal can show, by its environment variables.
 pub fn signs() -> Signs {
-    let variable = |name| std::env::var(name).ok().filter(|value| !value.is_empty());
-    let locale = ["LC_ALL", "LC_CTYPE", "LANG"].into_iter().find_map(variable);
-    Signs::of_terminal(&variable("TERM").unwrap_or_default(), locale.as_deref())
+    Signs::of_terminal(&terminal_name(), console::locale().as_deref())
 }
 
 /// Returns the bytes per second of the line to the terminal, where it is known to be slow: a serial line,
 /// or a connection to a machine that has one, which passes its speed on.
 pub fn line_rate() -> Option<f64> {
-    let baud = rustix::termios::tcgetattr(io::stdout()).ok()?.output_speed();
+    let baud = console::line_speed()?;
     // A start bit, eight bits, one or two stop bits.
     (1..NO_LINE_BAUD).contains(&baud).then(|| f64::from(baud) / 11.0)
 }
@@ -175,21 +165,18 @@ pub fn line_rate() -> Option<f64> {
 /// Returns true if the terminal may be asked for its background: an emulator, which ignores what it
 /// does not know, and not at the end of a serial line, where a real one may be.
 pub fn tells_background() -> bool {
-    let terminal = std::env::var("TERM").unwrap_or_default();
+    let terminal = terminal_name();
     has_title() && !terminal.is_empty() && !terminal.starts_with("vt") && line_rate().is_none()
 }
 
 /// Returns false for the console of Linux, which has no window and may print the title.
 fn has_title() -> bool {
-    std::env::var("TERM").is_ok_and(|terminal| terminal != "linux" && terminal != "dumb")
+    !matches!(terminal_name().as_str(), "" | "linux" | "dumb")
 }
 
 /// Returns true if the other end of the terminal is closed, as after a lost connection.
 pub fn is_lost() -> bool {
-    let stdout = io::stdout();
-    // No events requested: poll(2) reports errors and hang-up only.
-    let mut watched = [PollFd::new(stdout.as_fd(), PollFlags::empty())];
-    poll(&mut watched, PollTimeout::ZERO).is_ok_and(|count| count > 0)
+    console::is_output_closed()
 }
 
 /// Makes a panic restore the terminal before it is reported.

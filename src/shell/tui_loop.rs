@@ -5,11 +5,13 @@
 use super::background_colour::{BackgroundReply, QUESTION};
 use super::bus_scout::{BusScout, ScoutSettings};
 use super::config::ConfigFolder;
+use super::console::terminal_name;
 use super::file_watcher::{DiskContent, FileWatcher};
 use super::frame_templates::keep_template;
 use super::paint_pace::PaintPace;
 use super::recent_frames::remember_frame;
 use super::session::Session;
+use super::signals::{ScreenSignal, ScreenSignals};
 use super::stop::output_closed;
 use super::store::Store;
 use super::terminal::{self, Terminal};
@@ -29,7 +31,6 @@ use crossterm::event::{
 use std::future::pending;
 use std::io;
 use std::sync::Arc;
-use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::Notify;
 use tokio::time::{Instant, sleep_until, timeout_at};
 
@@ -474,7 +475,7 @@ pub fn no_colour() -> bool {
 fn colours() -> Colours {
     let variable = |name| std::env::var(name).unwrap_or_default();
     let full = ["truecolor", "24bit"].contains(&variable("COLORTERM").as_str());
-    let terminal = variable("TERM");
+    let terminal = terminal_name();
     if full || terminal.ends_with("-direct") {
         Colours::Full
     } else if terminal.contains("256") {
@@ -491,32 +492,24 @@ pub(super) enum TuiWake {
 }
 
 pub(super) struct Signals {
-    terminate: Signal,
-    interrupt: Signal,
-    hangup: Signal,
-    stop: Signal,
+    signals: ScreenSignals,
     /// Closed terminal. SIGHUP reports it to a session leader only.
     lost: Arc<Notify>,
 }
 
 impl Signals {
     pub(super) fn new() -> io::Result<Self> {
-        Ok(Self {
-            terminate: signal(SignalKind::terminate())?,
-            interrupt: signal(SignalKind::interrupt())?,
-            hangup: signal(SignalKind::hangup())?,
-            stop: signal(SignalKind::from_raw(nix::libc::SIGTSTP))?,
-            lost: output_closed(),
-        })
+        Ok(Self { signals: ScreenSignals::new()?, lost: output_closed() })
     }
 
     pub(super) async fn next(&mut self) -> TuiWake {
         tokio::select! {
-            _ = self.terminate.recv() => TuiWake::Terminate,
-            _ = self.interrupt.recv() => TuiWake::Terminate,
-            _ = self.hangup.recv() => TuiWake::Hangup,
+            signal = self.signals.next() => match signal {
+                ScreenSignal::Terminate => TuiWake::Terminate,
+                ScreenSignal::Hangup => TuiWake::Hangup,
+                ScreenSignal::Stop => TuiWake::Stop,
+            },
             () = self.lost.notified() => TuiWake::Hangup,
-            _ = self.stop.recv() => TuiWake::Stop,
         }
     }
 }

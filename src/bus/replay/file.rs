@@ -5,10 +5,10 @@ use super::super::kind::{BusKind, OpenRequest};
 use super::super::port::Port;
 use crate::diagnostic::Diagnostic;
 use crate::log::LogFormat;
+use crate::open_file::{open_pipe_at_once, open_waiting};
 use crate::regular_file::shown;
 use std::fs::File;
 use std::io;
-use std::os::unix::fs::{FileTypeExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 
 pub(in crate::bus) const KIND: BusKind = BusKind {
@@ -27,7 +27,7 @@ pub(in crate::bus) fn parse(text: &str) -> Result<PathBuf, Diagnostic> {
 /// ending of a log format. A device is none.
 pub(in crate::bus) fn is_path(text: &str) -> bool {
     let is_log = || LogFormat::has_log_ending(Path::new(text));
-    !text.starts_with("/dev/") && (text.contains('/') || is_log())
+    !text.starts_with("/dev/") && (text.contains(std::path::is_separator) || is_log())
 }
 
 /// The path that all spellings of one log share.
@@ -40,10 +40,8 @@ pub(in crate::bus) fn text(path: &Path) -> String {
 }
 
 pub(in crate::bus) fn open(path: &Path, request: OpenRequest) -> Result<Port, Diagnostic> {
-    let is_pipe = std::fs::metadata(path).is_ok_and(|it| it.file_type().is_fifo());
-    // A pipe opens before a writer does: its frames are waited for where other buses are not held up.
-    let flags = if is_pipe { nix::libc::O_NONBLOCK } else { 0 };
-    super::open(open_with(path, flags)?, Some(path), request)
+    // The frames of a pipe are waited for where other buses are not held up.
+    super::open(checked(path, open_pipe_at_once(path))?, Some(path), request)
 }
 
 /// Opens a log.
@@ -52,11 +50,11 @@ pub(in crate::bus) fn open(path: &Path, request: OpenRequest) -> Result<Port, Di
 ///
 /// Those of the file system; a folder is not a log.
 pub fn open_log(path: &Path) -> Result<File, Diagnostic> {
-    open_with(path, 0)
+    checked(path, open_waiting(path))
 }
 
-fn open_with(path: &Path, flags: i32) -> Result<File, Diagnostic> {
-    let opened = File::options().read(true).custom_flags(flags).open(path).and_then(|log| {
+fn checked(path: &Path, opened: io::Result<File>) -> Result<File, Diagnostic> {
+    let opened = opened.and_then(|log| {
         let is_folder = log.metadata()?.is_dir();
         if is_folder { Err(io::ErrorKind::IsADirectory.into()) } else { Ok(log) }
     });

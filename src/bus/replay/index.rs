@@ -6,11 +6,11 @@
 
 use crate::frame::{BusIndex, Frame};
 use crate::log::{FrameSource, LogPosition, LogReader};
+use crate::positioned_read::read_at;
 use crate::time::Instant;
 use std::fs::File;
 use std::io::{self, BufReader, Read};
 use std::ops::Range;
-use std::os::unix::fs::FileExt;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// Frames between two places at first.
@@ -161,7 +161,7 @@ impl FilePart {
 
 impl Read for FilePart {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
-        let read = self.file.read_at(buffer, self.offset)?;
+        let read = read_at(&self.file, buffer, self.offset)?;
         self.offset += read as u64;
         Ok(read)
     }

@@ -18,13 +18,14 @@ use super::waker::Waitable;
 use crate::diagnostic::Diagnostic;
 use crate::frame::{BusIndex, Frame};
 use crate::log::{DecodeStep, LogReader, Packing, READABLE_LOGS, Unpacked};
+use crate::open_file::{is_at, temporary_folder};
+use crate::positioned_read::{read_at, read_next};
 use crate::status::{Link, RateSearch};
 use crate::time::{Duration, Instant};
 use dates::last_time;
 use index::{FilePart, LogIndex};
-use std::fs::{self, File, Metadata};
+use std::fs::{self, File};
 use std::io::{self, BufReader, Read, Seek, SeekFrom, Write};
-use std::os::unix::fs::{FileExt, MetadataExt};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -479,7 +480,7 @@ impl Drop for Replay {
 /// Returns how a log file is packed; `None` if it is not.
 fn packing(log: &File) -> io::Result<Option<Packing>> {
     let mut head = [0; Packing::HEAD];
-    let len = log.read_at(&mut head, 0)?;
+    let len = read_at(log, &mut head, 0)?;
     Ok(Packing::of_head(&head[..len]))
 }
 
@@ -489,7 +490,7 @@ fn packing(log: &File) -> io::Result<Option<Packing>> {
 ///
 /// Those of the file system, with the folder and the way to name another one.
 fn unpacked_file() -> io::Result<(File, PathBuf)> {
-    let folder = std::env::var_os("TMPDIR").map_or_else(|| "/var/tmp".into(), PathBuf::from);
+    let folder = temporary_folder();
     match tempfile::tempfile_in(&folder) {
         Ok(file) => Ok((file, folder)),
         Err(error) => Err(cannot_unpack(&folder, &error)),
@@ -582,8 +583,9 @@ impl OpenLog {
             // It cannot be read; but the file may still be truncated.
             self.read.store(own.len(), Ordering::Relaxed);
         }
-        let is_other = |there: &Metadata| (there.dev(), there.ino()) != (own.dev(), own.ino());
-        if fs::metadata(path).is_ok_and(|there| there.is_file() && is_other(&there))
+        let is_other = || is_at(&self.file, path).is_ok_and(|is_at| !is_at);
+        if fs::metadata(path).is_ok_and(|there| there.is_file())
+            && is_other()
             && let Ok(log) = File::open(path)
         {
             *self = Self::new(log)?;
@@ -607,7 +609,7 @@ impl Read for LogSource {
         // It may be read on after the end that it says.
         while !self.shared.is_stopped() {
             if self.shared.wait(Some(self.file.wait_source()), None)? {
-                match (&*self.file).read(buffer) {
+                match read_next(&self.file, buffer, self.read.load(Ordering::Relaxed)) {
                     // A pipe that another reader was quicker at.
                     Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
                     read => {

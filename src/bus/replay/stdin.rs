@@ -4,9 +4,7 @@ use super::super::faults::cannot_open;
 use super::super::kind::{BusKind, OpenRequest};
 use super::super::port::Port;
 use crate::diagnostic::Diagnostic;
-use std::fs::File;
-use std::io;
-use std::os::fd::AsFd;
+use crate::open_file::stdin_file;
 
 pub(in crate::bus) const KIND: BusKind = BusKind {
     scheme: "-",
@@ -17,8 +15,8 @@ pub(in crate::bus) const KIND: BusKind = BusKind {
 };
 
 pub(in crate::bus) fn open(request: OpenRequest) -> Result<Port, Diagnostic> {
-    match io::stdin().as_fd().try_clone_to_owned() {
-        Ok(log) => super::open(File::from(log), None, request),
+    match stdin_file() {
+        Ok(log) => super::open(log, None, request),
         Err(error) => Err(cannot_open(request.name, &error)),
     }
 }

@@ -26,6 +26,7 @@ pub(in crate::bus) struct Waker {
 }
 
 impl Waker {
+    #[expect(clippy::unnecessary_wraps, reason = "poll(2) of other systems can fail")]
     pub(in crate::bus) fn new() -> io::Result<Self> {
         Ok(Self::default())
     }
@@ -44,6 +45,7 @@ impl Waker {
     /// # Errors
     ///
     /// None.
+    #[expect(clippy::unnecessary_wraps, reason = "poll(2) of other systems can fail")]
     pub(in crate::bus) fn wait(
         &self,
         input: Option<WaitSource<'_>>,

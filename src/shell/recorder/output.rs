@@ -3,10 +3,10 @@
 use super::{RecorderBatch, shown};
 use crate::frame::Frame;
 use crate::log::{LogEncoder, LogEntry, LogFormat};
+use crate::open_file::{is_at, link_count};
 use crate::status::RecordingStatus;
 use std::fs::{File, OpenOptions};
 use std::io::{self, Seek, SeekFrom, Write};
-use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
 /// Bytes collected before they are written, even between flushes.
@@ -96,7 +96,7 @@ impl Output {
 
     /// Returns an error if the file was deleted: what is written to it would be lost.
     pub fn check_place(&self) -> io::Result<()> {
-        if self.file.metadata()?.nlink() == 0 {
+        if link_count(&self.file.metadata()?) == 0 {
             return Err(io::Error::other("the file was deleted"));
         }
         Ok(())
@@ -113,8 +113,7 @@ impl Output {
 
     /// Deletes the file, unless another file has taken its path.
     pub fn remove(&mut self) -> io::Result<()> {
-        let (own, there) = (self.file.metadata()?, std::fs::metadata(&self.path)?);
-        if (own.dev(), own.ino()) == (there.dev(), there.ino()) {
+        if is_at(&self.file, &self.path)? {
             std::fs::remove_file(&self.path)?;
         }
         (self.gathered, self.written, self.flushed) = (Vec::new(), 0, 0);

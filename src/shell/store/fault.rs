@@ -2,7 +2,7 @@
 
 use crate::diagnostic::Diagnostic;
 use crate::regular_file::{of_system, path_fault};
-use nix::errno::Errno;
+use crate::system_error::FileFault;
 use std::io;
 
 pub(in crate::shell) fn already_exists() -> Diagnostic {
@@ -11,22 +11,24 @@ pub(in crate::shell) fn already_exists() -> Diagnostic {
 
 /// Returns the fault of a file that the system does not write.
 pub(in crate::shell) fn not_written(error: &io::Error) -> Diagnostic {
-    let (cause, remedy) = match error.raw_os_error().map(Errno::from_raw) {
-        Some(Errno::EACCES | Errno::EPERM) => {
+    let (cause, remedy) = match FileFault::of(error) {
+        Some(FileFault::NotPermitted) => {
             ("no permission for its folder", "fix it, or save elsewhere")
         }
-        Some(Errno::EROFS) => ("mounted read-only", "remount it, or save elsewhere"),
-        Some(Errno::ENOSPC | Errno::EDQUOT) => ("the disk is full", "make room, or save elsewhere"),
-        Some(Errno::EFBIG) => ("file size limit reached", "raise it: ulimit -f"),
-        Some(Errno::EBUSY) => ("a bind mount", "mount its folder, or save elsewhere"),
+        Some(FileFault::ReadOnly) => ("mounted read-only", "remount it, or save elsewhere"),
+        Some(FileFault::DiskFull) => ("the disk is full", "make room, or save elsewhere"),
+        Some(FileFault::TooLarge) => ("file size limit reached", "raise it: ulimit -f"),
+        Some(FileFault::InUse) if cfg!(windows) => ("open in another program", "close it there"),
+        Some(FileFault::InUse) => ("a bind mount", "mount its folder, or save elsewhere"),
         _ => return path_fault(error).unwrap_or_else(|| of_system(error, "cannot be written")),
     };
     Diagnostic::new(cause).with_remedy(remedy)
 }
 
-#[cfg(test)]
+#[cfg(all(test, unix))]
 mod tests {
     use super::*;
+    use nix::errno::Errno;
 
     /// Checks the texts directly: some of these errors need mounted file systems.
     #[test]

@@ -10,30 +10,28 @@
 //! ```text
 //! replacement  the exchange, and what came out of it    attributes  owner, mode, access list
 //! temporary    files beside the target                  places      symbolic links
-//! fault        errors with their remedies
+//! exchange     two files exchange their names          fault     errors with their remedies
 //! ```
 //!
 //! Does not know the content of the file.
 
 mod attributes;
+mod exchange;
 mod fault;
 mod places;
 mod replacement;
 mod temporary;
 
-use std::fs::{self, File, Metadata, TryLockError};
+use std::fs::{self, File, TryLockError};
 use std::io::{self, Write as _};
-use std::os::unix::ffi::OsStrExt as _;
-use std::os::unix::fs::MetadataExt as _;
 use std::path::{Path, PathBuf};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use nix::errno::Errno;
-use nix::unistd::{AccessFlags, Uid, access};
 use tempfile::NamedTempFile;
 
 use crate::diagnostic::{Diagnostic, without_number};
+use crate::open_file::{self, link_count, open_folder};
 use crate::regular_file::{self, RegularFile, check_kind, shown};
 use attributes::AttributeError;
 use temporary::{create_beside, remove_leftovers};
@@ -90,7 +88,7 @@ pub fn write_new<T>(
     let at_home = home.and_then(|home| Some(home.join(path.strip_prefix("~").ok()?)));
     let store = Store::new(at_home.as_deref().unwrap_or(path));
     store.check_new()?;
-    let is_user = at_home.is_none() && path.as_os_str().as_bytes().starts_with(b"~");
+    let is_user = at_home.is_none() && path.as_os_str().as_encoded_bytes().starts_with(b"~");
     if is_user && store.missing_folder().is_some() {
         return Err(Diagnostic::new("~ cannot be expanded").with_remedy("give the full path"));
     }
@@ -150,12 +148,12 @@ impl Store {
     pub fn save(&self, expected: Option<&[u8]>, new: &[u8]) -> Result<Saved, SaveError> {
         let places = Places::of(&self.path).map_err(|error| not_written(&error))?;
         let (folder, target) = (&places.folder, &places.target);
-        let open = File::open(folder)
+        let open = open_folder(folder)
             .map_err(|error| self.missing_folder().unwrap_or_else(|| not_written(&error)))?;
         let lock = lock(folder)?;
         let old = RegularFile::open(target)?;
         if let Some(old) = &old {
-            require_write_permission(target, old.metadata())?;
+            attributes::require_write_permission(target, old.metadata())?;
         }
         if lock.is_some() {
             remove_leftovers(target, folder);
@@ -175,7 +173,7 @@ impl Store {
         let names = replaced.other_names();
         replaced.finish()?;
         synced?;
-        let broken_links = names.unwrap_or(old.metadata().nlink().saturating_sub(1));
+        let broken_links = names.unwrap_or(link_count(old.metadata()).saturating_sub(1));
         Ok(Saved { broken_links })
     }
 
@@ -186,7 +184,7 @@ impl Store {
     ) -> Result<(), SaveError> {
         let places = Places::of(&self.path).map_err(|error| not_written(&error))?;
         let (folder, target) = (&places.folder, &places.target);
-        let open = File::open(folder)
+        let open = open_folder(folder)
             .map_err(|error| self.missing_folder().unwrap_or_else(|| not_written(&error)))?;
         let _lock = lock(folder)?;
         let temporary = write_beside(target, folder, None, write)?;
@@ -227,7 +225,7 @@ impl Store {
 /// be opened or its file system has no locks.
 fn lock(folder: &Path) -> Result<Option<File>, Diagnostic> {
     let deadline = Instant::now() + LOCK_PATIENCE;
-    let Ok(open) = File::open(folder) else { return Ok(None) };
+    let Ok(open) = attributes::open_lock(folder) else { return Ok(None) };
     loop {
         match open.try_lock() {
             Ok(()) => return Ok(Some(open)),
@@ -241,18 +239,6 @@ fn lock(folder: &Path) -> Result<Option<File>, Diagnostic> {
         }
         thread::sleep(Duration::from_millis(5));
     }
-}
-
-/// Returns the fault of a file that its mode protects. A save does not write to the file itself, so
-/// the system would not refuse it.
-fn require_write_permission(target: &Path, metadata: &Metadata) -> Result<(), Diagnostic> {
-    if access(target, AccessFlags::W_OK) != Err(Errno::EACCES) {
-        return Ok(());
-    }
-    let is_own = metadata.uid() == Uid::effective().as_raw();
-    let cause = if is_own { "write-protected" } else { "belongs to another user" };
-    let remedy = if is_own { "chmod u+w, or save elsewhere" } else { "save elsewhere" };
-    Err(Diagnostic::new(cause).with_remedy(remedy))
 }
 
 /// Writes and syncs the new content to a temporary file beside the target, removed when dropped.
@@ -280,11 +266,6 @@ fn write_beside(
 
 /// Makes the names in a folder durable.
 fn sync_folder(folder: &File) -> Result<(), SaveError> {
-    match folder.sync_all() {
-        // Some file systems cannot sync a folder.
-        Err(cause) if cause.raw_os_error() != Some(Errno::EINVAL as i32) => {
-            Err(SaveError::Unconfirmed(Diagnostic::new(without_number(&cause))))
-        }
-        _ => Ok(()),
-    }
+    open_file::sync_folder(folder)
+        .map_err(|cause| SaveError::Unconfirmed(Diagnostic::new(without_number(&cause))))
 }

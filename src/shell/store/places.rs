@@ -1,6 +1,6 @@
 //! The path of a file with its symbolic links resolved.
 
-use nix::errno::Errno;
+use crate::system_error::link_loop;
 use std::ffi::{OsStr, OsString};
 use std::fs;
 use std::io::{self, ErrorKind};
@@ -29,9 +29,10 @@ impl Places {
     /// current folder was removed.
     pub fn of(path: &Path) -> io::Result<Self> {
         let mut watched = Vec::new();
-        let mut here = PathBuf::from("/");
+        let path = std::path::absolute(path)?;
+        let mut here = root(&path);
         // Components not resolved yet, last first.
-        let mut ahead = components(&std::path::absolute(path)?);
+        let mut ahead = components(&path);
         let mut links = 0;
         while let Some(name) = ahead.pop() {
             if name == ".." {
@@ -43,11 +44,11 @@ impl Places {
                 Ok(metadata) if metadata.is_symlink() => {
                     links += 1;
                     if links > MAX_LINKS {
-                        return Err(Errno::ELOOP.into());
+                        return Err(link_loop());
                     }
                     let link = fs::read_link(&next)?;
                     if link.is_absolute() {
-                        watched.push((std::mem::replace(&mut here, "/".into()), name));
+                        watched.push((std::mem::replace(&mut here, root(&link)), name));
                     } else {
                         watched.push((here.clone(), name));
                     }
@@ -73,6 +74,12 @@ impl Places {
 /// too, and is reported when the folder is opened.
 fn is_missing(error: &io::Error) -> bool {
     matches!(error.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory)
+}
+
+/// Returns the beginning of an absolute path: `/`; on Windows with a drive before it.
+fn root(path: &Path) -> PathBuf {
+    let is_root = |part: &Component| matches!(part, Component::Prefix(_) | Component::RootDir);
+    path.components().take_while(is_root).collect()
 }
 
 /// Returns the names in a path, last first.

@@ -4,7 +4,7 @@
 //! exchange is then compared with what was expected, and put back if it is something else: so a
 //! change made between a comparison and the exchange is not lost. A program that had the old file
 //! open may still write to it: descan looks at it for 0.1 s and, if it changed, puts it back as
-//! well. Elsewhere (NFS, FUSE) the content is compared right before a rename.
+//! well. Elsewhere (NFS, FUSE, Windows) the content is compared right before a rename.
 //!
 //! What remains: a write to the old file after that time; any write to it where files cannot be
 //! exchanged, and a change in the few microseconds between comparison and rename there; a write to
@@ -12,17 +12,14 @@
 //! right before the exchange if descan is killed before it is put back.
 
 use super::attributes::is_same_access;
+use super::exchange::{ExchangeError, exchange, rename_to_free};
 use super::fault::not_written;
 use super::{MAX_BYTES, SaveError, Store};
 use crate::diagnostic::{Diagnostic, without_number};
+use crate::open_file::link_count;
 use crate::regular_file::RegularFile;
 use crate::text::printable;
-use rustix::fs::{CWD, RenameFlags, renameat_with};
-use rustix::io::Errno;
 use std::fs::{self, Metadata};
-use std::io;
-use std::os::unix::ffi::OsStrExt as _;
-use std::os::unix::fs::MetadataExt as _;
 use std::path::Path;
 use std::thread;
 use std::time::Duration;
@@ -60,14 +57,14 @@ pub(super) fn replace<'a>(
     let beside = temporary.into_temp_path();
     match exchange(&beside, target) {
         Ok(()) => {}
-        Err(Errno::NOENT) => return Err(SaveError::Changed(None)),
-        Err(Errno::INVAL | Errno::NOSYS | Errno::NOTSUP) => {
+        Err(ExchangeError::Missing) => return Err(SaveError::Changed(None)),
+        Err(ExchangeError::NotSupported) => {
             // The content may have changed during the failed attempt.
             require_content(target, expected)?;
             beside.persist(target).map_err(|error| not_written(&error.error))?;
             return Ok(Replaced { target, expected, new, old: None });
         }
-        Err(error) => return Err(not_written(&error.into()).into()),
+        Err(ExchangeError::System(error)) => return Err(not_written(&error).into()),
     }
     let old = RegularFile::open(&beside).ok().flatten();
     let old =
@@ -82,7 +79,7 @@ pub(super) fn replace<'a>(
 impl Replaced<'_> {
     /// Number of other names (hard links) of the old file; `None` if it is not at hand.
     pub fn other_names(&self) -> Option<u64> {
-        self.old.as_ref().map(|(old, _)| old.metadata().nlink().saturating_sub(1))
+        self.old.as_ref().map(|(old, _)| link_count(old.metadata()).saturating_sub(1))
     }
 
     /// Watches the old file for 0.1 s, then removes it.
@@ -111,7 +108,7 @@ fn has_content(file: &RegularFile, expected: &[u8]) -> bool {
 
 /// Returns true if the content differs from `expected` at one of the [`LOOKS`].
 fn is_written_late(old: &RegularFile, expected: &[u8]) -> bool {
-    let stamp = |metadata: Metadata| (metadata.len(), metadata.mtime(), metadata.mtime_nsec());
+    let stamp = |metadata: Metadata| (metadata.len(), metadata.modified().ok());
     let first = stamp(old.metadata().clone());
     for period in LOOKS.iter().flat_map(|&(count, period)| (0..count).map(move |_| period)) {
         thread::sleep(period);
@@ -140,28 +137,20 @@ fn put_back(beside: TempPath, target: &Path, new: &[u8]) -> Result<(), SaveError
             Ok(())
         }
         // The new file was deleted, as by a program that renames it first.
-        Err(Errno::NOENT) => renamed_back(beside, target, RenameFlags::NOREPLACE),
-        Err(_) => renamed_back(beside, target, RenameFlags::empty()),
+        Err(ExchangeError::Missing) => renamed_back(beside, target, true),
+        Err(_) => renamed_back(beside, target, false),
     }
 }
 
-fn renamed_back(beside: TempPath, target: &Path, flags: RenameFlags) -> Result<(), SaveError> {
-    let is_free = flags.contains(RenameFlags::NOREPLACE);
+/// Gives the old file its name back; `is_free`: only if no file has it.
+fn renamed_back(beside: TempPath, target: &Path, is_free: bool) -> Result<(), SaveError> {
     let renamed =
         if is_free { rename_to_free(&beside, target) } else { fs::rename(&beside, target) };
     let Err(error) = renamed else { return Ok(()) };
-    let name = beside.file_name().unwrap_or_default().as_bytes().to_vec();
+    let name = beside.file_name().unwrap_or_default().as_encoded_bytes().to_vec();
     // Not removed: it has the change of the other program.
     let _ = beside.keep();
     let cause = format!("change of another program not put back: {}", without_number(&error));
     let remedy = format!("it is in {}", printable(&name));
     Err(Diagnostic::new(cause).with_remedy(remedy).into())
-}
-
-fn rename_to_free(from: &Path, to: &Path) -> io::Result<()> {
-    Ok(renameat_with(CWD, from, CWD, to, RenameFlags::NOREPLACE)?)
-}
-
-fn exchange(one: &Path, other: &Path) -> Result<(), Errno> {
-    renameat_with(CWD, one, CWD, other, RenameFlags::EXCHANGE)
 }

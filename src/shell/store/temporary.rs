@@ -1,10 +1,9 @@
 //! Temporary files beside the target of a save.
 
+use crate::open_file::create_new;
 use std::ffi::{OsStr, OsString};
-use std::fs::{self, File};
+use std::fs;
 use std::io;
-use std::os::unix::ffi::{OsStrExt as _, OsStringExt as _};
-use std::os::unix::fs::OpenOptionsExt as _;
 use std::path::Path;
 use tempfile::{NamedTempFile, TempPath};
 
@@ -29,7 +28,7 @@ pub(super) fn create_beside(target: &Path, folder: &Path, mode: u32) -> io::Resu
         name.push((0..RANDOM_CHARACTERS).map(|_| fastrand::alphanumeric()).collect::<String>());
         name.push(SUFFIX);
         let path = folder.join(name);
-        match File::options().read(true).write(true).create_new(true).mode(mode).open(&path) {
+        match create_new(&path, mode) {
             Ok(file) => return Ok(NamedTempFile::from_parts(file, TempPath::try_from_path(path)?)),
             Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
             Err(error) => return Err(error),
@@ -43,7 +42,7 @@ pub(super) fn remove_leftovers(target: &Path, folder: &Path) {
     let prefix = prefix(target);
     for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
         let name = entry.file_name();
-        let rest = name.as_bytes().strip_prefix(prefix.as_bytes());
+        let rest = name.as_encoded_bytes().strip_prefix(prefix.as_encoded_bytes());
         let is_ours = rest.is_some_and(|rest| rest.ends_with(SUFFIX.as_bytes()));
         if is_ours && entry.file_type().is_ok_and(|kind| kind.is_file()) {
             // A leftover that cannot be removed is harmless.
@@ -66,8 +65,20 @@ fn prefix(target: &Path) -> OsString {
 /// Returns the longest beginning of at most `max_bytes`, without a partial character: some file
 /// systems accept only UTF-8.
 fn beginning(name: &OsStr, max_bytes: usize) -> OsString {
-    let bytes = name.as_bytes();
+    let bytes = name.as_encoded_bytes();
     let is_continuation = |at: usize| bytes.get(at).is_some_and(|byte| byte & 0xC0 == 0x80);
     let end = (0..=max_bytes.min(bytes.len())).rev().find(|&at| !is_continuation(at));
-    OsString::from_vec(bytes[..end.unwrap_or(0)].to_vec())
+    name_of(&bytes[..end.unwrap_or(0)])
+}
+
+#[cfg(unix)]
+fn name_of(bytes: &[u8]) -> OsString {
+    use std::os::unix::ffi::OsStringExt as _;
+    OsString::from_vec(bytes.to_vec())
+}
+
+/// Half a surrogate pair is replaced: the name only has to be the same each time.
+#[cfg(windows)]
+fn name_of(bytes: &[u8]) -> OsString {
+    String::from_utf8_lossy(bytes).into_owned().into()
 }

@@ -22,6 +22,7 @@ pub(super) enum PortFault {
     /// There is no such device.
     Missing,
     /// The user may not open it.
+    #[cfg_attr(windows, expect(dead_code, reason = "Windows ports have no owner"))]
     NotPermitted,
     /// Another program has it open.
     InUse,

@@ -1,15 +1,16 @@
-//! What a save keeps of the file it replaces, besides its name: owner, group, mode, access control
-//! list, extended attributes.
+//! Owner, group, mode and extended attributes of Unix.
 
+use super::AttributeError;
 use crate::diagnostic::{Diagnostic, without_number};
 use crate::text::printable;
-use nix::unistd::{Gid, Uid, fchown};
+use nix::unistd::{AccessFlags, Gid, Uid, access, fchown};
 use rustix::fs::{XattrFlags, fgetxattr, flistxattr, fremovexattr, fsetxattr};
 use rustix::io::Errno;
 use std::ffi::{CStr, CString};
 use std::fs::{File, Metadata, Permissions};
 use std::io;
 use std::os::unix::fs::{MetadataExt as _, PermissionsExt as _};
+use std::path::Path;
 
 /// The access control list, as an extended attribute. That of macOS is none, and is not kept.
 const ACCESS_LIST: &CStr = c"system.posix_acl_access";
@@ -26,17 +27,6 @@ const NO_ATTRIBUTE: Errno = Errno::NOATTR;
 /// Kernel limit of a list of attribute names, and of a value, in bytes.
 const MAX_ATTRIBUTE_BYTES: usize = 64 << 10;
 
-/// Why the attributes of a file cannot be given to another one.
-#[derive(Debug, thiserror::Error)]
-pub(super) enum AttributeError {
-    /// An attribute would be lost.
-    #[error("{0}")]
-    NotKept(Diagnostic),
-    /// The disk fails.
-    #[error("{0}")]
-    Disk(#[from] io::Error),
-}
-
 /// Gives `new`, a file of mode 0600, the attributes of `old`. Access is never wider than that of
 /// `old`, not even in between.
 ///
@@ -46,7 +36,11 @@ pub(super) enum AttributeError {
 ///
 /// # Errors
 /// An attribute cannot be read or set, or an access control list would apply to another group.
-pub(super) fn keep(old: &File, metadata: &Metadata, new: &File) -> Result<(), AttributeError> {
+pub(in crate::shell::store) fn keep(
+    old: &File,
+    metadata: &Metadata,
+    new: &File,
+) -> Result<(), AttributeError> {
     let has_group = keep_owner(metadata, new)?;
     let names = names(old)?;
     if names.iter().any(|name| name.as_c_str() == ACCESS_LIST) {
@@ -66,9 +60,29 @@ pub(super) fn keep(old: &File, metadata: &Metadata, new: &File) -> Result<(), At
 }
 
 /// Returns true if two files give the same access, as far as owner, group and mode tell.
-pub(super) fn is_same_access(one: &Metadata, other: &Metadata) -> bool {
+pub(in crate::shell::store) fn is_same_access(one: &Metadata, other: &Metadata) -> bool {
     let access = |file: &Metadata| (file.uid(), file.gid(), file.mode());
     access(one) == access(other)
+}
+
+/// Returns the fault of a file that its mode protects. A save does not write to the file itself, so
+/// the system would not refuse it.
+pub(in crate::shell::store) fn require_write_permission(
+    target: &Path,
+    metadata: &Metadata,
+) -> Result<(), Diagnostic> {
+    if access(target, AccessFlags::W_OK) != Err(nix::Error::EACCES) {
+        return Ok(());
+    }
+    let is_own = metadata.uid() == Uid::effective().as_raw();
+    let cause = if is_own { "write-protected" } else { "belongs to another user" };
+    let remedy = if is_own { "chmod u+w, or save elsewhere" } else { "save elsewhere" };
+    Err(Diagnostic::new(cause).with_remedy(remedy))
+}
+
+/// Opens what the saves to a folder are locked by: the folder.
+pub(in crate::shell::store) fn open_lock(folder: &Path) -> io::Result<File> {
+    File::open(folder)
 }
 
 /// Sets owner and group; returns true if the group is the old one.
