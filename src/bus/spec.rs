@@ -106,6 +106,8 @@ impl FromStr for BusSpec {
 
     fn from_str(text: &str) -> Result<Self, Diagnostic> {
         let (scheme, rest) = match text.split_once(':') {
+            // Its colon is that of a drive, on Windows.
+            Some(_) if file::has_drive(text) => (file::KIND.scheme, text),
             Some(parts) => parts,
             None if text == stdin::KIND.scheme => (text, ""),
             None if file::is_path(text) => (file::KIND.scheme, text),

@@ -9,7 +9,7 @@ use crate::open_file::{open_pipe_at_once, open_waiting};
 use crate::regular_file::shown;
 use std::fs::File;
 use std::io;
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 
 pub(in crate::bus) const KIND: BusKind = BusKind {
     scheme: "file",
@@ -28,6 +28,11 @@ pub(in crate::bus) fn parse(text: &str) -> Result<PathBuf, Diagnostic> {
 pub(in crate::bus) fn is_path(text: &str) -> bool {
     let is_log = || LogFormat::has_log_ending(Path::new(text));
     !text.starts_with("/dev/") && (text.contains(std::path::is_separator) || is_log())
+}
+
+/// Returns true if a text begins with a drive, as `C:`. Only Windows has drives.
+pub(in crate::bus) fn has_drive(text: &str) -> bool {
+    matches!(Path::new(text).components().next(), Some(Component::Prefix(_)))
 }
 
 /// The path that all spellings of one log share.

@@ -2,6 +2,7 @@
 
 use std::io;
 use std::path::Path;
+use tempfile::TempPath;
 
 /// Why the names were not exchanged.
 #[derive(Debug)]
@@ -33,6 +34,34 @@ pub(super) fn exchange(one: &Path, other: &Path) -> Result<(), ExchangeError> {
 #[cfg(windows)]
 pub(super) fn exchange(_: &Path, _: &Path) -> Result<(), ExchangeError> {
     Err(ExchangeError::NotSupported)
+}
+
+/// Replaces a file by a temporary one.
+#[cfg(unix)]
+pub(super) fn put_in_place(new: TempPath, target: &Path) -> io::Result<()> {
+    new.persist(target).map_err(|error| error.error)
+}
+
+/// Replaces a file by a temporary one. A program that has the file open for a moment, as one that
+/// looks for viruses, is waited for.
+#[cfg(windows)]
+pub(super) fn put_in_place(new: TempPath, target: &Path) -> io::Result<()> {
+    use std::time::{Duration, Instant};
+    const PATIENCE: Duration = Duration::from_millis(500);
+    let deadline = Instant::now() + PATIENCE;
+    loop {
+        match std::fs::rename(&new, target) {
+            Err(error) if is_open_elsewhere(&error) && Instant::now() < deadline => {}
+            renamed => return renamed,
+        }
+        std::thread::sleep(Duration::from_millis(10));
+    }
+}
+
+#[cfg(windows)]
+fn is_open_elsewhere(error: &io::Error) -> bool {
+    use crate::system_error::FileFault;
+    matches!(FileFault::of(error), Some(FileFault::NotPermitted | FileFault::InUse))
 }
 
 /// Renames a file to a name that no file has.

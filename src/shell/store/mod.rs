@@ -160,20 +160,24 @@ impl Store {
         }
         let write = |file: &mut File| file.write_all(new);
         let temporary = write_beside(target, folder, old.as_ref(), write)?;
-        let (Some(expected), Some(old)) = (expected, &old) else {
-            if expected.is_some() || old.is_some() {
+        let is_there = old.is_some();
+        let (Some(expected), Some(old)) = (expected, old) else {
+            if expected.is_some() || is_there {
                 return Err(SaveError::Changed(self.read()?));
             }
             self.create(temporary, target)?;
             sync_folder(&open)?;
             return Ok(Saved::default());
         };
-        let replaced = replacement::replace(temporary, target, expected, new, old.metadata())?;
+        let before = old.metadata().clone();
+        // Windows replaces no file that is open.
+        drop(old);
+        let replaced = replacement::replace(temporary, target, expected, new, &before)?;
         let synced = sync_folder(&open);
         let names = replaced.other_names();
         replaced.finish()?;
         synced?;
-        let broken_links = names.unwrap_or(link_count(old.metadata()).saturating_sub(1));
+        let broken_links = names.unwrap_or(link_count(&before).saturating_sub(1));
         Ok(Saved { broken_links })
     }
 

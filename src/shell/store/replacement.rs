@@ -12,7 +12,7 @@
 //! right before the exchange if descan is killed before it is put back.
 
 use super::attributes::is_same_access;
-use super::exchange::{ExchangeError, exchange, rename_to_free};
+use super::exchange::{ExchangeError, exchange, put_in_place, rename_to_free};
 use super::fault::not_written;
 use super::{MAX_BYTES, SaveError, Store};
 use crate::diagnostic::{Diagnostic, without_number};
@@ -61,7 +61,7 @@ pub(super) fn replace<'a>(
         Err(ExchangeError::NotSupported) => {
             // The content may have changed during the failed attempt.
             require_content(target, expected)?;
-            beside.persist(target).map_err(|error| not_written(&error.error))?;
+            put_in_place(beside, target).map_err(|error| not_written(&error))?;
             return Ok(Replaced { target, expected, new, old: None });
         }
         Err(ExchangeError::System(error)) => return Err(not_written(&error).into()),
