@@ -45,6 +45,7 @@ pub(super) fn put_in_place(new: TempPath, target: &Path) -> io::Result<()> {
 /// Replaces a file by a temporary one. A program that has the file open for a moment, as one that
 /// looks for viruses, is waited for.
 #[cfg(windows)]
+#[expect(clippy::needless_pass_by_value, reason = "it is removed if it was not renamed")]
 pub(super) fn put_in_place(new: TempPath, target: &Path) -> io::Result<()> {
     use std::time::{Duration, Instant};
     const PATIENCE: Duration = Duration::from_millis(500);
