@@ -39,7 +39,7 @@ impl FleetGateway {
     pub fn differences(&self, expected: &[ExpectedDevices]) -> Vec<FleetDifference> {
         let mut found: Vec<FleetDifference> = self.conflicts().collect();
         for file in expected {
-            Comparer { gateway: self, file, found: &mut found }.compare();
+            FileComparer { gateway: self, file, found: &mut found }.compare();
         }
         found
     }
@@ -60,13 +60,13 @@ impl FleetGateway {
     }
 }
 
-struct Comparer<'a> {
+struct FileComparer<'a> {
     gateway: &'a FleetGateway,
     file: &'a ExpectedDevices,
     found: &'a mut Vec<FleetDifference>,
 }
 
-impl<'a> Comparer<'a> {
+impl<'a> FileComparer<'a> {
     fn compare(&mut self) {
         let file = self.file;
         for finding in file.document.findings() {

@@ -43,12 +43,12 @@ pub struct FleetMessage {
     /// The broker keeps it for later subscribers.
     pub is_retained: bool,
     /// To be passed back when it is known what became of the message.
-    pub delivery: Delivery,
+    pub id: FleetMessageId,
 }
 
 /// Which message it was.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Delivery {
+pub enum FleetMessageId {
     /// A document: its levels after the gateway, and its version.
     Document(String, u64),
     /// An event, by its number.
@@ -139,7 +139,7 @@ impl Publication {
             topic: TopicPath::Status.of(&self.gateway),
             payload: payload.to_string().into_bytes().into(),
             is_retained: true,
-            delivery: Delivery::Document(TopicPath::Status.to_string(), 0),
+            id: FleetMessageId::Document(TopicPath::Status.to_string(), 0),
         }
     }
 
@@ -260,13 +260,13 @@ impl Publication {
     }
 
     /// What became of a message: the broker has it.
-    pub fn handle_delivered(&mut self, delivery: &Delivery) {
+    pub fn handle_delivered(&mut self, id: &FleetMessageId) {
         self.in_flight = self.in_flight.saturating_sub(1);
-        match delivery {
-            Delivery::Event(number) => {
+        match id {
+            FleetMessageId::Event(number) => {
                 self.sent_events.remove(number);
             }
-            Delivery::Document(tail, version) => {
+            FleetMessageId::Document(tail, version) => {
                 let is_clear = |slot: &DocumentSlot| slot.payload.is_none();
                 let slot = self.documents.get(tail).filter(|slot| slot.version == *version);
                 if slot.is_some_and(is_clear) {
@@ -277,17 +277,17 @@ impl Publication {
     }
 
     /// What became of a message: it was lost with the session, and is sent again.
-    pub fn handle_undelivered(&mut self, delivery: &Delivery) {
+    pub fn handle_undelivered(&mut self, id: &FleetMessageId) {
         self.in_flight = self.in_flight.saturating_sub(1);
-        match delivery {
-            Delivery::Event(number) => {
+        match id {
+            FleetMessageId::Event(number) => {
                 let Some(payload) = self.sent_events.remove(number) else { return };
                 let at = self.events.partition_point(|(other, _)| other < number);
                 self.queued_bytes += payload.len();
                 self.events.insert(at, (*number, payload));
                 self.keep_bound();
             }
-            Delivery::Document(tail, version) => {
+            FleetMessageId::Document(tail, version) => {
                 if self.documents.get(tail).is_some_and(|slot| slot.version == *version) {
                     self.due.insert(tail.clone());
                 }
@@ -296,9 +296,9 @@ impl Publication {
     }
 
     /// What became of a message: the broker does not take it.
-    pub fn handle_refused(&mut self, delivery: &Delivery) {
+    pub fn handle_refused(&mut self, id: &FleetMessageId) {
         self.refused += 1;
-        self.handle_delivered(delivery);
+        self.handle_delivered(id);
     }
 
     /// Returns the next message to send: documents before the status, which tells that they are
@@ -321,7 +321,7 @@ impl Publication {
             topic: self.gateway.topic(&tail),
             payload: slot.payload.clone().unwrap_or_default(),
             is_retained: true,
-            delivery: Delivery::Document(tail, slot.version),
+            id: FleetMessageId::Document(tail, slot.version),
         })
     }
 
@@ -333,7 +333,7 @@ impl Publication {
             topic: TopicPath::Event.of(&self.gateway),
             payload,
             is_retained: false,
-            delivery: Delivery::Event(number),
+            id: FleetMessageId::Event(number),
         })
     }
 

@@ -3,7 +3,7 @@
 use super::address::BrokerSettings;
 use super::back_off;
 use super::failure::BrokerFailure;
-use crate::fleet::{Delivery, FleetMessage, Publication};
+use crate::fleet::{FleetMessage, FleetMessageId, Publication};
 use crate::time::Duration;
 use futures_util::stream::{FuturesUnordered, StreamExt as _};
 use rumqttc::{
@@ -22,6 +22,9 @@ const MAX_NOTICES: usize = 64;
 
 /// Time in which the documents of an earlier run arrive.
 const READING: Duration = Duration::from_secs(10);
+
+/// Longest wait for the end of the connection.
+const FAREWELL: Duration = Duration::from_millis(300);
 
 /// What happened to the connection.
 #[derive(Clone, Debug)]
@@ -54,7 +57,6 @@ impl Shared {
 pub struct BrokerPublisher {
     shared: Arc<Shared>,
     notices: Receiver<PublisherNotice>,
-    thread: thread::JoinHandle<()>,
 }
 
 impl BrokerPublisher {
@@ -76,19 +78,19 @@ impl BrokerPublisher {
         });
         let (sender, notices) = mpsc::sync_channel(MAX_NOTICES);
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
-        let link = Link {
+        let task = Link {
             shared: Arc::clone(&shared),
             notices: sender,
             settings: settings.clone(),
             own,
             reading: Notify::new(),
         };
-        let thread = thread::Builder::new().name("broker".to_owned()).spawn(move || {
+        thread::Builder::new().name("broker".to_owned()).spawn(move || {
             // More than are sent at once: a request never waits for room.
             let (client, events) = AsyncClient::builder(options).capacity(256).build();
-            runtime.block_on(link.run(&client, events));
+            runtime.block_on(task.run(&client, events));
         })?;
-        Ok(Self { shared, notices, thread })
+        Ok(Self { shared, notices })
     }
 
     /// Changes the publication, and sends what it has then.
@@ -111,14 +113,14 @@ impl BrokerPublisher {
         let waited = self.shared.delivered.wait_timeout_while(publication, time, waits);
         let is_delivered = waited.is_ok_and(|(_, result)| !result.timed_out());
         self.shared.stop.notify_one();
-        // It ends at once, or is left to the end of the program.
-        drop(self.thread);
+        // The thread closes its end when it has disconnected.
+        while self.notices.recv_timeout(FAREWELL).is_ok() {}
         is_delivered
     }
 }
 
 /// The thread of the connection.
-struct Link {
+struct PublisherThread {
     shared: Arc<Shared>,
     notices: SyncSender<PublisherNotice>,
     settings: BrokerSettings,
@@ -128,7 +130,7 @@ struct Link {
     reading: Notify,
 }
 
-impl Link {
+impl PublisherThread {
     async fn run(self, client: &AsyncClient, mut events: EventLoop) {
         tokio::select! {
             () = self.receive(client, &mut events) => return,
@@ -145,7 +147,7 @@ impl Link {
                 }
             }
         };
-        let _ = tokio::time::timeout(Duration::from_millis(300), farewell).await;
+        let _ = tokio::time::timeout(FAREWELL, farewell).await;
     }
 
     /// Drives the connection until it fails for good.
@@ -221,17 +223,17 @@ impl Link {
         let mut sent = FuturesUnordered::new();
         loop {
             while let Some(message) = self.next_message() {
-                let FleetMessage { topic, payload, is_retained, delivery } = message;
+                let FleetMessage { topic, payload, is_retained, id } = message;
                 let options = PublishOptions::new(QoS::AtLeastOnce).retain(is_retained);
                 match client.try_publish_tracked(topic.clone(), payload.to_vec(), options) {
-                    Ok(notice) => sent.push(fate(topic, delivery, notice)),
-                    Err(_) => self.shared.publication().handle_undelivered(&delivery),
+                    Ok(notice) => sent.push(fate(topic, id, notice)),
+                    Err(_) => self.shared.publication().handle_undelivered(&id),
                 }
             }
             tokio::select! {
                 () = self.shared.changed.notified() => {}
-                Some((topic, delivery, fate)) = sent.next(), if !sent.is_empty() => {
-                    self.handle_fate(topic, &delivery, fate);
+                Some((topic, id, fate)) = sent.next(), if !sent.is_empty() => {
+                    self.handle_fate(topic, &id, fate);
                 }
             }
         }
@@ -241,13 +243,13 @@ impl Link {
         self.shared.publication().poll_message()
     }
 
-    fn handle_fate(&self, topic: String, delivery: &Delivery, fate: Fate) {
+    fn handle_fate(&self, topic: String, id: &FleetMessageId, fate: Fate) {
         let mut publication = self.shared.publication();
         match fate {
-            Fate::Delivered => publication.handle_delivered(delivery),
-            Fate::Lost => publication.handle_undelivered(delivery),
+            Fate::Delivered => publication.handle_delivered(id),
+            Fate::Lost => publication.handle_undelivered(id),
             Fate::Refused => {
-                publication.handle_refused(delivery);
+                publication.handle_refused(id);
                 if publication.refused() == 1 {
                     self.report(PublisherNotice::Refused(topic));
                 }
@@ -272,9 +274,9 @@ enum Fate {
 
 async fn fate(
     topic: String,
-    delivery: Delivery,
+    id: FleetMessageId,
     notice: PublishNotice,
-) -> (String, Delivery, Fate) {
+) -> (String, FleetMessageId, Fate) {
     let fate = match notice.wait_completion_async().await {
         Ok(()) => Fate::Delivered,
         Err(PublishNoticeError::V5PubAck(_) | PublishNoticeError::RetainNotSupported) => {
@@ -282,5 +284,5 @@ async fn fate(
         }
         Err(_) => Fate::Lost,
     };
-    (topic, delivery, fate)
+    (topic, id, fate)
 }

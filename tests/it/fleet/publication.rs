@@ -2,7 +2,7 @@
 //! twice unless the connection was lost.
 
 use descan::fleet::{
-    Delivery, FleetDocument, FleetMessage, MAX_QUEUED_EVENTS, Publication, TopicPath,
+    FleetDocument, FleetMessage, FleetMessageId, MAX_QUEUED_EVENTS, Publication, TopicPath,
 };
 use descan::time::{Duration, Instant};
 use serde_json::{Value, json};
@@ -40,7 +40,7 @@ fn delivered(publication: &mut Publication) -> Vec<(String, Value)> {
             return all;
         }
         for message in messages {
-            publication.handle_delivered(&message.delivery);
+            publication.handle_delivered(&message.id);
             let topic = message.topic.strip_prefix("descan/v1/boiler-17/").unwrap().to_owned();
             all.push((topic, serde_json::from_slice(&message.payload).unwrap_or(Value::Null)));
         }
@@ -138,7 +138,7 @@ fn documents_of_an_earlier_run_are_cleared() {
 }
 
 #[test]
-fn of_two_programs_with_one_name_the_later_one_stays() {
+fn later_of_two_programs_with_one_name_stays() {
     let status =
         |online: bool, started: f64| json!({"online": online, "started": started}).to_string();
     let topic = "descan/v1/boiler-17/status";
@@ -161,7 +161,7 @@ fn of_two_programs_with_one_name_the_later_one_stays() {
 }
 
 #[test]
-fn a_lost_session_sends_all_documents_again() {
+fn lost_session_sends_all_documents_again() {
     let mut publication = publication();
     publication.handle_connected(false);
     publication.handle_documents(
@@ -181,7 +181,7 @@ fn a_lost_session_sends_all_documents_again() {
 }
 
 #[test]
-fn a_message_that_was_lost_is_sent_again_in_its_order() {
+fn lost_message_is_sent_again_in_its_order() {
     let mut publication = publication();
     publication.handle_connected(false);
     for number in 1..=3 {
@@ -190,9 +190,9 @@ fn a_message_that_was_lost_is_sent_again_in_its_order() {
     let messages = sent(&mut publication);
     publication.handle_event(json!({"number": 4}));
     publication.handle_disconnected();
-    publication.handle_delivered(&messages[0].delivery);
-    publication.handle_undelivered(&messages[2].delivery);
-    publication.handle_undelivered(&messages[1].delivery);
+    publication.handle_delivered(&messages[0].id);
+    publication.handle_undelivered(&messages[2].id);
+    publication.handle_undelivered(&messages[1].id);
     publication.handle_connected(false);
     let numbers: Vec<u64> =
         delivered(&mut publication).iter().map(|(_, it)| it["seq"].as_u64().unwrap()).collect();
@@ -201,13 +201,13 @@ fn a_message_that_was_lost_is_sent_again_in_its_order() {
 }
 
 #[test]
-fn a_newer_document_is_not_replaced_by_the_lost_one() {
+fn newer_document_is_not_replaced_by_the_lost_one() {
     let mut publication = publication();
     publication.handle_connected(false);
     publication.handle_documents(at(0), 0.0, [document("can0", json!({"state": "old"}))]);
     let old = sent(&mut publication).remove(0);
     publication.handle_documents(at(1), 1.0, [document("can0", json!({"state": "new"}))]);
-    publication.handle_undelivered(&old.delivery);
+    publication.handle_undelivered(&old.id);
     let messages = delivered(&mut publication);
     assert_eq!(messages.len(), 1);
     assert_eq!(messages[0].1["state"], "new");
@@ -215,7 +215,7 @@ fn a_newer_document_is_not_replaced_by_the_lost_one() {
     publication.handle_documents(at(2), 2.0, []);
     let clear = sent(&mut publication).remove(0);
     publication.handle_documents(at(3), 3.0, [document("can0", json!({"state": "back"}))]);
-    publication.handle_delivered(&clear.delivery);
+    publication.handle_delivered(&clear.id);
     assert_eq!(delivered(&mut publication)[0].1["state"], "back");
 }
 
@@ -246,7 +246,7 @@ fn few_messages_are_on_the_way_at_once() {
     (0..1000).for_each(|number| publication.handle_event(json!({"number": number})));
     let first = sent(&mut publication);
     assert_eq!(first.len(), 64);
-    publication.handle_delivered(&first[0].delivery);
+    publication.handle_delivered(&first[0].id);
     assert_eq!(sent(&mut publication).len(), 1);
 }
 
@@ -271,8 +271,8 @@ fn refused_messages_are_counted_and_not_sent_again() {
     publication.handle_connected(false);
     publication.handle_documents(at(0), 0.0, [document("can0", json!({}))]);
     let message = sent(&mut publication).remove(0);
-    assert!(matches!(message.delivery, Delivery::Document(..)));
-    publication.handle_refused(&message.delivery);
+    assert!(matches!(message.id, FleetMessageId::Document(..)));
+    publication.handle_refused(&message.id);
     assert_eq!((publication.refused(), publication.is_delivered()), (1, true));
     assert_eq!(sent(&mut publication), []);
 }

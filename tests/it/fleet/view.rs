@@ -165,7 +165,7 @@ fn length_of_all_documents_is_bounded() {
 }
 
 #[test]
-fn documents_cleared_while_away_are_gone_after_the_next_connection() {
+fn documents_cleared_while_away_are_gone_afterwards() {
     let mut fleet = fleet(&[
         ("a/status", r#"{"online":true}"#),
         ("a/device/can0/10", FEED),
