@@ -78,7 +78,7 @@ impl BrokerPublisher {
         });
         let (sender, notices) = mpsc::sync_channel(MAX_NOTICES);
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
-        let task = Link {
+        let task = PublisherThread {
             shared: Arc::clone(&shared),
             notices: sender,
             settings: settings.clone(),
