@@ -13,8 +13,6 @@ pub enum ForeignFormat {
     Zip,
     /// Measurement data of ASAM.
     Mdf,
-    /// A database of SQLite.
-    Sqlite,
     /// Text log of BUSMASTER.
     Busmaster,
 }
@@ -37,7 +35,7 @@ struct Facts {
 const NO_LINE: fn(&[u8]) -> bool = |_| false;
 
 impl ForeignFormat {
-    const ALL: [Self; 5] = [Self::Bzip2, Self::Zip, Self::Mdf, Self::Sqlite, Self::Busmaster];
+    const ALL: [Self; 4] = [Self::Bzip2, Self::Zip, Self::Mdf, Self::Busmaster];
 
     const fn facts(self) -> Facts {
         match self {
@@ -61,13 +59,6 @@ impl ForeignFormat {
                 magics: &[b"MDF     ", b"UnFinMF "],
                 is_first_line: NO_LINE,
                 extension: Some("mf4"),
-            },
-            Self::Sqlite => Facts {
-                name: "a database of SQLite",
-                remedy: "convert it with python-can: python3 -m can.logconvert OLD.db NEW.log",
-                magics: &[b"SQLite format 3\0"],
-                is_first_line: NO_LINE,
-                extension: Some("db"),
             },
             Self::Busmaster => Facts {
                 name: "a BUSMASTER log",

@@ -31,7 +31,7 @@ pub struct Target {
 }
 
 /// All targets.
-pub const TARGETS: [Target; 19] = [
+pub const TARGETS: [Target; 20] = [
     protocol::SLCAN,
     protocol::SOCKETCAND,
     udp::UDP,
@@ -42,6 +42,7 @@ pub const TARGETS: [Target; 19] = [
     log::PCAP,
     log::PACKED,
     log::PCAPNG,
+    log::SQLITE,
     document::DOCUMENT,
     profile::PROFILE,
     theme::THEME,

@@ -74,6 +74,7 @@ mod simulation;
 mod slcan;
 mod socketcan;
 mod socketcand;
+mod sqlite_logs;
 mod store;
 mod terminal;
 mod udp;
