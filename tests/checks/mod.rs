@@ -7,6 +7,7 @@
 
 pub mod choices;
 pub mod config;
+pub mod dbc;
 pub mod document;
 pub mod engine;
 pub mod filter;
@@ -31,7 +32,7 @@ pub struct Target {
 }
 
 /// All targets.
-pub const TARGETS: [Target; 20] = [
+pub const TARGETS: [Target; 21] = [
     protocol::SLCAN,
     protocol::SOCKETCAND,
     udp::UDP,
@@ -43,6 +44,7 @@ pub const TARGETS: [Target; 20] = [
     log::PACKED,
     log::PCAPNG,
     log::SQLITE,
+    dbc::DBC,
     document::DOCUMENT,
     profile::PROFILE,
     theme::THEME,

@@ -21,6 +21,7 @@ mod composer;
 mod conflict_evidence;
 mod conflict_logs;
 mod conventions;
+mod dbc;
 mod deadlines;
 mod device_commands;
 mod device_requests;

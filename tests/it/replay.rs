@@ -166,6 +166,11 @@ fn sqlite_mutations_break_no_rule() {
 }
 
 #[test]
+fn dbc_mutations_break_no_rule() {
+    replay("dbc", 20_000);
+}
+
+#[test]
 fn document_mutations_break_no_rule() {
     replay("document", 1_300);
 }
