@@ -35,6 +35,14 @@ pub enum Damage {
     /// A page of a database is behind the end of the file.
     #[error("page {0} of the database is missing: the rest cannot be read")]
     PageMissing(u32),
+    /// A block of a measurement, by its first byte, is missing or not what it must be.
+    #[error("the block at byte {0} is damaged: the rest of its data cannot be read")]
+    Block(u64),
+    /// A measurement has no group of frames.
+    #[error(
+        "the measurement has no frames as ASAM bus logging has them; export them as ASC or BLF"
+    )]
+    NoBusLog,
     /// A database has not the table of python-can.
     #[error("the database has no table messages, as python-can writes it")]
     NoTable,
@@ -54,6 +62,9 @@ impl Damage {
 
     /// Returns true if its text says where it is.
     pub(super) fn has_place(self) -> bool {
-        matches!(self, Self::Page(_) | Self::PageMissing(_) | Self::NoTable)
+        matches!(
+            self,
+            Self::Page(_) | Self::PageMissing(_) | Self::NoTable | Self::Block(_) | Self::NoBusLog
+        )
     }
 }

@@ -10,8 +10,9 @@ use super::{Damage, LogEntry, LogSummary};
 use crate::frame::Frame;
 use crate::frame::socketcan::{decode, fd_flags, id_word};
 
-/// First bytes of a stream.
+/// First bytes of a stream: of the rows of a database, of the records of a measurement.
 pub(super) const ROWS_MAGIC: &[u8] = b"\x89descan entries\x01";
+pub(super) const RECORDS_MAGIC: &[u8] = b"\x89descan entries\x02";
 
 /// First byte of an entry.
 const FRAME: u8 = 1;
@@ -84,6 +85,8 @@ impl EntryWriter {
             Damage::Page(page) => (0, u64::from(page)),
             Damage::PageMissing(page) => (1, u64::from(page)),
             Damage::NoTable => (2, 0),
+            Damage::Block(address) => (3, address),
+            Damage::NoBusLog => (4, 0),
             _ => (u8::MAX, 0),
         };
         self.bytes.extend_from_slice(&[DAMAGE, number]);
@@ -103,6 +106,8 @@ fn damage_of(number: u8, place: u64) -> Damage {
         0 => Damage::Page(page),
         1 => Damage::PageMissing(page),
         2 => Damage::NoTable,
+        3 => Damage::Block(place),
+        4 => Damage::NoBusLog,
         _ => Damage::Compression,
     }
 }

@@ -11,7 +11,7 @@ pub enum ForeignFormat {
     Bzip2,
     /// An archive of files.
     Zip,
-    /// Measurement data of ASAM.
+    /// Measurement data of ASAM, version 3 or older.
     Mdf,
     /// Text log of BUSMASTER.
     Busmaster,
@@ -54,11 +54,11 @@ impl ForeignFormat {
                 extension: Some("zip"),
             },
             Self::Mdf => Facts {
-                name: "an ASAM MDF log",
-                remedy: "convert it with python-can: python3 -m can.logconvert OLD.mf4 NEW.log",
-                magics: &[b"MDF     ", b"UnFinMF "],
+                name: "an ASAM MDF log of version 3 or older",
+                remedy: "convert it with asammdf: asammdf.MDF(OLD).convert('4.10').save(NEW)",
+                magics: &[b"MDF     2", b"MDF     3"],
                 is_first_line: NO_LINE,
-                extension: Some("mf4"),
+                extension: Some("mdf"),
             },
             Self::Busmaster => Facts {
                 name: "a BUSMASTER log",

@@ -21,6 +21,8 @@ mod fields;
 mod foreign;
 mod frame_source;
 mod loss;
+mod mdf;
+mod mdf_blocks;
 mod packet;
 mod pcap;
 pub mod pcapng;
@@ -96,7 +98,7 @@ pub static FORMATS: [LogFormat; 6] = [
 ];
 
 /// Binary contents that are read. Any other is text.
-static CONTENTS: [LogContent; 4] = [
+static CONTENTS: [LogContent; 5] = [
     LogContent {
         unit: "block",
         detect: |head| FormatMatch::of_magic(&pcapng::MAGIC, head),
@@ -117,6 +119,11 @@ static CONTENTS: [LogContent; 4] = [
         detect: |head| FormatMatch::of_magic(entry_stream::ROWS_MAGIC, head),
         decoder: |_| Box::<EntryDecoder<entry_stream::EntryStreamState>>::default(),
     },
+    LogContent {
+        unit: "record",
+        detect: |head| FormatMatch::of_magic(entry_stream::RECORDS_MAGIC, head),
+        decoder: |_| Box::<EntryDecoder<entry_stream::EntryStreamState>>::default(),
+    },
 ];
 
 /// Lines of text, in any of the text formats.
@@ -127,7 +134,7 @@ static TEXT: LogContent = LogContent {
 };
 
 /// File name endings of logs that are read but not written, in lower case.
-const READ_EXTENSIONS: &[&str] = &["pcap", "db", "sqlite", "sqlite3", "gz", "zst", "xz"];
+const READ_EXTENSIONS: &[&str] = &["pcap", "db", "sqlite", "sqlite3", "mf4", "gz", "zst", "xz"];
 
 /// The way out where nothing of a log can be read.
 pub const READABLE_LOGS: &str = "use candump, pcapng, ASC, BLF, TRC or CSV (descan help logs)";

@@ -6,7 +6,8 @@
 //! order.
 
 use super::blf::{self, OBJECT_HEAD, file_head_len, object_size};
-use super::entry_stream::ROWS_MAGIC;
+use super::entry_stream::{RECORDS_MAGIC, ROWS_MAGIC};
+use super::mdf::{self, MdfLog};
 use super::random_access::{EntryStream, MakeSpool, RandomAccess, store};
 use super::sqlite::{self, SqliteTable};
 use flate2::read::MultiGzDecoder;
@@ -35,18 +36,22 @@ pub enum Packing {
     Blf,
     /// The pages of a database of SQLite.
     Sqlite,
+    /// The blocks of ASAM MDF 4.
+    Mdf,
 }
 
 impl Packing {
     /// First bytes of a log that are needed.
     pub const HEAD: usize = 16;
 
-    const ALL: [(Self, &[u8]); 5] = [
+    const ALL: [(Self, &[u8]); 7] = [
         (Self::Gzip, &[0x1F, 0x8B]),
         (Self::Zstd, &[0x28, 0xB5, 0x2F, 0xFD]),
         (Self::Xz, &[0xFD, b'7', b'z', b'X', b'Z', 0]),
         (Self::Blf, blf::MAGIC),
         (Self::Sqlite, sqlite::MAGIC),
+        (Self::Mdf, mdf::MAGIC),
+        (Self::Mdf, mdf::UNFINISHED_MAGIC),
     ];
 
     /// Returns how a log with these first bytes is packed; `None` if it is not.
@@ -155,13 +160,17 @@ impl<'a> Unpacked<'a> {
                     source = Box::new(ContainerReader::new(whole));
                     break;
                 }
-                Packing::Sqlite => {
+                Packing::Sqlite | Packing::Mdf => {
                     let stored = match file.take() {
                         Some(file) => (file, None),
                         None => store(whole, access.spool)?,
                     };
-                    let table = SqliteTable::new(access.has_wal);
-                    source = Box::new(EntryStream::new(stored, table, ROWS_MAGIC));
+                    source = if packing == Packing::Sqlite {
+                        let table = SqliteTable::new(access.has_wal);
+                        Box::new(EntryStream::new(stored, table, ROWS_MAGIC))
+                    } else {
+                        Box::new(EntryStream::new(stored, MdfLog::new(), RECORDS_MAGIC))
+                    };
                     break;
                 }
             };

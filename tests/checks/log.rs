@@ -187,6 +187,30 @@ pub const SQLITE: Target = Target {
     ],
 };
 
+/// Target `mdf`: ASAM MDF 4 with the frames of a bus.
+pub const MDF: Target = Target {
+    name: "mdf",
+    check: check_random_access,
+    words: &[
+        b"MDF     4.10    ",
+        b"UnFinMF 4.10    ",
+        b"##HD\0\0\0\0\x68\0\0\0\0\0\0\0\x06\0\0\0\0\0\0\0",
+        b"##DG\0\0\0\0\x40\0\0\0\0\0\0\0\x04\0\0\0\0\0\0\0",
+        b"##DL\0\0\0\0",
+        b"##HL\0\0\0\0",
+        b"##DT\0\0\0\0",
+        b"##SD\0\0\0\0",
+        b"##DZ\0\0\0\0",
+        b"DT\x01\0\x14\0\0\0",
+        b"CAN_DataFrame.DataBytes\0",
+        b"CAN_ErrorFrame.ErrorType\0",
+        b"CAN_RemoteFrame.ID\0",
+        b"\0\0\0\0\0\0\0\0",
+        b"\xFF\xFF\xFF\xFF\xFF\xFF\xFF\xFF",
+        b"\x40\0\0\0\0\0\0\0",
+    ],
+};
+
 /// Bytes of a log that are needed to detect its format.
 const HEAD: usize = 64;
 

@@ -32,7 +32,7 @@ pub struct Target {
 }
 
 /// All targets.
-pub const TARGETS: [Target; 21] = [
+pub const TARGETS: [Target; 22] = [
     protocol::SLCAN,
     protocol::SOCKETCAND,
     udp::UDP,
@@ -44,6 +44,7 @@ pub const TARGETS: [Target; 21] = [
     log::PACKED,
     log::PCAPNG,
     log::SQLITE,
+    log::MDF,
     dbc::DBC,
     document::DOCUMENT,
     profile::PROFILE,

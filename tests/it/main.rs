@@ -49,6 +49,7 @@ mod log;
 mod log_command;
 mod log_formats;
 mod malicious_input;
+mod mdf_logs;
 mod missing_reasons;
 mod pcapng;
 mod pictures;

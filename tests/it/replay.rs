@@ -166,6 +166,11 @@ fn sqlite_mutations_break_no_rule() {
 }
 
 #[test]
+fn mdf_mutations_break_no_rule() {
+    replay("mdf", 2_000);
+}
+
+#[test]
 fn dbc_mutations_break_no_rule() {
     replay("dbc", 20_000);
 }
