@@ -12,6 +12,7 @@ use crate::frame::CanId;
 use crate::text::Escaped;
 use crate::wire::descriptor::ByteOrder;
 use std::borrow::Cow;
+use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, HashMap};
 use std::ops::RangeInclusive;
 
@@ -135,9 +136,9 @@ impl<'t> FileReader<'t> {
         if self.messages.len() == MAX_MESSAGES {
             return Err(DbcError::new(line, format!("more than {MAX_MESSAGES} messages")));
         }
-        if !self.messages.contains_key(&key) {
+        if let Entry::Vacant(place) = self.messages.entry(key) {
             let message = NamedMessage { name, signals: Vec::new() };
-            self.messages.insert(key, MessageDraft { message, ..MessageDraft::default() });
+            place.insert(MessageDraft { message, ..MessageDraft::default() });
             self.current = Some(key);
         }
         Ok(())

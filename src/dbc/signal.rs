@@ -99,7 +99,7 @@ impl MessageSignal {
         if let Some(name) = name {
             return Some(DataValue::Named(name));
         }
-        if self.factor == 1.0 && self.offset == 0.0 {
+        if (self.factor, self.offset) == (1.0, 0.0) {
             return Some(DataValue::Integer(number));
         }
         let value = number as f64 * self.factor + self.offset;

@@ -35,9 +35,9 @@ pub enum Damage {
     /// A page of a database is behind the end of the file.
     #[error("page {0} of the database is missing: the rest cannot be read")]
     PageMissing(u32),
-    /// A block of a measurement, by its first byte, is missing or not what it must be.
-    #[error("the block at byte {0} is damaged: the rest of its data cannot be read")]
-    Block(u64),
+    /// A block of a measurement is missing or not what it must be.
+    #[error("damaged block: the rest of its data cannot be read")]
+    Block,
     /// A measurement has no group of frames.
     #[error(
         "the measurement has no frames as ASAM bus logging has them; export them as ASC or BLF"
@@ -62,9 +62,6 @@ impl Damage {
 
     /// Returns true if its text says where it is.
     pub(super) fn has_place(self) -> bool {
-        matches!(
-            self,
-            Self::Page(_) | Self::PageMissing(_) | Self::NoTable | Self::Block(_) | Self::NoBusLog
-        )
+        matches!(self, Self::Page(_) | Self::PageMissing(_) | Self::NoTable | Self::NoBusLog)
     }
 }

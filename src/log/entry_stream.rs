@@ -19,6 +19,8 @@ const FRAME: u8 = 1;
 const FAULT: u8 = 2;
 const DAMAGE: u8 = 3;
 const SKIPPED_WAL: u8 = 4;
+/// Number of the damage of a block.
+const BLOCK: u8 = 3;
 /// Bytes of a frame before its data, and of the other entries.
 const FRAME_HEAD: usize = 18;
 const FAULT_LEN: usize = 2;
@@ -79,13 +81,18 @@ impl EntryWriter {
         self.bytes.extend_from_slice(&[FAULT, number as u8]);
     }
 
+    /// Ends the stream: the data of the block that begins at this byte of the file cannot be read.
+    pub fn damaged_block(&mut self, address: u64) {
+        self.bytes.extend_from_slice(&[DAMAGE, BLOCK]);
+        self.bytes.extend_from_slice(&address.to_le_bytes());
+    }
+
     /// Ends the stream: the rest cannot be read.
     pub fn damage(&mut self, damage: Damage) {
         let (number, place) = match damage {
             Damage::Page(page) => (0, u64::from(page)),
             Damage::PageMissing(page) => (1, u64::from(page)),
             Damage::NoTable => (2, 0),
-            Damage::Block(address) => (3, address),
             Damage::NoBusLog => (4, 0),
             _ => (u8::MAX, 0),
         };
@@ -106,7 +113,7 @@ fn damage_of(number: u8, place: u64) -> Damage {
         0 => Damage::Page(page),
         1 => Damage::PageMissing(page),
         2 => Damage::NoTable,
-        3 => Damage::Block(place),
+        BLOCK => Damage::Block,
         4 => Damage::NoBusLog,
         _ => Damage::Compression,
     }
@@ -175,7 +182,11 @@ impl BinaryFormat for EntryStreamState {
                 let [_, number, ref place @ ..] = *entry.bytes() else { return Ok(None) };
                 let place = place.first_chunk().map_or(0, |place| u64::from_le_bytes(*place));
                 entry.end();
-                return Err(damage_of(number, place));
+                let damage = damage_of(number, place);
+                if damage == Damage::Block {
+                    summary.note_damage_at(damage, place);
+                }
+                return Err(damage);
             }
             SKIPPED_WAL => {
                 summary.has_skipped_wal = true;

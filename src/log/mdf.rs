@@ -42,8 +42,16 @@ type ReadBlocks = HashSet<u64>;
 pub(super) struct MdfLog {
     is_begun: bool,
     streams: Vec<FrameStream>,
-    /// The first fault of a stream that has ended.
-    damage: Option<Damage>,
+    /// The first damage, after which a stream has ended.
+    damage: Option<LogDamage>,
+}
+
+/// Why not all of a file was read.
+#[derive(Clone, Copy, Debug)]
+enum LogDamage {
+    /// The block that begins at this byte is damaged.
+    Block(u64),
+    NoBusLog,
 }
 
 /// The channels of a frame.
@@ -138,6 +146,15 @@ enum RecordGroup {
 /// A frame, its channel and its time in nanoseconds since the start.
 type TimedFrame = (i128, Result<(u8, Frame), FieldFault>);
 
+/// Data bytes that are records of their own.
+#[derive(Debug, Default)]
+struct ByteRecords {
+    /// The last ones, each with its place.
+    known: VecDeque<(u64, Vec<u8>)>,
+    /// Place of the next ones.
+    next: u64,
+}
+
 /// The frames of groups that share their data.
 #[derive(Debug)]
 struct FrameStream {
@@ -148,8 +165,8 @@ struct FrameStream {
     numbers: HashMap<u64, u64>,
     /// Records whose data bytes are not read yet, with the number of their group.
     waiting: VecDeque<(u64, Vec<u8>)>,
-    /// Data bytes by the number of their group: place and bytes, and the place of the next ones.
-    bytes: HashMap<u64, (VecDeque<(u64, Vec<u8>)>, u64)>,
+    /// Data bytes by the number of their group.
+    bytes: HashMap<u64, ByteRecords>,
     has_places: bool,
     start_nanos: i128,
     last: i128,
@@ -166,7 +183,7 @@ impl MdfLog {
     fn begin(&mut self, bytes: &dyn RandomAccess) -> Result<(), MdfFault> {
         let mut head = [0; HEADER as usize];
         if read_full_at(bytes, &mut head, 0)? < head.len() {
-            return Err(Damage::Block(0).into());
+            return Err(MdfFault::Block(0));
         }
         let is_unfinished = head.starts_with(UNFINISHED_MAGIC);
         let flags = u16::from_le_bytes([head[60], head[61]]);
@@ -188,7 +205,7 @@ impl MdfLog {
                 self.streams.push(FrameStream { has_places, start_nanos, ..stream });
             }
         }
-        if self.streams.is_empty() { Err(Damage::NoBusLog.into()) } else { Ok(()) }
+        if self.streams.is_empty() { Err(MdfFault::NoBusLog) } else { Ok(()) }
     }
 
     /// Returns the frame that is next by its time; `None` at the end.
@@ -197,10 +214,11 @@ impl MdfLog {
             match stream.fill(bytes) {
                 Ok(()) => {}
                 Err(MdfFault::File(error)) => return Err(error),
-                Err(MdfFault::Damage(damage)) => {
+                Err(MdfFault::Block(address)) => {
                     stream.is_over = true;
-                    self.damage.get_or_insert(damage);
+                    self.damage.get_or_insert(LogDamage::Block(address));
                 }
+                Err(MdfFault::NoBusLog) => stream.is_over = true,
             }
         }
         self.streams.retain(|stream| !stream.ready.is_empty() || !stream.is_over);
@@ -218,14 +236,17 @@ impl RandomFormat for MdfLog {
             match self.begin(bytes) {
                 Ok(()) => {}
                 Err(MdfFault::File(error)) => return Err(error),
+                Err(MdfFault::NoBusLog) => self.damage = Some(LogDamage::NoBusLog),
                 // The groups before it are read.
-                Err(MdfFault::Damage(damage)) => self.damage = Some(damage),
+                Err(MdfFault::Block(address)) => self.damage = Some(LogDamage::Block(address)),
             }
         }
         while out.bytes().len() < PART {
             let Some((nanos, frame)) = self.next_frame(bytes)? else {
-                if let Some(damage) = self.damage {
-                    out.damage(damage);
+                match self.damage {
+                    Some(LogDamage::Block(address)) => out.damaged_block(address),
+                    Some(LogDamage::NoBusLog) => out.damage(Damage::NoBusLog),
+                    None => {}
                 }
                 return Ok(false);
             };
@@ -247,11 +268,7 @@ fn structure_block(
     seen: &mut ReadBlocks,
 ) -> Result<MdfBlock, MdfFault> {
     let is_new = seen.insert(address);
-    if is_new {
-        MdfBlock::of_kind(bytes, address, kind)
-    } else {
-        Err(Damage::Block(address).into())
-    }
+    if is_new { MdfBlock::of_kind(bytes, address, kind) } else { Err(MdfFault::Block(address)) }
 }
 
 /// Returns the start of the measurement, in nanoseconds since 1970.
@@ -341,21 +358,22 @@ impl FrameStream {
             return Ok(false);
         };
         match self.groups.get_mut(&number) {
-            Some(RecordGroup::Frames { group, .. }) => match group.data_bytes(bytes, &record)? {
-                Some(data) => self.push(number, &record, data),
-                None => {
+            Some(RecordGroup::Frames { group, .. }) => {
+                if let Some(data) = group.data_bytes(bytes, &record)? {
+                    self.push(number, &record, data);
+                } else {
                     self.waiting.push_back((number, record));
                     self.push_complete();
                 }
-            },
+            }
             Some(RecordGroup::Bytes) => {
-                let (known, next) = self.bytes.entry(number).or_default();
-                let place = *next;
-                *next += 4 + record.len() as u64;
+                let records = self.bytes.entry(number).or_default();
+                let place = records.next;
+                records.next += 4 + record.len() as u64;
                 record.truncate(Frame::MAX_DATA);
-                known.push_back((place, record));
-                if known.len() > MAX_WAITING {
-                    known.pop_front();
+                records.known.push_back((place, record));
+                if records.known.len() > MAX_WAITING {
+                    records.known.pop_front();
                 }
                 self.push_complete();
             }
@@ -371,7 +389,7 @@ impl FrameStream {
             let Some(RecordGroup::Frames { group, .. }) = self.groups.get(&number) else { return };
             let DataPlace::Outside { place, address, .. } = group.data else { return };
             let known = self.numbers.get(&address).and_then(|of| self.bytes.get_mut(of));
-            let data = known.and_then(|(known, _)| {
+            let data = known.and_then(|ByteRecords { known, .. }| {
                 let place = place.unsigned(record);
                 let at = known.iter().position(|(at, _)| !self.has_places || Some(*at) == place)?;
                 known.remove(at)

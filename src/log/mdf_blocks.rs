@@ -3,7 +3,6 @@
 //! Source: ASAM MDF 4.1, as asammdf and CANedge write it. The memory is bounded by the largest compressed
 //! block that is read; no block of data is read twice, so that lists in a loop end. Does not know records.
 
-use super::Damage;
 use super::random_access::{RandomAccess, read_full_at};
 use flate2::{Decompress, FlushDecompress};
 use std::collections::HashSet;
@@ -20,19 +19,16 @@ const PIECE: u64 = 1 << 16;
 
 /// Why a part of a file is not read.
 pub(super) enum MdfFault {
-    Damage(Damage),
+    /// The block that begins at this byte is damaged.
+    Block(u64),
+    /// No group of frames.
+    NoBusLog,
     File(io::Error),
 }
 
 impl From<io::Error> for MdfFault {
     fn from(error: io::Error) -> Self {
         Self::File(error)
-    }
-}
-
-impl From<Damage> for MdfFault {
-    fn from(damage: Damage) -> Self {
-        Self::Damage(damage)
     }
 }
 
@@ -52,7 +48,7 @@ pub(super) struct MdfBlock {
 impl MdfBlock {
     /// Reads the head and the links of a block.
     pub fn read(bytes: &dyn RandomAccess, address: u64) -> Result<Self, MdfFault> {
-        let damage = || MdfFault::from(Damage::Block(address));
+        let damage = || MdfFault::Block(address);
         let mut head = [0; BLOCK_HEAD as usize];
         if read_full_at(bytes, &mut head, address)? < head.len() {
             return Err(damage());
@@ -90,7 +86,7 @@ impl MdfBlock {
     }
 
     pub fn damage(&self) -> MdfFault {
-        Damage::Block(self.address).into()
+        MdfFault::Block(self.address)
     }
 
     /// Reads the first `N` bytes of its data.
@@ -150,7 +146,7 @@ impl DataChain {
 
     /// The damage of the block that was read last.
     pub fn damage(&self) -> MdfFault {
-        Damage::Block(self.block).into()
+        MdfFault::Block(self.block)
     }
 
     /// Returns the next `len` bytes, and passes over them; `None` at the end of the data.

@@ -124,6 +124,11 @@ impl LogSummary {
         self.damage_at = self.damage.map(|damage| noted.unwrap_or((damage, self.bytes)));
     }
 
+    /// Notes where damage is that is not behind what was read.
+    pub(super) fn note_damage_at(&mut self, damage: Damage, byte: u64) {
+        self.damage_at = Some((damage, byte));
+    }
+
     /// Counts the entries of another log, which follows. Interfaces, frames and time go on.
     pub(super) fn begin_another_log(&mut self) {
         self.forget_unreadable();
