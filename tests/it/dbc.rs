@@ -376,8 +376,8 @@ fn random_messages_are_decoded_as_cantools_does() {
                 let same = match value {
                     DataValue::Named(name) => theirs["named"][field.name] == name,
                     DataValue::Integer(own) => {
-                        number.as_f64().unwrap() as i128 == own
-                            || number.to_string() == own.to_string()
+                        let signed = number.as_i64().map(i128::from);
+                        signed.or(number.as_u64().map(i128::from)) == Some(own)
                     }
                     DataValue::Scaled(own, _) | DataValue::Float(own, _) => {
                         let number = number.as_f64();
