@@ -894,6 +894,9 @@ pub struct LogArgs {
     /// A folder with types of devices, in place of devices beside des.json; repeatable
     #[arg(long, value_name = "FOLDER")]
     pub catalogue: Vec<PathBuf>,
+    /// A DBC file with the messages of frames that are not of DES; repeatable
+    #[arg(long, value_name = "FILE")]
+    pub dbc: Vec<PathBuf>,
     /// The project file [default: descan.toml in this folder or above]
     #[arg(long, value_name = "FILE", conflicts_with = "no_project")]
     pub project: Option<PathBuf>,
@@ -1102,6 +1105,9 @@ pub struct CommonArgs {
     /// A folder with types of devices, in place of devices beside des.json; repeatable
     #[arg(long, value_name = "FOLDER")]
     pub catalogue: Vec<PathBuf>,
+    /// A DBC file with the messages of frames that are not of DES; repeatable
+    #[arg(long, value_name = "FILE")]
+    pub dbc: Vec<PathBuf>,
     /// The project file [default: descan.toml in this folder or above]
     #[arg(long, value_name = "FILE", conflicts_with = "no_project")]
     pub project: Option<PathBuf>,
@@ -1140,6 +1146,7 @@ impl CommonArgs {
             file: None,
             profile,
             catalogue: Vec::new(),
+            dbc: Vec::new(),
             project: None,
             no_project: false,
             listen_only: true,

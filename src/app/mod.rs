@@ -189,6 +189,7 @@ pub use view::{
 
 use crate::bitrate::{SearchOutcome, SearchProgress};
 use crate::catalogue::{Catalogue, CatalogueFile};
+use crate::dbc::MessageDatabase;
 use crate::diagnostic::Diagnostic;
 use crate::discovery::{Config, Device, DeviceId};
 use crate::document::{Document, Entry, NewEntry};
@@ -274,6 +275,8 @@ pub struct AppOptions {
     pub capture_room: Option<usize>,
     /// What is known of types of devices.
     pub catalogue: Arc<Catalogue>,
+    /// Messages of DBC files.
+    pub messages: Arc<MessageDatabase>,
     /// What the project says about the buses.
     pub project: Arc<ProjectFacts>,
     /// Learn the profile of each bus from its frames.
@@ -541,6 +544,7 @@ impl App {
             app.show_error(warning);
         }
         app.buses.set_catalogue(options.catalogue);
+        app.buses.set_messages(options.messages);
         app
     }
 
