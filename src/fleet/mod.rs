@@ -15,5 +15,5 @@ pub use publication::{Delivery, FleetDocument, FleetMessage, MAX_QUEUED_EVENTS, 
 pub use topic::{FleetTopic, GatewayName, GatewayNameError, TopicPath};
 pub use view::{
     EventCounts, Fleet, FleetGateway, FleetRejects, GatewayState, GatewayStatus,
-    MAX_DOCUMENT_BYTES, MAX_GATEWAYS, ServiceVersion,
+    MAX_DOCUMENT_BYTES, MAX_GATEWAY_DOCUMENTS, MAX_GATEWAYS, ServiceVersion,
 };
