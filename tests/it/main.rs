@@ -36,6 +36,7 @@ mod error_frames;
 mod export;
 mod external_editors;
 mod filter;
+mod fleet_screen;
 mod foreign_buses;
 mod frame_batches;
 mod guide;

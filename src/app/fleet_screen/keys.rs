@@ -33,6 +33,7 @@ pub const FLEET_KEYS: &[(Action, &str)] = &[
     (Action::First, ""),
     (Action::Last, "Last row"),
     (Action::Details, "Open the gateway; gateways with the version; details"),
+    (Action::Into, "Open the gateway of a problem"),
     (Action::Back, "Back to all gateways"),
     (Action::NextPage, ""),
     (Action::PreviousPage, ""),
@@ -163,7 +164,8 @@ impl FleetScreen {
             Some(A::PageDown) => self.move_by(page),
             Some(A::First) => self.move_by(isize::MIN),
             Some(A::Last) => self.move_by(isize::MAX),
-            Some(A::Details | A::Into) => self.open(),
+            Some(A::Details) => self.open(),
+            Some(A::Into) => self.go_into(),
             Some(A::Back | A::Return) => {
                 self.close();
             }
@@ -251,6 +253,19 @@ impl FleetScreen {
     fn open_gateway(&mut self, name: GatewayName) {
         self.opened = Some((name, FleetScope::default()));
         self.set_stale();
+    }
+
+    /// Right: as Enter, but of a finding it opens the gateway, with the finding selected.
+    fn go_into(&mut self) {
+        match self.selected_row().cloned() {
+            Some(FleetRow::Problem(problem)) if self.opened.is_none() => {
+                self.open_gateway(problem.gateway.clone());
+                let scope = self.scope_mut();
+                scope.page = FleetPage::Problems;
+                scope.list_mut().key = Some(FleetRow::Problem(problem).key());
+            }
+            _ => self.open(),
+        }
     }
 
     /// Shows the gateways, or the devices of the opened one, that have a version of a service.

@@ -398,8 +398,11 @@ impl FleetScreen {
         }
     }
 
-    /// A moment on the wall clock, given in Unix seconds: `12:03:11`.
+    /// A moment on the wall clock, given in Unix seconds: `12:03:11`; `–` before 1970 and after 2100.
     pub fn wall_clock(&self, unix: f64) -> String {
+        if !(1.0..4.2e9).contains(&unix) {
+            return "–".to_owned();
+        }
         let seconds = (unix as i64 + i64::from(self.options.utc_offset_seconds)).rem_euclid(86_400);
         format!("{:02}:{:02}:{:02}", seconds / 3600, seconds / 60 % 60, seconds % 60)
     }
@@ -412,13 +415,13 @@ impl FleetScreen {
     /// What is wrong with the connection and the documents: a line each, true for an error.
     pub fn banners(&self) -> Vec<(String, bool)> {
         let mut lines = Vec::new();
-        if let BrokerLink::Failed { cause, since, retry } = &self.link {
+        if let BrokerLink::Failed { cause, retry, .. } = &self.link {
             let wait = retry.since(self.now).as_secs_f64().ceil();
-            let old = match self.completed {
-                Some(_) => format!("; shown is what was known at {}", self.wall_clock_at(*since)),
-                None => String::new(),
-            };
-            lines.push((format!("{cause}; next attempt in {wait} s{old}"), true));
+            // The address is in the line above.
+            let cause = cause.strip_prefix(&format!("{}: ", self.options.broker)).unwrap_or(cause);
+            let (what, remedy) = cause.split_once("; ").unwrap_or((cause, ""));
+            let text = format!("{what}; next attempt in {wait} s; {remedy}");
+            lines.push((text.trim_end_matches("; ").to_owned(), true));
         }
         if self.refused > 0 {
             let filters = counted(self.refused as u64, "topic filter");

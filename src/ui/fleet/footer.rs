@@ -4,26 +4,45 @@ use super::FleetBrush;
 use crate::app::{FleetPage, FleetPrompt};
 use crate::keymap::Action;
 use crate::theme::Role;
-use crate::ui::brush::{cut, fit};
-use ratatui::layout::Position;
+use crate::ui::brush::{cut, fit, wrap};
+use ratatui::layout::{Position, Rect};
 use ratatui::text::Line;
 use unicode_width::UnicodeWidthStr;
+
+/// Most lines of a message.
+const MESSAGE_LINES: usize = 3;
 
 /// Draws the footer.
 pub fn draw(brush: &mut FleetBrush) {
     let area = brush.regions.footer;
     let screen = brush.screen;
-    let message = screen.message().map(|(text, is_error)| {
-        let role = if is_error { Role::Error } else { Role::Text };
-        Line::from(brush.span(role, format!(" {text}")))
-    });
-    match (message, screen.prompt()) {
-        (Some(message), _) => brush.line(area, 0, &message),
+    match (screen.message(), screen.prompt()) {
+        (Some((text, is_error)), _) => {
+            let role = if is_error { Role::Error } else { Role::Text };
+            draw_message(brush, role, text);
+        }
         (None, Some(prompt)) => draw_prompt(brush, prompt),
         (None, None) => {
             let line = hints(brush);
             brush.line(area, 0, &line);
         }
+    }
+}
+
+/// Draws a message, on up to three lines.
+fn draw_message(brush: &mut FleetBrush, role: Role, text: &str) {
+    let area = brush.regions.footer;
+    let width = usize::from(area.width);
+    let mut lines = wrap(text, width.saturating_sub(2));
+    if lines.len() > MESSAGE_LINES {
+        lines[MESSAGE_LINES - 1].push('…');
+        lines.truncate(MESSAGE_LINES);
+    }
+    let height = (lines.len() as u16).min(area.bottom());
+    let area = Rect { y: area.bottom() - height, height, ..area };
+    for (row, text) in lines.iter().enumerate() {
+        let line = Line::from(brush.span(role, fit(&format!(" {text}"), width)));
+        brush.line(area, row as u16, &line);
     }
 }
 

@@ -12,7 +12,7 @@ mod table;
 
 use super::brush::{set_line, set_rule};
 use super::{ascii, cut_marks};
-use crate::app::{FleetRegions, FleetScreen, GatewayRow, Signs};
+use crate::app::{FleetRegions, FleetScreen, GatewayRow, Signs, format_duration};
 use crate::fleet::GatewayState;
 use crate::theme::{Role, Theme};
 use ratatui::Frame;
@@ -109,13 +109,13 @@ const fn of_state(state: GatewayState) -> (&'static str, Role) {
     }
 }
 
-/// How long a gateway has been in its state: `3d02h`, `>5m10s` where it may be longer, `–`.
+/// How long a gateway has been in its state, in minutes from one on, so that rows at rest do not change:
+/// `3d02h`, `>5m` where it may be longer, `–`.
 fn age_text(screen: &FleetScreen, row: &GatewayRow) -> String {
-    match screen.state_age(row) {
-        Some((age, is_least)) => {
-            let sign = if is_least { ">" } else { "" };
-            format!("{sign}{}", crate::app::format_duration(age))
-        }
-        None => "–".to_owned(),
+    let Some((age, is_least)) = screen.state_age(row) else { return "–".to_owned() };
+    let sign = if is_least { ">" } else { "" };
+    match age.as_secs() {
+        seconds @ 60..3600 => format!("{sign}{}m", seconds / 60),
+        _ => format!("{sign}{}", format_duration(age)),
     }
 }

@@ -50,7 +50,7 @@ fn sums_line(brush: &FleetBrush) -> Line<'static> {
     let is_narrow = brush.regions.whole.width < WIDE;
     let word = match count {
         _ if is_narrow => "",
-        1 => " gateway ",
+        1 => " gateway",
         _ => " gateways",
     };
     let mut spans = vec![brush.span(Role::Title, format!(" {}{word}", grouped(count as u64)))];
@@ -161,7 +161,7 @@ fn event_line(brush: &FleetBrush, event: &FleetEvent) -> Line<'static> {
         FleetEventKind::Other => ("·", Role::Muted),
     };
     let is_wide = brush.regions.whole.width >= WIDE;
-    let time = brush.screen.wall_clock(event.time);
+    let time = fit(&brush.screen.wall_clock(event.time), 8);
     let gateway = match brush.screen.opened() {
         Some(_) => String::new(),
         None => format!("{} ", fit(event.gateway.as_str(), if is_wide { 16 } else { 8 })),
