@@ -737,12 +737,12 @@ impl BrokerFiles {
 #[command(after_help = "\
 Publishes inventory, findings and bus state as retained JSON under descan/v1/GATEWAY, and events as they \
 happen. Only changes are sent. While the broker is away, events wait, at most 10000. Nothing that comes \
-from the broker is ever sent to a bus. More: descan help fleet
+from the broker is ever sent to a bus. More: descan help gateways
 
 Exit code: 0 ended by a signal or --time, 2 wrong usage, 3 bus, file or broker not usable.
 
 Examples:
-  descan publish can0 --broker mqtts://broker.example.org --gateway boiler-17
+  descan publish can0 --broker mqtts://mqtt.example.org --gateway boiler-17
   descan publish can0 can1 --broker mqtt://localhost --listen-only")]
 pub struct PublishArgs {
     /// The buses and how to treat them.
@@ -768,15 +768,15 @@ pub struct PublishArgs {
 #[command(after_help = "\
 Only reads; nothing is published. On a terminal a screen shows all gateways: devices, versions, problems; \
 Enter opens a gateway, ? lists the keys. With --json, or without a terminal, it prints what all gateways \
-have published, and ends. More: descan help fleet
+have published, and ends. More: descan help gateways
 
-Exit code: 0 no confirmed conflict, or the screen was left, 1 one or more (without a screen), 2 wrong usage, 3 broker not usable, \
-130 interrupted.
+Exit code: 0 no confirmed conflict, or the screen was left, 1 one or more (without a screen), 2 wrong \
+usage, 3 broker not usable, 130 interrupted.
 
 Examples:
-  descan fleet --broker mqtts://broker.example.org
+  descan fleet --broker mqtts://mqtt.example.org
   descan fleet --broker mqtt://localhost --json | jq -r '.gateways[].name'
-  descan check --fleet sites --broker mqtts://broker.example.org
+  descan check --fleet sites --broker mqtts://mqtt.example.org
                                 compare each gateway with sites/GATEWAY/des.json")]
 pub struct FleetArgs {
     /// The broker: mqtts://HOST[:PORT], or mqtt:// without TLS

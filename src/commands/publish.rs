@@ -32,7 +32,7 @@ pub fn run(args: &PublishArgs) -> Result<u8, Failure> {
     let gateway = gateway(args)?;
     let settings = BrokerSettings::read(&args.files.access(&args.broker))?;
     settings.warnings.iter().for_each(output::warn);
-    let publication = Publication::new(gateway.clone(), unix_secs() as u64);
+    let publication = Publication::new(gateway.clone(), unix_secs());
     let publisher = BrokerPublisher::spawn(&settings, publication).context("no thread")?;
     let options = AppOptions {
         utc_offset_seconds: open::utc_offset_seconds(),

@@ -9,7 +9,7 @@ use crate::document::{Document, Entry};
 use crate::finding::{CheckSection, FindingKind, FindingState};
 use crate::inventory::{InventoryDevice, InventoryService};
 use crate::text::Quoted;
-use std::collections::BTreeSet;
+use std::collections::BTreeMap;
 
 /// A des.json, and the buses that it is for.
 #[derive(Clone, Debug)]
@@ -39,7 +39,7 @@ impl FleetGateway {
     pub fn differences(&self, expected: &[ExpectedDevices]) -> Vec<FleetDifference> {
         let mut found: Vec<FleetDifference> = self.conflicts().collect();
         for file in expected {
-            Comparer { gateway: self, file, found: &mut found }.compare();
+            FileComparer { gateway: self, file, found: &mut found }.compare();
         }
         found
     }
@@ -60,28 +60,25 @@ impl FleetGateway {
     }
 }
 
-struct Comparer<'a> {
+struct FileComparer<'a> {
     gateway: &'a FleetGateway,
     file: &'a ExpectedDevices,
     found: &'a mut Vec<FleetDifference>,
 }
 
-impl<'a> Comparer<'a> {
+impl<'a> FileComparer<'a> {
     fn compare(&mut self) {
-        let document = &self.file.document;
-        for finding in document.findings() {
+        let file = self.file;
+        for finding in file.document.findings() {
             let text = format!("{} ({})", finding.message, finding.position);
             self.add(CheckSection::FileErrors, None, None, text);
         }
-        let mut listed = BTreeSet::new();
-        for entry in document.entries() {
-            self.entry(entry, &mut listed);
+        let by_bus: Vec<MatchedBus<'a>> =
+            self.devices_by_bus().into_values().map(|it| MatchedBus::new(file, it)).collect();
+        for entry in file.document.entries() {
+            self.entry(entry, &by_bus);
         }
-        let unlisted: Vec<&InventoryDevice> = self
-            .devices()
-            .filter(|device| !listed.contains(&(device.bus.as_str(), device.address)))
-            .collect();
-        for device in unlisted {
+        for device in by_bus.iter().flat_map(MatchedBus::unlisted) {
             let who = device.name.as_deref().unwrap_or("An unnamed device");
             let text = format!("{who} at {} is not in the file.", device.address);
             self.add(CheckSection::NotInFile, Some(&device.bus), Some(device.address), text);
@@ -89,53 +86,45 @@ impl<'a> Comparer<'a> {
     }
 
     /// The present devices on the buses of the file, without debug devices.
-    fn devices(&self) -> impl Iterator<Item = &'a InventoryDevice> + use<'a> {
-        let buses = self.file.buses.as_deref();
-        self.gateway.devices().filter(move |device| {
-            let is_debug = InventoryDevice::is_debug(
-                device.address,
-                device.name.as_deref(),
-                device.uid.as_deref(),
-            );
-            let is_here = buses.is_none_or(|buses| buses.contains(&device.bus));
-            device.is_present() && !is_debug && is_here
-        })
+    fn devices_by_bus(&self) -> BTreeMap<&'a str, Vec<&'a InventoryDevice>> {
+        let mut by_bus: BTreeMap<&str, Vec<&InventoryDevice>> = BTreeMap::new();
+        for device in self.gateway.devices() {
+            let (name, uid) = (device.name.as_deref(), device.uid.as_deref());
+            let is_debug = InventoryDevice::is_debug(device.address, name, uid);
+            let is_here = self.file.buses.as_ref().is_none_or(|it| it.contains(&device.bus));
+            if device.is_present() && !is_debug && is_here {
+                by_bus.entry(&device.bus).or_default().push(device);
+            }
+        }
+        by_bus
     }
 
-    fn entry(&mut self, entry: &Entry, listed: &mut BTreeSet<(&'a str, u8)>) {
-        let of_bus = self.devices().filter(|device| entry.is_for_bus(&device.bus));
-        let named = |device: &&InventoryDevice| device.name.as_deref() == Some(&entry.name_text);
-        let with_uid = |device: &&InventoryDevice| {
-            let uid = device.uid.as_deref().map(str::trim).filter(|uid| !uid.is_empty());
-            uid.is_some() && uid == entry.trimmed_uid()
-        };
-        let all: Vec<&InventoryDevice> = of_bus.collect();
-        let mut devices: Vec<&InventoryDevice> =
-            all.iter().copied().filter(|device| with_uid(&device)).collect();
-        if devices.is_empty() {
-            devices = all.iter().copied().filter(named).collect();
-        }
+    fn entry(&mut self, entry: &Entry, by_bus: &[MatchedBus<'a>]) {
         let name = Quoted(&entry.name);
-        if devices.is_empty() {
+        let mut is_missing = true;
+        for bus in by_bus {
+            let own = bus.device_of(entry);
+            if let Some(device) = own {
+                is_missing = false;
+                self.device(entry, device);
+            }
+            let pinned = entry.address.filter(|_| entry.is_static && bus.is_of(entry));
+            let at_address = |it: &&&InventoryDevice| {
+                Some(it.address) == pinned && own.is_none_or(|own| own.address != it.address)
+            };
+            let other = bus.devices.iter().find(at_address);
+            if let Some((other, who)) = other.and_then(|it| Some((it, it.name.as_deref()?))) {
+                let address = other.address;
+                let text =
+                    format!("Static address {address} of {name} is used by a device named {who}.");
+                let bus = Some(other.bus.as_str());
+                self.add(CheckSection::StaticAddressTaken, bus, Some(address), text);
+            }
+        }
+        if is_missing {
             let at = entry.address.map(|address| format!(" (at {address})")).unwrap_or_default();
             let text = format!("{name}{at} is listed but not on the bus.");
             self.add(CheckSection::Missing, entry.bus.as_deref(), entry.address, text);
-        }
-        let pinned = entry.address.filter(|_| entry.is_static);
-        for device in &devices {
-            listed.insert((&device.bus, device.address));
-            self.device(entry, device);
-        }
-        let taken = all.into_iter().find(|device| {
-            let is_it =
-                devices.iter().any(|it| it.bus == device.bus && it.address == device.address);
-            Some(device.address) == pinned && !is_it
-        });
-        if let Some((other, own)) = taken.and_then(|it| Some((it, it.name.as_deref()?))) {
-            let address = other.address;
-            let text =
-                format!("Static address {address} of {name} is used by a device named {own}.");
-            self.add(CheckSection::StaticAddressTaken, Some(&other.bus), Some(address), text);
         }
     }
 
@@ -168,6 +157,68 @@ impl<'a> Comparer<'a> {
     fn add(&mut self, section: CheckSection, bus: Option<&str>, address: Option<u8>, text: String) {
         let bus = bus.map(str::to_owned);
         self.found.push(FleetDifference { section, bus, address, text });
+    }
+}
+
+/// The devices of a bus, with the entries that they match.
+struct MatchedBus<'a> {
+    devices: Vec<&'a InventoryDevice>,
+    /// Index of the entry of each device.
+    entries: Vec<Option<usize>>,
+}
+
+impl<'a> MatchedBus<'a> {
+    /// An entry matches a device by UID, then by name and address, then the only device of its name
+    /// that no other entry matches.
+    fn new(file: &ExpectedDevices, devices: Vec<&'a InventoryDevice>) -> Self {
+        let entries = vec![None; devices.len()];
+        let mut matched = Self { devices, entries };
+        let listed = file.document.entries();
+        let own: Vec<&Entry> = listed.iter().filter(|entry| matched.is_of(entry)).collect();
+        let has_uid = |entry: &Entry, device: &InventoryDevice| {
+            let uid = device.uid.as_deref().map(str::trim).filter(|uid| !uid.is_empty());
+            uid.is_some() && uid == entry.trimmed_uid()
+        };
+        let has_name = |entry: &Entry, device: &InventoryDevice| {
+            device.name.as_deref() == Some(&entry.name_text)
+        };
+        let is_at = |entry: &Entry, device: &InventoryDevice| {
+            has_name(entry, device) && entry.address == Some(device.address)
+        };
+        for matches in [&has_uid as &dyn Fn(&Entry, &InventoryDevice) -> bool, &is_at, &has_name] {
+            for entry in &own {
+                matched.match_only(entry, matches);
+            }
+        }
+        matched
+    }
+
+    /// Gives the only free device that matches to an entry that has none.
+    fn match_only(&mut self, entry: &Entry, matches: &dyn Fn(&Entry, &InventoryDevice) -> bool) {
+        if self.device_of(entry).is_some() {
+            return;
+        }
+        let places = 0..self.devices.len();
+        let mut free =
+            places.filter(|&at| self.entries[at].is_none() && matches(entry, self.devices[at]));
+        if let (Some(only), None) = (free.next(), free.next()) {
+            self.entries[only] = Some(entry.index);
+        }
+    }
+
+    /// Returns true if the entry applies to this bus.
+    fn is_of(&self, entry: &Entry) -> bool {
+        self.devices.first().is_some_and(|device| entry.is_for_bus(&device.bus))
+    }
+
+    fn device_of(&self, entry: &Entry) -> Option<&'a InventoryDevice> {
+        let at = self.entries.iter().position(|it| *it == Some(entry.index))?;
+        Some(self.devices[at])
+    }
+
+    fn unlisted(&self) -> impl Iterator<Item = &'a InventoryDevice> {
+        let both = self.devices.iter().zip(&self.entries);
+        both.filter(|(_, entry)| entry.is_none()).map(|(device, _)| *device)
     }
 }
 

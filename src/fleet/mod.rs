@@ -11,7 +11,9 @@ mod topic;
 mod view;
 
 pub use expected::{ExpectedDevices, FleetDifference};
-pub use publication::{Delivery, FleetDocument, FleetMessage, MAX_QUEUED_EVENTS, Publication};
+pub use publication::{
+    FleetDocument, FleetMessage, FleetMessageId, MAX_QUEUED_EVENTS, Publication,
+};
 pub use topic::{FleetTopic, GatewayName, GatewayNameError, TopicPath};
 pub use view::{
     EventCounts, Fleet, FleetGateway, FleetRejects, GatewayState, GatewayStatus,

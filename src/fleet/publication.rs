@@ -43,12 +43,12 @@ pub struct FleetMessage {
     /// The broker keeps it for later subscribers.
     pub is_retained: bool,
     /// To be passed back when it is known what became of the message.
-    pub delivery: Delivery,
+    pub id: FleetMessageId,
 }
 
 /// Which message it was.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Delivery {
+pub enum FleetMessageId {
     /// A document: its levels after the gateway, and its version.
     Document(String, u64),
     /// An event, by its number.
@@ -74,7 +74,7 @@ struct DocumentSlot {
 pub struct Publication {
     gateway: GatewayName,
     /// Start of the program, in Unix seconds: tells the documents and events of two runs apart.
-    started: u64,
+    started: f64,
     documents: BTreeMap<String, DocumentSlot>,
     /// Documents to be sent.
     due: BTreeSet<String>,
@@ -94,7 +94,7 @@ pub struct Publication {
 
 impl Publication {
     /// Creates the publication of a program that started at `started`, in Unix seconds.
-    pub fn new(gateway: GatewayName, started: u64) -> Self {
+    pub fn new(gateway: GatewayName, started: f64) -> Self {
         Self {
             gateway,
             started,
@@ -139,7 +139,7 @@ impl Publication {
             topic: TopicPath::Status.of(&self.gateway),
             payload: payload.to_string().into_bytes().into(),
             is_retained: true,
-            delivery: Delivery::Document(TopicPath::Status.to_string(), 0),
+            id: FleetMessageId::Document(TopicPath::Status.to_string(), 0),
         }
     }
 
@@ -159,7 +159,8 @@ impl Publication {
             let compared = without(&value, counters);
             if let Some(slot) = self.documents.get(&tail).filter(|slot| slot.payload.is_some()) {
                 let is_old = now.since(slot.taken) >= counter_period;
-                if slot.compared == compared && (!is_old || slot.whole.as_ref() == Some(&value)) {
+                let is_same = is_same(&slot.compared, &compared, counters);
+                if is_same && (!is_old || slot.whole.as_ref() == Some(&value)) {
                     continue;
                 }
             }
@@ -228,24 +229,44 @@ impl Publication {
         self.is_connected = false;
     }
 
-    /// The broker has a document of this gateway with this topic. One of an earlier run, which there is
-    /// no more, is cleared.
-    pub fn handle_retained(&mut self, topic: &str) {
+    /// The broker has this document of the gateway, or got it now. One that there is no more, as of an
+    /// earlier run, is cleared. Returns true if another program, which was started later, publishes with
+    /// the same name.
+    pub fn handle_message(&mut self, topic: &str, payload: &[u8]) -> bool {
         let own = self.gateway.topic("");
-        let Some(tail) = topic.strip_prefix(&own) else { return };
-        if !self.documents.contains_key(tail) {
-            self.clear(tail.to_owned());
+        let Some(tail) = topic.strip_prefix(&own).filter(|_| !payload.is_empty()) else {
+            return false;
+        };
+        match tail {
+            "event" => false,
+            "status" => self.handle_other_status(payload),
+            _ if self.documents.contains_key(tail) => false,
+            _ => {
+                self.clear(tail.to_owned());
+                false
+            }
         }
     }
 
+    /// The status at the broker. Another program with the name may have changed documents.
+    fn handle_other_status(&mut self, payload: &[u8]) -> bool {
+        let status: Value = serde_json::from_slice(payload).unwrap_or_default();
+        let started = status.get("started").and_then(Value::as_f64).unwrap_or(self.started);
+        let is_online = status.get("online") == Some(&Value::Bool(true));
+        if is_online && started < self.started {
+            self.due = self.documents.keys().cloned().collect();
+        }
+        is_online && started > self.started
+    }
+
     /// What became of a message: the broker has it.
-    pub fn handle_delivered(&mut self, delivery: &Delivery) {
+    pub fn handle_delivered(&mut self, id: &FleetMessageId) {
         self.in_flight = self.in_flight.saturating_sub(1);
-        match delivery {
-            Delivery::Event(number) => {
+        match id {
+            FleetMessageId::Event(number) => {
                 self.sent_events.remove(number);
             }
-            Delivery::Document(tail, version) => {
+            FleetMessageId::Document(tail, version) => {
                 let is_clear = |slot: &DocumentSlot| slot.payload.is_none();
                 let slot = self.documents.get(tail).filter(|slot| slot.version == *version);
                 if slot.is_some_and(is_clear) {
@@ -256,17 +277,17 @@ impl Publication {
     }
 
     /// What became of a message: it was lost with the session, and is sent again.
-    pub fn handle_undelivered(&mut self, delivery: &Delivery) {
+    pub fn handle_undelivered(&mut self, id: &FleetMessageId) {
         self.in_flight = self.in_flight.saturating_sub(1);
-        match delivery {
-            Delivery::Event(number) => {
+        match id {
+            FleetMessageId::Event(number) => {
                 let Some(payload) = self.sent_events.remove(number) else { return };
                 let at = self.events.partition_point(|(other, _)| other < number);
                 self.queued_bytes += payload.len();
                 self.events.insert(at, (*number, payload));
                 self.keep_bound();
             }
-            Delivery::Document(tail, version) => {
+            FleetMessageId::Document(tail, version) => {
                 if self.documents.get(tail).is_some_and(|slot| slot.version == *version) {
                     self.due.insert(tail.clone());
                 }
@@ -275,9 +296,9 @@ impl Publication {
     }
 
     /// What became of a message: the broker does not take it.
-    pub fn handle_refused(&mut self, delivery: &Delivery) {
+    pub fn handle_refused(&mut self, id: &FleetMessageId) {
         self.refused += 1;
-        self.handle_delivered(delivery);
+        self.handle_delivered(id);
     }
 
     /// Returns the next message to send: documents before the status, which tells that they are
@@ -300,7 +321,7 @@ impl Publication {
             topic: self.gateway.topic(&tail),
             payload: slot.payload.clone().unwrap_or_default(),
             is_retained: true,
-            delivery: Delivery::Document(tail, slot.version),
+            id: FleetMessageId::Document(tail, slot.version),
         })
     }
 
@@ -312,7 +333,7 @@ impl Publication {
             topic: TopicPath::Event.of(&self.gateway),
             payload,
             is_retained: false,
-            delivery: Delivery::Event(number),
+            id: FleetMessageId::Event(number),
         })
     }
 
@@ -369,18 +390,37 @@ fn with_members<const COUNT: usize>(
     Value::Object(map)
 }
 
-/// Returns an object with only whether its counters are known: `heartbeat.count` is a member of a
-/// member.
+/// Returns an object with only whether its counters are known.
 fn without(object: &Value, counters: &[&str]) -> Value {
     let mut object = object.clone();
     for counter in counters {
-        let (parent, name) = match counter.split_once('.') {
-            Some((parent, name)) => (object.get_mut(parent), name),
-            None => (Some(&mut object), *counter),
-        };
-        if let Some(value) = parent.and_then(|parent| parent.get_mut(name)) {
+        if let Some(value) = member(&mut object, counter) {
             *value = Value::Bool(!value.is_null());
         }
     }
     object
+}
+
+/// Returns true if nothing but counters changed. One that is not known any more is no change: it may
+/// come and go.
+fn is_same(before: &Value, now: &Value, counters: &[&str]) -> bool {
+    if before == now {
+        return true;
+    }
+    let (mut before, mut now) = (before.clone(), now.clone());
+    for counter in counters {
+        let both = member(&mut before, counter).zip(member(&mut now, counter));
+        if let Some((before, now)) = both.filter(|(before, _)| **before == Value::Bool(true)) {
+            now.clone_from(before);
+        }
+    }
+    before == now
+}
+
+/// Returns a member of an object; `heartbeat.count` is a member of a member.
+fn member<'a>(object: &'a mut Value, name: &str) -> Option<&'a mut Value> {
+    match name.split_once('.') {
+        Some((parent, name)) => object.get_mut(parent)?.get_mut(name),
+        None => object.get_mut(name),
+    }
 }

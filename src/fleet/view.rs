@@ -65,7 +65,7 @@ pub struct GatewayStatus {
     /// Why it is not: `lost`, `stopped`.
     pub reason: String,
     /// Start of the program, in Unix seconds.
-    pub started: u64,
+    pub started: f64,
     /// Time of the status by the clock of the gateway, in Unix seconds.
     pub time: Option<f64>,
     /// Version of the program.

@@ -30,7 +30,16 @@
 
 /* The frame that is sent at the end of WAIT is a claim: its flags are a bit of the stage. */
 enum { STAGE_INIT, STAGE_LISTEN, STAGE_WAIT = DES_FRAME_ONCE, STAGE_CLAIM, STAGE_RUN };
-enum { REQUESTER_FREE, REQUESTER_READY, REQUESTER_SENDING, REQUESTER_FLOW, REQUESTER_DONE };
+
+/* SENDING and LAST: a frame of the response, or its last one, is in the transmit buffer. */
+enum {
+    REQUESTER_FREE,
+    REQUESTER_READY,
+    REQUESTER_FLOW,
+    REQUESTER_DONE,
+    REQUESTER_SENDING,
+    REQUESTER_LAST
+};
 
 /* des_node.wish: ARSLV, because another node uses the address. */
 #define WISH_MOVE (0x100u | DES_MODE_ARSLV)
@@ -38,7 +47,6 @@ enum { REQUESTER_FREE, REQUESTER_READY, REQUESTER_SENDING, REQUESTER_FLOW, REQUE
 /* des_node.busy: one bit for each transmit buffer; and that the controller is silent. */
 #define BUSY_HEARTBEAT (1u << DES_SLOT_HEARTBEAT)
 #define BUSY_RESPONSE (1u << DES_SLOT_RESPONSE)
-#define BUSY_ANY (BUSY_HEARTBEAT | BUSY_RESPONSE)
 #define IS_SILENT 0x80u
 
 /* SRC of an identifier. */
@@ -53,8 +61,8 @@ enum { REQUESTER_FREE, REQUESTER_READY, REQUESTER_SENDING, REQUESTER_FLOW, REQUE
 #define ASK_COMMAND 0x0010u
 #define ASK_FIELD 0x0020u /* The first field; the others follow. */
 
-/* Bit of des_requester.service; DES_ID_ERR of the response, 9 bits higher. */
-#define COMMAND_DONE 0x8000u
+/* In des_requester.command and part.service: the request is refused, ERR of the response is 0. */
+#define REFUSED DES_ID_ERR
 
 /* Bytes of the shortest frame with a request. */
 #if DES_WITH_RAW
@@ -62,6 +70,9 @@ enum { REQUESTER_FREE, REQUESTER_READY, REQUESTER_SENDING, REQUESTER_FLOW, REQUE
 #else
 #define MIN_REQUEST 5u
 #endif
+
+/* "DES", with which a request begins. */
+#define DES_LETTERS UINT32_C(0x444553)
 
 /* Type bytes of requests and responses. */
 #define TYPE_NAME 0x01u
@@ -86,9 +97,10 @@ static void copy(uint8_t *to, const uint8_t *from, uint32_t count)
 
 uint32_t des_random(des_node *node)
 {
+    uint32_t bits = node->port->entropy(node->user);
+
     /* A linear congruential generator: its high bits are the random ones. */
-    node->random = ((node->random + node->port->entropy(node->user)) * UINT32_C(0x9E3779B1))
-        + UINT32_C(0x3C6EF35F);
+    node->random = (node->random + bits + 1u) * UINT32_C(0x9E3779B1);
     return node->random;
 }
 
@@ -122,8 +134,8 @@ static uint32_t permitted(const des_node *node, uint32_t mode)
             mode = DES_MODE_CFG;
         }
     }
-    if ((mode == (uint32_t)DES_MODE_CFG) && (node->limit == (uint32_t)DES_MODE_BOOT)) {
-        mode = DES_MODE_BOOT;
+    if (mode == (uint32_t)DES_MODE_CFG) {
+        return (node->limit == (uint32_t)DES_MODE_BOOT) ? (uint32_t)DES_MODE_BOOT : mode;
     }
     return mode;
 }
@@ -137,37 +149,39 @@ static void set_bus(des_node *node, uint32_t silent)
     }
 }
 
-static bool is_in_use(const des_node *node, uint32_t address)
+/* Returns true if the address in SRC of an identifier is in use. */
+static bool is_in_use(const des_node *node, uint32_t id)
 {
-    return ((node->in_use[address >> 5] >> (address & 31u)) & 1u) != 0u;
+    return ((node->in_use[(id >> 22) & 3u] >> ((id >> 17) & 31u)) & 1u) != 0u;
 }
 
-static void note_address(des_node *node, uint32_t address)
+/* Remembers that the address in SRC of an identifier is in use. */
+static void note_source(des_node *node, uint32_t id)
 {
-    node->in_use[address >> 5] |= UINT32_C(1) << (address & 31u);
+    node->in_use[(id >> 22) & 3u] |= UINT32_C(1) << ((id >> 17) & 31u);
 }
 
 /* Begins to listen for 1.5 * BUS_CFG_HR_TIME: in INIT for any frame, in ARSLV for addresses in
  * use. */
-static void listen(des_node *node, bool is_init, uint32_t now)
+static void listen(des_node *node, uint32_t mode, uint32_t now)
 {
     uint32_t rate = node->settings.bitrate;
     uint32_t at;
 
-    if (is_init) {
+    if (mode == (uint32_t)DES_MODE_INIT) {
         if (node->stage == (uint32_t)STAGE_INIT) {
             rate = node->rate + (rate >> 7); /* Bus errors: another one, unless it is fixed. */
         }
         node->rate = (uint8_t)(rate & 3u);
         node->busy = 0u; /* The controller is configured anew in any case. */
     }
-    node->stage = is_init ? STAGE_INIT : STAGE_LISTEN;
+    node->stage = (mode == (uint32_t)DES_MODE_INIT) ? STAGE_INIT : STAGE_LISTEN;
     node->until = now + LISTEN_TIME;
     for (at = 0u; at < 4u; at++) {
         node->in_use[at] = 0u;
     }
     if (node->wish > 0xFFu) {
-        note_address(node, des_id_source(node->own));
+        note_source(node, node->own);
     }
     for (at = 0u; at < DES_REQUESTERS; at++) {
         node->requesters[at].state = REQUESTER_FREE;
@@ -179,21 +193,21 @@ static void listen(des_node *node, bool is_init, uint32_t now)
 /* Enters the mode that is wished, as far as it is permitted. */
 static void change_mode(des_node *node, uint32_t now)
 {
-    uint32_t mode = permitted(node, node->wish) & 0xFFu;
+    uint32_t mode = permitted(node, node->wish & 0xFFu);
 
     if ((mode == (uint32_t)DES_MODE_INIT) || (mode == (uint32_t)DES_MODE_ARSLV)) {
-        listen(node, mode == (uint32_t)DES_MODE_INIT, now);
+        listen(node, mode, now);
     } else if (node->stage == (uint32_t)STAGE_RUN) {
         node->wish = mode;
     } else {
         return;
     }
     if (node->mode != mode) {
+        node->mode = mode;
+        node->own = (node->own & ADDRESS_MASK) | (is_working_mode(mode) ? 0u : DES_ID_U);
         if (mode == (uint32_t)DES_MODE_IDLE) {
             node->until = now; /* The others learn of it before it sleeps. */
         }
-        node->mode = mode;
-        node->own = (node->own & ADDRESS_MASK) | (is_working_mode(mode) ? 0u : DES_ID_U);
         node->port->event(node->user, DES_EVENT_MODE, (uint8_t)mode);
     }
 }
@@ -203,12 +217,12 @@ static void change_mode(des_node *node, uint32_t now)
 static bool choose(des_node *node, uint32_t now)
 {
     uint32_t setting = node->settings.address;
-    uint32_t choice = setting & 0x7Fu;
+    uint32_t choice = (setting & 0x7Fu) << 17; /* At the place of SRC. */
     uint32_t tries;
 
     for (tries = 0u; tries < 128u; tries++) {
         if ((choice != 0u) && !is_in_use(node, choice)) {
-            node->own = DES_ID_U | (choice << 17);
+            node->own = DES_ID_U | choice;
             node->stage = STAGE_WAIT;
             node->until = now + (((des_random(node) >> 16) * (HR_TIME >> 10)) >> 6);
             return true;
@@ -216,9 +230,21 @@ static bool choose(des_node *node, uint32_t now)
         if ((setting - 1u) < 0x7Fu) {
             break; /* A fixed address. */
         }
-        choice = des_random(node) >> 25;
+        choice = (des_random(node) >> 25) << 17;
     }
     return false;
+}
+
+/* ---- Transmission ---------------------------------------------------------------- */
+
+/* Puts a frame into a transmit buffer; returns false if that is not possible now. */
+static bool transmit(des_node *node, uint8_t slot, const des_frame *frame)
+{
+    if (!node->port->send(node->user, slot, frame)) {
+        return false;
+    }
+    node->busy |= UINT32_C(1) << slot;
+    return true;
 }
 
 /* ---- Heartbeat ------------------------------------------------------------------ */
@@ -254,11 +280,7 @@ static bool send_heartbeat(des_node *node)
     frame.length = HEARTBEAT_LENGTH;
     frame.flags = (uint8_t)(node->stage & DES_FRAME_ONCE);
     frame.id = des_unsolicited_id(node, DES_SRV_HEARTBEAT);
-    if (!node->port->send(node->user, DES_SLOT_HEARTBEAT, &frame)) {
-        return false;
-    }
-    node->busy |= BUSY_HEARTBEAT;
-    return true;
+    return transmit(node, DES_SLOT_HEARTBEAT, &frame);
 }
 
 /* Remembers the heartbeat of a working node with this node's UID, which then must not work. */
@@ -284,142 +306,92 @@ static void check_uid(des_node *node, const des_frame *frame)
 
 /* ---- Requests -------------------------------------------------------------------- */
 
-/* Takes a request: adds it to those of its requester. Returns the requester's entry; NULL if
- * the request is dropped. */
-static des_requester *ask(des_node *node, const des_frame *frame, uint32_t request, uint32_t now)
+/* Returns the entry of a requester, else a free one; NULL if others have all. */
+static des_requester *find_requester(des_node *node, uint32_t peer)
 {
-    uint32_t peer = des_id_source(frame->id);
-    des_requester *requester = (des_requester *)0;
+    des_requester *found = (des_requester *)0;
     uint32_t at;
 
-    for (at = 0u; at < DES_REQUESTERS; at++) {
-        des_requester *entry = &node->requesters[at];
+    for (at = DES_REQUESTERS; at > 0u; at--) {
+        des_requester *entry = &node->requesters[at - 1u];
 
         if (entry->state == (uint32_t)REQUESTER_FREE) {
-            if (requester == (des_requester *)0) {
-                requester = entry;
-            }
+            found = entry;
         } else if (entry->peer == peer) {
-            requester = entry;
-            break;
+            return entry;
         } else {
             /* Another requester. */
         }
     }
-    if (requester == (des_requester *)0) {
-        node->dropped++;
-        return requester;
-    }
-    if (requester->state == (uint32_t)REQUESTER_FREE) {
-        requester->pending = 0u;
-        requester->current = request;
-    }
-#if DES_WITH_WRITES || DES_WITH_COMMANDS
-    if (((requester->pending & request) == ASK_COMMAND)
-        && ((requester->current != request) || (requester->state == (uint32_t)REQUESTER_SENDING))) {
-        node->dropped++; /* There is room for one command. */
-        return (des_requester *)0;
-    }
-#endif
-    if (requester->current == request) {
-        /* A requester that asks again gave up the transfer that is under way: begin again. */
-        requester->current = 0u;
-        if (requester->state != (uint32_t)REQUESTER_SENDING) {
-            requester->state = REQUESTER_READY;
-            requester->at = now;
-        }
-#if DES_WITH_FD
-        requester->flags = frame->flags;
-#endif
-        requester->peer = (uint8_t)peer;
-    }
-    requester->pending |= (uint16_t)request;
-    return requester;
+    return found;
 }
 
 /* Takes flow control. */
-static void flow(des_node *node, const des_frame *frame, uint32_t now)
+static void flow(des_requester *requester, const uint8_t *data, uint32_t now)
 {
-    const uint8_t *data = frame->data;
-    uint32_t peer = des_id_source(frame->id);
-    uint32_t at;
+    uint32_t status = data[0] & 0x0Fu;
+    uint32_t st_min = data[2];
 
-    for (at = 0u; at < DES_REQUESTERS; at++) {
-        des_requester *requester = &node->requesters[at];
-
-        if ((requester->state == (uint32_t)REQUESTER_FLOW) && (requester->peer == peer)) {
-            if (data[0] == 0x30u) {
-                requester->block = data[1];
-                requester->st_min = data[2];
-                if (data[2] > 0x7Fu) {
-                    /* 100 to 900 microseconds: 1 ms; a reserved code: 127 ms. */
-                    requester->st_min = ((uint8_t)(data[2] - 0xF1u) <= 8u) ? 1u : 0x7Fu;
-                }
-                requester->state = REQUESTER_READY;
-                requester->at = now;
-            } else if ((data[0] == 0x31u) && (requester->waits < N_WFT_MAX)) {
-                requester->waits++;
-                requester->at = now + N_BS;
-            } else if (data[0] <= 0x32u) {
-                requester->state = REQUESTER_DONE;
-            } else {
-                /* Reserved: ignored. */
+    if ((status == 1u) && (requester->block < N_WFT_MAX)) {
+        requester->block++;
+        requester->at = now + N_BS;
+    } else if (status <= 2u) {
+        requester->at = now;
+        requester->state = REQUESTER_DONE; /* Overflow, or too many with WAIT. */
+        if (status == 0u) {
+            requester->state = REQUESTER_READY;
+            requester->block = data[1];
+            if (st_min > 0x7Fu) {
+                /* 100 to 900 microseconds: 1 ms; a reserved code: 127 ms. */
+                st_min = ((st_min - 0xF1u) <= 8u) ? 1u : 0x7Fu;
             }
+            requester->st_min = (uint8_t)st_min;
         }
+    } else {
+        /* Reserved: ignored. */
     }
 }
 
-/* Takes a frame on the number of DES; is_served: the node's mode is addressed. */
-static void receive_des(des_node *node, const des_frame *frame, bool is_served, uint32_t now)
+/* Returns what a frame on the number of DES requests; 0: it is no request. */
+static uint32_t des_request(const des_frame *frame)
 {
     const uint8_t *data = frame->data;
-    uint32_t length = frame->length;
-    uint32_t request;
-    des_requester *requester;
+    uint32_t request = ASK_NAME;
+    uint32_t at = 1u; /* Of the request in the frame. */
 
-    if ((length >= 3u) && ((data[0] >> 4) == 3u)) {
-        flow(node, frame, now);
-        return;
+    if (frame->length < MIN_REQUEST) {
+        return 0u;
     }
-    if (!is_served || (length < MIN_REQUEST)) {
-        return;
-    }
-    request = ASK_NAME;
 #if DES_WITH_RAW
     if (data[0] == 0x44u) {
         request = ASK_NAME_RAW;
-        data--;
-        length++;
+        at = 0u;
     } else
 #endif
 #if DES_WITH_FD
         if (((frame->flags & DES_FRAME_FD) != 0u) && (data[0] == 0u) && (data[1] == 4u)) {
-        data++;
-        length--;
+        at = 2u;
     } else
 #endif
         if (data[0] != 4u) {
-        return;
+        return 0u;
     } else {
         /* A single frame. */
     }
-    if (((MIN_REQUEST < 5u) && (length < 5u)) || (data[1] != 0x44u) || (data[2] != 0x45u) || (data[3] != 0x53u)) {
-        return;
+    if (frame->length < (at + 4u)) {
+        return 0u;
     }
-    if (data[4] == TYPE_SERVICES) {
-        request <<= 2;
-    } else if (data[4] != TYPE_NAME) {
-        if ((frame->id & DES_ID_B) == 0u) {
-            requester = ask(node, frame, ASK_COMMAND, now);
-            if (requester != (des_requester *)0) {
-                requester->service = DES_SRV_DES; /* ERR = 0 */
-            }
-        }
-        return;
-    } else {
-        /* A name request. */
+    data = &data[at];
+    if ((((uint32_t)data[0] << 16) | ((uint32_t)data[1] << 8) | data[2]) != DES_LETTERS) {
+        return 0u;
     }
-    (void)ask(node, frame, request, now);
+    if (data[3] == TYPE_NAME) {
+        return request;
+    }
+    if (data[3] == TYPE_SERVICES) {
+        return request << 2;
+    }
+    return ((frame->id & DES_ID_B) == 0u) ? ASK_COMMAND : 0u; /* To be refused. */
 }
 
 #if DES_WITH_DESCRIPTOR
@@ -495,8 +467,10 @@ static bool is_command(uint32_t service)
 #endif
 
 /* Takes a write or a command; returns false if it is refused. */
-static bool take_command(des_node *node, uint32_t service, const uint8_t *data, uint32_t length)
+static bool take_command(des_node *node, des_requester *requester, const uint8_t *data,
+                         uint32_t length)
 {
+    uint32_t service = requester->command;
     bool is_done = false;
 
 #if DES_WITH_WRITES
@@ -506,8 +480,11 @@ static bool take_command(des_node *node, uint32_t service, const uint8_t *data, 
 #endif
 #if DES_WITH_COMMANDS
     if (service == DES_SRV_MODE) {
-        is_done = (length == 1u) && is_mode(data[0])
-            && (!is_working_mode(data[0]) || is_working_mode(permitted(node, data[0])));
+        if (length == 1u) {
+            requester->value = data[0];
+            is_done = is_mode(data[0])
+                && (is_working_mode(data[0]) == is_working_mode(permitted(node, data[0])));
+        }
     } else {
         is_done = is_done || (service == DES_SRV_IDENTIFY)
             || ((service == DES_SRV_REBOOT) && (length == 0u));
@@ -520,68 +497,96 @@ static bool take_command(des_node *node, uint32_t service, const uint8_t *data, 
     return is_done;
 }
 
-/* Takes a targeted request for the descriptor, a write or a command; returns false if its
- * service is none of them. */
-static bool serve(des_node *node, const des_frame *frame, uint32_t now)
+/* Returns what a targeted request of another service than DES requests; 0: nothing of the kit. */
+static uint32_t service_request(uint32_t service, uint32_t length)
 {
-    uint32_t service = des_id_service(frame->id);
-    uint32_t length = frame->length;
-    bool is_known = false;
-    des_requester *requester;
+    uint32_t request = 0u;
 #if DES_WITH_DESCRIPTOR
     uint32_t at;
 
     for (at = 0u; at < FIELD_COUNT; at++) {
         if (FIELDS[at].service == service) {
             if (length == 0u) {
-                (void)ask(node, frame, (uint32_t)ASK_FIELD << at, now);
-                return true;
+                return (uint32_t)ASK_FIELD << at;
             }
-            is_known = true;
+            request = ASK_COMMAND;
         }
     }
 #endif
 #if DES_WITH_WRITES
-    is_known = is_known || is_write(service);
-#endif
-#if DES_WITH_COMMANDS
-    is_known = is_known || is_command(service);
-#endif
-    if (!is_known) {
-        return false;
+    if (is_write(service)) {
+        request = ASK_COMMAND;
     }
-    requester = ask(node, frame, ASK_COMMAND, now);
-    if (requester != (des_requester *)0) {
-        requester->service = (uint16_t)service;
-        if (take_command(node, service, frame->data, length)) {
-            requester->service |= COMMAND_DONE;
-#if DES_WITH_COMMANDS
-            requester->value = (length == 0u) ? 0u : frame->data[0];
 #endif
+#if DES_WITH_COMMANDS
+    if (is_command(service)) {
+        request = ASK_COMMAND;
+    }
+#endif
+    (void)service;
+    (void)length;
+    return request;
+}
+
+/* Takes a request: adds it to those of its requester. */
+static void ask(des_node *node, des_requester *requester, const des_frame *frame, uint32_t request,
+                uint32_t now)
+{
+    if (requester == (des_requester *)0) {
+        node->dropped++;
+        return;
+    }
+    if (requester->state == (uint32_t)REQUESTER_FREE) {
+        requester->pending = 0u;
+        requester->current = request;
+    }
+#if DES_WITH_WRITES || DES_WITH_COMMANDS
+    if (((requester->pending & request) == ASK_COMMAND)
+        && ((requester->current != request)
+            || (requester->state >= (uint32_t)REQUESTER_SENDING))) {
+        node->dropped++; /* There is room for one command. */
+        return;
+    }
+#endif
+    if (requester->current == request) {
+        /* A requester that asks again gave up the transfer that is under way: begin again. */
+        requester->current = 0u;
+        if (requester->state < (uint32_t)REQUESTER_SENDING) {
+            requester->state = REQUESTER_READY;
+            requester->at = now;
+        }
+#if DES_WITH_FD
+        requester->flags = frame->flags;
+#endif
+        requester->peer = des_id_source(frame->id);
+    }
+    requester->pending |= request;
+    if (request == ASK_COMMAND) {
+        requester->command = des_id_service(frame->id);
+        if (!take_command(node, requester, frame->data, frame->length)) {
+            requester->command |= REFUSED;
         }
     }
-    return true;
 }
 
 /* Does what a command demands, after its response was sent. */
 static void act(des_node *node, const des_requester *requester)
 {
 #if DES_WITH_COMMANDS || (DES_WITH_WRITES && !DES_WRITES_AT_RESTART)
-    uint32_t service = requester->service & 0x3FFu;
+    uint32_t service = requester->command; /* With REFUSED it is none of these. */
 
-    if ((requester->service & COMMAND_DONE) == 0u) {
-        return;
-    }
 #if DES_WITH_COMMANDS
     if (service == DES_SRV_MODE) {
         node->wish = requester->value;
     }
-    if (service == DES_SRV_IDENTIFY) {
-        node->port->event(node->user, DES_EVENT_IDENTIFY, 0u);
-    }
-    if (service == DES_SRV_REBOOT) {
-        node->port->event(node->user, DES_EVENT_REBOOT, 0u);
-        node->wish = DES_MODE_INIT;
+    if ((service == DES_SRV_IDENTIFY) || (service == DES_SRV_REBOOT)) {
+        des_event event = DES_EVENT_IDENTIFY;
+
+        if (service == DES_SRV_REBOOT) {
+            event = DES_EVENT_REBOOT;
+            node->wish = DES_MODE_INIT;
+        }
+        node->port->event(node->user, event, 0u);
     }
 #endif
 #if DES_WITH_WRITES && !DES_WRITES_AT_RESTART
@@ -602,139 +607,134 @@ static void act(des_node *node, const des_requester *requester)
 /* What the next frame of a response carries. */
 typedef struct {
     const uint8_t *bytes;
-    uint32_t count;
-    uint32_t head; /* Bytes of ISO-TP before them. */
-    uint32_t id;   /* ERR and SRV of the identifier. */
+    uint32_t left;    /* Bytes of the response from there on. */
+    uint32_t head;    /* Bytes of ISO-TP before them. */
+    uint32_t service; /* SRV of the identifier; with REFUSED: ERR = 0. */
 } part;
 
-/* Takes the next part of a name or services response, and writes the head of its frame. */
-static void take_text(const des_node *node, des_requester *requester, uint8_t *data, part *next)
+/* Returns what the next frame of a name or services response carries, up to `capacity` bytes, and
+ * writes the head of the frame. */
+static void take_text(const des_node *node, const des_requester *requester, uint32_t capacity,
+                      uint8_t *data, part *next)
 {
     const des_text *text = &node->device->services;
-    uint32_t total = text->size;
     uint32_t sent = requester->sent;
-    uint32_t capacity = MAX_CLASSIC_DATA;
-    uint32_t head = 1u;
-    uint32_t left;
+    uint32_t total;
 
     if ((requester->current & (ASK_NAME | ASK_NAME_RAW)) != 0u) {
         text = &node->device->name;
-        total = text->size;
-    } else if ((sent == 0u) && (node->mode == (uint32_t)DES_MODE_BOOT)) {
+    }
+    total = text->size;
+    if ((sent == 0u) && (node->mode == (uint32_t)DES_MODE_BOOT)
+        && ((requester->current & (ASK_SERVICES | ASK_SERVICES_RAW)) != 0u)) {
         total = 1u; /* Without firmware it has no services. */
-    } else {
-        /* Services. */
     }
-#if DES_WITH_FD
-    if ((requester->flags & DES_FRAME_FD) != 0u) {
-        capacity = MAX_DATA;
-    }
-#endif
-    data[0] = (uint8_t)(0x20u | (requester->sequence & 0x0Fu));
+    next->bytes = (const uint8_t *)&text->bytes[sent];
+    next->left = total - sent;
 #if DES_WITH_RAW
     if ((requester->current & (ASK_NAME_RAW | ASK_SERVICES_RAW)) != 0u) {
-        head = 0u;
         if (total > capacity) {
-            next->id = DES_SRV_DES; /* ERR = 0: it does not fit. */
-            return;
+            next->left = 0u;
+            next->service = DES_SRV_DES | REFUSED; /* It does not fit. */
         }
-    } else
+        return;
+    }
 #endif
-        if (sent == 0u) {
+    next->head = 1u;
+    if (sent != 0u) {
+        data[0] = (uint8_t)(0x20u | (requester->sequence & 0x0Fu));
+    } else if (total <= MAX_SINGLE) {
         data[0] = (uint8_t)total;
-        if (total > MAX_SINGLE) {
-            data[1] = (uint8_t)total;
-            head = 2u;
-            data[0] = (uint8_t)(0x10u | (total >> 8));
-#if DES_WITH_FD
-            if ((capacity == MAX_DATA) && (total <= MAX_FD_SINGLE)) {
-                data[0] = 0u;
-            }
-#endif
-        }
     } else {
-        /* A consecutive frame. */
+        next->head = 2u;
+        data[0] = (uint8_t)(0x10u | (total >> 8));
+        data[1] = (uint8_t)total;
+#if DES_WITH_FD
+        if ((capacity == MAX_DATA) && (total <= MAX_FD_SINGLE)) {
+            data[0] = 0u;
+        }
+#endif
     }
-    left = total - sent;
-    next->head = head;
-    next->bytes = (const uint8_t *)&text->bytes[sent];
-    next->count = capacity - head;
-    if (left < next->count) {
-        next->count = left;
-    }
-    requester->sent = (uint16_t)(sent + next->count);
-    requester->left = (uint16_t)(left - next->count);
+    (void)capacity;
 }
+
+#if DES_WITH_DESCRIPTOR
+/* Returns what the response with a field of the descriptor carries. */
+static void take_field(const des_node *node, const des_requester *requester, part *next)
+{
+    const field_place *field = FIELDS;
+    uint32_t bit;
+
+    /* ASK_FIELD is the first field; each bit above it, up to FIELD_COUNT - 1, is the next one. */
+    for (bit = requester->current; bit > ASK_FIELD; bit >>= 1) {
+        field++;
+    }
+    next->bytes = node->device->info;
+    if (requester->current >= (ASK_FIELD << FIRST_SETTING)) {
+        next->bytes = (const uint8_t *)&node->settings;
+    }
+    next->bytes = &next->bytes[field->at];
+    next->left = field->length;
+    next->service = field->service;
+}
+#endif
 
 /* Sends the next frame to a requester, if the transmit buffer takes it. */
 static void respond(des_node *node, des_requester *requester)
 {
     uint8_t data[MAX_DATA];
     des_frame frame;
-    part next = {data, 0u, 0u, DES_ID_ERR | DES_SRV_DES};
+    part next = {data, 0u, 0u, DES_SRV_DES};
+    uint32_t capacity = MAX_CLASSIC_DATA;
+    uint32_t count;
     uint32_t length;
-    uint16_t sent;
 
     if (requester->current == 0u) {
         requester->current = requester->pending & (0u - requester->pending);
         requester->sent = 0u;
-        requester->left = 0u;
         requester->sequence = 0u;
         requester->block = 1u; /* A first frame needs flow control. */
     }
-    sent = requester->sent;
-    if ((requester->current & ASK_TEXT) != 0u) {
-        take_text(node, requester, data, &next);
-    } else {
-        if (requester->current == ASK_COMMAND) {
-            next.id = requester->service; /* Refused. */
-#if DES_WITH_WRITES || DES_WITH_COMMANDS
-            next.id = (next.id & 0x3FFu) | ((next.id & COMMAND_DONE) << 9);
-#endif
-        }
-#if DES_WITH_DESCRIPTOR
-        else {
-            const field_place *field;
-            uint32_t at = 0u;
-
-            while ((at < (FIELD_COUNT - 1u)) && (((uint32_t)ASK_FIELD << at) != requester->current)) {
-                at++;
-            }
-            field = &FIELDS[at];
-            next.bytes = node->device->info;
-            if (at >= FIRST_SETTING) {
-                next.bytes = (const uint8_t *)&node->settings;
-            }
-            next.bytes = &next.bytes[field->at];
-            next.count = field->length;
-            next.id = DES_ID_ERR | field->service;
-        }
-#endif
-    }
-    copy(&data[next.head], next.bytes, next.count);
-    length = next.head + next.count;
     frame.flags = 0u;
 #if DES_WITH_FD
-    if ((requester->flags & DES_FRAME_FD) != 0u) {
-        frame.flags = DES_FRAME_FD;
-        /* The lengths of a DLC above 8: up to 24 in steps of 4, then 32, 48, 64. */
-        while ((length > MAX_CLASSIC_DATA)
-               && ((length & ((length <= 24u) ? 3u : ((length <= 32u) ? 7u : 15u))) != 0u)) {
-            data[length] = DES_FD_PADDING;
-            length++;
-        }
+    frame.flags = requester->flags & DES_FRAME_FD;
+    if (frame.flags != 0u) {
+        capacity = MAX_DATA;
+    }
+#endif
+    if ((requester->current & ASK_TEXT) != 0u) {
+        take_text(node, requester, capacity, data, &next);
+    } else if (requester->current == ASK_COMMAND) {
+        next.service = requester->command;
+    } else {
+        /* A field of the descriptor. */
+#if DES_WITH_DESCRIPTOR
+        take_field(node, requester, &next);
+#endif
+    }
+    count = capacity - next.head;
+    if (count > next.left) {
+        count = next.left;
+    }
+    copy(&data[next.head], next.bytes, count);
+    length = next.head + count;
+#if DES_WITH_FD
+    /* The lengths of a DLC above 8: up to 24 in steps of 4, then 32, 48, 64. */
+    while ((length > MAX_CLASSIC_DATA)
+           && ((length & ((length <= 24u) ? 3u : ((length <= 32u) ? 7u : 15u))) != 0u)) {
+        data[length] = DES_FD_PADDING;
+        length++;
     }
 #endif
     frame.length = (uint8_t)length;
     frame.data = data;
-    frame.id = node->own | DES_ID_R | next.id | ((uint32_t)requester->peer << 10);
-    if (node->port->send(node->user, DES_SLOT_RESPONSE, &frame)) {
-        node->busy |= BUSY_RESPONSE;
+    /* REFUSED clears ERR. */
+    frame.id = (node->own | DES_ID_R | DES_ID_ERR | ((uint32_t)requester->peer << 10)) ^ next.service;
+    if (transmit(node, DES_SLOT_RESPONSE, &frame)) {
         node->turn = requester;
-        requester->state = REQUESTER_SENDING;
+        requester->state = (count == next.left) ? REQUESTER_LAST : REQUESTER_SENDING;
+        requester->sent = (uint16_t)(requester->sent + count);
         requester->sequence++;
-    } else {
-        requester->sent = sent; /* Again at the next des_poll. */
     }
 }
 
@@ -742,26 +742,26 @@ static void respond(des_node *node, des_requester *requester)
 static void response_sent(des_node *node, bool is_sent, uint32_t now)
 {
     des_requester *requester = node->turn;
+    uint32_t wait = 0u; /* Milliseconds. */
 
-    if (!is_sent || (requester->left == 0u) || (requester->current == 0u)) {
+    if (!is_sent || (requester->state == (uint32_t)REQUESTER_LAST)
+        || (requester->current == 0u)) {
+        requester->state = REQUESTER_DONE;
         if (is_sent && (requester->current == ASK_COMMAND)) {
             act(node, requester);
         }
-        requester->state = REQUESTER_DONE;
     } else {
-        uint32_t separation = requester->st_min * UINT32_C(1000);
-
         requester->state = REQUESTER_READY;
+        wait = requester->st_min;
         if (requester->block != 0u) {
             requester->block--;
             if (requester->block == 0u) {
                 requester->state = REQUESTER_FLOW;
-                requester->waits = 0u;
-                separation = N_BS;
+                wait = N_BS / 1000u;
             }
         }
-        requester->at = now + separation;
     }
+    requester->at = now + (wait * 1000u);
 }
 
 /* Enters the configured mode, at the address that was claimed. */
@@ -774,32 +774,38 @@ static void run(des_node *node, uint32_t now)
     }
 }
 
+/* Handles the end of the transmission of a heartbeat or claim. */
+static void heartbeat_sent(des_node *node, bool is_sent, uint32_t now)
+{
+    if (node->stage != (uint32_t)STAGE_CLAIM) {
+        /* A heartbeat. */
+    } else if (is_sent) {
+        run(node, now);
+    } else {
+        /* Chooses again. The controller stays active: two nodes on an empty bus need each
+         * other's acknowledgement. */
+        node->stage = STAGE_LISTEN;
+        node->until = now;
+    }
+}
+
 /* Learns what became of the frames in the transmit buffers. */
 static void collect(des_node *node, uint32_t now)
 {
-    uint8_t slot;
+    des_tx result;
 
-    for (slot = 0u; slot < 2u; slot++) {
-        des_tx result = DES_TX_PENDING;
-
-        if ((node->busy & (UINT32_C(1) << slot)) != 0u) {
-            result = node->port->sent(node->user, slot);
+    if ((node->busy & BUSY_HEARTBEAT) != 0u) {
+        result = node->port->sent(node->user, DES_SLOT_HEARTBEAT);
+        if (result != DES_TX_PENDING) {
+            node->busy ^= BUSY_HEARTBEAT;
+            heartbeat_sent(node, result == DES_TX_SENT, now);
         }
-        if (result == DES_TX_PENDING) {
-            continue;
-        }
-        node->busy ^= UINT32_C(1) << slot;
-        if (slot == DES_SLOT_RESPONSE) {
+    }
+    if ((node->busy & BUSY_RESPONSE) != 0u) {
+        result = node->port->sent(node->user, DES_SLOT_RESPONSE);
+        if (result != DES_TX_PENDING) {
+            node->busy ^= BUSY_RESPONSE;
             response_sent(node, result == DES_TX_SENT, now);
-        } else if (node->stage != (uint32_t)STAGE_CLAIM) {
-            /* A heartbeat. */
-        } else if (result == DES_TX_SENT) {
-            run(node, now);
-        } else {
-            /* Chooses again. The controller stays active: two nodes on an empty bus need each
-             * other's acknowledgement. */
-            node->stage = STAGE_LISTEN;
-            node->until = now;
         }
     }
 }
@@ -827,30 +833,33 @@ void des_init(des_node *node, const des_port *port, const des_device *device, vo
 
 bool des_receive(des_node *node, const des_frame *frame, uint32_t now)
 {
-    uint32_t id = frame->id;
-    uint32_t service = des_id_service(id);
-    bool is_working;
+    uint32_t id;
+    uint32_t differing;
+    uint32_t service;
+    uint32_t request = 0u;
+    des_requester *requester;
 
     collect(node, now);
     if (node->stage == (uint32_t)STAGE_INIT) {
         node->wish = DES_MODE_ARSLV; /* A frame: the bit rate is right. */
     }
+    id = frame->id;
     if (!des_id_is_conforming(id)) {
         return false;
     }
     check_uid(node, frame);
-    is_working = des_is_working(node);
-    /* Another user of its address moves a node, but not in IDLE (CAN platform 3.2.4.5), nor a
-     * claim a working node (3.2.4.4). */
-    if ((node->stage >= (uint32_t)STAGE_WAIT) && (((id ^ node->own) & ADDRESS_MASK) == 0u)
-        && (node->mode != (uint32_t)DES_MODE_IDLE) && ((id & ~node->own & DES_ID_U) == 0u)) {
+    differing = id ^ node->own;
+    /* Another user of its address moves a node, but not in IDLE (CAN platform 3.2.4.5), nor does
+     * a claim, with U = 1, move a working node, whose U is 0 (3.2.4.4). */
+    if ((node->stage >= (uint32_t)STAGE_WAIT) && ((differing & ADDRESS_MASK) == 0u)
+        && (node->mode != (uint32_t)DES_MODE_IDLE) && ((id & differing & DES_ID_U) == 0u)) {
         node->wish = WISH_MOVE;
         return false;
     }
     if (node->stage != (uint32_t)STAGE_RUN) {
-        note_address(node, des_id_source(id));
+        note_source(node, id);
         if ((id & DES_ID_B) == 0u) {
-            note_address(node, des_id_destination(id));
+            note_source(node, id << 7); /* DST, at the place of SRC. */
         }
         return false;
     }
@@ -860,17 +869,34 @@ bool des_receive(des_node *node, const des_frame *frame, uint32_t now)
     if ((id & DES_ID_R) != 0u) {
         return true;
     }
-    /* Requests to nodes in its mode; in IDLE that to change the mode. */
-    is_working = (((id & DES_ID_D) == 0u) == is_working)
-        && ((node->mode != (uint32_t)DES_MODE_IDLE) || (service == DES_SRV_MODE));
+    service = des_id_service(id);
+    requester = find_requester(node, des_id_source(id));
+    if ((service == DES_SRV_DES) && (frame->length >= 3u) && ((frame->data[0] >> 4) == 3u)) {
+        if ((requester != (des_requester *)0) && (requester->state == (uint32_t)REQUESTER_FLOW)) {
+            flow(requester, frame->data, now);
+        }
+        return false;
+    }
+    /* Requests to nodes in its mode, where D is its U; in IDLE that to change the mode. */
+    if (((((id << 1) ^ node->own) & DES_ID_U) != 0u)
+        || ((node->mode == (uint32_t)DES_MODE_IDLE) && (service != DES_SRV_MODE))) {
+        return false;
+    }
     if (service == DES_SRV_DES) {
-        receive_des(node, frame, is_working, now);
-        return false;
+        request = des_request(frame);
+        if (request == 0u) {
+            return false; /* Malformed, or a broadcast of a reserved type. */
+        }
+    } else {
+        if ((id & DES_ID_B) == 0u) {
+            request = service_request(service, frame->length);
+        }
+        if (request == 0u) {
+            return true; /* Of the application. */
+        }
     }
-    if (!is_working) {
-        return false;
-    }
-    return ((id & DES_ID_B) != 0u) || !serve(node, frame, now);
+    ask(node, requester, frame, request, now);
+    return false;
 }
 
 /* Sends the responses that are due; returns true if there is nothing to answer. */
@@ -885,17 +911,18 @@ static bool poll_requesters(des_node *node, uint32_t now)
         if (requester == &node->requesters[DES_REQUESTERS]) {
             requester = node->requesters;
         }
-        if ((requester->state == (uint32_t)REQUESTER_DONE)
-            || ((requester->state == (uint32_t)REQUESTER_FLOW) && is_due(requester->at, now))) {
-            /* Answered, or given up (overflow, N_Bs): turn to its next request. */
-            requester->pending &= (uint16_t)~requester->current;
-            requester->current = 0u;
-            requester->at = now;
-            requester->state = (requester->pending == 0u) ? (uint32_t)REQUESTER_FREE : (uint32_t)REQUESTER_READY;
-        }
-        if ((requester->state == (uint32_t)REQUESTER_READY) && is_due(requester->at, now)
-            && ((node->busy & BUSY_RESPONSE) == 0u)) {
-            respond(node, requester);
+        if (is_due(requester->at, now)) {
+            if ((requester->state == (uint32_t)REQUESTER_DONE)
+                || (requester->state == (uint32_t)REQUESTER_FLOW)) {
+                /* Answered, or given up (overflow, N_Bs): turn to its next request. */
+                requester->pending &= ~requester->current;
+                requester->current = 0u;
+                requester->state = (requester->pending == 0u) ? REQUESTER_FREE : REQUESTER_READY;
+            }
+            if ((requester->state == (uint32_t)REQUESTER_READY)
+                && ((node->busy & BUSY_RESPONSE) == 0u)) {
+                respond(node, requester);
+            }
         }
         states |= requester->state;
     }
@@ -949,7 +976,7 @@ uint32_t des_poll(des_node *node, uint32_t now)
         }
     }
     if ((node->stage == (uint32_t)STAGE_RUN) && poll_requesters(node, now)
-        && ((node->busy & BUSY_ANY) == 0u) && !is_due(node->until, now)) {
+        && (node->busy == 0u) && !is_due(node->until, now)) {
         return node->until - now;
     }
     return DES_POLL_US;

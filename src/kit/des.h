@@ -30,7 +30,8 @@
  * Context: all functions of one node are called from one context, usually the
  * main loop, with frames from a queue that an interrupt fills. The kit calls the
  * functions of des_port from des_init, des_receive, des_poll and des_random, never
- * from elsewhere; they must not call the kit. Several nodes (two CAN controllers) are independent of each other.
+ * from elsewhere; they must not call the kit. Several nodes (two CAN controllers)
+ * are independent of each other.
  *
  * Time: microseconds, an unsigned 32-bit number that wraps from 0xFFFFFFFF to 0.
  * Each call has the present time. At most 30 minutes may pass between two calls.
@@ -347,17 +348,16 @@ typedef struct {
     uint32_t at;      /* When to send next, or when flow control is overdue. */
     uint32_t state;
     uint32_t current; /* The request that is being answered, a bit of `pending`; 0: none. */
-    uint16_t pending; /* Requests to answer, one bit each. */
+    uint32_t pending; /* Requests to answer, one bit each. */
+    uint32_t command; /* SRV of the response to a command, and whether it is refused. */
     uint16_t sent;    /* Bytes of the response that were sent. */
-    uint16_t left;    /* Bytes of the response that follow them. */
-    uint16_t service; /* Of a command: service number, and if it is refused. */
+    uint8_t sequence; /* Of the next consecutive frame. */
+    uint8_t block;    /* Frames until the next flow control, 0: no further one; while waiting
+                       * for it: flow controls with WAIT in a row. */
+    uint8_t st_min;   /* Least time between two frames, in milliseconds. */
     uint8_t value;    /* Of a command: its data. */
     uint8_t peer;     /* Address of the requester. */
     uint8_t flags;    /* Of its requests' frames. */
-    uint8_t sequence; /* Of the next consecutive frame. */
-    uint8_t st_min;   /* Least time between two frames, in milliseconds. */
-    uint8_t block;    /* Frames until the next flow control; 0: no further one. */
-    uint8_t waits;    /* Flow controls with WAIT in a row. */
 } des_requester;
 
 /* A node. Its members are private but for `dropped`: use the functions below. */

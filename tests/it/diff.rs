@@ -390,6 +390,7 @@ fn conflict_lists_all_boards_of_the_address() {
         addresses: vec![14],
         names: vec!["ACT".to_owned()],
         uids: uids.iter().map(|uid| (*uid).to_owned()).collect(),
+        ..InventoryFinding::default()
     };
     let with = |uid: &str, finding: Option<InventoryFinding>| Inventory {
         findings: finding.into_iter().collect(),
@@ -473,6 +474,7 @@ fn random_inventory(rng: &mut fastrand::Rng) -> Inventory {
             addresses: address.into_iter().collect(),
             names: word(rng, &["A", "B", "?"]).into_iter().collect(),
             uids: vec!["X".to_owned(), "Y".to_owned()],
+            ..InventoryFinding::default()
         }
     });
     let findings = findings.collect();

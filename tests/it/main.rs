@@ -36,6 +36,8 @@ mod error_frames;
 mod export;
 mod external_editors;
 mod filter;
+#[cfg(feature = "fleet")]
+mod fleet;
 mod fleet_screen;
 mod foreign_buses;
 mod frame_batches;

@@ -29,7 +29,7 @@ pub struct GatewayFacts {
     /// Version of its descan; empty where it is not known.
     pub descan: String,
     /// Start of its program, in Unix seconds; 0 where it is not known.
-    pub started: u64,
+    pub started: f64,
     /// Time of its last status by its own clock, in Unix seconds.
     pub status_time: Option<f64>,
     /// Number of the last event, and of events that it dropped.

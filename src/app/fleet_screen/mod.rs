@@ -385,8 +385,8 @@ impl FleetScreen {
         let since_received = self.now.since(row.received);
         let is_first = self.completed.is_none_or(|at| row.received <= at);
         match row.state {
-            GatewayState::Online if row.facts.started > 0 => {
-                Some((since_unix(row.facts.started as f64), false))
+            GatewayState::Online if row.facts.started > 0.0 => {
+                Some((since_unix(row.facts.started), false))
             }
             GatewayState::Stopped => match row.facts.status_time {
                 Some(at) => Some((since_unix(at), false)),

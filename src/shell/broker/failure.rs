@@ -17,7 +17,20 @@ pub struct BrokerFailure {
     pub is_final: bool,
 }
 
+/// What helps where two clients have one name.
+const OWN_NAME: &str = "give each gateway its own --gateway";
+
+/// What helps where the broker refuses TLS.
+const OWN_CERTIFICATE: Option<&str> =
+    Some("the broker may ask for a certificate: --cert FILE --key FILE");
+
 impl BrokerFailure {
+    /// Another program publishes with the same name.
+    pub(super) fn replaced(address: &BrokerAddress) -> Self {
+        let cause = format!("{address}: another client connected with the same name");
+        Self { diagnostic: Diagnostic::new(cause).with_remedy(OWN_NAME), is_final: true }
+    }
+
     /// The failure behind an error of the connection.
     pub(super) fn of(address: &BrokerAddress, error: &ConnectionError) -> Self {
         let (cause, remedy, is_final) = words(error);
@@ -68,7 +81,12 @@ fn deep(error: &ConnectionError) -> (String, Option<&'static str>, bool) {
         }
         cause = error.source();
     }
-    (on_one_line(&error.to_string()), None, false)
+    // The client gives the cause of a failed read as text alone.
+    let text = on_one_line(&error.to_string());
+    match text.split_once("received fatal alert") {
+        Some((_, alert)) => (format!("TLS: the broker refuses it{alert}"), OWN_CERTIFICATE, true),
+        None => (text, None, false),
+    }
 }
 
 fn io_words(error: &io::Error) -> (String, Option<&'static str>, bool) {
@@ -90,9 +108,7 @@ fn tls_words(error: &rustls::Error) -> (String, Option<&'static str>, bool) {
         rustls::Error::InvalidCertificate(_) => {
             (Some("name the certificate that signed it: --ca FILE"), true)
         }
-        rustls::Error::AlertReceived(_) => {
-            (Some("the broker may ask for a certificate: --cert FILE --key FILE"), true)
-        }
+        rustls::Error::AlertReceived(_) => (OWN_CERTIFICATE, true),
         rustls::Error::InvalidMessage(_) => {
             (Some("the broker may have no TLS there: mqtt://, or another port"), true)
         }
@@ -126,11 +142,9 @@ fn refusal(code: ConnectReturnCode) -> (String, Option<&'static str>, bool) {
 fn disconnection(code: DisconnectReasonCode) -> (String, Option<&'static str>, bool) {
     use DisconnectReasonCode as Code;
     match code {
-        Code::SessionTakenOver => (
-            "another client connected with the same name".to_owned(),
-            Some("give each gateway its own --gateway"),
-            true,
-        ),
+        Code::SessionTakenOver => {
+            ("another client connected with the same name".to_owned(), Some(OWN_NAME), false)
+        }
         Code::ServerShuttingDown => ("the broker shuts down".to_owned(), None, false),
         other => (format!("disconnected by the broker ({other:?})"), None, false),
     }

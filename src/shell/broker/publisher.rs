@@ -3,7 +3,7 @@
 use super::address::BrokerSettings;
 use super::back_off;
 use super::failure::BrokerFailure;
-use crate::fleet::{Delivery, FleetMessage, Publication};
+use crate::fleet::{FleetMessage, FleetMessageId, Publication};
 use crate::time::Duration;
 use futures_util::stream::{FuturesUnordered, StreamExt as _};
 use rumqttc::{
@@ -19,6 +19,12 @@ use tokio::time::sleep;
 
 /// Number of notices that wait at most; further ones are dropped.
 const MAX_NOTICES: usize = 64;
+
+/// Time in which the documents of an earlier run arrive.
+const READING: Duration = Duration::from_secs(10);
+
+/// Longest wait for the end of the connection.
+const FAREWELL: Duration = Duration::from_millis(300);
 
 /// What happened to the connection.
 #[derive(Clone, Debug)]
@@ -51,7 +57,6 @@ impl Shared {
 pub struct BrokerPublisher {
     shared: Arc<Shared>,
     notices: Receiver<PublisherNotice>,
-    thread: thread::JoinHandle<()>,
 }
 
 impl BrokerPublisher {
@@ -73,14 +78,19 @@ impl BrokerPublisher {
         });
         let (sender, notices) = mpsc::sync_channel(MAX_NOTICES);
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
-        let link =
-            Link { shared: Arc::clone(&shared), notices: sender, settings: settings.clone(), own };
-        let thread = thread::Builder::new().name("broker".to_owned()).spawn(move || {
+        let task = PublisherThread {
+            shared: Arc::clone(&shared),
+            notices: sender,
+            settings: settings.clone(),
+            own,
+            reading: Notify::new(),
+        };
+        thread::Builder::new().name("broker".to_owned()).spawn(move || {
             // More than are sent at once: a request never waits for room.
             let (client, events) = AsyncClient::builder(options).capacity(256).build();
-            runtime.block_on(link.run(&client, events));
+            runtime.block_on(task.run(&client, events));
         })?;
-        Ok(Self { shared, notices, thread })
+        Ok(Self { shared, notices })
     }
 
     /// Changes the publication, and sends what it has then.
@@ -103,26 +113,29 @@ impl BrokerPublisher {
         let waited = self.shared.delivered.wait_timeout_while(publication, time, waits);
         let is_delivered = waited.is_ok_and(|(_, result)| !result.timed_out());
         self.shared.stop.notify_one();
-        // It ends at once, or is left to the end of the program.
-        drop(self.thread);
+        // The thread closes its end when it has disconnected.
+        while self.notices.recv_timeout(FAREWELL).is_ok() {}
         is_delivered
     }
 }
 
 /// The thread of the connection.
-struct Link {
+struct PublisherThread {
     shared: Arc<Shared>,
     notices: SyncSender<PublisherNotice>,
     settings: BrokerSettings,
     /// Topic filter of what this gateway publishes.
     own: String,
+    /// The subscription to all documents began.
+    reading: Notify,
 }
 
-impl Link {
+impl PublisherThread {
     async fn run(self, client: &AsyncClient, mut events: EventLoop) {
         tokio::select! {
             () = self.receive(client, &mut events) => return,
             () = self.send(client) => return,
+            () = self.stop_reading(client) => return,
             () = self.shared.stop.notified() => {}
         }
         // Without a DISCONNECT the broker would publish the last will.
@@ -134,7 +147,7 @@ impl Link {
                 }
             }
         };
-        let _ = tokio::time::timeout(Duration::from_millis(300), farewell).await;
+        let _ = tokio::time::timeout(FAREWELL, farewell).await;
     }
 
     /// Drives the connection until it fails for good.
@@ -149,20 +162,18 @@ impl Link {
                     events.options.set_clean_start(false);
                     self.shared.publication().handle_connected(packet.session_present);
                     self.shared.changed.notify_one();
-                    if !packet.session_present {
-                        let filter = SubscribeFilterInput::new(&*self.own, QoS::AtLeastOnce)
-                            .no_local(true)
-                            .preserve_retain(true)
-                            .retain_forward_rule(RetainForwardRule::OnEverySubscribe);
-                        let _ = client.try_subscribe_many([filter]);
-                    }
+                    self.subscribe(client, packet.session_present);
                     self.report(PublisherNotice::Connected);
                 }
                 Ok(Event::Incoming(Packet::Publish(message))) => {
-                    if message.retain && !message.payload.is_empty() {
-                        let topic = String::from_utf8_lossy(&message.topic);
-                        self.shared.publication().handle_retained(&topic);
-                        self.shared.changed.notify_one();
+                    let topic = String::from_utf8_lossy(&message.topic);
+                    let is_replaced =
+                        self.shared.publication().handle_message(&topic, &message.payload);
+                    self.shared.changed.notify_one();
+                    if is_replaced {
+                        let failure = BrokerFailure::replaced(&self.settings.address);
+                        self.report(PublisherNotice::Failed(failure, None));
+                        return;
                     }
                 }
                 Ok(_) => {}
@@ -170,9 +181,7 @@ impl Link {
                     self.shared.publication().handle_disconnected();
                     let failure = BrokerFailure::of(&self.settings.address, &error);
                     failures += 1;
-                    // Another client with the name would be thrown out in turn, for ever.
-                    let is_taken_over = was_connected && failure.is_final && failures == 1;
-                    if failure.is_final && (!was_connected || is_taken_over) {
+                    if failure.is_final && !was_connected {
                         self.report(PublisherNotice::Failed(failure, None));
                         return;
                     }
@@ -184,22 +193,47 @@ impl Link {
         }
     }
 
+    /// Reads what the broker has of this gateway: its status, which another program may write, and after
+    /// the start all documents, for a while.
+    fn subscribe(&self, client: &AsyncClient, is_session_kept: bool) {
+        let status = self.own.replace('#', "status");
+        let filters = [status.as_str(), self.own.as_str()];
+        let count = if is_session_kept { 1 } else { 2 };
+        let filters = filters.into_iter().take(count).map(|filter| {
+            SubscribeFilterInput::new(filter, QoS::AtLeastOnce)
+                .retain_forward_rule(RetainForwardRule::OnEverySubscribe)
+        });
+        let _ = client.try_subscribe_many(filters);
+        if !is_session_kept {
+            self.reading.notify_one();
+        }
+    }
+
+    /// Ends the subscription to all documents, a while after it began.
+    async fn stop_reading(&self, client: &AsyncClient) {
+        loop {
+            self.reading.notified().await;
+            sleep(READING).await;
+            let _ = client.try_unsubscribe(self.own.as_str());
+        }
+    }
+
     /// Sends what the publication has.
     async fn send(&self, client: &AsyncClient) {
         let mut sent = FuturesUnordered::new();
         loop {
             while let Some(message) = self.next_message() {
-                let FleetMessage { topic, payload, is_retained, delivery } = message;
+                let FleetMessage { topic, payload, is_retained, id } = message;
                 let options = PublishOptions::new(QoS::AtLeastOnce).retain(is_retained);
                 match client.try_publish_tracked(topic.clone(), payload.to_vec(), options) {
-                    Ok(notice) => sent.push(fate(topic, delivery, notice)),
-                    Err(_) => self.shared.publication().handle_undelivered(&delivery),
+                    Ok(notice) => sent.push(fate(topic, id, notice)),
+                    Err(_) => self.shared.publication().handle_undelivered(&id),
                 }
             }
             tokio::select! {
                 () = self.shared.changed.notified() => {}
-                Some((topic, delivery, fate)) = sent.next(), if !sent.is_empty() => {
-                    self.handle_fate(topic, &delivery, fate);
+                Some((topic, id, fate)) = sent.next(), if !sent.is_empty() => {
+                    self.handle_fate(topic, &id, fate);
                 }
             }
         }
@@ -209,13 +243,13 @@ impl Link {
         self.shared.publication().poll_message()
     }
 
-    fn handle_fate(&self, topic: String, delivery: &Delivery, fate: Fate) {
+    fn handle_fate(&self, topic: String, id: &FleetMessageId, fate: Fate) {
         let mut publication = self.shared.publication();
         match fate {
-            Fate::Delivered => publication.handle_delivered(delivery),
-            Fate::Lost => publication.handle_undelivered(delivery),
+            Fate::Delivered => publication.handle_delivered(id),
+            Fate::Lost => publication.handle_undelivered(id),
             Fate::Refused => {
-                publication.handle_refused(delivery);
+                publication.handle_refused(id);
                 if publication.refused() == 1 {
                     self.report(PublisherNotice::Refused(topic));
                 }
@@ -240,9 +274,9 @@ enum Fate {
 
 async fn fate(
     topic: String,
-    delivery: Delivery,
+    id: FleetMessageId,
     notice: PublishNotice,
-) -> (String, Delivery, Fate) {
+) -> (String, FleetMessageId, Fate) {
     let fate = match notice.wait_completion_async().await {
         Ok(()) => Fate::Delivered,
         Err(PublishNoticeError::V5PubAck(_) | PublishNoticeError::RetainNotSupported) => {
@@ -250,5 +284,5 @@ async fn fate(
         }
         Err(_) => Fate::Lost,
     };
-    (topic, delivery, fate)
+    (topic, id, fate)
 }

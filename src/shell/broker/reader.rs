@@ -49,14 +49,14 @@ impl BrokerReader {
         let options = settings.options(&client_name);
         let (sender, notices) = mpsc::channel(MAX_WAITING);
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
-        let link = Link {
+        let task = ReaderThread {
             notices: sender,
             settings: settings.clone(),
             filters: filters.iter().map(|it| (*it).to_owned()).collect(),
         };
         thread::Builder::new().name("broker".to_owned()).spawn(move || {
             let (client, events) = AsyncClient::builder(options).capacity(16).build();
-            runtime.block_on(link.run(&client, events));
+            runtime.block_on(task.run(&client, events));
         })?;
         Ok(Self { notices })
     }
@@ -77,13 +77,13 @@ impl BrokerReader {
 }
 
 /// The thread of the connection.
-struct Link {
+struct ReaderThread {
     notices: Sender<ReaderNotice>,
     settings: BrokerSettings,
     filters: Vec<String>,
 }
 
-impl Link {
+impl ReaderThread {
     async fn run(self, client: &AsyncClient, mut events: EventLoop) {
         tokio::select! {
             () = self.notices.closed() => {

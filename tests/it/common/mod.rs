@@ -7,6 +7,7 @@ pub mod frames;
 pub mod harness;
 pub mod hostile;
 pub mod inspection;
+pub mod mosquitto;
 pub mod open_bus;
 pub mod paced;
 pub mod program;

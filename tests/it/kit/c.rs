@@ -15,6 +15,8 @@ mod address_resolution;
 mod commands;
 #[path = "conformance.rs"]
 mod conformance;
+#[path = "identifiers.rs"]
+mod identifiers;
 #[path = "simulation.rs"]
 mod simulation;
 #[path = "transfers.rs"]

@@ -95,6 +95,73 @@ fn broken_rule_exits_1_and_is_proved() {
     assert!(frames.windows(comment.len()).any(|part| part == comment));
 }
 
+/// The annotations of GitHub Actions: command, title and message of each line, as a runner reads
+/// them.
+fn annotations(printed: &str) -> Vec<(String, String, String)> {
+    let unescaped = |text: &str| {
+        let text = text.replace("%0A", "\n").replace("%0D", "\r");
+        text.replace("%3A", ":").replace("%2C", ",").replace("%25", "%")
+    };
+    let of = |line: &str| {
+        let (head, message) = line.strip_prefix("::")?.split_once("::")?;
+        let (command, title) = head.split_once(" title=")?;
+        assert!(!title.contains([':', ',']), "ends the title: {line}");
+        Some((command.to_owned(), unescaped(title), unescaped(message)))
+    };
+    printed.lines().map(|line| of(line).unwrap_or_else(|| panic!("{line}"))).collect()
+}
+
+#[test]
+fn github_annotations_have_the_failure_of_junit() {
+    let folder = folder();
+    let output = prove(folder.path(), &["@14", "--report", "github", "--proof", "act.md"]);
+    assert_eq!(output.status.code(), Some(1), "{}", text(&output.stderr));
+    let lines = annotations(&text(&output.stdout));
+    let [(command, title, message), (notice, name, sums)] = &lines[..] else { panic!("{lines:?}") };
+    assert_eq!((command.as_str(), title.as_str()), ("error", "ACT at 14: one-answer"));
+    assert_eq!((notice.as_str(), name.as_str()), ("notice", "descan prove sim:bus.toml"));
+    let tests = ConformanceRule::ALL.len();
+    assert!(sums.starts_with(&format!("{tests} tests, 1 failed, ")), "{sums}");
+    // What was seen, what the rule demands, and the frames, of which there are two answers.
+    let message: Vec<&str> = message.lines().collect();
+    let rule = ConformanceRule::ALL.iter().find(|rule| rule.id() == "one-answer").unwrap();
+    assert!(message[1].starts_with(&format!("{} (", rule.sentence())), "{message:?}");
+    assert!(message.iter().filter(|line| line.contains("051C0002#")).count() >= 2, "{message:?}");
+    let proof = std::fs::read_to_string(folder.path().join("act.md")).unwrap();
+    assert!(message[2..].iter().all(|line| proof.contains(line.split_once(' ').unwrap().1)));
+    // JUnit says the same, with the frames of its own run.
+    let output = prove(folder.path(), &["@14", "--report", "junit"]);
+    let xml = text(&output.stdout);
+    assert!(xml.contains(&format!("<failure message=\"{}\">", message[0])), "{xml}");
+    assert!(xml.contains(message[1]), "{xml}");
+    let skipped = xml.matches("<skipped").count();
+    assert!(sums.ends_with(&format!(", {skipped} skipped")), "{sums}");
+}
+
+#[test]
+fn github_report_of_a_good_device_is_a_notice() {
+    let folder = folder();
+    let output = prove(folder.path(), &["FEED", "--report", "github"]);
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    let lines = annotations(&text(&output.stdout));
+    assert_eq!(lines.len(), 1, "{lines:?}");
+    let (command, _, sums) = &lines[0];
+    assert!(command == "notice" && sums.contains(" tests, 0 failed, "), "{lines:?}");
+}
+
+#[test]
+fn github_titles_escape_the_name_of_a_device() {
+    let folder = folder();
+    let bus = BUS.replace("\"ACT\"", "\"A::B,50%\"");
+    std::fs::write(folder.path().join("bus.toml"), bus).unwrap();
+    let output = prove(folder.path(), &["@14", "--report", "github"]);
+    assert_eq!(output.status.code(), Some(1), "{}", text(&output.stderr));
+    let printed = text(&output.stdout);
+    let title = "::error title=A%3A%3AB%2C50%25 at 14%3A one-answer::";
+    assert!(printed.starts_with(title), "{printed}");
+    assert_eq!(annotations(&printed)[0].1, "A::B,50% at 14: one-answer");
+}
+
 #[test]
 fn unusable_calls_are_refused() {
     let folder = folder();

@@ -1,0 +1,667 @@
+//! `publish`, `fleet` and `check --fleet` at a real broker (mosquitto): rights, TLS, restarts, cut
+//! connections, hostile messages.
+
+use crate::common::mosquitto::Mosquitto;
+use crate::common::program::{command, text};
+use descan::fleet::{Fleet, FleetDocument, FleetTopic, Publication, TopicPath};
+use descan::shell::broker::{
+    BrokerAccess, BrokerPublisher, BrokerReader, BrokerSettings, PublisherNotice, ReaderNotice,
+};
+use descan::time::{Duration, Instant};
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
+use serde_json::{Value, json};
+use std::collections::BTreeSet;
+use std::fs;
+use std::io::{BufRead, BufReader, Read as _, Write as _};
+use std::net::{Shutdown, TcpListener, TcpStream};
+use std::path::Path;
+use std::process::{Child, Command, Output, Stdio};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
+use std::thread;
+
+/// Longest wait for anything.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// A program that is ended with the value.
+struct Running(Child);
+
+impl Running {
+    /// Starts `descan publish` and waits until it is connected.
+    fn publish(arguments: &[&str], folder: &Path) -> Self {
+        let mut command = command(&["publish"], folder);
+        let mut child = command.args(arguments).stderr(Stdio::piped()).spawn().unwrap();
+        let mut lines = BufReader::new(child.stderr.take().unwrap()).lines();
+        let mut seen = Vec::new();
+        while let Some(Ok(line)) = lines.next() {
+            if line.starts_with("publishing to") {
+                // It must not block on a full pipe.
+                thread::spawn(move || lines.for_each(drop));
+                return Self(child);
+            }
+            seen.push(line);
+        }
+        panic!("not connected: {seen:?}, {:?}", child.wait());
+    }
+
+    fn signal(&self, signal: Signal) {
+        kill(Pid::from_raw(self.0.id().try_into().unwrap()), signal).unwrap();
+    }
+
+    /// Ends it with SIGTERM.
+    fn stop(mut self) -> Option<i32> {
+        self.signal(Signal::SIGTERM);
+        self.0.wait().unwrap().code()
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+fn run(arguments: &[&str], folder: &Path) -> Output {
+    command(arguments, folder).output().unwrap()
+}
+
+/// The JSON of `descan fleet`.
+fn fleet_json(arguments: &[&str], folder: &Path) -> Value {
+    let output = run(&[&["fleet", "--json"], arguments].concat(), folder);
+    assert!(matches!(output.status.code(), Some(0 | 1)), "{}", text(&output.stderr));
+    serde_json::from_slice(&output.stdout).unwrap()
+}
+
+/// Repeats a query until it has a result.
+#[track_caller]
+fn wait_for<T>(mut query: impl FnMut() -> Option<T>) -> T {
+    let begin = std::time::Instant::now();
+    loop {
+        if let Some(result) = query() {
+            return result;
+        }
+        assert!(begin.elapsed() < PATIENCE, "waited for {PATIENCE:?}");
+        thread::park_timeout(Duration::from_millis(10));
+    }
+}
+
+fn state_of(fleet: &Value, gateway: &str) -> Option<String> {
+    let gateways = fleet["gateways"].as_array()?;
+    let found = gateways.iter().find(|it| it["name"] == gateway)?;
+    found["state"].as_str().map(str::to_owned)
+}
+
+fn names_of(fleet: &Value, gateway: usize) -> Vec<&str> {
+    let devices = fleet["gateways"][gateway]["devices"].as_array();
+    devices.into_iter().flatten().filter_map(|it| it["name"].as_str()).collect()
+}
+
+/// All retained messages, by topic.
+fn retained(broker: &Mosquitto) -> Vec<(String, Value)> {
+    let output = Command::new("mosquitto_sub")
+        .args(["-h", "127.0.0.1", "-p", &broker.port().to_string(), "-t", "descan/v1/#"])
+        .args(["--retained-only", "-W", "2", "-v"])
+        .output()
+        .unwrap();
+    let lines = text(&output.stdout);
+    let of_line = |line: &str| {
+        let (topic, payload) = line.split_once(' ')?;
+        Some((topic.to_owned(), serde_json::from_str(payload).ok()?))
+    };
+    lines.lines().filter_map(of_line).collect()
+}
+
+#[test]
+fn published_devices_are_those_of_the_bus() {
+    let Some(broker) = Mosquitto::start() else { return };
+    let (folder, url) = (broker.folder(), broker.url());
+    let gateway = ["sim:boiler", "--broker", &url, "--gateway", "boiler-17"];
+    let publisher = Running::publish(&gateway, folder);
+    let fleet = wait_for(|| {
+        let fleet = fleet_json(&["--broker", &url], folder);
+        let is_there = names_of(&fleet, 0).contains(&"FEED");
+        is_there.then_some(fleet)
+    });
+    assert_eq!(state_of(&fleet, "boiler-17").as_deref(), Some("online"));
+    // The members are those of scan --json.
+    let scan = run(&["scan", "sim:boiler", "--json", "--time", "5"], folder);
+    let scan: Value = serde_json::from_slice(&scan.stdout).unwrap();
+    let members = |value: &Value| -> BTreeSet<String> {
+        value.as_object().unwrap().keys().filter(|key| *key != "time").cloned().collect()
+    };
+    let documents = retained(&broker);
+    let of = |part: &str| {
+        let topic = format!("descan/v1/boiler-17/{part}");
+        let found = documents.iter().find(|(it, _)| *it == topic);
+        found.unwrap_or_else(|| panic!("{topic} is not in {documents:?}")).1.clone()
+    };
+    assert_eq!(members(&of("device/sim:boiler/10")), members(&scan["devices"][0]));
+    assert_eq!(members(&of("bus/sim:boiler")), members(&scan["buses"][0]));
+    assert_eq!(of("status")["online"], true);
+
+    assert_eq!(publisher.stop(), Some(0));
+    let fleet = fleet_json(&["--broker", &url], folder);
+    assert_eq!(state_of(&fleet, "boiler-17").as_deref(), Some("stopped"));
+    assert!(names_of(&fleet, 0).contains(&"FEED"), "the last state is kept");
+}
+
+#[test]
+fn killed_gateway_is_lost_and_its_next_run_clears_what_is_gone() {
+    let Some(broker) = Mosquitto::start() else { return };
+    let (folder, url) = (broker.folder(), broker.url());
+    let publisher = Running::publish(&["sim:boiler", "--broker", &url, "--gateway", "g"], folder);
+    wait_for(|| (!names_of(&fleet_json(&["--broker", &url], folder), 0).is_empty()).then_some(()));
+    publisher.signal(Signal::SIGKILL);
+    wait_for(|| {
+        let fleet = fleet_json(&["--broker", &url], folder);
+        (state_of(&fleet, "g").as_deref() == Some("lost")).then_some(())
+    });
+    // The next run is on another bus.
+    let _publisher = Running::publish(&["sim:drone", "--broker", &url, "--gateway", "g"], folder);
+    let is_clean = || {
+        let topics: Vec<String> = retained(&broker).into_iter().map(|(topic, _)| topic).collect();
+        let has = |part: &str| topics.iter().any(|topic| topic.contains(part));
+        (has("/bus/sim:drone") && !has("sim:boiler")).then_some(())
+    };
+    wait_for(is_clean);
+}
+
+#[test]
+fn second_gateway_with_the_name_ends_the_first() {
+    let Some(broker) = Mosquitto::start() else { return };
+    let (folder, url) = (broker.folder(), broker.url());
+    let arguments = ["publish", "sim:boiler", "--broker", &url, "--gateway", "g"];
+    let first = command(&arguments, folder).stderr(Stdio::piped()).spawn().unwrap();
+    wait_for(|| {
+        let fleet = fleet_json(&["--broker", &url], folder);
+        (state_of(&fleet, "g").as_deref() == Some("online")).then_some(())
+    });
+    let _second = Running::publish(&arguments[1..], folder);
+    let output = first.wait_with_output().unwrap();
+    let errors = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(3), "{errors}");
+    assert!(errors.contains("another client connected with the same name"), "{errors}");
+    assert!(errors.contains("--gateway"), "{errors}");
+}
+
+#[test]
+fn check_compares_each_gateway_with_its_folder() {
+    let Some(broker) = Mosquitto::start() else { return };
+    let (folder, url) = (broker.folder(), broker.url());
+    let _publisher = Running::publish(&["sim:boiler", "--broker", &url, "--gateway", "g"], folder);
+    wait_for(|| {
+        let fleet = fleet_json(&["--broker", &url], folder);
+        let names = names_of(&fleet, 0);
+        ["FEED", "SENS"].iter().all(|name| names.contains(name)).then_some(())
+    });
+    let site = folder.join("sites/g");
+    fs::create_dir_all(&site).unwrap();
+    let check = |file: &str, arguments: &[&str]| {
+        fs::write(site.join("des.json"), file).unwrap();
+        let all = [&["check", "--fleet", "sites", "--broker", &url], arguments].concat();
+        let output = run(&all, folder);
+        (output.status.code(), text(&output.stdout), text(&output.stderr))
+    };
+    let (code, out, _) = check(r#"[{"name":"GHOST","address":33}]"#, &[]);
+    assert_eq!(code, Some(1), "{out}");
+    assert!(out.contains("g missing:\n  GHOST (at 33) is listed but not on the bus.\n"), "{out}");
+    assert!(out.contains("FEED at 10 is not in the file."), "{out}");
+    let (_, json, _) = check(r#"[{"name":"FEED","address":10}]"#, &["--json"]);
+    let json: Value = serde_json::from_str(&json).unwrap();
+    assert_eq!(json["gateways"][0]["name"], "g");
+    assert_eq!(json["gateways"][0]["state"], "online");
+    assert_eq!(json["gateways"][0]["entries"], 1);
+    let (_, junit, _) = check("[]", &["--report", "junit"]);
+    assert!(junit.contains("<testsuite name=\"g\""), "{junit}");
+    // A gateway that has published nothing.
+    fs::create_dir_all(folder.join("sites/h")).unwrap();
+    fs::write(folder.join("sites/h/des.json"), "[]").unwrap();
+    let (code, out, _) = check("[]", &[]);
+    assert_eq!(code, Some(1));
+    assert!(out.contains("h: 0 entries, 0 devices: gateway missing\n"), "{out}");
+    fs::write(folder.join("sites/h/des.json"), "[{").unwrap();
+    let (code, _, errors) = check("[]", &[]);
+    assert_eq!(code, Some(3));
+    assert!(errors.contains("sites/h/des.json: "), "{errors}");
+}
+
+// --- rights and TLS -------------------------------------------------------------------------
+
+/// A certificate authority, a certificate of the broker, and one of a client, by openssl.
+fn make_certificates(folder: &Path) {
+    let openssl = |arguments: &str| {
+        let output = Command::new("openssl")
+            .args(arguments.split(' '))
+            .current_dir(folder)
+            .stdin(Stdio::null())
+            .output()
+            .unwrap();
+        assert!(output.status.success(), "{}", text(&output.stderr));
+    };
+    fs::write(folder.join("names"), "subjectAltName=DNS:localhost,IP:127.0.0.1").unwrap();
+    for authority in ["ca", "other"] {
+        openssl(&format!(
+            "req -x509 -newkey ec -pkeyopt ec_paramgen_curve:P-256 -nodes -days 2 -subj /CN={authority} -keyout \
+             {authority}.key -out {authority}.pem"
+        ));
+    }
+    for name in ["broker", "client"] {
+        openssl(&format!(
+            "req -newkey ec -pkeyopt ec_paramgen_curve:P-256 -nodes -subj /CN={name} -keyout \
+             {name}.key -out {name}.req"
+        ));
+        openssl(&format!(
+            "x509 -req -in {name}.req -CA ca.pem -CAkey ca.key -CAcreateserial -days 2 -extfile names -out {name}.pem"
+        ));
+    }
+}
+
+/// A broker with TLS, users and rights, as the guide has them.
+fn guarded_broker() -> Option<Mosquitto> {
+    Mosquitto::with_settings(|folder| {
+        make_certificates(folder);
+        let path = |name: &str| folder.join(name).display().to_string();
+        for (user, is_first) in [("boiler-17", true), ("viewer", false)] {
+            let made = Command::new("mosquitto_passwd")
+                .args(["-b"])
+                .args(is_first.then_some("-c"))
+                .args([&path("passwords"), user, &format!("secret of {user}")])
+                .output();
+            // Missing with mosquitto.
+            let Ok(made) = made else { return String::new() };
+            assert!(made.status.success(), "{}", text(&made.stderr));
+            let credentials = format!("user = \"{user}\"\npassword = \"secret of {user}\"\n");
+            fs::write(folder.join(format!("{user}.toml")), credentials).unwrap();
+        }
+        let rights = "pattern readwrite descan/v1/%u/#\n\nuser viewer\ntopic read descan/v1/#\n";
+        fs::write(folder.join("rights"), rights).unwrap();
+        format!(
+            "allow_anonymous false\npassword_file {}\nacl_file {}\ncafile {}\ncertfile {}\nkeyfile {}\n",
+            path("passwords"),
+            path("rights"),
+            path("ca.pem"),
+            path("broker.pem"),
+            path("broker.key"),
+        )
+    })
+}
+
+#[test]
+fn gateway_writes_its_own_topics_only_and_viewer_reads() {
+    let Some(broker) = guarded_broker() else { return };
+    let (folder, url) = (broker.folder(), format!("mqtts://localhost:{}", broker.port()));
+    let access = ["--broker", &url, "--ca", "ca.pem"];
+    let own = [&access[..], &["--credentials", "boiler-17.toml"]].concat();
+    let viewer = [&access[..], &["--credentials", "viewer.toml"]].concat();
+    let publish = [&["sim:boiler", "--gateway", "boiler-17"], &own[..]].concat();
+    let _publisher = Running::publish(&publish, folder);
+    let fleet = wait_for(|| {
+        let fleet = fleet_json(&viewer, folder);
+        (!names_of(&fleet, 0).is_empty()).then_some(fleet)
+    });
+    assert_eq!(state_of(&fleet, "boiler-17").as_deref(), Some("online"));
+
+    // Another name than that of the user.
+    let foreign =
+        [&["publish", "sim:boiler", "--time", "6", "--gateway", "other"], &own[..]].concat();
+    let output = run(&foreign, folder);
+    let errors = text(&output.stderr);
+    assert!(errors.contains("the broker refuses descan/v1/other/"), "{errors}");
+    assert!(state_of(&fleet_json(&viewer, folder), "other").is_none());
+    // The viewer cannot write, the gateway cannot read others.
+    let output = run(
+        &[&["publish", "sim:boiler", "--time", "6", "--gateway", "v"], &viewer[..]].concat(),
+        folder,
+    );
+    assert!(text(&output.stderr).contains("refuses descan/v1/v/"));
+}
+
+#[test]
+fn wrong_certificates_and_passwords_end_it_with_the_way_out() {
+    let Some(broker) = guarded_broker() else { return };
+    let folder = broker.folder();
+    let url = format!("mqtts://localhost:{}", broker.port());
+    fs::write(folder.join("wrong.toml"), "user = \"viewer\"\npassword = \"no\"\n").unwrap();
+    fs::write(folder.join("broken.toml"), "password: topsecret\n").unwrap();
+    fs::write(folder.join("empty.pem"), "").unwrap();
+    let plain = broker.url();
+    let cases: &[(&[&str], &str)] = &[
+        (&["--ca", "ca.pem"], "user or password refused"),
+        (&["--ca", "ca.pem", "--credentials", "wrong.toml"], "user or password refused"),
+        (&["--ca", "ca.pem", "--credentials", "none.toml"], "none.toml: file not found"),
+        (&["--ca", "ca.pem", "--credentials", "broken.toml"], "not a file of credentials"),
+        (&["--ca", "other.pem", "--credentials", "viewer.toml"], "--ca FILE"),
+        (&["--credentials", "viewer.toml"], "TLS: "),
+        (&["--ca", "empty.pem"], "empty.pem: no certificate in it"),
+        (
+            &["--ca", "ca.pem", "--cert", "ca.key", "--key", "ca.key"],
+            "ca.key: no certificate in it",
+        ),
+        (
+            &["--ca", "ca.pem", "--cert", "client.pem", "--key", "ca.pem"],
+            "ca.pem: no private key in it",
+        ),
+    ];
+    for (arguments, expected) in cases {
+        let all = [&["fleet", "--json", "--broker", &url], *arguments].concat();
+        let output = run(&all, folder);
+        let errors = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(3), "{arguments:?}: {errors}");
+        assert!(errors.contains(expected), "{arguments:?}: {errors}");
+        assert!(!errors.contains("topsecret"), "{errors}");
+    }
+    // Certificates without TLS; TLS at a port without.
+    let output = run(&["fleet", "--broker", &plain, "--ca", "ca.pem"], folder);
+    assert!(text(&output.stderr).contains("write mqtts://"));
+    let without_tls = Mosquitto::start().unwrap();
+    let url = without_tls.url().replace("mqtt:", "mqtts:");
+    let output = run(&["fleet", "--json", "--broker", &url, "--ca", "ca.pem"], folder);
+    let errors = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(3), "{errors}");
+}
+
+#[test]
+fn client_certificate_is_shown_where_the_broker_asks_for_it() {
+    let broker = Mosquitto::with_settings(|folder| {
+        make_certificates(folder);
+        let path = |name: &str| folder.join(name).display().to_string();
+        format!(
+            "allow_anonymous true\nrequire_certificate true\ncafile {}\ncertfile {}\nkeyfile {}\n",
+            path("ca.pem"),
+            path("broker.pem"),
+            path("broker.key"),
+        )
+    });
+    let Some(broker) = broker else { return };
+    let (folder, url) = (broker.folder(), format!("mqtts://127.0.0.1:{}", broker.port()));
+    let access = ["fleet", "--json", "--broker", &url, "--ca", "ca.pem"];
+    let output =
+        run(&[&access[..], &["--cert", "client.pem", "--key", "client.key"]].concat(), folder);
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    let output = run(&[&access[..], &["--time", "4"]].concat(), folder);
+    assert_eq!(output.status.code(), Some(3));
+    assert!(text(&output.stderr).contains("--cert FILE"), "{}", text(&output.stderr));
+}
+
+#[test]
+fn broker_that_is_not_there_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    let url = format!("mqtt://127.0.0.1:{port}");
+    let output = run(&["fleet", "--json", "--broker", &url, "--time", "1"], folder.path());
+    let errors = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(3), "{errors}");
+    assert!(errors.contains("connection refused; check host and port"), "{errors}");
+    for bad in
+        ["localhost", "http://x", "mqtt://", "mqtt://a:b", "mqtt://user:secret@host", "mqtt://h:0"]
+    {
+        let output = run(&["fleet", "--broker", bad], folder.path());
+        assert_eq!(output.status.code(), Some(2), "{bad}");
+    }
+}
+
+// --- hostile messages ------------------------------------------------------------------------
+
+#[test]
+fn hostile_messages_are_counted_and_large_ones_are_not_read() {
+    let Some(broker) = Mosquitto::start() else { return };
+    let (folder, url) = (broker.folder(), broker.url());
+    let publish = |topic: &str, payload: &[u8]| {
+        let path = folder.join("payload");
+        fs::write(&path, payload).unwrap();
+        let output = Command::new("mosquitto_pub")
+            .args([
+                "-h",
+                "127.0.0.1",
+                "-p",
+                &broker.port().to_string(),
+                "-r",
+                "-q",
+                "1",
+                "-t",
+                topic,
+                "-f",
+            ])
+            .arg(path)
+            .output()
+            .unwrap();
+        assert!(output.status.success(), "{}", text(&output.stderr));
+    };
+    publish("descan/v1/good/status", br#"{"online":true}"#);
+    publish("descan/v1/bad/status", b"\x1b]0;title\x07");
+    publish("descan/v1/bad/device/can0/1", "[".repeat(60_000).as_bytes());
+    publish("descan/v1/bad/device/can0/2", &vec![b'x'; 100 << 20]);
+    publish("descan/v1/bad/device/can0/999", b"{}");
+    publish("descan/v1/bad/bus/can0", br#"{"name":"\u001b[31mred"}"#);
+    let output = run(&["fleet", "--json", "--broker", &url], folder);
+    let errors = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(0), "{errors}");
+    let json: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(state_of(&json, "good").as_deref(), Some("online"));
+    assert_eq!(json["rejected"], 2, "{json}");
+    assert!(errors.contains("2 documents not used"), "{errors}");
+    assert!(!errors.contains('\u{1b}') && !text(&output.stdout).contains('\u{1b}'));
+}
+
+// --- restarts and cut connections --------------------------------------------------------------
+
+/// A connection to the broker that can be cut.
+struct Wire {
+    port: u16,
+    streams: Arc<Mutex<Vec<TcpStream>>>,
+}
+
+impl Wire {
+    fn to(port: u16) -> Self {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let own = listener.local_addr().unwrap().port();
+        let streams: Arc<Mutex<Vec<TcpStream>>> = Arc::default();
+        let known = Arc::clone(&streams);
+        thread::spawn(move || {
+            for near in listener.incoming() {
+                let Ok(near) = near else { return };
+                let Ok(far) = TcpStream::connect(("127.0.0.1", port)) else { continue };
+                let both = [near.try_clone().unwrap(), far.try_clone().unwrap()];
+                known.lock().unwrap().extend(both);
+                let (near_back, far_back) = (near.try_clone().unwrap(), far.try_clone().unwrap());
+                thread::spawn(move || copy(near, far));
+                thread::spawn(move || copy(far_back, near_back));
+            }
+        });
+        Self { port: own, streams }
+    }
+
+    /// Cuts all connections, in the middle of whatever is on the way.
+    fn cut(&self) -> bool {
+        let streams = std::mem::take(&mut *self.streams.lock().unwrap());
+        let is_open = !streams.is_empty();
+        for stream in streams {
+            let _ = stream.shutdown(Shutdown::Both);
+        }
+        is_open
+    }
+}
+
+fn copy(mut from: TcpStream, mut to: TcpStream) {
+    let mut buffer = [0; 4096];
+    while let Ok(count @ 1..) = from.read(&mut buffer) {
+        if to.write_all(&buffer[..count]).is_err() {
+            break;
+        }
+    }
+    let _ = to.shutdown(Shutdown::Both);
+    let _ = from.shutdown(Shutdown::Both);
+}
+
+fn settings(port: u16) -> BrokerSettings {
+    let address = format!("mqtt://127.0.0.1:{port}").parse().unwrap();
+    let access = BrokerAccess { address, ca: None, identity: None, credentials: None };
+    BrokerSettings::read(&access).unwrap()
+}
+
+/// What a reader received: the numbers of events in order, and the documents.
+#[derive(Default)]
+struct Received {
+    events: Vec<u64>,
+    fleet: Fleet,
+    is_subscribed: bool,
+}
+
+/// Reads on a thread until `stop`.
+fn receive(port: u16, stop: Arc<AtomicBool>) -> Arc<Mutex<Received>> {
+    let received: Arc<Mutex<Received>> = Arc::default();
+    let known = Arc::clone(&received);
+    thread::spawn(move || {
+        let filters = [&FleetTopic::DOCUMENTS[..], &[FleetTopic::EVENTS]].concat();
+        let mut reader = BrokerReader::spawn(&settings(port), &filters).unwrap();
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+        while !stop.load(Ordering::Relaxed) {
+            let limit = tokio::time::Duration::from_millis(100);
+            let next = runtime.block_on(async { tokio::time::timeout(limit, reader.next()).await });
+            let Ok(Some(notice)) = next else { continue };
+            let mut received = known.lock().unwrap();
+            match notice {
+                ReaderNotice::Message(topic, payload, _) if topic.ends_with(b"/event") => {
+                    let value: Value = serde_json::from_slice(&payload).unwrap();
+                    received.events.push(value["seq"].as_u64().unwrap());
+                }
+                ReaderNotice::Message(topic, payload, _) => {
+                    received.fleet.handle_message(Instant::ZERO, &topic, &payload);
+                }
+                ReaderNotice::Subscribed { refused } => {
+                    assert_eq!(refused, 0);
+                    received.is_subscribed = true;
+                }
+                _ => {}
+            }
+        }
+    });
+    received
+}
+
+/// A gateway whose documents and events change all the time.
+struct Load {
+    publisher: BrokerPublisher,
+    round: u64,
+}
+
+impl Load {
+    const DEVICES: u64 = 40;
+
+    fn start(port: u16) -> Self {
+        let publication = Publication::new("g".parse().unwrap(), 1.0);
+        Self { publisher: BrokerPublisher::spawn(&settings(port), publication).unwrap(), round: 0 }
+    }
+
+    /// The documents of a round: device `n` is there in two rounds of three.
+    fn documents(round: u64) -> impl Iterator<Item = FleetDocument> {
+        let there = (1..=Self::DEVICES).filter(move |number| (number + round) % 3 != 0);
+        there.map(move |number| FleetDocument {
+            path: TopicPath::Device("can0".to_owned(), number as u8),
+            value: json!({"address": number, "name": format!("R{round}"), "presence": "online"}),
+            counters: &[],
+            counter_period: Duration::from_secs(30),
+        })
+    }
+
+    fn step(&mut self) {
+        self.round += 1;
+        let round = self.round;
+        self.publisher.update(|publication| {
+            let now = Instant::ZERO + Duration::from_secs(round);
+            publication.handle_documents(now, 0.0, Self::documents(round));
+            publication.handle_status(now, 0.0, json!({}));
+            for _ in 0..5 {
+                publication.handle_event(json!({"round": round}));
+            }
+        });
+    }
+
+    /// Waits for the next connection.
+    fn wait_connected(&self) {
+        wait_for(|| {
+            matches!(self.publisher.poll_notice(), Some(PublisherNotice::Connected)).then_some(())
+        });
+    }
+
+    /// What the broker has at the end is the last round, and every event arrived.
+    fn assert_delivered(mut self, received: &Mutex<Received>) {
+        self.step();
+        let round = self.round;
+        wait_for(|| self.publisher.update(|it| it.is_delivered()).then_some(()));
+        wait_for(|| {
+            let received = received.lock().unwrap();
+            let seen: BTreeSet<u64> = received.events.iter().copied().collect();
+            (seen.len() as u64 == round * 5).then_some(())
+        });
+        let expected: Vec<(u8, String)> = Self::documents(round)
+            .map(|it| (it.value["address"].as_u64().unwrap() as u8, format!("R{round}")))
+            .collect();
+        wait_for(|| {
+            let received = received.lock().unwrap();
+            let gateway = received.fleet.gateway(&"g".parse().unwrap())?;
+            let found: Vec<(u8, String)> = gateway
+                .devices()
+                .map(|it| (it.address, it.name.clone().unwrap_or_default()))
+                .collect();
+            (found == expected).then_some(())
+        });
+        assert_eq!(self.publisher.update(|it| it.dropped_events()), 0);
+    }
+}
+
+#[test]
+fn cut_connections_lose_no_event_and_leave_the_state_right() {
+    let Some(broker) = Mosquitto::start() else { return };
+    let wire = Wire::to(broker.port());
+    let stop = Arc::new(AtomicBool::new(false));
+    let received = receive(broker.port(), Arc::clone(&stop));
+    wait_for(|| received.lock().unwrap().is_subscribed.then_some(()));
+    let mut load = Load::start(wire.port);
+    for _ in 0..20 {
+        load.wait_connected();
+        (0..20).for_each(|_| load.step());
+        wait_for(|| wire.cut().then_some(()));
+        (0..3).for_each(|_| load.step());
+    }
+    load.assert_delivered(&received);
+    stop.store(true, Ordering::Relaxed);
+}
+
+#[test]
+fn restarted_brokers_lose_no_event_and_leave_the_state_right() {
+    let Some(mut broker) = Mosquitto::start() else { return };
+    let stop = Arc::new(AtomicBool::new(false));
+    let received = receive(broker.port(), Arc::clone(&stop));
+    wait_for(|| received.lock().unwrap().is_subscribed.then_some(()));
+    let mut load = Load::start(broker.port());
+    for _ in 0..20 {
+        load.wait_connected();
+        (0..20).for_each(|_| load.step());
+        broker.stop();
+        (0..3).for_each(|_| load.step());
+        assert!(broker.launch());
+    }
+    load.assert_delivered(&received);
+    stop.store(true, Ordering::Relaxed);
+}
+
+#[test]
+fn broker_that_forgot_everything_gets_everything_again() {
+    let Some(mut broker) = Mosquitto::start() else { return };
+    let (url, folder) = (broker.url(), broker.folder().to_owned());
+    let mut load = Load::start(broker.port());
+    load.wait_connected();
+    load.step();
+    wait_for(|| load.publisher.update(|it| it.is_delivered()).then_some(()));
+    broker.stop();
+    fs::remove_file(folder.join("mosquitto.db")).unwrap();
+    assert!(broker.launch());
+    load.wait_connected();
+    wait_for(|| load.publisher.update(|it| it.is_delivered()).then_some(()));
+    let fleet = fleet_json(&["--broker", &url], &folder);
+    assert_eq!(names_of(&fleet, 0).len(), Load::documents(1).count());
+    assert_eq!(state_of(&fleet, "g").as_deref(), Some("online"));
+}

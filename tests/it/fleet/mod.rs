@@ -1,0 +1,8 @@
+//! Inventories over an MQTT broker: what is published, what a viewer makes of it, and both at a real
+//! broker.
+
+mod broker;
+mod expected;
+mod publication;
+mod topics;
+mod view;

@@ -1,0 +1,278 @@
+//! What a gateway sends, and when: changes only, documents before the status, events in order and none
+//! twice unless the connection was lost.
+
+use descan::fleet::{
+    FleetDocument, FleetMessage, FleetMessageId, MAX_QUEUED_EVENTS, Publication, TopicPath,
+};
+use descan::time::{Duration, Instant};
+use serde_json::{Value, json};
+
+const COUNTERS: &[&str] = &["frames", "heartbeat.count"];
+
+fn publication() -> Publication {
+    Publication::new("boiler-17".parse().unwrap(), 1000.0)
+}
+
+fn at(seconds: u64) -> Instant {
+    Instant::ZERO + Duration::from_secs(seconds)
+}
+
+fn document(bus: &str, value: Value) -> FleetDocument {
+    FleetDocument {
+        path: TopicPath::Bus(bus.to_owned()),
+        value,
+        counters: COUNTERS,
+        counter_period: Duration::from_secs(30),
+    }
+}
+
+/// Everything that is sent now, without acknowledging it.
+fn sent(publication: &mut Publication) -> Vec<FleetMessage> {
+    std::iter::from_fn(|| publication.poll_message()).collect()
+}
+
+/// Topics after the name of the gateway, with the content; everything is acknowledged.
+fn delivered(publication: &mut Publication) -> Vec<(String, Value)> {
+    let mut all = Vec::new();
+    loop {
+        let messages = sent(publication);
+        if messages.is_empty() {
+            return all;
+        }
+        for message in messages {
+            publication.handle_delivered(&message.id);
+            let topic = message.topic.strip_prefix("descan/v1/boiler-17/").unwrap().to_owned();
+            all.push((topic, serde_json::from_slice(&message.payload).unwrap_or(Value::Null)));
+        }
+    }
+}
+
+fn topics(messages: &[(String, Value)]) -> Vec<&str> {
+    messages.iter().map(|(topic, _)| topic.as_str()).collect()
+}
+
+#[test]
+fn nothing_is_sent_before_the_broker_is_connected() {
+    let mut publication = publication();
+    publication.handle_documents(at(0), 1.0, [document("can0", json!({"state": "up"}))]);
+    publication.handle_event(json!({"event": "named"}));
+    assert_eq!(sent(&mut publication), []);
+    publication.handle_connected(false);
+    assert_eq!(topics(&delivered(&mut publication)), ["bus/can0", "event"]);
+}
+
+#[test]
+fn status_follows_the_documents() {
+    let mut publication = publication();
+    publication.handle_status(at(0), 1.0, json!({"devices": 3}));
+    publication.handle_documents(
+        at(0),
+        1.0,
+        [document("zz", json!({})), document("aa", json!({}))],
+    );
+    publication.handle_connected(false);
+    let messages = delivered(&mut publication);
+    assert_eq!(topics(&messages), ["bus/aa", "bus/zz", "status"]);
+    let status = &messages[2].1;
+    assert_eq!(status["online"], true);
+    assert_eq!((&status["devices"], &status["started"]), (&json!(3), &json!(1000.0)));
+}
+
+#[test]
+fn only_changes_are_sent_and_counters_once_a_period() {
+    let mut publication = publication();
+    publication.handle_connected(false);
+    let mut at_second = |second: u64, value: Value| {
+        publication.handle_documents(at(second), second as f64, [document("can0", value)]);
+        delivered(&mut publication).len()
+    };
+    let value = |state: &str, frames: u64, count: Option<u64>| json!({"state": state, "frames": frames, "heartbeat": {"count": count}});
+    assert_eq!(at_second(0, value("up", 1, None)), 1);
+    assert_eq!(at_second(1, value("up", 1, None)), 0);
+    assert_eq!(at_second(2, value("up", 2, None)), 0, "a counter");
+    assert_eq!(at_second(3, value("up", 3, Some(1))), 1, "a counter that was not known");
+    assert_eq!(at_second(3, value("up", 3, None)), 0, "a counter that is not known any more");
+    assert_eq!(at_second(3, value("up", 3, Some(1))), 0);
+    assert_eq!(at_second(4, value("down", 4, Some(2))), 1, "no counter");
+    assert_eq!(at_second(33, value("down", 5, Some(2))), 0);
+    assert_eq!(at_second(34, value("down", 6, Some(2))), 1, "the period is over");
+    assert_eq!(at_second(90, value("down", 6, Some(2))), 0, "nothing changed");
+}
+
+#[test]
+fn what_disappears_is_cleared_once() {
+    let mut publication = publication();
+    publication.handle_connected(false);
+    let both = || [document("can0", json!({})), document("can1", json!({}))];
+    publication.handle_documents(at(0), 0.0, both());
+    publication.handle_status(at(0), 0.0, json!({}));
+    delivered(&mut publication);
+    for second in 1..4 {
+        publication.handle_documents(at(second), 1.0, [document("can0", json!({}))]);
+        let messages = delivered(&mut publication);
+        let cleared = [("bus/can1".to_owned(), Value::Null)];
+        assert_eq!(messages, if second == 1 { &cleared[..] } else { &[] }, "second {second}");
+    }
+    publication.handle_documents(at(5), 5.0, both());
+    assert_eq!(topics(&delivered(&mut publication)), ["bus/can1"], "it came back");
+}
+
+#[test]
+fn documents_of_an_earlier_run_are_cleared() {
+    let mut publication = publication();
+    publication.handle_connected(false);
+    publication.handle_documents(at(0), 0.0, [document("can0", json!({}))]);
+    delivered(&mut publication);
+    for topic in [
+        "descan/v1/boiler-17/device/can0/9",
+        "descan/v1/boiler-17/bus/can0",
+        // Neither that of another gateway, nor one with a longer name.
+        "descan/v1/boiler-1/bus/can0",
+        "descan/v1/boiler-171/bus/can0",
+    ] {
+        assert!(!publication.handle_message(topic, b"{}"));
+    }
+    // Cleared already.
+    publication.handle_message("descan/v1/boiler-17/device/can0/8", b"");
+    assert_eq!(delivered(&mut publication), [("device/can0/9".to_owned(), Value::Null)]);
+}
+
+#[test]
+fn later_of_two_programs_with_one_name_stays() {
+    let status =
+        |online: bool, started: f64| json!({"online": online, "started": started}).to_string();
+    let topic = "descan/v1/boiler-17/status";
+    let mut publication = publication();
+    publication.handle_connected(false);
+    publication.handle_documents(at(0), 0.0, [document("can0", json!({}))]);
+    delivered(&mut publication);
+    for (text, is_replaced, resent) in [
+        (status(true, 1000.0), false, 0),
+        (status(false, 2000.0), false, 0),
+        (status(false, 10.0), false, 0),
+        ("no json".to_owned(), false, 0),
+        // The earlier one may have changed documents.
+        (status(true, 10.0), false, 1),
+        (status(true, 1000.001), true, 0),
+    ] {
+        assert_eq!(publication.handle_message(topic, text.as_bytes()), is_replaced, "{text}");
+        assert_eq!(delivered(&mut publication).len(), resent, "{text}");
+    }
+}
+
+#[test]
+fn lost_session_sends_all_documents_again() {
+    let mut publication = publication();
+    publication.handle_connected(false);
+    publication.handle_documents(
+        at(0),
+        0.0,
+        [document("can0", json!({})), document("can1", json!({}))],
+    );
+    publication.handle_status(at(0), 0.0, json!({}));
+    assert_eq!(delivered(&mut publication).len(), 3);
+    publication.handle_disconnected();
+    publication.handle_connected(true);
+    // The last will replaced it.
+    assert_eq!(topics(&delivered(&mut publication)), ["status"]);
+    publication.handle_disconnected();
+    publication.handle_connected(false);
+    assert_eq!(topics(&delivered(&mut publication)), ["bus/can0", "bus/can1", "status"]);
+}
+
+#[test]
+fn lost_message_is_sent_again_in_its_order() {
+    let mut publication = publication();
+    publication.handle_connected(false);
+    for number in 1..=3 {
+        publication.handle_event(json!({"number": number}));
+    }
+    let messages = sent(&mut publication);
+    publication.handle_event(json!({"number": 4}));
+    publication.handle_disconnected();
+    publication.handle_delivered(&messages[0].id);
+    publication.handle_undelivered(&messages[2].id);
+    publication.handle_undelivered(&messages[1].id);
+    publication.handle_connected(false);
+    let numbers: Vec<u64> =
+        delivered(&mut publication).iter().map(|(_, it)| it["seq"].as_u64().unwrap()).collect();
+    assert_eq!(numbers, [2, 3, 4]);
+    assert!(publication.is_delivered());
+}
+
+#[test]
+fn newer_document_is_not_replaced_by_the_lost_one() {
+    let mut publication = publication();
+    publication.handle_connected(false);
+    publication.handle_documents(at(0), 0.0, [document("can0", json!({"state": "old"}))]);
+    let old = sent(&mut publication).remove(0);
+    publication.handle_documents(at(1), 1.0, [document("can0", json!({"state": "new"}))]);
+    publication.handle_undelivered(&old.id);
+    let messages = delivered(&mut publication);
+    assert_eq!(messages.len(), 1);
+    assert_eq!(messages[0].1["state"], "new");
+    // Cleared, and there again before that was acknowledged.
+    publication.handle_documents(at(2), 2.0, []);
+    let clear = sent(&mut publication).remove(0);
+    publication.handle_documents(at(3), 3.0, [document("can0", json!({"state": "back"}))]);
+    publication.handle_delivered(&clear.id);
+    assert_eq!(delivered(&mut publication)[0].1["state"], "back");
+}
+
+#[test]
+fn events_that_wait_are_bounded_and_the_drop_is_counted() {
+    let mut publication = publication();
+    for number in 0..MAX_QUEUED_EVENTS + 5 {
+        publication.handle_event(json!({"number": number}));
+    }
+    assert_eq!(publication.dropped_events(), 5);
+    publication.handle_status(at(0), 0.0, json!({}));
+    publication.handle_connected(false);
+    let messages = delivered(&mut publication);
+    assert_eq!(messages[0].1["events"], json!({"last": MAX_QUEUED_EVENTS + 5, "dropped": 5}));
+    assert_eq!(messages[1].1["number"], 5, "the oldest are dropped");
+    assert_eq!(messages.len(), MAX_QUEUED_EVENTS + 1);
+    // By their length, too.
+    let long = "x".repeat(1 << 20);
+    (0..20).for_each(|_| publication.handle_event(json!({"text": long})));
+    publication.handle_disconnected();
+    assert!(publication.dropped_events() > 10, "{}", publication.dropped_events());
+}
+
+#[test]
+fn few_messages_are_on_the_way_at_once() {
+    let mut publication = publication();
+    publication.handle_connected(false);
+    (0..1000).for_each(|number| publication.handle_event(json!({"number": number})));
+    let first = sent(&mut publication);
+    assert_eq!(first.len(), 64);
+    publication.handle_delivered(&first[0].id);
+    assert_eq!(sent(&mut publication).len(), 1);
+}
+
+#[test]
+fn last_will_and_farewell_are_retained_as_the_status() {
+    let mut publication = publication();
+    let will = publication.last_will();
+    let value: Value = serde_json::from_slice(&will.payload).unwrap();
+    assert_eq!(will.topic, "descan/v1/boiler-17/status");
+    assert!(will.is_retained);
+    assert_eq!(value, json!({"online": false, "reason": "lost", "started": 1000.0}));
+    publication.handle_connected(false);
+    publication.handle_stop(at(9), 9.0);
+    let (topic, value) = delivered(&mut publication).remove(0);
+    assert_eq!((topic.as_str(), &value["reason"]), ("status", &json!("stopped")));
+    assert_eq!(value["online"], false);
+}
+
+#[test]
+fn refused_messages_are_counted_and_not_sent_again() {
+    let mut publication = publication();
+    publication.handle_connected(false);
+    publication.handle_documents(at(0), 0.0, [document("can0", json!({}))]);
+    let message = sent(&mut publication).remove(0);
+    assert!(matches!(message.id, FleetMessageId::Document(..)));
+    publication.handle_refused(&message.id);
+    assert_eq!((publication.refused(), publication.is_delivered()), (1, true));
+    assert_eq!(sent(&mut publication), []);
+}

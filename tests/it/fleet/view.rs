@@ -1,0 +1,183 @@
+//! What a viewer makes of messages: gateways, states, versions; hostile content is counted.
+
+use descan::fleet::{Fleet, GatewayName, GatewayState, MAX_DOCUMENT_BYTES, MAX_GATEWAYS};
+use descan::time::{Duration, Instant};
+
+const NOW: Instant = Instant::ZERO;
+
+fn fleet(messages: &[(&str, &str)]) -> Fleet {
+    let mut fleet = Fleet::default();
+    for (topic, payload) in messages {
+        fleet.handle_message(NOW, format!("descan/v1/{topic}").as_bytes(), payload.as_bytes());
+    }
+    fleet
+}
+
+fn name(text: &str) -> GatewayName {
+    text.parse().unwrap()
+}
+
+fn state(fleet: &Fleet, gateway: &str, now: Instant) -> GatewayState {
+    fleet.gateway(&name(gateway)).unwrap().state(now)
+}
+
+const FEED: &str = r#"{"bus":"can0","address":10,"name":"FEED","presence":"online","services_known":true,
+    "services":[{"name":"AUGER","version":"2.1","extra":["x"]}]}"#;
+
+#[test]
+fn gateways_have_the_state_that_their_status_says() {
+    let fleet = fleet(&[
+        ("a/status", r#"{"online":true}"#),
+        ("b/status", r#"{"online":false,"reason":"lost"}"#),
+        ("c/status", r#"{"online":false,"reason":"stopped"}"#),
+        ("d/bus/can0", r#"{"name":"can0"}"#),
+    ]);
+    let states = |now| ["a", "b", "c", "d"].map(|gateway| state(&fleet, gateway, now));
+    use GatewayState::{Lost, Online, Silent, Stopped, Unknown};
+    assert_eq!(states(NOW), [Online, Lost, Stopped, Unknown]);
+    assert_eq!(states(NOW + Duration::from_secs(75)), [Online, Lost, Stopped, Unknown]);
+    assert_eq!(states(NOW + Duration::from_secs(76)), [Silent, Lost, Stopped, Unknown]);
+}
+
+#[test]
+fn documents_are_replaced_and_cleared() {
+    let mut fleet = fleet(&[("a/device/can0/10", FEED), ("a/device/can0/10", FEED)]);
+    let devices = |fleet: &Fleet| fleet.gateway(&name("a")).map(|it| it.devices().count());
+    assert_eq!(devices(&fleet), Some(1));
+    fleet.handle_message(NOW, b"descan/v1/a/device/can0/10", b"");
+    assert_eq!(devices(&fleet), None, "a gateway without documents is none");
+    fleet.handle_message(NOW, b"descan/v1/a/device/can0/10", b"");
+    assert_eq!(fleet.gateways().len(), 0);
+}
+
+#[test]
+fn topic_decides_bus_and_address() {
+    let fleet = fleet(&[("a/device/can7/99", FEED)]);
+    let device = fleet.gateway(&name("a")).unwrap().devices().next().unwrap().clone();
+    assert_eq!((device.bus.as_str(), device.address), ("can7", 99));
+}
+
+#[test]
+fn versions_count_gateways_and_present_devices() {
+    let lost = FEED.replace("online", "lost");
+    let fleet = fleet(&[
+        ("a/device/can0/10", FEED),
+        ("a/device/can0/11", FEED),
+        ("b/device/can0/10", FEED),
+        ("c/device/can0/10", &lost),
+    ]);
+    let versions = fleet.versions();
+    assert_eq!(versions.len(), 1);
+    let only = &versions[0];
+    assert_eq!((only.service.as_str(), only.version.as_str()), ("AUGER", "2.1 x"));
+    assert_eq!(only.devices, 3);
+    assert_eq!(only.gateways, [name("a"), name("b")].into());
+}
+
+#[test]
+fn hostile_documents_are_counted_and_change_nothing() {
+    let deep = "[".repeat(60_000);
+    let long = format!("{{\"name\":\"{}\"}}", "x".repeat(MAX_DOCUMENT_BYTES));
+    let fleet = fleet(&[
+        ("a/device/can0/10", FEED),
+        ("a/device/can0/10", "not json"),
+        ("a/device/can0/10", "[1,2]"),
+        ("a/device/can0/10", r#"{"address":300}"#),
+        ("a/device/can0/11", &deep),
+        ("a/device/can0/12", &long),
+        ("a/status", "\u{1b}[2J"),
+        ("a/status", r#"{"online":"yes"}"#),
+        ("b/bus/can0", "null"),
+        ("a/unknown/can0", "{}"),
+        ("a b/status", "{}"),
+    ]);
+    assert_eq!(fleet.gateways().len(), 1);
+    let gateway = fleet.gateway(&name("a")).unwrap();
+    assert_eq!(gateway.devices().count(), 1);
+    assert_eq!(gateway.devices().next().unwrap().name.as_deref(), Some("FEED"));
+    let rejects = fleet.rejects();
+    assert_eq!((rejects.malformed, rejects.oversized, rejects.foreign), (7, 1, 2));
+    let last = rejects.last.as_deref().unwrap();
+    assert!(last.starts_with("b/bus/can0: ") && !last.contains('\u{1b}'), "{last}");
+}
+
+#[test]
+fn texts_have_no_control_characters() {
+    let fleet = fleet(&[
+        (
+            "a/device/can0/10",
+            r#"{"address":10,"name":"\u001b[31mX","mode":"\u0007","uid":"\u202e"}"#,
+        ),
+        ("a/finding/can0/x", r#"{"kind":"\u001b","text":"a\u001b]0;b\u0007","remedy":"\n"}"#),
+        ("a/bus/can0", r#"{"name":"\u001b","state":"\u009b"}"#),
+        ("a/status", r#"{"online":false,"descan":"\u001b[0m","reason":"\u001b"}"#),
+    ]);
+    let gateway = fleet.gateway(&name("a")).unwrap();
+    let device = gateway.devices().next().unwrap();
+    let finding = gateway.findings().next().unwrap();
+    let bus = gateway.buses().next().unwrap();
+    let texts = [
+        device.name.as_deref().unwrap(),
+        device.mode.as_deref().unwrap(),
+        device.uid.as_deref().unwrap(),
+        &finding.kind,
+        &finding.text,
+        &finding.remedy,
+        &bus.name,
+        bus.state.as_deref().unwrap(),
+        &gateway.status().unwrap().descan,
+    ];
+    for text in texts {
+        assert!(text.chars().all(descan::text::is_printable), "{text:?}");
+    }
+    assert_eq!(gateway.state(NOW), GatewayState::Lost);
+}
+
+#[test]
+fn number_of_gateways_is_bounded() {
+    let mut fleet = Fleet::default();
+    for number in 0..MAX_GATEWAYS + 3 {
+        let topic = format!("descan/v1/g{number}/status");
+        fleet.handle_message(NOW, topic.as_bytes(), br#"{"online":true}"#);
+    }
+    assert_eq!(fleet.gateways().len(), MAX_GATEWAYS);
+    assert_eq!(fleet.rejects().oversized, 3);
+    // Known ones are still read.
+    fleet.handle_message(NOW, b"descan/v1/g0/status", br#"{"online":false,"reason":"stopped"}"#);
+    assert_eq!(state(&fleet, "g0", NOW), GatewayState::Stopped);
+}
+
+#[test]
+fn length_of_all_documents_is_bounded() {
+    let mut fleet = Fleet::default();
+    let text = format!(r#"{{"kind":"{}"}}"#, "k".repeat(60_000));
+    for number in 0..3000 {
+        let topic = format!("descan/v1/g{}/finding/can0/{number}", number % 50);
+        fleet.handle_message(NOW, topic.as_bytes(), text.as_bytes());
+    }
+    let kept: usize = fleet.gateways().map(|(_, gateway)| gateway.findings().count()).sum();
+    assert!((2000..2300).contains(&kept), "{kept}");
+    assert_eq!(fleet.rejects().oversized, 3000 - kept as u64);
+    // What is cleared makes room.
+    fleet.handle_message(NOW, b"descan/v1/g0/finding/can0/0", b"");
+    fleet.handle_message(NOW, b"descan/v1/g0/finding/can0/new", text.as_bytes());
+    assert_eq!(fleet.rejects().oversized, 3000 - kept as u64);
+}
+
+#[test]
+fn documents_cleared_while_away_are_gone_afterwards() {
+    let mut fleet = fleet(&[
+        ("a/status", r#"{"online":true}"#),
+        ("a/device/can0/10", FEED),
+        ("a/device/can0/11", FEED),
+        ("b/status", r#"{"online":true}"#),
+    ]);
+    fleet.handle_connected();
+    assert_eq!(fleet.gateways().len(), 2, "kept until all is there");
+    fleet.handle_message(NOW, b"descan/v1/a/status", br#"{"online":true}"#);
+    fleet.handle_message(NOW, b"descan/v1/a/device/can0/11", FEED.as_bytes());
+    fleet.handle_complete();
+    assert_eq!(fleet.gateways().len(), 1);
+    let left: Vec<u8> = fleet.gateway(&name("a")).unwrap().devices().map(|it| it.address).collect();
+    assert_eq!(left, [11]);
+}
