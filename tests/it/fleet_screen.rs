@@ -262,7 +262,9 @@ fn filter_with_mistake_keeps_rows_and_says_why() {
     stage.filter("at:12").keys("/");
     stage.screen.handle_paste(stage.now, " len:4");
     assert_eq!(stage.names(), "east");
-    assert!(stage.screen().contains("gateways have no field len"));
+    let (error, column) = stage.screen.prompt().unwrap().error.clone().unwrap();
+    assert!(error.contains("gateways have no field len") && column == 7, "{error} {column}");
+    assert!(stage.screen().contains("✗ len:4: gateways"));
     assert!(stage.keys("Esc").screen.prompt().is_none());
     assert_eq!(stage.screen.filter().text, "at:12");
 }
@@ -419,7 +421,7 @@ fn names_that_a_shell_reads_otherwise_have_no_command() {
     assert_eq!(FleetScreen::live_command(&name("north"), "can0;reboot"), None);
     assert_eq!(FleetScreen::live_command(&name("north"), "sim:boiler"), None);
     assert_eq!(FleetScreen::live_command(&name("north"), "-can0"), None);
-    let live = FleetScreen::live_command(&name("north"), "can0@500k");
+    let live = FleetScreen::live_command(&name("north"), "can0");
     assert_eq!(live.as_deref(), Some("descan socketcand://north:29536/can0"));
 }
 

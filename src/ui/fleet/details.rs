@@ -60,7 +60,7 @@ fn commands(brush: &FleetBrush, row: &GatewayRow, bus: Option<&str>) -> Vec<Line
     if all.is_empty() {
         return Vec::new();
     }
-    field(brush, "go there", Role::New, &all.join("   live view: "))
+    field(brush, "go there", Role::New, &all.join("; live view: "))
 }
 
 fn of_gateway(brush: &FleetBrush, row: &GatewayRow) -> Vec<Line<'static>> {
@@ -92,7 +92,7 @@ fn bus_facts(bus: &InventoryBus) -> String {
         number(bus.errors, "errors"),
         number(bus.lost, "lost"),
     ];
-    parts.into_iter().flatten().collect::<Vec<_>>().join("  ")
+    parts.into_iter().flatten().collect::<Vec<_>>().join(", ")
 }
 
 fn of_version(brush: &FleetBrush, row: &VersionRow) -> Vec<Line<'static>> {
