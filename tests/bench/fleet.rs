@@ -24,7 +24,11 @@ fn main() {
     let theme = Theme::built_in("dark").expect("a theme");
     let mut draw = |screen: &mut FleetScreen| {
         screen.prepare();
-        terminal.draw(|frame| drop(descan::ui::draw_fleet(screen, &theme, frame))).expect("a draw");
+        terminal
+            .draw(|frame| {
+                descan::ui::draw_fleet(screen, &theme, frame);
+            })
+            .expect("a draw");
     };
     let begin = Clock::now();
     screen.handle_connected(Instant::ZERO, false);

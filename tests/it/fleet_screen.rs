@@ -259,8 +259,8 @@ fn gateways_are_filtered_by_what_their_devices_have() {
 #[test]
 fn filter_with_mistake_keeps_rows_and_says_why() {
     let mut stage = FleetStage::fleet(80, 24);
-    stage.filter("at:12").keys("/");
-    stage.screen.handle_paste(stage.now, " len:4");
+    stage.filter("at:12").keys("/ Space");
+    stage.screen.handle_paste(stage.now, "len:4");
     assert_eq!(stage.names(), "east");
     let (error, column) = stage.screen.prompt().unwrap().error.clone().unwrap();
     assert!(error.contains("gateways have no field len") && column == 7, "{error} {column}");

@@ -107,18 +107,18 @@ fn of_version(brush: &FleetBrush, row: &VersionRow) -> Vec<Line<'static>> {
 fn of_finding(brush: &FleetBrush, problem: &FleetProblem) -> Vec<Line<'static>> {
     let finding = &problem.finding;
     let (_, role) = of_problem(problem);
-    let head = format!("{}, {}", problem.headline(), finding.confidence);
-    let mut lines = field(brush, "problem", role, &head);
-    lines.extend(field(brush, "what", Role::Text, &finding.text));
+    let mut lines = field(brush, "what", role, &finding.text);
     lines.extend(field(brush, "remedy", Role::New, &finding.remedy));
+    if let Some(row) = brush.screen.gateway_row(&problem.gateway) {
+        lines.extend(commands(brush, &row, Some(&problem.bus)));
+    }
+    let head = format!("{}, {}", problem.headline(), finding.confidence);
+    lines.extend(field(brush, "problem", Role::Text, &head));
     let place = format!("{} at {}", problem.bus, addresses_text(problem));
     lines.extend(field(brush, "where", Role::Text, &place));
     if !finding.names.is_empty() || !finding.uids.is_empty() {
         let all = finding.names.iter().chain(&finding.uids).map(String::as_str);
         lines.extend(field(brush, "devices", Role::Text, &all.collect::<Vec<_>>().join(", ")));
-    }
-    if let Some(row) = brush.screen.gateway_row(&problem.gateway) {
-        lines.extend(commands(brush, &row, Some(&problem.bus)));
     }
     lines
 }
@@ -134,9 +134,9 @@ fn of_device(brush: &FleetBrush, row: &FleetDevice) -> Vec<Line<'static>> {
         uid_text(device),
         device.bus
     );
-    lines.extend(field(brush, "state", role, &facts));
+    let state = field(brush, "state", role, &facts);
     let opened = brush.screen.opened().and_then(|name| brush.screen.gateway_row(name));
-    let Some(gateway) = opened else { return lines };
+    let Some(gateway) = opened else { return [lines, state].concat() };
     for problem in &gateway.facts.problems {
         let is_here = problem.bus == device.bus
             && problem.addresses().any(|it| it.number() == device.address);
@@ -145,6 +145,8 @@ fn of_device(brush: &FleetBrush, row: &FleetDevice) -> Vec<Line<'static>> {
             lines.extend(field(brush, "problem", role, &problem.finding.text));
         }
     }
+    lines.extend(commands(brush, &gateway, Some(&device.bus)));
+    lines.extend(state);
     if let Some(entry) = &device.entry {
         let text = match (entry.address, entry.is_static) {
             (Some(address), true) => format!("pinned to {address}"),
@@ -153,6 +155,5 @@ fn of_device(brush: &FleetBrush, row: &FleetDevice) -> Vec<Line<'static>> {
         };
         lines.extend(field(brush, "des.json", Role::Text, &text));
     }
-    lines.extend(commands(brush, &gateway, Some(&device.bus)));
     lines
 }
