@@ -766,11 +766,12 @@ pub struct PublishArgs {
 #[cfg(feature = "fleet")]
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Only reads; nothing is published. With --json, or without a terminal, it prints what all gateways have \
-published, and ends. More: descan help gateways
+Only reads; nothing is published. On a terminal a screen shows all gateways: devices, versions, problems; \
+Enter opens a gateway, ? lists the keys. With --json, or without a terminal, it prints what all gateways \
+have published, and ends. More: descan help gateways
 
-Exit code: 0 no confirmed conflict, 1 one or more (without a screen), 2 wrong usage, 3 broker not usable, \
-130 interrupted.
+Exit code: 0 no confirmed conflict, or the screen was left, 1 one or more (without a screen), 2 wrong \
+usage, 3 broker not usable, 130 interrupted.
 
 Examples:
   descan fleet --broker mqtts://mqtt.example.org
@@ -787,9 +788,12 @@ pub struct FleetArgs {
     /// Print JSON
     #[arg(long)]
     pub json: bool,
-    /// Wait at most SECONDS for the documents [default: 10]
+    /// Without a screen: wait at most SECONDS for the documents [default: 10]
     #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
     pub time: Option<Duration>,
+    /// UI theme: terminal | dark | light | high-contrast | mono, or the name of your own
+    #[arg(long, value_name = "NAME")]
+    pub theme: Option<String>,
 }
 
 /// `descan diff`.

@@ -55,6 +55,7 @@ mod file;
 mod file_inputs;
 mod filter;
 mod filter_commands;
+mod fleet_screen;
 mod followed_frames;
 mod frame_selector;
 mod frame_sides;
@@ -134,6 +135,12 @@ pub use file::{
 pub use filter::{
     Completion, CompletionSource, FILTER_FIELDS, FILTER_WORDS, Filter, FilterError, FilterField,
     FrameMatcher, RowKind,
+};
+pub use fleet_screen::{
+    BrokerLink, FLEET_KEYS, FleetDevice, FleetEffect, FleetEvent, FleetEventKind, FleetEventLog,
+    FleetFilter, FleetPage, FleetProblem, FleetPrompt, FleetRegions, FleetRow, FleetRowKey,
+    FleetScreen, FleetScreenOptions, FleetSort, FleetSums, GatewayFacts, GatewayRow, MAX_EVENTS,
+    MAX_FLEET_PROBLEMS, VersionRow,
 };
 pub use frame_selector::FrameSelector;
 pub use frame_sides::FrameSides;

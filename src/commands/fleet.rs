@@ -75,7 +75,7 @@ pub fn read(settings: &BrokerSettings, limit: Duration) -> Result<Option<FleetRe
                     return Err(Failure::Unusable(failure.unwrap_or_else(no_response)));
                 }
                 notice = reader.next() => match notice {
-                    Some(ReaderNotice::Message(topic, payload)) => {
+                    Some(ReaderNotice::Message(topic, payload, _)) => {
                         fleet.handle_message(now(), &topic, &payload);
                     }
                     Some(ReaderNotice::Subscribed { refused }) if refused > 0 => {

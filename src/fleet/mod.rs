@@ -17,5 +17,5 @@ pub use publication::{
 pub use topic::{FleetTopic, GatewayName, GatewayNameError, TopicPath};
 pub use view::{
     EventCounts, Fleet, FleetGateway, FleetRejects, GatewayState, GatewayStatus,
-    MAX_DOCUMENT_BYTES, MAX_GATEWAYS, ServiceVersion,
+    MAX_DOCUMENT_BYTES, MAX_GATEWAY_DOCUMENTS, MAX_GATEWAYS, ServiceVersion,
 };

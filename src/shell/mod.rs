@@ -21,6 +21,7 @@
 //! recent_logs     logs opened before, and what was found in them
 //! plan_files      plans of addresses on disk
 //! broker          the connection to an MQTT broker
+//! fleet_loop      the screen of a fleet
 //! waiting         futures for optional sources
 //! ```
 //!
@@ -37,6 +38,8 @@ pub mod catalogue_folders;
 mod cell_encoder;
 pub mod config;
 pub mod file_watcher;
+#[cfg(feature = "fleet")]
+pub mod fleet_loop;
 pub mod frame_templates;
 pub mod log_input;
 pub mod paint_pace;

@@ -39,6 +39,7 @@ mod external_editors;
 mod filter;
 #[cfg(feature = "fleet")]
 mod fleet;
+mod fleet_screen;
 mod foreign_buses;
 mod frame_batches;
 mod guide;

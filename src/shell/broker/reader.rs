@@ -25,8 +25,9 @@ pub enum ReaderNotice {
         /// Number of topic filters that the broker refused.
         refused: usize,
     },
-    /// A message: topic and content.
-    Message(Vec<u8>, Vec<u8>),
+    /// A message: topic, content, and whether the broker had kept it: false for one that was published
+    /// meanwhile.
+    Message(Vec<u8>, Vec<u8>, bool),
     /// The connection failed, and is tried again after this time; `None` if it is not.
     Failed(BrokerFailure, Option<Duration>),
 }
@@ -58,6 +59,14 @@ impl BrokerReader {
             runtime.block_on(task.run(&client, events));
         })?;
         Ok(Self { notices })
+    }
+
+    /// Waits for notices, and takes at most `limit` of them; none after one that says that it is not
+    /// tried again. May be dropped while waiting.
+    pub async fn next_many(&mut self, limit: usize) -> Vec<ReaderNotice> {
+        let mut notices = Vec::new();
+        self.notices.recv_many(&mut notices, limit).await;
+        notices
     }
 
     /// Waits for the next notice; `None` after one that says that it is not tried again. May be dropped
@@ -95,9 +104,9 @@ impl ReaderThread {
                     (failures, was_connected) = (0, true);
                     events.options.set_clean_start(false);
                     if !packet.session_present {
+                        // Not as published: the flag tells those that the broker kept.
                         let filters = self.filters.iter().map(|filter| {
                             SubscribeFilterInput::new(filter.as_str(), QoS::AtLeastOnce)
-                                .preserve_retain(true)
                         });
                         let _ = client.try_subscribe_many(filters);
                     }
@@ -111,7 +120,8 @@ impl ReaderThread {
                     ReaderNotice::Subscribed { refused }
                 }
                 Ok(Event::Incoming(Packet::Publish(message))) => {
-                    ReaderNotice::Message(message.topic.to_vec(), message.payload.to_vec())
+                    let (topic, payload) = (message.topic.to_vec(), message.payload.to_vec());
+                    ReaderNotice::Message(topic, payload, message.retain)
                 }
                 Ok(_) => continue,
                 Err(error) => {

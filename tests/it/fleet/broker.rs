@@ -3,6 +3,7 @@
 
 use crate::common::mosquitto::Mosquitto;
 use crate::common::program::{command, text};
+use crate::common::pty::Pty;
 use descan::fleet::{Fleet, FleetDocument, FleetTopic, Publication, TopicPath};
 use descan::shell::broker::{
     BrokerAccess, BrokerPublisher, BrokerReader, BrokerSettings, PublisherNotice, ReaderNotice,
@@ -523,11 +524,11 @@ fn receive(port: u16, stop: Arc<AtomicBool>) -> Arc<Mutex<Received>> {
             let Ok(Some(notice)) = next else { continue };
             let mut received = known.lock().unwrap();
             match notice {
-                ReaderNotice::Message(topic, payload) if topic.ends_with(b"/event") => {
+                ReaderNotice::Message(topic, payload, _) if topic.ends_with(b"/event") => {
                     let value: Value = serde_json::from_slice(&payload).unwrap();
                     received.events.push(value["seq"].as_u64().unwrap());
                 }
-                ReaderNotice::Message(topic, payload) => {
+                ReaderNotice::Message(topic, payload, _) => {
                     received.fleet.handle_message(Instant::ZERO, &topic, &payload);
                 }
                 ReaderNotice::Subscribed { refused } => {
@@ -664,4 +665,26 @@ fn broker_that_forgot_everything_gets_everything_again() {
     let fleet = fleet_json(&["--broker", &url], &folder);
     assert_eq!(names_of(&fleet, 0).len(), Load::documents(1).count());
     assert_eq!(state_of(&fleet, "g").as_deref(), Some("online"));
+}
+
+#[test]
+fn fleet_on_a_terminal_shows_gateways_and_devices() {
+    let Some(mut broker) = Mosquitto::start() else { return };
+    let folder = broker.folder().to_owned();
+    let url = broker.url();
+    let _publisher =
+        Running::publish(&["sim:boiler", "--broker", &url, "--gateway", "north"], &folder);
+    let mut pty = Pty::start(&["fleet", "--broker", &url], &folder, (80, 24));
+    pty.wait_for("north");
+    pty.wait_for("● connected");
+    pty.send("\r");
+    pty.wait_for("FEED");
+    pty.send("\x1b");
+    pty.wait_for("Gateways");
+    broker.stop();
+    pty.wait_for("next attempt in");
+    pty.wait_for("AS OF");
+    pty.send("q");
+    assert_eq!(pty.wait(), 0);
+    pty.assert_given_back();
 }
