@@ -2,15 +2,13 @@
 //! [`PortShared`] behind it. Does not know kinds of bus.
 
 use super::queue::Queue;
-use super::waker::Waker;
+use super::waker::{WaitSource, Waker};
 use crate::diagnostic::Diagnostic;
 use crate::frame::Frame;
 use crate::log::FrameSource;
 use crate::status::Link;
-use nix::poll::PollFlags;
 use std::collections::VecDeque;
 use std::io;
-use std::os::fd::BorrowedFd;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
@@ -161,11 +159,13 @@ impl PortShared {
     }
 
     /// Returns true if frames may be collected for longer while no response is awaited.
+    #[cfg_attr(not(target_os = "linux"), expect(dead_code, reason = "only SocketCAN collects"))]
     pub(super) fn may_collect(&self) -> bool {
         self.may_collect.load(Ordering::Acquire)
     }
 
     /// Returns true once after a frame was queued, or a response is awaited of another bus.
+    #[cfg_attr(not(target_os = "linux"), expect(dead_code, reason = "only SocketCAN collects"))]
     pub(super) fn take_expects_response(&self) -> bool {
         self.expects_response.swap(false, Ordering::AcqRel)
     }
@@ -184,7 +184,7 @@ impl PortShared {
     /// there is input.
     pub(super) fn wait(
         &self,
-        input: Option<BorrowedFd<'_>>,
+        input: Option<WaitSource<'_>>,
         timeout: Option<Duration>,
     ) -> io::Result<bool> {
         self.waker.wait(input, timeout)
@@ -193,12 +193,11 @@ impl PortShared {
     /// The same for a stream; waits for room to write as well, if `to_write`.
     pub(super) fn wait_for_stream(
         &self,
-        stream: BorrowedFd<'_>,
+        stream: WaitSource<'_>,
         to_write: bool,
         timeout: Option<Duration>,
     ) -> io::Result<bool> {
-        let room = if to_write { PollFlags::POLLOUT } else { PollFlags::empty() };
-        self.waker.wait_for(Some((stream, PollFlags::POLLIN | room)), timeout)
+        self.waker.wait_for_stream(stream, to_write, timeout)
     }
 
     /// Ends the wait that is under way, or the next one.

@@ -6,7 +6,7 @@
 use super::BusSpec;
 use super::faults::TuneError;
 use super::slcan::{SlcanAddress, rate_code};
-use super::socketcan::controller::CanController;
+use super::socketcan::CanController;
 use crate::bitrate::ListenMode;
 use std::path::PathBuf;
 

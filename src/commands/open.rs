@@ -395,7 +395,13 @@ pub fn buses(arguments: &Arguments) -> Result<Vec<BusSpec>, Failure> {
 }
 
 /// What a user without a CAN interface can do.
-const NAME_A_BUS: &str = "name a bus (descan can0, descan file:LOG), or try it out: descan demo";
+const NAME_A_BUS: &str = if cfg!(target_os = "linux") {
+    "name a bus (descan can0, descan file:LOG), or try it out: descan demo"
+} else if cfg!(windows) {
+    "name a bus (descan slcan:COM3@500000, descan file:LOG), or try it out: descan demo"
+} else {
+    "name a bus (descan slcan:/dev/cu.usbmodem1@500000, descan file:LOG), or try it out: descan demo"
+};
 
 fn names_of(interfaces: &[CanInterface]) -> String {
     interfaces.iter().map(|it| it.name.as_str()).collect::<Vec<_>>().join(", ")

@@ -10,7 +10,6 @@ use crate::regular_file::shown;
 use crate::status::{BusState, length_text};
 use crate::text::printable;
 use std::fs;
-use std::os::unix::ffi::OsStrExt;
 use std::path::{Path, PathBuf};
 use time::{OffsetDateTime, UtcOffset};
 
@@ -29,7 +28,7 @@ pub fn offers(utc_offset_seconds: i32) -> Vec<BusOffer> {
 
 /// Returns everything that can be opened but CAN interfaces.
 pub fn others(utc_offset_seconds: i32, lengths: &mut LogLengths) -> Vec<BusOffer> {
-    let mut offers = adapters(Path::new("/dev"));
+    let mut offers = adapters(Path::new("/dev/serial/by-id"), bus::serial_ports());
     offers.extend(recent_logs().iter().map(|log| of_log(log, utc_offset_seconds, lengths)));
     for (argument, facts) in
         [("sim:boiler", "125k, 10 devices, a conflict after 28 s"), ("sim:drone", "1M, 12 devices")]
@@ -75,36 +74,31 @@ pub fn of_interface(interface: &CanInterface, heard: &str) -> BusOffer {
     }
 }
 
-/// The serial devices of a folder like `/dev`: those with an identity first.
-fn adapters(dev: &Path) -> Vec<BusOffer> {
+/// The serial ports: those first that have a link with their identity in a folder, which only Linux has.
+fn adapters(identities: &Path, ports: Vec<PathBuf>) -> Vec<BusOffer> {
     let mut offers: Vec<BusOffer> = Vec::new();
     let mut known = Vec::new();
-    let mut by_id = entries(&dev.join("serial/by-id"), |_| true);
+    let mut by_id = entries(identities);
     by_id.sort();
     for path in by_id {
         let Ok(target) = fs::canonicalize(&path) else { continue };
-        let identity = path.file_name().unwrap_or_default().as_bytes();
+        let identity = path.file_name().unwrap_or_default().as_encoded_bytes();
         let identity = printable(identity);
         let lower = identity.to_lowercase();
         let is_known = ADAPTER_WORDS.iter().any(|word| lower.contains(word));
         offers.push(of_adapter(&target, &identity, is_known));
         known.push(target);
     }
-    let is_serial = |name: &str| name.starts_with("ttyACM") || name.starts_with("ttyUSB");
-    let mut others = entries(dev, is_serial);
-    others.sort();
+    let mut others = ports;
     others.retain(|path| !known.contains(path));
     offers.extend(others.iter().map(|path| of_adapter(path, "", false)));
     offers.truncate(MAX_ADAPTERS);
     offers
 }
 
-fn entries(folder: &Path, is_wanted: impl Fn(&str) -> bool) -> Vec<PathBuf> {
+fn entries(folder: &Path) -> Vec<PathBuf> {
     let Ok(entries) = fs::read_dir(folder) else { return Vec::new() };
-    let paths = entries.filter_map(|entry| Some(entry.ok()?.path()));
-    let named =
-        |path: &PathBuf| path.file_name().is_some_and(|it| is_wanted(&it.to_string_lossy()));
-    paths.filter(named).collect()
+    entries.filter_map(|entry| Some(entry.ok()?.path())).collect()
 }
 
 fn of_adapter(path: &Path, identity: &str, is_known: bool) -> BusOffer {
@@ -122,7 +116,7 @@ fn of_adapter(path: &Path, identity: &str, is_known: bool) -> BusOffer {
 fn of_log(log: &RecentLog, utc_offset_seconds: i32, lengths: &mut LogLengths) -> BusOffer {
     BusOffer {
         kind: OfferKind::Log,
-        name: printable(log.path.file_name().unwrap_or_default().as_bytes()),
+        name: printable(log.path.file_name().unwrap_or_default().as_encoded_bytes()),
         facts: facts_of_log(log, utc_offset_seconds, lengths),
         argument: format!("file:{}", log.path.display()),
         command: None,
@@ -155,7 +149,7 @@ mod tests {
         let dev = tempfile::tempdir().unwrap();
         let dev = fs::canonicalize(dev.path()).unwrap();
         fs::create_dir_all(dev.join("serial/by-id")).unwrap();
-        for name in ["ttyACM0", "ttyUSB0", "ttyUSB1", "tty0"] {
+        for name in ["ttyACM0", "ttyUSB0", "ttyUSB1"] {
             fs::write(dev.join(name), "").unwrap();
         }
         let link = |name: &str, to: &str| {
@@ -163,7 +157,8 @@ mod tests {
         };
         link("usb-CANable_1234", "ttyACM0");
         link("usb-FTDI_5678", "ttyUSB1");
-        let found: Vec<_> = adapters(&dev)
+        let ports = ["ttyACM0", "ttyUSB0", "ttyUSB1"].map(|name| dev.join(name));
+        let found: Vec<_> = adapters(&dev.join("serial/by-id"), ports.to_vec())
             .into_iter()
             .map(|offer| (offer.name.rsplit('/').next().unwrap().to_owned(), offer.is_unknown))
             .collect();

@@ -3,7 +3,8 @@
 //! Two folders: `devices` beside des.json, and `descan/devices` in the user's data folder. Events are
 //! only a reason to read: a change is text that differs. Does not know what is in the files.
 
-use super::file_watcher::{QUIET, QUIET_TIMEOUT, is_remote};
+use super::file_watcher::{QUIET, QUIET_TIMEOUT};
+use super::remote_folder::is_remote;
 use crate::catalogue::{CatalogueText, MAX_FILES};
 use crate::diagnostic::Diagnostic;
 use crate::regular_file::{not_read, required_text, shown};

@@ -13,11 +13,11 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use nix::sys::statfs::{self, FsType, statfs};
 use notify::event::{AccessKind, AccessMode, EventKind, ModifyKind};
 use notify::{RecommendedWatcher, RecursiveMode, Watcher as _};
 use tokio::sync::Notify;
 
+use super::remote_folder::is_remote;
 use super::store::{Places, Store};
 use crate::diagnostic::Diagnostic;
 
@@ -318,24 +318,6 @@ impl Paths {
 
 fn lock(paths: &Mutex<Paths>) -> MutexGuard<'_, Paths> {
     paths.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
-/// Returns true if the folder is on a file system whose changes by other machines cause no events.
-pub(super) fn is_remote(folder: &Path) -> bool {
-    const REMOTE: [FsType; 7] = [
-        statfs::NFS_SUPER_MAGIC,
-        statfs::SMB_SUPER_MAGIC,
-        statfs::FUSE_SUPER_MAGIC,
-        statfs::AFS_SUPER_MAGIC,
-        statfs::CODA_SUPER_MAGIC,
-        statfs::NCP_SUPER_MAGIC,
-        statfs::OCFS2_SUPER_MAGIC,
-    ];
-    /// Not in nix: CIFS, SMB2, 9P, Ceph, GFS2.
-    const MORE: [u32; 5] = [0xFF53_4D42, 0xFE53_4D42, 0x0102_1997, 0x00C3_6400, 0x0116_1970];
-    let Ok(found) = statfs(folder) else { return false };
-    let found = found.filesystem_type();
-    REMOTE.contains(&found) || MORE.contains(&(found.0 as u32))
 }
 
 #[cfg(test)]

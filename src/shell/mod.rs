@@ -22,6 +22,7 @@
 //! plan_files      plans of addresses on disk
 //! broker          the connection to an MQTT broker
 //! fleet_loop      the screen of a fleet
+//! remote_folder   whether changes of a folder cause no events
 //! waiting         futures for optional sources
 //! ```
 //!
@@ -50,6 +51,7 @@ pub mod recent_frames;
 pub mod recent_logs;
 pub mod recorder;
 pub mod recovery;
+mod remote_folder;
 pub mod session;
 pub mod stop;
 pub mod store;

@@ -59,6 +59,10 @@ fn test_names(text: &str) -> Vec<&str> {
 fn type_names_are_unique_in_the_crate() {
     let mut places: BTreeMap<String, Vec<String>> = BTreeMap::new();
     for file in rust_files("src") {
+        // A module that differs between systems has its types in each of its bodies.
+        if file.ends_with("windows.rs") || file.ends_with("elsewhere.rs") {
+            continue;
+        }
         let text = fs::read_to_string(&file).unwrap();
         for (number, line) in text.lines().enumerate() {
             // An indented `type` is an associated type: its name comes from its trait.

@@ -11,12 +11,12 @@ use crate::bus::faults::cannot_open;
 use crate::bus::kind::OpenRequest;
 use crate::bus::port::{Port, PortShared};
 use crate::bus::tx_queue::{TxAttempt, TxQueue};
+use crate::bus::waker::Waitable;
 use crate::diagnostic::Diagnostic;
 use crate::frame::Frame;
 use crate::status::{BusState, BusStatus, Link};
 use crate::time::{Instant, debug_assert_later};
 use std::io::{self, ErrorKind, Read, Write};
-use std::os::fd::AsFd;
 use std::sync::Arc;
 use std::sync::mpsc::{TryRecvError, channel};
 use std::thread;
@@ -46,7 +46,7 @@ pub struct Unavailable {
 
 /// Opens and closes the stream.
 pub(in crate::bus) trait Endpoint: Send + Sync + 'static {
-    type Stream: Read + Write + AsFd + Send + 'static;
+    type Stream: Read + Write + Waitable + Send + 'static;
 
     /// Opens the stream in non-blocking mode. May take long: called on a thread of its own.
     fn open(&self) -> Result<Self::Stream, Unavailable>;
@@ -283,7 +283,11 @@ impl<E: Endpoint, D: Protocol> StreamWorker<E, D> {
                 self.shared.wait(None, Some(BATCH_DELAY))?;
             } else {
                 let has_output = !self.exchange.output.is_empty();
-                self.shared.wait_for_stream(stream.as_fd(), has_output, self.max_wait(now))?;
+                self.shared.wait_for_stream(
+                    stream.wait_source(),
+                    has_output,
+                    self.max_wait(now),
+                )?;
             }
         }
     }
@@ -357,7 +361,7 @@ impl<E: Endpoint, D: Protocol> StreamWorker<E, D> {
             if left.is_zero() {
                 break;
             }
-            self.shared.wait_for_stream(stream.as_fd(), true, Some(left))?;
+            self.shared.wait_for_stream(stream.wait_source(), true, Some(left))?;
         }
         self.endpoint.close(stream, !self.exchange.output.is_empty());
         Ok(())

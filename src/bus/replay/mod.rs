@@ -15,6 +15,7 @@ use super::clock::{Clock, wall_micros};
 use super::faults::cannot_open;
 use super::kind::OpenRequest;
 use super::port::{Port, PortShared};
+use super::waker::Waitable;
 use crate::diagnostic::Diagnostic;
 use crate::frame::{BusIndex, Frame};
 use crate::log::{DecodeStep, LogReader, Packing, READABLE_LOGS, RandomAccess, Unpacked};
@@ -24,7 +25,6 @@ use dates::last_time;
 use index::{FilePart, LogIndex};
 use std::fs::{self, File, Metadata};
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
-use std::os::fd::AsFd;
 use std::os::unix::fs::{FileExt, MetadataExt};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -577,7 +577,7 @@ impl Read for LogSource {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         // It may be read on after the end that it says.
         while !self.shared.is_stopped() {
-            if self.shared.wait(Some(self.file.as_fd()), None)? {
+            if self.shared.wait(Some(self.file.wait_source()), None)? {
                 match (&*self.file).read(buffer) {
                     // A pipe that another reader was quicker at.
                     Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}

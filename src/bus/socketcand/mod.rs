@@ -19,7 +19,7 @@ use super::remote::Backoff;
 use super::remote::stream::{self, Endpoint, Unavailable};
 use crate::diagnostic::Diagnostic;
 use crate::status::{BusStatus, Link, RateSearch};
-use nix::sys::socket::{setsockopt, sockopt};
+use socket2::SockRef;
 use std::io::{self, ErrorKind};
 use std::net::{TcpStream, ToSocketAddrs};
 use std::time::Duration;
@@ -95,7 +95,7 @@ impl Endpoint for Server {
             .set_nonblocking(true)
             // Older daemons close the connection if a command arrives in two segments.
             .and_then(|()| stream.set_nodelay(true))
-            .and_then(|()| Ok(setsockopt(&stream, sockopt::SndBuf, &SEND_BUFFER)?));
+            .and_then(|()| SockRef::from(&stream).set_send_buffer_size(SEND_BUFFER));
         set_up.map_err(|error| self.cannot_connect(&error))?;
         Ok(stream)
     }

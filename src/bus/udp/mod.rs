@@ -1,10 +1,11 @@
 //! `udp:GROUP`: python-can's `udp_multicast` bus, one datagram to a multicast group per frame.
 //!
-//! `address` is the BUS argument, `message` the syntax of datagrams, `sockets` their transport. If
-//! the group is not reachable, the status shows it, and the group is tried again.
+//! `address` is the BUS argument, `message` the syntax of datagrams, `sockets` and `receiver` their
+//! transport. If the group is not reachable, the status shows it, and the group is tried again.
 
 mod address;
 mod message;
+mod receiver;
 mod sockets;
 
 pub use address::UdpAddress;
@@ -20,10 +21,10 @@ use super::tx_queue::{TxAttempt, TxQueue};
 use crate::diagnostic::Diagnostic;
 use crate::frame::Frame;
 use crate::status::{BusStatus, Link, RateSearch};
-use nix::errno::Errno;
+use receiver::{INTERFACES_COMMAND, has_no_room, is_missing_interface, route_remedy};
 use sockets::{MulticastGroup, ReceivedDatagram, Sockets};
 use std::io::{self, ErrorKind};
-use std::os::fd::AsFd;
+use std::net::IpAddr;
 use std::sync::Arc;
 use std::time::{Duration, Instant as Monotonic};
 
@@ -127,32 +128,29 @@ impl Multicast {
 
     fn report_unavailable(&mut self, error: &io::Error) {
         let MulticastGroup { address, interface, .. } = &self.group;
-        let errno = error.raw_os_error().map_or(Errno::UnknownErrno, Errno::from_raw);
-        let fault = match (errno, interface) {
-            (Errno::ENODEV | Errno::ENXIO, Some(name)) => {
+        let fault = match (error.kind(), interface) {
+            // Without an error of the system.
+            _ if error.raw_os_error().is_none() && !is_missing_interface(error) => {
+                cannot_open(address, error)
+            }
+            (_, Some(name)) if is_missing_interface(error) => {
                 Diagnostic::new(format!("{name} not found or without multicast"))
-                    .with_remedy("list interfaces: ip -br link")
+                    .with_remedy(format!("list interfaces: {INTERFACES_COMMAND}"))
             }
             (
-                Errno::ENETUNREACH
-                | Errno::EHOSTUNREACH
-                | Errno::EADDRNOTAVAIL
-                | Errno::ENETDOWN
-                | Errno::ENODEV,
+                ErrorKind::NetworkUnreachable
+                | ErrorKind::HostUnreachable
+                | ErrorKind::AddrNotAvailable
+                | ErrorKind::NetworkDown,
                 _,
-            ) => {
-                let name = interface.as_deref().unwrap_or("eth0");
-                Diagnostic::new(format!("no route to {address}")).with_remedy(format!(
-                    "sudo ip route add {address} dev {name}, or name an interface: \
-                     udp:{address}%{name}"
-                ))
-            }
-            (Errno::EADDRINUSE, _) => in_use(format_args!("port {}", self.group.port)),
-            (Errno::EINVAL, None) if address.is_ipv6() => {
+            ) => no_route(*address, interface.as_deref()),
+            _ if is_missing_interface(error) => no_route(*address, interface.as_deref()),
+            (ErrorKind::AddrInUse, _) => in_use(format_args!("port {}", self.group.port)),
+            (ErrorKind::InvalidInput, None) if address.is_ipv6() => {
                 Diagnostic::new(format!("{address} needs an interface"))
                     .with_remedy(format!("use udp:{address}%eth0"))
             }
-            (Errno::EPERM | Errno::EACCES, _) => {
+            (ErrorKind::PermissionDenied, _) => {
                 Diagnostic::new(format!("{address} is not permitted"))
                     .with_remedy("check the firewall")
             }
@@ -184,7 +182,7 @@ impl Multicast {
                 }
             }
             if !has_more {
-                self.shared.wait(Some(sockets.as_fd()), Some(CHECK_PERIOD))?;
+                self.shared.wait(Some(sockets.wait_source()), Some(CHECK_PERIOD))?;
             }
         };
         self.drops_before += sockets.drops();
@@ -200,7 +198,8 @@ impl Multicast {
         self.timestamps.read_clocks();
         for _ in 0..BATCH {
             let Some(received) = sockets.receive(&mut buffer)? else { return Ok(false) };
-            let ReceivedDatagram { len, is_cut, ours, stamp_micros } = received;
+            let ours = sockets.is_own(&received);
+            let ReceivedDatagram { len, is_cut, stamp_micros, .. } = received;
             let frame = buffer.get(..len).filter(|_| !is_cut).and_then(message::decode);
             let Some(mut frame) = frame else {
                 self.status.unreadable += 1;
@@ -245,6 +244,6 @@ impl Multicast {
     }
 }
 
-fn has_no_room(error: &io::Error) -> bool {
-    error.kind() == ErrorKind::WouldBlock || error.raw_os_error() == Some(nix::libc::ENOBUFS)
+fn no_route(group: IpAddr, interface: Option<&str>) -> Diagnostic {
+    Diagnostic::new(format!("no route to {group}")).with_remedy(route_remedy(group, interface))
 }

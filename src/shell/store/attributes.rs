@@ -11,11 +11,17 @@ use std::fs::{File, Metadata, Permissions};
 use std::io;
 use std::os::unix::fs::{MetadataExt as _, PermissionsExt as _};
 
-/// The access control list, as an extended attribute.
+/// The access control list, as an extended attribute. That of macOS is none, and is not kept.
 const ACCESS_LIST: &CStr = c"system.posix_acl_access";
 
 /// Attributes that describe the bytes or the inode of one file; the kernel sets those of a new one.
-const OF_ONE_INODE: [&CStr; 2] = [c"security.ima", c"security.evm"];
+const OF_ONE_INODE: [&CStr; 3] = [c"security.ima", c"security.evm", c"com.apple.provenance"];
+
+/// The error of an attribute that a file does not have.
+#[cfg(not(target_os = "macos"))]
+const NO_ATTRIBUTE: Errno = Errno::NODATA;
+#[cfg(target_os = "macos")]
+const NO_ATTRIBUTE: Errno = Errno::NOATTR;
 
 /// Kernel limit of a list of attribute names, and of a value, in bytes.
 const MAX_ATTRIBUTE_BYTES: usize = 64 << 10;
@@ -126,7 +132,7 @@ fn value(file: &File, name: &CStr) -> Result<Vec<u8>, Errno> {
 /// Removes the access control list that the folder gives to new files.
 fn remove_inherited_access_list(new: &File) -> Result<(), AttributeError> {
     match fremovexattr(new, ACCESS_LIST) {
-        Ok(()) | Err(Errno::NODATA | Errno::NOTSUP | Errno::NOSYS) => Ok(()),
+        Ok(()) | Err(NO_ATTRIBUTE | Errno::NOTSUP | Errno::NOSYS) => Ok(()),
         Err(error) => {
             let cause = format!("access list of its folder cannot be removed: {}", text_of(error));
             Err(AttributeError::NotKept(save_elsewhere(cause)))

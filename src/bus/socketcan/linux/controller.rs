@@ -1,9 +1,10 @@
 //! Configuration of a CAN controller by netlink: bit rate, listen-only, down and up. Needs
 //! CAP_NET_ADMIN. Does not know its purpose.
 
-use super::link_info::{is_can, missing, not_can};
+use super::link_info::{is_can, missing};
 use crate::bitrate::RATES;
 use crate::bus::faults::TuneError;
+use crate::bus::socketcan::not_can;
 use crate::diagnostic::{Diagnostic, without_number};
 use nix::net::if_::if_nametoindex;
 use nix::unistd::geteuid;

@@ -1,5 +1,4 @@
-//! Waker: ends another thread's `poll(2)` wait through a pipe that holds at most one byte, so `wake`
-//! never blocks. Does not know why it wakes.
+//! The waker by poll(2) and a pipe that holds at most one byte, so `wake` never blocks.
 
 use nix::errno::Errno;
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
@@ -8,22 +7,31 @@ use std::os::fd::{AsFd, BorrowedFd};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
+/// What a thread waits for: a file descriptor.
+pub(in crate::bus) type WaitSource<'a> = BorrowedFd<'a>;
+
+impl<T: AsFd + ?Sized> super::Waitable for T {
+    fn wait_source(&self) -> WaitSource<'_> {
+        self.as_fd()
+    }
+}
+
 /// Woken by any thread, waited for by one.
 #[derive(Debug)]
-pub(super) struct Waker {
+pub(in crate::bus) struct Waker {
     is_woken: AtomicBool,
     reader: PipeReader,
     writer: PipeWriter,
 }
 
 impl Waker {
-    pub(super) fn new() -> io::Result<Self> {
+    pub(in crate::bus) fn new() -> io::Result<Self> {
         let (reader, writer) = io::pipe()?;
         Ok(Self { is_woken: AtomicBool::new(false), reader, writer })
     }
 
     /// Ends the wait that is under way, or the next one.
-    pub(super) fn wake(&self) {
+    pub(in crate::bus) fn wake(&self) {
         if !self.is_woken.swap(true, Ordering::AcqRel) {
             // Both ends live as long as `self`, so the pipe cannot be closed or full.
             let _ = (&self.writer).write(&[0]);
@@ -38,16 +46,26 @@ impl Waker {
     /// # Errors
     ///
     /// Those of poll(2).
-    pub(super) fn wait(
+    pub(in crate::bus) fn wait(
         &self,
-        input: Option<BorrowedFd<'_>>,
+        input: Option<WaitSource<'_>>,
         timeout: Option<Duration>,
     ) -> io::Result<bool> {
         self.wait_for(input.map(|input| (input, PollFlags::POLLIN)), timeout)
     }
 
-    /// The same for other poll events, such as room to write.
-    pub(super) fn wait_for(
+    /// The same for a stream; waits for room to write as well, if `to_write`.
+    pub(in crate::bus) fn wait_for_stream(
+        &self,
+        stream: WaitSource<'_>,
+        to_write: bool,
+        timeout: Option<Duration>,
+    ) -> io::Result<bool> {
+        let room = if to_write { PollFlags::POLLOUT } else { PollFlags::empty() };
+        self.wait_for(Some((stream, PollFlags::POLLIN | room)), timeout)
+    }
+
+    fn wait_for(
         &self,
         events: Option<(BorrowedFd<'_>, PollFlags)>,
         timeout: Option<Duration>,

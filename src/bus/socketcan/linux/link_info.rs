@@ -4,6 +4,7 @@
 //! Reads only; needs no privileges.
 
 use crate::bus::faults::{bus_off, not_found, restart_command};
+use crate::bus::socketcan::CanInterface;
 use crate::diagnostic::Diagnostic;
 use crate::status::BusState;
 use nix::net::if_::if_nametoindex;
@@ -14,21 +15,6 @@ use std::io;
 
 /// `/sys/class/net/*/type` of a CAN interface (ARPHRD_CAN).
 const CAN_TYPE: &str = "280";
-
-/// A CAN interface of this machine.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct CanInterface {
-    /// Its name.
-    pub name: String,
-    /// Up.
-    pub up: bool,
-    /// Without a controller, as vcan and vxcan.
-    pub is_virtual: bool,
-    /// Bit/s; `None` if not configured.
-    pub bitrate: Option<u32>,
-    /// The controller's state.
-    pub state: BusState,
-}
 
 /// The CAN interfaces of this machine, sorted by name.
 pub fn interfaces() -> Vec<CanInterface> {
@@ -179,11 +165,6 @@ pub(super) fn missing(name: &str) -> Diagnostic {
         ));
     }
     fault
-}
-
-/// An interface, or something else, is used as a CAN interface.
-pub(super) fn not_can(name: &str) -> Diagnostic {
-    Diagnostic::new(format!("{name} is not a CAN interface"))
 }
 
 #[cfg(test)]
