@@ -12,7 +12,7 @@ mod view;
 
 pub use expected::{ExpectedDevices, FleetDifference};
 pub use publication::{
-    FleetDocument, FleetMessage, FleetMessageId, MAX_QUEUED_EVENTS, Publication,
+    FleetDocument, FleetMessage, FleetMessageId, MAX_QUEUED_EVENTS, OtherRun, Publication,
 };
 pub use topic::{FleetTopic, GatewayName, GatewayNameError, TopicPath};
 pub use view::{

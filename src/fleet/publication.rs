@@ -55,6 +55,20 @@ pub enum FleetMessageId {
     Event(u64),
 }
 
+/// What is known of other programs with the name of the gateway.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum OtherRun {
+    /// None, or an earlier one.
+    None,
+    /// One before this one, by a clock that was ahead: the last will has changed.
+    Before,
+    /// One that was started later: this one gives way.
+    Later,
+}
+
+/// Latest start that is believed, in Unix milliseconds: 2200-01-01.
+const MAX_STARTED: u64 = 7_258_118_400_000;
+
 /// A document, and what the broker has of it.
 #[derive(Debug)]
 struct DocumentSlot {
@@ -73,8 +87,9 @@ struct DocumentSlot {
 #[derive(Debug)]
 pub struct Publication {
     gateway: GatewayName,
-    /// Start of the program, in Unix seconds: tells the documents and events of two runs apart.
-    started: f64,
+    /// Start of the program, in Unix milliseconds: tells the documents and events of two runs apart, and
+    /// is later than that of any run before.
+    started: u64,
     documents: BTreeMap<String, DocumentSlot>,
     /// Documents to be sent.
     due: BTreeSet<String>,
@@ -90,11 +105,12 @@ pub struct Publication {
     in_flight: usize,
     refused: u64,
     is_connected: bool,
+    connections: u64,
 }
 
 impl Publication {
-    /// Creates the publication of a program that started at `started`, in Unix seconds.
-    pub fn new(gateway: GatewayName, started: f64) -> Self {
+    /// Creates the publication of a program that started at `started`, in Unix milliseconds.
+    pub fn new(gateway: GatewayName, started: u64) -> Self {
         Self {
             gateway,
             started,
@@ -109,6 +125,7 @@ impl Publication {
             in_flight: 0,
             refused: 0,
             is_connected: false,
+            connections: 0,
         }
     }
 
@@ -134,7 +151,7 @@ impl Publication {
 
     /// The last will: what the broker publishes as the status if the connection is lost.
     pub fn last_will(&self) -> FleetMessage {
-        let payload = json!({"online": false, "reason": "lost", "started": self.started});
+        let payload = json!({"online": false, "reason": "lost", "started_ms": self.started});
         FleetMessage {
             topic: TopicPath::Status.of(&self.gateway),
             payload: payload.to_string().into_bytes().into(),
@@ -177,7 +194,7 @@ impl Publication {
         let events = json!({"last": self.last_event, "dropped": self.dropped_events});
         let members = [
             ("online", json!(true)),
-            ("started", json!(self.started)),
+            ("started_ms", json!(self.started)),
             ("time", json!(unix_secs)),
             ("events", events),
         ];
@@ -188,7 +205,7 @@ impl Publication {
     /// The program stops: the status says so, as the last message.
     pub fn handle_stop(&mut self, now: Instant, unix_secs: f64) {
         let payload = json!({
-            "online": false, "reason": "stopped", "started": self.started, "time": unix_secs,
+            "online": false, "reason": "stopped", "started_ms": self.started, "time": unix_secs,
         });
         self.put(TopicPath::Status.to_string(), &payload, now, Value::Null, None);
     }
@@ -196,7 +213,7 @@ impl Publication {
     /// Takes an event, an object as in `watch --json`.
     pub fn handle_event(&mut self, event: Value) {
         self.last_event += 1;
-        let members = [("seq", json!(self.last_event)), ("started", json!(self.started))];
+        let members = [("seq", json!(self.last_event)), ("started_ms", json!(self.started))];
         let payload: Arc<[u8]> = with_members(event, members).to_string().into_bytes().into();
         self.queued_bytes += payload.len();
         self.events.push_back((self.last_event, payload));
@@ -216,6 +233,7 @@ impl Publication {
     /// are sent again.
     pub fn handle_connected(&mut self, is_session_kept: bool) {
         self.is_connected = true;
+        self.connections += 1;
         if is_session_kept {
             // The last will may have replaced it.
             self.mark_due(TopicPath::Status.to_string());
@@ -229,34 +247,41 @@ impl Publication {
         self.is_connected = false;
     }
 
-    /// The broker has this document of the gateway, or got it now. One that there is no more, as of an
-    /// earlier run, is cleared. Returns true if another program, which was started later, publishes with
-    /// the same name.
-    pub fn handle_message(&mut self, topic: &str, payload: &[u8]) -> bool {
+    /// The broker has this document of the gateway (`is_kept`), or got it now. One that there is no more,
+    /// as of an earlier run, is cleared.
+    pub fn handle_message(&mut self, topic: &str, payload: &[u8], is_kept: bool) -> OtherRun {
         let own = self.gateway.topic("");
         let Some(tail) = topic.strip_prefix(&own).filter(|_| !payload.is_empty()) else {
-            return false;
+            return OtherRun::None;
         };
-        match tail {
-            "event" => false,
-            "status" => self.handle_other_status(payload),
-            _ if self.documents.contains_key(tail) => false,
-            _ => {
-                self.clear(tail.to_owned());
-                false
-            }
+        if tail == "status" {
+            return self.handle_other_status(payload, is_kept);
         }
+        if is_kept && !self.documents.contains_key(tail) {
+            self.clear(tail.to_owned());
+        }
+        OtherRun::None
     }
 
-    /// The status at the broker. Another program with the name may have changed documents.
-    fn handle_other_status(&mut self, payload: &[u8]) -> bool {
+    /// The status at the broker. Another program with the name may have changed documents; the one that
+    /// was started later stays.
+    fn handle_other_status(&mut self, payload: &[u8], is_kept: bool) -> OtherRun {
         let status: Value = serde_json::from_slice(payload).unwrap_or_default();
-        let started = status.get("started").and_then(Value::as_f64).unwrap_or(self.started);
-        let is_online = status.get("online") == Some(&Value::Bool(true));
-        if is_online && started < self.started {
-            self.due = self.documents.keys().cloned().collect();
+        let started = status.get("started_ms").and_then(Value::as_u64).unwrap_or_default();
+        if started == self.started {
+            return OtherRun::None;
         }
-        is_online && started > self.started
+        if started < self.started || started > MAX_STARTED {
+            self.due = self.documents.keys().cloned().collect();
+            return OtherRun::None;
+        }
+        if is_kept && self.connections == 1 {
+            // That of an earlier run, by a clock that was ahead.
+            self.started = started + 1;
+            self.renew_status();
+            return OtherRun::Before;
+        }
+        OtherRun::Later
     }
 
     /// What became of a message: the broker has it.
@@ -368,6 +393,19 @@ impl Publication {
             _ => self.documents.insert(tail.clone(), slot),
         };
         self.due.insert(tail);
+    }
+
+    /// Sends the status again, with the start of the program as it is now.
+    fn renew_status(&mut self) {
+        let tail = TopicPath::Status.to_string();
+        let payload = self.documents.get(&tail).and_then(|slot| slot.payload.clone());
+        let Some(Value::Object(mut status)) =
+            payload.and_then(|payload| serde_json::from_slice(&payload).ok())
+        else {
+            return;
+        };
+        status.insert("started_ms".to_owned(), json!(self.started));
+        self.put(tail, &Value::Object(status), Instant::ZERO, Value::Null, None);
     }
 
     fn mark_due(&mut self, tail: String) {

@@ -7,7 +7,7 @@
 
 use super::topic::{FleetTopic, GatewayName, TopicPath};
 use crate::inventory::{Inventory, InventoryBus, InventoryDevice, InventoryFinding};
-use crate::text::on_one_line;
+use crate::text::{on_one_line, printable};
 use crate::time::{Duration, Instant};
 use serde::Deserialize;
 use std::collections::{BTreeMap, BTreeSet};
@@ -43,6 +43,13 @@ pub enum GatewayState {
     Online,
 }
 
+impl FleetRejects {
+    /// Number of all messages that were not used.
+    pub fn count(&self) -> u64 {
+        self.foreign + self.malformed + self.oversized
+    }
+}
+
 impl GatewayState {
     /// The word for it, as in JSON.
     pub const fn name(self) -> &'static str {
@@ -64,8 +71,8 @@ pub struct GatewayStatus {
     pub online: bool,
     /// Why it is not: `lost`, `stopped`.
     pub reason: String,
-    /// Start of the program, in Unix seconds.
-    pub started: f64,
+    /// Start of the program, in Unix milliseconds.
+    pub started_ms: u64,
     /// Time of the status by the clock of the gateway, in Unix seconds.
     pub time: Option<f64>,
     /// Version of the program.
@@ -82,6 +89,12 @@ pub struct EventCounts {
     pub last: u64,
     /// Events that were dropped while the broker was away.
     pub dropped: u64,
+}
+
+/// A topic of any origin, shortened.
+fn shown_topic(topic: &[u8]) -> String {
+    const MOST: usize = 80;
+    printable(&topic[..topic.len().min(MOST)])
 }
 
 /// A document, and its length as it was published.
@@ -229,7 +242,7 @@ impl FleetGateway {
             TopicPath::Status => {
                 let content: GatewayStatus = serde_json::from_slice(payload)
                     .map_err(|error| on_one_line(&error.to_string()))?;
-                let descan = crate::text::printable(content.descan.as_bytes());
+                let descan = printable(content.descan.as_bytes());
                 self.status = Some(StoredDocument {
                     content: GatewayStatus { descan, ..content },
                     bytes,
@@ -278,7 +291,7 @@ pub struct FleetRejects {
     pub malformed: u64,
     /// Documents that are too long, or above the bound of all.
     pub oversized: u64,
-    /// The last malformed or oversized one: its topic and the cause.
+    /// The last one: its topic and the cause.
     pub last: Option<String>,
 }
 
@@ -335,6 +348,7 @@ impl Fleet {
     pub fn handle_message(&mut self, now: Instant, topic: &[u8], payload: &[u8]) {
         let Some(FleetTopic { gateway, path }) = FleetTopic::parse(topic) else {
             self.rejects.foreign += 1;
+            self.rejects.last = Some(format!("{}: no topic of a gateway", shown_topic(topic)));
             return;
         };
         if path == TopicPath::Event {

@@ -3,14 +3,15 @@
 use super::address::BrokerSettings;
 use super::back_off;
 use super::failure::BrokerFailure;
-use crate::fleet::{FleetMessage, FleetMessageId, Publication};
+use crate::fleet::{FleetMessage, FleetMessageId, OtherRun, Publication};
 use crate::time::Duration;
 use futures_util::stream::{FuturesUnordered, StreamExt as _};
 use rumqttc::{
-    AsyncClient, Event, EventLoop, LastWill, Outgoing, Packet, PublishNotice, PublishNoticeError,
-    PublishOptions, QoS, RetainForwardRule, SubscribeFilterInput,
+    AsyncClient, Event, EventLoop, LastWill, Outgoing, Packet, PubAckReason, PublishNotice,
+    PublishNoticeError, PublishOptions, QoS, RetainForwardRule, SubscribeFilterInput,
 };
 use std::io;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{self, Receiver, SyncSender};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread;
@@ -33,8 +34,8 @@ pub enum PublisherNotice {
     Connected,
     /// The connection failed, and is tried again after this time; `None` if it is not.
     Failed(BrokerFailure, Option<Duration>),
-    /// The broker refused a message with this topic: the rights of the user do not allow it.
-    Refused(String),
+    /// The broker refused a message with this topic, and why.
+    Refused(String, &'static str),
 }
 
 /// What the two threads share.
@@ -65,10 +66,8 @@ impl BrokerPublisher {
     /// # Errors
     /// No thread could be started.
     pub fn spawn(settings: &BrokerSettings, publication: Publication) -> io::Result<Self> {
-        let will = publication.last_will();
         let mut options = settings.options(&format!("descan-{}", publication.gateway()));
-        let payload = will.payload.to_vec();
-        options.set_last_will(LastWill::new(will.topic, payload, QoS::AtLeastOnce, true, None));
+        options.set_last_will(as_last_will(publication.last_will()));
         let own = publication.gateway().filter();
         let shared = Arc::new(Shared {
             publication: Mutex::new(publication),
@@ -128,6 +127,8 @@ struct PublisherThread {
     own: String,
     /// The subscription to all documents began.
     reading: Notify,
+    /// The broker acknowledged something since the last failure.
+    has_progress: AtomicBool,
 }
 
 impl PublisherThread {
@@ -157,7 +158,7 @@ impl PublisherThread {
         loop {
             match events.poll().await {
                 Ok(Event::Incoming(Packet::ConnAck(packet))) => {
-                    (failures, was_connected) = (0, true);
+                    was_connected = true;
                     // The session of an earlier run is not this one's: only later ones are kept.
                     events.options.set_clean_start(false);
                     self.shared.publication().handle_connected(packet.session_present);
@@ -167,19 +168,32 @@ impl PublisherThread {
                 }
                 Ok(Event::Incoming(Packet::Publish(message))) => {
                     let topic = String::from_utf8_lossy(&message.topic);
-                    let is_replaced =
-                        self.shared.publication().handle_message(&topic, &message.payload);
+                    let other = self.shared.publication().handle_message(
+                        &topic,
+                        &message.payload,
+                        message.retain,
+                    );
                     self.shared.changed.notify_one();
-                    if is_replaced {
-                        let failure = BrokerFailure::replaced(&self.settings.address);
-                        self.report(PublisherNotice::Failed(failure, None));
-                        return;
+                    match other {
+                        OtherRun::None => {}
+                        OtherRun::Before => {
+                            let will = self.shared.publication().last_will();
+                            events.options.set_last_will(as_last_will(will));
+                        }
+                        OtherRun::Later => {
+                            let failure = BrokerFailure::replaced(&self.settings.address);
+                            self.report(PublisherNotice::Failed(failure, None));
+                            return;
+                        }
                     }
                 }
                 Ok(_) => {}
                 Err(error) => {
                     self.shared.publication().handle_disconnected();
                     let failure = BrokerFailure::of(&self.settings.address, &error);
+                    if self.has_progress.swap(false, Ordering::Relaxed) {
+                        failures = 0;
+                    }
                     failures += 1;
                     if failure.is_final && !was_connected {
                         self.report(PublisherNotice::Failed(failure, None));
@@ -246,12 +260,15 @@ impl PublisherThread {
     fn handle_fate(&self, topic: String, id: &FleetMessageId, fate: Fate) {
         let mut publication = self.shared.publication();
         match fate {
-            Fate::Delivered => publication.handle_delivered(id),
+            Fate::Delivered => {
+                self.has_progress.store(true, Ordering::Relaxed);
+                publication.handle_delivered(id);
+            }
             Fate::Lost => publication.handle_undelivered(id),
-            Fate::Refused => {
+            Fate::Refused(why) => {
                 publication.handle_refused(id);
                 if publication.refused() == 1 {
-                    self.report(PublisherNotice::Refused(topic));
+                    self.report(PublisherNotice::Refused(topic, why));
                 }
             }
         }
@@ -265,11 +282,16 @@ impl PublisherThread {
     }
 }
 
+fn as_last_will(message: FleetMessage) -> LastWill {
+    let payload = message.payload.to_vec();
+    LastWill::new(message.topic, payload, QoS::AtLeastOnce, message.is_retained, None)
+}
+
 /// What became of a message.
 enum Fate {
     Delivered,
     Lost,
-    Refused,
+    Refused(&'static str),
 }
 
 async fn fate(
@@ -279,9 +301,14 @@ async fn fate(
 ) -> (String, FleetMessageId, Fate) {
     let fate = match notice.wait_completion_async().await {
         Ok(()) => Fate::Delivered,
-        Err(PublishNoticeError::V5PubAck(_) | PublishNoticeError::RetainNotSupported) => {
-            Fate::Refused
+        Err(PublishNoticeError::RetainNotSupported) => Fate::Refused("it keeps no messages"),
+        Err(PublishNoticeError::V5PubAck(PubAckReason::NotAuthorized)) => {
+            Fate::Refused("the user has no right to write it")
         }
+        Err(PublishNoticeError::V5PubAck(PubAckReason::QuotaExceeded)) => {
+            Fate::Refused("it has too many messages")
+        }
+        Err(PublishNoticeError::V5PubAck(_)) => Fate::Refused("without a reason"),
         Err(_) => Fate::Lost,
     };
     (topic, id, fate)

@@ -101,7 +101,7 @@ impl ReaderThread {
         loop {
             let notice = match events.poll().await {
                 Ok(Event::Incoming(Packet::ConnAck(packet))) => {
-                    (failures, was_connected) = (0, true);
+                    was_connected = true;
                     events.options.set_clean_start(false);
                     if !packet.session_present {
                         // Not as published: the flag tells those that the broker kept.
@@ -116,6 +116,7 @@ impl ReaderThread {
                     let is_refused = |code: &&SubscribeReasonCode| {
                         !matches!(code, SubscribeReasonCode::Success(_))
                     };
+                    failures = 0;
                     let refused = packet.return_codes.iter().filter(is_refused).count();
                     ReaderNotice::Subscribed { refused }
                 }

@@ -552,7 +552,7 @@ impl Load {
     const DEVICES: u64 = 40;
 
     fn start(port: u16) -> Self {
-        let publication = Publication::new("g".parse().unwrap(), 1.0);
+        let publication = Publication::new("g".parse().unwrap(), 1);
         Self { publisher: BrokerPublisher::spawn(&settings(port), publication).unwrap(), round: 0 }
     }
 

@@ -2,7 +2,8 @@
 //! twice unless the connection was lost.
 
 use descan::fleet::{
-    FleetDocument, FleetMessage, FleetMessageId, MAX_QUEUED_EVENTS, Publication, TopicPath,
+    FleetDocument, FleetMessage, FleetMessageId, MAX_QUEUED_EVENTS, OtherRun, Publication,
+    TopicPath,
 };
 use descan::time::{Duration, Instant};
 use serde_json::{Value, json};
@@ -10,7 +11,7 @@ use serde_json::{Value, json};
 const COUNTERS: &[&str] = &["frames", "heartbeat.count"];
 
 fn publication() -> Publication {
-    Publication::new("boiler-17".parse().unwrap(), 1000.0)
+    Publication::new("boiler-17".parse().unwrap(), 1000)
 }
 
 fn at(seconds: u64) -> Instant {
@@ -75,7 +76,7 @@ fn status_follows_the_documents() {
     assert_eq!(topics(&messages), ["bus/aa", "bus/zz", "status"]);
     let status = &messages[2].1;
     assert_eq!(status["online"], true);
-    assert_eq!((&status["devices"], &status["started"]), (&json!(3), &json!(1000.0)));
+    assert_eq!((&status["devices"], &status["started_ms"]), (&json!(3), &json!(1000)));
 }
 
 #[test]
@@ -130,34 +131,69 @@ fn documents_of_an_earlier_run_are_cleared() {
         "descan/v1/boiler-1/bus/can0",
         "descan/v1/boiler-171/bus/can0",
     ] {
-        assert!(!publication.handle_message(topic, b"{}"));
+        assert_eq!(publication.handle_message(topic, b"{}", true), OtherRun::None);
     }
     // Cleared already.
-    publication.handle_message("descan/v1/boiler-17/device/can0/8", b"");
+    publication.handle_message("descan/v1/boiler-17/device/can0/8", b"", true);
+    // Not kept: an event, or a document that was just sent.
+    publication.handle_message("descan/v1/boiler-17/device/can0/7", b"{}", false);
+    publication.handle_message("descan/v1/boiler-17/event", b"{}", false);
     assert_eq!(delivered(&mut publication), [("device/can0/9".to_owned(), Value::Null)]);
+}
+
+/// A status at the broker, and what it is to the publication that started at 1000; the number of messages
+/// that are sent because of it.
+fn other_status(publication: &mut Publication, text: &str, is_kept: bool) -> (OtherRun, usize) {
+    let topic = "descan/v1/boiler-17/status";
+    let other = publication.handle_message(topic, text.as_bytes(), is_kept);
+    (other, delivered(publication).len())
+}
+
+fn status(online: bool, started: u64) -> String {
+    json!({"online": online, "started_ms": started}).to_string()
 }
 
 #[test]
 fn later_of_two_programs_with_one_name_stays() {
-    let status =
-        |online: bool, started: f64| json!({"online": online, "started": started}).to_string();
-    let topic = "descan/v1/boiler-17/status";
     let mut publication = publication();
     publication.handle_connected(false);
     publication.handle_documents(at(0), 0.0, [document("can0", json!({}))]);
     delivered(&mut publication);
-    for (text, is_replaced, resent) in [
-        (status(true, 1000.0), false, 0),
-        (status(false, 2000.0), false, 0),
-        (status(false, 10.0), false, 0),
-        ("no json".to_owned(), false, 0),
-        // The earlier one may have changed documents.
-        (status(true, 10.0), false, 1),
-        (status(true, 1000.001), true, 0),
-    ] {
-        assert_eq!(publication.handle_message(topic, text.as_bytes()), is_replaced, "{text}");
-        assert_eq!(delivered(&mut publication).len(), resent, "{text}");
+    for is_kept in [true, false] {
+        let own = status(true, 1000);
+        assert_eq!(other_status(&mut publication, &own, is_kept), (OtherRun::None, 0));
+        // An earlier one may have changed documents.
+        for text in [&status(true, 10), &status(false, 10), "no json", &status(true, u64::MAX)] {
+            assert_eq!(
+                other_status(&mut publication, text, is_kept),
+                (OtherRun::None, 1),
+                "{text}"
+            );
+        }
     }
+    let later = status(true, 2000);
+    assert_eq!(other_status(&mut publication, &later, false), (OtherRun::Later, 0));
+    publication.handle_disconnected();
+    publication.handle_connected(true);
+    for text in [status(true, 1001), status(false, 1001)] {
+        assert_eq!(other_status(&mut publication, &text, true), (OtherRun::Later, 0));
+    }
+}
+
+#[test]
+fn earlier_run_by_a_clock_ahead_is_no_other_program() {
+    let mut publication = publication();
+    publication.handle_connected(false);
+    publication.handle_status(at(0), 0.0, json!({"devices": 3}));
+    delivered(&mut publication);
+    let kept = status(true, 5000);
+    assert_eq!(other_status(&mut publication, &kept, true), (OtherRun::Before, 1));
+    // From now on it is the later one.
+    let will: Value = serde_json::from_slice(&publication.last_will().payload).unwrap();
+    assert_eq!(will["started_ms"], 5001);
+    assert_eq!(other_status(&mut publication, &status(true, 5000), false), (OtherRun::None, 1));
+    publication.handle_event(json!({}));
+    assert_eq!(delivered(&mut publication)[0].1["started_ms"], 5001);
 }
 
 #[test]
@@ -257,7 +293,7 @@ fn last_will_and_farewell_are_retained_as_the_status() {
     let value: Value = serde_json::from_slice(&will.payload).unwrap();
     assert_eq!(will.topic, "descan/v1/boiler-17/status");
     assert!(will.is_retained);
-    assert_eq!(value, json!({"online": false, "reason": "lost", "started": 1000.0}));
+    assert_eq!(value, json!({"online": false, "reason": "lost", "started_ms": 1000}));
     publication.handle_connected(false);
     publication.handle_stop(at(9), 9.0);
     let (topic, value) = delivered(&mut publication).remove(0);
