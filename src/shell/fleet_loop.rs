@@ -188,7 +188,7 @@ fn handle_input(screen: &mut FleetScreen, now: crate::time::Instant, event: &Eve
         Event::Paste(text) => screen.handle_paste(now, text),
         Event::Resize(columns, rows) => screen.handle_resize(*columns, *rows),
         Event::Mouse(mouse) => {
-            if let Some(mouse) = mouse_of(mouse) {
+            if let Some(mouse) = mouse_of(*mouse) {
                 screen.handle_mouse(now, mouse);
             }
         }

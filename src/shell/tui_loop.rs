@@ -261,7 +261,7 @@ fn handle_input(session: &mut Session, event: &Event) {
         Event::Paste(text) => session.app.handle_paste(now, text),
         Event::Resize(columns, rows) => session.app.handle_resize(*columns, *rows),
         Event::Mouse(mouse) => {
-            if let Some(mouse) = mouse_of(mouse) {
+            if let Some(mouse) = mouse_of(*mouse) {
                 session.app.handle_mouse(now, mouse);
             }
         }
@@ -269,7 +269,7 @@ fn handle_input(session: &mut Session, event: &Event) {
     }
 }
 
-pub(super) fn mouse_of(event: &MouseEvent) -> Option<Mouse> {
+pub(super) fn mouse_of(event: MouseEvent) -> Option<Mouse> {
     let kind = match event.kind {
         MouseEventKind::Down(MouseButton::Left) => MouseKind::Press,
         MouseEventKind::Drag(MouseButton::Left) => MouseKind::Drag,

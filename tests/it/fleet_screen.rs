@@ -427,9 +427,9 @@ fn names_that_a_shell_reads_otherwise_have_no_command() {
 
 #[test]
 fn keys_of_program_lead_to_effects() {
+    use FleetEffect as E;
     let mut stage = FleetStage::fleet(80, 24);
     stage.keys("t Ctrl-l Ctrl-z q / x Ctrl-c");
-    use FleetEffect as E;
     assert_eq!(stage.effects(), [E::NextTheme, E::Redraw, E::Suspend, E::Quit, E::Quit]);
 }
 

@@ -12,6 +12,7 @@ use crate::fleet::GatewayName;
 use crate::keymap::{Action, Key, KeyCode, KeyMode};
 use crate::text::is_printable;
 use crate::time::Instant;
+use crate::wire::id::Address;
 use ratatui::layout::Position;
 use std::collections::BTreeSet;
 use tui_input::{Input as LineInput, InputRequest};
@@ -391,7 +392,7 @@ impl FleetScreen {
     }
 
     fn type_filter(&mut self, key: Key) {
-        let source = if key.code == KeyCode::Tab { self.completion_source() } else { None };
+        let source = (key.code == KeyCode::Tab).then(|| self.completion_source());
         let rows = self.row_kind(self.page());
         let FleetOverlay::Prompt(prompt) = &mut self.overlay else { return };
         match key.code {
@@ -435,7 +436,7 @@ impl FleetScreen {
     }
 
     /// Words that complete a filter.
-    fn completion_source(&self) -> Option<CompletionSource> {
+    fn completion_source(&self) -> CompletionSource {
         let mut names = BTreeSet::new();
         let mut services = BTreeSet::new();
         let mut uids = BTreeSet::new();
@@ -453,15 +454,15 @@ impl FleetScreen {
                 version => format!("{name}@{version}"),
             };
             add_some(&mut services, facts.services.keys().map(with_version));
-            addresses.extend(facts.addresses().map(|address| address.number()));
+            addresses.extend(facts.addresses().map(Address::number));
         }
-        Some(CompletionSource {
+        CompletionSource {
             names: names.into_iter().collect(),
             services: services.into_iter().collect(),
             uids: uids.into_iter().collect(),
             buses: buses.into_iter().collect(),
             addresses: addresses.into_iter().collect(),
-        })
+        }
     }
 }
 

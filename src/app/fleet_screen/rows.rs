@@ -135,19 +135,16 @@ impl FleetScreen {
         let mut sums = FleetSums::default();
         for (name, gateway) in fleet.gateways() {
             let known = self.entries.get_mut(name);
-            match known.filter(|entry| entry.revision == gateway.revision()) {
-                Some(entry) => {
-                    let state = gateway.state(now);
-                    if entry.state != state {
-                        (entry.state, entry.filter_revision) = (state, None);
-                    }
-                    sums.add(entry);
+            if let Some(entry) = known.filter(|entry| entry.revision == gateway.revision()) {
+                let state = gateway.state(now);
+                if entry.state != state {
+                    (entry.state, entry.filter_revision) = (state, None);
                 }
-                None => {
-                    let entry = GatewayEntry::new(name, gateway, now);
-                    sums.add(&entry);
-                    self.entries.insert(name.clone(), entry);
-                }
+                sums.add(entry);
+            } else {
+                let entry = GatewayEntry::new(name, gateway, now);
+                sums.add(&entry);
+                self.entries.insert(name.clone(), entry);
             }
         }
         self.sums = sums;
@@ -276,10 +273,9 @@ impl FleetScreen {
         let height = usize::from(self.regions().list.height);
         let key = self.scope().list().key.clone();
         let found = key.and_then(|key| self.rows.iter().position(|row| row.is(&key)));
-        let last = self.rows.len().saturating_sub(1);
         let count = self.rows.len();
         let before = self.scope().list().at;
-        let at = found.unwrap_or(before).min(last);
+        let at = found.unwrap_or(before).min(count.saturating_sub(1));
         let new_key = self.rows.get(at).map(FleetRow::key);
         let list = self.scope_mut().list_mut();
         list.at = at;
