@@ -107,7 +107,7 @@ impl FleetStage {
     fn status(&mut self, gateway: &str, started_ago: f64) -> &mut Self {
         let started = (UNIX_START - started_ago) as u64;
         let status = json!({
-            "online": true, "started": started, "time": UNIX_START, "descan": "0.1.0",
+            "online": true, "started_ms": started * 1000, "time": UNIX_START, "descan": "0.1.0",
             "events": {"last": 1234, "dropped": 2},
         });
         self.send(&format!("{gateway}/status"), &status)
@@ -166,7 +166,7 @@ impl FleetStage {
             "DES@1.0 AUGER@2.15",
         );
         stage.device("south", 20, "DISP", "DES@1.0 SCREEN@3.0").bus("south", "can0");
-        stage.send("south/status", &json!({"online": false, "reason": "lost", "started": 5}));
+        stage.send("south/status", &json!({"online": false, "reason": "lost", "started_ms": 5000}));
         stage.wait(3.0);
         let event = json!({
             "event": "lost", "time": UNIX_START + 2.5, "bus": "can0", "address": 20, "name": "DISP",

@@ -54,7 +54,7 @@ impl GatewayFacts {
         let mut facts = Self { buses: gateway.buses().cloned().collect(), ..Self::default() };
         if let Some(status) = gateway.status() {
             facts.descan.clone_from(&status.descan);
-            facts.started = status.started;
+            facts.started = status.started_ms as f64 / 1000.0;
             facts.status_time = status.time;
             facts.events = (status.events.last, status.events.dropped);
         }

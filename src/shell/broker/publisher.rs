@@ -83,6 +83,7 @@ impl BrokerPublisher {
             settings: settings.clone(),
             own,
             reading: Notify::new(),
+            has_progress: AtomicBool::new(false),
         };
         thread::Builder::new().name("broker".to_owned()).spawn(move || {
             // More than are sent at once: a request never waits for room.
