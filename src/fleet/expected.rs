@@ -82,7 +82,7 @@ impl<'a> FileComparer<'a> {
         let buses: Vec<&str> = self.buses();
         for entry in file.document.entries() {
             // Of another bus, or reported as an error of the file.
-            let is_here = buses.iter().any(|bus| entry.is_for_bus(bus));
+            let is_here = entry.bus.is_none() || buses.iter().any(|bus| entry.is_for_bus(bus));
             if is_here && !is_duplicate(&file.document, entry) {
                 self.entry(entry, &by_bus);
             }

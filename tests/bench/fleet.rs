@@ -90,7 +90,8 @@ fn documents() -> Vec<(String, String)> {
     let mut all = Vec::new();
     for gateway in 0..GATEWAYS {
         let root = format!("descan/v1/g{gateway}");
-        let status = r#"{"online":true,"started_ms":1795763731000,"descan":"0.1.0","events":{"last":9}}"#;
+        let status =
+            r#"{"online":true,"started_ms":1795763731000,"descan":"0.1.0","events":{"last":9}}"#;
         all.push((format!("{root}/status"), status.to_owned()));
         let bus =
             r#"{"name":"can0","bitrate":125000,"state":"error-active","load":0.4,"frames":9}"#;

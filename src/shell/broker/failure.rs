@@ -32,8 +32,14 @@ impl BrokerFailure {
     }
 
     /// The failure behind an error of the connection.
-    pub(super) fn of(address: &BrokerAddress, error: &ConnectionError) -> Self {
+    /// The remedies are for a broker that was never connected.
+    pub(super) fn of(
+        address: &BrokerAddress,
+        error: &ConnectionError,
+        was_connected: bool,
+    ) -> Self {
         let (cause, remedy, is_final) = words(error);
+        let remedy = remedy.filter(|_| is_final || !was_connected);
         let diagnostic = Diagnostic::new(format!("{address}: {cause}"));
         let diagnostic = match remedy {
             Some(remedy) => diagnostic.with_remedy(remedy),
@@ -88,7 +94,7 @@ fn deep(error: &ConnectionError) -> (String, Option<&'static str>, bool) {
         return (format!("TLS: the broker refuses it{alert}"), OWN_CERTIFICATE, true);
     }
     if text.contains("reset by peer") {
-        let remedy = "if it never works: the broker may want TLS (mqtts://)";
+        let remedy = "the broker may want TLS: mqtts://";
         return ("connection closed by the broker".to_owned(), Some(remedy), false);
     }
     (text, None, false)

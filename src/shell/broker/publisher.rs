@@ -7,14 +7,16 @@ use crate::fleet::{FleetMessage, FleetMessageId, OtherRun, Publication};
 use crate::time::Duration;
 use futures_util::stream::{FuturesUnordered, StreamExt as _};
 use rumqttc::{
-    AsyncClient, Event, EventLoop, LastWill, Outgoing, Packet, PubAckReason, PublishNotice,
-    PublishNoticeError, PublishOptions, QoS, RetainForwardRule, SubscribeFilterInput,
+    AsyncClient, ConnectionError, Event, EventLoop, LastWill, Outgoing, Packet, PubAckReason,
+    PublishNotice, PublishNoticeError, PublishOptions, QoS, RetainForwardRule,
+    SubscribeFilterInput,
 };
 use std::io;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{self, Receiver, SyncSender};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread;
+use std::time::Instant;
 use tokio::sync::Notify;
 use tokio::time::sleep;
 
@@ -23,6 +25,10 @@ const MAX_NOTICES: usize = 64;
 
 /// Time in which the documents of an earlier run arrive.
 const READING: Duration = Duration::from_secs(10);
+
+/// Longest time without an acknowledgement while something is to be acknowledged. A broker that is slower
+/// is not usable, and one that lost a message never sends it.
+const MAX_ACK_DELAY: Duration = Duration::from_secs(10);
 
 /// Longest wait for the end of the connection.
 const FAREWELL: Duration = Duration::from_millis(300);
@@ -84,6 +90,7 @@ impl BrokerPublisher {
             own,
             reading: Notify::new(),
             has_progress: AtomicBool::new(false),
+            progress: Mutex::new(Instant::now()),
         };
         thread::Builder::new().name("broker".to_owned()).spawn(move || {
             // More than are sent at once: a request never waits for room.
@@ -130,6 +137,8 @@ struct PublisherThread {
     reading: Notify,
     /// The broker acknowledged something since the last failure.
     has_progress: AtomicBool,
+    /// When it last did, or had nothing to acknowledge.
+    progress: Mutex<Instant>,
 }
 
 impl PublisherThread {
@@ -157,9 +166,14 @@ impl PublisherThread {
         let mut failures = 0;
         let mut was_connected = false;
         loop {
-            match events.poll().await {
+            let Some(next) = self.next_event(events).await else {
+                self.start_again(events);
+                continue;
+            };
+            match next {
                 Ok(Event::Incoming(Packet::ConnAck(packet))) => {
                     was_connected = true;
+                    self.note_progress();
                     // The session of an earlier run is not this one's: only later ones are kept.
                     events.options.set_clean_start(false);
                     self.shared.publication().handle_connected(packet.session_present);
@@ -191,7 +205,7 @@ impl PublisherThread {
                 Ok(_) => {}
                 Err(error) => {
                     self.shared.publication().handle_disconnected();
-                    let failure = BrokerFailure::of(&self.settings.address, &error);
+                    let failure = BrokerFailure::of(&self.settings.address, &error, was_connected);
                     if self.has_progress.swap(false, Ordering::Relaxed) {
                         failures = 0;
                     }
@@ -203,9 +217,48 @@ impl PublisherThread {
                     let wait = back_off(failures);
                     self.report(PublisherNotice::Failed(failure, Some(wait)));
                     sleep(wait).await;
+                    self.note_progress();
                 }
             }
         }
+    }
+
+    /// Waits for the next event; `None` if the broker acknowledged nothing for too long.
+    async fn next_event(&self, events: &mut EventLoop) -> Option<Result<Event, ConnectionError>> {
+        // Polled to its end: connecting begins anew when it is dropped.
+        let next = events.poll();
+        tokio::pin!(next);
+        loop {
+            tokio::select! {
+                event = &mut next => return Some(event),
+                () = sleep(Duration::from_secs(1)) => {
+                    if self.is_stalled() {
+                        return None;
+                    }
+                }
+            }
+        }
+    }
+
+    fn is_stalled(&self) -> bool {
+        if self.shared.publication().is_delivered() {
+            self.note_progress();
+        }
+        let last = *self.progress.lock().unwrap_or_else(PoisonError::into_inner);
+        last.elapsed() > MAX_ACK_DELAY
+    }
+
+    fn note_progress(&self) {
+        *self.progress.lock().unwrap_or_else(PoisonError::into_inner) = Instant::now();
+    }
+
+    /// Drops the connection and its session: what was not acknowledged is sent by the next one.
+    fn start_again(&self, events: &mut EventLoop) {
+        self.shared.publication().handle_disconnected();
+        events.clean();
+        events.reset_session_state();
+        events.options.set_clean_start(true);
+        self.note_progress();
     }
 
     /// Reads what the broker has of this gateway: its status, which another program may write, and after
@@ -263,6 +316,7 @@ impl PublisherThread {
         match fate {
             Fate::Delivered => {
                 self.has_progress.store(true, Ordering::Relaxed);
+                self.note_progress();
                 publication.handle_delivered(id);
             }
             Fate::Lost => publication.handle_undelivered(id),

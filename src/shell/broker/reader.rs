@@ -121,12 +121,13 @@ impl ReaderThread {
                     ReaderNotice::Subscribed { refused }
                 }
                 Ok(Event::Incoming(Packet::Publish(message))) => {
+                    failures = 0;
                     let (topic, payload) = (message.topic.to_vec(), message.payload.to_vec());
                     ReaderNotice::Message(topic, payload, message.retain)
                 }
                 Ok(_) => continue,
                 Err(error) => {
-                    let failure = BrokerFailure::of(&self.settings.address, &error);
+                    let failure = BrokerFailure::of(&self.settings.address, &error, was_connected);
                     failures += 1;
                     let is_over = failure.is_final && !was_connected;
                     let wait = (!is_over).then(|| back_off(failures));

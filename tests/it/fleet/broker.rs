@@ -441,8 +441,8 @@ fn hostile_messages_are_counted_and_large_ones_are_not_read() {
     assert_eq!(output.status.code(), Some(0), "{errors}");
     let json: Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!(state_of(&json, "good").as_deref(), Some("online"));
-    assert_eq!(json["rejected"], 2, "{json}");
-    assert!(errors.contains("2 documents not used"), "{errors}");
+    assert_eq!(json["rejected"], 3, "{json}");
+    assert!(errors.contains("3 documents not used"), "{errors}");
     assert!(!errors.contains('\u{1b}') && !text(&output.stdout).contains('\u{1b}'));
 }
 
