@@ -653,7 +653,7 @@ pub struct CheckArgs {
     #[cfg(feature = "fleet")]
     #[arg(long, value_name = "FOLDER", requires = "broker", conflicts_with_all = ["buses", "wait_for_all", "from"])]
     pub fleet: Option<PathBuf>,
-    /// The broker of --fleet: mqtts://HOST[:PORT], or mqtt:// without TLS
+    /// The broker of --fleet: mqtts://HOST:PORT, or mqtt:// without TLS
     #[cfg(feature = "fleet")]
     #[arg(long, value_name = "URL", requires = "fleet")]
     pub broker: Option<BrokerAddress>,
@@ -748,7 +748,7 @@ pub struct PublishArgs {
     /// The buses and how to treat them.
     #[command(flatten)]
     pub session: SessionArgs,
-    /// The broker: mqtts://HOST[:PORT], or mqtt:// without TLS
+    /// The broker: mqtts://HOST:PORT, or mqtt:// without TLS
     #[arg(long, value_name = "URL")]
     pub broker: BrokerAddress,
     /// Name of this gateway, unlike all others at the broker [default: the host name]
@@ -779,7 +779,7 @@ Examples:
   descan check --fleet sites --broker mqtts://mqtt.example.org
                                 compare each gateway with sites/GATEWAY/des.json")]
 pub struct FleetArgs {
-    /// The broker: mqtts://HOST[:PORT], or mqtt:// without TLS
+    /// The broker: mqtts://HOST:PORT, or mqtt:// without TLS
     #[arg(long, value_name = "URL")]
     pub broker: BrokerAddress,
     /// What the broker asks of its clients.

@@ -116,7 +116,7 @@ fn io_words(error: &io::Error) -> (String, Option<&'static str>, bool) {
 
 fn tls_words(error: &rustls::Error) -> (String, Option<&'static str>, bool) {
     let (remedy, is_final) = match error {
-        rustls::Error::InvalidCertificate(why) => (certificate_remedy(why), true),
+        rustls::Error::InvalidCertificate(why) => (Some(certificate_remedy(why)), true),
         rustls::Error::AlertReceived(_) => (OWN_CERTIFICATE, true),
         rustls::Error::InvalidMessage(_) => {
             (Some("the broker may have no TLS there: mqtt://, or another port"), true)
@@ -126,9 +126,9 @@ fn tls_words(error: &rustls::Error) -> (String, Option<&'static str>, bool) {
     (format!("TLS: {}", on_one_line(&error.to_string())), remedy, is_final)
 }
 
-fn certificate_remedy(why: &CertificateError) -> Option<&'static str> {
+fn certificate_remedy(why: &CertificateError) -> &'static str {
     use CertificateError as Why;
-    Some(match why {
+    match why {
         Why::Expired
         | Why::ExpiredContext { .. }
         | Why::NotValidYet
@@ -139,7 +139,7 @@ fn certificate_remedy(why: &CertificateError) -> Option<&'static str> {
             "name the broker as its certificate does"
         }
         _ => "name the certificate that signed it: --ca FILE",
-    })
+    }
 }
 
 fn refusal(code: ConnectReturnCode) -> (String, Option<&'static str>, bool) {

@@ -30,6 +30,9 @@ const READING: Duration = Duration::from_secs(10);
 /// is not usable, and one that lost a message never sends it.
 const MAX_ACK_DELAY: Duration = Duration::from_secs(10);
 
+/// Wait where the queue of the connection is full.
+const FULL_QUEUE_NAP: Duration = Duration::from_millis(50);
+
 /// Longest wait for the end of the connection.
 const FAREWELL: Duration = Duration::from_millis(300);
 
@@ -293,10 +296,14 @@ impl PublisherThread {
             while let Some(message) = self.next_message() {
                 let FleetMessage { topic, payload, is_retained, id } = message;
                 let options = PublishOptions::new(QoS::AtLeastOnce).retain(is_retained);
-                match client.try_publish_tracked(topic.clone(), payload.to_vec(), options) {
-                    Ok(notice) => sent.push(fate(topic, id, notice)),
-                    Err(_) => self.shared.publication().handle_undelivered(&id),
-                }
+                let sending = client.try_publish_tracked(topic.clone(), payload.to_vec(), options);
+                let Ok(notice) = sending else {
+                    // No room: the connection has to go on first.
+                    self.shared.publication().handle_undelivered(&id);
+                    sleep(FULL_QUEUE_NAP).await;
+                    break;
+                };
+                sent.push(fate(topic, id, notice));
             }
             tokio::select! {
                 () = self.shared.changed.notified() => {}
@@ -343,6 +350,7 @@ fn as_last_will(message: FleetMessage) -> LastWill {
 }
 
 /// What became of a message.
+#[derive(Clone, Copy)]
 enum Fate {
     Delivered,
     Lost,

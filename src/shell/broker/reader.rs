@@ -5,7 +5,7 @@ use super::back_off;
 use super::failure::BrokerFailure;
 use crate::time::Duration;
 use rumqttc::{
-    AsyncClient, Event, EventLoop, Packet, QoS, SubscribeFilterInput, SubscribeReasonCode,
+    AckMode, AsyncClient, Event, EventLoop, Packet, QoS, SubscribeFilterInput, SubscribeReasonCode,
 };
 use std::io;
 use std::thread;
@@ -14,6 +14,9 @@ use tokio::time::sleep;
 
 /// Number of messages that wait at most: a reader that is slower holds the broker back.
 const MAX_WAITING: usize = 1024;
+
+/// Number of messages that the broker sends before the first is acknowledged.
+const MAX_UNREAD: u16 = 256;
 
 /// What a connection brings.
 #[derive(Clone, Debug)]
@@ -46,7 +49,10 @@ impl BrokerReader {
     pub fn spawn(settings: &BrokerSettings, filters: &[&str]) -> io::Result<Self> {
         // Each viewer has a session of its own.
         let client_name = format!("descan-view-{:016x}", fastrand::u64(..));
-        let options = settings.options(&client_name);
+        let mut options = settings.options(&client_name);
+        // What was acknowledged and not read yet would be lost with the connection.
+        options.set_ack_mode(AckMode::Manual);
+        options.set_receive_maximum(Some(MAX_UNREAD));
         let (sender, notices) = mpsc::channel(MAX_WAITING);
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
         let task = ReaderThread {
@@ -55,7 +61,8 @@ impl BrokerReader {
             filters: filters.iter().map(|it| (*it).to_owned()).collect(),
         };
         thread::Builder::new().name("broker".to_owned()).spawn(move || {
-            let (client, events) = AsyncClient::builder(options).capacity(16).build();
+            let (client, events) =
+                AsyncClient::builder(options).capacity(4 * usize::from(MAX_UNREAD)).build();
             runtime.block_on(task.run(&client, events));
         })?;
         Ok(Self { notices })
@@ -122,6 +129,7 @@ impl ReaderThread {
                 }
                 Ok(Event::Incoming(Packet::Publish(message))) => {
                     failures = 0;
+                    let _ = client.try_ack(&message);
                     let (topic, payload) = (message.topic.to_vec(), message.payload.to_vec());
                     ReaderNotice::Message(topic, payload, message.retain)
                 }
