@@ -349,7 +349,7 @@ fn stopped_program_waits_again_before_it_clears() {
     let mut stage = FleetStage::fleet(80, 24);
     stage.connect();
     // Ctrl-Z for a minute: what the broker sent is not read yet.
-    stage.now += Duration::from_secs(60);
+    stage.now += Duration::from_mins(1);
     stage.screen.handle_timeout(stage.now);
     assert_eq!(*stage.screen.link(), BrokerLink::Reading);
     assert_eq!(stage.names(), "south north east west");

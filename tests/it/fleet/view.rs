@@ -26,6 +26,7 @@ const FEED: &str = r#"{"bus":"can0","address":10,"name":"FEED","presence":"onlin
 
 #[test]
 fn gateways_have_the_state_that_their_status_says() {
+    use GatewayState::{Lost, Online, Silent, Stopped, Unknown};
     let fleet = fleet(&[
         ("a/status", r#"{"online":true}"#),
         ("b/status", r#"{"online":false,"reason":"lost"}"#),
@@ -33,7 +34,6 @@ fn gateways_have_the_state_that_their_status_says() {
         ("d/bus/can0", r#"{"name":"can0"}"#),
     ]);
     let states = |now| ["a", "b", "c", "d"].map(|gateway| state(&fleet, gateway, now));
-    use GatewayState::{Lost, Online, Silent, Stopped, Unknown};
     assert_eq!(states(NOW), [Online, Lost, Stopped, Unknown]);
     assert_eq!(states(NOW + Duration::from_secs(75)), [Online, Lost, Stopped, Unknown]);
     assert_eq!(states(NOW + Duration::from_secs(76)), [Silent, Lost, Stopped, Unknown]);
