@@ -100,6 +100,7 @@ mod varint;
 mod versions;
 mod view;
 
+pub use crate::document::same_services;
 pub use address_plans::{PlanSession, PlanStart, PlanTask};
 pub use alarm::Alarm;
 pub use answer_text::format_millis;
@@ -149,7 +150,7 @@ pub use history::{BusesReplay, Moment, RecordedBuses};
 pub use input::parse_address;
 pub use input::{FilterPrompt, InputCheck, Overlay, Prompt, PromptKind, Question};
 pub use lanes::{Lane, LaneBoard, LaneCell, Lanes, format_step};
-pub use listing::{addition_refusal, same_services};
+pub use listing::addition_refusal;
 pub use load_bars::{LoadBar, bar_lines};
 pub use marks::{MAX_MARKS, Mark, Marks};
 pub use navigate::{Mouse, MouseKind};

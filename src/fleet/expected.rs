@@ -5,7 +5,10 @@
 //! itself. Does not know files.
 
 use super::view::FleetGateway;
-use crate::document::{Document, DocumentFindingKind, Entry, ListedService};
+use crate::document::{
+    Document, DocumentFindingKind, Entry, ListedService, OwnService, same_services,
+    service_differences,
+};
 use crate::finding::{CheckSection, FindingKind, FindingState};
 use crate::inventory::{InventoryDevice, InventoryService};
 use crate::text::{Quoted, printable};
@@ -162,8 +165,8 @@ impl<'a> FileComparer<'a> {
         let Some((listed, own)) = entry.listed_services().zip(device.services.as_deref()) else {
             return;
         };
-        if !is_same_list(listed, own, entry.has_ordered_services) {
-            let differences = differences(listed, own);
+        if !same_services(entry, own) {
+            let differences = service_differences(listed, own);
             let text =
                 format!("{name} at {address}: services differ from the file: {differences}.");
             self.add(CheckSection::ServicesDiffer, Some(&device.bus), Some(address), text);
@@ -245,46 +248,22 @@ fn is_duplicate(document: &Document, entry: &Entry) -> bool {
     doubles.any(|it| it.entries.contains(&entry.index))
 }
 
-/// Returns true if a service of a device is the one of an entry. One without a version matches any; the
-/// strings after the version do not count.
-fn is_same(listed: &ListedService, own: &InventoryService) -> bool {
-    let version = printable(listed.version.as_bytes());
-    let is_version = |rest: &str| rest.is_empty() || rest.starts_with(' ');
-    printable(listed.name.as_bytes()) == own.name
-        && (version.is_empty() || own.version.strip_prefix(&version).is_some_and(is_version))
-}
+/// The texts are printable, and the strings after the version are part of it; they do not count.
+impl OwnService for InventoryService {
+    fn is_named_as(&self, listed: &ListedService) -> bool {
+        self.name == printable(listed.name.as_bytes())
+    }
 
-/// Returns true if the services are equal; the order counts where the entry has one.
-fn is_same_list(listed: &[ListedService], own: &[InventoryService], has_order: bool) -> bool {
-    if listed.len() != own.len() {
-        return false;
+    fn has_version_of(&self, listed: &ListedService) -> bool {
+        let rest = self.version.strip_prefix(&printable(listed.version.as_bytes()));
+        rest.is_some_and(|rest| rest.is_empty() || rest.starts_with(' '))
     }
-    if has_order {
-        return listed.iter().zip(own).all(|(listed, own)| is_same(listed, own));
-    }
-    listed.iter().all(|listed| own.iter().any(|own| is_same(listed, own)))
-}
 
-/// How the services of a device differ from those of its entry, in the words of `check`.
-fn differences(listed: &[ListedService], own: &[InventoryService]) -> String {
-    let mut words = Vec::new();
-    for entry in listed {
-        let name = printable(entry.name.as_bytes());
-        let mut same_name = own.iter().filter(|it| it.name == name);
-        let is_there = same_name.clone().any(|it| is_same(entry, it));
-        match same_name.next() {
-            _ if is_there => {}
-            Some(other) => {
-                let version = printable(entry.version.as_bytes());
-                words.push(format!("{name} is {}, not {version}", other.version));
-            }
-            None => words.push(format!("{name} is missing")),
-        }
+    fn shown_name(&self) -> String {
+        self.name.clone()
     }
-    let is_listed = |own: &&InventoryService| {
-        listed.iter().any(|entry| printable(entry.name.as_bytes()) == own.name)
-    };
-    let further = own.iter().filter(|own| !is_listed(own));
-    words.extend(further.map(|it| format!("{} {} is not listed", it.name, it.version)));
-    if words.is_empty() { "different order or duplicates".to_owned() } else { words.join("; ") }
+
+    fn shown_version(&self) -> String {
+        self.version.clone()
+    }
 }
