@@ -27,7 +27,7 @@ pub struct FleetDocument {
     pub path: TopicPath,
     /// An object.
     pub value: Value,
-    /// Members whose change alone is no reason to send it at once, as `heartbeat.count`.
+    /// Members that do not cause a message when only they change, as `heartbeat.count`.
     pub counters: &'static [&'static str],
     /// Time after which a change of these members is sent as well.
     pub counter_period: Duration,
@@ -247,8 +247,8 @@ impl Publication {
         self.is_connected = false;
     }
 
-    /// The broker has this document of the gateway (`is_kept`), or got it now. One that there is no more,
-    /// as of an earlier run, is cleared.
+    /// Takes a document of this gateway from the broker: kept there since before the subscription
+    /// (`is_kept`), or published meanwhile. A kept one that is not known, left by an earlier run, is cleared.
     pub fn handle_message(&mut self, topic: &str, payload: &[u8], is_kept: bool) -> OtherRun {
         let own = self.gateway.topic("");
         let Some(tail) = topic.strip_prefix(&own).filter(|_| !payload.is_empty()) else {
@@ -296,6 +296,7 @@ impl Publication {
                 let slot = self.documents.get(tail).filter(|slot| slot.version == *version);
                 if slot.is_some_and(is_clear) {
                     self.documents.remove(tail);
+                    self.due.remove(tail);
                 }
             }
         }
@@ -439,8 +440,8 @@ fn without(object: &Value, counters: &[&str]) -> Value {
     object
 }
 
-/// Returns true if nothing but counters changed. One that is not known any more is no change: it may
-/// come and go.
+/// Returns true if nothing but counters changed. A counter that was known and is not now does not count:
+/// it may come and go.
 fn is_same(before: &Value, now: &Value, counters: &[&str]) -> bool {
     if before == now {
         return true;

@@ -7,16 +7,14 @@ use crate::fleet::{FleetMessage, FleetMessageId, OtherRun, Publication};
 use crate::time::Duration;
 use futures_util::stream::{FuturesUnordered, StreamExt as _};
 use rumqttc::{
-    AsyncClient, ConnectionError, Event, EventLoop, LastWill, Outgoing, Packet, PubAckReason,
-    PublishNotice, PublishNoticeError, PublishOptions, QoS, RetainForwardRule,
-    SubscribeFilterInput,
+    AsyncClient, Event, EventLoop, LastWill, Outgoing, Packet, PubAckReason, PublishNotice,
+    PublishNoticeError, PublishOptions, QoS, RetainForwardRule, SubscribeFilterInput,
 };
+use std::cell::Cell;
 use std::io;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{self, Receiver, SyncSender};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread;
-use std::time::Instant;
 use tokio::sync::Notify;
 use tokio::time::sleep;
 
@@ -25,10 +23,6 @@ const MAX_NOTICES: usize = 64;
 
 /// Time in which the documents of an earlier run arrive.
 const READING: Duration = Duration::from_secs(10);
-
-/// Longest time without an acknowledgement while something is to be acknowledged. A broker that is slower
-/// is not usable, and one that lost a message never sends it.
-const MAX_ACK_DELAY: Duration = Duration::from_secs(10);
 
 /// Wait where the queue of the connection is full.
 const FULL_QUEUE_NAP: Duration = Duration::from_millis(50);
@@ -92,8 +86,7 @@ impl BrokerPublisher {
             settings: settings.clone(),
             own,
             reading: Notify::new(),
-            has_progress: AtomicBool::new(false),
-            progress: Mutex::new(Instant::now()),
+            has_progress: Cell::new(false),
         };
         thread::Builder::new().name("broker".to_owned()).spawn(move || {
             // More than are sent at once: a request never waits for room.
@@ -139,9 +132,7 @@ struct PublisherThread {
     /// The subscription to all documents began.
     reading: Notify,
     /// The broker acknowledged something since the last failure.
-    has_progress: AtomicBool,
-    /// When it last did, or had nothing to acknowledge.
-    progress: Mutex<Instant>,
+    has_progress: Cell<bool>,
 }
 
 impl PublisherThread {
@@ -169,14 +160,9 @@ impl PublisherThread {
         let mut failures = 0;
         let mut was_connected = false;
         loop {
-            let Some(next) = self.next_event(events).await else {
-                self.start_again(events);
-                continue;
-            };
-            match next {
+            match events.poll().await {
                 Ok(Event::Incoming(Packet::ConnAck(packet))) => {
                     was_connected = true;
-                    self.note_progress();
                     // The session of an earlier run is not this one's: only later ones are kept.
                     events.options.set_clean_start(false);
                     self.shared.publication().handle_connected(packet.session_present);
@@ -209,7 +195,7 @@ impl PublisherThread {
                 Err(error) => {
                     self.shared.publication().handle_disconnected();
                     let failure = BrokerFailure::of(&self.settings.address, &error, was_connected);
-                    if self.has_progress.swap(false, Ordering::Relaxed) {
+                    if self.has_progress.replace(false) {
                         failures = 0;
                     }
                     failures += 1;
@@ -220,48 +206,9 @@ impl PublisherThread {
                     let wait = back_off(failures);
                     self.report(PublisherNotice::Failed(failure, Some(wait)));
                     sleep(wait).await;
-                    self.note_progress();
                 }
             }
         }
-    }
-
-    /// Waits for the next event; `None` if the broker acknowledged nothing for too long.
-    async fn next_event(&self, events: &mut EventLoop) -> Option<Result<Event, ConnectionError>> {
-        // Polled to its end: connecting begins anew when it is dropped.
-        let next = events.poll();
-        tokio::pin!(next);
-        loop {
-            tokio::select! {
-                event = &mut next => return Some(event),
-                () = sleep(Duration::from_secs(1)) => {
-                    if self.is_stalled() {
-                        return None;
-                    }
-                }
-            }
-        }
-    }
-
-    fn is_stalled(&self) -> bool {
-        if self.shared.publication().is_delivered() {
-            self.note_progress();
-        }
-        let last = *self.progress.lock().unwrap_or_else(PoisonError::into_inner);
-        last.elapsed() > MAX_ACK_DELAY
-    }
-
-    fn note_progress(&self) {
-        *self.progress.lock().unwrap_or_else(PoisonError::into_inner) = Instant::now();
-    }
-
-    /// Drops the connection and its session: what was not acknowledged is sent by the next one.
-    fn start_again(&self, events: &mut EventLoop) {
-        self.shared.publication().handle_disconnected();
-        events.clean();
-        events.reset_session_state();
-        events.options.set_clean_start(true);
-        self.note_progress();
     }
 
     /// Reads what the broker has of this gateway: its status, which another program may write, and after
@@ -322,8 +269,7 @@ impl PublisherThread {
         let mut publication = self.shared.publication();
         match fate {
             Fate::Delivered => {
-                self.has_progress.store(true, Ordering::Relaxed);
-                self.note_progress();
+                self.has_progress.set(true);
                 publication.handle_delivered(id);
             }
             Fate::Lost => publication.handle_undelivered(id),
