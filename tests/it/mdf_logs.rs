@@ -1,12 +1,10 @@
 //! ASAM MDF 4 with the frames of a bus: what is read, and from damaged files.
 
+use crate::common::program::{run_with_input, text};
 use crate::common::python::Python;
+use crate::common::read_log::read_log;
 use descan::frame::Frame;
-use descan::log::{LogReader, LogSummary, Unpacked};
 use std::fs;
-use std::io::{BufReader, Write};
-use std::path::Path;
-use std::process::{Command, Output, Stdio};
 
 /// Twenty frames with their data bytes in records of their own, behind each of them.
 const UNSORTED: &[u8] = include_bytes!("../corpus/mdf/unsorted");
@@ -22,35 +20,10 @@ const PYTHON_CAN: &[u8] = include_bytes!("../corpus/mdf/python_can");
 const SIXTH: &str = "01ABCDE5##00F101112131415161718191A1B1C1D1E1F202122232425262728292A2B2C2D2E2F\
     303132333435363738393A3B3C3D3E3F404142434445464748494A4B4C4D4E";
 
-fn read(bytes: &[u8]) -> (Vec<Frame>, LogSummary) {
-    let mut reader = LogReader::new(BufReader::new(Unpacked::new(bytes)));
-    let frames = reader.by_ref().map(Result::unwrap).collect();
-    (frames, reader.summary().clone())
-}
-
 /// Returns where the blocks of a type begin.
 fn blocks(bytes: &[u8], kind: &str) -> Vec<usize> {
     let mark = format!("##{kind}");
     (0..bytes.len() - 4).filter(|at| &bytes[*at..*at + 4] == mark.as_bytes()).collect()
-}
-
-fn text(bytes: &[u8]) -> String {
-    String::from_utf8(bytes.to_vec()).unwrap()
-}
-
-fn descan(folder: &Path, arguments: &[&str], input: &[u8]) -> Output {
-    let mut child = Command::new(env!("CARGO_BIN_EXE_descan"))
-        .args(arguments)
-        .current_dir(folder)
-        .env("XDG_CONFIG_HOME", folder.join("config"))
-        .stdin(Stdio::piped())
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped())
-        .spawn()
-        .unwrap();
-    // A log in a file needs no input.
-    let _ = child.stdin.take().unwrap().write_all(input);
-    child.wait_with_output().unwrap()
 }
 
 #[test]
@@ -61,7 +34,7 @@ fn data_bytes_are_found_wherever_they_are() {
         ("signal data", SIGNAL_DATA),
         ("packed", PACKED),
     ] {
-        let (frames, summary) = read(bytes);
+        let (frames, summary) = read_log(bytes);
         assert_eq!(summary.to_string(), "20 frames of 2 interfaces", "{name}");
         assert_eq!(*summary.interfaces, ["bus1", "bus2"], "{name}");
         let micros = |at: usize| summary.epoch.unwrap().unix_micros(frames[at].time);
@@ -75,7 +48,7 @@ fn data_bytes_are_found_wherever_they_are() {
 
 #[test]
 fn groups_of_python_can_are_put_in_order() {
-    let (frames, summary) = read(PYTHON_CAN);
+    let (frames, summary) = read_log(PYTHON_CAN);
     assert_eq!((frames.len(), summary.lost_entries(), summary.clock_steps_back), (12, 0, 0));
     let has = |test: fn(&Frame) -> bool| frames.iter().any(test);
     assert!(has(|frame| frame.is_fd) && has(|frame| !frame.is_fd) && has(|frame| frame.is_tx));
@@ -87,7 +60,7 @@ fn damaged_block_is_named_and_frames_before_it_are_read() {
     let second = blocks(SIGNAL_DATA, "DT")[1];
     let mut bytes = SIGNAL_DATA.to_vec();
     bytes[second + 2] = b'?';
-    let (frames, summary) = read(&bytes);
+    let (frames, summary) = read_log(&bytes);
     assert_eq!(frames.len(), 7, "{summary}");
     let said = summary.to_string();
     let expected = format!("; damaged block: the rest of its data cannot be read (byte {second})");
@@ -96,26 +69,26 @@ fn damaged_block_is_named_and_frames_before_it_are_read() {
     let second = blocks(PACKED, "DZ")[3];
     let mut bytes = PACKED.to_vec();
     bytes[second + 60..second + 70].fill(0x5A);
-    let (frames, summary) = read(&bytes);
+    let (frames, summary) = read_log(&bytes);
     assert_eq!(frames.len(), 7, "{summary}");
     assert!(summary.to_string().contains(&format!("(byte {second})")), "{summary}");
     // The end is missing.
-    let (frames, summary) = read(&UNSORTED[..UNSORTED.len() - 100]);
+    let (frames, summary) = read_log(&UNSORTED[..UNSORTED.len() - 100]);
     assert!((10..20).contains(&frames.len()), "{summary}");
     assert!(summary.to_string().contains("damaged block"), "{summary}");
-    let (frames, summary) = read(&UNFINISHED[..UNFINISHED.len() - 100]);
+    let (frames, summary) = read_log(&UNFINISHED[..UNFINISHED.len() - 100]);
     assert!((10..20).contains(&frames.len()), "{summary}");
     assert_eq!(summary.damage, None, "an unfinished file ends anywhere");
 }
 
 #[test]
 fn damage_of_one_group_leaves_the_others_readable() {
-    let (all, _) = read(PYTHON_CAN);
+    let (all, _) = read_log(PYTHON_CAN);
     let mut bytes = PYTHON_CAN.to_vec();
     // asammdf writes the groups of data, error and remote frames in this order.
     let first = blocks(PYTHON_CAN, "DZ")[0];
     bytes[first + 48..first + 60].fill(0x5A);
-    let (frames, summary) = read(&bytes);
+    let (frames, summary) = read_log(&bytes);
     assert!(summary.damage.is_some() && frames.len() < all.len(), "{summary}");
     assert_eq!(
         frames.len(),
@@ -132,7 +105,7 @@ fn lists_in_a_loop_end_the_log() {
         let mut bytes = SIGNAL_DATA.to_vec();
         // The next one is itself.
         bytes[at + 24..at + 32].copy_from_slice(&(at as u64).to_le_bytes());
-        let (frames, summary) = read(&bytes);
+        let (frames, summary) = read_log(&bytes);
         assert!(frames.len() <= 20, "{kind}");
         assert!(summary.to_string().contains("damaged block"), "{kind}: {summary}");
     }
@@ -154,7 +127,7 @@ fn measurement_without_frames_says_what_it_lacks() {
         ("signals.mf4", "0 frames; the measurement has no frames as ASAM bus logging has them"),
         ("old.mdf", "an ASAM MDF log of version 3 or older; convert it with asammdf"),
     ] {
-        let output = descan(folder.path(), &["convert", log, "out.log"], b"");
+        let output = run_with_input(&["convert", log, "out.log"], folder.path(), b"");
         let said = text(&output.stderr);
         assert_eq!(output.status.code(), Some(3), "{said}");
         assert!(said.contains(cause), "{said}");
@@ -166,7 +139,8 @@ fn measurements_are_read_from_files_and_pipes() {
     let folder = tempfile::tempdir().unwrap();
     fs::write(folder.path().join("log.mf4"), PACKED).unwrap();
     let convert = |from: &str, input: &[u8]| {
-        let output = descan(folder.path(), &["convert", from, "-", "--format", "candump"], input);
+        let output =
+            run_with_input(&["convert", from, "-", "--format", "candump"], folder.path(), input);
         assert_eq!(output.status.code(), Some(0), "{from}: {}", text(&output.stderr));
         text(&output.stdout)
     };
@@ -174,7 +148,7 @@ fn measurements_are_read_from_files_and_pipes() {
     assert_eq!(plain.lines().count(), 20);
     assert!(plain.contains(SIXTH), "{plain}");
     assert_eq!(convert("-", UNSORTED), plain);
-    let output = descan(folder.path(), &["log", "log.mf4", "--json"], b"");
+    let output = run_with_input(&["log", "log.mf4", "--json"], folder.path(), b"");
     assert_eq!(text(&output.stdout).lines().count(), 20, "{}", text(&output.stderr));
 }
 
@@ -194,7 +168,7 @@ fn hand_made_files_are_those_that_python_can_reads() {
         let path = folder.path().join("log.mf4");
         fs::write(&path, bytes).unwrap();
         let theirs = python.run(READER, &[path.to_str().unwrap()], &[]);
-        let (frames, summary) = read(bytes);
+        let (frames, summary) = read_log(bytes);
         let capital = |flag: bool| if flag { "True" } else { "False" };
         let line = |frame: &Frame| {
             let (id, is_extended) = match frame.id {

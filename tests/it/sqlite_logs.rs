@@ -1,13 +1,11 @@
 //! Databases of SQLite as python-can writes them: what is read, and from damaged ones.
 
-use descan::frame::Frame;
-use descan::log::{LogReader, LogSummary, Unpacked};
+use crate::common::program::{run_with_input, text};
+use crate::common::read_log::read_log;
 use flate2::Compression;
 use flate2::write::GzEncoder;
 use std::fs;
-use std::io::{BufReader, Write};
-use std::path::Path;
-use std::process::{Command, Output, Stdio};
+use std::io::Write;
 
 // The databases are those of the sqlite3 module of Python, with pages of 512 bytes.
 const KINDS: &[u8] = include_bytes!("../corpus/sqlite/kinds_of_rows");
@@ -15,34 +13,9 @@ const OTHER_COLUMNS: &[u8] = include_bytes!("../corpus/sqlite/other_columns");
 const THREE_LEVELS: &[u8] = include_bytes!("../corpus/sqlite/three_levels");
 const PAGE: usize = 512;
 
-fn read(bytes: &[u8]) -> (Vec<Frame>, LogSummary) {
-    let mut reader = LogReader::new(BufReader::new(Unpacked::new(bytes)));
-    let frames = reader.by_ref().map(Result::unwrap).collect();
-    (frames, reader.summary().clone())
-}
-
-fn descan(folder: &Path, arguments: &[&str], input: &[u8]) -> Output {
-    let mut child = Command::new(env!("CARGO_BIN_EXE_descan"))
-        .args(arguments)
-        .current_dir(folder)
-        .env("XDG_CONFIG_HOME", folder.join("config"))
-        .stdin(Stdio::piped())
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped())
-        .spawn()
-        .unwrap();
-    // A log in a file needs no input.
-    let _ = child.stdin.take().unwrap().write_all(input);
-    child.wait_with_output().unwrap()
-}
-
-fn text(bytes: &[u8]) -> String {
-    String::from_utf8(bytes.to_vec()).unwrap()
-}
-
 #[test]
 fn rows_of_every_kind_are_read_or_counted() {
-    let (frames, summary) = read(KINDS);
+    let (frames, summary) = read_log(KINDS);
     let printed: Vec<_> = frames.iter().map(ToString::to_string).collect();
     assert_eq!(
         printed,
@@ -83,7 +56,7 @@ fn rows_of_every_kind_are_read_or_counted() {
 
 #[test]
 fn columns_are_found_by_their_names() {
-    let (frames, summary) = read(OTHER_COLUMNS);
+    let (frames, summary) = read_log(OTHER_COLUMNS);
     let printed: Vec<_> = frames.iter().map(ToString::to_string).collect();
     assert_eq!(
         printed,
@@ -101,7 +74,7 @@ fn columns_are_found_by_their_names() {
 
 #[test]
 fn rows_of_many_pages_are_in_order() {
-    let (frames, summary) = read(THREE_LEVELS);
+    let (frames, summary) = read_log(THREE_LEVELS);
     assert_eq!((frames.len(), summary.lost_entries(), summary.clock_steps_back), (900, 0, 0));
     assert_eq!(summary.last.as_micros(), 8_990_000);
 }
@@ -113,7 +86,7 @@ fn damaged_database_is_read_up_to_the_named_page() {
     for page in 1..pages {
         let mut bytes = THREE_LEVELS.to_vec();
         bytes[page * PAGE..][..PAGE].fill(0x5A);
-        let (frames, summary) = read(&bytes);
+        let (frames, summary) = read_log(&bytes);
         let said = summary.to_string();
         if said.ends_with(&format!(
             "page {} of the database is damaged: the rest cannot be read",
@@ -124,7 +97,7 @@ fn damaged_database_is_read_up_to_the_named_page() {
         assert!(frames.len() < 900, "page {}: {said}", page + 1);
     }
     assert_eq!(named, pages - 1);
-    let (frames, summary) = read(&THREE_LEVELS[..20 * PAGE + 100]);
+    let (frames, summary) = read_log(&THREE_LEVELS[..20 * PAGE + 100]);
     assert!((100..900).contains(&frames.len()), "{summary}");
     assert!(
         summary
@@ -147,7 +120,7 @@ fn pages_in_a_loop_end_the_log() {
     for child in [vec![0, 0, 0, root as u8], first_page] {
         let mut bytes = THREE_LEVELS.to_vec();
         bytes[last..last + 4].copy_from_slice(&child);
-        let (frames, summary) = read(&bytes);
+        let (frames, summary) = read_log(&bytes);
         assert!((1..900).contains(&frames.len()), "{summary}");
         assert!(summary.to_string().contains("of the database is damaged"), "{summary}");
     }
@@ -158,7 +131,7 @@ fn database_of_another_program_says_what_it_lacks() {
     let folder = tempfile::tempdir().unwrap();
     let other = include_bytes!("../corpus/sqlite/without_table");
     fs::write(folder.path().join("other.db"), other).unwrap();
-    let output = descan(folder.path(), &["convert", "other.db", "out.log"], b"");
+    let output = run_with_input(&["convert", "other.db", "out.log"], folder.path(), b"");
     assert_eq!(output.status.code(), Some(3));
     let said = text(&output.stderr);
     assert!(said.contains("other.db: 0 frames; the database has no table messages"), "{said}");
@@ -173,7 +146,8 @@ fn files_pipes_and_packed_databases_are_read_alike() {
     fs::write(folder.path().join("log.db"), THREE_LEVELS).unwrap();
     fs::write(folder.path().join("log.db.gz"), &packed).unwrap();
     let convert = |from: &str, input: &[u8]| {
-        let output = descan(folder.path(), &["convert", from, "-", "--format", "candump"], input);
+        let output =
+            run_with_input(&["convert", from, "-", "--format", "candump"], folder.path(), input);
         assert_eq!(output.status.code(), Some(0), "{from}: {}", text(&output.stderr));
         text(&output.stdout)
     };
@@ -182,7 +156,7 @@ fn files_pipes_and_packed_databases_are_read_alike() {
     assert_eq!(convert("log.db.gz", b""), plain);
     assert_eq!(convert("-", THREE_LEVELS), plain);
     assert_eq!(convert("-", &packed), plain);
-    let output = descan(folder.path(), &["log", "log.db", "--json"], b"");
+    let output = run_with_input(&["log", "log.db", "--json"], folder.path(), b"");
     assert_eq!(text(&output.stdout).lines().count(), 900, "{}", text(&output.stderr));
 }
 
@@ -199,7 +173,8 @@ fn write_ahead_log_beside_a_database_is_named() {
     ] {
         fs::write(folder.path().join("log.db"), database).unwrap();
         fs::write(folder.path().join("log.db-wal"), wal).unwrap();
-        let output = descan(folder.path(), &["convert", "log.db", "out.log", "--force"], b"");
+        let output =
+            run_with_input(&["convert", "log.db", "out.log", "--force"], folder.path(), b"");
         let said = text(&output.stderr);
         assert_eq!(output.status.code(), Some(code), "{said}");
         let is_said = said.contains("what is in the file -wal beside it is not read");

@@ -10,7 +10,7 @@ use crate::theme::Role;
 use crate::time::Duration;
 use crate::ui::brush::{set_selected, wrap};
 use crate::ui::chart::grouped;
-use crate::ui::devices::period_text;
+use crate::ui::devices::{hidden_rows, period_text};
 use crate::ui::status::rate;
 use ratatui::layout::Rect;
 use ratatui::text::Line;
@@ -51,12 +51,7 @@ pub fn draw(brush: &mut FleetBrush) {
 fn draw_hidden_rows(brush: &mut FleetBrush, above: usize) {
     let (header, height) = (brush.regions.header, usize::from(brush.regions.list.height));
     let below = brush.screen.rows().len().saturating_sub(above + height);
-    let text = match (above, below) {
-        (0, 0) => return,
-        (above, 0) => format!(" ↑{above}"),
-        (0, below) => format!(" ↓{below}"),
-        (above, below) => format!(" ↑{above} ↓{below}"),
-    };
+    let Some(text) = hidden_rows(above, below) else { return };
     let width = text.width() as u16;
     if width < header.width {
         let line = Line::from(brush.span(Role::Muted, text));
