@@ -653,7 +653,7 @@ pub struct CheckArgs {
     #[cfg(feature = "fleet")]
     #[arg(long, value_name = "FOLDER", requires = "broker", conflicts_with_all = ["buses", "wait_for_all", "from"])]
     pub fleet: Option<PathBuf>,
-    /// The broker of --fleet: mqtts://HOST[:PORT], or mqtt:// without TLS
+    /// The broker of --fleet: mqtts://HOST:PORT, or mqtt:// without TLS
     #[cfg(feature = "fleet")]
     #[arg(long, value_name = "URL", requires = "fleet")]
     pub broker: Option<BrokerAddress>,
@@ -737,18 +737,18 @@ impl BrokerFiles {
 #[command(after_help = "\
 Publishes inventory, findings and bus state as retained JSON under descan/v1/GATEWAY, and events as they \
 happen. Only changes are sent. While the broker is away, events wait, at most 10000. Nothing that comes \
-from the broker is ever sent to a bus. More: descan help fleet
+from the broker is ever sent to a bus. More: descan help gateways
 
 Exit code: 0 ended by a signal or --time, 2 wrong usage, 3 bus, file or broker not usable.
 
 Examples:
-  descan publish can0 --broker mqtts://broker.example.org --gateway boiler-17
+  descan publish can0 --broker mqtts://mqtt.example.org --gateway boiler-17
   descan publish can0 can1 --broker mqtt://localhost --listen-only")]
 pub struct PublishArgs {
     /// The buses and how to treat them.
     #[command(flatten)]
     pub session: SessionArgs,
-    /// The broker: mqtts://HOST[:PORT], or mqtt:// without TLS
+    /// The broker: mqtts://HOST:PORT, or mqtt:// without TLS
     #[arg(long, value_name = "URL")]
     pub broker: BrokerAddress,
     /// Name of this gateway, unlike all others at the broker [default: the host name]
@@ -766,19 +766,20 @@ pub struct PublishArgs {
 #[cfg(feature = "fleet")]
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Only reads; nothing is published. With --json, or without a terminal, it prints what all gateways have \
-published, and ends. More: descan help fleet
+Only reads; nothing is published. On a terminal a screen shows all gateways: devices, versions, problems; \
+Enter opens a gateway, ? lists the keys. With --json, or without a terminal, it prints what all gateways \
+have published, and ends. More: descan help gateways
 
-Exit code: 0 no confirmed conflict, 1 one or more (without a screen), 2 wrong usage, 3 broker not usable, \
-130 interrupted.
+Exit code: 0 no confirmed conflict, or the screen was left, 1 one or more (without a screen), 2 wrong \
+usage, 3 broker not usable, 130 interrupted.
 
 Examples:
-  descan fleet --broker mqtts://broker.example.org
+  descan fleet --broker mqtts://mqtt.example.org
   descan fleet --broker mqtt://localhost --json | jq -r '.gateways[].name'
-  descan check --fleet sites --broker mqtts://broker.example.org
+  descan check --fleet sites --broker mqtts://mqtt.example.org
                                 compare each gateway with sites/GATEWAY/des.json")]
 pub struct FleetArgs {
-    /// The broker: mqtts://HOST[:PORT], or mqtt:// without TLS
+    /// The broker: mqtts://HOST:PORT, or mqtt:// without TLS
     #[arg(long, value_name = "URL")]
     pub broker: BrokerAddress,
     /// What the broker asks of its clients.
@@ -787,9 +788,12 @@ pub struct FleetArgs {
     /// Print JSON
     #[arg(long)]
     pub json: bool,
-    /// Wait at most SECONDS for the documents [default: 10]
+    /// Without a screen: wait at most SECONDS for the documents [default: 10]
     #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
     pub time: Option<Duration>,
+    /// UI theme: terminal | dark | light | high-contrast | mono, or the name of your own
+    #[arg(long, value_name = "NAME")]
+    pub theme: Option<String>,
 }
 
 /// `descan diff`.
@@ -894,6 +898,9 @@ pub struct LogArgs {
     /// A folder with types of devices, in place of devices beside des.json; repeatable
     #[arg(long, value_name = "FOLDER")]
     pub catalogue: Vec<PathBuf>,
+    /// A DBC file with the messages of frames that are not of DES; repeatable
+    #[arg(long, value_name = "FILE")]
+    pub dbc: Vec<PathBuf>,
     /// The project file [default: descan.toml in this folder or above]
     #[arg(long, value_name = "FILE", conflicts_with = "no_project")]
     pub project: Option<PathBuf>,
@@ -1102,6 +1109,9 @@ pub struct CommonArgs {
     /// A folder with types of devices, in place of devices beside des.json; repeatable
     #[arg(long, value_name = "FOLDER")]
     pub catalogue: Vec<PathBuf>,
+    /// A DBC file with the messages of frames that are not of DES; repeatable
+    #[arg(long, value_name = "FILE")]
+    pub dbc: Vec<PathBuf>,
     /// The project file [default: descan.toml in this folder or above]
     #[arg(long, value_name = "FILE", conflicts_with = "no_project")]
     pub project: Option<PathBuf>,
@@ -1140,6 +1150,7 @@ impl CommonArgs {
             file: None,
             profile,
             catalogue: Vec::new(),
+            dbc: Vec::new(),
             project: None,
             no_project: false,
             listen_only: true,

@@ -23,6 +23,7 @@
 //! * [`finding`]: what is wrong, with its evidence; one table of all kinds.
 //! * [`discovery`]: the engine of one bus: frames and time in; devices, findings and requests out.
 //! * [`catalogue`]: types of devices, as files describe them. [`toml_error`]: mistakes in such files.
+//! * [`dbc`]: messages and signals of DBC files.
 //! * [`composer`]: frames by fields with names, and the answers to them.
 //! * [`learning`]: values of the profile, from the frames of a bus.
 //! * [`prove`]: the rules of the documents, and whether a device keeps them.
@@ -70,6 +71,8 @@ pub mod bitrate;
 pub mod catalogue;
 #[cfg(feature = "std")]
 pub mod composer;
+#[cfg(feature = "std")]
+pub mod dbc;
 #[cfg(feature = "std")]
 pub mod diagnostic;
 #[cfg(feature = "std")]

@@ -12,6 +12,7 @@ use super::pinned_moments::{PinnedMoments, PinnedRange};
 use super::project_facts::ProjectFacts;
 use super::timeline_kind::TimelineKind;
 use crate::catalogue::Catalogue;
+use crate::dbc::MessageDatabase;
 use crate::discovery::{
     Config, DeviceId, DeviceRequest, Event, FrameSequence, RequestId, SequenceId,
 };
@@ -259,6 +260,11 @@ impl RecordedBuses {
     /// Sets what is known of types of devices; it is not a part of the past.
     pub(super) fn set_catalogue(&mut self, catalogue: Arc<Catalogue>) {
         self.now.set_catalogue(catalogue);
+    }
+
+    /// Sets the messages of DBC files; they are not a part of the past.
+    pub(super) fn set_messages(&mut self, messages: Arc<MessageDatabase>) {
+        self.now.set_messages(messages);
     }
 
     /// Sets what the project says about the buses; it is not a part of the past.

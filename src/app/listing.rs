@@ -1,4 +1,4 @@
-//! Devices as entries of des.json: new entries, and the comparison of services.
+//! Devices as entries of des.json: new entries, and services as they are listed.
 //!
 //! Pure: devices and entries in, entries and texts out.
 
@@ -6,10 +6,10 @@ use super::buses::Buses;
 use super::file::{Documents, EntryPlace, FileIndex};
 use super::file_inputs::Inputs;
 use crate::discovery::{Device, DeviceService};
-use crate::document::{Entry, ListedService, NewEntry, Operation};
+use crate::document::{Entry, ListedService, NewEntry, Operation, OwnService, same_services};
 use crate::finding::FindingState;
 use crate::frame::BusIndex;
-use crate::text::{Escaped, Name, join_first};
+use crate::text::{Name, printable};
 
 /// Entry of des.json for a device, with its present address, not pinned; `None` while its name is
 /// not known.
@@ -115,58 +115,22 @@ pub fn other_services<'a>(
     both.filter(|(_, own)| !same_services(entry, own))
 }
 
-/// Returns true if the services of an entry and of a device are equal. An entry without a version
-/// matches any version; the order counts only for an entry that requires it.
-pub fn same_services(entry: &Entry, own: &[DeviceService]) -> bool {
-    let listed = entry.services.as_deref().unwrap_or_default();
-    let same = |listed: &ListedService, own: &DeviceService| {
-        as_listed(&own.name) == listed.name
-            && (listed.version.is_empty() || as_listed(&own.version) == listed.version)
-    };
-    if listed.len() != own.len() {
-        return false;
+impl OwnService for DeviceService {
+    fn is_named_as(&self, listed: &ListedService) -> bool {
+        as_listed(&self.name) == listed.name
     }
-    if entry.has_ordered_services {
-        return listed.iter().zip(own).all(|(listed, own)| same(listed, own));
-    }
-    // Names are unique here.
-    listed.iter().all(|listed| own.iter().any(|own| same(listed, own)))
-}
 
-/// Number of differences that are listed; the others are counted.
-const LISTED_DIFFERENCES: usize = 4;
+    fn has_version_of(&self, listed: &ListedService) -> bool {
+        as_listed(&self.version) == listed.version
+    }
 
-/// Differences between the services of an entry and of a device, as text.
-pub(super) fn service_differences(listed: &[ListedService], own: &[DeviceService]) -> String {
-    let show = |text: &str| Escaped(text.as_bytes()).to_string();
-    let mut words = Vec::new();
-    for entry in listed {
-        let mut same_name = own.iter().filter(|it| as_listed(&it.name) == entry.name);
-        let is_there = same_name
-            .clone()
-            .any(|it| entry.version.is_empty() || as_listed(&it.version) == entry.version);
-        match same_name.next() {
-            _ if is_there => {}
-            Some(other) => words.push(format!(
-                "{} is {}, not {}",
-                show(&entry.name),
-                show(&as_listed(&other.version)),
-                show(&entry.version)
-            )),
-            None => words.push(format!("{} is missing", show(&entry.name))),
-        }
+    fn shown_name(&self) -> String {
+        printable(as_listed(&self.name).as_bytes())
     }
-    for service in own {
-        let name = as_listed(&service.name);
-        if !listed.iter().any(|entry| entry.name == name) {
-            let version = as_listed(&service.version);
-            words.push(format!("{} is not listed", show(&format!("{name} {version}"))));
-        }
+
+    fn shown_version(&self) -> String {
+        printable(as_listed(&self.version).as_bytes())
     }
-    if words.is_empty() {
-        return "different order or duplicates".to_owned();
-    }
-    join_first(words, LISTED_DIFFERENCES, "; ")
 }
 
 /// Text of a device's string in des.json: the text itself where it is UTF-8, else escaped.

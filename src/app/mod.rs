@@ -55,6 +55,7 @@ mod file;
 mod file_inputs;
 mod filter;
 mod filter_commands;
+mod fleet_screen;
 mod followed_frames;
 mod frame_selector;
 mod frame_sides;
@@ -99,6 +100,7 @@ mod varint;
 mod versions;
 mod view;
 
+pub use crate::document::same_services;
 pub use address_plans::{PlanSession, PlanStart, PlanTask};
 pub use alarm::Alarm;
 pub use answer_text::format_millis;
@@ -135,6 +137,12 @@ pub use filter::{
     Completion, CompletionSource, FILTER_FIELDS, FILTER_WORDS, Filter, FilterError, FilterField,
     FrameMatcher, RowKind,
 };
+pub use fleet_screen::{
+    BrokerLink, FLEET_KEYS, FleetDevice, FleetEffect, FleetEvent, FleetEventKind, FleetEventLog,
+    FleetFilter, FleetPage, FleetProblem, FleetPrompt, FleetRegions, FleetRow, FleetRowKey,
+    FleetScreen, FleetScreenOptions, FleetSort, FleetSums, GatewayFacts, GatewayRow, MAX_EVENTS,
+    MAX_FLEET_PROBLEMS, VersionRow,
+};
 pub use frame_selector::FrameSelector;
 pub use frame_sides::FrameSides;
 pub use help_view::HelpView;
@@ -142,7 +150,7 @@ pub use history::{BusesReplay, Moment, RecordedBuses};
 pub use input::parse_address;
 pub use input::{FilterPrompt, InputCheck, Overlay, Prompt, PromptKind, Question};
 pub use lanes::{Lane, LaneBoard, LaneCell, Lanes, format_step};
-pub use listing::{addition_refusal, same_services};
+pub use listing::addition_refusal;
 pub use load_bars::{LoadBar, bar_lines};
 pub use marks::{MAX_MARKS, Mark, Marks};
 pub use navigate::{Mouse, MouseKind};
@@ -189,6 +197,7 @@ pub use view::{
 
 use crate::bitrate::{SearchOutcome, SearchProgress};
 use crate::catalogue::{Catalogue, CatalogueFile};
+use crate::dbc::MessageDatabase;
 use crate::diagnostic::Diagnostic;
 use crate::discovery::{Config, Device, DeviceId};
 use crate::document::{Document, Entry, NewEntry};
@@ -274,6 +283,8 @@ pub struct AppOptions {
     pub capture_room: Option<usize>,
     /// What is known of types of devices.
     pub catalogue: Arc<Catalogue>,
+    /// Messages of DBC files.
+    pub messages: Arc<MessageDatabase>,
     /// What the project says about the buses.
     pub project: Arc<ProjectFacts>,
     /// Learn the profile of each bus from its frames.
@@ -541,6 +552,7 @@ impl App {
             app.show_error(warning);
         }
         app.buses.set_catalogue(options.catalogue);
+        app.buses.set_messages(options.messages);
         app
     }
 

@@ -241,6 +241,7 @@ impl App {
     pub(super) fn past_at(&mut self, moment: Moment, mut buses: Buses) -> Past {
         buses.refresh_redundancy();
         buses.set_catalogue(Arc::clone(self.buses.catalogue()));
+        buses.set_messages(Arc::clone(self.buses.messages()));
         buses.set_project(Arc::clone(self.buses.project()));
         let mut problems = self.problems.for_moment(moment.time);
         self.note_content();

@@ -37,6 +37,7 @@ pub use queue::Queue;
 pub use remote::stream::{Protocol, ProtocolIo, Unavailable};
 pub use replay::dates::LogDates;
 pub use replay::file::open_log;
+pub(crate) use replay::unpacking::unpacked_log;
 pub use sim::scenario;
 pub use slcan::{Slcan, SlcanAddress, SlcanSettings, serial_ports};
 pub use socketcan::{CanInterface, interface_exists, interfaces};

@@ -5,12 +5,10 @@
 
 use super::diff::spec_of;
 use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure, output};
-use crate::bus::{self, BusSpec, wall_micros};
+use crate::bus::{self, BusSpec, unpacked_log, wall_micros};
 use crate::cli::ConvertArgs;
 use crate::diagnostic::Diagnostic;
-use crate::log::{
-    FORMATS, LogEncoder, LogEntry, LogFormat, LogReader, LogSummary, READABLE_LOGS, Unpacked,
-};
+use crate::log::{FORMATS, LogEncoder, LogEntry, LogFormat, LogReader, LogSummary, READABLE_LOGS};
 use crate::open_file::{stdin_file, with_usual_mode};
 use crate::regular_file::{self, shown};
 use crate::shell::stop;
@@ -33,7 +31,9 @@ pub fn run(args: &ConvertArgs) -> Result<u8, Failure> {
         _ => stdin_file().map_err(unusable)?,
     };
     let is_file = file.metadata().map_err(unusable)?.is_file();
-    let mut reader = LogReader::new(BufReader::with_capacity(PART, Unpacked::new(file)));
+    let file = Arc::new(file);
+    let source = unpacked_log(Arc::clone(&file), &file).map_err(unusable)?;
+    let mut reader = LogReader::new(BufReader::with_capacity(PART, source));
     if !is_file {
         reader.date_arrivals(wall_micros);
     }

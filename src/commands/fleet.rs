@@ -75,7 +75,7 @@ pub fn read(settings: &BrokerSettings, limit: Duration) -> Result<Option<FleetRe
                     return Err(Failure::Unusable(failure.unwrap_or_else(no_response)));
                 }
                 notice = reader.next() => match notice {
-                    Some(ReaderNotice::Message(topic, payload)) => {
+                    Some(ReaderNotice::Message(topic, payload, _)) => {
                         fleet.handle_message(now(), &topic, &payload);
                     }
                     Some(ReaderNotice::Subscribed { refused }) if refused > 0 => {
@@ -101,7 +101,7 @@ pub fn read(settings: &BrokerSettings, limit: Duration) -> Result<Option<FleetRe
 /// Says what was not used.
 pub fn warn_rejects(fleet: &Fleet) {
     let rejects = fleet.rejects();
-    let count = rejects.malformed + rejects.oversized;
+    let count = rejects.count();
     if let Some(last) = rejects.last.as_ref().filter(|_| count > 0) {
         let documents = if count == 1 { "document" } else { "documents" };
         output::warn(format_args!("{count} {documents} not used; the last is {last}"));
@@ -207,7 +207,7 @@ impl<'a> FleetReport<'a> {
             broker: settings.address.to_string(),
             gateways: gateways.map(|(name, it)| of_gateway(name, it, read.now)).collect(),
             versions: versions.collect(),
-            rejected: rejects.malformed + rejects.oversized,
+            rejected: rejects.count(),
         }
     }
 

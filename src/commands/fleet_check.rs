@@ -140,13 +140,13 @@ struct SiteCheck {
     state: &'static str,
     entries: usize,
     devices: usize,
-    differences: Vec<DifferenceReport>,
+    differences: Vec<FleetDifferenceReport>,
     #[serde(skip)]
     found: Vec<FleetDifference>,
 }
 
 #[derive(Serialize)]
-struct DifferenceReport {
+struct FleetDifferenceReport {
     section: &'static str,
     bus: Option<String>,
     address: Option<u8>,
@@ -157,7 +157,7 @@ impl SiteCheck {
     fn new(site: &Site, fleet: &Fleet, now: Instant) -> Self {
         let gateway = fleet.gateway(&site.gateway);
         let found = gateway.map(|it| it.differences(&site.expected)).unwrap_or_default();
-        let differences = found.iter().map(|it| DifferenceReport {
+        let differences = found.iter().map(|it| FleetDifferenceReport {
             section: it.section.title(),
             bus: it.bus.clone(),
             address: it.address,

@@ -240,7 +240,8 @@ async fn open_log(
     let store = options.file_path.as_deref().map(Store::new);
     let catalogue = Arc::clone(&setup.catalogue);
     let project = setup.project_facts();
-    let options = AppOptions { epoch, catalogue, project, ..options };
+    let messages = Arc::clone(&setup.messages);
+    let options = AppOptions { epoch, catalogue, messages, project, ..options };
     let mut session = Session::of_log(App::new(start, options), log, setup.config.clone(), store);
     if let Some(recorder) = recorder {
         session.record(recorder, setup.record_selector());

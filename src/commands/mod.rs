@@ -14,6 +14,8 @@ mod export;
 mod fleet;
 #[cfg(feature = "fleet")]
 mod fleet_check;
+#[cfg(feature = "fleet")]
+mod fleet_screen;
 mod gate;
 mod generated_files;
 mod guide;
@@ -48,6 +50,8 @@ use crate::cli::{self, Cli, Command};
 use crate::diagnostic::Diagnostic;
 use device::DeviceTask;
 use output::print_own;
+#[cfg(feature = "fleet")]
+use std::io::IsTerminal as _;
 use std::process::ExitCode;
 
 /// Success: no findings that count.
@@ -95,6 +99,10 @@ pub fn run(cli: Cli) -> ExitCode {
         Some(Command::Watch(watch)) => watch::run(&watch),
         #[cfg(feature = "fleet")]
         Some(Command::Publish(args)) => publish::run(&args),
+        #[cfg(feature = "fleet")]
+        Some(Command::Fleet(args)) if !args.json && std::io::stdout().is_terminal() => {
+            fleet_screen::run(&args)
+        }
         #[cfg(feature = "fleet")]
         Some(Command::Fleet(args)) => fleet::run(&args),
         Some(Command::Diff(diff)) => diff::run(&diff),

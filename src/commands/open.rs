@@ -7,12 +7,13 @@ use crate::app::{
 use crate::bus::{self, BusSpec, CanInterface, Clock, LogDates, Options, Port};
 use crate::catalogue::{Catalogue, CatalogueText};
 use crate::cli::{self, CommonArgs, SessionArgs as Arguments};
+use crate::dbc::{self, MessageDatabase};
 use crate::diagnostic::{Diagnostic, nearest_word};
 use crate::discovery::Config;
 use crate::frame::{BusIndex, IdFilter};
 use crate::keymap::Keymap;
 use crate::project::Project;
-use crate::regular_file::shown;
+use crate::regular_file::{self, shown};
 use crate::shell::catalogue_folders::CatalogueFolders;
 use crate::shell::config::{ConfigFolder, UserSettings};
 use crate::shell::recorder::{Recorder, Size, Target};
@@ -58,6 +59,8 @@ pub struct Setup {
     pub catalogue: Arc<Catalogue>,
     /// Where it is read from, and what was read.
     pub catalogue_files: (CatalogueFolders, Vec<CatalogueText>),
+    /// Messages of DBC files.
+    pub messages: Arc<MessageDatabase>,
     /// Where frames are recorded.
     pub record: Option<Target>,
     /// Which frames are recorded: the line and its filter; `None` for all.
@@ -142,6 +145,7 @@ impl Setup {
             named_catalogue,
             catalogue: Arc::default(),
             catalogue_files: Default::default(),
+            messages: Arc::new(messages(&common.dbc)?),
             record,
             record_filter,
             only,
@@ -329,6 +333,27 @@ pub fn default_file() -> PathBuf {
 /// Reads a profile; `None` returns the assumed values.
 pub fn profile(path: Option<&Path>) -> Result<Profile, Failure> {
     path.map_or_else(|| Ok(Profile::default()), super::profile::read)
+}
+
+/// Reads DBC files.
+///
+/// # Errors
+/// A file cannot be read, or has a mistake.
+fn messages(paths: &[PathBuf]) -> Result<MessageDatabase, Failure> {
+    let mut messages = MessageDatabase::default();
+    for path in paths {
+        let missing = || Diagnostic::new("not found").with_remedy("check the name");
+        let bytes = regular_file::read(path, dbc::MAX_FILE);
+        let bytes = bytes.and_then(|bytes| bytes.ok_or_else(missing));
+        let read = bytes.and_then(|bytes| {
+            let wrong = |error: dbc::DbcError| {
+                Diagnostic::new(error.to_string()).with_remedy("correct it, or leave --dbc out")
+            };
+            messages.add(&bytes).map_err(wrong)
+        });
+        read.map_err(|fault| fault.of(shown(path)))?;
+    }
+    Ok(messages)
 }
 
 /// The buses of the arguments; without any, the only CAN interface.
@@ -574,6 +599,7 @@ pub fn session(
         file_path: Some(setup.file.clone()),
         own_file_paths: setup.own_files.clone(),
         catalogue: Arc::clone(&setup.catalogue),
+        messages: Arc::clone(&setup.messages),
         project: setup.project_facts(),
         ..options
     };

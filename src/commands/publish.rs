@@ -32,7 +32,7 @@ pub fn run(args: &PublishArgs) -> Result<u8, Failure> {
     let gateway = gateway(args)?;
     let settings = BrokerSettings::read(&args.files.access(&args.broker))?;
     settings.warnings.iter().for_each(output::warn);
-    let publication = Publication::new(gateway.clone(), unix_secs());
+    let publication = Publication::new(gateway.clone(), (unix_secs() * 1000.0) as u64);
     let publisher = BrokerPublisher::spawn(&settings, publication).context("no thread")?;
     let options = AppOptions {
         utc_offset_seconds: open::utc_offset_seconds(),
@@ -149,8 +149,9 @@ impl Feed {
                     let (why, wait) = (failure.diagnostic, wait.as_secs_f64());
                     output::warn(format_args!("{why}; next attempt in {wait:.0} s"));
                 }
-                PublisherNotice::Refused(topic) => output::warn(format_args!(
-                    "the broker refuses {topic}; let the user write descan/v1/{}/#",
+                PublisherNotice::Refused(topic, why) => output::warn(format_args!(
+                    "the broker refuses {topic}: {why}; it has to keep what this user writes to \
+                     descan/v1/{}/#",
                     self.gateway
                 )),
             }

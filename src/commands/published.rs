@@ -17,7 +17,7 @@ use std::collections::BTreeMap;
 pub const SUMMARY_PERIOD: Duration = Duration::from_secs(30);
 
 /// Period of the counters of devices: 127 devices send less than 200 bytes per second for them.
-const DEVICE_COUNTER_PERIOD: Duration = Duration::from_secs(1800);
+const DEVICE_COUNTER_PERIOD: Duration = Duration::from_mins(30);
 
 /// Members that change with every frame.
 const BUS_COUNTERS: &[&str] =

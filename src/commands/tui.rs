@@ -309,6 +309,31 @@ fn needs_terminal() -> Result<(), Failure> {
     Err(Failure::Usage(message.to_owned()))
 }
 
+/// Reads the theme: the named one, that of the settings, or the usual one.
+///
+/// # Errors
+/// The named one cannot be used; another one is a warning.
+pub fn themes(
+    folder: Option<&ConfigFolder>,
+    named: Option<&str>,
+    of_settings: Option<&str>,
+    warnings: &mut Vec<String>,
+) -> Result<ThemeLoader, Failure> {
+    let usual = usual_theme();
+    let wanted = named.or(of_settings).unwrap_or(usual);
+    match ThemeLoader::new(folder.cloned(), wanted) {
+        // A theme from the settings does not prevent the start.
+        Err(why) if named.is_none() => {
+            open::warn::<()>(warnings, &format!("theme {wanted}: {why}"));
+            // The user's own theme may have that name; without the folder it is built-in.
+            let themes = ThemeLoader::new(folder.cloned(), usual);
+            let themes = themes.or_else(|_| ThemeLoader::new(None, usual));
+            themes.map_err(|why| Failure::Usage(format!("theme {usual}: {why}")))
+        }
+        themes => themes.map_err(|why| Failure::Usage(format!("theme {wanted}: {why}"))),
+    }
+}
+
 /// Name of the theme, unless one is given.
 fn usual_theme() -> &'static str {
     if tui_loop::no_colour() { COLOURLESS_THEME } else { "terminal" }
@@ -328,22 +353,11 @@ fn show(
             remember_log(path);
         }
     }
-    let usual = usual_theme();
     let screen = chooser.screen;
     let theme = setup.chosen_theme.as_deref().or(screen.theme.as_deref());
-    let mut wanted = theme.or(setup.theme.as_deref()).unwrap_or(usual);
     let mut warnings = setup.warnings.clone();
-    let mut themes = match ThemeLoader::new(setup.folder.clone(), wanted) {
-        // A theme from the settings does not prevent the start.
-        Err(why) if theme.is_none() => {
-            open::warn::<()>(&mut warnings, &format!("theme {wanted}: {why}"));
-            wanted = usual;
-            // The user's own theme may have that name; without the folder it is built-in.
-            ThemeLoader::new(setup.folder.clone(), usual).or_else(|_| ThemeLoader::new(None, usual))
-        }
-        themes => themes,
-    }
-    .map_err(|why| Failure::Usage(format!("theme {wanted}: {why}")))?;
+    let own = setup.theme.as_deref();
+    let mut themes = self::themes(setup.folder.as_ref(), theme, own, &mut warnings)?;
     let saved_filters = setup.folder.as_ref().map_or(Ok(Vec::new()), ConfigFolder::saved_filters);
     let saved_filters = saved_filters.unwrap_or_else(|why| open::warn(&mut warnings, &why));
     let options = AppOptions {
@@ -351,7 +365,7 @@ fn show(
         recent_frames: recent_frames(),
         templates: frame_templates(),
         keymap: setup.keymap.clone(),
-        theme: wanted.to_owned(),
+        theme: themes.current.name.clone(),
         themes: themes.names(),
         signs: setup.signs.unwrap_or_else(terminal::signs),
         theme_faults: themes.faults(),

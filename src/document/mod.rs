@@ -21,6 +21,7 @@
 //! layout     the file's own layout
 //! merge      three-way merge
 //! changes    differences between two versions, for messages
+//! services   services of an entry and of its device
 //! text       strings: JSON, hexadecimal
 //! ```
 
@@ -34,6 +35,7 @@ mod merge;
 mod operation;
 mod position;
 mod scan;
+mod services;
 mod syntax;
 mod text;
 
@@ -48,6 +50,7 @@ pub use finding::{DocumentFinding, DocumentFindingKind};
 pub use merge::{ConflictChoices, EditConflict, Merge, MergePreference, merge, merge_with_choices};
 pub use operation::{EntryKey, FormerContent, FormerMembers, NewEntry, Operation, RemovedEntry};
 pub use position::Position;
+pub use services::{OwnService, same_services, service_differences};
 pub use syntax::ParseError;
 
 use finding::Findings;

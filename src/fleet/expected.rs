@@ -5,11 +5,14 @@
 //! itself. Does not know files.
 
 use super::view::FleetGateway;
-use crate::document::{Document, Entry};
+use crate::document::{
+    Document, DocumentFindingKind, Entry, ListedService, OwnService, same_services,
+    service_differences,
+};
 use crate::finding::{CheckSection, FindingKind, FindingState};
 use crate::inventory::{InventoryDevice, InventoryService};
-use crate::text::Quoted;
-use std::collections::BTreeMap;
+use crate::text::{Quoted, printable};
+use std::collections::{BTreeMap, BTreeSet};
 
 /// A des.json, and the buses that it is for.
 #[derive(Clone, Debug)]
@@ -39,7 +42,7 @@ impl FleetGateway {
     pub fn differences(&self, expected: &[ExpectedDevices]) -> Vec<FleetDifference> {
         let mut found: Vec<FleetDifference> = self.conflicts().collect();
         for file in expected {
-            Comparer { gateway: self, file, found: &mut found }.compare();
+            FileComparer { gateway: self, file, found: &mut found }.compare();
         }
         found
     }
@@ -60,29 +63,49 @@ impl FleetGateway {
     }
 }
 
-struct Comparer<'a> {
+struct FileComparer<'a> {
     gateway: &'a FleetGateway,
     file: &'a ExpectedDevices,
     found: &'a mut Vec<FleetDifference>,
 }
 
-impl<'a> Comparer<'a> {
+impl<'a> FileComparer<'a> {
     fn compare(&mut self) {
         let file = self.file;
         for finding in file.document.findings() {
-            let text = format!("{} ({})", finding.message, finding.position);
+            let entry = finding.entries.first().and_then(|&at| file.document.entries().get(at));
+            // A message about one entry does not name it.
+            let whose = entry.filter(|_| finding.entries.len() == 1);
+            let whose = whose.map_or(String::new(), |entry| format!("{}: ", Quoted(&entry.name)));
+            let text = format!("{whose}{} ({})", finding.message, finding.position);
             self.add(CheckSection::FileErrors, None, None, text);
         }
         let by_bus: Vec<MatchedBus<'a>> =
             self.devices_by_bus().into_values().map(|it| MatchedBus::new(file, it)).collect();
+        let buses: Vec<&str> = self.buses();
         for entry in file.document.entries() {
-            self.entry(entry, &by_bus);
+            // Of another bus, or reported as an error of the file.
+            let is_here = entry.bus.is_none() || buses.iter().any(|bus| entry.is_for_bus(bus));
+            if is_here && !is_duplicate(&file.document, entry) {
+                self.entry(entry, &by_bus);
+            }
         }
         for device in by_bus.iter().flat_map(MatchedBus::unlisted) {
             let who = device.name.as_deref().unwrap_or("An unnamed device");
             let text = format!("{who} at {} is not in the file.", device.address);
             self.add(CheckSection::NotInFile, Some(&device.bus), Some(device.address), text);
         }
+    }
+
+    /// The buses of the file that the gateway has.
+    fn buses(&self) -> Vec<&'a str> {
+        let of_devices = self.gateway.devices().map(|device| device.bus.as_str());
+        let all = self.gateway.buses().map(|bus| bus.name.as_str()).chain(of_devices);
+        let all: BTreeSet<&str> = all.collect();
+        let is_here = |bus: &&str| {
+            self.file.buses.as_ref().is_none_or(|it| it.iter().any(|name| name == bus))
+        };
+        all.into_iter().filter(is_here).collect()
     }
 
     /// The present devices on the buses of the file, without debug devices.
@@ -142,14 +165,10 @@ impl<'a> Comparer<'a> {
         let Some((listed, own)) = entry.listed_services().zip(device.services.as_deref()) else {
             return;
         };
-        let listed = listed.iter().map(|service| {
-            let extra = service.extra.iter();
-            let version = extra.fold(service.version.clone(), |all, one| all + " " + one);
-            InventoryService { name: service.name.clone(), version }
-        });
-        let difference = difference(listed.collect(), own.to_vec(), entry.has_ordered_services);
-        if let Some(difference) = difference {
-            let text = format!("{name} at {address}: services differ from the file: {difference}.");
+        if !same_services(entry, own) {
+            let differences = service_differences(listed, own);
+            let text =
+                format!("{name} at {address}: services differ from the file: {differences}.");
             self.add(CheckSection::ServicesDiffer, Some(&device.bus), Some(address), text);
         }
     }
@@ -222,30 +241,29 @@ impl<'a> MatchedBus<'a> {
     }
 }
 
-/// How the services of a device differ from those of its entry, in words; `None` if they do not.
-fn difference(
-    mut listed: Vec<InventoryService>,
-    mut own: Vec<InventoryService>,
-    has_order: bool,
-) -> Option<String> {
-    if listed == own {
-        return None;
+/// Returns true if another entry describes the same device.
+fn is_duplicate(document: &Document, entry: &Entry) -> bool {
+    let mut doubles =
+        document.findings().iter().filter(|it| it.kind == DocumentFindingKind::DuplicateEntry);
+    doubles.any(|it| it.entries.contains(&entry.index))
+}
+
+/// The texts are printable, and the strings after the version are part of it; they do not count.
+impl OwnService for InventoryService {
+    fn is_named_as(&self, listed: &ListedService) -> bool {
+        self.name == printable(listed.name.as_bytes())
     }
-    let text = |it: &InventoryService| format!("{} {}", it.name, it.version).trim_end().to_owned();
-    let only = |of: &[InventoryService], other: &[InventoryService]| -> Vec<String> {
-        of.iter().filter(|it| !other.contains(it)).map(text).collect()
-    };
-    let missing = only(&listed, &own).into_iter().map(|it| format!("{it} is not on the device"));
-    let further = only(&own, &listed).into_iter().map(|it| format!("{it} is not listed"));
-    let parts: Vec<String> = missing.chain(further).collect();
-    if !parts.is_empty() {
-        return Some(parts.join("; "));
+
+    fn has_version_of(&self, listed: &ListedService) -> bool {
+        let rest = self.version.strip_prefix(&printable(listed.version.as_bytes()));
+        rest.is_some_and(|rest| rest.is_empty() || rest.starts_with(' '))
     }
-    listed.sort();
-    own.sort();
-    match (listed == own, has_order) {
-        (true, false) => None,
-        (true, true) => Some("another order".to_owned()),
-        (false, _) => Some("one is there several times".to_owned()),
+
+    fn shown_name(&self) -> String {
+        self.name.clone()
+    }
+
+    fn shown_version(&self) -> String {
+        self.version.clone()
     }
 }

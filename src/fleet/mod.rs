@@ -11,9 +11,11 @@ mod topic;
 mod view;
 
 pub use expected::{ExpectedDevices, FleetDifference};
-pub use publication::{Delivery, FleetDocument, FleetMessage, MAX_QUEUED_EVENTS, Publication};
+pub use publication::{
+    FleetDocument, FleetMessage, FleetMessageId, MAX_QUEUED_EVENTS, OtherRun, Publication,
+};
 pub use topic::{FleetTopic, GatewayName, GatewayNameError, TopicPath};
 pub use view::{
     EventCounts, Fleet, FleetGateway, FleetRejects, GatewayState, GatewayStatus,
-    MAX_DOCUMENT_BYTES, MAX_GATEWAYS, ServiceVersion,
+    MAX_DOCUMENT_BYTES, MAX_GATEWAY_DOCUMENTS, MAX_GATEWAYS, ServiceVersion,
 };

@@ -27,7 +27,7 @@ pub struct FleetDocument {
     pub path: TopicPath,
     /// An object.
     pub value: Value,
-    /// Members whose change alone is no reason to send it at once, as `heartbeat.count`.
+    /// Members that do not cause a message when only they change, as `heartbeat.count`.
     pub counters: &'static [&'static str],
     /// Time after which a change of these members is sent as well.
     pub counter_period: Duration,
@@ -43,17 +43,31 @@ pub struct FleetMessage {
     /// The broker keeps it for later subscribers.
     pub is_retained: bool,
     /// To be passed back when it is known what became of the message.
-    pub delivery: Delivery,
+    pub id: FleetMessageId,
 }
 
 /// Which message it was.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Delivery {
+pub enum FleetMessageId {
     /// A document: its levels after the gateway, and its version.
     Document(String, u64),
     /// An event, by its number.
     Event(u64),
 }
+
+/// What is known of other programs with the name of the gateway.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum OtherRun {
+    /// None, or an earlier one.
+    None,
+    /// One before this one, by a clock that was ahead: the last will has changed.
+    Before,
+    /// One that was started later: this one gives way.
+    Later,
+}
+
+/// Latest start that is believed, in Unix milliseconds: 2200-01-01.
+const MAX_STARTED: u64 = 7_258_118_400_000;
 
 /// A document, and what the broker has of it.
 #[derive(Debug)]
@@ -73,8 +87,9 @@ struct DocumentSlot {
 #[derive(Debug)]
 pub struct Publication {
     gateway: GatewayName,
-    /// Start of the program, in Unix seconds: tells the documents and events of two runs apart.
-    started: f64,
+    /// Start of the program, in Unix milliseconds: tells the documents and events of two runs apart, and
+    /// is later than that of any run before.
+    started: u64,
     documents: BTreeMap<String, DocumentSlot>,
     /// Documents to be sent.
     due: BTreeSet<String>,
@@ -90,11 +105,12 @@ pub struct Publication {
     in_flight: usize,
     refused: u64,
     is_connected: bool,
+    connections: u64,
 }
 
 impl Publication {
-    /// Creates the publication of a program that started at `started`, in Unix seconds.
-    pub fn new(gateway: GatewayName, started: f64) -> Self {
+    /// Creates the publication of a program that started at `started`, in Unix milliseconds.
+    pub fn new(gateway: GatewayName, started: u64) -> Self {
         Self {
             gateway,
             started,
@@ -109,6 +125,7 @@ impl Publication {
             in_flight: 0,
             refused: 0,
             is_connected: false,
+            connections: 0,
         }
     }
 
@@ -134,12 +151,12 @@ impl Publication {
 
     /// The last will: what the broker publishes as the status if the connection is lost.
     pub fn last_will(&self) -> FleetMessage {
-        let payload = json!({"online": false, "reason": "lost", "started": self.started});
+        let payload = json!({"online": false, "reason": "lost", "started_ms": self.started});
         FleetMessage {
             topic: TopicPath::Status.of(&self.gateway),
             payload: payload.to_string().into_bytes().into(),
             is_retained: true,
-            delivery: Delivery::Document(TopicPath::Status.to_string(), 0),
+            id: FleetMessageId::Document(TopicPath::Status.to_string(), 0),
         }
     }
 
@@ -177,7 +194,7 @@ impl Publication {
         let events = json!({"last": self.last_event, "dropped": self.dropped_events});
         let members = [
             ("online", json!(true)),
-            ("started", json!(self.started)),
+            ("started_ms", json!(self.started)),
             ("time", json!(unix_secs)),
             ("events", events),
         ];
@@ -188,7 +205,7 @@ impl Publication {
     /// The program stops: the status says so, as the last message.
     pub fn handle_stop(&mut self, now: Instant, unix_secs: f64) {
         let payload = json!({
-            "online": false, "reason": "stopped", "started": self.started, "time": unix_secs,
+            "online": false, "reason": "stopped", "started_ms": self.started, "time": unix_secs,
         });
         self.put(TopicPath::Status.to_string(), &payload, now, Value::Null, None);
     }
@@ -196,7 +213,7 @@ impl Publication {
     /// Takes an event, an object as in `watch --json`.
     pub fn handle_event(&mut self, event: Value) {
         self.last_event += 1;
-        let members = [("seq", json!(self.last_event)), ("started", json!(self.started))];
+        let members = [("seq", json!(self.last_event)), ("started_ms", json!(self.started))];
         let payload: Arc<[u8]> = with_members(event, members).to_string().into_bytes().into();
         self.queued_bytes += payload.len();
         self.events.push_back((self.last_event, payload));
@@ -216,6 +233,7 @@ impl Publication {
     /// are sent again.
     pub fn handle_connected(&mut self, is_session_kept: bool) {
         self.is_connected = true;
+        self.connections += 1;
         if is_session_kept {
             // The last will may have replaced it.
             self.mark_due(TopicPath::Status.to_string());
@@ -229,65 +247,73 @@ impl Publication {
         self.is_connected = false;
     }
 
-    /// The broker has this document of the gateway, or got it now. One that there is no more, as of an
-    /// earlier run, is cleared. Returns true if another program, which was started later, publishes with
-    /// the same name.
-    pub fn handle_message(&mut self, topic: &str, payload: &[u8]) -> bool {
+    /// Takes a document of this gateway from the broker: kept there since before the subscription
+    /// (`is_kept`), or published meanwhile. A kept one that is not known, left by an earlier run, is cleared.
+    pub fn handle_message(&mut self, topic: &str, payload: &[u8], is_kept: bool) -> OtherRun {
         let own = self.gateway.topic("");
         let Some(tail) = topic.strip_prefix(&own).filter(|_| !payload.is_empty()) else {
-            return false;
+            return OtherRun::None;
         };
-        match tail {
-            "event" => false,
-            "status" => self.handle_other_status(payload),
-            _ if self.documents.contains_key(tail) => false,
-            _ => {
-                self.clear(tail.to_owned());
-                false
-            }
+        if tail == "status" {
+            return self.handle_other_status(payload, is_kept);
         }
+        if is_kept && !self.documents.contains_key(tail) {
+            self.clear(tail.to_owned());
+        }
+        OtherRun::None
     }
 
-    /// The status at the broker. Another program with the name may have changed documents.
-    fn handle_other_status(&mut self, payload: &[u8]) -> bool {
+    /// The status at the broker. Another program with the name may have changed documents; the one that
+    /// was started later stays.
+    fn handle_other_status(&mut self, payload: &[u8], is_kept: bool) -> OtherRun {
         let status: Value = serde_json::from_slice(payload).unwrap_or_default();
-        let started = status.get("started").and_then(Value::as_f64).unwrap_or(self.started);
-        let is_online = status.get("online") == Some(&Value::Bool(true));
-        if is_online && started < self.started {
-            self.due = self.documents.keys().cloned().collect();
+        let started = status.get("started_ms").and_then(Value::as_u64).unwrap_or_default();
+        if started == self.started {
+            return OtherRun::None;
         }
-        is_online && started > self.started
+        if started < self.started || started > MAX_STARTED {
+            self.due = self.documents.keys().cloned().collect();
+            return OtherRun::None;
+        }
+        if is_kept && self.connections == 1 {
+            // That of an earlier run, by a clock that was ahead.
+            self.started = started + 1;
+            self.renew_status();
+            return OtherRun::Before;
+        }
+        OtherRun::Later
     }
 
     /// What became of a message: the broker has it.
-    pub fn handle_delivered(&mut self, delivery: &Delivery) {
+    pub fn handle_delivered(&mut self, id: &FleetMessageId) {
         self.in_flight = self.in_flight.saturating_sub(1);
-        match delivery {
-            Delivery::Event(number) => {
+        match id {
+            FleetMessageId::Event(number) => {
                 self.sent_events.remove(number);
             }
-            Delivery::Document(tail, version) => {
+            FleetMessageId::Document(tail, version) => {
                 let is_clear = |slot: &DocumentSlot| slot.payload.is_none();
                 let slot = self.documents.get(tail).filter(|slot| slot.version == *version);
                 if slot.is_some_and(is_clear) {
                     self.documents.remove(tail);
+                    self.due.remove(tail);
                 }
             }
         }
     }
 
     /// What became of a message: it was lost with the session, and is sent again.
-    pub fn handle_undelivered(&mut self, delivery: &Delivery) {
+    pub fn handle_undelivered(&mut self, id: &FleetMessageId) {
         self.in_flight = self.in_flight.saturating_sub(1);
-        match delivery {
-            Delivery::Event(number) => {
+        match id {
+            FleetMessageId::Event(number) => {
                 let Some(payload) = self.sent_events.remove(number) else { return };
                 let at = self.events.partition_point(|(other, _)| other < number);
                 self.queued_bytes += payload.len();
                 self.events.insert(at, (*number, payload));
                 self.keep_bound();
             }
-            Delivery::Document(tail, version) => {
+            FleetMessageId::Document(tail, version) => {
                 if self.documents.get(tail).is_some_and(|slot| slot.version == *version) {
                     self.due.insert(tail.clone());
                 }
@@ -296,9 +322,9 @@ impl Publication {
     }
 
     /// What became of a message: the broker does not take it.
-    pub fn handle_refused(&mut self, delivery: &Delivery) {
+    pub fn handle_refused(&mut self, id: &FleetMessageId) {
         self.refused += 1;
-        self.handle_delivered(delivery);
+        self.handle_delivered(id);
     }
 
     /// Returns the next message to send: documents before the status, which tells that they are
@@ -321,7 +347,7 @@ impl Publication {
             topic: self.gateway.topic(&tail),
             payload: slot.payload.clone().unwrap_or_default(),
             is_retained: true,
-            delivery: Delivery::Document(tail, slot.version),
+            id: FleetMessageId::Document(tail, slot.version),
         })
     }
 
@@ -333,7 +359,7 @@ impl Publication {
             topic: TopicPath::Event.of(&self.gateway),
             payload,
             is_retained: false,
-            delivery: Delivery::Event(number),
+            id: FleetMessageId::Event(number),
         })
     }
 
@@ -370,6 +396,19 @@ impl Publication {
         self.due.insert(tail);
     }
 
+    /// Sends the status again, with the start of the program as it is now.
+    fn renew_status(&mut self) {
+        let tail = TopicPath::Status.to_string();
+        let payload = self.documents.get(&tail).and_then(|slot| slot.payload.clone());
+        let Some(Value::Object(mut status)) =
+            payload.and_then(|payload| serde_json::from_slice(&payload).ok())
+        else {
+            return;
+        };
+        status.insert("started_ms".to_owned(), json!(self.started));
+        self.put(tail, &Value::Object(status), Instant::ZERO, Value::Null, None);
+    }
+
     fn mark_due(&mut self, tail: String) {
         if self.documents.contains_key(&tail) {
             self.due.insert(tail);
@@ -401,8 +440,8 @@ fn without(object: &Value, counters: &[&str]) -> Value {
     object
 }
 
-/// Returns true if nothing but counters changed. One that is not known any more is no change: it may
-/// come and go.
+/// Returns true if nothing but counters changed. A counter that was known and is not now does not count:
+/// it may come and go.
 fn is_same(before: &Value, now: &Value, counters: &[&str]) -> bool {
     if before == now {
         return true;

@@ -15,7 +15,7 @@ const ROOT: &str = "descan/v1";
 /// Longest topic that is read, in bytes.
 const MAX_TOPIC_BYTES: usize = 1024;
 
-/// The name of a gateway: 1 to 64 letters, digits, `.`, `_` and `-`.
+/// The name of a gateway: 1 to 64 letters, digits, `.`, `_` and `-`, but not `.` or `..`.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct GatewayName(Arc<str>);
 
@@ -49,7 +49,9 @@ impl FromStr for GatewayName {
 
     fn from_str(text: &str) -> Result<Self, Self::Err> {
         let is_allowed = |byte: u8| byte.is_ascii_alphanumeric() || b"._-".contains(&byte);
-        let fits = (1..=Self::MAX).contains(&text.len()) && text.bytes().all(is_allowed);
+        let is_folder = matches!(text, "." | "..");
+        let has_length = (1..=Self::MAX).contains(&text.len()) && !is_folder;
+        let fits = has_length && text.bytes().all(is_allowed);
         if fits { Ok(Self(text.into())) } else { Err(GatewayNameError) }
     }
 }

@@ -1,12 +1,13 @@
 //! What a viewer knows of all gateways, from their documents.
 //!
 //! Input: messages of any origin, by topic. Output: the gateways with their inventories, and counters of
-//! what was not used. Bounded: [`MAX_GATEWAYS`], [`MAX_DOCUMENT_BYTES`] for one document,
-//! [`MAX_FLEET_BYTES`] for all. Does not know the connection or the screen.
+//! what was not used. Bounded: [`MAX_GATEWAYS`], [`MAX_GATEWAY_DOCUMENTS`] for each,
+//! [`MAX_DOCUMENT_BYTES`] for one document, [`MAX_FLEET_BYTES`] for all. Does not know the connection or
+//! the screen.
 
 use super::topic::{FleetTopic, GatewayName, TopicPath};
 use crate::inventory::{Inventory, InventoryBus, InventoryDevice, InventoryFinding};
-use crate::text::on_one_line;
+use crate::text::{on_one_line, printable};
 use crate::time::{Duration, Instant};
 use serde::Deserialize;
 use std::collections::{BTreeMap, BTreeSet};
@@ -16,6 +17,9 @@ pub const MAX_GATEWAYS: usize = 10_000;
 
 /// Longest document that is read, in bytes.
 pub const MAX_DOCUMENT_BYTES: usize = 64 << 10;
+
+/// Number of buses, devices and findings of a gateway at most; further ones are counted and not used.
+pub const MAX_GATEWAY_DOCUMENTS: usize = 4096;
 
 /// Length of all documents together at most, in bytes.
 const MAX_FLEET_BYTES: usize = 128 << 20;
@@ -39,6 +43,13 @@ pub enum GatewayState {
     Online,
 }
 
+impl FleetRejects {
+    /// Number of all messages that were not used.
+    pub fn count(&self) -> u64 {
+        self.foreign + self.malformed + self.oversized
+    }
+}
+
 impl GatewayState {
     /// The word for it, as in JSON.
     pub const fn name(self) -> &'static str {
@@ -60,8 +71,8 @@ pub struct GatewayStatus {
     pub online: bool,
     /// Why it is not: `lost`, `stopped`.
     pub reason: String,
-    /// Start of the program, in Unix seconds.
-    pub started: f64,
+    /// Start of the program, in Unix milliseconds.
+    pub started_ms: u64,
     /// Time of the status by the clock of the gateway, in Unix seconds.
     pub time: Option<f64>,
     /// Version of the program.
@@ -80,6 +91,12 @@ pub struct EventCounts {
     pub dropped: u64,
 }
 
+/// A topic of any origin, shortened.
+fn shown_topic(topic: &[u8]) -> String {
+    const MOST: usize = 80;
+    printable(&topic[..topic.len().min(MOST)])
+}
+
 /// A document, and its length as it was published.
 #[derive(Clone, Debug, PartialEq)]
 struct StoredDocument<T> {
@@ -95,6 +112,8 @@ pub struct FleetGateway {
     status: Option<StoredDocument<GatewayStatus>>,
     /// Time at which the status was received.
     received: Instant,
+    /// Changes with every document.
+    revision: u64,
     buses: BTreeMap<String, StoredDocument<InventoryBus>>,
     devices: BTreeMap<(String, u8), StoredDocument<InventoryDevice>>,
     findings: BTreeMap<(String, String), StoredDocument<InventoryFinding>>,
@@ -104,6 +123,16 @@ impl FleetGateway {
     /// Its last status.
     pub fn status(&self) -> Option<&GatewayStatus> {
         self.status.as_ref().map(|status| &status.content)
+    }
+
+    /// Time at which its last status was received.
+    pub fn status_received(&self) -> Instant {
+        self.received
+    }
+
+    /// A number that no other state of the gateway has or had.
+    pub fn revision(&self) -> u64 {
+        self.revision
     }
 
     /// Whether it publishes, at `now`.
@@ -129,6 +158,16 @@ impl FleetGateway {
         self.devices.values().map(|device| &device.content)
     }
 
+    /// A device.
+    pub fn device(&self, bus: &str, address: u8) -> Option<&InventoryDevice> {
+        self.devices.get(&(bus.to_owned(), address)).map(|device| &device.content)
+    }
+
+    /// Its open findings, each with the bus of its topic and its identifier there.
+    pub fn findings_by_id(&self) -> impl Iterator<Item = (&str, &str, &InventoryFinding)> {
+        self.findings.iter().map(|((bus, id), it)| (bus.as_str(), id.as_str(), &it.content))
+    }
+
     /// Its open findings.
     pub fn findings(&self) -> impl Iterator<Item = &InventoryFinding> {
         self.findings.values().map(|finding| &finding.content)
@@ -147,8 +186,12 @@ impl FleetGateway {
 
     /// Returns true without any document.
     fn is_empty(&self) -> bool {
-        let has_parts = [self.buses.len(), self.devices.len(), self.findings.len()] != [0; 3];
-        self.status.is_none() && !has_parts
+        self.status.is_none() && self.count() == 0
+    }
+
+    /// Number of documents besides the status.
+    fn count(&self) -> usize {
+        self.buses.len() + self.devices.len() + self.findings.len()
     }
 
     /// Length of all documents.
@@ -199,7 +242,7 @@ impl FleetGateway {
             TopicPath::Status => {
                 let content: GatewayStatus = serde_json::from_slice(payload)
                     .map_err(|error| on_one_line(&error.to_string()))?;
-                let descan = crate::text::printable(content.descan.as_bytes());
+                let descan = printable(content.descan.as_bytes());
                 self.status = Some(StoredDocument {
                     content: GatewayStatus { descan, ..content },
                     bytes,
@@ -248,7 +291,7 @@ pub struct FleetRejects {
     pub malformed: u64,
     /// Documents that are too long, or above the bound of all.
     pub oversized: u64,
-    /// The last malformed or oversized one: its topic and the cause.
+    /// The last one: its topic and the cause.
     pub last: Option<String>,
 }
 
@@ -260,6 +303,8 @@ pub struct Fleet {
     rejects: FleetRejects,
     /// Number of the connection.
     connection: u32,
+    /// Number of the last change.
+    revision: u64,
 }
 
 impl Fleet {
@@ -288,6 +333,8 @@ impl Fleet {
     pub fn handle_complete(&mut self) {
         let now = self.connection;
         for gateway in self.gateways.values_mut() {
+            self.revision += 1;
+            gateway.revision = self.revision;
             gateway.status = gateway.status.take().filter(|it| it.connection == now);
             gateway.buses.retain(|_, it| it.connection == now);
             gateway.devices.retain(|_, it| it.connection == now);
@@ -301,6 +348,7 @@ impl Fleet {
     pub fn handle_message(&mut self, now: Instant, topic: &[u8], payload: &[u8]) {
         let Some(FleetTopic { gateway, path }) = FleetTopic::parse(topic) else {
             self.rejects.foreign += 1;
+            self.rejects.last = Some(format!("{}: no topic of a gateway", shown_topic(topic)));
             return;
         };
         if path == TopicPath::Event {
@@ -308,11 +356,19 @@ impl Fleet {
         }
         let known = self.gateways.get(&gateway);
         let before = known.map_or(0, |it| it.bytes_at(&path));
-        let is_full = known.is_none() && self.gateways.len() >= MAX_GATEWAYS;
+        let is_new = before == 0 && !payload.is_empty() && path != TopicPath::Status;
         let after = self.bytes - before + payload.len();
-        if payload.len() > MAX_DOCUMENT_BYTES || after > MAX_FLEET_BYTES || is_full {
+        let excess = if known.is_none() && self.gateways.len() >= MAX_GATEWAYS {
+            Some("too many gateways")
+        } else if is_new && known.is_some_and(|it| it.count() >= MAX_GATEWAY_DOCUMENTS) {
+            Some("too many documents")
+        } else if payload.len() > MAX_DOCUMENT_BYTES || after > MAX_FLEET_BYTES {
+            Some("too long")
+        } else {
+            None
+        };
+        if let Some(why) = excess {
             self.rejects.oversized += 1;
-            let why = if is_full { "too many gateways" } else { "too long" };
             self.rejects.last = Some(format!("{gateway}/{path}: {why}"));
             return;
         }
@@ -323,8 +379,13 @@ impl Fleet {
         }
         let (name, shown) = (gateway.clone(), path.to_string());
         let as_of = (now, self.connection);
-        match self.gateways.entry(gateway).or_default().insert(as_of, path, payload) {
-            Ok(()) => self.bytes = after,
+        let stored = self.gateways.entry(gateway).or_default();
+        match stored.insert(as_of, path, payload) {
+            Ok(()) => {
+                self.bytes = after;
+                self.revision += 1;
+                stored.revision = self.revision;
+            }
             Err(why) => {
                 self.rejects.malformed += 1;
                 self.rejects.last = Some(format!("{name}/{shown}: {why}"));
@@ -336,6 +397,8 @@ impl Fleet {
     fn clear(&mut self, name: &GatewayName, path: TopicPath) {
         if let Some(gateway) = self.gateways.get_mut(name) {
             gateway.remove(path);
+            self.revision += 1;
+            gateway.revision = self.revision;
             self.forget_if_empty(name);
         }
     }

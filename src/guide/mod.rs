@@ -52,7 +52,7 @@ topics! {
     "findings" "findings" [] "what descan finds, how it is proven, what to do";
     "des.json" "des-json" ["schema"] "the list of devices and static addresses";
     "scripting" "scripting" ["scan" "check" "watch" "diff" "log"] "scan, check, watch, diff and log: JSON, exit codes, CI";
-    "fleet" "fleet" ["publish" "fleet"] "the inventories of many gateways, over an MQTT broker";
+    "gateways" "gateways" ["publish" "fleet"] "the inventories of many gateways, over an MQTT broker";
     "recording" "recording" [] "recording to a file, logs and their replay";
     "logs" "logs" ["convert"] "the formats of logs, and their conversion";
     "profiles" "profiles" ["profile"] "values that the protocol leaves open";

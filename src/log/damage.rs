@@ -29,6 +29,23 @@ pub enum Damage {
     /// Decompression needs more memory than descan uses for it.
     #[error("its compression needs over 128 MB of memory; pack it again, with a smaller window")]
     Window,
+    /// A page of a database, by its number, is not what it must be.
+    #[error("page {0} of the database is damaged: the rest cannot be read")]
+    Page(u32),
+    /// A page of a database is behind the end of the file.
+    #[error("page {0} of the database is missing: the rest cannot be read")]
+    PageMissing(u32),
+    /// A block of a measurement is missing or not what it must be.
+    #[error("damaged block: the rest of its data cannot be read")]
+    Block,
+    /// A measurement has no group of frames.
+    #[error(
+        "the measurement has no frames as ASAM bus logging has them; export them as ASC or BLF"
+    )]
+    NoBusLog,
+    /// A database has not the table of python-can.
+    #[error("the database has no table messages, as python-can writes it")]
+    NoTable,
     /// A text of [`MAX_WITHOUT_FRAME`] bytes without a line end.
     #[error("no line end in 16 MB: the rest is not read")]
     NoLineEnd,
@@ -41,5 +58,10 @@ impl Damage {
     /// Returns true if the rest becomes readable when the file grows.
     pub fn is_truncated(self) -> bool {
         self == Damage::Truncated
+    }
+
+    /// Returns true if its text says where it is.
+    pub(super) fn has_place(self) -> bool {
+        matches!(self, Self::Page(_) | Self::PageMissing(_) | Self::NoTable | Self::NoBusLog)
     }
 }

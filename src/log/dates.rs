@@ -33,6 +33,18 @@ fn unix_micros(local: DateTime) -> Option<u64> {
     u64::try_from(zoned.timestamp().as_microsecond()).ok()
 }
 
+/// Returns the microseconds since 1970 of a local time, which is given as such microseconds in UTC.
+pub(super) fn local_micros(micros: u64) -> Option<u64> {
+    let timestamp = jiff::Timestamp::from_microsecond(i64::try_from(micros).ok()?).ok()?;
+    unix_micros(TimeZone::UTC.to_datetime(timestamp))
+}
+
+/// Returns nanoseconds since 1970 in microseconds, rounded: they come from floating-point numbers. `None`
+/// before 1970.
+pub(super) fn unix_nanos_micros(nanos: i128) -> Option<u64> {
+    u64::try_from((nanos + 500).div_euclid(1000)).ok().filter(|_| nanos > -500)
+}
+
 /// Returns the local time of microseconds since 1970, at most in the year 9999.
 pub(super) fn local_time(unix_micros: u64) -> DateTime {
     let micros = i64::try_from(unix_micros).unwrap_or(i64::MAX);

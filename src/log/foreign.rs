@@ -11,10 +11,8 @@ pub enum ForeignFormat {
     Bzip2,
     /// An archive of files.
     Zip,
-    /// Measurement data of ASAM.
+    /// Measurement data of ASAM, version 3 or older.
     Mdf,
-    /// A database of SQLite.
-    Sqlite,
     /// Text log of BUSMASTER.
     Busmaster,
 }
@@ -37,7 +35,7 @@ struct Facts {
 const NO_LINE: fn(&[u8]) -> bool = |_| false;
 
 impl ForeignFormat {
-    const ALL: [Self; 5] = [Self::Bzip2, Self::Zip, Self::Mdf, Self::Sqlite, Self::Busmaster];
+    const ALL: [Self; 4] = [Self::Bzip2, Self::Zip, Self::Mdf, Self::Busmaster];
 
     const fn facts(self) -> Facts {
         match self {
@@ -56,18 +54,11 @@ impl ForeignFormat {
                 extension: Some("zip"),
             },
             Self::Mdf => Facts {
-                name: "an ASAM MDF log",
-                remedy: "convert it with python-can: python3 -m can.logconvert OLD.mf4 NEW.log",
-                magics: &[b"MDF     ", b"UnFinMF "],
+                name: "an ASAM MDF log of version 3 or older",
+                remedy: "convert it with asammdf: asammdf.MDF(OLD).convert('4.10').save(NEW)",
+                magics: &[b"MDF     2", b"MDF     3"],
                 is_first_line: NO_LINE,
-                extension: Some("mf4"),
-            },
-            Self::Sqlite => Facts {
-                name: "a database of SQLite",
-                remedy: "convert it with python-can: python3 -m can.logconvert OLD.db NEW.log",
-                magics: &[b"SQLite format 3\0"],
-                is_first_line: NO_LINE,
-                extension: Some("db"),
+                extension: Some("mdf"),
             },
             Self::Busmaster => Facts {
                 name: "a BUSMASTER log",

@@ -16,15 +16,20 @@ mod channel;
 mod csv;
 mod damage;
 mod dates;
+mod entry_stream;
 mod fields;
 mod foreign;
 mod frame_source;
 mod loss;
+mod mdf;
+mod mdf_blocks;
 mod packet;
 mod pcap;
 pub mod pcapng;
 mod plain_line;
+mod random_access;
 mod reader;
+mod sqlite;
 mod summary;
 mod text;
 mod trc;
@@ -35,6 +40,7 @@ pub use fields::FieldFault;
 pub use foreign::ForeignFormat;
 pub use frame_source::FrameSource;
 pub use loss::LogLoss;
+pub use random_access::{LogSpool, MakeSpool, RandomAccess};
 pub use reader::{LogPosition, LogReader};
 pub use summary::{EntryFault, LogSummary, UnreadableEntries};
 pub use unpack::{Packing, Unpacked};
@@ -92,7 +98,7 @@ pub static FORMATS: [LogFormat; 6] = [
 ];
 
 /// Binary contents that are read. Any other is text.
-static CONTENTS: [LogContent; 3] = [
+static CONTENTS: [LogContent; 5] = [
     LogContent {
         unit: "block",
         detect: |head| FormatMatch::of_magic(&pcapng::MAGIC, head),
@@ -108,6 +114,16 @@ static CONTENTS: [LogContent; 3] = [
         detect: |head| FormatMatch::of_magic(blf::MAGIC, head),
         decoder: |_| Box::<EntryDecoder<blf::MeasurementState>>::default(),
     },
+    LogContent {
+        unit: "row",
+        detect: |head| FormatMatch::of_magic(entry_stream::ROWS_MAGIC, head),
+        decoder: |_| Box::<EntryDecoder<entry_stream::EntryStreamState>>::default(),
+    },
+    LogContent {
+        unit: "record",
+        detect: |head| FormatMatch::of_magic(entry_stream::RECORDS_MAGIC, head),
+        decoder: |_| Box::<EntryDecoder<entry_stream::EntryStreamState>>::default(),
+    },
 ];
 
 /// Lines of text, in any of the text formats.
@@ -118,7 +134,7 @@ static TEXT: LogContent = LogContent {
 };
 
 /// File name endings of logs that are read but not written, in lower case.
-const READ_EXTENSIONS: &[&str] = &["pcap", "gz", "zst", "xz"];
+const READ_EXTENSIONS: &[&str] = &["pcap", "db", "sqlite", "sqlite3", "mf4", "gz", "zst", "xz"];
 
 /// The way out where nothing of a log can be read.
 pub const READABLE_LOGS: &str = "use candump, pcapng, ASC, BLF, TRC or CSV (descan help logs)";

@@ -18,6 +18,9 @@ use std::sync::Arc;
 /// Largest step back at which an entry gets the moment of the entry before it. A larger one means
 /// that the clock was set back.
 const MAX_REORDER: Duration = Duration::from_secs(1);
+/// Of a database with a write-ahead log.
+const SKIPPED_WAL: &str = "what is in the file -wal beside it is not read; end the program that writes \
+                           it, or run: sqlite3 LOG.db 'pragma wal_checkpoint'";
 /// Gap after which a clock that was set back may have returned to its earlier time.
 const GAP: Duration = Duration::from_secs(10);
 
@@ -73,6 +76,8 @@ pub struct LogSummary {
     pub written_micros: u64,
     /// The log has no times: its frames have those at which they were read, or all the same.
     pub is_timeless: bool,
+    /// The log is a database whose write-ahead log, a file beside it, is not read.
+    pub has_skipped_wal: bool,
     /// Time at which the next entry is read, in microseconds since 1970; 0 if it is not known.
     pub(super) arrival: u64,
     /// Offset added to the times in the log, because the clock was set back.
@@ -119,18 +124,25 @@ impl LogSummary {
         self.damage_at = self.damage.map(|damage| noted.unwrap_or((damage, self.bytes)));
     }
 
+    /// Notes where damage is that is not behind what was read.
+    pub(super) fn note_damage_at(&mut self, damage: Damage, byte: u64) {
+        self.damage_at = Some((damage, byte));
+    }
+
     /// Counts the entries of another log, which follows. Interfaces, frames and time go on.
     pub(super) fn begin_another_log(&mut self) {
         self.forget_unreadable();
         (self.entries, self.clock_steps_back) = (0, 0);
         (self.damage, self.foreign) = (None, None);
         (self.damage_at, self.bytes) = (None, 0);
+        self.has_skipped_wal = false;
         self.frames_before = self.frames;
     }
 
     /// Returns the number of entries that cannot be read; of a damaged log, its rest counts as one.
     pub fn lost_entries(&self) -> u64 {
-        self.unreadable + u64::from(self.damage.is_some() || self.foreign.is_some())
+        let is_damaged = self.damage.is_some() || self.foreign.is_some();
+        self.unreadable + u64::from(is_damaged) + u64::from(self.has_skipped_wal)
     }
 
     /// Returns true if its first entries cannot be read: it is probably not a log. A few may be
@@ -248,7 +260,13 @@ impl fmt::Display for LogSummary {
             write!(f, "; {entries}")?;
         }
         if let Some(damage) = self.damage {
-            write!(f, "; {damage} (byte {})", self.damage_at.map_or(self.bytes, |(_, byte)| byte))?;
+            write!(f, "; {damage}")?;
+            if !damage.has_place() {
+                write!(f, " (byte {})", self.damage_at.map_or(self.bytes, |(_, byte)| byte))?;
+            }
+        }
+        if self.has_skipped_wal {
+            write!(f, "; {SKIPPED_WAL}")?;
         }
         if self.is_timeless {
             write!(f, "; without times")?;

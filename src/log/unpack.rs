@@ -1,10 +1,15 @@
-//! Packed logs: compressed with gzip, zstd or xz, and the containers of BLF. The bytes of the file in,
-//! those of the log out.
+//! Packed logs: compressed with gzip, zstd or xz, the containers of BLF, and databases of SQLite. The bytes
+//! of the file in, those of the log out.
 //!
 //! Known by their first bytes. A log may be packed twice, such as a BLF log in gzip. The memory does not
-//! depend on lengths in the file. Does not know formats but BLF's containers.
+//! depend on lengths in the file. Does not know formats but BLF's containers and those that are read in any
+//! order.
 
 use super::blf::{self, OBJECT_HEAD, file_head_len, object_size};
+use super::entry_stream::{RECORDS_MAGIC, ROWS_MAGIC};
+use super::mdf::{self, MdfLog};
+use super::random_access::{EntryStream, MakeSpool, RandomAccess, store};
+use super::sqlite::{self, SqliteTable};
 use flate2::read::MultiGzDecoder;
 use flate2::{Decompress, FlushDecompress, Status};
 use lzma_rust2::Lzma2Reader;
@@ -29,17 +34,24 @@ pub enum Packing {
     Xz,
     /// The containers of a BLF log.
     Blf,
+    /// The pages of a database of SQLite.
+    Sqlite,
+    /// The blocks of ASAM MDF 4.
+    Mdf,
 }
 
 impl Packing {
     /// First bytes of a log that are needed.
-    pub const HEAD: usize = 6;
+    pub const HEAD: usize = 16;
 
-    const ALL: [(Self, &[u8]); 4] = [
+    const ALL: [(Self, &[u8]); 7] = [
         (Self::Gzip, &[0x1F, 0x8B]),
         (Self::Zstd, &[0x28, 0xB5, 0x2F, 0xFD]),
         (Self::Xz, &[0xFD, b'7', b'z', b'X', b'Z', 0]),
         (Self::Blf, blf::MAGIC),
+        (Self::Sqlite, sqlite::MAGIC),
+        (Self::Mdf, mdf::MAGIC),
+        (Self::Mdf, mdf::UNFINISHED_MAGIC),
     ];
 
     /// Returns how a log with these first bytes is packed; `None` if it is not.
@@ -60,12 +72,24 @@ impl Packing {
 /// decompression needs too much memory.
 pub struct Unpacked<'a> {
     source: UnpackedSource<'a>,
+    access: LogAccess<'a>,
     /// Where the unpacked bytes are written, too.
     copy: Option<Box<dyn Write + Send + 'a>>,
     /// Why the rest of a packed log cannot be read.
     failure: Option<io::ErrorKind>,
     /// Bytes of the log that were read.
     count: u64,
+}
+
+/// How formats are read that are read in any order.
+#[derive(Default)]
+struct LogAccess<'a> {
+    /// The file that the source reads.
+    file: Option<Box<dyn RandomAccess + 'a>>,
+    /// Makes a file for other sources.
+    spool: Option<MakeSpool>,
+    /// A write-ahead log with contents is beside the file.
+    has_wal: bool,
 }
 
 enum UnpackedSource<'a> {
@@ -79,7 +103,24 @@ impl<'a> Unpacked<'a> {
     /// Begins with the first byte of `source`.
     pub fn new(source: impl Read + Send + 'a) -> Self {
         let source = UnpackedSource::Start(Some(Box::new(source)));
-        Self { source, copy: None, failure: None, count: 0 }
+        Self { source, access: LogAccess::default(), copy: None, failure: None, count: 0 }
+    }
+
+    /// Reads formats that are read in any order in the file that the source reads; `has_wal` says that a
+    /// write-ahead log with contents is beside it.
+    #[must_use]
+    pub fn with_file(mut self, file: impl RandomAccess + 'a, has_wal: bool) -> Self {
+        self.access.file = Some(Box::new(file));
+        self.access.has_wal = has_wal;
+        self
+    }
+
+    /// Writes logs of such formats that are not read in a file to one that `spool` makes; they are held in
+    /// memory, up to 16 MB, without it.
+    #[must_use]
+    pub fn with_spool(mut self, spool: MakeSpool) -> Self {
+        self.access.spool = Some(spool);
+        self
     }
 
     /// Also writes the bytes of a packed log to `copy`.
@@ -95,9 +136,12 @@ impl<'a> Unpacked<'a> {
     }
 
     /// Reads the first bytes and opens the layers of the log.
-    fn open(source: Box<dyn Read + Send + 'a>) -> io::Result<UnpackedSource<'a>> {
+    fn open(
+        source: Box<dyn Read + Send + 'a>,
+        access: LogAccess<'a>,
+    ) -> io::Result<UnpackedSource<'a>> {
         let mut source: Box<dyn Read + Send + 'a> = Box::new(Uninterrupted(source));
-        let mut is_packed = false;
+        let (mut is_packed, mut file) = (false, access.file);
         for _ in 0..MAX_LAYERS {
             let head = read_head(&mut source)?;
             let packing = Packing::of_head(&head);
@@ -116,7 +160,22 @@ impl<'a> Unpacked<'a> {
                     source = Box::new(ContainerReader::new(whole));
                     break;
                 }
+                Packing::Sqlite | Packing::Mdf => {
+                    let stored = match file.take() {
+                        Some(file) => (file, None),
+                        None => store(whole, access.spool)?,
+                    };
+                    source = if packing == Packing::Sqlite {
+                        let table = SqliteTable::new(access.has_wal);
+                        Box::new(EntryStream::new(stored, table, ROWS_MAGIC))
+                    } else {
+                        Box::new(EntryStream::new(stored, MdfLog::new(), RECORDS_MAGIC))
+                    };
+                    break;
+                }
             };
+            // The file has the compressed bytes.
+            file = None;
         }
         Ok(if is_packed { UnpackedSource::Packed(source) } else { UnpackedSource::Plain(source) })
     }
@@ -140,7 +199,7 @@ impl Read for Unpacked<'_> {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         if let UnpackedSource::Start(source) = &mut self.source {
             let source = source.take().ok_or(io::ErrorKind::UnexpectedEof)?;
-            self.source = Self::open(source)?;
+            self.source = Self::open(source, std::mem::take(&mut self.access))?;
         }
         if let Some(failure) = self.failure {
             return Err(failure.into());

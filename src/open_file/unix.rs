@@ -4,6 +4,8 @@ use nix::fcntl::OFlag;
 use nix::libc::O_NONBLOCK;
 use std::fs::{File, Metadata, Permissions};
 use std::io::{self, PipeReader};
+#[cfg(target_os = "linux")]
+use std::os::fd::AsRawFd as _;
 use std::os::fd::{AsFd as _, OwnedFd};
 use std::os::unix::fs::{
     FileTypeExt as _, MetadataExt as _, OpenOptionsExt as _, PermissionsExt as _,
@@ -101,6 +103,26 @@ pub fn pipe_file(pipe: PipeReader) -> File {
 pub fn is_at(file: &File, path: &Path) -> io::Result<bool> {
     let (own, there) = (file.metadata()?, std::fs::metadata(path)?);
     Ok((own.dev(), own.ino()) == (there.dev(), there.ino()))
+}
+
+/// Returns a path of an open file, if the system knows one.
+#[cfg(target_os = "linux")]
+pub fn path_of(file: &File) -> Option<PathBuf> {
+    std::fs::read_link(format!("/proc/self/fd/{}", file.as_raw_fd())).ok()
+}
+
+/// Returns a path of an open file, if the system knows one.
+#[cfg(target_os = "macos")]
+pub fn path_of(file: &File) -> Option<PathBuf> {
+    let mut path = PathBuf::new();
+    nix::fcntl::fcntl(file, nix::fcntl::FcntlArg::F_GETPATH(&mut path)).ok()?;
+    Some(path)
+}
+
+/// Returns no path: this system has no call for it.
+#[cfg(not(any(target_os = "linux", target_os = "macos")))]
+pub fn path_of(_: &File) -> Option<PathBuf> {
+    None
 }
 
 /// Number of names of a file (hard links).

@@ -49,7 +49,9 @@ async fn choose_on_terminal(
     let mut input = TerminalInput::start()?;
     loop {
         let theme = &themes.current;
-        terminal.draw_frame(|frame| crate::ui::draw_choice(&choice, None, theme, signs, frame))?;
+        let draw =
+            |frame: &mut ratatui::Frame| crate::ui::draw_choice(&choice, None, theme, signs, frame);
+        terminal.draw_frame(draw, usize::MAX)?;
         let event = tokio::select! {
             biased;
             signal = signals.next() => match signal {

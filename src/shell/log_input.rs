@@ -4,13 +4,13 @@
 //! the log is read.
 
 use super::waiting::sleep_for;
-use crate::bus::wall_micros;
+use crate::bus::{unpacked_log, wall_micros};
 use crate::frame::Frame;
 use crate::log::{DecodeStep, LogReader, LogSummary, Unpacked, UnreadableEntries};
 use crate::time::{Epoch, Instant};
 use std::fs::File;
 use std::io::{self, BufReader};
-use std::sync::mpsc;
+use std::sync::{Arc, mpsc};
 use std::thread;
 use std::time::{Duration, Instant as Monotonic};
 use tokio::sync::mpsc::{Receiver, Sender, channel};
@@ -343,7 +343,9 @@ fn read_all(
 ) -> io::Result<()> {
     let from = Instant::ZERO + from;
     let is_file = log.metadata()?.is_file();
-    let mut reader = LogReader::new(BufReader::with_capacity(1 << 16, Unpacked::new(log)));
+    let log = Arc::new(log);
+    let source = unpacked_log(Arc::clone(&log), &log)?;
+    let mut reader = LogReader::new(BufReader::with_capacity(1 << 16, source));
     if !is_file {
         reader.date_arrivals(wall_micros);
     }

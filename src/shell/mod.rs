@@ -21,6 +21,7 @@
 //! recent_logs     logs opened before, and what was found in them
 //! plan_files      plans of addresses on disk
 //! broker          the connection to an MQTT broker
+//! fleet_loop      the screen of a fleet
 //! remote_folder   whether changes of a folder cause no events
 //! signals         end of the program, Ctrl-Z    console  the terminal's end, speed and name
 //! state_folder    what is kept between runs     file_owner  the user of a file
@@ -42,6 +43,8 @@ pub mod config;
 pub mod console;
 mod file_owner;
 pub mod file_watcher;
+#[cfg(feature = "fleet")]
+pub mod fleet_loop;
 pub mod frame_templates;
 pub mod log_input;
 pub mod paint_pace;

@@ -65,14 +65,17 @@ impl Terminal {
         self.screen.draw(app, theme, most_bytes)
     }
 
-    /// Draws a screen that is not the app's.
-    pub fn draw_frame(&mut self, draw: impl FnOnce(&mut ratatui::Frame)) -> io::Result<()> {
+    /// Draws a screen that is not the app's, and sends about `most_bytes` of what changed.
+    pub fn draw_frame(
+        &mut self,
+        draw: impl FnOnce(&mut ratatui::Frame),
+        most_bytes: usize,
+    ) -> io::Result<PaintedPart> {
         let size = terminal::size()?;
         if self.screen.size() != size {
             self.screen.resize(size)?;
         }
-        self.screen.draw_frame(draw, usize::MAX)?;
-        Ok(())
+        self.screen.draw_frame(draw, most_bytes)
     }
 
     /// Sets the title of the window, where it changed.

@@ -26,7 +26,7 @@ use crate::regular_file::{MAX_TEXT_BYTES, read_text, text_of};
 use crate::theme::{Colours, Theme};
 use crate::time::Duration;
 use crossterm::event::{
-    self, Event, KeyEvent, KeyEventKind, KeyModifiers, MouseButton, MouseEventKind,
+    self, Event, KeyEvent, KeyEventKind, KeyModifiers, MouseButton, MouseEvent, MouseEventKind,
 };
 use std::future::pending;
 use std::io;
@@ -262,17 +262,23 @@ fn handle_input(session: &mut Session, event: &Event) {
         Event::Paste(text) => session.app.handle_paste(now, text),
         Event::Resize(columns, rows) => session.app.handle_resize(*columns, *rows),
         Event::Mouse(mouse) => {
-            let kind = match mouse.kind {
-                MouseEventKind::Down(MouseButton::Left) => MouseKind::Press,
-                MouseEventKind::Drag(MouseButton::Left) => MouseKind::Drag,
-                MouseEventKind::ScrollUp => MouseKind::WheelUp,
-                MouseEventKind::ScrollDown => MouseKind::WheelDown,
-                _ => return,
-            };
-            session.app.handle_mouse(now, Mouse { kind, column: mouse.column, row: mouse.row });
+            if let Some(mouse) = mouse_of(*mouse) {
+                session.app.handle_mouse(now, mouse);
+            }
         }
         _ => {}
     }
+}
+
+pub(super) fn mouse_of(event: MouseEvent) -> Option<Mouse> {
+    let kind = match event.kind {
+        MouseEventKind::Down(MouseButton::Left) => MouseKind::Press,
+        MouseEventKind::Drag(MouseButton::Left) => MouseKind::Drag,
+        MouseEventKind::ScrollUp => MouseKind::WheelUp,
+        MouseEventKind::ScrollDown => MouseKind::WheelDown,
+        _ => return None,
+    };
+    Some(Mouse { kind, column: event.column, row: event.row })
 }
 
 pub(super) fn key_of(event: KeyEvent) -> Option<Key> {
@@ -373,14 +379,14 @@ impl ThemeLoader {
     }
 
     /// Returns true if the terminal has colours for a tint.
-    fn can_tint(&self) -> bool {
+    pub(super) fn can_tint(&self) -> bool {
         let has_colour = self.untinted.name != COLOURLESS_THEME;
         has_colour && self.colours != Colours::Sixteen && !no_colour()
     }
 
     /// Takes the terminal's own background colour: red, green and blue. Returns true if it is another
     /// one.
-    fn set_background(&mut self, colour: [u8; 3]) -> bool {
+    pub(super) fn set_background(&mut self, colour: [u8; 3]) -> bool {
         let is_new = self.background.replace(colour) != Some(colour);
         if is_new {
             self.set(self.untinted.clone());
@@ -449,14 +455,14 @@ impl ThemeLoader {
     }
 
     /// Waits until the file of the current theme changes.
-    async fn changed(&self) -> DiskContent {
+    pub(super) async fn changed(&self) -> DiskContent {
         match &self.watch {
             Some(watch) => watch.changed().await,
             None => pending().await,
         }
     }
 
-    fn reload(&mut self, reading: DiskContent) -> Result<(), String> {
+    pub(super) fn reload(&mut self, reading: DiskContent) -> Result<(), String> {
         let Some(bytes) = reading.map_err(|fault| fault.to_string())? else { return Ok(()) };
         let text = text_of(bytes).map_err(|fault| fault.to_string())?;
         let name = self.current.name.clone();

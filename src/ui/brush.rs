@@ -43,12 +43,6 @@ impl DrawContext<'_> {
         self.theme.style(role)
     }
 
-    /// Returns the style of ordinary text on the painted background, in place of any other.
-    fn plain(&self) -> Style {
-        let background = Style { bg: self.style(Role::Background).bg, ..Style::new() };
-        Style::reset().patch(background).patch(self.style(Role::Text))
-    }
-
     /// Returns text in the style of a role.
     pub fn span(&self, role: Role, text: impl Into<String>) -> Span<'static> {
         Span::styled(text.into(), self.style(role))
@@ -56,35 +50,7 @@ impl DrawContext<'_> {
 
     /// Draws a line into row `row` of an area, cut at its end with `…`; nothing below the area.
     pub fn line(&mut self, area: Rect, row: u16, line: &Line) {
-        if row >= area.height || area.width == 0 {
-            return;
-        }
-        let width = usize::from(area.width);
-        let (x, y) = (area.x, area.y + row);
-        // A role without a colour gets the colour of text, not the one drawn here before.
-        let plain = self.plain();
-        let covered = line.width().min(width) as u16;
-        self.buffer.set_style(Rect { x, y, width: covered, height: 1 }, plain);
-        if line.width() <= width {
-            self.buffer.set_line(x, y, line, area.width);
-            return;
-        }
-        let mut left = width.saturating_sub(1);
-        let mut at = x;
-        let mut last = Style::new();
-        for span in &line.spans {
-            let text = cut(&span.content, left);
-            left -= text.width();
-            self.buffer.set_stringn(at, y, text, width, span.style);
-            at += text.width() as u16;
-            last = span.style;
-            if text.len() < span.content.len() {
-                break;
-            }
-        }
-        if width > 0 {
-            self.buffer.set_stringn(at, y, "…", 1, last);
-        }
+        set_line(self.buffer, self.theme, area, row, line);
     }
 
     /// Draws lines from the top of an area without the first `scroll`; `scroll` is limited so that
@@ -142,12 +108,7 @@ impl DrawContext<'_> {
 
     /// Fills an area with a horizontal rule.
     pub fn rule(&mut self, area: Rect, role: Role) {
-        let style = self.style(role);
-        for y in area.top()..area.bottom() {
-            for x in area.left()..area.right() {
-                self.buffer[(x, y)].set_symbol("─").set_style(style);
-            }
-        }
+        set_rule(self.buffer, area, self.theme.style(role));
     }
 
     /// Draws the rule with the title of a panel that takes the place of the page; returns the area
@@ -173,21 +134,73 @@ impl DrawContext<'_> {
     /// Lays the style of the selected row over it: its background and attributes; each cell keeps its
     /// own colour, unless the theme gives one.
     pub fn select(&mut self, area: Rect, row: u16) {
-        if row < area.height {
-            let row = Rect { y: area.y + row, height: 1, ..area };
-            let style = self.style(Role::Selected);
-            if style.add_modifier.contains(Modifier::REVERSED) {
-                // Reversed colours of each span would break the bar into patches.
-                let plain = self.plain();
-                for x in row.left()..row.right() {
-                    let cell = &mut self.buffer[(x, row.y)];
-                    let keep = cell.modifier & Modifier::BOLD;
-                    cell.set_style(plain.add_modifier(keep));
-                }
-            }
-            self.buffer.set_style(row, style);
+        set_selected(self.buffer, self.theme, area, row);
+    }
+}
+
+/// Returns the style of ordinary text on the painted background, in place of any other.
+fn plain(theme: &Theme) -> Style {
+    let background = Style { bg: theme.style(Role::Background).bg, ..Style::new() };
+    Style::reset().patch(background).patch(theme.style(Role::Text))
+}
+
+/// Draws a line into row `row` of an area, cut at its end with `…`; nothing below the area.
+pub fn set_line(buffer: &mut Buffer, theme: &Theme, area: Rect, row: u16, line: &Line) {
+    if row >= area.height || area.width == 0 {
+        return;
+    }
+    let width = usize::from(area.width);
+    let (x, y) = (area.x, area.y + row);
+    // A role without a colour gets the colour of text, not the one drawn here before.
+    let covered = line.width().min(width) as u16;
+    buffer.set_style(Rect { x, y, width: covered, height: 1 }, plain(theme));
+    if line.width() <= width {
+        buffer.set_line(x, y, line, area.width);
+        return;
+    }
+    let mut left = width.saturating_sub(1);
+    let mut at = x;
+    let mut last = Style::new();
+    for span in &line.spans {
+        let text = cut(&span.content, left);
+        left -= text.width();
+        buffer.set_stringn(at, y, text, width, span.style);
+        at += text.width() as u16;
+        last = span.style;
+        if text.len() < span.content.len() {
+            break;
         }
     }
+    buffer.set_stringn(at, y, "…", 1, last);
+}
+
+/// Fills an area with a horizontal rule.
+pub fn set_rule(buffer: &mut Buffer, area: Rect, style: Style) {
+    for y in area.top()..area.bottom() {
+        for x in area.left()..area.right() {
+            buffer[(x, y)].set_symbol("─").set_style(style);
+        }
+    }
+}
+
+/// Lays the style of the selected row over it: its background and attributes; each cell keeps its own
+/// colour, unless the theme gives one.
+pub fn set_selected(buffer: &mut Buffer, theme: &Theme, area: Rect, row: u16) {
+    if row >= area.height {
+        return;
+    }
+    let row = Rect { y: area.y + row, height: 1, ..area };
+    let style = theme.style(Role::Selected);
+    if style.add_modifier.contains(Modifier::REVERSED) {
+        // Reversed colours of each span would break the bar into patches.
+        let plain = plain(theme);
+        for x in row.left()..row.right() {
+            let cell = &mut buffer[(x, row.y)];
+            let keep = cell.modifier & Modifier::BOLD;
+            cell.set_style(plain.add_modifier(keep));
+        }
+    }
+    buffer.set_style(row, style);
 }
 
 /// Returns the longest beginning of `text` that fits `width` cells.

@@ -34,6 +34,7 @@ mod composer;
 mod conflict;
 mod details;
 mod devices;
+mod fleet;
 mod footer;
 mod help;
 mod lanes;
@@ -61,6 +62,7 @@ use ratatui::Frame;
 use ratatui::buffer::Buffer;
 
 pub use bus_choice::draw_choice;
+pub use fleet::draw_fleet;
 pub use symbols::SYMBOLS;
 
 /// Draws the whole screen. Returns the lines by which the scrolled text (details, help) is

@@ -395,7 +395,7 @@ fn short(count: u64) -> String {
 }
 
 /// Returns a bit rate as `125k`, `1M`, or in bit/s if it is not a multiple of 1000.
-fn rate(bits: u32) -> String {
+pub fn rate(bits: u32) -> String {
     match bits {
         0 => "0".to_owned(),
         _ if bits.is_multiple_of(1_000_000) => format!("{}M", bits / 1_000_000),

@@ -404,7 +404,7 @@ impl DataField {
 }
 
 /// Number of decimals of a number; `None` for more than [`MAX_DECIMALS`].
-fn decimals(number: f64) -> Option<usize> {
+pub(crate) fn decimals(number: f64) -> Option<usize> {
     let is_whole = |decimals: &i32| {
         let shifted = number * 10_f64.powi(*decimals);
         (shifted - shifted.round()).abs() < 1e-9 * shifted.abs() || number == 0.0

@@ -170,6 +170,47 @@ pub const PACKED: Target = Target {
     ],
 };
 
+/// Target `sqlite`: databases of python-can.
+pub const SQLITE: Target = Target {
+    name: "sqlite",
+    check: check_random_access,
+    words: &[
+        b"SQLite format 3\0\x02\0\x01\x01\0\x40\x20\x20",
+        b"CREATE TABLE messages(ts REAL, arbitration_id INTEGER, extended INTEGER, remote INTEGER",
+        b"\x0D\0\0\0\x01",
+        b"\x05\0\0\0\x01",
+        b"\x08\x07\x04\x08\x08\x08\x01\x16",
+        b"\xFF\xFF\xFF\xFF\xFF\xFF\xFF\xFF\xFF",
+        b"\x81\x7F",
+        b"\0\0\0\x02",
+        b"\0\0\0\0",
+    ],
+};
+
+/// Target `mdf`: ASAM MDF 4 with the frames of a bus.
+pub const MDF: Target = Target {
+    name: "mdf",
+    check: check_random_access,
+    words: &[
+        b"MDF     4.10    ",
+        b"UnFinMF 4.10    ",
+        b"##HD\0\0\0\0\x68\0\0\0\0\0\0\0\x06\0\0\0\0\0\0\0",
+        b"##DG\0\0\0\0\x40\0\0\0\0\0\0\0\x04\0\0\0\0\0\0\0",
+        b"##DL\0\0\0\0",
+        b"##HL\0\0\0\0",
+        b"##DT\0\0\0\0",
+        b"##SD\0\0\0\0",
+        b"##DZ\0\0\0\0",
+        b"DT\x01\0\x14\0\0\0",
+        b"CAN_DataFrame.DataBytes\0",
+        b"CAN_ErrorFrame.ErrorType\0",
+        b"CAN_RemoteFrame.ID\0",
+        b"\0\0\0\0\0\0\0\0",
+        b"\xFF\xFF\xFF\xFF\xFF\xFF\xFF\xFF",
+        b"\x40\0\0\0\0\0\0\0",
+    ],
+};
+
 /// Bytes of a log that are needed to detect its format.
 const HEAD: usize = 64;
 
@@ -236,6 +277,21 @@ fn check_packed(input: &[u8]) {
         }
     }
     check_read(&frames, &summary);
+}
+
+/// Checks a log that is read in any order: in a file, or stored in memory.
+fn check_random_access(input: &[u8]) {
+    check_packed(input);
+    let stored = read_packed(input, 1 << 16);
+    let source = Unpacked::new(input).with_file(input.to_vec(), false);
+    let mut reader = LogReader::new(BufReader::with_capacity(1 << 16, source));
+    let mut frames = Vec::new();
+    while let Some(frame) = reader.next_frame().unwrap() {
+        frames.push(frame);
+        let most = frames.len() + 100;
+        reader.take_buffered(&mut frames, most);
+    }
+    assert_eq!((frames, reader.summary().clone()), stored);
 }
 
 fn check(input: &[u8]) {

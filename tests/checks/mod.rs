@@ -7,6 +7,7 @@
 
 pub mod choices;
 pub mod config;
+pub mod dbc;
 pub mod document;
 pub mod engine;
 pub mod filter;
@@ -31,7 +32,7 @@ pub struct Target {
 }
 
 /// All targets.
-pub const TARGETS: [Target; 19] = [
+pub const TARGETS: [Target; 22] = [
     protocol::SLCAN,
     protocol::SOCKETCAND,
     udp::UDP,
@@ -42,6 +43,9 @@ pub const TARGETS: [Target; 19] = [
     log::PCAP,
     log::PACKED,
     log::PCAPNG,
+    log::SQLITE,
+    log::MDF,
+    dbc::DBC,
     document::DOCUMENT,
     profile::PROFILE,
     theme::THEME,

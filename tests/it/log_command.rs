@@ -119,7 +119,7 @@ fn json_has_every_member_of_every_frame() {
             "time": 100.1125, "bus": "can0", "id": "05140020", "extended": true, "fd": false,
             "kind": "rsp", "from": 10, "to": 0, "from_name": "FEED", "to_name": null,
             "service": 32, "service_name": null, "len": 4, "data": "01020304", "text": null,
-            "fields": null,
+            "fields": null, "message": null, "signals": null,
             "failed": false, "error": false, "tx": false, "request": 100.1, "latency_ms": 12.5,
             "ambiguous": false,
         })

@@ -435,9 +435,9 @@ fn commands_read_packed_logs() {
 
 #[test]
 fn frames_are_those_of_python_can_both_ways() {
-    let Some(python) = Python::with(&["python-can==4.6.1"]) else { return };
+    let Some(python) = Python::with(&["python-can==4.6.1", "asammdf==8.8.28"]) else { return };
     let script = include_str!("../log_formats/python_can.py");
-    let formats = ["asc", "blf", "trc", "csv", "log"];
+    let formats = ["asc", "blf", "trc", "csv", "log", "db", "mf4"];
     for (seed, zone) in [("1", "UTC"), ("2", "Europe/Berlin")] {
         let folder = tempfile::tempdir().unwrap();
         let program = env!("CARGO_BIN_EXE_descan");

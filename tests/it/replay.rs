@@ -161,6 +161,21 @@ fn packed_log_mutations_break_no_rule() {
 }
 
 #[test]
+fn sqlite_mutations_break_no_rule() {
+    replay("sqlite", 2_000);
+}
+
+#[test]
+fn mdf_mutations_break_no_rule() {
+    replay("mdf", 2_000);
+}
+
+#[test]
+fn dbc_mutations_break_no_rule() {
+    replay("dbc", 20_000);
+}
+
+#[test]
 fn document_mutations_break_no_rule() {
     replay("document", 1_300);
 }

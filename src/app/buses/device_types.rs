@@ -1,9 +1,12 @@
 //! The types of the devices on the buses, and the words of the catalogue for their frames.
 //!
+//! The messages of DBC files are for frames that are not of DES: of a bus that speaks another protocol, with
+//! 11-bit identifiers, and those of a mixed bus that neither have a service of DES nor an end with a name.
 //! Who had an address is looked up as of the frame; its type is what is known of the device now.
 
 use super::{Bus, Buses};
 use crate::catalogue::{Catalogue, DeviceType, TypeBasis, TypeService};
+use crate::dbc::{MessageDatabase, NamedMessage};
 use crate::discovery::Device;
 use crate::frame::{BusIndex, Frame};
 use crate::text::Name;
@@ -15,16 +18,23 @@ use crate::wire::profile::Profile;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-/// What the catalogue says about a frame: of its device, and of all devices.
+/// What the catalogue says about a frame: of its device, and of all devices. Of a frame that is not of DES,
+/// what a DBC file says.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct FrameTypes<'a> {
     device: Option<&'a DeviceType>,
     common: &'a [Arc<DeviceType>],
+    message: Option<&'a NamedMessage>,
 }
 
 impl<'a> FrameTypes<'a> {
     fn all(self) -> impl Iterator<Item = &'a DeviceType> {
         self.device.into_iter().chain(self.common.iter().map(|it| &**it))
+    }
+
+    /// The message of a DBC file; `None` for a frame of DES.
+    pub fn message(self) -> Option<&'a NamedMessage> {
+        self.message
     }
 
     /// Returns the service with a number.
@@ -92,15 +102,22 @@ pub struct BusTypes {
     common: Vec<Arc<DeviceType>>,
     /// By address, each with the time from which on it is there; empty if no type is known.
     held: Vec<Vec<(Instant, Option<Arc<DeviceType>>)>>,
+    messages: Arc<MessageDatabase>,
+    /// Services of DES itself.
+    services: Vec<Service>,
+    /// Addresses of devices with a name, a bit each.
+    named: u128,
 }
 
 impl BusTypes {
     /// Collects the types of a bus.
     pub fn of(buses: &Buses, index: BusIndex) -> Self {
+        let Some(bus) = buses.get(index) else { return Self::default() };
+        let messages = Self::of_messages(buses, bus);
         let catalogue = &buses.catalogue;
-        let Some(bus) = buses.get(index).filter(|_| !catalogue.is_empty()) else {
-            return Self::default();
-        };
+        if catalogue.is_empty() {
+            return messages;
+        }
         let of_address = |address: Address| {
             let holders = bus.names().holders(address).iter();
             holders
@@ -110,21 +127,57 @@ impl BusTypes {
         Self {
             common: catalogue.common_types().to_vec(),
             held: Address::all().map(of_address).collect(),
+            ..messages
         }
     }
 
-    /// Returns what is known about a frame.
-    pub fn of_frame(&self, header: Header, frame: &Frame) -> FrameTypes<'_> {
-        let at = described_end(header).and_then(|address| self.held.get(address.index()));
+    fn of_messages(buses: &Buses, bus: &Bus) -> Self {
+        if buses.messages.is_empty() {
+            return Self::default();
+        }
+        let named = Address::all().filter(|address| bus.has_named(*address));
+        Self {
+            messages: Arc::clone(&buses.messages),
+            services: services_of_des(&bus.config().profile).to_vec(),
+            named: named.fold(0, |all, address| all | 1 << address.index()),
+            ..Self::default()
+        }
+    }
+
+    /// Returns what is known about a frame; `header` is `None` for one of another protocol.
+    pub fn of_frame(&self, header: Option<Header>, frame: &Frame) -> FrameTypes<'_> {
+        let is_named = |address: Address| self.named >> address.index() & 1 == 1;
+        let message = self.messages.message(frame);
+        let is_of_des = || header.is_some_and(|header| is_of_des(header, &self.services, is_named));
+        let message = message.filter(|_| !is_of_des());
+        let end = header.and_then(described_end);
+        let at = end.and_then(|address| self.held.get(address.index()));
         let held = at.and_then(|held| {
             let later = held.partition_point(|(since, _)| *since <= frame.time);
             held.get(later.saturating_sub(1))?.1.as_deref()
         });
-        FrameTypes { device: held, common: &self.common }
+        FrameTypes { device: held, common: &self.common, message }
     }
 }
 
+fn services_of_des(profile: &Profile) -> [Service; 2] {
+    [profile.des_service(), profile.heartbeat_service()]
+}
+
+/// Returns true for a frame of DES, or of a device that takes part in it: `is_named` says which addresses
+/// have a device with a name.
+fn is_of_des(header: Header, services: &[Service], is_named: impl Fn(Address) -> bool) -> bool {
+    let is_by_name =
+        || is_named(header.source) || !header.broadcast && is_named(header.destination);
+    header.is_conforming() && (services.contains(&header.service) || is_by_name())
+}
+
 impl Bus {
+    /// Returns true if a device with a name had an address.
+    fn has_named(&self, address: Address) -> bool {
+        self.names().holders(address).iter().any(|holder| holder.name.is_some())
+    }
+
     /// Returns the type of the device that had an address at a moment.
     fn type_at<'a>(
         &self,
@@ -179,9 +232,28 @@ impl Buses {
         self.catalogue.type_of(gid_of(device), name)
     }
 
-    /// Returns what the catalogue says about a frame.
-    pub fn frame_types(&self, header: Header, frame: &Frame) -> FrameTypes<'_> {
-        self.types_at(frame.bus, described_end(header), frame.time)
+    /// Messages of DBC files.
+    pub fn messages(&self) -> &Arc<MessageDatabase> {
+        &self.messages
+    }
+
+    /// Sets the messages of DBC files.
+    pub(in crate::app) fn set_messages(&mut self, messages: Arc<MessageDatabase>) {
+        self.messages = messages;
+    }
+
+    /// Returns what is known about a frame; `header` is `None` for one of another protocol.
+    pub fn frame_types(&self, header: Option<Header>, frame: &Frame) -> FrameTypes<'_> {
+        let message = self.messages.message(frame).filter(|_| {
+            let bus = header.and_then(|header| Some((header, self.get(frame.bus)?)));
+            !bus.is_some_and(|(header, bus)| {
+                let services = services_of_des(&bus.config().profile);
+                is_of_des(header, &services, |address| bus.has_named(address))
+            })
+        });
+        let types =
+            header.map(|header| self.types_at(frame.bus, described_end(header), frame.time));
+        FrameTypes { message, ..types.unwrap_or_default() }
     }
 
     /// Returns what the catalogue says about the device that had an address at a moment, and about all.
@@ -196,7 +268,7 @@ impl Buses {
         }
         let at = |address| self.get(index)?.type_at(&self.catalogue, address, time);
         let device = address.and_then(at).map(|it| &**it);
-        FrameTypes { device, common: self.catalogue.common_types() }
+        FrameTypes { device, common: self.catalogue.common_types(), message: None }
     }
 
     /// Returns the name of a service on a bus: from the profile, else from the type of the device that

@@ -28,6 +28,7 @@ pub use redundancy::{Redundancy, RedundantDevice};
 use super::project_facts::ProjectFacts;
 use super::timeline_kind::TimelineKind;
 use crate::catalogue::Catalogue;
+use crate::dbc::MessageDatabase;
 use crate::discovery::{
     BusVerdict, Config, Device, DeviceId, DeviceRequest, Event, FrameSequence, OwnAddress,
     RequestId, SequenceEnd, SequenceId,
@@ -55,6 +56,8 @@ pub struct Buses {
     searched: Option<BusIndex>,
     /// What is known of types of devices.
     catalogue: Arc<Catalogue>,
+    /// Messages of DBC files.
+    messages: Arc<MessageDatabase>,
     /// What the project says about the buses.
     project: Arc<ProjectFacts>,
 }
@@ -67,6 +70,7 @@ impl Buses {
             redundant: RedundantDevices::default(),
             searched: None,
             catalogue: Arc::default(),
+            messages: Arc::default(),
             project: Arc::default(),
         };
         for (name, config) in buses {

@@ -170,12 +170,16 @@ impl FrameMeaning {
                 _,
             )
             | (_, CanId::Standard(_)) => {
-                let text = meaning_of(frame, role, None, FrameTypes::default());
+                let text = meaning_of(frame, role, None, buses.frame_types(None, frame));
                 return Self { header: None, role, text, is_error: role == FrameRole::Error };
             }
             (_, CanId::Extended(id)) => Header::decode(id),
         };
-        let types = buses.frame_types(header, frame);
+        let types = buses.frame_types(Some(header), frame);
+        if let Some(message) = types.message() {
+            let text = message.in_words(frame.data());
+            return Self { header: Some(header), role, text, is_error: false };
+        }
         let (text, bad) = match buses.get(frame.bus) {
             Some(bus) => describe_message(&bus.config().profile, types, header, frame),
             None => describe_message(&Profile::default(), types, header, frame),
@@ -241,6 +245,9 @@ pub(in crate::app) fn meaning_of(
     profile: Option<&Profile>,
     types: FrameTypes<'_>,
 ) -> String {
+    if let Some(message) = types.message() {
+        return message.in_words(frame.data());
+    }
     match (role, frame.id, profile) {
         (FrameRole::Error, ..) => {
             ErrorReport::of(frame).map_or(String::new(), |report| report.to_string())

@@ -19,6 +19,12 @@ pub enum RowKind {
     Event,
     /// Problems.
     Problem,
+    /// Gateways of a fleet.
+    Gateway,
+    /// Versions of services in a fleet.
+    Version,
+    /// Findings as a gateway published them.
+    Finding,
 }
 
 impl RowKind {
@@ -40,6 +46,9 @@ impl RowKind {
             Self::Frame => "frames",
             Self::Event => "events",
             Self::Problem => "problems",
+            Self::Gateway => "gateways",
+            Self::Version => "versions",
+            Self::Finding => "findings",
         }
     }
 
@@ -76,6 +85,11 @@ impl RowKind {
                 "tx",
             ],
             Self::Problem => &["suspected", "confirmed", "cleared", "muted"],
+            Self::Gateway => {
+                &["online", "silent", "stopped", "lost", "unknown", "conflict", "suspected"]
+            }
+            Self::Version => &[],
+            Self::Finding => &["suspected", "confirmed"],
         }
     }
 
@@ -86,6 +100,9 @@ impl RowKind {
             Self::Frame => "words; src: dst: srv: type: id: data: len:>4 dt:>50ms  or not ( )",
             Self::Event => "words; at: name: kind: text: is: since:13:51  or not ( )",
             Self::Problem => "words; kind: at: name: uid: is:suspected text:  or not ( )",
+            Self::Gateway => "words; srv:AUGER@2.1 name: uid: at: bus: is:lost  err  or not ( )",
+            Self::Version => "words; srv:AUGER@2.1  or not ( )",
+            Self::Finding => "words; kind: at: name: uid: bus: is:suspected text:  or not ( )",
         }
     }
 }
@@ -118,16 +135,21 @@ impl Field {
     pub const fn is_of(self, rows: RowKind) -> bool {
         use RowKind as R;
         match self {
-            Self::Address | Self::Name | Self::Device | Self::Bus | Self::State | Self::Uid => true,
+            Self::Address | Self::Name | Self::Device | Self::Bus | Self::State | Self::Uid => {
+                !matches!(rows, R::Version)
+            }
             Self::Source
             | Self::Destination
             | Self::Id
             | Self::Length
             | Self::Data
             | Self::Interval => matches!(rows, R::Frame),
-            Self::Service => matches!(rows, R::Frame | R::Device),
-            Self::Mode => !matches!(rows, R::Problem),
-            Self::Type | Self::Text | Self::Since | Self::Until => !matches!(rows, R::Device),
+            Self::Service => matches!(rows, R::Frame | R::Device | R::Gateway | R::Version),
+            Self::Mode => matches!(rows, R::Frame | R::Device | R::Event | R::Gateway),
+            Self::Type | Self::Text => {
+                matches!(rows, R::Frame | R::Event | R::Problem | R::Finding)
+            }
+            Self::Since | Self::Until => matches!(rows, R::Frame | R::Event | R::Problem),
         }
     }
 
@@ -139,6 +161,7 @@ impl Field {
             (Self::Source, _) => "src:FEED",
             (Self::Destination, _) => "dst:FEED",
             (Self::Device, _) => "dev:FEED",
+            (Self::Service, RowKind::Gateway | RowKind::Version) => "srv:AUGER@2.1",
             (Self::Service, _) => "srv:des",
             (Self::Type, RowKind::Frame) => "type:rsp",
             (Self::Type, _) => "kind:uid",
@@ -148,7 +171,7 @@ impl Field {
             (Self::Length, _) => "len:>4",
             (Self::Data, _) => "data:\"01 ?? 0F\"",
             (Self::Interval, _) => "dt:>50ms",
-            (Self::State, RowKind::Device) => "is:lost",
+            (Self::State, RowKind::Device | RowKind::Gateway) => "is:lost",
             (Self::State, RowKind::Frame) => "is:error",
             (Self::State, _) => "is:suspected",
             (Self::Bus, _) => "bus:can1",

@@ -574,7 +574,7 @@ impl TestedFrame<'_> {
 
     /// What the catalogue says about the frame.
     fn frame_types(&self) -> FrameTypes<'_> {
-        let known = self.types.zip(self.header);
-        known.map_or_else(FrameTypes::default, |(types, header)| types.of_frame(header, self.frame))
+        let types = self.types.map(|types| types.of_frame(self.header, self.frame));
+        types.unwrap_or_default()
     }
 }

@@ -1,4 +1,5 @@
-//! The filter language: which devices, frames, events and problems are shown, searched and written.
+//! The filter language: which devices, frames, events, problems and gateways are shown, searched and
+//! written.
 //!
 //! ```text
 //! feed                      a word: part of a name, an event, a state, a kind, a service
@@ -14,6 +15,7 @@
 mod completion;
 mod expression;
 mod field;
+mod fleet;
 mod frame;
 mod row;
 mod test;

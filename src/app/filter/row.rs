@@ -27,8 +27,10 @@ impl Filter {
         let device = row.device(buses);
         let mode = device.and_then(|device| device.mode).map_or("", |mode| mode.name());
         let services = device.and_then(|device| device.services.as_deref()).unwrap_or_default();
-        let service =
-            |value: &TextValue| services.iter().any(|it| value.is_in(&it.name.to_string()));
+        let service = |value: &TextValue| {
+            let mut texts = services.iter().map(|it| (it.name.to_string(), it.version.to_string()));
+            texts.any(|(name, version)| value.is_service(&name, &version))
+        };
         let uid = |value: &TextValue| {
             if let (Some(board), Some(bus)) = (row.board, row.bus) {
                 return value.is_in(&text_of(buses, bus, board.sender.uid));

@@ -92,6 +92,12 @@ impl TextValue {
         if self.is_whole { text == self.text } else { text.starts_with(&self.text) }
     }
 
+    /// Returns true if it is part of the name of a service, or of the name and the version as in
+    /// `AUGER@2.1`.
+    pub fn is_service(&self, name: &str, version: &str) -> bool {
+        self.is_in(name) || (self.text.contains('@') && self.is_in(&format!("{name}@{version}")))
+    }
+
     /// Returns true if it is the number of an address.
     pub fn is_address(&self, address: Address) -> bool {
         self.number.is_some_and(|range| range.contains(u64::from(address.number())))
@@ -123,7 +129,7 @@ impl Test {
         let text = &term.text;
         match &*text.to_lowercase() {
             "err" => return Ok(Self::Error),
-            "tx" | "own" | "ours" if !matches!(rows, RowKind::Device | RowKind::Problem) => {
+            "tx" | "own" | "ours" if matches!(rows, RowKind::Frame | RowKind::Event) => {
                 return Ok(Self::ByDescan);
             }
             _ => {}
@@ -237,7 +243,7 @@ impl FieldValue<'_> {
         let aliases: &[&str] = match self.rows {
             RowKind::Device => &["clash", "partly", "unseen", "awaited", "again"],
             RowKind::Frame | RowKind::Event => &["ours", "own"],
-            RowKind::Problem => &[],
+            RowKind::Problem | RowKind::Gateway | RowKind::Version | RowKind::Finding => &[],
         };
         self.rows.states().iter().chain(aliases).any(|word| value.is_in(word))
     }

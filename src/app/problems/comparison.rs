@@ -5,9 +5,9 @@
 use super::entry_mistakes::file_mistakes;
 use crate::app::file::EntryPlace;
 use crate::app::file_inputs::{FileInputs, Inputs};
-use crate::app::listing::{other_services, service_differences};
+use crate::app::listing::other_services;
 use crate::discovery::Device;
-use crate::document::{DocumentFindingKind, Entry};
+use crate::document::{DocumentFindingKind, Entry, service_differences};
 use crate::finding::{Finding, FindingKey, FindingKind, FindingState};
 use crate::frame::BusIndex;
 use crate::text::{Name, Quoted};

@@ -2,7 +2,8 @@
 
 use super::index::FilePart;
 use super::packing;
-use crate::log::{LogReader, LogSummary, Unpacked};
+use super::unpacking::unpacked_log;
+use crate::log::{LogReader, LogSummary};
 use crate::time::{Duration, Instant};
 use std::fs::File;
 use std::io::{self, BufReader};
@@ -14,7 +15,8 @@ pub(super) fn last_time(
     log: FilePart,
     is_stopped: impl Fn() -> bool,
 ) -> io::Result<Option<Instant>> {
-    let mut reader = LogReader::new(BufReader::with_capacity(1 << 16, Unpacked::new(log)));
+    let file = log.file();
+    let mut reader = LogReader::new(BufReader::with_capacity(1 << 16, unpacked_log(log, &file)?));
     let mut frames = Vec::new();
     let mut last = None;
     while let Some(frame) = reader.next_frame()? {
@@ -48,7 +50,8 @@ impl LogDates {
     ///
     /// Those of the file system.
     pub fn read(log: &File) -> io::Result<(LogSummary, Option<Self>)> {
-        let mut reader = LogReader::new(BufReader::new(Unpacked::new(log)));
+        let file = Arc::new(log.try_clone()?);
+        let mut reader = LogReader::new(BufReader::new(unpacked_log(log, &file)?));
         reader.next_frame()?;
         let summary = reader.summary().clone();
         let Some(epoch) = summary.epoch else { return Ok((summary, None)) };

@@ -157,6 +157,11 @@ impl FilePart {
     pub fn new(file: Arc<File>) -> Self {
         Self { file, offset: 0 }
     }
+
+    /// The file.
+    pub fn file(&self) -> Arc<File> {
+        Arc::clone(&self.file)
+    }
 }
 
 impl Read for FilePart {

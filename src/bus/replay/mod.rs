@@ -9,6 +9,7 @@ pub(super) mod dates;
 pub(super) mod file;
 mod index;
 pub(super) mod stdin;
+pub(super) mod unpacking;
 
 use super::clock::{Clock, wall_micros};
 use super::faults::cannot_open;
@@ -17,19 +18,20 @@ use super::port::{Port, PortShared};
 use super::waker::Waitable;
 use crate::diagnostic::Diagnostic;
 use crate::frame::{BusIndex, Frame};
-use crate::log::{DecodeStep, LogReader, Packing, READABLE_LOGS, Unpacked};
-use crate::open_file::{is_at, temporary_folder};
+use crate::log::{DecodeStep, LogReader, Packing, READABLE_LOGS, RandomAccess, Unpacked};
+use crate::open_file::is_at;
 use crate::positioned_read::{read_at, read_next};
 use crate::status::{Link, RateSearch};
 use crate::time::{Duration, Instant};
 use dates::last_time;
 use index::{FilePart, LogIndex};
 use std::fs::{self, File};
-use std::io::{self, BufReader, Read, Seek, SeekFrom, Write};
+use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant as Monotonic;
+use unpacking::{UnpackedFile, unpacked_with};
 
 /// Lateness of a frame beyond which the rest of the log is shifted with it. A live log
 /// (`ssh board candump -L can0 | descan -`) is always a little late.
@@ -484,40 +486,6 @@ fn packing(log: &File) -> io::Result<Option<Packing>> {
     Ok(Packing::of_head(&head[..len]))
 }
 
-/// Returns a file without a name for what a packed log contains, whose frames are read there again.
-///
-/// # Errors
-///
-/// Those of the file system, with the folder and the way to name another one.
-fn unpacked_file() -> io::Result<(File, PathBuf)> {
-    let folder = temporary_folder();
-    match tempfile::tempfile_in(&folder) {
-        Ok(file) => Ok((file, folder)),
-        Err(error) => Err(cannot_unpack(&folder, &error)),
-    }
-}
-
-/// Writes what a packed log contains.
-struct UnpackedCopy {
-    file: File,
-    folder: PathBuf,
-}
-
-impl Write for UnpackedCopy {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        self.file.write(bytes).map_err(|error| cannot_unpack(&self.folder, &error))
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        Ok(())
-    }
-}
-
-fn cannot_unpack(folder: &Path, error: &io::Error) -> io::Error {
-    let folder = folder.display();
-    io::Error::other(format!("cannot unpack it in {folder}: {error}; name another with TMPDIR"))
-}
-
 /// The file of a log.
 struct OpenLog {
     file: Arc<File>,
@@ -542,11 +510,13 @@ impl OpenLog {
     fn source(&self, shared: &Arc<PortShared>) -> io::Result<(BufReader<Unpacked<'static>>, File)> {
         let (file, read) = (Arc::clone(&self.file), Arc::clone(&self.read));
         let source = LogSource { file, shared: Arc::clone(shared), read };
-        let mut source = Unpacked::new(source);
+        let pages = self.is_file.then(|| source.clone());
+        let mut source = unpacked_with(source, pages, &self.file);
         let unpacked = if self.is_packed {
-            let (file, folder) = unpacked_file()?;
-            source = source.with_copy(UnpackedCopy { file: file.try_clone()?, folder });
-            file
+            let copy = UnpackedFile::new()?;
+            let unpacked = copy.reader()?;
+            source = source.with_copy(copy);
+            unpacked
         } else {
             self.file.try_clone()?
         };
@@ -598,6 +568,7 @@ impl OpenLog {
 }
 
 /// The bytes of a log, which ends when the port is dropped, also while waiting for input.
+#[derive(Clone)]
 struct LogSource {
     file: Arc<File>,
     shared: Arc<PortShared>,
@@ -621,5 +592,16 @@ impl Read for LogSource {
             }
         }
         Ok(0)
+    }
+}
+
+impl RandomAccess for LogSource {
+    fn read_at(&self, buffer: &mut [u8], offset: u64) -> io::Result<usize> {
+        if self.shared.is_stopped() {
+            return Ok(0);
+        }
+        let read = read_at(&self.file, buffer, offset)?;
+        self.read.fetch_add(read as u64, Ordering::Relaxed);
+        Ok(read)
     }
 }

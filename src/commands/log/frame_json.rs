@@ -6,6 +6,7 @@
 use super::frame_text::push_number;
 use super::known_names::KnownNames;
 use crate::app::{App, Bus, CallPart, FrameMeaning, FrameRole};
+use crate::dbc::NamedMessage;
 use crate::frame::{BusIndex, CanId, Frame, FrameKind};
 use crate::text::{Escaped, hex, push_hex};
 use crate::time::Instant;
@@ -32,7 +33,8 @@ impl FrameJson {
     /// Members: `time` (Unix seconds), `bus`, `id` (3 or 8 hexadecimal digits; `null` for an error
     /// frame), `extended`, `fd`, `kind` (as in a filter behind `type:`), `from`, `to` (`null` for a
     /// broadcast, too), `from_name`, `to_name`, `service`, `service_name`, `len`, `data` (hexadecimal
-    /// digits), `text`, `fields` (by name, as the catalogue describes them), `failed` (a response with ERR = 0), `error`, `tx`; of a response `request`
+    /// digits), `text`, `fields` (by name, as the catalogue describes them), `message` and `signals` (by name, as
+    /// a DBC file describes them), `failed` (a response with ERR = 0), `error`, `tx`; of a response `request`
     /// (Unix seconds), `latency_ms` and `ambiguous` (several equal requests were open).
     pub fn write(&mut self, line: &mut String, app: &App, frame: &Frame, part: Option<CallPart>) {
         let FrameMeaning { header, role, text, is_error } = FrameMeaning::of(app, frame);
@@ -74,11 +76,16 @@ impl FrameJson {
         line.push_str("\",\"text\":");
         push_text(line, Some(&*text).filter(|text| !text.is_empty()));
         line.push_str(",\"fields\":");
-        let types = header.map(|header| (header, app.shown_buses().frame_types(header, frame)));
-        match types {
-            Some((header, types)) => push_fields(line, &types.data_values(header, frame.data())),
+        let types = app.shown_buses().frame_types(header, frame);
+        match header {
+            Some(header) => push_fields(line, &types.data_values(header, frame.data())),
             None => line.push_str("null"),
         }
+        line.push_str(",\"message\":");
+        push_text(line, types.message().map(NamedMessage::name));
+        line.push_str(",\"signals\":");
+        let signals = types.message().map(|message| message.values(frame.data()));
+        push_fields(line, &signals.unwrap_or_default());
         push_flag(line, ",\"failed\":", role == FrameRole::FailedResponse);
         push_flag(line, ",\"error\":", is_error);
         push_flag(line, ",\"tx\":", frame.is_tx);

@@ -59,7 +59,7 @@ impl ServiceTexts {
     fn new(app: &App, frame: &Frame, header: Header, role: FrameRole) -> Self {
         let (bus, number) = (frame.bus, header.service);
         let name = if role == FrameRole::Debug {
-            let types = app.shown_buses().frame_types(header, frame);
+            let types = app.shown_buses().frame_types(Some(header), frame);
             types.debug_name(&app.profile(bus), number)
         } else {
             let server = if header.response { header.source } else { header.destination };

@@ -38,6 +38,7 @@ pub fn run(log: &LogArgs) -> Result<u8, Failure> {
     let filter = open::filter("--filter", log.filter.as_deref(), RowKind::Frame)?;
     let setup = Setup::new(&CommonArgs {
         catalogue: log.catalogue.clone(),
+        dbc: log.dbc.clone(),
         project: log.project.clone(),
         no_project: log.no_project,
         ..CommonArgs::listen_only(log.profile.clone())

@@ -149,7 +149,7 @@ fn identifier<'a>(
     let receiver = header.filter(|header| !header.broadcast).map(|header| header.destination);
     let name_of_service = |header: Header| {
         if decoded.role == FrameRole::Debug {
-            let types = app.shown_buses().frame_types(header, &row.last);
+            let types = app.shown_buses().frame_types(Some(header), &row.last);
             return types.debug_name(&app.profile(bus), header.service);
         }
         let server = header.response.then_some((header.source, last));

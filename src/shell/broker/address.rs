@@ -34,14 +34,16 @@ impl FromStr for BrokerAddress {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, Self::Err> {
-        let (rest, has_tls, usual_port) = if let Some(rest) = text.strip_prefix("mqtts://") {
-            (rest, true, 8883)
-        } else if let Some(rest) = text.strip_prefix("mqtt://") {
-            (rest, false, 1883)
-        } else {
-            return Err("write mqtts://HOST[:PORT], or mqtt:// without TLS".to_owned());
+        let (scheme, rest) = text.split_once("://").unwrap_or(("", text));
+        let (has_tls, usual_port) = match scheme.to_ascii_lowercase().as_str() {
+            "mqtts" => (true, 8883),
+            "mqtt" => (false, 1883),
+            _ => return Err("write mqtts://HOST[:PORT], or mqtt:// without TLS".to_owned()),
         };
         let rest = rest.strip_suffix('/').unwrap_or(rest);
+        if rest.contains('/') {
+            return Err("an address has no path; write mqtts://HOST[:PORT]".to_owned());
+        }
         if rest.contains('@') {
             return Err(format!(
                 "user and password are not part of the address, which others can see; put them in \

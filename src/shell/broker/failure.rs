@@ -3,7 +3,7 @@
 use super::BrokerAddress;
 use crate::diagnostic::{Diagnostic, without_number};
 use crate::text::on_one_line;
-use rumqttc::tokio_rustls::rustls;
+use rumqttc::tokio_rustls::rustls::{self, CertificateError};
 use rumqttc::{ConnectReturnCode, ConnectionError, DisconnectReasonCode, StateError, TlsError};
 use std::error::Error;
 use std::io;
@@ -32,8 +32,14 @@ impl BrokerFailure {
     }
 
     /// The failure behind an error of the connection.
-    pub(super) fn of(address: &BrokerAddress, error: &ConnectionError) -> Self {
+    /// The remedies are for a broker that was never connected.
+    pub(super) fn of(
+        address: &BrokerAddress,
+        error: &ConnectionError,
+        was_connected: bool,
+    ) -> Self {
         let (cause, remedy, is_final) = words(error);
+        let remedy = remedy.filter(|_| is_final || !was_connected);
         let diagnostic = Diagnostic::new(format!("{address}: {cause}"));
         let diagnostic = match remedy {
             Some(remedy) => diagnostic.with_remedy(remedy),
@@ -58,6 +64,7 @@ fn words(error: &ConnectionError) -> (String, Option<&'static str>, bool) {
         ConnectionError::MqttState(StateError::ConnectionAborted) => {
             ("connection closed by the broker".to_owned(), None, false)
         }
+        ConnectionError::NotConnAck(_) => ("no broker for MQTT 5".to_owned(), None, false),
         ConnectionError::Timeout(_) => ("no response".to_owned(), None, false),
         other => deep(other),
     }
@@ -83,10 +90,14 @@ fn deep(error: &ConnectionError) -> (String, Option<&'static str>, bool) {
     }
     // The client gives the cause of a failed read as text alone.
     let text = on_one_line(&error.to_string());
-    match text.split_once("received fatal alert") {
-        Some((_, alert)) => (format!("TLS: the broker refuses it{alert}"), OWN_CERTIFICATE, true),
-        None => (text, None, false),
+    if let Some((_, alert)) = text.split_once("received fatal alert") {
+        return (format!("TLS: the broker refuses it{alert}"), OWN_CERTIFICATE, true);
     }
+    if text.contains("reset by peer") {
+        let remedy = "the broker may want TLS: mqtts://";
+        return ("connection closed by the broker".to_owned(), Some(remedy), false);
+    }
+    (text, None, false)
 }
 
 fn io_words(error: &io::Error) -> (String, Option<&'static str>, bool) {
@@ -105,9 +116,7 @@ fn io_words(error: &io::Error) -> (String, Option<&'static str>, bool) {
 
 fn tls_words(error: &rustls::Error) -> (String, Option<&'static str>, bool) {
     let (remedy, is_final) = match error {
-        rustls::Error::InvalidCertificate(_) => {
-            (Some("name the certificate that signed it: --ca FILE"), true)
-        }
+        rustls::Error::InvalidCertificate(why) => (Some(certificate_remedy(why)), true),
         rustls::Error::AlertReceived(_) => (OWN_CERTIFICATE, true),
         rustls::Error::InvalidMessage(_) => {
             (Some("the broker may have no TLS there: mqtt://, or another port"), true)
@@ -115,6 +124,22 @@ fn tls_words(error: &rustls::Error) -> (String, Option<&'static str>, bool) {
         _ => (None, false),
     };
     (format!("TLS: {}", on_one_line(&error.to_string())), remedy, is_final)
+}
+
+fn certificate_remedy(why: &CertificateError) -> &'static str {
+    use CertificateError as Why;
+    match why {
+        Why::Expired
+        | Why::ExpiredContext { .. }
+        | Why::NotValidYet
+        | Why::NotValidYetContext { .. } => {
+            "check the clock of this machine, or renew the certificate of the broker"
+        }
+        Why::NotValidForName | Why::NotValidForNameContext { .. } => {
+            "name the broker as its certificate does"
+        }
+        _ => "name the certificate that signed it: --ca FILE",
+    }
 }
 
 fn refusal(code: ConnectReturnCode) -> (String, Option<&'static str>, bool) {
@@ -130,6 +155,11 @@ fn refusal(code: ConnectReturnCode) -> (String, Option<&'static str>, bool) {
         Code::RefusedProtocolVersion | Code::UnsupportedProtocolVersion => (
             "does not speak MQTT 5".to_owned(),
             Some("use a broker with MQTT 5, such as mosquitto 1.6 and later"),
+            true,
+        ),
+        Code::RetainNotSupported | Code::QoSNotSupported => (
+            "keeps no messages, or has no QoS 1".to_owned(),
+            Some("allow both for this user"),
             true,
         ),
         Code::BadClientId | Code::ClientIdentifierNotValid => {

@@ -28,12 +28,12 @@ const MAX_PACKET_BYTES: u32 = 128 << 10;
 
 /// Wait before the first attempt to connect again; doubled after each, up to [`MAX_BACK_OFF`].
 const BACK_OFF: Duration = Duration::from_secs(1);
-const MAX_BACK_OFF: Duration = Duration::from_secs(60);
+const MAX_BACK_OFF: Duration = Duration::from_mins(1);
 
-/// Returns the wait before attempt `number`, from 1, with up to a quarter of it added at random: 500
+/// Returns the wait before attempt `number`, from 1, with up to a quarter of it taken off at random: 500
 /// gateways of one broker do not come back at the same moment.
 fn back_off(number: u32) -> Duration {
     let doubled = BACK_OFF.saturating_mul(1 << number.saturating_sub(1).min(6));
     let wait = doubled.min(MAX_BACK_OFF);
-    wait.mul_f64(1.0 + fastrand::f64() / 4.0)
+    wait.mul_f64(1.0 - fastrand::f64() / 4.0)
 }

@@ -3,13 +3,14 @@
 use super::address::BrokerSettings;
 use super::back_off;
 use super::failure::BrokerFailure;
-use crate::fleet::{Delivery, FleetMessage, Publication};
+use crate::fleet::{FleetMessage, FleetMessageId, OtherRun, Publication};
 use crate::time::Duration;
 use futures_util::stream::{FuturesUnordered, StreamExt as _};
 use rumqttc::{
-    AsyncClient, Event, EventLoop, LastWill, Outgoing, Packet, PublishNotice, PublishNoticeError,
-    PublishOptions, QoS, RetainForwardRule, SubscribeFilterInput,
+    AsyncClient, Event, EventLoop, LastWill, Outgoing, Packet, PubAckReason, PublishNotice,
+    PublishNoticeError, PublishOptions, QoS, RetainForwardRule, SubscribeFilterInput,
 };
+use std::cell::Cell;
 use std::io;
 use std::sync::mpsc::{self, Receiver, SyncSender};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -23,6 +24,12 @@ const MAX_NOTICES: usize = 64;
 /// Time in which the documents of an earlier run arrive.
 const READING: Duration = Duration::from_secs(10);
 
+/// Wait where the queue of the connection is full.
+const FULL_QUEUE_NAP: Duration = Duration::from_millis(50);
+
+/// Longest wait for the end of the connection.
+const FAREWELL: Duration = Duration::from_millis(300);
+
 /// What happened to the connection.
 #[derive(Clone, Debug)]
 pub enum PublisherNotice {
@@ -30,8 +37,8 @@ pub enum PublisherNotice {
     Connected,
     /// The connection failed, and is tried again after this time; `None` if it is not.
     Failed(BrokerFailure, Option<Duration>),
-    /// The broker refused a message with this topic: the rights of the user do not allow it.
-    Refused(String),
+    /// The broker refused a message with this topic, and why.
+    Refused(String, &'static str),
 }
 
 /// What the two threads share.
@@ -54,7 +61,6 @@ impl Shared {
 pub struct BrokerPublisher {
     shared: Arc<Shared>,
     notices: Receiver<PublisherNotice>,
-    thread: thread::JoinHandle<()>,
 }
 
 impl BrokerPublisher {
@@ -63,10 +69,8 @@ impl BrokerPublisher {
     /// # Errors
     /// No thread could be started.
     pub fn spawn(settings: &BrokerSettings, publication: Publication) -> io::Result<Self> {
-        let will = publication.last_will();
         let mut options = settings.options(&format!("descan-{}", publication.gateway()));
-        let payload = will.payload.to_vec();
-        options.set_last_will(LastWill::new(will.topic, payload, QoS::AtLeastOnce, true, None));
+        options.set_last_will(as_last_will(publication.last_will()));
         let own = publication.gateway().filter();
         let shared = Arc::new(Shared {
             publication: Mutex::new(publication),
@@ -76,19 +80,20 @@ impl BrokerPublisher {
         });
         let (sender, notices) = mpsc::sync_channel(MAX_NOTICES);
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
-        let link = Link {
+        let task = PublisherThread {
             shared: Arc::clone(&shared),
             notices: sender,
             settings: settings.clone(),
             own,
             reading: Notify::new(),
+            has_progress: Cell::new(false),
         };
-        let thread = thread::Builder::new().name("broker".to_owned()).spawn(move || {
+        thread::Builder::new().name("broker".to_owned()).spawn(move || {
             // More than are sent at once: a request never waits for room.
             let (client, events) = AsyncClient::builder(options).capacity(256).build();
-            runtime.block_on(link.run(&client, events));
+            runtime.block_on(task.run(&client, events));
         })?;
-        Ok(Self { shared, notices, thread })
+        Ok(Self { shared, notices })
     }
 
     /// Changes the publication, and sends what it has then.
@@ -111,14 +116,14 @@ impl BrokerPublisher {
         let waited = self.shared.delivered.wait_timeout_while(publication, time, waits);
         let is_delivered = waited.is_ok_and(|(_, result)| !result.timed_out());
         self.shared.stop.notify_one();
-        // It ends at once, or is left to the end of the program.
-        drop(self.thread);
+        // The thread closes its end when it has disconnected.
+        while self.notices.recv_timeout(FAREWELL).is_ok() {}
         is_delivered
     }
 }
 
 /// The thread of the connection.
-struct Link {
+struct PublisherThread {
     shared: Arc<Shared>,
     notices: SyncSender<PublisherNotice>,
     settings: BrokerSettings,
@@ -126,9 +131,11 @@ struct Link {
     own: String,
     /// The subscription to all documents began.
     reading: Notify,
+    /// The broker acknowledged something since the last failure.
+    has_progress: Cell<bool>,
 }
 
-impl Link {
+impl PublisherThread {
     async fn run(self, client: &AsyncClient, mut events: EventLoop) {
         tokio::select! {
             () = self.receive(client, &mut events) => return,
@@ -145,7 +152,7 @@ impl Link {
                 }
             }
         };
-        let _ = tokio::time::timeout(Duration::from_millis(300), farewell).await;
+        let _ = tokio::time::timeout(FAREWELL, farewell).await;
     }
 
     /// Drives the connection until it fails for good.
@@ -155,7 +162,7 @@ impl Link {
         loop {
             match events.poll().await {
                 Ok(Event::Incoming(Packet::ConnAck(packet))) => {
-                    (failures, was_connected) = (0, true);
+                    was_connected = true;
                     // The session of an earlier run is not this one's: only later ones are kept.
                     events.options.set_clean_start(false);
                     self.shared.publication().handle_connected(packet.session_present);
@@ -165,19 +172,32 @@ impl Link {
                 }
                 Ok(Event::Incoming(Packet::Publish(message))) => {
                     let topic = String::from_utf8_lossy(&message.topic);
-                    let is_replaced =
-                        self.shared.publication().handle_message(&topic, &message.payload);
+                    let other = self.shared.publication().handle_message(
+                        &topic,
+                        &message.payload,
+                        message.retain,
+                    );
                     self.shared.changed.notify_one();
-                    if is_replaced {
-                        let failure = BrokerFailure::replaced(&self.settings.address);
-                        self.report(PublisherNotice::Failed(failure, None));
-                        return;
+                    match other {
+                        OtherRun::None => {}
+                        OtherRun::Before => {
+                            let will = self.shared.publication().last_will();
+                            events.options.set_last_will(as_last_will(will));
+                        }
+                        OtherRun::Later => {
+                            let failure = BrokerFailure::replaced(&self.settings.address);
+                            self.report(PublisherNotice::Failed(failure, None));
+                            return;
+                        }
                     }
                 }
                 Ok(_) => {}
                 Err(error) => {
                     self.shared.publication().handle_disconnected();
-                    let failure = BrokerFailure::of(&self.settings.address, &error);
+                    let failure = BrokerFailure::of(&self.settings.address, &error, was_connected);
+                    if self.has_progress.replace(false) {
+                        failures = 0;
+                    }
                     failures += 1;
                     if failure.is_final && !was_connected {
                         self.report(PublisherNotice::Failed(failure, None));
@@ -221,17 +241,21 @@ impl Link {
         let mut sent = FuturesUnordered::new();
         loop {
             while let Some(message) = self.next_message() {
-                let FleetMessage { topic, payload, is_retained, delivery } = message;
+                let FleetMessage { topic, payload, is_retained, id } = message;
                 let options = PublishOptions::new(QoS::AtLeastOnce).retain(is_retained);
-                match client.try_publish_tracked(topic.clone(), payload.to_vec(), options) {
-                    Ok(notice) => sent.push(fate(topic, delivery, notice)),
-                    Err(_) => self.shared.publication().handle_undelivered(&delivery),
-                }
+                let sending = client.try_publish_tracked(topic.clone(), payload.to_vec(), options);
+                let Ok(notice) = sending else {
+                    // No room: the connection has to go on first.
+                    self.shared.publication().handle_undelivered(&id);
+                    sleep(FULL_QUEUE_NAP).await;
+                    break;
+                };
+                sent.push(fate(topic, id, notice));
             }
             tokio::select! {
                 () = self.shared.changed.notified() => {}
-                Some((topic, delivery, fate)) = sent.next(), if !sent.is_empty() => {
-                    self.handle_fate(topic, &delivery, fate);
+                Some((topic, id, fate)) = sent.next(), if !sent.is_empty() => {
+                    self.handle_fate(topic, &id, fate);
                 }
             }
         }
@@ -241,15 +265,18 @@ impl Link {
         self.shared.publication().poll_message()
     }
 
-    fn handle_fate(&self, topic: String, delivery: &Delivery, fate: Fate) {
+    fn handle_fate(&self, topic: String, id: &FleetMessageId, fate: Fate) {
         let mut publication = self.shared.publication();
         match fate {
-            Fate::Delivered => publication.handle_delivered(delivery),
-            Fate::Lost => publication.handle_undelivered(delivery),
-            Fate::Refused => {
-                publication.handle_refused(delivery);
+            Fate::Delivered => {
+                self.has_progress.set(true);
+                publication.handle_delivered(id);
+            }
+            Fate::Lost => publication.handle_undelivered(id),
+            Fate::Refused(why) => {
+                publication.handle_refused(id);
                 if publication.refused() == 1 {
-                    self.report(PublisherNotice::Refused(topic));
+                    self.report(PublisherNotice::Refused(topic, why));
                 }
             }
         }
@@ -263,24 +290,35 @@ impl Link {
     }
 }
 
+fn as_last_will(message: FleetMessage) -> LastWill {
+    let payload = message.payload.to_vec();
+    LastWill::new(message.topic, payload, QoS::AtLeastOnce, message.is_retained, None)
+}
+
 /// What became of a message.
+#[derive(Clone, Copy)]
 enum Fate {
     Delivered,
     Lost,
-    Refused,
+    Refused(&'static str),
 }
 
 async fn fate(
     topic: String,
-    delivery: Delivery,
+    id: FleetMessageId,
     notice: PublishNotice,
-) -> (String, Delivery, Fate) {
+) -> (String, FleetMessageId, Fate) {
     let fate = match notice.wait_completion_async().await {
         Ok(()) => Fate::Delivered,
-        Err(PublishNoticeError::V5PubAck(_) | PublishNoticeError::RetainNotSupported) => {
-            Fate::Refused
+        Err(PublishNoticeError::RetainNotSupported) => Fate::Refused("it keeps no messages"),
+        Err(PublishNoticeError::V5PubAck(PubAckReason::NotAuthorized)) => {
+            Fate::Refused("the user has no right to write it")
         }
+        Err(PublishNoticeError::V5PubAck(PubAckReason::QuotaExceeded)) => {
+            Fate::Refused("it has too many messages")
+        }
+        Err(PublishNoticeError::V5PubAck(_)) => Fate::Refused("without a reason"),
         Err(_) => Fate::Lost,
     };
-    (topic, delivery, fate)
+    (topic, id, fate)
 }

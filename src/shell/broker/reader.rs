@@ -5,7 +5,7 @@ use super::back_off;
 use super::failure::BrokerFailure;
 use crate::time::Duration;
 use rumqttc::{
-    AsyncClient, Event, EventLoop, Packet, QoS, SubscribeFilterInput, SubscribeReasonCode,
+    AckMode, AsyncClient, Event, EventLoop, Packet, QoS, SubscribeFilterInput, SubscribeReasonCode,
 };
 use std::io;
 use std::thread;
@@ -14,6 +14,9 @@ use tokio::time::sleep;
 
 /// Number of messages that wait at most: a reader that is slower holds the broker back.
 const MAX_WAITING: usize = 1024;
+
+/// Number of messages that the broker sends before the first is acknowledged.
+const MAX_UNREAD: u16 = 256;
 
 /// What a connection brings.
 #[derive(Clone, Debug)]
@@ -25,8 +28,9 @@ pub enum ReaderNotice {
         /// Number of topic filters that the broker refused.
         refused: usize,
     },
-    /// A message: topic and content.
-    Message(Vec<u8>, Vec<u8>),
+    /// A message: topic, content, and whether the broker had kept it: false for one that was published
+    /// meanwhile.
+    Message(Vec<u8>, Vec<u8>, bool),
     /// The connection failed, and is tried again after this time; `None` if it is not.
     Failed(BrokerFailure, Option<Duration>),
 }
@@ -45,19 +49,31 @@ impl BrokerReader {
     pub fn spawn(settings: &BrokerSettings, filters: &[&str]) -> io::Result<Self> {
         // Each viewer has a session of its own.
         let client_name = format!("descan-view-{:016x}", fastrand::u64(..));
-        let options = settings.options(&client_name);
+        let mut options = settings.options(&client_name);
+        // What was acknowledged and not read yet would be lost with the connection.
+        options.set_ack_mode(AckMode::Manual);
+        options.set_receive_maximum(Some(MAX_UNREAD));
         let (sender, notices) = mpsc::channel(MAX_WAITING);
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
-        let link = Link {
+        let task = ReaderThread {
             notices: sender,
             settings: settings.clone(),
             filters: filters.iter().map(|it| (*it).to_owned()).collect(),
         };
         thread::Builder::new().name("broker".to_owned()).spawn(move || {
-            let (client, events) = AsyncClient::builder(options).capacity(16).build();
-            runtime.block_on(link.run(&client, events));
+            let (client, events) =
+                AsyncClient::builder(options).capacity(4 * usize::from(MAX_UNREAD)).build();
+            runtime.block_on(task.run(&client, events));
         })?;
         Ok(Self { notices })
+    }
+
+    /// Waits for notices, and takes at most `limit` of them; none after one that says that it is not
+    /// tried again. May be dropped while waiting.
+    pub async fn next_many(&mut self, limit: usize) -> Vec<ReaderNotice> {
+        let mut notices = Vec::new();
+        self.notices.recv_many(&mut notices, limit).await;
+        notices
     }
 
     /// Waits for the next notice; `None` after one that says that it is not tried again. May be dropped
@@ -68,13 +84,13 @@ impl BrokerReader {
 }
 
 /// The thread of the connection.
-struct Link {
+struct ReaderThread {
     notices: Sender<ReaderNotice>,
     settings: BrokerSettings,
     filters: Vec<String>,
 }
 
-impl Link {
+impl ReaderThread {
     async fn run(self, client: &AsyncClient, mut events: EventLoop) {
         tokio::select! {
             () = self.notices.closed() => {
@@ -92,12 +108,12 @@ impl Link {
         loop {
             let notice = match events.poll().await {
                 Ok(Event::Incoming(Packet::ConnAck(packet))) => {
-                    (failures, was_connected) = (0, true);
+                    was_connected = true;
                     events.options.set_clean_start(false);
                     if !packet.session_present {
+                        // Not as published: the flag tells those that the broker kept.
                         let filters = self.filters.iter().map(|filter| {
                             SubscribeFilterInput::new(filter.as_str(), QoS::AtLeastOnce)
-                                .preserve_retain(true)
                         });
                         let _ = client.try_subscribe_many(filters);
                     }
@@ -107,15 +123,19 @@ impl Link {
                     let is_refused = |code: &&SubscribeReasonCode| {
                         !matches!(code, SubscribeReasonCode::Success(_))
                     };
+                    failures = 0;
                     let refused = packet.return_codes.iter().filter(is_refused).count();
                     ReaderNotice::Subscribed { refused }
                 }
                 Ok(Event::Incoming(Packet::Publish(message))) => {
-                    ReaderNotice::Message(message.topic.to_vec(), message.payload.to_vec())
+                    failures = 0;
+                    let _ = client.try_ack(&message);
+                    let (topic, payload) = (message.topic.to_vec(), message.payload.to_vec());
+                    ReaderNotice::Message(topic, payload, message.retain)
                 }
                 Ok(_) => continue,
                 Err(error) => {
-                    let failure = BrokerFailure::of(&self.settings.address, &error);
+                    let failure = BrokerFailure::of(&self.settings.address, &error, was_connected);
                     failures += 1;
                     let is_over = failure.is_final && !was_connected;
                     let wait = (!is_over).then(|| back_off(failures));

@@ -51,6 +51,16 @@ pub fn draw(brush: &mut DrawContext) {
     }
 }
 
+/// The numbers of rows above and below the screen; `None` if all are on it.
+pub(super) fn hidden_rows(above: usize, below: usize) -> Option<String> {
+    Some(match (above, below) {
+        (0, 0) => return None,
+        (above, 0) => format!(" ↑{above}"),
+        (0, below) => format!(" ↓{below}"),
+        (above, below) => format!(" ↑{above} ↓{below}"),
+    })
+}
+
 /// Draws the number of rows above and below the screen at the right end of the headings.
 fn draw_hidden_rows(brush: &mut DrawContext) {
     let (header, list) = (brush.screen.header, brush.screen.list);
@@ -58,12 +68,7 @@ fn draw_hidden_rows(brush: &mut DrawContext) {
     let count = app.rows().len();
     let above = app.view().devices.top(app.selected_row_index(), count, height);
     let below = count.saturating_sub(above + height);
-    let text = match (above, below) {
-        (0, 0) => return,
-        (above, 0) => format!(" ↑{above}"),
-        (0, below) => format!(" ↓{below}"),
-        (above, below) => format!(" ↑{above} ↓{below}"),
-    };
+    let Some(text) = hidden_rows(above, below) else { return };
     let width = text.width() as u16;
     if width < header.width {
         let line = Line::from(brush.span(Role::Muted, text));

@@ -109,7 +109,13 @@ fn draw_details(brush: &mut DrawContext) {
         add("route", Role::Text, &format!("{from} → {to}, {service}"));
     }
     let role = if decoded.is_error { Role::Error } else { Role::Text };
-    if !decoded.text.is_empty() {
+    let message = app.shown_buses().frame_types(decoded.header, &frame).message();
+    if let Some(message) = message {
+        add("message", Role::Text, message.name());
+        for (at, signal) in message.values(frame.data()).iter().enumerate() {
+            add(if at == 0 { "signals" } else { "" }, Role::Text, &signal.to_string());
+        }
+    } else if !decoded.text.is_empty() {
         add("decoded", role, &decoded.text);
     }
     let number = match alone {

@@ -13,6 +13,7 @@ pub mod paced;
 pub mod program;
 pub mod pty;
 pub mod python;
+pub mod read_log;
 pub mod scenario_files;
 pub mod serial;
 pub mod sweep;

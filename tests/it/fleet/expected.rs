@@ -78,7 +78,11 @@ fn each_kind_of_difference_is_found() {
             r#"[{"name":"FEED","services":[{"name":"DES","version":"1.0"}]}]"#,
             &[ServicesDiffer],
         ),
-        (&[FEED], r#"[{"name":"FEED","bus":"can1"}]"#, &[Missing, NotInFile]),
+        (
+            &[FEED, ("can1", 9, "SENS", &[])],
+            r#"[{"name":"FEED","bus":"can1"},{"name":"SENS"}]"#,
+            &[Missing, NotInFile],
+        ),
     ];
     for (devices, file, expected) in cases {
         assert_eq!(section(devices, file), expected, "{file}");
@@ -91,6 +95,42 @@ fn order_of_services_counts_where_the_file_has_one() {
     assert_eq!(section(&[FEED], list), [CheckSection::ServicesDiffer]);
     let object = r#"[{"name":"FEED","services":{"AUGER":"2.1","DES":"1.0"}}]"#;
     assert_eq!(section(&[FEED], object), []);
+}
+
+#[test]
+fn services_are_compared_as_check_does() {
+    let device: Published<'_> = ("can0", 10, "Q", &[("DES", "1.0"), ("DOM", "3.0 x y \\x02")]);
+    let file = |services: &str| format!(r#"[{{"name":"Q","services":{services}}}]"#);
+    let found = |services: &str| sections(&[device], &file(services), None);
+    // The strings after the version do not count, nor a version that is not listed.
+    for services in [
+        r#"[{"name":"DES","version":"1.0"},{"name":"DOM","version":"3.0"}]"#,
+        r#"[{"name":"DES"},{"name":"DOM"}]"#,
+        r#"[{"name":"DES"},{"name":"DOM","version":"3.0","extra":["z"]}]"#,
+        r#"{"DOM":"3.0","DES":"1.0"}"#,
+    ] {
+        assert_eq!(found(services), [], "{services}");
+    }
+    for (services, words) in [
+        (r#"[{"name":"DES","version":"1.1"},{"name":"DOM"}]"#, "DES is 1.0, not 1.1."),
+        (r#"[{"name":"DOM"},{"name":"DES"}]"#, "different order or duplicates."),
+        (r#"[{"name":"DES"},{"name":"DOM"},{"name":"X"}]"#, "X is missing."),
+        (r#"[{"name":"DES"}]"#, "DOM 3.0 x y \\x02 is not listed."),
+        (r#"[{"name":"DES"},{"name":"DOM","version":"3"}]"#, "DOM is 3.0 x y \\x02, not 3."),
+    ] {
+        let text = &found(services)[0].1;
+        assert!(text.ends_with(words), "{services}: {text}");
+    }
+}
+
+#[test]
+fn entries_of_other_buses_and_doubled_ones_are_left_out() {
+    assert_eq!(section(&[FEED], r#"[{"name":"FEED"},{"name":"X","bus":"can7"}]"#), []);
+    let doubled = r#"[{"name":"FEED","address":10},{"name":"FEED","address":10}]"#;
+    assert_eq!(section(&[FEED], doubled)[0], CheckSection::FileErrors);
+    assert!(!section(&[FEED], doubled).contains(&CheckSection::Missing));
+    let wrong = sections(&[FEED], r#"[{"name":"FEED","address":300}]"#, None);
+    assert!(wrong[0].1.starts_with("FEED: "), "{wrong:?}");
 }
 
 #[test]

@@ -2,7 +2,8 @@
 //! twice unless the connection was lost.
 
 use descan::fleet::{
-    Delivery, FleetDocument, FleetMessage, MAX_QUEUED_EVENTS, Publication, TopicPath,
+    FleetDocument, FleetMessage, FleetMessageId, MAX_QUEUED_EVENTS, OtherRun, Publication,
+    TopicPath,
 };
 use descan::time::{Duration, Instant};
 use serde_json::{Value, json};
@@ -10,7 +11,7 @@ use serde_json::{Value, json};
 const COUNTERS: &[&str] = &["frames", "heartbeat.count"];
 
 fn publication() -> Publication {
-    Publication::new("boiler-17".parse().unwrap(), 1000.0)
+    Publication::new("boiler-17".parse().unwrap(), 1000)
 }
 
 fn at(seconds: u64) -> Instant {
@@ -40,7 +41,7 @@ fn delivered(publication: &mut Publication) -> Vec<(String, Value)> {
             return all;
         }
         for message in messages {
-            publication.handle_delivered(&message.delivery);
+            publication.handle_delivered(&message.id);
             let topic = message.topic.strip_prefix("descan/v1/boiler-17/").unwrap().to_owned();
             all.push((topic, serde_json::from_slice(&message.payload).unwrap_or(Value::Null)));
         }
@@ -75,7 +76,7 @@ fn status_follows_the_documents() {
     assert_eq!(topics(&messages), ["bus/aa", "bus/zz", "status"]);
     let status = &messages[2].1;
     assert_eq!(status["online"], true);
-    assert_eq!((&status["devices"], &status["started"]), (&json!(3), &json!(1000.0)));
+    assert_eq!((&status["devices"], &status["started_ms"]), (&json!(3), &json!(1000)));
 }
 
 #[test]
@@ -130,38 +131,73 @@ fn documents_of_an_earlier_run_are_cleared() {
         "descan/v1/boiler-1/bus/can0",
         "descan/v1/boiler-171/bus/can0",
     ] {
-        assert!(!publication.handle_message(topic, b"{}"));
+        assert_eq!(publication.handle_message(topic, b"{}", true), OtherRun::None);
     }
     // Cleared already.
-    publication.handle_message("descan/v1/boiler-17/device/can0/8", b"");
+    publication.handle_message("descan/v1/boiler-17/device/can0/8", b"", true);
+    // Not kept: an event, or a document that was just sent.
+    publication.handle_message("descan/v1/boiler-17/device/can0/7", b"{}", false);
+    publication.handle_message("descan/v1/boiler-17/event", b"{}", false);
     assert_eq!(delivered(&mut publication), [("device/can0/9".to_owned(), Value::Null)]);
 }
 
-#[test]
-fn of_two_programs_with_one_name_the_later_one_stays() {
-    let status =
-        |online: bool, started: f64| json!({"online": online, "started": started}).to_string();
+/// A status at the broker, and what it is to the publication that started at 1000; the number of messages
+/// that are sent because of it.
+fn other_status(publication: &mut Publication, text: &str, is_kept: bool) -> (OtherRun, usize) {
     let topic = "descan/v1/boiler-17/status";
+    let other = publication.handle_message(topic, text.as_bytes(), is_kept);
+    (other, delivered(publication).len())
+}
+
+fn status(online: bool, started: u64) -> String {
+    json!({"online": online, "started_ms": started}).to_string()
+}
+
+#[test]
+fn later_of_two_programs_with_one_name_stays() {
     let mut publication = publication();
     publication.handle_connected(false);
     publication.handle_documents(at(0), 0.0, [document("can0", json!({}))]);
     delivered(&mut publication);
-    for (text, is_replaced, resent) in [
-        (status(true, 1000.0), false, 0),
-        (status(false, 2000.0), false, 0),
-        (status(false, 10.0), false, 0),
-        ("no json".to_owned(), false, 0),
-        // The earlier one may have changed documents.
-        (status(true, 10.0), false, 1),
-        (status(true, 1000.001), true, 0),
-    ] {
-        assert_eq!(publication.handle_message(topic, text.as_bytes()), is_replaced, "{text}");
-        assert_eq!(delivered(&mut publication).len(), resent, "{text}");
+    for is_kept in [true, false] {
+        let own = status(true, 1000);
+        assert_eq!(other_status(&mut publication, &own, is_kept), (OtherRun::None, 0));
+        // An earlier one may have changed documents.
+        for text in [&status(true, 10), &status(false, 10), "no json", &status(true, u64::MAX)] {
+            assert_eq!(
+                other_status(&mut publication, text, is_kept),
+                (OtherRun::None, 1),
+                "{text}"
+            );
+        }
+    }
+    let later = status(true, 2000);
+    assert_eq!(other_status(&mut publication, &later, false), (OtherRun::Later, 0));
+    publication.handle_disconnected();
+    publication.handle_connected(true);
+    for text in [status(true, 1001), status(false, 1001)] {
+        assert_eq!(other_status(&mut publication, &text, true), (OtherRun::Later, 0));
     }
 }
 
 #[test]
-fn a_lost_session_sends_all_documents_again() {
+fn earlier_run_by_a_clock_ahead_is_no_other_program() {
+    let mut publication = publication();
+    publication.handle_connected(false);
+    publication.handle_status(at(0), 0.0, json!({"devices": 3}));
+    delivered(&mut publication);
+    let kept = status(true, 5000);
+    assert_eq!(other_status(&mut publication, &kept, true), (OtherRun::Before, 1));
+    // From now on it is the later one.
+    let will: Value = serde_json::from_slice(&publication.last_will().payload).unwrap();
+    assert_eq!(will["started_ms"], 5001);
+    assert_eq!(other_status(&mut publication, &status(true, 5000), false), (OtherRun::None, 1));
+    publication.handle_event(json!({}));
+    assert_eq!(delivered(&mut publication)[0].1["started_ms"], 5001);
+}
+
+#[test]
+fn lost_session_sends_all_documents_again() {
     let mut publication = publication();
     publication.handle_connected(false);
     publication.handle_documents(
@@ -181,7 +217,7 @@ fn a_lost_session_sends_all_documents_again() {
 }
 
 #[test]
-fn a_message_that_was_lost_is_sent_again_in_its_order() {
+fn lost_message_is_sent_again_in_its_order() {
     let mut publication = publication();
     publication.handle_connected(false);
     for number in 1..=3 {
@@ -190,9 +226,9 @@ fn a_message_that_was_lost_is_sent_again_in_its_order() {
     let messages = sent(&mut publication);
     publication.handle_event(json!({"number": 4}));
     publication.handle_disconnected();
-    publication.handle_delivered(&messages[0].delivery);
-    publication.handle_undelivered(&messages[2].delivery);
-    publication.handle_undelivered(&messages[1].delivery);
+    publication.handle_delivered(&messages[0].id);
+    publication.handle_undelivered(&messages[2].id);
+    publication.handle_undelivered(&messages[1].id);
     publication.handle_connected(false);
     let numbers: Vec<u64> =
         delivered(&mut publication).iter().map(|(_, it)| it["seq"].as_u64().unwrap()).collect();
@@ -201,13 +237,13 @@ fn a_message_that_was_lost_is_sent_again_in_its_order() {
 }
 
 #[test]
-fn a_newer_document_is_not_replaced_by_the_lost_one() {
+fn newer_document_is_not_replaced_by_the_lost_one() {
     let mut publication = publication();
     publication.handle_connected(false);
     publication.handle_documents(at(0), 0.0, [document("can0", json!({"state": "old"}))]);
     let old = sent(&mut publication).remove(0);
     publication.handle_documents(at(1), 1.0, [document("can0", json!({"state": "new"}))]);
-    publication.handle_undelivered(&old.delivery);
+    publication.handle_undelivered(&old.id);
     let messages = delivered(&mut publication);
     assert_eq!(messages.len(), 1);
     assert_eq!(messages[0].1["state"], "new");
@@ -215,7 +251,7 @@ fn a_newer_document_is_not_replaced_by_the_lost_one() {
     publication.handle_documents(at(2), 2.0, []);
     let clear = sent(&mut publication).remove(0);
     publication.handle_documents(at(3), 3.0, [document("can0", json!({"state": "back"}))]);
-    publication.handle_delivered(&clear.delivery);
+    publication.handle_delivered(&clear.id);
     assert_eq!(delivered(&mut publication)[0].1["state"], "back");
 }
 
@@ -246,7 +282,7 @@ fn few_messages_are_on_the_way_at_once() {
     (0..1000).for_each(|number| publication.handle_event(json!({"number": number})));
     let first = sent(&mut publication);
     assert_eq!(first.len(), 64);
-    publication.handle_delivered(&first[0].delivery);
+    publication.handle_delivered(&first[0].id);
     assert_eq!(sent(&mut publication).len(), 1);
 }
 
@@ -257,7 +293,7 @@ fn last_will_and_farewell_are_retained_as_the_status() {
     let value: Value = serde_json::from_slice(&will.payload).unwrap();
     assert_eq!(will.topic, "descan/v1/boiler-17/status");
     assert!(will.is_retained);
-    assert_eq!(value, json!({"online": false, "reason": "lost", "started": 1000.0}));
+    assert_eq!(value, json!({"online": false, "reason": "lost", "started_ms": 1000}));
     publication.handle_connected(false);
     publication.handle_stop(at(9), 9.0);
     let (topic, value) = delivered(&mut publication).remove(0);
@@ -271,8 +307,8 @@ fn refused_messages_are_counted_and_not_sent_again() {
     publication.handle_connected(false);
     publication.handle_documents(at(0), 0.0, [document("can0", json!({}))]);
     let message = sent(&mut publication).remove(0);
-    assert!(matches!(message.delivery, Delivery::Document(..)));
-    publication.handle_refused(&message.delivery);
+    assert!(matches!(message.id, FleetMessageId::Document(..)));
+    publication.handle_refused(&message.id);
     assert_eq!((publication.refused(), publication.is_delivered()), (1, true));
     assert_eq!(sent(&mut publication), []);
 }

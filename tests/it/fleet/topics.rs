@@ -51,8 +51,7 @@ fn topics_of_other_programs_are_none() {
         "homeassistant/sensor/x/config",
     ] {
         let parsed = FleetTopic::parse(topic.as_bytes());
-        // ".." is a name of allowed characters.
-        assert_eq!(parsed.is_some(), topic == "descan/v1/../status", "{topic}");
+        assert_eq!(parsed, None, "{topic}");
     }
     assert_eq!(FleetTopic::parse(b"descan/v1/\xFF/status"), None);
     let long = format!("descan/v1/x/bus/{}", "b".repeat(5000));
@@ -70,7 +69,7 @@ fn gateway_names_are_short_and_plain() {
     for good in ["a", "boiler-17", "SITE_2.north", &"x".repeat(64)] {
         assert_eq!(name(good).as_str(), good);
     }
-    for bad in ["", "a/b", "a b", "+", "#", "é", "$SYS", &"x".repeat(65)] {
+    for bad in ["", ".", "..", "a/b", "a b", "+", "#", "é", "$SYS", &"x".repeat(65)] {
         assert!(bad.parse::<GatewayName>().is_err(), "{bad:?}");
     }
 }

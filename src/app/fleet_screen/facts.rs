@@ -1,0 +1,241 @@
+//! What the screen of a fleet shows of a gateway, a version, a finding and a device.
+//!
+//! Input: a gateway of [`crate::fleet::Fleet`]. Output: counts and texts, taken once for each change of
+//! the gateway. Does not know pages, filters or the selection.
+
+use crate::finding::{FindingKind, FindingState};
+use crate::fleet::{FleetGateway, GatewayName, GatewayState};
+use crate::inventory::{InventoryBus, InventoryDevice, InventoryFinding};
+use crate::time::Instant;
+use crate::wire::id::Address;
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+
+/// Counts and texts of a gateway.
+#[derive(Clone, Debug, Default)]
+pub struct GatewayFacts {
+    /// Devices that are not lost, without debug devices.
+    pub present: usize,
+    /// Lost devices.
+    pub lost: usize,
+    /// Confirmed findings.
+    pub confirmed: usize,
+    /// Confirmed conflicts among them.
+    pub conflicts: usize,
+    /// Suspected findings.
+    pub suspected: usize,
+    /// Its buses.
+    pub buses: Vec<InventoryBus>,
+    /// Version of its descan; empty where it is not known.
+    pub descan: String,
+    /// Start of its program, in Unix seconds; 0 where it is not known.
+    pub started: f64,
+    /// Time of its last status by its own clock, in Unix seconds.
+    pub status_time: Option<f64>,
+    /// Number of the last event, and of events that it dropped.
+    pub events: (u64, u64),
+    /// Number of present devices with a version of a service.
+    pub services: BTreeMap<(String, String), usize>,
+    /// Names of its devices, lost ones included.
+    pub names: BTreeSet<String>,
+    /// Their UIDs.
+    pub uids: BTreeSet<String>,
+    /// Their modes.
+    pub modes: BTreeSet<String>,
+    /// Its findings.
+    pub problems: Vec<Arc<FleetProblem>>,
+    /// Addresses of its devices, a bit for each.
+    address_bits: u128,
+}
+
+impl GatewayFacts {
+    /// Takes the facts of a gateway.
+    pub fn new(name: &GatewayName, gateway: &FleetGateway) -> Self {
+        let mut facts = Self { buses: gateway.buses().cloned().collect(), ..Self::default() };
+        if let Some(status) = gateway.status() {
+            facts.descan.clone_from(&status.descan);
+            facts.started = status.started_ms as f64 / 1000.0;
+            facts.status_time = status.time;
+            facts.events = (status.events.last, status.events.dropped);
+        }
+        gateway.devices().filter(|device| !is_debug(device)).for_each(|it| facts.add_device(it));
+        for (bus, id, finding) in gateway.findings_by_id() {
+            facts.add_problem(FleetProblem::new(name, bus, id, finding));
+        }
+        facts
+    }
+
+    fn add_device(&mut self, device: &InventoryDevice) {
+        if let Some(address) = Address::new(device.address) {
+            self.address_bits |= 1 << address.number();
+        }
+        let texts = [
+            (&device.name, &mut self.names),
+            (&device.uid, &mut self.uids),
+            (&device.mode, &mut self.modes),
+        ];
+        for (text, all) in texts {
+            if let Some(text) = text.as_ref().filter(|it| !it.is_empty() && !all.contains(*it)) {
+                all.insert(text.clone());
+            }
+        }
+        if !device.is_present() {
+            self.lost += 1;
+            return;
+        }
+        self.present += 1;
+        for service in device.services.iter().flatten() {
+            let key = (service.name.clone(), service.version.clone());
+            *self.services.entry(key).or_default() += 1;
+        }
+    }
+
+    fn add_problem(&mut self, problem: FleetProblem) {
+        if problem.is_confirmed() {
+            self.confirmed += 1;
+            self.conflicts += usize::from(problem.is_conflict());
+        } else {
+            self.suspected += 1;
+        }
+        self.problems.push(Arc::new(problem));
+    }
+
+    /// Addresses of its devices.
+    pub fn addresses(&self) -> impl Iterator<Item = Address> {
+        let bits = self.address_bits;
+        Address::all().filter(move |address| bits >> address.number() & 1 != 0)
+    }
+}
+
+/// Returns true for another tool, which is not a device of the system.
+pub(super) fn is_debug(device: &InventoryDevice) -> bool {
+    InventoryDevice::is_debug(device.address, device.name.as_deref(), device.uid.as_deref())
+}
+
+/// A finding of a gateway.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FleetProblem {
+    /// The gateway.
+    pub gateway: GatewayName,
+    /// Bus of its topic; `-` for one about des.json.
+    pub bus: String,
+    /// Identifier in its topic.
+    pub id: String,
+    /// What was published.
+    pub finding: InventoryFinding,
+    kind: Option<FindingKind>,
+}
+
+impl FleetProblem {
+    fn new(gateway: &GatewayName, bus: &str, id: &str, finding: &InventoryFinding) -> Self {
+        let kind = FindingKind::ALL.iter().find(|kind| kind.name() == finding.kind).copied();
+        let (bus, id) = (bus.to_owned(), id.to_owned());
+        Self { gateway: gateway.clone(), bus, id, finding: finding.clone(), kind }
+    }
+
+    /// Returns true if the gateway is sure of it.
+    pub fn is_confirmed(&self) -> bool {
+        self.finding.confidence == FindingState::Confirmed.name()
+    }
+
+    /// Returns true for two devices where one should be.
+    pub fn is_conflict(&self) -> bool {
+        self.kind.is_some_and(FindingKind::is_conflict)
+    }
+
+    /// What is wrong, in a few words; the name of a kind that this version of descan does not know.
+    pub fn headline(&self) -> &str {
+        match self.kind {
+            Some(kind) => {
+                let at_address = kind.facts().at_address.filter(|_| self.finding.address.is_some());
+                at_address.unwrap_or(kind.facts().wording).headline
+            }
+            None => &self.finding.kind,
+        }
+    }
+
+    /// From 0 to 100: the highest comes first.
+    pub fn severity(&self) -> u8 {
+        self.kind.map_or(0, FindingKind::severity)
+    }
+
+    /// Addresses that it is about.
+    pub fn addresses(&self) -> impl Iterator<Item = Address> {
+        let own = self.finding.address.filter(|own| !self.finding.addresses.contains(own));
+        own.into_iter().chain(self.finding.addresses.iter().copied()).filter_map(Address::new)
+    }
+}
+
+/// A row of the page Gateways.
+#[derive(Clone, Debug)]
+pub struct GatewayRow {
+    /// The gateway.
+    pub name: GatewayName,
+    /// Whether it publishes.
+    pub state: GatewayState,
+    /// Time at which its last status was received.
+    pub received: Instant,
+    /// Its counts and texts.
+    pub facts: Arc<GatewayFacts>,
+}
+
+impl GatewayRow {
+    /// Place in the order of severity: the worst is 0.
+    pub fn rank(&self) -> u8 {
+        let facts = &self.facts;
+        match self.state {
+            GatewayState::Lost => 0,
+            GatewayState::Silent => 1,
+            _ if facts.conflicts > 0 => 2,
+            _ if facts.confirmed > 0 => 3,
+            _ if facts.suspected > 0 || facts.lost > 0 => 4,
+            GatewayState::Unknown => 5,
+            GatewayState::Stopped => 6,
+            GatewayState::Online => 7,
+        }
+    }
+}
+
+/// A row of the page Versions.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct VersionRow {
+    /// Name of the service.
+    pub service: String,
+    /// Its version; empty without one.
+    pub version: String,
+    /// Number of present devices.
+    pub devices: usize,
+    /// Number of gateways with such a device.
+    pub gateways: usize,
+    /// Other versions of the service are in use, too.
+    pub has_others: bool,
+}
+
+/// A device of the opened gateway.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FleetDevice {
+    /// What was published.
+    pub device: InventoryDevice,
+    /// A confirmed conflict is about its address.
+    pub is_in_conflict: bool,
+    /// Another finding is about it.
+    pub is_suspected: bool,
+}
+
+impl FleetDevice {
+    /// Takes a device, and what the findings of its gateway say of it.
+    pub(super) fn new(device: &InventoryDevice, problems: &[Arc<FleetProblem>]) -> Self {
+        let at = |problem: &FleetProblem| {
+            let is_here = problem.bus == device.bus;
+            is_here && problem.addresses().any(|it| it.number() == device.address)
+        };
+        let of = |is_wanted: fn(&FleetProblem) -> bool| {
+            problems.iter().any(|problem| is_wanted(problem) && at(problem))
+        };
+        Self {
+            device: device.clone(),
+            is_in_conflict: of(|it| it.is_confirmed() && it.is_conflict()),
+            is_suspected: of(|it| !it.is_confirmed() && it.is_conflict()),
+        }
+    }
+}

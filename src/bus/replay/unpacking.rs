@@ -1,0 +1,105 @@
+//! Packed logs on disk: the files in which they lie unpacked, and what is beside a database.
+
+use crate::log::{LogSpool, RandomAccess, Unpacked};
+use crate::open_file::{path_of, temporary_folder};
+use crate::positioned_read::read_at;
+use std::fs::{self, File};
+use std::io::{self, Read, Write};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// Returns the bytes of a log, unpacked: `source` reads `file` from its start, or is a pipe.
+///
+/// # Errors
+///
+/// Those of the file system.
+pub fn unpacked_log<'a>(
+    source: impl Read + Send + 'a,
+    file: &Arc<File>,
+) -> io::Result<Unpacked<'a>> {
+    let is_file = file.metadata()?.is_file();
+    let pages = is_file.then(|| Arc::clone(file));
+    Ok(unpacked_with(source, pages, file))
+}
+
+/// Returns the bytes of a log, unpacked; `pages` reads `file` in any order, unless it is a pipe.
+pub(super) fn unpacked_with<'a>(
+    source: impl Read + Send + 'a,
+    pages: Option<impl RandomAccess + 'a>,
+    file: &File,
+) -> Unpacked<'a> {
+    let unpacked = Unpacked::new(source).with_spool(spool);
+    match pages {
+        Some(pages) => unpacked.with_file(pages, has_wal(file)),
+        None => unpacked,
+    }
+}
+
+/// Returns true if a file of a database has a write-ahead log with contents beside it.
+fn has_wal(file: &File) -> bool {
+    let Some(path) = path_of(file) else { return false };
+    let mut wal = path.into_os_string();
+    wal.push("-wal");
+    fs::metadata(wal).is_ok_and(|it| it.is_file() && it.len() > 0)
+}
+
+fn spool() -> io::Result<Box<dyn LogSpool>> {
+    Ok(Box::new(UnpackedFile::new()?))
+}
+
+/// A file without a name for what a packed log contains.
+pub(super) struct UnpackedFile {
+    file: File,
+    folder: PathBuf,
+}
+
+impl UnpackedFile {
+    /// Makes a file.
+    ///
+    /// # Errors
+    ///
+    /// Those of the file system, with the folder and the way to name another one.
+    pub fn new() -> io::Result<Self> {
+        let folder = temporary_folder();
+        match tempfile::tempfile_in(&folder) {
+            Ok(file) => Ok(Self { file, folder }),
+            Err(error) => Err(cannot_unpack(&folder, &error)),
+        }
+    }
+
+    /// Returns another handle of the file.
+    ///
+    /// # Errors
+    ///
+    /// Those of the system.
+    pub fn reader(&self) -> io::Result<File> {
+        self.file.try_clone()
+    }
+}
+
+impl Write for UnpackedFile {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.file.write(bytes).map_err(|error| cannot_unpack(&self.folder, &error))
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+impl RandomAccess for UnpackedFile {
+    fn read_at(&self, buffer: &mut [u8], offset: u64) -> io::Result<usize> {
+        read_at(&self.file, buffer, offset)
+    }
+}
+
+impl LogSpool for UnpackedFile {
+    fn into_bytes(self: Box<Self>) -> Box<dyn RandomAccess> {
+        self
+    }
+}
+
+fn cannot_unpack(folder: &Path, error: &io::Error) -> io::Error {
+    let folder = folder.display();
+    io::Error::other(format!("cannot unpack it in {folder}: {error}; name another with TMPDIR"))
+}

@@ -1,0 +1,664 @@
+//! ASAM MDF 4 with the frames of a bus, as python-can (asammdf) and CANedge log them.
+//!
+//! Source: ASAM MDF 4.1 and its bus logging: groups of records with the channels `CAN_DataFrame.*`,
+//! `CAN_RemoteFrame.*` and `CAN_ErrorFrame.*`. Groups may have their own data, or share them; data bytes
+//! may be in the record, in signal data, or in records of their own. The frames of all groups are put in
+//! the order of their times. Signals that are decoded are not read. The memory does not depend on lengths
+//! in the file. Does not know moments or bus numbers.
+
+use super::Damage;
+use super::bus_errors::{bus_error, captured};
+use super::dates::{local_micros, unix_nanos_micros};
+use super::entry_stream::EntryWriter;
+use super::fields::{FieldFault, can_id, len_of_dlc};
+use super::mdf_blocks::{DataChain, MdfBlock, MdfFault, u32_at, u64_at};
+use super::random_access::{RandomAccess, RandomFormat, read_full_at};
+use crate::frame::socketcan::{BIT_RATE_SWITCH, ERROR_STATE, with_fd_flags};
+use crate::frame::{CanId, Frame};
+use std::collections::{HashMap, HashSet, VecDeque};
+use std::io;
+
+/// First bytes of a file, and of one that was not finished.
+pub(super) const MAGIC: &[u8] = b"MDF     4";
+pub(super) const UNFINISHED_MAGIC: &[u8] = b"UnFinMF 4";
+/// Address of the header.
+const HEADER: u64 = 64;
+/// Most groups of a file, and most channels of a group.
+const MAX_GROUPS: usize = 4096;
+const MAX_CHANNELS: usize = 1024;
+/// Most groups of frames with data of their own.
+const MAX_STREAMS: usize = 64;
+/// Longest record of frames, and of anything else, and most that wait for their data bytes.
+const MAX_FRAME_RECORD: u64 = 1 << 10;
+const MAX_RECORD: u64 = 1 << 16;
+const MAX_WAITING: usize = 256;
+/// Flag of an unfinished file: places of data bytes in records of their own are not valid.
+const NO_PLACES: u16 = 1 << 6;
+
+/// Addresses of groups and channels that were read: none is read twice, so that lists in a loop end.
+type ReadBlocks = HashSet<u64>;
+
+/// Reads a file.
+pub(super) struct MdfLog {
+    is_begun: bool,
+    streams: Vec<FrameStream>,
+    /// The first damage, after which a stream has ended.
+    damage: Option<LogDamage>,
+}
+
+/// Why not all of a file was read.
+#[derive(Clone, Copy, Debug)]
+enum LogDamage {
+    /// The block that begins at this byte is damaged.
+    Block(u64),
+    NoBusLog,
+}
+
+/// The channels of a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum FrameChannel {
+    Bus,
+    Id,
+    Extended,
+    Dlc,
+    Length,
+    Data,
+    Direction,
+    Fd,
+    Switch,
+    Passive,
+    ErrorType,
+}
+
+impl FrameChannel {
+    const NAMES: [(&'static str, Self); 11] = [
+        ("BusChannel", Self::Bus),
+        ("ID", Self::Id),
+        ("IDE", Self::Extended),
+        ("DLC", Self::Dlc),
+        ("DataLength", Self::Length),
+        ("DataBytes", Self::Data),
+        ("Dir", Self::Direction),
+        ("EDL", Self::Fd),
+        ("BRS", Self::Switch),
+        ("ESI", Self::Passive),
+        ("ErrorType", Self::ErrorType),
+    ];
+}
+
+/// What the records of a group are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum GroupKind {
+    Data,
+    Remote,
+    Error,
+}
+
+/// A number in a record.
+#[derive(Clone, Copy, Debug, Default)]
+struct RecordNumber {
+    byte: usize,
+    bit: u32,
+    bits: u32,
+    kind: u8,
+}
+
+/// Where the data bytes of a record are.
+#[derive(Clone, Copy, Debug)]
+enum DataPlace {
+    None,
+    /// In the record, from this byte on.
+    Inside(usize),
+    /// In signal data, or, with the address of a group, in records of that.
+    Outside {
+        place: RecordNumber,
+        address: u64,
+        is_group: bool,
+    },
+}
+
+/// A group of records with frames.
+#[derive(Debug)]
+struct FrameGroup {
+    kind: GroupKind,
+    /// The time, with its offset and its factor.
+    time: Option<(RecordNumber, f64, f64)>,
+    channels: [Option<RecordNumber>; FrameChannel::NAMES.len()],
+    data: DataPlace,
+    /// The signal data.
+    signal_data: Option<DataChain>,
+}
+
+/// A group of records that share their data with others.
+#[derive(Debug)]
+enum RecordGroup {
+    Frames {
+        len: usize,
+        group: Box<FrameGroup>,
+    },
+    /// Data bytes of the frames of other groups.
+    Bytes,
+    Other {
+        len: usize,
+    },
+}
+
+/// A frame, its channel and its time in nanoseconds since the start.
+type TimedFrame = (i128, Result<(u8, Frame), FieldFault>);
+
+/// Data bytes that are records of their own.
+#[derive(Debug, Default)]
+struct ByteRecords {
+    /// The last ones, each with its place.
+    known: VecDeque<(u64, Vec<u8>)>,
+    /// Place of the next ones.
+    next: u64,
+}
+
+/// The frames of groups that share their data.
+#[derive(Debug)]
+struct FrameStream {
+    chain: DataChain,
+    id_len: usize,
+    groups: HashMap<u64, RecordGroup>,
+    /// Addresses of groups, with the numbers of their records.
+    numbers: HashMap<u64, u64>,
+    /// Records whose data bytes are not read yet, with the number of their group.
+    waiting: VecDeque<(u64, Vec<u8>)>,
+    /// Data bytes by the number of their group.
+    bytes: HashMap<u64, ByteRecords>,
+    has_places: bool,
+    start_nanos: i128,
+    last: i128,
+    ready: VecDeque<TimedFrame>,
+    is_over: bool,
+}
+
+impl MdfLog {
+    pub fn new() -> Self {
+        Self { is_begun: false, streams: Vec::new(), damage: None }
+    }
+
+    /// Reads the groups of the file.
+    fn begin(&mut self, bytes: &dyn RandomAccess) -> Result<(), MdfFault> {
+        let mut head = [0; HEADER as usize];
+        if read_full_at(bytes, &mut head, 0)? < head.len() {
+            return Err(MdfFault::Block(0));
+        }
+        let is_unfinished = head.starts_with(UNFINISHED_MAGIC);
+        let flags = u16::from_le_bytes([head[60], head[61]]);
+        let header = MdfBlock::of_kind(bytes, HEADER, *b"HD")?;
+        let start_nanos = start_of(bytes, &header)?;
+        let (mut next, mut seen) = (header.link(0), ReadBlocks::new());
+        for _ in 0..MAX_GROUPS {
+            if next == 0 {
+                break;
+            }
+            let group = structure_block(bytes, next, *b"DG", &mut seen)?;
+            next = group.link(0);
+            let stream = FrameStream::read(bytes, &group, is_unfinished, &mut seen)?;
+            if let Some(stream) = stream {
+                if self.streams.len() == MAX_STREAMS {
+                    return Err(group.damage());
+                }
+                let has_places = !is_unfinished || flags & NO_PLACES == 0;
+                self.streams.push(FrameStream { has_places, start_nanos, ..stream });
+            }
+        }
+        if self.streams.is_empty() { Err(MdfFault::NoBusLog) } else { Ok(()) }
+    }
+
+    /// Returns the frame that is next by its time; `None` at the end.
+    fn next_frame(&mut self, bytes: &dyn RandomAccess) -> Result<Option<TimedFrame>, io::Error> {
+        for stream in &mut self.streams {
+            match stream.fill(bytes) {
+                Ok(()) => {}
+                Err(MdfFault::File(error)) => return Err(error),
+                Err(MdfFault::Block(address)) => {
+                    stream.is_over = true;
+                    self.damage.get_or_insert(LogDamage::Block(address));
+                }
+                Err(MdfFault::NoBusLog) => stream.is_over = true,
+            }
+        }
+        self.streams.retain(|stream| !stream.ready.is_empty() || !stream.is_over);
+        let front = |stream: &&mut FrameStream| stream.ready.front().map_or(i128::MAX, |it| it.0);
+        let first = self.streams.iter_mut().min_by_key(front);
+        Ok(first.and_then(|stream| stream.ready.pop_front()))
+    }
+}
+
+impl RandomFormat for MdfLog {
+    fn read_on(&mut self, bytes: &dyn RandomAccess, out: &mut EntryWriter) -> io::Result<bool> {
+        /// Bytes of entries that are given at once.
+        const PART: usize = 1 << 14;
+        if !std::mem::replace(&mut self.is_begun, true) {
+            match self.begin(bytes) {
+                Ok(()) => {}
+                Err(MdfFault::File(error)) => return Err(error),
+                Err(MdfFault::NoBusLog) => self.damage = Some(LogDamage::NoBusLog),
+                // The groups before it are read.
+                Err(MdfFault::Block(address)) => self.damage = Some(LogDamage::Block(address)),
+            }
+        }
+        while out.bytes().len() < PART {
+            let Some((nanos, frame)) = self.next_frame(bytes)? else {
+                match self.damage {
+                    Some(LogDamage::Block(address)) => out.damaged_block(address),
+                    Some(LogDamage::NoBusLog) => out.damage(Damage::NoBusLog),
+                    None => {}
+                }
+                return Ok(false);
+            };
+            let micros = unix_nanos_micros(nanos).ok_or(FieldFault::Date);
+            match frame.and_then(|frame| Ok((micros?, frame))) {
+                Ok((micros, (channel, frame))) => out.frame(micros, channel, &frame),
+                Err(fault) => out.fault(fault),
+            }
+        }
+        Ok(true)
+    }
+}
+
+/// Reads a group or a channel.
+fn structure_block(
+    bytes: &dyn RandomAccess,
+    address: u64,
+    kind: [u8; 2],
+    seen: &mut ReadBlocks,
+) -> Result<MdfBlock, MdfFault> {
+    let is_new = seen.insert(address);
+    if is_new { MdfBlock::of_kind(bytes, address, kind) } else { Err(MdfFault::Block(address)) }
+}
+
+/// Returns the start of the measurement, in nanoseconds since 1970.
+fn start_of(bytes: &dyn RandomAccess, header: &MdfBlock) -> Result<i128, MdfFault> {
+    const LOCAL: u8 = 1;
+    let data: [u8; 13] = header.data(bytes)?;
+    let nanos = u64_at(&data, 0);
+    if data[12] & LOCAL == 0 {
+        return Ok(i128::from(nanos));
+    }
+    let micros = local_micros(nanos / 1000).ok_or_else(|| header.damage())?;
+    Ok(i128::from(micros) * 1000 + i128::from(nanos % 1000))
+}
+
+impl FrameStream {
+    /// Reads the groups of records that share their data; `None` without frames.
+    fn read(
+        bytes: &dyn RandomAccess,
+        group: &MdfBlock,
+        is_unfinished: bool,
+        seen: &mut ReadBlocks,
+    ) -> Result<Option<Self>, MdfFault> {
+        let [id_len] = group.data(bytes)?;
+        if !matches!(id_len, 0 | 1 | 2 | 4 | 8) {
+            return Err(group.damage());
+        }
+        let (mut groups, mut numbers) = (HashMap::new(), HashMap::new());
+        let mut next = group.link(1);
+        for _ in 0..MAX_GROUPS {
+            if next == 0 {
+                break;
+            }
+            let records = structure_block(bytes, next, *b"CG", seen)?;
+            let number = records.data::<8>(bytes).map(|number| u64_at(&number, 0))?;
+            let number = if id_len == 0 { 0 } else { number };
+            numbers.insert(next, number);
+            groups.insert(number, RecordGroup::read(bytes, &records, is_unfinished, seen)?);
+            next = records.link(0);
+        }
+        let has_frames = groups.values().any(|it| matches!(it, RecordGroup::Frames { .. }));
+        Ok(has_frames.then(|| Self {
+            chain: DataChain::new(group.link(2), is_unfinished),
+            id_len: usize::from(id_len),
+            groups,
+            numbers,
+            waiting: VecDeque::new(),
+            bytes: HashMap::new(),
+            has_places: true,
+            start_nanos: 0,
+            last: 0,
+            ready: VecDeque::new(),
+            is_over: false,
+        }))
+    }
+
+    /// Reads until a frame is ready, or to the end.
+    fn fill(&mut self, bytes: &dyn RandomAccess) -> Result<(), MdfFault> {
+        while self.ready.is_empty() && !self.is_over {
+            if !self.read_record(bytes)? {
+                self.is_over = true;
+                while let Some((number, record)) = self.waiting.pop_front() {
+                    self.push(number, &record, Err(FieldFault::Data));
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Reads a record; returns false at the end.
+    fn read_record(&mut self, bytes: &dyn RandomAccess) -> Result<bool, MdfFault> {
+        let Some(id) = self.chain.take(bytes, self.id_len)? else { return Ok(false) };
+        let mut number = [0; 8];
+        number[..id.len()].copy_from_slice(id);
+        let number = u64::from_le_bytes(number);
+        let damage = self.chain.damage();
+        let len = match self.groups.get(&number).ok_or(damage)? {
+            RecordGroup::Frames { len, .. } | RecordGroup::Other { len } => *len,
+            RecordGroup::Bytes => {
+                let Some(len) = self.chain.take(bytes, 4)? else { return Ok(false) };
+                u32_at(len, 0) as usize
+            }
+        };
+        if len as u64 > MAX_RECORD || len + self.id_len == 0 {
+            return Err(self.chain.damage());
+        }
+        let Some(mut record) = self.chain.take(bytes, len)?.map(<[u8]>::to_vec) else {
+            return Ok(false);
+        };
+        match self.groups.get_mut(&number) {
+            Some(RecordGroup::Frames { group, .. }) => {
+                if let Some(data) = group.data_bytes(bytes, &record)? {
+                    self.push(number, &record, data);
+                } else {
+                    self.waiting.push_back((number, record));
+                    self.push_complete();
+                }
+            }
+            Some(RecordGroup::Bytes) => {
+                let records = self.bytes.entry(number).or_default();
+                let place = records.next;
+                records.next += 4 + record.len() as u64;
+                record.truncate(Frame::MAX_DATA);
+                records.known.push_back((place, record));
+                if records.known.len() > MAX_WAITING {
+                    records.known.pop_front();
+                }
+                self.push_complete();
+            }
+            Some(RecordGroup::Other { .. }) | None => {}
+        }
+        Ok(true)
+    }
+
+    /// Gives the frames that wait, up to the first one whose data bytes are not read yet.
+    fn push_complete(&mut self) {
+        while let Some((number, record)) = self.waiting.front() {
+            let number = *number;
+            let Some(RecordGroup::Frames { group, .. }) = self.groups.get(&number) else { return };
+            let DataPlace::Outside { place, address, .. } = group.data else { return };
+            let known = self.numbers.get(&address).and_then(|of| self.bytes.get_mut(of));
+            let data = known.and_then(|ByteRecords { known, .. }| {
+                let place = place.unsigned(record);
+                let at = known.iter().position(|(at, _)| !self.has_places || Some(*at) == place)?;
+                known.remove(at)
+            });
+            let data = match data {
+                Some((_, data)) => Ok(data),
+                None if self.waiting.len() > MAX_WAITING => Err(FieldFault::Data),
+                None => return,
+            };
+            if let Some((number, record)) = self.waiting.pop_front() {
+                self.push(number, &record, data);
+            }
+        }
+    }
+
+    fn push(&mut self, number: u64, record: &[u8], data: Result<Vec<u8>, FieldFault>) {
+        let Some(RecordGroup::Frames { group, .. }) = self.groups.get(&number) else { return };
+        let nanos = group.nanos(record).map(|nanos| self.start_nanos.saturating_add(nanos));
+        let frame = data.and_then(|data| group.frame(record, &data));
+        let frame = nanos.ok_or(FieldFault::Date).and(frame);
+        self.last = nanos.unwrap_or(self.last);
+        self.ready.push_back((self.last, frame));
+    }
+}
+
+impl RecordGroup {
+    fn read(
+        bytes: &dyn RandomAccess,
+        records: &MdfBlock,
+        is_unfinished: bool,
+        seen: &mut ReadBlocks,
+    ) -> Result<Self, MdfFault> {
+        const OF_BYTES: u8 = 1;
+        let data: [u8; 32] = records.data(bytes)?;
+        if data[16] & OF_BYTES != 0 {
+            return Ok(Self::Bytes);
+        }
+        let len = u64::from(u32_at(&data, 24)) + u64::from(u32_at(&data, 28));
+        if len > MAX_RECORD {
+            return Err(records.damage());
+        }
+        let len = len as usize;
+        let group = FrameGroup::read(bytes, records.link(1), is_unfinished, seen)?;
+        Ok(match group {
+            Some(_) if len as u64 > MAX_FRAME_RECORD => return Err(records.damage()),
+            Some(group) => Self::Frames { len, group: Box::new(group) },
+            None => Self::Other { len },
+        })
+    }
+}
+
+impl FrameGroup {
+    /// Reads the channels of a group; `None` if they are not those of frames.
+    fn read(
+        bytes: &dyn RandomAccess,
+        first: u64,
+        is_unfinished: bool,
+        seen: &mut ReadBlocks,
+    ) -> Result<Option<Self>, MdfFault> {
+        /// Types of channels.
+        const VARIABLE: u8 = 1;
+        const MASTER: u8 = 2;
+        let mut group = Self {
+            kind: GroupKind::Data,
+            time: None,
+            channels: [None; FrameChannel::NAMES.len()],
+            data: DataPlace::None,
+            signal_data: None,
+        };
+        let (mut next, mut is_of_frames) = (vec![first], false);
+        for _ in 0..MAX_CHANNELS {
+            let Some(address) = next.pop() else { break };
+            if address == 0 {
+                continue;
+            }
+            let channel = structure_block(bytes, address, *b"CN", seen)?;
+            next.push(channel.link(0));
+            let data: [u8; 12] = channel.data(bytes)?;
+            let (kind, number) = (data[0], RecordNumber::of_channel(&data));
+            if kind == MASTER {
+                let (offset, factor) = linear(bytes, channel.link(4))?;
+                group.time = Some((number, offset, factor));
+                continue;
+            }
+            let name = text(bytes, channel.link(2))?;
+            let (of, part) = name.split_once('.').unwrap_or((&name, ""));
+            let of = match of {
+                "CAN_DataFrame" => GroupKind::Data,
+                "CAN_RemoteFrame" => GroupKind::Remote,
+                "CAN_ErrorFrame" => GroupKind::Error,
+                _ => continue,
+            };
+            (group.kind, is_of_frames) = (of, true);
+            let known = FrameChannel::NAMES.iter().position(|(name, _)| *name == part);
+            let Some(at) = known else {
+                // The channels are below that of the frame.
+                next.push(channel.link(1));
+                continue;
+            };
+            group.channels[at] = Some(number);
+            if FrameChannel::NAMES[at].1 == FrameChannel::Data {
+                group.data = if kind == VARIABLE {
+                    let address = channel.link(5);
+                    let block = MdfBlock::read(bytes, address)?;
+                    let is_group = block.kind == *b"CG";
+                    group.signal_data = Some(DataChain::new(address, is_unfinished));
+                    DataPlace::Outside { place: number, address, is_group }
+                } else {
+                    DataPlace::Inside(number.byte)
+                };
+            }
+        }
+        Ok(is_of_frames.then_some(group))
+    }
+
+    /// Returns the data bytes of a record and what follows them there; `None` if they are in another record.
+    fn data_bytes(
+        &mut self,
+        bytes: &dyn RandomAccess,
+        record: &[u8],
+    ) -> Result<Option<Result<Vec<u8>, FieldFault>>, MdfFault> {
+        let (place, is_group) = match self.data {
+            DataPlace::None => return Ok(Some(Ok(Vec::new()))),
+            DataPlace::Inside(at) => {
+                let data = record.get(at..).ok_or(FieldFault::Data);
+                return Ok(Some(data.map(<[u8]>::to_vec)));
+            }
+            DataPlace::Outside { place, is_group, .. } => (place, is_group),
+        };
+        let Some(chain) = self.signal_data.as_mut().filter(|_| !is_group) else { return Ok(None) };
+        let Some(place) = place.unsigned(record) else { return Ok(Some(Err(FieldFault::Data))) };
+        if !chain.skip_to(bytes, place)? {
+            return Ok(Some(Err(FieldFault::Data)));
+        }
+        let Some(len) = chain.take(bytes, 4)?.map(|len| u32_at(len, 0)) else {
+            return Ok(Some(Err(FieldFault::Data)));
+        };
+        if len as usize > Frame::MAX_DATA {
+            return Ok(Some(Err(FieldFault::Length)));
+        }
+        let data = chain.take(bytes, len as usize)?;
+        Ok(Some(data.map(<[u8]>::to_vec).ok_or(FieldFault::Data)))
+    }
+
+    /// Returns the time of a record, in nanoseconds since the start.
+    fn nanos(&self, record: &[u8]) -> Option<i128> {
+        let (number, offset, factor) = self.time?;
+        let seconds = offset + factor * number.float(record)?;
+        let nanos = (seconds * 1e9).round();
+        (nanos.abs() < 1e27).then_some(nanos as i128)
+    }
+
+    fn value(&self, record: &[u8], channel: FrameChannel) -> Option<u64> {
+        self.channels[channel as usize]?.unsigned(record)
+    }
+
+    /// Returns the frame of a record, and its channel.
+    fn frame(&self, record: &[u8], data: &[u8]) -> Result<(u8, Frame), FieldFault> {
+        use FrameChannel as C;
+        /// Bit of an identifier of 29 bits, where there is no channel for it.
+        const EXTENDED: u64 = 0x8000_0000;
+        let value = |channel| self.value(record, channel);
+        let flag = |channel| value(channel).is_some_and(|value| value != 0);
+        let bus = value(C::Bus).unwrap_or(0);
+        let bus = u8::try_from(bus).map_err(|_| FieldFault::Channel)?;
+        let is_tx = flag(C::Direction);
+        let with_direction = |frame: Frame| if is_tx { frame.with_tx() } else { frame };
+        if self.kind == GroupKind::Error {
+            return Ok((bus, with_direction(error_frame(value(C::ErrorType)))));
+        }
+        let word = value(C::Id).ok_or(FieldFault::Id)?;
+        let is_extended = value(C::Extended).map_or(word & EXTENDED != 0, |flag| flag != 0);
+        let number = u32::try_from(word & !EXTENDED).ok();
+        let id: CanId = can_id(number, is_extended)?;
+        let is_fd = flag(C::Fd);
+        let of_dlc = value(C::Dlc).map(|dlc| len_of_dlc(u32::try_from(dlc).unwrap_or(16), is_fd));
+        if self.kind == GroupKind::Remote {
+            let len = of_dlc.unwrap_or(Ok(0))?.min(Frame::MAX_CLASSIC_DATA);
+            return Ok((bus, with_direction(Frame::remote(id, len))));
+        }
+        let len = value(C::Length).map(|len| usize::try_from(len).unwrap_or(usize::MAX));
+        let len = len.map_or_else(|| of_dlc.unwrap_or(Ok(data.len())), Ok)?;
+        let most = if is_fd { Frame::MAX_DATA } else { Frame::MAX_CLASSIC_DATA };
+        if len > most {
+            return Err(FieldFault::Length);
+        }
+        let data = data.get(..len).ok_or(FieldFault::Data)?;
+        let bit = |channel, bit| if flag(channel) { bit } else { 0 };
+        let flags = bit(C::Switch, BIT_RATE_SWITCH) | bit(C::Passive, ERROR_STATE);
+        let frame = if is_fd { with_fd_flags(id, data, flags) } else { Frame::new(id, data) };
+        Ok((bus, with_direction(frame)))
+    }
+}
+
+/// Returns an error frame of a type of bus logging: bit, form or stuff error, or any other.
+fn error_frame(kind: Option<u64>) -> Frame {
+    const RECEPTION: u8 = 0x20;
+    match kind {
+        Some(kind @ 1..=3) => captured((kind as u8 - 1) << 6 | RECEPTION),
+        _ => bus_error(),
+    }
+}
+
+/// Returns offset and factor of a conversion; 0 and 1 without one.
+fn linear(bytes: &dyn RandomAccess, address: u64) -> Result<(f64, f64), MdfFault> {
+    const LINEAR: u8 = 1;
+    if address == 0 {
+        return Ok((0.0, 1.0));
+    }
+    let conversion = MdfBlock::of_kind(bytes, address, *b"CC")?;
+    let [kind] = conversion.data(bytes)?;
+    match kind {
+        0 => Ok((0.0, 1.0)),
+        LINEAR => {
+            let data: [u8; 40] = conversion.data(bytes)?;
+            let value = |at| f64::from_bits(u64_at(&data, at));
+            Ok((value(24), value(32)))
+        }
+        _ => Err(conversion.damage()),
+    }
+}
+
+/// Returns the beginning of a text.
+fn text(bytes: &dyn RandomAccess, address: u64) -> Result<String, MdfFault> {
+    const LONGEST: u64 = 256;
+    if address == 0 {
+        return Ok(String::new());
+    }
+    let block = MdfBlock::of_kind(bytes, address, *b"TX")?;
+    let mut text = vec![0; block.data_len.min(LONGEST) as usize];
+    let count = read_full_at(bytes, &mut text, block.data_at)?;
+    text.truncate(count);
+    let end = text.iter().position(|byte| *byte == 0).unwrap_or(text.len());
+    Ok(String::from_utf8_lossy(&text[..end]).into_owned())
+}
+
+impl RecordNumber {
+    /// Reads the place of a channel.
+    fn of_channel(data: &[u8; 12]) -> Self {
+        let (byte, bits) = (u32_at(data, 4) as usize, u32_at(data, 8));
+        Self { byte, bit: u32::from(data[3]), bits, kind: data[2] }
+    }
+
+    /// Returns the bits in a record; `None` outside it.
+    fn unsigned(self, record: &[u8]) -> Option<u64> {
+        const BIG_ENDIAN: [u8; 3] = [1, 3, 5];
+        if !(1..=64).contains(&self.bits) || self.bit > 7 {
+            return None;
+        }
+        let len = (self.bit + self.bits).div_ceil(8) as usize;
+        let bytes = record.get(self.byte..self.byte.checked_add(len)?)?;
+        let add = |number: u128, byte: &u8| number << 8 | u128::from(*byte);
+        let number = if BIG_ENDIAN.contains(&self.kind) {
+            bytes.iter().fold(0, add)
+        } else {
+            bytes.iter().rev().fold(0, add)
+        };
+        Some((number >> self.bit) as u64 & u64::MAX >> (64 - self.bits))
+    }
+
+    /// Returns the number in a record; `None` outside it.
+    fn float(self, record: &[u8]) -> Option<f64> {
+        let raw = self.unsigned(record)?;
+        match (self.kind, self.bits) {
+            (0 | 1, _) => Some(raw as f64),
+            (2 | 3, bits) => Some(((raw << (64 - bits)).cast_signed() >> (64 - bits)) as f64),
+            (4 | 5, 32) => Some(f64::from(f32::from_bits(raw as u32))),
+            (4 | 5, 64) => Some(f64::from_bits(raw)),
+            _ => None,
+        }
+    }
+}

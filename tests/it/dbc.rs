@@ -1,0 +1,400 @@
+//! DBC files: messages and signals of frames that are not of DES.
+
+use crate::common::harness::Stage;
+use crate::common::python::Python;
+use descan::app::{App, AppOptions};
+use descan::dbc::MessageDatabase;
+use descan::discovery::Config;
+use descan::frame::{CanId, Frame};
+use descan::sim::Scenario;
+use descan::text::hex;
+use descan::time::Duration;
+use descan::wire::data_layout::DataValue;
+use fastrand::Rng;
+use serde_json::Value;
+use std::fmt::Write as _;
+use std::fs;
+use std::process::{Command, Output, Stdio};
+use std::sync::Arc;
+
+const CAR: &str = include_str!("../corpus/dbc/kinds_of_signals");
+const DEEP: &str = include_str!("../corpus/dbc/multiplexors_of_multiplexors");
+const LATIN: &[u8] = include_bytes!("../corpus/dbc/latin_1");
+
+fn database(text: impl AsRef<[u8]>) -> MessageDatabase {
+    let mut database = MessageDatabase::default();
+    database.add(text.as_ref()).unwrap();
+    database
+}
+
+/// Returns the words of a frame; empty if no message has its identifier.
+fn words(database: &MessageDatabase, id: u32, data: &[u8]) -> String {
+    let id = if id >> 31 == 1 {
+        CanId::Extended(id & CanId::MAX_EXTENDED)
+    } else {
+        CanId::Standard(id as u16)
+    };
+    let message = database.message(&Frame::new(id, data));
+    message.map_or(String::new(), |message| message.in_words(data))
+}
+
+#[test]
+fn signals_of_every_kind_are_decoded() {
+    let car = database(CAR);
+    for (id, data, expected) in [
+        (
+            0x100,
+            &b"\x40\x0D\x5A\x01\xFF\xF0\0\0"[..],
+            "Engine: Speed 848.00 rpm, Temperature 50 °C, Fan slow, Torque -0.5 Nm",
+        ),
+        (
+            0x100,
+            b"\0\0\x80\x02\x00\x10\0\0",
+            "Engine: Speed 0.00 rpm, Temperature -168 °C, Fan 2, Torque 0.5 Nm",
+        ),
+        (0x100, b"\x40\x0D", "Engine: Speed 848.00 rpm, Temperature –, Fan –, Torque –"),
+        (0x98FE_F1FE, b"\0\xE8\x03\0\0\0\0\0", "Pedal: Mode 0, Position 100.0 %"),
+        (0x98FE_F1FE, b"\x01\0\0\xC0\xBF\0\0\0", "Pedal: Mode 1, Force -1.5 N"),
+        (0x98FE_F1FE, b"\x02\0\0\xC0\xBF\0\0\0", "Pedal: Mode 2"),
+        // The comment of the file has a line that begins as a message does.
+        (0x001, b"\0\0\0\0\0\0\0\0", ""),
+    ] {
+        assert_eq!(words(&car, id, data), expected);
+    }
+    // A message of 29 bits is none of 11 bits; a remote frame has no signals.
+    assert_eq!(words(&car, 0x8000_0100, &[0; 8]), "");
+    assert_eq!(car.message(&Frame::remote(CanId::Standard(0x100), 8)), None);
+}
+
+#[test]
+fn multiplexed_multiplexors_are_followed() {
+    let deep = database(DEEP);
+    let id = 0x8000_0101;
+    assert_eq!(words(&deep, id, &[0x21, 0, 0x80]), "Deep: Outer 1, Inner 2, Leaf 0");
+    assert_eq!(words(&deep, id, &[0x21, 0xFE, 0]), "Deep: Outer 1, Inner 2, Leaf -2");
+    assert_eq!(words(&deep, id, &[0x11, 0xFE, 0]), "Deep: Outer 1, Inner 1");
+    assert_eq!(words(&deep, id, &[0x24, 0xFE, 0]), "Deep: Outer 4, Inner 2, Leaf -2");
+    assert_eq!(words(&deep, id, &[0x22, 0xFE, 0]), "Deep: Outer 2");
+    let double = [&[0; 8][..], &2.5_f64.to_le_bytes()].concat();
+    assert_eq!(words(&deep, id, &double), "Deep: Outer 0, Double 2.5");
+    // In a circle, no signal is ever there.
+    let circle =
+        DEEP.replace("Outer M :", "Outer m0M :") + "SG_MUL_VAL_ 2147483905 Outer Inner 0-15;\n";
+    assert_eq!(words(&database(circle), id, &[0x21, 0, 0]), "Deep");
+}
+
+#[test]
+fn mistakes_of_a_file_have_their_line() {
+    let line = |number: usize, text: &str| {
+        let mut lines: Vec<_> = CAR.lines().collect();
+        lines[number - 1] = text;
+        MessageDatabase::default().add(lines.join("\n").as_bytes()).unwrap_err().to_string()
+    };
+    for (number, text, cause) in [
+        (14, "BO_ x Engine: 8 ECM", "line 14: expected an identifier"),
+        (14, "BO_ 2048 Engine: 8 ECM", "line 14: Engine: no identifier of 11 or 29 bits: 2048"),
+        (14, "BO_ 256 Engine 8 ECM", "line 14: expected \":\""),
+        (
+            15,
+            " SG_ Speed : 0|16@2+ (1,0) [0|0] \"rpm\" TCM",
+            "line 15: expected 0+, 0-, 1+ or 1- behind @",
+        ),
+        (
+            15,
+            " SG_ Speed : 0|65@1+ (1,0) [0|0] \"rpm\" TCM",
+            "line 15: Speed: the number of bits is 1 to 64",
+        ),
+        (
+            15,
+            " SG_ Speed : 512|8@1+ (1,0) [0|0] \"rpm\" TCM",
+            "line 15: Speed: the first bit is 0 to 511",
+        ),
+        (
+            15,
+            " SG_ Speed : 0|16@1+ (nan,0) [0|0] \"rpm\" TCM",
+            "line 15: Speed: the factor and the offset are numbers",
+        ),
+        (
+            15,
+            " SG_ Speed mX : 0|16@1+ (1,0) [0|0] \"rpm\" TCM",
+            "line 15: Speed: no multiplexor: mX",
+        ),
+        (
+            15,
+            " SG_ Speed m1 : 0|16@1+ (1,0) [0|0] \"rpm\" TCM",
+            "line 15: Speed: the message has no multiplexor (M)",
+        ),
+        (
+            16,
+            " SG_ Speed : 0|16@1+ (1,0) [0|0] \"rpm\" TCM",
+            "line 16: Speed: two signals have this name",
+        ),
+        (15, " SG_ Speed : 0|16@1+ (1,0) [0|0] rpm TCM", "line 15: expected the unit in quotes"),
+        (30, "VAL_ 256 Fan 0 off ;", "line 30: expected the name of the value in quotes"),
+        (31, "SIG_VALTYPE_ 256 Fan : 1;", "line 31: Fan: a number of this type has 32 bits"),
+        (32, "CM_ \"a comment", "line 32: the quoted text does not end"),
+    ] {
+        assert_eq!(line(number, text), cause, "{text}");
+    }
+    let error = MessageDatabase::default().add(b"not a DBC file\n").unwrap_err();
+    assert_eq!(error.to_string(), "line 2: no message (BO_) in the file");
+}
+
+#[test]
+fn texts_of_a_file_are_printable() {
+    let latin = database(LATIN);
+    assert_eq!(words(&latin, 5, &[4]), "Latin: T 2.0 °C");
+    assert_eq!(words(&latin, 5, &[3]), "Latin: T \\x1B[2J");
+}
+
+#[test]
+fn first_of_several_files_counts() {
+    let mut both = database(CAR);
+    both.add(b"BO_ 256 Other: 8 X\nBO_ 257 More: 8 X\n").unwrap();
+    assert!(words(&both, 0x100, &[0; 8]).starts_with("Engine: "));
+    assert_eq!(words(&both, 0x101, &[]), "More");
+}
+
+// --- the program --------------------------------------------------------------------------
+
+/// A device with a name and a heartbeat, a frame to it and from it, and frames of other protocols. Of the
+/// last two, one has the identifier of a platform message between addresses without names.
+const MIXED: &str = "\
+(100.000000) can0 05140002#0601464545440000
+(100.100000) can0 07140001#8A
+(100.150000) can0 00002820#0102
+(100.200000) can0 100#400D5A01FFF00000
+(100.300000) can0 18FEF1FE#00E8030000000000
+(100.400000) can0 00C02C20#0102
+(100.500000) can0 100#R8
+";
+
+/// Names each identifier of [`MIXED`].
+fn mixed_dbc() -> String {
+    let mut text = CAR.to_owned();
+    for id in [0x0514_0002_u32, 0x0714_0001, 0x0000_2820, 0x00C0_2C20] {
+        write!(text, "BO_ {} Wrong{id:X}: 8 X\n SG_ A : 0|8@1+ (1,0) [0|0] \"\" X\n", id | 1 << 31)
+            .unwrap();
+    }
+    text
+}
+
+fn log(arguments: &[&str]) -> Output {
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("mixed.log"), MIXED).unwrap();
+    fs::write(folder.path().join("mixed.dbc"), mixed_dbc()).unwrap();
+    fs::write(
+        folder.path().join("wrong.dbc"),
+        "BO_ 1 A: 8 X\n SG_ B : 0|0@1+ (1,0) [0|0] \"\" X\n",
+    )
+    .unwrap();
+    Command::new(env!("CARGO_BIN_EXE_descan"))
+        .args(["log", "mixed.log"])
+        .args(arguments)
+        .current_dir(folder.path())
+        .env("XDG_CONFIG_HOME", folder.path().join("config"))
+        .stdin(Stdio::null())
+        .output()
+        .unwrap()
+}
+
+#[test]
+fn log_names_messages_but_never_those_of_des() {
+    let output = log(&["--dbc", "mixed.dbc", "--json"]);
+    let out = String::from_utf8(output.stdout).unwrap();
+    let frames: Vec<Value> = out.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    let names: Vec<_> = frames.iter().map(|frame| frame["message"].as_str()).collect();
+    assert_eq!(names, [None, None, None, Some("Engine"), Some("Pedal"), Some("WrongC02C20"), None]);
+    assert_eq!(
+        frames[3]["signals"],
+        serde_json::json!({"Speed": 848.0, "Temperature": 50.0, "Fan": "slow", "Torque": -0.5})
+    );
+    assert_eq!(frames[4]["signals"], serde_json::json!({"Mode": 0, "Position": 100.0}));
+    assert_eq!(frames[4]["error"], false);
+    assert!(frames[0]["signals"].is_null());
+    let output = log(&["--dbc", "mixed.dbc", "--filter", "Position"]);
+    let out = String::from_utf8(output.stdout).unwrap();
+    assert_eq!(out.lines().count(), 1, "{out}");
+    assert!(out.ends_with("Pedal: Mode 0, Position 100.0 %\n"), "{out}");
+}
+
+#[test]
+fn file_that_cannot_be_read_is_named_with_the_way_out() {
+    for (file, cause) in [
+        (
+            "wrong.dbc",
+            "wrong.dbc: line 2: B: the number of bits is 1 to 64; correct it, or leave --dbc out",
+        ),
+        ("missing.dbc", "missing.dbc: not found; check the name"),
+        (".", "is a folder; name a file in it"),
+    ] {
+        let output = log(&["--dbc", "mixed.dbc", "--dbc", file]);
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(3), "{said}");
+        assert!(said.contains(cause), "{said}");
+        assert!(output.stdout.is_empty());
+    }
+}
+
+#[test]
+fn screen_shows_message_and_signals_of_a_frame() {
+    let mut stage = Stage::new(&Scenario::new(125_000), None);
+    let options = AppOptions {
+        buses: vec![("can0".to_owned(), Config::default())],
+        messages: Arc::new(database(CAR)),
+        ..AppOptions::default()
+    };
+    let now = stage.app.now();
+    stage.app = App::new(now, options);
+    let end = now + Duration::from_secs(1);
+    let frame = Frame::new(CanId::Standard(0x100), b"\x40\x0D\x5A\x01\xFF\xF0\0\0").with_time(end);
+    stage.size(140, 40);
+    stage.app.handle_frames(end, &[frame]);
+    stage.app.handle_timeout(end);
+    let screen = stage.keys("2").screen();
+    assert!(screen.contains("Engine: Speed 848.00 rpm"), "{screen}");
+    let screen = stage.keys("Enter").screen();
+    for line in ["message   Engine", "signals   Speed 848.00 rpm", "Torque -0.5 Nm"] {
+        let words = |text: &str| text.split_whitespace().collect::<Vec<_>>().join(" ");
+        assert!(words(&screen).contains(&words(line)), "{line}\n{screen}");
+    }
+}
+
+// --- cantools -----------------------------------------------------------------------------
+
+/// Decodes lines of an identifier and data; prints numbers, and the names of values.
+const DECODER: &str = r#"
+import json, sys
+import cantools
+base = cantools.database.load_file(sys.argv[1])
+for line in sys.stdin:
+    id, data = line.split(":")
+    data = bytes.fromhex(data)
+    message = base.get_message_by_frame_id(int(id, 16))
+    numbers = message.decode(data, decode_choices=False)
+    named = {key: str(value) for key, value in message.decode(data).items()}
+    print(json.dumps({"message": message.name, "numbers": numbers, "named": named}), flush=True)
+"#;
+
+/// Returns a file of random messages, and their identifiers with the number of their bytes.
+fn random_file(rng: &mut Rng) -> (String, Vec<(u32, usize)>) {
+    let (mut text, mut end) =
+        ("VERSION \"\"\n\nNS_ :\n\nBS_:\n\nBU_: X\n\n".to_owned(), String::new());
+    let mut messages = Vec::new();
+    for number in 0..60_u32 {
+        let id = if rng.bool() { 1 << 31 | rng.u32(..1 << 24) << 5 | number } else { number * 8 };
+        let len = *rng.choice(&[1, 2, 4, 8, 8, 8, 12, 64]).unwrap();
+        writeln!(text, "BO_ {id} Message{number}: {len} X").unwrap();
+        messages.push((id, len));
+        // cantools takes only known values of a multiplexor: each of its four has a signal.
+        let is_multiplexed = len >= 8 && rng.bool();
+        if is_multiplexed {
+            text += " SG_ Switch M : 0|2@1+ (1,0) [0|0] \"\" X\n";
+        }
+        // Each signal has a part of the data for itself: cantools takes no overlaps.
+        let parts = if is_multiplexed { 4 } else { rng.usize(1..=4.min(len)) };
+        let mut free = if is_multiplexed { 8 } else { 0 };
+        for part in 0..parts {
+            // Whole bytes: the bits of a byte are numbered otherwise in big-endian order.
+            let room = (len - free / 8) / (parts - part) * 8;
+            if room == 0 {
+                break;
+            }
+            let size = rng.usize(1..=room.min(64));
+            let (mut size, is_float) =
+                if size >= 32 && rng.bool() { (32, true) } else { (size, false) };
+            let is_little = rng.bool();
+            let start = free + rng.usize(0..=room - size);
+            // In big-endian order the number begins with the highest bit of its first byte.
+            let (start, order) =
+                if is_little { (start, 1) } else { (start / 8 * 8 + 7 - start % 8, 0) };
+            let is_signed = rng.bool() || is_float;
+            let factor = *rng.choice(&["1", "0.5", "0.01", "-2", "3"]).unwrap();
+            let offset = *rng.choice(&["0", "-40", "0.25", "1000"]).unwrap();
+            let switch = if is_multiplexed { format!(" m{part}") } else { String::new() };
+            let sign = if is_signed { '-' } else { '+' };
+            if is_float {
+                writeln!(end, "SIG_VALTYPE_ {id} Signal{part} : 1;").unwrap();
+            } else if size <= 8 && rng.bool() {
+                writeln!(end, "VAL_ {id} Signal{part} 0 \"zero\" 1 \"one\" ;").unwrap();
+            }
+            size = size.max(1);
+            writeln!(
+                text,
+                " SG_ Signal{part}{switch} : {start}|{size}@{order}{sign} ({factor},{offset}) [0|0] \"\" X"
+            )
+            .unwrap();
+            free += room;
+        }
+        text.push('\n');
+    }
+    (text + &end, messages)
+}
+
+#[test]
+fn random_messages_are_decoded_as_cantools_does() {
+    let Some(python) = Python::with(&["cantools==40.2.1"]) else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("random.dbc");
+    let mut compared = 0;
+    for seed in 1..=3 {
+        let rng = &mut Rng::with_seed(seed);
+        let (text, messages) = random_file(rng);
+        fs::write(&file, &text).unwrap();
+        let own = database(&text);
+        let mut peer = python.start(DECODER, &[file.to_str().unwrap()]);
+        for (id, len) in messages.repeat(5) {
+            let mut data: Vec<u8> = std::iter::repeat_with(|| rng.u8(..)).take(len).collect();
+            if rng.bool() {
+                data.fill(rng.u8(..2));
+            }
+            let can_id = if id >> 31 == 1 {
+                CanId::Extended(id & CanId::MAX_EXTENDED)
+            } else {
+                CanId::Standard(id as u16)
+            };
+            let message = own.message(&Frame::new(can_id, &[])).unwrap();
+            peer.write_line(&format!("{:X}:{}", id & CanId::MAX_EXTENDED, hex(&data, "")));
+            let theirs: Value = serde_json::from_str(
+                &peer
+                    .read_line()
+                    .replace("NaN", "null")
+                    .replace("Infinity", "null")
+                    .replace("-null", "null"),
+            )
+            .unwrap();
+            assert_eq!(theirs["message"], message.name());
+            let values = message.values(&data);
+            assert_eq!(
+                theirs["numbers"].as_object().unwrap().len(),
+                values.len(),
+                "{text}\n{theirs}"
+            );
+            for field in values {
+                let value = field.value.unwrap();
+                let number = &theirs["numbers"][field.name];
+                let same = match value {
+                    DataValue::Named(name) => theirs["named"][field.name] == name,
+                    DataValue::Integer(own) => {
+                        let signed = number.as_i64().map(i128::from);
+                        signed.or(number.as_u64().map(i128::from)) == Some(own)
+                    }
+                    DataValue::Scaled(own, _) | DataValue::Float(own, _) => {
+                        let number = number.as_f64();
+                        let near = |number: f64| (number - own).abs() <= number.abs() * 1e-9 + 1e-9;
+                        number.map_or(!own.is_finite(), near)
+                    }
+                    _ => false,
+                };
+                assert!(
+                    same,
+                    "{}: {value} is not {number} ({}):\n{text}",
+                    field.name,
+                    hex(&data, " ")
+                );
+                compared += 1;
+            }
+        }
+    }
+    assert!(compared > 500, "{compared}");
+}

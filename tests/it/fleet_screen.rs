@@ -1,0 +1,448 @@
+//! The screen of `descan fleet`: documents, keys and time as input; rows, effects and screens as output.
+
+use crate::common::harness::text_of;
+use crate::screen::text_snapshot;
+use descan::app::{BrokerLink, FleetEffect, FleetPage, FleetRow, FleetScreen, FleetScreenOptions};
+use descan::fleet::{MAX_DOCUMENT_BYTES, MAX_GATEWAY_DOCUMENTS};
+use descan::keymap::Key;
+use descan::theme::Theme;
+use descan::time::{Duration, Instant};
+use ratatui::Terminal;
+use ratatui::backend::TestBackend;
+use serde_json::{Value, json};
+
+/// 2026-11-27 12:00:00.
+const UNIX_START: f64 = 1_795_780_800.0;
+
+/// The screen, and the present.
+struct FleetStage {
+    screen: FleetScreen,
+    now: Instant,
+}
+
+impl FleetStage {
+    /// A connected screen without gateways.
+    fn new(columns: u16, rows: u16) -> Self {
+        let screen = FleetScreen::new(FleetScreenOptions {
+            broker: "mqtts://broker.example.org:8883".to_owned(),
+            unix_start: UNIX_START,
+            ..FleetScreenOptions::default()
+        });
+        let mut stage = Self { screen, now: Instant::ZERO };
+        stage.screen.handle_resize(columns, rows);
+        stage.connect();
+        stage
+    }
+
+    fn connect(&mut self) -> &mut Self {
+        self.screen.handle_connected(self.now, false);
+        self.screen.handle_subscribed(self.now, 0);
+        self
+    }
+
+    /// Calls due timeouts until `seconds` later.
+    fn wait(&mut self, seconds: f64) -> &mut Self {
+        let end = self.now + Duration::from_secs_f64(seconds);
+        while let Some(at) = self.screen.poll_timeout().filter(|at| *at <= end) {
+            self.screen.handle_timeout(at);
+            assert!(self.screen.poll_timeout().is_none_or(|next| next > at));
+        }
+        self.now = end;
+        self
+    }
+
+    fn send(&mut self, topic: &str, document: &Value) -> &mut Self {
+        self.send_bytes(topic, document.to_string().as_bytes())
+    }
+
+    fn send_bytes(&mut self, topic: &str, payload: &[u8]) -> &mut Self {
+        let topic = format!("descan/v1/{topic}");
+        self.screen.handle_message(self.now, topic.as_bytes(), payload, true);
+        self
+    }
+
+    fn keys(&mut self, keys: &str) -> &mut Self {
+        for key in keys.split(' ') {
+            self.screen.handle_key(self.now, Key::parse(key).unwrap());
+        }
+        self
+    }
+
+    fn filter(&mut self, line: &str) -> &mut Self {
+        self.keys("/ Ctrl-u");
+        self.screen.handle_paste(self.now, line);
+        self.keys("Enter")
+    }
+
+    /// Names of the gateways, or of the devices, in the rows.
+    fn names(&mut self) -> String {
+        self.screen.prepare();
+        let name = |row: &FleetRow| match row {
+            FleetRow::Gateway(row) => row.name.to_string(),
+            FleetRow::Device(row) => row.device.name.clone().unwrap_or_default(),
+            FleetRow::Version(row) => format!("{}@{}", row.service, row.version),
+            FleetRow::Problem(problem) => format!("{}:{}", problem.gateway, problem.id),
+        };
+        self.screen.rows().iter().map(name).collect::<Vec<_>>().join(" ")
+    }
+
+    fn effects(&mut self) -> Vec<FleetEffect> {
+        std::iter::from_fn(|| self.screen.poll_effect()).collect()
+    }
+
+    /// The screen as text.
+    fn screen(&mut self) -> String {
+        self.screen.prepare();
+        let regions = self.screen.regions().whole;
+        let mut terminal = Terminal::new(TestBackend::new(regions.width, regions.height)).unwrap();
+        let theme = Theme::built_in("terminal").unwrap();
+        let mut scrolled = None;
+        terminal
+            .draw(|frame| scrolled = descan::ui::draw_fleet(&self.screen, &theme, frame))
+            .unwrap();
+        self.screen.handle_drawn(scrolled);
+        text_of(terminal.backend().buffer())
+    }
+
+    fn status(&mut self, gateway: &str, started_ago: f64) -> &mut Self {
+        let started = (UNIX_START - started_ago) as u64;
+        let status = json!({
+            "online": true, "started_ms": started * 1000, "time": UNIX_START, "descan": "0.1.0",
+            "events": {"last": 1234, "dropped": 2},
+        });
+        self.send(&format!("{gateway}/status"), &status)
+    }
+
+    fn device(&mut self, gateway: &str, address: u8, name: &str, services: &str) -> &mut Self {
+        let list = services.split(' ').filter_map(|it| it.split_once('@'));
+        let list: Vec<Value> =
+            list.map(|(name, version)| json!({"name": name, "version": version})).collect();
+        let device = json!({
+            "bus": "can0", "address": address, "name": name, "uid": format!("{name}{address:02}"),
+            "presence": "online", "mode": "WORK", "services": list, "services_known": true,
+            "heartbeat": {"period_ms": 1000.2},
+            "file": {"listed": true, "address": address, "static": true},
+        });
+        self.send(&format!("{gateway}/device/can0/{address}"), &device)
+    }
+
+    fn bus(&mut self, gateway: &str, bus: &str) -> &mut Self {
+        let document = json!({
+            "name": bus, "bitrate": 125_000, "state": "error-active", "load": 0.067,
+            "frames": 123_456, "errors": 3, "lost": 0,
+        });
+        self.send(&format!("{gateway}/bus/{bus}"), &document)
+    }
+
+    fn conflict(&mut self, gateway: &str, address: u8, confidence: &str) -> &mut Self {
+        let finding = json!({
+            "kind": "same-name-same-address", "confidence": confidence, "bus": "can0", "address": address,
+            "addresses": [address], "names": ["ACT"], "uids": ["ACT14", "SPARE01"],
+            "text": format!("Two devices answer as ACT at address {address}."),
+            "remedy": "Switch one off, then give the other one another address.",
+        });
+        self.send(&format!("{gateway}/finding/can0/c{address}"), &finding)
+    }
+
+    /// Four gateways: one with a conflict, one lost, one with an old AUGER.
+    fn fleet(columns: u16, rows: u16) -> Self {
+        let mut stage = Self::new(columns, rows);
+        stage.status("north", 273_000.0).bus("north", "can0").bus("north", "can1");
+        stage
+            .device("north", 10, "FEED", "DES@1.0 AUGER@2.2")
+            .device("north", 14, "ACT", "DES@1.0");
+        stage.conflict("north", 14, "confirmed");
+        stage.status("east", 5000.0).bus("east", "can0");
+        stage.device("east", 10, "FEED", "DES@1.0 AUGER@2.1").device(
+            "east",
+            12,
+            "SENS",
+            "DES@1.0 TEMP@1.7",
+        );
+        stage.status("west", 40.0).bus("west", "can0").device(
+            "west",
+            10,
+            "FEED",
+            "DES@1.0 AUGER@2.15",
+        );
+        stage.device("south", 20, "DISP", "DES@1.0 SCREEN@3.0").bus("south", "can0");
+        stage.send("south/status", &json!({"online": false, "reason": "lost", "started_ms": 5000}));
+        stage.wait(3.0);
+        let event = json!({
+            "event": "lost", "time": UNIX_START + 2.5, "bus": "can0", "address": 20, "name": "DISP",
+        });
+        stage.send("south/event", &event);
+        let event = json!({
+            "event": "finding", "time": UNIX_START + 2.75, "bus": "can0", "address": 14, "name": "ACT",
+            "finding": {"confidence": "confirmed", "text": "Two devices answer as ACT at address 14."},
+        });
+        stage.send("north/event", &event);
+        stage
+    }
+}
+
+#[test]
+fn fleet_pages_at_80_columns_are_shown() {
+    let mut stage = FleetStage::fleet(80, 24);
+    text_snapshot!("fleet_gateways_80", stage.screen());
+    text_snapshot!("fleet_versions_80", stage.keys("2").screen());
+    text_snapshot!("fleet_problems_80", stage.keys("3").screen());
+    text_snapshot!("fleet_opened_80", stage.keys("1 Home Down Enter").screen());
+    text_snapshot!("fleet_help_80", stage.keys("?").screen());
+}
+
+#[test]
+fn fleet_pages_at_120_columns_are_shown() {
+    let mut stage = FleetStage::fleet(120, 40);
+    text_snapshot!("fleet_gateways_120", stage.screen());
+    text_snapshot!("fleet_versions_120", stage.keys("2").screen());
+    text_snapshot!("fleet_problems_120", stage.keys("3").screen());
+    text_snapshot!("fleet_opened_120", stage.keys("Right 1 Down").screen());
+}
+
+#[test]
+fn fleet_at_40_columns_keeps_state_and_details() {
+    let mut stage = FleetStage::fleet(40, 10);
+    text_snapshot!("fleet_gateways_40", stage.screen());
+    text_snapshot!("fleet_device_40", stage.keys("Down Enter Enter").screen());
+}
+
+#[test]
+fn fleet_of_any_size_is_drawn_without_panic() {
+    let mut stage = FleetStage::fleet(80, 24);
+    for keys in ["1", "2", "3", "Enter", "Esc Right 1", "Enter", "?"] {
+        stage.keys(keys);
+        for columns in (1..30).chain([31, 59, 60, 79, 160, 300]) {
+            for rows in 1..26 {
+                stage.screen.handle_resize(columns, rows);
+                stage.screen();
+            }
+        }
+    }
+}
+
+#[test]
+fn gateways_are_sorted_worst_first_then_by_name() {
+    let mut stage = FleetStage::fleet(80, 24);
+    assert_eq!(stage.names(), "south north east west");
+    assert_eq!(stage.keys("s").names(), "east north south west");
+    assert_eq!(stage.keys("S").names(), "west south north east");
+    assert_eq!(stage.keys("s").names(), "east north south west", "as many devices, by name");
+}
+
+#[test]
+fn gateways_are_filtered_by_what_their_devices_have() {
+    let mut stage = FleetStage::fleet(80, 24);
+    for (line, names) in [
+        ("srv:AUGER", "north east west"),
+        ("srv:AUGER@2.1", "east west"),
+        ("srv:=AUGER@2.1", "east"),
+        ("srv:=AUGER", "north east west"),
+        ("auger !east", "north west"),
+        ("name:SENS,DISP", "south east"),
+        ("uid:ACT14", "north"),
+        ("at:12", "east"),
+        ("bus:can1", "north"),
+        ("is:lost or is:conflict", "south north"),
+        ("err", "north"),
+        ("nor", "north"),
+        ("mode:work", "south north east west"),
+    ] {
+        assert_eq!(stage.filter(line).names(), names, "{line}");
+    }
+    stage.keys("Esc");
+    assert_eq!(stage.names(), "south north east west");
+    assert_eq!(stage.keys("\\").filter("at:14").keys("Enter").names(), "ACT FEED");
+    assert_eq!(stage.filter("srv:AUGER@2.2").names(), "FEED");
+}
+
+#[test]
+fn filter_with_mistake_keeps_rows_and_says_why() {
+    let mut stage = FleetStage::fleet(80, 24);
+    stage.filter("at:12").keys("/ Space");
+    stage.screen.handle_paste(stage.now, "len:4");
+    assert_eq!(stage.names(), "east");
+    let (error, column) = stage.screen.prompt().unwrap().error.clone().unwrap();
+    assert!(error.contains("gateways have no field len") && column == 7, "{error} {column}");
+    assert!(stage.screen().contains("✗ len:4: gateways"));
+    assert!(stage.keys("Esc").screen.prompt().is_none());
+    assert_eq!(stage.screen.filter().text, "at:12");
+}
+
+#[test]
+fn tab_completes_services_with_versions() {
+    let mut stage = FleetStage::fleet(80, 24);
+    stage.keys("/");
+    stage.screen.handle_paste(stage.now, "srv:au");
+    stage.keys("Tab");
+    assert_eq!(stage.screen.prompt().unwrap().input.value(), "srv:AUGER@2.1");
+    stage.keys("Tab Tab");
+    assert_eq!(stage.screen.prompt().unwrap().input.value(), "srv:AUGER@2.2");
+}
+
+#[test]
+fn enter_on_version_shows_gateways_that_have_it() {
+    let mut stage = FleetStage::fleet(80, 24);
+    assert_eq!(
+        stage.keys("2").names(),
+        "AUGER@2.1 AUGER@2.2 AUGER@2.15 DES@1.0 SCREEN@3.0 TEMP@1.7"
+    );
+    assert_eq!(stage.keys("Home Enter").names(), "east");
+    assert_eq!(stage.screen.page(), FleetPage::Main);
+    assert_eq!(stage.keys("2").filter("2.1").names(), "AUGER@2.1 AUGER@2.15");
+}
+
+#[test]
+fn cursor_stays_on_gateway_when_others_vanish() {
+    let mut stage = FleetStage::fleet(80, 24);
+    stage.names();
+    stage.keys("Down Down");
+    let selected = |stage: &mut FleetStage| {
+        stage.screen.prepare();
+        match stage.screen.selected_row() {
+            Some(FleetRow::Gateway(row)) => row.name.to_string(),
+            other => panic!("{other:?}"),
+        }
+    };
+    assert_eq!(selected(&mut stage), "east");
+    for topic in ["status", "bus/can0", "device/can0/20"] {
+        stage.send_bytes(&format!("south/{topic}"), b"");
+    }
+    assert_eq!((selected(&mut stage), stage.names()), ("east".into(), "north east west".into()));
+    stage.conflict("west", 10, "confirmed").conflict("west", 11, "confirmed");
+    assert_eq!(selected(&mut stage), "east");
+    for topic in ["status", "bus/can0", "device/can0/10", "device/can0/12"] {
+        stage.send_bytes(&format!("east/{topic}"), b"");
+    }
+    assert_eq!(selected(&mut stage), "west", "the row at its place");
+}
+
+#[test]
+fn lost_connection_keeps_rows_and_marks_them_old() {
+    let mut stage = FleetStage::fleet(120, 24);
+    let cause = "mqtts://broker.example.org:8883: connection refused; check host and port";
+    stage.screen.handle_failed(stage.now, cause.to_owned(), Duration::from_secs(8));
+    stage.wait(3.0);
+    let screen = stage.screen();
+    assert!(screen.contains("connection refused; next attempt in 5 s; check host"), "{screen}");
+    assert!(screen.contains("no connection") && screen.contains("AS OF 12:00:03"), "{screen}");
+    assert_eq!(stage.names(), "south north east west");
+}
+
+#[test]
+fn documents_cleared_meanwhile_vanish_after_two_quiet_seconds() {
+    let mut stage = FleetStage::fleet(80, 24);
+    stage.screen.handle_failed(stage.now, "lost".to_owned(), Duration::from_secs(1));
+    stage.wait(10.0).connect();
+    stage.status("north", 9.0).device("north", 14, "ACT", "DES@1.0");
+    stage.wait(1.5).status("east", 9.0).wait(1.5);
+    assert_eq!(*stage.screen.link(), BrokerLink::Reading);
+    assert_eq!(stage.names(), "south north east west");
+    stage.wait(1.0);
+    assert_eq!(*stage.screen.link(), BrokerLink::Connected);
+    assert_eq!(stage.names(), "east north");
+    assert_eq!(stage.keys("Down Enter").names(), "ACT");
+}
+
+#[test]
+fn stopped_program_waits_again_before_it_clears() {
+    let mut stage = FleetStage::fleet(80, 24);
+    stage.connect();
+    // Ctrl-Z for a minute: what the broker sent is not read yet.
+    stage.now += Duration::from_mins(1);
+    stage.screen.handle_timeout(stage.now);
+    assert_eq!(*stage.screen.link(), BrokerLink::Reading);
+    assert_eq!(stage.names(), "south north east west");
+}
+
+#[test]
+fn kept_session_needs_no_documents_again() {
+    let mut stage = FleetStage::fleet(80, 24);
+    stage.screen.handle_failed(stage.now, "lost".to_owned(), Duration::from_secs(1));
+    stage.wait(2.0);
+    stage.screen.handle_connected(stage.now, true);
+    stage.wait(5.0);
+    assert_eq!(stage.names(), "south north east west");
+}
+
+#[test]
+fn gateway_without_status_for_75_seconds_is_silent() {
+    let mut stage = FleetStage::fleet(80, 24);
+    stage.wait(60.0).status("east", 5000.0).wait(20.0);
+    assert_eq!(stage.filter("is:silent").names(), "north west");
+}
+
+#[test]
+fn malicious_documents_are_counted_and_shown_escaped() {
+    let mut stage = FleetStage::fleet(120, 24);
+    stage.send_bytes("evil/device/can0/5", b"\x1b[31m");
+    stage.send_bytes("evil/bus/can0", &vec![b' '; MAX_DOCUMENT_BYTES + 1]);
+    stage.send_bytes("north/event", b"{}");
+    stage.send("west/device/can0/9", &json!({"address": 9, "name": "\u{1b}[2J\u{202e}x"}));
+    let screen = stage.screen();
+    assert!(
+        screen.contains("3 documents not used; the last is evil/bus/can0: too long"),
+        "{screen}"
+    );
+    let screen = stage.filter("west").keys("Enter").screen();
+    assert!(screen.contains("\\x1B[2J"), "{screen}");
+    assert!(!screen.contains(['\u{1b}', '\u{202e}']));
+}
+
+#[test]
+fn documents_of_one_gateway_are_bounded() {
+    let mut stage = FleetStage::new(80, 24);
+    for number in 0..=MAX_GATEWAY_DOCUMENTS {
+        stage.send(
+            &format!("big/device/bus{}/{}", number / 100, number % 100),
+            &json!({"address": 1}),
+        );
+    }
+    assert_eq!(stage.screen.rejects().oversized, 1);
+    assert!(stage.screen().contains("too many documents"));
+    stage.status("big", 5.0).send("big/device/bus0/0", &json!({"address": 1, "name": "A"}));
+    assert_eq!(stage.screen.rejects().oversized, 1, "known documents are replaced");
+}
+
+#[test]
+fn copied_commands_lead_to_gateway_and_bus() {
+    let mut stage = FleetStage::fleet(80, 24);
+    stage.names();
+    stage.keys("Down y Enter y");
+    let copied = |text: &str| FleetEffect::Copy(text.to_owned());
+    let expected = [copied("ssh north"), copied("descan socketcand://north:29536/can0")];
+    assert_eq!(stage.effects(), expected);
+}
+
+#[test]
+fn names_that_a_shell_reads_otherwise_have_no_command() {
+    let name = |text: &str| text.parse().unwrap();
+    assert_eq!(FleetScreen::shell_command(&name("-oProxy")), None);
+    assert_eq!(FleetScreen::live_command(&name("north"), "can0;reboot"), None);
+    assert_eq!(FleetScreen::live_command(&name("north"), "sim:boiler"), None);
+    assert_eq!(FleetScreen::live_command(&name("north"), "-can0"), None);
+    let live = FleetScreen::live_command(&name("north"), "can0");
+    assert_eq!(live.as_deref(), Some("descan socketcand://north:29536/can0"));
+}
+
+#[test]
+fn keys_of_program_lead_to_effects() {
+    use FleetEffect as E;
+    let mut stage = FleetStage::fleet(80, 24);
+    stage.keys("t Ctrl-l Ctrl-z q / x Ctrl-c");
+    assert_eq!(stage.effects(), [E::NextTheme, E::Redraw, E::Suspend, E::Quit, E::Quit]);
+}
+
+#[test]
+fn clicks_select_rows_and_pages() {
+    use descan::app::{Mouse, MouseKind};
+    let mut stage = FleetStage::fleet(80, 24);
+    stage.names();
+    let mut click = |column, row| {
+        stage.screen.handle_mouse(stage.now, Mouse { kind: MouseKind::Press, column, row });
+        (stage.screen.selected(), stage.screen.page())
+    };
+    assert_eq!(click(20, 6), (Some(2), FleetPage::Main));
+    assert_eq!(click(20, 12), (Some(2), FleetPage::Main), "below the rows");
+    assert_eq!(click(15, 2).1, FleetPage::Versions);
+}
