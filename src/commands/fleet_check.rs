@@ -3,11 +3,12 @@
 //! Scripts rely on the names, types and meanings of the JSON members.
 
 use super::fleet::{self, DEFAULT_TIME};
+use super::open;
 use super::test_report::{CaseOutcome, ReportedCase, test_report};
 use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure, output};
 use crate::cli::CheckArgs;
 use crate::diagnostic::Diagnostic;
-use crate::document::Document;
+use crate::document::{Document, MAX_BYTES};
 use crate::finding::CheckSection;
 use crate::fleet::{ExpectedDevices, Fleet, FleetDifference, GatewayName, GatewayState};
 use crate::project::{FILE_NAME, Project};
@@ -19,12 +20,6 @@ use anyhow::Context;
 use serde::Serialize;
 use std::fmt::Write as _;
 use std::path::Path;
-
-/// Name of a file of entries, unless a project names another.
-const DES_FILE: &str = "des.json";
-
-/// Longest des.json, in bytes.
-const MAX_FILE_BYTES: u64 = 16 << 20;
 
 /// Runs it.
 pub fn run(check: &CheckArgs, folder: &Path, broker: &BrokerAddress) -> Result<u8, Failure> {
@@ -72,7 +67,7 @@ fn sites(folder: &Path) -> Result<Vec<Site>, Failure> {
         sites.push(Site { gateway, expected: expected(&path)? });
     }
     if sites.is_empty() {
-        let remedy = format!("put the des.json of each into FOLDER/GATEWAY/{DES_FILE}");
+        let remedy = "put the des.json of each into FOLDER/GATEWAY";
         let why = format!("{}: no folder of a gateway in it", shown(folder));
         return Err(Diagnostic::new(why).with_remedy(remedy).into());
     }
@@ -85,7 +80,7 @@ fn expected(folder: &Path) -> Result<Vec<ExpectedDevices>, Failure> {
     let project_path = folder.join(FILE_NAME);
     let text = read_text(&project_path).map_err(|fault| fault.of(shown(&project_path)))?;
     let Some(text) = text else {
-        let document = document(&folder.join(DES_FILE))?;
+        let document = document(&folder.join(open::default_file()))?;
         return Ok(vec![ExpectedDevices { document, buses: None }]);
     };
     let project = Project::parse(&text, folder)
@@ -103,7 +98,7 @@ fn expected(folder: &Path) -> Result<Vec<ExpectedDevices>, Failure> {
 }
 
 fn document(path: &Path) -> Result<Document, Failure> {
-    let bytes = read(path, MAX_FILE_BYTES).map_err(|fault| fault.of(shown(path)))?;
+    let bytes = read(path, MAX_BYTES as u64).map_err(|fault| fault.of(shown(path)))?;
     let bytes = bytes.ok_or_else(|| Diagnostic::new("file not found").of(shown(path)))?;
     let unusable = |error| Failure::Unusable(format!("{}: {error}", shown(path)));
     Document::parse(&bytes).map_err(unusable)

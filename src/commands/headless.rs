@@ -416,7 +416,7 @@ fn report_unreadable(spec: &BusSpec, session: &Session) -> Result<(), Failure> {
     if summary.foreign.is_some() {
         return Err(Failure::Unusable(format!("{spec}: {summary}")));
     }
-    let is_damaged = summary.unreadable > 0 || summary.damage.is_some();
+    let is_damaged = summary.lost_entries() > 0;
     if summary.frames == 0 && is_damaged {
         return Err(Failure::Unusable(format!("{spec}: {summary}; {READABLE_LOGS}")));
     }

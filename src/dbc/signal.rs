@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use std::ops::RangeInclusive;
 
 /// Significant digits of floating-point numbers of 32 and of 64 bits.
-const FLOAT_DIGITS: usize = 6;
+const FLOAT_DIGITS: usize = 8;
 const DOUBLE_DIGITS: usize = 15;
 
 /// How the bits of a signal are read.

@@ -201,8 +201,11 @@ impl DataChain {
         self.buffer.truncate(before + count);
         self.left = (at + count as u64, left - count as u64);
         if count < wanted {
-            self.left = (0, 0);
             self.next.clear();
+            if self.is_unfinished || count == 0 {
+                self.left = (0, 0);
+            }
+            // What is missing of a block with a length is said when all that is there was read.
             if !self.is_unfinished && count == 0 {
                 return Err(self.damage());
             }

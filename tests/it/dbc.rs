@@ -84,6 +84,22 @@ fn multiplexed_multiplexors_are_followed() {
 }
 
 #[test]
+fn floats_of_32_bits_keep_their_precision() {
+    let shown = |factor: &str, number: f32| {
+        let text = format!(
+            "BO_ 291 M: 8 A\n SG_ X : 0|32@1- {factor} [0|0] \"\" B\n\nSIG_VALTYPE_ 291 X : 1;\n"
+        );
+        words(&database(text), 291, &number.to_le_bytes())
+    };
+    assert_eq!(shown("(1,0)", 69_608_816.0), "M: X 69608816");
+    assert_eq!(shown("(1,0)", 0.1), "M: X 0.1");
+    assert_eq!(shown("(0.1,0)", 10_705_061.0), "M: X 1070506.1");
+    let text = shown("(1,-40)", -233_493_568.0);
+    let number: f64 = text.strip_prefix("M: X ").unwrap().parse().unwrap();
+    assert!((number + 233_493_608.0).abs() < 233_493_608.0 * 6e-8, "{text}");
+}
+
+#[test]
 fn mistakes_of_a_file_have_their_line() {
     let line = |number: usize, text: &str| {
         let mut lines: Vec<_> = CAR.lines().collect();

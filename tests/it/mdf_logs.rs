@@ -186,3 +186,15 @@ fn hand_made_files_are_those_that_python_can_reads() {
         assert_eq!(own, theirs);
     }
 }
+
+#[test]
+fn cut_log_is_said_wherever_it_is_cut() {
+    let (whole, _) = read_log(PYTHON_CAN);
+    let mut cut_short = 0;
+    for end in 64..PYTHON_CAN.len() {
+        let (frames, summary) = read_log(&PYTHON_CAN[..end]);
+        assert!(frames.len() == whole.len() || summary.lost_entries() > 0, "cut at byte {end}");
+        cut_short += usize::from(!frames.is_empty() && frames.len() < whole.len());
+    }
+    assert!(cut_short > 0, "records are cut too");
+}

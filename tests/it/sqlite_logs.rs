@@ -177,7 +177,13 @@ fn write_ahead_log_beside_a_database_is_named() {
             run_with_input(&["convert", "log.db", "out.log", "--force"], folder.path(), b"");
         let said = text(&output.stderr);
         assert_eq!(output.status.code(), Some(code), "{said}");
-        let is_said = said.contains("what is in the file -wal beside it is not read");
-        assert_eq!(is_said, code == 1, "{said}");
+        let is_said = |said: &str| said.contains("what is in the file -wal beside it is not read");
+        assert_eq!(is_said(&said), code == 1, "{said}");
+        for command in [&["log", "log.db"][..], &["scan", "file:log.db"], &["watch", "file:log.db"]]
+        {
+            let output = run_with_input(command, folder.path(), b"");
+            let said = text(&output.stderr);
+            assert_eq!(is_said(&said), code == 1, "{command:?}: {said}");
+        }
     }
 }
