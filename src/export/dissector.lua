@@ -19,6 +19,11 @@ declare("dst_name", ProtoField.string, "Name of DST")
 declare("srv", ProtoField.uint16, "SRV", base.HEX)
 declare("service", ProtoField.string, "Service")
 declare("text", ProtoField.string, "Meaning")
+declare("field", ProtoField.string, "Field")
+declare("field_name", ProtoField.string, "Name")
+declare("field_value", ProtoField.string, "Value")
+declare("field_number", ProtoField.double, "Number")
+declare("field_unit", ProtoField.string, "Unit")
 declare("framing", ProtoField.string, "Framing")
 declare("isotp.kind", ProtoField.string, "ISO-TP frame")
 declare("isotp.length", ProtoField.uint32, "Length of the message")
@@ -536,6 +541,111 @@ local function heartbeat(found, data)
     return text
 end
 
+-- Data of services ------------------------------------------------------------------------------
+
+-- A number with at most so many significant digits; with an exponent where it is far from 1.
+local function number_text(number, digits)
+    local rounded = tonumber(string.format("%." .. digits - 1 .. "e", number))
+    if not rounded or rounded ~= rounded then
+        return "NaN"
+    elseif rounded == math.huge or rounded == -math.huge then
+        return rounded > 0 and "inf" or "-inf"
+    end
+    local text
+    for decimals = 0, digits - 1 do
+        text = string.format("%." .. decimals .. "e", rounded)
+        if tonumber(text) == rounded then
+            break
+        end
+    end
+    local sign, first, rest, exponent = text:match("^(-?)(%d)%.?(%d*)e([-+]%d+)$")
+    local all = (first .. rest):gsub("0+$", "")
+    exponent = tonumber(exponent)
+    if all == "" then
+        return sign .. "0"
+    elseif exponent < -6 or exponent >= 15 then
+        local fraction = #all > 1 and "." .. all:sub(2) or ""
+        return sign .. all:sub(1, 1) .. fraction .. string.format("e%d", exponent)
+    elseif exponent < 0 then
+        return sign .. "0." .. ("0"):rep(-exponent - 1) .. all
+    end
+    local whole = all .. ("0"):rep(exponent + 1 - #all)
+    local fraction = whole:sub(exponent + 2)
+    return sign .. whole:sub(1, exponent + 1) .. (fraction ~= "" and "." .. fraction or "")
+end
+
+-- The bits of a number, and true if it is negative: then the bits are those of its magnitude.
+local function integer_of(of, range, big_endian)
+    local number = big_endian and range:uint64() or range:le_uint64()
+    local surplus = 64 - of.bits
+    number = number:rshift(of.low):lshift(surplus):rshift(surplus)
+    if of.kind == "signed" and number:rshift(of.bits - 1):tonumber() == 1 then
+        return (number:bnot() + UInt64(1)):lshift(surplus):rshift(surplus), true
+    end
+    return number, false
+end
+
+local function scaled_text(of, number)
+    local value = number * of.scale + of.offset
+    local text = of.decimals and string.format("%." .. of.decimals .. "f", value)
+        or number_text(value, of.digits)
+    return text, value
+end
+
+-- The text of a value, and its number if it has one; nil if the data are too short.
+local function value_of(of, buffer, big_endian)
+    local size = of.size or buffer:len() - of.at
+    if size < 1 or of.at + size > buffer:len() then
+        return nil
+    end
+    local range = buffer(of.at, size)
+    if of.kind == "text" then
+        local text = range:raw()
+        return '"' .. escaped(text:sub(1, (text:find("\0", 1, true) or #text + 1) - 1)) .. '"'
+    elseif of.kind == "bytes" then
+        local byte = function(it) return string.format("%02X ", it:byte()) end
+        return (range:raw():gsub(".", byte):sub(1, -2))
+    elseif of.kind == "float" then
+        local number = big_endian and range:float() or range:le_float()
+        if of.scale then
+            return scaled_text(of, number)
+        end
+        return number_text(number, of.digits), number
+    end
+    local magnitude, is_negative = integer_of(of, range, big_endian)
+    local text = (is_negative and "-" or "") .. tostring(magnitude)
+    local number = magnitude:tonumber() * (is_negative and -1 or 1)
+    if of.values[text] then
+        return of.values[text], number
+    elseif of.kind == "bool" then
+        return number ~= 0 and "yes" or "no", number
+    elseif of.scale then
+        return scaled_text(of, number)
+    end
+    return text, number
+end
+
+-- The fields of data, and their meaning in words.
+local function data_fields(layout, buffer)
+    local fields, words, last = {}, {}, 0
+    for _, of in ipairs(layout) do
+        local value, number = value_of(of, buffer, layout.big_endian)
+        local text = of.name .. " " .. (value or "–")
+        if value and of.unit then
+            text = text .. " " .. of.unit
+        end
+        words[#words + 1] = text
+        fields[#fields + 1] =
+            { text = text, name = of.name, value = value, number = number, unit = of.unit }
+        last = math.max(last, of.size and of.at + of.size or buffer:len())
+    end
+    if last < buffer:len() then
+        local byte = function(it) return string.format(" %02X", it:byte()) end
+        words[#words + 1] = "+" .. buffer:raw(last):gsub(".", byte)
+    end
+    return fields, table.concat(words, ", ")
+end
+
 -- Frame -----------------------------------------------------------------------------------------
 
 -- Names of devices, by interface and address, from the responses of the capture so far.
@@ -549,13 +659,28 @@ end
 
 -- `server_name`: name of the device that serves, or sends.
 local function service_name(header, server_name)
-    local of_type = profile.types[server_name or ""] or { services = {}, debug = {} }
+    local of_type = profile.types[server_name or ""] or profile.common
     if header.type == "DEBUG" then
         return profile.debug_names[header.srv] or of_type.debug[header.srv]
-            or profile.common_debug[header.srv]
+            or profile.common.debug[header.srv]
     end
     return profile.services[header.srv] or of_type.services[header.srv]
-        or profile.common_services[header.srv]
+        or profile.common.services[header.srv]
+end
+
+-- The fields of the data of a frame of a service, or of the parameters of a DEBUG message; nil if they
+-- are not known.
+local function layout_of(header, server_name)
+    local part
+    if header.type == "DEBUG" then
+        part = "parameters"
+    elseif not header.r then
+        part = "request"
+    else
+        part = header.b and "data" or "response"
+    end
+    local of_type = profile.types[server_name or ""] or profile.common
+    return of_type[part][header.srv] or profile.common[part][header.srv]
 end
 
 -- The name of a service in the types of the devices on a bus so far, if they agree.
@@ -572,12 +697,27 @@ local function agreed_name(bus, srv)
     return agreed
 end
 
-local function analyse(header, data, is_fd, bus, time)
+-- The name of the device that serves, or sends.
+local function server_name(header, bus)
+    if header.r then
+        return names[bus .. ":" .. header.src]
+    end
+    return not header.b and names[bus .. ":" .. header.dst] or nil
+end
+
+local function analyse(header, buffer, is_fd, bus, time)
     local found = {}
     local own = bus .. ":" .. header.src
+    local data = buffer:len() > 0 and buffer:raw() or ""
     if header.type == "DEBUG" then
         local name = service_name(header, names[own])
         found.text = "debug message " .. (name or string.format("0x%03X", header.srv))
+        local layout = layout_of(header, names[own])
+        if layout then
+            local words
+            found.fields, words = data_fields(layout, buffer)
+            found.text = found.text .. ": " .. words
+        end
     elseif header.srv == profile.heartbeat and header.r then
         found.text = heartbeat(found, data)
     elseif header.srv == profile.des and header.r then
@@ -586,6 +726,11 @@ local function analyse(header, data, is_fd, bus, time)
         found.text = des_request(found, data, is_fd)
     else
         found.text = ""
+        local layout = not header.failed and header.conforms
+            and layout_of(header, server_name(header, bus))
+        if layout then
+            found.fields, found.text = data_fields(layout, buffer)
+        end
     end
     if header.failed then
         found.text = found.text == "" and "error" or "error: " .. found.text
@@ -599,11 +744,7 @@ local function analyse(header, data, is_fd, bus, time)
     end
     found.src_name = source and escaped(source)
     found.dst_name = receiver and escaped(receiver)
-    local server = receiver
-    if header.r then
-        server = source
-    end
-    found.service = service_name(header, server)
+    found.service = service_name(header, server_name(header, bus))
     if not found.service and header.b and not header.r then
         found.service = agreed_name(bus, header.srv)
     end
@@ -628,6 +769,13 @@ local function show(tree, header, found)
     add(tree, "service", found.service)
     if found.text ~= "" then
         add(tree, "text", found.text)
+    end
+    for _, of in ipairs(found.fields or {}) do
+        local branch = tree:add(field.field, of.text)
+        add(branch, "field_name", of.name)
+        add(branch, "field_value", of.value)
+        add(branch, "field_number", of.number)
+        add(branch, "field_unit", of.unit)
     end
     add(tree, "framing", found.framing)
     if found.pci then
@@ -683,9 +831,8 @@ local function dissect(buffer, pinfo, root)
     local found = frames[pinfo.number]
     if not found then
         local bus = interface()
-        local data = buffer:len() > 0 and buffer:raw() or ""
         bus = bus and bus.value or 0
-        found = analyse(header, data, canfd_rate() ~= nil, bus, tonumber(tostring(pinfo.rel_ts)))
+        found = analyse(header, buffer, canfd_rate() ~= nil, bus, tonumber(tostring(pinfo.rel_ts)))
         frames[pinfo.number] = found
     end
     local tree = root:add(candes, buffer())

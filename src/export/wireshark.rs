@@ -1,12 +1,15 @@
 //! A dissector for Wireshark: a table of numbers and names, and the Lua program that uses it.
 
 use super::ExportFacts;
-use crate::catalogue::DeviceType;
+use crate::catalogue::{DeviceType, TypeService};
 use crate::text::Escaped;
+use crate::wire::data_layout::{DataField, DataLayout, FieldType};
+use crate::wire::descriptor::ByteOrder;
 use crate::wire::id::Service;
 use crate::wire::node::Mode;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
+use std::sync::Arc;
 
 /// The program; `profile` is the table before it.
 const DISSECTOR: &str = include_str!("dissector.lua");
@@ -47,27 +50,58 @@ pub fn dissector(facts: ExportFacts) -> String {
     let services = (0..=Service::MAX)
         .filter_map(|number| Some((number, profile.service_name(Service::from_bits(number))?)));
     push_names(&mut text, 1, "services", services);
-    let common = facts.catalogue.common_types().iter();
-    let (mut services, mut messages) = (BTreeMap::new(), BTreeMap::new());
-    // Of two the first one counts.
-    for of in common.rev() {
-        services.extend(services_of(of));
-        messages.extend(messages_of(of));
-    }
-    push_names(&mut text, 1, "common_services", services);
-    push_names(&mut text, 1, "common_debug", messages);
     let given = profile.debug_names.iter().map(|(code, name)| (*code, name.as_str()));
     push_names(&mut text, 1, "debug_names", given);
-    text.push_str("    types = {\n");
+    text.push_str("    common = {\n");
+    push_types(&mut text, 2, facts.catalogue.common_types());
+    text.push_str("    },\n    types = {\n");
     for (name, of) in facts.catalogue.named_types() {
         let _ = writeln!(text, "        [{}] = {{", quoted(name));
-        push_names(&mut text, 3, "services", services_of(of));
-        push_names(&mut text, 3, "debug", messages_of(of));
+        push_types(&mut text, 3, [of]);
         text.push_str("        },\n");
     }
     text.push_str("    },\n}\n\n");
     text.push_str(DISSECTOR);
     text
+}
+
+/// A layout of a service.
+type LayoutOf = for<'a> fn(&'a TypeService) -> &'a DataLayout;
+
+/// The layouts of a service, by their names in the program.
+const SERVICE_LAYOUTS: [(&str, LayoutOf); 3] = [
+    ("request", |service| &service.request),
+    ("response", |service| &service.response),
+    ("data", |service| &service.data),
+];
+
+/// Appends what is known of types: names of services and messages, and the fields of their data. Of two
+/// with one number the first one counts.
+fn push_types<'a>(
+    text: &mut String,
+    depth: usize,
+    types: impl IntoIterator<Item = &'a Arc<DeviceType>, IntoIter: DoubleEndedIterator + Clone>,
+) {
+    let types = types.into_iter().rev().map(|it| &**it);
+    push_names(text, depth, "services", last_of_each(types.clone().flat_map(services_of)));
+    push_names(text, depth, "debug", last_of_each(types.clone().flat_map(messages_of)));
+    for (name, layout) in SERVICE_LAYOUTS {
+        let of_type = |of: &'a DeviceType| {
+            let numbered = of.services.iter().filter_map(|it| Some((it.number?.number(), it)));
+            numbered.map(move |(number, it)| (number, (layout(it), of.byte_order)))
+        };
+        push_layouts(text, depth, name, types.clone().flat_map(of_type));
+    }
+    let of_type = |of: &'a DeviceType| {
+        let messages = of.debug_messages.iter();
+        messages.map(|(code, it)| (*code, (&it.parameters, of.byte_order)))
+    };
+    push_layouts(text, depth, "parameters", types.flat_map(of_type));
+}
+
+/// What stands last for each number.
+fn last_of_each<T>(all: impl Iterator<Item = (u16, T)>) -> BTreeMap<u16, T> {
+    all.collect()
 }
 
 fn services_of(of: &DeviceType) -> impl Iterator<Item = (u16, &str)> {
@@ -96,6 +130,63 @@ fn push_names<'a>(
         );
     }
     let _ = writeln!(text, "{indent}}},");
+}
+
+/// Appends the fields of data, by number.
+fn push_layouts<'a>(
+    text: &mut String,
+    depth: usize,
+    name: &str,
+    layouts: impl Iterator<Item = (u16, (&'a DataLayout, ByteOrder))>,
+) {
+    let indent = "    ".repeat(depth);
+    let _ = writeln!(text, "{indent}{name} = {{");
+    let layouts = layouts.filter(|(_, (layout, _))| !layout.is_empty());
+    for (number, (layout, order)) in last_of_each(layouts) {
+        let _ = writeln!(text, "{indent}    [{number}] = {{");
+        let _ = writeln!(text, "{indent}        big_endian = {},", order == ByteOrder::Big);
+        for field in layout.fields() {
+            let _ = writeln!(text, "{indent}        {{ {} }},", members_of(field));
+        }
+        let _ = writeln!(text, "{indent}    }},");
+    }
+    let _ = writeln!(text, "{indent}}},");
+}
+
+/// The members of a field in a table of Lua.
+fn members_of(field: &DataField) -> String {
+    let kind = match field.kind() {
+        FieldType::Unsigned(_) => "unsigned",
+        FieldType::Signed(_) => "signed",
+        FieldType::Float | FieldType::Double => "float",
+        FieldType::Bool => "bool",
+        FieldType::Text => "text",
+        FieldType::Bytes => "bytes",
+    };
+    let (at, size) = field.place();
+    let mut text = format!("name = {}, kind = \"{kind}\", at = {at}", quoted(field.name()));
+    let mut number = |name: &str, value: Option<usize>| {
+        if let Some(value) = value {
+            let _ = write!(text, ", {name} = {value}");
+        }
+    };
+    number("size", size);
+    number("decimals", field.decimals());
+    number("digits", Some(field.digits()));
+    if let Some((scale, offset)) = field.scaling() {
+        let _ = write!(text, ", scale = {scale:?}, offset = {offset:?}");
+    }
+    if !field.unit().is_empty() {
+        let _ = write!(text, ", unit = {}", quoted(field.unit()));
+    }
+    if let Some(number) = field.number() {
+        let (low, bits) = number.bits;
+        let _ = write!(text, ", low = {low}, bits = {bits}");
+        let named = |(value, name): (&i64, &String)| format!("[\"{value}\"] = {}", quoted(name));
+        let values: Vec<String> = number.values.iter().map(named).collect();
+        let _ = write!(text, ", values = {{ {} }}", values.join(", "));
+    }
+    text
 }
 
 /// A string of Lua: what is not plain is a decimal escape of three digits.

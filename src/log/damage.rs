@@ -43,6 +43,12 @@ pub enum Damage {
         "the measurement has no frames as ASAM bus logging has them; export them as ASC or BLF"
     )]
     NoBusLog,
+    /// A measurement has more groups of frames than are read.
+    #[error("over 64 groups of frames: those behind them are not read; export it as ASC or BLF")]
+    TooManyGroups,
+    /// The text of a database is not UTF-8.
+    #[error("its text is UTF-16, not UTF-8 as python-can writes it")]
+    Utf16,
     /// A database has not the table of python-can.
     #[error("the database has no table messages, as python-can writes it")]
     NoTable,
@@ -62,6 +68,14 @@ impl Damage {
 
     /// Returns true if its text says where it is.
     pub(super) fn has_place(self) -> bool {
-        matches!(self, Self::Page(_) | Self::PageMissing(_) | Self::NoTable | Self::NoBusLog)
+        matches!(
+            self,
+            Self::Page(_)
+                | Self::PageMissing(_)
+                | Self::NoTable
+                | Self::NoBusLog
+                | Self::TooManyGroups
+                | Self::Utf16
+        )
     }
 }

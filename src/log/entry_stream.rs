@@ -94,6 +94,8 @@ impl EntryWriter {
             Damage::PageMissing(page) => (1, u64::from(page)),
             Damage::NoTable => (2, 0),
             Damage::NoBusLog => (4, 0),
+            Damage::TooManyGroups => (5, 0),
+            Damage::Utf16 => (6, 0),
             _ => (u8::MAX, 0),
         };
         self.bytes.extend_from_slice(&[DAMAGE, number]);
@@ -115,6 +117,8 @@ fn damage_of(number: u8, place: u64) -> Damage {
         2 => Damage::NoTable,
         BLOCK => Damage::Block,
         4 => Damage::NoBusLog,
+        5 => Damage::TooManyGroups,
+        6 => Damage::Utf16,
         _ => Damage::Compression,
     }
 }

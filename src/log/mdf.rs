@@ -51,7 +51,8 @@ pub(super) struct MdfLog {
 enum LogDamage {
     /// The block that begins at this byte is damaged.
     Block(u64),
-    NoBusLog,
+    /// The file is not one that is read, or not all of it.
+    Log(Damage),
 }
 
 /// The channels of a frame.
@@ -199,13 +200,13 @@ impl MdfLog {
             let stream = FrameStream::read(bytes, &group, is_unfinished, &mut seen)?;
             if let Some(stream) = stream {
                 if self.streams.len() == MAX_STREAMS {
-                    return Err(group.damage());
+                    return Err(MdfFault::Log(Damage::TooManyGroups));
                 }
                 let has_places = !is_unfinished || flags & NO_PLACES == 0;
                 self.streams.push(FrameStream { has_places, start_nanos, ..stream });
             }
         }
-        if self.streams.is_empty() { Err(MdfFault::NoBusLog) } else { Ok(()) }
+        if self.streams.is_empty() { Err(MdfFault::Log(Damage::NoBusLog)) } else { Ok(()) }
     }
 
     /// Returns the frame that is next by its time; `None` at the end.
@@ -218,7 +219,7 @@ impl MdfLog {
                     stream.is_over = true;
                     self.damage.get_or_insert(LogDamage::Block(address));
                 }
-                Err(MdfFault::NoBusLog) => stream.is_over = true,
+                Err(MdfFault::Log(_)) => stream.is_over = true,
             }
         }
         self.streams.retain(|stream| !stream.ready.is_empty() || !stream.is_over);
@@ -236,7 +237,7 @@ impl RandomFormat for MdfLog {
             match self.begin(bytes) {
                 Ok(()) => {}
                 Err(MdfFault::File(error)) => return Err(error),
-                Err(MdfFault::NoBusLog) => self.damage = Some(LogDamage::NoBusLog),
+                Err(MdfFault::Log(damage)) => self.damage = Some(LogDamage::Log(damage)),
                 // The groups before it are read.
                 Err(MdfFault::Block(address)) => self.damage = Some(LogDamage::Block(address)),
             }
@@ -245,7 +246,7 @@ impl RandomFormat for MdfLog {
             let Some((nanos, frame)) = self.next_frame(bytes)? else {
                 match self.damage {
                     Some(LogDamage::Block(address)) => out.damaged_block(address),
-                    Some(LogDamage::NoBusLog) => out.damage(Damage::NoBusLog),
+                    Some(LogDamage::Log(damage)) => out.damage(damage),
                     None => {}
                 }
                 return Ok(false);

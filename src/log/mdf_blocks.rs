@@ -3,6 +3,7 @@
 //! Source: ASAM MDF 4.1, as asammdf and CANedge write it. The memory is bounded by the largest compressed
 //! block that is read; no block of data is read twice, so that lists in a loop end. Does not know records.
 
+use super::Damage;
 use super::random_access::{RandomAccess, read_full_at};
 use flate2::{Decompress, FlushDecompress};
 use std::collections::HashSet;
@@ -21,8 +22,8 @@ const PIECE: u64 = 1 << 16;
 pub(super) enum MdfFault {
     /// The block that begins at this byte is damaged.
     Block(u64),
-    /// No group of frames.
-    NoBusLog,
+    /// The file is not one that is read, or not all of it.
+    Log(Damage),
     File(io::Error),
 }
 

@@ -92,6 +92,9 @@ impl SqliteTable {
             out.skipped_wal();
         }
         let sizes = PageSizes::of_head(&head).ok_or(Damage::Page(1))?;
+        if matches!(head[56..60], [0, 0, 0, 2 | 3]) {
+            return Err(Damage::Utf16.into());
+        }
         let mut tables = TableWalk::new(sizes, 1);
         loop {
             match tables.next_row(bytes)? {

@@ -20,7 +20,7 @@ use std::sync::Arc;
 const MAX_REORDER: Duration = Duration::from_secs(1);
 /// Of a database with a write-ahead log.
 const SKIPPED_WAL: &str = "what is in the file -wal beside it is not read; end the program that writes \
-                           it, or run: sqlite3 LOG.db 'pragma wal_checkpoint'";
+                           it, or run: sqlite3 LOG.db 'pragma wal_checkpoint(truncate)'";
 /// Gap after which a clock that was set back may have returned to its earlier time.
 const GAP: Duration = Duration::from_secs(10);
 

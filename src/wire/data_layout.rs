@@ -326,6 +326,37 @@ pub struct NumberField<'a> {
 }
 
 impl DataField {
+    /// Name.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// How its bytes are read.
+    pub fn kind(&self) -> FieldType {
+        self.kind
+    }
+
+    /// First byte, and number of bytes; `None` for the rest of the data.
+    pub fn place(&self) -> (usize, Option<usize>) {
+        (self.at, self.size)
+    }
+
+    /// Scale and offset; `None` for the number itself.
+    pub fn scaling(&self) -> Option<(f64, f64)> {
+        self.scaling
+    }
+
+    /// Decimals of the scaled value; `None` if it is shown with significant digits.
+    pub fn decimals(&self) -> Option<usize> {
+        let (scale, offset) = self.scaling.filter(|_| self.kind.is_integer())?;
+        Some(decimals(scale)?.max(decimals(offset)?))
+    }
+
+    /// Unit; empty without one.
+    pub fn unit(&self) -> &str {
+        &self.unit
+    }
+
     /// Returns it as a number; `None` for text and bytes.
     pub fn number(&self) -> Option<NumberField<'_>> {
         let size = self.kind.size()?;
@@ -384,7 +415,7 @@ impl DataField {
     }
 
     /// Significant digits of a number: as many as all numbers of its type have.
-    const fn digits(&self) -> usize {
+    pub const fn digits(&self) -> usize {
         match self.kind {
             FieldType::Float => 6,
             _ => 15,
@@ -395,9 +426,8 @@ impl DataField {
     fn scaled(&self, number: f64) -> Option<DataValue<'static>> {
         let (scale, offset) = self.scaling?;
         let value = number * scale + offset;
-        let decimals = decimals(scale).zip(decimals(offset)).filter(|_| self.kind.is_integer());
-        Some(match decimals {
-            Some((one, other)) => DataValue::Scaled(value, one.max(other)),
+        Some(match self.decimals() {
+            Some(decimals) => DataValue::Scaled(value, decimals),
             None => DataValue::Float(value, self.digits()),
         })
     }

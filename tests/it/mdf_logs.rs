@@ -198,3 +198,47 @@ fn cut_log_is_said_wherever_it_is_cut() {
     }
     assert!(cut_short > 0, "records are cut too");
 }
+
+/// So many measurements in one file: their groups one behind another.
+fn repeated(bytes: &[u8], count: usize) -> Vec<u8> {
+    const HEAD_LEN: usize = 64;
+    const GROUP_LINKS: usize = 24;
+    let rest_len = bytes.len().next_multiple_of(8) - HEAD_LEN;
+    let starts: Vec<usize> = (HEAD_LEN..bytes.len() - 4)
+        .filter(|at| {
+            at % 8 == 0 && bytes[*at..].starts_with(b"##") && bytes[at + 2].is_ascii_uppercase()
+        })
+        .collect();
+    let group = blocks(bytes, "DG")[0];
+    let mut all = bytes[..HEAD_LEN].to_vec();
+    for number in 0..count {
+        let shift = (number * rest_len) as u64;
+        let mut copy = bytes.to_vec();
+        copy.resize(HEAD_LEN + rest_len, 0);
+        for start in &starts {
+            let count = u64::from_le_bytes(copy[start + 16..start + 24].try_into().unwrap());
+            for link in 0..count as usize {
+                let at = start + 24 + 8 * link;
+                let address = u64::from_le_bytes(copy[at..at + 8].try_into().unwrap());
+                if address != 0 {
+                    copy[at..at + 8].copy_from_slice(&(address + shift).to_le_bytes());
+                }
+            }
+        }
+        if number + 1 < count {
+            let next = group as u64 + shift + rest_len as u64;
+            copy[group + GROUP_LINKS..][..8].copy_from_slice(&next.to_le_bytes());
+        }
+        all.extend_from_slice(&copy[HEAD_LEN..]);
+    }
+    all
+}
+
+#[test]
+fn groups_behind_the_limit_are_said() {
+    let (frames, summary) = read_log(&repeated(SIGNAL_DATA, 64));
+    assert_eq!((frames.len(), summary.lost_entries()), (64 * 20, 0), "{summary}");
+    let (frames, summary) = read_log(&repeated(SIGNAL_DATA, 65));
+    assert_eq!(frames.len(), 64 * 20);
+    assert!(summary.to_string().contains("over 64 groups of frames"), "{summary}");
+}

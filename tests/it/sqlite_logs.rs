@@ -135,6 +135,13 @@ fn database_of_another_program_says_what_it_lacks() {
     assert_eq!(output.status.code(), Some(3));
     let said = text(&output.stderr);
     assert!(said.contains("other.db: 0 frames; the database has no table messages"), "{said}");
+    let mut utf16 = KINDS.to_vec();
+    utf16[56..60].copy_from_slice(&2_u32.to_be_bytes());
+    fs::write(folder.path().join("utf16.db"), utf16).unwrap();
+    let output = run_with_input(&["convert", "utf16.db", "out.log"], folder.path(), b"");
+    assert_eq!(output.status.code(), Some(3));
+    let said = text(&output.stderr);
+    assert!(said.contains("utf16.db: 0 frames; its text is UTF-16"), "{said}");
 }
 
 #[test]

@@ -15,7 +15,7 @@ use std::process::Command;
 const START: u64 = 1_436_509_052_249_713;
 
 /// The dissector's fields that are compared, in this order.
-const FIELDS: [&str; 14] = [
+const FIELDS: [&str; 16] = [
     "can.id",
     "candes.type",
     "candes.u",
@@ -30,6 +30,8 @@ const FIELDS: [&str; 14] = [
     "candes.text",
     "candes.isotp.message",
     "candes.service_version",
+    "candes.field",
+    "candes.field_number",
 ];
 
 /// What tshark shows of each frame; `None` if tshark is missing and may be.
@@ -333,6 +335,133 @@ fn late_frames_and_other_devices_lend_no_name() {
     let Some(shown) = tshark(folder.path(), "names.pcapng") else { return };
     let services: Vec<&str> = shown.iter().map(|row| row[10].as_str()).collect();
     assert_eq!(services, ["DES", "JAMMED", "", "AUGER", "DES", "DES"]);
-    assert_eq!(shown[1][11], "debug message JAMMED");
+    assert_eq!(shown[1][11], "debug message JAMMED: current 0.01 A, tries 3");
     assert_eq!(shown[5][12], "", "the transfer had ended");
+}
+
+/// A field of data, as a file of the catalogue has it.
+fn field(rng: &mut fastrand::Rng, number: usize, name: &str) -> String {
+    const TYPES: [&str; 15] = [
+        "u8", "u16", "u24", "u32", "u64", "i8", "i16", "i24", "i32", "i64", "f32", "f64", "bool",
+        "text", "bytes",
+    ];
+    let kind = TYPES[number % TYPES.len()];
+    let at = rng.u8(..4);
+    let mut text = format!("name = \"{name}\", type = \"{kind}\", at = {at}");
+    let bytes: Option<u32> = kind[1..].parse().ok().map(|bits: u32| bits / 8);
+    if bytes.is_some() && rng.bool() {
+        const SCALES: [&str; 7] =
+            ["0.1", "-0.25", "1000", "1e-20", "3.3e30", "7e-7", "0.333333333333"];
+        let scale = rng.choice(SCALES).unwrap();
+        let offset = rng.choice(["0", "-40", "0.005", "1e9"]).unwrap();
+        text += &format!(", scale = {scale}, offset = {offset}, unit = \"°C \\\\ \\\"\"");
+    }
+    match bytes {
+        Some(bytes) if !kind.starts_with('f') => {
+            if rng.bool() {
+                let bit = rng.u32(..8 * bytes);
+                let bits = rng.u32(1..=8 * bytes - bit);
+                text += &format!(", bit = {bit}, bits = {bits}, values = {{ 0 = \"none\" }}");
+            } else if kind.starts_with('i') {
+                text += ", values = { -1 = \"lost\", -128 = \"least\" }";
+            }
+        }
+        None if kind == "bool" => text += &format!(", bit = {}", rng.u8(..8)),
+        None if rng.bool() => text += &format!(", length = {}", rng.u8(1..5)),
+        _ => {}
+    }
+    format!("{{ {text} }}")
+}
+
+/// Numbers that are far from the middle more often than by chance.
+fn bytes_of_numbers(rng: &mut fastrand::Rng, len: usize) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    while bytes.len() < len {
+        match rng.u8(..6) {
+            0 => bytes.extend([rng.u8(..), rng.u8(..)]),
+            1 => bytes.extend([0; 4]),
+            2 => bytes.extend([0xFF; 3]),
+            3 => bytes.extend(
+                rng.choice([0.1_f32, -1e-7, f32::NAN, f32::INFINITY, 16_777_217.0])
+                    .unwrap()
+                    .to_le_bytes(),
+            ),
+            4 => bytes.extend(
+                rng.choice([1e15_f64, 0.1 + 0.2, -5e-324, f64::MAX, 1e-6]).unwrap().to_be_bytes(),
+            ),
+            _ => bytes.extend(b"A\x80\0"),
+        }
+    }
+    bytes.truncate(len);
+    bytes
+}
+
+#[test]
+fn fields_of_the_catalogue_are_those_of_descan() {
+    let mut rng = fastrand::Rng::with_seed(23);
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::create_dir(folder.path().join("devices")).unwrap();
+    const SERVICES: u16 = 60;
+    for (file, head, order) in
+        [("all", "title = \"All\"", "little"), ("feed", "name = \"FEED\"", "big")]
+    {
+        let mut text = format!("{head}\nbyte_order = \"{order}\"\n");
+        for number in 0..SERVICES {
+            let mut fields = |number: usize| {
+                format!("[{}, {}]", field(&mut rng, number, "a"), field(&mut rng, number / 2, "b"))
+            };
+            let number = usize::from(number);
+            text += &format!("[[services]]\nname = \"S{number}\"\nnumber = {}\n", 0x200 + number);
+            text += &format!("request = {}\nresponse = {}\n", fields(number), fields(number + 1));
+            if file == "all" || number % 2 == 0 {
+                text += &format!("data = {}\n", fields(number + 2));
+            }
+            text += &format!(
+                "[[debug]]\ncode = {number}\nname = \"D\"\nparameters = {}\n",
+                fields(number)
+            );
+        }
+        std::fs::write(folder.path().join(format!("devices/{file}.toml")), text).unwrap();
+    }
+    let at = |number: u8| Address::from_bits(number);
+    let request = |to: u8, service: u16| {
+        Header::request(Address::DEBUG, at(to), false, Service::from_bits(service))
+    };
+    let mut frames =
+        vec![Frame::classic(request(10, 2).response(at(10), false).encode(), b"\x06\x01FEED\0")];
+    for _ in 0..4000 {
+        let (device, service) = (rng.u8(10..12), 0x200 + rng.u16(..SERVICES));
+        let mut header = match rng.u8(..4) {
+            0 => request(device, service),
+            1 => request(device, service).response(at(device), false),
+            2 => Header::unsolicited(at(device), 20, true, Service::from_bits(service)),
+            _ => {
+                let mut debug =
+                    Header::unsolicited(at(device), 127, true, Service::from_bits(service - 0x200));
+                debug.to_non_working = true;
+                debug
+            }
+        };
+        header.no_error &= rng.u8(..10) > 0;
+        let is_fd = rng.u8(..4) == 0;
+        let len = if is_fd { *rng.choice([8, 12, 24, 64].iter()).unwrap() } else { rng.usize(..9) };
+        let data = bytes_of_numbers(&mut rng, len);
+        let id = header.encode();
+        frames.push(if is_fd { Frame::fd(id, &data, 0xCC) } else { Frame::classic(id, &data) });
+    }
+    let mut time = Instant::ZERO;
+    for frame in &mut frames {
+        time += Duration::from_millis(5);
+        *frame = frame.with_time(time);
+    }
+    write(&folder.path().join("fields.pcapng"), &frames);
+    let options = ["--catalogue", "devices"];
+    let Some(shown) = compare(folder.path(), "fields.pcapng", &options) else { return };
+    let mut described = 0;
+    for row in &shown {
+        let words = row[14].replace('|', ", ");
+        assert!(row[11].contains(&words), "{row:?}");
+        described += usize::from(!words.is_empty());
+    }
+    assert!(described > 3000, "{described}");
 }
