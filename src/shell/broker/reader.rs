@@ -50,6 +50,9 @@ impl BrokerReader {
         // Each viewer has a session of its own.
         let client_name = format!("descan-view-{:016x}", fastrand::u64(..));
         let mut options = settings.options(&client_name);
+        // There is none to clear; and mosquitto 2.0 does not keep one that began with a clean start over
+        // its own restart.
+        options.set_clean_start(false);
         // What was acknowledged and not read yet would be lost with the connection.
         options.set_ack_mode(AckMode::Manual);
         options.set_receive_maximum(Some(MAX_UNREAD));
@@ -109,7 +112,6 @@ impl ReaderThread {
             let notice = match events.poll().await {
                 Ok(Event::Incoming(Packet::ConnAck(packet))) => {
                     was_connected = true;
-                    events.options.set_clean_start(false);
                     if !packet.session_present {
                         // Not as published: the flag tells those that the broker kept.
                         let filters = self.filters.iter().map(|filter| {

@@ -639,7 +639,7 @@ fn cut_connections_lose_no_event_and_leave_the_state_right() {
 }
 
 #[test]
-fn restarted_brokers_acknowledge_all_and_have_the_state() {
+fn restarted_brokers_lose_no_event_and_have_the_state() {
     let Some(mut broker) = Mosquitto::start() else { return };
     let stop = Arc::new(AtomicBool::new(false));
     let received = receive(broker.port(), Arc::clone(&stop));
@@ -652,6 +652,7 @@ fn restarted_brokers_acknowledge_all_and_have_the_state() {
         (0..3).for_each(|_| load.step());
         assert!(broker.launch());
     }
+    load.assert_events_arrived(&received);
     load.assert_delivered(&received);
     stop.store(true, Ordering::Relaxed);
 }
