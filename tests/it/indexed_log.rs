@@ -110,6 +110,31 @@ fn app_of(path: &Path) -> (App, Vec<Frame>) {
 }
 
 #[test]
+fn packed_log_has_the_time_of_its_last_frame_when_it_begins() {
+    let folder = tempfile::tempdir().unwrap();
+    let frames = traffic(10);
+    // Its pauses are its length: nothing is played to the end meanwhile.
+    let frames: Vec<Frame> = frames
+        .iter()
+        .map(|frame| frame.with_time(Instant::from_micros(frame.time.as_micros() * 1000)))
+        .collect();
+    for name in ["log.log", "log.log.gz", "log.log.zst", "log.pcapng.gz"] {
+        let path = folder.path().join(name);
+        write_log(&path, &frames);
+        let clock = Clock::replaying(EPOCH, 1.0);
+        let port = open(&path, &clock);
+        let received = receive(&port, |frames| !frames.is_empty());
+        let last = frames.last().unwrap().time.since(frames[0].time);
+        let deadline = Monotonic::now() + PATIENCE;
+        let length = || Some(clock.playback()?.end?.since(received[0].time));
+        while length() != Some(last) {
+            assert!(Monotonic::now() < deadline, "{name}: {:?}, not {last:?}", length());
+            std::thread::yield_now();
+        }
+    }
+}
+
+#[test]
 fn frames_of_a_file_are_read_again_by_their_numbers() {
     let frames = traffic(8);
     let folder = tempfile::tempdir().unwrap();

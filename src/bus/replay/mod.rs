@@ -310,7 +310,9 @@ impl Replay {
         let to = start.unwrap_or_else(|| self.clock.now());
         self.start = Some((frame.time, to));
         self.anchor = self.start;
-        let last = self.index.as_ref().and_then(|it| it.last_time(&self.reader.position()));
+        // Of a packed log only the beginning is unpacked.
+        let index = self.index.as_ref().filter(|_| !self.log.is_packed);
+        let last = index.and_then(|index| index.last_time(&self.reader.position()));
         match last {
             Some(last) => self.clock.set_log_end(self.bus, to + last.since(frame.time)),
             None => self.look_for_end(to - frame.time.since(Instant::ZERO)),
