@@ -180,6 +180,8 @@ pub struct Playback {
     pub is_ended: bool,
     /// Time of the last frame, as far as the end of the file shows it; `None` if it is not known.
     pub end: Option<Instant>,
+    /// A log is read for its last frame beside the replay: `end` is not known yet, or grows.
+    pub seeks_end: bool,
     /// The moment up to which the log is read as fast as possible; `None` at the set speed.
     pub reads_to: Option<Instant>,
 }
@@ -187,7 +189,14 @@ pub struct Playback {
 impl Default for Playback {
     /// As recorded, running.
     fn default() -> Self {
-        Self { speed: 1.0, is_paused: false, is_ended: false, end: None, reads_to: None }
+        Self {
+            speed: 1.0,
+            is_paused: false,
+            is_ended: false,
+            end: None,
+            seeks_end: false,
+            reads_to: None,
+        }
     }
 }
 

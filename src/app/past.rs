@@ -153,6 +153,7 @@ impl App {
         MomentRange {
             begin: begin.min(self.clock.now()),
             end: self.last_moment(),
+            is_end_known: !self.clock.playback().is_some_and(|it| it.seeks_end),
             shown: self.shown_or_target().time,
             frames: self.traffic.capture.end(),
             wall_start: self.clock.wall_start(),

@@ -4,7 +4,7 @@
 use crate::frame::BusIndex;
 use crate::status::{Playback, PlaybackCommand};
 use crate::time::{Duration, Epoch, Instant};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Instant as Monotonic, SystemTime, UNIX_EPOCH};
 
@@ -44,6 +44,8 @@ struct PlaybackPace {
     reads_to: Instant,
     /// Time of the last frame of each log, as far as it is known.
     ends: BTreeMap<BusIndex, Instant>,
+    /// Logs whose last frames are looked for.
+    sought_ends: BTreeSet<BusIndex>,
     /// How many logs are not open yet; with the last one it starts to run.
     awaited_logs: usize,
     /// Times of the first frames of the logs, from the first log on, as far as they are known.
@@ -118,6 +120,7 @@ impl Clock {
             is_paused: false,
             reads_to: Instant::ZERO,
             ends: BTreeMap::new(),
+            sought_ends: BTreeSet::new(),
             awaited_logs,
             starts,
             logs,
@@ -212,6 +215,7 @@ impl Clock {
             is_paused: pace.is_paused,
             is_ended: pace.is_ended(),
             end: pace.ends.values().max().copied(),
+            seeks_end: !pace.sought_ends.is_empty(),
             reads_to: Some(pace.reads_to).filter(|to| *to > now),
         })
     }
@@ -268,6 +272,16 @@ impl Clock {
     /// Sets the time of the last frame of a log, as far as it is known.
     pub(super) fn set_log_end(&self, log: BusIndex, end: Instant) {
         self.pace().ends.insert(log, end);
+    }
+
+    /// Notes whether the last frame of a log is looked for.
+    pub(super) fn set_seeks_end(&self, log: BusIndex, seeks: bool) {
+        let sought = &mut self.pace().sought_ends;
+        if seeks {
+            sought.insert(log);
+        } else {
+            sought.remove(&log);
+        }
     }
 
     /// Moment up to which frames are taken as fast as possible.

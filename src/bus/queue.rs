@@ -165,6 +165,12 @@ impl Queue {
         self.news.notify_one();
     }
 
+    /// Gives the status again, though it is the same, and wakes the consumer.
+    pub fn repeat_status(&self) {
+        self.contents().status_is_new = true;
+        self.news.notify_one();
+    }
+
     /// Adds the name of the next bus of this port.
     pub fn add_name(&self, name: &str) {
         self.contents().names.push(name.to_owned());

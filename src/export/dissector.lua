@@ -61,23 +61,19 @@ local interface = Field.new("frame.interface_id")
 
 -- Text ------------------------------------------------------------------------------------------
 
--- Characters above 0x7F that are not printable: control, format, separators, private use.
-local unprintable = {
-    { 0x80, 0x9F }, { 0xAD, 0xAD }, { 0x600, 0x605 }, { 0x61C, 0x61C }, { 0x6DD, 0x6DD },
-    { 0x70F, 0x70F }, { 0x890, 0x891 }, { 0x8E2, 0x8E2 }, { 0x180E, 0x180E }, { 0x200B, 0x200F },
-    { 0x2028, 0x202E }, { 0x2060, 0x206F }, { 0xE000, 0xF8FF }, { 0xFEFF, 0xFEFF },
-    { 0xFFF0, 0xFFFB }, { 0xFFFE, 0xFFFF }, { 0x110BD, 0x110BD }, { 0x110CD, 0x110CD },
-    { 0x13430, 0x1343F }, { 0x1BCA0, 0x1BCA3 }, { 0x1D173, 0x1D17A }, { 0xE0000, 0xE0FFF },
-    { 0xF0000, 0x10FFFF },
-}
-
+-- A character above ASCII: not in one of the ranges, which rise.
 local function is_printable(code)
-    for _, range in ipairs(unprintable) do
-        if code >= range[1] and code <= range[2] then
-            return false
+    local ranges = profile.unprintable
+    local first, behind = 0, #ranges / 2
+    while first < behind do
+        local middle = math.floor((first + behind) / 2)
+        if ranges[2 * middle + 2] < code then
+            first = middle + 1
+        else
+            behind = middle
         end
     end
-    return true
+    return first == #ranges / 2 or code < ranges[2 * first + 1]
 end
 
 -- Number of bytes of the UTF-8 character at a place of a string, and its code; nil if there is none.
@@ -545,11 +541,13 @@ end
 
 -- A number with at most so many significant digits; with an exponent where it is far from 1.
 local function number_text(number, digits)
-    local rounded = tonumber(string.format("%." .. digits - 1 .. "e", number))
-    if not rounded or rounded ~= rounded then
+    if number ~= number then
         return "NaN"
-    elseif rounded == math.huge or rounded == -math.huge then
-        return rounded > 0 and "inf" or "-inf"
+    end
+    -- Not a number in Lua: "inf", also of one that is too large when rounded.
+    local rounded = tonumber(string.format("%." .. digits - 1 .. "e", number))
+    if not rounded or math.abs(rounded) == math.huge then
+        return number > 0 and "inf" or "-inf"
     end
     local text
     for decimals = 0, digits - 1 do

@@ -2,7 +2,7 @@
 
 use super::ExportFacts;
 use crate::catalogue::{DeviceType, TypeService};
-use crate::text::Escaped;
+use crate::text::{Escaped, is_printable};
 use crate::wire::data_layout::{DataField, DataLayout, FieldType};
 use crate::wire::descriptor::ByteOrder;
 use crate::wire::id::Service;
@@ -52,6 +52,7 @@ pub fn dissector(facts: ExportFacts) -> String {
     push_names(&mut text, 1, "services", services);
     let given = profile.debug_names.iter().map(|(code, name)| (*code, name.as_str()));
     push_names(&mut text, 1, "debug_names", given);
+    push_unprintable(&mut text);
     text.push_str("    common = {\n");
     push_types(&mut text, 2, facts.catalogue.common_types());
     text.push_str("    },\n    types = {\n");
@@ -84,7 +85,14 @@ fn push_types<'a>(
 ) {
     let types = types.into_iter().rev().map(|it| &**it);
     push_names(text, depth, "services", last_of_each(types.clone().flat_map(services_of)));
-    push_names(text, depth, "debug", last_of_each(types.clone().flat_map(messages_of)));
+    // As they are: descan shows names of messages, which are printable, without escapes.
+    let messages = last_of_each(types.clone().flat_map(messages_of));
+    push_quoted(
+        text,
+        depth,
+        "debug",
+        messages.into_iter().map(|(code, name)| (code, quoted(name))),
+    );
     for (name, layout) in SERVICE_LAYOUTS {
         let of_type = |of: &'a DeviceType| {
             let numbered = of.services.iter().filter_map(|it| Some((it.number?.number(), it)));
@@ -113,6 +121,26 @@ fn messages_of(of: &DeviceType) -> impl Iterator<Item = (u16, &str)> {
     of.debug_messages.iter().map(|(code, message)| (*code, message.name.as_str()))
 }
 
+/// Appends the ranges of characters above ASCII that are not printable.
+fn push_unprintable(text: &mut String) {
+    let all = ('\u{80}'..=char::MAX).filter(|&c| !is_printable(c)).map(u32::from);
+    let mut ranges: Vec<(u32, u32)> = Vec::new();
+    for code in all {
+        match ranges.last_mut() {
+            Some((_, last)) if *last + 1 == code => *last = code,
+            _ => ranges.push((code, code)),
+        }
+    }
+    text.push_str(
+        "    -- Characters that are not printable: first and last, in turn.\n    unprintable = {\n",
+    );
+    for some in ranges.chunks(6) {
+        let some = some.iter().map(|(first, last)| format!("0x{first:X}, 0x{last:X},"));
+        let _ = writeln!(text, "        {}", some.collect::<Vec<_>>().join(" "));
+    }
+    text.push_str("    },\n");
+}
+
 /// Appends a table of names by number; what is not printable is escaped, as descan shows it.
 fn push_names<'a>(
     text: &mut String,
@@ -120,14 +148,21 @@ fn push_names<'a>(
     name: &str,
     names: impl IntoIterator<Item = (u16, &'a str)>,
 ) {
+    let escaped = |name: &str| quoted(&Escaped(name.as_bytes()).to_string());
+    push_quoted(text, depth, name, names.into_iter().map(|(number, name)| (number, escaped(name))));
+}
+
+/// Appends a table of strings of Lua by number.
+fn push_quoted(
+    text: &mut String,
+    depth: usize,
+    name: &str,
+    strings: impl IntoIterator<Item = (u16, String)>,
+) {
     let indent = "    ".repeat(depth);
     let _ = writeln!(text, "{indent}{name} = {{");
-    for (number, name) in names {
-        let _ = writeln!(
-            text,
-            "{indent}    [{number}] = {},",
-            quoted(&Escaped(name.as_bytes()).to_string())
-        );
+    for (number, string) in strings {
+        let _ = writeln!(text, "{indent}    [{number}] = {string},");
     }
     let _ = writeln!(text, "{indent}}},");
 }

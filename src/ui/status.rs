@@ -141,7 +141,9 @@ fn moment_parts(brush: &DrawContext) -> Parts {
     if app.playback().is_some() {
         let _ = write!(text, " · log {}", length_text(moment.time.since(Instant::ZERO)));
         if columns >= NARROW {
-            let _ = write!(text, " of {}", length_text(app.last_moment().since(Instant::ZERO)));
+            let length = length_text(app.last_moment().since(Instant::ZERO));
+            let is_known = !app.playback().is_some_and(|it| it.seeks_end);
+            let _ = write!(text, " of {}", if is_known { &length } else { "…" });
         }
         if columns >= WIDE {
             let does = if app.play_pace().is_some() { "stops" } else { "plays" };

@@ -16,6 +16,8 @@ pub(in crate::app) struct MomentRange {
     pub begin: Instant,
     /// The present, or the end of a log.
     pub end: Instant,
+    /// False while the end of a log is looked for: `end` is the present.
+    pub is_end_known: bool,
     /// The moment that is shown.
     pub shown: Instant,
     /// Number of all frames.
@@ -47,7 +49,7 @@ impl MomentTarget {
             let number: u64 = number.parse().map_err(|_| no_form())?;
             return match number.checked_sub(1) {
                 Some(index) if index < range.frames => Ok(Self::Frame(index)),
-                _ => Err(format!("#{number}: there are frames 1 to {}", range.frames)),
+                _ => Err(format!("#{number}: there are frames 1 to {} so far", range.frames)),
             };
         }
         if let [letter @ b'a'..=b'z'] = text.as_bytes() {
@@ -60,6 +62,9 @@ impl MomentTarget {
             let percent: f64 = percent.trim_end().parse().map_err(|_| no_form())?;
             if !(0.0..=100.0).contains(&percent) {
                 return Err(format!("{text}: from 0% to 100%"));
+            }
+            if !range.is_end_known {
+                return Err(length_is_not_known(text));
             }
             begin + end.since(begin).mul_f64(percent / 100.0)
         } else if let Some(back) = text.strip_prefix('-') {
@@ -77,8 +82,15 @@ impl MomentTarget {
         if (begin..=end).contains(&time) {
             return Ok(Self::Time(time));
         }
+        if time > end && !range.is_end_known {
+            return Err(length_is_not_known(text));
+        }
         Err(format!("{text}: not kept; {} to {} is", range.wall(begin), range.wall(end)))
     }
+}
+
+fn length_is_not_known(text: &str) -> String {
+    format!("{text}: how long the log is, is being read; try again in a moment")
 }
 
 impl MomentRange {
@@ -120,7 +132,15 @@ mod tests {
     fn range() -> MomentRange {
         let wall_start = 20_000 * DAY - 10_000_000;
         let (begin, end, shown) = (at(5.0), at(40.0), at(30.0));
-        MomentRange { begin, end, shown, frames: 100, wall_start, marks: mark_bit('c') }
+        MomentRange {
+            begin,
+            end,
+            is_end_known: true,
+            shown,
+            frames: 100,
+            wall_start,
+            marks: mark_bit('c'),
+        }
     }
 
     #[test]
@@ -157,6 +177,18 @@ mod tests {
         // The same time of day occurred twice.
         let last = MomentTarget::parse("23:59:55", &long);
         assert_eq!(last, Ok(MomentTarget::Time(at(86_405.0))));
+    }
+
+    #[test]
+    fn moments_behind_an_unknown_end_are_refused_for_now() {
+        let open = MomentRange { is_end_known: false, ..range() };
+        for text in ["50%", "100%", "00:00:31", "0:41", "+11s"] {
+            let fault = MomentTarget::parse(text, &open).unwrap_err();
+            assert!(fault.contains("how long the log is, is being read"), "{text}: {fault}");
+        }
+        for text in ["23:59:55", "-20s", "+10s", "0:31"] {
+            assert_eq!(MomentTarget::parse(text, &open), MomentTarget::parse(text, &range()));
+        }
     }
 
     #[test]

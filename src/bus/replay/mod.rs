@@ -328,12 +328,19 @@ impl Replay {
         }
         let file = FilePart::new(Arc::clone(&self.log.file));
         let (clock, bus, shared) = (self.clock.clone(), self.bus, Arc::clone(&self.shared));
-        // Without a thread, or with a fault, its length is that of what was read.
-        let _ = std::thread::Builder::new().name("log end".into()).spawn(move || {
+        self.clock.set_seeks_end(bus, true);
+        let seek = move || {
             if let Ok(Some(last)) = last_time(file, || shared.is_stopped()) {
                 clock.set_log_end(bus, start + last.since(Instant::ZERO));
             }
-        });
+            clock.set_seeks_end(bus, false);
+            // The clock may stand, so that nothing else reports it.
+            shared.queue.repeat_status();
+        };
+        // Without a thread, or with a fault, its length is that of what was read.
+        if std::thread::Builder::new().name("log end".into()).spawn(seek).is_err() {
+            self.clock.set_seeks_end(bus, false);
+        }
     }
 
     /// Delivers a frame that is due, together with others. Returns false if the port was dropped.

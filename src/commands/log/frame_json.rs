@@ -78,8 +78,11 @@ impl FrameJson {
         line.push_str(",\"fields\":");
         let types = app.shown_buses().frame_types(header, frame);
         match header {
-            Some(header) => push_fields(line, &types.data_values(header, frame.data())),
-            None => line.push_str("null"),
+            // The data of an error response are its code.
+            Some(header) if role != FrameRole::FailedResponse => {
+                push_fields(line, &types.data_values(header, frame.data()));
+            }
+            _ => line.push_str("null"),
         }
         line.push_str(",\"message\":");
         push_text(line, types.message().map(NamedMessage::name));

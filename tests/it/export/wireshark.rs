@@ -124,7 +124,7 @@ fn recorded_bus_is_dissected_as_descan_shows_it() {
 
 /// Bytes that are like DES messages, heartbeats and ISO-TP frames, and unlike them.
 fn data(rng: &mut fastrand::Rng) -> Vec<u8> {
-    const PARTS: [&[u8]; 16] = [
+    const PARTS: [&[u8]; 17] = [
         b"\x04DES\x01",
         b"DES\x02",
         b"\x04DES\x07",
@@ -137,6 +137,7 @@ fn data(rng: &mut fastrand::Rng) -> Vec<u8> {
         b"\x10\x14\x02\0DES\0",
         b"\x21B\x002\0",
         "\u{e9}\u{200b}\u{4e16}".as_bytes(),
+        "\u{378}\u{5ff}\u{9af2f}".as_bytes(),
         b"\xC3\xFF\\\x1B[m",
         b"\0\x05\x01AB\0",
         b"\0\0\0\0\0\0\x04\0",
@@ -377,18 +378,21 @@ fn field(rng: &mut fastrand::Rng, number: usize, name: &str) -> String {
 fn bytes_of_numbers(rng: &mut fastrand::Rng, len: usize) -> Vec<u8> {
     let mut bytes = Vec::new();
     while bytes.len() < len {
-        match rng.u8(..6) {
+        match rng.u8(..8) {
             0 => bytes.extend([rng.u8(..), rng.u8(..)]),
             1 => bytes.extend([0; 4]),
             2 => bytes.extend([0xFF; 3]),
-            3 => bytes.extend(
-                rng.choice([0.1_f32, -1e-7, f32::NAN, f32::INFINITY, 16_777_217.0])
-                    .unwrap()
-                    .to_le_bytes(),
-            ),
-            4 => bytes.extend(
-                rng.choice([1e15_f64, 0.1 + 0.2, -5e-324, f64::MAX, 1e-6]).unwrap().to_be_bytes(),
-            ),
+            3 | 4 => {
+                const FLOATS: [f32; 5] = [0.1, -1e-7, f32::NAN, f32::INFINITY, 16_777_217.0];
+                let number = *rng.choice(&FLOATS).unwrap();
+                bytes.extend(if rng.bool() { number.to_le_bytes() } else { number.to_be_bytes() });
+            }
+            5 | 6 => {
+                const DOUBLES: [f64; 6] =
+                    [1e15, 0.1 + 0.2, -5e-324, f64::MAX, 1e-6, f64::NEG_INFINITY];
+                let number = *rng.choice(&DOUBLES).unwrap();
+                bytes.extend(if rng.bool() { number.to_le_bytes() } else { number.to_be_bytes() });
+            }
             _ => bytes.extend(b"A\x80\0"),
         }
     }
@@ -417,7 +421,7 @@ fn fields_of_the_catalogue_are_those_of_descan() {
                 text += &format!("data = {}\n", fields(number + 2));
             }
             text += &format!(
-                "[[debug]]\ncode = {number}\nname = \"D\"\nparameters = {}\n",
+                "[[debug]]\ncode = {number}\nname = 'D\\s'\nparameters = {}\n",
                 fields(number)
             );
         }
