@@ -26,7 +26,7 @@ pub struct CommandRun {
     pub is_interrupted: bool,
 }
 
-/// Runs a command. Once the bus can be used, `advance` is called after each wake-up, with the time and
+/// Runs a command. Once the bus can be used, for which it waits `search` at most, `advance` is called after each wake-up, with the time and
 /// the end of the search for devices (`search` later, by default 15 s), until it returns true. Devices
 /// are asked for nothing but by the command.
 ///
@@ -40,15 +40,22 @@ pub fn run(
 ) -> Result<CommandRun, Failure> {
     Arc::make_mut(&mut setup.config.profile).descriptor.auto = false;
     let search = search.unwrap_or(SEARCH_TIME);
-    let limits = Limits { stuck: EXIT_INTERRUPTED, ..Limits::default() };
+    // A missing bus gives no news.
+    let turn_period = Some(Duration::from_secs(1));
+    let limits = Limits { turn_period, stuck: EXIT_INTERRUPTED, ..Limits::default() };
     let input = RunInput::Buses(std::slice::from_ref(bus));
     let mut gate = BusGate::new(false);
-    let mut began = None;
+    let (mut waits, mut began) = (None, None);
     let RunOutcome { app, ending, recording, .. } =
         headless::run(input, &setup, AppOptions::default(), limits, |session| {
             let now = session.now();
             if !gate.allows(&session.app, now)? {
-                return Ok(ControlFlow::Continue(()));
+                let is_missing = now >= *waits.get_or_insert(now) + search;
+                return Ok(if is_missing {
+                    ControlFlow::Break(())
+                } else {
+                    ControlFlow::Continue(())
+                });
             }
             let end = *began.get_or_insert(now) + search;
             let is_over = advance(&mut session.app, now, end)?;

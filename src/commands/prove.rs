@@ -14,7 +14,7 @@ use crate::app::App;
 use crate::cli::ProveArgs;
 use crate::discovery::{Device, DeviceId};
 use crate::frame::BusIndex;
-use crate::prove::ProofSwitches;
+use crate::prove::{ProofSwitches, Prover};
 use crate::regular_file::shown;
 use crate::shell::store::{Store, write_new};
 use crate::text::counted;
@@ -153,9 +153,9 @@ fn question(args: &ProveArgs, devices: &str) -> String {
 }
 
 /// Refuses to load a bus on which other devices work.
-fn refuse_load(app: &App, args: &ProveArgs, tested: &VecDeque<DeviceId>) -> Result<(), Failure> {
+fn refuse_load(app: &App, args: &ProveArgs, tested: &[DeviceId]) -> Result<(), Failure> {
     let Some(bus) = app.bus(BUS) else { return Ok(()) };
-    let is_other = |it: &&Device| it.is_present() && !(tested.len() == 1 && tested[0] == it.id);
+    let is_other = |it: &&Device| it.is_present() && tested != [it.id];
     let others = bus.devices().iter().filter(is_other).count() as u64;
     if others == 0 {
         return Ok(());
@@ -216,7 +216,7 @@ impl DeviceProof {
                 return Ok(false);
             }
             if looks_for_others(args) {
-                refuse_load(app, args, &self.waiting)?;
+                refuse_load(app, args, self.waiting.make_contiguous())?;
                 require_consent(args)?;
             }
             if needs_consent(args) {
@@ -236,6 +236,10 @@ impl DeviceProof {
             }
         }
         if let Some(id) = self.running {
+            // One may have joined since the tests began.
+            if looks_for_others(args) && app.prover().is_some_and(Prover::is_loading) {
+                refuse_load(app, args, &[id])?;
+            }
             if !self.watch(app, now) {
                 return Ok(false);
             }

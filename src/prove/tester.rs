@@ -222,6 +222,11 @@ impl Prover {
         self.is_over
     }
 
+    /// Returns true while it loads the bus.
+    pub fn is_loading(&self) -> bool {
+        self.load.is_some()
+    }
+
     /// Number of tests made, and of all; those of segmented answers are added when there is one.
     pub fn progress(&self) -> (usize, usize) {
         (self.planned - self.agenda.len(), self.planned)

@@ -8,6 +8,7 @@ use descan::time::{Duration, Instant};
 use descan::wire::des::ServicesResponse;
 use descan::wire::id::{Address, Header, Service};
 use serde_json::Value;
+use std::fmt::Write as _;
 use std::io::BufReader;
 use std::path::Path;
 use std::process::Command;
@@ -355,20 +356,20 @@ fn field(rng: &mut fastrand::Rng, number: usize, name: &str) -> String {
             ["0.1", "-0.25", "1000", "1e-20", "3.3e30", "7e-7", "0.333333333333"];
         let scale = rng.choice(SCALES).unwrap();
         let offset = rng.choice(["0", "-40", "0.005", "1e9"]).unwrap();
-        text += &format!(", scale = {scale}, offset = {offset}, unit = \"°C \\\\ \\\"\"");
+        let _ = write!(text, ", scale = {scale}, offset = {offset}, unit = \"°C \\\\ \\\"\"");
     }
     match bytes {
         Some(bytes) if !kind.starts_with('f') => {
             if rng.bool() {
                 let bit = rng.u32(..8 * bytes);
                 let bits = rng.u32(1..=8 * bytes - bit);
-                text += &format!(", bit = {bit}, bits = {bits}, values = {{ 0 = \"none\" }}");
+                let _ = write!(text, ", bit = {bit}, bits = {bits}, values = {{ 0 = \"none\" }}");
             } else if kind.starts_with('i') {
                 text += ", values = { -1 = \"lost\", -128 = \"least\" }";
             }
         }
-        None if kind == "bool" => text += &format!(", bit = {}", rng.u8(..8)),
-        None if rng.bool() => text += &format!(", length = {}", rng.u8(1..5)),
+        None if kind == "bool" => drop(write!(text, ", bit = {}", rng.u8(..8))),
+        None if rng.bool() => drop(write!(text, ", length = {}", rng.u8(1..5))),
         _ => {}
     }
     format!("{{ {text} }}")
@@ -400,12 +401,14 @@ fn bytes_of_numbers(rng: &mut fastrand::Rng, len: usize) -> Vec<u8> {
     bytes
 }
 
+/// Services of the catalogue.
+const SERVICES: u16 = 60;
+
 #[test]
 fn fields_of_the_catalogue_are_those_of_descan() {
     let mut rng = fastrand::Rng::with_seed(23);
     let folder = tempfile::tempdir().unwrap();
     std::fs::create_dir(folder.path().join("devices")).unwrap();
-    const SERVICES: u16 = 60;
     for (file, head, order) in
         [("all", "title = \"All\"", "little"), ("feed", "name = \"FEED\"", "big")]
     {
@@ -415,12 +418,15 @@ fn fields_of_the_catalogue_are_those_of_descan() {
                 format!("[{}, {}]", field(&mut rng, number, "a"), field(&mut rng, number / 2, "b"))
             };
             let number = usize::from(number);
-            text += &format!("[[services]]\nname = \"S{number}\"\nnumber = {}\n", 0x200 + number);
-            text += &format!("request = {}\nresponse = {}\n", fields(number), fields(number + 1));
+            let _ =
+                write!(text, "[[services]]\nname = \"S{number}\"\nnumber = {}\n", 0x200 + number);
+            let _ =
+                write!(text, "request = {}\nresponse = {}\n", fields(number), fields(number + 1));
             if file == "all" || number % 2 == 0 {
-                text += &format!("data = {}\n", fields(number + 2));
+                let _ = writeln!(text, "data = {}", fields(number + 2));
             }
-            text += &format!(
+            let _ = write!(
+                text,
                 "[[debug]]\ncode = {number}\nname = 'D\\s'\nparameters = {}\n",
                 fields(number)
             );

@@ -46,9 +46,11 @@ const FD_WITHOUT_RAW: &str = "\
 const REGISTERS: &str = "\
 #include \"des.h\"
 typedef struct { volatile uint32_t TIR, TDTR, TDLR, TDHR; } can_mailbox;
+typedef struct { volatile uint32_t FR1, FR2; } can_filter;
 typedef struct {
-    volatile uint32_t MCR, MSR, TSR, ESR, BTR, FMR, FS1R, FA1R;
+    volatile uint32_t MCR, MSR, TSR, IER, ESR, BTR, FMR, FS1R, FA1R;
     can_mailbox TX[3];
+    can_filter FILTER[28];
 } can_registers;
 typedef struct { volatile uint32_t APB1RSTR; } rcc_registers;
 extern can_registers can_1;
@@ -59,7 +61,7 @@ extern const uint32_t CHIP_UID[3];
 enum {
     CAN_MCR_INRQ = 1, CAN_MCR_NART = 16, CAN_MCR_ABOM = 64, CAN_MSR_INAK = 1, CAN_TI_TXRQ = 1,
     CAN_TI_IDE = 4, CAN_TSR_RQCP0 = 1, CAN_TSR_TXOK0 = 2, CAN_ESR_BOFF = 4, CAN_ESR_LEC = 0x70,
-    CAN_FMR_FINIT = 1, RCC_CAN1 = 1 << 25
+    CAN_FMR_FINIT = 1, CAN_IER_FMPIE0 = 2, RCC_CAN1 = 1 << 25
 };
 #define CAN_BTR_SILM 0x80000000u
 uint32_t now_us(void);
@@ -297,7 +299,7 @@ fn random_calls_violate_nothing_under_sanitizers() {
     for (name, config) in [("fuzz", ""), ("fuzz-small", SMALL), ("fuzz-fd", FD_WITHOUT_RAW)] {
         let config = format!("{ALL_NUMBERS}{config}");
         let program = compile("fuzz", &folder(name, &config), &options);
-        let output = run(Command::new(program).args(["300000", "7"]));
+        let output = run(Command::new(program).args(["10000000", "7"]));
         let text = String::from_utf8(output.stdout).unwrap();
         let sent = text.split_whitespace().nth(2).unwrap().parse::<u32>().unwrap();
         assert!(sent > 1000, "{text}");

@@ -217,6 +217,35 @@ fn load_of_a_lone_device_needs_consent() {
     assert!(text(&output.stderr).contains("give --yes"), "{}", text(&output.stderr));
 }
 
+#[test]
+fn device_that_joins_before_the_load_ends_the_tests() {
+    let folder = folder();
+    let late =
+        ALONE.replace("FEED", "LATE").replace("BOILER01", "BOILER02").replace("10 }", "11 }");
+    let late = late.split_once("[[device]]").unwrap().1;
+    let bus = format!("{ALONE}[[device]]{late}power_on = 8.0\n");
+    std::fs::write(folder.path().join("late.toml"), bus).unwrap();
+    let words = ["FEED", "--load", "--yes"];
+    let output = prove_on("sim:late.toml", folder.path(), &words).output().unwrap();
+    assert_eq!(output.status.code(), Some(3), "{}", text(&output.stderr));
+    let said = text(&output.stderr);
+    assert!(
+        said.contains("--load: 1 other device on the bus; on a test bench give --bench"),
+        "{said}"
+    );
+}
+
+#[test]
+fn missing_bus_is_waited_for_as_long_as_asked() {
+    let folder = folder();
+    for words in [&["prove", "none9", "FEED"][..], &["descriptor", "none9", "FEED"]] {
+        let mut command = command(&[words, &["--time", "2"]].concat(), folder.path());
+        let output = command.output().unwrap();
+        assert_eq!(output.status.code(), Some(3), "{words:?}");
+        assert!(text(&output.stderr).contains("none9"), "{}", text(&output.stderr));
+    }
+}
+
 /// Two devices with one name at one address.
 const CONFLICT: &str = r#"
 bitrate = 1000000
