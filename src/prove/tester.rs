@@ -8,10 +8,12 @@ use super::observer::Observer;
 use super::rule::{ConformanceRule as Rule, RuleNeed};
 use super::task::ProofTask;
 use super::verdict::{Records, RuleVerdict, Sample};
-use crate::frame::Frame;
+use crate::frame::{CanId, Frame};
 use crate::time::{Duration, Instant};
+use crate::wire::des::MAX_MESSAGE;
 use crate::wire::framing::Framing;
 use crate::wire::id::{Address, Header};
+use crate::wire::isotp::{Pci, TIMEOUT};
 use crate::wire::node::Mode;
 use crate::wire::profile::Profile;
 use std::collections::VecDeque;
@@ -113,6 +115,9 @@ pub struct Prover {
     pub(super) framing: Option<Framing>,
     /// It answers only requests with the D flag of the other modes.
     pub(super) is_flag_inverted: bool,
+    /// Consecutive frames to descan before its first request, of a transfer that began before the tests: the
+    /// first ones, and how many.
+    early: (Vec<Frame>, u32),
     /// Why nothing is sure.
     doubt: Option<String>,
     /// Why no more requests are sent.
@@ -182,6 +187,7 @@ impl Prover {
             free_at: first,
             framing: None,
             is_flag_inverted: false,
+            early: (Vec::new(), 0),
             doubt: None,
             silence: None,
             has_answered: false,
@@ -262,6 +268,9 @@ impl Prover {
         }
         self.now = self.now.max(frame.time);
         self.observer.handle_frame(frame);
+        if self.agenda.len() == self.planned && self.task.is_none() {
+            self.note_early(frame);
+        }
         if let Some(exchange) = &mut self.exchange {
             exchange.handle_frame(frame);
             exchange.handle_timeout(self.now);
@@ -271,6 +280,35 @@ impl Prover {
         }
         if let Some(disruption) = &mut self.disruption {
             disruption.handle_frame(frame, &self.setup.profile);
+        }
+    }
+
+    /// Waits for the end of a transfer that began before the tests; one that is longer than any message
+    /// does not end, and leaves no room for answers.
+    fn note_early(&mut self, frame: &Frame) {
+        const KEPT: usize = 24;
+        let most = MAX_MESSAGE.div_ceil(7) as u32;
+        let CanId::Extended(id) = frame.id else { return };
+        let (setup, header) = (&self.setup, Header::decode(id));
+        let is_response = header.response && header.service == setup.profile.des_service();
+        let is_for_us = header.source == setup.device && header.destination == setup.own;
+        let pci = Pci::decode(frame.data(), frame.is_fd);
+        if !is_response || !is_for_us || !matches!(pci, Ok(Pci::Consecutive { .. })) {
+            return;
+        }
+        let (frames, count) = &mut self.early;
+        *count += 1;
+        if frames.len() < KEPT {
+            frames.push(*frame);
+        }
+        self.free_at = self.free_at.max(self.now + TIMEOUT);
+        if *count > most && self.silence.is_none() {
+            let text = format!("over {most} consecutive frames of one transfer");
+            for _ in 0..2 {
+                self.records.add(Rule::TransferFraming, Sample::Broken, &*text, frames);
+            }
+            self.silence = Some("a transfer of the device does not end".to_owned());
+            self.free_at = self.now;
         }
     }
 

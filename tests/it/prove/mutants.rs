@@ -448,6 +448,42 @@ fn endless_transfer_is_named() {
     check(Rule::TransferFraming, good().fault(Fault::Endless), Box::new(NoFilter));
 }
 
+/// Asks for the services before the prover does, and lets the device send: an enumeration before the tests.
+struct EarlyRequest(Vec<(Instant, &'static [u8])>);
+
+impl Filter for EarlyRequest {
+    fn hidden(&mut self, now: Instant) -> Vec<Frame> {
+        let device = Address::from_bits(DEVICE);
+        let des = Service::from_bits(2);
+        let id = Header::request(Address::DEBUG, device, false, des).encode();
+        let due = self.0.extract_if(.., |(at, _)| *at <= now);
+        due.map(|(_, data)| Frame::classic(id, data)).collect()
+    }
+
+    fn poll_timeout(&self) -> Option<Instant> {
+        self.0.iter().map(|(at, _)| *at).min()
+    }
+}
+
+fn early_request() -> Box<dyn Filter> {
+    let at = |millis| Instant::ZERO + Duration::from_millis(millis);
+    Box::new(EarlyRequest(vec![(at(1100), b"\x04DES\x02"), (at(1200), b"\x30\0\0")]))
+}
+
+#[test]
+fn endless_transfer_that_began_before_the_tests_is_named() {
+    check(Rule::TransferFraming, good().fault(Fault::Endless), early_request());
+}
+
+#[test]
+fn whole_transfer_that_began_before_the_tests_breaks_no_rule() {
+    let scenario = Scenario::new(125_000).with(good());
+    let mut bench = ProofBench::new(&scenario, DEVICE, given_profile(), early_request());
+    let verdicts = bench.run();
+    assert!(broken(&verdicts).is_empty(), "{:?}", broken(&verdicts));
+    assert!(bench.seen.iter().any(|frame| frame.time.as_micros() < 1_500_000 && is_answer(frame)));
+}
+
 #[test]
 fn first_frame_of_a_huge_length_is_named() {
     check(Rule::TransferFraming, good().fault(Fault::HugeLength), Box::new(NoFilter));
