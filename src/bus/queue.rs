@@ -79,13 +79,16 @@ impl Queue {
     /// The status; `None` if it has not changed since it was last taken. A final link state is
     /// reported only after the last frame was taken.
     pub fn take_status(&self) -> Option<BusStatus> {
+        self.contents().take_status()
+    }
+
+    /// As [`take_status`](Self::take_status); `None` also while frames wait to be taken.
+    pub fn take_status_without_frames(&self) -> Option<BusStatus> {
         let mut contents = self.contents();
-        contents.is_newly_complete = false;
-        if contents.status.link.is_final() && !contents.frames.is_empty() {
-            let status = BusStatus { link: Link::Up, fault: None, ..contents.status.clone() };
-            return contents.status_is_new.then_some(status);
+        if !contents.frames.is_empty() {
+            return None;
         }
-        std::mem::take(&mut contents.status_is_new).then(|| contents.status.clone())
+        contents.take_status()
     }
 
     /// The present status, whether it was taken or not.
@@ -111,18 +114,23 @@ impl Queue {
         self.push_until(frames, None);
     }
 
-    /// The same, of a thread that now collects frames: those later than `complete_until` are not read
+    /// Changes the status and appends the first frames for which that is true: the consumer never finds
+    /// one without the other.
+    pub fn push_first(&self, frames: &[Frame], change: impl FnOnce(&mut BusStatus)) {
+        let mut contents = self.contents();
+        change(&mut contents.status);
+        contents.status_is_new = true;
+        contents.append(frames, self.capacity);
+        drop(contents);
+        self.news.notify_one();
+    }
+
+    /// As [`push`](Self::push), of a thread that now collects frames: those later than `complete_until` are not read
     /// before it pushes again, or [says](Self::set_complete) that there are none.
     pub fn push_until(&self, frames: &[Frame], complete_until: Option<Instant>) {
         let mut contents = self.contents();
         contents.complete_until = complete_until;
-        let room = self.capacity - contents.frames.len();
-        let (fitting, lost) = frames.split_at(room.min(frames.len()));
-        contents.frames.extend(fitting);
-        if !lost.is_empty() {
-            contents.status.queue_drops += lost.len() as u64;
-            contents.status_is_new = true;
-        }
+        contents.append(frames, self.capacity);
         drop(contents);
         self.news.notify_one();
     }
@@ -194,6 +202,26 @@ impl Queue {
 }
 
 impl Contents {
+    /// Appends the frames that fit and counts the others.
+    fn append(&mut self, frames: &[Frame], capacity: usize) {
+        let room = capacity - self.frames.len();
+        let (fitting, lost) = frames.split_at(room.min(frames.len()));
+        self.frames.extend(fitting);
+        if !lost.is_empty() {
+            self.status.queue_drops += lost.len() as u64;
+            self.status_is_new = true;
+        }
+    }
+
+    fn take_status(&mut self) -> Option<BusStatus> {
+        self.is_newly_complete = false;
+        if self.status.link.is_final() && !self.frames.is_empty() {
+            let status = BusStatus { link: Link::Up, fault: None, ..self.status.clone() };
+            return self.status_is_new.then_some(status);
+        }
+        std::mem::take(&mut self.status_is_new).then(|| self.status.clone())
+    }
+
     fn has_news(&self) -> bool {
         !self.frames.is_empty() || self.status_is_new || self.is_newly_complete
     }
@@ -265,6 +293,25 @@ mod tests {
         assert!(queue.is_finished());
         let status = queue.take_status().expect("the last word");
         assert_eq!((status.link, status.fault), (Link::Ended, Some(Diagnostic::new("end of log"))));
+    }
+
+    #[test]
+    fn status_of_first_frames_is_never_found_without_them() {
+        for _ in 0..20_000 {
+            let queue = Queue::new(3);
+            let begun = std::sync::Barrier::new(2);
+            std::thread::scope(|threads| {
+                threads.spawn(|| {
+                    begun.wait();
+                    queue.push_first(&frames(0..1), |status| status.link = Link::Up);
+                });
+                begun.wait();
+                while !queue.has_frames() {
+                    assert_eq!(queue.take_status_without_frames(), None);
+                }
+                assert_eq!(queue.take_status().map(|status| status.link), Some(Link::Up));
+            });
+        }
     }
 
     #[test]

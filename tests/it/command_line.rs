@@ -1129,13 +1129,13 @@ fn escape_codes_in_names_of_buses_are_escaped() {
 fn name_of_many_combining_marks_is_cut_in_tables() {
     let folder = tempfile::tempdir().unwrap();
     let name = format!("A{}", "\u{301}".repeat(499));
-    let scenario = format!(
-        "bitrate = 125000\n[[device]]\nname = \"{name}\"\naddress = {{ preferred = 12 }}\n"
-    );
-    std::fs::write(folder.path().join("line.toml"), scenario).unwrap();
-    let report = json(&descan(&["scan", "sim:line.toml", "--json"], folder.path()));
-    assert!(report["devices"][0]["name"] == name, "whole in JSON: {report:.200}");
-    let table = text(&descan(&["scan", "sim:line.toml"], folder.path()).stdout);
+    let device = DeviceSpec::new(&name).fixed(12).skips_address_resolution();
+    let recorded = log(&Scenario::new(125_000).with(device), 12);
+    std::fs::write(folder.path().join("session.log"), recorded).unwrap();
+    let report = json(&descan(&["scan", "session.log", "--json"], folder.path()));
+    let devices = report["devices"].as_array().unwrap();
+    assert!(devices.iter().any(|it| it["name"] == name), "whole in JSON: {report:.200}");
+    let table = text(&descan(&["scan", "session.log"], folder.path()).stdout);
     let row = table.lines().find(|line| line.contains("A\u{301}")).unwrap();
     assert_eq!(row.chars().filter(|c| *c == '\u{301}').count(), descan::text::MAX_MARKS);
     assert!(row.contains('…'), "{row}");

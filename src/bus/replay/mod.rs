@@ -294,9 +294,8 @@ impl Replay {
             self.shared.wait(None, Some(nap))?;
         }
         self.report_position();
-        self.report_start();
         let bus = BusIndex(self.bus.0.saturating_add(frame.bus.0));
-        self.shared.queue.push(&[frame.with_time(due).with_bus(bus)]);
+        self.push(&[frame.with_time(due).with_bus(bus)]);
         self.last = due;
         Ok(true)
     }
@@ -366,9 +365,10 @@ impl Replay {
             }
             self.shared.wait(None, Some(FULL_QUEUE_NAP))?;
         }
-        self.report_start();
-        self.shared.queue.push(&self.waiting);
-        self.waiting.clear();
+        let mut waiting = std::mem::take(&mut self.waiting);
+        self.push(&waiting);
+        waiting.clear();
+        self.waiting = waiting;
         self.reads_to = self.clock.reads_to();
         self.report_position();
         Ok(!self.shared.is_stopped())
@@ -387,10 +387,10 @@ impl Replay {
         self.report_position();
     }
 
-    /// Reports that its first frame is delivered.
-    fn report_start(&mut self) {
+    /// Delivers frames; with the first one the log is open.
+    fn push(&mut self, frames: &[Frame]) {
         if !std::mem::take(&mut self.awaits_start) {
-            return;
+            return self.shared.queue.push(frames);
         }
         let other_dates = || {
             let (from, to) = self.start?;
@@ -399,7 +399,9 @@ impl Replay {
             (self.clock.epoch().unix_micros(to) != own).then_some(OTHER_DATES.to_owned())
         };
         let note = other_dates();
-        self.shared.queue.update_status(|status| (status.link, status.note) = (Link::Up, note));
+        self.shared.queue.push_first(frames, |status| {
+            (status.link, status.note) = (Link::Up, note);
+        });
     }
 
     /// Reports that frames follow after the end of the log, and whether they are shown at other times

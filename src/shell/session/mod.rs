@@ -763,9 +763,15 @@ impl Session {
     }
 
     fn receive_status(&mut self, now: Instant, port_at: usize) {
-        let SessionInput::Ports { ports, interfaces, .. } = &self.input else { return };
-        let Some(status) = ports[port_at].queue().take_status() else { return };
-        // The status of a log applies to all its interfaces.
+        let SessionInput::Ports { ports, .. } = &self.input else { return };
+        if let Some(status) = ports[port_at].queue().take_status() {
+            self.handle_status(now, port_at, &status);
+        }
+    }
+
+    /// Handles the status of a port. That of a log applies to all its interfaces.
+    fn handle_status(&mut self, now: Instant, port_at: usize, status: &BusStatus) {
+        let SessionInput::Ports { interfaces, .. } = &self.input else { return };
         for bus in own_bus(port_at).into_iter().chain(interfaces[port_at].iter().copied().skip(1)) {
             self.app.handle_bus(now, bus, status.clone());
         }

@@ -19,10 +19,17 @@ impl Session {
     /// Handles the statuses. A log that begins later is up from its first frame on.
     pub(super) fn receive_statuses(&mut self, now: Instant) {
         let SessionInput::Ports { ports, .. } = &self.input else { return };
-        let begins = |at: &usize| self.begins_later(*at) && ports[*at].queue().has_frames();
-        let known: Vec<usize> = (0..ports.len()).filter(|at| !begins(at)).collect();
-        for at in known {
-            self.receive_status(now, at);
+        for at in 0..ports.len() {
+            let SessionInput::Ports { ports, .. } = &self.input else { return };
+            let queue = ports[at].queue();
+            let status = if self.begins_later(at) {
+                queue.take_status_without_frames()
+            } else {
+                queue.take_status()
+            };
+            if let Some(status) = status {
+                self.handle_status(now, at, &status);
+            }
         }
     }
 
