@@ -838,6 +838,10 @@ impl App {
     pub fn handle_playback(&mut self, now: Instant, playback: Playback) {
         self.clock.set(now);
         if self.clock.set_playback(playback) {
+            if self.time_bar.end != self.last_moment() {
+                // A log that stands has no further second.
+                self.renew_time_bar();
+            }
             self.notices.redraw.set_dirty();
         }
         self.check_reading();

@@ -228,6 +228,43 @@ fn check_compares_each_gateway_with_its_folder() {
     assert!(errors.contains("sites/h/des.json: "), "{errors}");
 }
 
+#[test]
+fn check_compares_each_bus_with_its_file_of_the_project() {
+    let Some(broker) = Mosquitto::start() else { return };
+    let (folder, url) = (broker.folder(), broker.url());
+    for (file, name) in [("first.toml", "PUMP"), ("second.toml", "VALVE")] {
+        let device = format!("[[device]]\nname = \"{name}\"\naddress = {{ fixed = 12 }}\n");
+        fs::write(folder.join(file), format!("bitrate = 125000\n{device}")).unwrap();
+    }
+    let buses = ["sim:first.toml", "sim:second.toml"];
+    let publish = [&buses[..], &["--broker", &url, "--gateway", "g"]].concat();
+    let _publisher = Running::publish(&publish, folder);
+    wait_for(|| {
+        let fleet = fleet_json(&["--broker", &url], folder);
+        let names = names_of(&fleet, 0);
+        ["PUMP", "VALVE"].iter().all(|name| names.contains(name)).then_some(())
+    });
+    let site = folder.join("sites/g");
+    fs::create_dir_all(&site).unwrap();
+    let project = "[[bus]]\nbus = 'sim:first.toml'\nfile = 'first.json'\n\
+                   [[bus]]\nbus = 'sim:second.toml'\nfile = 'second.json'\n";
+    fs::write(site.join("descan.toml"), project).unwrap();
+    let check = |first: &str, second: &str| {
+        for (file, name) in [("first.json", first), ("second.json", second)] {
+            let content = format!(r#"[{{"name":"{name}","address":12,"services":[]}}]"#);
+            fs::write(site.join(file), content).unwrap();
+        }
+        let output = run(&["check", "--fleet", "sites", "--broker", &url], folder);
+        (output.status.code(), text(&output.stdout) + &text(&output.stderr))
+    };
+    let (code, out) = check("PUMP", "VALVE");
+    assert_eq!(code, Some(0), "{out}");
+    let (code, out) = check("VALVE", "PUMP");
+    assert_eq!(code, Some(1), "{out}");
+    assert!(out.contains("sim:first.toml: PUMP at 12 is not in the file."), "{out}");
+    assert!(out.contains("sim:second.toml: VALVE at 12 is not in the file."), "{out}");
+}
+
 // --- rights and TLS -------------------------------------------------------------------------
 
 /// A certificate authority, a certificate of the broker, and one of a client, by openssl.

@@ -4,6 +4,8 @@ use super::comparison::boiler;
 use super::snapshot;
 use crate::common::harness::Stage;
 use descan::app::{BAR_LEFT, BarSign, Mouse, MouseKind, TimelineKind};
+use descan::status::Playback;
+use descan::time::Instant;
 
 /// A large screen after 40 seconds.
 fn large() -> Stage {
@@ -73,6 +75,22 @@ fn cells_have_events_findings_and_marks_of_their_time() {
     let bar = stage.app.time_bar();
     let marked = stage.app.marks().get('a').unwrap().moment.time;
     assert_eq!(bar.cells[bar.cell(marked)], BarSign::Mark('a'));
+}
+
+#[test]
+fn end_of_a_log_that_stands_is_shown_once_it_is_known() {
+    let mut stage = large();
+    let now = stage.app.now();
+    let playback = |end: u64| Playback {
+        is_paused: true,
+        end: Some(Instant::from_micros(end * 1_000_000)),
+        seeks_end: end < 900,
+        ..Playback::default()
+    };
+    for end in [60, 300, 900] {
+        stage.app.handle_playback(now, playback(end));
+        assert_eq!(Some(stage.app.time_bar().end), playback(end).end);
+    }
 }
 
 #[test]
