@@ -63,8 +63,9 @@ impl FileFault {
             39 | 112 | 1295 => Self::DiskFull,
             // ERROR_FILE_TOO_LARGE.
             223 => Self::TooLarge,
-            // ERROR_SHARING_VIOLATION, ERROR_LOCK_VIOLATION.
-            32 | 33 => Self::InUse,
+            // ERROR_SHARING_VIOLATION, ERROR_LOCK_VIOLATION, ERROR_UNABLE_TO_REMOVE_REPLACED,
+            // ERROR_UNABLE_TO_MOVE_REPLACEMENT.
+            32 | 33 | 1175 | 1176 => Self::InUse,
             _ => return None,
         })
     }

@@ -1,5 +1,5 @@
-//! Windows: a new file has the access of its folder. An access control list of the file's own, its
-//! alternate streams and its creation time are not kept.
+//! Windows: a new file has the access of its folder. As it takes the place of the old one, `ReplaceFile`
+//! gives it the access control list, the alternate streams and the creation time of that.
 
 use super::AttributeError;
 use crate::diagnostic::Diagnostic;
