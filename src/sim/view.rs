@@ -55,4 +55,6 @@ pub struct DeviceState<'a> {
     pub services: &'a [Vec<Vec<u8>>],
     /// Transmit and receive error counters.
     pub counters: (u16, u16),
+    /// Bit rate at which it transmits, in bit/s; `None` while it is off, silent or bus-off.
+    pub active_bitrate: Option<u32>,
 }

@@ -266,6 +266,7 @@ impl Sim {
     pub fn device_state(&self, device: SimDeviceId) -> DeviceState<'_> {
         let index = usize::from(device.0);
         let it = &self.devices[index];
+        let controller = self.bus.controller(self.stations[index]);
         DeviceState {
             label: &it.spec.label,
             name: &it.spec.name,
@@ -274,7 +275,8 @@ impl Sim {
             address: it.address(),
             setting: it.spec.address,
             services: &it.spec.services,
-            counters: self.bus.controller(self.stations[index]).counters(),
+            counters: controller.counters(),
+            active_bitrate: controller.is_active().then_some(controller.bitrate),
         }
     }
 

@@ -809,7 +809,9 @@ impl Case<'_> {
         // Devices that start at once compete for an address. Responses to those that left it wait
         // for a flow control frame that is never sent, and are received together later.
         let contended = world.inspectors.len() > 2;
-        for (at, event) in self.it.events.iter().filter(|_| self.is_clear()) {
+        // It resolves its address again, and is lost for at most that time.
+        let is_calm = |at| !self.run.truth.has_other_bitrate(at, PERIOD * 10);
+        for (at, event) in self.it.events.iter().filter(|(at, _)| self.is_clear() && is_calm(*at)) {
             let Some(address) = event.address else { continue };
             let owners = world.scenario.devices.iter().filter(|spec| is_fixed(spec, address));
             let untouched = owners.clone().count() > 0

@@ -1,7 +1,7 @@
 //! Ground truth of a run: which devices shared an address or a UID, and when, sampled from the
 //! simulator.
 
-use descan::sim::{DeviceSpec, Fault, Sim, SimDeviceId};
+use descan::sim::{Fault, Scenario, Sim, SimDeviceId};
 use descan::time::{Duration, Instant};
 use descan::wire::descriptor::AddressSetting;
 use descan::wire::id::Address;
@@ -37,6 +37,8 @@ pub struct Truth {
     same_uid_on: BTreeMap<Clash, Vec<Span>>,
     /// The devices ever seen at each address.
     seen_at: BTreeMap<Address, BTreeSet<usize>>,
+    /// When a device transmitted at another bit rate than that of the bus.
+    other_bitrate: Vec<Span>,
 }
 
 impl Truth {
@@ -46,8 +48,13 @@ impl Truth {
         now: Instant,
         sim: &Sim,
         devices: &[SimDeviceId],
-        specs: &[DeviceSpec],
+        scenario: &Scenario,
     ) {
+        let specs = &scenario.devices;
+        let mut rates = devices.iter().filter_map(|id| sim.device_state(*id).active_bitrate);
+        if rates.any(|rate| rate != scenario.bitrate) {
+            add_sample(&mut self.other_bitrate, self.sampled, now);
+        }
         let mut at: BTreeMap<Address, Vec<usize>> = BTreeMap::new();
         for (index, &id) in devices.iter().enumerate() {
             if let Some(address) = sim.device_state(id).address {
@@ -120,6 +127,12 @@ impl Truth {
         self.seen_at.get(&address).into_iter().flatten().copied()
     }
 
+    /// Returns true if a device transmitted at another bit rate than that of the bus, now or less than
+    /// `before` ago: others may be bus-off by that, as the bit rate search of CiA 801 has it.
+    pub fn has_other_bitrate(&self, at: Instant, before: Duration) -> bool {
+        self.other_bitrate.iter().any(|span| span.from <= at && at <= span.until + before)
+    }
+
     /// Returns when both devices of a pair that never gives way were on.
     pub fn both_on(&self) -> impl Iterator<Item = (Clash, Span)> + '_ {
         self.both_on.iter().map(|(clash, span)| (*clash, *span))
@@ -173,7 +186,11 @@ fn note(
     now: Instant,
     clash: Clash,
 ) {
-    let spans = all.entry(clash).or_default();
+    add_sample(all.entry(clash).or_default(), sampled, now);
+}
+
+/// Adds a sample to the last span if the sample before was in it, too.
+fn add_sample(spans: &mut Vec<Span>, sampled: Option<Instant>, now: Instant) {
     match spans.last_mut() {
         Some(span) if Some(span.until) == sampled => span.until = now,
         _ => spans.push(Span { from: now, until: now }),

@@ -104,7 +104,7 @@ impl Run {
         loop {
             let now = self.sim.now();
             if now >= sample {
-                self.truth.sample(now, &self.sim, &self.devices, &self.world.scenario.devices);
+                self.truth.sample(now, &self.sim, &self.devices, &self.world.scenario);
                 sample = now + SAMPLE;
             }
             self.attach_due(now);
