@@ -335,17 +335,24 @@ pub fn profile(path: Option<&Path>) -> Result<Profile, Failure> {
     path.map_or_else(|| Ok(Profile::default()), super::profile::read)
 }
 
-/// Reads DBC files.
+/// Reads DBC files, in all at most of the largest size of one.
 ///
 /// # Errors
 /// A file cannot be read, or has a mistake.
 fn messages(paths: &[PathBuf]) -> Result<MessageDatabase, Failure> {
     let mut messages = MessageDatabase::default();
+    let mut size = 0;
     for path in paths {
         let missing = || Diagnostic::new("not found").with_remedy("check the name");
         let bytes = regular_file::read(path, dbc::MAX_FILE);
         let bytes = bytes.and_then(|bytes| bytes.ok_or_else(missing));
         let read = bytes.and_then(|bytes| {
+            size += bytes.len() as u64;
+            if size > dbc::MAX_FILE {
+                let limit = dbc::MAX_FILE >> 20;
+                let why = Diagnostic::new(format!("the DBC files have over {limit} MiB together"));
+                return Err(why.with_remedy("leave some out"));
+            }
             let wrong = |error: dbc::DbcError| {
                 Diagnostic::new(error.to_string()).with_remedy("correct it, or leave --dbc out")
             };

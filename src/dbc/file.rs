@@ -1,15 +1,16 @@
 //! Reading of a DBC file.
 //!
 //! Read are messages and signals (`BO_`, `SG_`), names of values (`VAL_`), types of floating-point signals
-//! (`SIG_VALTYPE_`) and multiplexors that are multiplexed (`SG_MUL_VAL_`). Other statements are passed over,
-//! known or not. Text that is not UTF-8 is taken for Latin-1. The time and the memory are bounded by the
-//! size of the file.
+//! (`SIG_VALTYPE_`) and multiplexors that are multiplexed (`SG_MUL_VAL_`), in any order and wherever they
+//! stand in a line. Other statements are passed over, known or not. Text that is not UTF-8 is taken for
+//! Latin-1. The time and the memory are bounded by the size of the file.
 
+use super::decimal::DecimalFactor;
 use super::signal::{MessageSignal, Multiplexed, SignalKind};
 use super::tokens::{DbcToken, DbcTokenKind, DbcTokens};
 use super::{EXTENDED, NamedMessage};
 use crate::frame::CanId;
-use crate::text::Escaped;
+use crate::text::{Escaped, printable};
 use crate::wire::descriptor::ByteOrder;
 use std::borrow::Cow;
 use std::collections::btree_map::Entry;
@@ -29,6 +30,35 @@ const MAX_TEXT: usize = 256;
 const MAX_BITS: u32 = 512;
 /// Message without an identifier, for signals that are in none.
 const NO_MESSAGE: &str = "VECTOR__INDEPENDENT_SIG_MSG";
+/// Statements up to a semicolon that are passed over; they may have the keywords of others in them.
+const PASSED_OVER: [&str; 26] = [
+    "BA_",
+    "BA_DEF_",
+    "BA_DEF_DEF_",
+    "BA_DEF_DEF_REL_",
+    "BA_DEF_REL_",
+    "BA_DEF_SGTYPE_",
+    "BA_REL_",
+    "BA_SGTYPE_",
+    "BO_TX_BU_",
+    "BU_BO_REL_",
+    "BU_EV_REL_",
+    "BU_SG_REL_",
+    "CAT_",
+    "CAT_DEF_",
+    "CM_",
+    "ENVVAR_DATA_",
+    "EV_",
+    "EV_DATA_",
+    "FILTER",
+    "SGTYPE_",
+    "SGTYPE_VAL_",
+    "SIGTYPE_VALTYPE_",
+    "SIG_GROUP_",
+    "SIG_TYPE_REF_",
+    "VAL_TABLE_",
+    "NS_DESC_",
+];
 
 /// A mistake in a file.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -87,35 +117,89 @@ struct FileReader<'t> {
     messages: BTreeMap<u32, MessageDraft>,
     /// The message whose signals follow; `None` if they are passed over.
     current: Option<u32>,
+    /// What is said of signals, which may be defined later.
+    facts: Vec<SignalFact>,
+}
+
+/// What a statement says of a signal.
+#[derive(Debug)]
+struct SignalFact {
+    line: usize,
+    /// Identifier of the message.
+    id: u32,
+    signal: String,
+    kind: FactKind,
+}
+
+#[derive(Debug)]
+enum FactKind {
+    Values(BTreeMap<i128, String>),
+    /// A type of `SIG_VALTYPE_`.
+    Type(u64),
+    /// A multiplexor, and the values at which the signal is there.
+    Switch(String, Vec<RangeInclusive<u64>>),
 }
 
 impl<'t> FileReader<'t> {
     fn new(text: &'t str) -> Result<Self, DbcError> {
         let mut tokens = DbcTokens::new(text);
         let next = tokens.next()?;
-        Ok(Self { tokens, next, messages: BTreeMap::new(), current: None })
+        Ok(Self { tokens, next, messages: BTreeMap::new(), current: None, facts: Vec::new() })
     }
 
     fn read_statements(&mut self) -> Result<(), DbcError> {
         while let Some(token) = self.advance()? {
             match token.kind {
-                _ if !token.is_first => {}
                 DbcTokenKind::Word("NS_") => self.skip_new_symbols()?,
                 DbcTokenKind::Word("BO_") => self.read_message()?,
                 DbcTokenKind::Word("SG_") => self.read_signal(token.line)?,
                 DbcTokenKind::Word("VAL_") => self.read_values()?,
                 DbcTokenKind::Word("SIG_VALTYPE_") => self.read_type()?,
                 DbcTokenKind::Word("SG_MUL_VAL_") => self.read_switch()?,
+                DbcTokenKind::Word(word) if PASSED_OVER.contains(&word) => self.skip_statement()?,
+                // The rest of a statement, or a statement that is not known.
                 _ => {}
             }
         }
         Ok(())
     }
 
-    /// Passes over a list of keywords, which are indented.
+    /// Passes over a list of keywords. It ends where BS_, BU_ or BO_ follows, and if it is indented, with
+    /// the first line that is not.
     fn skip_new_symbols(&mut self) -> Result<(), DbcError> {
-        while self.next.is_some_and(|token| !token.is_flush) {
+        let mut is_indented = false;
+        while let Some(token) = self.next {
+            let is_end = matches!(token.kind, DbcTokenKind::Word("BS_" | "BU_" | "BO_"));
+            if is_end || token.is_flush && is_indented {
+                break;
+            }
+            is_indented |= !token.is_flush && matches!(token.kind, DbcTokenKind::Word(_));
             self.advance()?;
+        }
+        Ok(())
+    }
+
+    /// Passes over a statement; without its semicolon, up to a line that begins with another one.
+    fn skip_statement(&mut self) -> Result<(), DbcError> {
+        let is_keyword = |word: &str| {
+            PASSED_OVER.contains(&word)
+                || ["BO_", "VAL_", "SIG_VALTYPE_", "SG_MUL_VAL_", "BU_"].contains(&word)
+        };
+        let mut is_first = true;
+        while let Some(token) = self.next {
+            // The kind of its object, as in `CM_ BO_ 100 "text";`, may begin a line.
+            if let DbcTokenKind::Word(word) = token.kind
+                && token.is_flush
+                && !is_first
+                && is_keyword(word)
+            {
+                break;
+            }
+            is_first = false;
+            self.advance()?;
+            if token.kind == DbcTokenKind::Sign(';') {
+                break;
+            }
         }
         Ok(())
     }
@@ -163,13 +247,7 @@ impl<'t> FileReader<'t> {
         self.sign('|')?;
         let size = self.integer("a number of bits")?;
         self.sign('@')?;
-        let (order, kind) = match self.word("the byte order and the sign")? {
-            "1+" => (ByteOrder::Little, SignalKind::Unsigned),
-            "1-" => (ByteOrder::Little, SignalKind::Signed),
-            "0+" => (ByteOrder::Big, SignalKind::Unsigned),
-            "0-" => (ByteOrder::Big, SignalKind::Signed),
-            _ => return Err(self.expected("0+, 0-, 1+ or 1- behind @")),
-        };
+        let (order, kind) = self.order_and_sign()?;
         self.sign('(')?;
         let factor = self.number("the factor")?;
         self.sign(',')?;
@@ -186,12 +264,14 @@ impl<'t> FileReader<'t> {
         let error = |cause: &str| DbcError::new(line, format!("{name}: {cause}"));
         let place = |number: u64, most: u32| u32::try_from(number).ok().filter(|it| *it <= most);
         let start = place(start, MAX_BITS - 1).ok_or_else(|| error("the first bit is 0 to 511"))?;
-        let size = place(size, 64).filter(|size| *size > 0);
-        let size = size.ok_or_else(|| error("the number of bits is 1 to 64"))?;
+        let size = place(size, MAX_BITS).filter(|size| *size > 0);
+        let size = size.ok_or_else(|| error("the number of bits is 1 to 512"))?;
         if !factor.is_finite() || !offset.is_finite() {
             return Err(error("the factor and the offset are numbers"));
         }
-        let Some(draft) = self.current.and_then(|id| self.messages.get_mut(&id)) else {
+        // A longer one is no number: it is left out.
+        let current = self.current.filter(|_| size <= 64);
+        let Some(draft) = current.and_then(|id| self.messages.get_mut(&id)) else {
             return Ok(());
         };
         let at = draft.message.signals.len();
@@ -209,106 +289,111 @@ impl<'t> FileReader<'t> {
             order,
             start,
             size,
-            factor,
-            offset,
+            factor: DecimalFactor::new(factor),
+            offset: DecimalFactor::new(offset),
             values: BTreeMap::new(),
             multiplexed: None,
         });
         Ok(())
     }
 
+    /// Reads `1+` and the like, also with a blank in it.
+    fn order_and_sign(&mut self) -> Result<(ByteOrder, SignalKind), DbcError> {
+        let word = self.word("the byte order and the sign")?;
+        let (order, sign) = match word.split_at_checked(1) {
+            Some((order, "")) => (order, self.word("+ or - behind the byte order")?),
+            Some(both) => both,
+            None => ("", ""),
+        };
+        let order = match order {
+            "0" => Some(ByteOrder::Big),
+            "1" => Some(ByteOrder::Little),
+            _ => None,
+        };
+        let kind = match sign {
+            "+" => Some(SignalKind::Unsigned),
+            "-" => Some(SignalKind::Signed),
+            _ => None,
+        };
+        order.zip(kind).ok_or_else(|| self.expected("0+, 0-, 1+ or 1- behind @"))
+    }
+
     /// Reads `VAL_ 100 Signal 1 "on" 0 "off" ;`; one of an environment variable has no identifier.
     fn read_values(&mut self) -> Result<(), DbcError> {
-        let Some((id, place)) = self.signal_place()? else { return Ok(()) };
+        let Some((id, signal)) = self.signal_name()? else { return Ok(()) };
+        let line = self.line();
         let mut values = BTreeMap::new();
-        while let Some(DbcToken { kind: DbcTokenKind::Word(_), .. }) = self.next {
+        while let Some(DbcToken { kind: DbcTokenKind::Word(word), .. }) = self.next {
             let number = self.number("a value")?;
             let text = self.quoted("the name of the value in quotes")?;
-            // Numbers that no signal has are left out.
-            if number.fract() == 0.0 && number.abs() < 9.2e18 {
-                values.insert(number as i64, text);
+            let whole = Some(number).filter(|it| it.fract() == 0.0 && it.abs() < 1e20);
+            // Floating point has not all digits of 64 bits. Numbers that no signal has are left out.
+            if let Some(number) = word.parse().ok().or(whole.map(|it| it as i128)) {
+                values.insert(number, text);
             }
         }
         self.sign(';')?;
-        if let Some(signal) = self.signal_mut(id, place) {
-            signal.values = values;
-        }
+        self.facts.push(SignalFact { line, id, signal, kind: FactKind::Values(values) });
         Ok(())
     }
 
     /// Reads `SIG_VALTYPE_ 100 Signal : 1;`.
     fn read_type(&mut self) -> Result<(), DbcError> {
         let line = self.line();
-        let Some((id, place)) = self.signal_place()? else { return Ok(()) };
+        let Some((id, signal)) = self.signal_name()? else { return Ok(()) };
         if matches!(self.next, Some(DbcToken { kind: DbcTokenKind::Sign(':'), .. })) {
             self.advance()?;
         }
-        let kind = self.integer("a type")?;
-        let Some(signal) = self.signal_mut(id, place) else { return Ok(()) };
-        let (kind, size) = match kind {
-            0 => return Ok(()),
-            1 => (SignalKind::Float, 32),
-            2 => (SignalKind::Double, 64),
-            _ => return Err(DbcError::new(line, format!("{}: a type is 0, 1 or 2", signal.name))),
-        };
-        if signal.size != size {
-            let cause = format!("{}: a number of this type has {size} bits", signal.name);
-            return Err(DbcError::new(line, cause));
-        }
-        signal.kind = kind;
+        let kind = FactKind::Type(self.integer("a type")?);
+        self.facts.push(SignalFact { line, id, signal, kind });
         Ok(())
     }
 
     /// Reads `SG_MUL_VAL_ 100 Signal Multiplexor 0-3, 7-7;`.
     fn read_switch(&mut self) -> Result<(), DbcError> {
-        let Some((id, place)) = self.signal_place()? else { return Ok(()) };
+        let Some((id, signal)) = self.signal_name()? else { return Ok(()) };
         let line = self.line();
         let switch = self.name("the name of a multiplexor")?;
         let mut ranges = Vec::new();
         while let Some(DbcToken { kind: DbcTokenKind::Word(word), line, .. }) = self.next {
             self.advance()?;
             let ends = word.split_once('-').map(|(least, most)| (least.parse(), most.parse()));
-            let Some((Ok(least), Ok(most))) = ends else {
-                let word = Escaped(word.as_bytes());
-                return Err(DbcError::new(line, format!("no range of values such as 0-3: {word}")));
-            };
-            ranges.push(least..=most);
+            match ends {
+                Some((Ok(least), Ok(most))) if least <= most => ranges.push(least..=most),
+                _ => {
+                    let cause =
+                        format!("no range of values such as 0-3: {}", Escaped(word.as_bytes()));
+                    return Err(DbcError::new(line, cause));
+                }
+            }
             if matches!(self.next, Some(DbcToken { kind: DbcTokenKind::Sign(','), .. })) {
                 self.advance()?;
             }
         }
-        let Some(draft) = self.messages.get_mut(&id) else { return Ok(()) };
-        let by = draft.places.get(&switch).copied();
-        let by = by.ok_or_else(|| {
-            DbcError::new(line, format!("{}: no signal {switch}", draft.message.name))
-        })?;
-        if let Some(own) = draft.switches.get_mut(place) {
-            own.extended = Some((by, ranges));
-        }
+        self.facts.push(SignalFact { line, id, signal, kind: FactKind::Switch(switch, ranges) });
         Ok(())
     }
 
-    /// Reads an identifier and the name of a signal; returns where that is. `None` if there is no such
-    /// message or signal.
-    fn signal_place(&mut self) -> Result<Option<(u32, usize)>, DbcError> {
+    /// Reads an identifier and the name of a signal; `None` if there is no identifier.
+    fn signal_name(&mut self) -> Result<Option<(u32, String)>, DbcError> {
         let Some(DbcToken { kind: DbcTokenKind::Word(word), .. }) = self.next else {
             return Ok(None);
         };
         let Ok(id) = word.parse::<u32>() else { return Ok(None) };
         self.advance()?;
-        let name = self.name("the name of a signal")?;
-        let place = self.messages.get(&id).and_then(|draft| draft.places.get(&name));
-        Ok(place.map(|place| (id, *place)))
-    }
-
-    fn signal_mut(&mut self, id: u32, place: usize) -> Option<&mut MessageSignal> {
-        self.messages.get_mut(&id)?.message.signals.get_mut(place)
+        Ok(Some((id, self.name("the name of a signal")?)))
     }
 
     /// Connects signals with their multiplexors; returns the messages.
-    fn end(self) -> Result<BTreeMap<u32, NamedMessage>, DbcError> {
+    fn end(mut self) -> Result<BTreeMap<u32, NamedMessage>, DbcError> {
         if self.messages.is_empty() {
             return Err(DbcError::new(self.tokens.line(), "no message (BO_) in the file"));
+        }
+        for fact in std::mem::take(&mut self.facts) {
+            // Of messages and signals that are not there nothing is needed.
+            if let Some(draft) = self.messages.get_mut(&fact.id) {
+                draft.add_fact(fact)?;
+            }
         }
         self.messages.into_iter().map(|(id, draft)| Ok((id, draft.end()?))).collect()
     }
@@ -339,11 +424,14 @@ impl<'t> FileReader<'t> {
     }
 
     fn name(&mut self, what: &str) -> Result<String, DbcError> {
-        let error = self.expected(what);
+        let (line, error) = (self.line(), self.expected(what));
         let word = self.word(what)?;
-        let is_name = word.len() <= MAX_NAME
-            && word.bytes().all(|byte| byte.is_ascii_alphanumeric() || byte == b'_');
-        if is_name { Ok(word.to_owned()) } else { Err(error) }
+        let is_name = word.bytes().all(|byte| byte.is_ascii_alphanumeric() || byte == b'_');
+        match word.len() {
+            0..=MAX_NAME if is_name => Ok(word.to_owned()),
+            0..=MAX_NAME => Err(error),
+            _ => Err(DbcError::new(line, format!("a name has at most {MAX_NAME} characters"))),
+        }
     }
 
     fn integer(&mut self, what: &str) -> Result<u64, DbcError> {
@@ -360,8 +448,8 @@ impl<'t> FileReader<'t> {
         match self.next {
             Some(DbcToken { kind: DbcTokenKind::Quoted(text), .. }) => {
                 self.advance()?;
-                let start: String = text.chars().take(MAX_TEXT).collect();
-                Ok(Escaped(start.as_bytes()).to_string())
+                let start: String = text.replace("\\\"", "\"").chars().take(MAX_TEXT).collect();
+                Ok(shown(&start))
             }
             _ => Err(self.expected(what)),
         }
@@ -379,6 +467,35 @@ impl<'t> FileReader<'t> {
 }
 
 impl MessageDraft {
+    /// Adds what a statement says of a signal, if there is this one.
+    fn add_fact(&mut self, fact: SignalFact) -> Result<(), DbcError> {
+        let Some(place) = self.places.get(&fact.signal).copied() else { return Ok(()) };
+        let error = |cause: String| DbcError::new(fact.line, cause);
+        match fact.kind {
+            FactKind::Values(values) => self.message.signals[place].values = values,
+            FactKind::Type(number) => {
+                let signal = &mut self.message.signals[place];
+                let (kind, size) = match number {
+                    0 => return Ok(()),
+                    1 => (SignalKind::Float, 32),
+                    2 => (SignalKind::Double, 64),
+                    _ => return Err(error(format!("{}: a type is 0, 1 or 2", signal.name))),
+                };
+                if signal.size != size {
+                    let cause = format!("{}: a number of this type has {size} bits", signal.name);
+                    return Err(error(cause));
+                }
+                signal.kind = kind;
+            }
+            FactKind::Switch(switch, values) => {
+                let by = self.places.get(&switch).copied();
+                let missing = || error(format!("{}: no signal {switch}", self.message.name));
+                self.switches[place].extended = Some((by.ok_or_else(missing)?, values));
+            }
+        }
+        Ok(())
+    }
+
     /// Connects signals with their multiplexors.
     fn end(self) -> Result<NamedMessage, DbcError> {
         let mut message = self.message;
@@ -399,6 +516,12 @@ impl MessageDraft {
         }
         Ok(message)
     }
+}
+
+/// Returns a text of the file, printable. Its backslashes stay single.
+fn shown(text: &str) -> String {
+    let parts: Vec<String> = text.split('\\').map(|part| printable(part.as_bytes())).collect();
+    parts.join("\\")
 }
 
 /// Returns true for an identifier of 11 bits, and for one of 29 bits with [`EXTENDED`].

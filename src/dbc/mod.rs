@@ -5,6 +5,7 @@
 //! values of its signals. Texts of a file are printable when they are read. Opens no files. Does not know
 //! which frames are of DES.
 
+mod decimal;
 mod file;
 mod signal;
 mod tokens;

@@ -2,14 +2,14 @@
 //!
 //! Pure. Does not know messages.
 
-use crate::wire::data_layout::{DataValue, decimals};
+use super::decimal::DecimalFactor;
+use crate::wire::data_layout::DataValue;
 use crate::wire::descriptor::ByteOrder;
 use std::collections::BTreeMap;
 use std::ops::RangeInclusive;
 
-/// Significant digits of floating-point numbers of 32 and of 64 bits.
-const FLOAT_DIGITS: usize = 8;
-const DOUBLE_DIGITS: usize = 15;
+/// Significant digits of floating-point numbers.
+const DIGITS: usize = 15;
 
 /// How the bits of a signal are read.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -34,10 +34,10 @@ pub struct MessageSignal {
     pub(super) start: u32,
     /// Number of bits, 1 to 64.
     pub(super) size: u32,
-    pub(super) factor: f64,
-    pub(super) offset: f64,
+    pub(super) factor: DecimalFactor,
+    pub(super) offset: DecimalFactor,
     /// Names of values.
-    pub(super) values: BTreeMap<i64, String>,
+    pub(super) values: BTreeMap<i128, String>,
     /// `None` if it is always there.
     pub(super) multiplexed: Option<Multiplexed>,
 }
@@ -86,26 +86,32 @@ impl MessageSignal {
     pub(super) fn value(&self, data: &[u8]) -> Option<DataValue<'_>> {
         let raw = self.raw(data)?;
         let float = match self.kind {
-            SignalKind::Float => Some((f64::from(f32::from_bits(raw as u32)), FLOAT_DIGITS)),
-            SignalKind::Double => Some((f64::from_bits(raw), DOUBLE_DIGITS)),
+            SignalKind::Float => Some(shortest(f32::from_bits(raw as u32))),
+            SignalKind::Double => Some(f64::from_bits(raw)),
             SignalKind::Unsigned | SignalKind::Signed => None,
         };
-        if let Some((number, digits)) = float {
-            return Some(DataValue::Float(number * self.factor + self.offset, digits));
+        if let Some(number) = float {
+            let is_whole = number.fract() == 0.0 && number.abs() < 1e18;
+            let name = self.values.get(&(number as i128)).filter(|_| is_whole);
+            let scaled = || number * self.factor.number() + self.offset.number();
+            let value = name.map(|name| DataValue::Named(name));
+            return Some(value.unwrap_or_else(|| DataValue::Float(scaled(), DIGITS)));
         }
         let is_negative = self.kind == SignalKind::Signed && raw >> (self.size - 1) & 1 == 1;
         let number = i128::from(raw) - if is_negative { 1_i128 << self.size } else { 0 };
-        let name = i64::try_from(number).ok().and_then(|number| self.values.get(&number));
-        if let Some(name) = name {
+        if let Some(name) = self.values.get(&number) {
             return Some(DataValue::Named(name));
         }
-        if (self.factor, self.offset) == (1.0, 0.0) {
-            return Some(DataValue::Integer(number));
-        }
-        let value = number as f64 * self.factor + self.offset;
-        Some(match decimals(self.factor).zip(decimals(self.offset)) {
-            Some((one, other)) => DataValue::Scaled(value, one.max(other)),
-            None => DataValue::Float(value, DOUBLE_DIGITS),
-        })
+        let float = || {
+            DataValue::Float(number as f64 * self.factor.number() + self.offset.number(), DIGITS)
+        };
+        Some(self.factor.scale(number, &self.offset).unwrap_or_else(float))
     }
+}
+
+/// Returns an integer as it is, and otherwise the number with the fewest digits that is the same one in 32
+/// bits.
+fn shortest(number: f32) -> f64 {
+    let exact = f64::from(number);
+    if exact.fract() == 0.0 { exact } else { number.to_string().parse().unwrap_or(exact) }
 }

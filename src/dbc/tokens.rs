@@ -20,8 +20,6 @@ pub(super) struct DbcToken<'t> {
     pub kind: DbcTokenKind<'t>,
     /// Counted from 1.
     pub line: usize,
-    /// It is the first one of its line.
-    pub is_first: bool,
     /// Nothing is before it in its line, not even blanks.
     pub is_flush: bool,
 }
@@ -31,13 +29,12 @@ pub(super) struct DbcToken<'t> {
 pub(super) struct DbcTokens<'t> {
     rest: &'t str,
     line: usize,
-    is_first: bool,
     is_flush: bool,
 }
 
 impl<'t> DbcTokens<'t> {
     pub fn new(text: &'t str) -> Self {
-        Self { rest: text, line: 1, is_first: true, is_flush: true }
+        Self { rest: text, line: 1, is_flush: true }
     }
 
     /// Line of what follows, counted from 1.
@@ -56,12 +53,10 @@ impl<'t> DbcTokens<'t> {
             if !character.is_whitespace() {
                 return self.token(character).map(Some);
             }
-            self.is_flush = character == '\n';
-            if character == '\n' {
-                self.line += 1;
-                self.is_first = true;
-            }
             self.rest = &self.rest[character.len_utf8()..];
+            // A line ends with LF, CR LF or CR.
+            self.is_flush = character == '\n' || character == '\r' && !self.rest.starts_with('\n');
+            self.line += usize::from(self.is_flush);
         }
     }
 
@@ -83,8 +78,8 @@ impl<'t> DbcTokens<'t> {
                 (DbcTokenKind::Word(&rest[..end]), end)
             }
         };
-        let token = DbcToken { kind, line, is_first: self.is_first, is_flush: self.is_flush };
-        (self.is_first, self.is_flush) = (false, false);
+        let token = DbcToken { kind, line, is_flush: self.is_flush };
+        self.is_flush = false;
         self.rest = &rest[len..];
         Ok(token)
     }

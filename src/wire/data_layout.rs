@@ -105,6 +105,8 @@ pub enum DataValue<'a> {
     Integer(i128),
     /// A scaled number, with this many decimals.
     Scaled(f64, usize),
+    /// A number of so many decimals, at least one, without its decimal point.
+    Decimal(i128, usize),
     /// A floating point number, with this many significant digits.
     Float(f64, usize),
     /// A truth value.
@@ -434,7 +436,7 @@ impl DataField {
 }
 
 /// Number of decimals of a number; `None` for more than [`MAX_DECIMALS`].
-pub(crate) fn decimals(number: f64) -> Option<usize> {
+fn decimals(number: f64) -> Option<usize> {
     let is_whole = |decimals: &i32| {
         let shifted = number * 10_f64.powi(*decimals);
         (shifted - shifted.round()).abs() < 1e-9 * shifted.abs() || number == 0.0
@@ -521,6 +523,12 @@ impl fmt::Display for DataValue<'_> {
         match self {
             Self::Integer(number) => write!(f, "{number}"),
             Self::Scaled(number, decimals) => write!(f, "{number:.decimals$}"),
+            Self::Decimal(digits, decimals) => {
+                let (sign, power) =
+                    (if *digits < 0 { "-" } else { "" }, 10_u128.pow(*decimals as u32));
+                let (whole, rest) = (digits.unsigned_abs() / power, digits.unsigned_abs() % power);
+                write!(f, "{sign}{whole}.{rest:0decimals$}")
+            }
             Self::Float(number, digits) => write_number(f, *number, *digits),
             Self::Bool(is_set) => f.write_str(if *is_set { "yes" } else { "no" }),
             Self::Named(name) => f.write_str(name),

@@ -94,9 +94,71 @@ fn floats_of_32_bits_keep_their_precision() {
     assert_eq!(shown("(1,0)", 69_608_816.0), "M: X 69608816");
     assert_eq!(shown("(1,0)", 0.1), "M: X 0.1");
     assert_eq!(shown("(0.1,0)", 10_705_061.0), "M: X 1070506.1");
-    let text = shown("(1,-40)", -233_493_568.0);
-    let number: f64 = text.strip_prefix("M: X ").unwrap().parse().unwrap();
-    assert!((number + 233_493_608.0).abs() < 233_493_608.0 * 6e-8, "{text}");
+    assert_eq!(shown("(1,-40)", -233_493_568.0), "M: X -233493608");
+    assert_eq!(shown("(1,16777216.25)", 0.5), "M: X 16777216.75");
+}
+
+/// Returns the words of an 11-bit frame 291 whose message has the signal `X` of a file.
+fn shown(signal: &str, rest: &str, data: &[u8]) -> String {
+    let text = format!("BO_ 291 M: 8 A\n SG_ X : {signal} A\n\n{rest}\n");
+    words(&database(text), 291, data)
+}
+
+#[test]
+fn values_of_64_bits_have_all_their_digits() {
+    let values = "VAL_ 291 X 9007199254740993 \"odd\" 18446744073709551615 \"SNA\" ;";
+    let named = |number: u64| shown("0|64@1+ (1,0) [0|0] \"\"", values, &number.to_le_bytes());
+    assert_eq!(named(u64::MAX), "M: X SNA");
+    assert_eq!(named((1 << 53) + 1), "M: X odd");
+    assert_eq!(named(1 << 53), "M: X 9007199254740992");
+    let least = "VAL_ 291 X -9223372036854775808 \"least\" ;";
+    assert_eq!(shown("0|64@1- (1,0) [0|0] \"\"", least, &i64::MIN.to_le_bytes()), "M: X least");
+    for (signal, number, expected) in [
+        ("0|64@1- (1,5) [0|0] \"\"", 578_437_695_752_307_201, "578437695752307206"),
+        ("0|64@1- (-1,0) [0|0] \"\"", 9_007_199_254_740_993, "-9007199254740993"),
+        ("0|64@1+ (1000,-1) [0|0] \"\"", u64::MAX, "18446744073709551614999"),
+        ("0|53@1+ (0.001,0) [0|0] \"s\"", (1 << 53) - 1, "9007199254740.991 s"),
+        ("0|64@1+ (1e-6,0) [0|0] \"s\"", 1_700_000_000_123_456, "1700000000.123456 s"),
+        ("0|8@1- (0.5,-0.25) [0|0] \"\"", 0xFF, "-0.75"),
+        ("0|64@1+ (0.3333333333333333,0) [0|0] \"\"", u64::MAX, "6.14891469123652e18"),
+    ] {
+        assert_eq!(shown(signal, "", &number.to_le_bytes()), format!("M: X {expected}"));
+    }
+}
+
+#[test]
+fn statements_are_read_in_any_order_and_place() {
+    let float = "SIG_VALTYPE_ 291 X : 1;";
+    let (signal, one) = ("0|32@1- (1,0) [0|0] \"\"", 1_f32.to_le_bytes());
+    assert_eq!(shown(signal, float, &one), "M: X 1");
+    assert_eq!(shown(signal, &format!("CM_ SG_ 291 X \"x\"; {float}"), &one), "M: X 1");
+    let text = format!("{float}\nVAL_ 291 X 1 \"on\";\nBO_ 291 M: 8 A\n SG_ X : {signal} A\n");
+    assert_eq!(words(&database(&text), 291, &one), "M: X on");
+    for text in [
+        text.replace('\n', "\r"),
+        text.replace('\n', " "),
+        format!("VERSION \"\" NS_ : NS_DESC_ CM_ VAL_ BS_: BU_: A {}", text.replace('\n', " ")),
+        format!("NS_ :\nCM_\nVAL_\nBS_:\nBU_: A\n{text}"),
+        text.replace("BO_ 291", "BA_DEF_ SG_ \"a\" INT 0 10; BA_ \"a\" SG_ 291 X 3; BO_ 291"),
+        text.replace("0|32@1- (", "0 | 32 @ 1 - ( "),
+        // A comment without its semicolon.
+        text.replace("BO_ 291", "CM_ \"text\"\nBO_ 291"),
+        text.replace("BO_ 291", "BO_ 290 N: 8 A SG_ A : 0|8@1+ (1,0) [0|0] \"\" A BO_ 291"),
+    ] {
+        assert_eq!(words(&database(&text), 291, &one), "M: X on", "{text}");
+    }
+    let two = "0|8@1+ (1,0) [0|0] \"\" A SG_ Y : 8|8@1+ (1,0) [0|0] \"\"";
+    let values = "VAL_ 291 X 1 \"one\"; VAL_ 291 Y 2 \"two\" ;";
+    assert_eq!(shown(two, values, &[1, 2]), "M: X one, Y two");
+    // More than 64 bits are no number.
+    assert_eq!(shown("7|72@0+ (1,0) [0|0] \"\"", "", &[0; 16]), "M");
+}
+
+#[test]
+fn quotes_and_backslashes_of_a_text_are_those_of_the_file() {
+    let signal = r#"0|8@1+ (1,0) [0|0] "m\s \"x\"""#;
+    assert_eq!(shown(signal, "", &[7]), r#"M: X 7 m\s "x""#);
+    assert_eq!(shown(signal, r#"VAL_ 291 X 7 "say \"hi\"" ;"#, &[7]), r#"M: X say "hi""#);
 }
 
 #[test]
@@ -117,8 +179,8 @@ fn mistakes_of_a_file_have_their_line() {
         ),
         (
             15,
-            " SG_ Speed : 0|65@1+ (1,0) [0|0] \"rpm\" TCM",
-            "line 15: Speed: the number of bits is 1 to 64",
+            " SG_ Speed : 0|513@1+ (1,0) [0|0] \"rpm\" TCM",
+            "line 15: Speed: the number of bits is 1 to 512",
         ),
         (
             15,
@@ -223,7 +285,7 @@ fn log_names_messages_but_never_those_of_des() {
     assert_eq!(names, [None, None, None, Some("Engine"), Some("Pedal"), Some("WrongC02C20"), None]);
     assert_eq!(
         frames[3]["signals"],
-        serde_json::json!({"Speed": 848.0, "Temperature": 50.0, "Fan": "slow", "Torque": -0.5})
+        serde_json::json!({"Speed": 848.0, "Temperature": 50, "Fan": "slow", "Torque": -0.5})
     );
     assert_eq!(frames[4]["signals"], serde_json::json!({"Mode": 0, "Position": 100.0}));
     assert_eq!(frames[4]["error"], false);
@@ -235,11 +297,33 @@ fn log_names_messages_but_never_those_of_des() {
 }
 
 #[test]
+fn files_that_are_too_large_together_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let padding = format!("BO_ 5 M: 8 A\nCM_ \"{}\";\n", " ".repeat(9 << 20));
+    fs::write(folder.path().join("large.dbc"), padding).unwrap();
+    fs::write(folder.path().join("one.log"), "(100.000000) can0 005#01\n").unwrap();
+    let log = |arguments: &[&str]| {
+        let arguments = [&["log", "one.log", "--json"], arguments].concat();
+        let mut command = Command::new(env!("CARGO_BIN_EXE_descan"));
+        let command = command.args(arguments).current_dir(folder.path()).stdin(Stdio::null());
+        let output = command.env("XDG_CONFIG_HOME", folder.path()).output().unwrap();
+        let text = |bytes| String::from_utf8(bytes).unwrap();
+        (output.status.code(), text(output.stdout), text(output.stderr))
+    };
+    let (code, out, said) = log(&["--dbc", "large.dbc"]);
+    assert_eq!(code, Some(0), "{said}");
+    assert!(out.contains("\"message\":\"M\",\"signals\":{}"), "no signals are no fault: {out}");
+    let (code, _, said) = log(&["--dbc", "large.dbc", "--dbc", "large.dbc"]);
+    assert_eq!(code, Some(3));
+    assert!(said.contains("the DBC files have over 16 MiB together"), "{said}");
+}
+
+#[test]
 fn file_that_cannot_be_read_is_named_with_the_way_out() {
     for (file, cause) in [
         (
             "wrong.dbc",
-            "wrong.dbc: line 2: B: the number of bits is 1 to 64; correct it, or leave --dbc out",
+            "wrong.dbc: line 2: B: the number of bits is 1 to 512; correct it, or leave --dbc out",
         ),
         ("missing.dbc", "missing.dbc: not found; check the name"),
         (".", "is a folder; name a file in it"),
@@ -393,11 +477,18 @@ fn random_messages_are_decoded_as_cantools_does() {
                     DataValue::Named(name) => theirs["named"][field.name] == name,
                     DataValue::Integer(own) => {
                         let signed = number.as_i64().map(i128::from);
-                        signed.or(number.as_u64().map(i128::from)) == Some(own)
+                        let whole = signed.or(number.as_u64().map(i128::from));
+                        // What is above 64 bits, and a number with ".0", is one of floating point here.
+                        whole.map_or(number.as_f64() == Some(own as f64), |number| number == own)
                     }
-                    DataValue::Scaled(own, _) | DataValue::Float(own, _) => {
+                    DataValue::Decimal(..) | DataValue::Float(..) => {
+                        let own: f64 = value.to_string().parse().unwrap();
                         let number = number.as_f64();
-                        let near = |number: f64| (number - own).abs() <= number.abs() * 1e-9 + 1e-9;
+                        // One of 32 bits is shown with as few digits as it needs.
+                        let is_float = matches!(value, DataValue::Float(..));
+                        let within = if is_float { 6e-8 } else { 1e-9 };
+                        let near =
+                            |number: f64| (number - own).abs() <= number.abs() * within + within;
                         number.map_or(!own.is_finite(), near)
                     }
                     _ => false,

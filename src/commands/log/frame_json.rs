@@ -87,8 +87,10 @@ impl FrameJson {
         line.push_str(",\"message\":");
         push_text(line, types.message().map(NamedMessage::name));
         line.push_str(",\"signals\":");
-        let signals = types.message().map(|message| message.values(frame.data()));
-        push_fields(line, &signals.unwrap_or_default());
+        match types.message().map(|message| message.values(frame.data())) {
+            Some(signals) if signals.is_empty() => line.push_str("{}"),
+            signals => push_fields(line, &signals.unwrap_or_default()),
+        }
         push_flag(line, ",\"failed\":", role == FrameRole::FailedResponse);
         push_flag(line, ",\"error\":", is_error);
         push_flag(line, ",\"tx\":", frame.is_tx);
@@ -181,12 +183,12 @@ pub fn field_json(value: &DataValue<'_>) -> Value {
         DataValue::Integer(number) => u64::try_from(*number)
             .map(Value::from)
             .or_else(|_| i64::try_from(*number).map(Value::from))
-            .unwrap_or_default(),
+            .unwrap_or_else(|_| Value::from(*number as f64)),
         // The shortest number that is the same one, also in 32 bits.
         DataValue::Float(number, _) if f64::from(*number as f32).to_bits() == number.to_bits() => {
             (*number as f32).to_string().parse::<f64>().map_or(Value::Null, Value::from)
         }
-        DataValue::Scaled(..) | DataValue::Float(..) => {
+        DataValue::Scaled(..) | DataValue::Decimal(..) | DataValue::Float(..) => {
             value.to_string().parse::<f64>().map_or(Value::Null, Value::from)
         }
         DataValue::Bool(is_set) => Value::from(*is_set),
