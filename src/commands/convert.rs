@@ -169,7 +169,12 @@ impl ConvertedLog {
 
     /// Replaces the first bytes of the file with `head`, and puts it in its place.
     fn finish(self, head: Option<Vec<u8>>, force: bool) -> Result<(), Failure> {
-        let Some(mut file) = self.file else { return Ok(()) };
+        let Some(mut file) = self.file else {
+            if head.is_some() {
+                output::warn("standard output: the head of the log has no end time and no size");
+            }
+            return Ok(());
+        };
         let complete = || -> io::Result<()> {
             if let Some(head) = head {
                 file.seek(SeekFrom::Start(0))?;

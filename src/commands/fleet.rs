@@ -15,7 +15,8 @@ use serde::Serialize;
 use std::fmt::Write as _;
 use tokio::time;
 
-/// Time without a further document after which all are there.
+/// Time without a further document after which all are there, on a fast connection; on a slow one four times
+/// that of an answer.
 const QUIET: Duration = Duration::from_millis(400);
 
 /// `--time`, unless given.
@@ -59,7 +60,7 @@ pub fn read(settings: &BrokerSettings, limit: Duration) -> Result<Option<FleetRe
         let now = || Instant::ZERO + begin.elapsed();
         let mut fleet = Fleet::default();
         let mut failure = None;
-        let mut is_subscribed = false;
+        let (mut is_subscribed, mut asked, mut quiet) = (false, now(), QUIET);
         loop {
             tokio::select! {
                 biased;
@@ -69,6 +70,7 @@ pub fn read(settings: &BrokerSettings, limit: Duration) -> Result<Option<FleetRe
                     }
                     // Documents without end: what is there by now.
                     if is_subscribed {
+                        output::warn("documents still arrive: not all are shown; --time gives more time");
                         return Ok(Some(FleetReading { fleet, now: now() }));
                     }
                     let no_response = || format!("{}: no response", settings.address);
@@ -82,15 +84,25 @@ pub fn read(settings: &BrokerSettings, limit: Duration) -> Result<Option<FleetRe
                         let cause = format!("{}: no right to read descan/v1/#", settings.address);
                         return Err(Failure::Unusable(cause));
                     }
-                    Some(ReaderNotice::Subscribed { .. }) => is_subscribed = true,
-                    Some(ReaderNotice::Connected(_)) => {}
+                    Some(ReaderNotice::Subscribed { .. }) => {
+                        is_subscribed = true;
+                        quiet = QUIET.max(now().since(asked) * 4);
+                    }
+                    // It sends the rest of a kept session unasked.
+                    Some(ReaderNotice::Connected(true)) => is_subscribed = true,
+                    Some(ReaderNotice::Connected(false)) => {
+                        asked = now();
+                        fleet.handle_connected();
+                    }
                     Some(ReaderNotice::Failed(why, None)) => return Err(why.diagnostic.into()),
                     Some(ReaderNotice::Failed(why, Some(_))) => {
                         failure = Some(why.diagnostic.to_string());
+                        is_subscribed = false;
                     }
                     None => return Err(Failure::Unusable(format!("{} is closed", settings.address))),
                 },
-                () = time::sleep(QUIET), if is_subscribed => {
+                () = time::sleep(quiet), if is_subscribed => {
+                    fleet.handle_complete();
                     return Ok(Some(FleetReading { fleet, now: now() }));
                 }
             }

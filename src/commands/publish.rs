@@ -144,6 +144,9 @@ impl Feed {
                     let (gateway, address) = (&self.gateway, &self.settings.address);
                     output::say(format_args!("publishing to {address} as {gateway}"));
                 }
+                PublisherNotice::Failed(failure, None) if failure.is_name_taken => {
+                    return Err(Failure::Usage(failure.diagnostic.to_string()));
+                }
                 PublisherNotice::Failed(failure, None) => return Err(failure.diagnostic.into()),
                 PublisherNotice::Failed(failure, Some(wait)) => {
                     let (why, wait) = (failure.diagnostic, wait.as_secs_f64());

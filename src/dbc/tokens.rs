@@ -28,13 +28,16 @@ pub(super) struct DbcToken<'t> {
 #[derive(Clone, Debug)]
 pub(super) struct DbcTokens<'t> {
     rest: &'t str,
+    /// What ends a line: LF, or CR in a file without any.
+    line_end: char,
     line: usize,
     is_flush: bool,
 }
 
 impl<'t> DbcTokens<'t> {
     pub fn new(text: &'t str) -> Self {
-        Self { rest: text, line: 1, is_flush: true }
+        let line_end = if text.contains('\n') { '\n' } else { '\r' };
+        Self { rest: text, line_end, line: 1, is_flush: true }
     }
 
     /// Line of what follows, counted from 1.
@@ -54,8 +57,7 @@ impl<'t> DbcTokens<'t> {
                 return self.token(character).map(Some);
             }
             self.rest = &self.rest[character.len_utf8()..];
-            // A line ends with LF, CR LF or CR.
-            self.is_flush = character == '\n' || character == '\r' && !self.rest.starts_with('\n');
+            self.is_flush = character == self.line_end;
             self.line += usize::from(self.is_flush);
         }
     }
@@ -68,7 +70,7 @@ impl<'t> DbcTokens<'t> {
                 let text = &rest[1..];
                 let end = end_of_quoted(text);
                 let end = end.ok_or_else(|| DbcError::new(line, "the quoted text does not end"))?;
-                self.line += text[..end].matches('\n').count();
+                self.line += text[..end].matches(self.line_end).count();
                 (DbcTokenKind::Quoted(&text[..end]), end + 2)
             }
             sign if is_sign(sign) => (DbcTokenKind::Sign(sign), sign.len_utf8()),

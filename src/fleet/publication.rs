@@ -81,6 +81,8 @@ struct DocumentSlot {
     /// Time at which the content was taken.
     taken: Instant,
     version: u64,
+    /// The broker may have it, or an earlier version.
+    is_sent: bool,
 }
 
 /// See the module's documentation.
@@ -105,7 +107,10 @@ pub struct Publication {
     in_flight: usize,
     refused: u64,
     is_connected: bool,
-    connections: u64,
+    /// The status that the broker had before, or an own one, was read.
+    knows_kept_status: bool,
+    /// All documents may be sent again, as another program may have changed them: once for each status.
+    may_repeat: bool,
 }
 
 impl Publication {
@@ -125,7 +130,8 @@ impl Publication {
             in_flight: 0,
             refused: 0,
             is_connected: false,
-            connections: 0,
+            knows_kept_status: false,
+            may_repeat: true,
         }
     }
 
@@ -199,6 +205,7 @@ impl Publication {
             ("events", events),
         ];
         let payload = with_members(summary, members);
+        self.may_repeat = true;
         self.put(TopicPath::Status.to_string(), &payload, now, Value::Null, None);
     }
 
@@ -233,7 +240,6 @@ impl Publication {
     /// are sent again.
     pub fn handle_connected(&mut self, is_session_kept: bool) {
         self.is_connected = true;
-        self.connections += 1;
         if is_session_kept {
             // The last will may have replaced it.
             self.mark_due(TopicPath::Status.to_string());
@@ -268,14 +274,20 @@ impl Publication {
     fn handle_other_status(&mut self, payload: &[u8], is_kept: bool) -> OtherRun {
         let status: Value = serde_json::from_slice(payload).unwrap_or_default();
         let started = status.get("started_ms").and_then(Value::as_u64).unwrap_or_default();
-        if started == self.started {
+        let is_own = started == self.started;
+        let is_first_kept = is_kept && !self.knows_kept_status;
+        self.knows_kept_status |= is_kept || is_own;
+        if is_own {
             return OtherRun::None;
         }
         if started < self.started || started > MAX_STARTED {
-            self.due = self.documents.keys().cloned().collect();
+            // Not for each of many.
+            if std::mem::replace(&mut self.may_repeat, false) {
+                self.due = self.documents.keys().cloned().collect();
+            }
             return OtherRun::None;
         }
-        if is_kept && self.connections == 1 {
+        if is_first_kept {
             // That of an earlier run, by a clock that was ahead.
             self.started = started + 1;
             self.renew_status();
@@ -342,7 +354,8 @@ impl Publication {
         let status = TopicPath::Status.to_string();
         let tail = self.due.iter().find(|tail| **tail != status).or(self.due.first())?.clone();
         self.due.remove(&tail);
-        let slot = self.documents.get(&tail)?;
+        let slot = self.documents.get_mut(&tail)?;
+        slot.is_sent = true;
         Some(FleetMessage {
             topic: self.gateway.topic(&tail),
             payload: slot.payload.clone().unwrap_or_default(),
@@ -374,13 +387,20 @@ impl Publication {
         self.version += 1;
         let payload = Some(payload.to_string().into_bytes().into());
         let version = self.version;
-        let slot = DocumentSlot { payload, compared, whole, taken, version };
+        let is_sent = self.documents.get(&tail).is_some_and(|known| known.is_sent);
+        let slot = DocumentSlot { payload, compared, whole, taken, version, is_sent };
         self.documents.insert(tail.clone(), slot);
         self.due.insert(tail);
     }
 
-    /// Clears a document of the broker, unless that is under way.
+    /// Clears a document of the broker, unless that is under way. One that was never sent is forgotten:
+    /// those of a broker that is away do not add up.
     fn clear(&mut self, tail: String) {
+        if self.documents.get(&tail).is_some_and(|known| !known.is_sent) {
+            self.documents.remove(&tail);
+            self.due.remove(&tail);
+            return;
+        }
         self.version += 1;
         let slot = DocumentSlot {
             payload: None,
@@ -388,6 +408,7 @@ impl Publication {
             taken: Instant::ZERO,
             whole: None,
             version: self.version,
+            is_sent: true,
         };
         match self.documents.get(&tail) {
             Some(known) if known.payload.is_none() => return,

@@ -2,8 +2,8 @@
 //!
 //! Input: messages of any origin, by topic. Output: the gateways with their inventories, and counters of
 //! what was not used. Bounded: [`MAX_GATEWAYS`], [`MAX_GATEWAY_DOCUMENTS`] for each,
-//! [`MAX_DOCUMENT_BYTES`] for one document, [`MAX_FLEET_BYTES`] for all. Does not know the connection or
-//! the screen.
+//! [`MAX_DOCUMENT_BYTES`] for one document, [`MAX_GATEWAY_BYTES`] of memory for those of a gateway and
+//! [`MAX_FLEET_BYTES`] for all. Does not know the connection or the screen.
 
 use super::topic::{FleetTopic, GatewayName, TopicPath};
 use crate::inventory::{Inventory, InventoryBus, InventoryDevice, InventoryFinding};
@@ -21,8 +21,10 @@ pub const MAX_DOCUMENT_BYTES: usize = 64 << 10;
 /// Number of buses, devices and findings of a gateway at most; further ones are counted and not used.
 pub const MAX_GATEWAY_DOCUMENTS: usize = 4096;
 
-/// Length of all documents together at most, in bytes.
-const MAX_FLEET_BYTES: usize = 128 << 20;
+/// Memory of all documents together, and of those of one gateway, at most, in bytes, as
+/// [`memory_of`] counts it.
+const MAX_FLEET_BYTES: usize = 192 << 20;
+const MAX_GATEWAY_BYTES: usize = 16 << 20;
 
 /// Time without a status after which a gateway that is connected is silent: two and a half of its
 /// periods of 30 s.
@@ -97,7 +99,15 @@ fn shown_topic(topic: &[u8]) -> String {
     printable(&topic[..topic.len().min(MOST)])
 }
 
-/// A document, and its length as it was published.
+/// Bytes of memory that a document takes: texts as they were published, its topic, what it has without a
+/// text, and what each member of its lists has.
+fn memory_of(topic: &[u8], payload: &[u8], list_members: usize) -> usize {
+    const DOCUMENT: usize = 256;
+    const LIST_MEMBER: usize = 64;
+    topic.len() + payload.len() + DOCUMENT + LIST_MEMBER * list_members
+}
+
+/// A document, and the memory that it takes.
 #[derive(Clone, Debug, PartialEq)]
 struct StoredDocument<T> {
     content: T,
@@ -227,17 +237,18 @@ impl FleetGateway {
         }
     }
 
-    /// Takes a document.
+    /// Takes a document; returns the memory that it takes.
     ///
     /// # Errors
     /// It is not what its topic says, with the cause.
     fn insert(
         &mut self,
         (now, connection): (Instant, u32),
+        topic: &[u8],
         path: TopicPath,
         payload: &[u8],
-    ) -> Result<(), String> {
-        let bytes = payload.len();
+    ) -> Result<usize, String> {
+        let mut bytes = memory_of(topic, payload, 0);
         match path {
             TopicPath::Status => {
                 let content: GatewayStatus = serde_json::from_slice(payload)
@@ -257,15 +268,19 @@ impl FleetGateway {
             TopicPath::Device(bus, address) => {
                 let mut content = InventoryDevice::parse(payload).map_err(|it| it.to_string())?;
                 (content.bus, content.address) = (bus.clone(), address);
+                let members = content.services.as_ref().map_or(0, Vec::len);
+                bytes = memory_of(topic, payload, members);
                 self.devices.insert((bus, address), StoredDocument { content, bytes, connection });
             }
             TopicPath::Finding(bus, id) => {
                 let content = InventoryFinding::parse(payload).map_err(|it| it.to_string())?;
+                let members = content.addresses.len() + content.names.len() + content.uids.len();
+                bytes = memory_of(topic, payload, members);
                 self.findings.insert((bus, id), StoredDocument { content, bytes, connection });
             }
             TopicPath::Event => {}
         }
-        Ok(())
+        Ok(bytes)
     }
 }
 
@@ -357,13 +372,19 @@ impl Fleet {
         let known = self.gateways.get(&gateway);
         let before = known.map_or(0, |it| it.bytes_at(&path));
         let is_new = before == 0 && !payload.is_empty() && path != TopicPath::Status;
-        let after = self.bytes - before + payload.len();
+        let own = known.map_or(0, FleetGateway::bytes);
+        // What its lists take is known when it is read.
+        let least = if payload.is_empty() { 0 } else { memory_of(topic, payload, 0) };
         let excess = if known.is_none() && self.gateways.len() >= MAX_GATEWAYS {
             Some("too many gateways")
         } else if is_new && known.is_some_and(|it| it.count() >= MAX_GATEWAY_DOCUMENTS) {
             Some("too many documents")
-        } else if payload.len() > MAX_DOCUMENT_BYTES || after > MAX_FLEET_BYTES {
+        } else if payload.len() > MAX_DOCUMENT_BYTES {
             Some("too long")
+        } else if least > 0 && own - before + least > MAX_GATEWAY_BYTES {
+            Some("too much of one gateway")
+        } else if least > 0 && self.bytes - before + least > MAX_FLEET_BYTES {
+            Some("too much of all gateways")
         } else {
             None
         };
@@ -373,16 +394,16 @@ impl Fleet {
             return;
         }
         if payload.is_empty() {
-            self.bytes = after;
+            self.bytes -= before;
             self.clear(&gateway, path);
             return;
         }
         let (name, shown) = (gateway.clone(), path.to_string());
         let as_of = (now, self.connection);
         let stored = self.gateways.entry(gateway).or_default();
-        match stored.insert(as_of, path, payload) {
-            Ok(()) => {
-                self.bytes = after;
+        match stored.insert(as_of, topic, path, payload) {
+            Ok(bytes) => {
+                self.bytes = self.bytes - before + bytes;
                 self.revision += 1;
                 stored.revision = self.revision;
             }

@@ -206,6 +206,9 @@ impl MdfLog {
                 self.streams.push(FrameStream { has_places, start_nanos, ..stream });
             }
         }
+        if next != 0 {
+            return Err(MdfFault::Log(Damage::TooManyGroups));
+        }
         if self.streams.is_empty() { Err(MdfFault::Log(Damage::NoBusLog)) } else { Ok(()) }
     }
 
@@ -372,6 +375,7 @@ impl FrameStream {
                 let place = records.next;
                 records.next += 4 + record.len() as u64;
                 record.truncate(Frame::MAX_DATA);
+                record.shrink_to_fit();
                 records.known.push_back((place, record));
                 if records.known.len() > MAX_WAITING {
                     records.known.pop_front();
@@ -492,8 +496,10 @@ impl FrameGroup {
             };
             group.channels[at] = Some(number);
             if FrameChannel::NAMES[at].1 == FrameChannel::Data {
-                group.data = if kind == VARIABLE {
-                    let address = channel.link(5);
+                let address = channel.link(5);
+                group.data = if kind == VARIABLE && address == 0 {
+                    DataPlace::None
+                } else if kind == VARIABLE {
                     let block = MdfBlock::read(bytes, address)?;
                     let is_group = block.kind == *b"CG";
                     group.signal_data = Some(DataChain::new(address, is_unfinished));

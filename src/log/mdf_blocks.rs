@@ -13,6 +13,8 @@ use std::io;
 const BLOCK_HEAD: u64 = 24;
 /// Most links of a block that are read.
 const MAX_LINKS: u64 = 1 << 16;
+/// Most blocks of a list of data that wait to be read.
+const MAX_PENDING: usize = 2 * MAX_LINKS as usize;
 /// Most bytes of a compressed block, unpacked and packed: writers keep to 4 MB.
 const MAX_PACKED: u64 = 8 << 20;
 /// Bytes of other blocks that are read at once.
@@ -227,6 +229,10 @@ impl DataChain {
                 let (next, data) = block.links.split_first().ok_or_else(|| block.damage())?;
                 let all = std::iter::once(next).chain(data.iter().rev());
                 self.next.extend(all.filter(|link| **link != 0));
+                // A list that has lists in it is none; each could have as many links.
+                if self.next.len() > MAX_PENDING {
+                    return Err(block.damage());
+                }
             }
             b"DT" | b"SD" => {
                 let has_length = block.data_len > 0 || !self.is_unfinished;

@@ -137,7 +137,8 @@ static TEXT: LogContent = LogContent {
 const READ_EXTENSIONS: &[&str] = &["pcap", "db", "sqlite", "sqlite3", "mf4", "gz", "zst", "xz"];
 
 /// The way out where nothing of a log can be read.
-pub const READABLE_LOGS: &str = "use candump, pcapng, ASC, BLF, TRC or CSV (descan help logs)";
+pub const READABLE_LOGS: &str =
+    "use candump, pcapng, ASC, BLF, TRC, CSV, SQLite or MF4 (descan help logs)";
 
 /// A log format that is written: one row of [`FORMATS`].
 #[derive(Debug)]

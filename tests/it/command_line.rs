@@ -781,7 +781,7 @@ fn input_without_frames_ends_with_its_cause() {
     let (code, said) = scan("file:/dev/zero");
     assert_eq!(code, Some(3), "{said}");
     assert!(said.contains("no line end in 16 MB"), "{said}");
-    assert!(said.contains("use candump, pcapng, ASC, BLF, TRC or CSV"), "{said}");
+    assert!(said.contains("use candump, pcapng, ASC, BLF, TRC, CSV, SQLite or MF4"), "{said}");
     // As from a pipe that stays open.
     let mut child = Command::new(env!("CARGO_BIN_EXE_descan"))
         .args(["scan", "-"])
@@ -813,7 +813,7 @@ fn unusable_input_is_named_and_exits_3() {
         (&["scan", "file:nothing.log"][..], "nothing.log"),
         (&["scan", "nothing.log"], "cannot be read: No such file or directory; check the name"),
         (&["watch", "./"], "cannot be read: is a directory; name a log in it"),
-        (&["scan", "words.log"], "use candump, pcapng, ASC, BLF, TRC or CSV"),
+        (&["scan", "words.log"], "use candump, pcapng, ASC, BLF, TRC, CSV, SQLite or MF4"),
         (&["scan", "sim:nothing"], "boiler"),
         (&["scan", "sim:boiler", "--profile", "nothing.toml"], "file not found"),
         (&["scan", "sim:boiler", "--profile", "bad.toml"], "morse"),

@@ -188,7 +188,7 @@ fn unusable_files_are_named_with_cause_and_way_out() {
         ("none.log", "descan: none.log: file not found; name a log, or a document of"),
         (".", "cannot be read"),
         ("empty.log", "no frames in it; check the file name"),
-        ("words.txt", "use candump, pcapng, ASC, BLF, TRC or CSV"),
+        ("words.txt", "use candump, pcapng, ASC, BLF, TRC, CSV, SQLite or MF4"),
         ("des.json", "not a document of descan scan --json (no member \"descan\"); make one:"),
         ("cut.json", "cut.json: line 2, column"),
         ("wrong.json", "wrong.json: line 3, column"),

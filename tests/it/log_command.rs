@@ -338,7 +338,7 @@ fn unusable_logs_are_named_with_cause_and_way_out() {
     for (arguments, code, said) in [
         (&["none.log"][..], 3, "none.log"),
         (&["."], 3, "cannot be read"),
-        (&["words.txt"], 3, "use candump, pcapng, ASC, BLF, TRC or CSV"),
+        (&["words.txt"], 3, "use candump, pcapng, ASC, BLF, TRC, CSV, SQLite or MF4"),
         (&["a.log", "--from", "99"], 3, "use a --from below 1.0, not 99"),
         (&["a.log", "--stats", "--limit", "3"], 2, "--limit"),
         (&["a.log", "--limit", "0"], 2, "--limit"),

@@ -111,6 +111,32 @@ fn lists_in_a_loop_end_the_log() {
     }
 }
 
+/// Heads of lists that lie in each other's links: each has many, and the next one is the first of them.
+#[test]
+fn lists_within_lists_are_damage() {
+    let list = blocks(SIGNAL_DATA, "DL")[2];
+    let mut bytes = SIGNAL_DATA.to_vec();
+    bytes.resize(bytes.len().next_multiple_of(8), 0);
+    let (start, count, links) = (bytes.len(), 200, 60_000_u64);
+    // The first data block of the list that was there is the first of these.
+    bytes[list + 32..list + 40].copy_from_slice(&(start as u64).to_le_bytes());
+    for number in 1..=count {
+        let next = (start + 40 * number) as u64;
+        bytes.extend(b"##DL\0\0\0\0");
+        bytes.extend((24 + 8 * links).to_le_bytes());
+        bytes.extend(links.to_le_bytes());
+        bytes.extend(1_u64.to_le_bytes());
+        bytes.extend(next.to_le_bytes());
+    }
+    bytes.resize(bytes.len() + 8 * links as usize, 1);
+    let (_, summary) = read_log(&bytes);
+    let damaged = summary.to_string();
+    // Of the first three, far from the last one.
+    let at = damaged.split("byte ").nth(1).and_then(|it| it.split(')').next()?.parse().ok());
+    let at: usize = at.unwrap_or_else(|| panic!("{damaged}"));
+    assert!((start..start + 40 * 4).contains(&at), "{damaged}, the lists begin at {start}");
+}
+
 #[test]
 fn measurement_without_frames_says_what_it_lacks() {
     let folder = tempfile::tempdir().unwrap();

@@ -746,7 +746,10 @@ fn unreadable_input_is_reported_before_its_end() {
         // The input stays open.
         said.read_line(&mut first).unwrap();
         assert!(first.contains(expected), "{first}");
-        assert!(first.contains("use candump, pcapng, ASC, BLF, TRC or CSV"), "{first}");
+        assert!(
+            first.contains("use candump, pcapng, ASC, BLF, TRC, CSV, SQLite or MF4"),
+            "{first}"
+        );
         drop(stdin);
         assert_eq!(child.wait().unwrap().code(), Some(3));
     }

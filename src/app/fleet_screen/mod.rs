@@ -429,7 +429,7 @@ impl FleetScreen {
             lines.push((format!("{broker}: no right to read {filters} of descan/v1/#"), true));
         }
         let rejects = self.fleet.rejects();
-        let count = rejects.malformed + rejects.oversized + self.events.malformed();
+        let count = rejects.count() + self.events.malformed();
         if count > 0 {
             let documents = counted(count, "document");
             let last = rejects.last.as_ref();

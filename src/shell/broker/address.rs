@@ -191,9 +191,16 @@ fn login(
 }
 
 /// Returns true if the file mode lets everyone read.
+#[cfg(unix)]
 fn is_readable_by_others(path: &Path) -> bool {
     use std::os::unix::fs::PermissionsExt;
     std::fs::metadata(path).is_ok_and(|it| it.permissions().mode() & 0o004 != 0)
+}
+
+/// Windows has no file modes; a file there has the access of its folder.
+#[cfg(windows)]
+fn is_readable_by_others(_: &Path) -> bool {
+    false
 }
 
 /// The TLS settings: who is trusted, and who this client is.

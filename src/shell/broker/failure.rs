@@ -15,6 +15,8 @@ pub struct BrokerFailure {
     pub diagnostic: Diagnostic,
     /// The same will happen again: the user is asked first.
     pub is_final: bool,
+    /// Another program has the name: a wrong argument of one of them.
+    pub is_name_taken: bool,
 }
 
 /// What helps where two clients have one name.
@@ -28,7 +30,11 @@ impl BrokerFailure {
     /// Another program publishes with the same name.
     pub(super) fn replaced(address: &BrokerAddress) -> Self {
         let cause = format!("{address}: another client connected with the same name");
-        Self { diagnostic: Diagnostic::new(cause).with_remedy(OWN_NAME), is_final: true }
+        Self {
+            diagnostic: Diagnostic::new(cause).with_remedy(OWN_NAME),
+            is_final: true,
+            is_name_taken: true,
+        }
     }
 
     /// The failure behind an error of the connection.
@@ -45,7 +51,7 @@ impl BrokerFailure {
             Some(remedy) => diagnostic.with_remedy(remedy),
             None => diagnostic,
         };
-        Self { diagnostic, is_final }
+        Self { diagnostic, is_final, is_name_taken: false }
     }
 }
 

@@ -5,10 +5,11 @@ use super::back_off;
 use super::failure::BrokerFailure;
 use crate::time::Duration;
 use rumqttc::{
-    AckMode, AsyncClient, Event, EventLoop, Packet, QoS, SubscribeFilterInput, SubscribeReasonCode,
+    AckMode, AsyncClient, DisconnectProperties, DisconnectReasonCode, Event, EventLoop, Packet,
+    QoS, SubscribeFilterInput, SubscribeReasonCode,
 };
 use std::io;
-use std::thread;
+use std::thread::{self, JoinHandle};
 use tokio::sync::mpsc::{self, Receiver, Sender};
 use tokio::time::sleep;
 
@@ -17,6 +18,10 @@ const MAX_WAITING: usize = 1024;
 
 /// Number of messages that the broker sends before the first is acknowledged.
 const MAX_UNREAD: u16 = 256;
+
+/// How long a broker keeps the session of a viewer that is lost: a restart of the broker, not a viewer that
+/// was killed.
+const SESSION_EXPIRY_SECONDS: u32 = 600;
 
 /// What a connection brings.
 #[derive(Clone, Debug)]
@@ -35,9 +40,23 @@ pub enum ReaderNotice {
     Failed(BrokerFailure, Option<Duration>),
 }
 
-/// See the module's documentation.
+/// See the module's documentation. Dropped, it takes leave of the broker, for [`FAREWELL`] at most.
 pub struct BrokerReader {
     notices: Receiver<ReaderNotice>,
+    thread: Option<JoinHandle<()>>,
+}
+
+/// Time to take leave of the broker.
+const FAREWELL: Duration = Duration::from_millis(200);
+
+impl Drop for BrokerReader {
+    fn drop(&mut self) {
+        self.notices.close();
+        if let Some(thread) = self.thread.take() {
+            // What it panicked with was shown already.
+            let _ = thread.join();
+        }
+    }
 }
 
 impl BrokerReader {
@@ -53,6 +72,7 @@ impl BrokerReader {
         // There is none to clear; and mosquitto 2.0 does not keep one that began with a clean start over
         // its own restart.
         options.set_clean_start(false);
+        options.set_session_expiry_interval(Some(SESSION_EXPIRY_SECONDS));
         // What was acknowledged and not read yet would be lost with the connection.
         options.set_ack_mode(AckMode::Manual);
         options.set_receive_maximum(Some(MAX_UNREAD));
@@ -63,12 +83,14 @@ impl BrokerReader {
             settings: settings.clone(),
             filters: filters.iter().map(|it| (*it).to_owned()).collect(),
         };
-        thread::Builder::new().name("broker".to_owned()).spawn(move || {
+        let thread = thread::Builder::new().name("broker".to_owned()).spawn(move || {
             let (client, events) =
                 AsyncClient::builder(options).capacity(4 * usize::from(MAX_UNREAD)).build();
             runtime.block_on(task.run(&client, events));
+            // A name that is looked up would be waited for.
+            runtime.shutdown_background();
         })?;
-        Ok(Self { notices })
+        Ok(Self { notices, thread: Some(thread) })
     }
 
     /// Waits for notices, and takes at most `limit` of them; none after one that says that it is not
@@ -97,9 +119,17 @@ impl ReaderThread {
     async fn run(self, client: &AsyncClient, mut events: EventLoop) {
         tokio::select! {
             () = self.notices.closed() => {
-                let _ = client.try_disconnect();
+                // The session ends with it: nothing is kept for a viewer that does not come back.
+                let properties = DisconnectProperties {
+                    session_expiry_interval: Some(0),
+                    reason_string: None,
+                    user_properties: Vec::new(),
+                    server_reference: None,
+                };
+                let reason = DisconnectReasonCode::NormalDisconnection;
+                let _ = client.try_disconnect_now_with_properties(reason, properties);
                 let farewell = async { while events.poll().await.is_ok() {} };
-                let _ = tokio::time::timeout(Duration::from_millis(200), farewell).await;
+                let _ = tokio::time::timeout(FAREWELL, farewell).await;
             }
             () = self.receive(client, &mut events) => {}
         }

@@ -46,7 +46,10 @@ pub(super) fn exchange(one: &Path, other: &Path) -> Result<(), ExchangeError> {
             .map_err(|error| io::Error::from_raw_os_error(error.raw().cast_signed()))
     });
     match replaced {
-        Ok(()) => patiently(|| std::fs::rename(&old, one)).map_err(ExchangeError::System),
+        Ok(()) => patiently(|| std::fs::rename(&old, one)).map_err(|error| {
+            let cause = format!("the new file is in place, the old one stays as {old}: {error}");
+            ExchangeError::System(io::Error::other(cause))
+        }),
         Err(error) => Err(match error.raw_os_error() {
             Some(FILE_NOT_FOUND) => ExchangeError::Missing,
             Some(REPLACEMENT_NOT_MOVED) => {

@@ -182,7 +182,8 @@ fn second_gateway_with_the_name_ends_the_first() {
     let _second = Running::publish(&arguments[1..], folder);
     let output = first.wait_with_output().unwrap();
     let errors = text(&output.stderr);
-    assert_eq!(output.status.code(), Some(3), "{errors}");
+    // No failure that a restart helps with: the unit of systemd lets it rest.
+    assert_eq!(output.status.code(), Some(2), "{errors}");
     assert!(errors.contains("another client connected with the same name"), "{errors}");
     assert!(errors.contains("--gateway"), "{errors}");
 }
@@ -313,7 +314,8 @@ fn guarded_broker() -> Option<Mosquitto> {
             let credentials = format!("user = \"{user}\"\npassword = \"secret of {user}\"\n");
             fs::write(folder.join(format!("{user}.toml")), credentials).unwrap();
         }
-        let rights = "pattern readwrite descan/v1/%u/#\n\nuser viewer\ntopic read descan/v1/#\n";
+        let rights = "pattern readwrite descan/v1/%u/#\n\nuser viewer\ntopic read descan/v1/#\n\
+                      topic deny descan/v1/viewer/#\n";
         fs::write(folder.join("rights"), rights).unwrap();
         format!(
             "allow_anonymous false\npassword_file {}\nacl_file {}\ncafile {}\ncertfile {}\nkeyfile {}\n",
@@ -350,10 +352,10 @@ fn gateway_writes_its_own_topics_only_and_viewer_reads() {
     assert!(state_of(&fleet_json(&viewer, folder), "other").is_none());
     // The viewer cannot write, the gateway cannot read others.
     let output = run(
-        &[&["publish", "sim:boiler", "--time", "6", "--gateway", "v"], &viewer[..]].concat(),
+        &[&["publish", "sim:boiler", "--time", "6", "--gateway", "viewer"], &viewer[..]].concat(),
         folder,
     );
-    assert!(text(&output.stderr).contains("refuses descan/v1/v/"));
+    assert!(text(&output.stderr).contains("refuses descan/v1/viewer/"));
 }
 
 #[test]
@@ -531,6 +533,55 @@ fn copy(mut from: TcpStream, mut to: TcpStream) {
     }
     let _ = to.shutdown(Shutdown::Both);
     let _ = from.shutdown(Shutdown::Both);
+}
+
+/// Returns a port whose first connection to the broker is cut after so many bytes of it.
+fn cut_after(broker: u16, bytes: usize) -> u16 {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let own = listener.local_addr().unwrap().port();
+    thread::spawn(move || {
+        for (number, near) in listener.incoming().flatten().enumerate() {
+            let Ok(far) = TcpStream::connect(("127.0.0.1", broker)) else { continue };
+            let (mut near_back, mut far_back) =
+                (near.try_clone().unwrap(), far.try_clone().unwrap());
+            thread::spawn(move || copy(near, far));
+            if number > 0 {
+                thread::spawn(move || copy(far_back, near_back));
+                continue;
+            }
+            let _ = std::io::copy(&mut (&mut far_back).take(bytes as u64), &mut near_back);
+            let _ = far_back.shutdown(Shutdown::Both);
+            let _ = near_back.shutdown(Shutdown::Both);
+        }
+    });
+    own
+}
+
+#[test]
+fn reading_that_was_cut_off_is_completed_and_leaves_no_session() {
+    let Some(mut broker) = Mosquitto::start() else { return };
+    let url = broker.url();
+    let folder = broker.folder().to_owned();
+    let _publisher = Running::publish(&["sim:boiler", "--broker", &url, "--gateway", "g"], &folder);
+    let names = |url: &str| {
+        let fleet = fleet_json(&["--broker", url], &folder);
+        names_of(&fleet, 0).into_iter().map(str::to_owned).collect::<Vec<_>>()
+    };
+    wait_for(|| {
+        let names = names(&url);
+        ["FEED", "SENS", "PSU"].iter().all(|it| names.iter().any(|name| name == it)).then_some(())
+    });
+    let cut = format!("mqtt://127.0.0.1:{}", cut_after(broker.port(), 2000));
+    let found = names(&cut);
+    assert!(
+        ["FEED", "SENS", "PSU"].iter().all(|it| found.iter().any(|name| name == it)),
+        "{found:?}"
+    );
+    broker.stop();
+    let state = fs::read(folder.join("mosquitto.db")).unwrap();
+    let has = |word: &[u8]| state.windows(word.len()).any(|it| it == word);
+    assert!(has(b"descan/v1/g/status"), "the state has what is kept");
+    assert!(!has(b"descan-view-"), "a session of a viewer is left");
 }
 
 fn settings(port: u16) -> BrokerSettings {
