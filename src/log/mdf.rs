@@ -11,7 +11,7 @@ use super::bus_errors::{bus_error, captured};
 use super::dates::{local_micros, unix_nanos_micros};
 use super::entry_stream::EntryWriter;
 use super::fields::{FieldFault, can_id, len_of_dlc};
-use super::mdf_blocks::{DataChain, MdfBlock, MdfFault, u32_at, u64_at};
+use super::mdf_blocks::{DataChain, MdfBlock, MdfFault, UnpackedBytes, u32_at, u64_at};
 use super::random_access::{RandomAccess, RandomFormat, read_full_at};
 use crate::frame::socketcan::{BIT_RATE_SWITCH, ERROR_STATE, with_fd_flags};
 use crate::frame::{CanId, Frame};
@@ -35,8 +35,13 @@ const MAX_WAITING: usize = 256;
 /// Flag of an unfinished file: places of data bytes in records of their own are not valid.
 const NO_PLACES: u16 = 1 << 6;
 
-/// Addresses of groups and channels that were read: none is read twice, so that lists in a loop end.
-type ReadBlocks = HashSet<u64>;
+/// What is known while the groups of a file are read.
+struct GroupReading {
+    is_unfinished: bool,
+    /// Addresses of groups and channels that were read: none is read twice, so that lists in a loop end.
+    blocks: HashSet<u64>,
+    unpacked: UnpackedBytes,
+}
 
 /// Reads a file.
 pub(super) struct MdfLog {
@@ -190,14 +195,19 @@ impl MdfLog {
         let flags = u16::from_le_bytes([head[60], head[61]]);
         let header = MdfBlock::of_kind(bytes, HEADER, *b"HD")?;
         let start_nanos = start_of(bytes, &header)?;
-        let (mut next, mut seen) = (header.link(0), ReadBlocks::new());
+        let mut next = header.link(0);
+        let mut reading = GroupReading {
+            is_unfinished,
+            blocks: HashSet::new(),
+            unpacked: UnpackedBytes::default(),
+        };
         for _ in 0..MAX_GROUPS {
             if next == 0 {
                 break;
             }
-            let group = structure_block(bytes, next, *b"DG", &mut seen)?;
+            let group = structure_block(bytes, next, *b"DG", &mut reading)?;
             next = group.link(0);
-            let stream = FrameStream::read(bytes, &group, is_unfinished, &mut seen)?;
+            let stream = FrameStream::read(bytes, &group, &mut reading)?;
             if let Some(stream) = stream {
                 if self.streams.len() == MAX_STREAMS {
                     return Err(MdfFault::Log(Damage::TooManyGroups));
@@ -269,9 +279,9 @@ fn structure_block(
     bytes: &dyn RandomAccess,
     address: u64,
     kind: [u8; 2],
-    seen: &mut ReadBlocks,
+    reading: &mut GroupReading,
 ) -> Result<MdfBlock, MdfFault> {
-    let is_new = seen.insert(address);
+    let is_new = reading.blocks.insert(address);
     if is_new { MdfBlock::of_kind(bytes, address, kind) } else { Err(MdfFault::Block(address)) }
 }
 
@@ -292,8 +302,7 @@ impl FrameStream {
     fn read(
         bytes: &dyn RandomAccess,
         group: &MdfBlock,
-        is_unfinished: bool,
-        seen: &mut ReadBlocks,
+        reading: &mut GroupReading,
     ) -> Result<Option<Self>, MdfFault> {
         let [id_len] = group.data(bytes)?;
         if !matches!(id_len, 0 | 1 | 2 | 4 | 8) {
@@ -305,16 +314,16 @@ impl FrameStream {
             if next == 0 {
                 break;
             }
-            let records = structure_block(bytes, next, *b"CG", seen)?;
+            let records = structure_block(bytes, next, *b"CG", reading)?;
             let number = records.data::<8>(bytes).map(|number| u64_at(&number, 0))?;
             let number = if id_len == 0 { 0 } else { number };
             numbers.insert(next, number);
-            groups.insert(number, RecordGroup::read(bytes, &records, is_unfinished, seen)?);
+            groups.insert(number, RecordGroup::read(bytes, &records, reading)?);
             next = records.link(0);
         }
         let has_frames = groups.values().any(|it| matches!(it, RecordGroup::Frames { .. }));
         Ok(has_frames.then(|| Self {
-            chain: DataChain::new(group.link(2), is_unfinished),
+            chain: DataChain::new(group.link(2), reading.is_unfinished, &reading.unpacked),
             id_len: usize::from(id_len),
             groups,
             numbers,
@@ -424,8 +433,7 @@ impl RecordGroup {
     fn read(
         bytes: &dyn RandomAccess,
         records: &MdfBlock,
-        is_unfinished: bool,
-        seen: &mut ReadBlocks,
+        reading: &mut GroupReading,
     ) -> Result<Self, MdfFault> {
         const OF_BYTES: u8 = 1;
         let data: [u8; 32] = records.data(bytes)?;
@@ -437,7 +445,7 @@ impl RecordGroup {
             return Err(records.damage());
         }
         let len = len as usize;
-        let group = FrameGroup::read(bytes, records.link(1), is_unfinished, seen)?;
+        let group = FrameGroup::read(bytes, records.link(1), reading)?;
         Ok(match group {
             Some(_) if len as u64 > MAX_FRAME_RECORD => return Err(records.damage()),
             Some(group) => Self::Frames { len, group: Box::new(group) },
@@ -451,8 +459,7 @@ impl FrameGroup {
     fn read(
         bytes: &dyn RandomAccess,
         first: u64,
-        is_unfinished: bool,
-        seen: &mut ReadBlocks,
+        reading: &mut GroupReading,
     ) -> Result<Option<Self>, MdfFault> {
         /// Types of channels.
         const VARIABLE: u8 = 1;
@@ -470,7 +477,7 @@ impl FrameGroup {
             if address == 0 {
                 continue;
             }
-            let channel = structure_block(bytes, address, *b"CN", seen)?;
+            let channel = structure_block(bytes, address, *b"CN", reading)?;
             next.push(channel.link(0));
             let data: [u8; 12] = channel.data(bytes)?;
             let (kind, number) = (data[0], RecordNumber::of_channel(&data));
@@ -502,7 +509,8 @@ impl FrameGroup {
                 } else if kind == VARIABLE {
                     let block = MdfBlock::read(bytes, address)?;
                     let is_group = block.kind == *b"CG";
-                    group.signal_data = Some(DataChain::new(address, is_unfinished));
+                    group.signal_data =
+                        Some(DataChain::new(address, reading.is_unfinished, &reading.unpacked));
                     DataPlace::Outside { place: number, address, is_group }
                 } else {
                     DataPlace::Inside(number.byte)

@@ -1,13 +1,15 @@
 //! Blocks of ASAM MDF 4, and the data that lie in one block or in a list of them, compressed or not.
 //!
-//! Source: ASAM MDF 4.1, as asammdf and CANedge write it. The memory is bounded by the largest compressed
-//! block that is read; no block of data is read twice, so that lists in a loop end. Does not know records.
+//! Source: ASAM MDF 4.1, as asammdf and CANedge write it. The memory is bounded: see [`MAX_UNPACKED`];
+//! no block of data is read twice, so that lists in a loop end. Does not know records.
 
 use super::Damage;
 use super::random_access::{RandomAccess, read_full_at};
 use flate2::{Decompress, FlushDecompress};
 use std::collections::HashSet;
 use std::io;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Bytes of the head of a block.
 const BLOCK_HEAD: u64 = 24;
@@ -19,6 +21,11 @@ const MAX_PENDING: usize = 2 * MAX_LINKS as usize;
 const MAX_PACKED: u64 = 8 << 20;
 /// Bytes of other blocks that are read at once.
 const PIECE: u64 = 1 << 16;
+/// Most unpacked bytes in memory, of all groups of a file: 64 with the largest blocks that writers write.
+const MAX_UNPACKED: usize = 256 << 20;
+
+/// Number of unpacked bytes of a file that are in memory.
+pub(super) type UnpackedBytes = Arc<AtomicUsize>;
 
 /// Why a part of a file is not read.
 pub(super) enum MdfFault {
@@ -130,11 +137,14 @@ pub(super) struct DataChain {
     taken: usize,
     /// Place of the buffer in the data.
     offset: u64,
+    unpacked: UnpackedBytes,
+    /// Its part of them.
+    own_unpacked: usize,
 }
 
 impl DataChain {
     /// Begins with the block at `address`; without data at 0.
-    pub fn new(address: u64, is_unfinished: bool) -> Self {
+    pub fn new(address: u64, is_unfinished: bool, unpacked: &UnpackedBytes) -> Self {
         Self {
             next: if address == 0 { Vec::new() } else { vec![address] },
             visited: HashSet::new(),
@@ -144,6 +154,8 @@ impl DataChain {
             buffer: Vec::new(),
             taken: 0,
             offset: 0,
+            unpacked: Arc::clone(unpacked),
+            own_unpacked: 0,
         }
     }
 
@@ -188,6 +200,13 @@ impl DataChain {
         self.buffer.drain(..self.taken);
         self.offset += self.taken as u64;
         self.taken = 0;
+        // What is left of a record may lie in two blocks.
+        let held = self.buffer.len().min(self.own_unpacked);
+        if held < self.own_unpacked {
+            self.unpacked.fetch_sub(self.own_unpacked - held, Ordering::Relaxed);
+            self.own_unpacked = held;
+            self.buffer.shrink_to(PIECE as usize);
+        }
         while self.left.1 == 0 {
             let Some(address) = self.next.pop() else { return Ok(false) };
             let before = self.buffer.len();
@@ -253,6 +272,11 @@ impl DataChain {
         let (zip, width) = (head[2], u32_at(&head, 4) as usize);
         let (len, packed_len) = (u64_at(&head, 8), u64_at(&head, 16));
         if len > MAX_PACKED || packed_len > MAX_PACKED || zip > TRANSPOSED {
+            return Err(block.damage());
+        }
+        let in_memory = self.unpacked.fetch_add(len as usize, Ordering::Relaxed) + len as usize;
+        self.own_unpacked += len as usize;
+        if in_memory > MAX_UNPACKED {
             return Err(block.damage());
         }
         let mut packed = vec![0; packed_len as usize];

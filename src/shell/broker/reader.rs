@@ -40,7 +40,7 @@ pub enum ReaderNotice {
     Failed(BrokerFailure, Option<Duration>),
 }
 
-/// See the module's documentation. Dropped, it takes leave of the broker, for [`FAREWELL`] at most.
+/// See the module's documentation. Dropped, it takes leave of the broker, for 0.2 s at most.
 pub struct BrokerReader {
     notices: Receiver<ReaderNotice>,
     thread: Option<JoinHandle<()>>,
