@@ -125,8 +125,9 @@ impl Queue {
         self.news.notify_one();
     }
 
-    /// As [`push`](Self::push), of a thread that now collects frames: those later than `complete_until` are not read
-    /// before it pushes again, or [says](Self::set_complete) that there are none.
+    /// As [`push`](Self::push), of a thread that now collects frames: those later than
+    /// `complete_until` are not read before it pushes again, or [says](Self::set_complete) that there
+    /// are none.
     pub fn push_until(&self, frames: &[Frame], complete_until: Option<Instant>) {
         let mut contents = self.contents();
         contents.complete_until = complete_until;

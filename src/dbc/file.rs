@@ -269,7 +269,7 @@ impl<'t> FileReader<'t> {
         if !factor.is_finite() || !offset.is_finite() {
             return Err(error("the factor and the offset are numbers"));
         }
-        // A longer one is no number: it is left out.
+        // A signal of over 64 bits has no value as a number, and is left out.
         let current = self.current.filter(|_| size <= 64);
         let Some(draft) = current.and_then(|id| self.messages.get_mut(&id)) else {
             return Ok(());
@@ -374,7 +374,7 @@ impl<'t> FileReader<'t> {
         Ok(())
     }
 
-    /// Reads an identifier and the name of a signal; `None` if there is no identifier.
+    /// Reads an identifier and the name of a signal; `None` where no identifier stands.
     fn signal_name(&mut self) -> Result<Option<(u32, String)>, DbcError> {
         let Some(DbcToken { kind: DbcTokenKind::Word(word), .. }) = self.next else {
             return Ok(None);

@@ -124,6 +124,8 @@ pub struct FleetGateway {
     received: Instant,
     /// Changes with every document.
     revision: u64,
+    /// Memory of all documents.
+    bytes: usize,
     buses: BTreeMap<String, StoredDocument<InventoryBus>>,
     devices: BTreeMap<(String, u8), StoredDocument<InventoryDevice>>,
     findings: BTreeMap<(String, String), StoredDocument<InventoryFinding>>,
@@ -204,8 +206,8 @@ impl FleetGateway {
         self.buses.len() + self.devices.len() + self.findings.len()
     }
 
-    /// Length of all documents.
-    fn bytes(&self) -> usize {
+    /// Adds up the memory of all documents.
+    fn sum_of_bytes(&self) -> usize {
         let parts = self.buses.values().map(|it| it.bytes);
         let parts = parts.chain(self.devices.values().map(|it| it.bytes));
         let parts = parts.chain(self.findings.values().map(|it| it.bytes));
@@ -356,7 +358,11 @@ impl Fleet {
             gateway.findings.retain(|_, it| it.connection == now);
         }
         self.gateways.retain(|_, gateway| !gateway.is_empty());
-        self.bytes = self.gateways.values().map(FleetGateway::bytes).sum();
+        self.bytes = 0;
+        for gateway in self.gateways.values_mut() {
+            gateway.bytes = gateway.sum_of_bytes();
+            self.bytes += gateway.bytes;
+        }
     }
 
     /// Takes a message. An empty one clears the document. Events are not kept.
@@ -372,7 +378,7 @@ impl Fleet {
         let known = self.gateways.get(&gateway);
         let before = known.map_or(0, |it| it.bytes_at(&path));
         let is_new = before == 0 && !payload.is_empty() && path != TopicPath::Status;
-        let own = known.map_or(0, FleetGateway::bytes);
+        let own = known.map_or(0, |it| it.bytes);
         // What its lists take is known when it is read.
         let least = if payload.is_empty() { 0 } else { memory_of(topic, payload, 0) };
         let excess = if known.is_none() && self.gateways.len() >= MAX_GATEWAYS {
@@ -394,8 +400,7 @@ impl Fleet {
             return;
         }
         if payload.is_empty() {
-            self.bytes -= before;
-            self.clear(&gateway, path);
+            self.clear(&gateway, path, before);
             return;
         }
         let (name, shown) = (gateway.clone(), path.to_string());
@@ -404,6 +409,7 @@ impl Fleet {
         match stored.insert(as_of, topic, path, payload) {
             Ok(bytes) => {
                 self.bytes = self.bytes - before + bytes;
+                stored.bytes = stored.bytes - before + bytes;
                 self.revision += 1;
                 stored.revision = self.revision;
             }
@@ -415,9 +421,11 @@ impl Fleet {
         }
     }
 
-    fn clear(&mut self, name: &GatewayName, path: TopicPath) {
+    fn clear(&mut self, name: &GatewayName, path: TopicPath, bytes: usize) {
         if let Some(gateway) = self.gateways.get_mut(name) {
             gateway.remove(path);
+            gateway.bytes -= bytes;
+            self.bytes -= bytes;
             self.revision += 1;
             gateway.revision = self.revision;
             self.forget_if_empty(name);

@@ -21,7 +21,7 @@ const MAX_UNREAD: u16 = 256;
 
 /// How long a broker keeps the session of a viewer that is lost: a restart of the broker, not a viewer that
 /// was killed.
-const SESSION_EXPIRY_SECONDS: u32 = 600;
+const VIEWER_SESSION_SECONDS: u32 = 600;
 
 /// What a connection brings.
 #[derive(Clone, Debug)]
@@ -72,7 +72,7 @@ impl BrokerReader {
         // There is none to clear; and mosquitto 2.0 does not keep one that began with a clean start over
         // its own restart.
         options.set_clean_start(false);
-        options.set_session_expiry_interval(Some(SESSION_EXPIRY_SECONDS));
+        options.set_session_expiry_interval(Some(VIEWER_SESSION_SECONDS));
         // What was acknowledged and not read yet would be lost with the connection.
         options.set_ack_mode(AckMode::Manual);
         options.set_receive_maximum(Some(MAX_UNREAD));

@@ -19,17 +19,18 @@ impl Session {
     /// Handles the statuses. A log that begins later is up from its first frame on.
     pub(super) fn receive_statuses(&mut self, now: Instant) {
         let SessionInput::Ports { ports, .. } = &self.input else { return };
-        for at in 0..ports.len() {
-            let SessionInput::Ports { ports, .. } = &self.input else { return };
-            let queue = ports[at].queue();
+        let take = |(at, port): (usize, &Port)| {
+            let queue = port.queue();
             let status = if self.begins_later(at) {
                 queue.take_status_without_frames()
             } else {
                 queue.take_status()
             };
-            if let Some(status) = status {
-                self.handle_status(now, at, &status);
-            }
+            Some((at, status?))
+        };
+        let statuses: Vec<_> = ports.iter().enumerate().filter_map(take).collect();
+        for (at, status) in statuses {
+            self.handle_status(now, at, &status);
         }
     }
 

@@ -1,11 +1,10 @@
 //! The step in which a temporary file takes the place of the target.
 //!
 //! The two files are exchanged where the system can (`RENAME_EXCHANGE`; `ReplaceFile` of Windows keeps
-//! the old file under another name). What came out of the
-//! exchange is then compared with what was expected, and put back if it is something else: so a
-//! change made between a comparison and the exchange is not lost. A program that had the old file
-//! open may still write to it: descan looks at it for 0.1 s and, if it changed, puts it back as
-//! well. Elsewhere (NFS, FUSE, FAT) the content is compared right before a rename.
+//! the old file under another name). What came out of the exchange is then compared with what was
+//! expected, and put back if it is something else: so a change made between a comparison and the
+//! exchange is not lost. A program that had the old file open may still write to it: descan looks at it
+//! for 0.1 s and, if it changed, puts it back as well. Elsewhere (NFS, FUSE, FAT) the content is compared right before a rename.
 //!
 //! What remains: a write to the old file after that time; any write to it where files cannot be
 //! exchanged, and a change in the few microseconds between comparison and rename there; a write to

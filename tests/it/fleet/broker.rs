@@ -88,6 +88,16 @@ fn wait_for<T>(mut query: impl FnMut() -> Option<T>) -> T {
     }
 }
 
+/// Waits until the first gateway has devices of these names.
+#[track_caller]
+fn wait_for_devices(url: &str, folder: &Path, devices: &[&str]) {
+    wait_for(|| {
+        let fleet = fleet_json(&["--broker", url], folder);
+        let names = names_of(&fleet, 0);
+        devices.iter().all(|device| names.contains(device)).then_some(())
+    });
+}
+
 fn state_of(fleet: &Value, gateway: &str) -> Option<String> {
     let gateways = fleet["gateways"].as_array()?;
     let found = gateways.iter().find(|it| it["name"] == gateway)?;
@@ -193,11 +203,7 @@ fn check_compares_each_gateway_with_its_folder() {
     let Some(broker) = Mosquitto::start() else { return };
     let (folder, url) = (broker.folder(), broker.url());
     let _publisher = Running::publish(&["sim:boiler", "--broker", &url, "--gateway", "g"], folder);
-    wait_for(|| {
-        let fleet = fleet_json(&["--broker", &url], folder);
-        let names = names_of(&fleet, 0);
-        ["FEED", "SENS"].iter().all(|name| names.contains(name)).then_some(())
-    });
+    wait_for_devices(&url, folder, &["FEED", "SENS"]);
     let site = folder.join("sites/g");
     fs::create_dir_all(&site).unwrap();
     let check = |file: &str, arguments: &[&str]| {
@@ -240,11 +246,7 @@ fn check_compares_each_bus_with_its_file_of_the_project() {
     let buses = ["sim:first.toml", "sim:second.toml"];
     let publish = [&buses[..], &["--broker", &url, "--gateway", "g"]].concat();
     let _publisher = Running::publish(&publish, folder);
-    wait_for(|| {
-        let fleet = fleet_json(&["--broker", &url], folder);
-        let names = names_of(&fleet, 0);
-        ["PUMP", "VALVE"].iter().all(|name| names.contains(name)).then_some(())
-    });
+    wait_for_devices(&url, folder, &["PUMP", "VALVE"]);
     let site = folder.join("sites/g");
     fs::create_dir_all(&site).unwrap();
     let project = "[[bus]]\nbus = 'sim:first.toml'\nfile = 'first.json'\n\
@@ -563,20 +565,12 @@ fn reading_that_was_cut_off_is_completed_and_leaves_no_session() {
     let url = broker.url();
     let folder = broker.folder().to_owned();
     let _publisher = Running::publish(&["sim:boiler", "--broker", &url, "--gateway", "g"], &folder);
-    let names = |url: &str| {
-        let fleet = fleet_json(&["--broker", url], &folder);
-        names_of(&fleet, 0).into_iter().map(str::to_owned).collect::<Vec<_>>()
-    };
-    wait_for(|| {
-        let names = names(&url);
-        ["FEED", "SENS", "PSU"].iter().all(|it| names.iter().any(|name| name == it)).then_some(())
-    });
+    let devices = ["FEED", "SENS", "PSU"];
+    wait_for_devices(&url, &folder, &devices);
     let cut = format!("mqtt://127.0.0.1:{}", cut_after(broker.port(), 2000));
-    let found = names(&cut);
-    assert!(
-        ["FEED", "SENS", "PSU"].iter().all(|it| found.iter().any(|name| name == it)),
-        "{found:?}"
-    );
+    let fleet = fleet_json(&["--broker", &cut], &folder);
+    let names = names_of(&fleet, 0);
+    assert!(devices.iter().all(|device| names.contains(device)), "{names:?}");
     broker.stop();
     let state = fs::read(folder.join("mosquitto.db")).unwrap();
     let has = |word: &[u8]| state.windows(word.len()).any(|it| it == word);

@@ -52,6 +52,15 @@ fn topics(messages: &[(String, Value)]) -> Vec<&str> {
     messages.iter().map(|(topic, _)| topic.as_str()).collect()
 }
 
+/// A connected publication whose only document, that of `can0`, the broker has.
+fn publication_of_can0() -> Publication {
+    let mut publication = publication();
+    publication.handle_connected(false);
+    publication.handle_documents(at(0), 0.0, [document("can0", json!({}))]);
+    delivered(&mut publication);
+    publication
+}
+
 #[test]
 fn nothing_is_sent_before_the_broker_is_connected() {
     let mut publication = publication();
@@ -120,10 +129,7 @@ fn what_disappears_is_cleared_once() {
 
 #[test]
 fn documents_of_an_earlier_run_are_cleared() {
-    let mut publication = publication();
-    publication.handle_connected(false);
-    publication.handle_documents(at(0), 0.0, [document("can0", json!({}))]);
-    delivered(&mut publication);
+    let mut publication = publication_of_can0();
     for topic in [
         "descan/v1/boiler-17/device/can0/9",
         "descan/v1/boiler-17/bus/can0",
@@ -155,10 +161,7 @@ fn status(online: bool, started: u64) -> String {
 
 #[test]
 fn later_of_two_programs_with_one_name_stays() {
-    let mut publication = publication();
-    publication.handle_connected(false);
-    publication.handle_documents(at(0), 0.0, [document("can0", json!({}))]);
-    delivered(&mut publication);
+    let mut publication = publication_of_can0();
     for is_kept in [true, false] {
         let own = status(true, 1000);
         assert_eq!(other_status(&mut publication, &own, is_kept), (OtherRun::None, 0));
@@ -201,10 +204,7 @@ fn earlier_run_by_a_clock_ahead_is_no_other_program() {
 
 #[test]
 fn documents_of_an_absent_broker_that_are_gone_are_never_sent() {
-    let mut publication = publication();
-    publication.handle_connected(false);
-    publication.handle_documents(at(0), 0.0, [document("can0", json!({}))]);
-    delivered(&mut publication);
+    let mut publication = publication_of_can0();
     publication.handle_disconnected();
     for number in 0..1000 {
         let documents = [document(&format!("bus{number}"), json!({}))];
