@@ -98,6 +98,9 @@ pub struct DataField {
     values: BTreeMap<i64, String>,
 }
 
+/// Significant digits of a floating point number of 32 bits.
+pub const FLOAT_DIGITS: usize = 6;
+
 /// A value of a field.
 #[derive(Clone, Debug, PartialEq)]
 pub enum DataValue<'a> {
@@ -419,7 +422,7 @@ impl DataField {
     /// Significant digits of a number: as many as all numbers of its type have.
     pub const fn digits(&self) -> usize {
         match self.kind {
-            FieldType::Float => 6,
+            FieldType::Float => FLOAT_DIGITS,
             _ => 15,
         }
     }

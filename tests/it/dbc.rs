@@ -14,6 +14,7 @@ use fastrand::Rng;
 use serde_json::Value;
 use std::fmt::Write as _;
 use std::fs;
+use std::path::Path;
 use std::process::{Command, Output, Stdio};
 use std::sync::Arc;
 
@@ -296,24 +297,41 @@ fn log_names_messages_but_never_those_of_des() {
     assert!(out.ends_with("Pedal: Mode 0, Position 100.0 %\n"), "{out}");
 }
 
+/// Runs `log one.log --json` in a folder; returns the exit code, the output and the errors.
+fn log_one(folder: &Path, arguments: &[&str]) -> (Option<i32>, String, String) {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_descan"));
+    let command = command.args(["log", "one.log", "--json"]).args(arguments);
+    let command = command.current_dir(folder).env("XDG_CONFIG_HOME", folder);
+    let output = command.stdin(Stdio::null()).output().unwrap();
+    let text = |bytes| String::from_utf8(bytes).unwrap();
+    (output.status.code(), text(output.stdout), text(output.stderr))
+}
+
+/// They are numbers of 32 bits, too, which have fewer digits.
+#[test]
+fn doubles_keep_their_digits_in_json() {
+    let folder = tempfile::tempdir().unwrap();
+    let double = "BO_ 5 M: 8 A\n SG_ D : 0|64@1- (1,0) [0|0] \"\" A\nSIG_VALTYPE_ 5 D : 2;\n";
+    fs::write(folder.path().join("double.dbc"), double).unwrap();
+    for number in [4_294_967_296.0_f64, 2_147_483_648.0, 123_456_792.0, 0.0625] {
+        let data = hex(&number.to_le_bytes(), "");
+        fs::write(folder.path().join("one.log"), format!("(1.000000) can0 005#{data}\n")).unwrap();
+        let (_, out, said) = log_one(folder.path(), &["--dbc", "double.dbc"]);
+        let json: Value = serde_json::from_str(&out).expect(&said);
+        assert_eq!(json["signals"]["D"], serde_json::json!(number));
+    }
+}
+
 #[test]
 fn files_that_are_too_large_together_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let padding = format!("BO_ 5 M: 8 A\nCM_ \"{}\";\n", " ".repeat(9 << 20));
     fs::write(folder.path().join("large.dbc"), padding).unwrap();
     fs::write(folder.path().join("one.log"), "(100.000000) can0 005#01\n").unwrap();
-    let log = |arguments: &[&str]| {
-        let arguments = [&["log", "one.log", "--json"], arguments].concat();
-        let mut command = Command::new(env!("CARGO_BIN_EXE_descan"));
-        let command = command.args(arguments).current_dir(folder.path()).stdin(Stdio::null());
-        let output = command.env("XDG_CONFIG_HOME", folder.path()).output().unwrap();
-        let text = |bytes| String::from_utf8(bytes).unwrap();
-        (output.status.code(), text(output.stdout), text(output.stderr))
-    };
-    let (code, out, said) = log(&["--dbc", "large.dbc"]);
+    let (code, out, said) = log_one(folder.path(), &["--dbc", "large.dbc"]);
     assert_eq!(code, Some(0), "{said}");
     assert!(out.contains("\"message\":\"M\",\"signals\":{}"), "no signals are no fault: {out}");
-    let (code, _, said) = log(&["--dbc", "large.dbc", "--dbc", "large.dbc"]);
+    let (code, _, said) = log_one(folder.path(), &["--dbc", "large.dbc", "--dbc", "large.dbc"]);
     assert_eq!(code, Some(3));
     assert!(said.contains("the DBC files have over 16 MiB together"), "{said}");
 }

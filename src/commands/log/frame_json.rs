@@ -10,7 +10,7 @@ use crate::dbc::NamedMessage;
 use crate::frame::{BusIndex, CanId, Frame, FrameKind};
 use crate::text::{Escaped, hex, push_hex};
 use crate::time::Instant;
-use crate::wire::data_layout::{DataFieldValue, DataValue};
+use crate::wire::data_layout::{DataFieldValue, DataValue, FLOAT_DIGITS};
 use crate::wire::id::{Address, Service};
 use serde::Serialize;
 use serde_json::Value;
@@ -184,8 +184,10 @@ pub fn field_json(value: &DataValue<'_>) -> Value {
             .map(Value::from)
             .or_else(|_| i64::try_from(*number).map(Value::from))
             .unwrap_or_else(|_| Value::from(*number as f64)),
-        // The shortest number that is the same one, also in 32 bits.
-        DataValue::Float(number, _) if f64::from(*number as f32).to_bits() == number.to_bits() => {
+        // The shortest number that is the same one in the 32 bits that it has.
+        DataValue::Float(number, FLOAT_DIGITS)
+            if f64::from(*number as f32).to_bits() == number.to_bits() =>
+        {
             (*number as f32).to_string().parse::<f64>().map_or(Value::Null, Value::from)
         }
         DataValue::Scaled(..) | DataValue::Decimal(..) | DataValue::Float(..) => {
