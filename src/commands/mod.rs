@@ -35,7 +35,7 @@ mod prove;
 #[cfg(feature = "fleet")]
 mod publish;
 #[cfg(feature = "fleet")]
-mod published;
+pub mod published;
 mod report;
 mod scan;
 mod send;

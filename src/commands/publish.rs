@@ -3,8 +3,7 @@
 use super::gate::BusGate;
 use super::headless::{self, Limits, RunInput};
 use super::open::{self, Setup};
-use super::published::{Published, SUMMARY_PERIOD};
-use super::watch;
+use super::published::{CHANGE_PERIOD, PublicationFeed};
 use super::{EXIT_OK, Failure, output};
 use crate::app::{App, AppOptions};
 use crate::cli::PublishArgs;
@@ -15,9 +14,6 @@ use crate::time::{Duration, Instant};
 use anyhow::Context;
 use std::ops::ControlFlow;
 use std::time::{SystemTime, UNIX_EPOCH};
-
-/// Shortest time between two documents of one topic.
-const CHANGE_PERIOD: Duration = Duration::from_secs(1);
 
 /// Longest wait for the broker at the end: less than a signal leaves.
 const FAREWELL: Duration = Duration::from_millis(500);
@@ -46,8 +42,7 @@ pub fn run(args: &PublishArgs) -> Result<u8, Failure> {
         ..Limits::default()
     };
     let mut gate = BusGate::new(true);
-    let summary = (serde_json::Value::Null, Instant::ZERO);
-    let mut feed = Feed { publisher, gateway, settings, next: Instant::ZERO, summary };
+    let mut feed = Feed { publisher, gateway, settings, documents: PublicationFeed::default() };
     let mut warned = Vec::new();
     let outcome = headless::run(RunInput::Buses(&buses), &setup, options, limits, |session| {
         feed.print_notices()?;
@@ -91,46 +86,18 @@ fn unix_secs() -> f64 {
     SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs_f64()
 }
 
-/// What the session gives to the publisher, and when.
+/// The publisher, and what it is given.
 struct Feed {
     publisher: BrokerPublisher,
     gateway: GatewayName,
     settings: BrokerSettings,
-    /// Time of the next documents.
-    next: Instant,
-    /// The last status, and the time of the next one.
-    summary: (serde_json::Value, Instant),
+    documents: PublicationFeed,
 }
 
 impl Feed {
-    /// Events at once, documents once a second.
     fn publish(&mut self, app: &mut App, now: Instant) {
-        self.publish_events(app);
-        if now < self.next {
-            return;
-        }
-        self.next = now + CHANGE_PERIOD;
-        let published = Published::new(app, now);
-        let is_summary_due = now >= self.summary.1 || published.summary != self.summary.0;
-        if is_summary_due {
-            self.summary = (published.summary.clone(), now + SUMMARY_PERIOD);
-        }
-        let unix_secs = unix_secs();
-        self.publisher.update(|publication| {
-            publication.handle_documents(now, unix_secs, published.documents);
-            if is_summary_due {
-                publication.handle_status(now, unix_secs, published.summary);
-            }
-        });
-    }
-
-    fn publish_events(&self, app: &mut App) {
-        while let Some(event) = app.poll_app_event() {
-            let value = watch::as_value(app, event).and_then(|it| serde_json::to_value(it).ok());
-            if let Some(value) = value {
-                self.publisher.update(|publication| publication.handle_event(value));
-            }
-        }
+        let documents = &mut self.documents;
+        self.publisher.update(|publication| documents.update(publication, app, now, unix_secs()));
     }
 
     /// Says on standard error what happens to the connection.
@@ -164,13 +131,8 @@ impl Feed {
 
     /// The last events and documents, and that it stops.
     fn stop(self, app: &mut App, now: Instant) {
-        self.publish_events(app);
-        let published = Published::new(app, now);
-        let unix_secs = unix_secs();
-        self.publisher.update(|publication| {
-            publication.handle_documents(now, unix_secs, published.documents);
-            publication.handle_stop(now, unix_secs);
-        });
+        let documents = self.documents;
+        self.publisher.update(|publication| documents.stop(publication, app, now, unix_secs()));
         let dropped = self.publisher.update(|publication| publication.dropped_events());
         if !self.publisher.finish(FAREWELL) {
             output::warn("the broker does not have the last documents and events");

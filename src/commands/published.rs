@@ -3,18 +3,22 @@
 //! Scripts rely on the names, types and meanings of their members. Does not know the connection.
 
 use super::report::{DeviceReport, FindingReport, ScanReport};
+use super::watch;
 use crate::app::{App, Scope};
 use crate::discovery::Presence;
 use crate::finding::{FindingKey, FindingState};
-use crate::fleet::{FleetDocument, TopicPath};
+use crate::fleet::{FleetDocument, Publication, TopicPath};
 use crate::text::hex;
 use crate::time::{Duration, Instant};
 use serde::Serialize;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 
+/// Shortest time between two documents of one topic.
+pub const CHANGE_PERIOD: Duration = Duration::from_secs(1);
+
 /// Period of the status, and of the counters of buses and findings.
-pub const SUMMARY_PERIOD: Duration = Duration::from_secs(30);
+const SUMMARY_PERIOD: Duration = Duration::from_secs(30);
 
 /// Period of the counters of devices: 127 devices send less than 200 bytes per second for them.
 const DEVICE_COUNTER_PERIOD: Duration = Duration::from_mins(30);
@@ -33,17 +37,68 @@ const DEVICE_COUNTERS: &[&str] = &[
 ];
 const FINDING_COUNTERS: &[&str] = &["last", "evidence", "text"];
 
+/// Gives a [`Publication`] what an [`App`] has: events at once, documents at most once a second.
+#[derive(Debug, Default)]
+pub struct PublicationFeed {
+    /// Time of the next documents.
+    next: Instant,
+    /// The last summary of the status.
+    summary: Value,
+    /// Time of the next status without a change.
+    next_status: Instant,
+}
+
+impl PublicationFeed {
+    /// Gives what there is to publish at `now` (`unix_secs` on the wall clock).
+    pub fn update(
+        &mut self,
+        publication: &mut Publication,
+        app: &mut App,
+        now: Instant,
+        unix_secs: f64,
+    ) {
+        handle_events(publication, app);
+        if now < self.next {
+            return;
+        }
+        self.next = now + CHANGE_PERIOD;
+        let published = Published::new(app, now);
+        publication.handle_documents(now, unix_secs, published.documents);
+        if now >= self.next_status || published.summary != self.summary {
+            self.next_status = now + SUMMARY_PERIOD;
+            self.summary.clone_from(&published.summary);
+            publication.handle_status(unix_secs, published.summary);
+        }
+    }
+
+    /// Gives the last events and documents, and that the gateway stops.
+    pub fn stop(self, publication: &mut Publication, app: &mut App, now: Instant, unix_secs: f64) {
+        handle_events(publication, app);
+        publication.handle_documents(now, unix_secs, Published::new(app, now).documents);
+        publication.handle_stop(unix_secs);
+    }
+}
+
+fn handle_events(publication: &mut Publication, app: &mut App) {
+    while let Some(event) = app.poll_app_event() {
+        let value = watch::as_value(app, event).and_then(|it| serde_json::to_value(it).ok());
+        if let Some(value) = value {
+            publication.handle_event(value);
+        }
+    }
+}
+
 /// What a gateway publishes of one moment.
-pub struct Published {
+struct Published {
     /// All documents but the status.
-    pub documents: Vec<FleetDocument>,
+    documents: Vec<FleetDocument>,
     /// The summary for the status.
-    pub summary: Value,
+    summary: Value,
 }
 
 impl Published {
     /// Returns what there is to publish at `now`.
-    pub fn new(app: &App, now: Instant) -> Self {
+    fn new(app: &App, now: Instant) -> Self {
         let report = ScanReport::new(app, now, Scope::Screen);
         let is_open = |finding: &&FindingReport| finding.cleared_at.is_none();
         let open: Vec<&FindingReport> = report.findings.iter().filter(is_open).collect();

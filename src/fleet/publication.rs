@@ -9,6 +9,7 @@ use super::topic::{GatewayName, TopicPath};
 use crate::time::{Duration, Instant};
 use serde_json::{Map, Value, json};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::hash::{DefaultHasher, Hash as _, Hasher as _};
 use std::sync::Arc;
 
 /// Number of events that wait for the broker at most; the oldest are dropped, and counted.
@@ -29,7 +30,8 @@ pub struct FleetDocument {
     pub value: Value,
     /// Members that do not cause a message when only they change, as `heartbeat.count`.
     pub counters: &'static [&'static str],
-    /// Time after which a change of these members is sent as well.
+    /// Time after which a change of these members is sent as well, at the latest. Not all documents with one
+    /// period are sent at once: each has its own time in it.
     pub counter_period: Duration,
 }
 
@@ -60,8 +62,6 @@ pub enum FleetMessageId {
 pub enum OtherRun {
     /// None, or an earlier one.
     None,
-    /// One before this one, by a clock that was ahead: the last will has changed.
-    Before,
     /// One that was started later: this one gives way.
     Later,
 }
@@ -78,8 +78,8 @@ struct DocumentSlot {
     compared: Value,
     /// The whole value, if its counters are sent too.
     whole: Option<Value>,
-    /// Time at which the content was taken.
-    taken: Instant,
+    /// Time at which a change of the counters is sent.
+    counters_due: Instant,
     version: u64,
     /// The broker may have it, or an earlier version.
     is_sent: bool,
@@ -107,6 +107,13 @@ pub struct Publication {
     in_flight: usize,
     refused: u64,
     is_connected: bool,
+    /// Number of connections so far.
+    connections: u64,
+    /// Number of the connection whose last will is the status that the broker has, if it kept everything;
+    /// `None` once that is known.
+    expected_will: Option<u64>,
+    /// All documents that the broker has are to be read.
+    is_reading_due: bool,
     /// The status that the broker had before, or an own one, was read.
     knows_kept_status: bool,
     /// All documents may be sent again, as another program may have changed them: once for each status.
@@ -130,6 +137,9 @@ impl Publication {
             in_flight: 0,
             refused: 0,
             is_connected: false,
+            connections: 0,
+            expected_will: None,
+            is_reading_due: false,
             knows_kept_status: false,
             may_repeat: true,
         }
@@ -155,9 +165,14 @@ impl Publication {
         self.due.is_empty() && self.events.is_empty() && self.in_flight == 0
     }
 
-    /// The last will: what the broker publishes as the status if the connection is lost.
+    /// The last will of the next connection: what the broker publishes as the status if it is lost.
     pub fn last_will(&self) -> FleetMessage {
-        let payload = json!({"online": false, "reason": "lost", "started_ms": self.started});
+        let payload = json!({
+            "online": false,
+            "reason": "lost",
+            "started_ms": self.started,
+            "connection": self.connections + 1,
+        });
         FleetMessage {
             topic: TopicPath::Status.of(&self.gateway),
             payload: payload.to_string().into_bytes().into(),
@@ -181,14 +196,15 @@ impl Publication {
             gone.remove(&tail);
             let compared = without(&value, counters);
             if let Some(slot) = self.documents.get(&tail).filter(|slot| slot.payload.is_some()) {
-                let is_old = now.since(slot.taken) >= counter_period;
+                let is_old = now >= slot.counters_due;
                 let is_same = is_same(&slot.compared, &compared, counters);
                 if is_same && (!is_old || slot.whole.as_ref() == Some(&value)) {
                     continue;
                 }
             }
             let payload = with_members(value.clone(), [("time", json!(unix_secs))]);
-            self.put(tail, &payload, now, compared, Some(value));
+            let counters_due = next_in_period(now, counter_period, &tail);
+            self.put(tail, &payload, counters_due, compared, Some(value));
         }
         for tail in gone {
             self.clear(tail);
@@ -196,25 +212,26 @@ impl Publication {
     }
 
     /// Takes the summary of the gateway, which is sent in any case.
-    pub fn handle_status(&mut self, now: Instant, unix_secs: f64, summary: Value) {
+    pub fn handle_status(&mut self, unix_secs: f64, summary: Value) {
         let events = json!({"last": self.last_event, "dropped": self.dropped_events});
         let members = [
             ("online", json!(true)),
             ("started_ms", json!(self.started)),
+            ("connection", json!(self.connections)),
             ("time", json!(unix_secs)),
             ("events", events),
         ];
         let payload = with_members(summary, members);
         self.may_repeat = true;
-        self.put(TopicPath::Status.to_string(), &payload, now, Value::Null, None);
+        self.put_status(&payload);
     }
 
     /// The program stops: the status says so, as the last message.
-    pub fn handle_stop(&mut self, now: Instant, unix_secs: f64) {
+    pub fn handle_stop(&mut self, unix_secs: f64) {
         let payload = json!({
             "online": false, "reason": "stopped", "started_ms": self.started, "time": unix_secs,
         });
-        self.put(TopicPath::Status.to_string(), &payload, now, Value::Null, None);
+        self.put_status(&payload);
     }
 
     /// Takes an event, an object as in `watch --json`.
@@ -237,15 +254,31 @@ impl Publication {
     }
 
     /// The broker is connected. Without a kept session it may have lost what it had: all documents
-    /// are sent again.
+    /// are sent again. With one it may have, too, if it was killed and continues from what was on its disk:
+    /// the status that it has tells.
     pub fn handle_connected(&mut self, is_session_kept: bool) {
         self.is_connected = true;
+        self.connections += 1;
         if is_session_kept {
+            self.expected_will = Some(self.connections - 1);
             // The last will may have replaced it.
-            self.mark_due(TopicPath::Status.to_string());
+            self.renew_status();
         } else {
-            self.due = self.documents.keys().cloned().collect();
+            self.expected_will = None;
+            self.send_all_again();
         }
+    }
+
+    /// All documents are sent, and those that the broker has are read, of which others are cleared.
+    fn send_all_again(&mut self) {
+        self.due = self.documents.keys().cloned().collect();
+        self.is_reading_due = true;
+    }
+
+    /// Returns true, once, if all documents of this gateway that the broker has are to be read, for
+    /// [`Self::handle_message`].
+    pub fn poll_reading(&mut self) -> bool {
+        std::mem::take(&mut self.is_reading_due)
     }
 
     /// The connection is lost: nothing is sent until the next one.
@@ -273,17 +306,19 @@ impl Publication {
     /// was started later stays.
     fn handle_other_status(&mut self, payload: &[u8], is_kept: bool) -> OtherRun {
         let status: Value = serde_json::from_slice(payload).unwrap_or_default();
-        let started = status.get("started_ms").and_then(Value::as_u64).unwrap_or_default();
+        let number = |name: &str| status.get(name).and_then(Value::as_u64).unwrap_or_default();
+        let started = number("started_ms");
         let is_own = started == self.started;
         let is_first_kept = is_kept && !self.knows_kept_status;
         self.knows_kept_status |= is_kept || is_own;
         if is_own {
+            self.handle_own_status(&status, number("connection"), is_kept);
             return OtherRun::None;
         }
         if started < self.started || started > MAX_STARTED {
             // Not for each of many.
             if std::mem::replace(&mut self.may_repeat, false) {
-                self.due = self.documents.keys().cloned().collect();
+                self.send_all_again();
             }
             return OtherRun::None;
         }
@@ -291,9 +326,25 @@ impl Publication {
             // That of an earlier run, by a clock that was ahead.
             self.started = started + 1;
             self.renew_status();
-            return OtherRun::Before;
+            return OtherRun::None;
         }
         OtherRun::Later
+    }
+
+    /// An own status at the broker. After a connection with a kept session, it is the last will of the one
+    /// before, or the broker lost what came after it.
+    fn handle_own_status(&mut self, status: &Value, connection: u64, is_kept: bool) {
+        let Some(expected) = self.expected_will else { return };
+        // One that was not kept and is of this connection: there was no kept one. Older ones come with the
+        // session.
+        if is_kept || connection == self.connections {
+            self.expected_will = None;
+            let is_will = status.get("reason").is_some_and(|it| it == "lost");
+            // A connection that was lost before this end knew of it has a number that is used again.
+            if !is_kept || !is_will || connection < expected {
+                self.send_all_again();
+            }
+        }
     }
 
     /// What became of a message: the broker has it.
@@ -376,11 +427,16 @@ impl Publication {
         })
     }
 
+    fn put_status(&mut self, payload: &Value) {
+        let tail = TopicPath::Status.to_string();
+        self.put(tail, payload, Instant::ZERO, Value::Null, None);
+    }
+
     fn put(
         &mut self,
         tail: String,
         payload: &Value,
-        taken: Instant,
+        counters_due: Instant,
         compared: Value,
         whole: Option<Value>,
     ) {
@@ -388,7 +444,7 @@ impl Publication {
         let payload = Some(payload.to_string().into_bytes().into());
         let version = self.version;
         let is_sent = self.documents.get(&tail).is_some_and(|known| known.is_sent);
-        let slot = DocumentSlot { payload, compared, whole, taken, version, is_sent };
+        let slot = DocumentSlot { payload, compared, whole, counters_due, version, is_sent };
         self.documents.insert(tail.clone(), slot);
         self.due.insert(tail);
     }
@@ -405,7 +461,7 @@ impl Publication {
         let slot = DocumentSlot {
             payload: None,
             compared: Value::Null,
-            taken: Instant::ZERO,
+            counters_due: Instant::ZERO,
             whole: None,
             version: self.version,
             is_sent: true,
@@ -417,24 +473,30 @@ impl Publication {
         self.due.insert(tail);
     }
 
-    /// Sends the status again, with the start of the program as it is now.
+    /// Sends the status again, with the start of the program and the connection as they are now.
     fn renew_status(&mut self) {
         let tail = TopicPath::Status.to_string();
-        let payload = self.documents.get(&tail).and_then(|slot| slot.payload.clone());
+        let payload = self.documents.get(&tail).and_then(|slot| slot.payload.as_ref());
         let Some(Value::Object(mut status)) =
-            payload.and_then(|payload| serde_json::from_slice(&payload).ok())
+            payload.and_then(|payload| serde_json::from_slice(payload).ok())
         else {
             return;
         };
         status.insert("started_ms".to_owned(), json!(self.started));
-        self.put(tail, &Value::Object(status), Instant::ZERO, Value::Null, None);
+        status.insert("connection".to_owned(), json!(self.connections));
+        self.put_status(&Value::Object(status));
     }
+}
 
-    fn mark_due(&mut self, tail: String) {
-        if self.documents.contains_key(&tail) {
-            self.due.insert(tail);
-        }
-    }
+/// Returns the next time in a period that a document has of its own: its documents do not come in bursts.
+fn next_in_period(now: Instant, period: Duration, tail: &str) -> Instant {
+    let period = period.as_millis().max(1) as u64;
+    let mut hasher = DefaultHasher::new();
+    tail.hash(&mut hasher);
+    let offset = hasher.finish() % period;
+    let now = now.since(Instant::ZERO).as_millis() as u64;
+    let rounds = (now + period - offset) / period;
+    Instant::ZERO + Duration::from_millis(rounds * period + offset)
 }
 
 /// Returns an object with further members.

@@ -167,7 +167,11 @@ impl PublisherThread {
                     events.options.set_clean_start(false);
                     self.shared.publication().handle_connected(packet.session_present);
                     self.shared.changed.notify_one();
-                    self.subscribe(client, packet.session_present);
+                    // Its status first: before it is sent again.
+                    self.subscribe(client, &self.own.replace('#', "status"));
+                    self.read_documents(client);
+                    // A kept session may have it from an earlier connection.
+                    self.reading.notify_one();
                     self.report(PublisherNotice::Connected);
                 }
                 Ok(Event::Incoming(Packet::Publish(message))) => {
@@ -178,22 +182,21 @@ impl PublisherThread {
                         message.retain,
                     );
                     self.shared.changed.notify_one();
-                    match other {
-                        OtherRun::None => {}
-                        OtherRun::Before => {
-                            let will = self.shared.publication().last_will();
-                            events.options.set_last_will(as_last_will(will));
-                        }
-                        OtherRun::Later => {
-                            let failure = BrokerFailure::replaced(&self.settings.address);
-                            self.report(PublisherNotice::Failed(failure, None));
-                            return;
-                        }
+                    self.read_documents(client);
+                    if other == OtherRun::Later {
+                        let failure = BrokerFailure::replaced(&self.settings.address);
+                        self.report(PublisherNotice::Failed(failure, None));
+                        return;
                     }
                 }
                 Ok(_) => {}
                 Err(error) => {
-                    self.shared.publication().handle_disconnected();
+                    let last_will = {
+                        let mut publication = self.shared.publication();
+                        publication.handle_disconnected();
+                        publication.last_will()
+                    };
+                    events.options.set_last_will(as_last_will(last_will));
                     let failure = BrokerFailure::of(&self.settings.address, &error, was_connected);
                     if self.has_progress.replace(false) {
                         failures = 0;
@@ -211,18 +214,17 @@ impl PublisherThread {
         }
     }
 
-    /// Reads what the broker has of this gateway: its status, which another program may write, and after
-    /// the start all documents, for a while.
-    fn subscribe(&self, client: &AsyncClient, is_session_kept: bool) {
-        let status = self.own.replace('#', "status");
-        let filters = [status.as_str(), self.own.as_str()];
-        let count = if is_session_kept { 1 } else { 2 };
-        let filters = filters.into_iter().take(count).map(|filter| {
-            SubscribeFilterInput::new(filter, QoS::AtLeastOnce)
-                .retain_forward_rule(RetainForwardRule::OnEverySubscribe)
-        });
-        let _ = client.try_subscribe_many(filters);
-        if !is_session_kept {
+    /// Reads what the broker has for a topic filter, and what is published later.
+    fn subscribe(&self, client: &AsyncClient, filter: &str) {
+        let filter = SubscribeFilterInput::new(filter, QoS::AtLeastOnce)
+            .retain_forward_rule(RetainForwardRule::OnEverySubscribe);
+        let _ = client.try_subscribe_many([filter]);
+    }
+
+    /// Reads all documents of this gateway, for a while, if they are to be read.
+    fn read_documents(&self, client: &AsyncClient) {
+        if self.shared.publication().poll_reading() {
+            self.subscribe(client, &self.own);
             self.reading.notify_one();
         }
     }

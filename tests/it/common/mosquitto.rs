@@ -55,12 +55,59 @@ impl Mosquitto {
         format!("mqtt://127.0.0.1:{}", self.port)
     }
 
+    /// Publishes a retained message, by mosquitto's own program.
+    pub fn publish(&self, topic: &str, payload: &[u8]) {
+        let path = self.folder.path().join("payload");
+        fs::write(&path, payload).unwrap();
+        let output = Command::new("mosquitto_pub")
+            .args(["-h", "127.0.0.1", "-p", &self.port.to_string(), "-r", "-q", "1", "-t", topic])
+            .arg("-f")
+            .arg(path)
+            .output()
+            .unwrap();
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    }
+
+    /// Publishes further messages that are not retained, one for each line.
+    pub fn publish_lines(&self, topic: &str, lines: &str) {
+        let path = self.folder.path().join("payload");
+        fs::write(&path, lines).unwrap();
+        let status = Command::new("mosquitto_pub")
+            .args(["-h", "127.0.0.1", "-p", &self.port.to_string(), "-q", "1", "-t", topic, "-l"])
+            .stdin(fs::File::open(path).unwrap())
+            .status()
+            .unwrap();
+        assert!(status.success());
+    }
+
     /// Stops it as a system does, which saves its state.
     pub fn stop(&mut self) {
         let Some(mut process) = self.process.take() else { return };
         let id = nix::unistd::Pid::from_raw(process.id().try_into().unwrap());
         nix::sys::signal::kill(id, nix::sys::signal::Signal::SIGTERM).unwrap();
         process.wait().unwrap();
+    }
+
+    /// Kills it: what it knows is what [`Self::save`] wrote.
+    pub fn kill(&mut self) {
+        let Some(mut process) = self.process.take() else { return };
+        process.kill().unwrap();
+        process.wait().unwrap();
+    }
+
+    /// Makes it write its state, as it does twice an hour by default, and waits until it has.
+    pub fn save(&mut self) {
+        let state = self.folder.path().join("mosquitto.db");
+        let _ = fs::remove_file(&state);
+        let process = self.process.as_ref().unwrap();
+        let id = nix::unistd::Pid::from_raw(process.id().try_into().unwrap());
+        nix::sys::signal::kill(id, nix::sys::signal::Signal::SIGUSR1).unwrap();
+        let begin = Instant::now();
+        // It writes another file, and renames it.
+        while !state.exists() {
+            assert!(begin.elapsed() < PATIENCE, "mosquitto does not write {}", state.display());
+            std::thread::park_timeout(Duration::from_millis(10));
+        }
     }
 
     /// Starts it, and waits until it listens. Returns false if it is missing and may be.

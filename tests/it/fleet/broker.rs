@@ -450,33 +450,12 @@ fn broker_that_is_not_there_is_named() {
 fn hostile_messages_are_counted_and_large_ones_are_not_read() {
     let Some(broker) = Mosquitto::start() else { return };
     let (folder, url) = (broker.folder(), broker.url());
-    let publish = |topic: &str, payload: &[u8]| {
-        let path = folder.join("payload");
-        fs::write(&path, payload).unwrap();
-        let output = Command::new("mosquitto_pub")
-            .args([
-                "-h",
-                "127.0.0.1",
-                "-p",
-                &broker.port().to_string(),
-                "-r",
-                "-q",
-                "1",
-                "-t",
-                topic,
-                "-f",
-            ])
-            .arg(path)
-            .output()
-            .unwrap();
-        assert!(output.status.success(), "{}", text(&output.stderr));
-    };
-    publish("descan/v1/good/status", br#"{"online":true}"#);
-    publish("descan/v1/bad/status", b"\x1b]0;title\x07");
-    publish("descan/v1/bad/device/can0/1", "[".repeat(60_000).as_bytes());
-    publish("descan/v1/bad/device/can0/2", &vec![b'x'; 100 << 20]);
-    publish("descan/v1/bad/device/can0/999", b"{}");
-    publish("descan/v1/bad/bus/can0", br#"{"name":"\u001b[31mred"}"#);
+    broker.publish("descan/v1/good/status", br#"{"online":true}"#);
+    broker.publish("descan/v1/bad/status", b"\x1b]0;title\x07");
+    broker.publish("descan/v1/bad/device/can0/1", "[".repeat(60_000).as_bytes());
+    broker.publish("descan/v1/bad/device/can0/2", &vec![b'x'; 100 << 20]);
+    broker.publish("descan/v1/bad/device/can0/999", b"{}");
+    broker.publish("descan/v1/bad/bus/can0", br#"{"name":"\u001b[31mred"}"#);
     let output = run(&["fleet", "--json", "--broker", &url], folder);
     let errors = text(&output.stderr);
     assert_eq!(output.status.code(), Some(0), "{errors}");
@@ -485,6 +464,104 @@ fn hostile_messages_are_counted_and_large_ones_are_not_read() {
     assert_eq!(json["rejected"], 3, "{json}");
     assert!(errors.contains("3 documents not used"), "{errors}");
     assert!(!errors.contains('\u{1b}') && !text(&output.stdout).contains('\u{1b}'));
+}
+
+#[test]
+fn hostile_messages_are_counted_on_the_screen_in_bounded_memory() {
+    let Some(broker) = Mosquitto::start() else { return };
+    let (folder, url) = (broker.folder(), broker.url());
+    broker.publish("descan/v1/good/status", br#"{"online":true}"#);
+    broker.publish("descan/v1/bad/device/can0/1", "[".repeat(120_000).as_bytes());
+    broker.publish("descan/v1/bad/device/can0/2", &vec![b'x'; 100 << 20]);
+    // The largest that is read, many times.
+    let long = format!(r#"{{"name":"A","uid":"{}"}}"#, "\\u0000".repeat(20_000));
+    for address in 3..=127 {
+        broker.publish(&format!("descan/v1/long/device/can0/{address}"), long.as_bytes());
+    }
+    broker.publish("descan/v2/foreign/status", b"{}");
+    let mut pty = Pty::start(&["fleet", "--broker", &url], folder, (100, 30));
+    pty.wait_for("good");
+    pty.wait_for("long");
+    pty.wait_for("not used");
+    // 10,000 more, while it is open.
+    let lines = format!("{}\n", "{".repeat(1000)).repeat(10_000);
+    broker.publish_lines("descan/v1/good/device/can0/5", &lines);
+    broker.publish(
+        "descan/v1/good/device/can0/6",
+        br#"{"address":6,"name":"LAST","presence":"online"}"#,
+    );
+    pty.wait_until("10,000 more", |screen| {
+        let text = screen.contents();
+        let before = text.split(" documents not used").next().unwrap_or_default();
+        let count = before.split_whitespace().last().and_then(|count| count.parse::<u32>().ok());
+        count.is_some_and(|count| count > 10_000)
+    });
+    let status = fs::read_to_string(format!("/proc/{}/status", pty.pid())).unwrap();
+    let most = status.lines().find_map(|line| line.strip_prefix("VmHWM:")).unwrap();
+    let most: u64 = most.trim().trim_end_matches(" kB").parse().unwrap();
+    assert!(most < 100_000, "{most} kB");
+    pty.send("q");
+    assert_eq!(pty.wait(), 0);
+}
+
+#[test]
+fn nothing_from_the_broker_is_sent_to_the_bus() {
+    let Some(broker) = Mosquitto::start() else { return };
+    let (folder, url) = (broker.folder(), broker.url());
+    let requests = [
+        r#"{"send":"1FFFFFFF#DEADBEEF"}"#,
+        r#"{"address":10,"mode":"WORK","command":"reboot","frame":{"id":123,"data":"00"}}"#,
+        "1FFFFFFF#DEADBEEF",
+        r#"{"online":true,"started_ms":1,"buses":["sim:boiler"]}"#,
+    ];
+    let topics = [
+        "device/sim:boiler/10",
+        "device/sim:boiler/10/set",
+        "bus/sim:boiler",
+        "bus/sim:boiler/send",
+        "send",
+        "cmd",
+        "event",
+        "finding/sim:boiler/x",
+        "status",
+    ];
+    let publish = |kept: bool| {
+        for topic in topics {
+            let topic = format!("descan/v1/g/{topic}");
+            for request in requests {
+                if kept {
+                    broker.publish(&topic, request.as_bytes());
+                }
+            }
+            if !kept {
+                broker.publish_lines(&topic, &requests.join("\n").repeat(50));
+            }
+        }
+    };
+    publish(true);
+    // It listens: whatever it sent would be because of these.
+    let gateway = ["sim:boiler", "--broker", &url, "--gateway", "g", "--listen-only"];
+    let publisher = Running::publish(&[&gateway[..], &["--record", "bus.log"]].concat(), folder);
+    let topics_with = |part: &str| {
+        let all = retained(&broker).into_iter();
+        all.filter(|(topic, _)| topic.contains(part)).count()
+    };
+    // It has read them: those of no device are cleared.
+    wait_for(|| {
+        (topics_with("/set") + topics_with("/send") + topics_with("/cmd") == 0).then_some(())
+    });
+    publish(false);
+    broker.publish("descan/v1/g/status", br#"{"online":true,"started_ms":1}"#);
+    wait_for(|| {
+        let all = retained(&broker);
+        let (_, status) = all.iter().find(|(topic, _)| topic == "descan/v1/g/status")?;
+        (status["started_ms"] != 1).then_some(())
+    });
+    assert_eq!(publisher.stop(), Some(0));
+    let recorded = fs::read_to_string(folder.join("bus.log")).unwrap();
+    assert!(recorded.lines().count() > 10, "{recorded}");
+    let sent: Vec<&str> = recorded.lines().filter(|line| line.ends_with(" T")).collect();
+    assert_eq!(sent, [""; 0]);
 }
 
 // --- restarts and cut connections --------------------------------------------------------------
@@ -655,7 +732,7 @@ impl Load {
         self.publisher.update(|publication| {
             let now = Instant::ZERO + Duration::from_secs(round);
             publication.handle_documents(now, 0.0, Self::documents(round));
-            publication.handle_status(now, 0.0, json!({}));
+            publication.handle_status(0.0, json!({}));
             for _ in 0..5 {
                 publication.handle_event(json!({"round": round}));
             }
@@ -737,6 +814,40 @@ fn restarted_brokers_lose_no_event_and_have_the_state() {
     load.assert_events_arrived(&received);
     load.assert_delivered(&received);
     stop.store(true, Ordering::Relaxed);
+}
+
+/// Killed brokers continue from what they last wrote: an older state, with the session of the gateway. What
+/// they had acknowledged since is sent again, and what came back is cleared.
+#[test]
+fn killed_brokers_have_the_state_again() {
+    let Some(mut broker) = Mosquitto::start() else { return };
+    let url = broker.url();
+    let folder = broker.folder().to_owned();
+    let mut load = Load::start(broker.port());
+    for turn in 0..=20 {
+        load.wait_connected();
+        wait_for(|| load.publisher.update(|it| it.is_delivered()).then_some(()));
+        // Nothing changes meanwhile: what the broker has becomes right all the same.
+        let round = load.round;
+        let expected: Vec<String> = match round {
+            0 => Vec::new(),
+            _ => Load::documents(round).map(|_| format!("R{round}")).collect(),
+        };
+        wait_for(|| {
+            let fleet = fleet_json(&["--broker", &url], &folder);
+            (names_of(&fleet, 0) == expected).then_some(())
+        });
+        // It continues from here, or from a state of several kills before.
+        if turn % 3 == 0 {
+            broker.save();
+        }
+        load.step();
+        if turn % 2 == 0 {
+            wait_for(|| load.publisher.update(|it| it.is_delivered()).then_some(()));
+        }
+        broker.kill();
+        assert!(broker.launch());
+    }
 }
 
 #[test]

@@ -4,5 +4,6 @@
 mod broker;
 mod expected;
 mod publication;
+mod published;
 mod topics;
 mod view;

@@ -74,7 +74,7 @@ fn nothing_is_sent_before_the_broker_is_connected() {
 #[test]
 fn status_follows_the_documents() {
     let mut publication = publication();
-    publication.handle_status(at(0), 1.0, json!({"devices": 3}));
+    publication.handle_status(1.0, json!({"devices": 3}));
     publication.handle_documents(
         at(0),
         1.0,
@@ -104,9 +104,28 @@ fn only_changes_are_sent_and_counters_once_a_period() {
     assert_eq!(at_second(3, value("up", 3, None)), 0, "a counter that is not known any more");
     assert_eq!(at_second(3, value("up", 3, Some(1))), 0);
     assert_eq!(at_second(4, value("down", 4, Some(2))), 1, "no counter");
-    assert_eq!(at_second(33, value("down", 5, Some(2))), 0);
-    assert_eq!(at_second(34, value("down", 6, Some(2))), 1, "the period is over");
-    assert_eq!(at_second(90, value("down", 6, Some(2))), 0, "nothing changed");
+    let sent: usize = (5..35).map(|second| at_second(second, value("down", second, Some(2)))).sum();
+    assert_eq!(sent, 1, "once in the period");
+    let sent: usize =
+        (35..95).map(|second| at_second(second, value("down", second, Some(2)))).sum();
+    assert_eq!(sent, 2, "once in each period");
+    let sent: usize = (95..200).map(|second| at_second(second, value("down", 95, Some(2)))).sum();
+    assert!(sent <= 1, "the last one, then nothing changed");
+}
+
+#[test]
+fn counters_of_many_documents_do_not_come_in_bursts() {
+    let mut publication = publication();
+    publication.handle_connected(false);
+    let mut most = 0;
+    for second in 0..120 {
+        let all = (0..100).map(|bus| document(&format!("can{bus}"), json!({"frames": second})));
+        publication.handle_documents(at(second), 0.0, all);
+        let count = delivered(&mut publication).len();
+        most = if second == 0 { 0 } else { most.max(count) };
+    }
+    // 100 in 30 seconds.
+    assert!((1..20).contains(&most), "{most} in a second");
 }
 
 #[test]
@@ -115,7 +134,7 @@ fn what_disappears_is_cleared_once() {
     publication.handle_connected(false);
     let both = || [document("can0", json!({})), document("can1", json!({}))];
     publication.handle_documents(at(0), 0.0, both());
-    publication.handle_status(at(0), 0.0, json!({}));
+    publication.handle_status(0.0, json!({}));
     delivered(&mut publication);
     for second in 1..4 {
         publication.handle_documents(at(second), 1.0, [document("can0", json!({}))]);
@@ -167,7 +186,7 @@ fn later_of_two_programs_with_one_name_stays() {
         assert_eq!(other_status(&mut publication, &own, is_kept), (OtherRun::None, 0));
         // An earlier one may have changed documents.
         for text in [&status(true, 10), &status(false, 10), "no json", &status(true, u64::MAX)] {
-            publication.handle_status(at(0), 0.0, json!({}));
+            publication.handle_status(0.0, json!({}));
             delivered(&mut publication);
             let other = other_status(&mut publication, text, is_kept);
             assert_eq!(other, (OtherRun::None, 2), "{text}");
@@ -190,10 +209,10 @@ fn later_of_two_programs_with_one_name_stays() {
 fn earlier_run_by_a_clock_ahead_is_no_other_program() {
     let mut publication = publication();
     publication.handle_connected(false);
-    publication.handle_status(at(0), 0.0, json!({"devices": 3}));
+    publication.handle_status(0.0, json!({"devices": 3}));
     delivered(&mut publication);
     let kept = status(true, 5000);
-    assert_eq!(other_status(&mut publication, &kept, true), (OtherRun::Before, 1));
+    assert_eq!(other_status(&mut publication, &kept, true), (OtherRun::None, 1));
     // From now on it is the later one.
     let will: Value = serde_json::from_slice(&publication.last_will().payload).unwrap();
     assert_eq!(will["started_ms"], 5001);
@@ -224,10 +243,10 @@ fn later_run_after_lost_connections_is_noticed() {
         publication.handle_disconnected();
     }
     publication.handle_connected(false);
-    publication.handle_status(at(0), 0.0, json!({}));
+    publication.handle_status(0.0, json!({}));
     delivered(&mut publication);
     // By a clock that was ahead.
-    assert_eq!(other_status(&mut publication, &status(false, 5000), true).0, OtherRun::Before);
+    assert_eq!(other_status(&mut publication, &status(false, 5000), true).0, OtherRun::None);
     assert_eq!(other_status(&mut publication, &status(true, 6000), true).0, OtherRun::Later);
 }
 
@@ -240,7 +259,7 @@ fn lost_session_sends_all_documents_again() {
         0.0,
         [document("can0", json!({})), document("can1", json!({}))],
     );
-    publication.handle_status(at(0), 0.0, json!({}));
+    publication.handle_status(0.0, json!({}));
     assert_eq!(delivered(&mut publication).len(), 3);
     publication.handle_disconnected();
     publication.handle_connected(true);
@@ -249,6 +268,61 @@ fn lost_session_sends_all_documents_again() {
     publication.handle_disconnected();
     publication.handle_connected(false);
     assert_eq!(topics(&delivered(&mut publication)), ["bus/can0", "bus/can1", "status"]);
+}
+
+/// A publication of `can0` and its status, connected again with a kept session.
+fn publication_connected_again() -> Publication {
+    let mut publication = publication_of_can0();
+    assert!(publication.poll_reading());
+    publication.handle_status(0.0, json!({}));
+    delivered(&mut publication);
+    publication.handle_disconnected();
+    publication.handle_connected(true);
+    assert_eq!(topics(&delivered(&mut publication)), ["status"]);
+    publication
+}
+
+#[test]
+fn kept_session_without_the_last_will_sends_all_documents_again() {
+    let lost = |connection: u64| json!({"online": false, "reason": "lost", "started_ms": 1000, "connection": connection});
+    let online =
+        |connection: u64| json!({"online": true, "started_ms": 1000, "connection": connection});
+    // The status, whether it was kept; what is sent. Numbers: this is the second connection.
+    let cases = [
+        (lost(1), true, false),
+        // A connection whose begin this end did not see.
+        (lost(2), true, false),
+        (lost(0), true, true),
+        (online(1), true, true),
+        (json!({"online": false, "reason": "stopped", "started_ms": 1000}), true, true),
+        // There was none: the own one comes first.
+        (online(2), false, true),
+        // They waited in the session.
+        (online(1), false, false),
+        (lost(1), false, false),
+    ];
+    for (status, is_kept, is_outdated) in cases {
+        let mut publication = publication_connected_again();
+        other_status_is(&mut publication, &status, is_kept);
+        assert_eq!(publication.poll_reading(), is_outdated, "{status}, kept: {is_kept}");
+        let sent = delivered(&mut publication);
+        let expected: &[&str] = if is_outdated { &["bus/can0", "status"] } else { &[] };
+        assert_eq!(topics(&sent), expected, "{status}, kept: {is_kept}");
+        // Only the first one tells.
+        for connection in [1, 2] {
+            other_status_is(&mut publication, &online(connection), false);
+            if is_kept {
+                assert!(!publication.poll_reading(), "{status}");
+            }
+        }
+    }
+}
+
+fn other_status_is(publication: &mut Publication, status: &Value, is_kept: bool) {
+    let payload = status.to_string();
+    let topic = "descan/v1/boiler-17/status";
+    let other = publication.handle_message(topic, payload.as_bytes(), is_kept);
+    assert_eq!(other, OtherRun::None);
 }
 
 #[test]
@@ -297,7 +371,7 @@ fn events_that_wait_are_bounded_and_the_drop_is_counted() {
         publication.handle_event(json!({"number": number}));
     }
     assert_eq!(publication.dropped_events(), 5);
-    publication.handle_status(at(0), 0.0, json!({}));
+    publication.handle_status(0.0, json!({}));
     publication.handle_connected(false);
     let messages = delivered(&mut publication);
     assert_eq!(messages[0].1["events"], json!({"last": MAX_QUEUED_EVENTS + 5, "dropped": 5}));
@@ -328,9 +402,12 @@ fn last_will_and_farewell_are_retained_as_the_status() {
     let value: Value = serde_json::from_slice(&will.payload).unwrap();
     assert_eq!(will.topic, "descan/v1/boiler-17/status");
     assert!(will.is_retained);
-    assert_eq!(value, json!({"online": false, "reason": "lost", "started_ms": 1000}));
+    assert_eq!(
+        value,
+        json!({"online": false, "reason": "lost", "started_ms": 1000, "connection": 1})
+    );
     publication.handle_connected(false);
-    publication.handle_stop(at(9), 9.0);
+    publication.handle_stop(9.0);
     let (topic, value) = delivered(&mut publication).remove(0);
     assert_eq!((topic.as_str(), &value["reason"]), ("status", &json!("stopped")));
     assert_eq!(value["online"], false);
