@@ -168,7 +168,7 @@ impl PublisherThread {
                     self.shared.publication().handle_connected(packet.session_present);
                     self.shared.changed.notify_one();
                     // Its status first: before it is sent again.
-                    self.subscribe(client, &self.own.replace('#', "status"));
+                    Self::subscribe(client, &self.own.replace('#', "status"));
                     self.read_documents(client);
                     // A kept session may have it from an earlier connection.
                     self.reading.notify_one();
@@ -215,7 +215,7 @@ impl PublisherThread {
     }
 
     /// Reads what the broker has for a topic filter, and what is published later.
-    fn subscribe(&self, client: &AsyncClient, filter: &str) {
+    fn subscribe(client: &AsyncClient, filter: &str) {
         let filter = SubscribeFilterInput::new(filter, QoS::AtLeastOnce)
             .retain_forward_rule(RetainForwardRule::OnEverySubscribe);
         let _ = client.try_subscribe_many([filter]);
@@ -224,7 +224,7 @@ impl PublisherThread {
     /// Reads all documents of this gateway, for a while, if they are to be read.
     fn read_documents(&self, client: &AsyncClient) {
         if self.shared.publication().poll_reading() {
-            self.subscribe(client, &self.own);
+            Self::subscribe(client, &self.own);
             self.reading.notify_one();
         }
     }
