@@ -45,6 +45,8 @@ pub struct FleetReading {
     pub fleet: Fleet,
     /// Time of the state.
     pub now: Instant,
+    /// All documents are there.
+    pub is_complete: bool,
 }
 
 /// Reads all documents at a broker; `None` if it was interrupted.
@@ -61,6 +63,8 @@ pub fn read(settings: &BrokerSettings, limit: Duration) -> Result<Option<FleetRe
         let mut fleet = Fleet::default();
         let mut failure = None;
         let (mut is_subscribed, mut asked, mut quiet) = (false, now(), QUIET);
+        // What is published meanwhile has no end; of a kept session it is not told from the rest.
+        let (mut has_session, mut complete_at) = (false, now());
         loop {
             tokio::select! {
                 biased;
@@ -71,14 +75,17 @@ pub fn read(settings: &BrokerSettings, limit: Duration) -> Result<Option<FleetRe
                     // Documents without end: what is there by now.
                     if is_subscribed {
                         output::warn("documents still arrive: not all are shown; --time gives more time");
-                        return Ok(Some(FleetReading { fleet, now: now() }));
+                        return Ok(Some(FleetReading { fleet, now: now(), is_complete: false }));
                     }
                     let no_response = || format!("{}: no response", settings.address);
                     return Err(Failure::Unusable(failure.unwrap_or_else(no_response)));
                 }
                 notice = reader.next() => match notice {
-                    Some(ReaderNotice::Message(topic, payload, _)) => {
+                    Some(ReaderNotice::Message(topic, payload, is_kept)) => {
                         fleet.handle_message(now(), &topic, &payload);
+                        if is_kept || has_session {
+                            complete_at = now() + quiet;
+                        }
                     }
                     Some(ReaderNotice::Subscribed { refused }) if refused > 0 => {
                         let cause = format!("{}: no right to read descan/v1/#", settings.address);
@@ -87,11 +94,15 @@ pub fn read(settings: &BrokerSettings, limit: Duration) -> Result<Option<FleetRe
                     Some(ReaderNotice::Subscribed { .. }) => {
                         is_subscribed = true;
                         quiet = QUIET.max(now().since(asked) * 4);
+                        complete_at = now() + quiet;
                     }
                     // It sends the rest of a kept session unasked.
-                    Some(ReaderNotice::Connected(true)) => is_subscribed = true,
+                    Some(ReaderNotice::Connected(true)) => {
+                        (is_subscribed, has_session) = (true, true);
+                        complete_at = now() + quiet;
+                    }
                     Some(ReaderNotice::Connected(false)) => {
-                        asked = now();
+                        (asked, has_session) = (now(), false);
                         fleet.handle_connected();
                     }
                     Some(ReaderNotice::Failed(why, None)) => return Err(why.diagnostic.into()),
@@ -101,9 +112,9 @@ pub fn read(settings: &BrokerSettings, limit: Duration) -> Result<Option<FleetRe
                     }
                     None => return Err(Failure::Unusable(format!("{} is closed", settings.address))),
                 },
-                () = time::sleep(quiet), if is_subscribed => {
+                () = time::sleep(complete_at.since(now())), if is_subscribed => {
                     fleet.handle_complete();
-                    return Ok(Some(FleetReading { fleet, now: now() }));
+                    return Ok(Some(FleetReading { fleet, now: now(), is_complete: true }));
                 }
             }
         }
@@ -125,6 +136,8 @@ pub fn warn_rejects(fleet: &Fleet) {
 struct FleetReport<'a> {
     descan: &'static str,
     broker: String,
+    /// All documents that the broker has were read.
+    complete: bool,
     gateways: Vec<GatewayReport<'a>>,
     versions: Vec<VersionReport>,
     /// Documents that could not be used.
@@ -217,6 +230,7 @@ impl<'a> FleetReport<'a> {
         Self {
             descan: env!("CARGO_PKG_VERSION"),
             broker: settings.address.to_string(),
+            complete: read.is_complete,
             gateways: gateways.map(|(name, it)| of_gateway(name, it, read.now)).collect(),
             versions: versions.collect(),
             rejected: rejects.count(),

@@ -28,6 +28,10 @@ pub fn run(check: &CheckArgs, folder: &Path, broker: &BrokerAddress) -> Result<u
     let Some(read) = fleet::read(&settings, check.run.time.unwrap_or(DEFAULT_TIME))? else {
         return Ok(EXIT_INTERRUPTED);
     };
+    if !read.is_complete {
+        let why = "not all documents were read; --time gives more time";
+        return Err(Failure::Unusable(format!("{broker}: {why}")));
+    }
     fleet::warn_rejects(&read.fleet);
     warn_without_folder(&read.fleet, &sites, folder);
     let checks: Vec<SiteCheck> =

@@ -403,7 +403,8 @@ pub fn warn_foreign(app: &App, reported: &mut Vec<BusIndex>) {
     }
 }
 
-/// Prints on standard error which lines could not be read; if that is all of them, it is an error.
+/// Prints on standard error which lines could not be read, or have other times than shown; if no line could
+/// be read, it is an error.
 fn report_unreadable(spec: &BusSpec, session: &Session) -> Result<(), Failure> {
     let Some(summary) = session.log_summary() else {
         // The log goes on behind the part that was read.
@@ -426,7 +427,7 @@ fn report_unreadable(spec: &BusSpec, session: &Session) -> Result<(), Failure> {
             _ => "check that it is the right log",
         };
         output::warn(format_args!("{spec}: {summary}; {way_out}"));
-    } else if is_damaged {
+    } else if is_damaged || summary.clock_steps_back > 0 {
         output::warn(format_args!("{spec}: {summary}"));
     }
     Ok(())

@@ -7,6 +7,7 @@ use super::published::{CHANGE_PERIOD, PublicationFeed};
 use super::{EXIT_OK, Failure, output};
 use crate::app::{App, AppOptions};
 use crate::cli::PublishArgs;
+use crate::diagnostic::Diagnostic;
 use crate::fleet::{GatewayName, Publication};
 use crate::shell::broker::{BrokerPublisher, BrokerSettings, PublisherNotice};
 use crate::shell::stop::StopReason;
@@ -28,7 +29,8 @@ pub fn run(args: &PublishArgs) -> Result<u8, Failure> {
     let gateway = gateway(args)?;
     let settings = BrokerSettings::read(&args.files.access(&args.broker))?;
     settings.warnings.iter().for_each(output::warn);
-    let publication = Publication::new(gateway.clone(), (unix_secs() * 1000.0) as u64);
+    let publication = Publication::new(gateway.clone(), (unix_secs() * 1000.0) as u64)
+        .with_instance(fastrand::u64(..1 << 53));
     let publisher = BrokerPublisher::spawn(&settings, publication).context("no thread")?;
     let options = AppOptions {
         utc_offset_seconds: open::utc_offset_seconds(),
@@ -42,7 +44,9 @@ pub fn run(args: &PublishArgs) -> Result<u8, Failure> {
         ..Limits::default()
     };
     let mut gate = BusGate::new(true);
-    let mut feed = Feed { publisher, gateway, settings, documents: PublicationFeed::default() };
+    let documents = PublicationFeed::default();
+    let mut feed =
+        Feed { publisher, gateway, settings, documents, unreachable: None, was_connected: false };
     let mut warned = Vec::new();
     let outcome = headless::run(RunInput::Buses(&buses), &setup, options, limits, |session| {
         feed.print_notices()?;
@@ -54,7 +58,12 @@ pub fn run(args: &PublishArgs) -> Result<u8, Failure> {
         Ok(ControlFlow::Continue(()))
     })?;
     let mut app = outcome.app;
+    feed.print_notices()?;
+    let unreachable = feed.unreachable.take();
     feed.stop(&mut app, outcome.now);
+    if let Some(why) = unreachable.filter(|_| args.time.is_some()) {
+        return Err(why.into());
+    }
     if outcome.ending != Some(StopReason::Interrupted) {
         gate.require_opened(&app)?;
     }
@@ -92,6 +101,9 @@ struct Feed {
     gateway: GatewayName,
     settings: BrokerSettings,
     documents: PublicationFeed,
+    /// Why the broker was never connected.
+    unreachable: Option<Diagnostic>,
+    was_connected: bool,
 }
 
 impl Feed {
@@ -104,10 +116,11 @@ impl Feed {
     ///
     /// # Errors
     /// The connection failed, and is not tried again.
-    fn print_notices(&self) -> Result<(), Failure> {
+    fn print_notices(&mut self) -> Result<(), Failure> {
         while let Some(notice) = self.publisher.poll_notice() {
             match notice {
                 PublisherNotice::Connected => {
+                    (self.unreachable, self.was_connected) = (None, true);
                     let (gateway, address) = (&self.gateway, &self.settings.address);
                     output::say(format_args!("publishing to {address} as {gateway}"));
                 }
@@ -118,6 +131,7 @@ impl Feed {
                 PublisherNotice::Failed(failure, Some(wait)) => {
                     let (why, wait) = (failure.diagnostic, wait.as_secs_f64());
                     output::warn(format_args!("{why}; next attempt in {wait:.0} s"));
+                    self.unreachable = Some(why).filter(|_| !self.was_connected);
                 }
                 PublisherNotice::Refused(topic, why) => output::warn(format_args!(
                     "the broker refuses {topic}: {why}; it has to keep what this user writes to \

@@ -2,8 +2,8 @@
 //!
 //! Read are messages and signals (`BO_`, `SG_`), names of values (`VAL_`), types of floating-point signals
 //! (`SIG_VALTYPE_`) and multiplexors that are multiplexed (`SG_MUL_VAL_`), in any order and wherever they
-//! stand in a line. Other statements are passed over, known or not. Text that is not UTF-8 is taken for
-//! Latin-1. The time and the memory are bounded by the size of the file.
+//! stand in a line. Other statements are passed over, known or not. Text is UTF-8, or UTF-16 where its first
+//! bytes say so; what is neither is taken for Latin-1. The time and the memory are bounded by the size of the file.
 
 use super::decimal::DecimalFactor;
 use super::signal::{MessageSignal, Multiplexed, SignalKind};
@@ -28,6 +28,8 @@ const MAX_NAME: usize = 128;
 const MAX_TEXT: usize = 256;
 /// Bits of the data of the longest frame.
 const MAX_BITS: u32 = 512;
+/// Place of a multiplexor that is left out: signals that depend on it are never there.
+const LEFT_OUT: usize = usize::MAX;
 /// Message without an identifier, for signals that are in none.
 const NO_MESSAGE: &str = "VECTOR__INDEPENDENT_SIG_MSG";
 /// Statements up to a semicolon that are passed over; they may have the keywords of others in them.
@@ -78,14 +80,28 @@ impl DbcError {
 
 /// Reads the messages of a file, by their identifiers.
 pub(super) fn read(bytes: &[u8]) -> Result<BTreeMap<u32, NamedMessage>, DbcError> {
-    let text = match std::str::from_utf8(bytes) {
-        Ok(text) => Cow::Borrowed(text),
-        Err(_) => Cow::Owned(bytes.iter().copied().map(char::from).collect()),
-    };
+    let text = decode(bytes);
     let text = text.strip_prefix('\u{FEFF}').unwrap_or(&text);
     let mut reader = FileReader::new(text)?;
     reader.read_statements()?;
     reader.end()
+}
+
+/// Returns the text of a file.
+fn decode(bytes: &[u8]) -> Cow<'_, str> {
+    let in_16_bits = |unit: fn([u8; 2]) -> u16| {
+        let (pairs, _) = bytes.as_chunks::<2>();
+        let units = pairs.iter().map(|pair| unit(*pair));
+        char::decode_utf16(units).map(|it| it.unwrap_or(char::REPLACEMENT_CHARACTER)).collect()
+    };
+    match bytes {
+        [0xFF, 0xFE, ..] => Cow::Owned(in_16_bits(u16::from_le_bytes)),
+        [0xFE, 0xFF, ..] => Cow::Owned(in_16_bits(u16::from_be_bytes)),
+        _ => match std::str::from_utf8(bytes) {
+            Ok(text) => Cow::Borrowed(text),
+            Err(_) => Cow::Owned(bytes.iter().copied().map(char::from).collect()),
+        },
+    }
 }
 
 /// A message while its file is read.
@@ -96,6 +112,8 @@ struct MessageDraft {
     places: HashMap<String, usize>,
     /// What each signal says of its multiplexor.
     switches: Vec<SwitchDraft>,
+    /// Signals that are left out; true for a multiplexor.
+    left_out: HashMap<String, bool>,
 }
 
 /// What a signal says of its multiplexor.
@@ -181,18 +199,10 @@ impl<'t> FileReader<'t> {
 
     /// Passes over a statement; without its semicolon, up to a line that begins with another one.
     fn skip_statement(&mut self) -> Result<(), DbcError> {
-        let is_keyword = |word: &str| {
-            PASSED_OVER.contains(&word)
-                || ["BO_", "VAL_", "SIG_VALTYPE_", "SG_MUL_VAL_", "BU_"].contains(&word)
-        };
         let mut is_first = true;
         while let Some(token) = self.next {
             // The kind of its object, as in `CM_ BO_ 100 "text";`, may begin a line.
-            if let DbcTokenKind::Word(word) = token.kind
-                && token.is_flush
-                && !is_first
-                && is_keyword(word)
-            {
+            if token.is_flush && !is_first && self.is_statement(token)? {
                 break;
             }
             is_first = false;
@@ -202,6 +212,24 @@ impl<'t> FileReader<'t> {
             }
         }
         Ok(())
+    }
+
+    /// Returns true for the keyword of a statement; not for `BO_` and `BU_` as kinds of objects.
+    fn is_statement(&self, token: DbcToken<'t>) -> Result<bool, DbcError> {
+        let DbcTokenKind::Word(word) = token.kind else { return Ok(false) };
+        let words_before_colon = match word {
+            "BO_" => 2,
+            "BU_" => 0,
+            "VAL_" | "SIG_VALTYPE_" | "SG_MUL_VAL_" => return Ok(true),
+            _ => return Ok(PASSED_OVER.contains(&word)),
+        };
+        let mut tokens = self.tokens.clone();
+        for _ in 0..words_before_colon {
+            if !matches!(tokens.next()?, Some(DbcToken { kind: DbcTokenKind::Word(_), .. })) {
+                return Ok(false);
+            }
+        }
+        Ok(matches!(tokens.next()?, Some(DbcToken { kind: DbcTokenKind::Sign(':'), .. })))
     }
 
     fn read_message(&mut self) -> Result<(), DbcError> {
@@ -269,11 +297,16 @@ impl<'t> FileReader<'t> {
         if !factor.is_finite() || !offset.is_finite() {
             return Err(error("the factor and the offset are numbers"));
         }
-        // A signal of over 64 bits has no value as a number, and is left out.
-        let current = self.current.filter(|_| size <= 64);
-        let Some(draft) = current.and_then(|id| self.messages.get_mut(&id)) else {
+        let Some(draft) = self.current.and_then(|id| self.messages.get_mut(&id)) else {
             return Ok(());
         };
+        // A signal of over 64 bits has no value as a number, and is left out.
+        if size > 64 {
+            if draft.left_out.len() < MAX_SIGNALS {
+                draft.left_out.insert(name, is_switch);
+            }
+            return Ok(());
+        }
         let at = draft.message.signals.len();
         if at == MAX_SIGNALS {
             return Err(error("more than 1024 signals in one message"));
@@ -488,7 +521,8 @@ impl MessageDraft {
                 signal.kind = kind;
             }
             FactKind::Switch(switch, values) => {
-                let by = self.places.get(&switch).copied();
+                let left_out = self.left_out.contains_key(&switch).then_some(LEFT_OUT);
+                let by = self.places.get(&switch).copied().or(left_out);
                 let missing = || error(format!("{}: no signal {switch}", self.message.name));
                 self.switches[place].extended = Some((by.ok_or_else(missing)?, values));
             }
@@ -501,6 +535,8 @@ impl MessageDraft {
         let mut message = self.message;
         // Without SG_MUL_VAL_ there is one multiplexor.
         let only = self.switches.iter().position(|switch| switch.is_switch);
+        let left_out = self.left_out.values().any(|is_switch| *is_switch).then_some(LEFT_OUT);
+        let only = only.or(left_out);
         for (signal, switch) in message.signals.iter_mut().zip(self.switches) {
             signal.multiplexed = match (switch.extended, switch.value, only) {
                 (Some((by, values)), ..) => Some(Multiplexed { by, values }),

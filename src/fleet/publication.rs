@@ -92,6 +92,8 @@ pub struct Publication {
     /// Start of the program, in Unix milliseconds: tells the documents and events of two runs apart, and
     /// is later than that of any run before.
     started: u64,
+    /// Tells this program from another one with the name that started in the same millisecond.
+    instance: u64,
     documents: BTreeMap<String, DocumentSlot>,
     /// Documents to be sent.
     due: BTreeSet<String>,
@@ -106,6 +108,13 @@ pub struct Publication {
     dropped_events: u64,
     in_flight: usize,
     refused: u64,
+    /// Documents that the broker refused last: one of them is tried again with each status, and all once it
+    /// takes one of them.
+    refused_documents: VecDeque<String>,
+    /// The refused document that is tried again.
+    probe: Option<String>,
+    /// Largest message that the broker takes, in bytes.
+    max_message: usize,
     is_connected: bool,
     /// Number of connections so far.
     connections: u64,
@@ -126,6 +135,7 @@ impl Publication {
         Self {
             gateway,
             started,
+            instance: 0,
             documents: BTreeMap::new(),
             due: BTreeSet::new(),
             version: 0,
@@ -136,6 +146,9 @@ impl Publication {
             dropped_events: 0,
             in_flight: 0,
             refused: 0,
+            refused_documents: VecDeque::new(),
+            probe: None,
+            max_message: usize::MAX,
             is_connected: false,
             connections: 0,
             expected_will: None,
@@ -143,6 +156,13 @@ impl Publication {
             knows_kept_status: false,
             may_repeat: true,
         }
+    }
+
+    /// Returns it with a number that another program of the same moment does not have.
+    #[must_use]
+    pub fn with_instance(mut self, instance: u64) -> Self {
+        self.instance = instance;
+        self
     }
 
     /// The gateway.
@@ -171,6 +191,7 @@ impl Publication {
             "online": false,
             "reason": "lost",
             "started_ms": self.started,
+            "instance": self.instance,
             "connection": self.connections + 1,
         });
         FleetMessage {
@@ -217,19 +238,25 @@ impl Publication {
         let members = [
             ("online", json!(true)),
             ("started_ms", json!(self.started)),
+            ("instance", json!(self.instance)),
             ("connection", json!(self.connections)),
             ("time", json!(unix_secs)),
             ("events", events),
         ];
         let payload = with_members(summary, members);
         self.may_repeat = true;
+        self.probe = self.refused_documents.pop_front();
+        if let Some(tail) = self.probe.clone() {
+            self.mark_due(tail);
+        }
         self.put_status(&payload);
     }
 
     /// The program stops: the status says so, as the last message.
     pub fn handle_stop(&mut self, unix_secs: f64) {
         let payload = json!({
-            "online": false, "reason": "stopped", "started_ms": self.started, "time": unix_secs,
+            "online": false, "reason": "stopped", "started_ms": self.started,
+            "instance": self.instance, "time": unix_secs,
         });
         self.put_status(&payload);
     }
@@ -308,14 +335,16 @@ impl Publication {
         let status: Value = serde_json::from_slice(payload).unwrap_or_default();
         let number = |name: &str| status.get(name).and_then(Value::as_u64).unwrap_or_default();
         let started = number("started_ms");
-        let is_own = started == self.started;
+        let run = (started, number("instance"));
+        let own = (self.started, self.instance);
+        let is_own = run == own;
         let is_first_kept = is_kept && !self.knows_kept_status;
         self.knows_kept_status |= is_kept || is_own;
         if is_own {
             self.handle_own_status(&status, number("connection"), is_kept);
             return OtherRun::None;
         }
-        if started < self.started || started > MAX_STARTED {
+        if run < own || started > MAX_STARTED {
             // Not for each of many.
             if std::mem::replace(&mut self.may_repeat, false) {
                 self.send_all_again();
@@ -355,6 +384,12 @@ impl Publication {
                 self.sent_events.remove(number);
             }
             FleetMessageId::Document(tail, version) => {
+                self.refused_documents.retain(|refused| refused != tail);
+                if self.probe.take_if(|probe| probe == tail).is_some() {
+                    std::mem::take(&mut self.refused_documents)
+                        .into_iter()
+                        .for_each(|refused| self.mark_due(refused));
+                }
                 let is_clear = |slot: &DocumentSlot| slot.payload.is_none();
                 let slot = self.documents.get(tail).filter(|slot| slot.version == *version);
                 if slot.is_some_and(is_clear) {
@@ -384,10 +419,24 @@ impl Publication {
         }
     }
 
-    /// What became of a message: the broker does not take it.
+    /// What became of a message: the broker does not take it. Events are not sent again.
     pub fn handle_refused(&mut self, id: &FleetMessageId) {
         self.refused += 1;
+        self.probe = None;
         self.handle_delivered(id);
+        if let FleetMessageId::Document(tail, _) = id {
+            self.refused_documents.push_back(tail.clone());
+        }
+    }
+
+    /// The broker takes messages of at most so many bytes, topic and content.
+    pub fn set_max_message(&mut self, bytes: usize) {
+        self.max_message = bytes;
+    }
+
+    /// Returns true for a message that the broker does not take for its length.
+    pub fn is_too_long(&self, message: &FleetMessage) -> bool {
+        message.topic.len() + message.payload.len() > self.max_message
     }
 
     /// Returns the next message to send: documents before the status, which tells that they are
@@ -471,6 +520,12 @@ impl Publication {
             _ => self.documents.insert(tail.clone(), slot),
         };
         self.due.insert(tail);
+    }
+
+    fn mark_due(&mut self, tail: String) {
+        if self.documents.contains_key(&tail) {
+            self.due.insert(tail);
+        }
     }
 
     /// Sends the status again, with the start of the program and the connection as they are now.

@@ -138,9 +138,12 @@ impl FleetTopic {
     }
 }
 
+/// Highest address of a device.
+const MAX_ADDRESS: u8 = 127;
+
 /// Parses an address as it is written: without sign and leading zeros.
 fn number(text: &str) -> Option<u8> {
-    text.parse().ok().filter(|number: &u8| number.to_string() == text)
+    text.parse().ok().filter(|number: &u8| *number <= MAX_ADDRESS && number.to_string() == text)
 }
 
 /// A level of a topic, encoded.

@@ -6,6 +6,7 @@
 //! [`MAX_FLEET_BYTES`] for all. Does not know the connection or the screen.
 
 use super::topic::{FleetTopic, GatewayName, TopicPath};
+use crate::finding::FindingState;
 use crate::inventory::{Inventory, InventoryBus, InventoryDevice, InventoryFinding};
 use crate::text::{on_one_line, printable};
 use crate::time::{Duration, Instant};
@@ -276,6 +277,11 @@ impl FleetGateway {
             }
             TopicPath::Finding(bus, id) => {
                 let content = InventoryFinding::parse(payload).map_err(|it| it.to_string())?;
+                let open = [FindingState::Suspected, FindingState::Confirmed];
+                let is_open = open.iter().any(|state| state.name() == content.confidence);
+                if content.kind.is_empty() || !is_open {
+                    return Err("no open finding".to_owned());
+                }
                 let members = content.addresses.len() + content.names.len() + content.uids.len();
                 bytes = memory_of(topic, payload, members);
                 self.findings.insert((bus, id), StoredDocument { content, bytes, connection });

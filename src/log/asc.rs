@@ -128,13 +128,43 @@ impl AscLines {
                 Ok(Frame::remote(id, len_of_dlc(is_length.unwrap_or(0), false)?))
             }
             b"d" | b"D" => {
+                let dlc = dlc.ok_or(FieldFault::Length)?;
+                if dlc > 8
+                    && let Some(frame) = self.long_frame(id, length, rest)?
+                {
+                    return Ok(frame);
+                }
                 let mut data = [0; Frame::MAX_CLASSIC_DATA];
-                let len = len_of_dlc(dlc.ok_or(FieldFault::Length)?, false)?;
+                let len = len_of_dlc(dlc, false)?;
                 bytes(rest, self.base, &mut data[..len])?;
                 data_frame(id, &data[..len], None)
             }
             _ => Err(FieldFault::Kind),
         }
+    }
+
+    /// Reads the data of `d 9 01 02 …` with more than 8 bytes: some writers write FD frames so, with the DLC in
+    /// base 10. `None` if they are at most 8.
+    fn long_frame(
+        &self,
+        id: CanId,
+        length: &[u8],
+        rest: &[u8],
+    ) -> Result<Option<Frame>, FieldFault> {
+        let is_byte = |word: &&[u8]| number(word, self.base).is_some_and(|value| value <= 0xFF);
+        let count = words(rest).take_while(is_byte).count();
+        if count <= Frame::MAX_CLASSIC_DATA {
+            return Ok(None);
+        }
+        let numbers = [number(length, 10), number(length, self.base)];
+        let is_len = |dlc: u32| len_of_dlc(dlc, true).is_ok_and(|len| len == count);
+        if !numbers.into_iter().flatten().any(is_len) {
+            return Err(FieldFault::Length);
+        }
+        let mut data = [0; Frame::MAX_DATA];
+        let data = data.get_mut(..count).ok_or(FieldFault::Length)?;
+        bytes(rest, self.base, data)?;
+        data_frame(id, data, Some(0)).map(Some)
     }
 
     /// Reads `1 Rx 300 NAME 1 0 8 8 01 02 …` behind the time and `CANFD`.

@@ -26,6 +26,8 @@ pub(super) struct GvretLines {
     len: u8,
     /// The first byte; the others follow.
     data: u8,
+    /// The first time below 0, without its sign: times count from it.
+    start_below_0: Option<u64>,
 }
 
 impl GvretLines {
@@ -46,8 +48,9 @@ impl GvretLines {
             extended: place(b"extended").unwrap_or(NONE),
             direction: place(b"dir").unwrap_or(NONE),
             bus: place(b"bus").unwrap_or(NONE),
-            len: place(b"len")?,
+            len: place(b"len").or_else(|| place(b"dlc"))?,
             data: place(b"d1")?,
+            start_below_0: None,
         })
     }
 
@@ -58,7 +61,7 @@ impl GvretLines {
             return Ok(None);
         }
         if let Some(header) = Self::of_header(line) {
-            *self = header;
+            *self = Self { start_below_0: self.start_below_0, ..header };
             return Ok(None);
         }
         let (mut time, mut id, mut len) = (None, &b""[..], None);
@@ -67,7 +70,7 @@ impl GvretLines {
         let mut bytes = 0;
         for (at, cell) in (0..NONE).zip(cells(line)) {
             match at {
-                _ if at == self.time => time = decimal(cell),
+                _ if at == self.time => time = self.micros(cell),
                 _ if at == self.id => id = cell,
                 _ if at == self.extended => {
                     is_extended = Some(starts(cell, b"true") || cell == b"1");
@@ -98,6 +101,18 @@ impl GvretLines {
         let mut frame = data_frame(can_id(id, is_extended)?, &data[..len], is_fd.then_some(0))?;
         frame.is_tx = is_tx;
         Ok(Some(LogEntry { unix_micros, interface: bus_name(bus), frame }))
+    }
+
+    /// Returns a time in microseconds. Some loggers write times below 0, which say nothing but differences.
+    fn micros(&mut self, cell: &[u8]) -> Option<u64> {
+        match cell.strip_prefix(b"-") {
+            None => decimal(cell),
+            Some(digits) => {
+                let time = decimal(digits)?;
+                let start = *self.start_below_0.get_or_insert(time);
+                Some(start.saturating_sub(time))
+            }
+        }
     }
 }
 

@@ -15,7 +15,7 @@ use super::mdf_blocks::{DataChain, MdfBlock, MdfFault, UnpackedBytes, u32_at, u6
 use super::random_access::{RandomAccess, RandomFormat, read_full_at};
 use crate::frame::socketcan::{BIT_RATE_SWITCH, ERROR_STATE, with_fd_flags};
 use crate::frame::{CanId, Frame};
-use std::collections::{HashMap, HashSet, VecDeque};
+use std::collections::{BTreeMap, HashMap, HashSet, VecDeque};
 use std::io;
 
 /// First bytes of a file, and of one that was not finished.
@@ -32,6 +32,11 @@ const MAX_STREAMS: usize = 64;
 const MAX_FRAME_RECORD: u64 = 1 << 10;
 const MAX_RECORD: u64 = 1 << 16;
 const MAX_WAITING: usize = 256;
+/// Groups that share their data are written in blocks, of a second each by CANedge: so many nanoseconds may a
+/// record be later in the file than others.
+const MAX_DISORDER: i128 = 3_000_000_000;
+/// Most frames that wait for earlier ones, of all groups of a file: two full buses for some seconds.
+const MAX_READY: usize = 1 << 16;
 /// Flag of an unfinished file: places of data bytes in records of their own are not valid.
 const NO_PLACES: u16 = 1 << 6;
 
@@ -123,13 +128,23 @@ enum DataPlace {
     },
 }
 
+/// A number of a record.
+#[derive(Clone, Copy, Debug)]
+enum ChannelValue {
+    InRecord(RecordNumber),
+    /// A virtual channel: offset and factor of the number of the record. A factor of 0 makes a constant.
+    Virtual(f64, f64),
+}
+
 /// A group of records with frames.
 #[derive(Debug)]
 struct FrameGroup {
     kind: GroupKind,
     /// The time, with its offset and its factor.
-    time: Option<(RecordNumber, f64, f64)>,
-    channels: [Option<RecordNumber>; FrameChannel::NAMES.len()],
+    time: Option<(ChannelValue, f64, f64)>,
+    channels: [Option<ChannelValue>; FrameChannel::NAMES.len()],
+    /// Number of records so far, for virtual channels.
+    count: u64,
     data: DataPlace,
     /// The signal data.
     signal_data: Option<DataChain>,
@@ -175,8 +190,15 @@ struct FrameStream {
     bytes: HashMap<u64, ByteRecords>,
     has_places: bool,
     start_nanos: i128,
+    /// Time of the last record.
     last: i128,
-    ready: VecDeque<TimedFrame>,
+    /// Frames by their times, and by their numbers in the file.
+    ready: BTreeMap<(i128, u64), Result<(u8, Frame), FieldFault>>,
+    /// Number of frames so far.
+    pushed: u64,
+    /// Time by which a record may be later in the file than others, and most frames that wait for such ones.
+    max_disorder: i128,
+    max_ready: usize,
     is_over: bool,
 }
 
@@ -236,9 +258,10 @@ impl MdfLog {
             }
         }
         self.streams.retain(|stream| !stream.ready.is_empty() || !stream.is_over);
-        let front = |stream: &&mut FrameStream| stream.ready.front().map_or(i128::MAX, |it| it.0);
-        let first = self.streams.iter_mut().min_by_key(front);
-        Ok(first.and_then(|stream| stream.ready.pop_front()))
+        let next = |stream: &&mut FrameStream| stream.next_time().unwrap_or(i128::MAX);
+        let first = self.streams.iter_mut().min_by_key(next);
+        let first = first.and_then(|stream| stream.ready.pop_first());
+        Ok(first.map(|((nanos, _), frame)| (nanos, frame)))
     }
 }
 
@@ -254,6 +277,8 @@ impl RandomFormat for MdfLog {
                 // The groups before it are read.
                 Err(MdfFault::Block(address)) => self.damage = Some(LogDamage::Block(address)),
             }
+            let max_ready = MAX_READY / self.streams.len().max(1);
+            self.streams.iter_mut().for_each(|stream| stream.max_ready = max_ready);
         }
         while out.bytes().len() < PART {
             let Some((nanos, frame)) = self.next_frame(bytes)? else {
@@ -321,8 +346,10 @@ impl FrameStream {
             groups.insert(number, RecordGroup::read(bytes, &records, reading)?);
             next = records.link(0);
         }
-        let has_frames = groups.values().any(|it| matches!(it, RecordGroup::Frames { .. }));
-        Ok(has_frames.then(|| Self {
+        let frames = groups.values().filter(|it| matches!(it, RecordGroup::Frames { .. })).count();
+        // Each group is in the order of its times.
+        let max_disorder = if frames > 1 { MAX_DISORDER } else { 0 };
+        Ok((frames > 0).then(|| Self {
             chain: DataChain::new(group.link(2), reading.is_unfinished, &reading.unpacked),
             id_len: usize::from(id_len),
             groups,
@@ -332,14 +359,26 @@ impl FrameStream {
             has_places: true,
             start_nanos: 0,
             last: 0,
-            ready: VecDeque::new(),
+            ready: BTreeMap::new(),
+            pushed: 0,
+            max_disorder,
+            max_ready: MAX_READY,
             is_over: false,
         }))
     }
 
-    /// Reads until a frame is ready, or to the end.
+    /// Time of the frame that is next; `None` as long as one before it may follow.
+    fn next_time(&self) -> Option<i128> {
+        let ((nanos, _), _) = self.ready.first_key_value()?;
+        let is_complete = self.is_over
+            || self.ready.len() >= self.max_ready
+            || nanos.saturating_add(self.max_disorder) <= self.last;
+        is_complete.then_some(*nanos)
+    }
+
+    /// Reads until the next frame is known, or to the end.
     fn fill(&mut self, bytes: &dyn RandomAccess) -> Result<(), MdfFault> {
-        while self.ready.is_empty() && !self.is_over {
+        while self.next_time().is_none() && !self.is_over {
             if !self.read_record(bytes)? {
                 self.is_over = true;
                 while let Some((number, record)) = self.waiting.pop_front() {
@@ -420,12 +459,14 @@ impl FrameStream {
     }
 
     fn push(&mut self, number: u64, record: &[u8], data: Result<Vec<u8>, FieldFault>) {
-        let Some(RecordGroup::Frames { group, .. }) = self.groups.get(&number) else { return };
+        let Some(RecordGroup::Frames { group, .. }) = self.groups.get_mut(&number) else { return };
         let nanos = group.nanos(record).map(|nanos| self.start_nanos.saturating_add(nanos));
         let frame = data.and_then(|data| group.frame(record, &data));
         let frame = nanos.ok_or(FieldFault::Date).and(frame);
+        group.count += 1;
         self.last = nanos.unwrap_or(self.last);
-        self.ready.push_back((self.last, frame));
+        self.pushed += 1;
+        self.ready.insert((self.last, self.pushed), frame);
     }
 }
 
@@ -464,10 +505,13 @@ impl FrameGroup {
         /// Types of channels.
         const VARIABLE: u8 = 1;
         const MASTER: u8 = 2;
+        const VIRTUAL_MASTER: u8 = 3;
+        const VIRTUAL: u8 = 6;
         let mut group = Self {
             kind: GroupKind::Data,
             time: None,
             channels: [None; FrameChannel::NAMES.len()],
+            count: 0,
             data: DataPlace::None,
             signal_data: None,
         };
@@ -481,9 +525,13 @@ impl FrameGroup {
             next.push(channel.link(0));
             let data: [u8; 12] = channel.data(bytes)?;
             let (kind, number) = (data[0], RecordNumber::of_channel(&data));
-            if kind == MASTER {
+            if matches!(kind, MASTER | VIRTUAL_MASTER) {
                 let (offset, factor) = linear(bytes, channel.link(4))?;
-                group.time = Some((number, offset, factor));
+                group.time = Some(if kind == MASTER {
+                    (ChannelValue::InRecord(number), offset, factor)
+                } else {
+                    (ChannelValue::Virtual(offset, factor), 0.0, 1.0)
+                });
                 continue;
             }
             let name = text(bytes, channel.link(2))?;
@@ -501,7 +549,15 @@ impl FrameGroup {
                 next.push(channel.link(1));
                 continue;
             };
-            group.channels[at] = Some(number);
+            group.channels[at] = match kind {
+                VIRTUAL => match linear(bytes, channel.link(4)) {
+                    Ok((offset, factor)) => Some(ChannelValue::Virtual(offset, factor)),
+                    // Of other conversions the number is not known.
+                    Err(MdfFault::Block(_)) => None,
+                    Err(fault) => return Err(fault),
+                },
+                _ => Some(ChannelValue::InRecord(number)),
+            };
             if FrameChannel::NAMES[at].1 == FrameChannel::Data {
                 let address = channel.link(5);
                 group.data = if kind == VARIABLE && address == 0 {
@@ -551,14 +607,25 @@ impl FrameGroup {
 
     /// Returns the time of a record, in nanoseconds since the start.
     fn nanos(&self, record: &[u8]) -> Option<i128> {
-        let (number, offset, factor) = self.time?;
-        let seconds = offset + factor * number.float(record)?;
+        let (value, offset, factor) = self.time?;
+        let number = match value {
+            ChannelValue::InRecord(number) => number.float(record)?,
+            ChannelValue::Virtual(offset, factor) => offset + factor * self.count as f64,
+        };
+        let seconds = offset + factor * number;
         let nanos = (seconds * 1e9).round();
         (nanos.abs() < 1e27).then_some(nanos as i128)
     }
 
     fn value(&self, record: &[u8], channel: FrameChannel) -> Option<u64> {
-        self.channels[channel as usize]?.unsigned(record)
+        match self.channels[channel as usize]? {
+            ChannelValue::InRecord(number) => number.unsigned(record),
+            ChannelValue::Virtual(offset, factor) => {
+                let value = offset + factor * self.count as f64;
+                // Above that a number has no place in a frame.
+                (0.0..=f64::from(u32::MAX)).contains(&value).then_some(value as u64)
+            }
+        }
     }
 
     /// Returns the frame of a record, and its channel.

@@ -58,7 +58,7 @@ pub(super) fn decode(
     let word = |at: usize| u16::from_be_bytes([packet[at], packet[at + 1]]);
     let (protocol, kind, interface, head) = match link_type {
         SOCKETCAN => {
-            let frame = decode_frame(packet, FileOrder::Big)?;
+            let frame = decode_frame(packet, FileOrder::Big, false)?;
             return Ok(Some(CanPacket { frame, interface: None }));
         }
         COOKED if packet.len() >= COOKED_HEAD => (word(14), word(0), None, COOKED_HEAD),
@@ -71,7 +71,7 @@ pub(super) fn decode(
     };
     let mut frame = match protocol {
         // The identifier is in the byte order of the machine that captured it, as the file is.
-        CAN | CAN_FD => decode_frame(&packet[head..], order)?,
+        CAN | CAN_FD => decode_frame(&packet[head..], order, protocol == CAN_FD)?,
         CAN_XL => return Err(PacketFault::Xl),
         _ => return Ok(None),
     };
@@ -79,8 +79,9 @@ pub(super) fn decode(
     Ok(Some(CanPacket { frame, interface }))
 }
 
-/// Decodes identifier, length, FD flags and data.
-fn decode_frame(packet: &[u8], order: FileOrder) -> Result<Frame, PacketFault> {
+/// Decodes identifier, length, FD flags and data of a frame that is in FD format in any case, or where its
+/// flags or its length say so.
+fn decode_frame(packet: &[u8], order: FileOrder, is_fd: bool) -> Result<Frame, PacketFault> {
     let (head, data) = packet.split_at_checked(CAN_HEAD).ok_or(PacketFault::NoFrame)?;
     let word = [head[0], head[1], head[2], head[3]];
     let raw = match order {
@@ -96,6 +97,6 @@ fn decode_frame(packet: &[u8], order: FileOrder) -> Result<Frame, PacketFault> {
         return Err(PacketFault::NoFrame);
     }
     // Writers without the FDF flag mark FD frames only by their length.
-    let fd = flags & FD_FORMAT != 0 || len > Frame::MAX_CLASSIC_DATA;
+    let fd = is_fd || flags & FD_FORMAT != 0 || len > Frame::MAX_CLASSIC_DATA;
     fields::decode(raw, len, fd.then_some(flags), data).ok_or(PacketFault::NoFrame)
 }

@@ -1,21 +1,120 @@
 //! The screen of `descan fleet` with 200 gateways of 127 devices: time to take all documents and to make
-//! the first screen, time from a key to the drawn screen, and resident memory.
+//! the first screen, time from a key to the drawn screen, and resident memory. First with the documents in
+//! memory; then the real binary in a pseudo-terminal at a mosquitto with TLS and rights, whose gateways are
+//! connected: time from its start to the complete view, and from a key to its effect on the terminal.
 //!
-//! Times are of this machine.
+//! Times are of this machine. With `memory` or `broker` only the first or the second of both.
+
+#[allow(dead_code, reason = "a part is used")]
+#[path = "../it/common/mosquitto.rs"]
+mod mosquitto;
+
+#[allow(dead_code, reason = "a part is used")]
+#[path = "../it/common/pty.rs"]
+mod pty;
+
+#[path = "../it/common/sites.rs"]
+mod sites;
 
 use descan::app::{FleetScreen, FleetScreenOptions};
+use descan::fleet::Publication;
 use descan::keymap::Key;
 use descan::theme::Theme;
 use descan::time::{Duration, Instant};
+use mosquitto::GuardedBroker;
+use pty::Pty;
 use ratatui::Terminal;
 use ratatui::backend::TestBackend;
+use sites::Sites;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
 use std::time::Instant as Clock;
 
 const GATEWAYS: usize = 200;
-const DEVICES: usize = 127;
 
 fn main() {
-    let documents = documents();
+    let is_asked = |part: &str| std::env::args().any(|it| it == part);
+    if !is_asked("broker") {
+        in_memory();
+    }
+    if !is_asked("memory") {
+        at_a_broker();
+    }
+}
+
+/// The real binary at a real broker, with and without changes: 200 gateways with one of two devices, bus
+/// and status each second.
+fn at_a_broker() {
+    let names: Vec<String> = (0..GATEWAYS).map(sites::name).collect();
+    let Some(broker) = GuardedBroker::start(&names) else { return };
+    let begin = Clock::now();
+    let mut sites = Sites::start(&broker, GATEWAYS);
+    println!("all gateways are connected and have delivered: {:.0} ms", millis(begin));
+    let url = broker.url();
+    let arguments = ["fleet", "--broker", &url, "--ca", "ca.pem", "--credentials", "viewer.toml"];
+    let complete = |screen: &vt100::Screen| {
+        let text = screen.contents();
+        text.contains("● 200 online") && text.contains("● 24,200 present")
+    };
+    let mut opened = Vec::new();
+    for _ in 0..5 {
+        let begin = Clock::now();
+        let mut pty = Pty::start(&arguments, broker.folder(), (120, 40));
+        pty.wait_until("complete view", complete);
+        opened.push(millis(begin));
+        pty.send("q");
+        pty.wait();
+    }
+    opened.sort_by(f64::total_cmp);
+    println!("start to complete view: median {:.0}, most {:.0} ms", opened[2], opened[4]);
+    let mut pty = Pty::start(&arguments, broker.folder(), (120, 40));
+    pty.wait_until("complete view", complete);
+    pages(&mut pty, "nothing changes");
+    let stop = Arc::new(AtomicBool::new(false));
+    let is_stopped = Arc::clone(&stop);
+    let load = thread::spawn(move || {
+        let mut next = 0;
+        while !is_stopped.load(Ordering::Relaxed) {
+            sites.change((0..20).map(|gateway| (next + gateway) % GATEWAYS));
+            next += 20;
+            thread::park_timeout(std::time::Duration::from_millis(100));
+        }
+    });
+    pages(&mut pty, "200 gateways change each second");
+    stop.store(true, Ordering::Relaxed);
+    load.join().expect("the gateways");
+    let status = std::fs::read_to_string(format!("/proc/{}/status", pty.pid())).unwrap_or_default();
+    let most = status.lines().find(|line| line.starts_with("VmHWM")).unwrap_or_default();
+    println!("{most}");
+    pty.send("q");
+    pty.wait();
+}
+
+/// Prints the time from keys to their effect on the terminal.
+fn pages(pty: &mut Pty, what: &str) {
+    let mut took = Vec::new();
+    let keys = [
+        ("2", "─2 Versions"),
+        ("3", "─3 Problems"),
+        ("1", "─1 Gateways"),
+        ("\r", "─1 Devices"),
+        ("\x1b", "─1 Gateways"),
+    ];
+    for (key, effect) in keys.repeat(60) {
+        let begin = Clock::now();
+        pty.send(key);
+        pty.wait_until(effect, |screen| screen.contents().contains(effect));
+        took.push(millis(begin));
+        // As fast as a person types.
+        pty.count_for(std::time::Duration::from_millis(35));
+    }
+    report(&format!("on the terminal, {what}"), &mut took);
+}
+
+/// The screen and its documents in this process.
+fn in_memory() {
+    let documents = messages(GATEWAYS);
     let bytes: usize = documents.iter().map(|(topic, payload)| topic.len() + payload.len()).sum();
     println!("{} documents, {} kB", documents.len(), bytes / 1000);
     let mut screen = FleetScreen::new(FleetScreenOptions::default());
@@ -33,7 +132,7 @@ fn main() {
     let begin = Clock::now();
     screen.handle_connected(Instant::ZERO, false);
     for (at, (topic, payload)) in documents.iter().enumerate() {
-        screen.handle_message(Instant::ZERO, topic.as_bytes(), payload.as_bytes(), true);
+        screen.handle_message(Instant::ZERO, topic.as_bytes(), payload, true);
         if at % 1000 == 0 {
             draw(&mut screen);
         }
@@ -49,7 +148,7 @@ fn main() {
     for round in 0..500 {
         let now = Instant::ZERO + Duration::from_millis(round * 33);
         for (topic, payload) in documents.iter().skip(round as usize * 37 % 20_000).take(30) {
-            screen.handle_message(now, topic.as_bytes(), payload.as_bytes(), false);
+            screen.handle_message(now, topic.as_bytes(), payload, false);
         }
         let begin = Clock::now();
         screen.handle_key(now, Key::parse("Down").expect("a key"));
@@ -86,34 +185,17 @@ fn report(what: &str, took: &mut [f64]) {
     println!("key to drawn screen, {what}: median {median:.2}, p99 {late:.2}, most {most:.2} ms");
 }
 
-fn documents() -> Vec<(String, String)> {
+/// Topics and payloads of the first documents of so many gateways.
+fn messages(gateways: usize) -> Vec<(String, Vec<u8>)> {
     let mut all = Vec::new();
-    for gateway in 0..GATEWAYS {
-        let root = format!("descan/v1/g{gateway}");
-        let status =
-            r#"{"online":true,"started_ms":1795763731000,"descan":"0.1.0","events":{"last":9}}"#;
-        all.push((format!("{root}/status"), status.to_owned()));
-        let bus =
-            r#"{"name":"can0","bitrate":125000,"state":"error-active","load":0.4,"frames":9}"#;
-        all.push((format!("{root}/bus/can0"), bus.to_owned()));
-        for device in 1..=DEVICES {
-            let version = (gateway + device) % 3;
-            let presence = if device % 20 == 0 { "lost" } else { "online" };
-            let document = format!(
-                r#"{{"bus":"can0","address":{device},"name":"DEV{device}","uid":"G{gateway}D{device}",
-                "presence":"{presence}","mode":"WORK","services_known":true,"services":[
-                {{"name":"DES","version":"1.0"}},{{"name":"CFG","version":"1.3"}},
-                {{"name":"AUGER","version":"2.{version}"}},{{"name":"MOTOR","version":"1.4"}},
-                {{"name":"JAM","version":"1.0"}}],"heartbeat":{{"period_ms":1000.5}}}}"#
-            );
-            all.push((format!("{root}/device/can0/{device}"), document));
-        }
-        for finding in 0..gateway % 4 {
-            let document = format!(
-                r#"{{"kind":"same-name-same-address","confidence":"confirmed","bus":"can0",
-                "address":{finding},"addresses":[{finding}],"text":"Two devices answer.","remedy":"Switch one off."}}"#
-            );
-            all.push((format!("{root}/finding/can0/c{finding}"), document));
+    for gateway in 0..gateways {
+        let mut publication =
+            Publication::new(sites::name(gateway).parse().expect("a name"), 1_795_763_731_000);
+        publication.handle_connected(false);
+        sites::update(&mut publication, gateway, 0);
+        while let Some(message) = publication.poll_message() {
+            publication.handle_delivered(&message.id);
+            all.push((message.topic, message.payload.to_vec()));
         }
     }
     all

@@ -153,6 +153,37 @@ fn statements_are_read_in_any_order_and_place() {
     assert_eq!(shown(two, values, &[1, 2]), "M: X one, Y two");
     // More than 64 bits are no number.
     assert_eq!(shown("7|72@0+ (1,0) [0|0] \"\"", "", &[0; 16]), "M");
+    // The kind of an object at the begin of a line is no statement.
+    for attribute in
+        ["BA_ \"a\"\nBO_ 291 5;\n", "BA_ \"a\"\nBU_ A 5;\n", "CM_\nBO_ 291\n\"text\";\n"]
+    {
+        let text = format!("{attribute}{text}");
+        assert_eq!(words(&database(&text), 291, &one), "M: X on", "{text}");
+        let text = text.replace("VAL_", &format!("{attribute}VAL_"));
+        assert_eq!(words(&database(&text), 291, &one), "M: X on", "{text}");
+    }
+}
+
+#[test]
+fn signals_of_a_multiplexor_above_64_bits_are_left_out() {
+    let wide = "BO_ 291 M: 64 A\n SG_ W M : 0|72@1+ (1,0) [0|0] \"\" A\n \
+                SG_ A m1 : 72|8@1+ (1,0) [0|0] \"\" A\n SG_ B : 80|8@1+ (1,0) [0|0] \"\" A\n";
+    for text in [wide.to_owned(), format!("{wide}SG_MUL_VAL_ 291 A W 1-3;\n")] {
+        assert_eq!(words(&database(&text), 291, &[1; 64]), "M: B 1", "{text}");
+    }
+}
+
+#[test]
+fn utf_16_is_read() {
+    let text = "BO_ 291 M: 8 A\n SG_ X : 0|8@1+ (1,0) [0|0] \"°C\" A\n";
+    let units = || "\u{FEFF}".encode_utf16().chain(text.encode_utf16());
+    let little: Vec<u8> = units().flat_map(u16::to_le_bytes).collect();
+    let big: Vec<u8> = units().flat_map(u16::to_be_bytes).collect();
+    for bytes in [little, big] {
+        assert_eq!(words(&database(&bytes), 291, &[7]), "M: X 7 °C");
+        // Cut in the middle of a character.
+        assert!(MessageDatabase::default().add(&bytes[..bytes.len() - 1]).is_ok());
+    }
 }
 
 #[test]

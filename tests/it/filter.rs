@@ -162,6 +162,14 @@ fn fields_select_the_frames_that_have_them() {
 }
 
 #[test]
+fn word_right_behind_a_quote_is_a_term_of_its_own() {
+    let app = app_with(&frames_of_all_kinds());
+    let both = selected(&app, "srv:\"des\" type:rsp");
+    assert!(!both.is_empty() && both != selected(&app, "srv:des"), "{both:?}");
+    assert_eq!(selected(&app, "srv:\"des\"type:rsp"), both);
+}
+
+#[test]
 fn wrong_lines_name_the_place_and_the_way_out() {
     for (line, column, said) in [
         ("at:14 tipe:rsp", 7, "unknown field tipe; use type:; quote"),

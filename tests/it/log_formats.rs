@@ -389,6 +389,79 @@ fn dates_of_other_languages_and_of_old_versions_are_read() {
     assert_eq!(micros_of(trc), september);
 }
 
+/// Some writers write FD frames as classic ones.
+#[test]
+fn long_frames_of_asc_have_all_their_bytes() {
+    let twelve = "12 34 56 78 90 AB CD EF 12 34 56 78";
+    let sixteen = "00 01 02 03 04 05 06 07 08 09 0A 0B 0C 0D 0E 0F";
+    let line = |rest: &str| {
+        let log = format!(
+            "date Sat Sep 30 15:06:13.191 2017\nbase hex  timestamps absolute\n 0.5 1 123 Rx d {rest}\n"
+        );
+        let (frames, summary) = read(log.as_bytes());
+        frames.first().map_or_else(|| summary.to_string(), ToString::to_string)
+    };
+    assert_eq!(line(&format!("9 {twelve}")), "123##01234567890ABCDEF12345678");
+    assert_eq!(line(&format!("A {sixteen}")), "123##0000102030405060708090A0B0C0D0E0F");
+    // In base 10.
+    assert_eq!(line(&format!("10 {sixteen}")), "123##0000102030405060708090A0B0C0D0E0F");
+    assert_eq!(
+        line(&format!("9 {twelve}  Length = 0 BitCount = 0 ID = 291")),
+        line(&format!("9 {twelve}"))
+    );
+    // A DLC above 8 with 8 bytes is a classic frame.
+    assert_eq!(line("D 01 02 03 04 05 06 07 08"), "123#0102030405060708");
+    assert_eq!(line("D 01 02 03 04 05 06 07 08  Length = 0"), "123#0102030405060708");
+    for wrong in [
+        "9 01 02 03 04 05 06 07 08 09",
+        "B 12",
+        &format!("9 {sixteen}"),
+        "10 01 02 03 04 05 06 07 08",
+    ] {
+        assert!(
+            line(wrong).starts_with("0 frames; line 3 cannot be read"),
+            "{wrong}: {}",
+            line(wrong)
+        );
+    }
+}
+
+#[test]
+fn gvret_logs_of_other_writers_are_read() {
+    let head = "Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2,D3,D4,D5,D6,D7,D8\n";
+    let log = format!(
+        "{head}-1767062175875212,5C0,false,Rx,0,1,63,\n-1767062175874870,5C1,false,Rx,0,1,00,\n-1767062174874870,5C2,false,Rx,0,1,00,\n"
+    );
+    let expected = ["0 bus0 5C0#63", "342 bus0 5C1#00", "1000342 bus0 5C2#00"];
+    assert_eq!(dated(log.as_bytes()), expected);
+    let log = format!("\u{FEFF}{head}5,5C0,false,Rx,0,1,63,\n").replace("LEN", "DLC");
+    assert_eq!(dated(log.as_bytes()), ["5 bus0 5C0#63"]);
+}
+
+/// The protocol of a cooked packet says that it is an FD frame; the flag may be missing.
+#[test]
+fn short_fd_frames_of_cooked_packets_stay_fd() {
+    let packet = |protocol: u8, flags: u8| {
+        let mut cooked = vec![0, 1, 1, 0x18, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, protocol];
+        cooked.extend([0x23, 1, 0, 0, 2, flags, 0, 0, 0x11, 0x22]);
+        let mut packet = 1_700_000_000_u32.to_le_bytes().to_vec();
+        packet.extend([0; 4]);
+        packet.extend((cooked.len() as u32).to_le_bytes());
+        packet.extend((cooked.len() as u32).to_le_bytes());
+        packet.extend(cooked);
+        packet
+    };
+    let mut log = vec![
+        0xD4, 0xC3, 0xB2, 0xA1, 2, 0, 4, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0xFF, 0xFF, 0, 0, 113, 0, 0, 0,
+    ];
+    for (protocol, flags) in [(0x0C, 0), (0x0D, 0), (0x0D, 1), (0x0D, 5), (0x0C, 4)] {
+        log.extend(packet(protocol, flags));
+    }
+    let (frames, _) = read(&log);
+    let frames: Vec<String> = frames.iter().map(ToString::to_string).collect();
+    assert_eq!(frames, ["123#1122", "123##01122", "123##11122", "123##11122", "123##01122"]);
+}
+
 fn micros_of(log: &[u8]) -> u64 {
     let (_, summary) = read(log);
     assert_eq!(summary.lost_entries(), 0, "{summary}");

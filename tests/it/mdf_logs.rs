@@ -3,7 +3,7 @@
 use crate::common::program::{run_with_input, text};
 use crate::common::python::Python;
 use crate::common::read_log::read_log;
-use descan::frame::Frame;
+use descan::frame::{CanId, Frame};
 use std::fs;
 
 /// Twenty frames with their data bytes in records of their own, behind each of them.
@@ -44,6 +44,163 @@ fn data_bytes_are_found_wherever_they_are() {
         assert_eq!(frames[4].to_string(), "104##10C0D0E0F1011121314151617", "{name}");
         assert_eq!(frames[5].to_string(), SIXTH, "{name}");
     }
+}
+
+/// Makes a channel of frames virtual: its value is `offset` + `factor` × number of the record.
+fn with_virtual(bytes: &[u8], name: &str, offset: f64, factor: f64) -> Vec<u8> {
+    let mut bytes = bytes.to_vec();
+    bytes.resize(bytes.len().next_multiple_of(8), 0);
+    let conversion = bytes.len() as u64;
+    let number =
+        |bytes: &[u8], at: usize| u64::from_le_bytes(bytes[at..at + 8].try_into().unwrap());
+    let mut changed = 0;
+    for at in blocks(&bytes, "CN") {
+        let name_at = number(&bytes, at + 24 + 8 * 2) as usize;
+        let text = &bytes[name_at + 24..];
+        let text = &text[..text.iter().position(|byte| *byte == 0).unwrap()];
+        if text != name.as_bytes() {
+            continue;
+        }
+        changed += 1;
+        let data = at + 24 + 8 * number(&bytes, at + 16) as usize;
+        let is_master = bytes[data] == 2;
+        bytes[data] = if is_master { 3 } else { 6 };
+        bytes[data + 8..data + 12].fill(0);
+        bytes[at + 24 + 8 * 4..][..8].copy_from_slice(&conversion.to_le_bytes());
+    }
+    assert_eq!(changed, 1, "{name}");
+    bytes.extend(block("CC", &[0; 4], &conversion_data(offset, factor)));
+    bytes
+}
+
+/// The data of a linear conversion.
+fn conversion_data(offset: f64, factor: f64) -> Vec<u8> {
+    let mut data = vec![1, 0, 0, 0, 0, 0, 2, 0];
+    for number in [0.0, 0.0, offset, factor] {
+        data.extend(number.to_le_bytes());
+    }
+    data
+}
+
+fn block(kind: &str, links: &[u64], data: &[u8]) -> Vec<u8> {
+    let mut block = format!("##{kind}\0\0\0\0").into_bytes();
+    block.extend((24 + 8 * links.len() as u64 + data.len() as u64).to_le_bytes());
+    block.extend((links.len() as u64).to_le_bytes());
+    links.iter().for_each(|link| block.extend(link.to_le_bytes()));
+    block.extend(data);
+    block.resize(block.len().next_multiple_of(8), 0);
+    block
+}
+
+#[test]
+fn virtual_channels_have_the_value_of_their_conversion() {
+    let read = |name: &str, offset: f64, factor: f64| {
+        let (frames, summary) = read_log(&with_virtual(UNSORTED, name, offset, factor));
+        assert_eq!((frames.len(), summary.lost_entries()), (20, 0), "{name}: {summary}");
+        (frames, summary)
+    };
+    let (frames, _) = read("CAN_DataFrame.Dir", 1.0, 0.0);
+    assert!(frames.iter().all(|frame| frame.is_tx));
+    let (frames, _) = read("CAN_DataFrame.Dir", 0.0, 0.0);
+    assert!(frames.iter().all(|frame| !frame.is_tx));
+    let (_, summary) = read("CAN_DataFrame.BusChannel", 9.0, 0.0);
+    assert_eq!(*summary.interfaces, ["bus9"]);
+    let (_, summary) = read("CAN_DataFrame.BusChannel", 3.0, 1.0);
+    assert_eq!(summary.interfaces.len(), 20);
+    assert_eq!((&*summary.interfaces[0], &*summary.interfaces[19]), ("bus3", "bus22"));
+    let (frames, _) = read("CAN_DataFrame.IDE", 1.0, 0.0);
+    assert!(frames.iter().all(|frame| matches!(frame.id, CanId::Extended(_))));
+    let (frames, summary) = read("Timestamp", 5.0, 0.25);
+    let micros = |at: usize| summary.epoch.unwrap().unix_micros(frames[at].time);
+    assert_eq!(micros(19) - micros(0), 19 * 250_000);
+    // No number, or none that a frame has.
+    for (name, offset) in [("BusChannel", f64::NAN), ("BusChannel", -1.0), ("Dir", 1e300)] {
+        read(&format!("CAN_DataFrame.{name}"), offset, 0.0);
+    }
+    let bytes = with_virtual(UNSORTED, "CAN_DataFrame.BusChannel", 256.0, 0.0);
+    assert_eq!(read_log(&bytes).1.unreadable, 20);
+}
+
+/// A measurement whose two groups of frames, of the buses 1 and 2, share their data: for each record the
+/// bus, and the time in seconds.
+fn measurement(records: &[(u8, f64)]) -> Vec<u8> {
+    let mut bytes = b"MDF     4.10    descan\0\0".to_vec();
+    bytes.extend([0, 0, 0, 0, 0x9A, 0x01]);
+    bytes.resize(64, 0);
+    let add = |bytes: &mut Vec<u8>, block: Vec<u8>| {
+        let address = bytes.len() as u64;
+        bytes.extend(block);
+        address
+    };
+    // The header comes first; its link to the group is known later.
+    let mut start = 1_700_000_000_000_000_000_u64.to_le_bytes().to_vec();
+    start.extend([0; 24]);
+    add(&mut bytes, block("HD", &[0; 6], &start));
+    let mut data = Vec::new();
+    for (number, (bus, seconds)) in records.iter().enumerate() {
+        data.push(*bus);
+        data.extend(seconds.to_le_bytes());
+        data.extend((number as u32 % 0x800).to_le_bytes());
+    }
+    let data = add(&mut bytes, block("DT", &[], &data));
+    let mut groups = 0;
+    for bus in [1_u8, 2] {
+        let mut channels = 0;
+        for (name, kind, format, byte, bits) in [
+            ("CAN_DataFrame.BusChannel", 6, 0, 0, 0),
+            ("CAN_DataFrame.ID", 0, 0, 8, 32_u32),
+            ("Timestamp", 2, 4, 0, 64),
+        ] {
+            let name = add(&mut bytes, block("TX", &[], format!("{name}\0").as_bytes()));
+            let conversion = conversion_data(f64::from(bus), 0.0);
+            let conversion = add(&mut bytes, block("CC", &[0; 4], &conversion));
+            let conversion = if kind == 6 { conversion } else { 0 };
+            let mut of_channel = vec![kind, u8::from(kind == 2), format, 0];
+            of_channel.extend((byte as u32).to_le_bytes());
+            of_channel.extend(bits.to_le_bytes());
+            of_channel.resize(72, 0);
+            let links = [channels, 0, name, 0, conversion, 0, 0, 0];
+            channels = add(&mut bytes, block("CN", &links, &of_channel));
+        }
+        let mut of_group = u64::from(bus).to_le_bytes().to_vec();
+        of_group.extend((records.len() as u64).to_le_bytes());
+        of_group.extend([0; 8]);
+        of_group.extend(12_u32.to_le_bytes());
+        of_group.extend([0; 4]);
+        groups = add(&mut bytes, block("CG", &[groups, channels, 0, 0, 0, 0], &of_group));
+    }
+    let list = add(&mut bytes, block("DG", &[0, groups, data, 0], &[1, 0, 0, 0, 0, 0, 0, 0]));
+    bytes[64 + 24..64 + 32].copy_from_slice(&list.to_le_bytes());
+    bytes
+}
+
+#[test]
+fn groups_in_blocks_are_put_in_the_order_of_their_times() {
+    // A second of each bus, in turn; the second bus has more.
+    let mut records = Vec::new();
+    for second in 0..20_u32 {
+        records.extend((0..50).map(|at| (1, f64::from(second) + f64::from(at) / 50.0)));
+        records.extend((0..70).map(|at| (2, f64::from(second) + f64::from(at) / 70.0)));
+    }
+    let (frames, summary) = read_log(&measurement(&records));
+    assert_eq!(summary.to_string(), "2400 frames of 2 interfaces");
+    assert!(frames.is_sorted_by_key(|frame| frame.time));
+    // No frame has moved to another time.
+    let micros = |frame: &Frame| frame.time.as_micros();
+    let mut expected: Vec<u64> = records.iter().map(|(_, it)| (it * 1e6).round() as u64).collect();
+    expected.sort_unstable();
+    assert_eq!(frames.iter().map(micros).collect::<Vec<_>>(), expected);
+}
+
+/// The disorder is bounded: a group that begins only after all of another one is behind it, and nothing
+/// is lost.
+#[test]
+fn groups_one_behind_another_lose_nothing() {
+    let all_of = |bus| (0..200_000_u32).map(move |at| (bus, f64::from(at) / 1000.0));
+    let records: Vec<(u8, f64)> = all_of(1).chain(all_of(2)).collect();
+    let (frames, summary) = read_log(&measurement(&records));
+    assert_eq!(frames.len(), 400_000, "{summary}");
+    assert!(summary.clock_steps_back > 0, "{summary}");
 }
 
 #[test]
@@ -190,7 +347,9 @@ for it in can.LogReader(sys.argv[1]):
 fn hand_made_files_are_those_that_python_can_reads() {
     let Some(python) = Python::with(&["python-can==4.6.1", "asammdf==8.8.28"]) else { return };
     let folder = tempfile::tempdir().unwrap();
-    for bytes in [UNSORTED, SIGNAL_DATA, PACKED] {
+    let bus = with_virtual(UNSORTED, "CAN_DataFrame.BusChannel", 7.0, 0.0);
+    let direction = with_virtual(SIGNAL_DATA, "CAN_DataFrame.Dir", 1.0, 0.0);
+    for bytes in [UNSORTED, SIGNAL_DATA, PACKED, &bus, &direction] {
         let path = folder.path().join("log.mf4");
         fs::write(&path, bytes).unwrap();
         let theirs = python.run(READER, &[path.to_str().unwrap()], &[]);
@@ -198,8 +357,8 @@ fn hand_made_files_are_those_that_python_can_reads() {
         let capital = |flag: bool| if flag { "True" } else { "False" };
         let line = |frame: &Frame| {
             let (id, is_extended) = match frame.id {
-                descan::frame::CanId::Standard(id) => (u32::from(id), false),
-                descan::frame::CanId::Extended(id) => (id, true),
+                CanId::Standard(id) => (u32::from(id), false),
+                CanId::Extended(id) => (id, true),
             };
             let micros = summary.epoch.unwrap().unix_micros(frame.time);
             let bus = &summary.interfaces[usize::from(frame.bus.0)][3..];

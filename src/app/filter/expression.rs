@@ -171,12 +171,18 @@ pub(super) fn tokens(line: &str) -> (Vec<Token>, Result<(), FilterError>) {
 }
 
 /// Returns the end of the term at `start`, and true unless a quote in it is open. A parenthesis that
-/// is opened in a term is closed in it.
+/// is opened in a term is closed in it. A letter or a digit right behind a closing quote begins another term.
 fn end_of_term(line: &str, start: usize) -> (usize, bool) {
-    let (mut is_quoted, mut depth) = (false, 0usize);
+    let (mut is_quoted, mut depth, mut was_closed) = (false, 0usize, false);
     for (at, c) in line[start..].char_indices() {
+        if std::mem::take(&mut was_closed) && depth == 0 && c.is_alphanumeric() {
+            return (start + at, true);
+        }
         match c {
-            '"' => is_quoted = !is_quoted,
+            '"' => {
+                was_closed = is_quoted;
+                is_quoted = !is_quoted;
+            }
             _ if is_quoted => {}
             '(' => depth += 1,
             ')' if depth > 0 => depth -= 1,

@@ -21,6 +21,9 @@ use tokio::time::sleep;
 /// Number of notices that wait at most; further ones are dropped.
 const MAX_NOTICES: usize = 64;
 
+/// Bytes of a packet besides topic and content, at most.
+const PACKET_HEAD: usize = 16;
+
 /// Time in which the documents of an earlier run arrive.
 const READING: Duration = Duration::from_secs(10);
 
@@ -165,7 +168,14 @@ impl PublisherThread {
                     was_connected = true;
                     // The session of an earlier run is not this one's: only later ones are kept.
                     events.options.set_clean_start(false);
-                    self.shared.publication().handle_connected(packet.session_present);
+                    {
+                        let mut publication = self.shared.publication();
+                        let properties = packet.properties.as_ref();
+                        let max_packet = properties.and_then(|it| it.max_packet_size);
+                        let max_packet = max_packet.map_or(usize::MAX, |it| it as usize);
+                        publication.set_max_message(max_packet.saturating_sub(PACKET_HEAD));
+                        publication.handle_connected(packet.session_present);
+                    }
                     self.shared.changed.notify_one();
                     // Its status first: before it is sent again.
                     Self::subscribe(client, &self.own.replace('#', "status"));
@@ -243,6 +253,12 @@ impl PublisherThread {
         let mut sent = FuturesUnordered::new();
         loop {
             while let Some(message) = self.next_message() {
+                if self.shared.publication().is_too_long(&message) {
+                    // The connection would end with it.
+                    let fate = Fate::Refused("it takes no packet of this length");
+                    self.handle_fate(message.topic, &message.id, fate);
+                    continue;
+                }
                 let FleetMessage { topic, payload, is_retained, id } = message;
                 let options = PublishOptions::new(QoS::AtLeastOnce).retain(is_retained);
                 let sending = client.try_publish_tracked(topic.clone(), payload.to_vec(), options);

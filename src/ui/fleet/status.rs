@@ -44,10 +44,16 @@ fn link_line(brush: &FleetBrush) -> Line<'static> {
     ])
 }
 
+/// The sums in words; with their signs alone where there is no room for all of them.
 fn sums_line(brush: &FleetBrush) -> Line<'static> {
+    let width = brush.regions.whole.width;
+    let line = sums_as(brush, width < WIDE);
+    if line.width() > usize::from(width) { sums_as(brush, true) } else { line }
+}
+
+fn sums_as(brush: &FleetBrush, is_narrow: bool) -> Line<'static> {
     let sums = brush.screen.sums();
     let count: usize = sums.states.iter().sum();
-    let is_narrow = brush.regions.whole.width < WIDE;
     let word = match count {
         _ if is_narrow => "",
         1 => " gateway",

@@ -16,5 +16,7 @@ pub mod python;
 pub mod read_log;
 pub mod scenario_files;
 pub mod serial;
+#[cfg(feature = "fleet")]
+pub mod sites;
 pub mod sweep;
 pub mod watch_process;

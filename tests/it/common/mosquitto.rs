@@ -140,6 +140,87 @@ impl Mosquitto {
     }
 }
 
+/// Runs openssl in a folder.
+fn openssl(folder: &Path, arguments: &str) {
+    let output = Command::new("openssl")
+        .args(arguments.split(' '))
+        .current_dir(folder)
+        .stdin(Stdio::null())
+        .output()
+        .unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+}
+
+/// A certificate authority, another one, a certificate of the broker, and one of a client, by openssl.
+pub fn make_certificates(folder: &Path) {
+    fs::write(folder.join("names"), "subjectAltName=DNS:localhost,IP:127.0.0.1").unwrap();
+    for authority in ["ca", "other"] {
+        let key = "-newkey ec -pkeyopt ec_paramgen_curve:P-256 -nodes";
+        let files = format!("-keyout {authority}.key -out {authority}.pem");
+        openssl(folder, &format!("req -x509 {key} -days 2 -subj /CN={authority} {files}"));
+    }
+    for name in ["broker", "client"] {
+        let key = "-newkey ec -pkeyopt ec_paramgen_curve:P-256 -nodes";
+        openssl(folder, &format!("req {key} -subj /CN={name} -keyout {name}.key -out {name}.req"));
+        let signed = "-CA ca.pem -CAkey ca.key -CAcreateserial -days 2 -extfile names";
+        openssl(folder, &format!("x509 -req -in {name}.req {signed} -out {name}.pem"));
+    }
+}
+
+/// A broker with TLS, users and rights, as the guide has them: each user writes the topics of the gateway
+/// with its name, and `viewer` reads all.
+pub struct GuardedBroker(Mosquitto);
+
+impl GuardedBroker {
+    /// Starts it; `None` if mosquitto is missing and may be.
+    pub fn start(gateways: &[String]) -> Option<Self> {
+        let settings = |folder: &Path| {
+            make_certificates(folder);
+            let path = |name: &str| folder.join(name).display().to_string();
+            let users: Vec<&str> = gateways.iter().map(String::as_str).chain(["viewer"]).collect();
+            let line = |user: &&str| format!("{user}:secret of {user}\n");
+            let passwords: String = users.iter().map(line).collect();
+            fs::write(path("passwords"), passwords).unwrap();
+            for user in users {
+                let credentials = format!("user = \"{user}\"\npassword = \"secret of {user}\"\n");
+                fs::write(folder.join(format!("{user}.toml")), credentials).unwrap();
+            }
+            let hashed = Command::new("mosquitto_passwd").args(["-U", &path("passwords")]).output();
+            // Missing with mosquitto.
+            let Ok(hashed) = hashed else { return String::new() };
+            assert!(hashed.status.success(), "{}", String::from_utf8_lossy(&hashed.stderr));
+            let rights = "pattern readwrite descan/v1/%u/#\n\nuser viewer\n\
+                          topic read descan/v1/#\ntopic deny descan/v1/viewer/#\n";
+            fs::write(folder.join("rights"), rights).unwrap();
+            format!(
+                "allow_anonymous false\npassword_file {}\nacl_file {}\ncafile {}\ncertfile {}\n\
+                 keyfile {}\n",
+                path("passwords"),
+                path("rights"),
+                path("ca.pem"),
+                path("broker.pem"),
+                path("broker.key"),
+            )
+        };
+        Mosquitto::with_settings(settings).map(Self)
+    }
+
+    /// Its address, with TLS.
+    pub fn url(&self) -> String {
+        format!("mqtts://localhost:{}", self.0.port)
+    }
+
+    /// Folder of its files; `ca.pem` is to be trusted.
+    pub fn folder(&self) -> &Path {
+        self.0.folder()
+    }
+
+    /// The file with name and password of a user.
+    pub fn credentials(&self, user: &str) -> PathBuf {
+        self.folder().join(format!("{user}.toml"))
+    }
+}
+
 impl Drop for Mosquitto {
     fn drop(&mut self) {
         if let Some(process) = &mut self.process {

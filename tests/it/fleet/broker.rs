@@ -1,9 +1,10 @@
 //! `publish`, `fleet` and `check --fleet` at a real broker (mosquitto): rights, TLS, restarts, cut
 //! connections, hostile messages.
 
-use crate::common::mosquitto::Mosquitto;
+use crate::common::mosquitto::{GuardedBroker, Mosquitto, make_certificates};
 use crate::common::program::{command, text};
 use crate::common::pty::Pty;
+use crate::common::sites::{self, Sites};
 use descan::fleet::{Fleet, FleetDocument, FleetTopic, Publication, TopicPath};
 use descan::shell::broker::{
     BrokerAccess, BrokerPublisher, BrokerReader, BrokerSettings, PublisherNotice, ReaderNotice,
@@ -270,70 +271,10 @@ fn check_compares_each_bus_with_its_file_of_the_project() {
 
 // --- rights and TLS -------------------------------------------------------------------------
 
-/// A certificate authority, a certificate of the broker, and one of a client, by openssl.
-fn make_certificates(folder: &Path) {
-    let openssl = |arguments: &str| {
-        let output = Command::new("openssl")
-            .args(arguments.split(' '))
-            .current_dir(folder)
-            .stdin(Stdio::null())
-            .output()
-            .unwrap();
-        assert!(output.status.success(), "{}", text(&output.stderr));
-    };
-    fs::write(folder.join("names"), "subjectAltName=DNS:localhost,IP:127.0.0.1").unwrap();
-    for authority in ["ca", "other"] {
-        openssl(&format!(
-            "req -x509 -newkey ec -pkeyopt ec_paramgen_curve:P-256 -nodes -days 2 -subj /CN={authority} -keyout \
-             {authority}.key -out {authority}.pem"
-        ));
-    }
-    for name in ["broker", "client"] {
-        openssl(&format!(
-            "req -newkey ec -pkeyopt ec_paramgen_curve:P-256 -nodes -subj /CN={name} -keyout \
-             {name}.key -out {name}.req"
-        ));
-        openssl(&format!(
-            "x509 -req -in {name}.req -CA ca.pem -CAkey ca.key -CAcreateserial -days 2 -extfile names -out {name}.pem"
-        ));
-    }
-}
-
-/// A broker with TLS, users and rights, as the guide has them.
-fn guarded_broker() -> Option<Mosquitto> {
-    Mosquitto::with_settings(|folder| {
-        make_certificates(folder);
-        let path = |name: &str| folder.join(name).display().to_string();
-        for (user, is_first) in [("boiler-17", true), ("viewer", false)] {
-            let made = Command::new("mosquitto_passwd")
-                .args(["-b"])
-                .args(is_first.then_some("-c"))
-                .args([&path("passwords"), user, &format!("secret of {user}")])
-                .output();
-            // Missing with mosquitto.
-            let Ok(made) = made else { return String::new() };
-            assert!(made.status.success(), "{}", text(&made.stderr));
-            let credentials = format!("user = \"{user}\"\npassword = \"secret of {user}\"\n");
-            fs::write(folder.join(format!("{user}.toml")), credentials).unwrap();
-        }
-        let rights = "pattern readwrite descan/v1/%u/#\n\nuser viewer\ntopic read descan/v1/#\n\
-                      topic deny descan/v1/viewer/#\n";
-        fs::write(folder.join("rights"), rights).unwrap();
-        format!(
-            "allow_anonymous false\npassword_file {}\nacl_file {}\ncafile {}\ncertfile {}\nkeyfile {}\n",
-            path("passwords"),
-            path("rights"),
-            path("ca.pem"),
-            path("broker.pem"),
-            path("broker.key"),
-        )
-    })
-}
-
 #[test]
 fn gateway_writes_its_own_topics_only_and_viewer_reads() {
-    let Some(broker) = guarded_broker() else { return };
-    let (folder, url) = (broker.folder(), format!("mqtts://localhost:{}", broker.port()));
+    let Some(broker) = GuardedBroker::start(&["boiler-17".to_owned()]) else { return };
+    let (folder, url) = (broker.folder(), broker.url());
     let access = ["--broker", &url, "--ca", "ca.pem"];
     let own = [&access[..], &["--credentials", "boiler-17.toml"]].concat();
     let viewer = [&access[..], &["--credentials", "viewer.toml"]].concat();
@@ -362,13 +303,12 @@ fn gateway_writes_its_own_topics_only_and_viewer_reads() {
 
 #[test]
 fn wrong_certificates_and_passwords_end_it_with_the_way_out() {
-    let Some(broker) = guarded_broker() else { return };
-    let folder = broker.folder();
-    let url = format!("mqtts://localhost:{}", broker.port());
+    let Some(broker) = GuardedBroker::start(&["boiler-17".to_owned()]) else { return };
+    let (folder, url) = (broker.folder(), broker.url());
     fs::write(folder.join("wrong.toml"), "user = \"viewer\"\npassword = \"no\"\n").unwrap();
     fs::write(folder.join("broken.toml"), "password: topsecret\n").unwrap();
     fs::write(folder.join("empty.pem"), "").unwrap();
-    let plain = broker.url();
+    let plain = broker.url().replace("mqtts:", "mqtt:");
     let cases: &[(&[&str], &str)] = &[
         (&["--ca", "ca.pem"], "user or password refused"),
         (&["--ca", "ca.pem", "--credentials", "wrong.toml"], "user or password refused"),
@@ -436,12 +376,24 @@ fn broker_that_is_not_there_is_named() {
     let errors = text(&output.stderr);
     assert_eq!(output.status.code(), Some(3), "{errors}");
     assert!(errors.contains("connection refused; check host and port"), "{errors}");
+    let publish = ["publish", "sim:boiler", "--broker", &url, "--gateway", "g", "--time", "1"];
+    let output = run(&publish, folder.path());
+    let errors = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(3), "{errors}");
+    assert!(errors.contains("connection refused; check host and port"), "{errors}");
     for bad in
         ["localhost", "http://x", "mqtt://", "mqtt://a:b", "mqtt://user:secret@host", "mqtt://h:0"]
     {
         let output = run(&["fleet", "--broker", bad], folder.path());
         assert_eq!(output.status.code(), Some(2), "{bad}");
     }
+}
+
+/// The most memory that a process had, in KiB.
+fn peak_memory(process: Pid) -> u64 {
+    let status = fs::read_to_string(format!("/proc/{process}/status")).unwrap();
+    let most = status.lines().find_map(|line| line.strip_prefix("VmHWM:")).unwrap();
+    most.trim().trim_end_matches(" kB").parse().unwrap()
 }
 
 // --- hostile messages ------------------------------------------------------------------------
@@ -496,10 +448,8 @@ fn hostile_messages_are_counted_on_the_screen_in_bounded_memory() {
         let count = before.split_whitespace().last().and_then(|count| count.parse::<u32>().ok());
         count.is_some_and(|count| count > 10_000)
     });
-    let status = fs::read_to_string(format!("/proc/{}/status", pty.pid())).unwrap();
-    let most = status.lines().find_map(|line| line.strip_prefix("VmHWM:")).unwrap();
-    let most: u64 = most.trim().trim_end_matches(" kB").parse().unwrap();
-    assert!(most < 100_000, "{most} kB");
+    let most = peak_memory(pty.pid());
+    assert!(most < 100 << 10, "{most} KiB");
     pty.send("q");
     assert_eq!(pty.wait(), 0);
 }
@@ -866,6 +816,79 @@ fn broker_that_forgot_everything_gets_everything_again() {
     let fleet = fleet_json(&["--broker", &url], &folder);
     assert_eq!(names_of(&fleet, 0).len(), Load::documents(1).count());
     assert_eq!(state_of(&fleet, "g").as_deref(), Some("online"));
+}
+
+#[test]
+fn document_above_the_packet_limit_is_left_out() {
+    let broker =
+        Mosquitto::with_settings(|_| "allow_anonymous true\nmax_packet_size 4000\n".to_owned());
+    let Some(broker) = broker else { return };
+    let (folder, url) = (broker.folder(), broker.url());
+    let mut device =
+        "[[device]]\nname = \"LONG\"\naddress = { fixed = 12 }\nservices = [".to_owned();
+    (0..150).for_each(|number| device.push_str(&format!("[\"SERVICE{number}\", \"1.0\"], ")));
+    device.push_str("]\n[[device]]\nname = \"SHORT\"\naddress = { fixed = 13 }\n");
+    fs::write(folder.join("line.toml"), format!("bitrate = 125000\n{device}")).unwrap();
+    let mut publisher = command(&["publish", "sim:line.toml", "--broker", &url], folder)
+        .args(["--gateway", "g"])
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let lines = BufReader::new(publisher.stderr.take().unwrap()).lines();
+    let publisher = Running(publisher);
+    let said = lines.map_while(Result::ok).find(|line| line.contains("refuses")).unwrap();
+    assert!(said.contains("descan/v1/g/device/sim:line.toml/12: it takes no packet"), "{said}");
+    wait_for_devices(&url, folder, &["SHORT"]);
+    let fleet = fleet_json(&["--broker", &url], folder);
+    assert_eq!(state_of(&fleet, "g").as_deref(), Some("online"));
+    drop(publisher);
+}
+
+/// What is published meanwhile has no end; what the broker had does.
+#[test]
+fn one_reading_ends_while_documents_are_published() {
+    let Some(broker) = Mosquitto::start() else { return };
+    let stop = Arc::new(AtomicBool::new(false));
+    let is_stopped = Arc::clone(&stop);
+    let mut load = Load::start(broker.port());
+    load.wait_connected();
+    let working = thread::spawn(move || {
+        while !is_stopped.load(Ordering::Relaxed) {
+            load.step();
+            thread::park_timeout(Duration::from_millis(20));
+        }
+    });
+    let fleet = fleet_json(&["--broker", &broker.url(), "--time", "60"], broker.folder());
+    stop.store(true, Ordering::Relaxed);
+    working.join().unwrap();
+    assert_eq!(fleet["complete"], true);
+}
+
+#[test]
+fn view_of_200_gateways_is_complete_in_bounded_memory() {
+    const GATEWAYS: usize = 200;
+    let names: Vec<String> = (0..GATEWAYS).map(sites::name).collect();
+    let Some(broker) = GuardedBroker::start(&names) else { return };
+    let mut sites = Sites::start(&broker, GATEWAYS);
+    sites.change(0..GATEWAYS);
+    let url = broker.url();
+    let access = ["--broker", &url, "--ca", "ca.pem", "--credentials", "viewer.toml"];
+    let fleet = fleet_json(&access, broker.folder());
+    let gateways = fleet["gateways"].as_array().unwrap();
+    assert_eq!(gateways.len(), GATEWAYS);
+    for gateway in gateways {
+        let name = gateway["name"].as_str().unwrap();
+        assert_eq!(gateway["state"], "online", "{name}");
+        assert_eq!(gateway["devices"].as_array().unwrap().len(), sites::DEVICES, "{name}");
+    }
+    let all = [&["fleet"], &access[..]].concat();
+    let mut pty = Pty::start(&all, broker.folder(), (120, 40));
+    pty.wait_for("● 200 online");
+    pty.wait_for("● 24,200 present");
+    let most = peak_memory(pty.pid());
+    assert!(most < 200 << 10, "{most} KiB");
+    pty.send("q");
+    assert_eq!(pty.wait(), 0);
 }
 
 #[test]

@@ -205,6 +205,23 @@ fn later_of_two_programs_with_one_name_stays() {
     }
 }
 
+/// Two programs of the same millisecond: the one with the higher number stays.
+#[test]
+fn later_of_two_programs_of_one_moment_is_told_by_its_number() {
+    let mut publication = publication().with_instance(50);
+    publication.handle_connected(false);
+    publication.handle_status(0.0, json!({}));
+    let sent = delivered(&mut publication);
+    assert_eq!((&sent[0].1["instance"], &sent[0].1["started_ms"]), (&json!(50), &json!(1000)));
+    let status = |instance: u64| json!({"online": true, "started_ms": 1000, "instance": instance});
+    let of = |publication: &mut Publication, instance: u64| {
+        other_status(publication, &status(instance).to_string(), false).0
+    };
+    assert_eq!(of(&mut publication, 50), OtherRun::None);
+    assert_eq!(of(&mut publication, 49), OtherRun::None);
+    assert_eq!(of(&mut publication, 51), OtherRun::Later);
+}
+
 #[test]
 fn earlier_run_by_a_clock_ahead_is_no_other_program() {
     let mut publication = publication();
@@ -404,7 +421,7 @@ fn last_will_and_farewell_are_retained_as_the_status() {
     assert!(will.is_retained);
     assert_eq!(
         value,
-        json!({"online": false, "reason": "lost", "started_ms": 1000, "connection": 1})
+        json!({"online": false, "reason": "lost", "started_ms": 1000, "instance": 0, "connection": 1})
     );
     publication.handle_connected(false);
     publication.handle_stop(9.0);
@@ -423,4 +440,48 @@ fn refused_messages_are_counted_and_not_sent_again() {
     publication.handle_refused(&message.id);
     assert_eq!((publication.refused(), publication.is_delivered()), (1, true));
     assert_eq!(sent(&mut publication), []);
+}
+
+/// The right to write them may be given later.
+#[test]
+fn refused_documents_are_tried_again_one_with_each_status() {
+    let mut publication = publication();
+    publication.handle_connected(false);
+    let all = || ["can0", "can1", "can2"].map(|bus| document(bus, json!({})));
+    publication.handle_documents(at(0), 0.0, all());
+    for message in sent(&mut publication) {
+        publication.handle_refused(&message.id);
+    }
+    let mut tried = Vec::new();
+    for round in 1..=4 {
+        publication.handle_documents(at(round), 0.0, all());
+        publication.handle_status(0.0, json!({}));
+        for message in sent(&mut publication) {
+            if message.topic.ends_with("status") {
+                publication.handle_delivered(&message.id);
+            } else {
+                tried.push(message.topic.clone());
+                publication.handle_refused(&message.id);
+            }
+        }
+    }
+    let of = |bus: &str| format!("descan/v1/boiler-17/bus/{bus}");
+    assert_eq!(tried, ["can0", "can1", "can2", "can0"].map(of));
+    // The next one is taken: all are sent.
+    publication.handle_status(0.0, json!({}));
+    let sent = delivered(&mut publication);
+    assert_eq!(topics(&sent), ["bus/can1", "status", "bus/can0", "bus/can2"]);
+    publication.handle_status(0.0, json!({}));
+    assert_eq!(topics(&delivered(&mut publication)), ["status"]);
+}
+
+#[test]
+fn messages_above_the_limit_of_the_broker_are_known() {
+    let mut publication = publication();
+    publication.handle_connected(false);
+    publication.handle_documents(at(0), 0.0, [document("can0", json!({"text": "x".repeat(100)}))]);
+    let message = sent(&mut publication).remove(0);
+    assert!(!publication.is_too_long(&message));
+    publication.set_max_message(100);
+    assert!(publication.is_too_long(&message));
 }

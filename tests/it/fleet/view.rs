@@ -134,7 +134,10 @@ fn texts_have_no_control_characters() {
             "a/device/can0/10",
             r#"{"address":10,"name":"\u001b[31mX","mode":"\u0007","uid":"\u202e"}"#,
         ),
-        ("a/finding/can0/x", r#"{"kind":"\u001b","text":"a\u001b]0;b\u0007","remedy":"\n"}"#),
+        (
+            "a/finding/can0/x",
+            r#"{"kind":"\u001b","confidence":"confirmed","text":"a\u001b]0;b\u0007","remedy":"\n"}"#,
+        ),
         ("a/bus/can0", r#"{"name":"\u001b","state":"\u009b"}"#),
         ("a/status", r#"{"online":false,"descan":"\u001b[0m","reason":"\u001b"}"#),
     ]);
@@ -174,9 +177,25 @@ fn number_of_gateways_is_bounded() {
 }
 
 #[test]
+fn findings_that_are_not_open_and_impossible_addresses_are_not_used() {
+    let fleet = fleet(&[
+        ("a/finding/can0/none", "{}"),
+        ("a/finding/can0/kind", r#"{"kind":"same-name-same-address"}"#),
+        ("a/finding/can0/word", r#"{"kind":"missing","confidence":"CERTAIN"}"#),
+        ("a/finding/can0/over", r#"{"kind":"missing","confidence":"cleared"}"#),
+        ("a/finding/can0/open", r#"{"kind":"missing","confidence":"confirmed"}"#),
+        ("a/device/can0/128", r#"{"name":"X"}"#),
+        ("a/device/can0/127", r#"{"name":"X"}"#),
+    ]);
+    let gateway = fleet.gateway(&name("a")).unwrap();
+    assert_eq!((gateway.findings().count(), gateway.devices().count()), (1, 1));
+    assert_eq!((fleet.rejects().malformed, fleet.rejects().foreign), (4, 1));
+}
+
+#[test]
 fn length_of_all_documents_is_bounded() {
     let mut fleet = Fleet::default();
-    let text = format!(r#"{{"kind":"{}"}}"#, "k".repeat(60_000));
+    let text = format!(r#"{{"kind":"{}","confidence":"suspected"}}"#, "k".repeat(60_000));
     for number in 0..4000 {
         let topic = format!("descan/v1/g{}/finding/can0/{number}", number % 50);
         fleet.handle_message(NOW, topic.as_bytes(), text.as_bytes());
