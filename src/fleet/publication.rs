@@ -386,9 +386,9 @@ impl Publication {
             FleetMessageId::Document(tail, version) => {
                 self.refused_documents.retain(|refused| refused != tail);
                 if self.probe.take_if(|probe| probe == tail).is_some() {
-                    std::mem::take(&mut self.refused_documents)
-                        .into_iter()
-                        .for_each(|refused| self.mark_due(refused));
+                    for refused in std::mem::take(&mut self.refused_documents) {
+                        self.mark_due(refused);
+                    }
                 }
                 let is_clear = |slot: &DocumentSlot| slot.payload.is_none();
                 let slot = self.documents.get(tail).filter(|slot| slot.version == *version);

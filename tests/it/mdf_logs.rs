@@ -86,7 +86,9 @@ fn block(kind: &str, links: &[u64], data: &[u8]) -> Vec<u8> {
     let mut block = format!("##{kind}\0\0\0\0").into_bytes();
     block.extend((24 + 8 * links.len() as u64 + data.len() as u64).to_le_bytes());
     block.extend((links.len() as u64).to_le_bytes());
-    links.iter().for_each(|link| block.extend(link.to_le_bytes()));
+    for link in links {
+        block.extend(link.to_le_bytes());
+    }
     block.extend(data);
     block.resize(block.len().next_multiple_of(8), 0);
     block
