@@ -184,8 +184,8 @@ fn impossible_documents_are_not_used() {
         ("a/finding/can0/word", r#"{"kind":"missing","confidence":"CERTAIN"}"#),
         ("a/finding/can0/over", r#"{"kind":"missing","confidence":"cleared"}"#),
         ("a/finding/can0/open", r#"{"kind":"missing","confidence":"confirmed"}"#),
-        ("a/device/can0/128", r#"{"name":"X"}"#),
-        ("a/device/can0/126", r#"{"name":"X"}"#),
+        ("a/device/can0/128", r#"{"address":128,"name":"X"}"#),
+        ("a/device/can0/126", r#"{"address":126,"name":"X"}"#),
     ]);
     let gateway = fleet.gateway(&name("a")).unwrap();
     assert_eq!((gateway.findings().count(), gateway.devices().count()), (1, 1));
