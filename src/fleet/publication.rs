@@ -190,6 +190,7 @@ impl Publication {
         let payload = json!({
             "online": false,
             "reason": "lost",
+            "descan": env!("CARGO_PKG_VERSION"),
             "started_ms": self.started,
             "instance": self.instance,
             "connection": self.connections + 1,
@@ -256,7 +257,8 @@ impl Publication {
     pub fn handle_stop(&mut self, unix_secs: f64) {
         let payload = json!({
             "online": false, "reason": "stopped", "started_ms": self.started,
-            "instance": self.instance, "time": unix_secs,
+            "instance": self.instance, "time": unix_secs, "descan": env!("CARGO_PKG_VERSION"),
+            "events": {"last": self.last_event, "dropped": self.dropped_events},
         });
         self.put_status(&payload);
     }

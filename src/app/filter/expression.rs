@@ -171,18 +171,18 @@ pub(super) fn tokens(line: &str) -> (Vec<Token>, Result<(), FilterError>) {
 }
 
 /// Returns the end of the term at `start`, and true unless a quote in it is open. A parenthesis that
-/// is opened in a term is closed in it. A letter or a digit right behind a closing quote begins another term.
+/// is opened in a term is closed in it. A letter or a digit right behind a value in quotes begins another term.
 fn end_of_term(line: &str, start: usize) -> (usize, bool) {
-    let (mut is_quoted, mut depth, mut was_closed) = (false, 0usize, false);
+    let (mut is_quoted, mut depth) = (false, 0usize);
+    // The quotes are those of a value; it has just ended.
+    let (mut is_value, mut was_value, mut before) = (false, false, ' ');
     for (at, c) in line[start..].char_indices() {
-        if std::mem::take(&mut was_closed) && depth == 0 && c.is_alphanumeric() {
+        if std::mem::take(&mut was_value) && depth == 0 && c.is_alphanumeric() {
             return (start + at, true);
         }
         match c {
-            '"' => {
-                was_closed = is_quoted;
-                is_quoted = !is_quoted;
-            }
+            '"' if is_quoted => (is_quoted, was_value) = (false, is_value),
+            '"' => (is_quoted, is_value) = (true, before == ':'),
             _ if is_quoted => {}
             '(' => depth += 1,
             ')' if depth > 0 => depth -= 1,
@@ -190,6 +190,7 @@ fn end_of_term(line: &str, start: usize) -> (usize, bool) {
             _ if c.is_whitespace() => return (start + at, true),
             _ => {}
         }
+        before = c;
     }
     (line.len(), !is_quoted)
 }

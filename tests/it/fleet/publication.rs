@@ -421,12 +421,16 @@ fn last_will_and_farewell_are_retained_as_the_status() {
     assert!(will.is_retained);
     assert_eq!(
         value,
-        json!({"online": false, "reason": "lost", "started_ms": 1000, "instance": 0, "connection": 1})
+        json!({
+            "online": false, "reason": "lost", "descan": env!("CARGO_PKG_VERSION"), "started_ms": 1000,
+            "instance": 0, "connection": 1,
+        })
     );
     publication.handle_connected(false);
     publication.handle_stop(9.0);
     let (topic, value) = delivered(&mut publication).remove(0);
     assert_eq!((topic.as_str(), &value["reason"]), ("status", &json!("stopped")));
+    assert_eq!(value["descan"], env!("CARGO_PKG_VERSION"));
     assert_eq!(value["online"], false);
 }
 
