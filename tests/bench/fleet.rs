@@ -95,11 +95,11 @@ fn at_a_broker() {
 fn pages(pty: &mut Pty, what: &str) {
     let mut took = Vec::new();
     let keys = [
-        ("2", "─2 Versions"),
-        ("3", "─3 Problems"),
-        ("1", "─1 Gateways"),
-        ("\r", "─1 Devices"),
-        ("\x1b", "─1 Gateways"),
+        ("2", "SERVICE↓"),
+        ("3", "PROBLEM↓"),
+        ("1", "BUSES"),
+        ("\r", "HEARTBEAT"),
+        ("\x1b", "BUSES"),
     ];
     for (key, effect) in keys.repeat(60) {
         let begin = Clock::now();
