@@ -63,7 +63,8 @@ pub fn read(settings: &BrokerSettings, limit: Duration) -> Result<Option<FleetRe
         let mut fleet = Fleet::default();
         let mut failure = None;
         let (mut is_subscribed, mut asked, mut quiet) = (false, now(), QUIET);
-        // What is published meanwhile has no end; of a kept session it is not told from the rest.
+        // Only retained messages extend the reading: others may be published without end. In a kept
+        // session the two cannot be told apart.
         let (mut has_session, mut complete_at) = (false, now());
         loop {
             tokio::select! {

@@ -403,8 +403,8 @@ pub fn warn_foreign(app: &App, reported: &mut Vec<BusIndex>) {
     }
 }
 
-/// Prints on standard error which lines could not be read, or have other times than shown; if no line could
-/// be read, it is an error.
+/// Prints on standard error which lines could not be read, and how often time goes backwards; if no line
+/// could be read, it is an error.
 fn report_unreadable(spec: &BusSpec, session: &Session) -> Result<(), Failure> {
     let Some(summary) = session.log_summary() else {
         // The log goes on behind the part that was read.

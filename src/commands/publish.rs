@@ -3,7 +3,7 @@
 use super::gate::BusGate;
 use super::headless::{self, Limits, RunInput};
 use super::open::{self, Setup};
-use super::published::{CHANGE_PERIOD, PublicationFeed};
+use super::published::{CHANGE_PERIOD, PublicationFeed, PublicationUpdate};
 use super::{EXIT_OK, Failure, output};
 use crate::app::{App, AppOptions};
 use crate::cli::PublishArgs;
@@ -108,8 +108,9 @@ struct Feed {
 
 impl Feed {
     fn publish(&mut self, app: &mut App, now: Instant) {
-        let documents = &mut self.documents;
-        self.publisher.update(|publication| documents.update(publication, app, now, unix_secs()));
+        if let Some(update) = self.documents.poll(app, now) {
+            self.publisher.update(|publication| update.give_to(publication, now, unix_secs()));
+        }
     }
 
     /// Says on standard error what happens to the connection.
@@ -145,8 +146,11 @@ impl Feed {
 
     /// The last events and documents, and that it stops.
     fn stop(self, app: &mut App, now: Instant) {
-        let documents = self.documents;
-        self.publisher.update(|publication| documents.stop(publication, app, now, unix_secs()));
+        let update = PublicationUpdate::last(app, now);
+        self.publisher.update(|publication| {
+            update.give_to(publication, now, unix_secs());
+            publication.handle_stop(unix_secs());
+        });
         let dropped = self.publisher.update(|publication| publication.dropped_events());
         if !self.publisher.finish(FAREWELL) {
             output::warn("the broker does not have the last documents and events");

@@ -37,7 +37,7 @@ const DEVICE_COUNTERS: &[&str] = &[
 ];
 const FINDING_COUNTERS: &[&str] = &["last", "evidence", "text"];
 
-/// Gives a [`Publication`] what an [`App`] has: events at once, documents at most once a second.
+/// Takes from an [`App`] what a [`Publication`] is given: events at once, documents at most once a second.
 #[derive(Debug, Default)]
 pub struct PublicationFeed {
     /// Time of the next documents.
@@ -49,43 +49,61 @@ pub struct PublicationFeed {
 }
 
 impl PublicationFeed {
-    /// Gives what there is to publish at `now` (`unix_secs` on the wall clock).
-    pub fn update(
-        &mut self,
-        publication: &mut Publication,
-        app: &mut App,
-        now: Instant,
-        unix_secs: f64,
-    ) {
-        handle_events(publication, app);
+    /// Returns what there is to publish at `now`; `None` without events before the next documents are due.
+    pub fn poll(&mut self, app: &mut App, now: Instant) -> Option<PublicationUpdate> {
+        let events = take_events(app);
         if now < self.next {
-            return;
+            let update = PublicationUpdate { events, ..PublicationUpdate::default() };
+            return Some(update).filter(|update| !update.events.is_empty());
         }
         self.next = now + CHANGE_PERIOD;
-        let published = Published::new(app, now);
-        publication.handle_documents(now, unix_secs, published.documents);
-        if now >= self.next_status || published.summary != self.summary {
+        let Published { documents, summary } = Published::new(app, now);
+        let is_status_due = now >= self.next_status || summary != self.summary;
+        if is_status_due {
             self.next_status = now + SUMMARY_PERIOD;
-            self.summary.clone_from(&published.summary);
-            publication.handle_status(unix_secs, published.summary);
+            self.summary.clone_from(&summary);
         }
-    }
-
-    /// Gives the last events and documents, and that the gateway stops.
-    pub fn stop(self, publication: &mut Publication, app: &mut App, now: Instant, unix_secs: f64) {
-        handle_events(publication, app);
-        publication.handle_documents(now, unix_secs, Published::new(app, now).documents);
-        publication.handle_stop(unix_secs);
+        let status = is_status_due.then_some(summary);
+        Some(PublicationUpdate { events, documents: Some(documents), status })
     }
 }
 
-fn handle_events(publication: &mut Publication, app: &mut App) {
-    while let Some(event) = app.poll_app_event() {
-        let value = watch::as_value(app, event).and_then(|it| serde_json::to_value(it).ok());
-        if let Some(value) = value {
-            publication.handle_event(value);
+/// What there is to publish of a moment.
+#[derive(Debug, Default)]
+pub struct PublicationUpdate {
+    events: Vec<Value>,
+    documents: Option<Vec<FleetDocument>>,
+    /// The summary, if the status is due.
+    status: Option<Value>,
+}
+
+impl PublicationUpdate {
+    /// Returns the last events and documents of a gateway that stops.
+    pub fn last(app: &mut App, now: Instant) -> Self {
+        let events = take_events(app);
+        Self { events, documents: Some(Published::new(app, now).documents), status: None }
+    }
+
+    /// Gives it to a publication, as of `now` (`unix_secs` on the wall clock).
+    pub fn give_to(self, publication: &mut Publication, now: Instant, unix_secs: f64) {
+        for event in self.events {
+            publication.handle_event(event);
+        }
+        if let Some(documents) = self.documents {
+            publication.handle_documents(now, unix_secs, documents);
+        }
+        if let Some(summary) = self.status {
+            publication.handle_status(unix_secs, summary);
         }
     }
+}
+
+fn take_events(app: &mut App) -> Vec<Value> {
+    let mut events = Vec::new();
+    while let Some(event) = app.poll_app_event() {
+        events.extend(watch::as_value(app, event).and_then(|it| serde_json::to_value(it).ok()));
+    }
+    events
 }
 
 /// What a gateway publishes of one moment.

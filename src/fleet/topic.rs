@@ -5,6 +5,7 @@
 //! hexadecimal digits for each byte of its UTF-8.
 
 use crate::text::printable;
+use crate::wire::id::Address;
 use std::fmt::{self, Write as _};
 use std::str::FromStr;
 use std::sync::Arc;
@@ -138,12 +139,10 @@ impl FleetTopic {
     }
 }
 
-/// Highest address of a device.
-const MAX_ADDRESS: u8 = 127;
-
 /// Parses an address as it is written: without sign and leading zeros.
 fn number(text: &str) -> Option<u8> {
-    text.parse().ok().filter(|number: &u8| *number <= MAX_ADDRESS && number.to_string() == text)
+    let address = Address::new(text.parse().ok()?)?;
+    Some(address.number()).filter(|number| number.to_string() == text)
 }
 
 /// A level of a topic, encoded.

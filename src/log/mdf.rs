@@ -527,11 +527,11 @@ impl FrameGroup {
             let (kind, number) = (data[0], RecordNumber::of_channel(&data));
             if matches!(kind, MASTER | VIRTUAL_MASTER) {
                 let (offset, factor) = linear(bytes, channel.link(4))?;
-                group.time = Some(if kind == MASTER {
-                    (ChannelValue::InRecord(number), offset, factor)
-                } else {
-                    (ChannelValue::Virtual(offset, factor), 0.0, 1.0)
-                });
+                let value = match kind {
+                    MASTER => ChannelValue::InRecord(number),
+                    _ => ChannelValue::Virtual(0.0, 1.0),
+                };
+                group.time = Some((value, offset, factor));
                 continue;
             }
             let name = text(bytes, channel.link(2))?;
@@ -605,12 +605,17 @@ impl FrameGroup {
         Ok(Some(data.map(<[u8]>::to_vec).ok_or(FieldFault::Data)))
     }
 
+    /// Returns the number that a virtual channel has in the next record.
+    fn virtual_number(&self, offset: f64, factor: f64) -> f64 {
+        offset + factor * self.count as f64
+    }
+
     /// Returns the time of a record, in nanoseconds since the start.
     fn nanos(&self, record: &[u8]) -> Option<i128> {
         let (value, offset, factor) = self.time?;
         let number = match value {
             ChannelValue::InRecord(number) => number.float(record)?,
-            ChannelValue::Virtual(offset, factor) => offset + factor * self.count as f64,
+            ChannelValue::Virtual(offset, factor) => self.virtual_number(offset, factor),
         };
         let seconds = offset + factor * number;
         let nanos = (seconds * 1e9).round();
@@ -621,7 +626,7 @@ impl FrameGroup {
         match self.channels[channel as usize]? {
             ChannelValue::InRecord(number) => number.unsigned(record),
             ChannelValue::Virtual(offset, factor) => {
-                let value = offset + factor * self.count as f64;
+                let value = self.virtual_number(offset, factor);
                 // Above that a number has no place in a frame.
                 (0.0..=f64::from(u32::MAX)).contains(&value).then_some(value as u64)
             }

@@ -153,7 +153,7 @@ fn statements_are_read_in_any_order_and_place() {
     assert_eq!(shown(two, values, &[1, 2]), "M: X one, Y two");
     // More than 64 bits are no number.
     assert_eq!(shown("7|72@0+ (1,0) [0|0] \"\"", "", &[0; 16]), "M");
-    // The kind of an object at the begin of a line is no statement.
+    // An object kind at the start of a line does not begin a statement.
     for attribute in
         ["BA_ \"a\"\nBO_ 291 5;\n", "BA_ \"a\"\nBU_ A 5;\n", "CM_\nBO_ 291\n\"text\";\n"]
     {

@@ -44,7 +44,7 @@ fn link_line(brush: &FleetBrush) -> Line<'static> {
     ])
 }
 
-/// The sums in words; with their signs alone where there is no room for all of them.
+/// The sums with words if they fit in the line, otherwise with signs only.
 fn sums_line(brush: &FleetBrush) -> Line<'static> {
     let width = brush.regions.whole.width;
     let line = sums_as(brush, width < WIDE);

@@ -43,7 +43,9 @@ fn sent(scenario: &Scenario, time: Duration) -> Vec<Sent> {
             sim.transmit(station, frame);
         }
         let unix_secs = 1_795_763_731.126 + now.as_secs_f64();
-        feed.update(&mut publication, &mut app, now, unix_secs);
+        if let Some(update) = feed.poll(&mut app, now) {
+            update.give_to(&mut publication, now, unix_secs);
+        }
         while let Some(message) = publication.poll_message() {
             publication.handle_delivered(&message.id);
             let bytes = message.topic.len() + message.payload.len();
