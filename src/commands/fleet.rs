@@ -126,7 +126,7 @@ pub fn read(settings: &BrokerSettings, limit: Duration) -> Result<Option<FleetRe
 pub fn warn_rejects(fleet: &Fleet) {
     let rejects = fleet.rejects();
     let count = rejects.count();
-    if let Some(last) = rejects.last.as_ref().filter(|_| count > 0) {
+    if let Some(last) = rejects.last().filter(|_| count > 0) {
         let documents = if count == 1 { "document" } else { "documents" };
         output::warn(format_args!("{count} {documents} not used; the last is {last}"));
     }

@@ -46,13 +46,23 @@ pub fn run(check: &CheckArgs, folder: &Path, broker: &BrokerAddress) -> Result<u
         let text: String = checks.iter().map(SiteCheck::text).collect();
         output::print(&text)?;
     }
+    let unusable: Vec<&SiteCheck> = checks.iter().filter(|it| it.error.is_some()).collect();
+    if let [first, ..] = unusable[..] {
+        let why = first.error.as_deref().unwrap_or_default();
+        let more = match unusable.len() - 1 {
+            0 => String::new(),
+            more => format!("; and {} more not compared", counted(more as u64, "gateway")),
+        };
+        return Err(Failure::Unusable(format!("{}: not compared: {why}{more}", first.name)));
+    }
     Ok(if checks.iter().all(SiteCheck::is_passed) { EXIT_OK } else { EXIT_FINDINGS })
 }
 
 /// A folder with the files of a gateway.
 struct Site {
     gateway: GatewayName,
-    expected: Vec<ExpectedDevices>,
+    /// What its files list, or why they cannot be used.
+    expected: Result<Vec<ExpectedDevices>, String>,
 }
 
 /// Reads the folder of each gateway, by name.
@@ -68,7 +78,9 @@ fn sites(folder: &Path) -> Result<Vec<Site>, Failure> {
         }
         let gateway =
             name.parse().map_err(|why| Diagnostic::new(format!("{}: {why}", shown(&path))))?;
-        sites.push(Site { gateway, expected: expected(&path)? });
+        // One faulty file does not keep the other gateways from being compared.
+        let expected = expected(&path).map_err(|failure| failure.to_string());
+        sites.push(Site { gateway, expected });
     }
     if sites.is_empty() {
         let remedy = "put the des.json of each into FOLDER/GATEWAY";
@@ -140,6 +152,8 @@ struct SiteCheck {
     entries: usize,
     devices: usize,
     differences: Vec<FleetDifferenceReport>,
+    /// Why its files cannot be used; it is not compared then.
+    error: Option<String>,
     #[serde(skip)]
     found: Vec<FleetDifference>,
 }
@@ -155,7 +169,9 @@ struct FleetDifferenceReport {
 impl SiteCheck {
     fn new(site: &Site, fleet: &Fleet, now: Instant) -> Self {
         let gateway = fleet.gateway(&site.gateway);
-        let found = gateway.map(|it| it.differences(&site.expected)).unwrap_or_default();
+        let expected = site.expected.as_deref().unwrap_or_default();
+        let compared = gateway.filter(|_| site.expected.is_ok());
+        let found = compared.map(|it| it.differences(expected)).unwrap_or_default();
         let differences = found.iter().map(|it| FleetDifferenceReport {
             section: it.section.title(),
             bus: it.bus.clone(),
@@ -165,9 +181,10 @@ impl SiteCheck {
         Self {
             name: site.gateway.to_string(),
             state: gateway.map_or("missing", |it| it.state(now).name()),
-            entries: site.expected.iter().map(|it| it.document.entries().len()).sum(),
+            entries: expected.iter().map(|it| it.document.entries().len()).sum(),
             devices: gateway.map_or(0, |it| it.inventory().present_devices()),
             differences: differences.collect(),
+            error: site.expected.as_ref().err().cloned(),
             found,
         }
     }
@@ -177,7 +194,7 @@ impl SiteCheck {
     }
 
     fn is_passed(&self) -> bool {
-        self.is_online() && self.found.is_empty()
+        self.is_online() && self.found.is_empty() && self.error.is_none()
     }
 
     fn in_section(&self, section: CheckSection) -> impl Iterator<Item = &FleetDifference> {
@@ -186,6 +203,9 @@ impl SiteCheck {
 
     /// The differences in sections, and a summary; the summary alone if there are none.
     fn text(&self) -> String {
+        if let Some(why) = &self.error {
+            return format!("{}: not compared: {why}\n", self.name);
+        }
         let mut text = String::new();
         let mut sums = Vec::new();
         for section in CheckSection::ALL {
@@ -223,13 +243,20 @@ impl SiteCheck {
             details: Vec::new(),
         };
         let of_section = |section: CheckSection| {
+            let (suite, name) = (self.name.clone(), section.title().to_owned());
+            if let Some(why) = &self.error {
+                // The first says why; the others were not made.
+                let is_first = section == CheckSection::FileErrors;
+                let outcome = if is_first { CaseOutcome::Failed } else { CaseOutcome::Skipped };
+                let text = format!("not compared: {why}");
+                return ReportedCase { suite, name, outcome, text, details: Vec::new() };
+            }
             let details: Vec<String> = self.in_section(section).map(line_of).collect();
             let text = match details.len() {
                 0 => "no difference".to_owned(),
                 1 => format!("1 {}", section.singular()),
                 count => format!("{count} {}", section.title()),
             };
-            let (suite, name) = (self.name.clone(), section.title().to_owned());
             ReportedCase { suite, name, outcome: outcome(details.is_empty()), text, details }
         };
         std::iter::once(connection).chain(CheckSection::ALL.map(of_section)).collect()

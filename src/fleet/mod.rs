@@ -7,6 +7,7 @@
 
 mod expected;
 mod publication;
+mod rejects;
 mod topic;
 mod view;
 
@@ -14,8 +15,9 @@ pub use expected::{ExpectedDevices, FleetDifference};
 pub use publication::{
     FleetDocument, FleetMessage, FleetMessageId, MAX_QUEUED_EVENTS, OtherRun, Publication,
 };
+pub use rejects::FleetRejects;
 pub use topic::{FleetTopic, GatewayName, GatewayNameError, TopicPath};
 pub use view::{
-    EventCounts, Fleet, FleetGateway, FleetRejects, GatewayState, GatewayStatus,
-    MAX_DOCUMENT_BYTES, MAX_GATEWAY_DOCUMENTS, MAX_GATEWAYS, ServiceVersion,
+    EventCounts, Fleet, FleetGateway, GatewayState, GatewayStatus, MAX_DOCUMENT_BYTES,
+    MAX_GATEWAY_DOCUMENTS, MAX_GATEWAYS, ServiceVersion,
 };

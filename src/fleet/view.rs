@@ -5,6 +5,7 @@
 //! [`MAX_DOCUMENT_BYTES`] for one document, [`MAX_GATEWAY_BYTES`] of memory for those of a gateway and
 //! [`MAX_FLEET_BYTES`] for all. Does not know the connection or the screen.
 
+use super::rejects::{FleetRejects, RejectReason, shown_topic};
 use super::topic::{FleetTopic, GatewayName, TopicPath};
 use crate::finding::FindingState;
 use crate::inventory::{Inventory, InventoryBus, InventoryDevice, InventoryFinding};
@@ -46,13 +47,6 @@ pub enum GatewayState {
     Online,
 }
 
-impl FleetRejects {
-    /// Number of all messages that were not used.
-    pub fn count(&self) -> u64 {
-        self.foreign + self.malformed + self.oversized
-    }
-}
-
 impl GatewayState {
     /// The word for it, as in JSON.
     pub const fn name(self) -> &'static str {
@@ -92,12 +86,6 @@ pub struct EventCounts {
     pub last: u64,
     /// Events that were dropped while the broker was away.
     pub dropped: u64,
-}
-
-/// A topic of any origin, shortened.
-fn shown_topic(topic: &[u8]) -> String {
-    const MOST: usize = 80;
-    printable(&topic[..topic.len().min(MOST)])
 }
 
 /// Bytes of memory that a document takes: texts as they were published, its topic, what it has without a
@@ -305,19 +293,6 @@ pub struct ServiceVersion {
     pub devices: usize,
 }
 
-/// Messages that were not used.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct FleetRejects {
-    /// Messages with a topic that no gateway has.
-    pub foreign: u64,
-    /// Documents that are not what their topic says.
-    pub malformed: u64,
-    /// Documents that are too long, or above the bound of all.
-    pub oversized: u64,
-    /// The last one: its topic and the cause.
-    pub last: Option<String>,
-}
-
 /// See the module's documentation.
 #[derive(Clone, Debug, Default)]
 pub struct Fleet {
@@ -369,45 +344,45 @@ impl Fleet {
             gateway.bytes = gateway.sum_of_bytes();
             self.bytes += gateway.bytes;
         }
+        self.rejects.retain(now);
     }
 
     /// Takes a message. An empty one clears the document. Events are not kept.
     pub fn handle_message(&mut self, now: Instant, topic: &[u8], payload: &[u8]) {
-        let Some(FleetTopic { gateway, path }) = FleetTopic::parse(topic) else {
-            self.rejects.foreign += 1;
-            self.rejects.last = Some(format!("{}: no topic of a gateway", shown_topic(topic)));
-            return;
+        let parsed = FleetTopic::parse(topic);
+        if payload.is_empty() {
+            self.rejects.remove(topic);
+            return parsed.into_iter().for_each(|it| self.clear(&it.gateway, it.path));
+        }
+        let Some(FleetTopic { gateway, path }) = parsed else {
+            let text = format!("{}: no topic of a gateway", shown_topic(topic));
+            return self.reject(topic, RejectReason::Foreign, text);
         };
         if path == TopicPath::Event {
             return;
         }
         let known = self.gateways.get(&gateway);
         let before = known.map_or(0, |it| it.bytes_at(&path));
-        let is_new = before == 0 && !payload.is_empty() && path != TopicPath::Status;
+        let is_new = before == 0 && path != TopicPath::Status;
         let own = known.map_or(0, |it| it.bytes);
         // What its lists take is known when it is read.
-        let least = if payload.is_empty() { 0 } else { memory_of(topic, payload, 0) };
+        let least = memory_of(topic, payload, 0);
         let excess = if known.is_none() && self.gateways.len() >= MAX_GATEWAYS {
             Some("too many gateways")
         } else if is_new && known.is_some_and(|it| it.count() >= MAX_GATEWAY_DOCUMENTS) {
             Some("too many documents")
         } else if payload.len() > MAX_DOCUMENT_BYTES {
             Some("too long")
-        } else if least > 0 && own - before + least > MAX_GATEWAY_BYTES {
+        } else if own - before + least > MAX_GATEWAY_BYTES {
             Some("too much of one gateway")
-        } else if least > 0 && self.bytes - before + least > MAX_FLEET_BYTES {
+        } else if self.bytes - before + least > MAX_FLEET_BYTES {
             Some("too much of all gateways")
         } else {
             None
         };
         if let Some(why) = excess {
-            self.rejects.oversized += 1;
-            self.rejects.last = Some(format!("{gateway}/{path}: {why}"));
-            return;
-        }
-        if payload.is_empty() {
-            self.clear(&gateway, path, before);
-            return;
+            let text = format!("{gateway}/{path}: {why}");
+            return self.reject(topic, RejectReason::Oversized, text);
         }
         let (name, shown) = (gateway.clone(), path.to_string());
         let as_of = (now, self.connection);
@@ -418,17 +393,33 @@ impl Fleet {
                 stored.bytes = stored.bytes - before + bytes;
                 self.revision += 1;
                 stored.revision = self.revision;
+                self.rejects.remove(topic);
             }
             Err(why) => {
-                self.rejects.malformed += 1;
-                self.rejects.last = Some(format!("{name}/{shown}: {why}"));
+                let text = format!("{name}/{shown}: {why}");
+                self.reject(topic, RejectReason::Malformed, text);
                 self.forget_if_empty(&name);
             }
         }
     }
 
-    fn clear(&mut self, name: &GatewayName, path: TopicPath, bytes: usize) {
+    /// Notes whether an event could be read.
+    pub fn note_event(&mut self, topic: &[u8], is_usable: bool) {
+        if is_usable {
+            self.rejects.remove(topic);
+        } else {
+            let text = format!("{}: no event", shown_topic(topic));
+            self.reject(topic, RejectReason::Malformed, text);
+        }
+    }
+
+    fn reject(&mut self, topic: &[u8], reason: RejectReason, text: String) {
+        self.rejects.add(self.connection, topic, reason, text);
+    }
+
+    fn clear(&mut self, name: &GatewayName, path: TopicPath) {
         if let Some(gateway) = self.gateways.get_mut(name) {
+            let bytes = gateway.bytes_at(&path);
             gateway.remove(path);
             gateway.bytes -= bytes;
             self.bytes -= bytes;

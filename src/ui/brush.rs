@@ -183,6 +183,36 @@ pub fn set_rule(buffer: &mut Buffer, area: Rect, style: Style) {
     }
 }
 
+/// Writes the numbers of rows above and below the screen at the right end of the headings of a list; a
+/// heading that would be cut by it gives way.
+pub fn set_hidden_rows(
+    buffer: &mut Buffer,
+    theme: &Theme,
+    header: Rect,
+    (above, below): (usize, usize),
+) {
+    let text = match (above, below) {
+        (0, 0) => return,
+        (above, 0) => format!(" ↑{above}"),
+        (0, below) => format!(" ↓{below}"),
+        (above, below) => format!(" ↑{above} ↓{below}"),
+    };
+    let width = text.width() as u16;
+    if header.height == 0 || width >= header.width {
+        return;
+    }
+    let start = header.right() - width;
+    let is_blank = |buffer: &Buffer, x: u16| buffer[(x, header.y)].symbol() == " ";
+    let mut cut = start;
+    while cut > header.left() && !is_blank(buffer, cut) && !is_blank(buffer, cut - 1) {
+        cut -= 1;
+    }
+    for x in cut..start {
+        buffer[(x, header.y)].set_symbol(" ");
+    }
+    buffer.set_string(start, header.y, text, theme.style(Role::Muted));
+}
+
 /// Lays the style of the selected row over it: its background and attributes; each cell keeps its own
 /// colour, unless the theme gives one.
 pub fn set_selected(buffer: &mut Buffer, theme: &Theme, area: Rect, row: u16) {

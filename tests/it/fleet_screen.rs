@@ -381,12 +381,69 @@ fn malicious_documents_are_counted_and_shown_escaped() {
     stage.send("west/device/can0/9", &json!({"address": 9, "name": "\u{1b}[2J\u{202e}x"}));
     let screen = stage.screen();
     assert!(
-        screen.contains("3 documents not used; the last is evil/bus/can0: too long"),
+        screen.contains("3 documents not used; the last is descan/v1/north/event: no event"),
         "{screen}"
     );
     let screen = stage.filter("west").keys("Enter").screen();
     assert!(screen.contains("\\x1B[2J"), "{screen}");
     assert!(!screen.contains(['\u{1b}', '\u{202e}']));
+}
+
+#[test]
+fn banner_ends_when_the_unusable_document_is_replaced() {
+    let mut stage = FleetStage::fleet(120, 24);
+    stage.send_bytes("west/device/can0/9", b"{").send_bytes("west/event", b"[]");
+    let screen = stage.screen();
+    let banner = "2 documents not used; the last is descan/v1/west/event: no event";
+    assert!(screen.contains(banner), "{screen}");
+    stage.device("west", 9, "NINE", "DES@1.0");
+    let screen = stage.screen();
+    assert!(screen.contains("not used"), "{screen}");
+    stage.send("west/event", &json!({"event": "lost", "address": 9}));
+    let screen = stage.screen();
+    assert!(!screen.contains("not used"), "{screen}");
+}
+
+#[test]
+fn devices_of_gateways_that_are_not_online_are_last_known() {
+    let mut stage = FleetStage::fleet(120, 24);
+    let screen = stage.screen();
+    assert!(screen.contains("devices  ● 5 present  · 1 last known  ⚠ 1"), "{screen}");
+    stage.wait(60.0).status("east", 5000.0).wait(20.0);
+    let screen = stage.screen();
+    assert!(screen.contains("● 2 present  · 4 last known"), "silent ones: {screen}");
+}
+
+#[test]
+fn key_without_use_is_named() {
+    let mut stage = FleetStage::fleet(80, 24);
+    for key in ["4", "x", "F9"] {
+        let screen = stage.keys(key).screen();
+        let message = format!("{key} has no use on this screen; ? lists its keys");
+        assert!(screen.contains(&message), "{screen}");
+    }
+}
+
+#[test]
+fn help_lists_states_of_the_rows_of_the_page() {
+    let mut stage = FleetStage::fleet(120, 90);
+    let states = "online, silent, stopped, lost, unknown, conflict, suspected";
+    let help = stage.keys("?").screen();
+    assert!(help.contains(states) && !help.contains("frames"), "{help}");
+    let help = stage.keys("Esc 3 ?").screen();
+    assert!(help.contains(" suspected, confirmed") && !help.contains(states), "{help}");
+}
+
+#[test]
+fn numbers_of_hidden_rows_cut_no_heading() {
+    let mut stage = FleetStage::fleet(80, 24);
+    for number in 0..30 {
+        stage.status(&format!("more{number:02}"), 10.0);
+    }
+    let screen = stage.screen();
+    let headings = screen.lines().find(|line| line.contains("GATEWAY")).unwrap();
+    let words: Vec<&str> = headings.split_whitespace().collect();
+    assert!(words.ends_with(&["PROBLEMS", "↓24"]), "{headings:?}");
 }
 
 #[test]

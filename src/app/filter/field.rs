@@ -243,6 +243,11 @@ impl FilterField {
     pub const fn is_of(&self, rows: RowKind) -> bool {
         self.field.is_of(rows)
     }
+
+    /// Returns true for that of [`RowKind::states`].
+    pub fn is_state(&self) -> bool {
+        self.field == Field::State
+    }
 }
 
 macro_rules! fields {

@@ -140,26 +140,17 @@ fn shown(text: &str) -> String {
 #[derive(Clone, Debug, Default)]
 pub struct FleetEventLog {
     events: VecDeque<FleetEvent>,
-    malformed: u64,
 }
 
 impl FleetEventLog {
-    /// Takes an event; the oldest one above the bound is dropped.
-    pub(super) fn handle_event(&mut self, gateway: GatewayName, payload: &[u8]) {
-        match FleetEvent::parse(gateway, payload) {
-            Some(event) => {
-                if self.events.len() == MAX_EVENTS {
-                    self.events.pop_front();
-                }
-                self.events.push_back(event);
-            }
-            None => self.malformed += 1,
+    /// Takes an event; the oldest one above the bound is dropped. Returns false for what is none.
+    pub(super) fn handle_event(&mut self, gateway: GatewayName, payload: &[u8]) -> bool {
+        let Some(event) = FleetEvent::parse(gateway, payload) else { return false };
+        if self.events.len() == MAX_EVENTS {
+            self.events.pop_front();
         }
-    }
-
-    /// Number of events that could not be read.
-    pub fn malformed(&self) -> u64 {
-        self.malformed
+        self.events.push_back(event);
+        true
     }
 
     /// The last events, of one gateway or of all; the newest first.

@@ -76,10 +76,10 @@ impl FleetScreen {
         self.message = None;
         let global = self.options.keymap.lookup(KeyMode::Browse, key);
         match &mut self.overlay {
-            _ if global.is_some_and(Action::is_global) => self.run(global),
+            _ if global.is_some_and(Action::is_global) => self.run(global, key),
             FleetOverlay::Prompt(_) => self.type_filter(key),
             FleetOverlay::Help(_) => self.help_key(key),
-            FleetOverlay::None => self.run(global),
+            FleetOverlay::None => self.run(global, key),
         }
         if self.is_stale {
             self.refresh();
@@ -155,7 +155,7 @@ impl FleetScreen {
         FleetPage::ALL.into_iter().enumerate().map(tab).collect()
     }
 
-    fn run(&mut self, action: Option<Action>) {
+    fn run(&mut self, action: Option<Action>, key: Key) {
         use Action as A;
         let page = isize::from(self.regions().list.height.cast_signed()).max(2) - 1;
         match action {
@@ -186,8 +186,9 @@ impl FleetScreen {
             Some(A::Redraw) => self.effects.push_back(FleetEffect::Redraw),
             Some(A::Suspend) => self.effects.push_back(FleetEffect::Suspend),
             Some(A::Quit | A::QuitNow) => self.effects.push_back(FleetEffect::Quit),
-            Some(other) => self.show(format!("{other} is not on this screen; ? lists its keys")),
-            None => {}
+            Some(_) | None => {
+                self.show(format!("{key} has no use on this screen; ? lists its keys"));
+            }
         }
     }
 

@@ -94,10 +94,12 @@ pub enum BrokerLink {
 pub struct FleetSums {
     /// Gateways that are online, silent, stopped, lost, and without a status.
     pub states: [usize; 5],
-    /// Devices that are not lost.
+    /// Devices of online gateways that are not lost.
     pub present: usize,
-    /// Lost devices.
+    /// Lost devices of online gateways.
     pub lost: usize,
+    /// Devices of other gateways, as they were last known.
+    pub last_known: usize,
     /// Confirmed findings.
     pub confirmed: usize,
     /// Suspected findings.
@@ -117,8 +119,12 @@ impl FleetSums {
     fn add(&mut self, row: &GatewayEntry) {
         let at = Self::STATES.iter().position(|state| *state == row.state).unwrap_or_default();
         self.states[at] += 1;
-        self.present += row.facts.present;
-        self.lost += row.facts.lost;
+        if row.state == GatewayState::Online {
+            self.present += row.facts.present;
+            self.lost += row.facts.lost;
+        } else {
+            self.last_known += row.facts.present + row.facts.lost;
+        }
         self.confirmed += row.facts.confirmed;
         self.suspected += row.facts.suspected;
     }
@@ -239,7 +245,8 @@ impl FleetScreen {
         }
         match FleetTopic::parse(topic) {
             Some(FleetTopic { gateway, path: TopicPath::Event }) => {
-                self.events.handle_event(gateway, payload);
+                let is_usable = self.events.handle_event(gateway, payload);
+                self.fleet.note_event(topic, is_usable);
             }
             _ => self.fleet.handle_message(now, topic, payload),
         }
@@ -429,12 +436,9 @@ impl FleetScreen {
             lines.push((format!("{broker}: no right to read {filters} of descan/v1/#"), true));
         }
         let rejects = self.fleet.rejects();
-        let count = rejects.count() + self.events.malformed();
-        if count > 0 {
-            let documents = counted(count, "document");
-            let last = rejects.last.as_ref();
-            let last = last.map(|last| format!("; the last is {last}")).unwrap_or_default();
-            lines.push((format!("{documents} not used{last}"), false));
+        if let Some(last) = rejects.last() {
+            let documents = counted(rejects.open_count(), "document");
+            lines.push((format!("{documents} not used; the last is {last}"), false));
         }
         lines
     }

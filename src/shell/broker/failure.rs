@@ -70,8 +70,10 @@ fn words(error: &ConnectionError) -> (String, Option<&'static str>, bool) {
         ConnectionError::MqttState(StateError::ConnectionAborted) => {
             ("connection closed by the broker".to_owned(), None, false)
         }
-        ConnectionError::NotConnAck(_) => ("no broker for MQTT 5".to_owned(), None, false),
-        ConnectionError::Timeout(_) => ("no response".to_owned(), None, false),
+        ConnectionError::NotConnAck(_) => no_broker("the answer to CONNECT is another packet"),
+        ConnectionError::Timeout(_) | ConnectionError::MqttState(StateError::AwaitPingResp) => {
+            ("no response".to_owned(), None, false)
+        }
         other => deep(other),
     }
 }
@@ -103,7 +105,26 @@ fn deep(error: &ConnectionError) -> (String, Option<&'static str>, bool) {
         let remedy = "the broker may want TLS: mqtts://";
         return ("connection closed by the broker".to_owned(), Some(remedy), false);
     }
-    (text, None, false)
+    match error {
+        ConnectionError::MqttState(
+            StateError::Deserialization(_)
+            | StateError::ProtocolViolation(_)
+            | StateError::Unsolicited(_),
+        ) => {
+            // Without what the client puts before the cause.
+            let why = text.rsplit(": ").next().unwrap_or_default();
+            let mut letters = why.chars();
+            let first = letters.next().map(|c| c.to_ascii_lowercase());
+            no_broker(&first.into_iter().chain(letters).collect::<String>())
+        }
+        _ => (text, None, false),
+    }
+}
+
+/// What answers breaks the rules of MQTT 5: a web server, a broker with MQTT 3 alone.
+fn no_broker(why: &str) -> (String, Option<&'static str>, bool) {
+    let remedy = "check the port; a broker with MQTT 5 is needed, such as mosquitto 1.6 and later";
+    (format!("no MQTT 5 broker: {why}"), Some(remedy), false)
 }
 
 fn io_words(error: &io::Error) -> (String, Option<&'static str>, bool) {
@@ -113,9 +134,10 @@ fn io_words(error: &io::Error) -> (String, Option<&'static str>, bool) {
             Some("check host and port, and that the broker runs"),
             false,
         ),
-        io::ErrorKind::UnexpectedEof | io::ErrorKind::ConnectionReset => {
-            ("connection closed by the broker".to_owned(), None, false)
-        }
+        io::ErrorKind::UnexpectedEof
+        | io::ErrorKind::ConnectionReset
+        | io::ErrorKind::ConnectionAborted
+        | io::ErrorKind::BrokenPipe => ("connection closed by the broker".to_owned(), None, false),
         _ => (on_one_line(&without_number(error)), None, false),
     }
 }

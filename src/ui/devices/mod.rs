@@ -6,7 +6,7 @@ mod history;
 mod matrix;
 mod strip;
 
-use super::brush::{DrawContext, bus_label, end_of, fit, fit_right};
+use super::brush::{DrawContext, bus_label, end_of, fit, fit_right, set_hidden_rows};
 use crate::app::{
     App, BeatStats, DeviceView, FileStatus, PromptKind, Row, RowKey, RowState, ServiceTable,
     SortBy, VersionNote, format_duration, format_time_of_day,
@@ -51,16 +51,6 @@ pub fn draw(brush: &mut DrawContext) {
     }
 }
 
-/// The numbers of rows above and below the screen; `None` if all are on it.
-pub(super) fn hidden_rows(above: usize, below: usize) -> Option<String> {
-    Some(match (above, below) {
-        (0, 0) => return None,
-        (above, 0) => format!(" ↑{above}"),
-        (0, below) => format!(" ↓{below}"),
-        (above, below) => format!(" ↑{above} ↓{below}"),
-    })
-}
-
 /// Draws the number of rows above and below the screen at the right end of the headings.
 fn draw_hidden_rows(brush: &mut DrawContext) {
     let (header, list) = (brush.screen.header, brush.screen.list);
@@ -68,12 +58,7 @@ fn draw_hidden_rows(brush: &mut DrawContext) {
     let count = app.rows().len();
     let above = app.view().devices.top(app.selected_row_index(), count, height);
     let below = count.saturating_sub(above + height);
-    let Some(text) = hidden_rows(above, below) else { return };
-    let width = text.width() as u16;
-    if width < header.width {
-        let line = Line::from(brush.span(Role::Muted, text));
-        brush.line(Rect { x: header.right() - width, width, ..header }, 0, &line);
-    }
+    set_hidden_rows(brush.buffer, brush.theme, header, (above, below));
 }
 
 /// Cells of the list that have columns: a blank is in front of details beside it.

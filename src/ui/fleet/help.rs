@@ -75,6 +75,7 @@ fn signs(brush: &FleetBrush, lines: &mut Vec<Line<'static>>) {
     let others = [
         (Role::Confirmed, "⚠ 2", "confirmed problems; as the sign of a gateway: a conflict"),
         (Role::Suspected, "? 1", "suspected problems"),
+        (Role::Muted, "· 9 last known", "devices of gateways that are not online"),
         (Role::Changed, "≠", "other versions of the service are in use, too"),
     ];
     for (role, sign, text) in others {
@@ -95,9 +96,24 @@ fn filter(brush: &FleetBrush, lines: &mut Vec<Line<'static>>) {
     }
     for field in FILTER_FIELDS.iter().filter(|field| field.is_of(rows)) {
         let words = field.words.iter().map(|word| format!("{word}:")).collect::<Vec<_>>();
-        entry(brush, lines, (Role::HintKey, &words.join(" ")), field.doc);
+        let states = match rows {
+            // Words of `is:` that a published device can have.
+            RowKind::Device => {
+                "online, stale, silent, asleep, lost, conflict, suspected".to_owned()
+            }
+            _ => rows.states().join(", "),
+        };
+        let doc = if field.is_state() { &states } else { field.doc };
+        entry(brush, lines, (Role::HintKey, &words.join(" ")), doc);
     }
-    for (word, doc) in FILTER_WORDS {
+    for (word, doc) in FILTER_WORDS.iter().filter(|(word, _)| *word != "tx") {
+        let doc = match (*word, rows) {
+            ("err", RowKind::Gateway) => "gateways with a confirmed problem",
+            ("err", RowKind::Device) => "devices in a conflict, confirmed or suspected",
+            ("err", RowKind::Finding) => "confirmed problems",
+            ("err", _) => continue,
+            _ => doc,
+        };
         entry(brush, lines, (Role::HintKey, word), doc);
     }
 }

@@ -5,14 +5,14 @@ use super::{FleetBrush, age_text, of_state};
 use crate::app::{
     BrokerLink, FleetDevice, FleetPage, FleetProblem, FleetRow, FleetSort, GatewayRow, VersionRow,
 };
+use crate::fleet::GatewayState;
 use crate::inventory::{InventoryBus, InventoryDevice};
 use crate::theme::Role;
 use crate::time::Duration;
-use crate::ui::brush::{set_selected, wrap};
+use crate::ui::brush::{set_hidden_rows, set_selected, wrap};
 use crate::ui::chart::grouped;
-use crate::ui::devices::{hidden_rows, period_text};
+use crate::ui::devices::period_text;
 use crate::ui::status::rate;
-use ratatui::layout::Rect;
 use ratatui::text::Line;
 use unicode_width::UnicodeWidthStr;
 
@@ -51,12 +51,7 @@ pub fn draw(brush: &mut FleetBrush) {
 fn draw_hidden_rows(brush: &mut FleetBrush, above: usize) {
     let (header, height) = (brush.regions.header, usize::from(brush.regions.list.height));
     let below = brush.screen.rows().len().saturating_sub(above + height);
-    let Some(text) = hidden_rows(above, below) else { return };
-    let width = text.width() as u16;
-    if width < header.width {
-        let line = Line::from(brush.span(Role::Muted, text));
-        brush.line(Rect { x: header.right() - width, width, ..header }, 0, &line);
-    }
+    set_hidden_rows(brush.buffer, brush.theme, header, (above, below));
 }
 
 /// Draws why the list is empty.
@@ -173,7 +168,7 @@ fn cells(brush: &FleetBrush, row: &FleetRow) -> ((&'static str, Role), RowCells)
         FleetRow::Problem(problem) => problem_cells(brush, problem),
         FleetRow::Device(row) => device_cells(row),
     };
-    if !brush.screen.is_old() {
+    if !brush.screen.is_old() && !is_of_absent_gateway(brush, row) {
         return (sign, cells);
     }
     // What may have changed since has no colour.
@@ -181,6 +176,12 @@ fn cells(brush: &FleetBrush, row: &FleetRow) -> ((&'static str, Role), RowCells)
         parts.into_iter().map(|(_, text)| (Role::Muted, text)).collect()
     };
     ((sign.0, Role::Muted), cells.into_iter().map(muted).collect())
+}
+
+/// Returns true for a device of a gateway that is not online.
+fn is_of_absent_gateway(brush: &FleetBrush, row: &FleetRow) -> bool {
+    let gateway = brush.screen.opened().and_then(|name| brush.screen.gateway_row(name));
+    matches!(row, FleetRow::Device(_)) && gateway.is_some_and(|it| it.state != GatewayState::Online)
 }
 
 fn one(role: Role, text: impl Into<String>) -> Vec<(Role, String)> {
@@ -204,13 +205,15 @@ fn gateway_cells(brush: &FleetBrush, row: &GatewayRow) -> ((&'static str, Role),
     }
     let buses = facts.buses.iter().map(bus_text).collect::<Vec<_>>().join(", ");
     let descan = if facts.descan.is_empty() { "–" } else { &facts.descan };
+    // What is as it was last known has no colour.
+    let current = |role| if row.state == GatewayState::Online { role } else { Role::Muted };
     let cells = vec![
         one(Role::Text, row.name.as_str()),
         one(role, row.state.name()),
         one(Role::Muted, age_text(brush.screen, row)),
-        one(Role::Text, buses),
-        one(Role::Text, grouped(facts.present as u64)),
-        one(Role::Lost, count_text(facts.lost)),
+        one(current(Role::Text), buses),
+        one(current(Role::Text), grouped(facts.present as u64)),
+        one(current(Role::Lost), count_text(facts.lost)),
         problems,
         one(Role::Muted, descan),
     ];

@@ -2,6 +2,7 @@
 
 use super::{FleetBrush, age_text, of_state};
 use crate::app::{BrokerLink, FleetEvent, FleetEventKind, FleetSums};
+use crate::fleet::GatewayState;
 use crate::theme::Role;
 use crate::ui::brush::{fit, set_rule};
 use crate::ui::chart::grouped;
@@ -82,6 +83,7 @@ fn sums_as(brush: &FleetBrush, is_narrow: bool) -> Line<'static> {
     spans.push(of_count(sums.present, ("●", Role::Online), "present"));
     let problems = [
         (sums.lost, ("○", Role::Lost), "lost"),
+        (sums.last_known, of_state(GatewayState::Unknown), "last known"),
         (sums.confirmed, ("⚠", Role::Confirmed), ""),
         (sums.suspected, ("?", Role::Suspected), ""),
     ];

@@ -231,9 +231,25 @@ fn check_compares_each_gateway_with_its_folder() {
     assert_eq!(code, Some(1));
     assert!(out.contains("h: 0 entries, 0 devices: gateway missing\n"), "{out}");
     fs::write(folder.join("sites/h/des.json"), "[{").unwrap();
-    let (code, _, errors) = check("[]", &[]);
+    // A faulty file: the others are compared all the same.
+    let (code, out, errors) = check("[]", &[]);
     assert_eq!(code, Some(3));
-    assert!(errors.contains("sites/h/des.json: "), "{errors}");
+    assert!(
+        out.contains("g: 0 entries, ") && out.contains("h: not compared: sites/h/des.json: "),
+        "{out}"
+    );
+    assert!(errors.contains("h: not compared: sites/h/des.json: "), "{errors}");
+    let (_, json, _) = check("[]", &["--json"]);
+    let json: Value = serde_json::from_str(&json).unwrap();
+    assert_eq!(json["gateways"][0]["error"], Value::Null);
+    assert!(
+        json["gateways"][1]["error"].as_str().unwrap().contains("sites/h/des.json: "),
+        "{json}"
+    );
+    let (code, junit, _) = check("[]", &["--report", "tap"]);
+    assert_eq!(code, Some(3));
+    let failed = junit.lines().filter(|it| it.starts_with("not ok") && it.contains(" h: ")).count();
+    assert!(failed >= 2 && junit.contains("# SKIP"), "{junit}");
 }
 
 #[test]

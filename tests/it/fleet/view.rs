@@ -97,11 +97,50 @@ fn hostile_documents_are_counted_and_change_nothing() {
     assert_eq!(gateway.devices().next().unwrap().name.as_deref(), Some("FEED"));
     let rejects = fleet.rejects();
     assert_eq!((rejects.malformed, rejects.oversized, rejects.foreign), (7, 1, 2));
-    let last = rejects.last.as_deref().unwrap();
+    let last = rejects.last().unwrap();
     assert!(
         last.starts_with("descan/v1/a b/status: no topic") && !last.contains('\u{1b}'),
         "{last}"
     );
+}
+
+#[test]
+fn rejects_are_open_until_each_topic_is_replaced_or_cleared() {
+    let mut fleet = fleet(&[
+        ("a/device/can0/10", "{"),
+        ("a/device/can0/10", "["),
+        ("a/device/can0/11", "{"),
+        ("a/nothing", "{}"),
+        ("a/status", r#"{"online":true}"#),
+    ]);
+    let mut send = |topic: &str, payload: &str| {
+        fleet.handle_message(NOW, format!("descan/v1/{topic}").as_bytes(), payload.as_bytes());
+        let rejects = fleet.rejects();
+        (rejects.open_count(), rejects.last().map(|it| it[..it.find(':').unwrap()].to_owned()))
+    };
+    assert_eq!(send("a/device/can0/12", FEED), (4, Some("descan/v1/a/nothing".to_owned())));
+    assert_eq!(send("a/nothing", ""), (4, Some("a/device/can0/11".to_owned())));
+    assert_eq!(send("a/device/can0/11", ""), (4, Some("a/device/can0/10".to_owned())));
+    assert_eq!(send("a/device/can0/10", FEED), (0, None));
+    assert_eq!(send("a/device/can0/10", "{"), (1, Some("a/device/can0/10".to_owned())));
+    assert_eq!(fleet.rejects().count(), 5, "all of them");
+    // Cleared while there was no connection.
+    fleet.handle_connected();
+    fleet.handle_message(NOW, b"descan/v1/a/status", br#"{"online":true}"#);
+    fleet.handle_complete();
+    assert_eq!(fleet.rejects().last(), None);
+}
+
+#[test]
+fn rejects_of_any_number_of_topics_are_counted() {
+    let mut fleet = Fleet::default();
+    for number in 0..5000 {
+        let topic = format!("descan/v1/{}/{number}", "x".repeat(2000));
+        fleet.handle_message(NOW, topic.as_bytes(), b"{}");
+        fleet.handle_message(NOW, format!("foreign/{number}").as_bytes(), b"{}");
+    }
+    assert_eq!(fleet.rejects().open_count(), 10_000);
+    assert!(fleet.rejects().last().is_some());
 }
 
 /// Lists of empty members take twenty times the memory of their text.
