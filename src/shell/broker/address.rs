@@ -72,6 +72,11 @@ impl FromStr for BrokerAddress {
 }
 
 impl BrokerAddress {
+    /// Returns true for `mqtts://`.
+    pub(super) const fn has_tls(&self) -> bool {
+        self.has_tls
+    }
+
     /// Returns true if the connection does not leave this machine.
     fn is_local(&self) -> bool {
         let of_loopback = |it: std::net::IpAddr| it.is_loopback();

@@ -26,6 +26,9 @@ const OWN_NAME: &str = "give each gateway its own --gateway";
 const OWN_CERTIFICATE: Option<&str> =
     Some("the broker may ask for a certificate: --cert FILE --key FILE");
 
+/// What helps where the broker ends the connection without a word.
+const CLOSED_WITHOUT_TLS: &str = "it may want TLS (mqtts://), or have no MQTT 5";
+
 impl BrokerFailure {
     /// Another program publishes with the same name.
     pub(super) fn replaced(address: &BrokerAddress) -> Self {
@@ -46,6 +49,10 @@ impl BrokerFailure {
     ) -> Self {
         let (cause, remedy, is_final) = words(error);
         let remedy = remedy.filter(|_| is_final || !was_connected);
+        let remedy = remedy.map(|it| match it {
+            CLOSED_WITHOUT_TLS if address.has_tls() => "it may have no MQTT 5",
+            other => other,
+        });
         let diagnostic = Diagnostic::new(format!("{address}: {cause}"));
         let diagnostic = match remedy {
             Some(remedy) => diagnostic.with_remedy(remedy),
@@ -67,9 +74,7 @@ fn words(error: &ConnectionError) -> (String, Option<&'static str>, bool) {
             let cause = format!("sent a packet of {pkt_size} bytes, more than the {max} agreed on");
             (cause, Some("use a broker that keeps to Maximum Packet Size of MQTT 5"), false)
         }
-        ConnectionError::MqttState(StateError::ConnectionAborted) => {
-            ("connection closed by the broker".to_owned(), None, false)
-        }
+        ConnectionError::MqttState(StateError::ConnectionAborted) => closed(),
         ConnectionError::NotConnAck(_) => no_broker("the answer to CONNECT is another packet"),
         ConnectionError::Timeout(_) | ConnectionError::MqttState(StateError::AwaitPingResp) => {
             ("no response".to_owned(), None, false)
@@ -102,8 +107,7 @@ fn deep(error: &ConnectionError) -> (String, Option<&'static str>, bool) {
         return (format!("TLS: the broker refuses it{alert}"), OWN_CERTIFICATE, true);
     }
     if text.contains("reset by peer") {
-        let remedy = "the broker may want TLS: mqtts://";
-        return ("connection closed by the broker".to_owned(), Some(remedy), false);
+        return closed();
     }
     match error {
         ConnectionError::MqttState(
@@ -119,6 +123,11 @@ fn deep(error: &ConnectionError) -> (String, Option<&'static str>, bool) {
         }
         _ => (text, None, false),
     }
+}
+
+/// The broker ended the connection without a word.
+fn closed() -> (String, Option<&'static str>, bool) {
+    ("connection closed by the broker".to_owned(), Some(CLOSED_WITHOUT_TLS), false)
 }
 
 /// What answers breaks the rules of MQTT 5: a web server, a broker with MQTT 3 alone.
@@ -137,7 +146,7 @@ fn io_words(error: &io::Error) -> (String, Option<&'static str>, bool) {
         io::ErrorKind::UnexpectedEof
         | io::ErrorKind::ConnectionReset
         | io::ErrorKind::ConnectionAborted
-        | io::ErrorKind::BrokenPipe => ("connection closed by the broker".to_owned(), None, false),
+        | io::ErrorKind::BrokenPipe => closed(),
         _ => (on_one_line(&without_number(error)), None, false),
     }
 }

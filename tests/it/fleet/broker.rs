@@ -405,6 +405,37 @@ fn broker_that_is_not_there_is_named() {
     }
 }
 
+/// Returns a port at which each connection gets this answer, and is closed.
+fn answering(answer: &'static [u8]) -> u16 {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let port = listener.local_addr().unwrap().port();
+    thread::spawn(move || {
+        for mut stream in listener.incoming().flatten() {
+            let _ = stream.read(&mut [0; 4096]).and_then(|_| stream.write_all(answer));
+        }
+    });
+    port
+}
+
+#[test]
+fn what_is_no_broker_with_mqtt_5_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let answers: [(&[u8], &str); 4] = [
+        (b"HTTP/1.1 400 Bad Request\r\n\r\n", "no MQTT 5 broker: "),
+        (b"SSH-2.0-OpenSSH_9.2\r\n", "no MQTT 5 broker: "),
+        // Of MQTT 3: unacceptable protocol version.
+        (&[0x20, 2, 0, 1], "or have no MQTT 5"),
+        (b"", "or have no MQTT 5"),
+    ];
+    for (answer, cause) in answers {
+        let url = format!("mqtt://127.0.0.1:{}", answering(answer));
+        let output = run(&["fleet", "--json", "--broker", &url, "--time", "2"], folder.path());
+        let errors = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(3), "{errors}");
+        assert!(errors.contains(cause), "{answer:?}: {errors}");
+    }
+}
+
 /// The most memory that a process had, in KiB.
 fn peak_memory(process: Pid) -> u64 {
     let status = fs::read_to_string(format!("/proc/{process}/status")).unwrap();
