@@ -1,7 +1,7 @@
 //! `descan convert`: a log in another format.
 //!
 //! Reads frame by frame, in constant memory, and writes a file beside OUT, which takes its place at the
-//! end. Does not know formats.
+//! end. A signal ends a pipe, whose frames so far are written, and discards the file of another log. Does not know formats.
 
 use super::diff::spec_of;
 use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure, output};
@@ -9,9 +9,11 @@ use crate::bus::{self, BusSpec, unpacked_log, wall_micros};
 use crate::cli::ConvertArgs;
 use crate::diagnostic::Diagnostic;
 use crate::log::{FORMATS, LogEncoder, LogEntry, LogFormat, LogReader, LogSummary, READABLE_LOGS};
-use crate::open_file::{stdin_file, with_usual_mode};
+use crate::open_file::{is_at, stdin_file, with_usual_mode};
 use crate::regular_file::{self, shown};
+use crate::shell::pipe_input::PipeInput;
 use crate::shell::stop;
+use std::fs::File;
 use std::io::{self, BufReader, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -32,18 +34,26 @@ pub fn run(args: &ConvertArgs) -> Result<u8, Failure> {
     };
     let is_file = file.metadata().map_err(unusable)?.is_file();
     let file = Arc::new(file);
-    let source = unpacked_log(Arc::clone(&file), &file).map_err(unusable)?;
+    let temporary = Arc::default();
+    let is_stopped = stop_on_signal(&temporary)?;
+    let source = if is_file {
+        unpacked_log(Arc::clone(&file), &file)
+    } else {
+        // What a signal ends is complete up to there.
+        PipeInput::spawn(Arc::clone(&file), Arc::clone(&is_stopped))
+            .and_then(|pipe| unpacked_log(pipe, &file))
+    };
+    let source = source.map_err(unusable)?;
     let mut reader = LogReader::new(BufReader::with_capacity(PART, source));
     if !is_file {
         reader.date_arrivals(wall_micros);
     }
-    let temporary = Arc::default();
-    let is_stopped = stop_on_signal(&temporary)?;
+    let is_own = is_same_file(&file, &args.output);
     let mut target = ConvertedLog::create(&args.output, args.force, &temporary)?;
     let mut encoder = format.encoder();
     let mut part = Vec::with_capacity(PART + 1024);
     encoder.begin(&mut part).map_err(|error| target.not_written(&error))?;
-    while !is_stopped.load(Ordering::Relaxed) {
+    while !is_file || !is_stopped.load(Ordering::Relaxed) {
         let Some(frame) = reader.next_frame().map_err(unusable)? else { break };
         let summary = reader.summary();
         let interface = summary.interfaces.get(usize::from(frame.bus.0));
@@ -51,15 +61,17 @@ pub fn run(args: &ConvertArgs) -> Result<u8, Failure> {
         let entry = LogEntry { unix_micros: summary.written_micros, interface, frame };
         let written = encoder.write(entry, u64::MAX, &mut part);
         written.map_err(|error| target.not_written(&error))?;
-        if part.len() >= PART {
+        // What a pipe has for now is written at once.
+        if part.len() >= PART || (!is_file && !reader.has_buffered()) {
             target.write(&part)?;
             part.clear();
         }
     }
-    if is_stopped.load(Ordering::Relaxed) {
+    let is_stopped = is_stopped.load(Ordering::Relaxed);
+    let summary = reader.summary();
+    if is_stopped && (is_file || summary.own_frames() == 0) {
         return Ok(EXIT_INTERRUPTED);
     }
-    let summary = reader.summary();
     if summary.own_frames() == 0 {
         let fault = Diagnostic::new(summary.to_string());
         let fault = if summary.lost_entries() > 0 {
@@ -69,12 +81,26 @@ pub fn run(args: &ConvertArgs) -> Result<u8, Failure> {
         };
         return Err(fault.of(&spec).into());
     }
+    if is_own && summary.lost_entries() > 0 {
+        let fault =
+            Diagnostic::new(format!("not replaced, as not all of it can be read: {summary}"));
+        let fault = fault.with_remedy("write to another file");
+        return Err(fault.of(shown(&args.output)).into());
+    }
     let names = summary.interfaces.to_vec();
     encoder.end(&names, &[], &mut part).map_err(|error| target.not_written(&error))?;
     target.write(&part)?;
     target.finish(encoder.head(), args.force)?;
     report(summary, encoder.as_ref(), &spec, &args.output);
+    if is_stopped {
+        return Ok(EXIT_INTERRUPTED);
+    }
     Ok(if summary.lost_entries() > 0 { EXIT_FINDINGS } else { EXIT_OK })
+}
+
+/// Returns true if the output is the log that is read.
+fn is_same_file(file: &File, output: &Path) -> bool {
+    is_at(file, output).unwrap_or(false)
 }
 
 fn format_of(args: &ConvertArgs) -> Result<&'static LogFormat, Failure> {
@@ -153,6 +179,10 @@ impl ConvertedLog {
         let file = with_usual_mode(builder.prefix(".descan-"))
             .tempfile_in(folder.unwrap_or(Path::new(".")));
         let file = file.map_err(|error| not_written(&path, &error))?;
+        if let Some(metadata) = metadata {
+            // Of the file that is replaced; what may not be changed stays as the system makes it.
+            let _ = file.as_file().set_permissions(metadata.permissions());
+        }
         *temporary.lock().unwrap_or_else(PoisonError::into_inner) = Some(file.path().to_owned());
         Ok(Self { path, file: Some(file) })
     }

@@ -153,7 +153,8 @@ struct GatewayReport<'a> {
     descan: Option<&'a str>,
     /// Time of its last status by its clock, in Unix seconds.
     time: Option<f64>,
-    events: EventReport,
+    /// `null` after a lost connection.
+    events: Option<EventReport>,
     buses: Vec<GatewayBusReport<'a>>,
     devices: Vec<GatewayDeviceReport<'a>>,
     findings: Vec<GatewayFindingReport<'a>>,
@@ -272,7 +273,7 @@ fn of_gateway<'a>(
     now: Instant,
 ) -> GatewayReport<'a> {
     let status = gateway.status();
-    let events = status.map(|status| status.events).unwrap_or_default();
+    let events = status.and_then(|status| status.events);
     let is_device = |device: &&InventoryDevice| {
         !InventoryDevice::is_debug(device.address, device.name.as_deref(), device.uid.as_deref())
     };
@@ -285,7 +286,7 @@ fn of_gateway<'a>(
         state: gateway.state(now).name(),
         descan: status.map(|it| it.descan.as_str()).filter(|it| !it.is_empty()),
         time: status.and_then(|status| status.time),
-        events: EventReport { last: events.last, dropped: events.dropped },
+        events: events.map(|it| EventReport { last: it.last, dropped: it.dropped }),
         buses: gateway
             .buses()
             .map(|bus| GatewayBusReport {

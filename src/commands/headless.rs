@@ -427,7 +427,7 @@ fn report_unreadable(spec: &BusSpec, session: &Session) -> Result<(), Failure> {
             _ => "check that it is the right log",
         };
         output::warn(format_args!("{spec}: {summary}; {way_out}"));
-    } else if is_damaged || summary.clock_steps_back > 0 {
+    } else if is_damaged || summary.clock_steps_back > 0 || summary.ends_inside_line {
         output::warn(format_args!("{spec}: {summary}"));
     }
     Ok(())

@@ -675,13 +675,22 @@ pub fn add_buses(
 /// Prints on standard error what was recorded.
 pub fn report_recording(status: Option<RecordingStatus>) {
     if let Some(status) = status {
-        output::warn(format_args!("recorded {status}"));
+        report_file("recorded", &status);
     }
 }
 
 /// Prints on standard error what was written.
 pub fn report_written(status: &RecordingStatus) {
-    output::warn(format_args!("wrote {status}"));
+    report_file("wrote", status);
+}
+
+/// Prints what is in a file; without frames there is none, which the status says.
+fn report_file(what: &str, status: &RecordingStatus) {
+    if (status.frames, status.bytes) == (0, 0) && status.failure.is_none() {
+        output::warn(status);
+    } else {
+        output::warn(format_args!("{what} {status}"));
+    }
 }
 
 /// Offset of local time from UTC, in seconds; 0 if unknown. Call before threads are started.

@@ -74,8 +74,8 @@ pub struct GatewayStatus {
     pub time: Option<f64>,
     /// Version of the program.
     pub descan: String,
-    /// What was observed of its events.
-    pub events: EventCounts,
+    /// What was observed of its events; `None` after a lost connection.
+    pub events: Option<EventCounts>,
 }
 
 /// Counts of events.

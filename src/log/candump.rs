@@ -135,10 +135,10 @@ pub(super) struct CandumpLines {
 impl CandumpLines {
     /// Returns what the first bytes of a log say.
     pub fn of_head(head: &[u8]) -> Self {
-        let whole =
-            head.split_inclusive(|&byte| byte == b'\n').filter(|line| line.ends_with(b"\n"));
-        let times = whole.map_while(|line| Some(candump_time::split(line)?.0));
-        Self { times: CandumpTimes::of(times), is_screen: false }
+        Self {
+            times: CandumpTimes::of(times_of_head(head).map_while(|time| time)),
+            is_screen: false,
+        }
     }
 
     /// Returns true if the lines are the usual ones of the log text.
@@ -185,18 +185,33 @@ impl CandumpLines {
     }
 }
 
+/// Returns the time of each whole line of the first bytes of a log, `None` of a line without one. Blank
+/// lines, and the words of an error frame, are left out.
+fn times_of_head(head: &[u8]) -> impl Iterator<Item = Option<PrintedTime>> {
+    let whole = head.split_inclusive(|&byte| byte == b'\n').filter(|line| line.ends_with(b"\n"));
+    let dated = whole.filter(|line| !line.trim_ascii().is_empty() && !line.starts_with(b"\t"));
+    dated.map(|line| Some(candump_time::split(line)?.0))
+}
+
 /// Returns true if a log that begins with `head` has short times, and more lines are needed to know from
 /// where they count.
 pub(super) fn has_undecided_times(head: &[u8]) -> bool {
     /// Bytes in which the lines are looked for.
     const MAX_HEAD: usize = 4096;
+    /// Longest colour before the first time.
+    const MAX_COLOUR: usize = 12;
     let is_short = |(at, byte): (usize, &u8)| match at {
         0 => *byte == b'(',
         1 => *byte == b'0',
         2 | 3 => byte.is_ascii_digit(),
         _ => *byte == b'.',
     };
-    if head.len() >= MAX_HEAD || !head.iter().take(5).enumerate().all(is_short) {
+    let first = candump_time::without_colours(head);
+    let is_colour_cut = first.starts_with(b"\x1b") && first.len() < MAX_COLOUR;
+    if head.len() >= MAX_HEAD {
+        return false;
+    }
+    if !is_colour_cut && !first.iter().take(5).enumerate().all(is_short) {
         return false;
     }
     // It is looked at again with each line.
@@ -204,13 +219,12 @@ pub(super) fn has_undecided_times(head: &[u8]) -> bool {
         return true;
     }
     let mut times = CandumpTimes::NEW;
-    let mut lines = head.split_inclusive(|&byte| byte == b'\n');
-    let all_have_times = lines.all(|line| match candump_time::split(line) {
-        Some((time, _)) => {
+    let mut of_lines = times_of_head(head);
+    let all_have_times = of_lines.all(|time| {
+        time.is_some_and(|time| {
             times.unix_micros(time);
             true
-        }
-        None => false,
+        })
     });
     all_have_times && times.is_undecided()
 }

@@ -206,12 +206,8 @@ impl<R: BufRead> LogReader<R> {
             return Ok(DecodeStep::End);
         }
         let Some(decoder) = &mut self.decoder else { return self.detect() };
-        if let Some(clock) = self.arrival
-            && (self.summary.is_timeless || self.summary.own_frames() == 0)
-        {
-            self.summary.arrival = clock();
-        }
         if !self.head.is_empty() {
+            self.summary.note_arrival(self.arrival);
             let (used, step) = decoder.decode(&self.head, &mut self.summary);
             self.head.drain(..used);
             self.summary.note_read(used);
@@ -240,6 +236,8 @@ impl<R: BufRead> LogReader<R> {
             };
             return Ok(frame.map_or(DecodeStep::End, DecodeStep::Frame));
         }
+        // Now that it is there: the source may have been waited for.
+        self.summary.note_arrival(self.arrival);
         let (used, step) = decoder.decode(buffer, &mut self.summary);
         self.source.consume(used);
         self.summary.note_read(used);

@@ -78,6 +78,8 @@ pub struct LogSummary {
     pub is_timeless: bool,
     /// The log is a database whose write-ahead log, a file beside it, is not read.
     pub has_skipped_wal: bool,
+    /// The last line of a text log has no end.
+    pub ends_inside_line: bool,
     /// Time at which the next entry is read, in microseconds since 1970; 0 if it is not known.
     pub(super) arrival: u64,
     /// Offset added to the times in the log, because the clock was set back.
@@ -124,6 +126,13 @@ impl LogSummary {
         self.damage_at = self.damage.map(|damage| noted.unwrap_or((damage, self.bytes)));
     }
 
+    /// Notes when the next entry is read; only entries of a log without times need it.
+    pub(super) fn note_arrival(&mut self, clock: Option<fn() -> u64>) {
+        if let Some(clock) = clock.filter(|_| self.is_timeless || self.own_frames() == 0) {
+            self.arrival = clock();
+        }
+    }
+
     /// Notes where damage is that is not behind what was read.
     pub(super) fn note_damage_at(&mut self, damage: Damage, byte: u64) {
         self.damage_at = Some((damage, byte));
@@ -135,7 +144,7 @@ impl LogSummary {
         (self.entries, self.clock_steps_back) = (0, 0);
         (self.damage, self.foreign) = (None, None);
         (self.damage_at, self.bytes) = (None, 0);
-        self.has_skipped_wal = false;
+        (self.has_skipped_wal, self.ends_inside_line) = (false, false);
         self.frames_before = self.frames;
     }
 
@@ -267,6 +276,9 @@ impl fmt::Display for LogSummary {
         }
         if self.has_skipped_wal {
             write!(f, "; {SKIPPED_WAL}")?;
+        }
+        if self.ends_inside_line {
+            write!(f, "; the last line has no end: it may be cut off")?;
         }
         if self.is_timeless {
             write!(f, "; without times")?;

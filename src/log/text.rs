@@ -221,6 +221,7 @@ impl LogDecoder for TextDecoder {
             return None;
         }
         let is_counted = std::mem::take(&mut self.skipped) > 0;
+        summary.ends_inside_line = !self.partial.trim_ascii().is_empty();
         let frame = if is_counted { None } else { self.take_partial(summary) };
         self.partial.clear();
         frame

@@ -56,13 +56,25 @@ impl Packing {
 
     /// Returns how a log with these first bytes is packed; `None` if it is not.
     pub fn of_head(head: &[u8]) -> Option<Self> {
-        Self::ALL.iter().find(|(_, magic)| head.starts_with(magic)).map(|(packing, _)| *packing)
+        let found = Self::ALL.iter().find(|(_, magic)| head.starts_with(magic));
+        let skippable = || skippable_zstd(head).filter(|is_whole| *is_whole);
+        found.map(|(packing, _)| *packing).or_else(|| skippable().map(|_| Self::Zstd))
     }
 
     /// Returns true if more bytes are needed to know.
     fn is_undecided(head: &[u8]) -> bool {
         Self::ALL.iter().any(|(_, magic)| head.len() < magic.len() && magic.starts_with(head))
+            || skippable_zstd(head) == Some(false)
     }
+}
+
+/// Returns whether these first bytes are all four of a skippable frame of zstd, with which pzstd begins a
+/// file (RFC 8878, 3.1.2); `None` for those of something else.
+fn skippable_zstd(head: &[u8]) -> Option<bool> {
+    const MAGIC: [u8; 4] = [0x50, 0x2A, 0x4D, 0x18];
+    let (first, rest) = head.split_first()?;
+    let is_begun = first & 0xF0 == MAGIC[0] && rest.iter().zip(&MAGIC[1..]).all(|(a, b)| a == b);
+    is_begun.then_some(head.len() >= MAGIC.len())
 }
 
 /// A log that is unpacked while it is read, or read as it is.

@@ -49,6 +49,7 @@ pub mod frame_templates;
 pub mod log_input;
 pub mod paint_pace;
 pub mod painted_screen;
+pub mod pipe_input;
 pub mod plan_files;
 pub mod project_search;
 pub mod recent_frames;

@@ -14,7 +14,7 @@ use crate::time::{Duration, Instant};
 /// Least time between two draws.
 const PACE: Duration = Duration::from_millis(33);
 /// The same after a key.
-const PACE_AFTER_KEY: Duration = Duration::from_millis(10);
+const PACE_AFTER_KEY: Duration = Duration::from_millis(5);
 /// Bytes per second for what the bus changes: with the clock and a message, 2,000 at most.
 pub const SCREEN_BUDGET: f64 = 1700.0;
 /// Time after a key in which draws are what the key asked for: counts, a past moment.
@@ -241,10 +241,10 @@ mod tests {
         pace.drawn(at(1000), 2000, NO_TIME, true);
         assert_eq!(pace.due(), at(3000));
         pace.note_key(at(1001));
-        assert_eq!(pace.due(), at(1010));
-        pace.drawn(at(1010), 5000, NO_TIME, true);
+        assert_eq!(pace.due(), at(1005));
+        pace.drawn(at(1005), 5000, NO_TIME, true);
         // What follows from the key.
-        assert_eq!(pace.due(), at(1043));
+        assert_eq!(pace.due(), at(1038));
         pace.drawn(at(1600), 100, NO_TIME, true);
         assert_eq!(pace.due(), at(3100));
     }
@@ -295,7 +295,7 @@ mod tests {
         pace.drawn(at(110), 6000, NO_TIME, true);
         assert_eq!(pace.due(), at(10_100));
         pace.note_key(at(200));
-        assert_eq!(pace.due(), at(120));
+        assert_eq!(pace.due(), at(115));
         pace.note_answer(at(3180));
         // 3,000 bytes in 3 s; 6,000 are on their way.
         assert_eq!(pace.most_bytes(), 250);

@@ -234,6 +234,8 @@ struct ChartAxis {
     step: u64,
     /// Second after the last sample: charts move by whole cells.
     end: u64,
+    /// Second that is not over yet.
+    now: u64,
 }
 
 impl ChartAxis {
@@ -242,9 +244,11 @@ impl ChartAxis {
         let cells = u64::from(width.saturating_sub(SCALE + 1));
         let histories = brush.app.buses().iter().map(|bus| &bus.meter.history);
         let longest = histories.clone().map(LoadHistory::len).max().unwrap_or(0);
-        let end = histories.map(LoadHistory::end).max().unwrap_or(0);
+        let now = histories.map(LoadHistory::end).max().unwrap_or(0);
         let step = brush.app.chart_span().seconds_per_sample(cells * 2, longest);
-        Self { cells, step, end: end / (2 * step) * (2 * step) }
+        // A long cell has what is known of it so far.
+        let whole = if step > 1 { now.div_ceil(2 * step) } else { now / (2 * step) };
+        Self { cells, step, end: whole * 2 * step, now }
     }
 
     /// The first second.
@@ -361,6 +365,7 @@ fn draw_axis(brush: &mut DrawContext, area: Rect, axis: ChartAxis) {
     }
     let time = |cell: u64| {
         let second = (axis.end + cell * 2 * axis.step).checked_sub(axis.cells * 2 * axis.step)?;
+        let second = second.min(axis.now);
         Some(format_time_of_day(brush.app, Instant::from_micros(second * 1_000_000)))
     };
     let cells = axis.cells as usize;

@@ -43,9 +43,11 @@ pub fn draw(brush: &mut DrawContext) {
     let room = moment::start(brush).saturating_sub(end + 1);
     match PageTitle::of(brush) {
         // On narrow screens the end of the filter gives way.
-        PageTitle::Text(text) if usize::from(room) >= text.width().min(LEAST) => {
-            let wide = text.width() > usize::from(room);
-            let text = if wide { fit(&text, usize::from(room)) } else { text };
+        PageTitle::Text(text, shorter) if usize::from(room) >= text.width().min(LEAST) => {
+            let is_wide = |text: &String| text.width() > usize::from(room);
+            // A number that is cut would be another one.
+            let text = if is_wide(&text) { shorter.unwrap_or(text) } else { text };
+            let text = if is_wide(&text) { fit(&text, usize::from(room)) } else { text };
             let line = Line::from(brush.span(Role::Match, text));
             brush.line(Rect { x: end + 1, width: room, ..area }, 0, &line);
         }
@@ -153,8 +155,8 @@ impl PageViews {
 
 /// What stands between the names of the pages and the moment.
 enum PageTitle {
-    /// The filter, the title of the evidence or of a list.
-    Text(String),
+    /// The filter, the title of the evidence or of a list; and a shorter text.
+    Text(String, Option<String>),
     Views(PageViews),
     None,
 }
@@ -163,15 +165,19 @@ impl PageTitle {
     fn of(brush: &DrawContext) -> Self {
         let app = brush.app;
         let open = app.view().page;
-        let text = match &app.view().evidence {
-            Some(evidence) => Some(format!(" ◆ {} ", evidence.title)),
-            None => traffic::title(app)
-                .filter(|_| open == Page::Traffic)
-                .or_else(|| chip(app.page_filter(open), app.hidden_rows_shown()))
-                .or_else(|| debug_limit(brush).filter(|_| open == Page::Traffic)),
+        let alone = |text| (text, None);
+        let text = if let Some(evidence) = &app.view().evidence {
+            Some(alone(format!(" ◆ {} ", evidence.title)))
+        } else {
+            let title = traffic::title(app).filter(|_| open == Page::Traffic).map(alone);
+            let filter = app.page_filter(open);
+            let chip_of = |hidden| chip(filter, hidden);
+            title
+                .or_else(|| Some((chip_of(app.hidden_rows_shown())?, chip_of(None))))
+                .or_else(|| debug_limit(brush).filter(|_| open == Page::Traffic).map(alone))
         };
         match text {
-            Some(text) => Self::Text(text),
+            Some((text, shorter)) => Self::Text(text, shorter),
             None => PageViews::of(brush).map_or(Self::None, Self::Views),
         }
     }
@@ -183,7 +189,7 @@ impl PageTitle {
 pub fn title_cells(brush: &DrawContext) -> (u16, u16) {
     let is_past = brush.app.past_moment().is_some();
     let (wanted, least) = match PageTitle::of(brush) {
-        PageTitle::Text(text) => {
+        PageTitle::Text(text, _) => {
             let least = text.width().min(LEAST);
             (if is_past { text.width() } else { least }, least)
         }

@@ -69,6 +69,8 @@ fn at_a_broker() {
     opened.sort_by(f64::total_cmp);
     println!("start to complete view: median {:.0}, most {:.0} ms", opened[2], opened[4]);
     let mut pty = Pty::start(&arguments, broker.folder(), (120, 40));
+    // As terminals do: while an answer is awaited, Esc waits for what may follow it.
+    pty.answers = true;
     pty.wait_until("complete view", complete);
     pages(&mut pty, "nothing changes");
     let stop = Arc::new(AtomicBool::new(false));

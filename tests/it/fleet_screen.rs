@@ -257,16 +257,22 @@ fn gateways_are_filtered_by_what_their_devices_have() {
 }
 
 #[test]
-fn filter_with_mistake_keeps_rows_and_says_why() {
+fn filter_with_mistake_shows_all_rows_and_says_why() {
     let mut stage = FleetStage::fleet(80, 24);
     stage.filter("at:12").keys("/ Space");
     stage.screen.handle_paste(stage.now, "len:4");
-    assert_eq!(stage.names(), "east");
+    assert_eq!(stage.names(), "south north east west", "not by a part of what is typed");
     let (error, column) = stage.screen.prompt().unwrap().error.clone().unwrap();
     assert!(error.contains("gateways have no field len") && column == 7, "{error} {column}");
-    assert!(stage.screen().contains("✗ len:4: gateways"));
+    // The whole mistake, above the line that is typed, also after Enter.
+    for key in ["Left", "Enter"] {
+        let screen = stage.keys(key).screen();
+        let words = screen.split_whitespace().collect::<Vec<_>>().join(" ");
+        assert!(words.contains("✗ len:4: gateways have no field len; use at: "), "{screen}");
+        assert!(words.contains(", column 7 filter: at:12 len:4"), "{screen}");
+    }
     assert!(stage.keys("Esc").screen.prompt().is_none());
-    assert_eq!(stage.screen.filter().text, "at:12");
+    assert_eq!((stage.names(), stage.screen.filter().text.as_str()), ("east".to_owned(), "at:12"));
 }
 
 #[test]
@@ -412,6 +418,23 @@ fn devices_of_gateways_that_are_not_online_are_last_known() {
     stage.wait(60.0).status("east", 5000.0).wait(20.0);
     let screen = stage.screen();
     assert!(screen.contains("● 2 present  · 4 last known"), "silent ones: {screen}");
+}
+
+#[test]
+fn message_ends_by_itself() {
+    let mut stage = FleetStage::fleet(80, 24);
+    assert!(stage.keys("s").screen().contains("sorted by"));
+    stage.wait(5.5);
+    assert!(stage.screen().contains("sorted by"));
+    stage.wait(1.0);
+    assert!(stage.screen().contains("? help"), "{}", stage.screen());
+}
+
+#[test]
+fn device_of_lost_gateway_is_last_known() {
+    let mut stage = FleetStage::fleet(80, 24);
+    let screen = stage.keys("Enter").screen();
+    assert!(screen.contains("state     last known online; mode WORK"), "{screen}");
 }
 
 #[test]

@@ -12,8 +12,10 @@ use ruzstd::encoding::{CompressionLevel, compress_to_vec};
 use std::fmt::Write as _;
 use std::fs;
 use std::io::{BufReader, Read, Write};
+use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
-use std::process::{Command, Output, Stdio};
+use std::process::{Child, Command, Output, Stdio};
+use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Frames of every kind, as candump writes them.
 const KINDS: &str = "\
@@ -135,6 +137,9 @@ fn times_of_candump_are_read_in_all_their_forms() {
         let epoch = summary.epoch.unwrap();
         frames.iter().map(|frame| epoch.unix_micros(frame.time)).collect()
     };
+    let within = |log: &str, before: &str, after: &str| {
+        log.lines().map(|line| [before, line, after, "\n"].concat()).collect::<String>()
+    };
     for frame in ["can0 123#11", " can0  123   [1]  11"] {
         let since_start = ["000.000000", "000.500000", "000.900000", "001.200000"];
         assert_eq!(micros(&log(&since_start, frame)), [0, 500_000, 900_000, 1_200_000]);
@@ -143,6 +148,13 @@ fn times_of_candump_are_read_in_all_their_forms() {
             micros(&log(&differences, frame)),
             [0, 500_000, 1_400_000, 1_600_000, 2_600_000]
         );
+        // As candump prints them: the first lines are no others.
+        let late = ["000.000000", "000.005000", "000.010000", "000.015000", "000.001000"];
+        let printed = log(&late, frame);
+        let coloured = within(&printed, "\x1b[1m\x1b[31m ", "\x1b[0m");
+        for log in [within(&printed, " ", ""), coloured, format!("\n{printed}")] {
+            assert_eq!(micros(&log), [0, 5000, 15_000, 30_000, 31_000], "{log}");
+        }
         // Equal ones are differences, too: no two frames begin at once.
         let equal = ["000.000000", "000.100000", "000.100000"];
         assert_eq!(micros(&log(&equal, frame)), [0, 100_000, 200_000]);
@@ -178,6 +190,60 @@ fn frames_without_times_are_dated_when_they_arrive() {
         assert!((now - 60..=now).contains(&seconds), "{printed}");
     }
     assert_eq!(printed.lines().count(), 2);
+}
+
+/// A pipe that waits before each piece; the time at which the last one came.
+struct SlowPipe(std::collections::VecDeque<&'static [u8]>);
+
+static ARRIVED: AtomicU64 = AtomicU64::new(0);
+
+impl Read for SlowPipe {
+    fn read(&mut self, buffer: &mut [u8]) -> std::io::Result<usize> {
+        let Some(piece) = self.0.pop_front() else { return Ok(0) };
+        ARRIVED.fetch_add(1_000_000, Ordering::Relaxed);
+        buffer[..piece.len()].copy_from_slice(piece);
+        Ok(piece.len())
+    }
+}
+
+#[test]
+fn frame_without_time_has_that_of_its_own_arrival() {
+    let pieces: [&[u8]; 5] = [
+        b"  can0  123  [0]\n",
+        b"  can0  124  [0]\n",
+        b"  can0  1",
+        b"25  [0]\n",
+        b"  can0  126  [0]\n",
+    ];
+    let mut reader = LogReader::new(BufReader::new(SlowPipe(pieces.into_iter().collect())));
+    reader.date_arrivals(|| ARRIVED.load(Ordering::Relaxed));
+    let mut seconds = Vec::new();
+    while reader.next_frame().unwrap().is_some() {
+        seconds.push(reader.summary().written_micros / 1_000_000);
+    }
+    assert_eq!(seconds, [1, 2, 4, 5]);
+}
+
+#[test]
+fn last_line_without_end_is_said() {
+    let whole = "(1.0) can0 123#11\n(2.0) can0 123#1122334455667788\n";
+    assert!(!read(whole.as_bytes()).1.to_string().contains("no end"));
+    for bytes in [whole.len() - 1, whole.len() - 7, whole.len() - 13] {
+        let said = read(&whole.as_bytes()[..bytes]).1.to_string();
+        assert!(said.contains("the last line has no end: it may be cut off"), "{bytes}: {said}");
+    }
+    assert!(!read(b"(1.0) can0 123#11\n  ").1.to_string().contains("no end"));
+}
+
+#[test]
+fn zstd_log_that_begins_with_a_skippable_frame_is_read() {
+    let log = zstd(KINDS.as_bytes());
+    for magic in [0x50, 0x5F] {
+        let skipped = [magic, 0x2A, 0x4D, 0x18, 4, 0, 0, 0, 1, 2, 3, 4];
+        let packed = [&skipped[..], &log, &skipped, &log].concat();
+        assert_eq!(read(&packed).0.len(), 2 * KINDS.lines().count());
+    }
+    assert_eq!(read(b"PK is no log\n").0.len(), 0);
 }
 
 // --- convert ------------------------------------------------------------------------------
@@ -241,17 +307,87 @@ fn file_is_replaced_only_when_it_is_forced() {
 }
 
 #[test]
-fn interrupted_conversion_leaves_no_file() {
+fn replaced_file_keeps_its_access_rights() {
     let folder = tempfile::tempdir().unwrap();
-    let mut child = Command::new(env!("CARGO_BIN_EXE_descan"))
-        .args(["convert", "-", "out.blf"])
-        .current_dir(folder.path())
+    fs::write(folder.path().join("in.log"), KINDS).unwrap();
+    let path = folder.path().join("out.asc");
+    fs::write(&path, "private").unwrap();
+    fs::set_permissions(&path, fs::Permissions::from_mode(0o600)).unwrap();
+    let output = descan(folder.path(), &["convert", "in.log", "out.asc", "--force"]);
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    assert_eq!(fs::metadata(&path).unwrap().permissions().mode() & 0o777, 0o600);
+}
+
+#[test]
+fn damaged_log_is_not_replaced_by_its_readable_part() {
+    let folder = tempfile::tempdir().unwrap();
+    let packed = gzip(long_log().as_bytes());
+    let cut = &packed[..packed.len() / 2];
+    fs::write(folder.path().join("a.log"), cut).unwrap();
+    std::os::unix::fs::symlink("a.log", folder.path().join("b.log")).unwrap();
+    for name in ["a.log", "b.log"] {
+        let output = descan(folder.path(), &["convert", "a.log", name, "--force"]);
+        let said = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(3), "{said}");
+        assert!(said.contains("not replaced") && said.contains("write to another file"), "{said}");
+    }
+    assert_eq!(fs::read(folder.path().join("a.log")).unwrap(), cut);
+    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 2);
+}
+
+/// Starts a conversion of standard input.
+fn converting(folder: &Path, arguments: &[&str]) -> Child {
+    Command::new(env!("CARGO_BIN_EXE_descan"))
+        .arg("convert")
+        .args(arguments)
+        .current_dir(folder)
         .stdin(Stdio::piped())
-        .stderr(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
         .spawn()
-        .unwrap();
+        .unwrap()
+}
+
+#[test]
+fn interrupted_conversion_of_a_pipe_has_what_was_received() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut child = converting(folder.path(), &["-", "out.blf"]);
     let mut input = child.stdin.take().unwrap();
     input.write_all(KINDS.as_bytes()).unwrap();
+    while fs::read_dir(folder.path()).unwrap().count() == 0 {
+        std::thread::yield_now();
+    }
+    kill(Pid::from_raw(child.id().cast_signed()), Signal::SIGINT).unwrap();
+    // Its input does not end.
+    let output = child.wait_with_output().unwrap();
+    assert_eq!(output.status.code(), Some(130), "{}", text(&output.stderr));
+    drop(input);
+    let log = fs::read(folder.path().join("out.blf")).unwrap();
+    assert_eq!(read(&log).0.len(), KINDS.lines().count());
+    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+}
+
+#[test]
+fn frames_of_a_pipe_are_written_when_they_arrive() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut child = converting(folder.path(), &["-", "-", "--format", "candump"]);
+    let mut input = child.stdin.take().unwrap();
+    let mut lines = std::io::BufRead::lines(BufReader::new(child.stdout.take().unwrap()));
+    for line in KINDS.lines() {
+        writeln!(input, "{line}").unwrap();
+        assert_eq!(lines.next().unwrap().unwrap(), line);
+    }
+    drop(input);
+    assert!(lines.next().is_none());
+    assert_eq!(child.wait().unwrap().code(), Some(0));
+}
+
+#[test]
+fn interrupted_conversion_without_frames_leaves_no_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut child = converting(folder.path(), &["-", "out.blf"]);
+    let mut input = child.stdin.take().unwrap();
+    input.write_all(b"no frame\n").unwrap();
     while fs::read_dir(folder.path()).unwrap().count() == 0 {
         std::thread::yield_now();
     }

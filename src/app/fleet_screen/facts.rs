@@ -4,7 +4,7 @@
 //! the gateway. Does not know pages, filters or the selection.
 
 use crate::finding::{FindingKind, FindingState};
-use crate::fleet::{FleetGateway, GatewayName, GatewayState};
+use crate::fleet::{EventCounts, FleetGateway, GatewayName, GatewayState};
 use crate::inventory::{InventoryBus, InventoryDevice, InventoryFinding};
 use crate::time::Instant;
 use crate::wire::id::Address;
@@ -32,8 +32,8 @@ pub struct GatewayFacts {
     pub started: f64,
     /// Time of its last status by its own clock, in Unix seconds.
     pub status_time: Option<f64>,
-    /// Number of the last event, and of events that it dropped.
-    pub events: (u64, u64),
+    /// Its events; `None` where they are not known.
+    pub events: Option<EventCounts>,
     /// Number of present devices with a version of a service.
     pub services: BTreeMap<(String, String), usize>,
     /// Names of its devices, lost ones included.
@@ -56,7 +56,7 @@ impl GatewayFacts {
             facts.descan.clone_from(&status.descan);
             facts.started = status.started_ms as f64 / 1000.0;
             facts.status_time = status.time;
-            facts.events = (status.events.last, status.events.dropped);
+            facts.events = status.events;
         }
         gateway.devices().filter(|device| !is_debug(device)).for_each(|it| facts.add_device(it));
         for (bus, id, finding) in gateway.findings_by_id() {

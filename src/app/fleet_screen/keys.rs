@@ -398,10 +398,8 @@ impl FleetScreen {
         let FleetOverlay::Prompt(prompt) = &mut self.overlay else { return };
         match key.code {
             KeyCode::Enter => {
-                if let Some((error, column)) = &prompt.error {
-                    let text = format!("{error}, column {column}");
-                    self.message = Some((text, true));
-                } else {
+                // A mistake is shown with the prompt.
+                if prompt.error.is_none() {
                     self.overlay = FleetOverlay::None;
                 }
                 return;

@@ -34,6 +34,8 @@ use std::collections::{BTreeMap, VecDeque};
 
 /// Time without a kept document after which the broker has sent all.
 const QUIET: Duration = Duration::from_secs(2);
+/// Time for which a message is shown, unless a key ends it.
+const MESSAGE_TIME: Duration = Duration::from_secs(6);
 /// A deadline that is missed by more was missed as the program was stopped.
 const STALL: Duration = Duration::from_secs(1);
 
@@ -170,6 +172,8 @@ pub struct FleetScreen {
     overlay: FleetOverlay,
     /// Shown until the next key; true for an error.
     message: Option<(String, bool)>,
+    /// When it ends without a key; `None` for a warning about the settings.
+    message_until: Option<Instant>,
     effects: VecDeque<FleetEffect>,
 }
 
@@ -197,6 +201,7 @@ impl FleetScreen {
             is_dirty: true,
             overlay: FleetOverlay::None,
             message,
+            message_until: None,
             effects: VecDeque::new(),
         }
     }
@@ -276,12 +281,16 @@ impl FleetScreen {
         let has_ages = !self.entries.is_empty() || matches!(self.link, BrokerLink::Failed { .. });
         let second = Instant::from_micros((self.now.as_micros() / 1_000_000 + 1) * 1_000_000);
         let second = has_ages.then_some(second);
-        second.into_iter().chain(self.complete_at).min()
+        let message = self.message_until.filter(|_| self.message.is_some());
+        [second, self.complete_at, message].into_iter().flatten().min()
     }
 
     /// The time of [`Self::poll_timeout`] is there.
     pub fn handle_timeout(&mut self, now: Instant) {
         self.set_now(now);
+        if self.message_until.is_some_and(|until| until <= now) {
+            (self.message, self.message_until) = (None, None);
+        }
         if let Some(due) = self.complete_at.filter(|due| *due <= now) {
             // What came meanwhile is not read yet.
             let was_stopped = now.since(due) > STALL;
@@ -304,6 +313,7 @@ impl FleetScreen {
 
     fn show(&mut self, text: impl Into<String>) {
         self.message = Some((text.into(), false));
+        self.message_until = Some(self.now + MESSAGE_TIME);
     }
 
     // ---- drawing -------------------------------------------------------------------------------

@@ -110,13 +110,22 @@ impl FleetFilter {
     /// Sets the line.
     ///
     /// # Errors
-    /// The first mistake; the filter before stays.
+    /// The first mistake; all rows are shown then.
     pub(super) fn set(&mut self, text: &str, rows: RowKind) -> Result<(), FilterError> {
-        self.filter = Filter::parse(text, rows)?;
-        text.clone_into(&mut self.text);
-        self.is_on = !self.filter.is_empty();
+        let parsed = Filter::parse(text, rows);
         self.revision += 1;
-        Ok(())
+        match parsed {
+            Ok(filter) => {
+                self.is_on = !filter.is_empty();
+                self.filter = filter;
+                text.clone_into(&mut self.text);
+                Ok(())
+            }
+            Err(error) => {
+                self.is_on = false;
+                Err(error)
+            }
+        }
     }
 
     /// Switches it off, or on again; returns false without a filter.

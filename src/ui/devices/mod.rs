@@ -300,7 +300,9 @@ impl Cells<'_, '_> {
             // Statistics of two senders mixed describe neither of them.
             (None, None, None)
         } else {
-            (beats.steady_period(), beats.steady_jitter(), Some(beats.missed))
+            // Those of a lost device are counted when it returns.
+            let missed = Some(beats.missed).filter(|_| device.is_present());
+            (beats.steady_period(), beats.steady_jitter(), missed)
         };
         match column {
             C::Period => period.map_or(unknown, |it| (plain, period_text(it))),

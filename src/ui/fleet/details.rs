@@ -5,6 +5,7 @@ use super::list::{
 };
 use super::{FleetBrush, age_text};
 use crate::app::{FleetDevice, FleetProblem, FleetRow, FleetScreen, GatewayRow, VersionRow};
+use crate::fleet::GatewayState;
 use crate::inventory::InventoryBus;
 use crate::theme::Role;
 use crate::ui::brush::wrap;
@@ -66,12 +67,15 @@ fn commands(brush: &FleetBrush, row: &GatewayRow, bus: Option<&str>) -> Vec<Line
 fn of_gateway(brush: &FleetBrush, row: &GatewayRow) -> Vec<Line<'static>> {
     let facts = &row.facts;
     let mut lines = commands(brush, row, None);
-    let (last, dropped) = facts.events;
     let descan = if facts.descan.is_empty() { "–" } else { &facts.descan };
     let mut text = format!("{} {}", row.state.name(), age_text(brush.screen, row));
-    text = format!("{text}; descan {descan}; {} events", grouped(last));
-    if dropped > 0 {
-        text = format!("{text}, {} dropped while the broker was away", grouped(dropped));
+    text = format!("{text}; descan {descan}");
+    if let Some(events) = facts.events {
+        text = format!("{text}; {} events", grouped(events.last));
+        if events.dropped > 0 {
+            let dropped = grouped(events.dropped);
+            text = format!("{text}, {dropped} dropped while the broker was away");
+        }
     }
     lines.extend(field(brush, "state", Role::Text, &text));
     for bus in &facts.buses {
@@ -128,6 +132,10 @@ fn of_device(brush: &FleetBrush, row: &FleetDevice) -> Vec<Line<'static>> {
     let (_, role, word) = of_presence(row);
     let mut lines = field(brush, "services", Role::Text, &services_text(device));
     let mode = device.mode.as_deref().unwrap_or("–");
+    let opened = brush.screen.opened().and_then(|name| brush.screen.gateway_row(name));
+    let is_current = opened.as_ref().is_none_or(|it| it.state == GatewayState::Online);
+    let word = if is_current { word.to_owned() } else { format!("last known {word}") };
+    let role = if is_current { role } else { Role::Muted };
     let facts = format!(
         "{word}; mode {mode}; heartbeat {}; UID {}; bus {}",
         heartbeat_text(device),
@@ -135,7 +143,6 @@ fn of_device(brush: &FleetBrush, row: &FleetDevice) -> Vec<Line<'static>> {
         device.bus
     );
     let state = field(brush, "state", role, &facts);
-    let opened = brush.screen.opened().and_then(|name| brush.screen.gateway_row(name));
     let Some(gateway) = opened else { return [lines, state].concat() };
     for problem in &gateway.facts.problems {
         let is_here = problem.bus == device.bus

@@ -19,7 +19,7 @@ pub fn draw(brush: &mut FleetBrush) {
     match (screen.message(), screen.prompt()) {
         (Some((text, is_error)), _) => {
             let role = if is_error { Role::Error } else { Role::Text };
-            draw_message(brush, role, text);
+            draw_above(brush, area.bottom(), role, text);
         }
         (None, Some(prompt)) => draw_prompt(brush, prompt),
         (None, None) => {
@@ -29,8 +29,8 @@ pub fn draw(brush: &mut FleetBrush) {
     }
 }
 
-/// Draws a message, on up to three lines.
-fn draw_message(brush: &mut FleetBrush, role: Role, text: &str) {
+/// Draws a message on up to three lines, the last of which is above `bottom`.
+fn draw_above(brush: &mut FleetBrush, bottom: u16, role: Role, text: &str) {
     let area = brush.regions.footer;
     let width = usize::from(area.width);
     let mut lines = wrap(text, width.saturating_sub(2));
@@ -38,8 +38,8 @@ fn draw_message(brush: &mut FleetBrush, role: Role, text: &str) {
         lines[MESSAGE_LINES - 1].push('…');
         lines.truncate(MESSAGE_LINES);
     }
-    let height = (lines.len() as u16).min(area.bottom());
-    let area = Rect { y: area.bottom() - height, height, ..area };
+    let height = (lines.len() as u16).min(bottom);
+    let area = Rect { y: bottom - height, height, ..area };
     for (row, text) in lines.iter().enumerate() {
         let line = Line::from(brush.span(role, fit(&format!(" {text}"), width)));
         brush.line(area, row as u16, &line);
@@ -53,7 +53,7 @@ fn draw_prompt(brush: &mut FleetBrush, prompt: &FleetPrompt) {
     let rows = screen.row_kind(screen.page());
     let text = prompt.input.value();
     let (role, note) = match &prompt.error {
-        Some((error, _)) => (Role::Error, format!("✗ {error}")),
+        Some((error, column)) => (Role::Error, format!("✗ {error}, column {column}")),
         None if text.trim().is_empty() => (Role::Muted, rows.syntax().to_owned()),
         None => {
             let (hits, all) = (screen.rows().len(), screen.row_total());
@@ -71,7 +71,9 @@ fn draw_prompt(brush: &mut FleetBrush, prompt: &FleetPrompt) {
     let at = label.len() + before.width().saturating_sub(cut(text, hidden).width());
     let note_width = width.saturating_sub(label.len() + shown.width() + 3);
     let mut spans = vec![brush.span(Role::Title, label), brush.span(Role::Input, shown)];
-    if note_width > 8 {
+    if prompt.error.is_some() && note.width() > note_width {
+        draw_above(brush, area.y, role, &note);
+    } else if note_width > 8 {
         spans.push(brush.span(role, format!("  {}", fit(&note, note_width))));
     }
     brush.line(area, 0, &Line::from(spans));

@@ -6,7 +6,7 @@ pub(super) mod boards;
 mod details;
 mod evidence;
 
-use super::brush::{DrawContext, bus_label, fit, fit_right, labelled};
+use super::brush::{DrawContext, bus_label, fit, fit_right, labelled, set_hidden_rows};
 use super::symbols;
 use crate::app::{Page, Problem, ProblemsView, clock_millis, growing_length_text, length_text};
 use crate::finding::FindingState;
@@ -103,6 +103,8 @@ fn draw_list(brush: &mut DrawContext) {
     let selected = app.view().problems.index(problems.keys());
     let height = usize::from(list.height);
     let top = app.view().problems.top(selected, problems.len(), height);
+    let below = problems.len().saturating_sub(top + height);
+    set_hidden_rows(brush.buffer, brush.theme, header, (top, below));
     for row in 0..height {
         let Some(problem) = problems.get(top + row) else { break };
         let is_selected = selected == Some(top + row);
