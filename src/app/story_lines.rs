@@ -141,7 +141,8 @@ impl App {
     pub fn latest_bus_stories(&self, most: usize) -> Vec<(&Story, Instant)> {
         self.latest_stories(most, |story| {
             let entry = story.subject(self.shown_time());
-            entry.bus.is_some() && entry.device.is_none() && entry.address.is_none()
+            let is_of_device = entry.device.is_some() || entry.address.is_some();
+            entry.bus.is_some() && !is_of_device && entry.name.is_none()
         })
     }
 

@@ -233,7 +233,7 @@ actions! {
         BitRate "bit-rate" "Search the bit rate, listen-only (confirms; needs root)" "bit rate" ["b"];
         Buses "buses" "Open buses beside or in place of these" "buses" ["B"];
         ReviewProfile "learn" "Values of the profile, and what the frames show of them" "profile" ["L"];
-        Plan "plan" "Plan of addresses as in des.json (confirms); a log: pause" "plan" ["P"];
+        Plan "plan" "Plan of addresses: reads what is stored, confirms writes; a log: pause" "plan" ["P"];
         SaveCapture "save-capture" "Save the captured frames (.log or .pcapng)" "save log" ["w"];
     }
     Browse Log: {

@@ -154,7 +154,7 @@ pub fn set_line(buffer: &mut Buffer, theme: &Theme, area: Rect, row: u16, line: 
     // A role without a colour gets the colour of text, not the one drawn here before.
     let covered = line.width().min(width) as u16;
     buffer.set_style(Rect { x, y, width: covered, height: 1 }, plain(theme));
-    if line.width() <= width {
+    if text_width(line) <= width {
         buffer.set_line(x, y, line, area.width);
         return;
     }
@@ -172,6 +172,15 @@ pub fn set_line(buffer: &mut Buffer, theme: &Theme, area: Rect, row: u16, line: 
         }
     }
     buffer.set_stringn(at, y, "…", 1, last);
+}
+
+/// Cells of a line without the blanks at its end.
+fn text_width(line: &Line) -> usize {
+    let is_blank = |span: &&Span| span.content.trim_end().is_empty();
+    let blank: usize = line.spans.iter().rev().take_while(is_blank).map(Span::width).sum();
+    let last = line.spans.iter().rev().find(|span| !is_blank(span));
+    let end = last.map_or(0, |span| span.width() - span.content.trim_end().width());
+    line.width() - blank - end
 }
 
 /// Fills an area with a horizontal rule.

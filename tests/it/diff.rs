@@ -156,7 +156,7 @@ fn only_buses_are_compared_whatever_their_names() {
     let mut both: Vec<String> = lines.lines().map(str::to_owned).collect();
     both.extend(lines.lines().map(|line| line.replace(" can0 ", " can2 ")));
     both.sort_by_key(|line| line.split(' ').next().map(str::to_owned));
-    folder.write("both.log", both.join("\n"));
+    folder.write("both.log", both.join("\n") + "\n");
     let rows = folder.rows("one.log", "both.log");
     assert_eq!(rows, [json!(["presence", 10, null, "online"]), json!(["bus", null, null, "can2"])]);
 }

@@ -433,6 +433,7 @@ fn message_ends_by_itself() {
 #[test]
 fn device_of_lost_gateway_is_last_known() {
     let mut stage = FleetStage::fleet(80, 24);
+    stage.names();
     let screen = stage.keys("Enter").screen();
     assert!(screen.contains("state     last known online; mode WORK"), "{screen}");
 }

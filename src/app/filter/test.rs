@@ -245,7 +245,11 @@ impl FieldValue<'_> {
             RowKind::Frame | RowKind::Event => &["ours", "own"],
             RowKind::Problem | RowKind::Gateway | RowKind::Version | RowKind::Finding => &[],
         };
-        self.rows.states().iter().chain(aliases).any(|word| value.is_in(word))
+        let mut words = self.rows.states().iter().chain(aliases);
+        match self.rows {
+            RowKind::Device => words.any(|word| value.is_in(word)),
+            _ => words.any(|word| value.begins(word)),
+        }
     }
 
     fn place(&self, range: Range<usize>) -> Range<usize> {

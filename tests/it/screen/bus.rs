@@ -501,3 +501,23 @@ fn receive_buffer_says_how_much_it_holds_and_how_full_it_was() {
     let screen = bench.keys("5").seconds(5, &[frame(10, 0x101)]).screen(120, 40);
     assert!(screen.contains("receive buffer –"), "{screen}");
 }
+
+#[test]
+fn chart_of_an_hour_shows_its_first_seconds() {
+    let mut stage = Stage::boiler();
+    stage.until(20.0).size(120, 40).keys("5 v v");
+    let screen = stage.screen();
+    let of = |what: &str| screen.lines().find(|line| line.contains(what)).unwrap().to_owned();
+    assert!(screen.contains("1 h"), "{screen}");
+    let load = of(" load, %");
+    let most: f64 = load.split_once("max ").unwrap().1.split(' ').next().unwrap().parse().unwrap();
+    let top: f64 = of("┤").split('┤').next().unwrap().trim().parse().unwrap();
+    assert!(top >= most, "{screen}");
+    assert!(of("▼").contains("12:00:19▼") || of("▼").contains("12:00:20▼"), "{screen}");
+    let rows = screen.lines().skip_while(|line| !line.contains(" load, %"));
+    let mut chart = rows.skip(1).take_while(|line| line.contains('┤') || line.contains('│'));
+    let is_drawn = |line: &str| {
+        line.chars().any(|c| ('\u{2800}'..='\u{28FF}').contains(&c) || ('▁'..='█').contains(&c))
+    };
+    assert!(chart.any(is_drawn), "{screen}");
+}

@@ -365,3 +365,22 @@ fn problems_work_by_mouse_and_russian_keys() {
     let (place, _) = stage.app.evidence_alone().unwrap().selected().unwrap();
     assert_eq!(place, 5);
 }
+
+#[test]
+fn problems_outside_the_screen_are_counted() {
+    let entry = |number: u32| {
+        format!(r#"{{"name":"GHOST{number}","address":{},"static":true}}"#, number + 60)
+    };
+    let file = format!("[{}]", (0..30).map(entry).collect::<Vec<_>>().join(","));
+    let mut stage = Stage::new(&Scenario::builtin("boiler").unwrap(), Some(&file));
+    stage.until(30.0).keys("4");
+    for size in [(80, 24), (120, 40), (40, 12)] {
+        let screen = stage.size(size.0, size.1).screen();
+        let headings = screen.lines().find(|line| line.contains("PROBLEM ")).unwrap();
+        let below = headings.split_once('↓').unwrap_or_else(|| panic!("{screen}")).1;
+        let below: usize = below.trim().parse().unwrap();
+        let shown =
+            screen.lines().filter(|line| line.contains(" 12:00:") || line.contains("GHOST"));
+        assert!(below + shown.count() >= stage.app.problems_shown().len(), "{screen}");
+    }
+}

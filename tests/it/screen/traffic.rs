@@ -237,3 +237,22 @@ fn hidden_rows_are_counted_until_the_moment_that_is_shown() {
     assert_eq!(stage.app.hidden_frames_shown(), Some(hidden as u64));
     assert!(stage.screen().contains(&format!("{hidden} hidden")), "{}", stage.screen());
 }
+
+/// A number that is cut is another one.
+#[test]
+fn number_of_hidden_frames_is_whole_or_left_out() {
+    let mut stage = Stage::boiler();
+    stage.until(150.0).keys("2 /").text("srv:AUGER").keys("Enter");
+    let mut has_number = false;
+    for width in 60..=120 {
+        let screen = stage.size(width, 24).screen();
+        let line = screen.lines().find(|line| line.contains("/srv:AUGER"));
+        // On narrow screens the end of the filter is cut, too.
+        let Some(line) = line else { continue };
+        let behind = line.split_once("/srv:AUGER").unwrap().1.trim_start();
+        let digits = behind.chars().take_while(char::is_ascii_digit).count();
+        assert!(digits == 0 || behind[digits..].starts_with(" hidden "), "{width}: {line}");
+        has_number |= digits > 0;
+    }
+    assert!(has_number);
+}

@@ -299,3 +299,13 @@ fn bus_with_another_bit_rate_than_the_project_is_a_finding() {
     assert_eq!(found.len(), 1);
     assert_eq!(found[0].0, "can1 has 125 kbit/s; the project says 250 kbit/s.");
 }
+
+#[test]
+fn whole_rows_of_two_buses_have_no_mark_of_a_cut() {
+    let boiler = Scenario::builtin("boiler").unwrap();
+    let mut pair = Pair::new([&boiler, &boiler]);
+    let screen = pair.run(0..12).keys("2 v").screen(80, 24);
+    let cut = screen.lines().filter(|line| line.ends_with('…'));
+    let is_blank_before = |line: &&str| line.trim_end_matches('…').ends_with(' ');
+    assert!(screen.contains("can1 ") && cut.filter(is_blank_before).count() == 0, "{screen}");
+}
