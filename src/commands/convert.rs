@@ -1,7 +1,8 @@
 //! `descan convert`: a log in another format.
 //!
 //! Reads frame by frame, in constant memory, and writes a file beside OUT, which takes its place at the
-//! end. A signal ends a pipe, whose frames so far are written, and discards the file of another log. Does not know formats.
+//! end. A signal ends a pipe, whose frames so far are written, and discards the file of another log.
+//! Does not know formats.
 
 use super::diff::spec_of;
 use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure, output};
@@ -47,6 +48,7 @@ pub fn run(args: &ConvertArgs) -> Result<u8, Failure> {
     let mut reader = LogReader::new(BufReader::with_capacity(PART, source));
     if !is_file {
         reader.date_arrivals(wall_micros);
+        reader.hold_partial_entry();
     }
     let is_own = is_same_file(&file, &args.output);
     let mut target = ConvertedLog::create(&args.output, args.force, &temporary)?;
@@ -54,7 +56,13 @@ pub fn run(args: &ConvertArgs) -> Result<u8, Failure> {
     let mut part = Vec::with_capacity(PART + 1024);
     encoder.begin(&mut part).map_err(|error| target.not_written(&error))?;
     while !is_file || !is_stopped.load(Ordering::Relaxed) {
-        let Some(frame) = reader.next_frame().map_err(unusable)? else { break };
+        let mut next = reader.next_frame().map_err(unusable)?;
+        if next.is_none() && !is_file {
+            // The line that a signal cut is not a frame.
+            let is_cut = is_stopped.load(Ordering::Relaxed);
+            next = if is_cut { reader.read_held_entry() } else { reader.read_partial_entry() };
+        }
+        let Some(frame) = next else { break };
         let summary = reader.summary();
         let interface = summary.interfaces.get(usize::from(frame.bus.0));
         let interface = interface.map_or("", String::as_str);
@@ -81,7 +89,7 @@ pub fn run(args: &ConvertArgs) -> Result<u8, Failure> {
         };
         return Err(fault.of(&spec).into());
     }
-    if is_own && summary.lost_entries() > 0 {
+    if is_own && (summary.lost_entries() > 0 || summary.ends_inside_line) {
         let fault =
             Diagnostic::new(format!("not replaced, as not all of it can be read: {summary}"));
         let fault = fault.with_remedy("write to another file");
@@ -100,7 +108,7 @@ pub fn run(args: &ConvertArgs) -> Result<u8, Failure> {
 
 /// Returns true if the output is the log that is read.
 fn is_same_file(file: &File, output: &Path) -> bool {
-    is_at(file, output).unwrap_or(false)
+    output != Path::new("-") && is_at(file, output).unwrap_or(false)
 }
 
 fn format_of(args: &ConvertArgs) -> Result<&'static LogFormat, Failure> {

@@ -125,8 +125,8 @@ pub fn read(settings: &BrokerSettings, limit: Duration) -> Result<Option<FleetRe
 /// Says what was not used.
 pub fn warn_rejects(fleet: &Fleet) {
     let rejects = fleet.rejects();
-    let count = rejects.count();
-    if let Some(last) = rejects.last().filter(|_| count > 0) {
+    let count = rejects.open_count();
+    if let Some(last) = rejects.last() {
         let documents = if count == 1 { "document" } else { "documents" };
         output::warn(format_args!("{count} {documents} not used; the last is {last}"));
     }
@@ -153,7 +153,7 @@ struct GatewayReport<'a> {
     descan: Option<&'a str>,
     /// Time of its last status by its clock, in Unix seconds.
     time: Option<f64>,
-    /// `null` after a lost connection.
+    /// `null` after a lost connection, or without a status.
     events: Option<EventReport>,
     buses: Vec<GatewayBusReport<'a>>,
     devices: Vec<GatewayDeviceReport<'a>>,
@@ -235,7 +235,7 @@ impl<'a> FleetReport<'a> {
             complete: read.is_complete,
             gateways: gateways.map(|(name, it)| of_gateway(name, it, read.now)).collect(),
             versions: versions.collect(),
-            rejected: rejects.count(),
+            rejected: rejects.open_count(),
         }
     }
 

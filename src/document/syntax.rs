@@ -128,20 +128,18 @@ fn error_at(text: &str, at: usize, message: String) -> ParseError {
     let line_start = text_before.rfind('\n').map_or(0, |newline| newline + 1);
     let before = &text_before[line_start..];
     let cut = before.char_indices().rev().nth(CHARACTERS - 1).map_or(0, |(start, _)| start);
-    let before = shown(&before[cut..]);
-    let after: String = text[at..]
-        .split(['\n', '\r'])
-        .next()
-        .unwrap_or_default()
-        .chars()
-        .take(CHARACTERS)
-        .collect();
+    let mark = if cut > 0 { "…" } else { "" };
+    let before = format!("{mark}{}", shown(&before[cut..]));
+    let after = text[at..].split(['\n', '\r']).next().unwrap_or_default();
+    let end = after.char_indices().nth(CHARACTERS).map_or(after.len(), |(end, _)| end);
+    let mark = if end < after.len() { "…" } else { "" };
+    let after = format!("{}{mark}", shown(&after[..end]));
     ParseError {
         line: position.line,
         column: position.column,
         message,
         caret: before.chars().count(),
-        line_text: before + &shown(&after),
+        line_text: before + &after,
     }
 }
 

@@ -1,7 +1,8 @@
-//! Messages of a broker that were not used: counters of all, and the topics that still have such a document.
+//! Messages of a broker that were not used: counters of all, and the topics whose document is not used now.
 //!
-//! Input: what a message was refused for, and which topics are well again. Output: counters; the last cause
-//! that still holds. Bounded: [`MAX_TOPICS`] topics, each by its first [`MAX_TOPIC_BYTES`] bytes. Does not know what a document is.
+//! Input: why a message was refused, and which topics have a usable document again, or none. Output:
+//! counters, and the last cause that still holds. Bounded: [`MAX_TOPICS`] topics, each by its first
+//! [`MAX_TOPIC_BYTES`] bytes, with a cause of [`MAX_CAUSE`] characters. Does not know what a document is.
 
 use crate::text::printable;
 use std::collections::BTreeMap;
@@ -10,6 +11,9 @@ use std::collections::BTreeMap;
 const MAX_TOPICS: usize = 1000;
 /// The first bytes of a topic by which it is remembered.
 const MAX_TOPIC_BYTES: usize = 1024;
+
+/// Longest cause, in characters.
+const MAX_CAUSE: usize = 200;
 
 /// Why a message is not used.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -31,11 +35,10 @@ pub struct FleetRejects {
     pub malformed: u64,
     /// Documents that are too long, or above the bound of all.
     pub oversized: u64,
-    /// Messages since all topics were last well.
-    open: u64,
     topics: BTreeMap<Vec<u8>, RejectedTopic>,
-    /// The last cause of a topic that is not remembered.
-    other: Option<String>,
+    /// Messages of further topics since the last reading, and the last of them.
+    beyond: u64,
+    last_beyond: Option<RejectedTopic>,
 }
 
 /// The last message of a topic was not used.
@@ -55,57 +58,51 @@ impl FleetRejects {
         self.foreign + self.malformed + self.oversized
     }
 
-    /// Number of messages that were not used since every topic last had a usable document, or none.
+    /// Number of topics whose last document or event is not used.
     pub fn open_count(&self) -> u64 {
-        self.open
+        self.topics.len() as u64 + self.beyond
     }
 
-    /// The last topic whose document is not used, with the cause.
+    /// The last of them, with the cause.
     pub fn last(&self) -> Option<&str> {
-        let last = self.topics.values().max_by_key(|topic| topic.number);
-        last.map(|topic| &topic.text).or(self.other.as_ref()).map(String::as_str)
+        let all = self.topics.values().chain(&self.last_beyond);
+        all.max_by_key(|topic| topic.number).map(|topic| topic.text.as_str())
     }
 
     /// Counts a message.
-    pub(super) fn add(
-        &mut self,
-        connection: u32,
-        topic: &[u8],
-        reason: RejectReason,
-        text: String,
-    ) {
+    pub(super) fn add(&mut self, connection: u32, topic: &[u8], reason: RejectReason, text: &str) {
         match reason {
             RejectReason::Foreign => self.foreign += 1,
             RejectReason::Malformed => self.malformed += 1,
             RejectReason::Oversized => self.oversized += 1,
         }
-        self.open += 1;
-        let number = self.count();
+        let text = match text.char_indices().nth(MAX_CAUSE) {
+            Some((end, _)) => format!("{}…", &text[..end]),
+            None => text.to_owned(),
+        };
+        let rejected = RejectedTopic { text, number: self.count(), connection };
         let key = key_of(topic);
         if self.topics.len() < MAX_TOPICS || self.topics.contains_key(key) {
-            self.topics.insert(key.to_owned(), RejectedTopic { text, number, connection });
+            self.topics.insert(key.to_owned(), rejected);
         } else {
-            self.other = Some(text);
+            self.beyond += 1;
+            self.last_beyond = Some(rejected);
         }
     }
 
     /// The last message of a topic was used, or cleared it.
     pub(super) fn remove(&mut self, topic: &[u8]) {
-        if self.topics.remove(key_of(topic)).is_some() {
-            self.note_removed();
-        }
+        self.topics.remove(key_of(topic));
+    }
+
+    /// A connection begins that brings all documents again.
+    pub(super) fn begin_reading(&mut self) {
+        (self.beyond, self.last_beyond) = (0, None);
     }
 
     /// All that the broker has was received by this connection: other documents were cleared meanwhile.
     pub(super) fn retain(&mut self, connection: u32) {
         self.topics.retain(|_, topic| topic.connection == connection);
-        self.note_removed();
-    }
-
-    fn note_removed(&mut self) {
-        if self.topics.is_empty() {
-            (self.open, self.other) = (0, None);
-        }
     }
 }
 

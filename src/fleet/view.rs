@@ -325,6 +325,7 @@ impl Fleet {
     /// those that it does not send again until [`Self::handle_complete`].
     pub fn handle_connected(&mut self) {
         self.connection += 1;
+        self.rejects.begin_reading();
     }
 
     /// All documents that the broker has were received since [`Self::handle_connected`].
@@ -356,7 +357,7 @@ impl Fleet {
         }
         let Some(FleetTopic { gateway, path }) = parsed else {
             let text = format!("{}: no topic of a gateway", shown_topic(topic));
-            return self.reject(topic, RejectReason::Foreign, text);
+            return self.reject(topic, RejectReason::Foreign, &text);
         };
         if path == TopicPath::Event {
             return;
@@ -382,7 +383,7 @@ impl Fleet {
         };
         if let Some(why) = excess {
             let text = format!("{gateway}/{path}: {why}");
-            return self.reject(topic, RejectReason::Oversized, text);
+            return self.reject(topic, RejectReason::Oversized, &text);
         }
         let (name, shown) = (gateway.clone(), path.to_string());
         let as_of = (now, self.connection);
@@ -397,7 +398,7 @@ impl Fleet {
             }
             Err(why) => {
                 let text = format!("{name}/{shown}: {why}");
-                self.reject(topic, RejectReason::Malformed, text);
+                self.reject(topic, RejectReason::Malformed, &text);
                 self.forget_if_empty(&name);
             }
         }
@@ -409,11 +410,11 @@ impl Fleet {
             self.rejects.remove(topic);
         } else {
             let text = format!("{}: no event", shown_topic(topic));
-            self.reject(topic, RejectReason::Malformed, text);
+            self.reject(topic, RejectReason::Malformed, &text);
         }
     }
 
-    fn reject(&mut self, topic: &[u8], reason: RejectReason, text: String) {
+    fn reject(&mut self, topic: &[u8], reason: RejectReason, text: &str) {
         self.rejects.add(self.connection, topic, reason, text);
     }
 

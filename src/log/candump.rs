@@ -211,6 +211,9 @@ pub(super) fn has_undecided_times(head: &[u8]) -> bool {
     if head.len() >= MAX_HEAD {
         return false;
     }
+    if first.is_empty() {
+        return true;
+    }
     if !is_colour_cut && !first.iter().take(5).enumerate().all(is_short) {
         return false;
     }

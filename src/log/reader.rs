@@ -124,6 +124,13 @@ impl<R: BufRead> LogReader<R> {
         if self.summary.damage.is_some() {
             return None;
         }
+        let whole = self.read_held_entry();
+        whole.or_else(|| self.decoder.as_mut()?.read_partial_entry(&mut self.summary))
+    }
+
+    /// Reads the next whole entry of those that were held until the format is known, although nothing
+    /// follows; `None` if there is no such frame.
+    pub fn read_held_entry(&mut self) -> Option<Frame> {
         if self.decoder.is_none() && !self.head.is_empty() {
             // What is known is all that there is.
             self.take_content(true);
@@ -139,7 +146,7 @@ impl<R: BufRead> LogReader<R> {
                 DecodeStep::End => return None,
             }
         }
-        decoder.read_partial_entry(&mut self.summary)
+        None
     }
 
     /// Sets the decoder, if the first bytes of the log show its format; with `is_all`, there are no more.

@@ -146,6 +146,8 @@ impl LogDecoder for TextDecoder {
         if summary.damage.is_some() {
             return (bytes.len(), DecodeStep::End);
         }
+        // The log goes on behind what was its end.
+        summary.ends_inside_line = false;
         let end = memchr::memchr(b'\n', bytes);
         self.check_damage(end.map_or(bytes.len(), |end| end + 1), summary);
         if summary.damage.is_some() {

@@ -2,7 +2,9 @@
 
 use crate::common::harness::text_of;
 use crate::screen::text_snapshot;
-use descan::app::{BrokerLink, FleetEffect, FleetPage, FleetRow, FleetScreen, FleetScreenOptions};
+use descan::app::{
+    BrokerLink, FleetEffect, FleetPage, FleetRow, FleetScreen, FleetScreenOptions, Mouse, MouseKind,
+};
 use descan::fleet::{MAX_DOCUMENT_BYTES, MAX_GATEWAY_DOCUMENTS};
 use descan::keymap::Key;
 use descan::theme::Theme;
@@ -271,8 +273,16 @@ fn filter_with_mistake_shows_all_rows_and_says_why() {
         assert!(words.contains("✗ len:4: gateways have no field len; use at: "), "{screen}");
         assert!(words.contains(", column 7 filter: at:12 len:4"), "{screen}");
     }
+    // The mouse leaves the prompt alone.
+    let tabs = stage.screen.tabs();
+    let press =
+        Mouse { kind: MouseKind::Press, column: tabs[2].1, row: stage.screen.regions().tabs.y };
+    stage.screen.handle_mouse(stage.now, press);
+    assert_eq!(stage.screen.page(), FleetPage::Main);
     assert!(stage.keys("Esc").screen.prompt().is_none());
     assert_eq!((stage.names(), stage.screen.filter().text.as_str()), ("east".to_owned(), "at:12"));
+    // One that was off stays off.
+    assert_eq!(stage.keys("\\ / x Esc").names(), "south north east west");
 }
 
 #[test]
@@ -406,6 +416,8 @@ fn banner_ends_when_the_unusable_document_is_replaced() {
     let screen = stage.screen();
     assert!(screen.contains("not used"), "{screen}");
     stage.send("west/event", &json!({"event": "lost", "address": 9}));
+    // One that the broker keeps is cleared like a document.
+    stage.send_bytes("east/event", b"[]").send_bytes("east/event", b"");
     let screen = stage.screen();
     assert!(!screen.contains("not used"), "{screen}");
 }
@@ -418,6 +430,42 @@ fn devices_of_gateways_that_are_not_online_are_last_known() {
     stage.wait(60.0).status("east", 5000.0).wait(20.0);
     let screen = stage.screen();
     assert!(screen.contains("● 2 present  · 4 last known"), "silent ones: {screen}");
+}
+
+#[test]
+fn gateways_that_come_and_go_are_events() {
+    let mut stage = FleetStage::fleet(80, 24);
+    let screen = stage.screen();
+    assert!(!screen.contains(" gateway  "), "nothing of the first reading: {screen}");
+    stage.send("east/status", &json!({"online": false, "reason": "lost", "started_ms": 5000}));
+    let screen = stage.screen();
+    assert!(screen.contains(" 12:00:03 ○ east             gateway          lost"), "{screen}");
+    stage.wait(2.0).status("east", 1.0).send("west/status", &json!({"reason": "stopped"}));
+    stage.status("new", 1.0);
+    let screen = stage.screen();
+    for line in [
+        " 12:00:05 ~ east             gateway          online",
+        " 12:00:05 ~ new              gateway          online",
+        " 12:00:05 · west             gateway          stopped",
+    ] {
+        assert!(screen.contains(line), "{screen}");
+    }
+    // A status that says nothing new; silence.
+    stage.status("east", 1.0).wait(100.0);
+    assert!(stage.screen().contains(" 12:00:05 · west             gateway          stopped"));
+}
+
+#[test]
+fn sums_lose_the_words_of_devices_first() {
+    let mut stage = FleetStage::fleet(100, 24);
+    let mut sums = |columns| {
+        stage.screen.handle_resize(columns, 24);
+        stage.screen().lines().nth(1).unwrap().trim_end().to_owned()
+    };
+    let gateways = " 4 gateways  ● 3 online  ○ 1 lost    devices";
+    assert_eq!(sums(80), format!("{gateways}  ● 5 present  · 1 last known  ⚠ 1"));
+    assert_eq!(sums(70), format!("{gateways}  ● 5  · 1  ⚠ 1"));
+    assert_eq!(sums(50), " 4 ●3 ○1  dev ●5 ·1 ⚠1");
 }
 
 #[test]
@@ -516,7 +564,6 @@ fn keys_of_program_lead_to_effects() {
 
 #[test]
 fn clicks_select_rows_and_pages() {
-    use descan::app::{Mouse, MouseKind};
     let mut stage = FleetStage::fleet(80, 24);
     stage.names();
     let mut click = |column, row| {

@@ -151,7 +151,8 @@ fn times_of_candump_are_read_in_all_their_forms() {
         // As candump prints them: the first lines are no others.
         let late = ["000.000000", "000.005000", "000.010000", "000.015000", "000.001000"];
         let printed = log(&late, frame);
-        let mut all = vec![within(&printed, " ", ""), format!("\n{printed}")];
+        let mut all = vec![within(&printed, " ", "")];
+        all.extend(["\n", "\r\n", "\n\n", "  \n\t\n"].map(|blank| format!("{blank}{printed}")));
         if frame.contains('[') {
             all.push(within(&printed, "\x1b[1m\x1b[31m ", "\x1b[0m"));
         }
@@ -336,6 +337,10 @@ fn damaged_log_is_not_replaced_by_its_readable_part() {
     }
     assert_eq!(fs::read(folder.path().join("a.log")).unwrap(), cut);
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 2);
+    // Cut inside its last line.
+    fs::write(folder.path().join("a.log"), KINDS.trim_end()).unwrap();
+    let output = descan(folder.path(), &["convert", "a.log", "a.log", "--force"]);
+    assert_eq!(output.status.code(), Some(3), "{}", text(&output.stderr));
 }
 
 /// Starts a conversion of standard input.
@@ -356,7 +361,8 @@ fn interrupted_conversion_of_a_pipe_has_what_was_received() {
     let folder = tempfile::tempdir().unwrap();
     let mut child = converting(folder.path(), &["-", "out.blf"]);
     let mut input = child.stdin.take().unwrap();
-    input.write_all(KINDS.as_bytes()).unwrap();
+    // The last line is not whole yet.
+    input.write_all((KINDS.to_owned() + "(1700000004.000000) ch1 123#11").as_bytes()).unwrap();
     while fs::read_dir(folder.path()).unwrap().count() == 0 {
         std::thread::yield_now();
     }
@@ -368,6 +374,26 @@ fn interrupted_conversion_of_a_pipe_has_what_was_received() {
     let log = fs::read(folder.path().join("out.blf")).unwrap();
     assert_eq!(read(&log).0.len(), KINDS.lines().count());
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+}
+
+#[test]
+fn pipe_that_is_interrupted_early_has_its_frames() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut child = converting(folder.path(), &["-", "out.log"]);
+    let mut input = child.stdin.take().unwrap();
+    // From where the times count is not known yet.
+    input
+        .write_all(b" (000.000000)  can0  123   [0]\n (000.500000)  can0  124   [0]\n (00")
+        .unwrap();
+    while fs::read_dir(folder.path()).unwrap().count() == 0 {
+        std::thread::yield_now();
+    }
+    kill(Pid::from_raw(child.id().cast_signed()), Signal::SIGINT).unwrap();
+    let output = child.wait_with_output().unwrap();
+    assert_eq!(output.status.code(), Some(130), "{}", text(&output.stderr));
+    drop(input);
+    let log = fs::read_to_string(folder.path().join("out.log")).unwrap();
+    assert_eq!(log, "(0000000000.000000) can0 123#\n(0000000000.500000) can0 124#\n");
 }
 
 #[test]

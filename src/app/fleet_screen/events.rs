@@ -3,7 +3,7 @@
 //! Input: events as they were published, of any origin. Output: one line each. Bounded: [`MAX_EVENTS`]
 //! events, 200 characters of a text. Does not know devices: an event says what it is about.
 
-use crate::fleet::GatewayName;
+use crate::fleet::{GatewayName, GatewayState};
 use crate::text::printable;
 use serde::Deserialize;
 use std::collections::VecDeque;
@@ -19,9 +19,10 @@ const MAX_TEXT: usize = 200;
 pub struct FleetEvent {
     /// The gateway.
     pub gateway: GatewayName,
-    /// Time by the clock of the gateway, in Unix seconds.
+    /// Time by the clock of the gateway, in Unix seconds; of a change of the gateway itself by that of
+    /// this machine.
     pub time: f64,
-    /// What it is about: `FEED @10`, the name of a bus.
+    /// What it is about: `FEED @10`, the name of a bus, `gateway`.
     pub subject: String,
     /// What happened.
     pub text: String,
@@ -146,11 +147,26 @@ impl FleetEventLog {
     /// Takes an event; the oldest one above the bound is dropped. Returns false for what is none.
     pub(super) fn handle_event(&mut self, gateway: GatewayName, payload: &[u8]) -> bool {
         let Some(event) = FleetEvent::parse(gateway, payload) else { return false };
+        self.push(event);
+        true
+    }
+
+    /// Takes a change of a gateway itself, at a Unix time by this machine.
+    pub(super) fn note_state(&mut self, gateway: GatewayName, time: f64, state: GatewayState) {
+        let kind = match state {
+            GatewayState::Lost | GatewayState::Silent => FleetEventKind::Absence,
+            GatewayState::Online => FleetEventKind::Device,
+            GatewayState::Stopped | GatewayState::Unknown => FleetEventKind::Other,
+        };
+        let (subject, text) = ("gateway".to_owned(), state.name().to_owned());
+        self.push(FleetEvent { gateway, time, subject, text, kind });
+    }
+
+    fn push(&mut self, event: FleetEvent) {
         if self.events.len() == MAX_EVENTS {
             self.events.pop_front();
         }
         self.events.push_back(event);
-        true
     }
 
     /// The last events, of one gateway or of all; the newest first.

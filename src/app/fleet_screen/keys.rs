@@ -62,8 +62,8 @@ pub struct FleetPrompt {
     pub input: LineInput,
     /// The mistake in it, and its column from 1.
     pub error: Option<(String, usize)>,
-    /// The filter before, for Esc.
-    before: String,
+    /// The filter before, for Esc, and whether it was on.
+    before: (String, bool),
     /// Candidates that Tab goes through, and the one in the line.
     cycle: Option<(Completion, usize)>,
 }
@@ -102,7 +102,8 @@ impl FleetScreen {
     /// Takes a mouse event: a press selects a row or a page, the wheel moves.
     pub fn handle_mouse(&mut self, now: Instant, mouse: Mouse) {
         self.set_now(now);
-        if matches!(mouse.kind, MouseKind::Drag) {
+        // What is typed stays where it is.
+        if matches!(mouse.kind, MouseKind::Drag) || self.prompt().is_some() {
             return;
         }
         self.is_dirty = true;
@@ -186,7 +187,7 @@ impl FleetScreen {
             Some(A::Redraw) => self.effects.push_back(FleetEffect::Redraw),
             Some(A::Suspend) => self.effects.push_back(FleetEffect::Suspend),
             Some(A::Quit | A::QuitNow) => self.effects.push_back(FleetEffect::Quit),
-            Some(_) | None => {
+            _ => {
                 self.show(format!("{key} has no use on this screen; ? lists its keys"));
             }
         }
@@ -374,11 +375,11 @@ impl FleetScreen {
     // ---- the filter ----------------------------------------------------------------------------
 
     fn ask_filter(&mut self) {
-        let text = self.filter().text.clone();
+        let (text, is_on) = (self.filter().text.clone(), self.filter().is_on);
         self.scope_mut().has_details_alone = false;
         let input = LineInput::new(text.clone());
-        self.overlay =
-            FleetOverlay::Prompt(FleetPrompt { input, before: text, ..Default::default() });
+        let prompt = FleetPrompt { input, before: (text, is_on), ..Default::default() };
+        self.overlay = FleetOverlay::Prompt(Box::new(prompt));
     }
 
     fn toggle_filter(&mut self) {
@@ -405,10 +406,14 @@ impl FleetScreen {
                 return;
             }
             KeyCode::Esc => {
-                let before = prompt.before.clone();
+                let (before, was_on) = prompt.before.clone();
                 self.overlay = FleetOverlay::None;
+                let filter = &mut self.scope_mut().list_mut().filter;
                 // It was valid before.
-                let _ = self.scope_mut().list_mut().filter.set(&before, rows);
+                let _ = filter.set(&before, rows);
+                if filter.is_on && !was_on {
+                    filter.toggle();
+                }
                 return self.set_stale();
             }
             KeyCode::Tab => prompt.complete(source.as_ref(), rows),

@@ -139,7 +139,7 @@ enum FleetOverlay {
     None,
     /// The keys, without the first lines.
     Help(u16),
-    Prompt(FleetPrompt),
+    Prompt(Box<FleetPrompt>),
 }
 
 /// See the module's documentation.
@@ -170,9 +170,9 @@ pub struct FleetScreen {
     is_stale: bool,
     is_dirty: bool,
     overlay: FleetOverlay,
-    /// Shown until the next key; true for an error.
+    /// Shown until the next key; true for a warning about the settings.
     message: Option<(String, bool)>,
-    /// When it ends without a key; `None` for a warning about the settings.
+    /// When it ends without a key; `None` for such a warning.
     message_until: Option<Instant>,
     effects: VecDeque<FleetEffect>,
 }
@@ -249,7 +249,7 @@ impl FleetScreen {
             self.complete_at = self.complete_at.map(|_| now + QUIET);
         }
         match FleetTopic::parse(topic) {
-            Some(FleetTopic { gateway, path: TopicPath::Event }) => {
+            Some(FleetTopic { gateway, path: TopicPath::Event }) if !payload.is_empty() => {
                 let is_usable = self.events.handle_event(gateway, payload);
                 self.fleet.note_event(topic, is_usable);
             }

@@ -133,10 +133,14 @@ impl FleetScreen {
         let (fleet, now) = (&self.fleet, self.now);
         self.entries.retain(|name, _| fleet.gateway(name).is_some());
         let mut sums = FleetSums::default();
+        let mut changes = Vec::new();
         for (name, gateway) in fleet.gateways() {
             let known = self.entries.get_mut(name);
+            let (before, state) = (known.as_ref().map(|entry| entry.state), gateway.state(now));
+            if is_event(before, state) {
+                changes.push((name.clone(), state));
+            }
             if let Some(entry) = known.filter(|entry| entry.revision == gateway.revision()) {
-                let state = gateway.state(now);
                 if entry.state != state {
                     (entry.state, entry.filter_revision) = (state, None);
                 }
@@ -148,6 +152,13 @@ impl FleetScreen {
             }
         }
         self.sums = sums;
+        // What the first reading brings did not happen now.
+        if self.completed.is_some() {
+            let time = self.options.unix_start + now.as_micros() as f64 / 1e6;
+            for (name, state) in changes {
+                self.events.note_state(name, time, state);
+            }
+        }
     }
 
     fn gateway_rows(&mut self) -> (Vec<FleetRow>, usize) {
@@ -284,6 +295,17 @@ impl FleetScreen {
             list.key = new_key;
         }
         list.first = list.top(count, height);
+    }
+}
+
+/// Returns true if the change of a gateway is an event. Silence is none: the connection of this program
+/// may be the cause.
+fn is_event(before: Option<GatewayState>, state: GatewayState) -> bool {
+    use GatewayState as S;
+    match state {
+        S::Lost | S::Stopped => before != Some(state),
+        S::Online => matches!(before, None | Some(S::Lost | S::Stopped | S::Unknown)),
+        S::Silent | S::Unknown => false,
     }
 }
 

@@ -26,6 +26,9 @@ const OWN_NAME: &str = "give each gateway its own --gateway";
 const OWN_CERTIFICATE: Option<&str> =
     Some("the broker may ask for a certificate: --cert FILE --key FILE");
 
+/// What answers breaks the rules of MQTT 5.
+const NO_BROKER: &str = "no MQTT 5 broker: ";
+
 /// What helps where the broker ends the connection without a word.
 const CLOSED_WITHOUT_TLS: &str = "it may want TLS (mqtts://), or have no MQTT 5";
 
@@ -48,6 +51,10 @@ impl BrokerFailure {
         was_connected: bool,
     ) -> Self {
         let (cause, remedy, is_final) = words(error);
+        let cause = match cause.strip_prefix(NO_BROKER).filter(|_| was_connected) {
+            Some(why) => format!("the broker breaks the rules of MQTT 5: {why}"),
+            None => cause,
+        };
         let remedy = remedy.filter(|_| is_final || !was_connected);
         let remedy = remedy.map(|it| match it {
             CLOSED_WITHOUT_TLS if address.has_tls() => "it may have no MQTT 5",
@@ -133,7 +140,7 @@ fn closed() -> (String, Option<&'static str>, bool) {
 /// What answers breaks the rules of MQTT 5: a web server, a broker with MQTT 3 alone.
 fn no_broker(why: &str) -> (String, Option<&'static str>, bool) {
     let remedy = "check the port; a broker with MQTT 5 is needed, such as mosquitto 1.6 and later";
-    (format!("no MQTT 5 broker: {why}"), Some(remedy), false)
+    (format!("{NO_BROKER}{why}"), Some(remedy), false)
 }
 
 fn io_words(error: &io::Error) -> (String, Option<&'static str>, bool) {

@@ -45,42 +45,44 @@ fn link_line(brush: &FleetBrush) -> Line<'static> {
     ])
 }
 
-/// The sums with words if they fit in the line, otherwise with signs only.
+/// The sums with words if they fit in the line, otherwise those of devices, then all with signs only.
 fn sums_line(brush: &FleetBrush) -> Line<'static> {
-    let width = brush.regions.whole.width;
-    let line = sums_as(brush, width < WIDE);
-    if line.width() > usize::from(width) { sums_as(brush, true) } else { line }
+    let width = usize::from(brush.regions.whole.width);
+    let forms = [(true, true), (true, false)].map(|words| sums_as(brush, words));
+    let fitting = forms.into_iter().find(|line| line.width() <= width);
+    fitting.unwrap_or_else(|| sums_as(brush, (false, false)))
 }
 
-fn sums_as(brush: &FleetBrush, is_narrow: bool) -> Line<'static> {
+/// The sums, with words for gateways and for devices.
+fn sums_as(brush: &FleetBrush, (of_gateways, of_devices): (bool, bool)) -> Line<'static> {
     let sums = brush.screen.sums();
     let count: usize = sums.states.iter().sum();
     let word = match count {
-        _ if is_narrow => "",
+        _ if !of_gateways => "",
         1 => " gateway",
         _ => " gateways",
     };
     let mut spans = vec![brush.span(Role::Title, format!(" {}{word}", grouped(count as u64)))];
-    let of_count = |number: usize, (sign, role): (&str, Role), word: &str| {
+    let of_count = |number: usize, (sign, role): (&str, Role), word: &str, has_words: bool| {
         let number = grouped(number as u64);
-        let text = if is_narrow {
-            format!(" {sign}{number}")
-        } else {
-            format!("  {sign} {number} {word}")
+        let text = match (has_words, of_gateways) {
+            (true, _) => format!("  {sign} {number} {word}"),
+            (false, true) => format!("  {sign} {number}"),
+            (false, false) => format!(" {sign}{number}"),
         };
         Span::styled(text.trim_end().to_owned(), brush.theme.style(role))
     };
     for (state, number) in FleetSums::STATES.iter().zip(sums.states) {
         if number > 0 {
-            spans.push(of_count(number, of_state(*state), state.name()));
+            spans.push(of_count(number, of_state(*state), state.name(), of_gateways));
         }
     }
-    if is_narrow {
-        spans.push(brush.span(Role::Muted, "  dev"));
+    spans.push(if of_gateways {
+        brush.span(Role::Title, "    devices")
     } else {
-        spans.push(brush.span(Role::Title, "    devices"));
-    }
-    spans.push(of_count(sums.present, ("●", Role::Online), "present"));
+        brush.span(Role::Muted, "  dev")
+    });
+    spans.push(of_count(sums.present, ("●", Role::Online), "present", of_devices));
     let problems = [
         (sums.lost, ("○", Role::Lost), "lost"),
         (sums.last_known, of_state(GatewayState::Unknown), "last known"),
@@ -89,7 +91,7 @@ fn sums_as(brush: &FleetBrush, is_narrow: bool) -> Line<'static> {
     ];
     for (number, sign, word) in problems {
         if number > 0 {
-            spans.push(of_count(number, sign, word));
+            spans.push(of_count(number, sign, word, of_devices));
         }
     }
     Line::from(spans)
