@@ -297,6 +297,7 @@ impl FleetScreen {
             self.complete_at = was_stopped.then_some(now + QUIET);
             if !was_stopped {
                 self.fleet.handle_complete();
+                self.look_at_gateways();
                 self.completed = Some(now);
                 self.link = BrokerLink::Connected;
             }

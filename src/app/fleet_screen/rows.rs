@@ -129,7 +129,8 @@ impl FleetScreen {
         self.reselect();
     }
 
-    fn look_at_gateways(&mut self) {
+    /// Takes the states and facts of the gateways.
+    pub(super) fn look_at_gateways(&mut self) {
         let (fleet, now) = (&self.fleet, self.now);
         self.entries.retain(|name, _| fleet.gateway(name).is_some());
         let mut sums = FleetSums::default();
