@@ -25,6 +25,14 @@ pub fn is_printable(c: char) -> bool {
     )
 }
 
+/// Returns the first `most` characters of a text; `…` follows where there are more.
+pub fn shortened(text: &str, most: usize) -> String {
+    match text.char_indices().nth(most) {
+        Some((end, _)) => format!("{}…", &text[..end]),
+        None => text.to_owned(),
+    }
+}
+
 /// Joins the first `max` parts of a text; the number of the others follows.
 pub fn join_first(mut parts: Vec<String>, max: usize, separator: &str) -> String {
     let more = parts.len().saturating_sub(max);

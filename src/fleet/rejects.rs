@@ -4,7 +4,7 @@
 //! counters, and the last cause that still holds. Bounded: [`MAX_TOPICS`] topics, each by its first
 //! [`MAX_TOPIC_BYTES`] bytes, with a cause of [`MAX_CAUSE`] characters. Does not know what a document is.
 
-use crate::text::printable;
+use crate::text::{printable, shortened};
 use std::collections::BTreeMap;
 
 /// Number of topics that are remembered at most; further ones are counted alone.
@@ -76,10 +76,7 @@ impl FleetRejects {
             RejectReason::Malformed => self.malformed += 1,
             RejectReason::Oversized => self.oversized += 1,
         }
-        let text = match text.char_indices().nth(MAX_CAUSE) {
-            Some((end, _)) => format!("{}…", &text[..end]),
-            None => text.to_owned(),
-        };
+        let text = shortened(text, MAX_CAUSE);
         let rejected = RejectedTopic { text, number: self.count(), connection };
         let key = key_of(topic);
         if self.topics.len() < MAX_TOPICS || self.topics.contains_key(key) {

@@ -7,7 +7,7 @@
 use super::{
     Inventory, InventoryBus, InventoryDevice, InventoryEntry, InventoryFinding, InventoryService,
 };
-use crate::text::{Escaped, is_printable, on_one_line};
+use crate::text::{Escaped, is_printable, on_one_line, shortened};
 use serde::Deserialize;
 use serde::de::{Deserializer, Error as _, IgnoredAny, SeqAccess, Visitor};
 use std::fmt;
@@ -15,6 +15,9 @@ use std::marker::PhantomData;
 
 /// Largest number of entries in a list.
 const MAX_ENTRIES: usize = 65_536;
+
+/// Longest cause of an error, in characters.
+const MAX_CAUSE: usize = 200;
 
 /// Why a document cannot be read.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -33,7 +36,7 @@ fn json<'de, T: Deserialize<'de>>(bytes: &'de [u8]) -> Result<T, InventoryError>
     serde_json::from_slice(bytes).map_err(|error| {
         let text = error.to_string();
         let (cause, _) = text.rsplit_once(" at line ").unwrap_or((&text, ""));
-        let cause = on_one_line(&shortened(cause));
+        let cause = on_one_line(&shortened(cause, MAX_CAUSE));
         let (line, column) = (error.line(), error.column());
         InventoryError::Json(format!("line {line}, column {column}: {cause}"))
     })
@@ -107,15 +110,6 @@ impl Inventory {
         self.buses.sort_by(|one, other| one.name.cmp(&other.name));
         self.buses.dedup_by(|later, first| later.name == first.name);
         self
-    }
-}
-
-/// Returns an error text without the middle of a long value in it.
-fn shortened(text: &str) -> String {
-    const MOST: usize = 200;
-    match text.char_indices().nth(MOST) {
-        Some((end, _)) => format!("{}…", &text[..end]),
-        None => text.to_owned(),
     }
 }
 

@@ -4,7 +4,7 @@
 //! events, 200 characters of a text. Does not know devices: an event says what it is about.
 
 use crate::fleet::{GatewayName, GatewayState};
-use crate::text::printable;
+use crate::text::{printable, shortened};
 use serde::Deserialize;
 use std::collections::VecDeque;
 
@@ -130,11 +130,7 @@ fn text_of(json: &EventJson) -> String {
 
 /// A text of any origin as it is shown.
 fn shown(text: &str) -> String {
-    let text = printable(text.as_bytes());
-    match text.char_indices().nth(MAX_TEXT) {
-        Some((end, _)) => format!("{}…", &text[..end]),
-        None => text,
-    }
+    shortened(&printable(text.as_bytes()), MAX_TEXT)
 }
 
 /// See the module's documentation.

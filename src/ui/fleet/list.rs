@@ -180,8 +180,9 @@ fn cells(brush: &FleetBrush, row: &FleetRow) -> ((&'static str, Role), RowCells)
 
 /// Returns true for a device of a gateway that is not online.
 fn is_of_absent_gateway(brush: &FleetBrush, row: &FleetRow) -> bool {
-    let gateway = brush.screen.opened().and_then(|name| brush.screen.gateway_row(name));
-    matches!(row, FleetRow::Device(_)) && gateway.is_some_and(|it| it.state != GatewayState::Online)
+    let gateway = || brush.screen.gateway_row(brush.screen.opened()?);
+    matches!(row, FleetRow::Device(_))
+        && gateway().is_some_and(|it| it.state != GatewayState::Online)
 }
 
 fn one(role: Role, text: impl Into<String>) -> Vec<(Role, String)> {
