@@ -463,6 +463,21 @@ fn edit_conflict_is_resolved_while_a_save_hangs() {
 }
 
 #[test]
+fn edit_conflict_ends_if_the_save_was_made_before_it() {
+    let mut stage = saving();
+    let theirs = BOILER.replace("10", "11");
+    stage.write(&theirs);
+    assert!(stage.screen().contains("Edit conflict"), "{}", stage.screen());
+    stage.unfinished = Some(vec![SaveOutcome::Saved]);
+    stage.finish_saves();
+    // The session reads it again.
+    stage.write(&theirs).finish_saves();
+    let screen = stage.screen();
+    assert!(!screen.contains("Edit conflict") && screen.contains("✗ 11"), "{screen}");
+    assert_eq!((stage.file(), stage.app.file().unsaved()), (&*theirs, 0));
+}
+
+#[test]
 fn failed_hanging_save_reports_the_file_error_first() {
     let mut stage = saving();
     stage.write("{ broken");

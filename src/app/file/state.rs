@@ -696,9 +696,20 @@ impl FileState {
         }
     }
 
+    /// Returns true if the undecided conflict is none since the save was made: it replaced what the
+    /// edits began with, so another program changed what the save wrote. The file is read again.
+    fn has_conflict_after(&self, saving: &Saving) -> bool {
+        let is_undecided =
+            self.pending_conflict.as_ref().is_some_and(|it| it.choices.chosen.is_empty());
+        let expected = saving.expected.clone().unwrap_or_else(Document::empty);
+        is_undecided && saving.base_changed && self.disk.as_ref() == Some(&expected)
+    }
+
     /// Takes the content of a save as the content on disk, unless another program's is known.
     fn settle(&mut self, saving: Saving) {
-        if saving.base_changed {
+        if self.has_conflict_after(&saving) {
+            self.pending_conflict = None;
+        } else if saving.base_changed {
             return;
         }
         let base = self.disk.replace(saving.content.clone()).unwrap_or_else(Document::empty);
@@ -869,6 +880,34 @@ mod tests {
             } else {
                 assert_eq!((change, file.unsaved()), (FileChange::Rebased, 1));
                 assert_eq!(source(&file), theirs.replace("12", "16"));
+            }
+        }
+    }
+
+    /// The content of the save itself was not read: another program set another address just after
+    /// it, or just before it.
+    #[test]
+    fn conflict_found_during_a_save_ends_if_the_save_was_before_it() {
+        let theirs = FILE.replace("12", "13");
+        for outcome in [
+            SaveOutcome::Saved,
+            SaveOutcome::Changed(content(&theirs)),
+            SaveOutcome::Failed(Diagnostic::new("no room")),
+        ] {
+            let is_saved = outcome.is_on_disk();
+            let mut file = opened();
+            file.edit(&[set_address(&file, 16)]).unwrap();
+            file.start_saving().unwrap();
+            assert_eq!(file.read(NOW, content(&theirs)), FileChange::Conflict);
+            assert!(file.is_base_changed(), "the file is read again");
+            file.handle_saved(NOW, outcome);
+            assert_eq!(file.conflict().is_some(), !is_saved);
+            let change = file.read(NOW, content(&theirs));
+            if is_saved {
+                assert_eq!((change, file.unsaved()), (FileChange::Content, 0));
+                assert_eq!(source(&file), theirs);
+            } else {
+                assert_eq!((change, file.unsaved()), (FileChange::None, 1));
             }
         }
     }
