@@ -44,6 +44,9 @@ pub struct FleetMessage {
     pub payload: Arc<[u8]>,
     /// The broker keeps it for later subscribers.
     pub is_retained: bool,
+    /// The broker takes no message of this length: that of a document clears what the broker has of it, an
+    /// event is not sent.
+    pub is_too_long: bool,
     /// To be passed back when it is known what became of the message.
     pub id: FleetMessageId,
 }
@@ -113,6 +116,8 @@ pub struct Publication {
     refused_documents: VecDeque<String>,
     /// The refused document that is tried again.
     probe: Option<String>,
+    /// Documents that are longer than the broker takes.
+    long_documents: BTreeSet<String>,
     /// Largest message that the broker takes, in bytes.
     max_message: usize,
     is_connected: bool,
@@ -148,6 +153,7 @@ impl Publication {
             refused: 0,
             refused_documents: VecDeque::new(),
             probe: None,
+            long_documents: BTreeSet::new(),
             max_message: usize::MAX,
             is_connected: false,
             connections: 0,
@@ -199,6 +205,7 @@ impl Publication {
             topic: TopicPath::Status.of(&self.gateway),
             payload: payload.to_string().into_bytes().into(),
             is_retained: true,
+            is_too_long: false,
             id: FleetMessageId::Document(TopicPath::Status.to_string(), 0),
         }
     }
@@ -288,6 +295,8 @@ impl Publication {
     pub fn handle_connected(&mut self, is_session_kept: bool) {
         self.is_connected = true;
         self.connections += 1;
+        // It may take more now.
+        self.due.append(&mut self.long_documents);
         if is_session_kept {
             self.expected_will = Some(self.connections - 1);
             // The last will may have replaced it.
@@ -397,6 +406,7 @@ impl Publication {
                 if slot.is_some_and(is_clear) {
                     self.documents.remove(tail);
                     self.due.remove(tail);
+                    self.long_documents.remove(tail);
                 }
             }
         }
@@ -436,11 +446,6 @@ impl Publication {
         self.max_message = bytes;
     }
 
-    /// Returns true for a message that the broker does not take for its length.
-    pub fn is_too_long(&self, message: &FleetMessage) -> bool {
-        message.topic.len() + message.payload.len() > self.max_message
-    }
-
     /// Returns the next message to send: documents before the status, which tells that they are
     /// complete, then events.
     pub fn poll_message(&mut self) -> Option<FleetMessage> {
@@ -458,24 +463,28 @@ impl Publication {
         self.due.remove(&tail);
         let slot = self.documents.get_mut(&tail)?;
         slot.is_sent = true;
-        Some(FleetMessage {
-            topic: self.gateway.topic(&tail),
-            payload: slot.payload.clone().unwrap_or_default(),
-            is_retained: true,
-            id: FleetMessageId::Document(tail, slot.version),
-        })
+        let topic = self.gateway.topic(&tail);
+        let payload = slot.payload.clone().unwrap_or_default();
+        let is_too_long = topic.len() + payload.len() > self.max_message;
+        let id = FleetMessageId::Document(tail.clone(), slot.version);
+        let payload = if is_too_long { Arc::default() } else { payload };
+        if is_too_long {
+            self.refused += 1;
+            self.long_documents.insert(tail);
+        } else {
+            self.long_documents.remove(&tail);
+        }
+        Some(FleetMessage { topic, payload, is_retained: true, is_too_long, id })
     }
 
     fn next_event(&mut self) -> Option<FleetMessage> {
         let (number, payload) = self.events.pop_front()?;
         self.queued_bytes -= payload.len();
         self.sent_events.insert(number, Arc::clone(&payload));
-        Some(FleetMessage {
-            topic: TopicPath::Event.of(&self.gateway),
-            payload,
-            is_retained: false,
-            id: FleetMessageId::Event(number),
-        })
+        let topic = TopicPath::Event.of(&self.gateway);
+        let is_too_long = topic.len() + payload.len() > self.max_message;
+        let id = FleetMessageId::Event(number);
+        Some(FleetMessage { topic, payload, is_retained: false, is_too_long, id })
     }
 
     fn put_status(&mut self, payload: &Value) {
@@ -506,6 +515,7 @@ impl Publication {
         if self.documents.get(&tail).is_some_and(|known| !known.is_sent) {
             self.documents.remove(&tail);
             self.due.remove(&tail);
+            self.long_documents.remove(&tail);
             return;
         }
         self.version += 1;

@@ -253,13 +253,18 @@ impl PublisherThread {
         let mut sent = FuturesUnordered::new();
         loop {
             while let Some(message) = self.next_message() {
-                if self.shared.publication().is_too_long(&message) {
+                let FleetMessage { topic, payload, is_retained, is_too_long, id } = message;
+                if is_too_long {
                     // The connection would end with it.
-                    let fate = Fate::Refused("it takes no packet of this length");
-                    self.handle_fate(message.topic, &message.id, fate);
-                    continue;
+                    let why = "it takes no packet of this length";
+                    if !is_retained {
+                        self.handle_fate(topic, &id, Fate::Refused(why));
+                        continue;
+                    }
+                    if self.shared.publication().refused() == 1 {
+                        self.report(PublisherNotice::Refused(topic.clone(), why));
+                    }
                 }
-                let FleetMessage { topic, payload, is_retained, id } = message;
                 let options = PublishOptions::new(QoS::AtLeastOnce).retain(is_retained);
                 let sending = client.try_publish_tracked(topic.clone(), payload.to_vec(), options);
                 let Ok(notice) = sending else {

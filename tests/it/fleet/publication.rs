@@ -480,12 +480,42 @@ fn refused_documents_are_tried_again_one_with_each_status() {
 }
 
 #[test]
-fn messages_above_the_limit_of_the_broker_are_known() {
+fn document_above_the_limit_of_the_broker_is_cleared_there() {
     let mut publication = publication();
+    publication.set_max_message(200);
     publication.handle_connected(false);
-    publication.handle_documents(at(0), 0.0, [document("can0", json!({"text": "x".repeat(100)}))]);
+    let taken = |publication: &mut Publication| {
+        let messages = sent(publication);
+        for message in &messages {
+            publication.handle_delivered(&message.id);
+        }
+        messages
+    };
+    let change = |publication: &mut Publication, second, length: usize| {
+        let content = json!({"text": "x".repeat(length)});
+        publication.handle_documents(at(second), 0.0, [document("can0", content)]);
+        taken(publication)
+    };
+    assert!(!change(&mut publication, 0, 10)[0].payload.is_empty());
+    // What the broker had would be out of date.
+    let sent = change(&mut publication, 5, 300);
+    assert!(sent[0].is_too_long && sent[0].is_retained && sent[0].payload.is_empty());
+    assert_eq!((sent.len(), publication.refused()), (1, 1));
+    // A connection to a broker that takes more.
+    publication.handle_disconnected();
+    publication.set_max_message(1000);
+    publication.handle_connected(true);
+    let sent = taken(&mut publication);
+    assert!(sent.iter().any(|it| it.topic.ends_with("bus/can0") && it.payload.len() > 300));
+    assert!(!change(&mut publication, 10, 20)[0].payload.is_empty());
+}
+
+#[test]
+fn event_above_the_limit_of_the_broker_is_known() {
+    let mut publication = publication();
+    publication.set_max_message(200);
+    publication.handle_connected(false);
+    publication.handle_event(json!({"event": "x".repeat(300)}));
     let message = sent(&mut publication).remove(0);
-    assert!(!publication.is_too_long(&message));
-    publication.set_max_message(100);
-    assert!(publication.is_too_long(&message));
+    assert!(message.is_too_long && !message.is_retained);
 }
