@@ -7,6 +7,10 @@ use crate::common::can;
 use crate::common::can::{Vcan, run};
 use crate::common::pty::Pty;
 use crate::common::watch_process::Watching;
+use nix::errno::Errno;
+use nix::sys::signal::Signal;
+use nix::sys::socket::{getsockopt, sockopt};
+use rustix::process::{PidfdFlags, PidfdGetfdFlags, pidfd_getfd, pidfd_open};
 use serde_json::Value;
 use std::collections::HashSet;
 use std::io::{BufRead, BufReader};
@@ -419,6 +423,42 @@ fn unplugging_under_load_recovers_without_leaks() {
         held.push((entries(watching.id(), "fd"), entries(watching.id(), "task")));
     }
     assert_eq!(held.first(), held.last(), "{held:?}");
+}
+
+/// Takes the error that waits at each socket of a process, as another call of the process would. Returns
+/// the errors.
+fn take_socket_errors(process: u32) -> Vec<i32> {
+    let id = rustix::process::Pid::from_raw(process.cast_signed()).unwrap();
+    let process_fd = pidfd_open(id, PidfdFlags::empty()).unwrap();
+    let folder = format!("/proc/{process}/fd");
+    let is_socket = |number: &i32| {
+        std::fs::read_link(format!("{folder}/{number}"))
+            .is_ok_and(|to| to.to_string_lossy().starts_with("socket:"))
+    };
+    std::fs::read_dir(&folder)
+        .unwrap()
+        .filter_map(|entry| entry.unwrap().file_name().to_str()?.parse().ok())
+        .filter(is_socket)
+        .map(|number| pidfd_getfd(&process_fd, number, PidfdGetfdFlags::empty()).unwrap())
+        .map(|socket| getsockopt(&socket, sockopt::SocketError).unwrap())
+        .filter(|error| *error != 0)
+        .collect()
+}
+
+#[test]
+fn removal_whose_error_was_overwritten_is_noticed() {
+    let Some(vcan) = Vcan::new("dsp-error") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let watching = Watching::start(&[vcan.name(), "--json"], folder.path());
+    watching.event("bus");
+    // So that it does not take the error itself.
+    watching.signal(Signal::SIGSTOP);
+    vcan.remove();
+    assert_eq!(take_socket_errors(watching.id()), [Errno::ENODEV as i32]);
+    watching.signal(Signal::SIGCONT);
+    watching.event_that("bus", |it| it["bus"]["state"] == "down");
+    vcan.create().unwrap();
+    watching.event_that("bus", |it| it["bus"]["state"] != "down");
 }
 
 /// Tests two boards in two processes at one address: `scan`, `watch` and the screen report a

@@ -7,7 +7,8 @@ use crate::bus::faults::{bus_off, not_found, restart_command};
 use crate::bus::socketcan::CanInterface;
 use crate::diagnostic::Diagnostic;
 use crate::status::BusState;
-use nix::net::if_::if_nametoindex;
+use nix::errno::Errno;
+use nix::net::if_::{if_indextoname, if_nametoindex};
 use socketcan::CanCtrlMode;
 use socketcan::nl::{CanState, Mtu};
 use std::fs;
@@ -39,6 +40,11 @@ pub fn interfaces() -> Vec<CanInterface> {
 /// Returns true if this machine has a network interface of this name, of any type.
 pub fn interface_exists(name: &str) -> bool {
     if_nametoindex(name).is_ok()
+}
+
+/// Returns true unless the kernel has no interface of this index.
+pub(super) fn index_exists(ifindex: u32) -> bool {
+    !matches!(if_indextoname(ifindex), Err(Errno::ENXIO | Errno::ENODEV))
 }
 
 /// Returns true if an interface of this name exists and is a CAN interface.

@@ -24,7 +24,7 @@ use crate::error_report::ErrorReport;
 use crate::frame::{BusIndex, Frame, IdFilter};
 use crate::status::{BusState, BusStatus, Link, RateSearch};
 use crate::time::Instant;
-use link_info::{LinkInfo, is_can, missing};
+use link_info::{LinkInfo, index_exists, is_can, missing};
 use nix::errno::Errno;
 use nix::net::if_::if_nametoindex;
 use socket::{RawSocket, ReceivedFrame};
@@ -97,6 +97,8 @@ struct InterfaceMonitor {
     name: String,
     /// 0: it does not exist.
     ifindex: AtomicU32,
+    /// An index that the kernel no longer has; 0: none so far.
+    removed: AtomicU32,
     /// Down, as last read.
     is_down: AtomicBool,
     request: Mutex<MonitorRequest>,
@@ -124,6 +126,12 @@ impl InterfaceMonitor {
     fn request(&self, change: impl FnOnce(&mut MonitorRequest)) {
         change(&mut self.request.lock().unwrap_or_else(PoisonError::into_inner));
         self.requested.notify_one();
+    }
+
+    /// Returns true if the present interface was removed.
+    fn is_removed(&self) -> bool {
+        let ifindex = self.ifindex.load(Ordering::Acquire);
+        ifindex != 0 && self.removed.load(Ordering::Acquire) == ifindex
     }
 
     /// The monitor thread.
@@ -165,7 +173,13 @@ impl InterfaceMonitor {
         if ifindex == 0 {
             return pending;
         }
-        let Ok(facts) = LinkInfo::of(ifindex) else { return pending };
+        let Ok(facts) = LinkInfo::of(ifindex) else {
+            if !index_exists(ifindex) {
+                self.removed.store(ifindex, Ordering::Release);
+                shared.wake();
+            }
+            return pending;
+        };
         // A renamed interface is the same bus; remedies need its present name.
         let name = facts.name.as_deref().unwrap_or(&self.name);
         let (fault, note) = (facts.fault(name), facts.note(name));
@@ -311,11 +325,16 @@ impl SocketReader {
         // At most a quarter of the receive buffer may fill up during the delay.
         let room = socket.capacity() / 4;
         let mut is_counting = false;
+        let mut is_removed = false;
         while !self.shared.is_stopped() {
             batch.clear();
-            let mut is_gone = false;
-            if let Err(error) = socket.read(&mut batch) {
-                match errno(&error) {
+            // The kernel's word for it can be lost: recvmmsg that has read frames puts an error back,
+            // also ENETDOWN over the ENODEV that came since.
+            let was_removed = is_removed;
+            is_removed |= self.monitor.is_removed();
+            let read = socket.read(&mut batch);
+            if let Err(error) = &read {
+                match errno(error) {
                     Errno::ENETDOWN => {
                         socket.forget_unconfirmed();
                         self.monitor.request(|request| {
@@ -323,16 +342,16 @@ impl SocketReader {
                             request.pending.outage = true;
                         });
                     }
-                    Errno::ENODEV | Errno::ENXIO => is_gone = true,
+                    Errno::ENODEV | Errno::ENXIO => is_removed = true,
                     Errno::EINTR => {}
-                    _ => return Err(error),
+                    _ => return read,
                 }
             }
             if !std::mem::replace(&mut is_counting, true) {
                 socket.start_counting();
             }
             // With an empty buffer: until the loopback of a sent frame, frames are read one by one.
-            if !is_gone {
+            if !is_removed {
                 self.send_pending(&mut socket);
             }
             self.date(&batch, &mut frames);
@@ -343,10 +362,12 @@ impl SocketReader {
             let batch_delay = batch_delay(since_last, frames.len() as u32, room, longest);
             let is_collecting = longest > MAX_BATCH_DELAY && batch_delay.is_some();
             self.deliver(&frames, is_collecting.then_some(newest), &socket);
-            if is_gone {
-                break;
-            }
-            if let Some(batch_delay) = batch_delay {
+            if is_removed {
+                // The first error comes before the frames that wait in the receive buffer.
+                if batch.is_empty() && (read.is_ok() || was_removed) {
+                    break;
+                }
+            } else if let Some(batch_delay) = batch_delay {
                 let wait = self.retry_wait().map_or(batch_delay, |wait| wait.min(batch_delay));
                 self.shared.wait(None, Some(wait))?;
             } else if frames.is_empty() {
