@@ -16,8 +16,8 @@ use crossterm::event::{Event, KeyEventKind};
 use std::io;
 use tokio::time::{Instant, sleep_until};
 
-/// Messages that are taken at once, at most.
-const BATCH: usize = 1000;
+/// Messages that are taken at once, at most: keys are looked for in between.
+const BATCH: usize = 100;
 
 /// How the screen ended.
 #[derive(Clone, Debug, PartialEq)]

@@ -13,8 +13,8 @@ use crate::time::{Duration, Instant};
 
 /// Least time between two draws.
 const PACE: Duration = Duration::from_millis(33);
-/// The same after a key.
-const PACE_AFTER_KEY: Duration = Duration::from_millis(5);
+/// The same between two draws for keys.
+const PACE_OF_KEYS: Duration = Duration::from_millis(5);
 /// Bytes per second for what the bus changes: with the clock and a message, 2,000 at most.
 pub const SCREEN_BUDGET: f64 = 1700.0;
 /// Time after a key in which draws are what the key asked for: counts, a past moment.
@@ -53,6 +53,8 @@ pub struct PaintPace {
     /// The line is as fast as was set, not as was measured.
     is_line_set: bool,
     drawn: Option<Instant>,
+    /// The last draw for a key.
+    key_drawn: Option<Instant>,
     keyed: Option<Instant>,
     /// A key was handled after the last draw.
     has_new_key: bool,
@@ -85,6 +87,7 @@ impl PaintPace {
             line,
             is_line_set: line.is_some(),
             drawn: None,
+            key_drawn: None,
             keyed: None,
             has_new_key: false,
             is_partial: false,
@@ -114,8 +117,13 @@ impl PaintPace {
     /// When a screen that is out of date is drawn.
     pub fn due(&self) -> Instant {
         let Some(drawn) = self.drawn else { return Instant::ZERO };
-        let pace = if self.has_new_key { PACE_AFTER_KEY } else { PACE };
-        let due = (drawn + pace).max(self.taken);
+        // A key does not wait after a draw of what the bus changed.
+        let least = match (self.has_new_key, self.key_drawn) {
+            (true, Some(key_drawn)) => key_drawn + PACE_OF_KEYS,
+            (true, None) => Instant::ZERO,
+            (false, _) => drawn + PACE,
+        };
+        let due = least.max(self.taken);
         if let Some(held) = self.held_until().filter(|_| !self.has_new_key) {
             return due.max(held);
         }
@@ -200,7 +208,9 @@ impl PaintPace {
             self.taken = self.taken.max(now - took) + Duration::from_secs_f64(bytes / line);
         }
         self.drawn = Some(now);
-        self.has_new_key = false;
+        if std::mem::take(&mut self.has_new_key) {
+            self.key_drawn = Some(now);
+        }
         self.is_partial = !is_complete;
     }
 
@@ -241,10 +251,13 @@ mod tests {
         pace.drawn(at(1000), 2000, NO_TIME, true);
         assert_eq!(pace.due(), at(3000));
         pace.note_key(at(1001));
-        assert_eq!(pace.due(), at(1005));
-        pace.drawn(at(1005), 5000, NO_TIME, true);
+        assert!(pace.due() <= at(1001), "at once");
+        pace.drawn(at(1002), 5000, NO_TIME, true);
         // What follows from the key.
-        assert_eq!(pace.due(), at(1038));
+        assert_eq!(pace.due(), at(1035));
+        pace.note_key(at(1003));
+        assert_eq!(pace.due(), at(1007), "keys that come at once are drawn together");
+        pace.drawn(at(1007), 100, NO_TIME, true);
         pace.drawn(at(1600), 100, NO_TIME, true);
         assert_eq!(pace.due(), at(3100));
     }

@@ -24,7 +24,7 @@ impl Filter {
         let uid = |value: &TextValue| facts.uids.iter().any(|it| value.is_in(it));
         let at = |value: &TextValue| facts.addresses().any(|it| value.is_address(it));
         let service = |value: &TextValue| {
-            facts.services.keys().any(|(name, version)| value.is_service(name, version))
+            facts.services().any(|(name, version, _)| value.is_service(name, version))
         };
         self.is_match(|test| match test {
             Test::Word(word) => {

@@ -34,8 +34,6 @@ pub struct GatewayFacts {
     pub status_time: Option<f64>,
     /// Its events; `None` where they are not known.
     pub events: Option<EventCounts>,
-    /// Number of present devices with a version of a service.
-    pub services: BTreeMap<(String, String), usize>,
     /// Names of its devices, lost ones included.
     pub names: BTreeSet<String>,
     /// Their UIDs.
@@ -44,6 +42,8 @@ pub struct GatewayFacts {
     pub modes: BTreeSet<String>,
     /// Its findings.
     pub problems: Vec<Arc<FleetProblem>>,
+    /// Number of present devices, by name and version of a service.
+    services: BTreeMap<String, BTreeMap<String, usize>>,
     /// Addresses of its devices, a bit for each.
     address_bits: u128,
 }
@@ -85,8 +85,9 @@ impl GatewayFacts {
         }
         self.present += 1;
         for service in device.services.iter().flatten() {
-            let key = (service.name.clone(), service.version.clone());
-            *self.services.entry(key).or_default() += 1;
+            change_value(&mut self.services, &service.name, |versions| {
+                change_value(versions, &service.version, |devices| *devices += 1);
+            });
         }
     }
 
@@ -100,10 +101,33 @@ impl GatewayFacts {
         self.problems.push(Arc::new(problem));
     }
 
+    /// Services of its present devices: name, version, number of devices.
+    pub fn services(&self) -> impl Iterator<Item = (&str, &str, usize)> {
+        self.services.iter().flat_map(|(name, versions)| {
+            versions.iter().map(|(version, devices)| (name.as_str(), version.as_str(), *devices))
+        })
+    }
+
+    /// Returns true if a present device has this version of a service.
+    pub fn has_service(&self, name: &str, version: &str) -> bool {
+        self.services.get(name).is_some_and(|versions| versions.contains_key(version))
+    }
+
     /// Addresses of its devices.
     pub fn addresses(&self) -> impl Iterator<Item = Address> {
         let bits = self.address_bits;
         Address::all().filter(move |address| bits >> address.number() & 1 != 0)
+    }
+}
+
+/// Changes the value of a key; the text is copied for a new one only.
+fn change_value<V: Default>(all: &mut BTreeMap<String, V>, key: &str, change: impl FnOnce(&mut V)) {
+    if let Some(value) = all.get_mut(key) {
+        change(value);
+    } else {
+        let mut value = V::default();
+        change(&mut value);
+        all.insert(key.to_owned(), value);
     }
 }
 

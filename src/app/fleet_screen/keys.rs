@@ -453,11 +453,11 @@ impl FleetScreen {
             add_some(&mut names, facts.names.iter().cloned());
             add_some(&mut uids, facts.uids.iter().cloned());
             add_some(&mut buses, facts.buses.iter().map(|bus| bus.name.clone()));
-            let with_version = |(name, version): &(String, String)| match &**version {
-                "" => name.clone(),
+            let with_version = |(name, version, _): (&str, &str, usize)| match version {
+                "" => name.to_owned(),
                 version => format!("{name}@{version}"),
             };
-            add_some(&mut services, facts.services.keys().map(with_version));
+            add_some(&mut services, facts.services().map(with_version));
             addresses.extend(facts.addresses().map(Address::number));
         }
         CompletionSource {

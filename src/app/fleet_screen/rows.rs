@@ -182,7 +182,7 @@ impl FleetScreen {
     fn version_rows(&self) -> (Vec<FleetRow>, usize) {
         let mut found: BTreeMap<(&str, &str), (usize, usize)> = BTreeMap::new();
         for entry in self.entries_shown() {
-            for ((service, version), devices) in &entry.facts.services {
+            for (service, version, devices) in entry.facts.services() {
                 let counts = found.entry((service, version)).or_default();
                 counts.0 += devices;
                 counts.1 += 1;
@@ -264,10 +264,10 @@ impl FleetScreen {
 
     /// Names of the shown gateways that have a version of a service, at most `most`.
     pub fn gateways_with(&self, row: &VersionRow, most: usize) -> Vec<&str> {
-        let key = (row.service.clone(), row.version.clone());
         let opened = self.opened();
         let shown = self.entries.iter().filter(|(name, entry)| {
-            opened.is_none_or(|it| it == *name) && entry.facts.services.contains_key(&key)
+            opened.is_none_or(|it| it == *name)
+                && entry.facts.has_service(&row.service, &row.version)
         });
         shown.map(|(name, _)| name.as_str()).take(most).collect()
     }
