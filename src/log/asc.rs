@@ -6,7 +6,7 @@
 
 use super::bus_errors::{bus_error, capture_of, captured, is_on_bus, overload};
 use super::channel::{ChannelNumbers, channel_name};
-use super::dates::{asc_date, local_time};
+use super::dates::{asc_date, is_in_repeated_hour, local_time};
 use super::fields::{
     FieldFault, bytes, can_id, channel, check_line, data_frame, first_word, fixed_point,
     len_of_dlc, number, starts_with_ignoring_case as starts, words,
@@ -294,6 +294,7 @@ impl LogEncoder for AscEncoder {
             // The date has milliseconds.
             let start = entry.unix_micros - entry.unix_micros % 1000;
             Self::write_head(out, start)?;
+            self.loss.is_in_repeated_hour = is_in_repeated_hour(start);
             *self.start.insert(start)
         };
         self.loss.other_times += u64::from(entry.unix_micros < start);

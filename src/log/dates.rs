@@ -52,6 +52,11 @@ pub(super) fn local_time(unix_micros: u64) -> DateTime {
     TimeZone::system().to_datetime(timestamp)
 }
 
+/// Returns true if the local time of this moment comes twice, and is read as the first.
+pub(super) fn is_in_repeated_hour(micros: u64) -> bool {
+    unix_micros(local_time(micros)).is_some_and(|read| read < micros)
+}
+
 /// Parses the date of an ASC log, without its weekday: `Sep 30 10:06:13.191 PM 2017`, in microseconds
 /// since 1970.
 pub(super) fn asc_date(text: &[u8]) -> Option<u64> {

@@ -15,6 +15,9 @@ pub struct LogLoss {
     pub fd_flags: u64,
     /// Frames whose time the format does not have: before the first one, or centuries after it.
     pub other_times: u64,
+    /// The local date of the first frame is one of the hour that is repeated when summer time ends, and
+    /// is read as the first of both.
+    pub is_in_repeated_hour: bool,
     /// Interfaces with the numbers that the log has in place of their names.
     pub numbers: Vec<(String, u8)>,
 }
@@ -40,6 +43,10 @@ impl fmt::Display for LogLoss {
         for (count, what, how) in counts.into_iter().filter(|(count, ..)| *count > 0) {
             let plural = if count == 1 { "" } else { "s" };
             write!(f, "{separator}{count} {what}{plural} {how}")?;
+            separator = "; ";
+        }
+        if self.is_in_repeated_hour {
+            write!(f, "{separator}all times an hour earlier, as summer time ended in this hour")?;
             separator = "; ";
         }
         for (name, number) in &self.numbers {

@@ -7,7 +7,7 @@
 use super::asc::is_whole_error;
 use super::bus_errors::{bus_error, capture_of, captured, is_on_bus, overload};
 use super::channel::{ChannelNumbers, channel_name};
-use super::dates::{day_month_year, local_time, trc_date, trc_days};
+use super::dates::{day_month_year, is_in_repeated_hour, local_time, trc_date, trc_days};
 use super::fields::{
     FieldFault, bytes, can_id, channel, check_line, data_frame, first_word, fixed_point,
     len_of_dlc, number, starts_with_ignoring_case as starts,
@@ -269,6 +269,7 @@ impl LogEncoder for TrcEncoder {
             start
         } else {
             Self::write_head(out, entry.unix_micros)?;
+            self.loss.is_in_repeated_hour = is_in_repeated_hour(entry.unix_micros);
             *self.start.insert(entry.unix_micros)
         };
         self.loss.other_times += u64::from(entry.unix_micros < start);

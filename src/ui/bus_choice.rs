@@ -43,7 +43,7 @@ pub fn draw_choice(
         top += 1;
     }
     let (lines, selected) = lines_of(choice, theme, width);
-    let below = bottom_lines(choice, theme, area.height >= HIGH);
+    let below = bottom_lines(choice, theme, width, area.height >= HIGH);
     let room = usize::from(area.bottom().saturating_sub(top)).saturating_sub(below.len());
     let first = (selected.unwrap_or(0) + 1).saturating_sub(room);
     for (row, line) in lines.iter().skip(first).take(room).enumerate() {
@@ -136,9 +136,32 @@ const KEYS: [Action; 7] = [
     Action::ChoiceClose,
 ];
 
+/// Joins texts to lines that are no wider than `width`, if a text alone is not.
+fn joined(texts: impl IntoIterator<Item = String>, gap: &str, width: usize) -> Vec<String> {
+    let mut lines: Vec<String> = Vec::new();
+    for text in texts {
+        match lines.last_mut() {
+            Some(line) if line.width() + gap.len() + text.width() <= width => {
+                *line = format!("{line}{gap}{text}");
+            }
+            _ => lines.push(text),
+        }
+    }
+    lines
+}
+
 /// Returns the lines below the list: options, other kinds of buses, keys or a message.
-fn bottom_lines(choice: &BusChoice, theme: &Theme, is_high: bool) -> Vec<Line<'static>> {
-    let line = |role, text: String| Line::from(Span::styled(text, theme.style(role)));
+fn bottom_lines(
+    choice: &BusChoice,
+    theme: &Theme,
+    width: usize,
+    is_high: bool,
+) -> Vec<Line<'static>> {
+    let room = width.saturating_sub(1);
+    let line = |role, text: String| {
+        let text = if text.width() > width { fit(&text, width) } else { text };
+        Line::from(Span::styled(text, theme.style(role)))
+    };
     let option = |is_on: bool, text: &str, action| {
         let key = choice.keymap().key_text(action);
         format!("[{}] {text} ({key})", if is_on { "x" } else { " " })
@@ -159,7 +182,15 @@ fn bottom_lines(choice: &BusChoice, theme: &Theme, is_high: bool) -> Vec<Line<'s
             " Other: udp:239.74.163.2   socketcand://HOST/can0   ssh HOST candump -L can0 | …";
         lines.push(line(Role::Muted, other.to_owned()));
     }
-    lines.push(line(Role::Muted, format!(" {}", options.join("   "))));
+    // On a low screen the list needs the lines.
+    let option_lines = if is_high { usize::MAX } else { 1 };
+    let options = joined(options, "   ", room);
+    lines.extend(
+        options
+            .into_iter()
+            .take(option_lines)
+            .map(|options| line(Role::Muted, format!(" {options}"))),
+    );
     lines.push(match (choice.note(), choice.search()) {
         (Some(note), _) => line(Role::Warning, format!(" {note}")),
         (None, Some((words, is_typing))) => {
@@ -175,7 +206,9 @@ fn bottom_lines(choice: &BusChoice, theme: &Theme, is_high: bool) -> Vec<Line<'s
                 let quits = is_first && *action == Action::ChoiceClose;
                 Some(format!("{key} {}", if quits { "quit" } else { word }))
             };
-            line(Role::Muted, format!(" {}", shown.filter_map(hint).collect::<Vec<_>>().join("  ")))
+            // Those that fit whole.
+            let hints = joined(shown.filter_map(hint), "  ", room);
+            line(Role::Muted, format!(" {}", hints.first().map_or("", String::as_str)))
         }
     });
     lines

@@ -1,7 +1,7 @@
 //! The values of the profile, with what the frames show of them; takes the place of the page. And the
 //! line that says that devices send otherwise than the profile says.
 
-use super::brush::{DrawContext, fit};
+use super::brush::{DrawContext, fit, set_hidden_rows};
 use crate::app::{Decoded, ProfileRow, clock_millis, format_duration};
 use crate::frame::Frame;
 use crate::keymap::Action;
@@ -53,6 +53,9 @@ pub fn draw(brush: &mut DrawContext) {
     let list = Rect { y: area.y + 1, height: area.height.saturating_sub(1 + below), ..area };
     let height = usize::from(list.height).max(1);
     let top = (review.selected + 1).saturating_sub(height);
+    let hidden_below = review.rows.len().saturating_sub(top + height);
+    let header = Rect { height: area.height.min(1), ..area };
+    set_hidden_rows(brush.buffer, brush.theme, header, (top, hidden_below));
     for (place, row) in review.rows.iter().enumerate().skip(top).take(height) {
         let line = Line::from(row_spans(brush, row, is_wide(area), place == review.selected));
         let at = (place - top) as u16;

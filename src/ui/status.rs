@@ -601,15 +601,11 @@ fn file(brush: &DrawContext, whole: bool) -> Parts {
     if app.files().count() == 1 {
         return one_file(brush, FileIndex::default(), whole);
     }
-    let urgency = |file: FileIndex, state: &FileState| {
-        let (problem, is_there) = app.shown_file(file);
-        let is_missed = state.is_read() && !is_there;
-        match () {
-            () if problem.is_some() || state.conflict().is_some() => Some(0),
-            () if state.unsaved() > 0 || state.emptied_since().is_some() => Some(1),
-            () if is_missed || !app.file_mistakes(file).is_empty() => Some(2),
-            () => None,
-        }
+    let urgency = |file: FileIndex, state: &FileState| match () {
+        () if app.shown_file(file).0.is_some() || state.conflict().is_some() => Some(0),
+        () if state.unsaved() > 0 || state.emptied_since().is_some() => Some(1),
+        () if !app.file_mistakes(file).is_empty() => Some(2),
+        () => None,
     };
     let urgent = app.files().filter_map(|(file, state)| Some((urgency(file, state)?, file)));
     let mut urgent: Vec<_> = urgent.collect();
@@ -622,14 +618,34 @@ fn file(brush: &DrawContext, whole: bool) -> Parts {
         }
         return parts;
     }
-    let entries = app.files().filter_map(|(file, _)| app.document_at(file));
+    let (absent, present): (Vec<_>, Vec<_>) = app
+        .files()
+        .map(|(file, _)| file)
+        .partition(|file| app.file_at(*file).is_read() && !app.shown_file(*file).1);
+    let mut parts = match *present {
+        [] => return one_file(brush, FileIndex::default(), whole),
+        [file] => one_file(brush, file, whole),
+        _ => sum_of_files(brush, &present, whole),
+    };
+    let absent = match *absent {
+        [] => return parts,
+        [file] => format!("{} not found", file_name(brush, app.file_at(file)).content.trim_end()),
+        _ => format!("{} files not found", absent.len()),
+    };
+    parts.push(Part::new(WARNING, vec![brush.span(Role::Warning, absent)]));
+    parts
+}
+
+/// Returns how many entries these files have together.
+fn sum_of_files(brush: &DrawContext, files: &[FileIndex], whole: bool) -> Parts {
+    let entries = files.iter().filter_map(|file| brush.app.document_at(*file));
     let entries: usize = entries.map(|document| document.entries().len()).sum();
     let words = match (whole, entries) {
         (false, _) => format!(" {entries}"),
         (true, 1) => " 1 entry".to_owned(),
         (true, _) => format!(" {entries} entries"),
     };
-    let title = brush.span(Role::Title, format!("{} files ", app.files().count()));
+    let title = brush.span(Role::Title, format!("{} files ", files.len()));
     let spans = vec![title, brush.span(Role::FileOk, "✓"), brush.span(Role::Text, words)];
     [Some(Part::new(FILE, spans).of_file()), overwritten_pins(brush, whole)]
         .into_iter()

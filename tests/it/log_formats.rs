@@ -72,6 +72,28 @@ fn convert(folder: &Path, from: &str, to: &str) -> String {
     said
 }
 
+#[test]
+fn log_that_begins_in_the_repeated_hour_says_so() {
+    let folder = tempfile::tempdir().unwrap();
+    // 2:30 of 29 October 2023 in Berlin, for the first and for the second time.
+    for (name, seconds, is_second) in
+        [("first", 1_698_539_400, false), ("second", 1_698_543_000, true)]
+    {
+        let line = format!("({seconds}.000000) can0 123#11\n({}.5) can0 123#22\n", seconds + 1);
+        std::fs::write(folder.path().join(name), line).unwrap();
+        for format in ["asc", "trc", "blf"] {
+            let mut command = Command::new(env!("CARGO_BIN_EXE_descan"));
+            command.args(["convert", name, &format!("{name}.{format}")]);
+            let output =
+                command.current_dir(folder.path()).env("TZ", "Europe/Berlin").output().unwrap();
+            let said = text(&output.stderr);
+            let is_said =
+                said.contains("all times an hour earlier, as summer time ended in this hour");
+            assert_eq!(is_said, is_second && format != "blf", "{name} {format}: {said}");
+        }
+    }
+}
+
 fn gzip(bytes: &[u8]) -> Vec<u8> {
     let mut encoder = GzEncoder::new(Vec::new(), Compression::fast());
     encoder.write_all(bytes).unwrap();

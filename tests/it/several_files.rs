@@ -443,6 +443,19 @@ fn past_moment_says_that_a_file_was_broken_or_missing() {
 }
 
 #[test]
+fn file_that_is_not_there_is_named_beside_the_one_that_is() {
+    let mut files = TwoFiles::new();
+    files.until(20);
+    files.disk[0] = None;
+    files.read(FILES[0]);
+    let expected = "south/des.json ✓ 2 entries  north/des.json not found";
+    assert!(files.screen().contains(expected), "{}", files.screen());
+    files.disk[1] = None;
+    files.read(FILES[1]);
+    assert!(files.screen().contains("north/des.json not found"), "{}", files.screen());
+}
+
+#[test]
 fn devices_not_added_are_reported_beside_those_that_are() {
     let mut files = TwoFiles::new();
     files.until(20).write(FILES[1], "[ {").keys("A");

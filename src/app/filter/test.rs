@@ -272,7 +272,15 @@ impl FieldValue<'_> {
         what: &str,
     ) -> Result<Vec<T>, FilterError> {
         let read = |part: (String, Range<usize>)| {
-            parse(part.0.to_lowercase().trim()).ok_or_else(|| self.wrong(&part, what))
+            let text = part.0.to_lowercase();
+            parse(text.trim()).ok_or_else(|| {
+                let swapped =
+                    text.trim().split_once("..").map(|(low, high)| format!("{high}..{low}"));
+                match swapped.filter(|swapped| parse(swapped).is_some()) {
+                    Some(swapped) => self.wrong(&part, &format!("a range; use {swapped}")),
+                    None => self.wrong(&part, what),
+                }
+            })
         };
         list(self.value).into_iter().map(read).collect()
     }

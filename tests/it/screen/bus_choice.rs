@@ -191,4 +191,9 @@ fn list_of_buses_fits_every_size() {
         let screen = stage.screen();
         assert!(screen.contains('▸'), "{columns}x{rows}\n{screen}");
     }
+    let screen = stage.size(40, 24).screen();
+    for (option, key) in [("listen only", "l"), ("ask no names", "n")] {
+        assert!(screen.contains(&format!("[ ] {option} ({key})")), "{screen}");
+    }
+    assert!(screen.contains("socketcand:/…"), "{screen}");
 }
