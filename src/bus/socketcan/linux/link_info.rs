@@ -44,7 +44,11 @@ pub fn interface_exists(name: &str) -> bool {
 
 /// Returns true unless the kernel has no interface of this index.
 pub(super) fn index_exists(ifindex: u32) -> bool {
-    !matches!(if_indextoname(ifindex), Err(Errno::ENXIO | Errno::ENODEV))
+    match if_indextoname(ifindex) {
+        // What nix 0.31 returns for no interface.
+        Ok(name) => !name.is_empty(),
+        Err(error) => !matches!(error, Errno::ENXIO | Errno::ENODEV),
+    }
 }
 
 /// Returns true if an interface of this name exists and is a CAN interface.
