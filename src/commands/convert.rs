@@ -66,7 +66,7 @@ pub fn run(args: &ConvertArgs) -> Result<u8, Failure> {
         let summary = reader.summary();
         let interface = summary.interfaces.get(usize::from(frame.bus.0));
         let interface = interface.map_or("", String::as_str);
-        let entry = LogEntry { unix_micros: summary.written_micros, interface, frame };
+        let entry = LogEntry { time: summary.written, interface, frame };
         let written = encoder.write(entry, u64::MAX, &mut part);
         written.map_err(|error| target.not_written(&error))?;
         // What a pipe has for now is written at once.

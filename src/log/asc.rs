@@ -8,10 +8,10 @@ use super::bus_errors::{bus_error, capture_of, captured, is_on_bus, overload};
 use super::channel::{ChannelNumbers, channel_name};
 use super::dates::{asc_date, is_in_repeated_hour, local_time};
 use super::fields::{
-    FieldFault, bytes, can_id, channel, check_line, data_frame, first_word, fixed_point,
-    len_of_dlc, number, starts_with_ignoring_case as starts, words,
+    FieldFault, bytes, can_id, channel, check_line, data_frame, first_word, len_of_dlc, number,
+    starts_with_ignoring_case as starts, words,
 };
-use super::{LogEncoder, LogEntry, LogLoss};
+use super::{LogEncoder, LogEntry, LogLoss, LogTime};
 use crate::frame::socketcan::{BIT_RATE_SWITCH, ERROR_STATE};
 use crate::frame::{CanId, Frame, FrameKind, dlc};
 use std::io::{self, Write};
@@ -31,12 +31,13 @@ pub(super) struct AscLines {
     is_relative: bool,
     /// Date of the measurement, in microseconds since 1970.
     start: u64,
-    /// Time of the last event, in microseconds since the start.
-    last: u64,
+    /// Time of the last event since the start.
+    last: LogTime,
 }
 
 impl AscLines {
-    const NEW: Self = Self { base: 16, is_relative: false, start: 0, last: 0 };
+    const NEW: Self =
+        Self { base: 16, is_relative: false, start: 0, last: LogTime::from_micros(0) };
 
     /// Returns the beginning of a log with this line, if it is one of the head of an ASC log.
     pub fn of_line(line: &[u8]) -> Option<Self> {
@@ -58,13 +59,13 @@ impl AscLines {
             return self.read_head(line).map(|()| None);
         }
         let (time, rest) = first_word(line);
-        let time = fixed_point::<6>(time).ok_or(FieldFault::Time)?;
+        let time = LogTime::of_seconds(time).ok_or(FieldFault::Time)?;
         let since_start = if self.is_relative { self.last.saturating_add(time) } else { time };
         let event = self.read_event(rest);
         self.last = since_start;
         let Some((number, frame)) = event? else { return Ok(None) };
-        let unix_micros = self.start.saturating_add(since_start);
-        Ok(Some(LogEntry { unix_micros, interface: channel_name(number), frame }))
+        let time = LogTime::from_micros(self.start).saturating_add(since_start);
+        Ok(Some(LogEntry { time, interface: channel_name(number), frame }))
     }
 
     /// Reads a line of the head, a comment, or the beginning or end of a block.
@@ -76,7 +77,7 @@ impl AscLines {
         if starts(line, b"date ") || starts(line, b"begin triggerblock") {
             let skipped = if starts(line, b"date ") { 2 } else { 3 };
             let date = (0..skipped).fold(line, |rest, _| first_word(rest).1).trim_ascii();
-            self.last = 0;
+            self.last = LogTime::default();
             // A block without a date counts from the date of the head.
             if !date.is_empty() || skipped == 2 {
                 self.start = asc_date(date).ok_or(FieldFault::Date)?;
@@ -288,17 +289,19 @@ impl LogEncoder for AscEncoder {
             self.loss.error_frames += 1;
             return Ok(true);
         }
+        let unix_micros = entry.time.micros;
         let start = if let Some(start) = self.start {
             start
         } else {
             // The date has milliseconds.
-            let start = entry.unix_micros - entry.unix_micros % 1000;
+            let start = unix_micros - unix_micros % 1000;
             Self::write_head(out, start)?;
             self.loss.is_in_repeated_hour = is_in_repeated_hour(start);
             *self.start.insert(start)
         };
-        self.loss.other_times += u64::from(entry.unix_micros < start);
-        let since_start = entry.unix_micros.saturating_sub(start);
+        self.loss.other_times += u64::from(unix_micros < start);
+        self.loss.finer_times += u64::from(entry.time.nanos > 0);
+        let since_start = unix_micros.saturating_sub(start);
         let channel = self.channels.number(entry.interface);
         write!(out, "{:4}.{:06} ", since_start / 1_000_000, since_start % 1_000_000)?;
         write_event(out, channel, &entry.frame)?;

@@ -11,7 +11,7 @@ use super::bus_errors::{bus_error, capture_of, captured, overload};
 use super::channel::{ChannelNumbers, channel_name};
 use super::dates::{system_time, system_time_of};
 use super::fields::{FieldFault, can_id, data_frame, len_of_dlc};
-use super::{Damage, LogEncoder, LogEntry, LogLoss, LogSummary};
+use super::{Damage, LogEncoder, LogEntry, LogLoss, LogSummary, LogTime};
 use crate::frame::socketcan::{BIT_RATE_SWITCH, ERROR_STATE};
 use crate::frame::{CanId, Frame, FrameKind, dlc};
 use flate2::Compression;
@@ -187,7 +187,7 @@ impl BinaryFormat for MeasurementState {
         let object = rest.get(..len as usize).filter(|_| is_read)?;
         let entry = read_object(self.start?, object).ok()?;
         let name = entry.interface.as_bytes();
-        let frame = summary.take_plain(entry.unix_micros, name, &entry.frame)?;
+        let frame = summary.take_plain(entry.time, name, &entry.frame)?;
         Some((padding + object.len(), frame))
     }
 }
@@ -227,8 +227,12 @@ fn read_object(start: u64, object: &[u8]) -> Result<LogEntry<'static>, FieldFaul
     if !matches!(version, 1 | 2) {
         return Err(FieldFault::Kind);
     }
-    let micros = if flags == TEN_MICROS { time.saturating_mul(10) } else { time / 1000 };
-    let unix_micros = start.saturating_add(micros);
+    let since_start = if flags == TEN_MICROS {
+        LogTime::from_micros(time.saturating_mul(10))
+    } else {
+        LogTime::from_nanos(time)
+    };
+    let time = LogTime::from_micros(start).saturating_add(since_start);
     let body = object.get(usize::from(head_len)..size).ok_or(FieldFault::Column)?;
     let (channel, frame) = match kind {
         MESSAGE | MESSAGE_2 => message(ObjectFields(body))?,
@@ -241,7 +245,7 @@ fn read_object(start: u64, object: &[u8]) -> Result<LogEntry<'static>, FieldFaul
         _ => (u16::from(ObjectFields(body).u8()?), bus_error()),
     };
     let channel = u8::try_from(channel).map_err(|_| FieldFault::Channel)?;
-    Ok(LogEntry { unix_micros, interface: channel_name(channel), frame })
+    Ok(LogEntry { time, interface: channel_name(channel), frame })
 }
 
 fn id(word: u32) -> Result<CanId, FieldFault> {
@@ -484,11 +488,13 @@ impl LogEncoder for BlfEncoder {
 
     fn write(&mut self, entry: LogEntry<'_>, _: u64, out: &mut Vec<u8>) -> io::Result<bool> {
         // The date has milliseconds.
-        let start = *self.start.get_or_insert(entry.unix_micros - entry.unix_micros % 1000);
+        let LogTime { micros, nanos } = entry.time;
+        let start = *self.start.get_or_insert(micros - micros % 1000);
         self.write_head(out);
-        self.last = entry.unix_micros.max(self.last);
-        let since_start = entry.unix_micros.checked_sub(start);
-        let nanos = since_start.and_then(|micros| micros.checked_mul(1000));
+        self.last = micros.max(self.last);
+        let since_start = micros.checked_sub(start);
+        let nanos =
+            since_start.and_then(|micros| micros.checked_mul(1000)?.checked_add(u64::from(nanos)));
         self.other_times += u64::from(nanos.is_none());
         let nanos = nanos.unwrap_or(if since_start.is_some() { u64::MAX } else { 0 });
         let has_class = !matches!(entry.frame.id, CanId::Extended(0) | CanId::Standard(0));

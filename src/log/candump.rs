@@ -5,7 +5,7 @@
 
 use super::candump_time::{self, CandumpTimes, PrintedTime};
 use super::fields::{hex_value, words};
-use super::{LogEncoder, LogEntry, candump_screen};
+use super::{LogEncoder, LogEntry, LogLoss, LogTime, candump_screen};
 use crate::frame::socketcan::{ERROR_FLAG, with_fd_flags};
 use crate::frame::{CanId, Frame};
 use crate::text::is_printable;
@@ -64,8 +64,8 @@ pub fn parse_line(line: &[u8]) -> Result<Option<LogEntry<'_>>, LineFault> {
         return Ok(None);
     }
     let (time, rest) = candump_time::split(line).ok_or(LineFault::Time)?;
-    let (PrintedTime::Unix(unix_micros) | PrintedTime::Short(unix_micros)) = time;
-    Ok(Some(LogEntry { unix_micros, ..parse_rest(rest)? }))
+    let (PrintedTime::Unix(time) | PrintedTime::Short(time)) = time;
+    Ok(Some(LogEntry { time, ..parse_rest(rest)? }))
 }
 
 /// Reads what follows the time of a line of the log text.
@@ -89,7 +89,7 @@ fn parse_rest(line: &[u8]) -> Result<LogEntry<'_>, LineFault> {
     if words.next().is_some() {
         return Err(LineFault::Trailing);
     }
-    Ok(LogEntry { unix_micros: 0, interface, frame })
+    Ok(LogEntry { time: LogTime::default(), interface, frame })
 }
 
 /// Writes one line, dated by `epoch` and the frame's time. The line of a frame sent by descan ends
@@ -104,15 +104,15 @@ pub fn write_line(
     interface: &str,
     frame: &Frame,
 ) -> io::Result<()> {
-    let unix_micros = epoch.unix_micros(frame.time);
-    writeln!(out, "{}", LogEntry { unix_micros, interface, frame: *frame })
+    let time = LogTime::from_micros(epoch.unix_micros(frame.time));
+    writeln!(out, "{}", LogEntry { time, interface, frame: *frame })
 }
 
 /// Formats a line of candump's log text. White space and control characters in the interface's name
 /// become `_`; without a name the line has `bus` and the bus number.
 impl fmt::Display for LogEntry<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let (seconds, fraction) = (self.unix_micros / 1_000_000, self.unix_micros % 1_000_000);
+        let (seconds, fraction) = (self.time.micros / 1_000_000, self.time.micros % 1_000_000);
         write!(f, "({seconds:010}.{fraction:06}) ")?;
         let is_odd = |c: char| c.is_whitespace() || !is_printable(c);
         match self.interface {
@@ -174,14 +174,14 @@ impl CandumpLines {
         let entry = match candump_screen::parse(rest) {
             Ok((interface, frame)) => {
                 self.is_screen = true;
-                LogEntry { unix_micros: 0, interface, frame }
+                LogEntry { time: LogTime::default(), interface, frame }
             }
             Err(fault) if self.is_screen => return Err(fault),
             Err(_) if time.is_none() => return Err(LineFault::Time),
             Err(_) => parse_rest(rest)?,
         };
-        let unix_micros = time.map_or(0, |time| self.times.unix_micros(time));
-        Ok(Some(LogEntry { unix_micros, ..entry }))
+        let time = time.map_or(LogTime::default(), |time| self.times.since_origin(time));
+        Ok(Some(LogEntry { time, ..entry }))
     }
 }
 
@@ -225,15 +225,18 @@ pub(super) fn has_undecided_times(head: &[u8]) -> bool {
     let mut of_lines = times_of_head(head);
     let all_have_times = of_lines.all(|time| {
         time.is_some_and(|time| {
-            times.unix_micros(time);
+            times.since_origin(time);
             true
         })
     });
     all_have_times && times.is_undecided()
 }
 
-#[derive(Debug)]
-pub(super) struct LineEncoder;
+/// Writes the log text, with the six digits of a fraction that canplayer reads.
+#[derive(Debug, Default)]
+pub(super) struct LineEncoder {
+    loss: LogLoss,
+}
 
 impl LogEncoder for LineEncoder {
     fn begin(&mut self, _: &mut Vec<u8>) -> io::Result<()> {
@@ -243,6 +246,7 @@ impl LogEncoder for LineEncoder {
     fn write(&mut self, entry: LogEntry<'_>, max_len: u64, out: &mut Vec<u8>) -> io::Result<bool> {
         let before = out.len();
         writeln!(out, "{entry}")?;
+        self.loss.finer_times += u64::from(entry.time.nanos > 0);
         let fits = (out.len() - before) as u64 <= max_len;
         if !fits {
             out.truncate(before);
@@ -252,6 +256,10 @@ impl LogEncoder for LineEncoder {
 
     fn end(&mut self, _: &[String], _: &[u64], _: &mut Vec<u8>) -> io::Result<()> {
         Ok(())
+    }
+
+    fn loss(&self) -> LogLoss {
+        self.loss.clone()
     }
 }
 

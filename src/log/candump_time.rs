@@ -1,10 +1,12 @@
 //! The times of candump's lines, in any of its ways to print them: `(1436509052.249713)`,
-//! `(000.001500)` since the beginning or since the line before, `(2026-11-27 13:51:20.123456)`.
+//! `(000.001500)` since the beginning or since the line before, `(2026-11-27 13:51:20.123456)`; with three
+//! digits more after `-N`.
 //!
 //! Does not know what follows the time.
 
+use super::LogTime;
 use super::dates::iso_date;
-use super::fields::{decimal, first_word, fixed_point};
+use super::fields::{decimal, first_word};
 
 /// Lines after which times in three digits of seconds count from the beginning.
 const LINES: u8 = 8;
@@ -19,10 +21,10 @@ pub(super) struct CandumpTimes {
     origin: TimeOrigin,
     /// Lines with a short time, up to [`LINES`].
     seen: u8,
-    /// The last short time, in microseconds.
-    last: u64,
-    /// Sum of the short times, in microseconds.
-    sum: u64,
+    /// The last short time.
+    last: LogTime,
+    /// Sum of the short times.
+    sum: LogTime,
 }
 
 /// From where short times count.
@@ -39,21 +41,26 @@ enum TimeOrigin {
 /// The time of a line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum PrintedTime {
-    /// Since 1970, in microseconds.
-    Unix(u64),
-    /// In three digits of seconds, in microseconds: since 1970, the beginning, or the line before.
-    Short(u64),
+    /// Since 1970.
+    Unix(LogTime),
+    /// In three digits of seconds: since 1970, the beginning, or the line before.
+    Short(LogTime),
 }
 
 impl CandumpTimes {
     /// Without lines.
-    pub const NEW: Self = Self { origin: TimeOrigin::Unknown, seen: 0, last: 0, sum: 0 };
+    pub const NEW: Self = Self {
+        origin: TimeOrigin::Unknown,
+        seen: 0,
+        last: LogTime::from_micros(0),
+        sum: LogTime::from_micros(0),
+    };
 
     /// Returns what lines with these times say, before the first of them.
     pub fn of(times: impl Iterator<Item = PrintedTime>) -> Self {
         let mut all = Self::NEW;
         for time in times {
-            all.unix_micros(time);
+            all.since_origin(time);
         }
         Self { origin: all.origin, ..Self::NEW }
     }
@@ -73,33 +80,33 @@ impl CandumpTimes {
         self.origin == TimeOrigin::Fixed
     }
 
-    /// Takes the time of a line; returns it in microseconds since 1970, or since the beginning.
-    pub fn unix_micros(&mut self, time: PrintedTime) -> u64 {
-        let micros = match time {
-            PrintedTime::Unix(micros) => {
+    /// Takes the time of a line; returns it since 1970, or since the beginning.
+    pub fn since_origin(&mut self, time: PrintedTime) -> LogTime {
+        let time = match time {
+            PrintedTime::Unix(time) => {
                 if self.origin == TimeOrigin::Unknown {
                     self.origin = TimeOrigin::Fixed;
                 }
-                return micros;
+                return time;
             }
-            PrintedTime::Short(micros) => micros,
+            PrintedTime::Short(time) => time,
         };
-        self.sum = self.sum.saturating_add(micros);
-        if self.seen == 0 && micros >= NO_DIFFERENCE && self.origin == TimeOrigin::Unknown {
+        self.sum = self.sum.saturating_add(time);
+        if self.seen == 0 && time.micros >= NO_DIFFERENCE && self.origin == TimeOrigin::Unknown {
             self.origin = TimeOrigin::Fixed;
         }
         if self.origin == TimeOrigin::Unknown {
             // Two frames do not begin at the same microsecond.
-            if self.seen > 0 && self.last > 0 && micros <= self.last {
+            if self.seen > 0 && self.last > LogTime::default() && time <= self.last {
                 self.origin = TimeOrigin::Previous;
             }
             self.seen += 1;
-            self.last = micros;
+            self.last = time;
             if self.seen == LINES && self.origin == TimeOrigin::Unknown {
                 self.origin = TimeOrigin::Fixed;
             }
         }
-        if self.origin == TimeOrigin::Previous { self.sum } else { micros }
+        if self.origin == TimeOrigin::Previous { self.sum } else { time }
     }
 }
 
@@ -125,9 +132,9 @@ pub(super) fn split(line: &[u8]) -> Option<(PrintedTime, &[u8])> {
         if word.contains(&b',') {
             return None;
         }
-        let micros = fixed_point::<6>(word)?;
-        let is_short = point == 3 && word.len() == 10;
-        let time = if is_short { PrintedTime::Short(micros) } else { PrintedTime::Unix(micros) };
+        let time = LogTime::of_seconds(word)?;
+        let is_short = point == 3 && matches!(word.len(), 10 | 13);
+        let time = if is_short { PrintedTime::Short(time) } else { PrintedTime::Unix(time) };
         return Some((time, rest));
     }
     let (time, rest) = first_word(rest);

@@ -8,7 +8,7 @@ use super::fields::{
     FieldFault, can_id, channel, check_line, data_frame, decimal, hex_byte, number,
     starts_with_ignoring_case as starts,
 };
-use super::{LogEncoder, LogEntry, LogLoss};
+use super::{LogEncoder, LogEntry, LogLoss, LogTime};
 use crate::frame::{CanId, Frame, FrameKind};
 use std::io::{self, Write};
 
@@ -26,8 +26,9 @@ pub(super) struct GvretLines {
     len: u8,
     /// The first byte; the others follow.
     data: u8,
-    /// The first time below 0, without its sign: times count from it.
-    start_below_0: Option<u64>,
+    /// The first time in microseconds, if it is below 0, from which times then count; 0 otherwise. `None`
+    /// before it.
+    start: Option<i64>,
 }
 
 impl GvretLines {
@@ -50,7 +51,7 @@ impl GvretLines {
             bus: place(b"bus").unwrap_or(NONE),
             len: place(b"len").or_else(|| place(b"dlc"))?,
             data: place(b"d1")?,
-            start_below_0: None,
+            start: None,
         })
     }
 
@@ -61,7 +62,7 @@ impl GvretLines {
             return Ok(None);
         }
         if let Some(header) = Self::of_header(line) {
-            *self = Self { start_below_0: self.start_below_0, ..header };
+            *self = Self { start: self.start, ..header };
             return Ok(None);
         }
         let (mut time, mut id, mut len) = (None, &b""[..], None);
@@ -70,7 +71,7 @@ impl GvretLines {
         let mut bytes = 0;
         for (at, cell) in (0..NONE).zip(cells(line)) {
             match at {
-                _ if at == self.time => time = self.micros(cell),
+                _ if at == self.time => time = self.time(cell),
                 _ if at == self.id => id = cell,
                 _ if at == self.extended => {
                     is_extended = Some(starts(cell, b"true") || cell == b"1");
@@ -90,7 +91,7 @@ impl GvretLines {
                 _ => {}
             }
         }
-        let unix_micros = time.ok_or(FieldFault::Time)?;
+        let time = time.ok_or(FieldFault::Time)?;
         let len = len.ok_or(FieldFault::Length)? as usize;
         let id = number(id.strip_prefix(b"0x").unwrap_or(id), 16);
         let is_extended = is_extended.unwrap_or(id > Some(u32::from(CanId::MAX_STANDARD)));
@@ -100,19 +101,24 @@ impl GvretLines {
         let is_fd = len > Frame::MAX_CLASSIC_DATA;
         let mut frame = data_frame(can_id(id, is_extended)?, &data[..len], is_fd.then_some(0))?;
         frame.is_tx = is_tx;
-        Ok(Some(LogEntry { unix_micros, interface: bus_name(bus), frame }))
+        Ok(Some(LogEntry { time, interface: bus_name(bus), frame }))
     }
 
-    /// Returns a time in microseconds. Some loggers write times below 0, which say nothing but differences.
-    fn micros(&mut self, cell: &[u8]) -> Option<u64> {
-        match cell.strip_prefix(b"-") {
-            None => decimal(cell),
-            Some(digits) => {
-                let time = decimal(digits)?;
-                let start = *self.start_below_0.get_or_insert(time);
-                Some(start.saturating_sub(time))
-            }
-        }
+    /// Reads a time in microseconds. A log may begin below 0, which says nothing but differences. Later, a
+    /// time below 0 is one of a counter of 32 bits, as a signed number.
+    fn time(&mut self, cell: &[u8]) -> Option<LogTime> {
+        /// Values of the counter.
+        const VALUES: u64 = 1 << 32;
+        let (is_below, digits) = cell.strip_prefix(b"-").map_or((false, cell), |it| (true, it));
+        let micros = decimal(digits)?;
+        let first = if is_below { -i64::try_from(micros).ok()? } else { 0 };
+        let start = self.start.get_or_insert(first).unsigned_abs();
+        let micros = match (is_below, start) {
+            (false, _) => start.checked_add(micros)?,
+            (true, 0) => VALUES.checked_sub(micros).filter(|time| *time >= VALUES / 2)?,
+            (true, _) => start.saturating_sub(micros),
+        };
+        Some(LogTime::from_micros(micros))
     }
 }
 
@@ -133,7 +139,7 @@ impl PythonCanLines {
         }
         let mut cells = cells(line);
         let mut cell = || cells.next().ok_or(FieldFault::Column);
-        let unix_micros = seconds(cell()?).ok_or(FieldFault::Time)?;
+        let time = LogTime::from_micros(seconds(cell()?).ok_or(FieldFault::Time)?);
         let id = cell()?;
         let id = number(id.strip_prefix(b"0x").unwrap_or(id), 16);
         let flag = |cell: &[u8]| match cell {
@@ -159,7 +165,7 @@ impl PythonCanLines {
                 data_frame(can_id(id, is_extended)?, data, is_fd.then_some(0))?
             }
         };
-        Ok(Some(LogEntry { unix_micros, interface: ONLY_BUS, frame }))
+        Ok(Some(LogEntry { time, interface: ONLY_BUS, frame }))
     }
 }
 
@@ -238,6 +244,7 @@ impl LogEncoder for GvretEncoder {
         }
         let is_classic_length = frame.len() <= Frame::MAX_CLASSIC_DATA;
         let has_flags = frame.bit_rate_switch || frame.error_state;
+        self.loss.finer_times += u64::from(entry.time.nanos > 0);
         self.loss.fd_flags += u64::from(frame.is_fd && (is_classic_length || has_flags));
         let (id, is_extended) = match frame.id {
             CanId::Standard(id) => (u32::from(id), false),
@@ -245,7 +252,7 @@ impl LogEncoder for GvretEncoder {
         };
         let direction = if frame.is_tx { "Tx" } else { "Rx" };
         let bus = self.buses.number(entry.interface);
-        write!(out, "{},{id:08X},{is_extended},{direction},{bus},", entry.unix_micros)?;
+        write!(out, "{},{id:08X},{is_extended},{direction},{bus},", entry.time.micros)?;
         write!(out, "{},", frame.len())?;
         frame.data().iter().try_for_each(|byte| write!(out, "{byte:02X},"))?;
         writeln!(out)?;

@@ -29,6 +29,9 @@ pub enum Damage {
     /// Decompression needs more memory than descan uses for it.
     #[error("its compression needs over 128 MB of memory; pack it again, with a smaller window")]
     Window,
+    /// The compressed data is of a kind that is not read.
+    #[error("compressed with a filter that descan does not have; unpack it with xz -d")]
+    Filter,
     /// A page of a database, by its number, is not what it must be.
     #[error("page {0} of the database is damaged: the rest cannot be read")]
     Page(u32),

@@ -1,6 +1,7 @@
 //! Dates in logs, which have no time zone: in the local time of this machine, as their programs write
 //! them.
 
+use super::LogTime;
 use super::fields::{decimal, first_word, fixed_point, number};
 use jiff::civil::DateTime;
 use jiff::tz::TimeZone;
@@ -95,13 +96,15 @@ pub(super) fn day_month_year(text: &[u8]) -> Option<u64> {
 }
 
 /// Parses a date such as `2026-11-27` and a time of day, in microseconds since 1970.
-pub(super) fn iso_date(date: &[u8], time: &[u8]) -> Option<u64> {
+pub(super) fn iso_date(date: &[u8], time: &[u8]) -> Option<LogTime> {
     let mut parts = date.split(|&byte| byte == b'-').map(|part| number(part, 10));
     let (year, month, day) = (parts.next()??, parts.next()??, parts.next()??);
     if parts.next().is_some() {
         return None;
     }
-    civil(year, month, day, time_of_day(time)?)
+    let micros = civil(year, month, day, time_of_day(time)?)?;
+    let second = time.rsplit(|&byte| byte == b':').next()?;
+    Some(LogTime { micros, ..LogTime::of_seconds(second)? })
 }
 
 /// Returns the microseconds since 1970 of days since 1899-12-30, as TRC counts them.

@@ -6,7 +6,7 @@
 use super::binary::{BinaryFormat, EntryInput};
 use super::channel::bus_name;
 use super::fields::FieldFault;
-use super::{Damage, LogEntry, LogSummary};
+use super::{Damage, LogEntry, LogSummary, LogTime};
 use crate::frame::Frame;
 use crate::frame::socketcan::{decode, fd_flags, id_word};
 
@@ -139,9 +139,9 @@ impl EntryStreamState {
         let flags = Some(flags).filter(|flags| *flags != CLASSIC);
         let frame = decode(word, usize::from(len), flags, data).ok_or(FieldFault::Length)?;
         let frame = if tx == 0 { frame } else { frame.with_tx() };
-        let unix_micros = u64::from_le_bytes([t0, t1, t2, t3, t4, t5, t6, t7]);
+        let time = LogTime::from_micros(u64::from_le_bytes([t0, t1, t2, t3, t4, t5, t6, t7]));
         let name = self.name.unwrap_or(bus_name);
-        Ok(LogEntry { unix_micros, interface: name(channel), frame })
+        Ok(LogEntry { time, interface: name(channel), frame })
     }
 }
 
@@ -207,7 +207,7 @@ impl BinaryFormat for EntryStreamState {
         let len = FRAME_HEAD + usize::from(head[FRAME_HEAD - 1]);
         let entry = self.frame(bytes.get(..len).filter(|_| self.name.is_some())?).ok()?;
         let name = entry.interface.as_bytes();
-        let frame = summary.take_plain(entry.unix_micros, name, &entry.frame)?;
+        let frame = summary.take_plain(entry.time, name, &entry.frame)?;
         Some((len, frame))
     }
 }

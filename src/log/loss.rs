@@ -15,6 +15,8 @@ pub struct LogLoss {
     pub fd_flags: u64,
     /// Frames whose time the format does not have: before the first one, or centuries after it.
     pub other_times: u64,
+    /// Frames whose time is cut to the microsecond.
+    pub finer_times: u64,
     /// The local date of the first frame is one of the hour that is repeated when summer time ends, and
     /// is read as the first of both.
     pub is_in_repeated_hour: bool,
@@ -38,6 +40,7 @@ impl fmt::Display for LogLoss {
             (self.error_details, "error frame", "without details"),
             (self.fd_flags, "FD frame", "without FDF, BRS or ESI"),
             (self.other_times, "frame", "with another time"),
+            (self.finer_times, "time", "cut to the microsecond"),
         ];
         let mut separator = "";
         for (count, what, how) in counts.into_iter().filter(|(count, ..)| *count > 0) {

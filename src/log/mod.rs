@@ -20,6 +20,7 @@ mod entry_stream;
 mod fields;
 mod foreign;
 mod frame_source;
+mod log_time;
 mod loss;
 mod mdf;
 mod mdf_blocks;
@@ -39,6 +40,7 @@ pub use damage::{Damage, MAX_WITHOUT_FRAME};
 pub use fields::FieldFault;
 pub use foreign::ForeignFormat;
 pub use frame_source::FrameSource;
+pub use log_time::LogTime;
 pub use loss::LogLoss;
 pub use random_access::{LogSpool, MakeSpool, RandomAccess};
 pub use reader::{LogPosition, LogReader};
@@ -58,7 +60,7 @@ pub static FORMATS: [LogFormat; 6] = [
         description: "candump text",
         extensions: &["log", "txt", "candump"],
         can_record: true,
-        encoder: || Box::new(candump::LineEncoder),
+        encoder: || Box::<candump::LineEncoder>::default(),
     },
     LogFormat {
         name: "pcapng",
@@ -177,8 +179,8 @@ enum FormatMatch {
 /// line end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LogEntry<'a> {
-    /// Microseconds since 1970, or since another origin of the log's choice.
-    pub unix_micros: u64,
+    /// Its time.
+    pub time: LogTime,
     /// The interface's name; empty if it is not known.
     pub interface: &'a str,
     /// The frame. Its time is zero if it was read from a log; `is_tx` is set if the log marks the

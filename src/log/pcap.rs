@@ -6,7 +6,7 @@
 use super::binary::{BinaryFormat, EntryInput};
 use super::packet::{self, FileOrder};
 use super::pcapng::{MAX_BLOCK, PacketFault};
-use super::{Damage, FormatMatch, LogEntry, LogSummary};
+use super::{Damage, FormatMatch, LogEntry, LogSummary, LogTime};
 use crate::frame::Frame;
 
 /// Bytes of the head of a file, and of a packet.
@@ -80,11 +80,16 @@ impl FileHead {
         self.u32(head, 8)
     }
 
-    /// Returns the time of a packet with this head, in microseconds since 1970.
-    fn unix_micros(self, head: &[u8]) -> Option<u64> {
+    /// Returns the time of a packet with this head.
+    fn time(self, head: &[u8]) -> Option<LogTime> {
         let (seconds, fraction) = (self.u32(head, 0)?, self.u32(head, 4)?);
-        let micros = if self.has_nanos { fraction / 1000 } else { fraction };
-        Some(u64::from(seconds) * 1_000_000 + u64::from(micros))
+        let fraction = u64::from(fraction);
+        let fraction = if self.has_nanos {
+            LogTime::from_nanos(fraction)
+        } else {
+            LogTime::from_micros(fraction)
+        };
+        Some(LogTime::from_micros(u64::from(seconds) * 1_000_000).saturating_add(fraction))
     }
 }
 
@@ -95,7 +100,7 @@ impl CaptureState {
         head: FileHead,
         packet: &[u8],
     ) -> Result<Option<LogEntry<'_>>, PacketFault> {
-        let unix_micros = head.unix_micros(packet).ok_or(PacketFault::Short)?;
+        let time = head.time(packet).ok_or(PacketFault::Short)?;
         let data = packet.get(PACKET_HEAD..).ok_or(PacketFault::Short)?;
         let Some(packet) = packet::decode(head.link_type, data, head.order)? else {
             return Ok(None);
@@ -105,7 +110,7 @@ impl CaptureState {
             self.interface = Some((number, format!("if{number}")));
         }
         let interface = self.interface.as_ref().map_or("", |(_, name)| name);
-        Ok(Some(LogEntry { unix_micros, interface, frame: packet.frame }))
+        Ok(Some(LogEntry { time, interface, frame: packet.frame }))
     }
 }
 
@@ -151,7 +156,7 @@ impl BinaryFormat for CaptureState {
         let packet = bytes.get(..len).filter(|_| len <= PACKET_HEAD + MAX_BLOCK)?;
         let entry = self.entry(head, packet).ok()??;
         let name = entry.interface.as_bytes();
-        let frame = summary.take_plain(entry.unix_micros, name, &entry.frame)?;
+        let frame = summary.take_plain(entry.time, name, &entry.frame)?;
         Some((len, frame))
     }
 }

@@ -1,7 +1,8 @@
 //! pcapng with SocketCAN packets (LINKTYPE_CAN_SOCKETCAN, 227), as used by Wireshark, tshark and
 //! dumpcap.
 //!
-//! Writes one section with an interface per bus, times in microseconds, the direction of each
+//! Writes one section with an interface per bus, times in microseconds, or nanoseconds where a frame has
+//! them, the direction of each
 //! frame, and the number of lost frames. Reads sections of either byte order with any number of
 //! interfaces; unknown blocks and link types are skipped. Allocation does not depend on lengths in
 //! the file. Does not know moments or bus numbers: [`super::LogSummary`] assigns them.
@@ -10,7 +11,7 @@ pub use super::damage::Damage;
 
 use super::binary::{BinaryFormat, EntryInput};
 use super::packet::{self, CAN_HEAD, FileOrder, SOCKETCAN};
-use super::{LogEncoder, LogEntry, LogSummary};
+use super::{LogEncoder, LogEntry, LogLoss, LogSummary, LogTime};
 use crate::frame::socketcan::{self as fields, FD_FORMAT};
 use crate::frame::{BusIndex, Frame};
 use std::io::{self, Write};
@@ -110,7 +111,7 @@ impl BinaryFormat for SectionState {
         let block = self.packet_block(bytes)?;
         let entry = self.take(block).ok()?.ok()??;
         let name = entry.interface.as_bytes();
-        let frame = summary.take_plain(entry.unix_micros, name, &entry.frame)?;
+        let frame = summary.take_plain(entry.time, name, &entry.frame)?;
         Some((block.len(), frame))
     }
 
@@ -283,29 +284,32 @@ impl SectionState {
                 }
             }
         }
-        let unix_micros = interface.micros(u64::from(high) << 32 | u64::from(low));
-        Ok(Some(LogEntry { unix_micros, interface: &interface.name, frame }))
+        let time = interface.time(u64::from(high) << 32 | u64::from(low));
+        Ok(Some(LogEntry { time, interface: &interface.name, frame }))
     }
 }
 
 impl PcapInterface {
-    /// Converts a time in this interface's units to microseconds since 1970.
-    fn micros(&self, time: u64) -> u64 {
+    /// Converts a time in this interface's units.
+    fn time(&self, time: u64) -> LogTime {
         // The usual ones.
         match (self.resolution, self.offset_seconds) {
-            (6, 0) => return time,
-            (9, 0) => return time / 1000,
+            (6, 0) => return LogTime::from_micros(time),
+            (9, 0) => return LogTime::from_nanos(time),
             _ => {}
         }
         let time = u128::from(time);
-        let micros = match self.resolution {
-            binary @ 0x80.. => (time * 1_000_000) >> (binary & 0x7F),
-            decimal @ 0..6 => time * 10_u128.pow(u32::from(6 - decimal)),
-            decimal => 10_u128.checked_pow(u32::from(decimal - 6)).map_or(0, |unit| time / unit),
+        let nanos = match self.resolution {
+            binary @ 0x80.. => (time * 1_000_000_000) >> (binary & 0x7F),
+            decimal @ 0..9 => time * 10_u128.pow(u32::from(9 - decimal)),
+            decimal => 10_u128.checked_pow(u32::from(decimal - 9)).map_or(0, |unit| time / unit),
         };
-        let offset = i128::from(self.offset_seconds) * 1_000_000;
-        let micros = i128::try_from(micros).unwrap_or(i128::MAX).saturating_add(offset);
-        u64::try_from(micros.max(0)).unwrap_or(u64::MAX)
+        let offset = i128::from(self.offset_seconds) * 1_000_000_000;
+        let nanos = i128::try_from(nanos).unwrap_or(i128::MAX).saturating_add(offset).max(0);
+        match u64::try_from(nanos / 1000) {
+            Ok(micros) => LogTime { micros, nanos: (nanos % 1000) as u16 },
+            Err(_) => LogTime::from_micros(u64::MAX),
+        }
     }
 }
 
@@ -403,13 +407,38 @@ pub fn write_section_about(out: &mut impl Write, comment: &str) -> io::Result<()
 ///
 /// Those of writing to `out`.
 pub fn write_interface(out: &mut impl Write, name: &str) -> io::Result<()> {
+    write_description(out, name, TimeUnit::Micros)
+}
+
+/// Unit of the times of an interface that is written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum TimeUnit {
+    Micros,
+    Nanos,
+}
+
+impl TimeUnit {
+    /// Returns a time in this unit; `None` if it has finer digits, or is too large.
+    fn of(self, time: LogTime) -> Option<u64> {
+        match self {
+            Self::Micros => Some(time.micros).filter(|_| time.nanos == 0),
+            Self::Nanos => time.micros.checked_mul(1000)?.checked_add(u64::from(time.nanos)),
+        }
+    }
+}
+
+fn write_description(out: &mut impl Write, name: &str, unit: TimeUnit) -> io::Result<()> {
+    let resolution = match unit {
+        TimeUnit::Micros => 6,
+        TimeUnit::Nanos => 9,
+    };
     let mut block = Block::new(INTERFACE);
     block.u16(SOCKETCAN);
     block.u16(0);
     // Snapshot length: unlimited.
     block.u32(0);
     block.option(NAME_OPTION, name.as_bytes());
-    block.option(RESOLUTION_OPTION, &[6]);
+    block.option(RESOLUTION_OPTION, &[resolution]);
     block.end_options();
     block.write(out)
 }
@@ -425,7 +454,7 @@ pub fn write_frame(
     unix_micros: u64,
     frame: &Frame,
 ) -> io::Result<()> {
-    write_frame_with(out, interface, unix_micros, frame, "")
+    write_packet(out, interface, unix_micros, frame, "")
 }
 
 /// Writes a frame with a comment, empty for none.
@@ -440,9 +469,20 @@ pub fn write_frame_with(
     frame: &Frame,
     comment: &str,
 ) -> io::Result<()> {
+    write_packet(out, interface, unix_micros, frame, comment)
+}
+
+/// Writes a frame at a time in the unit of its interface.
+fn write_packet(
+    out: &mut impl Write,
+    interface: u32,
+    time: u64,
+    frame: &Frame,
+    comment: &str,
+) -> io::Result<()> {
     let mut block = Block::new(PACKET);
     block.u32(interface);
-    block.time(unix_micros);
+    block.time(time);
     let len = (CAN_HEAD + frame.data().len()) as u32;
     block.u32(len);
     block.u32(len);
@@ -459,18 +499,18 @@ pub fn write_frame_with(
     block.write(out)
 }
 
-/// Writes the number of received and of lost frames of an interface, up to a time in microseconds
-/// since 1970.
+/// Writes the number of received and of lost frames of an interface, up to a time in its unit: microseconds
+/// since 1970 after [`write_interface`].
 pub fn write_statistics(
     out: &mut impl Write,
     interface: u32,
-    unix_micros: u64,
+    time: u64,
     received: u64,
     dropped: u64,
 ) -> io::Result<()> {
     let mut block = Block::new(STATISTICS);
     block.u32(interface);
-    block.time(unix_micros);
+    block.time(time);
     block.option(RECEIVED_OPTION, &received.to_le_bytes());
     block.option(DROPPED_OPTION, &dropped.to_le_bytes());
     block.end_options();
@@ -482,23 +522,34 @@ pub fn write_statistics(
 pub(super) struct BlockEncoder {
     /// Interfaces by their number in the section.
     interfaces: Vec<InterfaceCount>,
-    last_micros: u64,
+    last: LogTime,
+    loss: LogLoss,
 }
 
 #[derive(Debug)]
 struct InterfaceCount {
     bus: BusIndex,
+    unit: TimeUnit,
     frames: u64,
 }
 
 impl BlockEncoder {
-    /// Returns the number of a bus in this section; writes its description on first use.
-    fn interface(&mut self, bus: BusIndex, name: &str, out: &mut Vec<u8>) -> io::Result<usize> {
-        if let Some(at) = self.interfaces.iter().position(|it| it.bus == bus) {
+    /// Returns the number of a bus with times in a unit, any with `None`; writes its description on first
+    /// use.
+    fn interface(
+        &mut self,
+        bus: BusIndex,
+        unit: Option<TimeUnit>,
+        name: &str,
+        out: &mut Vec<u8>,
+    ) -> io::Result<usize> {
+        let is_it = |it: &InterfaceCount| it.bus == bus && unit.is_none_or(|unit| it.unit == unit);
+        if let Some(at) = self.interfaces.iter().position(is_it) {
             return Ok(at);
         }
-        write_interface(out, name)?;
-        self.interfaces.push(InterfaceCount { bus, frames: 0 });
+        let unit = unit.unwrap_or(TimeUnit::Micros);
+        write_description(out, name, unit)?;
+        self.interfaces.push(InterfaceCount { bus, unit, frames: 0 });
         Ok(self.interfaces.len() - 1)
     }
 }
@@ -508,30 +559,48 @@ impl LogEncoder for BlockEncoder {
         write_section(out)
     }
 
+    /// A bus whose times have nanoseconds has another description from there on.
     fn write(&mut self, entry: LogEntry<'_>, max_len: u64, out: &mut Vec<u8>) -> io::Result<bool> {
         let (before, interfaces) = (out.len(), self.interfaces.len());
-        let at = self.interface(entry.frame.bus, entry.interface, out)?;
-        write_frame(out, at as u32, entry.unix_micros, &entry.frame)?;
+        let has_nanos = TimeUnit::Micros.of(entry.time).is_none();
+        let bus = entry.frame.bus;
+        let is_in_nanos =
+            self.interfaces.iter().any(|it| it.bus == bus && it.unit == TimeUnit::Nanos);
+        let nanos = TimeUnit::Nanos.of(entry.time).filter(|_| has_nanos || is_in_nanos);
+        let (unit, time) = match nanos {
+            Some(nanos) => (TimeUnit::Nanos, nanos),
+            None => (TimeUnit::Micros, entry.time.micros),
+        };
+        let at = self.interface(bus, Some(unit), entry.interface, out)?;
+        write_packet(out, at as u32, time, &entry.frame, "")?;
         if (out.len() - before) as u64 > max_len {
             out.truncate(before);
             self.interfaces.truncate(interfaces);
             return Ok(false);
         }
+        self.loss.finer_times += u64::from(has_nanos && nanos.is_none());
         self.interfaces[at].frames += 1;
-        self.last_micros = entry.unix_micros;
+        self.last = entry.time;
         Ok(true)
     }
 
     /// Writes the statistics of each bus; a bus without frames may have lost frames.
     fn end(&mut self, names: &[String], lost: &[u64], out: &mut Vec<u8>) -> io::Result<()> {
         for (bus, name) in (0..=u8::MAX).zip(names) {
-            self.interface(BusIndex(bus), name, out)?;
+            self.interface(BusIndex(bus), None, name, out)?;
         }
         for (at, interface) in self.interfaces.iter().enumerate() {
-            let lost = lost.get(usize::from(interface.bus.0)).copied().unwrap_or(0);
-            write_statistics(out, at as u32, self.last_micros, interface.frames, lost)?;
+            let is_first = self.interfaces[..at].iter().all(|it| it.bus != interface.bus);
+            let lost = lost.get(usize::from(interface.bus.0)).filter(|_| is_first);
+            let time = interface.unit.of(self.last).unwrap_or(self.last.micros);
+            let lost = lost.copied().unwrap_or(0);
+            write_statistics(out, at as u32, time, interface.frames, lost)?;
         }
         Ok(())
+    }
+
+    fn loss(&self) -> LogLoss {
+        self.loss.clone()
     }
 }
 

@@ -4,11 +4,12 @@
 //! line, which [`super::candump::parse_line`] reads. What both read, they read alike.
 //! Does not know moments or bus numbers.
 
+use super::LogTime;
 use super::candump::MAX_LINE;
 use crate::frame::{CanId, Frame};
 
-/// Bytes of a time with ten digits of seconds and six of the fraction, and the blank behind it.
-const TIME: usize = 20;
+/// Bytes of a time with ten digits of seconds and six of the fraction, without the parenthesis behind it.
+const TIME: usize = 18;
 /// Marks what is no hexadecimal digit.
 const NO_DIGIT: u8 = 0xF0;
 
@@ -27,7 +28,7 @@ static DIGITS: [u8; 256] = {
 /// A classic data frame on a line, with its interface.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PlainLine<'a> {
-    pub unix_micros: u64,
+    pub time: LogTime,
     /// Printable ASCII without a blank; not empty.
     pub interface: &'a [u8],
     pub frame: Frame,
@@ -38,8 +39,7 @@ pub(super) struct PlainLine<'a> {
 /// Reads the line that `text` begins with; `None` if it has another form, or no end.
 #[inline]
 pub(super) fn parse(text: &[u8]) -> Option<PlainLine<'_>> {
-    let unix_micros = time(text.first_chunk()?)?;
-    let rest = &text[TIME..];
+    let (time, rest) = time(text)?;
     let name = rest.iter().position(|byte| !(0x21..=0x7E).contains(byte))?;
     if name == 0 || rest[name] != b' ' {
         return None;
@@ -58,23 +58,31 @@ pub(super) fn parse(text: &[u8]) -> Option<PlainLine<'_>> {
     let rest = rest.strip_prefix(b"\r").unwrap_or(rest).strip_prefix(b"\n")?;
     let len = text.len() - rest.len();
     // The line end does not count.
-    (len <= MAX_LINE).then_some(PlainLine { unix_micros, interface, frame, len })
+    (len <= MAX_LINE).then_some(PlainLine { time, interface, frame, len })
 }
 
-/// Reads `(1436509052.249713) ` as microseconds.
+/// Reads `(1436509052.249713) `, or a fraction of nine digits; returns what follows it, too.
 #[inline]
-fn time(text: &[u8; TIME]) -> Option<u64> {
-    let [b'(', s1, s2, s3, s4, s5, s6, s7, s8, s9, s10, b'.', m1, m2, m3, m4, m5, m6, b')', b' '] =
-        *text
+fn time(text: &[u8]) -> Option<(LogTime, &[u8])> {
+    let (time, rest) = text.split_first_chunk::<TIME>()?;
+    let [b'(', s1, s2, s3, s4, s5, s6, s7, s8, s9, s10, b'.', m1, m2, m3, m4, m5, m6] = *time
     else {
         return None;
+    };
+    let (nanos, rest) = match *rest {
+        [b')', b' ', ref rest @ ..] => (0, rest),
+        [n1 @ b'0'..=b'9', n2 @ b'0'..=b'9', n3 @ b'0'..=b'9', b')', b' ', ref rest @ ..] => {
+            let digit = |digit| u16::from(digit - b'0');
+            (digit(n1) * 100 + digit(n2) * 10 + digit(n3), rest)
+        }
+        _ => return None,
     };
     let seconds = eight_digits([s1, s2, s3, s4, s5, s6, s7, s8])?;
     let (tens, ones) = (s9.wrapping_sub(b'0'), s10.wrapping_sub(b'0'));
     let micros = eight_digits([b'0', b'0', m1, m2, m3, m4, m5, m6])?;
     let is_valid = tens <= 9 && ones <= 9;
     let seconds = seconds * 100 + u64::from(tens) * 10 + u64::from(ones);
-    is_valid.then_some(seconds * 1_000_000 + micros)
+    is_valid.then_some((LogTime { micros: seconds * 1_000_000 + micros, nanos }, rest))
 }
 
 /// Returns the number of eight decimal digits, all of them at once: pairs, then fours, then eight.
@@ -159,7 +167,7 @@ mod tests {
         let Some(plain) = parse(line) else { return false };
         let text = &line[..plain.len - 1];
         let entry = parse_line(text).unwrap().unwrap();
-        assert_eq!((plain.unix_micros, plain.frame), (entry.unix_micros, entry.frame));
+        assert_eq!((plain.time, plain.frame), (entry.time, entry.frame));
         assert_eq!(plain.interface, entry.interface.as_bytes());
         true
     }
@@ -172,6 +180,8 @@ mod tests {
             "(9999999999.999999) can0 7FF#0011223344556677\n",
             "(0000000000.000000) can0 123#AbcD T\n",
             "(0000000001.000009) can0 123#AB R\r\n",
+            "(1436509052.249713458) can0 123#AB\n",
+            "(1436509052.249713000) can0 02015402#0444455301 T\n",
         ] {
             assert!(agree(line.as_bytes()), "{line}");
         }
@@ -210,6 +220,10 @@ mod tests {
             "(143650905x.249713) can0 123#00\n",
             "(1436509052.24971:) can0 123#00\n",
             "(12.5) can0 123#00\n",
+            "(1436509052.2497134) can0 123#00\n",
+            "(1436509052.24971345) can0 123#00\n",
+            "(1436509052.24971345x) can0 123#00\n",
+            "(1436509052.2497134589) can0 123#00\n",
             "(1436509052.249713) \n",
             &long,
             "",

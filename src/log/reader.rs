@@ -323,6 +323,7 @@ fn packed_damage(error: &io::Error) -> Option<Damage> {
         io::ErrorKind::UnexpectedEof => Some(Damage::Truncated),
         io::ErrorKind::InvalidData => Some(Damage::Compression),
         io::ErrorKind::OutOfMemory => Some(Damage::Window),
+        io::ErrorKind::Unsupported => Some(Damage::Filter),
         _ => None,
     }
 }
@@ -341,7 +342,7 @@ mod tests {
     use crate::frame::CanId;
     use crate::log::EntryFault;
     use crate::log::candump::LineFault;
-    use crate::log::{LogEntry, MAX_WITHOUT_FRAME};
+    use crate::log::{LogEntry, LogTime, MAX_WITHOUT_FRAME};
 
     const LOG: &str = "\
 (1436509052.249713) can0 02015402#04
@@ -360,7 +361,7 @@ not a line
     #[test]
     fn end_of_log_shows_its_last_moment() {
         let entry = |micros: u64| LogEntry {
-            unix_micros: 1_436_509_052_000_000 + micros,
+            time: LogTime::from_micros(1_436_509_052_000_000 + micros),
             interface: "can0",
             frame: Frame::classic(micros as u32, &[1, 2, 3]),
         };

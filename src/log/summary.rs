@@ -4,12 +4,12 @@
 //! more, or a second log follows in the same file, time continues from the last entry. Does not
 //! know formats: decoders pass entries and faults.
 
-use super::LogEntry;
 use super::candump::LineFault;
 use super::damage::Damage;
 use super::fields::FieldFault;
 use super::foreign::ForeignFormat;
 use super::pcapng::PacketFault;
+use super::{LogEntry, LogTime};
 use crate::frame::{BusIndex, Frame};
 use crate::time::{Duration, Epoch, Instant};
 use std::fmt;
@@ -72,8 +72,8 @@ pub struct LogSummary {
     pub epoch: Option<Epoch>,
     /// Moment of the last frame, counted from the first.
     pub last: Instant,
-    /// Time of the last frame as it is in the log, in microseconds since 1970.
-    pub written_micros: u64,
+    /// Time of the last frame as it is in the log.
+    pub written: LogTime,
     /// The log has no times: its frames have those at which they were read, or all the same.
     pub is_timeless: bool,
     /// The log is a database whose write-ahead log, a file beside it, is not read.
@@ -183,7 +183,7 @@ impl LogSummary {
     #[inline]
     pub(super) fn take_plain(
         &mut self,
-        unix_micros: u64,
+        time: LogTime,
         interface: &[u8],
         frame: &Frame,
     ) -> Option<Frame> {
@@ -193,17 +193,18 @@ impl LogSummary {
         }
         let bus = BusIndex(self.last_interface as u8);
         self.entries += 1;
-        Some(self.dated(unix_micros, frame).with_bus(bus))
+        Some(self.dated(time, frame).with_bus(bus))
     }
 
     fn place(&mut self, entry: LogEntry<'_>) -> Result<Frame, EntryFault> {
         let bus = self.bus_of(entry.interface).ok_or(EntryFault::TooManyInterfaces)?;
-        Ok(self.dated(entry.unix_micros, &entry.frame).with_bus(bus))
+        Ok(self.dated(entry.time, &entry.frame).with_bus(bus))
     }
 
     /// Counts a frame and returns it with its moment.
     #[inline]
-    fn dated(&mut self, unix_micros: u64, frame: &Frame) -> Frame {
+    fn dated(&mut self, time: LogTime, frame: &Frame) -> Frame {
+        let unix_micros = time.micros;
         let epoch = *self.epoch.get_or_insert(Epoch::from_unix_micros(unix_micros));
         // Most logs go on, and were never set back.
         let next = unix_micros.checked_sub(epoch.unix_micros(Instant::ZERO));
@@ -216,7 +217,7 @@ impl LogSummary {
             None => self.moment(epoch.since_start(unix_micros)),
         };
         self.frames += 1;
-        self.written_micros = unix_micros;
+        self.written = time;
         frame.with_time(self.last)
     }
 

@@ -8,7 +8,7 @@ use super::candump::{self, CandumpLines, MAX_LINE};
 use super::csv::{GvretLines, PythonCanLines};
 use super::trc::TrcLines;
 use super::{
-    Damage, DecodeStep, EntryFault, ForeignFormat, LogDecoder, LogEntry, LogSummary,
+    Damage, DecodeStep, EntryFault, ForeignFormat, LogDecoder, LogEntry, LogSummary, LogTime,
     MAX_WITHOUT_FRAME, plain_line,
 };
 use crate::frame::Frame;
@@ -134,7 +134,7 @@ impl TextDecoder {
         if let Ok(Some(entry)) = &mut entry
             && self.format.is_timeless()
         {
-            entry.unix_micros = summary.arrival;
+            entry.time = LogTime::from_micros(summary.arrival);
             summary.is_timeless = true;
         }
         summary.take(entry)
@@ -245,7 +245,7 @@ fn plain_frames(
     let mut used = 0;
     while frames.len() < most
         && let Some(line) = plain_line::parse(&bytes[used..])
-        && let Some(frame) = summary.take_plain(line.unix_micros, line.interface, &line.frame)
+        && let Some(frame) = summary.take_plain(line.time, line.interface, &line.frame)
     {
         frames.push(frame);
         used += line.len;
@@ -270,7 +270,7 @@ impl TextDecoder {
             let mut next = self.format;
             let Ok(Some(entry)) = next.read(&bytes[used..used + len]) else { break };
             let name = entry.interface.as_bytes();
-            let Some(frame) = summary.take_plain(entry.unix_micros, name, &entry.frame) else {
+            let Some(frame) = summary.take_plain(entry.time, name, &entry.frame) else {
                 break;
             };
             frames.push(frame);

@@ -12,7 +12,7 @@ use super::fields::{
     FieldFault, bytes, can_id, channel, check_line, data_frame, first_word, fixed_point,
     len_of_dlc, number, starts_with_ignoring_case as starts,
 };
-use super::{LogEncoder, LogEntry, LogLoss};
+use super::{LogEncoder, LogEntry, LogLoss, LogTime};
 use crate::frame::socketcan::{BIT_RATE_SWITCH, ERROR_STATE};
 use crate::frame::{CanId, Frame, FrameKind, dlc};
 use std::io::{self, Write};
@@ -135,7 +135,8 @@ impl TrcLines {
             }
             rest = after;
         }
-        let unix_micros = self.start.saturating_add(time.ok_or(FieldFault::Time)?);
+        let time = self.start.saturating_add(time.ok_or(FieldFault::Time)?);
+        let time = LogTime::from_micros(time);
         let interface = channel_name(bus);
         let (is_fd, flags) = match kind {
             b"DT" | b"RR" => (false, 0),
@@ -145,7 +146,7 @@ impl TrcLines {
             b"BI" => (true, BIT_RATE_SWITCH | ERROR_STATE),
             b"ER" => {
                 let frame = error_frame(rest, is_tx);
-                return Ok(Some(LogEntry { unix_micros, interface, frame }));
+                return Ok(Some(LogEntry { time, interface, frame }));
             }
             // Status, error counters, events.
             b"ST" | b"EC" | b"EV" => return Ok(None),
@@ -173,7 +174,7 @@ impl TrcLines {
             data_frame(id, data, is_fd.then_some(flags))?
         };
         frame.is_tx = is_tx;
-        Ok(Some(LogEntry { unix_micros, interface, frame }))
+        Ok(Some(LogEntry { time, interface, frame }))
     }
 
     /// Reads a line of version 1 that is neither received nor sent.
@@ -186,9 +187,10 @@ impl TrcLines {
         match kind {
             b"Warng" => Ok(None),
             b"Error" => {
-                let unix_micros = self.start.saturating_add(time.ok_or(FieldFault::Time)?);
+                let time = self.start.saturating_add(time.ok_or(FieldFault::Time)?);
+                let time = LogTime::from_micros(time);
                 let frame = bus_error();
-                Ok(Some(LogEntry { unix_micros, interface: channel_name(bus), frame }))
+                Ok(Some(LogEntry { time, interface: channel_name(bus), frame }))
             }
             _ => Err(FieldFault::Kind),
         }
@@ -265,15 +267,17 @@ impl LogEncoder for TrcEncoder {
             self.loss.error_frames += 1;
             return Ok(true);
         }
+        let unix_micros = entry.time.micros;
         let start = if let Some(start) = self.start {
             start
         } else {
-            Self::write_head(out, entry.unix_micros)?;
-            self.loss.is_in_repeated_hour = is_in_repeated_hour(entry.unix_micros);
-            *self.start.insert(entry.unix_micros)
+            Self::write_head(out, unix_micros)?;
+            self.loss.is_in_repeated_hour = is_in_repeated_hour(unix_micros);
+            *self.start.insert(unix_micros)
         };
-        self.loss.other_times += u64::from(entry.unix_micros < start);
-        let since_start = entry.unix_micros.saturating_sub(start);
+        self.loss.other_times += u64::from(unix_micros < start);
+        self.loss.finer_times += u64::from(entry.time.nanos > 0);
+        let since_start = unix_micros.saturating_sub(start);
         self.loss.error_details += u64::from(!is_whole_error(&entry.frame));
         self.loss.error_details += u64::from(entry.frame.same_on_wire(&overload()));
         self.messages += 1;

@@ -10,7 +10,7 @@ use super::entry_stream::{RECORDS_MAGIC, ROWS_MAGIC};
 use super::mdf::{self, MdfLog};
 use super::random_access::{EntryStream, MakeSpool, RandomAccess, store};
 use super::sqlite::{self, SqliteTable};
-use flate2::read::MultiGzDecoder;
+use flate2::bufread::GzDecoder;
 use flate2::{Decompress, FlushDecompress, Status};
 use lzma_rust2::Lzma2Reader;
 use ruzstd::decoding::errors::{FrameDecoderError, ReadFrameHeaderError};
@@ -81,7 +81,8 @@ fn skippable_zstd(head: &[u8]) -> Option<bool> {
 ///
 /// Errors of the file are passed on. The kind [`io::ErrorKind::UnexpectedEof`] says that the packed log is
 /// cut off, [`io::ErrorKind::InvalidData`] that it is damaged, [`io::ErrorKind::OutOfMemory`] that its
-/// decompression needs too much memory.
+/// decompression needs too much memory, [`io::ErrorKind::Unsupported`] that it is compressed in a way that is
+/// not read.
 pub struct Unpacked<'a> {
     source: UnpackedSource<'a>,
     access: LogAccess<'a>,
@@ -164,7 +165,7 @@ impl<'a> Unpacked<'a> {
             };
             is_packed = true;
             source = match packing {
-                Packing::Gzip => Box::new(MultiGzDecoder::new(whole)),
+                Packing::Gzip => Box::new(GzipReader::new(whole)),
                 Packing::Zstd => Box::new(ZstdReader::new(whole)),
                 Packing::Xz => Box::new(XzReader::new(whole)),
                 // The objects begin with the same bytes.
@@ -240,8 +241,8 @@ fn classified(error: io::Error) -> io::Error {
     match error.kind() {
         io::ErrorKind::UnexpectedEof => error,
         _ if is_of_file => error,
-        // The window of the decompressor is too large.
-        io::ErrorKind::OutOfMemory => error,
+        // The window of the decompressor is too large, or there is no decompressor.
+        io::ErrorKind::OutOfMemory | io::ErrorKind::Unsupported => error,
         _ => io::Error::new(io::ErrorKind::InvalidData, error),
     }
 }
@@ -256,6 +257,46 @@ impl<R: Read> Read for Uninterrupted<R> {
             match self.0.read(buffer) {
                 Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
                 read => return read,
+            }
+        }
+    }
+}
+
+// --- gzip ---------------------------------------------------------------------------------
+
+/// The members of a gzip file, one after the other. Zeros may stand behind them, as tapes have them.
+struct GzipReader<R> {
+    /// `None` at the end of the file.
+    member: Option<GzDecoder<BufReader<R>>>,
+}
+
+impl<R: Read> GzipReader<R> {
+    fn new(source: R) -> Self {
+        Self { member: Some(GzDecoder::new(BufReader::new(source))) }
+    }
+}
+
+impl<R: Read> Read for GzipReader<R> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        loop {
+            let Some(member) = &mut self.member else { return Ok(0) };
+            let count = member.read(buffer)?;
+            if count > 0 || buffer.is_empty() {
+                return Ok(count);
+            }
+            let Some(mut source) = self.member.take().map(GzDecoder::into_inner) else { continue };
+            loop {
+                let bytes = source.fill_buf()?;
+                let zeros = bytes.iter().take_while(|&&byte| byte == 0).count();
+                if bytes.is_empty() {
+                    break;
+                }
+                if zeros < bytes.len() {
+                    source.consume(zeros);
+                    self.member = Some(GzDecoder::new(source));
+                    break;
+                }
+                source.consume(zeros);
             }
         }
     }
@@ -494,7 +535,7 @@ impl<R: Read> XzReader<R> {
         }
         let mut head = vec![0; usize::from(size[0]) * 4 + 3];
         source.read_exact(&mut head)?;
-        let dictionary = xz_dictionary(&head).ok_or(io::ErrorKind::InvalidData)?;
+        let dictionary = xz_dictionary(size[0], &head)?;
         if dictionary > MAX_WINDOW {
             return Err(io::ErrorKind::OutOfMemory.into());
         }
@@ -535,10 +576,26 @@ fn skip_xz_index<R: Read>(source: &mut Counted<R>) -> io::Result<()> {
     source.read_exact(&mut foot[..padding as usize + 4 + 12])
 }
 
-/// Returns the size of the dictionary of a block with this head, behind its first byte; `None` if the block
-/// has another filter than LZMA2 alone.
-fn xz_dictionary(head: &[u8]) -> Option<u32> {
-    let (&flags, mut rest) = head.split_first()?;
+/// Returns the size of the dictionary of a block with this head, whose first byte is `size`.
+///
+/// # Errors
+///
+/// [`io::ErrorKind::Unsupported`] for another filter than LZMA2 alone, and [`io::ErrorKind::InvalidData`].
+fn xz_dictionary(size: u8, head: &[u8]) -> Result<u32, io::ErrorKind> {
+    let mut check = XzCheck::of_type(1).ok_or(io::ErrorKind::InvalidData)?;
+    let (fields, written) = head.split_last_chunk::<4>().ok_or(io::ErrorKind::InvalidData)?;
+    check.add(&[size]);
+    check.add(fields);
+    if !check.is(written) {
+        return Err(io::ErrorKind::InvalidData);
+    }
+    lzma2_dictionary(fields).ok_or(io::ErrorKind::Unsupported)
+}
+
+/// Returns the size of the dictionary of a block with these fields; `None` if the block has another filter
+/// than LZMA2 alone.
+fn lzma2_dictionary(fields: &[u8]) -> Option<u32> {
+    let (&flags, mut rest) = fields.split_first()?;
     // The compressed and the uncompressed size may follow.
     for flag in [0x40, 0x80] {
         if flags & flag != 0 {

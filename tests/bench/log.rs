@@ -5,7 +5,7 @@
 //! text and binary logs of each format that is written. Each run is a process, from its start to its end; what it prints is
 //! discarded. The file is in the page cache.
 
-use descan::log::{LogEntry, LogFormat};
+use descan::log::{LogEntry, LogFormat, LogTime};
 use descan::sim::{Scenario, Sim};
 use descan::time::{Duration, Epoch, Instant};
 use std::fs;
@@ -63,8 +63,8 @@ fn write(path: &Path, frames: &[descan::frame::Frame]) -> usize {
     encoder.begin(&mut bytes).expect("written to memory");
     while count < FRAMES {
         for frame in frames {
-            let unix_micros = epoch.unix_micros(frame.time + offset);
-            let entry = LogEntry { unix_micros, interface: "can0", frame: *frame };
+            let time = LogTime::from_micros(epoch.unix_micros(frame.time + offset));
+            let entry = LogEntry { time, interface: "can0", frame: *frame };
             encoder.write(entry, u64::MAX, &mut bytes).expect("written to memory");
         }
         count += frames.len();

@@ -4,7 +4,9 @@ use super::protocol::check_shape;
 use super::{Target, assert_printable};
 use descan::frame::Frame;
 use descan::log::candump::parse_line;
-use descan::log::{FORMATS, LogEntry, LogFormat, LogLoss, LogReader, LogSummary, Unpacked};
+use descan::log::{
+    FORMATS, LogEntry, LogFormat, LogLoss, LogReader, LogSummary, LogTime, Unpacked,
+};
 use descan::time::{Epoch, Instant};
 use std::io::{self, BufRead, BufReader, Read};
 
@@ -320,12 +322,21 @@ fn check_read(frames: &[Frame], summary: &LogSummary) {
         last = frame.time;
     }
     for format in &FORMATS {
-        check_written(format, frames, summary);
+        check_written(format, frames, summary, |_| 0);
+        if matches!(format.name, "pcapng" | "blf") {
+            check_written(format, frames, summary, |at| (at * 377 % 1000) as u16);
+        }
     }
 }
 
-/// Asserts that a log is the same when it is written in this format and read again.
-fn check_written(format: &LogFormat, frames: &[Frame], summary: &LogSummary) {
+/// Asserts that a log is the same when it is written in this format and read again. `nanos` returns the
+/// nanoseconds of the time of each frame.
+fn check_written(
+    format: &LogFormat,
+    frames: &[Frame],
+    summary: &LogSummary,
+    nanos: fn(usize) -> u16,
+) {
     /// The end of the dates that the formats with dates have, in microseconds since 1970.
     const YEAR_9000: u64 = 221_845_392_000_000_000;
     let Some(epoch) = summary.epoch else { return };
@@ -337,10 +348,10 @@ fn check_written(format: &LogFormat, frames: &[Frame], summary: &LogSummary) {
     let mut encoder = format.encoder();
     let mut log = Vec::new();
     encoder.begin(&mut log).unwrap();
-    for frame in frames {
+    for (at, frame) in frames.iter().enumerate() {
         let interface = &summary.interfaces[usize::from(frame.bus.0)];
-        let entry =
-            LogEntry { unix_micros: epoch.unix_micros(frame.time), interface, frame: *frame };
+        let time = LogTime { micros: epoch.unix_micros(frame.time), nanos: nanos(at) };
+        let entry = LogEntry { time, interface, frame: *frame };
         assert!(encoder.write(entry, u64::MAX, &mut log).unwrap(), "{frame:?}");
     }
     encoder.end(&summary.interfaces, &vec![0; summary.interfaces.len()], &mut log).unwrap();
@@ -348,7 +359,13 @@ fn check_written(format: &LogFormat, frames: &[Frame], summary: &LogSummary) {
     let loss = encoder.loss();
     let left_out = loss.remote_frames + loss.error_frames;
     let is_whole = LogLoss { numbers: Vec::new(), ..loss }.is_empty();
-    let (again, read) = read_packed(&log, 1 << 16);
+    let mut reader = LogReader::new(BufReader::with_capacity(1 << 16, Unpacked::new(&log[..])));
+    let (mut again, mut read_nanos) = (Vec::new(), Vec::new());
+    while let Some(frame) = reader.next_frame().unwrap() {
+        again.push(frame);
+        read_nanos.push(reader.summary().written.nanos);
+    }
+    let read = reader.summary();
     if !is_whole {
         assert_eq!(again.len() as u64 + left_out, frames.len() as u64, "{}", format.name);
         return;
@@ -356,6 +373,7 @@ fn check_written(format: &LogFormat, frames: &[Frame], summary: &LogSummary) {
     assert_eq!((read.lost_entries(), read.clock_steps_back), (0, 0), "{read}");
     assert_eq!(read.epoch.map(unix_micros), Some(unix_micros(epoch)));
     assert_eq!(again.len(), frames.len());
+    assert!((0..frames.len()).map(nanos).eq(read_nanos), "{}", format.name);
     if has_dates && summary.interfaces.len() > 255 {
         return;
     }
@@ -385,7 +403,9 @@ fn check_lines(input: &[u8]) {
             Ok(Some(entry)) => {
                 let printed = entry.to_string();
                 assert_printable(&printed);
-                assert_eq!(parse_line(printed.as_bytes()), Ok(Some(entry)), "{printed}");
+                let time = LogTime::from_micros(entry.time.micros);
+                let whole_micros = LogEntry { time, ..entry };
+                assert_eq!(parse_line(printed.as_bytes()), Ok(Some(whole_micros)), "{printed}");
             }
             Ok(None) => assert!(line.trim_ascii().is_empty()),
             Err(fault) => assert_printable(&fault.to_string()),

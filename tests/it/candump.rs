@@ -25,7 +25,7 @@ fn fault(line: &str) -> LineFault {
 #[test]
 fn manual_example_line_is_parsed() {
     let line = read("(1436509052.249713) can0 02015402#0444455301");
-    assert_eq!(line.unix_micros, 1_436_509_052_249_713);
+    assert_eq!(line.time.micros, 1_436_509_052_249_713);
     assert_eq!(line.interface, "can0");
     assert_eq!(line.frame, Frame::classic(0x0201_5402, &[4, 0x44, 0x45, 0x53, 1]));
 }
@@ -73,9 +73,9 @@ fn unusual_lines_of_other_tools_are_accepted() {
         "(1.5000009999999999999999999999999) can0 123#AB\n",
     ] {
         let read = read(line);
-        assert_eq!((read.unix_micros, read.frame), (1_500_000, plain), "{line:?}");
+        assert_eq!((read.time.micros, read.frame), (1_500_000, plain), "{line:?}");
     }
-    assert_eq!(read("(7) can0 123#AB").unix_micros, 7_000_000);
+    assert_eq!(read("(7) can0 123#AB").time.micros, 7_000_000);
     assert!(read("(1.5) can0 123#AB T").frame.is_tx);
     for blank in ["", "\n", "\r\n", "   \t "] {
         assert_eq!(parse_line(blank.as_bytes()), Ok(None));
@@ -135,7 +135,7 @@ proptest! {
         write_line(&mut line, epoch, "can0", &frame).unwrap();
         let read = parse_line(&line).unwrap().expect("a frame");
         prop_assert_eq!(read.interface, "can0");
-        prop_assert_eq!(read.unix_micros, epoch.unix_micros(frame.time));
+        prop_assert_eq!(read.time.micros, epoch.unix_micros(frame.time));
         prop_assert_eq!(read.frame.with_time(frame.time), frame);
     }
 

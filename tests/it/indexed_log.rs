@@ -5,7 +5,7 @@ use descan::bus::{self, BusSpec, Clock, Options, Port};
 use descan::discovery::Config;
 use descan::frame::{BusIndex, Frame};
 use descan::keymap::Key;
-use descan::log::{LogEntry, LogFormat};
+use descan::log::{LogEntry, LogFormat, LogTime};
 use descan::sim::{Fault, Scenario, Sim};
 use descan::status::PlaybackCommand;
 use descan::time::{Duration, Epoch, Instant};
@@ -55,8 +55,8 @@ fn write_log(path: &Path, frames: &[Frame]) {
     for (at, frame) in frames.iter().enumerate() {
         let (bus, interface) = if at % 7 == 6 { (1, "can1") } else { (0, "can0") };
         let frame = frame.with_bus(BusIndex(bus));
-        let unix_micros = EPOCH.unix_micros(frame.time);
-        encoder.write(LogEntry { unix_micros, interface, frame }, u64::MAX, &mut bytes).unwrap();
+        let time = LogTime::from_micros(EPOCH.unix_micros(frame.time));
+        encoder.write(LogEntry { time, interface, frame }, u64::MAX, &mut bytes).unwrap();
     }
     encoder.end(&["can0".into(), "can1".into()], &[0, 0], &mut bytes).unwrap();
     if let Some(head) = encoder.head() {

@@ -4,8 +4,8 @@ use crate::common::python::Python;
 use descan::frame::Frame;
 use descan::log::{LogReader, LogSummary, Unpacked};
 use descan::time::Instant;
-use flate2::Compression;
 use flate2::write::GzEncoder;
+use flate2::{Compression, Crc};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use ruzstd::encoding::{CompressionLevel, compress_to_vec};
@@ -187,6 +187,13 @@ fn times_of_candump_are_read_in_all_their_forms() {
         let hours = ["998.000000", "999.000000", "1000.000000"];
         assert_eq!(micros(&log(&hours, frame)), [998_000_000, 999_000_000, 1_000_000_000]);
     }
+    // With nanoseconds, as `candump -N` prints them.
+    for frame in ["can0 123#11", " can0  123   [1]  11"] {
+        let differences = ["000.000000000", "000.500000900", "000.900000200", "000.200000000"];
+        assert_eq!(micros(&log(&differences, frame)), [0, 500_000, 1_400_001, 1_600_001]);
+        let since_start = ["000.000000000", "000.500000900", "000.900000200"];
+        assert_eq!(micros(&log(&since_start, frame)), [0, 500_000, 900_000]);
+    }
     // A step back after the eighth line is one of the clock.
     let rising: Vec<_> =
         (1..=9).map(|at| format!("00{at}.000000")).chain(["002.000000".into()]).collect();
@@ -245,7 +252,7 @@ fn frame_without_time_has_that_of_its_own_arrival() {
     reader.date_arrivals(|| ARRIVED.load(Ordering::Relaxed));
     let mut seconds = Vec::new();
     while reader.next_frame().unwrap().is_some() {
-        seconds.push(reader.summary().written_micros / 1_000_000);
+        seconds.push(reader.summary().written.micros / 1_000_000);
     }
     assert_eq!(seconds, [1, 2, 4, 5]);
 }
@@ -299,6 +306,68 @@ fn every_format_holds_every_kind_of_frame() {
     let again = fs::read_to_string(path.join("csv.log")).unwrap();
     assert_eq!(again.lines().count(), KINDS.lines().count() - 4);
     assert!(again.starts_with("(1700000000.123456) bus0 02015402#0444455301\n"), "{again}");
+}
+
+/// Returns the times of the frames of a log in nanoseconds since 1970.
+fn nanos_of(log: &[u8]) -> Vec<u64> {
+    let mut reader = LogReader::new(BufReader::new(Unpacked::new(log)));
+    let mut all = Vec::new();
+    while reader.next_frame().unwrap().is_some() {
+        let written = reader.summary().written;
+        all.push(written.micros * 1000 + u64::from(written.nanos));
+    }
+    all
+}
+
+#[test]
+fn nanoseconds_of_times_are_kept_where_the_format_has_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path();
+    let log = "\
+(1700000000.123456000) can0 123#11
+(1700000000.123456789) can1 123#22
+(1700000001.000000001) can0 02015402#0444455301
+(1700000001.000001000) can0 02015402#0444455302
+(1700000002.999999999) can1 123#33
+";
+    let nanos = nanos_of(log.as_bytes());
+    let seconds = 1_700_000_000_000_000_000;
+    let expected = [123_456_000, 123_456_789, 1_000_000_001, 1_000_001_000, 2_999_999_999];
+    assert_eq!(nanos, expected.map(|it| seconds + it));
+    let screen = "\
+(2023-11-14 22:13:20.123456789)  can0  123   [1]  11
+(2023-11-14 22:13:20.123456790)  can0  123   [1]  22
+";
+    let differences: Vec<_> =
+        nanos_of(screen.as_bytes()).windows(2).map(|it| it[1] - it[0]).collect();
+    assert_eq!(differences, [1]);
+    assert_eq!(nanos_of(screen.as_bytes())[0] % 1_000_000_000, 123_456_789);
+    fs::write(path.join("in.log"), log).unwrap();
+    let mut last = "in.log".to_owned();
+    for (number, ending) in ["pcapng", "blf", "pcapng"].into_iter().enumerate() {
+        let next = format!("{number}.{ending}");
+        let said = convert(path, &last, &next);
+        assert!(!said.contains("cut"), "{next}: {said}");
+        assert_eq!(nanos_of(&fs::read(path.join(&next)).unwrap()), nanos, "{next}");
+        let (frames, summary) = read(&fs::read(path.join(&next)).unwrap());
+        assert_eq!(summary.interfaces.len(), 2, "{next}: {:?}", summary.interfaces);
+        assert_eq!(frames.iter().map(|frame| frame.bus.0).collect::<Vec<_>>(), [0, 1, 0, 0, 1]);
+        last = next;
+    }
+    let (asc, relative) = (
+        "date Tue Nov 14 10:13:20.000 pm 2023\nbase hex  timestamps absolute\n",
+        "   0.000000600 1  123             Rx   d 1 11\n   0.000000600 1  123             Rx   d 1 11\n",
+    );
+    let absolute = nanos_of([asc, relative].concat().as_bytes());
+    assert_eq!(absolute[1] % 1_000_000_000, 600);
+    let relative = nanos_of([&asc.replace("absolute", "relative"), relative].concat().as_bytes());
+    assert_eq!(relative[1] % 1_000_000_000, 1200);
+    for ending in ["log", "asc", "trc", "csv"] {
+        let said = convert(path, &last, &format!("cut.{ending}"));
+        assert!(said.contains("3 times cut to the microsecond"), "{ending}: {said}");
+        let cut: Vec<_> = nanos.iter().map(|nanos| nanos / 1000 * 1000).collect();
+        assert_eq!(nanos_of(&fs::read(path.join(format!("cut.{ending}"))).unwrap()), cut);
+    }
 }
 
 #[test]
@@ -539,12 +608,46 @@ fn changed_bytes_of_compressed_logs_are_found() {
         assert!(silent.is_empty(), "{name}: {silent:?}");
     }
     // A dictionary of 512 MB.
-    let mut large = xz.to_vec();
-    let property = 12 + 4;
-    assert_eq!(&large[property - 2..property], [0x21, 0x01], "the filter LZMA2");
-    large[property] = 34;
-    let said = read(&large).1.to_string();
+    let said = read(&xz_with_filter([0x21, 1, 34])).1.to_string();
     assert!(said.contains("needs over 128 MB of memory; pack it again"), "{said}");
+}
+
+/// Returns a log in xz whose first block has another filter: its identifier, the length of its properties,
+/// and the properties.
+fn xz_with_filter(filter: [u8; 3]) -> Vec<u8> {
+    const HEAD: usize = 12;
+    let mut log = include_bytes!("../corpus/packed/xz_text").to_vec();
+    let block = &mut log[HEAD..];
+    assert_eq!(block[2..4], [0x21, 0x01], "the filter LZMA2");
+    block[2..5].copy_from_slice(&filter);
+    let check = usize::from(block[0]) * 4;
+    let mut sum = Crc::new();
+    sum.update(&block[..check]);
+    block[check..check + 4].copy_from_slice(&sum.sum().to_le_bytes());
+    log
+}
+
+#[test]
+fn xz_with_an_unknown_filter_says_how_to_unpack_it() {
+    // The filter of x86 programs.
+    let said = read(&xz_with_filter([0x04, 0, 0])).1.to_string();
+    let cause =
+        "0 frames; compressed with a filter that descan does not have; unpack it with xz -d";
+    assert!(said.starts_with(cause), "{said}");
+}
+
+#[test]
+fn zeros_between_and_behind_members_of_gzip_are_skipped() {
+    let member = gzip(KINDS.as_bytes());
+    for zeros in [0, 1, 511, 70_000] {
+        let padding = vec![0; zeros];
+        let (frames, summary) = read(&[&member[..], &padding, &member, &padding].concat());
+        assert_eq!(summary.lost_entries(), 0, "{zeros}: {summary}");
+        assert_eq!(frames.len(), 2 * KINDS.lines().count());
+    }
+    let (frames, summary) = read(&[&member[..], &[0, 0, 7]].concat());
+    assert_eq!(frames.len(), KINDS.lines().count());
+    assert!(summary.damage.is_some(), "{summary}");
 }
 
 #[test]
@@ -623,6 +726,25 @@ fn gvret_logs_of_other_writers_are_read() {
     assert_eq!(dated(log.as_bytes()), expected);
     let log = format!("\u{FEFF}{head}5,5C0,false,Rx,0,1,63,\n").replace("LEN", "DLC");
     assert_eq!(dated(log.as_bytes()), ["5 bus0 5C0#63"]);
+}
+
+#[test]
+fn gvret_counter_of_32_bits_goes_on_below_0() {
+    let line = |time: i64| format!("{time},5C0,false,Rx,0,1,63,\n");
+    let log = |times: &[i64]| {
+        let lines: String = times.iter().map(|time| line(*time)).collect();
+        dated(format!("Time Stamp,ID,Extended,Dir,Bus,LEN,D1\n{lines}").as_bytes())
+    };
+    let max = i64::from(i32::MAX);
+    let expected = |micros: [i64; 4]| micros.map(|it| format!("{it} bus0 5C0#63"));
+    let is_read = |times: &[i64], micros| assert_eq!(log(times), expected(micros), "{times:?}");
+    is_read(&[max - 1, max, -max - 1, -max], [max - 1, max, max + 1, max + 2]);
+    is_read(&[0, 7, max, -1], [0, 7, max, (1 << 32) - 1]);
+    // One that begins below 0, and reaches it.
+    is_read(&[-500, -300, 0, 200], [0, 200, 500, 700]);
+    let (_, summary) =
+        read(format!("Time Stamp,ID,LEN,D1\n7,5C0,1,63\n{}", "-9999999999,5C0,1,63\n").as_bytes());
+    assert_eq!(summary.lost_entries(), 1, "{summary}");
 }
 
 /// The protocol of a cooked packet says that it is an FD frame; the flag may be missing.

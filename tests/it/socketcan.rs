@@ -154,7 +154,7 @@ fn sent_frames_are_read_by_candump() {
     for (echo, (seen, sent)) in echoes.iter().zip(seen.iter().zip(frames)) {
         assert_eq!(*echo, sent.with_tx().with_time(echo.time).with_bus(BusIndex(3)));
         let dated = bus.clock.epoch().unix_micros(echo.time);
-        assert!(dated.abs_diff(seen.unix_micros) < 1_000_000, "{dated} {}", seen.unix_micros);
+        assert!(dated.abs_diff(seen.time.micros) < 1_000_000, "{dated} {}", seen.time.micros);
     }
     bus.wait_until("confirmation", |bus| bus.status().unconfirmed == 0);
 }

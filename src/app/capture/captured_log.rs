@@ -9,7 +9,7 @@ use super::frame_store::StoredFrames;
 use crate::app::buses::{Bus, Buses};
 use crate::app::filter::{Filter, FrameMatcher};
 use crate::app::frame_selector::RecentFrames;
-use crate::log::{LogEntry, LogFormat};
+use crate::log::{LogEntry, LogFormat, LogTime};
 use crate::time::Epoch;
 use std::io;
 use std::sync::Arc;
@@ -85,9 +85,9 @@ impl CapturedLog {
                 continue;
             }
             frames.written += 1;
-            let unix_micros = self.epoch.unix_micros(frame.time);
+            let time = LogTime::from_micros(self.epoch.unix_micros(frame.time));
             let interface = self.names.get(usize::from(frame.bus.0)).map_or("can", String::as_str);
-            encoder.write(LogEntry { unix_micros, interface, frame }, u64::MAX, &mut part)?;
+            encoder.write(LogEntry { time, interface, frame }, u64::MAX, &mut part)?;
             if part.len() >= Self::PART {
                 out.write_all(&part)?;
                 part.clear();

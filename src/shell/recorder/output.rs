@@ -2,7 +2,7 @@
 
 use super::{RecorderBatch, shown};
 use crate::frame::Frame;
-use crate::log::{LogEncoder, LogEntry, LogFormat};
+use crate::log::{LogEncoder, LogEntry, LogFormat, LogTime};
 use crate::open_file::{is_at, link_count};
 use crate::status::RecordingStatus;
 use std::fs::{File, OpenOptions};
@@ -67,8 +67,8 @@ impl Output {
         max_bytes: u64,
     ) -> io::Result<bool> {
         let name = taken.names.get(usize::from(frame.bus.0)).map_or("", String::as_str);
-        let unix_micros = taken.epoch.unix_micros(frame.time);
-        let entry = LogEntry { unix_micros, interface: name, frame: *frame };
+        let time = LogTime::from_micros(taken.epoch.unix_micros(frame.time));
+        let entry = LogEntry { time, interface: name, frame: *frame };
         let room = max_bytes.saturating_sub(self.len());
         if !self.encoder.write(entry, room, &mut self.gathered)? {
             return Ok(false);

@@ -2,7 +2,7 @@
 //! names, responses are malformed, identifiers are random.
 
 use descan::frame::{CanId, Frame};
-use descan::log::LogEntry;
+use descan::log::{LogEntry, LogTime};
 use descan::time::Instant;
 use nix::sys::stat::Mode;
 use std::fs::OpenOptions;
@@ -50,8 +50,8 @@ pub fn feed(pipe: &Path, is_paced: bool) -> JoinHandle<()> {
 
 /// The line of a frame in a log from 2026-11-23 00:00 UTC.
 fn line_of(frame: Frame) -> String {
-    let unix_micros = 1_795_392_000_000_000 + frame.time.as_micros();
-    LogEntry { unix_micros, interface: "can0", frame }.to_string()
+    let time = LogTime::from_micros(1_795_392_000_000_000 + frame.time.as_micros());
+    LogEntry { time, interface: "can0", frame }.to_string()
 }
 
 fn frame(random: &mut fastrand::Rng) -> Frame {
