@@ -6,7 +6,7 @@
 use super::binary::{BinaryFormat, EntryInput};
 use super::channel::bus_name;
 use super::fields::FieldFault;
-use super::{Damage, LogEntry, LogSummary, LogTime};
+use super::{Damage, LogEntry, LogSummary, LogTime, UnreadChanges};
 use crate::frame::Frame;
 use crate::frame::socketcan::{decode, fd_flags, id_word};
 
@@ -18,7 +18,8 @@ pub(super) const RECORDS_MAGIC: &[u8] = b"\x89descan entries\x02";
 const FRAME: u8 = 1;
 const FAULT: u8 = 2;
 const DAMAGE: u8 = 3;
-const SKIPPED_WAL: u8 = 4;
+const UNREAD_LOG: u8 = 4;
+const UNREAD_JOURNAL: u8 = 5;
 /// Number of the damage of a block.
 const BLOCK: u8 = 3;
 /// Bytes of a frame before its data, and of the other entries.
@@ -102,9 +103,12 @@ impl EntryWriter {
         self.bytes.extend_from_slice(&place.to_le_bytes());
     }
 
-    /// Notes that the write-ahead log beside the database is not read.
-    pub fn skipped_wal(&mut self) {
-        self.bytes.push(SKIPPED_WAL);
+    /// Notes that a file beside the database is not read.
+    pub fn unread_changes(&mut self, unread: UnreadChanges) {
+        self.bytes.push(match unread {
+            UnreadChanges::WriteAheadLog => UNREAD_LOG,
+            UnreadChanges::RollbackJournal => UNREAD_JOURNAL,
+        });
     }
 }
 
@@ -192,8 +196,12 @@ impl BinaryFormat for EntryStreamState {
                 }
                 return Err(damage);
             }
-            SKIPPED_WAL => {
-                summary.has_skipped_wal = true;
+            UNREAD_LOG => {
+                summary.unread_changes = Some(UnreadChanges::WriteAheadLog);
+                None
+            }
+            UNREAD_JOURNAL => {
+                summary.unread_changes = Some(UnreadChanges::RollbackJournal);
                 None
             }
             _ => return Err(Damage::Compression),

@@ -11,6 +11,7 @@ use super::bus_errors::bus_error;
 use super::entry_stream::EntryWriter;
 use super::fields::{FieldFault, can_id, data_frame};
 use super::random_access::{RandomAccess, RandomFormat, read_full_at};
+use super::summary::UnreadChanges;
 use crate::frame::{CanId, Frame};
 use std::io;
 
@@ -38,7 +39,7 @@ const MAX_COLUMNS: usize = 64;
 #[derive(Debug)]
 pub(super) struct SqliteTable {
     /// A write-ahead log with contents is beside the file.
-    has_wal: bool,
+    unread: Option<UnreadChanges>,
     stage: SqliteStage,
 }
 
@@ -72,8 +73,8 @@ impl From<Damage> for RowFault {
 }
 
 impl SqliteTable {
-    pub fn new(has_wal: bool) -> Self {
-        Self { has_wal, stage: SqliteStage::Start }
+    pub fn new(unread: Option<UnreadChanges>) -> Self {
+        Self { unread, stage: SqliteStage::Start }
     }
 
     /// Reads the head of the file and finds the table.
@@ -88,8 +89,13 @@ impl SqliteTable {
         if read_full_at(bytes, &mut head, 0)? < FILE_HEAD {
             return Err(Damage::PageMissing(1).into());
         }
-        if self.has_wal && head[19] == WITH_WAL {
-            out.skipped_wal();
+        // A file of another kind was left by another database that had the same name.
+        let is_its_own = |unread: &UnreadChanges| match unread {
+            UnreadChanges::WriteAheadLog => head[19] == WITH_WAL,
+            UnreadChanges::RollbackJournal => head[19] != WITH_WAL,
+        };
+        if let Some(unread) = self.unread.filter(is_its_own) {
+            out.unread_changes(unread);
         }
         let sizes = PageSizes::of_head(&head).ok_or(Damage::Page(1))?;
         if matches!(head[56..60], [0, 0, 0, 2 | 3]) {

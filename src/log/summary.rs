@@ -18,11 +18,25 @@ use std::sync::Arc;
 /// Largest step back at which an entry gets the moment of the entry before it. A larger one means
 /// that the clock was set back.
 const MAX_REORDER: Duration = Duration::from_secs(1);
-/// Of a database with a write-ahead log.
-const SKIPPED_WAL: &str = "what is in the file -wal beside it is not read; end the program that writes \
-                           it, or run: sqlite3 LOG.db 'pragma wal_checkpoint(truncate)'";
 /// Gap after which a clock that was set back may have returned to its earlier time.
 const GAP: Duration = Duration::from_secs(10);
+
+/// Changes of a database in a file beside it, which is not read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, thiserror::Error)]
+pub enum UnreadChanges {
+    /// The newest rows are in the write-ahead log.
+    #[error(
+        "what is in the file -wal beside it is not read; end the program that writes it, or run: \
+         sqlite3 LOG.db 'pragma wal_checkpoint(truncate)'"
+    )]
+    WriteAheadLog,
+    /// A transaction was begun and not ended; what it has overwritten is in the rollback journal.
+    #[error(
+        "it is inside a transaction, and the file -journal beside it is not read: the newest rows may be \
+         wrong; end the program that writes it, and run: sqlite3 LOG.db 'pragma quick_check'"
+    )]
+    RollbackJournal,
+}
 
 /// Why an entry of a log cannot be read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, thiserror::Error)]
@@ -76,8 +90,8 @@ pub struct LogSummary {
     pub written: LogTime,
     /// The log has no times: its frames have those at which they were read, or all the same.
     pub is_timeless: bool,
-    /// The log is a database whose write-ahead log, a file beside it, is not read.
-    pub has_skipped_wal: bool,
+    /// The log is a database with changes in a file beside it, which is not read.
+    pub unread_changes: Option<UnreadChanges>,
     /// The last line of a text log has no end.
     pub ends_inside_line: bool,
     /// Time at which the next entry is read, in microseconds since 1970; 0 if it is not known.
@@ -144,14 +158,14 @@ impl LogSummary {
         (self.entries, self.clock_steps_back) = (0, 0);
         (self.damage, self.foreign) = (None, None);
         (self.damage_at, self.bytes) = (None, 0);
-        (self.has_skipped_wal, self.ends_inside_line) = (false, false);
+        (self.unread_changes, self.ends_inside_line) = (None, false);
         self.frames_before = self.frames;
     }
 
     /// Returns the number of entries that cannot be read; of a damaged log, its rest counts as one.
     pub fn lost_entries(&self) -> u64 {
         let is_damaged = self.damage.is_some() || self.foreign.is_some();
-        self.unreadable + u64::from(is_damaged) + u64::from(self.has_skipped_wal)
+        self.unreadable + u64::from(is_damaged) + u64::from(self.unread_changes.is_some())
     }
 
     /// Returns true if its first entries cannot be read: it is probably not a log. A few may be
@@ -275,8 +289,8 @@ impl fmt::Display for LogSummary {
                 write!(f, " (byte {})", self.damage_at.map_or(self.bytes, |(_, byte)| byte))?;
             }
         }
-        if self.has_skipped_wal {
-            write!(f, "; {SKIPPED_WAL}")?;
+        if let Some(unread) = self.unread_changes {
+            write!(f, "; {unread}")?;
         }
         if self.ends_inside_line {
             write!(f, "; the last line has no end: it may be cut off")?;

@@ -10,6 +10,7 @@ use super::entry_stream::{RECORDS_MAGIC, ROWS_MAGIC};
 use super::mdf::{self, MdfLog};
 use super::random_access::{EntryStream, MakeSpool, RandomAccess, store};
 use super::sqlite::{self, SqliteTable};
+use super::summary::UnreadChanges;
 use flate2::bufread::GzDecoder;
 use flate2::{Decompress, FlushDecompress, Status};
 use lzma_rust2::Lzma2Reader;
@@ -101,8 +102,8 @@ struct LogAccess<'a> {
     file: Option<Box<dyn RandomAccess + 'a>>,
     /// Makes a file for other sources.
     spool: Option<MakeSpool>,
-    /// A write-ahead log with contents is beside the file.
-    has_wal: bool,
+    /// Changes of a database that are in a file beside it.
+    unread: Option<UnreadChanges>,
 }
 
 enum UnpackedSource<'a> {
@@ -119,12 +120,16 @@ impl<'a> Unpacked<'a> {
         Self { source, access: LogAccess::default(), copy: None, failure: None, count: 0 }
     }
 
-    /// Reads formats that are read in any order in the file that the source reads; `has_wal` says that a
-    /// write-ahead log with contents is beside it.
+    /// Reads formats that are read in any order in the file that the source reads; `unread` says what is
+    /// beside it.
     #[must_use]
-    pub fn with_file(mut self, file: impl RandomAccess + 'a, has_wal: bool) -> Self {
+    pub fn with_file(
+        mut self,
+        file: impl RandomAccess + 'a,
+        unread: Option<UnreadChanges>,
+    ) -> Self {
         self.access.file = Some(Box::new(file));
-        self.access.has_wal = has_wal;
+        self.access.unread = unread;
         self
     }
 
@@ -179,7 +184,7 @@ impl<'a> Unpacked<'a> {
                         None => store(whole, access.spool)?,
                     };
                     source = if packing == Packing::Sqlite {
-                        let table = SqliteTable::new(access.has_wal);
+                        let table = SqliteTable::new(access.unread);
                         Box::new(EntryStream::new(stored, table, ROWS_MAGIC))
                     } else {
                         Box::new(EntryStream::new(stored, MdfLog::new(), RECORDS_MAGIC))

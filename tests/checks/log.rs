@@ -285,7 +285,7 @@ fn check_packed(input: &[u8]) {
 fn check_random_access(input: &[u8]) {
     check_packed(input);
     let stored = read_packed(input, 1 << 16);
-    let source = Unpacked::new(input).with_file(input.to_vec(), false);
+    let source = Unpacked::new(input).with_file(input.to_vec(), None);
     let mut reader = LogReader::new(BufReader::with_capacity(1 << 16, source));
     let mut frames = Vec::new();
     while let Some(frame) = reader.next_frame().unwrap() {

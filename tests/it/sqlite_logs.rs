@@ -194,3 +194,20 @@ fn write_ahead_log_beside_a_database_is_named() {
         }
     }
 }
+
+/// What a program leaves that was killed inside a transaction, and one that has ended it.
+#[test]
+fn open_transaction_of_a_database_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("log.db"), THREE_LEVELS).unwrap();
+    let open = [&[0xD9, 0xD5, 0x05, 0xF9, 0x20, 0xA1, 0x63, 0xD7][..], &[0; 504]].concat();
+    for (journal, code) in [(&open[..], 1), (&[0; 512], 0), (b"", 0), (&open[..7], 0)] {
+        fs::write(folder.path().join("log.db-journal"), journal).unwrap();
+        let output =
+            run_with_input(&["convert", "log.db", "out.log", "--force"], folder.path(), b"");
+        let said = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(code), "{said}");
+        let cause = "it is inside a transaction, and the file -journal beside it is not read";
+        assert_eq!(said.contains(cause), code == 1, "{said}");
+    }
+}

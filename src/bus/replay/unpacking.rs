@@ -1,6 +1,6 @@
 //! Packed logs on disk: the files in which they lie unpacked, and what is beside a database.
 
-use crate::log::{LogSpool, RandomAccess, Unpacked};
+use crate::log::{LogSpool, RandomAccess, Unpacked, UnreadChanges};
 use crate::open_file::{path_of, temporary_folder};
 use crate::positioned_read::read_at;
 use std::fs::{self, File};
@@ -30,17 +30,33 @@ pub(super) fn unpacked_with<'a>(
 ) -> Unpacked<'a> {
     let unpacked = Unpacked::new(source).with_spool(spool);
     match pages {
-        Some(pages) => unpacked.with_file(pages, has_wal(file)),
+        Some(pages) => unpacked.with_file(pages, unread_changes(file)),
         None => unpacked,
     }
 }
 
-/// Returns true if a file of a database has a write-ahead log with contents beside it.
-fn has_wal(file: &File) -> bool {
-    let Some(path) = path_of(file) else { return false };
-    let mut wal = path.into_os_string();
-    wal.push("-wal");
-    fs::metadata(wal).is_ok_and(|it| it.is_file() && it.len() > 0)
+/// Returns the changes of a database that are in a file beside it.
+fn unread_changes(file: &File) -> Option<UnreadChanges> {
+    /// First bytes of a rollback journal; a transaction that has ended leaves zeros, or no file.
+    /// Source: "Database File Format" of SQLite, section 3.
+    const JOURNAL: [u8; 8] = [0xD9, 0xD5, 0x05, 0xF9, 0x20, 0xA1, 0x63, 0xD7];
+    let path = path_of(file)?.into_os_string();
+    let beside = |ending: &str| {
+        let mut path = path.clone();
+        path.push(ending);
+        PathBuf::from(path)
+    };
+    let is_filled = |path: &Path| fs::metadata(path).is_ok_and(|it| it.is_file() && it.len() > 0);
+    let journal = beside("-journal");
+    let is_open = || {
+        let mut head = [0; JOURNAL.len()];
+        let read = File::open(&journal).and_then(|mut file| file.read_exact(&mut head));
+        read.is_ok() && head == JOURNAL
+    };
+    if is_filled(&beside("-wal")) {
+        return Some(UnreadChanges::WriteAheadLog);
+    }
+    (is_filled(&journal) && is_open()).then_some(UnreadChanges::RollbackJournal)
 }
 
 fn spool() -> io::Result<Box<dyn LogSpool>> {
