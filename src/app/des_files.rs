@@ -378,13 +378,13 @@ impl App {
         self.input.show_conflict(self.clock.now());
     }
 
-    /// Closes an edit conflict that a further change on disk resolved, with a message.
+    /// Closes an edit conflict that is over, with a message if a further change on disk resolved it.
     fn leave_conflict_that_is_over(&mut self, file: FileIndex, change: FileChange) {
         if !self.input.shows_conflict() || self.conflicting_file().is_some() {
             return;
         }
         self.input.leave_conflict();
-        if change != FileChange::Unusable {
+        if matches!(change, FileChange::Content | FileChange::Rebased) {
             let text = "file changed again: conflict resolved, your edits are included";
             self.add_file_line(file, TimelineKind::File, text);
             self.show_info(text);

@@ -13,7 +13,8 @@ mod view;
 
 pub use expected::{ExpectedDevices, FleetDifference};
 pub use publication::{
-    FleetDocument, FleetMessage, FleetMessageId, MAX_QUEUED_EVENTS, OtherRun, Publication,
+    FleetDocument, FleetMessage, FleetMessageId, MAX_QUEUED_EVENTS, MessageLength, OtherRun,
+    Publication,
 };
 pub use rejects::FleetRejects;
 pub use topic::{FleetTopic, GatewayName, GatewayNameError, TopicPath};

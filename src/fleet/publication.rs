@@ -44,11 +44,21 @@ pub struct FleetMessage {
     pub payload: Arc<[u8]>,
     /// The broker keeps it for later subscribers.
     pub is_retained: bool,
-    /// The broker takes no message of this length: that of a document clears what the broker has of it, an
-    /// event is not sent.
-    pub is_too_long: bool,
+    /// Whether the broker takes a message of this length.
+    pub length: MessageLength,
     /// To be passed back when it is known what became of the message.
     pub id: FleetMessageId,
+}
+
+/// Whether the broker takes a message of this length.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MessageLength {
+    /// It does.
+    Accepted,
+    /// It does not take the document: the message clears what it has of it.
+    Cleared,
+    /// It does not, and the message is not sent.
+    TooLong,
 }
 
 /// Which message it was.
@@ -205,7 +215,7 @@ impl Publication {
             topic: TopicPath::Status.of(&self.gateway),
             payload: payload.to_string().into_bytes().into(),
             is_retained: true,
-            is_too_long: false,
+            length: MessageLength::Accepted,
             id: FleetMessageId::Document(TopicPath::Status.to_string(), 0),
         }
     }
@@ -465,16 +475,20 @@ impl Publication {
         slot.is_sent = true;
         let topic = self.gateway.topic(&tail);
         let payload = slot.payload.clone().unwrap_or_default();
-        let is_too_long = topic.len() + payload.len() > self.max_message;
         let id = FleetMessageId::Document(tail.clone(), slot.version);
-        let payload = if is_too_long { Arc::default() } else { payload };
-        if is_too_long {
+        let length = match self.max_message.checked_sub(topic.len()) {
+            None => MessageLength::TooLong,
+            Some(room) if payload.len() > room => MessageLength::Cleared,
+            Some(_) => MessageLength::Accepted,
+        };
+        let payload = if length == MessageLength::Cleared { Arc::default() } else { payload };
+        if length == MessageLength::Cleared {
             self.refused += 1;
             self.long_documents.insert(tail);
         } else {
             self.long_documents.remove(&tail);
         }
-        Some(FleetMessage { topic, payload, is_retained: true, is_too_long, id })
+        Some(FleetMessage { topic, payload, is_retained: true, length, id })
     }
 
     fn next_event(&mut self) -> Option<FleetMessage> {
@@ -482,9 +496,10 @@ impl Publication {
         self.queued_bytes -= payload.len();
         self.sent_events.insert(number, Arc::clone(&payload));
         let topic = TopicPath::Event.of(&self.gateway);
-        let is_too_long = topic.len() + payload.len() > self.max_message;
+        let is_accepted = topic.len() + payload.len() <= self.max_message;
+        let length = if is_accepted { MessageLength::Accepted } else { MessageLength::TooLong };
         let id = FleetMessageId::Event(number);
-        Some(FleetMessage { topic, payload, is_retained: false, is_too_long, id })
+        Some(FleetMessage { topic, payload, is_retained: false, length, id })
     }
 
     fn put_status(&mut self, payload: &Value) {

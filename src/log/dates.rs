@@ -55,7 +55,10 @@ pub(super) fn local_time(unix_micros: u64) -> DateTime {
 
 /// Returns true if the local time of this moment comes twice, and is read as the first.
 pub(super) fn is_in_repeated_hour(micros: u64) -> bool {
-    unix_micros(local_time(micros)).is_some_and(|read| read < micros)
+    /// Above any step of a clock, in microseconds: dates after the year 9999 are cut.
+    const DAY: u64 = 86_400_000_000;
+    let read = unix_micros(local_time(micros));
+    read.and_then(|read| micros.checked_sub(read)).is_some_and(|step| (1..DAY).contains(&step))
 }
 
 /// Parses the date of an ASC log, without its weekday: `Sep 30 10:06:13.191 PM 2017`, in microseconds

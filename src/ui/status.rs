@@ -610,30 +610,48 @@ fn file(brush: &DrawContext, whole: bool) -> Parts {
     let urgent = app.files().filter_map(|(file, state)| Some((urgency(file, state)?, file)));
     let mut urgent: Vec<_> = urgent.collect();
     urgent.sort_unstable();
+    let (mut absent, present): (Vec<_>, Vec<_>) = app
+        .files()
+        .map(|(file, _)| file)
+        .partition(|file| app.file_at(*file).is_read() && !app.shown_file(*file).1);
     if let Some((_, file)) = urgent.first() {
         let mut parts = one_file(brush, *file, whole);
         if urgent.len() > 1 {
             let more = format!("and {} more", urgent.len() - 1);
             parts.push(Part::new(WARNING, vec![brush.span(Role::Warning, more)]));
         }
+        absent.retain(|it| it != file);
+        parts.extend(absent_files(brush, &absent));
         return parts;
     }
-    let (absent, present): (Vec<_>, Vec<_>) = app
-        .files()
-        .map(|(file, _)| file)
-        .partition(|file| app.file_at(*file).is_read() && !app.shown_file(*file).1);
     let mut parts = match *present {
-        [] => return one_file(brush, FileIndex::default(), whole),
+        [] => return vec![all_absent(brush, &absent)],
         [file] => one_file(brush, file, whole),
         _ => sum_of_files(brush, &present, whole),
     };
-    let absent = match *absent {
-        [] => return parts,
-        [file] => format!("{} not found", file_name(brush, app.file_at(file)).content.trim_end()),
-        _ => format!("{} files not found", absent.len()),
-    };
-    parts.push(Part::new(WARNING, vec![brush.span(Role::Warning, absent)]));
+    parts.extend(absent_files(brush, &absent));
     parts
+}
+
+/// Returns which files are not there, beside others.
+fn absent_files(brush: &DrawContext, files: &[FileIndex]) -> Option<Part> {
+    let text = match *files {
+        [] => return None,
+        [file] => {
+            let name = file_name(brush, brush.app.file_at(file));
+            format!("{} not found", name.content.trim_end())
+        }
+        _ => format!("{} files not found", files.len()),
+    };
+    Some(Part::new(WARNING, vec![brush.span(Role::Warning, text)]))
+}
+
+/// Returns that none of the files is there; one that was there is missed.
+fn all_absent(brush: &DrawContext, files: &[FileIndex]) -> Part {
+    let is_missed = files.iter().any(|file| brush.app.file_at(*file).has_valid_content());
+    let (rank, role) = if is_missed { (WARNING, Role::Warning) } else { (FILE, Role::Muted) };
+    let title = brush.span(Role::Title, format!("{} files ", files.len()));
+    Part::new(rank, vec![title, brush.span(role, "not found")]).of_file()
 }
 
 /// Returns how many entries these files have together.

@@ -450,9 +450,13 @@ fn file_that_is_not_there_is_named_beside_the_one_that_is() {
     files.read(FILES[0]);
     let expected = "south/des.json ✓ 2 entries  north/des.json not found";
     assert!(files.screen().contains(expected), "{}", files.screen());
-    files.disk[1] = None;
+    files.write(FILES[1], "[ {");
+    let screen = files.screen();
+    assert!(screen.contains("south/des.json ✗ line 1, column 4"), "{screen}");
+    assert!(screen.contains("north/des.json not found"), "{screen}");
+    files.write(FILES[1], SOUTH).disk[1] = None;
     files.read(FILES[1]);
-    assert!(files.screen().contains("north/des.json not found"), "{}", files.screen());
+    assert!(files.screen().contains("2 files not found"), "{}", files.screen());
 }
 
 #[test]

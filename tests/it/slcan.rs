@@ -4,6 +4,7 @@
 //! response comes after further commands, never after a fixed time.
 
 use crate::common::open_bus::{OpenBus, PATIENCE};
+use crate::common::processor_time::ticks;
 use crate::common::python::Python;
 use crate::common::serial::{Bridge, Pty};
 use descan::bus::TransmitError;
@@ -705,13 +706,6 @@ fn adapter_port_is_not_the_controlling_terminal() {
     assert_eq!(terminal, "0", "{stat}");
     drop(program);
     adapter.hear_until("C");
-}
-
-/// Returns the processor time used by a process, in clock ticks.
-fn ticks(pid: u32) -> u64 {
-    let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).unwrap();
-    let fields: Vec<&str> = stat.rsplit(") ").next().unwrap().split(' ').collect();
-    [fields[11], fields[12]].iter().map(|time| time.parse::<u64>().unwrap()).sum()
 }
 
 #[test]

@@ -474,6 +474,8 @@ fn edit_conflict_ends_if_the_save_was_made_before_it() {
     stage.write(&theirs).finish_saves();
     let screen = stage.screen();
     assert!(!screen.contains("Edit conflict") && screen.contains("✗ 11"), "{screen}");
+    // The edit was saved, and then overwritten.
+    assert!(!stage.app.timeline().entries().any(|it| it.text.contains("conflict resolved")));
     assert_eq!((stage.file(), stage.app.file().unsaved()), (&*theirs, 0));
 }
 

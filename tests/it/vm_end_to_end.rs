@@ -5,6 +5,7 @@
 
 use crate::common::can;
 use crate::common::can::{Vcan, run};
+use crate::common::processor_time::ticks;
 use crate::common::pty::Pty;
 use crate::common::watch_process::Watching;
 use nix::errno::Errno;
@@ -459,6 +460,60 @@ fn removal_whose_error_was_overwritten_is_noticed() {
     watching.event_that("bus", |it| it["bus"]["state"] == "down");
     vcan.create().unwrap();
     watching.event_that("bus", |it| it["bus"]["state"] != "down");
+}
+
+/// An interface that is moved to another network namespace and back keeps its index, and so does one
+/// that a script creates with it.
+#[test]
+fn interface_that_returns_with_its_index_is_opened_again() {
+    let Some(vcan) = Vcan::new("dsp-index") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let watching = Watching::start(&[vcan.name(), "--json"], folder.path());
+    watching.event("bus");
+    let name = vcan.name();
+    run("cansend", &[name, "07500401#A1A2A3A4A5A60400"]);
+    let index = nix::net::if_::if_nametoindex(name).unwrap();
+    // Debug messages with the codes 0, 1, 2 … of the device with address 3.
+    let load = format!(
+        "code=0; while :; do \
+         cansend {name} $(printf 1F19%04X $((0xFC00 + code)))# 2>&- && code=$((code + 1)); sleep 0.1; \
+         done"
+    );
+    let shell = Command::new("sh").args(["-c", &load]).stdin(Stdio::null()).spawn().unwrap();
+    let _load = Running(shell);
+    let next = |after: u64| {
+        let event = watching.event_that("debug", |it| it["code"].as_u64() > Some(after));
+        event["code"].as_u64().unwrap()
+    };
+    // The processor time for ten messages, none of which is lost.
+    let used = |mut code: u64| {
+        let before = ticks(watching.id());
+        for _ in 0..10 {
+            let following = next(code);
+            assert_eq!(following, code + 1);
+            code = following;
+        }
+        (ticks(watching.id()) - before, code)
+    };
+    let (usual, mut code) = used(next(0));
+    for is_noticed in [true, false] {
+        if is_noticed {
+            vcan.remove();
+            watching.event_that("bus", |it| it["bus"]["state"] == "down");
+            vcan.create_with_index(index);
+        } else {
+            // It is there again, and the error is lost, before the program looks.
+            watching.signal(Signal::SIGSTOP);
+            vcan.remove();
+            assert_eq!(take_socket_errors(watching.id()), [Errno::ENODEV as i32]);
+            vcan.create_with_index(index);
+            watching.signal(Signal::SIGCONT);
+        }
+        // After a message that was sent when it was back.
+        let (ticks, last) = used(next(code + 12));
+        assert!(ticks < 2 * usual + 10, "{ticks} instead of {usual} ticks, {is_noticed}");
+        code = last;
+    }
 }
 
 /// Tests two boards in two processes at one address: `scan`, `watch` and the screen report a

@@ -32,6 +32,8 @@ pub struct Saving {
     /// The pending edits were applied to that other content: the outcome of the save does not
     /// apply to their base.
     base_changed: bool,
+    /// The content that the pending edits apply to, and with it perhaps their number, was replaced since.
+    is_rebased: bool,
 }
 
 /// An edit conflict. Nothing is written until the user has decided all conflicts.
@@ -336,6 +338,7 @@ impl FileState {
         if self.pending.is_empty() {
             self.document = theirs.clone();
             self.disk = Some(theirs);
+            self.note_rebase();
             return if is_first { FileChange::FirstRead } else { FileChange::Content };
         }
         let file_was_deleted = self.pending_conflict.take().is_some() && !is_there;
@@ -382,6 +385,14 @@ impl FileState {
             self.disk = Some(saving.content.clone());
             self.is_on_disk = true;
             self.pending.drain(..ours.len());
+            self.note_rebase();
+        }
+    }
+
+    /// Notes in a running save that the pending edits apply to other content.
+    fn note_rebase(&mut self) {
+        if let Some(saving) = &mut self.saving {
+            saving.is_rebased = true;
         }
     }
 
@@ -398,6 +409,7 @@ impl FileState {
                 self.disk = Some(theirs);
                 self.document = document;
                 self.pending = operations;
+                self.note_rebase();
                 FileChange::Rebased
             }
             Ok(Merge::Conflict(conflict)) => {
@@ -649,6 +661,7 @@ impl FileState {
             seen_on_disk: false,
             disk_changed: false,
             base_changed: false,
+            is_rebased: false,
         };
         self.saving = Some(saving.clone());
         Some(saving)
@@ -701,8 +714,7 @@ impl FileState {
     fn has_conflict_after(&self, saving: &Saving) -> bool {
         let is_undecided =
             self.pending_conflict.as_ref().is_some_and(|it| it.choices.chosen.is_empty());
-        let expected = saving.expected.clone().unwrap_or_else(Document::empty);
-        is_undecided && saving.base_changed && self.disk.as_ref() == Some(&expected)
+        is_undecided && saving.base_changed && !saving.is_rebased
     }
 
     /// Takes the content of a save as the content on disk, unless another program's is known.
@@ -910,6 +922,26 @@ mod tests {
                 assert_eq!((change, file.unsaved()), (FileChange::None, 1));
             }
         }
+    }
+
+    /// While a slow save runs, other programs write the edit of the save, the content before it, and another
+    /// address for a later edit.
+    #[test]
+    fn later_edit_is_asked_about_although_the_save_was_made() {
+        let ours = FILE.replace("12", "16");
+        let mut file = opened();
+        file.edit(&[set_address(&file, 16)]).unwrap();
+        file.start_saving().unwrap();
+        file.edit(&[set_address(&file, 17)]).unwrap();
+        let with_blank = format!("{ours} ");
+        for theirs in [&with_blank, FILE, &FILE.replace("12", "13")] {
+            file.read(NOW, content(theirs));
+        }
+        assert!(file.conflict().is_some(), "{}", source(&file));
+        file.handle_saved(NOW, SaveOutcome::Saved);
+        file.read(NOW, content(&FILE.replace("12", "13")));
+        assert!(file.conflict().is_some(), "{}", source(&file));
+        assert_eq!(file.unsaved(), 1);
     }
 
     #[test]

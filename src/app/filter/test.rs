@@ -274,8 +274,8 @@ impl FieldValue<'_> {
         let read = |part: (String, Range<usize>)| {
             let text = part.0.to_lowercase();
             parse(text.trim()).ok_or_else(|| {
-                let swapped =
-                    text.trim().split_once("..").map(|(low, high)| format!("{high}..{low}"));
+                let swap = |(low, high): (&str, &str)| format!("{}..{}", high.trim(), low.trim());
+                let swapped = text.split_once("..").map(swap);
                 match swapped.filter(|swapped| parse(swapped).is_some()) {
                     Some(swapped) => self.wrong(&part, &format!("a range; use {swapped}")),
                     None => self.wrong(&part, what),

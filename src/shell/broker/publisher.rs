@@ -3,7 +3,7 @@
 use super::address::BrokerSettings;
 use super::back_off;
 use super::failure::BrokerFailure;
-use crate::fleet::{FleetMessage, FleetMessageId, OtherRun, Publication};
+use crate::fleet::{FleetMessage, FleetMessageId, MessageLength, OtherRun, Publication};
 use crate::time::Duration;
 use futures_util::stream::{FuturesUnordered, StreamExt as _};
 use rumqttc::{
@@ -253,16 +253,19 @@ impl PublisherThread {
         let mut sent = FuturesUnordered::new();
         loop {
             while let Some(message) = self.next_message() {
-                let FleetMessage { topic, payload, is_retained, is_too_long, id } = message;
-                if is_too_long {
+                let FleetMessage { topic, payload, is_retained, length, id } = message;
+                let why = "it takes no packet of this length";
+                match length {
+                    MessageLength::Accepted => {}
                     // The connection would end with it.
-                    let why = "it takes no packet of this length";
-                    if !is_retained {
+                    MessageLength::TooLong => {
                         self.handle_fate(topic, &id, Fate::Refused(why));
                         continue;
                     }
-                    if self.shared.publication().refused() == 1 {
-                        self.report(PublisherNotice::Refused(topic.clone(), why));
+                    MessageLength::Cleared => {
+                        if self.shared.publication().refused() == 1 {
+                            self.report(PublisherNotice::Refused(topic.clone(), why));
+                        }
                     }
                 }
                 let options = PublishOptions::new(QoS::AtLeastOnce).retain(is_retained);

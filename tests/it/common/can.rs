@@ -49,6 +49,14 @@ impl Vcan {
         ip(&["link", "set", &self.name, "up", "mtu", "72"])
     }
 
+    /// Creates the interface with this index.
+    pub fn create_with_index(&self, index: u32) {
+        let index = index.to_string();
+        let created = ip(&["link", "add", &self.name, "index", &index, "type", "vcan"]);
+        created.expect("the index is free");
+        ip(&["link", "set", &self.name, "up", "mtu", "72"]).expect("the interface is there");
+    }
+
     pub fn remove(&self) {
         ip(&["link", "del", &self.name]).expect("the interface was there");
     }

@@ -10,6 +10,7 @@ pub mod inspection;
 pub mod mosquitto;
 pub mod open_bus;
 pub mod paced;
+pub mod processor_time;
 pub mod program;
 pub mod pty;
 pub mod python;

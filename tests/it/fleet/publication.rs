@@ -2,8 +2,8 @@
 //! twice unless the connection was lost.
 
 use descan::fleet::{
-    FleetDocument, FleetMessage, FleetMessageId, MAX_QUEUED_EVENTS, OtherRun, Publication,
-    TopicPath,
+    FleetDocument, FleetMessage, FleetMessageId, MAX_QUEUED_EVENTS, MessageLength, OtherRun,
+    Publication, TopicPath,
 };
 use descan::time::{Duration, Instant};
 use serde_json::{Value, json};
@@ -499,7 +499,8 @@ fn document_above_the_limit_of_the_broker_is_cleared_there() {
     assert!(!change(&mut publication, 0, 10)[0].payload.is_empty());
     // What the broker had would be out of date.
     let sent = change(&mut publication, 5, 300);
-    assert!(sent[0].is_too_long && sent[0].is_retained && sent[0].payload.is_empty());
+    assert_eq!((sent[0].length, &*sent[0].payload), (MessageLength::Cleared, &b""[..]));
+    assert!(sent[0].is_retained);
     assert_eq!((sent.len(), publication.refused()), (1, 1));
     // A connection to a broker that takes more.
     publication.handle_disconnected();
@@ -511,11 +512,27 @@ fn document_above_the_limit_of_the_broker_is_cleared_there() {
 }
 
 #[test]
+fn document_whose_topic_is_above_the_limit_is_not_sent() {
+    let mut publication = publication();
+    publication.set_max_message(10);
+    publication.handle_connected(false);
+    publication.handle_documents(at(0), 0.0, [document("can0", json!({}))]);
+    let messages = sent(&mut publication);
+    assert!(messages.iter().any(|it| it.topic.ends_with("bus/can0")));
+    for message in &messages {
+        assert_eq!(message.length, MessageLength::TooLong, "{message:?}");
+        publication.handle_refused(&message.id);
+    }
+    assert_eq!(publication.refused(), messages.len() as u64);
+    assert_eq!(publication.poll_message(), None, "the connection would end with each");
+}
+
+#[test]
 fn event_above_the_limit_of_the_broker_is_known() {
     let mut publication = publication();
     publication.set_max_message(200);
     publication.handle_connected(false);
     publication.handle_event(json!({"event": "x".repeat(300)}));
     let message = sent(&mut publication).remove(0);
-    assert!(message.is_too_long && !message.is_retained);
+    assert!(message.length == MessageLength::TooLong && !message.is_retained);
 }

@@ -7,8 +7,7 @@ use crate::bus::faults::{bus_off, not_found, restart_command};
 use crate::bus::socketcan::CanInterface;
 use crate::diagnostic::Diagnostic;
 use crate::status::BusState;
-use nix::errno::Errno;
-use nix::net::if_::{if_indextoname, if_nametoindex};
+use nix::net::if_::if_nametoindex;
 use socketcan::CanCtrlMode;
 use socketcan::nl::{CanState, Mtu};
 use std::fs;
@@ -40,15 +39,6 @@ pub fn interfaces() -> Vec<CanInterface> {
 /// Returns true if this machine has a network interface of this name, of any type.
 pub fn interface_exists(name: &str) -> bool {
     if_nametoindex(name).is_ok()
-}
-
-/// Returns true unless the kernel has no interface of this index.
-pub(super) fn index_exists(ifindex: u32) -> bool {
-    match if_indextoname(ifindex) {
-        // What nix 0.31 returns for no interface.
-        Ok(name) => !name.is_empty(),
-        Err(error) => !matches!(error, Errno::ENXIO | Errno::ENODEV),
-    }
 }
 
 /// Returns true if an interface of this name exists and is a CAN interface.

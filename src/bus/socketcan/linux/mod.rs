@@ -24,7 +24,7 @@ use crate::error_report::ErrorReport;
 use crate::frame::{BusIndex, Frame, IdFilter};
 use crate::status::{BusState, BusStatus, Link, RateSearch};
 use crate::time::Instant;
-use link_info::{LinkInfo, index_exists, is_can, missing};
+use link_info::{LinkInfo, is_can, missing};
 use nix::errno::Errno;
 use nix::net::if_::if_nametoindex;
 use socket::{RawSocket, ReceivedFrame};
@@ -97,8 +97,8 @@ struct InterfaceMonitor {
     name: String,
     /// 0: it does not exist.
     ifindex: AtomicU32,
-    /// An index that the kernel no longer has; 0: none so far.
-    removed: AtomicU32,
+    /// The reader is to look whether its socket still has an interface.
+    is_check_due: AtomicBool,
     /// Down, as last read.
     is_down: AtomicBool,
     request: Mutex<MonitorRequest>,
@@ -128,12 +128,6 @@ impl InterfaceMonitor {
         self.requested.notify_one();
     }
 
-    /// Returns true if the present interface was removed.
-    fn is_removed(&self) -> bool {
-        let ifindex = self.ifindex.load(Ordering::Acquire);
-        ifindex != 0 && self.removed.load(Ordering::Acquire) == ifindex
-    }
-
     /// The monitor thread.
     fn run(&self, shared: &PortShared) {
         let mut request = self.request.lock().unwrap_or_else(PoisonError::into_inner);
@@ -147,6 +141,8 @@ impl InterfaceMonitor {
             request.refresh = false;
             drop(request);
             self.refresh_now(shared);
+            self.is_check_due.store(true, Ordering::Release);
+            shared.wake();
             request = self.request.lock().unwrap_or_else(PoisonError::into_inner);
             (request, _) = self
                 .requested
@@ -173,13 +169,7 @@ impl InterfaceMonitor {
         if ifindex == 0 {
             return pending;
         }
-        let Ok(facts) = LinkInfo::of(ifindex) else {
-            if !index_exists(ifindex) {
-                self.removed.store(ifindex, Ordering::Release);
-                shared.wake();
-            }
-            return pending;
-        };
+        let Ok(facts) = LinkInfo::of(ifindex) else { return pending };
         // A renamed interface is the same bus; remedies need its present name.
         let name = facts.name.as_deref().unwrap_or(&self.name);
         let (fault, note) = (facts.fault(name), facts.note(name));
@@ -328,10 +318,12 @@ impl SocketReader {
         let mut is_removed = false;
         while !self.shared.is_stopped() {
             batch.clear();
-            // The kernel's word for it can be lost: recvmmsg that has read frames puts an error back,
-            // also ENETDOWN over the ENODEV that came since.
+            // The error for it can be lost: recvmmsg that has read frames puts an error back, also
+            // ENETDOWN over the ENODEV that came since. Another interface may have its index by now.
             let was_removed = is_removed;
-            is_removed |= self.monitor.is_removed();
+            if self.monitor.is_check_due.swap(false, Ordering::AcqRel) {
+                is_removed |= !socket.is_bound();
+            }
             let read = socket.read(&mut batch);
             if let Err(error) = &read {
                 match errno(error) {

@@ -8,6 +8,7 @@ use nix::cmsg_space;
 use nix::libc::{MSG_DONTWAIT, MSG_PEEK, SO_RCVBUF, SO_RCVBUFFORCE, SO_RXQ_OVFL, SOL_SOCKET};
 use nix::sys::socket::{ControlMessageOwned, MsgFlags, MultiHeaders, RecvMsg, recvmmsg, recvmsg};
 use nix::sys::time::TimeSpec;
+use socket2::SockAddr;
 use socketcan::{CanFdSocket, CanFilter, Socket, SocketOptions};
 use std::io::{self, ErrorKind, IoSliceMut};
 use std::os::fd::{AsFd, AsRawFd, BorrowedFd};
@@ -45,6 +46,8 @@ pub(super) struct ReceivedFrame {
 #[derive(Debug)]
 pub(super) struct RawSocket {
     socket: CanFdSocket,
+    /// The address that the kernel gave it, with the index of the interface.
+    address: SockAddr,
     drops: Drops,
     /// Frames read since the drop counter was queried.
     since_query: usize,
@@ -81,8 +84,10 @@ impl RawSocket {
             .set_socket_option_int(SOL_SOCKET, SO_RCVBUFFORCE, RECEIVE_BUFFER)
             .or_else(|_| socket.set_socket_option_int(SOL_SOCKET, SO_RCVBUF, RECEIVE_BUFFER))?;
         let receive_buffer = socket.get_socket_option_int(SOL_SOCKET, SO_RCVBUF);
+        let address = socket.as_raw_socket().local_addr()?;
         Ok(Self {
             socket,
+            address,
             drops: Drops::default(),
             since_query: 0,
             receive_buffer: receive_buffer.ok().and_then(|bytes| u32::try_from(bytes).ok()),
@@ -90,6 +95,12 @@ impl RawSocket {
             most_waiting: 0,
             unconfirmed: 0,
         })
+    }
+
+    /// Returns false if the interface was removed, or moved to another network namespace: the kernel then
+    /// takes its index from the address of the socket for good.
+    pub(super) fn is_bound(&self) -> bool {
+        self.socket.as_raw_socket().local_addr().map_or(true, |address| address == self.address)
     }
 
     /// Appends the received frames, at most [`MAX_READ`] and one batch.
