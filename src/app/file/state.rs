@@ -928,18 +928,21 @@ mod tests {
     /// address for a later edit.
     #[test]
     fn later_edit_is_asked_about_although_the_save_was_made() {
-        let ours = FILE.replace("12", "16");
-        let mut file = opened();
+        let two = r#"{"devices":[{"name":"FEED","address":12,"static":true},
+            {"name":"PUMP","address":40,"static":true}]}"#;
+        let mut file = FileState::new(Some("des.json".into()));
+        file.read(NOW, content(two));
         file.edit(&[set_address(&file, 16)]).unwrap();
         file.start_saving().unwrap();
-        file.edit(&[set_address(&file, 17)]).unwrap();
-        let with_blank = format!("{ours} ");
-        for theirs in [&with_blank, FILE, &FILE.replace("12", "13")] {
+        let entry = file.document().key(1);
+        file.edit(&[Operation::PinAddress { from: entry.address, entry, to: 41 }]).unwrap();
+        let theirs = two.replace("40", "42");
+        for theirs in [&format!("{} ", two.replace("12", "16")), two, &theirs] {
             file.read(NOW, content(theirs));
         }
         assert!(file.conflict().is_some(), "{}", source(&file));
         file.handle_saved(NOW, SaveOutcome::Saved);
-        file.read(NOW, content(&FILE.replace("12", "13")));
+        file.read(NOW, content(&theirs));
         assert!(file.conflict().is_some(), "{}", source(&file));
         assert_eq!(file.unsaved(), 1);
     }
