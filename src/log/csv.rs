@@ -28,7 +28,8 @@ pub(super) struct GvretLines {
     data: u8,
     /// The first time in microseconds, if it is below 0, from which times then count; 0 otherwise. `None`
     /// before it.
-    start: Option<i64>,
+    start: Option<i128>,
+    counter: WrappedCounter,
 }
 
 impl GvretLines {
@@ -52,6 +53,7 @@ impl GvretLines {
             len: place(b"len").or_else(|| place(b"dlc"))?,
             data: place(b"d1")?,
             start: None,
+            counter: WrappedCounter::default(),
         })
     }
 
@@ -104,21 +106,49 @@ impl GvretLines {
         Ok(Some(LogEntry { time, interface: bus_name(bus), frame }))
     }
 
-    /// Reads a time in microseconds. A log may begin below 0, which says nothing but differences. Later, a
-    /// time below 0 is one of a counter of 32 bits, as a signed number.
+    /// Reads a time in microseconds. A log may begin below 0, which says nothing but differences.
     fn time(&mut self, cell: &[u8]) -> Option<LogTime> {
-        /// Values of the counter.
-        const VALUES: u64 = 1 << 32;
-        let (is_below, digits) = cell.strip_prefix(b"-").map_or((false, cell), |it| (true, it));
-        let micros = decimal(digits)?;
-        let first = if is_below { -i64::try_from(micros).ok()? } else { 0 };
-        let start = self.start.get_or_insert(first).unsigned_abs();
-        let micros = match (is_below, start) {
-            (false, _) => start.checked_add(micros)?,
-            (true, 0) => VALUES.checked_sub(micros).filter(|time| *time >= VALUES / 2)?,
-            (true, _) => start.saturating_sub(micros),
+        let time = match cell.strip_prefix(b"-") {
+            Some(digits) => -i128::from(decimal(digits)?),
+            None => i128::from(decimal(cell)?),
         };
-        Some(LogTime::from_micros(micros))
+        let start = *self.start.get_or_insert(time.min(0));
+        let since_start = self.counter.unwrapped(time) - start;
+        u64::try_from(since_start.max(0)).ok().map(LogTime::from_micros)
+    }
+}
+
+/// Times of a counter of 32 bits, written as signed or as unsigned numbers, that begins anew after a turn of
+/// 71.6 minutes.
+#[derive(Clone, Copy, Debug, Default)]
+struct WrappedCounter {
+    /// A time has more bits: it is no such counter.
+    is_wider: bool,
+    /// The last time, with the turns before it.
+    last: Option<i128>,
+    /// Microseconds of the turns so far.
+    turned: i128,
+}
+
+impl WrappedCounter {
+    const TURN: i128 = 1 << 32;
+
+    /// Returns a time with the turns before it. A step back of at least half a turn is another turn, and a
+    /// step forward of more than that, after a turn, is of a frame from before it.
+    fn unwrapped(&mut self, time: i128) -> i128 {
+        self.is_wider |= !(-Self::TURN / 2..Self::TURN).contains(&time);
+        let mut unwrapped = time + self.turned;
+        if !self.is_wider {
+            let step = self.last.map_or(0, |last| unwrapped - last);
+            if step <= -Self::TURN / 2 {
+                self.turned += Self::TURN;
+                unwrapped += Self::TURN;
+            } else if step > Self::TURN / 2 && self.turned > 0 {
+                unwrapped -= Self::TURN;
+            }
+        }
+        self.last = Some(unwrapped);
+        unwrapped
     }
 }
 

@@ -2,6 +2,9 @@
 
 use std::fmt;
 
+/// Most interfaces that are named with their numbers.
+const NAMED: usize = 16;
+
 /// What an encoder has left out, or written as something less.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct LogLoss {
@@ -52,10 +55,13 @@ impl fmt::Display for LogLoss {
             write!(f, "{separator}all times an hour earlier, as summer time ended in this hour")?;
             separator = "; ";
         }
-        for (name, number) in &self.numbers {
+        for (name, number) in self.numbers.iter().take(NAMED) {
             write!(f, "{separator}{name} is number {number}")?;
             separator = ", ";
         }
-        Ok(())
+        match self.numbers.len().saturating_sub(NAMED) {
+            0 => Ok(()),
+            more => write!(f, ", and {more} more"),
+        }
     }
 }

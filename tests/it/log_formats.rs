@@ -645,9 +645,11 @@ fn zeros_between_and_behind_members_of_gzip_are_skipped() {
         assert_eq!(summary.lost_entries(), 0, "{zeros}: {summary}");
         assert_eq!(frames.len(), 2 * KINDS.lines().count());
     }
-    let (frames, summary) = read(&[&member[..], &[0, 0, 7]].concat());
-    assert_eq!(frames.len(), KINDS.lines().count());
-    assert!(summary.damage.is_some(), "{summary}");
+    for behind in [&[0, 0, 7][..], b"\0JUNK", b"and more text"] {
+        let (frames, summary) = read(&[&member[..], behind].concat());
+        assert_eq!(frames.len(), KINDS.lines().count());
+        assert!(summary.to_string().contains("damaged compression"), "{summary}");
+    }
 }
 
 #[test]
@@ -739,12 +741,21 @@ fn gvret_counter_of_32_bits_goes_on_below_0() {
     let expected = |micros: [i64; 4]| micros.map(|it| format!("{it} bus0 5C0#63"));
     let is_read = |times: &[i64], micros| assert_eq!(log(times), expected(micros), "{times:?}");
     is_read(&[max - 1, max, -max - 1, -max], [max - 1, max, max + 1, max + 2]);
-    is_read(&[0, 7, max, -1], [0, 7, max, (1 << 32) - 1]);
-    // One that begins below 0, and reaches it.
+    let turn = 1 << 32;
+    is_read(&[0, 7, max, -1], [0, 7, max, turn - 1]);
+    is_read(&[max, -1, 0, 5], [max, turn - 1, turn, turn + 5]);
+    is_read(&[turn - 1, 0, max, turn - 1], [turn - 1, turn, turn + max, 2 * turn - 1]);
+    // One that begins below 0, and reaches it, or goes around.
     is_read(&[-500, -300, 0, 200], [0, 200, 500, 700]);
-    let (_, summary) =
-        read(format!("Time Stamp,ID,LEN,D1\n7,5C0,1,63\n{}", "-9999999999,5C0,1,63\n").as_bytes());
-    assert_eq!(summary.lost_entries(), 1, "{summary}");
+    is_read(&[-1000, max, -max - 1, -1], [0, max + 1000, max + 1001, turn + 999]);
+    is_read(&[-max - 1, 0, max, -max - 1], [0, max + 1, turn - 1, turn]);
+    // A frame from before the turn, or from before 0, has the moment of the one before it.
+    is_read(&[turn - 9, 5, turn - 7, 6], [turn - 9, turn + 5, turn + 5, turn + 6]);
+    is_read(&[5, -5, 6, 7], [5, 5, 6, 7]);
+    // No counter of 32 bits: its clock was set back.
+    let wide = 10 * turn;
+    is_read(&[wide, -5, 6, 7], [wide, wide, wide + 6, wide + 7]);
+    is_read(&[wide, wide + 1, wide - turn, wide], [wide, wide + 1, wide + 1, wide + 1]);
 }
 
 /// The protocol of a cooked packet says that it is an FD frame; the flag may be missing.

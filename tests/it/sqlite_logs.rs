@@ -173,10 +173,12 @@ fn write_ahead_log_beside_a_database_is_named() {
     let mut with_wal = THREE_LEVELS.to_vec();
     with_wal[18..20].fill(2);
     for (database, wal, code) in [
-        (with_wal.as_slice(), &b"frames"[..], 1),
+        (with_wal.as_slice(), &[7; 4152][..], 1),
         (with_wal.as_slice(), b"", 0),
+        // The head of the log alone.
+        (with_wal.as_slice(), &[7; 32], 0),
         // Of another database that had the same name: SQLite does not read it either.
-        (THREE_LEVELS, b"frames", 0),
+        (THREE_LEVELS, &[7; 4152], 0),
     ] {
         fs::write(folder.path().join("log.db"), database).unwrap();
         fs::write(folder.path().join("log.db-wal"), wal).unwrap();

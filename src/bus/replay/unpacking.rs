@@ -40,23 +40,27 @@ fn unread_changes(file: &File) -> Option<UnreadChanges> {
     /// First bytes of a rollback journal; a transaction that has ended leaves zeros, or no file.
     /// Source: "Database File Format" of SQLite, section 3.
     const JOURNAL: [u8; 8] = [0xD9, 0xD5, 0x05, 0xF9, 0x20, 0xA1, 0x63, 0xD7];
+    /// Bytes of the head of a write-ahead log, without frames behind it: section 4.1.
+    const WAL_HEAD: u64 = 32;
     let path = path_of(file)?.into_os_string();
     let beside = |ending: &str| {
         let mut path = path.clone();
         path.push(ending);
         PathBuf::from(path)
     };
-    let is_filled = |path: &Path| fs::metadata(path).is_ok_and(|it| it.is_file() && it.len() > 0);
+    let is_longer = |path: &Path, bytes: u64| {
+        fs::metadata(path).is_ok_and(|it| it.is_file() && it.len() > bytes)
+    };
     let journal = beside("-journal");
     let is_open = || {
         let mut head = [0; JOURNAL.len()];
         let read = File::open(&journal).and_then(|mut file| file.read_exact(&mut head));
         read.is_ok() && head == JOURNAL
     };
-    if is_filled(&beside("-wal")) {
+    if is_longer(&beside("-wal"), WAL_HEAD) {
         return Some(UnreadChanges::WriteAheadLog);
     }
-    (is_filled(&journal) && is_open()).then_some(UnreadChanges::RollbackJournal)
+    (is_longer(&journal, 0) && is_open()).then_some(UnreadChanges::RollbackJournal)
 }
 
 fn spool() -> io::Result<Box<dyn LogSpool>> {

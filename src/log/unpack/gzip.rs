@@ -3,6 +3,9 @@
 use flate2::bufread::GzDecoder;
 use std::io::{self, BufRead, BufReader, Read};
 
+/// First byte of a member.
+const MAGIC: u8 = 0x1F;
+
 /// The members of a gzip file, one after the other. Zeros may stand behind them, as tapes have them.
 pub(super) struct GzipReader<R> {
     /// `None` at the end of the file.
@@ -30,7 +33,10 @@ impl<R: Read> Read for GzipReader<R> {
                 if bytes.is_empty() {
                     break;
                 }
-                if zeros < bytes.len() {
+                if let Some(&next) = bytes.get(zeros) {
+                    if next != MAGIC {
+                        return Err(io::ErrorKind::InvalidData.into());
+                    }
                     source.consume(zeros);
                     self.member = Some(GzDecoder::new(source));
                     break;
