@@ -122,7 +122,7 @@ impl GvretLines {
 /// 71.6 minutes.
 #[derive(Clone, Copy, Debug, Default)]
 struct WrappedCounter {
-    /// A time has more bits: it is no such counter.
+    /// A time outside the range of 32 bits was read: the times are of another clock.
     is_wider: bool,
     /// The last time, with the turns before it.
     last: Option<i128>,

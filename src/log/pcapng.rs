@@ -443,7 +443,8 @@ fn write_description(out: &mut impl Write, name: &str, unit: TimeUnit) -> io::Re
     block.write(out)
 }
 
-/// Writes a frame of an interface, at a time in microseconds since 1970.
+/// Writes a frame of an interface, at a time in its unit: microseconds since 1970 after
+/// [`write_interface`].
 ///
 /// # Errors
 ///
@@ -451,10 +452,10 @@ fn write_description(out: &mut impl Write, name: &str, unit: TimeUnit) -> io::Re
 pub fn write_frame(
     out: &mut impl Write,
     interface: u32,
-    unix_micros: u64,
+    time: u64,
     frame: &Frame,
 ) -> io::Result<()> {
-    write_packet(out, interface, unix_micros, frame, "")
+    write_frame_with(out, interface, time, frame, "")
 }
 
 /// Writes a frame with a comment, empty for none.
@@ -463,17 +464,6 @@ pub fn write_frame(
 ///
 /// Those of writing to `out`.
 pub fn write_frame_with(
-    out: &mut impl Write,
-    interface: u32,
-    unix_micros: u64,
-    frame: &Frame,
-    comment: &str,
-) -> io::Result<()> {
-    write_packet(out, interface, unix_micros, frame, comment)
-}
-
-/// Writes a frame at a time in the unit of its interface.
-fn write_packet(
     out: &mut impl Write,
     interface: u32,
     time: u64,
@@ -572,7 +562,7 @@ impl LogEncoder for BlockEncoder {
             None => (TimeUnit::Micros, entry.time.micros),
         };
         let at = self.interface(bus, Some(unit), entry.interface, out)?;
-        write_packet(out, at as u32, time, &entry.frame, "")?;
+        write_frame(out, at as u32, time, &entry.frame)?;
         if (out.len() - before) as u64 > max_len {
             out.truncate(before);
             self.interfaces.truncate(interfaces);

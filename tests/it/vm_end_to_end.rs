@@ -446,17 +446,23 @@ fn take_socket_errors(process: u32) -> Vec<i32> {
         .collect()
 }
 
+/// Removes the interface while the process is stopped, takes the error from its socket, and lets it run on
+/// after `then`.
+fn remove_unnoticed(vcan: &Vcan, watching: &Watching, then: impl FnOnce()) {
+    watching.signal(Signal::SIGSTOP);
+    vcan.remove();
+    assert_eq!(take_socket_errors(watching.id()), [Errno::ENODEV as i32]);
+    then();
+    watching.signal(Signal::SIGCONT);
+}
+
 #[test]
 fn removal_whose_error_was_overwritten_is_noticed() {
     let Some(vcan) = Vcan::new("dsp-error") else { return };
     let folder = tempfile::tempdir().unwrap();
     let watching = Watching::start(&[vcan.name(), "--json"], folder.path());
     watching.event("bus");
-    // So that it does not take the error itself.
-    watching.signal(Signal::SIGSTOP);
-    vcan.remove();
-    assert_eq!(take_socket_errors(watching.id()), [Errno::ENODEV as i32]);
-    watching.signal(Signal::SIGCONT);
+    remove_unnoticed(&vcan, &watching, || {});
     watching.event_that("bus", |it| it["bus"]["state"] == "down");
     vcan.create().unwrap();
     watching.event_that("bus", |it| it["bus"]["state"] != "down");
@@ -502,12 +508,7 @@ fn interface_that_returns_with_its_index_is_opened_again() {
             watching.event_that("bus", |it| it["bus"]["state"] == "down");
             vcan.create_with_index(index);
         } else {
-            // It is there again, and the error is lost, before the program looks.
-            watching.signal(Signal::SIGSTOP);
-            vcan.remove();
-            assert_eq!(take_socket_errors(watching.id()), [Errno::ENODEV as i32]);
-            vcan.create_with_index(index);
-            watching.signal(Signal::SIGCONT);
+            remove_unnoticed(&vcan, &watching, || vcan.create_with_index(index));
         }
         // After a message that was sent when it was back.
         let (ticks, last) = used(next(code + 12));

@@ -249,7 +249,7 @@ fn classified(error: io::Error) -> io::Error {
     match error.kind() {
         io::ErrorKind::UnexpectedEof => error,
         _ if is_of_file => error,
-        // The window of the decompressor is too large, or there is no decompressor.
+        // Decompression needs too much memory, or a filter that is not supported.
         io::ErrorKind::OutOfMemory | io::ErrorKind::Unsupported => error,
         _ => io::Error::new(io::ErrorKind::InvalidData, error),
     }
