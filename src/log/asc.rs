@@ -29,15 +29,17 @@ pub(super) struct AscLines {
     base: u32,
     /// Each time counts from the event before.
     is_relative: bool,
-    /// Date of the measurement, in microseconds since 1970.
-    start: u64,
+    /// Date of the measurement.
+    start: LogTime,
     /// Time of the last event since the start.
     last: LogTime,
 }
 
 impl AscLines {
-    const NEW: Self =
-        Self { base: 16, is_relative: false, start: 0, last: LogTime::from_micros(0) };
+    const NEW: Self = {
+        let zero = LogTime::from_micros(0);
+        Self { base: 16, is_relative: false, start: zero, last: zero }
+    };
 
     /// Returns the beginning of a log with this line, if it is one of the head of an ASC log.
     pub fn of_line(line: &[u8]) -> Option<Self> {
@@ -60,11 +62,12 @@ impl AscLines {
         }
         let (time, rest) = first_word(line);
         let time = LogTime::of_seconds(time).ok_or(FieldFault::Time)?;
-        let since_start = if self.is_relative { self.last.saturating_add(time) } else { time };
+        let since_start = if self.is_relative { self.last.checked_add(time) } else { Some(time) };
+        let since_start = since_start.ok_or(FieldFault::TimeRange)?;
         let event = self.read_event(rest);
         self.last = since_start;
         let Some((number, frame)) = event? else { return Ok(None) };
-        let time = LogTime::from_micros(self.start).saturating_add(since_start);
+        let time = self.start.checked_add(since_start).ok_or(FieldFault::TimeRange)?;
         Ok(Some(LogEntry { time, interface: channel_name(number), frame }))
     }
 

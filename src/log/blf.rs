@@ -228,11 +228,12 @@ fn read_object(start: u64, object: &[u8]) -> Result<LogEntry<'static>, FieldFaul
         return Err(FieldFault::Kind);
     }
     let since_start = if flags == TEN_MICROS {
-        LogTime::from_micros(time.saturating_mul(10))
+        time.checked_mul(10).map(LogTime::from_micros)
     } else {
-        LogTime::from_nanos(time)
+        Some(LogTime::from_nanos(time))
     };
-    let time = LogTime::from_micros(start).saturating_add(since_start);
+    let time = since_start.and_then(|time| LogTime::from_micros(start).checked_add(time));
+    let time = time.ok_or(FieldFault::TimeRange)?;
     let body = object.get(usize::from(head_len)..size).ok_or(FieldFault::Column)?;
     let (channel, frame) = match kind {
         MESSAGE | MESSAGE_2 => message(ObjectFields(body))?,

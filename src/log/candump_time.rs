@@ -91,7 +91,8 @@ impl CandumpTimes {
             }
             PrintedTime::Short(time) => time,
         };
-        self.sum = self.sum.saturating_add(time);
+        // 2⁶⁴ µs are more lines of under 1000 s than any log has.
+        self.sum = self.sum.checked_add(time).unwrap_or(self.sum);
         if self.seen == 0 && time.micros >= NO_DIFFERENCE && self.origin == TimeOrigin::Unknown {
             self.origin = TimeOrigin::Fixed;
         }

@@ -61,9 +61,8 @@ pub(super) fn is_in_repeated_hour(micros: u64) -> bool {
     read.and_then(|read| micros.checked_sub(read)).is_some_and(|step| (1..DAY).contains(&step))
 }
 
-/// Parses the date of an ASC log, without its weekday: `Sep 30 10:06:13.191 PM 2017`, in microseconds
-/// since 1970.
-pub(super) fn asc_date(text: &[u8]) -> Option<u64> {
+/// Parses the date of an ASC log, without its weekday: `Sep 30 10:06:13.191 PM 2017`.
+pub(super) fn asc_date(text: &[u8]) -> Option<LogTime> {
     // Logs of other code pages have letters that are not UTF-8.
     let text = String::from_utf8_lossy(text);
     let words: Vec<_> = text.split_whitespace().take(6).collect();
@@ -75,7 +74,7 @@ pub(super) fn asc_date(text: &[u8]) -> Option<u64> {
     let month = month.to_lowercase();
     let is_month = |names: &&[&str]| names.iter().any(|name| month.starts_with(name));
     let month = MONTHS.iter().position(is_month)?;
-    let (hour, minute, micros) = time_of_day(time.as_bytes())?;
+    let (hour, minute, second) = time_of_day(time.as_bytes())?;
     let hour = match half.map(str::to_ascii_lowercase).as_deref() {
         None => hour,
         Some("am" | "a.m.") => hour % 12,
@@ -83,7 +82,7 @@ pub(super) fn asc_date(text: &[u8]) -> Option<u64> {
         Some(_) => return None,
     };
     let day = number(day.trim_end_matches(['.', ',']).as_bytes(), 10)?;
-    civil(number(year.as_bytes(), 10)?, month as u32 + 1, day, (hour, minute, micros))
+    civil(number(year.as_bytes(), 10)?, month as u32 + 1, day, (hour, minute, second))
 }
 
 /// Parses a date of PEAK's tools such as `18.12.2021 14:28:07.062.0`, in microseconds since 1970.
@@ -95,19 +94,17 @@ pub(super) fn day_month_year(text: &[u8]) -> Option<u64> {
     // Behind the milliseconds are microseconds.
     let mut points = time.iter().enumerate().filter(|(_, byte)| **byte == b'.');
     let end = points.nth(1).map_or(time.len(), |(at, _)| at);
-    civil(year, month, day, time_of_day(&time[..end])?)
+    Some(civil(year, month, day, time_of_day(&time[..end])?)?.micros)
 }
 
-/// Parses a date such as `2026-11-27` and a time of day, in microseconds since 1970.
+/// Parses a date such as `2026-11-27` and a time of day.
 pub(super) fn iso_date(date: &[u8], time: &[u8]) -> Option<LogTime> {
     let mut parts = date.split(|&byte| byte == b'-').map(|part| number(part, 10));
     let (year, month, day) = (parts.next()??, parts.next()??, parts.next()??);
     if parts.next().is_some() {
         return None;
     }
-    let micros = civil(year, month, day, time_of_day(time)?)?;
-    let second = time.rsplit(|&byte| byte == b':').next()?;
-    Some(LogTime { micros, ..LogTime::of_seconds(second)? })
+    civil(year, month, day, time_of_day(time)?)
 }
 
 /// Returns the microseconds since 1970 of days since 1899-12-30, as TRC counts them.
@@ -160,22 +157,23 @@ pub(super) fn system_time_of(unix_micros: u64) -> [u16; 8] {
     ]
 }
 
-/// Parses `10:06:13.191` as hour, minute and microseconds since the minute began.
-fn time_of_day(text: &[u8]) -> Option<(u32, u32, u64)> {
+/// Parses `10:06:13.191` as hour, minute and the time since the minute began.
+fn time_of_day(text: &[u8]) -> Option<(u32, u32, LogTime)> {
     let mut parts = text.splitn(3, |&byte| byte == b':');
     let (hour, minute) = (number(parts.next()?, 10)?, number(parts.next()?, 10)?);
-    Some((hour, minute, fixed_point::<6>(parts.next().unwrap_or(b"0"))?))
+    Some((hour, minute, LogTime::of_seconds(parts.next().unwrap_or(b"0"))?))
 }
 
-fn civil(year: u32, month: u32, day: u32, time: (u32, u32, u64)) -> Option<u64> {
-    let (hour, minute, micros) = time;
+/// Returns the moment of a local date and a time of day, as [`time_of_day`] has it.
+fn civil(year: u32, month: u32, day: u32, time: (u32, u32, LogTime)) -> Option<LogTime> {
+    let (hour, minute, LogTime { micros, nanos }) = time;
     let small = |value: u32| i8::try_from(value).ok();
     let second = i8::try_from(micros / 1_000_000).ok()?;
-    let nanos = i32::try_from(micros % 1_000_000 * 1000).ok()?;
     let year = i16::try_from(year).ok()?;
     let date = jiff::civil::Date::new(year, small(month)?, small(day)?).ok()?;
-    let time = jiff::civil::Time::new(small(hour)?, small(minute)?, second, nanos).ok()?;
-    unix_micros(date.to_datetime(time))
+    let time = jiff::civil::Time::new(small(hour)?, small(minute)?, second, 0).ok()?;
+    let micros = unix_micros(date.to_datetime(time))?.checked_add(micros % 1_000_000)?;
+    Some(LogTime { micros, nanos })
 }
 
 /// Returns seconds and their fraction, in microseconds; `None` if the text is not a number. The number may

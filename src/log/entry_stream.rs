@@ -30,7 +30,7 @@ const DAMAGE_LEN: usize = 10;
 const CLASSIC: u8 = u8::MAX;
 
 /// Faults by their number in a stream.
-const FAULTS: [FieldFault; 9] = [
+const FAULTS: [FieldFault; 10] = [
     FieldFault::TooLong,
     FieldFault::Time,
     FieldFault::Date,
@@ -40,6 +40,7 @@ const FAULTS: [FieldFault; 9] = [
     FieldFault::Data,
     FieldFault::Column,
     FieldFault::Kind,
+    FieldFault::TimeRange,
 ];
 
 /// Writes a stream.

@@ -15,6 +15,9 @@ pub enum FieldFault {
     /// The line is neither a comment nor an event with a time.
     #[error("it does not begin with a time")]
     Time,
+    /// The time is before 1970, or above 2⁶⁴ − 1 µs since then.
+    #[error("the time is before 1970, or too large")]
+    TimeRange,
     /// The date of the beginning cannot be read.
     #[error("the date cannot be read")]
     Date,

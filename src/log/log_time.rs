@@ -23,15 +23,12 @@ impl LogTime {
         Self { micros: nanos / 1000, nanos: (nanos % 1000) as u16 }
     }
 
-    /// Returns the sum of both, at most the last microsecond.
-    #[must_use]
-    pub(super) fn saturating_add(self, other: Self) -> Self {
+    /// Returns the sum of both; `None` behind the last microsecond.
+    pub(super) fn checked_add(self, other: Self) -> Option<Self> {
         let nanos = self.nanos + other.nanos;
-        let micros = self.micros.checked_add(other.micros);
-        match micros.and_then(|micros| micros.checked_add(u64::from(nanos / 1000))) {
-            Some(micros) => Self { micros, nanos: nanos % 1000 },
-            None => Self::from_micros(u64::MAX),
-        }
+        let micros = self.micros.checked_add(other.micros)?;
+        let micros = micros.checked_add(u64::from(nanos / 1000))?;
+        Some(Self { micros, nanos: nanos % 1000 })
     }
 
     /// Returns a number of seconds such as `12.000345678`; further digits are cut off. `None` if the text is

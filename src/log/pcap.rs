@@ -89,7 +89,7 @@ impl FileHead {
         } else {
             LogTime::from_micros(fraction)
         };
-        Some(LogTime::from_micros(u64::from(seconds) * 1_000_000).saturating_add(fraction))
+        LogTime::from_micros(u64::from(seconds) * 1_000_000).checked_add(fraction)
     }
 }
 

@@ -76,6 +76,9 @@ pub enum PacketFault {
     /// A simple packet block.
     #[error("simple packet block, which has no time; capture with times")]
     NoTime,
+    /// The time is before 1970, or above 2⁶⁴ − 1 µs since then.
+    #[error("the time is before 1970, or too large")]
+    TimeRange,
     /// The captured bytes are not a CAN frame.
     #[error("not a valid CAN frame")]
     NoFrame,
@@ -285,17 +288,18 @@ impl SectionState {
             }
         }
         let time = interface.time(u64::from(high) << 32 | u64::from(low));
+        let time = time.ok_or(PacketFault::TimeRange)?;
         Ok(Some(LogEntry { time, interface: &interface.name, frame }))
     }
 }
 
 impl PcapInterface {
-    /// Converts a time in this interface's units.
-    fn time(&self, time: u64) -> LogTime {
+    /// Converts a time in this interface's units; `None` for one before 1970, or one too large.
+    fn time(&self, time: u64) -> Option<LogTime> {
         // The usual ones.
         match (self.resolution, self.offset_seconds) {
-            (6, 0) => return LogTime::from_micros(time),
-            (9, 0) => return LogTime::from_nanos(time),
+            (6, 0) => return Some(LogTime::from_micros(time)),
+            (9, 0) => return Some(LogTime::from_nanos(time)),
             _ => {}
         }
         let time = u128::from(time);
@@ -305,11 +309,9 @@ impl PcapInterface {
             decimal => 10_u128.checked_pow(u32::from(decimal - 9)).map_or(0, |unit| time / unit),
         };
         let offset = i128::from(self.offset_seconds) * 1_000_000_000;
-        let nanos = i128::try_from(nanos).unwrap_or(i128::MAX).saturating_add(offset).max(0);
-        match u64::try_from(nanos / 1000) {
-            Ok(micros) => LogTime { micros, nanos: (nanos % 1000) as u16 },
-            Err(_) => LogTime::from_micros(u64::MAX),
-        }
+        let nanos = i128::try_from(nanos).ok()?.checked_add(offset)?;
+        let micros = u64::try_from(nanos.div_euclid(1000)).ok()?;
+        Some(LogTime { micros, nanos: nanos.rem_euclid(1000) as u16 })
     }
 }
 

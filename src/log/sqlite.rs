@@ -38,7 +38,7 @@ const MAX_COLUMNS: usize = 64;
 /// Reads a database.
 #[derive(Debug)]
 pub(super) struct SqliteTable {
-    /// A write-ahead log with contents is beside the file.
+    /// What the file beside it has, which is not read.
     unread: Option<UnreadChanges>,
     stage: SqliteStage,
 }
@@ -83,18 +83,11 @@ impl SqliteTable {
         bytes: &dyn RandomAccess,
         out: &mut EntryWriter,
     ) -> Result<SqliteStage, RowFault> {
-        /// Version of a file with a write-ahead log.
-        const WITH_WAL: u8 = 2;
         let mut head = [0; FILE_HEAD];
         if read_full_at(bytes, &mut head, 0)? < FILE_HEAD {
             return Err(Damage::PageMissing(1).into());
         }
-        // A file of another kind was left by another database that had the same name.
-        let is_its_own = |unread: &UnreadChanges| match unread {
-            UnreadChanges::WriteAheadLog => head[19] == WITH_WAL,
-            UnreadChanges::RollbackJournal => head[19] != WITH_WAL,
-        };
-        if let Some(unread) = self.unread.filter(is_its_own) {
+        if let Some(unread) = self.unread {
             out.unread_changes(unread);
         }
         let sizes = PageSizes::of_head(&head).ok_or(Damage::Page(1))?;

@@ -135,8 +135,7 @@ impl TrcLines {
             }
             rest = after;
         }
-        let time = self.start.saturating_add(time.ok_or(FieldFault::Time)?);
-        let time = LogTime::from_micros(time);
+        let time = self.time(time)?;
         let interface = channel_name(bus);
         let (is_fd, flags) = match kind {
             b"DT" | b"RR" => (false, 0),
@@ -177,6 +176,12 @@ impl TrcLines {
         Ok(Some(LogEntry { time, interface, frame }))
     }
 
+    /// Returns the time of a message, given the microseconds since the start.
+    fn time(&self, since_start: Option<u64>) -> Result<LogTime, FieldFault> {
+        let time = self.start.checked_add(since_start.ok_or(FieldFault::Time)?);
+        time.map(LogTime::from_micros).ok_or(FieldFault::TimeRange)
+    }
+
     /// Reads a line of version 1 that is neither received nor sent.
     fn other_message(
         &self,
@@ -187,9 +192,7 @@ impl TrcLines {
         match kind {
             b"Warng" => Ok(None),
             b"Error" => {
-                let time = self.start.saturating_add(time.ok_or(FieldFault::Time)?);
-                let time = LogTime::from_micros(time);
-                let frame = bus_error();
+                let (time, frame) = (self.time(time)?, bus_error());
                 Ok(Some(LogEntry { time, interface: channel_name(bus), frame }))
             }
             _ => Err(FieldFault::Kind),

@@ -354,6 +354,10 @@ fn nanoseconds_of_times_are_kept_where_the_format_has_them() {
         assert_eq!(frames.iter().map(|frame| frame.bus.0).collect::<Vec<_>>(), [0, 1, 0, 0, 1]);
         last = next;
     }
+    let date = "date Tue Nov 14 10:13:20.0000004 pm 2023";
+    let sum =
+        [date, "\nbase hex  timestamps absolute\n 0.000000700 1  123  Rx   d 1 11\n"].concat();
+    assert_eq!(nanos_of(sum.as_bytes())[0] % 1_000_000_000, 1100);
     let (asc, relative) = (
         "date Tue Nov 14 10:13:20.000 pm 2023\nbase hex  timestamps absolute\n",
         "   0.000000600 1  123             Rx   d 1 11\n   0.000000600 1  123             Rx   d 1 11\n",
@@ -367,6 +371,21 @@ fn nanoseconds_of_times_are_kept_where_the_format_has_them() {
         assert!(said.contains("3 times cut to the microsecond"), "{ending}: {said}");
         let cut: Vec<_> = nanos.iter().map(|nanos| nanos / 1000 * 1000).collect();
         assert_eq!(nanos_of(&fs::read(path.join(format!("cut.{ending}"))).unwrap()), cut);
+    }
+}
+
+#[test]
+fn time_behind_the_last_microsecond_is_unreadable() {
+    let head = "date Tue Nov 14 10:13:20.000 pm 2023\nbase hex  timestamps absolute\n";
+    let trc = ";$FILEVERSION=1.1\n;$STARTTIME=45244.9\n";
+    for log in [
+        format!("{head}   18446744073709.551615 1  123   Rx   d 1 11\n"),
+        format!("{trc}  1)  18446744073709551.615  Rx  0123  1  11\n"),
+    ] {
+        let (frames, summary) = read(log.as_bytes());
+        assert_eq!(frames.len(), 0, "{log}");
+        let said = summary.to_string();
+        assert!(said.ends_with("cannot be read: the time is before 1970, or too large"), "{said}");
     }
 }
 
@@ -577,7 +596,7 @@ fn cut_and_damaged_logs_are_read_up_to_the_place() {
         (b"\x28\xB5\x2F\xFD\xFF\xFF\xFF\xFF\xFF", "0 frames; truncated inside a block (byte 0)"),
         (
             b"\xFD7zXZ\0garbage-garbage-garbage-garbage",
-            "0 frames; truncated inside a block (byte 0)",
+            "0 frames; damaged compression: the rest cannot be read (byte 0)",
         ),
         (
             b"LOGG\xFF\xFF\xFF\xFF",
@@ -610,6 +629,24 @@ fn changed_bytes_of_compressed_logs_are_found() {
     // A dictionary of 512 MB.
     let said = read(&xz_with_filter([0x21, 1, 34])).1.to_string();
     assert!(said.contains("needs over 128 MB of memory; pack it again"), "{said}");
+}
+
+#[test]
+fn xz_with_any_byte_changed_is_damaged() {
+    for file in [
+        &include_bytes!("../corpus/packed/xz_text")[..],
+        include_bytes!("../corpus/packed/xz_two_streams"),
+    ] {
+        assert_eq!(read(file).1.lost_entries(), 0);
+        for at in 0..file.len() {
+            for mask in [0x01, 0x80] {
+                let mut changed = file.to_vec();
+                changed[at] ^= mask;
+                let summary = read(&changed).1;
+                assert_ne!(summary.lost_entries(), 0, "byte {at}: {summary}");
+            }
+        }
+    }
 }
 
 /// Returns a log in xz whose first block has another filter: its identifier, the length of its properties,

@@ -125,6 +125,37 @@ fn packet(id: u16, byte: u8) -> Vec<u8> {
 }
 
 #[test]
+fn packet_outside_the_range_of_times_is_unreadable() {
+    let before_1970 = (-20_i64).to_le_bytes();
+    // Units of interfaces, and a time in each that is read, with its microseconds, and one that is not.
+    let seconds = 1_u64 << 44;
+    for (options, (time, micros), outside) in [
+        (&[(14, &before_1970[..])][..], (20_000_000, 0), 19_999_999),
+        (&[(9, &[9]), (14, &before_1970)], (20_000_000_999, 0), 19_999_999_999),
+        (&[(9, &[0])], (seconds, seconds * 1_000_000), 1 << 45),
+        (&[(9, &[0x80])], (seconds, seconds * 1_000_000), u64::MAX),
+        (
+            &[(14, &[0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0x0F, 0, 0])],
+            (0, 17_592_186_044_415_000_000),
+            u64::MAX,
+        ),
+    ] {
+        let mut blocks = Blocks::new(false);
+        blocks.interface(227, options);
+        blocks.packet(0, outside, &packet(0x101, 1));
+        blocks.packet(0, time, &packet(0x102, 2));
+        let (frames, summary) = read(&blocks.bytes);
+        assert_eq!(summary.written.micros, micros, "{options:?}");
+        assert_eq!(frames.len(), 1, "{options:?}");
+        assert_eq!(
+            summary.unreadable_entries().to_string(),
+            "block 3 cannot be read: the time is before 1970, or too large",
+            "{options:?}"
+        );
+    }
+}
+
+#[test]
 fn either_byte_order_and_any_time_unit_is_read() {
     let mut big = Blocks::new(true);
     big.interface(227, &[(2, b"can7"), (9, &[9])]);

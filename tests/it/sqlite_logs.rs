@@ -197,13 +197,35 @@ fn write_ahead_log_beside_a_database_is_named() {
     }
 }
 
+/// Returns a rollback journal with this number of pages in its head, and perhaps with a page.
+fn journal(pages: u32, has_page: bool) -> Vec<u8> {
+    let mut journal = vec![0xD9, 0xD5, 0x05, 0xF9, 0x20, 0xA1, 0x63, 0xD7];
+    for field in [pages, 0x1234_5678, 40, 512, 4096] {
+        journal.extend(field.to_be_bytes());
+    }
+    journal.resize(512 + if has_page { 4 + 4096 + 4 } else { 0 }, 0);
+    journal
+}
+
 /// What a program leaves that was killed inside a transaction, and one that has ended it.
 #[test]
 fn open_transaction_of_a_database_is_named() {
     let folder = tempfile::tempdir().unwrap();
     fs::write(folder.path().join("log.db"), THREE_LEVELS).unwrap();
-    let open = [&[0xD9, 0xD5, 0x05, 0xF9, 0x20, 0xA1, 0x63, 0xD7][..], &[0; 504]].concat();
-    for (journal, code) in [(&open[..], 1), (&[0; 512], 0), (b"", 0), (&open[..7], 0)] {
+    // A write-ahead log of another database that had the same name hides nothing.
+    fs::write(folder.path().join("log.db-wal"), [7; 4152]).unwrap();
+    let ended = [&[0; 28], &journal(1, true)[28..]].concat();
+    for (journal, code) in [
+        (journal(1, true), 1),
+        (journal(u32::MAX, true), 1),
+        (ended, 0),
+        // Nothing of the database was overwritten yet.
+        (journal(0, true), 0),
+        (journal(1, false), 0),
+        (journal(1, true)[..8].to_vec(), 0),
+        (journal(1, true)[..7].to_vec(), 0),
+        (Vec::new(), 0),
+    ] {
         fs::write(folder.path().join("log.db-journal"), journal).unwrap();
         let output =
             run_with_input(&["convert", "log.db", "out.log", "--force"], folder.path(), b"");

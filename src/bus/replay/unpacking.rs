@@ -2,7 +2,7 @@
 
 use crate::log::{LogSpool, RandomAccess, Unpacked, UnreadChanges};
 use crate::open_file::{path_of, temporary_folder};
-use crate::positioned_read::read_at;
+use crate::positioned_read::{read_at, read_exact_at};
 use std::fs::{self, File};
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
@@ -35,32 +35,45 @@ pub(super) fn unpacked_with<'a>(
     }
 }
 
-/// Returns the changes of a database that are in a file beside it.
+/// Returns the changes of a database that are in a file beside it. Of the two kinds of such files the
+/// other one was left by another database that had the same name.
 fn unread_changes(file: &File) -> Option<UnreadChanges> {
-    /// First bytes of a rollback journal; a transaction that has ended leaves zeros, or no file.
-    /// Source: "Database File Format" of SQLite, section 3.
-    const JOURNAL: [u8; 8] = [0xD9, 0xD5, 0x05, 0xF9, 0x20, 0xA1, 0x63, 0xD7];
+    /// Version of a database with a write-ahead log, and where it is.
+    const WITH_WAL: u8 = 2;
+    const VERSION_AT: u64 = 19;
     /// Bytes of the head of a write-ahead log, without frames behind it: section 4.1.
     const WAL_HEAD: u64 = 32;
     let path = path_of(file)?.into_os_string();
-    let beside = |ending: &str| {
+    let open_beside = |ending: &str| {
         let mut path = path.clone();
         path.push(ending);
-        PathBuf::from(path)
+        let is_file = fs::metadata(&path).is_ok_and(|it| it.is_file());
+        if is_file { File::open(path).ok() } else { None }
     };
-    let is_longer = |path: &Path, bytes: u64| {
-        fs::metadata(path).is_ok_and(|it| it.is_file() && it.len() > bytes)
-    };
-    let journal = beside("-journal");
-    let is_open = || {
-        let mut head = [0; JOURNAL.len()];
-        let read = File::open(&journal).and_then(|mut file| file.read_exact(&mut head));
-        read.is_ok() && head == JOURNAL
-    };
-    if is_longer(&beside("-wal"), WAL_HEAD) {
-        return Some(UnreadChanges::WriteAheadLog);
+    let mut version = [0];
+    read_exact_at(file, &mut version, VERSION_AT).ok()?;
+    if version == [WITH_WAL] {
+        let wal = open_beside("-wal")?.metadata().ok()?;
+        (wal.len() > WAL_HEAD).then_some(UnreadChanges::WriteAheadLog)
+    } else {
+        let has_pages = journal_has_pages(&open_beside("-journal")?)?;
+        has_pages.then_some(UnreadChanges::RollbackJournal)
     }
-    (is_longer(&journal, 0) && is_open()).then_some(UnreadChanges::RollbackJournal)
+}
+
+/// Returns true if a rollback journal has pages that its database is to get back; `None` if it has no head.
+/// A transaction that has ended leaves zeros in place of the head, or no file.
+///
+/// Source: "Database File Format" of SQLite, section 3.
+fn journal_has_pages(journal: &File) -> Option<bool> {
+    const MAGIC: [u8; 8] = [0xD9, 0xD5, 0x05, 0xF9, 0x20, 0xA1, 0x63, 0xD7];
+    let mut head = [0; 28];
+    read_exact_at(journal, &mut head, 0).ok()?;
+    let (magic, fields) = head.split_first_chunk()?;
+    let pages = fields.first_chunk().map(|pages| u32::from_be_bytes(*pages))?;
+    let head_len = fields[12..].first_chunk().map(|len| u32::from_be_bytes(*len))?;
+    let is_longer = journal.metadata().ok()?.len() > u64::from(head_len);
+    Some(*magic == MAGIC && pages != 0 && is_longer)
 }
 
 fn spool() -> io::Result<Box<dyn LogSpool>> {

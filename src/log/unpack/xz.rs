@@ -7,13 +7,28 @@ use std::io::{self, BufRead, BufReader, Read};
 /// The blocks of an xz file.
 ///
 /// Source: "The .xz File Format", version 1.2.1. A block is compared with its CRC32 or CRC64; SHA-256 is
-/// not computed.
+/// not computed. The index is compared with the sums of the sizes of the blocks.
 pub(super) struct XzReader<R: Read> {
     state: XzState<R>,
+    /// Flags of the stream, which its foot repeats.
+    flags: [u8; 2],
     /// Bytes of the check behind a block.
     check_len: usize,
     /// The check of what was read of the block; `None` if it is not computed.
     check: Option<XzCheck>,
+    /// Blocks of the stream, up to the current one.
+    blocks: BlockSizes,
+}
+
+/// Sizes of the blocks of a stream.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+struct BlockSizes {
+    /// Number of blocks.
+    count: u64,
+    /// Sum of their bytes in the file, without padding.
+    packed: u64,
+    /// Sum of their bytes, unpacked.
+    unpacked: u64,
 }
 
 /// A cyclic redundancy check, bits reversed.
@@ -44,14 +59,25 @@ const fn crc_table(polynomial: u64) -> [u64; 256] {
 }
 
 impl XzCheck {
+    const fn crc32() -> Self {
+        let start = u32::MAX as u64;
+        Self { table: &CRC32, start, value: start }
+    }
+
+    /// Returns true if the CRC32 of the bytes is this one.
+    fn is_crc32(bytes: &[u8], written: &[u8]) -> bool {
+        let mut check = Self::crc32();
+        check.add(bytes);
+        check.is(written)
+    }
+
     /// Returns the check of this type in the head of a stream; `None` if it is not computed.
     fn of_type(kind: u8) -> Option<Self> {
-        let (table, start) = match kind {
-            1 => (&CRC32, u64::from(u32::MAX)),
-            4 => (&CRC64, u64::MAX),
-            _ => return None,
-        };
-        Some(Self { table, start, value: start })
+        match kind {
+            1 => Some(Self::crc32()),
+            4 => Some(Self { table: &CRC64, start: u64::MAX, value: u64::MAX }),
+            _ => None,
+        }
     }
 
     fn add(&mut self, bytes: &[u8]) {
@@ -95,7 +121,8 @@ impl<R: Read> Read for Counted<R> {
 impl<R: Read> XzReader<R> {
     pub fn new(source: R) -> Self {
         let source = Counted { source: BufReader::new(source), count: 0 };
-        Self { state: XzState::Start(source), check_len: 0, check: None }
+        let blocks = BlockSizes::default();
+        Self { state: XzState::Start(source), flags: [0; 2], check_len: 0, check: None, blocks }
     }
 
     /// Reads the head of a stream; without one it is the end.
@@ -109,11 +136,12 @@ impl<R: Read> XzReader<R> {
             source.read_exact(&mut head[..1])?;
         }
         source.read_exact(&mut head[1..])?;
-        if Packing::of_head(&head) != Some(Packing::Xz) {
+        let is_head = Packing::of_head(&head) == Some(Packing::Xz);
+        if !is_head || !XzCheck::is_crc32(&head[6..8], &head[8..]) {
             return Err(io::ErrorKind::InvalidData.into());
         }
-        // Blocks are padded from here on.
-        source.count = 0;
+        self.flags = [head[6], head[7]];
+        self.blocks = BlockSizes::default();
         self.check = XzCheck::of_type(head[7] & 0x0F);
         self.check_len = match head[7] & 0x0F {
             0 => 0,
@@ -127,12 +155,17 @@ impl<R: Read> XzReader<R> {
     }
 
     /// Reads the head of a block; without one it is the end of the stream.
-    fn begin_block(mut source: Counted<R>) -> io::Result<XzState<R>> {
+    fn begin_block(&mut self, mut source: Counted<R>) -> io::Result<XzState<R>> {
+        source.count = 0;
         let mut size = [0];
         source.read_exact(&mut size)?;
         // The index follows the last block.
         if size == [0] {
-            skip_xz_index(&mut source)?;
+            let is_same = read_index(&mut source)? == self.blocks;
+            let is_foot = read_foot(&mut source)? == self.flags;
+            if !is_same || !is_foot {
+                return Err(io::ErrorKind::InvalidData.into());
+            }
             return Ok(XzState::Start(source));
         }
         let mut head = vec![0; usize::from(size[0]) * 4 + 3];
@@ -145,24 +178,38 @@ impl<R: Read> XzReader<R> {
         Ok(XzState::Block(Box::new(reader)))
     }
 
-    /// Skips the padding behind a block, and compares its check.
+    /// Reads the padding behind a block, which is zeros, and compares its check.
     fn end_block(&mut self, source: &mut Counted<R>) -> io::Result<()> {
+        self.blocks.count += 1;
+        self.blocks.packed += source.count + self.check_len as u64;
         let padding = (4 - source.count % 4) % 4;
         let mut rest = [0; 3 + 64];
         let rest = &mut rest[..padding as usize + self.check_len];
         source.read_exact(rest)?;
-        let is_same = self.check.as_mut().is_none_or(|check| check.is(&rest[padding as usize..]));
-        if is_same { Ok(()) } else { Err(io::ErrorKind::InvalidData.into()) }
+        let (padding, written) = rest.split_at(padding as usize);
+        let is_same = self.check.as_mut().is_none_or(|check| check.is(written));
+        if is_same && padding.iter().all(|byte| *byte == 0) {
+            Ok(())
+        } else {
+            Err(io::ErrorKind::InvalidData.into())
+        }
     }
 }
 
-/// Skips the index behind its first byte, and the foot of the stream.
-fn skip_xz_index<R: Read>(source: &mut Counted<R>) -> io::Result<()> {
+/// Reads the index of a stream behind its first byte; returns the sums of its sizes.
+///
+/// # Errors
+///
+/// [`io::ErrorKind::InvalidData`] if its check is another one, and those of reading.
+fn read_index<R: Read>(source: &mut Counted<R>) -> io::Result<BlockSizes> {
+    let mut check = XzCheck::crc32();
+    check.add(&[0]);
     let mut number = || -> io::Result<u64> {
         let mut value = 0;
         for shift in (0..63).step_by(7) {
             let mut byte = [0];
             source.read_exact(&mut byte)?;
+            check.add(&byte);
             value |= u64::from(byte[0] & 0x7F) << shift;
             if byte[0] & 0x80 == 0 {
                 return Ok(value);
@@ -170,12 +217,37 @@ fn skip_xz_index<R: Read>(source: &mut Counted<R>) -> io::Result<()> {
         }
         Err(io::ErrorKind::InvalidData.into())
     };
-    for _ in 0..number()? {
-        let (_packed, _unpacked) = (number()?, number()?);
+    let mut sizes = BlockSizes { count: number()?, ..BlockSizes::default() };
+    for _ in 0..sizes.count {
+        sizes.packed = sizes.packed.wrapping_add(number()?);
+        sizes.unpacked = sizes.unpacked.wrapping_add(number()?);
     }
     let padding = (4 - source.count % 4) % 4;
-    let mut foot = [0; 3 + 4 + 12];
-    source.read_exact(&mut foot[..padding as usize + 4 + 12])
+    let mut rest = [0; 3 + 4];
+    let rest = &mut rest[..padding as usize + 4];
+    source.read_exact(rest)?;
+    let (padding, written) = rest.split_at(padding as usize);
+    check.add(padding);
+    if check.is(written) { Ok(sizes) } else { Err(io::ErrorKind::InvalidData.into()) }
+}
+
+/// Reads the foot of a stream behind its index; returns the flags of the stream.
+///
+/// # Errors
+///
+/// [`io::ErrorKind::InvalidData`] if it is none of this index, and those of reading.
+fn read_foot<R: Read>(source: &mut Counted<R>) -> io::Result<[u8; 2]> {
+    let index_len = source.count;
+    let mut foot = [0; 12];
+    source.read_exact(&mut foot)?;
+    let [c0, c1, c2, c3, size @ .., f0, f1, b'Y', b'Z'] = foot else {
+        return Err(io::ErrorKind::InvalidData.into());
+    };
+    let is_size = (u64::from(u32::from_le_bytes(size)) + 1) * 4 == index_len;
+    if !is_size || !XzCheck::is_crc32(&foot[4..10], &[c0, c1, c2, c3]) {
+        return Err(io::ErrorKind::InvalidData.into());
+    }
+    Ok([f0, f1])
 }
 
 /// Returns the size of the dictionary of a block with this head, whose first byte is `size`.
@@ -184,7 +256,7 @@ fn skip_xz_index<R: Read>(source: &mut Counted<R>) -> io::Result<()> {
 ///
 /// [`io::ErrorKind::Unsupported`] for another filter than LZMA2 alone, and [`io::ErrorKind::InvalidData`].
 fn xz_dictionary(size: u8, head: &[u8]) -> Result<u32, io::ErrorKind> {
-    let mut check = XzCheck::of_type(1).ok_or(io::ErrorKind::InvalidData)?;
+    let mut check = XzCheck::crc32();
     let (fields, written) = head.split_last_chunk::<4>().ok_or(io::ErrorKind::InvalidData)?;
     check.add(&[size]);
     check.add(fields);
@@ -222,12 +294,13 @@ impl<R: Read> Read for XzReader<R> {
             match std::mem::replace(&mut self.state, XzState::End) {
                 XzState::End => return Ok(0),
                 XzState::Start(source) => self.state = self.begin_stream(source)?,
-                XzState::Stream(source) => self.state = Self::begin_block(source)?,
+                XzState::Stream(source) => self.state = self.begin_block(source)?,
                 XzState::Block(mut block) => {
                     let count = block.read(buffer)?;
                     if let Some(check) = &mut self.check {
                         check.add(&buffer[..count]);
                     }
+                    self.blocks.unpacked += count as u64;
                     if count > 0 {
                         self.state = XzState::Block(block);
                         return Ok(count);

@@ -246,10 +246,10 @@ fn check_compares_each_gateway_with_its_folder() {
         json["gateways"][1]["error"].as_str().unwrap().contains("sites/h/des.json: "),
         "{json}"
     );
-    let (code, junit, _) = check("[]", &["--report", "tap"]);
+    let (code, tap, _) = check("[]", &["--report", "tap"]);
     assert_eq!(code, Some(3));
-    let failed = junit.lines().filter(|it| it.starts_with("not ok") && it.contains(" h: ")).count();
-    assert!(failed >= 2 && junit.contains("# SKIP"), "{junit}");
+    let failed = tap.lines().filter(|it| it.starts_with("not ok") && it.contains(" h: ")).count();
+    assert!(failed >= 2 && tap.contains("# SKIP"), "{tap}");
 }
 
 #[test]
