@@ -403,7 +403,7 @@ pub fn warn_foreign(app: &App, reported: &mut Vec<BusIndex>) {
     }
 }
 
-/// Prints on standard error which lines could not be read, and how often time goes backwards; if no line
+/// Prints on standard error which lines could not be read, and what is doubtful of the times; if no line
 /// could be read, it is an error.
 fn report_unreadable(spec: &BusSpec, session: &Session) -> Result<(), Failure> {
     let Some(summary) = session.log_summary() else {
@@ -418,6 +418,8 @@ fn report_unreadable(spec: &BusSpec, session: &Session) -> Result<(), Failure> {
         return Err(Failure::Unusable(format!("{spec}: {summary}")));
     }
     let is_damaged = summary.lost_entries() > 0;
+    let is_doubtful =
+        summary.clock_steps_back > 0 || summary.ends_inside_line || summary.is_date_ambiguous;
     if summary.frames == 0 && is_damaged {
         return Err(Failure::Unusable(format!("{spec}: {summary}; {READABLE_LOGS}")));
     }
@@ -427,7 +429,7 @@ fn report_unreadable(spec: &BusSpec, session: &Session) -> Result<(), Failure> {
             _ => "check that it is the right log",
         };
         output::warn(format_args!("{spec}: {summary}; {way_out}"));
-    } else if is_damaged || summary.clock_steps_back > 0 || summary.ends_inside_line {
+    } else if is_damaged || is_doubtful {
         output::warn(format_args!("{spec}: {summary}"));
     }
     Ok(())

@@ -53,6 +53,11 @@ impl AscLines {
         self.is_relative
     }
 
+    /// Returns the date of the measurement.
+    pub fn start(&self) -> LogTime {
+        self.start
+    }
+
     /// Reads a line; `None` for one without a frame.
     pub fn read<'a>(&mut self, line: &'a [u8]) -> Result<Option<LogEntry<'a>>, FieldFault> {
         check_line(line)?;

@@ -122,6 +122,12 @@ pub(super) fn without_colours(mut line: &[u8]) -> &[u8] {
     }
 }
 
+/// Returns true if a line begins with a date, as `-t A` has it.
+pub(super) fn has_date(line: &[u8]) -> bool {
+    let (word, _) = first_word(without_colours(line));
+    word.starts_with(b"(") && !word.ends_with(b")")
+}
+
 /// Splits a line into its time and the rest; `None` if it does not begin with one.
 pub(super) fn split(line: &[u8]) -> Option<(PrintedTime, &[u8])> {
     let (word, rest) = first_word(without_colours(line));

@@ -4,7 +4,7 @@
 use super::LogTime;
 use super::fields::{decimal, first_word, fixed_point, number};
 use jiff::civil::DateTime;
-use jiff::tz::TimeZone;
+use jiff::tz::{AmbiguousOffset, TimeZone};
 
 /// Microseconds from 1970-01-01 back to 1899-12-30, from which TRC counts days.
 const DAYS_BEFORE_1970: i128 = 25_569;
@@ -59,6 +59,12 @@ pub(super) fn is_in_repeated_hour(micros: u64) -> bool {
     const DAY: u64 = 86_400_000_000;
     let read = unix_micros(local_time(micros));
     read.and_then(|read| micros.checked_sub(read)).is_some_and(|step| (1..DAY).contains(&step))
+}
+
+/// Returns true if the local time of this moment comes twice, as summer time ends in that hour.
+pub(super) fn comes_twice(micros: u64) -> bool {
+    let ambiguous = TimeZone::system().to_ambiguous_timestamp(local_time(micros));
+    matches!(ambiguous.offset(), AmbiguousOffset::Fold { .. })
 }
 
 /// Parses the date of an ASC log, without its weekday: `Sep 30 10:06:13.191 PM 2017`.

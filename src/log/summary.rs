@@ -90,6 +90,8 @@ pub struct LogSummary {
     pub written: LogTime,
     /// The log has no times: its frames have those at which they were read, or all the same.
     pub is_timeless: bool,
+    /// Its first local date comes twice, as summer time ended in that hour, and is read as the first.
+    pub is_date_ambiguous: bool,
     /// The log is a database with changes in a file beside it, which is not read.
     pub unread_changes: Option<UnreadChanges>,
     /// The last line of a text log has no end.
@@ -159,6 +161,7 @@ impl LogSummary {
         (self.damage, self.foreign) = (None, None);
         (self.damage_at, self.bytes) = (None, 0);
         (self.unread_changes, self.ends_inside_line) = (None, false);
+        self.is_date_ambiguous = false;
         self.frames_before = self.frames;
     }
 
@@ -297,6 +300,10 @@ impl fmt::Display for LogSummary {
         }
         if self.is_timeless {
             write!(f, "; without times")?;
+        }
+        if self.is_date_ambiguous {
+            let what = "its date comes twice, as summer time ended in this hour";
+            write!(f, "; {what}: its times may be an hour early")?;
         }
         match self.clock_steps_back {
             0 => Ok(()),

@@ -6,10 +6,11 @@
 use super::asc::AscLines;
 use super::candump::{self, CandumpLines, MAX_LINE};
 use super::csv::{GvretLines, PythonCanLines};
+use super::dates::comes_twice;
 use super::trc::TrcLines;
 use super::{
     Damage, DecodeStep, EntryFault, ForeignFormat, LogDecoder, LogEntry, LogSummary, LogTime,
-    MAX_WITHOUT_FRAME, plain_line,
+    MAX_WITHOUT_FRAME, candump_time, plain_line,
 };
 use crate::frame::Frame;
 
@@ -44,6 +45,16 @@ impl TextFormat {
     /// Returns true if the lines have no times.
     fn is_timeless(&self) -> bool {
         matches!(self, Self::Candump(lines) if lines.is_timeless())
+    }
+
+    /// Returns the date without a time zone by which this line has its time.
+    fn local_date(&self, line: &[u8], entry: &LogEntry<'_>) -> Option<LogTime> {
+        match self {
+            Self::Candump(_) => candump_time::has_date(line).then_some(entry.time),
+            Self::Asc(lines) => Some(lines.start()),
+            Self::Trc(lines) => Some(lines.start()),
+            Self::Gvret(_) | Self::PythonCan => None,
+        }
     }
 
     /// Reads a line, without its end; `None` for one without a frame.
@@ -136,6 +147,12 @@ impl TextDecoder {
         {
             entry.time = LogTime::from_micros(summary.arrival);
             summary.is_timeless = true;
+        }
+        if let Ok(Some(entry)) = &entry
+            && summary.own_frames() == 0
+        {
+            let date = self.format.local_date(line, entry);
+            summary.is_date_ambiguous = date.is_some_and(|date| comes_twice(date.micros));
         }
         summary.take(entry)
     }

@@ -51,6 +51,11 @@ impl TrcLines {
         Self { columns, has_types: letters.contains(&b'T'), start: 0 }
     }
 
+    /// Returns the date of the beginning.
+    pub fn start(&self) -> LogTime {
+        LogTime::from_micros(self.start)
+    }
+
     /// Reads a line; `None` for one without a frame.
     pub fn read<'a>(&mut self, line: &'a [u8]) -> Result<Option<LogEntry<'a>>, FieldFault> {
         check_line(line)?;

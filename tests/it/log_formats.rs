@@ -94,6 +94,32 @@ fn log_that_begins_in_the_repeated_hour_says_so() {
     }
 }
 
+#[test]
+fn log_with_a_date_of_the_repeated_hour_says_so_when_it_is_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let line = " 0.5 1 123 Rx d 1 11";
+    for (is_twice, hour) in [(false, 1), (true, 2), (false, 3)] {
+        for log in [
+            format!(
+                "date Sun Oct 29 {hour}:30:00.000 2023\nbase hex  timestamps absolute\n{line}\n"
+            ),
+            format!(
+                ";$FILEVERSION=2.0\n;$STARTTIME={}\n;$COLUMNS=N,O,T,I,d,l,D\n 1 0.5 DT 0123 Rx 1 11\n",
+                45228.0 + (f64::from(hour) + 0.5) / 24.0
+            ),
+            format!(" (2023-10-29 0{hour}:30:00.000000)  can0  123   [1]  11\n"),
+        ] {
+            fs::write(folder.path().join("in"), &log).unwrap();
+            let mut command = Command::new(env!("CARGO_BIN_EXE_descan"));
+            command.args(["log", "in"]).current_dir(folder.path()).env("TZ", "Europe/Berlin");
+            let said = text(&command.output().unwrap().stderr);
+            let cause = "its date comes twice, as summer time ended in this hour: its times may be an \
+                         hour early";
+            assert_eq!(said.contains(cause), is_twice, "{log}: {said}");
+        }
+    }
+}
+
 fn gzip(bytes: &[u8]) -> Vec<u8> {
     let mut encoder = GzEncoder::new(Vec::new(), Compression::fast());
     encoder.write_all(bytes).unwrap();
