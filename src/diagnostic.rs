@@ -57,10 +57,10 @@ impl fmt::Display for Diagnostic {
     }
 }
 
-/// The text of a system's error without its number.
+/// The text of a system's error without its number, nor the full stop that Windows has before it.
 pub fn without_number(error: &io::Error) -> String {
     let text = error.to_string();
-    text.split(" (os error").next().unwrap_or(&text).to_owned()
+    text.split(" (os error").next().unwrap_or(&text).trim_end_matches('.').to_owned()
 }
 
 /// Returns the word that is most like a misspelled one: one or two letters differ, and not all of

@@ -6,7 +6,7 @@
 use crate::diagnostic::{Diagnostic, without_number};
 use crate::open_file::open_without_wait;
 use crate::system_error::FileFault;
-use crate::text::printable;
+use crate::text::printable_path;
 use std::fs::{File, Metadata};
 use std::io::{self, ErrorKind, Read as _, Seek as _};
 use std::path::Path;
@@ -85,7 +85,7 @@ pub fn read(path: &Path, max_bytes: u64) -> Result<Option<Vec<u8>>, Diagnostic> 
 /// The fault, with the path, if it is not a readable text in UTF-8 of up to [`MAX_TEXT_BYTES`].
 pub fn read_text(path: &Path) -> Result<Option<String>, Diagnostic> {
     let text = read(path, MAX_TEXT_BYTES).and_then(|content| content.map(text_of).transpose());
-    text.map_err(|fault| fault.of(shown(path)))
+    text.map_err(|fault| fault.of(printable_path(path)))
 }
 
 /// Returns the text of a file that must be there.
@@ -93,7 +93,7 @@ pub fn read_text(path: &Path) -> Result<Option<String>, Diagnostic> {
 /// # Errors
 /// As [`read_text`], or it does not exist.
 pub fn required_text(path: &Path) -> Result<String, Diagnostic> {
-    let missing = || Diagnostic::new("file not found").of(shown(path));
+    let missing = || Diagnostic::new("file not found").of(printable_path(path));
     read_text(path)?.ok_or_else(missing)
 }
 
@@ -104,11 +104,6 @@ pub fn required_text(path: &Path) -> Result<String, Diagnostic> {
 pub fn text_of(content: Vec<u8>) -> Result<String, Diagnostic> {
     String::from_utf8(content)
         .map_err(|_| Diagnostic::new("not UTF-8").with_remedy("save it as UTF-8"))
-}
-
-/// Returns a path as text that is safe on a terminal.
-pub fn shown(path: &Path) -> String {
-    printable(path.as_os_str().as_encoded_bytes())
 }
 
 /// Returns the fault if this is not a regular file.

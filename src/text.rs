@@ -3,6 +3,7 @@
 //! Does not know where the text goes or how wide it may be.
 
 use std::fmt;
+use std::path::Path;
 use std::sync::Arc;
 use unicode_general_category::{GeneralCategory, get_general_category};
 use unicode_width::UnicodeWidthChar;
@@ -118,6 +119,25 @@ pub fn with_few_marks(character: &str) -> &str {
 /// Returns the bytes as [`Escaped`] text.
 pub fn printable(bytes: &[u8]) -> String {
     Escaped(bytes).to_string()
+}
+
+/// Returns a path as printable text. Only a Windows path has backslashes that are not escaped: they separate
+/// its parts; a prefix that the system puts before them (`\\?\C:\logs`) is left out.
+pub fn printable_path(path: &Path) -> String {
+    let bytes = path.as_os_str().as_encoded_bytes();
+    if cfg!(windows) { printable_windows_path(bytes) } else { printable(bytes) }
+}
+
+fn printable_windows_path(path: &[u8]) -> String {
+    let (start, path) = match path.strip_prefix(br"\\?\") {
+        Some(rest) => match rest.strip_prefix(br"UNC\") {
+            Some(share) => (r"\\", share),
+            None => ("", rest),
+        },
+        None => ("", path),
+    };
+    let parts: Vec<_> = path.split(|byte| *byte == b'\\').map(printable).collect();
+    format!("{start}{}", parts.join(r"\"))
 }
 
 /// Returns a message on one line, printable. Of several lines, as in the errors of TOML, the first
@@ -251,6 +271,20 @@ pub fn without_bit_rates(bus: &str) -> &str {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn backslashes_of_windows_paths_are_separators() {
+        for (path, expected) in [
+            (&br"\\?\C:\logs\a.log"[..], r"C:\logs\a.log"),
+            (br"\\?\UNC\server\share\a.log", r"\\server\share\a.log"),
+            (br"\\server\share", r"\\server\share"),
+            (br"sub\des.json", r"sub\des.json"),
+            (b"sub\\\x1b[2J", r"sub\\x1B[2J"),
+            (b"", ""),
+        ] {
+            assert_eq!(printable_windows_path(path), expected);
+        }
+    }
 
     #[test]
     fn control_characters_are_escaped() {

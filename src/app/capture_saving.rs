@@ -70,7 +70,7 @@ impl App {
         match result {
             Ok(WrittenFrames { written, captured, is_selection: true }) => {
                 self.clock.set(now);
-                let path = crate::text::printable(path.as_os_str().as_encoded_bytes());
+                let path = crate::text::printable_path(path);
                 self.show_info(format!("saved {written} of {captured} frames (filter): {path}"));
                 self.notices.redraw.set_dirty();
             }

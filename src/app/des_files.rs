@@ -322,8 +322,7 @@ impl App {
                 Some((TimelineKind::File, "not found: the first edit creates it".to_owned()))
             }
             FileChange::FirstRead => {
-                let path = file.path().map(|path| path.as_os_str().as_encoded_bytes());
-                let path = crate::text::printable(path.unwrap_or_default());
+                let path = file.path().map(crate::text::printable_path).unwrap_or_default();
                 let folder = if path == file.name() { String::new() } else { format!(", {path}") };
                 Some((TimelineKind::File, format!("{listed}{folder}")))
             }

@@ -9,7 +9,7 @@ use super::{App, Effect};
 use crate::diagnostic::Diagnostic;
 use crate::frame::{BusIndex, Frame};
 use crate::learning::{Certainty, LEARNT_KEYS, ProfileLearner, ProfileProposal};
-use crate::text::printable;
+use crate::text::printable_path;
 use crate::time::{Duration, Instant};
 use crate::wire::profile::{Profile, ProfileKey, ProfileValue, ValueOrigin};
 use std::path::{Path, PathBuf};
@@ -299,7 +299,7 @@ impl App {
                 self.reopen_logs(Some(path.to_owned()));
             }
             Ok(()) => {
-                let path = printable(path.as_os_str().as_encoded_bytes());
+                let path = printable_path(path);
                 if self.is_of_logs() {
                     // Frames from a pipe cannot be read again.
                     self.show_info(format!("saved; read the frames again: --profile {path}"));

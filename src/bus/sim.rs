@@ -11,7 +11,7 @@ use crate::frame::{BusIndex, Frame};
 use crate::regular_file::read_text;
 use crate::sim::{self, Scenario, Sim, SimStation};
 use crate::status::{BusState, Link, RateSearch};
-use crate::text::{on_one_line, printable};
+use crate::text::{on_one_line, printable_path};
 use crate::time::Duration;
 use std::io;
 use std::path::Path;
@@ -63,11 +63,11 @@ pub fn scenario(name: &str) -> Result<Scenario, Diagnostic> {
         return Scenario::builtin(name).map_err(|error| Diagnostic::new(error.to_string()));
     }
     let text = read_text(Path::new(name))?.ok_or_else(|| {
-        let missing = Diagnostic::new("file not found").of(printable(name.as_bytes()));
+        let missing = Diagnostic::new("file not found").of(printable_path(Path::new(name)));
         missing.with_remedy("use boiler, drone or a TOML file")
     })?;
     Scenario::parse(&text).map_err(|error| {
-        Diagnostic::new(on_one_line(&error.to_string())).of(printable(name.as_bytes()))
+        Diagnostic::new(on_one_line(&error.to_string())).of(printable_path(Path::new(name)))
     })
 }
 

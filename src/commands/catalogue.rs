@@ -5,9 +5,9 @@ use super::{EXIT_FINDINGS, EXIT_OK, Failure, output};
 use crate::catalogue::{Catalogue, CatalogueFile, CatalogueText};
 use crate::cli::{CatalogueArgs, CommonArgs};
 use crate::project::Project;
-use crate::regular_file::{required_text, shown};
+use crate::regular_file::required_text;
 use crate::shell::catalogue_folders::CatalogueFolders;
-use crate::text::counted;
+use crate::text::{counted, printable_path};
 use serde::Serialize;
 use std::fmt::Write as _;
 use unicode_width::UnicodeWidthStr;
@@ -16,9 +16,9 @@ use unicode_width::UnicodeWidthStr;
 pub fn run(args: &CatalogueArgs) -> Result<u8, Failure> {
     let (texts, folders): (_, Vec<String>) = if args.paths.is_empty() {
         let folders = folders_in_use()?;
-        (folders.read(), folders.paths().iter().map(|path| shown(path)).collect())
+        (folders.read(), folders.paths().iter().map(|path| printable_path(path)).collect())
     } else {
-        (texts_of(&args.paths)?, args.paths.iter().map(|path| shown(path)).collect())
+        (texts_of(&args.paths)?, args.paths.iter().map(|path| printable_path(path)).collect())
     };
     let catalogue = Catalogue::default().read(texts);
     let faults = catalogue
@@ -66,7 +66,7 @@ fn texts_of(paths: &[std::path::PathBuf]) -> Result<Vec<CatalogueText>, Failure>
             texts.extend(CatalogueFolders::only(path).read());
         } else {
             texts.push(CatalogueText {
-                path: shown(path),
+                path: printable_path(path),
                 folder: 0,
                 text: Ok(required_text(path)?),
             });

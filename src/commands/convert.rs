@@ -11,9 +11,10 @@ use crate::cli::ConvertArgs;
 use crate::diagnostic::Diagnostic;
 use crate::log::{FORMATS, LogEncoder, LogEntry, LogFormat, LogReader, LogSummary, READABLE_LOGS};
 use crate::open_file::{is_at, stdin_file, with_usual_mode};
-use crate::regular_file::{self, shown};
+use crate::regular_file;
 use crate::shell::pipe_input::PipeInput;
 use crate::shell::stop;
+use crate::text::printable_path;
 use std::fs::File;
 use std::io::{self, BufReader, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
@@ -93,7 +94,7 @@ pub fn run(args: &ConvertArgs) -> Result<u8, Failure> {
         let fault =
             Diagnostic::new(format!("not replaced, as not all of it can be read: {summary}"));
         let fault = fault.with_remedy("write to another file");
-        return Err(fault.of(shown(&args.output)).into());
+        return Err(fault.of(printable_path(&args.output)).into());
     }
     let names = summary.interfaces.to_vec();
     encoder.end(&names, &[], &mut part).map_err(|error| target.not_written(&error))?;
@@ -121,7 +122,7 @@ fn format_of(args: &ConvertArgs) -> Result<&'static LogFormat, Failure> {
     }
     LogFormat::of_written(&args.output).ok_or_else(|| {
         let names: Vec<_> = FORMATS.iter().map(|format| format.name).collect();
-        let out = shown(&args.output);
+        let out = printable_path(&args.output);
         let cause = "the name says no format";
         Failure::Usage(format!("{out}: {cause}; --format names one: {}", names.join(", ")))
     })
@@ -132,7 +133,7 @@ fn report(summary: &LogSummary, encoder: &dyn LogEncoder, spec: &BusSpec, out: &
     output::warn(format_args!("{spec}: {summary}"));
     let loss = encoder.loss();
     if !loss.is_empty() {
-        output::warn(format_args!("{}: not in this format: {loss}", shown(out)));
+        output::warn(format_args!("{}: not in this format: {loss}", printable_path(out)));
     }
 }
 
@@ -174,11 +175,11 @@ impl ConvertedLog {
         // A device such as /dev/full, a pipe and a folder are not replaced.
         let metadata = std::fs::metadata(&path).ok();
         if metadata.as_ref().is_some_and(|it| !it.is_file()) {
-            return Err(Diagnostic::new("not a file").of(shown(&path)).into());
+            return Err(Diagnostic::new("not a file").of(printable_path(&path)).into());
         }
         if metadata.is_some() && !force {
             let fault = Diagnostic::new("already exists").with_remedy("--force replaces it");
-            return Err(fault.of(shown(&path)).into());
+            return Err(fault.of(printable_path(&path)).into());
         }
         // Of a link, the file that it leads to is replaced.
         let path = std::fs::canonicalize(&path).unwrap_or(path);
@@ -234,5 +235,5 @@ impl ConvertedLog {
 }
 
 fn not_written(path: &Path, error: &io::Error) -> Failure {
-    regular_file::of_system(error, "not written").of(shown(path)).into()
+    regular_file::of_system(error, "not written").of(printable_path(path)).into()
 }

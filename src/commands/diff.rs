@@ -76,13 +76,13 @@ fn read(spec: &BusSpec, setup: &Setup) -> Result<Option<DiffInput>, Failure> {
         BusSpec::File(path) if !path.exists() => {
             let missing = Diagnostic::new("file not found")
                 .with_remedy("name a log, or a document of descan scan --json");
-            return Err(missing.of(crate::regular_file::shown(path)).into());
+            return Err(missing.of(crate::text::printable_path(path)).into());
         }
         BusSpec::File(path) => bus::open_log(path)?,
         _ => stdin_file().map_err(unusable)?,
     };
     let path = match spec {
-        BusSpec::File(path) => crate::regular_file::shown(path),
+        BusSpec::File(path) => crate::text::printable_path(path),
         _ => "-".to_owned(),
     };
     let (head, file) = peek(file).map_err(unusable)?;

@@ -7,8 +7,8 @@ use crate::catalogue::{Catalogue, CatalogueFile};
 use crate::cli::{CommonArgs, ExportArgs};
 use crate::diagnostic::Diagnostic;
 use crate::export::{ExportFacts, dbc, dissector};
-use crate::regular_file::shown;
 use crate::shell::catalogue_folders::CatalogueFolders;
+use crate::text::printable_path;
 use crate::wire::profile::Profile;
 use std::path::Path;
 
@@ -24,7 +24,7 @@ pub fn run(args: &ExportArgs) -> Result<u8, Failure> {
         CatalogueFolders::of(args.catalogue.clone())
     };
     if let Some(folder) = args.catalogue.iter().find(|folder| !folder.is_dir()) {
-        return Err(Diagnostic::new("not a folder").of(shown(folder)).into());
+        return Err(Diagnostic::new("not a folder").of(printable_path(folder)).into());
     }
     let catalogue = Catalogue::default().read(folders.read());
     for notice in catalogue.files().iter().filter_map(CatalogueFile::notice) {
@@ -36,11 +36,11 @@ pub fn run(args: &ExportArgs) -> Result<u8, Failure> {
         return output::print(&text).map(|()| EXIT_OK);
     };
     let Some(name) = path.file_name().and_then(|name| name.to_str()) else {
-        return Err(Diagnostic::new("not the name of a file").of(shown(path)).into());
+        return Err(Diagnostic::new("not the name of a file").of(printable_path(path)).into());
     };
     let folder = path.parent().filter(|it| !it.as_os_str().is_empty()).unwrap_or(Path::new("."));
     if !folder.is_dir() {
-        return Err(Diagnostic::new("folder not found").of(shown(folder)).into());
+        return Err(Diagnostic::new("folder not found").of(printable_path(folder)).into());
     }
     write_generated(folder, &[(name, &text)], args.force)?;
     Ok(EXIT_OK)

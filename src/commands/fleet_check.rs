@@ -12,9 +12,9 @@ use crate::document::{Document, MAX_BYTES};
 use crate::finding::CheckSection;
 use crate::fleet::{ExpectedDevices, Fleet, FleetDifference, GatewayName, GatewayState};
 use crate::project::{FILE_NAME, Project};
-use crate::regular_file::{read, read_text, shown};
+use crate::regular_file::{read, read_text};
 use crate::shell::broker::{BrokerAddress, BrokerSettings};
-use crate::text::counted;
+use crate::text::{counted, printable_path};
 use crate::time::Instant;
 use anyhow::Context;
 use serde::Serialize;
@@ -38,7 +38,11 @@ pub fn run(check: &CheckArgs, folder: &Path, broker: &BrokerAddress) -> Result<u
         sites.iter().map(|site| SiteCheck::new(site, &read.fleet, read.now)).collect();
     if let Some(format) = check.report {
         let cases: Vec<ReportedCase> = checks.iter().flat_map(SiteCheck::cases).collect();
-        output::print(&test_report(&format!("descan check {}", shown(folder)), &cases, format))?;
+        output::print(&test_report(
+            &format!("descan check {}", printable_path(folder)),
+            &cases,
+            format,
+        ))?;
     } else if check.run.json {
         let report = FleetCheckReport { descan: env!("CARGO_PKG_VERSION"), gateways: &checks };
         output::print_json(&(serde_json::to_string_pretty(&report).context("JSON")? + "\n"))?;
@@ -67,24 +71,26 @@ struct Site {
 
 /// Reads the folder of each gateway, by name.
 fn sites(folder: &Path) -> Result<Vec<Site>, Failure> {
-    let entries =
-        std::fs::read_dir(folder).map_err(|error| Diagnostic::unreadable(shown(folder), &error))?;
+    let entries = std::fs::read_dir(folder)
+        .map_err(|error| Diagnostic::unreadable(printable_path(folder), &error))?;
     let mut sites = Vec::new();
     for entry in entries {
-        let path = entry.map_err(|error| Diagnostic::unreadable(shown(folder), &error))?.path();
+        let path =
+            entry.map_err(|error| Diagnostic::unreadable(printable_path(folder), &error))?.path();
         let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         if !path.is_dir() || name.starts_with('.') {
             continue;
         }
-        let gateway =
-            name.parse().map_err(|why| Diagnostic::new(format!("{}: {why}", shown(&path))))?;
+        let gateway = name
+            .parse()
+            .map_err(|why| Diagnostic::new(format!("{}: {why}", printable_path(&path))))?;
         // One faulty file does not keep the other gateways from being compared.
         let expected = expected(&path).map_err(|failure| failure.to_string());
         sites.push(Site { gateway, expected });
     }
     if sites.is_empty() {
         let remedy = "put the des.json of each into FOLDER/GATEWAY";
-        let why = format!("{}: no folder of a gateway in it", shown(folder));
+        let why = format!("{}: no folder of a gateway in it", printable_path(folder));
         return Err(Diagnostic::new(why).with_remedy(remedy).into());
     }
     sites.sort_by(|one, other| one.gateway.cmp(&other.gateway));
@@ -94,13 +100,14 @@ fn sites(folder: &Path) -> Result<Vec<Site>, Failure> {
 /// The des.json files of a folder: those of its project, else its own.
 fn expected(folder: &Path) -> Result<Vec<ExpectedDevices>, Failure> {
     let project_path = folder.join(FILE_NAME);
-    let text = read_text(&project_path).map_err(|fault| fault.of(shown(&project_path)))?;
+    let text = read_text(&project_path).map_err(|fault| fault.of(printable_path(&project_path)))?;
     let Some(text) = text else {
         let document = document(&folder.join(open::default_file()))?;
         return Ok(vec![ExpectedDevices { document, buses: None }]);
     };
-    let project = Project::parse(&text, folder)
-        .map_err(|error| Failure::Unusable(format!("{}: {error}", shown(&project_path))))?;
+    let project = Project::parse(&text, folder).map_err(|error| {
+        Failure::Unusable(format!("{}: {error}", printable_path(&project_path)))
+    })?;
     let files = project.files();
     files
         .into_iter()
@@ -114,9 +121,9 @@ fn expected(folder: &Path) -> Result<Vec<ExpectedDevices>, Failure> {
 }
 
 fn document(path: &Path) -> Result<Document, Failure> {
-    let bytes = read(path, MAX_BYTES as u64).map_err(|fault| fault.of(shown(path)))?;
-    let bytes = bytes.ok_or_else(|| Diagnostic::new("file not found").of(shown(path)))?;
-    let unusable = |error| Failure::Unusable(format!("{}: {error}", shown(path)));
+    let bytes = read(path, MAX_BYTES as u64).map_err(|fault| fault.of(printable_path(path)))?;
+    let bytes = bytes.ok_or_else(|| Diagnostic::new("file not found").of(printable_path(path)))?;
+    let unusable = |error| Failure::Unusable(format!("{}: {error}", printable_path(path)));
     Document::parse(&bytes).map_err(unusable)
 }
 
@@ -133,7 +140,7 @@ fn warn_without_folder(fleet: &Fleet, sites: &[Site], folder: &Path) {
         let count = without.len();
         let who =
             if count == 1 { first.to_owned() } else { format!("{count} gateways ({first}, …)") };
-        output::warn(format_args!("{who}: no folder in {}; not compared", shown(folder)));
+        output::warn(format_args!("{who}: no folder in {}; not compared", printable_path(folder)));
     }
 }
 

@@ -2,7 +2,8 @@
 
 use super::{Failure, output};
 use crate::diagnostic::Diagnostic;
-use crate::regular_file::{self, shown};
+use crate::regular_file;
+use crate::text::printable_path;
 use std::path::Path;
 
 /// Writes files to a folder. One that is there with other content is replaced with `force` only,
@@ -11,21 +12,26 @@ pub fn write_generated(folder: &Path, files: &[(&str, &str)], force: bool) -> Re
     let mut missing = Vec::new();
     for (name, text) in files {
         let path = folder.join(name);
-        match regular_file::read_text(&path).map_err(|fault| fault.of(shown(&path)))? {
+        match regular_file::read_text(&path).map_err(|fault| fault.of(printable_path(&path)))? {
             Some(content) if content == *text => {}
             Some(_) if !force => {
                 let fault = Diagnostic::new("already exists, with other content");
-                return Err(fault.with_remedy("--force replaces it").of(shown(&path)).into());
+                return Err(fault
+                    .with_remedy("--force replaces it")
+                    .of(printable_path(&path))
+                    .into());
             }
             _ => missing.push((path, text)),
         }
     }
-    std::fs::create_dir_all(folder)
-        .map_err(|error| regular_file::of_system(&error, "not created").of(shown(folder)))?;
+    std::fs::create_dir_all(folder).map_err(|error| {
+        regular_file::of_system(&error, "not created").of(printable_path(folder))
+    })?;
     for (path, text) in missing {
-        std::fs::write(&path, text)
-            .map_err(|error| regular_file::of_system(&error, "not written").of(shown(&path)))?;
-        output::warn(format_args!("wrote {}", shown(&path)));
+        std::fs::write(&path, text).map_err(|error| {
+            regular_file::of_system(&error, "not written").of(printable_path(&path))
+        })?;
+        output::warn(format_args!("wrote {}", printable_path(&path)));
     }
     Ok(())
 }

@@ -8,10 +8,9 @@ use crate::bus::BusSpec;
 use crate::cli::{CommonArgs, InitArgs};
 use crate::diagnostic::Diagnostic;
 use crate::project::FILE_NAME;
-use crate::regular_file::shown;
 use crate::shell::stop::StopReason;
 use crate::shell::store::{Store, write_new};
-use crate::text::{counted, join_first};
+use crate::text::{counted, join_first, printable_path};
 use std::fmt::Write as _;
 use std::io::Write as _;
 use std::path::Path;
@@ -24,9 +23,9 @@ pub fn run(args: &InitArgs) -> Result<u8, Failure> {
     let path = Path::new(FILE_NAME);
     if path.symlink_metadata().is_ok() {
         let fault = Diagnostic::new("already exists").with_remedy("edit it, or move it away first");
-        return Err(fault.of(shown(path)).into());
+        return Err(fault.of(printable_path(path)).into());
     }
-    Store::new(path).check_new().map_err(|fault| fault.of(shown(path)))?;
+    Store::new(path).check_new().map_err(|fault| fault.of(printable_path(path)))?;
     // Of a folder above: this is another project.
     let common = CommonArgs { no_project: true, project: None, ..args.session.common.clone() };
     let session = crate::cli::SessionArgs { common, ..args.session.clone() };
@@ -45,11 +44,11 @@ pub fn run(args: &InitArgs) -> Result<u8, Failure> {
     found.recording?;
     let text = project_text(&buses, &found.app, &setup, &session.common);
     write_new(path, None, |file| file.write_all(text.as_bytes()))
-        .map_err(|fault| fault.of(shown(path)))?;
+        .map_err(|fault| fault.of(printable_path(path)))?;
     output::print(&text)?;
     output::warn(format_args!("wrote {FILE_NAME}"));
     if !setup.file.exists() {
-        let file = shown(&setup.file);
+        let file = printable_path(&setup.file);
         output::warn(format_args!("there is no {file} yet: descan scan --write {file}"));
     }
     Ok(EXIT_OK)

@@ -13,11 +13,10 @@ use crate::frame::{BusIndex, Frame};
 use crate::learning::{
     Certainty, DesSearch, LEARNT_KEYS, ProfileLearner, ProfileProposal, SearchEnd,
 };
-use crate::regular_file::shown;
 use crate::shell::log_input::LogPace;
 use crate::shell::stop::StopReason;
 use crate::shell::store::{Store, write_new};
-use crate::text::counted;
+use crate::text::{counted, printable_path};
 use crate::time::{Epoch, Instant};
 use crate::wire::id::{Address, Service};
 use crate::wire::profile::{Profile, ProfileKey, ProfileValue, ValueOrigin};
@@ -47,7 +46,7 @@ const ENOUGH: [ProfileKey; 5] = [
 /// Runs it.
 pub fn run(learn: &LearnArgs) -> Result<u8, Failure> {
     if let Some(path) = &learn.write {
-        Store::new(path).check_new().map_err(|fault| fault.of(shown(path)))?;
+        Store::new(path).check_new().map_err(|fault| fault.of(printable_path(path)))?;
     }
     let mut common = CommonArgs::listen_only(learn.profile.clone());
     if learn.search.is_some() {
@@ -460,7 +459,7 @@ fn write(path: &Path, buses: &[LearntBus], before: &Profile) -> Result<(), Failu
             if is_other {
                 let cause = format!("the buses differ in {}", key.name());
                 let fault = Diagnostic::new(cause).with_remedy("learn from one bus");
-                return Err(fault.of(shown(path)).into());
+                return Err(fault.of(printable_path(path)).into());
             }
             if proposal.certainty > Certainty::Guess {
                 profile.learn(key, &proposal.value);
@@ -474,7 +473,7 @@ fn write(path: &Path, buses: &[LearntBus], before: &Profile) -> Result<(), Failu
     let guesses = buses.iter().flat_map(|bus| &bus.proposals);
     let guesses = guesses.filter(|it| it.proposal.certainty == Certainty::Guess);
     if learnt == 0 {
-        output::say(format_args!("{}: not written: no value was learnt", shown(path)));
+        output::say(format_args!("{}: not written: no value was learnt", printable_path(path)));
         return Ok(());
     }
     let comment = |key| {
@@ -486,8 +485,8 @@ fn write(path: &Path, buses: &[LearntBus], before: &Profile) -> Result<(), Failu
         let _ = write!(text, "\n# A guess, not in force: {key} = {value} ({evidence})\n");
     }
     write_new(path, None, |file| file.write_all(text.as_bytes()))
-        .map_err(|fault| fault.of(shown(path)))?;
+        .map_err(|fault| fault.of(printable_path(path)))?;
     let values = counted(learnt as u64, "value");
-    output::say(format_args!("{}: {values} written; use it: --profile {0}", shown(path)));
+    output::say(format_args!("{}: {values} written; use it: --profile {0}", printable_path(path)));
     Ok(())
 }

@@ -13,14 +13,14 @@ use crate::discovery::Config;
 use crate::frame::{BusIndex, IdFilter};
 use crate::keymap::Keymap;
 use crate::project::Project;
-use crate::regular_file::{self, shown};
+use crate::regular_file;
 use crate::shell::catalogue_folders::CatalogueFolders;
 use crate::shell::config::{ConfigFolder, UserSettings};
 use crate::shell::recorder::{Recorder, Size, Target};
 use crate::shell::session::Session;
 use crate::shell::store::Store;
 use crate::status::RecordingStatus;
-use crate::text::{SafeLines, printable};
+use crate::text::{SafeLines, printable, printable_path};
 use crate::time::{Epoch, Instant};
 use crate::wire::profile::Profile;
 use std::fs;
@@ -120,7 +120,7 @@ impl Setup {
         let is_named = !common.catalogue.is_empty();
         let named_catalogue = if is_named { Some(common.catalogue.clone()) } else { own };
         if let Some(folder) = named_catalogue.iter().flatten().find(|folder| !folder.is_dir()) {
-            let folder = shown(folder);
+            let folder = printable_path(folder);
             return Err(Failure::Unusable(format!("catalogue {folder}: not a folder; name one")));
         }
         let signs = settings.signs.as_deref().and_then(Signs::from_name);
@@ -358,7 +358,7 @@ fn messages(paths: &[PathBuf]) -> Result<MessageDatabase, Failure> {
             };
             messages.add(&bytes).map_err(wrong)
         });
-        read.map_err(|fault| fault.of(shown(path)))?;
+        read.map_err(|fault| fault.of(printable_path(path)))?;
     }
     Ok(messages)
 }
@@ -569,7 +569,7 @@ fn dates_of(bus: &BusSpec, to_end: bool) -> Result<Option<LogDates>, Failure> {
         return Ok(None);
     }
     let log = bus::open_log(path)?;
-    let name = format_args!("file:{}", shown(path));
+    let name = format_args!("file:{}", printable_path(path));
     let read = if to_end { LogDates::read_to_end(&log) } else { LogDates::read(&log) };
     let (summary, dates) = read.map_err(|error| Diagnostic::unreadable(name, &error))?;
     match summary.foreign {

@@ -3,7 +3,8 @@
 use super::{EXIT_FINDINGS, EXIT_OK, Failure, output};
 use crate::cli::ProfileCommand;
 use crate::diagnostic::Diagnostic;
-use crate::regular_file::{required_text, shown};
+use crate::regular_file::required_text;
+use crate::text::printable_path;
 use crate::toml_error::TomlError;
 use crate::wire::profile::{Profile, ProfileKey, ValueOrigin};
 use std::fmt::Write as _;
@@ -24,14 +25,14 @@ pub fn run(command: Option<&ProfileCommand>) -> Result<u8, Failure> {
 /// # Errors
 /// It cannot be read, or is wrong: the text has the place and the wrong line.
 pub fn read(path: &Path) -> Result<Profile, Failure> {
-    let wrong = |error: TomlError| Diagnostic::new(error.with_line()).of(shown(path));
+    let wrong = |error: TomlError| Diagnostic::new(error.with_line()).of(printable_path(path));
     Ok(Profile::parse(&required_text(path)?).map_err(wrong)?)
 }
 
 /// The mistake in a file with its place, and below it the wrong line with a mark.
 pub(super) fn fault(path: &Path, error: &TomlError) -> String {
     let excerpt = error.excerpt().replace('\n', "\n  ");
-    format!("{}: {error}\n  {excerpt}", shown(path))
+    format!("{}: {error}\n  {excerpt}", printable_path(path))
 }
 
 fn check(path: &Path, json: bool) -> Result<u8, Failure> {
@@ -54,6 +55,6 @@ fn check(path: &Path, json: bool) -> Result<u8, Failure> {
     }
     let given = ProfileKey::ALL.iter().filter(|key| profile.origin(**key) == ValueOrigin::Given);
     let (given, all) = (given.count(), ProfileKey::ALL.len());
-    let _ = writeln!(text, "{}: {given} of {all} values given", shown(path));
+    let _ = writeln!(text, "{}: {given} of {all} values given", printable_path(path));
     output::print(&text).map(|()| EXIT_OK)
 }

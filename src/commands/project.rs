@@ -5,8 +5,9 @@ use super::{Failure, output};
 use crate::bus::BusSpec;
 use crate::cli::CommonArgs;
 use crate::project::Project;
-use crate::regular_file::{required_text, shown};
+use crate::regular_file::required_text;
 use crate::shell::project_search::{self, FoundProject, agree, is_agreed};
+use crate::text::printable_path;
 use std::path::{Path, PathBuf};
 use std::sync::Once;
 
@@ -28,7 +29,7 @@ pub fn of(common: &CommonArgs) -> Result<Option<(PathBuf, Project)>, Failure> {
     };
     if let Some((path, user)) = found.ignored.filter(|_| !IS_NAMED.is_completed()) {
         IS_NAMED.call_once(|| {});
-        let path = shown(&path);
+        let path = printable_path(&path);
         output::warn(format_args!("{path} is of {user}: ignored; --project {path} takes it"));
     }
     let Some(path) = found.path else { return Ok(None) };
@@ -68,7 +69,7 @@ fn is_remote(bus: &BusSpec) -> bool {
 }
 
 fn ask_for(project: &Path, bus: &BusSpec) -> Result<(), Failure> {
-    let file = shown(project);
+    let file = printable_path(project);
     if !output::may_ask() {
         let why = format!(
             "{file} opens {bus} on another machine; agree to it once on a terminal, or name it: \

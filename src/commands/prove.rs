@@ -15,9 +15,8 @@ use crate::cli::ProveArgs;
 use crate::discovery::{Device, DeviceId};
 use crate::frame::BusIndex;
 use crate::prove::{ProofSwitches, Prover};
-use crate::regular_file::shown;
 use crate::shell::store::{Store, write_new};
-use crate::text::counted;
+use crate::text::{counted, printable_path};
 use crate::time::Instant;
 use std::collections::VecDeque;
 use std::io::Write as _;
@@ -49,7 +48,7 @@ pub fn run(args: &ProveArgs) -> Result<u8, Failure> {
     }
     if let Some(path) = &args.proof {
         for path in [path.clone(), path.with_extension("pcapng")] {
-            Store::new(&path).check_new().map_err(|fault| fault.of(shown(&path)))?;
+            Store::new(&path).check_new().map_err(|fault| fault.of(printable_path(&path)))?;
         }
     }
     let setup = Setup::for_buses(&args.common, buses)?;
@@ -109,11 +108,12 @@ fn write_proof(
 ) -> Result<(), Failure> {
     let frames = path.with_extension("pcapng");
     let bytes = proof_pcapng(app, report, proven);
-    let text = report.markdown(&shown(&frames));
-    write_new(&frames, None, |file| file.write_all(&bytes)).map_err(|it| it.of(shown(&frames)))?;
+    let text = report.markdown(&printable_path(&frames));
+    write_new(&frames, None, |file| file.write_all(&bytes))
+        .map_err(|it| it.of(printable_path(&frames)))?;
     write_new(path, None, |file| file.write_all(text.as_bytes()))
-        .map_err(|it| it.of(shown(path)))?;
-    say(format!("saved: {} and {}", shown(path), shown(&frames)));
+        .map_err(|it| it.of(printable_path(path)))?;
+    say(format!("saved: {} and {}", printable_path(path), printable_path(&frames)));
     Ok(())
 }
 

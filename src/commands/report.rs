@@ -16,9 +16,8 @@ use crate::finding::{
     Evidence, ExitCodeScope, Finding, FindingKey, FindingKind, FindingState, SeenUid,
 };
 use crate::frame::{BusIndex, Frame};
-use crate::regular_file::shown;
 use crate::status::Link;
-use crate::text::{Name, counted, hex};
+use crate::text::{Name, counted, hex, printable_path};
 use crate::time::{Duration, Instant};
 use crate::wire::descriptor::{AddressSetting, DescriptorValue};
 use crate::wire::id::Address;
@@ -788,7 +787,7 @@ fn of_files(app: &App) -> Vec<BusFileReport> {
 }
 
 pub(super) fn of_file(file: &FileSnapshot) -> FileReport {
-    let path = file.path.as_deref().map(shown).unwrap_or_default();
+    let path = file.path.as_deref().map(printable_path).unwrap_or_default();
     let problem = file.problem.as_ref().map(|problem| {
         let excerpt = problem.excerpt().into_iter().flatten();
         excerpt.fold(problem.of_file(&path), |text, line| text + "\n    " + &line)

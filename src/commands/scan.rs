@@ -12,12 +12,11 @@ use crate::cli::ScanArgs;
 use crate::diagnostic::Diagnostic;
 use crate::discovery::{Device, DiscoveryProgress};
 use crate::document::{Document, Operation};
-use crate::regular_file::shown;
 use crate::shell::log_input::LogPace;
 use crate::shell::stop::StopReason;
 use crate::shell::store::{Store, write_new};
 use crate::status::Link;
-use crate::text::counted;
+use crate::text::{counted, printable_path};
 use crate::time::Instant;
 use std::io::{self, IsTerminal, Write};
 use std::ops::ControlFlow;
@@ -27,7 +26,7 @@ use std::time::Duration;
 /// Runs it.
 pub fn run(scan: &ScanArgs) -> Result<u8, Failure> {
     if let Some(path) = &scan.write {
-        Store::new(path).check_new().map_err(|fault| fault.of(shown(path)))?;
+        Store::new(path).check_new().map_err(|fault| fault.of(printable_path(path)))?;
     }
     let buses = open::buses(&scan.run.session)?;
     let setup = Setup::for_buses(&scan.run.session.common, &buses)?;
@@ -236,13 +235,13 @@ fn write_document(app: &App, path: &Path) -> Result<(), Failure> {
             }
             document = document
                 .apply(&Operation::Add { entry })
-                .map_err(|error| Diagnostic::new(error.to_string()).of(shown(path)))?;
+                .map_err(|error| Diagnostic::new(error.to_string()).of(printable_path(path)))?;
             count += 1;
         }
     }
     if count > 0 {
         write_new(path, None, |file| file.write_all(document.source()))
-            .map_err(|fault| fault.of(shown(path)))?;
+            .map_err(|fault| fault.of(printable_path(path)))?;
     }
     let devices = if count == 1 { "device" } else { "devices" };
     let left_out = if left_out.is_empty() {
@@ -250,7 +249,7 @@ fn write_document(app: &App, path: &Path) -> Result<(), Failure> {
     } else {
         format!("; left out: {}", left_out.join(", "))
     };
-    let path = shown(path);
+    let path = printable_path(path);
     if count == 0 {
         output::say(format_args!("{path}: not written: no device with a name{left_out}"));
     } else {

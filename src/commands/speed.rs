@@ -7,9 +7,9 @@ use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure, headless};
 use crate::bitrate::{ListenMode, SearchOutcome, SearchProgress, kbit};
 use crate::bus::{BusSpec, TuneError};
 use crate::cli::SpeedArgs;
-use crate::regular_file::shown;
 use crate::shell::bitrate_search::{Plan, SearchReport, find};
 use crate::shell::stop::StopWaiter;
+use crate::text::printable_path;
 use anyhow::Context;
 use serde::Serialize;
 use std::io::{self, IsTerminal};
@@ -49,7 +49,7 @@ async fn search(speed: &SpeedArgs) -> Result<u8, Failure> {
     if let SearchOutcome::Found(rate) = report.outcome {
         say(match bus {
             BusSpec::Slcan(slcan) => {
-                format!("open it with: descan slcan:{}@{rate}", shown(&slcan.device))
+                format!("open it with: descan slcan:{}@{rate}", printable_path(&slcan.device))
             }
             _ => format!("{bus} keeps this bit rate; open it with: descan {bus}"),
         });

@@ -7,7 +7,6 @@ use crate::bus::{self, BusSpec, Clock, Options};
 use crate::cli::{CommonArgs, ScreenArgs, SessionArgs as Arguments};
 use crate::finding::{Finding, FindingState};
 use crate::frame::BusIndex;
-use crate::regular_file::shown;
 use crate::shell::bus_picker::PickerExit;
 use crate::shell::bus_scout::{BusScout, ScoutSettings};
 use crate::shell::catalogue_folders::CatalogueFolders;
@@ -21,7 +20,7 @@ use crate::shell::tui_loop::{self, LoopSettings, ThemeLoader, TuiExit};
 use crate::shell::{bus_offers, bus_picker, recovery, stop, terminal};
 use crate::sim::Scenario;
 use crate::status::Link;
-use crate::text::counted;
+use crate::text::{counted, printable_path};
 use anyhow::Context;
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
@@ -281,7 +280,7 @@ pub fn demo(system: &str, common: &CommonArgs, screen: &ScreenArgs) -> Result<u8
     if edited {
         let kept = folder.keep().join("des.json");
         // The terminal may be gone.
-        let _ = output::print(&format!("The demo's des.json is kept: {}\n", shown(&kept)));
+        let _ = output::print(&format!("The demo's des.json is kept: {}\n", printable_path(&kept)));
     }
     Ok(code)
 }
@@ -467,11 +466,14 @@ fn save_edits_at_risk(session: &Session) -> bool {
 
 /// Prints on standard error what was not saved, and the path of its recovery copy.
 fn report_recovery_copy(file: &Path, count: usize, kept: std::io::Result<PathBuf>) {
-    let (file, edits) = (shown(file), counted(count as u64, "edit"));
+    let (file, edits) = (printable_path(file), counted(count as u64, "edit"));
     let not_saved = format!("{edits} of {file} not saved");
     match kept {
         Ok(copy) => {
-            output::warn(format_args!("{not_saved}; a copy with all edits is {}", shown(&copy)));
+            output::warn(format_args!(
+                "{not_saved}; a copy with all edits is {}",
+                printable_path(&copy)
+            ));
         }
         Err(why) => output::warn(format_args!("{not_saved}, and a copy cannot be written: {why}")),
     }

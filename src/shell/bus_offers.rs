@@ -6,9 +6,8 @@
 use super::recent_logs::{LogLengths, RecentLog, recent_logs};
 use crate::app::{BusOffer, OfferKind};
 use crate::bus::{self, CanInterface};
-use crate::regular_file::shown;
 use crate::status::{BusState, length_text};
-use crate::text::printable;
+use crate::text::{printable, printable_path};
 use std::fs;
 use std::path::{Path, PathBuf};
 use time::{OffsetDateTime, UtcOffset};
@@ -105,7 +104,7 @@ fn of_adapter(path: &Path, identity: &str, is_known: bool) -> BusOffer {
     let what = if is_known { "slcan" } else { "unknown adapter, Enter asks" };
     BusOffer {
         kind: OfferKind::Adapter,
-        name: shown(path),
+        name: printable_path(path),
         facts: [what, identity].join("  ").trim_end().to_owned(),
         argument: format!("slcan:{}", path.display()),
         command: None,
@@ -126,7 +125,7 @@ fn of_log(log: &RecentLog, utc_offset_seconds: i32, lengths: &mut LogLengths) ->
 
 /// Length, what was found, time of the last change and folder of a log.
 fn facts_of_log(log: &RecentLog, utc_offset_seconds: i32, lengths: &mut LogLengths) -> String {
-    let folder = log.path.parent().map(shown).unwrap_or_default();
+    let folder = log.path.parent().map(printable_path).unwrap_or_default();
     let Ok(metadata) = fs::metadata(&log.path) else { return folder };
     let changed = metadata.modified().ok().map(|at| {
         let offset = UtcOffset::from_whole_seconds(utc_offset_seconds).unwrap_or(UtcOffset::UTC);

@@ -7,7 +7,8 @@ use super::file_watcher::{QUIET, QUIET_TIMEOUT};
 use super::remote_folder::is_remote;
 use crate::catalogue::{CatalogueText, MAX_FILES};
 use crate::diagnostic::Diagnostic;
-use crate::regular_file::{not_read, required_text, shown};
+use crate::regular_file::{not_read, required_text};
+use crate::text::printable_path;
 use etcetera::{BaseStrategy, choose_base_strategy};
 use notify::event::{AccessKind, AccessMode, EventKind};
 use notify::{RecommendedWatcher, RecursiveMode, Watcher as _};
@@ -81,15 +82,19 @@ impl CatalogueFolders {
                             "has more than {MAX_FILES} files with the others; these are not read"
                         );
                         let text = Err(Diagnostic::new(why));
-                        texts.push(CatalogueText { path: shown(path), folder, text });
+                        texts.push(CatalogueText { path: printable_path(path), folder, text });
                     }
                     texts.extend(files.into_iter().take(room).map(|file| {
                         let text = required_text(&file);
-                        CatalogueText { path: shown(&file), folder, text }
+                        CatalogueText { path: printable_path(&file), folder, text }
                     }));
                 }
                 Err(fault) => {
-                    texts.push(CatalogueText { path: shown(path), folder, text: Err(fault) });
+                    texts.push(CatalogueText {
+                        path: printable_path(path),
+                        folder,
+                        text: Err(fault),
+                    });
                 }
             }
         }

@@ -6,8 +6,8 @@
 
 use crate::app::{MAX_SAVED_FILTERS, Page, SavedFilter, SavedFilterChange, Signs};
 use crate::keymap::Keymap;
-use crate::regular_file::{read_text, shown};
-use crate::text::printable;
+use crate::regular_file::read_text;
+use crate::text::{printable, printable_path};
 use etcetera::{BaseStrategy, choose_base_strategy};
 use serde::{Deserialize, Serialize};
 use std::fs;
@@ -184,7 +184,8 @@ impl ConfigFolder {
         let path = self.path.join(CONFIG);
         let path = fs::canonicalize(&path).unwrap_or(path);
         let text = read_text(&path).map_err(|fault| fault.to_string())?.unwrap_or_default();
-        let message = |why: String| format!("{}: {}", shown(&path), printable(why.as_bytes()));
+        let message =
+            |why: String| format!("{}: {}", printable_path(&path), printable(why.as_bytes()));
         UserSettings::parse(&text).map_err(message)?;
         let new = with_theme(&text, name);
         let is_right = UserSettings::parse(&new).is_ok_and(|it| it.theme.as_deref() == Some(name));
@@ -196,7 +197,7 @@ impl ConfigFolder {
 
     /// Writes a file as a whole.
     fn replace(&self, path: &Path, text: &str) -> Result<(), String> {
-        let failed = |error: &io::Error| format!("{}: {error}", shown(path));
+        let failed = |error: &io::Error| format!("{}: {error}", printable_path(path));
         let folder = path.parent().unwrap_or(&self.path);
         fs::create_dir_all(folder).map_err(|error| failed(&error))?;
         let mut temporary =
@@ -237,8 +238,9 @@ impl ConfigFolder {
         let Some(text) = read_text(&path).map_err(|fault| fault.to_string())? else {
             return Ok(T::default());
         };
-        let message =
-            |message: String| format!("{}: {}", shown(&path), printable(message.as_bytes()));
+        let message = |message: String| {
+            format!("{}: {}", printable_path(&path), printable(message.as_bytes()))
+        };
         parse(&text).map_err(message)
     }
 }

@@ -127,7 +127,7 @@ pub fn latest_plan(bus: &str) -> Result<Option<(String, PlanRecord)>, Diagnostic
 }
 
 fn read_path(path: &Path) -> Result<PlanRecord, Diagnostic> {
-    let shown = regular_file::shown(path);
+    let shown = crate::text::printable_path(path);
     let content = regular_file::read(path, MAX_RECORD_BYTES).map_err(|fault| fault.of(&shown))?;
     let content = content.ok_or_else(|| Diagnostic::new("file not found").of(&shown))?;
     PlanRecord::parse(&content).map_err(|why| Diagnostic::new(why).of(&shown))

@@ -140,7 +140,7 @@ impl FileState {
         let name = self.path.as_deref().and_then(Path::file_name).unwrap_or_default();
         let shown = self.shown_path.as_os_str();
         let name = if shown.is_empty() { name } else { shown };
-        crate::text::printable(name.as_encoded_bytes())
+        crate::text::printable_path(Path::new(name))
     }
 
     /// Sets the end of its path that tells it from the other files.

@@ -6,7 +6,7 @@ use super::super::port::Port;
 use crate::diagnostic::Diagnostic;
 use crate::log::LogFormat;
 use crate::open_file::{open_pipe_at_once, open_waiting};
-use crate::regular_file::shown;
+use crate::text::printable_path;
 use std::fs::File;
 use std::io;
 use std::path::{Component, Path, PathBuf};
@@ -64,12 +64,12 @@ fn checked(path: &Path, opened: io::Result<File>) -> Result<File, Diagnostic> {
         if is_folder { Err(io::ErrorKind::IsADirectory.into()) } else { Ok(log) }
     });
     opened.map_err(|error| {
-        let fault = Diagnostic::unreadable(format_args!("file:{}", shown(path)), &error);
+        let fault = Diagnostic::unreadable(format_args!("file:{}", printable_path(path)), &error);
         match error.kind() {
             io::ErrorKind::NotFound => fault.with_remedy("check the name"),
             io::ErrorKind::IsADirectory => fault.with_remedy("name a log in it"),
-            io::ErrorKind::PermissionDenied => {
-                fault.with_remedy(format!("allow it: sudo chmod a+r {}", shown(path)))
+            io::ErrorKind::PermissionDenied if cfg!(unix) => {
+                fault.with_remedy(format!("allow it: sudo chmod a+r {}", printable_path(path)))
             }
             _ => fault,
         }

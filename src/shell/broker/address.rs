@@ -2,7 +2,8 @@
 
 use super::{KEEP_ALIVE, MAX_PACKET_BYTES, SESSION_EXPIRY_SECONDS};
 use crate::diagnostic::Diagnostic;
-use crate::regular_file::{read, required_text, shown};
+use crate::regular_file::{read, required_text};
+use crate::text::printable_path;
 use rumqttc::tokio_rustls::rustls::crypto::ring;
 use rumqttc::tokio_rustls::rustls::pki_types::pem::PemObject;
 use rumqttc::tokio_rustls::rustls::pki_types::{CertificateDer, PrivateKeyDer};
@@ -182,14 +183,15 @@ fn login(
         }
         return Ok(user.map(|user| (user, password)));
     };
-    let text = required_text(path).map_err(|fault| fault.of(shown(path)))?;
+    let text = required_text(path).map_err(|fault| fault.of(printable_path(path)))?;
     // The text of an error would show the line with the password.
     let file: CredentialsFile = toml::from_str(&text).map_err(|_| {
         let remedy = "write user = \"NAME\" and password = \"PASSWORD\" (TOML)";
-        Diagnostic::new(format!("{}: not a file of credentials", shown(path))).with_remedy(remedy)
+        Diagnostic::new(format!("{}: not a file of credentials", printable_path(path)))
+            .with_remedy(remedy)
     })?;
     if is_readable_by_others(path) {
-        let path = shown(path);
+        let path = printable_path(path);
         warnings.push(format!("{path}: others can read the password; chmod 600 {path}"));
     }
     Ok(Some((file.user, file.password)))
@@ -236,7 +238,7 @@ fn tls(access: &BrokerAccess) -> Result<ClientConfig, Diagnostic> {
     let pem = read_pem(key)?;
     let private = PrivateKeyDer::from_pem_slice(&pem).map_err(|_| no_pem(key, "private key"))?;
     builder.with_client_auth_cert(chain, private).map_err(|error| {
-        let files = format!("{}, {}", shown(certificate), shown(key));
+        let files = format!("{}, {}", printable_path(certificate), printable_path(key));
         Diagnostic::new(format!("{files}: {error}"))
             .with_remedy("name a certificate (--cert) and its own key (--key)")
     })
@@ -256,11 +258,11 @@ fn certificates_of(path: &Path) -> Result<Vec<CertificateDer<'static>>, Diagnost
 }
 
 fn read_pem(path: &Path) -> Result<Vec<u8>, Diagnostic> {
-    let content = read(path, MAX_PEM_BYTES).map_err(|fault| fault.of(shown(path)))?;
-    content.ok_or_else(|| Diagnostic::new("file not found").of(shown(path)))
+    let content = read(path, MAX_PEM_BYTES).map_err(|fault| fault.of(printable_path(path)))?;
+    content.ok_or_else(|| Diagnostic::new("file not found").of(printable_path(path)))
 }
 
 fn no_pem(path: &Path, what: &str) -> Diagnostic {
-    Diagnostic::new(format!("{}: no {what} in it", shown(path)))
+    Diagnostic::new(format!("{}: no {what} in it", printable_path(path)))
         .with_remedy("name a file in PEM form (-----BEGIN ...)")
 }

@@ -23,11 +23,11 @@ use crate::diagnostic::Diagnostic;
 use crate::frame::{BusIndex, Frame};
 use crate::log::LogFormat;
 use crate::status::RecordingStatus;
+use crate::text::printable_path;
 use crate::time::{Duration as Span, Epoch};
 use output::Output;
 use std::collections::VecDeque;
 use std::io;
-use std::path::Path;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant as Monotonic};
@@ -81,14 +81,14 @@ impl Recorder {
     /// The file name does not show a log format; the file, or one that may follow it, already
     /// exists; or it cannot be created.
     pub fn create(target: &Target) -> Result<Self, Diagnostic> {
-        let path = shown(&target.path);
+        let path = printable_path(&target.path);
         let format = LogFormat::of(&target.path).map_err(|fault| {
             Diagnostic::new(fault.to_string()).of(format_args!("--record {path}"))
         })?;
         if target.max_bytes.is_some()
             && let Some(there) = first_numbered(&target.path)
         {
-            return Err(already_exists().of(shown(&there)));
+            return Err(already_exists().of(printable_path(&there)));
         }
         let file = Output::create(&target.path, format).map_err(|error| {
             let store = Store::new(&target.path);
@@ -446,10 +446,6 @@ fn why(error: &io::Error) -> String {
         io::ErrorKind::ReadOnlyFilesystem => "the disk has become read-only".into(),
         _ => error.to_string(),
     }
-}
-
-fn shown(path: &Path) -> String {
-    crate::text::printable(path.as_os_str().as_encoded_bytes())
 }
 
 /// Returns the value of a bus in a list by bus; extends the list if necessary.

@@ -1,10 +1,11 @@
 //! One file of a recording: collects encoded frames and writes them.
 
-use super::{RecorderBatch, shown};
+use super::RecorderBatch;
 use crate::frame::Frame;
 use crate::log::{LogEncoder, LogEntry, LogFormat, LogTime};
 use crate::open_file::{is_at, link_count};
 use crate::status::RecordingStatus;
+use crate::text::printable_path;
 use std::fs::{File, OpenOptions};
 use std::io::{self, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
@@ -128,6 +129,6 @@ impl Output {
     }
 
     pub fn status(&self) -> RecordingStatus {
-        RecordingStatus { path: shown(&self.path), ..RecordingStatus::default() }
+        RecordingStatus { path: printable_path(&self.path), ..RecordingStatus::default() }
     }
 }

@@ -28,8 +28,9 @@ use crate::document::Document;
 use crate::frame::{BusIndex, Frame};
 use crate::log::{LogSummary, UnreadableEntries};
 use crate::project::Project;
-use crate::regular_file::{shown, text_of};
+use crate::regular_file::text_of;
 use crate::status::{BusStatus, Link, RecordingStatus};
+use crate::text::printable_path;
 use crate::time::Instant;
 use crate::wire::profile::Profile;
 use futures_util::future::select_all;
@@ -601,7 +602,7 @@ impl Session {
         let Some((path, _)) = &self.profile else { return };
         let profile = text_on_disk(content)
             .and_then(|text| Profile::parse(&text).map_err(|error| error.with_line()));
-        self.app.handle_profile(now, &shown(path), profile);
+        self.app.handle_profile(now, &printable_path(path), profile);
     }
 
     fn take_project(&mut self, now: Instant, content: DiskContent) {
@@ -610,7 +611,7 @@ impl Session {
         let project = text_on_disk(content)
             .and_then(|text| Project::parse(&text, folder).map_err(|error| error.with_line()));
         let facts = project.map(|project| project.facts(&self.open_buses()));
-        self.app.handle_project(now, &shown(path), facts);
+        self.app.handle_project(now, &printable_path(path), facts);
     }
 
     /// Makes the file watch know the content of a save, or read the file again where that is not

@@ -32,7 +32,8 @@ use tempfile::NamedTempFile;
 
 use crate::diagnostic::{Diagnostic, without_number};
 use crate::open_file::{self, link_count, open_folder};
-use crate::regular_file::{self, RegularFile, check_kind, shown};
+use crate::regular_file::{self, RegularFile, check_kind};
+use crate::text::printable_path;
 use attributes::AttributeError;
 use temporary::{create_beside, remove_leftovers};
 
@@ -210,10 +211,12 @@ impl Store {
 
     /// Returns the fault if the folder of the file does not exist.
     pub fn missing_folder(&self) -> Option<Diagnostic> {
+        /// Creates a folder and those above it.
+        const MKDIR: &str = if cfg!(windows) { "mkdir" } else { "mkdir -p" };
         let folder = Places::of(&self.path).ok()?.folder;
         let is_missing =
             matches!(fs::metadata(&folder), Err(error) if error.kind() == io::ErrorKind::NotFound);
-        let remedy = || format!("mkdir -p {}", shown(&self.folder_as_named(&folder)));
+        let remedy = || format!("{MKDIR} {}", printable_path(&self.folder_as_named(&folder)));
         is_missing.then(|| Diagnostic::new("no such folder").with_remedy(remedy()))
     }
 
