@@ -1251,11 +1251,12 @@ where
     I: IntoIterator<Item = T>,
     T: Into<std::ffi::OsString> + Clone,
 {
-    Cli::try_parse_from(arguments).map_err(|error| {
+    let arguments: Vec<std::ffi::OsString> = arguments.into_iter().map(Into::into).collect();
+    Cli::try_parse_from(&arguments).map_err(|error| {
         if !error.use_stderr() {
             return CliExit::Text(error.render().to_string());
         }
-        CliExit::Usage(one_line(&error))
+        CliExit::Usage(one_line(&error, &arguments))
     })
 }
 
@@ -1268,23 +1269,43 @@ pub enum CliExit {
     Usage(String),
 }
 
-/// Shortens clap's error to one line: the fault, the tip or the possible values, and the help hint.
-fn one_line(error: &clap::Error) -> String {
+/// Shortens clap's error to one line: the fault, the tip or the possible values, or the usage or the help of
+/// the command.
+fn one_line(error: &clap::Error, arguments: &[std::ffi::OsString]) -> String {
     let text = error.render().to_string();
+    let usage = text.lines().find_map(|line| line.trim().strip_prefix("Usage: "));
+    let usage = usage.map(|usage| format!("usage: {usage}"));
     let mut parts = text
         .lines()
         .map(str::trim)
         .take_while(|line| !line.starts_with("Usage:"))
         .filter(|line| !line.is_empty() && !line.starts_with("For more information"))
         .map(|line| line.trim_start_matches("error: ").trim_start_matches("tip: "))
+        // What begins with a minus is rarely meant as a value.
+        .filter(|line| !line.starts_with("to pass '"))
         .map(|line| line.trim_end_matches(':'));
     let first = parts.next().unwrap_or("wrong arguments").to_owned();
-    let rest: Vec<&str> = parts.collect();
+    let mut rest: Vec<&str> = parts.collect();
+    if error.kind() == clap::error::ErrorKind::MissingRequiredArgument {
+        rest.extend(usage.as_deref());
+    }
     if rest.is_empty() {
-        format!("{first} (see descan --help)")
+        format!("{first} (see {} --help)", command_of(arguments))
     } else {
         format!("{first}: {}", rest.join("; "))
     }
+}
+
+/// Returns the command that these arguments name: `descan scan`, or the program alone.
+fn command_of(arguments: &[std::ffi::OsString]) -> String {
+    let (program, mut words) = (Cli::command(), vec!["descan"]);
+    let mut command = &program;
+    for argument in arguments.iter().skip(1) {
+        let Some(next) = command.find_subcommand(argument) else { break };
+        words.push(next.get_name());
+        command = next;
+    }
+    words.join(" ")
 }
 
 /// Returns the completion script of a shell.

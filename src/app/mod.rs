@@ -100,23 +100,9 @@ mod varint;
 mod versions;
 mod view;
 
-use crate::bitrate::{SearchOutcome, SearchProgress};
-use crate::catalogue::{Catalogue, CatalogueFile};
-use crate::dbc::MessageDatabase;
-use crate::diagnostic::Diagnostic;
-use crate::discovery::{Config, Device, DeviceId};
 pub use crate::document::same_services;
-use crate::document::{Document, Entry, NewEntry};
-use crate::finding::Finding;
-use crate::frame::{BusIndex, Frame};
-use crate::keymap::{Action, Key, KeyMode, Keymap};
-use crate::log::FrameSource;
-use crate::status::{BusStatus, Playback, PlaybackCommand, RecordingStatus};
-use crate::time::{Duration, Epoch, Instant, debug_assert_later};
-use crate::wire::profile::Profile;
 pub use address_plans::{PlanSession, PlanStart, PlanTask};
 pub use alarm::Alarm;
-use alarm::Alarms;
 pub use answer_text::format_millis;
 pub use app_event::{AppEvent, BusSnapshot, DeviceEvent, EventContext, EventLine, FileSnapshot};
 pub use beat_strip::{Beat, BeatKind, BeatStats};
@@ -127,8 +113,6 @@ pub use buses::{
     AddressHolder, AddressNames, Bus, Buses, ErrorKinds, LoadHistory, LoadMeter, LoadSample,
     LoadSecond, LoadShares, Redundancy, RedundantDevice, ShareCounts, TxBlocked,
 };
-use candidate_counts::CandidateCounts;
-use capture::Traffic;
 pub use capture::decoded::summary_of;
 pub use capture::{
     Call, CallCounts, CallKey, CallPart, CallResult, CallStats, Calls, CapturedHeartbeat,
@@ -137,7 +121,6 @@ pub use capture::{
     InterleavedLogs, InterleavedOrder, Latency, NOTED_BYTES, StatisticsCount, StoredFrames,
     Transfer, WrittenFrames,
 };
-use clock::AppClock;
 pub use compared_moments::{ComparedMoment, ComparisonNote, ComparisonRow, MomentComparison};
 pub use composer_dialog::{ComposerDialog, DialogField, MAX_TEMPLATES};
 pub use conflict_panel::{BeatCell, BeatsOnAxis, ConflictPanel, MAX_COLUMNS, ordinal, side_letter};
@@ -145,14 +128,11 @@ use des_search::BusSearch;
 pub use device_command::{COMMAND_FORMS, DeviceCommand};
 pub use device_page::BEATS_PER_LINE;
 use device_proof::BusProver;
-use devices::DeviceRows;
 pub use devices::concerns;
 pub use file::{
     EditRefusal, EntryPlace, FileChange, FileError, FileIndex, FileReading, FileState, SaveOutcome,
     Saving,
 };
-use file::{FileContent, FileEditors};
-pub(crate) use file_inputs::Inputs;
 pub use filter::{
     Completion, CompletionSource, FILTER_FIELDS, FILTER_WORDS, Filter, FilterError, FilterField,
     FrameMatcher, RowKind,
@@ -169,25 +149,18 @@ pub use help_view::HelpView;
 pub use history::{BusesReplay, Moment, RecordedBuses};
 pub use input::parse_address;
 pub use input::{FilterPrompt, InputCheck, Overlay, Prompt, PromptKind, Question};
-use input::{Input, PromptContext, PromptOutcome, PromptResult};
-use lanes::LaneRecords;
 pub use lanes::{Lane, LaneBoard, LaneCell, Lanes, format_step};
 pub use listing::addition_refusal;
 pub use load_bars::{LoadBar, bar_lines};
 pub use marks::{MAX_MARKS, Mark, Marks};
 pub use navigate::{Mouse, MouseKind};
-use notices::Notices;
 pub use notices::{
     StatusMessage, Timeline, TimelineEntry, event_word, whose_other_services, whose_services,
 };
 pub use page_filters::PageFilter;
 use page_filters::PageFilters;
-use past::Past;
-use places::Place;
-use play::Play;
 pub use play::PlayPace;
 use play::SoughtEvent;
-use problems::Problems;
 pub use problems::{
     ConflictSide, ConflictSides, EvidenceItem, Matching, Problem, ProblemHeadline, ProblemKey,
     ProblemList, Scope, SideBasis, format_duration, growing_length_text, is_about, length_text,
@@ -202,10 +175,6 @@ pub(crate) use sent_commands::key_needed;
 use sent_frames::Sendings;
 pub use sent_frames::{SendingResult, SentAnswer, SentFrames};
 pub use signs::Signs;
-use std::collections::VecDeque;
-use std::ops::Range;
-use std::path::{Path, PathBuf};
-use std::sync::Arc;
 pub use stories::{
     HiddenKinds, Stories, Story, StoryChange, StoryKind, StoryLine, StorySign, StoryStep,
 };
@@ -225,6 +194,38 @@ pub use view::{
     RowKey, RowState, SPLIT_WIDTH, Screen, Selection, SortBy, TimeFormat, TimelineView,
     TrafficView, View,
 };
+
+use crate::bitrate::{SearchOutcome, SearchProgress};
+use crate::catalogue::{Catalogue, CatalogueFile};
+use crate::dbc::MessageDatabase;
+use crate::diagnostic::Diagnostic;
+use crate::discovery::{Config, Device, DeviceId};
+use crate::document::{Document, Entry, NewEntry};
+use crate::finding::Finding;
+use crate::frame::{BusIndex, Frame};
+use crate::keymap::{Action, Key, KeyMode, Keymap};
+use crate::log::FrameSource;
+use crate::status::{BusStatus, Playback, PlaybackCommand, RecordingStatus};
+use crate::time::{Duration, Epoch, Instant, debug_assert_later};
+use crate::wire::profile::Profile;
+use alarm::Alarms;
+use candidate_counts::CandidateCounts;
+use capture::Traffic;
+use clock::AppClock;
+use devices::DeviceRows;
+use file::{FileContent, FileEditors};
+pub(crate) use file_inputs::Inputs;
+use input::{Input, PromptContext, PromptOutcome, PromptResult};
+use lanes::LaneRecords;
+use notices::Notices;
+use past::Past;
+use places::Place;
+use play::Play;
+use problems::Problems;
+use std::collections::VecDeque;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// Contents of des.json that are kept for past moments. Chosen: edits of a long day; each is shared with
 /// the undo steps.

@@ -337,11 +337,28 @@ impl App {
             Page::Devices => self.go_to_frames_of_device(),
             Page::Timeline if self.screen().list.height == 0 => self.go_to_frames_of_lane(),
             Page::Timeline => self.go_to_frames(),
-            Page::Problems => self.open_evidence(),
+            Page::Problems => self.go_to_frames_of_problem(),
             Page::Bus => self.go_to_frames_of_bar(),
             Page::Traffic if self.view.shows_identifiers() => self.show_frames_of_identifier(),
             Page::Traffic if self.view.shows_calls() => self.show_frames_of_call(),
             Page::Traffic => self.show_error("these are the frames"),
+        }
+    }
+
+    /// Shows the evidence of the selected problem; without any, the frames of the device at its address.
+    fn go_to_frames_of_problem(&mut self) {
+        let has_evidence = self.selected_problem().is_some_and(|it| !it.evidence().is_empty());
+        let is_there = |bus: BusIndex, address| {
+            self.shown_buses().get(bus).is_some_and(|bus| bus.device_at(address).is_some())
+        };
+        match self.subject() {
+            (Some(bus), Some(address), _) if !has_evidence && is_there(bus, address) => {
+                let term = self.bus_term(Some(bus));
+                self.view.traffic_view = TrafficView::Frames;
+                self.set_filter(Page::Traffic, &format!("at:{address}{term}"));
+                self.show_page(Page::Traffic);
+            }
+            _ => self.open_evidence(),
         }
     }
 

@@ -40,8 +40,13 @@ impl App {
         self.places.push(Place { page, opened, filter, traffic_view });
     }
 
-    /// Goes back to the last place that was left; the filter of this page is as before.
+    /// Goes back to the last place that was left; the filter of this page is as before. From evidence, or the
+    /// calls of a row, to that problem or row.
     pub(super) fn go_to_last_place(&mut self) {
+        let is_list_of_row = self.view.evidence.is_some() || self.view.call_list().is_some();
+        if self.view.page == Page::Traffic && is_list_of_row {
+            return self.go_back();
+        }
         let Some(place) = self.places.pop() else {
             return self.show_error("no page to return to");
         };

@@ -137,6 +137,7 @@ impl App {
                 let selected = self.view.identifiers.index(rows.iter().map(|row| &row.key))?;
                 rows.get(selected).map(|row| row.last)
             }
+            None if self.traffic.has_no_match(&self.view) => None,
             None => self.traffic.capture.get(self.view.traffic?),
         }
     }

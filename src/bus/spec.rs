@@ -119,6 +119,15 @@ impl FromStr for BusSpec {
         if scheme.contains('/') {
             return file::parse(text).map(BusSpec::File);
         }
+        // The name of an interface ends with its number, as a rule.
+        if let (Some(rate), Ok(BusSpec::SocketCan(interface))) =
+            (crate::bitrate::parse(rest), scheme.parse())
+            && interface.ends_with(|end: char| end.is_ascii_digit())
+        {
+            let cause = format!("{text}: the name of an interface has no bit rate");
+            let set = format!("sudo ip link set {interface} type can bitrate {rate}");
+            return Err(Diagnostic::new(cause).with_remedy(set));
+        }
         let fault = Diagnostic::new(format!("{scheme}: unknown bus type"));
         Err(fault.with_remedy(format!("use {}", examples())))
     }
@@ -214,6 +223,7 @@ mod tests {
             ("udp:239.74.163.2@0", "not a multicast group"),
             ("udp:239.74.163.2%a/b", "not a multicast group"),
             ("udp:nonsense", "udp:239.74.163.2"),
+            ("can0:125k", "sudo ip link set can0 type can bitrate 125000"),
             ("can0123456789abc", "15 bytes"),
             ("can 0", "not an interface name"),
         ] {

@@ -113,6 +113,11 @@ fn is_same_file(file: &File, output: &Path) -> bool {
 }
 
 fn format_of(args: &ConvertArgs) -> Result<&'static LogFormat, Failure> {
+    if LogFormat::has_packed_ending(&args.output) {
+        let cause = "convert does not compress";
+        let remedy = "write it without this ending, then use gzip, zstd or xz";
+        return Err(Failure::Usage(format!("{}: {cause}; {remedy}", printable_path(&args.output))));
+    }
     if let Some(name) = &args.format {
         // The command line has checked the name.
         return FORMATS

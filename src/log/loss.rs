@@ -34,7 +34,7 @@ impl LogLoss {
     }
 }
 
-/// Formats what is lost: `1 remote frame left out; can0 is channel 1`.
+/// Formats what is lost: `1 remote frame left out; the names of interfaces: can0 is number 1`.
 impl fmt::Display for LogLoss {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let counts = [
@@ -55,8 +55,9 @@ impl fmt::Display for LogLoss {
             write!(f, "{separator}all times an hour earlier, as summer time ended in this hour")?;
             separator = "; ";
         }
-        for (name, number) in self.numbers.iter().take(NAMED) {
-            write!(f, "{separator}{name} is number {number}")?;
+        for (at, (name, number)) in self.numbers.iter().take(NAMED).enumerate() {
+            let lost = if at == 0 { "the names of interfaces: " } else { "" };
+            write!(f, "{separator}{lost}{name} is number {number}")?;
             separator = ", ";
         }
         match self.numbers.len().saturating_sub(NAMED) {

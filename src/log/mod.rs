@@ -136,7 +136,10 @@ static TEXT: LogContent = LogContent {
 };
 
 /// File name endings of logs that are read but not written, in lower case.
-const READ_EXTENSIONS: &[&str] = &["pcap", "db", "sqlite", "sqlite3", "mf4", "gz", "zst", "xz"];
+const READ_EXTENSIONS: &[&str] = &["pcap", "db", "sqlite", "sqlite3", "mf4"];
+
+/// Endings of compressed logs.
+const PACKED_EXTENSIONS: &[&str] = &["gz", "zst", "xz"];
 
 /// The way out where nothing of a log can be read.
 pub const READABLE_LOGS: &str =
@@ -316,12 +319,18 @@ impl LogFormat {
         FORMATS.iter().find(|it| it.extensions.contains(&ending.as_str()))
     }
 
+    /// Returns true if a file has the ending of a compressed log.
+    pub fn has_packed_ending(path: &Path) -> bool {
+        PACKED_EXTENSIONS.contains(&ending_of(path).as_str())
+    }
+
     /// Returns true if a file has the ending of a log: of a format that is read, or of another one,
     /// whose logs are refused with the way to convert them.
     pub fn has_log_ending(path: &Path) -> bool {
         let ending = ending_of(path);
         Self::of_written(path).is_some()
             || READ_EXTENSIONS.contains(&ending.as_str())
+            || Self::has_packed_ending(path)
             || ForeignFormat::has_extension(&ending)
     }
 

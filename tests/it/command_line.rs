@@ -696,7 +696,16 @@ fn invalid_arguments_are_one_line_with_the_fix() {
         (&["scan", "candump"], "candump is not a command or a bus"),
         (&["scan", "sim:boiler", "--for", "3", "--time", "3"], "--time"),
         (&["scan", "file:session.log", "--for", "3"], "--for needs a live bus"),
-        (&["scan", "--time", "soon"], "a number of seconds"),
+        (
+            &["scan", "--time", "soon"],
+            "a number of seconds, 0.001 to 1000000 (see descan scan --help)",
+        ),
+        (&["prove", "can0"], "<DEVICE>; usage: descan prove <BUS> <DEVICE>"),
+        (
+            &["send", "can0", "--to", "3"],
+            "unexpected argument '--to' found (see descan send --help)",
+        ),
+        (&["scan", "can0:125k"], "sudo ip link set can0 type can bitrate 125000"),
         (&["--address", "200"], "0 to 127"),
         (&["demo", "submarine"], "boiler"),
         (&["demo", "--capture", "64"], "a size like 64M or 2G, 1M to 64G"),

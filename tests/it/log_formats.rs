@@ -324,7 +324,7 @@ fn every_format_holds_every_kind_of_frame() {
     assert!(
         said.ends_with(
             "out.csv: not in this format: 2 remote frames left out; 2 error frames left out; 3 FD frames \
-             without FDF, BRS or ESI; ch1 is number 0, ch2 is number 1\n"
+             without FDF, BRS or ESI; the names of interfaces: ch1 is number 0, ch2 is number 1\n"
         ),
         "{said}"
     );
@@ -412,6 +412,19 @@ fn time_behind_the_last_microsecond_is_unreadable() {
         assert_eq!(frames.len(), 0, "{log}");
         let said = summary.to_string();
         assert!(said.ends_with("cannot be read: the time is before 1970, or too large"), "{said}");
+    }
+}
+
+#[test]
+fn compressed_log_is_not_written() {
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("in.log"), KINDS).unwrap();
+    for args in [&["in.log", "out.log.gz"][..], &["in.log", "out.log.xz", "--format", "candump"]] {
+        let output = descan(folder.path(), &[&["convert"], args].concat());
+        assert_eq!(output.status.code(), Some(2));
+        let said = text(&output.stderr);
+        assert!(said.contains(": convert does not compress; write it without"), "{said}");
+        assert!(!folder.path().join(args[1]).exists());
     }
 }
 

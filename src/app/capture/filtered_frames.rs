@@ -193,6 +193,11 @@ impl FilteredFrames {
         range.is_some_and(|(start, range)| number < range.end && range.matches(*start, number))
     }
 
+    /// Returns true if all frames are tested, and none matches.
+    pub fn has_no_match(&self) -> bool {
+        self.is_complete && self.tested.values().all(|range| range.count == 0)
+    }
+
     /// The matching frame that is nearest in time to this one; `None` as long as it is not known.
     pub fn nearest(&self, store: &FrameStore, number: u64) -> Option<u64> {
         if self.contains(number) {

@@ -263,6 +263,11 @@ impl Traffic {
         self.filtered.is_on() && view.evidence.is_none()
     }
 
+    /// Returns true if the filter hides all frames.
+    pub fn has_no_match(&self, view: &View) -> bool {
+        self.is_filtered(view) && self.filtered.has_no_match()
+    }
+
     /// Numbers of the frames to show from `number` on, oldest first.
     pub fn from<'a>(&'a self, view: &'a View, number: u64) -> Box<dyn Iterator<Item = u64> + 'a> {
         let end = self.end(view);
@@ -295,6 +300,10 @@ impl Traffic {
     /// Numbers of the frames on `height` lines, oldest first, and the selected one; `None` while
     /// the newest frames are followed.
     pub fn shown(&self, view: &View, height: usize) -> (Vec<u64>, Option<u64>) {
+        // The selection stays for the time when the filter is off.
+        if self.has_no_match(view) {
+            return (Vec::new(), None);
+        }
         let end = self.end(view);
         let kept = |number: &u64| *number < end && self.capture.get(*number).is_some();
         let Some(selected) = view.traffic.filter(kept) else {

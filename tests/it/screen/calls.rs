@@ -109,9 +109,14 @@ fn calls_of_a_row_are_listed_with_latency_and_result() {
     assert!(!stage.app.page_filter(Page::Traffic).is_on(), "it would hide the request");
     stage.keys("Backspace");
     assert_eq!(stage.app.calls_listed().len(), 1, "back with the filter");
-    stage.keys("Esc");
-    assert!(stage.app.view().call_list().is_none());
-    assert!(one_line(&stage.screen()).contains("CLIENT→SERVER"), "{}", stage.screen());
+    for key in ["Esc", "Backspace"] {
+        assert!(stage.app.view().call_list().is_some(), "{}", stage.screen());
+        stage.keys(key);
+        assert!(stage.app.view().call_list().is_none(), "{key}");
+        assert!(one_line(&stage.screen()).contains("CLIENT→SERVER"), "{key}: {}", stage.screen());
+        // Without the filter.
+        stage.keys("Esc Home Enter");
+    }
 }
 
 #[test]

@@ -218,6 +218,36 @@ fn problem_opens_its_frames_and_returns() {
 }
 
 #[test]
+fn frames_of_a_problem_without_evidence_are_those_of_its_device() {
+    let mut stage = Stage::boiler();
+    stage.until(45.0).keys("4 Home");
+    while !selected(&stage).contains("static address") {
+        stage.keys("j");
+    }
+    assert!(stage.app.selected_problem().unwrap().evidence().is_empty());
+    stage.keys("f");
+    let shown = |stage: &Stage| {
+        (stage.app.view().page, stage.app.page_filter(Page::Traffic).text().to_owned())
+    };
+    assert_eq!(shown(&stage), (Page::Traffic, "at:16".to_owned()), "{}", stage.screen());
+    stage.keys("Backspace");
+    assert_eq!(stage.app.view().page, Page::Problems);
+    // Of a device that was never there, there are none.
+    stage.keys("G f");
+    assert_eq!(selected(&stage), "missing @44");
+    assert_eq!(stage.app.view().page, Page::Devices);
+}
+
+#[test]
+fn backspace_leaves_evidence_to_its_problem() {
+    let mut stage = Stage::boiler();
+    stage.until(45.0).keys("4 f");
+    assert!(stage.screen().contains("EVIDENCE"), "{}", stage.screen());
+    stage.keys("Backspace");
+    assert_eq!(stage.app.view().page, Page::Problems, "{}", stage.screen());
+}
+
+#[test]
 fn evidence_view_closes_like_other_views() {
     let mut stage = Stage::boiler();
     stage.until(45.0).keys("2 v /").text("srv:des").keys("Enter 4 f");

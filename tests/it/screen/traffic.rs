@@ -56,6 +56,22 @@ fn many_debug_messages_leave_room_for_other_frames() {
     assert!(!screen.contains("DEBUG hidden"), "{screen}");
 }
 
+#[test]
+fn filter_without_match_shows_no_frame_and_keeps_the_selection() {
+    let mut stage = Stage::boiler();
+    stage.until(20.0).keys("2 Space k k");
+    let selected = stage.app.selected_frame().expect("a selected frame");
+    stage.keys("/").text("src:NOBODY").keys("Enter");
+    let screen = stage.screen();
+    assert!(screen.contains("no frame matches the filter; Esc switches it off"), "{screen}");
+    assert!(!screen.contains('▸'), "{screen}");
+    assert_eq!(stage.app.selected_frame(), None);
+    stage.keys("k Enter");
+    assert_eq!(stage.app.selected_frame(), None, "{}", stage.screen());
+    stage.keys("Esc \\");
+    assert_eq!(stage.app.selected_frame(), Some(selected), "{}", stage.screen());
+}
+
 /// Tests that the newest frames are filtered at once, and the others in parts between which keys are
 /// handled.
 #[test]
