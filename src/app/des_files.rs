@@ -330,7 +330,7 @@ impl App {
                 Some((TimelineKind::File, "deleted: devices are no longer compared".to_owned()))
             }
             FileChange::Content if !file.is_there() => {
-                Some((TimelineKind::File, "deleted: the next edit creates it again".to_owned()))
+                Some((TimelineKind::File, "deleted: the next edit creates a new file".to_owned()))
             }
             FileChange::Content if !by_others.is_empty() => None,
             FileChange::Content => Some((TimelineKind::File, format!("changed on disk: {listed}"))),

@@ -90,7 +90,7 @@ pub fn run(args: &ConvertArgs) -> Result<u8, Failure> {
         };
         return Err(fault.of(&spec).into());
     }
-    if is_own && (summary.lost_entries() > 0 || summary.ends_inside_line) {
+    if is_own && (summary.lost_entries() > 0 || summary.ends_inside_entry) {
         let fault =
             Diagnostic::new(format!("not replaced, as not all of it can be read: {summary}"));
         let fault = fault.with_remedy("write to another file");

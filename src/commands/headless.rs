@@ -419,7 +419,7 @@ fn report_unreadable(spec: &BusSpec, session: &Session) -> Result<(), Failure> {
     }
     let is_damaged = summary.lost_entries() > 0;
     let is_doubtful =
-        summary.clock_steps_back > 0 || summary.ends_inside_line || summary.is_date_ambiguous;
+        summary.clock_steps_back > 0 || summary.ends_inside_entry || summary.is_date_ambiguous;
     if summary.frames == 0 && is_damaged {
         return Err(Failure::Unusable(format!("{spec}: {summary}; {READABLE_LOGS}")));
     }

@@ -6,7 +6,7 @@
 
 use super::bus_errors::{bus_error, capture_of, captured, is_on_bus, overload};
 use super::channel::{ChannelNumbers, channel_name};
-use super::dates::{asc_date, is_in_repeated_hour, local_time};
+use super::dates::{LAST_START, asc_date, is_in_repeated_hour, local_time};
 use super::fields::{
     FieldFault, bytes, can_id, channel, check_line, data_frame, first_word, len_of_dlc, number,
     starts_with_ignoring_case as starts, words,
@@ -302,7 +302,7 @@ impl LogEncoder for AscEncoder {
             start
         } else {
             // The date has milliseconds.
-            let start = unix_micros - unix_micros % 1000;
+            let start = (unix_micros - unix_micros % 1000).min(LAST_START);
             Self::write_head(out, start)?;
             self.loss.is_in_repeated_hour = is_in_repeated_hour(start);
             *self.start.insert(start)

@@ -9,7 +9,7 @@ use super::asc::is_whole_error;
 use super::binary::{BinaryFormat, EntryInput};
 use super::bus_errors::{bus_error, capture_of, captured, overload};
 use super::channel::{ChannelNumbers, channel_name};
-use super::dates::{system_time, system_time_of};
+use super::dates::{LAST_START, system_time, system_time_of};
 use super::fields::{FieldFault, can_id, data_frame, len_of_dlc};
 use super::{Damage, LogEncoder, LogEntry, LogLoss, LogSummary, LogTime};
 use crate::frame::socketcan::{BIT_RATE_SWITCH, ERROR_STATE};
@@ -490,7 +490,7 @@ impl LogEncoder for BlfEncoder {
     fn write(&mut self, entry: LogEntry<'_>, _: u64, out: &mut Vec<u8>) -> io::Result<bool> {
         // The date has milliseconds.
         let LogTime { micros, nanos } = entry.time;
-        let start = *self.start.get_or_insert(micros - micros % 1000);
+        let start = *self.start.get_or_insert((micros - micros % 1000).min(LAST_START));
         self.write_head(out);
         self.last = micros.max(self.last);
         let since_start = micros.checked_sub(start);

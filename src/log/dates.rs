@@ -9,6 +9,9 @@ use jiff::tz::{AmbiguousOffset, TimeZone};
 /// Microseconds from 1970-01-01 back to 1899-12-30, from which TRC counts days.
 const DAYS_BEFORE_1970: i128 = 25_569;
 const MICROS_PER_DAY: i128 = 86_400_000_000;
+/// The last date that is written as the beginning of a log, from which later times count: 9999-01-01 in UTC,
+/// as years have four digits.
+pub(super) const LAST_START: u64 = 253_370_764_800_000_000;
 /// Parts of a day in which a fraction of days is read: 0.09 µs.
 const PARTS_OF_DAY: i128 = 1_000_000_000_000;
 /// Beginnings of the names of the months in English, German, French, Spanish, Italian and Russian, as ASC

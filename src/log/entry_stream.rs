@@ -20,6 +20,7 @@ const FAULT: u8 = 2;
 const DAMAGE: u8 = 3;
 const UNREAD_LOG: u8 = 4;
 const UNREAD_JOURNAL: u8 = 5;
+const CUT_OFF: u8 = 6;
 /// Number of the damage of a block.
 const BLOCK: u8 = 3;
 /// Bytes of a frame before its data, and of the other entries.
@@ -102,6 +103,11 @@ impl EntryWriter {
         };
         self.bytes.extend_from_slice(&[DAMAGE, number]);
         self.bytes.extend_from_slice(&place.to_le_bytes());
+    }
+
+    /// Notes that the last entry is cut off.
+    pub fn cut_off(&mut self) {
+        self.bytes.push(CUT_OFF);
     }
 
     /// Notes that a file beside the database is not read.
@@ -203,6 +209,10 @@ impl BinaryFormat for EntryStreamState {
             }
             UNREAD_JOURNAL => {
                 summary.unread_changes = Some(UnreadChanges::RollbackJournal);
+                None
+            }
+            CUT_OFF => {
+                summary.ends_inside_entry = true;
                 None
             }
             _ => return Err(Damage::Compression),

@@ -54,6 +54,8 @@ pub(super) struct MdfLog {
     streams: Vec<FrameStream>,
     /// The first damage, after which a stream has ended.
     damage: Option<LogDamage>,
+    /// An unfinished file ends inside a record.
+    ends_inside_record: bool,
 }
 
 /// Why not all of a file was read.
@@ -200,11 +202,13 @@ struct FrameStream {
     max_disorder: i128,
     max_ready: usize,
     is_over: bool,
+    /// An unfinished file ends inside a record.
+    ends_inside_record: bool,
 }
 
 impl MdfLog {
     pub fn new() -> Self {
-        Self { is_begun: false, streams: Vec::new(), damage: None }
+        Self { is_begun: false, streams: Vec::new(), damage: None, ends_inside_record: false }
     }
 
     /// Reads the groups of the file.
@@ -257,6 +261,7 @@ impl MdfLog {
                 Err(MdfFault::Log(_)) => stream.is_over = true,
             }
         }
+        self.ends_inside_record |= self.streams.iter().any(|stream| stream.ends_inside_record);
         self.streams.retain(|stream| !stream.ready.is_empty() || !stream.is_over);
         let next = |stream: &&mut FrameStream| stream.next_time().unwrap_or(i128::MAX);
         let first = self.streams.iter_mut().min_by_key(next);
@@ -282,6 +287,9 @@ impl RandomFormat for MdfLog {
         }
         while out.bytes().len() < PART {
             let Some((nanos, frame)) = self.next_frame(bytes)? else {
+                if self.ends_inside_record {
+                    out.cut_off();
+                }
                 match self.damage {
                     Some(LogDamage::Block(address)) => out.damaged_block(address),
                     Some(LogDamage::Log(damage)) => out.damage(damage),
@@ -364,6 +372,7 @@ impl FrameStream {
             max_disorder,
             max_ready: MAX_READY,
             is_over: false,
+            ends_inside_record: false,
         }))
     }
 
@@ -391,7 +400,10 @@ impl FrameStream {
 
     /// Reads a record; returns false at the end.
     fn read_record(&mut self, bytes: &dyn RandomAccess) -> Result<bool, MdfFault> {
-        let Some(id) = self.chain.take(bytes, self.id_len)? else { return Ok(false) };
+        let Some(id) = self.chain.take(bytes, self.id_len)? else {
+            self.ends_inside_record = self.chain.has_rest();
+            return Ok(false);
+        };
         let mut number = [0; 8];
         number[..id.len()].copy_from_slice(id);
         let number = u64::from_le_bytes(number);
@@ -399,7 +411,10 @@ impl FrameStream {
         let len = match self.groups.get(&number).ok_or(damage)? {
             RecordGroup::Frames { len, .. } | RecordGroup::Other { len } => *len,
             RecordGroup::Bytes => {
-                let Some(len) = self.chain.take(bytes, 4)? else { return Ok(false) };
+                let Some(len) = self.chain.take(bytes, 4)? else {
+                    self.ends_inside_record = true;
+                    return Ok(false);
+                };
                 u32_at(len, 0) as usize
             }
         };
@@ -407,6 +422,7 @@ impl FrameStream {
             return Err(self.chain.damage());
         }
         let Some(mut record) = self.chain.take(bytes, len)?.map(<[u8]>::to_vec) else {
+            self.ends_inside_record = self.id_len > 0 || self.chain.has_rest();
             return Ok(false);
         };
         match self.groups.get_mut(&number) {

@@ -5,7 +5,7 @@
 
 use super::Damage;
 use super::random_access::{RandomAccess, read_full_at};
-use flate2::{Decompress, FlushDecompress};
+use flate2::{Decompress, FlushDecompress, Status};
 use std::collections::HashSet;
 use std::io;
 use std::sync::Arc;
@@ -164,6 +164,11 @@ impl DataChain {
         MdfFault::Block(self.block)
     }
 
+    /// Returns true if bytes were read and not taken.
+    pub fn has_rest(&self) -> bool {
+        self.taken < self.buffer.len()
+    }
+
     /// Returns the next `len` bytes, and passes over them; `None` at the end of the data.
     pub fn take(
         &mut self,
@@ -172,8 +177,8 @@ impl DataChain {
     ) -> Result<Option<&[u8]>, MdfFault> {
         while self.buffer.len() - self.taken < len {
             if !self.read_on(bytes)? {
-                let has_part = self.taken < self.buffer.len();
-                return if has_part && !self.is_unfinished { Err(self.damage()) } else { Ok(None) };
+                let is_cut = self.has_rest() && !self.is_unfinished;
+                return if is_cut { Err(self.damage()) } else { Ok(None) };
             }
         }
         self.taken += len;
@@ -283,12 +288,14 @@ impl DataChain {
         if read_full_at(bytes, &mut packed, block.data_at + HEAD as u64)? < packed.len() {
             return Err(block.damage());
         }
-        let mut data = vec![0; len as usize];
+        // With room for a byte more, the end of the stream is reached, where its check sum is compared.
+        let mut data = vec![0; len as usize + 1];
         let mut inflate = Decompress::new(true);
         let result = inflate.decompress(&packed, &mut data, FlushDecompress::Finish);
-        if result.is_err() || inflate.total_out() < len {
+        if !matches!(result, Ok(Status::StreamEnd)) || inflate.total_out() != len {
             return Err(block.damage());
         }
+        data.truncate(len as usize);
         if zip == TRANSPOSED {
             append_transposed(&data, width, &mut self.buffer);
         } else {

@@ -94,8 +94,8 @@ pub struct LogSummary {
     pub is_date_ambiguous: bool,
     /// The log is a database with changes in a file beside it, which is not read.
     pub unread_changes: Option<UnreadChanges>,
-    /// The last line of a text log has no end.
-    pub ends_inside_line: bool,
+    /// The last line of a text log has no end, or the last record of an unfinished measurement is cut off.
+    pub ends_inside_entry: bool,
     /// Time at which the next entry is read, in microseconds since 1970; 0 if it is not known.
     pub(super) arrival: u64,
     /// Offset added to the times in the log, because the clock was set back.
@@ -160,7 +160,7 @@ impl LogSummary {
         (self.entries, self.clock_steps_back) = (0, 0);
         (self.damage, self.foreign) = (None, None);
         (self.damage_at, self.bytes) = (None, 0);
-        (self.unread_changes, self.ends_inside_line) = (None, false);
+        (self.unread_changes, self.ends_inside_entry) = (None, false);
         self.is_date_ambiguous = false;
         self.frames_before = self.frames;
     }
@@ -295,8 +295,12 @@ impl fmt::Display for LogSummary {
         if let Some(unread) = self.unread_changes {
             write!(f, "; {unread}")?;
         }
-        if self.ends_inside_line {
-            write!(f, "; the last line has no end: it may be cut off")?;
+        if self.ends_inside_entry {
+            let end = match self.unit {
+                "line" => "the last line has no end: it may be cut off",
+                _ => "it ends inside a record",
+            };
+            write!(f, "; {end}")?;
         }
         if self.is_timeless {
             write!(f, "; without times")?;

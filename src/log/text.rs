@@ -164,7 +164,7 @@ impl LogDecoder for TextDecoder {
             return (bytes.len(), DecodeStep::End);
         }
         // The log goes on behind what was its end.
-        summary.ends_inside_line = false;
+        summary.ends_inside_entry = false;
         let end = memchr::memchr(b'\n', bytes);
         self.check_damage(end.map_or(bytes.len(), |end| end + 1), summary);
         if summary.damage.is_some() {
@@ -240,7 +240,7 @@ impl LogDecoder for TextDecoder {
             return None;
         }
         let is_counted = std::mem::take(&mut self.skipped) > 0;
-        summary.ends_inside_line = !self.partial.trim_ascii().is_empty();
+        summary.ends_inside_entry = !self.partial.trim_ascii().is_empty();
         let frame = if is_counted { None } else { self.take_partial(summary) };
         self.partial.clear();
         frame

@@ -7,7 +7,9 @@
 use super::asc::is_whole_error;
 use super::bus_errors::{bus_error, capture_of, captured, is_on_bus, overload};
 use super::channel::{ChannelNumbers, channel_name};
-use super::dates::{day_month_year, is_in_repeated_hour, local_time, trc_date, trc_days};
+use super::dates::{
+    LAST_START, day_month_year, is_in_repeated_hour, local_time, trc_date, trc_days,
+};
 use super::fields::{
     FieldFault, bytes, can_id, channel, check_line, data_frame, first_word, fixed_point,
     len_of_dlc, number, starts_with_ignoring_case as starts,
@@ -279,9 +281,10 @@ impl LogEncoder for TrcEncoder {
         let start = if let Some(start) = self.start {
             start
         } else {
-            Self::write_head(out, unix_micros)?;
-            self.loss.is_in_repeated_hour = is_in_repeated_hour(unix_micros);
-            *self.start.insert(unix_micros)
+            let start = unix_micros.min(LAST_START);
+            Self::write_head(out, start)?;
+            self.loss.is_in_repeated_hour = is_in_repeated_hour(start);
+            *self.start.insert(start)
         };
         self.loss.other_times += u64::from(unix_micros < start);
         self.loss.finer_times += u64::from(entry.time.nanos > 0);

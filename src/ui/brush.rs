@@ -75,8 +75,10 @@ impl DrawContext<'_> {
     /// Draws, in place of an empty list, that the filter matches nothing (`what`) and the key that
     /// clears it.
     pub fn draw_no_match(&mut self, area: Rect, what: &str) {
-        let key = self.app.key_of(Action::Cancel);
-        let text = format!("{what}; {key} switches it off");
+        // At a moment that is shown, the first Esc goes to the present.
+        let is_frozen = self.app.view().frozen.is_some();
+        let action = if is_frozen { Action::FilterToggle } else { Action::Cancel };
+        let text = format!("{what}; {} switches it off", self.app.key_of(action));
         let below = Rect { y: area.y + 1, height: area.height.saturating_sub(1), ..area };
         let lines = labelled(self, "  ", Role::Muted, &text, area.width.saturating_sub(1));
         self.lines(below, &lines, 0);

@@ -125,15 +125,14 @@ fn facts_of(choice: &BusChoice, at: usize, offer: &BusOffer, is_selected: bool) 
     }
 }
 
-/// Actions whose keys are shown below the list.
-const KEYS: [Action; 7] = [
+/// Actions whose keys are shown below the list, before that which closes it.
+const KEYS: [Action; 6] = [
     Action::ChoiceOpen,
     Action::ChoiceToggle,
     Action::ChoiceBitrate,
     Action::ChoiceSearch,
     Action::ChoiceCopy,
     Action::ChoiceTheme,
-    Action::ChoiceClose,
 ];
 
 /// Joins texts to lines that are no wider than `width`, if a text alone is not.
@@ -201,14 +200,18 @@ fn bottom_lines(
         (None, None) => {
             let is_first = choice.is_in_place().is_none();
             let shown = KEYS.iter().filter(|action| is_first || **action != Action::ChoiceTheme);
-            let hint = |action: &Action| {
-                let (key, word) = choice.keymap().hint(*action)?;
-                let quits = is_first && *action == Action::ChoiceClose;
+            let hint = |action: Action| {
+                let (key, word) = choice.keymap().hint(action)?;
+                let quits = is_first && action == Action::ChoiceClose;
                 Some(format!("{key} {}", if quits { "quit" } else { word }))
             };
-            // Those that fit whole.
-            let hints = joined(shown.filter_map(hint), "  ", room);
-            line(Role::Muted, format!(" {}", hints.first().map_or("", String::as_str)))
+            // Those that fit whole beside the way out.
+            let close = hint(Action::ChoiceClose).unwrap_or_default();
+            let beside = room.saturating_sub(close.width() + 2);
+            let hints = joined(shown.filter_map(|action| hint(*action)), "  ", beside);
+            let fitting = hints.into_iter().next().filter(|it| it.width() <= beside);
+            let shown: Vec<_> = fitting.into_iter().chain([close]).collect();
+            line(Role::Muted, format!(" {}", shown.join("  ")))
         }
     });
     lines

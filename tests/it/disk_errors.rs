@@ -319,7 +319,7 @@ fn folder_moved_away_keeps_edits() {
     // While the user types in an input line.
     disk.pty.send("gge\x154");
     fs::rename(&here, &away).unwrap();
-    disk.pty.wait_for("deleted: the next edit creates it again");
+    disk.pty.wait_for("deleted: the next edit creates a new file");
     disk.pty.send("7\r");
     disk.pty.wait_for("✗ not saved");
     disk.pty.wait_for("no such folder; mkdir -p");

@@ -401,6 +401,23 @@ fn nanoseconds_of_times_are_kept_where_the_format_has_them() {
 }
 
 #[test]
+fn times_after_the_last_year_are_kept() {
+    let folder = tempfile::tempdir().unwrap();
+    let seconds = [253_402_300_799_u64, 253_402_300_800, 253_402_300_802];
+    let log = seconds.map(|seconds| format!("({seconds}.000001) can0 123#11\n"));
+    fs::write(folder.path().join("in.log"), log.concat()).unwrap();
+    for ending in ["asc", "trc", "blf", "pcapng"] {
+        let name = format!("out.{ending}");
+        let said = convert(folder.path(), "in.log", &name);
+        assert!(!said.contains("another time") && !said.contains("summer time"), "{said}");
+        convert(folder.path(), &name, &format!("{ending}.log"));
+        let again = fs::read_to_string(folder.path().join(format!("{ending}.log"))).unwrap();
+        let times: Vec<_> = again.lines().filter_map(|line| line.split(' ').next()).collect();
+        assert_eq!(times, seconds.map(|it| format!("({it}.000001)")), "{ending}");
+    }
+}
+
+#[test]
 fn time_behind_the_last_microsecond_is_unreadable() {
     let head = "date Tue Nov 14 10:13:20.000 pm 2023\nbase hex  timestamps absolute\n";
     let trc = ";$FILEVERSION=1.1\n;$STARTTIME=45244.9\n";

@@ -241,6 +241,37 @@ fn damaged_block_is_named_and_frames_before_it_are_read() {
 }
 
 #[test]
+fn unfinished_measurement_that_ends_inside_a_record_says_so() {
+    assert!(!read_log(UNFINISHED).1.ends_inside_entry);
+    let said = |cut: &usize| {
+        let summary = read_log(&UNFINISHED[..UNFINISHED.len() - cut]).1;
+        let is_said = summary.to_string().contains("; it ends inside a record");
+        assert_eq!(is_said, summary.ends_inside_entry);
+        is_said || summary.lost_entries() > 0
+    };
+    // Behind a record nothing is missing. None is longer than 64 data bytes and its other fields.
+    let silent: Vec<_> = (1..300).filter(|cut| !said(cut)).collect();
+    assert!(silent.len() < 20 && silent.windows(2).all(|it| it[0] + 1 < it[1]), "{silent:?}");
+}
+
+#[test]
+fn changed_bytes_of_compressed_blocks_are_found() {
+    /// Bytes of a block and of the head of its data before what is compressed.
+    const BEFORE: usize = 24 + 24;
+    let (whole, summary) = read_log(PACKED);
+    assert_eq!(summary.lost_entries(), 0);
+    for start in blocks(PACKED, "DZ") {
+        let size = |at: usize| u64::from_le_bytes(*PACKED[start + at..].first_chunk().unwrap());
+        for at in start + BEFORE..start + BEFORE + size(40) as usize {
+            let mut changed = PACKED.to_vec();
+            changed[at] ^= 0x10;
+            let (frames, summary) = read_log(&changed);
+            assert!(summary.lost_entries() > 0 || frames == whole, "byte {at}: {summary}");
+        }
+    }
+}
+
+#[test]
 fn damage_of_one_group_leaves_the_others_readable() {
     let (all, _) = read_log(PYTHON_CAN);
     let mut bytes = PYTHON_CAN.to_vec();

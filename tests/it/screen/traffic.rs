@@ -63,7 +63,7 @@ fn filter_without_match_shows_no_frame_and_keeps_the_selection() {
     let selected = stage.app.selected_frame().expect("a selected frame");
     stage.keys("/").text("src:NOBODY").keys("Enter");
     let screen = stage.screen();
-    assert!(screen.contains("no frame matches the filter; Esc switches it off"), "{screen}");
+    assert!(screen.contains("no frame matches the filter; \\ switches it off"), "{screen}");
     assert!(!screen.contains('▸'), "{screen}");
     assert_eq!(stage.app.selected_frame(), None);
     stage.keys("k Enter");
