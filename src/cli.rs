@@ -1300,7 +1300,8 @@ fn one_line(error: &clap::Error, arguments: &[std::ffi::OsString]) -> String {
 fn command_of(arguments: &[std::ffi::OsString]) -> String {
     let (program, mut words) = (Cli::command(), vec!["descan"]);
     let mut command = &program;
-    for argument in arguments.iter().skip(1) {
+    let is_option = |argument: &&std::ffi::OsString| argument.as_encoded_bytes().starts_with(b"-");
+    for argument in arguments.iter().skip(1).filter(|argument| !is_option(argument)) {
         let Some(next) = command.find_subcommand(argument) else { break };
         words.push(next.get_name());
         command = next;

@@ -173,9 +173,13 @@ impl App {
 
     /// Moves to the first or the last row; behind the last row Timeline and Traffic follow.
     pub(super) fn move_to_end(&mut self, last: bool) {
+        let is_empty = self.view.page == Page::Traffic && self.traffic.has_no_match(&self.view);
         let by_rows = self.view.evidence_alone().is_some()
             || self.view.shows_identifiers()
             || self.view.shows_calls();
+        if is_empty && !by_rows && self.view.focus == Focus::List {
+            return;
+        }
         if last && self.view.focus == Focus::List {
             match self.view.page {
                 Page::Timeline => return self.view.timeline.follow_newest(),
@@ -347,12 +351,15 @@ impl App {
 
     /// Shows the evidence of the selected problem; without any, the frames of the device at its address.
     fn go_to_frames_of_problem(&mut self) {
-        let has_evidence = self.selected_problem().is_some_and(|it| !it.evidence().is_empty());
+        // At the address of an entry that is missing there may be another device.
+        let is_of_device = self.selected_problem().is_some_and(|problem| {
+            problem.head().key.kind != FindingKind::Missing && problem.evidence().is_empty()
+        });
         let is_there = |bus: BusIndex, address| {
             self.shown_buses().get(bus).is_some_and(|bus| bus.device_at(address).is_some())
         };
         match self.subject() {
-            (Some(bus), Some(address), _) if !has_evidence && is_there(bus, address) => {
+            (Some(bus), Some(address), _) if is_of_device && is_there(bus, address) => {
                 let term = self.bus_term(Some(bus));
                 self.view.traffic_view = TrafficView::Frames;
                 self.set_filter(Page::Traffic, &format!("at:{address}{term}"));
@@ -825,13 +832,10 @@ impl App {
     /// Returns from the frames around the evidence to the evidence, from there to the problem.
     /// Returns false if there is no evidence to leave.
     fn leave_evidence(&mut self) -> bool {
-        match self.view.evidence.as_ref().map(|it| (it.shows_context, it.was_opened_in_details())) {
+        match self.view.evidence.as_ref().map(|it| it.shows_context) {
             None => return false,
-            Some((true, _)) => self.view.set_around(false),
-            Some((false, in_details)) => {
-                self.show_page(Page::Problems);
-                self.view.focus_details(in_details);
-            }
+            Some(true) => self.view.set_around(false),
+            Some(false) => self.return_to_problem(),
         }
         true
     }

@@ -3,7 +3,7 @@
 //! Bounded: 16 places. Does not know how a page shows what was gone to.
 
 use super::page_filters::PageFilter;
-use super::view::{Page, TrafficView};
+use super::view::{EvidenceView, Page, TrafficView};
 use super::{App, Prompt, PromptKind};
 use crate::frame::BusIndex;
 use crate::keymap::{Action, Key, KeyCode};
@@ -43,9 +43,13 @@ impl App {
     /// Goes back to the last place that was left; the filter of this page is as before. From evidence, or the
     /// calls of a row, to that problem or row.
     pub(super) fn go_to_last_place(&mut self) {
-        let is_list_of_row = self.view.evidence.is_some() || self.view.call_list().is_some();
-        if self.view.page == Page::Traffic && is_list_of_row {
-            return self.go_back();
+        if self.view.page == Page::Traffic {
+            if self.view.evidence.is_some() {
+                return self.return_to_problem();
+            }
+            if self.close_call_list() {
+                return;
+            }
         }
         let Some(place) = self.places.pop() else {
             return self.show_error("no page to return to");
@@ -56,6 +60,15 @@ impl App {
         }
         self.show_page(place.page);
         self.filter_changed();
+    }
+
+    /// Returns from evidence to its problem, as [`Self::go_to_last_place`] would.
+    pub(super) fn return_to_problem(&mut self) {
+        let in_details =
+            self.view.evidence.as_ref().is_some_and(EvidenceView::was_opened_in_details);
+        self.places.pop_if(|place| (place.page, place.opened) == (Page::Problems, Page::Traffic));
+        self.show_page(Page::Problems);
+        self.view.focus_details(in_details);
     }
 
     /// Returns true if the key of `go-to`, a letter, is typed into its empty prompt: it goes to the

@@ -119,13 +119,16 @@ impl FromStr for BusSpec {
         if scheme.contains('/') {
             return file::parse(text).map(BusSpec::File);
         }
-        // The name of an interface ends with its number, as a rule.
-        if let (Some(rate), Ok(BusSpec::SocketCan(interface))) =
-            (crate::bitrate::parse(rest), scheme.parse())
-            && interface.ends_with(|end: char| end.is_ascii_digit())
+        let is_interface =
+            scheme.contains("can") && scheme.ends_with(|end: char| end.is_ascii_digit());
+        if let Some(rate) = crate::bitrate::parse(rest)
+            && (10_000..=1_000_000).contains(&rate)
+            && let Ok(BusSpec::SocketCan(interface)) = scheme.parse()
+            && is_interface
+            && cfg!(target_os = "linux")
         {
             let cause = format!("{text}: the name of an interface has no bit rate");
-            let set = format!("sudo ip link set {interface} type can bitrate {rate}");
+            let set = format!("sudo ip link set {interface} up type can bitrate {rate}");
             return Err(Diagnostic::new(cause).with_remedy(set));
         }
         let fault = Diagnostic::new(format!("{scheme}: unknown bus type"));
@@ -223,7 +226,9 @@ mod tests {
             ("udp:239.74.163.2@0", "not a multicast group"),
             ("udp:239.74.163.2%a/b", "not a multicast group"),
             ("udp:nonsense", "udp:239.74.163.2"),
-            ("can0:125k", "sudo ip link set can0 type can bitrate 125000"),
+            ("can0:125k", "sudo ip link set can0 up type can bitrate 125000"),
+            ("can0:0", "unknown bus type"),
+            ("gateway1:29536", "socketcand://"),
             ("can0123456789abc", "15 bytes"),
             ("can 0", "not an interface name"),
         ] {

@@ -91,7 +91,7 @@ impl CandumpTimes {
             }
             PrintedTime::Short(time) => time,
         };
-        // 2⁶⁴ µs are more lines of under 1000 s than any log has.
+        // Each is below 1000 s: no log has as many lines as 2⁶⁴ µs take.
         self.sum = self.sum.checked_add(time).unwrap_or(self.sum);
         if self.seen == 0 && time.micros >= NO_DIFFERENCE && self.origin == TimeOrigin::Unknown {
             self.origin = TimeOrigin::Fixed;

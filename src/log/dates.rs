@@ -56,12 +56,10 @@ pub(super) fn local_time(unix_micros: u64) -> DateTime {
     TimeZone::system().to_datetime(timestamp)
 }
 
-/// Returns true if the local time of this moment comes twice, and is read as the first.
+/// Returns true if the local time of this moment, not after [`LAST_START`], comes twice, and is read as the
+/// first.
 pub(super) fn is_in_repeated_hour(micros: u64) -> bool {
-    /// Above any step of a clock, in microseconds: dates after the year 9999 are cut.
-    const DAY: u64 = 86_400_000_000;
-    let read = unix_micros(local_time(micros));
-    read.and_then(|read| micros.checked_sub(read)).is_some_and(|step| (1..DAY).contains(&step))
+    unix_micros(local_time(micros)).is_some_and(|read| read < micros)
 }
 
 /// Returns true if the local time of this moment comes twice, as summer time ends in that hour.

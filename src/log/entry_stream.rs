@@ -21,6 +21,7 @@ const DAMAGE: u8 = 3;
 const UNREAD_LOG: u8 = 4;
 const UNREAD_JOURNAL: u8 = 5;
 const CUT_OFF: u8 = 6;
+const AMBIGUOUS_DATE: u8 = 7;
 /// Number of the damage of a block.
 const BLOCK: u8 = 3;
 /// Bytes of a frame before its data, and of the other entries.
@@ -108,6 +109,11 @@ impl EntryWriter {
     /// Notes that the last entry is cut off.
     pub fn cut_off(&mut self) {
         self.bytes.push(CUT_OFF);
+    }
+
+    /// Notes that the date of the beginning comes twice.
+    pub fn ambiguous_date(&mut self) {
+        self.bytes.push(AMBIGUOUS_DATE);
     }
 
     /// Notes that a file beside the database is not read.
@@ -209,6 +215,10 @@ impl BinaryFormat for EntryStreamState {
             }
             UNREAD_JOURNAL => {
                 summary.unread_changes = Some(UnreadChanges::RollbackJournal);
+                None
+            }
+            AMBIGUOUS_DATE => {
+                summary.is_date_ambiguous = true;
                 None
             }
             CUT_OFF => {

@@ -8,7 +8,7 @@
 
 use super::Damage;
 use super::bus_errors::{bus_error, captured};
-use super::dates::{local_micros, unix_nanos_micros};
+use super::dates::{comes_twice, local_micros, unix_nanos_micros};
 use super::entry_stream::EntryWriter;
 use super::fields::{FieldFault, can_id, len_of_dlc};
 use super::mdf_blocks::{DataChain, MdfBlock, MdfFault, UnpackedBytes, u32_at, u64_at};
@@ -54,7 +54,9 @@ pub(super) struct MdfLog {
     streams: Vec<FrameStream>,
     /// The first damage, after which a stream has ended.
     damage: Option<LogDamage>,
-    /// An unfinished file ends inside a record.
+    /// The start is a local time that comes twice.
+    is_date_ambiguous: bool,
+    /// The data of an unfinished file end inside a record.
     ends_inside_record: bool,
 }
 
@@ -202,13 +204,19 @@ struct FrameStream {
     max_disorder: i128,
     max_ready: usize,
     is_over: bool,
-    /// An unfinished file ends inside a record.
+    /// The data of an unfinished file end inside a record.
     ends_inside_record: bool,
 }
 
 impl MdfLog {
     pub fn new() -> Self {
-        Self { is_begun: false, streams: Vec::new(), damage: None, ends_inside_record: false }
+        Self {
+            is_begun: false,
+            streams: Vec::new(),
+            damage: None,
+            is_date_ambiguous: false,
+            ends_inside_record: false,
+        }
     }
 
     /// Reads the groups of the file.
@@ -220,7 +228,9 @@ impl MdfLog {
         let is_unfinished = head.starts_with(UNFINISHED_MAGIC);
         let flags = u16::from_le_bytes([head[60], head[61]]);
         let header = MdfBlock::of_kind(bytes, HEADER, *b"HD")?;
-        let start_nanos = start_of(bytes, &header)?;
+        let (start_nanos, is_local) = start_of(bytes, &header)?;
+        let micros = unix_nanos_micros(start_nanos).filter(|_| is_local);
+        self.is_date_ambiguous = micros.is_some_and(comes_twice);
         let mut next = header.link(0);
         let mut reading = GroupReading {
             is_unfinished,
@@ -284,6 +294,9 @@ impl RandomFormat for MdfLog {
             }
             let max_ready = MAX_READY / self.streams.len().max(1);
             self.streams.iter_mut().for_each(|stream| stream.max_ready = max_ready);
+            if self.is_date_ambiguous {
+                out.ambiguous_date();
+            }
         }
         while out.bytes().len() < PART {
             let Some((nanos, frame)) = self.next_frame(bytes)? else {
@@ -297,7 +310,7 @@ impl RandomFormat for MdfLog {
                 }
                 return Ok(false);
             };
-            let micros = unix_nanos_micros(nanos).ok_or(FieldFault::Date);
+            let micros = unix_nanos_micros(nanos).ok_or(FieldFault::TimeRange);
             match frame.and_then(|frame| Ok((micros?, frame))) {
                 Ok((micros, (channel, frame))) => out.frame(micros, channel, &frame),
                 Err(fault) => out.fault(fault),
@@ -318,16 +331,16 @@ fn structure_block(
     if is_new { MdfBlock::of_kind(bytes, address, kind) } else { Err(MdfFault::Block(address)) }
 }
 
-/// Returns the start of the measurement, in nanoseconds since 1970.
-fn start_of(bytes: &dyn RandomAccess, header: &MdfBlock) -> Result<i128, MdfFault> {
+/// Returns the start of the measurement, in nanoseconds since 1970, and whether it is given as a local time.
+fn start_of(bytes: &dyn RandomAccess, header: &MdfBlock) -> Result<(i128, bool), MdfFault> {
     const LOCAL: u8 = 1;
     let data: [u8; 13] = header.data(bytes)?;
     let nanos = u64_at(&data, 0);
     if data[12] & LOCAL == 0 {
-        return Ok(i128::from(nanos));
+        return Ok((i128::from(nanos), false));
     }
     let micros = local_micros(nanos / 1000).ok_or_else(|| header.damage())?;
-    Ok(i128::from(micros) * 1000 + i128::from(nanos % 1000))
+    Ok((i128::from(micros) * 1000 + i128::from(nanos % 1000), true))
 }
 
 impl FrameStream {

@@ -218,7 +218,7 @@ fn message(row: &[u8], columns: &[usize; COLUMNS.len()]) -> Result<(u64, Frame),
     };
     let micros = (seconds * 1e6).round();
     if !(0.0..=1e18).contains(&micros) {
-        return Err(FieldFault::Date);
+        return Err(FieldFault::TimeRange);
     }
     let flag = |value| match value {
         SqliteValue::Int(0) => Ok(false),

@@ -2,7 +2,7 @@
 //! of text and an area. Text that does not fit is cut with `…`, scrolled, or wrapped. Widths are in
 //! cells of the terminal (a wide character takes two).
 
-use crate::app::{App, Bus, Screen};
+use crate::app::{App, Bus, Focus, Page, Screen};
 use crate::frame::BusIndex;
 use crate::keymap::Action;
 use crate::text::Escaped;
@@ -75,9 +75,13 @@ impl DrawContext<'_> {
     /// Draws, in place of an empty list, that the filter matches nothing (`what`) and the key that
     /// clears it.
     pub fn draw_no_match(&mut self, area: Rect, what: &str) {
-        // At a moment that is shown, the first Esc goes to the present.
-        let is_frozen = self.app.view().frozen.is_some();
-        let action = if is_frozen { Action::FilterToggle } else { Action::Cancel };
+        // Otherwise the first Esc closes something, or goes to the present.
+        let view = self.app.view();
+        let is_next = view.frozen.is_none()
+            && view.call_list().is_none()
+            && !(view.page == Page::Traffic && view.frame_details)
+            && view.focus == Focus::List;
+        let action = if is_next { Action::Cancel } else { Action::FilterToggle };
         let text = format!("{what}; {} switches it off", self.app.key_of(action));
         let below = Rect { y: area.y + 1, height: area.height.saturating_sub(1), ..area };
         let lines = labelled(self, "  ", Role::Muted, &text, area.width.saturating_sub(1));

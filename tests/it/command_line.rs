@@ -705,7 +705,7 @@ fn invalid_arguments_are_one_line_with_the_fix() {
             &["send", "can0", "--to", "3"],
             "unexpected argument '--to' found (see descan send --help)",
         ),
-        (&["scan", "can0:125k"], "sudo ip link set can0 type can bitrate 125000"),
+        (&["scan", "can0:125k"], "sudo ip link set can0 up type can bitrate 125000"),
         (&["--address", "200"], "0 to 127"),
         (&["demo", "submarine"], "boiler"),
         (&["demo", "--capture", "64"], "a size like 64M or 2G, 1M to 64G"),

@@ -117,6 +117,19 @@ fn log_with_a_date_of_the_repeated_hour_says_so_when_it_is_read() {
                          hour early";
             assert_eq!(said.contains(cause), is_twice, "{log}: {said}");
         }
+        // A measurement whose start is given as local time.
+        let mut measurement = include_bytes!("../corpus/mdf/unsorted").to_vec();
+        let hours = 471_816 + i64::from(hour);
+        let nanos = (hours * 3600 + 1800) * 1_000_000_000;
+        // The header is behind the 64 bytes of the identification; its data behind six links.
+        let start = 64 + 24 + 6 * 8;
+        measurement[start..start + 8].copy_from_slice(&nanos.to_le_bytes());
+        measurement[start + 12] = 1;
+        fs::write(folder.path().join("in"), &measurement).unwrap();
+        let mut command = Command::new(env!("CARGO_BIN_EXE_descan"));
+        command.args(["log", "in"]).current_dir(folder.path()).env("TZ", "Europe/Berlin");
+        let said = text(&command.output().unwrap().stderr);
+        assert_eq!(said.contains("its date comes twice"), is_twice, "{hour}: {said}");
     }
 }
 

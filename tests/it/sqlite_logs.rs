@@ -197,6 +197,27 @@ fn write_ahead_log_beside_a_database_is_named() {
     }
 }
 
+/// Tests that a file beside a database counts that may not be read; root may read any.
+#[cfg(unix)]
+#[test]
+fn unreadable_file_beside_a_database_is_named() {
+    use std::os::unix::fs::PermissionsExt as _;
+    let folder = tempfile::tempdir().unwrap();
+    let mut with_wal = THREE_LEVELS.to_vec();
+    with_wal[18..20].fill(2);
+    for (database, ending) in [(with_wal.as_slice(), "wal"), (THREE_LEVELS, "journal")] {
+        fs::write(folder.path().join("log.db"), database).unwrap();
+        let beside = folder.path().join(format!("log.db-{ending}"));
+        fs::write(&beside, journal(1, true)).unwrap();
+        fs::set_permissions(&beside, fs::Permissions::from_mode(0o000)).unwrap();
+        let output =
+            run_with_input(&["convert", "log.db", "out.log", "--force"], folder.path(), b"");
+        let said = text(&output.stderr);
+        assert!(said.contains(&format!("-{ending} beside it is not read")), "{said}");
+        assert_eq!(output.status.code(), Some(1), "{said}");
+    }
+}
+
 /// Returns a rollback journal with this number of pages in its head, and perhaps with a page.
 fn journal(pages: u32, has_page: bool) -> Vec<u8> {
     let mut journal = vec![0xD9, 0xD5, 0x05, 0xF9, 0x20, 0xA1, 0x63, 0xD7];

@@ -193,17 +193,19 @@ impl FilteredFrames {
         range.is_some_and(|(start, range)| number < range.end && range.matches(*start, number))
     }
 
-    /// Returns true if all frames are tested, and none matches.
-    pub fn has_no_match(&self) -> bool {
-        self.is_complete && self.tested.values().all(|range| range.count == 0)
+    /// Returns true if all frames are tested, and none before number `end` matches.
+    pub fn has_no_match(&self, end: u64) -> bool {
+        self.is_complete && self.before(end).next().is_none()
     }
 
-    /// The matching frame that is nearest in time to this one; `None` as long as it is not known.
-    pub fn nearest(&self, store: &FrameStore, number: u64) -> Option<u64> {
+    /// The matching frame before number `end` that is nearest in time to this one; `None` as long as it is not
+    /// known.
+    pub fn nearest(&self, store: &FrameStore, number: u64, end: u64) -> Option<u64> {
         if self.contains(number) {
             return Some(number);
         }
-        let (before, after) = (self.before(number).next(), self.from(number).next());
+        let (before, after) =
+            (self.before(number).next(), self.from(number).next().filter(|it| *it < end));
         let time = store.time_of(number).filter(|_| self.is_complete)?;
         let distance = |other: u64| {
             let other = store.time_of(other)?;

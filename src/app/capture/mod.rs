@@ -241,7 +241,8 @@ impl Traffic {
         }
         let is_complete = self.filtered.test(&self.capture, buses, self.end(view));
         if let Some(selected) = view.traffic {
-            view.traffic = Some(self.filtered.nearest(&self.capture, selected).unwrap_or(selected));
+            let nearest = self.filtered.nearest(&self.capture, selected, self.end(view));
+            view.traffic = Some(nearest.unwrap_or(selected));
         }
         is_complete
     }
@@ -265,7 +266,7 @@ impl Traffic {
 
     /// Returns true if the filter hides all frames.
     pub fn has_no_match(&self, view: &View) -> bool {
-        self.is_filtered(view) && self.filtered.has_no_match()
+        self.is_filtered(view) && self.filtered.has_no_match(self.end(view))
     }
 
     /// Numbers of the frames to show from `number` on, oldest first.
@@ -491,7 +492,8 @@ impl Traffic {
     /// Shows the frames of the selected transfer in rows of their own, or in one row. Returns false
     /// without a transfer.
     pub fn toggle_transfer(&self, view: &mut View) -> bool {
-        let Some(first) = view.traffic.and_then(|selected| self.transfer_of(selected)) else {
+        let selected = view.traffic.filter(|_| !self.has_no_match(view));
+        let Some(first) = selected.and_then(|selected| self.transfer_of(selected)) else {
             return false;
         };
         if view.open_transfers.remove(&first) {

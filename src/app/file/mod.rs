@@ -201,7 +201,7 @@ impl FileEditor {
             many => format!("{many} edits are"),
         };
         if let Some(path) = self.copy_of_edits() {
-            let path = crate::text::Escaped(path.as_os_str().as_encoded_bytes());
+            let path = crate::text::printable_path(path);
             format!("{edits} saved only in {path}. Quit anyway?")
         } else if self.file.is_saving() {
             format!("{edits} still being saved. Quit without waiting?")

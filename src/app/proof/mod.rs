@@ -13,7 +13,7 @@ use super::input::ProofPathPrompt;
 use super::problems::{Problem, ProblemKey};
 use super::{App, Effect, PromptKind};
 use crate::diagnostic::Diagnostic;
-use crate::text::printable;
+use crate::text::{printable, printable_path};
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
@@ -95,12 +95,11 @@ impl App {
                 return true;
             }
             (Ok(()), None) => {
-                let report = printable(proof.report.as_os_str().as_encoded_bytes());
+                let report = printable_path(&proof.report);
                 self.show_info(format!("saved: {report} and its .pcapng"));
             }
             (Err(why), text) => {
-                let (path, frames) = (proof.report.clone(), proof.frames.as_os_str());
-                let frames = printable(frames.as_encoded_bytes());
+                let (path, frames) = (proof.report.clone(), printable_path(&proof.frames));
                 let cause = match text {
                     Some(_) => format!("proof not saved: {why}"),
                     None => format!("report not saved: {why}; frames saved: {frames}"),

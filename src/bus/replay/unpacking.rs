@@ -44,36 +44,40 @@ fn unread_changes(file: &File) -> Option<UnreadChanges> {
     /// Bytes of the head of a write-ahead log, without frames behind it: section 4.1.
     const WAL_HEAD: u64 = 32;
     let path = path_of(file)?.into_os_string();
-    let open_beside = |ending: &str| {
+    let beside = |ending: &str| {
         let mut path = path.clone();
         path.push(ending);
-        let is_file = fs::metadata(&path).is_ok_and(|it| it.is_file());
-        if is_file { File::open(path).ok() } else { None }
+        let metadata = fs::metadata(&path).ok()?;
+        metadata.is_file().then(|| (PathBuf::from(path), metadata.len()))
     };
     let mut version = [0];
     read_exact_at(file, &mut version, VERSION_AT).ok()?;
     if version == [WITH_WAL] {
-        let wal = open_beside("-wal")?.metadata().ok()?;
-        (wal.len() > WAL_HEAD).then_some(UnreadChanges::WriteAheadLog)
+        let (_, len) = beside("-wal")?;
+        (len > WAL_HEAD).then_some(UnreadChanges::WriteAheadLog)
     } else {
-        let has_pages = journal_has_pages(&open_beside("-journal")?)?;
+        let (journal, len) = beside("-journal")?;
+        // One that may not be read is as good as one with pages.
+        let has_pages = File::open(journal).map_or(len > 0, |journal| journal_has_pages(&journal));
         has_pages.then_some(UnreadChanges::RollbackJournal)
     }
 }
 
-/// Returns true if a rollback journal has pages that its database is to get back; `None` if it has no head.
-/// A transaction that has ended leaves zeros in place of the head, or no file.
+/// Returns true if a rollback journal has pages that its database is to get back. A transaction that has
+/// ended leaves zeros in place of the head, or no file.
 ///
 /// Source: "Database File Format" of SQLite, section 3.
-fn journal_has_pages(journal: &File) -> Option<bool> {
+fn journal_has_pages(journal: &File) -> bool {
     const MAGIC: [u8; 8] = [0xD9, 0xD5, 0x05, 0xF9, 0x20, 0xA1, 0x63, 0xD7];
     let mut head = [0; 28];
-    read_exact_at(journal, &mut head, 0).ok()?;
-    let (magic, fields) = head.split_first_chunk()?;
-    let pages = fields.first_chunk().map(|pages| u32::from_be_bytes(*pages))?;
-    let head_len = fields[12..].first_chunk().map(|len| u32::from_be_bytes(*len))?;
-    let is_longer = journal.metadata().ok()?.len() > u64::from(head_len);
-    Some(*magic == MAGIC && pages != 0 && is_longer)
+    if read_exact_at(journal, &mut head, 0).is_err() {
+        return false;
+    }
+    let field =
+        |at: usize| u32::from_be_bytes([head[at], head[at + 1], head[at + 2], head[at + 3]]);
+    let (pages, head_len) = (field(8), field(20));
+    let is_longer = journal.metadata().is_ok_and(|it| it.len() > u64::from(head_len));
+    head.starts_with(&MAGIC) && pages != 0 && is_longer
 }
 
 fn spool() -> io::Result<Box<dyn LogSpool>> {

@@ -232,19 +232,32 @@ fn frames_of_a_problem_without_evidence_are_those_of_its_device() {
     assert_eq!(shown(&stage), (Page::Traffic, "at:16".to_owned()), "{}", stage.screen());
     stage.keys("Backspace");
     assert_eq!(stage.app.view().page, Page::Problems);
-    // Of a device that was never there, there are none.
+    // Of a device that is missing there are none, even if another one is at its address.
     stage.keys("G f");
     assert_eq!(selected(&stage), "missing @44");
     assert_eq!(stage.app.view().page, Page::Devices);
+    stage.write(&BOILER.replace("44", "20")).keys("4 G");
+    assert_eq!(selected(&stage), "missing @20");
+    stage.keys("f");
+    assert_eq!(stage.app.view().page, Page::Devices, "{}", stage.screen());
 }
 
 #[test]
 fn backspace_leaves_evidence_to_its_problem() {
+    let page = |stage: &Stage| stage.app.view().page;
     let mut stage = Stage::boiler();
-    stage.until(45.0).keys("4 f");
-    assert!(stage.screen().contains("EVIDENCE"), "{}", stage.screen());
+    stage.until(45.0).keys("1 Home p");
+    assert_eq!(page(&stage), Page::Problems);
+    for open in ["f", "f Enter", "Enter Enter"] {
+        stage.keys("4 Home").keys(open);
+        assert_eq!(page(&stage), Page::Traffic, "{open}: {}", stage.screen());
+        stage.keys("Backspace");
+        assert_eq!(page(&stage), Page::Problems, "{open}: {}", stage.screen());
+        stage.keys("Esc Esc");
+    }
+    // From there to the page before.
     stage.keys("Backspace");
-    assert_eq!(stage.app.view().page, Page::Problems, "{}", stage.screen());
+    assert_eq!(page(&stage), Page::Devices, "{}", stage.screen());
 }
 
 #[test]

@@ -66,10 +66,26 @@ fn filter_without_match_shows_no_frame_and_keeps_the_selection() {
     assert!(screen.contains("no frame matches the filter; \\ switches it off"), "{screen}");
     assert!(!screen.contains('▸'), "{screen}");
     assert_eq!(stage.app.selected_frame(), None);
-    stage.keys("k Enter");
+    stage.keys("k Home o Enter");
     assert_eq!(stage.app.selected_frame(), None, "{}", stage.screen());
     stage.keys("Esc \\");
     assert_eq!(stage.app.selected_frame(), Some(selected), "{}", stage.screen());
+}
+
+#[test]
+fn filter_at_a_past_moment_does_not_select_later_frames() {
+    let text = "bitrate = 125000\n[[device]]\nname = \"CALM\"\naddress = { fixed = 12 }\nsettled = true\n\
+        [[device]]\nname = \"LATE\"\naddress = { fixed = 14 }\nsettled = true\npower_on = 6.0\n";
+    let mut stage = Stage::new(&Scenario::parse(text).unwrap(), None);
+    stage.until(4.0).keys("2 Space k k");
+    let moment = stage.app.now();
+    stage.until(10.0).keys("/").text("src:14").keys("Enter");
+    assert_eq!(stage.app.selected_frame(), None, "{}", stage.screen());
+    let screen = stage.screen();
+    assert!(screen.contains("no frame matches the filter; \\ switches it off"), "{screen}");
+    stage.keys("\\");
+    let selected = stage.app.selected_frame().expect("a selected frame");
+    assert!(selected.time < moment, "{}", stage.screen());
 }
 
 /// Tests that the newest frames are filtered at once, and the others in parts between which keys are
