@@ -19,6 +19,9 @@ pub fn kbit(rate: u32) -> String {
     format!("{} kbit/s", f64::from(rate) / 1000.0)
 }
 
+/// Bit rates of classic frames, in bit/s.
+pub const CLASSIC_RATES: std::ops::RangeInclusive<u32> = 10_000..=1_000_000;
+
 /// Reads a bit rate, in bit/s: `125000`, or short as the screen shows it, `125k`, `1M`; `None` if
 /// the text is none.
 pub fn parse(text: &str) -> Option<u32> {

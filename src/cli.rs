@@ -1212,7 +1212,7 @@ fn capture(text: &str) -> Result<Size, String> {
 }
 
 fn bitrate(text: &str) -> Result<u32, String> {
-    let bitrate = bitrate::parse(text).filter(|rate| (10_000..=1_000_000).contains(rate));
+    let bitrate = bitrate::parse(text).filter(|rate| bitrate::CLASSIC_RATES.contains(rate));
     bitrate.ok_or_else(|| "a bit rate from 10000 to 1000000".to_owned())
 }
 

@@ -136,8 +136,13 @@ fn printable_windows_path(path: &[u8]) -> String {
         },
         None => ("", path),
     };
-    let parts: Vec<_> = path.split(|byte| *byte == b'\\').map(printable).collect();
-    format!("{start}{}", parts.join(r"\"))
+    format!("{start}{}", printable_with_backslashes(path))
+}
+
+/// Returns the bytes as printable text whose backslashes stay single.
+pub fn printable_with_backslashes(bytes: &[u8]) -> String {
+    let parts: Vec<_> = bytes.split(|byte| *byte == b'\\').map(printable).collect();
+    parts.join(r"\")
 }
 
 /// Returns a message on one line, printable. Of several lines, as in the errors of TOML, the first

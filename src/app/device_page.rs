@@ -219,9 +219,7 @@ impl App {
         let all: Vec<String> = addresses.iter().map(ToString::to_string).collect();
         let is_of_all = !row.redundant_ids.is_empty();
         let term = self.bus_term(row.bus.filter(|_| !is_of_all));
-        self.view.traffic_view = TrafficView::Frames;
-        self.set_filter(Page::Traffic, &format!("at:{}{term}", all.join(",")));
-        self.show_page(Page::Traffic);
+        self.show_frames_matching(&format!("at:{}{term}", all.join(",")));
     }
 
     /// The reason why the entry of the selected row is not edited: it belongs to another board at

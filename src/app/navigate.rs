@@ -361,9 +361,7 @@ impl App {
         match self.subject() {
             (Some(bus), Some(address), _) if is_of_device && is_there(bus, address) => {
                 let term = self.bus_term(Some(bus));
-                self.view.traffic_view = TrafficView::Frames;
-                self.set_filter(Page::Traffic, &format!("at:{address}{term}"));
-                self.show_page(Page::Traffic);
+                self.show_frames_matching(&format!("at:{address}{term}"));
             }
             _ => self.open_evidence(),
         }
@@ -371,8 +369,13 @@ impl App {
 
     /// Shows the frames from and to an address.
     pub(super) fn show_frames_of_address(&mut self, address: Address) {
+        self.show_frames_matching(&format!("at:{address}"));
+    }
+
+    /// Shows the frames that match a filter.
+    pub(super) fn show_frames_matching(&mut self, filter: &str) {
         self.view.traffic_view = TrafficView::Frames;
-        self.set_filter(Page::Traffic, &format!("at:{address}"));
+        self.set_filter(Page::Traffic, filter);
         self.show_page(Page::Traffic);
     }
 

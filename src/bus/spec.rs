@@ -122,7 +122,7 @@ impl FromStr for BusSpec {
         let is_interface =
             scheme.contains("can") && scheme.ends_with(|end: char| end.is_ascii_digit());
         if let Some(rate) = crate::bitrate::parse(rest)
-            && (10_000..=1_000_000).contains(&rate)
+            && crate::bitrate::CLASSIC_RATES.contains(&rate)
             && let Ok(BusSpec::SocketCan(interface)) = scheme.parse()
             && is_interface
             && cfg!(target_os = "linux")

@@ -10,7 +10,7 @@ use super::signal::{MessageSignal, Multiplexed, SignalKind};
 use super::tokens::{DbcToken, DbcTokenKind, DbcTokens};
 use super::{EXTENDED, NamedMessage};
 use crate::frame::CanId;
-use crate::text::{Escaped, printable};
+use crate::text::{Escaped, printable_with_backslashes};
 use crate::wire::descriptor::ByteOrder;
 use std::borrow::Cow;
 use std::collections::btree_map::Entry;
@@ -556,8 +556,7 @@ impl MessageDraft {
 
 /// Returns a text of the file, printable. Its backslashes stay single.
 fn shown(text: &str) -> String {
-    let parts: Vec<String> = text.split('\\').map(|part| printable(part.as_bytes())).collect();
-    parts.join("\\")
+    printable_with_backslashes(text.as_bytes())
 }
 
 /// Returns true for an identifier of 11 bits, and for one of 29 bits with [`EXTENDED`].

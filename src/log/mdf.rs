@@ -54,8 +54,6 @@ pub(super) struct MdfLog {
     streams: Vec<FrameStream>,
     /// The first damage, after which a stream has ended.
     damage: Option<LogDamage>,
-    /// The start is a local time that comes twice.
-    is_date_ambiguous: bool,
     /// The data of an unfinished file end inside a record.
     ends_inside_record: bool,
 }
@@ -210,17 +208,11 @@ struct FrameStream {
 
 impl MdfLog {
     pub fn new() -> Self {
-        Self {
-            is_begun: false,
-            streams: Vec::new(),
-            damage: None,
-            is_date_ambiguous: false,
-            ends_inside_record: false,
-        }
+        Self { is_begun: false, streams: Vec::new(), damage: None, ends_inside_record: false }
     }
 
     /// Reads the groups of the file.
-    fn begin(&mut self, bytes: &dyn RandomAccess) -> Result<(), MdfFault> {
+    fn begin(&mut self, bytes: &dyn RandomAccess, out: &mut EntryWriter) -> Result<(), MdfFault> {
         let mut head = [0; HEADER as usize];
         if read_full_at(bytes, &mut head, 0)? < head.len() {
             return Err(MdfFault::Block(0));
@@ -230,7 +222,9 @@ impl MdfLog {
         let header = MdfBlock::of_kind(bytes, HEADER, *b"HD")?;
         let (start_nanos, is_local) = start_of(bytes, &header)?;
         let micros = unix_nanos_micros(start_nanos).filter(|_| is_local);
-        self.is_date_ambiguous = micros.is_some_and(comes_twice);
+        if micros.is_some_and(comes_twice) {
+            out.ambiguous_date();
+        }
         let mut next = header.link(0);
         let mut reading = GroupReading {
             is_unfinished,
@@ -285,7 +279,7 @@ impl RandomFormat for MdfLog {
         /// Bytes of entries that are given at once.
         const PART: usize = 1 << 14;
         if !std::mem::replace(&mut self.is_begun, true) {
-            match self.begin(bytes) {
+            match self.begin(bytes, out) {
                 Ok(()) => {}
                 Err(MdfFault::File(error)) => return Err(error),
                 Err(MdfFault::Log(damage)) => self.damage = Some(LogDamage::Log(damage)),
@@ -294,9 +288,6 @@ impl RandomFormat for MdfLog {
             }
             let max_ready = MAX_READY / self.streams.len().max(1);
             self.streams.iter_mut().for_each(|stream| stream.max_ready = max_ready);
-            if self.is_date_ambiguous {
-                out.ambiguous_date();
-            }
         }
         while out.bytes().len() < PART {
             let Some((nanos, frame)) = self.next_frame(bytes)? else {

@@ -198,7 +198,7 @@ impl ProjectBusEntry {
             other => other,
         };
         if let Some(rate) = &self.bitrate
-            && !(10_000..=1_000_000).contains(rate.get_ref())
+            && !crate::bitrate::CLASSIC_RATES.contains(rate.get_ref())
         {
             return Err((rate.span(), "bitrate is 10000 to 1000000 bit/s".to_owned()));
         }
