@@ -392,7 +392,7 @@ pub struct SimArgs {
     #[arg(long, value_name = "SCENARIO", conflicts_with = "device")]
     pub scenario: Option<String>,
     /// One device of this NAME, in place of a scenario
-    #[arg(long, value_name = "NAME")]
+    #[arg(long, value_name = "NAME", value_parser = device_name)]
     pub device: Option<String>,
     /// Its services besides DES, with versions: A=1.0,B=2
     #[arg(long, value_name = "LIST", requires = "device", conflicts_with = "scenario", value_delimiter = ',', value_parser = version)]
@@ -415,7 +415,7 @@ pub struct DeviceArgs {
     #[arg(value_name = "BUS", help = format!("The bus: {}", bus::forms(|kind| kind.can_send)))]
     pub bus: BusSpec,
     /// Name, UID or address of the device; @12 is the address in any case
-    #[arg(value_name = "DEVICE")]
+    #[arg(value_name = "DEVICE", value_parser = device_name)]
     pub device: String,
     /// Send without asking
     #[arg(long)]
@@ -979,7 +979,7 @@ pub struct ProveArgs {
     #[arg(value_name = "BUS", help = format!("The bus: {}", bus::forms(|kind| kind.can_send)))]
     pub bus: BusSpec,
     /// Name, UID or address of the device; @12 is the address in any case
-    #[arg(value_name = "DEVICE", required_unless_present = "all", conflicts_with = "all")]
+    #[arg(value_name = "DEVICE", required_unless_present = "all", conflicts_with = "all", value_parser = device_name)]
     pub device: Option<String>,
     /// Test all devices of the bus, one after the other
     #[arg(long)]

@@ -32,10 +32,7 @@ impl App {
             Action::First => self.move_to_end(false),
             Action::Last => self.move_to_end(true),
             Action::Details if self.shows_beat_history() => self.go_to_beat(),
-            Action::Details if self.view.page == Page::Traffic => {
-                self.go_from_here(Self::open_details);
-            }
-            Action::Details => self.open_details(),
+            Action::Details => self.go_from_here(Self::open_details),
             Action::Into if self.move_along_devices(1) => {}
             Action::Back if self.move_along_devices(-1) => {}
             Action::Into if self.moves_conflict_axis() => self.move_conflict_axis(1),

@@ -33,6 +33,9 @@ impl App {
             };
             calls.sort_by_key(|call| Reverse(rank(call)));
         }
+        if list.is_reversed {
+            calls.reverse();
+        }
         calls
     }
 

@@ -1,5 +1,6 @@
 //! Time in the program: the present moment, its place on the wall clock, the pace of a log.
 
+use super::wall_clock::WallClock;
 use crate::status::Playback;
 use crate::time::{Duration, Epoch, Instant};
 
@@ -11,8 +12,7 @@ pub(super) struct AppClock {
     now: Instant,
     /// Real time, if the caller sets it; otherwise it is `now`.
     real: Option<Instant>,
-    epoch: Epoch,
-    utc_offset_seconds: i32,
+    wall: WallClock,
     /// Playback of logs, where all buses are logs.
     playback: Option<Playback>,
     /// Next whole second, at which ages and rates change.
@@ -20,11 +20,10 @@ pub(super) struct AppClock {
 }
 
 impl AppClock {
-    /// Returns a clock that stands at `now`. `utc_offset_seconds` is added to UTC for the wall
-    /// clock.
-    pub fn new(now: Instant, epoch: Epoch, utc_offset_seconds: i32) -> Self {
+    /// Returns a clock that stands at `now`.
+    pub fn new(now: Instant, wall: WallClock) -> Self {
         let next_second = whole_second_after(now);
-        Self { now, real: None, epoch, utc_offset_seconds, playback: None, next_second }
+        Self { now, real: None, wall, playback: None, next_second }
     }
 
     /// The latest moment.
@@ -55,19 +54,17 @@ impl AppClock {
 
     /// Unix time of [`Instant::ZERO`].
     pub fn epoch(&self) -> Epoch {
-        self.epoch
+        self.wall.epoch()
     }
 
-    /// Seconds since 1970-01-01 00:00 on the wall clock.
+    /// The wall clock.
+    pub fn wall(&self) -> &WallClock {
+        &self.wall
+    }
+
+    /// Seconds since 1970-01-01 00:00 on the wall clock; 0 before it.
     pub fn wall_seconds(&self, at: Instant) -> u64 {
-        (self.epoch.unix_micros(at) / 1_000_000)
-            .saturating_add_signed(i64::from(self.utc_offset_seconds))
-    }
-
-    /// Time of [`Instant::ZERO`] on the wall clock, in microseconds since 1970-01-01 00:00.
-    pub fn wall_start(&self) -> i128 {
-        let utc = i128::from(self.epoch.unix_micros(Instant::ZERO));
-        utc + i128::from(self.utc_offset_seconds) * 1_000_000
+        u64::try_from(self.wall.local(at) / 1_000_000).unwrap_or(0)
     }
 
     /// The present moment for the name of a file: `20261121-060036`.
@@ -82,15 +79,6 @@ impl AppClock {
         let (date, time) = stamp.split_once('-').unwrap_or((&stamp, "000000"));
         let (year, day) = date.split_at(date.len().saturating_sub(4));
         format!("{year}-{}-{} {}:{}:{}", &day[..2], &day[2..], &time[..2], &time[2..4], &time[4..])
-    }
-
-    /// Offset of the wall clock from UTC: `UTC+02:00`.
-    pub fn utc_offset_text(&self) -> String {
-        let (sign, minutes) = (
-            if self.utc_offset_seconds < 0 { '-' } else { '+' },
-            self.utc_offset_seconds.abs() / 60,
-        );
-        format!("UTC{sign}{:02}:{:02}", minutes / 60, minutes % 60)
     }
 
     /// Playback of logs; `None` unless all buses are logs.
@@ -150,6 +138,7 @@ fn stamp(wall_seconds: u64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use jiff::tz::TimeZone;
 
     #[test]
     fn stamp_is_calendar_date() {
@@ -161,7 +150,7 @@ mod tests {
     #[test]
     fn second_is_taken_once() {
         let at = |millis| Instant::ZERO + Duration::from_millis(millis);
-        let mut clock = AppClock::new(at(300), Epoch::default(), 0);
+        let mut clock = AppClock::new(at(300), WallClock::new(Epoch::default(), TimeZone::UTC));
         assert!(!clock.take_second(at(999)) && clock.take_second(at(1000)));
         assert!(!clock.take_second(at(1999)));
         assert_eq!((clock.set(at(50)), clock.next_second()), (at(300), at(2000)));
@@ -169,7 +158,8 @@ mod tests {
 
     #[test]
     fn paused_log_scales_durations_to_zero() {
-        let mut clock = AppClock::new(Instant::ZERO, Epoch::default(), 0);
+        let mut clock =
+            AppClock::new(Instant::ZERO, WallClock::new(Epoch::default(), TimeZone::UTC));
         assert_eq!(clock.scale_to_playback(SECOND), SECOND);
         assert!(clock.set_playback(Playback {
             speed: 2.0,

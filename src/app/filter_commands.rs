@@ -1,6 +1,6 @@
 //! Commands of the filter: typing it, switching it, searching with it.
 
-use super::filter::{CompletionSource, Filter, RowKind, WallClock};
+use super::filter::{CompletionSource, Filter, RowKind};
 use super::input::{FilterPrompt, Overlay, Prompt, PromptKind};
 use super::page_filters::PageFilter;
 use super::view::{Page, RowKey, TrafficView};
@@ -28,7 +28,8 @@ impl App {
 
     /// Sets the filter of a page to a line that may have a mistake: then it stays as it was.
     pub(super) fn set_filter(&mut self, page: Page, text: &str) {
-        if let Err(error) = self.filters.set(page, text, self.wall_clock()) {
+        let now = self.shown_time();
+        if let Err(error) = self.filters.set(page, text, self.clock.wall(), now) {
             self.show_error(format!("filter not set: {error}"));
         }
         self.filter_changed();
@@ -42,7 +43,8 @@ impl App {
         };
         let (page, before) = (prompt.page, prompt.before.clone());
         let typed = input.value().trim().to_owned();
-        if self.filters.set(page, &typed, self.wall_clock()).is_err() {
+        let now = self.shown_time();
+        if self.filters.set(page, &typed, self.clock.wall(), now).is_err() {
             self.filters.restore(page, before);
         }
         self.filter_changed();
@@ -63,12 +65,13 @@ impl App {
     /// Switches the filter of the page off, or on again.
     pub(super) fn toggle_filter(&mut self) {
         let page = self.view.page;
-        self.view.close_evidence();
         let filter = self.filters.of(page);
         if filter.filter().is_empty() {
             let key = self.key_of(crate::keymap::Action::Filter);
             return self.show_error(format!("no filter; {key} types one"));
         }
+        self.view.close_evidence();
+        let filter = self.filters.of(page);
         let is_on = !filter.is_on();
         self.filters.set_on(page, is_on);
         self.show_info(if is_on { "filter on" } else { "filter off; all rows are shown" });
@@ -95,10 +98,6 @@ impl App {
         }
         self.renew_candidate_counts();
         self.notices.redraw.set_dirty();
-    }
-
-    fn wall_clock(&self) -> WallClock {
-        WallClock { wall_start: self.clock.wall_start(), now: Some(self.shown_time()) }
     }
 
     // ---- the prompt ------------------------------------------------------------------------

@@ -99,6 +99,7 @@ mod typed_time;
 mod varint;
 mod versions;
 mod view;
+mod wall_clock;
 
 pub use crate::document::same_services;
 pub use address_plans::{PlanSession, PlanStart, PlanTask};
@@ -216,6 +217,7 @@ use devices::DeviceRows;
 use file::{FileContent, FileEditors};
 pub(crate) use file_inputs::Inputs;
 use input::{Input, PromptContext, PromptOutcome, PromptResult};
+use jiff::tz::TimeZone;
 use lanes::LaneRecords;
 use notices::Notices;
 use past::Past;
@@ -226,6 +228,7 @@ use std::collections::VecDeque;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use wall_clock::WallClock;
 
 /// Contents of des.json that are kept for past moments. Chosen: edits of a long day; each is shared with
 /// the undo steps.
@@ -245,8 +248,8 @@ const STATISTICS_PART: usize = 4;
 pub struct AppOptions {
     /// Unix time of [`Instant::ZERO`].
     pub epoch: Epoch,
-    /// Offset of the wall clock from UTC, in seconds.
-    pub utc_offset_seconds: i32,
+    /// Time zone of the wall clock; `None`: UTC.
+    pub time_zone: Option<TimeZone>,
     /// Names of the buses, and settings of their engines.
     pub buses: Vec<(String, Config)>,
     /// Paths of the logs that are read, whole.
@@ -487,10 +490,11 @@ impl App {
         let buses_room = past_room - past_room / STATISTICS_PART;
         let files = FileEditors::new(options.file_path, options.own_file_paths);
         let contents = files.contents();
-        let clock = AppClock::new(now, options.epoch, options.utc_offset_seconds);
+        let zone = options.time_zone.unwrap_or(TimeZone::UTC);
+        let clock = AppClock::new(now, WallClock::new(options.epoch, zone));
         let mut event_filter = options.event_filter;
         // Events of a log may be of any time.
-        event_filter.resolve(filter::WallClock { wall_start: clock.wall_start(), now: None });
+        event_filter.resolve(clock.wall(), None);
         let mut buses = Buses::new(now, options.buses);
         buses.set_project(options.project);
         let mut app = Self {
@@ -971,9 +975,9 @@ impl App {
         self.clock.date_time_text(at)
     }
 
-    /// Offset of the wall clock from UTC: `UTC+02:00`.
-    pub fn utc_offset_text(&self) -> String {
-        self.clock.utc_offset_text()
+    /// Offset of the wall clock from UTC at a moment: `UTC+02:00`.
+    pub fn utc_offset_text(&self, at: Instant) -> String {
+        self.clock.wall().offset_text(at)
     }
 
     /// State of the playback; `None` unless all buses are logs.

@@ -439,20 +439,23 @@ impl App {
     pub(super) fn sort_by_next(&mut self) {
         match self.view.page {
             Page::Traffic if self.view.shows_identifiers() => {
-                self.view.identifier_order = self.view.identifier_order.next();
+                let order = self.view.identifier_sort.order.next();
+                self.view.identifier_sort.order = order;
                 self.move_to_end(false);
-                self.show_info(format!("sorted {}", self.view.identifier_order.describe()));
+                self.show_info(format!("sorted {}", order.describe()));
             }
             Page::Traffic if self.view.call_list().is_some() => self.sort_call_list(),
             Page::Traffic if self.view.shows_calls() => {
-                self.view.call_order = self.view.call_order.next();
+                let order = self.view.call_sort.order.next();
+                self.view.call_sort.order = order;
                 self.move_to_end(false);
-                self.show_info(format!("sorted {}", self.view.call_order.describe()));
+                self.show_info(format!("sorted {}", order.describe()));
             }
             Page::Devices => {
-                self.view.sort = self.view.sort.next();
+                let order = self.view.sort.order.next();
+                self.view.sort.order = order;
                 self.refresh_rows();
-                self.show_info(format!("sorted {}", self.view.sort.describe()));
+                self.show_info(format!("sorted {}", order.describe()));
             }
             _ => self.show_error("sort works on Devices, identifiers and calls"),
         }
@@ -485,19 +488,22 @@ impl App {
         self.show_info(self.view.time_format.describe());
     }
 
-    /// Reverses the order of the rows.
+    /// Reverses the order of the rows of the list that is shown.
     pub(super) fn reverse_order(&mut self) {
-        let is_sorted = match self.view.page {
-            Page::Devices => true,
-            Page::Traffic => self.view.shows_identifiers() || self.view.shows_calls(),
-            _ => false,
+        let view = &mut self.view;
+        let is_reversed = match view.page {
+            Page::Devices => &mut view.sort.is_reversed,
+            Page::Traffic if view.shows_identifiers() => &mut view.identifier_sort.is_reversed,
+            Page::Traffic if view.shows_calls() => match &mut view.call_list {
+                Some(list) => &mut list.is_reversed,
+                None => &mut view.call_sort.is_reversed,
+            },
+            _ => return self.show_error("sort works on Devices, identifiers and calls"),
         };
-        if !is_sorted {
-            return self.show_error("sort works on Devices, identifiers and calls");
-        }
-        self.view.is_reversed = !self.view.is_reversed;
+        *is_reversed = !*is_reversed;
+        let text = if *is_reversed { "order reversed" } else { "order as before" };
         self.refresh_rows();
-        self.show_info(if self.view.is_reversed { "order reversed" } else { "order as before" });
+        self.show_info(text);
     }
 
     /// Shows the next view of the page, or another time of the charts of Bus.
@@ -794,7 +800,11 @@ impl App {
         let is_captured = |piece: &EvidenceItem| {
             piece.frame.as_ref().is_some_and(|it| self.captured(it).is_some())
         };
-        let first = pieces.iter().position(is_captured).unwrap_or(0);
+        let first = match self.view.focus {
+            // The piece that is selected.
+            Focus::Details => self.view.piece.min(pieces.len() - 1),
+            Focus::List => pieces.iter().position(is_captured).unwrap_or(0),
+        };
         self.view.open_evidence(key, title, pieces, count, first);
         self.filter_frames();
         self.notices.redraw.set_dirty();

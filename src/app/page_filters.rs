@@ -2,8 +2,10 @@
 //!
 //! Bounded: 100 lines of history. Does not know the rows.
 
-use super::filter::{Filter, FilterError, RowKind, WallClock};
+use super::filter::{Filter, FilterError, RowKind};
 use super::view::Page;
+use super::wall_clock::WallClock;
+use crate::time::Instant;
 
 /// Most lines of history.
 const MAX_HISTORY: usize = 100;
@@ -56,9 +58,15 @@ impl PageFilters {
     ///
     /// # Errors
     /// The line has a mistake; the filter stays as it was.
-    pub fn set(&mut self, page: Page, text: &str, clock: WallClock) -> Result<(), FilterError> {
+    pub fn set(
+        &mut self,
+        page: Page,
+        text: &str,
+        clock: &WallClock,
+        now: Instant,
+    ) -> Result<(), FilterError> {
         let mut filter = Filter::parse(text, RowKind::of(page))?;
-        filter.resolve(clock);
+        filter.resolve(clock, Some(now));
         self.pages[page as usize] = PageFilter { text: text.to_owned(), filter, is_off: false };
         Ok(())
     }

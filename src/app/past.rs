@@ -148,7 +148,7 @@ impl App {
     }
 
     /// Moments that can be shown.
-    pub(super) fn moment_range(&self) -> MomentRange {
+    pub(super) fn moment_range(&self) -> MomentRange<'_> {
         let begin = self.buses.begin(&self.traffic.capture);
         MomentRange {
             begin: begin.min(self.clock.now()),
@@ -156,7 +156,7 @@ impl App {
             is_end_known: !self.clock.playback().is_some_and(|it| it.seeks_end),
             shown: self.shown_or_target().time,
             frames: self.traffic.capture.end(),
-            wall_start: self.clock.wall_start(),
+            wall: self.clock.wall(),
             marks: self.marks.bits(),
         }
     }

@@ -3,7 +3,7 @@
 //! Bounded: 16 places. Does not know how a page shows what was gone to.
 
 use super::page_filters::PageFilter;
-use super::view::{EvidenceView, Page, TrafficView};
+use super::view::{Page, TrafficView};
 use super::{App, Prompt, PromptKind};
 use crate::frame::BusIndex;
 use crate::keymap::{Action, Key, KeyCode};
@@ -62,13 +62,27 @@ impl App {
         self.filter_changed();
     }
 
-    /// Returns from evidence to its problem, as [`Self::go_to_last_place`] would.
+    /// Returns from evidence to its problem, as [`Self::go_to_last_place`] would: to the moment, too, unless
+    /// another one was chosen meanwhile.
     pub(super) fn return_to_problem(&mut self) {
-        let in_details =
-            self.view.evidence.as_ref().is_some_and(EvidenceView::was_opened_in_details);
+        let Some(evidence) = &self.view.evidence else { return };
+        let (problem, in_details) = (evidence.problem.clone(), evidence.was_opened_in_details());
+        let piece = evidence.selected().map(|(_, piece)| (piece.time, piece.frame));
+        let left = evidence.led_to.filter(|(led_to, _)| self.past_moment() == Some(*led_to));
         self.places.pop_if(|place| (place.page, place.opened) == (Page::Problems, Page::Traffic));
         self.show_page(Page::Problems);
+        match left {
+            Some((_, None)) => self.show_present(),
+            Some((_, Some(before))) => self.go_to(before),
+            None => {}
+        }
+        self.view.problems.select(problem);
         self.view.focus_details(in_details);
+        let pieces = self.selected_problem().map(|problem| problem.evidence()).unwrap_or_default();
+        let place = pieces.iter().position(|it| Some((it.time, it.frame)) == piece);
+        if let Some(place) = place.filter(|_| in_details) {
+            self.view.piece = place;
+        }
     }
 
     /// Returns true if the key of `go-to`, a letter, is typed into its empty prompt: it goes to the

@@ -72,12 +72,14 @@ impl App {
     /// left the capture is shown with the evidence alone.
     fn open_piece(&mut self, pieces: &[EvidenceItem]) {
         let place = self.view.piece.min(pieces.len() - 1);
+        let shown = self.past_moment();
         let frame = pieces[place].frame.and_then(|frame| self.captured(&frame));
         let moment =
             frame.and_then(|number| self.buses.moment_after(&self.traffic.capture, number));
         self.open_evidence();
         let Some(evidence) = &mut self.view.evidence else { return };
         evidence.cursor.select(place);
+        evidence.led_to = moment.map(|moment| (moment, shown));
         let Some(number) = frame else {
             return self.show_error("frame no longer in the capture: its stored copy");
         };

@@ -8,7 +8,7 @@ use super::capture::{
     CallPart, CallStats, Calls, CapturedHeartbeats, FrameStore, IdentifierStats, Identifiers,
     StatisticsCount, Traffic, Transfer,
 };
-use super::filter::{self, Filter, FrameMatcher};
+use super::filter::{Filter, FrameMatcher};
 use super::view::{EvidenceView, Page};
 use super::{App, EvidenceItem};
 use crate::frame::{BusIndex, Frame};
@@ -145,7 +145,7 @@ impl App {
     /// Prepares a filter for the frames of a log: names are those of a frame's moment, as far as known.
     pub fn log_matcher(&self, filter: &Filter) -> FrameMatcher {
         let mut filter = filter.clone();
-        filter.resolve(filter::WallClock { wall_start: self.clock.wall_start(), now: None });
+        filter.resolve(self.clock.wall(), None);
         filter.for_frames(&self.buses)
     }
 }

@@ -3,9 +3,7 @@
 //! Pure. Does not know to what moments they refer.
 
 use crate::time::Duration;
-
-/// Microseconds of a day.
-pub(super) const DAY: i128 = 86_400_000_000;
+use jiff::civil;
 
 /// Parses `90`, `90s`, `1.5s`, `250ms`, `2m`, `1h30m`; a number without a unit is of `unit`.
 pub(super) fn parse_duration(text: &str, unit: &str) -> Option<Duration> {
@@ -66,15 +64,15 @@ pub(super) fn parse_date_time(text: &str) -> Option<i128> {
     };
     let is_plain = date.bytes().all(|byte| byte.is_ascii_digit() || byte == b'-');
     let mut parts = date.split('-');
-    let year: i32 = parts.next().filter(|year| year.len() == 4)?.parse().ok()?;
-    let month: u8 = parts.next()?.parse().ok()?;
-    let day: u8 = parts.next()?.parse().ok()?;
+    let year: i16 = parts.next().filter(|year| year.len() == 4)?.parse().ok()?;
+    let month: i8 = parts.next()?.parse().ok()?;
+    let day: i8 = parts.next()?.parse().ok()?;
     if !is_plain || parts.next().is_some() {
         return None;
     }
-    let date = time::Date::from_calendar_date(year, month.try_into().ok()?, day).ok()?;
-    let epoch = time::OffsetDateTime::UNIX_EPOCH.date();
-    Some(i128::from((date - epoch).whole_days()) * DAY + of_day)
+    let date = civil::Date::new(year, month, day).ok()?;
+    let since_1970 = date.duration_since(civil::date(1970, 1, 1));
+    Some(since_1970.as_micros() + of_day)
 }
 
 #[cfg(test)]

@@ -11,6 +11,7 @@ use crate::shell::fleet_loop::{self, FleetExit};
 use crate::shell::paint_pace::SCREEN_BUDGET;
 use crate::shell::{stop, terminal};
 use anyhow::Context;
+use jiff::tz::TimeZone;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 /// Runs it.
@@ -29,7 +30,7 @@ pub fn run(args: &FleetArgs) -> Result<u8, Failure> {
     let mut screen = FleetScreen::new(FleetScreenOptions {
         broker: broker.address.to_string(),
         unix_start: unix_start.as_secs_f64(),
-        utc_offset_seconds: open::utc_offset_seconds(),
+        time_zone: Some(TimeZone::system()),
         keymap,
         signs: signs.unwrap_or_else(terminal::signs),
         warnings,

@@ -692,8 +692,3 @@ fn report_file(what: &str, status: &RecordingStatus) {
         output::warn(format_args!("{what} {status}"));
     }
 }
-
-/// Offset of local time from UTC, in seconds; 0 if unknown. Call before threads are started.
-pub fn utc_offset_seconds() -> i32 {
-    time::UtcOffset::current_local_offset().map_or(0, time::UtcOffset::whole_seconds)
-}

@@ -13,6 +13,7 @@ use crate::shell::broker::{BrokerPublisher, BrokerSettings, PublisherNotice};
 use crate::shell::stop::StopReason;
 use crate::time::{Duration, Instant};
 use anyhow::Context;
+use jiff::tz::TimeZone;
 use std::ops::ControlFlow;
 use std::time::{SystemTime, UNIX_EPOCH};
 
@@ -33,7 +34,7 @@ pub fn run(args: &PublishArgs) -> Result<u8, Failure> {
         .with_instance(fastrand::u64(..1 << 53));
     let publisher = BrokerPublisher::spawn(&settings, publication).context("no thread")?;
     let options = AppOptions {
-        utc_offset_seconds: open::utc_offset_seconds(),
+        time_zone: Some(TimeZone::system()),
         emit_events: true,
         ..AppOptions::default()
     };

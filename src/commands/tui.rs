@@ -8,7 +8,7 @@ use crate::cli::{CommonArgs, ScreenArgs, SessionArgs as Arguments};
 use crate::finding::{Finding, FindingState};
 use crate::frame::BusIndex;
 use crate::shell::bus_picker::PickerExit;
-use crate::shell::bus_scout::{BusScout, ScoutSettings};
+use crate::shell::bus_scout::BusScout;
 use crate::shell::catalogue_folders::CatalogueFolders;
 use crate::shell::config::ConfigFolder;
 use crate::shell::frame_templates::frame_templates;
@@ -22,6 +22,7 @@ use crate::sim::Scenario;
 use crate::status::Link;
 use crate::text::{counted, printable_path};
 use anyhow::Context;
+use jiff::tz::TimeZone;
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
 use std::future::poll_fn;
@@ -88,7 +89,7 @@ pub fn ui(arguments: &Arguments, speed: Option<f64>, screen: &ScreenArgs) -> Res
 /// Prints the list of buses, and that the screen needs a terminal.
 fn list_without_terminal() -> Result<u8, Failure> {
     // The message and the exit code are those of a missing terminal, also where nothing can be printed.
-    let _ = output::print(&text_of(&bus_offers::offers(open::utc_offset_seconds())));
+    let _ = output::print(&text_of(&bus_offers::offers()));
     needs_terminal().map(|()| EXIT_USAGE)
 }
 
@@ -154,12 +155,8 @@ impl<'a> Chooser<'a> {
         screen: &'a ScreenArgs,
     ) -> Result<Self, Failure> {
         let setup = Setup::for_buses(common, buses)?;
-        let scouting = ScoutSettings {
-            profile: Arc::clone(&setup.config.profile),
-            utc_offset_seconds: open::utc_offset_seconds(),
-        };
         let screen_budget = setup.screen_budget.unwrap_or(SCREEN_BUDGET);
-        let settings = LoopSettings { scouting, screen_budget };
+        let settings = LoopSettings { profile: Arc::clone(&setup.config.profile), screen_budget };
         terminal::restore_on_panic();
         stop::exit_if_stuck(EXIT_INTERRUPTED, terminal::restore).context("no signals")?;
         Ok(Self { screen, setup, settings })
@@ -168,7 +165,7 @@ impl<'a> Chooser<'a> {
     /// Shows the list of buses, then those that the user chooses.
     fn choose(&self, choice: BusChoice) -> Result<u8, Failure> {
         let mut choice = choice.with_keymap(self.setup.keymap.clone());
-        choice.handle_offers(bus_offers::offers(self.settings.scouting.utc_offset_seconds));
+        choice.handle_offers(bus_offers::offers());
         let wanted = self.screen.theme.as_deref().or(self.setup.theme.as_deref());
         let mut themes =
             ThemeLoader::new(self.setup.folder.clone(), wanted.unwrap_or(usual_theme()))
@@ -177,7 +174,7 @@ impl<'a> Chooser<'a> {
         let signs = self.setup.signs.unwrap_or_else(terminal::signs);
         let runtime = headless::runtime()?;
         let exit = runtime.block_on(async {
-            let scout = BusScout::spawn(&self.settings.scouting, Vec::new())?;
+            let scout = BusScout::spawn(Arc::clone(&self.settings.profile), Vec::new())?;
             bus_picker::choose(choice, scout, &mut themes, signs).await
         });
         runtime.shutdown_background();
@@ -368,7 +365,7 @@ fn show(
         themes: themes.names(),
         signs: setup.signs.unwrap_or_else(terminal::signs),
         theme_faults: themes.faults(),
-        utc_offset_seconds: chooser.settings.scouting.utc_offset_seconds,
+        time_zone: Some(TimeZone::system()),
         warnings,
         capture_room: usize::try_from(screen.capture.0).ok(),
         learns_profile: true,

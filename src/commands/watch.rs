@@ -27,6 +27,7 @@ use crate::wire::data_layout::DataFieldValue;
 use crate::wire::id::{Address, Header, Service};
 use crate::wire::node::{Mode, Uid};
 use anyhow::Context;
+use jiff::tz::TimeZone;
 use serde::Serialize;
 use serde_json::{Map, Value};
 use std::ops::ControlFlow;
@@ -40,7 +41,7 @@ pub fn run(watch: &WatchArgs) -> Result<u8, Failure> {
     let interest = open::filter("--filter", watch.filter.as_deref(), RowKind::Event)?;
     setup.only = frames_of_interest(&interest, &setup);
     let options = AppOptions {
-        utc_offset_seconds: open::utc_offset_seconds(),
+        time_zone: Some(TimeZone::system()),
         emit_events: true,
         event_filter: interest,
         ..AppOptions::default()

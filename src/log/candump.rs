@@ -5,6 +5,7 @@
 
 use super::candump_time::{self, CandumpTimes, PrintedTime};
 use super::fields::{hex_value, words};
+use super::text::BYTE_ORDER_MARK;
 use super::{LogEncoder, LogEntry, LogLoss, LogTime, candump_screen};
 use crate::frame::socketcan::{ERROR_FLAG, with_fd_flags};
 use crate::frame::{CanId, Frame};
@@ -136,8 +137,16 @@ impl CandumpLines {
     /// Returns what the first bytes of a log say.
     pub fn of_head(head: &[u8]) -> Self {
         Self {
-            times: CandumpTimes::of(times_of_head(head).map_while(|time| time)),
+            times: CandumpTimes::of(lines_of_head(head).filter_map(time_of_line)),
             is_screen: false,
+        }
+    }
+
+    /// Learns from lines that follow what short times count from, before the first of them.
+    pub fn look_ahead(&mut self, bytes: &[u8]) {
+        if self.times.is_empty() && candump_time::without_colours(bytes).starts_with(b"(") {
+            let lines = lines_of_head(&bytes[..bytes.len().min(MAX_HEAD)]);
+            self.times = CandumpTimes::of(lines.filter_map(time_of_line));
         }
     }
 
@@ -185,19 +194,24 @@ impl CandumpLines {
     }
 }
 
-/// Returns the time of each whole line of the first bytes of a log, `None` of a line without one. Blank
-/// lines, and the words of an error frame, are left out.
-fn times_of_head(head: &[u8]) -> impl Iterator<Item = Option<PrintedTime>> {
+/// Returns the whole lines of the first bytes of a log, without blank lines and the words of an error frame.
+fn lines_of_head(head: &[u8]) -> impl Iterator<Item = &[u8]> {
+    let head = head.strip_prefix(BYTE_ORDER_MARK).unwrap_or(head);
     let whole = head.split_inclusive(|&byte| byte == b'\n').filter(|line| line.ends_with(b"\n"));
-    let dated = whole.filter(|line| !line.trim_ascii().is_empty() && !line.starts_with(b"\t"));
-    dated.map(|line| Some(candump_time::split(line)?.0))
+    whole.filter(|line| !line.trim_ascii().is_empty() && !line.starts_with(b"\t"))
 }
+
+/// Returns the time of a line; `None` of one without.
+fn time_of_line(line: &[u8]) -> Option<PrintedTime> {
+    candump_time::split(line).map(|(time, _)| time)
+}
+
+/// Bytes in which lines are looked for that say from where short times count.
+const MAX_HEAD: usize = 4096;
 
 /// Returns true if a log that begins with `head` has short times, and more lines are needed to know from
 /// where they count.
 pub(super) fn has_undecided_times(head: &[u8]) -> bool {
-    /// Bytes in which the lines are looked for.
-    const MAX_HEAD: usize = 4096;
     /// Longest colour before the first time.
     const MAX_COLOUR: usize = 12;
     let is_short = |(at, byte): (usize, &u8)| match at {
@@ -206,6 +220,10 @@ pub(super) fn has_undecided_times(head: &[u8]) -> bool {
         2 | 3 => byte.is_ascii_digit(),
         _ => *byte == b'.',
     };
+    if BYTE_ORDER_MARK.starts_with(head) {
+        return true;
+    }
+    let head = head.strip_prefix(BYTE_ORDER_MARK).unwrap_or(head);
     let first = candump_time::without_colours(head);
     let is_colour_cut = first.starts_with(b"\x1b") && first.len() < MAX_COLOUR;
     if head.len() >= MAX_HEAD {
@@ -221,15 +239,8 @@ pub(super) fn has_undecided_times(head: &[u8]) -> bool {
     if !head.ends_with(b"\n") {
         return true;
     }
-    let mut times = CandumpTimes::NEW;
-    let mut of_lines = times_of_head(head);
-    let all_have_times = of_lines.all(|time| {
-        time.is_some_and(|time| {
-            times.since_origin(time);
-            true
-        })
-    });
-    all_have_times && times.is_undecided()
+    let times = lines_of_head(head).filter_map(time_of_line);
+    CandumpTimes::of_lines(times).is_undecided()
 }
 
 /// Writes the log text, with the six digits of a fraction that canplayer reads.

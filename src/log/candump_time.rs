@@ -58,11 +58,16 @@ impl CandumpTimes {
 
     /// Returns what lines with these times say, before the first of them.
     pub fn of(times: impl Iterator<Item = PrintedTime>) -> Self {
+        Self { origin: Self::of_lines(times).origin, ..Self::NEW }
+    }
+
+    /// Returns what lines with these times say, behind them.
+    pub fn of_lines(times: impl Iterator<Item = PrintedTime>) -> Self {
         let mut all = Self::NEW;
         for time in times {
             all.since_origin(time);
         }
-        Self { origin: all.origin, ..Self::NEW }
+        all
     }
 
     /// Returns true if no line had a time.

@@ -49,6 +49,21 @@ pub enum Damage {
     /// A measurement has more groups of frames than are read.
     #[error("over 64 groups of frames: those behind them are not read; export it as ASC or BLF")]
     TooManyGroups,
+    /// The times of a measurement have a conversion that is not read.
+    #[error(
+        "the conversion of its times is not read: only linear ones are; export it as ASC or BLF"
+    )]
+    Conversion,
+    /// A measurement has data in blocks that are not read: of columns, compressed over 8 MB, or over 65,536 in
+    /// one list.
+    #[error(
+        "data of columns, compressed blocks over 8 MB and lists of over 65,536 blocks are not read; \
+         export it as ASC or BLF"
+    )]
+    UnreadBlock,
+    /// Groups of a measurement have so many records less than they say.
+    #[error("{0} of the records that its groups should have are missing")]
+    RecordsMissing(u32),
     /// The text of a database is not UTF-8.
     #[error("its text is UTF-16, not UTF-8 as python-can writes it")]
     Utf16,
@@ -78,6 +93,9 @@ impl Damage {
                 | Self::NoTable
                 | Self::NoBusLog
                 | Self::TooManyGroups
+                | Self::Conversion
+                | Self::UnreadBlock
+                | Self::RecordsMissing(_)
                 | Self::Utf16
         )
     }

@@ -100,6 +100,9 @@ impl EntryWriter {
             Damage::NoBusLog => (4, 0),
             Damage::TooManyGroups => (5, 0),
             Damage::Utf16 => (6, 0),
+            Damage::Conversion => (7, 0),
+            Damage::UnreadBlock => (8, 0),
+            Damage::RecordsMissing(count) => (9, u64::from(count)),
             _ => (u8::MAX, 0),
         };
         self.bytes.extend_from_slice(&[DAMAGE, number]);
@@ -127,15 +130,18 @@ impl EntryWriter {
 
 /// Returns the damage of this number; one of the compression for any other.
 fn damage_of(number: u8, place: u64) -> Damage {
-    let page = u32::try_from(place).unwrap_or(u32::MAX);
+    let count = u32::try_from(place).unwrap_or(u32::MAX);
     match number {
-        0 => Damage::Page(page),
-        1 => Damage::PageMissing(page),
+        0 => Damage::Page(count),
+        1 => Damage::PageMissing(count),
         2 => Damage::NoTable,
         BLOCK => Damage::Block,
         4 => Damage::NoBusLog,
         5 => Damage::TooManyGroups,
         6 => Damage::Utf16,
+        7 => Damage::Conversion,
+        8 => Damage::UnreadBlock,
+        9 => Damage::RecordsMissing(count),
         _ => Damage::Compression,
     }
 }

@@ -56,6 +56,8 @@ pub(super) struct MdfLog {
     damage: Option<LogDamage>,
     /// The data of an unfinished file end inside a record.
     ends_inside_record: bool,
+    /// Number of records that groups have less than they say.
+    missing: u64,
 }
 
 /// Why not all of a file was read.
@@ -158,6 +160,8 @@ enum RecordGroup {
     Frames {
         len: usize,
         group: Box<FrameGroup>,
+        /// Number of records that follow; `None` where the file does not say.
+        left: Option<u64>,
     },
     /// Data bytes of the frames of other groups.
     Bytes,
@@ -204,11 +208,19 @@ struct FrameStream {
     is_over: bool,
     /// The data of an unfinished file end inside a record.
     ends_inside_record: bool,
+    /// Number of records that its groups have less than they say, once it is over.
+    missing: u64,
 }
 
 impl MdfLog {
     pub fn new() -> Self {
-        Self { is_begun: false, streams: Vec::new(), damage: None, ends_inside_record: false }
+        Self {
+            is_begun: false,
+            streams: Vec::new(),
+            damage: None,
+            ends_inside_record: false,
+            missing: 0,
+        }
     }
 
     /// Reads the groups of the file.
@@ -262,8 +274,12 @@ impl MdfLog {
                     stream.is_over = true;
                     self.damage.get_or_insert(LogDamage::Block(address));
                 }
-                Err(MdfFault::Log(_)) => stream.is_over = true,
+                Err(MdfFault::Log(damage)) => {
+                    stream.is_over = true;
+                    self.damage.get_or_insert(LogDamage::Log(damage));
+                }
             }
+            self.missing += std::mem::take(&mut stream.missing);
         }
         self.ends_inside_record |= self.streams.iter().any(|stream| stream.ends_inside_record);
         self.streams.retain(|stream| !stream.ready.is_empty() || !stream.is_over);
@@ -297,6 +313,9 @@ impl RandomFormat for MdfLog {
                 match self.damage {
                     Some(LogDamage::Block(address)) => out.damaged_block(address),
                     Some(LogDamage::Log(damage)) => out.damage(damage),
+                    None if self.missing > 0 => out.damage(Damage::RecordsMissing(
+                        u32::try_from(self.missing).unwrap_or(u32::MAX),
+                    )),
                     None => {}
                 }
                 return Ok(false);
@@ -330,7 +349,8 @@ fn start_of(bytes: &dyn RandomAccess, header: &MdfBlock) -> Result<(i128, bool),
     if data[12] & LOCAL == 0 {
         return Ok((i128::from(nanos), false));
     }
-    let micros = local_micros(nanos / 1000).ok_or_else(|| header.damage())?;
+    // A clock that was not set stands at 1970, which may be before 1970 in UTC.
+    let micros = local_micros(nanos / 1000).unwrap_or(nanos / 1000);
     Ok((i128::from(micros) * 1000 + i128::from(nanos % 1000), true))
 }
 
@@ -377,6 +397,7 @@ impl FrameStream {
             max_ready: MAX_READY,
             is_over: false,
             ends_inside_record: false,
+            missing: 0,
         }))
     }
 
@@ -389,11 +410,18 @@ impl FrameStream {
         is_complete.then_some(*nanos)
     }
 
+    /// Returns true if all records were read: the only group has as many as it says. What is behind them, as the
+    /// room that a logger has reserved, is none.
+    fn is_complete(&self) -> bool {
+        self.id_len == 0 && self.groups.values().all(|group| group.left() == Some(0))
+    }
+
     /// Reads until the next frame is known, or to the end.
     fn fill(&mut self, bytes: &dyn RandomAccess) -> Result<(), MdfFault> {
         while self.next_time().is_none() && !self.is_over {
-            if !self.read_record(bytes)? {
+            if self.is_complete() || !self.read_record(bytes)? {
                 self.is_over = true;
+                self.missing = self.groups.values().filter_map(RecordGroup::left).sum();
                 while let Some((number, record)) = self.waiting.pop_front() {
                     self.push(number, &record, Err(FieldFault::Data));
                 }
@@ -430,7 +458,9 @@ impl FrameStream {
             return Ok(false);
         };
         match self.groups.get_mut(&number) {
-            Some(RecordGroup::Frames { group, .. }) => {
+            Some(RecordGroup::Frames { left: Some(0), .. } | RecordGroup::Other { .. }) | None => {}
+            Some(RecordGroup::Frames { group, left, .. }) => {
+                *left = left.map(|left| left - 1);
                 if let Some(data) = group.data_bytes(bytes, &record)? {
                     self.push(number, &record, data);
                 } else {
@@ -450,7 +480,6 @@ impl FrameStream {
                 }
                 self.push_complete();
             }
-            Some(RecordGroup::Other { .. }) | None => {}
         }
         Ok(true)
     }
@@ -491,6 +520,14 @@ impl FrameStream {
 }
 
 impl RecordGroup {
+    /// Number of records with frames that follow, where the file says it.
+    fn left(&self) -> Option<u64> {
+        match self {
+            Self::Frames { left, .. } => *left,
+            Self::Bytes | Self::Other { .. } => None,
+        }
+    }
+
     fn read(
         bytes: &dyn RandomAccess,
         records: &MdfBlock,
@@ -509,7 +546,12 @@ impl RecordGroup {
         let group = FrameGroup::read(bytes, records.link(1), reading)?;
         Ok(match group {
             Some(_) if len as u64 > MAX_FRAME_RECORD => return Err(records.damage()),
-            Some(group) => Self::Frames { len, group: Box::new(group) },
+            Some(group) => {
+                // Loggers that were interrupted have not written it.
+                let count = u64_at(&data, 8);
+                let left = (count > 0 && !reading.is_unfinished).then_some(count);
+                Self::Frames { len, group: Box::new(group), left }
+            }
             None => Self::Other { len },
         })
     }
@@ -573,8 +615,8 @@ impl FrameGroup {
                 VIRTUAL => match linear(bytes, channel.link(4)) {
                     Ok((offset, factor)) => Some(ChannelValue::Virtual(offset, factor)),
                     // Of other conversions the number is not known.
-                    Err(MdfFault::Block(_)) => None,
-                    Err(fault) => return Err(fault),
+                    Err(MdfFault::Block(_) | MdfFault::Log(_)) => None,
+                    Err(fault @ MdfFault::File(_)) => return Err(fault),
                 },
                 _ => Some(ChannelValue::InRecord(number)),
             };
@@ -715,7 +757,7 @@ fn linear(bytes: &dyn RandomAccess, address: u64) -> Result<(f64, f64), MdfFault
             let value = |at| f64::from_bits(u64_at(&data, at));
             Ok((value(24), value(32)))
         }
-        _ => Err(conversion.damage()),
+        _ => Err(MdfFault::Log(Damage::Conversion)),
     }
 }
 

@@ -66,7 +66,8 @@ impl MdfBlock {
         let [b'#', b'#', first, second, ..] = head else { return Err(damage()) };
         let (length, count) = (u64_at(&head, 8), u64_at(&head, 16));
         if count > MAX_LINKS {
-            return Err(damage());
+            let is_list = [first, second] == *b"DL" && count <= length / 8;
+            return Err(if is_list { MdfFault::Log(Damage::UnreadBlock) } else { damage() });
         }
         let data_start = BLOCK_HEAD + 8 * count;
         // The length of the last block of an unfinished file may not be written yet.
@@ -264,6 +265,7 @@ impl DataChain {
                 self.left = (block.data_at, left);
             }
             b"DZ" => self.unpack(bytes, &block)?,
+            b"DV" | b"LD" => return Err(MdfFault::Log(Damage::UnreadBlock)),
             _ => return Err(block.damage()),
         }
         Ok(())
@@ -276,8 +278,11 @@ impl DataChain {
         let head: [u8; HEAD] = block.data(bytes)?;
         let (zip, width) = (head[2], u32_at(&head, 4) as usize);
         let (len, packed_len) = (u64_at(&head, 8), u64_at(&head, 16));
-        if len > MAX_PACKED || packed_len > MAX_PACKED || zip > TRANSPOSED {
+        if HEAD as u64 + packed_len > block.data_len {
             return Err(block.damage());
+        }
+        if len > MAX_PACKED || packed_len > MAX_PACKED || zip > TRANSPOSED {
+            return Err(MdfFault::Log(Damage::UnreadBlock));
         }
         let in_memory = self.unpacked.fetch_add(len as usize, Ordering::Relaxed) + len as usize;
         self.own_unpacked += len as usize;

@@ -230,7 +230,7 @@ fn message(row: &[u8], columns: &[usize; COLUMNS.len()]) -> Result<(u64, Frame),
     let SqliteValue::Int(len) = dlc else { return Err(FieldFault::Length) };
     let len = usize::try_from(len).map_err(|_| FieldFault::Length)?;
     let (is_extended, is_remote, is_error) = (flag(extended)?, flag(remote)?, flag(error)?);
-    if is_remote {
+    if is_remote && !is_error {
         let len = Some(len).filter(|len| *len <= Frame::MAX_CLASSIC_DATA);
         let frame = Frame::remote(can_id(Some(id), is_extended)?, len.ok_or(FieldFault::Length)?);
         return Ok((micros as u64, frame));

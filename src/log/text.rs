@@ -15,7 +15,7 @@ use super::{
 use crate::frame::Frame;
 
 /// Byte order mark, with which some editors begin a file.
-const BYTE_ORDER_MARK: &[u8] = b"\xEF\xBB\xBF";
+pub(super) const BYTE_ORDER_MARK: &[u8] = b"\xEF\xBB\xBF";
 
 /// A text format, with what its lines so far say about those that follow.
 #[derive(Clone, Copy, Debug)]
@@ -47,13 +47,16 @@ impl TextFormat {
         matches!(self, Self::Candump(lines) if lines.is_timeless())
     }
 
-    /// Returns the date without a time zone by which this line has its time.
-    fn local_date(&self, line: &[u8], entry: &LogEntry<'_>) -> Option<LogTime> {
+    /// Returns the date without a time zone by which this line has its time: its own one, or with the first
+    /// frame that of the log.
+    fn local_date(&self, line: &[u8], entry: &LogEntry<'_>, is_first: bool) -> Option<LogTime> {
         match self {
-            Self::Candump(_) => candump_time::has_date(line).then_some(entry.time),
-            Self::Asc(lines) => Some(lines.start()),
-            Self::Trc(lines) => Some(lines.start()),
-            Self::Gvret(_) | Self::PythonCan => None,
+            Self::Candump(lines) if !lines.is_usual() || is_first => {
+                candump_time::has_date(line).then_some(entry.time)
+            }
+            Self::Asc(lines) if is_first => Some(lines.start()),
+            Self::Trc(lines) if is_first => Some(lines.start()),
+            _ => None,
         }
     }
 
@@ -79,13 +82,15 @@ pub(super) struct TextDecoder {
     skipped: u64,
     /// Bytes before the first frame.
     before_frame: u64,
+    /// Quarter of an hour of the last local date, since 1970.
+    dated_quarter: Option<u64>,
 }
 
 impl TextDecoder {
     /// Returns the decoder of a log that begins with `head`.
     pub fn new(head: &[u8]) -> Self {
         let format = TextFormat::Candump(CandumpLines::of_head(head));
-        Self { format, partial: Vec::new(), skipped: 0, before_frame: 0 }
+        Self { format, partial: Vec::new(), skipped: 0, before_frame: 0, dated_quarter: None }
     }
 
     /// Appends a piece to a cut line, at most up to one byte more than [`MAX_LINE`].
@@ -148,13 +153,23 @@ impl TextDecoder {
             entry.time = LogTime::from_micros(summary.arrival);
             summary.is_timeless = true;
         }
-        if let Ok(Some(entry)) = &entry
-            && summary.own_frames() == 0
-        {
-            let date = self.format.local_date(line, entry);
-            summary.is_date_ambiguous = date.is_some_and(|date| comes_twice(date.micros));
+        if let Ok(Some(entry)) = &entry {
+            self.note_date(line, entry, summary);
         }
         summary.take(entry)
+    }
+
+    /// Notes whether the local date by which a line has its time comes twice.
+    fn note_date(&mut self, line: &[u8], entry: &LogEntry<'_>, summary: &mut LogSummary) {
+        /// Summer time ends between two of them: local times differ from UTC by whole ones.
+        const QUARTER: u64 = 900_000_000;
+        let Some(date) = self.format.local_date(line, entry, summary.own_frames() == 0) else {
+            return;
+        };
+        let quarter = Some(date.micros / QUARTER);
+        if std::mem::replace(&mut self.dated_quarter, quarter) != quarter {
+            summary.is_date_ambiguous |= comes_twice(date.micros);
+        }
     }
 }
 
@@ -178,6 +193,9 @@ impl LogDecoder for TextDecoder {
             return (bytes.len(), if is_over { DecodeStep::End } else { DecodeStep::Nothing });
         };
         let frame = if self.partial.is_empty() {
+            if let TextFormat::Candump(lines) = &mut self.format {
+                lines.look_ahead(bytes);
+            }
             self.take_line(&bytes[..end], summary)
         } else if std::mem::take(&mut self.skipped) > 0 {
             self.partial.clear();
@@ -285,7 +303,9 @@ impl TextDecoder {
             && let Some(len) = memchr::memchr(b'\n', &bytes[used..])
         {
             let mut next = self.format;
-            let Ok(Some(entry)) = next.read(&bytes[used..used + len]) else { break };
+            let line = &bytes[used..used + len];
+            let Ok(Some(entry)) = next.read(line) else { break };
+            self.note_date(line, &entry, summary);
             let name = entry.interface.as_bytes();
             let Some(frame) = summary.take_plain(entry.time, name, &entry.frame) else {
                 break;

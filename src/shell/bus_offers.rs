@@ -8,9 +8,9 @@ use crate::app::{BusOffer, OfferKind};
 use crate::bus::{self, CanInterface};
 use crate::status::{BusState, length_text};
 use crate::text::{printable, printable_path};
+use jiff::Zoned;
 use std::fs;
 use std::path::{Path, PathBuf};
-use time::{OffsetDateTime, UtcOffset};
 
 /// Most serial devices that are listed.
 const MAX_ADAPTERS: usize = 16;
@@ -18,17 +18,17 @@ const MAX_ADAPTERS: usize = 16;
 /// Words in the name of a serial device that is a CAN adapter.
 const ADAPTER_WORDS: [&str; 5] = ["can", "slcan", "lawicel", "usbtin", "zubax"];
 
-/// Returns everything that can be opened; times are in this offset from UTC.
-pub fn offers(utc_offset_seconds: i32) -> Vec<BusOffer> {
+/// Returns everything that can be opened; times are in the time zone of this machine.
+pub fn offers() -> Vec<BusOffer> {
     let interfaces = bus::interfaces();
     let interfaces = interfaces.iter().map(|interface| of_interface(interface, ""));
-    interfaces.chain(others(utc_offset_seconds, &mut LogLengths::default())).collect()
+    interfaces.chain(others(&mut LogLengths::default())).collect()
 }
 
 /// Returns everything that can be opened but CAN interfaces.
-pub fn others(utc_offset_seconds: i32, lengths: &mut LogLengths) -> Vec<BusOffer> {
+pub fn others(lengths: &mut LogLengths) -> Vec<BusOffer> {
     let mut offers = adapters(Path::new("/dev/serial/by-id"), bus::serial_ports());
-    offers.extend(recent_logs().iter().map(|log| of_log(log, utc_offset_seconds, lengths)));
+    offers.extend(recent_logs().iter().map(|log| of_log(log, lengths)));
     for (argument, facts) in
         [("sim:boiler", "125k, 10 devices, a conflict after 28 s"), ("sim:drone", "1M, 12 devices")]
     {
@@ -112,11 +112,11 @@ fn of_adapter(path: &Path, identity: &str, is_known: bool) -> BusOffer {
     }
 }
 
-fn of_log(log: &RecentLog, utc_offset_seconds: i32, lengths: &mut LogLengths) -> BusOffer {
+fn of_log(log: &RecentLog, lengths: &mut LogLengths) -> BusOffer {
     BusOffer {
         kind: OfferKind::Log,
         name: printable(log.path.file_name().unwrap_or_default().as_encoded_bytes()),
-        facts: facts_of_log(log, utc_offset_seconds, lengths),
+        facts: facts_of_log(log, lengths),
         argument: format!("file:{}", log.path.display()),
         command: None,
         is_unknown: false,
@@ -124,12 +124,10 @@ fn of_log(log: &RecentLog, utc_offset_seconds: i32, lengths: &mut LogLengths) ->
 }
 
 /// Length, what was found, time of the last change and folder of a log.
-fn facts_of_log(log: &RecentLog, utc_offset_seconds: i32, lengths: &mut LogLengths) -> String {
+fn facts_of_log(log: &RecentLog, lengths: &mut LogLengths) -> String {
     let folder = log.path.parent().map(printable_path).unwrap_or_default();
     let Ok(metadata) = fs::metadata(&log.path) else { return folder };
-    let changed = metadata.modified().ok().map(|at| {
-        let offset = UtcOffset::from_whole_seconds(utc_offset_seconds).unwrap_or(UtcOffset::UTC);
-        let at = OffsetDateTime::from(at).to_offset(offset);
+    let changed = metadata.modified().ok().and_then(|at| Zoned::try_from(at).ok()).map(|at| {
         let (date, time) = (at.date(), at.time());
         format!("{date} {:02}:{:02}", time.hour(), time.minute())
     });

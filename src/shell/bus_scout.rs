@@ -27,15 +27,6 @@ const MAX_LISTENED: usize = 16;
 /// Names of devices in a line; the others are counted.
 const NAMED: usize = 4;
 
-/// How to look.
-#[derive(Clone, Debug, Default)]
-pub struct ScoutSettings {
-    /// The profile of all buses.
-    pub profile: Arc<Profile>,
-    /// Offset of the wall clock from UTC, in seconds.
-    pub utc_offset_seconds: i32,
-}
-
 /// The looks of a thread, which ends when this is dropped.
 #[derive(Debug)]
 pub struct BusScout {
@@ -47,10 +38,9 @@ impl BusScout {
     ///
     /// # Errors
     /// No thread could be started.
-    pub fn spawn(settings: &ScoutSettings, open: Vec<String>) -> io::Result<Self> {
+    pub fn spawn(profile: Arc<Profile>, open: Vec<String>) -> io::Result<Self> {
         let (to, offers) = channel(1);
-        let settings = settings.clone();
-        let look = move || look(&settings, &open, &to);
+        let look = move || look(profile, &open, &to);
         thread::Builder::new().name("buses".into()).spawn(look)?;
         Ok(Self { offers })
     }
@@ -65,8 +55,7 @@ impl BusScout {
     }
 }
 
-fn look(settings: &ScoutSettings, open: &[String], to: &Sender<Vec<BusOffer>>) {
-    let profile = Arc::clone(&settings.profile);
+fn look(profile: Arc<Profile>, open: &[String], to: &Sender<Vec<BusOffer>>) {
     let config = Config { listen_only: true, profile, ..Config::default() };
     let clock = Clock::start();
     let mut heard: BTreeMap<String, Listener> = BTreeMap::new();
@@ -86,7 +75,7 @@ fn look(settings: &ScoutSettings, open: &[String], to: &Sender<Vec<BusOffer>>) {
             of_interface(interface, facts.as_deref().unwrap_or_default())
         });
         let mut offers: Vec<BusOffer> = offers.collect();
-        offers.extend(others(settings.utc_offset_seconds, &mut lengths));
+        offers.extend(others(&mut lengths));
         if to.blocking_send(offers).is_err() {
             return;
         }

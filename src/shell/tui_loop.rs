@@ -3,7 +3,7 @@
 //! Wakes up only for an input or a deadline; draws only changes, at the pace of [`PaintPace`].
 
 use super::background_colour::{BackgroundReply, QUESTION};
-use super::bus_scout::{BusScout, ScoutSettings};
+use super::bus_scout::BusScout;
 use super::config::ConfigFolder;
 use super::console::terminal_name;
 use super::file_watcher::{DiskContent, FileWatcher};
@@ -25,6 +25,7 @@ use crate::keymap::{Key, KeyCode};
 use crate::regular_file::{MAX_TEXT_BYTES, read_text, text_of};
 use crate::theme::{Colours, Theme};
 use crate::time::Duration;
+use crate::wire::profile::Profile;
 use crossterm::event::{
     self, Event, KeyEvent, KeyEventKind, KeyModifiers, MouseButton, MouseEvent, MouseEventKind,
 };
@@ -56,8 +57,8 @@ pub enum TuiExit {
 /// Settings of the loop.
 #[derive(Clone, Debug)]
 pub struct LoopSettings {
-    /// How to look for buses that can be opened.
-    pub scouting: ScoutSettings,
+    /// The profile of buses that can be opened.
+    pub profile: Arc<Profile>,
     /// Bytes per second to the terminal for what the bus changes.
     pub screen_budget: f64,
 }
@@ -136,7 +137,7 @@ async fn run_on_terminal(
                 }
                 Effect::ListBuses => {
                     let names = session.app.buses().iter().map(|bus| bus.name.clone()).collect();
-                    scout = Some(BusScout::spawn(&settings.scouting, names)?);
+                    scout = Some(BusScout::spawn(Arc::clone(&settings.profile), names)?);
                 }
                 Effect::OpenBuses(wanted) if wanted.replaces => return Ok(TuiExit::Reopen(wanted)),
                 Effect::OpenBuses(wanted) => {

@@ -152,7 +152,7 @@ fn moment_parts(brush: &DrawContext) -> Parts {
     } else {
         let _ = write!(text, " · {} ago", format_duration(app.now().since(moment.time)));
         if columns >= WIDE {
-            let _ = write!(text, " · LIVE with {}", app.key_of(Action::Cancel));
+            let _ = write!(text, " · LIVE with {}", app.key_of(Action::Freeze));
         }
     }
     let mut parts = vec![Part::new(KEPT, vec![brush.span(Role::Frozen, text)])];

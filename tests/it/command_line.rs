@@ -700,6 +700,9 @@ fn invalid_arguments_are_one_line_with_the_fix() {
             &["scan", "--time", "soon"],
             "a number of seconds, 0.001 to 1000000 (see descan scan --help)",
         ),
+        (&["prove", "sim:boiler", ""], "a name has at least one character"),
+        (&["restart", "sim:boiler", "", "--yes"], "a name has at least one character"),
+        (&["sim", "udp:", "--device", ""], "a name has at least one character"),
         (&["prove", "can0"], "<DEVICE>; usage: descan prove <BUS> <DEVICE>"),
         (
             &["send", "can0", "--to", "3"],

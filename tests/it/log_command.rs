@@ -224,6 +224,23 @@ fn filter_and_range_select_the_frames() {
 }
 
 #[test]
+fn clock_times_have_the_offset_of_their_date() {
+    // 12:00 in UTC of 1 July and of 1 February.
+    let log = "(1751371200.000000) can0 123#11\n(1769947200.000000) can0 123#22\n";
+    let folder = Folder::with(log);
+    let lines = |arguments: &[&str]| -> Vec<String> {
+        let mut command = folder.command(arguments);
+        let (_, out, _) = of(&command.env("TZ", "Europe/Berlin").output().unwrap());
+        out.lines().map(|line| line.split(' ').next().unwrap().to_owned()).collect()
+    };
+    let (summer, winter) = ("14:00:00.000", "13:00:00.000");
+    assert_eq!(lines(&["a.log"]), [summer, winter]);
+    assert_eq!(lines(&["a.log", "--filter", "until:2025-07-01T14:00"]), [summer]);
+    assert_eq!(lines(&["a.log", "--filter", "since:2026-02-01T13:00"]), [winter]);
+    assert_eq!(lines(&["a.log", "--filter", "until:14:00"]), [summer]);
+}
+
+#[test]
 fn another_protocol_has_no_calls() {
     // Some identifiers are those of a request; most are of no message type.
     let lines = (0..600).map(|at| {

@@ -5,6 +5,7 @@ use crate::common::python::Python;
 use crate::common::read_log::read_log;
 use descan::frame::{CanId, Frame};
 use std::fs;
+use std::process::Command;
 
 /// Twenty frames with their data bytes in records of their own, behind each of them.
 const UNSORTED: &[u8] = include_bytes!("../corpus/mdf/unsorted");
@@ -165,7 +166,8 @@ fn measurement(records: &[(u8, f64)]) -> Vec<u8> {
             channels = add(&mut bytes, block("CN", &links, &of_channel));
         }
         let mut of_group = u64::from(bus).to_le_bytes().to_vec();
-        of_group.extend((records.len() as u64).to_le_bytes());
+        let count = records.iter().filter(|record| record.0 == bus).count();
+        of_group.extend((count as u64).to_le_bytes());
         of_group.extend([0; 8]);
         of_group.extend(12_u32.to_le_bytes());
         of_group.extend([0; 4]);
@@ -192,6 +194,87 @@ fn groups_in_blocks_are_put_in_the_order_of_their_times() {
     let mut expected: Vec<u64> = records.iter().map(|(_, it)| (it * 1e6).round() as u64).collect();
     expected.sort_unstable();
     assert_eq!(frames.iter().map(micros).collect::<Vec<_>>(), expected);
+}
+
+/// Sets the number of records of a group, counted from 0 in the file.
+fn with_count(bytes: &[u8], group: usize, count: u64) -> Vec<u8> {
+    let mut bytes = bytes.to_vec();
+    let at = blocks(&bytes, "CG")[group] + 24 + 6 * 8 + 8;
+    bytes[at..at + 8].copy_from_slice(&count.to_le_bytes());
+    bytes
+}
+
+#[test]
+fn records_behind_the_number_of_a_group_are_none() {
+    let records: Vec<_> = (0..40).map(|at| (1 + at % 2, f64::from(at))).collect();
+    let shared = measurement(&records);
+    let (frames, summary) = read_log(&with_count(&shared, 0, 5));
+    assert_eq!(summary.to_string(), "25 frames of 2 interfaces");
+    assert_eq!(frames.last().unwrap().bus.0, 1);
+    for (bytes, all) in [(SIGNAL_DATA, 20), (PACKED, 20)] {
+        assert_eq!(read_log(&with_count(bytes, 0, 3)).1.to_string(), "3 frames of 2 interfaces");
+        // A logger that did not come to write it.
+        assert_eq!(read_log(&with_count(bytes, 0, 0)).0.len(), all);
+    }
+    // Of an unfinished measurement the number is not final.
+    assert_eq!(read_log(&with_count(UNFINISHED, 0, 3)).0.len(), 20);
+}
+
+#[test]
+fn records_that_a_group_lacks_are_counted() {
+    let records: Vec<_> = (0..40).map(|at| (1 + at % 2, f64::from(at))).collect();
+    for (bytes, frames) in [(measurement(&records), 40), (SIGNAL_DATA.to_vec(), 20)] {
+        let (_, summary) = read_log(&with_count(&bytes, 0, 25));
+        let missing = 25 - 20;
+        let said = format!(
+            "{frames} frames of 2 interfaces; {missing} of the records that its groups should have are \
+             missing"
+        );
+        assert_eq!(summary.to_string(), said);
+        assert_eq!(summary.lost_entries(), 1);
+    }
+}
+
+#[test]
+fn blocks_that_are_not_read_are_not_called_damaged() {
+    let said = |bytes: &[u8]| read_log(bytes).1.to_string();
+    // The times by a rational conversion.
+    let mut bytes = with_virtual(SIGNAL_DATA, "CAN_DataFrame.BusChannel", 1.0, 0.0);
+    let conversion = *blocks(&bytes, "CC").last().unwrap() as u64;
+    bytes[conversion as usize + 24 + 4 * 8] = 2;
+    for at in blocks(&bytes, "CN") {
+        let links = u64::from_le_bytes(bytes[at + 16..at + 24].try_into().unwrap()) as usize;
+        if bytes[at + 24 + 8 * links] == 2 {
+            bytes[at + 24 + 8 * 4..][..8].copy_from_slice(&conversion.to_le_bytes());
+        }
+    }
+    assert!(said(&bytes).contains("the conversion of its times is not read"), "{}", said(&bytes));
+    let mut bytes = SIGNAL_DATA.to_vec();
+    for at in blocks(&bytes, "DT") {
+        bytes[at..at + 4].copy_from_slice(b"##DV");
+    }
+    assert!(said(&bytes).contains("data of columns"), "{}", said(&bytes));
+    let mut bytes = PACKED.to_vec();
+    for at in blocks(&bytes, "DZ") {
+        bytes[at + 24 + 8..at + 24 + 16].copy_from_slice(&(9_u64 << 20).to_le_bytes());
+    }
+    assert!(said(&bytes).contains("compressed blocks over 8 MB"), "{}", said(&bytes));
+}
+
+#[test]
+fn measurement_of_a_clock_that_was_not_set_is_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut bytes = SIGNAL_DATA.to_vec();
+    // The start: 1970-01-01 00:00, local time.
+    let start = 64 + 24 + 6 * 8;
+    bytes[start..start + 8].fill(0);
+    bytes[start + 12] = 1;
+    fs::write(folder.path().join("in.mf4"), bytes).unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_descan"));
+    command.args(["log", "in.mf4"]).env("TZ", "Europe/Berlin").current_dir(folder.path());
+    let output = command.output().unwrap();
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    assert_eq!(text(&output.stdout).lines().count(), 20);
 }
 
 /// The disorder is bounded: a group that begins only after all of another one is behind it, and nothing
@@ -292,8 +375,8 @@ fn lists_in_a_loop_end_the_log() {
     // The first two lists are of the signal data, of which nothing is missing.
     for (kind, number) in [("DL", 2), ("DG", 0), ("CG", 0), ("CN", 0)] {
         let at = blocks(SIGNAL_DATA, kind)[number];
-        let mut bytes = SIGNAL_DATA.to_vec();
-        // The next one is itself.
+        // The next one is itself, and more records should follow.
+        let mut bytes = with_count(SIGNAL_DATA, 0, 21);
         bytes[at + 24..at + 32].copy_from_slice(&(at as u64).to_le_bytes());
         let (frames, summary) = read_log(&bytes);
         assert!(frames.len() <= 20, "{kind}");

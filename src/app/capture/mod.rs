@@ -384,7 +384,7 @@ impl Traffic {
         let mut shown: Vec<&IdentifierStats> = rows.filter(is_shown).collect();
         shown.sort_by_key(|row| row.key);
         let period = |row: &IdentifierStats| row.own_period(buses.is_foreign(row.key.bus));
-        match view.identifier_order {
+        match view.identifier_sort.order {
             IdentifierOrder::Id => {}
             IdentifierOrder::Count => shown.sort_by_key(|row| Reverse(view.frame_count(row))),
             IdentifierOrder::Rate => shown.sort_by_key(|row| Reverse(row.rate)),
@@ -399,7 +399,7 @@ impl Traffic {
             }
             IdentifierOrder::Newest => shown.sort_by_key(|row| Reverse(row.last.time)),
         }
-        if view.is_reversed {
+        if view.identifier_sort.is_reversed {
             shown.reverse();
         }
         shown
@@ -426,7 +426,7 @@ impl Traffic {
         };
         let mut shown: Vec<&CallStats> = calls.rows().iter().filter(is_shown).collect();
         shown.sort_by_key(|row| row.key);
-        match view.call_order {
+        match view.call_sort.order {
             CallOrder::Client => {}
             CallOrder::Count => shown.sort_by_key(|row| Reverse(view.call_counts(row).calls)),
             CallOrder::Latency => {
@@ -440,7 +440,7 @@ impl Traffic {
             CallOrder::Failed => shown.sort_by_key(|row| Reverse(view.call_counts(row).failed)),
             CallOrder::Newest => shown.sort_by_key(|row| Reverse(row.last)),
         }
-        if view.is_reversed {
+        if view.call_sort.is_reversed {
             shown.reverse();
         }
         shown

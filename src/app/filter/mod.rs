@@ -25,21 +25,13 @@ pub use completion::{Completion, CompletionSource};
 pub use field::{FILTER_FIELDS, FILTER_WORDS, FilterField, RowKind};
 pub use frame::FrameMatcher;
 
+use super::wall_clock::WallClock;
 use crate::time::Instant;
 use crate::wire::id::Address;
 use expression::Expression;
 use std::fmt;
 use std::ops::Range;
 use test::{Addresses, Test};
-
-/// The wall clock that times in a filter refer to.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct WallClock {
-    /// Time of [`Instant::ZERO`] on the wall clock, in microseconds since 1970-01-01 00:00.
-    pub wall_start: i128,
-    /// The present moment; `None` if rows are of any time, as those of a log.
-    pub now: Option<Instant>,
-}
 
 /// A parsed filter line.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -100,8 +92,8 @@ impl Filter {
     }
 
     /// Finds the moments of `since:` and `until:`.
-    pub(super) fn resolve(&mut self, clock: WallClock) {
-        self.expression.for_each_mut(&mut |test| test.resolve(clock));
+    pub(super) fn resolve(&mut self, clock: &WallClock, now: Option<Instant>) {
+        self.expression.for_each_mut(&mut |test| test.resolve(clock, now));
     }
 
     /// Addresses that a match must have; `None` if the filter does not restrict them.

@@ -3,12 +3,14 @@
 //! Input: a term. Output: a test with its values read, or the mistake in the term. Does not know the
 //! rows that are tested.
 
+use super::FilterError;
 use super::expression::Term;
 use super::field::{Field, RowKind};
 use super::value::{BytePattern, IdPattern, NumberRange, TimeBound, list};
-use super::{FilterError, WallClock};
 use crate::app::capture::decoded::FrameRole;
+use crate::app::wall_clock::WallClock;
 use crate::finding::FindingKind;
+use crate::time::Instant;
 use crate::wire::id::{Address, MessageType};
 use crate::wire::node::Mode;
 use std::ops::Range;
@@ -146,9 +148,9 @@ impl Test {
     }
 
     /// Finds the moments that the test compares with.
-    pub fn resolve(&mut self, clock: WallClock) {
+    pub fn resolve(&mut self, clock: &WallClock, now: Option<Instant>) {
         if let Self::Since(bound) | Self::Until(bound) = self {
-            bound.resolve(clock);
+            bound.resolve(clock, now);
         }
     }
 }

@@ -2,12 +2,10 @@
 //!
 //! Pure: text in, something to compare with out. Does not know which field a value is of.
 
-use super::WallClock;
-use crate::app::typed_time::{DAY, parse_date_time, parse_duration, parse_time_of_day};
+use crate::app::typed_time::{parse_date_time, parse_duration, parse_time_of_day};
+use crate::app::wall_clock::WallClock;
 use crate::time::{Duration, Instant};
 use std::ops::Range;
-
-const HOUR: i128 = 3_600_000_000;
 
 /// The greatest service number (protocol §1.1).
 const MAX_SERVICE: u64 = 0x3FF;
@@ -213,15 +211,17 @@ impl TimeBound {
 
     /// Finds the moment: of a time of day the last one until the present, or if nothing says when
     /// that is, the first one from an hour before the start on.
-    pub fn resolve(&mut self, clock: WallClock) {
-        let present = clock.now.map(|now| i128::from(now.as_micros()));
+    pub fn resolve(&mut self, clock: &WallClock, now: Option<Instant>) {
         let at = match self.typed {
-            TypedTime::Date(wall) => wall - clock.wall_start,
-            TypedTime::OfDay(of_day) => match present {
-                Some(now) => now - (clock.wall_start + now - of_day).rem_euclid(DAY),
-                None => (of_day - clock.wall_start + HOUR).rem_euclid(DAY) - HOUR,
+            TypedTime::Date(local) => clock.moment(local),
+            TypedTime::OfDay(of_day) => match now {
+                Some(now) => clock.last_at_time_of_day(of_day, now),
+                None => clock.first_at_time_of_day(of_day),
             },
-            TypedTime::Ago(ago) => present.unwrap_or(0) - ago.as_micros().cast_signed(),
+            TypedTime::Ago(ago) => {
+                let present = now.map_or(0, |now| i128::from(now.as_micros()));
+                present - ago.as_micros().cast_signed()
+            }
         };
         let bound = i128::from(i64::MAX);
         self.at = i64::try_from(at.clamp(-bound, bound)).ok();
@@ -241,6 +241,8 @@ impl TimeBound {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::time::Epoch;
+    use jiff::tz::TimeZone;
 
     #[test]
     fn numbers_and_ranges_are_read() {
@@ -320,10 +322,11 @@ mod tests {
         let seconds = |seconds: i128| seconds * 1_000_000;
         let instant = |micros: i128| Instant::from_micros(micros.try_into().unwrap());
         // From 23:59:50 on.
-        let wall_start = 20_000 * DAY - 10_000_000;
+        let start = Epoch::from_unix_micros(20_000 * 86_400_000_000 - 10_000_000);
+        let clock = WallClock::new(start, TimeZone::UTC);
         let at = |text, now: Option<i128>| {
             let mut bound = TimeBound::parse(text).unwrap();
-            bound.resolve(WallClock { wall_start, now: now.map(instant) });
+            bound.resolve(&clock, now.map(instant));
             i128::from(bound.at.unwrap())
         };
         assert_eq!(at("0:00:10", Some(seconds(100))), seconds(20));
@@ -335,7 +338,7 @@ mod tests {
         assert_eq!(at("-3m", Some(seconds(100))), seconds(-80));
         assert_eq!(at("2024-10-04T00:00:05", None), seconds(15));
         let mut before = TimeBound::parse("1990-01-01").unwrap();
-        before.resolve(WallClock { wall_start, now: None });
+        before.resolve(&clock, None);
         assert!(before.is_since(Instant::ZERO) && !before.is_until(Instant::ZERO));
         for text in ["", "-", "soon", "13", "25:00", "2024-10-32"] {
             assert_eq!(TimeBound::parse(text), None, "{text}");

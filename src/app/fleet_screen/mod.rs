@@ -22,12 +22,14 @@ pub use scope::{FleetFilter, FleetPage, FleetSort};
 
 use crate::app::Signs;
 use crate::app::filter::RowKind;
+use crate::app::wall_clock::{DAY, WallClock};
 use crate::fleet::{
     Fleet, FleetGateway, FleetRejects, FleetTopic, GatewayName, GatewayState, TopicPath,
 };
 use crate::keymap::Keymap;
 use crate::text::counted;
-use crate::time::{Duration, Instant};
+use crate::time::{Duration, Epoch, Instant};
+use jiff::tz::TimeZone;
 use rows::GatewayEntry;
 use scope::FleetScope;
 use std::collections::{BTreeMap, VecDeque};
@@ -46,8 +48,8 @@ pub struct FleetScreenOptions {
     pub broker: String,
     /// Unix time of [`Instant::ZERO`], in seconds.
     pub unix_start: f64,
-    /// Added to UTC for the wall clock.
-    pub utc_offset_seconds: i32,
+    /// Time zone of the wall clock; `None`: UTC.
+    pub time_zone: Option<TimeZone>,
     /// The keys.
     pub keymap: Keymap,
     /// Characters for signs.
@@ -421,7 +423,10 @@ impl FleetScreen {
         if !(1.0..4.2e9).contains(&unix) {
             return "–".to_owned();
         }
-        let seconds = (unix as i64 + i64::from(self.options.utc_offset_seconds)).rem_euclid(86_400);
+        let zone = self.options.time_zone.clone().unwrap_or(TimeZone::UTC);
+        let clock = WallClock::new(Epoch::default(), zone);
+        let local = clock.local(Instant::from_micros((unix * 1e6) as u64));
+        let seconds = local.rem_euclid(DAY) / 1_000_000;
         format!("{:02}:{:02}:{:02}", seconds / 3600, seconds / 60 % 60, seconds % 60)
     }
 

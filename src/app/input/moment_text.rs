@@ -2,7 +2,8 @@
 //!
 //! Pure. Does not know what is shown at a moment.
 
-use crate::app::typed_time::{DAY, parse_duration, parse_position, parse_time_of_day};
+use crate::app::typed_time::{parse_duration, parse_position, parse_time_of_day};
+use crate::app::wall_clock::{DAY, WallClock};
 use crate::time::{Duration, Instant};
 
 /// Forms of a moment, for the prompt.
@@ -11,7 +12,7 @@ pub(super) const FORMS: &str =
 
 /// Moments that can be shown.
 #[derive(Clone, Copy, Debug)]
-pub(in crate::app) struct MomentRange {
+pub(in crate::app) struct MomentRange<'a> {
     /// The first one.
     pub begin: Instant,
     /// The present, or the end of a log.
@@ -22,8 +23,8 @@ pub(in crate::app) struct MomentRange {
     pub shown: Instant,
     /// Number of all frames.
     pub frames: u64,
-    /// Time of [`Instant::ZERO`] on the wall clock, in microseconds since 1970-01-01 00:00.
-    pub wall_start: i128,
+    /// The wall clock.
+    pub wall: &'a WallClock,
     /// Letters of the marks, a bit for each.
     pub marks: u32,
 }
@@ -43,7 +44,7 @@ impl MomentTarget {
     ///
     /// # Errors
     /// What is wrong, in words.
-    pub fn parse(text: &str, range: &MomentRange) -> Result<Self, String> {
+    pub fn parse(text: &str, range: &MomentRange<'_>) -> Result<Self, String> {
         let no_form = || format!("{text}: not a moment; use {FORMS}");
         if let Some(number) = text.strip_prefix('#') {
             let number: u64 = number.parse().map_err(|_| no_form())?;
@@ -85,7 +86,11 @@ impl MomentTarget {
         if time > end && !range.is_end_known {
             return Err(length_is_not_known(text));
         }
-        Err(format!("{text}: not kept; {} to {} is", range.wall(begin), range.wall(end)))
+        Err(format!(
+            "{text}: not kept; {} to {} is",
+            range.time_of_day(begin),
+            range.time_of_day(end)
+        ))
     }
 }
 
@@ -93,18 +98,17 @@ fn length_is_not_known(text: &str) -> String {
     format!("{text}: how long the log is, is being read; try again in a moment")
 }
 
-impl MomentRange {
+impl MomentRange<'_> {
     /// Returns the last moment until the end at this time of day, in microseconds.
     fn at_wall_time(&self, of_day: i128) -> Instant {
-        let end = self.wall_start + i128::from(self.end.as_micros());
-        let at = end - (end - of_day).rem_euclid(DAY);
+        let at = self.wall.last_at_time_of_day(of_day, self.end);
         // One before the start is not kept, nor is the latest moment there is.
-        u64::try_from(at - self.wall_start).map_or(Instant::LATEST, Instant::from_micros)
+        u64::try_from(at).map_or(Instant::LATEST, Instant::from_micros)
     }
 
     /// Returns the time of day of a moment: `13:51:20`.
-    pub fn wall(&self, at: Instant) -> String {
-        let of_day = (self.wall_start + i128::from(at.as_micros())).rem_euclid(DAY) / 1000;
+    pub fn time_of_day(&self, at: Instant) -> String {
+        let of_day = self.wall.local(at).rem_euclid(DAY) / 1000;
         let (seconds, millis) = (of_day / 1000, of_day % 1000);
         let (hours, minutes) = (seconds / 3600, seconds / 60 % 60);
         format!("{hours:02}:{minutes:02}:{:02}.{millis:03}", seconds % 60)
@@ -123,14 +127,21 @@ fn micros(duration: Duration) -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::time::Epoch;
+    use jiff::tz::TimeZone;
 
     fn at(seconds: f64) -> Instant {
         Instant::from_micros((seconds * 1e6) as u64)
     }
 
-    /// From 23:59:50 on, for 40 s: kept from 23:59:55, and 0:00:20 is shown.
-    fn range() -> MomentRange {
-        let wall_start = 20_000 * DAY - 10_000_000;
+    /// From 23:59:50 on.
+    fn wall() -> WallClock {
+        let epoch = Epoch::from_unix_micros(20_000 * 86_400_000_000 - 10_000_000);
+        WallClock::new(epoch, TimeZone::UTC)
+    }
+
+    /// For 40 s: kept from 23:59:55, and 0:00:20 is shown.
+    fn range(wall: &WallClock) -> MomentRange<'_> {
         let (begin, end, shown) = (at(5.0), at(40.0), at(30.0));
         MomentRange {
             begin,
@@ -138,13 +149,14 @@ mod tests {
             is_end_known: true,
             shown,
             frames: 100,
-            wall_start,
+            wall,
             marks: mark_bit('c'),
         }
     }
 
     #[test]
     fn moments_are_read_in_all_forms() {
+        let wall = wall();
         for (text, expected) in [
             ("23:59:55", 5.0),
             ("23:59:59.250", 9.25),
@@ -163,13 +175,13 @@ mod tests {
             ("0:31", 31.0),
             ("0:39.5", 39.5),
         ] {
-            let time = MomentTarget::parse(text, &range());
+            let time = MomentTarget::parse(text, &range(&wall));
             assert_eq!(time, Ok(MomentTarget::Time(at(expected))), "{text}");
         }
-        assert_eq!(MomentTarget::parse("#1", &range()), Ok(MomentTarget::Frame(0)));
-        assert_eq!(MomentTarget::parse("c", &range()), Ok(MomentTarget::Mark('c')));
-        assert_eq!(MomentTarget::parse("#100", &range()), Ok(MomentTarget::Frame(99)));
-        let mut long = range();
+        assert_eq!(MomentTarget::parse("#1", &range(&wall)), Ok(MomentTarget::Frame(0)));
+        assert_eq!(MomentTarget::parse("c", &range(&wall)), Ok(MomentTarget::Mark('c')));
+        assert_eq!(MomentTarget::parse("#100", &range(&wall)), Ok(MomentTarget::Frame(99)));
+        let mut long = range(&wall);
         (long.begin, long.end) = (at(0.0), at(100_000.0));
         long.shown = at(90_000.0);
         let back = MomentTarget::parse("-1h30m", &long);
@@ -181,18 +193,20 @@ mod tests {
 
     #[test]
     fn moments_behind_an_unknown_end_are_refused_for_now() {
-        let open = MomentRange { is_end_known: false, ..range() };
+        let wall = wall();
+        let open = MomentRange { is_end_known: false, ..range(&wall) };
         for text in ["50%", "100%", "00:00:31", "0:41", "+11s"] {
             let fault = MomentTarget::parse(text, &open).unwrap_err();
             assert!(fault.contains("how long the log is, is being read"), "{text}: {fault}");
         }
         for text in ["23:59:55", "-20s", "+10s", "0:31"] {
-            assert_eq!(MomentTarget::parse(text, &open), MomentTarget::parse(text, &range()));
+            assert_eq!(MomentTarget::parse(text, &open), MomentTarget::parse(text, &range(&wall)));
         }
     }
 
     #[test]
     fn moments_that_are_not_kept_are_refused() {
+        let wall = wall();
         for (text, said) in [
             ("23:59:54", "23:59:54: not kept; 23:59:55.000 to 00:00:30.000 is"),
             ("00:00:31", "not kept"),
@@ -208,7 +222,7 @@ mod tests {
             ("nan%", "from 0% to 100%"),
             ("a", "a: not a mark"),
         ] {
-            let fault = MomentTarget::parse(text, &range()).unwrap_err();
+            let fault = MomentTarget::parse(text, &range(&wall)).unwrap_err();
             assert!(fault.contains(said), "{text}: {fault}");
         }
         for text in [
@@ -240,7 +254,7 @@ mod tests {
             "１２:00",
             "-99999999999999999999h",
         ] {
-            let fault = MomentTarget::parse(text, &range()).unwrap_err();
+            let fault = MomentTarget::parse(text, &range(&wall)).unwrap_err();
             assert!(fault.contains("not a moment"), "{text}: {fault}");
         }
     }

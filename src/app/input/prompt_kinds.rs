@@ -578,7 +578,7 @@ impl PromptLogic for MomentPrompt {
             return C::Accepted(FORMS.to_owned());
         }
         match MomentTarget::parse(text, &context.moments) {
-            Ok(MomentTarget::Time(time)) => C::Accepted(context.moments.wall(time)),
+            Ok(MomentTarget::Time(time)) => C::Accepted(context.moments.time_of_day(time)),
             Ok(MomentTarget::Frame(_)) => C::Accepted("after this frame".to_owned()),
             Ok(MomentTarget::Mark(letter)) => C::Accepted(format!("mark {letter}")),
             Err(fault) => C::Rejected(fault),
@@ -606,7 +606,7 @@ impl PromptLogic for MarkPrompt {
     }
 
     fn validate(&self, _text: &str, context: PromptContext) -> C {
-        let (letter, at) = (self.letter, context.moments.wall(self.moment.time));
+        let (letter, at) = (self.letter, context.moments.time_of_day(self.moment.time));
         C::Accepted(format!("Enter sets mark {letter} at {at}, with or without a text"))
     }
 

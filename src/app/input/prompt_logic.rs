@@ -50,7 +50,7 @@ pub(in crate::app) struct PromptContext<'a> {
     /// Which of them would be saved.
     pub saved_frames: SavedFrames,
     /// Moments that can be shown.
-    pub moments: MomentRange,
+    pub moments: MomentRange<'a>,
     /// Number of rows of the page that match its filter, and of all.
     pub matches: Option<(u64, u64)>,
     /// What these rows are: `frames`.

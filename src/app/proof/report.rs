@@ -270,7 +270,7 @@ fn setup(text: &mut String, app: &App, problem: &Problem, proof: &ProofFrames) {
         table.row(&["frames in the file", &format!("{}, {times}", proof.frames.len())]);
     }
     text.push_str(&table.finish());
-    let offset = app.utc_offset_text();
+    let offset = app.utc_offset_text(app.shown_time());
     let whose = match (app.playback().is_some(), app.logs().len()) {
         (true, 0) => "at which the frames were read from standard input or a pipe",
         (true, 2..) => {

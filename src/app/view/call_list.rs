@@ -15,6 +15,8 @@ pub struct CallList {
     pub cursor: Selection<u64>,
     /// Slowest first, before them those without a response; else newest first.
     pub is_by_latency: bool,
+    /// The order is reversed.
+    pub is_reversed: bool,
 }
 
 impl View {
@@ -26,6 +28,6 @@ impl View {
     /// Opens the list of calls.
     pub(in crate::app) fn open_call_list(&mut self, key: CallKey) {
         let cursor = Selection::default();
-        self.call_list = Some(CallList { key, cursor, is_by_latency: false });
+        self.call_list = Some(CallList { key, cursor, is_by_latency: false, is_reversed: false });
     }
 }

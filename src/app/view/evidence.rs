@@ -5,6 +5,7 @@
 
 use super::cursor::Selection;
 use super::page::Focus;
+use crate::app::history::Moment;
 use crate::app::problems::{EvidenceItem, ProblemKey};
 
 /// Open evidence.
@@ -24,6 +25,8 @@ pub struct EvidenceView {
     pub shows_context: bool,
     /// Selected frame, its line and the focus before.
     pub(super) before: (Option<u64>, usize, Focus),
+    /// The moment that a piece has led to, and the one that was shown before; `None`: the present.
+    pub(in crate::app) led_to: Option<(Moment, Option<Moment>)>,
 }
 
 impl EvidenceView {

@@ -25,7 +25,7 @@ pub use evidence::EvidenceView;
 pub use page::{Focus, Frozen, Page};
 pub(in crate::app) use problems_view::ProblemRoom;
 pub use problems_view::{ConflictAxis, ProblemsView};
-pub use rows::{Board, Counts, FileStatus, Row, RowKey, RowState, SortBy};
+pub use rows::{Board, Counts, FileStatus, Row, RowKey, RowState, Sort, SortBy};
 pub use screen::{SPLIT_WIDTH, Screen};
 pub use timeline_view::TimelineView;
 pub use traffic_view::{CallOrder, IdentifierOrder, TimeFormat, TrafficView};
@@ -54,7 +54,7 @@ pub struct View {
     /// First line of the details that is shown.
     pub details_scroll: u16,
     /// Sort order of the Devices page.
-    pub sort: SortBy,
+    pub sort: Sort<SortBy>,
     /// End of a frozen view; `None` while it is live.
     pub frozen: Option<Frozen>,
     /// A line announces a confirmed conflict.
@@ -72,11 +72,9 @@ pub struct View {
     /// What the times of frames are.
     pub time_format: TimeFormat,
     /// Order of the identifiers.
-    pub identifier_order: IdentifierOrder,
+    pub identifier_sort: Sort<IdentifierOrder>,
     /// Order of the calls.
-    pub call_order: CallOrder,
-    /// The order is reversed, on Devices and in the views of Traffic.
-    pub is_reversed: bool,
+    pub call_sort: Sort<CallOrder>,
     /// Size of the screen: columns, rows.
     pub size: (u16, u16),
     /// Selection of the Devices page.
@@ -234,6 +232,7 @@ impl View {
             cursor,
             shows_context: around,
             before,
+            led_to: None,
         });
     }
 

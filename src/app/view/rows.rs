@@ -188,6 +188,15 @@ pub enum FileStatus {
     Pinned(u8),
 }
 
+/// Sort order of one list; each list keeps its own.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Sort<O> {
+    /// What the rows are sorted by.
+    pub order: O,
+    /// The order is reversed.
+    pub is_reversed: bool,
+}
+
 /// Sort order of the rows: one for each column.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub enum SortBy {

@@ -89,7 +89,7 @@ impl FrameText {
 
     /// Appends the time of day with milliseconds, and a blank.
     fn write_time(&mut self, line: &mut String, app: &App, time: Instant) {
-        let second = app.wall_seconds(time);
+        let second = app.epoch().unix_micros(time) / 1_000_000;
         let text = match &mut self.second {
             Some((last, text)) if *last == second => text,
             other => &mut other.insert((second, format_time_of_day(app, time))).1,

@@ -28,6 +28,7 @@ use anyhow::Context;
 use frame_json::FrameJson;
 use frame_log::FrameLog;
 use frame_text::FrameText;
+use jiff::tz::TimeZone;
 use stats::LogStats;
 use std::fs::File;
 use std::ops::ControlFlow;
@@ -43,8 +44,7 @@ pub fn run(log: &LogArgs) -> Result<u8, Failure> {
         no_project: log.no_project,
         ..CommonArgs::listen_only(log.profile.clone())
     })?;
-    let options =
-        AppOptions { utc_offset_seconds: open::utc_offset_seconds(), ..AppOptions::default() };
+    let options = AppOptions { time_zone: Some(TimeZone::system()), ..AppOptions::default() };
     let file = headless::log_file(&spec)?;
     // Anything else than a file cannot be read again.
     let is_file = matches!(spec, BusSpec::File(_)) && file.metadata().is_ok_and(|it| it.is_file());

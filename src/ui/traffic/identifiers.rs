@@ -3,7 +3,7 @@
 use super::super::brush::{DrawContext, bus_cell, fit, fit_right};
 use super::cells::{BYTES, bytes, ends, millis, width_of_ends};
 use super::draw_uncounted;
-use crate::app::{Bus, Decoded, IdentifierKind, IdentifierStats};
+use crate::app::{Bus, Decoded, IdentifierKind, IdentifierStats, Page};
 use crate::theme::Role;
 use crate::time::Duration;
 use ratatui::layout::Rect;
@@ -89,6 +89,9 @@ pub fn draw(brush: &mut DrawContext) {
     draw_span(brush, columns);
     let app = brush.app;
     let rows = app.identifiers_shown();
+    if rows.is_empty() && app.page_filter(Page::Traffic).is_on() {
+        return brush.draw_no_match(list, "no identifier matches the filter");
+    }
     let selected = app.view().identifiers.index(rows.iter().map(|row| &row.key));
     let height = usize::from(list.height);
     let top = app.view().identifiers.top(selected, rows.len(), height);

@@ -89,14 +89,13 @@ fn calls_of_a_row_are_listed_with_latency_and_result() {
     snapshot!("call_list_120x30", stage);
     snapshot!("call_list_80x24", stage.size(80, 24));
     // Those without a response first, then the slowest.
-    stage.keys("s");
-    let bytes: Vec<u8> = stage
-        .app
-        .calls_listed()
-        .iter()
-        .map(|call| stage.app.capture().get(call.request).unwrap().data()[0])
-        .collect();
-    assert_eq!(bytes, [3, 2, 1, 4, 5]);
+    let listed = |stage: &Stage| -> Vec<u8> {
+        let calls = stage.app.calls_listed();
+        calls.iter().map(|it| stage.app.capture().get(it.request).unwrap().data()[0]).collect()
+    };
+    assert_eq!(listed(stage.keys("s")), [3, 2, 1, 4, 5]);
+    assert_eq!(listed(stage.keys("S")), [5, 4, 1, 2, 3], "reversed");
+    stage.keys("S");
     // Only failed ones.
     stage.keys("/").text("failed");
     assert!(stage.screen().contains("1 of 5 calls match"), "{}", stage.screen());

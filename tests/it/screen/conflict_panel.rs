@@ -2,7 +2,7 @@
 
 use super::{snapshot, text_snapshot};
 use crate::common::harness::{Stage, text_of};
-use descan::app::{Effect, Page, ProblemKey};
+use descan::app::{Effect, Focus, Page, ProblemKey};
 use descan::discovery::Config;
 use descan::frame::{BusIndex, CanId, Frame};
 use descan::sim::{DeviceAction, DeviceSpec, Fault, Scenario};
@@ -329,11 +329,59 @@ fn evidence_leads_to_its_frame_at_its_moment() {
     let moment = stage.app.past_moment().unwrap();
     assert_eq!(Some(moment.frames), stage.app.captured(&piece.frame.unwrap()).map(|at| at + 1));
     assert!(stage.screen().contains("FROZEN 12:00:26.828"), "{}", stage.screen());
-    // Back to the evidence, to the problem, to the present.
+    // Back to the evidence, and to the problem as it was: at the present, with this piece selected.
     stage.keys("Esc Esc");
     assert_eq!(stage.app.view().page, Page::Problems);
-    stage.keys("Esc Esc");
-    assert!(stage.app.past_moment().is_none());
+    assert!(stage.app.past_moment().is_none(), "{}", stage.screen());
+    assert_eq!((stage.app.view().focus, stage.app.view().piece), (Focus::Details, 2));
+}
+
+#[test]
+fn evidence_leads_back_to_the_moment_from_which_it_was_opened() {
+    let config = Config { seed: 7, ..Config::default() };
+    let boiler = Scenario::builtin("boiler").unwrap();
+    let mut stage = Stage::with_room(&boiler, None, config, ROOM);
+    stage.until(45.0).keys("4 Space").until(50.0);
+    let frozen = stage.app.past_moment().unwrap();
+    let problem = stage.app.selected_problem().unwrap().key;
+    stage.keys("Enter j Enter");
+    stage.wait_for_past();
+    assert_ne!(stage.app.past_moment().unwrap(), frozen);
+    stage.keys("Backspace");
+    stage.wait_for_past();
+    assert_eq!(stage.app.past_moment().unwrap(), frozen, "{}", stage.screen());
+    assert_eq!(stage.app.selected_problem().unwrap().key, problem);
+    // A moment that was chosen meanwhile stays.
+    stage.keys("Enter");
+    stage.wait_for_past();
+    stage.keys("<");
+    stage.wait_for_past();
+    let chosen = stage.app.past_moment().unwrap();
+    stage.keys("Backspace");
+    stage.wait_for_past();
+    assert_eq!(stage.app.past_moment().unwrap(), chosen);
+}
+
+#[test]
+fn frames_of_a_selected_piece_begin_at_it() {
+    let mut stage = Stage::boiler();
+    stage.until(45.0).keys("4 Enter j j j");
+    let piece = stage.app.selected_problem().unwrap().evidence()[3].clone();
+    let evidence =
+        |stage: &Stage| stage.app.view().evidence.as_ref().unwrap().selected().unwrap().1.clone();
+    assert_eq!(evidence(stage.keys("f")), piece);
+    stage.keys("Backspace");
+    assert_eq!((stage.app.view().focus, stage.app.view().piece), (Focus::Details, 3));
+}
+
+#[test]
+fn row_of_a_problem_leads_back_to_it() {
+    let mut stage = Stage::boiler();
+    stage.until(24.0).keys("4 /").text("missing").keys("Enter");
+    let key = stage.app.selected_problem().unwrap().key;
+    assert_eq!(stage.keys("Enter").app.view().page, Page::Devices);
+    assert_eq!(stage.keys("Backspace").app.view().page, Page::Problems);
+    assert_eq!(stage.app.selected_problem().unwrap().key, key);
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! The page Devices.
 
-use super::snapshot;
+use super::{one_line, snapshot};
 use crate::common::harness::{BOILER, Stage};
 use descan::discovery::Config;
 use descan::sim::Scenario;
@@ -115,6 +115,29 @@ fn sort_key_cycles_through_the_columns() {
         let header = screen.lines().nth(row).unwrap();
         assert_eq!(header.contains('↓'), sorted != "by address", "{screen}");
     }
+}
+
+#[test]
+fn order_reversed_on_a_page_leaves_that_of_the_others() {
+    let mut stage = Stage::boiler();
+    stage.until(8.0).size(120, 30);
+    let devices =
+        |stage: &Stage| -> Vec<_> { stage.app.rows().iter().map(|row| row.key.clone()).collect() };
+    let before = devices(&stage);
+    let identifiers = |stage: &mut Stage| -> Vec<String> {
+        let screen = stage.screen();
+        screen.lines().filter(|line| line.contains("→all")).map(one_line).collect()
+    };
+    let ascending = identifiers(stage.keys("2 v"));
+    assert!(stage.keys("S").screen().contains("order reversed"));
+    let mut reversed = identifiers(&mut stage);
+    assert_ne!(reversed, ascending);
+    reversed.reverse();
+    assert_eq!(devices(stage.keys("1")), before, "Devices keeps its order");
+    let mut expected = before;
+    expected.reverse();
+    assert_eq!(devices(stage.keys("S")), expected);
+    assert!(stage.keys("2 S").screen().contains("order as before"));
 }
 
 #[test]

@@ -73,7 +73,7 @@ fn first_line_of_a_past_moment_names_it_at_every_size_and_page() {
     snapshot!("frozen_80x24", stage.size(80, 24));
     snapshot!("frozen_40x10", stage.size(40, 10));
     let line = first_line(stage.size(120, 36));
-    assert!(line.contains(" · 1") && line.contains(" ago · LIVE with Esc  now ⚠ 14: "), "{line}");
+    assert!(line.contains(" · 1") && line.contains(" ago · LIVE with Space  now ⚠ 14: "), "{line}");
     stage.keys("Esc");
     assert!(stage.app.past_moment().is_none());
 }

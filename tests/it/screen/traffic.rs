@@ -73,6 +73,25 @@ fn filter_without_match_shows_no_frame_and_keeps_the_selection() {
 }
 
 #[test]
+fn views_of_traffic_say_that_nothing_matches_the_filter() {
+    let mut stage = Stage::boiler();
+    stage.until(20.0).keys("2 /").text("src:NOBODY").keys("Enter");
+    for (key, what) in [("v", "no identifier matches"), ("v", "no call matches"), ("v", "no frame")]
+    {
+        let screen = stage.keys(key).screen();
+        assert!(screen.contains(what), "{what}: {screen}");
+    }
+}
+
+#[test]
+fn key_of_the_filter_leaves_evidence_open_without_a_filter() {
+    let mut stage = Stage::boiler();
+    stage.until(45.0).keys("4 f");
+    assert!(stage.keys("\\").screen().contains("no filter; / types one"), "{}", stage.screen());
+    assert!(stage.app.view().evidence.is_some(), "{}", stage.screen());
+}
+
+#[test]
 fn filter_at_a_past_moment_does_not_select_later_frames() {
     let text = "bitrate = 125000\n[[device]]\nname = \"CALM\"\naddress = { fixed = 12 }\nsettled = true\n\
         [[device]]\nname = \"LATE\"\naddress = { fixed = 14 }\nsettled = true\npower_on = 6.0\n";
