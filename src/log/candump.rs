@@ -142,14 +142,6 @@ impl CandumpLines {
         }
     }
 
-    /// Learns from lines that follow what short times count from, before the first of them.
-    pub fn look_ahead(&mut self, bytes: &[u8]) {
-        if self.times.is_empty() && candump_time::without_colours(bytes).starts_with(b"(") {
-            let lines = lines_of_head(&bytes[..bytes.len().min(MAX_HEAD)]);
-            self.times = CandumpTimes::of(lines.filter_map(time_of_line));
-        }
-    }
-
     /// Returns true if the lines are the usual ones of the log text.
     pub fn is_usual(&self) -> bool {
         self.times.is_fixed() && !self.is_screen
@@ -206,12 +198,26 @@ fn time_of_line(line: &[u8]) -> Option<PrintedTime> {
     candump_time::split(line).map(|(time, _)| time)
 }
 
-/// Bytes in which lines are looked for that say from where short times count.
-const MAX_HEAD: usize = 4096;
+/// Beginnings of lines that may be before the first frame: of a command, of `script`, of a comment, and of
+/// candump where frames were lost.
+const PREFACES: [&[u8]; 5] = [b"#", b"$ candump", b"candump", b"Script started", b"DROPCOUNT"];
+
+/// Returns what follows the lines without a frame with which a log may begin, and true if it may be such a
+/// line that is not whole.
+fn behind_preface(mut head: &[u8]) -> (&[u8], bool) {
+    let is_preface = |line: &[u8]| PREFACES.iter().any(|preface| line.starts_with(preface));
+    while let Some(end) = memchr::memchr(b'\n', head).filter(|_| is_preface(head)) {
+        head = &head[end + 1..];
+    }
+    let is_begun = PREFACES.iter().any(|preface| preface.starts_with(head) || is_preface(head));
+    (head, is_begun)
+}
 
 /// Returns true if a log that begins with `head` has short times, and more lines are needed to know from
 /// where they count.
 pub(super) fn has_undecided_times(head: &[u8]) -> bool {
+    /// Bytes in which the lines are looked for.
+    const MAX_HEAD: usize = 4096;
     /// Longest colour before the first time.
     const MAX_COLOUR: usize = 12;
     let is_short = |(at, byte): (usize, &u8)| match at {
@@ -223,13 +229,14 @@ pub(super) fn has_undecided_times(head: &[u8]) -> bool {
     if BYTE_ORDER_MARK.starts_with(head) {
         return true;
     }
-    let head = head.strip_prefix(BYTE_ORDER_MARK).unwrap_or(head);
-    let first = candump_time::without_colours(head);
-    let is_colour_cut = first.starts_with(b"\x1b") && first.len() < MAX_COLOUR;
     if head.len() >= MAX_HEAD {
         return false;
     }
-    if first.is_empty() {
+    let head = head.strip_prefix(BYTE_ORDER_MARK).unwrap_or(head);
+    let (head, is_preface) = behind_preface(head);
+    let first = candump_time::without_colours(head);
+    let is_colour_cut = first.starts_with(b"\x1b") && first.len() < MAX_COLOUR;
+    if first.is_empty() || is_preface {
         return true;
     }
     if !is_colour_cut && !first.iter().take(5).enumerate().all(is_short) {

@@ -193,9 +193,6 @@ impl LogDecoder for TextDecoder {
             return (bytes.len(), if is_over { DecodeStep::End } else { DecodeStep::Nothing });
         };
         let frame = if self.partial.is_empty() {
-            if let TextFormat::Candump(lines) = &mut self.format {
-                lines.look_ahead(bytes);
-            }
             self.take_line(&bytes[..end], summary)
         } else if std::mem::take(&mut self.skipped) > 0 {
             self.partial.clear();
