@@ -210,9 +210,12 @@ impl App {
 
     /// Shows the frames of the selected device.
     pub(super) fn go_to_frames_of_device(&mut self) {
-        let Some(row) = self.selected_row().filter(|row| row.address.is_some()) else {
-            return self.show_error("no frames: not on the bus");
+        let Some(row) = self.selected_row() else {
+            return self.show_error("no row is selected");
         };
+        if row.address.is_none() {
+            return self.show_error("no frames: not on the bus");
+        }
         let mut addresses: Vec<_> = row.addresses(self.shown_buses()).collect();
         addresses.sort_unstable();
         addresses.dedup();

@@ -195,6 +195,11 @@ impl ConvertedLog {
         let file = file.map_err(|error| not_written(&path, &error))?;
         if let Some(metadata) = metadata {
             // Of the file that is replaced; what may not be changed stays as the system makes it.
+            #[cfg(unix)]
+            {
+                use std::os::unix::fs::{MetadataExt, fchown};
+                let _ = fchown(file.as_file(), Some(metadata.uid()), Some(metadata.gid()));
+            }
             let _ = file.as_file().set_permissions(metadata.permissions());
         }
         *temporary.lock().unwrap_or_else(PoisonError::into_inner) = Some(file.path().to_owned());

@@ -100,7 +100,7 @@ fn sites(folder: &Path) -> Result<Vec<Site>, Failure> {
 /// The des.json files of a folder: those of its project, else its own.
 fn expected(folder: &Path) -> Result<Vec<ExpectedDevices>, Failure> {
     let project_path = folder.join(FILE_NAME);
-    let text = read_text(&project_path).map_err(|fault| fault.of(printable_path(&project_path)))?;
+    let text = read_text(&project_path)?;
     let Some(text) = text else {
         let document = document(&folder.join(open::default_file()))?;
         return Ok(vec![ExpectedDevices { document, buses: None }]);

@@ -12,7 +12,7 @@ pub fn write_generated(folder: &Path, files: &[(&str, &str)], force: bool) -> Re
     let mut missing = Vec::new();
     for (name, text) in files {
         let path = folder.join(name);
-        match regular_file::read_text(&path).map_err(|fault| fault.of(printable_path(&path)))? {
+        match regular_file::read_text(&path)? {
             Some(content) if content == *text => {}
             Some(_) if !force => {
                 let fault = Diagnostic::new("already exists, with other content");

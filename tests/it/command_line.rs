@@ -831,6 +831,15 @@ fn unusable_input_is_named_and_exits_3() {
         (&["scan", "sim:boiler", "--profile", "bad.toml"], "morse"),
         (&["scan", "sim:odd.toml"], "line 2, column 1: unknown field `noise`"),
         (&["sim", "udp:", "--scenario", "odd.toml"], "odd.toml: TOML parse error at line 2"),
+        // Named once.
+        (
+            &["kit", "--name", "X", "--write", "words.log"],
+            "descan: words.log/des.h: parent is a file, not a folder",
+        ),
+        (
+            &["fleet", "--broker", "mqtt://127.0.0.1:1", "--credentials", "nothing", "--json"],
+            "descan: nothing: file not found",
+        ),
     ] {
         let output = descan(arguments, folder.path());
         let said = text(&output.stderr);

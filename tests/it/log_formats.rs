@@ -12,7 +12,7 @@ use ruzstd::encoding::{CompressionLevel, compress_to_vec};
 use std::fmt::Write as _;
 use std::fs;
 use std::io::{BufReader, Read, Write};
-use std::os::unix::fs::PermissionsExt;
+use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -512,9 +512,17 @@ fn replaced_file_keeps_its_access_rights() {
     let path = folder.path().join("out.asc");
     fs::write(&path, "private").unwrap();
     fs::set_permissions(&path, fs::Permissions::from_mode(0o600)).unwrap();
+    // Of another user, where this one may do that.
+    let _ = std::os::unix::fs::chown(&path, Some(65534), Some(65534));
+    let access = |path: &Path| {
+        let metadata = fs::metadata(path).unwrap();
+        (metadata.uid(), metadata.gid(), metadata.mode() & 0o777)
+    };
+    let before = access(&path);
     let output = descan(folder.path(), &["convert", "in.log", "out.asc", "--force"]);
     assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
-    assert_eq!(fs::metadata(&path).unwrap().permissions().mode() & 0o777, 0o600);
+    assert_eq!(access(&path), before);
+    assert_eq!(before.2, 0o600);
 }
 
 #[test]

@@ -183,7 +183,7 @@ fn login(
         }
         return Ok(user.map(|user| (user, password)));
     };
-    let text = required_text(path).map_err(|fault| fault.of(printable_path(path)))?;
+    let text = required_text(path)?;
     // The text of an error would show the line with the password.
     let file: CredentialsFile = toml::from_str(&text).map_err(|_| {
         let remedy = "write user = \"NAME\" and password = \"PASSWORD\" (TOML)";
