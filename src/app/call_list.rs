@@ -84,7 +84,7 @@ impl App {
     /// Sorts the list of calls in the other order.
     pub(super) fn sort_call_list(&mut self) {
         let Some(list) = &mut self.view.call_list else { return };
-        list.is_by_latency = !list.is_by_latency;
+        (list.is_by_latency, list.is_reversed) = (!list.is_by_latency, false);
         let text = if list.is_by_latency { "sorted slowest first" } else { "sorted newest first" };
         self.show_info(text);
     }

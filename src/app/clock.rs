@@ -1,6 +1,6 @@
 //! Time in the program: the present moment, its place on the wall clock, the pace of a log.
 
-use super::wall_clock::WallClock;
+use super::wall_clock::{DAY, WallClock};
 use crate::status::Playback;
 use crate::time::{Duration, Epoch, Instant};
 
@@ -65,6 +65,11 @@ impl AppClock {
     /// Seconds since 1970-01-01 00:00 on the wall clock; 0 before it.
     pub fn wall_seconds(&self, at: Instant) -> u64 {
         u64::try_from(self.wall.local(at) / 1_000_000).unwrap_or(0)
+    }
+
+    /// Seconds since midnight on the wall clock.
+    pub fn second_of_day(&self, at: Instant) -> u64 {
+        (self.wall.local(at).rem_euclid(DAY) / 1_000_000) as u64
     }
 
     /// The present moment for the name of a file: `20261121-060036`.

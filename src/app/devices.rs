@@ -67,8 +67,8 @@ impl DeviceRows {
         self.all = rows.len();
         self.counts = count(&rows, problems);
         rows.retain(|row| filter.is_none_or(|filter| filter.matches_row(inputs.buses, row)));
-        sort(&mut rows, inputs.buses, view.sort.order);
-        if view.sort.is_reversed {
+        sort(&mut rows, inputs.buses, view.device_sort.order);
+        if view.device_sort.is_reversed {
             rows.reverse();
         }
         let before = std::mem::replace(&mut self.rows, rows);

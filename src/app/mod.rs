@@ -1260,8 +1260,8 @@ impl FrameMeaning {
 
 /// A moment on the wall clock: `12:03:11`.
 pub fn format_time_of_day(app: &App, at: Instant) -> String {
-    let seconds = app.wall_seconds(at);
-    format!("{:02}:{:02}:{:02}", seconds / 3600 % 24, seconds / 60 % 60, seconds % 60)
+    let seconds = app.clock.second_of_day(at);
+    format!("{:02}:{:02}:{:02}", seconds / 3600, seconds / 60 % 60, seconds % 60)
 }
 
 /// A moment on the wall clock with milliseconds: `12:03:11.204`.

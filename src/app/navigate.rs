@@ -452,8 +452,8 @@ impl App {
                 self.show_info(format!("sorted {}", order.describe()));
             }
             Page::Devices => {
-                let order = self.view.sort.order.next();
-                self.view.sort.order = order;
+                let order = self.view.device_sort.order.next();
+                self.view.device_sort.order = order;
                 self.refresh_rows();
                 self.show_info(format!("sorted {}", order.describe()));
             }
@@ -492,7 +492,7 @@ impl App {
     pub(super) fn reverse_order(&mut self) {
         let view = &mut self.view;
         let is_reversed = match view.page {
-            Page::Devices => &mut view.sort.is_reversed,
+            Page::Devices => &mut view.device_sort.is_reversed,
             Page::Traffic if view.shows_identifiers() => &mut view.identifier_sort.is_reversed,
             Page::Traffic if view.shows_calls() => match &mut view.call_list {
                 Some(list) => &mut list.is_reversed,

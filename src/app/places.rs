@@ -51,6 +51,12 @@ impl App {
                 return;
             }
         }
+        let (page, traffic_view) = (self.view.page, self.view.traffic_view);
+        let is_shown = |place: &Place| {
+            place.page == page && (page != Page::Traffic || place.traffic_view == traffic_view)
+        };
+        // A page key may have led there meanwhile.
+        while self.places.pop_if(|place| is_shown(place)).is_some() {}
         let Some(place) = self.places.pop() else {
             return self.show_error("no page to return to");
         };
@@ -68,7 +74,7 @@ impl App {
         let Some(evidence) = &self.view.evidence else { return };
         let (problem, in_details) = (evidence.problem.clone(), evidence.was_opened_in_details());
         let piece = evidence.selected().map(|(_, piece)| (piece.time, piece.frame));
-        let left = evidence.led_to.filter(|(led_to, _)| self.past_moment() == Some(*led_to));
+        let left = evidence.led_to.filter(|(led_to, _)| self.shown_or_target() == *led_to);
         self.places.pop_if(|place| (place.page, place.opened) == (Page::Problems, Page::Traffic));
         self.show_page(Page::Problems);
         match left {

@@ -10,7 +10,7 @@ use jiff::tz::TimeZone;
 
 /// Microseconds of a day.
 pub(super) const DAY: i128 = 86_400_000_000;
-/// Time after a start in which a time of day before it is meant.
+/// How far before the start a time of day may lie.
 const HOUR: i128 = 3_600_000_000;
 
 /// A wall clock.
@@ -75,7 +75,7 @@ impl WallClock {
 
     /// The first and the last moment of a local time.
     fn moments(&self, local: i128) -> (i128, i128) {
-        // Offsets differ by less than a day, and change less often.
+        // Offsets differ by at most a day, and change less often.
         let [before, after] = [local - DAY, local + DAY].map(|unix| local - self.offset(unix));
         let shows = |unix: i128| unix + self.offset(unix) == local;
         let (first, last) = match (shows(before), shows(after)) {

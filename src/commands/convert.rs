@@ -198,7 +198,10 @@ impl ConvertedLog {
             #[cfg(unix)]
             {
                 use std::os::unix::fs::{MetadataExt, fchown};
-                let _ = fchown(file.as_file(), Some(metadata.uid()), Some(metadata.gid()));
+                let (user, group) = (Some(metadata.uid()), Some(metadata.gid()));
+                // A user may give a file to an own group only.
+                let _ = fchown(file.as_file(), user, group)
+                    .or_else(|_| fchown(file.as_file(), None, group));
             }
             let _ = file.as_file().set_permissions(metadata.permissions());
         }

@@ -198,19 +198,24 @@ fn time_of_line(line: &[u8]) -> Option<PrintedTime> {
     candump_time::split(line).map(|(time, _)| time)
 }
 
-/// Beginnings of lines that may be before the first frame: of a command, of `script`, of a comment, and of
-/// candump where frames were lost.
-const PREFACES: [&[u8]; 5] = [b"#", b"$ candump", b"candump", b"Script started", b"DROPCOUNT"];
+/// Beginnings of lines that may be before the first frame: of a comment, of `script`, and of candump where
+/// frames were lost.
+const PREFACES: [&[u8]; 3] = [b"#", b"Script started", b"DROPCOUNT"];
 
-/// Returns what follows the lines without a frame with which a log may begin, and true if it may be such a
-/// line that is not whole.
-fn behind_preface(mut head: &[u8]) -> (&[u8], bool) {
-    let is_preface = |line: &[u8]| PREFACES.iter().any(|preface| line.starts_with(preface));
-    while let Some(end) = memchr::memchr(b'\n', head).filter(|_| is_preface(head)) {
+/// Returns true for a line that is none of a frame, and may be before the first one.
+fn is_preface(line: &[u8]) -> bool {
+    let is_command = || memchr::memmem::find(line, b"candump ").is_some();
+    line.trim_ascii().is_empty()
+        || PREFACES.iter().any(|preface| line.starts_with(preface))
+        || time_of_line(line).is_none() && is_command()
+}
+
+/// Returns what follows the whole lines without a frame with which a log may begin.
+fn behind_preface(mut head: &[u8]) -> &[u8] {
+    while let Some(end) = memchr::memchr(b'\n', head).filter(|end| is_preface(&head[..*end])) {
         head = &head[end + 1..];
     }
-    let is_begun = PREFACES.iter().any(|preface| preface.starts_with(head) || is_preface(head));
-    (head, is_begun)
+    head
 }
 
 /// Returns true if a log that begins with `head` has short times, and more lines are needed to know from
@@ -218,8 +223,6 @@ fn behind_preface(mut head: &[u8]) -> (&[u8], bool) {
 pub(super) fn has_undecided_times(head: &[u8]) -> bool {
     /// Bytes in which the lines are looked for.
     const MAX_HEAD: usize = 4096;
-    /// Longest colour before the first time.
-    const MAX_COLOUR: usize = 12;
     let is_short = |(at, byte): (usize, &u8)| match at {
         0 => *byte == b'(',
         1 => *byte == b'0',
@@ -232,22 +235,23 @@ pub(super) fn has_undecided_times(head: &[u8]) -> bool {
     if head.len() >= MAX_HEAD {
         return false;
     }
-    let head = head.strip_prefix(BYTE_ORDER_MARK).unwrap_or(head);
-    let (head, is_preface) = behind_preface(head);
+    let head = behind_preface(head.strip_prefix(BYTE_ORDER_MARK).unwrap_or(head));
     let first = candump_time::without_colours(head);
-    let is_colour_cut = first.starts_with(b"\x1b") && first.len() < MAX_COLOUR;
-    if first.is_empty() || is_preface {
+    // A line without a time may be one that is passed over: that is seen when it is whole.
+    let is_cut = !first.starts_with(b"(") && !head.contains(&b'\n');
+    if first.is_empty() || is_cut {
         return true;
     }
-    if !is_colour_cut && !first.iter().take(5).enumerate().all(is_short) {
+    if !first.iter().take(5).enumerate().all(is_short) {
         return false;
     }
     // It is looked at again with each line.
     if !head.ends_with(b"\n") {
         return true;
     }
+    let is_read = |line: &[u8]| time_of_line(line).is_some() || is_preface(line);
     let times = lines_of_head(head).filter_map(time_of_line);
-    CandumpTimes::of_lines(times).is_undecided()
+    lines_of_head(head).all(is_read) && CandumpTimes::of_lines(times).is_undecided()
 }
 
 /// Writes the log text, with the six digits of a fraction that canplayer reads.

@@ -54,15 +54,15 @@ pub enum Damage {
         "the conversion of its times is not read: only linear ones are; export it as ASC or BLF"
     )]
     Conversion,
-    /// A measurement has data in blocks that are not read: of columns, compressed over 8 MB, or over 65,536 in
-    /// one list.
+    /// A measurement has data in blocks that are not read: stored by columns, compressed to over 8 MB or not
+    /// with deflate, or over 65,536 in one list.
     #[error(
-        "data of columns, compressed blocks over 8 MB and lists of over 65,536 blocks are not read; \
-         export it as ASC or BLF"
+        "data stored by columns, compressed blocks over 8 MB or not of deflate, and lists of over 65,536 blocks \
+         are not read; export it as ASC or BLF"
     )]
     UnreadBlock,
-    /// Groups of a measurement have so many records less than they say.
-    #[error("{0} of the records that its groups should have are missing")]
+    /// Groups of a measurement have so many records fewer than their cycle counts.
+    #[error("{0} records are missing: the cycle counts of its groups are higher")]
     RecordsMissing(u32),
     /// The text of a database is not UTF-8.
     #[error("its text is UTF-16, not UTF-8 as python-can writes it")]

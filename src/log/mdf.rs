@@ -56,7 +56,7 @@ pub(super) struct MdfLog {
     damage: Option<LogDamage>,
     /// The data of an unfinished file end inside a record.
     ends_inside_record: bool,
-    /// Number of records that groups have less than they say.
+    /// By how many records groups are shorter than their cycle counts.
     missing: u64,
 }
 
@@ -208,7 +208,7 @@ struct FrameStream {
     is_over: bool,
     /// The data of an unfinished file end inside a record.
     ends_inside_record: bool,
-    /// Number of records that its groups have less than they say, once it is over.
+    /// By how many records its groups are shorter than their cycle counts, once it is over.
     missing: u64,
 }
 
@@ -279,7 +279,7 @@ impl MdfLog {
                     self.damage.get_or_insert(LogDamage::Log(damage));
                 }
             }
-            self.missing += std::mem::take(&mut stream.missing);
+            self.missing = self.missing.saturating_add(std::mem::take(&mut stream.missing));
         }
         self.ends_inside_record |= self.streams.iter().any(|stream| stream.ends_inside_record);
         self.streams.retain(|stream| !stream.ready.is_empty() || !stream.is_over);
@@ -410,10 +410,14 @@ impl FrameStream {
         is_complete.then_some(*nanos)
     }
 
-    /// Returns true if all records were read: the only group has as many as it says. What is behind them, as the
-    /// room that a logger has reserved, is none.
+    /// Returns true if all frames were read: each group has as many records as its cycle count. What is behind
+    /// them may be room that a logger has reserved.
     fn is_complete(&self) -> bool {
-        self.id_len == 0 && self.groups.values().all(|group| group.left() == Some(0))
+        let is_complete = |group: &RecordGroup| match group {
+            RecordGroup::Frames { left, .. } => *left == Some(0),
+            RecordGroup::Bytes | RecordGroup::Other { .. } => true,
+        };
+        self.waiting.is_empty() && self.groups.values().all(is_complete)
     }
 
     /// Reads until the next frame is known, or to the end.
@@ -421,7 +425,8 @@ impl FrameStream {
         while self.next_time().is_none() && !self.is_over {
             if self.is_complete() || !self.read_record(bytes)? {
                 self.is_over = true;
-                self.missing = self.groups.values().filter_map(RecordGroup::left).sum();
+                let left = self.groups.values().filter_map(RecordGroup::left);
+                self.missing = left.fold(0, u64::saturating_add);
                 while let Some((number, record)) = self.waiting.pop_front() {
                     self.push(number, &record, Err(FieldFault::Data));
                 }
@@ -578,6 +583,7 @@ impl FrameGroup {
             signal_data: None,
         };
         let (mut next, mut is_of_frames) = (vec![first], false);
+        let mut time_fault = None;
         for _ in 0..MAX_CHANNELS {
             let Some(address) = next.pop() else { break };
             if address == 0 {
@@ -588,7 +594,14 @@ impl FrameGroup {
             let data: [u8; 12] = channel.data(bytes)?;
             let (kind, number) = (data[0], RecordNumber::of_channel(&data));
             if matches!(kind, MASTER | VIRTUAL_MASTER) {
-                let (offset, factor) = linear(bytes, channel.link(4))?;
+                let (offset, factor) = match linear(bytes, channel.link(4)) {
+                    Ok(conversion) => conversion,
+                    Err(fault @ MdfFault::File(_)) => return Err(fault),
+                    Err(fault) => {
+                        time_fault = Some(fault);
+                        continue;
+                    }
+                };
                 let value = match kind {
                     MASTER => ChannelValue::InRecord(number),
                     _ => ChannelValue::Virtual(0.0, 1.0),
@@ -635,7 +648,11 @@ impl FrameGroup {
                 };
             }
         }
-        Ok(is_of_frames.then_some(group))
+        // Of signals that are decoded no time is read.
+        match time_fault.filter(|_| is_of_frames) {
+            Some(fault) => Err(fault),
+            None => Ok(is_of_frames.then_some(group)),
+        }
     }
 
     /// Returns the data bytes of a record and what follows them there; `None` if they are in another record.

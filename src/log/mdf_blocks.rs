@@ -278,7 +278,7 @@ impl DataChain {
         let head: [u8; HEAD] = block.data(bytes)?;
         let (zip, width) = (head[2], u32_at(&head, 4) as usize);
         let (len, packed_len) = (u64_at(&head, 8), u64_at(&head, 16));
-        if HEAD as u64 + packed_len > block.data_len {
+        if packed_len > block.data_len - HEAD as u64 {
             return Err(block.damage());
         }
         if len > MAX_PACKED || packed_len > MAX_PACKED || zip > TRANSPOSED {

@@ -51,9 +51,7 @@ impl TextFormat {
     /// frame that of the log.
     fn local_date(&self, line: &[u8], entry: &LogEntry<'_>, is_first: bool) -> Option<LogTime> {
         match self {
-            Self::Candump(lines) if !lines.is_usual() || is_first => {
-                candump_time::has_date(line).then_some(entry.time)
-            }
+            Self::Candump(_) => candump_time::has_date(line).then_some(entry.time),
             Self::Asc(lines) if is_first => Some(lines.start()),
             Self::Trc(lines) if is_first => Some(lines.start()),
             _ => None,

@@ -118,15 +118,15 @@ fn log_with_a_date_of_the_repeated_hour_says_so_when_it_is_read() {
             assert_eq!(said.contains(cause), is_twice, "{log}: {said}");
         }
         // The first frame before the hour, and after it.
-        let log = format!(
-            " (2023-10-29 00:30:00.0)  can0  123   [1]  11\n (2023-10-29 0{hour}:30:00.0)  can0  123   [1]  11\n \
-             (2023-10-29 04:30:00.0)  can0  123   [1]  11\n"
-        );
-        fs::write(folder.path().join("in"), &log).unwrap();
-        let mut command = Command::new(env!("CARGO_BIN_EXE_descan"));
-        command.args(["log", "in"]).current_dir(folder.path()).env("TZ", "Europe/Berlin");
-        let said = text(&command.output().unwrap().stderr);
-        assert_eq!(said.contains("its date comes twice"), is_twice, "{log}: {said}");
+        for frame in ["can0 123#11", " can0  123   [1]  11"] {
+            let hours = [0, hour, 4];
+            let lines = hours.map(|hour| format!("(2023-10-29 0{hour}:30:00.0) {frame}\n"));
+            fs::write(folder.path().join("in"), lines.concat()).unwrap();
+            let mut command = Command::new(env!("CARGO_BIN_EXE_descan"));
+            command.args(["log", "in"]).current_dir(folder.path()).env("TZ", "Europe/Berlin");
+            let said = text(&command.output().unwrap().stderr);
+            assert_eq!(said.contains("its date comes twice"), is_twice, "{lines:?}: {said}");
+        }
         // A measurement whose start is given as local time.
         let mut measurement = include_bytes!("../corpus/mdf/unsorted").to_vec();
         let hours = 471_816 + i64::from(hour);
@@ -226,7 +226,14 @@ fn times_of_candump_are_read_in_all_their_forms() {
         all.extend(["\n", "\r\n", "\n\n", "  \n\t\n"].map(|blank| format!("{blank}{printed}")));
         // Lines without a frame: of an editor, of `script`, of candump itself.
         let dropped = "DROPCOUNT: dropped 3 CAN frames on 'can0' socket (total drops 3)\n";
-        for other in ["\u{feff}", "$ candump -t d can0\n", "# a\n# b\n# c\n", dropped] {
+        for other in [
+            "\u{feff}",
+            "\u{feff}\n",
+            "# a\n\n# b\n# c\n",
+            "Script started on 2026-11-28\n",
+            "user@host:~$ candump -t d can0\n",
+            dropped,
+        ] {
             all.push(format!("{other}{printed}"));
         }
         all.push(printed.replacen('\n', &format!("\n{dropped}"), 1));

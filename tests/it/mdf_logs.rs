@@ -221,14 +221,46 @@ fn records_behind_the_number_of_a_group_are_none() {
 }
 
 #[test]
+fn room_behind_the_records_of_groups_is_ignored() {
+    for bytes in [measurement(&[(1, 0.0), (2, 1.0), (1, 2.0)]), UNSORTED.to_vec()] {
+        let (frames, _) = read_log(&bytes);
+        let at = *blocks(&bytes, "DT").last().unwrap();
+        let len = u64::from_le_bytes(bytes[at + 8..at + 16].try_into().unwrap());
+        // The data move to the end, where they are longer.
+        let mut data = bytes[at + 24..at + len as usize].to_vec();
+        data.resize(data.len() + 4096, 0);
+        let mut longer = bytes.clone();
+        let moved = (longer.len() as u64).to_le_bytes();
+        longer.extend(block("DT", &[], &data));
+        let group = blocks(&bytes, "DG")[0] + 24 + 2 * 8;
+        longer[group..group + 8].copy_from_slice(&moved);
+        let (read, summary) = read_log(&longer);
+        assert_eq!((read, summary.lost_entries()), (frames, 0), "{summary}");
+    }
+}
+
+#[test]
+fn counts_and_lengths_up_to_the_largest_number_are_handled() {
+    let records: Vec<_> = (0..40).map(|at| (1 + at % 2, f64::from(at))).collect();
+    let bytes = with_count(&with_count(&measurement(&records), 0, u64::MAX), 1, u64::MAX);
+    let (frames, summary) = read_log(&bytes);
+    assert_eq!((frames.len(), summary.lost_entries()), (40, 1), "{summary}");
+    let mut bytes = PACKED.to_vec();
+    for at in blocks(&bytes, "DZ") {
+        bytes[at + 24 + 16..at + 24 + 24].fill(0xFF);
+    }
+    assert!(read_log(&bytes).1.to_string().contains("damaged block"));
+}
+
+#[test]
 fn records_that_a_group_lacks_are_counted() {
     let records: Vec<_> = (0..40).map(|at| (1 + at % 2, f64::from(at))).collect();
     for (bytes, frames) in [(measurement(&records), 40), (SIGNAL_DATA.to_vec(), 20)] {
         let (_, summary) = read_log(&with_count(&bytes, 0, 25));
         let missing = 25 - 20;
         let said = format!(
-            "{frames} frames of 2 interfaces; {missing} of the records that its groups should have are \
-             missing"
+            "{frames} frames of 2 interfaces; {missing} records are missing: the cycle counts of its groups \
+             are higher"
         );
         assert_eq!(summary.to_string(), said);
         assert_eq!(summary.lost_entries(), 1);
@@ -253,7 +285,7 @@ fn blocks_that_are_not_read_are_not_called_damaged() {
     for at in blocks(&bytes, "DT") {
         bytes[at..at + 4].copy_from_slice(b"##DV");
     }
-    assert!(said(&bytes).contains("data of columns"), "{}", said(&bytes));
+    assert!(said(&bytes).contains("data stored by columns"), "{}", said(&bytes));
     let mut bytes = PACKED.to_vec();
     for at in blocks(&bytes, "DZ") {
         bytes[at + 24 + 8..at + 24 + 16].copy_from_slice(&(9_u64 << 20).to_le_bytes());

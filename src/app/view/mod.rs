@@ -54,7 +54,7 @@ pub struct View {
     /// First line of the details that is shown.
     pub details_scroll: u16,
     /// Sort order of the Devices page.
-    pub sort: Sort<SortBy>,
+    pub device_sort: Sort<SortBy>,
     /// End of a frozen view; `None` while it is live.
     pub frozen: Option<Frozen>,
     /// A line announces a confirmed conflict.

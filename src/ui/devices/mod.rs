@@ -115,10 +115,10 @@ fn draw_header(brush: &mut DrawContext, area: Rect, columns: &Columns) {
     let mut line = Line::from(" ".repeat(SIGNS));
     for &(column, width) in &columns.shown {
         let mut title = column.title().to_owned();
-        let is_sorted = column.sorted_by() == Some(view.sort.order)
-            && (view.sort.order != SortBy::Address || view.sort.is_reversed);
+        let is_sorted = column.sorted_by() == Some(view.device_sort.order)
+            && (view.device_sort.order != SortBy::Address || view.device_sort.is_reversed);
         if is_sorted && title.len() < width {
-            title.push(if view.sort.is_reversed { '↑' } else { '↓' });
+            title.push(if view.device_sort.is_reversed { '↑' } else { '↓' });
         }
         let role = if is_sorted { Role::Title } else { Role::Header };
         let title = if column.is_number() { fit_right(&title, width) } else { fit(&title, width) };
