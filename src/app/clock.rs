@@ -63,7 +63,7 @@ impl AppClock {
     }
 
     /// Seconds since 1970-01-01 00:00 on the wall clock; 0 before it.
-    pub fn wall_seconds(&self, at: Instant) -> u64 {
+    fn wall_seconds(&self, at: Instant) -> u64 {
         u64::try_from(self.wall.local(at) / 1_000_000).unwrap_or(0)
     }
 

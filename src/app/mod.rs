@@ -965,11 +965,6 @@ impl App {
         self.clock.epoch()
     }
 
-    /// Seconds since 1970-01-01 00:00 on the wall clock.
-    pub fn wall_seconds(&self, at: Instant) -> u64 {
-        self.clock.wall_seconds(at)
-    }
-
     /// A moment on the wall clock with its date: `2026-11-21 06:00:36`.
     pub fn date_time_text(&self, at: Instant) -> String {
         self.clock.date_time_text(at)

@@ -78,7 +78,6 @@ impl App {
             frame.and_then(|number| self.buses.moment_after(&self.traffic.capture, number));
         self.open_evidence();
         let Some(evidence) = &mut self.view.evidence else { return };
-        evidence.cursor.select(place);
         evidence.led_to = moment.map(|moment| (moment, shown));
         let Some(number) = frame else {
             return self.show_error("frame no longer in the capture: its stored copy");
