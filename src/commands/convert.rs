@@ -10,17 +10,17 @@ use crate::bus::{self, BusSpec, unpacked_log, wall_micros};
 use crate::cli::ConvertArgs;
 use crate::diagnostic::Diagnostic;
 use crate::log::{FORMATS, LogEncoder, LogEntry, LogFormat, LogReader, LogSummary, READABLE_LOGS};
-use crate::open_file::{is_at, stdin_file, with_usual_mode};
+use crate::open_file::{is_at, stdin_file};
 use crate::regular_file;
 use crate::shell::pipe_input::PipeInput;
 use crate::shell::stop;
+use crate::shell::store::StagedFile;
 use crate::text::printable_path;
 use std::fs::File;
-use std::io::{self, BufReader, Seek, SeekFrom, Write};
+use std::io::{self, BufReader};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
-use tempfile::NamedTempFile;
 
 /// Bytes that are written at once.
 const PART: usize = 1 << 16;
@@ -99,7 +99,7 @@ pub fn run(args: &ConvertArgs) -> Result<u8, Failure> {
     let names = summary.interfaces.to_vec();
     encoder.end(&names, &[], &mut part).map_err(|error| target.not_written(&error))?;
     target.write(&part)?;
-    target.finish(encoder.head(), args.force)?;
+    target.finish(encoder.head())?;
     report(summary, encoder.as_ref(), &spec, &args.output);
     if is_stopped {
         return Ok(EXIT_INTERRUPTED);
@@ -163,7 +163,7 @@ fn stop_on_signal(temporary: &Arc<Mutex<Option<PathBuf>>>) -> Result<Arc<AtomicB
 struct ConvertedLog {
     path: PathBuf,
     /// The file until it takes its place; `None` for standard output.
-    file: Option<NamedTempFile>,
+    file: Option<StagedFile>,
 }
 
 impl ConvertedLog {
@@ -186,25 +186,8 @@ impl ConvertedLog {
             let fault = Diagnostic::new("already exists").with_remedy("--force replaces it");
             return Err(fault.of(printable_path(&path)).into());
         }
-        // Of a link, the file that it leads to is replaced.
-        let path = std::fs::canonicalize(&path).unwrap_or(path);
-        let folder = path.parent().filter(|it| !it.as_os_str().is_empty());
-        let mut builder = tempfile::Builder::new();
-        let file = with_usual_mode(builder.prefix(".descan-"))
-            .tempfile_in(folder.unwrap_or(Path::new(".")));
-        let file = file.map_err(|error| not_written(&path, &error))?;
-        if let Some(metadata) = metadata {
-            // Of the file that is replaced; what may not be changed stays as the system makes it.
-            #[cfg(unix)]
-            {
-                use std::os::unix::fs::{MetadataExt, fchown};
-                let (user, group) = (Some(metadata.uid()), Some(metadata.gid()));
-                // A user may give a file to an own group only.
-                let _ = fchown(file.as_file(), user, group)
-                    .or_else(|_| fchown(file.as_file(), None, group));
-            }
-            let _ = file.as_file().set_permissions(metadata.permissions());
-        }
+        let file =
+            StagedFile::create(&path, force).map_err(|fault| fault.of(printable_path(&path)))?;
         *temporary.lock().unwrap_or_else(PoisonError::into_inner) = Some(file.path().to_owned());
         Ok(Self { path, file: Some(file) })
     }
@@ -212,41 +195,27 @@ impl ConvertedLog {
     fn write(&mut self, bytes: &[u8]) -> Result<(), Failure> {
         match &mut self.file {
             Some(file) => {
-                let written = file.write_all(bytes);
-                written.map_err(|error| not_written(&self.path, &error))
+                Ok(file.append(bytes).map_err(|fault| fault.of(printable_path(&self.path)))?)
             }
             None => output::print_own(bytes),
         }
     }
 
     /// Replaces the first bytes of the file with `head`, and puts it in its place.
-    fn finish(self, head: Option<Vec<u8>>, force: bool) -> Result<(), Failure> {
+    fn finish(self, head: Option<Vec<u8>>) -> Result<(), Failure> {
         let Some(mut file) = self.file else {
             if head.is_some() {
                 output::warn("standard output: the head of the log has no end time and no size");
             }
             return Ok(());
         };
-        let complete = || -> io::Result<()> {
-            if let Some(head) = head {
-                file.seek(SeekFrom::Start(0))?;
-                file.write_all(&head)?;
-            }
-            if force {
-                file.persist(&self.path)?;
-            } else {
-                file.persist_noclobber(&self.path)?;
-            }
-            Ok(())
-        };
-        complete().map_err(|error| not_written(&self.path, &error))
+        let with_head = head.map_or(Ok(()), |head| file.replace_start(&head));
+        let finished = with_head.and_then(|()| file.finish());
+        Ok(finished.map_err(|fault| fault.of(printable_path(&self.path)))?)
     }
 
+    /// Returns the fault of an entry that the format does not take.
     fn not_written(&self, error: &io::Error) -> Failure {
-        not_written(&self.path, error)
+        regular_file::of_system(error, "not written").of(printable_path(&self.path)).into()
     }
-}
-
-fn not_written(path: &Path, error: &io::Error) -> Failure {
-    regular_file::of_system(error, "not written").of(printable_path(path)).into()
 }

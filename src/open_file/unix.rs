@@ -2,14 +2,12 @@
 
 use nix::fcntl::OFlag;
 use nix::libc::O_NONBLOCK;
-use std::fs::{File, Metadata, Permissions};
+use std::fs::{File, Metadata};
 use std::io::{self, PipeReader};
 #[cfg(target_os = "linux")]
 use std::os::fd::AsRawFd as _;
 use std::os::fd::{AsFd as _, OwnedFd};
-use std::os::unix::fs::{
-    FileTypeExt as _, MetadataExt as _, OpenOptionsExt as _, PermissionsExt as _,
-};
+use std::os::unix::fs::{FileTypeExt as _, MetadataExt as _, OpenOptionsExt as _};
 use std::path::{Path, PathBuf};
 
 /// Opens a path for reading, whatever it is, without waiting.
@@ -51,13 +49,6 @@ pub fn open_waiting(path: &Path) -> io::Result<File> {
 /// Those of the file system.
 pub fn create_new(path: &Path, mode: u32) -> io::Result<File> {
     File::options().read(true).write(true).create_new(true).mode(mode).open(path)
-}
-
-/// Gives a temporary file the mode of a file that is created, instead of one for the user alone.
-pub fn with_usual_mode<'b, 'p, 's>(
-    builder: &'b mut tempfile::Builder<'p, 's>,
-) -> &'b mut tempfile::Builder<'p, 's> {
-    builder.permissions(Permissions::from_mode(0o666))
 }
 
 /// Opens a folder, to sync it.

@@ -46,13 +46,6 @@ pub fn create_new(path: &Path, _mode: u32) -> io::Result<File> {
     File::options().read(true).write(true).create_new(true).open(path)
 }
 
-/// A temporary file has the access of its folder already.
-pub fn with_usual_mode<'b, 'p, 's>(
-    builder: &'b mut tempfile::Builder<'p, 's>,
-) -> &'b mut tempfile::Builder<'p, 's> {
-    builder
-}
-
 /// Opens a folder.
 ///
 /// # Errors

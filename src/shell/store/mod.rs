@@ -10,7 +10,8 @@
 //! ```text
 //! replacement  the exchange, and what came out of it    attributes  owner, mode, access list
 //! temporary    files beside the target                  places      symbolic links
-//! exchange     two files exchange their names          fault     errors with their remedies
+//! exchange     two files exchange their names           fault       errors with their remedies
+//! staged_file  a file written part by part, such as a log
 //! ```
 //!
 //! Does not know the content of the file.
@@ -20,6 +21,7 @@ mod exchange;
 mod fault;
 mod places;
 mod replacement;
+mod staged_file;
 mod temporary;
 
 use std::fs::{self, File, TryLockError};
@@ -39,6 +41,7 @@ use temporary::{create_beside, remove_leftovers};
 
 pub(super) use fault::{already_exists, not_written};
 pub(super) use places::Places;
+pub use staged_file::StagedFile;
 
 /// Longest file that is read, in bytes.
 pub const MAX_BYTES: u64 = crate::document::MAX_BYTES as u64;
@@ -255,11 +258,23 @@ fn write_beside(
     old: Option<&RegularFile>,
     write: impl FnOnce(&mut File) -> io::Result<()>,
 ) -> Result<NamedTempFile, Diagnostic> {
-    // A new file gets the mode that the user's umask allows.
+    let fault = |error: io::Error| not_written(&error);
+    let mut temporary = create_with_attributes(target, folder, old)?;
+    write(temporary.as_file_mut()).map_err(fault)?;
+    temporary.as_file().sync_all().map_err(fault)?;
+    Ok(temporary)
+}
+
+/// Creates a temporary file beside the target, with the attributes of the file that it replaces. A new
+/// file gets the mode that the user's umask allows.
+fn create_with_attributes(
+    target: &Path,
+    folder: &Path,
+    old: Option<&RegularFile>,
+) -> Result<NamedTempFile, Diagnostic> {
     let mode = if old.is_some() { 0o600 } else { 0o666 };
     let fault = |error: io::Error| not_written(&error);
-    let mut temporary = create_beside(target, folder, mode).map_err(fault)?;
-    write(temporary.as_file_mut()).map_err(fault)?;
+    let temporary = create_beside(target, folder, mode).map_err(fault)?;
     if let Some(old) = old {
         let kept = attributes::keep(old.file(), old.metadata(), temporary.as_file());
         kept.map_err(|error| match error {
@@ -267,7 +282,6 @@ fn write_beside(
             AttributeError::Disk(error) => not_written(&error),
         })?;
     }
-    temporary.as_file().sync_all().map_err(fault)?;
     Ok(temporary)
 }
 
