@@ -4,6 +4,7 @@
 //! Does not know moments or bus numbers: [`super::LogSummary`] assigns them.
 
 use super::candump_time::{self, CandumpTimes, PrintedTime};
+use super::dates::LocalDate;
 use super::fields::{hex_value, words};
 use super::text::BYTE_ORDER_MARK;
 use super::{LogEncoder, LogEntry, LogLoss, LogTime, candump_screen};
@@ -65,7 +66,9 @@ pub fn parse_line(line: &[u8]) -> Result<Option<LogEntry<'_>>, LineFault> {
         return Ok(None);
     }
     let (time, rest) = candump_time::split(line).ok_or(LineFault::Time)?;
-    let (PrintedTime::Unix(time) | PrintedTime::Short(time)) = time;
+    let (PrintedTime::Unix(time)
+    | PrintedTime::Short(time)
+    | PrintedTime::Local(LocalDate { first: time, .. })) = time;
     Ok(Some(LogEntry { time, ..parse_rest(rest)? }))
 }
 
@@ -150,6 +153,11 @@ impl CandumpLines {
     /// Returns true if the times do not count from lines before.
     pub fn has_fixed_times(&self) -> bool {
         self.times.is_fixed()
+    }
+
+    /// Returns true if their dates came twice, and the lines show where the second hour begins.
+    pub fn has_repeated_hour(&self) -> bool {
+        self.times.has_repeated_hour()
     }
 
     /// Returns true if the lines have no times.

@@ -5,7 +5,7 @@
 //! Does not know what follows the time.
 
 use super::LogTime;
-use super::dates::iso_date;
+use super::dates::{LocalDate, iso_date};
 use super::fields::{decimal, first_word};
 
 /// Lines after which times in three digits of seconds count from the beginning.
@@ -25,6 +25,10 @@ pub(super) struct CandumpTimes {
     last: LogTime,
     /// Sum of the short times.
     sum: LogTime,
+    /// Time of the last line with a date.
+    dated: Option<LogTime>,
+    /// The clock went from the first to the second hour that a date stands for.
+    has_repeated_hour: bool,
 }
 
 /// From where short times count.
@@ -45,6 +49,8 @@ pub(super) enum PrintedTime {
     Unix(LogTime),
     /// In three digits of seconds: since 1970, the beginning, or the line before.
     Short(LogTime),
+    /// A local date.
+    Local(LocalDate),
 }
 
 impl CandumpTimes {
@@ -54,6 +60,8 @@ impl CandumpTimes {
         seen: 0,
         last: LogTime::from_micros(0),
         sum: LogTime::from_micros(0),
+        dated: None,
+        has_repeated_hour: false,
     };
 
     /// Returns what lines with these times say, before the first of them.
@@ -89,10 +97,12 @@ impl CandumpTimes {
     pub fn since_origin(&mut self, time: PrintedTime) -> LogTime {
         let time = match time {
             PrintedTime::Unix(time) => {
-                if self.origin == TimeOrigin::Unknown {
-                    self.origin = TimeOrigin::Fixed;
-                }
+                self.fix_origin();
                 return time;
+            }
+            PrintedTime::Local(date) => {
+                self.fix_origin();
+                return self.moment_of(date);
             }
             PrintedTime::Short(time) => time,
         };
@@ -113,6 +123,34 @@ impl CandumpTimes {
             }
         }
         if self.origin == TimeOrigin::Previous { self.sum } else { time }
+    }
+
+    /// Takes a time that counts from no line.
+    fn fix_origin(&mut self) {
+        if self.origin == TimeOrigin::Unknown {
+            self.origin = TimeOrigin::Fixed;
+        }
+    }
+
+    /// Returns the moment of a date: of two, the one that is nearer to the line before.
+    fn moment_of(&mut self, date: LocalDate) -> LogTime {
+        let micros = |time: LogTime| time.micros;
+        let time = match (date.second, self.dated.map(micros)) {
+            (Some(second), Some(last))
+                if last.abs_diff(second.micros) < last.abs_diff(date.first.micros) =>
+            {
+                self.has_repeated_hour = true;
+                second
+            }
+            _ => date.first,
+        };
+        self.dated = Some(time);
+        time
+    }
+
+    /// Returns true if the lines show which of the two hours their dates stand for.
+    pub fn has_repeated_hour(&self) -> bool {
+        self.has_repeated_hour
     }
 }
 
@@ -150,5 +188,5 @@ pub(super) fn split(line: &[u8]) -> Option<(PrintedTime, &[u8])> {
         return Some((time, rest));
     }
     let (time, rest) = first_word(rest);
-    Some((PrintedTime::Unix(iso_date(word, time.strip_suffix(b")")?)?), rest))
+    Some((PrintedTime::Local(iso_date(word, time.strip_suffix(b")")?)?), rest))
 }

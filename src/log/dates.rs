@@ -31,6 +31,15 @@ const MONTHS: [&[&str]; 12] = [
     &["dec", "dez", "déc", "dic", "дек"],
 ];
 
+/// A local date and time of day, in microseconds since 1970.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct LocalDate {
+    /// The moment; the first one if the date comes twice.
+    pub first: LogTime,
+    /// The second moment, an hour later in most countries, if summer time ends in that hour.
+    pub second: Option<LogTime>,
+}
+
 /// Returns the microseconds since 1970 of a local time; `None` before 1970.
 fn unix_micros(local: DateTime) -> Option<u64> {
     let zoned = local.to_zoned(TimeZone::system()).ok()?;
@@ -105,13 +114,24 @@ pub(super) fn day_month_year(text: &[u8]) -> Option<u64> {
 }
 
 /// Parses a date such as `2026-11-27` and a time of day.
-pub(super) fn iso_date(date: &[u8], time: &[u8]) -> Option<LogTime> {
+pub(super) fn iso_date(date: &[u8], time: &[u8]) -> Option<LocalDate> {
     let mut parts = date.split(|&byte| byte == b'-').map(|part| number(part, 10));
     let (year, month, day) = (parts.next()??, parts.next()??, parts.next()??);
     if parts.next().is_some() {
         return None;
     }
-    civil(year, month, day, time_of_day(time)?)
+    let (hour, minute, time) = time_of_day(time)?;
+    let local = seconds_of(year, month, day, (hour, minute, time))?;
+    let moment = |local: jiff::Zoned| {
+        let micros = u64::try_from(local.timestamp().as_microsecond()).ok()?;
+        let micros = micros.checked_add(time.micros % 1_000_000)?;
+        Some(LogTime { micros, nanos: time.nanos })
+    };
+    let ambiguous = TimeZone::system().to_ambiguous_zoned(local);
+    let second = matches!(ambiguous.offset(), AmbiguousOffset::Fold { .. })
+        .then(|| moment(ambiguous.clone().later().ok()?))
+        .flatten();
+    Some(LocalDate { first: moment(ambiguous.compatible().ok()?)?, second })
 }
 
 /// Returns the microseconds since 1970 of days since 1899-12-30, as TRC counts them.
@@ -173,14 +193,21 @@ fn time_of_day(text: &[u8]) -> Option<(u32, u32, LogTime)> {
 
 /// Returns the moment of a local date and a time of day, as [`time_of_day`] has it.
 fn civil(year: u32, month: u32, day: u32, time: (u32, u32, LogTime)) -> Option<LogTime> {
-    let (hour, minute, LogTime { micros, nanos }) = time;
+    let LogTime { micros, nanos } = time.2;
+    let micros =
+        unix_micros(seconds_of(year, month, day, time)?)?.checked_add(micros % 1_000_000)?;
+    Some(LogTime { micros, nanos })
+}
+
+/// Returns a local date and a time of day, as [`time_of_day`] has it, in whole seconds.
+fn seconds_of(year: u32, month: u32, day: u32, time: (u32, u32, LogTime)) -> Option<DateTime> {
+    let (hour, minute, time) = time;
     let small = |value: u32| i8::try_from(value).ok();
-    let second = i8::try_from(micros / 1_000_000).ok()?;
+    let second = i8::try_from(time.micros / 1_000_000).ok()?;
     let year = i16::try_from(year).ok()?;
     let date = jiff::civil::Date::new(year, small(month)?, small(day)?).ok()?;
     let time = jiff::civil::Time::new(small(hour)?, small(minute)?, second, 0).ok()?;
-    let micros = unix_micros(date.to_datetime(time))?.checked_add(micros % 1_000_000)?;
-    Some(LogTime { micros, nanos })
+    Some(date.to_datetime(time))
 }
 
 /// Returns seconds and their fraction, in microseconds; `None` if the text is not a number. The number may

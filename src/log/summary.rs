@@ -90,7 +90,8 @@ pub struct LogSummary {
     pub written: LogTime,
     /// The log has no times: its frames have those at which they were read, or all the same.
     pub is_timeless: bool,
-    /// Its first local date comes twice, as summer time ended in that hour, and is read as the first.
+    /// A local date in it comes twice, as summer time ended in that hour, and its lines do not show which
+    /// one it is: it is read as the first.
     pub is_date_ambiguous: bool,
     /// The log is a database with changes in a file beside it, which is not read.
     pub unread_changes: Option<UnreadChanges>,

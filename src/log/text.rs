@@ -47,6 +47,11 @@ impl TextFormat {
         matches!(self, Self::Candump(lines) if lines.is_timeless())
     }
 
+    /// Returns true if local dates came twice, and the lines show where the second hour begins.
+    fn has_repeated_hour(&self) -> bool {
+        matches!(self, Self::Candump(lines) if lines.has_repeated_hour())
+    }
+
     /// Returns the date without a time zone by which this line has its time: its own one, or with the first
     /// frame that of the log.
     fn local_date(&self, line: &[u8], entry: &LogEntry<'_>, is_first: bool) -> Option<LogTime> {
@@ -152,16 +157,27 @@ impl TextDecoder {
             summary.is_timeless = true;
         }
         if let Ok(Some(entry)) = &entry {
-            self.note_date(line, entry, summary);
+            self.note_date(self.format, line, entry, summary);
         }
         summary.take(entry)
     }
 
-    /// Notes whether the local date by which a line has its time comes twice.
-    fn note_date(&mut self, line: &[u8], entry: &LogEntry<'_>, summary: &mut LogSummary) {
+    /// Notes whether the local date by which a line has its time comes twice, as far as `format`, behind
+    /// the line, cannot tell which one it is.
+    fn note_date(
+        &mut self,
+        format: TextFormat,
+        line: &[u8],
+        entry: &LogEntry<'_>,
+        summary: &mut LogSummary,
+    ) {
         /// Summer time ends between two of them: local times differ from UTC by whole ones.
         const QUARTER: u64 = 900_000_000;
-        let Some(date) = self.format.local_date(line, entry, summary.own_frames() == 0) else {
+        if format.has_repeated_hour() {
+            summary.is_date_ambiguous = false;
+            return;
+        }
+        let Some(date) = format.local_date(line, entry, summary.own_frames() == 0) else {
             return;
         };
         let quarter = Some(date.micros / QUARTER);
@@ -300,7 +316,7 @@ impl TextDecoder {
             let mut next = self.format;
             let line = &bytes[used..used + len];
             let Ok(Some(entry)) = next.read(line) else { break };
-            self.note_date(line, &entry, summary);
+            self.note_date(next, line, &entry, summary);
             let name = entry.interface.as_bytes();
             let Some(frame) = summary.take_plain(entry.time, name, &entry.frame) else {
                 break;

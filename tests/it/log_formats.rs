@@ -1,5 +1,6 @@
 //! Logs of all formats: what is read, from whole and damaged files, and `descan convert`.
 
+use crate::common::access_list;
 use crate::common::python::Python;
 use descan::frame::Frame;
 use descan::log::{LogReader, LogSummary, Unpacked};
@@ -127,6 +128,20 @@ fn log_with_a_date_of_the_repeated_hour_says_so_when_it_is_read() {
             let said = text(&command.output().unwrap().stderr);
             assert_eq!(said.contains("its date comes twice"), is_twice, "{lines:?}: {said}");
         }
+        // The second hour follows the first one.
+        let hours = ["01:59:50", "02:30:00", "02:59:59", "02:00:01", "02:30:00", "03:00:01"];
+        let lines = hours.map(|hour| format!("(2023-10-29 {hour}.5) can0 123#11\n")).concat();
+        fs::write(folder.path().join("in"), &lines).unwrap();
+        let mut command = Command::new(env!("CARGO_BIN_EXE_descan"));
+        command.args(["convert", "in", "-", "--format", "candump"]).current_dir(folder.path());
+        let output = command.env("TZ", "Europe/Berlin").output().unwrap();
+        let seconds: Vec<_> = text(&output.stdout)
+            .lines()
+            .map(|line| line[1..line.find('.').unwrap()].parse::<u64>().unwrap() - 1_698_537_590)
+            .collect();
+        assert_eq!(seconds, [0, 1810, 3609, 3611, 5410, 7211]);
+        let said = text(&output.stderr);
+        assert!(!said.contains("comes twice") && !said.contains("backwards"), "{said}");
         // A measurement whose start is given as local time.
         let mut measurement = include_bytes!("../corpus/mdf/unsorted").to_vec();
         let hours = 471_816 + i64::from(hour);
@@ -498,7 +513,11 @@ fn file_is_replaced_only_when_it_is_forced() {
     for (arguments, code, hint) in [
         (&["convert", "in.log", "out"][..], 2, "--format names one: candump, pcapng"),
         (&["convert", "nothing.log", "out.asc"], 3, "check the name"),
-        (&["convert", "in.log", "missing/out.asc"], 3, "missing/out.asc: not written"),
+        (
+            &["convert", "in.log", "missing/out.asc"],
+            3,
+            "missing/out.asc: no such folder; mkdir -p missing",
+        ),
         (&["convert", "in.log", "/dev/null", "--format", "asc", "--force"], 3, "not a file"),
         (&["convert", "words.txt", "new.asc"], 3, "cannot be read"),
     ] {
@@ -530,6 +549,19 @@ fn replaced_file_keeps_its_access_rights() {
     assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
     assert_eq!(access(&path), before);
     assert_eq!(before.2, 0o600);
+    // An access list, where the file system has them.
+    let list = access_list::access_list(6, 4);
+    let flags = rustix::fs::XattrFlags::empty();
+    if rustix::fs::setxattr(&path, access_list::ATTRIBUTE, &list, flags).is_ok() {
+        let output = descan(folder.path(), &["convert", "in.log", "out.asc", "--force"]);
+        assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+        let mut kept = [0; 64];
+        assert_eq!(
+            rustix::fs::getxattr(&path, access_list::ATTRIBUTE, &mut kept[..]),
+            Ok(list.len())
+        );
+        assert_eq!(kept[..list.len()], list);
+    }
 }
 
 #[test]
