@@ -40,7 +40,7 @@ pub use replay::file::open_log;
 pub(crate) use replay::unpacking::unpacked_log;
 pub use sim::scenario;
 pub use slcan::{Slcan, SlcanAddress, SlcanSettings, serial_ports};
-pub use socketcan::{CanInterface, interface_exists, interfaces};
+pub use socketcan::{CanInterface, interface_exists, interfaces, is_like_an_interface};
 pub use socketcand::{Socketcand, SocketcandAddress};
 pub use spec::{BusSpec, KINDS, forms};
 pub use tuner::BitRateSetter;

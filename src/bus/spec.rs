@@ -7,6 +7,7 @@ use super::kind::{BusKind, OpenRequest};
 use super::port::Port;
 use super::replay::{file, stdin};
 use super::slcan::{self, SlcanAddress};
+use super::socketcan::is_like_an_interface;
 use super::socketcand::{self, SocketcandAddress};
 use super::udp::{self, UdpAddress};
 use super::{sim, socketcan};
@@ -119,12 +120,10 @@ impl FromStr for BusSpec {
         if scheme.contains('/') {
             return file::parse(text).map(BusSpec::File);
         }
-        let is_interface =
-            scheme.contains("can") && scheme.ends_with(|end: char| end.is_ascii_digit());
         if let Some(rate) = crate::bitrate::parse(rest)
             && crate::bitrate::CLASSIC_RATES.contains(&rate)
             && let Ok(BusSpec::SocketCan(interface)) = scheme.parse()
-            && is_interface
+            && is_like_an_interface(&interface)
             && cfg!(target_os = "linux")
         {
             let cause = format!("{text}: the name of an interface has no bit rate");
@@ -227,6 +226,8 @@ mod tests {
             ("udp:239.74.163.2%a/b", "not a multicast group"),
             ("udp:nonsense", "udp:239.74.163.2"),
             ("can0:125k", "sudo ip link set can0 up type can bitrate 125000"),
+            ("vcan-test:125k", "sudo ip link set vcan-test up type can bitrate 125000"),
+            ("candump:125k", "unknown bus type"),
             ("can0:0", "unknown bus type"),
             ("gateway1:29536", "socketcand://"),
             ("can0123456789abc", "15 bytes"),

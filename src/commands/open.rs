@@ -442,7 +442,7 @@ fn known(bus: &BusSpec) -> Result<BusSpec, Failure> {
             // Also a pipe.
             if std::fs::metadata(word).is_ok_and(|it| !it.is_dir()) {
                 Ok(BusSpec::File(word.into()))
-            } else if is_like_an_interface(word) {
+            } else if bus::is_like_an_interface(word) {
                 Ok(bus.clone())
             } else {
                 Err(Failure::Usage(unknown_word(word)))
@@ -450,14 +450,6 @@ fn known(bus: &BusSpec) -> Result<BusSpec, Failure> {
         }
         _ => Ok(bus.clone()),
     }
-}
-
-/// Returns true for a word like `can0`, `vcan-test` or `mcp_can1`, not for `candump`.
-fn is_like_an_interface(word: &str) -> bool {
-    let rest = word.strip_prefix("can").or_else(|| word.strip_prefix("vcan"));
-    let is_plain = rest.is_some_and(|it| !it.starts_with(|next: char| next.is_ascii_alphabetic()));
-    let is_numbered = word.ends_with(|end: char| end.is_ascii_digit());
-    is_plain || is_numbered && word.contains("can")
 }
 
 /// The error for a word that is neither a command, a file nor a bus.

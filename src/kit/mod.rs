@@ -12,6 +12,7 @@ use crate::wire::des::{MAX_MESSAGE, MAX_SERVICES};
 use crate::wire::descriptor::{ByteOrder, DescriptorField};
 use crate::wire::node::Mode;
 use crate::wire::profile::{FramingChoice, Profile, ProfileKey, ValueOrigin, WriteEffect};
+use std::collections::BTreeSet;
 use std::fmt::Write as _;
 
 /// des.h, the interface.
@@ -51,6 +52,9 @@ pub enum KitFault {
     /// More than [`MAX_SERVICES`] services.
     #[error("{0} services exceed the limit of 256")]
     TooManyServices(usize),
+    /// Two services have one name.
+    #[error("service {0} is listed twice; list each once, and not DES, which every device has")]
+    ListedTwice(String),
 }
 
 /// Returns the text of des_config.h.
@@ -59,7 +63,7 @@ pub enum KitFault {
 /// set are not served.
 ///
 /// # Errors
-/// [`KitFault`] if a response is too long.
+/// [`KitFault`] if a response is too long or two services have one name.
 pub fn config(device: &KitDevice, profile: &Profile) -> Result<String, KitFault> {
     check(device)?;
     let mut text = String::from(
@@ -88,7 +92,11 @@ fn check(device: &KitDevice) -> Result<(), KitFault> {
     if services > MAX_MESSAGE {
         return Err(KitFault::TooLong("services", services));
     }
-    Ok(())
+    let mut names = BTreeSet::new();
+    match device.services.iter().find(|(name, _)| !names.insert(name)) {
+        Some((name, _)) => Err(KitFault::ListedTwice(name.clone())),
+        None => Ok(()),
+    }
 }
 
 /// A string of C: what is not plain is an octal escape of three digits, which no digit prolongs.

@@ -15,7 +15,7 @@ use std::fmt::Write as _;
 /// set are not served.
 ///
 /// # Errors
-/// [`KitFault`] if a response is too long.
+/// [`KitFault`] if a response is too long or two services have one name.
 pub fn rust_config(device: &KitDevice, profile: &Profile) -> Result<String, KitFault> {
     check(device)?;
     let mut text = String::from(

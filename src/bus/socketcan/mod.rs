@@ -20,6 +20,7 @@ use elsewhere as system;
 #[cfg(target_os = "linux")]
 use linux as system;
 
+pub use name::is_like_an_interface;
 pub(super) use name::{KIND, interface_name, interface_name as parse, normalised, text};
 pub(super) use system::{CanController, open};
 pub use system::{interface_exists, interfaces};

@@ -34,6 +34,15 @@ pub(in crate::bus) fn interface_name(text: &str) -> Result<String, Diagnostic> {
     }
 }
 
+/// Returns true for a word like `can0`, `vcan-test` or `mcp_can1`, not for `candump`: an interface that may
+/// appear later.
+pub fn is_like_an_interface(word: &str) -> bool {
+    let rest = word.strip_prefix("can").or_else(|| word.strip_prefix("vcan"));
+    let is_plain = rest.is_some_and(|it| !it.starts_with(|next: char| next.is_ascii_alphabetic()));
+    let is_numbered = word.ends_with(|end: char| end.is_ascii_digit());
+    is_plain || is_numbered && word.contains("can")
+}
+
 fn not_a_name(text: &str) -> Diagnostic {
     Diagnostic::new(format!("{text} is not an interface name"))
 }

@@ -121,6 +121,18 @@ fn header_is_refused_for_impossible_devices() {
         kit::config(&device("A", &services), &profile),
         Err(KitFault::TooLong("services", 4099))
     );
+    let services = [("DES", "1.0"), ("FLOW", "1.0"), ("FLOW", "1.1")];
+    let twice = Err(KitFault::ListedTwice("FLOW".to_owned()));
+    assert_eq!(kit::config(&device("A", &services), &profile), twice);
+    assert_eq!(kit::rust_config(&device("A", &services), &profile), twice);
+    let output = descan(&["kit", "--name", "A", "--services", "DES=1.0"], Path::new("."));
+    assert_eq!(
+        (output.status.code(), text_of(&output.stderr).trim_end()),
+        (
+            Some(2),
+            "descan: service DES is listed twice; list each once, and not DES, which every device has"
+        )
+    );
 }
 
 #[test]
