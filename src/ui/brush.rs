@@ -73,7 +73,7 @@ impl DrawContext<'_> {
     }
 
     /// Draws, in place of an empty list, that the filter matches nothing (`what`) and the key that
-    /// clears it.
+    /// clears it. While a line is entered, no key does.
     pub fn draw_no_match(&mut self, area: Rect, what: &str) {
         // Otherwise the first Esc closes something, or goes to the present.
         let view = self.app.view();
@@ -82,7 +82,8 @@ impl DrawContext<'_> {
             && !(view.page == Page::Traffic && view.frame_details)
             && view.focus == Focus::List;
         let action = if is_next { Action::Cancel } else { Action::FilterToggle };
-        let text = format!("{what}; {} switches it off", self.app.key_of(action));
+        let key = || format!("{what}; {} switches it off", self.app.key_of(action));
+        let text = self.app.prompt().map_or_else(key, |_| what.to_owned());
         let below = Rect { y: area.y + 1, height: area.height.saturating_sub(1), ..area };
         let lines = labelled(self, "  ", Role::Muted, &text, area.width.saturating_sub(1));
         self.lines(below, &lines, 0);

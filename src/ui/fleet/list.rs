@@ -59,7 +59,9 @@ fn draw_nothing(brush: &mut FleetBrush) {
     let screen = brush.screen;
     let page = screen.page();
     let text = if screen.filter().is_on && screen.row_total() > 0 {
-        format!("no {} match the filter; Esc switches it off", screen.row_kind(page).plural())
+        // While it is entered, Esc goes back to the one before.
+        let key = if screen.prompt().is_some() { "" } else { "; Esc switches it off" };
+        format!("no {} match the filter{key}", screen.row_kind(page).plural())
     } else {
         match (page, screen.opened(), screen.link()) {
             (FleetPage::Main, Some(name), _) if screen.gateway(name).is_none() => {

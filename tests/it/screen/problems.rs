@@ -190,6 +190,10 @@ fn problems_are_filtered_by_words_and_fields() {
     stage.keys("m");
     let screen = one_line(&stage.screen());
     assert!(screen.contains("no problem matches the filter; Esc switches it off"), "{screen}");
+    // In the prompt, Esc goes back to the filter before.
+    stage.keys("/").text("x");
+    let screen = one_line(&stage.screen());
+    assert!(screen.contains("no problem matches the filter "), "{screen}");
 }
 
 #[test]
