@@ -63,12 +63,12 @@ pub fn without_number(error: &io::Error) -> String {
     text.split(" (os error").next().unwrap_or(&text).trim_end_matches('.').to_owned()
 }
 
-/// Returns the word that is most like a misspelled one: one or two letters differ, and not all of
-/// them; `None` if there is none.
+/// Returns the word that is most like a misspelled one: one or two letters differ, and at most
+/// half of them; `None` if there is none.
 pub fn nearest_word<'a>(word: &str, words: impl Iterator<Item = &'a str>) -> Option<&'a str> {
     /// Most letters that differ.
     const MAX_DISTANCE: usize = 2;
-    let most = word.chars().count().saturating_sub(1).min(MAX_DISTANCE);
+    let most = (word.chars().count() / 2).min(MAX_DISTANCE);
     let distance = |other: &&str| strsim::damerau_levenshtein(word, other);
     // The first letters are rarely the wrong ones.
     let begin = |other: &&str| word.chars().zip(other.chars()).take_while(|(a, b)| a == b).count();

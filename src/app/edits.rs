@@ -495,7 +495,12 @@ impl App {
         match outcome {
             PromptOutcome::Nothing => {}
             PromptOutcome::SetFilter(page, text) => self.commit_filter(page, &text),
-            PromptOutcome::Edit(operations) => self.edit(file, &operations),
+            PromptOutcome::Edit(operations) => {
+                self.edit(file, &operations);
+                if let [Operation::Rename { entry, to }] = &operations[..] {
+                    self.select_entry(file, to, entry.address);
+                }
+            }
             PromptOutcome::AddEntry(entry) => {
                 let (name, address) = (entry.name.clone(), entry.address);
                 self.edit(file, &[Operation::Add { entry }]);

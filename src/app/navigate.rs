@@ -442,23 +442,29 @@ impl App {
                 let order = self.view.identifier_sort.order.next();
                 self.view.identifier_sort.order = order;
                 self.move_to_end(false);
-                self.show_info(format!("sorted {}", order.describe()));
+                self.show_sorted(order.describe(), self.view.identifier_sort.is_reversed);
             }
             Page::Traffic if self.view.call_list().is_some() => self.sort_call_list(),
             Page::Traffic if self.view.shows_calls() => {
                 let order = self.view.call_sort.order.next();
                 self.view.call_sort.order = order;
                 self.move_to_end(false);
-                self.show_info(format!("sorted {}", order.describe()));
+                self.show_sorted(order.describe(), self.view.call_sort.is_reversed);
             }
             Page::Devices => {
                 let order = self.view.device_sort.order.next();
                 self.view.device_sort.order = order;
                 self.refresh_rows();
-                self.show_info(format!("sorted {}", order.describe()));
+                self.show_sorted(order.describe(), self.view.device_sort.is_reversed);
             }
             _ => self.show_error("sort works on Devices, identifiers and calls"),
         }
+    }
+
+    /// Says what the rows of the page are sorted by.
+    fn show_sorted(&mut self, order: &str, is_reversed: bool) {
+        let reversed = if is_reversed { ", reversed" } else { "" };
+        self.show_info(format!("sorted {order}{reversed}"));
     }
 
     /// Opens or closes the selected transfer or story.

@@ -177,6 +177,10 @@ impl ConvertedLog {
         if path == Path::new("-") {
             return Ok(Self { path, file: None });
         }
+        if path.to_string_lossy().ends_with(std::path::is_separator) {
+            let fault = Diagnostic::new("names a folder").with_remedy("name a file in it");
+            return Err(fault.of(printable_path(&path)).into());
+        }
         // A device such as /dev/full, a pipe and a folder are not replaced.
         let metadata = std::fs::metadata(&path).ok();
         if metadata.as_ref().is_some_and(|it| !it.is_file()) {

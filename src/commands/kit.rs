@@ -3,7 +3,7 @@
 use super::generated_files::write_generated;
 use super::{EXIT_OK, Failure, output, profile};
 use crate::cli::{KitArgs, KitLanguage};
-use crate::kit::{self, KitDevice};
+use crate::kit::{self, KitDevice, KitFault};
 use crate::wire::profile::Profile;
 
 /// Prints des_config.h or des_config.rs, or writes it to a folder, the header with des.h and des.c.
@@ -20,7 +20,12 @@ pub fn run(args: &KitArgs) -> Result<u8, Failure> {
         KitLanguage::C => kit::config(&device, &profile),
         KitLanguage::Rust => kit::rust_config(&device, &profile),
     };
-    let config = config.map_err(|fault| Failure::Usage(fault.to_string()))?;
+    let config = config.map_err(|fault| match fault {
+        KitFault::ListedTwice(name) if name == "DES" => {
+            Failure::Usage(format!("service {name}: leave it out; every device has it"))
+        }
+        fault => Failure::Usage(fault.to_string()),
+    })?;
     let Some(folder) = &args.write else {
         return output::print(&config).map(|()| EXIT_OK);
     };

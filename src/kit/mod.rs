@@ -53,7 +53,7 @@ pub enum KitFault {
     #[error("{0} services exceed the limit of 256")]
     TooManyServices(usize),
     /// Two services have one name.
-    #[error("service {0} is listed twice; list each once, and not DES, which every device has")]
+    #[error("service {0} is listed twice")]
     ListedTwice(String),
 }
 

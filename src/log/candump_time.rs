@@ -7,6 +7,7 @@
 use super::LogTime;
 use super::dates::{LocalDate, iso_date};
 use super::fields::{decimal, first_word};
+use super::summary::MAX_REORDER;
 
 /// Lines after which times in three digits of seconds count from the beginning.
 const LINES: u8 = 8;
@@ -132,14 +133,14 @@ impl CandumpTimes {
         }
     }
 
-    /// Returns the moment of a date: of two, the one that is nearer to the line before.
+    /// Returns the moment of a date: of two, the first one that is not before the line before.
     fn moment_of(&mut self, date: LocalDate) -> LogTime {
-        let micros = |time: LogTime| time.micros;
-        let time = match (date.second, self.dated.map(micros)) {
-            (Some(second), Some(last))
-                if last.abs_diff(second.micros) < last.abs_diff(date.first.micros) =>
-            {
-                self.has_repeated_hour = true;
+        // Lines of several interfaces are not in order to the millisecond.
+        let reorder = MAX_REORDER.as_micros() as u64;
+        let time = match (date.second, self.dated) {
+            (Some(second), Some(last)) if date.first.micros + reorder < last.micros => {
+                // Otherwise the line before may have been in the second hour already.
+                self.has_repeated_hour |= last.micros < second.micros;
                 second
             }
             _ => date.first,

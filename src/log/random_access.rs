@@ -56,7 +56,9 @@ pub(super) fn read_full_at(
 ) -> io::Result<usize> {
     let mut count = 0;
     while count < buffer.len() {
-        let Some(at) = offset.checked_add(count as u64) else { break };
+        // No file has bytes there; a system refuses to read them.
+        let at = offset.checked_add(count as u64).filter(|at| i64::try_from(*at).is_ok());
+        let Some(at) = at else { break };
         match bytes.read_at(&mut buffer[count..], at) {
             Ok(0) => break,
             Ok(read) => count += read,

@@ -17,7 +17,7 @@ use std::sync::Arc;
 
 /// Largest step back at which an entry gets the moment of the entry before it. A larger one means
 /// that the clock was set back.
-const MAX_REORDER: Duration = Duration::from_secs(1);
+pub(super) const MAX_REORDER: Duration = Duration::from_secs(1);
 /// Gap after which a clock that was set back may have returned to its earlier time.
 const GAP: Duration = Duration::from_secs(10);
 

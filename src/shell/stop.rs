@@ -2,7 +2,7 @@
 //! closed standard output.
 
 use super::console::wait_until_output_closed;
-use super::signals::StopSignals;
+use super::signals::{StopSignals, let_writes_fail};
 use std::future::pending;
 use std::io;
 use std::pin::Pin;
@@ -127,7 +127,9 @@ pub fn on_signal(
     let (ready, is_ready) = sync_channel(1);
     thread::Builder::new().name("signals".into()).spawn(move || {
         runtime.block_on(async {
-            let mut signals = match StopSignals::new() {
+            // A write beyond the file size limit fails, instead of ending the program at once.
+            let signals = let_writes_fail().and_then(|()| StopSignals::new());
+            let mut signals = match signals {
                 Ok(signals) => signals,
                 Err(error) => return ready.send(Err(error)).unwrap_or_default(),
             };

@@ -682,6 +682,15 @@ fn bus_off_controller_is_reported() {
 }
 
 #[test]
+fn word_that_is_like_no_command_has_no_suggestion() {
+    for word in ["foo", "no", "x"] {
+        let said = text(&descan(&[word], Path::new("/")).stderr);
+        assert!(said.contains(&format!("{word} is not a command or a bus; ")), "{said}");
+        assert!(!said.contains("did you mean"), "{said}");
+    }
+}
+
+#[test]
 fn invalid_arguments_are_one_line_with_the_fix() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::create_dir(folder.path().join("folder")).unwrap();

@@ -128,20 +128,6 @@ fn log_with_a_date_of_the_repeated_hour_says_so_when_it_is_read() {
             let said = text(&command.output().unwrap().stderr);
             assert_eq!(said.contains("its date comes twice"), is_twice, "{lines:?}: {said}");
         }
-        // The second hour follows the first one.
-        let hours = ["01:59:50", "02:30:00", "02:59:59", "02:00:01", "02:30:00", "03:00:01"];
-        let lines = hours.map(|hour| format!("(2023-10-29 {hour}.5) can0 123#11\n")).concat();
-        fs::write(folder.path().join("in"), &lines).unwrap();
-        let mut command = Command::new(env!("CARGO_BIN_EXE_descan"));
-        command.args(["convert", "in", "-", "--format", "candump"]).current_dir(folder.path());
-        let output = command.env("TZ", "Europe/Berlin").output().unwrap();
-        let seconds: Vec<_> = text(&output.stdout)
-            .lines()
-            .map(|line| line[1..line.find('.').unwrap()].parse::<u64>().unwrap() - 1_698_537_590)
-            .collect();
-        assert_eq!(seconds, [0, 1810, 3609, 3611, 5410, 7211]);
-        let said = text(&output.stderr);
-        assert!(!said.contains("comes twice") && !said.contains("backwards"), "{said}");
         // A measurement whose start is given as local time.
         let mut measurement = include_bytes!("../corpus/mdf/unsorted").to_vec();
         let hours = 471_816 + i64::from(hour);
@@ -155,6 +141,60 @@ fn log_with_a_date_of_the_repeated_hour_says_so_when_it_is_read() {
         command.args(["log", "in"]).current_dir(folder.path()).env("TZ", "Europe/Berlin");
         let said = text(&command.output().unwrap().stderr);
         assert_eq!(said.contains("its date comes twice"), is_twice, "{hour}: {said}");
+    }
+}
+
+#[test]
+fn second_of_two_hours_is_read_where_lines_go_back() {
+    let folder = tempfile::tempdir().unwrap();
+    for (frame, hours, expected, is_known) in [
+        (
+            "can0 123#11",
+            &["01:59:50", "02:30:00", "02:59:59", "02:00:01", "02:30:00", "03:00:01"][..],
+            &[0, 1810, 3609, 3611, 5410, 7211][..],
+            true,
+        ),
+        // Silence of more than half an hour.
+        (
+            " can0  123   [1]  11",
+            &["01:59:50", "02:50:00", "02:05:00", "02:45:00", "03:00:00"],
+            &[0, 3010, 3910, 6310, 7210],
+            true,
+        ),
+        (" can0  123   [1]  11", &["01:59:50", "02:30:00", "02:10:00"], &[0, 1810, 4210], true),
+        // The second frame may be of the second hour: the last two are not in order.
+        (
+            "can0 123#11",
+            &["01:59:50", "02:59:59", "03:00:01", "02:59:59"],
+            &[0, 3609, 7211, 7209],
+            false,
+        ),
+        // Not in order, in the first hour.
+        ("can0 123#11", &["02:30:01", "02:30:00"], &[1811, 1810], false),
+    ] {
+        let lines = hours.iter().map(|hour| format!("(2023-10-29 {hour}.5) {frame}\n"));
+        fs::write(folder.path().join("in"), lines.collect::<String>()).unwrap();
+        let commands = [
+            &["convert", "in", "-", "--format", "candump"][..],
+            // Writes frames in the order of their times.
+            &["log", "in", "--write", "out.log"],
+        ];
+        for arguments in commands.into_iter().take(1 + usize::from(is_known)) {
+            let mut command = Command::new(env!("CARGO_BIN_EXE_descan"));
+            command.args(arguments).current_dir(folder.path()).env("TZ", "Europe/Berlin");
+            let output = command.output().unwrap();
+            let written = fs::read(folder.path().join("out.log")).unwrap_or(output.stdout);
+            let seconds: Vec<_> = text(&written)
+                .lines()
+                .map(|line| {
+                    line[1..line.find('.').unwrap()].parse::<u64>().unwrap() - 1_698_537_590
+                })
+                .collect();
+            assert_eq!(seconds, expected, "{arguments:?} {hours:?}");
+            let said = text(&output.stderr);
+            assert_eq!(said.contains("comes twice"), !is_known, "{arguments:?} {hours:?}: {said}");
+            let _ = fs::remove_file(folder.path().join("out.log"));
+        }
     }
 }
 
@@ -497,6 +537,19 @@ fn compressed_log_is_not_written() {
 }
 
 #[test]
+fn file_size_limit_leaves_no_part_of_a_converted_log() {
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("in.log"), "(1.0) can0 123#11\n".repeat(10_000)).unwrap();
+    let script =
+        format!("ulimit -f 8; exec {} convert in.log out.asc", env!("CARGO_BIN_EXE_descan"));
+    let mut command = Command::new("sh");
+    let output = command.args(["-c", &script]).current_dir(folder.path()).output().unwrap();
+    assert_eq!(output.status.code(), Some(3));
+    assert!(text(&output.stderr).contains("out.asc: file size limit reached; raise it: ulimit -f"));
+    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+}
+
+#[test]
 fn file_is_replaced_only_when_it_is_forced() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path();
@@ -513,6 +566,11 @@ fn file_is_replaced_only_when_it_is_forced() {
     for (arguments, code, hint) in [
         (&["convert", "in.log", "out"][..], 2, "--format names one: candump, pcapng"),
         (&["convert", "nothing.log", "out.asc"], 3, "check the name"),
+        (
+            &["convert", "in.log", "out/", "--format", "asc"],
+            3,
+            "out/: names a folder; name a file in it",
+        ),
         (
             &["convert", "in.log", "missing/out.asc"],
             3,

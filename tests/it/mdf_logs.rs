@@ -253,6 +253,22 @@ fn counts_and_lengths_up_to_the_largest_number_are_handled() {
 }
 
 #[test]
+fn link_behind_every_file_is_damage_of_its_block() {
+    let mut bytes = PACKED.to_vec();
+    // The third link of a group of data.
+    bytes[blocks(PACKED, "DG")[0] + 24 + 2 * 8 + 7] = 0x80;
+    let expected = read_log(&bytes).1.to_string();
+    assert!(expected.contains("damaged block"), "{expected}");
+    // A file, too, whose bytes are read at their place.
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("in.mf4"), &bytes).unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_descan"));
+    command.args(["log", "in.mf4", "--stats"]).current_dir(folder.path());
+    let said = String::from_utf8(command.output().unwrap().stderr).unwrap();
+    assert!(said.contains("damaged block"), "{said}");
+}
+
+#[test]
 fn records_that_a_group_lacks_are_counted() {
     let records: Vec<_> = (0..40).map(|at| (1 + at % 2, f64::from(at))).collect();
     for (bytes, frames) in [(measurement(&records), 40), (SIGNAL_DATA.to_vec(), 20)] {

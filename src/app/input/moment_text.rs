@@ -59,6 +59,10 @@ impl MomentTarget {
             return is_set.then_some(Self::Mark(letter)).ok_or(format!("{letter}: not a mark"));
         }
         let (begin, end) = (range.begin, range.end);
+        let not_kept = || {
+            let (from, to) = (range.time_of_day(begin), range.time_of_day(end));
+            format!("{text}: not kept; {from} to {to} is")
+        };
         let time = if let Some(percent) = text.strip_suffix('%') {
             let percent: f64 = percent.trim_end().parse().map_err(|_| no_form())?;
             if !(0.0..=100.0).contains(&percent) {
@@ -70,7 +74,8 @@ impl MomentTarget {
             begin + end.since(begin).mul_f64(percent / 100.0)
         } else if let Some(back) = text.strip_prefix('-') {
             let back = parse_duration(back, "s").ok_or_else(no_form)?;
-            Instant::from_micros(range.shown.as_micros().saturating_sub(micros(back)))
+            let time = range.shown.as_micros().checked_sub(micros(back));
+            Instant::from_micros(time.ok_or_else(not_kept)?)
         } else if let Some(ahead) = text.strip_prefix('+') {
             range.shown + parse_duration(ahead, "s").ok_or_else(no_form)?
         } else {
@@ -86,11 +91,7 @@ impl MomentTarget {
         if time > end && !range.is_end_known {
             return Err(length_is_not_known(text));
         }
-        Err(format!(
-            "{text}: not kept; {} to {} is",
-            range.time_of_day(begin),
-            range.time_of_day(end)
-        ))
+        Err(not_kept())
     }
 }
 
@@ -213,6 +214,7 @@ mod tests {
             ("0:00:31", "not kept"),
             ("0:41", "not kept"),
             ("-26s", "not kept"),
+            ("-99h", "-99h: not kept; 23:59:55.000 to 00:00:30.000 is"),
             ("-99999999999999999999h", "not a moment"),
             ("+11s", "not kept"),
             ("#0", "#0: there are frames 1 to 100"),

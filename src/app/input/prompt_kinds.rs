@@ -158,7 +158,7 @@ impl AddressPrompt {
             // A renamed entry cannot be distinguished from another one in its place.
             return Some(C::Warning(format!("entry {}; Enter pins it to {typed}", renamed(now))));
         }
-        let theirs = self.changed_on_disk(context)?;
+        let theirs = self.changed_on_disk(parse_address(text), context)?;
         let typed = parse_address(text).map(|it| it.to_string()).unwrap_or_default();
         Some(if typed == pinned(entry) {
             C::Accepted(format!("already {theirs}"))
@@ -167,10 +167,20 @@ impl AddressPrompt {
         })
     }
 
-    /// Text about a change of the static address on disk while the user typed; `None` without one.
-    fn changed_on_disk(&self, context: PromptContext) -> Option<String> {
-        let now = pinned(self.target.entry(context));
+    /// Text about a change of the address on disk while the user typed; `None` without one that `typed`
+    /// would overwrite.
+    fn changed_on_disk(&self, typed: Option<u8>, context: PromptContext) -> Option<String> {
+        let entry = self.target.entry(context);
+        let now = pinned(entry);
         let theirs = match now.as_str() {
+            "" if self.before.is_empty() => {
+                // Not pinned, before and now.
+                let (before, now) = (self.target.before()?.address, entry?.address?);
+                if before == Some(now) || typed.is_none_or(|typed| typed == now) {
+                    return None;
+                }
+                format!("address changed to {now}")
+            }
             now if now == self.before => return None,
             "" => "unpinned".to_owned(),
             now => format!("changed to {now}"),
@@ -266,7 +276,7 @@ impl PromptLogic for AddressPrompt {
             },
             _ => None,
         };
-        match (operation, entry.and_then(|_| self.changed_on_disk(context))) {
+        match (operation, entry.and_then(|_| self.changed_on_disk(parse_address(text), context))) {
             (Some(operation), _) => PromptOutcome::Edit(vec![operation]),
             (None, Some(theirs)) => PromptOutcome::FileInfo(format!("already {theirs}")),
             (None, None) => PromptOutcome::Nothing,

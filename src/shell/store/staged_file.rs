@@ -5,7 +5,6 @@ use super::fault::not_written;
 use super::places::Places;
 use super::{Store, already_exists, create_with_attributes};
 use crate::diagnostic::Diagnostic;
-use crate::open_file::open_folder;
 use crate::regular_file::RegularFile;
 use std::io::{self, ErrorKind, Seek as _, SeekFrom, Write as _};
 use std::path::{Path, PathBuf};
@@ -29,9 +28,9 @@ impl StagedFile {
     pub fn create(path: &Path, may_replace: bool) -> Result<Self, Diagnostic> {
         let Places { target, folder, .. } =
             Places::of(path).map_err(|error| not_written(&error))?;
-        open_folder(&folder).map_err(|error| {
-            Store::new(path).missing_folder().unwrap_or_else(|| not_written(&error))
-        })?;
+        if let Some(missing) = Store::new(path).missing_folder() {
+            return Err(missing);
+        }
         let old = RegularFile::open(&target)?;
         if old.is_some() && !may_replace {
             return Err(already_exists());
@@ -50,7 +49,7 @@ impl StagedFile {
     /// # Errors
     /// The fault, without the path.
     pub fn append(&mut self, bytes: &[u8]) -> Result<(), Diagnostic> {
-        self.file.write_all(bytes).map_err(|error| not_written(&error))
+        self.file.as_file_mut().write_all(bytes).map_err(|error| not_written(&error))
     }
 
     /// Replaces the first bytes of what was written; nothing is appended after that.
@@ -58,7 +57,8 @@ impl StagedFile {
     /// # Errors
     /// The fault, without the path.
     pub fn replace_start(&mut self, bytes: &[u8]) -> Result<(), Diagnostic> {
-        let written = self.file.seek(SeekFrom::Start(0)).and_then(|_| self.file.write_all(bytes));
+        let file = self.file.as_file_mut();
+        let written = file.seek(SeekFrom::Start(0)).and_then(|_| file.write_all(bytes));
         written.map_err(|error| not_written(&error))
     }
 

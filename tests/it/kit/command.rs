@@ -128,10 +128,7 @@ fn header_is_refused_for_impossible_devices() {
     let output = descan(&["kit", "--name", "A", "--services", "DES=1.0"], Path::new("."));
     assert_eq!(
         (output.status.code(), text_of(&output.stderr).trim_end()),
-        (
-            Some(2),
-            "descan: service DES is listed twice; list each once, and not DES, which every device has"
-        )
+        (Some(2), "descan: service DES: leave it out; every device has it")
     );
 }
 

@@ -115,6 +115,8 @@ fn sort_key_cycles_through_the_columns() {
         let header = screen.lines().nth(row).unwrap();
         assert_eq!(header.contains('↓'), sorted != "by address", "{screen}");
     }
+    let screen = stage.keys("S s").screen();
+    assert!(screen.contains("sorted by name, reversed"), "{screen}");
 }
 
 #[test]

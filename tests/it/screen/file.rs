@@ -67,6 +67,31 @@ fn prompt_rejection_and_keys_are_never_cut() {
 }
 
 #[test]
+fn address_changed_on_disk_while_it_is_entered_is_told() {
+    let listed = |address| format!("[{{ \"name\": \"FEED\", \"address\": {address} }}]");
+    let mut stage = Stage::new(&Scenario::builtin("boiler").unwrap(), Some(&listed(10)));
+    stage.until(24.0).keys("e Ctrl-u").text("55").write(&listed(77));
+    let screen = stage.screen();
+    assert!(screen.contains("address changed to 77 on disk; Enter overwrites it"), "{screen}");
+    // What is entered is what the file has now.
+    let screen = stage.keys("Ctrl-u").text("77").screen();
+    assert!(!screen.contains("overwrites"), "{screen}");
+    // Nothing is overwritten.
+    let screen = stage.keys("Ctrl-u").screen();
+    assert!(screen.contains("static address: 1 to 127"), "{screen}");
+    stage.keys("Enter");
+    assert_eq!(stage.file(), listed(77));
+}
+
+#[test]
+fn renamed_entry_stays_selected_beside_one_of_its_name() {
+    let mut stage = Stage::boiler();
+    stage.until(24.0).keys("n").text("SENS 99").keys("Enter R").text("X").keys("Enter");
+    let row = stage.app.selected_row().unwrap();
+    assert_eq!(row.name.as_ref().unwrap().to_string(), "SENSX");
+}
+
+#[test]
 fn undo_and_redo_skip_values_changed_on_disk() {
     let with = |address: &str| BOILER.replace("10", address);
     let told = |stage: &Stage, start: &str| {

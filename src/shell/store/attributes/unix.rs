@@ -56,7 +56,11 @@ pub(in crate::shell::store) fn keep(
     }
     let mode = metadata.mode() & 0o777;
     let mode = if has_group { mode } else { without_group(mode) };
-    Ok(new.set_permissions(Permissions::from_mode(mode))?)
+    // On FAT all files have one mode, which not every user may set.
+    if new.metadata()?.mode() & 0o777 != mode {
+        new.set_permissions(Permissions::from_mode(mode))?;
+    }
+    Ok(())
 }
 
 /// Returns true if two files give the same access, as far as owner, group and mode tell.
