@@ -22,6 +22,10 @@ impl App {
         let has_log = self.playback().is_some() || self.buses.iter().any(|it| is_log(&it.status));
         let mut arguments: Vec<String> = self.buses.iter().map(|bus| bus.name.clone()).collect();
         let reason = format!("{} open; nothing is sent meanwhile", arguments.join(", "));
+        if self.is_of_logs() && !self.logs.is_empty() {
+            // The names are those that their buses had.
+            arguments.clear();
+        }
         arguments.extend(self.logs.iter().map(|path| format!("file:{}", path.display())));
         let open = OpenBuses { arguments, has_log };
         let keymap = self.keymap().clone();

@@ -286,6 +286,18 @@ fn filter_with_mistake_shows_all_rows_and_says_why() {
 }
 
 #[test]
+fn filter_without_match_names_the_key_once_it_is_entered() {
+    let mut stage = FleetStage::fleet(80, 24);
+    stage.keys("/");
+    stage.screen.handle_paste(stage.now, "at:99");
+    let screen = stage.screen();
+    assert!(screen.contains("no gateways match the filter"), "{screen}");
+    assert!(!screen.contains("switches it off"), "Esc goes back to all: {screen}");
+    let screen = stage.keys("Enter").screen();
+    assert!(screen.contains("no gateways match the filter; Esc switches it off"), "{screen}");
+}
+
+#[test]
 fn tab_completes_services_with_versions() {
     let mut stage = FleetStage::fleet(80, 24);
     stage.keys("/");

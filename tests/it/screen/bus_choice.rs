@@ -2,11 +2,12 @@
 
 use super::snapshot;
 use crate::common::harness::{BOILER, Stage};
-use descan::app::{BusOffer, BusSelection, Effect, OfferKind};
+use descan::app::{App, AppOptions, BusOffer, BusSelection, Effect, OfferKind};
 use descan::discovery::Config;
 use descan::frame::BusIndex;
 use descan::sim::Scenario;
-use descan::status::{BusStatus, Link};
+use descan::status::{BusStatus, Link, Playback};
+use descan::time::Instant;
 
 fn offer(kind: OfferKind, argument: &str, facts: &str) -> BusOffer {
     BusOffer {
@@ -129,6 +130,27 @@ fn chosen_bus_is_added_beside_the_open_one() {
     assert!(screen.contains("can2 500k") && screen.contains("opened can2"), "{screen}");
     stage.keys("3");
     assert!(stage.screen().contains("open"), "{}", stage.screen());
+}
+
+#[test]
+fn open_log_is_marked_and_not_the_bus_it_was_recorded_on() {
+    let mut stage = Stage::boiler();
+    let options = AppOptions {
+        buses: vec![("sim:boiler".to_owned(), Config::default())],
+        logs: vec!["/home/user/session.log".into()],
+        ..AppOptions::default()
+    };
+    stage.app = App::new(Instant::ZERO, options);
+    let playback = Playback { speed: 1.0, ..Playback::default() };
+    stage.app.handle_playback(Instant::ZERO, playback);
+    stage.size(80, 24).keys("B");
+    stage.app.handle_offers(stage.app.now(), offers());
+    let screen = stage.screen();
+    let row = |part: &str| screen.lines().find(|line| line.contains(part)).expect(&screen);
+    assert!(row("session.").ends_with(" open"), "{screen}");
+    assert!(!row("10 devices").contains(" open"), "{screen}");
+    let screen = stage.keys("End Enter").screen();
+    assert!(screen.contains("Close file:/home/user/session.log and drop its frames?"), "{screen}");
 }
 
 #[test]
