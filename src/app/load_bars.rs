@@ -226,9 +226,7 @@ impl App {
         if self.buses().len() > 1 && !name.contains('"') {
             filter = format!("{filter} bus:\"={name}\"");
         }
-        self.view.traffic_view = super::view::TrafficView::Frames;
-        self.set_filter(Page::Traffic, &filter);
-        self.show_page(Page::Traffic);
+        self.show_frames_matching(&filter);
     }
 
     /// The selected bar in one line, with its share.

@@ -372,9 +372,10 @@ impl App {
         self.show_frames_matching(&format!("at:{address}"));
     }
 
-    /// Shows the frames that match a filter.
+    /// Shows the frames that match a filter, the newest ones.
     pub(super) fn show_frames_matching(&mut self, filter: &str) {
         self.view.traffic_view = TrafficView::Frames;
+        self.view.traffic = None;
         self.set_filter(Page::Traffic, filter);
         self.show_page(Page::Traffic);
     }

@@ -2,6 +2,7 @@
 
 use super::snapshot;
 use crate::common::harness::Stage;
+use descan::app::Page;
 use descan::discovery::Config;
 use descan::frame::{CanId, Frame};
 use descan::sim::Scenario;
@@ -70,6 +71,18 @@ fn filter_without_match_shows_no_frame_and_keeps_the_selection() {
     assert_eq!(stage.app.selected_frame(), None, "{}", stage.screen());
     stage.keys("Esc \\");
     assert_eq!(stage.app.selected_frame(), Some(selected), "{}", stage.screen());
+}
+
+#[test]
+fn frames_of_a_device_are_the_newest_also_behind_others() {
+    let mut stage = Stage::boiler();
+    stage.until(20.0).keys("3 Up Up f");
+    assert!(stage.app.view().traffic.is_some(), "at the moment of the line");
+    for keys in ["1 Home f", "5 Home f"] {
+        stage.keys("2 Home").keys(keys);
+        assert_eq!(stage.app.view().page, Page::Traffic, "{}", stage.screen());
+        assert_eq!(stage.app.view().traffic, None, "{keys}\n{}", stage.screen());
+    }
 }
 
 #[test]
