@@ -15,6 +15,8 @@ pub enum FileFault {
     TooManyFiles,
     /// The user may not.
     NotPermitted,
+    /// Nobody may, such as with an immutable file; or only its owner, in a sticky folder.
+    Protected,
     /// The file system is mounted read-only.
     ReadOnly,
     /// No room, or the user's quota is used up.
@@ -35,7 +37,8 @@ impl FileFault {
             Errno::ENAMETOOLONG => Self::NameTooLong,
             Errno::ELOOP => Self::LinkLoop,
             Errno::EMFILE | Errno::ENFILE => Self::TooManyFiles,
-            Errno::EACCES | Errno::EPERM => Self::NotPermitted,
+            Errno::EACCES => Self::NotPermitted,
+            Errno::EPERM => Self::Protected,
             Errno::EROFS => Self::ReadOnly,
             Errno::ENOSPC | Errno::EDQUOT => Self::DiskFull,
             Errno::EFBIG => Self::TooLarge,

@@ -154,7 +154,7 @@ impl App {
             Action::CompareSide => self.choose_compared_side(),
             Action::CompareEarlier => self.move_compared_moment(-1),
             Action::CompareLater => self.move_compared_moment(1),
-            Action::CompareSelect => self.go_to_compared_device(),
+            Action::CompareSelect => self.go_from_here(Self::go_to_compared_device),
             Action::CompareClose => self.close_comparison(),
             Action::ScrubBack => self.scrub_far(-1),
             Action::ScrubForward => self.scrub_far(1),

@@ -418,8 +418,10 @@ fn report_unreadable(spec: &BusSpec, session: &Session) -> Result<(), Failure> {
         return Err(Failure::Unusable(format!("{spec}: {summary}")));
     }
     let is_damaged = summary.lost_entries() > 0;
-    let is_doubtful =
-        summary.clock_steps_back > 0 || summary.ends_inside_entry || summary.is_date_ambiguous;
+    let is_doubtful = summary.clock_steps_back > 0
+        || summary.ends_inside_entry
+        || summary.is_date_ambiguous
+        || summary.has_skipped_date;
     if summary.frames == 0 && is_damaged {
         return Err(Failure::Unusable(format!("{spec}: {summary}; {READABLE_LOGS}")));
     }

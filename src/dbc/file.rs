@@ -1,8 +1,8 @@
 //! Reading of a DBC file.
 //!
 //! Read are messages and signals (`BO_`, `SG_`), names of values (`VAL_`), types of floating-point signals
-//! (`SIG_VALTYPE_`) and multiplexors that are multiplexed (`SG_MUL_VAL_`), in any order and wherever they
-//! stand in a line. Other statements are passed over, known or not. Text is UTF-8, or UTF-16 where its first
+//! (`SIG_VALTYPE_`), multiplexors that are multiplexed (`SG_MUL_VAL_`) and names of over 32 characters, which
+//! are attributes (`BA_`), in any order and wherever they stand in a line. Other statements are passed over, known or not. Text is UTF-8, or UTF-16 where its first
 //! bytes say so; what is neither is taken for Latin-1. The time and the memory are bounded by the size of the file.
 
 use super::decimal::DecimalFactor;
@@ -32,9 +32,11 @@ const MAX_BITS: u32 = 512;
 const LEFT_OUT: usize = usize::MAX;
 /// Message without an identifier, for signals that are in none.
 const NO_MESSAGE: &str = "VECTOR__INDEPENDENT_SIG_MSG";
+/// Attributes with the whole name of a message and of a signal, of which `BO_` and `SG_` have the beginning.
+const LONG_MESSAGE_NAME: &str = "SystemMessageLongSymbol";
+const LONG_SIGNAL_NAME: &str = "SystemSignalLongSymbol";
 /// Statements up to a semicolon that are passed over; they may have the keywords of others in them.
-const PASSED_OVER: [&str; 26] = [
-    "BA_",
+const PASSED_OVER: [&str; 25] = [
     "BA_DEF_",
     "BA_DEF_DEF_",
     "BA_DEF_DEF_REL_",
@@ -137,6 +139,8 @@ struct FileReader<'t> {
     current: Option<u32>,
     /// What is said of signals, which may be defined later.
     facts: Vec<SignalFact>,
+    /// Long names of messages, by their identifiers.
+    long_names: BTreeMap<u32, String>,
 }
 
 /// What a statement says of a signal.
@@ -154,6 +158,7 @@ enum FactKind {
     Values(BTreeMap<i128, String>),
     /// A type of `SIG_VALTYPE_`.
     Type(u64),
+    LongName(String),
     /// A multiplexor, and the values at which the signal is there.
     Switch(String, Vec<RangeInclusive<u64>>),
 }
@@ -162,7 +167,14 @@ impl<'t> FileReader<'t> {
     fn new(text: &'t str) -> Result<Self, DbcError> {
         let mut tokens = DbcTokens::new(text);
         let next = tokens.next()?;
-        Ok(Self { tokens, next, messages: BTreeMap::new(), current: None, facts: Vec::new() })
+        Ok(Self {
+            tokens,
+            next,
+            messages: BTreeMap::new(),
+            current: None,
+            facts: Vec::new(),
+            long_names: BTreeMap::new(),
+        })
     }
 
     fn read_statements(&mut self) -> Result<(), DbcError> {
@@ -174,6 +186,7 @@ impl<'t> FileReader<'t> {
                 DbcTokenKind::Word("VAL_") => self.read_values()?,
                 DbcTokenKind::Word("SIG_VALTYPE_") => self.read_type()?,
                 DbcTokenKind::Word("SG_MUL_VAL_") => self.read_switch()?,
+                DbcTokenKind::Word("BA_") => self.read_attribute()?,
                 DbcTokenKind::Word(word) if PASSED_OVER.contains(&word) => self.skip_statement()?,
                 // The rest of a statement, or a statement that is not known.
                 _ => {}
@@ -220,7 +233,7 @@ impl<'t> FileReader<'t> {
         let words_before_colon = match word {
             "BO_" => 2,
             "BU_" => 0,
-            "VAL_" | "SIG_VALTYPE_" | "SG_MUL_VAL_" => return Ok(true),
+            "BA_" | "VAL_" | "SIG_VALTYPE_" | "SG_MUL_VAL_" => return Ok(true),
             _ => return Ok(PASSED_OVER.contains(&word)),
         };
         let mut tokens = self.tokens.clone();
@@ -407,6 +420,55 @@ impl<'t> FileReader<'t> {
         Ok(())
     }
 
+    /// Reads `BA_ "SystemMessageLongSymbol" BO_ 100 "Name";` and `BA_ "SystemSignalLongSymbol" SG_ 100 Signal
+    /// "Name";`; passes over other attributes.
+    fn read_attribute(&mut self) -> Result<(), DbcError> {
+        let object = match self.next.map(|token| token.kind) {
+            Some(DbcTokenKind::Quoted(LONG_MESSAGE_NAME)) => "BO_",
+            Some(DbcTokenKind::Quoted(LONG_SIGNAL_NAME)) => "SG_",
+            _ => return self.skip_statement(),
+        };
+        self.advance()?;
+        if self.next.map(|token| token.kind) != Some(DbcTokenKind::Word(object)) {
+            return self.skip_statement();
+        }
+        self.advance()?;
+        let line = self.line();
+        if object == "SG_" {
+            let Some((id, signal)) = self.signal_name()? else { return self.skip_statement() };
+            if let Some(name) = self.long_name()? {
+                self.facts.push(SignalFact { line, id, signal, kind: FactKind::LongName(name) });
+            }
+            return Ok(());
+        }
+        let Some(DbcToken { kind: DbcTokenKind::Word(word), .. }) = self.next else {
+            return self.skip_statement();
+        };
+        let Ok(id) = word.parse() else { return self.skip_statement() };
+        self.advance()?;
+        if let Some(name) = self.long_name()? {
+            self.long_names.insert(id, name);
+        }
+        Ok(())
+    }
+
+    /// Reads the value of an attribute that is a name; `None` where it is none.
+    fn long_name(&mut self) -> Result<Option<String>, DbcError> {
+        let Some(DbcToken { kind: DbcTokenKind::Quoted(text), .. }) = self.next else {
+            self.skip_statement()?;
+            return Ok(None);
+        };
+        self.advance()?;
+        if self.next.map(|token| token.kind) == Some(DbcTokenKind::Sign(';')) {
+            self.advance()?;
+        }
+        Ok((1..=MAX_NAME)
+            .contains(&text.len())
+            .then_some(text)
+            .filter(|it| is_name(it))
+            .map(str::to_owned))
+    }
+
     /// Reads an identifier and the name of a signal; `None` where no identifier stands.
     fn signal_name(&mut self) -> Result<Option<(u32, String)>, DbcError> {
         let Some(DbcToken { kind: DbcTokenKind::Word(word), .. }) = self.next else {
@@ -426,6 +488,11 @@ impl<'t> FileReader<'t> {
             // Of messages and signals that are not there nothing is needed.
             if let Some(draft) = self.messages.get_mut(&fact.id) {
                 draft.add_fact(fact)?;
+            }
+        }
+        for (id, name) in self.long_names {
+            if let Some(draft) = self.messages.get_mut(&id) {
+                draft.message.name = name;
             }
         }
         self.messages.into_iter().map(|(id, draft)| Ok((id, draft.end()?))).collect()
@@ -459,9 +526,8 @@ impl<'t> FileReader<'t> {
     fn name(&mut self, what: &str) -> Result<String, DbcError> {
         let (line, error) = (self.line(), self.expected(what));
         let word = self.word(what)?;
-        let is_name = word.bytes().all(|byte| byte.is_ascii_alphanumeric() || byte == b'_');
         match word.len() {
-            0..=MAX_NAME if is_name => Ok(word.to_owned()),
+            0..=MAX_NAME if is_name(word) => Ok(word.to_owned()),
             0..=MAX_NAME => Err(error),
             _ => Err(DbcError::new(line, format!("a name has at most {MAX_NAME} characters"))),
         }
@@ -520,6 +586,13 @@ impl MessageDraft {
                 }
                 signal.kind = kind;
             }
+            FactKind::LongName(name) => {
+                // Two signals of one name would be one in JSON.
+                let signals = &mut self.message.signals;
+                if signals.iter().all(|signal| signal.name != name) {
+                    signals[place].name = name;
+                }
+            }
             FactKind::Switch(switch, values) => {
                 let left_out = self.left_out.contains_key(&switch).then_some(LEFT_OUT);
                 let by = self.places.get(&switch).copied().or(left_out);
@@ -557,6 +630,11 @@ impl MessageDraft {
 /// Returns a text of the file, printable. Its backslashes stay single.
 fn shown(text: &str) -> String {
     printable_with_backslashes(text.as_bytes())
+}
+
+/// Returns true for the characters of a name.
+fn is_name(word: &str) -> bool {
+    word.bytes().all(|byte| byte.is_ascii_alphanumeric() || byte == b'_')
 }
 
 /// Returns true for an identifier of 11 bits, and for one of 29 bits with [`EXTENDED`].

@@ -6,6 +6,7 @@
 use super::candump_time::{self, CandumpTimes, PrintedTime};
 use super::dates::LocalDate;
 use super::fields::{hex_value, words};
+use super::local_clock::LocalClock;
 use super::text::BYTE_ORDER_MARK;
 use super::{LogEncoder, LogEntry, LogLoss, LogTime, candump_screen};
 use crate::frame::socketcan::{ERROR_FLAG, with_fd_flags};
@@ -27,6 +28,9 @@ pub enum LineFault {
     /// No time in parentheses at the start.
     #[error("it does not begin with (SECONDS.FRACTION)")]
     Time,
+    /// A date and a time of day that do not exist, or are before 1970 or after 9999.
+    #[error("there is no such date, or it is before 1970")]
+    Date,
     /// No printable interface name after the time.
     #[error("no interface name after the time")]
     Interface,
@@ -65,7 +69,8 @@ pub fn parse_line(line: &[u8]) -> Result<Option<LogEntry<'_>>, LineFault> {
     if line.trim_ascii().is_empty() {
         return Ok(None);
     }
-    let (time, rest) = candump_time::split(line).ok_or(LineFault::Time)?;
+    let fault = || if candump_time::has_date(line) { LineFault::Date } else { LineFault::Time };
+    let (time, rest) = candump_time::split(line).ok_or_else(fault)?;
     let (PrintedTime::Unix(time)
     | PrintedTime::Short(time)
     | PrintedTime::Local(LocalDate { first: time, .. })) = time;
@@ -155,9 +160,9 @@ impl CandumpLines {
         self.times.is_fixed()
     }
 
-    /// Returns true if their dates came twice, and the lines show where the second hour begins.
-    pub fn has_repeated_hour(&self) -> bool {
-        self.times.has_repeated_hour()
+    /// What the lines say about local dates.
+    pub fn clock(&self) -> &LocalClock {
+        self.times.clock()
     }
 
     /// Returns true if the lines have no times.
@@ -177,6 +182,7 @@ impl CandumpLines {
         }
         let (time, rest) = match candump_time::split(line) {
             Some((time, rest)) => (Some(time), rest),
+            None if candump_time::has_date(line) => return Err(LineFault::Date),
             None if self.times.is_empty() => (None, line),
             None => return Err(LineFault::Time),
         };

@@ -7,7 +7,7 @@
 use super::LogTime;
 use super::dates::{LocalDate, iso_date};
 use super::fields::{decimal, first_word};
-use super::summary::MAX_REORDER;
+use super::local_clock::LocalClock;
 
 /// Lines after which times in three digits of seconds count from the beginning.
 const LINES: u8 = 8;
@@ -26,10 +26,7 @@ pub(super) struct CandumpTimes {
     last: LogTime,
     /// Sum of the short times.
     sum: LogTime,
-    /// Time of the last line with a date.
-    dated: Option<LogTime>,
-    /// The clock went from the first to the second hour that a date stands for.
-    has_repeated_hour: bool,
+    clock: LocalClock,
 }
 
 /// From where short times count.
@@ -61,8 +58,7 @@ impl CandumpTimes {
         seen: 0,
         last: LogTime::from_micros(0),
         sum: LogTime::from_micros(0),
-        dated: None,
-        has_repeated_hour: false,
+        clock: LocalClock::NEW,
     };
 
     /// Returns what lines with these times say, before the first of them.
@@ -103,7 +99,7 @@ impl CandumpTimes {
             }
             PrintedTime::Local(date) => {
                 self.fix_origin();
-                return self.moment_of(date);
+                return self.clock.moment_of(date);
             }
             PrintedTime::Short(time) => time,
         };
@@ -133,25 +129,9 @@ impl CandumpTimes {
         }
     }
 
-    /// Returns the moment of a date: of two, the first one that is not before the line before.
-    fn moment_of(&mut self, date: LocalDate) -> LogTime {
-        // Lines of several interfaces are not in order to the millisecond.
-        let reorder = MAX_REORDER.as_micros() as u64;
-        let time = match (date.second, self.dated) {
-            (Some(second), Some(last)) if date.first.micros + reorder < last.micros => {
-                // Otherwise the line before may have been in the second hour already.
-                self.has_repeated_hour |= last.micros < second.micros;
-                second
-            }
-            _ => date.first,
-        };
-        self.dated = Some(time);
-        time
-    }
-
-    /// Returns true if the lines show which of the two hours their dates stand for.
-    pub fn has_repeated_hour(&self) -> bool {
-        self.has_repeated_hour
+    /// What the lines say about local dates.
+    pub fn clock(&self) -> &LocalClock {
+        &self.clock
     }
 }
 
@@ -166,10 +146,17 @@ pub(super) fn without_colours(mut line: &[u8]) -> &[u8] {
     }
 }
 
-/// Returns true if a line begins with a date, as `-t A` has it.
+/// Returns true if a line begins with a date, as `-t A` has it, whether there is such a day or not.
 pub(super) fn has_date(line: &[u8]) -> bool {
-    let (word, _) = first_word(without_colours(line));
-    word.starts_with(b"(") && !word.ends_with(b")")
+    let (date, rest) = first_word(without_colours(line));
+    let (time, _) = first_word(rest);
+    let is_of = |text: &[u8], sign: u8| {
+        text.iter().all(|byte| byte.is_ascii_digit() || [sign, b'.'].contains(byte))
+    };
+    let parts = date.strip_prefix(b"(").zip(time.strip_suffix(b")"));
+    parts.is_some_and(|(date, time)| {
+        is_of(date, b'-') && is_of(time, b':') && date.contains(&b'-') && time.contains(&b':')
+    })
 }
 
 /// Splits a line into its time and the rest; `None` if it does not begin with one.

@@ -38,6 +38,8 @@ pub(super) struct LocalDate {
     pub first: LogTime,
     /// The second moment, an hour later in most countries, if summer time ends in that hour.
     pub second: Option<LogTime>,
+    /// No clock shows it, as summer time begins in that hour; read as if it did not.
+    pub is_skipped: bool,
 }
 
 /// Returns the microseconds since 1970 of a local time; `None` before 1970.
@@ -131,7 +133,8 @@ pub(super) fn iso_date(date: &[u8], time: &[u8]) -> Option<LocalDate> {
     let second = matches!(ambiguous.offset(), AmbiguousOffset::Fold { .. })
         .then(|| moment(ambiguous.clone().later().ok()?))
         .flatten();
-    Some(LocalDate { first: moment(ambiguous.compatible().ok()?)?, second })
+    let is_skipped = matches!(ambiguous.offset(), AmbiguousOffset::Gap { .. });
+    Some(LocalDate { first: moment(ambiguous.compatible().ok()?)?, second, is_skipped })
 }
 
 /// Returns the microseconds since 1970 of days since 1899-12-30, as TRC counts them.

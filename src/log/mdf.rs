@@ -249,7 +249,14 @@ impl MdfLog {
             }
             let group = structure_block(bytes, next, *b"DG", &mut reading)?;
             next = group.link(0);
-            let stream = FrameStream::read(bytes, &group, &mut reading)?;
+            let stream = match FrameStream::read(bytes, &group, &mut reading) {
+                // The groups behind it are read.
+                Err(MdfFault::Block(address)) => {
+                    self.damage.get_or_insert(LogDamage::Block(address));
+                    None
+                }
+                stream => stream?,
+            };
             if let Some(stream) = stream {
                 if self.streams.len() == MAX_STREAMS {
                     return Err(MdfFault::Log(Damage::TooManyGroups));
@@ -261,7 +268,8 @@ impl MdfLog {
         if next != 0 {
             return Err(MdfFault::Log(Damage::TooManyGroups));
         }
-        if self.streams.is_empty() { Err(MdfFault::Log(Damage::NoBusLog)) } else { Ok(()) }
+        let has_none = self.streams.is_empty() && self.damage.is_none();
+        if has_none { Err(MdfFault::Log(Damage::NoBusLog)) } else { Ok(()) }
     }
 
     /// Returns the frame that is next by its time; `None` at the end.
@@ -298,9 +306,13 @@ impl RandomFormat for MdfLog {
             match self.begin(bytes, out) {
                 Ok(()) => {}
                 Err(MdfFault::File(error)) => return Err(error),
-                Err(MdfFault::Log(damage)) => self.damage = Some(LogDamage::Log(damage)),
                 // The groups before it are read.
-                Err(MdfFault::Block(address)) => self.damage = Some(LogDamage::Block(address)),
+                Err(MdfFault::Log(damage)) => {
+                    self.damage.get_or_insert(LogDamage::Log(damage));
+                }
+                Err(MdfFault::Block(address)) => {
+                    self.damage.get_or_insert(LogDamage::Block(address));
+                }
             }
             let max_ready = MAX_READY / self.streams.len().max(1);
             self.streams.iter_mut().for_each(|stream| stream.max_ready = max_ready);

@@ -20,6 +20,7 @@ mod entry_stream;
 mod fields;
 mod foreign;
 mod frame_source;
+mod local_clock;
 mod log_time;
 mod loss;
 mod mdf;

@@ -47,7 +47,7 @@ impl LogPosition {
     }
 
     /// Moment of the last frame in the last bytes of this log, if its clock is not set back between;
-    /// `None` if none is found there.
+    /// `None` if none is found there, or if its date comes twice and they do not show which one it is.
     ///
     /// # Errors
     ///
@@ -62,9 +62,11 @@ impl LogPosition {
 
     fn last_time_in(&self, tail: &[u8]) -> Option<Instant> {
         let start = self.decoder.as_ref()?.entry_start(tail)?;
-        let reader = LogReader::at(&tail[start..], self);
+        let mut reader = LogReader::at(&tail[start..], self);
         // What cannot be read may stand between.
-        reader.take(tail.len()).filter_map(Result::ok).last().map(|frame| frame.time)
+        let frames = reader.by_ref().take(tail.len()).filter_map(Result::ok);
+        let last = frames.last().map(|frame| frame.time);
+        last.filter(|_| !reader.summary.is_date_ambiguous)
     }
 }
 

@@ -93,6 +93,9 @@ pub struct LogSummary {
     /// A local date in it comes twice, as summer time ended in that hour, and its lines do not show which
     /// one it is: it is read as the first.
     pub is_date_ambiguous: bool,
+    /// A local date in it is one that clocks skip here, as summer time begins: it was written in another time
+    /// zone.
+    pub has_skipped_date: bool,
     /// The log is a database with changes in a file beside it, which is not read.
     pub unread_changes: Option<UnreadChanges>,
     /// The last line of a text log has no end, or the last record of an unfinished measurement is cut off.
@@ -162,7 +165,7 @@ impl LogSummary {
         (self.damage, self.foreign) = (None, None);
         (self.damage_at, self.bytes) = (None, 0);
         (self.unread_changes, self.ends_inside_entry) = (None, false);
-        self.is_date_ambiguous = false;
+        (self.is_date_ambiguous, self.has_skipped_date) = (false, false);
         self.frames_before = self.frames;
     }
 
@@ -309,6 +312,10 @@ impl fmt::Display for LogSummary {
         if self.is_date_ambiguous {
             let what = "its date comes twice, as summer time ended in this hour";
             write!(f, "; {what}: its times may be an hour early")?;
+        }
+        if self.has_skipped_date {
+            let what = "a date in it is skipped in this time zone, as summer time begins then";
+            write!(f, "; {what}: set TZ to the zone of the log")?;
         }
         match self.clock_steps_back {
             0 => Ok(()),

@@ -10,7 +10,7 @@ use super::dates::comes_twice;
 use super::trc::TrcLines;
 use super::{
     Damage, DecodeStep, EntryFault, ForeignFormat, LogDecoder, LogEntry, LogSummary, LogTime,
-    MAX_WITHOUT_FRAME, candump_time, plain_line,
+    MAX_WITHOUT_FRAME, plain_line,
 };
 use crate::frame::Frame;
 
@@ -47,19 +47,23 @@ impl TextFormat {
         matches!(self, Self::Candump(lines) if lines.is_timeless())
     }
 
-    /// Returns true if local dates came twice, and the lines show where the second hour begins.
-    fn has_repeated_hour(&self) -> bool {
-        matches!(self, Self::Candump(lines) if lines.has_repeated_hour())
+    /// Returns the date without a time zone with which the log begins.
+    fn start_date(&self) -> Option<LogTime> {
+        match self {
+            Self::Asc(lines) => Some(lines.start()),
+            Self::Trc(lines) => Some(lines.start()),
+            _ => None,
+        }
     }
 
-    /// Returns the date without a time zone by which this line has its time: its own one, or with the first
-    /// frame that of the log.
-    fn local_date(&self, line: &[u8], entry: &LogEntry<'_>, is_first: bool) -> Option<LogTime> {
-        match self {
-            Self::Candump(_) => candump_time::has_date(line).then_some(entry.time),
-            Self::Asc(lines) if is_first => Some(lines.start()),
-            Self::Trc(lines) if is_first => Some(lines.start()),
-            _ => None,
+    /// Notes what is doubtful of the local dates up to the line that was read, which has a frame.
+    fn note_dates(&self, summary: &mut LogSummary) {
+        if let Self::Candump(lines) = self {
+            summary.is_date_ambiguous = lines.clock().is_ambiguous();
+            summary.has_skipped_date = lines.clock().has_skipped_date();
+        } else if summary.own_frames() == 0 {
+            let start = self.start_date();
+            summary.is_date_ambiguous = start.is_some_and(|start| comes_twice(start.micros));
         }
     }
 
@@ -85,15 +89,13 @@ pub(super) struct TextDecoder {
     skipped: u64,
     /// Bytes before the first frame.
     before_frame: u64,
-    /// Quarter of an hour of the last local date, since 1970.
-    dated_quarter: Option<u64>,
 }
 
 impl TextDecoder {
     /// Returns the decoder of a log that begins with `head`.
     pub fn new(head: &[u8]) -> Self {
         let format = TextFormat::Candump(CandumpLines::of_head(head));
-        Self { format, partial: Vec::new(), skipped: 0, before_frame: 0, dated_quarter: None }
+        Self { format, partial: Vec::new(), skipped: 0, before_frame: 0 }
     }
 
     /// Appends a piece to a cut line, at most up to one byte more than [`MAX_LINE`].
@@ -156,34 +158,10 @@ impl TextDecoder {
             entry.time = LogTime::from_micros(summary.arrival);
             summary.is_timeless = true;
         }
-        if let Ok(Some(entry)) = &entry {
-            self.note_date(self.format, line, entry, summary);
+        if matches!(entry, Ok(Some(_))) {
+            self.format.note_dates(summary);
         }
         summary.take(entry)
-    }
-
-    /// Notes whether the local date by which a line has its time comes twice, as far as `format`, behind
-    /// the line, cannot tell which one it is.
-    fn note_date(
-        &mut self,
-        format: TextFormat,
-        line: &[u8],
-        entry: &LogEntry<'_>,
-        summary: &mut LogSummary,
-    ) {
-        /// Summer time ends between two of them: local times differ from UTC by whole ones.
-        const QUARTER: u64 = 900_000_000;
-        if format.has_repeated_hour() {
-            summary.is_date_ambiguous = false;
-            return;
-        }
-        let Some(date) = format.local_date(line, entry, summary.own_frames() == 0) else {
-            return;
-        };
-        let quarter = Some(date.micros / QUARTER);
-        if std::mem::replace(&mut self.dated_quarter, quarter) != quarter {
-            summary.is_date_ambiguous |= comes_twice(date.micros);
-        }
     }
 }
 
@@ -316,7 +294,7 @@ impl TextDecoder {
             let mut next = self.format;
             let line = &bytes[used..used + len];
             let Ok(Some(entry)) = next.read(line) else { break };
-            self.note_date(next, line, &entry, summary);
+            next.note_dates(summary);
             let name = entry.interface.as_bytes();
             let Some(frame) = summary.take_plain(entry.time, name, &entry.frame) else {
                 break;

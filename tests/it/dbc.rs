@@ -174,6 +174,38 @@ fn signals_of_a_multiplexor_above_64_bits_are_left_out() {
 }
 
 #[test]
+fn long_names_are_those_of_the_attributes() {
+    let signals = "0|8@1+ (1,0) [0|0] \"\" A SG_ Y : 8|8@1+ (1,0) [0|0] \"\"";
+    let of = |attributes: &str| shown(signals, attributes, &[1, 2]);
+    let message = "BA_ \"SystemMessageLongSymbol\" BO_ 291 \"MessageOfALongName\";";
+    let signal = "BA_ \"SystemSignalLongSymbol\" SG_ 291 X \"SignalOfALongName\";";
+    assert_eq!(of(message), "MessageOfALongName: X 1, Y 2");
+    assert_eq!(of(&format!("{signal}\n{message}")), "MessageOfALongName: SignalOfALongName 1, Y 2");
+    // Statements have the short name.
+    assert_eq!(of(&format!("{signal} VAL_ 291 X 1 \"on\";")), "M: SignalOfALongName on, Y 2");
+    assert_eq!(of(&format!("VAL_ 291 X 1 \"on\"; {signal}")), "M: SignalOfALongName on, Y 2");
+    for (from, to) in [
+        ("SG_ 291 X", "SG_ 292 X"),
+        ("SG_ 291 X", "SG_ 291 Z"),
+        ("SG_ 291 X", "SG_ X"),
+        ("SG_ 291 X", "BU_ A"),
+        ("\"SignalOfALongName\"", "\"\""),
+        ("\"SignalOfALongName\"", "\"with blanks\""),
+        ("\"SignalOfALongName\"", "\"Y\""),
+        ("\"SignalOfALongName\"", "5"),
+        ("SystemSignalLongSymbol", "SystemNodeLongSymbol"),
+    ] {
+        let other = signal.replace(from, to);
+        assert_ne!(other, signal);
+        assert_eq!(of(&format!("{other} VAL_ 291 Y 2 \"on\";")), "M: X 1, Y on", "{other}");
+    }
+    assert_eq!(
+        of(&format!("{message} {}", "BA_ \"SystemMessageLongSymbol\" BO_ 292 \"N\";")),
+        "MessageOfALongName: X 1, Y 2"
+    );
+}
+
+#[test]
 fn utf_16_is_read() {
     let text = "BO_ 291 M: 8 A\n SG_ X : 0|8@1+ (1,0) [0|0] \"°C\" A\n";
     let units = || "\u{FEFF}".encode_utf16().chain(text.encode_utf16());

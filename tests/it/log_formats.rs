@@ -171,6 +171,28 @@ fn second_of_two_hours_is_read_where_lines_go_back() {
         ),
         // Not in order, in the first hour.
         ("can0 123#11", &["02:30:01", "02:30:00"], &[1811, 1810], false),
+        // A clock that was set back by two seconds, or nearly an hour of silence.
+        ("can0 123#11", &["02:30:02", "02:30:00", "02:30:10"], &[1812, 5410, 5420], false),
+        // Two steps back: one of them is none of summer time.
+        (
+            "can0 123#11",
+            &["02:40:00", "02:10:00", "02:59:50", "02:00:00", "03:00:00"],
+            &[2410, 4210, 7200, 3610, 7210],
+            false,
+        ),
+        // Another recording behind the first one.
+        (
+            "can0 123#11",
+            &["02:59:50", "02:00:00", "01:59:00", "02:30:00"],
+            &[3600, 3610, -50, 1810],
+            false,
+        ),
+        (
+            "can0 123#11",
+            &["02:30:00", "01:59:00", "02:59:50", "02:00:00"],
+            &[1810, -50, 3600, 3610],
+            false,
+        ),
     ] {
         let lines = hours.iter().map(|hour| format!("(2023-10-29 {hour}.5) {frame}\n"));
         fs::write(folder.path().join("in"), lines.collect::<String>()).unwrap();
@@ -187,7 +209,7 @@ fn second_of_two_hours_is_read_where_lines_go_back() {
             let seconds: Vec<_> = text(&written)
                 .lines()
                 .map(|line| {
-                    line[1..line.find('.').unwrap()].parse::<u64>().unwrap() - 1_698_537_590
+                    line[1..line.find('.').unwrap()].parse::<i64>().unwrap() - 1_698_537_590
                 })
                 .collect();
             assert_eq!(seconds, expected, "{arguments:?} {hours:?}");
@@ -195,6 +217,56 @@ fn second_of_two_hours_is_read_where_lines_go_back() {
             assert_eq!(said.contains("comes twice"), !is_known, "{arguments:?} {hours:?}: {said}");
             let _ = fs::remove_file(folder.path().join("out.log"));
         }
+    }
+}
+
+/// Returns what `convert` says of lines with these dates in Berlin.
+fn said_of_dates(dates: &[String]) -> String {
+    let folder = tempfile::tempdir().unwrap();
+    let lines = dates.iter().map(|date| format!("({date}) can0 123#11\n"));
+    fs::write(folder.path().join("in"), lines.collect::<String>()).unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_descan"));
+    command.args(["convert", "in", "-", "--format", "candump"]);
+    text(&command.current_dir(folder.path()).env("TZ", "Europe/Berlin").output().unwrap().stderr)
+}
+
+#[test]
+fn each_repeated_hour_shows_by_itself_which_one_it_is() {
+    let days = ["2024-10-27", "2025-10-26", "2026-10-25"];
+    let hours: [&[&str]; 3] = [&[], &["02:59:50", "02:00:00"], &["02:20:00", "02:30:00"]];
+    for kinds in 0..27 {
+        let kinds = [kinds % 3, kinds / 3 % 3, kinds / 9];
+        let dates = days
+            .iter()
+            .zip(kinds)
+            .flat_map(|(day, kind)| hours[kind].iter().map(move |hour| format!("{day} {hour}.5")));
+        let dates: Vec<_> = dates.collect();
+        let said = said_of_dates(&dates);
+        assert_eq!(said.contains("comes twice"), kinds.contains(&2), "{dates:?}: {said}");
+    }
+}
+
+#[test]
+fn lines_out_of_order_behind_the_second_hour_are_in_it() {
+    let dates = ["2026-10-25 03:00:00.1".to_owned(), "2026-10-25 02:59:59.9".to_owned()];
+    assert!(!said_of_dates(&dates).contains("comes twice"));
+}
+
+#[test]
+fn date_that_clocks_skip_is_of_another_time_zone() {
+    for (hour, is_said) in [(1, false), (2, true), (3, false)] {
+        let said = said_of_dates(&[format!("2026-03-29 0{hour}:30:00.5")]);
+        let expected = "set TZ to the zone of the log";
+        assert_eq!(said.contains(expected), is_said, "{said}");
+    }
+}
+
+#[test]
+fn date_that_does_not_exist_is_said() {
+    for date in ["2026-02-29 12:00:00.5", "2026-13-01 12:00:00.5", "1969-12-31 12:00:00.5"] {
+        let said = said_of_dates(&["2026-02-28 12:00:00.5".to_owned(), date.to_owned()]);
+        let expected = "line 2 cannot be read: there is no such date, or it is before 1970";
+        assert!(said.contains(expected), "{date}: {said}");
     }
 }
 

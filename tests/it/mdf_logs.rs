@@ -419,6 +419,20 @@ fn damage_of_one_group_leaves_the_others_readable() {
 }
 
 #[test]
+fn groups_behind_a_damaged_one_are_read() {
+    let (all, _) = read_log(PYTHON_CAN);
+    // The blocks of the first group of records, its channels, and the links from the one to the other.
+    let group = blocks(PYTHON_CAN, "CG")[0];
+    for at in [group + 2, group + 24 + 8 + 7, blocks(PYTHON_CAN, "CN")[0] + 2] {
+        let mut bytes = PYTHON_CAN.to_vec();
+        bytes[at] ^= 0x55;
+        let (frames, summary) = read_log(&bytes);
+        assert!(!frames.is_empty() && frames.len() < all.len(), "byte {at}: {summary}");
+        assert!(summary.to_string().contains("damaged block"), "byte {at}: {summary}");
+    }
+}
+
+#[test]
 fn lists_in_a_loop_end_the_log() {
     // The first two lists are of the signal data, of which nothing is missing.
     for (kind, number) in [("DL", 2), ("DG", 0), ("CG", 0), ("CN", 0)] {

@@ -299,7 +299,9 @@ fn pinned_elsewhere(
     })?;
     let line = other.position.line;
     let name = Quoted(&other.name);
-    Some(C::Rejected(format!("{address} is the static address of {name} (line {line})")))
+    Some(C::Rejected(format!(
+        "{address} is the static address of {name} (line {line}); change that first"
+    )))
 }
 
 /// Warns of an address that another present device uses.

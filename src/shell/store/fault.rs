@@ -15,6 +15,11 @@ pub(in crate::shell) fn not_written(error: &io::Error) -> Diagnostic {
         Some(FileFault::NotPermitted) => {
             ("no permission for its folder", "fix it, or save elsewhere")
         }
+        Some(FileFault::Protected) => {
+            let shows = if cfg!(target_os = "macos") { "see ls -lO" } else { "see lsattr" };
+            return Diagnostic::new("protected (immutable, or sticky folder)")
+                .with_remedy(format!("{shows}, or save elsewhere"));
+        }
         Some(FileFault::ReadOnly) => ("mounted read-only", "remount it, or save elsewhere"),
         Some(FileFault::DiskFull) => ("the disk is full", "make room, or save elsewhere"),
         Some(FileFault::TooLarge) => ("file size limit reached", "raise it: ulimit -f"),
@@ -40,6 +45,14 @@ mod tests {
             (Errno::EROFS, "mounted read-only; remount it, or save elsewhere"),
             (Errno::EBUSY, "a bind mount; mount its folder, or save elsewhere"),
             (Errno::EACCES, "no permission for its folder; fix it, or save elsewhere"),
+            (
+                Errno::EPERM,
+                if cfg!(target_os = "macos") {
+                    "protected (immutable, or sticky folder); see ls -lO, or save elsewhere"
+                } else {
+                    "protected (immutable, or sticky folder); see lsattr, or save elsewhere"
+                },
+            ),
             (Errno::EMFILE, "too many files are open; close other programs, or raise ulimit -n"),
             (Errno::EIO, "cannot be written: Input/output error"),
         ] {

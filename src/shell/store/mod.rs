@@ -1,4 +1,4 @@
-//! `des.json` on disk: reads it, and replaces it as a whole.
+//! Files on disk: reads `des.json` and replaces it as a whole; writes others beside their target.
 //!
 //! A save writes a temporary file beside the target, gives it the target's owner, group, mode and
 //! attributes, syncs it, and exchanges the two. So a crash or a full disk leaves no partial file,
@@ -11,10 +11,10 @@
 //! replacement  the exchange, and what came out of it    attributes  owner, mode, access list
 //! temporary    files beside the target                  places      symbolic links
 //! exchange     two files exchange their names           fault       errors with their remedies
-//! staged_file  a file written part by part, such as a log
+//! staged_file  a log written part by part, which takes its place at the end
 //! ```
 //!
-//! Does not know the content of the file.
+//! Does not know the content of the files.
 
 mod attributes;
 mod exchange;
@@ -35,7 +35,6 @@ use tempfile::NamedTempFile;
 use crate::diagnostic::{Diagnostic, without_number};
 use crate::open_file::{self, link_count, open_folder};
 use crate::regular_file::{self, RegularFile, check_kind};
-use crate::text::printable_path;
 use attributes::AttributeError;
 use temporary::{create_beside, remove_leftovers};
 
@@ -152,8 +151,9 @@ impl Store {
     pub fn save(&self, expected: Option<&[u8]>, new: &[u8]) -> Result<Saved, SaveError> {
         let places = Places::of(&self.path).map_err(|error| not_written(&error))?;
         let (folder, target) = (&places.folder, &places.target);
-        let open = open_folder(folder)
-            .map_err(|error| self.missing_folder().unwrap_or_else(|| not_written(&error)))?;
+        let open = open_folder(folder).map_err(|error| {
+            places.missing_folder(&self.path).unwrap_or_else(|| not_written(&error))
+        })?;
         let lock = lock(folder)?;
         let old = RegularFile::open(target)?;
         if let Some(old) = &old {
@@ -192,8 +192,9 @@ impl Store {
     ) -> Result<(), SaveError> {
         let places = Places::of(&self.path).map_err(|error| not_written(&error))?;
         let (folder, target) = (&places.folder, &places.target);
-        let open = open_folder(folder)
-            .map_err(|error| self.missing_folder().unwrap_or_else(|| not_written(&error)))?;
+        let open = open_folder(folder).map_err(|error| {
+            places.missing_folder(&self.path).unwrap_or_else(|| not_written(&error))
+        })?;
         let _lock = lock(folder)?;
         let temporary = write_beside(target, folder, None, write)?;
         self.create(temporary, target)?;
@@ -214,20 +215,7 @@ impl Store {
 
     /// Returns the fault if the folder of the file does not exist.
     pub fn missing_folder(&self) -> Option<Diagnostic> {
-        /// Creates a folder and those above it.
-        const MKDIR: &str = if cfg!(windows) { "mkdir" } else { "mkdir -p" };
-        let folder = Places::of(&self.path).ok()?.folder;
-        let is_missing =
-            matches!(fs::metadata(&folder), Err(error) if error.kind() == io::ErrorKind::NotFound);
-        let remedy = || format!("{MKDIR} {}", printable_path(&self.folder_as_named(&folder)));
-        is_missing.then(|| Diagnostic::new("no such folder").with_remedy(remedy()))
-    }
-
-    /// Returns the file's folder as entered by the user, unless a link leads to another one.
-    fn folder_as_named(&self, folder: &Path) -> PathBuf {
-        let named = self.path.parent().filter(|named| !named.as_os_str().is_empty());
-        let is_it = |named: &&Path| Places::of(named).is_ok_and(|places| places.target == folder);
-        named.filter(is_it).unwrap_or(folder).to_owned()
+        Places::of(&self.path).ok()?.missing_folder(&self.path)
     }
 }
 

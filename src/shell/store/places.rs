@@ -1,6 +1,8 @@
 //! The path of a file with its symbolic links resolved.
 
+use crate::diagnostic::Diagnostic;
 use crate::system_error::link_loop;
+use crate::text::printable_path;
 use std::ffi::{OsStr, OsString};
 use std::fs;
 use std::io::{self, ErrorKind};
@@ -67,6 +69,23 @@ impl Places {
         }
         let target = watched.last().map_or(here.clone(), |(folder, name)| folder.join(name));
         Ok(Self { watched, folder: target.parent().unwrap_or(&here).to_owned(), target })
+    }
+
+    /// Returns the fault if the folder of the file does not exist; `path` is the file as entered by the user.
+    pub(super) fn missing_folder(&self, path: &Path) -> Option<Diagnostic> {
+        /// Creates a folder and those above it.
+        const MKDIR: &str = if cfg!(windows) { "mkdir" } else { "mkdir -p" };
+        let found = fs::metadata(&self.folder);
+        let is_missing = found.is_err_and(|error| error.kind() == ErrorKind::NotFound);
+        let remedy = || format!("{MKDIR} {}", printable_path(self.folder_as_named(path)));
+        is_missing.then(|| Diagnostic::new("no such folder").with_remedy(remedy()))
+    }
+
+    /// Returns the file's folder as entered by the user, unless a link leads to another one.
+    fn folder_as_named<'p>(&'p self, path: &'p Path) -> &'p Path {
+        let named = path.parent().filter(|named| !named.as_os_str().is_empty());
+        let is_it = |named: &&Path| Self::of(named).is_ok_and(|it| it.target == self.folder);
+        named.filter(is_it).unwrap_or(&self.folder)
     }
 }
 

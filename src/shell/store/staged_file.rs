@@ -3,7 +3,7 @@
 use super::exchange::{ExchangeError, exchange, put_in_place};
 use super::fault::not_written;
 use super::places::Places;
-use super::{Store, already_exists, create_with_attributes};
+use super::{already_exists, create_with_attributes};
 use crate::diagnostic::Diagnostic;
 use crate::regular_file::RegularFile;
 use std::io::{self, ErrorKind, Seek as _, SeekFrom, Write as _};
@@ -20,21 +20,19 @@ pub struct StagedFile {
 
 impl StagedFile {
     /// Creates a file that is to have the name `path`, which may be a symbolic link. It keeps of a file
-    /// that it replaces what a save keeps.
+    /// that it replaces what a save keeps. Whether there is a file that it may not replace is found by
+    /// [`Self::finish`].
     ///
     /// # Errors
-    /// The fault, without the path, if the file cannot be created, cannot have the access of the one that
-    /// it replaces, or may not replace it.
+    /// The fault, without the path, if the file cannot be created, or cannot have the access of the one
+    /// that it replaces.
     pub fn create(path: &Path, may_replace: bool) -> Result<Self, Diagnostic> {
-        let Places { target, folder, .. } =
-            Places::of(path).map_err(|error| not_written(&error))?;
-        if let Some(missing) = Store::new(path).missing_folder() {
+        let places = Places::of(path).map_err(|error| not_written(&error))?;
+        if let Some(missing) = places.missing_folder(path) {
             return Err(missing);
         }
-        let old = RegularFile::open(&target)?;
-        if old.is_some() && !may_replace {
-            return Err(already_exists());
-        }
+        let Places { target, folder, .. } = places;
+        let old = if may_replace { RegularFile::open(&target)? } else { None };
         let file = create_with_attributes(&target, &folder, old.as_ref())?;
         Ok(Self { file, target, may_replace })
     }
@@ -65,7 +63,8 @@ impl StagedFile {
     /// Gives the file its name.
     ///
     /// # Errors
-    /// The fault, without the path; the target is as it was.
+    /// The fault, without the path: a file may not be replaced, or the system does not do it. The old
+    /// file stays as it was, on Windows perhaps under another name, which the fault says.
     pub fn finish(self) -> Result<(), Diagnostic> {
         let Self { file, target, may_replace } = self;
         let moved = if may_replace {

@@ -1,4 +1,4 @@
-//! Temporary files beside the target of a save.
+//! Temporary files beside their target.
 
 use crate::open_file::create_new;
 use std::ffi::{OsStr, OsString};

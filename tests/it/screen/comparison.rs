@@ -123,6 +123,8 @@ fn row_of_a_device_leads_to_it() {
     assert!(matches!(stage.app.overlay(), Overlay::None) && stage.app.comparison().is_none());
     assert_eq!(stage.app.view().page, Page::Devices);
     assert_eq!(stage.app.selected_device().map(|it| it.address.number()), Some(14));
+    stage.keys("Backspace");
+    assert_eq!(stage.app.view().page, Page::Timeline);
 }
 
 #[test]

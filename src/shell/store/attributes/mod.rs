@@ -1,4 +1,4 @@
-//! What a save keeps of the file it replaces, besides its name: owner, group, mode, access control
+//! What is kept of a file that is replaced, besides its name: owner, group, mode, access control
 //! list, extended attributes.
 
 #[cfg(unix)]

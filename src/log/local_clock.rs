@@ -1,0 +1,98 @@
+//! The moments of local dates, line by line: which of two hours a date stands for where summer time ends.
+//!
+//! Of two moments the first one is read; a line more than [`MAX_REORDER`] before the line above it is in the
+//! second hour. Does not know how dates are written.
+
+use super::LogTime;
+use super::dates::LocalDate;
+use super::summary::MAX_REORDER;
+
+const REORDER: u64 = MAX_REORDER.as_micros() as u64;
+/// Longest step back that may be a clock that was set right, in microseconds: after such a step, the line above
+/// would be followed by nearly an hour of silence. Chosen.
+const MAX_CORRECTION: u64 = 60_000_000;
+/// Two dates with two moments that are farther apart are of two years, in microseconds.
+const OTHER_YEAR: u64 = 86_400_000_000;
+
+/// What the lines so far say about the dates of those that follow.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct LocalClock {
+    /// Moment of the last line.
+    last: Option<LogTime>,
+    /// The date of the last line had two moments; and it has the second one.
+    is_twofold: bool,
+    is_second: bool,
+    /// First moment of the last date that has two.
+    twofold: Option<u64>,
+    /// The lines went from the first to the second hour.
+    is_shown: bool,
+    /// It is not known of some line in which hour it is.
+    is_ambiguous: bool,
+    /// The same of a line before the last step back or of another year.
+    was_ambiguous: bool,
+    has_skipped_date: bool,
+}
+
+impl LocalClock {
+    /// Without lines.
+    pub const NEW: Self = Self {
+        last: None,
+        is_twofold: false,
+        is_second: false,
+        twofold: None,
+        is_shown: false,
+        is_ambiguous: false,
+        was_ambiguous: false,
+        has_skipped_date: false,
+    };
+
+    /// Returns the moment of the date of the next line.
+    pub fn moment_of(&mut self, date: LocalDate) -> LogTime {
+        let last = self.last.filter(|last| date.first.micros + REORDER < last.micros);
+        let time = match (date.second, last) {
+            (Some(second), Some(_)) => second,
+            _ => date.first,
+        };
+        let is_back = last.is_some_and(|last| time.micros + REORDER < last.micros);
+        let is_of_other_year =
+            |other: u64| date.second.is_some() && other.abs_diff(date.first.micros) > OTHER_YEAR;
+        // A step back within the second hour shows that the one before was not the end of summer time; or
+        // what follows is another recording.
+        self.is_ambiguous |= self.is_shown && is_back && date.second.is_some();
+        if is_back || self.twofold.is_some_and(is_of_other_year) {
+            self.was_ambiguous |= self.is_ambiguous;
+            (self.is_ambiguous, self.is_shown) = (false, false);
+        }
+        if let Some(second) = date.second.filter(|_| !self.is_shown) {
+            self.note_twofold(date.first, second, time);
+        }
+        self.has_skipped_date |= date.is_skipped;
+        self.is_twofold = date.second.is_some();
+        self.is_second = date.second == Some(time);
+        self.twofold = date.second.map(|_| date.first.micros).or(self.twofold);
+        self.last = Some(time);
+        time
+    }
+
+    /// Notes whether it is known in which of two hours a line is: `time` is one of its moments.
+    fn note_twofold(&mut self, first: LogTime, second: LogTime, time: LogTime) {
+        let last = self.last.filter(|_| time == second).map_or(0, |last| last.micros);
+        let is_beside_last = !self.is_twofold && last.abs_diff(second.micros) <= REORDER;
+        if is_beside_last {
+            return;
+        }
+        let is_change =
+            !self.is_second && last > first.micros + MAX_CORRECTION && last < second.micros;
+        (self.is_shown, self.is_ambiguous) = (is_change, !is_change);
+    }
+
+    /// Returns true if a date has two moments, and the lines do not show which one it is.
+    pub fn is_ambiguous(&self) -> bool {
+        self.is_ambiguous || self.was_ambiguous
+    }
+
+    /// Returns true if a date is one that clocks skip, as summer time begins.
+    pub fn has_skipped_date(&self) -> bool {
+        self.has_skipped_date
+    }
+}
