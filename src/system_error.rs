@@ -15,7 +15,7 @@ pub enum FileFault {
     TooManyFiles,
     /// The user may not.
     NotPermitted,
-    /// Nobody may, such as with an immutable file; or only its owner, in a sticky folder.
+    /// The file is immutable, or belongs to another user and is in a sticky folder.
     Protected,
     /// The file system is mounted read-only.
     ReadOnly,

@@ -2,8 +2,9 @@
 //!
 //! Read are messages and signals (`BO_`, `SG_`), names of values (`VAL_`), types of floating-point signals
 //! (`SIG_VALTYPE_`), multiplexors that are multiplexed (`SG_MUL_VAL_`) and names of over 32 characters, which
-//! are attributes (`BA_`), in any order and wherever they stand in a line. Other statements are passed over, known or not. Text is UTF-8, or UTF-16 where its first
-//! bytes say so; what is neither is taken for Latin-1. The time and the memory are bounded by the size of the file.
+//! are attributes (`BA_`), in any order and wherever they stand in a line. Other statements are passed over,
+//! known or not. Text is UTF-8, or UTF-16 where its first bytes say so; what is neither is taken for Latin-1.
+//! The time and the memory are bounded by the size of the file.
 
 use super::decimal::DecimalFactor;
 use super::signal::{MessageSignal, Multiplexed, SignalKind};
@@ -462,11 +463,8 @@ impl<'t> FileReader<'t> {
         if self.next.map(|token| token.kind) == Some(DbcTokenKind::Sign(';')) {
             self.advance()?;
         }
-        Ok((1..=MAX_NAME)
-            .contains(&text.len())
-            .then_some(text)
-            .filter(|it| is_name(it))
-            .map(str::to_owned))
+        let is_whole = (1..=MAX_NAME).contains(&text.len()) && is_name(text);
+        Ok(is_whole.then(|| text.to_owned()))
     }
 
     /// Reads an identifier and the name of a signal; `None` where no identifier stands.

@@ -29,7 +29,7 @@ pub enum LineFault {
     #[error("it does not begin with (SECONDS.FRACTION)")]
     Time,
     /// A date and a time of day that do not exist, or are before 1970 or after 9999.
-    #[error("there is no such date, or it is before 1970")]
+    #[error("the date does not exist, or is before 1970")]
     Date,
     /// No printable interface name after the time.
     #[error("no interface name after the time")]

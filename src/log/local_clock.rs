@@ -17,11 +17,8 @@ const OTHER_YEAR: u64 = 86_400_000_000;
 /// What the lines so far say about the dates of those that follow.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct LocalClock {
-    /// Moment of the last line.
-    last: Option<LogTime>,
-    /// The date of the last line had two moments; and it has the second one.
-    is_twofold: bool,
-    is_second: bool,
+    /// Date of the last line, and its moment.
+    last: Option<(LocalDate, LogTime)>,
     /// First moment of the last date that has two.
     twofold: Option<u64>,
     /// The lines went from the first to the second hour.
@@ -37,8 +34,6 @@ impl LocalClock {
     /// Without lines.
     pub const NEW: Self = Self {
         last: None,
-        is_twofold: false,
-        is_second: false,
         twofold: None,
         is_shown: false,
         is_ambiguous: false,
@@ -48,12 +43,10 @@ impl LocalClock {
 
     /// Returns the moment of the date of the next line.
     pub fn moment_of(&mut self, date: LocalDate) -> LogTime {
-        let last = self.last.filter(|last| date.first.micros + REORDER < last.micros);
-        let time = match (date.second, last) {
-            (Some(second), Some(_)) => second,
-            _ => date.first,
-        };
-        let is_back = last.is_some_and(|last| time.micros + REORDER < last.micros);
+        let is_before_last =
+            |time: LogTime| self.last.is_some_and(|(_, last)| time.micros + REORDER < last.micros);
+        let time = date.second.filter(|_| is_before_last(date.first)).unwrap_or(date.first);
+        let is_back = is_before_last(time);
         let is_of_other_year =
             |other: u64| date.second.is_some() && other.abs_diff(date.first.micros) > OTHER_YEAR;
         // A step back within the second hour shows that the one before was not the end of summer time; or
@@ -67,22 +60,22 @@ impl LocalClock {
             self.note_twofold(date.first, second, time);
         }
         self.has_skipped_date |= date.is_skipped;
-        self.is_twofold = date.second.is_some();
-        self.is_second = date.second == Some(time);
         self.twofold = date.second.map(|_| date.first.micros).or(self.twofold);
-        self.last = Some(time);
+        self.last = Some((date, time));
         time
     }
 
     /// Notes whether it is known in which of two hours a line is: `time` is one of its moments.
     fn note_twofold(&mut self, first: LogTime, second: LogTime, time: LogTime) {
-        let last = self.last.filter(|_| time == second).map_or(0, |last| last.micros);
-        let is_beside_last = !self.is_twofold && last.abs_diff(second.micros) <= REORDER;
-        if is_beside_last {
-            return;
+        let mut is_change = false;
+        if let Some((date, last)) = self.last.filter(|_| time == second) {
+            if date.second.is_none() && last.micros.abs_diff(second.micros) <= REORDER {
+                return;
+            }
+            is_change = date.second != Some(last)
+                && last.micros > first.micros + MAX_CORRECTION
+                && last.micros < second.micros;
         }
-        let is_change =
-            !self.is_second && last > first.micros + MAX_CORRECTION && last < second.micros;
         (self.is_shown, self.is_ambiguous) = (is_change, !is_change);
     }
 

@@ -251,8 +251,8 @@ impl MdfLog {
             next = group.link(0);
             let stream = match FrameStream::read(bytes, &group, &mut reading) {
                 // The groups behind it are read.
-                Err(MdfFault::Block(address)) => {
-                    self.damage.get_or_insert(LogDamage::Block(address));
+                Err(fault @ MdfFault::Block(_)) => {
+                    note_damage(&mut self.damage, fault)?;
                     None
                 }
                 stream => stream?,
@@ -275,17 +275,9 @@ impl MdfLog {
     /// Returns the frame that is next by its time; `None` at the end.
     fn next_frame(&mut self, bytes: &dyn RandomAccess) -> Result<Option<TimedFrame>, io::Error> {
         for stream in &mut self.streams {
-            match stream.fill(bytes) {
-                Ok(()) => {}
-                Err(MdfFault::File(error)) => return Err(error),
-                Err(MdfFault::Block(address)) => {
-                    stream.is_over = true;
-                    self.damage.get_or_insert(LogDamage::Block(address));
-                }
-                Err(MdfFault::Log(damage)) => {
-                    stream.is_over = true;
-                    self.damage.get_or_insert(LogDamage::Log(damage));
-                }
+            if let Err(fault) = stream.fill(bytes) {
+                stream.is_over = true;
+                note_damage(&mut self.damage, fault)?;
             }
             self.missing = self.missing.saturating_add(std::mem::take(&mut stream.missing));
         }
@@ -303,16 +295,9 @@ impl RandomFormat for MdfLog {
         /// Bytes of entries that are given at once.
         const PART: usize = 1 << 14;
         if !std::mem::replace(&mut self.is_begun, true) {
-            match self.begin(bytes, out) {
-                Ok(()) => {}
-                Err(MdfFault::File(error)) => return Err(error),
+            if let Err(fault) = self.begin(bytes, out) {
                 // The groups before it are read.
-                Err(MdfFault::Log(damage)) => {
-                    self.damage.get_or_insert(LogDamage::Log(damage));
-                }
-                Err(MdfFault::Block(address)) => {
-                    self.damage.get_or_insert(LogDamage::Block(address));
-                }
+                note_damage(&mut self.damage, fault)?;
             }
             let max_ready = MAX_READY / self.streams.len().max(1);
             self.streams.iter_mut().for_each(|stream| stream.max_ready = max_ready);
@@ -340,6 +325,16 @@ impl RandomFormat for MdfLog {
         }
         Ok(true)
     }
+}
+
+/// Notes why not all is read; the first reason stays.
+fn note_damage(damage: &mut Option<LogDamage>, fault: MdfFault) -> io::Result<()> {
+    damage.get_or_insert(match fault {
+        MdfFault::File(error) => return Err(error),
+        MdfFault::Block(address) => LogDamage::Block(address),
+        MdfFault::Log(damage) => LogDamage::Log(damage),
+    });
+    Ok(())
 }
 
 /// Reads a group or a channel.

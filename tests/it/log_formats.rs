@@ -265,7 +265,7 @@ fn date_that_clocks_skip_is_of_another_time_zone() {
 fn date_that_does_not_exist_is_said() {
     for date in ["2026-02-29 12:00:00.5", "2026-13-01 12:00:00.5", "1969-12-31 12:00:00.5"] {
         let said = said_of_dates(&["2026-02-28 12:00:00.5".to_owned(), date.to_owned()]);
-        let expected = "line 2 cannot be read: there is no such date, or it is before 1970";
+        let expected = "line 2 cannot be read: the date does not exist, or is before 1970";
         assert!(said.contains(expected), "{date}: {said}");
     }
 }

@@ -15,10 +15,11 @@ pub(in crate::shell) fn not_written(error: &io::Error) -> Diagnostic {
         Some(FileFault::NotPermitted) => {
             ("no permission for its folder", "fix it, or save elsewhere")
         }
+        Some(FileFault::Protected) if cfg!(target_os = "macos") => {
+            ("protected (immutable, or sticky folder)", "see ls -lO, or save elsewhere")
+        }
         Some(FileFault::Protected) => {
-            let shows = if cfg!(target_os = "macos") { "see ls -lO" } else { "see lsattr" };
-            return Diagnostic::new("protected (immutable, or sticky folder)")
-                .with_remedy(format!("{shows}, or save elsewhere"));
+            ("protected (immutable, or sticky folder)", "see lsattr, or save elsewhere")
         }
         Some(FileFault::ReadOnly) => ("mounted read-only", "remount it, or save elsewhere"),
         Some(FileFault::DiskFull) => ("the disk is full", "make room, or save elsewhere"),
