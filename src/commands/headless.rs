@@ -408,9 +408,12 @@ pub fn warn_foreign(app: &App, reported: &mut Vec<BusIndex>) {
 fn report_unreadable(spec: &BusSpec, session: &Session) -> Result<(), Failure> {
     let Some(summary) = session.log_summary() else {
         // The log goes on behind the part that was read.
-        let entries = session.unreadable_entries().filter(|entries| entries.count > 0);
-        if let Some(entries) = entries {
-            output::warn(format_args!("{spec}: {entries}"));
+        let doubts = session.log_doubts().unwrap_or_default();
+        if doubts.entries.count > 0 {
+            output::warn(format_args!("{spec}: {}", doubts.entries));
+        }
+        if doubts.dates.is_any() {
+            output::warn(format_args!("{spec}: {}", doubts.dates));
         }
         return Ok(());
     };
@@ -418,10 +421,8 @@ fn report_unreadable(spec: &BusSpec, session: &Session) -> Result<(), Failure> {
         return Err(Failure::Unusable(format!("{spec}: {summary}")));
     }
     let is_damaged = summary.lost_entries() > 0;
-    let is_doubtful = summary.clock_steps_back > 0
-        || summary.ends_inside_entry
-        || summary.is_date_ambiguous
-        || summary.has_skipped_date;
+    let is_doubtful =
+        summary.clock_steps_back > 0 || summary.ends_inside_entry || summary.dates.is_any();
     if summary.frames == 0 && is_damaged {
         return Err(Failure::Unusable(format!("{spec}: {summary}; {READABLE_LOGS}")));
     }

@@ -224,7 +224,7 @@ impl BinaryFormat for EntryStreamState {
                 None
             }
             AMBIGUOUS_DATE => {
-                summary.is_date_ambiguous = true;
+                summary.dates.is_ambiguous = true;
                 None
             }
             CUT_OFF => {

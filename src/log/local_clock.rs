@@ -5,7 +5,7 @@
 
 use super::LogTime;
 use super::dates::LocalDate;
-use super::summary::MAX_REORDER;
+use super::summary::{DateDoubts, MAX_REORDER};
 
 const REORDER: u64 = MAX_REORDER.as_micros() as u64;
 /// Longest step back that may be a clock that was set right, in microseconds: after such a step, the line above
@@ -79,13 +79,9 @@ impl LocalClock {
         (self.is_shown, self.is_ambiguous) = (is_change, !is_change);
     }
 
-    /// Returns true if a date has two moments, and the lines do not show which one it is.
-    pub fn is_ambiguous(&self) -> bool {
-        self.is_ambiguous || self.was_ambiguous
-    }
-
-    /// Returns true if a date is one that clocks skip, as summer time begins.
-    pub fn has_skipped_date(&self) -> bool {
-        self.has_skipped_date
+    /// Returns what is doubtful of the dates so far.
+    pub fn doubts(&self) -> DateDoubts {
+        let is_ambiguous = self.is_ambiguous || self.was_ambiguous;
+        DateDoubts { is_ambiguous, is_skipped: self.has_skipped_date }
     }
 }

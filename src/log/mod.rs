@@ -45,7 +45,9 @@ pub use log_time::LogTime;
 pub use loss::LogLoss;
 pub use random_access::{LogSpool, MakeSpool, RandomAccess};
 pub use reader::{LogPosition, LogReader};
-pub use summary::{EntryFault, LogSummary, UnreadChanges, UnreadableEntries};
+pub use summary::{
+    DateDoubts, EntryFault, LogDoubts, LogSummary, UnreadChanges, UnreadableEntries,
+};
 pub use unpack::{Packing, Unpacked};
 
 use crate::frame::Frame;

@@ -66,7 +66,7 @@ impl LogPosition {
         // What cannot be read may stand between.
         let frames = reader.by_ref().take(tail.len()).filter_map(Result::ok);
         let last = frames.last().map(|frame| frame.time);
-        last.filter(|_| !reader.summary.is_date_ambiguous)
+        last.filter(|_| !reader.summary.dates.is_ambiguous)
     }
 }
 

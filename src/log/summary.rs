@@ -90,12 +90,8 @@ pub struct LogSummary {
     pub written: LogTime,
     /// The log has no times: its frames have those at which they were read, or all the same.
     pub is_timeless: bool,
-    /// A local date in it comes twice, as summer time ended in that hour, and its lines do not show which
-    /// one it is: it is read as the first.
-    pub is_date_ambiguous: bool,
-    /// A local date in it is one that clocks skip here, as summer time begins: it was written in another time
-    /// zone.
-    pub has_skipped_date: bool,
+    /// What is doubtful of its local dates.
+    pub dates: DateDoubts,
     /// The log is a database with changes in a file beside it, which is not read.
     pub unread_changes: Option<UnreadChanges>,
     /// The last line of a text log has no end, or the last record of an unfinished measurement is cut off.
@@ -120,7 +116,38 @@ pub struct UnreadableEntries {
     first: Option<(u64, EntryFault)>,
 }
 
+/// What is doubtful of the local dates of a log.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct DateDoubts {
+    /// A date comes twice, as summer time ended in that hour, and the lines do not show which one it is: it
+    /// is read as the first.
+    pub is_ambiguous: bool,
+    /// A date is one that clocks skip here, as summer time begins: it was written in another time zone.
+    pub is_skipped: bool,
+}
+
+/// What is doubtful of a part of a log.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct LogDoubts {
+    /// Entries that cannot be read.
+    pub entries: UnreadableEntries,
+    /// Its local dates.
+    pub dates: DateDoubts,
+}
+
+impl DateDoubts {
+    /// Returns true if there is any.
+    pub fn is_any(self) -> bool {
+        self != Self::default()
+    }
+}
+
 impl LogSummary {
+    /// Returns what is doubtful of what was read so far.
+    pub fn doubts(&self) -> LogDoubts {
+        LogDoubts { entries: self.unreadable_entries(), dates: self.dates }
+    }
+
     /// Returns the entries that cannot be read.
     pub fn unreadable_entries(&self) -> UnreadableEntries {
         let count = self.lost_entries();
@@ -165,7 +192,7 @@ impl LogSummary {
         (self.damage, self.foreign) = (None, None);
         (self.damage_at, self.bytes) = (None, 0);
         (self.unread_changes, self.ends_inside_entry) = (None, false);
-        (self.is_date_ambiguous, self.has_skipped_date) = (false, false);
+        self.dates = DateDoubts::default();
         self.frames_before = self.frames;
     }
 
@@ -309,18 +336,29 @@ impl fmt::Display for LogSummary {
         if self.is_timeless {
             write!(f, "; without times")?;
         }
-        if self.is_date_ambiguous {
-            let what = "its date comes twice, as summer time ended in this hour";
-            write!(f, "; {what}: its times may be an hour early")?;
-        }
-        if self.has_skipped_date {
-            let what = "a date in it is skipped in this time zone, as summer time begins then";
-            write!(f, "; {what}: set TZ to the zone of the log")?;
+        if self.dates.is_any() {
+            write!(f, "; {}", self.dates)?;
         }
         match self.clock_steps_back {
             0 => Ok(()),
             count => write!(f, "; time goes backwards {count} time{}", plural(count)),
         }
+    }
+}
+
+/// Formats all that there are, with their remedy; nothing without one.
+impl fmt::Display for DateDoubts {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if self.is_ambiguous {
+            let what = "its date comes twice, as summer time ended in this hour";
+            write!(f, "{what}: its times may be an hour early")?;
+        }
+        if self.is_skipped {
+            let separator = if self.is_ambiguous { "; " } else { "" };
+            let what = "a date in it is skipped in this time zone, as summer time begins then";
+            write!(f, "{separator}{what}: set TZ to the zone of the log")?;
+        }
+        Ok(())
     }
 }
 

@@ -59,11 +59,10 @@ impl TextFormat {
     /// Notes what is doubtful of the local dates up to the line that was read, which has a frame.
     fn note_dates(&self, summary: &mut LogSummary) {
         if let Self::Candump(lines) = self {
-            summary.is_date_ambiguous = lines.clock().is_ambiguous();
-            summary.has_skipped_date = lines.clock().has_skipped_date();
+            summary.dates = lines.clock().doubts();
         } else if summary.own_frames() == 0 {
             let start = self.start_date();
-            summary.is_date_ambiguous = start.is_some_and(|start| comes_twice(start.micros));
+            summary.dates.is_ambiguous = start.is_some_and(|start| comes_twice(start.micros));
         }
     }
 

@@ -6,7 +6,7 @@
 use super::waiting::sleep_for;
 use crate::bus::{unpacked_log, wall_micros};
 use crate::frame::Frame;
-use crate::log::{DecodeStep, LogReader, LogSummary, Unpacked, UnreadableEntries};
+use crate::log::{DecodeStep, LogDoubts, LogReader, LogSummary, Unpacked, UnreadableEntries};
 use crate::time::{Epoch, Instant};
 use std::fs::File;
 use std::io::{self, BufReader};
@@ -55,8 +55,8 @@ pub enum LogBatch {
         frames: Vec<Frame>,
         /// The interfaces first named in this batch.
         interfaces: Vec<String>,
-        /// Entries before the first of the frames that cannot be read.
-        unreadable: UnreadableEntries,
+        /// Entries before the first of the frames that cannot be read; dates up to the last one.
+        doubts: LogDoubts,
     },
     /// The first entries cannot be read: it is probably not a log. Before any other batch, once.
     Doubtful(UnreadableEntries),
@@ -123,10 +123,10 @@ pub struct LogInput {
     waiting: Vec<Frame>,
     next: usize,
     summary: Option<LogSummary>,
-    /// Entries that cannot be read, up to the last frame that was due.
-    unreadable: UnreadableEntries,
+    /// Doubts of what was read, up to the last frame that was due.
+    doubts: LogDoubts,
     /// The same up to the first frame of `waiting`, if that is the first one of its batch.
-    next_unreadable: Option<UnreadableEntries>,
+    next_doubts: Option<LogDoubts>,
     pace: LogPace,
     /// Start and end of the range that is read.
     start: Instant,
@@ -150,8 +150,8 @@ impl LogInput {
             waiting: Vec::new(),
             next: 0,
             summary: None,
-            unreadable: UnreadableEntries::default(),
-            next_unreadable: None,
+            doubts: LogDoubts::default(),
+            next_doubts: None,
             pace,
             start,
             until: range.time.map(|time| start + time),
@@ -175,9 +175,9 @@ impl LogInput {
         self.summary.as_ref()
     }
 
-    /// Entries that cannot be read, up to the last frame that was due; at the end of the log, all.
-    pub fn unreadable(&self) -> UnreadableEntries {
-        self.summary.as_ref().map_or(self.unreadable, LogSummary::unreadable_entries)
+    /// What is doubtful of the log, up to the last frame that was due; at the end of the log, all.
+    pub fn doubts(&self) -> LogDoubts {
+        self.summary.as_ref().map_or(self.doubts, LogSummary::doubts)
     }
 
     /// The start of the range that is read, at which the session starts.
@@ -223,9 +223,9 @@ impl LogInput {
         self.has_begun |= !matches!(batch, LogBatch::Doubtful(_));
         match batch {
             LogBatch::Doubtful(_) => {}
-            LogBatch::Frames { frames, interfaces, unreadable, .. } => {
+            LogBatch::Frames { frames, interfaces, doubts, .. } => {
                 self.interfaces.extend(interfaces);
-                self.next_unreadable = Some(unreadable);
+                self.next_doubts = Some(doubts);
                 let last = frames.last().map_or(Instant::ZERO, |frame| frame.time);
                 match self.pace {
                     LogPace::AtOnce => {}
@@ -254,7 +254,7 @@ impl LogInput {
     pub fn take_due(&mut self, count: usize) {
         if count > 0 {
             self.next += count;
-            self.unreadable = self.next_unreadable.take().unwrap_or(self.unreadable);
+            self.doubts = self.next_doubts.take().unwrap_or(self.doubts);
         }
     }
 
@@ -369,11 +369,11 @@ fn read_all(
                 continue;
             }
         }
-        let unreadable = reader.summary().unreadable_entries();
+        let entries = reader.summary().unreadable_entries();
         while frames.len() < BATCH
             && let Some(frame) = reader.next_buffered()
         {
-            if reader.summary().lost_entries() > unreadable.count {
+            if reader.summary().lost_entries() > entries.count {
                 next = Some(frame);
                 break;
             }
@@ -384,7 +384,8 @@ fn read_all(
         let epoch = summary.epoch.unwrap_or_default();
         let interfaces = summary.interfaces[named..].to_vec();
         named = summary.interfaces.len();
-        let batch = LogBatch::Frames { epoch, frames, interfaces, unreadable };
+        let doubts = LogDoubts { entries, dates: summary.dates };
+        let batch = LogBatch::Frames { epoch, frames, interfaces, doubts };
         if to.blocking_send(Ok(batch)).is_err() {
             return Ok(());
         }

@@ -11,7 +11,7 @@ use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use ruzstd::encoding::{CompressionLevel, compress_to_vec};
 use std::fmt::Write as _;
-use std::fs;
+use std::fs::{self, File};
 use std::io::{BufReader, Read, Write};
 use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::Path;
@@ -243,6 +243,28 @@ fn each_repeated_hour_shows_by_itself_which_one_it_is() {
         let dates: Vec<_> = dates.collect();
         let said = said_of_dates(&dates);
         assert_eq!(said.contains("comes twice"), kinds.contains(&2), "{dates:?}: {said}");
+    }
+}
+
+#[test]
+fn doubtful_dates_of_a_log_that_is_read_in_part_are_said() {
+    let folder = tempfile::tempdir().unwrap();
+    let dates = [
+        ("2026-10-25 02:10:00.5", "comes twice"),
+        ("2026-03-29 02:30:00.5", "set TZ to the zone of the log"),
+    ];
+    for (date, what) in dates {
+        let lines = format!("({date}) can0 123#11\n").repeat(20_000);
+        fs::write(folder.path().join("in"), &lines).unwrap();
+        for log in ["in", "-"] {
+            let mut command = Command::new(env!("CARGO_BIN_EXE_descan"));
+            command.args(["log", log, "--limit", "1"]).env("TZ", "Europe/Berlin");
+            command.stdin(File::open(folder.path().join("in")).unwrap());
+            let output = command.current_dir(folder.path()).output().unwrap();
+            assert_eq!(text(&output.stdout).lines().count(), 1, "{date} {log}");
+            let said = text(&output.stderr);
+            assert_eq!(said.matches(what).count(), 1, "{date} {log}: {said}");
+        }
     }
 }
 

@@ -26,7 +26,7 @@ use crate::diagnostic::Diagnostic;
 use crate::discovery::Config;
 use crate::document::Document;
 use crate::frame::{BusIndex, Frame};
-use crate::log::{LogSummary, UnreadableEntries};
+use crate::log::{LogDoubts, LogSummary};
 use crate::project::Project;
 use crate::regular_file::text_of;
 use crate::status::{BusStatus, Link, RecordingStatus};
@@ -365,10 +365,10 @@ impl Session {
         }
     }
 
-    /// Entries of the log that cannot be read, in the part read so far; `None` for buses.
-    pub fn unreadable_entries(&self) -> Option<UnreadableEntries> {
+    /// What is doubtful of the log, in the part read so far; `None` for buses.
+    pub fn log_doubts(&self) -> Option<LogDoubts> {
         match &self.input {
-            SessionInput::Log(log, _) => Some(log.unreadable()),
+            SessionInput::Log(log, _) => Some(log.doubts()),
             SessionInput::Ports { .. } => None,
         }
     }
@@ -672,7 +672,7 @@ impl Session {
         let count = due.len();
         log.take_due(count);
         // Entries that cannot be read name no interface: they count on the first.
-        let unreadable = log.unreadable().count;
+        let unreadable = log.doubts().entries.count;
         if let Some(status) = self.app.buses().first().map(|bus| bus.status.clone())
             && status.unreadable < unreadable
         {
