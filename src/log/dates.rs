@@ -40,6 +40,8 @@ pub(super) struct LocalDate {
     pub second: Option<LogTime>,
     /// No clock shows it, as summer time begins in that hour; read as if it did not.
     pub is_skipped: bool,
+    /// It is read as one in UTC, as `TZ` names a time zone that is not known.
+    pub is_zone_unknown: bool,
 }
 
 /// Returns the microseconds since 1970 of a local time; `None` before 1970.
@@ -71,6 +73,12 @@ pub(super) fn local_time(unix_micros: u64) -> DateTime {
 /// first.
 pub(super) fn is_in_repeated_hour(micros: u64) -> bool {
     unix_micros(local_time(micros)).is_some_and(|read| read < micros)
+}
+
+/// Returns true if `TZ` names a time zone that is not known: local times are then those of UTC.
+pub(super) fn is_zone_unknown() -> bool {
+    // Without TZ, a machine that has no zone has UTC.
+    TimeZone::try_system().is_err() && std::env::var_os("TZ").is_some()
 }
 
 /// Returns true if the local time of this moment comes twice, as summer time ends in that hour.
@@ -129,12 +137,19 @@ pub(super) fn iso_date(date: &[u8], time: &[u8]) -> Option<LocalDate> {
         let micros = micros.checked_add(time.micros % 1_000_000)?;
         Some(LogTime { micros, nanos: time.nanos })
     };
-    let ambiguous = TimeZone::system().to_ambiguous_zoned(local);
+    let zone = TimeZone::system();
+    let ambiguous = zone.to_ambiguous_zoned(local);
     let second = matches!(ambiguous.offset(), AmbiguousOffset::Fold { .. })
         .then(|| moment(ambiguous.clone().later().ok()?))
         .flatten();
     let is_skipped = matches!(ambiguous.offset(), AmbiguousOffset::Gap { .. });
-    Some(LocalDate { first: moment(ambiguous.compatible().ok()?)?, second, is_skipped })
+    let first = moment(ambiguous.compatible().ok()?)?;
+    Some(LocalDate {
+        first,
+        second,
+        is_skipped,
+        is_zone_unknown: zone.is_unknown() && is_zone_unknown(),
+    })
 }
 
 /// Returns the microseconds since 1970 of days since 1899-12-30, as TRC counts them.

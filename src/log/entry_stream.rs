@@ -22,6 +22,7 @@ const UNREAD_LOG: u8 = 4;
 const UNREAD_JOURNAL: u8 = 5;
 const CUT_OFF: u8 = 6;
 const AMBIGUOUS_DATE: u8 = 7;
+const UNKNOWN_ZONE: u8 = 8;
 /// Number of the damage of a block.
 const BLOCK: u8 = 3;
 /// Bytes of a frame before its data, and of the other entries.
@@ -117,6 +118,11 @@ impl EntryWriter {
     /// Notes that the date of the beginning comes twice.
     pub fn ambiguous_date(&mut self) {
         self.bytes.push(AMBIGUOUS_DATE);
+    }
+
+    /// Notes that the date of the beginning is read as one in UTC, as the time zone is not known.
+    pub fn unknown_zone(&mut self) {
+        self.bytes.push(UNKNOWN_ZONE);
     }
 
     /// Notes that a file beside the database is not read.
@@ -225,6 +231,10 @@ impl BinaryFormat for EntryStreamState {
             }
             AMBIGUOUS_DATE => {
                 summary.dates.is_ambiguous = true;
+                None
+            }
+            UNKNOWN_ZONE => {
+                summary.dates.is_zone_unknown = true;
                 None
             }
             CUT_OFF => {

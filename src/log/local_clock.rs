@@ -8,9 +8,6 @@ use super::dates::LocalDate;
 use super::summary::{DateDoubts, MAX_REORDER};
 
 const REORDER: u64 = MAX_REORDER.as_micros() as u64;
-/// Longest step back that may be a clock that was set right, in microseconds: after such a step, the line above
-/// would be followed by nearly an hour of silence. Chosen.
-const MAX_CORRECTION: u64 = 60_000_000;
 /// Two dates with two moments that are farther apart are of two years, in microseconds.
 const OTHER_YEAR: u64 = 86_400_000_000;
 
@@ -28,6 +25,7 @@ pub(super) struct LocalClock {
     /// The same of a line before the last step back or of another year.
     was_ambiguous: bool,
     has_skipped_date: bool,
+    is_zone_unknown: bool,
 }
 
 impl LocalClock {
@@ -39,6 +37,7 @@ impl LocalClock {
         is_ambiguous: false,
         was_ambiguous: false,
         has_skipped_date: false,
+        is_zone_unknown: false,
     };
 
     /// Returns the moment of the date of the next line.
@@ -60,6 +59,7 @@ impl LocalClock {
             self.note_twofold(date.first, second, time);
         }
         self.has_skipped_date |= date.is_skipped;
+        self.is_zone_unknown |= date.is_zone_unknown;
         self.twofold = date.second.map(|_| date.first.micros).or(self.twofold);
         self.last = Some((date, time));
         time
@@ -72,8 +72,10 @@ impl LocalClock {
             if date.second.is_none() && last.micros.abs_diff(second.micros) <= REORDER {
                 return;
             }
+            // After a smaller step the line above would be followed by a long silence: a clock that was set
+            // right is as likely.
             is_change = date.second != Some(last)
-                && last.micros > first.micros + MAX_CORRECTION
+                && last.micros > first.micros.midpoint(second.micros)
                 && last.micros < second.micros;
         }
         (self.is_shown, self.is_ambiguous) = (is_change, !is_change);
@@ -82,6 +84,7 @@ impl LocalClock {
     /// Returns what is doubtful of the dates so far.
     pub fn doubts(&self) -> DateDoubts {
         let is_ambiguous = self.is_ambiguous || self.was_ambiguous;
-        DateDoubts { is_ambiguous, is_skipped: self.has_skipped_date }
+        let is_zone_unknown = self.is_zone_unknown;
+        DateDoubts { is_ambiguous, is_skipped: self.has_skipped_date, is_zone_unknown }
     }
 }

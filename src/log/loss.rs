@@ -52,7 +52,7 @@ impl fmt::Display for LogLoss {
             separator = "; ";
         }
         if self.is_in_repeated_hour {
-            write!(f, "{separator}all times an hour earlier, as summer time ended in this hour")?;
+            write!(f, "{separator}all times too early, as clocks were set back then")?;
             separator = "; ";
         }
         for (at, (name, number)) in self.numbers.iter().take(NAMED).enumerate() {

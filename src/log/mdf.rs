@@ -8,7 +8,7 @@
 
 use super::Damage;
 use super::bus_errors::{bus_error, captured};
-use super::dates::{comes_twice, local_micros, unix_nanos_micros};
+use super::dates::{comes_twice, is_zone_unknown, local_micros, unix_nanos_micros};
 use super::entry_stream::EntryWriter;
 use super::fields::{FieldFault, can_id, len_of_dlc};
 use super::mdf_blocks::{DataChain, MdfBlock, MdfFault, UnpackedBytes, u32_at, u64_at};
@@ -236,6 +236,9 @@ impl MdfLog {
         let micros = unix_nanos_micros(start_nanos).filter(|_| is_local);
         if micros.is_some_and(comes_twice) {
             out.ambiguous_date();
+        }
+        if is_local && is_zone_unknown() {
+            out.unknown_zone();
         }
         let mut next = header.link(0);
         let mut reading = GroupReading {

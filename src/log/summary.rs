@@ -124,6 +124,8 @@ pub struct DateDoubts {
     pub is_ambiguous: bool,
     /// A date is one that clocks skip here, as summer time begins: it was written in another time zone.
     pub is_skipped: bool,
+    /// `TZ` names a time zone that is not known here: the dates are read as those of UTC.
+    pub is_zone_unknown: bool,
 }
 
 /// What is doubtful of a part of a log.
@@ -349,14 +351,26 @@ impl fmt::Display for LogSummary {
 /// Formats all that there are, with their remedy; nothing without one.
 impl fmt::Display for DateDoubts {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        if self.is_ambiguous {
-            let what = "its date comes twice, as summer time ended in this hour";
-            write!(f, "{what}: its times may be an hour early")?;
-        }
-        if self.is_skipped {
-            let separator = if self.is_ambiguous { "; " } else { "" };
-            let what = "a date in it is skipped in this time zone, as summer time begins then";
-            write!(f, "{separator}{what}: set TZ to the zone of the log")?;
+        let doubts = [
+            (
+                self.is_ambiguous,
+                "its date comes twice, as clocks were set back then: its times may be off by that step",
+            ),
+            (
+                self.is_skipped,
+                "a date in it is skipped in this time zone, as clocks were set forward over it: set TZ to \
+                 the zone of the log",
+            ),
+            (
+                self.is_zone_unknown,
+                "the time zone in TZ is not known here, so its dates are read as UTC: install tzdata, or \
+                 set TZ to a rule such as CET-1CEST,M3.5.0,M10.5.0/3",
+            ),
+        ];
+        let mut separator = "";
+        for (_, doubt) in doubts.into_iter().filter(|(is_so, _)| *is_so) {
+            write!(f, "{separator}{doubt}")?;
+            separator = "; ";
         }
         Ok(())
     }

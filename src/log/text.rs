@@ -6,7 +6,7 @@
 use super::asc::AscLines;
 use super::candump::{self, CandumpLines, MAX_LINE};
 use super::csv::{GvretLines, PythonCanLines};
-use super::dates::comes_twice;
+use super::dates::{comes_twice, is_zone_unknown};
 use super::trc::TrcLines;
 use super::{
     Damage, DecodeStep, EntryFault, ForeignFormat, LogDecoder, LogEntry, LogSummary, LogTime,
@@ -63,6 +63,7 @@ impl TextFormat {
         } else if summary.own_frames() == 0 {
             let start = self.start_date();
             summary.dates.is_ambiguous = start.is_some_and(|start| comes_twice(start.micros));
+            summary.dates.is_zone_unknown = start.is_some() && is_zone_unknown();
         }
     }
 

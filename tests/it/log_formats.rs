@@ -88,8 +88,7 @@ fn log_that_begins_in_the_repeated_hour_says_so() {
             let output =
                 command.current_dir(folder.path()).env("TZ", "Europe/Berlin").output().unwrap();
             let said = text(&output.stderr);
-            let is_said =
-                said.contains("all times an hour earlier, as summer time ended in this hour");
+            let is_said = said.contains("all times too early, as clocks were set back then");
             assert_eq!(is_said, is_second && format != "blf", "{name} {format}: {said}");
         }
     }
@@ -114,8 +113,8 @@ fn log_with_a_date_of_the_repeated_hour_says_so_when_it_is_read() {
             let mut command = Command::new(env!("CARGO_BIN_EXE_descan"));
             command.args(["log", "in"]).current_dir(folder.path()).env("TZ", "Europe/Berlin");
             let said = text(&command.output().unwrap().stderr);
-            let cause = "its date comes twice, as summer time ended in this hour: its times may be an \
-                         hour early";
+            let cause = "its date comes twice, as clocks were set back then: its times may be off by \
+                         that step";
             assert_eq!(said.contains(cause), is_twice, "{log}: {said}");
         }
         // The first frame before the hour, and after it.
@@ -161,7 +160,7 @@ fn second_of_two_hours_is_read_where_lines_go_back() {
             &[0, 3010, 3910, 6310, 7210],
             true,
         ),
-        (" can0  123   [1]  11", &["01:59:50", "02:30:00", "02:10:00"], &[0, 1810, 4210], true),
+        (" can0  123   [1]  11", &["01:59:50", "02:40:00", "02:05:00"], &[0, 2410, 3910], true),
         // The second frame may be of the second hour: the last two are not in order.
         (
             "can0 123#11",
@@ -173,6 +172,13 @@ fn second_of_two_hours_is_read_where_lines_go_back() {
         ("can0 123#11", &["02:30:01", "02:30:00"], &[1811, 1810], false),
         // A clock that was set back by two seconds, or nearly an hour of silence.
         ("can0 123#11", &["02:30:02", "02:30:00", "02:30:10"], &[1812, 5410, 5420], false),
+        // By 29 minutes, or 31 minutes of silence.
+        (
+            "can0 123#11",
+            &["01:59:50", "02:50:00", "02:21:00", "02:59:50"],
+            &[0, 3010, 4870, 7200],
+            false,
+        ),
         // Two steps back: one of them is none of summer time.
         (
             "can0 123#11",
@@ -264,6 +270,43 @@ fn doubtful_dates_of_a_log_that_is_read_in_part_are_said() {
             assert_eq!(text(&output.stdout).lines().count(), 1, "{date} {log}");
             let said = text(&output.stderr);
             assert_eq!(said.matches(what).count(), 1, "{date} {log}: {said}");
+        }
+    }
+}
+
+#[test]
+fn dates_of_a_zone_that_is_not_known_are_said_to_be_read_as_utc() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut measurement = include_bytes!("../corpus/mdf/unsorted").to_vec();
+    // The flags of the header, which is behind the 64 bytes of the identification: local time.
+    measurement[64 + 24 + 6 * 8 + 12] |= 1;
+    let frame = " 0.5 1 123 Rx d 1 11";
+    let asc = format!("date Sun Oct 29 9:30:00.000 2023\nbase hex  timestamps absolute\n{frame}\n");
+    let trc =
+        ";$FILEVERSION=2.0\n;$STARTTIME=45228.5\n;$COLUMNS=N,O,T,I,d,l,D\n 1 0.5 DT 0123 Rx 1 11\n";
+    for (name, is_local, log) in [
+        ("candump -t A", true, b"(2026-06-25 02:10:00.5) can0 123#11\n".as_slice()),
+        ("ASC", true, asc.as_bytes()),
+        ("TRC", true, trc.as_bytes()),
+        ("MDF", true, &measurement),
+        ("candump -l", false, b"(1792888200.5) can0 123#11\n"),
+    ] {
+        fs::write(folder.path().join("in"), log).unwrap();
+        let zones = [
+            ("CET-1CEST", true),
+            ("Nonsense/Zone", true),
+            ("Europe/Berlin", false),
+            ("CET-1CEST,M3.5.0,M10.5.0/3", false),
+            ("", false),
+        ];
+        for (zone, is_unknown) in zones {
+            let mut command = Command::new(env!("CARGO_BIN_EXE_descan"));
+            command.args(["convert", "in", "-", "--format", "candump"]);
+            let output = command.current_dir(folder.path()).env("TZ", zone).output().unwrap();
+            assert!(!output.stdout.is_empty(), "{name} {zone}");
+            let said = text(&output.stderr);
+            let is_said = said.contains("the time zone in TZ is not known here");
+            assert_eq!(is_said, is_local && is_unknown, "{name} {zone}: {said}");
         }
     }
 }
