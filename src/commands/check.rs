@@ -22,6 +22,12 @@ pub fn run(check: &CheckArgs) -> Result<u8, Failure> {
     if let Some((folder, broker)) = check.fleet.as_ref().zip(check.broker.as_ref()) {
         return super::fleet_check::run(check, folder, broker);
     }
+    #[cfg(feature = "fleet")]
+    if check.broker.is_some() {
+        let why =
+            "--broker needs --fleet FOLDER, and no bus: descan check --fleet FOLDER --broker URL";
+        return Err(Failure::Usage(why.to_owned()));
+    }
     let buses = open::buses(&check.run.session)?;
     let setup = Setup::for_buses(&check.run.session.common, &buses)?;
     let log = open::log(&buses, "check", check.run.from)?;

@@ -11,10 +11,10 @@ use crate::diagnostic::Diagnostic;
 use crate::document::{Document, MAX_BYTES};
 use crate::finding::CheckSection;
 use crate::fleet::{ExpectedDevices, Fleet, FleetDifference, GatewayName, GatewayState};
-use crate::project::{FILE_NAME, Project};
+use crate::project::{FILE_NAME, Project, ProjectBus};
 use crate::regular_file::{read, read_text};
 use crate::shell::broker::{BrokerAddress, BrokerSettings};
-use crate::text::{counted, printable_path};
+use crate::text::{counted, printable, printable_path};
 use crate::time::Instant;
 use anyhow::Context;
 use serde::Serialize;
@@ -64,7 +64,10 @@ pub fn run(check: &CheckArgs, folder: &Path, broker: &BrokerAddress) -> Result<u
 
 /// A folder with the files of a gateway.
 struct Site {
-    gateway: GatewayName,
+    /// Its name, printable.
+    name: String,
+    /// The same as the name of a gateway; `None` if it cannot be one.
+    gateway: Option<GatewayName>,
     /// What its files list, or why they cannot be used.
     expected: Result<Vec<ExpectedDevices>, String>,
 }
@@ -81,19 +84,19 @@ fn sites(folder: &Path) -> Result<Vec<Site>, Failure> {
         if !path.is_dir() || name.starts_with('.') {
             continue;
         }
-        let gateway = name
-            .parse()
-            .map_err(|why| Diagnostic::new(format!("{}: {why}", printable_path(&path))))?;
-        // One faulty file does not keep the other gateways from being compared.
-        let expected = expected(&path).map_err(|failure| failure.to_string());
-        sites.push(Site { gateway, expected });
+        // One faulty file or name does not keep the other gateways from being compared.
+        let (gateway, expected) = match name.parse() {
+            Ok(gateway) => (Some(gateway), expected(&path).map_err(|failure| failure.to_string())),
+            Err(why) => (None, Err(format!("{}: {why}", printable_path(&path)))),
+        };
+        sites.push(Site { name: printable(name.as_bytes()), gateway, expected });
     }
     if sites.is_empty() {
         let remedy = "put the des.json of each into FOLDER/GATEWAY";
         let why = format!("{}: no folder of a gateway in it", printable_path(folder));
         return Err(Diagnostic::new(why).with_remedy(remedy).into());
     }
-    sites.sort_by(|one, other| one.gateway.cmp(&other.gateway));
+    sites.sort_by(|one, other| one.name.cmp(&other.name));
     Ok(sites)
 }
 
@@ -103,7 +106,7 @@ fn expected(folder: &Path) -> Result<Vec<ExpectedDevices>, Failure> {
     let text = read_text(&project_path)?;
     let Some(text) = text else {
         let document = document(&folder.join(open::default_file()))?;
-        return Ok(vec![ExpectedDevices { document, buses: None }]);
+        return Ok(vec![ExpectedDevices { document, buses: None, bitrates: Vec::new() }]);
     };
     let project = Project::parse(&text, folder).map_err(|error| {
         Failure::Unusable(format!("{}: {error}", printable_path(&project_path)))
@@ -113,9 +116,12 @@ fn expected(folder: &Path) -> Result<Vec<ExpectedDevices>, Failure> {
         .into_iter()
         .map(|file| {
             let of_file = project.buses.iter().filter(|bus| project.file_of(&bus.spec) == file);
-            let buses: Vec<String> = of_file.map(|bus| bus.name.clone()).collect();
+            let of_file: Vec<&ProjectBus> = of_file.collect();
+            let buses: Vec<String> = of_file.iter().map(|bus| bus.name.clone()).collect();
+            let rate = |bus: &&ProjectBus| Some((bus.name.clone(), bus.bitrate?));
+            let bitrates = of_file.iter().filter_map(rate).collect();
             let buses = Some(buses).filter(|buses| !buses.is_empty());
-            Ok(ExpectedDevices { document: document(file)?, buses })
+            Ok(ExpectedDevices { document: document(file)?, buses, bitrates })
         })
         .collect()
 }
@@ -129,7 +135,8 @@ fn document(path: &Path) -> Result<Document, Failure> {
 
 /// Says which gateways are not compared.
 fn warn_without_folder(fleet: &Fleet, sites: &[Site], folder: &Path) {
-    let has_folder = |name: &GatewayName| sites.iter().any(|site| site.gateway == *name);
+    let has_folder =
+        |name: &GatewayName| sites.iter().any(|site| site.gateway.as_ref() == Some(name));
     let without: Vec<&str> = fleet
         .gateways()
         .map(|(name, _)| name)
@@ -175,7 +182,7 @@ struct FleetDifferenceReport {
 
 impl SiteCheck {
     fn new(site: &Site, fleet: &Fleet, now: Instant) -> Self {
-        let gateway = fleet.gateway(&site.gateway);
+        let gateway = site.gateway.as_ref().and_then(|name| fleet.gateway(name));
         let expected = site.expected.as_deref().unwrap_or_default();
         let compared = gateway.filter(|_| site.expected.is_ok());
         let found = compared.map(|it| it.differences(expected)).unwrap_or_default();
@@ -185,12 +192,20 @@ impl SiteCheck {
             address: it.address,
             text: it.text.clone(),
         });
+        let state = gateway.map_or("missing", |it| it.state(now).name());
+        let is_away = state != GatewayState::Online.name() && site.expected.is_ok();
+        let of_state = is_away.then(|| FleetDifferenceReport {
+            section: "gateway",
+            bus: None,
+            address: None,
+            text: state.to_owned(),
+        });
         Self {
-            name: site.gateway.to_string(),
-            state: gateway.map_or("missing", |it| it.state(now).name()),
+            name: site.name.clone(),
+            state,
             entries: expected.iter().map(|it| it.document.entries().len()).sum(),
             devices: gateway.map_or(0, |it| it.inventory().present_devices()),
-            differences: differences.collect(),
+            differences: of_state.into_iter().chain(differences).collect(),
             error: site.expected.as_ref().err().cloned(),
             found,
         }

@@ -61,11 +61,20 @@ pub fn run(args: &PublishArgs) -> Result<u8, Failure> {
     let mut app = outcome.app;
     feed.print_notices()?;
     let unreachable = feed.unreachable.take();
-    feed.stop(&mut app, outcome.now);
-    if let Some(why) = unreachable.filter(|_| args.time.is_some()) {
-        return Err(why.into());
+    let is_interrupted = outcome.ending == Some(StopReason::Interrupted);
+    let undelivered = feed.stop(&mut app, outcome.now);
+    // A run of a given time has published, or has not.
+    if args.time.is_some() && !is_interrupted {
+        if let Some(why) = unreachable {
+            return Err(why.into());
+        }
+        if let Some(why) = undelivered {
+            return Err(Failure::Unusable(why));
+        }
+    } else if let Some(why) = undelivered {
+        output::warn(why);
     }
-    if outcome.ending != Some(StopReason::Interrupted) {
+    if !is_interrupted {
         gate.require_opened(&app)?;
     }
     Ok(EXIT_OK)
@@ -91,9 +100,10 @@ fn host_name() -> String {
     std::env::var("COMPUTERNAME").unwrap_or_default()
 }
 
-/// Seconds since 1970 by the clock of this machine.
+/// Seconds since 1970 by the clock of this machine, in whole microseconds.
 fn unix_secs() -> f64 {
-    SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs_f64()
+    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    since.as_micros() as f64 / 1_000_000.0
 }
 
 /// The publisher, and what it is given.
@@ -145,19 +155,19 @@ impl Feed {
         Ok(())
     }
 
-    /// The last events and documents, and that it stops.
-    fn stop(self, app: &mut App, now: Instant) {
+    /// Publishes the last events and documents, and that it stops. Returns what the broker does not have.
+    fn stop(self, app: &mut App, now: Instant) -> Option<String> {
         let update = PublicationUpdate::last(app, now);
         self.publisher.update(|publication| {
             update.give_to(publication, now, unix_secs());
             publication.handle_stop(unix_secs());
         });
         let dropped = self.publisher.update(|publication| publication.dropped_events());
-        if !self.publisher.finish(FAREWELL) {
-            output::warn("the broker does not have the last documents and events");
-        }
         if dropped > 0 {
             output::warn(format_args!("{dropped} events were dropped while the broker was away"));
         }
+        let address = self.settings.address;
+        let why = self.publisher.finish(FAREWELL).err()?;
+        Some(format!("{address}: {}", if self.was_connected { why } else { "no response" }))
     }
 }

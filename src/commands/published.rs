@@ -200,7 +200,7 @@ fn summary(report: &ScanReport, open: &[&FindingReport]) -> Value {
     let present = report.devices.iter().filter(is_present).count();
     let count =
         |state: FindingState| open.iter().filter(|it| it.confidence == state.name()).count();
-    json!({
+    let mut summary = json!({
         "descan": env!("CARGO_PKG_VERSION"),
         "period_s": SUMMARY_PERIOD.as_secs(),
         "buses": report.buses.iter().map(|bus| &bus.bus.name).collect::<Vec<_>>(),
@@ -210,7 +210,11 @@ fn summary(report: &ScanReport, open: &[&FindingReport]) -> Value {
             "suspected": open.len() - count(FindingState::Confirmed),
         },
         "file": value(&report.file),
-    })
+    });
+    if let Some(map) = summary.as_object_mut().filter(|_| !report.files.is_empty()) {
+        map.insert("files".to_owned(), value(&report.files));
+    }
+    summary
 }
 
 /// Plain values are always JSON.

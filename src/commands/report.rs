@@ -38,7 +38,7 @@ pub struct ScanReport {
     pub(super) file: FileReport,
     /// All des.json files, where buses of a project have their own.
     #[serde(skip_serializing_if = "Vec::is_empty")]
-    files: Vec<BusFileReport>,
+    pub(super) files: Vec<BusFileReport>,
     #[serde(skip)]
     problems: Vec<ProblemReport>,
 }

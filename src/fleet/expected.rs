@@ -5,6 +5,7 @@
 //! itself. Does not know files.
 
 use super::view::FleetGateway;
+use crate::bitrate::kbit;
 use crate::document::{
     Document, DocumentFindingKind, Entry, ListedService, OwnService, same_services,
     service_differences,
@@ -21,6 +22,8 @@ pub struct ExpectedDevices {
     pub document: Document,
     /// Names of the buses; `None`: all of the gateway.
     pub buses: Option<Vec<String>>,
+    /// Names of buses with their bit rates, in bit/s.
+    pub bitrates: Vec<(String, u32)>,
 }
 
 /// A difference between a gateway and a file.
@@ -86,10 +89,16 @@ impl<'a> FileComparer<'a> {
         for entry in file.document.entries() {
             // Of another bus, or reported as an error of the file.
             let is_here = entry.bus.is_none() || buses.iter().any(|bus| entry.is_for_bus(bus));
-            if is_here && !is_duplicate(&file.document, entry) {
+            if !is_here {
+                continue;
+            }
+            if !is_duplicate(&file.document, entry) {
                 self.entry(entry, &by_bus);
+            } else if !by_bus.iter().any(|bus| bus.has_device_of(entry)) {
+                self.missing(entry);
             }
         }
+        self.bitrates();
         for device in by_bus.iter().flat_map(MatchedBus::unlisted) {
             let who = device.name.as_deref().unwrap_or("An unnamed device");
             let text = format!("{who} at {} is not in the file.", device.address);
@@ -145,9 +154,25 @@ impl<'a> FileComparer<'a> {
             }
         }
         if is_missing {
-            let at = entry.address.map(|address| format!(" (at {address})")).unwrap_or_default();
-            let text = format!("{name}{at} is listed but not on the bus.");
-            self.add(CheckSection::Missing, entry.bus.as_deref(), entry.address, text);
+            self.missing(entry);
+        }
+    }
+
+    fn missing(&mut self, entry: &Entry) {
+        let at = entry.address.map(|address| format!(" (at {address})")).unwrap_or_default();
+        let text = format!("{}{at} is listed but not on the bus.", Quoted(&entry.name));
+        self.add(CheckSection::Missing, entry.bus.as_deref(), entry.address, text);
+    }
+
+    fn bitrates(&mut self) {
+        for (name, wanted) in &self.file.bitrates {
+            let bus = self.gateway.buses().find(|bus| bus.name == *name);
+            let Some(rate) = bus.and_then(|bus| u32::try_from(bus.bitrate?).ok()) else { continue };
+            if rate != *wanted {
+                let (rate, wanted) = (kbit(rate), kbit(*wanted));
+                let text = format!("{name} has {rate}; the project says {wanted}.");
+                self.add(CheckSection::SettingsDiffer, Some(name), None, text);
+            }
         }
     }
 
@@ -194,13 +219,6 @@ impl<'a> MatchedBus<'a> {
         let mut matched = Self { devices, entries };
         let listed = file.document.entries();
         let own: Vec<&Entry> = listed.iter().filter(|entry| matched.is_of(entry)).collect();
-        let has_uid = |entry: &Entry, device: &InventoryDevice| {
-            let uid = device.uid.as_deref().map(str::trim).filter(|uid| !uid.is_empty());
-            uid.is_some() && uid == entry.trimmed_uid()
-        };
-        let has_name = |entry: &Entry, device: &InventoryDevice| {
-            device.name.as_deref() == Some(&entry.name_text)
-        };
         let is_at = |entry: &Entry, device: &InventoryDevice| {
             has_name(entry, device) && entry.address == Some(device.address)
         };
@@ -235,10 +253,24 @@ impl<'a> MatchedBus<'a> {
         Some(self.devices[at])
     }
 
+    /// Returns true if a device has the UID or the name of an entry.
+    fn has_device_of(&self, entry: &Entry) -> bool {
+        self.devices.iter().any(|device| has_uid(entry, device) || has_name(entry, device))
+    }
+
     fn unlisted(&self) -> impl Iterator<Item = &'a InventoryDevice> {
         let both = self.devices.iter().zip(&self.entries);
         both.filter(|(_, entry)| entry.is_none()).map(|(device, _)| *device)
     }
+}
+
+fn has_uid(entry: &Entry, device: &InventoryDevice) -> bool {
+    let uid = device.uid.as_deref().map(str::trim).filter(|uid| !uid.is_empty());
+    uid.is_some() && uid == entry.trimmed_uid()
+}
+
+fn has_name(entry: &Entry, device: &InventoryDevice) -> bool {
+    device.name.as_deref() == Some(&entry.name_text)
 }
 
 /// Returns true if another entry describes the same device.

@@ -191,6 +191,12 @@ impl Publication {
         self.refused
     }
 
+    /// Returns true if the broker does not take some of the documents.
+    pub fn has_refused_documents(&self) -> bool {
+        self.probe.is_some()
+            || !(self.refused_documents.is_empty() && self.long_documents.is_empty())
+    }
+
     /// Number of events that were dropped, as the broker was away for too long.
     pub fn dropped_events(&self) -> u64 {
         self.dropped_events

@@ -111,17 +111,24 @@ impl BrokerPublisher {
         self.notices.try_recv().ok()
     }
 
-    /// Waits until everything is delivered, at most for `time`, and disconnects. Returns false if
-    /// something was not.
-    pub fn finish(self, time: Duration) -> bool {
+    /// Waits until everything is delivered, at most for `time`, and disconnects.
+    ///
+    /// # Errors
+    /// What the broker does not have.
+    pub fn finish(self, time: Duration) -> Result<(), &'static str> {
         let publication = self.shared.publication();
         let waits = |publication: &mut Publication| !publication.is_delivered();
         let waited = self.shared.delivered.wait_timeout_while(publication, time, waits);
         let is_delivered = waited.is_ok_and(|(_, result)| !result.timed_out());
+        let has_refused = self.shared.publication().has_refused_documents();
         self.shared.stop.notify_one();
         // The thread closes its end when it has disconnected.
         while self.notices.recv_timeout(FAREWELL).is_ok() {}
-        is_delivered
+        match (is_delivered, has_refused) {
+            (true, false) => Ok(()),
+            (true, true) => Err("the broker does not take all documents"),
+            (false, _) => Err("the broker does not have the last documents and events"),
+        }
     }
 }
 

@@ -230,6 +230,17 @@ fn check_compares_each_gateway_with_its_folder() {
     let (code, out, _) = check("[]", &[]);
     assert_eq!(code, Some(1));
     assert!(out.contains("h: 0 entries, 0 devices: gateway missing\n"), "{out}");
+    let (_, json, _) = check("[]", &["--json"]);
+    let json: Value = serde_json::from_str(&json).unwrap();
+    let missing = serde_json::json!([{"section": "gateway", "bus": null, "address": null, "text": "missing"}]);
+    assert_eq!(json["gateways"][1]["differences"], missing);
+    // A folder that no gateway can be named as.
+    fs::create_dir_all(folder.join("sites/old sites")).unwrap();
+    let (code, out, errors) = check("[]", &[]);
+    assert_eq!(code, Some(3));
+    assert!(out.contains("g: 0 entries, ") && out.contains("h: 0 entries, "), "{out}");
+    assert!(errors.contains("old sites: not compared: sites/old sites: "), "{errors}");
+    fs::remove_dir(folder.join("sites/old sites")).unwrap();
     fs::write(folder.join("sites/h/des.json"), "[{").unwrap();
     // A faulty file: the others are compared all the same.
     let (code, out, errors) = check("[]", &[]);
@@ -283,6 +294,34 @@ fn check_compares_each_bus_with_its_file_of_the_project() {
     assert_eq!(code, Some(1), "{out}");
     assert!(out.contains("sim:first.toml: PUMP at 12 is not in the file."), "{out}");
     assert!(out.contains("sim:second.toml: VALVE at 12 is not in the file."), "{out}");
+    let project = project.replacen("[[bus]]", "[[bus]]\nbitrate = 250000", 1);
+    fs::write(site.join("descan.toml"), project).unwrap();
+    let (code, out) = check("PUMP", "VALVE");
+    assert_eq!(code, Some(1), "{out}");
+    let differs = "sim:first.toml has 125 kbit/s; the project says 250 kbit/s.";
+    assert!(out.contains("g settings differ:\n") && out.contains(differs), "{out}");
+    assert!(out.contains("1 settings differ\n"), "{out}");
+}
+
+#[test]
+fn status_has_the_file_of_each_bus() {
+    let Some(broker) = Mosquitto::start() else { return };
+    let (folder, url) = (broker.folder(), broker.url());
+    let project = "[[bus]]\nbus = 'sim:boiler'\nfile = 'a.json'\n\
+                   [[bus]]\nbus = 'sim:drone'\nfile = 'b.json'\n";
+    fs::write(folder.join("descan.toml"), project).unwrap();
+    fs::write(folder.join("a.json"), "[]").unwrap();
+    fs::write(folder.join("b.json"), "[{").unwrap();
+    let _publisher = Running::publish(&["--broker", &url, "--gateway", "g"], folder);
+    let files = wait_for(|| {
+        let status = retained(&broker).into_iter().find(|(it, _)| it == "descan/v1/g/status")?.1;
+        let files = status["files"].as_array()?.clone();
+        files.iter().all(|file| !file["ok"].is_null()).then_some(files)
+    });
+    let short = |file: &Value| (file["ok"].as_bool(), file["buses"][0].as_str().map(str::to_owned));
+    let files: Vec<_> = files.iter().map(short).collect();
+    let bus = |name: &str| Some(name.to_owned());
+    assert_eq!(files, [(Some(true), bus("sim:boiler")), (Some(false), bus("sim:drone"))]);
 }
 
 // --- rights and TLS -------------------------------------------------------------------------
@@ -308,6 +347,8 @@ fn gateway_writes_its_own_topics_only_and_viewer_reads() {
     let output = run(&foreign, folder);
     let errors = text(&output.stderr);
     assert!(errors.contains("the broker refuses descan/v1/other/"), "{errors}");
+    assert!(errors.contains("the broker does not take all documents"), "{errors}");
+    assert_eq!(output.status.code(), Some(3), "{errors}");
     assert!(state_of(&fleet_json(&viewer, folder), "other").is_none());
     // The viewer cannot write, the gateway cannot read others.
     let output = run(
@@ -397,6 +438,14 @@ fn broker_that_is_not_there_is_named() {
     let errors = text(&output.stderr);
     assert_eq!(output.status.code(), Some(3), "{errors}");
     assert!(errors.contains("connection refused; check host and port"), "{errors}");
+    // One that takes the connection, and is silent.
+    let silent = TcpListener::bind("127.0.0.1:0").unwrap();
+    let url = format!("mqtt://{}", silent.local_addr().unwrap());
+    let publish = ["publish", "sim:boiler", "--broker", &url, "--gateway", "g", "--time", "1"];
+    let output = run(&publish, folder.path());
+    let errors = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(3), "{errors}");
+    assert!(errors.contains(&format!("{url}: no response")), "{errors}");
     for bad in
         ["localhost", "http://x", "mqtt://", "mqtt://a:b", "mqtt://user:secret@host", "mqtt://h:0"]
     {

@@ -31,7 +31,7 @@ fn sections(
     }
     let document = Document::parse(file.as_bytes()).unwrap();
     let buses = buses.map(|it| it.iter().map(|name| (*name).to_owned()).collect());
-    let expected = [ExpectedDevices { document, buses }];
+    let expected = [ExpectedDevices { document, buses, bitrates: Vec::new() }];
     let gateway = fleet.gateway(&"x".parse().unwrap()).unwrap();
     gateway.differences(&expected).into_iter().map(|it| (it.section, it.text)).collect()
 }
@@ -146,4 +146,19 @@ fn same_name_on_two_buses_is_compared_on_both() {
     let twin: Published<'_> = ("can1", 11, "FEED", FEED.3);
     let file = r#"[{"name":"FEED","address":10,"static":true}]"#;
     assert_eq!(section(&[FEED, twin], file), [CheckSection::WrongAddress]);
+}
+
+#[test]
+fn entry_that_is_listed_twice_is_missing_where_its_device_is() {
+    let twice = |name: &str| {
+        format!(r#"[{{"name":"{name}","address":10}},{{"name":"{name}","address":10}}]"#)
+    };
+    assert_eq!(section(&[FEED], &twice("FEED")), [CheckSection::FileErrors]);
+    let of_ghost = [
+        CheckSection::FileErrors,
+        CheckSection::Missing,
+        CheckSection::Missing,
+        CheckSection::NotInFile,
+    ];
+    assert_eq!(section(&[FEED], &twice("GHOST")), of_ghost);
 }
