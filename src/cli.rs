@@ -739,7 +739,8 @@ Publishes inventory, findings and bus state as retained JSON under descan/v1/GAT
 happen. Only changes are sent. While the broker is away, events wait, at most 10000. Nothing that comes \
 from the broker is ever sent to a bus. More: descan help gateways
 
-Exit code: 0 ended by a signal or --time, 2 wrong usage, 3 bus, file or broker not usable.
+Exit code: 0 ended by a signal or --time, 2 wrong usage, 3 bus, file or broker not usable, or with --time \
+the broker does not have everything at the end.
 
 Examples:
   descan publish can0 --broker mqtts://mqtt.example.org --gateway boiler-17

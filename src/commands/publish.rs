@@ -20,6 +20,9 @@ use std::time::{SystemTime, UNIX_EPOCH};
 /// Longest wait for the broker at the end: less than a signal leaves.
 const FAREWELL: Duration = Duration::from_millis(500);
 
+/// The same where no signal came, and the broker is connected. Chosen.
+const LAST_DELIVERY: Duration = Duration::from_secs(5);
+
 /// Runs it.
 pub fn run(args: &PublishArgs) -> Result<u8, Failure> {
     let buses = open::buses(&args.session)?;
@@ -60,19 +63,13 @@ pub fn run(args: &PublishArgs) -> Result<u8, Failure> {
     })?;
     let mut app = outcome.app;
     feed.print_notices()?;
-    let unreachable = feed.unreachable.take();
     let is_interrupted = outcome.ending == Some(StopReason::Interrupted);
-    let undelivered = feed.stop(&mut app, outcome.now);
-    // A run of a given time has published, or has not.
-    if args.time.is_some() && !is_interrupted {
-        if let Some(why) = unreachable {
-            return Err(why.into());
-        }
-        if let Some(why) = undelivered {
-            return Err(Failure::Unusable(why));
-        }
-    } else if let Some(why) = undelivered {
-        output::warn(why);
+    let is_timed = args.time.is_some() && !is_interrupted;
+    match feed.stop(&mut app, outcome.now, is_timed) {
+        // A run of a given time has published, or has not.
+        Err(failure) if is_timed => return Err(failure),
+        Err(failure) => output::warn(failure),
+        Ok(()) => {}
     }
     if !is_interrupted {
         gate.require_opened(&app)?;
@@ -155,8 +152,11 @@ impl Feed {
         Ok(())
     }
 
-    /// Publishes the last events and documents, and that it stops. Returns what the broker does not have.
-    fn stop(self, app: &mut App, now: Instant) -> Option<String> {
+    /// Publishes the last events and documents, and that it stops.
+    ///
+    /// # Errors
+    /// What the broker does not have; of a run of a given time, with the cause.
+    fn stop(mut self, app: &mut App, now: Instant, is_timed: bool) -> Result<(), Failure> {
         let update = PublicationUpdate::last(app, now);
         self.publisher.update(|publication| {
             update.give_to(publication, now, unix_secs());
@@ -166,8 +166,16 @@ impl Feed {
         if dropped > 0 {
             output::warn(format_args!("{dropped} events were dropped while the broker was away"));
         }
-        let address = self.settings.address;
-        let why = self.publisher.finish(FAREWELL).err()?;
-        Some(format!("{address}: {}", if self.was_connected { why } else { "no response" }))
+        let wait = if is_timed && self.was_connected { LAST_DELIVERY } else { FAREWELL };
+        let finished = self.publisher.finish(wait);
+        self.print_notices()?;
+        let Err(mut why) = finished else { return Ok(()) };
+        if is_timed && !self.was_connected {
+            if let Some(unreachable) = self.unreachable {
+                return Err(unreachable.into());
+            }
+            why = "no response";
+        }
+        Err(Failure::Unusable(format!("{}: {why}", self.settings.address)))
     }
 }

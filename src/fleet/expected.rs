@@ -12,7 +12,7 @@ use crate::document::{
 };
 use crate::finding::{CheckSection, FindingKind, FindingState};
 use crate::inventory::{InventoryDevice, InventoryService};
-use crate::text::{Quoted, printable};
+use crate::text::{Quoted, printable, without_bit_rates};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// A des.json, and the buses that it is for.
@@ -106,15 +106,18 @@ impl<'a> FileComparer<'a> {
         }
     }
 
+    /// Returns true if the file is for a bus.
+    fn is_of_file(&self, bus: &str) -> bool {
+        let name = without_bit_rates(bus);
+        self.file.buses.as_ref().is_none_or(|buses| buses.iter().any(|it| it == name))
+    }
+
     /// The buses of the file that the gateway has.
     fn buses(&self) -> Vec<&'a str> {
         let of_devices = self.gateway.devices().map(|device| device.bus.as_str());
         let all = self.gateway.buses().map(|bus| bus.name.as_str()).chain(of_devices);
         let all: BTreeSet<&str> = all.collect();
-        let is_here = |bus: &&str| {
-            self.file.buses.as_ref().is_none_or(|it| it.iter().any(|name| name == bus))
-        };
-        all.into_iter().filter(is_here).collect()
+        all.into_iter().filter(|bus| self.is_of_file(bus)).collect()
     }
 
     /// The present devices on the buses of the file, without debug devices.
@@ -123,8 +126,7 @@ impl<'a> FileComparer<'a> {
         for device in self.gateway.devices() {
             let (name, uid) = (device.name.as_deref(), device.uid.as_deref());
             let is_debug = InventoryDevice::is_debug(device.address, name, uid);
-            let is_here = self.file.buses.as_ref().is_none_or(|it| it.contains(&device.bus));
-            if device.is_present() && !is_debug && is_here {
+            if device.is_present() && !is_debug && self.is_of_file(&device.bus) {
                 by_bus.entry(&device.bus).or_default().push(device);
             }
         }
@@ -166,12 +168,12 @@ impl<'a> FileComparer<'a> {
 
     fn bitrates(&mut self) {
         for (name, wanted) in &self.file.bitrates {
-            let bus = self.gateway.buses().find(|bus| bus.name == *name);
-            let Some(rate) = bus.and_then(|bus| u32::try_from(bus.bitrate?).ok()) else { continue };
-            if rate != *wanted {
+            let bus = self.gateway.buses().find(|bus| without_bit_rates(&bus.name) == name);
+            let rate = bus.and_then(|bus| Some((bus, u32::try_from(bus.bitrate?).ok()?)));
+            if let Some((bus, rate)) = rate.filter(|(_, rate)| rate != wanted) {
                 let (rate, wanted) = (kbit(rate), kbit(*wanted));
                 let text = format!("{name} has {rate}; the project says {wanted}.");
-                self.add(CheckSection::SettingsDiffer, Some(name), None, text);
+                self.add(CheckSection::SettingsDiffer, Some(&bus.name), None, text);
             }
         }
     }
@@ -255,7 +257,8 @@ impl<'a> MatchedBus<'a> {
 
     /// Returns true if a device has the UID or the name of an entry.
     fn has_device_of(&self, entry: &Entry) -> bool {
-        self.devices.iter().any(|device| has_uid(entry, device) || has_name(entry, device))
+        let is_it = |device: &&InventoryDevice| has_uid(entry, device) || has_name(entry, device);
+        self.is_of(entry) && self.devices.iter().any(is_it)
     }
 
     fn unlisted(&self) -> impl Iterator<Item = &'a InventoryDevice> {

@@ -121,6 +121,7 @@ pub struct Publication {
     dropped_events: u64,
     in_flight: usize,
     refused: u64,
+    refused_events: u64,
     /// Documents that the broker refused last: one of them is tried again with each status, and all once it
     /// takes one of them.
     refused_documents: VecDeque<String>,
@@ -161,6 +162,7 @@ impl Publication {
             dropped_events: 0,
             in_flight: 0,
             refused: 0,
+            refused_events: 0,
             refused_documents: VecDeque::new(),
             probe: None,
             long_documents: BTreeSet::new(),
@@ -191,9 +193,11 @@ impl Publication {
         self.refused
     }
 
-    /// Returns true if the broker does not take some of the documents.
-    pub fn has_refused_documents(&self) -> bool {
-        self.probe.is_some()
+    /// Returns true if there is a document that the broker does not take, or was an event that it does not
+    /// have.
+    pub fn is_incomplete(&self) -> bool {
+        self.refused_events + self.dropped_events > 0
+            || self.probe.is_some()
             || !(self.refused_documents.is_empty() && self.long_documents.is_empty())
     }
 
@@ -269,6 +273,7 @@ impl Publication {
         ];
         let payload = with_members(summary, members);
         self.may_repeat = true;
+        self.refused_documents.retain(|tail| self.documents.contains_key(tail));
         self.probe = self.refused_documents.pop_front();
         if let Some(tail) = self.probe.clone() {
             self.mark_due(tail);
@@ -452,8 +457,13 @@ impl Publication {
         self.refused += 1;
         self.probe = None;
         self.handle_delivered(id);
-        if let FleetMessageId::Document(tail, _) = id {
-            self.refused_documents.push_back(tail.clone());
+        match id {
+            // Of one that was to be cleared, nothing is left to send.
+            FleetMessageId::Document(tail, _) if self.documents.contains_key(tail) => {
+                self.refused_documents.push_back(tail.clone());
+            }
+            FleetMessageId::Document(..) => {}
+            FleetMessageId::Event(_) => self.refused_events += 1,
         }
     }
 

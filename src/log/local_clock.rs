@@ -69,14 +69,15 @@ impl LocalClock {
     fn note_twofold(&mut self, first: LogTime, second: LogTime, time: LogTime) {
         let mut is_change = false;
         if let Some((date, last)) = self.last.filter(|_| time == second) {
-            if date.second.is_none() && last.micros.abs_diff(second.micros) <= REORDER {
+            // As the line above.
+            let is_late = date.second.is_none() && last.micros.abs_diff(second.micros) <= REORDER;
+            if is_late || date.second == Some(last) {
                 return;
             }
             // After a smaller step the line above would be followed by a long silence: a clock that was set
             // right is as likely.
-            is_change = date.second != Some(last)
-                && last.micros > first.micros.midpoint(second.micros)
-                && last.micros < second.micros;
+            is_change =
+                last.micros > first.micros.midpoint(second.micros) && last.micros < second.micros;
         }
         (self.is_shown, self.is_ambiguous) = (is_change, !is_change);
     }

@@ -63,7 +63,9 @@ impl TextFormat {
         } else if summary.own_frames() == 0 {
             let start = self.start_date();
             summary.dates.is_ambiguous = start.is_some_and(|start| comes_twice(start.micros));
-            summary.dates.is_zone_unknown = start.is_some() && is_zone_unknown();
+            // Without a date, the log starts in 1970.
+            let has_date = start.is_some_and(|start| start.micros > 0);
+            summary.dates.is_zone_unknown = has_date && is_zone_unknown();
         }
     }
 

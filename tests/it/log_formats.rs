@@ -290,6 +290,12 @@ fn dates_of_a_zone_that_is_not_known_are_said_to_be_read_as_utc() {
         ("TRC", true, trc.as_bytes()),
         ("MDF", true, &measurement),
         ("candump -l", false, b"(1792888200.5) can0 123#11\n"),
+        ("ASC without a date", false, b"base hex  timestamps absolute\n 0.5 1 123 Rx d 1 11\n"),
+        (
+            "TRC without a start",
+            false,
+            b";$FILEVERSION=2.0\n;$COLUMNS=N,O,T,I,d,l,D\n 1 0.5 DT 0123 Rx 1 11\n",
+        ),
     ] {
         fs::write(folder.path().join("in"), log).unwrap();
         let zones = [
@@ -313,7 +319,8 @@ fn dates_of_a_zone_that_is_not_known_are_said_to_be_read_as_utc() {
 
 #[test]
 fn lines_out_of_order_behind_the_second_hour_are_in_it() {
-    let dates = ["2026-10-25 03:00:00.1".to_owned(), "2026-10-25 02:59:59.9".to_owned()];
+    let times = ["03:00:00.1", "02:59:59.9", "02:59:59.95", "03:00:00.2"];
+    let dates = times.map(|time| format!("2026-10-25 {time}"));
     assert!(!said_of_dates(&dates).contains("comes twice"));
 }
 

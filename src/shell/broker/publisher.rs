@@ -11,6 +11,7 @@ use rumqttc::{
     PublishNoticeError, PublishOptions, QoS, RetainForwardRule, SubscribeFilterInput,
 };
 use std::cell::Cell;
+use std::collections::VecDeque;
 use std::io;
 use std::sync::mpsc::{self, Receiver, SyncSender};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -64,6 +65,8 @@ impl Shared {
 pub struct BrokerPublisher {
     shared: Arc<Shared>,
     notices: Receiver<PublisherNotice>,
+    /// What happened while the end was waited for.
+    last_notices: VecDeque<PublisherNotice>,
 }
 
 impl BrokerPublisher {
@@ -96,7 +99,7 @@ impl BrokerPublisher {
             let (client, events) = AsyncClient::builder(options).capacity(256).build();
             runtime.block_on(task.run(&client, events));
         })?;
-        Ok(Self { shared, notices })
+        Ok(Self { shared, notices, last_notices: VecDeque::new() })
     }
 
     /// Changes the publication, and sends what it has then.
@@ -107,26 +110,28 @@ impl BrokerPublisher {
     }
 
     /// Returns what happened since.
-    pub fn poll_notice(&self) -> Option<PublisherNotice> {
-        self.notices.try_recv().ok()
+    pub fn poll_notice(&mut self) -> Option<PublisherNotice> {
+        self.last_notices.pop_front().or_else(|| self.notices.try_recv().ok())
     }
 
-    /// Waits until everything is delivered, at most for `time`, and disconnects.
+    /// Waits until everything is delivered, at most for `time`, and disconnects for good.
     ///
     /// # Errors
     /// What the broker does not have.
-    pub fn finish(self, time: Duration) -> Result<(), &'static str> {
+    pub fn finish(&mut self, time: Duration) -> Result<(), &'static str> {
         let publication = self.shared.publication();
         let waits = |publication: &mut Publication| !publication.is_delivered();
         let waited = self.shared.delivered.wait_timeout_while(publication, time, waits);
         let is_delivered = waited.is_ok_and(|(_, result)| !result.timed_out());
-        let has_refused = self.shared.publication().has_refused_documents();
+        let is_incomplete = self.shared.publication().is_incomplete();
         self.shared.stop.notify_one();
         // The thread closes its end when it has disconnected.
-        while self.notices.recv_timeout(FAREWELL).is_ok() {}
-        match (is_delivered, has_refused) {
+        while let Ok(notice) = self.notices.recv_timeout(FAREWELL) {
+            self.last_notices.push_back(notice);
+        }
+        match (is_delivered, is_incomplete) {
             (true, false) => Ok(()),
-            (true, true) => Err("the broker does not take all documents"),
+            (true, true) => Err("the broker does not have all documents and events"),
             (false, _) => Err("the broker does not have the last documents and events"),
         }
     }

@@ -347,7 +347,7 @@ fn gateway_writes_its_own_topics_only_and_viewer_reads() {
     let output = run(&foreign, folder);
     let errors = text(&output.stderr);
     assert!(errors.contains("the broker refuses descan/v1/other/"), "{errors}");
-    assert!(errors.contains("the broker does not take all documents"), "{errors}");
+    assert!(errors.contains("the broker does not have all documents and events"), "{errors}");
     assert_eq!(output.status.code(), Some(3), "{errors}");
     assert!(state_of(&fleet_json(&viewer, folder), "other").is_none());
     // The viewer cannot write, the gateway cannot read others.
@@ -782,7 +782,7 @@ impl Load {
     }
 
     /// Waits for the next connection.
-    fn wait_connected(&self) {
+    fn wait_connected(&mut self) {
         wait_for(|| {
             matches!(self.publisher.poll_notice(), Some(PublisherNotice::Connected)).then_some(())
         });

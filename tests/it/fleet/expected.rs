@@ -162,3 +162,19 @@ fn entry_that_is_listed_twice_is_missing_where_its_device_is() {
     ];
     assert_eq!(section(&[FEED], &twice("GHOST")), of_ghost);
 }
+
+#[test]
+fn entry_of_another_bus_that_is_listed_twice_is_missing() {
+    let devices = [FEED, ("can1", 12, "VALVE", &[] as &[_])];
+    let file =
+        r#"[{"name":"FEED","bus":"can1","address":10},{"name":"FEED","bus":"can1","address":10}]"#;
+    let missing = section(&devices, file).iter().filter(|it| **it == CheckSection::Missing).count();
+    assert_eq!(missing, 2);
+}
+
+#[test]
+fn bus_with_a_bit_rate_in_its_name_is_that_of_the_project() {
+    let slcan = |name| ("slcan:/dev/ttyACM0@250000", 10, name, &[] as &[_]);
+    let buses: Option<&[&str]> = Some(&["slcan:/dev/ttyACM0"]);
+    assert_eq!(sections(&[slcan("FEED")], r#"[{"name":"FEED","address":10}]"#, buses), []);
+}
