@@ -27,7 +27,8 @@ fn sections(
             "bus": bus, "address": address, "name": name, "presence": "online",
             "uid": format!("UID-{name}"), "services": services, "services_known": true,
         });
-        publish(format!("descan/v1/x/device/{bus}/{address}"), value.to_string());
+        let level = bus.replace('/', "%2F");
+        publish(format!("descan/v1/x/device/{level}/{address}"), value.to_string());
     }
     let document = Document::parse(file.as_bytes()).unwrap();
     let buses = buses.map(|it| it.iter().map(|name| (*name).to_owned()).collect());
