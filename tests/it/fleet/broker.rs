@@ -690,6 +690,8 @@ fn reading_that_was_cut_off_is_completed_and_leaves_no_session() {
     let fleet = fleet_json(&["--broker", &cut], &folder);
     let names = names_of(&fleet, 0);
     assert!(devices.iter().all(|device| names.contains(device)), "{names:?}");
+    // By then the broker has handled that the viewer is gone.
+    assert!(!retained(&broker).is_empty());
     broker.stop();
     let state = fs::read(folder.join("mosquitto.db")).unwrap();
     let has = |word: &[u8]| state.windows(word.len()).any(|it| it == word);
