@@ -19,6 +19,11 @@ pub fn kbit(rate: u32) -> String {
     format!("{} kbit/s", f64::from(rate) / 1000.0)
 }
 
+/// Says that a bus, whose name is printable, has not the bit rate that its project gives; both in bit/s.
+pub fn unexpected_rate(bus: &str, rate: u32, expected: u32) -> String {
+    format!("{bus} has {}; the project says {}.", kbit(rate), kbit(expected))
+}
+
 /// Bit rates of classic frames, in bit/s.
 pub const CLASSIC_RATES: std::ops::RangeInclusive<u32> = 10_000..=1_000_000;
 

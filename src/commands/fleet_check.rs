@@ -10,16 +10,20 @@ use crate::cli::CheckArgs;
 use crate::diagnostic::Diagnostic;
 use crate::document::{Document, MAX_BYTES};
 use crate::finding::CheckSection;
-use crate::fleet::{ExpectedDevices, Fleet, FleetDifference, GatewayName, GatewayState};
-use crate::project::{FILE_NAME, Project, ProjectBus};
+use crate::fleet::{ExpectedDevices, ExpectedGateway, Fleet, GatewayName, GatewayState};
+use crate::project::{FILE_NAME, Project};
 use crate::regular_file::{read, read_text};
 use crate::shell::broker::{BrokerAddress, BrokerSettings};
 use crate::text::{counted, printable, printable_path};
 use crate::time::Instant;
 use anyhow::Context;
 use serde::Serialize;
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::Path;
+
+/// The section of a gateway that is not online.
+const GATEWAY: &str = "gateway";
 
 /// Runs it.
 pub fn run(check: &CheckArgs, folder: &Path, broker: &BrokerAddress) -> Result<u8, Failure> {
@@ -69,7 +73,7 @@ struct Site {
     /// The same as the name of a gateway; `None` if it cannot be one.
     gateway: Option<GatewayName>,
     /// What its files list, or why they cannot be used.
-    expected: Result<Vec<ExpectedDevices>, String>,
+    expected: Result<ExpectedGateway, String>,
 }
 
 /// Reads the folder of each gateway, by name.
@@ -101,29 +105,25 @@ fn sites(folder: &Path) -> Result<Vec<Site>, Failure> {
 }
 
 /// The des.json files of a folder: those of its project, else its own.
-fn expected(folder: &Path) -> Result<Vec<ExpectedDevices>, Failure> {
+fn expected(folder: &Path) -> Result<ExpectedGateway, Failure> {
     let project_path = folder.join(FILE_NAME);
     let text = read_text(&project_path)?;
     let Some(text) = text else {
         let document = document(&folder.join(open::default_file()))?;
-        return Ok(vec![ExpectedDevices { document, buses: None, bitrates: Vec::new() }]);
+        let files = vec![ExpectedDevices { document, buses: None }];
+        return Ok(ExpectedGateway { files, bitrates: BTreeMap::new() });
     };
     let project = Project::parse(&text, folder).map_err(|error| {
         Failure::Unusable(format!("{}: {error}", printable_path(&project_path)))
     })?;
-    let files = project.files();
-    files
-        .into_iter()
-        .map(|file| {
-            let of_file = project.buses.iter().filter(|bus| project.file_of(&bus.spec) == file);
-            let of_file: Vec<&ProjectBus> = of_file.collect();
-            let buses: Vec<String> = of_file.iter().map(|bus| bus.name.clone()).collect();
-            let rate = |bus: &&ProjectBus| Some((bus.name.clone(), bus.bitrate?));
-            let bitrates = of_file.iter().filter_map(rate).collect();
-            let buses = Some(buses).filter(|buses| !buses.is_empty());
-            Ok(ExpectedDevices { document: document(file)?, buses, bitrates })
-        })
-        .collect()
+    let of_file = |file: &Path| {
+        let buses = project.buses.iter().filter(|bus| project.file_of(&bus.spec) == file);
+        let buses: Vec<String> = buses.map(|bus| bus.name.clone()).collect();
+        let buses = Some(buses).filter(|buses| !buses.is_empty());
+        Ok(ExpectedDevices { document: document(file)?, buses })
+    };
+    let files: Result<_, Failure> = project.files().into_iter().map(of_file).collect();
+    Ok(ExpectedGateway { files: files?, bitrates: project.facts(&[]).bitrates })
 }
 
 fn document(path: &Path) -> Result<Document, Failure> {
@@ -169,7 +169,7 @@ struct SiteCheck {
     /// Why its files cannot be used; it is not compared then.
     error: Option<String>,
     #[serde(skip)]
-    found: Vec<FleetDifference>,
+    is_online: bool,
 }
 
 #[derive(Serialize)]
@@ -183,44 +183,43 @@ struct FleetDifferenceReport {
 impl SiteCheck {
     fn new(site: &Site, fleet: &Fleet, now: Instant) -> Self {
         let gateway = site.gateway.as_ref().and_then(|name| fleet.gateway(name));
-        let expected = site.expected.as_deref().unwrap_or_default();
-        let compared = gateway.filter(|_| site.expected.is_ok());
-        let found = compared.map(|it| it.differences(expected)).unwrap_or_default();
-        let differences = found.iter().map(|it| FleetDifferenceReport {
-            section: it.section.title(),
-            bus: it.bus.clone(),
-            address: it.address,
-            text: it.text.clone(),
-        });
-        let state = gateway.map_or("missing", |it| it.state(now).name());
-        let is_away = state != GatewayState::Online.name() && site.expected.is_ok();
-        let of_state = is_away.then(|| FleetDifferenceReport {
-            section: "gateway",
-            bus: None,
-            address: None,
-            text: state.to_owned(),
-        });
+        let state = gateway.map(|it| it.state(now));
+        let is_online = state == Some(GatewayState::Online);
+        let state = state.map_or("missing", GatewayState::name);
+        let expected = site.expected.as_ref().ok();
+        let mut differences = Vec::new();
+        if expected.is_some() && !is_online {
+            let text = state.to_owned();
+            differences.push(FleetDifferenceReport {
+                section: GATEWAY,
+                bus: None,
+                address: None,
+                text,
+            });
+        }
+        if let (Some(gateway), Some(expected)) = (gateway, expected) {
+            differences.extend(gateway.differences(expected).into_iter().map(|it| {
+                let section = it.section.title();
+                FleetDifferenceReport { section, bus: it.bus, address: it.address, text: it.text }
+            }));
+        }
         Self {
             name: site.name.clone(),
             state,
-            entries: expected.iter().map(|it| it.document.entries().len()).sum(),
+            entries: expected.map_or(0, ExpectedGateway::entries),
             devices: gateway.map_or(0, |it| it.inventory().present_devices()),
-            differences: of_state.into_iter().chain(differences).collect(),
+            differences,
             error: site.expected.as_ref().err().cloned(),
-            found,
+            is_online,
         }
     }
 
-    fn is_online(&self) -> bool {
-        self.state == GatewayState::Online.name()
-    }
-
     fn is_passed(&self) -> bool {
-        self.is_online() && self.found.is_empty() && self.error.is_none()
+        self.differences.is_empty() && self.error.is_none()
     }
 
-    fn in_section(&self, section: CheckSection) -> impl Iterator<Item = &FleetDifference> {
-        self.found.iter().filter(move |it| it.section == section)
+    fn in_section(&self, section: CheckSection) -> impl Iterator<Item = &FleetDifferenceReport> {
+        self.differences.iter().filter(move |it| it.section == section.title())
     }
 
     /// The differences in sections, and a summary; the summary alone if there are none.
@@ -244,7 +243,7 @@ impl SiteCheck {
                 sums.push(format!("{count} {title}"));
             }
         }
-        if !self.is_online() {
+        if !self.is_online {
             sums.insert(0, format!("gateway {}", self.state));
         }
         let verdict = if sums.is_empty() { "no difference".to_owned() } else { sums.join(", ") };
@@ -259,8 +258,8 @@ impl SiteCheck {
         let outcome = |passed| if passed { CaseOutcome::Passed } else { CaseOutcome::Failed };
         let connection = ReportedCase {
             suite: self.name.clone(),
-            name: "gateway".to_owned(),
-            outcome: outcome(self.is_online()),
+            name: GATEWAY.to_owned(),
+            outcome: outcome(self.is_online),
             text: self.state.to_owned(),
             details: Vec::new(),
         };
@@ -286,7 +285,7 @@ impl SiteCheck {
 }
 
 /// A difference in a line, with its bus.
-fn line_of(difference: &FleetDifference) -> String {
+fn line_of(difference: &FleetDifferenceReport) -> String {
     let bus = difference.bus.as_ref().map_or(String::new(), |bus| format!("{bus}: "));
     format!("{bus}{}", difference.text)
 }

@@ -5,7 +5,7 @@
 //! itself. Does not know files.
 
 use super::view::FleetGateway;
-use crate::bitrate::kbit;
+use crate::bitrate::unexpected_rate;
 use crate::document::{
     Document, DocumentFindingKind, Entry, ListedService, OwnService, same_services,
     service_differences,
@@ -22,8 +22,22 @@ pub struct ExpectedDevices {
     pub document: Document,
     /// Names of the buses; `None`: all of the gateway.
     pub buses: Option<Vec<String>>,
-    /// Names of buses with their bit rates, in bit/s.
-    pub bitrates: Vec<(String, u32)>,
+}
+
+/// What the files of a site say of its gateway.
+#[derive(Clone, Debug)]
+pub struct ExpectedGateway {
+    /// The des.json files.
+    pub files: Vec<ExpectedDevices>,
+    /// Bit rate of each bus of which the project gives it, in bit/s.
+    pub bitrates: BTreeMap<String, u32>,
+}
+
+impl ExpectedGateway {
+    /// Returns the number of entries in all files.
+    pub fn entries(&self) -> usize {
+        self.files.iter().map(|file| file.document.entries().len()).sum()
+    }
 }
 
 /// A difference between a gateway and a file.
@@ -40,14 +54,31 @@ pub struct FleetDifference {
 }
 
 impl FleetGateway {
-    /// Compares what was published with these files, and adds the confirmed conflicts. In the order of
-    /// the files.
-    pub fn differences(&self, expected: &[ExpectedDevices]) -> Vec<FleetDifference> {
+    /// Compares what was published with these files and bit rates, and adds the confirmed conflicts.
+    /// Conflicts first, then bit rates, then in the order of the files.
+    pub fn differences(&self, expected: &ExpectedGateway) -> Vec<FleetDifference> {
         let mut found: Vec<FleetDifference> = self.conflicts().collect();
-        for file in expected {
+        found.extend(self.bitrate_differences(&expected.bitrates));
+        for file in &expected.files {
             FileComparer { gateway: self, file, found: &mut found }.compare();
         }
         found
+    }
+
+    fn bitrate_differences(
+        &self,
+        expected: &BTreeMap<String, u32>,
+    ) -> impl Iterator<Item = FleetDifference> {
+        self.buses().filter_map(|bus| {
+            let rate = u32::try_from(bus.bitrate?).ok()?;
+            let expected = *expected.get(without_bit_rates(&bus.name))?;
+            (rate != expected).then(|| FleetDifference {
+                section: CheckSection::SettingsDiffer,
+                bus: Some(bus.name.clone()),
+                address: None,
+                text: unexpected_rate(&bus.name, rate, expected),
+            })
+        })
     }
 
     /// The confirmed conflicts that the gateway found.
@@ -98,7 +129,6 @@ impl<'a> FileComparer<'a> {
                 self.missing(entry);
             }
         }
-        self.bitrates();
         for device in by_bus.iter().flat_map(MatchedBus::unlisted) {
             let who = device.name.as_deref().unwrap_or("An unnamed device");
             let text = format!("{who} at {} is not in the file.", device.address);
@@ -164,18 +194,6 @@ impl<'a> FileComparer<'a> {
         let at = entry.address.map(|address| format!(" (at {address})")).unwrap_or_default();
         let text = format!("{}{at} is listed but not on the bus.", Quoted(&entry.name));
         self.add(CheckSection::Missing, entry.bus.as_deref(), entry.address, text);
-    }
-
-    fn bitrates(&mut self) {
-        for (name, wanted) in &self.file.bitrates {
-            let bus = self.gateway.buses().find(|bus| without_bit_rates(&bus.name) == name);
-            let rate = bus.and_then(|bus| Some((bus, u32::try_from(bus.bitrate?).ok()?)));
-            if let Some((bus, rate)) = rate.filter(|(_, rate)| rate != wanted) {
-                let (rate, wanted) = (kbit(rate), kbit(*wanted));
-                let text = format!("{name} has {rate}; the project says {wanted}.");
-                self.add(CheckSection::SettingsDiffer, Some(&bus.name), None, text);
-            }
-        }
     }
 
     fn device(&mut self, entry: &Entry, device: &InventoryDevice) {

@@ -11,7 +11,7 @@ mod rejects;
 mod topic;
 mod view;
 
-pub use expected::{ExpectedDevices, FleetDifference};
+pub use expected::{ExpectedDevices, ExpectedGateway, FleetDifference};
 pub use publication::{
     FleetDocument, FleetMessage, FleetMessageId, MAX_QUEUED_EVENTS, MessageLength, OtherRun,
     Publication,

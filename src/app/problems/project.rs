@@ -7,7 +7,7 @@ use super::and_list;
 use super::comparison::{Comparison, Values};
 use crate::app::buses::Bus;
 use crate::app::project_facts::{TaskEnd, TaskState};
-use crate::bitrate::kbit;
+use crate::bitrate::{kbit, unexpected_rate};
 use crate::finding::{FindingKind, FindingState};
 use crate::frame::BusIndex;
 use crate::text::Name;
@@ -27,10 +27,9 @@ impl Comparison<'_> {
             if *wanted == rate {
                 continue;
             }
-            let (wanted, rate) = (kbit(*wanted), kbit(rate));
             let name = crate::text::printable(bus.name.as_bytes());
-            let text = format!("{name} has {rate}; the project says {wanted}.");
-            let values: Values = &[("project rate", &wanted), ("rate", &rate)];
+            let text = unexpected_rate(&name, rate, *wanted);
+            let values: Values = &[("project rate", &kbit(*wanted)), ("rate", &kbit(rate))];
             let bus = Some(BusIndex(index as u8));
             self.add(FindingKind::BitrateDiffers, bus, None, None, text, values);
         }

@@ -2,8 +2,9 @@
 
 use descan::document::Document;
 use descan::finding::CheckSection;
-use descan::fleet::{ExpectedDevices, Fleet};
+use descan::fleet::{ExpectedDevices, ExpectedGateway, Fleet};
 use descan::time::Instant;
+use std::collections::BTreeMap;
 
 /// A device as it is published: bus, address, name, services.
 type Published<'a> = (&'a str, u8, &'a str, &'a [(&'a str, &'a str)]);
@@ -32,7 +33,8 @@ fn sections(
     }
     let document = Document::parse(file.as_bytes()).unwrap();
     let buses = buses.map(|it| it.iter().map(|name| (*name).to_owned()).collect());
-    let expected = [ExpectedDevices { document, buses, bitrates: Vec::new() }];
+    let files = vec![ExpectedDevices { document, buses }];
+    let expected = ExpectedGateway { files, bitrates: BTreeMap::new() };
     let gateway = fleet.gateway(&"x".parse().unwrap()).unwrap();
     gateway.differences(&expected).into_iter().map(|it| (it.section, it.text)).collect()
 }
