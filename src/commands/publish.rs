@@ -51,13 +51,14 @@ pub fn run(args: &PublishArgs) -> Result<u8, Failure> {
     let documents = PublicationFeed::default();
     let mut feed =
         Feed { publisher, gateway, settings, documents, unreachable: None, was_connected: false };
-    let mut warned = Vec::new();
+    let (mut foreign, mut problems) = (Vec::new(), Vec::new());
     let outcome = headless::run(RunInput::Buses(&buses), &setup, options, limits, |session| {
         feed.print_notices()?;
         if gate.allows(&session.app, session.now())? {
             let now = session.now();
             feed.publish(&mut session.app, now);
-            headless::warn_foreign(&session.app, &mut warned);
+            headless::warn_foreign(&session.app, &mut foreign);
+            headless::warn_files(&session.app, &mut problems);
         }
         Ok(ControlFlow::Continue(()))
     })?;

@@ -334,7 +334,8 @@ fn is_doubtful(reader: &LogReader<BufReader<Unpacked<'_>>>) -> bool {
 }
 
 /// Reads the log and sends the frames present from `from` on, before it waits for more. A batch
-/// ends where entries cannot be read: they belong to the part before the next frame.
+/// ends where entries cannot be read, or a date is doubtful: they belong to the part before the next
+/// frame, and that with the date.
 fn read_all(
     log: File,
     from: Duration,
@@ -369,11 +370,11 @@ fn read_all(
                 continue;
             }
         }
-        let entries = reader.summary().unreadable_entries();
+        let doubts = reader.summary().doubts();
         while frames.len() < BATCH
             && let Some(frame) = reader.next_buffered()
         {
-            if reader.summary().lost_entries() > entries.count {
+            if reader.summary().doubts() != doubts {
                 next = Some(frame);
                 break;
             }
@@ -384,7 +385,6 @@ fn read_all(
         let epoch = summary.epoch.unwrap_or_default();
         let interfaces = summary.interfaces[named..].to_vec();
         named = summary.interfaces.len();
-        let doubts = LogDoubts { entries, dates: summary.dates };
         let batch = LogBatch::Frames { epoch, frames, interfaces, doubts };
         if to.blocking_send(Ok(batch)).is_err() {
             return Ok(());

@@ -275,6 +275,21 @@ fn doubtful_dates_of_a_log_that_is_read_in_part_are_said() {
 }
 
 #[test]
+fn doubtful_dates_behind_the_part_that_is_read_are_not_said() {
+    let line = |time| format!("(2026-10-25 {time}) can0 123#11\n");
+    let lines = line("01:59:59.5") + &line("02:10:00.5").repeat(20_000);
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("in"), lines).unwrap();
+    for (limit, is_said) in [("1", false), ("2", true), ("3", true)] {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_descan"));
+        command.args(["log", "-", "--limit", limit]).env("TZ", "Europe/Berlin");
+        let output = command.stdin(File::open(folder.path().join("in")).unwrap()).output().unwrap();
+        let said = text(&output.stderr);
+        assert_eq!(said.contains("comes twice"), is_said, "{limit}: {said}");
+    }
+}
+
+#[test]
 fn dates_of_a_zone_that_is_not_known_are_said_to_be_read_as_utc() {
     let folder = tempfile::tempdir().unwrap();
     let mut measurement = include_bytes!("../corpus/mdf/unsorted").to_vec();

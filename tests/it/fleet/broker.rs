@@ -324,6 +324,18 @@ fn status_has_the_file_of_each_bus() {
     assert_eq!(files, [(Some(true), bus("sim:boiler")), (Some(false), bus("sim:drone"))]);
 }
 
+#[test]
+fn des_json_that_cannot_be_used_is_said_once_by_publish() {
+    let Some(broker) = Mosquitto::start() else { return };
+    let (folder, url) = (broker.folder(), broker.url());
+    fs::write(folder.join("des.json"), "[{").unwrap();
+    let publish = ["publish", "sim:boiler", "--broker", &url, "--gateway", "g", "--time", "3"];
+    let output = run(&publish, folder);
+    let said = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(0), "{said}");
+    assert_eq!(said.matches("descan: des.json: line 1").count(), 1, "{said}");
+}
+
 // --- rights and TLS -------------------------------------------------------------------------
 
 #[test]
