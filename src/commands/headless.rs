@@ -3,7 +3,7 @@
 //! print.
 
 use super::open::{self, Setup};
-use super::{Failure, output, report};
+use super::{Failure, output};
 use crate::app::{App, AppOptions, Bus, BusSnapshot, TxBlocked};
 use crate::bus::{self, BusSpec, UdpAddress};
 use crate::diagnostic::Diagnostic;
@@ -400,22 +400,6 @@ pub fn warn_foreign(app: &App, reported: &mut Vec<BusIndex>) {
             reported.push(BusIndex(at));
             output::warn(format_args!("{}: {reason}", bus.name));
         }
-    }
-}
-
-/// Prints on standard error why a des.json cannot be used, again when that changes. `reported` has what was
-/// printed, by file.
-pub fn warn_files(app: &App, reported: &mut Vec<Option<String>>) {
-    for (index, _) in app.files() {
-        let at = usize::from(index.0);
-        if reported.len() <= at {
-            reported.resize(at + 1, None);
-        }
-        let problem = report::of_file(&app.file_snapshot(index)).problem;
-        if let Some(problem) = problem.as_ref().filter(|it| reported[at].as_ref() != Some(it)) {
-            output::warn(problem);
-        }
-        reported[at] = problem;
     }
 }
 

@@ -4,7 +4,7 @@ use super::gate::BusGate;
 use super::headless::{self, Limits, RunInput};
 use super::open::{self, Setup};
 use super::published::{CHANGE_PERIOD, PublicationFeed, PublicationUpdate};
-use super::{EXIT_OK, Failure, output};
+use super::{EXIT_OK, Failure, output, report};
 use crate::app::{App, AppOptions};
 use crate::cli::PublishArgs;
 use crate::diagnostic::Diagnostic;
@@ -58,7 +58,7 @@ pub fn run(args: &PublishArgs) -> Result<u8, Failure> {
             let now = session.now();
             feed.publish(&mut session.app, now);
             headless::warn_foreign(&session.app, &mut foreign);
-            headless::warn_files(&session.app, &mut problems);
+            warn_files(&session.app, &mut problems);
         }
         Ok(ControlFlow::Continue(()))
     })?;
@@ -76,6 +76,22 @@ pub fn run(args: &PublishArgs) -> Result<u8, Failure> {
         gate.require_opened(&app)?;
     }
     Ok(EXIT_OK)
+}
+
+/// Prints on standard error why a des.json cannot be used, again when that changes. `reported` has what was
+/// printed, by file.
+fn warn_files(app: &App, reported: &mut Vec<Option<String>>) {
+    for (index, _) in app.files() {
+        let at = usize::from(index.0);
+        if reported.len() <= at {
+            reported.resize(at + 1, None);
+        }
+        let problem = report::of_file(&app.file_snapshot(index)).problem;
+        if let Some(problem) = problem.as_ref().filter(|it| reported[at].as_ref() != Some(it)) {
+            output::warn(problem);
+        }
+        reported[at] = problem;
+    }
 }
 
 /// The name of the gateway: the host's, unless it is given.

@@ -142,6 +142,16 @@ impl DateDoubts {
     pub fn is_any(self) -> bool {
         self != Self::default()
     }
+
+    /// Returns the doubts of both.
+    #[must_use]
+    pub const fn union(self, other: Self) -> Self {
+        Self {
+            is_ambiguous: self.is_ambiguous | other.is_ambiguous,
+            is_skipped: self.is_skipped | other.is_skipped,
+            is_zone_unknown: self.is_zone_unknown | other.is_zone_unknown,
+        }
+    }
 }
 
 impl LogSummary {

@@ -9,8 +9,8 @@ use super::csv::{GvretLines, PythonCanLines};
 use super::dates::{comes_twice, is_zone_unknown};
 use super::trc::TrcLines;
 use super::{
-    Damage, DecodeStep, EntryFault, ForeignFormat, LogDecoder, LogEntry, LogSummary, LogTime,
-    MAX_WITHOUT_FRAME, plain_line,
+    Damage, DateDoubts, DecodeStep, EntryFault, ForeignFormat, LogDecoder, LogEntry, LogSummary,
+    LogTime, MAX_WITHOUT_FRAME, plain_line,
 };
 use crate::frame::Frame;
 
@@ -56,16 +56,21 @@ impl TextFormat {
         }
     }
 
-    /// Notes what is doubtful of the local dates up to the line that was read, which has a frame.
-    fn note_dates(&self, summary: &mut LogSummary) {
+    /// Returns what is doubtful of the local dates up to the line that was read, which has a frame.
+    fn date_doubts(&self, summary: &LogSummary) -> DateDoubts {
         if let Self::Candump(lines) = self {
-            summary.dates = lines.clock().doubts();
-        } else if summary.own_frames() == 0 {
-            let start = self.start_date();
-            summary.dates.is_ambiguous = start.is_some_and(|start| comes_twice(start.micros));
-            // Without a date, the log starts in 1970.
-            let has_date = start.is_some_and(|start| start.micros > 0);
-            summary.dates.is_zone_unknown = has_date && is_zone_unknown();
+            return lines.clock().doubts();
+        }
+        if summary.own_frames() > 0 {
+            return summary.dates;
+        }
+        let start = self.start_date();
+        // Without a date, the log starts in 1970.
+        let has_date = start.is_some_and(|start| start.micros > 0);
+        DateDoubts {
+            is_ambiguous: start.is_some_and(|start| comes_twice(start.micros)),
+            is_zone_unknown: has_date && is_zone_unknown(),
+            ..summary.dates
         }
     }
 
@@ -161,7 +166,7 @@ impl TextDecoder {
             summary.is_timeless = true;
         }
         if matches!(entry, Ok(Some(_))) {
-            self.format.note_dates(summary);
+            summary.dates = self.format.date_doubts(summary);
         }
         summary.take(entry)
     }
@@ -280,8 +285,8 @@ fn plain_frames(
 }
 
 impl TextDecoder {
-    /// Appends the frames of the lines that `bytes` begin with, while each has one of a known interface;
-    /// returns how many bytes were used.
+    /// Appends the frames of the lines that `bytes` begin with, while each has one of a known interface
+    /// and no other doubts of its date; returns how many bytes were used.
     fn other_frames(
         &mut self,
         bytes: &[u8],
@@ -296,7 +301,9 @@ impl TextDecoder {
             let mut next = self.format;
             let line = &bytes[used..used + len];
             let Ok(Some(entry)) = next.read(line) else { break };
-            next.note_dates(summary);
+            if next.date_doubts(summary) != summary.dates {
+                break;
+            }
             let name = entry.interface.as_bytes();
             let Some(frame) = summary.take_plain(entry.time, name, &entry.frame) else {
                 break;

@@ -6,7 +6,9 @@
 use super::waiting::sleep_for;
 use crate::bus::{unpacked_log, wall_micros};
 use crate::frame::Frame;
-use crate::log::{DecodeStep, LogDoubts, LogReader, LogSummary, Unpacked, UnreadableEntries};
+use crate::log::{
+    DateDoubts, DecodeStep, LogDoubts, LogReader, LogSummary, Unpacked, UnreadableEntries,
+};
 use crate::time::{Epoch, Instant};
 use std::fs::File;
 use std::io::{self, BufReader};
@@ -55,7 +57,7 @@ pub enum LogBatch {
         frames: Vec<Frame>,
         /// The interfaces first named in this batch.
         interfaces: Vec<String>,
-        /// Entries before the first of the frames that cannot be read; dates up to the last one.
+        /// Entries before the first of the frames that cannot be read; dates up to the last frame.
         doubts: LogDoubts,
     },
     /// The first entries cannot be read: it is probably not a log. Before any other batch, once.
@@ -334,8 +336,8 @@ fn is_doubtful(reader: &LogReader<BufReader<Unpacked<'_>>>) -> bool {
 }
 
 /// Reads the log and sends the frames present from `from` on, before it waits for more. A batch
-/// ends where entries cannot be read, or a date is doubtful: they belong to the part before the next
-/// frame, and that with the date.
+/// ends where entries cannot be read: they belong to the part before the next frame. It ends before the
+/// first frame with a doubtful date, too.
 fn read_all(
     log: File,
     from: Duration,
@@ -351,6 +353,7 @@ fn read_all(
         reader.date_arrivals(wall_micros);
     }
     let mut named = 0;
+    let mut known_doubts = DateDoubts::default();
     let mut next = read_first(&mut reader, to)?;
     loop {
         let first = match next.take() {
@@ -370,14 +373,19 @@ fn read_all(
                 continue;
             }
         }
-        let doubts = reader.summary().doubts();
+        let entries = reader.summary().unreadable_entries();
+        let mut dates = reader.summary().dates;
+        known_doubts = known_doubts.union(dates);
         while frames.len() < BATCH
             && let Some(frame) = reader.next_buffered()
         {
-            if reader.summary().doubts() != doubts {
+            let summary = reader.summary();
+            let is_doubt_new = summary.dates.union(known_doubts) != known_doubts;
+            if summary.lost_entries() > entries.count || is_doubt_new {
                 next = Some(frame);
                 break;
             }
+            dates = summary.dates;
             frames.push(frame);
             reader.take_buffered(&mut frames, BATCH);
         }
@@ -385,6 +393,7 @@ fn read_all(
         let epoch = summary.epoch.unwrap_or_default();
         let interfaces = summary.interfaces[named..].to_vec();
         named = summary.interfaces.len();
+        let doubts = LogDoubts { entries, dates };
         let batch = LogBatch::Frames { epoch, frames, interfaces, doubts };
         if to.blocking_send(Ok(batch)).is_err() {
             return Ok(());

@@ -276,16 +276,23 @@ fn doubtful_dates_of_a_log_that_is_read_in_part_are_said() {
 
 #[test]
 fn doubtful_dates_behind_the_part_that_is_read_are_not_said() {
-    let line = |time| format!("(2026-10-25 {time}) can0 123#11\n");
-    let lines = line("01:59:59.5") + &line("02:10:00.5").repeat(20_000);
     let folder = tempfile::tempdir().unwrap();
-    fs::write(folder.path().join("in"), lines).unwrap();
-    for (limit, is_said) in [("1", false), ("2", true), ("3", true)] {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_descan"));
-        command.args(["log", "-", "--limit", limit]).env("TZ", "Europe/Berlin");
-        let output = command.stdin(File::open(folder.path().join("in")).unwrap()).output().unwrap();
-        let said = text(&output.stderr);
-        assert_eq!(said.contains("comes twice"), is_said, "{limit}: {said}");
+    for frame in [" 123#11", "  123   [1]  11"] {
+        for names in [["can0", "can0"], ["can0", "can1"]] {
+            let line = |time, name| format!(" (2026-10-25 {time})  {name}{frame}\n");
+            let lines = line("01:59:00.500000", names[0]).repeat(4)
+                + &line("02:10:00.500000", names[1]).repeat(20_000);
+            fs::write(folder.path().join("in"), lines).unwrap();
+            for (limit, is_said) in [("1", false), ("4", false), ("5", true), ("9", true)] {
+                let mut command = Command::new(env!("CARGO_BIN_EXE_descan"));
+                command.args(["log", "-", "--limit", limit]).env("TZ", "Europe/Berlin");
+                command.stdin(File::open(folder.path().join("in")).unwrap());
+                let output = command.output().unwrap();
+                assert_eq!(text(&output.stdout).lines().count().to_string(), limit);
+                let said = text(&output.stderr);
+                assert_eq!(said.contains("comes twice"), is_said, "{names:?} {limit}: {said}");
+            }
+        }
     }
 }
 

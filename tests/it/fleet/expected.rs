@@ -39,6 +39,28 @@ fn sections(
     gateway.differences(&expected).into_iter().map(|it| (it.section, it.text)).collect()
 }
 
+#[test]
+fn bit_rate_that_is_not_that_of_the_project_is_a_difference() {
+    let mut fleet = Fleet::default();
+    let buses = [("can0", 125_000), ("slcan:/dev/ttyACM0@500000", 500_000), ("can2", 250_000)];
+    for (bus, rate) in buses {
+        let topic = format!("descan/v1/x/bus/{}", bus.replace('/', "%2F"));
+        let value = serde_json::json!({"name": bus, "bitrate": rate});
+        fleet.handle_message(Instant::ZERO, topic.as_bytes(), value.to_string().as_bytes());
+    }
+    let document = Document::parse(b"[]").unwrap();
+    let files = vec![ExpectedDevices { document, buses: None }];
+    let project = [("can0", 125_000), ("slcan:/dev/ttyACM0", 250_000), ("can9", 250_000)];
+    let bitrates = project.map(|(bus, rate)| (bus.to_owned(), rate)).into();
+    let gateway = fleet.gateway(&"x".parse().unwrap()).unwrap();
+    let found = gateway.differences(&ExpectedGateway { files, bitrates });
+    let [difference] = &found[..] else { panic!("{found:?}") };
+    assert_eq!(difference.section, CheckSection::SettingsDiffer);
+    assert_eq!(difference.bus.as_deref(), Some("slcan:/dev/ttyACM0@500000"));
+    let text = "slcan:/dev/ttyACM0@500000 has 500 kbit/s; the project says 250 kbit/s.";
+    assert_eq!(difference.text, text);
+}
+
 fn section(devices: &[Published<'_>], file: &str) -> Vec<CheckSection> {
     sections(devices, file, None).into_iter().map(|(section, _)| section).collect()
 }
