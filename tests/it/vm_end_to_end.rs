@@ -332,9 +332,7 @@ fn nothing_is_sent_into_played_foreign_traffic() {
     let id = |line: &str| line.split([' ', '#']).nth(2).unwrap_or_default().to_owned();
     let known: HashSet<String> = log.lines().map(id).collect();
 
-    let listening = can::listeners(vcan.name(), "raw");
-    let candump = can::Peer::start("candump", &["-L", "-T", "1000", vcan.name()]);
-    can::wait_for_listeners(vcan.name(), "raw", listening + 1);
+    let candump = can::start_candump(vcan.name(), &["-L", "-T", "1000"]);
     let player = can::Peer::start("canplayer", &["-l", "i", "-I", recording.to_str().unwrap()]);
     let profile = ["--profile", profile.to_str().unwrap()];
     let scan = ["scan", vcan.name(), "--json", "--for", "6"];

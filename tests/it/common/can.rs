@@ -164,14 +164,28 @@ pub fn wait_for_listeners(interface: &str, kind: &str, count: usize) {
 
 /// Returns the number of subscriptions of `kind` that the kernel has on an interface.
 pub fn listeners(interface: &str, kind: &str) -> usize {
-    let lists = ["all", "fil", "inv", "sff", "eff"].map(|list| {
-        std::fs::read_to_string(format!("/proc/net/can/rcvlist_{list}")).unwrap_or_default()
-    });
+    let lists = ["all", "fil", "inv", "sff", "eff"];
+    lists.iter().map(|list| subscriptions(list, interface, kind)).sum()
+}
+
+/// Starts candump with two receive filters, standard and extended frames, and waits until it
+/// receives. A list of buses that another test has open also listens on the interface, but without
+/// filters: only those of candump are counted.
+pub fn start_candump(interface: &str, arguments: &[&str]) -> Peer {
+    let filters = format!("{interface},0:80000000,80000000:80000000");
+    let candump = Peer::start("candump", &[arguments, &[&filters]].concat());
+    wait_until(&format!("candump on {interface}"), || subscriptions("fil", interface, "raw") == 2);
+    candump
+}
+
+/// Returns the number of subscriptions of `kind` in one of the kernel's receive lists.
+fn subscriptions(list: &str, interface: &str, kind: &str) -> usize {
+    let text = std::fs::read_to_string(format!("/proc/net/can/rcvlist_{list}"));
     let is_one = |line: &&str| {
         let words: Vec<_> = line.split_whitespace().collect();
         words.first() == Some(&interface) && words.last() == Some(&kind)
     };
-    lists.iter().flat_map(|list| list.lines()).filter(is_one).count()
+    text.unwrap_or_default().lines().filter(is_one).count()
 }
 
 /// Polls for a condition that produces no event.
