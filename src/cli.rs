@@ -721,13 +721,19 @@ pub struct BrokerFiles {
 #[cfg(feature = "fleet")]
 impl BrokerFiles {
     /// What they say about the broker at this address.
-    pub fn access(&self, address: &BrokerAddress) -> BrokerAccess {
-        BrokerAccess {
+    ///
+    /// # Errors
+    /// Certificates are given, but the address is one without TLS.
+    pub fn access(&self, address: &BrokerAddress) -> Result<BrokerAccess, String> {
+        if !address.has_tls() && (self.ca.is_some() || self.cert.is_some()) {
+            return Err(format!("{address}: certificates need TLS; write mqtts://"));
+        }
+        Ok(BrokerAccess {
             address: address.clone(),
             ca: self.ca.clone(),
             identity: self.cert.clone().zip(self.key.clone()),
             credentials: self.credentials.clone(),
-        }
+        })
     }
 }
 

@@ -2,7 +2,7 @@
 //!
 //! Scripts rely on the names, types and meanings of the JSON members.
 
-use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure, headless, output};
+use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure, headless, open, output};
 use crate::cli::FleetArgs;
 use crate::finding::{FindingKind, FindingState};
 use crate::fleet::{Fleet, FleetGateway, FleetTopic, GatewayName};
@@ -24,7 +24,7 @@ pub const DEFAULT_TIME: Duration = Duration::from_secs(10);
 
 /// Runs it.
 pub fn run(args: &FleetArgs) -> Result<u8, Failure> {
-    let settings = BrokerSettings::read(&args.files.access(&args.broker))?;
+    let settings = open::broker(&args.files, &args.broker)?;
     let Some(read) = read(&settings, args.time.unwrap_or(DEFAULT_TIME))? else {
         return Ok(EXIT_INTERRUPTED);
     };

@@ -31,7 +31,7 @@ pub fn run(args: &PublishArgs) -> Result<u8, Failure> {
     }
     let setup = Setup::for_buses(&args.session.common, &buses)?;
     let gateway = gateway(args)?;
-    let settings = BrokerSettings::read(&args.files.access(&args.broker))?;
+    let settings = open::broker(&args.files, &args.broker)?;
     settings.warnings.iter().for_each(output::warn);
     let publication = Publication::new(gateway.clone(), (unix_secs() * 1000.0) as u64)
         .with_instance(fastrand::u64(..1 << 53));
@@ -54,11 +54,11 @@ pub fn run(args: &PublishArgs) -> Result<u8, Failure> {
     let (mut foreign, mut problems) = (Vec::new(), Vec::new());
     let outcome = headless::run(RunInput::Buses(&buses), &setup, options, limits, |session| {
         feed.print_notices()?;
+        warn_files(&session.app, &mut problems);
         if gate.allows(&session.app, session.now())? {
             let now = session.now();
             feed.publish(&mut session.app, now);
             headless::warn_foreign(&session.app, &mut foreign);
-            warn_files(&session.app, &mut problems);
         }
         Ok(ControlFlow::Continue(()))
     })?;
@@ -78,8 +78,8 @@ pub fn run(args: &PublishArgs) -> Result<u8, Failure> {
     Ok(EXIT_OK)
 }
 
-/// Prints on standard error why a des.json cannot be used, again when that changes. `reported` has what was
-/// printed, by file.
+/// Prints on standard error why a des.json cannot be used, again when that changes. `reported` has
+/// what was printed, by file.
 fn warn_files(app: &App, reported: &mut Vec<Option<String>>) {
     for (index, _) in app.files() {
         let at = usize::from(index.0);

@@ -74,7 +74,7 @@ impl FromStr for BrokerAddress {
 
 impl BrokerAddress {
     /// Returns true for `mqtts://`.
-    pub(super) const fn has_tls(&self) -> bool {
+    pub const fn has_tls(&self) -> bool {
         self.has_tls
     }
 
@@ -131,18 +131,14 @@ struct CredentialsFile {
 }
 
 impl BrokerSettings {
-    /// Reads the files that are named, and the environment.
+    /// Reads the files that are named, and the environment. Without TLS certificates are of no use
+    /// and are not read.
     ///
     /// # Errors
     /// A file cannot be used.
     pub fn read(access: &BrokerAccess) -> Result<Self, Diagnostic> {
         let address = access.address.clone();
         let mut warnings = Vec::new();
-        let has_files = access.ca.is_some() || access.identity.is_some();
-        if !address.has_tls && has_files {
-            let why = format!("{address}: certificates need TLS");
-            return Err(Diagnostic::new(why).with_remedy("write mqtts://"));
-        }
         let login = login(access.credentials.as_deref(), &mut warnings)?;
         if login.is_some() && !address.has_tls && !address.is_local() {
             warnings.push(format!("{address}: the password is not encrypted; use mqtts://"));

@@ -334,6 +334,13 @@ fn des_json_that_cannot_be_used_is_said_once_by_publish() {
     let said = text(&output.stderr);
     assert_eq!(output.status.code(), Some(0), "{said}");
     assert_eq!(said.matches("descan: des.json: line 1").count(), 1, "{said}");
+    // Also while a bus is waited for.
+    let publish = ["publish", "vcan-none", "--broker", &url, "--gateway", "g", "--time", "1"];
+    let output = run(&publish, folder);
+    let said = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(3), "{said}");
+    assert!(said.contains("waiting for vcan-none"), "{said}");
+    assert_eq!(said.matches("descan: des.json: line 1").count(), 1, "{said}");
 }
 
 // --- rights and TLS -------------------------------------------------------------------------
@@ -405,6 +412,7 @@ fn wrong_certificates_and_passwords_end_it_with_the_way_out() {
     }
     // Certificates without TLS; TLS at a port without.
     let output = run(&["fleet", "--broker", &plain, "--ca", "ca.pem"], folder);
+    assert_eq!(output.status.code(), Some(2), "{output:?}");
     assert!(text(&output.stderr).contains("write mqtts://"));
     let without_tls = Mosquitto::start().unwrap();
     let url = without_tls.url().replace("mqtt:", "mqtts:");
