@@ -4,7 +4,7 @@
 //! Does not know moments or bus numbers: [`super::LogSummary`] assigns them.
 
 use super::candump_time::{self, CandumpTimes, PrintedTime};
-use super::dates::LocalDate;
+use super::dates::{IsoDates, LocalDate};
 use super::fields::{hex_value, words};
 use super::local_clock::LocalClock;
 use super::text::BYTE_ORDER_MARK;
@@ -70,7 +70,7 @@ pub fn parse_line(line: &[u8]) -> Result<Option<LogEntry<'_>>, LineFault> {
         return Ok(None);
     }
     let fault = || if candump_time::has_date(line) { LineFault::Date } else { LineFault::Time };
-    let (time, rest) = candump_time::split(line).ok_or_else(fault)?;
+    let (time, rest) = candump_time::split(line, &mut IsoDates::default()).ok_or_else(fault)?;
     let (PrintedTime::Unix(time)
     | PrintedTime::Short(time)
     | PrintedTime::Local(LocalDate { first: time, .. })) = time;
@@ -137,6 +137,7 @@ impl fmt::Display for LogEntry<'_> {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct CandumpLines {
     times: CandumpTimes,
+    dates: IsoDates,
     /// A line before was of what candump prints without `-L`.
     is_screen: bool,
 }
@@ -146,6 +147,7 @@ impl CandumpLines {
     pub fn of_head(head: &[u8]) -> Self {
         Self {
             times: CandumpTimes::of(lines_of_head(head).filter_map(time_of_line)),
+            dates: IsoDates::default(),
             is_screen: false,
         }
     }
@@ -180,7 +182,7 @@ impl CandumpLines {
         if line.trim_ascii().is_empty() || line.starts_with(b"\t") && self.is_screen {
             return Ok(None);
         }
-        let (time, rest) = match candump_time::split(line) {
+        let (time, rest) = match candump_time::split(line, &mut self.dates) {
             Some((time, rest)) => (Some(time), rest),
             None if candump_time::has_date(line) => return Err(LineFault::Date),
             None if self.times.is_empty() => (None, line),
@@ -209,7 +211,7 @@ fn lines_of_head(head: &[u8]) -> impl Iterator<Item = &[u8]> {
 
 /// Returns the time of a line; `None` of one without.
 fn time_of_line(line: &[u8]) -> Option<PrintedTime> {
-    candump_time::split(line).map(|(time, _)| time)
+    candump_time::split(line, &mut IsoDates::default()).map(|(time, _)| time)
 }
 
 /// Beginnings of lines that may be before the first frame: of a comment, of `script`, and of candump where

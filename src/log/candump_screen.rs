@@ -4,8 +4,8 @@
 //! (`-S`), raw DLCs (`-8`), and in colours (`-c`). Input: a line without its time. Does not know times.
 
 use super::candump::LineFault;
-use super::candump_time::without_colours;
-use super::fields::{first_word, hex_byte, hex_value, number, words};
+use super::candump_time::{ESCAPE, without_colours};
+use super::fields::{first_word, hex_byte, hex_value, number, usual_bytes};
 use crate::frame::socketcan::{BIT_RATE_SWITCH, ERROR_FLAG, ERROR_STATE, with_fd_flags};
 use crate::frame::{CanId, Frame};
 use crate::text::is_printable;
@@ -16,16 +16,14 @@ use crate::text::is_printable;
 ///
 /// The line is not what candump prints.
 pub(super) fn parse(line: &[u8]) -> Result<(&str, Frame), LineFault> {
-    let (interface, rest) = first_word(without_colours(line));
-    let interface = std::str::from_utf8(plain(interface)).map_err(|_| LineFault::Interface)?;
+    let mut rest = ScreenWords::of(line);
+    let interface = std::str::from_utf8(rest.take()).map_err(|_| LineFault::Interface)?;
     if interface.is_empty() || !interface.chars().all(is_printable) {
         return Err(LineFault::Interface);
     }
-    let (info, rest) = extra_info(rest);
-    let (id, rest) = first_word(rest);
-    let (length, rest) = first_word(rest);
-    let (id, is_error) = parse_id(plain(id))?;
-    let (len, is_fd) = parse_length(plain(length))?;
+    let info = extra_info(&mut rest);
+    let (id, is_error) = parse_id(rest.take())?;
+    let (len, is_fd) = parse_length(rest.take())?;
     let frame = if is_remote(rest) {
         Frame::remote(id, len)
     } else {
@@ -41,6 +39,31 @@ pub(super) fn parse(line: &[u8]) -> Result<(&str, Frame), LineFault> {
     Ok((interface, if info.is_tx { frame.with_tx() } else { frame }))
 }
 
+/// Words that are left of a line.
+#[derive(Clone, Copy)]
+struct ScreenWords<'a> {
+    rest: &'a [u8],
+    has_colours: bool,
+}
+
+impl<'a> ScreenWords<'a> {
+    fn of(line: &'a [u8]) -> Self {
+        Self { rest: without_colours(line), has_colours: memchr::memchr(ESCAPE, line).is_some() }
+    }
+
+    /// Takes the next word without the colours around it; empty at the end.
+    fn take(&mut self) -> &'a [u8] {
+        let (word, rest) = first_word(self.rest);
+        self.rest = rest;
+        if !self.has_colours {
+            return word;
+        }
+        let word = without_colours(word);
+        let end = word.iter().position(|&byte| byte == ESCAPE).unwrap_or(word.len());
+        &word[..end]
+    }
+}
+
 /// What `-x` prints.
 #[derive(Clone, Copy, Debug, Default)]
 struct ExtraInfo {
@@ -48,26 +71,19 @@ struct ExtraInfo {
     fd_flags: u8,
 }
 
-/// Reads `RX B E` behind the interface, if it is there.
-fn extra_info(line: &[u8]) -> (ExtraInfo, &[u8]) {
-    let (direction, rest) = first_word(line);
-    let is_tx = plain(direction) == b"TX";
-    if !is_tx && plain(direction) != b"RX" {
-        return (ExtraInfo::default(), line);
-    }
-    let (switch, rest) = first_word(rest);
-    let (state, rest) = first_word(rest);
+/// Takes `RX B E` behind the interface, if it is there.
+fn extra_info(line: &mut ScreenWords<'_>) -> ExtraInfo {
+    let mut rest = *line;
+    let is_tx = match rest.take() {
+        b"TX" => true,
+        b"RX" => false,
+        _ => return ExtraInfo::default(),
+    };
     let flag = |is_set, flag| if is_set { flag } else { 0 };
-    let fd_flags =
-        flag(plain(switch) == b"B", BIT_RATE_SWITCH) | flag(plain(state) == b"E", ERROR_STATE);
-    (ExtraInfo { is_tx, fd_flags }, rest)
-}
-
-/// Returns a word without the colours around it.
-fn plain(word: &[u8]) -> &[u8] {
-    let word = without_colours(word);
-    let end = word.iter().position(|&byte| byte == 0x1B).unwrap_or(word.len());
-    &word[..end]
+    let switch = flag(rest.take() == b"B", BIT_RATE_SWITCH);
+    let state = flag(rest.take() == b"E", ERROR_STATE);
+    *line = rest;
+    ExtraInfo { is_tx, fd_flags: switch | state }
 }
 
 fn class_of(id: CanId) -> u32 {
@@ -108,28 +124,29 @@ fn parse_length(word: &[u8]) -> Result<(usize, bool), LineFault> {
     }
 }
 
-fn is_remote(rest: &[u8]) -> bool {
-    let mut words = words(rest).map(plain);
-    words.next() == Some(b"remote") && words.next() == Some(b"request")
+fn is_remote(mut rest: ScreenWords<'_>) -> bool {
+    rest.take() == b"remote" && rest.take() == b"request"
 }
 
 /// Reads as many bytes as `data` has. What follows them is not read.
-fn parse_data(line: &[u8], data: &mut [u8]) -> Result<(), LineFault> {
+fn parse_data(mut line: ScreenWords<'_>, data: &mut [u8]) -> Result<(), LineFault> {
     let byte = |word: &[u8]| match word {
         [high, low] => hex_byte([*high, *low]),
         _ => None,
     };
+    let (usual, rest) = usual_bytes(line.rest, data);
     // Swapped bytes: the last one first, with marks between them.
-    if let Some(first) = words(line).next().map(plain).filter(|word| word.contains(&b'`')) {
+    let first = line.take();
+    if usual == 0 && first.contains(&b'`') {
         let mut bytes = first.split(|&mark| mark == b'`');
         for place in data.iter_mut().rev() {
             *place = bytes.next().and_then(byte).ok_or(LineFault::Data)?;
         }
         return Ok(());
     }
-    let mut words = words(line).map(plain);
-    for place in data {
-        *place = words.next().and_then(byte).ok_or(LineFault::Data)?;
+    line.rest = rest;
+    for place in &mut data[usual..] {
+        *place = byte(line.take()).ok_or(LineFault::Data)?;
     }
     Ok(())
 }

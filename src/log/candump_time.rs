@@ -5,9 +5,10 @@
 //! Does not know what follows the time.
 
 use super::LogTime;
-use super::dates::{LocalDate, iso_date};
+use super::dates::{IsoDates, LocalDate};
 use super::fields::{decimal, first_word};
 use super::local_clock::LocalClock;
+use super::plain_line;
 
 /// Lines after which times in three digits of seconds count from the beginning.
 const LINES: u8 = 8;
@@ -15,6 +16,9 @@ const LINES: u8 = 8;
 /// First time from which on it is taken for no difference, in microseconds: candump begins at 0, and no bus
 /// is silent for as long.
 const NO_DIFFERENCE: u64 = 100_000_000;
+
+/// Begins a sequence that sets a colour.
+pub(super) const ESCAPE: u8 = 0x1B;
 
 /// What the lines so far say about the times of those that follow.
 #[derive(Clone, Copy, Debug)]
@@ -137,7 +141,6 @@ impl CandumpTimes {
 
 /// Returns a line without the blanks and the colours before its text.
 pub(super) fn without_colours(mut line: &[u8]) -> &[u8] {
-    const ESCAPE: u8 = 0x1B;
     loop {
         line = line.trim_ascii_start();
         let [ESCAPE, b'[', rest @ ..] = line else { return line };
@@ -160,8 +163,12 @@ pub(super) fn has_date(line: &[u8]) -> bool {
 }
 
 /// Splits a line into its time and the rest; `None` if it does not begin with one.
-pub(super) fn split(line: &[u8]) -> Option<(PrintedTime, &[u8])> {
-    let (word, rest) = first_word(without_colours(line));
+pub(super) fn split<'a>(line: &'a [u8], dates: &mut IsoDates) -> Option<(PrintedTime, &'a [u8])> {
+    let line = without_colours(line);
+    if let Some((time, rest)) = plain_line::time(line) {
+        return Some((PrintedTime::Unix(time), rest));
+    }
+    let (word, rest) = first_word(line);
     let word = word.strip_prefix(b"(")?;
     if let Some(word) = word.strip_suffix(b")") {
         let point = word.iter().position(|&byte| byte == b'.').unwrap_or(word.len());
@@ -176,5 +183,5 @@ pub(super) fn split(line: &[u8]) -> Option<(PrintedTime, &[u8])> {
         return Some((time, rest));
     }
     let (time, rest) = first_word(rest);
-    Some((PrintedTime::Local(iso_date(word, time.strip_suffix(b")")?)?), rest))
+    Some((PrintedTime::Local(dates.read(word, time.strip_suffix(b")")?)?), rest))
 }

@@ -26,6 +26,8 @@ pub(super) struct GvretLines {
     len: u8,
     /// The first byte; the others follow.
     data: u8,
+    /// Nothing but data follows the first byte.
+    ends_with_data: bool,
     /// The first time in microseconds, if it is below 0, from which times then count; 0 otherwise. `None`
     /// before it.
     start: Option<i128>,
@@ -44,14 +46,20 @@ impl GvretLines {
                 .position(|cell| cell.eq_ignore_ascii_case(name))
                 .and_then(|at| u8::try_from(at).ok())
         };
+        let (time, id, data) = (place(b"time stamp")?, place(b"id")?, place(b"d1")?);
+        let len = place(b"len").or_else(|| place(b"dlc"))?;
+        let others = [place(b"extended"), place(b"dir"), place(b"bus")];
+        let mut named = [time, id, len].into_iter().chain(others.into_iter().flatten());
+        let [extended, direction, bus] = others.map(|place| place.unwrap_or(NONE));
         Some(Self {
-            time: place(b"time stamp")?,
-            id: place(b"id")?,
-            extended: place(b"extended").unwrap_or(NONE),
-            direction: place(b"dir").unwrap_or(NONE),
-            bus: place(b"bus").unwrap_or(NONE),
-            len: place(b"len").or_else(|| place(b"dlc"))?,
-            data: place(b"d1")?,
+            time,
+            id,
+            extended,
+            direction,
+            bus,
+            len,
+            data,
+            ends_with_data: named.all(|place| place < data),
             start: None,
             counter: WrappedCounter::default(),
         })
@@ -71,7 +79,9 @@ impl GvretLines {
         let (mut is_extended, mut is_tx, mut bus) = (None, false, 0);
         let mut data = [0; Frame::MAX_DATA];
         let mut bytes = 0;
-        for (at, cell) in (0..NONE).zip(cells(line)) {
+        let mut cells = cells(line);
+        for at in 0..NONE {
+            let Some(cell) = cells.next() else { break };
             match at {
                 _ if at == self.time => time = self.time(cell),
                 _ if at == self.id => id = cell,
@@ -89,6 +99,10 @@ impl GvretLines {
                     };
                     *place = value.ok_or(FieldFault::Data)?;
                     bytes += 1;
+                    if self.ends_with_data {
+                        let following = len.map_or(0, |len| data.len().min(len as usize));
+                        bytes += cells.usual_bytes(&mut data[bytes..following]);
+                    }
                 }
                 _ => {}
             }
@@ -208,8 +222,41 @@ fn error_of(class: u32, data: &[u8]) -> Result<Frame, FieldFault> {
     }
 }
 
-fn cells(line: &[u8]) -> impl Iterator<Item = &[u8]> {
-    line.split(|&byte| byte == b',').map(<[u8]>::trim_ascii)
+/// Cells of a line without the blanks around them.
+struct Cells<'a> {
+    /// What follows; `None` behind the last one.
+    rest: Option<&'a [u8]>,
+}
+
+fn cells(line: &[u8]) -> Cells<'_> {
+    Cells { rest: Some(line) }
+}
+
+impl<'a> Iterator for Cells<'a> {
+    type Item = &'a [u8];
+
+    #[inline]
+    fn next(&mut self) -> Option<&'a [u8]> {
+        let line = self.rest?;
+        let end = line.iter().position(|&byte| byte == b',');
+        self.rest = end.map(|end| &line[end + 1..]);
+        Some(line[..end.unwrap_or(line.len())].trim_ascii())
+    }
+}
+
+impl Cells<'_> {
+    /// Reads the next bytes as long as each has two digits and a comma behind it; returns their number.
+    #[inline]
+    fn usual_bytes(&mut self, data: &mut [u8]) -> usize {
+        let mut count = 0;
+        for byte in data {
+            let Some([high, low, b',', rest @ ..]) = self.rest else { break };
+            let Some(value) = hex_byte([*high, *low]) else { break };
+            *byte = value;
+            (self.rest, count) = (Some(rest), count + 1);
+        }
+        count
+    }
 }
 
 /// Reads as many bytes as `data` has from base64 with padding.

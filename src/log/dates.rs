@@ -123,8 +123,47 @@ pub(super) fn day_month_year(text: &[u8]) -> Option<u64> {
     Some(civil(year, month, day, time_of_day(&time[..end])?)?.micros)
 }
 
+/// Reads dates such as `2026-11-27` with a time of day, line by line. Most are in the second of the one
+/// before, for which the time zone is asked once.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct IsoDates {
+    /// The last date, and its text up to the second.
+    last: Option<([u8; DATE], [u8; SECOND], LocalDate)>,
+}
+
+/// Bytes of a date in four, two and two digits.
+const DATE: usize = 10;
+/// Bytes of a time of day up to the second, with the point behind it.
+const SECOND: usize = 9;
+
+impl IsoDates {
+    /// Parses a date and a time of day; `None` if there is no such moment.
+    pub fn read(&mut self, date: &[u8], time: &[u8]) -> Option<LocalDate> {
+        let second = <[u8; DATE]>::try_from(date).ok().zip(time.first_chunk::<SECOND>().copied());
+        let second = second.filter(|(_, time)| time.ends_with(b"."));
+        if let Some(second) = second
+            && let Some((date, time_before, last)) = self.last
+            && second == (date, time_before)
+        {
+            let fraction = LogTime::of_seconds(&time[SECOND - 2..])?;
+            let moment = |of: LogTime| LogTime {
+                micros: of.micros / 1_000_000 * 1_000_000 + fraction.micros % 1_000_000,
+                nanos: fraction.nanos,
+            };
+            return Some(LocalDate {
+                first: moment(last.first),
+                second: last.second.map(moment),
+                ..last
+            });
+        }
+        let read = iso_date(date, time)?;
+        self.last = second.map(|(date, time)| (date, time, read));
+        Some(read)
+    }
+}
+
 /// Parses a date such as `2026-11-27` and a time of day.
-pub(super) fn iso_date(date: &[u8], time: &[u8]) -> Option<LocalDate> {
+fn iso_date(date: &[u8], time: &[u8]) -> Option<LocalDate> {
     let mut parts = date.split(|&byte| byte == b'-').map(|part| number(part, 10));
     let (year, month, day) = (parts.next()??, parts.next()??, parts.next()??);
     if parts.next().is_some() {

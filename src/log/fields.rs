@@ -47,35 +47,90 @@ pub(super) fn words(line: &[u8]) -> impl Iterator<Item = &[u8]> + Clone {
 }
 
 /// The first word of a line and what follows it; both empty at the end.
+#[inline]
 pub(super) fn first_word(line: &[u8]) -> (&[u8], &[u8]) {
-    let line = line.trim_ascii_start();
-    let end = line.iter().position(u8::is_ascii_whitespace).unwrap_or(line.len());
-    line.split_at(end)
+    // Most bytes are above the blanks.
+    let is_blank = |byte: &u8| *byte <= b' ' && byte.is_ascii_whitespace();
+    let start = line.iter().position(|byte| !is_blank(byte)).unwrap_or(line.len());
+    let line = &line[start..];
+    line.split_at(line.iter().position(is_blank).unwrap_or(line.len()))
 }
 
-/// The value of a hexadecimal digit.
-pub(super) const fn hex_value(digit: u8) -> Option<u8> {
-    match digit {
-        b'0'..=b'9' => Some(digit - b'0'),
-        b'A'..=b'F' => Some(digit - b'A' + 10),
-        b'a'..=b'f' => Some(digit - b'a' + 10),
-        _ => None,
+/// Marks what is no hexadecimal digit.
+pub(super) const NO_DIGIT: u8 = 0xF0;
+
+/// Values of the hexadecimal digits; [`NO_DIGIT`] of any other character.
+pub(super) static HEX_VALUES: [u8; 256] = {
+    let mut values = [NO_DIGIT; 256];
+    let mut digit = 0;
+    while digit < 16 {
+        values[b"0123456789ABCDEF"[digit] as usize] = digit as u8;
+        values[b"0123456789abcdef"[digit] as usize] = digit as u8;
+        digit += 1;
     }
+    values
+};
+
+/// The value of a hexadecimal digit.
+#[inline]
+pub(super) fn hex_value(digit: u8) -> Option<u8> {
+    Some(HEX_VALUES[usize::from(digit)]).filter(|value| *value != NO_DIGIT)
 }
 
 /// The value of two hexadecimal digits.
+#[inline]
 pub(super) fn hex_byte(word: [u8; 2]) -> Option<u8> {
-    let [high, low] = word;
-    Some(hex_value(high)? << 4 | hex_value(low)?)
+    let (high, low) = (HEX_VALUES[usize::from(word[0])], HEX_VALUES[usize::from(word[1])]);
+    ((high | low) & NO_DIGIT == 0).then_some(high << 4 | low)
+}
+
+/// Returns the number of eight decimal digits, all of them at once: pairs, then fours, then eight.
+#[inline]
+pub(super) fn eight_digits(text: [u8; 8]) -> Option<u64> {
+    let digits = u64::from_le_bytes(text) ^ 0x3030_3030_3030_3030;
+    // Of a digit above 9, or any other character, the upper half is not 0.
+    if (digits | digits.wrapping_add(0x0606_0606_0606_0606)) & 0xF0F0_F0F0_F0F0_F0F0 != 0 {
+        return None;
+    }
+    let pairs = (digits * 10 + (digits >> 8)) & 0x00FF_00FF_00FF_00FF;
+    let fours = (pairs * 100 + (pairs >> 16)) & 0x0000_FFFF_0000_FFFF;
+    Some((fours * 10_000 + (fours >> 32)) & 0xFFFF_FFFF)
+}
+
+/// Returns the bytes of eight hexadecimal digits, all of them at once.
+#[inline]
+pub(super) fn four_bytes(text: [u8; 8]) -> Option<[u8; 4]> {
+    const ALL: u64 = 0x0101_0101_0101_0101;
+    let digits = u64::from_le_bytes(text);
+    let is_letter = digits >> 6 & ALL;
+    // Bits of the upper half that are set in what is no digit, and in what is none of A to F.
+    let decimal = digits ^ (ALL * 0x30);
+    let no_decimal = (decimal | decimal.wrapping_add(ALL * 6)) & (ALL * 0xF0);
+    let letter = digits & (ALL * 0xDF) ^ (ALL * 0x40);
+    let above = (letter | letter.wrapping_add(ALL * 9)) & (ALL * 0xF0);
+    let is_zero = !letter.wrapping_add(ALL * 0x0F) & (ALL * 0x10);
+    let letters = is_letter * 0xFF;
+    if no_decimal & !letters | (above | is_zero) & letters != 0 {
+        return None;
+    }
+    let halves = (digits & (ALL * 0x0F)) + is_letter * 9;
+    let bytes = (halves << 4 | halves >> 8) & 0x00FF_00FF_00FF_00FF;
+    let pairs = (bytes | bytes >> 8) & 0x0000_FFFF_0000_FFFF;
+    Some(((pairs | pairs >> 16) as u32).to_le_bytes())
 }
 
 /// Returns the number of these digits in base 10 or 16; `None` without digits, or above 2³² − 1.
 pub(super) fn number(digits: &[u8], base: u32) -> Option<u32> {
+    if base == 16
+        && let Ok(digits) = digits.try_into()
+    {
+        return four_bytes(digits).map(u32::from_be_bytes);
+    }
     if digits.is_empty() {
         return None;
     }
     digits.iter().try_fold(0_u32, |number, &digit| {
-        let value = u32::from(hex_value(digit)?);
+        let value = u32::from(HEX_VALUES[usize::from(digit)]);
         if value >= base { None } else { number.checked_mul(base)?.checked_add(value) }
     })
 }
@@ -85,7 +140,11 @@ pub(super) fn decimal(digits: &[u8]) -> Option<u64> {
     if digits.is_empty() {
         return None;
     }
-    digits.iter().try_fold(0_u64, |number, digit| {
+    let (eights, rest) = digits.as_chunks();
+    let eights = eights.iter().try_fold(0_u64, |number, eight| {
+        number.checked_mul(100_000_000)?.checked_add(eight_digits(*eight)?)
+    })?;
+    rest.iter().try_fold(eights, |number, digit| {
         let value = digit.wrapping_sub(b'0');
         if value > 9 { None } else { number.checked_mul(10)?.checked_add(u64::from(value)) }
     })
@@ -102,12 +161,9 @@ pub(super) fn fixed_point<const P: usize>(text: &[u8]) -> Option<u64> {
     if !fraction.iter().all(u8::is_ascii_digit) {
         return None;
     }
-    let mut value = decimal(whole)?;
-    for place in 0..P {
-        let digit = fraction.get(place).map_or(0, |digit| digit - b'0');
-        value = value.checked_mul(10)?.checked_add(u64::from(digit))?;
-    }
-    Some(value)
+    let digit = |place| fraction.get(place).map_or(0, |digit| u64::from(digit - b'0'));
+    let fraction = (0..P).fold(0, |number, place| number * 10 + digit(place));
+    decimal(whole)?.checked_mul(const { 10_u64.pow(P as u32) })?.checked_add(fraction)
 }
 
 /// Reads `len` bytes of words in base 10 or 16 into `data`; returns what follows them.
@@ -116,16 +172,11 @@ pub(super) fn bytes<'a>(
     base: u32,
     data: &mut [u8],
 ) -> Result<&'a [u8], FieldFault> {
-    for byte in data {
-        // The usual form.
-        if let [high, low, b' ', rest @ ..] = line.trim_ascii_start()
-            && base == 16
-            && let Some(value) = hex_byte([*high, *low])
-        {
-            *byte = value;
-            line = rest;
-            continue;
-        }
+    let mut usual = 0;
+    if base == 16 {
+        (usual, line) = usual_bytes(line, data);
+    }
+    for byte in &mut data[usual..] {
         let (word, rest) = first_word(line);
         let value = match (base, word) {
             (16, [high, low]) => hex_byte([*high, *low]),
@@ -135,6 +186,25 @@ pub(super) fn bytes<'a>(
         line = rest;
     }
     Ok(line)
+}
+
+/// Reads bytes of two hexadecimal digits with one blank between them, up to a word of another form; returns
+/// their number, and what follows them.
+#[inline]
+pub(super) fn usual_bytes<'a>(line: &'a [u8], data: &mut [u8]) -> (usize, &'a [u8]) {
+    let (mut count, mut rest) = (0, line.trim_ascii_start());
+    for byte in data {
+        let [high, low, after @ ..] = rest else { break };
+        let after = match after {
+            [] => after,
+            [b' ', after @ ..] => after,
+            _ => break,
+        };
+        let Some(value) = hex_byte([*high, *low]) else { break };
+        *byte = value;
+        (count, rest) = (count + 1, after);
+    }
+    (count, rest)
 }
 
 /// Returns the number of a channel, 0 to 255.
@@ -181,4 +251,40 @@ pub(super) fn check_line(line: &[u8]) -> Result<(), FieldFault> {
 /// Returns true if `text` begins with `start`, in capitals or not.
 pub(super) fn starts_with_ignoring_case(text: &[u8], start: &[u8]) -> bool {
     text.get(..start.len()).is_some_and(|head| head.eq_ignore_ascii_case(start))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn four_bytes_are_those_of_eight_digits() {
+        for byte in 0..=u8::MAX {
+            for at in 0..8 {
+                let mut text = *b"0aB9fF71";
+                text[at] = byte;
+                let expected = std::str::from_utf8(&text).ok().filter(|it| !it.contains('+'));
+                let expected = expected.and_then(|it| u32::from_str_radix(it, 16).ok());
+                assert_eq!(four_bytes(text), expected.map(u32::to_be_bytes), "{byte:#x} at {at}");
+            }
+        }
+    }
+
+    #[test]
+    fn numbers_are_those_of_the_standard_library() {
+        let mut rng = fastrand::Rng::with_seed(3);
+        for round in 0..100_000 {
+            let len = rng.usize(0..=24);
+            let mut text: Vec<u8> = (0..len).map(|_| rng.u8(b'0'..=b'9')).collect();
+            if len > 0 && round % 3 == 0 {
+                text[rng.usize(0..len)] = rng.u8(0x20..=0x7E);
+            }
+            let known = str::from_utf8(&text).unwrap();
+            let known = (!known.contains('+')).then_some(known);
+            assert_eq!(decimal(&text), known.and_then(|it| it.parse().ok()), "{known:?}");
+            let hex = known.and_then(|it| u32::from_str_radix(it, 16).ok());
+            assert_eq!(number(&text, 16), hex, "{known:?}");
+            assert_eq!(number(&text, 10), known.and_then(|it| it.parse().ok()), "{known:?}");
+        }
+    }
 }

@@ -1,4 +1,5 @@
-//! The usual line of candump's log text, `(1436509052.249713) can0 02015402#0444455301`, in one pass.
+//! The usual lines of candump's log text, `(1436509052.249713) can0 02015402#0444455301` and
+//! `(1436509052.249713) can0 123##1AABB`, in one pass.
 //!
 //! Input: text that begins with a line. Output: the line's frame and length; nothing for any other
 //! line, which [`super::candump::parse_line`] reads. What both read, they read alike.
@@ -6,26 +7,14 @@
 
 use super::LogTime;
 use super::candump::MAX_LINE;
+use super::fields::{HEX_VALUES, NO_DIGIT, eight_digits, four_bytes, hex_byte, hex_value};
+use crate::frame::socketcan::with_fd_flags;
 use crate::frame::{CanId, Frame};
 
 /// Bytes of a time with ten digits of seconds and six of the fraction, without the parenthesis behind it.
 const TIME: usize = 18;
-/// Marks what is no hexadecimal digit.
-const NO_DIGIT: u8 = 0xF0;
 
-/// Values of the hexadecimal digits.
-static DIGITS: [u8; 256] = {
-    let mut values = [NO_DIGIT; 256];
-    let mut digit = 0;
-    while digit < 16 {
-        values[b"0123456789ABCDEF"[digit] as usize] = digit as u8;
-        values[b"0123456789abcdef"[digit] as usize] = digit as u8;
-        digit += 1;
-    }
-    values
-};
-
-/// A classic data frame on a line, with its interface.
+/// A data frame on a line, with its interface.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PlainLine<'a> {
     pub time: LogTime,
@@ -46,8 +35,12 @@ pub(super) fn parse(text: &[u8]) -> Option<PlainLine<'_>> {
     }
     let (interface, rest) = (&rest[..name], &rest[name + 1..]);
     let (id, rest) = id(rest)?;
-    let (data, len, rest) = data(rest)?;
-    let mut frame = Frame::of_eight_bytes(id, data, len);
+    let (mut frame, rest) = if let [b'#', flags, rest @ ..] = rest {
+        fd_frame(id, *flags, rest)?
+    } else {
+        let (data, len, rest) = data(rest)?;
+        (Frame::of_eight_bytes(id, data, len), rest)
+    };
     let rest = match rest {
         [b' ', b'T', rest @ ..] => {
             frame.is_tx = true;
@@ -63,7 +56,7 @@ pub(super) fn parse(text: &[u8]) -> Option<PlainLine<'_>> {
 
 /// Reads `(1436509052.249713) `, or a fraction of nine digits; returns what follows it, too.
 #[inline]
-fn time(text: &[u8]) -> Option<(LogTime, &[u8])> {
+pub(super) fn time(text: &[u8]) -> Option<(LogTime, &[u8])> {
     let (time, rest) = text.split_first_chunk::<TIME>()?;
     let [b'(', s1, s2, s3, s4, s5, s6, s7, s8, s9, s10, b'.', m1, m2, m3, m4, m5, m6] = *time
     else {
@@ -85,41 +78,6 @@ fn time(text: &[u8]) -> Option<(LogTime, &[u8])> {
     is_valid.then_some((LogTime { micros: seconds * 1_000_000 + micros, nanos }, rest))
 }
 
-/// Returns the number of eight decimal digits, all of them at once: pairs, then fours, then eight.
-#[inline]
-fn eight_digits(text: [u8; 8]) -> Option<u64> {
-    let digits = u64::from_le_bytes(text) ^ 0x3030_3030_3030_3030;
-    // Of a digit above 9, or any other character, the upper half is not 0.
-    if (digits | digits.wrapping_add(0x0606_0606_0606_0606)) & 0xF0F0_F0F0_F0F0_F0F0 != 0 {
-        return None;
-    }
-    let pairs = (digits * 10 + (digits >> 8)) & 0x00FF_00FF_00FF_00FF;
-    let fours = (pairs * 100 + (pairs >> 16)) & 0x0000_FFFF_0000_FFFF;
-    Some((fours * 10_000 + (fours >> 32)) & 0xFFFF_FFFF)
-}
-
-/// Returns the bytes of eight hexadecimal digits, all of them at once.
-#[inline]
-fn four_bytes(text: [u8; 8]) -> Option<[u8; 4]> {
-    const ALL: u64 = 0x0101_0101_0101_0101;
-    let digits = u64::from_le_bytes(text);
-    let is_letter = digits >> 6 & ALL;
-    // Bits of the upper half that are set in what is no digit, and in what is none of A to F.
-    let decimal = digits ^ (ALL * 0x30);
-    let no_decimal = (decimal | decimal.wrapping_add(ALL * 6)) & (ALL * 0xF0);
-    let letter = digits & (ALL * 0xDF) ^ (ALL * 0x40);
-    let above = (letter | letter.wrapping_add(ALL * 9)) & (ALL * 0xF0);
-    let is_zero = !letter.wrapping_add(ALL * 0x0F) & (ALL * 0x10);
-    let letters = is_letter * 0xFF;
-    if no_decimal & !letters | (above | is_zero) & letters != 0 {
-        return None;
-    }
-    let halves = (digits & (ALL * 0x0F)) + is_letter * 9;
-    let bytes = (halves << 4 | halves >> 8) & 0x00FF_00FF_00FF_00FF;
-    let pairs = (bytes | bytes >> 8) & 0x0000_FFFF_0000_FFFF;
-    Some(((pairs | pairs >> 16) as u32).to_le_bytes())
-}
-
 /// Reads an identifier and the `#` behind it.
 #[inline]
 fn id(text: &[u8]) -> Option<(CanId, &[u8])> {
@@ -127,7 +85,7 @@ fn id(text: &[u8]) -> Option<(CanId, &[u8])> {
         return Some((CanId::extended(u32::from_be_bytes(four_bytes(*digits)?))?, rest));
     }
     let (digits, rest) = text.split_first_chunk::<3>()?;
-    let [a, b, c] = digits.map(|digit| DIGITS[usize::from(digit)]);
+    let [a, b, c] = digits.map(|digit| HEX_VALUES[usize::from(digit)]);
     let number = u32::from(a) << 8 | u32::from(b) << 4 | u32::from(c);
     let id = CanId::standard(number).filter(|_| (a | b | c) & NO_DIGIT == 0)?;
     Some((id, rest.strip_prefix(b"#")?))
@@ -144,7 +102,7 @@ fn data(text: &[u8]) -> Option<([u8; Frame::MAX_CLASSIC_DATA], usize, &[u8])> {
     }
     let (mut data, mut len, mut rest) = ([0; Frame::MAX_CLASSIC_DATA], 0, text);
     while let [high, low, after @ ..] = rest {
-        let (high, low) = (DIGITS[usize::from(*high)], DIGITS[usize::from(*low)]);
+        let (high, low) = (HEX_VALUES[usize::from(*high)], HEX_VALUES[usize::from(*low)]);
         if high == NO_DIGIT {
             break;
         }
@@ -155,6 +113,24 @@ fn data(text: &[u8]) -> Option<([u8; Frame::MAX_CLASSIC_DATA], usize, &[u8])> {
         (len, rest) = (len + 1, after);
     }
     Some((data, len, rest))
+}
+
+/// Reads the hexadecimal bytes of an FD frame, at most 64.
+fn fd_frame(id: CanId, flags: u8, mut rest: &[u8]) -> Option<(Frame, &[u8])> {
+    let (mut data, mut len) = ([0; Frame::MAX_DATA], 0);
+    while let Some((digits, after)) = rest.split_first_chunk()
+        && let Some(bytes) = four_bytes(*digits)
+    {
+        *data[len..].first_chunk_mut()? = bytes;
+        (len, rest) = (len + bytes.len(), after);
+    }
+    while let [high, low, after @ ..] = rest
+        && let Some(byte) = hex_byte([*high, *low])
+    {
+        *data.get_mut(len)? = byte;
+        (len, rest) = (len + 1, after);
+    }
+    Some((with_fd_flags(id, &data[..len], hex_value(flags)?), rest))
 }
 
 #[cfg(test)]
@@ -172,6 +148,11 @@ mod tests {
         true
     }
 
+    /// A line of an FD frame with `len` bytes.
+    fn fd(len: usize) -> String {
+        format!("(1436509052.249713) can0 123##0{}\n", "5A".repeat(len))
+    }
+
     #[test]
     fn usual_lines_are_read_alike() {
         for line in [
@@ -182,21 +163,12 @@ mod tests {
             "(0000000001.000009) can0 123#AB R\r\n",
             "(1436509052.249713458) can0 123#AB\n",
             "(1436509052.249713000) can0 02015402#0444455301 T\n",
+            "(1436509052.249713) can0 123##1AB\n",
+            "(1436509052.249713) can0 123##5\r\n",
+            "(1436509052.249713) can0 02015402##F00112233445566778899AABBCCDDEE T\n",
+            &fd(64),
         ] {
             assert!(agree(line.as_bytes()), "{line}");
-        }
-    }
-
-    #[test]
-    fn four_bytes_are_those_of_eight_digits() {
-        for byte in 0..=u8::MAX {
-            for at in 0..8 {
-                let mut text = *b"0aB9fF71";
-                text[at] = byte;
-                let expected = std::str::from_utf8(&text).ok().filter(|it| !it.contains('+'));
-                let expected = expected.and_then(|it| u32::from_str_radix(it, 16).ok());
-                assert_eq!(four_bytes(text), expected.map(u32::to_be_bytes), "{byte:#x} at {at}");
-            }
         }
     }
 
@@ -206,7 +178,13 @@ mod tests {
         for line in [
             "(1436509052.249713) can0 123#AB",
             "(1436509052.249713) can0 123#A\n",
-            "(1436509052.249713) can0 123##1AB\n",
+            "(1436509052.249713) can0 123##GAB\n",
+            "(1436509052.249713) can0 123##\n",
+            "(1436509052.249713) can0 123##1ABC\n",
+            "(1436509052.249713) can0 123##100112233445566778\n",
+            "(1436509052.249713) can0 123##1AB_9\n",
+            "(1436509052.249713) can0 123##1AB.CD\n",
+            &fd(65),
             "(1436509052.249713) can0 123#R4\n",
             "(1436509052.249713) can0 20000004#00\n",
             "(1436509052.249713) can0 800#00\n",
@@ -238,7 +216,9 @@ mod tests {
         let alphabet = b"0123456789abcdefABCDEF#.() TR_\r\n:x/\x00\x7F\xC3";
         let mut read = 0;
         for round in 0..200_000 {
-            let mut line = b"(1436509052.249713) can0 02015402#0444455301 T\r\n".to_vec();
+            let hashes = if round % 2 == 0 { "#" } else { "##4" };
+            let line = format!("(1436509052.249713) can0 02015402{hashes}0444455301 T\r\n");
+            let mut line = line.into_bytes();
             for _ in 0..=(round % 3) {
                 let at = rng.usize(0..line.len());
                 line[at] = alphabet[rng.usize(0..alphabet.len())];

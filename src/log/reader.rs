@@ -303,6 +303,7 @@ impl<R: Read> LogReader<BufReader<R>> {
     pub fn take_buffered(&mut self, frames: &mut Vec<Frame>, most: usize) {
         let Some(decoder) = &mut self.decoder else { return };
         if self.head.is_empty() && self.summary.foreign.is_none() {
+            self.summary.note_arrival(self.arrival);
             let used = decoder.decode_frames(self.source.buffer(), &mut self.summary, frames, most);
             self.source.consume(used);
             self.summary.note_read(used);

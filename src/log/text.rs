@@ -42,6 +42,11 @@ impl TextFormat {
         matches!(self, Self::Candump(_))
     }
 
+    /// Returns true for the usual lines of candump's log text.
+    fn is_usual_candump(&self) -> bool {
+        matches!(self, Self::Candump(lines) if lines.is_usual())
+    }
+
     /// Returns true if the lines have no times.
     fn is_timeless(&self) -> bool {
         matches!(self, Self::Candump(lines) if lines.is_timeless())
@@ -217,15 +222,20 @@ impl LogDecoder for TextDecoder {
         frames: &mut Vec<Frame>,
         most: usize,
     ) -> usize {
-        if !self.partial.is_empty() || self.format.is_timeless() {
+        if !self.partial.is_empty() {
             return 0;
         }
-        match self.format {
-            TextFormat::Candump(lines) if lines.is_usual() => {
-                plain_frames(bytes, summary, frames, most)
+        let mut used = 0;
+        while self.format.is_usual_candump() {
+            used += plain_frames(&bytes[used..], summary, frames, most);
+            let next = most.min(frames.len() + 1);
+            let other = self.other_frames(&bytes[used..], summary, frames, next);
+            if other == 0 {
+                return used;
             }
-            _ => self.other_frames(bytes, summary, frames, most),
+            used += other;
         }
+        used + self.other_frames(&bytes[used..], summary, frames, most)
     }
 
     fn has_partial_entry(&self) -> bool {
@@ -300,7 +310,10 @@ impl TextDecoder {
         {
             let mut next = self.format;
             let line = &bytes[used..used + len];
-            let Ok(Some(entry)) = next.read(line) else { break };
+            let Ok(Some(mut entry)) = next.read(line) else { break };
+            if next.is_timeless() {
+                entry.time = LogTime::from_micros(summary.arrival);
+            }
             if next.date_doubts(summary) != summary.dates {
                 break;
             }
