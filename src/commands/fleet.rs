@@ -2,7 +2,7 @@
 //!
 //! Scripts rely on the names, types and meanings of the JSON members.
 
-use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure, headless, open, output};
+use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure, headless, output};
 use crate::cli::FleetArgs;
 use crate::finding::{FindingKind, FindingState};
 use crate::fleet::{Fleet, FleetGateway, FleetTopic, GatewayName};
@@ -24,7 +24,8 @@ pub const DEFAULT_TIME: Duration = Duration::from_secs(10);
 
 /// Runs it.
 pub fn run(args: &FleetArgs) -> Result<u8, Failure> {
-    let settings = open::broker(&args.files, &args.broker)?;
+    let access = args.files.access(&args.broker).map_err(Failure::Usage)?;
+    let settings = BrokerSettings::read(&access)?;
     let Some(read) = read(&settings, args.time.unwrap_or(DEFAULT_TIME))? else {
         return Ok(EXIT_INTERRUPTED);
     };

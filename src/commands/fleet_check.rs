@@ -13,7 +13,7 @@ use crate::finding::CheckSection;
 use crate::fleet::{ExpectedDevices, ExpectedGateway, Fleet, GatewayName, GatewayState};
 use crate::project::{FILE_NAME, Project};
 use crate::regular_file::{read, read_text};
-use crate::shell::broker::BrokerAddress;
+use crate::shell::broker::{BrokerAddress, BrokerSettings};
 use crate::text::{counted, printable, printable_path};
 use crate::time::Instant;
 use anyhow::Context;
@@ -27,8 +27,9 @@ const GATEWAY: &str = "gateway";
 
 /// Runs it.
 pub fn run(check: &CheckArgs, folder: &Path, broker: &BrokerAddress) -> Result<u8, Failure> {
+    let access = check.broker_files.access(broker).map_err(Failure::Usage)?;
     let sites = sites(folder)?;
-    let settings = open::broker(&check.broker_files, broker)?;
+    let settings = BrokerSettings::read(&access)?;
     let Some(read) = fleet::read(&settings, check.run.time.unwrap_or(DEFAULT_TIME))? else {
         return Ok(EXIT_INTERRUPTED);
     };

@@ -5,7 +5,7 @@ use crate::app::{FleetScreen, FleetScreenOptions, Signs};
 use crate::cli::FleetArgs;
 use crate::fleet::FleetTopic;
 use crate::keymap::Keymap;
-use crate::shell::broker::BrokerReader;
+use crate::shell::broker::{BrokerReader, BrokerSettings};
 use crate::shell::config::{ConfigFolder, UserSettings};
 use crate::shell::fleet_loop::{self, FleetExit};
 use crate::shell::paint_pace::SCREEN_BUDGET;
@@ -16,7 +16,8 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 /// Runs it.
 pub fn run(args: &FleetArgs) -> Result<u8, Failure> {
-    let broker = open::broker(&args.files, &args.broker)?;
+    let access = args.files.access(&args.broker).map_err(Failure::Usage)?;
+    let broker = BrokerSettings::read(&access)?;
     let mut warnings = broker.warnings.clone();
     let folder = ConfigFolder::of_user();
     let settings = folder.as_ref().map_or(Ok(UserSettings::default()), ConfigFolder::settings);

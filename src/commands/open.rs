@@ -14,8 +14,6 @@ use crate::frame::{BusIndex, IdFilter};
 use crate::keymap::Keymap;
 use crate::project::Project;
 use crate::regular_file;
-#[cfg(feature = "fleet")]
-use crate::shell::broker::{BrokerAddress, BrokerSettings};
 use crate::shell::catalogue_folders::CatalogueFolders;
 use crate::shell::config::{ConfigFolder, UserSettings};
 use crate::shell::recorder::{Recorder, Size, Target};
@@ -335,15 +333,6 @@ pub fn default_file() -> PathBuf {
 /// Reads a profile; `None` returns the assumed values.
 pub fn profile(path: Option<&Path>) -> Result<Profile, Failure> {
     path.map_or_else(|| Ok(Profile::default()), super::profile::read)
-}
-
-/// What a connection to a broker begins with.
-#[cfg(feature = "fleet")]
-pub fn broker(
-    files: &cli::BrokerFiles,
-    address: &BrokerAddress,
-) -> Result<BrokerSettings, Failure> {
-    Ok(BrokerSettings::read(&files.access(address).map_err(Failure::Usage)?)?)
 }
 
 /// Reads DBC files, in all at most of the largest size of one.

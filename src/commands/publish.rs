@@ -23,15 +23,19 @@ const FAREWELL: Duration = Duration::from_millis(500);
 /// The same where no signal came, and the broker is connected. Chosen.
 const LAST_DELIVERY: Duration = Duration::from_secs(5);
 
+/// Shortest time between two reports of one des.json: another program may write it again and again.
+const WARNING_PERIOD: Duration = Duration::from_secs(10);
+
 /// Runs it.
 pub fn run(args: &PublishArgs) -> Result<u8, Failure> {
+    let access = args.files.access(&args.broker).map_err(Failure::Usage)?;
     let buses = open::buses(&args.session)?;
     if let Some(log) = open::log(&buses, "publish", None)? {
         return Err(Failure::Usage(format!("{log} is a log; publish needs live buses")));
     }
     let setup = Setup::for_buses(&args.session.common, &buses)?;
     let gateway = gateway(args)?;
-    let settings = open::broker(&args.files, &args.broker)?;
+    let settings = BrokerSettings::read(&access)?;
     settings.warnings.iter().for_each(output::warn);
     let publication = Publication::new(gateway.clone(), (unix_secs() * 1000.0) as u64)
         .with_instance(fastrand::u64(..1 << 53));
@@ -51,10 +55,10 @@ pub fn run(args: &PublishArgs) -> Result<u8, Failure> {
     let documents = PublicationFeed::default();
     let mut feed =
         Feed { publisher, gateway, settings, documents, unreachable: None, was_connected: false };
-    let (mut foreign, mut problems) = (Vec::new(), Vec::new());
+    let (mut foreign, mut file_warnings) = (Vec::new(), FileWarnings::default());
     let outcome = headless::run(RunInput::Buses(&buses), &setup, options, limits, |session| {
         feed.print_notices()?;
-        warn_files(&session.app, &mut problems);
+        file_warnings.print(&session.app, session.now());
         if gate.allows(&session.app, session.now())? {
             let now = session.now();
             feed.publish(&mut session.app, now);
@@ -78,19 +82,32 @@ pub fn run(args: &PublishArgs) -> Result<u8, Failure> {
     Ok(EXIT_OK)
 }
 
-/// Prints on standard error why a des.json cannot be used, again when that changes. `reported` has
-/// what was printed, by file.
-fn warn_files(app: &App, reported: &mut Vec<Option<String>>) {
-    for (index, _) in app.files() {
-        let at = usize::from(index.0);
-        if reported.len() <= at {
-            reported.resize(at + 1, None);
+/// What was printed about each des.json that cannot be used.
+#[derive(Debug, Default)]
+struct FileWarnings {
+    /// By file: what was wrong when it was last looked at, and when that is next done.
+    files: Vec<(Option<String>, Instant)>,
+}
+
+impl FileWarnings {
+    /// Prints on standard error why a des.json cannot be used, again when that changes.
+    fn print(&mut self, app: &App, now: Instant) {
+        for (index, _) in app.files() {
+            let at = usize::from(index.0);
+            if self.files.len() <= at {
+                self.files.resize(at + 1, (None, Instant::ZERO));
+            }
+            let (known, next) = &mut self.files[at];
+            if now < *next {
+                continue;
+            }
+            let problem = report::of_file(&app.file_snapshot(index)).problem;
+            if let Some(problem) = problem.as_ref().filter(|it| known.as_ref() != Some(it)) {
+                output::warn(problem);
+                *next = now + WARNING_PERIOD;
+            }
+            *known = problem;
         }
-        let problem = report::of_file(&app.file_snapshot(index)).problem;
-        if let Some(problem) = problem.as_ref().filter(|it| reported[at].as_ref() != Some(it)) {
-            output::warn(problem);
-        }
-        reported[at] = problem;
     }
 }
 

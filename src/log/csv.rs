@@ -222,17 +222,17 @@ fn error_of(class: u32, data: &[u8]) -> Result<Frame, FieldFault> {
     }
 }
 
-/// Cells of a line without the blanks around them.
-struct Cells<'a> {
+/// CsvCells of a line without the blanks around them.
+struct CsvCells<'a> {
     /// What follows; `None` behind the last one.
     rest: Option<&'a [u8]>,
 }
 
-fn cells(line: &[u8]) -> Cells<'_> {
-    Cells { rest: Some(line) }
+fn cells(line: &[u8]) -> CsvCells<'_> {
+    CsvCells { rest: Some(line) }
 }
 
-impl<'a> Iterator for Cells<'a> {
+impl<'a> Iterator for CsvCells<'a> {
     type Item = &'a [u8];
 
     #[inline]
@@ -244,7 +244,7 @@ impl<'a> Iterator for Cells<'a> {
     }
 }
 
-impl Cells<'_> {
+impl CsvCells<'_> {
     /// Reads the next bytes as long as each has two digits and a comma behind it; returns their number.
     #[inline]
     fn usual_bytes(&mut self, data: &mut [u8]) -> usize {

@@ -1,7 +1,9 @@
 //! Hand-written and generated logs, and the address conflicts that `scan --json` and `watch --json`
 //! find in them. On a log, no requests can be sent.
 
-use crate::common::program::command;
+use crate::common::inspection;
+use crate::common::program::{command, run_with_input, text};
+use descan::sim::Scenario;
 use serde_json::Value;
 use std::collections::BTreeSet;
 use std::fmt::Write;
@@ -962,4 +964,46 @@ fn static_addresses_in_file_are_compared() {
     assert!(told.iter().any(|told| told.0 == "file-duplicate-entry"), "{told:?}");
     let told = with(r#"{ "name": "FEED", "address": 12, "static": true }"#);
     assert_eq!(told, [], "all as it should be");
+}
+
+/// Returns a log of candump as it prints frames without times; remote frames are left out.
+fn without_times(log: &str) -> String {
+    let frames = log.lines().filter_map(|line| line.split(' ').nth(2)?.split_once('#'));
+    let frames = frames.filter(|(_, data)| data.bytes().all(|digit| digit.is_ascii_hexdigit()));
+    frames.fold(String::new(), |mut printed, (id, data)| {
+        let bytes: Vec<_> =
+            data.as_bytes().chunks(2).map(|it| str::from_utf8(it).unwrap()).collect();
+        writeln!(printed, "  can0  {id:>8}   [{}]  {}", bytes.len(), bytes.join(" ")).unwrap();
+        printed
+    })
+}
+
+#[test]
+fn log_without_times_shows_no_conflict_by_rhythm() {
+    let folder = tempfile::tempdir().unwrap();
+    let many = Scenario::with_many_devices(250_000, 20, 5);
+    let constant = Log { constant: Some(5), ..Log::default() };
+    let constant = constant.lives(14, 0.1, 60.0, FEED).lives(20, 0.2, 60.0, PUMP);
+    let constant = constant.lives(21, 0.3, 60.0, SENS).text();
+    for log in [peace(60.0).text(), constant, inspection::log(&many, 20)] {
+        assert_eq!(scanned(folder.path(), &log), [], "with times");
+        let printed = without_times(&log);
+        assert_eq!(scanned(folder.path(), &printed), []);
+        let output = run_with_input(&["scan", "-", "--json"], folder.path(), printed.as_bytes());
+        let piped: Value = serde_json::from_str(&text(&output.stdout)).unwrap();
+        assert_eq!(piped["findings"].as_array().unwrap().len(), 0, "{piped}");
+    }
+    // What an order shows needs no times.
+    let two = Log::default().lives(14, 0.0, 20.0, FEED).lives(14, 0.4, 20.0, SENS);
+    let found = scanned(folder.path(), &without_times(&two.text()));
+    assert_eq!(found.len(), 1, "{found:?}");
+    assert_eq!((found[0].0.as_str(), found[0].2), ("one-address-two-identities", 14));
+}
+
+#[test]
+fn two_senders_with_equal_coarse_times_are_a_conflict() {
+    let folder = tempfile::tempdir().unwrap();
+    let two = Log::default().lives(14, 0.0, 20.0, FEED).lives(14, 0.0, 20.0, FEED);
+    let expected = [("same-name-same-address".to_owned(), "confirmed".to_owned(), 14)];
+    assert_eq!(scanned(folder.path(), &two.text()), expected);
 }

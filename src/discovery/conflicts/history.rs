@@ -5,6 +5,7 @@
 
 use super::query_responses::QueryResponseMatcher;
 use super::recent_values::{MAX_VALUES, RecentValues};
+use super::timestamps::{have_times, is_known};
 use crate::frame::Frame;
 use crate::text::Name;
 use crate::time::{Duration, Instant};
@@ -94,8 +95,10 @@ impl HeartbeatHistory {
         };
         let last = self.frames.back();
         let gap = last.map(|last| now.since(last.time));
-        let is_copy = last.is_some_and(|last| last.same_on_wire(frame))
-            && gap.is_some_and(|gap| gap <= window);
+        // Without times it is not known whether it came soon.
+        let came_soon = |gap| gap <= window && is_known(now, gap) && have_times(&self.times);
+        let is_copy =
+            last.is_some_and(|last| last.same_on_wire(frame)) && gap.is_some_and(came_soon);
         let copy_delay = gap.filter(|_| is_copy && !self.is_copied);
         let further_copy_delay = gap.filter(|_| is_copy && self.is_copied);
         let previous_has_no_copy = !self.is_copied && gap.is_some_and(|gap| gap > window);

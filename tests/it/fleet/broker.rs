@@ -411,9 +411,17 @@ fn wrong_certificates_and_passwords_end_it_with_the_way_out() {
         assert!(!errors.contains("topsecret"), "{errors}");
     }
     // Certificates without TLS; TLS at a port without.
-    let output = run(&["fleet", "--broker", &plain, "--ca", "ca.pem"], folder);
-    assert_eq!(output.status.code(), Some(2), "{output:?}");
-    assert!(text(&output.stderr).contains("write mqtts://"));
+    let cases: [&[&str]; 3] = [
+        &["fleet"],
+        &["publish", "sim:boiler", "--profile", "none.toml"],
+        &["check", "--fleet", "none"],
+    ];
+    for command in cases {
+        let all = [command, &["--broker", &plain, "--ca", "ca.pem"]].concat();
+        let output = run(&all, folder);
+        assert_eq!(output.status.code(), Some(2), "{output:?}");
+        assert!(text(&output.stderr).contains("write mqtts://"));
+    }
     let without_tls = Mosquitto::start().unwrap();
     let url = without_tls.url().replace("mqtt:", "mqtts:");
     let output = run(&["fleet", "--json", "--broker", &url, "--ca", "ca.pem"], folder);
