@@ -1007,3 +1007,17 @@ fn two_senders_with_equal_coarse_times_are_a_conflict() {
     let expected = [("same-name-same-address".to_owned(), "confirmed".to_owned(), 14)];
     assert_eq!(scanned(folder.path(), &two.text()), expected);
 }
+
+#[test]
+fn bridge_in_a_coarse_log_is_not_taken_for_two_senders() {
+    let folder = tempfile::tempdir().unwrap();
+    let constant = Log { constant: Some(5), ..Log::default() };
+    let mut log = constant.lives(14, 0.0, 20.0, FEED);
+    for (at, line) in log.lines.clone() {
+        // A copy with the time of the frame, or of the next step of the clock.
+        let delay = if at < 0.5 { 0.0 } else { 0.01 };
+        log.lines.push((at + delay, line));
+    }
+    let found = scanned(folder.path(), &log.text());
+    assert!(found.iter().all(|told| told.1 != "confirmed"), "{found:?}");
+}

@@ -99,7 +99,9 @@ impl HeartbeatHistory {
         let came_soon = |gap| gap <= window && is_known(now, gap) && have_times(&self.times);
         let is_copy =
             last.is_some_and(|last| last.same_on_wire(frame)) && gap.is_some_and(came_soon);
-        let copy_delay = gap.filter(|_| is_copy && !self.is_copied);
+        // All frames of a log without times are at its beginning.
+        let is_delay_known = |gap: &Duration| !gap.is_zero() || now > Instant::ZERO;
+        let copy_delay = gap.filter(is_delay_known).filter(|_| is_copy && !self.is_copied);
         let further_copy_delay = gap.filter(|_| is_copy && self.is_copied);
         let previous_has_no_copy = !self.is_copied && gap.is_some_and(|gap| gap > window);
         let is_new = !is_copy || self.rnd7 == Rnd7::Constant;

@@ -17,9 +17,9 @@ pub(super) fn have_times(times: &VecDeque<Instant>) -> bool {
 }
 
 /// Returns true if a frame at `now` may have come `gap` after another one: at the same time only in a log of
-/// coarse times, where some time has passed.
+/// coarse times.
 pub(super) fn is_known(now: Instant, gap: Duration) -> bool {
-    !gap.is_zero() || now > Instant::ZERO && is_coarse(now)
+    !gap.is_zero() || is_coarse(now)
 }
 
 fn is_coarse(time: Instant) -> bool {
