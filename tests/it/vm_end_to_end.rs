@@ -235,7 +235,8 @@ fn list_of_buses_has_what_is_heard_on_interfaces_that_are_up() {
     pty.wait_until("what is heard", |screen| {
         let text = screen.contents();
         let line = text.lines().find(|line| line.contains("vcan-other"));
-        line.is_some_and(|line| line.contains("f/s") && line.contains("@10"))
+        // The first four that are heard are named.
+        line.is_some_and(|line| line.contains("f/s") && line.contains('@'))
     });
     pty.send("/other\r\r");
     pty.wait_for("opened vcan-other");
