@@ -137,7 +137,7 @@ const DATE: usize = 10;
 const SECOND: usize = 9;
 
 impl IsoDates {
-    /// Parses a date and a time of day; `None` if there is no such moment.
+    /// Parses a date and a time of day; `None` if no clock shows them.
     pub fn read(&mut self, date: &[u8], time: &[u8]) -> Option<LocalDate> {
         let second = <[u8; DATE]>::try_from(date).ok().zip(time.first_chunk::<SECOND>().copied());
         let second = second.filter(|(_, time)| time.ends_with(b"."));

@@ -56,7 +56,7 @@ pub(super) fn first_word(line: &[u8]) -> (&[u8], &[u8]) {
     line.split_at(line.iter().position(is_blank).unwrap_or(line.len()))
 }
 
-/// Marks what is no hexadecimal digit.
+/// Value of a character that is not a hexadecimal digit.
 pub(super) const NO_DIGIT: u8 = 0xF0;
 
 /// Values of the hexadecimal digits; [`NO_DIGIT`] of any other character.
@@ -103,7 +103,7 @@ pub(super) fn four_bytes(text: [u8; 8]) -> Option<[u8; 4]> {
     const ALL: u64 = 0x0101_0101_0101_0101;
     let digits = u64::from_le_bytes(text);
     let is_letter = digits >> 6 & ALL;
-    // Bits of the upper half that are set in what is no digit, and in what is none of A to F.
+    // Bits of the upper half; set for a character that is not a decimal digit, or not a letter from A to F.
     let decimal = digits ^ (ALL * 0x30);
     let no_decimal = (decimal | decimal.wrapping_add(ALL * 6)) & (ALL * 0xF0);
     let letter = digits & (ALL * 0xDF) ^ (ALL * 0x40);

@@ -14,7 +14,6 @@ mod query_responses;
 mod recent_values;
 mod repeated_frames;
 mod rhythm;
-mod timestamps;
 
 use super::address_table::AddressTable;
 use super::finding_text;
@@ -440,18 +439,17 @@ impl ConflictDetector {
         let mode_returned =
             history.working.observe(now, &state.is_working, period.mul_f64(1.05)).return_count;
         let times = history.heartbeats.times();
-        // Without times there is no rhythm.
-        let have_times = timestamps::have_times(times);
+        let has_times = history.heartbeats.has_times();
         let mut pattern =
-            if have_times { rhythm::pattern(times, period) } else { HeartbeatPattern::default() };
+            if has_times { rhythm::pattern(times, period) } else { HeartbeatPattern::default() };
         let reboots =
             history.resolving_at.is_some_and(|at| now.since(at) < period * WINDOW_PERIODS);
         let counted = if reboots { &history.settled } else { times };
-        if have_times && !state.is_resolving && rhythm::is_crowded(counted, period) {
+        if has_times && !state.is_resolving && rhythm::is_crowded(counted, period) {
             pattern.two_phases = true;
             pattern.since = pattern.since.or(Some(now - period));
         }
-        let is_crowded = have_times && rhythm::has_several_senders(times, period);
+        let is_crowded = has_times && rhythm::has_several_senders(times, period);
         if is_crowded {
             let until = now + period.mul_f64(KEPT_PERIODS);
             self.finding_tracker.note_several_senders(until, address);
