@@ -134,7 +134,7 @@ fn parse_data(mut line: ScreenWords<'_>, data: &mut [u8]) -> Result<(), LineFaul
         [high, low] => hex_byte([*high, *low]),
         _ => None,
     };
-    let (usual, rest) = usual_bytes(line.rest, data);
+    let (usual, rest) = usual_bytes(line.rest.trim_ascii_start(), b' ', data);
     // Swapped bytes: the last one first, with marks between them.
     let first = line.take();
     if usual == 0 && first.contains(&b'`') {

@@ -6,7 +6,7 @@ use super::channel::{ChannelNumbers, ONLY_BUS, bus_name};
 use super::dates::seconds;
 use super::fields::{
     FieldFault, can_id, channel, check_line, data_frame, decimal, hex_byte, number,
-    starts_with_ignoring_case as starts,
+    starts_with_ignoring_case as starts, usual_bytes,
 };
 use super::{LogEncoder, LogEntry, LogLoss, LogTime};
 use crate::frame::{CanId, Frame, FrameKind};
@@ -99,9 +99,13 @@ impl GvretLines {
                     };
                     *place = value.ok_or(FieldFault::Data)?;
                     bytes += 1;
-                    if self.ends_with_data {
+                    if self.ends_with_data
+                        && let Some(rest) = cells.rest
+                    {
                         let following = len.map_or(0, |len| data.len().min(len as usize));
-                        bytes += cells.usual_bytes(&mut data[bytes..following]);
+                        let (usual, rest) = usual_bytes(rest, b',', &mut data[bytes..following]);
+                        bytes += usual;
+                        cells.rest = Some(rest);
                     }
                 }
                 _ => {}
@@ -241,21 +245,6 @@ impl<'a> Iterator for CsvCells<'a> {
         let end = line.iter().position(|&byte| byte == b',');
         self.rest = end.map(|end| &line[end + 1..]);
         Some(line[..end.unwrap_or(line.len())].trim_ascii())
-    }
-}
-
-impl CsvCells<'_> {
-    /// Reads the next bytes as long as each has two digits and a comma behind it; returns their number.
-    #[inline]
-    fn usual_bytes(&mut self, data: &mut [u8]) -> usize {
-        let mut count = 0;
-        for byte in data {
-            let Some([high, low, b',', rest @ ..]) = self.rest else { break };
-            let Some(value) = hex_byte([*high, *low]) else { break };
-            *byte = value;
-            (self.rest, count) = (Some(rest), count + 1);
-        }
-        count
     }
 }
 

@@ -174,7 +174,7 @@ pub(super) fn bytes<'a>(
 ) -> Result<&'a [u8], FieldFault> {
     let mut usual = 0;
     if base == 16 {
-        (usual, line) = usual_bytes(line, data);
+        (usual, line) = usual_bytes(line.trim_ascii_start(), b' ', data);
     }
     for byte in &mut data[usual..] {
         let (word, rest) = first_word(line);
@@ -188,16 +188,16 @@ pub(super) fn bytes<'a>(
     Ok(line)
 }
 
-/// Reads bytes of two hexadecimal digits with one blank between them, up to a word of another form; returns
+/// Reads bytes of two hexadecimal digits with one separator between them, up to text of another form; returns
 /// their number, and what follows them.
 #[inline]
-pub(super) fn usual_bytes<'a>(line: &'a [u8], data: &mut [u8]) -> (usize, &'a [u8]) {
-    let (mut count, mut rest) = (0, line.trim_ascii_start());
+pub(super) fn usual_bytes<'a>(line: &'a [u8], separator: u8, data: &mut [u8]) -> (usize, &'a [u8]) {
+    let (mut count, mut rest) = (0, line);
     for byte in data {
         let [high, low, after @ ..] = rest else { break };
         let after = match after {
             [] => after,
-            [b' ', after @ ..] => after,
+            [byte, after @ ..] if *byte == separator => after,
             _ => break,
         };
         let Some(value) = hex_byte([*high, *low]) else { break };
