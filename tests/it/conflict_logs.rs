@@ -1001,11 +1001,16 @@ fn log_without_times_shows_no_conflict_by_rhythm() {
 }
 
 #[test]
-fn two_senders_with_equal_coarse_times_are_a_conflict() {
+fn two_senders_with_equal_times_are_a_conflict() {
     let folder = tempfile::tempdir().unwrap();
-    let two = Log::default().lives(14, 0.0, 20.0, FEED).lives(14, 0.0, 20.0, FEED);
     let expected = [("same-name-same-address".to_owned(), "confirmed".to_owned(), 14)];
-    assert_eq!(scanned(folder.path(), &two.text()), expected);
+    // In a log of coarse times, and of an adapter that delivers several frames together.
+    for period in [1.0, 1.000_013] {
+        let data = format!("{FEED}0400");
+        let two = Log::default().beats(14, 0.0, 20.0, period, &data);
+        let two = two.beats(14, 0.0, 20.0, period, &data);
+        assert_eq!(scanned(folder.path(), &two.text()), expected, "{period} s");
+    }
 }
 
 #[test]
