@@ -102,6 +102,8 @@ pub struct Frame {
     pub error_state: bool,
     /// Sent by descan, and acknowledged on the bus.
     pub is_tx: bool,
+    /// From a log without times: the time is that of its arrival, or of the beginning of the log.
+    pub is_timeless: bool,
     len: u8,
     data: [u8; Frame::MAX_DATA],
 }
@@ -145,6 +147,7 @@ impl Frame {
             bit_rate_switch: false,
             error_state: false,
             is_tx: false,
+            is_timeless: false,
             len: len as u8,
             data: bytes,
         }

@@ -167,7 +167,7 @@ impl TextDecoder {
         if let Ok(Some(entry)) = &mut entry
             && self.format.is_timeless()
         {
-            entry.time = LogTime::from_micros(summary.arrival);
+            date_by_arrival(entry, summary);
             summary.is_timeless = true;
         }
         if matches!(entry, Ok(Some(_))) {
@@ -275,6 +275,12 @@ impl LogDecoder for TextDecoder {
     }
 }
 
+/// Gives the frame of a log without times that of its arrival.
+fn date_by_arrival(entry: &mut LogEntry<'_>, summary: &LogSummary) {
+    entry.time = LogTime::from_micros(summary.arrival);
+    entry.frame.is_timeless = true;
+}
+
 /// Appends the frames of the usual lines of candump's log text that `bytes` begin with; returns how many
 /// bytes were used.
 fn plain_frames(
@@ -312,7 +318,7 @@ impl TextDecoder {
             let line = &bytes[used..used + len];
             let Ok(Some(mut entry)) = next.read(line) else { break };
             if next.is_timeless() {
-                entry.time = LogTime::from_micros(summary.arrival);
+                date_by_arrival(&mut entry, summary);
             }
             if next.date_doubts(summary) != summary.dates {
                 break;

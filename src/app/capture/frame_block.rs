@@ -18,6 +18,8 @@ const NO_LINK: u32 = 0;
 const NEVER_LINKED: u32 = 1;
 /// Flag of a record: sent by descan.
 const SENT: u8 = 0x80;
+/// Flag of a frame from a log without times.
+const TIMELESS: u8 = 0x40;
 
 /// Bytes that a classic frame takes.
 pub const BYTES_PER_FRAME: usize = size_of::<Record>();
@@ -33,7 +35,7 @@ pub(super) struct Record {
     word: u32,
     data: [u8; Frame::MAX_CLASSIC_DATA],
     bus: BusIndex,
-    /// FD flags of SocketCAN, and [`SENT`].
+    /// FD flags of SocketCAN, [`SENT`] and [`TIMELESS`].
     flags: u8,
     len: u8,
 }
@@ -116,9 +118,11 @@ impl FrameBlock {
         }
         let fd = if frame.is_fd { FD_FORMAT | socketcan::fd_flags(frame) } else { 0 };
         let sent = if frame.is_tx { SENT } else { 0 };
+        let timeless = if frame.is_timeless { TIMELESS } else { 0 };
         let word = socketcan::id_word(frame);
         let len = frame.len() as u8;
-        let record = Record { offset, back, word, data, bus: frame.bus, flags: fd | sent, len };
+        let record =
+            Record { offset, back, word, data, bus: frame.bus, flags: fd | sent | timeless, len };
         self.records.push(record);
         true
     }
@@ -152,6 +156,7 @@ impl FrameBlock {
         frame.time = self.time_of(record);
         frame.bus = record.bus;
         frame.is_tx = record.flags & SENT != 0;
+        frame.is_timeless = record.flags & TIMELESS != 0;
         frame
     }
 

@@ -17,8 +17,6 @@ use std::collections::VecDeque;
 /// to generate RND7. Two devices that do not, and so send equal heartbeats, are rarely this close:
 /// a tenth of the default period.
 const COPY_WINDOW: Duration = Duration::from_millis(100);
-/// Resolution of a log whose times are coarse, in microseconds. On a bus two frames begin at least 47 µs apart.
-const COARSE: u64 = 100;
 /// Longest delay of a bridge: of 300 frames in its queue, at 125 kbit/s.
 const LONGEST_DELAY: Duration = Duration::from_millis(300);
 /// The same in periods: less than the half after which two equal devices may send in turns.
@@ -96,15 +94,11 @@ impl HeartbeatHistory {
         };
         let last = self.frames.back();
         let gap = last.map(|last| now.since(last.time));
-        // In a log without times it is not known whether it came soon.
+        // Without times it is not known whether it came soon.
         let is_copy = last.is_some_and(|last| last.same_on_wire(frame))
             && gap.is_some_and(|gap| gap <= window)
-            && self.has_times();
-        // All frames of such a log are at its beginning; those that an adapter or a pipe delivers together
-        // have one time.
-        let is_delay_known =
-            |gap: &Duration| !gap.is_zero() || now > Instant::ZERO && is_coarse(now);
-        let copy_delay = gap.filter(is_delay_known).filter(|_| is_copy && !self.is_copied);
+            && !frame.is_timeless;
+        let copy_delay = gap.filter(|_| is_copy && !self.is_copied);
         let further_copy_delay = gap.filter(|_| is_copy && self.is_copied);
         let previous_has_no_copy = !self.is_copied && gap.is_some_and(|gap| gap > window);
         let is_new = !is_copy || self.rnd7 == Rnd7::Constant;
@@ -153,27 +147,10 @@ impl HeartbeatHistory {
         self.frames.iter().rev().nth(1)
     }
 
-    /// Returns false if these are not times of the bus: those of a log without times are all equal, and of
-    /// what is read from a pipe at once, three in a row. Several senders in phase may have equal ones, too:
-    /// two where an adapter delivers frames together, any number in a log of coarse times.
-    pub fn has_times(&self) -> bool {
-        let times = &self.times;
-        let are_coarse = || times.iter().all(|time| is_coarse(*time));
-        let three_are_equal =
-            || times.iter().zip(times.iter().skip(2)).any(|(first, third)| first == third);
-        let time_passes = times.len() < 2 || times.front() != times.back();
-        time_passes && (!three_are_equal() || are_coarse())
-    }
-
     /// Times of the last heartbeats, oldest first, at most [`MAX_TIMES`].
     pub fn times(&self) -> &VecDeque<Instant> {
         &self.times
     }
-}
-
-/// Returns true if this may be a time in a log of coarse times.
-fn is_coarse(time: Instant) -> bool {
-    time.as_micros().is_multiple_of(COARSE)
 }
 
 /// Appends a value and drops the oldest beyond `max`.

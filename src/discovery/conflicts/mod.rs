@@ -268,7 +268,8 @@ impl ConflictDetector {
         }
         let ignored =
             now < self.ignore_surplus_until || self.repeated_frames.has_duplicate_requests(now);
-        let surplus = surplus.filter(|_| !ignored)?;
+        // Without times it is not known whether it came soon.
+        let surplus = surplus.filter(|_| !ignored && !frame.is_timeless)?;
         let apart = surplus.apart;
         if surplus.first.same_on_wire(frame) {
             self.repeated_frames.note_duplicate(now, address, surplus.apart);
@@ -439,7 +440,7 @@ impl ConflictDetector {
         let mode_returned =
             history.working.observe(now, &state.is_working, period.mul_f64(1.05)).return_count;
         let times = history.heartbeats.times();
-        let has_times = history.heartbeats.has_times();
+        let has_times = !frame.is_timeless;
         let mut pattern =
             if has_times { rhythm::pattern(times, period) } else { HeartbeatPattern::default() };
         let reboots =
