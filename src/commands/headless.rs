@@ -152,6 +152,7 @@ pub fn run(
                 recorded => open::report_recording(recorded),
             }
             report_unreadable(spec, &session)?;
+            warn_time_doubt(spec, &session.app);
             session.app.now()
         } else {
             let now = session.now();
@@ -436,6 +437,14 @@ fn report_unreadable(spec: &BusSpec, session: &Session) -> Result<(), Failure> {
         output::warn(format_args!("{spec}: {summary}"));
     }
     Ok(())
+}
+
+/// Prints on standard error why the times of a log do not show some conflicts: once, if that is so on
+/// several buses.
+fn warn_time_doubt(spec: &BusSpec, app: &App) {
+    if let Some(doubt) = app.buses().iter().find_map(Bus::time_doubt) {
+        output::warn(format_args!("{spec}: {doubt}"));
+    }
 }
 
 fn stop_waiter(limits: Limits, time: Option<Duration>) -> Result<StopWaiter, Failure> {

@@ -89,6 +89,7 @@ mod transfers;
 pub use bus_protocol::{BusTraffic, BusVerdict};
 pub use claims::{AddressSender, HeardUid};
 pub use config::Config;
+pub use conflicts::TimeDoubt;
 pub use debug_messages::{DebugCount, DebugCounts};
 pub use descriptors::{DeviceDescriptor, FieldContent, FieldReading, given_fields};
 pub use device::{
@@ -549,6 +550,11 @@ impl Engine {
         progress.is_complete = self.requester.local_node.held().is_some()
             && (is_settled || self.requester.is_left_alone(&self.tracker));
         progress
+    }
+
+    /// Returns why the times of its frames do not show some conflicts.
+    pub fn time_doubt(&self) -> Option<TimeDoubt> {
+        self.tracker.conflicts.time_doubt()
     }
 
     /// Returns what the frames of other nodes show about the protocol of the bus.

@@ -9,7 +9,7 @@ use crate::app::timeline_kind::TimelineKind;
 use crate::discovery::{
     AddressSender, BusTraffic, BusVerdict, Config, Counters, Device, DeviceId, DeviceRequest,
     DiscoveryProgress, Engine, Event, FrameSequence, HeardUid, OwnAddress, RequestId, SequenceEnd,
-    SequenceId,
+    SequenceId, TimeDoubt,
 };
 use crate::finding::Finding;
 use crate::frame::Frame;
@@ -148,6 +148,11 @@ impl Bus {
     /// Frame and error counters of the engine.
     pub fn counters(&self) -> Counters {
         self.engine.counters()
+    }
+
+    /// Why the times of its frames do not show some conflicts.
+    pub fn time_doubt(&self) -> Option<TimeDoubt> {
+        self.engine.time_doubt()
     }
 
     /// What its frames show about its protocol.

@@ -5,6 +5,7 @@
 
 use super::query_responses::QueryResponseMatcher;
 use super::recent_values::{MAX_VALUES, RecentValues};
+use super::rhythm;
 use crate::frame::Frame;
 use crate::text::Name;
 use crate::time::{Duration, Instant};
@@ -16,7 +17,7 @@ use std::collections::VecDeque;
 /// A heartbeat received again within this time was repeated on its way, if its sender is not known
 /// to generate RND7. Two devices that do not, and so send equal heartbeats, are rarely this close:
 /// a tenth of the default period.
-const COPY_WINDOW: Duration = Duration::from_millis(100);
+pub(super) const COPY_WINDOW: Duration = Duration::from_millis(100);
 /// Longest delay of a bridge: of 300 frames in its queue, at 125 kbit/s.
 const LONGEST_DELAY: Duration = Duration::from_millis(300);
 /// The same in periods: less than the half after which two equal devices may send in turns.
@@ -56,13 +57,16 @@ enum Rnd7 {
 /// Recent heartbeats of one address.
 #[derive(Clone, Debug, Default)]
 pub(super) struct HeartbeatHistory {
-    /// Times of the last heartbeats, at most [`MAX_TIMES`]; without copies.
+    /// Times of the last heartbeats, at most [`MAX_TIMES`]; without copies, and without those that may
+    /// be copies where times are coarse.
     times: VecDeque<Instant>,
     /// The last heartbeats, at most [`MAX_FRAMES`], with their time of reception.
     frames: VecDeque<Frame>,
     rnd7: Rnd7,
     /// True if a copy of the last heartbeat was received.
     is_copied: bool,
+    /// Time from the heartbeat before the last one that is not a copy.
+    gap_before: Option<Duration>,
 }
 
 /// How a heartbeat relates to the one before it.
@@ -76,6 +80,8 @@ pub(super) struct RecordedHeartbeat {
     pub gap: Option<Duration>,
     /// True if the previous heartbeat was not copied, and a copy can no longer arrive.
     pub previous_has_no_copy: bool,
+    /// True if this heartbeat is equal to the previous one and may have come soon after it.
+    pub may_be_copy: bool,
     /// True if this heartbeat is not a copy, or its sender is known to send equal ones.
     pub is_new: bool,
     /// True if its sender generates a new RND7 for each heartbeat, so that equal ones are copies.
@@ -84,23 +90,37 @@ pub(super) struct RecordedHeartbeat {
 
 impl HeartbeatHistory {
     /// Records a heartbeat. A copy of the previous one is equal including RND7, and received soon
-    /// after it.
-    pub fn record(&mut self, now: Instant, frame: &Frame, period: Duration) -> RecordedHeartbeat {
+    /// after it, as far as the `resolution` of times shows that; `None` without times.
+    pub fn record(
+        &mut self,
+        now: Instant,
+        frame: &Frame,
+        period: Duration,
+        resolution: Option<Duration>,
+    ) -> RecordedHeartbeat {
         let before_next = LONGEST_DELAY.min(period.mul_f64(MAX_COPY_PERIODS));
         let longest_delay = period.mul_f64(COPY_PERIODS).max(before_next);
+        let rounding = resolution.unwrap_or_default();
+        let is_coarse = rhythm::is_coarse(rounding, period);
         let window = match self.rnd7 {
-            Rnd7::Random => longest_delay,
-            Rnd7::Constant | Rnd7::Unknown => COPY_WINDOW,
+            Rnd7::Random => longest_delay + rounding,
+            Rnd7::Constant | Rnd7::Unknown if is_coarse => COPY_WINDOW + rounding,
+            // The next heartbeat of a fast sender is equal, and comes as soon as the one before.
+            Rnd7::Constant | Rnd7::Unknown => self
+                .gap_before
+                .map_or(COPY_WINDOW, |gap| COPY_WINDOW.min(gap.mul_f64(COPY_PERIODS))),
         };
         let last = self.frames.back();
         let gap = last.map(|last| now.since(last.time));
         // Without times it is not known whether it came soon.
-        let is_copy = last.is_some_and(|last| last.same_on_wire(frame))
-            && gap.is_some_and(|gap| gap <= window)
-            && !frame.is_timeless;
+        let is_equal = last.is_some_and(|last| last.same_on_wire(frame));
+        let may_be_copy = is_equal && gap.is_some_and(|gap| gap <= window) && resolution.is_some();
+        let is_copy = may_be_copy && (!is_coarse || self.rnd7 == Rnd7::Random);
         let copy_delay = gap.filter(|_| is_copy && !self.is_copied);
         let further_copy_delay = gap.filter(|_| is_copy && self.is_copied);
-        let previous_has_no_copy = !self.is_copied && gap.is_some_and(|gap| gap > window);
+        // Another heartbeat of a fast sender may come before that.
+        let previous_has_no_copy =
+            !self.is_copied && gap.is_some_and(|gap| gap > window || !is_equal);
         let is_new = !is_copy || self.rnd7 == Rnd7::Constant;
         match (last, gap) {
             (Some(last), _) if last.id != frame.id => {
@@ -115,8 +135,13 @@ impl HeartbeatHistory {
             _ => {}
         }
         self.is_copied = is_copy;
+        if !is_copy {
+            self.gap_before = gap;
+        }
         if is_new {
-            push_bounded(&mut self.times, now, MAX_TIMES);
+            if !(is_coarse && may_be_copy) {
+                push_bounded(&mut self.times, now, MAX_TIMES);
+            }
             push_bounded(&mut self.frames, frame.with_time(now), MAX_FRAMES);
         }
         let has_random_rnd7 = self.rnd7 == Rnd7::Random;
@@ -125,6 +150,7 @@ impl HeartbeatHistory {
             further_copy_delay,
             gap,
             previous_has_no_copy,
+            may_be_copy,
             is_new,
             has_random_rnd7,
         }

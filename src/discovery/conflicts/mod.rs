@@ -14,6 +14,7 @@ mod query_responses;
 mod recent_values;
 mod repeated_frames;
 mod rhythm;
+mod time_resolution;
 
 use super::address_table::AddressTable;
 use super::finding_text;
@@ -38,6 +39,8 @@ use recent_values::ObservedValue;
 use repeated_frames::{COPIES_OF_ONE, RepeatedFrameDetector};
 use rhythm::HeartbeatPattern;
 use std::borrow::Cow;
+pub use time_resolution::TimeDoubt;
+use time_resolution::TimeResolution;
 
 /// Two responses to one request are less than this apart. Less than the 200 ms after which a
 /// request is repeated (protocol §4.3).
@@ -159,6 +162,7 @@ pub(super) struct ConflictDetector {
     histories: AddressTable<AddressHistory>,
     repeated_frames: RepeatedFrameDetector,
     finding_tracker: FindingTracker,
+    time_resolution: TimeResolution,
     /// Surplus responses before this time may belong to delayed requests.
     ignore_surplus_until: Instant,
 }
@@ -173,6 +177,7 @@ impl ConflictDetector {
             histories: AddressTable::new(),
             repeated_frames: RepeatedFrameDetector::new(period),
             finding_tracker: FindingTracker::new(bus, profile, listen_only, seed),
+            time_resolution: TimeResolution::new(),
             ignore_surplus_until: Instant::ZERO,
         }
     }
@@ -186,6 +191,11 @@ impl ConflictDetector {
     /// Heartbeat periods of the addresses.
     pub fn periods(&self) -> &HeartbeatPeriods {
         &self.periods
+    }
+
+    /// What is doubtful of the times of the frames so far.
+    pub fn time_doubt(&self) -> Option<TimeDoubt> {
+        self.time_resolution.doubt()
     }
 
     /// Findings and their state.
@@ -268,8 +278,9 @@ impl ConflictDetector {
         }
         let ignored =
             now < self.ignore_surplus_until || self.repeated_frames.has_duplicate_requests(now);
-        // Without times it is not known whether it came soon.
-        let surplus = surplus.filter(|_| !ignored && !frame.is_timeless)?;
+        // Coarser times do not show that it came soon.
+        let is_timed = self.time_resolution.of_last_frame().is_some_and(|it| it <= PAIR_WINDOW);
+        let surplus = surplus.filter(|_| !ignored && is_timed)?;
         let apart = surplus.apart;
         if surplus.first.same_on_wire(frame) {
             self.repeated_frames.note_duplicate(now, address, surplus.apart);
@@ -440,17 +451,20 @@ impl ConflictDetector {
         let mode_returned =
             history.working.observe(now, &state.is_working, period.mul_f64(1.05)).return_count;
         let times = history.heartbeats.times();
-        let has_times = !frame.is_timeless;
-        let mut pattern =
-            if has_times { rhythm::pattern(times, period) } else { HeartbeatPattern::default() };
+        let resolution = self.time_resolution.of_last_frame();
+        let mut pattern = resolution.map_or_else(HeartbeatPattern::default, |resolution| {
+            rhythm::pattern(times, period, resolution)
+        });
+        // Rounded times do not show the number of senders by that of their heartbeats.
+        let is_exact = resolution.is_some_and(|it| !rhythm::is_coarse(it, period));
         let reboots =
             history.resolving_at.is_some_and(|at| now.since(at) < period * WINDOW_PERIODS);
         let counted = if reboots { &history.settled } else { times };
-        if has_times && !state.is_resolving && rhythm::is_crowded(counted, period) {
+        if is_exact && !state.is_resolving && rhythm::is_crowded(counted, period) {
             pattern.two_phases = true;
             pattern.since = pattern.since.or(Some(now - period));
         }
-        let is_crowded = has_times && rhythm::has_several_senders(times, period);
+        let is_crowded = is_exact && rhythm::has_several_senders(times, period);
         if is_crowded {
             let until = now + period.mul_f64(KEPT_PERIODS);
             self.finding_tracker.note_several_senders(until, address);
@@ -654,6 +668,7 @@ impl ConflictDetector {
         is_heartbeat: bool,
         frame: &Frame,
     ) -> Repetition {
+        self.time_resolution.note(now, frame);
         let mut is_new = true;
         if is_heartbeat {
             is_new = self.record_heartbeat(now, source, frame);
@@ -687,8 +702,9 @@ impl ConflictDetector {
     /// previous one.
     fn record_heartbeat(&mut self, now: Instant, source: Address, frame: &Frame) -> bool {
         let period = self.periods.of(source);
+        let resolution = self.time_resolution.of_last_frame();
         let history = &mut self.histories[source];
-        let recorded = history.heartbeats.record(now, frame, period);
+        let recorded = history.heartbeats.record(now, frame, period, resolution);
         let was_repeated = self.repeated_frames.is_repeated(now, source);
         self.repeated_frames.note_heartbeat(now, source, recorded);
         if !self.repeated_frames.is_repeated(now, source) {

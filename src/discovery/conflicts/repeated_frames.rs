@@ -255,7 +255,7 @@ impl RepeatedFrameDetector {
         let period = self.period;
         let series = &mut self.series[address];
         let delay = self.delay.max(series.longest);
-        let is_other = recorded.is_new && recorded.copy_delay.is_none();
+        let is_other = !recorded.may_be_copy;
         if is_other && recorded.gap.is_some_and(|gap| gap <= delay + DELAY_JITTER) {
             series.differs_at = Some(now);
         }
@@ -422,7 +422,12 @@ mod tests {
         /// Processes a heartbeat; returns true if it is a copy to be ignored.
         fn process(&mut self, frame: &Frame) -> bool {
             let source = address((frame.platform_id().unwrap() >> 17) as u8);
-            let recorded = self.histories[source.index()].record(frame.time, frame, PERIOD);
+            let recorded = self.histories[source.index()].record(
+                frame.time,
+                frame,
+                PERIOD,
+                Some(Duration::ZERO),
+            );
             self.repeated_frames.note_heartbeat(frame.time, source, recorded);
             self.repeated_frames.is_copy(frame.time, source, true, frame)
         }

@@ -28,6 +28,15 @@ const REMEMBERED_PERIODS: f64 = 5.0;
 /// 30 % of the heartbeats lost, as many have none in 1 % of the cases.
 const EARLY_PERIODS: f64 = 5.0;
 
+/// Longest resolution of times that show the number of senders by that of their heartbeats, and tell
+/// copies from other frames: a tenth of the time in which these come.
+pub(super) const MAX_RESOLUTION: Duration = Duration::from_millis(10);
+/// The same as part of a period. Chosen: so that the rounding of an interval is less than
+/// [`MIN_PHASE_CONTRAST`].
+const RESOLUTIONS_PER_PERIOD: u32 = 40;
+/// The same for the rate alone, which is only suspicious. Chosen: four in an interval at twice the rate.
+const RESOLUTIONS_OF_RATE: u32 = 8;
+
 /// Timing pattern of the heartbeats from one address.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct HeartbeatPattern {
@@ -46,18 +55,31 @@ pub(super) fn has_several_senders(times: &VecDeque<Instant>, period: Duration) -
     times.iter().rev().take_while(recent).count() >= 5
 }
 
-/// Returns the timing pattern of the last heartbeats.
-pub(super) fn pattern(times: &VecDeque<Instant>, period: Duration) -> HeartbeatPattern {
+/// Returns true if times with this resolution show neither copies nor the number of senders, only
+/// that heartbeats alternate.
+pub(super) fn is_coarse(resolution: Duration, period: Duration) -> bool {
+    resolution > MAX_RESOLUTION || resolution * RESOLUTIONS_PER_PERIOD > period
+}
+
+/// Returns the timing pattern of the last heartbeats, whose times have this resolution.
+pub(super) fn pattern(
+    times: &VecDeque<Instant>,
+    period: Duration,
+    resolution: Duration,
+) -> HeartbeatPattern {
     let Some(&last) = times.back() else { return HeartbeatPattern::default() };
     if is_faster_with_losses(times, period) {
         return HeartbeatPattern::default();
     }
+    // Most by which gaps of equal length differ: each is up to a step shorter or longer.
+    let rounding = 2.0 * resolution.as_secs_f64() / period.as_secs_f64();
     let recent = times.iter().rev().take(TWO_PHASE_TIMES);
     let recent = recent.filter(|time| last.since(**time) < period * 4);
     // The newest heartbeat must be early, or the double rate has already ended.
     let double_rate = last_early(times, period) == Some(last)
         && recent.count() >= TWO_PHASE_TIMES - 1
-        && !is_faster_sender(times, period);
+        && resolution * RESOLUTIONS_OF_RATE <= period
+        && !is_faster_sender(times, period, rounding);
     // This many heartbeats show two devices for at least a period.
     let rate = HeartbeatPattern { double_rate, two_phases: false, since: Some(last - period) };
     if times.len() < TWO_PHASE_TIMES - 1 {
@@ -72,15 +94,15 @@ pub(super) fn pattern(times: &VecDeque<Instant>, period: Duration) -> HeartbeatP
     let count = times().count();
     let gaps = &gaps[..count - 1];
     let first = |number: usize| count.saturating_sub(number);
-    let since = cycle_length(gaps)
+    let since = cycle_length(gaps, rounding)
         .map(|senders| first(2 * senders + 1) + 1)
         .or_else(|| {
             let begin = gaps.len().saturating_sub(TWO_PHASE_TIMES - 1);
-            second_sender(&gaps[begin..]).map(|at| begin + at)
+            second_sender(&gaps[begin..], rounding).map(|at| begin + at)
         })
         .or_else(|| {
             let begin = gaps.len().checked_sub(HALF_PERIOD_TIMES - 1)?;
-            are_half_a_period_apart(&gaps[begin..]).then_some(begin + 1)
+            are_half_a_period_apart(&gaps[begin..], rounding).then_some(begin + 1)
         });
     match since {
         Some(at) => HeartbeatPattern { two_phases: true, since: times().nth(at).copied(), ..rate },
@@ -150,7 +172,7 @@ fn is_faster_with_losses(times: &VecDeque<Instant>, period: Duration) -> bool {
 
 /// Returns true if equal intervals show one sender with a shorter period. Only with half of it two
 /// senders look the same.
-fn is_faster_sender(times: &VecDeque<Instant>, period: Duration) -> bool {
+fn is_faster_sender(times: &VecDeque<Instant>, period: Duration, rounding: f64) -> bool {
     let last = times.len().saturating_sub(TWO_PHASE_TIMES);
     let gaps = times.iter().skip(last).zip(times.iter().skip(last + 1));
     let gaps = gaps.map(|(one, next)| next.since(*one).as_secs_f64() / period.as_secs_f64());
@@ -158,18 +180,19 @@ fn is_faster_sender(times: &VecDeque<Instant>, period: Duration) -> bool {
         (shortest.min(gap), longest.max(gap))
     });
     let mean = f64::midpoint(shortest, longest);
-    longest - shortest < 0.15 * longest && !(0.4..=0.6).contains(&mean)
+    longest - shortest < 0.15 * longest + rounding && !(0.4..=0.6).contains(&mean)
 }
 
 /// Returns the place of the first heartbeat after which both of two senders are present; `None` if
-/// the gaps do not show two.
-fn second_sender(gaps: &[f64]) -> Option<usize> {
+/// the gaps do not show two. `rounding`: most by which gaps of equal length differ because times are
+/// in steps.
+fn second_sender(gaps: &[f64], rounding: f64) -> Option<usize> {
     let count = gaps.len();
     let full_period = gaps.windows(2).all(|two| (0.85..=1.15).contains(&(two[0] + two[1])));
-    let apart = gaps.windows(2).all(|two| (two[0] - two[1]).abs() > 0.15);
+    let apart = gaps.windows(2).all(|two| (two[0] - two[1]).abs() > 0.15 + rounding);
     // If one of the two stopped, the newest gap is a full period.
-    let continues = (gaps[count - 1] - gaps[count - 3]).abs() < 0.1;
-    if !(full_period && continues && (apart || has_two_phases(gaps))) {
+    let continues = (gaps[count - 1] - gaps[count - 3]).abs() < 0.1 + rounding;
+    if !(full_period && continues && (apart || has_two_phases(gaps, rounding))) {
         return None;
     }
     // Both senders were present at the second heartbeat, or, if the first gap is a full period, at
@@ -181,9 +204,9 @@ fn second_sender(gaps: &[f64]) -> Option<usize> {
 
 /// Returns true if long and short gaps alternate far more regularly than by chance: two steady
 /// senders almost half a period apart.
-fn has_two_phases(gaps: &[f64]) -> bool {
+fn has_two_phases(gaps: &[f64], rounding: f64) -> bool {
     let PhaseContrast { apart, noise } = phase_contrast(gaps);
-    apart > MIN_PHASE_CONTRAST && apart > 3.0 * noise
+    apart > MIN_PHASE_CONTRAST + rounding && apart > 3.0 * noise
 }
 
 /// Difference between every other gap and the others, and within each of both.
@@ -206,33 +229,41 @@ fn phase_contrast(gaps: &[f64]) -> PhaseContrast {
 
 /// Returns true if long and short gaps alternate for so long, and so regularly, that one sender does
 /// not explain it.
-fn are_half_a_period_apart(gaps: &[f64]) -> bool {
+fn are_half_a_period_apart(gaps: &[f64], rounding: f64) -> bool {
     /// Smallest difference, in periods, that the timer tick of one sender does not explain.
     const MIN_CONTRAST: f64 = 0.012;
+    /// Rounding from which on gaps that differ by as much show two senders if each of both is always the
+    /// same: the times of one sender are rounded up and down in turns only while its clock drifts
+    /// over the end of a step, and that by chance.
+    const LONG_ROUNDING: f64 = 0.1;
     let full_period = gaps.windows(2).all(|two| (0.95..=1.05).contains(&(two[0] + two[1])));
     let contrast = phase_contrast(gaps);
-    full_period && contrast.apart > MIN_CONTRAST && contrast.apart > 6.0 * contrast.noise
+    let is_constant = rounding >= LONG_ROUNDING && contrast.noise < f64::EPSILON;
+    let least = if is_constant { rounding - MIN_CONTRAST } else { rounding + MIN_CONTRAST };
+    full_period && contrast.apart > least && contrast.apart > 6.0 * contrast.noise
 }
 
 /// Returns the number of senders, three or more, whose phases the last gaps repeat.
-fn cycle_length(gaps: &[f64]) -> Option<usize> {
+fn cycle_length(gaps: &[f64], rounding: f64) -> Option<usize> {
     // Two cycles of three senders are the fewest: six gaps in two periods.
     let six = gaps.len().checked_sub(6)?;
     if gaps[six..].iter().sum::<f64>() > 2.2 {
         return None;
     }
     let mut senders = (3..=MAX_PHASES).take_while(|senders| 2 * senders <= gaps.len());
-    senders.find(|&senders| is_cycle(&gaps[gaps.len() - 2 * senders..], senders))
+    senders.find(|&senders| is_cycle(&gaps[gaps.len() - 2 * senders..], senders, rounding))
 }
 
 /// Returns true if gaps repeat in a cycle of `senders` gaps and differ within it: that many steady
 /// senders. One sender with a shorter period has equal gaps.
-fn is_cycle(gaps: &[f64], senders: usize) -> bool {
+fn is_cycle(gaps: &[f64], senders: usize, rounding: f64) -> bool {
     let is_period = |cycle: &[f64]| (0.9..=1.1).contains(&cycle.iter().sum());
     let repeats = gaps.iter().zip(&gaps[senders..]).map(|(gap, next)| (gap - next).abs());
     let noise = repeats.fold(0.0, f64::max);
     let longest = gaps.iter().copied().fold(0.0, f64::max);
     let shortest = gaps.iter().copied().fold(f64::MAX, f64::min);
     let contrast = longest - shortest;
-    gaps.windows(senders).all(is_period) && contrast > MIN_PHASE_CONTRAST && contrast > 3.0 * noise
+    gaps.windows(senders).all(is_period)
+        && contrast > MIN_PHASE_CONTRAST + rounding
+        && contrast > 3.0 * noise
 }
