@@ -1037,7 +1037,7 @@ fn healthy_bus_in_a_coarse_log_has_no_conflict() {
 }
 
 #[test]
-fn two_senders_in_a_coarse_log_are_a_conflict_if_rounding_does_not_explain_them() {
+fn two_senders_in_a_coarse_log_are_a_conflict() {
     let folder = tempfile::tempdir().unwrap();
     let data = format!("{FEED}0400");
     let expected = [("same-name-same-address".to_owned(), "confirmed".to_owned(), 14)];
