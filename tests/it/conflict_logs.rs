@@ -1037,6 +1037,19 @@ fn healthy_bus_in_a_coarse_log_has_no_conflict() {
 }
 
 #[test]
+fn fast_sender_in_steps_of_a_system_clock_is_not_confirmed() {
+    let folder = tempfile::tempdir().unwrap();
+    for step in [1.0 / 64.0, 0.02, 0.05] {
+        for period in [0.04, 0.05, 0.07, 0.08, 0.12] {
+            let log = Log::default().beats(14, 0.033, 20.0, period, &format!("{FEED}0400"));
+            let found = scanned(folder.path(), &in_steps(log, step).text());
+            let confirmed = found.iter().filter(|told| told.1 == "confirmed").count();
+            assert_eq!(confirmed, 0, "{period} s in steps of {step} s: {found:?}");
+        }
+    }
+}
+
+#[test]
 fn two_senders_in_a_coarse_log_are_a_conflict() {
     let folder = tempfile::tempdir().unwrap();
     let data = format!("{FEED}0400");
@@ -1062,6 +1075,7 @@ fn constant_rnd7_of_a_fast_sender_is_not_taken_for_copies() {
         for count in [40, 41, 90, 170] {
             log.lines.remove(count);
         }
+        log = log.beats(20, 0.041, 60.0, period, &format!("{PUMP}0400"));
         let mut found = scanned(folder.path(), &log.text());
         // Of one that is much faster, two boards are suspected at first.
         found.retain(|told| told.0 == "frames-repeated" || told.1 != "cleared");

@@ -24,6 +24,10 @@ const LONGEST_DELAY: Duration = Duration::from_millis(300);
 const COPY_PERIODS: f64 = 0.45;
 /// The same in periods of a fast sender, whose next heartbeat comes after them.
 const MAX_COPY_PERIODS: f64 = 0.95;
+/// The same for the first two heartbeats. Chosen: less than the period of any device.
+const FIRST_COPY_WINDOW: Duration = Duration::from_millis(20);
+/// Copies of one heartbeat with a constant RND7: of three gateways. More are those of a fast sender.
+const MAX_COPIES: u32 = 3;
 /// Frames of heartbeats stored per address: the last two are evidence.
 const MAX_FRAMES: usize = 2;
 /// Maximum number of senders at one address that are distinguished by their phases: as many as
@@ -63,9 +67,11 @@ pub(super) struct HeartbeatHistory {
     /// The last heartbeats, at most [`MAX_FRAMES`], with their time of reception.
     frames: VecDeque<Frame>,
     rnd7: Rnd7,
-    /// True if a copy of the last heartbeat was received.
-    is_copied: bool,
-    /// Time from the heartbeat before the last one that is not a copy.
+    /// Number of copies of the last heartbeat that were received.
+    copy_count: u32,
+    /// Time of the last heartbeat or copy.
+    received_at: Option<Instant>,
+    /// Time from the one before to the last heartbeat that is not a copy.
     gap_before: Option<Duration>,
 }
 
@@ -105,22 +111,21 @@ impl HeartbeatHistory {
         let window = match self.rnd7 {
             Rnd7::Random => longest_delay + rounding,
             Rnd7::Constant | Rnd7::Unknown if is_coarse => COPY_WINDOW + rounding,
-            // The next heartbeat of a fast sender is equal, and comes as soon as the one before.
-            Rnd7::Constant | Rnd7::Unknown => self
-                .gap_before
-                .map_or(COPY_WINDOW, |gap| COPY_WINDOW.min(gap.mul_f64(COPY_PERIODS))),
+            Rnd7::Constant | Rnd7::Unknown => COPY_WINDOW,
         };
+        let received_gap = self.received_at.replace(now).map(|before| now.since(before));
         let last = self.frames.back();
         let gap = last.map(|last| now.since(last.time));
         // Without times it is not known whether it came soon.
         let is_equal = last.is_some_and(|last| last.same_on_wire(frame));
         let may_be_copy = is_equal && gap.is_some_and(|gap| gap <= window) && resolution.is_some();
-        let is_copy = may_be_copy && (!is_coarse || self.rnd7 == Rnd7::Random);
-        let copy_delay = gap.filter(|_| is_copy && !self.is_copied);
-        let further_copy_delay = gap.filter(|_| is_copy && self.is_copied);
-        // Another heartbeat of a fast sender may come before that.
-        let previous_has_no_copy =
-            !self.is_copied && gap.is_some_and(|gap| gap > window || !is_equal);
+        let is_copy = may_be_copy
+            && (self.rnd7 == Rnd7::Random || !is_coarse && self.is_before_next(received_gap));
+        let copy_delay = gap.filter(|_| is_copy && self.copy_count == 0);
+        let further_copy_delay = gap.filter(|_| is_copy && self.copy_count > 0);
+        // A fast sender sends the next heartbeat before that.
+        let is_late = gap.is_some_and(|gap| gap > window || !is_equal || self.gap_before.is_some());
+        let previous_has_no_copy = self.copy_count == 0 && !is_copy && is_late;
         let is_new = !is_copy || self.rnd7 == Rnd7::Constant;
         match (last, gap) {
             (Some(last), _) if last.id != frame.id => {
@@ -134,9 +139,11 @@ impl HeartbeatHistory {
             }
             _ => {}
         }
-        self.is_copied = is_copy;
-        if !is_copy {
-            self.gap_before = gap;
+        if is_copy {
+            self.copy_count = self.copy_count.saturating_add(1);
+        } else {
+            self.copy_count = 0;
+            self.gap_before = received_gap;
         }
         if is_new {
             if !(is_coarse && may_be_copy) {
@@ -154,6 +161,16 @@ impl HeartbeatHistory {
             is_new,
             has_random_rnd7,
         }
+    }
+
+    /// Returns true if a heartbeat, equal to the last one and received soon after it, comes before the
+    /// next one of its sender is due: that of a fast sender is equal, and comes as soon as the one before.
+    fn is_before_next(&self, received_gap: Option<Duration>) -> bool {
+        if self.copy_count > 0 {
+            return self.copy_count < MAX_COPIES;
+        }
+        let longest = self.gap_before.map(|before| before.mul_f64(COPY_PERIODS));
+        received_gap.is_some_and(|gap| gap <= longest.unwrap_or(FIRST_COPY_WINDOW))
     }
 
     /// Drops the times of equal heartbeats that turn out to be copies, after at most `delay`: their
