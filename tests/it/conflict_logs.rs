@@ -1055,8 +1055,8 @@ fn two_senders_in_a_coarse_log_are_a_conflict() {
     let data = format!("{FEED}0400");
     let expected = [("same-name-same-address".to_owned(), "confirmed".to_owned(), 14)];
     for (step, expected) in [(0.1, &expected[..]), (1.0, &[])] {
-        let two = Log::default().beats(14, 0.03, 30.0, 1.000_02, &data);
-        let two = two.beats(14, 0.33, 30.0, 1.000_02, &data);
+        let two = Log::default().beats(14, 0.03, 60.0, 1.000_02, &data);
+        let two = two.beats(14, 0.33, 60.0, 1.000_02, &data);
         let log = in_steps(two, step).text();
         assert_eq!(scanned(folder.path(), &log), expected, "{step} s");
         let output = run_with_input(&["scan", "-"], folder.path(), log.as_bytes());

@@ -14,6 +14,9 @@ const UNKNOWN: Duration = Duration::from_secs(1_000);
 /// Shortest one that is told from the microsecond: less than any judged interval depends on.
 const FINEST: u64 = 100;
 
+/// Number of frames whose times in steps are worth a word. Chosen: fewer have them by chance, or by hand.
+const MIN_FRAMES: u32 = 100;
+
 /// Why the times of the frames of one bus do not show some conflicts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TimeDoubt {
@@ -41,13 +44,15 @@ pub(super) struct TimeResolution {
     first: Option<Instant>,
     /// Greatest common divisor of the times since, in microseconds; 0 while all are equal.
     divisor: u64,
+    /// Number of frames since, while that is no fine one.
+    frames: u32,
     /// True if the last frame has a time.
     is_timed: bool,
 }
 
 impl TimeResolution {
     pub const fn new() -> Self {
-        Self { first: None, divisor: 0, is_timed: true }
+        Self { first: None, divisor: 0, frames: 0, is_timed: true }
     }
 
     /// Notes a frame received at `now`.
@@ -57,6 +62,7 @@ impl TimeResolution {
         if (1..=FINEST).contains(&self.divisor) || !self.is_timed {
             return;
         }
+        self.frames = self.frames.saturating_add(1);
         let first = *self.first.get_or_insert(now);
         self.divisor = gcd(now.as_micros().abs_diff(first.as_micros()), self.divisor);
     }
@@ -81,7 +87,7 @@ impl TimeResolution {
     pub fn doubt(&self) -> Option<TimeDoubt> {
         match self.of_last_frame() {
             None => Some(TimeDoubt::NoTimes),
-            Some(step) if self.divisor != 0 && step > rhythm::MAX_RESOLUTION => {
+            Some(step) if step > rhythm::MAX_RESOLUTION && self.frames >= MIN_FRAMES => {
                 Some(TimeDoubt::Coarse(step))
             }
             Some(_) => None,
