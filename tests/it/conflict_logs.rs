@@ -1061,7 +1061,7 @@ fn two_senders_in_a_coarse_log_are_a_conflict() {
         assert_eq!(scanned(folder.path(), &log), expected, "{step} s");
         let output = run_with_input(&["scan", "-"], folder.path(), log.as_bytes());
         let warning = text(&output.stderr);
-        let step = if expected.is_empty() { "1s" } else { "100ms" };
+        let step = if expected.is_empty() { "1000 ms" } else { "100 ms" };
         assert!(warning.contains(&format!("times in steps of {step}: devices")), "{warning}");
     }
 }

@@ -31,7 +31,7 @@ impl fmt::Display for TimeDoubt {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::NoTimes => write!(f, "without times")?,
-            Self::Coarse(step) => write!(f, "times in steps of {step:?}")?,
+            Self::Coarse(step) => write!(f, "times in steps of {} ms", step.as_secs_f64() * 1e3)?,
         }
         write!(f, ": devices at one address that differ only in when they send may not be found")
     }
