@@ -17,7 +17,7 @@ use std::collections::VecDeque;
 /// A heartbeat received again within this time was repeated on its way, if its sender is not known
 /// to generate RND7. Two devices that do not, and so send equal heartbeats, are rarely this close:
 /// a tenth of the default period.
-pub(super) const COPY_WINDOW: Duration = Duration::from_millis(100);
+const COPY_WINDOW: Duration = Duration::from_millis(100);
 /// Longest delay of a bridge: of 300 frames in its queue, at 125 kbit/s.
 const LONGEST_DELAY: Duration = Duration::from_millis(300);
 /// The same in periods: less than the half after which two equal devices may send in turns.
