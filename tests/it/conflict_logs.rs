@@ -1078,7 +1078,7 @@ fn constant_rnd7_of_a_fast_sender_is_not_taken_for_copies() {
         log = log.beats(20, 0.041, 60.0, period, &format!("{PUMP}0400"));
         let mut found = scanned(folder.path(), &log.text());
         // Of one that is much faster, two boards are suspected at first.
-        found.retain(|told| told.0 == "frames-repeated" || told.1 != "cleared");
+        found.retain(|(kind, confidence, _)| kind == "frames-repeated" || confidence != "cleared");
         assert_eq!(found, [], "{period} s");
     }
 }

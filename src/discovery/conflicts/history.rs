@@ -5,7 +5,7 @@
 
 use super::query_responses::QueryResponseMatcher;
 use super::recent_values::{MAX_VALUES, RecentValues};
-use super::rhythm;
+use super::time_resolution::is_coarse;
 use crate::frame::Frame;
 use crate::text::Name;
 use crate::time::{Duration, Instant};
@@ -107,7 +107,7 @@ impl HeartbeatHistory {
         let before_next = LONGEST_DELAY.min(period.mul_f64(MAX_COPY_PERIODS));
         let longest_delay = period.mul_f64(COPY_PERIODS).max(before_next);
         let rounding = resolution.unwrap_or_default();
-        let is_coarse = rhythm::is_coarse(rounding, period);
+        let is_coarse = is_coarse(rounding, period);
         let window = match self.rnd7 {
             Rnd7::Random => longest_delay + rounding,
             Rnd7::Constant | Rnd7::Unknown if is_coarse => COPY_WINDOW + rounding,

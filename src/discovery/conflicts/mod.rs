@@ -456,7 +456,7 @@ impl ConflictDetector {
             rhythm::pattern(times, period, resolution)
         });
         // Rounded times do not show the number of senders by that of their heartbeats.
-        let is_exact = resolution.is_some_and(|it| !rhythm::is_coarse(it, period));
+        let is_exact = resolution.is_some_and(|it| !time_resolution::is_coarse(it, period));
         let reboots =
             history.resolving_at.is_some_and(|at| now.since(at) < period * WINDOW_PERIODS);
         let counted = if reboots { &history.settled } else { times };

@@ -28,14 +28,9 @@ const REMEMBERED_PERIODS: f64 = 5.0;
 /// 30 % of the heartbeats lost, as many have none in 1 % of the cases.
 const EARLY_PERIODS: f64 = 5.0;
 
-/// Longest resolution of times that show the number of senders by that of their heartbeats, and tell
-/// copies from other frames: a tenth of the time in which these come.
-pub(super) const MAX_RESOLUTION: Duration = Duration::from_millis(10);
-/// The same as part of a period. Chosen: so that the rounding of an interval is less than
-/// [`MIN_PHASE_CONTRAST`].
-const RESOLUTIONS_PER_PERIOD: u32 = 40;
-/// The same for the rate alone, which is only suspicious. Chosen: four in an interval at twice the rate.
-const RESOLUTIONS_OF_RATE: u32 = 8;
+/// Smallest number of steps of the times in a period in which the rate of heartbeats is judged, which is
+/// suspicious at most. Chosen: four in an interval at twice the rate.
+const MIN_STEPS_OF_RATE: u32 = 8;
 
 /// Timing pattern of the heartbeats from one address.
 #[derive(Clone, Copy, Debug, Default)]
@@ -55,12 +50,6 @@ pub(super) fn has_several_senders(times: &VecDeque<Instant>, period: Duration) -
     times.iter().rev().take_while(recent).count() >= 5
 }
 
-/// Returns true if times with this resolution show neither copies nor the number of senders, only
-/// that heartbeats alternate.
-pub(super) fn is_coarse(resolution: Duration, period: Duration) -> bool {
-    resolution > MAX_RESOLUTION || resolution * RESOLUTIONS_PER_PERIOD > period
-}
-
 /// Returns the timing pattern of the last heartbeats, whose times have this resolution.
 pub(super) fn pattern(
     times: &VecDeque<Instant>,
@@ -78,7 +67,7 @@ pub(super) fn pattern(
     // The newest heartbeat must be early, or the double rate has already ended.
     let double_rate = last_early(times, period) == Some(last)
         && recent.count() >= TWO_PHASE_TIMES - 1
-        && resolution * RESOLUTIONS_OF_RATE <= period
+        && resolution * MIN_STEPS_OF_RATE <= period
         && !is_faster_sender(times, period, rounding);
     // This many heartbeats show two devices for at least a period.
     let rate = HeartbeatPattern { double_rate, two_phases: false, since: Some(last - period) };

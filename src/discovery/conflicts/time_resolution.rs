@@ -1,21 +1,32 @@
 //! Resolution of the times of the frames of one bus, as the times themselves show it: those of a
 //! log in steps of a tenth of a second, or of the clock of a system, are multiples of it from each other.
 
-use super::rhythm;
 use crate::frame::Frame;
 use crate::time::{Duration, Instant};
 use std::fmt;
 
-/// Step from which on it is a power of ten: two senders alone, a fifth of a second apart, are in steps
-/// of as much, too.
-const DECIMAL: u64 = 100_000;
-/// Resolution of equal times.
-const UNKNOWN: Duration = Duration::from_secs(1_000);
-/// Shortest one that is told from the microsecond: less than any judged interval depends on.
-const FINEST: u64 = 100;
+/// Shortest step, in microseconds, that counts as a power of ten: the times of two senders alone, 200 ms
+/// apart, are multiples of 200 ms at any resolution.
+const MIN_DECIMAL_STEP: u64 = 100_000;
+/// Resolution while all times are equal: longer than any period.
+const UNKNOWN_RESOLUTION: Duration = Duration::from_secs(1_000);
+/// Longest step, in microseconds, that no verdict depends on. Shorter ones are not measured.
+const MAX_FINE_STEP: u64 = 100;
+/// Smallest number of frames after which coarse times are reported. Chosen: shorter logs have them by
+/// chance, or were written by hand.
+const MIN_REPORTED_FRAMES: u32 = 100;
+/// Longest resolution of times that show the number of senders by that of their heartbeats, and copies by
+/// their delay: a tenth of the longest delay of copies with a constant RND7.
+const MAX_RESOLUTION: Duration = Duration::from_millis(10);
+/// The same as part of a period. Chosen: so that the rounding of an interval is less than the difference
+/// between the intervals of two senders.
+const MIN_STEPS_OF_PERIOD: u32 = 40;
 
-/// Number of frames whose times in steps are worth a word. Chosen: fewer have them by chance, or by hand.
-const MIN_FRAMES: u32 = 100;
+/// Returns true if times with this resolution show neither copies nor the number of senders, only
+/// that heartbeats alternate.
+pub(super) fn is_coarse(resolution: Duration, period: Duration) -> bool {
+    resolution > MAX_RESOLUTION || resolution * MIN_STEPS_OF_PERIOD > period
+}
 
 /// Why the times of the frames of one bus do not show some conflicts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -44,7 +55,7 @@ pub(super) struct TimeResolution {
     first: Option<Instant>,
     /// Greatest common divisor of the times since, in microseconds; 0 while all are equal.
     divisor: u64,
-    /// Number of frames since, while that is no fine one.
+    /// Number of frames noted while the divisor was longer than [`MAX_FINE_STEP`].
     frames: u32,
     /// True if the last frame has a time.
     is_timed: bool,
@@ -59,7 +70,7 @@ impl TimeResolution {
     #[inline]
     pub fn note(&mut self, now: Instant, frame: &Frame) {
         self.is_timed = !frame.is_timeless;
-        if (1..=FINEST).contains(&self.divisor) || !self.is_timed {
+        if (1..=MAX_FINE_STEP).contains(&self.divisor) || !self.is_timed {
             return;
         }
         self.frames = self.frames.saturating_add(1);
@@ -67,17 +78,17 @@ impl TimeResolution {
         self.divisor = gcd(now.as_micros().abs_diff(first.as_micros()), self.divisor);
     }
 
-    /// Returns the resolution of the time of the last frame; `None` if that has no time. Of equal times
-    /// it is longer than any period.
+    /// Returns the resolution of the time of the last frame; `None` if that has no time.
     pub fn of_last_frame(&self) -> Option<Duration> {
         let micros = match self.divisor {
-            0 => return self.is_timed.then_some(UNKNOWN),
-            short if short < DECIMAL => short,
+            0 => return self.is_timed.then_some(UNKNOWN_RESOLUTION),
+            short if short < MIN_DECIMAL_STEP => short,
             long => {
-                let powers = std::iter::successors(Some(DECIMAL), |power| power.checked_mul(10));
+                let powers =
+                    std::iter::successors(Some(MIN_DECIMAL_STEP), |power| power.checked_mul(10));
                 let dividing = powers.take_while(|power| long.is_multiple_of(*power));
-                // A part of a tenth of a second is a divisor of the step.
-                dividing.last().unwrap_or_else(|| gcd(long, DECIMAL))
+                // 250 ms and the like are not: 50 ms divides both.
+                dividing.last().unwrap_or_else(|| gcd(long, MIN_DECIMAL_STEP))
             }
         };
         self.is_timed.then_some(Duration::from_micros(micros))
@@ -87,7 +98,7 @@ impl TimeResolution {
     pub fn doubt(&self) -> Option<TimeDoubt> {
         match self.of_last_frame() {
             None => Some(TimeDoubt::NoTimes),
-            Some(step) if step > rhythm::MAX_RESOLUTION && self.frames >= MIN_FRAMES => {
+            Some(step) if step > MAX_RESOLUTION && self.frames >= MIN_REPORTED_FRAMES => {
                 Some(TimeDoubt::Coarse(step))
             }
             Some(_) => None,
