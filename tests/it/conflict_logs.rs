@@ -203,6 +203,52 @@ fn two_heartbeat_senders_at_one_address_are_found() {
     check(cases);
 }
 
+#[test]
+fn two_senders_with_another_period_are_suspected() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = format!("{FEED}0400");
+    let suspected = [("same-name-same-address".to_owned(), "suspected".to_owned(), 14)];
+    let folder = folder.path();
+    for (period, part) in
+        [(0.65, 0.25), (0.8, 0.2), (0.9, 0.25), (1.1, 0.27), (1.5, 0.15), (2.0, 0.2), (3.0, 0.3)]
+    {
+        let seconds = 30.0 * period;
+        let two = Log::default().beats(14, 0.1, seconds, period, &data);
+        let mut two = two.beats(14, 0.1 + part * period, seconds, period, &data);
+        assert_eq!(scanned(folder, &two.clone().text()), suspected, "{part} of {period} s apart");
+        // Of 60 heartbeats, some are lost.
+        for lost in [21, 33, 46] {
+            two.lines.remove(lost);
+        }
+        let lossy = two.lives(20, 0.73, seconds, PUMP);
+        let label = format!("{part} of {period} s apart, with losses");
+        assert_eq!(scanned(folder, &lossy.clone().text()), suspected, "{label}");
+        let cleared = watched(folder, &lossy.text());
+        assert!(cleared.iter().all(|told| told.1 == "suspected"), "{label}: {cleared:?}");
+    }
+    // One board that restarts after two heartbeats.
+    for (period, pause) in [(1.0, 0.3), (1.0, 0.4), (1.0, 2.5)] {
+        let cycle = period + pause;
+        let one = Log::default().beats(14, 0.1, 30.0 * cycle, cycle, &data);
+        let one = one.beats(14, 0.1 + period, 30.0 * cycle, cycle, &data);
+        assert_eq!(scanned(folder, &one.text()), [], "{period} s, restarts after {pause} s");
+    }
+}
+
+#[test]
+fn gateway_with_constant_rnd7_and_another_period_is_not_two_senders() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut log = Log { constant: Some(5), ..Log::default() };
+    for (address, first, uid) in [(14, 0.1, FEED), (20, 0.9, PUMP), (21, 1.7, SENS)] {
+        log = log.beats(address, first, 60.0, 2.5, &format!("{uid}0400"));
+    }
+    for (at, line) in log.lines.clone() {
+        log.lines.push((at + 0.29, line));
+    }
+    let found = scanned(folder.path(), &log.text());
+    assert!(found.iter().all(|(kind, ..)| kind != "same-name-same-address"), "{found:?}");
+}
+
 /// Heartbeats of several nodes at address 14, one per `phases`, with equal or different UIDs.
 fn together(phases: &[f64], seconds: f64, is_equal: bool) -> Log {
     let uid =

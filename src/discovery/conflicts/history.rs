@@ -5,6 +5,7 @@
 
 use super::query_responses::QueryResponseMatcher;
 use super::recent_values::{MAX_VALUES, RecentValues};
+use super::rhythm::{alternating_period, last_in_other_phase};
 use super::time_resolution::is_coarse;
 use crate::frame::Frame;
 use crate::text::Name;
@@ -190,6 +191,11 @@ impl HeartbeatHistory {
         self.frames.iter().rev().nth(1)
     }
 
+    /// Returns true if the sender generates a new RND7 for each heartbeat.
+    pub fn has_random_rnd7(&self) -> bool {
+        self.rnd7 == Rnd7::Random
+    }
+
     /// Times of the last heartbeats, oldest first, at most [`MAX_TIMES`].
     pub fn times(&self) -> &VecDeque<Instant> {
         &self.times
@@ -251,6 +257,10 @@ pub(super) struct AddressHistory {
     pub sender_changed_at: Option<Instant>,
     /// Time of the last heartbeat that showed a second sender by its content or its timing.
     pub second_sender_at: Option<Instant>,
+    /// Period of two senders whose heartbeats alternated, if that is not the expected one.
+    alternating_period: Option<Duration>,
+    /// Number of heartbeats since, in these two phases.
+    pub alternation_count: u32,
     /// Number of heartbeats at twice the rate, less those that came after a whole period.
     pub double_rate_count: u32,
     /// What the last malformed response was for; `None`: not known, most likely services.
@@ -318,6 +328,24 @@ impl AddressHistory {
         } else if gap.is_none_or(|gap| gap > period.mul_f64(WHOLE_PERIOD)) {
             self.double_rate_count = self.double_rate_count.saturating_sub(1);
         }
+    }
+
+    /// Notes whether the last heartbeats alternate in two phases of another period than `expected`.
+    /// Returns true if they do, and no gateway explains it.
+    pub fn note_alternation(&mut self, expected: Duration) -> bool {
+        let times = self.heartbeats.times();
+        let mut last_gaps = times.iter().rev().zip(times.iter().rev().skip(1)).take(2);
+        let is_delay = |(last, before): (&Instant, &Instant)| last.since(*before) <= LONGEST_DELAY;
+        if !self.heartbeats.has_random_rnd7() && last_gaps.any(is_delay) {
+            return false;
+        }
+        let found = alternating_period(times, expected);
+        self.alternating_period = found.or(self.alternating_period);
+        // Later ones may be lost.
+        let continues = |period: Duration| last_in_other_phase(times, period).is_some();
+        let alternates = found.is_some() || self.alternating_period.is_some_and(continues);
+        self.alternation_count = self.alternation_count.saturating_add(alternates.into());
+        alternates
     }
 
     /// Returns true if another device took the place of the one that sent heartbeats at `then`:

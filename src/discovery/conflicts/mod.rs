@@ -80,6 +80,8 @@ const KEPT_PERIODS: f64 = 1.1;
 const SECOND_PHASE: &str = "heartbeat, phase 2 of a period";
 /// Description of a heartbeat at twice the rate.
 const TWICE_THE_RATE: &str = "heartbeats at twice the rate";
+/// Description of a heartbeat in one of two phases of another period than the expected one.
+const TWICE_PER_PERIOD: &str = "heartbeats at short and long intervals in turns";
 
 /// Periods after delayed requests in which surplus responses are ignored. Chosen: a device aborts a
 /// response that waits for flow control after 1 s, and others may wait behind it.
@@ -459,6 +461,8 @@ impl ConflictDetector {
         let is_exact = resolution.is_some_and(|it| !time_resolution::is_coarse(it, period));
         let reboots =
             history.resolving_at.is_some_and(|at| now.since(at) < period * WINDOW_PERIODS);
+        pattern.alternates = !reboots && resolution.is_some() && history.note_alternation(period);
+        let times = history.heartbeats.times();
         let counted = if reboots { &history.settled } else { times };
         if is_exact && !state.is_resolving && rhythm::is_crowded(counted, period) {
             pattern.two_phases = true;
@@ -630,8 +634,16 @@ impl ConflictDetector {
             && (history.double_rate_count <= MAX_DOUBLE_RATE_HEARTBEATS
                 || is_supported
                 || self.finding_tracker.is_confirmed(same, address));
+        // Requests show whether there are two.
+        let alternates = pattern.alternates
+            && (self.are_requests_rare || history.alternation_count <= MAX_DOUBLE_RATE_HEARTBEATS);
         let (kind, strength, description) = match pattern.two_phases {
-            _ if !double_rate && !pattern.two_phases => return None,
+            _ if !double_rate && !pattern.two_phases => {
+                if !alternates {
+                    return None;
+                }
+                (same, EvidenceStrength::Weak, TWICE_PER_PERIOD)
+            }
             true if are_two_named || others.has_two_names => {
                 (FindingKind::OneAddressTwoNames, EvidenceStrength::Strong, SECOND_PHASE)
             }

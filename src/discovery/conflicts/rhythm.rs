@@ -7,6 +7,7 @@ use super::grid::{
 use super::history::{MAX_PHASES, WHOLE_PERIOD};
 use crate::time::{Duration, Instant};
 use std::collections::VecDeque;
+use std::ops::RangeInclusive;
 
 /// The same for two phases almost half a period apart: seven periods, so that chance does not
 /// separate long and short intervals.
@@ -39,7 +40,9 @@ pub(super) struct HeartbeatPattern {
     pub double_rate: bool,
     /// Heartbeats arrive in two or more distinct phases.
     pub two_phases: bool,
-    /// Since when two devices are present, if either flag is set.
+    /// Heartbeats arrive in two phases of another period than the expected one.
+    pub alternates: bool,
+    /// Since when two devices are present, if one of the first two flags is set.
     pub since: Option<Instant>,
 }
 
@@ -70,7 +73,8 @@ pub(super) fn pattern(
         && resolution * MIN_STEPS_OF_RATE <= period
         && !is_faster_sender(times, period, rounding);
     // This many heartbeats show two devices for at least a period.
-    let rate = HeartbeatPattern { double_rate, two_phases: false, since: Some(last - period) };
+    let rate =
+        HeartbeatPattern { double_rate, since: Some(last - period), ..HeartbeatPattern::default() };
     if times.len() < TWO_PHASE_TIMES - 1 {
         return rate;
     }
@@ -230,6 +234,34 @@ fn are_half_a_period_apart(gaps: &[f64], rounding: f64) -> bool {
     let is_constant = rounding >= LONG_ROUNDING && contrast.noise < f64::EPSILON;
     let least = if is_constant { rounding - MIN_CONTRAST } else { rounding + MIN_CONTRAST };
     full_period && contrast.apart > least && contrast.apart > 6.0 * contrast.noise
+}
+
+/// Returns the period of two senders, whatever is expected, if a short and a long gap alternate for so
+/// long, and so regularly, that losses of one sender do not explain it.
+pub(super) fn alternating_period(
+    times: &VecDeque<Instant>,
+    expected: Duration,
+) -> Option<Duration> {
+    /// Part of both gaps together that the short one is. Chosen: clearly less than that of one sender
+    /// whose times are in steps, of which the gaps take one more or less: half the long one at least.
+    const SHORT_GAP: RangeInclusive<f64> = 0.05..=0.31;
+    /// Gap, in expected periods, between two heartbeats of one sender that restarts in the other gap.
+    const ONE_SENDER: RangeInclusive<f64> = 0.93..=1.07;
+    let first = times.len().checked_sub(HALF_PERIOD_TIMES)?;
+    let mut gaps = [0.0; HALF_PERIOD_TIMES - 1];
+    let pairs = times.iter().skip(first).zip(times.iter().skip(first + 1));
+    for (gap, (one, next)) in gaps.iter_mut().zip(pairs) {
+        *gap = next.since(*one).as_secs_f64();
+    }
+    // The usual case: equal gaps.
+    if !SHORT_GAP.contains(&(gaps[0].min(gaps[1]) / (gaps[0] + gaps[1]))) {
+        return None;
+    }
+    let PhaseContrast { apart, noise } = phase_contrast(&gaps);
+    let is_of_one = |gap: &f64| ONE_SENDER.contains(&(gap / expected.as_secs_f64()));
+    let are_two = apart > 6.0 * noise && !gaps.iter().any(is_of_one);
+    let period = 2.0 * gaps.iter().sum::<f64>() / gaps.len() as f64;
+    are_two.then(|| Duration::from_secs(1).mul_f64(period))
 }
 
 /// Returns the number of senders, three or more, whose phases the last gaps repeat.
