@@ -740,6 +740,9 @@ impl BrokerFiles {
 /// `descan publish`.
 #[cfg(feature = "fleet")]
 #[derive(Debug, Args)]
+#[command(mut_arg("buses", |arg| {
+    arg.help(format!("{} (several: each in topics of its own)", bus::forms(|kind| !matches!(kind.scheme, "file" | "-"))))
+}))]
 #[command(after_help = "\
 Publishes inventory, findings and bus state as retained JSON under descan/v1/GATEWAY, and events as they \
 happen. Only changes are sent. While the broker is away, events wait, at most 10000. Nothing that comes \
@@ -806,7 +809,7 @@ pub struct FleetArgs {
 /// `descan diff`.
 #[derive(Debug, Args)]
 #[command(after_help = "\
-Compares the state at the end of two logs (candump -L or pcapng), of two documents of descan scan \
+Compares the state at the end of two logs (of any format), of two documents of descan scan \
 --json, or of one of each, and prints: devices that are on one side only, their presence, address, \
 name, board (UID), mode, services, versions, heartbeat period (by more than a fifth) and entry in \
 des.json; findings; bus load (by more than a fifth), errors and lost frames. A device that moved is \

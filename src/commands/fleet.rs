@@ -37,6 +37,12 @@ pub fn run(args: &FleetArgs) -> Result<u8, Failure> {
         output::print(&report.table())?;
     }
     warn_rejects(&read.fleet);
+    if report.gateways.is_empty() {
+        let cause = "no gateway to be seen";
+        output::warn(format_args!(
+            "{cause}; none has published, or the user may not read descan/v1/#"
+        ));
+    }
     Ok(if report.gateways.iter().any(|it| it.has_findings) { EXIT_FINDINGS } else { EXIT_OK })
 }
 
@@ -286,7 +292,7 @@ fn of_gateway<'a>(
         name: name.as_str(),
         state: gateway.state(now).name(),
         descan: status.map(|it| it.descan.as_str()).filter(|it| !it.is_empty()),
-        time: status.and_then(|status| status.time),
+        time: gateway.last_time(),
         events: events.map(|it| EventReport { last: it.last, dropped: it.dropped }),
         buses: gateway
             .buses()

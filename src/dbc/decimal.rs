@@ -4,6 +4,8 @@
 
 use crate::wire::data_layout::DataValue;
 
+/// Decimals of a value that are always shown if its factor has them.
+const SHOWN_DECIMALS: u8 = 3;
 /// Most decimals that are kept exactly.
 const MAX_DECIMALS: u8 = 15;
 /// Integers of floating point below this are exact.
@@ -41,7 +43,12 @@ impl DecimalFactor {
         let decimals = of_factor.max(of_offset);
         let power = |less: u8| 10_i128.pow(u32::from(decimals - less));
         let product = integer.checked_mul(factor.checked_mul(power(of_factor))?)?;
-        let sum = product.checked_add(offset.checked_mul(power(of_offset))?)?;
+        let mut sum = product.checked_add(offset.checked_mul(power(of_offset))?)?;
+        let mut decimals = decimals;
+        // Many come from a binary factor, such as 1/256, and most of them are zeros.
+        while decimals > SHOWN_DECIMALS && sum % 10 == 0 {
+            (sum, decimals) = (sum / 10, decimals - 1);
+        }
         Some(if decimals == 0 {
             DataValue::Integer(sum)
         } else {

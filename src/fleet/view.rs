@@ -78,6 +78,14 @@ pub struct GatewayStatus {
     pub events: Option<EventCounts>,
 }
 
+/// When a document was made.
+#[derive(Deserialize)]
+struct DocumentTime {
+    /// By the clock of the gateway, in Unix seconds.
+    #[serde(default)]
+    time: Option<f64>,
+}
+
 /// Counts of events.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(default)]
@@ -111,6 +119,8 @@ pub struct FleetGateway {
     status: Option<StoredDocument<GatewayStatus>>,
     /// Time at which the status was received.
     received: Instant,
+    /// Time of the newest document of a bus by the clock of the gateway, in Unix seconds.
+    bus_time: Option<f64>,
     /// Changes with every document.
     revision: u64,
     /// Memory of all documents.
@@ -129,6 +139,12 @@ impl FleetGateway {
     /// Time at which its last status was received.
     pub fn status_received(&self) -> Instant {
         self.received
+    }
+
+    /// Time of its last status by its clock, in Unix seconds; after a lost connection, and without a
+    /// status, that of its newest document of a bus, which are renewed as often.
+    pub fn last_time(&self) -> Option<f64> {
+        self.status().and_then(|status| status.time).or(self.bus_time)
     }
 
     /// A number that no other state of the gateway has or had.
@@ -254,6 +270,8 @@ impl FleetGateway {
             }
             TopicPath::Bus(bus) => {
                 let content = InventoryBus::parse(payload).map_err(|it| it.to_string())?;
+                let time = serde_json::from_slice(payload).map_or(None, |it: DocumentTime| it.time);
+                self.bus_time = time.into_iter().chain(self.bus_time).reduce(f64::max);
                 self.buses.insert(bus, StoredDocument { content, bytes, connection });
             }
             TopicPath::Device(bus, address) => {

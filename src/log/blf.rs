@@ -2,7 +2,7 @@
 //!
 //! Source: the logs that CANalyzer and python-can write. [`super::unpack`] opens the containers; what is
 //! read here is the head of the file and the objects, one after the other. The start of the measurement is
-//! in UTC. Other objects than CAN frames are passed over. Allocation does not depend on lengths in the
+//! in UTC. Files may stand behind one another. Other objects than CAN frames are passed over. Allocation does not depend on lengths in the
 //! file. Does not know moments or bus numbers.
 
 use super::asc::is_whole_error;
@@ -112,9 +112,14 @@ pub(super) fn object_size(head: &[u8; OBJECT_HEAD]) -> Option<(u32, u32)> {
     (size as usize >= OBJECT_HEAD).then_some((size, kind))
 }
 
-/// Returns the bytes before an object: padding, which some objects have and others lack.
+/// Returns the bytes before an object, or the head of a file behind another: padding, which some objects
+/// have and others lack.
 fn padding(bytes: &[u8]) -> usize {
-    (0..=MAX_PADDING).find(|at| bytes[*at.min(&bytes.len())..].starts_with(OBJECT)).unwrap_or(0)
+    let begins = |at: &usize| {
+        let rest = &bytes[*at.min(&bytes.len())..];
+        rest.starts_with(OBJECT) || rest.starts_with(MAGIC)
+    };
+    (0..=MAX_PADDING).find(begins).unwrap_or(0)
 }
 
 /// Returns the length of the head of a file that begins with these eight bytes.
@@ -163,6 +168,9 @@ impl BinaryFormat for MeasurementState {
         if padding > 0 {
             entry.discard(padding);
             return Ok(None);
+        }
+        if entry.bytes().starts_with(MAGIC) {
+            return self.read_head(entry, summary).map(|()| None);
         }
         let size = entry.bytes().first_chunk().and_then(object_size);
         let (len, kind) = size.ok_or(Damage::Object)?;

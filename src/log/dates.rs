@@ -191,13 +191,22 @@ fn iso_date(date: &[u8], time: &[u8]) -> Option<LocalDate> {
     })
 }
 
-/// Returns the microseconds since 1970 of days since 1899-12-30, as TRC counts them.
+/// Returns the microseconds since 1970 of days since 1899-12-30, as TRC counts them, in local time.
 pub(super) fn trc_date(days: &[u8]) -> Option<u64> {
+    let local = jiff::Timestamp::from_microsecond(trc_micros(days)?).ok()?;
+    unix_micros(TimeZone::UTC.to_datetime(local))
+}
+
+/// The same in UTC.
+pub(super) fn trc_utc_date(days: &[u8]) -> Option<u64> {
+    u64::try_from(trc_micros(days)?).ok()
+}
+
+/// Returns the microseconds from 1970 to days since 1899-12-30.
+fn trc_micros(days: &[u8]) -> Option<i64> {
     let days = i128::from(fixed_point::<12>(days)?);
     let micros = (days * MICROS_PER_DAY + PARTS_OF_DAY / 2) / PARTS_OF_DAY;
-    let local = micros - DAYS_BEFORE_1970 * MICROS_PER_DAY;
-    let local = jiff::Timestamp::from_microsecond(i64::try_from(local).ok()?).ok()?;
-    unix_micros(TimeZone::UTC.to_datetime(local))
+    i64::try_from(micros - DAYS_BEFORE_1970 * MICROS_PER_DAY).ok()
 }
 
 /// Returns the days since 1899-12-30 of microseconds since 1970, as TRC counts them, to the microsecond.

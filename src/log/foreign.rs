@@ -11,6 +11,10 @@ pub enum ForeignFormat {
     Bzip2,
     /// An archive of files.
     Zip,
+    /// An archive of files, not compressed.
+    Tar,
+    /// Text of two bytes per character.
+    Utf16,
     /// Measurement data of ASAM, version 3 or older.
     Mdf,
     /// Text log of BUSMASTER.
@@ -31,11 +35,16 @@ struct Facts {
     extension: Option<&'static str>,
 }
 
+/// Mark in the head of a tar archive, and its place: behind the name of the first file.
+const TAR_MARK: &[u8] = b"ustar";
+const TAR_MARK_AT: usize = 257;
+
 /// No line of a binary log.
 const NO_LINE: fn(&[u8]) -> bool = |_| false;
 
 impl ForeignFormat {
-    const ALL: [Self; 4] = [Self::Bzip2, Self::Zip, Self::Mdf, Self::Busmaster];
+    const ALL: [Self; 6] =
+        [Self::Bzip2, Self::Zip, Self::Tar, Self::Utf16, Self::Mdf, Self::Busmaster];
 
     const fn facts(self) -> Facts {
         match self {
@@ -52,6 +61,20 @@ impl ForeignFormat {
                 magics: &[b"PK\x03\x04"],
                 is_first_line: NO_LINE,
                 extension: Some("zip"),
+            },
+            Self::Tar => Facts {
+                name: "a tar archive",
+                remedy: "unpack it: tar -xOf LOG.tar | descan -",
+                magics: &[],
+                is_first_line: NO_LINE,
+                extension: Some("tar"),
+            },
+            Self::Utf16 => Facts {
+                name: "UTF-16 text",
+                remedy: "convert it: iconv -f UTF-16 -t UTF-8 LOG | descan -",
+                magics: &[b"\xff\xfe", b"\xfe\xff"],
+                is_first_line: NO_LINE,
+                extension: None,
             },
             Self::Mdf => Facts {
                 name: "an ASAM MDF log of version 3 or older",
@@ -78,6 +101,12 @@ impl ForeignFormat {
     /// Matches the first bytes of a log with the binary formats.
     pub(super) fn of_head(head: &[u8]) -> (Option<Self>, FormatMatch) {
         let mut result = (None, FormatMatch::No);
+        match head.get(TAR_MARK_AT..TAR_MARK_AT + TAR_MARK.len()) {
+            Some(mark) if mark == TAR_MARK => return (Some(Self::Tar), FormatMatch::Yes),
+            // Behind the name of the first file are zeros, which no text log has.
+            None if head.contains(&0) => result.1 = FormatMatch::Undecided,
+            _ => {}
+        }
         for format in Self::ALL {
             for magic in format.facts().magics {
                 match FormatMatch::of_magic(magic, head) {

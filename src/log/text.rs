@@ -56,7 +56,7 @@ impl TextFormat {
     fn start_date(&self) -> Option<LogTime> {
         match self {
             Self::Asc(lines) => Some(lines.start()),
-            Self::Trc(lines) => Some(lines.start()),
+            Self::Trc(lines) => lines.local_start(),
             _ => None,
         }
     }

@@ -1,14 +1,15 @@
 //! TRC, the trace of PEAK's tools, versions 1.0 to 2.1: reads it, and writes 2.1.
 //!
 //! Source: "PEAK CAN TRC File Format" of PEAK-System. The times are milliseconds since `$STARTTIME`, which
-//! is local time in days since 1899-12-30. Status and event lines are passed over. Does not know moments
+//! is local time in days since 1899-12-30, or UTC where the comment with the start has `+00:00`, as
+//! python-can writes it. Status and event lines are passed over. Does not know moments
 //! or bus numbers.
 
 use super::asc::is_whole_error;
 use super::bus_errors::{bus_error, capture_of, captured, is_on_bus, overload};
 use super::channel::{ChannelNumbers, channel_name};
 use super::dates::{
-    LAST_START, day_month_year, is_in_repeated_hour, local_time, trc_date, trc_days,
+    LAST_START, day_month_year, is_in_repeated_hour, local_time, trc_date, trc_days, trc_utc_date,
 };
 use super::fields::{
     FieldFault, bytes, can_id, channel, check_line, data_frame, first_word, fixed_point,
@@ -36,6 +37,10 @@ pub(super) struct TrcLines {
     has_types: bool,
     /// Date of the beginning, in microseconds since 1970.
     start: u64,
+    /// The same if `$STARTTIME` is in UTC.
+    utc_start: Option<u64>,
+    /// It is.
+    is_utc: bool,
 }
 
 impl TrcLines {
@@ -50,12 +55,18 @@ impl TrcLines {
         let mut columns = [0; MAX_COLUMNS];
         let len = letters.len().min(MAX_COLUMNS);
         columns[..len].copy_from_slice(&letters[..len]);
-        Self { columns, has_types: letters.contains(&b'T'), start: 0 }
+        Self {
+            columns,
+            has_types: letters.contains(&b'T'),
+            start: 0,
+            utc_start: None,
+            is_utc: false,
+        }
     }
 
-    /// Returns the date of the beginning.
-    pub fn start(&self) -> LogTime {
-        LogTime::from_micros(self.start)
+    /// Returns the date of the beginning; `None` if it is in UTC.
+    pub fn local_start(&self) -> Option<LogTime> {
+        (!self.is_utc).then_some(LogTime::from_micros(self.start))
     }
 
     /// Reads a line; `None` for one without a frame.
@@ -90,6 +101,7 @@ impl TrcLines {
             }
         } else if let Some(days) = value(b"$STARTTIME") {
             self.start = trc_date(days).ok_or(FieldFault::Date)?;
+            self.utc_start = trc_utc_date(days);
             return Ok(());
         } else if let Some(letters) = value(b"$COLUMNS") {
             let mut columns = [0; MAX_COLUMNS];
@@ -99,20 +111,27 @@ impl TrcLines {
                 let place = columns.get_mut(at).ok_or(FieldFault::Column)?;
                 *place = *letter.first().ok_or(FieldFault::Column)?;
             }
-            let start = self.start;
-            *self = Self { start, ..Self::new(&columns) };
+            *self = self.with_columns(&columns);
             return Ok(());
         } else {
-            // Version 1.0 has its date in words.
-            if let Some(date) = comment.trim_ascii().strip_prefix(b"Start time:")
-                && self.start == 0
-            {
-                self.start = day_month_year(date).unwrap_or(0);
+            if let Some(date) = comment.trim_ascii().strip_prefix(b"Start time:") {
+                if self.start == 0 {
+                    // Version 1.0 has its date in words.
+                    self.start = day_month_year(date).unwrap_or(0);
+                } else if let Some(start) = self.utc_start.filter(|_| date.ends_with(b"+00:00")) {
+                    (self.start, self.is_utc) = (start, true);
+                }
             }
             return Ok(());
         };
-        *self = Self { start: self.start, ..Self::new(columns) };
+        *self = self.with_columns(columns);
         Ok(())
+    }
+
+    /// Returns the beginning of a trace with the same date and these columns.
+    fn with_columns(&self, letters: &[u8]) -> Self {
+        let &Self { start, utc_start, is_utc, .. } = self;
+        Self { start, utc_start, is_utc, ..Self::new(letters) }
     }
 
     /// Reads a line behind the number of the message.

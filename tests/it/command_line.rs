@@ -1040,11 +1040,21 @@ fn only_short_regular_files_are_read_as_settings() {
 }
 
 /// Contents of logs of other programs, their file names, and the words of the way out.
-const FOREIGN_LOGS: [(&str, &[u8], &str); 3] = [
+const FOREIGN_LOGS: [(&str, &[u8], &str); 5] = [
     ("session.log.bz2", b"BZh91AY&SY\x00\x00\x00", "bunzip2 -c"),
     ("logs.zip", b"PK\x03\x04\x14\x00\x00\x00", "a zip archive; unpack it"),
     ("bus.log", b"***BUSMASTER Ver 3.2.2***\n", "a BUSMASTER log; export it"),
+    ("wide.log", b"\xff\xfe(\x001\x00)\x00\n\x00", "UTF-16 text; convert it: iconv"),
+    ("logs.tar", &TAR, "a tar archive; unpack it: tar"),
 ];
+
+/// The head of a tar archive.
+const TAR: [u8; 512] = {
+    let mut head = [0; 512];
+    (head[0], head[257], head[258], head[259]) = (b'a', b'u', b's', b't');
+    (head[260], head[261]) = (b'a', b'r');
+    head
+};
 
 #[test]
 fn foreign_log_is_named_with_its_conversion() {

@@ -297,6 +297,42 @@ fn doubtful_dates_behind_the_part_that_is_read_are_not_said() {
 }
 
 #[test]
+fn start_of_a_trc_in_utc_is_not_read_as_local_time() {
+    let folder = tempfile::tempdir().unwrap();
+    // In local time it would be one of the hour that comes twice.
+    for (zone, expected) in [("+00:00", "1698543000.000500"), ("", "1698535800.000500")] {
+        let log = format!(
+            ";$FILEVERSION=2.1\n;$STARTTIME=45228.0625\n;$COLUMNS=N,O,T,B,I,d,R,L,D\n;\n\
+             ;   Start time: 2023-10-29 01:30:00{zone}\n 1 0.5 DT 1 0123 Rx - 1 11\n"
+        );
+        fs::write(folder.path().join("in"), log).unwrap();
+        let mut command = Command::new(env!("CARGO_BIN_EXE_descan"));
+        command.args(["convert", "in", "-", "--format", "candump"]);
+        let output =
+            command.current_dir(folder.path()).env("TZ", "Europe/Berlin").output().unwrap();
+        assert_eq!(text(&output.stdout), format!("({expected}) ch1 123#11\n"), "{zone}");
+        assert_eq!(text(&output.stderr), "descan: file:in: 1 frame\n", "{zone}");
+    }
+}
+
+#[test]
+fn files_of_blf_behind_one_another_are_one_log() {
+    let folder = tempfile::tempdir().unwrap();
+    for (name, second) in [("one", 100), ("two", 200)] {
+        let log = format!("({second}.000000) can0 123#11\n({second}.500000) can0 123#22\n");
+        fs::write(folder.path().join(name), log).unwrap();
+        let output = descan(folder.path(), &["convert", name, &format!("{name}.blf")]);
+        assert!(output.status.success(), "{output:?}");
+    }
+    let read = |name: &str| fs::read(folder.path().join(name)).unwrap();
+    fs::write(folder.path().join("both.blf"), [read("one.blf"), read("two.blf")].concat()).unwrap();
+    let output = descan(folder.path(), &["convert", "both.blf", "-", "--format", "candump"]);
+    let line = |(second, data)| format!("(0000000{second}00000) ch1 123#{data}\n");
+    let expected = [("100.0", 11), ("100.5", 22), ("200.0", 11), ("200.5", 22)].map(line).concat();
+    assert_eq!(text(&output.stdout), expected, "{}", text(&output.stderr));
+}
+
+#[test]
 fn dates_of_a_zone_that_is_not_known_are_said_to_be_read_as_utc() {
     let folder = tempfile::tempdir().unwrap();
     let mut measurement = include_bytes!("../corpus/mdf/unsorted").to_vec();

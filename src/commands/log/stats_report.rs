@@ -11,7 +11,7 @@ use crate::app::{
 };
 use crate::frame::{BusIndex, CanId};
 use crate::text::counted;
-use crate::time::Duration;
+use crate::time::{Duration, Instant};
 use crate::wire::id::{Address, Header};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -230,6 +230,16 @@ fn rows<'a>(app: &'a App, stats: &'a LogStats) -> Vec<IdentifierRow<'a>> {
 
 // ---- text ----------------------------------------------------------------------------------
 
+/// Returns a time, with its date if another one is on another day.
+fn time_text(app: &App, at: Instant, other: Instant) -> String {
+    let date = |at| app.date_time_text(at).split_once(' ').map(|(date, _)| date.to_owned());
+    let time = clock_millis(app, at);
+    match date(at) {
+        Some(day) if date(other).as_ref() != Some(&day) => format!("{day} {time}"),
+        _ => time,
+    }
+}
+
 /// Returns the statistics as tables.
 pub fn text(app: &App, stats: &LogStats) -> String {
     let mut text = String::new();
@@ -239,8 +249,8 @@ pub fn text(app: &App, stats: &LogStats) -> String {
         Some((first, last)) => writeln!(
             text,
             "{frames}, {} to {} ({:.3} s)",
-            clock_millis(app, first),
-            clock_millis(app, last),
+            time_text(app, first, last),
+            time_text(app, last, first),
             last.since(first).as_secs_f64()
         ),
     };

@@ -40,6 +40,12 @@ impl<R: Read> ContainerReader<R> {
         let invalid = || io::Error::from(io::ErrorKind::InvalidData);
         let mut head = [0; OBJECT_HEAD];
         self.source.read_exact(&mut head)?;
+        if let Some(len) = head.first_chunk().copied().and_then(file_head_len) {
+            // Another file.
+            let left = (len - OBJECT_HEAD) as u64;
+            self.state = ContainerState::Copy { head: head.to_vec(), at: 0, left, padding: 0 };
+            return Ok(true);
+        }
         let (size, kind) = object_size(&head).ok_or_else(invalid)?;
         let left = u64::from(size) - OBJECT_HEAD as u64;
         let padding = size as usize % 4;

@@ -1,5 +1,6 @@
 //! Where a broker is, and what it takes to be let in: `mqtts://host:8883`, certificates, credentials.
 
+use super::failure::{VERSION_1, is_of_version_1};
 use super::{KEEP_ALIVE, MAX_PACKET_BYTES, SESSION_EXPIRY_SECONDS};
 use crate::diagnostic::Diagnostic;
 use crate::regular_file::{read, required_text};
@@ -7,7 +8,7 @@ use crate::text::printable_path;
 use rumqttc::tokio_rustls::rustls::crypto::ring;
 use rumqttc::tokio_rustls::rustls::pki_types::pem::PemObject;
 use rumqttc::tokio_rustls::rustls::pki_types::{CertificateDer, PrivateKeyDer};
-use rumqttc::tokio_rustls::rustls::{ClientConfig, RootCertStore};
+use rumqttc::tokio_rustls::rustls::{self, ClientConfig, RootCertStore};
 use rumqttc::{MqttOptions, TlsConfiguration, Transport};
 use serde::Deserialize;
 use std::env;
@@ -234,6 +235,13 @@ fn tls(access: &BrokerAccess) -> Result<ClientConfig, Diagnostic> {
     let pem = read_pem(key)?;
     let private = PrivateKeyDer::from_pem_slice(&pem).map_err(|_| no_pem(key, "private key"))?;
     builder.with_client_auth_cert(chain, private).map_err(|error| {
+        if let rustls::Error::InvalidCertificate(why) = &error
+            && is_of_version_1(why)
+        {
+            let cause = format!("{}: a certificate {VERSION_1}", printable_path(certificate));
+            return Diagnostic::new(cause)
+                .with_remedy("have it signed as one of version 3, as descan help gateways shows");
+        }
         let files = format!("{}, {}", printable_path(certificate), printable_path(key));
         Diagnostic::new(format!("{files}: {error}"))
             .with_remedy("name a certificate (--cert) and its own key (--key)")

@@ -3,6 +3,7 @@
 use super::BrokerAddress;
 use crate::diagnostic::{Diagnostic, without_number};
 use crate::text::on_one_line;
+use rumqttc::tokio_rustls::rustls::pki_types::UnixTime;
 use rumqttc::tokio_rustls::rustls::{self, CertificateError};
 use rumqttc::{ConnectReturnCode, ConnectionError, DisconnectReasonCode, StateError, TlsError};
 use std::error::Error;
@@ -25,6 +26,13 @@ const OWN_NAME: &str = "give each gateway its own --gateway";
 /// What helps where the broker refuses TLS.
 const OWN_CERTIFICATE: Option<&str> =
     Some("the broker may ask for a certificate: --cert FILE --key FILE");
+
+/// What a certificate without extensions is.
+pub(super) const VERSION_1: &str = "of X.509 version 1";
+
+/// What helps where the broker has a certificate that is not used with TLS.
+const ISSUE_ANEW: &str =
+    "have the CA sign one of version 3 for the broker, as descan help gateways shows";
 
 /// What answers breaks the rules of MQTT 5.
 const NO_BROKER: &str = "no MQTT 5 broker: ";
@@ -84,7 +92,7 @@ fn words(error: &ConnectionError) -> (String, Option<&'static str>, bool) {
         ConnectionError::MqttState(StateError::ConnectionAborted) => closed(),
         ConnectionError::NotConnAck(_) => no_broker("the answer to CONNECT is another packet"),
         ConnectionError::Timeout(_) | ConnectionError::MqttState(StateError::AwaitPingResp) => {
-            ("no response".to_owned(), None, false)
+            ("no response".to_owned(), Some("check host and port, and the firewall"), false)
         }
         other => deep(other),
     }
@@ -154,38 +162,66 @@ fn io_words(error: &io::Error) -> (String, Option<&'static str>, bool) {
         | io::ErrorKind::ConnectionReset
         | io::ErrorKind::ConnectionAborted
         | io::ErrorKind::BrokenPipe => closed(),
-        _ => (on_one_line(&without_number(error)), None, false),
+        _ => {
+            let cause = on_one_line(&without_number(error));
+            let remedy = cause.contains("lookup").then_some("check the name of the host");
+            (cause, remedy, false)
+        }
     }
 }
 
 fn tls_words(error: &rustls::Error) -> (String, Option<&'static str>, bool) {
-    let (remedy, is_final) = match error {
-        rustls::Error::InvalidCertificate(why) => (Some(certificate_remedy(why)), true),
-        rustls::Error::AlertReceived(_) => (OWN_CERTIFICATE, true),
-        rustls::Error::InvalidMessage(_) => {
-            (Some("the broker may have no TLS there: mqtt://, or another port"), true)
+    let (cause, remedy, is_final) = match error {
+        rustls::Error::InvalidCertificate(why) => {
+            let (cause, remedy) = certificate_words(why);
+            return (format!("TLS: {cause}"), Some(remedy), true);
         }
-        _ => (None, false),
+        rustls::Error::AlertReceived(_) => (error, OWN_CERTIFICATE, true),
+        rustls::Error::InvalidMessage(_) => {
+            (error, Some("the broker may have no TLS there: mqtt://, or another port"), true)
+        }
+        _ => (error, None, false),
     };
-    (format!("TLS: {}", on_one_line(&error.to_string())), remedy, is_final)
+    (format!("TLS: {}", on_one_line(&cause.to_string())), remedy, is_final)
 }
 
-fn certificate_remedy(why: &CertificateError) -> &'static str {
+/// Returns true if a certificate is of X.509 version 1, for which the library has no error of its own.
+pub(super) fn is_of_version_1(why: &CertificateError) -> bool {
+    matches!(why, CertificateError::Other(other) if other.to_string().contains("UnsupportedCertVersion"))
+}
+
+/// Returns the local date of a time in a certificate.
+fn date_of(time: UnixTime) -> String {
+    let seconds = i64::try_from(time.as_secs()).unwrap_or(i64::MAX);
+    let timestamp = jiff::Timestamp::from_second(seconds).unwrap_or(jiff::Timestamp::MAX);
+    timestamp.to_zoned(jiff::tz::TimeZone::system()).date().to_string()
+}
+
+/// Why the certificate of the broker is refused, and what helps.
+fn certificate_words(why: &CertificateError) -> (String, &'static str) {
     use CertificateError as Why;
+    const RENEW: &str = "renew the broker's certificate, or check the clock of this machine";
     match why {
-        Why::Expired
-        | Why::ExpiredContext { .. }
-        | Why::NotValidYet
-        | Why::NotValidYetContext { .. } => {
-            "check the clock of this machine, or renew the certificate of the broker"
+        Why::Expired => ("the broker's certificate has expired".to_owned(), RENEW),
+        Why::ExpiredContext { not_after, .. } => {
+            (format!("the broker's certificate expired on {}", date_of(*not_after)), RENEW)
+        }
+        Why::NotValidYet => ("the broker's certificate is not valid yet".to_owned(), RENEW),
+        Why::NotValidYetContext { not_before, .. } => {
+            (format!("the broker's certificate is valid from {} on", date_of(*not_before)), RENEW)
         }
         Why::NotValidForName | Why::NotValidForNameContext { .. } => {
-            "name the broker as its certificate does"
+            (on_one_line(&why.to_string()), "name the broker as its certificate does")
         }
-        _ => "name the certificate that signed it: --ca FILE",
+        _ if is_of_version_1(why) => {
+            (format!("the broker's certificate is {VERSION_1}"), ISSUE_ANEW)
+        }
+        Why::Other(other) if other.to_string().contains("CaUsedAsEndEntity") => {
+            ("the broker's certificate is that of a CA".to_owned(), ISSUE_ANEW)
+        }
+        _ => (on_one_line(&why.to_string()), "name the certificate that signed it: --ca FILE"),
     }
 }
-
 fn refusal(code: ConnectReturnCode) -> (String, Option<&'static str>, bool) {
     use ConnectReturnCode as Code;
     match code {

@@ -141,7 +141,7 @@ impl Mosquitto {
 }
 
 /// Runs openssl in a folder.
-fn openssl(folder: &Path, arguments: &str) {
+pub fn openssl(folder: &Path, arguments: &str) {
     let output = Command::new("openssl")
         .args(arguments.split(' '))
         .current_dir(folder)

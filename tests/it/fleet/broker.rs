@@ -1,7 +1,7 @@
 //! `publish`, `fleet` and `check --fleet` at a real broker (mosquitto): rights, TLS, restarts, cut
 //! connections, hostile messages.
 
-use crate::common::mosquitto::{GuardedBroker, Mosquitto, make_certificates};
+use crate::common::mosquitto::{GuardedBroker, Mosquitto, make_certificates, openssl};
 use crate::common::program::{command, text};
 use crate::common::pty::Pty;
 use crate::common::sites::{self, Sites};
@@ -168,7 +168,9 @@ fn killed_gateway_is_lost_and_its_next_run_clears_what_is_gone() {
     publisher.signal(Signal::SIGKILL);
     wait_for(|| {
         let fleet = fleet_json(&["--broker", &url], folder);
-        (state_of(&fleet, "g").as_deref() == Some("lost")).then_some(())
+        let is_lost = state_of(&fleet, "g").as_deref() == Some("lost");
+        // When it was alive, by its last document.
+        is_lost.then(|| assert!(fleet["gateways"][0]["time"].as_f64() > Some(1.7e9), "{fleet}"))
     });
     // The next run is on another bus.
     let _publisher = Running::publish(&["sim:drone", "--broker", &url, "--gateway", "g"], folder);
@@ -375,6 +377,37 @@ fn gateway_writes_its_own_topics_only_and_viewer_reads() {
         folder,
     );
     assert!(text(&output.stderr).contains("refuses descan/v1/viewer/"));
+}
+
+#[test]
+fn certificate_that_tls_does_not_take_is_named_with_its_cause() {
+    let cases = [
+        ("v1", "the broker's certificate is of X.509 version 1; have the CA sign"),
+        ("ca", "the broker's certificate is that of a CA; have the CA sign"),
+        ("old", "the broker's certificate has expired; renew"),
+    ];
+    for (name, expected) in cases {
+        let settings = |folder: &Path| {
+            make_certificates(folder);
+            fs::copy(folder.join("broker.key"), folder.join("v1.key")).unwrap();
+            fs::copy(folder.join("broker.key"), folder.join("old.key")).unwrap();
+            let signed = "x509 -req -in broker.req -CA ca.pem -CAkey ca.key -CAcreateserial";
+            openssl(folder, &format!("{signed} -days 2 -out v1.pem"));
+            openssl(folder, &format!("{signed} -days -1 -extfile names -out old.pem"));
+            let path = |ending: &str| folder.join(format!("{name}.{ending}")).display().to_string();
+            format!("allow_anonymous true\ncertfile {}\nkeyfile {}\n", path("pem"), path("key"))
+        };
+        let Some(broker) = Mosquitto::with_settings(settings) else { return };
+        let url = broker.url().replace("mqtt://", "mqtts://").replace("127.0.0.1", "localhost");
+        let fleet = ["fleet", "--json", "--broker", &url, "--ca", "ca.pem"];
+        let output = run(&fleet, broker.folder());
+        let errors = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(3), "{name}: {errors}");
+        assert!(errors.contains(expected), "{name}: {errors}");
+        let own = [&fleet[..], &["--cert", "v1.pem", "--key", "v1.key"]].concat();
+        let errors = text(&run(&own, broker.folder()).stderr);
+        assert!(errors.contains("v1.pem: a certificate of X.509 version 1"), "{errors}");
+    }
 }
 
 #[test]
