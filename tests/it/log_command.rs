@@ -95,7 +95,7 @@ fn statistics_of_several_days_have_dates() {
         (day + 3, "1970-01-01 00:00:01.500 to 1970-01-02 00:00:03.000"),
         (3, "frames, 00:00:01.500 to 00:00:03.000"),
     ] {
-        let folder = Folder::with(&format!("(1.5) can0 123#11\n({end}.0) can0 123#22\n"));
+        let folder = Folder::with(format!("(1.5) can0 123#11\n({end}.0) can0 123#22\n"));
         let (_, out, _) = folder.log(&["a.log", "--stats"]);
         assert!(out.contains(expected), "{out}");
     }
