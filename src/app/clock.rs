@@ -77,6 +77,14 @@ impl AppClock {
         stamp(self.wall_seconds(self.now))
     }
 
+    /// The date of a moment on the wall clock: `2026-11-21`.
+    pub fn date_text(&self, at: Instant) -> String {
+        let days = i64::try_from(self.wall.local(at).div_euclid(DAY)).unwrap_or(i64::MAX);
+        let since = jiff::Span::new().try_days(days).ok();
+        let date = since.and_then(|days| jiff::civil::date(1970, 1, 1).checked_add(days).ok());
+        date.unwrap_or(jiff::civil::Date::MAX).to_string()
+    }
+
     /// A moment on the wall clock with its date: `2026-11-21 06:00:36`.
     pub fn date_time_text(&self, at: Instant) -> String {
         let stamp = stamp(self.wall_seconds(at));

@@ -965,6 +965,11 @@ impl App {
         self.clock.epoch()
     }
 
+    /// The date of a moment on the wall clock: `2026-11-21`.
+    pub fn date_text(&self, at: Instant) -> String {
+        self.clock.date_text(at)
+    }
+
     /// A moment on the wall clock with its date: `2026-11-21 06:00:36`.
     pub fn date_time_text(&self, at: Instant) -> String {
         self.clock.date_time_text(at)

@@ -38,10 +38,7 @@ pub fn run(args: &FleetArgs) -> Result<u8, Failure> {
     }
     warn_rejects(&read.fleet);
     if report.gateways.is_empty() {
-        let cause = "no gateway to be seen";
-        output::warn(format_args!(
-            "{cause}; none has published, or the user may not read descan/v1/#"
-        ));
+        output::warn("no gateway found; none has published, or the user may not read descan/v1/#");
     }
     Ok(if report.gateways.iter().any(|it| it.has_findings) { EXIT_FINDINGS } else { EXIT_OK })
 }

@@ -108,6 +108,8 @@ fn memory_of(topic: &[u8], payload: &[u8], list_members: usize) -> usize {
 #[derive(Clone, Debug, PartialEq)]
 struct StoredDocument<T> {
     content: T,
+    /// When it was made, by the clock of the gateway, in Unix seconds; `None` but for a bus.
+    time: Option<f64>,
     bytes: usize,
     /// The connection by which it was last received.
     connection: u32,
@@ -119,8 +121,6 @@ pub struct FleetGateway {
     status: Option<StoredDocument<GatewayStatus>>,
     /// Time at which the status was received.
     received: Instant,
-    /// Time of the newest document of a bus by the clock of the gateway, in Unix seconds.
-    bus_time: Option<f64>,
     /// Changes with every document.
     revision: u64,
     /// Memory of all documents.
@@ -142,9 +142,10 @@ impl FleetGateway {
     }
 
     /// Time of its last status by its clock, in Unix seconds; after a lost connection, and without a
-    /// status, that of its newest document of a bus, which are renewed as often.
+    /// status, that of its newest document of a bus.
     pub fn last_time(&self) -> Option<f64> {
-        self.status().and_then(|status| status.time).or(self.bus_time)
+        let buses = || self.buses.values().filter_map(|bus| bus.time).reduce(f64::max);
+        self.status().and_then(|status| status.time).or_else(buses)
     }
 
     /// A number that no other state of the gateway has or had.
@@ -263,6 +264,7 @@ impl FleetGateway {
                 let descan = printable(content.descan.as_bytes());
                 self.status = Some(StoredDocument {
                     content: GatewayStatus { descan, ..content },
+                    time: None,
                     bytes,
                     connection,
                 });
@@ -271,15 +273,17 @@ impl FleetGateway {
             TopicPath::Bus(bus) => {
                 let content = InventoryBus::parse(payload).map_err(|it| it.to_string())?;
                 let time = serde_json::from_slice(payload).map_or(None, |it: DocumentTime| it.time);
-                self.bus_time = time.into_iter().chain(self.bus_time).reduce(f64::max);
-                self.buses.insert(bus, StoredDocument { content, bytes, connection });
+                self.buses.insert(bus, StoredDocument { content, time, bytes, connection });
             }
             TopicPath::Device(bus, address) => {
                 let mut content = InventoryDevice::parse(payload).map_err(|it| it.to_string())?;
                 (content.bus, content.address) = (bus.clone(), address);
                 let members = content.services.as_ref().map_or(0, Vec::len);
                 bytes = memory_of(topic, payload, members);
-                self.devices.insert((bus, address), StoredDocument { content, bytes, connection });
+                self.devices.insert(
+                    (bus, address),
+                    StoredDocument { content, time: None, bytes, connection },
+                );
             }
             TopicPath::Finding(bus, id) => {
                 let content = InventoryFinding::parse(payload).map_err(|it| it.to_string())?;
@@ -290,7 +294,8 @@ impl FleetGateway {
                 }
                 let members = content.addresses.len() + content.names.len() + content.uids.len();
                 bytes = memory_of(topic, payload, members);
-                self.findings.insert((bus, id), StoredDocument { content, bytes, connection });
+                self.findings
+                    .insert((bus, id), StoredDocument { content, time: None, bytes, connection });
             }
             TopicPath::Event => {}
         }

@@ -1,9 +1,9 @@
 //! BLF, the binary log of Vector's tools, with its containers opened: reads it, and writes it.
 //!
-//! Source: the logs that CANalyzer and python-can write. [`super::unpack`] opens the containers; what is
-//! read here is the head of the file and the objects, one after the other. The start of the measurement is
-//! in UTC. Files may stand behind one another. Other objects than CAN frames are passed over. Allocation does not depend on lengths in the
-//! file. Does not know moments or bus numbers.
+//! Source: the logs that CANalyzer and python-can write. [`super::unpack`] opens the containers; what
+//! is read here is the head of the file and the objects, one after the other. The start of the
+//! measurement is in UTC. Files may stand behind one another. Other objects than CAN frames are passed
+//! over. Allocation does not depend on lengths in the file. Does not know moments or bus numbers.
 
 use super::asc::is_whole_error;
 use super::binary::{BinaryFormat, EntryInput};
@@ -29,7 +29,7 @@ const MAX_OBJECT: usize = 1 << 12;
 pub(super) const FILE_HEAD: usize = 144;
 const LEAST_FILE_HEAD: usize = 72;
 /// Most bytes of padding before an object.
-const MAX_PADDING: usize = 4;
+pub(super) const MAX_PADDING: usize = 4;
 /// Types of objects.
 const MESSAGE: u32 = 1;
 const ERROR: u32 = 2;

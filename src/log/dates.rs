@@ -123,6 +123,12 @@ pub(super) fn day_month_year(text: &[u8]) -> Option<u64> {
     Some(civil(year, month, day, time_of_day(&time[..end])?)?.micros)
 }
 
+/// Parses a date and a time of day in UTC such as `2026-11-27 14:28:07.062`, in microseconds since 1970.
+pub(super) fn utc_date(text: &[u8]) -> Option<u64> {
+    let date: jiff::civil::DateTime = std::str::from_utf8(text).ok()?.trim().parse().ok()?;
+    u64::try_from(TimeZone::UTC.to_timestamp(date).ok()?.as_microsecond()).ok()
+}
+
 /// Reads dates such as `2026-11-27` with a time of day, line by line. Most are in the second of the one
 /// before, for which the time zone is asked once.
 #[derive(Clone, Copy, Debug, Default)]

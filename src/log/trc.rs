@@ -10,6 +10,7 @@ use super::bus_errors::{bus_error, capture_of, captured, is_on_bus, overload};
 use super::channel::{ChannelNumbers, channel_name};
 use super::dates::{
     LAST_START, day_month_year, is_in_repeated_hour, local_time, trc_date, trc_days, trc_utc_date,
+    utc_date,
 };
 use super::fields::{
     FieldFault, bytes, can_id, channel, check_line, data_frame, first_word, fixed_point,
@@ -39,7 +40,7 @@ pub(super) struct TrcLines {
     start: u64,
     /// The same if `$STARTTIME` is in UTC.
     utc_start: Option<u64>,
-    /// It is.
+    /// True if the start is in UTC.
     is_utc: bool,
 }
 
@@ -100,8 +101,9 @@ impl TrcLines {
                 _ => return Ok(()),
             }
         } else if let Some(days) = value(b"$STARTTIME") {
-            self.start = trc_date(days).ok_or(FieldFault::Date)?;
-            self.utc_start = trc_utc_date(days);
+            (self.utc_start, self.is_utc) = (trc_utc_date(days), false);
+            // Just after 1970 in UTC, the local time may be before it.
+            self.start = trc_date(days).or(self.utc_start).ok_or(FieldFault::Date)?;
             return Ok(());
         } else if let Some(letters) = value(b"$COLUMNS") {
             let mut columns = [0; MAX_COLUMNS];
@@ -115,11 +117,12 @@ impl TrcLines {
             return Ok(());
         } else {
             if let Some(date) = comment.trim_ascii().strip_prefix(b"Start time:") {
-                if self.start == 0 {
+                let utc = date.strip_suffix(b"+00:00");
+                if let Some(start) = utc.and_then(|date| self.utc_start.or(utc_date(date))) {
+                    (self.start, self.is_utc) = (start, true);
+                } else if self.start == 0 {
                     // Version 1.0 has its date in words.
                     self.start = day_month_year(date).unwrap_or(0);
-                } else if let Some(start) = self.utc_start.filter(|_| date.ends_with(b"+00:00")) {
-                    (self.start, self.is_utc) = (start, true);
                 }
             }
             return Ok(());

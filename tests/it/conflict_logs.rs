@@ -223,8 +223,7 @@ fn two_senders_with_another_period_are_suspected() {
         let lossy = two.lives(20, 0.73, seconds, PUMP);
         let label = format!("{part} of {period} s apart, with losses");
         assert_eq!(scanned(folder, &lossy.clone().text()), suspected, "{label}");
-        let cleared = watched(folder, &lossy.text());
-        assert!(cleared.iter().all(|told| told.1 == "suspected"), "{label}: {cleared:?}");
+        assert_eq!(watched(folder, &lossy.text()), suspected, "{label}");
     }
     // One board that restarts after two heartbeats.
     for (period, pause) in [(1.0, 0.3), (1.0, 0.4), (1.0, 2.5)] {
@@ -233,6 +232,32 @@ fn two_senders_with_another_period_are_suspected() {
         let one = one.beats(14, 0.1 + period, 30.0 * cycle, cycle, &data);
         assert_eq!(scanned(folder, &one.text()), [], "{period} s, restarts after {pause} s");
     }
+}
+
+#[test]
+fn two_names_with_another_period_are_one_conflict() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = format!("{FEED}0400");
+    let two = Log::default().beats(14, 0.1, 90.0, 2.0, &data).beats(14, 0.5, 90.0, 2.0, &data);
+    let two = two.asked(90.0, 5.0, 0, &["FEED", "SENS"]);
+    let told = watched(folder.path(), &two.text());
+    assert!(told.iter().any(|told| told.0 == "one-address-two-names"), "{told:?}");
+    assert!(told.iter().all(|told| told.0 != "same-name-same-address"), "{told:?}");
+}
+
+#[test]
+fn restarts_after_the_second_sender_left_are_not_suspected() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = format!("{FEED}0400");
+    let mut log = Log::default().beats(14, 0.5, 60.0, 2.0, &data);
+    // The one that stays restarts each 80 s.
+    for restart in 0..5 {
+        let from = 0.1 + 80.0 * f64::from(restart);
+        log = log.beats(14, from, from + 79.0, 2.0, &data);
+    }
+    let told = watched(folder.path(), &log.text());
+    let states: Vec<&str> = told.iter().map(|told| told.1.as_str()).collect();
+    assert_eq!(states, ["suspected", "cleared"]);
 }
 
 #[test]

@@ -91,13 +91,16 @@ fn bus() -> String {
 #[test]
 fn statistics_of_several_days_have_dates() {
     let day = 86_400;
-    for (end, expected) in [
-        (day + 3, "1970-01-01 00:00:01.500 to 1970-01-02 00:00:03.000"),
-        (3, "frames, 00:00:01.500 to 00:00:03.000"),
+    // In the second zone the log begins in the day before 1970.
+    for (zone, end, expected) in [
+        ("UTC", day + 3, "1970-01-01 00:00:01.500 to 1970-01-02 00:00:03.000"),
+        ("EST5", day + 3, "1969-12-31 19:00:01.500 to 1970-01-01 19:00:03.000"),
+        ("UTC", 3, "frames, 00:00:01.500 to 00:00:03.000"),
     ] {
         let folder = Folder::with(format!("(1.5) can0 123#11\n({end}.0) can0 123#22\n"));
-        let (_, out, _) = folder.log(&["a.log", "--stats"]);
-        assert!(out.contains(expected), "{out}");
+        let mut command = folder.command(&["a.log", "--stats"]);
+        let (_, out, _) = of(&command.env("TZ", zone).output().unwrap());
+        assert!(out.contains(expected), "{zone}: {out}");
     }
 }
 

@@ -313,6 +313,25 @@ fn start_of_a_trc_in_utc_is_not_read_as_local_time() {
         assert_eq!(text(&output.stdout), format!("({expected}) ch1 123#11\n"), "{zone}");
         assert_eq!(text(&output.stderr), "descan: file:in: 1 frame\n", "{zone}");
     }
+    // Version 1.0 has no other start; one just after 1970 is before it in local time.
+    for (head, expected) in [
+        (
+            ";$FILEVERSION=1.0\n;   Start time: 2023-10-29 01:30:00.25+00:00\n 1) 0.5 0123 1 11\n",
+            "1698543000.250500",
+        ),
+        (
+            ";$FILEVERSION=2.1\n;$STARTTIME=25569.00001157408\n;$COLUMNS=N,O,T,B,I,d,R,L,D\n;   Start time: 1970-01-01 00:00:01+00:00\n 1 0.5 DT 1 0123 Rx - 1 11\n",
+            "0000000001.000500",
+        ),
+    ] {
+        fs::write(folder.path().join("in"), head).unwrap();
+        let mut command = Command::new(env!("CARGO_BIN_EXE_descan"));
+        command.args(["convert", "in", "-", "--format", "candump"]);
+        let output =
+            command.current_dir(folder.path()).env("TZ", "Europe/Berlin").output().unwrap();
+        assert_eq!(text(&output.stdout), format!("({expected}) ch1 123#11\n"), "{head}");
+        assert!(output.status.success(), "{output:?}");
+    }
 }
 
 #[test]
@@ -325,8 +344,21 @@ fn files_of_blf_behind_one_another_are_one_log() {
         assert!(output.status.success(), "{output:?}");
     }
     let read = |name: &str| fs::read(folder.path().join(name)).unwrap();
-    fs::write(folder.path().join("both.blf"), [read("one.blf"), read("two.blf")].concat()).unwrap();
-    let output = descan(folder.path(), &["convert", "both.blf", "-", "--format", "candump"]);
+    let (one, two) = (read("one.blf"), read("two.blf"));
+    // Behind the only container, by its size.
+    let padding = usize::from(one[144 + 8] % 4);
+    for between in [0, 4].map(|count| vec![0; count]) {
+        for padding in [0, padding] {
+            let both = [&one[..one.len() - padding], &between, &two].concat();
+            fs::write(folder.path().join("both.blf"), both).unwrap();
+            check_both(folder.path());
+        }
+    }
+}
+
+/// Checks that `both.blf` has the frames of two files.
+fn check_both(folder: &Path) {
+    let output = descan(folder, &["convert", "both.blf", "-", "--format", "candump"]);
     let line = |(second, data)| format!("(0000000{second}00000) ch1 123#{data}\n");
     let expected = [("100.0", 11), ("100.5", 22), ("200.0", 11), ("200.5", 22)].map(line).concat();
     assert_eq!(text(&output.stdout), expected, "{}", text(&output.stderr));

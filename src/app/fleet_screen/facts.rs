@@ -30,8 +30,8 @@ pub struct GatewayFacts {
     pub descan: String,
     /// Start of its program, in Unix seconds; 0 where it is not known.
     pub started: f64,
-    /// When it last published its status, or without one a bus, by its own clock, in Unix seconds.
-    pub last_time: Option<f64>,
+    /// Time of its last status by its own clock, in Unix seconds.
+    pub status_time: Option<f64>,
     /// Its events; `None` where they are not known.
     pub events: Option<EventCounts>,
     /// Names of its devices, lost ones included.
@@ -55,9 +55,9 @@ impl GatewayFacts {
         if let Some(status) = gateway.status() {
             facts.descan.clone_from(&status.descan);
             facts.started = status.started_ms as f64 / 1000.0;
+            facts.status_time = status.time;
             facts.events = status.events;
         }
-        facts.last_time = gateway.last_time();
         gateway.devices().filter(|device| !is_debug(device)).for_each(|it| facts.add_device(it));
         for (bus, id, finding) in gateway.findings_by_id() {
             facts.add_problem(FleetProblem::new(name, bus, id, finding));

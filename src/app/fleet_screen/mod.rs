@@ -408,14 +408,11 @@ impl FleetScreen {
             GatewayState::Online if row.facts.started > 0.0 => {
                 Some((since_unix(row.facts.started), false))
             }
-            GatewayState::Stopped => match row.facts.last_time {
+            GatewayState::Stopped => match row.facts.status_time {
                 Some(at) => Some((since_unix(at), false)),
                 None => Some((since_received, true)),
             },
-            GatewayState::Lost => match row.facts.last_time.filter(|_| is_first) {
-                Some(at) => Some((since_unix(at), false)),
-                None => Some((since_received, is_first)),
-            },
+            GatewayState::Lost => Some((since_received, is_first)),
             GatewayState::Silent => Some((since_received, false)),
             GatewayState::Online | GatewayState::Unknown => None,
         }

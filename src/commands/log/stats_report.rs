@@ -232,12 +232,8 @@ fn rows<'a>(app: &'a App, stats: &'a LogStats) -> Vec<IdentifierRow<'a>> {
 
 /// Returns a time, with its date if another one is on another day.
 fn time_text(app: &App, at: Instant, other: Instant) -> String {
-    let date = |at| app.date_time_text(at).split_once(' ').map(|(date, _)| date.to_owned());
-    let time = clock_millis(app, at);
-    match date(at) {
-        Some(day) if date(other).as_ref() != Some(&day) => format!("{day} {time}"),
-        _ => time,
-    }
+    let (date, time) = (app.date_text(at), clock_millis(app, at));
+    if app.date_text(other) == date { time } else { format!("{date} {time}") }
 }
 
 /// Returns the statistics as tables.

@@ -50,6 +50,12 @@ pub(super) const WHOLE_PERIOD: f64 = 0.85;
 /// heartbeats lost, ten heartbeats of two UIDs without a return are rarer than one in a thousand.
 const SWAP_PERIODS: u32 = 10;
 
+/// Periods without heartbeats in turns after which the next ones are those of other senders. Chosen: as
+/// many as show the phases although heartbeats are lost.
+const TURN_PERIODS: u32 = 10;
+/// Time of six follow-up requests, one per second, and their responses (protocol §5.3).
+const FOLLOW_UP_TIME: Duration = Duration::from_secs(8);
+
 /// Whether a sender generates a new RND7 for each heartbeat.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 enum Rnd7 {
@@ -210,6 +216,17 @@ fn push_bounded<T>(values: &mut VecDeque<T>, value: T, max: usize) {
     values.push_back(value);
 }
 
+/// Heartbeats of two senders in turns.
+#[derive(Clone, Copy, Debug)]
+struct HeartbeatTurns {
+    /// Period of each of both.
+    period: Duration,
+    /// Time of the first heartbeat that showed it.
+    since: Instant,
+    /// Time of the last one.
+    last: Instant,
+}
+
 /// History of one address.
 #[derive(Clone, Debug, Default)]
 pub(super) struct AddressHistory {
@@ -257,10 +274,8 @@ pub(super) struct AddressHistory {
     pub sender_changed_at: Option<Instant>,
     /// Time of the last heartbeat that showed a second sender by its content or its timing.
     pub second_sender_at: Option<Instant>,
-    /// Period of two senders whose heartbeats alternated, if that is not the expected one.
-    alternating_period: Option<Duration>,
-    /// Number of heartbeats since, in these two phases.
-    pub alternation_count: u32,
+    /// Heartbeats in turns, with any period.
+    turns: Option<HeartbeatTurns>,
     /// Number of heartbeats at twice the rate, less those that came after a whole period.
     pub double_rate_count: u32,
     /// What the last malformed response was for; `None`: not known, most likely services.
@@ -330,9 +345,9 @@ impl AddressHistory {
         }
     }
 
-    /// Notes whether the last heartbeats alternate in two phases of another period than `expected`.
+    /// Notes whether the last heartbeats alternate in two phases, if not of the `expected` period.
     /// Returns true if they do, and no gateway explains it.
-    pub fn note_alternation(&mut self, expected: Duration) -> bool {
+    pub fn note_turns(&mut self, now: Instant, expected: Duration) -> bool {
         let times = self.heartbeats.times();
         let mut last_gaps = times.iter().rev().zip(times.iter().rev().skip(1)).take(2);
         let is_delay = |(last, before): (&Instant, &Instant)| last.since(*before) <= LONGEST_DELAY;
@@ -340,12 +355,24 @@ impl AddressHistory {
             return false;
         }
         let found = alternating_period(times, expected);
-        self.alternating_period = found.or(self.alternating_period);
         // Later ones may be lost.
-        let continues = |period: Duration| last_in_other_phase(times, period).is_some();
-        let alternates = found.is_some() || self.alternating_period.is_some_and(continues);
-        self.alternation_count = self.alternation_count.saturating_add(alternates.into());
-        alternates
+        let goes_on = |turns: &HeartbeatTurns| last_in_other_phase(times, turns.period).is_some();
+        let known = self.turns.filter(|turns| now.since(turns.last) <= turns.period * TURN_PERIODS);
+        let period = found.or(known.filter(goes_on).map(|turns| turns.period));
+        self.turns = match period {
+            Some(period) => {
+                let since = known.map_or(now, |turns| turns.since);
+                Some(HeartbeatTurns { period, since, last: now })
+            }
+            None => known,
+        };
+        period.is_some()
+    }
+
+    /// Returns true if heartbeats alternate for longer than requests need to show whether two devices
+    /// send them.
+    pub fn are_turns_followed_up(&self, now: Instant) -> bool {
+        self.turns.is_some_and(|turns| now.since(turns.since) > FOLLOW_UP_TIME)
     }
 
     /// Returns true if another device took the place of the one that sent heartbeats at `then`:

@@ -461,7 +461,7 @@ impl ConflictDetector {
         let is_exact = resolution.is_some_and(|it| !time_resolution::is_coarse(it, period));
         let reboots =
             history.resolving_at.is_some_and(|at| now.since(at) < period * WINDOW_PERIODS);
-        pattern.alternates = !reboots && resolution.is_some() && history.note_alternation(period);
+        pattern.alternates = !reboots && resolution.is_some() && history.note_turns(now, period);
         let times = history.heartbeats.times();
         let counted = if reboots { &history.settled } else { times };
         if is_exact && !state.is_resolving && rhythm::is_crowded(counted, period) {
@@ -635,14 +635,17 @@ impl ConflictDetector {
                 || is_supported
                 || self.finding_tracker.is_confirmed(same, address));
         // Requests show whether there are two.
-        let alternates = pattern.alternates
-            && (self.are_requests_rare || history.alternation_count <= MAX_DOUBLE_RATE_HEARTBEATS);
+        let alternates =
+            pattern.alternates && (self.are_requests_rare || !history.are_turns_followed_up(now));
         let (kind, strength, description) = match pattern.two_phases {
             _ if !double_rate && !pattern.two_phases => {
-                if !alternates {
+                // Their names show more.
+                if !alternates || are_two_named || others.has_two_names {
                     return None;
                 }
-                (same, EvidenceStrength::Weak, TWICE_PER_PERIOD)
+                let is_new_name = others.had_other_name;
+                let kind = if is_new_name { FindingKind::OneAddressTwoNames } else { same };
+                (kind, EvidenceStrength::Weak, TWICE_PER_PERIOD)
             }
             true if are_two_named || others.has_two_names => {
                 (FindingKind::OneAddressTwoNames, EvidenceStrength::Strong, SECOND_PHASE)

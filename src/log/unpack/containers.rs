@@ -34,6 +34,12 @@ impl<R: Read> ContainerReader<R> {
 
     /// Reads the head of an object; false at the end of the file.
     fn begin_object(&mut self) -> io::Result<bool> {
+        // Between two files may be more zeros.
+        for _ in 0..blf::MAX_PADDING {
+            if self.source.fill_buf()?.first() == Some(&0) {
+                self.source.consume(1);
+            }
+        }
         if self.source.fill_buf()?.is_empty() {
             return Ok(false);
         }
@@ -73,7 +79,13 @@ impl<R: Read> ContainerReader<R> {
         if skipped < left {
             return Err(io::ErrorKind::UnexpectedEof.into());
         }
-        io::copy(&mut (&mut self.source).take(padding as u64), &mut io::sink())?;
+        // Without it, the next object begins there.
+        for _ in 0..padding {
+            if matches!(self.source.fill_buf()?.first(), None | Some(b'L')) {
+                break;
+            }
+            self.source.consume(1);
+        }
         self.state = ContainerState::Object;
         Ok(())
     }

@@ -202,7 +202,7 @@ fn certificate_words(why: &CertificateError) -> (String, &'static str) {
     use CertificateError as Why;
     const RENEW: &str = "renew the broker's certificate, or check the clock of this machine";
     match why {
-        Why::Expired => ("the broker's certificate has expired".to_owned(), RENEW),
+        Why::Expired => ("the broker's certificate is not valid by its dates".to_owned(), RENEW),
         Why::ExpiredContext { not_after, .. } => {
             (format!("the broker's certificate expired on {}", date_of(*not_after)), RENEW)
         }
@@ -257,5 +257,23 @@ fn disconnection(code: DisconnectReasonCode) -> (String, Option<&'static str>, b
         }
         Code::ServerShuttingDown => ("the broker shuts down".to_owned(), None, false),
         other => (format!("disconnected by the broker ({other:?})"), None, false),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::time::Duration;
+
+    #[test]
+    fn certificate_out_of_its_dates_is_named_with_them() {
+        let at =
+            |days: u64| UnixTime::since_unix_epoch(Duration::from_secs(days * 86_400 + 43_200));
+        let expired = CertificateError::ExpiredContext { time: at(20_500), not_after: at(20_000) };
+        assert_eq!(certificate_words(&expired).0, "the broker's certificate expired on 2024-10-04");
+        let early =
+            CertificateError::NotValidYetContext { time: at(20_000), not_before: at(20_500) };
+        let expected = "the broker's certificate is valid from 2026-02-16 on";
+        assert_eq!(certificate_words(&early).0, expected);
     }
 }

@@ -71,7 +71,7 @@ fn draw_nothing(brush: &mut FleetBrush) {
             (_, _, BrokerLink::Connecting) => "connecting to the broker".to_owned(),
             (FleetPage::Main, None, BrokerLink::Reading) => "reading documents".to_owned(),
             (FleetPage::Main, None, _) => format!(
-                "no gateway to be seen: none has published at this broker, or the user may not read \
+                "no gateway found: none has published at this broker, or the user may not read \
                  descan/v1/#; on a gateway run: descan publish can0 --broker {}",
                 screen.options().broker
             ),

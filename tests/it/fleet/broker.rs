@@ -384,7 +384,7 @@ fn certificate_that_tls_does_not_take_is_named_with_its_cause() {
     let cases = [
         ("v1", "the broker's certificate is of X.509 version 1; have the CA sign"),
         ("ca", "the broker's certificate is that of a CA; have the CA sign"),
-        ("old", "the broker's certificate has expired; renew"),
+        ("old", "the broker's certificate is not valid by its dates; renew"),
     ];
     for (name, expected) in cases {
         let settings = |folder: &Path| {
