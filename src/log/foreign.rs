@@ -103,8 +103,10 @@ impl ForeignFormat {
         let mut result = (None, FormatMatch::No);
         match head.get(TAR_MARK_AT..TAR_MARK_AT + TAR_MARK.len()) {
             Some(mark) if mark == TAR_MARK => return (Some(Self::Tar), FormatMatch::Yes),
-            // Behind the name of the first file are zeros, which no text log has.
-            None if head.contains(&0) => result.1 = FormatMatch::Undecided,
+            // Behind the name of the first file are zeros, and no line ends there.
+            None if head.contains(&0) && !head.contains(&b'\n') => {
+                result.1 = FormatMatch::Undecided;
+            }
             _ => {}
         }
         for format in Self::ALL {

@@ -261,7 +261,7 @@ fn restarts_after_the_second_sender_left_are_not_suspected() {
 }
 
 #[test]
-fn gateway_with_constant_rnd7_and_another_period_is_not_two_senders() {
+fn gateway_with_constant_rnd7_and_long_period_is_no_conflict() {
     let folder = tempfile::tempdir().unwrap();
     let mut log = Log { constant: Some(5), ..Log::default() };
     for (address, first, uid) in [(14, 0.1, FEED), (20, 0.9, PUMP), (21, 1.7, SENS)] {

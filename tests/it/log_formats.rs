@@ -320,7 +320,7 @@ fn start_of_a_trc_in_utc_is_not_read_as_local_time() {
             "1698543000.250500",
         ),
         (
-            ";$FILEVERSION=2.1\n;$STARTTIME=25569.00001157408\n;$COLUMNS=N,O,T,B,I,d,R,L,D\n;   Start time: 1970-01-01 00:00:01+00:00\n 1 0.5 DT 1 0123 Rx - 1 11\n",
+            ";$FILEVERSION=2.1\n;$STARTTIME=25569.000011574074\n;$COLUMNS=N,O,T,B,I,d,R,L,D\n;   Start time: 1970-01-01 00:00:01+00:00\n 1 0.5 DT 1 0123 Rx - 1 11\n",
             "0000000001.000500",
         ),
     ] {
