@@ -356,7 +356,10 @@ impl AddressHistory {
         }
         let found = alternating_period(times, expected);
         // Later ones may be lost.
-        let goes_on = |turns: &HeartbeatTurns| last_in_other_phase(times, turns.period).is_some();
+        let goes_on = |turns: &HeartbeatTurns| {
+            let other = last_in_other_phase(times, turns.period);
+            other.is_some_and(|other| now.since(other) <= turns.period * 2)
+        };
         let known = self.turns.filter(|turns| now.since(turns.last) <= turns.period * TURN_PERIODS);
         let period = found.or(known.filter(goes_on).map(|turns| turns.period));
         self.turns = match period {

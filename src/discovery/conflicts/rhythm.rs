@@ -236,8 +236,8 @@ fn are_half_a_period_apart(gaps: &[f64], rounding: f64) -> bool {
     full_period && contrast.apart > least && contrast.apart > 6.0 * contrast.noise
 }
 
-/// Returns the period of two senders, whatever is expected, if a short and a long gap alternate for so
-/// long, and so regularly, that losses of one sender do not explain it.
+/// Returns the period of two senders, if it is not the expected one, and a short and a long gap alternate
+/// for so long, and so regularly, that losses of one sender do not explain it.
 pub(super) fn alternating_period(
     times: &VecDeque<Instant>,
     expected: Duration,
@@ -247,6 +247,8 @@ pub(super) fn alternating_period(
     const SHORT_GAP: RangeInclusive<f64> = 0.05..=0.31;
     /// Gap, in expected periods, between two heartbeats of one sender that restarts in the other gap.
     const ONE_SENDER: RangeInclusive<f64> = 0.93..=1.07;
+    /// Period, in expected ones, that is the expected one. Chosen: those rules tolerate as much.
+    const EXPECTED: RangeInclusive<f64> = 0.96..=1.04;
     let first = times.len().checked_sub(HALF_PERIOD_TIMES)?;
     let mut gaps = [0.0; HALF_PERIOD_TIMES - 1];
     let pairs = times.iter().skip(first).zip(times.iter().skip(first + 1));
@@ -259,8 +261,11 @@ pub(super) fn alternating_period(
     }
     let PhaseContrast { apart, noise } = phase_contrast(&gaps);
     let is_of_one = |gap: &f64| ONE_SENDER.contains(&(gap / expected.as_secs_f64()));
-    let are_two = apart > 6.0 * noise && !gaps.iter().any(is_of_one);
     let period = 2.0 * gaps.iter().sum::<f64>() / gaps.len() as f64;
+    let are_two = apart > 6.0 * noise
+        && !gaps.iter().any(is_of_one)
+        // Else the other rules say more.
+        && !EXPECTED.contains(&(period / expected.as_secs_f64()));
     are_two.then(|| Duration::from_secs(1).mul_f64(period))
 }
 
