@@ -296,6 +296,14 @@ fn doubtful_dates_behind_the_part_that_is_read_are_not_said() {
     }
 }
 
+/// Converts a log to candump text where local time is that of Berlin.
+fn convert_in_berlin(folder: &Path, log: &str) -> Output {
+    fs::write(folder.join("in"), log).unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_descan"));
+    command.args(["convert", "in", "-", "--format", "candump"]);
+    command.current_dir(folder).env("TZ", "Europe/Berlin").output().unwrap()
+}
+
 #[test]
 fn start_of_a_trc_in_utc_is_not_read_as_local_time() {
     let folder = tempfile::tempdir().unwrap();
@@ -305,31 +313,24 @@ fn start_of_a_trc_in_utc_is_not_read_as_local_time() {
             ";$FILEVERSION=2.1\n;$STARTTIME=45228.0625\n;$COLUMNS=N,O,T,B,I,d,R,L,D\n;\n\
              ;   Start time: 2023-10-29 01:30:00{zone}\n 1 0.5 DT 1 0123 Rx - 1 11\n"
         );
-        fs::write(folder.path().join("in"), log).unwrap();
-        let mut command = Command::new(env!("CARGO_BIN_EXE_descan"));
-        command.args(["convert", "in", "-", "--format", "candump"]);
-        let output =
-            command.current_dir(folder.path()).env("TZ", "Europe/Berlin").output().unwrap();
+        let output = convert_in_berlin(folder.path(), &log);
         assert_eq!(text(&output.stdout), format!("({expected}) ch1 123#11\n"), "{zone}");
         assert_eq!(text(&output.stderr), "descan: file:in: 1 frame\n", "{zone}");
     }
     // Version 1.0 has no other start; one just after 1970 is before it in local time.
-    for (head, expected) in [
+    for (log, expected) in [
         (
             ";$FILEVERSION=1.0\n;   Start time: 2023-10-29 01:30:00.25+00:00\n 1) 0.5 0123 1 11\n",
             "1698543000.250500",
         ),
         (
-            ";$FILEVERSION=2.1\n;$STARTTIME=25569.000011574074\n;$COLUMNS=N,O,T,B,I,d,R,L,D\n;   Start time: 1970-01-01 00:00:01+00:00\n 1 0.5 DT 1 0123 Rx - 1 11\n",
+            ";$FILEVERSION=2.1\n;$STARTTIME=25569.000011574074\n;$COLUMNS=N,O,T,B,I,d,R,L,D\n\
+             ;   Start time: 1970-01-01 00:00:01+00:00\n 1 0.5 DT 1 0123 Rx - 1 11\n",
             "0000000001.000500",
         ),
     ] {
-        fs::write(folder.path().join("in"), head).unwrap();
-        let mut command = Command::new(env!("CARGO_BIN_EXE_descan"));
-        command.args(["convert", "in", "-", "--format", "candump"]);
-        let output =
-            command.current_dir(folder.path()).env("TZ", "Europe/Berlin").output().unwrap();
-        assert_eq!(text(&output.stdout), format!("({expected}) ch1 123#11\n"), "{head}");
+        let output = convert_in_berlin(folder.path(), log);
+        assert_eq!(text(&output.stdout), format!("({expected}) ch1 123#11\n"), "{log}");
         assert!(output.status.success(), "{output:?}");
     }
 }

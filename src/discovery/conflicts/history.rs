@@ -274,7 +274,7 @@ pub(super) struct AddressHistory {
     pub sender_changed_at: Option<Instant>,
     /// Time of the last heartbeat that showed a second sender by its content or its timing.
     pub second_sender_at: Option<Instant>,
-    /// Heartbeats in turns, with any period.
+    /// Heartbeats in turns, if not of the expected period.
     turns: Option<HeartbeatTurns>,
     /// Number of heartbeats at twice the rate, less those that came after a whole period.
     pub double_rate_count: u32,

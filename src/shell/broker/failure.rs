@@ -171,18 +171,18 @@ fn io_words(error: &io::Error) -> (String, Option<&'static str>, bool) {
 }
 
 fn tls_words(error: &rustls::Error) -> (String, Option<&'static str>, bool) {
-    let (cause, remedy, is_final) = match error {
-        rustls::Error::InvalidCertificate(why) => {
-            let (cause, remedy) = certificate_words(why);
-            return (format!("TLS: {cause}"), Some(remedy), true);
-        }
-        rustls::Error::AlertReceived(_) => (error, OWN_CERTIFICATE, true),
+    if let rustls::Error::InvalidCertificate(why) = error {
+        let (cause, remedy) = certificate_words(why);
+        return (format!("TLS: {cause}"), Some(remedy), true);
+    }
+    let (remedy, is_final) = match error {
+        rustls::Error::AlertReceived(_) => (OWN_CERTIFICATE, true),
         rustls::Error::InvalidMessage(_) => {
-            (error, Some("the broker may have no TLS there: mqtt://, or another port"), true)
+            (Some("the broker may have no TLS there: mqtt://, or another port"), true)
         }
-        _ => (error, None, false),
+        _ => (None, false),
     };
-    (format!("TLS: {}", on_one_line(&cause.to_string())), remedy, is_final)
+    (format!("TLS: {}", on_one_line(&error.to_string())), remedy, is_final)
 }
 
 /// Returns true if a certificate is of X.509 version 1, for which the library has no error of its own.
@@ -222,6 +222,7 @@ fn certificate_words(why: &CertificateError) -> (String, &'static str) {
         _ => (on_one_line(&why.to_string()), "name the certificate that signed it: --ca FILE"),
     }
 }
+
 fn refusal(code: ConnectReturnCode) -> (String, Option<&'static str>, bool) {
     use ConnectReturnCode as Code;
     match code {
