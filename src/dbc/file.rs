@@ -1,8 +1,8 @@
 //! Reading of a DBC file.
 //!
 //! Read are messages and signals (`BO_`, `SG_`), names of values (`VAL_`), types of floating-point signals
-//! (`SIG_VALTYPE_`), multiplexors that are multiplexed (`SG_MUL_VAL_`) and names of over 32 characters, which
-//! are attributes (`BA_`), in any order and wherever they stand in a line. Other statements are passed over,
+//! (`SIG_VALTYPE_`), multiplexors that are multiplexed (`SG_MUL_VAL_`), and, of the attributes (`BA_`), names of
+//! over 32 characters and which messages are of J1939, in any order and wherever they stand in a line. Other statements are passed over,
 //! known or not. Text is UTF-8, or UTF-16 where its first bytes say so; what is neither is taken for Latin-1.
 //! The time and the memory are bounded by the size of the file.
 
@@ -29,6 +29,8 @@ const MAX_NAME: usize = 128;
 const MAX_TEXT: usize = 256;
 /// Bits of the data of the longest frame.
 const MAX_BITS: u32 = 512;
+/// Bits of the longest message of several frames, of J1939.
+const MAX_GROUP_BITS: u32 = 8 * 1785;
 /// Place of a multiplexor that is left out: signals that depend on it are never there.
 const LEFT_OUT: usize = usize::MAX;
 /// Message without an identifier, for signals that are in none.
@@ -36,10 +38,13 @@ const NO_MESSAGE: &str = "VECTOR__INDEPENDENT_SIG_MSG";
 /// Attributes with the whole name of a message and of a signal, of which `BO_` and `SG_` have the beginning.
 const LONG_MESSAGE_NAME: &str = "SystemMessageLongSymbol";
 const LONG_SIGNAL_NAME: &str = "SystemSignalLongSymbol";
+/// Attribute with the kind of frame of a message, and its value for a parameter group of J1939: the word of its
+/// definition, and the number of that where the file does not define it.
+const FRAME_FORMAT: &str = "VFrameFormat";
+const PARAMETER_GROUP: &str = "J1939PG";
+const PARAMETER_GROUP_NUMBER: usize = 3;
 /// Statements up to a semicolon that are passed over; they may have the keywords of others in them.
-const PASSED_OVER: [&str; 25] = [
-    "BA_DEF_",
-    "BA_DEF_DEF_",
+const PASSED_OVER: [&str; 23] = [
     "BA_DEF_DEF_REL_",
     "BA_DEF_REL_",
     "BA_DEF_SGTYPE_",
@@ -142,6 +147,40 @@ struct FileReader<'t> {
     facts: Vec<SignalFact>,
     /// Long names of messages, by their identifiers.
     long_names: BTreeMap<u32, String>,
+    formats: FrameFormats,
+}
+
+/// What a file says of [`FRAME_FORMAT`].
+#[derive(Debug, Default)]
+struct FrameFormats {
+    /// The number of [`PARAMETER_GROUP`] among its words; `None` until the file defines them.
+    group: Option<usize>,
+    /// True if messages without the attribute are parameter groups.
+    are_groups_default: bool,
+    /// The value of each message that has the attribute.
+    values: BTreeMap<u32, FormatValue>,
+}
+
+/// A value of [`FRAME_FORMAT`].
+#[derive(Debug)]
+enum FormatValue {
+    /// Its number among the words.
+    Number(usize),
+    /// True if the word is [`PARAMETER_GROUP`].
+    IsGroup(bool),
+}
+
+impl FrameFormats {
+    fn is_parameter_group(&self, id: u32) -> bool {
+        id & EXTENDED != 0
+            && match self.values.get(&id) {
+                Some(FormatValue::Number(number)) => {
+                    *number == self.group.unwrap_or(PARAMETER_GROUP_NUMBER)
+                }
+                Some(FormatValue::IsGroup(is_group)) => *is_group,
+                None => self.are_groups_default,
+            }
+    }
 }
 
 /// What a statement says of a signal.
@@ -175,6 +214,7 @@ impl<'t> FileReader<'t> {
             current: None,
             facts: Vec::new(),
             long_names: BTreeMap::new(),
+            formats: FrameFormats::default(),
         })
     }
 
@@ -188,6 +228,8 @@ impl<'t> FileReader<'t> {
                 DbcTokenKind::Word("SIG_VALTYPE_") => self.read_type()?,
                 DbcTokenKind::Word("SG_MUL_VAL_") => self.read_switch()?,
                 DbcTokenKind::Word("BA_") => self.read_attribute()?,
+                DbcTokenKind::Word("BA_DEF_") => self.read_attribute_words()?,
+                DbcTokenKind::Word("BA_DEF_DEF_") => self.read_attribute_default()?,
                 DbcTokenKind::Word(word) if PASSED_OVER.contains(&word) => self.skip_statement()?,
                 // The rest of a statement, or a statement that is not known.
                 _ => {}
@@ -234,7 +276,9 @@ impl<'t> FileReader<'t> {
         let words_before_colon = match word {
             "BO_" => 2,
             "BU_" => 0,
-            "BA_" | "VAL_" | "SIG_VALTYPE_" | "SG_MUL_VAL_" => return Ok(true),
+            "BA_" | "BA_DEF_" | "BA_DEF_DEF_" | "VAL_" | "SIG_VALTYPE_" | "SG_MUL_VAL_" => {
+                return Ok(true);
+            }
             _ => return Ok(PASSED_OVER.contains(&word)),
         };
         let mut tokens = self.tokens.clone();
@@ -263,7 +307,7 @@ impl<'t> FileReader<'t> {
             return Err(DbcError::new(line, format!("more than {MAX_MESSAGES} messages")));
         }
         if let Entry::Vacant(place) = self.messages.entry(key) {
-            let message = NamedMessage { name, signals: Vec::new() };
+            let message = NamedMessage { name, ..NamedMessage::default() };
             place.insert(MessageDraft { message, ..MessageDraft::default() });
             self.current = Some(key);
         }
@@ -305,17 +349,19 @@ impl<'t> FileReader<'t> {
         let unit = self.quoted("the unit in quotes")?;
         let error = |cause: &str| DbcError::new(line, format!("{name}: {cause}"));
         let place = |number: u64, most: u32| u32::try_from(number).ok().filter(|it| *it <= most);
-        let start = place(start, MAX_BITS - 1).ok_or_else(|| error("the first bit is 0 to 511"))?;
-        let size = place(size, MAX_BITS).filter(|size| *size > 0);
-        let size = size.ok_or_else(|| error("the number of bits is 1 to 512"))?;
+        let start =
+            place(start, MAX_GROUP_BITS - 1).ok_or_else(|| error("the first bit is 0 to 14279"))?;
+        let size = place(size, MAX_GROUP_BITS).filter(|size| *size > 0);
+        let size = size.ok_or_else(|| error("the number of bits is 1 to 14280"))?;
         if !factor.is_finite() || !offset.is_finite() {
             return Err(error("the factor and the offset are numbers"));
         }
         let Some(draft) = self.current.and_then(|id| self.messages.get_mut(&id)) else {
             return Ok(());
         };
-        // A signal of over 64 bits has no value as a number, and is left out.
-        if size > 64 {
+        // A signal of over 64 bits has no value as a number, and is left out; so is one that is only in a
+        // message of several frames.
+        if size > 64 || start >= MAX_BITS {
             if draft.left_out.len() < MAX_SIGNALS {
                 draft.left_out.insert(name, is_switch);
             }
@@ -421,11 +467,50 @@ impl<'t> FileReader<'t> {
         Ok(())
     }
 
-    /// Reads `BA_ "SystemMessageLongSymbol" BO_ 100 "Name";` and `BA_ "SystemSignalLongSymbol" SG_ 100 Signal
-    /// "Name";`; passes over other attributes.
+    /// Reads `BA_DEF_ BO_ "VFrameFormat" ENUM "StandardCAN","ExtendedCAN","reserved","J1939PG";`; passes over
+    /// other definitions.
+    fn read_attribute_words(&mut self) -> Result<(), DbcError> {
+        let expected = [
+            DbcTokenKind::Word("BO_"),
+            DbcTokenKind::Quoted(FRAME_FORMAT),
+            DbcTokenKind::Word("ENUM"),
+        ];
+        for kind in expected {
+            if self.next.map(|token| token.kind) != Some(kind) {
+                return self.skip_statement();
+            }
+            self.advance()?;
+        }
+        let mut count = 0;
+        while let Some(DbcToken { kind: DbcTokenKind::Quoted(word), .. }) = self.next {
+            if word == PARAMETER_GROUP {
+                self.formats.group = Some(count);
+            }
+            count += 1;
+            self.advance()?;
+            if self.next.map(|token| token.kind) == Some(DbcTokenKind::Sign(',')) {
+                self.advance()?;
+            }
+        }
+        self.skip_statement()
+    }
+
+    /// Reads `BA_DEF_DEF_ "VFrameFormat" "J1939PG";`; passes over other defaults.
+    fn read_attribute_default(&mut self) -> Result<(), DbcError> {
+        if self.next.map(|token| token.kind) == Some(DbcTokenKind::Quoted(FRAME_FORMAT)) {
+            self.advance()?;
+            let kind = self.next.map(|token| token.kind);
+            self.formats.are_groups_default = kind == Some(DbcTokenKind::Quoted(PARAMETER_GROUP));
+        }
+        self.skip_statement()
+    }
+
+    /// Reads `BA_ "SystemMessageLongSymbol" BO_ 100 "Name";`, `BA_ "SystemSignalLongSymbol" SG_ 100 Signal
+    /// "Name";` and `BA_ "VFrameFormat" BO_ 2566844926 3;`; passes over other attributes.
     fn read_attribute(&mut self) -> Result<(), DbcError> {
-        let object = match self.next.map(|token| token.kind) {
-            Some(DbcTokenKind::Quoted(LONG_MESSAGE_NAME)) => "BO_",
+        let attribute = self.next.map(|token| token.kind);
+        let object = match attribute {
+            Some(DbcTokenKind::Quoted(LONG_MESSAGE_NAME | FRAME_FORMAT)) => "BO_",
             Some(DbcTokenKind::Quoted(LONG_SIGNAL_NAME)) => "SG_",
             _ => return self.skip_statement(),
         };
@@ -447,6 +532,17 @@ impl<'t> FileReader<'t> {
         };
         let Ok(id) = word.parse() else { return self.skip_statement() };
         self.advance()?;
+        if attribute == Some(DbcTokenKind::Quoted(FRAME_FORMAT)) {
+            let value = match self.next.map(|token| token.kind) {
+                Some(DbcTokenKind::Word(word)) => word.parse().ok().map(FormatValue::Number),
+                Some(DbcTokenKind::Quoted(word)) => {
+                    Some(FormatValue::IsGroup(word == PARAMETER_GROUP))
+                }
+                _ => None,
+            };
+            self.formats.values.extend(value.map(|value| (id, value)));
+            return self.skip_statement();
+        }
         if let Some(name) = self.long_name()? {
             self.long_names.insert(id, name);
         }
@@ -493,7 +589,12 @@ impl<'t> FileReader<'t> {
                 draft.message.name = name;
             }
         }
-        self.messages.into_iter().map(|(id, draft)| Ok((id, draft.end()?))).collect()
+        let formats = self.formats;
+        let end = |(id, draft): (u32, MessageDraft)| {
+            let message = draft.end()?;
+            Ok((id, NamedMessage { is_parameter_group: formats.is_parameter_group(id), ..message }))
+        };
+        self.messages.into_iter().map(end).collect()
     }
 
     // ---- tokens ----------------------------------------------------------------------------

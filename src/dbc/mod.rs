@@ -28,6 +28,8 @@ const MAX_DEPTH: usize = 16;
 pub struct MessageDatabase {
     /// By identifier, with [`EXTENDED`].
     messages: BTreeMap<u32, NamedMessage>,
+    /// Identifiers of parameter groups of J1939, by [`parameter_group`].
+    groups: BTreeMap<u32, u32>,
 }
 
 /// A message: its name and its signals.
@@ -35,6 +37,8 @@ pub struct MessageDatabase {
 pub struct NamedMessage {
     name: String,
     signals: Vec<MessageSignal>,
+    /// It is a parameter group of J1939: of any sender, receiver and priority.
+    is_parameter_group: bool,
 }
 
 impl MessageDatabase {
@@ -46,6 +50,9 @@ impl MessageDatabase {
     /// The first mistake, with its line. Nothing is added.
     pub fn add(&mut self, bytes: &[u8]) -> Result<(), DbcError> {
         for (id, message) in file::read(bytes)? {
+            if message.is_parameter_group {
+                self.groups.entry(parameter_group(id)).or_insert(id);
+            }
             self.messages.entry(id).or_insert(message);
         }
         Ok(())
@@ -56,14 +63,27 @@ impl MessageDatabase {
         self.messages.is_empty()
     }
 
-    /// Returns the message of a data frame with its identifier; `None` for other frames.
+    /// Returns the message of a data frame: the one with its identifier, otherwise the parameter group of it;
+    /// `None` for other frames.
     pub fn message(&self, frame: &Frame) -> Option<&NamedMessage> {
         let id = match frame.id {
             CanId::Standard(id) => u32::from(id),
             CanId::Extended(id) => id | EXTENDED,
         };
-        self.messages.get(&id).filter(|_| frame.kind == FrameKind::Data)
+        let of_group = || {
+            let group = self.groups.get(&parameter_group(id)).filter(|_| id & EXTENDED != 0);
+            self.messages.get(group?)
+        };
+        self.messages.get(&id).or_else(of_group).filter(|_| frame.kind == FrameKind::Data)
     }
+}
+
+/// Returns the number of the parameter group in an identifier of 29 bits, with the bits that other parts of it
+/// have cleared: priority and source address, and the destination address below format 240 (SAE J1939-21,
+/// "Parameter group number").
+fn parameter_group(id: u32) -> u32 {
+    let is_addressed = id >> 16 & 0xFF < 240;
+    id & if is_addressed { 0x03FF_0000 } else { 0x03FF_FF00 }
 }
 
 impl NamedMessage {

@@ -243,13 +243,13 @@ fn mistakes_of_a_file_have_their_line() {
         ),
         (
             15,
-            " SG_ Speed : 0|513@1+ (1,0) [0|0] \"rpm\" TCM",
-            "line 15: Speed: the number of bits is 1 to 512",
+            " SG_ Speed : 0|14281@1+ (1,0) [0|0] \"rpm\" TCM",
+            "line 15: Speed: the number of bits is 1 to 14280",
         ),
         (
             15,
-            " SG_ Speed : 512|8@1+ (1,0) [0|0] \"rpm\" TCM",
-            "line 15: Speed: the first bit is 0 to 511",
+            " SG_ Speed : 14280|8@1+ (1,0) [0|0] \"rpm\" TCM",
+            "line 15: Speed: the first bit is 0 to 14279",
         ),
         (
             15,
@@ -280,6 +280,65 @@ fn mistakes_of_a_file_have_their_line() {
     }
     let error = MessageDatabase::default().add(b"not a DBC file\n").unwrap_err();
     assert_eq!(error.to_string(), "line 2: no message (BO_) in the file");
+}
+
+/// Vehicle speed from 0xFE, and torque control from 0xFE to 0.
+const GROUPS: &str = "\
+BO_ 2566844926 CCVS: 8 X
+ SG_ Speed : 8|16@1+ (0.00390625,0) [0|250] \"km/h\" X
+BO_ 2348810494 TSC1: 8 X
+BO_ 2566844672 OfGateway: 8 X
+";
+
+#[test]
+fn parameter_groups_of_j1939_have_any_sender_receiver_and_priority() {
+    let words_of = "BA_DEF_ BO_ \"VFrameFormat\" ENUM \"StandardCAN\",\"ExtendedCAN\",\"reserved\",\"J1939PG\";\n";
+    let other_words = "BA_DEF_ BO_ \"VFrameFormat\" ENUM \"J1939PG\", \"StandardCAN\";\n";
+    let default = "BA_DEF_DEF_ \"VFrameFormat\" \"J1939PG\";\n";
+    let value = |id: u32, value: &str| format!("BA_ \"VFrameFormat\" BO_ {id} {value};\n");
+    let both = |it: &str| value(2_566_844_926, it) + &value(2_348_810_494, it);
+    for text in [
+        words_of.to_owned() + &both("3") + GROUPS,
+        GROUPS.to_owned() + &both("3") + words_of,
+        // Without a definition; with the word; in another order.
+        both("3") + GROUPS,
+        both("\"J1939PG\"") + GROUPS,
+        other_words.to_owned() + &both("0") + GROUPS,
+        words_of.to_owned() + default + &value(2_566_844_672, "1") + GROUPS,
+    ] {
+        let database = database(&text);
+        let data = &[0, 0, 0x32, 0, 0, 0, 0, 0];
+        for (id, expected) in [
+            (0x98FE_F1FE, "CCVS: Speed 50.000 km/h"),
+            (0x98FE_F117, "CCVS: Speed 50.000 km/h"),
+            (0x8CFE_F121, "CCVS: Speed 50.000 km/h"),
+            (0x8C00_0003, "TSC1"),
+            (0x8C00_2117, "TSC1"),
+            // The whole identifier of another message, another page, another group, 11 bits.
+            (0x98FE_F100, "OfGateway"),
+            (0x99FE_F117, ""),
+            (0x9AFE_F117, ""),
+            (0x98FE_F217, ""),
+            (0x8C01_2117, ""),
+            (0x0000_0117, ""),
+        ] {
+            assert_eq!(words(&database, id, data), expected, "{id:x} of {text}");
+        }
+    }
+    for text in
+        [GROUPS.to_owned(), both("1") + GROUPS, other_words.to_owned() + &both("3") + GROUPS]
+    {
+        assert_eq!(words(&database(&text), 0x8C00_0003, &[0; 8]), "", "{text}");
+    }
+}
+
+#[test]
+fn signals_behind_the_64th_byte_are_left_out() {
+    let text = "BO_ 2566844926 Long: 200 X
+ SG_ A : 0|8@1+ (1,0) [0|0] \"\" X
+ SG_ Text : 0|1600@1+ (1,0) [0|0] \"\" X
+ SG_ B : 512|8@1+ (1,0) [0|0] \"\" X\n";
+    assert_eq!(words(&database(text), 2_566_844_926, &[5; 8]), "Long: A 5");
 }
 
 #[test]
@@ -404,7 +463,7 @@ fn file_that_cannot_be_read_is_named_with_the_way_out() {
     for (file, cause) in [
         (
             "wrong.dbc",
-            "wrong.dbc: line 2: B: the number of bits is 1 to 512; correct it, or leave --dbc out",
+            "wrong.dbc: line 2: B: the number of bits is 1 to 14280; correct it, or leave --dbc out",
         ),
         ("missing.dbc", "missing.dbc: not found; check the name"),
         (".", "is a folder; name a file in it"),
