@@ -5,7 +5,7 @@
 
 use super::query_responses::QueryResponseMatcher;
 use super::recent_values::{MAX_VALUES, RecentValues};
-use super::rhythm::{alternating_period, last_in_other_phase};
+use super::rhythm::{alternating_period, are_close_together, last_in_other_phase};
 use super::time_resolution::is_coarse;
 use crate::frame::Frame;
 use crate::text::Name;
@@ -200,6 +200,13 @@ impl HeartbeatHistory {
     /// Returns true if the sender generates a new RND7 for each heartbeat.
     pub fn has_random_rnd7(&self) -> bool {
         self.rnd7 == Rnd7::Random
+    }
+
+    /// Returns true if some of the last heartbeats may be copies of the others: nothing tells them apart, and
+    /// they are so close together as those of one device that a gateway repeats.
+    pub fn may_have_copies(&self, period: Duration) -> bool {
+        let delay = COPY_WINDOW.min(period.mul_f64(COPY_PERIODS));
+        !self.has_random_rnd7() && are_close_together(&self.times, period, delay)
     }
 
     /// Times of the last heartbeats, oldest first, at most [`MAX_TIMES`].

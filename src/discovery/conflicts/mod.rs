@@ -78,6 +78,8 @@ const KEPT_PERIODS: f64 = 1.1;
 
 /// Description of a heartbeat in the second phase.
 const SECOND_PHASE: &str = "heartbeat, phase 2 of a period";
+/// Description of a heartbeat in the second phase that may be a copy.
+const EQUAL_SECOND_PHASE: &str = "equal heartbeat soon after each";
 /// Description of a heartbeat at twice the rate.
 const TWICE_THE_RATE: &str = "heartbeats at twice the rate";
 /// Description of a heartbeat in one of two phases of another period than the expected one.
@@ -650,6 +652,10 @@ impl ConflictDetector {
             true if are_two_named || others.has_two_names => {
                 (FindingKind::OneAddressTwoNames, EvidenceStrength::Strong, SECOND_PHASE)
             }
+            // A gateway that repeats the frames of one device does the same.
+            true if history.heartbeats.may_have_copies(self.periods.of(address)) => {
+                (same, EvidenceStrength::Weak, EQUAL_SECOND_PHASE)
+            }
             // One change of the name does not show that both are there.
             true => (same, EvidenceStrength::Strong, SECOND_PHASE),
             _ if others.had_other_name => {
@@ -657,8 +663,7 @@ impl ConflictDetector {
             }
             _ => (same, EvidenceStrength::Weak, TWICE_THE_RATE),
         };
-        let phase_1 =
-            history.heartbeats.previous().filter(|_| strength == EvidenceStrength::Strong);
+        let phase_1 = history.heartbeats.previous().filter(|_| pattern.two_phases);
         Some(NewEvidence {
             name,
             since: pattern.since,

@@ -126,6 +126,27 @@ pub(super) fn is_crowded(times: &VecDeque<Instant>, period: Duration) -> bool {
         && !may_have_restarted(times, period)
 }
 
+/// Returns true if the phases of the last heartbeats are at most `delay` apart.
+pub(super) fn are_close_together(
+    times: &VecDeque<Instant>,
+    period: Duration,
+    delay: Duration,
+) -> bool {
+    let Some(&last) = times.back() else { return false };
+    let periods = |at: &Instant| last.since(*at).as_secs_f64() / period.as_secs_f64();
+    let mut phases = [0.0; CYCLE_TIMES];
+    let count = times.len().min(CYCLE_TIMES);
+    for (phase, at) in phases.iter_mut().zip(times.iter().rev()) {
+        *phase = periods(at).fract();
+    }
+    let phases = &mut phases[..count];
+    phases.sort_unstable_by(f64::total_cmp);
+    // The longest part of a period without a heartbeat, also over its end.
+    let over_end = 1.0 - phases[count - 1] + phases[0];
+    let longest = phases.windows(2).map(|two| two[1] - two[0]).fold(over_end, f64::max);
+    1.0 - longest <= delay.as_secs_f64() / period.as_secs_f64()
+}
+
 /// Returns the time of the last heartbeat in another phase than the newest one, if heartbeats
 /// arrived in these two phases alone: two senders, some of whose heartbeats may be lost.
 pub(super) fn last_in_other_phase(times: &VecDeque<Instant>, period: Duration) -> Option<Instant> {
