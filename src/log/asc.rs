@@ -88,7 +88,7 @@ impl AscLines {
             self.last = LogTime::default();
             // A block without a date counts from the date of the head.
             if !date.is_empty() || skipped == 2 {
-                self.start = asc_date(date).ok_or(FieldFault::Date)?;
+                self.start = asc_date(date).ok_or(FieldFault::StartDate)?;
             }
             return Ok(());
         }

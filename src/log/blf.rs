@@ -146,7 +146,7 @@ impl MeasurementState {
         // Some writers give no date.
         let is_given = entry.bytes()[40..56].iter().any(|&byte| byte != 0);
         if start.is_none() && is_given {
-            summary.take(Err::<Option<LogEntry<'_>>, _>(FieldFault::Date));
+            summary.take(Err::<Option<LogEntry<'_>>, _>(FieldFault::StartDate));
         }
         self.start = Some(start.unwrap_or(0));
         entry.end();

@@ -33,7 +33,7 @@ const DAMAGE_LEN: usize = 10;
 const CLASSIC: u8 = u8::MAX;
 
 /// Faults by their number in a stream.
-const FAULTS: [FieldFault; 10] = [
+const FAULTS: [FieldFault; 11] = [
     FieldFault::TooLong,
     FieldFault::Time,
     FieldFault::Date,
@@ -44,6 +44,7 @@ const FAULTS: [FieldFault; 10] = [
     FieldFault::Column,
     FieldFault::Kind,
     FieldFault::TimeRange,
+    FieldFault::StartDate,
 ];
 
 /// Writes a stream.

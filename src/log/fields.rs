@@ -18,9 +18,12 @@ pub enum FieldFault {
     /// The time is before 1970, or above 2⁶⁴ − 1 µs since then.
     #[error("the time is before 1970, or too large")]
     TimeRange,
-    /// The date of the beginning cannot be read.
+    /// The time of an entry is not one.
     #[error("the date cannot be read")]
     Date,
+    /// The date from which times count cannot be read.
+    #[error("the date cannot be read; times count from the date before it, or from 1970")]
+    StartDate,
     /// No number of a channel from 0 to 255.
     #[error("no channel number from 0 to 255")]
     Channel,

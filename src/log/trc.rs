@@ -103,7 +103,7 @@ impl TrcLines {
         } else if let Some(days) = value(b"$STARTTIME") {
             (self.utc_start, self.is_utc) = (trc_utc_date(days), false);
             // Just after 1970 in UTC, the local time may be before it.
-            self.start = trc_date(days).or(self.utc_start).ok_or(FieldFault::Date)?;
+            self.start = trc_date(days).or(self.utc_start).ok_or(FieldFault::StartDate)?;
             return Ok(());
         } else if let Some(letters) = value(b"$COLUMNS") {
             let mut columns = [0; MAX_COLUMNS];

@@ -105,6 +105,33 @@ fn statistics_of_several_days_have_dates() {
 }
 
 #[test]
+fn frames_of_another_day_have_its_date_before_them() {
+    let folder = Folder::with(
+        "(86399.9) can0 123#11\n(86400.0) can0 123#22\n(86401.0) can0 123#33\n(259200.0) can0 123#44\n",
+    );
+    let mut command = folder.command(&["a.log"]);
+    let (_, out, _) = of(&command.env("TZ", "UTC").output().unwrap());
+    let begin: Vec<_> = out.lines().map(|line| line.get(..12).unwrap_or(line)).collect();
+    let lines = [
+        "23:59:59.900",
+        "# 1970-01-02",
+        "00:00:00.000",
+        "00:00:01.000",
+        "# 1970-01-04",
+        "00:00:00.000",
+    ];
+    assert_eq!(begin, lines);
+    assert!(out.contains("\n# 1970-01-04, after 1970-01-02\n"), "{out}");
+    let mut command = folder.command(&["a.log"]);
+    let (_, out, _) = of(&command.env("TZ", "EST5").output().unwrap());
+    assert_eq!(out.matches("# ").count(), 1, "{out}");
+    // What is left out has no date.
+    let mut command = folder.command(&["a.log", "--limit", "3"]);
+    let (_, out, _) = of(&command.env("TZ", "UTC").output().unwrap());
+    assert_eq!(out.matches("# ").count(), 1, "{out}");
+}
+
+#[test]
 fn frames_of_a_log_are_lines_of_text() {
     let folder = Folder::with(LOG);
     let (code, out, error) = folder.log(&["a.log"]);
@@ -247,7 +274,8 @@ fn clock_times_have_the_offset_of_their_date() {
     let lines = |arguments: &[&str]| -> Vec<String> {
         let mut command = folder.command(arguments);
         let (_, out, _) = of(&command.env("TZ", "Europe/Berlin").output().unwrap());
-        out.lines().map(|line| line.split(' ').next().unwrap().to_owned()).collect()
+        let frames = out.lines().filter(|line| !line.starts_with("# "));
+        frames.map(|line| line.split(' ').next().unwrap().to_owned()).collect()
     };
     let (summer, winter) = ("14:00:00.000", "13:00:00.000");
     assert_eq!(lines(&["a.log"]), [summer, winter]);

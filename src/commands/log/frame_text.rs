@@ -1,4 +1,5 @@
-//! A frame of a log as a line of text: time, bus, identifier, kind, route, bytes, meaning, latency.
+//! A frame of a log as a line of text: time, bus, identifier, kind, route, bytes, meaning, latency; a line with
+//! the date before the first frame of another day.
 //!
 //! Written without formatting machinery where it is the same for most frames. Does not know which
 //! frames are printed.
@@ -27,6 +28,8 @@ pub struct FrameText {
     names: KnownNames,
     /// The last second, and its time of day.
     second: Option<(u64, String)>,
+    /// The date of the last frame.
+    date: Option<String>,
 }
 
 impl FrameText {
@@ -87,12 +90,19 @@ impl FrameText {
         line.push('\n');
     }
 
-    /// Appends the time of day with milliseconds, and a blank.
+    /// Appends the time of day with milliseconds, and a blank; before it a line with both dates, `# 2026-11-23,
+    /// after 2026-11-22`, if the last frame was of another day.
     fn write_time(&mut self, line: &mut String, app: &App, time: Instant) {
         let second = app.epoch().unix_micros(time) / 1_000_000;
         let text = match &mut self.second {
             Some((last, text)) if *last == second => text,
-            other => &mut other.insert((second, format_time_of_day(app, time))).1,
+            other => {
+                let date = app.date_text(time);
+                if let Some(last) = self.date.replace(date.clone()).filter(|last| *last != date) {
+                    let _ = writeln!(line, "# {date}, after {last}");
+                }
+                &mut other.insert((second, format_time_of_day(app, time))).1
+            }
         };
         line.push_str(text);
         line.push('.');
