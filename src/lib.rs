@@ -111,6 +111,8 @@ pub mod app;
 #[cfg(feature = "program")]
 pub mod bus;
 #[cfg(feature = "program")]
+pub mod cell_text;
+#[cfg(feature = "program")]
 pub mod cli;
 #[cfg(feature = "program")]
 pub mod commands;

@@ -19,6 +19,9 @@ use tokio::time;
 /// that of an answer.
 const QUIET: Duration = Duration::from_millis(400);
 
+/// Number of documents that are not used and named at most, each on a line.
+const MAX_WARNINGS: usize = 10;
+
 /// `--time`, unless given.
 pub const DEFAULT_TIME: Duration = Duration::from_secs(10);
 
@@ -126,13 +129,17 @@ pub fn read(settings: &BrokerSettings, limit: Duration) -> Result<Option<FleetRe
     })
 }
 
-/// Says what was not used.
+/// Says what was not used: the first [`MAX_WARNINGS`] documents, by topic, and how many more there are.
 pub fn warn_rejects(fleet: &Fleet) {
     let rejects = fleet.rejects();
-    let count = rejects.open_count();
-    if let Some(last) = rejects.last() {
-        let documents = if count == 1 { "document" } else { "documents" };
-        output::warn(format_args!("{count} {documents} not used; the last is {last}"));
+    let said = rejects
+        .texts()
+        .take(MAX_WARNINGS)
+        .map(|text| output::warn(format_args!("not used: {text}")));
+    let more = rejects.open_count().saturating_sub(said.count() as u64);
+    if more > 0 {
+        let documents = if more == 1 { "document" } else { "documents" };
+        output::warn(format_args!("{more} more {documents} not used"));
     }
 }
 
@@ -145,8 +152,10 @@ struct FleetReport<'a> {
     complete: bool,
     gateways: Vec<GatewayReport<'a>>,
     versions: Vec<VersionReport>,
-    /// Documents that could not be used.
+    /// Number of documents that could not be used.
     rejected: u64,
+    /// Topic and cause of at most a thousand of them.
+    rejects: Vec<&'a str>,
 }
 
 #[derive(Serialize)]
@@ -240,6 +249,7 @@ impl<'a> FleetReport<'a> {
             gateways: gateways.map(|(name, it)| of_gateway(name, it, read.now)).collect(),
             versions: versions.collect(),
             rejected: rejects.open_count(),
+            rejects: rejects.texts().collect(),
         }
     }
 

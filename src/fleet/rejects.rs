@@ -69,6 +69,11 @@ impl FleetRejects {
         all.max_by_key(|topic| topic.number).map(|topic| topic.text.as_str())
     }
 
+    /// Topic and cause of those that are remembered, by topic.
+    pub fn texts(&self) -> impl Iterator<Item = &str> {
+        self.topics.values().map(|topic| topic.text.as_str())
+    }
+
     /// Counts a message.
     pub(super) fn add(&mut self, connection: u32, topic: &[u8], reason: RejectReason, text: &str) {
         match reason {

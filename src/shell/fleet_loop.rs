@@ -75,6 +75,7 @@ async fn run_on_terminal(
                 }
                 FleetEffect::Redraw => terminal.redraw()?,
                 FleetEffect::Copy(text) => terminal.copy(&text)?,
+                FleetEffect::Reconnect => reader.reconnect(),
                 FleetEffect::NextTheme => {
                     let name = themes.choose_next();
                     screen.handle_theme(name.as_deref());

@@ -3,6 +3,7 @@
 //! cells of the terminal (a wide character takes two).
 
 use crate::app::{App, Bus, Focus, Page, Screen};
+use crate::cell_text::{cut, wrap};
 use crate::frame::BusIndex;
 use crate::keymap::Action;
 use crate::text::Escaped;
@@ -11,7 +12,7 @@ use ratatui::buffer::Buffer;
 use ratatui::layout::{Position, Rect};
 use ratatui::style::{Modifier, Style};
 use ratatui::text::{Line, Span};
-use unicode_width::{UnicodeWidthChar, UnicodeWidthStr};
+use unicode_width::UnicodeWidthStr;
 
 /// State of one draw: what is shown, its colours, the regions, and the cells to fill.
 pub struct DrawContext<'a> {
@@ -249,18 +250,6 @@ pub fn set_selected(buffer: &mut Buffer, theme: &Theme, area: Rect, row: u16) {
     buffer.set_style(row, style);
 }
 
-/// Returns the longest beginning of `text` that fits `width` cells.
-pub fn cut(text: &str, width: usize) -> &str {
-    let mut used = 0;
-    for (at, c) in text.char_indices() {
-        used += c.width().unwrap_or(0);
-        if used > width {
-            return &text[..at];
-        }
-    }
-    text
-}
-
 /// Returns `text` in exactly `width` cells: cut with `…`, or padded with blanks at the right.
 pub fn fit(text: &str, width: usize) -> String {
     let own = text.width();
@@ -334,32 +323,6 @@ pub fn bus_cell(app: &App, bus: Option<BusIndex>) -> String {
     format!("{} ", fit(&bus.map_or(String::new(), |bus| bus_label(app, bus, 6)), 6))
 }
 
-/// Breaks `text` into lines of at most `width` cells (at least 4), at blanks; a longer word is
-/// broken inside.
-pub fn wrap(text: &str, width: usize) -> Vec<String> {
-    let width = width.max(4);
-    let mut lines = Vec::new();
-    let mut line = String::new();
-    for mut word in text.split_whitespace() {
-        if !line.is_empty() && line.width() + 1 + word.width() > width {
-            lines.push(std::mem::take(&mut line));
-        }
-        while word.width() > width {
-            let part = cut(word, width - line.width().min(width - 1));
-            lines.push(std::mem::take(&mut line) + part);
-            word = &word[part.len()..];
-        }
-        if !line.is_empty() {
-            line.push(' ');
-        }
-        line.push_str(word);
-    }
-    if !line.is_empty() {
-        lines.push(line);
-    }
-    lines
-}
-
 /// Returns lines of `width` cells: the label, muted, and the text wrapped at the right of it.
 pub fn labelled(
     brush: &DrawContext,
@@ -391,12 +354,5 @@ mod tests {
         assert_eq!(fit("温度計", 4), "温… ");
         assert_eq!(fit("x", 0), "");
         assert_eq!(fit_right("12", 4), "  12");
-    }
-
-    #[test]
-    fn wrap_long_text_breaks_at_blanks() {
-        assert_eq!(wrap("two devices respond", 11), ["two devices", "respond"]);
-        assert_eq!(wrap("a0123456789", 5), ["a0123", "45678", "9"]);
-        assert!(wrap("", 5).is_empty());
     }
 }

@@ -1,10 +1,11 @@
 //! The dialog in which a frame is composed; takes the place of the page. Fields, the frame that they make
 //! with its meaning, what was sent with its answers.
 
-use super::brush::{DrawContext, cut, fit, wrap};
+use super::brush::{DrawContext, fit};
 use crate::app::{
     ComposerDialog, DialogField, SendingResult, SentFrames, clock_millis, format_millis,
 };
+use crate::cell_text::{cut, wrap};
 use crate::composer::{Composed, MessageKind, Mistake};
 use crate::frame::bits::FrameBits;
 use crate::text::printable;

@@ -2,13 +2,14 @@
 //! the keys of the open page. A message or a rejected input that needs more room takes up to three
 //! lines.
 
-use super::brush::{DrawContext, cut, fit, wrap};
+use super::brush::{DrawContext, fit};
 use super::chart::grouped;
 use super::status::WIDE;
 use crate::app::{
     BarKey, FileError, FileStatus, Focus, InputCheck, Page, PlanSession, Prompt, PromptKind,
     addition_refusal, format_duration, is_about,
 };
+use crate::cell_text::{cut, wrap};
 use crate::discovery::Config;
 use crate::keymap::{Action, KeyCode, KeyMode};
 use crate::text::Escaped;

@@ -2,9 +2,10 @@
 //! each bus; with words only the lines that have them. Takes the place of the page, in two columns
 //! from 80 on, in three from 160.
 
-use super::brush::{DrawContext, fit, wrap};
+use super::brush::{DrawContext, fit};
 use super::symbols::SYMBOLS;
 use crate::app::{FILTER_FIELDS, FILTER_WORDS, Page, clock_millis, format_duration};
+use crate::cell_text::wrap;
 use crate::keymap::{ACTIONS, Action, ActionGroup, ActionInfo};
 use crate::status::size;
 use crate::theme::Role;

@@ -1,9 +1,10 @@
 //! The latest stories below Devices and on the Bus page: a line each, the one that changed last at the
 //! bottom.
 
-use super::brush::{DrawContext, bus_cell, bus_label, cut, fit, short_file_name};
+use super::brush::{DrawContext, bus_cell, bus_label, fit, short_file_name};
 use super::stories::sign_of;
 use crate::app::{Story, TimelineEntry, format_time_of_day};
+use crate::cell_text::cut;
 use crate::theme::Role;
 use crate::time::Instant;
 use ratatui::text::Line;

@@ -358,6 +358,26 @@ fn lost_connection_keeps_rows_and_marks_them_old() {
 }
 
 #[test]
+fn long_banner_has_two_lines_and_a_key_connects_at_once() {
+    let mut stage = FleetStage::fleet(80, 24);
+    let cause = "mqtts://broker.example.org:8883: the certificate is not that of a known \
+                 authority; name the certificate that signed it with --ca FILE";
+    stage.screen.handle_failed(stage.now, cause.to_owned(), Duration::from_secs(8));
+    let screen = stage.screen();
+    let lines = " ! the certificate is not that of a known authority; next attempt in 8 s; name\n    \
+                 the certificate that signed it with --ca FILE\n─1 Gateways";
+    let trimmed = screen.lines().map(str::trim_end).collect::<Vec<_>>().join("\n");
+    assert!(trimmed.contains(lines), "{screen}");
+    let screen = stage.keys("r").screen();
+    assert!(screen.contains("next attempt now; name"), "{screen}");
+    assert_eq!(stage.screen.poll_effect(), Some(FleetEffect::Reconnect));
+    stage.connect();
+    let screen = stage.keys("r").screen();
+    assert!(screen.contains("connected already"), "{screen}");
+    assert_eq!(stage.screen.poll_effect(), None);
+}
+
+#[test]
 fn documents_cleared_meanwhile_vanish_after_two_quiet_seconds() {
     let mut stage = FleetStage::fleet(80, 24);
     stage.screen.handle_failed(stage.now, "lost".to_owned(), Duration::from_secs(1));

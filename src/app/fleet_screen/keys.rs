@@ -4,7 +4,7 @@
 //! outside. Does not know how the screen is drawn.
 
 use super::scope::FleetScope;
-use super::{FleetEffect, FleetOverlay, FleetPage, FleetRow, FleetScreen};
+use super::{BrokerLink, FleetEffect, FleetOverlay, FleetPage, FleetRow, FleetScreen};
 use crate::app::filter::{Completion, CompletionSource};
 use crate::app::input::line_request;
 use crate::app::{Mouse, MouseKind};
@@ -46,6 +46,7 @@ pub const FLEET_KEYS: &[(Action, &str)] = &[
     (Action::Sort, "Next order of the rows"),
     (Action::SortReverse, ""),
     (Action::Copy, "Copy the command that goes there: ssh, live view"),
+    (Action::Rescan, "Connect to the broker at once, without the wait"),
     (Action::Cancel, "Close details, leave the gateway, filter off"),
     (Action::Help, "These keys"),
     (Action::Theme, "Next theme"),
@@ -182,6 +183,7 @@ impl FleetScreen {
             Some(A::Sort) => self.next_sort(),
             Some(A::SortReverse) => self.reverse(),
             Some(A::Copy) => self.copy(),
+            Some(A::Rescan) => self.reconnect(),
             Some(A::Help) => self.overlay = FleetOverlay::Help(0),
             Some(A::Theme) => self.effects.push_back(FleetEffect::NextTheme),
             Some(A::Redraw) => self.effects.push_back(FleetEffect::Redraw),
@@ -353,6 +355,19 @@ impl FleetScreen {
                 self.effects.push_back(FleetEffect::Copy(command));
             }
             None => self.show("no command for this row"),
+        }
+    }
+
+    // ---- the connection ------------------------------------------------------------------------
+
+    fn reconnect(&mut self) {
+        match &mut self.link {
+            BrokerLink::Failed { retry, .. } => {
+                *retry = self.now;
+                self.effects.push_back(FleetEffect::Reconnect);
+            }
+            BrokerLink::Connecting => self.show("connecting already"),
+            BrokerLink::Reading | BrokerLink::Connected => self.show("connected already"),
         }
     }
 

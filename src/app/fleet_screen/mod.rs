@@ -23,6 +23,7 @@ pub use scope::{FleetFilter, FleetPage, FleetSort};
 use crate::app::Signs;
 use crate::app::filter::RowKind;
 use crate::app::wall_clock::{DAY, WallClock};
+use crate::cell_text::wrap;
 use crate::fleet::{
     Fleet, FleetGateway, FleetRejects, FleetTopic, GatewayName, GatewayState, TopicPath,
 };
@@ -38,6 +39,8 @@ use std::collections::{BTreeMap, VecDeque};
 const QUIET: Duration = Duration::from_secs(2);
 /// Time for which a message is shown, unless a key ends it.
 const MESSAGE_TIME: Duration = Duration::from_secs(6);
+/// Most lines of a banner.
+const BANNER_LINES: usize = 2;
 /// A deadline that is missed by more was missed as the program was stopped.
 const STALL: Duration = Duration::from_secs(1);
 
@@ -69,6 +72,8 @@ pub enum FleetEffect {
     Redraw,
     /// Put a text into the clipboard.
     Copy(String),
+    /// Connect to the broker without waiting longer.
+    Reconnect,
     /// Switch to the next theme.
     NextTheme,
 }
@@ -435,15 +440,37 @@ impl FleetScreen {
         self.wall_clock(self.options.unix_start + at.as_micros() as f64 / 1e6)
     }
 
-    /// What is wrong with the connection and the documents: a line each, true for an error.
+    /// What is wrong with the connection and the documents, on at most [`BANNER_LINES`] lines each; true for
+    /// an error.
     pub fn banners(&self) -> Vec<(String, bool)> {
+        const SIGN: &str = " ! ";
+        let width = usize::from(self.size.0).saturating_sub(SIGN.len());
+        let mut lines = Vec::new();
+        for (text, is_error) in self.banner_texts() {
+            let mut parts = wrap(&text, width);
+            if parts.len() > BANNER_LINES {
+                parts.truncate(BANNER_LINES);
+                parts[BANNER_LINES - 1].push('…');
+            }
+            for (at, part) in parts.into_iter().enumerate() {
+                let begin = if at == 0 { SIGN } else { "   " };
+                lines.push((format!("{begin}{part}"), is_error));
+            }
+        }
+        lines
+    }
+
+    fn banner_texts(&self) -> Vec<(String, bool)> {
         let mut lines = Vec::new();
         if let BrokerLink::Failed { cause, retry, .. } = &self.link {
-            let wait = retry.since(self.now).as_secs_f64().ceil();
+            let wait = match retry.since(self.now).as_secs_f64().ceil() {
+                0.0 => "now".to_owned(),
+                seconds => format!("in {seconds} s"),
+            };
             // The address is in the line above.
             let cause = cause.strip_prefix(&format!("{}: ", self.options.broker)).unwrap_or(cause);
             let (what, remedy) = cause.split_once("; ").unwrap_or((cause, ""));
-            let text = format!("{what}; next attempt in {wait} s; {remedy}");
+            let text = format!("{what}; next attempt {wait}; {remedy}");
             lines.push((text.trim_end_matches("; ").to_owned(), true));
         }
         if self.refused > 0 {

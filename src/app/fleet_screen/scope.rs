@@ -49,7 +49,8 @@ impl FleetPage {
                 &[S::Severity, S::Name, S::Devices, S::Lost, S::Problems, S::Version]
             }
             (Self::Main, true) => &[S::Severity, S::Address, S::Name],
-            (Self::Versions, _) => &[S::Severity, S::Devices, S::Gateways],
+            (Self::Versions, false) => &[S::Severity, S::Devices, S::Gateways],
+            (Self::Versions, true) => &[S::Severity, S::Devices],
             (Self::Problems, _) => &[S::Severity, S::Name],
         }
     }

@@ -9,7 +9,9 @@ use rumqttc::{
     QoS, SubscribeFilterInput, SubscribeReasonCode,
 };
 use std::io;
+use std::sync::Arc;
 use std::thread::{self, JoinHandle};
+use tokio::sync::Notify;
 use tokio::sync::mpsc::{self, Receiver, Sender};
 use tokio::time::sleep;
 
@@ -43,6 +45,8 @@ pub enum ReaderNotice {
 /// See the module's documentation. Dropped, it takes leave of the broker, for 0.2 s at most.
 pub struct BrokerReader {
     notices: Receiver<ReaderNotice>,
+    /// Ends the wait before the next attempt.
+    wakeup: Arc<Notify>,
     thread: Option<JoinHandle<()>>,
 }
 
@@ -78,8 +82,10 @@ impl BrokerReader {
         options.set_receive_maximum(Some(MAX_UNREAD));
         let (sender, notices) = mpsc::channel(MAX_WAITING);
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+        let wakeup = Arc::new(Notify::new());
         let task = ReaderThread {
             notices: sender,
+            wakeup: Arc::clone(&wakeup),
             settings: settings.clone(),
             filters: filters.iter().map(|it| (*it).to_owned()).collect(),
         };
@@ -90,7 +96,12 @@ impl BrokerReader {
             // A name that is looked up would be waited for.
             runtime.shutdown_background();
         })?;
-        Ok(Self { notices, thread: Some(thread) })
+        Ok(Self { notices, wakeup, thread: Some(thread) })
+    }
+
+    /// Makes the next attempt without a wait; the waits begin with the shortest again.
+    pub fn reconnect(&self) {
+        self.wakeup.notify_one();
     }
 
     /// Waits for notices, and takes at most `limit` of them; none after one that says that it is not
@@ -111,6 +122,7 @@ impl BrokerReader {
 /// The thread of the connection.
 struct ReaderThread {
     notices: Sender<ReaderNotice>,
+    wakeup: Arc<Notify>,
     settings: BrokerSettings,
     filters: Vec<String>,
 }
@@ -176,7 +188,10 @@ impl ReaderThread {
                         return;
                     }
                     let Some(wait) = wait else { return };
-                    sleep(wait).await;
+                    tokio::select! {
+                        () = sleep(wait) => {}
+                        () = self.wakeup.notified() => failures = 0,
+                    }
                     continue;
                 }
             };

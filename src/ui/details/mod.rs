@@ -8,12 +8,13 @@ mod others;
 mod rule;
 mod services;
 
-use super::brush::{DrawContext, fit, labelled, wrap};
+use super::brush::{DrawContext, fit, labelled};
 use super::devices::{self, state_role};
 use super::symbols;
 use crate::app::{
     App, BeatStats, FileStatus, Row, RowState, concerns, format_time_of_day, printable,
 };
+use crate::cell_text::wrap;
 use crate::discovery::{Device, Query};
 use crate::finding::{Finding, FindingKind, FindingState};
 use crate::keymap::Action;

@@ -6,10 +6,11 @@ use crate::app::{
     RowState, ServiceInFile, missing_services, printable, removed_services, version_before,
     whose_other_services, whose_services,
 };
+use crate::cell_text::wrap;
 use crate::discovery::{Device, DeviceService, QueryFault, QueryState};
 use crate::document::ListedService;
 use crate::theme::Role;
-use crate::ui::brush::{fit, wrap};
+use crate::ui::brush::fit;
 use ratatui::text::Line;
 use unicode_width::UnicodeWidthStr;
 

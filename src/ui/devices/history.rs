@@ -3,9 +3,10 @@
 
 use super::strip;
 use crate::app::{BEATS_PER_LINE, Beat, BeatKind, BeatStats, clock_millis, format_time_of_day};
+use crate::cell_text::wrap;
 use crate::keymap::Action;
 use crate::theme::Role;
-use crate::ui::brush::{DrawContext, wrap};
+use crate::ui::brush::DrawContext;
 use ratatui::layout::Rect;
 use ratatui::text::{Line, Span};
 use unicode_width::UnicodeWidthStr;

@@ -6,8 +6,9 @@ use super::{
     addresses, buses, draw_editor, is_absent, side_role, sign, twin_name, uid_text, visible_rows,
 };
 use crate::app::{Row, ServiceTable, VersionCell, matrix_start};
+use crate::cell_text::cut;
 use crate::theme::Role;
-use crate::ui::brush::{DrawContext, cut, fit, fit_right};
+use crate::ui::brush::{DrawContext, fit, fit_right};
 use ratatui::text::{Line, Span};
 use unicode_width::UnicodeWidthStr;
 

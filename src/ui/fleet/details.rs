@@ -5,10 +5,10 @@ use super::list::{
 };
 use super::{FleetBrush, age_text};
 use crate::app::{FleetDevice, FleetProblem, FleetRow, FleetScreen, GatewayRow, VersionRow};
+use crate::cell_text::wrap;
 use crate::fleet::GatewayState;
 use crate::inventory::InventoryBus;
 use crate::theme::Role;
-use crate::ui::brush::wrap;
 use crate::ui::chart::grouped;
 use ratatui::text::Line;
 use unicode_width::UnicodeWidthStr;

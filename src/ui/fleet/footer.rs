@@ -2,9 +2,10 @@
 
 use super::FleetBrush;
 use crate::app::{FleetPage, FleetPrompt};
+use crate::cell_text::{cut, wrap};
 use crate::keymap::Action;
 use crate::theme::Role;
-use crate::ui::brush::{cut, fit, wrap};
+use crate::ui::brush::fit;
 use ratatui::layout::{Position, Rect};
 use ratatui::text::Line;
 use unicode_width::UnicodeWidthStr;
@@ -97,6 +98,7 @@ fn hints(brush: &FleetBrush) -> Line<'static> {
         (Action::Help, Some("help")),
         (Action::Details, Some(open)),
         (Action::Cancel, (is_opened || screen.details_alone().is_some()).then_some("back")),
+        (Action::Rescan, screen.is_old().then_some("connect now")),
         (Action::Filter, Some("filter")),
         (Action::Quit, Some("quit")),
         (Action::Sort, Some("sort")),

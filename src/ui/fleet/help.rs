@@ -2,8 +2,8 @@
 
 use super::{FleetBrush, of_state};
 use crate::app::{FILTER_FIELDS, FILTER_WORDS, FLEET_KEYS, FleetSums, RowKind};
+use crate::cell_text::wrap;
 use crate::theme::Role;
-use crate::ui::brush::wrap;
 use ratatui::layout::Rect;
 use ratatui::text::Line;
 

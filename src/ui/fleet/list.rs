@@ -5,11 +5,12 @@ use super::{FleetBrush, age_text, of_state};
 use crate::app::{
     BrokerLink, FleetDevice, FleetPage, FleetProblem, FleetRow, FleetSort, GatewayRow, VersionRow,
 };
+use crate::cell_text::wrap;
 use crate::fleet::GatewayState;
 use crate::inventory::{InventoryBus, InventoryDevice};
 use crate::theme::Role;
 use crate::time::Duration;
-use crate::ui::brush::{set_hidden_rows, set_selected, wrap};
+use crate::ui::brush::{set_hidden_rows, set_selected};
 use crate::ui::chart::grouped;
 use crate::ui::devices::period_text;
 use crate::ui::status::rate;
@@ -120,13 +121,18 @@ fn columns(brush: &FleetBrush) -> Vec<FleetColumn> {
             column("PROBLEMS", 9, 1).sorted_by(FleetSort::Problems),
             column("DESCAN", 7, 5).sorted_by(FleetSort::Version),
         ],
-        FleetPage::Versions => vec![
-            column("SERVICE", widest(brush, 8, most), 0).sorted_by(FleetSort::Severity),
-            column("VERSION", 12, 0),
-            column("DEVICES", 8, 0).of_number().sorted_by(FleetSort::Devices),
-            column("GATEWAYS", 9, 1).of_number().sorted_by(FleetSort::Gateways),
-            column("", 0, 2).with_rest(),
-        ],
+        FleetPage::Versions => {
+            let mut all = vec![
+                column("SERVICE", widest(brush, 8, most), 0).sorted_by(FleetSort::Severity),
+                column("VERSION", 12, 0),
+                column("DEVICES", 8, 0).of_number().sorted_by(FleetSort::Devices),
+            ];
+            if screen.opened().is_none() {
+                all.push(column("GATEWAYS", 9, 1).of_number().sorted_by(FleetSort::Gateways));
+            }
+            all.push(column("", 0, 2).with_rest());
+            all
+        }
         FleetPage::Problems => {
             let gateway = if screen.opened().is_some() { 0 } else { widest(brush, 7, most) };
             let mut all = vec![
@@ -167,7 +173,7 @@ fn has_several_buses(brush: &FleetBrush) -> bool {
 fn cells(brush: &FleetBrush, row: &FleetRow) -> ((&'static str, Role), RowCells) {
     let (sign, cells) = match row {
         FleetRow::Gateway(row) => gateway_cells(brush, row),
-        FleetRow::Version(row) => version_cells(row),
+        FleetRow::Version(row) => version_cells(brush, row),
         FleetRow::Problem(problem) => problem_cells(brush, problem),
         FleetRow::Device(row) => device_cells(row),
     };
@@ -240,15 +246,17 @@ fn bus_text(bus: &InventoryBus) -> String {
     }
 }
 
-fn version_cells(row: &VersionRow) -> ((&'static str, Role), RowCells) {
+fn version_cells(brush: &FleetBrush, row: &VersionRow) -> ((&'static str, Role), RowCells) {
     let role = if row.has_others { Role::Changed } else { Role::Text };
     let version = if row.version.is_empty() { "–" } else { &row.version };
-    let cells = vec![
+    let mut cells = vec![
         one(Role::Text, row.service.as_str()),
         one(role, version),
         one(Role::Text, grouped(row.devices as u64)),
-        one(Role::Text, grouped(row.gateways as u64)),
     ];
+    if brush.screen.opened().is_none() {
+        cells.push(one(Role::Text, grouped(row.gateways as u64)));
+    }
     let sign = if row.has_others { ("≠", Role::Changed) } else { (" ", Role::Text) };
     (sign, cells)
 }

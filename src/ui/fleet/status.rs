@@ -27,7 +27,7 @@ pub fn draw(brush: &mut FleetBrush) {
     let banners = brush.regions.banners;
     for (row, (text, is_error)) in brush.screen.banners().into_iter().enumerate() {
         let role = if is_error { Role::Error } else { Role::Warning };
-        let line = Line::from(brush.span(role, format!(" ! {text}")));
+        let line = Line::from(brush.span(role, text));
         brush.line(banners, row as u16, &line);
     }
 }

@@ -1,9 +1,10 @@
 //! The evidence of a problem as a table: time, board, what a frame shows, its content.
 
-use super::super::brush::{DrawContext, cut, fit, fit_right};
+use super::super::brush::{DrawContext, fit, fit_right};
 use super::super::traffic::in_words;
 use super::boards::side_span;
 use crate::app::{ConflictSides, Decoded, EvidenceItem, clock_millis};
+use crate::cell_text::cut;
 use crate::frame::{CanId, Frame};
 use crate::text::hex;
 use crate::theme::Role;

@@ -486,6 +486,36 @@ fn client_certificate_is_shown_where_the_broker_asks_for_it() {
 }
 
 #[test]
+fn many_documents_that_are_not_used_are_counted_behind_ten() {
+    let Some(broker) = Mosquitto::start() else { return };
+    for address in 1..=12 {
+        broker.publish(&format!("descan/v1/bad/device/can0/{address}"), b"{");
+    }
+    let output = run(&["fleet", "--json", "--broker", &broker.url()], broker.folder());
+    let errors = text(&output.stderr);
+    assert_eq!(errors.matches("not used: ").count(), 10, "{errors}");
+    assert!(errors.contains("2 more documents not used"), "{errors}");
+    let json: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(json["rejects"].as_array().unwrap().len(), 12);
+}
+
+#[test]
+fn attempt_on_demand_begins_the_waits_again() {
+    let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    let mut reader = BrokerReader::spawn(&settings(port), &["descan/v1/#"]).unwrap();
+    let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
+    let next_wait = |reader: &mut BrokerReader| match runtime.block_on(reader.next()) {
+        Some(ReaderNotice::Failed(_, Some(wait))) => wait,
+        other => panic!("{other:?}"),
+    };
+    let (first, second) = (next_wait(&mut reader), next_wait(&mut reader));
+    assert!(first < second, "{first:?} {second:?}");
+    reader.reconnect();
+    let third = next_wait(&mut reader);
+    assert!(third < second, "{second:?} {third:?}");
+}
+
+#[test]
 fn broker_that_is_not_there_is_named() {
     let folder = tempfile::tempdir().unwrap();
     let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
@@ -571,7 +601,17 @@ fn hostile_messages_are_counted_and_large_ones_are_not_read() {
     let json: Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!(state_of(&json, "good").as_deref(), Some("online"));
     assert_eq!(json["rejected"], 3, "{json}");
-    assert!(errors.contains("3 documents not used"), "{errors}");
+    let rejects: Vec<_> =
+        json["rejects"].as_array().unwrap().iter().map(Value::to_string).collect();
+    for (text, topic) in
+        rejects.iter().zip(["bad/device/can0/1", "bad/device/can0/999", "bad/status"])
+    {
+        assert!(
+            text.contains(topic) && errors.contains(&format!("not used: {}", &text[1..40])),
+            "{json}: {errors}"
+        );
+    }
+    assert_eq!(rejects.len(), 3);
     assert!(!errors.contains('\u{1b}') && !text(&output.stdout).contains('\u{1b}'));
 }
 
