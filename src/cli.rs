@@ -651,7 +651,9 @@ pub struct CheckArgs {
     pub report: Option<TestReportFormat>,
     /// Compare what gateways have published: each with FOLDER/GATEWAY/des.json
     #[cfg(feature = "fleet")]
-    #[arg(long, value_name = "FOLDER", requires = "broker", conflicts_with_all = ["buses", "wait_for_all", "from"])]
+    #[arg(long, value_name = "FOLDER", requires = "broker", conflicts_with_all = [
+        "buses", "wait_for_all", "from", "file", "profile", "catalogue", "dbc", "project", "address", "record",
+    ])]
     pub fleet: Option<PathBuf>,
     /// The broker of --fleet: mqtts://HOST:PORT, or mqtt:// without TLS
     #[cfg(feature = "fleet")]

@@ -12,7 +12,7 @@ impl App {
     /// Executes an action.
     pub(super) fn run(&mut self, action: Action) {
         if self.view.frozen.is_some() && action.edits_or_sends() {
-            let key = self.key_of(Action::Freeze);
+            let key = self.key_of_present();
             return self.show_error(format!("frozen: {key} shows the present first"));
         }
         if !self.view.page.has_rows() && action.is_of_filter() {

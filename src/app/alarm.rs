@@ -85,7 +85,7 @@ impl App {
         self.alarms.present = later;
         self.alarms.confirmed = confirmed;
         if let Some(alarm) = self.alarms.present.clone().filter(|_| is_new) {
-            let key = self.key_of(Action::Freeze);
+            let key = self.key_of_present();
             self.show_error(format!("conflict now: {}; {key} shows the present", alarm.short));
         }
     }

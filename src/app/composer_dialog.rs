@@ -276,7 +276,7 @@ impl App {
     /// Why the dialog only shows the frame; `None` if it can be sent.
     pub fn dialog_obstacle(&self, dialog: &ComposerDialog) -> Option<String> {
         if self.view.frozen.is_some() {
-            let key = self.key_of(Action::Freeze);
+            let key = self.key_of_present();
             return Some(format!("frozen: {key} shows the present first"));
         }
         self.sending_obstacle(dialog.bus)

@@ -140,7 +140,7 @@ impl App {
     }
 
     /// Returns true if the heartbeat history is open.
-    pub(super) fn shows_beat_history(&self) -> bool {
+    pub fn shows_beat_history(&self) -> bool {
         self.view.page == Page::Devices && self.view.devices_page.shows_history
     }
 

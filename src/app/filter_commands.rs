@@ -221,7 +221,16 @@ impl App {
             let key = self.key_of(crate::keymap::Action::Filter);
             return self.show_error(format!("no filter; {key} types one"));
         }
+        let is_of_frames = !self.view.shows_identifiers() && !self.view.shows_calls();
         let is_found = match page {
+            // Rows of identifiers and calls are those that match, or all.
+            Page::Traffic if !is_of_frames && self.filters.of(page).is_on() => {
+                return self.move_by(by);
+            }
+            Page::Traffic if !is_of_frames => {
+                let key = self.key_of(crate::keymap::Action::FilterToggle);
+                return self.show_error(format!("the filter is off; {key} shows its rows alone"));
+            }
             Page::Devices => self.go_to_matching_device(&filter, by),
             Page::Traffic => self.go_to_matching_frame(&filter, by),
             Page::Timeline => self.go_to_matching_line(&filter, by),
@@ -284,7 +293,6 @@ impl App {
     }
 
     fn go_to_matching_frame(&mut self, filter: &Filter, by: isize) -> bool {
-        self.view.traffic_view = TrafficView::Frames;
         let capture = &self.traffic.capture;
         let matcher = filter.for_frames(self.shown_buses());
         let end = self.traffic.end(&self.view);

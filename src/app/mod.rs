@@ -665,6 +665,9 @@ impl App {
             self.input.note_executed(now, action);
         } else if self.input.shows_conflict() {
             self.effects.push_back(Effect::Bell);
+        } else if !self.input.has_overlay() {
+            let help = self.key_of(Action::Help);
+            self.show_error(format!("{key} has no use here; {help} lists the keys"));
         }
     }
 

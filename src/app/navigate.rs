@@ -311,7 +311,9 @@ impl App {
         let view = &self.view;
         match view.page {
             Page::Timeline => self.go_from_here(Self::go_to_frames),
-            Page::Traffic if view.evidence.is_none() && !view.frame_details => self.open_details(),
+            Page::Traffic if view.evidence.is_none() && !view.frame_details => {
+                self.go_from_here(Self::open_details);
+            }
             _ => self.focus_details(true),
         }
     }
@@ -842,7 +844,7 @@ impl App {
             return self.show_error("surrounding frames no longer in the capture");
         };
         if number >= self.traffic.end(&self.view) {
-            let key = self.key_of(Action::Freeze);
+            let key = self.key_of_present();
             return self.show_error(format!("newer than this moment: {key} shows the present"));
         }
         self.view.select_frame(number, self.list_height());

@@ -88,8 +88,11 @@ impl App {
         by: isize,
         is_wanted: fn(TimelineKind) -> bool,
     ) -> Option<Instant> {
-        let lines = self.timeline().entries().filter(|line| is_wanted(line.kind));
-        let times = lines.map(|line| line.time);
+        // Findings of the comparison with des.json are in stories alone.
+        let steps = self.notices.stories().iter().flat_map(|story| story.steps());
+        let findings = steps.map(|step| &step.entry).filter(|entry| entry.finding.is_some());
+        let lines = self.timeline().entries().chain(findings);
+        let times = lines.filter(|line| is_wanted(line.kind)).map(|line| line.time);
         // A repeated line stands behind later ones.
         if by < 0 {
             times.filter(|time| *time < from).max()

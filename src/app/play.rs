@@ -5,6 +5,7 @@
 //! know how a moment is replayed.
 
 use super::{App, Effect, TimelineKind};
+use crate::keymap::Action;
 use crate::status::PlaybackCommand;
 use crate::time::{Duration, Instant};
 
@@ -113,6 +114,11 @@ impl App {
         }
     }
 
+    /// Key that shows the present: of a log, the one that freezes plays it.
+    pub(super) fn key_of_present(&self) -> String {
+        self.key_of(if self.is_of_logs() { Action::Cancel } else { Action::Freeze })
+    }
+
     /// Changes the pace: of the shown moment if that is past, else of the log.
     pub(super) fn change_pace(&mut self, by: i8) {
         if self.past.is_none() && self.is_of_logs() {
@@ -121,7 +127,7 @@ impl App {
             return self.control_playback(command);
         }
         if self.past.is_none() && by > 0 {
-            let key = self.key_of(crate::keymap::Action::Freeze);
+            let key = self.key_of(Action::Freeze);
             return self.show_error(format!("live: {key} freezes; then a moment can be played"));
         }
         if self.past.is_none() {

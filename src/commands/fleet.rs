@@ -40,9 +40,7 @@ pub fn run(args: &FleetArgs) -> Result<u8, Failure> {
         output::print(&report.table())?;
     }
     warn_rejects(&read.fleet);
-    if report.gateways.is_empty() {
-        output::warn("no gateway found; none has published, or the user may not read descan/v1/#");
-    }
+    warn_if_empty(&read.fleet);
     Ok(if report.gateways.iter().any(|it| it.has_findings) { EXIT_FINDINGS } else { EXIT_OK })
 }
 
@@ -70,9 +68,8 @@ pub fn read(settings: &BrokerSettings, limit: Duration) -> Result<Option<FleetRe
         let mut fleet = Fleet::default();
         let mut failure = None;
         let (mut is_subscribed, mut asked, mut quiet) = (false, now(), QUIET);
-        // Only retained messages extend the reading: others may be published without end. In a kept
-        // session the two cannot be told apart.
-        let (mut has_session, mut complete_at) = (false, now());
+        // Only retained messages extend the reading: others may be published without end.
+        let mut complete_at = now();
         loop {
             tokio::select! {
                 biased;
@@ -91,7 +88,7 @@ pub fn read(settings: &BrokerSettings, limit: Duration) -> Result<Option<FleetRe
                 notice = reader.next() => match notice {
                     Some(ReaderNotice::Message(topic, payload, is_kept)) => {
                         fleet.handle_message(now(), &topic, &payload);
-                        if is_kept || has_session {
+                        if is_kept {
                             complete_at = now() + quiet;
                         }
                     }
@@ -104,13 +101,8 @@ pub fn read(settings: &BrokerSettings, limit: Duration) -> Result<Option<FleetRe
                         quiet = QUIET.max(now().since(asked) * 4);
                         complete_at = now() + quiet;
                     }
-                    // It sends the rest of a kept session unasked.
-                    Some(ReaderNotice::Connected(true)) => {
-                        (is_subscribed, has_session) = (true, true);
-                        complete_at = now() + quiet;
-                    }
-                    Some(ReaderNotice::Connected(false)) => {
-                        (asked, has_session) = (now(), false);
+                    Some(ReaderNotice::Connected) => {
+                        (asked, is_subscribed) = (now(), false);
                         fleet.handle_connected();
                     }
                     Some(ReaderNotice::Failed(why, None)) => return Err(why.diagnostic.into()),
@@ -140,6 +132,13 @@ pub fn warn_rejects(fleet: &Fleet) {
     if more > 0 {
         let documents = if more == 1 { "document" } else { "documents" };
         output::warn(format_args!("{more} more {documents} not used"));
+    }
+}
+
+/// Says what may be the cause if no gateway was found.
+pub fn warn_if_empty(fleet: &Fleet) {
+    if fleet.gateways().len() == 0 {
+        output::warn("no gateway found; none has published, or the user may not read descan/v1/#");
     }
 }
 

@@ -38,6 +38,7 @@ pub fn run(check: &CheckArgs, folder: &Path, broker: &BrokerAddress) -> Result<u
         return Err(Failure::Unusable(format!("{broker}: {why}")));
     }
     fleet::warn_rejects(&read.fleet);
+    fleet::warn_if_empty(&read.fleet);
     warn_without_folder(&read.fleet, &sites, folder);
     let checks: Vec<SiteCheck> =
         sites.iter().map(|site| SiteCheck::new(site, &read.fleet, read.now)).collect();
@@ -171,6 +172,9 @@ struct SiteCheck {
     error: Option<String>,
     #[serde(skip)]
     is_online: bool,
+    /// It has published something.
+    #[serde(skip)]
+    is_known: bool,
 }
 
 #[derive(Serialize)]
@@ -212,6 +216,7 @@ impl SiteCheck {
             differences,
             error: site.expected.as_ref().err().cloned(),
             is_online,
+            is_known: gateway.is_some(),
         }
     }
 
@@ -271,6 +276,11 @@ impl SiteCheck {
                 let is_first = section == CheckSection::FileErrors;
                 let outcome = if is_first { CaseOutcome::Failed } else { CaseOutcome::Skipped };
                 let text = format!("not compared: {why}");
+                return ReportedCase { suite, name, outcome, text, details: Vec::new() };
+            }
+            if !self.is_known {
+                let text = "not compared: the gateway has published nothing".to_owned();
+                let outcome = CaseOutcome::Skipped;
                 return ReportedCase { suite, name, outcome, text, details: Vec::new() };
             }
             let details: Vec<String> = self.in_section(section).map(line_of).collect();

@@ -177,7 +177,7 @@ impl Feed {
                     self.unreachable = Some(why).filter(|_| !self.was_connected);
                 }
                 PublisherNotice::Refused(topic, why) => output::warn(format_args!(
-                    "the broker refuses {topic}: {why}; it has to keep what this user writes to \
+                    "the broker refuses {topic}: {why}; give this user the right to write \
                      descan/v1/{}/#",
                     self.gateway
                 )),

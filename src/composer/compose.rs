@@ -7,7 +7,7 @@ use super::fields::{
 use super::{Composition, CompositionField, KnownNode, MessageKind, Mistake, Surroundings};
 use crate::diagnostic::nearest_word;
 use crate::frame::{Frame, FrameKind};
-use crate::log::candump::parse_frame;
+use crate::log::candump::{LineFault, parse_frame};
 use crate::text::{counted, hex, join_first, printable};
 use crate::wire::des::{ReceivedRequest, Request};
 use crate::wire::descriptor::AddressSetting;
@@ -121,7 +121,13 @@ impl Composition {
             }
             // The time, as that of a raw DLC, is not part of it.
             Ok(frame) => Ok(frame),
-            Err(why) => wrong(format!("{}: {why}", printable(text.as_bytes()))),
+            Err(why) => {
+                let why = match why {
+                    LineFault::Frame => "a frame is ID#DATA: 051C0002#0444455301".to_owned(),
+                    why => why.to_string(),
+                };
+                wrong(format!("{}: {why}", printable(text.as_bytes())))
+            }
         }
     }
 

@@ -116,6 +116,7 @@ impl CheckSection {
         match self {
             Self::Conflicts => "conflict",
             Self::FileErrors => "file error",
+            Self::ServicesDiffer => "service list differs",
             other => other.title(),
         }
     }

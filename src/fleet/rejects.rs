@@ -12,8 +12,8 @@ const MAX_TOPICS: usize = 1000;
 /// The first bytes of a topic by which it is remembered.
 const MAX_TOPIC_BYTES: usize = 1024;
 
-/// Longest cause, in characters.
-const MAX_CAUSE: usize = 200;
+/// Longest topic with its cause, in characters.
+const MAX_CAUSE: usize = 280;
 
 /// Why a message is not used.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -114,6 +114,7 @@ fn key_of(topic: &[u8]) -> &[u8] {
 
 /// A topic of any origin, shortened.
 pub(super) fn shown_topic(topic: &[u8]) -> String {
-    const MOST: usize = 80;
-    printable(&topic[..topic.len().min(MOST)])
+    const MOST: usize = 150;
+    let end = if topic.len() > MOST { "…" } else { "" };
+    printable(&topic[..topic.len().min(MOST)]) + end
 }

@@ -12,6 +12,7 @@ use crate::inventory::{Inventory, InventoryBus, InventoryDevice, InventoryFindin
 use crate::text::{on_one_line, printable};
 use crate::time::{Duration, Instant};
 use serde::Deserialize;
+use serde::de::IgnoredAny;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Number of gateways at most; documents of further ones are counted and not used.
@@ -62,19 +63,23 @@ impl GatewayState {
 
 /// The status of a gateway, as it was published.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
-#[serde(default)]
 pub struct GatewayStatus {
     /// It is connected.
     pub online: bool,
     /// Why it is not: `lost`, `stopped`.
+    #[serde(default)]
     pub reason: String,
     /// Start of the program, in Unix milliseconds.
+    #[serde(default)]
     pub started_ms: u64,
     /// Time of the status by the clock of the gateway, in Unix seconds.
+    #[serde(default)]
     pub time: Option<f64>,
     /// Version of the program.
+    #[serde(default)]
     pub descan: String,
     /// What was observed of its events; `None` after a lost connection.
+    #[serde(default)]
     pub events: Option<EventCounts>,
 }
 
@@ -119,7 +124,7 @@ struct StoredDocument<T> {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct FleetGateway {
     status: Option<StoredDocument<GatewayStatus>>,
-    /// Time at which the status was received.
+    /// Time at which the status was received; of a gateway that is not connected, for the first time.
     received: Instant,
     /// Changes with every document.
     revision: u64,
@@ -136,7 +141,7 @@ impl FleetGateway {
         self.status.as_ref().map(|status| &status.content)
     }
 
-    /// Time at which its last status was received.
+    /// Time at which its last status was received; of a gateway that is not connected, for the first time.
     pub fn status_received(&self) -> Instant {
         self.received
     }
@@ -262,13 +267,13 @@ impl FleetGateway {
                 let content: GatewayStatus = serde_json::from_slice(payload)
                     .map_err(|error| on_one_line(&error.to_string()))?;
                 let descan = printable(content.descan.as_bytes());
-                self.status = Some(StoredDocument {
-                    content: GatewayStatus { descan, ..content },
-                    time: None,
-                    bytes,
-                    connection,
-                });
-                self.received = now;
+                let content = GatewayStatus { descan, ..content };
+                // After another connection the broker sends it again.
+                let is_again = !content.online && self.status() == Some(&content);
+                if !is_again {
+                    self.received = now;
+                }
+                self.status = Some(StoredDocument { content, time: None, bytes, connection });
             }
             TopicPath::Bus(bus) => {
                 let content = InventoryBus::parse(payload).map_err(|it| it.to_string())?;
@@ -344,8 +349,8 @@ impl Fleet {
         &self.rejects
     }
 
-    /// The broker is connected again, and kept no session: documents that were cleared meanwhile are
-    /// those that it does not send again until [`Self::handle_complete`].
+    /// The broker is connected again: documents that were cleared meanwhile are those that it does not send
+    /// again until [`Self::handle_complete`].
     pub fn handle_connected(&mut self) {
         self.connection += 1;
         self.rejects.begin_reading();
@@ -391,6 +396,7 @@ impl Fleet {
         let own = known.map_or(0, |it| it.bytes);
         // What its lists take is known when it is read.
         let least = memory_of(topic, payload, 0);
+        let is_object = payload.trim_ascii_start().first() == Some(&b'{');
         let excess = if known.is_none() && self.gateways.len() >= MAX_GATEWAYS {
             Some("too many gateways")
         } else if is_new && known.is_some_and(|it| it.count() >= MAX_GATEWAY_DOCUMENTS) {
@@ -405,10 +411,15 @@ impl Fleet {
             None
         };
         if let Some(why) = excess {
-            let text = format!("{gateway}/{path}: {why}");
+            let text = format!("{}: {why}", shown_topic(topic));
             return self.reject(topic, RejectReason::Oversized, &text);
         }
-        let (name, shown) = (gateway.clone(), path.to_string());
+        // A list would be taken for the members in their order.
+        if !is_object {
+            let text = format!("{}: no JSON object", shown_topic(topic));
+            return self.reject(topic, RejectReason::Malformed, &text);
+        }
+        let name = gateway.clone();
         let as_of = (now, self.connection);
         let stored = self.gateways.entry(gateway).or_default();
         match stored.insert(as_of, topic, path, payload) {
@@ -420,7 +431,9 @@ impl Fleet {
                 self.rejects.remove(topic);
             }
             Err(why) => {
-                let text = format!("{name}/{shown}: {why}");
+                let is_json = serde_json::from_slice::<IgnoredAny>(payload).is_ok();
+                let what = if is_json { "" } else { "wrong JSON: " };
+                let text = format!("{}: {what}{why}", shown_topic(topic));
                 self.reject(topic, RejectReason::Malformed, &text);
                 self.forget_if_empty(&name);
             }

@@ -242,7 +242,7 @@ actions! {
         Faster "faster" "Double the replay speed" "faster" [")"];
     }
     Browse Time: {
-        Freeze "freeze" "Freeze this moment on all pages, or show the present; capture continues" "freeze" ["Space"];
+        Freeze "freeze" "Freeze this moment on all pages, or show the present; of a log: pause, or play" "freeze" ["Space"];
         PreviousEvent "previous-event" "Freeze at the event before" "event" ["["];
         NextEvent "next-event" "At the next event" "" ["]"];
         PreviousProblem "previous-problem" "Freeze where a finding changed before" "problem" ["{"];

@@ -169,7 +169,7 @@ fn handle_notice(
         ReaderNotice::Message(topic, payload, is_kept) => {
             screen.handle_message(now, &topic, &payload, is_kept);
         }
-        ReaderNotice::Connected(has_session) => screen.handle_connected(now, has_session),
+        ReaderNotice::Connected => screen.handle_connected(now),
         ReaderNotice::Subscribed { refused } => screen.handle_subscribed(now, refused),
         ReaderNotice::Failed(failure, None) => return Some(failure.diagnostic),
         ReaderNotice::Failed(failure, Some(wait)) => {

@@ -6,7 +6,7 @@ use crate::app::{
     ComposerDialog, DialogField, SendingResult, SentFrames, clock_millis, format_millis,
 };
 use crate::cell_text::{cut, wrap};
-use crate::composer::{Composed, MessageKind, Mistake};
+use crate::composer::{Composed, CompositionField, MessageKind, Mistake};
 use crate::frame::bits::FrameBits;
 use crate::text::printable;
 use crate::theme::Role;
@@ -79,11 +79,12 @@ fn draw_row(
     let name = label(row, dialog.kind);
     let sign = if is_focused { "▸" } else { " " };
     let role = if is_focused { Role::Title } else { Role::Muted };
+    let room = usize::from(area.width).saturating_sub(LABEL);
     let mut spans = vec![brush.span(role, fit(&format!("{sign} {name}"), LABEL))];
     match row {
         [DialogField::Kind] => {
             let choices = MessageKind::ALL.map(|kind| (kind.word(), kind == dialog.kind));
-            spans.extend(choice_spans(brush, &choices, is_focused));
+            spans.extend(choice_spans(brush, &choices, is_focused, room));
         }
         [DialogField::Framing] => {
             let choices = [
@@ -91,7 +92,7 @@ fn draw_row(
                 ("isotp", dialog.framing == Some(Framing::Isotp)),
                 ("raw", dialog.framing == Some(Framing::Raw)),
             ];
-            spans.extend(choice_spans(brush, &choices, is_focused));
+            spans.extend(choice_spans(brush, &choices, is_focused, room));
         }
         [DialogField::Fd, DialogField::Error] => {
             for (field, word, is_on) in [
@@ -130,7 +131,6 @@ fn draw_row(
             let of = field.of_composition();
             let mistake = mistake.filter(|mistake| of == Some(mistake.field));
             let hint = hint(*field, dialog.kind);
-            let room = usize::from(area.width).saturating_sub(LABEL);
             let text = dialog.line(*field).map_or(0, |line| line.value().width() + 1);
             let width = text.max(FIELD).min(room);
             let at = Rect { x: area.x + LABEL as u16, width: width as u16, ..area };
@@ -180,11 +180,21 @@ const fn hint(field: DialogField, kind: MessageKind) -> &'static str {
     }
 }
 
+/// All choices, or the chosen one with its place where `room` cells do not hold all.
 fn choice_spans(
     brush: &DrawContext,
     choices: &[(&str, bool)],
     is_focused: bool,
+    room: usize,
 ) -> Vec<Span<'static>> {
+    let chosen = choices.iter().position(|(_, is_chosen)| *is_chosen);
+    let needed: usize = choices.iter().map(|(word, _)| word.width() + 6).sum();
+    if let Some(chosen) = chosen.filter(|_| needed.saturating_sub(2) > room) {
+        let role = if is_focused { Role::Input } else { Role::Text };
+        let place = format!("  {} of {}", chosen + 1, choices.len());
+        let word = brush.span(role, format!("(•) {}", choices[chosen].0));
+        return vec![word, brush.span(Role::Muted, place)];
+    }
     let spans = choices.iter().map(|(word, is_chosen)| {
         let role = match (is_chosen, is_focused) {
             (true, true) => Role::Input,
@@ -266,7 +276,11 @@ fn below(
             }
         }
         Err(mistake) => {
-            let text = format!("{}: {mistake}", mistake.field.label());
+            let label = match (mistake.field, dialog.kind) {
+                (CompositionField::Data, MessageKind::Raw) => "frame",
+                (field, _) => field.label(),
+            };
+            let text = format!("{label}: {mistake}");
             add("  ✗", Role::Error, &text);
         }
     }

@@ -354,6 +354,11 @@ fn hint_line(brush: &DrawContext, mode: KeyMode, width: usize) -> Vec<Span<'stat
     let is_frozen = app.past_moment().is_some();
     let pairs = match app.playback() {
         _ if !is_browsing => Vec::new(),
+        _ if app.shows_beat_history() => vec![
+            one(brush, A::Cancel, "close"),
+            pair(brush, A::Back, A::Into, "heartbeat"),
+            one(brush, A::Details, "frames"),
+        ],
         _ if is_frozen => frozen_hints(brush),
         Some(playback) if !playback.is_ended => log_hints(brush),
         _ => Vec::new(),

@@ -46,8 +46,10 @@ fn text(brush: &DrawContext) -> (Role, String) {
         let behind = u16::from(width >= RULE_WIDTH);
         width.saturating_sub(end + text.width() as u16 + behind)
     };
-    let gives_way =
-        width >= RULE_WIDTH && beside(&long) <= wanted + 1 && beside(&short) > least + 1;
+    // Without a word of its filter, a short list looks like the whole bus.
+    let is_filtered = end > 0 && app.page_filter(app.view().page).is_on();
+    let may_give_way = width >= RULE_WIDTH || is_filtered;
+    let gives_way = may_give_way && beside(&long) <= wanted + 1 && beside(&short) > least + 1;
     (role, if gives_way { short } else { long })
 }
 

@@ -132,7 +132,7 @@ fn in_memory() {
             .expect("a draw");
     };
     let begin = Clock::now();
-    screen.handle_connected(Instant::ZERO, false);
+    screen.handle_connected(Instant::ZERO);
     for (at, (topic, payload)) in documents.iter().enumerate() {
         screen.handle_message(Instant::ZERO, topic.as_bytes(), payload, true);
         if at % 1000 == 0 {

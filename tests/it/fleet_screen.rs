@@ -37,7 +37,7 @@ impl FleetStage {
     }
 
     fn connect(&mut self) -> &mut Self {
-        self.screen.handle_connected(self.now, false);
+        self.screen.handle_connected(self.now);
         self.screen.handle_subscribed(self.now, 0);
         self
     }
@@ -404,13 +404,15 @@ fn stopped_program_waits_again_before_it_clears() {
 }
 
 #[test]
-fn kept_session_needs_no_documents_again() {
+fn gateway_is_lost_for_as_long_after_another_connection() {
     let mut stage = FleetStage::fleet(80, 24);
+    stage.wait(50.0);
     stage.screen.handle_failed(stage.now, "lost".to_owned(), Duration::from_secs(1));
-    stage.wait(2.0);
-    stage.screen.handle_connected(stage.now, true);
-    stage.wait(5.0);
-    assert_eq!(stage.names(), "south north east west");
+    stage.wait(2.0).connect();
+    stage.send("south/status", &json!({"online": false, "reason": "lost"}));
+    let screen = stage.screen();
+    let south = screen.lines().find(|line| line.contains("south")).unwrap();
+    assert!(south.contains("52s") || south.contains("55s"), "{screen}");
 }
 
 #[test]

@@ -46,7 +46,7 @@ impl App {
             return self.control_playback(PlaybackCommand::Pause);
         }
         if self.view.frozen.is_some() {
-            let key = self.key_of(Action::Freeze);
+            let key = self.key_of_present();
             return self.show_error(format!("frozen: {key} shows the present first"));
         }
         let keeps = |session: &PlanSession| match session.run.as_ref().map(PlanRun::state) {

@@ -215,17 +215,12 @@ impl FleetScreen {
 
     // ---- the connection ------------------------------------------------------------------------
 
-    /// The broker is connected; `has_session` if it kept what was subscribed, and what happened
-    /// meanwhile.
-    pub fn handle_connected(&mut self, now: Instant, has_session: bool) {
+    /// The broker is connected; all documents that it has follow.
+    pub fn handle_connected(&mut self, now: Instant) {
         self.set_now(now);
-        if has_session {
-            self.link = BrokerLink::Connected;
-        } else {
-            self.fleet.handle_connected();
-            self.link = BrokerLink::Reading;
-            self.complete_at = Some(now + QUIET);
-        }
+        self.fleet.handle_connected();
+        self.link = BrokerLink::Reading;
+        self.complete_at = Some(now + QUIET);
         self.is_dirty = true;
     }
 
@@ -498,8 +493,8 @@ impl FleetScreen {
 
     /// Number of confirmed findings of the shown gateways.
     pub fn confirmed_shown(&self) -> usize {
-        match self.opened().and_then(|name| self.entries.get(name)) {
-            Some(entry) => entry.facts.confirmed,
+        match self.opened() {
+            Some(name) => self.entries.get(name).map_or(0, |entry| entry.facts.confirmed),
             None => self.sums.confirmed,
         }
     }

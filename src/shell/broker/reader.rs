@@ -28,8 +28,8 @@ const VIEWER_SESSION_SECONDS: u32 = 600;
 /// What a connection brings.
 #[derive(Clone, Debug)]
 pub enum ReaderNotice {
-    /// The broker is connected; true if it kept what was subscribed, and what happened meanwhile.
-    Connected(bool),
+    /// The broker is connected; all documents that it has follow.
+    Connected,
     /// The topics are subscribed, as far as this many are allowed; the rest is refused.
     Subscribed {
         /// Number of topic filters that the broker refused.
@@ -152,16 +152,17 @@ impl ReaderThread {
         let mut was_connected = false;
         loop {
             let notice = match events.poll().await {
-                Ok(Event::Incoming(Packet::ConnAck(packet))) => {
+                Ok(Event::Incoming(Packet::ConnAck(_))) => {
                     was_connected = true;
-                    if !packet.session_present {
-                        // Not as published: the flag tells those that the broker kept.
-                        let filters = self.filters.iter().map(|filter| {
-                            SubscribeFilterInput::new(filter.as_str(), QoS::AtLeastOnce)
-                        });
-                        let _ = client.try_subscribe_many(filters);
-                    }
-                    ReaderNotice::Connected(packet.session_present)
+                    // In a kept session, too: the broker then sends all documents again. Of those that were
+                    // cleared meanwhile, or lost with it, it says nothing. Not as published: the flag tells
+                    // those that the broker kept.
+                    let filters = self
+                        .filters
+                        .iter()
+                        .map(|filter| SubscribeFilterInput::new(filter.as_str(), QoS::AtLeastOnce));
+                    let _ = client.try_subscribe_many(filters);
+                    ReaderNotice::Connected
                 }
                 Ok(Event::Incoming(Packet::SubAck(packet))) => {
                     let is_refused = |code: &&SubscribeReasonCode| {

@@ -94,7 +94,8 @@ fn bus_facts(bus: &InventoryBus) -> String {
         load.map(|load| format!("load {:.1}%", load * 100.0)),
         number(bus.frames, "frames"),
         number(bus.errors, "errors"),
-        number(bus.lost, "lost"),
+        // Of several buses each has a line.
+        number(bus.lost.filter(|lost| *lost > 0), "lost"),
     ];
     parts.into_iter().flatten().collect::<Vec<_>>().join(", ")
 }

@@ -65,7 +65,7 @@ fn draw_nothing(brush: &mut FleetBrush) {
         format!("no {} match the filter{key}", screen.row_kind(page).plural())
     } else {
         match (page, screen.opened(), screen.link()) {
-            (FleetPage::Main, Some(name), _) if screen.gateway(name).is_none() => {
+            (_, Some(name), _) if screen.gateway(name).is_none() => {
                 format!("the broker has no documents of {name} any more; Esc goes back")
             }
             (FleetPage::Main, Some(_), _) => "this gateway has published no devices".to_owned(),

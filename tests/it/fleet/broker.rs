@@ -640,7 +640,7 @@ fn hostile_messages_are_counted_on_the_screen_in_bounded_memory() {
         br#"{"address":6,"name":"LAST","presence":"online"}"#,
     );
     pty.wait_for("● 1 present");
-    pty.wait_for("documents not used; the last is good/device/can0/5: ");
+    pty.wait_for("documents not used; the last is descan/v1/good/device/can0/5: ");
     let most = peak_memory(pty.pid());
     assert!(most < 100 << 10, "{most} KiB");
     pty.send("q");
@@ -1042,6 +1042,25 @@ fn document_above_the_packet_limit_is_left_out() {
         (is_online && names_of(&fleet, 0) == ["SHORT"]).then_some(())
     });
     drop(publisher);
+}
+
+/// It continues from what it last wrote, with the session of the viewer.
+#[test]
+fn viewer_forgets_what_a_killed_broker_lost() {
+    let Some(mut broker) = Mosquitto::start() else { return };
+    let (folder, url) = (broker.folder().to_owned(), broker.url());
+    broker.publish("descan/v1/kept/status", br#"{"online":true}"#);
+    let mut pty = Pty::start(&["fleet", "--broker", &url], &folder, (80, 24));
+    pty.wait_for("1 gateway ");
+    broker.save();
+    broker.publish("descan/v1/lost/status", br#"{"online":true}"#);
+    pty.wait_for("2 gateways");
+    broker.kill();
+    pty.wait_for("next attempt");
+    assert!(broker.launch());
+    pty.wait_for("1 gateway ");
+    pty.send("q");
+    assert_eq!(pty.wait(), 0);
 }
 
 /// What is published meanwhile has no end; what the broker had does.

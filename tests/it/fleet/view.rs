@@ -89,6 +89,9 @@ fn hostile_documents_are_counted_and_change_nothing() {
         ("a/status", r#"{"online":"yes"}"#),
         ("b/bus/can0", "null"),
         ("a/unknown/can0", "{}"),
+        ("c/status", "[]"),
+        ("c/status", "[true]"),
+        ("c/status", "{}"),
         ("a b/status", "{}"),
     ]);
     assert_eq!(fleet.gateways().len(), 1);
@@ -96,12 +99,26 @@ fn hostile_documents_are_counted_and_change_nothing() {
     assert_eq!(gateway.devices().count(), 1);
     assert_eq!(gateway.devices().next().unwrap().name.as_deref(), Some("FEED"));
     let rejects = fleet.rejects();
-    assert_eq!((rejects.malformed, rejects.oversized, rejects.foreign), (7, 1, 2));
+    assert_eq!((rejects.malformed, rejects.oversized, rejects.foreign), (10, 1, 2));
     let last = rejects.last().unwrap();
     assert!(
         last.starts_with("descan/v1/a b/status: no topic") && !last.contains('\u{1b}'),
         "{last}"
     );
+}
+
+#[test]
+fn causes_of_rejects_name_topic_and_fault() {
+    for (topic, payload, cause) in [
+        ("a/status", "[true]", "descan/v1/a/status: no JSON object"),
+        ("a/status", "{}", "descan/v1/a/status: missing field `online`"),
+        ("a/bus/can%1b%5b2J", "{\"name\"", "descan/v1/a/bus/can%1b%5b2J: wrong JSON: EOF"),
+        ("a/device/can0/1", "{\"address\":\"x\"}", "descan/v1/a/device/can0/1: invalid type"),
+    ] {
+        let fleet = fleet(&[(topic, payload)]);
+        let last = fleet.rejects().last().unwrap();
+        assert!(last.starts_with(cause), "{last}");
+    }
 }
 
 #[test]
@@ -119,10 +136,10 @@ fn rejects_are_open_until_each_topic_is_replaced_or_cleared() {
         (rejects.open_count(), rejects.last().map(|it| it[..it.find(':').unwrap()].to_owned()))
     };
     assert_eq!(send("a/device/can0/12", FEED), (3, Some("descan/v1/a/nothing".to_owned())));
-    assert_eq!(send("a/nothing", ""), (2, Some("a/device/can0/11".to_owned())));
-    assert_eq!(send("a/device/can0/11", ""), (1, Some("a/device/can0/10".to_owned())));
+    assert_eq!(send("a/nothing", ""), (2, Some("descan/v1/a/device/can0/11".to_owned())));
+    assert_eq!(send("a/device/can0/11", ""), (1, Some("descan/v1/a/device/can0/10".to_owned())));
     assert_eq!(send("a/device/can0/10", FEED), (0, None));
-    assert_eq!(send("a/device/can0/10", "{"), (1, Some("a/device/can0/10".to_owned())));
+    assert_eq!(send("a/device/can0/10", "{"), (1, Some("descan/v1/a/device/can0/10".to_owned())));
     assert_eq!(fleet.rejects().count(), 5, "all of them");
     // Cleared while there was no connection.
     fleet.handle_connected();
@@ -153,7 +170,7 @@ fn causes_of_rejects_are_short() {
     let status = format!(r#"{{"online":"{}"}}"#, "\u{7f}".repeat(MAX_DOCUMENT_BYTES - 20));
     fleet.handle_message(NOW, b"descan/v1/a/status", status.as_bytes());
     let last = fleet.rejects().last().unwrap();
-    assert!(last.starts_with("a/status: ") && last.len() < 300, "{}", last.len());
+    assert!(last.starts_with("descan/v1/a/status: ") && last.len() < 300, "{}", last.len());
 }
 
 /// Lists of empty members take twenty times the memory of their text.

@@ -149,6 +149,44 @@ fn keys_of_a_log_and_of_a_live_bus_name_the_other() {
 }
 
 #[test]
+fn key_without_use_names_the_help() {
+    let mut stage = Stage::boiler();
+    stage.until(3.0);
+    for page in ["1", "2", "3", "4", "5"] {
+        stage.keys(page).keys("Q");
+        assert_eq!(message(&stage), "Q has no use here; ? lists the keys");
+    }
+    stage.keys("1 M Q");
+    assert_ne!(message(&stage), "Q has no use here; ? lists the keys", "it is a letter of a mark");
+}
+
+#[test]
+fn filter_is_named_on_a_narrow_screen() {
+    let mut stage = Stage::boiler();
+    stage.until(3.0).size(40, 10).keys("/").text("name:psu").keys("Enter");
+    let screen = stage.screen();
+    assert!(screen.contains("/name:psu") && screen.contains("LIVE"), "{screen}");
+}
+
+#[test]
+fn frames_of_an_identifier_lead_back_to_it() {
+    let mut stage = Stage::boiler();
+    stage.until(10.0).keys("2 v Right Backspace");
+    assert!(stage.screen().contains("KIND") && stage.app.view().shows_identifiers());
+    stage.keys("/").text("name:psu").keys("Enter J K");
+    assert!(stage.app.view().shows_identifiers(), "{}", stage.screen());
+}
+
+#[test]
+fn steps_of_the_lowest_line_come_into_view() {
+    let mut stage = Stage::boiler();
+    stage.until(45.0).size(80, 24).keys("3 End");
+    let steps = |screen: String| screen.lines().filter(|line| line.contains('│')).count();
+    let before = steps(stage.screen());
+    assert!(steps(stage.keys("o").screen()) > before, "{}", stage.screen());
+}
+
+#[test]
 fn timeline_line_without_frames_says_so() {
     let mut stage = Stage::new(&Scenario::new(125_000), Some(BOILER));
     stage.link(Link::Missing).wait_until(5.0).keys("3 Home f");

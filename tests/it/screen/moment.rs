@@ -117,6 +117,25 @@ fn escape_shows_the_present_before_the_filter_goes_off() {
 }
 
 #[test]
+fn finding_of_the_file_is_a_moment_between_others() {
+    let mut stage = Stage::boiler();
+    stage.until(24.0);
+    // Missing is told by the comparison with des.json alone.
+    let missing = |entry: &&descan::app::StoryStep| {
+        entry.entry.finding == Some(descan::finding::FindingKind::Missing)
+    };
+    let steps = || stage.app.stories().iter().flat_map(|story| story.steps());
+    let times: Vec<_> = steps().filter(missing).map(|step| step.entry.time).collect();
+    assert!(!times.is_empty());
+    let mut seen = Vec::new();
+    for _ in 0..steps().count() {
+        stage.keys("{");
+        seen.extend(stage.app.past_moment().map(|moment| moment.time));
+    }
+    assert!(times.iter().all(|time| seen.contains(time)), "{times:?} {seen:?}");
+}
+
+#[test]
 fn quiet_bus_shows_no_clock_that_stands() {
     let empty = Scenario::parse("bitrate = 125000").unwrap();
     let config = Config { send_requests: false, listen_only: true, ..Config::default() };
