@@ -235,12 +235,8 @@ impl App {
             self.view.open_stories.retain(|id| stories.get(*id).is_some());
             self.view.open_stories.insert(id);
             // Its steps may be below the screen.
-            let lines = self.lines_shown();
-            let last = lines.iter().rfind(|key| key.story == id).copied();
-            for key in last.into_iter().chain([LineKey::of_story(id)]) {
-                self.view.timeline.select(key);
-                self.view.timeline.update(&lines, height);
-            }
+            let steps = self.lines_shown().iter().filter(|key| key.story == id).count();
+            self.view.timeline.make_room(steps.saturating_sub(1), height);
         }
     }
 

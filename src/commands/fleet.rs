@@ -124,11 +124,12 @@ pub fn read(settings: &BrokerSettings, limit: Duration) -> Result<Option<FleetRe
 /// Says what was not used: the first [`MAX_WARNINGS`] documents, by topic, and how many more there are.
 pub fn warn_rejects(fleet: &Fleet) {
     let rejects = fleet.rejects();
-    let said = rejects
-        .texts()
-        .take(MAX_WARNINGS)
-        .map(|text| output::warn(format_args!("not used: {text}")));
-    let more = rejects.open_count().saturating_sub(said.count() as u64);
+    let mut said = 0;
+    for (topic, cause) in rejects.documents().take(MAX_WARNINGS) {
+        output::warn(format_args!("not used: {topic}: {cause}"));
+        said += 1;
+    }
+    let more = rejects.open_count().saturating_sub(said);
     if more > 0 {
         let documents = if more == 1 { "document" } else { "documents" };
         output::warn(format_args!("{more} more {documents} not used"));
@@ -154,7 +155,14 @@ struct FleetReport<'a> {
     /// Number of documents that could not be used.
     rejected: u64,
     /// Topic and cause of at most a thousand of them.
-    rejects: Vec<&'a str>,
+    rejects: Vec<RejectReport<'a>>,
+}
+
+#[derive(Serialize)]
+struct RejectReport<'a> {
+    /// Printable, and shortened if it is long.
+    topic: &'a str,
+    cause: &'a str,
 }
 
 #[derive(Serialize)]
@@ -248,7 +256,10 @@ impl<'a> FleetReport<'a> {
             gateways: gateways.map(|(name, it)| of_gateway(name, it, read.now)).collect(),
             versions: versions.collect(),
             rejected: rejects.open_count(),
-            rejects: rejects.texts().collect(),
+            rejects: rejects
+                .documents()
+                .map(|(topic, cause)| RejectReport { topic, cause })
+                .collect(),
         }
     }
 

@@ -153,12 +153,22 @@ struct FileReader<'t> {
 /// What a file says of [`FRAME_FORMAT`].
 #[derive(Debug, Default)]
 struct FrameFormats {
-    /// The number of [`PARAMETER_GROUP`] among its words; `None` until the file defines them.
-    group: Option<usize>,
-    /// True if messages without the attribute are parameter groups.
-    are_groups_default: bool,
+    group: FormatGroup,
+    /// The value of messages without the attribute.
+    default: Option<FormatValue>,
     /// The value of each message that has the attribute.
     values: BTreeMap<u32, FormatValue>,
+}
+
+/// The number of [`PARAMETER_GROUP`] among the words of [`FRAME_FORMAT`].
+#[derive(Debug, Default)]
+enum FormatGroup {
+    /// The file does not define the words.
+    #[default]
+    Usual,
+    Number(usize),
+    /// It is not among the words.
+    None,
 }
 
 /// A value of [`FRAME_FORMAT`].
@@ -172,14 +182,16 @@ enum FormatValue {
 
 impl FrameFormats {
     fn is_parameter_group(&self, id: u32) -> bool {
-        id & EXTENDED != 0
-            && match self.values.get(&id) {
-                Some(FormatValue::Number(number)) => {
-                    *number == self.group.unwrap_or(PARAMETER_GROUP_NUMBER)
-                }
-                Some(FormatValue::IsGroup(is_group)) => *is_group,
-                None => self.are_groups_default,
-            }
+        let is_group = match self.values.get(&id).or(self.default.as_ref()) {
+            Some(FormatValue::Number(number)) => match self.group {
+                FormatGroup::Usual => *number == PARAMETER_GROUP_NUMBER,
+                FormatGroup::Number(group) => *number == group,
+                FormatGroup::None => false,
+            },
+            Some(FormatValue::IsGroup(is_group)) => *is_group,
+            None => false,
+        };
+        is_group && id & EXTENDED != 0
     }
 }
 
@@ -255,7 +267,11 @@ impl<'t> FileReader<'t> {
 
     /// Passes over a statement; without its semicolon, up to a line that begins with another one.
     fn skip_statement(&mut self) -> Result<(), DbcError> {
-        let mut is_first = true;
+        self.skip_rest(true)
+    }
+
+    /// Passes over the rest of a statement; `is_first`: of all behind its keyword.
+    fn skip_rest(&mut self, mut is_first: bool) -> Result<(), DbcError> {
         while let Some(token) = self.next {
             // The kind of its object, as in `CM_ BO_ 100 "text";`, may begin a line.
             if token.is_flush && !is_first && self.is_statement(token)? {
@@ -475,16 +491,17 @@ impl<'t> FileReader<'t> {
             DbcTokenKind::Quoted(FRAME_FORMAT),
             DbcTokenKind::Word("ENUM"),
         ];
-        for kind in expected {
+        for (at, kind) in expected.into_iter().enumerate() {
             if self.next.map(|token| token.kind) != Some(kind) {
-                return self.skip_statement();
+                return self.skip_rest(at == 0);
             }
             self.advance()?;
         }
+        self.formats.group = FormatGroup::None;
         let mut count = 0;
         while let Some(DbcToken { kind: DbcTokenKind::Quoted(word), .. }) = self.next {
             if word == PARAMETER_GROUP {
-                self.formats.group = Some(count);
+                self.formats.group = FormatGroup::Number(count);
             }
             count += 1;
             self.advance()?;
@@ -492,17 +509,17 @@ impl<'t> FileReader<'t> {
                 self.advance()?;
             }
         }
-        self.skip_statement()
+        self.skip_rest(false)
     }
 
     /// Reads `BA_DEF_DEF_ "VFrameFormat" "J1939PG";`; passes over other defaults.
     fn read_attribute_default(&mut self) -> Result<(), DbcError> {
-        if self.next.map(|token| token.kind) == Some(DbcTokenKind::Quoted(FRAME_FORMAT)) {
-            self.advance()?;
-            let kind = self.next.map(|token| token.kind);
-            self.formats.are_groups_default = kind == Some(DbcTokenKind::Quoted(PARAMETER_GROUP));
+        if self.next.map(|token| token.kind) != Some(DbcTokenKind::Quoted(FRAME_FORMAT)) {
+            return self.skip_statement();
         }
-        self.skip_statement()
+        self.advance()?;
+        self.formats.default = self.format_value();
+        self.skip_rest(false)
     }
 
     /// Reads `BA_ "SystemMessageLongSymbol" BO_ 100 "Name";`, `BA_ "SystemSignalLongSymbol" SG_ 100 Signal
@@ -515,8 +532,10 @@ impl<'t> FileReader<'t> {
             _ => return self.skip_statement(),
         };
         self.advance()?;
-        if self.next.map(|token| token.kind) != Some(DbcTokenKind::Word(object)) {
-            return self.skip_statement();
+        let is_object =
+            |token: &DbcToken| !token.is_flush && token.kind == DbcTokenKind::Word(object);
+        if !self.next.as_ref().is_some_and(is_object) {
+            return self.skip_rest(false);
         }
         self.advance()?;
         let line = self.line();
@@ -533,20 +552,22 @@ impl<'t> FileReader<'t> {
         let Ok(id) = word.parse() else { return self.skip_statement() };
         self.advance()?;
         if attribute == Some(DbcTokenKind::Quoted(FRAME_FORMAT)) {
-            let value = match self.next.map(|token| token.kind) {
-                Some(DbcTokenKind::Word(word)) => word.parse().ok().map(FormatValue::Number),
-                Some(DbcTokenKind::Quoted(word)) => {
-                    Some(FormatValue::IsGroup(word == PARAMETER_GROUP))
-                }
-                _ => None,
-            };
-            self.formats.values.extend(value.map(|value| (id, value)));
-            return self.skip_statement();
+            self.formats.values.extend(self.format_value().map(|value| (id, value)));
+            return self.skip_rest(false);
         }
         if let Some(name) = self.long_name()? {
             self.long_names.insert(id, name);
         }
         Ok(())
+    }
+
+    /// Returns the value of [`FRAME_FORMAT`] that is next.
+    fn format_value(&self) -> Option<FormatValue> {
+        match self.next?.kind {
+            DbcTokenKind::Word(word) => word.parse().ok().map(FormatValue::Number),
+            DbcTokenKind::Quoted(word) => Some(FormatValue::IsGroup(word == PARAMETER_GROUP)),
+            DbcTokenKind::Sign(_) => None,
+        }
     }
 
     /// Reads the value of an attribute that is a name; `None` where it is none.

@@ -16,6 +16,7 @@ pub use signal::MessageSignal;
 use crate::frame::{CanId, Frame, FrameKind};
 use crate::wire::data_layout::{DataFieldValue, DataValue};
 use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
 use std::fmt::Write;
 
 /// Bit of the identifier of a message with 29 bits, as the file has it.
@@ -50,10 +51,11 @@ impl MessageDatabase {
     /// The first mistake, with its line. Nothing is added.
     pub fn add(&mut self, bytes: &[u8]) -> Result<(), DbcError> {
         for (id, message) in file::read(bytes)? {
+            let Entry::Vacant(place) = self.messages.entry(id) else { continue };
             if message.is_parameter_group {
                 self.groups.entry(parameter_group(id)).or_insert(id);
             }
-            self.messages.entry(id).or_insert(message);
+            place.insert(message);
         }
         Ok(())
     }

@@ -12,8 +12,9 @@ const MAX_TOPICS: usize = 1000;
 /// The first bytes of a topic by which it is remembered.
 const MAX_TOPIC_BYTES: usize = 1024;
 
-/// Longest topic with its cause, in characters.
-const MAX_CAUSE: usize = 280;
+/// Longest topic that is shown, and longest cause, in characters.
+const MAX_SHOWN_TOPIC: usize = 150;
+const MAX_CAUSE: usize = 200;
 
 /// Why a message is not used.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -44,8 +45,10 @@ pub struct FleetRejects {
 /// The last message of a topic was not used.
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct RejectedTopic {
-    /// Topic and cause.
+    /// Topic and cause, with `: ` between them.
     text: String,
+    /// Bytes of the topic in it.
+    topic_bytes: usize,
     /// Number of the message.
     number: u64,
     /// The connection by which it was received.
@@ -70,19 +73,24 @@ impl FleetRejects {
     }
 
     /// Topic and cause of those that are remembered, by topic.
-    pub fn texts(&self) -> impl Iterator<Item = &str> {
-        self.topics.values().map(|topic| topic.text.as_str())
+    pub fn documents(&self) -> impl Iterator<Item = (&str, &str)> {
+        self.topics.values().map(|rejected| {
+            let (topic, cause) = rejected.text.split_at(rejected.topic_bytes);
+            (topic, cause.trim_start_matches(": "))
+        })
     }
 
     /// Counts a message.
-    pub(super) fn add(&mut self, connection: u32, topic: &[u8], reason: RejectReason, text: &str) {
+    pub(super) fn add(&mut self, connection: u32, topic: &[u8], reason: RejectReason, cause: &str) {
         match reason {
             RejectReason::Foreign => self.foreign += 1,
             RejectReason::Malformed => self.malformed += 1,
             RejectReason::Oversized => self.oversized += 1,
         }
-        let text = shortened(text, MAX_CAUSE);
-        let rejected = RejectedTopic { text, number: self.count(), connection };
+        let shown = shortened(&printable(key_of(topic)), MAX_SHOWN_TOPIC);
+        let text = format!("{shown}: {}", shortened(cause, MAX_CAUSE));
+        let (topic_bytes, number) = (shown.len(), self.count());
+        let rejected = RejectedTopic { text, topic_bytes, number, connection };
         let key = key_of(topic);
         if self.topics.len() < MAX_TOPICS || self.topics.contains_key(key) {
             self.topics.insert(key.to_owned(), rejected);
@@ -110,11 +118,4 @@ impl FleetRejects {
 
 fn key_of(topic: &[u8]) -> &[u8] {
     &topic[..topic.len().min(MAX_TOPIC_BYTES)]
-}
-
-/// A topic of any origin, shortened.
-pub(super) fn shown_topic(topic: &[u8]) -> String {
-    const MOST: usize = 150;
-    let end = if topic.len() > MOST { "…" } else { "" };
-    printable(&topic[..topic.len().min(MOST)]) + end
 }

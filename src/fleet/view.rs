@@ -5,7 +5,7 @@
 //! [`MAX_DOCUMENT_BYTES`] for one document, [`MAX_GATEWAY_BYTES`] of memory for those of a gateway and
 //! [`MAX_FLEET_BYTES`] for all. Does not know the connection or the screen.
 
-use super::rejects::{FleetRejects, RejectReason, shown_topic};
+use super::rejects::{FleetRejects, RejectReason};
 use super::topic::{FleetTopic, GatewayName, TopicPath};
 use crate::finding::FindingState;
 use crate::inventory::{Inventory, InventoryBus, InventoryDevice, InventoryFinding};
@@ -126,6 +126,8 @@ pub struct FleetGateway {
     status: Option<StoredDocument<GatewayStatus>>,
     /// Time at which the status was received; of a gateway that is not connected, for the first time.
     received: Instant,
+    /// It was received while all documents were read, and may be older.
+    is_received_late: bool,
     /// Changes with every document.
     revision: u64,
     /// Memory of all documents.
@@ -144,6 +146,11 @@ impl FleetGateway {
     /// Time at which its last status was received; of a gateway that is not connected, for the first time.
     pub fn status_received(&self) -> Instant {
         self.received
+    }
+
+    /// Returns true if that status may be older: the broker had it from before.
+    pub fn is_status_received_late(&self) -> bool {
+        self.is_received_late
     }
 
     /// Time of its last status by its clock, in Unix seconds; after a lost connection, and without a
@@ -256,7 +263,7 @@ impl FleetGateway {
     /// It is not what its topic says, with the cause.
     fn insert(
         &mut self,
-        (now, connection): (Instant, u32),
+        (now, connection, is_reading): (Instant, u32, bool),
         topic: &[u8],
         path: TopicPath,
         payload: &[u8],
@@ -271,7 +278,7 @@ impl FleetGateway {
                 // After another connection the broker sends it again.
                 let is_again = !content.online && self.status() == Some(&content);
                 if !is_again {
-                    self.received = now;
+                    (self.received, self.is_received_late) = (now, is_reading);
                 }
                 self.status = Some(StoredDocument { content, time: None, bytes, connection });
             }
@@ -329,6 +336,8 @@ pub struct Fleet {
     rejects: FleetRejects,
     /// Number of the connection.
     connection: u32,
+    /// Documents that the broker has from before are received.
+    is_reading: bool,
     /// Number of the last change.
     revision: u64,
 }
@@ -353,12 +362,14 @@ impl Fleet {
     /// again until [`Self::handle_complete`].
     pub fn handle_connected(&mut self) {
         self.connection += 1;
+        self.is_reading = true;
         self.rejects.begin_reading();
     }
 
     /// All documents that the broker has were received since [`Self::handle_connected`].
     pub fn handle_complete(&mut self) {
         let now = self.connection;
+        self.is_reading = false;
         for gateway in self.gateways.values_mut() {
             self.revision += 1;
             gateway.revision = self.revision;
@@ -384,8 +395,7 @@ impl Fleet {
             return parsed.into_iter().for_each(|it| self.clear(&it.gateway, it.path));
         }
         let Some(FleetTopic { gateway, path }) = parsed else {
-            let text = format!("{}: no topic of a gateway", shown_topic(topic));
-            return self.reject(topic, RejectReason::Foreign, &text);
+            return self.reject(topic, RejectReason::Foreign, "no topic of a gateway");
         };
         if path == TopicPath::Event {
             return;
@@ -411,16 +421,14 @@ impl Fleet {
             None
         };
         if let Some(why) = excess {
-            let text = format!("{}: {why}", shown_topic(topic));
-            return self.reject(topic, RejectReason::Oversized, &text);
+            return self.reject(topic, RejectReason::Oversized, why);
         }
         // A list would be taken for the members in their order.
         if !is_object {
-            let text = format!("{}: no JSON object", shown_topic(topic));
-            return self.reject(topic, RejectReason::Malformed, &text);
+            return self.reject(topic, RejectReason::Malformed, "no JSON object");
         }
         let name = gateway.clone();
-        let as_of = (now, self.connection);
+        let as_of = (now, self.connection, self.is_reading);
         let stored = self.gateways.entry(gateway).or_default();
         match stored.insert(as_of, topic, path, payload) {
             Ok(bytes) => {
@@ -433,8 +441,7 @@ impl Fleet {
             Err(why) => {
                 let is_json = serde_json::from_slice::<IgnoredAny>(payload).is_ok();
                 let what = if is_json { "" } else { "wrong JSON: " };
-                let text = format!("{}: {what}{why}", shown_topic(topic));
-                self.reject(topic, RejectReason::Malformed, &text);
+                self.reject(topic, RejectReason::Malformed, &format!("{what}{why}"));
                 self.forget_if_empty(&name);
             }
         }
@@ -445,13 +452,12 @@ impl Fleet {
         if is_usable {
             self.rejects.remove(topic);
         } else {
-            let text = format!("{}: no event", shown_topic(topic));
-            self.reject(topic, RejectReason::Malformed, &text);
+            self.reject(topic, RejectReason::Malformed, "no event");
         }
     }
 
-    fn reject(&mut self, topic: &[u8], reason: RejectReason, text: &str) {
-        self.rejects.add(self.connection, topic, reason, text);
+    fn reject(&mut self, topic: &[u8], reason: RejectReason, cause: &str) {
+        self.rejects.add(self.connection, topic, reason, cause);
     }
 
     fn clear(&mut self, name: &GatewayName, path: TopicPath) {

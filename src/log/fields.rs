@@ -18,7 +18,7 @@ pub enum FieldFault {
     /// The time is before 1970, or above 2⁶⁴ − 1 µs since then.
     #[error("the time is before 1970, or too large")]
     TimeRange,
-    /// The time of an entry is not one.
+    /// The date of an entry cannot be read.
     #[error("the date cannot be read")]
     Date,
     /// The date from which times count cannot be read.

@@ -280,16 +280,29 @@ fn equal_heartbeats_soon_after_each_are_suspected() {
     let folder = tempfile::tempdir().unwrap();
     let suspected = [("same-name-same-address".to_owned(), "suspected".to_owned(), 14)];
     for (seed, delay) in [0.002, 0.02, 0.05, 0.095].into_iter().enumerate() {
-        for (jitter, lost) in [(0.0, 0.0), (0.005, 0.0), (0.002, 0.2)] {
+        for (jitter, lost, period, pause) in [
+            (0.0, 0.0, 1.0, 0.0),
+            (0.004, 0.0, 1.0, 0.0),
+            (0.002, 0.2, 1.0, 0.0),
+            (0.0, 0.0, 1.01, 0.0),
+            (0.0, 0.0, 0.98, 0.0),
+            (0.0, 0.0, 1.0, 2.4),
+            (0.0, 0.0, 1.0, 0.37),
+        ] {
             // A gateway repeats one of two devices, or there are two boards.
             let mut rng = fastrand::Rng::with_seed(seed as u64);
-            let mut log = Log { constant: Some(0), ..Log::default() }.lives(14, 0.1, 60.0, FEED);
+            let data = format!("{FEED}0400");
+            let log = Log { constant: Some(0), ..Log::default() };
+            let log = log.beats(14, 0.1, 30.0, period, &data);
+            let last = log.lines.last().unwrap().0;
+            // After a restart it goes on in another phase.
+            let mut log = log.beats(14, last + period + pause, 60.0, period, &data);
             for (at, line) in log.lines.clone() {
                 log.lines.push((at + (delay + jitter * (rng.f64() - 0.5)).max(0.0005), line));
             }
             log.lines.retain(|_| rng.f64() >= lost);
             let log = log.lives(20, 0.73, 60.0, PUMP).text();
-            let label = format!("{delay} s, {jitter} s, {lost} lost");
+            let label = format!("{delay} s, {jitter} s, {lost} lost, {period} s, {pause} s");
             assert_eq!(scanned(folder.path(), &log), suspected, "{label}");
             let found = watched(folder.path(), &log);
             assert!(found.iter().all(|told| told.1 != "confirmed"), "{label}: {found:?}");

@@ -333,7 +333,40 @@ fn parameter_groups_of_j1939_have_any_sender_receiver_and_priority() {
 }
 
 #[test]
-fn signals_behind_the_64th_byte_are_left_out() {
+fn statements_of_groups_without_an_end_do_not_take_others() {
+    let value = "BA_ \"VFrameFormat\" BO_ 2348810494 3;\n";
+    for text in [
+        "BA_DEF_ BO_ \"VFrameFormat\" ENUM \"StandardCAN\",\"ExtendedCAN\",\"reserved\",\"J1939PG\"\n",
+        "BA_DEF_ BO_ \"VFrameFormat\"\n",
+        "BA_DEF_ BO_\n",
+        "BA_DEF_DEF_ \"VFrameFormat\"\n",
+        "BA_ \"VFrameFormat\" BO_ 2348810494\n",
+        "BA_ \"VFrameFormat\"\n",
+    ] {
+        let database = database(text.to_owned() + GROUPS + value);
+        assert_eq!(words(&database, 0x8C00_2117, &[]), "TSC1", "{text}");
+        assert_eq!(words(&database, 0x98FE_F1FE, &[]), "CCVS: Speed –", "{text}");
+    }
+}
+
+#[test]
+fn groups_are_those_of_the_messages_that_count() {
+    let of_group = |words: &str| GROUPS.to_owned() + words;
+    let group = of_group("BA_ \"VFrameFormat\" BO_ 2348810494 3;\n");
+    // The first file has the identifier, and no group.
+    let mut both = database("BO_ 2348810494 Other: 8 X\n");
+    both.add(group.as_bytes()).unwrap();
+    assert_eq!(words(&both, 0x8C00_00FE, &[]), "Other");
+    assert_eq!(words(&both, 0x8C00_2117, &[]), "");
+    // The words are defined without it, or the default is a number.
+    let without = "BA_DEF_ BO_ \"VFrameFormat\" ENUM \"StandardCAN\",\"a\",\"b\",\"reserved\";\n";
+    assert_eq!(words(&database(without.to_owned() + &group), 0x8C00_2117, &[]), "");
+    let default = database(of_group("BA_DEF_DEF_ \"VFrameFormat\" 3;\n"));
+    assert_eq!(words(&default, 0x8C00_2117, &[]), "TSC1");
+}
+
+#[test]
+fn signals_after_the_64th_byte_are_left_out() {
     let text = "BO_ 2566844926 Long: 200 X
  SG_ A : 0|8@1+ (1,0) [0|0] \"\" X
  SG_ Text : 0|1600@1+ (1,0) [0|0] \"\" X

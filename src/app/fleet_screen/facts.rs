@@ -199,6 +199,8 @@ pub struct GatewayRow {
     pub state: GatewayState,
     /// Time at which its last status was received.
     pub received: Instant,
+    /// The broker had it from before.
+    pub is_received_late: bool,
     /// Its counts and texts.
     pub facts: Arc<GatewayFacts>,
 }

@@ -190,7 +190,7 @@ impl FleetScreen {
             Some(A::Suspend) => self.effects.push_back(FleetEffect::Suspend),
             Some(A::Quit | A::QuitNow) => self.effects.push_back(FleetEffect::Quit),
             _ => {
-                self.show(format!("{key} has no use on this screen; ? lists its keys"));
+                self.show(format!("{key} has no use here; ? lists the keys"));
             }
         }
     }

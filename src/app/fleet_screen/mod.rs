@@ -31,6 +31,7 @@ use crate::keymap::Keymap;
 use crate::text::counted;
 use crate::time::{Duration, Epoch, Instant};
 use jiff::tz::TimeZone;
+use regions::HIGH;
 use rows::GatewayEntry;
 use scope::FleetScope;
 use std::collections::{BTreeMap, VecDeque};
@@ -39,7 +40,7 @@ use std::collections::{BTreeMap, VecDeque};
 const QUIET: Duration = Duration::from_secs(2);
 /// Time for which a message is shown, unless a key ends it.
 const MESSAGE_TIME: Duration = Duration::from_secs(6);
-/// Most lines of a banner.
+/// Most lines of a banner, on a high screen.
 const BANNER_LINES: usize = 2;
 /// A deadline that is missed by more was missed as the program was stopped.
 const STALL: Duration = Duration::from_secs(1);
@@ -160,8 +161,8 @@ pub struct FleetScreen {
     refused: usize,
     /// When all kept documents are there, unless one comes before.
     complete_at: Option<Instant>,
-    /// When they last were.
-    completed: Option<Instant>,
+    /// All documents were there once.
+    is_first_reading_over: bool,
     now: Instant,
     size: (u16, u16),
     /// The gateways as they were last looked at.
@@ -195,7 +196,7 @@ impl FleetScreen {
             link: BrokerLink::Connecting,
             refused: 0,
             complete_at: None,
-            completed: None,
+            is_first_reading_over: false,
             now: Instant::ZERO,
             size: (80, 24),
             entries: BTreeMap::new(),
@@ -220,7 +221,7 @@ impl FleetScreen {
         self.set_now(now);
         self.fleet.handle_connected();
         self.link = BrokerLink::Reading;
-        self.complete_at = Some(now + QUIET);
+        self.complete_at = None;
         self.is_dirty = true;
     }
 
@@ -228,7 +229,7 @@ impl FleetScreen {
     pub fn handle_subscribed(&mut self, now: Instant, refused: usize) {
         self.set_now(now);
         self.refused = refused;
-        self.complete_at = self.complete_at.map(|_| now + QUIET);
+        self.complete_at = Some(now + QUIET);
         self.is_dirty = true;
     }
 
@@ -300,7 +301,7 @@ impl FleetScreen {
             if !was_stopped {
                 self.fleet.handle_complete();
                 self.look_at_gateways();
-                self.completed = Some(now);
+                self.is_first_reading_over = true;
                 self.link = BrokerLink::Connected;
             }
         }
@@ -403,7 +404,6 @@ impl FleetScreen {
         let since_unix =
             |at: f64| Duration::try_from_secs_f64((unix_now - at).max(0.0)).unwrap_or_default();
         let since_received = self.now.since(row.received);
-        let is_first = self.completed.is_none_or(|at| row.received <= at);
         match row.state {
             GatewayState::Online if row.facts.started > 0.0 => {
                 Some((since_unix(row.facts.started), false))
@@ -412,7 +412,7 @@ impl FleetScreen {
                 Some(at) => Some((since_unix(at), false)),
                 None => Some((since_received, true)),
             },
-            GatewayState::Lost => Some((since_received, is_first)),
+            GatewayState::Lost => Some((since_received, row.is_received_late)),
             GatewayState::Silent => Some((since_received, false)),
             GatewayState::Online | GatewayState::Unknown => None,
         }
@@ -435,17 +435,18 @@ impl FleetScreen {
         self.wall_clock(self.options.unix_start + at.as_micros() as f64 / 1e6)
     }
 
-    /// What is wrong with the connection and the documents, on at most [`BANNER_LINES`] lines each; true for
-    /// an error.
+    /// What is wrong with the connection and the documents, on one line each, or two of a high screen; true
+    /// for an error.
     pub fn banners(&self) -> Vec<(String, bool)> {
         const SIGN: &str = " ! ";
+        let most = if self.size.1 < HIGH { 1 } else { BANNER_LINES };
         let width = usize::from(self.size.0).saturating_sub(SIGN.len());
         let mut lines = Vec::new();
         for (text, is_error) in self.banner_texts() {
             let mut parts = wrap(&text, width);
-            if parts.len() > BANNER_LINES {
-                parts.truncate(BANNER_LINES);
-                parts[BANNER_LINES - 1].push('…');
+            if parts.len() > most {
+                parts.truncate(most);
+                parts[most - 1].push('…');
             }
             for (at, part) in parts.into_iter().enumerate() {
                 let begin = if at == 0 { SIGN } else { "   " };

@@ -20,7 +20,7 @@ use ratatui::layout::Rect;
 /// Height from which the status has two lines.
 const TWO_STATUS_LINES: u16 = 12;
 /// Height from which details and events are below the list.
-const HIGH: u16 = 20;
+pub(super) const HIGH: u16 = 20;
 /// Height from which they have more lines.
 const VERY_HIGH: u16 = 34;
 

@@ -79,6 +79,7 @@ pub(super) struct GatewayEntry {
     revision: u64,
     pub state: GatewayState,
     received: Instant,
+    is_received_late: bool,
     pub facts: Arc<GatewayFacts>,
     /// Revision of the filter that the next value is of; `None` after a change.
     filter_revision: Option<u64>,
@@ -91,6 +92,7 @@ impl GatewayEntry {
             revision: gateway.revision(),
             state: gateway.state(now),
             received: gateway.status_received(),
+            is_received_late: gateway.is_status_received_late(),
             facts: Arc::new(GatewayFacts::new(name, gateway)),
             filter_revision: None,
             is_match: true,
@@ -98,8 +100,9 @@ impl GatewayEntry {
     }
 
     pub fn row(&self, name: &GatewayName) -> GatewayRow {
-        let (state, received) = (self.state, self.received);
-        GatewayRow { name: name.clone(), state, received, facts: Arc::clone(&self.facts) }
+        let &Self { state, received, is_received_late, .. } = self;
+        let facts = Arc::clone(&self.facts);
+        GatewayRow { name: name.clone(), state, received, is_received_late, facts }
     }
 
     /// Returns true if it passes the filter; that is found once for each change of one of them.
@@ -154,7 +157,7 @@ impl FleetScreen {
         }
         self.sums = sums;
         // What the first reading brings did not happen now.
-        if self.completed.is_some() {
+        if self.is_first_reading_over {
             let time = self.options.unix_start + now.as_micros() as f64 / 1e6;
             for (name, state) in changes {
                 self.events.note_state(name, time, state);

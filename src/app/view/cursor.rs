@@ -95,6 +95,11 @@ impl<K: Clone + PartialEq> Selection<K> {
         self.line = self.line.min(height.saturating_sub(1)).min(index);
     }
 
+    /// Moves the selected row up on the screen, so that so many rows below it are on it, too.
+    pub fn make_room(&mut self, rows: usize, height: usize) {
+        self.line = self.line.min(height.saturating_sub(rows + 1));
+    }
+
     /// Selects the row on this line of the screen.
     pub fn click(&mut self, keys: &[K], line: usize, height: usize) {
         let top = self.top(self.index(keys.iter()), keys.len(), height);

@@ -5,7 +5,7 @@
 
 use super::query_responses::QueryResponseMatcher;
 use super::recent_values::{MAX_VALUES, RecentValues};
-use super::rhythm::{alternating_period, are_close_together, last_in_other_phase};
+use super::rhythm::{alternating_period, are_in_close_pairs, last_in_other_phase};
 use super::time_resolution::is_coarse;
 use crate::frame::Frame;
 use crate::text::Name;
@@ -206,7 +206,7 @@ impl HeartbeatHistory {
     /// they are so close together as those of one device that a gateway repeats.
     pub fn may_have_copies(&self, period: Duration) -> bool {
         let delay = COPY_WINDOW.min(period.mul_f64(COPY_PERIODS));
-        !self.has_random_rnd7() && are_close_together(&self.times, period, delay)
+        !self.has_random_rnd7() && are_in_close_pairs(&self.times, period, delay)
     }
 
     /// Times of the last heartbeats, oldest first, at most [`MAX_TIMES`].

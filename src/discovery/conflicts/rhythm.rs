@@ -126,25 +126,24 @@ pub(super) fn is_crowded(times: &VecDeque<Instant>, period: Duration) -> bool {
         && !may_have_restarted(times, period)
 }
 
-/// Returns true if the phases of the last heartbeats are at most `delay` apart.
-pub(super) fn are_close_together(
+/// Returns true if the last heartbeats are in pairs at most `delay` apart: nearly every gap is so short, or so
+/// long that only the other one of a pair is lost.
+pub(super) fn are_in_close_pairs(
     times: &VecDeque<Instant>,
     period: Duration,
     delay: Duration,
 ) -> bool {
-    let Some(&last) = times.back() else { return false };
-    let periods = |at: &Instant| last.since(*at).as_secs_f64() / period.as_secs_f64();
-    let mut phases = [0.0; CYCLE_TIMES];
-    let count = times.len().min(CYCLE_TIMES);
-    for (phase, at) in phases.iter_mut().zip(times.iter().rev()) {
-        *phase = periods(at).fract();
+    let skipped = times.len().saturating_sub(CYCLE_TIMES);
+    let gaps = times.iter().skip(skipped).zip(times.iter().skip(skipped + 1));
+    let gaps = gaps.map(|(one, next)| next.since(*one));
+    let between = delay..period.mul_f64(WHOLE_PERIOD).saturating_sub(delay);
+    let (mut other, mut all) = (0, 0);
+    for gap in gaps {
+        all += 1;
+        other += usize::from(gap > delay && between.contains(&gap));
     }
-    let phases = &mut phases[..count];
-    phases.sort_unstable_by(f64::total_cmp);
-    // The longest part of a period without a heartbeat, also over its end.
-    let over_end = 1.0 - phases[count - 1] + phases[0];
-    let longest = phases.windows(2).map(|two| two[1] - two[0]).fold(over_end, f64::max);
-    1.0 - longest <= delay.as_secs_f64() / period.as_secs_f64()
+    // A restart leaves another gap; of two senders farther apart, half of all are others.
+    other * 4 <= all
 }
 
 /// Returns the time of the last heartbeat in another phase than the newest one, if heartbeats

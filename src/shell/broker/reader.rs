@@ -4,6 +4,7 @@ use super::address::BrokerSettings;
 use super::back_off;
 use super::failure::BrokerFailure;
 use crate::time::Duration;
+use futures_util::FutureExt;
 use rumqttc::{
     AckMode, AsyncClient, DisconnectProperties, DisconnectReasonCode, Event, EventLoop, Packet,
     QoS, SubscribeFilterInput, SubscribeReasonCode,
@@ -185,6 +186,8 @@ impl ReaderThread {
                     let is_over = failure.is_final && !was_connected;
                     let wait = (!is_over).then(|| back_off(failures));
                     let notice = ReaderNotice::Failed(failure, wait);
+                    // What was wanted during this attempt is done.
+                    let _ = self.wakeup.notified().now_or_never();
                     if self.notices.send(notice).await.is_err() {
                         return;
                     }

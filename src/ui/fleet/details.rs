@@ -94,7 +94,7 @@ fn bus_facts(bus: &InventoryBus) -> String {
         load.map(|load| format!("load {:.1}%", load * 100.0)),
         number(bus.frames, "frames"),
         number(bus.errors, "errors"),
-        // Of several buses each has a line.
+        // Zero is left out: the bus has one line.
         number(bus.lost.filter(|lost| *lost > 0), "lost"),
     ];
     parts.into_iter().flatten().collect::<Vec<_>>().join(", ")
