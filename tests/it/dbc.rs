@@ -291,7 +291,7 @@ BO_ 2566844672 OfGateway: 8 X
 ";
 
 #[test]
-fn parameter_groups_of_j1939_have_any_sender_receiver_and_priority() {
+fn parameter_groups_have_any_sender_receiver_and_priority() {
     let words_of = "BA_DEF_ BO_ \"VFrameFormat\" ENUM \"StandardCAN\",\"ExtendedCAN\",\"reserved\",\"J1939PG\";\n";
     let other_words = "BA_DEF_ BO_ \"VFrameFormat\" ENUM \"J1939PG\", \"StandardCAN\";\n";
     let default = "BA_DEF_DEF_ \"VFrameFormat\" \"J1939PG\";\n";

@@ -113,7 +113,11 @@ fn causes_of_rejects_name_topic_and_fault() {
         ("a/status", "[true]", "descan/v1/a/status: no JSON object"),
         ("a/status", "{}", "descan/v1/a/status: missing field `online`"),
         ("a/bus/can%1b%5b2J", "{\"name\"", "descan/v1/a/bus/can%1b%5b2J: wrong JSON: line 1"),
-        ("a/device/can0/1", "{\"address\":\"x\"}", "descan/v1/a/device/can0/1: line 1, column 14: invalid type"),
+        (
+            "a/device/can0/1",
+            "{\"address\":\"x\"}",
+            "descan/v1/a/device/can0/1: line 1, column 14: invalid type",
+        ),
     ] {
         let fleet = fleet(&[(topic, payload)]);
         let last = fleet.rejects().last().unwrap();
