@@ -9,6 +9,7 @@ use super::file::FileContent;
 use super::history::{BusesReplay, Moment};
 use super::input::{MomentRange, MomentTarget};
 use super::problems::Problems;
+use super::stories::Story;
 use super::timeline_kind::TimelineKind;
 use super::view::Frozen;
 use super::{App, Buses, clock_millis};
@@ -89,7 +90,7 @@ impl App {
         is_wanted: fn(TimelineKind) -> bool,
     ) -> Option<Instant> {
         // Findings of the comparison with des.json are in stories alone.
-        let steps = self.notices.stories().iter().flat_map(|story| story.steps());
+        let steps = self.notices.stories().iter().flat_map(Story::steps);
         let findings = steps.map(|step| &step.entry).filter(|entry| entry.finding.is_some());
         let lines = self.timeline().entries().chain(findings);
         let times = lines.filter(|line| is_wanted(line.kind)).map(|line| line.time);

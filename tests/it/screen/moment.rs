@@ -124,7 +124,7 @@ fn finding_of_the_file_is_a_moment_between_others() {
     let missing = |entry: &&descan::app::StoryStep| {
         entry.entry.finding == Some(descan::finding::FindingKind::Missing)
     };
-    let steps = || stage.app.stories().iter().flat_map(|story| story.steps());
+    let steps = || stage.app.stories().iter().flat_map(descan::app::Story::steps);
     let times: Vec<_> = steps().filter(missing).map(|step| step.entry.time).collect();
     assert!(!times.is_empty());
     let mut seen = Vec::new();
