@@ -112,7 +112,7 @@ not in file:
 services differ:
   FEED at 12: services differ from the file: AUGER is 2.1, not 2.0; JAM is missing.
 des.json: 3 entries, 2 devices on can0: 2 missing, 1 wrong address, 1 static address taken, \
-1 not in file, 1 services differ
+1 not in file, 1 service list differs
 "
     );
     assert_eq!(code, 1);
