@@ -120,7 +120,7 @@ fn escape_shows_the_present_before_the_filter_goes_off() {
 fn finding_of_the_file_is_a_moment_between_others() {
     let mut stage = Stage::boiler();
     stage.until(24.0);
-    // Missing is told by the comparison with des.json alone.
+    // Only the comparison with des.json finds what is missing.
     let missing = |entry: &&descan::app::StoryStep| {
         entry.entry.finding == Some(descan::finding::FindingKind::Missing)
     };
