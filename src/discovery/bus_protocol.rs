@@ -4,7 +4,8 @@
 //! chance. So an address is not a device, and no device is requested, before a heartbeat that fits,
 //! a DES message or a claim was received; and where many identifiers are impossible instead, the
 //! bus speaks another protocol. The first frame that fits may do so by chance: until another one
-//! confirms it, impossible identifiers refute it.
+//! confirms it, impossible identifiers refute it; 11-bit ones only if none does so in time, since they
+//! may be of other devices on a mixed bus.
 
 use super::observation::{Observation, ObservationKind, PlatformContent};
 use crate::frame::Frame;
@@ -118,6 +119,12 @@ impl BusTraffic {
         self.impossible() >= MIN_IMPOSSIBLE && self.impossible() * 5 >= self.frames
     }
 
+    /// The same for the 29-bit identifiers alone.
+    fn has_mostly_non_conforming(&self) -> bool {
+        let extended = self.frames.saturating_sub(self.non_platform);
+        self.non_conforming >= MIN_IMPOSSIBLE && self.non_conforming * 5 >= extended
+    }
+
     /// Returns the number of frames whose identifiers no DES device sends.
     fn impossible(&self) -> u64 {
         self.non_platform + self.non_conforming
@@ -141,6 +148,8 @@ pub(super) struct ProtocolDetector {
     traffic: BusTraffic,
     /// True if `has_des` is beyond doubt.
     is_confirmed: bool,
+    /// Time of the first frame that fits, until `is_confirmed`.
+    first_fit_at: Option<Instant>,
     /// Heartbeat period of the profile.
     period: Duration,
     /// Offset of the mode in a heartbeat; `None` if the profile has none.
@@ -167,6 +176,7 @@ impl ProtocolDetector {
         Self {
             traffic: BusTraffic::default(),
             is_confirmed: false,
+            first_fit_at: None,
             period: heartbeat.period(),
             mode_offset: heartbeat.mode_offset,
             heartbeats: [[None; 2]; Address::COUNT],
@@ -197,7 +207,14 @@ impl ProtocolDetector {
                 self.judge_conforming(header, content, observation);
             }
         }
-        self.traffic.has_des &= self.is_confirmed || !self.traffic.is_mostly_impossible();
+        if !self.traffic.has_des || self.is_confirmed {
+            self.first_fit_at = None;
+            return;
+        }
+        let first = *self.first_fit_at.get_or_insert(observation.at);
+        let is_late = observation.at.since(first) > self.period.mul_f64(MAX_PERIODS);
+        self.traffic.has_des = !self.traffic.has_mostly_non_conforming()
+            && !(is_late && self.traffic.is_mostly_impossible());
     }
 
     /// Judges a frame whose identifier conforms to the platform.

@@ -236,6 +236,21 @@ fn two_senders_with_another_period_are_suspected() {
 }
 
 #[test]
+fn two_senders_whose_period_is_a_little_off_are_found() {
+    let folder = tempfile::tempdir().unwrap();
+    for period in [0.95, 0.97, 0.98, 0.99, 1.01, 1.02, 1.03, 1.05] {
+        for apart in [0.02, 0.05, 0.08, 0.085, 0.09, 0.095, 0.11, 0.13, 0.2, 0.3, 0.47] {
+            let data = format!("{FEED}0400");
+            let two = Log::default().beats(14, 0.1, 60.0, period, &data);
+            let two = two.beats(14, 0.1 + apart, 60.0, period, &data).lives(20, 0.73, 60.0, PUMP);
+            let found = scanned(folder.path(), &two.text());
+            let kinds: Vec<&str> = found.iter().map(|it| it.0.as_str()).collect();
+            assert_eq!(kinds, ["same-name-same-address"], "each {period} s, {apart} s apart");
+        }
+    }
+}
+
+#[test]
 fn two_names_with_another_period_are_one_conflict() {
     let folder = tempfile::tempdir().unwrap();
     let data = format!("{FEED}0400");
@@ -285,7 +300,7 @@ fn equal_heartbeats_soon_after_each_are_suspected() {
             (0.004, 0.0, 1.0, 0.0),
             (0.002, 0.2, 1.0, 0.0),
             (0.0, 0.0, 1.01, 0.0),
-            (0.0, 0.0, 0.99, 0.0),
+            (0.0, 0.0, 0.98, 0.0),
             (0.0, 0.0, 1.0, 2.4),
             (0.0, 0.0, 1.0, 0.37),
         ] {
@@ -307,6 +322,112 @@ fn equal_heartbeats_soon_after_each_are_suspected() {
             let found = watched(folder.path(), &log);
             assert!(found.iter().all(|told| told.1 != "confirmed"), "{label}: {found:?}");
         }
+    }
+}
+
+/// The log with each of these frames a second time, `delay` seconds later.
+fn repeated(log: Log, delay: f64, is_repeated: impl Fn(&str) -> bool) -> Log {
+    let copies: Vec<(f64, String)> =
+        log.lines.iter().filter(|(_, line)| is_repeated(line)).cloned().collect();
+    let mut log = log;
+    log.lines.extend(copies.into_iter().map(|(at, line)| (at + delay, line)));
+    log
+}
+
+#[test]
+fn gateway_that_repeats_a_device_with_constant_rnd7_is_suspected_at_most() {
+    let folder = tempfile::tempdir().unwrap();
+    let is_of_14 = |line: &str| line.starts_with("071C") || line.starts_with("051C");
+    for period in [0.5, 0.6, 0.7, 0.75, 1.0, 2.0] {
+        for delay in [0.005, 0.02, 0.05] {
+            let constant = Log { constant: Some(0), ..Log::default() };
+            let device = constant.beats(14, 0.1, 60.0, period, &format!("{FEED}0400"));
+            let log = repeated(device, delay, is_of_14).lives(20, 0.73, 60.0, PUMP);
+            let found = watched(folder.path(), &log.text());
+            let wrong = found.iter().find(|told| told.1 == "confirmed");
+            assert_eq!(wrong, None, "each {period} s, {delay} s later");
+        }
+    }
+    // The answers, too, of a device that is asked.
+    for (delay, every) in [(0.0008, 1.0), (0.02, 5.0), (0.06, 3.0)] {
+        let constant = Log { constant: Some(0), ..Log::default() };
+        let device = constant.lives(14, 0.1, 60.0, FEED).asked(60.0, every, 5, &["FEED"]);
+        let log = repeated(device, delay, is_of_14).lives(20, 0.73, 60.0, PUMP);
+        let found = watched(folder.path(), &log.text());
+        let wrong = found.iter().find(|told| told.1 == "confirmed");
+        assert_eq!(wrong, None, "{delay} s later, asked each {every} s: {found:?}");
+    }
+    // All devices of a bus, later than copies with a constant RND7 are known by their delay.
+    for delay in [0.11, 0.15, 0.2] {
+        let mut log = Log::default().lives(20, 0.73, 60.0, PUMP).lives(21, 0.41, 60.0, SENS);
+        log.constant = Some(0);
+        let log = repeated(log.lives(14, 0.1, 60.0, FEED), delay, |_| true);
+        let found = watched(folder.path(), &log.text());
+        let wrong = found.iter().find(|told| told.1 == "confirmed");
+        assert_eq!(wrong, None, "all {delay} s later");
+        assert!(found.iter().any(|told| told.0 == "frames-repeated"), "all {delay} s later");
+    }
+}
+
+#[test]
+fn two_boards_behind_a_gateway_that_repeats_both_are_found() {
+    let folder = tempfile::tempdir().unwrap();
+    for apart in [0.2, 0.35, 0.4] {
+        for delay in [0.002, 0.02, 0.06] {
+            for first in [0.1, 20.1] {
+                let log = Log::default().lives(14, 0.1, 60.0, FEED);
+                let log = log.lives(14, first + apart, 60.0, FEED);
+                let found = scanned(folder.path(), &repeated(log, delay, |_| true).text());
+                let is_found = found.iter().any(|told| told.0 == "same-name-same-address");
+                assert!(is_found, "{apart} s apart, copies {delay} s later: {found:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn device_that_restarts_again_and_again_is_suspected_at_most() {
+    let folder = tempfile::tempdir().unwrap();
+    for cycle in [1.05, 1.1, 1.38, 1.4, 1.42, 2.1] {
+        // The first heartbeat comes soon after the reset.
+        let mut log = Log::default().lives(20, 0.73, 60.0, PUMP);
+        for reset in 0..(60.0 / cycle) as u32 {
+            let reset = f64::from(reset) * cycle;
+            log = log.lives(14, reset + 0.05, reset + cycle, FEED);
+        }
+        let found = watched(folder.path(), &log.text());
+        let wrong = found.iter().find(|told| told.1 == "confirmed");
+        assert_eq!(wrong, None, "restarts each {cycle} s");
+    }
+}
+
+#[test]
+fn two_close_boards_with_a_long_period_are_suspected() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = format!("{FEED}0400");
+    for apart in [0.02, 0.04, 0.06, 0.08] {
+        let two = Log::default().beats(14, 0.1, 60.0, 2.0, &data);
+        let two = two.beats(14, 0.1 + apart, 60.0, 2.0, &data).lives(20, 0.73, 60.0, PUMP);
+        let found = scanned(folder.path(), &two.text());
+        let kinds: Vec<&str> = found.iter().map(|it| it.0.as_str()).collect();
+        assert_eq!(kinds, ["same-name-same-address"], "{apart} s apart");
+    }
+}
+
+#[test]
+fn fast_device_whose_heartbeats_are_often_late_is_not_confirmed() {
+    let folder = tempfile::tempdir().unwrap();
+    for seed in 0..20 {
+        let mut rng = fastrand::Rng::with_seed(seed);
+        let mut log = Log::default().beats(14, 0.1, 40.0, 0.5, &format!("{FEED}0400"));
+        for (at, _) in &mut log.lines {
+            if rng.f64() < 0.15 {
+                *at += 0.25 * rng.f64();
+            }
+        }
+        let found = watched(folder.path(), &log.lives(20, 0.73, 40.0, PUMP).text());
+        let wrong = found.iter().find(|told| told.1 == "confirmed");
+        assert_eq!(wrong, None, "seed {seed}");
     }
 }
 

@@ -206,6 +206,19 @@ fn heartbeat_by_chance_at_first_is_refuted_by_the_next_frames() {
 }
 
 #[test]
+fn devices_stay_where_frames_with_11_bits_begin_after_their_first_heartbeat() {
+    let later = standard(20_000).into_iter().map(|(at, frame)| (at + 450, frame));
+    for beats in [heartbeats(20_000), constant_heartbeats(1000, 20_000)] {
+        let (mut engine, _) = observed(later.clone().chain(beats).collect(), 20_000);
+        assert_eq!(engine.traffic().verdict(), BusVerdict::Des);
+        let [device] = engine.devices() else { panic!("one device") };
+        assert!(device.first_seen < Instant::from_micros(500_000));
+        let mut events = std::iter::from_fn(|| engine.poll_event());
+        assert!(events.all(|event| !matches!(event.kind, EventKind::Removed)));
+    }
+}
+
+#[test]
 fn changing_data_of_one_identifier_is_no_heartbeat() {
     for interval in [250, 500, 1000] {
         let frames = (0..60_000).step_by(interval).map(|at: u64| {

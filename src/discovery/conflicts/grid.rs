@@ -129,7 +129,17 @@ pub(super) fn grid_of(times: &VecDeque<Instant>, period: Duration) -> Option<Fas
             let late = longer_step_with_late(&gaps().collect::<Vec<f64>>(), step);
             Some(late.map_or(grid, |step| grid_with(gaps, step)))
         }
-        None => Some(grid_with(gaps, step_with_late(&gaps().collect::<Vec<f64>>())?)),
+        None => {
+            let all: Vec<f64> = gaps().collect();
+            let mut grids = steps_with_late(&all).map(|step| grid_with(gaps, step));
+            let first = grids.next()?;
+            // Late heartbeats may also fit a part of the step, most of whose parts are empty.
+            Some(if first.may_be_one() {
+                first
+            } else {
+                grids.find(FasterSender::may_be_one).unwrap_or(first)
+            })
+        }
     }
 }
 
@@ -205,19 +215,18 @@ fn empty_parts(gaps: impl Iterator<Item = f64>, step: f64, whole: u32) -> u32 {
     whole.saturating_sub(hit.count_ones())
 }
 
-/// Returns the step of which all gaps are multiples, but for a few heartbeats that are late. The
+/// Returns the steps of which all gaps are multiples, but for a few heartbeats that are late. The
 /// newest gap comes first.
-fn step_with_late(gaps: &[f64]) -> Option<f64> {
-    if gaps.len() < MIN_GAPS_WITH_LATE {
-        return None;
-    }
+fn steps_with_late(gaps: &[f64]) -> impl Iterator<Item = f64> {
     let mut ascending = gaps.to_vec();
     ascending.sort_unstable_by(f64::total_cmp);
     // A late heartbeat may leave a gap much shorter than a step, and lost ones longer ones.
     let shorter = ascending.partition_point(|gap| *gap < 1.5 * ascending[0]);
-    let steps = [ascending[(shorter - 1) / 2], ascending[(ascending.len() - 1) / 2]];
+    let middle = |count: usize| ascending.get(count.saturating_sub(1) / 2).copied();
+    let steps = [middle(shorter), middle(ascending.len())].into_iter().flatten();
+    let steps: Vec<f64> = steps.filter(|_| gaps.len() >= MIN_GAPS_WITH_LATE).collect();
     let numberings = steps.into_iter().flat_map(|step| MAX_LATENESS.map(|late| (step, late)));
-    numberings.into_iter().find_map(|(step, late)| step_of(&numbered_times(gaps, step, late)))
+    numberings.filter_map(|(step, late)| step_of(&numbered_times(gaps, step, late)))
 }
 
 /// Returns a step much longer than `step`, which fits all gaps, if it explains them with a few heartbeats

@@ -5,7 +5,7 @@
 
 use super::query_responses::QueryResponseMatcher;
 use super::recent_values::{MAX_VALUES, RecentValues};
-use super::rhythm::{alternating_period, are_in_close_pairs, last_in_other_phase};
+use super::rhythm::{alternating_period, delay_of_close_pairs, last_in_other_phase};
 use super::time_resolution::is_coarse;
 use crate::frame::Frame;
 use crate::text::Name;
@@ -76,6 +76,8 @@ pub(super) struct HeartbeatHistory {
     rnd7: Rnd7,
     /// Number of copies of the last heartbeat that were received.
     copy_count: u32,
+    /// True if the last heartbeat may be a late copy of the one before.
+    is_late_copy: bool,
     /// Time of the last heartbeat or copy.
     received_at: Option<Instant>,
     /// Time from the one before to the last heartbeat that is not a copy.
@@ -132,7 +134,11 @@ impl HeartbeatHistory {
         let further_copy_delay = gap.filter(|_| is_copy && self.copy_count > 0);
         // A fast sender sends the next heartbeat before that.
         let is_late = gap.is_some_and(|gap| gap > window || !is_equal || self.gap_before.is_some());
-        let previous_has_no_copy = self.copy_count == 0 && !is_copy && is_late;
+        // A copy that is as late as those of other addresses is not told from another heartbeat.
+        let is_late_copy = is_equal && !is_copy && gap.is_some_and(|gap| gap <= longest_delay);
+        let was_late_copy = std::mem::replace(&mut self.is_late_copy, is_late_copy);
+        let previous_has_no_copy =
+            self.copy_count == 0 && !is_copy && is_late && !is_late_copy && !was_late_copy;
         let is_new = !is_copy || self.rnd7 == Rnd7::Constant;
         match (last, gap) {
             (Some(last), _) if last.id != frame.id => {
@@ -202,11 +208,13 @@ impl HeartbeatHistory {
         self.rnd7 == Rnd7::Random
     }
 
-    /// Returns true if some of the last heartbeats may be copies of the others: nothing tells them apart, and
-    /// they are so close together as those of one device that a gateway repeats.
-    pub fn may_have_copies(&self, period: Duration) -> bool {
-        let delay = COPY_WINDOW.min(period.mul_f64(COPY_PERIODS));
-        !self.has_random_rnd7() && are_in_close_pairs(&self.times, period, delay)
+    /// Returns the delay between heartbeats that may be copies and their originals: nothing tells them apart, and
+    /// they are so close together as those of one device that a gateway repeats. `delay`: that of copies of
+    /// other addresses.
+    pub fn delay_of_likely_copies(&self, period: Duration, delay: Duration) -> Option<Duration> {
+        let longest = COPY_WINDOW.max(delay).min(period.mul_f64(COPY_PERIODS));
+        let delay = delay_of_close_pairs(&self.times, longest);
+        delay.filter(|_| !self.has_random_rnd7())
     }
 
     /// Times of the last heartbeats, oldest first, at most [`MAX_TIMES`].

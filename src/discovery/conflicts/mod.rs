@@ -78,6 +78,9 @@ const KEPT_PERIODS: f64 = 1.1;
 
 /// Description of a heartbeat in the second phase.
 const SECOND_PHASE: &str = "heartbeat, phase 2 of a period";
+/// Difference between the delays of the copies of heartbeats and of responses up to which one gateway makes
+/// both, beside a quarter of the delay. Chosen: a frame at 500 kbit/s.
+const BOTH_AS_LATE: Duration = Duration::from_micros(300);
 /// Description of a heartbeat in the second phase that may be a copy.
 const EQUAL_SECOND_PHASE: &str = "equal heartbeat soon after each";
 /// Description of a heartbeat at twice the rate.
@@ -288,6 +291,12 @@ impl ConflictDetector {
         let apart = surplus.apart;
         if surplus.first.same_on_wire(frame) {
             self.repeated_frames.note_duplicate(now, address, surplus.apart);
+            // A gateway repeats both as late.
+            let delay = self.delay_of_likely_copies(now, address);
+            let is_as_late = |delay: Duration| apart.abs_diff(delay) <= delay / 4 + BOTH_AS_LATE;
+            if delay.is_some_and(is_as_late) {
+                return None;
+            }
         }
         let others = self.findings_at(now, address);
         let evidence = surplus_response(response, surplus, others, name, frame);
@@ -457,7 +466,7 @@ impl ConflictDetector {
         let times = history.heartbeats.times();
         let resolution = self.time_resolution.of_last_frame();
         let mut pattern = resolution.map_or_else(HeartbeatPattern::default, |resolution| {
-            rhythm::pattern(times, period, resolution)
+            rhythm::pattern(times, rhythm::repeated_period(times, period), resolution)
         });
         // Rounded times do not show the number of senders by that of their heartbeats.
         let is_exact = resolution.is_some_and(|it| !time_resolution::is_coarse(it, period));
@@ -466,7 +475,8 @@ impl ConflictDetector {
         pattern.alternates = !reboots && resolution.is_some() && history.note_turns(now, period);
         let times = history.heartbeats.times();
         let counted = if reboots { &history.settled } else { times };
-        if is_exact && !state.is_resolving && rhythm::is_crowded(counted, period) {
+        let counted_period = rhythm::repeated_period(counted, period);
+        if is_exact && !state.is_resolving && rhythm::is_crowded(counted, counted_period) {
             pattern.two_phases = true;
             pattern.since = pattern.since.or(Some(now - period));
         }
@@ -477,7 +487,10 @@ impl ConflictDetector {
         }
         let is_confirmed = self.finding_tracker.has_confirmed_conflict(address);
         let in_other_phase = is_confirmed
-            .then(|| rhythm::last_in_other_phase(history.heartbeats.times(), period))
+            .then(|| {
+                let times = history.heartbeats.times();
+                rhythm::last_in_other_phase(times, rhythm::repeated_period(times, period))
+            })
             .flatten();
         for last in history.uids.second_last_seen().into_iter().chain(in_other_phase) {
             // Some of its heartbeats may be lost.
@@ -611,6 +624,13 @@ impl ConflictDetector {
         }
     }
 
+    /// Returns the delay between heartbeats of `address` that may be copies and their originals.
+    fn delay_of_likely_copies(&self, now: Instant, address: Address) -> Option<Duration> {
+        let delay = self.repeated_frames.longest_bus_delay(now);
+        let heartbeats = &self.histories[address].heartbeats;
+        heartbeats.delay_of_likely_copies(self.periods.of(address), delay)
+    }
+
     /// Returns what the timing of heartbeats shows whose content does not differ.
     fn rhythm_evidence<'a>(
         &mut self,
@@ -622,7 +642,9 @@ impl ConflictDetector {
         frame: &'a Frame,
     ) -> Option<NewEvidence<'a>> {
         // A copy whose original was lost is in another phase.
-        if self.repeated_frames.explains_timing(now, address) {
+        let times = self.histories[address].heartbeats.times();
+        let period = self.periods.of(address);
+        if self.repeated_frames.explains_timing(now, address, times, period) {
             return None;
         }
         let same = FindingKind::SameNameSameAddress;
@@ -653,8 +675,11 @@ impl ConflictDetector {
                 (FindingKind::OneAddressTwoNames, EvidenceStrength::Strong, SECOND_PHASE)
             }
             // A gateway that repeats the frames of one device does the same.
-            true if history.heartbeats.may_have_copies(self.periods.of(address)) => {
+            true if self.delay_of_likely_copies(now, address).is_some() => {
                 (same, EvidenceStrength::Weak, EQUAL_SECOND_PHASE)
+            }
+            true if rhythm::may_restart_often(history.heartbeats.times(), period) => {
+                (same, EvidenceStrength::Weak, SECOND_PHASE)
             }
             // One change of the name does not show that both are there.
             true => (same, EvidenceStrength::Strong, SECOND_PHASE),

@@ -42,6 +42,10 @@ const DELAY_JITTER: Duration = Duration::from_millis(15);
 const FAST_PAIRS: usize = 3;
 /// Minimum difference between the delays of heartbeat and response pairs: the jitter of a bridge.
 const FAST_PAIR_MARGIN: Duration = Duration::from_millis(5);
+/// Last intervals between heartbeats, and the number of those that no lost original explains from which on
+/// several senders do. Chosen: half of two periods each.
+const TIMED_GAPS: usize = 8;
+const MIN_OTHER_GAPS: usize = 4;
 /// Maximum number of frames whose copy may still arrive. Bounds the memory: all frames of
 /// `MAX_DELAY` at 1 Mbit/s.
 const MAX_OPEN: usize = 1024;
@@ -189,13 +193,32 @@ impl RepeatedFrameDetector {
     }
 
     /// Returns true if copies, some of whose originals are lost, explain the timing of the heartbeats
-    /// of `address`: they have copies, and none came as late as a copy and was another one.
-    pub fn explains_timing(&self, now: Instant, address: Address) -> bool {
-        let CopySeries { differs_at, uncopied, .. } = self.series[address];
+    /// of `address`, which were received at `times`, without copies: they have copies, none came as late as a
+    /// copy and was another one, and nearly all came about whole periods apart.
+    pub fn explains_timing(
+        &self,
+        now: Instant,
+        address: Address,
+        times: &VecDeque<Instant>,
+        period: Duration,
+    ) -> bool {
+        let CopySeries { differs_at, uncopied, longest, further, .. } = self.series[address];
         let recent = self.period * 10;
+        // A copy whose original is lost comes as late.
+        let late = self.delay.max(longest).max(further) + DELAY_JITTER * 2;
+        let is_other = |gap: Duration| gap > late && gap + late < period;
+        let gaps = times.iter().rev().zip(times.iter().rev().skip(1));
+        let gaps = gaps.take(TIMED_GAPS).map(|(next, one)| next.since(*one));
         self.is_repeated(now, address)
             && uncopied < MAX_UNCOPIED
             && differs_at.is_none_or(|at| now.since(at) > recent)
+            && gaps.filter(|gap| is_other(*gap)).count() < MIN_OTHER_GAPS
+    }
+
+    /// Returns the longest delay of the copies of other addresses, if the frames of all are repeated; else
+    /// zero.
+    pub fn longest_bus_delay(&self, now: Instant) -> Duration {
+        if self.is_bus_repeated(now) { self.delay + DELAY_JITTER } else { Duration::ZERO }
     }
 
     /// Returns the shortest delay of the copies of `address`, or of all with `None`: later ones

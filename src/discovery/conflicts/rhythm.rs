@@ -6,6 +6,7 @@ use super::grid::{
 };
 use super::history::{MAX_PHASES, WHOLE_PERIOD};
 use crate::time::{Duration, Instant};
+use std::cmp::Ordering;
 use std::collections::VecDeque;
 use std::ops::RangeInclusive;
 
@@ -33,6 +34,13 @@ const EARLY_PERIODS: f64 = 5.0;
 /// suspicious at most. Chosen: four in an interval at twice the rate.
 const MIN_STEPS_OF_RATE: u32 = 8;
 
+/// Deviation of the period of a device from the expected one, in periods, that its clock or its firmware's
+/// rounding explains. Chosen: larger ones are another period.
+const MAX_PERIOD_ERROR: f64 = 0.06;
+/// Deviation of nearly all intervals of one sender from its period, in periods. A smaller one of the period
+/// is not told from it.
+const PERIOD_NOISE: f64 = 0.01;
+
 /// Timing pattern of the heartbeats from one address.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct HeartbeatPattern {
@@ -51,6 +59,37 @@ pub(super) fn has_several_senders(times: &VecDeque<Instant>, period: Duration) -
     let Some(last) = times.back() else { return false };
     let recent = |time: &&Instant| last.since(**time) < period * 3;
     times.iter().rev().take_while(recent).count() >= 5
+}
+
+/// Returns the period after which most heartbeats are followed by another one, if it is nearly the expected
+/// one; else the expected one. The phases of several senders repeat after their own period.
+pub(super) fn repeated_period(times: &VecDeque<Instant>, expected: Duration) -> Duration {
+    let Some(&last) = times.back() else { return expected };
+    let window = expected * WINDOW_PERIODS;
+    let first = times.partition_point(|at| last.since(*at) > window);
+    let recent = || times.iter().skip(first).copied();
+    let whole = expected.mul_f64(WHOLE_PERIOD);
+    // The usual case: one sender.
+    if recent().zip(recent().skip(1)).all(|(one, next)| next.since(one) >= whole) {
+        return expected;
+    }
+    let longest = expected.mul_f64(1.0 + MAX_PERIOD_ERROR);
+    let deviation =
+        |after: Instant, at: Instant| after.since(at).as_secs_f64() / expected.as_secs_f64() - 1.0;
+    // Those so early that another one after them may have been received.
+    let early = || recent().take_while(|at| last.since(*at) >= longest);
+    let mut deviations: Vec<f64> = early()
+        .filter_map(|at| {
+            let later = recent().map(|after| deviation(after, at));
+            let nearest = later.min_by(|one, other| one.abs().total_cmp(&other.abs()))?;
+            (nearest.abs() <= MAX_PERIOD_ERROR).then_some(nearest)
+        })
+        .collect();
+    deviations.sort_unstable_by(f64::total_cmp);
+    let Some(&median) = deviations.get(deviations.len() / 2) else { return expected };
+    let agreeing = deviations.iter().filter(|it| (*it - median).abs() <= PERIOD_NOISE).count();
+    let is_other = median.abs() > PERIOD_NOISE && agreeing * 2 > early().count();
+    if is_other { expected.mul_f64(1.0 + median) } else { expected }
 }
 
 /// Returns the timing pattern of the last heartbeats, whose times have this resolution.
@@ -126,24 +165,67 @@ pub(super) fn is_crowded(times: &VecDeque<Instant>, period: Duration) -> bool {
         && !may_have_restarted(times, period)
 }
 
-/// Returns true if the last heartbeats are in pairs at most `delay` apart: nearly every gap is so short, or so
-/// long that only the other one of a pair is lost.
-pub(super) fn are_in_close_pairs(
+/// Returns the usual delay between the heartbeats of a pair, if the last heartbeats are in pairs at most
+/// `longest` apart, one pair in each period of one sender, whatever that is: the copies of its heartbeats, or
+/// two senders that close. Some heartbeats may be lost.
+pub(super) fn delay_of_close_pairs(
     times: &VecDeque<Instant>,
-    period: Duration,
-    delay: Duration,
-) -> bool {
+    longest: Duration,
+) -> Option<Duration> {
+    /// Deviation of the intervals of pairs from multiples of the period, in periods.
+    const PAIR_TOLERANCE: f64 = 0.2;
+    let skipped = times.len().saturating_sub(CYCLE_TIMES);
+    let mut recent = times.iter().skip(skipped).copied();
+    let mut first = recent.next()?;
+    let (mut delays, mut intervals) = (Vec::new(), Vec::new());
+    for at in recent {
+        let since = at.since(first);
+        if since <= longest {
+            delays.push(since);
+        } else {
+            intervals.push(since.as_secs_f64());
+            first = at;
+        }
+    }
+    let delay = median(&mut delays)?;
+    let period = median(&mut intervals)?;
+    // One of a pair may be lost.
+    let tolerance = PAIR_TOLERANCE * period + longest.as_secs_f64();
+    let is_other = |interval: &&f64| {
+        let whole = (*interval / period).round().max(1.0) * period;
+        (*interval - whole).abs() > tolerance.min(period / 4.0)
+    };
+    // A restart leaves another interval; of two senders farther apart, half of all are others.
+    let others = intervals.iter().filter(is_other).count();
+    let is_paired = delays.len() * 4 >= intervals.len();
+    (is_paired && others * 4 <= intervals.len()).then_some(delay)
+}
+
+/// Returns the middle one of these values.
+fn median<T: Copy + PartialOrd>(values: &mut [T]) -> Option<T> {
+    values.sort_unstable_by(|one, other| one.partial_cmp(other).unwrap_or(Ordering::Equal));
+    values.get(values.len() / 2).copied()
+}
+
+/// Returns true if one sender that restarts again and again explains the last heartbeats: between restarts
+/// they are exactly the expected period apart, and two in turns would have a clearly longer one.
+pub(super) fn may_restart_often(times: &VecDeque<Instant>, expected: Duration) -> bool {
+    /// Deviation of a whole interval from the expected period, in periods. Chosen: half the least of a
+    /// restart.
+    const WHOLE_INTERVAL: f64 = 0.015;
     let skipped = times.len().saturating_sub(CYCLE_TIMES);
     let gaps = times.iter().skip(skipped).zip(times.iter().skip(skipped + 1));
-    let gaps = gaps.map(|(one, next)| next.since(*one));
-    let alone = period.mul_f64(WHOLE_PERIOD).saturating_sub(delay);
-    let (mut other, mut all) = (0, 0);
+    let gaps = gaps.map(|(one, next)| next.since(*one).as_secs_f64() / expected.as_secs_f64());
+    let (mut whole, mut after_restart) = (0, 0);
     for gap in gaps {
-        all += 1;
-        other += usize::from(gap > delay && gap < alone);
+        match gap {
+            _ if (gap - 1.0).abs() <= WHOLE_INTERVAL => whole += 1,
+            _ if gap >= 2.0 * WHOLE_INTERVAL => after_restart += 1,
+            _ => return false,
+        }
     }
-    // A restart leaves another gap; of two senders farther apart, half of all are others.
-    other * 4 <= all
+    // Some heartbeats between are lost.
+    whole * 2 >= after_restart && after_restart > 0
 }
 
 /// Returns the time of the last heartbeat in another phase than the newest one, if heartbeats
@@ -264,7 +346,7 @@ pub(super) fn alternating_period(
 ) -> Option<Duration> {
     /// Part of both gaps together that the short one is. Chosen: clearly less than that of one sender
     /// whose times are in steps, of which the gaps take one more or less: half the long one at least.
-    const SHORT_GAP: RangeInclusive<f64> = 0.05..=0.31;
+    const SHORT_GAP: RangeInclusive<f64> = 0.005..=0.31;
     /// Gap, in expected periods, between two heartbeats of one sender that restarts in the other gap.
     const ONE_SENDER: RangeInclusive<f64> = 0.93..=1.07;
     /// Period, in expected ones, that is the expected one. Chosen: those rules tolerate as much.
