@@ -15,6 +15,7 @@ use crate::text::{Escaped, printable_with_backslashes};
 use crate::wire::descriptor::ByteOrder;
 use std::borrow::Cow;
 use std::collections::btree_map::Entry;
+use std::collections::hash_map;
 use std::collections::{BTreeMap, HashMap};
 use std::ops::RangeInclusive;
 
@@ -333,13 +334,14 @@ impl<'t> FileReader<'t> {
     /// Reads `SG_ Name m1 : 0|8@1+ (1,0) [0|0] "unit" …`.
     fn read_signal(&mut self, line: usize) -> Result<(), DbcError> {
         let name = self.name("the name of a signal")?;
-        let (mut is_switch, mut value) = (false, None);
+        let (mut is_switch, mut value, mut is_left_out) = (false, None, false);
         if let Some(DbcToken { kind: DbcTokenKind::Word(word), line, .. }) = self.next {
             self.advance()?;
             let digits = word.strip_prefix('m').map(|rest| rest.strip_suffix('M').unwrap_or(rest));
             value = digits.and_then(|digits| digits.parse().ok());
             is_switch = word == "M" || digits.is_some() && word.ends_with('M');
-            if value.is_none() && word != "M" {
+            is_left_out = word == "m";
+            if value.is_none() && word != "M" && !is_left_out {
                 let word = Escaped(word.as_bytes());
                 return Err(DbcError::new(line, format!("{name}: no multiplexor: {word}")));
             }
@@ -376,8 +378,8 @@ impl<'t> FileReader<'t> {
             return Ok(());
         };
         // A signal of over 64 bits has no value as a number, and is left out; so is one that is only in a
-        // message of several frames.
-        if size > 64 || start >= MAX_BITS {
+        // message of several frames, and one that is there at values that the file does not name.
+        if size > 64 || start >= MAX_BITS || is_left_out {
             if draft.left_out.len() < MAX_SIGNALS {
                 draft.left_out.insert(name, is_switch);
             }
@@ -387,9 +389,11 @@ impl<'t> FileReader<'t> {
         if at == MAX_SIGNALS {
             return Err(error("more than 1024 signals in one message"));
         }
-        if draft.places.insert(name.clone(), at).is_some() {
-            return Err(error("two signals have this name"));
-        }
+        // Values are named by their signals: of equal names the first one stays.
+        let hash_map::Entry::Vacant(place) = draft.places.entry(name.clone()) else {
+            return Ok(());
+        };
+        place.insert(at);
         draft.switches.push(SwitchDraft { line, is_switch, value, extended: None });
         draft.message.signals.push(MessageSignal {
             name,
@@ -435,6 +439,9 @@ impl<'t> FileReader<'t> {
         while let Some(DbcToken { kind: DbcTokenKind::Word(word), .. }) = self.next {
             let number = self.number("a value")?;
             let text = self.quoted("the name of the value in quotes")?;
+            if text.trim().is_empty() {
+                continue;
+            }
             let whole = Some(number).filter(|it| it.fract() == 0.0 && it.abs() < 1e20);
             // Floating point has not all digits of 64 bits. Numbers that no signal has are left out.
             if let Some(number) = word.parse().ok().or(whole.map(|it| it as i128)) {

@@ -21,6 +21,10 @@ use std::fmt::Write;
 
 /// Bit of the identifier of a message with 29 bits, as the file has it.
 const EXTENDED: u32 = 0x8000_0000;
+/// Bits of the sender's address in the identifier of a parameter group (SAE J1939-21).
+const SOURCE: u32 = 0xFF;
+/// Address of no device, which files have for any sender (SAE J1939-81).
+const NULL_ADDRESS: u32 = 0xFE;
 /// Most multiplexors that a signal depends on.
 const MAX_DEPTH: usize = 16;
 
@@ -30,7 +34,7 @@ pub struct MessageDatabase {
     /// By identifier, with [`EXTENDED`].
     messages: BTreeMap<u32, NamedMessage>,
     /// Identifiers of parameter groups of J1939, by [`parameter_group`].
-    groups: BTreeMap<u32, u32>,
+    groups: BTreeMap<u32, Vec<u32>>,
 }
 
 /// A message: its name and its signals.
@@ -53,7 +57,7 @@ impl MessageDatabase {
         for (id, message) in file::read(bytes)? {
             let Entry::Vacant(place) = self.messages.entry(id) else { continue };
             if message.is_parameter_group {
-                self.groups.entry(parameter_group(id)).or_insert(id);
+                self.groups.entry(parameter_group(id)).or_default().push(id);
             }
             place.insert(message);
         }
@@ -65,16 +69,21 @@ impl MessageDatabase {
         self.messages.is_empty()
     }
 
-    /// Returns the message of a data frame: the one with its identifier, otherwise the parameter group of it;
-    /// `None` for other frames.
+    /// Returns the message of a data frame: the one with its identifier, otherwise the parameter group of it,
+    /// of several the one of its sender, otherwise that of any sender; `None` for other frames.
     pub fn message(&self, frame: &Frame) -> Option<&NamedMessage> {
         let id = match frame.id {
             CanId::Standard(id) => u32::from(id),
             CanId::Extended(id) => id | EXTENDED,
         };
         let of_group = || {
-            let group = self.groups.get(&parameter_group(id)).filter(|_| id & EXTENDED != 0);
-            self.messages.get(group?)
+            let group = self.groups.get(&parameter_group(id)).filter(|_| id & EXTENDED != 0)?;
+            let rank = |of: &&u32| match **of & SOURCE {
+                source if source == id & SOURCE => 0,
+                NULL_ADDRESS => 1,
+                _ => 2,
+            };
+            self.messages.get(group.iter().min_by_key(rank)?)
         };
         self.messages.get(&id).or_else(of_group).filter(|_| frame.kind == FrameKind::Data)
     }

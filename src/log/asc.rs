@@ -119,7 +119,10 @@ impl AscLines {
             return Ok(Some((channel(word)?, frame)));
         }
         let (direction, rest) = first_word(rest);
-        let Some(is_tx) = is_tx(direction) else { return Ok(None) };
+        let Some(is_tx) = is_tx(direction) else {
+            let is_frame = matches!(first_word(rest).0, b"d" | b"D" | b"r" | b"R");
+            return if is_frame { no_frame(direction) } else { Ok(None) };
+        };
         let mut frame = self.classic_frame(id, rest)?;
         frame.is_tx = is_tx;
         Ok(Some((channel(word)?, frame)))
@@ -180,7 +183,7 @@ impl AscLines {
     fn fd_event(&self, event: &[u8]) -> Result<Option<(u8, Frame)>, FieldFault> {
         let (word, rest) = first_word(event);
         let (direction, rest) = first_word(rest);
-        let Some(is_tx) = is_tx(direction) else { return Ok(None) };
+        let Some(is_tx) = is_tx(direction) else { return no_frame(direction) };
         let number_of_channel = channel(word)?;
         let (id, mut rest) = first_word(rest);
         if let Some(frame) = error_event(id, rest) {
@@ -236,6 +239,12 @@ impl AscLines {
             }
         })
     }
+}
+
+/// Returns that a line with this word in the place of the direction has no frame, as that of a transmit
+/// request has none.
+fn no_frame<T>(direction: &[u8]) -> Result<Option<T>, FieldFault> {
+    if direction.eq_ignore_ascii_case(b"TxRq") { Ok(None) } else { Err(FieldFault::Column) }
 }
 
 /// Returns true for `Tx`, false for `Rx`; `None` for another word, such as that of a transmit request.

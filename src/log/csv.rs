@@ -108,6 +108,10 @@ impl GvretLines {
                         cells.rest = Some(rest);
                     }
                 }
+                // No byte: another row, the end of whose line is lost.
+                _ if at >= self.data && self.ends_with_data && cell.len() > LONGEST_BYTE => {
+                    return Err(FieldFault::Column);
+                }
                 _ => {}
             }
         }
@@ -170,6 +174,9 @@ impl WrappedCounter {
     }
 }
 
+/// Characters of the longest cell of a byte: `0xFF`.
+const LONGEST_BYTE: usize = 4;
+
 /// python-can's CSV log.
 pub(super) struct PythonCanLines;
 
@@ -198,6 +205,10 @@ impl PythonCanLines {
         let (is_extended, is_remote, is_error) = (flag(cell()?)?, flag(cell()?)?, flag(cell()?)?);
         let len = number(cell()?, 10).ok_or(FieldFault::Length)? as usize;
         let encoded = cell()?;
+        // A row that goes on is two of which the end of a line is lost.
+        if cells.next().is_some_and(|cell| !cell.is_empty()) {
+            return Err(FieldFault::Column);
+        }
         let mut data = [0; Frame::MAX_DATA];
         let data = data.get_mut(..len).ok_or(FieldFault::Length)?;
         let frame = if is_remote {

@@ -156,7 +156,8 @@ impl TrcLines {
                 b'I' => id = Some(word),
                 // A status line of some versions has nothing in these columns.
                 b'd' if word == b"Tx" || word == b"Rx" => is_tx = word == b"Tx",
-                b'd' if self.has_types => return Ok(None),
+                b'd' if self.has_types && matches!(kind, b"ST" | b"EC" | b"EV") => return Ok(None),
+                b'd' if self.has_types => return Err(FieldFault::Column),
                 // Warnings and errors of version 1.
                 b'd' => return self.other_message(word, time, bus),
                 b'l' | b'L' => (length, is_dlc) = (Some(word), column == b'L'),

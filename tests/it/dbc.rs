@@ -266,11 +266,6 @@ fn mistakes_of_a_file_have_their_line() {
             " SG_ Speed m1 : 0|16@1+ (1,0) [0|0] \"rpm\" TCM",
             "line 15: Speed: the message has no multiplexor (M)",
         ),
-        (
-            16,
-            " SG_ Speed : 0|16@1+ (1,0) [0|0] \"rpm\" TCM",
-            "line 16: Speed: two signals have this name",
-        ),
         (15, " SG_ Speed : 0|16@1+ (1,0) [0|0] rpm TCM", "line 15: expected the unit in quotes"),
         (30, "VAL_ 256 Fan 0 off ;", "line 30: expected the name of the value in quotes"),
         (31, "SIG_VALTYPE_ 256 Fan : 1;", "line 31: Fan: a number of this type has 32 bits"),
@@ -280,6 +275,44 @@ fn mistakes_of_a_file_have_their_line() {
     }
     let error = MessageDatabase::default().add(b"not a DBC file\n").unwrap_err();
     assert_eq!(error.to_string(), "line 2: no message (BO_) in the file");
+}
+
+#[test]
+fn signals_that_public_files_have_wrong_do_not_refuse_the_file() {
+    let text = "BO_ 256 Msg: 8 X\n SG_ A : 0|8@1+ (1,0) [0|0] \"\" X\n \
+        SG_ A : 8|8@1+ (1,0) [0|0] \"\" X\n SG_ B m : 16|8@1+ (1,0) [0|0] \"\" X\n \
+        SG_ C : 24|8@1+ (1,0) [0|0] \"\" X\nVAL_ 256 C 1 \"\" 2 \"on\" ;\n";
+    let mut database = MessageDatabase::default();
+    database.add(text.as_bytes()).unwrap();
+    let words = |data: [u8; 4]| {
+        let frame = Frame::new(CanId::standard(256).unwrap(), &data);
+        database.message(&frame).unwrap().in_words(&data)
+    };
+    assert_eq!(words([7, 8, 9, 2]), "Msg: A 7, C on");
+    assert_eq!(words([7, 8, 9, 1]), "Msg: A 7, C 1", "a name without letters");
+}
+
+#[test]
+fn parameter_group_of_several_senders_is_that_of_the_sender() {
+    let group = |name: &str, source: u32| format!("BO_ {} {name}: 8 X\n", 0x98F0_0400_u32 | source);
+    let kinds = "BA_DEF_ BO_ \"VFrameFormat\" ENUM \"StandardCAN\",\"J1939PG\";\nBA_DEF_DEF_ \"VFrameFormat\" \"J1939PG\";\n";
+    let (any, engine, brakes) = (group("Any", 0xFE), group("Engine", 0), group("Brakes", 0x0B));
+    for text in
+        [[&any, &engine, &brakes].map(String::as_str), [&brakes, &any, &engine].map(String::as_str)]
+    {
+        let mut database = MessageDatabase::default();
+        database.add((text.concat() + kinds).as_bytes()).unwrap();
+        for (id, name) in [
+            (0x18F0_0400, "Engine"),
+            (0x0CF0_0400, "Engine"),
+            (0x0CF0_040B, "Brakes"),
+            (0x18F0_0421, "Any"),
+            (0x18F0_04FE, "Any"),
+        ] {
+            let frame = Frame::classic(id, &[]);
+            assert_eq!(database.message(&frame).unwrap().name(), name, "{id:X}");
+        }
+    }
 }
 
 /// Vehicle speed from 0xFE, and torque control from 0xFE to 0.
