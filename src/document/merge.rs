@@ -15,6 +15,8 @@ use super::{Document, EditError};
 
 /// Description of an entry that one side deleted.
 const DELETED: &str = "deleted";
+/// Description of an entry that may be one of several of theirs.
+const AMBIGUOUS: &str = "not clear which of several entries";
 
 /// Result of a merge.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -41,7 +43,7 @@ pub struct EditConflict {
     pub operation: Operation,
     /// Value after the operation: "address 16, static". Safe on a terminal.
     pub ours: String,
-    /// Value in theirs: "address 13, static", "deleted". Safe on a terminal.
+    /// Value in theirs: "address 13, static", "deleted", or that it is not known. Safe on a terminal.
     pub theirs: String,
     /// Number among the conflicts of the merge, from 1.
     pub index: usize,
@@ -219,7 +221,8 @@ fn merge_operation(
         return merge_added(operation, base, theirs);
     };
     let before = &base.entries()[index];
-    let counterpart = counterparts(base, theirs)[index];
+    let counterparts = counterparts(base, theirs);
+    let counterpart = counterparts[index];
     let operation = match counterpart {
         Some(counterpart) => operation.with_key(theirs.key(counterpart)),
         None => operation.clone(),
@@ -230,9 +233,14 @@ fn merge_operation(
             return MergeStep::Done;
         }
         let changed = next.removed(index);
+        let may_be = |entry: &&Entry| {
+            (&entry.bus, &entry.name) == (&before.bus, &before.name)
+                && !counterparts.contains(&Some(entry.index))
+        };
+        let is_ambiguous = theirs.entries().iter().any(|entry| may_be(&entry));
         return MergeStep::Conflict {
             ours: describe(&operation.members(), &changed.entry),
-            theirs: DELETED.to_owned(),
+            theirs: if is_ambiguous { AMBIGUOUS } else { DELETED }.to_owned(),
             overwrite_with: vec![Operation::RestoreEntry { removed: changed }],
         };
     };

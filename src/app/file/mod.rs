@@ -104,8 +104,8 @@ impl FileEditor {
 
     /// Takes the edits that reached the disk, also while another program wrote.
     fn note_own_pins(&mut self) {
-        for (before, after) in self.file.take_saved() {
-            self.own_pins.note_saved(&before, &after);
+        for edits in self.file.take_saved() {
+            self.own_pins.note_saved(&edits);
         }
     }
 

@@ -4,12 +4,20 @@
 //! Pure: versions of the file in, edits that restore the addresses out. An entry is the same one if
 //! bus, name and UID are equal.
 
+use super::state::SavedEdits;
 use crate::document::{Document, Entry, Operation};
+
+/// Largest number of pins that are known as those of the user after another one took their place. As many
+/// as steps that can be undone.
+const MAX_FORMER: usize = 200;
 
 /// Static addresses that the user set.
 #[derive(Debug, Default)]
 pub(super) struct OwnPins {
     pins: Vec<Pin>,
+    /// All that the user set, the newest one last: an undone edit brings one of them back, or one that
+    /// was in the file before.
+    former: Vec<Pin>,
 }
 
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -41,9 +49,10 @@ fn pins_of(document: &Document) -> Vec<Pin> {
 }
 
 impl OwnPins {
-    /// Takes edits of the user that are on disk: the content without and with them. A pin that an
-    /// edit sets replaces the one of the same entry, overwritten or not.
-    pub fn note_saved(&mut self, before: &Document, after: &Document) {
+    /// Takes edits of the user that are on disk. A pin that an edit sets replaces the one of the same
+    /// entry, overwritten or not.
+    pub fn note_saved(&mut self, edits: &SavedEdits) {
+        let SavedEdits { before, after, chosen } = edits;
         let (was, is) = (pins_of(before), pins_of(after));
         let new: Vec<Pin> = is.into_iter().filter(|pin| !was.contains(pin)).collect();
         let edited = |pin: &Pin| {
@@ -60,8 +69,14 @@ impl OwnPins {
         for pin in new {
             let is_only = after.entries().iter().filter(|entry| pin.is_of(entry)).count() == 1;
             self.pins.retain(|known| *known != pin && !(is_only && known.is_same_entry(&pin)));
-            self.pins.push(pin);
+            if chosen.contains(&pin.address) || self.former.contains(&pin) {
+                self.former.retain(|known| *known != pin);
+                self.former.push(pin.clone());
+                self.pins.push(pin);
+            }
         }
+        let excess = self.former.len().saturating_sub(MAX_FORMER);
+        self.former.drain(..excess);
     }
 
     /// Forgets the pins that this content overwrites: the user has chosen it.
@@ -103,6 +118,12 @@ mod tests {
         Document::parse(text.as_bytes()).unwrap()
     }
 
+    /// Notes a save that sets the addresses in which both contents differ.
+    fn note(pins: &mut OwnPins, before: &Document, after: &Document) {
+        let chosen = pins_of(after).iter().map(|pin| pin.address).collect();
+        pins.note_saved(&SavedEdits { before: before.clone(), after: after.clone(), chosen });
+    }
+
     const LOOSE: &str = r#"[{"name":"FEED","address":10},{"name":"SENS","address":12}]"#;
     const PINNED: &str =
         r#"[{"name":"FEED","address":31,"static":true},{"name":"SENS","address":12}]"#;
@@ -110,7 +131,7 @@ mod tests {
     #[test]
     fn overwritten_pin_is_restored_in_its_entry() {
         let mut pins = OwnPins::default();
-        pins.note_saved(&document(LOOSE), &document(PINNED));
+        note(&mut pins, &document(LOOSE), &document(PINNED));
         assert_eq!(pins.restoring(&document(PINNED)), []);
         let theirs = document(LOOSE);
         let restored = pins.restoring(&theirs);
@@ -123,24 +144,24 @@ mod tests {
     #[test]
     fn pin_is_restored_each_time_it_is_overwritten() {
         let mut pins = OwnPins::default();
-        pins.note_saved(&document(LOOSE), &document(PINNED));
+        note(&mut pins, &document(LOOSE), &document(PINNED));
         for theirs in [LOOSE.to_owned(), PINNED.replace("31", "55"), PINNED.replace("31", "56")] {
             let theirs = document(&theirs);
             let restoring = pins.restoring(&theirs);
             assert_eq!(restoring.len(), 1);
             let restored = theirs.apply(&restoring[0]).unwrap();
             assert_eq!(pins_of(&restored), pins_of(&document(PINNED)));
-            pins.note_saved(&theirs, &restored);
+            note(&mut pins, &theirs, &restored);
         }
     }
 
     #[test]
     fn newest_pin_of_an_entry_replaces_an_earlier_one() {
         let mut pins = OwnPins::default();
-        pins.note_saved(&document(LOOSE), &document(PINNED));
+        note(&mut pins, &document(LOOSE), &document(PINNED));
         // Another program overwrote the first one before the second one was saved.
         let newest = document(&PINNED.replace("31", "32"));
-        pins.note_saved(&document(LOOSE), &newest);
+        note(&mut pins, &document(LOOSE), &newest);
         assert_eq!(pins.restoring(&newest), []);
         let theirs = document(LOOSE);
         let [restoring] = &pins.restoring(&theirs)[..] else { panic!("one pin") };
@@ -150,8 +171,28 @@ mod tests {
     #[test]
     fn pin_that_the_user_removes_is_forgotten() {
         let mut pins = OwnPins::default();
-        pins.note_saved(&document(LOOSE), &document(PINNED));
-        pins.note_saved(&document(PINNED), &document(LOOSE));
+        note(&mut pins, &document(LOOSE), &document(PINNED));
+        note(&mut pins, &document(PINNED), &document(LOOSE));
         assert_eq!(pins.restoring(&document(LOOSE)), []);
+    }
+
+    #[test]
+    fn pin_that_undo_brings_back_is_of_who_set_it() {
+        let undone = |before: &str, after: &str| SavedEdits {
+            before: document(before),
+            after: document(after),
+            chosen: Vec::new(),
+        };
+        let [first, second, third] = ["31", "32", "33"].map(|to| PINNED.replace("31", to));
+        let mut pins = OwnPins::default();
+        // 31 was in the file.
+        note(&mut pins, &document(&first), &document(&second));
+        pins.note_saved(&undone(&second, &first));
+        assert_eq!(pins.restoring(&document(&third)), []);
+        pins.note_saved(&undone(&first, &second));
+        assert_eq!(pins.restoring(&document(&first)).len(), 1, "redone");
+        note(&mut pins, &document(&second), &document(&third));
+        pins.note_saved(&undone(&third, &second));
+        assert_eq!(pins.restoring(&document(&first)).len(), 1, "32 was set by the user");
     }
 }

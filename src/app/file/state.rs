@@ -78,8 +78,29 @@ pub struct FileState {
     pending_conflict: Option<PendingConflict>,
     undo: UndoStack,
     redo: UndoStack,
-    /// Content on disk without and with edits that reached it, until they are taken.
-    saved: Vec<(Document, Document)>,
+    /// Edits that reached the disk, until they are taken.
+    saved: Vec<SavedEdits>,
+}
+
+/// Edits that reached the disk.
+#[derive(Clone, Debug)]
+pub(super) struct SavedEdits {
+    /// Content on disk without them.
+    pub before: Document,
+    /// The same with them.
+    pub after: Document,
+    /// Addresses that the user set in them; those that an undone edit brings back are none.
+    pub chosen: Vec<u8>,
+}
+
+/// Returns the addresses that these edits set.
+fn chosen_addresses(operations: &[Operation]) -> Vec<u8> {
+    let chosen = |operation: &Operation| match operation {
+        Operation::PinAddress { to, .. } => Some(*to),
+        Operation::Add { entry } => entry.address,
+        _ => None,
+    };
+    operations.iter().filter_map(chosen).collect()
 }
 
 /// The last valid content of the file at some moment, with the unsaved edits.
@@ -245,9 +266,8 @@ impl FileState {
         self.pending.is_empty() && !matches!(self.problem, Some(FileError::Unconfirmed(_)))
     }
 
-    /// Returns the edits that reached the disk since the last call: the content without and with
-    /// them.
-    pub fn take_saved(&mut self) -> Vec<(Document, Document)> {
+    /// Returns the edits that reached the disk since the last call.
+    pub(super) fn take_saved(&mut self) -> Vec<SavedEdits> {
         std::mem::take(&mut self.saved)
     }
 
@@ -381,7 +401,8 @@ impl FileState {
             _ => false,
         };
         if has_ours() {
-            self.saved.push((base, saving.content.clone()));
+            let (chosen, after) = (chosen_addresses(ours), saving.content.clone());
+            self.saved.push(SavedEdits { before: base, after, chosen });
             self.disk = Some(saving.content.clone());
             self.is_on_disk = true;
             self.pending.drain(..ours.len());
@@ -724,10 +745,12 @@ impl FileState {
         } else if saving.base_changed {
             return;
         }
-        let base = self.disk.replace(saving.content.clone()).unwrap_or_else(Document::empty);
-        self.saved.push((base, saving.content));
+        let before = self.disk.replace(saving.content.clone()).unwrap_or_else(Document::empty);
         self.is_on_disk = true;
-        self.pending.drain(..saving.operations.min(self.pending.len()));
+        let operations = self.pending.drain(..saving.operations.min(self.pending.len()));
+        let chosen = chosen_addresses(operations.as_slice());
+        drop(operations);
+        self.saved.push(SavedEdits { before, after: saving.content, chosen });
         if saving.expected.is_none() {
             self.leave_list();
         }

@@ -13,7 +13,7 @@ use crate::app::history::Moment;
 use crate::app::listing::{entry_bus, new_entry};
 use crate::app::problems::ProblemKey;
 use crate::app::view::RowKey;
-use crate::discovery::DeviceId;
+use crate::discovery::{Device, DeviceId};
 use crate::document::{Document, Entry, EntryKey, NewEntry, Operation};
 use crate::log::LogFormat;
 use crate::text::Quoted;
@@ -220,19 +220,52 @@ impl AddressPrompt {
             RowKey::Entry(..) | RowKey::Board(..) => false,
         };
         let is_pinned = entry.is_some_and(|it| it.is_static && it.address == Some(address));
-        address_in_use(context, address, bus, own).unwrap_or_else(|| {
-            C::Accepted(if is_pinned {
-                format!("already pinned to {address}")
-            } else {
-                match device.map(|it| it.address.number()).filter(|at| *at != address) {
-                    Some(at) => {
-                        format!("Enter pins it to {address} in the file; the device stays at {at}")
-                    }
-                    None => format!("Enter pins it to {address}"),
-                }
-            })
+        if let Some(used) = address_in_use(context, address, bus, own) {
+            return used;
+        }
+        if is_pinned {
+            return C::Accepted(format!("already pinned to {address}"));
+        }
+        if let Some(device) = device
+            && let Some(unclear) = unclear_device(context, device, entry)
+        {
+            return unclear;
+        }
+        let at = device.map(|it| it.address.number()).filter(|at| *at != address);
+        C::Accepted(match at {
+            _ if entry.is_none() => format!("Enter adds an entry with address {address}"),
+            Some(at) => {
+                format!("Enter pins it to {address} in the file; the device stays at {at}")
+            }
+            None => format!("Enter pins it to {address}"),
         })
     }
+}
+
+/// Warns where several devices on the bus have the name of this one, and its entry, or one that may be its,
+/// has no UID to tell them apart.
+fn unclear_device(context: PromptContext, device: &Device, entry: Option<&Entry>) -> Option<C> {
+    let bus = context.buses.get(device.id.bus)?;
+    let named = || bus.devices().iter().filter(|it| it.is_present() && it.name == device.name);
+    if named().count() < 2 {
+        return None;
+    }
+    let name = device.name.as_ref()?;
+    if let Some(entry) = entry {
+        let has_uid = entry.uid.as_ref().is_some_and(|uid| !uid.trim().is_empty());
+        let text =
+            format!("{} devices {name}, and no uid in the entry; Enter pins it", named().count());
+        return (!has_uid).then_some(C::Warning(text));
+    }
+    // An entry of this name that none of them matches.
+    let other = context.file.document().entries().iter().find(|entry| {
+        entry.name == name.as_bytes()
+            && entry.uid.as_ref().is_none_or(|uid| uid.trim().is_empty())
+            && entry.is_for_bus(&bus.name)
+            && named().all(|it| Some(it.address.number()) != entry.address)
+    })?;
+    let line = other.position.line;
+    Some(C::Warning(format!("line {line} may be this {name}; Enter adds another entry")))
 }
 
 impl PromptLogic for AddressPrompt {
