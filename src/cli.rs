@@ -964,7 +964,7 @@ pub struct RunArgs {
     /// Print JSON instead of text (watch: one object per line)
     #[arg(long)]
     pub json: bool,
-    /// Stop after SECONDS (log time for a log file) [default: scan, check: 15; log: its end]
+    /// Stop after SECONDS at the latest (log time for a log file) [default: scan, check: 15; log: its end]
     #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
     pub time: Option<Duration>,
     /// Start reading a log SECONDS after its first frame

@@ -86,13 +86,17 @@ fn is_cut(panel: &ConflictPanel, at: usize) -> bool {
     panel.sides.complete_from.is_some_and(|from| joined.is_none_or(|joined| joined < from))
 }
 
-/// Place of a board in the order of joining, which begins with 0, in words.
+/// Place of a board in the order of joining, which begins with 0: `2nd`, beside times no word for one.
 pub fn ordinal(place: usize) -> String {
-    match place {
-        1 => "second".to_owned(),
-        2 => "third".to_owned(),
-        place => format!("number {}", place + 1),
-    }
+    let number = place + 1;
+    let ending = match (number % 10, number % 100) {
+        (_, 11..=13) => "th",
+        (1, _) => "st",
+        (2, _) => "nd",
+        (3, _) => "rd",
+        _ => "th",
+    };
+    format!("{number}{ending}")
 }
 
 impl App {

@@ -460,6 +460,11 @@ fn unknown_word(word: &str) -> String {
     if word.contains(['.', '/']) {
         return format!("{word}: file not found; check the name, or name a bus: descan can0");
     }
+    if word == "guide" {
+        return format!(
+            "{word} is not a command or a bus; descan help lists the pages of the guide"
+        );
+    }
     let program = cli::program();
     let names = program.get_subcommands().map(clap::Command::get_name);
     let nearest = nearest_word(word, names);

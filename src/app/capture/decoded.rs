@@ -17,6 +17,7 @@ use crate::wire::isotp::{FlowStatus, Pci};
 use crate::wire::node::Uid;
 use crate::wire::profile::Profile;
 use std::fmt::Write;
+use unicode_width::UnicodeWidthStr;
 
 /// What a frame is, as the KIND column shows it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -145,6 +146,8 @@ pub struct Decoded {
     pub text: String,
     /// An error response, a malformed or non-conforming message, or an error frame.
     pub is_error: bool,
+    /// Name of the message of a DBC file, of a non-platform frame; empty without one.
+    pub message: String,
 }
 
 /// What a frame means, without the names of its sender and its receiver.
@@ -200,7 +203,9 @@ impl Decoded {
                 FrameRole::Foreign => "foreign",
                 _ => "standard",
             };
-            return Self { role, kind, text, is_error, ..Self::default() };
+            let message = buses.frame_types(None, frame).message();
+            let message = message.map_or(String::new(), |it| it.name().to_owned());
+            return Self { role, kind, text, is_error, message, ..Self::default() };
         };
         let kind = header.message_type();
         let name = |address| buses.name_at(frame.bus, address, frame.time);
@@ -219,7 +224,17 @@ impl Decoded {
             is_error,
             header: Some(header),
             role,
+            message: String::new(),
         }
+    }
+
+    /// Returns the text without the name of the message, which is shown before it if it fits `width` cells.
+    pub fn text_after_name(&self, width: usize) -> &str {
+        if self.message.is_empty() || self.message.width() > width {
+            return &self.text;
+        }
+        let rest = self.text.strip_prefix(&self.message);
+        rest.map_or(&self.text, |rest| rest.strip_prefix(": ").unwrap_or(rest))
     }
 
     /// Returns service and content as text, or the message type where there is no content.

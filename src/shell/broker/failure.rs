@@ -201,6 +201,7 @@ fn date_of(time: UnixTime) -> String {
 fn certificate_words(why: &CertificateError) -> (String, &'static str) {
     use CertificateError as Why;
     const RENEW: &str = "renew the broker's certificate, or check the clock of this machine";
+    const NAME_CA: &str = "name the certificate that signed it: --ca FILE";
     match why {
         Why::Expired => ("the broker's certificate is not valid by its dates".to_owned(), RENEW),
         Why::ExpiredContext { not_after, .. } => {
@@ -219,7 +220,11 @@ fn certificate_words(why: &CertificateError) -> (String, &'static str) {
         Why::Other(other) if other.to_string().contains("CaUsedAsEndEntity") => {
             ("the broker's certificate is that of a CA".to_owned(), ISSUE_ANEW)
         }
-        _ => (on_one_line(&why.to_string()), "name the certificate that signed it: --ca FILE"),
+        Why::UnknownIssuer => ("no trusted CA signed the broker's certificate".to_owned(), NAME_CA),
+        Why::BadSignature => {
+            ("the signature of the broker's certificate is not of its CA".to_owned(), NAME_CA)
+        }
+        _ => (on_one_line(&why.to_string()), NAME_CA),
     }
 }
 

@@ -47,7 +47,7 @@ impl DeviceDetails<'_, '_> {
         match services.map(|own| found.difference(own)) {
             Some(Some(difference)) => self.add("", Role::Warning, &format!("! {difference}")),
             Some(None) => {
-                let text = format!("has its {}", counted(count, "service"));
+                let text = format!("has the {} of its type", counted(count, "service"));
                 self.add("", Role::Muted, &text);
             }
             None => {}

@@ -43,8 +43,8 @@ pub const fn width_of_ends(has_addresses: bool) -> usize {
     2 * (NAME + if has_addresses { ADDRESS } else { 0 }) + 1
 }
 
-/// Returns sender and receiver, with their addresses if there is room for them; blank for a frame
-/// without them.
+/// Returns sender and receiver, with their addresses if there is room for them; for a frame without them
+/// the name of its message, blank without one.
 pub fn ends(
     brush: &DrawContext,
     decoded: &Decoded,
@@ -53,7 +53,7 @@ pub fn ends(
 ) -> Vec<Span<'static>> {
     let width = (width_of_ends(has_addresses) - 1) / 2;
     let Some(header) = decoded.header else {
-        return vec![brush.span(role, " ".repeat(2 * width + 1))];
+        return vec![brush.span(role, fit(&decoded.message, 2 * width + 1))];
     };
     let end = |name: &str, address: String| {
         let name = short_name(name, NAME);

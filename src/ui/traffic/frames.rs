@@ -142,7 +142,7 @@ pub fn draw(brush: &mut DrawContext) {
 fn following(left_out: u64) -> Vec<String> {
     match left_out {
         0 => vec!["  following".to_owned()],
-        count => vec![format!("  following, {count} left out"), format!("  {count} left out")],
+        count => vec![format!("  following, {count} skipped"), format!("  {count} skipped")],
     }
 }
 
@@ -242,7 +242,7 @@ fn frame_line(
         spans.push(brush.span(Role::Text, " "));
     }
     let role = if decoded.is_error { Role::Error } else { plain };
-    let mut text = decoded.text.clone();
+    let mut text = decoded.text_after_name(width_of_ends(columns.has_addresses)).to_owned();
     if let Some(transfer) = &transfer {
         let state = if transfer.is_complete() { "" } else { "incomplete: " };
         text = format!("{state}{}", summary_of(&transfer.message));
@@ -263,6 +263,10 @@ fn frame_line(
     let (note, note_role) = call_note(shown.part, decoded.role);
     let used: usize = spans.iter().map(Span::width).sum();
     let room = width.saturating_sub(used);
+    // By the name of the service, the mode has room.
+    if let Some(rest) = text.strip_prefix("heartbeat ").filter(|_| text.width() > room) {
+        text = format!("HR {rest}");
+    }
     let behind = note.width() + 2;
     if let Some(transfer) = &transfer {
         let frames = format!(", {} frames", transfer.frames);

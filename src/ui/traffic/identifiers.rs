@@ -9,10 +9,13 @@ use crate::time::Duration;
 use ratatui::layout::Rect;
 use ratatui::text::{Line, Span};
 use std::fmt::Write;
+use unicode_width::UnicodeWidthStr;
 
 /// A byte that changed is marked for so long, and is bright for so long.
 const MARKED: Duration = Duration::from_millis(1500);
 const BRIGHT: Duration = Duration::from_secs(5);
+
+const LAST_DATA: &str = "LAST DATA";
 
 /// Columns that give way on a narrow screen.
 #[derive(Clone, Copy)]
@@ -25,25 +28,32 @@ struct IdentifierColumns {
     has_rate: bool,
     has_extremes: bool,
     has_period: bool,
+    /// Cells of JITTER.
+    jitter: usize,
+    /// Cells of LAST DATA; 0 without the column.
     data: usize,
 }
 
+/// Cells that show three bytes and `…`.
+const LEAST_DATA: usize = 11;
+
 impl IdentifierColumns {
     fn new(brush: &DrawContext, width: u16) -> Self {
-        Self {
+        let mut columns = Self {
             has_bus: brush.app.buses().len() > 1 && width >= 60,
             has_addresses: width >= 124,
-            service: if width >= 110 { 9 } else { 4 },
+            service: if width >= 110 { 9 } else { 5 },
             has_length: width >= 112,
             has_rate: width >= 92,
             has_extremes: width >= 108,
             has_period: width >= 60,
-            data: match width {
-                0..64 => 0,
-                64..79 => 12,
-                _ => BYTES,
-            },
-        }
+            jitter: if width >= 92 { 9 } else { 8 },
+            data: 0,
+        };
+        let used = columns.title(false).trim_end_matches(LAST_DATA).width();
+        let room = usize::from(width).saturating_sub(used);
+        columns.data = if room < LEAST_DATA { 0 } else { room.min(BYTES) };
+        columns
     }
 
     /// `since`: counts are those since a moment.
@@ -57,7 +67,7 @@ impl IdentifierColumns {
         let _ = write!(
             title,
             "{} ",
-            fit(if self.service > 4 { "SERVICE" } else { "SRV" }, self.service)
+            fit(if self.service > 5 { "SERVICE" } else { "SRV" }, self.service)
         );
         if self.has_length {
             title += "LEN   ";
@@ -72,9 +82,10 @@ impl IdentifierColumns {
             title += " avg ms ";
         }
         if self.has_period {
-            title += "JITTER ms ";
+            let name = if self.jitter > 8 { "JITTER ms" } else { "JITTER" };
+            let _ = write!(title, "{} ", fit_right(name, self.jitter));
         }
-        title + "LAST DATA"
+        title + LAST_DATA
     }
 }
 
@@ -120,7 +131,8 @@ fn draw_span(brush: &mut DrawContext, columns: IdentifierColumns) {
     }
     brush.rule(rule, Role::Border);
     let means = if columns.has_extremes { "min, avg, max" } else { "avg" };
-    let text = format!(" {means}: last minute · JITTER: 95 % of the last 256 intervals ");
+    let unit = if columns.jitter > 8 { "" } else { "ms, " };
+    let text = format!(" {means}: last minute · JITTER: {unit}95 % of the last 256 intervals ");
     let line = Line::from(brush.span(Role::Muted, text));
     let area = Rect { x: rule.x + 1, width: rule.width.saturating_sub(2), ..rule };
     brush.line(area, 0, &line);
@@ -184,7 +196,7 @@ fn identifier_line(
     }
     if columns.has_period {
         let jitter = period.map_or_else(|| "–".to_owned(), |it| format!("±{}", millis(it.jitter)));
-        spans.push(brush.span(plain, format!("{} ", fit_right(&jitter, 9))));
+        spans.push(brush.span(plain, format!("{} ", fit_right(&jitter, columns.jitter))));
     }
     if columns.data > 0 {
         let role = |at: usize| match row.changed(at).map(|changed| now.since(changed)) {
@@ -195,9 +207,10 @@ fn identifier_line(
         spans.extend(bytes(brush, row.last.data(), columns.data, role));
     }
     let used: usize = spans.iter().map(Span::width).sum();
-    if !decoded.text.is_empty() && used + 14 <= usize::from(brush.screen.list.width) {
+    let text = decoded.text_after_name(width_of_ends(columns.has_addresses));
+    if !text.is_empty() && used + 14 <= usize::from(brush.screen.list.width) {
         let role = if decoded.is_error { Role::Error } else { Role::Muted };
-        spans.push(brush.span(role, format!(" {}", decoded.text)));
+        spans.push(brush.span(role, format!(" {text}")));
     }
     Line::from(spans)
 }

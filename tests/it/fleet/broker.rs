@@ -424,7 +424,10 @@ fn wrong_certificates_and_passwords_end_it_with_the_way_out() {
         (&["--ca", "ca.pem", "--credentials", "none.toml"], "none.toml: file not found"),
         (&["--ca", "ca.pem", "--credentials", "broken.toml"], "not a file of credentials"),
         (&["--ca", "other.pem", "--credentials", "viewer.toml"], "--ca FILE"),
-        (&["--credentials", "viewer.toml"], "TLS: "),
+        (
+            &["--credentials", "viewer.toml"],
+            "TLS: no trusted CA signed the broker's certificate; name the certificate",
+        ),
         (&["--ca", "empty.pem"], "empty.pem: no certificate in it"),
         (
             &["--ca", "ca.pem", "--cert", "ca.key", "--key", "ca.key"],

@@ -132,7 +132,7 @@ fn three_boards_have_three_columns_in_the_order_of_joining() {
     snapshot!("conflict_three_boards_120x40", stage.size(120, 40));
     let screen = stage.screen();
     assert!(screen.contains("THREE joined, conflicts with ONE and TWO (since 12:00:"), "{screen}");
-    assert!(row(&stage, "joined").contains("third"), "{screen}");
+    assert!(row(&stage, "joined").contains("3rd"), "{screen}");
     compare_with_past(&scenario, 30.0, 21.0);
 }
 

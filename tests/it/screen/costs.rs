@@ -89,13 +89,13 @@ fn slow_line_gets_no_more_than_it_takes() {
 
 /// More frames than can be read: a sample stands until the next, which says how many lie between.
 #[test]
-fn followed_frames_say_how_many_are_left_out() {
+fn followed_frames_say_how_many_are_skipped() {
     let mut busy = Busy::new(2000, (120, 40), false);
     busy.run(seconds(15)).keys("2").run(seconds(10));
     let lines = shown(&busy);
-    let header = lines.iter().find(|line| line.contains("left out")).unwrap();
+    let header = lines.iter().find(|line| line.contains("skipped")).unwrap();
     let count: Vec<&str> = header.split_whitespace().collect();
-    let count: u64 = count[count.len() - 3].parse().expect("a number left out");
+    let count: u64 = count[count.len() - 2].parse().expect("a number of frames");
     assert!((1000..20_000).contains(&count), "{header}");
-    assert!(header.ends_with("left out"), "{header}");
+    assert!(header.ends_with("skipped"), "{header}");
 }
