@@ -49,6 +49,8 @@ pub(super) struct SentCommands {
     /// The device that the user was asked about last, as it was then.
     asked: Option<(DeviceId, DeviceIdentity, Address)>,
     ended: VecDeque<EndedCommand>,
+    /// The device whose descriptor is being read for the user.
+    reading: Option<DeviceId>,
 }
 
 impl App {
@@ -282,6 +284,7 @@ impl App {
     pub(super) fn read_confirmed(&mut self, id: DeviceId) {
         match self.read_descriptor(id, None) {
             Ok(fields) => {
+                self.commands.reading = Some(id);
                 self.show_info(format!("reading {}", counted(fields as u64, "field")));
             }
             Err(why) => self.show_error(why),
@@ -290,6 +293,12 @@ impl App {
 
     /// Takes the end of a request to a device.
     pub(super) fn end_command(&mut self, bus: BusIndex, event: &Event) {
+        if let EventKind::DescriptorRead { values, fields } = &event.kind
+            && self.commands.reading.take_if(|id| event.device == Some(*id)).is_some()
+        {
+            let fields = counted(*fields as u64, "field");
+            self.show_info(format!("descriptor: {values} of {fields} read, in the details"));
+        }
         let EventKind::RequestEnded { request, frame, outcome } = &event.kind else { return };
         let Some((device, command)) = self.commands.open.remove(&(bus, *request)) else { return };
         let timeout = self.profile(bus).calls.timeout_ms;

@@ -70,7 +70,8 @@ impl MessageDatabase {
     }
 
     /// Returns the message of a data frame: the one with its identifier, otherwise the parameter group of it,
-    /// of several the one of its sender, otherwise that of any sender; `None` for other frames.
+    /// of several the one of its sender, otherwise that of any sender, otherwise the first; `None` for other
+    /// frames.
     pub fn message(&self, frame: &Frame) -> Option<&NamedMessage> {
         let id = match frame.id {
             CanId::Standard(id) => u32::from(id),

@@ -150,6 +150,8 @@ pub(super) struct ProtocolDetector {
     is_confirmed: bool,
     /// Time of the first frame that fits, until `is_confirmed`.
     first_fit_at: Option<Instant>,
+    /// True if frames that fit a heartbeat do not come in the period of the profile.
+    is_contradicted: bool,
     /// Heartbeat period of the profile.
     period: Duration,
     /// Offset of the mode in a heartbeat; `None` if the profile has none.
@@ -177,6 +179,7 @@ impl ProtocolDetector {
             traffic: BusTraffic::default(),
             is_confirmed: false,
             first_fit_at: None,
+            is_contradicted: false,
             period: heartbeat.period(),
             mode_offset: heartbeat.mode_offset,
             heartbeats: [[None; 2]; Address::COUNT],
@@ -208,11 +211,12 @@ impl ProtocolDetector {
             }
         }
         if !self.traffic.has_des || self.is_confirmed {
-            self.first_fit_at = None;
+            (self.first_fit_at, self.is_contradicted) = (None, false);
             return;
         }
         let first = *self.first_fit_at.get_or_insert(observation.at);
-        let is_late = observation.at.since(first) > self.period.mul_f64(MAX_PERIODS);
+        let is_late =
+            self.is_contradicted || observation.at.since(first) > self.period.mul_f64(MAX_PERIODS);
         self.traffic.has_des = !self.traffic.has_mostly_non_conforming()
             && !(is_late && self.traffic.is_mostly_impossible());
     }
@@ -276,6 +280,7 @@ impl ProtocolDetector {
             None => 1,
         };
         last[0] = Some(PlausibleHeartbeat { at, id, uid, periodic });
+        self.is_contradicted |= periodic == NOT_PERIODIC;
         let is_again =
             |before: PlausibleHeartbeat| before.id != id && periods(before.at) <= SAME_UID_PERIODS;
         before.is_some_and(is_again) || periodic >= MIN_PERIODIC

@@ -15,8 +15,8 @@ use super::{Document, EditError};
 
 /// Description of an entry that one side deleted.
 const DELETED: &str = "deleted";
-/// Description of an entry that may be one of several of theirs.
-const AMBIGUOUS: &str = "not clear which of several entries";
+/// Description of an entry that may be another one of this name in theirs.
+const AMBIGUOUS: &str = "deleted, or another entry of this name";
 
 /// Result of a merge.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -51,6 +51,11 @@ impl GvretLines {
         let others = [place(b"extended"), place(b"dir"), place(b"bus")];
         let mut named = [time, id, len].into_iter().chain(others.into_iter().flatten());
         let [extended, direction, bus] = others.map(|place| place.unwrap_or(NONE));
+        let is_data = |cell: &[u8]| match cell {
+            [] => true,
+            [b'd' | b'D', number @ ..] => number.iter().all(u8::is_ascii_digit),
+            _ => false,
+        };
         Some(Self {
             time,
             id,
@@ -59,7 +64,8 @@ impl GvretLines {
             bus,
             len,
             data,
-            ends_with_data: named.all(|place| place < data),
+            ends_with_data: named.all(|place| place < data)
+                && cells(line).skip(usize::from(data)).all(is_data),
             start: None,
             counter: WrappedCounter::default(),
         })

@@ -150,6 +150,8 @@ impl TrcLines {
                 // Milliseconds with at most three places: microseconds.
                 b'O' => time = Some(fixed_point::<3>(word).ok_or(FieldFault::Time)?),
                 b'T' => kind = word,
+                // An event may be of no bus.
+                b'B' if kind == b"EV" => return Ok(None),
                 b'B' => bus = channel(word)?,
                 // An error frame has no identifier.
                 b'I' if matches!(word, b"Rx" | b"Tx") => continue,
@@ -157,6 +159,7 @@ impl TrcLines {
                 // A status line of some versions has nothing in these columns.
                 b'd' if word == b"Tx" || word == b"Rx" => is_tx = word == b"Tx",
                 b'd' if self.has_types && matches!(kind, b"ST" | b"EC" | b"EV") => return Ok(None),
+                b'd' if kind == b"ER" && word == b"-" => {}
                 b'd' if self.has_types => return Err(FieldFault::Column),
                 // Warnings and errors of version 1.
                 b'd' => return self.other_message(word, time, bus),

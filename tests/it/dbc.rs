@@ -558,7 +558,8 @@ fn screen_shows_message_and_signals_of_a_frame() {
     stage.app.handle_frames(end, &[frame]);
     stage.app.handle_timeout(end);
     let screen = stage.keys("2").screen();
-    assert!(screen.contains("Engine: Speed 848.00 rpm"), "{screen}");
+    let row = screen.lines().find(|line| line.contains("Speed 848.00 rpm")).unwrap();
+    assert!(row.contains("std  Engine "), "{screen}");
     let screen = stage.keys("Enter").screen();
     for line in ["message   Engine", "signals   Speed 848.00 rpm", "Torque -0.5 Nm"] {
         let words = |text: &str| text.split_whitespace().collect::<Vec<_>>().join(" ");

@@ -74,6 +74,34 @@ fn convert(folder: &Path, from: &str, to: &str) -> String {
 }
 
 #[test]
+fn lines_of_frames_with_a_broken_column_are_counted() {
+    let asc = "date Tue Nov 14 10:13:20.123 pm 2023\nbase hex  timestamps absolute\n \
+        0.0 1  123  Rx   d 1 01\n 0.1 1  124  Vx   d 1 02\n 0.2 1  124  TxRq d 1 02\n \
+        0.3 CANFD 1 Vx 125 1 0 1 1 01\n 0.4 CAN 1 Status:chip status error active\n \
+        0.5 1  Statistic: D 0 R 0\n 0.6 CANFD 1 TxRq 125 1 0 1 1 01\n";
+    let trc = ";$FILEVERSION=2.1\n;$STARTTIME=44548.6\n;$COLUMNS=N,O,T,B,I,d,R,L,D\n \
+        1 1059.900 DT 1 0300 Rx - 1 00\n 2 1060.900 DT 1 0301 R8 - 1 01\n \
+        3 1061.900 DT 1 ! 0302 Rx - 1 02\n 4 1062.000 EV - - - - 3 abc\n \
+        5 1063.000 ST 1 - Rx - 4 00 00 00 08\n";
+    let csv = "timestamp,arbitration_id,extended,remote,error,dlc,data\n\
+        1.0,0x7ff,0,0,0,1,Og==\n1.1,0x7ff,0,1,0,0,1.2,0x7ff,0,0,0,1,Og==\n";
+    let gvret = "Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2,D3,D4,D5,D6,D7,D8\n\
+        1000,00000123,false,Rx,1,1,C6,\n2000,00000123,false,Rx,1,1,C6,2100,00000124,false,Rx,1,1,C6,\n";
+    let commented = "Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2,Comment\n\
+        1000,00000123,false,Rx,1,1,C6,,door opened\n";
+    for (name, text, expected) in [
+        ("ASC", asc, (1, 2)),
+        ("TRC", trc, (1, 2)),
+        ("CSV", csv, (1, 1)),
+        ("GVRET", gvret, (1, 1)),
+        ("GVRET with a comment", commented, (1, 0)),
+    ] {
+        let (frames, summary) = read(text.as_bytes());
+        assert_eq!((frames.len(), summary.unreadable), expected, "{name}");
+    }
+}
+
+#[test]
 fn log_that_begins_in_the_repeated_hour_says_so() {
     let folder = tempfile::tempdir().unwrap();
     // 2:30 of 29 October 2023 in Berlin, for the first and for the second time.

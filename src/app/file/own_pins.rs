@@ -65,11 +65,17 @@ impl OwnPins {
                 })
         };
         let kept = pins_of(after);
+        // A renamed entry has the pin of the one before.
+        let gone: Vec<Pin> = self.pins.iter().filter(|pin| !kept.contains(pin)).cloned().collect();
+        let is_renamed = |pin: &Pin| {
+            let mut gone = gone.iter();
+            gone.any(|it| (&it.bus, &it.uid, it.address) == (&pin.bus, &pin.uid, pin.address))
+        };
         self.pins.retain(|pin| kept.contains(pin) || !edited(pin));
         for pin in new {
             let is_only = after.entries().iter().filter(|entry| pin.is_of(entry)).count() == 1;
             self.pins.retain(|known| *known != pin && !(is_only && known.is_same_entry(&pin)));
-            if chosen.contains(&pin.address) || self.former.contains(&pin) {
+            if chosen.contains(&pin.address) || self.former.contains(&pin) || is_renamed(&pin) {
                 self.former.retain(|known| *known != pin);
                 self.former.push(pin.clone());
                 self.pins.push(pin);
@@ -194,5 +200,16 @@ mod tests {
         note(&mut pins, &document(&second), &document(&third));
         pins.note_saved(&undone(&third, &second));
         assert_eq!(pins.restoring(&document(&first)).len(), 1, "32 was set by the user");
+    }
+
+    #[test]
+    fn pin_of_a_renamed_entry_stays_that_of_the_user() {
+        let mut pins = OwnPins::default();
+        note(&mut pins, &document(LOOSE), &document(PINNED));
+        let renamed = PINNED.replace("FEED", "FEED2");
+        let (before, after) = (document(PINNED), document(&renamed));
+        pins.note_saved(&SavedEdits { before, after, chosen: Vec::new() });
+        let theirs = document(&renamed.replace("31", "55"));
+        assert_eq!(pins.restoring(&theirs).len(), 1);
     }
 }

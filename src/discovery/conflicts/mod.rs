@@ -465,8 +465,9 @@ impl ConflictDetector {
             history.working.observe(now, &state.is_working, period.mul_f64(1.05)).return_count;
         let times = history.heartbeats.times();
         let resolution = self.time_resolution.of_last_frame();
+        let repeated = rhythm::repeated_period(times, period);
         let mut pattern = resolution.map_or_else(HeartbeatPattern::default, |resolution| {
-            rhythm::pattern(times, rhythm::repeated_period(times, period), resolution)
+            rhythm::pattern(times, repeated, resolution)
         });
         // Rounded times do not show the number of senders by that of their heartbeats.
         let is_exact = resolution.is_some_and(|it| !time_resolution::is_coarse(it, period));
@@ -474,8 +475,11 @@ impl ConflictDetector {
             history.resolving_at.is_some_and(|at| now.since(at) < period * WINDOW_PERIODS);
         pattern.alternates = !reboots && resolution.is_some() && history.note_turns(now, period);
         let times = history.heartbeats.times();
-        let counted = if reboots { &history.settled } else { times };
-        let counted_period = rhythm::repeated_period(counted, period);
+        let (counted, counted_period) = if reboots {
+            (&history.settled, rhythm::repeated_period(&history.settled, period))
+        } else {
+            (times, repeated)
+        };
         if is_exact && !state.is_resolving && rhythm::is_crowded(counted, counted_period) {
             pattern.two_phases = true;
             pattern.since = pattern.since.or(Some(now - period));
@@ -487,10 +491,7 @@ impl ConflictDetector {
         }
         let is_confirmed = self.finding_tracker.has_confirmed_conflict(address);
         let in_other_phase = is_confirmed
-            .then(|| {
-                let times = history.heartbeats.times();
-                rhythm::last_in_other_phase(times, rhythm::repeated_period(times, period))
-            })
+            .then(|| rhythm::last_in_other_phase(history.heartbeats.times(), repeated))
             .flatten();
         for last in history.uids.second_last_seen().into_iter().chain(in_other_phase) {
             // Some of its heartbeats may be lost.

@@ -77,18 +77,26 @@ pub(super) fn repeated_period(times: &VecDeque<Instant>, expected: Duration) -> 
     let deviation =
         |after: Instant, at: Instant| after.since(at).as_secs_f64() / expected.as_secs_f64() - 1.0;
     // Those so early that another one after them may have been received.
-    let early = || recent().take_while(|at| last.since(*at) >= longest);
-    let mut deviations: Vec<f64> = early()
-        .filter_map(|at| {
-            let later = recent().map(|after| deviation(after, at));
-            let nearest = later.min_by(|one, other| one.abs().total_cmp(&other.abs()))?;
-            (nearest.abs() <= MAX_PERIOD_ERROR).then_some(nearest)
-        })
-        .collect();
+    let early = recent().take_while(|at| last.since(*at) >= longest).count();
+    let mut deviations: Vec<f64> = Vec::with_capacity(early);
+    let mut later = first;
+    for at in recent().take(early) {
+        // Of ascending times, the nearest one is not before that of the time before.
+        let mut nearest = deviation(times[later], at);
+        while let Some(&next) = times.get(later + 1)
+            && deviation(next, at).abs() <= nearest.abs()
+        {
+            later += 1;
+            nearest = deviation(next, at);
+        }
+        if nearest.abs() <= MAX_PERIOD_ERROR {
+            deviations.push(nearest);
+        }
+    }
     deviations.sort_unstable_by(f64::total_cmp);
     let Some(&median) = deviations.get(deviations.len() / 2) else { return expected };
     let agreeing = deviations.iter().filter(|it| (*it - median).abs() <= PERIOD_NOISE).count();
-    let is_other = median.abs() > PERIOD_NOISE && agreeing * 2 > early().count();
+    let is_other = median.abs() > PERIOD_NOISE && agreeing * 2 > early;
     if is_other { expected.mul_f64(1.0 + median) } else { expected }
 }
 
@@ -213,7 +221,7 @@ pub(super) fn may_restart_often(times: &VecDeque<Instant>, expected: Duration) -
     /// Deviation of a whole interval from the expected period, in periods. Chosen: half the least of a
     /// restart.
     const WHOLE_INTERVAL: f64 = 0.015;
-    let skipped = times.len().saturating_sub(CYCLE_TIMES);
+    let skipped = times.len().saturating_sub(TWO_PHASE_TIMES);
     let gaps = times.iter().skip(skipped).zip(times.iter().skip(skipped + 1));
     let gaps = gaps.map(|(one, next)| next.since(*one).as_secs_f64() / expected.as_secs_f64());
     let (mut whole, mut after_restart) = (0, 0);

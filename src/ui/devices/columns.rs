@@ -31,7 +31,7 @@ use Column as C;
 pub const SIGNS: usize = 3;
 /// Cells of FILE, and of its short form: sign and address.
 const FILE: usize = 8;
-const SHORT_FILE: usize = 4;
+const SHORT_FILE: usize = 5;
 /// Cells of NAME: as many as are left, within this range; of more than the second only where all
 /// other columns have theirs.
 const NAME: [usize; 3] = [8, 9, 20];

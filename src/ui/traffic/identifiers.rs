@@ -15,8 +15,6 @@ use unicode_width::UnicodeWidthStr;
 const MARKED: Duration = Duration::from_millis(1500);
 const BRIGHT: Duration = Duration::from_secs(5);
 
-const LAST_DATA: &str = "LAST DATA";
-
 /// Columns that give way on a narrow screen.
 #[derive(Clone, Copy)]
 struct IdentifierColumns {
@@ -50,8 +48,7 @@ impl IdentifierColumns {
             jitter: if width >= 92 { 9 } else { 8 },
             data: 0,
         };
-        let used = columns.title(false).trim_end_matches(LAST_DATA).width();
-        let room = usize::from(width).saturating_sub(used);
+        let room = usize::from(width).saturating_sub(columns.title(false).width());
         columns.data = if room < LEAST_DATA { 0 } else { room.min(BYTES) };
         columns
     }
@@ -85,7 +82,10 @@ impl IdentifierColumns {
             let name = if self.jitter > 8 { "JITTER ms" } else { "JITTER" };
             let _ = write!(title, "{} ", fit_right(name, self.jitter));
         }
-        title + LAST_DATA
+        if self.data > 0 {
+            title += "LAST DATA";
+        }
+        title
     }
 }
 

@@ -180,7 +180,7 @@ fn boards_with_blank_uids_are_told_apart_by_phase() {
     for words in ["(UIDs blank)", "distinguished by the phase", "A no UID", "B no UID"] {
         assert!(screen.contains(words), "{words}\n{screen}");
     }
-    assert!(row(&stage, "joined").contains("second"), "{screen}");
+    assert!(row(&stage, "joined").contains("2nd"), "{screen}");
     compare_with_past(&scenario, 40.0, 33.0);
 }
 
@@ -262,7 +262,7 @@ fn board_that_comes_back_was_there_before_the_other() {
         assert!(screen.contains(words), "{screen}");
         assert!(screen.contains("A ONE") && screen.contains("B TWO"), "{screen}");
         assert!(row(&stage, "joined").contains("12:00:00, back 12:0"), "{screen}");
-        let remedy = "Unplug TWO (second: ONE was there from 12:00:00 on); a write to 14";
+        let remedy = "Unplug TWO (2nd: ONE was there from 12:00:00 on); a write to 14";
         assert!(super::one_line(&screen).contains(remedy), "{screen}");
         // The letters are the same on the other pages.
         let letters = |stage: &Stage| {

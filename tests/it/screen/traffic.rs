@@ -277,7 +277,7 @@ fn times_of_frames_have_four_formats() {
 fn identifiers_say_what_their_statistics_are_of() {
     let mut stage = Stage::boiler();
     stage.until(20.0).keys("2 v");
-    let rule = " avg: last minute · JITTER: 95 % of the last 256 intervals ";
+    let rule = " avg: last minute · JITTER: ms, 95 % of the last 256 intervals ";
     assert!(stage.screen().contains(rule), "{}", stage.screen());
     let rule = " min, avg, max: last minute · JITTER: 95 % of the last 256 intervals ";
     assert!(stage.size(120, 30).screen().contains(rule));
