@@ -217,8 +217,9 @@ impl ProtocolDetector {
         let first = *self.first_fit_at.get_or_insert(observation.at);
         let is_late =
             self.is_contradicted || observation.at.since(first) > self.period.mul_f64(MAX_PERIODS);
-        self.traffic.has_des = !self.traffic.has_mostly_non_conforming()
-            && !(is_late && self.traffic.is_mostly_impossible());
+        let is_refuted = self.traffic.has_mostly_non_conforming()
+            || is_late && self.traffic.is_mostly_impossible();
+        self.traffic.has_des = !is_refuted;
     }
 
     /// Judges a frame whose identifier conforms to the platform.

@@ -206,7 +206,7 @@ fn heartbeat_by_chance_at_first_is_refuted_by_the_next_frames() {
 }
 
 #[test]
-fn devices_stay_where_frames_with_11_bits_begin_after_their_first_heartbeat() {
+fn first_heartbeat_is_not_refuted_by_11_bit_frames() {
     let later = standard(20_000).into_iter().map(|(at, frame)| (at + 450, frame));
     for beats in [heartbeats(20_000), constant_heartbeats(1000, 20_000)] {
         let (mut engine, _) = observed(later.clone().chain(beats).collect(), 20_000);

@@ -301,11 +301,11 @@ fn bus_with_another_bit_rate_than_the_project_is_a_finding() {
 }
 
 #[test]
-fn rows_of_two_buses_have_the_mark_of_a_cut_where_bytes_are_left_out() {
+fn rows_of_two_buses_have_a_mark_where_bytes_are_left_out() {
     let boiler = Scenario::builtin("boiler").unwrap();
     let mut pair = Pair::new([&boiler, &boiler]);
     let screen = pair.run(0..12).keys("2 v").screen(80, 24);
-    let rows: Vec<&str> = screen.lines().filter(|line| line.contains("can1 ")).collect();
+    let rows: Vec<&str> = screen.lines().filter(|line| line.contains("can0   ")).collect();
     let bytes_before_mark = |line: &&str| {
         let words = line.strip_suffix('…').map(|line| line.split_whitespace().rev());
         let is_byte = |word: &&str| word.len() == 2 && u8::from_str_radix(word, 16).is_ok();
