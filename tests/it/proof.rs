@@ -81,7 +81,7 @@ fn proof_of_a_conflict_names_boards_frames_and_rules() {
         "since:** 2026-11-21 12:00:26.824",
         "Two devices answer as ACT at address 14.",
         "| A BOILER03 · ACT | B SPARE01 · ACT |",
-        "| joined | 12:00:05.796, claimed 14 in ARSLV | 12:00:26.824, second, claimed 14 in ARSLV |",
+        "| joined | 12:00:05.796, claimed 14 in ARSLV | 12:00:26.824, 2nd, claimed 14 in ARSLV |",
         "18 of 79 events",
         "| 1 | 2026-11-21 12:00:26.824 | B | UID SPARE01 | 171D2801 | RSP_CU_UNSC U=1 D=0 R=1 B=1 ERR=1 \
          SRC=14 DST=74 SRV=0x001 | CF 08 72 95 04 40 01 00 | heartbeat ARSLV SPARE01 |",
