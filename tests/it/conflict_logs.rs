@@ -235,16 +235,20 @@ fn two_senders_with_another_period_are_suspected() {
     }
 }
 
+/// Kinds of what is found in 60 s of two boards at address 14 with this period, `apart` seconds from each other.
+fn kinds_of_two(folder: &Path, period: f64, apart: f64) -> Vec<String> {
+    let data = format!("{FEED}0400");
+    let two = Log::default().beats(14, 0.1, 60.0, period, &data);
+    let two = two.beats(14, 0.1 + apart, 60.0, period, &data).lives(20, 0.73, 60.0, PUMP);
+    scanned(folder, &two.text()).into_iter().map(|told| told.0).collect()
+}
+
 #[test]
 fn two_senders_whose_period_is_a_little_off_are_found() {
     let folder = tempfile::tempdir().unwrap();
     for period in [0.95, 0.97, 0.98, 0.99, 1.01, 1.02, 1.03, 1.05] {
         for apart in [0.02, 0.05, 0.08, 0.085, 0.09, 0.095, 0.11, 0.13, 0.2, 0.3, 0.47] {
-            let data = format!("{FEED}0400");
-            let two = Log::default().beats(14, 0.1, 60.0, period, &data);
-            let two = two.beats(14, 0.1 + apart, 60.0, period, &data).lives(20, 0.73, 60.0, PUMP);
-            let found = scanned(folder.path(), &two.text());
-            let kinds: Vec<&str> = found.iter().map(|it| it.0.as_str()).collect();
+            let kinds = kinds_of_two(folder.path(), period, apart);
             assert_eq!(kinds, ["same-name-same-address"], "each {period} s, {apart} s apart");
         }
     }
@@ -404,12 +408,8 @@ fn device_that_restarts_again_and_again_is_suspected_at_most() {
 #[test]
 fn two_close_boards_with_a_long_period_are_suspected() {
     let folder = tempfile::tempdir().unwrap();
-    let data = format!("{FEED}0400");
     for apart in [0.02, 0.04, 0.06, 0.08] {
-        let two = Log::default().beats(14, 0.1, 60.0, 2.0, &data);
-        let two = two.beats(14, 0.1 + apart, 60.0, 2.0, &data).lives(20, 0.73, 60.0, PUMP);
-        let found = scanned(folder.path(), &two.text());
-        let kinds: Vec<&str> = found.iter().map(|it| it.0.as_str()).collect();
+        let kinds = kinds_of_two(folder.path(), 2.0, apart);
         assert_eq!(kinds, ["same-name-same-address"], "{apart} s apart");
     }
 }

@@ -401,13 +401,19 @@ impl FileState {
             _ => false,
         };
         if has_ours() {
-            let (chosen, after) = (chosen_addresses(ours), saving.content.clone());
-            self.saved.push(SavedEdits { before: base, after, chosen });
-            self.disk = Some(saving.content.clone());
-            self.is_on_disk = true;
-            self.pending.drain(..ours.len());
+            let (content, count) = (saving.content.clone(), ours.len());
+            self.note_saved(content, count);
             self.note_rebase();
         }
+    }
+
+    /// Notes that the first `count` pending edits are on disk, in this content.
+    fn note_saved(&mut self, content: Document, count: usize) {
+        let chosen = chosen_addresses(&self.pending[..count]);
+        self.pending.drain(..count);
+        let before = self.disk.replace(content.clone()).unwrap_or_else(Document::empty);
+        self.is_on_disk = true;
+        self.saved.push(SavedEdits { before, after: content, chosen });
     }
 
     /// Notes in a running save that the pending edits apply to other content.
@@ -745,12 +751,7 @@ impl FileState {
         } else if saving.base_changed {
             return;
         }
-        let before = self.disk.replace(saving.content.clone()).unwrap_or_else(Document::empty);
-        self.is_on_disk = true;
-        let operations = self.pending.drain(..saving.operations.min(self.pending.len()));
-        let chosen = chosen_addresses(operations.as_slice());
-        drop(operations);
-        self.saved.push(SavedEdits { before, after: saving.content, chosen });
+        self.note_saved(saving.content, saving.operations.min(self.pending.len()));
         if saving.expected.is_none() {
             self.leave_list();
         }

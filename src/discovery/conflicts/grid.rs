@@ -119,16 +119,16 @@ pub(super) fn grid_of(times: &VecDeque<Instant>, period: Duration) -> Option<Fas
         let late = longer_step_with_late(&gaps().collect::<Vec<f64>>(), shortest)?;
         return Some(grid_with(gaps, late));
     }
-    let all: Vec<f64> = gaps().collect();
     if let Some(step) = regular_step(gaps, shortest, GRID_TOLERANCE) {
         let grid = grid_with(gaps, step);
         if grid.parts.is_none_or(|parts| parts <= 2) || grid.has_most_parts {
             return Some(grid);
         }
         // The shortest gap may be the one after a heartbeat that is late by a part of the step.
-        let late = longer_step_with_late(&all, step);
+        let late = longer_step_with_late(&gaps().collect::<Vec<f64>>(), step);
         return Some(late.map_or(grid, |step| grid_with(gaps, step)));
     }
+    let all: Vec<f64> = gaps().collect();
     let mut grids = steps_with_late(&all).map(|step| grid_with(gaps, step));
     let first = grids.next()?;
     // Late heartbeats may also fit a part of the step, most of whose parts are empty.

@@ -134,7 +134,7 @@ impl HeartbeatHistory {
         let further_copy_delay = gap.filter(|_| is_copy && self.copy_count > 0);
         // A fast sender sends the next heartbeat before that.
         let is_late = gap.is_some_and(|gap| gap > window || !is_equal || self.gap_before.is_some());
-        // A copy that is as late as those of other addresses is not told from another heartbeat.
+        // A copy that is as late as those of other addresses cannot be distinguished from another heartbeat.
         let is_late_copy = is_equal && !is_copy && gap.is_some_and(|gap| gap <= longest_delay);
         let was_late_copy = std::mem::replace(&mut self.is_late_copy, is_late_copy);
         let previous_has_no_copy =

@@ -38,7 +38,7 @@ const MIN_STEPS_OF_RATE: u32 = 8;
 /// rounding explains. Chosen: larger ones are another period.
 const MAX_PERIOD_ERROR: f64 = 0.06;
 /// Deviation of nearly all intervals of one sender from its period, in periods. A smaller one of the period
-/// is not told from it.
+/// cannot be distinguished from it.
 const PERIOD_NOISE: f64 = 0.01;
 
 /// Timing pattern of the heartbeats from one address.
@@ -93,11 +93,10 @@ pub(super) fn repeated_period(times: &VecDeque<Instant>, expected: Duration) -> 
             deviations.push(nearest);
         }
     }
-    deviations.sort_unstable_by(f64::total_cmp);
-    let Some(&median) = deviations.get(deviations.len() / 2) else { return expected };
-    let agreeing = deviations.iter().filter(|it| (*it - median).abs() <= PERIOD_NOISE).count();
-    let is_other = median.abs() > PERIOD_NOISE && agreeing * 2 > early;
-    if is_other { expected.mul_f64(1.0 + median) } else { expected }
+    let Some(usual) = median(&mut deviations) else { return expected };
+    let agreeing = deviations.iter().filter(|it| (*it - usual).abs() <= PERIOD_NOISE).count();
+    let is_other = usual.abs() > PERIOD_NOISE && agreeing * 2 > early;
+    if is_other { expected.mul_f64(1.0 + usual) } else { expected }
 }
 
 /// Returns the timing pattern of the last heartbeats, whose times have this resolution.
@@ -209,6 +208,13 @@ pub(super) fn delay_of_close_pairs(
     (is_paired && others * 4 <= intervals.len()).then_some(delay)
 }
 
+/// Returns the intervals between the last [`TWO_PHASE_TIMES`], in periods.
+fn last_gaps(times: &VecDeque<Instant>, period: Duration) -> impl Iterator<Item = f64> {
+    let first = times.len().saturating_sub(TWO_PHASE_TIMES);
+    let gaps = times.iter().skip(first).zip(times.iter().skip(first + 1));
+    gaps.map(move |(one, next)| next.since(*one).as_secs_f64() / period.as_secs_f64())
+}
+
 /// Returns the middle one of these values.
 fn median<T: Copy + PartialOrd>(values: &mut [T]) -> Option<T> {
     values.sort_unstable_by(|one, other| one.partial_cmp(other).unwrap_or(Ordering::Equal));
@@ -221,11 +227,8 @@ pub(super) fn may_restart_often(times: &VecDeque<Instant>, expected: Duration) -
     /// Deviation of a whole interval from the expected period, in periods. Chosen: half the least of a
     /// restart.
     const WHOLE_INTERVAL: f64 = 0.015;
-    let skipped = times.len().saturating_sub(TWO_PHASE_TIMES);
-    let gaps = times.iter().skip(skipped).zip(times.iter().skip(skipped + 1));
-    let gaps = gaps.map(|(one, next)| next.since(*one).as_secs_f64() / expected.as_secs_f64());
     let (mut whole, mut after_restart) = (0, 0);
-    for gap in gaps {
+    for gap in last_gaps(times, expected) {
         match gap {
             _ if (gap - 1.0).abs() <= WHOLE_INTERVAL => whole += 1,
             _ if gap >= 2.0 * WHOLE_INTERVAL => after_restart += 1,
@@ -276,12 +279,10 @@ fn is_faster_with_losses(times: &VecDeque<Instant>, period: Duration) -> bool {
 /// Returns true if equal intervals show one sender with a shorter period. Only with half of it two
 /// senders look the same.
 fn is_faster_sender(times: &VecDeque<Instant>, period: Duration, rounding: f64) -> bool {
-    let last = times.len().saturating_sub(TWO_PHASE_TIMES);
-    let gaps = times.iter().skip(last).zip(times.iter().skip(last + 1));
-    let gaps = gaps.map(|(one, next)| next.since(*one).as_secs_f64() / period.as_secs_f64());
-    let (shortest, longest) = gaps.fold((f64::MAX, 0.0_f64), |(shortest, longest), gap| {
-        (shortest.min(gap), longest.max(gap))
-    });
+    let (shortest, longest) = last_gaps(times, period)
+        .fold((f64::MAX, 0.0_f64), |(shortest, longest), gap| {
+            (shortest.min(gap), longest.max(gap))
+        });
     let mean = f64::midpoint(shortest, longest);
     longest - shortest < 0.15 * longest + rounding && !(0.4..=0.6).contains(&mean)
 }
