@@ -68,8 +68,15 @@ enum LogPlace {
     /// A file that has grown, of which all is read that was written. Its writer may have more that it
     /// has not written yet, with this moment or a later one: the clock does not pass it.
     Read(Instant),
-    /// At its end, for now.
-    Ended,
+    /// At its end, for now, after a frame of this moment.
+    Ended(Instant),
+}
+
+impl LogPlace {
+    /// Moment of its last frame; `None` unless it is at its end.
+    fn end(&self) -> Option<Instant> {
+        if let Self::Ended(last) = self { Some(*last) } else { None }
+    }
 }
 
 /// What the replay of a pipe waits for.
@@ -197,7 +204,7 @@ impl Clock {
         match pace.logs.get(&log)? {
             LogPlace::Next(at) | LogPlace::Followed(at) | LogPlace::Read(at) => Some(*at),
             LogPlace::Live { at, awaits } => Some(*at).filter(|_| pace.waits_for_pipe(*awaits)),
-            LogPlace::Ended => None,
+            LogPlace::Ended(_) => None,
         }
     }
 
@@ -234,7 +241,7 @@ impl Clock {
                     LogPlace::Next(at)
                     | LogPlace::Followed(at)
                     | LogPlace::Live { at, awaits: PipeAwaits::Frame } => Some(*at),
-                    LogPlace::Live { .. } | LogPlace::Read(_) | LogPlace::Ended => None,
+                    LogPlace::Live { .. } | LogPlace::Read(_) | LogPlace::Ended(_) => None,
                 });
                 pace.from = next.min().map_or(pace.from, |next| next.max(pace.from));
             }
@@ -289,12 +296,15 @@ impl Clock {
         self.pace().reads_to
     }
 
-    /// Notes the end of a log. When all logs are at their end, the clock stands.
-    pub(super) fn log_ends(&self, log: BusIndex) {
+    /// Notes the end of a log, whose last frame had this moment. When all logs are at their end, the
+    /// clock stands at the latest of these moments: frames that were read ahead were taken before it.
+    pub(super) fn log_ends(&self, log: BusIndex, last: Instant) {
         self.change(|pace| {
-            pace.logs.insert(log, LogPlace::Ended);
+            pace.logs.insert(log, LogPlace::Ended(last));
             if pace.is_ended() {
                 pace.reads_to = Instant::ZERO;
+                let ends = pace.logs.values().filter_map(LogPlace::end);
+                pace.from = ends.fold(pace.from, Instant::max);
             }
         });
     }
@@ -308,7 +318,7 @@ impl Clock {
             let is_alone = pace
                 .logs
                 .iter()
-                .all(|(other, place)| *other == log || matches!(place, LogPlace::Ended));
+                .all(|(other, place)| *other == log || matches!(place, LogPlace::Ended(_)));
             pace.logs.insert(log, LogPlace::Followed(dated));
             let is_led = pace.is_led();
             let latest = if !is_led {
@@ -396,7 +406,7 @@ impl PlaybackPace {
             LogPlace::Next(at) => Some(*at),
             LogPlace::Followed(at) | LogPlace::Read(at) => self.is_replaying.then_some(*at),
             LogPlace::Live { at, awaits } => Some(*at).filter(|_| self.waits_for_pipe(*awaits)),
-            LogPlace::Ended => None,
+            LogPlace::Ended(_) => None,
         });
         next.min()
     }
@@ -412,7 +422,7 @@ impl PlaybackPace {
             LogPlace::Live { at, awaits: awaits @ PipeAwaits::Writer(since) } => {
                 // Without other logs there is nothing to go on with.
                 let is_alone =
-                    self.logs.values().filter(|it| !matches!(it, LogPlace::Ended)).count() == 1;
+                    self.logs.values().filter(|it| !matches!(it, LogPlace::Ended(_))).count() == 1;
                 let left = if is_alone {
                     Duration::MAX
                 } else {
@@ -458,7 +468,7 @@ impl PlaybackPace {
     /// Returns true if all logs are followed, but for those at their ends.
     fn are_all_followed(&self) -> bool {
         self.logs.values().all(|place| match place {
-            LogPlace::Followed(_) | LogPlace::Read(_) | LogPlace::Ended => true,
+            LogPlace::Followed(_) | LogPlace::Read(_) | LogPlace::Ended(_) => true,
             LogPlace::Next(_) | LogPlace::Live { .. } => false,
         })
     }
@@ -485,7 +495,7 @@ impl PlaybackPace {
 
     /// Returns true if all logs are at their ends.
     fn is_ended(&self) -> bool {
-        let ended = |place: &LogPlace| matches!(place, LogPlace::Ended);
+        let ended = |place: &LogPlace| matches!(place, LogPlace::Ended(_));
         self.is_replaying && !self.logs.is_empty() && self.logs.values().all(ended)
     }
 }
@@ -594,8 +604,8 @@ mod tests {
         clock.control(PlaybackCommand::Pause);
         assert!(clock.playback().is_some_and(|it| !it.is_paused));
         assert_eq!(clock.now(), at(8_000_000));
-        clock.log_ends(first);
-        clock.log_ends(second);
+        clock.log_ends(first, at(8_000_000));
+        clock.log_ends(second, at(8_000_000));
         let end = clock.now();
         assert_eq!(clock.playback().map(|it| it.is_ended), Some(true));
         assert_eq!(clock.now(), end);
@@ -639,7 +649,7 @@ mod tests {
         // Alone it waits for as long as that takes.
         clock.log_waits(pipe, at(500_000));
         clock.elapse(Duration::from_secs(1000));
-        clock.log_ends(other);
+        clock.log_ends(other, at(1_000_000));
         let now = clock.now();
         clock.log_awaits_writer(pipe, now);
         clock.elapse(WRITER_GRACE * 10);
@@ -654,12 +664,12 @@ mod tests {
         clock.log_opens(first, false);
         assert_eq!(clock.until(at(1)), Duration::MAX, "the second one is not open");
         clock.log_opens(second, false);
-        clock.log_ends(second);
+        clock.log_ends(second, Instant::ZERO);
         clock.log_waits(first, at(10_000));
         assert_eq!(clock.log_resumes(second, at(9_000)), clock.now(), "the first one is played");
-        clock.log_ends(second);
+        clock.log_ends(second, Instant::ZERO);
         clock.log_waits(first, Instant::ZERO);
-        clock.log_ends(first);
+        clock.log_ends(first, Instant::ZERO);
         let end = clock.now();
         assert_eq!(
             clock.log_resumes(first, end + Duration::from_hours(5)),
@@ -683,10 +693,28 @@ mod tests {
         assert!(clock.is_due(last + Duration::from_secs(3)));
         clock.log_waits(first, last + Duration::from_secs(2));
         assert_eq!(clock.now(), last + Duration::from_secs(2));
-        clock.log_ends(first);
+        clock.log_ends(first, last);
         assert_eq!(clock.now(), last + Duration::from_secs(3));
         let far = clock.now() + Duration::from_hours(5);
         assert_eq!(clock.log_resumes(first, far), clock.now(), "not years ahead of the other");
+    }
+
+    #[test]
+    fn log_read_ahead_ends_at_its_last_frame() {
+        let clock = Clock::of_logs(Epoch::default(), 1.0, vec![Some(Instant::ZERO); 2]);
+        let (short, long) = (BusIndex(0), BusIndex(1));
+        let at = |seconds| Instant::ZERO + Duration::from_secs(seconds);
+        clock.log_opens(short, false);
+        clock.log_opens(long, false);
+        clock.control(PlaybackCommand::ReadTo(Instant::LATEST));
+        clock.log_waits(short, at(8));
+        clock.log_waits(long, at(38));
+        clock.log_ends(short, at(9));
+        assert_eq!(clock.now(), at(38), "the long one is not at its end");
+        // Its last frames were taken together.
+        clock.log_ends(long, at(40));
+        assert_eq!(clock.now(), at(40));
+        assert_eq!(clock.log_resumes(short, at(9)), at(40), "after all that was taken");
     }
 
     #[test]
@@ -694,7 +722,7 @@ mod tests {
         let clock = Clock::start();
         let log = BusIndex(1);
         clock.log_opens(log, false);
-        clock.log_ends(log);
+        clock.log_ends(log, Instant::ZERO);
         let soon = clock.now() + Duration::from_millis(1);
         assert!(clock.until(soon) < Duration::from_secs(1));
         clock.log_awaits_more(log, clock.now());

@@ -174,10 +174,12 @@ fn log_replaced_beside_another_keeps_its_own_times() {
     let mut pty = read_two(folder.path());
     fs::write(folder.path().join("next"), logs[0].concat()).unwrap();
     fs::rename(folder.path().join("next"), folder.path().join("left.log")).unwrap();
-    pty.wait_for("log replaced");
-    pty.wait_for("left         end of log");
-    pty.wait_for(" left  end of log");
+    // After the 40 s of the other one.
+    pty.wait_for(" left  end of log 1:19");
     assert_nothing_invented(&mut pty);
+    pty.send("/text:replaced\r");
+    pty.wait_for("log replaced");
+    pty.send("/\x15\r");
     pty.send("5");
     pty.wait_for("bits by device");
     let frames = format!("frames {},{:03}", logs[0].len() / 1000, logs[0].len() % 1000);

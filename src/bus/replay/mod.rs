@@ -479,14 +479,14 @@ impl Replay {
         self.shared.queue.update_status(|status| {
             (status.link, status.fault) = (Link::Ended, Some(fault));
         });
-        self.clock.log_ends(self.bus);
+        self.clock.log_ends(self.bus, self.last);
     }
 }
 
 impl Drop for Replay {
     /// The clock does not wait for it any more, also after a panic.
     fn drop(&mut self) {
-        self.clock.log_ends(self.bus);
+        self.clock.log_ends(self.bus, self.last);
     }
 }
 
