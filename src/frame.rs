@@ -104,7 +104,9 @@ pub struct Frame {
     pub is_tx: bool,
     /// From a log without times: the time is that of its arrival, or of the beginning of the log.
     pub is_timeless: bool,
+    /// Length in bytes, with [`Frame::CHANGED`].
     len: u8,
+    /// The data. Behind those of a classic frame of eight bytes stands its raw DLC, if it is above 8.
     data: [u8; Frame::MAX_DATA],
 }
 
@@ -113,6 +115,8 @@ impl Frame {
     pub const MAX_DATA: usize = 64;
     /// The most bytes a classic frame carries.
     pub const MAX_CLASSIC_DATA: usize = 8;
+    /// Flag of the length: what the frame was read from holds something else.
+    const CHANGED: u8 = 0x80;
 
     /// A classic data frame with an extended identifier; bytes after the eighth are dropped.
     pub fn classic(id: u32, data: &[u8]) -> Self {
@@ -206,10 +210,50 @@ impl Frame {
         self
     }
 
+    /// The same frame with a DLC of 9 to 15 on the bus, which means eight bytes in a classic frame, as 8 does
+    /// (ISO 11898-1). Without effect for any other DLC, and on a frame that is not a classic one of eight bytes.
+    #[must_use]
+    pub fn with_raw_dlc(mut self, dlc: u8) -> Self {
+        if self.has_eight_bytes() && matches!(dlc, 9..=15) {
+            self.data[Self::MAX_CLASSIC_DATA] = dlc;
+        }
+        self
+    }
+
+    /// The DLC on the bus, if it is one of 9 to 15 that a classic frame of eight bytes has in place of 8.
+    #[inline]
+    pub fn raw_dlc(&self) -> Option<u8> {
+        let dlc = self.data[Self::MAX_CLASSIC_DATA];
+        (dlc != 0 && self.has_eight_bytes()).then_some(dlc)
+    }
+
+    /// Returns true for a classic frame of eight bytes; a remote frame may request them.
+    #[inline]
+    fn has_eight_bytes(&self) -> bool {
+        !self.is_fd && self.kind != FrameKind::Error && self.len() == Self::MAX_CLASSIC_DATA
+    }
+
+    /// The same frame, marked as not all that it was read from, or as more.
+    #[must_use]
+    #[cfg(feature = "std")]
+    pub(crate) fn as_changed(mut self) -> Self {
+        self.len |= Self::CHANGED;
+        self
+    }
+
+    /// Removes the mark of [`Self::as_changed`]; returns true if it was there.
+    #[inline]
+    #[cfg(feature = "std")]
+    pub(crate) fn take_changed(&mut self) -> bool {
+        let is_changed = self.len & Self::CHANGED != 0;
+        self.len &= !Self::CHANGED;
+        is_changed
+    }
+
     /// Its data; empty for a remote frame.
     #[inline]
     pub fn data(&self) -> &[u8] {
-        if self.kind == FrameKind::Remote { &[] } else { &self.data[..usize::from(self.len)] }
+        if self.kind == FrameKind::Remote { &[] } else { &self.data[..self.len()] }
     }
 
     /// The first eight bytes of its data; those behind its length mean nothing.
@@ -219,13 +263,14 @@ impl Frame {
     }
 
     /// Its length in bytes; for a remote frame the requested one.
+    #[inline]
     pub fn len(&self) -> usize {
-        usize::from(self.len)
+        usize::from(self.len & !Self::CHANGED)
     }
 
     /// Returns true if its length is 0.
     pub fn is_empty(&self) -> bool {
-        self.len == 0
+        self.len() == 0
     }
 
     /// The identifier of a data frame with 29 bits: the only frames of the CAN platform. `None` for
@@ -242,21 +287,22 @@ impl Frame {
         self.id == other.id
             && self.kind == other.kind
             && self.is_fd == other.is_fd
-            && self.len == other.len
+            && self.len() == other.len()
             && self.data() == other.data()
+            && self.raw_dlc() == other.raw_dlc()
     }
 }
 
 /// As candump writes it, without time and bus: `02015402#0444455301`, FD as `ID##FDATA` with
-/// the flags digit, remote as `ID#R4`, error frames with bit 29 of the identifier set.
+/// the flags digit, remote as `ID#R4`, error frames with bit 29 of the identifier set, a raw DLC as `_F`.
 impl fmt::Display for Frame {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match (self.kind, self.id) {
             (FrameKind::Error, _) => write!(f, "{:08X}#", socketcan::id_word(self))?,
             (FrameKind::Remote, id) => {
                 write!(f, "{id}#R")?;
-                if self.len > 0 {
-                    write!(f, "{}", self.len)?;
+                if !self.is_empty() {
+                    write!(f, "{}", self.len())?;
                 }
             }
             (FrameKind::Data, id) if self.is_fd => {
@@ -264,7 +310,8 @@ impl fmt::Display for Frame {
             }
             (FrameKind::Data, id) => write!(f, "{id}#")?,
         }
-        self.data().iter().try_for_each(|byte| write!(f, "{byte:02X}"))
+        self.data().iter().try_for_each(|byte| write!(f, "{byte:02X}"))?;
+        self.raw_dlc().map_or(Ok(()), |dlc| write!(f, "_{dlc:X}"))
     }
 }
 
@@ -287,6 +334,11 @@ pub const fn dlc(len: usize) -> u8 {
         33..=48 => 14,
         _ => 15,
     }
+}
+
+/// The data length code of a frame on the bus.
+pub fn dlc_of(frame: &Frame) -> u8 {
+    frame.raw_dlc().unwrap_or_else(|| dlc(frame.len()))
 }
 
 /// The shortest length with a DLC of its own that holds `len` bytes (ISO 11898-1: 0–8, 12, 16,
@@ -314,6 +366,11 @@ mod tests {
         assert_eq!(request.to_string(), "02015402#0444455301");
         assert_eq!(Frame::remote(CanId::Standard(0x12), 4).to_string(), "012#R4");
         assert_eq!(Frame::error(4, &[0, 1]).to_string(), "20000004#0001");
+        let eight = Frame::classic(1, &[0; 8]).with_raw_dlc(15);
+        assert_eq!(eight.to_string(), "00000001#0000000000000000_F");
+        assert_eq!(Frame::remote(CanId::Standard(1), 8).with_raw_dlc(9).to_string(), "001#R8_9");
+        assert_eq!(Frame::classic(1, &[0; 7]).with_raw_dlc(15).raw_dlc(), None);
+        assert_eq!(Frame::classic(1, &[0; 8]).with_raw_dlc(8).raw_dlc(), None);
         assert_eq!(
             Frame::fd(1, &[0; 9], 0xCC).to_string(),
             format!("00000001##1{}CCCCCC", "00".repeat(9))

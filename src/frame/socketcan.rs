@@ -66,13 +66,18 @@ pub fn decode(word: u32, len: usize, fd_flags: Option<u8>, data: &[u8]) -> Optio
     })
 }
 
-/// An FD data frame with BRS and ESI from `flags`, padded with zeros to a length that a DLC has.
+/// An FD data frame with BRS and ESI from `flags`, padded with zeros to a length that a DLC has: marked as
+/// changed then.
 pub fn with_fd_flags(id: CanId, data: &[u8], flags: u8) -> Frame {
     let mut frame = Frame::new(id, data);
     // Bytes after the data are zero.
-    frame.len = fd_length(frame.len()) as u8;
+    frame.len = fd_length(data.len()) as u8;
     frame.is_fd = true;
     frame.bit_rate_switch = flags & BIT_RATE_SWITCH != 0;
     frame.error_state = flags & ERROR_STATE != 0;
+    #[cfg(feature = "std")]
+    if frame.len() != data.len() {
+        return frame.as_changed();
+    }
     frame
 }

@@ -4,16 +4,16 @@
 //! the measurement, which is local time; with `timestamps relative` each counts from the event before.
 //! Other events than frames are passed over. Does not know moments or bus numbers.
 
-use super::bus_errors::{bus_error, capture_of, captured, is_on_bus, overload};
+use super::bus_errors::{bus_error, capture_of, captured, is_on_bus, of_vector, overload};
 use super::channel::{ChannelNumbers, channel_name};
 use super::dates::{LAST_START, asc_date, is_in_repeated_hour, local_time};
 use super::fields::{
     FieldFault, bytes, can_id, channel, check_line, data_frame, first_word, len_of_dlc, number,
-    starts_with_ignoring_case as starts, words,
+    starts_with_ignoring_case as starts, with_dlc, words,
 };
 use super::{LogEncoder, LogEntry, LogLoss, LogTime};
 use crate::frame::socketcan::{BIT_RATE_SWITCH, ERROR_STATE};
-use crate::frame::{CanId, Frame, FrameKind, dlc};
+use crate::frame::{CanId, Frame, FrameKind, dlc_of};
 use std::io::{self, Write};
 
 /// Flags at the end of a line of an FD frame.
@@ -136,8 +136,8 @@ impl AscLines {
         let dlc = number(length, self.base);
         match kind {
             b"r" | b"R" => {
-                let is_length = dlc.filter(|dlc| *dlc <= 15);
-                Ok(Frame::remote(id, len_of_dlc(is_length.unwrap_or(0), false)?))
+                let dlc = dlc.filter(|dlc| *dlc <= 15).unwrap_or(0);
+                Ok(with_dlc(Frame::remote(id, len_of_dlc(dlc, false)?), dlc))
             }
             b"d" | b"D" => {
                 let dlc = dlc.ok_or(FieldFault::Length)?;
@@ -149,7 +149,7 @@ impl AscLines {
                 let mut data = [0; Frame::MAX_CLASSIC_DATA];
                 let len = len_of_dlc(dlc, false)?;
                 bytes(rest, self.base, &mut data[..len])?;
-                data_frame(id, &data[..len], None)
+                Ok(with_dlc(data_frame(id, &data[..len], None)?, dlc))
             }
             _ => Err(FieldFault::Kind),
         }
@@ -186,7 +186,8 @@ impl AscLines {
         let Some(is_tx) = is_tx(direction) else { return no_frame(direction) };
         let number_of_channel = channel(word)?;
         let (id, mut rest) = first_word(rest);
-        if let Some(frame) = error_event(id, rest) {
+        if let Some(mut frame) = error_event(id, rest) {
+            frame.is_tx = is_tx;
             return Ok(Some((number_of_channel, frame)));
         }
         // A name may stand before BRS.
@@ -212,9 +213,11 @@ impl AscLines {
         // Some writers leave the flags out, as 0.
         let is_classic = flags != 0 && flags & FD == 0 && len <= Frame::MAX_CLASSIC_DATA;
         let mut frame = if flags & REMOTE != 0 || len == 0 && dlc > 0 {
-            Frame::remote(id, len_of_dlc(dlc, false)?)
+            // The FDF of a remote frame is none on the bus.
+            let frame = with_dlc(Frame::remote(id, len_of_dlc(dlc, false)?), dlc);
+            if flags & FD != 0 { frame.as_changed() } else { frame }
         } else if is_classic {
-            data_frame(id, data, None)?
+            with_dlc(data_frame(id, data, None)?, dlc)
         } else {
             let flag = |word: &[u8], flag| if word == b"1" { flag } else { 0 };
             let fd_flags = flag(switched, BIT_RATE_SWITCH) | flag(passive, ERROR_STATE);
@@ -256,7 +259,7 @@ fn is_tx(direction: &[u8]) -> Option<bool> {
     }
 }
 
-/// Reads `ErrorFrame ECC: 10100010` and `OverloadFrame`.
+/// Reads `OverloadFrame`, `ErrorFrame ECC: 10100010`, and the longer forms: see [`error_code`].
 fn error_event(word: &[u8], rest: &[u8]) -> Option<Frame> {
     if word.eq_ignore_ascii_case(b"OverloadFrame") {
         return Some(overload());
@@ -264,10 +267,42 @@ fn error_event(word: &[u8], rest: &[u8]) -> Option<Frame> {
     if !word.eq_ignore_ascii_case(b"ErrorFrame") {
         return None;
     }
-    let (name, rest) = first_word(rest);
-    let (code, _) = first_word(rest);
-    let bits = number(code, 2).filter(|_| name == b"ECC:" && code.len() == 8);
-    Some(bits.map_or_else(bus_error, |bits| captured(bits as u8)))
+    let (name, after) = first_word(rest);
+    let (code, end) = first_word(after);
+    let frame = match number(code, 2).filter(|_| name == b"ECC:" && code.len() == 8) {
+        Some(bits) => captured(bits as u8),
+        None => match error_code(rest) {
+            Some((valid, code, core)) => return Some(of_vector(valid, code, core).as_changed()),
+            None => bus_error(),
+        },
+    };
+    let is_all = name.is_empty() || name == b"ECC:" && end.trim_ascii().is_empty();
+    Some(if is_all { frame } else { frame.as_changed() })
+}
+
+/// Reads which fields are valid, the error code capture and the extended error flags, from
+/// `Flags = 0xe CodeExt = 0x20a2 Code = 0x82 ID = …`, or from `TEXT fffe c7 31ca Arb. …` of a line of CAN FD.
+fn error_code(line: &[u8]) -> Option<(u32, u8, u16)> {
+    let hex = |word: &[u8]| number(word.strip_prefix(b"0x").unwrap_or(word), 16);
+    let named = |name: &[u8]| {
+        let mut words = words(line).skip_while(|word| *word != name);
+        let (_, sign, value) = (words.next()?, words.next()?, words.next()?);
+        if sign == b"=" { hex(value) } else { None }
+    };
+    let (valid, code, core) = if let Some(valid) = named(b"Flags") {
+        (valid, named(b"Code")?, named(b"CodeExt")?)
+    } else {
+        // Before the phase of the frame.
+        let [mut valid, mut code, mut core] = [&b""[..]; 3];
+        for word in words(line) {
+            if matches!(word, b"Arb." | b"Data") && hex(core).is_some() {
+                break;
+            }
+            (valid, code, core) = (code, core, word);
+        }
+        (hex(valid)?, hex(code)?, hex(core)?)
+    };
+    Some((valid, u8::try_from(code).ok()?, u16::try_from(core).ok()?))
 }
 
 /// Writes an ASC log.
@@ -369,17 +404,17 @@ fn write_event(out: &mut Vec<u8>, channel: u8, frame: &Frame) -> io::Result<()> 
             return writeln!(out);
         }
         FrameKind::Remote => {
-            return writeln!(out, "{channel}  {id:<15} {direction:<4} r {:x}", frame.len());
+            return writeln!(out, "{channel}  {id:<15} {direction:<4} r {:x}", dlc_of(frame));
         }
         FrameKind::Data => {}
     }
     if !frame.is_fd {
-        write!(out, "{channel}  {id:<15} {direction:<4} d {:x}", frame.len())?;
+        write!(out, "{channel}  {id:<15} {direction:<4} d {:x}", dlc_of(frame))?;
         write_bytes(out, frame.data())?;
         return writeln!(out);
     }
     let (switched, passive) = (u8::from(frame.bit_rate_switch), u8::from(frame.error_state));
-    let (code, len) = (dlc(frame.len()), frame.len());
+    let (code, len) = (dlc_of(frame), frame.len());
     write!(out, "CANFD {channel:>3} {direction:<4} {id:>8}  {:>32} ", "")?;
     write!(out, "{switched} {passive} {code:x} {len:>2}")?;
     write_bytes(out, frame.data())?;

@@ -7,13 +7,13 @@
 
 use super::asc::is_whole_error;
 use super::binary::{BinaryFormat, EntryInput};
-use super::bus_errors::{bus_error, capture_of, captured, overload};
+use super::bus_errors::{bus_error, capture_of, of_vector, overload};
 use super::channel::{ChannelNumbers, channel_name};
 use super::dates::{LAST_START, system_time, system_time_of};
 use super::fields::{FieldFault, can_id, data_frame, len_of_dlc};
 use super::{Damage, LogEncoder, LogEntry, LogLoss, LogSummary, LogTime};
 use crate::frame::socketcan::{BIT_RATE_SWITCH, ERROR_STATE};
-use crate::frame::{CanId, Frame, FrameKind, dlc};
+use crate::frame::{CanId, Frame, FrameKind, dlc_of};
 use flate2::Compression;
 use flate2::write::ZlibEncoder;
 use std::io::{self, Write};
@@ -43,8 +43,6 @@ const FD_ERROR_64: u32 = 104;
 /// Flag of an object: its time is in units of 10 µs, not of nanoseconds.
 const TEN_MICROS: u32 = 1;
 const NANOS: u32 = 2;
-/// Flag of an error frame: the error code capture is valid.
-const HAS_CODE: u32 = 1;
 /// Flags of a message.
 const SENT: u8 = 0x01;
 const REMOTE: u8 = 0x80;
@@ -251,7 +249,7 @@ fn read_object(start: u64, object: &[u8]) -> Result<LogEntry<'static>, FieldFaul
         FD_MESSAGE => fd_message(ObjectFields(body))?,
         FD_MESSAGE_64 => fd_message_64(ObjectFields(body), size - usize::from(head_len))?,
         // FD_ERROR_64
-        _ => (u16::from(ObjectFields(body).u8()?), bus_error()),
+        _ => fd_error_64(ObjectFields(body))?,
     };
     let channel = u8::try_from(channel).map_err(|_| FieldFault::Channel)?;
     Ok(LogEntry { time, interface: channel_name(channel), frame })
@@ -270,27 +268,33 @@ fn message(mut fields: ObjectFields<'_>) -> Result<(u16, Frame), FieldFault> {
     } else {
         data_frame(id, fields.data(len, Frame::MAX_CLASSIC_DATA)?, None)?
     };
+    frame = frame.with_raw_dlc(dlc);
     frame.is_tx = flags & SENT != 0;
     Ok((channel, frame))
 }
 
-/// Reads an error frame: as SocketCAN has it if its identifier and data are there, otherwise by the error
-/// code capture.
+/// Reads an error frame: as SocketCAN has it if its identifier and data are there, otherwise by its codes.
 fn error_ext(mut fields: ObjectFields<'_>) -> Result<(u16, Frame), FieldFault> {
     let (channel, _length) = (fields.u16()?, fields.u16()?);
     let (flags, code, _position, dlc) = (fields.u32()?, fields.u8()?, fields.u8()?, fields.u8()?);
     fields.skip(1)?;
-    let (_frame_length, word, _flags_ext) = (fields.u32()?, fields.u32()?, fields.u16()?);
+    let (_frame_length, word, core) = (fields.u32()?, fields.u32()?, fields.u16()?);
     fields.skip(2)?;
     let class = word & CanId::MAX_EXTENDED;
-    let frame = if flags & HAS_CODE != 0 {
-        captured(code)
-    } else if class != 0 && dlc as usize <= Frame::MAX_CLASSIC_DATA {
+    // Without valid fields the identifier is the class; otherwise it is that of the frame with the error.
+    let frame = if flags == 0 && class != 0 && dlc as usize <= Frame::MAX_CLASSIC_DATA {
         Frame::error(class, fields.data(usize::from(dlc), Frame::MAX_CLASSIC_DATA)?)
     } else {
-        bus_error()
+        of_vector(flags, code, core)
     };
     Ok((channel, frame))
+}
+
+fn fd_error_64(mut fields: ObjectFields<'_>) -> Result<(u16, Frame), FieldFault> {
+    let (channel, _dlc, _valid, code) = (fields.u8()?, fields.u8()?, fields.u8()?, fields.u8()?);
+    let (flags, core) = (fields.u16()?, fields.u16()?);
+    // There is always the identifier of the frame with the error, and more.
+    Ok((u16::from(channel), of_vector(u32::from(flags), code, core).as_changed()))
 }
 
 fn fd_message(mut fields: ObjectFields<'_>) -> Result<(u16, Frame), FieldFault> {
@@ -307,6 +311,7 @@ fn fd_message(mut fields: ObjectFields<'_>) -> Result<(u16, Frame), FieldFault> 
         let data = fields.data(valid.min(len), Frame::MAX_DATA)?;
         padded_frame(id, data, len, is_fd.then_some(fd_flags(switched, passive)))?
     };
+    frame = frame.with_raw_dlc(dlc);
     frame.is_tx = flags & SENT != 0;
     Ok((channel, frame))
 }
@@ -332,6 +337,7 @@ fn fd_message_64(mut fields: ObjectFields<'_>, body: usize) -> Result<(u16, Fram
         let data = fields.data(usize::from(valid).min(len).min(room), Frame::MAX_DATA)?;
         padded_frame(id, data, len, is_fd.then_some(fd_flags(switched, passive)))?
     };
+    frame = frame.with_raw_dlc(dlc);
     frame.is_tx = direction != 0;
     Ok((u16::from(channel), frame))
 }
@@ -465,7 +471,7 @@ impl BlfEncoder {
                 ERROR_EXT
             }
             (_, true) => {
-                body.extend_from_slice(&[flags, dlc(frame.len())]);
+                body.extend_from_slice(&[flags, dlc_of(frame)]);
                 body.extend_from_slice(&word.to_le_bytes());
                 body.extend_from_slice(&[0; 5]);
                 let set = [true, frame.bit_rate_switch, frame.error_state];
@@ -476,7 +482,7 @@ impl BlfEncoder {
                 FD_MESSAGE
             }
             (_, false) => {
-                body.extend_from_slice(&[flags, frame.len() as u8]);
+                body.extend_from_slice(&[flags, dlc_of(frame)]);
                 body.extend_from_slice(&word.to_le_bytes());
                 MESSAGE
             }

@@ -4,13 +4,18 @@ use crate::frame::{CanId, Frame, FrameKind};
 
 /// Class bits of a SocketCAN error frame (`linux/can/error.h`).
 const PROTOCOL: u32 = 0x08;
+const NO_ACK: u32 = 0x20;
 const BUS_ERROR: u32 = 0x80;
+const COUNTERS: u32 = 0x200;
 /// Bits of its third byte.
 const BIT_ERROR: u8 = 0x01;
 const FORM_ERROR: u8 = 0x02;
 const STUFF_ERROR: u8 = 0x04;
 const OVERLOAD: u8 = 0x20;
 const TRANSMISSION: u8 = 0x80;
+/// Places of its fourth byte.
+const CRC_SEQUENCE: u8 = 0x08;
+const ACK_DELIMITER: u8 = 0x1B;
 
 /// Returns true for an error frame of SocketCAN that stands for one on the bus, and for any other frame. The
 /// others report states of the controller.
@@ -36,6 +41,11 @@ pub(super) fn overload() -> Frame {
 /// An error frame with the error code capture register of the SJA1000: type of the error, direction, and
 /// the place in the frame, which SocketCAN has in the same code.
 pub(super) fn captured(code: u8) -> Frame {
+    captured_with_counters(code, 0, 0)
+}
+
+/// The same with the error counters of the controller, if one is not 0.
+pub(super) fn captured_with_counters(code: u8, sent: u8, received: u8) -> Frame {
     let kind = match code >> 6 {
         0 => BIT_ERROR,
         1 => FORM_ERROR,
@@ -44,7 +54,43 @@ pub(super) fn captured(code: u8) -> Frame {
     };
     let is_reception = code & 0x20 != 0;
     let kind = kind | if is_reception { 0 } else { TRANSMISSION };
-    Frame::error(PROTOCOL | BUS_ERROR, &[0, 0, kind, code & 0x1F, 0, 0, 0, 0])
+    let counters = if (sent, received) == (0, 0) { 0 } else { COUNTERS };
+    let details = [0, 0, kind, code & 0x1F, 0, 0, sent, received];
+    Frame::error(PROTOCOL | BUS_ERROR | counters, &details)
+}
+
+/// An error frame with the extended error flags of Vector's CAN core: in bits 6 to 11 what is wrong, in bits
+/// 12 and 13 whether it was sent. Their source: `CanErrorFrameExt` of the BLF format.
+pub(super) fn of_can_core(flags: u16) -> Frame {
+    let (class, kind, place) = match flags >> 6 & 0x3F {
+        0 => (0, BIT_ERROR, 0),
+        1 => (0, FORM_ERROR, 0),
+        2 => (0, STUFF_ERROR, 0),
+        4 => (0, 0, CRC_SEQUENCE),
+        5 => (0, FORM_ERROR, ACK_DELIMITER),
+        7 => (NO_ACK, 0, 0),
+        _ => (0, 0, 0),
+    };
+    let kind = kind | if flags & 0x1000 != 0 { TRANSMISSION } else { 0 };
+    Frame::error(PROTOCOL | BUS_ERROR | class, &[0, 0, kind, place, 0, 0, 0, 0])
+}
+
+/// Bits of the flags that say which fields of an error frame of Vector's formats are valid: the error code
+/// capture, and those of the CAN core.
+const HAS_CODE: u32 = 1;
+const HAS_CORE: u32 = 2;
+
+/// Reads an error frame of Vector's formats, given which fields are valid, the error code capture and the
+/// extended error flags. The others, such as the place in the frame, are left out.
+pub(super) fn of_vector(valid: u32, code: u8, core: u16) -> Frame {
+    let frame = if valid & HAS_CODE != 0 {
+        captured(code)
+    } else if valid & HAS_CORE != 0 {
+        of_can_core(core)
+    } else {
+        bus_error()
+    };
+    if valid & !HAS_CODE != 0 { frame.as_changed() } else { frame }
 }
 
 /// Returns the error code capture register that [`captured`] has read; 0 without one.

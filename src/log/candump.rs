@@ -317,9 +317,9 @@ pub fn parse_frame(text: &[u8]) -> Result<Frame, LineFault> {
         _ => {
             let mut data = [0; Frame::MAX_CLASSIC_DATA];
             let (len, rest) = parse_bytes(body, &mut data)?;
-            parse_raw_dlc(rest, len)?;
+            let raw_dlc = parse_raw_dlc(rest, len)?;
             Ok(match head {
-                Head::Id(id) => Frame::new(id, &data[..len]),
+                Head::Id(id) => Frame::new(id, &data[..len]).with_raw_dlc(raw_dlc),
                 Head::ErrorClass(class) => Frame::error(class, &data[..len]),
             })
         }
@@ -369,16 +369,15 @@ fn parse_remote(id: CanId, body: &[u8]) -> Result<Frame, LineFault> {
         [digit @ b'0'..=b'8', rest @ ..] => (usize::from(digit - b'0'), rest),
         _ => (0, body),
     };
-    parse_raw_dlc(rest, len)?;
-    Ok(Frame::remote(id, len))
+    Ok(Frame::remote(id, len).with_raw_dlc(parse_raw_dlc(rest, len)?))
 }
 
-/// Reads a raw DLC: `_9` to `_F` after eight bytes, which also mean a length of 8.
-fn parse_raw_dlc(rest: &[u8], len: usize) -> Result<(), LineFault> {
+/// Reads a raw DLC: `_9` to `_F` after eight bytes, which also mean a length of 8; 0 without one.
+fn parse_raw_dlc(rest: &[u8], len: usize) -> Result<u8, LineFault> {
     match rest {
-        [] => Ok(()),
+        [] => Ok(0),
         [b'_', digit] if len == Frame::MAX_CLASSIC_DATA => {
-            hex_value(*digit).filter(|dlc| *dlc > 8).map(|_| ()).ok_or(LineFault::Length)
+            hex_value(*digit).filter(|dlc| *dlc > 8).ok_or(LineFault::Length)
         }
         [b'_', ..] => Err(LineFault::Length),
         _ => Err(LineFault::Data),

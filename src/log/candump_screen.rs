@@ -23,9 +23,10 @@ pub(super) fn parse(line: &[u8]) -> Result<(&str, Frame), LineFault> {
     }
     let info = extra_info(&mut rest);
     let (id, is_error) = parse_id(rest.take())?;
-    let (len, is_fd) = parse_length(rest.take())?;
+    let (dlc, is_fd) = parse_length(rest.take())?;
+    let len = if is_fd { dlc } else { dlc.min(Frame::MAX_CLASSIC_DATA) };
     let frame = if is_remote(rest) {
-        Frame::remote(id, len)
+        Frame::remote(id, len).with_raw_dlc(dlc as u8)
     } else {
         let mut data = [0; Frame::MAX_DATA];
         let data = &mut data[..len];
@@ -33,7 +34,7 @@ pub(super) fn parse(line: &[u8]) -> Result<(&str, Frame), LineFault> {
         match (is_error, is_fd) {
             (true, _) => Frame::error(class_of(id), data),
             (false, true) => with_fd_flags(id, data, info.fd_flags),
-            (false, false) => Frame::new(id, data),
+            (false, false) => Frame::new(id, data).with_raw_dlc(dlc as u8),
         }
     };
     Ok((interface, if info.is_tx { frame.with_tx() } else { frame }))
@@ -106,12 +107,12 @@ fn parse_id(digits: &[u8]) -> Result<(CanId, bool), LineFault> {
     Ok((id.ok_or(LineFault::Id)?, is_error))
 }
 
-/// Reads `[8]`, of FD frames `[08]`, of raw DLCs `{F}`, of CAN XL `[0008]`; returns the length, and true for
-/// FD.
+/// Reads `[8]`, of FD frames `[08]`, of raw DLCs `{F}`, of CAN XL `[0008]`; returns the length or the
+/// raw DLC, and true for FD.
 fn parse_length(word: &[u8]) -> Result<(usize, bool), LineFault> {
     if let [b'{', digit, b'}'] = word {
         let dlc = hex_value(*digit).ok_or(LineFault::Length)?;
-        return Ok((usize::from(dlc).min(Frame::MAX_CLASSIC_DATA), false));
+        return Ok((usize::from(dlc), false));
     }
     let digits = word.strip_prefix(b"[").and_then(|it| it.strip_suffix(b"]"));
     let digits = digits.ok_or(LineFault::Frame)?;

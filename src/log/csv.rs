@@ -328,6 +328,7 @@ impl LogEncoder for GvretEncoder {
         let is_classic_length = frame.len() <= Frame::MAX_CLASSIC_DATA;
         let has_flags = frame.bit_rate_switch || frame.error_state;
         self.loss.finer_times += u64::from(entry.time.nanos > 0);
+        self.loss.raw_dlcs += u64::from(frame.raw_dlc().is_some());
         self.loss.fd_flags += u64::from(frame.is_fd && (is_classic_length || has_flags));
         let (id, is_extended) = match frame.id {
             CanId::Standard(id) => (u32::from(id), false),

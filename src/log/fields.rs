@@ -246,6 +246,11 @@ pub(super) fn len_of_dlc(dlc: u32, is_fd: bool) -> Result<usize, FieldFault> {
     }
 }
 
+/// Returns the frame with a DLC of the log, which matters where it is a raw one above 8.
+pub(super) fn with_dlc(frame: Frame, dlc: u32) -> Frame {
+    frame.with_raw_dlc(u8::try_from(dlc).unwrap_or(0))
+}
+
 /// Checks the length of a line.
 pub(super) fn check_line(line: &[u8]) -> Result<(), FieldFault> {
     if line.len() > MAX_LINE { Err(FieldFault::TooLong) } else { Ok(()) }

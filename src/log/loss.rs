@@ -16,6 +16,8 @@ pub struct LogLoss {
     pub error_details: u64,
     /// FD frames that are read as classic ones, or without BRS or ESI.
     pub fd_flags: u64,
+    /// Classic frames whose DLC above 8 is read as 8.
+    pub raw_dlcs: u64,
     /// Frames whose time the format does not have: before the first one, or centuries after it.
     pub other_times: u64,
     /// Frames whose time is cut to the microsecond.
@@ -42,6 +44,7 @@ impl fmt::Display for LogLoss {
             (self.error_frames, "error frame", "left out"),
             (self.error_details, "error frame", "without details"),
             (self.fd_flags, "FD frame", "without FDF, BRS or ESI"),
+            (self.raw_dlcs, "classic frame", "with a DLC of 8 in place of one above"),
             (self.other_times, "frame", "with another time"),
             (self.finer_times, "time", "cut to the microsecond"),
         ];

@@ -10,7 +10,7 @@ use super::Damage;
 use super::bus_errors::{bus_error, captured};
 use super::dates::{comes_twice, is_zone_unknown, local_micros, unix_nanos_micros};
 use super::entry_stream::EntryWriter;
-use super::fields::{FieldFault, can_id, len_of_dlc};
+use super::fields::{FieldFault, can_id, len_of_dlc, with_dlc};
 use super::mdf_blocks::{DataChain, MdfBlock, MdfFault, UnpackedBytes, u32_at, u64_at};
 use super::random_access::{RandomAccess, RandomFormat, read_full_at};
 use crate::frame::socketcan::{BIT_RATE_SWITCH, ERROR_STATE, with_fd_flags};
@@ -741,10 +741,12 @@ impl FrameGroup {
         let number = u32::try_from(word & !EXTENDED).ok();
         let id: CanId = can_id(number, is_extended)?;
         let is_fd = flag(C::Fd);
-        let of_dlc = value(C::Dlc).map(|dlc| len_of_dlc(u32::try_from(dlc).unwrap_or(16), is_fd));
+        let dlc = value(C::Dlc).map(|dlc| u32::try_from(dlc).unwrap_or(16));
+        let of_dlc = dlc.map(|dlc| len_of_dlc(dlc, is_fd));
+        let with_dlc = |frame: Frame| with_dlc(frame, dlc.unwrap_or(0));
         if self.kind == GroupKind::Remote {
             let len = of_dlc.unwrap_or(Ok(0))?.min(Frame::MAX_CLASSIC_DATA);
-            return Ok((bus, with_direction(Frame::remote(id, len))));
+            return Ok((bus, with_direction(with_dlc(Frame::remote(id, len)))));
         }
         let len = value(C::Length).map(|len| usize::try_from(len).unwrap_or(usize::MAX));
         let len = len.map_or_else(|| of_dlc.unwrap_or(Ok(data.len())), Ok)?;
@@ -756,7 +758,7 @@ impl FrameGroup {
         let bit = |channel, bit| if flag(channel) { bit } else { 0 };
         let flags = bit(C::Switch, BIT_RATE_SWITCH) | bit(C::Passive, ERROR_STATE);
         let frame = if is_fd { with_fd_flags(id, data, flags) } else { Frame::new(id, data) };
-        Ok((bus, with_direction(frame)))
+        Ok((bus, with_direction(with_dlc(frame))))
     }
 }
 

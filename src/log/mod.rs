@@ -46,7 +46,7 @@ pub use loss::LogLoss;
 pub use random_access::{LogSpool, MakeSpool, RandomAccess};
 pub use reader::{LogPosition, LogReader};
 pub use summary::{
-    DateDoubts, EntryFault, LogDoubts, LogSummary, UnreadChanges, UnreadableEntries,
+    ChangedFrames, DateDoubts, EntryFault, LogDoubts, LogSummary, UnreadChanges, UnreadableEntries,
 };
 pub use unpack::{Packing, Unpacked};
 

@@ -14,7 +14,7 @@ const COOKED: u16 = 113;
 /// The same with the number of the interface.
 const COOKED_V2: u16 = 276;
 
-/// Bytes before a frame's data: identifier word, length, FD flags, two reserved bytes.
+/// Bytes before a frame's data: identifier word, length, FD flags, a reserved byte, raw DLC.
 pub(super) const CAN_HEAD: usize = 8;
 /// Flag in the length byte of a CAN XL frame.
 const XL_FORMAT: u8 = 0x80;
@@ -98,5 +98,6 @@ fn decode_frame(packet: &[u8], order: FileOrder, is_fd: bool) -> Result<Frame, P
     }
     // Writers without the FDF flag mark FD frames only by their length.
     let fd = is_fd || flags & FD_FORMAT != 0 || len > Frame::MAX_CLASSIC_DATA;
-    fields::decode(raw, len, fd.then_some(flags), data).ok_or(PacketFault::NoFrame)
+    let frame = fields::decode(raw, len, fd.then_some(flags), data);
+    frame.map(|frame| frame.with_raw_dlc(head[7])).ok_or(PacketFault::NoFrame)
 }

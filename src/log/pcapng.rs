@@ -481,7 +481,7 @@ pub fn write_frame_with(
     let fd = if frame.is_fd { FD_FORMAT | fields::fd_flags(frame) } else { 0 };
     let word = fields::id_word(frame);
     block.bytes(&word.to_be_bytes());
-    block.bytes(&[frame.len() as u8, fd, 0, 0]);
+    block.bytes(&[frame.len() as u8, fd, 0, frame.raw_dlc().unwrap_or(0)]);
     block.bytes(frame.data());
     block.pad();
     block.comment(comment);

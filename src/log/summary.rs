@@ -10,7 +10,7 @@ use super::fields::FieldFault;
 use super::foreign::ForeignFormat;
 use super::pcapng::PacketFault;
 use super::{LogEntry, LogTime};
-use crate::frame::{BusIndex, Frame};
+use crate::frame::{BusIndex, Frame, FrameKind};
 use crate::time::{Duration, Epoch, Instant};
 use std::fmt;
 use std::sync::Arc;
@@ -88,6 +88,8 @@ pub struct LogSummary {
     pub last: Instant,
     /// Time of the last frame as it is in the log.
     pub written: LogTime,
+    /// Frames that are not all that the log has of them.
+    pub changed: ChangedFrames,
     /// The log has no times: its frames have those at which they were read, or all the same.
     pub is_timeless: bool,
     /// What is doubtful of its local dates.
@@ -105,6 +107,44 @@ pub struct LogSummary {
     ahead_before: Duration,
     /// Place of the last interface.
     last_interface: usize,
+}
+
+/// Numbers of frames that are read otherwise than the log has them, as no frame is so on a bus.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ChangedFrames {
+    /// FD frames with zeros behind the data of the log, which have a length without a DLC.
+    pub padded: u64,
+    /// Error frames without some details of the log.
+    pub error_details: u64,
+    /// Remote frames whose FDF is dropped.
+    pub fd_remote: u64,
+}
+
+impl ChangedFrames {
+    fn count(&mut self, frame: &Frame) {
+        let count = match frame.kind {
+            FrameKind::Data => &mut self.padded,
+            FrameKind::Error => &mut self.error_details,
+            FrameKind::Remote => &mut self.fd_remote,
+        };
+        *count += 1;
+    }
+}
+
+/// Formats each number that is not 0, with a separator before it.
+impl fmt::Display for ChangedFrames {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let counts = [
+            (self.padded, "FD frame", "padded with zeros to a length that has a DLC"),
+            (self.error_details, "error frame", "without all details of the log"),
+            (self.fd_remote, "remote frame", "of the log in FD format, which has none"),
+        ];
+        for (count, what, how) in counts.into_iter().filter(|(count, ..)| *count > 0) {
+            let plural = if count == 1 { "" } else { "s" };
+            write!(f, "; {count} {what}{plural} {how}")?;
+        }
+        Ok(())
+    }
 }
 
 /// Entries of a part of a log that cannot be read.
@@ -204,7 +244,7 @@ impl LogSummary {
         (self.damage, self.foreign) = (None, None);
         (self.damage_at, self.bytes) = (None, 0);
         (self.unread_changes, self.ends_inside_entry) = (None, false);
-        self.dates = DateDoubts::default();
+        (self.dates, self.changed) = (DateDoubts::default(), ChangedFrames::default());
         self.frames_before = self.frames;
     }
 
@@ -278,7 +318,11 @@ impl LogSummary {
         };
         self.frames += 1;
         self.written = time;
-        frame.with_time(self.last)
+        let mut frame = frame.with_time(self.last);
+        if frame.take_changed() {
+            self.changed.count(&frame);
+        }
+        frame
     }
 
     /// Returns the moment of an entry dated `written` microseconds after the first one.
@@ -345,6 +389,7 @@ impl fmt::Display for LogSummary {
             };
             write!(f, "; {end}")?;
         }
+        write!(f, "{}", self.changed)?;
         if self.is_timeless {
             write!(f, "; without times")?;
         }

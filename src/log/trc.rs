@@ -5,8 +5,7 @@
 //! python-can writes it. Status and event lines are passed over. Does not know moments
 //! or bus numbers.
 
-use super::asc::is_whole_error;
-use super::bus_errors::{bus_error, capture_of, captured, is_on_bus, overload};
+use super::bus_errors::{bus_error, capture_of, captured_with_counters, is_on_bus};
 use super::channel::{ChannelNumbers, channel_name};
 use super::dates::{
     LAST_START, day_month_year, is_in_repeated_hour, local_time, trc_date, trc_days, trc_utc_date,
@@ -14,11 +13,11 @@ use super::dates::{
 };
 use super::fields::{
     FieldFault, bytes, can_id, channel, check_line, data_frame, first_word, fixed_point,
-    len_of_dlc, number, starts_with_ignoring_case as starts,
+    len_of_dlc, number, starts_with_ignoring_case as starts, with_dlc,
 };
 use super::{LogEncoder, LogEntry, LogLoss, LogTime};
 use crate::frame::socketcan::{BIT_RATE_SWITCH, ERROR_STATE};
-use crate::frame::{CanId, Frame, FrameKind, dlc};
+use crate::frame::{CanId, Frame, FrameKind, dlc_of};
 use std::io::{self, Write};
 
 /// Most columns of a line.
@@ -140,7 +139,7 @@ impl TrcLines {
     /// Reads a line behind the number of the message.
     fn read_message(&self, line: &[u8]) -> Result<Option<LogEntry<'static>>, FieldFault> {
         let (mut time, mut kind, mut bus, mut id, mut length) = (None, &b"DT"[..], 1, None, None);
-        let (mut is_tx, mut is_dlc, mut rest) = (false, false, line);
+        let (mut is_tx, mut is_error, mut is_dlc, mut rest) = (false, false, false, line);
         for column in self.columns.into_iter().take_while(|column| *column != 0) {
             if column == b'D' {
                 break;
@@ -162,7 +161,9 @@ impl TrcLines {
                 b'd' if kind == b"ER" && word == b"-" => {}
                 b'd' if self.has_types => return Err(FieldFault::Column),
                 // Warnings and errors of version 1.
-                b'd' => return self.other_message(word, time, bus),
+                b'd' if word == b"Warng" => return Ok(None),
+                b'd' if word == b"Error" => is_error = true,
+                b'd' => return Err(FieldFault::Kind),
                 b'l' | b'L' => (length, is_dlc) = (Some(word), column == b'L'),
                 _ => {}
             }
@@ -177,7 +178,8 @@ impl TrcLines {
             b"FE" => (true, ERROR_STATE),
             b"BI" => (true, BIT_RATE_SWITCH | ERROR_STATE),
             b"ER" => {
-                let frame = error_frame(rest, is_tx);
+                let mut frame = error_frame(None, rest);
+                frame.is_tx = is_tx;
                 return Ok(Some(LogEntry { time, interface, frame }));
             }
             // Status, error counters, events.
@@ -188,6 +190,13 @@ impl TrcLines {
         // A status line of version 1.0.
         if id == b"FFFFFFFF" && !self.has_types {
             return Ok(None);
+        }
+        // Version 1.0 names an error frame before its bytes.
+        let named = rest.trim_ascii_start().strip_prefix(b"ERROR").filter(|_| !self.has_types);
+        if is_error || named.is_some() {
+            let kind = number(id, 16).and_then(|kind| u8::try_from(kind).ok()).unwrap_or(0);
+            let frame = error_frame(Some(kind), named.unwrap_or(rest));
+            return Ok(Some(LogEntry { time, interface, frame }));
         }
         let id = can_id(number(id, 16), id.len() > 4)?;
         let length = number(length.unwrap_or_default(), 10).ok_or(FieldFault::Length)?;
@@ -205,6 +214,9 @@ impl TrcLines {
             bytes(rest, 16, data)?;
             data_frame(id, data, is_fd.then_some(flags))?
         };
+        if !is_fd {
+            frame = with_dlc(frame, length);
+        }
         frame.is_tx = is_tx;
         Ok(Some(LogEntry { time, interface, frame }))
     }
@@ -214,40 +226,30 @@ impl TrcLines {
         let time = self.start.checked_add(since_start.ok_or(FieldFault::Time)?);
         time.map(LogTime::from_micros).ok_or(FieldFault::TimeRange)
     }
-
-    /// Reads a line of version 1 that is neither received nor sent.
-    fn other_message(
-        &self,
-        kind: &[u8],
-        time: Option<u64>,
-        bus: u8,
-    ) -> Result<Option<LogEntry<'static>>, FieldFault> {
-        match kind {
-            b"Warng" => Ok(None),
-            b"Error" => {
-                let (time, frame) = (self.time(time)?, bus_error());
-                Ok(Some(LogEntry { time, interface: channel_name(bus), frame }))
-            }
-            _ => Err(FieldFault::Kind),
-        }
-    }
 }
 
-/// Reads the bytes of an error frame: the type of the error, the direction, the place in the frame, and the
-/// error counters.
-fn error_frame(bytes_of_line: &[u8], is_tx: bool) -> Frame {
-    let mut data = [0; 3];
-    if bytes(bytes_of_line, 16, &mut data).is_err() {
+/// Reads the bytes of an error frame: the type of the error, unless version 1 has it in place of the
+/// identifier, the direction, the place in the frame, and the error counters.
+fn error_frame(kind: Option<u8>, bytes_of_line: &[u8]) -> Frame {
+    let mut data = [kind.unwrap_or(0), 0, 0, 0, 0];
+    // Some writers leave the counters out.
+    let (mut line, mut end) = (bytes_of_line, usize::from(kind.is_some()));
+    for byte in data[end..].chunks_mut(1) {
+        let Ok(rest) = bytes(line, 16, byte) else { break };
+        (line, end) = (rest, end + 1);
+    }
+    if end < 3 {
         return bus_error();
     }
-    let kind = match data[0] {
+    let [kind, direction, place, received, sent] = data;
+    let kind = match kind {
         0x01 => 0,
         0x02 => 1,
         0x04 => 2,
         _ => 3,
     };
-    let direction = if is_tx || data[1] == 0 { 0 } else { 0x20 };
-    captured(kind << 6 | direction | data[2] & 0x1F)
+    let direction = if direction == 0 { 0 } else { 0x20 };
+    captured_with_counters(kind << 6 | direction | place & 0x1F, sent, received)
 }
 
 /// Writes a trace of version 2.1.
@@ -316,7 +318,6 @@ impl LogEncoder for TrcEncoder {
         self.loss.finer_times += u64::from(entry.time.nanos > 0);
         let since_start = unix_micros.saturating_sub(start);
         self.loss.error_details += u64::from(!is_whole_error(&entry.frame));
-        self.loss.error_details += u64::from(entry.frame.same_on_wire(&overload()));
         self.messages += 1;
         let (frame, channel) = (entry.frame, self.channels.number(entry.interface));
         let id = match (frame.kind, frame.id) {
@@ -334,7 +335,7 @@ impl LogEncoder for TrcEncoder {
         if frame.kind == FrameKind::Error {
             write_error(out, &frame)?;
         } else {
-            write!(out, "  {:<2}  ", dlc(frame.len()))?;
+            write!(out, "  {:<2}  ", dlc_of(&frame))?;
             frame.data().iter().try_for_each(|byte| write!(out, " {byte:02X}"))?;
             writeln!(out)?;
         }
@@ -354,6 +355,20 @@ impl LogEncoder for TrcEncoder {
     }
 }
 
+/// Returns true for an error frame that is read from its line as it was, and for any other frame.
+fn is_whole_error(frame: &Frame) -> bool {
+    let [sent, received] = counters_of(frame);
+    let read = || captured_with_counters(capture_of(frame.data()), sent, received);
+    frame.kind != FrameKind::Error
+        || frame.same_on_wire(&bus_error())
+        || frame.same_on_wire(&read())
+}
+
+/// Returns the error counters of the controller, for sending and receiving.
+fn counters_of(frame: &Frame) -> [u8; 2] {
+    frame.data().get(6..8).map_or([0, 0], |it| [it[0], it[1]])
+}
+
 /// Writes the bytes of an error frame: see [`error_frame`].
 fn write_error(out: &mut Vec<u8>, frame: &Frame) -> io::Result<()> {
     if frame.same_on_wire(&bus_error()) {
@@ -362,7 +377,6 @@ fn write_error(out: &mut Vec<u8>, frame: &Frame) -> io::Result<()> {
     let code = capture_of(frame.data());
     let kind = [0x01, 0x02, 0x04, 0x08][usize::from(code >> 6)];
     let direction = u8::from(code & 0x20 != 0);
-    let counters = frame.data().get(6..8).map_or([0, 0], |it| [it[0], it[1]]);
-    let [sent, received] = counters;
+    let [sent, received] = counters_of(frame);
     writeln!(out, "  5    {kind:02X} {direction:02X} {:02X} {received:02X} {sent:02X}", code & 0x1F)
 }

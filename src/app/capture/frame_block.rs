@@ -37,6 +37,7 @@ pub(super) struct Record {
     bus: BusIndex,
     /// FD flags of SocketCAN, [`SENT`] and [`TIMELESS`].
     flags: u8,
+    /// Length, or a raw DLC above 8 of a classic frame.
     len: u8,
 }
 
@@ -120,7 +121,7 @@ impl FrameBlock {
         let sent = if frame.is_tx { SENT } else { 0 };
         let timeless = if frame.is_timeless { TIMELESS } else { 0 };
         let word = socketcan::id_word(frame);
-        let len = frame.len() as u8;
+        let len = frame.raw_dlc().unwrap_or(frame.len() as u8);
         let record =
             Record { offset, back, word, data, bus: frame.bus, flags: fd | sent | timeless, len };
         self.records.push(record);
@@ -143,16 +144,18 @@ impl FrameBlock {
 
     /// Returns the frame of a record.
     pub fn decode(&self, record: &Record) -> Frame {
-        let len = usize::from(record.len);
+        let fd = (record.flags & FD_FORMAT != 0).then_some(record.flags);
+        let most = if fd.is_some() { Frame::MAX_DATA } else { Frame::MAX_CLASSIC_DATA };
+        let len = usize::from(record.len).min(most);
         let data = if len <= record.data.len() {
             &record.data[..]
         } else {
             let at = u64::from_ne_bytes(record.data) as usize;
             self.long_data.get(at..at + len).unwrap_or_default()
         };
-        let fd = (record.flags & FD_FORMAT != 0).then_some(record.flags);
         let frame = socketcan::decode(record.word, len, fd, data);
         let mut frame = frame.unwrap_or_else(|| Frame::new(CanId::Extended(0), &[]));
+        frame = frame.with_raw_dlc(record.len);
         frame.time = self.time_of(record);
         frame.bus = record.bus;
         frame.is_tx = record.flags & SENT != 0;

@@ -291,7 +291,8 @@ fn decode(bytes: &[u8]) -> Option<Frame> {
     };
     let (head, data) = bytes.split_at(DATA_AT);
     let word = u32::from_ne_bytes(*head.first_chunk()?);
-    fields::decode(word, usize::from(head[4]), is_fd.then_some(head[5]), data)
+    let frame = fields::decode(word, usize::from(head[4]), is_fd.then_some(head[5]), data)?;
+    Some(frame.with_raw_dlc(head[7]))
 }
 
 /// Encodes `can_frame` or `canfd_frame`; returns it with its length.
@@ -302,6 +303,7 @@ fn encode(frame: &Frame) -> ([u8; FD_LEN], usize) {
     if frame.is_fd {
         bytes[5] = FD_FORMAT | fields::fd_flags(frame);
     }
+    bytes[7] = frame.raw_dlc().unwrap_or(0);
     bytes[DATA_AT..][..frame.data().len()].copy_from_slice(frame.data());
     (bytes, if frame.is_fd { FD_LEN } else { CLASSIC_LEN })
 }
@@ -321,6 +323,7 @@ mod tests {
             Frame::remote(CanId::Standard(0x12), 4),
             Frame::remote(CanId::Extended(0x12), 0),
             Frame::error(0x24, &[0, 1, 2, 3, 4, 5, 6, 7]),
+            Frame::classic(1, &[0xFF; 8]).with_raw_dlc(15),
             fd,
         ] {
             let (bytes, len) = encode(&frame);
