@@ -31,6 +31,8 @@ const KINDS: &str = "\
 (1700000002.000000) ch1 20000080#0000000000000000
 (1700000002.000000) ch1 20000088#0000040200000000
 (1700000003.000000) ch1 02015402#1122334455667788 T
+(1700000003.100000) ch1 02015402#1122334455667788_F
+(1700000003.200000) ch2 7FF#R8_9 T
 ";
 
 fn read(bytes: &[u8]) -> (Vec<Frame>, LogSummary) {
@@ -487,7 +489,7 @@ fn screen_of_candump_is_read_in_all_its_forms() {
         ),
         ("  vcan_long0       123   [2]  11 22   '.\"'", "1 vcan_long0 123#1122"),
         ("  can0  123   [3]  33`22`11", "1 can0 123#112233"),
-        ("  can0  123   {F}  11 22 33 44 55 66 77 88", "1 can0 123#1122334455667788"),
+        ("  can0  123   {F}  11 22 33 44 55 66 77 88", "1 can0 123#1122334455667788_F"),
         (
             "  can0  20000080   [8]  00 00 0A 00 00 00 00 00   ERRORFRAME",
             "1 can0 20000080#00000A0000000000",
@@ -677,15 +679,131 @@ fn every_format_holds_every_kind_of_frame() {
     let said = convert(path, "in.log", "out.csv");
     assert!(
         said.ends_with(
-            "out.csv: not in this format: 2 remote frames left out; 2 error frames left out; 3 FD frames \
-             without FDF, BRS or ESI; the names of interfaces: ch1 is number 0, ch2 is number 1\n"
+            "out.csv: not in this format: 3 remote frames left out; 2 error frames left out; 3 FD frames \
+             without FDF, BRS or ESI; 1 classic frame with a DLC of 8 in place of one above; the names of interfaces: ch1 is number 0, ch2 is number 1\n"
         ),
         "{said}"
     );
     convert(path, "out.csv", "csv.log");
     let again = fs::read_to_string(path.join("csv.log")).unwrap();
-    assert_eq!(again.lines().count(), KINDS.lines().count() - 4);
+    assert_eq!(again.lines().count(), KINDS.lines().count() - 5);
     assert!(again.starts_with("(1700000000.123456) bus0 02015402#0444455301\n"), "{again}");
+}
+
+/// Returns a BLF log with one object, of this type and with these bytes behind its head.
+fn blf(kind: u32, body: &[u8]) -> Vec<u8> {
+    let mut log = [&b"LOGG"[..], &144_u32.to_le_bytes(), &[0; 136]].concat();
+    let size = 32 + body.len() as u32;
+    for word in [1 << 16 | 32, size, kind, 2, 0, 0, 0] {
+        if word == 1 << 16 | 32 {
+            log.extend_from_slice(b"LOBJ");
+        }
+        log.extend_from_slice(&word.to_le_bytes());
+    }
+    log.extend_from_slice(body);
+    log
+}
+
+/// Returns an error frame of a BLF log, with the flags of its valid fields; the identifier and data are those of
+/// the frame with the error.
+fn blf_error(flags: u32) -> Vec<u8> {
+    let (code, position, dlc) = (0x82, 5, 2);
+    let head = [&[1, 0, 0, 0][..], &flags.to_le_bytes(), &[code, position, dlc, 0]].concat();
+    let rest = [&[0; 4][..], &0x123_u32.to_le_bytes(), &[0xA2, 0x20, 0, 0], &[0x55; 8]].concat();
+    blf(73, &[head, rest].concat())
+}
+
+#[test]
+fn details_of_error_frames_are_read_or_said_to_be_left() {
+    let asc = |event: &str| {
+        let head = "date Tue Nov 14 10:13:20.123 pm 2023\nbase hex  timestamps absolute\n";
+        [head, " 0.0 ", event, "\n"].concat().into_bytes()
+    };
+    let trc = |version: &str, line: &str| {
+        let head = format!(";$FILEVERSION={version}\n;$STARTTIME=44548.6\n");
+        [&head, line, "\n"].concat().into_bytes()
+    };
+    let v2 = "2.1\n;$COLUMNS=N,O,T,B,I,d,R,L,D";
+    let fd_error = [&[1, 15, 64, 0xC7, 0xFE, 0xFF, 0xCA, 0x31][..], &[0; 40]].concat();
+    // A stuff error, received, behind the start; a frame without an acknowledgement, sent.
+    let (stuff, no_ack) = ("20000088#0000040000000000", "200000A8#0000800000000000");
+    for (name, log, frame, is_said) in [
+        ("ASC", asc("1  ErrorFrame"), "20000080#0000000000000000", false),
+        ("ASC", asc("1  ErrorFrame  ECC: 10100010"), "20000088#0000040200000000", false),
+        (
+            "ASC",
+            asc(
+                "2 ErrorFrame Flags = 0xe CodeExt = 0x20a2 Code = 0x82 ID = 0 DLC = 0 Position = 5",
+            ),
+            stuff,
+            true,
+        ),
+        (
+            "ASC",
+            asc("2 ErrorFrame Flags = 0x1 CodeExt = 0 Code = 0xa2 ID = 0 DLC = 0"),
+            "20000088#0000040200000000",
+            true,
+        ),
+        (
+            "ASC",
+            asc(
+                "CANFD   5 Tx ErrorFrame Not Acknowledge error, dominant error flag fffe c7 31ca Arb. 556 44 0 0",
+            ),
+            "200000A8#0000800000000000 T",
+            true,
+        ),
+        ("BLF", blf_error(1), "20000088#0000840200000000", false),
+        ("BLF", blf_error(0xE), stuff, true),
+        ("BLF", blf_error(8), "20000080#0000000000000000", true),
+        ("BLF of CAN FD", blf(104, &fd_error), no_ack, true),
+        (
+            "TRC 1.0",
+            trc("1.0", "2) 1842 0008 4 ERROR 00 19 08 07"),
+            "20000288#0000801900000708",
+            false,
+        ),
+        (
+            "TRC 1.1",
+            trc("1.1", "2) 1842.5 Error 0004 4 01 19 00 00"),
+            "20000088#0000041900000000",
+            false,
+        ),
+        (
+            "TRC 1.3",
+            trc("1.3", "2) 1842.5 1 Error 0002 - 4 01 19 60 00"),
+            "20000288#0000021900000060",
+            false,
+        ),
+        ("TRC 2.1", trc(v2, "1 0.0 ER 1 - Tx - 3 04 01 19"), "20000088#0000041900000000 T", false),
+    ] {
+        let (_, summary) = read(&log);
+        let said = summary.to_string();
+        let expected = if is_said { 1 } else { 0 };
+        assert_eq!(summary.changed.error_details, expected, "{name} {frame}: {said}");
+        assert_eq!(said.contains("without all details"), is_said, "{said}");
+        let read = dated(&log).remove(0);
+        let (_, read) = read.split_once(' ').unwrap().1.split_once(' ').unwrap();
+        assert_eq!(read, frame, "{name}");
+    }
+}
+
+#[test]
+fn frames_that_are_on_no_bus_are_said_to_be_changed() {
+    let padded = "(1.000000) can0 123##1112233445566778899\n(2.000000) can0 123##100\n";
+    let (frames, summary) = read(padded.as_bytes());
+    assert_eq!(frames.iter().map(Frame::len).collect::<Vec<_>>(), [12, 1]);
+    assert_eq!(
+        summary.to_string(),
+        "2 frames; 1 FD frame padded with zeros to a length that has a DLC"
+    );
+    let remote = "date Tue Nov 14 10:13:20.123 pm 2023\nbase hex  timestamps absolute\n \
+        0.0 CANFD 1 Rx 123 0 0 8 0 0 0 1010 0 0 0 0 0\n";
+    let (frames, summary) = read(remote.as_bytes());
+    assert_eq!(frames[0].to_string(), "123#R8");
+    assert_eq!(
+        summary.to_string(),
+        "1 frame; 1 remote frame of the log in FD format, which has none"
+    );
 }
 
 /// Returns the times of the frames of a log in nanoseconds since 1970.
@@ -1192,8 +1310,8 @@ fn long_frames_of_asc_have_all_their_bytes() {
         line(&format!("9 {twelve}"))
     );
     // A DLC above 8 with 8 bytes is a classic frame.
-    assert_eq!(line("D 01 02 03 04 05 06 07 08"), "123#0102030405060708");
-    assert_eq!(line("D 01 02 03 04 05 06 07 08  Length = 0"), "123#0102030405060708");
+    assert_eq!(line("D 01 02 03 04 05 06 07 08"), "123#0102030405060708_D");
+    assert_eq!(line("D 01 02 03 04 05 06 07 08  Length = 0"), "123#0102030405060708_D");
     for wrong in [
         "9 01 02 03 04 05 06 07 08 09",
         "B 12",
