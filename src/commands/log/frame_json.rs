@@ -190,6 +190,7 @@ pub fn field_json(value: &DataValue<'_>) -> Value {
         {
             (*number as f32).to_string().parse::<f64>().map_or(Value::Null, Value::from)
         }
+        DataValue::Float(number, digits) if *digits > FLOAT_DIGITS => Value::from(*number),
         DataValue::Scaled(..) | DataValue::Decimal(..) | DataValue::Float(..) => {
             value.to_string().parse::<f64>().map_or(Value::Null, Value::from)
         }
