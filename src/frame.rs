@@ -241,11 +241,18 @@ impl Frame {
         self
     }
 
+    /// Returns true with the mark of [`Self::as_changed`].
+    #[inline]
+    #[cfg(feature = "std")]
+    pub(crate) fn is_changed(&self) -> bool {
+        self.len & Self::CHANGED != 0
+    }
+
     /// Removes the mark of [`Self::as_changed`]; returns true if it was there.
     #[inline]
     #[cfg(feature = "std")]
     pub(crate) fn take_changed(&mut self) -> bool {
-        let is_changed = self.len & Self::CHANGED != 0;
+        let is_changed = self.is_changed();
         self.len &= !Self::CHANGED;
         is_changed
     }

@@ -46,7 +46,12 @@ pub(super) fn describe(finding: &mut Finding, is_certain: bool) {
     let concerns_own_address = concerns_own_address(finding);
     finding.text = match finding.key.kind {
         FindingKind::SameNameSameAddress if finding.names.is_empty() => {
-            format!("Two indistinguishable devices use address {address}.")
+            let other = if is_certain || finding.uids.len() > 1 {
+                ""
+            } else {
+                ", or one that sends its heartbeats twice"
+            };
+            format!("Two indistinguishable devices use address {address}{other}.")
         }
         FindingKind::SameNameSameAddress if is_certain || finding.uids.len() > 1 => {
             format!("Two devices answer as {device}.")

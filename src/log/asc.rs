@@ -276,7 +276,10 @@ fn error_event(word: &[u8], rest: &[u8]) -> Option<Frame> {
             None => bus_error(),
         },
     };
-    let is_all = name.is_empty() || name == b"ECC:" && end.trim_ascii().is_empty();
+    let has_code = || frame.same_on_wire(&bus_error()) == (name != b"ECC:");
+    let is_all = name.is_empty()
+        || is_tx(name).is_some() && after.trim_ascii().is_empty()
+        || name == b"ECC:" && end.trim_ascii().is_empty() && has_code();
     Some(if is_all { frame } else { frame.as_changed() })
 }
 

@@ -180,7 +180,7 @@ impl BinaryFormat for MeasurementState {
         if !entry.fill(len as usize) {
             return Ok(None);
         }
-        let frame = summary.take(read_object(start, entry.bytes()).map(Some));
+        let frame = summary.take(read_object(start, entry.bytes()));
         entry.end();
         Ok(frame)
     }
@@ -191,7 +191,7 @@ impl BinaryFormat for MeasurementState {
         let (len, kind) = rest.first_chunk().and_then(object_size)?;
         let is_read = is_frame(kind) && len as usize <= MAX_OBJECT;
         let object = rest.get(..len as usize).filter(|_| is_read)?;
-        let entry = read_object(self.start?, object).ok()?;
+        let entry = read_object(self.start?, object).ok()??;
         let name = entry.interface.as_bytes();
         let frame = summary.take_plain(entry.time, name, &entry.frame)?;
         Some((padding + object.len(), frame))
@@ -221,8 +221,8 @@ fn start_of(head: &[u8]) -> Option<u64> {
     system_time([year, month, day, hour, minute, second, millis])
 }
 
-/// Reads an object of a type with a frame.
-fn read_object(start: u64, object: &[u8]) -> Result<LogEntry<'static>, FieldFault> {
+/// Reads an object of a type with a frame; `None` for the request to send one.
+fn read_object(start: u64, object: &[u8]) -> Result<Option<LogEntry<'static>>, FieldFault> {
     let mut fields = ObjectFields(object);
     fields.skip(4)?;
     let (head_len, version) = (fields.u16()?, fields.u16()?);
@@ -241,6 +241,9 @@ fn read_object(start: u64, object: &[u8]) -> Result<LogEntry<'static>, FieldFaul
     let time = since_start.and_then(|time| LogTime::from_micros(start).checked_add(time));
     let time = time.ok_or(FieldFault::TimeRange)?;
     let body = object.get(usize::from(head_len)..size).ok_or(FieldFault::Column)?;
+    if is_transmit_request(kind, body) {
+        return Ok(None);
+    }
     let (channel, frame) = match kind {
         MESSAGE | MESSAGE_2 => message(ObjectFields(body))?,
         ERROR => (ObjectFields(body).u16()?, bus_error()),
@@ -252,7 +255,20 @@ fn read_object(start: u64, object: &[u8]) -> Result<LogEntry<'static>, FieldFaul
         _ => fd_error_64(ObjectFields(body))?,
     };
     let channel = u8::try_from(channel).map_err(|_| FieldFault::Channel)?;
-    Ok(LogEntry { time, interface: channel_name(channel), frame })
+    Ok(Some(LogEntry { time, interface: channel_name(channel), frame }))
+}
+
+/// Returns true for the request of a program to send a frame, which is another object when it is sent.
+fn is_transmit_request(kind: u32, body: &[u8]) -> bool {
+    /// Bits of the direction in the flags of a frame, and its value for a request.
+    const DIRECTION: u8 = 0x0F;
+    const REQUEST: u8 = 2;
+    let (at, bits) = match kind {
+        MESSAGE | MESSAGE_2 | FD_MESSAGE => (2, DIRECTION),
+        FD_MESSAGE_64 => (34, u8::MAX),
+        _ => return false,
+    };
+    body.get(at).is_some_and(|byte| byte & bits == REQUEST)
 }
 
 fn id(word: u32) -> Result<CanId, FieldFault> {
@@ -285,7 +301,8 @@ fn error_ext(mut fields: ObjectFields<'_>) -> Result<(u16, Frame), FieldFault> {
     let frame = if flags == 0 && class != 0 && dlc as usize <= Frame::MAX_CLASSIC_DATA {
         Frame::error(class, fields.data(usize::from(dlc), Frame::MAX_CLASSIC_DATA)?)
     } else {
-        of_vector(flags, code, core)
+        let frame = of_vector(flags, code, core);
+        if flags != 0 && word != 0 { frame.as_changed() } else { frame }
     };
     Ok((channel, frame))
 }
@@ -293,8 +310,10 @@ fn error_ext(mut fields: ObjectFields<'_>) -> Result<(u16, Frame), FieldFault> {
 fn fd_error_64(mut fields: ObjectFields<'_>) -> Result<(u16, Frame), FieldFault> {
     let (channel, _dlc, _valid, code) = (fields.u8()?, fields.u8()?, fields.u8()?, fields.u8()?);
     let (flags, core) = (fields.u16()?, fields.u16()?);
-    // There is always the identifier of the frame with the error, and more.
-    Ok((u16::from(channel), of_vector(u32::from(flags), code, core).as_changed()))
+    let frame = of_vector(u32::from(flags), code, core);
+    // The identifier of the frame with the error, and more.
+    let has_more = fields.0.iter().any(|byte| *byte != 0);
+    Ok((u16::from(channel), if has_more { frame.as_changed() } else { frame }))
 }
 
 fn fd_message(mut fields: ObjectFields<'_>) -> Result<(u16, Frame), FieldFault> {
@@ -347,7 +366,7 @@ fn fd_flags(switched: bool, passive: bool) -> u8 {
     flag(switched, BIT_RATE_SWITCH) | flag(passive, ERROR_STATE)
 }
 
-/// Returns a data frame of `len` bytes, whose last ones are zeros where `data` has fewer.
+/// Returns a data frame of `len` bytes, whose last ones are zeros where `data` has fewer: marked as changed then.
 fn padded_frame(
     id: CanId,
     data: &[u8],
@@ -356,7 +375,8 @@ fn padded_frame(
 ) -> Result<Frame, FieldFault> {
     let mut all = [0; Frame::MAX_DATA];
     all.get_mut(..data.len()).ok_or(FieldFault::Data)?.copy_from_slice(data);
-    data_frame(id, &all[..len], fd_flags)
+    let frame = data_frame(id, &all[..len], fd_flags)?;
+    Ok(if data.len() < len { frame.as_changed() } else { frame })
 }
 
 /// Writes a BLF log. The head has its final values when [`LogEncoder::head`] replaces it.

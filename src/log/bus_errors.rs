@@ -9,6 +9,8 @@ const BUS_ERROR: u32 = 0x80;
 const COUNTERS: u32 = 0x200;
 /// Bits of its third byte.
 const BIT_ERROR: u8 = 0x01;
+/// Errors of a dominant and of a recessive bit.
+const BIT_ERRORS: u8 = 0x18;
 const FORM_ERROR: u8 = 0x02;
 const STUFF_ERROR: u8 = 0x04;
 const OVERLOAD: u8 = 0x20;
@@ -59,6 +61,16 @@ pub(super) fn captured_with_counters(code: u8, sent: u8, received: u8) -> Frame 
     Frame::error(PROTOCOL | BUS_ERROR | counters, &details)
 }
 
+/// An error frame of a receiver that found another CRC.
+pub(super) fn wrong_crc() -> Frame {
+    of_can_core(4 << 6)
+}
+
+/// An error frame of a sender whose frame nothing acknowledged.
+pub(super) fn no_ack() -> Frame {
+    of_can_core(7 << 6 | 0x1000)
+}
+
 /// An error frame with the extended error flags of Vector's CAN core: in bits 6 to 11 what is wrong, in bits
 /// 12 and 13 whether it was sent. Their source: `CanErrorFrameExt` of the BLF format.
 pub(super) fn of_can_core(flags: u16) -> Frame {
@@ -98,6 +110,7 @@ pub(super) fn capture_of(data: &[u8]) -> u8 {
     let [_, _, kind, place, ..] = *data else { return 0 };
     let kind_bits = match kind & (BIT_ERROR | FORM_ERROR | STUFF_ERROR) {
         BIT_ERROR => 0,
+        0 if kind & BIT_ERRORS != 0 => 0,
         FORM_ERROR => 1,
         STUFF_ERROR => 2,
         _ => 3,

@@ -100,6 +100,12 @@ pub(super) fn asc_date(text: &[u8]) -> Option<LogTime> {
     let month = month.to_lowercase();
     let is_month = |names: &&[&str]| names.iter().any(|name| month.starts_with(name));
     let month = MONTHS.iter().position(is_month)?;
+    // Milliseconds, which python-can writes without leading zeros.
+    let padded = match time.rsplit_once('.') {
+        Some((whole, millis)) if millis.len() < 3 => Some(format!("{whole}.{millis:0>3}")),
+        _ => None,
+    };
+    let time = padded.as_deref().unwrap_or(time);
     let (hour, minute, second) = time_of_day(time.as_bytes())?;
     let hour = match half.map(str::to_ascii_lowercase).as_deref() {
         None => hour,
@@ -282,10 +288,12 @@ fn seconds_of(year: u32, month: u32, day: u32, time: (u32, u32, LogTime)) -> Opt
     Some(date.to_datetime(time))
 }
 
-/// Returns seconds and their fraction, in microseconds; `None` if the text is not a number. The number may
-/// have an exponent.
+/// Returns seconds and their fraction, in the nearest microseconds; `None` if the text is not a number. The
+/// number may have an exponent.
 pub(super) fn seconds(text: &[u8]) -> Option<u64> {
-    fixed_point::<6>(text).or_else(|| {
+    let in_tenths = fixed_point::<7>(text).and_then(|tenths| tenths.checked_add(5));
+    let rounded = in_tenths.map(|tenths| tenths / 10);
+    rounded.or_else(|| fixed_point::<6>(text)).or_else(|| {
         let seconds: f64 = std::str::from_utf8(text).ok()?.parse().ok()?;
         let micros = (seconds * 1e6).round();
         let is_time = (0.0..=1e18).contains(&micros) && decimal(text).is_none();

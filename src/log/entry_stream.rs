@@ -29,6 +29,9 @@ const BLOCK: u8 = 3;
 const FRAME_HEAD: usize = 18;
 const FAULT_LEN: usize = 2;
 const DAMAGE_LEN: usize = 10;
+/// Flags of a frame, beside its raw DLC in the upper half of the byte: it was sent, and it is changed.
+const SENT: u8 = 0x01;
+const CHANGED: u8 = 0x02;
 /// Byte in the place of the FD flags of a classic frame.
 const CLASSIC: u8 = u8::MAX;
 
@@ -72,7 +75,9 @@ impl EntryWriter {
     /// Appends a frame of a numbered channel.
     pub fn frame(&mut self, unix_micros: u64, channel: u8, frame: &Frame) {
         let to = &mut self.bytes;
-        to.extend_from_slice(&[FRAME, u8::from(frame.is_tx), channel]);
+        let flag = |is_set, flag| if is_set { flag } else { 0 };
+        let sent = flag(frame.is_tx, SENT) | flag(frame.is_changed(), CHANGED);
+        to.extend_from_slice(&[FRAME, sent | frame.raw_dlc().unwrap_or(0) << 4, channel]);
         to.extend_from_slice(&unix_micros.to_le_bytes());
         to.extend_from_slice(&id_word(frame).to_le_bytes());
         let flags = if frame.is_fd { fd_flags(frame) } else { CLASSIC };
@@ -163,12 +168,14 @@ impl EntryStreamState {
     /// Reads a whole frame.
     fn frame(&self, entry: &[u8]) -> Result<LogEntry<'static>, FieldFault> {
         let (head, data) = entry.split_first_chunk::<FRAME_HEAD>().ok_or(FieldFault::Data)?;
-        let [_, tx, channel, rest @ ..] = *head;
+        let [_, own, channel, rest @ ..] = *head;
         let [t0, t1, t2, t3, t4, t5, t6, t7, i0, i1, i2, i3, flags, len, _] = rest;
         let word = u32::from_le_bytes([i0, i1, i2, i3]);
         let flags = Some(flags).filter(|flags| *flags != CLASSIC);
         let frame = decode(word, usize::from(len), flags, data).ok_or(FieldFault::Length)?;
-        let frame = if tx == 0 { frame } else { frame.with_tx() };
+        let mut frame = frame.with_raw_dlc(own >> 4);
+        frame.is_tx = own & SENT != 0;
+        let frame = if own & CHANGED == 0 { frame } else { frame.as_changed() };
         let time = LogTime::from_micros(u64::from_le_bytes([t0, t1, t2, t3, t4, t5, t6, t7]));
         let name = self.name.unwrap_or(bus_name);
         Ok(LogEntry { time, interface: name(channel), frame })

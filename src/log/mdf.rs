@@ -7,7 +7,7 @@
 //! in the file. Does not know moments or bus numbers.
 
 use super::Damage;
-use super::bus_errors::{bus_error, captured};
+use super::bus_errors::{bus_error, captured, no_ack, wrong_crc};
 use super::dates::{comes_twice, is_zone_unknown, local_micros, unix_nanos_micros};
 use super::entry_stream::EntryWriter;
 use super::fields::{FieldFault, can_id, len_of_dlc, with_dlc};
@@ -734,7 +734,11 @@ impl FrameGroup {
         let is_tx = flag(C::Direction);
         let with_direction = |frame: Frame| if is_tx { frame.with_tx() } else { frame };
         if self.kind == GroupKind::Error {
-            return Ok((bus, with_direction(error_frame(value(C::ErrorType)))));
+            let frame = error_frame(value(C::ErrorType));
+            // The identifier of the frame with the error, and more.
+            let has_more = value(C::Id).is_some_and(|id| id != 0) || data.iter().any(|it| *it != 0);
+            let frame = if has_more { frame.as_changed() } else { frame };
+            return Ok((bus, with_direction(frame)));
         }
         let word = value(C::Id).ok_or(FieldFault::Id)?;
         let is_extended = value(C::Extended).map_or(word & EXTENDED != 0, |flag| flag != 0);
@@ -762,11 +766,13 @@ impl FrameGroup {
     }
 }
 
-/// Returns an error frame of a type of bus logging: bit, form or stuff error, or any other.
+/// Returns an error frame of a type of bus logging: bit, form or stuff error, CRC error, no ACK, or any other.
 fn error_frame(kind: Option<u64>) -> Frame {
     const RECEPTION: u8 = 0x20;
     match kind {
         Some(kind @ 1..=3) => captured((kind as u8 - 1) << 6 | RECEPTION),
+        Some(4) => wrong_crc(),
+        Some(5) => no_ack(),
         _ => bus_error(),
     }
 }

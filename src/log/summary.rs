@@ -112,7 +112,8 @@ pub struct LogSummary {
 /// Numbers of frames that are read otherwise than the log has them, as no frame is so on a bus.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ChangedFrames {
-    /// FD frames with zeros behind the data of the log, which have a length without a DLC.
+    /// Data frames with zeros behind the data of the log, which have another length than that of their DLC, or
+    /// one that no DLC has.
     pub padded: u64,
     /// Error frames without some details of the log.
     pub error_details: u64,
@@ -135,7 +136,7 @@ impl ChangedFrames {
 impl fmt::Display for ChangedFrames {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let counts = [
-            (self.padded, "FD frame", "padded with zeros to a length that has a DLC"),
+            (self.padded, "frame", "padded with zeros to the length of a DLC"),
             (self.error_details, "error frame", "without all details of the log"),
             (self.fd_remote, "remote frame", "of the log in FD format, which has none"),
         ];

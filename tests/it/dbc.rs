@@ -501,7 +501,9 @@ fn doubles_keep_their_digits_in_json() {
     let folder = tempfile::tempdir().unwrap();
     let double = "BO_ 5 M: 8 A\n SG_ D : 0|64@1- (1,0) [0|0] \"\" A\nSIG_VALTYPE_ 5 D : 2;\n";
     fs::write(folder.path().join("double.dbc"), double).unwrap();
-    for number in [4_294_967_296.0_f64, 2_147_483_648.0, 123_456_792.0, 0.0625, 0.1 + 0.2, 1.0 / 3.0] {
+    for number in
+        [4_294_967_296.0_f64, 2_147_483_648.0, 123_456_792.0, 0.0625, 0.1 + 0.2, 1.0 / 3.0]
+    {
         let data = hex(&number.to_le_bytes(), "");
         fs::write(folder.path().join("one.log"), format!("(1.000000) can0 005#{data}\n")).unwrap();
         let (_, out, said) = log_one(folder.path(), &["--dbc", "double.dbc"]);

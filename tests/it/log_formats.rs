@@ -792,10 +792,7 @@ fn frames_that_are_on_no_bus_are_said_to_be_changed() {
     let padded = "(1.000000) can0 123##1112233445566778899\n(2.000000) can0 123##100\n";
     let (frames, summary) = read(padded.as_bytes());
     assert_eq!(frames.iter().map(Frame::len).collect::<Vec<_>>(), [12, 1]);
-    assert_eq!(
-        summary.to_string(),
-        "2 frames; 1 FD frame padded with zeros to a length that has a DLC"
-    );
+    assert_eq!(summary.to_string(), "2 frames; 1 frame padded with zeros to the length of a DLC");
     let remote = "date Tue Nov 14 10:13:20.123 pm 2023\nbase hex  timestamps absolute\n \
         0.0 CANFD 1 Rx 123 0 0 8 0 0 0 1010 0 0 0 0 0\n";
     let (frames, summary) = read(remote.as_bytes());
@@ -804,6 +801,50 @@ fn frames_that_are_on_no_bus_are_said_to_be_changed() {
         summary.to_string(),
         "1 frame; 1 remote frame of the log in FD format, which has none"
     );
+}
+
+#[test]
+fn milliseconds_without_leading_zeros_are_those_of_the_date() {
+    for (fraction, millis) in [("1", 1), ("50", 50), ("050", 50), ("191", 191)] {
+        let date = format!("Tue Nov 14 10:13:20.{fraction} pm 2023");
+        let log = format!("date {date}\nbase hex  timestamps absolute\n 0.0 1  123  Rx   d 1 11\n");
+        assert_eq!(micros_of(log.as_bytes()) / 1000 % 1000, millis, "{fraction}");
+    }
+}
+
+#[test]
+fn times_of_python_can_are_the_nearest_microsecond() {
+    let head = "timestamp,arbitration_id,extended,remote,error,dlc,data\n";
+    let log = format!("{head}1700000000.0219998,0x123,0,0,0,0,\n");
+    assert_eq!(micros_of(log.as_bytes()), 1_700_000_000_022_000);
+}
+
+#[test]
+fn transmit_requests_of_blf_are_no_frames() {
+    // A frame of CAN FD in the older and in the newer object, and a classic one.
+    let old = |direction: u8| [&[1, 0, direction, 1, 0x23, 1, 0, 0][..], &[0; 80]].concat();
+    let mut new = [&[1, 1, 1, 0, 0x23, 1, 0, 0][..], &[0; 40]].concat();
+    for (log, count) in [
+        (blf(1, &old(2)), 0),
+        (blf(1, &old(0)), 1),
+        (blf(86, &old(1)), 1),
+        (blf(100, &old(2)), 0),
+        (blf(101, &new), 1),
+    ] {
+        let (frames, summary) = read(&log);
+        assert_eq!((frames.len(), summary.unreadable), (count, 0), "{summary}");
+    }
+    new[34] = 2;
+    assert_eq!(read(&blf(101, &new)).0.len(), 0);
+}
+
+#[test]
+fn bytes_that_a_blf_object_lacks_are_said() {
+    let mut body = [&[1, 15, 64, 0, 0x23, 1, 0, 0][..], &[0; 32], &[0x55; 48]].concat();
+    body[13] = 0x10;
+    let (frames, summary) = read(&blf(101, &body));
+    assert_eq!(frames[0].data(), [[0x55; 48].as_slice(), &[0; 16]].concat());
+    assert!(summary.to_string().contains("1 frame padded with zeros"), "{summary}");
 }
 
 /// Returns the times of the frames of a log in nanoseconds since 1970.

@@ -682,6 +682,8 @@ impl ConflictDetector {
             true if rhythm::may_restart_often(history.heartbeats.times(), period) => {
                 (same, EvidenceStrength::Weak, SECOND_PHASE)
             }
+            // One sender with much jitter has two phases by chance.
+            true if !pattern.repeats => (same, EvidenceStrength::Weak, SECOND_PHASE),
             // One change of the name does not show that both are there.
             true => (same, EvidenceStrength::Strong, SECOND_PHASE),
             _ if others.had_other_name => {

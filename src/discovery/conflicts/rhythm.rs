@@ -50,6 +50,8 @@ pub(super) struct HeartbeatPattern {
     pub two_phases: bool,
     /// Heartbeats arrive in two phases of another period than the expected one.
     pub alternates: bool,
+    /// Most heartbeats are one period after another one: phases are not those of one sender by chance.
+    pub repeats: bool,
     /// Since when two devices are present, if one of the first two flags is set.
     pub since: Option<Instant>,
 }
@@ -73,14 +75,28 @@ pub(super) fn repeated_period(times: &VecDeque<Instant>, expected: Duration) -> 
     if recent().zip(recent().skip(1)).all(|(one, next)| next.since(one) >= whole) {
         return expected;
     }
-    let longest = expected.mul_f64(1.0 + MAX_PERIOD_ERROR);
+    let (mut deviations, early) = deviations_of_repeats(times, first, expected);
+    deviations.retain(|it| it.abs() <= MAX_PERIOD_ERROR);
+    let Some(usual) = median(&mut deviations) else { return expected };
+    let agreeing = deviations.iter().filter(|it| (*it - usual).abs() <= PERIOD_NOISE).count();
+    let is_other = usual.abs() > PERIOD_NOISE && agreeing * 2 > early;
+    if is_other { expected.mul_f64(1.0 + usual) } else { expected }
+}
+
+/// Returns, for each heartbeat from place `first` on that is so early that another one a period after it may
+/// have been received, how much the nearest one to that time deviates from it, in periods; and their number.
+fn deviations_of_repeats(
+    times: &VecDeque<Instant>,
+    first: usize,
+    period: Duration,
+) -> (Vec<f64>, usize) {
+    let Some(&last) = times.back() else { return (Vec::new(), 0) };
+    let longest = period.mul_f64(1.0 + MAX_PERIOD_ERROR);
     let deviation =
-        |after: Instant, at: Instant| after.since(at).as_secs_f64() / expected.as_secs_f64() - 1.0;
-    // Those so early that another one after them may have been received.
-    let early = recent().take_while(|at| last.since(*at) >= longest).count();
-    let mut deviations: Vec<f64> = Vec::with_capacity(early);
+        |after: Instant, at: Instant| after.since(at).as_secs_f64() / period.as_secs_f64() - 1.0;
+    let early = times.iter().skip(first).take_while(|at| last.since(**at) >= longest).count();
     let mut later = first;
-    for at in recent().take(early) {
+    let nearest = times.iter().skip(first).take(early).map(|&at| {
         // Of ascending times, the nearest one is not before that of the time before.
         let mut nearest = deviation(times[later], at);
         while let Some(&next) = times.get(later + 1)
@@ -89,14 +105,27 @@ pub(super) fn repeated_period(times: &VecDeque<Instant>, expected: Duration) -> 
             later += 1;
             nearest = deviation(next, at);
         }
-        if nearest.abs() <= MAX_PERIOD_ERROR {
-            deviations.push(nearest);
-        }
-    }
-    let Some(usual) = median(&mut deviations) else { return expected };
-    let agreeing = deviations.iter().filter(|it| (*it - usual).abs() <= PERIOD_NOISE).count();
-    let is_other = usual.abs() > PERIOD_NOISE && agreeing * 2 > early;
-    if is_other { expected.mul_f64(1.0 + usual) } else { expected }
+        nearest
+    });
+    (nearest.collect(), early)
+}
+
+/// Returns true if most of the last heartbeats are followed by another one after a period, far more exactly
+/// than two phases are apart: `contrast`, in periods.
+fn repeats(times: &VecDeque<Instant>, period: Duration, contrast: f64) -> bool {
+    /// Usual deviation from a period, in periods, that one sender with much jitter does not have.
+    const EXACT: f64 = 0.02;
+    /// The same where two phases are far apart, and least number of it that they are. Chosen: one sender with
+    /// jitter has a contrast of up to four by chance.
+    const LONGEST: f64 = 0.05;
+    const MIN_CONTRAST: f64 = 5.0;
+    let Some(&last) = times.back() else { return false };
+    let window = period * WINDOW_PERIODS;
+    let first = times.partition_point(|at| last.since(*at) > window);
+    let (mut deviations, _) = deviations_of_repeats(times, first, period);
+    deviations.iter_mut().for_each(|it| *it = it.abs());
+    let is_exact = |usual| usual <= EXACT || usual <= LONGEST && contrast > MIN_CONTRAST * usual;
+    median(&mut deviations).is_some_and(is_exact)
 }
 
 /// Returns the timing pattern of the last heartbeats, whose times have this resolution.
@@ -125,6 +154,7 @@ pub(super) fn pattern(
         return rate;
     }
     let skipped = times.len().saturating_sub(CYCLE_TIMES);
+    let all = times;
     let times = || times.iter().skip(skipped);
     let mut gaps = [0.0; CYCLE_TIMES - 1];
     for (gap, (one, next)) in gaps.iter_mut().zip(times().zip(times().skip(1))) {
@@ -133,18 +163,25 @@ pub(super) fn pattern(
     let count = times().count();
     let gaps = &gaps[..count - 1];
     let first = |number: usize| count.saturating_sub(number);
-    let since = cycle_length(gaps, rounding)
+    let last_gaps = gaps.len().saturating_sub(TWO_PHASE_TIMES - 1);
+    let cycle = cycle_length(gaps, rounding);
+    let since = cycle
         .map(|senders| first(2 * senders + 1) + 1)
-        .or_else(|| {
-            let begin = gaps.len().saturating_sub(TWO_PHASE_TIMES - 1);
-            second_sender(&gaps[begin..], rounding).map(|at| begin + at)
-        })
+        .or_else(|| second_sender(&gaps[last_gaps..], rounding).map(|at| last_gaps + at))
         .or_else(|| {
             let begin = gaps.len().checked_sub(HALF_PERIOD_TIMES - 1)?;
             are_half_a_period_apart(&gaps[begin..], rounding).then_some(begin + 1)
         });
     match since {
-        Some(at) => HeartbeatPattern { two_phases: true, since: times().nth(at).copied(), ..rate },
+        Some(at) => HeartbeatPattern {
+            two_phases: true,
+            repeats: {
+                let apart = || phase_contrast(&gaps[last_gaps..]).apart;
+                repeats(all, period, if cycle.is_some() { 0.0 } else { apart() })
+            },
+            since: times().nth(at).copied(),
+            ..rate
+        },
         None => rate,
     }
 }

@@ -71,11 +71,10 @@ fn draw_nothing(brush: &mut FleetBrush) {
             (FleetPage::Main, Some(_), _) => "this gateway has published no devices".to_owned(),
             (_, _, BrokerLink::Connecting) => "connecting to the broker".to_owned(),
             (FleetPage::Main, None, BrokerLink::Reading) => "reading documents".to_owned(),
-            (FleetPage::Main, None, _) => format!(
-                "no gateway found: none has published at this broker, or the user may not read \
-                 descan/v1/#; on a gateway run: descan publish can0 --broker {}",
-                screen.options().broker
-            ),
+            (FleetPage::Main, None, _) => "no gateway found: none has published at this broker, or the \
+                 user may not read descan/v1/#; on a gateway run: descan publish can0 --broker ADDRESS, \
+                 the broker's address as seen from there"
+                .to_owned(),
             (FleetPage::Versions, ..) => "no services are known".to_owned(),
             (FleetPage::Problems, ..) => "no problems".to_owned(),
         }
