@@ -4,6 +4,7 @@
 //! What is due between two frames is looked up again only after something that may have changed it.
 //! Does not know where frames come from.
 
+use super::buses::Bus;
 use super::{App, Page};
 use crate::frame::Frame;
 use crate::time::{Duration, Instant};
@@ -71,6 +72,17 @@ impl App {
 
     /// Compares the file with the buses if that is due before a frame.
     fn compare_file_by(&mut self, next: Instant) {
+        // From then on devices may be missing.
+        let from = self.clock.now();
+        let listened = self.buses.iter().filter_map(Bus::listened_at);
+        if let Some(due) = listened.filter(|due| (from..=next).contains(due)).min()
+            && self.view.has_screen
+            && self.is_of_logs()
+            && self.files.are_any_there()
+        {
+            let earlier = self.file_comparison_due.filter(|it| *it < due);
+            self.file_comparison_due = earlier.or(Some(due));
+        }
         if let Some(due) = self.file_comparison_due.take_if(|due| *due <= next) {
             self.clock.set(due);
             self.refresh_problems();

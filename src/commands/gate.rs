@@ -112,13 +112,23 @@ pub fn require_file(app: &App) -> Result<(), Failure> {
     app.files().try_for_each(|(file, _)| require_file_at(app, file))
 }
 
-fn require_file_at(app: &App, index: FileIndex) -> Result<(), Failure> {
+/// Requires that each des.json that is there can be used.
+///
+/// # Errors
+/// One is invalid.
+pub fn require_valid_file(app: &App) -> Result<(), Failure> {
+    app.files().try_for_each(|(file, _)| require_valid_at(app, file))
+}
+
+fn require_valid_at(app: &App, index: FileIndex) -> Result<(), Failure> {
     let file = report::of_file(&app.file_snapshot(index));
-    if let Some(text) = file.problem {
-        return Err(Failure::Unusable(text));
-    }
+    file.problem.map_or(Ok(()), |text| Err(Failure::Unusable(text)))
+}
+
+fn require_file_at(app: &App, index: FileIndex) -> Result<(), Failure> {
+    require_valid_at(app, index)?;
     if !app.file_at(index).is_there() {
-        let path = file.path;
+        let path = report::of_file(&app.file_snapshot(index)).path;
         // In a project without BUS all buses would be written.
         let is_one_of_several = app.files().count() > 1;
         let bus = app.buses_of_file(index).next().filter(|_| is_one_of_several);

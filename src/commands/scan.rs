@@ -2,6 +2,7 @@
 //! complete or failed; a log is read at once, in log time.
 
 use super::gate::BusGate;
+use super::gate::require_valid_file;
 use super::headless::{self, Limits, RunInput, RunOutcome, warn_all_tx_blocked, warn_foreign};
 use super::open::{self, Setup};
 use super::report::ScanReport;
@@ -55,6 +56,7 @@ pub fn run(scan: &ScanArgs) -> Result<u8, Failure> {
         write_document(&app, path)?;
     }
     recording?;
+    require_valid_file(&app)?;
     let is_short = is_short_of(scan.expect, named_devices(&app));
     Ok(if report.has_findings() || is_short { EXIT_FINDINGS } else { EXIT_OK })
 }

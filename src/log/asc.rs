@@ -272,7 +272,9 @@ fn error_event(word: &[u8], rest: &[u8]) -> Option<Frame> {
     let frame = match number(code, 2).filter(|_| name == b"ECC:" && code.len() == 8) {
         Some(bits) => captured(bits as u8),
         None => match error_code(rest) {
-            Some((valid, code, core)) => return Some(of_vector(valid, code, core).as_changed()),
+            Some((valid, code, extended)) => {
+                return Some(of_vector(valid, code, extended).as_changed());
+            }
             None => bus_error(),
         },
     };
@@ -292,20 +294,20 @@ fn error_code(line: &[u8]) -> Option<(u32, u8, u16)> {
         let (_, sign, value) = (words.next()?, words.next()?, words.next()?);
         if sign == b"=" { hex(value) } else { None }
     };
-    let (valid, code, core) = if let Some(valid) = named(b"Flags") {
+    let (valid, code, extended) = if let Some(valid) = named(b"Flags") {
         (valid, named(b"Code")?, named(b"CodeExt")?)
     } else {
         // Before the phase of the frame.
-        let [mut valid, mut code, mut core] = [&b""[..]; 3];
+        let [mut valid, mut code, mut extended] = [&b""[..]; 3];
         for word in words(line) {
-            if matches!(word, b"Arb." | b"Data") && hex(core).is_some() {
+            if matches!(word, b"Arb." | b"Data") && hex(extended).is_some() {
                 break;
             }
-            (valid, code, core) = (code, core, word);
+            (valid, code, extended) = (code, extended, word);
         }
-        (hex(valid)?, hex(code)?, hex(core)?)
+        (hex(valid)?, hex(code)?, hex(extended)?)
     };
-    Some((valid, u8::try_from(code).ok()?, u16::try_from(core).ok()?))
+    Some((valid, u8::try_from(code).ok()?, u16::try_from(extended).ok()?))
 }
 
 /// Writes an ASC log.

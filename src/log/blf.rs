@@ -294,14 +294,14 @@ fn error_ext(mut fields: ObjectFields<'_>) -> Result<(u16, Frame), FieldFault> {
     let (channel, _length) = (fields.u16()?, fields.u16()?);
     let (flags, code, _position, dlc) = (fields.u32()?, fields.u8()?, fields.u8()?, fields.u8()?);
     fields.skip(1)?;
-    let (_frame_length, word, core) = (fields.u32()?, fields.u32()?, fields.u16()?);
+    let (_frame_length, word, extended) = (fields.u32()?, fields.u32()?, fields.u16()?);
     fields.skip(2)?;
     let class = word & CanId::MAX_EXTENDED;
     // Without valid fields the identifier is the class; otherwise it is that of the frame with the error.
     let frame = if flags == 0 && class != 0 && dlc as usize <= Frame::MAX_CLASSIC_DATA {
         Frame::error(class, fields.data(usize::from(dlc), Frame::MAX_CLASSIC_DATA)?)
     } else {
-        let frame = of_vector(flags, code, core);
+        let frame = of_vector(flags, code, extended);
         if flags != 0 && word != 0 { frame.as_changed() } else { frame }
     };
     Ok((channel, frame))
@@ -309,8 +309,8 @@ fn error_ext(mut fields: ObjectFields<'_>) -> Result<(u16, Frame), FieldFault> {
 
 fn fd_error_64(mut fields: ObjectFields<'_>) -> Result<(u16, Frame), FieldFault> {
     let (channel, _dlc, _valid, code) = (fields.u8()?, fields.u8()?, fields.u8()?, fields.u8()?);
-    let (flags, core) = (fields.u16()?, fields.u16()?);
-    let frame = of_vector(u32::from(flags), code, core);
+    let (flags, extended) = (fields.u16()?, fields.u16()?);
+    let frame = of_vector(u32::from(flags), code, extended);
     // The identifier of the frame with the error, and more.
     let has_more = fields.0.iter().any(|byte| *byte != 0);
     Ok((u16::from(channel), if has_more { frame.as_changed() } else { frame }))

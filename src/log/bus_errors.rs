@@ -94,11 +94,11 @@ const HAS_CORE: u32 = 2;
 
 /// Reads an error frame of Vector's formats, given which fields are valid, the error code capture and the
 /// extended error flags. The others, such as the place in the frame, are left out.
-pub(super) fn of_vector(valid: u32, code: u8, core: u16) -> Frame {
+pub(super) fn of_vector(valid: u32, code: u8, extended: u16) -> Frame {
     let frame = if valid & HAS_CODE != 0 {
         captured(code)
     } else if valid & HAS_CORE != 0 {
-        of_can_core(core)
+        of_can_core(extended)
     } else {
         bus_error()
     };

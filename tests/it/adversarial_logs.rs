@@ -330,6 +330,26 @@ fn nine_devices_at_one_address_are_confirmed() {
     }
 }
 
+/// Of such a sender some intervals are long and short in turns by chance.
+#[test]
+fn one_fast_sender_with_much_jitter_is_not_confirmed() {
+    for period in [0.2, 0.33, 0.4, 0.5, 0.55, 0.7] {
+        for seed in 0..24 {
+            let jitter = 0.06 + 0.01 * f64::from(seed as u32 % 3);
+            let mut log = LogWriter::new(seed);
+            let mut due = 0.1;
+            while due < 60.0 {
+                // Nearly the normal distribution, in parts of the period.
+                let normal: f64 = (0..12).map(|_| log.rng.f64()).sum::<f64>() - 6.0;
+                log.heartbeat(due + normal * jitter * period, ADDRESS, 1);
+                due += period;
+            }
+            let confirmed = log.verdicts(60.0).confirmed;
+            assert!(confirmed.is_empty(), "{period} s, {jitter}, seed {seed}: {confirmed:?}");
+        }
+    }
+}
+
 #[test]
 fn boards_of_two_names_in_turns_are_not_confirmed() {
     for pause in [0.05, 0.5, 2.0] {

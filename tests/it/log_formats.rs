@@ -752,7 +752,7 @@ fn details_of_error_frames_are_read_or_said_to_be_left() {
             "200000A8#0000800000000000 T",
             true,
         ),
-        ("BLF", blf_error(1), "20000088#0000840200000000", false),
+        ("BLF", blf_error(1), "20000088#0000840200000000", true),
         ("BLF", blf_error(0xE), stuff, true),
         ("BLF", blf_error(8), "20000080#0000000000000000", true),
         ("BLF of CAN FD", blf(104, &fd_error), no_ack, true),
@@ -778,7 +778,7 @@ fn details_of_error_frames_are_read_or_said_to_be_left() {
     ] {
         let (_, summary) = read(&log);
         let said = summary.to_string();
-        let expected = if is_said { 1 } else { 0 };
+        let expected = u64::from(is_said);
         assert_eq!(summary.changed.error_details, expected, "{name} {frame}: {said}");
         assert_eq!(said.contains("without all details"), is_said, "{said}");
         let read = dated(&log).remove(0);

@@ -40,3 +40,39 @@ fn playback_speed_does_not_change_events() {
         assert_eq!(pty.wait(), 0);
     }
 }
+
+/// The log has no frame of DES: nothing happens on the bus when the devices are missing.
+#[test]
+fn missing_devices_are_so_from_the_same_moment_at_any_speed() {
+    let folder = tempfile::tempdir().unwrap();
+    let line = |at: u32| format!("({}.000000) can0 123#00\n", 1_700_000_000 + at);
+    fs::write(folder.path().join("other.log"), (0..60).map(line).collect::<String>()).unwrap();
+    let entry = r#"[{"name": "FEED", "address": 10}]"#;
+    fs::write(folder.path().join("des.json"), entry).unwrap();
+    for speed in ["30", "1000", "100000"] {
+        let arguments = ["file:other.log", "--file", "des.json", "--speed", speed];
+        let mut pty = Pty::start(&arguments, folder.path(), (120, 40));
+        pty.wait_for("end of log");
+        pty.send("4");
+        pty.wait_for("@10   22:13:25.000 FEED is missing");
+        pty.wait_for("this bus does not speak DES: all 60 frames have 11-bit identifiers");
+        pty.send("q");
+        assert_eq!(pty.wait(), 0);
+    }
+}
+
+#[test]
+fn log_without_a_frame_has_no_missing_devices() {
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("empty.log"), "").unwrap();
+    let entry = r#"[{"name": "FEED", "address": 10}]"#;
+    fs::write(folder.path().join("des.json"), entry).unwrap();
+    let arguments = ["file:empty.log", "--file", "des.json"];
+    let mut pty = Pty::start(&arguments, folder.path(), (120, 40));
+    pty.wait_for("check that it is the right log");
+    pty.send("4");
+    pty.wait_for("4 Problems ─");
+    assert!(!pty.screen().contains("is missing"), "{}", pty.screen());
+    pty.send("q");
+    assert_eq!(pty.wait(), 0);
+}

@@ -209,6 +209,11 @@ impl Bus {
         self.is_up_for(now, LISTEN_TIME)
     }
 
+    /// Returns the moment from which on [`Self::has_listened`]; `None` while the bus is down.
+    pub(in crate::app) fn listened_at(&self) -> Option<Instant> {
+        self.up_since.map(|since| since + LISTEN_TIME)
+    }
+
     /// Returns true if the bus has been up for this long.
     pub(in crate::app) fn is_up_for(&self, now: Instant, time: Duration) -> bool {
         self.up_since.is_some_and(|since| now.since(since) >= time)

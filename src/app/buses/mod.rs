@@ -239,11 +239,15 @@ impl Buses {
     }
 
     /// Returns true if a bus was searched long enough to report a device as missing: the
-    /// enumeration settled or ran twice, the bus was up for 5 s, or the log ended.
+    /// enumeration settled or ran twice, the bus was up for 5 s, or the log ended. A log without a frame shows
+    /// nothing.
     pub fn is_search_complete(&self, bus: BusIndex, now: Instant) -> bool {
         let Some(bus) = self.get(bus) else { return false };
+        if bus.ended.is_some() {
+            return bus.traffic().frames > 0;
+        }
         let progress = bus.progress();
-        progress.is_complete || progress.rounds >= 2 || bus.has_listened(now) || bus.ended.is_some()
+        progress.is_complete || progress.rounds >= 2 || bus.has_listened(now)
     }
 
     /// Returns true if the engine of a bus sends requests.

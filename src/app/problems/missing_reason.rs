@@ -207,6 +207,9 @@ impl Inputs<'_> {
 
 /// Reasons why no frame of a device was received.
 fn why_silent(bus: &Bus, entry: &Entry, reasons: &mut Vec<String>) {
+    if let Some(reason) = bus.traffic().foreign_reason() {
+        return reasons.push(reason);
+    }
     let ended = bus.status.link == Link::Ended;
     let log = if ended { "in this log " } else { "" };
     reasons.push(match entry.address {

@@ -482,6 +482,7 @@ impl ConflictDetector {
         };
         if is_exact && !state.is_resolving && rhythm::is_crowded(counted, counted_period) {
             pattern.two_phases = true;
+            pattern.repeats |= rhythm::repeats(counted, counted_period, 0.0);
             pattern.since = pattern.since.or(Some(now - period));
         }
         let is_crowded = is_exact && rhythm::has_several_senders(times, period);

@@ -112,19 +112,27 @@ fn deviations_of_repeats(
 
 /// Returns true if most of the last heartbeats are followed by another one after a period, far more exactly
 /// than two phases are apart: `contrast`, in periods.
-fn repeats(times: &VecDeque<Instant>, period: Duration, contrast: f64) -> bool {
+pub(super) fn repeats(times: &VecDeque<Instant>, period: Duration, contrast: f64) -> bool {
     /// Usual deviation from a period, in periods, that one sender with much jitter does not have.
     const EXACT: f64 = 0.02;
+    /// The same in mean intervals, for many heartbeats in a period: the nearest one is never far.
+    const EXACT_OF_MANY: f64 = 0.075;
     /// The same where two phases are far apart, and least number of it that they are. Chosen: one sender with
     /// jitter has a contrast of up to four by chance.
-    const LONGEST: f64 = 0.05;
+    const LONGEST: f64 = 0.04;
     const MIN_CONTRAST: f64 = 5.0;
     let Some(&last) = times.back() else { return false };
     let window = period * WINDOW_PERIODS;
     let first = times.partition_point(|at| last.since(*at) > window);
     let (mut deviations, _) = deviations_of_repeats(times, first, period);
-    deviations.iter_mut().for_each(|it| *it = it.abs());
-    let is_exact = |usual| usual <= EXACT || usual <= LONGEST && contrast > MIN_CONTRAST * usual;
+    for deviation in &mut deviations {
+        *deviation = deviation.abs();
+    }
+    let passed = last.since(times.get(first).copied().unwrap_or(last));
+    let intervals = times.len().saturating_sub(first + 1).max(1) as f64;
+    let interval = passed.as_secs_f64() / period.as_secs_f64() / intervals;
+    let exact = EXACT.min(EXACT_OF_MANY * interval);
+    let is_exact = |usual| usual <= exact || usual <= LONGEST && contrast > MIN_CONTRAST * usual;
     median(&mut deviations).is_some_and(is_exact)
 }
 

@@ -90,7 +90,7 @@ pub enum SessionWake {
 #[derive(Debug)]
 pub enum InputEnd {
     /// The end of the log, with what was read.
-    Log(LogSummary),
+    Log(Box<LogSummary>),
     /// The end of the range of the log that is read.
     Range,
     /// The log cannot be read.
@@ -683,7 +683,7 @@ impl Session {
             // Presence is evaluated at the last frame.
             let now = self.app.now();
             self.app.advance_to(now);
-            self.input_end = Some(InputEnd::Log(summary.clone()));
+            self.input_end = Some(InputEnd::Log(Box::new(summary.clone())));
             self.end_buses(now);
             return;
         }

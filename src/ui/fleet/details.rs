@@ -122,8 +122,15 @@ fn of_finding(brush: &FleetBrush, problem: &FleetProblem) -> Vec<Line<'static>> 
     let place = format!("{} at {}", problem.bus, addresses_text(problem));
     lines.extend(field(brush, "where", Role::Text, &place));
     if !finding.names.is_empty() || !finding.uids.is_empty() {
-        let all = finding.names.iter().chain(&finding.uids).map(String::as_str);
-        lines.extend(field(brush, "devices", Role::Text, &all.collect::<Vec<_>>().join(", ")));
+        let names = finding.names.join(", ");
+        let uids = match &finding.uids[..] {
+            [] => String::new(),
+            [only] => format!("UID {only}"),
+            all => format!("UIDs {}", all.join(", ")),
+        };
+        let separator = if names.is_empty() || uids.is_empty() { "" } else { " · " };
+        let all = format!("{names}{separator}{uids}");
+        lines.extend(field(brush, "devices", Role::Text, &all));
     }
     lines
 }
