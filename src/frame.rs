@@ -84,7 +84,7 @@ pub enum FrameKind {
 }
 
 /// One frame with its time of arrival.
-#[derive(Clone, Copy, PartialEq, Eq)]
+#[derive(Clone, Copy, Eq)]
 pub struct Frame {
     /// When its end was received.
     pub time: Instant,
@@ -108,6 +108,19 @@ pub struct Frame {
     len: u8,
     /// The data. Behind those of a classic frame of eight bytes stands its raw DLC, if it is above 8.
     data: [u8; Frame::MAX_DATA],
+}
+
+/// The mark of a changed frame does not count.
+impl PartialEq for Frame {
+    fn eq(&self, other: &Self) -> bool {
+        let flags = |frame: &Self| {
+            let fd = [frame.is_fd, frame.bit_rate_switch, frame.error_state];
+            (fd, frame.is_tx, frame.is_timeless)
+        };
+        (self.time, self.id, self.bus, self.kind) == (other.time, other.id, other.bus, other.kind)
+            && flags(self) == flags(other)
+            && (self.len(), self.data) == (other.len(), other.data)
+    }
 }
 
 impl Frame {
@@ -227,6 +240,12 @@ impl Frame {
         (dlc != 0 && self.has_eight_bytes()).then_some(dlc)
     }
 
+    /// Its data length code on the bus.
+    #[inline]
+    pub fn dlc(&self) -> u8 {
+        self.raw_dlc().unwrap_or_else(|| dlc(self.len()))
+    }
+
     /// Returns true for a classic frame of eight bytes; a remote frame may request them.
     #[inline]
     fn has_eight_bytes(&self) -> bool {
@@ -341,11 +360,6 @@ pub const fn dlc(len: usize) -> u8 {
         33..=48 => 14,
         _ => 15,
     }
-}
-
-/// The data length code of a frame on the bus.
-pub fn dlc_of(frame: &Frame) -> u8 {
-    frame.raw_dlc().unwrap_or_else(|| dlc(frame.len()))
 }
 
 /// The shortest length with a DLC of its own that holds `len` bytes (ISO 11898-1: 0–8, 12, 16,

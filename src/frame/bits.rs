@@ -4,7 +4,7 @@
 //! Allocates nothing and keeps no tables outside the program's image, so the bus load of a full
 //! bus can be computed frame by frame. Does not know bit rates' history or who sends.
 
-use super::{CanId, Frame, FrameKind, dlc};
+use super::{CanId, Frame, FrameKind};
 
 /// Recessive bits between two frames, counted in [`FrameBits`].
 pub const INTERMISSION: u32 = 3;
@@ -123,7 +123,7 @@ impl Content {
             let reserved = if matches!(frame.id, CanId::Extended(_)) { 2 } else { 1 };
             bits.push(0, reserved);
         }
-        bits.push(u32::from(dlc(frame.len())), 4);
+        bits.push(u32::from(frame.dlc()), 4);
         for &byte in frame.data() {
             bits.push(u32::from(byte), 8);
         }
@@ -202,7 +202,7 @@ fn classic_length(frame: &Frame) -> FrameBits {
     // The bytes behind the data are shifted out.
     let data = u64::from_be_bytes(frame.first_eight_bytes());
     let data = data.checked_shr(64 - 8 * bytes as u32).unwrap_or(0);
-    let mut bits = header << 4 | u128::from(dlc(frame.len()));
+    let mut bits = header << 4 | u128::from(frame.dlc());
     bits = bits << (8 * bytes) | u128::from(data);
     let mut len: usize = header_len + 4 + 8 * bytes;
     // Leading zeros change nothing of a CRC that begins with 0, and it is that of its bytes alone,

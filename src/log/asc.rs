@@ -13,7 +13,7 @@ use super::fields::{
 };
 use super::{LogEncoder, LogEntry, LogLoss, LogTime};
 use crate::frame::socketcan::{BIT_RATE_SWITCH, ERROR_STATE};
-use crate::frame::{CanId, Frame, FrameKind, dlc_of};
+use crate::frame::{CanId, Frame, FrameKind};
 use std::io::{self, Write};
 
 /// Flags at the end of a line of an FD frame.
@@ -267,22 +267,20 @@ fn error_event(word: &[u8], rest: &[u8]) -> Option<Frame> {
     if !word.eq_ignore_ascii_case(b"ErrorFrame") {
         return None;
     }
+    if let Some((valid, code, extended)) = error_code(rest) {
+        return Some(of_vector(valid, code, extended).as_changed());
+    }
     let (name, after) = first_word(rest);
     let (code, end) = first_word(after);
-    let frame = match number(code, 2).filter(|_| name == b"ECC:" && code.len() == 8) {
-        Some(bits) => captured(bits as u8),
-        None => match error_code(rest) {
-            Some((valid, code, extended)) => {
-                return Some(of_vector(valid, code, extended).as_changed());
-            }
-            None => bus_error(),
-        },
+    let bits = number(code, 2).filter(|_| name == b"ECC:" && code.len() == 8);
+    let frame = bits.map_or_else(bus_error, |bits| captured(bits as u8));
+    // A direction may stand there alone.
+    let other = match bits {
+        Some(_) => end,
+        None if is_tx(name).is_some() => after,
+        None => rest,
     };
-    let has_code = || frame.same_on_wire(&bus_error()) == (name != b"ECC:");
-    let is_all = name.is_empty()
-        || is_tx(name).is_some() && after.trim_ascii().is_empty()
-        || name == b"ECC:" && end.trim_ascii().is_empty() && has_code();
-    Some(if is_all { frame } else { frame.as_changed() })
+    Some(if other.trim_ascii().is_empty() { frame } else { frame.as_changed() })
 }
 
 /// Reads which fields are valid, the error code capture and the extended error flags, from
@@ -298,13 +296,14 @@ fn error_code(line: &[u8]) -> Option<(u32, u8, u16)> {
         (valid, named(b"Code")?, named(b"CodeExt")?)
     } else {
         // Before the phase of the frame.
-        let [mut valid, mut code, mut extended] = [&b""[..]; 3];
-        for word in words(line) {
-            if matches!(word, b"Arb." | b"Data") && hex(extended).is_some() {
-                break;
+        let mut before = [&b""[..]; 3];
+        let mut words = words(line);
+        let [valid, code, extended] = loop {
+            match words.next()? {
+                b"Arb." | b"Data" if before.iter().all(|it| hex(it).is_some()) => break before,
+                word => before = [before[1], before[2], word],
             }
-            (valid, code, extended) = (code, extended, word);
-        }
+        };
         (hex(valid)?, hex(code)?, hex(extended)?)
     };
     Some((valid, u8::try_from(code).ok()?, u16::try_from(extended).ok()?))
@@ -409,17 +408,17 @@ fn write_event(out: &mut Vec<u8>, channel: u8, frame: &Frame) -> io::Result<()> 
             return writeln!(out);
         }
         FrameKind::Remote => {
-            return writeln!(out, "{channel}  {id:<15} {direction:<4} r {:x}", dlc_of(frame));
+            return writeln!(out, "{channel}  {id:<15} {direction:<4} r {:x}", frame.dlc());
         }
         FrameKind::Data => {}
     }
     if !frame.is_fd {
-        write!(out, "{channel}  {id:<15} {direction:<4} d {:x}", dlc_of(frame))?;
+        write!(out, "{channel}  {id:<15} {direction:<4} d {:x}", frame.dlc())?;
         write_bytes(out, frame.data())?;
         return writeln!(out);
     }
     let (switched, passive) = (u8::from(frame.bit_rate_switch), u8::from(frame.error_state));
-    let (code, len) = (dlc_of(frame), frame.len());
+    let (code, len) = (frame.dlc(), frame.len());
     write!(out, "CANFD {channel:>3} {direction:<4} {id:>8}  {:>32} ", "")?;
     write!(out, "{switched} {passive} {code:x} {len:>2}")?;
     write_bytes(out, frame.data())?;

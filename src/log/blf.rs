@@ -13,7 +13,7 @@ use super::dates::{LAST_START, system_time, system_time_of};
 use super::fields::{FieldFault, can_id, data_frame, len_of_dlc};
 use super::{Damage, LogEncoder, LogEntry, LogLoss, LogSummary, LogTime};
 use crate::frame::socketcan::{BIT_RATE_SWITCH, ERROR_STATE};
-use crate::frame::{CanId, Frame, FrameKind, dlc_of};
+use crate::frame::{CanId, Frame, FrameKind};
 use flate2::Compression;
 use flate2::write::ZlibEncoder;
 use std::io::{self, Write};
@@ -491,7 +491,7 @@ impl BlfEncoder {
                 ERROR_EXT
             }
             (_, true) => {
-                body.extend_from_slice(&[flags, dlc_of(frame)]);
+                body.extend_from_slice(&[flags, frame.dlc()]);
                 body.extend_from_slice(&word.to_le_bytes());
                 body.extend_from_slice(&[0; 5]);
                 let set = [true, frame.bit_rate_switch, frame.error_state];
@@ -502,7 +502,7 @@ impl BlfEncoder {
                 FD_MESSAGE
             }
             (_, false) => {
-                body.extend_from_slice(&[flags, dlc_of(frame)]);
+                body.extend_from_slice(&[flags, frame.dlc()]);
                 body.extend_from_slice(&word.to_le_bytes());
                 MESSAGE
             }

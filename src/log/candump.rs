@@ -89,7 +89,7 @@ fn parse_rest(line: &[u8]) -> Result<LogEntry<'_>, LineFault> {
     if !interface.chars().all(is_printable) {
         return Err(LineFault::Interface);
     }
-    let mut frame = read_frame(words.next().ok_or(LineFault::Frame)?)?;
+    let mut frame = parse_frame(words.next().ok_or(LineFault::Frame)?)?;
     match words.next() {
         None | Some(b"R") => {}
         Some(b"T") => frame.is_tx = true,
@@ -308,14 +308,6 @@ impl LogEncoder for LineEncoder {
 ///
 /// The text does not have this syntax.
 pub fn parse_frame(text: &[u8]) -> Result<Frame, LineFault> {
-    read_frame(text).map(|mut frame| {
-        frame.take_changed();
-        frame
-    })
-}
-
-/// Reads a frame as [`parse_frame`], with a mark if its data are padded.
-fn read_frame(text: &[u8]) -> Result<Frame, LineFault> {
     let hash = text.iter().position(|&byte| byte == b'#').ok_or(LineFault::Frame)?;
     let (id_text, body) = (&text[..hash], &text[hash + 1..]);
     let head = parse_head(id_text)?;

@@ -17,7 +17,7 @@ use super::fields::{
 };
 use super::{LogEncoder, LogEntry, LogLoss, LogTime};
 use crate::frame::socketcan::{BIT_RATE_SWITCH, ERROR_STATE};
-use crate::frame::{CanId, Frame, FrameKind, dlc_of};
+use crate::frame::{CanId, Frame, FrameKind};
 use std::io::{self, Write};
 
 /// Most columns of a line.
@@ -335,7 +335,7 @@ impl LogEncoder for TrcEncoder {
         if frame.kind == FrameKind::Error {
             write_error(out, &frame)?;
         } else {
-            write!(out, "  {:<2}  ", dlc_of(&frame))?;
+            write!(out, "  {:<2}  ", frame.dlc())?;
             frame.data().iter().try_for_each(|byte| write!(out, " {byte:02X}"))?;
             writeln!(out)?;
         }

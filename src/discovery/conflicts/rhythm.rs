@@ -180,17 +180,13 @@ pub(super) fn pattern(
             let begin = gaps.len().checked_sub(HALF_PERIOD_TIMES - 1)?;
             are_half_a_period_apart(&gaps[begin..], rounding).then_some(begin + 1)
         });
-    match since {
-        Some(at) => HeartbeatPattern {
-            two_phases: true,
-            repeats: {
-                let apart = || phase_contrast(&gaps[last_gaps..]).apart;
-                repeats(all, period, if cycle.is_some() { 0.0 } else { apart() })
-            },
-            since: times().nth(at).copied(),
-            ..rate
-        },
-        None => rate,
+    let Some(at) = since else { return rate };
+    let apart = if cycle.is_some() { 0.0 } else { phase_contrast(&gaps[last_gaps..]).apart };
+    HeartbeatPattern {
+        two_phases: true,
+        repeats: repeats(all, period, apart),
+        since: times().nth(at).copied(),
+        ..rate
     }
 }
 
