@@ -268,7 +268,7 @@ fn error_event(word: &[u8], rest: &[u8]) -> Option<Frame> {
         return None;
     }
     if let Some((valid, code, extended)) = error_code(rest) {
-        return Some(of_vector(valid, code, extended).as_changed());
+        return Some(of_vector(valid, code, extended, true));
     }
     let (name, after) = first_word(rest);
     let (code, end) = first_word(after);

@@ -301,8 +301,7 @@ fn error_ext(mut fields: ObjectFields<'_>) -> Result<(u16, Frame), FieldFault> {
     let frame = if flags == 0 && class != 0 && dlc as usize <= Frame::MAX_CLASSIC_DATA {
         Frame::error(class, fields.data(usize::from(dlc), Frame::MAX_CLASSIC_DATA)?)
     } else {
-        let frame = of_vector(flags, code, extended);
-        if flags != 0 && word != 0 { frame.as_changed() } else { frame }
+        of_vector(flags, code, extended, flags != 0 && word != 0)
     };
     Ok((channel, frame))
 }
@@ -310,10 +309,9 @@ fn error_ext(mut fields: ObjectFields<'_>) -> Result<(u16, Frame), FieldFault> {
 fn fd_error_64(mut fields: ObjectFields<'_>) -> Result<(u16, Frame), FieldFault> {
     let (channel, _dlc, _valid, code) = (fields.u8()?, fields.u8()?, fields.u8()?, fields.u8()?);
     let (flags, extended) = (fields.u16()?, fields.u16()?);
-    let frame = of_vector(u32::from(flags), code, extended);
     // The identifier of the frame with the error, and more.
     let has_more = fields.0.iter().any(|byte| *byte != 0);
-    Ok((u16::from(channel), if has_more { frame.as_changed() } else { frame }))
+    Ok((u16::from(channel), of_vector(u32::from(flags), code, extended, has_more)))
 }
 
 fn fd_message(mut fields: ObjectFields<'_>) -> Result<(u16, Frame), FieldFault> {

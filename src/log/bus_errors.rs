@@ -93,8 +93,8 @@ const HAS_CODE: u32 = 1;
 const HAS_CORE: u32 = 2;
 
 /// Reads an error frame of Vector's formats, given which fields are valid, the error code capture and the
-/// extended error flags. The others, such as the place in the frame, are left out.
-pub(super) fn of_vector(valid: u32, code: u8, extended: u16) -> Frame {
+/// extended error flags. The others, such as the place in the frame, are left out, and more if `has_more`.
+pub(super) fn of_vector(valid: u32, code: u8, extended: u16, has_more: bool) -> Frame {
     let frame = if valid & HAS_CODE != 0 {
         captured(code)
     } else if valid & HAS_CORE != 0 {
@@ -102,7 +102,7 @@ pub(super) fn of_vector(valid: u32, code: u8, extended: u16) -> Frame {
     } else {
         bus_error()
     };
-    if valid & !HAS_CODE != 0 { frame.as_changed() } else { frame }
+    if valid & !HAS_CODE != 0 || has_more { frame.as_changed() } else { frame }
 }
 
 /// Returns the error code capture register that [`captured`] has read; 0 without one.

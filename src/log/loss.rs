@@ -36,9 +36,25 @@ impl LogLoss {
     }
 }
 
+/// Writes each count that is not 0, of what, and how that is in the log: `2 frames with another time`. Begins with
+/// the separator, and leaves the one of what follows.
+pub(super) fn write_counts(
+    f: &mut fmt::Formatter<'_>,
+    counts: &[(u64, &str, &str)],
+    separator: &mut &str,
+) -> fmt::Result {
+    for (count, what, how) in counts.iter().filter(|(count, ..)| *count > 0) {
+        let plural = if *count == 1 { "" } else { "s" };
+        write!(f, "{separator}{count} {what}{plural} {how}")?;
+        *separator = "; ";
+    }
+    Ok(())
+}
+
 /// Formats what is lost: `1 remote frame left out; the names of interfaces: can0 is number 1`.
 impl fmt::Display for LogLoss {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let mut separator = "";
         let counts = [
             (self.remote_frames, "remote frame", "left out"),
             (self.error_frames, "error frame", "left out"),
@@ -48,12 +64,7 @@ impl fmt::Display for LogLoss {
             (self.other_times, "frame", "with another time"),
             (self.finer_times, "time", "cut to the microsecond"),
         ];
-        let mut separator = "";
-        for (count, what, how) in counts.into_iter().filter(|(count, ..)| *count > 0) {
-            let plural = if count == 1 { "" } else { "s" };
-            write!(f, "{separator}{count} {what}{plural} {how}")?;
-            separator = "; ";
-        }
+        write_counts(f, &counts, &mut separator)?;
         if self.is_in_repeated_hour {
             write!(f, "{separator}all times too early, as clocks were set back then")?;
             separator = "; ";

@@ -8,6 +8,7 @@ use super::candump::LineFault;
 use super::damage::Damage;
 use super::fields::FieldFault;
 use super::foreign::ForeignFormat;
+use super::loss::write_counts;
 use super::pcapng::PacketFault;
 use super::{LogEntry, LogTime};
 use crate::frame::{BusIndex, Frame, FrameKind};
@@ -140,11 +141,7 @@ impl fmt::Display for ChangedFrames {
             (self.error_details, "error frame", "without all details of the log"),
             (self.fd_remote, "remote frame", "of the log in FD format, which has none"),
         ];
-        for (count, what, how) in counts.into_iter().filter(|(count, ..)| *count > 0) {
-            let plural = if count == 1 { "" } else { "s" };
-            write!(f, "; {count} {what}{plural} {how}")?;
-        }
-        Ok(())
+        write_counts(f, &counts, &mut "; ")
     }
 }
 

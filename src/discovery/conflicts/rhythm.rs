@@ -66,16 +66,15 @@ pub(super) fn has_several_senders(times: &VecDeque<Instant>, period: Duration) -
 /// Returns the period after which most heartbeats are followed by another one, if it is nearly the expected
 /// one; else the expected one. The phases of several senders repeat after their own period.
 pub(super) fn repeated_period(times: &VecDeque<Instant>, expected: Duration) -> Duration {
-    let Some(&last) = times.back() else { return expected };
-    let window = expected * WINDOW_PERIODS;
-    let first = times.partition_point(|at| last.since(*at) > window);
+    let first = first_of_window(times, expected);
     let recent = || times.iter().skip(first).copied();
     let whole = expected.mul_f64(WHOLE_PERIOD);
     // The usual case: one sender.
     if recent().zip(recent().skip(1)).all(|(one, next)| next.since(one) >= whole) {
         return expected;
     }
-    let (mut deviations, early) = deviations_of_repeats(times, first, expected);
+    let mut deviations = deviations_of_repeats(times, first, expected);
+    let early = deviations.len();
     deviations.retain(|it| it.abs() <= MAX_PERIOD_ERROR);
     let Some(usual) = median(&mut deviations) else { return expected };
     let agreeing = deviations.iter().filter(|it| (*it - usual).abs() <= PERIOD_NOISE).count();
@@ -83,14 +82,17 @@ pub(super) fn repeated_period(times: &VecDeque<Instant>, expected: Duration) -> 
     if is_other { expected.mul_f64(1.0 + usual) } else { expected }
 }
 
+/// Returns the place of the first heartbeat of the window in which periods are judged.
+fn first_of_window(times: &VecDeque<Instant>, period: Duration) -> usize {
+    let Some(&last) = times.back() else { return 0 };
+    let window = period * WINDOW_PERIODS;
+    times.partition_point(|at| last.since(*at) > window)
+}
+
 /// Returns, for each heartbeat from place `first` on that is so early that another one a period after it may
-/// have been received, how much the nearest one to that time deviates from it, in periods; and their number.
-fn deviations_of_repeats(
-    times: &VecDeque<Instant>,
-    first: usize,
-    period: Duration,
-) -> (Vec<f64>, usize) {
-    let Some(&last) = times.back() else { return (Vec::new(), 0) };
+/// have been received, how much the nearest one to that time deviates from it, in periods.
+fn deviations_of_repeats(times: &VecDeque<Instant>, first: usize, period: Duration) -> Vec<f64> {
+    let Some(&last) = times.back() else { return Vec::new() };
     let longest = period.mul_f64(1.0 + MAX_PERIOD_ERROR);
     let deviation =
         |after: Instant, at: Instant| after.since(at).as_secs_f64() / period.as_secs_f64() - 1.0;
@@ -107,7 +109,7 @@ fn deviations_of_repeats(
         }
         nearest
     });
-    (nearest.collect(), early)
+    nearest.collect()
 }
 
 /// Returns true if most of the last heartbeats are followed by another one after a period, far more exactly
@@ -122,9 +124,8 @@ pub(super) fn repeats(times: &VecDeque<Instant>, period: Duration, contrast: f64
     const LONGEST: f64 = 0.04;
     const MIN_CONTRAST: f64 = 5.0;
     let Some(&last) = times.back() else { return false };
-    let window = period * WINDOW_PERIODS;
-    let first = times.partition_point(|at| last.since(*at) > window);
-    let (mut deviations, _) = deviations_of_repeats(times, first, period);
+    let first = first_of_window(times, period);
+    let mut deviations = deviations_of_repeats(times, first, period);
     for deviation in &mut deviations {
         *deviation = deviation.abs();
     }
