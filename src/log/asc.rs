@@ -6,6 +6,7 @@
 
 use super::bus_errors::{bus_error, capture_of, captured, is_on_bus, of_vector, overload};
 use super::channel::{ChannelNumbers, channel_name};
+use super::controller::{ControllerReport, ReportedState};
 use super::dates::{LAST_START, asc_date, is_in_repeated_hour, local_time};
 use super::fields::{
     FieldFault, bytes, can_id, channel, check_line, data_frame, first_word, len_of_dlc, number,
@@ -110,6 +111,9 @@ impl AscLines {
         let (word, rest) = first_word(event);
         if word == b"CANFD" {
             return self.fd_event(rest);
+        }
+        if word == b"CAN" {
+            return controller_event(rest);
         }
         if !word.iter().all(u8::is_ascii_digit) {
             return Ok(None);
@@ -259,6 +263,40 @@ fn is_tx(direction: &[u8]) -> Option<bool> {
     }
 }
 
+/// Reads `1 Status:chip status error passive - TxErr: 132 RxErr: 0` behind the time and `CAN`; `None` for
+/// another event of a channel.
+fn controller_event(event: &[u8]) -> Result<Option<(u8, Frame)>, FieldFault> {
+    let (word, rest) = first_word(event);
+    let rest = rest.trim_ascii_start();
+    let Some(rest) = rest.strip_prefix(b"Status:") else { return Ok(None) };
+    let Some(rest) = rest.trim_ascii_start().strip_prefix(b"chip status ") else {
+        return Ok(None);
+    };
+    let rest = rest.trim_ascii_start();
+    let is_named = |state: &ReportedState| starts(rest, state_name(*state).as_bytes());
+    let state = ReportedState::ALL.into_iter().find(is_named);
+    let counter = |name: &[u8]| {
+        let mut words = words(rest).skip_while(|word| *word != name);
+        let value = words.nth(1).and_then(|value| number(value, 10)).unwrap_or(0);
+        u8::try_from(value).unwrap_or(u8::MAX)
+    };
+    let report = ControllerReport { state, sent: counter(b"TxErr:"), received: counter(b"RxErr:") };
+    Ok(match report.frame().filter(|_| state.is_some()) {
+        Some(frame) => Some((channel(word)?, frame)),
+        None => None,
+    })
+}
+
+/// Returns what an ASC log calls a state.
+fn state_name(state: ReportedState) -> &'static str {
+    match state {
+        ReportedState::ErrorActive => "error active",
+        ReportedState::ErrorWarning => "warning level",
+        ReportedState::ErrorPassive => "error passive",
+        ReportedState::BusOff => "busoff",
+    }
+}
+
 /// Reads `OverloadFrame`, `ErrorFrame ECC: 10100010`, and the longer forms: see [`error_code`].
 fn error_event(word: &[u8], rest: &[u8]) -> Option<Frame> {
     if word.eq_ignore_ascii_case(b"OverloadFrame") {
@@ -341,7 +379,8 @@ impl LogEncoder for AscEncoder {
 
     fn write(&mut self, entry: LogEntry<'_>, max_len: u64, out: &mut Vec<u8>) -> io::Result<bool> {
         let before = out.len();
-        if !is_on_bus(&entry.frame) {
+        let report = ControllerReport::of(&entry.frame).filter(|it| it.state.is_some());
+        if report.is_none() && !is_on_bus(&entry.frame) {
             self.loss.error_frames += 1;
             return Ok(true);
         }
@@ -360,8 +399,12 @@ impl LogEncoder for AscEncoder {
         let since_start = unix_micros.saturating_sub(start);
         let channel = self.channels.number(entry.interface);
         write!(out, "{:4}.{:06} ", since_start / 1_000_000, since_start % 1_000_000)?;
-        write_event(out, channel, &entry.frame)?;
-        self.loss.error_details += u64::from(!is_whole_error(&entry.frame));
+        if let Some(report) = report {
+            write_controller_event(out, channel, report)?;
+        } else {
+            write_event(out, channel, &entry.frame)?;
+            self.loss.error_details += u64::from(!is_whole_error(&entry.frame));
+        }
         let fits = (out.len() - before) as u64 <= max_len;
         if !fits {
             out.truncate(before);
@@ -387,6 +430,20 @@ pub(super) fn is_whole_error(frame: &Frame) -> bool {
     let read = || [bus_error(), overload(), captured(capture_of(frame.data()))];
     let is_read = || !frame.is_tx && read().iter().any(|it| it.same_on_wire(frame));
     frame.kind != FrameKind::Error || is_read()
+}
+
+fn write_controller_event(
+    out: &mut Vec<u8>,
+    channel: u8,
+    report: ControllerReport,
+) -> io::Result<()> {
+    let ControllerReport { state, sent, received } = report;
+    let Some(state) = state else { return Ok(()) };
+    write!(out, "CAN {channel} Status:chip status {}", state_name(state))?;
+    if (sent, received) != (0, 0) {
+        write!(out, " - TxErr: {sent} RxErr: {received}")?;
+    }
+    writeln!(out)
 }
 
 fn write_event(out: &mut Vec<u8>, channel: u8, frame: &Frame) -> io::Result<()> {

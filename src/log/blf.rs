@@ -9,6 +9,7 @@ use super::asc::is_whole_error;
 use super::binary::{BinaryFormat, EntryInput};
 use super::bus_errors::{bus_error, capture_of, of_vector, overload};
 use super::channel::{ChannelNumbers, channel_name};
+use super::controller::ControllerReport;
 use super::dates::{LAST_START, system_time, system_time_of};
 use super::fields::{FieldFault, can_id, data_frame, len_of_dlc};
 use super::{Damage, LogEncoder, LogEntry, LogLoss, LogSummary, LogTime};
@@ -35,6 +36,7 @@ const MESSAGE: u32 = 1;
 const ERROR: u32 = 2;
 const OVERLOAD: u32 = 3;
 pub(super) const CONTAINER: u32 = 10;
+const DRIVER_ERROR: u32 = 31;
 const ERROR_EXT: u32 = 73;
 const MESSAGE_2: u32 = 86;
 const FD_MESSAGE: u32 = 100;
@@ -204,6 +206,7 @@ fn is_frame(kind: u32) -> bool {
         MESSAGE
             | ERROR
             | OVERLOAD
+            | DRIVER_ERROR
             | ERROR_EXT
             | MESSAGE_2
             | FD_MESSAGE
@@ -248,6 +251,10 @@ fn read_object(start: u64, object: &[u8]) -> Result<Option<LogEntry<'static>>, F
         MESSAGE | MESSAGE_2 => message(ObjectFields(body))?,
         ERROR => (ObjectFields(body).u16()?, bus_error()),
         OVERLOAD => (ObjectFields(body).u16()?, overload()),
+        DRIVER_ERROR => match driver_error(ObjectFields(body))? {
+            Some(error) => error,
+            None => return Ok(None),
+        },
         ERROR_EXT => error_ext(ObjectFields(body))?,
         FD_MESSAGE => fd_message(ObjectFields(body))?,
         FD_MESSAGE_64 => fd_message_64(ObjectFields(body), size - usize::from(head_len))?,
@@ -287,6 +294,14 @@ fn message(mut fields: ObjectFields<'_>) -> Result<(u16, Frame), FieldFault> {
     frame = frame.with_raw_dlc(dlc);
     frame.is_tx = flags & SENT != 0;
     Ok((channel, frame))
+}
+
+/// Reads the error counters of a controller; `None` if both are 0. Its error code is one of the driver.
+fn driver_error(mut fields: ObjectFields<'_>) -> Result<Option<(u16, Frame)>, FieldFault> {
+    let (channel, sent, received, code) =
+        (fields.u16()?, fields.u8()?, fields.u8()?, fields.u32()?);
+    let frame = ControllerReport { state: None, sent, received }.frame();
+    Ok(frame.map(|frame| (channel, if code == 0 { frame } else { frame.as_changed() })))
 }
 
 /// Reads an error frame: as SocketCAN has it if its identifier and data are there, otherwise by its codes.

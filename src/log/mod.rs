@@ -13,6 +13,7 @@ pub mod candump;
 mod candump_screen;
 mod candump_time;
 mod channel;
+mod controller;
 mod csv;
 mod damage;
 mod dates;

@@ -2,11 +2,11 @@
 //!
 //! Source: "PEAK CAN TRC File Format" of PEAK-System. The times are milliseconds since `$STARTTIME`, which
 //! is local time in days since 1899-12-30, or UTC where the comment with the start has `+00:00`, as
-//! python-can writes it. Status and event lines are passed over. Does not know moments
-//! or bus numbers.
+//! python-can writes it. Event lines are passed over. Does not know moments or bus numbers.
 
 use super::bus_errors::{bus_error, capture_of, captured_with_counters, is_on_bus};
 use super::channel::{ChannelNumbers, channel_name};
+use super::controller::{ControllerReport, ReportedState};
 use super::dates::{
     LAST_START, day_month_year, is_in_repeated_hour, local_time, trc_date, trc_days, trc_utc_date,
     utc_date,
@@ -139,7 +139,8 @@ impl TrcLines {
     /// Reads a line behind the number of the message.
     fn read_message(&self, line: &[u8]) -> Result<Option<LogEntry<'static>>, FieldFault> {
         let (mut time, mut kind, mut bus, mut id, mut length) = (None, &b"DT"[..], 1, None, None);
-        let (mut is_tx, mut is_error, mut is_dlc, mut rest) = (false, false, false, line);
+        let (mut is_tx, mut is_error, mut is_warning) = (false, false, false);
+        let (mut is_dlc, mut rest) = (false, line);
         for column in self.columns.into_iter().take_while(|column| *column != 0) {
             if column == b'D' {
                 break;
@@ -155,13 +156,13 @@ impl TrcLines {
                 // An error frame has no identifier.
                 b'I' if matches!(word, b"Rx" | b"Tx") => continue,
                 b'I' => id = Some(word),
-                // A status line of some versions has nothing in these columns.
                 b'd' if word == b"Tx" || word == b"Rx" => is_tx = word == b"Tx",
+                b'd' if word == b"-" && matches!(kind, b"ER" | b"ST" | b"EC") => {}
+                // A status line of some versions has nothing in these columns.
                 b'd' if self.has_types && matches!(kind, b"ST" | b"EC" | b"EV") => return Ok(None),
-                b'd' if kind == b"ER" && word == b"-" => {}
                 b'd' if self.has_types => return Err(FieldFault::Column),
                 // Warnings and errors of version 1.
-                b'd' if word == b"Warng" => return Ok(None),
+                b'd' if word == b"Warng" => is_warning = true,
                 b'd' if word == b"Error" => is_error = true,
                 b'd' => return Err(FieldFault::Kind),
                 b'l' | b'L' => (length, is_dlc) = (Some(word), column == b'L'),
@@ -182,14 +183,17 @@ impl TrcLines {
                 frame.is_tx = is_tx;
                 return Ok(Some(LogEntry { time, interface, frame }));
             }
-            // Status, error counters, events.
-            b"ST" | b"EC" | b"EV" => return Ok(None),
+            b"ST" | b"EC" => {
+                let frame = if kind == b"ST" { status(rest) } else { counters(rest) };
+                return Ok(frame.map(|frame| LogEntry { time, interface, frame }));
+            }
+            b"EV" => return Ok(None),
             _ => return Err(FieldFault::Kind),
         };
         let id = id.ok_or(FieldFault::Id)?;
-        // A status line of version 1.0.
-        if id == b"FFFFFFFF" && !self.has_types {
-            return Ok(None);
+        // A status line of version 1.
+        if is_warning || id == b"FFFFFFFF" && !self.has_types {
+            return Ok(status(rest).map(|frame| LogEntry { time, interface, frame }));
         }
         // Version 1.0 names an error frame before its bytes.
         let named = rest.trim_ascii_start().strip_prefix(b"ERROR").filter(|_| !self.has_types);
@@ -226,6 +230,51 @@ impl TrcLines {
         let time = self.start.checked_add(since_start.ok_or(FieldFault::Time)?);
         time.map(LogTime::from_micros).ok_or(FieldFault::TimeRange)
     }
+}
+
+/// Bits of the status of PEAK's hardware (`PCAN_ERROR_…` of PCAN-Basic).
+const ANY_WARNING: u32 = 0x0C;
+const WARNING: u32 = 0x08;
+const BUS_OFF: u32 = 0x10;
+const BUS_PASSIVE: u32 = 0x4_0000;
+
+/// Reads the bytes of a status line; `None` if they are no state of the controller.
+fn status(bytes_of_line: &[u8]) -> Option<Frame> {
+    let mut word = [0; 4];
+    bytes(bytes_of_line, 16, &mut word).ok()?;
+    let word = u32::from_be_bytes(word);
+    let state = match word {
+        0 => ReportedState::ErrorActive,
+        _ if word & BUS_OFF != 0 => ReportedState::BusOff,
+        _ if word & BUS_PASSIVE != 0 => ReportedState::ErrorPassive,
+        _ if word & ANY_WARNING != 0 => ReportedState::ErrorWarning,
+        _ => return None,
+    };
+    let frame = ControllerReport { state: Some(state), ..ControllerReport::default() }.frame()?;
+    // What else is wrong, such as a buffer that is full.
+    let has_more = word & !(ANY_WARNING | BUS_OFF | BUS_PASSIVE) != 0;
+    Some(if has_more { frame.as_changed() } else { frame })
+}
+
+/// Writes the bytes of a status line.
+fn write_status(out: &mut Vec<u8>, state: ReportedState) -> io::Result<()> {
+    let word = match state {
+        ReportedState::ErrorActive => 0,
+        ReportedState::ErrorWarning => WARNING,
+        ReportedState::ErrorPassive => BUS_PASSIVE,
+        ReportedState::BusOff => BUS_OFF,
+    };
+    write!(out, "  4   ")?;
+    word.to_be_bytes().iter().try_for_each(|byte| write!(out, " {byte:02X}"))?;
+    writeln!(out)
+}
+
+/// Reads the bytes of a line with the error counters, for receiving and for sending.
+fn counters(bytes_of_line: &[u8]) -> Option<Frame> {
+    let mut counters = [0; 2];
+    bytes(bytes_of_line, 16, &mut counters).ok()?;
+    let [received, sent] = counters;
+    ControllerReport { state: None, sent, received }.frame()
 }
 
 /// Reads the bytes of an error frame: the type of the error, unless version 1 has it in place of the
@@ -301,7 +350,9 @@ impl LogEncoder for TrcEncoder {
 
     fn write(&mut self, entry: LogEntry<'_>, max_len: u64, out: &mut Vec<u8>) -> io::Result<bool> {
         let before = out.len();
-        if !is_on_bus(&entry.frame) {
+        let report = ControllerReport::of(&entry.frame);
+        let state = report.and_then(|it| it.state);
+        if state.is_none() && !is_on_bus(&entry.frame) {
             self.loss.error_frames += 1;
             return Ok(true);
         }
@@ -317,7 +368,11 @@ impl LogEncoder for TrcEncoder {
         self.loss.other_times += u64::from(unix_micros < start);
         self.loss.finer_times += u64::from(entry.time.nanos > 0);
         let since_start = unix_micros.saturating_sub(start);
-        self.loss.error_details += u64::from(!is_whole_error(&entry.frame));
+        let is_whole = match report {
+            Some(report) => (report.sent, report.received) == (0, 0),
+            None => is_whole_error(&entry.frame),
+        };
+        self.loss.error_details += u64::from(!is_whole);
         self.messages += 1;
         let (frame, channel) = (entry.frame, self.channels.number(entry.interface));
         let id = match (frame.kind, frame.id) {
@@ -327,12 +382,15 @@ impl LogEncoder for TrcEncoder {
         };
         let direction = if frame.is_tx { "Tx" } else { "Rx" };
         let (millis, micros) = (since_start / 1000, since_start % 1000);
-        let (number, kind) = (self.messages, type_of(&frame));
+        let number = self.messages;
+        let kind = if state.is_some() { "ST" } else { type_of(&frame) };
         write!(
             out,
             "{number:>7} {millis:>9}.{micros:03} {kind} {channel:>2} {id:>9} {direction} -"
         )?;
-        if frame.kind == FrameKind::Error {
+        if let Some(state) = state {
+            write_status(out, state)?;
+        } else if frame.kind == FrameKind::Error {
             write_error(out, &frame)?;
         } else {
             write!(out, "  {:<2}  ", frame.dlc())?;

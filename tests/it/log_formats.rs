@@ -92,14 +92,100 @@ fn lines_of_frames_with_a_broken_column_are_counted() {
     let commented = "Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2,Comment\n\
         1000,00000123,false,Rx,1,1,C6,,door opened\n";
     for (name, text, expected) in [
-        ("ASC", asc, (1, 2)),
-        ("TRC", trc, (1, 2)),
+        ("ASC", asc, (2, 2)),
+        ("TRC", trc, (2, 2)),
         ("CSV", csv, (1, 1)),
         ("GVRET", gvret, (1, 1)),
         ("GVRET with a comment", commented, (1, 0)),
     ] {
         let (frames, summary) = read(text.as_bytes());
         assert_eq!((frames.len(), summary.unreadable), expected, "{name}");
+    }
+}
+
+#[test]
+fn states_of_the_controller_are_error_frames() {
+    let asc = "date Tue Nov 14 10:13:20.123 pm 2023\nbase hex  timestamps absolute\n \
+        0.1 CAN 2 Status:chip status error active\n \
+        0.2 CAN 1 Status: chip status warning level - TxErr: 100 RxErr: 0\n \
+        0.3 CAN 1 Status:chip status warning level - TxErr: 0 RxErr: 96\n \
+        0.4 CAN 1 Status:chip status error passive - TxErr: 132 RxErr: 128\n \
+        0.5 CAN 1 Status:chip status busoff - TxErr: 256 RxErr: 0\n \
+        0.6 CAN 1 Status:rx queue overrun\n 0.7 CAN 1 Status:chip status unknown - TxErr: 9\n";
+    let trc_1 = ";$FILEVERSION=1.1\n;$STARTTIME=44548.6\n \
+        1) 1.1 Warng FFFFFFFF 4 00 00 00 04 BUSLIGHT\n 2) 1.2 Warng FFFFFFFF 4 00 00 00 10 BUSOFF\n \
+        3) 1.3 Warng FFFFFFFF 4 00 00 00 02 OVERRUN\n 4) 1.4 Warng FFFFFFFF 4 00\n";
+    let trc_2 = ";$FILEVERSION=2.1\n;$STARTTIME=44548.6\n;$COLUMNS=N,O,T,B,I,d,R,L,D\n \
+        1 1.1 ST 2 - Rx - 4 00 00 00 00\n 2 1.2 ST 1 - - - 4 00 04 00 0C\n \
+        3 1.3 ST 1 - Rx - 4 00 00 00 52\n 4 1.4 EC 1 - Rx - 2 60 02\n 5 1.5 EC 1 - Rx - 2 00 00\n";
+    let blf = |counters: [u8; 2], code: u32| {
+        blf(31, &[&[1, 0][..], &counters, &code.to_le_bytes()].concat())
+    };
+    // The last number is that of the frames that are not all that the log has of them.
+    let logs: [(&str, Vec<u8>, &[&str], u64); 6] = [
+        (
+            "ASC",
+            asc.into(),
+            &[
+                "20000004#0040000000000000",
+                "20000204#0008000000006400",
+                "20000204#0004000000000060",
+                "20000204#0030000000008480",
+                "20000240#000000000000FF00",
+            ],
+            0,
+        ),
+        ("TRC 1", trc_1.into(), &["20000004#000C000000000000", "20000040#0000000000000000"], 0),
+        (
+            "TRC 2",
+            trc_2.into(),
+            &[
+                "20000004#0040000000000000",
+                "20000004#0030000000000000",
+                "20000040#0000000000000000",
+                "20000200#0000000000000260",
+            ],
+            1,
+        ),
+        ("BLF", blf([130, 2], 0), &["20000200#0000000000008202"], 0),
+        ("BLF with a code", blf([0, 3], 7), &["20000200#0000000000000003"], 1),
+        ("BLF without counters", blf([0, 0], 7), &[], 0),
+    ];
+    for (name, log, expected, changed) in logs {
+        let (frames, summary) = read(&log);
+        let texts: Vec<String> = frames.iter().map(Frame::to_string).collect();
+        assert_eq!(texts, expected, "{name}");
+        assert_eq!((summary.unreadable, summary.changed.error_details), (0, changed), "{name}");
+    }
+}
+
+#[test]
+fn states_of_the_controller_are_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let states = [
+        "(1700000000.000000) ch1 123#11",
+        "(1700000000.100000) ch1 20000004#0040000000000000",
+        "(1700000000.200000) ch1 20000004#000C000000000000",
+        "(1700000000.300000) ch1 20000004#0030000000000000",
+        "(1700000000.400000) ch2 20000040#0000000000000000",
+    ];
+    // Only ASC has a state and counters in one line.
+    let with_counters = "(1700000000.500000) ch1 20000204#0010000000000280";
+    let lines = states.into_iter().chain([with_counters]).map(|line| format!("{line}\n"));
+    std::fs::write(folder.path().join("a.log"), lines.collect::<String>()).unwrap();
+    for (format, last, lost) in [
+        ("asc", with_counters, false),
+        ("blf", with_counters, false),
+        ("trc", "(1700000000.500000) ch1 20000004#0030000000000000", true),
+    ] {
+        let name = format!("a.{format}");
+        let said = convert(folder.path(), "a.log", &name);
+        assert_eq!(said.contains("1 error frame without details"), lost, "{said}");
+        assert!(!said.contains("left out"), "{said}");
+        let output = descan(folder.path(), &["convert", &name, "-", "--format", "candump"]);
+        let read = text(&output.stdout);
+        let expected: Vec<&str> = states.into_iter().chain([last]).collect();
+        assert_eq!(read.lines().collect::<Vec<_>>(), expected, "{format}");
     }
 }
 
@@ -1441,10 +1527,10 @@ fn micros_of(log: &[u8]) -> u64 {
 }
 
 #[test]
-fn states_of_a_controller_are_no_error_frames_of_other_formats() {
+fn missing_ack_is_no_error_frame_of_other_formats() {
     let folder = tempfile::tempdir().unwrap();
-    let states = "(1.000000) ch1 20000040#0000000000000000\n(2.000000) ch1 123#\n";
-    fs::write(folder.path().join("in.log"), states).unwrap();
+    let lines = "(1.000000) ch1 20000020#0000000000000000\n(2.000000) ch1 123#\n";
+    fs::write(folder.path().join("in.log"), lines).unwrap();
     for ending in ["asc", "trc"] {
         let out = format!("out.{ending}");
         let said = convert(folder.path(), "in.log", &out);
