@@ -74,7 +74,7 @@ impl Engine {
         // In a request the content may be that of another protocol.
         let is_heartbeat = header.response && matches!(content, PlatformContent::Heartbeat(_));
         let repetition = if self.traffic().has_des {
-            self.tracker.conflicts.note_frame(now, header.source, is_heartbeat, frame)
+            self.tracker.conflicts.note_frame(now, header, is_heartbeat, frame)
         } else {
             Repetition::None
         };

@@ -350,6 +350,84 @@ fn one_fast_sender_with_much_jitter_is_not_confirmed() {
     }
 }
 
+/// Some firmware sends a heartbeat with each response, besides those of its period.
+#[test]
+fn heartbeats_with_responses_are_no_second_sender() {
+    for interval in [1.0, 1.5, 2.0, 5.0] {
+        for seed in 0..20 {
+            let mut log = LogWriter::new(seed);
+            log.heartbeats(1, 1.0, (0.1, 60.0), 0.0);
+            let mut at = 10.0 + log.rng.f64();
+            while at < 40.0 {
+                log.name_query(at, &[(0.002, "FEED")]);
+                log.heartbeat(at + 0.004, ADDRESS, 1);
+                at += interval;
+            }
+            let verdicts = log.verdicts(60.0);
+            assert_eq!(verdicts.confirmed, [], "{interval} s, seed {seed}");
+        }
+    }
+}
+
+/// Some firmware sends a heartbeat at each change of its mode, besides those of its period.
+#[test]
+fn heartbeats_at_mode_changes_are_no_second_sender() {
+    for stay in [1.7, 2.0, 3.1] {
+        for seed in 0..20 {
+            let mut log = LogWriter::new(seed);
+            let mut changes = vec![5.0 + log.rng.f64()];
+            (1..20).for_each(|it| changes.push(changes[0] + stay * f64::from(it)));
+            let mode = |passed: usize| if passed % 2 == 0 { Mode::Work } else { Mode::Ufunc };
+            for second in 0..60 {
+                let at = f64::from(second) + 0.1;
+                let passed = changes.iter().filter(|it| **it < at).count();
+                log.heartbeat_in(mode(passed), at, ADDRESS, 1);
+            }
+            for (number, at) in changes.iter().enumerate() {
+                log.heartbeat_in(mode(number + 1), *at, ADDRESS, 1);
+            }
+            let verdicts = log.verdicts(60.0);
+            assert_eq!(verdicts.confirmed, [], "{stay} s, seed {seed}");
+        }
+    }
+}
+
+#[test]
+fn heartbeats_at_random_times_are_not_confirmed() {
+    for rate in [0.1, 0.2, 0.3] {
+        for seed in 0..20 {
+            let mut log = LogWriter::new(seed);
+            log.heartbeats(1, 1.0, (0.1, 200.0), 0.0);
+            let mut at = 0.0;
+            while at < 200.0 {
+                log.heartbeat(at, ADDRESS, 1);
+                at += -(1.0 - log.rng.f64()).ln() / rate;
+            }
+            let verdicts = log.verdicts(200.0);
+            assert_eq!(verdicts.confirmed, [], "{rate}/s, seed {seed}");
+        }
+    }
+}
+
+/// The heartbeats of the second device are not those that its responses prompt.
+#[test]
+fn two_devices_that_respond_are_confirmed() {
+    for phase in [0.1, 0.25, 0.4] {
+        for seed in 0..20 {
+            let mut log = LogWriter::new(seed);
+            log.heartbeats(1, 1.0, (0.1, 60.0), 0.0);
+            log.heartbeats(1, 1.0, (0.1 + phase, 60.0), 0.0);
+            for number in 0..50 {
+                let at = 5.0 + f64::from(number) * (0.9 + 0.2 * log.rng.f64());
+                log.name_query(at, &[(0.002, "FEED")]);
+            }
+            let confirmed = log.verdicts(60.0).confirmed;
+            let is_in_time = confirmed.iter().any(|(at, _)| *at < 15.0);
+            assert!(is_in_time, "phase {phase}, seed {seed}: {confirmed:?}");
+        }
+    }
+}
+
 #[test]
 fn boards_of_two_names_in_turns_are_not_confirmed() {
     for pause in [0.05, 0.5, 2.0] {

@@ -3,6 +3,7 @@
 //!
 //! Does not decide what an observation means: the detectors do.
 
+use super::prompted_heartbeats::PromptedHeartbeats;
 use super::query_responses::QueryResponseMatcher;
 use super::recent_values::{MAX_VALUES, RecentValues};
 use super::rhythm::{alternating_period, delay_of_close_pairs, last_in_other_phase};
@@ -82,6 +83,8 @@ pub(super) struct HeartbeatHistory {
     received_at: Option<Instant>,
     /// Time from the one before to the last heartbeat that is not a copy.
     gap_before: Option<Duration>,
+    /// Those that an event prompted.
+    prompted: PromptedHeartbeats,
 }
 
 /// How a heartbeat relates to the one before it.
@@ -125,6 +128,7 @@ impl HeartbeatHistory {
         let received_gap = self.received_at.replace(now).map(|before| now.since(before));
         let last = self.frames.back();
         let gap = last.map(|last| now.since(last.time));
+        let is_changed = last.is_some_and(|last| last.data() != frame.data());
         // Without times it is not known whether it came soon.
         let is_equal = last.is_some_and(|last| last.same_on_wire(frame));
         let may_be_copy = is_equal && gap.is_some_and(|gap| gap <= window) && resolution.is_some();
@@ -159,6 +163,7 @@ impl HeartbeatHistory {
             self.gap_before = received_gap;
         }
         if is_new {
+            self.prompted.note(now, is_changed, rounding);
             if !(is_coarse && may_be_copy) {
                 push_bounded(&mut self.times, now, MAX_TIMES);
             }
@@ -193,6 +198,16 @@ impl HeartbeatHistory {
         self.times.retain(|at| before.replace(*at).is_none_or(|before| at.since(before) > delay));
     }
 
+    /// Notes a response of the same address to one node.
+    pub fn note_response(&mut self, now: Instant) {
+        self.prompted.note_response(now);
+    }
+
+    /// Returns the heartbeats without those that an event prompted; `None` if there is none of these.
+    pub fn unprompted(&self, times: &VecDeque<Instant>) -> Option<VecDeque<Instant>> {
+        self.prompted.others(times)
+    }
+
     /// The last heartbeat, with its time of reception.
     pub fn last(&self) -> Option<&Frame> {
         self.frames.back()
@@ -224,7 +239,7 @@ impl HeartbeatHistory {
 }
 
 /// Appends a value and drops the oldest beyond `max`.
-fn push_bounded<T>(values: &mut VecDeque<T>, value: T, max: usize) {
+pub(super) fn push_bounded<T>(values: &mut VecDeque<T>, value: T, max: usize) {
     if values.len() == max {
         values.pop_front();
     }

@@ -10,6 +10,7 @@
 
 mod grid;
 mod history;
+mod prompted_heartbeats;
 mod query_responses;
 mod recent_values;
 mod repeated_frames;
@@ -39,6 +40,7 @@ use recent_values::ObservedValue;
 use repeated_frames::{COPIES_OF_ONE, RepeatedFrameDetector};
 use rhythm::HeartbeatPattern;
 use std::borrow::Cow;
+use std::collections::VecDeque;
 pub use time_resolution::TimeDoubt;
 use time_resolution::TimeResolution;
 
@@ -485,7 +487,22 @@ impl ConflictDetector {
             pattern.repeats |= rhythm::repeats(counted, counted_period, 0.0);
             pattern.since = pattern.since.or(Some(now - period));
         }
-        let is_crowded = is_exact && rhythm::has_several_senders(times, period);
+        let mut is_crowded = is_exact && rhythm::has_several_senders(times, period);
+        if let Some(resolution) = resolution.filter(|_| pattern.double_rate || pattern.two_phases) {
+            let pattern_of = |times: &VecDeque<Instant>| {
+                let repeated = rhythm::repeated_period(times, period);
+                let mut pattern = rhythm::pattern(times, repeated, resolution);
+                pattern.two_phases |= is_exact && rhythm::is_crowded(times, repeated);
+                pattern
+            };
+            let others = history.heartbeats.unprompted(counted);
+            if others.is_some_and(|it| rhythm::is_of_one_sender(&it, counted, period)) {
+                (pattern, is_crowded) = (HeartbeatPattern::default(), false);
+            } else if pattern.repeats {
+                let recurring = rhythm::recurring(counted, counted_period);
+                pattern.repeats = pattern_of(&recurring).two_phases;
+            }
+        }
         if is_crowded {
             let until = now + period.mul_f64(KEPT_PERIODS);
             self.finding_tracker.note_several_senders(until, address);
@@ -713,11 +730,15 @@ impl ConflictDetector {
     pub fn note_frame(
         &mut self,
         now: Instant,
-        source: Address,
+        header: Header,
         is_heartbeat: bool,
         frame: &Frame,
     ) -> Repetition {
+        let source = header.source;
         self.time_resolution.note(now, frame);
+        if header.response && !header.broadcast {
+            self.histories[source].heartbeats.note_response(now);
+        }
         let mut is_new = true;
         if is_heartbeat {
             is_new = self.record_heartbeat(now, source, frame);
