@@ -377,7 +377,8 @@ fn heartbeats_at_mode_changes_are_no_second_sender() {
             let mut log = LogWriter::new(seed);
             let mut changes = vec![5.0 + log.rng.f64()];
             (1..20).for_each(|it| changes.push(changes[0] + stay * f64::from(it)));
-            let mode = |passed: usize| if passed % 2 == 0 { Mode::Work } else { Mode::Ufunc };
+            let mode =
+                |passed: usize| if passed.is_multiple_of(2) { Mode::Work } else { Mode::Ufunc };
             for second in 0..60 {
                 let at = f64::from(second) + 0.1;
                 let passed = changes.iter().filter(|it| **it < at).count();
