@@ -160,7 +160,7 @@ impl AscLines {
     }
 
     /// Reads the data of `d 9 01 02 …` with more than 8 bytes: some writers write FD frames so, with the DLC in
-    /// base 10. `None` if they are at most 8.
+    /// base 10, or the number of bytes. `None` if they are at most 8.
     fn long_frame(
         &self,
         id: CanId,
@@ -173,7 +173,8 @@ impl AscLines {
             return Ok(None);
         }
         let numbers = [number(length, 10), number(length, self.base)];
-        let is_len = |dlc: u32| len_of_dlc(dlc, true).is_ok_and(|len| len == count);
+        let is_dlc = |dlc: u32| len_of_dlc(dlc, true).is_ok_and(|len| len == count);
+        let is_len = |len: u32| is_dlc(len) || len as usize == count && (9..=15).any(is_dlc);
         if !numbers.into_iter().flatten().any(is_len) {
             return Err(FieldFault::Length);
         }

@@ -165,6 +165,8 @@ impl TrcLines {
                 b'd' if word == b"Warng" => is_warning = true,
                 b'd' if word == b"Error" => is_error = true,
                 b'd' => return Err(FieldFault::Kind),
+                // Without an identifier, version 2.0 has no length, and the first byte stands here.
+                b'l' | b'L' if id.is_none() && word.len() == 2 => continue,
                 b'l' | b'L' => (length, is_dlc) = (Some(word), column == b'L'),
                 _ => {}
             }

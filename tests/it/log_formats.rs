@@ -122,7 +122,10 @@ fn states_of_the_controller_are_error_frames() {
         blf(31, &[&[1, 0][..], &counters, &code.to_le_bytes()].concat())
     };
     // The last number is that of the frames that are not all that the log has of them.
-    let logs: [(&str, Vec<u8>, &[&str], u64); 6] = [
+    let trc_2_0 = ";$FILEVERSION=2.0\n;$STARTTIME=44548.6\n;$COLUMNS=N,O,T,I,d,l,D\n \
+        1 1.1 ST          Rx    00 00 00 08\n 2 1.2 EC          Rx    60 02\n \
+        3 1.3 ER          Rx    04 00 02 00 00\n 4 1.4 RR     0704 Rx 1\n";
+    let logs: [(&str, Vec<u8>, &[&str], u64); 7] = [
         (
             "ASC",
             asc.into(),
@@ -146,6 +149,17 @@ fn states_of_the_controller_are_error_frames() {
                 "20000200#0000000000000260",
             ],
             1,
+        ),
+        (
+            "TRC 2.0",
+            trc_2_0.into(),
+            &[
+                "20000004#000C000000000000",
+                "20000200#0000000000000260",
+                "20000088#0000840200000000",
+                "704#R1",
+            ],
+            0,
         ),
         ("BLF", blf([130, 2], 0), &["20000200#0000000000008202"], 0),
         ("BLF with a code", blf([0, 3], 7), &["20000200#0000000000000003"], 1),
@@ -1433,6 +1447,11 @@ fn long_frames_of_asc_have_all_their_bytes() {
     };
     assert_eq!(line(&format!("9 {twelve}")), "123##01234567890ABCDEF12345678");
     assert_eq!(line(&format!("A {sixteen}")), "123##0000102030405060708090A0B0C0D0E0F");
+    // The number of bytes.
+    let bytes: Vec<String> = (0..64).map(|byte| format!("{byte:02X}")).collect();
+    let all = format!("123##0{}", bytes.concat());
+    assert_eq!(line(&format!("40 {}", bytes.join(" "))), all);
+    assert_eq!(line(&format!("64 {}", bytes.join(" "))), all);
     // In base 10.
     assert_eq!(line(&format!("10 {sixteen}")), "123##0000102030405060708090A0B0C0D0E0F");
     assert_eq!(
