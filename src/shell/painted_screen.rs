@@ -14,6 +14,7 @@ use ratatui::buffer::{Buffer, Cell};
 use ratatui::layout::{Position, Rect};
 use std::io::{self, Write};
 use std::time::{Duration, Instant};
+use unicode_width::UnicodeWidthStr;
 
 /// Synchronised output (DEC 2026): terminals that lack it ignore it.
 const SYNC_BEGIN: &[u8] = b"\x1b[?2026h";
@@ -134,6 +135,11 @@ impl<W: Write> PaintedScreen<W> {
             self.last = Some(completed.buffer.clone());
         }
         for (x, y, cell) in cells {
+            // The other half of a wide character is not among the cells.
+            let end = x.saturating_add(cell.symbol().width() as u16).min(self.shown.area.width);
+            for half in x + 1..end {
+                self.shown[(half, y)].reset();
+            }
             self.shown[(x, y)] = cell;
         }
         self.encoder.finish(&mut self.part)?;

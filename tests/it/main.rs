@@ -54,6 +54,7 @@ mod log_formats;
 mod malicious_input;
 mod mdf_logs;
 mod missing_reasons;
+mod painted_screen;
 mod pcapng;
 mod pictures;
 mod profile;
