@@ -283,7 +283,8 @@ impl FleetGateway {
                 self.status = Some(StoredDocument { content, time: None, bytes, connection });
             }
             TopicPath::Bus(bus) => {
-                let content = InventoryBus::parse(payload).map_err(|it| it.to_string())?;
+                let mut content = InventoryBus::parse(payload).map_err(|it| it.to_string())?;
+                content.name.clone_from(&bus);
                 let time = serde_json::from_slice(payload).map_or(None, |it: DocumentTime| it.time);
                 self.buses.insert(bus, StoredDocument { content, time, bytes, connection });
             }

@@ -121,7 +121,7 @@ fn deep(error: &ConnectionError) -> (String, Option<&'static str>, bool) {
     if let Some((_, alert)) = text.split_once("received fatal alert") {
         return (format!("TLS: the broker refuses it{alert}"), OWN_CERTIFICATE, true);
     }
-    if ["reset by peer", "roken pipe"].iter().any(|it| text.contains(it)) {
+    if ["reset by peer", "roken pipe", "close_notify"].iter().any(|it| text.contains(it)) {
         return closed();
     }
     match error {
