@@ -258,13 +258,16 @@ fn status(bytes_of_line: &[u8]) -> Option<Frame> {
     Some(if has_more { frame.as_changed() } else { frame })
 }
 
-/// Writes the bytes of a status line.
-fn write_status(out: &mut Vec<u8>, state: ReportedState) -> io::Result<()> {
-    let word = match state {
-        ReportedState::ErrorActive => 0,
-        ReportedState::ErrorWarning => WARNING,
-        ReportedState::ErrorPassive => BUS_PASSIVE,
-        ReportedState::BusOff => BUS_OFF,
+/// Writes the bytes of a status line, or of one with the error counters alone.
+fn write_report(out: &mut Vec<u8>, report: ControllerReport) -> io::Result<()> {
+    let word = match report.state {
+        Some(ReportedState::ErrorActive) => 0,
+        Some(ReportedState::ErrorWarning) => WARNING,
+        Some(ReportedState::ErrorPassive) => BUS_PASSIVE,
+        Some(ReportedState::BusOff) => BUS_OFF,
+        None => {
+            return writeln!(out, "  2    {:02X} {:02X}", report.received, report.sent);
+        }
     };
     write!(out, "  4   ")?;
     word.to_be_bytes().iter().try_for_each(|byte| write!(out, " {byte:02X}"))?;
@@ -353,8 +356,7 @@ impl LogEncoder for TrcEncoder {
     fn write(&mut self, entry: LogEntry<'_>, max_len: u64, out: &mut Vec<u8>) -> io::Result<bool> {
         let before = out.len();
         let report = ControllerReport::of(&entry.frame);
-        let state = report.and_then(|it| it.state);
-        if state.is_none() && !is_on_bus(&entry.frame) {
+        if report.is_none() && !is_on_bus(&entry.frame) {
             self.loss.error_frames += 1;
             return Ok(true);
         }
@@ -371,7 +373,7 @@ impl LogEncoder for TrcEncoder {
         self.loss.finer_times += u64::from(entry.time.nanos > 0);
         let since_start = unix_micros.saturating_sub(start);
         let is_whole = match report {
-            Some(report) => (report.sent, report.received) == (0, 0),
+            Some(report) => report.state.is_none() || (report.sent, report.received) == (0, 0),
             None => is_whole_error(&entry.frame),
         };
         self.loss.error_details += u64::from(!is_whole);
@@ -385,13 +387,17 @@ impl LogEncoder for TrcEncoder {
         let direction = if frame.is_tx { "Tx" } else { "Rx" };
         let (millis, micros) = (since_start / 1000, since_start % 1000);
         let number = self.messages;
-        let kind = if state.is_some() { "ST" } else { type_of(&frame) };
+        let kind = match report {
+            Some(ControllerReport { state: Some(_), .. }) => "ST",
+            Some(_) => "EC",
+            None => type_of(&frame),
+        };
         write!(
             out,
             "{number:>7} {millis:>9}.{micros:03} {kind} {channel:>2} {id:>9} {direction} -"
         )?;
-        if let Some(state) = state {
-            write_status(out, state)?;
+        if let Some(report) = report {
+            write_report(out, report)?;
         } else if frame.kind == FrameKind::Error {
             write_error(out, &frame)?;
         } else {

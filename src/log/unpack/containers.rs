@@ -25,6 +25,8 @@ enum ContainerState {
         left: u64,
         padding: usize,
     },
+    /// The rest cannot be unpacked.
+    Damaged,
 }
 
 impl<R: Read> ContainerReader<R> {
@@ -96,8 +98,10 @@ impl<R: Read> Read for ContainerReader<R> {
         if buffer.is_empty() {
             return Ok(0);
         }
+        let invalid = || io::Error::from(io::ErrorKind::InvalidData);
         loop {
             match &mut self.state {
+                ContainerState::Damaged => return Err(invalid()),
                 ContainerState::FileHead => {
                     let mut head = [0; 8];
                     self.source.read_exact(&mut head)?;
@@ -137,17 +141,21 @@ impl<R: Read> Read for ContainerReader<R> {
                     }
                     let most = input.len().min(usize::try_from(*left).unwrap_or(usize::MAX));
                     let (read, written) = (inflate.total_in(), inflate.total_out());
-                    let status =
-                        inflate.decompress(&input[..most], buffer, FlushDecompress::None)?;
+                    let status = inflate.decompress(&input[..most], buffer, FlushDecompress::None);
                     let used = inflate.total_in() - read;
                     let count = (inflate.total_out() - written) as usize;
                     self.source.consume(used as usize);
                     *left -= used;
+                    let Ok(status) = status else {
+                        // What was unpacked before the damage.
+                        self.state = ContainerState::Damaged;
+                        return if count > 0 { Ok(count) } else { Err(invalid()) };
+                    };
                     if status == Status::StreamEnd {
                         let (left, padding) = (*left, *padding);
                         self.end_object(left, padding)?;
                     } else if used == 0 && count == 0 {
-                        return Err(io::ErrorKind::InvalidData.into());
+                        return Err(invalid());
                     }
                     if count > 0 {
                         return Ok(count);

@@ -11,7 +11,7 @@ pub(super) struct ZstdReader<R> {
     source: BufReader<R>,
     decoder: FrameDecoder,
     is_inside: bool,
-    /// Why the file ends inside a frame, of which the decoder gives the last bytes.
+    /// Why a frame cannot be read to its end: the decoder gives what it has read of it.
     end: Option<io::ErrorKind>,
 }
 
@@ -89,14 +89,12 @@ impl<R: Read> Read for ZstdReader<R> {
             let one = || BlockDecodingStrategy::UptoBlocks(1);
             if let Err(error) = self.decoder.decode_blocks(&mut self.source, one()) {
                 let error = of_zstd(&error);
-                if error.kind() != io::ErrorKind::UnexpectedEof || self.end.is_some() {
-                    return Err(error);
-                }
                 // An empty last block, and a check sum: the decoder gives what it holds back.
                 self.end = Some(error.kind());
                 let last = [1, 0, 0, 0, 0, 0, 0];
-                let ended = self.decoder.decode_blocks(&last[..], one());
-                ended.map_err(|error| of_zstd(&error))?;
+                if self.decoder.decode_blocks(&last[..], one()).is_err() {
+                    return Err(error);
+                }
             }
         }
     }
