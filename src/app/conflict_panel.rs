@@ -12,7 +12,7 @@ use crate::document::Entry;
 use crate::finding::{FindingState, SeenUid};
 use crate::frame::{BusIndex, CanId, Frame};
 use crate::keymap::Action;
-use crate::text::Escaped;
+use crate::text::{Escaped, Name};
 use crate::time::{Duration, Instant};
 use crate::wire::id::{Address, Header};
 use crate::wire::node::{Mode, Uid};
@@ -32,6 +32,8 @@ const AFTER_PERIODS: u32 = 10;
 const SECOND_TOLERANCE: f64 = 0.005;
 /// Heartbeats that the phase of a board is the median of.
 const PHASE_BEATS: usize = 31;
+/// What to do about a conflict that is suspected.
+pub(super) const NOT_CONFIRMED: &str = "Not confirmed yet: unplug no board before it is";
 /// Services that most devices have, which stand behind the others.
 const COMMON_SERVICES: [&[u8]; 2] = [b"DES", b"CFG"];
 
@@ -113,7 +115,7 @@ impl App {
             sides,
             first,
         };
-        panel.titles = self.side_titles(bus, &panel, &devices);
+        panel.titles = self.side_titles(bus, problem, &panel, &devices);
         let places = panel.first..panel.sides.sides.len();
         let column = |text: &dyn Fn(usize) -> String| places.clone().map(text).collect();
         if panel.sides.basis == SideBasis::None {
@@ -236,18 +238,23 @@ impl App {
     fn side_titles(
         &self,
         bus: BusIndex,
+        problem: &Problem,
         panel: &ConflictPanel,
         devices: &[&Device],
     ) -> Vec<String> {
-        let names: Vec<String> = devices
-            .iter()
-            .filter_map(|device| Some(device.name.as_ref()?.quoted().to_string()))
-            .collect();
+        let mut names: Vec<&Name> =
+            devices.iter().filter_map(|device| device.name.as_ref()).collect();
+        let is_removed = |name: &&Name| names.iter().all(|known| known != name);
+        // The row of a board may have been removed.
+        let removed: Vec<&Name> = problem.names().into_iter().filter(is_removed).collect();
+        let is_one_here = !names.is_empty();
+        names.extend(removed.iter().copied());
         let has_several = names.len() > 1;
-        let names = match &names[..] {
-            [] => String::new(),
-            names => format!(" · {}", names.join(" or ")),
+        let list = |names: &[&Name]| {
+            let quoted: Vec<String> = names.iter().map(|name| name.quoted().to_string()).collect();
+            if quoted.is_empty() { String::new() } else { format!(" · {}", quoted.join(" or ")) }
         };
+        let unknown = list(if is_one_here && !removed.is_empty() { &removed } else { &names });
         // While both send heartbeats, each may have a row of its own.
         let here = |side: &super::ConflictSide| {
             let (bus, address) = (self.bus(bus)?, devices.first()?.address);
@@ -262,7 +269,7 @@ impl App {
             let moved = away.get(at - panel.first).copied().flatten();
             let own = moved.or_else(|| here(side).filter(|_| has_several));
             let name = own.and_then(|device| device.name.as_ref());
-            let names = name.map_or(names.clone(), |name| format!(" · {}", name.quoted()));
+            let names = name.map_or(unknown.clone(), |name| list(&[name]));
             let uid = side.uid.map_or("no UID".to_owned(), |uid| {
                 label_of(super::capture::decoded::uid_text(&profile, uid))
             });
@@ -498,7 +505,7 @@ impl App {
             return String::new();
         }
         if problem.state() == FindingState::Suspected {
-            return "Not confirmed yet: unplug no board before it is".to_owned();
+            return NOT_CONFIRMED.to_owned();
         }
         let boards = problem.boards();
         // The entry of des.json says whose the address is, else who was there first.

@@ -3,6 +3,7 @@
 
 use super::frames::ProofFrames;
 use super::markdown::{MarkdownTable, Plain};
+use crate::app::conflict_panel::NOT_CONFIRMED;
 use crate::app::problems::{Problem, SideBasis, length_text};
 use crate::app::{App, Decoded, EvidenceItem, side_letter};
 use crate::finding::{FindingKind, FindingState};
@@ -282,9 +283,12 @@ fn setup(text: &mut String, app: &App, problem: &Problem, proof: &ProofFrames) {
 }
 
 fn remedy(text: &mut String, problem: &Problem) {
-    let head = problem.head();
-    if head.remedy.is_empty() {
-        return;
+    let remedy = match problem.state() {
+        _ if problem.ended().is_some() => return,
+        FindingState::Suspected if problem.is_address_conflict() => NOT_CONFIRMED,
+        _ => &problem.head().remedy,
+    };
+    if !remedy.is_empty() {
+        let _ = writeln!(text, "## What to do\n\n{}", Plain(remedy));
     }
-    let _ = writeln!(text, "## What to do\n\n{}", Plain(&head.remedy));
 }

@@ -248,6 +248,25 @@ fn board_that_left_stays_with_its_last_heartbeat() {
 }
 
 #[test]
+fn board_whose_row_is_removed_has_no_other_name() {
+    let boards = [board("ACT", "one", uid("ONE"), 0.0), board("PUMP", "two", uid("TWO"), 12.3)];
+    let scenario = scenario(&boards).at(Duration::from_secs(40), "two", DeviceAction::PowerOff);
+    let mut stage = shown(&scenario, 90.0);
+    let titles = |stage: &Stage| {
+        let screen = stage.screen();
+        let title = screen.lines().find(|line| line.contains("A ONE")).map(str::to_owned);
+        title.unwrap_or(screen)
+    };
+    let before = titles(&stage);
+    assert!(before.contains("A ONE · ACT") && before.contains("B TWO · ACT or PUMP"), "{before}");
+    stage.keys("1 c");
+    assert!(stage.screen().contains("1 lost device removed"), "{}", stage.screen());
+    stage.keys("4");
+    let after = titles(&stage);
+    assert!(after.contains("A ONE · ACT") && after.contains("B TWO · PUMP"), "{after}");
+}
+
+#[test]
 fn board_that_comes_back_was_there_before_the_other() {
     // Absent for longer than heartbeats are remembered, then until its row is lost.
     for (left, joined, back) in [(12.0, 19.0, 27.0), (12.0, 45.0, 60.0)] {
