@@ -2,43 +2,15 @@
 //! the identifier, details in eight bytes. Does not know which node sent the frame with the error:
 //! a report does not contain it.
 
+use crate::frame::error_bits::{
+    ACKNOWLEDGE_DELIMITER, ACKNOWLEDGE_SLOT, ACTIVE, BIT, BIT_0, BIT_1, BUS_ERROR, BUS_OFF,
+    CONTROLLER, COUNTERS, CRC_SEQUENCE, FORM, LOST_ARBITRATION, NO_ACKNOWLEDGE, OVERLOAD, PROTOCOL,
+    RECEIVE_OVERFLOW, RECEIVE_PASSIVE, RECEIVE_WARNING, RESTARTED, STUFF, TRANSCEIVER,
+    TRANSMISSION_TIMEOUT, TRANSMIT_OVERFLOW, TRANSMIT_PASSIVE, TRANSMIT_WARNING, WHILE_SENDING,
+};
 use crate::frame::{CanId, Frame, FrameKind};
 use std::fmt;
 
-// Error classes, in the identifier.
-const TRANSMISSION_TIMEOUT: u32 = 0x001;
-const LOST_ARBITRATION: u32 = 0x002;
-const CONTROLLER: u32 = 0x004;
-const PROTOCOL: u32 = 0x008;
-const TRANSCEIVER: u32 = 0x010;
-const NO_ACKNOWLEDGE: u32 = 0x020;
-const BUS_OFF: u32 = 0x040;
-const BUS_ERROR: u32 = 0x080;
-const RESTARTED: u32 = 0x100;
-const COUNTERS: u32 = 0x200;
-
-// State of the controller, in byte 1.
-const RECEIVE_OVERFLOW: u8 = 0x01;
-const TRANSMIT_OVERFLOW: u8 = 0x02;
-const RECEIVE_WARNING: u8 = 0x04;
-const TRANSMIT_WARNING: u8 = 0x08;
-const RECEIVE_PASSIVE: u8 = 0x10;
-const TRANSMIT_PASSIVE: u8 = 0x20;
-const ACTIVE: u8 = 0x40;
-
-// Type of the bus error, in byte 2.
-const BIT: u8 = 0x01;
-const FORM: u8 = 0x02;
-const STUFF: u8 = 0x04;
-const BIT_0: u8 = 0x08;
-const BIT_1: u8 = 0x10;
-const OVERLOAD: u8 = 0x20;
-const WHILE_SENDING: u8 = 0x80;
-
-/// CRC as the place of a bus error in the frame, in byte 3.
-const CRC_SEQUENCE: u8 = 0x08;
-/// ACK slot as the place of a bus error in the frame, in byte 3.
-const ACKNOWLEDGE_SLOT: u8 = 0x19;
 /// Places in the frame, in byte 3, in order of transmission.
 const PLACES: [(u8, &str); 19] = [
     (0x03, "start of frame"),
@@ -57,7 +29,7 @@ const PLACES: [(u8, &str); 19] = [
     (CRC_SEQUENCE, "CRC"),
     (0x18, "CRC delimiter"),
     (ACKNOWLEDGE_SLOT, "acknowledge slot"),
-    (0x1B, "acknowledge delimiter"),
+    (ACKNOWLEDGE_DELIMITER, "acknowledge delimiter"),
     (0x1A, "end of frame"),
     (0x12, "intermission"),
 ];

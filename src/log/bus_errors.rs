@@ -1,23 +1,10 @@
 //! Error frames of logs, as SocketCAN has them: which bits say what was wrong.
 
+use crate::frame::error_bits::{
+    ACKNOWLEDGE_DELIMITER, BIT, BIT_0, BIT_1, BUS_ERROR, COUNTERS, CRC_SEQUENCE, FORM,
+    NO_ACKNOWLEDGE, OVERLOAD, PROTOCOL, STUFF, WHILE_SENDING,
+};
 use crate::frame::{CanId, Frame, FrameKind};
-
-/// Class bits of a SocketCAN error frame (`linux/can/error.h`).
-const PROTOCOL: u32 = 0x08;
-const NO_ACK: u32 = 0x20;
-const BUS_ERROR: u32 = 0x80;
-const COUNTERS: u32 = 0x200;
-/// Bits of its third byte.
-const BIT_ERROR: u8 = 0x01;
-/// Errors of a dominant and of a recessive bit.
-const BIT_ERRORS: u8 = 0x18;
-const FORM_ERROR: u8 = 0x02;
-const STUFF_ERROR: u8 = 0x04;
-const OVERLOAD: u8 = 0x20;
-const TRANSMISSION: u8 = 0x80;
-/// Places of its fourth byte.
-const CRC_SEQUENCE: u8 = 0x08;
-const ACK_DELIMITER: u8 = 0x1B;
 
 /// Returns true for an error frame of SocketCAN that stands for one on the bus, and for any other frame. The
 /// others report states of the controller.
@@ -49,13 +36,13 @@ pub(super) fn captured(code: u8) -> Frame {
 /// The same with the error counters of the controller, if one is not 0.
 pub(super) fn captured_with_counters(code: u8, sent: u8, received: u8) -> Frame {
     let kind = match code >> 6 {
-        0 => BIT_ERROR,
-        1 => FORM_ERROR,
-        2 => STUFF_ERROR,
+        0 => BIT,
+        1 => FORM,
+        2 => STUFF,
         _ => 0,
     };
     let is_reception = code & 0x20 != 0;
-    let kind = kind | if is_reception { 0 } else { TRANSMISSION };
+    let kind = kind | if is_reception { 0 } else { WHILE_SENDING };
     let counters = if (sent, received) == (0, 0) { 0 } else { COUNTERS };
     let details = [0, 0, kind, code & 0x1F, 0, 0, sent, received];
     Frame::error(PROTOCOL | BUS_ERROR | counters, &details)
@@ -75,15 +62,15 @@ pub(super) fn no_ack() -> Frame {
 /// 12 and 13 whether it was sent. Their source: `CanErrorFrameExt` of the BLF format.
 pub(super) fn of_can_core(flags: u16) -> Frame {
     let (class, kind, place) = match flags >> 6 & 0x3F {
-        0 => (0, BIT_ERROR, 0),
-        1 => (0, FORM_ERROR, 0),
-        2 => (0, STUFF_ERROR, 0),
+        0 => (0, BIT, 0),
+        1 => (0, FORM, 0),
+        2 => (0, STUFF, 0),
         4 => (0, 0, CRC_SEQUENCE),
-        5 => (0, FORM_ERROR, ACK_DELIMITER),
-        7 => (NO_ACK, 0, 0),
+        5 => (0, FORM, ACKNOWLEDGE_DELIMITER),
+        7 => (NO_ACKNOWLEDGE, 0, 0),
         _ => (0, 0, 0),
     };
-    let kind = kind | if flags & 0x1000 != 0 { TRANSMISSION } else { 0 };
+    let kind = kind | if flags & 0x1000 != 0 { WHILE_SENDING } else { 0 };
     Frame::error(PROTOCOL | BUS_ERROR | class, &[0, 0, kind, place, 0, 0, 0, 0])
 }
 
@@ -108,13 +95,13 @@ pub(super) fn of_vector(valid: u32, code: u8, extended: u16, has_more: bool) -> 
 /// Returns the error code capture register that [`captured`] has read; 0 without one.
 pub(super) fn capture_of(data: &[u8]) -> u8 {
     let [_, _, kind, place, ..] = *data else { return 0 };
-    let kind_bits = match kind & (BIT_ERROR | FORM_ERROR | STUFF_ERROR) {
-        BIT_ERROR => 0,
-        0 if kind & BIT_ERRORS != 0 => 0,
-        FORM_ERROR => 1,
-        STUFF_ERROR => 2,
+    let kind_bits = match kind & (BIT | FORM | STUFF) {
+        BIT => 0,
+        0 if kind & (BIT_0 | BIT_1) != 0 => 0,
+        FORM => 1,
+        STUFF => 2,
         _ => 3,
     };
-    let direction = if kind & TRANSMISSION == 0 { 0x20 } else { 0 };
+    let direction = if kind & WHILE_SENDING == 0 { 0x20 } else { 0 };
     kind_bits << 6 | direction | place & 0x1F
 }

@@ -3,17 +3,15 @@
 //! A log may name the state, the error counters, or both. Does not know formats: they pass what
 //! their lines and objects say.
 
+use crate::frame::error_bits::{
+    ACTIVE, BUS_OFF, CONTROLLER, COUNTERS, RECEIVE_PASSIVE, RECEIVE_WARNING, TRANSMIT_PASSIVE,
+    TRANSMIT_WARNING,
+};
 use crate::frame::{CanId, Frame, FrameKind};
 
-/// Class bits of an error frame.
-const CONTROLLER: u32 = 0x04;
-const BUS_OFF: u32 = 0x40;
-const COUNTERS: u32 = 0x200;
-/// Its second byte: back to error-active.
-const ACTIVE: u8 = 0x40;
-/// Of the counters for sending and receiving, the bits of the one that reached the limit.
-const WARNING: [u8; 2] = [0x08, 0x04];
-const PASSIVE: [u8; 2] = [0x20, 0x10];
+/// For sending and receiving, the bit of byte 1 that says that its error counter is at the limit.
+const WARNING: [u8; 2] = [TRANSMIT_WARNING, RECEIVE_WARNING];
+const PASSIVE: [u8; 2] = [TRANSMIT_PASSIVE, RECEIVE_PASSIVE];
 /// Counters from which on a controller is error-warning, and error-passive (ISO 11898-1).
 const WARNING_LIMIT: u8 = 96;
 const PASSIVE_LIMIT: u8 = 128;
@@ -46,14 +44,23 @@ pub(super) struct ControllerReport {
 impl ControllerReport {
     /// Returns the report that an error frame is, if it says nothing else.
     pub fn of(frame: &Frame) -> Option<Self> {
-        let CanId::Extended(_) = frame.id else { return None };
-        let &[_, _, _, _, _, _, sent, received] = frame.data() else { return None };
+        let CanId::Extended(class) = frame.id else { return None };
+        let &[_, details, _, _, _, _, sent, received] = frame.data() else { return None };
         if frame.kind != FrameKind::Error || frame.is_tx {
             return None;
         }
-        let states = ReportedState::ALL.map(Some).into_iter().chain([None]);
-        let mut reports = states.map(|state| Self { state, sent, received });
-        reports.find(|it| it.frame().is_some_and(|it| it.same_on_wire(frame)))
+        let state = match (class & !COUNTERS, details) {
+            (CONTROLLER, ACTIVE) => Some(ReportedState::ErrorActive),
+            (CONTROLLER, bits) if bits & (WARNING[0] | WARNING[1]) != 0 => {
+                Some(ReportedState::ErrorWarning)
+            }
+            (CONTROLLER, _) => Some(ReportedState::ErrorPassive),
+            (BUS_OFF, _) => Some(ReportedState::BusOff),
+            _ => None,
+        };
+        let report = Self { state, sent, received };
+        // A frame that says more than the report holds is another one.
+        report.frame().is_some_and(|it| it.same_on_wire(frame)).then_some(report)
     }
 
     /// Returns the error frame; `None` if neither state nor counters are known.

@@ -4,6 +4,10 @@
 //! not know the order of commands: `protocol` does.
 
 use crate::bus::remote::Splitter;
+use crate::frame::error_bits::{
+    ACKNOWLEDGE_SLOT, BIT, BIT_0, BIT_1, BUS_ERROR, CONTROLLER, CRC_SEQUENCE, FORM, NO_ACKNOWLEDGE,
+    PROTOCOL, RECEIVE_OVERFLOW, STUFF, TRANSMIT_OVERFLOW,
+};
 use crate::frame::{CanId, Frame, FrameKind, fd_length};
 use crate::status::BusState;
 
@@ -159,36 +163,33 @@ fn state(rest: &[u8]) -> Option<AdapterReply> {
 
 /// `e1a`, `e3bcO`: number and types of errors, as the error frame that Linux makes of them.
 fn errors(rest: &[u8]) -> Option<AdapterReply> {
-    const CONTROLLER: u32 = 0x04;
-    const NO_ACKNOWLEDGE: u32 = 0x20;
     let (count, letters) = rest.split_first()?;
     if !count.is_ascii_digit() || letters.len() != usize::from(count - b'0') {
         return None;
     }
-    // Protocol violation, bus error.
-    let mut class = 0x88;
+    let mut class = PROTOCOL | BUS_ERROR;
     let mut details = [0; 8];
     for letter in letters {
         match letter {
             b'a' => {
                 class |= NO_ACKNOWLEDGE;
-                details[3] = 0x19;
+                details[3] = ACKNOWLEDGE_SLOT;
             }
-            b'b' => details[2] |= 0x08,
-            b'B' => details[2] |= 0x10,
+            b'b' => details[2] |= BIT_0,
+            b'B' => details[2] |= BIT_1,
             b'c' => {
-                details[2] |= 0x01;
-                details[3] = 0x08;
+                details[2] |= BIT;
+                details[3] = CRC_SEQUENCE;
             }
-            b'f' => details[2] |= 0x02,
-            b's' => details[2] |= 0x04,
+            b'f' => details[2] |= FORM,
+            b's' => details[2] |= STUFF,
             b'o' => {
                 class |= CONTROLLER;
-                details[1] |= 0x01;
+                details[1] |= RECEIVE_OVERFLOW;
             }
             b'O' => {
                 class |= CONTROLLER;
-                details[1] |= 0x02;
+                details[1] |= TRANSMIT_OVERFLOW;
             }
             _ => return None,
         }
