@@ -84,7 +84,7 @@ pub(super) struct HeartbeatHistory {
     /// Time from the one before to the last heartbeat that is not a copy.
     gap_before: Option<Duration>,
     /// Those that an event prompted.
-    prompted: PromptedHeartbeats,
+    pub prompted: PromptedHeartbeats,
 }
 
 /// How a heartbeat relates to the one before it.
@@ -196,16 +196,6 @@ impl HeartbeatHistory {
     fn drop_copies(&mut self, delay: Duration) {
         let mut before = None;
         self.times.retain(|at| before.replace(*at).is_none_or(|before| at.since(before) > delay));
-    }
-
-    /// Notes a response of the same address to one node.
-    pub fn note_response(&mut self, now: Instant) {
-        self.prompted.note_response(now);
-    }
-
-    /// Returns the heartbeats without those that an event prompted; `None` if there is none of these.
-    pub fn unprompted(&self, times: &VecDeque<Instant>) -> Option<VecDeque<Instant>> {
-        self.prompted.others(times)
     }
 
     /// The last heartbeat, with its time of reception.

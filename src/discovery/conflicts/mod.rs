@@ -40,7 +40,6 @@ use recent_values::ObservedValue;
 use repeated_frames::{COPIES_OF_ONE, RepeatedFrameDetector};
 use rhythm::HeartbeatPattern;
 use std::borrow::Cow;
-use std::collections::VecDeque;
 pub use time_resolution::TimeDoubt;
 use time_resolution::TimeResolution;
 
@@ -465,42 +464,31 @@ impl ConflictDetector {
         // Two devices alternate with every heartbeat; one device keeps a changed U bit for longer.
         let mode_returned =
             history.working.observe(now, &state.is_working, period.mul_f64(1.05)).return_count;
-        let times = history.heartbeats.times();
         let resolution = self.time_resolution.of_last_frame();
-        let repeated = rhythm::repeated_period(times, period);
-        let mut pattern = resolution.map_or_else(HeartbeatPattern::default, |resolution| {
-            rhythm::pattern(times, repeated, resolution)
-        });
         // Rounded times do not show the number of senders by that of their heartbeats.
         let is_exact = resolution.is_some_and(|it| !time_resolution::is_coarse(it, period));
         let reboots =
             history.resolving_at.is_some_and(|at| now.since(at) < period * WINDOW_PERIODS);
-        pattern.alternates = !reboots && resolution.is_some() && history.note_turns(now, period);
+        let alternates = !reboots && resolution.is_some() && history.note_turns(now, period);
         let times = history.heartbeats.times();
-        let (counted, counted_period) = if reboots {
-            (&history.settled, rhythm::repeated_period(&history.settled, period))
-        } else {
-            (times, repeated)
-        };
-        if is_exact && !state.is_resolving && rhythm::is_crowded(counted, counted_period) {
-            pattern.two_phases = true;
-            pattern.repeats |= rhythm::repeats(counted, counted_period, 0.0);
-            pattern.since = pattern.since.or(Some(now - period));
-        }
+        let counted = if reboots { &history.settled } else { times };
+        let mut pattern = resolution.map_or_else(HeartbeatPattern::default, |resolution| {
+            let counted = Some(counted).filter(|_| is_exact && !state.is_resolving);
+            rhythm::pattern_with_number(times, counted, period, resolution)
+        });
+        pattern.alternates = alternates;
         let mut is_crowded = is_exact && rhythm::has_several_senders(times, period);
         if let Some(resolution) = resolution.filter(|_| pattern.double_rate || pattern.two_phases) {
-            let pattern_of = |times: &VecDeque<Instant>| {
-                let repeated = rhythm::repeated_period(times, period);
-                let mut pattern = rhythm::pattern(times, repeated, resolution);
-                pattern.two_phases |= is_exact && rhythm::is_crowded(times, repeated);
-                pattern
-            };
-            let others = history.heartbeats.unprompted(counted);
+            let others = history.heartbeats.prompted.others(counted);
             if others.is_some_and(|it| rhythm::is_of_one_sender(&it, counted, period)) {
                 (pattern, is_crowded) = (HeartbeatPattern::default(), false);
             } else if pattern.repeats {
-                let recurring = rhythm::recurring(counted, counted_period);
-                pattern.repeats = pattern_of(&recurring).two_phases;
+                let repeated = rhythm::repeated_period(counted, period);
+                let recurring = rhythm::recurring(counted, repeated);
+                let number = Some(&recurring).filter(|_| is_exact);
+                let of_recurring =
+                    rhythm::pattern_with_number(&recurring, number, period, resolution);
+                pattern.repeats = of_recurring.two_phases;
             }
         }
         if is_crowded {
@@ -509,7 +497,10 @@ impl ConflictDetector {
         }
         let is_confirmed = self.finding_tracker.has_confirmed_conflict(address);
         let in_other_phase = is_confirmed
-            .then(|| rhythm::last_in_other_phase(history.heartbeats.times(), repeated))
+            .then(|| {
+                let times = history.heartbeats.times();
+                rhythm::last_in_other_phase(times, rhythm::repeated_period(times, period))
+            })
             .flatten();
         for last in history.uids.second_last_seen().into_iter().chain(in_other_phase) {
             // Some of its heartbeats may be lost.
@@ -737,7 +728,7 @@ impl ConflictDetector {
         let source = header.source;
         self.time_resolution.note(now, frame);
         if header.response && !header.broadcast {
-            self.histories[source].heartbeats.note_response(now);
+            self.histories[source].heartbeats.prompted.note_response(now);
         }
         let mut is_new = true;
         if is_heartbeat {

@@ -177,12 +177,27 @@ pub(super) fn is_of_one_sender(
     !is_early && count as f64 >= LEAST * last.since(first).as_secs_f64() / period.as_secs_f64()
 }
 
-/// Returns the timing pattern of the last heartbeats, whose times have this resolution.
-pub(super) fn pattern(
+/// Returns the timing pattern of the last heartbeats, as [`pattern`] does, of the period that they repeat.
+/// The number of those `counted` shows several senders whose phases losses hide.
+pub(super) fn pattern_with_number(
     times: &VecDeque<Instant>,
-    period: Duration,
+    counted: Option<&VecDeque<Instant>>,
+    expected: Duration,
     resolution: Duration,
 ) -> HeartbeatPattern {
+    let mut pattern = pattern(times, repeated_period(times, expected), resolution);
+    let Some(counted) = counted else { return pattern };
+    let period = repeated_period(counted, expected);
+    if is_crowded(counted, period) {
+        pattern.two_phases = true;
+        pattern.repeats |= repeats(counted, period, 0.0);
+        pattern.since = pattern.since.or_else(|| Some(*counted.back()? - expected));
+    }
+    pattern
+}
+
+/// Returns the timing pattern of the last heartbeats, whose times have this resolution.
+fn pattern(times: &VecDeque<Instant>, period: Duration, resolution: Duration) -> HeartbeatPattern {
     let Some(&last) = times.back() else { return HeartbeatPattern::default() };
     if is_faster_with_losses(times, period) {
         return HeartbeatPattern::default();
@@ -242,7 +257,7 @@ pub(super) fn last_early(times: &VecDeque<Instant>, period: Duration) -> Option<
 
 /// Returns true if more heartbeats arrived in the last periods than one sender has, and one with a
 /// shorter period does not explain them. Losses hide the phases, but not the number.
-pub(super) fn is_crowded(times: &VecDeque<Instant>, period: Duration) -> bool {
+fn is_crowded(times: &VecDeque<Instant>, period: Duration) -> bool {
     let Some(&last) = times.back() else { return false };
     let has_more = |count: usize, within: Duration| {
         let at = times.len().checked_sub(count + 1);
