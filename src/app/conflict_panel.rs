@@ -9,7 +9,7 @@ use super::{App, CallPart, CapturedHeartbeat, Row, clock_millis, format_time_of_
 use crate::app::file::EntryPlace;
 use crate::discovery::{Device, DeviceService};
 use crate::document::Entry;
-use crate::finding::{FindingState, SeenUid};
+use crate::finding::SeenUid;
 use crate::frame::{BusIndex, CanId, Frame};
 use crate::keymap::Action;
 use crate::text::{Escaped, Name};
@@ -32,8 +32,6 @@ const AFTER_PERIODS: u32 = 10;
 const SECOND_TOLERANCE: f64 = 0.005;
 /// Heartbeats that the phase of a board is the median of.
 const PHASE_BEATS: usize = 31;
-/// What to do about a conflict that is suspected.
-pub(super) const NOT_CONFIRMED: &str = "Not confirmed yet: unplug no board before it is";
 /// Services that most devices have, which stand behind the others.
 const COMMON_SERVICES: [&[u8]; 2] = [b"DES", b"CFG"];
 
@@ -242,40 +240,54 @@ impl App {
         panel: &ConflictPanel,
         devices: &[&Device],
     ) -> Vec<String> {
-        let mut names: Vec<&Name> =
-            devices.iter().filter_map(|device| device.name.as_ref()).collect();
-        let is_removed = |name: &&Name| names.iter().all(|known| known != name);
-        // The row of a board may have been removed.
-        let removed: Vec<&Name> = problem.names().into_iter().filter(is_removed).collect();
-        let is_one_here = !names.is_empty();
-        names.extend(removed.iter().copied());
-        let has_several = names.len() > 1;
-        let list = |names: &[&Name]| {
-            let quoted: Vec<String> = names.iter().map(|name| name.quoted().to_string()).collect();
-            if quoted.is_empty() { String::new() } else { format!(" · {}", quoted.join(" or ")) }
-        };
-        let unknown = list(if is_one_here && !removed.is_empty() { &removed } else { &names });
-        // While both send heartbeats, each may have a row of its own.
-        let here = |side: &super::ConflictSide| {
-            let (bus, address) = (self.bus(bus)?, devices.first()?.address);
-            let senders = bus.senders_at(address);
-            let sender = senders.iter().find(|sender| sender.has_uid(side.uid))?;
-            devices.iter().copied().find(|device| device.id == sender.device)
-        };
         let profile = self.profile(bus);
         let sides = panel.sides.sides.iter().enumerate().skip(panel.first);
         let away = self.sides_away(bus, panel, devices);
         let title = |(at, side): (usize, &super::ConflictSide)| {
             let moved = away.get(at - panel.first).copied().flatten();
-            let own = moved.or_else(|| here(side).filter(|_| has_several));
-            let name = own.and_then(|device| device.name.as_ref());
-            let names = name.map_or(unknown.clone(), |name| list(&[name]));
+            let own = moved.and_then(|device| device.name.as_ref());
+            let names = own.map_or_else(|| self.names_of_board(problem, side.uid), |own| vec![own]);
+            let quoted: Vec<String> = names.iter().map(|name| name.quoted().to_string()).collect();
+            let names = if quoted.is_empty() {
+                String::new()
+            } else {
+                format!(" · {}", quoted.join(" or "))
+            };
             let uid = side.uid.map_or("no UID".to_owned(), |uid| {
                 label_of(super::capture::decoded::uid_text(&profile, uid))
             });
             format!("{} {uid}{names}", side_letter(at))
         };
         sides.map(title).collect()
+    }
+
+    /// Names that a board of an address conflict may have, by its UID: one if it is known which.
+    pub(super) fn names_of_board<'a>(
+        &'a self,
+        problem: &Problem<'a>,
+        uid: Option<Uid>,
+    ) -> Vec<&'a Name> {
+        let ProblemKey::Address(bus, address) = problem.key else { return Vec::new() };
+        let devices = self.devices_at(bus, address);
+        let mut names: Vec<&Name> = Vec::new();
+        for name in devices.iter().filter_map(|device| device.name.as_ref()) {
+            if !names.contains(&name) {
+                names.push(name);
+            }
+        }
+        // The row of a board may have been removed.
+        let mut removed = problem.names();
+        removed.retain(|name| !names.contains(name));
+        if names.len() + removed.len() > 1 {
+            // While both send heartbeats, each may have a row of its own.
+            let senders = self.bus(bus).map_or_else(Vec::new, |bus| bus.senders_at(address));
+            let sender = senders.iter().find(|sender| sender.has_uid(uid));
+            let own = sender.and_then(|it| devices.iter().find(|device| device.id == it.device));
+            if let Some(name) = own.and_then(|device| device.name.as_ref()) {
+                return vec![name];
+            }
+        }
+        if removed.is_empty() { names } else { removed }
     }
 
     /// For each board that has a column, its device if that has another address now.
@@ -501,11 +513,8 @@ impl App {
         address: Address,
         listed: Option<Uid>,
     ) -> String {
-        if problem.ended().is_some() {
-            return String::new();
-        }
-        if problem.state() == FindingState::Suspected {
-            return NOT_CONFIRMED.to_owned();
+        if let Some(instead) = problem.instead_of_remedy() {
+            return instead.to_owned();
         }
         let boards = problem.boards();
         // The entry of des.json says whose the address is, else who was there first.

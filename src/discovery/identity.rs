@@ -1,7 +1,7 @@
 //! Identity of devices: another board at a known address, or a known device at another address
 //! (protocol §4.7).
 
-use super::device::{MISSED_HEARTBEAT_PERIODS, QueryState};
+use super::device::{MISSED_HEARTBEAT_PERIODS, ModeChange, QueryState};
 use super::device_tracker::DeviceTracker;
 use super::{Device, DeviceId, EventKind, Presence};
 use crate::text::Name;
@@ -223,8 +223,14 @@ impl DeviceTracker {
         let Some(live) = self.device_table.get(other).cloned() else { return };
         self.replace_row(other);
         self.device_table.move_to_address(old, live.address);
+        // Its own mode: that of the row was the other device's until now.
+        let mode = self.uid_of_row(old).and_then(|uid| self.claims.mode_of(uid));
         let Some(device) = self.device_table.get_mut(old) else { return };
         device.copy_state_from(&live);
+        if let Some(mode) = mode {
+            device.mode = Some(mode);
+            device.remember_mode(ModeChange { time: now, mode });
+        }
         device.name_query.schedule(now);
         device.services_query.schedule(now);
         device.descriptor.is_read = false;

@@ -953,6 +953,22 @@ fn board_asleep_when_another_one_took_its_address_is_asleep() {
 }
 
 #[test]
+fn device_that_takes_the_address_of_one_asleep_has_its_own_mode() {
+    let folder = tempfile::tempdir().unwrap();
+    let log = Log::default().lives(14, 0.1, 20.0, FEED).lives(30, 0.3, 10.0, PUMP);
+    let log = log.beats(14, 20.1, 21.0, 1.0, &format!("{FEED}0600"));
+    let log = log.beats(14, 24.0, 24.5, 1.0, &format!("{PUMP}0100"));
+    let mut log = log.lives(14, 25.0, 30.0, PUMP);
+    log.answers(2.0, 14, 0, &isotp("AAA"));
+    log.answers(3.0, 30, 0, &isotp("BBB"));
+    let values = run(folder.path(), &["watch"], &log.text());
+    let modes = values.iter().filter(|value| value["event"] == "mode" && value["name"] == "BBB");
+    let modes: Vec<_> = modes.map(|it| (it["from"].as_str(), it["mode"].as_str())).collect();
+    assert_eq!(modes, [(Some("ARSLV"), Some("WORK"))], "{values:#?}");
+    assert!(values.iter().any(|value| value["event"] == "moved"), "{values:#?}");
+}
+
+#[test]
 fn board_beside_one_that_only_responds_keeps_its_uid() {
     let folder = tempfile::tempdir().unwrap();
     let mut log = Log::default().lives(14, 0.1, 80.0, FEED);

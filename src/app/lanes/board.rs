@@ -31,6 +31,8 @@ pub struct LaneBoard {
     pub side: usize,
     /// UID.
     pub uid: Uid,
+    /// Its name, or the names it may have; empty if none is known.
+    pub name: String,
     /// First and last heartbeats of the times at which it was there, oldest first.
     visits: Vec<(Instant, Instant)>,
     /// It has left.
@@ -144,6 +146,8 @@ impl App {
         if let Some((_, last)) = visits.last_mut().filter(|_| !has_left) {
             *last = Instant::LATEST;
         }
-        LaneBoard { side, uid, visits, has_left }
+        let names = self.names_of_board(problem, Some(uid));
+        let names: Vec<String> = names.iter().map(|name| name.quoted().to_string()).collect();
+        LaneBoard { side, uid, name: names.join(" or "), visits, has_left }
     }
 }

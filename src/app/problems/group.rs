@@ -211,6 +211,17 @@ impl<'a> Problem<'a> {
         self.head().key.wording().confirmation.filter(|_| is_suspected)
     }
 
+    /// Text that stands for the remedy where there is none: empty once the problem is over; before an
+    /// address conflict is confirmed, no board is to be unplugged.
+    pub fn instead_of_remedy(&self) -> Option<&'static str> {
+        const NOT_CONFIRMED: &str = "Not confirmed yet: unplug no board before it is";
+        let is_suspected = self.state() == FindingState::Suspected;
+        match self.ended() {
+            Some(_) => Some(""),
+            None => Some(NOT_CONFIRMED).filter(|_| is_suspected && self.is_address_conflict()),
+        }
+    }
+
     /// Sort key: confirmed, suspected, cleared, muted; by severity within each.
     pub(super) fn rank(&self) -> impl Ord + use<> {
         let head = self.head();

@@ -3,7 +3,6 @@
 
 use super::frames::ProofFrames;
 use super::markdown::{MarkdownTable, Plain};
-use crate::app::conflict_panel::NOT_CONFIRMED;
 use crate::app::problems::{Problem, SideBasis, length_text};
 use crate::app::{App, Decoded, EvidenceItem, side_letter};
 use crate::finding::{FindingKind, FindingState};
@@ -283,11 +282,7 @@ fn setup(text: &mut String, app: &App, problem: &Problem, proof: &ProofFrames) {
 }
 
 fn remedy(text: &mut String, problem: &Problem) {
-    let remedy = match problem.state() {
-        _ if problem.ended().is_some() => return,
-        FindingState::Suspected if problem.is_address_conflict() => NOT_CONFIRMED,
-        _ => &problem.head().remedy,
-    };
+    let remedy = problem.instead_of_remedy().unwrap_or(&problem.head().remedy);
     if !remedy.is_empty() {
         let _ = writeln!(text, "## What to do\n\n{}", Plain(remedy));
     }

@@ -264,6 +264,8 @@ fn board_whose_row_is_removed_has_no_other_name() {
     stage.keys("4");
     let after = titles(&stage);
     assert!(after.contains("A ONE · ACT") && after.contains("B TWO · PUMP"), "{after}");
+    let lanes = stage.size(120, 40).keys("3").screen();
+    assert!(lanes.contains("14A ACT") && lanes.contains("14B PUMP"), "{lanes}");
 }
 
 #[test]
