@@ -9,6 +9,7 @@ use crate::frame::error_bits::{
     TRANSMISSION_TIMEOUT, TRANSMIT_OVERFLOW, TRANSMIT_PASSIVE, TRANSMIT_WARNING, WHILE_SENDING,
 };
 use crate::frame::{CanId, Frame, FrameKind};
+use crate::status::BusState;
 use std::fmt;
 
 /// Places in the frame, in byte 3, in order of transmission.
@@ -122,6 +123,20 @@ impl ErrorReport {
     pub fn is_recovery(&self) -> bool {
         !self.is_bus_off()
             && (self.is(RESTARTED) || self.is(CONTROLLER) && self.details[1] & ACTIVE != 0)
+    }
+
+    /// Returns the state of the controller that it reports, if any.
+    pub fn state(&self) -> Option<BusState> {
+        let has = |bits: u8| self.is(CONTROLLER) && self.details[1] & bits != 0;
+        if self.is_bus_off() {
+            Some(BusState::BusOff)
+        } else if has(RECEIVE_PASSIVE | TRANSMIT_PASSIVE) {
+            Some(BusState::ErrorPassive)
+        } else if has(RECEIVE_WARNING | TRANSMIT_WARNING) {
+            Some(BusState::ErrorWarning)
+        } else {
+            self.is_recovery().then_some(BusState::ErrorActive)
+        }
     }
 
     /// Returns true if an error counter reached 96 (error-warning) or 128 (error-passive).

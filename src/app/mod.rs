@@ -112,7 +112,8 @@ pub use bus_choice::{
 };
 pub use buses::{
     AddressHolder, AddressNames, Bus, Buses, ErrorKinds, LoadHistory, LoadMeter, LoadSample,
-    LoadSecond, LoadShares, Redundancy, RedundantDevice, ShareCounts, TxBlocked,
+    LoadSecond, LoadShares, Redundancy, RedundantDevice, ReportedController, ShareCounts,
+    TxBlocked,
 };
 pub use capture::decoded::summary_of;
 pub use capture::{

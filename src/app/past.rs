@@ -55,7 +55,12 @@ impl App {
     pub(super) fn show_present(&mut self) {
         self.leave_past();
         self.release_log();
-        self.show_info(if self.is_of_logs() { "latest moment of the log" } else { "live" });
+        let is_at_end = self.clock.playback().map(|it| it.is_ended);
+        self.show_info(match is_at_end {
+            None => "live",
+            Some(true) => "latest moment of the log",
+            Some(false) => "as far as the log was played",
+        });
     }
 
     /// Shows the buses as they are, without a message.

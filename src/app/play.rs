@@ -121,7 +121,9 @@ impl App {
 
     /// Changes the pace: of the shown moment if that is past, else of the log.
     pub(super) fn change_pace(&mut self, by: i8) {
-        if self.past.is_none() && self.is_of_logs() {
+        let stands = self.clock.playback().is_some_and(|it| it.is_standing());
+        let is_backwards = by < 0 && stands;
+        if self.past.is_none() && self.is_of_logs() && !is_backwards {
             let faster = by > 0;
             let command = if faster { PlaybackCommand::Faster } else { PlaybackCommand::Slower };
             return self.control_playback(command);

@@ -8,11 +8,12 @@ use crate::finding::{FindingKind, FindingState};
 use crate::fleet::{Fleet, FleetGateway, FleetTopic, GatewayName};
 use crate::inventory::{InventoryDevice, InventoryFinding, InventoryService};
 use crate::shell::broker::{BrokerReader, BrokerSettings, ReaderNotice};
-use crate::shell::stop::{StopReason, StopWaiter};
+use crate::shell::stop::StopWaiter;
 use crate::time::{Duration, Instant};
 use anyhow::Context;
 use serde::Serialize;
 use std::fmt::Write as _;
+use std::time::{SystemTime, UNIX_EPOCH};
 use tokio::time;
 
 /// Time without a further document after which all are there, on a fast connection; on a slow one four times
@@ -22,14 +23,17 @@ const QUIET: Duration = Duration::from_millis(400);
 /// Number of documents that are not used and named at most, each on a line.
 const MAX_WARNINGS: usize = 10;
 
-/// `--time`, unless given.
-pub const DEFAULT_TIME: Duration = Duration::from_secs(10);
+/// Time in which documents are read, unless `--time` is given.
+const DEFAULT_TIME: Duration = Duration::from_secs(10);
+
+/// Time in which a gateway that is connected sends a further status: its period, and delays.
+const STATUS_WAIT: Duration = Duration::from_secs(35);
 
 /// Runs it.
 pub fn run(args: &FleetArgs) -> Result<u8, Failure> {
     let access = args.files.access(&args.broker).map_err(Failure::Usage)?;
     let settings = BrokerSettings::read(&access)?;
-    let Some(read) = read(&settings, args.time.unwrap_or(DEFAULT_TIME))? else {
+    let Some(read) = read(&settings, args.time)? else {
         return Ok(EXIT_INTERRUPTED);
     };
     let report = FleetReport::new(&settings, &read);
@@ -54,14 +58,20 @@ pub struct FleetReading {
     pub is_complete: bool,
 }
 
-/// Reads all documents at a broker; `None` if it was interrupted.
+/// Reads all documents at a broker, at most for that time; `None` if it was interrupted.
+///
+/// A status from long ago, by the clocks of gateway and reader, does not show that its gateway is connected:
+/// the broker may have ended with it, and started again. Another one is waited for.
 ///
 /// # Errors
 /// The broker cannot be used, or does not let this user read.
-pub fn read(settings: &BrokerSettings, limit: Duration) -> Result<Option<FleetReading>, Failure> {
+pub fn read(
+    settings: &BrokerSettings,
+    limit: Option<Duration>,
+) -> Result<Option<FleetReading>, Failure> {
     settings.warnings.iter().for_each(output::warn);
     headless::runtime()?.block_on(async {
-        let mut stop = StopWaiter::new(Some(limit), EXIT_INTERRUPTED).context("no signal handler")?;
+        let mut stop = StopWaiter::new(None, EXIT_INTERRUPTED).context("no signal handler")?;
         let mut reader = BrokerReader::spawn(settings, &FleetTopic::DOCUMENTS).context("no thread")?;
         let begin = std::time::Instant::now();
         let now = || Instant::ZERO + begin.elapsed();
@@ -70,12 +80,25 @@ pub fn read(settings: &BrokerSettings, limit: Duration) -> Result<Option<FleetRe
         let (mut is_subscribed, mut asked, mut quiet) = (false, now(), QUIET);
         // Only retained messages extend the reading: others may be published without end.
         let mut complete_at = now();
+        let mut limit_at = now() + limit.unwrap_or(DEFAULT_TIME);
+        // All are there; statuses from long ago are waited for.
+        let mut is_complete = false;
         loop {
+            if is_complete {
+                let is_at_end = now() >= limit_at;
+                if is_at_end {
+                    fleet.handle_old_statuses(unix_time());
+                }
+                if is_at_end || fleet.with_old_status(unix_time()).next().is_none() {
+                    return Ok(Some(FleetReading { fleet, now: now(), is_complete }));
+                }
+            }
             tokio::select! {
                 biased;
-                reason = stop.next() => {
-                    if reason == StopReason::Interrupted {
-                        return Ok(None);
+                _ = stop.next() => return Ok(None),
+                () = time::sleep(limit_at.since(now())) => {
+                    if is_complete {
+                        continue;
                     }
                     // Documents without end: what is there by now.
                     if is_subscribed {
@@ -102,7 +125,7 @@ pub fn read(settings: &BrokerSettings, limit: Duration) -> Result<Option<FleetRe
                         complete_at = now() + quiet;
                     }
                     Some(ReaderNotice::Connected) => {
-                        (asked, is_subscribed) = (now(), false);
+                        (asked, is_subscribed, is_complete) = (now(), false, false);
                         fleet.handle_connected();
                     }
                     Some(ReaderNotice::Failed(why, None)) => return Err(why.diagnostic.into()),
@@ -112,13 +135,29 @@ pub fn read(settings: &BrokerSettings, limit: Duration) -> Result<Option<FleetRe
                     }
                     None => return Err(Failure::Unusable(format!("{} is closed", settings.address))),
                 },
-                () = time::sleep(complete_at.since(now())), if is_subscribed => {
+                () = time::sleep(complete_at.since(now())), if is_subscribed && !is_complete => {
                     fleet.handle_complete();
-                    return Ok(Some(FleetReading { fleet, now: now(), is_complete: true }));
+                    is_complete = true;
+                    let mut old = fleet.with_old_status(unix_time());
+                    if let Some(name) = old.next() {
+                        let more = match old.count() {
+                            0 => String::new(),
+                            more => format!(" and {more} more"),
+                        };
+                        output::warn(format_args!("{name}{more}: last status is old; waiting for another"));
+                        if limit.is_none() {
+                            limit_at = now() + STATUS_WAIT;
+                        }
+                    }
                 }
             }
         }
     })
+}
+
+/// This time, in Unix seconds.
+fn unix_time() -> f64 {
+    SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs_f64()
 }
 
 /// Says what was not used: the first [`MAX_WARNINGS`] documents, by topic, and how many more there are.

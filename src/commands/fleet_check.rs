@@ -2,7 +2,7 @@
 //!
 //! Scripts rely on the names, types and meanings of the JSON members.
 
-use super::fleet::{self, DEFAULT_TIME};
+use super::fleet;
 use super::open;
 use super::test_report::{CaseOutcome, ReportedCase, test_report};
 use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure, output};
@@ -30,7 +30,7 @@ pub fn run(check: &CheckArgs, folder: &Path, broker: &BrokerAddress) -> Result<u
     let access = check.broker_files.access(broker).map_err(Failure::Usage)?;
     let sites = sites(folder)?;
     let settings = BrokerSettings::read(&access)?;
-    let Some(read) = fleet::read(&settings, check.run.time.unwrap_or(DEFAULT_TIME))? else {
+    let Some(read) = fleet::read(&settings, check.run.time)? else {
         return Ok(EXIT_INTERRUPTED);
     };
     if !read.is_complete {

@@ -159,6 +159,10 @@ pub(super) fn bus_errors(summary: &BusErrorSummary) -> (String, String) {
             "The controller is bus-off: too many transmit errors.".to_owned(),
             "Check its bit rate and the wiring, then restart the interface.",
         ),
+        Cause::WasBusOff => (
+            "The controller was bus-off: too many transmit errors. It receives again.".to_owned(),
+            "Check its bit rate and the wiring.",
+        ),
         Cause::NoAck => (
             format!("No ACK for descan's frames: {rate} failed attempts/s."),
             "Check the plug, that another device is on, and that the bit rate matches.",

@@ -128,6 +128,8 @@ pub struct FleetGateway {
     received: Instant,
     /// It was received while all documents were read, and may be older.
     is_received_late: bool,
+    /// It was old, and no other one was received in time.
+    is_silent: bool,
     /// Changes with every document.
     revision: u64,
     /// Memory of all documents.
@@ -170,12 +172,22 @@ impl FleetGateway {
         match self.status() {
             None => GatewayState::Unknown,
             Some(status) if status.online => {
-                let is_silent = now.since(self.received) > SILENCE;
+                let is_silent = self.is_silent || now.since(self.received) > SILENCE;
                 if is_silent { GatewayState::Silent } else { GatewayState::Online }
             }
             Some(status) if status.reason == "stopped" => GatewayState::Stopped,
             Some(_) => GatewayState::Lost,
         }
+    }
+
+    /// Returns true if it is connected by a status that the broker had from before, and that was published
+    /// so long ago, at `unix_time` in Unix seconds, that another one is overdue. Clocks may differ: only a
+    /// further status, or none, shows whether it is.
+    fn is_status_old(&self, unix_time: f64) -> bool {
+        let Some(status) = self.status().filter(|it| it.online && self.is_received_late) else {
+            return false;
+        };
+        !self.is_silent && status.time.is_some_and(|at| unix_time - at > SILENCE.as_secs_f64())
     }
 
     /// Its buses.
@@ -279,6 +291,7 @@ impl FleetGateway {
                 let is_again = !content.online && self.status() == Some(&content);
                 if !is_again {
                     (self.received, self.is_received_late) = (now, is_reading);
+                    self.is_silent = false;
                 }
                 self.status = Some(StoredDocument { content, time: None, bytes, connection });
             }
@@ -386,6 +399,20 @@ impl Fleet {
             self.bytes += gateway.bytes;
         }
         self.rejects.retain(now);
+    }
+
+    /// Returns the gateways that are connected only by a status that is old at `unix_time`, in Unix seconds.
+    pub fn with_old_status(&self, unix_time: f64) -> impl Iterator<Item = &GatewayName> {
+        let is_old = move |(_, gateway): &(_, &FleetGateway)| gateway.is_status_old(unix_time);
+        self.gateways.iter().filter(is_old).map(|(name, _)| name)
+    }
+
+    /// No further status was received for a period of them: those gateways are silent.
+    pub fn handle_old_statuses(&mut self, unix_time: f64) {
+        for gateway in self.gateways.values_mut().filter(|it| it.is_status_old(unix_time)) {
+            self.revision += 1;
+            (gateway.is_silent, gateway.revision) = (true, self.revision);
+        }
     }
 
     /// Takes a message. An empty one clears the document. Events are not kept.

@@ -367,15 +367,15 @@ impl fmt::Display for LogSummary {
         if self.interfaces.len() > 1 {
             write!(f, " of {} interfaces", self.interfaces.len())?;
         }
-        if self.unreadable > 0 {
-            let entries = UnreadableEntries { count: self.unreadable, ..self.unreadable_entries() };
-            write!(f, "; {entries}")?;
-        }
         if let Some(damage) = self.damage {
             write!(f, "; {damage}")?;
             if !damage.has_place() {
                 write!(f, " (byte {})", self.damage_at.map_or(self.bytes, |(_, byte)| byte))?;
             }
+        }
+        if self.unreadable > 0 {
+            let entries = UnreadableEntries { count: self.unreadable, ..self.unreadable_entries() };
+            write!(f, "; {entries}")?;
         }
         if let Some(unread) = self.unread_changes {
             write!(f, "; {unread}")?;

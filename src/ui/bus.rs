@@ -126,8 +126,9 @@ fn facts(brush: &DrawContext, shown: &BusView) -> Vec<Vec<Span<'static>>> {
         }
         _ => format!("{guess}{} kbit/s", kilobits(bus.bits_per_second())),
     };
+    let controller = bus.controller();
     let state = match status.link {
-        Link::Up => status.state.name(),
+        Link::Up => controller.state.name(),
         Link::Opening => "opening",
         Link::Down => "down",
         Link::Missing => "missing",
@@ -137,7 +138,7 @@ fn facts(brush: &DrawContext, shown: &BusView) -> Vec<Vec<Span<'static>>> {
     };
     let state = if state == "unknown" { "state –" } else { state };
     let is_bad = !bus.is_up() && status.link != Link::Ended
-        || matches!(state, "error-warning" | "error-passive");
+        || matches!(state, "error-warning" | "error-passive" | "bus-off");
     let own_address = match bus.own_address() {
         OwnAddress::Held(address) => address.to_string(),
         _ => "–".to_owned(),
@@ -176,9 +177,9 @@ fn facts(brush: &DrawContext, shown: &BusView) -> Vec<Vec<Span<'static>>> {
     vec![
         vec![brush.span(Role::Text, bitrate)],
         vec![brush.span(role, state)],
-        text("TEC", known(status.tec.map(u64::from))),
-        text("REC", known(status.rec.map(u64::from))),
-        count("bus-off", status.bus_offs, Role::Error),
+        text("TEC", known(controller.tec.map(u64::from))),
+        text("REC", known(controller.rec.map(u64::from))),
+        count("bus-off", controller.bus_offs, Role::Error),
         text("own address", own_address),
         text("own share", own_share),
         text("frames", grouped(counters.frames)),

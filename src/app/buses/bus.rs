@@ -4,6 +4,7 @@
 
 use super::address_names::AddressNames;
 use super::load_meter::LoadMeter;
+use super::reported_controller::ReportedController;
 use super::status_changes::status_changes;
 use crate::app::timeline_kind::TimelineKind;
 use crate::discovery::{
@@ -51,6 +52,7 @@ pub struct Bus {
     pub meter: LoadMeter,
     /// End of its log; `None` while frames can arrive. No time passes on an ended bus.
     pub ended: Option<Instant>,
+    controller: ReportedController,
     engine: Engine,
     names: AddressNames,
     /// The moment since which frames could be received; kept once it was long enough.
@@ -73,6 +75,7 @@ impl Bus {
             status,
             meter,
             ended: None,
+            controller: ReportedController::default(),
             engine,
             names: AddressNames::default(),
             up_since: None,
@@ -255,10 +258,16 @@ impl Bus {
         self.is_unreachable() || self.status.listens_first || self.status.is_sending_paused
     }
 
+    /// State of its controller: as the port knows it, else as error frames report it.
+    pub fn controller(&self) -> ReportedController {
+        self.controller.of_status_or(&self.status)
+    }
+
     // ---- changes ---------------------------------------------------------------------------
 
     /// Passes a frame to the engine and the load meter.
     pub(super) fn receive(&mut self, frame: &Frame) {
+        self.controller.note(frame);
         if self.is_quarantined(frame.time) {
             self.engine.count_frame_only(frame);
         } else {
@@ -478,6 +487,7 @@ impl Bus {
     fn begin_another_log(&mut self, now: Instant) {
         self.engine.begin_another_recording(now);
         self.names.vacate(now);
+        self.controller = ReportedController::default();
         self.up_since = None;
         self.quarantined_until = None;
     }

@@ -13,6 +13,7 @@ mod load_meter;
 mod load_second;
 mod load_shares;
 mod redundancy;
+mod reported_controller;
 mod status_changes;
 
 pub use address_names::{AddressHolder, AddressNames};
@@ -24,6 +25,7 @@ pub use load_meter::LoadMeter;
 pub use load_second::LoadSecond;
 pub use load_shares::{LoadShares, ShareCounts};
 pub use redundancy::{Redundancy, RedundantDevice};
+pub use reported_controller::ReportedController;
 
 use super::project_facts::ProjectFacts;
 use super::timeline_kind::TimelineKind;

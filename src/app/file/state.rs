@@ -69,6 +69,8 @@ pub struct FileState {
     is_on_disk: bool,
     /// Content before the last change on disk by another program.
     previous_disk: Option<Document>,
+    /// Number of entries that were deleted with the file; 0 while it is there.
+    deleted_entries: usize,
     /// Last valid content with the unsaved edits.
     document: Document,
     pending: Vec<Operation>,
@@ -139,6 +141,7 @@ impl FileState {
             disk: None,
             is_on_disk: false,
             previous_disk: None,
+            deleted_entries: 0,
             document: Document::empty(),
             pending: Vec::new(),
             saving: None,
@@ -228,6 +231,12 @@ impl FileState {
     /// Returns true if the file exists or will be created by a pending edit.
     pub fn is_there(&self) -> bool {
         self.is_on_disk || !self.pending.is_empty()
+    }
+
+    /// Number of entries that were deleted with the file, by another program; 0 while there is one, or
+    /// edits that will create it.
+    pub fn deleted_entries(&self) -> usize {
+        if self.is_there() { 0 } else { self.deleted_entries }
     }
 
     /// Returns true if the file was read, with or without errors.
@@ -353,6 +362,10 @@ impl FileState {
     fn load(&mut self, theirs: Document, is_there: bool) -> FileChange {
         let is_first = self.disk.is_none();
         self.previous_disk = self.disk.clone().filter(|_| self.is_on_disk && is_there);
+        if is_there || self.is_on_disk {
+            let before = self.disk.as_ref().filter(|_| !is_there);
+            self.deleted_entries = before.map_or(0, |it| it.entries().len());
+        }
         self.is_on_disk = is_there;
         self.problem = None;
         if self.pending.is_empty() {

@@ -6,6 +6,7 @@
 use crate::finding::{FindingKind, FindingState};
 use crate::fleet::{EventCounts, FleetGateway, GatewayName, GatewayState};
 use crate::inventory::{InventoryBus, InventoryDevice, InventoryFinding};
+use crate::status::BusState;
 use crate::time::Instant;
 use crate::wire::id::Address;
 use std::collections::{BTreeMap, BTreeSet};
@@ -113,6 +114,16 @@ impl GatewayFacts {
         self.services.get(name).is_some_and(|versions| versions.contains_key(version))
     }
 
+    /// Returns true if a bus of it can neither send nor receive.
+    pub fn has_bus_down(&self) -> bool {
+        let is_down = |state: &str| {
+            [BusState::BusOff, BusState::Stopped, BusState::Down]
+                .iter()
+                .any(|it| it.name() == state)
+        };
+        self.buses.iter().any(|bus| bus.state.as_deref().is_some_and(is_down))
+    }
+
     /// Addresses of its devices.
     pub fn addresses(&self) -> impl Iterator<Item = Address> {
         let bits = self.address_bits;
@@ -213,7 +224,7 @@ impl GatewayRow {
             GatewayState::Lost => 0,
             GatewayState::Silent => 1,
             _ if facts.conflicts > 0 => 2,
-            _ if facts.confirmed > 0 => 3,
+            _ if facts.confirmed > 0 || facts.has_bus_down() => 3,
             _ if facts.suspected > 0 || facts.lost > 0 => 4,
             GatewayState::Unknown => 5,
             GatewayState::Stopped => 6,

@@ -97,11 +97,15 @@ fn entry_of<'a>(key: &RowKey, context: PromptContext<'a>) -> Option<&'a Entry> {
     context.file.document().entries().get(place_of(key, context)?)
 }
 
-/// Text about a file that had content when the prompt was opened and has none now; `None` for any
-/// other file.
+/// Text about a file that had content, when the prompt was opened or before, and has none now; `None` for
+/// any other file.
 fn file_gone(on: &Document, context: PromptContext) -> Option<String> {
     let name = context.file.name();
-    if on.is_blank() {
+    let deleted = context.file.deleted_entries();
+    if deleted > 0 {
+        let entries = if deleted == 1 { "entry".to_owned() } else { format!("{deleted} entries") };
+        Some(format!("{name} was deleted with its {entries}"))
+    } else if on.is_blank() {
         None
     } else if !context.file.is_there() {
         Some(format!("{name} was deleted"))

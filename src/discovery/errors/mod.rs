@@ -160,7 +160,9 @@ impl BusErrorTracker {
     /// Notes a frame; `frames` were received before it. Returns true if that changes when
     /// [`handle_timeout`](Self::handle_timeout) is due.
     pub fn note_frame(&mut self, now: Instant, frames: u64) -> bool {
-        self.rate.note_frame(now, frames)
+        let is_back = self.rate.note_frame(now, frames);
+        self.is_text_outdated |= is_back;
+        is_back
     }
 
     /// Notes a request to `address` whose response is awaited until `ends`.

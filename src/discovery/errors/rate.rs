@@ -36,6 +36,8 @@ const CLEAR_CONFIRMED_AFTER: Duration = Duration::from_secs(30);
 pub(in crate::discovery) enum Cause {
     /// The controller is bus-off.
     BusOff,
+    /// The controller was bus-off, and has received frames since.
+    WasBusOff,
     /// descan's frames are not acknowledged.
     NoAck,
     /// The transceiver reports a wiring fault.
@@ -169,8 +171,8 @@ impl ErrorRate {
             self.seconds.iter().map(|s| s.violations[*violation as usize]).sum::<u64>()
         });
         let known = sum(|s| s.violations.iter().sum()) > 0;
-        let cause = if self.bus_off.is_some() {
-            Cause::BusOff
+        let cause = if let Some(frames_at) = self.bus_off {
+            if frames_at >= frames { Cause::BusOff } else { Cause::WasBusOff }
         } else if self.wires {
             Cause::Wires
         } else if no_acknowledge > broken {

@@ -112,6 +112,7 @@ fn filter(brush: &FleetBrush, lines: &mut Vec<Line<'static>>) {
             ("err", RowKind::Device) => "devices in a conflict, confirmed or suspected",
             ("err", RowKind::Finding) => "confirmed problems",
             ("err", _) => continue,
+            ("( )", _) => "group: not (a or b)",
             _ => doc,
         };
         entry(brush, lines, (Role::HintKey, word), doc);

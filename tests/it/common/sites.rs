@@ -5,6 +5,7 @@ use descan::fleet::{FleetDocument, Publication, TopicPath};
 use descan::shell::broker::{BrokerAccess, BrokerPublisher, BrokerSettings};
 use descan::time::{Duration, Instant};
 use serde_json::{Value, json};
+use std::time::{SystemTime, UNIX_EPOCH};
 
 /// Devices of each gateway.
 pub const DEVICES: usize = 127;
@@ -55,13 +56,18 @@ fn documents(gateway: usize, round: usize) -> impl Iterator<Item = FleetDocument
         .chain((0..gateway % 4).map(finding))
 }
 
+/// This time, in Unix seconds.
+pub fn unix_time() -> f64 {
+    SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_secs_f64()
+}
+
 /// Gives a gateway its documents of a round, and its status.
 pub fn update(publication: &mut Publication, gateway: usize, round: usize) {
     let now = Instant::ZERO + Duration::from_secs(round as u64);
     publication.handle_documents(now, 0.0, documents(gateway, round));
     let summary =
         json!({"descan": "0.1.0", "devices": {"present": 121, "lost": 6}, "round": round});
-    publication.handle_status(0.0, summary);
+    publication.handle_status(unix_time(), summary);
 }
 
 /// Gateways that are connected to a broker.

@@ -202,6 +202,38 @@ fn second_gateway_with_the_name_ends_the_first() {
 }
 
 #[test]
+fn old_status_that_is_not_renewed_is_of_a_silent_gateway() {
+    let Some(broker) = Mosquitto::start() else { return };
+    let (folder, url) = (broker.folder(), broker.url());
+    let status = |time: f64| format!(r#"{{"online":true,"time":{time}}}"#);
+    let now = sites::unix_time();
+    broker.publish("descan/v1/dead/status", status(now - 100.0).as_bytes());
+    broker.publish("descan/v1/alive/status", status(now - 30.0).as_bytes());
+    let fleet = fleet_json(&["--broker", &url, "--time", "2"], folder);
+    assert_eq!(state_of(&fleet, "dead").as_deref(), Some("silent"));
+    assert_eq!(state_of(&fleet, "alive").as_deref(), Some("online"));
+    assert_eq!(fleet["complete"], true);
+    for name in ["dead", "alive"] {
+        fs::create_dir_all(folder.join("sites").join(name)).unwrap();
+        fs::write(folder.join("sites").join(name).join("des.json"), "[]").unwrap();
+    }
+    let check = run(&["check", "--fleet", "sites", "--broker", &url, "--time", "2"], folder);
+    assert_eq!(check.status.code(), Some(1));
+    assert!(text(&check.stdout).contains("dead: 0 entries, 0 devices: gateway silent"));
+
+    // A clock that is late: its next status shows that it is connected.
+    let mut fleet = command(&["fleet", "--json", "--broker", &url], folder);
+    let mut fleet = fleet.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    let mut line = String::new();
+    BufReader::new(fleet.stderr.as_mut().unwrap()).read_line(&mut line).unwrap();
+    assert!(line.contains("dead: last status is old; waiting for another"), "{line}");
+    broker.publish("descan/v1/dead/status", status(now - 100.0).as_bytes());
+    let output = fleet.wait_with_output().unwrap();
+    let fleet: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(state_of(&fleet, "dead").as_deref(), Some("online"));
+}
+
+#[test]
 fn check_compares_each_gateway_with_its_folder() {
     let Some(broker) = Mosquitto::start() else { return };
     let (folder, url) = (broker.folder(), broker.url());
@@ -876,7 +908,7 @@ impl Load {
         self.publisher.update(|publication| {
             let now = Instant::ZERO + Duration::from_secs(round);
             publication.handle_documents(now, 0.0, Self::documents(round));
-            publication.handle_status(0.0, json!({}));
+            publication.handle_status(sites::unix_time(), json!({}));
             for _ in 0..5 {
                 publication.handle_event(json!({"round": round}));
             }

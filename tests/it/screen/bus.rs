@@ -297,6 +297,30 @@ fn unknown_values_are_not_shown_as_zero() {
 }
 
 #[test]
+fn state_that_a_port_does_not_know_is_that_of_error_frames() {
+    const COUNTERS: u32 = 0x200;
+    let port = BusStatus { link: Link::Up, ..BusStatus::default() };
+    let mut bench = Bench::new().status(port);
+    let passive = Frame::error(0x04 | COUNTERS, &[0, 0x20, 0, 0, 0, 0, 130, 7]);
+    let bus_off = Frame::error(0x40 | COUNTERS, &[0, 0, 0, 0, 0, 0, 255, 7]);
+    let shown = |bench: &mut Bench| one_line(&bench.screen(120, 40));
+    let screen = shown(bench.keys("5").second(&[passive]));
+    assert!(screen.contains("error-passive") && screen.contains("TEC 130 REC 7"), "{screen}");
+    let screen = shown(bench.second(&[bus_off, bus_off]));
+    for words in ["bit/s bus-off TEC 255", "bus-off 1"] {
+        assert!(screen.contains(words), "{words}: {screen}");
+    }
+    let found = |bench: &Bench| bench.app.findings().next().unwrap().text.clone();
+    assert!(found(&bench).starts_with("The controller is bus-off"), "{}", found(&bench));
+    // A controller that is bus-off receives nothing.
+    let screen = shown(bench.seconds(3, &[frame(10, 0x101)]));
+    for words in ["state – TEC 255", "bus-off 1"] {
+        assert!(screen.contains(words), "{words}: {screen}");
+    }
+    assert!(found(&bench).starts_with("The controller was bus-off"), "{}", found(&bench));
+}
+
+#[test]
 fn axis_moves_on_an_idle_bus() {
     let mut bench = Bench::new();
     let end = |bench: &mut Bench| {

@@ -1,8 +1,8 @@
 //! des.json: edits, saves and problems of the file.
 
-use super::snapshot;
 use super::text_snapshot;
 use super::with_two_unsaved_edits;
+use super::{one_line, snapshot};
 use crate::common::harness::{BOILER, Stage};
 use descan::app::{Effect, FileIndex, FileReading, Page, SaveOutcome};
 use descan::diagnostic::Diagnostic;
@@ -34,6 +34,9 @@ fn deleted_file_is_reported() {
     stage.until(24.0);
     stage.app.handle_file(stage.app.now(), FileIndex::default(), FileReading::Content(None));
     assert!(stage.screen().contains("des.json     deleted"), "{}", stage.screen());
+    let entries = stage.keys("e").text("9").screen();
+    let told = "des.json was deleted with its 5 entries; Enter creates a new file";
+    assert!(one_line(&entries).contains(told), "{entries}");
 }
 
 #[test]

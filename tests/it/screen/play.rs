@@ -93,6 +93,19 @@ fn paused_log_is_played_by_space() {
 }
 
 #[test]
+fn paused_log_is_played_backwards() {
+    let mut stage = log();
+    let playback = Playback { is_paused: true, ..Playback::default() };
+    stage.app.handle_playback(stage.app.now(), playback);
+    stage.keys("(");
+    assert_eq!(effects(&mut stage), []);
+    assert!(stage.app.play_pace().is_some_and(|pace| pace.factor() < 0.0));
+    stage.keys("Space Esc");
+    let screen = stage.screen();
+    assert!(screen.contains("as far as the log was played"), "{screen}");
+}
+
+#[test]
 fn later_moment_of_a_log_is_read_ahead() {
     let mut stage = log();
     stage.keys(":").text("50%").keys("Enter");
