@@ -10,7 +10,7 @@ use crate::discovery::{
 };
 use crate::finding::Finding;
 use crate::frame::BusIndex;
-use crate::status::BusStatus;
+use crate::status::{BusState, BusStatus};
 use crate::time::Instant;
 use std::path::PathBuf;
 use unicode_width::UnicodeWidthStr;
@@ -83,6 +83,8 @@ pub struct BusSnapshot {
     pub name: String,
     /// State of its adapter.
     pub status: BusStatus,
+    /// State of its controller, as its adapter or error frames report it.
+    pub controller_state: BusState,
     /// Counters of its engine.
     pub counters: Counters,
     /// What its frames show about its protocol.
@@ -123,6 +125,7 @@ impl App {
             index,
             name: bus.name.clone(),
             status: bus.status.clone(),
+            controller_state: bus.controller().state,
             counters: bus.counters(),
             traffic: bus.traffic(),
             lost: bus.lost(),

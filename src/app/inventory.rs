@@ -67,7 +67,7 @@ fn bus_of(inputs: Inputs, name: String, bus: &Bus) -> InventoryBus {
     let load = bitrate.map(|bitrate| bus.meter.mean_load(inputs.now, bitrate));
     let state = match bus.status.link {
         Link::Down | Link::Missing | Link::Unplugged | Link::NotCan | Link::NoKernel => "down",
-        _ => bus.status.state.name(),
+        _ => bus.controller().state.name(),
     };
     InventoryBus {
         name,

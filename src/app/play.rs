@@ -6,7 +6,7 @@
 
 use super::{App, Effect, TimelineKind};
 use crate::keymap::Action;
-use crate::status::PlaybackCommand;
+use crate::status::{Playback, PlaybackCommand};
 use crate::time::{Duration, Instant};
 
 /// Real time between two moments that are shown: four screens a second can be read, over a slow line
@@ -121,8 +121,9 @@ impl App {
 
     /// Changes the pace: of the shown moment if that is past, else of the log.
     pub(super) fn change_pace(&mut self, by: i8) {
-        let stands = self.clock.playback().is_some_and(|it| it.is_standing());
-        let is_backwards = by < 0 && stands;
+        // A pace that was raised is lowered first.
+        let is_slow = |it: Playback| it.is_paused && !it.is_ended && it.speed <= 1.0;
+        let is_backwards = by < 0 && self.clock.playback().is_some_and(is_slow);
         if self.past.is_none() && self.is_of_logs() && !is_backwards {
             let faster = by > 0;
             let command = if faster { PlaybackCommand::Faster } else { PlaybackCommand::Slower };

@@ -102,6 +102,7 @@ pub fn read(
                     }
                     // Documents without end: what is there by now.
                     if is_subscribed {
+                        fleet.handle_old_statuses(unix_time());
                         output::warn("documents still arrive: not all are shown; --time gives more time");
                         return Ok(Some(FleetReading { fleet, now: now(), is_complete: false }));
                     }
@@ -131,7 +132,7 @@ pub fn read(
                     Some(ReaderNotice::Failed(why, None)) => return Err(why.diagnostic.into()),
                     Some(ReaderNotice::Failed(why, Some(_))) => {
                         failure = Some(why.diagnostic.to_string());
-                        is_subscribed = false;
+                        (is_subscribed, is_complete) = (false, false);
                     }
                     None => return Err(Failure::Unusable(format!("{} is closed", settings.address))),
                 },

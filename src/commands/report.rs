@@ -437,7 +437,7 @@ pub(super) fn of_bus(bus: BusSnapshot) -> BusReport {
         bitrate: bus.status.bitrate,
         state: match bus.status.link {
             Link::Down | Link::Missing | Link::Unplugged | Link::NotCan | Link::NoKernel => "down",
-            _ => bus.status.state.name(),
+            _ => bus.controller_state.name(),
         },
         frames,
         errors: bus.counters.errors,

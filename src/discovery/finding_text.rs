@@ -160,7 +160,8 @@ pub(super) fn bus_errors(summary: &BusErrorSummary) -> (String, String) {
             "Check its bit rate and the wiring, then restart the interface.",
         ),
         Cause::WasBusOff => (
-            "The controller was bus-off: too many transmit errors. It receives again.".to_owned(),
+            "The controller was bus-off: too many transmit errors. It is on the bus again."
+                .to_owned(),
             "Check its bit rate and the wiring.",
         ),
         Cause::NoAck => (
@@ -210,13 +211,21 @@ pub(super) fn device_label(address: Address, names: &[Name]) -> String {
     }
 }
 
+/// Delay up to which a gateway usually forwards a frame: it waits for a few others.
+const LONGEST_GATEWAY_DELAY: Duration = Duration::from_millis(100);
+
 /// Returns the text of repeated frames, of an address or of all.
 pub(super) fn repeated(address: Option<Address>, delay: Duration) -> String {
     let millis = delay.as_secs_f64() * 1000.0;
     match address {
-        Some(address) => format!(
-            "Frames from address {address} arrive twice, {millis:.0} ms apart: repeated by a gateway?"
-        ),
+        Some(address) => {
+            let who = if delay > LONGEST_GATEWAY_DELAY {
+                "two boards with equal random numbers, or repeated by a gateway?"
+            } else {
+                "repeated by a gateway?"
+            };
+            format!("Frames from address {address} arrive twice, {millis:.0} ms apart: {who}")
+        }
         None => format!("All frames arrive twice, {millis:.0} ms apart: repeated by a bridge?"),
     }
 }

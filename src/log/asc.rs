@@ -275,17 +275,24 @@ fn controller_event(event: &[u8]) -> Result<Option<(u8, Frame)>, FieldFault> {
     };
     let rest = rest.trim_ascii_start();
     let is_named = |state: &ReportedState| starts(rest, state_name(*state).as_bytes());
-    let state = ReportedState::ALL.into_iter().find(is_named);
+    let is_bus_off = starts(rest, b"bus off") || starts(rest, b"bus-off");
+    let other = Some(ReportedState::BusOff).filter(|_| is_bus_off);
+    let state = ReportedState::ALL.into_iter().find(is_named).or(other).ok_or(FieldFault::Kind)?;
+    let word_after = |name: &[u8]| words(rest).skip_while(|word| *word != name).nth(1);
     let counter = |name: &[u8]| {
-        let mut words = words(rest).skip_while(|word| *word != name);
-        let value = words.nth(1).and_then(|value| number(value, 10)).unwrap_or(0);
-        u8::try_from(value).unwrap_or(u8::MAX)
+        let word = word_after(name)?;
+        let value = number(word.strip_suffix(b",").unwrap_or(word), 10)?;
+        // That of sending is 256 where it has led to bus-off.
+        Some(u8::try_from(value).unwrap_or(u8::MAX))
     };
-    let report = ControllerReport { state, sent: counter(b"TxErr:"), received: counter(b"RxErr:") };
-    Ok(match report.frame().filter(|_| state.is_some()) {
-        Some(frame) => Some((channel(word)?, frame)),
-        None => None,
-    })
+    let (sent, received) = (counter(b"TxErr:"), counter(b"RxErr:"));
+    // One alone says nothing of the other.
+    let counters = sent.zip(received).map(|(sent, received)| [sent, received]);
+    let names = [b"TxErr:", b"RxErr:"].map(|name| words(rest).any(|word| word == name));
+    let is_whole = counters.is_some() || names == [false, false];
+    let frame = ControllerReport { state: Some(state), counters }.frame();
+    let channel = channel(word)?;
+    Ok(frame.map(|frame| (channel, if is_whole { frame } else { frame.as_changed() })))
 }
 
 /// Returns what an ASC log calls a state.
@@ -402,6 +409,7 @@ impl LogEncoder for AscEncoder {
         write!(out, "{:4}.{:06} ", since_start / 1_000_000, since_start % 1_000_000)?;
         if let Some(report) = report {
             write_controller_event(out, channel, report)?;
+            self.loss.error_details += u64::from(!report.is_all_of(&entry.frame));
         } else {
             write_event(out, channel, &entry.frame)?;
             self.loss.error_details += u64::from(!is_whole_error(&entry.frame));
@@ -438,10 +446,9 @@ fn write_controller_event(
     channel: u8,
     report: ControllerReport,
 ) -> io::Result<()> {
-    let ControllerReport { state, sent, received } = report;
-    let Some(state) = state else { return Ok(()) };
+    let Some(state) = report.state else { return Ok(()) };
     write!(out, "CAN {channel} Status:chip status {}", state_name(state))?;
-    if (sent, received) != (0, 0) {
+    if let Some([sent, received]) = report.counters {
         write!(out, " - TxErr: {sent} RxErr: {received}")?;
     }
     writeln!(out)

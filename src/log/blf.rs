@@ -300,7 +300,8 @@ fn message(mut fields: ObjectFields<'_>) -> Result<(u16, Frame), FieldFault> {
 fn driver_error(mut fields: ObjectFields<'_>) -> Result<Option<(u16, Frame)>, FieldFault> {
     let (channel, sent, received, code) =
         (fields.u16()?, fields.u8()?, fields.u8()?, fields.u32()?);
-    let frame = ControllerReport { state: None, sent, received }.frame();
+    let counters = Some([sent, received]).filter(|it| *it != [0, 0]);
+    let frame = ControllerReport { state: None, counters }.frame();
     Ok(frame.map(|frame| (channel, if code == 0 { frame } else { frame.as_changed() })))
 }
 

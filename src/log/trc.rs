@@ -186,7 +186,7 @@ impl TrcLines {
                 return Ok(Some(LogEntry { time, interface, frame }));
             }
             b"ST" | b"EC" => {
-                let frame = if kind == b"ST" { status(rest) } else { counters(rest) };
+                let frame = if kind == b"ST" { status(rest)? } else { counters(rest)? };
                 return Ok(frame.map(|frame| LogEntry { time, interface, frame }));
             }
             b"EV" => return Ok(None),
@@ -195,7 +195,7 @@ impl TrcLines {
         let id = id.ok_or(FieldFault::Id)?;
         // A status line of version 1.
         if is_warning || id == b"FFFFFFFF" && !self.has_types {
-            return Ok(status(rest).map(|frame| LogEntry { time, interface, frame }));
+            return Ok(status(rest)?.map(|frame| LogEntry { time, interface, frame }));
         }
         // Version 1.0 names an error frame before its bytes.
         let named = rest.trim_ascii_start().strip_prefix(b"ERROR").filter(|_| !self.has_types);
@@ -241,21 +241,21 @@ const BUS_OFF: u32 = 0x10;
 const BUS_PASSIVE: u32 = 0x4_0000;
 
 /// Reads the bytes of a status line; `None` if they are no state of the controller.
-fn status(bytes_of_line: &[u8]) -> Option<Frame> {
+fn status(bytes_of_line: &[u8]) -> Result<Option<Frame>, FieldFault> {
     let mut word = [0; 4];
-    bytes(bytes_of_line, 16, &mut word).ok()?;
+    bytes(bytes_of_line, 16, &mut word)?;
     let word = u32::from_be_bytes(word);
     let state = match word {
         0 => ReportedState::ErrorActive,
         _ if word & BUS_OFF != 0 => ReportedState::BusOff,
         _ if word & BUS_PASSIVE != 0 => ReportedState::ErrorPassive,
         _ if word & ANY_WARNING != 0 => ReportedState::ErrorWarning,
-        _ => return None,
+        _ => return Ok(None),
     };
-    let frame = ControllerReport { state: Some(state), ..ControllerReport::default() }.frame()?;
+    let frame = ControllerReport { state: Some(state), counters: None }.frame();
     // What else is wrong, such as a buffer that is full.
     let has_more = word & !(ANY_WARNING | BUS_OFF | BUS_PASSIVE) != 0;
-    Some(if has_more { frame.as_changed() } else { frame })
+    Ok(frame.map(|frame| if has_more { frame.as_changed() } else { frame }))
 }
 
 /// Writes the bytes of a status line, or of one with the error counters alone.
@@ -266,7 +266,8 @@ fn write_report(out: &mut Vec<u8>, report: ControllerReport) -> io::Result<()> {
         Some(ReportedState::ErrorPassive) => BUS_PASSIVE,
         Some(ReportedState::BusOff) => BUS_OFF,
         None => {
-            return writeln!(out, "  2    {:02X} {:02X}", report.received, report.sent);
+            let [sent, received] = report.counters.unwrap_or_default();
+            return writeln!(out, "  2    {received:02X} {sent:02X}");
         }
     };
     write!(out, "  4   ")?;
@@ -275,11 +276,11 @@ fn write_report(out: &mut Vec<u8>, report: ControllerReport) -> io::Result<()> {
 }
 
 /// Reads the bytes of a line with the error counters, for receiving and for sending.
-fn counters(bytes_of_line: &[u8]) -> Option<Frame> {
+fn counters(bytes_of_line: &[u8]) -> Result<Option<Frame>, FieldFault> {
     let mut counters = [0; 2];
-    bytes(bytes_of_line, 16, &mut counters).ok()?;
+    bytes(bytes_of_line, 16, &mut counters)?;
     let [received, sent] = counters;
-    ControllerReport { state: None, sent, received }.frame()
+    Ok(ControllerReport { state: None, counters: Some([sent, received]) }.frame())
 }
 
 /// Reads the bytes of an error frame: the type of the error, unless version 1 has it in place of the
@@ -373,7 +374,7 @@ impl LogEncoder for TrcEncoder {
         self.loss.finer_times += u64::from(entry.time.nanos > 0);
         let since_start = unix_micros.saturating_sub(start);
         let is_whole = match report {
-            Some(report) => report.state.is_none() || (report.sent, report.received) == (0, 0),
+            Some(it) => it.is_all_of(&entry.frame) && (it.state.is_none() || it.counters.is_none()),
             None => is_whole_error(&entry.frame),
         };
         self.loss.error_details += u64::from(!is_whole);

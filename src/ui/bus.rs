@@ -11,7 +11,7 @@ use crate::app::{
 };
 use crate::discovery::OwnAddress;
 use crate::frame::BusIndex;
-use crate::status::Link;
+use crate::status::{BusState, Link};
 use crate::theme::Role;
 use crate::time::{Duration, Instant};
 use ratatui::layout::Rect;
@@ -136,9 +136,13 @@ fn facts(brush: &DrawContext, shown: &BusView) -> Vec<Vec<Span<'static>>> {
         Link::Ended => "end of log",
         Link::NotCan | Link::NoKernel | Link::Failed => "failed",
     };
-    let state = if state == "unknown" { "state –" } else { state };
+    let state = match (state, controller.state) {
+        ("unknown", _) => "state –".to_owned(),
+        ("end of log", known) if known != BusState::Unknown => format!("{state}, {}", known.name()),
+        _ => state.to_owned(),
+    };
     let is_bad = !bus.is_up() && status.link != Link::Ended
-        || matches!(state, "error-warning" | "error-passive" | "bus-off");
+        || matches!(state.as_str(), "error-warning" | "error-passive" | "bus-off");
     let own_address = match bus.own_address() {
         OwnAddress::Held(address) => address.to_string(),
         _ => "–".to_owned(),

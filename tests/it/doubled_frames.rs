@@ -32,11 +32,12 @@ fn three_devices() -> Scenario {
 /// later, with up to `jitter` more.
 fn with_gateway(
     scenario: &Scenario,
+    config: Config,
     seed: u64,
     delay: Duration,
     is_repeated: impl Fn(&Frame) -> bool,
 ) -> Engine {
-    let mut bus = Inspection::new(scenario, seed, Config::default());
+    let mut bus = Inspection::new(scenario, seed, config);
     let mut rng = fastrand::Rng::with_seed(seed);
     let mut copies: VecDeque<Frame> = VecDeque::new();
     while bus.sim.now() < END {
@@ -89,7 +90,10 @@ fn gateway_that_repeats_one_device_is_no_conflict() {
     for millis in [3, 8, 20, 50] {
         for seed in 0..5 {
             let delay = Duration::from_millis(millis);
-            let mut engine = with_gateway(&three_devices(), seed, delay, |frame| is_of(frame, 12));
+            let mut engine =
+                with_gateway(&three_devices(), Config::default(), seed, delay, |frame| {
+                    is_of(frame, 12)
+                });
             let label = format!("{millis} ms later, seed {seed}");
             assert_eq!(confirmed(&mut engine), [], "{label}");
             let repeated = finding(&engine, FindingKind::FramesRepeated).expect(&label);
@@ -105,10 +109,39 @@ fn gateway_that_repeats_one_device_is_no_conflict() {
     }
 }
 
+/// Two boards with the same random numbers, of which only heartbeats are equal.
+#[test]
+fn equal_heartbeats_less_than_half_a_period_apart_are_suspected() {
+    for millis in [110, 200, 300, 440] {
+        for seed in 0..3 {
+            let delay = Duration::from_millis(millis);
+            // Nothing is asked: responses would show that there are two.
+            let config = Config { listen_only: true, ..Config::default() };
+            let is_beat = |frame: &Frame| {
+                let header = frame.platform_id().map(Header::decode);
+                is_of(frame, 12) && header.is_some_and(|it| it.service.number() == 1)
+            };
+            let mut engine = with_gateway(&three_devices(), config, seed, delay, is_beat);
+            let label = format!("{millis} ms later, seed {seed}");
+            assert_eq!(confirmed(&mut engine), [], "{label}");
+            let found = finding(&engine, FindingKind::FramesRepeated).expect(&label);
+            assert_eq!(found.state, FindingState::Suspected, "{label}: {:#?}", engine.findings());
+            let words = format!("{millis} ms apart: two boards with equal random numbers, or ");
+            assert!(found.text.contains(&words), "{label}: {}", found.text);
+        }
+    }
+}
+
 #[test]
 fn bridge_that_repeats_all_frames_is_one_finding() {
     for seed in 0..5 {
-        let mut engine = with_gateway(&three_devices(), seed, Duration::from_millis(12), |_| true);
+        let mut engine = with_gateway(
+            &three_devices(),
+            Config::default(),
+            seed,
+            Duration::from_millis(12),
+            |_| true,
+        );
         assert_eq!(confirmed(&mut engine), [], "seed {seed}");
         let open: Vec<&Finding> =
             engine.findings().iter().filter(|it| it.state != FindingState::Cleared).collect();

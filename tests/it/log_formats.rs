@@ -103,6 +103,9 @@ fn lines_of_frames_with_a_broken_column_are_counted() {
     }
 }
 
+/// Format, content, error frames, and the numbers of unreadable lines and of frames in part.
+type ControllerLog<'a> = (&'a str, Vec<u8>, &'a [&'a str], [u64; 2]);
+
 #[test]
 fn states_of_the_controller_are_error_frames() {
     let asc = "date Tue Nov 14 10:13:20.123 pm 2023\nbase hex  timestamps absolute\n \
@@ -111,7 +114,11 @@ fn states_of_the_controller_are_error_frames() {
         0.3 CAN 1 Status:chip status warning level - TxErr: 0 RxErr: 96\n \
         0.4 CAN 1 Status:chip status error passive - TxErr: 132 RxErr: 128\n \
         0.5 CAN 1 Status:chip status busoff - TxErr: 256 RxErr: 0\n \
-        0.6 CAN 1 Status:rx queue overrun\n 0.7 CAN 1 Status:chip status unknown - TxErr: 9\n";
+        0.6 CAN 1 Status:rx queue overrun\n 0.7 CAN 1 Status:chip status unknown - TxErr: 9\n \
+        0.8 CAN 1 Status:chip status bus off\n \
+        0.9 CAN 1 Status:chip status error passive - TxErr: 136, RxErr: 1\n \
+        1.0 CAN 1 Status:chip status error passive - TxErr: 136 RxErr\n \
+        1.1 CAN 1 Status:chip status error active - TxErr: 0 RxErr: 0\n";
     let trc_1 = ";$FILEVERSION=1.1\n;$STARTTIME=44548.6\n \
         1) 1.1 Warng FFFFFFFF 4 00 00 00 04 BUSLIGHT\n 2) 1.2 Warng FFFFFFFF 4 00 00 00 10 BUSOFF\n \
         3) 1.3 Warng FFFFFFFF 4 00 00 00 02 OVERRUN\n 4) 1.4 Warng FFFFFFFF 4 00\n";
@@ -121,11 +128,12 @@ fn states_of_the_controller_are_error_frames() {
     let blf = |counters: [u8; 2], code: u32| {
         blf(31, &[&[1, 0][..], &counters, &code.to_le_bytes()].concat())
     };
-    // The last number is that of the frames that are not all that the log has of them.
+    // The numbers are those of the lines that cannot be read, and of the frames that are not all that the log
+    // has of them.
     let trc_2_0 = ";$FILEVERSION=2.0\n;$STARTTIME=44548.6\n;$COLUMNS=N,O,T,I,d,l,D\n \
         1 1.1 ST          Rx    00 00 00 08\n 2 1.2 EC          Rx    60 02\n \
         3 1.3 ER          Rx    04 00 02 00 00\n 4 1.4 RR     0704 Rx 1\n";
-    let logs: [(&str, Vec<u8>, &[&str], u64); 7] = [
+    let logs: [ControllerLog; 7] = [
         (
             "ASC",
             asc.into(),
@@ -135,10 +143,19 @@ fn states_of_the_controller_are_error_frames() {
                 "20000204#0004000000000060",
                 "20000204#0030000000008480",
                 "20000240#000000000000FF00",
+                "20000040#0000000000000000",
+                "20000204#0020000000008801",
+                "20000004#0030000000000000",
+                "20000204#0040000000000000",
             ],
-            0,
+            [1, 1],
         ),
-        ("TRC 1", trc_1.into(), &["20000004#000C000000000000", "20000040#0000000000000000"], 0),
+        (
+            "TRC 1",
+            trc_1.into(),
+            &["20000004#000C000000000000", "20000040#0000000000000000"],
+            [1, 0],
+        ),
         (
             "TRC 2",
             trc_2.into(),
@@ -147,8 +164,9 @@ fn states_of_the_controller_are_error_frames() {
                 "20000004#0030000000000000",
                 "20000040#0000000000000000",
                 "20000200#0000000000000260",
+                "20000200#0000000000000000",
             ],
-            1,
+            [0, 1],
         ),
         (
             "TRC 2.0",
@@ -159,17 +177,17 @@ fn states_of_the_controller_are_error_frames() {
                 "20000088#0000840200000000",
                 "704#R1",
             ],
-            0,
+            [0, 0],
         ),
-        ("BLF", blf([130, 2], 0), &["20000200#0000000000008202"], 0),
-        ("BLF with a code", blf([0, 3], 7), &["20000200#0000000000000003"], 1),
-        ("BLF without counters", blf([0, 0], 7), &[], 0),
+        ("BLF", blf([130, 2], 0), &["20000200#0000000000008202"], [0, 0]),
+        ("BLF with a code", blf([0, 3], 7), &["20000200#0000000000000003"], [0, 1]),
+        ("BLF without counters", blf([0, 0], 7), &[], [0, 0]),
     ];
-    for (name, log, expected, changed) in logs {
+    for (name, log, expected, counts) in logs {
         let (frames, summary) = read(&log);
         let texts: Vec<String> = frames.iter().map(Frame::to_string).collect();
         assert_eq!(texts, expected, "{name}");
-        assert_eq!((summary.unreadable, summary.changed.error_details), (0, changed), "{name}");
+        assert_eq!([summary.unreadable, summary.changed.error_details], counts, "{name}");
     }
 }
 
@@ -203,6 +221,26 @@ fn states_of_the_controller_are_written() {
         let read = text(&output.stdout);
         let expected: Vec<&str> = states.iter().chain(last).copied().collect();
         assert_eq!(read.lines().collect::<Vec<_>>(), expected, "{format}");
+    }
+}
+
+#[test]
+fn state_that_a_format_holds_in_part_is_written_so_far() {
+    let folder = tempfile::tempdir().unwrap();
+    for (frame, written) in [
+        ("20000040#000000000000F800", "20000040#0000000000000000"),
+        ("20000044#003C00000000F800", "20000240#000000000000F800"),
+        ("20000040#", "20000040#0000000000000000"),
+        ("20000100#0000000000000000", "20000004#0040000000000000"),
+        ("20000004#0008000000000000", "20000004#000C000000000000"),
+    ] {
+        std::fs::write(folder.path().join("a.log"), format!("(1.000000) ch1 {frame}\n")).unwrap();
+        let said = convert(folder.path(), "a.log", "a.asc");
+        assert!(said.contains("1 error frame without details"), "{frame}: {said}");
+        let output = descan(folder.path(), &["convert", "a.asc", "-", "--format", "candump"]);
+        let read = text(&output.stdout);
+        assert!(read.trim_end().ends_with(written), "{frame}: {read}");
+        std::fs::remove_file(folder.path().join("a.asc")).unwrap();
     }
 }
 

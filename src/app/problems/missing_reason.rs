@@ -82,6 +82,9 @@ impl FileInputs<'_> {
         let is_explained = !reasons.is_empty() || entry.address.is_none() && !taken.is_empty();
         match self.all.buses.is_search_complete(index, self.all.now) {
             _ if is_explained => {}
+            false if bus.status.link == Link::Ended => {
+                reasons.push("no frame in this log".to_owned());
+            }
             false => reasons.push("search still running".to_owned()),
             true => why_silent(bus, entry, &mut reasons),
         }
@@ -247,7 +250,7 @@ fn device_name(device: &Device) -> String {
 /// The reason why nothing can be received or sent on a bus; `None` if both is possible.
 pub fn bus_obstacle(bus: &Bus) -> Option<String> {
     let name = &bus.name;
-    Some(match (bus.status.link, bus.status.state) {
+    Some(match (bus.status.link, bus.controller().state) {
         (Link::Opening, _) => format!("{name} is opening"),
         (link, _) if !matches!(link, Link::Up | Link::Ended) => match &bus.status.fault {
             Some(fault) => Escaped(fault.to_string().as_bytes()).to_string(),

@@ -3,7 +3,7 @@
 //! is a copy to be ignored, and which addresses are repeated.
 //!
 //! Repeated frames look like two devices at one address. The difference is that the copies include
-//! RND7 and follow after a steady, short delay: those of one address, or of several, and then of
+//! RND7 and follow after a steady delay: those of one address, or of several, and then of
 //! all. While that is so, the second of two equal frames is ignored. If devices receive requests
 //! twice, they respond twice: then all of those addressed do, or nearly all.
 //!
@@ -22,9 +22,8 @@ use std::hash::{DefaultHasher, Hash, Hasher};
 /// Successive copied heartbeats of one address that show repeated frames. Chance gives two senders
 /// equal RND7 once in 128: three in a row once in two million.
 pub(super) const COPIES_OF_ONE: u32 = 3;
-/// Longest delay of copies of one address. A gateway forwards within a few frames; two devices with
-/// equal random numbers are rarely this close.
-const MAX_DELAY_OF_ONE: Duration = Duration::from_millis(100);
+/// Longest delay of further copies of one heartbeat. A gateway forwards within a few frames.
+const MAX_FURTHER_DELAY: Duration = Duration::from_millis(100);
 /// Difference between the delays of copies of two addresses up to which one bridge makes both: some
 /// frames more or less wait in it. Two senders have equal RND7 by chance at any time.
 const BRIDGE_JITTER: Duration = Duration::from_millis(50);
@@ -66,6 +65,8 @@ pub(super) struct RepeatedFrameDetector {
     /// Longest delay of a copied heartbeat, and the shortest in this series.
     delay: Duration,
     shortest: Option<Duration>,
+    /// Longest delay of a copy that was received, at least [`MAX_FURTHER_DELAY`].
+    longest_delay: Duration,
     response_pairs: ResponsePairs,
     /// Frames whose copy may still arrive, by the hash of identifier and data.
     awaiting_copy: VecDeque<(Instant, u64)>,
@@ -107,10 +108,9 @@ impl CopySeries {
         self.count += 1;
     }
 
-    /// Returns true if the copies come with a steady, short delay.
+    /// Returns true if the copies come with a steady delay.
     fn is_steady(&self) -> bool {
-        self.longest <= MAX_DELAY_OF_ONE
-            && self.longest.saturating_sub(self.shortest) <= DELAY_JITTER.max(self.shortest / 2)
+        self.longest.saturating_sub(self.shortest) <= DELAY_JITTER.max(self.shortest / 2)
     }
 }
 
@@ -169,6 +169,7 @@ impl RepeatedFrameDetector {
             active_until: Instant::ZERO,
             delay: Duration::ZERO,
             shortest: None,
+            longest_delay: MAX_FURTHER_DELAY,
             response_pairs: ResponsePairs::default(),
             awaiting_copy: VecDeque::new(),
             echoed_until: Instant::ZERO,
@@ -250,7 +251,10 @@ impl RepeatedFrameDetector {
         let series = &self.series[source];
         let delay = self.delay.max(series.longest).max(series.further);
         let window = (delay * 2).max(Duration::from_millis(20));
-        let longest = self.delay.max(MAX_DELAY_OF_ONE) * 2;
+        // A request that is repeated later than that has an equal response.
+        let window =
+            if heartbeat { window } else { window.min(MAX_FURTHER_DELAY * 2).max(self.delay * 2) };
+        let longest = self.longest_delay * 2;
         while self.awaiting_copy.front().is_some_and(|(at, _)| now.since(*at) > longest) {
             self.awaiting_copy.pop_front();
         }
@@ -289,12 +293,13 @@ impl RepeatedFrameDetector {
         let series = &mut self.series[address];
         if let Some(delay) = recorded.copy_delay {
             series.uncopied = 0;
+            self.longest_delay = self.longest_delay.max(delay);
             self.note_copied_heartbeat(now, address, delay);
             if recorded.has_random_rnd7 {
                 self.note_copy_of_one(now, address, delay);
             }
         } else if let Some(delay) = recorded.further_copy_delay {
-            series.further = series.further.max(delay).min(MAX_DELAY_OF_ONE);
+            series.further = series.further.max(delay).min(MAX_FURTHER_DELAY);
         } else if recorded.previous_has_no_copy {
             series.uncopied = series.uncopied.saturating_add(1);
             // One copy may be lost: the next one counts again.

@@ -126,6 +126,10 @@ impl ErrorRate {
         }
         let no_acknowledge = u64::from(report.is_no_ack());
         let off = report.is_bus_off();
+        if !off && !report.is_error_state() && self.bus_off == Some(frames.saturating_sub(1)) {
+            // It does not say that the controller is on the bus again.
+            self.bus_off = Some(frames);
+        }
         if broken + no_acknowledge == 0 && !off && !report.is_transceiver_fault() {
             return false;
         }

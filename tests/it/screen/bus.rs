@@ -312,9 +312,14 @@ fn state_that_a_port_does_not_know_is_that_of_error_frames() {
     }
     let found = |bench: &Bench| bench.app.findings().next().unwrap().text.clone();
     assert!(found(&bench).starts_with("The controller is bus-off"), "{}", found(&bench));
+    // Counters do not say that it is on the bus again.
+    let counters = Frame::error(COUNTERS, &[0, 0, 0, 0, 0, 0, 248, 0]);
+    let screen = shown(bench.second(&[counters, counters]));
+    assert!(screen.contains("bus-off TEC 248 REC 0"), "{screen}");
+    assert!(found(&bench).starts_with("The controller is bus-off"), "{}", found(&bench));
     // A controller that is bus-off receives nothing.
     let screen = shown(bench.seconds(3, &[frame(10, 0x101)]));
-    for words in ["state – TEC 255", "bus-off 1"] {
+    for words in ["state – TEC 248", "bus-off 1"] {
         assert!(screen.contains(words), "{words}: {screen}");
     }
     assert!(found(&bench).starts_with("The controller was bus-off"), "{}", found(&bench));
