@@ -800,7 +800,7 @@ pub struct FleetArgs {
     /// Print JSON
     #[arg(long)]
     pub json: bool,
-    /// Without a screen: wait at most SECONDS for the documents [default: 10]
+    /// Without a screen: wait at most SECONDS for documents [default: 10, and 35 for an overdue status]
     #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
     pub time: Option<Duration>,
     /// UI theme: terminal | dark | light | high-contrast | mono, or the name of your own

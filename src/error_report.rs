@@ -53,6 +53,8 @@ const WIRES: [(u8, u8, &str); 9] = [
 pub struct ErrorReport {
     class: u32,
     details: [u8; 8],
+    /// It has all eight bytes: socketcand passes none on.
+    has_details: bool,
 }
 
 /// Type of a bus error (ISO 11898-1). Linux does not report CRC errors; ACK errors are counted
@@ -75,7 +77,7 @@ impl ErrorReport {
             return None;
         };
         let details = std::array::from_fn(|at| frame.data().get(at).copied().unwrap_or(0));
-        Some(Self { class, details })
+        Some(Self { class, details, has_details: frame.data().len() == 8 })
     }
 
     /// Returns true for a bus error in a frame of any node; false for a missing ACK, lost
@@ -123,6 +125,13 @@ impl ErrorReport {
     pub fn is_recovery(&self) -> bool {
         !self.is_bus_off()
             && (self.is(RESTARTED) || self.is(CONTROLLER) && self.details[1] & ACTIVE != 0)
+    }
+
+    /// Returns true if the controller is on the bus: it takes part in a frame, or has another state than
+    /// bus-off.
+    pub fn is_from_bus(&self) -> bool {
+        let part = PROTOCOL | BUS_ERROR | NO_ACKNOWLEDGE | LOST_ARBITRATION;
+        !self.is_bus_off() && (self.is(part) || self.state().is_some())
     }
 
     /// Returns the state of the controller that it reports, if any.
@@ -179,7 +188,7 @@ impl ErrorReport {
         // Kernels before 6.0 set them together with the state, without a class bit.
         let counters = (self.details[6], self.details[7]);
         let there = self.is(COUNTERS) || self.is(CONTROLLER) && counters != (0, 0);
-        there.then_some(counters)
+        (there && self.has_details).then_some(counters)
     }
 
     fn is(&self, class: u32) -> bool {
@@ -303,6 +312,6 @@ mod tests {
         assert_eq!(report(PROTOCOL, [0, 0, 0, 0, 0, 0, 1, 2]).counters(), None);
         assert_eq!(report(PROTOCOL | COUNTERS, [0; 8]).counters(), Some((0, 0)));
         assert_eq!(report(CONTROLLER, [0, 4, 0, 0, 0, 0, 0, 96]).counters(), Some((0, 96)));
-        assert_eq!(ErrorReport::of(&Frame::error(COUNTERS, &[])).unwrap().counters(), Some((0, 0)));
+        assert_eq!(ErrorReport::of(&Frame::error(COUNTERS, &[])).unwrap().counters(), None);
     }
 }

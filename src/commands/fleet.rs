@@ -54,7 +54,7 @@ pub struct FleetReading {
     pub fleet: Fleet,
     /// Time of the state.
     pub now: Instant,
-    /// All documents are there.
+    /// All documents are there, and no old status may still be renewed.
     pub is_complete: bool,
 }
 
@@ -81,28 +81,31 @@ pub fn read(
         // Only retained messages extend the reading: others may be published without end.
         let mut complete_at = now();
         let mut limit_at = now() + limit.unwrap_or(DEFAULT_TIME);
-        // All are there; statuses from long ago are waited for.
-        let mut is_complete = false;
+        let last_limit = now() + limit.unwrap_or(DEFAULT_TIME + STATUS_WAIT);
+        // Since then all are there, and statuses from long ago are waited for.
+        let mut complete_since: Option<Instant> = None;
         loop {
-            if is_complete {
-                let is_at_end = now() >= limit_at;
-                if is_at_end {
+            if let Some(since) = complete_since {
+                if now() >= since + STATUS_WAIT {
                     fleet.handle_old_statuses(unix_time());
                 }
-                if is_at_end || fleet.with_old_status(unix_time()).next().is_none() {
-                    return Ok(Some(FleetReading { fleet, now: now(), is_complete }));
+                let has_old = fleet.with_old_status(unix_time()).next().is_some();
+                if has_old && now() >= limit_at {
+                    output::warn("no other status yet: --time gives more time");
+                }
+                if !has_old || now() >= limit_at {
+                    return Ok(Some(FleetReading { fleet, now: now(), is_complete: !has_old }));
                 }
             }
             tokio::select! {
                 biased;
                 _ = stop.next() => return Ok(None),
                 () = time::sleep(limit_at.since(now())) => {
-                    if is_complete {
+                    if complete_since.is_some() {
                         continue;
                     }
                     // Documents without end: what is there by now.
                     if is_subscribed {
-                        fleet.handle_old_statuses(unix_time());
                         output::warn("documents still arrive: not all are shown; --time gives more time");
                         return Ok(Some(FleetReading { fleet, now: now(), is_complete: false }));
                     }
@@ -126,19 +129,19 @@ pub fn read(
                         complete_at = now() + quiet;
                     }
                     Some(ReaderNotice::Connected) => {
-                        (asked, is_subscribed, is_complete) = (now(), false, false);
+                        (asked, is_subscribed, complete_since) = (now(), false, None);
                         fleet.handle_connected();
                     }
                     Some(ReaderNotice::Failed(why, None)) => return Err(why.diagnostic.into()),
                     Some(ReaderNotice::Failed(why, Some(_))) => {
                         failure = Some(why.diagnostic.to_string());
-                        (is_subscribed, is_complete) = (false, false);
+                        (is_subscribed, complete_since) = (false, None);
                     }
                     None => return Err(Failure::Unusable(format!("{} is closed", settings.address))),
                 },
-                () = time::sleep(complete_at.since(now())), if is_subscribed && !is_complete => {
+                () = time::sleep(complete_at.since(now())), if is_subscribed && complete_since.is_none() => {
                     fleet.handle_complete();
-                    is_complete = true;
+                    complete_since = Some(now());
                     let mut old = fleet.with_old_status(unix_time());
                     if let Some(name) = old.next() {
                         let more = match old.count() {
@@ -146,9 +149,7 @@ pub fn read(
                             more => format!(" and {more} more"),
                         };
                         output::warn(format_args!("{name}{more}: last status is old; waiting for another"));
-                        if limit.is_none() {
-                            limit_at = now() + STATUS_WAIT;
-                        }
+                        limit_at = last_limit.min(now() + STATUS_WAIT);
                     }
                 }
             }

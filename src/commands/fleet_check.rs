@@ -34,7 +34,7 @@ pub fn run(check: &CheckArgs, folder: &Path, broker: &BrokerAddress) -> Result<u
         return Ok(EXIT_INTERRUPTED);
     };
     if !read.is_complete {
-        let why = "not all documents were read; --time gives more time";
+        let why = "documents or statuses were not waited for; --time gives more time";
         return Err(Failure::Unusable(format!("{broker}: {why}")));
     }
     fleet::warn_rejects(&read.fleet);

@@ -4,6 +4,7 @@
 //! Names no keys and no commands, because `scan` prints the same text as the screen. Remedies that
 //! do not depend on the cause stand in the table of [`FindingKind`].
 
+use super::conflicts::repeated_frames::MAX_FORWARDING_DELAY;
 use super::errors::{BusErrorSummary, Cause};
 use crate::error_report::BusErrorType;
 use crate::finding::{Finding, FindingKind, SeenUid};
@@ -211,15 +212,12 @@ pub(super) fn device_label(address: Address, names: &[Name]) -> String {
     }
 }
 
-/// Delay up to which a gateway usually forwards a frame: it waits for a few others.
-const LONGEST_GATEWAY_DELAY: Duration = Duration::from_millis(100);
-
 /// Returns the text of repeated frames, of an address or of all.
 pub(super) fn repeated(address: Option<Address>, delay: Duration) -> String {
     let millis = delay.as_secs_f64() * 1000.0;
     match address {
         Some(address) => {
-            let who = if delay > LONGEST_GATEWAY_DELAY {
+            let who = if delay > MAX_FORWARDING_DELAY {
                 "two boards with equal random numbers, or repeated by a gateway?"
             } else {
                 "repeated by a gateway?"

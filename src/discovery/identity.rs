@@ -229,7 +229,9 @@ impl DeviceTracker {
         device.copy_state_from(&live);
         if let Some(mode) = mode {
             device.mode = Some(mode);
-            device.remember_mode(ModeChange { time: now, mode });
+            if device.mode_history.back().is_none_or(|last| last.mode != mode) {
+                device.remember_mode(ModeChange { time: now, mode });
+            }
         }
         device.name_query.schedule(now);
         device.services_query.schedule(now);

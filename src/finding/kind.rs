@@ -548,7 +548,7 @@ finding_kinds! {
         exit_code_of: ExitCodeScope::Nothing,
         wording: Wording {
             headline: "frames repeated",
-            remedy: "Look for a bridge or a gateway that connects this bus twice, or sends its frames back.",
+            remedy: "Look for a bridge or a gateway that connects this bus twice, or sends its frames back; of one address, also for a second board with the same random numbers.",
             confirmation: Some("Stays suspected; the copies count as no evidence of a conflict."),
         },
         at_address: None,

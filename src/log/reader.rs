@@ -511,17 +511,18 @@ not a line
     #[test]
     fn endless_input_without_frames_ends_with_its_cause() {
         for (bytes, cause) in [
-            (&b"\0"[..], "line 1 cannot be read: the line is too long; no line end in 16 MB"),
+            (&b"\0"[..], ["no line end in 16 MB", "line 1 cannot be read: the line is too long"]),
             (
                 b"not a frame\n",
-                "does not begin with (SECONDS.FRACTION); no frame in the first 16 MB",
+                ["no frame in the first 16 MB", "does not begin with (SECONDS.FRACTION)"],
             ),
         ] {
             let source =
                 BufReader::with_capacity(65_536 / bytes.len() * bytes.len(), Endless(bytes, 0));
             let mut reader = LogReader::new(source);
             assert_eq!(reader.next_frame().unwrap(), None);
-            assert!(reader.summary().to_string().contains(cause), "{}", reader.summary());
+            let text = reader.summary().to_string();
+            assert!(cause.iter().all(|it| text.contains(it)), "{text}");
             assert!(reader.is_damaged() && !reader.has_partial_entry());
             assert!(reader.source().get_ref().1 < 2 * MAX_WITHOUT_FRAME);
             assert_eq!(reader.next_frame().unwrap(), None, "nothing more is read");

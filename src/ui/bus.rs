@@ -142,7 +142,10 @@ fn facts(brush: &DrawContext, shown: &BusView) -> Vec<Vec<Span<'static>>> {
         _ => state.to_owned(),
     };
     let is_bad = !bus.is_up() && status.link != Link::Ended
-        || matches!(state.as_str(), "error-warning" | "error-passive" | "bus-off");
+        || matches!(
+            controller.state,
+            BusState::ErrorWarning | BusState::ErrorPassive | BusState::BusOff
+        );
     let own_address = match bus.own_address() {
         OwnAddress::Held(address) => address.to_string(),
         _ => "–".to_owned(),

@@ -120,21 +120,11 @@ fn lane_line(brush: &DrawContext, lanes: &Lanes, lane: &Lane, is_selected: bool)
         width -= 7;
     }
     let label = app.device(lane.device).map_or_else(String::new, |device| {
-        let number = device.address.number();
-        match &lane.board {
-            Some(board) if !board.name.is_empty() => {
-                format!("{number:>3}{} {}", board.letter(), board.name)
-            }
-            board => {
-                let side = board.as_ref().map(|board| board.letter().to_string());
-                let name = device.name.as_ref().map(|name| name.quoted().to_string());
-                format!(
-                    "{number:>3}{} {}",
-                    side.unwrap_or_default(),
-                    name.as_deref().unwrap_or("?")
-                )
-            }
-        }
+        let own = device.name.as_ref().map(|name| name.quoted().to_string());
+        let of_board = lane.board.as_ref().map(|board| board.name.clone());
+        let name = of_board.filter(|name| !name.is_empty()).or(own);
+        let side = lane.board.as_ref().map(|board| board.letter().to_string()).unwrap_or_default();
+        format!("{:>3}{side} {}", device.address.number(), name.as_deref().unwrap_or("?"))
     });
     let label_role = lane.board.as_ref().map_or(Role::Text, |board| side_role(board.side));
     spans.push(brush.span(label_role, format!("{} ", fit(&label, width))));

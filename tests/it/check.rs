@@ -413,3 +413,18 @@ fn log_without_frames_is_unusable() {
         assert_eq!(text(&output.stdout), "");
     }
 }
+
+#[test]
+fn log_without_frames_of_devices_says_what_it_has() {
+    let folder = Folder::with(&bus(), Some(r#"[{ "name": "FEED", "address": 12 }]"#));
+    for (frame, reason) in [
+        ("20000040#0000000000000000", "no frame in this log: its controller is bus-off"),
+        ("20000088#0000040A00000000", "no frame but error frames in this log"),
+    ] {
+        folder.write("session.log", &format!("(1436509052.100000) can0 {frame}\n"));
+        let output = folder.check(&["file:session.log"]);
+        let said = text(&output.stdout);
+        let told = format!("FEED (at 12) is listed but not on the bus: {reason}.");
+        assert!(said.contains(&told), "{said}");
+    }
+}

@@ -460,6 +460,9 @@ impl Bus {
             self.meter.advance(since, true);
             self.meter.advance(now, false);
         }
+        if came_back {
+            self.controller.restart();
+        }
         if came_back || stood_since.is_some() {
             self.engine.restart(now);
         }

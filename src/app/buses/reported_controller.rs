@@ -32,6 +32,9 @@ impl ReportedController {
         if let Some((tec, rec)) = report.counters() {
             (self.tec, self.rec) = (Some(tec.into()), Some(rec.into()));
         }
+        if self.state == BusState::BusOff && report.is_from_bus() {
+            self.state = BusState::Unknown;
+        }
         if let Some(state) = report.state() {
             let is_new = state == BusState::BusOff && self.state != BusState::BusOff;
             self.bus_offs += u64::from(is_new);
@@ -39,11 +42,17 @@ impl ReportedController {
         }
     }
 
+    /// The bus came back: state and counters are not known.
+    pub(super) fn restart(&mut self) {
+        *self = Self { bus_offs: self.bus_offs, ..Self::default() };
+    }
+
     /// Returns what the port of the bus knows of the controller; else what was reported.
     pub(super) fn of_status_or(self, status: &BusStatus) -> Self {
         if status.state == BusState::Unknown && status.tec.is_none() {
             return self;
         }
-        Self { state: status.state, tec: status.tec, rec: status.rec, bus_offs: status.bus_offs }
+        let bus_offs = status.bus_offs.max(self.bus_offs);
+        Self { state: status.state, tec: status.tec, rec: status.rec, bus_offs }
     }
 }

@@ -83,7 +83,12 @@ impl FileInputs<'_> {
         match self.all.buses.is_search_complete(index, self.all.now) {
             _ if is_explained => {}
             false if bus.status.link == Link::Ended => {
-                reasons.push("no frame in this log".to_owned());
+                let what = match bus.controller().state {
+                    BusState::BusOff => "no frame in this log: its controller is bus-off",
+                    _ if bus.counters().errors > 0 => "no frame but error frames in this log",
+                    _ => "no frame in this log",
+                };
+                reasons.push(what.to_owned());
             }
             false => reasons.push("search still running".to_owned()),
             true => why_silent(bus, entry, &mut reasons),
@@ -250,7 +255,9 @@ fn device_name(device: &Device) -> String {
 /// The reason why nothing can be received or sent on a bus; `None` if both is possible.
 pub fn bus_obstacle(bus: &Bus) -> Option<String> {
     let name = &bus.name;
-    Some(match (bus.status.link, bus.controller().state) {
+    let state =
+        if bus.status.link == Link::Ended { bus.status.state } else { bus.controller().state };
+    Some(match (bus.status.link, state) {
         (Link::Opening, _) => format!("{name} is opening"),
         (link, _) if !matches!(link, Link::Up | Link::Ended) => match &bus.status.fault {
             Some(fault) => Escaped(fault.to_string().as_bytes()).to_string(),

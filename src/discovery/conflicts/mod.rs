@@ -13,7 +13,7 @@ mod history;
 mod prompted_heartbeats;
 mod query_responses;
 mod recent_values;
-mod repeated_frames;
+pub(in crate::discovery) mod repeated_frames;
 mod rhythm;
 mod time_resolution;
 

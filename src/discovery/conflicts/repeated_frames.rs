@@ -22,8 +22,8 @@ use std::hash::{DefaultHasher, Hash, Hasher};
 /// Successive copied heartbeats of one address that show repeated frames. Chance gives two senders
 /// equal RND7 once in 128: three in a row once in two million.
 pub(super) const COPIES_OF_ONE: u32 = 3;
-/// Longest delay of further copies of one heartbeat. A gateway forwards within a few frames.
-const MAX_FURTHER_DELAY: Duration = Duration::from_millis(100);
+/// Time in which a gateway forwards a frame: it waits for a few others.
+pub(in crate::discovery) const MAX_FORWARDING_DELAY: Duration = Duration::from_millis(100);
 /// Difference between the delays of copies of two addresses up to which one bridge makes both: some
 /// frames more or less wait in it. Two senders have equal RND7 by chance at any time.
 const BRIDGE_JITTER: Duration = Duration::from_millis(50);
@@ -46,7 +46,7 @@ const FAST_PAIR_MARGIN: Duration = Duration::from_millis(5);
 const TIMED_GAPS: usize = 8;
 const MIN_OTHER_GAPS: usize = 4;
 /// Maximum number of frames whose copy may still arrive. Bounds the memory: all frames of
-/// `MAX_DELAY` at 1 Mbit/s.
+/// 0.1 s at 1 Mbit/s.
 const MAX_OPEN: usize = 1024;
 
 /// Detector of repeated frames on one bus.
@@ -65,7 +65,7 @@ pub(super) struct RepeatedFrameDetector {
     /// Longest delay of a copied heartbeat, and the shortest in this series.
     delay: Duration,
     shortest: Option<Duration>,
-    /// Longest delay of a copy that was received, at least [`MAX_FURTHER_DELAY`].
+    /// Longest delay of a copy that was received, at least [`MAX_FORWARDING_DELAY`].
     longest_delay: Duration,
     response_pairs: ResponsePairs,
     /// Frames whose copy may still arrive, by the hash of identifier and data.
@@ -169,7 +169,7 @@ impl RepeatedFrameDetector {
             active_until: Instant::ZERO,
             delay: Duration::ZERO,
             shortest: None,
-            longest_delay: MAX_FURTHER_DELAY,
+            longest_delay: MAX_FORWARDING_DELAY,
             response_pairs: ResponsePairs::default(),
             awaiting_copy: VecDeque::new(),
             echoed_until: Instant::ZERO,
@@ -252,8 +252,11 @@ impl RepeatedFrameDetector {
         let delay = self.delay.max(series.longest).max(series.further);
         let window = (delay * 2).max(Duration::from_millis(20));
         // A request that is repeated later than that has an equal response.
-        let window =
-            if heartbeat { window } else { window.min(MAX_FURTHER_DELAY * 2).max(self.delay * 2) };
+        let window = if heartbeat {
+            window
+        } else {
+            window.min(MAX_FORWARDING_DELAY * 2).max(self.delay * 2)
+        };
         let longest = self.longest_delay * 2;
         while self.awaiting_copy.front().is_some_and(|(at, _)| now.since(*at) > longest) {
             self.awaiting_copy.pop_front();
@@ -299,7 +302,7 @@ impl RepeatedFrameDetector {
                 self.note_copy_of_one(now, address, delay);
             }
         } else if let Some(delay) = recorded.further_copy_delay {
-            series.further = series.further.max(delay).min(MAX_FURTHER_DELAY);
+            series.further = series.further.max(delay).min(MAX_FORWARDING_DELAY);
         } else if recorded.previous_has_no_copy {
             series.uncopied = series.uncopied.saturating_add(1);
             // One copy may be lost: the next one counts again.

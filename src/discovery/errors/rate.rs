@@ -36,7 +36,7 @@ const CLEAR_CONFIRMED_AFTER: Duration = Duration::from_secs(30);
 pub(in crate::discovery) enum Cause {
     /// The controller is bus-off.
     BusOff,
-    /// The controller was bus-off, and has received frames since.
+    /// The controller was bus-off, and has been on the bus since.
     WasBusOff,
     /// descan's frames are not acknowledged.
     NoAck,
@@ -126,7 +126,7 @@ impl ErrorRate {
         }
         let no_acknowledge = u64::from(report.is_no_ack());
         let off = report.is_bus_off();
-        if !off && !report.is_error_state() && self.bus_off == Some(frames.saturating_sub(1)) {
+        if !off && !report.is_from_bus() && self.bus_off == Some(frames.saturating_sub(1)) {
             // It does not say that the controller is on the bus again.
             self.bus_off = Some(frames);
         }

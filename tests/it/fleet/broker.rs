@@ -208,29 +208,65 @@ fn old_status_that_is_not_renewed_is_of_a_silent_gateway() {
     let status = |time: f64| format!(r#"{{"online":true,"time":{time}}}"#);
     let now = sites::unix_time();
     broker.publish("descan/v1/dead/status", status(now - 100.0).as_bytes());
-    broker.publish("descan/v1/alive/status", status(now - 30.0).as_bytes());
-    let fleet = fleet_json(&["--broker", &url, "--time", "2"], folder);
-    assert_eq!(state_of(&fleet, "dead").as_deref(), Some("silent"));
-    assert_eq!(state_of(&fleet, "alive").as_deref(), Some("online"));
-    assert_eq!(fleet["complete"], true);
+    broker.publish("descan/v1/alive/status", status(now).as_bytes());
     for name in ["dead", "alive"] {
         fs::create_dir_all(folder.join("sites").join(name)).unwrap();
         fs::write(folder.join("sites").join(name).join("des.json"), "[]").unwrap();
     }
-    let check = run(&["check", "--fleet", "sites", "--broker", &url, "--time", "2"], folder);
-    assert_eq!(check.status.code(), Some(1));
-    assert!(text(&check.stdout).contains("dead: 0 entries, 0 devices: gateway silent"));
+    let check = ["check", "--fleet", "sites", "--broker", &url];
+    // Too short a time to tell.
+    let short = fleet_json(&["--broker", &url, "--time", "2"], folder);
+    assert_eq!(state_of(&short, "dead").as_deref(), Some("online"));
+    assert_eq!(short["complete"], false);
+    let output = run(&[&check[..], &["--time", "2"]].concat(), folder);
+    assert_eq!(output.status.code(), Some(3), "{}", text(&output.stderr));
 
-    // A clock that is late: its next status shows that it is connected.
-    let mut fleet = command(&["fleet", "--json", "--broker", &url], folder);
+    let fleet = command(&["fleet", "--json", "--broker", &url], folder);
+    let [mut fleet, mut check] = [fleet, command(&check, folder)];
+    let fleet = fleet.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    let check = check.stdout(Stdio::piped()).spawn().unwrap().wait_with_output().unwrap();
+    assert_eq!(check.status.code(), Some(1));
+    let differences = text(&check.stdout);
+    assert!(differences.contains("dead: 0 entries, 0 devices: gateway silent"), "{differences}");
+    assert!(!differences.contains("alive: 0 entries, 0 devices: gateway"), "{differences}");
+    let fleet = fleet.wait_with_output().unwrap();
+    let fleet: Value = serde_json::from_slice(&fleet.stdout).unwrap();
+    assert_eq!(state_of(&fleet, "dead").as_deref(), Some("silent"));
+    assert_eq!(state_of(&fleet, "alive").as_deref(), Some("online"));
+    assert_eq!(fleet["complete"], true);
+}
+
+#[test]
+fn status_that_is_renewed_is_of_a_gateway_whose_clock_is_late() {
+    let Some(broker) = Mosquitto::start() else { return };
+    let status = format!(r#"{{"online":true,"time":{}}}"#, sites::unix_time() - 100.0);
+    broker.publish("descan/v1/late/status", status.as_bytes());
+    let mut fleet = command(&["fleet", "--json", "--broker", &broker.url()], broker.folder());
     let mut fleet = fleet.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
     let mut line = String::new();
     BufReader::new(fleet.stderr.as_mut().unwrap()).read_line(&mut line).unwrap();
-    assert!(line.contains("dead: last status is old; waiting for another"), "{line}");
-    broker.publish("descan/v1/dead/status", status(now - 100.0).as_bytes());
+    assert!(line.contains("late: last status is old; waiting for another"), "{line}");
+    broker.publish("descan/v1/late/status", status.as_bytes());
     let output = fleet.wait_with_output().unwrap();
     let fleet: Value = serde_json::from_slice(&output.stdout).unwrap();
-    assert_eq!(state_of(&fleet, "dead").as_deref(), Some("online"));
+    assert_eq!(state_of(&fleet, "late").as_deref(), Some("online"));
+    assert_eq!(fleet["complete"], true);
+}
+
+#[test]
+fn broker_that_is_lost_while_a_status_is_waited_for_is_told() {
+    let Some(mut broker) = Mosquitto::start() else { return };
+    let status = format!(r#"{{"online":true,"time":{}}}"#, sites::unix_time() - 100.0);
+    broker.publish("descan/v1/dead/status", status.as_bytes());
+    let arguments = ["fleet", "--json", "--broker", &broker.url(), "--time", "8"];
+    let mut fleet = command(&arguments, broker.folder());
+    let mut fleet = fleet.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    let mut line = String::new();
+    BufReader::new(fleet.stderr.as_mut().unwrap()).read_line(&mut line).unwrap();
+    assert!(line.contains("dead: last status is old"), "{line}");
+    broker.stop();
+    let output = fleet.wait_with_output().unwrap();
+    assert_eq!(output.status.code(), Some(3), "{}", text(&output.stdout));
 }
 
 #[test]

@@ -312,6 +312,11 @@ fn state_that_a_port_does_not_know_is_that_of_error_frames() {
     }
     let found = |bench: &Bench| bench.app.findings().next().unwrap().text.clone();
     assert!(found(&bench).starts_with("The controller is bus-off"), "{}", found(&bench));
+    // A bus error does: a controller that is bus-off finds none.
+    let mut other = Bench::new().status(BusStatus { link: Link::Up, ..BusStatus::default() });
+    let stuff_error = Frame::error(PROTOCOL | 0x80, &[0, 0, 4, 0x0A, 0, 0, 0, 0]);
+    let screen = shown(other.keys("5").second(&[bus_off, stuff_error]));
+    assert!(screen.contains("state – TEC 255"), "{screen}");
     // Counters do not say that it is on the bus again.
     let counters = Frame::error(COUNTERS, &[0, 0, 0, 0, 0, 0, 248, 0]);
     let screen = shown(bench.second(&[counters, counters]));

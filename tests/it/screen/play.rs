@@ -103,6 +103,12 @@ fn paused_log_is_played_backwards() {
     stage.keys("Space Esc");
     let screen = stage.screen();
     assert!(screen.contains("as far as the log was played"), "{screen}");
+    // A pace that was raised is lowered first.
+    let playback = Playback { is_paused: true, speed: 2.0, ..Playback::default() };
+    stage.app.handle_playback(stage.app.now(), playback);
+    stage.keys("(");
+    assert_eq!(effects(&mut stage), [PlaybackCommand::Slower]);
+    assert_eq!(shown(&stage), None);
 }
 
 #[test]
