@@ -9,7 +9,6 @@ use crate::frame::error_bits::{
     TRANSMISSION_TIMEOUT, TRANSMIT_OVERFLOW, TRANSMIT_PASSIVE, TRANSMIT_WARNING, WHILE_SENDING,
 };
 use crate::frame::{CanId, Frame, FrameKind};
-use crate::status::BusState;
 use std::fmt;
 
 /// Places in the frame, in byte 3, in order of transmission.
@@ -68,6 +67,25 @@ pub enum BusErrorType {
     Stuff,
     /// Form error: a fixed bit has the wrong value.
     Form,
+}
+
+/// State of a controller (ISO 11898-1), as a report says it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ReportedState {
+    /// TEC and REC below 96.
+    ErrorActive,
+    /// TEC or REC 96 or more.
+    ErrorWarning,
+    /// TEC or REC 128 or more.
+    ErrorPassive,
+    /// TEC above 255: it neither sends nor receives.
+    BusOff,
+}
+
+impl ReportedState {
+    /// All states, the worst last.
+    pub const ALL: [Self; 4] =
+        [Self::ErrorActive, Self::ErrorWarning, Self::ErrorPassive, Self::BusOff];
 }
 
 impl ErrorReport {
@@ -135,16 +153,16 @@ impl ErrorReport {
     }
 
     /// Returns the state of the controller that it reports, if any.
-    pub fn state(&self) -> Option<BusState> {
+    pub fn state(&self) -> Option<ReportedState> {
         let has = |bits: u8| self.is(CONTROLLER) && self.details[1] & bits != 0;
         if self.is_bus_off() {
-            Some(BusState::BusOff)
+            Some(ReportedState::BusOff)
         } else if has(RECEIVE_PASSIVE | TRANSMIT_PASSIVE) {
-            Some(BusState::ErrorPassive)
+            Some(ReportedState::ErrorPassive)
         } else if has(RECEIVE_WARNING | TRANSMIT_WARNING) {
-            Some(BusState::ErrorWarning)
+            Some(ReportedState::ErrorWarning)
         } else {
-            self.is_recovery().then_some(BusState::ErrorActive)
+            self.is_recovery().then_some(ReportedState::ErrorActive)
         }
     }
 

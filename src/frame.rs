@@ -2,6 +2,7 @@
 //! fields in Linux's layouts. Does not know what the bytes mean: [`crate::wire`] does.
 
 pub mod bits;
+#[cfg(feature = "std")]
 pub(crate) mod error_bits;
 pub mod socketcan;
 

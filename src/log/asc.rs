@@ -6,13 +6,14 @@
 
 use super::bus_errors::{bus_error, capture_of, captured, is_on_bus, of_vector, overload};
 use super::channel::{ChannelNumbers, channel_name};
-use super::controller::{ControllerReport, ReportedState};
+use super::controller::ControllerReport;
 use super::dates::{LAST_START, asc_date, is_in_repeated_hour, local_time};
 use super::fields::{
     FieldFault, bytes, can_id, channel, check_line, data_frame, first_word, len_of_dlc, number,
     starts_with_ignoring_case as starts, with_dlc, words,
 };
 use super::{LogEncoder, LogEntry, LogLoss, LogTime};
+use crate::error_report::ReportedState;
 use crate::frame::socketcan::{BIT_RATE_SWITCH, ERROR_STATE};
 use crate::frame::{CanId, Frame, FrameKind};
 use std::io::{self, Write};

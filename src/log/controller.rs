@@ -4,13 +4,12 @@
 //! their lines and objects say.
 
 use super::bus_errors::is_on_bus;
-use crate::error_report::ErrorReport;
+use crate::error_report::{ErrorReport, ReportedState};
 use crate::frame::Frame;
 use crate::frame::error_bits::{
     ACTIVE, BUS_OFF, CONTROLLER, COUNTERS, RECEIVE_PASSIVE, RECEIVE_WARNING, TRANSMIT_PASSIVE,
     TRANSMIT_WARNING,
 };
-use crate::status::BusState;
 
 /// For sending and receiving, the bit of byte 1 that says that its error counter is at the limit.
 const WARNING: [u8; 2] = [TRANSMIT_WARNING, RECEIVE_WARNING];
@@ -18,30 +17,6 @@ const PASSIVE: [u8; 2] = [TRANSMIT_PASSIVE, RECEIVE_PASSIVE];
 /// Counters from which on a controller is error-warning, and error-passive (ISO 11898-1).
 const WARNING_LIMIT: u8 = 96;
 const PASSIVE_LIMIT: u8 = 128;
-
-/// State of a CAN controller.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum ReportedState {
-    ErrorActive,
-    ErrorWarning,
-    ErrorPassive,
-    BusOff,
-}
-
-impl ReportedState {
-    pub const ALL: [Self; 4] =
-        [Self::ErrorActive, Self::ErrorWarning, Self::ErrorPassive, Self::BusOff];
-
-    fn of(state: BusState) -> Option<Self> {
-        match state {
-            BusState::ErrorActive => Some(Self::ErrorActive),
-            BusState::ErrorWarning => Some(Self::ErrorWarning),
-            BusState::ErrorPassive => Some(Self::ErrorPassive),
-            BusState::BusOff => Some(Self::BusOff),
-            BusState::Stopped | BusState::Down | BusState::Unknown => None,
-        }
-    }
-}
 
 /// What a log says of a controller.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -57,7 +32,7 @@ impl ControllerReport {
     /// controller, or that a frame was destroyed.
     pub fn of(frame: &Frame) -> Option<Self> {
         let report = ErrorReport::of(frame).filter(|_| !is_on_bus(frame))?;
-        let state = report.state().and_then(ReportedState::of);
+        let state = report.state();
         let counters = report.counters().map(|(sent, received)| [sent, received]);
         (state.is_some() || counters.is_some()).then_some(Self { state, counters })
     }

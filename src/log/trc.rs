@@ -6,7 +6,7 @@
 
 use super::bus_errors::{bus_error, capture_of, captured_with_counters, is_on_bus};
 use super::channel::{ChannelNumbers, channel_name};
-use super::controller::{ControllerReport, ReportedState};
+use super::controller::ControllerReport;
 use super::dates::{
     LAST_START, day_month_year, is_in_repeated_hour, local_time, trc_date, trc_days, trc_utc_date,
     utc_date,
@@ -16,6 +16,7 @@ use super::fields::{
     len_of_dlc, number, starts_with_ignoring_case as starts, with_dlc,
 };
 use super::{LogEncoder, LogEntry, LogLoss, LogTime};
+use crate::error_report::ReportedState;
 use crate::frame::socketcan::{BIT_RATE_SWITCH, ERROR_STATE};
 use crate::frame::{CanId, Frame, FrameKind};
 use std::io::{self, Write};

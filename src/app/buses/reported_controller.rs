@@ -1,7 +1,7 @@
 //! State of the controller of a bus, as its error frames report it: of a log, and of a bus whose port
 //! does not know the state.
 
-use crate::error_report::ErrorReport;
+use crate::error_report::{ErrorReport, ReportedState};
 use crate::frame::{Frame, FrameKind};
 use crate::status::{BusState, BusStatus};
 
@@ -36,9 +36,14 @@ impl ReportedController {
             self.state = BusState::Unknown;
         }
         if let Some(state) = report.state() {
-            let is_new = state == BusState::BusOff && self.state != BusState::BusOff;
+            let is_new = state == ReportedState::BusOff && self.state != BusState::BusOff;
             self.bus_offs += u64::from(is_new);
-            self.state = state;
+            self.state = match state {
+                ReportedState::ErrorActive => BusState::ErrorActive,
+                ReportedState::ErrorWarning => BusState::ErrorWarning,
+                ReportedState::ErrorPassive => BusState::ErrorPassive,
+                ReportedState::BusOff => BusState::BusOff,
+            };
         }
     }
 
