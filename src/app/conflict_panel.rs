@@ -246,27 +246,26 @@ impl App {
         let title = |(at, side): (usize, &super::ConflictSide)| {
             let moved = away.get(at - panel.first).copied().flatten();
             let own = moved.and_then(|device| device.name.as_ref());
-            let names = own.map_or_else(|| self.names_of_board(problem, side.uid), |own| vec![own]);
-            let quoted: Vec<String> = names.iter().map(|name| name.quoted().to_string()).collect();
-            let names = if quoted.is_empty() {
-                String::new()
-            } else {
-                format!(" · {}", quoted.join(" or "))
-            };
+            let of_board = || self.name_of_board(problem, side.uid);
+            let name = own.map(|name| name.quoted().to_string()).or_else(of_board);
+            let name = name.map(|name| format!(" · {name}")).unwrap_or_default();
             let uid = side.uid.map_or("no UID".to_owned(), |uid| {
                 label_of(super::capture::decoded::uid_text(&profile, uid))
             });
-            format!("{} {uid}{names}", side_letter(at))
+            format!("{} {uid}{name}", side_letter(at))
         };
         sides.map(title).collect()
     }
 
-    /// Names that a board of an address conflict may have, by its UID: one if it is known which.
-    pub(super) fn names_of_board<'a>(
-        &'a self,
-        problem: &Problem<'a>,
-        uid: Option<Uid>,
-    ) -> Vec<&'a Name> {
+    /// The name of a board of an address conflict, by its UID, or those that it may have: `ACT or PUMP`;
+    /// `None` if none is known.
+    pub(super) fn name_of_board(&self, problem: &Problem, uid: Option<Uid>) -> Option<String> {
+        let names = self.names_of_board(problem, uid);
+        let quoted: Vec<String> = names.iter().map(|name| name.quoted().to_string()).collect();
+        (!quoted.is_empty()).then(|| quoted.join(" or "))
+    }
+
+    fn names_of_board<'a>(&'a self, problem: &Problem<'a>, uid: Option<Uid>) -> Vec<&'a Name> {
         let ProblemKey::Address(bus, address) = problem.key else { return Vec::new() };
         let devices = self.devices_at(bus, address);
         let mut names: Vec<&Name> = Vec::new();

@@ -3,6 +3,7 @@
 //! Scripts rely on the names, types and meanings of the JSON members.
 
 use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure, headless, output};
+use crate::bus::wall_micros;
 use crate::cli::FleetArgs;
 use crate::finding::{FindingKind, FindingState};
 use crate::fleet::{Fleet, FleetGateway, FleetTopic, GatewayName};
@@ -13,7 +14,6 @@ use crate::time::{Duration, Instant};
 use anyhow::Context;
 use serde::Serialize;
 use std::fmt::Write as _;
-use std::time::{SystemTime, UNIX_EPOCH};
 use tokio::time;
 
 /// Time without a further document after which all are there, on a fast connection; on a slow one four times
@@ -87,9 +87,9 @@ pub fn read(
         loop {
             if let Some(since) = complete_since {
                 if now() >= since + STATUS_WAIT {
-                    fleet.handle_old_statuses(unix_time());
+                    fleet.handle_old_statuses(unix_secs());
                 }
-                let has_old = fleet.with_old_status(unix_time()).next().is_some();
+                let has_old = fleet.with_old_status(unix_secs()).next().is_some();
                 if has_old && now() >= limit_at {
                     output::warn("no other status yet: --time gives more time");
                 }
@@ -142,7 +142,7 @@ pub fn read(
                 () = time::sleep(complete_at.since(now())), if is_subscribed && complete_since.is_none() => {
                     fleet.handle_complete();
                     complete_since = Some(now());
-                    let mut old = fleet.with_old_status(unix_time());
+                    let mut old = fleet.with_old_status(unix_secs());
                     if let Some(name) = old.next() {
                         let more = match old.count() {
                             0 => String::new(),
@@ -157,9 +157,9 @@ pub fn read(
     })
 }
 
-/// This time, in Unix seconds.
-fn unix_time() -> f64 {
-    SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs_f64()
+/// This time by the clock of this machine, in Unix seconds.
+pub fn unix_secs() -> f64 {
+    wall_micros() as f64 / 1e6
 }
 
 /// Says what was not used: the first [`MAX_WARNINGS`] documents, by topic, and how many more there are.

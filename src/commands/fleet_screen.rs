@@ -1,5 +1,6 @@
 //! `descan fleet` on a terminal: the screen over all gateways at a broker.
 
+use super::fleet::unix_secs;
 use super::{EXIT_INTERRUPTED, EXIT_OK, Failure, headless, open, tui};
 use crate::app::{FleetScreen, FleetScreenOptions, Signs};
 use crate::cli::FleetArgs;
@@ -12,7 +13,6 @@ use crate::shell::paint_pace::SCREEN_BUDGET;
 use crate::shell::{stop, terminal};
 use anyhow::Context;
 use jiff::tz::TimeZone;
-use std::time::{SystemTime, UNIX_EPOCH};
 
 /// Runs it.
 pub fn run(args: &FleetArgs) -> Result<u8, Failure> {
@@ -26,11 +26,10 @@ pub fn run(args: &FleetArgs) -> Result<u8, Failure> {
     let keymap = keymap.unwrap_or_else(|why| open::warn(&mut warnings, &why));
     let own_theme = settings.theme.as_deref();
     let mut themes = tui::themes(folder.as_ref(), args.theme.as_deref(), own_theme, &mut warnings)?;
-    let unix_start = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     let signs = settings.signs.as_deref().and_then(Signs::from_name);
     let mut screen = FleetScreen::new(FleetScreenOptions {
         broker: broker.address.to_string(),
-        unix_start: unix_start.as_secs_f64(),
+        unix_start: unix_secs(),
         time_zone: Some(TimeZone::system()),
         keymap,
         signs: signs.unwrap_or_else(terminal::signs),

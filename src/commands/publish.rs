@@ -1,5 +1,6 @@
 //! `descan publish`: what is found on buses, to an MQTT broker.
 
+use super::fleet::unix_secs;
 use super::gate::BusGate;
 use super::headless::{self, Limits, RunInput};
 use super::open::{self, Setup};
@@ -15,7 +16,6 @@ use crate::time::{Duration, Instant};
 use anyhow::Context;
 use jiff::tz::TimeZone;
 use std::ops::ControlFlow;
-use std::time::{SystemTime, UNIX_EPOCH};
 
 /// Longest wait for the broker at the end: less than a signal leaves.
 const FAREWELL: Duration = Duration::from_millis(500);
@@ -129,12 +129,6 @@ fn host_name() -> String {
 #[cfg(windows)]
 fn host_name() -> String {
     std::env::var("COMPUTERNAME").unwrap_or_default()
-}
-
-/// Seconds since 1970 by the clock of this machine, in whole microseconds.
-fn unix_secs() -> f64 {
-    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    since.as_micros() as f64 / 1_000_000.0
 }
 
 /// The publisher, and what it is given.

@@ -121,8 +121,7 @@ fn lane_line(brush: &DrawContext, lanes: &Lanes, lane: &Lane, is_selected: bool)
     }
     let label = app.device(lane.device).map_or_else(String::new, |device| {
         let own = device.name.as_ref().map(|name| name.quoted().to_string());
-        let of_board = lane.board.as_ref().map(|board| board.name.clone());
-        let name = of_board.filter(|name| !name.is_empty()).or(own);
+        let name = lane.board.as_ref().and_then(|board| board.name.clone()).or(own);
         let side = lane.board.as_ref().map(|board| board.letter().to_string()).unwrap_or_default();
         format!("{:>3}{side} {}", device.address.number(), name.as_deref().unwrap_or("?"))
     });

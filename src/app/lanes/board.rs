@@ -31,8 +31,8 @@ pub struct LaneBoard {
     pub side: usize,
     /// UID.
     pub uid: Uid,
-    /// Its name, or the names it may have; empty if none is known.
-    pub name: String,
+    /// Its name, or the names that it may have; `None` if none is known.
+    pub name: Option<String>,
     /// First and last heartbeats of the times at which it was there, oldest first.
     visits: Vec<(Instant, Instant)>,
     /// It has left.
@@ -146,8 +146,7 @@ impl App {
         if let Some((_, last)) = visits.last_mut().filter(|_| !has_left) {
             *last = Instant::LATEST;
         }
-        let names = self.names_of_board(problem, Some(uid));
-        let names: Vec<String> = names.iter().map(|name| name.quoted().to_string()).collect();
-        LaneBoard { side, uid, name: names.join(" or "), visits, has_left }
+        let name = self.name_of_board(problem, Some(uid));
+        LaneBoard { side, uid, name, visits, has_left }
     }
 }
