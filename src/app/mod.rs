@@ -52,6 +52,7 @@ mod devices;
 mod edits;
 mod events;
 mod file;
+mod file_comparison;
 mod file_inputs;
 mod filter;
 mod filter_commands;
@@ -216,6 +217,7 @@ use capture::Traffic;
 use clock::AppClock;
 use devices::DeviceRows;
 use file::{FileContent, FileEditors};
+use file_comparison::FileComparison;
 pub(crate) use file_inputs::Inputs;
 use input::{Input, PromptContext, PromptOutcome, PromptResult};
 use jiff::tz::TimeZone;
@@ -428,8 +430,7 @@ pub struct App {
     effects: VecDeque<Effect>,
     /// Nothing on the screen changed with time at the last full second.
     was_idle: bool,
-    /// When to compare des.json with the buses, between frames of a log.
-    file_comparison_due: Option<Instant>,
+    file_comparison: FileComparison,
     filters: PageFilters,
     /// When the next part of the frames is tested by the filter.
     filter_due: Option<Instant>,
@@ -516,7 +517,7 @@ impl App {
             themes: Themes::new(options.theme, options.themes, options.theme_faults),
             effects: VecDeque::new(),
             was_idle: false,
-            file_comparison_due: None,
+            file_comparison: FileComparison::default(),
             filters: PageFilters::default(),
             filter_due: None,
             candidate_counts: None,
@@ -598,6 +599,7 @@ impl App {
 
     /// Does what is due at `now`.
     pub fn handle_timeout(&mut self, now: Instant) {
+        self.compare_file_until(now);
         self.clock.set(now);
         self.step_des_search(now);
         self.step_prover(now);
@@ -605,6 +607,8 @@ impl App {
         self.take_events();
         self.step_plan(now);
         self.step_sending(now);
+        self.compare_file_after_round();
+        self.compare_file_until(now);
         if self.clock.take_second(now) {
             self.tick();
         }
@@ -880,6 +884,7 @@ impl App {
         let screen = self.poll_screen_timeout().filter(|_| !self.clock.has_real());
         let own = self.search_timeout().into_iter().chain(self.plan_timeout());
         let own = own.chain(self.sending_timeout()).chain(self.prover_timeout());
+        let own = own.chain(self.file_comparison_due());
         parts.chain(second).chain(file).chain(screen).chain(self.reading_ahead).chain(own).min()
     }
 
@@ -947,7 +952,10 @@ impl App {
     /// frame.
     pub fn renew_rows(&mut self) {
         if self.notices.redraw.take_stale() {
-            self.refresh();
+            self.note_content();
+            self.refresh_redundancy();
+            self.compare_file_for_draw();
+            self.settle_view();
         }
         self.filter_frames();
     }
@@ -1213,6 +1221,11 @@ impl App {
         self.note_content();
         self.refresh_redundancy();
         self.refresh_problems();
+        self.settle_view();
+    }
+
+    /// Makes what the screen shows of buses and problems anew.
+    fn settle_view(&mut self) {
         if self.view.has_screen {
             self.settle_alarm();
             self.settle_problems();

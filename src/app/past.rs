@@ -258,7 +258,8 @@ impl App {
         let mut before = self.contents_before.iter();
         let contents = before.find(|(until, _)| *until > moment.time);
         let contents = contents.map_or(&self.contents, |(_, contents)| contents).clone();
-        problems.refresh(&buses, self.files.documents_of(&contents), moment.time);
+        let documents = self.files.documents_of(&contents);
+        problems.refresh_for_moment(&buses, documents, moment.time, &self.problems);
         Past { moment, buses, problems, contents, statistics: None }
     }
 

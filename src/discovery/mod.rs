@@ -552,6 +552,11 @@ impl Engine {
         progress
     }
 
+    /// Number of enumeration rounds that are over, also of those that a log holds.
+    pub fn finished_rounds(&self) -> u32 {
+        self.requester.rounds.finished
+    }
+
     /// Returns why the times of its frames do not show some conflicts.
     pub fn time_doubt(&self) -> Option<TimeDoubt> {
         self.tracker.conflicts.time_doubt()

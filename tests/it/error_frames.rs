@@ -3,6 +3,7 @@
 
 use crate::common::inspection;
 use crate::common::inspection::Inspection;
+use crate::common::program::command;
 use crate::common::sweep;
 use descan::discovery::{Config, Engine, EventKind};
 use descan::finding::{Finding, FindingKind, FindingState};
@@ -345,4 +346,36 @@ fn error_rate_decides_the_bus_finding() {
     // Cleared half a minute after the last bus error.
     let ends = heard(100, 60, |number| number % 20 == 0 && number < 1000).0;
     assert_eq!(ends, ["0 suspected", "2 confirmed", "39 cleared"]);
+}
+
+/// A log holds the reports of the controller, and no state of a port.
+#[test]
+fn time_in_bus_off_of_a_log_is_not_counted_against_devices() {
+    let folder = tempfile::tempdir().unwrap();
+    let beat = |at: u32, number: u32| {
+        format!("({at}.100000) can0 07{:06X}#8AFA6C9724110400\n", 0x18_0001 | (number % 63) << 10)
+    };
+    let bus_off = "(1030.000000) can0 20000040#0000000000000000\n";
+    let restarted = "(1060.000000) can0 20000100#0000000000000000\n";
+    // The other line gives the time: reports of an interface without devices.
+    let elsewhere = |range: std::ops::Range<u32>| -> String {
+        range.map(|at| format!("({at}.500000) can1 123#00\n")).collect()
+    };
+    let first: String = (1000..1030).map(|at| beat(at, at - 1000)).collect();
+    let rest: String = (1060..1080).map(|at| beat(at, at - 1030)).collect();
+    for (name, log, is_lost) in [
+        ("restarted", format!("{first}{bus_off}{}{restarted}{rest}", elsewhere(1031..1060)), false),
+        ("frames", format!("{first}{bus_off}{}{rest}", elsewhere(1031..1060)), false),
+        ("end", format!("{first}{bus_off}{}", elsewhere(1031..1060)), false),
+        ("silence", format!("{first}{}{rest}", elsewhere(1031..1060)), true),
+        // It restarted, and the device has left.
+        ("left", format!("{first}{bus_off}{restarted}{}", elsewhere(1061..1090)), true),
+    ] {
+        std::fs::write(folder.path().join("session.log"), log).unwrap();
+        let output = command(&["watch", "file:session.log"], folder.path()).output().unwrap();
+        let told = String::from_utf8(output.stdout).unwrap();
+        assert!(told.contains("12 ?"), "{name}: {told}");
+        let words = ["lost", "overdue", "rebooted"];
+        assert_eq!(words.iter().any(|word| told.contains(word)), is_lost, "{name}: {told}");
+    }
 }

@@ -61,6 +61,36 @@ fn missing_devices_are_so_from_the_same_moment_at_any_speed() {
     }
 }
 
+/// Two rounds of the requester in the log end the search: no event, and no frame, is at that moment.
+#[test]
+fn missing_devices_have_one_time_wherever_one_seeks() {
+    let folder = tempfile::tempdir().unwrap();
+    write_log(&folder.path().join("session.log"));
+    let entry = r#"[{"name": "FEED", "address": 40}]"#;
+    fs::write(folder.path().join("des.json"), entry).unwrap();
+    let mut times = Vec::new();
+    for seek in ["", "g06:17:38\r", "g06:17:39.5\r", "g06:17:44\r", "g06:17:50\r"] {
+        let speed = if seek.is_empty() { "100000" } else { "0.01" };
+        let arguments = ["file:session.log", "--file", "des.json", "--speed", speed];
+        let mut pty = Pty::start(&arguments, folder.path(), (120, 40));
+        if seek.is_empty() {
+            pty.wait_for("end of log");
+        } else {
+            pty.wait_for("PLAY");
+            pty.send(seek);
+            pty.wait_for("FROZEN");
+        }
+        pty.send("4");
+        pty.wait_for("FEED is missing");
+        let screen = pty.screen();
+        let line = screen.lines().find(|line| line.contains("FEED is missing")).unwrap();
+        times.push(line.split_whitespace().find(|word| word.contains(':')).unwrap().to_owned());
+        pty.send("q");
+        assert_eq!(pty.wait(), 0);
+    }
+    assert!(times.iter().all(|time| *time == times[0]), "{times:?}");
+}
+
 #[test]
 fn log_without_a_frame_has_no_missing_devices() {
     let folder = tempfile::tempdir().unwrap();

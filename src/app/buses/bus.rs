@@ -61,6 +61,8 @@ pub struct Bus {
     full_since: Option<Instant>,
     /// Time when frames to be sent were last discarded, since the bus cannot send.
     discarded_at: Option<Instant>,
+    /// The port reported that frames can no longer be received, and not yet that they can.
+    is_port_away: bool,
     /// End of the quarantine after a stall: until then frames may be late and are only counted.
     quarantined_until: Option<Instant>,
 }
@@ -81,6 +83,7 @@ impl Bus {
             up_since: None,
             full_since: None,
             discarded_at: None,
+            is_port_away: false,
             quarantined_until: None,
         }
     }
@@ -171,6 +174,11 @@ impl Bus {
     /// Progress of the enumeration.
     pub fn progress(&self) -> DiscoveryProgress {
         self.engine.progress()
+    }
+
+    /// Number of enumeration rounds that are over.
+    pub(in crate::app) fn finished_rounds(&self) -> u32 {
+        self.engine.finished_rounds()
     }
 
     /// State of descan's own address.
@@ -434,12 +442,15 @@ impl Bus {
         let was_open = !matches!(old.link, Link::Opening | Link::Ended);
         // The counters show an outage that began and ended between two statuses.
         let was_away = !is_up(&old) || old.outages < new.outages || old.bus_offs < new.bus_offs;
-        let waits_for_adapter = self.quarantined_until.is_none() && self.engine.is_suspended();
-        let came_back = is_up(new) && (was_away && was_open || waits_for_adapter);
+        // An error frame that reports bus-off suspends the engine, too, and ends without the port.
+        let was_away_before =
+            self.is_port_away && self.quarantined_until.is_none() && self.engine.is_suspended();
+        let came_back = is_up(new) && (was_away && was_open || was_away_before);
         let is_down = !is_up(new) && new.link != Link::Ended;
         // The bus may have come up and gone down again between two statuses.
         let goes_down = is_down
             && (is_up(&old) || old.bus_offs < new.bus_offs || old.state != new.state && was_open);
+        self.is_port_away = goes_down || self.is_port_away && !is_up(new);
         let newly_lost = lost(new).saturating_sub(lost(&old));
         if old.bitrate != new.bitrate {
             self.engine.set_bitrate(new.bitrate);
@@ -492,6 +503,7 @@ impl Bus {
         self.names.vacate(now);
         self.controller = ReportedController::default();
         self.up_since = None;
+        self.is_port_away = false;
         self.quarantined_until = None;
     }
 

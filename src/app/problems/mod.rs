@@ -50,6 +50,9 @@ pub(super) struct Problems {
     /// Findings of the comparison before they ended or changed their state, with the time of that, oldest
     /// first; at most [`MAX_FORMER`].
     former: VecDeque<(Instant, Finding)>,
+    /// From then on `former` and `file_findings` hold all that was found; `None` before a des.json was
+    /// compared.
+    compared_from: Option<Instant>,
     /// Places of the entries that these findings are about, in the same order.
     finding_entries: Vec<Option<EntryPlace>>,
     /// Muted until the program ends.
@@ -105,6 +108,26 @@ impl Problems {
         &self.matching
     }
 
+    /// Compares files and buses as they were at a past moment. A difference that the `present` problems
+    /// did not have at that time is not there either: it was found by the next comparison.
+    pub fn refresh_for_moment(
+        &mut self,
+        buses: &Buses,
+        documents: Documents,
+        time: Instant,
+        present: &Self,
+    ) {
+        let before = self.refresh(buses, documents, time);
+        if present.compared_from.is_none_or(|from| time < from) {
+            return;
+        }
+        let known: BTreeSet<FindingKey> = before.into_iter().map(|finding| finding.key).collect();
+        let found = std::mem::take(&mut self.file_findings).into_iter();
+        let found = found.zip(std::mem::take(&mut self.finding_entries));
+        (self.file_findings, self.finding_entries) =
+            found.filter(|(finding, _)| known.contains(&finding.key)).unzip();
+    }
+
     /// All findings: bus by bus, then those of the comparison with the file.
     pub fn findings<'a>(&'a self, buses: &'a Buses) -> impl Iterator<Item = &'a Finding> {
         buses.findings().chain(&self.file_findings)
@@ -116,10 +139,15 @@ impl Problems {
         self.finding_entries[at]
     }
 
+    /// Assigns entries to devices again, without a comparison.
+    pub fn assign(&mut self, buses: &Buses, documents: Documents) {
+        self.matching = Matching::new(documents, buses);
+    }
+
     /// Compares files and buses again; a finding that persists keeps its times. Returns the findings
     /// before.
     pub fn refresh(&mut self, buses: &Buses, documents: Documents, now: Instant) -> Vec<Finding> {
-        self.matching = Matching::new(documents, buses);
+        self.assign(buses, documents);
         let inputs = Inputs { now, buses, documents, matching: &self.matching };
         let Comparison { mut found, entries, .. } = Comparison::new(inputs, Scope::Screen);
         self.finding_entries = entries;
@@ -135,13 +163,17 @@ impl Problems {
             }
         }
         self.revision += 1;
+        if inputs.files().any(|file| file.is_there) {
+            self.compared_from.get_or_insert(now);
+        }
         let before = std::mem::replace(&mut self.file_findings, found);
         let states: HashMap<&FindingKey, FindingState> =
             self.file_findings.iter().map(|finding| (&finding.key, finding.state)).collect();
         let has_changed = |old: &&Finding| states.get(&old.key) != Some(&old.state);
         for old in before.iter().filter(has_changed) {
             if self.former.len() == MAX_FORMER {
-                self.former.pop_front();
+                let (until, _) = self.former.pop_front().unwrap_or((now, old.clone()));
+                self.compared_from = Some(until);
             }
             self.former.push_back((now, old.clone()));
         }

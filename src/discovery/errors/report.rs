@@ -23,6 +23,12 @@ impl DeviceTracker {
     pub(in crate::discovery) fn process_error_frame(&mut self, frame: &Frame) {
         let Some(report) = ErrorReport::of(frame) else { return };
         let (now, frames) = (self.now, self.counters.frames);
+        // Bus-off, it receives nothing until it reports something of the bus.
+        if report.is_bus_off() {
+            self.outages.begin(now);
+        } else if report.is_from_bus() && self.outages.is_contradicted_by(now) {
+            self.end_outage();
+        }
         let errors = &mut self.errors;
         errors.frames = frames;
         let broken = errors.broken(&report);
