@@ -4,12 +4,11 @@
 //! Names no keys and no commands, because `scan` prints the same text as the screen. Remedies that
 //! do not depend on the cause stand in the table of [`FindingKind`].
 
-use super::conflicts::repeated_frames::MAX_FORWARDING_DELAY;
+use super::conflicts::repeated_frames::{DelayRange, MAX_FORWARDING_DELAY, RepeatedFrames};
 use super::errors::{BusErrorSummary, Cause};
 use crate::error_report::BusErrorType;
 use crate::finding::{Finding, FindingKind, SeenUid};
 use crate::text::Name;
-use crate::time::Duration;
 use crate::wire::id::Address;
 
 /// Description of the evidence for another node at descan's own address.
@@ -20,6 +19,12 @@ const MAX_UIDS: usize = 8;
 
 /// Number of names that a text lists.
 const SHOWN_NAMES: usize = 4;
+
+/// Number of addresses that a text lists.
+const LISTED_ADDRESSES: usize = 4;
+
+/// Difference in ms between the delays of copies from which on the text has both.
+const SHOWN_DELAY_JITTER: f64 = 10.0;
 
 /// Sets text and remedy of a finding of the engine, after its evidence changed; `is_certain`: a
 /// single device that sends its frames twice does not explain it. Bus errors have
@@ -212,18 +217,31 @@ pub(super) fn device_label(address: Address, names: &[Name]) -> String {
     }
 }
 
-/// Returns the text of repeated frames, of an address or of all.
-pub(super) fn repeated(address: Option<Address>, delay: Duration) -> String {
-    let millis = delay.as_secs_f64() * 1000.0;
-    match address {
-        Some(address) => {
-            let who = if delay > MAX_FORWARDING_DELAY {
-                "two boards with equal random numbers, or repeated by a gateway?"
-            } else {
-                "repeated by a gateway?"
-            };
-            format!("Frames from address {address} arrive twice, {millis:.0} ms apart: {who}")
+/// Returns the text of repeated frames.
+pub(super) fn repeated(repeated: &RepeatedFrames) -> String {
+    let RepeatedFrames { addresses, delays: DelayRange { shortest, longest } } = repeated;
+    let (from, to) = (shortest.as_secs_f64() * 1000.0, longest.as_secs_f64() * 1000.0);
+    let apart = if to - from > SHOWN_DELAY_JITTER {
+        format!("{from:.0} to {to:.0} ms apart")
+    } else {
+        format!("{from:.0} ms apart")
+    };
+    let whose = match addresses[..] {
+        [] => "All frames".to_owned(),
+        [address] => format!("Frames from address {address}"),
+        [ref first @ .., last] if addresses.len() <= LISTED_ADDRESSES => {
+            let first: Vec<String> = first.iter().map(ToString::to_string).collect();
+            format!("Frames from addresses {} and {last}", first.join(", "))
         }
-        None => format!("All frames arrive twice, {millis:.0} ms apart: repeated by a bridge?"),
-    }
+        _ => format!("Frames from {} addresses", addresses.len()),
+    };
+    let is_late = *longest > MAX_FORWARDING_DELAY;
+    let or = match (addresses.len(), is_late) {
+        (1, true) => "two boards with equal random numbers, or ",
+        (1, false) => "sent twice, or ",
+        (_, true) => "two boards at each address with equal random numbers, or ",
+        (_, false) => "",
+    };
+    let by = if addresses.is_empty() { "bridge" } else { "gateway" };
+    format!("{whose} arrive twice, {apart}: {or}repeated by a {by}?")
 }

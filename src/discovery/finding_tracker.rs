@@ -8,6 +8,7 @@
 //! Does not know what counts as evidence: [`super::conflicts`] does.
 
 use super::address_table::AddressTable;
+use super::conflicts::repeated_frames::RepeatedFrames;
 use super::finding_text;
 use crate::finding::{Evidence, Finding, FindingKey, FindingKind, FindingState, SeenUid};
 use crate::frame::{BusIndex, Frame};
@@ -354,13 +355,13 @@ impl FindingTracker {
         }
     }
 
-    /// Notes a repeated heartbeat: its two frames and their delay. `address` is `None` if all frames
-    /// are repeated.
+    /// Notes a repeated heartbeat and its two frames. `address` is `None` if those of several
+    /// addresses are repeated.
     pub fn note_repeated(
         &mut self,
         now: Instant,
         address: Option<Address>,
-        delay: Duration,
+        repeated: &RepeatedFrames,
         frames: [Frame; 2],
     ) {
         let key = FindingKey::at(FindingKind::FramesRepeated, self.bus, address);
@@ -371,7 +372,7 @@ impl FindingTracker {
             finding.add_evidence(Evidence { time: frame.time, description, frame: Some(frame) });
         }
         finding.last = now;
-        finding.text = finding_text::repeated(address, delay);
+        finding.text = finding_text::repeated(repeated);
         self.resume_follow_ups(now, at, false);
     }
 

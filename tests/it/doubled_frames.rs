@@ -99,7 +99,7 @@ fn gateway_that_repeats_one_device_is_no_conflict() {
             let repeated = finding(&engine, FindingKind::FramesRepeated).expect(&label);
             assert_eq!(repeated.state, FindingState::Suspected, "{label}");
             let begin = "Frames from address 12 arrive twice, ";
-            let end = " ms apart: repeated by a gateway?";
+            let end = " ms apart: sent twice, or repeated by a gateway?";
             let apart = repeated.text.strip_prefix(begin).and_then(|text| text.strip_suffix(end));
             let apart: u64 = apart.and_then(|number| number.parse().ok()).expect(&repeated.text);
             assert!((millis..=millis + 1).contains(&apart), "{label}: {}", repeated.text);
@@ -234,4 +234,106 @@ fn equal_boards_at_opposite_phases_are_confirmed() {
     }
     println!("slowest: {slowest:?}, missed: {}", missed.len());
     assert_eq!(missed, []);
+}
+
+/// Heartbeats of one board: its address, the time of its first one, its period and its random numbers.
+fn beats(
+    address: u32,
+    first: u64,
+    period: u64,
+    number: impl Fn(u32) -> u32,
+) -> impl Iterator<Item = Frame> {
+    (0..).map(move |count| {
+        let at = first + u64::from(count) * period;
+        let id = 0x0700_0001 | address << 17 | (number(count) & 127) << 10;
+        let uid = address as u8;
+        let data = [uid, uid, uid, uid, uid, uid, 4, 0];
+        Frame::classic(id, &data).with_time(Instant::from_micros(at))
+    })
+}
+
+/// Runs a listener on the heartbeats of these boards.
+fn listener(boards: Vec<Box<dyn Iterator<Item = Frame>>>, end: Instant) -> Engine {
+    let until_end = |board: Box<dyn Iterator<Item = Frame>>| {
+        board.take_while(|frame| frame.time < end).collect::<Vec<Frame>>()
+    };
+    let mut frames: Vec<Frame> = boards.into_iter().flat_map(until_end).collect();
+    frames.sort_by_key(|frame| frame.time);
+    let mut engine = Engine::new(Instant::ZERO, Config { listen_only: true, ..Config::default() });
+    for frame in frames {
+        while let Some(due) = engine.poll_timeout().filter(|due| *due <= frame.time) {
+            engine.handle_timeout(due);
+        }
+        engine.handle_frame(&frame);
+    }
+    engine
+}
+
+/// A sequence without a repeated pair.
+fn random(count: u32) -> u32 {
+    count.wrapping_mul(0x9E37_79B1) >> 25
+}
+
+#[test]
+fn repeated_addresses_are_named_where_others_have_no_copies() {
+    for (delay, who) in [
+        (20_000, "20 ms apart: repeated by a bridge?"),
+        (300_000, "two boards at each address with equal random numbers, or "),
+    ] {
+        for others in [0, 1, 3] {
+            let mut boards: Vec<Box<dyn Iterator<Item = Frame>>> = Vec::new();
+            for address in [12, 14] {
+                let first = u64::from(address) * 5_000;
+                let number = move |count| random(count + address);
+                boards.push(Box::new(beats(address, first, 1_000_000, number)));
+                boards.push(Box::new(beats(address, first + delay, 1_000_000, number)));
+            }
+            for other in 0..others {
+                let number = move |count| random(count + 40 + other);
+                boards.push(Box::new(beats(40 + other, 600_000, 1_000_400, number)));
+            }
+            let mut engine = listener(boards, END);
+            let label = format!("{delay} µs, {others} others");
+            assert_eq!(confirmed(&mut engine), [], "{label}");
+            let repeated = engine.findings().iter();
+            let repeated = repeated.filter(|it| it.key.kind == FindingKind::FramesRepeated);
+            let open = repeated.filter(|it| it.state == FindingState::Suspected);
+            let texts: Vec<&str> = open.map(|it| &*it.text).collect();
+            let says_all = texts.iter().any(|text| text.starts_with("All frames arrive twice"));
+            assert_eq!(says_all, others == 0, "{label}: {texts:?}");
+            if others == 0 {
+                assert!(texts[0].contains(who), "{label}: {texts:?}");
+            } else {
+                let names = |text: &&str| text.contains(" 12") || text.contains(" 14 ");
+                assert!(!texts.is_empty() && texts.iter().all(names), "{label}: {texts:?}");
+            }
+        }
+    }
+}
+
+/// The heartbeats of two boards drift from 0.65 to less than 0.45 periods apart.
+#[test]
+fn confirmed_conflict_stays_where_equal_heartbeats_come_closer() {
+    let boards: Vec<Box<dyn Iterator<Item = Frame>>> = vec![
+        Box::new(beats(12, 100_000, 1_000_000, random)),
+        Box::new(beats(12, 750_000, 998_000, random)),
+        Box::new(beats(40, 300_000, 1_000_000, |count| random(count + 40))),
+    ];
+    let mut engine = listener(boards, Instant::from_micros(200_000_000));
+    assert_eq!(confirmed(&mut engine), [FindingKind::SameNameSameAddress]);
+    let found = finding(&engine, FindingKind::SameNameSameAddress).unwrap();
+    assert_eq!(found.state, FindingState::Confirmed, "{:#?}", engine.findings());
+}
+
+#[test]
+fn late_copies_of_one_neighbour_doubt_a_constant_random_number() {
+    for delay in [120_000, 200_000, 400_000] {
+        let mut boards: Vec<Box<dyn Iterator<Item = Frame>>> = Vec::new();
+        for late in [0, delay] {
+            boards.push(Box::new(beats(12, 100_000 + late, 1_000_000, |_| 9)));
+            boards.push(Box::new(beats(40, 650_000 + late, 1_000_000, random)));
+        }
+        let mut engine = listener(boards, END);
+        assert_eq!(confirmed(&mut engine), [], "{delay} µs: {:#?}", engine.findings());
+    }
 }

@@ -37,7 +37,7 @@ use history::{AddressHistory, MAX_DOUBLE_RATE_HEARTBEATS};
 pub(super) use query_responses::RequestOrigin;
 use query_responses::SurplusResponse;
 use recent_values::ObservedValue;
-use repeated_frames::{COPIES_OF_ONE, RepeatedFrameDetector};
+use repeated_frames::{COPIES_OF_ONE, MAX_FORWARDING_DELAY, RepeatedFrameDetector};
 use rhythm::HeartbeatPattern;
 use std::borrow::Cow;
 pub use time_resolution::TimeDoubt;
@@ -636,7 +636,7 @@ impl ConflictDetector {
 
     /// Returns the delay between heartbeats of `address` that may be copies and their originals.
     fn delay_of_likely_copies(&self, now: Instant, address: Address) -> Option<Duration> {
-        let delay = self.repeated_frames.longest_bus_delay(now);
+        let delay = self.repeated_frames.longest_delay_of_others(now, address);
         let heartbeats = &self.histories[address].heartbeats;
         heartbeats.delay_of_likely_copies(self.periods.of(address), delay)
     }
@@ -768,10 +768,24 @@ impl ConflictDetector {
         let recorded = history.heartbeats.record(now, frame, period, resolution);
         let was_repeated = self.repeated_frames.is_repeated(now, source);
         self.repeated_frames.note_heartbeat(now, source, recorded);
+        let is_bus_wide = self.repeated_frames.is_bus_repeated(now);
+        let same = FindingKind::SameNameSameAddress;
+        // A gateway does not come that late, nor do responses contradict it: the two devices found are both
+        // still there.
+        let shows_two = |delay: Duration| {
+            !is_bus_wide
+                && (delay > MAX_FORWARDING_DELAY
+                    || self.repeated_frames.two_devices_since(source).is_some())
+                && self.finding_tracker.is_confirmed(same, source)
+        };
+        if recorded.copy_delay.is_some_and(shows_two) {
+            let until = now + self.longest_period(source) * CLAIM_PERIODS;
+            self.finding_tracker.note_several_senders(until, source);
+            return recorded.is_new;
+        }
         if !self.repeated_frames.is_repeated(now, source) {
             return recorded.is_new;
         }
-        let is_bus_wide = self.repeated_frames.is_bus_repeated(now);
         let address = Some(source).filter(|_| !is_bus_wide);
         if !was_repeated {
             for kind in [FindingKind::SameNameSameAddress, FindingKind::AnswersDoubled] {
@@ -782,8 +796,8 @@ impl ConflictDetector {
         if recorded.copy_delay.is_some()
             && let Some(original) = original.copied()
         {
-            let delay = self.repeated_frames.delay_of(address);
-            self.finding_tracker.note_repeated(now, address, delay, [original, *frame]);
+            let repeated = self.repeated_frames.repeated_frames(now, address);
+            self.finding_tracker.note_repeated(now, address, &repeated, [original, *frame]);
         }
         recorded.is_new
     }

@@ -62,9 +62,10 @@ pub(super) struct RepeatedFrameDetector {
     /// Time until which heartbeats of several addresses are copied.
     several_sources_until: Instant,
     active_until: Instant,
-    /// Longest delay of a copied heartbeat, and the shortest in this series.
+    /// Longest delay of a copied heartbeat.
     delay: Duration,
-    shortest: Option<Duration>,
+    /// Delays of the copied heartbeats of this series.
+    delays: Option<DelayRange>,
     /// Longest delay of a copy that was received, at least [`MAX_FORWARDING_DELAY`].
     longest_delay: Duration,
     response_pairs: ResponsePairs,
@@ -76,10 +77,28 @@ pub(super) struct RepeatedFrameDetector {
     series: AddressTable<CopySeries>,
 }
 
+/// Shortest and longest delay of copies.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(in crate::discovery) struct DelayRange {
+    pub shortest: Duration,
+    pub longest: Duration,
+}
+
+/// What the text of repeated frames says.
+#[derive(Clone, Debug)]
+pub(in crate::discovery) struct RepeatedFrames {
+    /// Whose frames are repeated; none: those of all.
+    pub addresses: Vec<Address>,
+    pub delays: DelayRange,
+}
+
 /// Successive copied heartbeats of one address.
 #[derive(Clone, Debug, Default)]
 struct CopySeries {
     count: u32,
+    /// Time of the last heartbeat, and of the last one with a copy.
+    heard_at: Option<Instant>,
+    copied_at: Option<Instant>,
     /// Delays of the last copies.
     delays: [Duration; COPIES_OF_ONE as usize],
     /// Shortest and longest of them.
@@ -168,7 +187,7 @@ impl RepeatedFrameDetector {
             several_sources_until: Instant::ZERO,
             active_until: Instant::ZERO,
             delay: Duration::ZERO,
-            shortest: None,
+            delays: None,
             longest_delay: MAX_FORWARDING_DELAY,
             response_pairs: ResponsePairs::default(),
             awaiting_copy: VecDeque::new(),
@@ -216,19 +235,45 @@ impl RepeatedFrameDetector {
             && gaps.filter(|gap| is_other(*gap)).count() < MIN_OTHER_GAPS
     }
 
-    /// Returns the longest delay of the copies of other addresses, if the frames of all are repeated; else
-    /// zero.
-    pub fn longest_bus_delay(&self, now: Instant) -> Duration {
-        if self.is_bus_repeated(now) { self.delay + DELAY_JITTER } else { Duration::ZERO }
+    /// Returns the longest delay of the copies of addresses other than `address`; zero if they have none.
+    pub fn longest_delay_of_others(&self, now: Instant, address: Address) -> Duration {
+        if self.is_bus_repeated(now) {
+            return self.delay + DELAY_JITTER;
+        }
+        let others = Address::all().filter(|other| *other != address).map(|it| &self.series[it]);
+        let repeated = others.filter(|series| now < series.active_until);
+        repeated.map(|series| series.longest + DELAY_JITTER).max().unwrap_or_default()
     }
 
-    /// Returns the shortest delay of the copies of `address`, or of all with `None`: later ones
-    /// waited for other frames.
-    pub fn delay_of(&self, address: Option<Address>) -> Duration {
-        match address.map(|address| &self.series[address]) {
-            Some(series) if series.count > 0 => series.shortest,
-            _ => self.shortest.unwrap_or(self.delay),
+    /// Returns whose frames are repeated, and how late: of `address`, or of several with `None`. Late
+    /// copies waited for other frames.
+    pub fn repeated_frames(&self, now: Instant, address: Option<Address>) -> RepeatedFrames {
+        let Some(address) = address else {
+            let delays = DelayRange { shortest: self.delay, longest: self.delay };
+            let delays = self.delays.unwrap_or(delays);
+            return RepeatedFrames { addresses: self.repeated_addresses(now), delays };
+        };
+        let CopySeries { shortest, longest, .. } = self.series[address];
+        let delays = match self.series[address].count {
+            0 => self.delays.unwrap_or(DelayRange { shortest: self.delay, longest: self.delay }),
+            _ => DelayRange { shortest, longest },
+        };
+        RepeatedFrames { addresses: vec![address], delays }
+    }
+
+    /// Returns the addresses whose frames are repeated, if other nodes send frames without copies; else none.
+    fn repeated_addresses(&self, now: Instant) -> Vec<Address> {
+        let is_recent = |at: Option<Instant>| {
+            at.is_some_and(|at| now.since(at) < self.period * REPEATED_PERIODS)
+        };
+        let has_no_copies = |address: Address| {
+            let series = &self.series[address];
+            series.uncopied >= MAX_UNCOPIED && is_recent(series.heard_at)
+        };
+        if !Address::all().any(has_no_copies) {
+            return Vec::new();
         }
+        Address::all().filter(|address| is_recent(self.series[*address].copied_at)).collect()
     }
 
     /// Returns true if the frames of several addresses, so probably all, are repeated.
@@ -294,7 +339,9 @@ impl RepeatedFrameDetector {
             self.response_pairs = ResponsePairs::default();
         }
         let series = &mut self.series[address];
+        series.heard_at = Some(now);
         if let Some(delay) = recorded.copy_delay {
+            series.copied_at = Some(now);
             series.uncopied = 0;
             self.longest_delay = self.longest_delay.max(delay);
             self.note_copied_heartbeat(now, address, delay);
@@ -317,7 +364,7 @@ impl RepeatedFrameDetector {
                 self.copy_count = 0;
                 self.several_sources_until = Instant::ZERO;
                 self.last_copied = None;
-                self.shortest = None;
+                self.delays = None;
             }
         }
         if self.last_heartbeat.is_some_and(|(last, _)| last != address) {
@@ -332,11 +379,13 @@ impl RepeatedFrameDetector {
             let (short, long) = (delay.min(other_delay), delay.max(other_delay));
             other != address && long <= short * 2 + BRIDGE_JITTER
         };
-        if self.last_copied.is_some_and(is_of_one_bridge) {
+        if self.copy_count >= COPIES_OF_ONE && self.last_copied.is_some_and(is_of_one_bridge) {
             self.several_sources_until = now + self.period * REPEATED_PERIODS;
         }
         self.last_copied = Some((address, delay));
-        self.shortest = Some(self.shortest.map_or(delay, |shortest| shortest.min(delay)));
+        let delays = self.delays.unwrap_or(DelayRange { shortest: delay, longest: delay });
+        let shortest = delays.shortest.min(delay);
+        self.delays = Some(DelayRange { shortest, longest: delays.longest.max(delay) });
         let alone = self.copy_count >= COPIES_OF_ONE && self.is_single_source(now, address);
         if now < self.several_sources_until || alone && self.two_responders_since().is_none() {
             self.active_until = now + self.period * REPEATED_PERIODS;
@@ -375,7 +424,7 @@ impl RepeatedFrameDetector {
 
     /// Returns since when responses come in pairs as from two devices, not from a bridge.
     fn two_responders_since(&self) -> Option<Instant> {
-        self.response_pairs.two_responders_since(self.shortest?)
+        self.response_pairs.two_responders_since(self.delays?.shortest)
     }
 
     /// Returns since when `address` responds twice although its heartbeats seemed repeated: two
