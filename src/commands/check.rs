@@ -52,6 +52,7 @@ pub fn run(check: &CheckArgs) -> Result<u8, Failure> {
     }
     warn_all_tx_blocked(&app, now);
     warn_foreign(&app, &mut Vec::new());
+    warn_uncounted_conflicts(&app);
     let report = ScanReport::new(&app, now, Scope::Check);
     if let Some(format) = check.report {
         let name = format!("descan check {}", names_of_files(&app));
@@ -61,6 +62,33 @@ pub fn run(check: &CheckArgs) -> Result<u8, Failure> {
     }
     recording?;
     Ok(if report.has_findings() { EXIT_FINDINGS } else { EXIT_OK })
+}
+
+/// Most conflicts that do not count and are named.
+const NAMED_CONFLICTS: usize = 8;
+
+/// Warns of conflicts that do not count as a difference: suspected ones, those that were over before
+/// the end, and repeated frames, behind which a second board may be.
+fn warn_uncounted_conflicts(app: &App) {
+    let is_conflict = |it: &&Finding| {
+        it.key.kind.is_conflict() || it.key.kind == FindingKind::FramesRepeated
+    };
+    let found = app.buses().iter().flat_map(Bus::findings).filter(is_conflict);
+    let uncounted = found.filter_map(|it| match it.state {
+        FindingState::Suspected => Some(("suspected", it)),
+        FindingState::Cleared if it.was_confirmed && it.superseded_by.is_none() => {
+            Some(("over", it))
+        }
+        FindingState::Cleared | FindingState::Confirmed => None,
+    });
+    let lines: Vec<String> =
+        uncounted.map(|(state, it)| format!("{state}: {}", line_of(app, it))).collect();
+    for line in lines.iter().take(NAMED_CONFLICTS) {
+        output::warn(format_args!("{line}"));
+    }
+    if let Some(more) = lines.len().checked_sub(NAMED_CONFLICTS).filter(|more| *more > 0) {
+        output::warn(format_args!("{more} more conflicts that are suspected or over: descan scan"));
+    }
 }
 
 /// Returns true if every entry has its device, with known services where the file lists them.

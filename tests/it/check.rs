@@ -428,3 +428,29 @@ fn log_without_frames_of_devices_says_what_it_has() {
         assert!(said.contains(&told), "{said}");
     }
 }
+
+#[test]
+fn conflict_that_does_not_count_is_a_warning() {
+    let folder = Folder::with(&bus(), Some("[]"));
+    let beat = |millis: u64, number: u64, last: u8| {
+        let (second, part) = (1_436_509_052 + millis / 1000, millis % 1000);
+        let id = 0x0718_0001 | (number.wrapping_mul(0x9E37_79B1) >> 8 & 127) << 10;
+        format!("({second}.{part:03}000) can0 {id:08X}#8AFA6C97241{last:X}0400\n")
+    };
+    // The second board: equal random numbers, or other ones and gone after 15 s.
+    let equal = |n: u64| [beat(n * 1000, n, 1), beat(n * 1000 + 300, n, 1)].concat();
+    let gone = |n: u64| {
+        let other = if n < 15 { beat(n * 1000 + 300, n + 50, 2) } else { String::new() };
+        beat(n * 1000, n, 1) + &other
+    };
+    for (log, words) in [
+        ((0..30).map(equal).collect::<String>(), "suspected: Frames from address 12 arrive twice, "),
+        ((0..40).map(gone).collect(), "over: Two devices "),
+    ] {
+        folder.write("session.log", &log);
+        let output = folder.check(&["file:session.log"]);
+        let told = text(&output.stderr);
+        assert!(told.contains(words), "{told}");
+        assert!(!text(&output.stdout).contains("address conflict"), "{}", text(&output.stdout));
+    }
+}
