@@ -70,9 +70,8 @@ const NAMED_CONFLICTS: usize = 8;
 /// Warns of conflicts that do not count as a difference: suspected ones, those that were over before
 /// the end, and repeated frames, behind which a second board may be.
 fn warn_uncounted_conflicts(app: &App) {
-    let is_conflict = |it: &&Finding| {
-        it.key.kind.is_conflict() || it.key.kind == FindingKind::FramesRepeated
-    };
+    let is_conflict =
+        |it: &&Finding| it.key.kind.is_conflict() || it.key.kind == FindingKind::FramesRepeated;
     let found = app.buses().iter().flat_map(Bus::findings).filter(is_conflict);
     let uncounted = found.filter_map(|it| match it.state {
         FindingState::Suspected => Some(("suspected", it)),

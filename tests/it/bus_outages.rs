@@ -311,3 +311,29 @@ fn requests_delayed_in_full_queue_raise_no_finding() {
         }
     }
 }
+
+#[test]
+fn bus_that_is_opened_again_restarts_discovery() {
+    let mut stage = Stage::settled();
+    stage.becomes(|status| status.link = Link::Unplugged);
+    stage.run(3.0);
+    stage.becomes(|status| status.link = Link::Opening);
+    stage.run(1.0);
+    stage.becomes(|status| status.link = Link::Up);
+    stage.begins_anew();
+}
+
+/// The controller reports bus-off by an error frame, and its port no state.
+#[test]
+fn error_frame_of_bus_off_restarts_nothing_at_the_next_status() {
+    let mut stage = Stage::settled();
+    let now = stage.app.now();
+    let mut bus_off = Frame::classic(0x40, &[0; 8]).with_time(now);
+    bus_off.id = CanId::Extended(0x40);
+    bus_off.kind = FrameKind::Error;
+    stage.app.handle_frames(now, &[bus_off]);
+    stage.becomes(|status| status.kernel_drops = 1);
+    assert_eq!(stage.own_address(), OwnAddress::Held(Address::DEBUG));
+    stage.run(2.0);
+    assert!(!stage.has_asked_everybody(), "{:?}", stage.sent);
+}

@@ -444,7 +444,10 @@ fn conflict_that_does_not_count_is_a_warning() {
         beat(n * 1000, n, 1) + &other
     };
     for (log, words) in [
-        ((0..30).map(equal).collect::<String>(), "suspected: Frames from address 12 arrive twice, "),
+        (
+            (0..30).map(equal).collect::<String>(),
+            "suspected: Frames from address 12 arrive twice, ",
+        ),
         ((0..40).map(gone).collect(), "over: Two devices "),
     ] {
         folder.write("session.log", &log);

@@ -359,7 +359,7 @@ fn time_in_bus_off_of_a_log_is_not_counted_against_devices() {
     let restarted = "(1060.000000) can0 20000100#0000000000000000\n";
     // The other line gives the time: reports of an interface without devices.
     let elsewhere = |range: std::ops::Range<u32>| -> String {
-        range.map(|at| format!("({at}.500000) can1 123#00\n")).collect()
+        range.fold(String::new(), |text, at| text + &format!("({at}.500000) can1 123#00\n"))
     };
     let first: String = (1000..1030).map(|at| beat(at, at - 1000)).collect();
     let rest: String = (1060..1080).map(|at| beat(at, at - 1030)).collect();
