@@ -127,7 +127,7 @@ impl App {
             past.problems.toggle_muted(key.clone());
         }
         let is_muted = self.problems.toggle_muted(key);
-        self.refresh();
+        self.refresh_for_draw();
         if is_muted {
             let undo = self.key_of(Action::Mute);
             let place = if self.view.page == Page::Problems { "" } else { " on Problems" };

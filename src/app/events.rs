@@ -137,6 +137,7 @@ impl App {
     /// Compares file and buses again and queues the differences that changed.
     pub(super) fn refresh_problems(&mut self) {
         let now = self.clock.now();
+        self.file_comparison.note_comparison(now);
         let before = self.problems.refresh(&self.buses, self.files.documents(), now);
         if !self.notices.emits_events() {
             return self.note_file_findings(&before, now);
@@ -224,6 +225,7 @@ impl App {
             self.notices.emit(event);
         }
         self.take_events();
+        self.compare_file_soon();
         self.refresh_before_draw();
         if self.clock.playback().is_some_and(|it| it.is_standing()) {
             // The time of a later draw would not come.

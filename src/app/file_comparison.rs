@@ -31,6 +31,11 @@ impl FileComparison {
         self.due.get_or_insert(earliest.max(now));
     }
 
+    /// Notes a comparison, whatever the reason for it was.
+    pub fn note_comparison(&mut self, now: Instant) {
+        self.listened_until = self.listened_until.max(now);
+    }
+
     /// Returns true if a comparison waits for its time.
     fn waits(&self, now: Instant) -> bool {
         self.due.is_some_and(|due| due > now)
@@ -65,13 +70,15 @@ impl App {
         self.file_comparison.due.into_iter().chain(ends).min()
     }
 
-    /// Compares des.json with the buses at each moment until `now` at which that is due.
+    /// Compares des.json with the buses at each moment until `now` at which that is due, as far as the
+    /// timers of the buses before it have run.
     pub(super) fn compare_file_until(&mut self, now: Instant) {
-        while let Some(due) = self.file_comparison_due().filter(|due| *due <= now) {
+        while let Some(due) = self.file_comparison_due().filter(|due| *due <= now)
+            && self.buses.poll_timeout().is_none_or(|timer| timer >= due)
+        {
             let at = self.clock.set(due);
             self.file_comparison.due = None;
             self.file_comparison.last = Some(at);
-            self.file_comparison.listened_until = at;
             self.refresh_problems();
             self.notices.redraw.set_stale();
             self.request_redraw();
@@ -79,9 +86,10 @@ impl App {
     }
 
     /// Compares des.json with the buses before a draw, unless that is due at a later time: what a log
-    /// shows does not depend on the moments at which it was drawn.
+    /// shows does not depend on the moments at which it was drawn. At its end nothing is waited for.
     pub(super) fn compare_file_for_draw(&mut self) {
-        if self.is_of_logs() && self.file_comparison.waits(self.clock.now()) {
+        let goes_on = self.clock.playback().is_some_and(|it| !it.is_ended);
+        if goes_on && self.file_comparison.waits(self.clock.now()) {
             self.problems.assign(&self.buses, self.files.documents());
         } else {
             self.refresh_problems();

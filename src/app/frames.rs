@@ -25,7 +25,6 @@ impl App {
         let (events_until, mut events_at) = (self.clock.now(), None);
         for frame in frames {
             let now = frame.time;
-            self.compare_file_until(now);
             // It was idle if nothing changes with time; a frame may end that.
             let due = match timers {
                 Some(due) if !self.was_idle => due,

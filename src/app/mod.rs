@@ -742,7 +742,7 @@ impl App {
                     past.buses.set_project(project);
                 }
                 self.show_info(format!("{name}: read"));
-                self.refresh_before_draw();
+                self.refresh();
             }
             Err(why) => {
                 let text = format!("{name}: {why}; the project before stays in force");
@@ -777,7 +777,7 @@ impl App {
         if let Some(past) = &mut self.past {
             past.buses.set_catalogue(catalogue);
         }
-        self.refresh_before_draw();
+        self.refresh();
         self.filter_frames();
         self.notices.redraw.set_dirty();
     }
@@ -853,6 +853,9 @@ impl App {
             if self.time_bar.end != self.last_moment() {
                 // A log that stands has no further second.
                 self.renew_time_bar();
+            }
+            if self.clock.playback().is_some_and(|it| it.is_ended) {
+                self.notices.redraw.set_stale();
             }
             self.notices.redraw.set_dirty();
         }
@@ -952,10 +955,7 @@ impl App {
     /// frame.
     pub fn renew_rows(&mut self) {
         if self.notices.redraw.take_stale() {
-            self.note_content();
-            self.refresh_redundancy();
-            self.compare_file_for_draw();
-            self.settle_view();
+            self.refresh_for_draw();
         }
         self.filter_frames();
     }
@@ -1221,6 +1221,15 @@ impl App {
         self.note_content();
         self.refresh_redundancy();
         self.refresh_problems();
+        self.settle_view();
+    }
+
+    /// The same, but for a comparison that is due at a later time.
+    fn refresh_for_draw(&mut self) {
+        self.notices.redraw.take_stale();
+        self.note_content();
+        self.refresh_redundancy();
+        self.compare_file_for_draw();
         self.settle_view();
     }
 

@@ -71,7 +71,7 @@ impl App {
         self.view.frozen = None;
         self.renew_time_bar();
         self.notices.timeline_mut().pin_lines(false);
-        self.refresh();
+        self.refresh_for_draw();
         self.filter_frames();
     }
 

@@ -86,7 +86,7 @@ fn warn_uncounted_conflicts(app: &App) {
         output::warn(format_args!("{line}"));
     }
     if let Some(more) = lines.len().checked_sub(NAMED_CONFLICTS).filter(|more| *more > 0) {
-        output::warn(format_args!("{more} more conflicts that are suspected or over: descan scan"));
+        output::warn(format_args!("{more} more suspected or over are not listed"));
     }
 }
 

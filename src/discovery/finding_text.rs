@@ -235,7 +235,9 @@ pub(super) fn repeated(repeated: &RepeatedFrames) -> String {
         }
         _ => format!("Frames from {} addresses", addresses.len()),
     };
-    let is_late = *longest > MAX_FORWARDING_DELAY;
+    // Of several, one copy may have waited.
+    let delay = if addresses.len() == 1 { longest } else { shortest };
+    let is_late = *delay > MAX_FORWARDING_DELAY;
     let or = match (addresses.len(), is_late) {
         (1, true) => "two boards with equal random numbers, or ",
         (1, false) => "sent twice, or ",

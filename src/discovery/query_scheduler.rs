@@ -333,11 +333,6 @@ impl Requester {
                 }
             }
         }
-        if tracker.config.listen_only && self.rounds.is_collecting() {
-            // A round that the log holds.
-            let round = self.rounds.poll_timeout(&tracker.config, 0);
-            due = due.min(round.unwrap_or(NO_TIMEOUT));
-        }
         if sending {
             let round = self.rounds.poll_timeout(&tracker.config, self.open_queries(tracker));
             due = due.min(round.unwrap_or(NO_TIMEOUT));

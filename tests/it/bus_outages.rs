@@ -1,6 +1,6 @@
 //! Bus outages: frames sent and messages reported during and after the outage.
 
-use descan::app::{App, AppOptions};
+use descan::app::{App, AppOptions, FileIndex, FileReading};
 use descan::diagnostic::Diagnostic;
 use descan::discovery::{Config, OwnAddress};
 use descan::frame::{BusIndex, CanId, Frame, FrameKind};
@@ -33,6 +33,7 @@ impl Stage {
         let station = sim.attach();
         let options = AppOptions {
             buses: vec![("can0".to_owned(), Config::default())],
+            file_path: Some("des.json".into()),
             ..AppOptions::default()
         };
         let app = App::new(Instant::ZERO, options);
@@ -336,4 +337,19 @@ fn error_frame_of_bus_off_restarts_nothing_at_the_next_status() {
     assert_eq!(stage.own_address(), OwnAddress::Held(Address::DEBUG));
     stage.run(2.0);
     assert!(!stage.has_asked_everybody(), "{:?}", stage.sent);
+}
+
+/// A time limit that had passed before would be taken for a program that was stopped.
+#[test]
+fn file_that_appears_late_makes_nothing_overdue() {
+    let mut stage = Stage::settled();
+    stage.run(5.0);
+    let now = stage.app.now();
+    let content = FileReading::Content(Some(r#"[{"name": "PUMP", "address": 40}]"#.into()));
+    stage.app.handle_file(now, FileIndex::default(), content);
+    assert!(
+        stage.app.poll_timeout().is_some_and(|due| due >= now),
+        "{:?}",
+        stage.app.poll_timeout()
+    );
 }

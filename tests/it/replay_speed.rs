@@ -92,6 +92,28 @@ fn missing_devices_have_one_time_wherever_one_seeks() {
     assert!(times.iter().all(|time| *time == times[0]), "{times:?}");
 }
 
+/// Devices join within 200 ms of the end: nothing comes after them.
+#[test]
+fn log_that_ends_at_an_event_has_its_missing_devices() {
+    let folder = tempfile::tempdir().unwrap();
+    let line = |millis: u32, address: u32| {
+        let id = 0x0700_0001 | address << 17 | address << 10;
+        format!("(1700000000.{millis:03}000) can0 {id:08X}#8AFA6C97241{address:X}0400\n")
+    };
+    let log: String = [(100, 8), (190, 9), (240, 10)].map(|(at, device)| line(at, device)).concat();
+    fs::write(folder.path().join("short.log"), log).unwrap();
+    let entry = r#"[{"name": "FEED", "address": 40}]"#;
+    fs::write(folder.path().join("des.json"), entry).unwrap();
+    let arguments = ["file:short.log", "--file", "des.json"];
+    let mut pty = Pty::start(&arguments, folder.path(), (120, 40));
+    pty.wait_for("end of log");
+    pty.wait_for("1 missing");
+    pty.send("4");
+    pty.wait_for("FEED is missing");
+    pty.send("q");
+    assert_eq!(pty.wait(), 0);
+}
+
 #[test]
 fn log_without_a_frame_has_no_missing_devices() {
     let folder = tempfile::tempdir().unwrap();

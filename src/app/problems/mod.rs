@@ -50,8 +50,8 @@ pub(super) struct Problems {
     /// Findings of the comparison before they ended or changed their state, with the time of that, oldest
     /// first; at most [`MAX_FORMER`].
     former: VecDeque<(Instant, Finding)>,
-    /// From then on `former` and `file_findings` hold all that was found; `None` before a des.json was
-    /// compared.
+    /// From then on `former` and `file_findings` hold all that was found; `None` while a des.json was
+    /// not compared, nor former ones dropped.
     compared_from: Option<Instant>,
     /// Places of the entries that these findings are about, in the same order.
     finding_entries: Vec<Option<EntryPlace>>,

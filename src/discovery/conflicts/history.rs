@@ -21,7 +21,7 @@ use std::collections::VecDeque;
 /// a tenth of the default period.
 const COPY_WINDOW: Duration = Duration::from_millis(100);
 /// Longest delay of a bridge: of 300 frames in its queue, at 125 kbit/s.
-const LONGEST_DELAY: Duration = Duration::from_millis(300);
+pub(super) const LONGEST_DELAY: Duration = Duration::from_millis(300);
 /// The same in periods: less than the half after which two equal devices may send in turns.
 const COPY_PERIODS: f64 = 0.45;
 /// The same in periods of a fast sender, whose next heartbeat comes after them.

@@ -33,11 +33,11 @@ use crate::wire::isotp::{Pci, TransferFault};
 use crate::wire::node::Uid;
 use crate::wire::profile::{Profile, ProfileKey, UidProfile};
 use grid::WINDOW_PERIODS;
-use history::{AddressHistory, MAX_DOUBLE_RATE_HEARTBEATS};
+use history::{AddressHistory, LONGEST_DELAY, MAX_DOUBLE_RATE_HEARTBEATS};
 pub(super) use query_responses::RequestOrigin;
 use query_responses::SurplusResponse;
 use recent_values::ObservedValue;
-use repeated_frames::{COPIES_OF_ONE, MAX_FORWARDING_DELAY, RepeatedFrameDetector};
+use repeated_frames::{COPIES_OF_ONE, RepeatedFrameDetector};
 use rhythm::HeartbeatPattern;
 use std::borrow::Cow;
 pub use time_resolution::TimeDoubt;
@@ -770,11 +770,11 @@ impl ConflictDetector {
         self.repeated_frames.note_heartbeat(now, source, recorded);
         let is_bus_wide = self.repeated_frames.is_bus_repeated(now);
         let same = FindingKind::SameNameSameAddress;
-        // A gateway does not come that late, nor do responses contradict it: the two devices found are both
-        // still there.
+        // No gateway repeats frames that late, or responses contradict it: the two devices that were found
+        // are still there.
         let shows_two = |delay: Duration| {
             !is_bus_wide
-                && (delay > MAX_FORWARDING_DELAY
+                && (delay > LONGEST_DELAY
                     || self.repeated_frames.two_devices_since(source).is_some())
                 && self.finding_tracker.is_confirmed(same, source)
         };

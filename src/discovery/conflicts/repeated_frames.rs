@@ -11,7 +11,7 @@
 //! They differ from a bridge in the phase between their heartbeats: a bridge is not much faster
 //! with responses than with heartbeats.
 
-use super::history::RecordedHeartbeat;
+use super::history::{RecordedHeartbeat, push_bounded};
 use crate::discovery::address_table::AddressTable;
 use crate::frame::Frame;
 use crate::time::{Duration, Instant};
@@ -45,6 +45,9 @@ const FAST_PAIR_MARGIN: Duration = Duration::from_millis(5);
 /// several senders do. Chosen: half of two periods each.
 const TIMED_GAPS: usize = 8;
 const MIN_OTHER_GAPS: usize = 4;
+/// Number of the last copies whose delays a text has. Chosen: one that waited is soon no longer among
+/// them.
+const RECENT_DELAYS: usize = 8;
 /// Maximum number of frames whose copy may still arrive. Bounds the memory: all frames of
 /// 0.1 s at 1 Mbit/s.
 const MAX_OPEN: usize = 1024;
@@ -64,8 +67,9 @@ pub(super) struct RepeatedFrameDetector {
     active_until: Instant,
     /// Longest delay of a copied heartbeat.
     delay: Duration,
-    /// Delays of the copied heartbeats of this series.
-    delays: Option<DelayRange>,
+    /// Shortest delay of the copied heartbeats of this series, and the last delays.
+    shortest: Option<Duration>,
+    recent_delays: VecDeque<Duration>,
     /// Longest delay of a copy that was received, at least [`MAX_FORWARDING_DELAY`].
     longest_delay: Duration,
     response_pairs: ResponsePairs,
@@ -187,7 +191,8 @@ impl RepeatedFrameDetector {
             several_sources_until: Instant::ZERO,
             active_until: Instant::ZERO,
             delay: Duration::ZERO,
-            delays: None,
+            shortest: None,
+            recent_delays: VecDeque::new(),
             longest_delay: MAX_FORWARDING_DELAY,
             response_pairs: ResponsePairs::default(),
             awaiting_copy: VecDeque::new(),
@@ -245,19 +250,18 @@ impl RepeatedFrameDetector {
         repeated.map(|series| series.longest + DELAY_JITTER).max().unwrap_or_default()
     }
 
-    /// Returns whose frames are repeated, and how late: of `address`, or of several with `None`. Late
-    /// copies waited for other frames.
+    /// Returns whose frames are repeated, and how late: of `address`, or of several with `None`.
     pub fn repeated_frames(&self, now: Instant, address: Option<Address>) -> RepeatedFrames {
+        let delays = self.recent_delays.iter().copied();
+        let of_all = DelayRange {
+            shortest: delays.clone().min().unwrap_or(self.delay),
+            longest: delays.max().unwrap_or(self.delay),
+        };
         let Some(address) = address else {
-            let delays = DelayRange { shortest: self.delay, longest: self.delay };
-            let delays = self.delays.unwrap_or(delays);
-            return RepeatedFrames { addresses: self.repeated_addresses(now), delays };
+            return RepeatedFrames { addresses: self.repeated_addresses(now), delays: of_all };
         };
-        let CopySeries { shortest, longest, .. } = self.series[address];
-        let delays = match self.series[address].count {
-            0 => self.delays.unwrap_or(DelayRange { shortest: self.delay, longest: self.delay }),
-            _ => DelayRange { shortest, longest },
-        };
+        let CopySeries { count, shortest, longest, .. } = self.series[address];
+        let delays = if count == 0 { of_all } else { DelayRange { shortest, longest } };
         RepeatedFrames { addresses: vec![address], delays }
     }
 
@@ -364,7 +368,8 @@ impl RepeatedFrameDetector {
                 self.copy_count = 0;
                 self.several_sources_until = Instant::ZERO;
                 self.last_copied = None;
-                self.delays = None;
+                self.shortest = None;
+                self.recent_delays.clear();
             }
         }
         if self.last_heartbeat.is_some_and(|(last, _)| last != address) {
@@ -383,9 +388,8 @@ impl RepeatedFrameDetector {
             self.several_sources_until = now + self.period * REPEATED_PERIODS;
         }
         self.last_copied = Some((address, delay));
-        let delays = self.delays.unwrap_or(DelayRange { shortest: delay, longest: delay });
-        let shortest = delays.shortest.min(delay);
-        self.delays = Some(DelayRange { shortest, longest: delays.longest.max(delay) });
+        self.shortest = Some(self.shortest.map_or(delay, |shortest| shortest.min(delay)));
+        push_bounded(&mut self.recent_delays, delay, RECENT_DELAYS);
         let alone = self.copy_count >= COPIES_OF_ONE && self.is_single_source(now, address);
         if now < self.several_sources_until || alone && self.two_responders_since().is_none() {
             self.active_until = now + self.period * REPEATED_PERIODS;
@@ -424,7 +428,7 @@ impl RepeatedFrameDetector {
 
     /// Returns since when responses come in pairs as from two devices, not from a bridge.
     fn two_responders_since(&self) -> Option<Instant> {
-        self.response_pairs.two_responders_since(self.delays?.shortest)
+        self.response_pairs.two_responders_since(self.shortest?)
     }
 
     /// Returns since when `address` responds twice although its heartbeats seemed repeated: two

@@ -26,7 +26,7 @@ impl DeviceTracker {
         // Bus-off, it receives nothing until it reports something of the bus.
         if report.is_bus_off() {
             self.outages.begin(now);
-        } else if report.is_from_bus() && self.outages.is_contradicted_by(now) {
+        } else if report.is_from_bus() && self.outages.is_contradicted_by(frame.time) {
             self.end_outage();
         }
         let errors = &mut self.errors;
