@@ -50,14 +50,14 @@ impl App {
         }
     }
 
-    /// Requests a comparison if an enumeration round ended, which is no event.
+    /// Requests a comparison if an enumeration round ended: the engine emits no event then.
     pub(super) fn compare_file_after_round(&mut self) {
         let rounds = self.buses.iter().map(|bus| u64::from(bus.finished_rounds())).sum();
-        let has_ended = std::mem::replace(&mut self.file_comparison.rounds, rounds) != rounds;
-        match has_ended {
-            true if self.view.has_screen => self.compare_file_soon(),
-            true => self.refresh_before_draw(),
-            false => {}
+        if std::mem::replace(&mut self.file_comparison.rounds, rounds) != rounds {
+            self.compare_file_soon();
+            if !self.view.has_screen {
+                self.refresh_before_draw();
+            }
         }
     }
 

@@ -1217,24 +1217,19 @@ impl App {
 
     /// Renews everything that is made from buses and file.
     fn refresh(&mut self) {
-        self.notices.redraw.take_stale();
-        self.note_content();
-        self.refresh_redundancy();
-        self.refresh_problems();
-        self.settle_view();
+        self.refresh_with(Self::refresh_problems);
     }
 
     /// The same, but for a comparison that is due at a later time.
     fn refresh_for_draw(&mut self) {
+        self.refresh_with(Self::compare_file_for_draw);
+    }
+
+    fn refresh_with(&mut self, compare: fn(&mut Self)) {
         self.notices.redraw.take_stale();
         self.note_content();
         self.refresh_redundancy();
-        self.compare_file_for_draw();
-        self.settle_view();
-    }
-
-    /// Makes what the screen shows of buses and problems anew.
-    fn settle_view(&mut self) {
+        compare(self);
         if self.view.has_screen {
             self.settle_alarm();
             self.settle_problems();

@@ -452,8 +452,8 @@ fn conflict_that_does_not_count_is_a_warning() {
     ] {
         folder.write("session.log", &log);
         let output = folder.check(&["file:session.log"]);
-        let told = text(&output.stderr);
-        assert!(told.contains(words), "{told}");
+        let stderr = text(&output.stderr);
+        assert!(stderr.contains(words), "{stderr}");
         assert!(!text(&output.stdout).contains("address conflict"), "{}", text(&output.stdout));
     }
 }

@@ -373,9 +373,9 @@ fn time_in_bus_off_of_a_log_is_not_counted_against_devices() {
     ] {
         std::fs::write(folder.path().join("session.log"), log).unwrap();
         let output = command(&["watch", "file:session.log"], folder.path()).output().unwrap();
-        let told = String::from_utf8(output.stdout).unwrap();
-        assert!(told.contains("12 ?"), "{name}: {told}");
+        let stdout = String::from_utf8(output.stdout).unwrap();
+        assert!(stdout.contains("12 ?"), "{name}: {stdout}");
         let words = ["lost", "overdue", "rebooted"];
-        assert_eq!(words.iter().any(|word| told.contains(word)), is_lost, "{name}: {told}");
+        assert_eq!(words.iter().any(|word| stdout.contains(word)), is_lost, "{name}: {stdout}");
     }
 }
