@@ -13,6 +13,7 @@ use crate::cli::CheckArgs;
 use crate::discovery::Device;
 use crate::finding::{CheckSection, Finding, FindingKind, FindingState};
 use crate::shell::stop::StopReason;
+use crate::text::counted;
 use crate::time::Instant;
 use std::fmt::Write as _;
 
@@ -70,9 +71,8 @@ const NAMED_CONFLICTS: usize = 8;
 /// Warns of conflicts that do not count as a difference: suspected ones, those that were over before
 /// the end, and repeated frames, behind which a second board may be.
 fn warn_uncounted_conflicts(app: &App) {
-    let is_conflict =
-        |it: &&Finding| it.key.kind.is_conflict() || it.key.kind == FindingKind::FramesRepeated;
-    let found = app.buses().iter().flat_map(Bus::findings).filter(is_conflict);
+    let found = app.buses().iter().flat_map(Bus::findings);
+    let found = found.filter(|it| it.key.kind.may_be_conflict());
     let uncounted = found.filter_map(|it| match it.state {
         FindingState::Suspected => Some(("suspected", it)),
         FindingState::Cleared if it.was_confirmed && it.superseded_by.is_none() => {
@@ -80,13 +80,18 @@ fn warn_uncounted_conflicts(app: &App) {
         }
         FindingState::Cleared | FindingState::Confirmed => None,
     });
-    let lines: Vec<String> =
-        uncounted.map(|(state, it)| format!("{state}: {}", line_of(app, it))).collect();
+    warn_conflicts(uncounted.map(|(state, it)| format!("{state}: {}", line_of(app, it))));
+}
+
+/// Warns of conflicts that do not count, each in a line.
+pub(super) fn warn_conflicts(lines: impl Iterator<Item = String>) {
+    let lines: Vec<String> = lines.collect();
     for line in lines.iter().take(NAMED_CONFLICTS) {
         output::warn(format_args!("{line}"));
     }
     if let Some(more) = lines.len().checked_sub(NAMED_CONFLICTS).filter(|more| *more > 0) {
-        output::warn(format_args!("{more} more suspected or over are not listed"));
+        let conflicts = counted(more as u64, "further conflict");
+        output::warn(format_args!("{conflicts} not listed; they do not count"));
     }
 }
 

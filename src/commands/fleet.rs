@@ -13,6 +13,7 @@ use crate::shell::stop::StopWaiter;
 use crate::time::{Duration, Instant};
 use anyhow::Context;
 use serde::Serialize;
+use std::collections::BTreeSet;
 use std::fmt::Write as _;
 use tokio::time;
 
@@ -33,7 +34,7 @@ const STATUS_WAIT: Duration = Duration::from_secs(35);
 pub fn run(args: &FleetArgs) -> Result<u8, Failure> {
     let access = args.files.access(&args.broker).map_err(Failure::Usage)?;
     let settings = BrokerSettings::read(&access)?;
-    let Some(read) = read(&settings, args.time)? else {
+    let Some(read) = read(&settings, args.time, |_| true)? else {
         return Ok(EXIT_INTERRUPTED);
     };
     let report = FleetReport::new(&settings, &read);
@@ -54,20 +55,58 @@ pub struct FleetReading {
     pub fleet: Fleet,
     /// Time of the state.
     pub now: Instant,
-    /// All documents are there, and no old status may still be renewed.
+    /// All documents are there, and no status may still be renewed.
     pub is_complete: bool,
+}
+
+/// The gateways that a reading waits for when all documents of the broker are there.
+struct AwaitedGateways<F> {
+    /// Whether it waits for that gateway at all.
+    is_wanted: F,
+    /// Those that had a status before the connection was lost. The broker may have lost it meanwhile.
+    known: BTreeSet<GatewayName>,
+}
+
+impl<F: Fn(&GatewayName) -> bool> AwaitedGateways<F> {
+    fn note_known(&mut self, fleet: &Fleet) {
+        let with_status = fleet.gateways().filter(|(_, gateway)| gateway.status().is_some());
+        self.known.extend(with_status.map(|(name, _)| name.clone()));
+    }
+
+    /// Those with a status from long ago.
+    fn old<'a>(&'a self, fleet: &'a Fleet) -> impl Iterator<Item = &'a GatewayName> {
+        fleet.with_old_status(unix_secs()).filter(|name| (self.is_wanted)(name))
+    }
+
+    /// Those without a status since the connection was lost. They publish it after all other documents.
+    fn gone<'a>(&'a self, fleet: &'a Fleet) -> impl Iterator<Item = &'a GatewayName> {
+        let has_status =
+            |name: &&GatewayName| fleet.gateway(name).is_some_and(|it| it.status().is_some());
+        self.known.iter().filter(move |name| (self.is_wanted)(name) && !has_status(name))
+    }
+}
+
+/// The first of these names, and how many more there are; `None` without one.
+fn first_of<'a>(mut names: impl Iterator<Item = &'a GatewayName>) -> Option<String> {
+    let first = names.next()?;
+    Some(match names.count() {
+        0 => first.to_string(),
+        more => format!("{first} and {more} more"),
+    })
 }
 
 /// Reads all documents at a broker, at most for that time; `None` if it was interrupted.
 ///
 /// A status from long ago, by the clocks of gateway and reader, does not show that its gateway is connected:
-/// the broker may have ended with it, and started again. Another one is waited for.
+/// the broker may have ended with it, and started again. Another one is waited for, if the gateway
+/// `is_wanted`; so is one of which the broker has nothing after the connection was lost.
 ///
 /// # Errors
 /// The broker cannot be used, or does not let this user read.
 pub fn read(
     settings: &BrokerSettings,
     limit: Option<Duration>,
+    is_wanted: impl Fn(&GatewayName) -> bool,
 ) -> Result<Option<FleetReading>, Failure> {
     settings.warnings.iter().for_each(output::warn);
     headless::runtime()?.block_on(async {
@@ -76,25 +115,32 @@ pub fn read(
         let begin = std::time::Instant::now();
         let now = || Instant::ZERO + begin.elapsed();
         let mut fleet = Fleet::default();
+        let mut awaited = AwaitedGateways { is_wanted, known: BTreeSet::new() };
         let mut failure = None;
         let (mut is_subscribed, mut asked, mut quiet) = (false, now(), QUIET);
         // Only retained messages extend the reading: others may be published without end.
         let mut complete_at = now();
         let mut limit_at = now() + limit.unwrap_or(DEFAULT_TIME);
         let last_limit = now() + limit.unwrap_or(DEFAULT_TIME + STATUS_WAIT);
-        // Since then all are there, and statuses from long ago are waited for.
+        // Since then all are there, and further statuses are waited for.
         let mut complete_since: Option<Instant> = None;
         loop {
             if let Some(since) = complete_since {
                 if now() >= since + STATUS_WAIT {
                     fleet.handle_old_statuses(unix_secs());
                 }
-                let has_old = fleet.with_old_status(unix_secs()).next().is_some();
-                if has_old && now() >= limit_at {
+                let is_last = now() >= limit_at;
+                let has_old = awaited.old(&fleet).next().is_some();
+                let gone = first_of(awaited.gone(&fleet));
+                if is_last && has_old {
                     output::warn("no other status yet: --time gives more time");
                 }
-                if !has_old || now() >= limit_at {
-                    return Ok(Some(FleetReading { fleet, now: now(), is_complete: !has_old }));
+                if let Some(names) = gone.as_ref().filter(|_| is_last) {
+                    output::warn(format_args!("{names}: not published again since the connection was lost"));
+                }
+                let is_complete = !has_old && gone.is_none();
+                if is_complete || is_last {
+                    return Ok(Some(FleetReading { fleet, now: now(), is_complete }));
                 }
             }
             tokio::select! {
@@ -114,7 +160,7 @@ pub fn read(
                 }
                 notice = reader.next() => match notice {
                     Some(ReaderNotice::Message(topic, payload, is_kept)) => {
-                        fleet.handle_message(now(), &topic, &payload);
+                        fleet.handle_message(now(), &topic, &payload, is_kept);
                         if is_kept {
                             complete_at = now() + quiet;
                         }
@@ -130,6 +176,7 @@ pub fn read(
                     }
                     Some(ReaderNotice::Connected) => {
                         (asked, is_subscribed, complete_since) = (now(), false, None);
+                        awaited.note_known(&fleet);
                         fleet.handle_connected();
                     }
                     Some(ReaderNotice::Failed(why, None)) => return Err(why.diagnostic.into()),
@@ -142,13 +189,14 @@ pub fn read(
                 () = time::sleep(complete_at.since(now())), if is_subscribed && complete_since.is_none() => {
                     fleet.handle_complete();
                     complete_since = Some(now());
-                    let mut old = fleet.with_old_status(unix_secs());
-                    if let Some(name) = old.next() {
-                        let more = match old.count() {
-                            0 => String::new(),
-                            more => format!(" and {more} more"),
-                        };
-                        output::warn(format_args!("{name}{more}: last status is old; waiting for another"));
+                    let (old, gone) = (first_of(awaited.old(&fleet)), first_of(awaited.gone(&fleet)));
+                    if let Some(names) = &old {
+                        output::warn(format_args!("{names}: last status is old; waiting for another"));
+                    }
+                    if let Some(names) = &gone {
+                        output::warn(format_args!("{names}: the broker has no status any more; waiting for one"));
+                    }
+                    if old.or(gone).is_some() {
                         limit_at = last_limit.min(now() + STATUS_WAIT);
                     }
                 }

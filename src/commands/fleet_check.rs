@@ -2,6 +2,7 @@
 //!
 //! Scripts rely on the names, types and meanings of the JSON members.
 
+use super::check::warn_conflicts;
 use super::fleet;
 use super::open;
 use super::test_report::{CaseOutcome, ReportedCase, test_report};
@@ -30,7 +31,8 @@ pub fn run(check: &CheckArgs, folder: &Path, broker: &BrokerAddress) -> Result<u
     let access = check.broker_files.access(broker).map_err(Failure::Usage)?;
     let sites = sites(folder)?;
     let settings = BrokerSettings::read(&access)?;
-    let Some(read) = fleet::read(&settings, check.run.time)? else {
+    let has_site = |name: &GatewayName| sites.iter().any(|it| it.gateway.as_ref() == Some(name));
+    let Some(read) = fleet::read(&settings, check.run.time, has_site)? else {
         return Ok(EXIT_INTERRUPTED);
     };
     if !read.is_complete {
@@ -39,7 +41,8 @@ pub fn run(check: &CheckArgs, folder: &Path, broker: &BrokerAddress) -> Result<u
     }
     fleet::warn_rejects(&read.fleet);
     fleet::warn_if_empty(&read.fleet);
-    warn_without_folder(&read.fleet, &sites, folder);
+    warn_without_folder(&read.fleet, has_site, folder);
+    warn_suspected_conflicts(&read.fleet, has_site);
     let checks: Vec<SiteCheck> =
         sites.iter().map(|site| SiteCheck::new(site, &read.fleet, read.now)).collect();
     if let Some(format) = check.report {
@@ -136,13 +139,11 @@ fn document(path: &Path) -> Result<Document, Failure> {
 }
 
 /// Says which gateways are not compared.
-fn warn_without_folder(fleet: &Fleet, sites: &[Site], folder: &Path) {
-    let has_folder =
-        |name: &GatewayName| sites.iter().any(|site| site.gateway.as_ref() == Some(name));
+fn warn_without_folder(fleet: &Fleet, has_site: impl Fn(&GatewayName) -> bool, folder: &Path) {
     let without: Vec<&str> = fleet
         .gateways()
         .map(|(name, _)| name)
-        .filter(|name| !has_folder(name))
+        .filter(|name| !has_site(name))
         .map(GatewayName::as_str)
         .collect();
     if let [first, ..] = without[..] {
@@ -151,6 +152,18 @@ fn warn_without_folder(fleet: &Fleet, sites: &[Site], folder: &Path) {
             if count == 1 { first.to_owned() } else { format!("{count} gateways ({first}, …)") };
         output::warn(format_args!("{who}: no folder in {}; not compared", printable_path(folder)));
     }
+}
+
+/// Says which conflicts the gateways suspect; they do not count as a difference.
+fn warn_suspected_conflicts(fleet: &Fleet, has_site: impl Fn(&GatewayName) -> bool) {
+    let compared = fleet.gateways().filter(|(name, _)| has_site(name));
+    let all = compared.flat_map(|(name, gateway)| {
+        gateway.suspected_conflicts().map(move |finding| {
+            let bus = finding.bus.as_ref().map_or(String::new(), |bus| format!("{bus}: "));
+            format!("suspected: {name}: {bus}{}", finding.text)
+        })
+    });
+    warn_conflicts(all);
 }
 
 #[derive(Serialize)]

@@ -608,6 +608,11 @@ impl FindingKind {
         matches!(self.facts().exit_code_of, ExitCodeScope::ScanAndCheck)
     }
 
+    /// Returns true if two devices may be the cause, where one should be: a conflict, and repeated frames.
+    pub const fn may_be_conflict(self) -> bool {
+        self.is_conflict() || matches!(self, Self::FramesRepeated)
+    }
+
     /// Returns the section of `check` that lists a confirmed finding; `None` where it does not
     /// count for `check`.
     pub const fn check_section(self) -> Option<CheckSection> {

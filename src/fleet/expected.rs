@@ -11,7 +11,7 @@ use crate::document::{
     service_differences,
 };
 use crate::finding::{CheckSection, FindingKind, FindingState};
-use crate::inventory::{InventoryDevice, InventoryService};
+use crate::inventory::{InventoryDevice, InventoryFinding, InventoryService};
 use crate::text::{Quoted, printable, without_bit_rates};
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -83,16 +83,30 @@ impl FleetGateway {
 
     /// The confirmed conflicts that the gateway found.
     fn conflicts(&self) -> impl Iterator<Item = FleetDifference> {
-        let confirmed =
-            self.findings().filter(|it| it.confidence == FindingState::Confirmed.name());
-        confirmed.filter_map(|finding| {
-            let kind = FindingKind::ALL.iter().find(|kind| kind.name() == finding.kind)?;
-            kind.is_conflict().then(|| FleetDifference {
+        self.findings_of(FindingState::Confirmed, FindingKind::is_conflict).map(|finding| {
+            FleetDifference {
                 section: CheckSection::Conflicts,
                 bus: finding.bus.clone(),
                 address: finding.address,
                 text: finding.text.clone(),
-            })
+            }
+        })
+    }
+
+    /// The conflicts that the gateway suspects, and repeated frames, behind which a second device may be.
+    /// They do not count as a difference.
+    pub fn suspected_conflicts(&self) -> impl Iterator<Item = &InventoryFinding> {
+        self.findings_of(FindingState::Suspected, FindingKind::may_be_conflict)
+    }
+
+    fn findings_of(
+        &self,
+        state: FindingState,
+        is_wanted: impl Fn(FindingKind) -> bool,
+    ) -> impl Iterator<Item = &InventoryFinding> {
+        self.findings().filter(move |finding| {
+            let kind = FindingKind::ALL.iter().copied().find(|kind| kind.name() == finding.kind);
+            finding.confidence == state.name() && kind.is_some_and(&is_wanted)
         })
     }
 }

@@ -33,6 +33,10 @@ const MAX_GATEWAY_BYTES: usize = 16 << 20;
 /// periods of 30 s.
 const SILENCE: Duration = Duration::from_secs(75);
 
+/// How far the clock of a gateway may be ahead of the viewer's. The age of a status from a clock that is
+/// further ahead is not known.
+const MAX_CLOCK_LEAD: Duration = Duration::from_secs(10);
+
 /// Whether a gateway publishes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum GatewayState {
@@ -126,7 +130,7 @@ pub struct FleetGateway {
     status: Option<StoredDocument<GatewayStatus>>,
     /// Time at which the status was received; of a gateway that is not connected, for the first time.
     received: Instant,
-    /// It was received while all documents were read, and may be older.
+    /// The broker had it from before, and it may be older.
     is_received_late: bool,
     /// It was old, and no other one was received in time.
     is_silent: bool,
@@ -181,13 +185,15 @@ impl FleetGateway {
     }
 
     /// Returns true if it is connected by a status that the broker had from before, and that was published
-    /// so long ago, at `unix_time` in Unix seconds, that another one is overdue. Clocks may differ: only a
-    /// further status, or none, shows whether it is.
+    /// so long ago, at `unix_time` in Unix seconds, that another one is overdue, or in the future. Clocks
+    /// may differ: only a further status, or none, shows whether it is.
     fn is_status_old(&self, unix_time: f64) -> bool {
         let Some(status) = self.status().filter(|it| it.online && self.is_received_late) else {
             return false;
         };
-        !self.is_silent && status.time.is_some_and(|at| unix_time - at > SILENCE.as_secs_f64())
+        let is_plausible =
+            |age: f64| (-MAX_CLOCK_LEAD.as_secs_f64()..=SILENCE.as_secs_f64()).contains(&age);
+        !self.is_silent && status.time.is_some_and(|at| !is_plausible(unix_time - at))
     }
 
     /// Its buses.
@@ -275,7 +281,7 @@ impl FleetGateway {
     /// It is not what its topic says, with the cause.
     fn insert(
         &mut self,
-        (now, connection, is_reading): (Instant, u32, bool),
+        (now, connection, is_kept): (Instant, u32, bool),
         topic: &[u8],
         path: TopicPath,
         payload: &[u8],
@@ -290,7 +296,7 @@ impl FleetGateway {
                 // After another connection the broker sends it again.
                 let is_again = !content.online && self.status() == Some(&content);
                 if !is_again {
-                    (self.received, self.is_received_late) = (now, is_reading);
+                    (self.received, self.is_received_late) = (now, is_kept);
                     self.is_silent = false;
                 }
                 self.status = Some(StoredDocument { content, time: None, bytes, connection });
@@ -350,8 +356,6 @@ pub struct Fleet {
     rejects: FleetRejects,
     /// Number of the connection.
     connection: u32,
-    /// Documents that the broker has from before are received.
-    is_reading: bool,
     /// Number of the last change.
     revision: u64,
 }
@@ -376,14 +380,12 @@ impl Fleet {
     /// again until [`Self::handle_complete`].
     pub fn handle_connected(&mut self) {
         self.connection += 1;
-        self.is_reading = true;
         self.rejects.begin_reading();
     }
 
     /// All documents that the broker has were received since [`Self::handle_connected`].
     pub fn handle_complete(&mut self) {
         let now = self.connection;
-        self.is_reading = false;
         for gateway in self.gateways.values_mut() {
             self.revision += 1;
             gateway.revision = self.revision;
@@ -415,8 +417,9 @@ impl Fleet {
         }
     }
 
-    /// Takes a message. An empty one clears the document. Events are not kept.
-    pub fn handle_message(&mut self, now: Instant, topic: &[u8], payload: &[u8]) {
+    /// Takes a message; `is_kept` if the broker had it from before. An empty one clears the document. Events
+    /// are not used.
+    pub fn handle_message(&mut self, now: Instant, topic: &[u8], payload: &[u8], is_kept: bool) {
         let parsed = FleetTopic::parse(topic);
         if payload.is_empty() {
             self.rejects.remove(topic);
@@ -456,7 +459,7 @@ impl Fleet {
             return self.reject(topic, RejectReason::Malformed, "no JSON object");
         }
         let name = gateway.clone();
-        let as_of = (now, self.connection, self.is_reading);
+        let as_of = (now, self.connection, is_kept);
         let stored = self.gateways.entry(gateway).or_default();
         match stored.insert(as_of, topic, path, payload) {
             Ok(bytes) => {

@@ -59,7 +59,8 @@ impl FleetStage {
 
     fn send_bytes(&mut self, topic: &str, payload: &[u8]) -> &mut Self {
         let topic = format!("descan/v1/{topic}");
-        self.screen.handle_message(self.now, topic.as_bytes(), payload, true);
+        let is_kept = *self.screen.link() == BrokerLink::Reading;
+        self.screen.handle_message(self.now, topic.as_bytes(), payload, is_kept);
         self
     }
 

@@ -256,7 +256,7 @@ impl FleetScreen {
                 let is_usable = self.events.handle_event(gateway, payload);
                 self.fleet.note_event(topic, is_usable);
             }
-            _ => self.fleet.handle_message(now, topic, payload),
+            _ => self.fleet.handle_message(now, topic, payload, is_kept),
         }
         self.set_stale();
     }

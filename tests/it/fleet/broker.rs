@@ -269,6 +269,77 @@ fn broker_that_is_lost_while_a_status_is_waited_for_is_told() {
     assert_eq!(output.status.code(), Some(3), "{}", text(&output.stdout));
 }
 
+/// Starts a reading that waits for the old status of `g`, at a broker that is then restarted without its state.
+fn reading_over_a_loss_of_state(broker: &mut Mosquitto, arguments: &[&str]) -> Child {
+    let status = format!(r#"{{"online":true,"time":{}}}"#, sites::unix_time() - 100.0);
+    broker.publish("descan/v1/g/status", status.as_bytes());
+    let mut fleet = command(&["fleet", "--json", "--broker", &broker.url()], broker.folder());
+    let mut fleet =
+        fleet.args(arguments).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    wait_for_line(&mut fleet, "g: last status is old; waiting for another");
+    broker.stop();
+    fs::remove_file(broker.folder().join("mosquitto.db")).unwrap();
+    assert!(broker.launch());
+    wait_for_line(&mut fleet, "g: the broker has no status any more; waiting for one");
+    fleet
+}
+
+/// Reads the next line of standard error.
+#[track_caller]
+fn wait_for_line(process: &mut Child, expected: &str) {
+    let mut line = String::new();
+    let mut byte = [0];
+    // Without a buffer: the next reader has the rest.
+    while process.stderr.as_mut().unwrap().read(&mut byte).unwrap() == 1 && byte != *b"\n" {
+        line.push(char::from(byte[0]));
+    }
+    assert!(line.contains(expected), "{line}");
+}
+
+#[test]
+fn gateway_of_a_broker_that_lost_its_state_is_waited_for() {
+    let Some(mut broker) = Mosquitto::start() else { return };
+    let fleet = reading_over_a_loss_of_state(&mut broker, &[]);
+    broker.publish("descan/v1/g/status", br#"{"online":true}"#);
+    let output = fleet.wait_with_output().unwrap();
+    let fleet: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(state_of(&fleet, "g").as_deref(), Some("online"), "{}", text(&output.stderr));
+    assert_eq!(fleet["complete"], true);
+}
+
+#[test]
+fn reading_without_a_gateway_that_the_broker_lost_is_incomplete() {
+    let Some(mut broker) = Mosquitto::start() else { return };
+    let fleet = reading_over_a_loss_of_state(&mut broker, &["--time", "10"]);
+    let output = fleet.wait_with_output().unwrap();
+    let fleet: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(fleet["complete"], false);
+    let errors = text(&output.stderr);
+    assert!(errors.contains("g: not published again since the connection was lost"), "{errors}");
+}
+
+#[test]
+fn check_waits_for_no_gateway_without_a_folder() {
+    let Some(broker) = Mosquitto::start() else { return };
+    let (folder, url) = (broker.folder(), broker.url());
+    let status = |time: f64| format!(r#"{{"online":true,"time":{time}}}"#);
+    let now = sites::unix_time();
+    broker.publish("descan/v1/other/status", status(now - 100.0).as_bytes());
+    broker.publish("descan/v1/g/status", status(now).as_bytes());
+    let finding = json!({
+        "kind": "same-name-same-address", "confidence": "suspected", "bus": "can0", "text": "Perhaps two."
+    });
+    broker.publish("descan/v1/g/finding/can0/x", finding.to_string().as_bytes());
+    fs::create_dir_all(folder.join("sites/g")).unwrap();
+    fs::write(folder.join("sites/g/des.json"), "[]").unwrap();
+    let output = run(&["check", "--fleet", "sites", "--broker", &url, "--time", "5"], folder);
+    let errors = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(0), "{errors}");
+    assert!(!errors.contains("is old"), "{errors}");
+    assert!(errors.contains("suspected: g: can0: Perhaps two."), "{errors}");
+    assert!(errors.contains("other: no folder in sites; not compared"), "{errors}");
+}
+
 #[test]
 fn check_compares_each_gateway_with_its_folder() {
     let Some(broker) = Mosquitto::start() else { return };
@@ -899,8 +970,8 @@ fn receive(port: u16, stop: Arc<AtomicBool>) -> Arc<Mutex<Received>> {
                     let value: Value = serde_json::from_slice(&payload).unwrap();
                     received.events.push(value["seq"].as_u64().unwrap());
                 }
-                ReaderNotice::Message(topic, payload, _) => {
-                    received.fleet.handle_message(Instant::ZERO, &topic, &payload);
+                ReaderNotice::Message(topic, payload, is_kept) => {
+                    received.fleet.handle_message(Instant::ZERO, &topic, &payload, is_kept);
                 }
                 ReaderNotice::Subscribed { refused } => {
                     assert_eq!(refused, 0);

@@ -16,7 +16,7 @@ fn sections(
 ) -> Vec<(CheckSection, String)> {
     let mut fleet = Fleet::default();
     let mut publish = |topic: String, payload: String| {
-        fleet.handle_message(Instant::ZERO, topic.as_bytes(), payload.as_bytes());
+        fleet.handle_message(Instant::ZERO, topic.as_bytes(), payload.as_bytes(), true);
     };
     publish("descan/v1/x/status".to_owned(), r#"{"online":true}"#.to_owned());
     for (bus, address, name, services) in devices {
@@ -46,7 +46,7 @@ fn bit_rate_that_is_not_that_of_the_project_is_a_difference() {
     for (bus, rate) in buses {
         let topic = format!("descan/v1/x/bus/{}", bus.replace('/', "%2F"));
         let value = serde_json::json!({"name": bus, "bitrate": rate});
-        fleet.handle_message(Instant::ZERO, topic.as_bytes(), value.to_string().as_bytes());
+        fleet.handle_message(Instant::ZERO, topic.as_bytes(), value.to_string().as_bytes(), true);
     }
     let document = Document::parse(b"[]").unwrap();
     let files = vec![ExpectedDevices { document, buses: None }];
@@ -202,4 +202,26 @@ fn bus_with_a_bit_rate_in_its_name_is_that_of_the_project() {
     let slcan = |name| ("slcan:/dev/ttyACM0@250000", 10, name, &[] as &[_]);
     let buses: Option<&[&str]> = Some(&["slcan:/dev/ttyACM0"]);
     assert_eq!(sections(&[slcan("FEED")], r#"[{"name":"FEED","address":10}]"#, buses), []);
+}
+
+#[test]
+fn suspected_conflicts_are_no_difference_and_are_listed() {
+    let mut fleet = Fleet::default();
+    for (id, kind, confidence) in [
+        ("1", "same-name-same-address", "confirmed"),
+        ("2", "same-name-same-address", "suspected"),
+        ("3", "frames-repeated", "suspected"),
+        ("4", "missing", "suspected"),
+        ("5", "no-such-kind", "suspected"),
+    ] {
+        let topic = format!("descan/v1/x/finding/can0/{id}");
+        let value = serde_json::json!({"kind": kind, "confidence": confidence, "text": id});
+        fleet.handle_message(Instant::ZERO, topic.as_bytes(), value.to_string().as_bytes(), true);
+    }
+    let gateway = fleet.gateway(&"x".parse().unwrap()).unwrap();
+    let expected = ExpectedGateway { files: Vec::new(), bitrates: BTreeMap::new() };
+    let differences = gateway.differences(&expected);
+    assert_eq!(differences.iter().map(|it| it.text.as_str()).collect::<Vec<_>>(), ["1"]);
+    let suspected: Vec<&str> = gateway.suspected_conflicts().map(|it| it.text.as_str()).collect();
+    assert_eq!(suspected, ["2", "3"]);
 }

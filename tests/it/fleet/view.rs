@@ -8,7 +8,12 @@ const NOW: Instant = Instant::ZERO;
 fn fleet(messages: &[(&str, &str)]) -> Fleet {
     let mut fleet = Fleet::default();
     for (topic, payload) in messages {
-        fleet.handle_message(NOW, format!("descan/v1/{topic}").as_bytes(), payload.as_bytes());
+        fleet.handle_message(
+            NOW,
+            format!("descan/v1/{topic}").as_bytes(),
+            payload.as_bytes(),
+            true,
+        );
     }
     fleet
 }
@@ -44,9 +49,9 @@ fn documents_are_replaced_and_cleared() {
     let mut fleet = fleet(&[("a/device/can0/10", FEED), ("a/device/can0/10", FEED)]);
     let devices = |fleet: &Fleet| fleet.gateway(&name("a")).map(|it| it.devices().count());
     assert_eq!(devices(&fleet), Some(1));
-    fleet.handle_message(NOW, b"descan/v1/a/device/can0/10", b"");
+    fleet.handle_message(NOW, b"descan/v1/a/device/can0/10", b"", true);
     assert_eq!(devices(&fleet), None, "a gateway without documents is none");
-    fleet.handle_message(NOW, b"descan/v1/a/device/can0/10", b"");
+    fleet.handle_message(NOW, b"descan/v1/a/device/can0/10", b"", true);
     assert_eq!(fleet.gateways().len(), 0);
 }
 
@@ -135,7 +140,12 @@ fn rejects_are_open_until_each_topic_is_replaced_or_cleared() {
         ("a/status", r#"{"online":true}"#),
     ]);
     let mut send = |topic: &str, payload: &str| {
-        fleet.handle_message(NOW, format!("descan/v1/{topic}").as_bytes(), payload.as_bytes());
+        fleet.handle_message(
+            NOW,
+            format!("descan/v1/{topic}").as_bytes(),
+            payload.as_bytes(),
+            true,
+        );
         let rejects = fleet.rejects();
         (rejects.open_count(), rejects.last().map(|it| it[..it.find(':').unwrap()].to_owned()))
     };
@@ -147,7 +157,7 @@ fn rejects_are_open_until_each_topic_is_replaced_or_cleared() {
     assert_eq!(fleet.rejects().count(), 5, "all of them");
     // Cleared while there was no connection.
     fleet.handle_connected();
-    fleet.handle_message(NOW, b"descan/v1/a/status", br#"{"online":true}"#);
+    fleet.handle_message(NOW, b"descan/v1/a/status", br#"{"online":true}"#, true);
     fleet.handle_complete();
     assert_eq!(fleet.rejects().last(), None);
 }
@@ -157,8 +167,8 @@ fn rejects_of_any_number_of_topics_are_counted() {
     let mut fleet = Fleet::default();
     for number in 0..5000 {
         let topic = format!("descan/v1/{}/{number}", "x".repeat(2000));
-        fleet.handle_message(NOW, topic.as_bytes(), b"{}");
-        fleet.handle_message(NOW, format!("foreign/{number}").as_bytes(), b"{}");
+        fleet.handle_message(NOW, topic.as_bytes(), b"{}", true);
+        fleet.handle_message(NOW, format!("foreign/{number}").as_bytes(), b"{}", true);
     }
     // Topics of which the first thousand bytes are the same are one.
     assert_eq!((fleet.rejects().count(), fleet.rejects().open_count()), (10_000, 5001));
@@ -172,7 +182,7 @@ fn rejects_of_any_number_of_topics_are_counted() {
 fn causes_of_rejects_are_short() {
     let mut fleet = Fleet::default();
     let status = format!(r#"{{"online":"{}"}}"#, "\u{7f}".repeat(MAX_DOCUMENT_BYTES - 20));
-    fleet.handle_message(NOW, b"descan/v1/a/status", status.as_bytes());
+    fleet.handle_message(NOW, b"descan/v1/a/status", status.as_bytes(), true);
     let last = fleet.rejects().last().unwrap();
     assert!(last.starts_with("descan/v1/a/status: ") && last.len() < 300, "{}", last.len());
 }
@@ -185,7 +195,7 @@ fn memory_of_one_gateway_and_of_all_is_bounded() {
     let mut fleet = Fleet::default();
     let mut send = |gateway: &str, address: u8| {
         let topic = format!("descan/v1/{gateway}/device/can0/{address}");
-        fleet.handle_message(NOW, topic.as_bytes(), large.as_bytes());
+        fleet.handle_message(NOW, topic.as_bytes(), large.as_bytes(), true);
         fleet.gateway(&name(gateway)).map_or(0, |it| it.devices().count())
     };
     let most = (1..=127).map(|address| send("evil", address)).max().unwrap();
@@ -240,12 +250,17 @@ fn number_of_gateways_is_bounded() {
     let mut fleet = Fleet::default();
     for number in 0..MAX_GATEWAYS + 3 {
         let topic = format!("descan/v1/g{number}/status");
-        fleet.handle_message(NOW, topic.as_bytes(), br#"{"online":true}"#);
+        fleet.handle_message(NOW, topic.as_bytes(), br#"{"online":true}"#, true);
     }
     assert_eq!(fleet.gateways().len(), MAX_GATEWAYS);
     assert_eq!(fleet.rejects().oversized, 3);
     // Known ones are still read.
-    fleet.handle_message(NOW, b"descan/v1/g0/status", br#"{"online":false,"reason":"stopped"}"#);
+    fleet.handle_message(
+        NOW,
+        b"descan/v1/g0/status",
+        br#"{"online":false,"reason":"stopped"}"#,
+        true,
+    );
     assert_eq!(state(&fleet, "g0", NOW), GatewayState::Stopped);
 }
 
@@ -271,14 +286,14 @@ fn length_of_all_documents_is_bounded() {
     let text = format!(r#"{{"kind":"{}","confidence":"suspected"}}"#, "k".repeat(60_000));
     for number in 0..4000 {
         let topic = format!("descan/v1/g{}/finding/can0/{number}", number % 50);
-        fleet.handle_message(NOW, topic.as_bytes(), text.as_bytes());
+        fleet.handle_message(NOW, topic.as_bytes(), text.as_bytes(), true);
     }
     let kept: usize = fleet.gateways().map(|(_, gateway)| gateway.findings().count()).sum();
     assert!((3200..3400).contains(&kept), "{kept}");
     assert_eq!(fleet.rejects().oversized, 4000 - kept as u64);
     // What is cleared makes room.
-    fleet.handle_message(NOW, b"descan/v1/g0/finding/can0/0", b"");
-    fleet.handle_message(NOW, b"descan/v1/g0/finding/can0/new", text.as_bytes());
+    fleet.handle_message(NOW, b"descan/v1/g0/finding/can0/0", b"", true);
+    fleet.handle_message(NOW, b"descan/v1/g0/finding/can0/new", text.as_bytes(), true);
     assert_eq!(fleet.rejects().oversized, 4000 - kept as u64);
 }
 
@@ -292,10 +307,41 @@ fn documents_cleared_while_away_are_gone_afterwards() {
     ]);
     fleet.handle_connected();
     assert_eq!(fleet.gateways().len(), 2, "kept until all is there");
-    fleet.handle_message(NOW, b"descan/v1/a/status", br#"{"online":true}"#);
-    fleet.handle_message(NOW, b"descan/v1/a/device/can0/11", FEED.as_bytes());
+    fleet.handle_message(NOW, b"descan/v1/a/status", br#"{"online":true}"#, true);
+    fleet.handle_message(NOW, b"descan/v1/a/device/can0/11", FEED.as_bytes(), true);
     fleet.handle_complete();
     assert_eq!(fleet.gateways().len(), 1);
     let left: Vec<u8> = fleet.gateway(&name("a")).unwrap().devices().map(|it| it.address).collect();
     assert_eq!(left, [11]);
+}
+
+/// A status that was published meanwhile shows that the gateway is connected, whatever its clock says.
+#[test]
+fn kept_status_from_long_ago_or_the_future_is_old() {
+    let mut fleet = Fleet::default();
+    let mut send = |gateway: &str, time: f64, is_kept: bool| {
+        let topic = format!("descan/v1/{gateway}/status");
+        let payload = format!(r#"{{"online":true,"time":{time}}}"#);
+        fleet.handle_message(NOW, topic.as_bytes(), payload.as_bytes(), is_kept);
+    };
+    // The document may arrive at any time: also before and after all are there.
+    for (gateway, time, is_kept) in [
+        ("past", 900.0, true),
+        ("recent", 930.0, true),
+        ("ahead", 1009.0, true),
+        ("future", 1011.0, true),
+        ("live-past", 0.0, false),
+        ("live-future", 9000.0, false),
+        ("renewed", 0.0, true),
+        ("renewed", 0.0, false),
+    ] {
+        send(gateway, time, is_kept);
+    }
+    let old = |fleet: &Fleet| fleet.with_old_status(1000.0).map(ToString::to_string).collect();
+    let names: Vec<String> = old(&fleet);
+    assert_eq!(names, ["future", "past"]);
+    fleet.handle_complete();
+    fleet.handle_message(NOW, b"descan/v1/slow/status", br#"{"online":true,"time":1}"#, true);
+    let names: Vec<String> = old(&fleet);
+    assert_eq!(names, ["future", "past", "slow"]);
 }
