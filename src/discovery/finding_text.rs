@@ -219,7 +219,7 @@ pub(super) fn device_label(address: Address, names: &[Name]) -> String {
 
 /// Returns the text of repeated frames.
 pub(super) fn repeated(repeated: &RepeatedFrames) -> String {
-    let RepeatedFrames { addresses, delays: DelayRange { shortest, longest } } = repeated;
+    let RepeatedFrames { addresses, delays: DelayRange { shortest, longest }, .. } = repeated;
     let (from, to) = (shortest.as_secs_f64() * 1000.0, longest.as_secs_f64() * 1000.0);
     let apart = if to - from > SHOWN_DELAY_JITTER {
         format!("{from:.0} to {to:.0} ms apart")
@@ -235,9 +235,7 @@ pub(super) fn repeated(repeated: &RepeatedFrames) -> String {
         }
         _ => format!("Frames from {} addresses", addresses.len()),
     };
-    // Of several, one copy may have waited.
-    let delay = if addresses.len() == 1 { longest } else { shortest };
-    let is_late = *delay > MAX_FORWARDING_DELAY;
+    let is_late = repeated.usual_delay > MAX_FORWARDING_DELAY;
     let or = match (addresses.len(), is_late) {
         (1, true) => "two boards with equal random numbers, or ",
         (1, false) => "sent twice, or ",
@@ -245,5 +243,6 @@ pub(super) fn repeated(repeated: &RepeatedFrames) -> String {
         (_, false) => "",
     };
     let by = if addresses.is_empty() { "bridge" } else { "gateway" };
-    format!("{whose} arrive twice, {apart}: {or}repeated by a {by}?")
+    let times = if repeated.is_further_copy { "more than twice" } else { "twice" };
+    format!("{whose} arrive {times}, {apart}: {or}repeated by a {by}?")
 }

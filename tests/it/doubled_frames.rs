@@ -311,18 +311,91 @@ fn repeated_addresses_are_named_where_others_have_no_copies() {
     }
 }
 
-/// The heartbeats of two boards drift from 0.65 to 0.32 periods apart.
+/// The heartbeats of two boards drift: from 0.65 periods apart until they are at one time, and on.
 #[test]
 fn confirmed_conflict_stays_where_equal_heartbeats_come_closer() {
+    for end in [165, 200, 280, 320, 340, 360] {
+        let boards: Vec<Box<dyn Iterator<Item = Frame>>> = vec![
+            Box::new(beats(12, 100_000, 1_000_000, random)),
+            Box::new(beats(12, 750_000, 998_000, random)),
+            Box::new(beats(40, 300_000, 1_000_000, |count| random(count + 40))),
+        ];
+        let end = Instant::from_micros(end * 1_000_000);
+        let mut engine = listener(boards, end);
+        assert_eq!(confirmed(&mut engine), [FindingKind::SameNameSameAddress], "{end}");
+        let found = finding(&engine, FindingKind::SameNameSameAddress).unwrap();
+        assert_eq!(found.state, FindingState::Confirmed, "{:#?}", engine.findings());
+        assert!(end.since(found.last) < Duration::from_secs(3), "{end} {found:#?}");
+    }
+}
+
+/// After a conflict of two boards one of them leaves, and a gateway repeats the frames of the other.
+#[test]
+fn confirmed_conflict_ends_where_a_gateway_repeats_frames() {
     let boards: Vec<Box<dyn Iterator<Item = Frame>>> = vec![
         Box::new(beats(12, 100_000, 1_000_000, random)),
-        Box::new(beats(12, 750_000, 998_000, random)),
-        Box::new(beats(40, 300_000, 1_000_000, |count| random(count + 40))),
+        Box::new(beats(12, 750_000, 1_000_000, random).take(30)),
+        Box::new(beats(12, 300_000, 1_000_000, random).skip(30)),
+        Box::new(beats(40, 310_000, 1_000_000, |count| random(count + 40))),
     ];
-    let mut engine = listener(boards, Instant::from_micros(165_000_000));
-    assert_eq!(confirmed(&mut engine), [FindingKind::SameNameSameAddress]);
+    let engine = listener(boards, Instant::from_micros(60_000_000));
     let found = finding(&engine, FindingKind::SameNameSameAddress).unwrap();
-    assert_eq!(found.state, FindingState::Confirmed, "{:#?}", engine.findings());
+    assert_eq!(found.state, FindingState::Cleared, "{:#?}", engine.findings());
+}
+
+/// Each frame of these addresses, and its copies so many milliseconds later, comes in each second. Returns the
+/// texts of repeated frames that are open.
+fn texts_of_repeated(copies: &[(u32, &[u64])]) -> Vec<String> {
+    let mut boards: Vec<Box<dyn Iterator<Item = Frame>>> = Vec::new();
+    for &(address, delays) in copies {
+        let first = u64::from(address) * 30_000;
+        for delay in [0].iter().chain(delays) {
+            let number = move |count| random(count + address);
+            boards.push(Box::new(beats(address, first + delay * 1000, 1_000_000, number)));
+        }
+    }
+    let mut engine = listener(boards, Instant::from_micros(40_000_000));
+    assert_eq!(confirmed(&mut engine), [], "{copies:?}");
+    let repeated = engine.findings().iter();
+    let repeated = repeated.filter(|it| it.key.kind == FindingKind::FramesRepeated);
+    let open = repeated.filter(|it| it.state == FindingState::Suspected);
+    open.map(|it| it.text.clone()).collect()
+}
+
+#[test]
+fn copies_of_one_bridge_are_one_finding() {
+    assert_eq!(
+        texts_of_repeated(&[(10, &[12]), (12, &[12]), (14, &[12]), (16, &[12]), (18, &[85])]),
+        ["All frames arrive twice, 12 to 85 ms apart: repeated by a bridge?"],
+        "one device waits longest"
+    );
+    let apart = texts_of_repeated(&[(10, &[3]), (12, &[3]), (14, &[200]), (16, &[200])]);
+    let of =
+        |address: u32, rest: &str| format!("Frames from address {address} arrive twice, {rest}");
+    let (soon, late) = (
+        "3 ms apart: sent twice, or repeated by a gateway?",
+        "200 ms apart: two boards with equal random numbers, or repeated by a gateway?",
+    );
+    let mut found = apart;
+    found.sort();
+    assert_eq!(found, [of(10, soon), of(12, soon), of(14, late), of(16, late)]);
+}
+
+#[test]
+fn frames_of_two_gateways_arrive_more_than_twice() {
+    assert_eq!(
+        texts_of_repeated(&[(10, &[3, 40]), (12, &[3, 40]), (14, &[3, 40])]),
+        ["All frames arrive more than twice, 3 to 40 ms apart: repeated by a bridge?"]
+    );
+}
+
+#[test]
+fn copies_nearly_half_a_period_late_are_no_conflict() {
+    for delay in [440, 460, 480] {
+        let texts = texts_of_repeated(&[(10, &[delay]), (12, &[delay]), (14, &[delay])]);
+        let start = format!("All frames arrive twice, {delay} ms apart: two boards");
+        assert!(texts.len() == 1 && texts[0].starts_with(&start), "{texts:?}");
+    }
 }
 
 #[test]

@@ -23,7 +23,7 @@ const COPY_WINDOW: Duration = Duration::from_millis(100);
 /// Longest delay of a bridge: of 300 frames in its queue, at 125 kbit/s.
 pub(super) const LONGEST_DELAY: Duration = Duration::from_millis(300);
 /// The same in periods: less than the half after which two equal devices may send in turns.
-const COPY_PERIODS: f64 = 0.45;
+const COPY_PERIODS: f64 = 0.49;
 /// The same in periods of a fast sender, whose next heartbeat comes after them.
 const MAX_COPY_PERIODS: f64 = 0.95;
 /// The same for the first two heartbeats. Chosen: less than the period of any device.
@@ -294,6 +294,8 @@ pub(super) struct AddressHistory {
     pub sender_changed_at: Option<Instant>,
     /// Time of the last heartbeat that showed a second sender by its content or its timing.
     pub second_sender_at: Option<Instant>,
+    /// Delay of the last copy, if it was the heartbeat of the second of two devices that were found.
+    pub delay_of_two: Option<Duration>,
     /// Heartbeats in turns, if not of the expected period.
     turns: Option<HeartbeatTurns>,
     /// Number of heartbeats at twice the rate, less those that came after a whole period.

@@ -77,6 +77,10 @@ const ABORTED_BY_CHANCE_AFTER_RESPONSE: u32 = 4;
 /// Chosen: one period and its jitter.
 const KEPT_PERIODS: f64 = 1.1;
 
+/// Change of the distance between the heartbeats of two boards from one period to the next, in periods, up to
+/// which their clocks explain it. Chosen: as for a period that is another one than the expected.
+const MAX_DRIFT_PERIODS: f64 = 0.02;
+
 /// Description of a heartbeat in the second phase.
 const SECOND_PHASE: &str = "heartbeat, phase 2 of a period";
 /// Difference between the delays of the copies of heartbeats and of responses up to which one gateway makes
@@ -770,17 +774,25 @@ impl ConflictDetector {
         self.repeated_frames.note_heartbeat(now, source, recorded);
         let is_bus_wide = self.repeated_frames.is_bus_repeated(now);
         let same = FindingKind::SameNameSameAddress;
-        // No gateway repeats frames that late, or responses contradict it: the two devices that were found
-        // are still there.
-        let shows_two = |delay: Duration| {
+        // Hardly a gateway repeats frames that late, or responses contradict it, or the delay drifts as that
+        // of two clocks: the two devices that were found are still there.
+        let drifts = |delay: Duration| {
+            let before = self.histories[source].delay_of_two;
+            before.is_some_and(|before| delay.abs_diff(before) <= period.mul_f64(MAX_DRIFT_PERIODS))
+        };
+        let shows_two = |delay: &Duration| {
             !is_bus_wide
-                && (delay > LONGEST_DELAY
-                    || self.repeated_frames.two_devices_since(source).is_some())
+                && (*delay > LONGEST_DELAY
+                    || self.repeated_frames.two_devices_since(source).is_some()
+                    || drifts(*delay))
                 && self.finding_tracker.is_confirmed(same, source)
         };
-        if recorded.copy_delay.is_some_and(shows_two) {
-            let until = now + self.longest_period(source) * CLAIM_PERIODS;
-            self.finding_tracker.note_several_senders(until, source);
+        let delay_of_two = recorded.copy_delay.filter(shows_two);
+        if recorded.copy_delay.is_some() {
+            self.histories[source].delay_of_two = delay_of_two;
+        }
+        if delay_of_two.is_some() {
+            self.finding_tracker.renew(now, same, source);
             return recorded.is_new;
         }
         if !self.repeated_frames.is_repeated(now, source) {

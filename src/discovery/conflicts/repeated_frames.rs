@@ -11,7 +11,7 @@
 //! They differ from a bridge in the phase between their heartbeats: a bridge is not much faster
 //! with responses than with heartbeats.
 
-use super::history::{RecordedHeartbeat, push_bounded};
+use super::history::RecordedHeartbeat;
 use crate::discovery::address_table::AddressTable;
 use crate::frame::Frame;
 use crate::time::{Duration, Instant};
@@ -45,9 +45,6 @@ const FAST_PAIR_MARGIN: Duration = Duration::from_millis(5);
 /// several senders do. Chosen: half of two periods each.
 const TIMED_GAPS: usize = 8;
 const MIN_OTHER_GAPS: usize = 4;
-/// Number of the last copies whose delays a text has. Chosen: one that waited is soon no longer among
-/// them.
-const RECENT_DELAYS: usize = 8;
 /// Maximum number of frames whose copy may still arrive. Bounds the memory: all frames of
 /// 0.1 s at 1 Mbit/s.
 const MAX_OPEN: usize = 1024;
@@ -67,9 +64,8 @@ pub(super) struct RepeatedFrameDetector {
     active_until: Instant,
     /// Longest delay of a copied heartbeat.
     delay: Duration,
-    /// Shortest delay of the copied heartbeats of this series, and the last delays.
+    /// Shortest delay of the copied heartbeats of this series.
     shortest: Option<Duration>,
-    recent_delays: VecDeque<Duration>,
     /// Longest delay of a copy that was received, at least [`MAX_FORWARDING_DELAY`].
     longest_delay: Duration,
     response_pairs: ResponsePairs,
@@ -93,7 +89,12 @@ pub(in crate::discovery) struct DelayRange {
 pub(in crate::discovery) struct RepeatedFrames {
     /// Whose frames are repeated; none: those of all.
     pub addresses: Vec<Address>,
+    /// Of the last copies of each address.
     pub delays: DelayRange,
+    /// Delay of most of them.
+    pub usual_delay: Duration,
+    /// A frame arrived more than twice.
+    pub is_further_copy: bool,
 }
 
 /// Successive copied heartbeats of one address.
@@ -108,8 +109,9 @@ struct CopySeries {
     /// Shortest and longest of them.
     shortest: Duration,
     longest: Duration,
-    /// Longest delay of further copies of one heartbeat.
+    /// Longest delay of further copies of one heartbeat, and the time of the last one.
     further: Duration,
+    further_at: Option<Instant>,
     active_until: Instant,
     /// Number of heartbeats in a row without a copy.
     uncopied: u32,
@@ -119,22 +121,35 @@ struct CopySeries {
 }
 
 impl CopySeries {
-    fn add(&mut self, delay: Duration) {
-        if self.count == 0 {
+    /// Takes the delay of a copy. It counts if the sender generates RND7: others may be equal by chance.
+    fn add(&mut self, now: Instant, delay: Duration, has_random_rnd7: bool) {
+        if self.copied_at.is_none() || has_random_rnd7 && self.count == 0 {
             self.delays.fill(delay);
         }
+        self.copied_at = Some(now);
+        self.uncopied = 0;
         self.delays.rotate_left(1);
         self.delays[COPIES_OF_ONE as usize - 1] = delay;
         let [first, rest @ ..] = self.delays;
         self.shortest = rest.into_iter().fold(first, Duration::min);
         self.longest = rest.into_iter().fold(first, Duration::max);
-        self.count += 1;
+        self.count += u32::from(has_random_rnd7);
     }
 
     /// Returns true if the copies come with a steady delay.
     fn is_steady(&self) -> bool {
         self.longest.saturating_sub(self.shortest) <= DELAY_JITTER.max(self.shortest / 2)
     }
+}
+
+/// Returns true if one bridge may make copies with both delays.
+fn is_about_as_late(one: Duration, other: Duration) -> bool {
+    one.max(other) <= one.min(other) * 2 + BRIDGE_JITTER
+}
+
+fn median(delays: &mut [Duration]) -> Option<Duration> {
+    delays.sort_unstable();
+    delays.get(delays.len() / 2).copied()
 }
 
 /// Last pairs of equal responses.
@@ -192,7 +207,6 @@ impl RepeatedFrameDetector {
             active_until: Instant::ZERO,
             delay: Duration::ZERO,
             shortest: None,
-            recent_delays: VecDeque::new(),
             longest_delay: MAX_FORWARDING_DELAY,
             response_pairs: ResponsePairs::default(),
             awaiting_copy: VecDeque::new(),
@@ -252,32 +266,60 @@ impl RepeatedFrameDetector {
 
     /// Returns whose frames are repeated, and how late: of `address`, or of several with `None`.
     pub fn repeated_frames(&self, now: Instant, address: Option<Address>) -> RepeatedFrames {
-        let delays = self.recent_delays.iter().copied();
-        let of_all = DelayRange {
-            shortest: delays.clone().min().unwrap_or(self.delay),
-            longest: delays.max().unwrap_or(self.delay),
+        let (addresses, repeated) = match address {
+            Some(address) => (vec![address], vec![&self.series[address]]),
+            None => (self.repeated_addresses(now), self.copied_series(now)),
         };
-        let Some(address) = address else {
-            return RepeatedFrames { addresses: self.repeated_addresses(now), delays: of_all };
-        };
-        let CopySeries { count, shortest, longest, .. } = self.series[address];
-        let delays = if count == 0 { of_all } else { DelayRange { shortest, longest } };
-        RepeatedFrames { addresses: vec![address], delays }
+        let further = |series: &&&CopySeries| self.is_recent(now, series.further_at);
+        let further: Vec<Duration> =
+            repeated.iter().filter(further).map(|series| series.further).collect();
+        let longest = repeated.iter().map(|series| series.longest).chain(further.iter().copied());
+        let shortest = || repeated.iter().map(|series| series.shortest);
+        RepeatedFrames {
+            addresses,
+            delays: DelayRange {
+                shortest: shortest().min().unwrap_or(self.delay),
+                longest: longest.max().unwrap_or(self.delay),
+            },
+            usual_delay: median(&mut shortest().collect::<Vec<_>>()).unwrap_or(self.delay),
+            is_further_copy: !further.is_empty(),
+        }
+    }
+
+    fn is_recent(&self, now: Instant, at: Option<Instant>) -> bool {
+        at.is_some_and(|at| now.since(at) < self.period * REPEATED_PERIODS)
+    }
+
+    /// Returns the copied heartbeats of each address that has them: of senders that generate RND7, if there are
+    /// any.
+    fn copied_series(&self, now: Instant) -> Vec<&CopySeries> {
+        let all = || Address::all().map(|address| &self.series[address]);
+        let is_copied = |series: &&CopySeries| self.is_recent(now, series.copied_at);
+        let random: Vec<&CopySeries> =
+            all().filter(|series| series.count > 0).filter(is_copied).collect();
+        if random.is_empty() { all().filter(is_copied).collect() } else { random }
+    }
+
+    /// Returns true if the copies of most addresses are about as late, as those of one bridge.
+    fn are_of_one_bridge(&self, now: Instant) -> bool {
+        let mut delays: Vec<Duration> =
+            self.copied_series(now).iter().map(|series| series.shortest).collect();
+        let Some(usual) = median(&mut delays) else { return false };
+        let count = delays.iter().filter(|delay| is_about_as_late(**delay, usual)).count();
+        count * 4 >= delays.len() * 3
     }
 
     /// Returns the addresses whose frames are repeated, if other nodes send frames without copies; else none.
     fn repeated_addresses(&self, now: Instant) -> Vec<Address> {
-        let is_recent = |at: Option<Instant>| {
-            at.is_some_and(|at| now.since(at) < self.period * REPEATED_PERIODS)
-        };
         let has_no_copies = |address: Address| {
             let series = &self.series[address];
-            series.uncopied >= MAX_UNCOPIED && is_recent(series.heard_at)
+            series.uncopied >= MAX_UNCOPIED && self.is_recent(now, series.heard_at)
         };
         if !Address::all().any(has_no_copies) {
             return Vec::new();
         }
-        Address::all().filter(|address| is_recent(self.series[*address].copied_at)).collect()
+        let is_copied = |address: &Address| self.is_recent(now, self.series[*address].copied_at);
+        Address::all().filter(is_copied).collect()
     }
 
     /// Returns true if the frames of several addresses, so probably all, are repeated.
@@ -345,14 +387,14 @@ impl RepeatedFrameDetector {
         let series = &mut self.series[address];
         series.heard_at = Some(now);
         if let Some(delay) = recorded.copy_delay {
-            series.copied_at = Some(now);
-            series.uncopied = 0;
+            series.add(now, delay, recorded.has_random_rnd7);
             self.longest_delay = self.longest_delay.max(delay);
             self.note_copied_heartbeat(now, address, delay);
             if recorded.has_random_rnd7 {
-                self.note_copy_of_one(now, address, delay);
+                self.note_copy_of_one(now, address);
             }
         } else if let Some(delay) = recorded.further_copy_delay {
+            series.further_at = Some(now);
             series.further = series.further.max(delay).min(MAX_FORWARDING_DELAY);
         } else if recorded.previous_has_no_copy {
             series.uncopied = series.uncopied.saturating_add(1);
@@ -369,7 +411,6 @@ impl RepeatedFrameDetector {
                 self.several_sources_until = Instant::ZERO;
                 self.last_copied = None;
                 self.shortest = None;
-                self.recent_delays.clear();
             }
         }
         if self.last_heartbeat.is_some_and(|(last, _)| last != address) {
@@ -381,15 +422,16 @@ impl RepeatedFrameDetector {
     fn note_copied_heartbeat(&mut self, now: Instant, address: Address, delay: Duration) {
         self.copy_count += 1;
         let is_of_one_bridge = |(other, other_delay): (Address, Duration)| {
-            let (short, long) = (delay.min(other_delay), delay.max(other_delay));
-            other != address && long <= short * 2 + BRIDGE_JITTER
+            other != address && is_about_as_late(delay, other_delay)
         };
-        if self.copy_count >= COPIES_OF_ONE && self.last_copied.is_some_and(is_of_one_bridge) {
+        if self.copy_count >= COPIES_OF_ONE
+            && self.last_copied.is_some_and(is_of_one_bridge)
+            && self.are_of_one_bridge(now)
+        {
             self.several_sources_until = now + self.period * REPEATED_PERIODS;
         }
         self.last_copied = Some((address, delay));
         self.shortest = Some(self.shortest.map_or(delay, |shortest| shortest.min(delay)));
-        push_bounded(&mut self.recent_delays, delay, RECENT_DELAYS);
         let alone = self.copy_count >= COPIES_OF_ONE && self.is_single_source(now, address);
         if now < self.several_sources_until || alone && self.two_responders_since().is_none() {
             self.active_until = now + self.period * REPEATED_PERIODS;
@@ -397,10 +439,9 @@ impl RepeatedFrameDetector {
         }
     }
 
-    fn note_copy_of_one(&mut self, now: Instant, address: Address, delay: Duration) {
+    fn note_copy_of_one(&mut self, now: Instant, address: Address) {
         let period = self.period;
         let series = &mut self.series[address];
-        series.add(delay);
         let has_two = series.response_pairs.two_responders_since(series.shortest).is_some();
         if series.count >= COPIES_OF_ONE && series.is_steady() && !has_two {
             series.active_until = now + period * REPEATED_PERIODS;
