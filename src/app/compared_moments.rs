@@ -358,7 +358,7 @@ impl App {
         self.show_page(Page::Devices);
         if self.filters.of(Page::Devices).is_on() {
             self.filters.set_on(Page::Devices, false);
-            self.refresh();
+            self.refresh_for_draw();
         }
         let is_it = |row: &&super::Row, subject: &DifferenceSubject| {
             let bus = row.bus.and_then(|bus| self.bus(bus)).map(|bus| &*bus.name);

@@ -52,7 +52,7 @@ impl App {
                 "the bus carries other traffic: {frames} not of the CAN platform"
             ));
         }
-        match (bus.own_address(), bus.status.state) {
+        match (bus.own_address(), bus.controller().state) {
             (_, state @ (BusState::ErrorWarning | BusState::ErrorPassive)) => {
                 Some(format!("the controller is {state}"))
             }

@@ -39,14 +39,14 @@ fn rows_changed_by(event: &Event) -> impl Iterator<Item = (Instant, DeviceId)> {
 impl App {
     /// Takes the events of the engines.
     pub(super) fn take_events(&mut self) {
-        let mut any = false;
+        let mut first: Option<Instant> = None;
         for index in 0..self.buses.len() {
             let bus = BusIndex(index as u8);
             // Queued after the last event: several events of one frame may be one line.
             let mut lines = Vec::new();
             let mut changed_rows = Vec::new();
             while let Some(event) = self.buses.poll_event(bus) {
-                any = true;
+                first = Some(first.map_or(event.time, |first| first.min(event.time)));
                 changed_rows.extend(rows_changed_by(&event));
                 self.take_event(bus, event, &mut lines);
             }
@@ -57,9 +57,15 @@ impl App {
                 let event = self.line_event(&line.entry);
                 self.notices.emit(event);
             }
+            if self.buses.take_new_state(bus)
+                && self.notices.emits_events()
+                && let Some(event) = self.bus_event(bus, self.clock.now())
+            {
+                self.notices.emit(event);
+            }
         }
-        if any {
-            self.compare_file_soon();
+        if let Some(at) = first {
+            self.compare_file_soon(at);
             if self.buses.len() > 1 {
                 self.refresh_redundancy();
             }
@@ -136,7 +142,11 @@ impl App {
 
     /// Compares file and buses again and queues the differences that changed.
     pub(super) fn refresh_problems(&mut self) {
-        let now = self.clock.now();
+        self.refresh_problems_at(self.clock.now());
+    }
+
+    /// The same; what changed, changed at `now`.
+    pub(super) fn refresh_problems_at(&mut self, now: Instant) {
         self.file_comparison.note_comparison(now);
         let before = self.problems.refresh(&self.buses, self.files.documents(), now);
         if !self.notices.emits_events() {
@@ -225,7 +235,7 @@ impl App {
             self.notices.emit(event);
         }
         self.take_events();
-        self.compare_file_soon();
+        self.compare_file_soon(now);
         self.refresh_before_draw();
         if self.clock.playback().is_some_and(|it| it.is_standing()) {
             // The time of a later draw would not come.

@@ -91,7 +91,7 @@ impl App {
 
     /// Shows what the filters select now.
     pub(super) fn filter_changed(&mut self) {
-        self.refresh();
+        self.refresh_for_draw();
         self.filter_frames();
         if self.view.page == Page::Traffic {
             self.select_among_shown();
@@ -269,7 +269,7 @@ impl App {
         let Some(key) = found.and_then(|at| Some(shown.get(at)?.key)) else { return false };
         drop(shown);
         self.view.problems.select(key);
-        self.refresh();
+        self.refresh_for_draw();
         true
     }
 

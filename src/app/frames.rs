@@ -13,7 +13,7 @@ impl App {
     /// an earlier one than that of the last frame is ignored.
     pub fn handle_frames(&mut self, now: Instant, frames: &[Frame]) {
         self.handle_each(frames);
-        self.compare_file_until(now);
+        self.advance_to(now);
         let now = self.clock.set(now);
         self.complete_bus_events(now);
         self.buses.keep_history(now, &self.traffic.capture);

@@ -1022,10 +1022,10 @@ impl App {
         self.shown_problems().findings(self.shown_buses())
     }
 
-    /// Differences between file and buses at `now`.
+    /// Differences between file and buses at `now`; those that were found before have their times.
     pub fn compare(&self, now: Instant, scope: Scope) -> Vec<Finding> {
         let inputs = Inputs { now, ..inputs!(self) };
-        problems::compare(inputs, scope)
+        self.problems.compare(inputs, scope)
     }
 
     /// The buses, now and in the past.
@@ -1181,10 +1181,6 @@ impl App {
         self.traffic.tick(self.clock.now(), &self.buses);
         self.recount_candidates();
         self.renew_profile_difference();
-        // Of its tasks, some findings are confirmed by time alone.
-        if !self.buses.project().tasks.is_empty() {
-            self.refresh_before_draw();
-        }
         // What made it idle is shown, too.
         if !was_idle {
             self.renew_time_bar();
@@ -1220,7 +1216,7 @@ impl App {
         self.refresh_with(Self::refresh_problems);
     }
 
-    /// The same, but for a comparison that is due at a later time.
+    /// The same; a log does not compare before the time at which that is due.
     fn refresh_for_draw(&mut self) {
         self.refresh_with(Self::compare_file_for_draw);
     }

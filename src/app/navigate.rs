@@ -787,7 +787,7 @@ impl App {
         self.show_in_problems(&key);
         self.view.problems.select(key);
         self.show_page(Page::Problems);
-        self.refresh();
+        self.refresh_for_draw();
     }
 
     // ---- evidence --------------------------------------------------------------------------

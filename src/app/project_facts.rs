@@ -172,6 +172,16 @@ fn state_of(device: &Device) -> TaskState {
 }
 
 impl RedundantTask {
+    /// Returns the moments at which time alone makes the state of a device certain, before or after `now`.
+    pub fn due(&self, buses: &Buses, now: Instant) -> impl Iterator<Item = Instant> {
+        let ends = self.ends(buses, now).into_iter().filter_map(|end| end.state.since());
+        let names = self.devices.iter().map(|device| &device.bus);
+        let buses =
+            names.filter_map(|name| buses.iter().find(|it| it.name_without_rates() == *name));
+        let unheard = buses.filter_map(move |bus| bus.is_up_for_from(now, MISSING_AFTER));
+        ends.map(|since| since + CERTAIN_AFTER).chain(unheard)
+    }
+
     /// Returns what each device of the task does at present.
     pub fn ends(&self, buses: &Buses, now: Instant) -> Vec<TaskEnd> {
         let mut ends: Vec<TaskEnd> = Vec::with_capacity(self.devices.len());

@@ -349,9 +349,9 @@ impl App {
         if let Some(change) = self.receiver_change(bus, composition, composed) {
             return Err(format!("not sent: {change}; compose it again"));
         }
-        let is_passive = matches!(of.status.state, BusState::ErrorPassive | BusState::BusOff);
-        if repeat.copies > 1 && is_passive {
-            return Err(format!("the controller is {}: nothing is repeated", of.status.state));
+        let state = of.controller().state;
+        if repeat.copies > 1 && matches!(state, BusState::ErrorPassive | BusState::BusOff) {
+            return Err(format!("the controller is {state}: nothing is repeated"));
         }
         let profile = of.config().profile.clone();
         let wait = wait.unwrap_or_else(|| profile.calls.timeout());

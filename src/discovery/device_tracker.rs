@@ -10,7 +10,7 @@ use super::errors::BusErrorTracker;
 use super::finding_tracker::EvidenceStrength;
 use super::heartbeats::BusDelayTracker;
 use super::observation::{Observation, ObservationKind, PlatformContent};
-use super::presence::Outages;
+use super::outages::Outages;
 use super::recent_requests::RecentRequests;
 use super::recorded_node::RecordedNodes;
 use super::rounds::FRAME_BITS;
@@ -229,7 +229,7 @@ impl DeviceTracker {
     pub fn check_suspicions(&mut self) {
         let now = self.now;
         let device_table = &mut self.device_table;
-        self.conflicts.finding_tracker_mut().handle_timeout(now, |address| {
+        self.conflicts.finding_tracker_mut().handle_timeout(now, &self.outages, |address| {
             if let Some(device) = device_table.current_device_mut(address)
                 && device.is_present()
             {

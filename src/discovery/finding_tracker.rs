@@ -10,6 +10,7 @@
 use super::address_table::AddressTable;
 use super::conflicts::repeated_frames::RepeatedFrames;
 use super::finding_text;
+use super::outages::Outages;
 use crate::finding::{Evidence, Finding, FindingKey, FindingKind, FindingState, SeenUid};
 use crate::frame::{BusIndex, Frame};
 use crate::text::Name;
@@ -379,14 +380,22 @@ impl FindingTracker {
     // --- time ----------------------------------------------------------------------------
 
     /// Clears findings whose evidence is too old, and calls `query` for addresses that are due for
-    /// a follow-up request.
-    pub fn handle_timeout(&mut self, now: Instant, mut query: impl FnMut(Address)) {
+    /// a follow-up request. Nothing changes while the bus is down.
+    pub fn handle_timeout(
+        &mut self,
+        now: Instant,
+        outages: &Outages,
+        mut query: impl FnMut(Address),
+    ) {
+        if outages.is_on() {
+            return;
+        }
         for at in 0..self.findings.len() {
             let finding = &self.findings[at];
             if finding.state == FindingState::Cleared {
                 continue;
             }
-            if now >= self.expires_at(at) && expires_without_evidence(finding) {
+            if now >= self.expires_at(at, outages) && expires_without_evidence(finding) {
                 self.end(now, at);
                 continue;
             }
@@ -411,7 +420,10 @@ impl FindingTracker {
         }
     }
 
-    pub fn poll_timeout(&self) -> Option<Instant> {
+    pub fn poll_timeout(&self, outages: &Outages) -> Option<Instant> {
+        if outages.is_on() {
+            return None;
+        }
         self.findings
             .iter()
             .zip(&self.evidence_states)
@@ -420,7 +432,7 @@ impl FindingTracker {
             .filter(|(_, (finding, _))| expires_without_evidence(finding))
             .flat_map(|(at, (_, state))| {
                 let check = if self.listen_only { None } else { state.next_follow_up };
-                [Some(self.expires_at(at)), check]
+                [Some(self.expires_at(at, outages)), check]
             })
             .flatten()
             .min()
@@ -443,6 +455,13 @@ impl FindingTracker {
     pub fn note_several_senders(&mut self, until: Instant, address: Address) {
         let known = &mut self.several_senders_until[address.index()];
         *known = Some(until).max(*known);
+    }
+
+    /// Notes that heartbeats show a confirmed finding still.
+    pub fn renew(&mut self, now: Instant, kind: FindingKind, address: Address) {
+        if let Some(at) = self.find(kind, address) {
+            self.findings[at].last = now;
+        }
     }
 
     /// Notes a claim of `address`; `is_held`: another node sends heartbeats there.
@@ -541,14 +560,16 @@ impl FindingTracker {
     }
 
     /// Returns when a finding is cleared if no more evidence is seen.
-    fn expires_at(&self, at: usize) -> Instant {
+    fn expires_at(&self, at: usize, outages: &Outages) -> Instant {
         let finding = &self.findings[at];
-        let expires = self.evidence_expires_at(at);
-        self.kept_until(finding).map_or(expires, |kept| expires.max(kept))
+        let expires = self.evidence_expires_at(at, outages);
+        let kept = self.kept_until(finding).map(|kept| kept + outages.since(finding.last));
+        kept.map_or(expires, |kept| expires.max(kept))
     }
 
-    fn evidence_expires_at(&self, at: usize) -> Instant {
+    fn evidence_expires_at(&self, at: usize, outages: &Outages) -> Instant {
         let finding = &self.findings[at];
+        let last = outages.shifted(finding.last);
         let requested = finding.key.address.map(|address| self.requested_at[address.index()]);
         let mut period = self.period_of(at);
         if self.evidence_states[at].is_response_based {
@@ -556,16 +577,16 @@ impl FindingTracker {
             period = period.max(self.default_period);
         }
         if finding.key.kind == FindingKind::MalformedAnswer {
-            return finding.last + period.max(self.default_period) * MALFORMED_MEMORY_PERIODS;
+            return last + period.max(self.default_period) * MALFORMED_MEMORY_PERIODS;
         }
-        let usual = finding.last + self.evidence_lifetime(period);
+        let usual = last + self.evidence_lifetime(period);
         match requested {
             Some(None) if self.evidence_states[at].is_response_based => {
-                finding.last + self.max_evidence_lifetime(period)
+                last + self.max_evidence_lifetime(period)
             }
             // The device needs time to respond.
             Some(Some(requested)) if self.evidence_states[at].is_response_based => {
-                usual.max(requested + period)
+                usual.max(outages.shifted(requested) + period)
             }
             _ => usual,
         }

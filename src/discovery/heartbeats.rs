@@ -114,8 +114,8 @@ impl DeviceTracker {
         if let Some(last) = previous_heartbeat {
             self.lateness.note_heartbeat(now, header.source, now.since(last), period);
         }
-        let missed_in_outage = previous_heartbeat
-            .map_or(0, |last| self.outages.heartbeats_missed_in_outage(last, now, period));
+        let missed_in_outage =
+            previous_heartbeat.map_or(0, |last| self.outages.heartbeats_missed(last, now, period));
         let Some(device) = self.device_table.get_mut(row) else { return };
         let expected = device.heartbeat.period_of_all();
         let jitter = device.heartbeat.jitter_of_all();

@@ -188,7 +188,7 @@ impl DeviceTracker {
             let last = last.unwrap_or(other.last_seen);
             other.address != address
                 && last <= since
-                && now.since(last) > missed
+                && now.since(self.outages.shifted(last)) > missed
                 && (other.heartbeat.period_of_all().is_some() || !other.is_present())
         };
         let by_uid = uid.and_then(|uid| {

@@ -71,6 +71,7 @@ mod identity;
 mod idle_gaps;
 mod local_node;
 mod observation;
+mod outages;
 mod outbox;
 mod period_error;
 mod periods;
@@ -398,6 +399,11 @@ impl Engine {
         self.tracker.outages.is_on()
     }
 
+    /// Returns for how long the bus was down since `then`, up to `now`.
+    pub fn time_down(&self, then: Instant, now: Instant) -> Duration {
+        self.tracker.outages.until(then, now)
+    }
+
     /// Command: claims an address and starts enumeration rounds again, as after bus-off or when the
     /// interface came up. Devices and findings stay.
     pub fn restart(&mut self, now: Instant) {
@@ -594,7 +600,7 @@ impl Engine {
         at(self.tracker.presence_timeout());
         at(self.requester.poll_timeout(&self.tracker));
         at(self.transfers.poll_timeout());
-        at(self.tracker.conflicts.finding_tracker().poll_timeout());
+        at(self.tracker.conflicts.finding_tracker().poll_timeout(&self.tracker.outages));
         at(self.tracker.errors_timeout());
         wake
     }

@@ -11,10 +11,10 @@
 use super::conflicts::ConflictDetector;
 use super::device::{Device, Presence, STALE_PERIODS};
 use super::device_tracker::DeviceTracker;
+use super::outages::Outages;
 use super::{DeviceId, EventKind};
 use crate::time::{Duration, Instant};
 use crate::wire::node::Mode;
-use std::collections::VecDeque;
 
 /// Age of the last heartbeat, in periods, at which a device is lost. Protocol §4.6.
 const LOST_PERIODS: u32 = 5;
@@ -36,72 +36,6 @@ pub(super) fn is_claim_only(device: &Device, period: Duration) -> bool {
 /// two.
 const NEXT_HEARTBEAT_DUE_PERIODS: f64 = 1.5;
 
-/// Maximum number of outages stored; older ones do not affect any device still present.
-const MAX_OUTAGES: usize = 8;
-
-/// Tolerance of the reported begin and end of an outage. Twice the shortest interval at which the
-/// state of a SocketCAN interface is read.
-const OUTAGE_TOLERANCE: Duration = Duration::from_millis(200);
-
-/// Times in which the bus was down.
-#[derive(Clone, Debug, Default)]
-pub(super) struct Outages {
-    since: Option<Instant>,
-    past: VecDeque<(Instant, Instant)>,
-}
-
-impl Outages {
-    /// Starts an outage, unless one is going on.
-    pub fn begin(&mut self, now: Instant) {
-        self.since.get_or_insert(now);
-    }
-
-    /// Ends the outage. Returns true if there was one.
-    pub fn end(&mut self, now: Instant) -> bool {
-        let Some(since) = self.since.take() else { return false };
-        if self.past.len() == MAX_OUTAGES {
-            self.past.pop_front();
-        }
-        self.past.push_back((since, now));
-        true
-    }
-
-    /// Returns true during an outage.
-    pub fn is_on(&self) -> bool {
-        self.since.is_some()
-    }
-
-    /// Returns true if a frame received at that time shows that the outage is over, whatever the
-    /// adapter reports.
-    pub fn is_contradicted_by(&self, received: Instant) -> bool {
-        self.since.is_some_and(|since| received > since)
-    }
-
-    /// Returns how long the bus was down since `then`.
-    pub fn since(&self, then: Instant) -> Duration {
-        self.past.iter().map(|(from, until)| until.since(then.max(*from))).sum()
-    }
-
-    /// Returns how many heartbeats, due between `last` and `now` every `period`, fell into outages.
-    pub fn heartbeats_missed_in_outage(
-        &self,
-        last: Instant,
-        now: Instant,
-        period: Duration,
-    ) -> u64 {
-        let steps = |until: Instant| until.since(last).as_nanos() / period.as_nanos().max(1);
-        let most = steps(now + period / 2).saturating_sub(1);
-        let mut counted = 0;
-        let missed = self.past.iter().map(|(from, until)| {
-            // Two close outages do not count a heartbeat twice.
-            let before = steps(*from - OUTAGE_TOLERANCE).max(counted);
-            counted = steps(*until + OUTAGE_TOLERANCE).min(most).max(before);
-            counted - before
-        });
-        u64::try_from(missed.sum::<u128>()).unwrap_or(u64::MAX)
-    }
-}
-
 /// Input of the presence decision.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PresenceInput<'a> {
@@ -112,12 +46,6 @@ pub(super) struct PresenceInput<'a> {
 }
 
 impl PresenceInput<'_> {
-    /// Returns `at` plus the time since then in which the bus was down.
-    fn shifted_by_outages(&self, at: Instant) -> Instant {
-        // Most buses have none.
-        if self.outages.past.is_empty() { at } else { at + self.outages.since(at) }
-    }
-
     /// Returns the presence at `now`, and when it changes if no frame is received; `None`: it does
     /// not.
     pub fn evaluate(&self, device: &Device, now: Instant) -> (Presence, Option<Instant>) {
@@ -130,8 +58,8 @@ impl PresenceInput<'_> {
         else {
             return self.judge_without_heartbeat(device, period, now);
         };
-        let last_heartbeat = self.shifted_by_outages(last_heartbeat);
-        let last_seen = self.shifted_by_outages(device.last_seen);
+        let last_heartbeat = self.outages.shifted(last_heartbeat);
+        let last_seen = self.outages.shifted(device.last_seen);
         let (stale_at, lost_at) = (last_heartbeat + stale_after, last_heartbeat + lost_after);
         if now < stale_at {
             return (Presence::Online, Some(stale_at));
@@ -160,14 +88,14 @@ impl PresenceInput<'_> {
                 return (Presence::Online, None);
             }
             // The rounds at start follow each other quickly.
-            let lost_at = self.shifted_by_outages(device.last_seen) + period * 5;
+            let lost_at = self.outages.shifted(device.last_seen) + period * 5;
             return if now < lost_at {
                 (Presence::Online, Some(lost_at))
             } else {
                 (Presence::Lost, None)
             };
         }
-        let stale_at = self.shifted_by_outages(device.last_seen) + STALE_WITHOUT_ROUNDS;
+        let stale_at = self.outages.shifted(device.last_seen) + STALE_WITHOUT_ROUNDS;
         if now < stale_at { (Presence::Online, Some(stale_at)) } else { (Presence::Stale, None) }
     }
 }
@@ -251,7 +179,7 @@ impl DeviceTracker {
         let period = self.sender_period(device.address);
         if is_gone
             && let Some(heard) = self.sender_names.last_of(device.id, device.address)
-            && self.now.since(heard) < period.mul_f64(STALE_PERIODS)
+            && self.now.since(self.outages.shifted(heard)) < period.mul_f64(STALE_PERIODS)
         {
             return Presence::Online;
         }
@@ -273,8 +201,8 @@ impl DeviceTracker {
         let after_response = period * if is_open { 8 } else { 4 };
         let responded = device.name_query.responded_at;
         if let Some(last) = self.sender_names.last_of(device.id, device.address) {
-            let last = self.presence_input().shifted_by_outages(last);
-            let leaves = responded.map(|at| at + after_response);
+            let last = self.outages.shifted(last);
+            let leaves = responded.map(|at| self.outages.shifted(at) + after_response);
             return Some((last + period * LOST_PERIODS).max(leaves.unwrap_or(last)));
         }
         let own = self.claims.last_of_row(device.id, device.address);
@@ -284,7 +212,7 @@ impl DeviceTracker {
             return None;
         }
         let heard = own.max(responded).max(device.replaced_at);
-        Some(heard.unwrap_or(device.last_seen) + after_response)
+        Some(self.outages.shifted(heard.unwrap_or(device.last_seen)) + after_response)
     }
 
     /// Returns when the presence of a row changes if no frame is received.

@@ -302,7 +302,7 @@ fn bus_parts(brush: &DrawContext, index: BusIndex) -> Parts {
     let mut parts = vec![Part::of_bus(if gives_way { OWN } else { KEPT }, name)];
     let mut spans = vec![state(brush, index, bus)];
     let place = place_in_log(brush, bus);
-    let good = matches!(bus.status.state, BusState::ErrorActive | BusState::Unknown);
+    let good = matches!(bus.controller().state, BusState::ErrorActive | BusState::Unknown);
     let rank = if bus.is_up() && good && place.is_none() { STATE } else { KEPT };
     spans.extend(place.into_iter().flatten());
     parts.push(Part::new(rank, spans));
@@ -408,15 +408,16 @@ pub fn rate(bits: u32) -> String {
 
 /// Returns the state of the interface and the controller as a word.
 fn state(brush: &DrawContext, index: BusIndex, bus: &Bus) -> Span<'static> {
-    let (word, role) = match (bus.status.link, bus.status.state) {
-        (Link::Opening, _) if brush.app.playback().is_some() => ("begins later", Role::Muted),
+    let is_log = brush.app.playback().is_some();
+    let (word, role) = match (bus.status.link, bus.controller().state) {
+        (Link::Opening, _) if is_log => ("begins later", Role::Muted),
         (Link::Opening, _) => ("opening", Role::Muted),
         (Link::Down, _) | (Link::Up, BusState::Down) => ("DOWN", Role::Error),
         (Link::Missing, _) => ("MISSING", Role::Error),
         (Link::Unplugged, _) => ("UNPLUGGED", Role::Error),
         (Link::NotCan | Link::NoKernel | Link::Failed, _) => ("FAILED", Role::Error),
         (Link::Ended, _) => ("end of log", Role::Muted),
-        (Link::Up, BusState::Unknown) if brush.app.playback().is_some() => ("log", Role::Warning),
+        (Link::Up, BusState::Unknown | BusState::ErrorActive) if is_log => ("log", Role::Warning),
         (Link::Up, BusState::ErrorActive) => ("active", Role::Online),
         (Link::Up, BusState::Unknown) => ("open", Role::Online),
         (Link::Up, BusState::ErrorWarning) => ("WARNING", Role::Warning),

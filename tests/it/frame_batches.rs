@@ -1,13 +1,17 @@
 //! Frames handled by the thousand: the same state and the same events as one by one.
 
 use crate::common::inspection;
-use descan::app::{App, AppOptions};
+use descan::app::{
+    App, AppOptions, FileIndex, FileReading, ProjectFacts, RedundantTask, TaskDevice,
+};
 use descan::discovery::Config;
 use descan::frame::{BusIndex, Frame};
 use descan::keymap::Key;
 use descan::log::LogReader;
 use descan::sim::Scenario;
-use descan::time::Instant;
+use descan::status::{BusStatus, Link, Playback};
+use descan::time::{Duration, Instant};
+use std::sync::Arc;
 
 /// Returns the frames of a simulated log; every third one is on a second bus.
 fn frames_of(scenario: &str) -> Vec<Frame> {
@@ -81,4 +85,77 @@ fn nothing_is_captured_where_nothing_reads_it() {
     assert!(app.buses()[0].counters().frames > 0);
     assert_eq!(app.capture().end(), 0);
     assert!(app.identifiers().rows().is_empty() && app.calls().rows().is_empty());
+}
+
+/// What the timeline says of missing devices and of a lost redundancy, with its times. Each batch is handled when
+/// the clock is `ahead` of its last frame, as far as the next one allows.
+fn differences(frames: &[Frame], batch: usize, ahead: Duration) -> Vec<String> {
+    let device = |bus: &str| TaskDevice {
+        bus: bus.to_owned(),
+        uid: Some("BOILER0,".to_owned()),
+        ..TaskDevice::default()
+    };
+    let devices = vec![device("can0"), device("can1")];
+    let facts = ProjectFacts {
+        tasks: vec![RedundantTask { task: "feed".to_owned(), devices }],
+        ..ProjectFacts::default()
+    };
+    let mut app = App::new(
+        Instant::ZERO,
+        AppOptions {
+            buses: vec![
+                ("can0".to_owned(), Config { listen_only: true, ..Config::default() }),
+                ("can1".to_owned(), Config { listen_only: true, ..Config::default() }),
+            ],
+            file_path: Some("des.json".into()),
+            project: Arc::new(facts),
+            ..AppOptions::default()
+        },
+    );
+    app.handle_resize(120, 40);
+    let entries = (10..40).map(|at| format!(r#"{{"name":"D{at}","address":{at}}}"#));
+    let file = format!("[{}]", entries.collect::<Vec<_>>().join(","));
+    let reading = FileReading::Content(Some(file.into_bytes()));
+    app.handle_file(Instant::ZERO, FileIndex::default(), reading);
+    app.handle_playback(Instant::ZERO, Playback::default());
+    let up = BusStatus { link: Link::Up, ..BusStatus::default() };
+    for bus in [BusIndex(0), BusIndex(1)] {
+        app.handle_bus(Instant::ZERO, bus, up.clone());
+    }
+    let mut rest = frames;
+    while !rest.is_empty() {
+        let (part, later) = rest.split_at(batch.min(rest.len()));
+        let next = later.first().map_or(Instant::LATEST, |frame| frame.time);
+        app.handle_frames((part.last().unwrap().time + ahead).min(next), part);
+        // A key is handled by the clock of the replay, of which frames may be late.
+        app.handle_key(part.last().unwrap().time + ahead, Key::char('j'));
+        rest = later;
+    }
+    let steps = app.stories().iter().flat_map(|story| story.steps().to_vec());
+    let steps = steps.filter(|step| step.entry.finding.is_some());
+    steps.map(|step| format!("{:?} {}", step.entry.time, step.entry.text)).collect()
+}
+
+#[test]
+fn differences_have_their_times_at_any_pace() {
+    // Devices that come and go at odd moments.
+    let mut frames = Vec::new();
+    for address in 10..24_u32 {
+        let first = u64::from(address) * 1_003_701;
+        for number in 0..20_u64 {
+            let rnd7 = (number as u32).wrapping_mul(0x9E37_79B1) >> 25;
+            let id = 0x0700_0001 | address << 17 | rnd7 << 10;
+            let data = [0x8A, 0xFA, 0x6C, 0x97, 0x24, address as u8, 4, 0];
+            let time = Instant::from_micros(first + number * 1_000_113);
+            let frame = Frame::classic(id, &data).with_time(time);
+            frames.push(frame.with_bus(BusIndex((address % 2) as u8)));
+        }
+    }
+    frames.sort_by_key(|frame| frame.time);
+    let expected = differences(&frames, 1, Duration::ZERO);
+    assert!(expected.len() > 10, "{expected:#?}");
+    for (batch, ahead) in [(1, 3), (1, 40), (1, 300), (5, 0), (5, 33), (64, 150), (1000, 0)] {
+        let found = differences(&frames, batch, Duration::from_millis(ahead));
+        assert_eq!(found, expected, "batches of {batch}, {ahead} ms ahead");
+    }
 }

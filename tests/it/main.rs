@@ -9,6 +9,7 @@ mod adversarial_logs;
 mod apply_command;
 mod bitrate_search;
 mod builtin_scenarios;
+mod bus_off_logs;
 mod bus_outages;
 mod candump;
 mod catalogue;

@@ -77,7 +77,7 @@ impl App {
         let has_only_no_ack = self.buses.get(session.bus).is_some_and(|bus| {
             bus.tx_blocked() == Some(TxBlocked::NoAck)
                 && !bus.status.listens_first
-                && bus.status.state != BusState::BusOff
+                && bus.controller().state != BusState::BusOff
                 && matches!(bus.own_address(), OwnAddress::Held(_))
         });
         session.renew_record(self.clock.epoch().unix_secs(now));

@@ -360,6 +360,11 @@ impl Buses {
         self.list.get_mut(usize::from(index.0))?.poll_event()
     }
 
+    /// Returns true, once, if frames reported another state of the controller of a bus.
+    pub(super) fn take_new_state(&mut self, index: BusIndex) -> bool {
+        self.list.get_mut(usize::from(index.0)).is_some_and(Bus::take_new_state)
+    }
+
     /// The next frame to transmit; `frame.bus` is the bus to transmit on.
     pub(super) fn poll_transmit(&mut self, now: Instant) -> Option<Frame> {
         self.list.iter_mut().enumerate().find_map(|(index, bus)| {

@@ -50,8 +50,8 @@ pub(super) struct Problems {
     /// Findings of the comparison before they ended or changed their state, with the time of that, oldest
     /// first; at most [`MAX_FORMER`].
     former: VecDeque<(Instant, Finding)>,
-    /// From then on `former` and `file_findings` hold all that was found; `None` while a des.json was
-    /// not compared, nor former ones dropped.
+    /// From then on `former` and `file_findings` hold all that was found; `None` until a des.json is compared
+    /// or a former finding is dropped.
     compared_from: Option<Instant>,
     /// Places of the entries that these findings are about, in the same order.
     finding_entries: Vec<Option<EntryPlace>>,
@@ -82,11 +82,6 @@ enum FindingPlace {
     Bus(usize, usize),
     /// With the findings of the file.
     File(usize),
-}
-
-/// Returns the differences between file and buses.
-pub(super) fn compare(inputs: Inputs, scope: Scope) -> Vec<Finding> {
-    Comparison::new(inputs, scope).found
 }
 
 impl Problems {
@@ -139,9 +134,32 @@ impl Problems {
         self.finding_entries[at]
     }
 
-    /// Assigns entries to devices again, without a comparison.
-    pub fn assign(&mut self, buses: &Buses, documents: Documents) {
+    /// Assigns entries to devices again.
+    fn assign(&mut self, buses: &Buses, documents: Documents) {
         self.matching = Matching::new(documents, buses);
+    }
+
+    /// Assigns entries to devices again, and renews the texts of the findings that are there; none is added or
+    /// removed.
+    pub fn renew_texts(&mut self, buses: &Buses, documents: Documents, now: Instant) {
+        self.assign(buses, documents);
+        let inputs = Inputs { now, buses, documents, matching: &self.matching };
+        let found = self.compare(inputs, Scope::Screen).into_iter();
+        let mut found: HashMap<FindingKey, Finding> =
+            found.map(|finding| (finding.key.clone(), finding)).collect();
+        for known in &mut self.file_findings {
+            let new = found.remove(&known.key).filter(|new| new.state == known.state);
+            if let Some(new) = new {
+                *known = new;
+            }
+        }
+    }
+
+    /// Returns the differences between file and buses; a finding that persists keeps its times.
+    pub fn compare(&self, inputs: Inputs, scope: Scope) -> Vec<Finding> {
+        let mut found = Comparison::new(inputs, scope).found;
+        self.keep_times(&mut found);
+        found
     }
 
     /// Compares files and buses again; a finding that persists keeps its times. Returns the findings
@@ -151,17 +169,7 @@ impl Problems {
         let inputs = Inputs { now, buses, documents, matching: &self.matching };
         let Comparison { mut found, entries, .. } = Comparison::new(inputs, Scope::Screen);
         self.finding_entries = entries;
-        let known: HashMap<&FindingKey, &Finding> =
-            self.file_findings.iter().map(|finding| (&finding.key, finding)).collect();
-        for finding in &mut found {
-            if let Some(old) = known.get(&finding.key) {
-                finding.first = old.first;
-                if old.state == finding.state {
-                    finding.changed = old.changed;
-                    finding.last = old.last;
-                }
-            }
-        }
+        self.keep_times(&mut found);
         self.revision += 1;
         if inputs.files().any(|file| file.is_there) {
             self.compared_from.get_or_insert(now);
@@ -178,6 +186,21 @@ impl Problems {
             self.former.push_back((now, old.clone()));
         }
         before
+    }
+
+    /// Gives the times of those that were found before to these findings.
+    fn keep_times(&self, found: &mut [Finding]) {
+        let known: HashMap<&FindingKey, &Finding> =
+            self.file_findings.iter().map(|finding| (&finding.key, finding)).collect();
+        for finding in found {
+            if let Some(old) = known.get(&finding.key) {
+                finding.first = old.first;
+                if old.state == finding.state {
+                    finding.changed = old.changed;
+                    finding.last = old.last;
+                }
+            }
+        }
     }
 
     /// Findings of the comparison that changed since `before`: first the cleared ones, then those
