@@ -368,11 +368,15 @@ impl FindingTracker {
         let key = FindingKey::at(FindingKind::FramesRepeated, self.bus, address);
         let Some(at) = self.open(now, key) else { return };
         let finding = &mut self.findings[at];
-        for (frame, description) in frames.into_iter().zip(["heartbeat", "the same frame again"]) {
-            let description = description.into();
-            finding.add_evidence(Evidence { time: frame.time, description, frame: Some(frame) });
-        }
+        let of = |frame: Frame, description: &'static str| Evidence {
+            time: frame.time,
+            description: description.into(),
+            frame: Some(frame),
+        };
+        let [original, copy] = frames;
+        finding.add_copied([of(original, "heartbeat"), of(copy, "the same frame again")]);
         finding.last = now;
+        finding.addresses.clone_from(&repeated.addresses);
         finding.text = finding_text::repeated(repeated);
         self.resume_follow_ups(now, at, false);
     }
@@ -590,6 +594,15 @@ impl FindingTracker {
             }
             _ => usual,
         }
+    }
+
+    /// Returns true if the frames of `address`, or of all, are repeated.
+    fn are_frames_repeated(&self, address: Address) -> bool {
+        self.findings.iter().any(|finding| {
+            finding.key.kind == FindingKind::FramesRepeated
+                && finding.state != FindingState::Cleared
+                && finding.key.address.is_none_or(|it| it == address)
+        })
     }
 
     fn find(&self, kind: FindingKind, address: Address) -> Option<usize> {
@@ -906,9 +919,12 @@ impl FindingTracker {
             && confirmed.is_none()
             && finding.key.kind != FindingKind::OneUidTwoAddresses
             && finding.key.address.is_some_and(is_contested);
-        // Two devices remain two when only one kind of evidence for them goes on.
+        // Two devices remain two when only one kind of evidence for them goes on; or repeated frames explain it.
         if is_address_conflict(&finding.key) {
-            self.findings[at].superseded_by = confirmed;
+            let repeated = finding.key.address.filter(|_| finding.state == FindingState::Suspected);
+            let repeated = repeated.filter(|address| self.are_frames_repeated(*address));
+            let repeated = repeated.map(|_| FindingKind::FramesRepeated);
+            self.findings[at].superseded_by = confirmed.or(repeated);
         }
         self.set(now, at, FindingState::Cleared);
         let (kind, address) = (self.findings[at].key.kind, self.findings[at].key.address);

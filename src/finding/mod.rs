@@ -228,6 +228,25 @@ impl Finding {
         self.evidence.insert(self.evidence.len() - later.count(), evidence);
     }
 
+    /// Adds a frame and its copy. When the store is full, the oldest pair of its second half is dropped.
+    pub(crate) fn add_copied(&mut self, pair: [Evidence; 2]) {
+        if self.evidence.len() + pair.len() > Self::MAX_EVIDENCE {
+            let mut originals: Vec<Frame> = Vec::new();
+            for frame in self.evidence.iter().filter_map(|stored| stored.frame) {
+                if !originals.iter().any(|known| known.same_on_wire(&frame)) {
+                    originals.push(frame);
+                }
+            }
+            if let Some(dropped) = originals.get(originals.len() / 2) {
+                let is_of_pair = |frame: &Frame| frame.same_on_wire(dropped);
+                self.evidence.retain(|stored| !stored.frame.as_ref().is_some_and(is_of_pair));
+            }
+        }
+        for evidence in pair {
+            self.add_evidence(evidence);
+        }
+    }
+
     /// Time at which the finding was cleared; `None` if it is open.
     pub fn cleared_at(&self) -> Option<Instant> {
         (self.state == FindingState::Cleared).then_some(self.changed)

@@ -3,7 +3,7 @@
 
 use crate::common::inspection::Inspection;
 use descan::discovery::{Config, Engine, EventKind};
-use descan::finding::{Finding, FindingKind, FindingState};
+use descan::finding::{Evidence, Finding, FindingKind, FindingState};
 use descan::frame::Frame;
 use descan::sim::{DeviceSpec, Fault, Scenario};
 use descan::time::{Duration, Instant};
@@ -359,7 +359,15 @@ fn texts_of_repeated(copies: &[(u32, &[u64])]) -> Vec<String> {
     let repeated = engine.findings().iter();
     let repeated = repeated.filter(|it| it.key.kind == FindingKind::FramesRepeated);
     let open = repeated.filter(|it| it.state == FindingState::Suspected);
-    open.map(|it| it.text.clone()).collect()
+    let with_pairs = open.inspect(|finding| {
+        for stored in &finding.evidence {
+            let frame = stored.frame.unwrap();
+            let is_same = |other: &&Evidence| other.frame.unwrap().same_on_wire(&frame);
+            let count = finding.evidence.iter().filter(is_same).count();
+            assert!(count >= 2, "{frame:?} without its original or copy: {finding:#?}");
+        }
+    });
+    with_pairs.map(|it| it.text.clone()).collect()
 }
 
 #[test]
