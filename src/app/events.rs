@@ -2,7 +2,7 @@
 //!
 //! Does not evaluate frames: the engines do.
 
-use super::buses::Redundancy;
+use super::buses::{Redundancy, controller_line};
 use super::input::Overlay;
 use super::notices::{TimelineEntry, event_text, join_lines};
 use super::problems::ProblemKey;
@@ -55,12 +55,6 @@ impl App {
             }
             for line in lines.into_iter().filter(|line| line.passes_filter) {
                 let event = self.line_event(&line.entry);
-                self.notices.emit(event);
-            }
-            if self.buses.take_new_state(bus)
-                && self.notices.emits_events()
-                && let Some(event) = self.bus_event(bus, self.clock.now())
-            {
                 self.notices.emit(event);
             }
         }
@@ -147,7 +141,9 @@ impl App {
 
     /// The same; what changed, changed at `now`.
     pub(super) fn refresh_problems_at(&mut self, now: Instant) {
-        self.file_comparison.note_comparison(now);
+        let tasks = self.buses.project().tasks.iter();
+        let task_due = tasks.flat_map(|task| task.due(&self.buses, now));
+        self.file_comparison.note_comparison(now, task_due.filter(|at| *at > now).min());
         let before = self.problems.refresh(&self.buses, self.files.documents(), now);
         if !self.notices.emits_events() {
             return self.note_file_findings(&before, now);
@@ -243,6 +239,21 @@ impl App {
         } else {
             self.request_redraw();
         }
+    }
+
+    /// Reports another state of the controller of a bus, which error frames told and the port does not know.
+    pub(super) fn controller_changed(&mut self, index: BusIndex) {
+        let now = self.clock.now();
+        let Some(bus) = self.buses.get(index) else { return };
+        if let Some((kind, text)) = controller_line(bus.controller()) {
+            self.report_line(TimelineEntry::new(now, kind, text).on(index));
+        }
+        if self.notices.emits_events()
+            && let Some(event) = self.bus_event(index, now)
+        {
+            self.notices.emit(event);
+        }
+        self.request_redraw();
     }
 
     /// Takes a profile that was saved. Frames are read by it from now on; logs are opened again.

@@ -20,6 +20,8 @@ pub(super) struct FileComparison {
     last: Option<Instant>,
     /// The last one for any reason.
     compared_at: Instant,
+    /// When time alone makes the state of a device of the project certain.
+    task_due: Option<Instant>,
     /// Enumeration rounds that were over at the last look: after two of them devices may be missing.
     rounds: u64,
 }
@@ -31,9 +33,11 @@ impl FileComparison {
         self.due.get_or_insert(earliest.max(at));
     }
 
-    /// Notes a comparison, whatever the reason for it was; one that waits for its time stays due.
-    pub fn note_comparison(&mut self, at: Instant) {
+    /// Notes a comparison, whatever the reason for it was; one that waits for its time stays due. `task_due`:
+    /// when time alone changes the next state of a task.
+    pub fn note_comparison(&mut self, at: Instant, task_due: Option<Instant>) {
         self.compared_at = self.compared_at.max(at);
+        self.task_due = task_due;
     }
 }
 
@@ -61,8 +65,7 @@ impl App {
     pub(super) fn file_comparison_due(&self) -> Option<Instant> {
         let now = self.clock.now();
         let listened = self.buses.iter().filter_map(|bus| bus.listened_at(now));
-        let tasks = self.buses.project().tasks.iter();
-        let times = listened.chain(tasks.flat_map(|task| task.due(&self.buses, now)));
+        let times = listened.chain(self.file_comparison.task_due);
         let next = times.filter(|at| *at > self.file_comparison.compared_at).min();
         self.file_comparison.due.into_iter().chain(next).min()
     }

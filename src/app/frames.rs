@@ -35,6 +35,7 @@ impl App {
                 (timers, events_at) = (None, Some(now));
             }
             self.clock.set(now);
+            let state_before = self.buses.controller_state(frame.bus);
             if self.buses.receive(frame) {
                 self.learners.handle_frame(frame);
                 self.note_for_search(frame);
@@ -43,6 +44,9 @@ impl App {
                 if self.buses.has_events() {
                     self.take_events();
                     (timers, events_at) = (None, Some(now));
+                }
+                if self.buses.controller_state(frame.bus) != state_before {
+                    self.controller_changed(frame.bus);
                 }
                 self.note_frame_for_sending(frame);
             }

@@ -175,11 +175,6 @@ impl RecordedBuses {
         self.now.poll_event(index)
     }
 
-    /// Returns true, once, if frames reported another state of the controller of a bus.
-    pub(super) fn take_new_state(&mut self, index: BusIndex) -> bool {
-        self.now.take_new_state(index)
-    }
-
     /// The next frame to transmit; `frame.bus` is the bus to transmit on.
     pub(super) fn poll_transmit(&mut self, now: Instant) -> Option<Frame> {
         let is_cut_off = self.now.iter().any(|bus| bus.must_discard_frames(now));

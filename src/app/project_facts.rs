@@ -178,7 +178,7 @@ impl RedundantTask {
         let names = self.devices.iter().map(|device| &device.bus);
         let buses =
             names.filter_map(|name| buses.iter().find(|it| it.name_without_rates() == *name));
-        let unheard = buses.filter_map(move |bus| bus.is_up_for_from(now, MISSING_AFTER));
+        let unheard = buses.filter_map(move |bus| bus.end_of_listening(now, MISSING_AFTER));
         ends.map(|since| since + CERTAIN_AFTER).chain(unheard)
     }
 

@@ -30,6 +30,9 @@ const DEFAULT_TIME: Duration = Duration::from_secs(10);
 /// Time in which a gateway that is connected sends a further status: its period, and delays.
 const STATUS_WAIT: Duration = Duration::from_secs(35);
 
+/// The same with connections that are lost meanwhile.
+const LONGEST_TIME: Duration = Duration::from_secs(90);
+
 /// Runs it.
 pub fn run(args: &FleetArgs) -> Result<u8, Failure> {
     let access = args.files.access(&args.broker).map_err(Failure::Usage)?;
@@ -63,14 +66,15 @@ pub struct FleetReading {
 struct AwaitedGateways<F> {
     /// Whether it waits for that gateway at all.
     is_wanted: F,
-    /// Those that had a status before the connection was lost. The broker may have lost it meanwhile.
+    /// Those that were connected before the connection was lost. The broker may have lost their status.
     known: BTreeSet<GatewayName>,
 }
 
 impl<F: Fn(&GatewayName) -> bool> AwaitedGateways<F> {
     fn note_known(&mut self, fleet: &Fleet) {
-        let with_status = fleet.gateways().filter(|(_, gateway)| gateway.status().is_some());
-        self.known.extend(with_status.map(|(name, _)| name.clone()));
+        let is_online = |gateway: &FleetGateway| gateway.status().is_some_and(|it| it.online);
+        let online = fleet.gateways().filter(|(_, gateway)| is_online(gateway));
+        self.known.extend(online.map(|(name, _)| name.clone()));
     }
 
     /// Those with a status from long ago.
@@ -121,7 +125,7 @@ pub fn read(
         // Only retained messages extend the reading: others may be published without end.
         let mut complete_at = now();
         let mut limit_at = now() + limit.unwrap_or(DEFAULT_TIME);
-        let last_limit = now() + limit.unwrap_or(DEFAULT_TIME + STATUS_WAIT);
+        let last_limit = now() + limit.unwrap_or(LONGEST_TIME);
         // Since then all are there, and further statuses are waited for.
         let mut complete_since: Option<Instant> = None;
         loop {
@@ -176,6 +180,7 @@ pub fn read(
                     }
                     Some(ReaderNotice::Connected) => {
                         (asked, is_subscribed, complete_since) = (now(), false, None);
+                        limit_at = last_limit.min(limit_at.max(now() + DEFAULT_TIME));
                         awaited.note_known(&fleet);
                         fleet.handle_connected();
                     }

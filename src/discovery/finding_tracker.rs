@@ -163,6 +163,13 @@ impl EvidenceState {
     }
 }
 
+/// The heartbeats of an address show several nodes, as noted then, until that moment.
+#[derive(Clone, Copy, Debug)]
+struct SeveralSenders {
+    noted: Instant,
+    until: Instant,
+}
+
 /// Findings of one bus with the state that decides about them.
 #[derive(Clone, Debug)]
 pub(super) struct FindingTracker {
@@ -185,8 +192,8 @@ pub(super) struct FindingTracker {
     open_conflicts: [u8; Address::COUNT],
     /// Number of confirmed address conflicts at each address.
     confirmed_conflicts: [u8; Address::COUNT],
-    /// Time until which the heartbeats of each address show several nodes.
-    several_senders_until: [Option<Instant>; Address::COUNT],
+    /// What the heartbeats of each address last showed.
+    several_senders: [Option<SeveralSenders>; Address::COUNT],
     /// Claims of each address, and nodes that gave it up.
     contests: AddressTable<Contest>,
     seed: u64,
@@ -232,7 +239,7 @@ impl FindingTracker {
             requested_at: [None; Address::COUNT],
             open_conflicts: [0; Address::COUNT],
             confirmed_conflicts: [0; Address::COUNT],
-            several_senders_until: [None; Address::COUNT],
+            several_senders: [None; Address::COUNT],
             contests: AddressTable::new(),
             seed,
             over_limit: 0,
@@ -456,9 +463,11 @@ impl FindingTracker {
 
     /// Notes that the heartbeats of `address` show several nodes: until then, the only confirmed
     /// conflict there is not cleared.
-    pub fn note_several_senders(&mut self, until: Instant, address: Address) {
-        let known = &mut self.several_senders_until[address.index()];
-        *known = Some(until).max(*known);
+    pub fn note_several_senders(&mut self, noted: Instant, until: Instant, address: Address) {
+        let known = &mut self.several_senders[address.index()];
+        if known.is_none_or(|known| known.until <= until) {
+            *known = Some(SeveralSenders { noted, until });
+        }
     }
 
     /// Notes that heartbeats show a confirmed finding still.
@@ -488,9 +497,10 @@ impl FindingTracker {
 
     /// Returns until when a finding is kept because several nodes send heartbeats; `None` if they
     /// do not, or if another confirmed conflict reports it.
-    fn kept_until(&self, finding: &Finding) -> Option<Instant> {
+    fn kept_until(&self, finding: &Finding, outages: &Outages) -> Option<Instant> {
         let address = finding.key.address?;
-        let until = self.several_senders_until[address.index()]?;
+        let SeveralSenders { noted, until } = self.several_senders[address.index()]?;
+        let until = until + outages.time_down_since(noted);
         let is_confirmed =
             finding.state == FindingState::Confirmed && is_address_conflict(&finding.key);
         let is_only = self.confirmed_conflicts[address.index()] == 1;
@@ -500,7 +510,7 @@ impl FindingTracker {
     /// Clears the conflicts at `address`, whose device is lost.
     pub fn forget(&mut self, now: Instant, address: Address) {
         self.requested_at[address.index()] = None;
-        self.several_senders_until[address.index()] = None;
+        self.several_senders[address.index()] = None;
         for at in 0..self.findings.len() {
             let finding = &self.findings[at];
             let concerned = finding.addresses.contains(&address);
@@ -522,7 +532,7 @@ impl FindingTracker {
         self.requested_at = [None; Address::COUNT];
         self.open_conflicts = [0; Address::COUNT];
         self.confirmed_conflicts = [0; Address::COUNT];
-        self.several_senders_until = [None; Address::COUNT];
+        self.several_senders = [None; Address::COUNT];
         self.contests = AddressTable::new();
     }
 
@@ -567,8 +577,7 @@ impl FindingTracker {
     fn expires_at(&self, at: usize, outages: &Outages) -> Instant {
         let finding = &self.findings[at];
         let expires = self.evidence_expires_at(at, outages);
-        let kept = self.kept_until(finding).map(|kept| kept + outages.since(finding.last));
-        kept.map_or(expires, |kept| expires.max(kept))
+        self.kept_until(finding, outages).map_or(expires, |kept| expires.max(kept))
     }
 
     fn evidence_expires_at(&self, at: usize, outages: &Outages) -> Instant {

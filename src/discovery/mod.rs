@@ -400,8 +400,8 @@ impl Engine {
     }
 
     /// Returns for how long the bus was down since `then`, up to `now`.
-    pub fn time_down(&self, then: Instant, now: Instant) -> Duration {
-        self.tracker.outages.until(then, now)
+    pub fn time_down_between(&self, then: Instant, now: Instant) -> Duration {
+        self.tracker.outages.time_down_between(then, now)
     }
 
     /// Command: claims an address and starts enumeration rounds again, as after bus-off or when the

@@ -181,6 +181,13 @@ fn bus_event_has_each_state_that_error_frames_report() {
         .collect();
     let [_, passive, off, on, _] = states[..] else { panic!("{states:?}") };
     assert_eq!([passive, off, on], [(5, "error-passive"), (10, "bus-off"), (10, "unknown")]);
+    let output = command(&["watch", "file:session.log"], folder).output().unwrap();
+    let lines = text(&output.stdout);
+    for line in
+        ["22:13:25.200 can0             error-passive", "22:13:30.100 can0             bus-off"]
+    {
+        assert!(lines.contains(line), "{line}: {lines}");
+    }
 }
 
 #[test]
@@ -200,4 +207,43 @@ fn missing_device_has_one_time_in_scan_watch_and_check() {
     let watched = times(&events(folder), "finding", is_missing);
     assert_times(&watched, &[5.5]);
     assert_times(&[first("scan"), first("check")], &[watched[0], watched[0]]);
+}
+
+/// More short times on the bus than are stored: a device that is lost does not return without a frame.
+#[test]
+fn lost_device_stays_lost_through_any_number_of_outages() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    fs::write(folder.join("des.json"), "[]").unwrap();
+    let mut log = LogText::default().beats(12, 1, 0.5, 10.0);
+    let mut at = 10.0;
+    for _ in 0..4000 {
+        log = log.bus_off(at).restarted(at + 0.01);
+        at += 0.014;
+    }
+    log.write(folder);
+    let found = events(folder);
+    for (event, count) in [("stale", 1), ("lost", 1), ("returned", 0)] {
+        assert_eq!(times(&found, event, |_| true).len(), count, "{event}");
+    }
+}
+
+/// Heartbeats after bus-off hold a conflict for some seconds, however long it lasted.
+#[test]
+fn conflict_that_ends_after_bus_off_ends_in_time() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    fs::write(folder.join("des.json"), "[]").unwrap();
+    for off in [1.0, 60.0, 600.0] {
+        let back = 12.1 + off;
+        let both = LogText::default().beats(13, 1, 0.5, 12.0).beats(13, 2, 0.8, 12.0);
+        let log = both.bus_off(12.1).restarted(back).beats(13, 1, back + 0.3, back + 2.0);
+        log.beats(13, 2, back + 2.6, back + 40.0).write(folder);
+        let is_over = |event: &Value| {
+            event["finding"]["kind"] == "one-address-two-identities"
+                && event["finding"]["confidence"] == "cleared"
+        };
+        let [at] = times(&events(folder), "finding", is_over)[..] else { panic!("{off}") };
+        assert!((5.0..12.0).contains(&(at - back)), "{off}: {} s after the restart", at - back);
+    }
 }

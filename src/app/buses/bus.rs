@@ -63,8 +63,6 @@ pub struct Bus {
     discarded_at: Option<Instant>,
     /// The port reported that frames can no longer be received, and not yet that they can.
     is_port_away: bool,
-    /// Frames reported another state of its controller.
-    is_state_new: bool,
     /// End of the quarantine after a stall: until then frames may be late and are only counted.
     quarantined_until: Option<Instant>,
 }
@@ -86,7 +84,6 @@ impl Bus {
             full_since: None,
             discarded_at: None,
             is_port_away: false,
-            is_state_new: false,
             quarantined_until: None,
         }
     }
@@ -223,21 +220,22 @@ impl Bus {
         self.is_up_for(now, LISTEN_TIME)
     }
 
-    /// Returns the moment from which on [`Self::has_listened`]; `None` while the bus is down.
+    /// Returns the moment from which on [`Self::has_listened`]; `None` while the bus is down or bus-off.
     pub(in crate::app) fn listened_at(&self, now: Instant) -> Option<Instant> {
-        self.is_up_for_from(now, LISTEN_TIME)
+        self.end_of_listening(now, LISTEN_TIME)
     }
 
-    /// Returns the moment from which on [`Self::is_up_for`]; `None` while the bus is down.
-    pub(in crate::app) fn is_up_for_from(&self, now: Instant, time: Duration) -> Option<Instant> {
+    /// Returns the moment from which on [`Self::is_up_for`] that time; `None` while the bus is down or bus-off.
+    pub(in crate::app) fn end_of_listening(&self, now: Instant, time: Duration) -> Option<Instant> {
         let since = self.up_since.filter(|_| !self.engine.is_suspended())?;
-        Some(since + time + self.engine.time_down(since, now))
+        Some(since + time + self.engine.time_down_between(since, now))
     }
 
     /// Returns true if the bus has been up for this long, without the time in which its controller was
     /// bus-off.
     pub(in crate::app) fn is_up_for(&self, now: Instant, time: Duration) -> bool {
-        let up_for = |since| now.since(since).saturating_sub(self.engine.time_down(since, now));
+        let up_for =
+            |since| now.since(since).saturating_sub(self.engine.time_down_between(since, now));
         self.up_since.is_some_and(|since| up_for(since) >= time)
     }
 
@@ -284,16 +282,9 @@ impl Bus {
 
     // ---- changes ---------------------------------------------------------------------------
 
-    /// Returns true, once, if frames reported another state of its controller, and the port does not know it.
-    pub(super) fn take_new_state(&mut self) -> bool {
-        std::mem::take(&mut self.is_state_new) && self.status.state == BusState::Unknown
-    }
-
     /// Passes a frame to the engine and the load meter.
     pub(super) fn receive(&mut self, frame: &Frame) {
-        let state = self.controller.state;
         self.controller.note(frame);
-        self.is_state_new |= self.controller.state != state;
         if self.is_quarantined(frame.time) {
             self.engine.count_frame_only(frame);
         } else {
@@ -347,9 +338,9 @@ impl Bus {
         }
     }
 
-    /// Returns true if the engine has an event, or the controller another state.
+    /// Returns true if the engine has an event.
     pub(super) fn has_events(&self) -> bool {
-        self.engine.has_events() || self.is_state_new
+        self.engine.has_events()
     }
 
     /// The next engine event.

@@ -26,6 +26,7 @@ pub use load_second::LoadSecond;
 pub use load_shares::{LoadShares, ShareCounts};
 pub use redundancy::{Redundancy, RedundantDevice};
 pub use reported_controller::ReportedController;
+pub(super) use status_changes::controller_line;
 
 use super::project_facts::ProjectFacts;
 use super::timeline_kind::TimelineKind;
@@ -37,7 +38,7 @@ use crate::discovery::{
 };
 use crate::finding::{Finding, FindingKey, FindingKind, FindingState};
 use crate::frame::{BusIndex, Frame};
-use crate::status::BusStatus;
+use crate::status::{BusState, BusStatus};
 use crate::time::{Duration, Instant};
 use crate::wire::descriptor::DescriptorField;
 use crate::wire::id::Address;
@@ -294,6 +295,11 @@ impl Buses {
         self.list.iter().any(Bus::has_events)
     }
 
+    /// State of the controller of a bus, as its port knows it or error frames report it.
+    pub(super) fn controller_state(&self, index: BusIndex) -> Option<BusState> {
+        self.get(index).map(|bus| bus.controller().state)
+    }
+
     /// Returns true if no bus has a device or recent traffic.
     pub fn is_quiet(&self) -> bool {
         let quiet =
@@ -358,11 +364,6 @@ impl Buses {
     /// The next engine event of a bus.
     pub(super) fn poll_event(&mut self, index: BusIndex) -> Option<Event> {
         self.list.get_mut(usize::from(index.0))?.poll_event()
-    }
-
-    /// Returns true, once, if frames reported another state of the controller of a bus.
-    pub(super) fn take_new_state(&mut self, index: BusIndex) -> bool {
-        self.list.get_mut(usize::from(index.0)).is_some_and(Bus::take_new_state)
     }
 
     /// The next frame to transmit; `frame.bus` is the bus to transmit on.

@@ -2,6 +2,7 @@
 //!
 //! Pure: two statuses in, lines out.
 
+use super::reported_controller::ReportedController;
 use crate::app::timeline_kind::TimelineKind;
 use crate::status::{BusState, BusStatus, Link};
 use crate::text::Escaped;
@@ -57,17 +58,9 @@ pub(super) fn status_changes(old: &BusStatus, status: &BusStatus) -> Vec<(Timeli
         };
         lines.push((TimelineKind::Bus, text));
     }
-    if old.state != status.state && status.state != BusState::Unknown {
-        let kind = match status.state {
-            BusState::ErrorActive => TimelineKind::Bus,
-            BusState::ErrorWarning => TimelineKind::Overdue,
-            _ => TimelineKind::Error,
-        };
-        let counters = match (status.tec, status.rec) {
-            (Some(tec), Some(rec)) => format!(" (TEC {tec}, REC {rec})"),
-            _ => String::new(),
-        };
-        lines.push((kind, format!("{}{counters}", status.state)));
+    if old.state != status.state {
+        let BusStatus { state, tec, rec, .. } = *status;
+        lines.extend(controller_line(ReportedController { state, tec, rec, bus_offs: 0 }));
     }
     if old.bitrate != status.bitrate
         && let Some(bitrate) = status.bitrate
@@ -101,4 +94,22 @@ pub(super) fn status_changes(old: &BusStatus, status: &BusStatus) -> Vec<(Timeli
         }
     }
     lines
+}
+
+/// Returns the timeline text of the state of a controller; `None` if it is not known.
+pub(in crate::app) fn controller_line(
+    controller: ReportedController,
+) -> Option<(TimelineKind, String)> {
+    let ReportedController { state, tec, rec, .. } = controller;
+    let kind = match state {
+        BusState::Unknown => return None,
+        BusState::ErrorActive => TimelineKind::Bus,
+        BusState::ErrorWarning => TimelineKind::Overdue,
+        _ => TimelineKind::Error,
+    };
+    let counters = match (tec, rec) {
+        (Some(tec), Some(rec)) => format!(" (TEC {tec}, REC {rec})"),
+        _ => String::new(),
+    };
+    Some((kind, format!("{state}{counters}")))
 }

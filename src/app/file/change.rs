@@ -187,6 +187,14 @@ pub enum EditRefusal {
         /// Description of the step.
         name: String,
     },
+    /// Another program deleted the file since the edit.
+    #[error("not {done}: {name}; the file was deleted")]
+    Deleted {
+        /// What was attempted: `undone`, `redone`.
+        done: &'static str,
+        /// Description of the step.
+        name: String,
+    },
     /// The edit cannot be applied to the content.
     #[error(transparent)]
     Edit(#[from] EditError),

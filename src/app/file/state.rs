@@ -617,6 +617,9 @@ impl FileState {
                 Some(EditConflict { theirs, .. }) if operations.is_empty() => {
                     return Err(EditRefusal::ChangedSince { done, name: shown_name, theirs });
                 }
+                None if operations.is_empty() && !self.is_on_disk && step.had_file => {
+                    return Err(EditRefusal::Deleted { done, name: shown_name });
+                }
                 None if operations.is_empty() => {
                     return Err(EditRefusal::AlreadyDone { done, name: shown_name });
                 }

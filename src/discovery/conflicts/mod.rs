@@ -497,7 +497,7 @@ impl ConflictDetector {
         }
         if is_crowded {
             let until = now + period.mul_f64(KEPT_PERIODS);
-            self.finding_tracker.note_several_senders(until, address);
+            self.finding_tracker.note_several_senders(now, until, address);
         }
         let is_confirmed = self.finding_tracker.has_confirmed_conflict(address);
         let in_other_phase = is_confirmed
@@ -509,7 +509,7 @@ impl ConflictDetector {
         for last in history.uids.second_last_seen().into_iter().chain(in_other_phase) {
             // Some of its heartbeats may be lost.
             let until = last + turn_period * UID_MEMORY_PERIODS;
-            self.finding_tracker.note_several_senders(until, address);
+            self.finding_tracker.note_several_senders(now, until, address);
         }
         history.note_rate(pattern.double_rate, period);
         if is_crowded {

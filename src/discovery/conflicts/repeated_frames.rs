@@ -122,8 +122,9 @@ struct CopySeries {
 
 impl CopySeries {
     /// Takes the delay of a copy. It counts if the sender generates RND7: others may be equal by chance.
-    fn add(&mut self, now: Instant, delay: Duration, has_random_rnd7: bool) {
-        if self.copied_at.is_none() || has_random_rnd7 && self.count == 0 {
+    fn add(&mut self, now: Instant, delay: Duration, period: Duration, has_random_rnd7: bool) {
+        let is_first = !is_recent(now, self.copied_at, period);
+        if is_first || has_random_rnd7 && self.count == 0 {
             self.delays.fill(delay);
         }
         self.copied_at = Some(now);
@@ -140,6 +141,11 @@ impl CopySeries {
     fn is_steady(&self) -> bool {
         self.longest.saturating_sub(self.shortest) <= DELAY_JITTER.max(self.shortest / 2)
     }
+}
+
+/// Returns true if further copies were still due after one at that time.
+fn is_recent(now: Instant, at: Option<Instant>, period: Duration) -> bool {
+    at.is_some_and(|at| now.since(at) < period * REPEATED_PERIODS)
 }
 
 /// Returns true if one bridge may make copies with both delays.
@@ -287,7 +293,7 @@ impl RepeatedFrameDetector {
     }
 
     fn is_recent(&self, now: Instant, at: Option<Instant>) -> bool {
-        at.is_some_and(|at| now.since(at) < self.period * REPEATED_PERIODS)
+        is_recent(now, at, self.period)
     }
 
     /// Returns the copied heartbeats of each address that has them: of senders that generate RND7, if there are
@@ -387,14 +393,16 @@ impl RepeatedFrameDetector {
         let series = &mut self.series[address];
         series.heard_at = Some(now);
         if let Some(delay) = recorded.copy_delay {
-            series.add(now, delay, recorded.has_random_rnd7);
+            series.add(now, delay, period, recorded.has_random_rnd7);
             self.longest_delay = self.longest_delay.max(delay);
             self.note_copied_heartbeat(now, address, delay);
             if recorded.has_random_rnd7 {
                 self.note_copy_of_one(now, address);
             }
         } else if let Some(delay) = recorded.further_copy_delay {
-            series.further_at = Some(now);
+            if !is_recent(now, series.further_at.replace(now), period) {
+                series.further = Duration::ZERO;
+            }
             series.further = series.further.max(delay).min(MAX_FORWARDING_DELAY);
         } else if recorded.previous_has_no_copy {
             series.uncopied = series.uncopied.saturating_add(1);

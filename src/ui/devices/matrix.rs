@@ -5,12 +5,16 @@ use super::columns::SIGNS;
 use super::{
     addresses, buses, draw_editor, is_absent, side_role, sign, twin_name, uid_text, visible_rows,
 };
-use crate::app::{Row, ServiceTable, VersionCell, matrix_start};
+use crate::app::{PromptKind, Row, ServiceTable, VersionCell, matrix_start};
 use crate::cell_text::cut;
 use crate::theme::Role;
 use crate::ui::brush::{DrawContext, fit, fit_right};
+use ratatui::layout::Rect;
 use ratatui::text::{Line, Span};
 use unicode_width::UnicodeWidthStr;
+
+/// Columns of the address prompt, over the last services.
+const EDITOR_WIDTH: usize = 9;
 
 /// Draws the headings and the rows that fit.
 pub fn draw(brush: &mut DrawContext) {
@@ -38,6 +42,7 @@ pub fn draw(brush: &mut DrawContext) {
     }
     let hidden = table.names.len().saturating_sub(first + widths.len());
     draw_heading(brush, &heading, hidden, first);
+    draw_editor_heading(brush, width);
     for (line, is_selected, row) in visible_rows(app, list.height) {
         let mut text = start(brush, row, is_selected, width);
         let listed = app.entry_of(row).and_then(|entry| entry.services.as_deref());
@@ -51,7 +56,19 @@ pub fn draw(brush: &mut DrawContext) {
         if is_selected {
             brush.select(list, line);
         }
-        draw_editor(brush, list, line, row, width.saturating_sub(9));
+        draw_editor(brush, list, line, row, width.saturating_sub(EDITOR_WIDTH));
+    }
+}
+
+/// Draws the heading of the address prompt, which covers the last services.
+fn draw_editor_heading(brush: &mut DrawContext, width: usize) {
+    let prompt = brush.app.prompt().map(|prompt| &prompt.kind);
+    if matches!(prompt, Some(PromptKind::Address(_))) && width > EDITOR_WIDTH {
+        let header = brush.screen.header;
+        let x = header.x + (width - EDITOR_WIDTH - 1) as u16;
+        let at = Rect { x, width: EDITOR_WIDTH as u16 + 1, ..header };
+        let text = Line::from(brush.span(Role::Header, fit(" FILE", EDITOR_WIDTH + 1)));
+        brush.line(at, 0, &text);
     }
 }
 
@@ -66,7 +83,7 @@ fn draw_heading(brush: &mut DrawContext, heading: &Line, hidden: usize, first: u
         (first, hidden) => format!(" ← {first} → {hidden}"),
     };
     let width = (text.width() as u16).min(header.width);
-    let at = ratatui::layout::Rect { x: header.right() - width, width, ..header };
+    let at = Rect { x: header.right() - width, width, ..header };
     let line = Line::from(brush.span(Role::Title, text));
     brush.line(at, 0, &line);
 }

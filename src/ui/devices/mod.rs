@@ -532,6 +532,10 @@ fn draw_editor(brush: &mut DrawContext, list: Rect, line: u16, row: &Row, start:
     let under = brush.style(Role::Input);
     let untouched = if prompt.replaces_on_typing { Modifier::REVERSED } else { Modifier::empty() };
     let style = under.add_modifier(untouched);
+    if start > 0 {
+        // Something else may end there.
+        brush.buffer[(at.x - 1, at.y)].set_symbol(" ");
+    }
     brush.buffer.set_string(at.x, at.y, fit("", usize::from(width)), under);
     brush.buffer.set_style(at, ratatui::style::Style::reset().patch(under));
     brush.buffer.set_stringn(at.x, at.y, text, usize::from(width), style);

@@ -298,6 +298,25 @@ fn go_to_key_typed_twice_selects_the_first_row() {
 }
 
 #[test]
+fn address_is_edited_under_a_heading_of_its_own_among_services() {
+    for columns in [60, 80, 120] {
+        let mut stage = Stage::boiler();
+        stage.until(24.0).size(columns, 24).keys("v");
+        assert!(!stage.screen().contains(" FILE"), "{}", stage.screen());
+        let screen = stage.keys("e").text("55").screen();
+        let heading = screen.lines().find(|line| line.contains("ADDR NAME")).unwrap();
+        let row = screen.lines().find(|line| line.contains("10 FEED ")).unwrap();
+        let column = |line: &str, text: &str| {
+            let at = line.find(text).unwrap_or_else(|| panic!("no {text}: {screen}"));
+            line[..at].chars().count()
+        };
+        assert_eq!(column(heading, "FILE"), column(row, "55"), "{columns}: {screen}");
+        assert_eq!(row.chars().nth(column(row, "55") - 1), Some(' '), "{columns}: {screen}");
+        assert!(!stage.keys("Esc").screen().contains(" FILE"), "{}", stage.screen());
+    }
+}
+
+#[test]
 fn services_that_do_not_fit_are_reached_with_right() {
     let mut stage = Stage::boiler();
     stage.until(45.0).size(40, 12).keys("v");

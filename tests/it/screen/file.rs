@@ -40,6 +40,16 @@ fn deleted_file_is_reported() {
 }
 
 #[test]
+fn edit_of_a_deleted_file_is_not_undone() {
+    let mut stage = Stage::boiler();
+    stage.until(24.0).keys("n").text("NEW 64").keys("Enter");
+    stage.until(26.0).remove();
+    let screen = stage.keys("u").screen();
+    assert!(one_line(&screen).contains("the file was deleted"), "{screen}");
+    assert!(!screen.contains("already"), "{screen}");
+}
+
+#[test]
 fn new_entry_is_selected_and_its_address_checked() {
     let mut stage = Stage::boiler();
     stage.until(24.0).keys("n").text("PUMP 200");
