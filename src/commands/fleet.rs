@@ -196,7 +196,7 @@ pub fn read(
                     complete_since = Some(now());
                     let (old, gone) = (first_of(awaited.old(&fleet)), first_of(awaited.gone(&fleet)));
                     if let Some(names) = &old {
-                        output::warn(format_args!("{names}: last status is old; waiting for another"));
+                        output::warn(format_args!("{names}: last status is old, or its clock is wrong; waiting for another"));
                     }
                     if let Some(names) = &gone {
                         output::warn(format_args!("{names}: the broker has no status any more; waiting for one"));

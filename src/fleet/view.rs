@@ -294,7 +294,7 @@ impl FleetGateway {
                 let descan = printable(content.descan.as_bytes());
                 let content = GatewayStatus { descan, ..content };
                 // After another connection the broker sends it again.
-                let is_again = !content.online && self.status() == Some(&content);
+                let is_again = (is_kept || !content.online) && self.status() == Some(&content);
                 if !is_again {
                     (self.received, self.is_received_late) = (now, is_kept);
                     self.is_silent = false;

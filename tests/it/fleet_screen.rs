@@ -435,6 +435,52 @@ fn documents_are_kept_until_the_subscription_is_there() {
     assert_eq!(stage.names(), "");
 }
 
+/// What the broker kept shows that the gateway was connected then, not that it is.
+#[test]
+fn kept_status_does_not_show_that_a_gateway_is_connected() {
+    let old = json!({"online": true, "started_ms": 5000, "time": UNIX_START - 600.0});
+    let mut stage = FleetStage::new(80, 24);
+    stage.send("old/status", &old).wait(3.0);
+    let screen = stage.screen();
+    assert!(screen.contains("silent 10m"), "{screen}");
+    // Another one shows it, whatever the clock of the gateway is.
+    stage.send("old/status", &old);
+    assert_eq!(stage.filter("is:online").names(), "old");
+    stage.wait(80.0);
+    assert_eq!(stage.filter("is:silent").names(), "old");
+    // The same again after another connection.
+    stage.screen.handle_failed(stage.now, "lost".to_owned(), Duration::from_secs(1));
+    stage.connect().send("old/status", &old).wait(3.0);
+    assert_eq!(stage.names(), "old");
+}
+
+#[test]
+fn escape_switches_the_filter_off_before_it_leaves_a_gateway() {
+    let mut stage = FleetStage::fleet(80, 24);
+    stage.filter("east").keys("Enter");
+    stage.filter("zzz");
+    assert!(stage.screen().contains("Esc switches it off"), "{}", stage.screen());
+    stage.keys("Esc");
+    assert!(stage.screen.opened().is_some());
+    assert!(!stage.names().is_empty());
+    // The prompt uses the line that it shows.
+    let screen = stage.keys("/").screen();
+    assert!(screen.contains("zzz") && screen.contains("0 of"), "{screen}");
+    stage.keys("Esc Esc");
+    assert!(stage.screen.opened().is_none());
+}
+
+#[test]
+fn nothing_is_said_of_gateways_before_the_first_connection() {
+    let mut stage = FleetStage::new(80, 24);
+    stage.screen.handle_failed(stage.now, "connection refused".to_owned(), Duration::from_secs(1));
+    for page in ["1", "2", "3"] {
+        let screen = stage.keys(page).screen();
+        assert!(screen.contains("not connected to the broker yet"), "{screen}");
+        assert!(!screen.contains("AS OF") && !screen.contains("no problems"), "{screen}");
+    }
+}
+
 #[test]
 fn gateway_without_status_for_75_seconds_is_silent() {
     let mut stage = FleetStage::fleet(80, 24);

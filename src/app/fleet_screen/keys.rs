@@ -47,7 +47,7 @@ pub const FLEET_KEYS: &[(Action, &str)] = &[
     (Action::SortReverse, ""),
     (Action::Copy, "Copy the command that goes there: ssh, live view"),
     (Action::Rescan, "Connect to the broker at once, without the wait"),
-    (Action::Cancel, "Close details, leave the gateway, filter off"),
+    (Action::Cancel, "Close details, filter off, leave the gateway"),
     (Action::Help, "These keys"),
     (Action::Theme, "Next theme"),
     (Action::Redraw, ""),
@@ -301,10 +301,12 @@ impl FleetScreen {
         true
     }
 
-    /// Esc: closes what is open, then switches the filter off.
+    /// Esc: closes the details, else switches the filter off, else leaves the gateway.
     fn cancel(&mut self) {
-        if !self.close() && self.filter().is_on {
+        if self.filter().is_on && !self.scope().has_details_alone {
             self.toggle_filter();
+        } else {
+            self.close();
         }
     }
 
@@ -395,6 +397,7 @@ impl FleetScreen {
         let input = LineInput::new(text.clone());
         let prompt = FleetPrompt { input, before: (text, is_on), ..Default::default() };
         self.overlay = FleetOverlay::Prompt(Box::new(prompt));
+        self.use_typed_filter();
     }
 
     fn toggle_filter(&mut self) {

@@ -300,6 +300,7 @@ impl FleetScreen {
             self.complete_at = was_stopped.then_some(now + QUIET);
             if !was_stopped {
                 self.fleet.handle_complete();
+                self.fleet.handle_old_statuses(self.unix_now());
                 self.look_at_gateways();
                 self.is_first_reading_over = true;
                 self.link = BrokerLink::Connected;
@@ -362,9 +363,14 @@ impl FleetScreen {
         &self.link
     }
 
-    /// Returns true if what is shown may have changed since: there is no connection.
+    /// Returns true if what is shown may have changed since: the connection was lost.
     pub fn is_old(&self) -> bool {
-        matches!(self.link, BrokerLink::Failed { .. })
+        matches!(self.link, BrokerLink::Failed { .. }) && self.is_first_reading_over
+    }
+
+    /// Returns true before all documents were read for the first time.
+    pub fn is_unread(&self) -> bool {
+        !self.is_first_reading_over
     }
 
     /// Counts of all gateways.
@@ -397,10 +403,14 @@ impl FleetScreen {
         self.entries.get(name).map(|entry| entry.row(name))
     }
 
+    fn unix_now(&self) -> f64 {
+        self.options.unix_start + self.now.as_micros() as f64 / 1e6
+    }
+
     /// How long a gateway has been in its state, by its clock where that is online or was stopped; true
     /// if it may be longer.
     pub fn state_age(&self, row: &GatewayRow) -> Option<(Duration, bool)> {
-        let unix_now = self.options.unix_start + self.now.as_micros() as f64 / 1e6;
+        let unix_now = self.unix_now();
         let since_unix =
             |at: f64| Duration::try_from_secs_f64((unix_now - at).max(0.0)).unwrap_or_default();
         let since_received = self.now.since(row.received);
@@ -413,7 +423,11 @@ impl FleetScreen {
                 None => Some((since_received, true)),
             },
             GatewayState::Lost => Some((since_received, row.is_received_late)),
-            GatewayState::Silent => Some((since_received, false)),
+            GatewayState::Silent => {
+                let status = row.facts.status_time.filter(|_| row.is_received_late);
+                let age = status.map_or(since_received, |at| since_unix(at).max(since_received));
+                Some((age, false))
+            }
             GatewayState::Online | GatewayState::Unknown => None,
         }
     }

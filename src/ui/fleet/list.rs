@@ -70,6 +70,9 @@ fn draw_nothing(brush: &mut FleetBrush) {
             }
             (FleetPage::Main, Some(_), _) => "this gateway has published no devices".to_owned(),
             (_, _, BrokerLink::Connecting) => "connecting to the broker".to_owned(),
+            (_, _, BrokerLink::Failed { .. }) if screen.is_unread() => {
+                "not connected to the broker yet: nothing is known".to_owned()
+            }
             (FleetPage::Main, None, BrokerLink::Reading) => "reading documents".to_owned(),
             (FleetPage::Main, None, _) => "no gateway found: none has published at this broker, or the \
                  user may not read descan/v1/#; on a gateway run: descan publish can0 --broker ADDRESS, \
