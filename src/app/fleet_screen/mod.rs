@@ -365,12 +365,12 @@ impl FleetScreen {
 
     /// Returns true if what is shown may have changed since: the connection was lost.
     pub fn is_old(&self) -> bool {
-        matches!(self.link, BrokerLink::Failed { .. }) && self.is_first_reading_over
+        matches!(self.link, BrokerLink::Failed { .. }) && !self.is_unread()
     }
 
-    /// Returns true before all documents were read for the first time.
+    /// Returns true before anything was read.
     pub fn is_unread(&self) -> bool {
-        !self.is_first_reading_over
+        !self.is_first_reading_over && self.entries.is_empty()
     }
 
     /// Counts of all gateways.
