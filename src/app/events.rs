@@ -253,6 +253,9 @@ impl App {
         {
             self.notices.emit(event);
         }
+        // After bus-off, time goes on for what needs listening.
+        self.compare_file_soon(now);
+        self.refresh_before_draw();
         self.request_redraw();
     }
 
