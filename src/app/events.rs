@@ -12,7 +12,7 @@ use super::{App, BusSelection, Effect};
 use crate::discovery::{DeviceId, Event, EventKind};
 use crate::finding::{Finding, FindingKind};
 use crate::frame::BusIndex;
-use crate::status::{BusStatus, RecordingStatus};
+use crate::status::{BusState, BusStatus, RecordingStatus};
 use crate::time::Instant;
 use crate::wire::profile::{Profile, ProfileKey};
 use std::path::PathBuf;
@@ -213,6 +213,7 @@ impl App {
     pub(super) fn bus_changed(&mut self, index: BusIndex, mut status: BusStatus) {
         let now = self.clock.now();
         let changes_before = self.buses.get(index).map(|bus| bus.status.log_changes);
+        let state_before = self.buses.controller_state(index);
         let is_another_log = changes_before.is_some_and(|before| before < status.log_changes);
         status.is_sending_paused = self.bus_choice.is_some();
         let Some(changes) = self.buses.update_status(now, index, status) else { return };
@@ -220,7 +221,7 @@ impl App {
             let entry = TimelineEntry::new(now, TimelineKind::Bus, "another log begins").on(index);
             self.notices.end_stories(index, &entry);
         }
-        let is_news = !changes.is_empty();
+        let is_news = !changes.is_empty() || self.buses.controller_state(index) != state_before;
         for (kind, text) in changes {
             self.report_line(TimelineEntry::new(now, kind, text).on(index));
         }
@@ -242,10 +243,12 @@ impl App {
     }
 
     /// Reports another state of the controller of a bus, which error frames told and the port does not know.
-    pub(super) fn controller_changed(&mut self, index: BusIndex) {
+    pub(super) fn controller_changed(&mut self, index: BusIndex, before: Option<BusState>) {
         let now = self.clock.now();
         let Some(bus) = self.buses.get(index) else { return };
-        if let Some((kind, text)) = controller_line(bus.controller()) {
+        let is_back = before == Some(BusState::BusOff);
+        let back = || is_back.then(|| (TimelineKind::Bus, "on the bus again".to_owned()));
+        if let Some((kind, text)) = controller_line(bus.controller()).or_else(back) {
             self.report_line(TimelineEntry::new(now, kind, text).on(index));
         }
         if self.notices.emits_events()

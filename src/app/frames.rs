@@ -46,7 +46,7 @@ impl App {
                     (timers, events_at) = (None, Some(now));
                 }
                 if self.buses.controller_state(frame.bus) != state_before {
-                    self.controller_changed(frame.bus);
+                    self.controller_changed(frame.bus, state_before);
                 }
                 self.note_frame_for_sending(frame);
             }

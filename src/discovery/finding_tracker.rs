@@ -930,7 +930,15 @@ impl FindingTracker {
             && finding.key.address.is_some_and(is_contested);
         // Two devices remain two when only one kind of evidence for them goes on; or repeated frames explain it.
         if is_address_conflict(&finding.key) {
-            let repeated = finding.key.address.filter(|_| finding.state == FindingState::Suspected);
+            // Copies have the same UID.
+            let may_be_copies = finding.state == FindingState::Suspected
+                && !was_contested
+                && finding.uids.len() <= 1
+                && matches!(
+                    finding.key.kind,
+                    FindingKind::AnswersDoubled | FindingKind::SameNameSameAddress
+                );
+            let repeated = finding.key.address.filter(|_| may_be_copies);
             let repeated = repeated.filter(|address| self.are_frames_repeated(*address));
             let repeated = repeated.map(|_| FindingKind::FramesRepeated);
             self.findings[at].superseded_by = confirmed.or(repeated);

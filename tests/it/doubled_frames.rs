@@ -397,6 +397,31 @@ fn frames_of_two_gateways_arrive_more_than_twice() {
     );
 }
 
+/// Copies explain neither a second UID nor that the finding is over.
+#[test]
+fn repeated_frames_do_not_replace_a_conflict_of_two_uids() {
+    let second = |frame: Frame| {
+        let mut data = [13_u8, 13, 13, 13, 13, 14, 4, 0];
+        data[4] = 99;
+        Frame::classic(frame.platform_id().unwrap(), &data).with_time(frame.time)
+    };
+    let mut boards: Vec<Box<dyn Iterator<Item = Frame>>> = Vec::new();
+    for address in [12, 13] {
+        for delay in [0, 4_000] {
+            let first = u64::from(address) * 30_000 + delay;
+            let number = move |count| random(count + address);
+            boards.push(Box::new(beats(address, first, 1_000_000, number)));
+        }
+    }
+    for delay in [0, 4_000] {
+        let other = beats(13, 690_000 + delay, 1_000_000, |count| random(count + 77));
+        boards.push(Box::new(other.skip(10).take(3).map(second)));
+    }
+    let engine = listener(boards, END);
+    let found = finding(&engine, FindingKind::OneAddressTwoIdentities).unwrap();
+    assert_eq!((found.state, found.superseded_by), (FindingState::Cleared, None), "{found:#?}");
+}
+
 #[test]
 fn copies_nearly_half_a_period_late_are_no_conflict() {
     for delay in [440, 460, 480] {

@@ -437,12 +437,13 @@ impl Bus {
         if self.status == status {
             return None;
         }
+        let state_before = self.controller().state;
         let old = std::mem::replace(&mut self.status, status);
         if old.log_changes < self.status.log_changes {
             self.begin_another_log(now);
         }
         let new = &self.status;
-        let lines = status_changes(&old, new);
+        let lines = status_changes(&old, new, state_before);
         let has_listened = self.has_listened(now);
         let kept = self.up_since.filter(|_| is_up(new) || has_listened);
         self.up_since = kept.or(is_up(new).then_some(now));

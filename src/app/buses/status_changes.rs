@@ -7,8 +7,13 @@ use crate::app::timeline_kind::TimelineKind;
 use crate::status::{BusState, BusStatus, Link};
 use crate::text::Escaped;
 
-/// Returns the changes from `old` to `status`, one line each.
-pub(super) fn status_changes(old: &BusStatus, status: &BusStatus) -> Vec<(TimelineKind, String)> {
+/// Returns the changes from `old` to `status`, one line each. `state_before`: that of the controller, which
+/// error frames may have reported before the port did.
+pub(super) fn status_changes(
+    old: &BusStatus,
+    status: &BusStatus,
+    state_before: BusState,
+) -> Vec<(TimelineKind, String)> {
     let shown = |text: &String| Escaped(text.as_bytes()).to_string();
     let mut lines = Vec::new();
     let is_another_log = old.log_changes < status.log_changes;
@@ -58,7 +63,7 @@ pub(super) fn status_changes(old: &BusStatus, status: &BusStatus) -> Vec<(Timeli
         };
         lines.push((TimelineKind::Bus, text));
     }
-    if old.state != status.state {
+    if ![old.state, state_before].contains(&status.state) {
         let BusStatus { state, tec, rec, .. } = *status;
         lines.extend(controller_line(ReportedController { state, tec, rec, bus_offs: 0 }));
     }

@@ -614,11 +614,11 @@ impl FileState {
                 Merge::Conflict(_) => Vec::new(),
             };
             match conflict {
+                _ if operations.is_empty() && !self.is_on_disk && step.had_file => {
+                    return Err(EditRefusal::Deleted { done, name: shown_name });
+                }
                 Some(EditConflict { theirs, .. }) if operations.is_empty() => {
                     return Err(EditRefusal::ChangedSince { done, name: shown_name, theirs });
-                }
-                None if operations.is_empty() && !self.is_on_disk && step.had_file => {
-                    return Err(EditRefusal::Deleted { done, name: shown_name });
                 }
                 None if operations.is_empty() => {
                     return Err(EditRefusal::AlreadyDone { done, name: shown_name });

@@ -303,7 +303,7 @@ impl FleetScreen {
 
     /// Esc: closes the details, else switches the filter off, else leaves the gateway.
     fn cancel(&mut self) {
-        if self.filter().is_on && !self.scope().has_details_alone {
+        if self.filter().is_on && self.row_total > 0 && !self.scope().has_details_alone {
             self.toggle_filter();
         } else {
             self.close();

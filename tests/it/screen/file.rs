@@ -41,12 +41,14 @@ fn deleted_file_is_reported() {
 
 #[test]
 fn edit_of_a_deleted_file_is_not_undone() {
-    let mut stage = Stage::boiler();
-    stage.until(24.0).keys("n").text("NEW 64").keys("Enter");
-    stage.until(26.0).remove();
-    let screen = stage.keys("u").screen();
-    assert!(one_line(&screen).contains("the file was deleted"), "{screen}");
-    assert!(!screen.contains("already"), "{screen}");
+    for (key, text) in [("n", "NEW 64"), ("e", "70")] {
+        let mut stage = Stage::boiler();
+        stage.until(24.0).keys(key).text(text).keys("Enter");
+        stage.until(26.0).remove();
+        let screen = stage.keys("u").screen();
+        assert!(one_line(&screen).contains("the file was deleted"), "{screen}");
+        assert!(!screen.contains("already"), "{screen}");
+    }
 }
 
 #[test]
