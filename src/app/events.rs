@@ -242,7 +242,7 @@ impl App {
         }
     }
 
-    /// Reports another state of the controller of a bus, which error frames told and the port does not know.
+    /// Reports another state of the controller of a bus, from error frames: the port does not know it.
     pub(super) fn controller_changed(&mut self, index: BusIndex, before: Option<BusState>) {
         let now = self.clock.now();
         let Some(bus) = self.buses.get(index) else { return };
