@@ -6,6 +6,7 @@
 
 use super::App;
 use crate::time::{Duration, Instant};
+use std::mem;
 
 /// Least time between two comparisons after events. Chosen: not noticed, and events that belong together are
 /// compared once.
@@ -22,8 +23,10 @@ pub(super) struct FileComparison {
     compared_at: Instant,
     /// When time alone makes the state of a device of the project certain.
     task_due: Option<Instant>,
-    /// Enumeration rounds that were over at the last look: after two of them devices may be missing.
+    /// Enumeration rounds that were over at the last look, and engines that were suspended: after two rounds
+    /// devices may be missing, and while an engine is suspended no time passes for them.
     rounds: u64,
+    suspended: usize,
 }
 
 impl FileComparison {
@@ -49,10 +52,13 @@ impl App {
         }
     }
 
-    /// Requests a comparison if an enumeration round ended: the engine emits no event then.
-    pub(super) fn compare_file_after_round(&mut self) {
+    /// Requests a comparison if an enumeration round ended or an engine resumed: they emit no event then.
+    pub(super) fn compare_file_after_timers(&mut self) {
         let rounds = self.buses.iter().map(|bus| u64::from(bus.finished_rounds())).sum();
-        if std::mem::replace(&mut self.file_comparison.rounds, rounds) != rounds {
+        let suspended = self.buses.iter().filter(|bus| bus.is_suspended()).count();
+        let is_new_round = mem::replace(&mut self.file_comparison.rounds, rounds) != rounds;
+        let were_suspended = mem::replace(&mut self.file_comparison.suspended, suspended);
+        if is_new_round || suspended < were_suspended {
             self.compare_file_soon(self.clock.now());
             if !self.view.has_screen {
                 self.refresh_before_draw();

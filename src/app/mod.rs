@@ -607,7 +607,7 @@ impl App {
         self.take_events();
         self.step_plan(now);
         self.step_sending(now);
-        self.compare_file_after_round();
+        self.compare_file_after_timers();
         self.compare_file_until(now);
         if self.clock.take_second(now) {
             self.tick();

@@ -5,7 +5,6 @@
 use super::buses::{Bus, Buses};
 use super::problems::label_of_device;
 use crate::discovery::{Device, DeviceId, Presence};
-use crate::frame::BusIndex;
 use crate::time::{Duration, Instant};
 use crate::wire::id::Address;
 use crate::wire::node::Mode;
@@ -64,8 +63,9 @@ impl TaskDevice {
     fn end(&self, buses: &Buses, now: Instant, taken: &[DeviceId]) -> TaskEnd {
         let unheard =
             |state, is_certain| TaskEnd { device: None, label: self.label(), state, is_certain };
-        let bus = buses.iter().enumerate().find(|(_, it)| it.name_without_rates() == self.bus);
-        let Some((index, bus)) = bus else { return unheard(TaskState::Unknown, false) };
+        let Some((index, bus)) = buses.find_by_name(&self.bus) else {
+            return unheard(TaskState::Unknown, false);
+        };
         let others = || bus.devices().iter().filter(|device| !taken.contains(&device.id));
         // Of several the one that works, else the last that was heard.
         let rank = |device: &&Device| (state_of(device) == TaskState::Works, device.last_seen);
@@ -85,7 +85,7 @@ impl TaskDevice {
                 && self.address.is_none_or(|address| device.address == address)
                 && (device.name.is_none() || self.uid.is_some() && device.uid.is_none())
         };
-        let is_searched = buses.is_search_complete(BusIndex(index as u8), now);
+        let is_searched = buses.is_search_complete(index, now);
         if !is_searched || others().any(perhaps) {
             return unheard(TaskState::Unknown, false);
         }
@@ -175,10 +175,8 @@ impl RedundantTask {
     /// Returns the moments at which time alone makes the state of a device certain, before or after `now`.
     pub fn due(&self, buses: &Buses, now: Instant) -> impl Iterator<Item = Instant> {
         let ends = self.ends(buses, now).into_iter().filter_map(|end| end.state.since());
-        let names = self.devices.iter().map(|device| &device.bus);
-        let buses =
-            names.filter_map(|name| buses.iter().find(|it| it.name_without_rates() == *name));
-        let unheard = buses.filter_map(move |bus| bus.end_of_listening(now, MISSING_AFTER));
+        let buses = self.devices.iter().filter_map(|device| buses.find_by_name(&device.bus));
+        let unheard = buses.filter_map(move |(_, bus)| bus.end_of_listening(now, MISSING_AFTER));
         ends.map(|since| since + CERTAIN_AFTER).chain(unheard)
     }
 

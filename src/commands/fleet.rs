@@ -6,7 +6,7 @@ use super::{EXIT_FINDINGS, EXIT_INTERRUPTED, EXIT_OK, Failure, headless, output}
 use crate::bus::wall_micros;
 use crate::cli::FleetArgs;
 use crate::finding::{FindingKind, FindingState};
-use crate::fleet::{Fleet, FleetGateway, FleetTopic, GatewayName};
+use crate::fleet::{Fleet, FleetGateway, FleetTopic, GatewayName, GatewayStatus};
 use crate::inventory::{InventoryDevice, InventoryFinding, InventoryService};
 use crate::shell::broker::{BrokerReader, BrokerSettings, ReaderNotice};
 use crate::shell::stop::StopWaiter;
@@ -46,6 +46,14 @@ pub fn run(args: &FleetArgs) -> Result<u8, Failure> {
         output::print_json(&json)?;
     } else {
         output::print(&report.table())?;
+    }
+    for gateway in &report.gateways {
+        for file in gateway.file_errors.iter().take(MAX_WARNINGS) {
+            output::warn(format_args!(
+                "{} does not use {}: {}",
+                gateway.name, file.path, file.error
+            ));
+        }
     }
     warn_rejects(&read.fleet);
     warn_if_empty(&read.fleet);
@@ -269,6 +277,8 @@ struct GatewayReport<'a> {
     time: Option<f64>,
     /// `null` after a lost connection, or without a status.
     events: Option<EventReport>,
+    /// The des.json files that it cannot use.
+    file_errors: Vec<GatewayFileReport<'a>>,
     buses: Vec<GatewayBusReport<'a>>,
     devices: Vec<GatewayDeviceReport<'a>>,
     findings: Vec<GatewayFindingReport<'a>>,
@@ -280,6 +290,12 @@ struct GatewayReport<'a> {
 struct EventReport {
     last: u64,
     dropped: u64,
+}
+
+#[derive(Serialize)]
+struct GatewayFileReport<'a> {
+    path: &'a str,
+    error: &'a str,
 }
 
 #[derive(Serialize)]
@@ -405,6 +421,11 @@ fn of_gateway<'a>(
         descan: status.map(|it| it.descan.as_str()).filter(|it| !it.is_empty()),
         time: gateway.last_time(),
         events: events.map(|it| EventReport { last: it.last, dropped: it.dropped }),
+        file_errors: status
+            .into_iter()
+            .flat_map(GatewayStatus::file_errors)
+            .map(|(path, error)| GatewayFileReport { path, error })
+            .collect(),
         buses: gateway
             .buses()
             .map(|bus| GatewayBusReport {

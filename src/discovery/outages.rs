@@ -56,7 +56,7 @@ impl Outages {
     /// Returns true if a frame received at that time shows that the outage is over, whatever the
     /// adapter reports.
     pub fn is_contradicted_by(&self, received: Instant) -> bool {
-        self.since.is_some_and(|since| received > since)
+        self.since.is_some_and(|since| received >= since)
     }
 
     /// Returns for how long the bus was down since `then`, without an outage that is going on.

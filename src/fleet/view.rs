@@ -85,6 +85,45 @@ pub struct GatewayStatus {
     /// What was observed of its events; `None` after a lost connection.
     #[serde(default)]
     pub events: Option<EventCounts>,
+    /// Its des.json.
+    #[serde(default)]
+    file: Option<GatewayFile>,
+    /// Its des.json files, if its buses have several.
+    #[serde(default)]
+    files: Vec<GatewayFile>,
+}
+
+impl GatewayStatus {
+    /// Its des.json files that cannot be used, each with the error.
+    pub fn file_errors(&self) -> impl Iterator<Item = (&str, &str)> {
+        let one = self.file.iter().filter(|_| self.files.is_empty());
+        let all = one.chain(&self.files);
+        all.filter_map(|file| Some((file.path.as_str(), file.error.as_deref()?)))
+    }
+
+    /// The status without what could control a terminal.
+    fn printable(self) -> Self {
+        let of_file = |file: GatewayFile| GatewayFile {
+            path: printable(file.path.as_bytes()),
+            error: file.error.map(|error| printable(error.as_bytes())),
+        };
+        Self {
+            descan: printable(self.descan.as_bytes()),
+            file: self.file.map(of_file),
+            files: self.files.into_iter().map(of_file).collect(),
+            ..self
+        }
+    }
+}
+
+/// A des.json of a gateway.
+#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
+#[serde(default)]
+struct GatewayFile {
+    /// Its path there.
+    path: String,
+    /// Why it cannot be used.
+    error: Option<String>,
 }
 
 /// When a document was made.
@@ -104,6 +143,9 @@ pub struct EventCounts {
     /// Events that were dropped while the broker was away.
     pub dropped: u64,
 }
+
+/// Memory of a device at an address beside the first one there, in members of a list.
+const OTHER_DEVICE_MEMBERS: usize = 6;
 
 /// Bytes of memory that a document takes: texts as they were published, its topic, what it has without a
 /// text, and what each member of its lists has.
@@ -139,7 +181,8 @@ pub struct FleetGateway {
     /// Memory of all documents.
     bytes: usize,
     buses: BTreeMap<String, StoredDocument<InventoryBus>>,
-    devices: BTreeMap<(String, u8), StoredDocument<InventoryDevice>>,
+    /// By bus and address: the device that is there, then those that were.
+    devices: BTreeMap<(String, u8), StoredDocument<Vec<InventoryDevice>>>,
     findings: BTreeMap<(String, String), StoredDocument<InventoryFinding>>,
 }
 
@@ -203,12 +246,7 @@ impl FleetGateway {
 
     /// Its devices, by bus and address, debug devices included.
     pub fn devices(&self) -> impl Iterator<Item = &InventoryDevice> {
-        self.devices.values().map(|device| &device.content)
-    }
-
-    /// A device.
-    pub fn device(&self, bus: &str, address: u8) -> Option<&InventoryDevice> {
-        self.devices.get(&(bus.to_owned(), address)).map(|device| &device.content)
+        self.devices.values().flat_map(|devices| &devices.content)
     }
 
     /// Its open findings, each with the bus of its topic and its identifier there.
@@ -291,8 +329,8 @@ impl FleetGateway {
             TopicPath::Status => {
                 let content: GatewayStatus = serde_json::from_slice(payload)
                     .map_err(|error| on_one_line(&error.to_string()))?;
-                let descan = printable(content.descan.as_bytes());
-                let content = GatewayStatus { descan, ..content };
+                bytes = memory_of(topic, payload, content.files.len());
+                let content = content.printable();
                 // After another connection the broker sends it again.
                 let is_again = (is_kept || !content.online) && self.status() == Some(&content);
                 if !is_again {
@@ -303,14 +341,21 @@ impl FleetGateway {
             }
             TopicPath::Bus(bus) => {
                 let mut content = InventoryBus::parse(payload).map_err(|it| it.to_string())?;
+                if content.name.is_empty() {
+                    return Err("no bus".to_owned());
+                }
                 content.name.clone_from(&bus);
                 let time = serde_json::from_slice(payload).map_or(None, |it: DocumentTime| it.time);
                 self.buses.insert(bus, StoredDocument { content, time, bytes, connection });
             }
             TopicPath::Device(bus, address) => {
-                let mut content = InventoryDevice::parse(payload).map_err(|it| it.to_string())?;
-                (content.bus, content.address) = (bus.clone(), address);
-                let members = content.services.as_ref().map_or(0, Vec::len);
+                let mut content =
+                    InventoryDevice::parse_all(payload).map_err(|it| it.to_string())?;
+                let mut members = OTHER_DEVICE_MEMBERS * (content.len() - 1);
+                for device in &mut content {
+                    (device.bus, device.address) = (bus.clone(), address);
+                    members += device.services.as_ref().map_or(0, Vec::len);
+                }
                 bytes = memory_of(topic, payload, members);
                 self.devices.insert(
                     (bus, address),

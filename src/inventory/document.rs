@@ -10,8 +10,8 @@ use super::{
 use crate::text::{Escaped, is_printable, on_one_line, shortened};
 use serde::Deserialize;
 use serde::de::{Deserializer, Error as _, IgnoredAny, SeqAccess, Visitor};
-use std::fmt;
 use std::marker::PhantomData;
+use std::{fmt, iter, mem};
 
 /// Largest number of entries in a list.
 const MAX_ENTRIES: usize = 65_536;
@@ -59,6 +59,16 @@ impl InventoryDevice {
     /// The bytes are none.
     pub fn parse(bytes: &[u8]) -> Result<Self, InventoryError> {
         json::<DeviceJson>(bytes).map(Self::from)
+    }
+
+    /// Parses a document of an address: the device there, then those in its member `others`.
+    ///
+    /// # Errors
+    /// The bytes are none.
+    pub fn parse_all(bytes: &[u8]) -> Result<Vec<Self>, InventoryError> {
+        let mut first: DeviceJson = json(bytes)?;
+        let others = mem::take(&mut first.others).0;
+        Ok(iter::once(first).chain(others).map(Self::from).collect())
     }
 }
 
@@ -208,6 +218,9 @@ struct DeviceJson {
     services_shared: Option<bool>,
     heartbeat: Option<HeartbeatJson>,
     file: Option<EntryJson>,
+    /// Further devices at the address, in a document of a fleet.
+    #[serde(default)]
+    others: List<DeviceJson>,
 }
 
 #[derive(Deserialize)]

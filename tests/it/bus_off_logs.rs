@@ -247,3 +247,26 @@ fn conflict_that_ends_after_bus_off_ends_in_time() {
         assert!((5.0..12.0).contains(&(at - back)), "{off}: {} s after the restart", at - back);
     }
 }
+
+/// Times of a log may be coarse: what follows bus-off with its time was received after it.
+#[test]
+fn frame_with_the_time_of_bus_off_shows_that_it_is_over() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    fs::write(folder.join("des.json"), "[]").unwrap();
+    for (frames_at_once, lost_at) in [(0, 25.0), (1, 15.0)] {
+        let mut log = LogText::default().beats(12, 1, 1.0, 11.0).bus_off(11.0);
+        for _ in 0..frames_at_once {
+            log = log.line(11.0, "123#00");
+        }
+        for second in 21..30 {
+            log = log.line(f64::from(second), "123#00");
+        }
+        log.write(folder);
+        let found = events(folder);
+        assert_times(&times(&found, "lost", |_| true), &[lost_at]);
+        let states = found.iter().filter(|event| event["event"] == "bus");
+        let states: Vec<&Value> = states.map(|event| &event["bus"]["state"]).collect();
+        assert!(states.len() >= 2, "{states:?}");
+    }
+}

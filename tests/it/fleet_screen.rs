@@ -225,6 +225,82 @@ fn fleet_of_any_size_is_drawn_without_panic() {
 }
 
 #[test]
+fn two_devices_of_one_address_are_two_rows() {
+    let mut stage = FleetStage::new(80, 24);
+    let device = |name: &str, presence: &str| {
+        json!({
+            "bus": "can0", "address": 14, "name": name, "uid": name, "presence": presence,
+        })
+    };
+    let with_others = |others: Value| {
+        let mut document = device("ACT", "online");
+        document["others"] = others;
+        document
+    };
+    stage.status("north", 10.0).bus("north", "can0").conflict("north", 14, "confirmed");
+    let others = json!([device("SPARE", "online"), device("OLD", "lost")]);
+    stage.send("north/device/can0/14", &with_others(others)).wait(1.0);
+    let row = |screen: &str, name: &str| -> String {
+        let found = screen.lines().find(|line| line.contains(name));
+        found.unwrap_or_else(|| panic!("{name}: {screen}")).to_owned()
+    };
+    let words = row(&stage.screen(), " north ");
+    assert_eq!(words.split_whitespace().nth(7), Some("2"), "present: {words}");
+    assert_eq!(stage.filter("name:SPARE").names(), "north");
+    assert_eq!(stage.keys("Esc Enter").names(), "ACT SPARE OLD");
+    let screen = stage.screen();
+    for name in ["ACT", "SPARE"] {
+        assert!(row(&screen, &format!("14 {name}")).contains("CONFLICT"), "{screen}");
+    }
+    assert!(row(&screen, "14 OLD").contains("lost"), "it left before: {screen}");
+    // The selection stays on its row.
+    stage.keys("Down").send("north/device/can0/9", &device("NINE", "online"));
+    let selected = |stage: &mut FleetStage| match stage.names().is_empty() {
+        true => None,
+        false => stage.screen.selected_row().cloned(),
+    };
+    let Some(FleetRow::Device(row)) = selected(&mut stage) else { panic!("no device") };
+    assert_eq!(row.device.name.as_deref(), Some("SPARE"));
+}
+
+#[test]
+fn file_that_a_gateway_cannot_use_is_named() {
+    let mut stage = FleetStage::fleet(80, 24);
+    let status = json!({
+        "online": true, "time": UNIX_START,
+        "file": {"path": "/etc/des.json", "ok": false, "error": "line 3, column 5: a comma is missing"},
+    });
+    stage.send("east/status", &status).wait(1.0);
+    assert_eq!(stage.filter("err").names(), "north east");
+    stage.keys("Esc");
+    let screen = stage.filter("east").screen();
+    let text = "/etc/des.json: line 3, column 5: a comma is missing";
+    assert!(screen.lines().any(|line| line.contains(" east ") && line.contains('✗')), "{screen}");
+    assert!(
+        screen.lines().any(|line| line.contains("des.json") && line.contains(text)),
+        "{screen}"
+    );
+    let screen = stage.keys("Enter").screen();
+    assert!(screen.contains(&format!(" ! not used there: {text}")), "{screen}");
+}
+
+#[test]
+fn gateway_whose_documents_are_cleared_is_an_event() {
+    let mut stage = FleetStage::fleet(80, 24);
+    stage.wait(1.0).keys("1");
+    for topic in ["west/status", "west/bus/can0", "west/device/can0/20"] {
+        stage.send_bytes(topic, b"");
+    }
+    let addresses: Vec<u8> = (0..127).collect();
+    for address in addresses {
+        stage.send_bytes(&format!("west/device/can0/{address}"), b"");
+    }
+    assert_eq!(stage.names(), "south north east");
+    let screen = stage.screen();
+    assert!(screen.contains("all documents cleared"), "{screen}");
+}
+
+#[test]
 fn gateways_are_sorted_worst_first_then_by_name() {
     let mut stage = FleetStage::fleet(80, 24);
     assert_eq!(stage.names(), "south north east west");

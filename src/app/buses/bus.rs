@@ -181,6 +181,11 @@ impl Bus {
         self.engine.finished_rounds()
     }
 
+    /// Returns true while the engine is suspended: the bus is down, or frames may be late.
+    pub(in crate::app) fn is_suspended(&self) -> bool {
+        self.engine.is_suspended()
+    }
+
     /// State of descan's own address.
     pub fn own_address(&self) -> OwnAddress {
         self.engine.own_address()

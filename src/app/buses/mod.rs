@@ -134,6 +134,12 @@ impl Buses {
         self.list.get(usize::from(index.0))
     }
 
+    /// The bus that a project names so, without bit rates.
+    pub fn find_by_name(&self, name: &str) -> Option<(BusIndex, &Bus)> {
+        let at = self.list.iter().position(|bus| bus.name_without_rates() == name)?;
+        Some((BusIndex(at as u8), &self.list[at]))
+    }
+
     /// Counter that changes when a finding of a bus is opened or has another state.
     pub fn findings_revision(&self) -> u64 {
         self.list.iter().map(|bus| 1 + bus.findings_revision()).sum()

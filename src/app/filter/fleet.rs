@@ -50,7 +50,7 @@ impl Filter {
                 }
                 _ => false,
             }),
-            Test::Error => facts.confirmed > 0,
+            Test::Error => facts.confirmed > 0 || facts.has_file_error(),
             _ => false,
         })
     }

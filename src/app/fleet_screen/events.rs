@@ -154,7 +154,16 @@ impl FleetEventLog {
             GatewayState::Online => FleetEventKind::Device,
             GatewayState::Stopped | GatewayState::Unknown => FleetEventKind::Other,
         };
-        let (subject, text) = ("gateway".to_owned(), state.name().to_owned());
+        self.note_change(gateway, time, state.name(), kind);
+    }
+
+    /// Takes that a gateway has no documents any more, at a Unix time by this machine.
+    pub(super) fn note_removed(&mut self, gateway: GatewayName, time: f64) {
+        self.note_change(gateway, time, "all documents cleared", FleetEventKind::Other);
+    }
+
+    fn note_change(&mut self, gateway: GatewayName, time: f64, text: &str, kind: FleetEventKind) {
+        let (subject, text) = ("gateway".to_owned(), text.to_owned());
         self.push(FleetEvent { gateway, time, subject, text, kind });
     }
 

@@ -43,6 +43,8 @@ pub struct GatewayFacts {
     pub modes: BTreeSet<String>,
     /// Its findings.
     pub problems: Vec<Arc<FleetProblem>>,
+    /// Its des.json files that cannot be used, each with the error: `des.json: line 3, …`.
+    pub file_errors: Vec<String>,
     /// Number of present devices, by name and version of a service.
     services: BTreeMap<String, BTreeMap<String, usize>>,
     /// Addresses of its devices, a bit for each.
@@ -58,6 +60,8 @@ impl GatewayFacts {
             facts.started = status.started_ms as f64 / 1000.0;
             facts.status_time = status.time;
             facts.events = status.events;
+            let errors = status.file_errors();
+            facts.file_errors = errors.map(|(path, error)| format!("{path}: {error}")).collect();
         }
         gateway.devices().filter(|device| !is_debug(device)).for_each(|it| facts.add_device(it));
         for (bus, id, finding) in gateway.findings_by_id() {
@@ -122,6 +126,11 @@ impl GatewayFacts {
                 .any(|it| it.name() == state)
         };
         self.buses.iter().any(|bus| bus.state.as_deref().is_some_and(is_down))
+    }
+
+    /// Returns true if a des.json of it cannot be used.
+    pub fn has_file_error(&self) -> bool {
+        !self.file_errors.is_empty()
     }
 
     /// Addresses of its devices.
@@ -224,7 +233,7 @@ impl GatewayRow {
             GatewayState::Lost => 0,
             GatewayState::Silent => 1,
             _ if facts.conflicts > 0 => 2,
-            _ if facts.confirmed > 0 || facts.has_bus_down() => 3,
+            _ if facts.confirmed > 0 || facts.has_bus_down() || facts.has_file_error() => 3,
             _ if facts.suspected > 0 || facts.lost > 0 => 4,
             GatewayState::Unknown => 5,
             GatewayState::Stopped => 6,
@@ -253,6 +262,8 @@ pub struct VersionRow {
 pub struct FleetDevice {
     /// What was published.
     pub device: InventoryDevice,
+    /// Its place among the devices of its address.
+    pub place: usize,
     /// A confirmed conflict is about its address.
     pub is_in_conflict: bool,
     /// Another finding is about it.
@@ -261,7 +272,11 @@ pub struct FleetDevice {
 
 impl FleetDevice {
     /// Takes a device, and what the findings of its gateway say of it.
-    pub(super) fn new(device: &InventoryDevice, problems: &[Arc<FleetProblem>]) -> Self {
+    pub(super) fn new(
+        device: &InventoryDevice,
+        place: usize,
+        problems: &[Arc<FleetProblem>],
+    ) -> Self {
         let at = |problem: &FleetProblem| {
             let is_here = problem.bus == device.bus;
             is_here && problem.addresses().any(|it| it.number() == device.address)
@@ -271,7 +286,10 @@ impl FleetDevice {
         };
         Self {
             device: device.clone(),
-            is_in_conflict: of(|it| it.is_confirmed() && it.is_conflict()),
+            place,
+            // One that left before is not part of it.
+            is_in_conflict: (place == 0 || device.is_present())
+                && of(|it| it.is_confirmed() && it.is_conflict()),
             is_suspected: of(|it| !it.is_confirmed() && it.is_conflict()),
         }
     }

@@ -488,6 +488,10 @@ impl FleetScreen {
             let broker = &self.options.broker;
             lines.push((format!("{broker}: no right to read {filters} of descan/v1/#"), true));
         }
+        let opened = self.opened().and_then(|name| self.entries.get(name));
+        if let Some(error) = opened.and_then(|entry| entry.facts.file_errors.first()) {
+            lines.push((format!("not used there: {error}"), true));
+        }
         let rejects = self.fleet.rejects();
         if let Some(last) = rejects.last() {
             let documents = counted(rejects.open_count(), "document");

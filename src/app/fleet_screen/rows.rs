@@ -25,8 +25,8 @@ pub enum FleetRowKey {
     Version(String, String),
     /// A finding: gateway, bus, identifier.
     Problem(GatewayName, String, String),
-    /// A device of the opened gateway: bus and address.
-    Device(String, u8),
+    /// A device of the opened gateway: bus, address, place among those of the address.
+    Device(String, u8, usize),
 }
 
 /// A row of a page.
@@ -51,7 +51,9 @@ impl FleetRow {
             Self::Problem(it) => {
                 FleetRowKey::Problem(it.gateway.clone(), it.bus.clone(), it.id.clone())
             }
-            Self::Device(row) => FleetRowKey::Device(row.device.bus.clone(), row.device.address),
+            Self::Device(row) => {
+                FleetRowKey::Device(row.device.bus.clone(), row.device.address, row.place)
+            }
         }
     }
 
@@ -65,8 +67,8 @@ impl FleetRow {
             (Self::Problem(it), FleetRowKey::Problem(gateway, bus, id)) => {
                 it.gateway == *gateway && it.bus == *bus && it.id == *id
             }
-            (Self::Device(row), FleetRowKey::Device(bus, address)) => {
-                row.device.bus == *bus && row.device.address == *address
+            (Self::Device(row), FleetRowKey::Device(bus, address, place)) => {
+                row.device.bus == *bus && row.device.address == *address && row.place == *place
             }
             _ => false,
         }
@@ -135,7 +137,14 @@ impl FleetScreen {
     /// Takes the states and facts of the gateways.
     pub(super) fn look_at_gateways(&mut self) {
         let (fleet, now) = (&self.fleet, self.now);
-        self.entries.retain(|name, _| fleet.gateway(name).is_some());
+        let mut removed = Vec::new();
+        self.entries.retain(|name, _| {
+            let is_known = fleet.gateway(name).is_some();
+            if !is_known {
+                removed.push(name.clone());
+            }
+            is_known
+        });
         let mut sums = FleetSums::default();
         let mut changes = Vec::new();
         for (name, gateway) in fleet.gateways() {
@@ -161,6 +170,9 @@ impl FleetScreen {
             let time = self.options.unix_start + now.as_micros() as f64 / 1e6;
             for (name, state) in changes {
                 self.events.note_state(name, time, state);
+            }
+            for name in removed {
+                self.events.note_removed(name, time);
             }
         }
     }
@@ -245,8 +257,14 @@ impl FleetScreen {
         };
         let list = self.scope().list();
         let devices = gateway.devices().filter(|device| !is_debug(device));
-        let all: Vec<FleetDevice> =
-            devices.map(|device| FleetDevice::new(device, &entry.facts.problems)).collect();
+        let mut all: Vec<FleetDevice> = Vec::new();
+        for device in devices {
+            let before = all
+                .last()
+                .filter(|it| it.device.address == device.address && it.device.bus == device.bus);
+            let place = before.map_or(0, |before| before.place + 1);
+            all.push(FleetDevice::new(device, place, &entry.facts.problems));
+        }
         let total = all.len();
         let passes = |row: &FleetDevice| {
             list.filter.active().is_none_or(|filter| filter.matches_published_device(row))

@@ -5,7 +5,6 @@
 
 use super::and_list;
 use super::comparison::{Comparison, Values};
-use crate::app::buses::Bus;
 use crate::app::project_facts::{TaskEnd, TaskState};
 use crate::bitrate::{kbit, unexpected_rate};
 use crate::finding::{FindingKind, FindingState};
@@ -64,8 +63,8 @@ impl Comparison<'_> {
             };
             // The same finding whichever of the devices fails.
             let first = task.devices.first();
-            let is_first = |bus: &Bus| first.is_some_and(|it| it.bus == bus.name_without_rates());
-            let bus = buses.iter().position(is_first).map(|at| BusIndex(at as u8));
+            let bus = first.and_then(|first| buses.find_by_name(&first.bus));
+            let bus = bus.map(|(index, _)| index);
             self.add(kind, bus, None, Some(Name::new(task.task.as_bytes())), text, &[]);
             if let Some(finding) = self.found.last_mut() {
                 let since = out.iter().filter_map(|end| end.state.since()).max();

@@ -199,6 +199,10 @@ pub(super) fn pattern_with_number(
 /// Returns the timing pattern of the last heartbeats, whose times have this resolution.
 fn pattern(times: &VecDeque<Instant>, period: Duration, resolution: Duration) -> HeartbeatPattern {
     let Some(&last) = times.back() else { return HeartbeatPattern::default() };
+    // The usual case: one sender. Nothing below finds several in such intervals.
+    if ends_with_whole_periods(times, period) {
+        return HeartbeatPattern { since: Some(last - period), ..HeartbeatPattern::default() };
+    }
     if is_faster_with_losses(times, period) {
         return HeartbeatPattern::default();
     }
@@ -244,6 +248,14 @@ fn pattern(times: &VecDeque<Instant>, period: Duration, resolution: Duration) ->
         since: times().nth(at).copied(),
         ..rate
     }
+}
+
+/// Returns true if the last two intervals are whole periods at least.
+fn ends_with_whole_periods(times: &VecDeque<Instant>, period: Duration) -> bool {
+    let whole = period.mul_f64(WHOLE_PERIOD);
+    let newest = || times.iter().rev().copied();
+    let mut intervals = newest().zip(newest().skip(1)).take(2).map(|(last, one)| last.since(one));
+    times.len() > 2 && intervals.all(|interval| interval >= whole)
 }
 
 /// Returns the time of the last heartbeat that came less than a whole period after the one before
@@ -459,13 +471,15 @@ pub(super) fn alternating_period(
     const EXPECTED: RangeInclusive<f64> = 0.96..=1.04;
     let first = times.len().checked_sub(HALF_PERIOD_TIMES)?;
     let mut gaps = [0.0; HALF_PERIOD_TIMES - 1];
-    let pairs = times.iter().skip(first).zip(times.iter().skip(first + 1));
-    for (gap, (one, next)) in gaps.iter_mut().zip(pairs) {
-        *gap = next.since(*one).as_secs_f64();
-    }
+    let pairs = || times.iter().skip(first).zip(times.iter().skip(first + 1));
+    let seconds = |(one, next): (&Instant, &Instant)| next.since(*one).as_secs_f64();
+    let [one, other] = [0, 1].map(|at| pairs().nth(at).map_or(0.0, seconds));
     // The usual case: equal gaps.
-    if !SHORT_GAP.contains(&(gaps[0].min(gaps[1]) / (gaps[0] + gaps[1]))) {
+    if !SHORT_GAP.contains(&(one.min(other) / (one + other))) {
         return None;
+    }
+    for (gap, pair) in gaps.iter_mut().zip(pairs()) {
+        *gap = seconds(pair);
     }
     let PhaseContrast { apart, noise } = phase_contrast(&gaps);
     let is_of_one = |gap: &f64| ONE_SENDER.contains(&(gap / expected.as_secs_f64()));

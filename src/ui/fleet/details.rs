@@ -78,6 +78,9 @@ fn of_gateway(brush: &FleetBrush, row: &GatewayRow) -> Vec<Line<'static>> {
         }
     }
     lines.extend(field(brush, "state", Role::Text, &text));
+    for error in &facts.file_errors {
+        lines.extend(field(brush, "des.json", Role::Error, error));
+    }
     for bus in &facts.buses {
         lines.extend(field(brush, &bus.name, Role::Text, &bus_facts(bus)));
     }

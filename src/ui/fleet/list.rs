@@ -109,7 +109,7 @@ fn columns(brush: &FleetBrush) -> Vec<FleetColumn> {
                 column("SERVICES", 8, 2).with_rest(),
             ];
             if has_buses {
-                all.push(column("BUS", 6, 1));
+                all.push(column("BUS", widest_bus(brush, most), 1));
             }
             all
         }
@@ -162,6 +162,15 @@ fn widest(brush: &FleetBrush, least: usize, most: usize) -> usize {
     brush.screen.rows().iter().map(of_row).max().unwrap_or_default().clamp(least, most)
 }
 
+/// Cells for the bus of all devices, within bounds.
+fn widest_bus(brush: &FleetBrush, most: usize) -> usize {
+    let of_row = |row: &FleetRow| match row {
+        FleetRow::Device(row) => row.device.bus.width(),
+        _ => 0,
+    };
+    brush.screen.rows().iter().map(of_row).max().unwrap_or_default().clamp(3, most)
+}
+
 fn has_several_buses(brush: &FleetBrush) -> bool {
     let mut buses = brush.screen.rows().iter().filter_map(|row| match row {
         FleetRow::Device(row) => Some(&row.device.bus),
@@ -209,6 +218,9 @@ fn gateway_cells(brush: &FleetBrush, row: &GatewayRow) -> ((&'static str, Role),
     let facts = &row.facts;
     let (sign, role) = of_state(row.state);
     let mut problems = Vec::new();
+    if facts.has_file_error() {
+        problems.push((Role::Error, "✗ ".to_owned()));
+    }
     if facts.confirmed > 0 {
         problems.push((Role::Confirmed, format!("⚠ {} ", facts.confirmed)));
     }

@@ -63,6 +63,47 @@ fn topic_decides_bus_and_address() {
 }
 
 #[test]
+fn all_devices_of_an_address_count() {
+    let second = r#"{"bus":"can0","address":10,"name":"ACT","presence":"online","services_known":true,
+        "services":[{"name":"AUGER","version":"2.2"}]}"#;
+    let both = FEED.trim_end_matches('}').to_owned() + &format!(r#","others":[{second}]}}"#);
+    let mut fleet = fleet(&[("a/device/can0/10", &both)]);
+    let names = |fleet: &Fleet| -> Vec<Option<String>> {
+        let gateway = fleet.gateway(&name("a")).unwrap();
+        assert!(
+            gateway.devices().all(|device| (device.bus.as_str(), device.address) == ("can0", 10))
+        );
+        gateway.devices().map(|device| device.name.clone()).collect()
+    };
+    assert_eq!(names(&fleet), [Some("FEED".to_owned()), Some("ACT".to_owned())]);
+    let versions: Vec<String> = fleet.versions().into_iter().map(|it| it.version).collect();
+    assert_eq!(versions, ["2.1 x", "2.2"]);
+    fleet.handle_message(NOW, b"descan/v1/a/device/can0/10", FEED.as_bytes(), true);
+    assert_eq!(names(&fleet), [Some("FEED".to_owned())]);
+}
+
+#[test]
+fn status_names_the_files_that_cannot_be_used() {
+    for (files, expected) in [
+        (r#""file":{"path":"des.json","ok":true,"entries":3,"error":null}"#, vec![]),
+        (
+            r#""file":{"path":"a\u001b[2J","ok":false,"error":"line 3: x"}"#,
+            vec![("a\\x1B[2J", "line 3: x")],
+        ),
+        (
+            r#""file":{"path":"a","error":"x"},"files":[{"path":"a","error":"x"},{"path":"b"},
+               {"path":"c","error":"y"}]"#,
+            vec![("a", "x"), ("c", "y")],
+        ),
+        (r#""period_s":30"#, vec![]),
+    ] {
+        let fleet = fleet(&[("a/status", &format!(r#"{{"online":true,{files}}}"#))]);
+        let status = fleet.gateway(&name("a")).unwrap().status().unwrap();
+        assert_eq!(status.file_errors().collect::<Vec<_>>(), expected, "{files}");
+    }
+}
+
+#[test]
 fn versions_count_gateways_and_present_devices() {
     let lost = FEED.replace("online", "lost");
     let fleet = fleet(&[
@@ -93,6 +134,7 @@ fn hostile_documents_are_counted_and_change_nothing() {
         ("a/status", "\u{1b}[2J"),
         ("a/status", r#"{"online":"yes"}"#),
         ("b/bus/can0", "null"),
+        ("b/bus/can0", "{}"),
         ("a/unknown/can0", "{}"),
         ("c/status", "[]"),
         ("c/status", "[true]"),
@@ -104,7 +146,7 @@ fn hostile_documents_are_counted_and_change_nothing() {
     assert_eq!(gateway.devices().count(), 1);
     assert_eq!(gateway.devices().next().unwrap().name.as_deref(), Some("FEED"));
     let rejects = fleet.rejects();
-    assert_eq!((rejects.malformed, rejects.oversized, rejects.foreign), (10, 1, 2));
+    assert_eq!((rejects.malformed, rejects.oversized, rejects.foreign), (11, 1, 2));
     let last = rejects.last().unwrap();
     assert!(
         last.starts_with("descan/v1/a b/status: no topic") && !last.contains('\u{1b}'),
