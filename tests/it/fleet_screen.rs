@@ -245,7 +245,7 @@ fn two_devices_of_one_address_are_two_rows() {
         found.unwrap_or_else(|| panic!("{name}: {screen}")).to_owned()
     };
     let words = row(&stage.screen(), " north ");
-    assert_eq!(words.split_whitespace().nth(7), Some("2"), "present: {words}");
+    assert_eq!(words.split_whitespace().nth(8), Some("2"), "present: {words}");
     assert_eq!(stage.filter("name:SPARE").names(), "north");
     assert_eq!(stage.keys("Esc Enter").names(), "ACT SPARE OLD");
     let screen = stage.screen();
