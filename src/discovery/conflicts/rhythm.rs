@@ -185,8 +185,17 @@ pub(super) fn pattern_with_number(
     expected: Duration,
     resolution: Duration,
 ) -> HeartbeatPattern {
-    let mut pattern = pattern(times, repeated_period(times, expected), resolution);
-    let Some(counted) = counted else { return pattern };
+    let longest = expected.mul_f64(1.0 + MAX_PERIOD_ERROR);
+    // The usual case: one sender, whatever period is repeated. Such intervals show no others.
+    let mut pattern = if ends_with_whole_periods(times, longest) {
+        let since = times.back().map(|last| *last - expected);
+        HeartbeatPattern { since, ..HeartbeatPattern::default() }
+    } else {
+        pattern(times, repeated_period(times, expected), resolution)
+    };
+    let Some(counted) = counted.filter(|it| has_surplus(it, longest)) else {
+        return pattern;
+    };
     let period = repeated_period(counted, expected);
     if is_crowded(counted, period) {
         pattern.two_phases = true;
@@ -199,10 +208,6 @@ pub(super) fn pattern_with_number(
 /// Returns the timing pattern of the last heartbeats, whose times have this resolution.
 fn pattern(times: &VecDeque<Instant>, period: Duration, resolution: Duration) -> HeartbeatPattern {
     let Some(&last) = times.back() else { return HeartbeatPattern::default() };
-    // The usual case: one sender. Nothing below finds several in such intervals.
-    if ends_with_whole_periods(times, period) {
-        return HeartbeatPattern { since: Some(last - period), ..HeartbeatPattern::default() };
-    }
     if is_faster_with_losses(times, period) {
         return HeartbeatPattern::default();
     }
@@ -270,6 +275,13 @@ pub(super) fn last_early(times: &VecDeque<Instant>, period: Duration) -> Option<
 /// Returns true if more heartbeats arrived in the last periods than one sender has, and one with a
 /// shorter period does not explain them. Losses hide the phases, but not the number.
 fn is_crowded(times: &VecDeque<Instant>, period: Duration) -> bool {
+    has_surplus(times, period)
+        && !grid_of(times, period).is_some_and(|grid| grid.may_be_one())
+        && !may_have_restarted(times, period)
+}
+
+/// Returns true if more heartbeats arrived in the last periods than one sender has.
+fn has_surplus(times: &VecDeque<Instant>, period: Duration) -> bool {
     let Some(&last) = times.back() else { return false };
     let has_more = |count: usize, within: Duration| {
         let at = times.len().checked_sub(count + 1);
@@ -277,8 +289,6 @@ fn is_crowded(times: &VecDeque<Instant>, period: Duration) -> bool {
     };
     has_more(MAX_OF_ONE, period * WINDOW_PERIODS)
         && has_more(MAX_OF_ONE_AT_END, period.mul_f64(END_PERIODS))
-        && !grid_of(times, period).is_some_and(|grid| grid.may_be_one())
-        && !may_have_restarted(times, period)
 }
 
 /// Returns the usual delay between the heartbeats of a pair, if the last heartbeats are in pairs at most
