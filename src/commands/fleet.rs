@@ -194,6 +194,7 @@ pub fn read(
                     }
                     Some(ReaderNotice::Failed(why, None)) => return Err(why.diagnostic.into()),
                     Some(ReaderNotice::Failed(why, Some(_))) => {
+                        fleet.handle_disconnected(now());
                         failure = Some(why.diagnostic.to_string());
                         (is_subscribed, complete_since) = (false, None);
                     }

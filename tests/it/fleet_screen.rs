@@ -301,6 +301,36 @@ fn gateway_whose_documents_are_cleared_is_an_event() {
 }
 
 #[test]
+fn last_wills_of_a_broker_that_ends_lose_no_gateway() {
+    for (since_will, expected) in [(0.5, "3 online  ○ 1 lost"), (3.0, "1 online  ○ 3 lost")] {
+        let mut stage = FleetStage::fleet(80, 24);
+        stage.wait(2.0).screen();
+        let will = json!({"online": false, "reason": "lost", "started_ms": 1, "descan": "0.1.0"});
+        stage.send("north/status", &will).send("east/status", &will);
+        stage.screen();
+        stage.wait(since_will);
+        // The other one was lost just now, by the same broker.
+        stage.send("west/status", &will);
+        let refused = "mqtts://broker.example.org:8883: connection refused".to_owned();
+        stage.screen.handle_failed(stage.now, refused, Duration::from_secs(60));
+        let screen = stage.screen();
+        assert!(screen.contains("AS OF"), "{screen}");
+        assert!(screen.contains(expected), "{since_will}: {screen}");
+        // It is the state of then: another failure changes nothing, a connection does.
+        stage.wait(1.0).screen.handle_failed(
+            stage.now,
+            "connection refused".to_owned(),
+            Duration::from_secs(60),
+        );
+        assert!(stage.screen().contains(expected));
+        stage.connect().send("east/status", &will).send("north/status", &will);
+        stage.wait(2.0);
+        let screen = stage.screen();
+        assert!(screen.contains("2 lost"), "{screen}");
+    }
+}
+
+#[test]
 fn gateways_are_sorted_worst_first_then_by_name() {
     let mut stage = FleetStage::fleet(80, 24);
     assert_eq!(stage.names(), "south north east west");

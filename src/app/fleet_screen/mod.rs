@@ -240,9 +240,10 @@ impl FleetScreen {
             BrokerLink::Failed { since, .. } => since,
             _ => now,
         };
+        self.fleet.handle_disconnected(now);
         self.link = BrokerLink::Failed { cause, since, retry: now + wait };
         self.complete_at = None;
-        self.is_dirty = true;
+        self.set_stale();
     }
 
     /// Takes a message; `is_kept` if the broker had it from before.

@@ -165,8 +165,8 @@ impl FleetScreen {
             }
         }
         self.sums = sums;
-        // What the first reading brings did not happen now.
-        if self.is_first_reading_over {
+        // What the first reading brings did not happen now, nor what the end of the connection takes back.
+        if self.is_first_reading_over && !self.is_old() {
             let time = self.options.unix_start + now.as_micros() as f64 / 1e6;
             for (name, state) in changes {
                 self.events.note_state(name, time, state);
