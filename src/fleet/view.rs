@@ -9,7 +9,7 @@ use super::rejects::{FleetRejects, RejectReason};
 use super::topic::{FleetTopic, GatewayName, TopicPath};
 use crate::finding::FindingState;
 use crate::inventory::{Inventory, InventoryBus, InventoryDevice, InventoryFinding};
-use crate::text::{on_one_line, printable};
+use crate::text::{on_one_line, printable, shortened};
 use crate::time::{Duration, Instant};
 use serde::Deserialize;
 use serde::de::IgnoredAny;
@@ -28,6 +28,9 @@ pub const MAX_GATEWAY_DOCUMENTS: usize = 4096;
 /// [`memory_of`] counts it.
 const MAX_FLEET_BYTES: usize = 192 << 20;
 const MAX_GATEWAY_BYTES: usize = 16 << 20;
+
+/// Longest path of a des.json, and longest error of one, in characters.
+const MAX_FILE_TEXT: usize = 200;
 
 /// Time without a status after which a gateway that is connected is silent: two and a half of its
 /// periods of 30 s.
@@ -107,9 +110,10 @@ impl GatewayStatus {
 
     /// The status without what could control a terminal.
     fn printable(self) -> Self {
+        let shown = |text: &str| shortened(&printable(text.as_bytes()), MAX_FILE_TEXT);
         let of_file = |file: GatewayFile| GatewayFile {
-            path: printable(file.path.as_bytes()),
-            error: file.error.map(|error| printable(error.as_bytes())),
+            path: shown(&file.path),
+            error: file.error.as_deref().map(shown),
         };
         Self {
             descan: printable(self.descan.as_bytes()),

@@ -317,11 +317,9 @@ fn last_wills_of_a_broker_that_ends_lose_no_gateway() {
         assert!(screen.contains("AS OF"), "{screen}");
         assert!(screen.contains(expected), "{since_will}: {screen}");
         // It is the state of then: another failure changes nothing, a connection does.
-        stage.wait(1.0).screen.handle_failed(
-            stage.now,
-            "connection refused".to_owned(),
-            Duration::from_secs(60),
-        );
+        stage.wait(1.0);
+        let refused = "connection refused".to_owned();
+        stage.screen.handle_failed(stage.now, refused, Duration::from_secs(60));
         assert!(stage.screen().contains(expected));
         stage.connect().send("east/status", &will).send("north/status", &will);
         stage.wait(2.0);
