@@ -213,16 +213,15 @@ impl App {
     pub(super) fn bus_changed(&mut self, index: BusIndex, mut status: BusStatus) {
         let now = self.clock.now();
         let changes_before = self.buses.get(index).map(|bus| bus.status.log_changes);
-        let state_before = self.buses.controller_state(index);
         let is_another_log = changes_before.is_some_and(|before| before < status.log_changes);
         status.is_sending_paused = self.bus_choice.is_some();
-        let Some(changes) = self.buses.update_status(now, index, status) else { return };
+        let Some(change) = self.buses.update_status(now, index, status) else { return };
         if is_another_log {
             let entry = TimelineEntry::new(now, TimelineKind::Bus, "another log begins").on(index);
             self.notices.end_stories(index, &entry);
         }
-        let is_news = !changes.is_empty() || self.buses.controller_state(index) != state_before;
-        for (kind, text) in changes {
+        let is_news = !change.lines.is_empty() || change.has_other_state;
+        for (kind, text) in change.lines {
             self.report_line(TimelineEntry::new(now, kind, text).on(index));
         }
         if is_news
@@ -243,10 +242,10 @@ impl App {
     }
 
     /// Reports another state of the controller of a bus, from error frames: the port does not know it.
-    pub(super) fn controller_changed(&mut self, index: BusIndex, before: Option<BusState>) {
+    pub(super) fn controller_changed(&mut self, index: BusIndex, before: BusState) {
         let now = self.clock.now();
         let Some(bus) = self.buses.get(index) else { return };
-        let is_back = before == Some(BusState::BusOff);
+        let is_back = before == BusState::BusOff;
         let back = || is_back.then(|| (TimelineKind::Bus, "on the bus again".to_owned()));
         if let Some((kind, text)) = controller_line(bus.controller()).or_else(back) {
             self.report_line(TimelineEntry::new(now, kind, text).on(index));

@@ -35,7 +35,6 @@ impl App {
                 (timers, events_at) = (None, Some(now));
             }
             self.clock.set(now);
-            let state_before = self.buses.controller_state(frame.bus);
             if self.buses.receive(frame) {
                 self.learners.handle_frame(frame);
                 self.note_for_search(frame);
@@ -45,8 +44,8 @@ impl App {
                     self.take_events();
                     (timers, events_at) = (None, Some(now));
                 }
-                if self.buses.controller_state(frame.bus) != state_before {
-                    self.controller_changed(frame.bus, state_before);
+                if let Some(before) = self.buses.poll_state_change(frame.bus) {
+                    self.controller_changed(frame.bus, before);
                 }
                 self.note_frame_for_sending(frame);
             }

@@ -112,9 +112,8 @@ pub use bus_choice::{
     BIT_RATES, BusChoice, BusOffer, BusSelection, ChoiceOutcome, OfferKind, OpenBuses,
 };
 pub use buses::{
-    AddressHolder, AddressNames, Bus, Buses, ErrorKinds, LoadHistory, LoadMeter, LoadSample,
-    LoadSecond, LoadShares, Redundancy, RedundantDevice, ReportedController, ShareCounts,
-    TxBlocked,
+    AddressHolder, AddressNames, Bus, Buses, ControllerStatus, ErrorKinds, LoadHistory, LoadMeter,
+    LoadSample, LoadSecond, LoadShares, Redundancy, RedundantDevice, ShareCounts, TxBlocked,
 };
 pub use capture::decoded::summary_of;
 pub use capture::{

@@ -150,6 +150,19 @@ fn concerns_own_address(finding: &Finding) -> bool {
     finding.evidence.iter().any(|evidence| evidence.description == NOT_SENT_BY_DESCAN)
 }
 
+/// Text of bus errors while the controller is bus-off.
+const BUS_OFF: &str = "The controller is bus-off: too many transmit errors.";
+/// The same since it is on the bus again.
+const WAS_BUS_OFF: &str =
+    "The controller was bus-off: too many transmit errors. It is on the bus again.";
+
+/// Changes the text of bus errors that are over: the controller is not bus-off any more.
+pub(super) fn end_bus_off(finding: &mut Finding) {
+    if finding.text == BUS_OFF {
+        WAS_BUS_OFF.clone_into(&mut finding.text);
+    }
+}
+
 /// Returns text and remedy of bus errors that concern the bus as a whole.
 pub(super) fn bus_errors(summary: &BusErrorSummary) -> (String, String) {
     let rate = match summary.rate {
@@ -161,15 +174,10 @@ pub(super) fn bus_errors(summary: &BusErrorSummary) -> (String, String) {
         share => format!("{share:.0} %"),
     };
     let (text, remedy) = match summary.cause {
-        Cause::BusOff => (
-            "The controller is bus-off: too many transmit errors.".to_owned(),
-            "Check its bit rate and the wiring, then restart the interface.",
-        ),
-        Cause::WasBusOff => (
-            "The controller was bus-off: too many transmit errors. It is on the bus again."
-                .to_owned(),
-            "Check its bit rate and the wiring.",
-        ),
+        Cause::BusOff => {
+            (BUS_OFF.to_owned(), "Check its bit rate and the wiring, then restart the interface.")
+        }
+        Cause::WasBusOff => (WAS_BUS_OFF.to_owned(), "Check its bit rate and the wiring."),
         Cause::NoAck => (
             format!("No ACK for descan's frames: {rate} failed attempts/s."),
             "Check the plug, that another device is on, and that the bit rate matches.",

@@ -87,7 +87,7 @@ pub fn draw(brush: &mut DrawContext) {
         title += "BUS    ";
     }
     title += &fit("WHO", columns.who + 1);
-    title += "WHAT";
+    title += if columns.has_length { "WHAT" } else { "LENGTH, WHAT" };
     let line = Line::from(brush.span(Role::Header, title));
     brush.line(header, 0, &line);
     let app = brush.app;

@@ -270,3 +270,23 @@ fn frame_with_the_time_of_bus_off_shows_that_it_is_over() {
         assert!(states.len() >= 2, "{states:?}");
     }
 }
+
+#[test]
+fn bus_off_that_is_over_was_there() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    fs::write(folder.join("des.json"), "[]").unwrap();
+    let log = LogText::default().beats(12, 1, 0.5, 10.0).bus_off(10.0).restarted(10.3);
+    log.beats(12, 1, 10.5, 60.0).write(folder);
+    let found = events(folder);
+    let of_bus = found.iter().filter(|event| event["finding"]["kind"] == "bus-errors");
+    let texts: Vec<(&str, &str)> = of_bus
+        .map(|event| {
+            let part = |name: &str| event["finding"][name].as_str().unwrap();
+            (part("confidence"), part("text"))
+        })
+        .collect();
+    let [("confirmed", before), .., ("cleared", after)] = texts[..] else { panic!("{texts:?}") };
+    assert!(before.starts_with("The controller is bus-off"), "{texts:?}");
+    assert!(after.starts_with("The controller was bus-off"), "{texts:?}");
+}

@@ -332,6 +332,17 @@ fn gateways_are_sorted_worst_first_then_by_name() {
     assert_eq!(stage.keys("s").names(), "east north south west");
     assert_eq!(stage.keys("S").names(), "west south north east");
     assert_eq!(stage.keys("s").names(), "east north south west", "as many devices, by name");
+    let mut stage = FleetStage::fleet(80, 24);
+    for (state, names) in [
+        ("bus-off", "south north west east"),
+        ("error-active", "south north east west"),
+        ("down", "south north west east"),
+        ("stopped", "south north west east"),
+        ("error-passive", "south north east west"),
+    ] {
+        stage.send("west/bus/can0", &json!({"name": "can0", "state": state}));
+        assert_eq!(stage.names(), names, "{state}");
+    }
 }
 
 #[test]

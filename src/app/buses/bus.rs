@@ -3,10 +3,9 @@
 //! Inputs: frames, bus statuses, time. Does not know how frames are received.
 
 use super::address_names::AddressNames;
+use super::controller_status::ControllerStatus;
 use super::load_meter::LoadMeter;
-use super::reported_controller::ReportedController;
-use super::status_changes::status_changes;
-use crate::app::timeline_kind::TimelineKind;
+use super::status_changes::{StatusChange, status_changes};
 use crate::discovery::{
     AddressSender, BusTraffic, BusVerdict, Config, Counters, Device, DeviceId, DeviceRequest,
     DiscoveryProgress, Engine, Event, FrameSequence, HeardUid, OwnAddress, RequestId, SequenceEnd,
@@ -52,7 +51,9 @@ pub struct Bus {
     pub meter: LoadMeter,
     /// End of its log; `None` while frames can arrive. No time passes on an ended bus.
     pub ended: Option<Instant>,
-    controller: ReportedController,
+    controller: ControllerStatus,
+    /// State of the controller before the last frame, if that reported another one.
+    state_before: Option<BusState>,
     engine: Engine,
     names: AddressNames,
     /// The moment since which frames could be received; kept once it was long enough.
@@ -77,7 +78,8 @@ impl Bus {
             status,
             meter,
             ended: None,
-            controller: ReportedController::default(),
+            controller: ControllerStatus::default(),
+            state_before: None,
             engine,
             names: AddressNames::default(),
             up_since: None,
@@ -281,7 +283,7 @@ impl Bus {
     }
 
     /// State of its controller: as the port knows it, else as error frames report it.
-    pub fn controller(&self) -> ReportedController {
+    pub fn controller(&self) -> ControllerStatus {
         self.controller.of_status_or(&self.status)
     }
 
@@ -289,7 +291,12 @@ impl Bus {
 
     /// Passes a frame to the engine and the load meter.
     pub(super) fn receive(&mut self, frame: &Frame) {
+        let before = self.controller;
         self.controller.note(frame);
+        if self.controller.state != before.state {
+            let before = before.of_status_or(&self.status).state;
+            self.state_before = Some(before).filter(|before| *before != self.controller().state);
+        }
         if self.is_quarantined(frame.time) {
             self.engine.count_frame_only(frame);
         } else {
@@ -299,6 +306,11 @@ impl Bus {
         self.ended = self.ended.map(|ended| ended.max(frame.time));
         let (bitrate, data_bitrate) = (self.bits_per_second(), self.status.data_bitrate);
         self.meter.add(frame, bitrate, data_bitrate);
+    }
+
+    /// State of the controller before the last frame, if that reported another one.
+    pub(super) fn poll_state_change(&mut self) -> Option<BusState> {
+        self.state_before.take()
     }
 
     /// The moment at which [`Self::handle_timeout`] is due.
@@ -432,13 +444,12 @@ impl Bus {
         false
     }
 
-    /// Handles a new bus status; returns the timeline texts of what changed, or `None` for an
-    /// unchanged one.
+    /// Handles a new bus status; returns what changed, or `None` for an unchanged one.
     pub(super) fn update_status(
         &mut self,
         now: Instant,
         status: BusStatus,
-    ) -> Option<Vec<(TimelineKind, String)>> {
+    ) -> Option<StatusChange> {
         if self.status == status {
             return None;
         }
@@ -500,7 +511,7 @@ impl Bus {
         if newly_lost > 0 {
             self.engine.handle_lost_frames(now, newly_lost);
         }
-        Some(lines)
+        Some(StatusChange { lines, has_other_state: self.controller().state != state_before })
     }
 
     /// Reads frames by another profile from now on. Returns true if the devices start over.
@@ -516,7 +527,7 @@ impl Bus {
     fn begin_another_log(&mut self, now: Instant) {
         self.engine.begin_another_recording(now);
         self.names.vacate(now);
-        self.controller = ReportedController::default();
+        self.controller = ControllerStatus::default();
         self.up_since = None;
         self.is_port_away = false;
         self.quarantined_until = None;

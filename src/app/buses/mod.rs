@@ -6,6 +6,7 @@
 
 mod address_names;
 mod bus;
+mod controller_status;
 mod device_types;
 mod error_kinds;
 mod load_history;
@@ -13,11 +14,11 @@ mod load_meter;
 mod load_second;
 mod load_shares;
 mod redundancy;
-mod reported_controller;
 mod status_changes;
 
 pub use address_names::{AddressHolder, AddressNames};
 pub use bus::{Bus, TxBlocked};
+pub use controller_status::ControllerStatus;
 pub use device_types::{BusTypes, FrameTypes};
 pub use error_kinds::ErrorKinds;
 pub use load_history::{LoadHistory, LoadSample};
@@ -25,11 +26,9 @@ pub use load_meter::LoadMeter;
 pub use load_second::LoadSecond;
 pub use load_shares::{LoadShares, ShareCounts};
 pub use redundancy::{Redundancy, RedundantDevice};
-pub use reported_controller::ReportedController;
-pub(super) use status_changes::controller_line;
+pub(super) use status_changes::{StatusChange, controller_line};
 
 use super::project_facts::ProjectFacts;
-use super::timeline_kind::TimelineKind;
 use crate::catalogue::Catalogue;
 use crate::dbc::MessageDatabase;
 use crate::discovery::{
@@ -301,11 +300,6 @@ impl Buses {
         self.list.iter().any(Bus::has_events)
     }
 
-    /// State of the controller of a bus, as its port knows it or error frames report it.
-    pub(super) fn controller_state(&self, index: BusIndex) -> Option<BusState> {
-        self.get(index).map(|bus| bus.controller().state)
-    }
-
     /// Returns true if no bus has a device or recent traffic.
     pub fn is_quiet(&self) -> bool {
         let quiet =
@@ -338,6 +332,11 @@ impl Buses {
         true
     }
 
+    /// State of the controller of a bus before the last frame, if that reported another one.
+    pub(super) fn poll_state_change(&mut self, index: BusIndex) -> Option<BusState> {
+        self.get_mut(index)?.poll_state_change()
+    }
+
     /// Runs the timers that are due at `now`.
     pub(super) fn handle_timeout(&mut self, now: Instant) {
         let is_due = |bus: &Bus| bus.poll_timeout().is_some_and(|at| at <= now);
@@ -354,17 +353,18 @@ impl Buses {
         }
     }
 
-    /// Updates the bus status of a bus. Returns the timeline texts of what changed (none
-    /// during a bit rate search, which takes the bus down and up), or `None` if nothing did.
+    /// Updates the bus status of a bus. Returns what changed (without lines during a bit rate search, which
+    /// takes the bus down and up), or `None` if nothing did.
     pub(super) fn update_status(
         &mut self,
         now: Instant,
         index: BusIndex,
         status: BusStatus,
-    ) -> Option<Vec<(TimelineKind, String)>> {
+    ) -> Option<StatusChange> {
         let is_searched = self.searched == Some(index);
-        let changes = self.get_mut(index)?.update_status(now, status)?;
-        Some(if is_searched { Vec::new() } else { changes })
+        let change = self.get_mut(index)?.update_status(now, status)?;
+        let lines = if is_searched { Vec::new() } else { change.lines };
+        Some(StatusChange { lines, ..change })
     }
 
     /// The next engine event of a bus.

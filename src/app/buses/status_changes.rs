@@ -2,10 +2,18 @@
 //!
 //! Pure: two statuses in, lines out.
 
-use super::reported_controller::ReportedController;
+use super::controller_status::ControllerStatus;
 use crate::app::timeline_kind::TimelineKind;
 use crate::status::{BusState, BusStatus, Link};
 use crate::text::Escaped;
+
+/// What a new status of a bus changed.
+pub struct StatusChange {
+    /// Timeline texts.
+    pub lines: Vec<(TimelineKind, String)>,
+    /// The controller has another state, whoever reported the one before.
+    pub has_other_state: bool,
+}
 
 /// Returns the changes from `old` to `status`, one line each. `state_before`: that of the controller, which
 /// error frames may have reported before the port did.
@@ -65,7 +73,7 @@ pub(super) fn status_changes(
     }
     if ![old.state, state_before].contains(&status.state) {
         let BusStatus { state, tec, rec, .. } = *status;
-        lines.extend(controller_line(ReportedController { state, tec, rec, bus_offs: 0 }));
+        lines.extend(controller_line(ControllerStatus { state, tec, rec, bus_offs: 0 }));
     }
     if old.bitrate != status.bitrate
         && let Some(bitrate) = status.bitrate
@@ -103,9 +111,9 @@ pub(super) fn status_changes(
 
 /// Returns the timeline text of the state of a controller; `None` if it is not known.
 pub(in crate::app) fn controller_line(
-    controller: ReportedController,
+    controller: ControllerStatus,
 ) -> Option<(TimelineKind, String)> {
-    let ReportedController { state, tec, rec, .. } = controller;
+    let ControllerStatus { state, tec, rec, .. } = controller;
     let kind = match state {
         BusState::Unknown => return None,
         BusState::ErrorActive => TimelineKind::Bus,

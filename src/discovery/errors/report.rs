@@ -95,11 +95,11 @@ impl DeviceTracker {
         });
         if self.errors.rate.handle_timeout(now, frames) {
             self.errors.is_text_outdated = false;
-            self.conflicts.finding_tracker_mut().set_bus_errors_state(
-                now,
-                None,
-                FindingState::Cleared,
-            );
+            let cleared = FindingState::Cleared;
+            let tracker = self.conflicts.finding_tracker_mut();
+            if let Some(finding) = tracker.set_bus_errors_state(now, None, cleared) {
+                finding_text::end_bus_off(finding);
+            }
         } else if self.errors.is_text_outdated && now >= self.errors.text_written_at + TEXT_INTERVAL
         {
             self.write_bus_text();

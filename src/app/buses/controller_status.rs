@@ -7,7 +7,7 @@ use crate::status::{BusState, BusStatus};
 
 /// State and error counters of a controller.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct ReportedController {
+pub struct ControllerStatus {
     /// State.
     pub state: BusState,
     /// Transmit error counter (TEC); `None` if not reported.
@@ -18,7 +18,7 @@ pub struct ReportedController {
     pub bus_offs: u64,
 }
 
-impl ReportedController {
+impl ControllerStatus {
     /// Notes a received frame.
     pub(super) fn note(&mut self, frame: &Frame) {
         if frame.kind != FrameKind::Error {
