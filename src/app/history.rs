@@ -5,19 +5,18 @@
 //! here with the number of frames before each. Snapshots and inputs are bounded in bytes. Does not
 //! know des.json, the timeline or the screen.
 
-use super::buses::{Buses, Redundancy};
+use super::buses::{Buses, Redundancy, StatusChange};
 use super::capture::{BYTES_PER_FRAME, FrameStore};
 use super::journal::{BusesInput, InputJournal, InputsFrom, JournalPlace, PastInput};
 use super::pinned_moments::{PinnedMoments, PinnedRange};
 use super::project_facts::ProjectFacts;
-use super::timeline_kind::TimelineKind;
 use crate::catalogue::Catalogue;
 use crate::dbc::MessageDatabase;
 use crate::discovery::{
     Config, DeviceId, DeviceRequest, Event, FrameSequence, RequestId, SequenceId,
 };
 use crate::frame::{BusIndex, Frame};
-use crate::status::BusStatus;
+use crate::status::{BusState, BusStatus};
 use crate::time::Instant;
 use crate::wire::descriptor::DescriptorField;
 use crate::wire::profile::Profile;
@@ -157,13 +156,18 @@ impl RecordedBuses {
         self.now.handle_stall(since, now);
     }
 
-    /// Updates the bus status of a bus; returns the timeline texts of what changed.
+    /// State of the controller of a bus before the last frame, if that reported another one.
+    pub(super) fn poll_state_change(&mut self, index: BusIndex) -> Option<BusState> {
+        self.now.poll_state_change(index)
+    }
+
+    /// Updates the bus status of a bus; returns what changed.
     pub(super) fn update_status(
         &mut self,
         now: Instant,
         index: BusIndex,
         status: BusStatus,
-    ) -> Option<Vec<(TimelineKind, String)>> {
+    ) -> Option<StatusChange> {
         if self.now.get(index).is_some_and(|bus| bus.status != status) {
             self.note(now, BusesInput::Status(index, Arc::new(status.clone())));
         }

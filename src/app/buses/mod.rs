@@ -487,8 +487,8 @@ mod tests {
         let up = || BusStatus { link: Link::Up, ..BusStatus::default() };
         buses.set_searched(Some(BusIndex(1)));
         let mut update = |at| buses.update_status(Instant::ZERO, BusIndex(at), up());
-        assert_eq!(update(0).map(|lines| lines.len()), Some(1));
-        assert_eq!(update(1), Some(Vec::new()));
-        assert_eq!(update(1), None, "nothing changed");
+        assert_eq!(update(0).map(|change| change.lines.len()), Some(1));
+        assert_eq!(update(1).map(|change| change.lines), Some(Vec::new()));
+        assert!(update(1).is_none(), "nothing changed");
     }
 }
