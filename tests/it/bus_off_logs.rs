@@ -286,7 +286,7 @@ fn bus_off_that_is_over_was_there() {
             (part("confidence"), part("text"))
         })
         .collect();
-    let [("confirmed", before), .., ("cleared", after)] = texts[..] else { panic!("{texts:?}") };
+    let [.., ("confirmed", before), ("cleared", after)] = texts[..] else { panic!("{texts:?}") };
     assert!(before.starts_with("The controller is bus-off"), "{texts:?}");
     assert!(after.starts_with("The controller was bus-off"), "{texts:?}");
 }
