@@ -143,7 +143,7 @@ pub use fleet_screen::{
     BrokerLink, FLEET_KEYS, FleetDevice, FleetEffect, FleetEvent, FleetEventKind, FleetEventLog,
     FleetFilter, FleetPage, FleetProblem, FleetPrompt, FleetRegions, FleetRow, FleetRowKey,
     FleetScreen, FleetScreenOptions, FleetSort, FleetSums, GatewayFacts, GatewayRow, MAX_EVENTS,
-    MAX_FLEET_PROBLEMS, VersionRow,
+    MAX_FLEET_PROBLEMS, MAX_GATEWAY_VERSIONS, VersionRow,
 };
 pub use frame_selector::FrameSelector;
 pub use frame_sides::FrameSides;

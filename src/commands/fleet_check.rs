@@ -181,7 +181,7 @@ struct SiteCheck {
     entries: usize,
     devices: usize,
     differences: Vec<FleetDifferenceReport>,
-    /// Why its files cannot be used; it is not compared then.
+    /// Why its files or a document of it cannot be used; it is not compared then.
     error: Option<String>,
     #[serde(skip)]
     is_online: bool,
@@ -204,7 +204,10 @@ impl SiteCheck {
         let state = gateway.map(|it| it.state(now));
         let is_online = state == Some(GatewayState::Online);
         let state = state.map_or("missing", GatewayState::name);
-        let expected = site.expected.as_ref().ok();
+        // A device that is not listed may be in it.
+        let unread = site.gateway.as_ref().and_then(|name| fleet.rejects().of_gateway(name));
+        let unread = unread.map(|document| format!("not used: {document}"));
+        let expected = site.expected.as_ref().ok().filter(|_| unread.is_none());
         let mut differences = Vec::new();
         if expected.is_some() && !is_online {
             let text = state.to_owned();
@@ -227,7 +230,7 @@ impl SiteCheck {
             entries: expected.map_or(0, ExpectedGateway::entries),
             devices: gateway.map_or(0, |it| it.inventory().present_devices()),
             differences,
-            error: site.expected.as_ref().err().cloned(),
+            error: site.expected.as_ref().err().cloned().or(unread),
             is_online,
             is_known: gateway.is_some(),
         }

@@ -4,6 +4,7 @@
 //! counters, and the last cause that still holds. Bounded: [`MAX_TOPICS`] topics, each by its first
 //! [`MAX_TOPIC_BYTES`] bytes, with a cause of [`MAX_CAUSE`] characters. Does not know what a document is.
 
+use super::topic::{GatewayName, TopicPath};
 use crate::text::{printable, shortened};
 use std::collections::BTreeMap;
 
@@ -78,6 +79,16 @@ impl FleetRejects {
             let (topic, cause) = rejected.text.split_at(rejected.topic_bytes);
             (topic, cause.trim_start_matches(": "))
         })
+    }
+
+    /// Topic and cause of a document of that gateway that is not used; of one of any gateway if more are not
+    /// used than are remembered.
+    pub fn of_gateway(&self, gateway: &GatewayName) -> Option<&str> {
+        let status = TopicPath::Status.of(gateway);
+        let begin = status.trim_end_matches("status").as_bytes();
+        let known = self.topics.range(begin.to_vec()..).next();
+        let known = known.filter(|(topic, _)| topic.starts_with(begin)).map(|(_, it)| it);
+        known.or(self.last_beyond.as_ref()).map(|it| it.text.as_str())
     }
 
     /// Counts a message.

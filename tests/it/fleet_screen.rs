@@ -3,7 +3,8 @@
 use crate::common::harness::text_of;
 use crate::screen::text_snapshot;
 use descan::app::{
-    BrokerLink, FleetEffect, FleetPage, FleetRow, FleetScreen, FleetScreenOptions, Mouse, MouseKind,
+    BrokerLink, FleetEffect, FleetPage, FleetRow, FleetScreen, FleetScreenOptions,
+    MAX_GATEWAY_VERSIONS, Mouse, MouseKind,
 };
 use descan::fleet::{MAX_DOCUMENT_BYTES, MAX_GATEWAY_DOCUMENTS};
 use descan::keymap::Key;
@@ -323,6 +324,27 @@ fn last_wills_of_a_broker_that_ends_lose_no_gateway() {
         let screen = stage.screen();
         assert!(screen.contains("2 lost"), "{screen}");
     }
+}
+
+#[test]
+fn versions_of_a_gateway_are_bounded() {
+    let mut stage = FleetStage::new(80, 24);
+    stage.status("evil", 10.0).status("good", 10.0);
+    for address in 1..=4 {
+        let names = (0..400).map(|number| format!("S{address}x{number}@1.0"));
+        stage.device("evil", address, "EVIL", &names.collect::<Vec<_>>().join(" "));
+    }
+    stage.device("good", 9, "GOOD", "S1x1@1.0 OWN@1.0").device("good", 10, "GOOD", "OWN@1.0");
+    assert_eq!(stage.wait(1.0).keys("2").names().split(' ').count(), MAX_GATEWAY_VERSIONS + 1);
+    let screen = stage.keys("1").screen();
+    assert!(screen.contains("versions  more than 1,500: not all are listed"), "{screen}");
+    let screen = stage.keys("Down").screen();
+    assert!(!screen.contains("not all are listed"), "{screen}");
+    // What is listed counts all its devices.
+    stage.device("evil", 5, "EVIL", "S1x1@1.0 S5x1@1.0").keys("2").filter("srv:=S1x1@1.0");
+    stage.names();
+    let Some(FleetRow::Version(row)) = stage.screen.selected_row() else { panic!("no version") };
+    assert_eq!((row.devices, row.gateways), (3, 2));
 }
 
 #[test]

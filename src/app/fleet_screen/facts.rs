@@ -12,6 +12,10 @@ use crate::wire::id::Address;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
+/// Number of versions of services that are listed of a gateway at most: 127 devices have a dozen each, and most
+/// share them. Each is a row of the page Versions.
+pub const MAX_GATEWAY_VERSIONS: usize = 1500;
+
 /// Counts and texts of a gateway.
 #[derive(Clone, Debug, Default)]
 pub struct GatewayFacts {
@@ -45,8 +49,11 @@ pub struct GatewayFacts {
     pub problems: Vec<Arc<FleetProblem>>,
     /// Its des.json files that cannot be used, each with the error: `des.json: line 3, …`.
     pub file_errors: Vec<String>,
-    /// Number of present devices, by name and version of a service.
+    /// It has more versions of services than are listed.
+    pub has_more_versions: bool,
+    /// Number of present devices, by name and version of a service; at most [`MAX_GATEWAY_VERSIONS`].
     services: BTreeMap<String, BTreeMap<String, usize>>,
+    version_count: usize,
     /// Addresses of its devices, a bit for each.
     address_bits: u128,
 }
@@ -90,8 +97,18 @@ impl GatewayFacts {
         }
         self.present += 1;
         for service in device.services.iter().flatten() {
+            if self.version_count == MAX_GATEWAY_VERSIONS
+                && !self.has_service(&service.name, &service.version)
+            {
+                self.has_more_versions = true;
+                continue;
+            }
+            let count = &mut self.version_count;
             change_value(&mut self.services, &service.name, |versions| {
-                change_value(versions, &service.version, |devices| *devices += 1);
+                change_value(versions, &service.version, |devices| {
+                    *count += usize::from(*devices == 0);
+                    *devices += 1;
+                });
             });
         }
     }

@@ -14,7 +14,9 @@ mod rows;
 mod scope;
 
 pub use events::{FleetEvent, FleetEventKind, FleetEventLog, MAX_EVENTS};
-pub use facts::{FleetDevice, FleetProblem, GatewayFacts, GatewayRow, VersionRow};
+pub use facts::{
+    FleetDevice, FleetProblem, GatewayFacts, GatewayRow, MAX_GATEWAY_VERSIONS, VersionRow,
+};
 pub use keys::{FLEET_KEYS, FleetPrompt};
 pub use regions::FleetRegions;
 pub use rows::{FleetRow, FleetRowKey, MAX_FLEET_PROBLEMS};

@@ -4,7 +4,9 @@ use super::list::{
     addresses_text, heartbeat_text, name_text, of_presence, of_problem, services_text, uid_text,
 };
 use super::{FleetBrush, age_text};
-use crate::app::{FleetDevice, FleetProblem, FleetRow, FleetScreen, GatewayRow, VersionRow};
+use crate::app::{
+    FleetDevice, FleetProblem, FleetRow, FleetScreen, GatewayRow, MAX_GATEWAY_VERSIONS, VersionRow,
+};
 use crate::cell_text::wrap;
 use crate::fleet::GatewayState;
 use crate::inventory::InventoryBus;
@@ -80,6 +82,11 @@ fn of_gateway(brush: &FleetBrush, row: &GatewayRow) -> Vec<Line<'static>> {
     lines.extend(field(brush, "state", Role::Text, &text));
     for error in &facts.file_errors {
         lines.extend(field(brush, "des.json", Role::Error, error));
+    }
+    if facts.has_more_versions {
+        let text =
+            format!("more than {}: not all are listed", grouped(MAX_GATEWAY_VERSIONS as u64));
+        lines.extend(field(brush, "versions", Role::Warning, &text));
     }
     for bus in &facts.buses {
         lines.extend(field(brush, &bus.name, Role::Text, &bus_facts(bus)));

@@ -236,6 +236,34 @@ fn old_status_that_is_not_renewed_is_of_a_silent_gateway() {
     assert_eq!(fleet["complete"], true);
 }
 
+/// An unlisted device may be in it.
+#[test]
+fn gateway_with_an_unusable_document_is_not_compared() {
+    let Some(broker) = Mosquitto::start() else { return };
+    let (folder, url) = (broker.folder(), broker.url());
+    let status = format!(r#"{{"online":true,"time":{}}}"#, sites::unix_time());
+    for name in ["hides", "other"] {
+        fs::create_dir_all(folder.join("sites").join(name)).unwrap();
+        fs::write(folder.join("sites").join(name).join("des.json"), "[]").unwrap();
+        broker.publish(&format!("descan/v1/{name}/status"), status.as_bytes());
+    }
+    let long = format!(r#"{{"bus":"can0","address":50,"name":"{}"}}"#, "X".repeat(70_000));
+    let check = || {
+        let output = run(&["check", "--fleet", "sites", "--broker", &url, "--json"], folder);
+        let report: Value = serde_json::from_slice(&output.stdout).unwrap();
+        let errors: Vec<Value> = report["gateways"].as_array().unwrap().clone();
+        let errors = errors.into_iter().map(|gateway| gateway["error"].clone());
+        (output.status.code(), errors.collect::<Vec<_>>())
+    };
+    broker.publish("descan/v1/hides/device/can0/50", long.as_bytes());
+    let (code, errors) = check();
+    assert_eq!(code, Some(3), "{errors:?}");
+    let cause = "not used: descan/v1/hides/device/can0/50: too long";
+    assert_eq!(errors, [Value::from(cause), Value::Null]);
+    broker.publish("descan/v1/hides/device/can0/50", b"");
+    assert_eq!(check(), (Some(0), vec![Value::Null; 2]));
+}
+
 #[test]
 fn status_that_is_renewed_is_of_a_gateway_whose_clock_is_late() {
     let Some(broker) = Mosquitto::start() else { return };

@@ -63,6 +63,30 @@ fn topic_decides_bus_and_address() {
 }
 
 #[test]
+fn document_that_is_not_used_is_of_its_gateway() {
+    let long = "x".repeat(MAX_DOCUMENT_BYTES + 1);
+    for topic in ["b/device/can0/50", "b/bus/can0", "b/status", "b/device/can0/300"] {
+        let mut fleet =
+            fleet(&[("a/device/can0/10", FEED), ("b/device/can0/10", FEED), (topic, &long)]);
+        let of =
+            |fleet: &Fleet, gateway| fleet.rejects().of_gateway(&name(gateway)).map(str::to_owned);
+        assert!(of(&fleet, "b").unwrap().starts_with(&format!("descan/v1/{topic}: ")), "{topic}");
+        for other in ["a", "B", "bb", "c"] {
+            assert_eq!(of(&fleet, other), None, "{topic} {other}");
+        }
+        fleet.handle_message(NOW, format!("descan/v1/{topic}").as_bytes(), b"", true);
+        assert_eq!(of(&fleet, "b"), None, "cleared");
+    }
+    // More than are remembered: it may be any one.
+    let mut fleet = Fleet::default();
+    for number in 0..1001 {
+        let topic = format!("descan/v1/evil/bus/{number}");
+        fleet.handle_message(NOW, topic.as_bytes(), b"[]", true);
+    }
+    assert!(fleet.rejects().of_gateway(&name("a")).is_some());
+}
+
+#[test]
 fn all_devices_of_an_address_count() {
     let second = r#"{"bus":"can0","address":10,"name":"ACT","presence":"online","services_known":true,
         "services":[{"name":"AUGER","version":"2.2"}]}"#;
