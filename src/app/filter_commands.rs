@@ -348,9 +348,10 @@ impl App {
             Page::Traffic => {
                 let frame = self.selected_frame()?;
                 let key = super::IdentifierKey::of(&frame);
+                let id = if self.shown_buses().has_fixed_id(&frame) { frame.id } else { key.id };
                 Some(match key.kind {
                     super::IdentifierKind::Error => "type:err".to_owned(),
-                    _ => format!("id:{}", key.id),
+                    _ => format!("id:{id}"),
                 })
             }
             Page::Timeline => {

@@ -485,6 +485,56 @@ fn log_names_messages_but_never_those_of_des() {
     assert!(out.ends_with("Pedal: Mode 0, Position 100.0 %\n"), "{out}");
 }
 
+/// A bus of DES (heartbeats of a device at 10, whose name is not known) with two messages of another protocol
+/// that differ in RND7 only.
+fn log_of_two_protocols() -> String {
+    let mut log = String::new();
+    for at in 0_u32..40 {
+        let (time, rnd7) = (at * 50, at * 37 % 128);
+        let second = |millis: u32| format!("{}.{:03}000", 100 + millis / 1000, millis % 1000);
+        writeln!(log, "({}) can0 07FE0010#{at:02X}", second(time)).unwrap();
+        writeln!(log, "({}) can0 07FE1410#{at:02X}", second(time + 10)).unwrap();
+        let (heartbeat, data) = (0x0714_0001 | rnd7 << 10, 0x0714_0110 | rnd7 << 10);
+        writeln!(log, "({}) can0 {heartbeat:08X}#8A", second(time + 20)).unwrap();
+        writeln!(log, "({}) can0 {data:08X}#{at:02X}", second(time + 30)).unwrap();
+    }
+    log
+}
+
+#[test]
+fn messages_that_differ_in_rnd7_only_have_rows_of_their_own() {
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("one.log"), log_of_two_protocols()).unwrap();
+    let ids = [0x07FE_0010_u32, 0x07FE_1410, 0x0714_0110];
+    let message = |id: u32| format!("BO_ {} M{id:X}: 1 X\n", id | 1 << 31);
+    fs::write(folder.path().join("two.dbc"), ids.map(message).concat()).unwrap();
+    let rows = |arguments: &[&str]| {
+        let (code, out, said) = log_one(folder.path(), arguments);
+        assert_eq!((code, &*said), (Some(0), ""));
+        let report: Value = serde_json::from_str(&out).unwrap();
+        let rows = report["identifiers"].as_array().unwrap().iter();
+        let mean = |row: &Value| row["period_ms"]["mean"].as_f64().unwrap();
+        let cells = rows.map(|row| {
+            (row["id"].as_str().unwrap().to_owned(), row["count"].as_u64().unwrap(), mean(row))
+        });
+        cells.collect::<Vec<_>>()
+    };
+    let row = |id: &str, count, mean| (id.to_owned(), count, mean);
+    let of_device = [row("07140001", 40, 50.0), row("07140110", 40, 50.0)];
+    assert_eq!(rows(&["--stats"])[..2], of_device, "without names no bits are fixed");
+    assert_eq!(rows(&["--stats"]).len(), 3);
+    let described = rows(&["--stats", "--dbc", "two.dbc"]);
+    assert_eq!(described[..2], of_device, "the device takes part in DES: its data are not named");
+    assert_eq!(described[2..], [row("07FE0010", 40, 50.0), row("07FE1410", 40, 50.0)]);
+    // Times since the frame before are those of the identifier, and a filter is of one alone.
+    let count = |filter: &str| {
+        let (_, out, _) = log_one(folder.path(), &["--dbc", "two.dbc", "--filter", filter]);
+        out.lines().count()
+    };
+    assert_eq!((count("id:07FE0010"), count("id:07FE0010 dt:50ms..50ms")), (40, 39));
+    assert_eq!(count("M7140110"), 0);
+}
+
 /// Runs `log one.log --json` in a folder; returns the exit code, the output and the errors.
 fn log_one(folder: &Path, arguments: &[&str]) -> (Option<i32>, String, String) {
     let mut command = Command::new(env!("CARGO_BIN_EXE_descan"));

@@ -1,7 +1,8 @@
 //! The types of the devices on the buses, and the words of the catalogue for their frames.
 //!
 //! The messages of DBC files are for frames that are not of DES: of a bus that speaks another protocol, with
-//! 11-bit identifiers, and those of a mixed bus that neither have a service of DES nor an end with a name.
+//! 11-bit identifiers, and those of a mixed bus that neither have a service of DES nor an end with a device
+//! that has a name or sends heartbeats.
 //! Who had an address is looked up as of the frame; its type is what is known of the device now.
 
 use super::{Bus, Buses};
@@ -105,8 +106,8 @@ pub struct BusTypes {
     messages: Arc<MessageDatabase>,
     /// Services of DES itself.
     services: Vec<Service>,
-    /// Addresses of devices with a name, a bit each.
-    named: u128,
+    /// Addresses of devices that take part in DES, a bit each.
+    taken: u128,
 }
 
 impl BusTypes {
@@ -135,20 +136,20 @@ impl BusTypes {
         if buses.messages.is_empty() {
             return Self::default();
         }
-        let named = Address::all().filter(|address| bus.has_named(*address));
+        let taken = Address::all().filter(|address| bus.has_device_of_des(*address));
         Self {
             messages: Arc::clone(&buses.messages),
             services: services_of_des(&bus.config().profile).to_vec(),
-            named: named.fold(0, |all, address| all | 1 << address.index()),
+            taken: taken.fold(0, |all, address| all | 1 << address.index()),
             ..Self::default()
         }
     }
 
     /// Returns what is known about a frame; `header` is `None` for one of another protocol.
     pub fn of_frame(&self, header: Option<Header>, frame: &Frame) -> FrameTypes<'_> {
-        let is_named = |address: Address| self.named >> address.index() & 1 == 1;
+        let is_taken = |address: Address| self.taken >> address.index() & 1 == 1;
         let message = self.messages.message(frame);
-        let is_of_des = || header.is_some_and(|header| is_of_des(header, &self.services, is_named));
+        let is_of_des = || header.is_some_and(|header| is_of_des(header, &self.services, is_taken));
         let message = message.filter(|_| !is_of_des());
         let end = header.and_then(described_end);
         let at = end.and_then(|address| self.held.get(address.index()));
@@ -164,18 +165,21 @@ fn services_of_des(profile: &Profile) -> [Service; 2] {
     [profile.des_service(), profile.heartbeat_service()]
 }
 
-/// Returns true for a frame of DES, or of a device that takes part in it: `is_named` says which addresses
-/// have a device with a name.
-fn is_of_des(header: Header, services: &[Service], is_named: impl Fn(Address) -> bool) -> bool {
-    let is_by_name =
-        || is_named(header.source) || !header.broadcast && is_named(header.destination);
-    header.is_conforming() && (services.contains(&header.service) || is_by_name())
+/// Returns true for a frame of DES, or of a device that takes part in it: `is_taken` says which addresses
+/// have such a device.
+fn is_of_des(header: Header, services: &[Service], is_taken: impl Fn(Address) -> bool) -> bool {
+    let is_of_device =
+        || is_taken(header.source) || !header.broadcast && is_taken(header.destination);
+    header.is_conforming() && (services.contains(&header.service) || is_of_device())
 }
 
 impl Bus {
-    /// Returns true if a device with a name had an address.
-    fn has_named(&self, address: Address) -> bool {
-        self.names().holders(address).iter().any(|holder| holder.name.is_some())
+    /// Returns true if a device that takes part in DES had an address: it has a name or sends heartbeats.
+    fn has_device_of_des(&self, address: Address) -> bool {
+        self.names().holders(address).iter().any(|holder| {
+            let device = || holder.device().and_then(|id| self.device(id));
+            holder.name.is_some() || device().is_some_and(|device| device.heartbeat.count > 0)
+        })
     }
 
     /// Returns the type of the device that had an address at a moment.
@@ -214,16 +218,22 @@ impl Buses {
         self.catalogue = catalogue;
     }
 
-    /// Returns a number that changes with the types of devices, other than by their names.
+    /// Returns a number that changes with what is known of devices for their frames, other than their names.
     pub fn types_revision(&self) -> u64 {
+        let revision = if self.messages.is_empty() {
+            self.catalogue.revision()
+        } else {
+            let with_heartbeat = self.devices().filter(|device| device.heartbeat.count > 0);
+            self.catalogue.revision().wrapping_add((with_heartbeat.count() as u64) << 32)
+        };
         if self.catalogue.is_empty() {
-            return self.catalogue.revision();
+            return revision;
         }
         let gids = self.devices().filter_map(gid_of);
         let bits = gids
             .map(|Gid(bytes)| bytes.iter().fold(1, |bits: u64, byte| bits << 8 | u64::from(*byte)));
         let add = |sum: u64, bits: u64| sum.wrapping_mul(0x0100_0000_01B3).wrapping_add(bits);
-        bits.fold(self.catalogue.revision(), add)
+        bits.fold(revision, add)
     }
 
     /// Returns the type of a device, and how it is known.
@@ -242,13 +252,25 @@ impl Buses {
         self.messages = messages;
     }
 
+    /// Returns true if a DBC file has the message of a frame that is not of DES.
+    pub fn has_message(&self, frame: &Frame) -> bool {
+        let id = frame.platform_id().filter(|_| !self.is_foreign(frame.bus));
+        self.frame_types(id.map(Header::decode), frame).message().is_some()
+    }
+
+    /// Returns true if no bit of the identifier of a frame is random: it is not of DES. Otherwise RND7 of a
+    /// broadcast is.
+    pub fn has_fixed_id(&self, frame: &Frame) -> bool {
+        self.is_foreign(frame.bus) || self.has_message(frame)
+    }
+
     /// Returns what is known about a frame; `header` is `None` for one of another protocol.
     pub fn frame_types(&self, header: Option<Header>, frame: &Frame) -> FrameTypes<'_> {
         let message = self.messages.message(frame).filter(|_| {
             let bus = header.and_then(|header| Some((header, self.get(frame.bus)?)));
             !bus.is_some_and(|(header, bus)| {
                 let services = services_of_des(&bus.config().profile);
-                is_of_des(header, &services, |address| bus.has_named(address))
+                is_of_des(header, &services, |address| bus.has_device_of_des(address))
             })
         });
         let types =

@@ -19,6 +19,8 @@ use std::sync::Arc;
 const BLOCK_FRAMES: usize = 4096;
 /// Fewest blocks that share the room: the part of it that is dropped at once.
 const MIN_BLOCKS: usize = 16;
+/// Most frames that are looked at for the last one with the same bits: RND7 has 128 values.
+const MAX_LOOKED_AT: usize = 1024;
 /// Part of the room that pinned frames may take.
 const PINNED_PART: usize = 4;
 /// Part of the room that the newest frames of a log take, its index, and the frames that were read
@@ -270,6 +272,15 @@ impl FrameStore {
     pub fn previous(&self, number: u64) -> Option<u64> {
         let back = self.block_of(number)?.back(number);
         number.checked_sub(u64::from(back)).filter(|_| back > 0)
+    }
+
+    /// Number of the last frame before this one with the same identifier in all bits, also RND7; `None` if
+    /// it is not known, and not stored or not among the 1024 before it.
+    pub fn previous_with_all_bits(&self, number: u64) -> Option<u64> {
+        let id = self.get(number)?.id;
+        let before = std::iter::successors(self.previous(number), |before| self.previous(*before));
+        let mut looked_at = before.take(MAX_LOOKED_AT);
+        looked_at.find(|before| self.get(*before).is_some_and(|frame| frame.id == id))
     }
 
     /// Number of the last stored frame with an identifier, which has this row, among `numbers`; `None`

@@ -71,7 +71,8 @@ impl Traffic {
             };
             let id = CanId::Extended(header.encode());
             let is_fd = flags & 16 != 0;
-            let key = IdentifierKey { bus, id, kind: IdentifierKind::Data, fd: is_fd };
+            let (kind, is_masked) = (IdentifierKind::Data, true);
+            let key = IdentifierKey { bus, id, kind, fd: is_fd, is_masked };
             walk.heads.extend(self.last_within(first..end, &key));
         }
         walk

@@ -2,8 +2,9 @@
 //!
 //! Broadcasts with one identifier but for RND7 share a row. While a bus is not known to speak DES, its
 //! broadcasts have rows with their identifiers as they are, too: in another protocol no bits are random.
+//! For the same reason messages of DBC files have rows of their own, on a bus that speaks both.
 //!
-//! Bounded: twice 4096 identifiers; the last 256 intervals of each, and those of the last minute as sums. A
+//! Bounded: three times 4096 identifiers; the last 256 intervals of each, and those of the last minute as sums. A
 //! frame with a known identifier allocates nothing. Does not know how frames are shown.
 
 use super::decoded::FrameRole;
@@ -24,6 +25,8 @@ pub struct IdentifierKey {
     pub kind: IdentifierKind,
     /// CAN FD: FD frames have rows of their own.
     pub fd: bool,
+    /// It is of all broadcasts that have this identifier but for RND7, which is cleared.
+    pub is_masked: bool,
 }
 
 /// [`FrameKind`] with an order.
@@ -40,22 +43,20 @@ pub enum IdentifierKind {
 impl IdentifierKey {
     /// Returns the key of a frame.
     pub fn of(frame: &Frame) -> Self {
-        let (kind, id) = match (frame.kind, frame.id) {
-            (FrameKind::Error, _) => (IdentifierKind::Error, CanId::Extended(0)),
-            (FrameKind::Remote, id) => (IdentifierKind::Remote, id),
+        let (kind, id, is_masked) = match (frame.kind, frame.id) {
+            (FrameKind::Error, _) => (IdentifierKind::Error, CanId::Extended(0), false),
+            (FrameKind::Remote, id) => (IdentifierKind::Remote, id, false),
             (FrameKind::Data, CanId::Extended(id)) if Header::decode(id).broadcast => {
-                (IdentifierKind::Data, CanId::Extended(id & !(0x7F << 10)))
+                (IdentifierKind::Data, CanId::Extended(id & !(0x7F << 10)), true)
             }
-            (FrameKind::Data, id) => (IdentifierKind::Data, id),
+            (FrameKind::Data, id) => (IdentifierKind::Data, id, false),
         };
-        Self { bus: frame.bus, id, kind, fd: frame.is_fd }
+        Self { bus: frame.bus, id, kind, fd: frame.is_fd, is_masked }
     }
 
-    /// Returns true if identifiers of broadcasts share this key.
-    fn is_of_broadcasts(self) -> bool {
-        let (kind, id) = (self.kind, self.id);
-        kind == IdentifierKind::Data
-            && matches!(id, CanId::Extended(id) if Header::decode(id).broadcast)
+    /// Returns the key of a broadcast with its identifier as it is; `self` is its key.
+    fn unmasked(self, frame: &Frame) -> Self {
+        Self { id: frame.id, is_masked: false, ..self }
     }
 
     /// The key in one number, which is hashed at once.
@@ -64,7 +65,8 @@ impl IdentifierKey {
             CanId::Standard(id) => u64::from(id),
             CanId::Extended(id) => u64::from(id) | 1 << 32,
         };
-        id | u64::from(self.fd) << 33 | (self.kind as u64) << 34 | u64::from(self.bus.0) << 40
+        let flags = u64::from(self.fd) | (self.kind as u64) << 1 | u64::from(self.is_masked) << 3;
+        id | flags << 33 | u64::from(self.bus.0) << 40
     }
 }
 
@@ -274,6 +276,9 @@ pub struct Identifiers {
     table: IdentifierTable,
     /// Broadcasts with their identifiers as they are, of buses that may speak another protocol.
     unmasked: IdentifierTable,
+    /// Broadcasts where DBC files have messages: those with their identifiers as they are, the others
+    /// as in the first table.
+    described: IdentifierTable,
 }
 
 impl IdentifierTable {
@@ -330,22 +335,37 @@ impl Identifiers {
     /// identifier as it is, if that differs. Returns the place of its row; `None` without one.
     pub fn add_unmasked(&mut self, frame: &Frame, number: u64) -> Option<usize> {
         let key = IdentifierKey::of(frame);
-        if !key.is_of_broadcasts() {
+        let link = key.is_masked.then(|| self.unmasked.add(key.unmasked(frame), frame, number))?;
+        link.map(|link| link.row)
+    }
+
+    /// Counts a frame that was [added](Self::add), if it is a broadcast; call for all of them where DBC
+    /// files have messages. `has_message`: one of them is of this frame. Returns the place of its row;
+    /// `None` without one.
+    pub fn add_described(
+        &mut self,
+        frame: &Frame,
+        number: u64,
+        has_message: impl FnOnce() -> bool,
+    ) -> Option<usize> {
+        let key = IdentifierKey::of(frame);
+        if !key.is_masked {
             return None;
         }
-        let link = self.unmasked.add(IdentifierKey { id: frame.id, ..key }, frame, number);
-        link.map(|link| link.row)
+        let key = if has_message() { key.unmasked(frame) } else { key };
+        self.described.add(key, frame, number).map(|link| link.row)
     }
 
     /// Ends a second for the frame rates.
     pub fn tick(&mut self) {
         self.table.tick();
         self.unmasked.tick();
+        self.described.tick();
     }
 
     /// Bytes of memory, as of a copy.
     pub(super) fn size(&self) -> usize {
-        self.table.size() + self.unmasked.size()
+        self.table.size() + self.unmasked.size() + self.described.size()
     }
 
     /// Rows, in the order in which their identifiers were first received.
@@ -353,15 +373,20 @@ impl Identifiers {
         &self.table.rows
     }
 
-    /// Rows with the identifiers as they are on the buses that speak another protocol.
+    /// Rows with the identifiers as they are on the buses that speak another protocol, and of messages of
+    /// DBC files.
     pub fn rows_of(
         &self,
         is_foreign: impl Fn(BusIndex) -> bool + Copy,
     ) -> impl Iterator<Item = &IdentifierStats> {
-        let is_masked =
-            move |row: &&IdentifierStats| is_foreign(row.key.bus) && row.key.is_of_broadcasts();
-        let rows = self.table.rows.iter().filter(move |row| !is_masked(row));
-        rows.chain(self.unmasked.rows.iter().filter(move |row| is_foreign(row.key.bus)))
+        let is_described = !self.described.rows.is_empty();
+        let is_replaced = move |row: &&IdentifierStats| {
+            row.key.is_masked && (is_described || is_foreign(row.key.bus))
+        };
+        let of_foreign = self.unmasked.rows.iter().filter(move |row| is_foreign(row.key.bus));
+        let described = self.described.rows.iter().filter(move |row| !is_foreign(row.key.bus));
+        let rows = self.table.rows.iter().filter(move |row| !is_replaced(row));
+        rows.chain(of_foreign).chain(described)
     }
 
     /// The place of the row of an identifier; `None` without one.
@@ -374,9 +399,15 @@ impl Identifiers {
         self.unmasked.place_of(key)
     }
 
+    /// The place of the row of a broadcast where DBC files have messages; `None` without one.
+    pub fn described_place_of(&self, key: &IdentifierKey) -> Option<usize> {
+        self.described.place_of(key)
+    }
+
     /// Number of frames without a row, because a table was full.
     pub fn refused(&self) -> u64 {
-        self.table.refused + self.unmasked.refused
+        let tables = [&self.table, &self.unmasked, &self.described];
+        tables.iter().map(|table| table.refused).max().unwrap_or_default()
     }
 }
 
@@ -403,6 +434,26 @@ mod tests {
         let extended = |ids: &[u32]| ids.iter().map(|id| CanId::Extended(*id)).collect::<Vec<_>>();
         assert_eq!(ids(false), extended(&[0x0400, broadcast]));
         assert_eq!(ids(true), extended(&[0x0400, broadcast | 0x0400, broadcast | 0x0800]));
+    }
+
+    #[test]
+    fn messages_of_dbc_files_do_not_share_a_row_on_a_bus_of_des() {
+        let mut identifiers = Identifiers::new();
+        let masked = 0x07FE_0010;
+        for (number, rnd7) in [0, 5, 5, 9, 0].into_iter().enumerate() {
+            let frame = Frame::classic(masked | rnd7 << 10, &[]);
+            identifiers.add(&frame, number as u64);
+            identifiers.add_described(&frame, number as u64, || matches!(rnd7, 0 | 5));
+        }
+        let rows =
+            identifiers.rows_of(|_| false).map(|row| (row.key.id, row.key.is_masked, row.count));
+        let id = |rnd7: u32| CanId::Extended(masked | rnd7 << 10);
+        assert_eq!(
+            rows.collect::<Vec<_>>(),
+            [(id(0), false, 2), (id(5), false, 2), (id(0), true, 1)]
+        );
+        let count = |is_foreign: bool| identifiers.rows_of(move |_| is_foreign).count();
+        assert_eq!((count(false), count(true)), (3, 0), "of another protocol nothing was added");
     }
 
     #[test]

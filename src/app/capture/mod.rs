@@ -44,7 +44,7 @@ use crate::time::{Duration, Instant};
 use crate::wire::id::{Header, Service};
 use crate::wire::isotp::Pci;
 use filtered_frames::FilteredFrames;
-use statistics::StatisticsHistory;
+use statistics::{StatisticsHistory, add_identifier};
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -101,10 +101,7 @@ impl Traffic {
             return;
         }
         let number = self.capture.end();
-        let link = self.identifiers.add(frame, number);
-        if !buses.speaks_des(frame.bus) {
-            self.identifiers.add_unmasked(frame, number);
-        }
+        let link = add_identifier(&mut self.identifiers, frame, number, buses);
         if let Some(bus) = buses.get(frame.bus) {
             self.calls.add(frame, number, &bus.config().profile);
         }

@@ -3,6 +3,7 @@
 //!
 //! Bounded in bytes. Does not know how statistics are shown.
 
+use super::identifiers::IdentifierLink;
 use super::{Calls, FrameStore, Identifiers};
 use crate::app::buses::Buses;
 use crate::app::history::most_redundant;
@@ -28,10 +29,7 @@ pub struct FrameStatistics {
 impl FrameStatistics {
     /// Counts a frame of these buses.
     pub(super) fn add(&mut self, frame: &Frame, number: u64, buses: &Buses) {
-        self.identifiers.add(frame, number);
-        if !buses.speaks_des(frame.bus) {
-            self.identifiers.add_unmasked(frame, number);
-        }
+        add_identifier(&mut self.identifiers, frame, number, buses);
         if let Some(bus) = buses.get(frame.bus) {
             self.calls.add(frame, number, &bus.config().profile);
         }
@@ -42,6 +40,23 @@ impl FrameStatistics {
         self.identifiers.tick();
         self.calls.tick(now, timeout);
     }
+}
+
+/// Counts a frame of these buses in the tables of identifiers; returns its row in the first one.
+pub(super) fn add_identifier(
+    identifiers: &mut Identifiers,
+    frame: &Frame,
+    number: u64,
+    buses: &Buses,
+) -> Option<IdentifierLink> {
+    let link = identifiers.add(frame, number);
+    if !buses.speaks_des(frame.bus) {
+        identifiers.add_unmasked(frame, number);
+    }
+    if !buses.messages().is_empty() {
+        identifiers.add_described(frame, number, || buses.has_message(frame));
+    }
+    link
 }
 
 /// Statistics at the end of a second.

@@ -511,15 +511,22 @@ impl TestedFrame<'_> {
             _ if self.frame.kind == FrameKind::Error => false,
             CanId::Standard(id) => pattern.is_match(u32::from(id), 3),
             CanId::Extended(id) => {
-                let is_random = self.header.is_some_and(|header| header.broadcast);
-                pattern.is_match(id, 8) || (is_random && pattern.is_match(id & !RANDOM, 8))
+                let is_random = || self.header.is_some_and(|header| header.broadcast);
+                pattern.is_match(id, 8)
+                    || pattern.is_match(id & !RANDOM, 8) && is_random() && !self.has_message()
             }
         }
     }
 
     fn interval_micros(&self) -> Option<u64> {
         let (store, number) = self.stored.filter(|_| self.frame.kind != FrameKind::Error)?;
-        let before = store.time_of(store.previous(number)?)?;
+        let has_fixed_bits = self.role == FrameRole::Foreign || self.has_message();
+        let before = if has_fixed_bits {
+            store.previous_with_all_bits(number)
+        } else {
+            store.previous(number)
+        };
+        let before = store.time_of(before?)?;
         u64::try_from(self.frame.time.since(before).as_micros()).ok()
     }
 
@@ -570,6 +577,11 @@ impl TestedFrame<'_> {
     /// The meaning of the frame, as the screen shows it.
     fn meaning(&self) -> String {
         decoded::meaning_of(self.frame, self.role, self.profile, self.frame_types())
+    }
+
+    /// Returns true if a DBC file has its message.
+    fn has_message(&self) -> bool {
+        self.frame_types().message().is_some()
     }
 
     /// What the catalogue says about the frame.

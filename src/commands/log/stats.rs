@@ -58,6 +58,8 @@ pub struct LogStats {
     intervals: Vec<LogIntervals>,
     /// The same of identifiers as they are.
     unmasked_intervals: Vec<LogIntervals>,
+    /// The same of broadcasts where DBC files have messages.
+    described_intervals: Vec<LogIntervals>,
 }
 
 impl LogStats {
@@ -86,22 +88,31 @@ impl LogStats {
         {
             add_interval(&mut self.unmasked_intervals, row, time);
         }
+        let history = app.history();
+        if !history.messages().is_empty()
+            && let Some(row) =
+                self.identifiers.add_described(frame, self.frames, || history.has_message(frame))
+        {
+            add_interval(&mut self.described_intervals, row, time);
+        }
         self.frames += 1;
     }
 
-    /// Rows of identifiers, as they are on buses that speak another protocol, with the intervals in the
-    /// whole log: `None` before the second frame, and for requests and responses, which have no period.
+    /// Rows of identifiers, as they are on buses that speak another protocol and of messages of DBC files,
+    /// with the intervals in the whole log: `None` before the second frame, and for requests and responses, which have no period.
     pub fn identifier_rows<'a>(
         &'a self,
         app: &'a App,
     ) -> Vec<(&'a IdentifierStats, Option<&'a LogIntervals>)> {
         let is_foreign = |bus| app.history().is_foreign(bus);
         let intervals = |row: &IdentifierStats| {
-            let unmasked = self.identifiers.unmasked_place_of(&row.key);
-            let all = match unmasked.filter(|_| is_foreign(row.key.bus)) {
-                Some(at) => self.unmasked_intervals.get(at),
-                None => self.intervals.get(self.identifiers.place_of(&row.key)?),
-            };
+            let identifiers = &self.identifiers;
+            let unmasked = || self.unmasked_intervals.get(identifiers.unmasked_place_of(&row.key)?);
+            let described =
+                || self.described_intervals.get(identifiers.described_place_of(&row.key)?);
+            let masked = || self.intervals.get(identifiers.place_of(&row.key)?);
+            let own = if is_foreign(row.key.bus) { unmasked() } else { described() };
+            let all = own.or_else(masked);
             all.filter(|it| it.count > 0 && !row.has_no_period(is_foreign(row.key.bus)))
         };
         let rows = self.identifiers.rows_of(is_foreign);

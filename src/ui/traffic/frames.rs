@@ -184,7 +184,12 @@ fn frame_line(
     // Closed, it is one row.
     let transfer = transfer.filter(|_| !is_open);
     let capture = app.capture();
-    let previous = capture.previous(shown.number).and_then(|it| capture.get(it));
+    let previous = if app.shown_buses().has_fixed_id(frame) {
+        capture.previous_with_all_bits(shown.number)
+    } else {
+        capture.previous(shown.number)
+    };
+    let previous = previous.and_then(|it| capture.get(it));
     let since_same = previous.as_ref().map(|it| frame.time.since(it.time));
     let since_above = shown.above.map(|above| frame.time.since(above));
     let format = app.view().time_format;
