@@ -197,7 +197,11 @@ mod tests {
             assert_eq!(spec.to_string(), text);
         }
         assert_eq!("can0".parse(), Ok(BusSpec::SocketCan("can0".into())));
-        for log in ["session.log", "./a:b", "/a b/c", "drone.pcapng", "trace.ASC"] {
+        let below_dev = ["/dev/stdin", "/dev/fd/63", "/dev/shm/session"];
+        for log in ["session.log", "./a:b", "/a b/c", "drone.pcapng", "trace.ASC"]
+            .into_iter()
+            .chain(below_dev)
+        {
             assert_eq!(log.parse(), Ok(BusSpec::File(log.into())), "{log}");
         }
     }

@@ -568,7 +568,6 @@ impl LogEncoder for BlfEncoder {
 
     fn loss(&self) -> LogLoss {
         let (other_times, error_details) = (self.other_times, self.error_details);
-        let numbers = self.channels.lost_names();
-        LogLoss { error_details, other_times, numbers, ..LogLoss::default() }
+        self.channels.loss(LogLoss { error_details, other_times, ..LogLoss::default() })
     }
 }

@@ -1,5 +1,6 @@
 //! Numbered channels of logs: the names that descan gives them, and the numbers it gives to names.
 
+use super::LogLoss;
 use std::fmt::Write;
 use std::sync::LazyLock;
 
@@ -73,12 +74,24 @@ impl ChannelNumbers {
         number
     }
 
-    /// Returns the names that a log with numbers in place of names does not hold, with their numbers.
-    pub fn lost_names(&self) -> Vec<(String, u8)> {
+    /// Returns what a log with numbers in place of names does not hold, beside this.
+    pub fn loss(&self, other: LogLoss) -> LogLoss {
+        LogLoss { numbers: self.lost_names(), shared_numbers: self.shared(), ..other }
+    }
+
+    fn lost_names(&self) -> Vec<(String, u8)> {
         let is_lost = |(name, number): &&(String, u8)| {
             name != channel_name(*number) && name != bus_name(*number)
         };
         self.given.iter().filter(is_lost).cloned().collect()
+    }
+
+    /// Returns how many names have the number of another one, because there are no more numbers.
+    fn shared(&self) -> u64 {
+        let mut taken = [false; 256];
+        let repeated = |number: u8| std::mem::replace(&mut taken[usize::from(number)], true);
+        let numbers = self.given.iter().map(|(_, number)| *number);
+        numbers.map(repeated).filter(|is_repeated| *is_repeated).count() as u64
     }
 
     fn is_free(&self, number: u8) -> bool {

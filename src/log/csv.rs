@@ -1,6 +1,6 @@
 //! CSV logs: SavvyCAN's (GVRET), which is read and written, and python-can's, which is read.
 //!
-//! Known by their header lines. Does not know moments or bus numbers.
+//! Known by their header lines; python-can's also by a row, as it writes no header where it appends. Does not know moments or bus numbers.
 
 use super::channel::{ChannelNumbers, ONLY_BUS, bus_name};
 use super::dates::seconds;
@@ -187,7 +187,16 @@ const LONGEST_BYTE: usize = 4;
 pub(super) struct PythonCanLines;
 
 impl PythonCanLines {
-    pub fn is_header(line: &[u8]) -> bool {
+    /// Returns true for the header line, and for a row of a log without one.
+    pub fn is_first_line(line: &[u8]) -> bool {
+        let is_row = || {
+            let has_prefix = cells(line).nth(1).is_some_and(|id| id.starts_with(b"0x"));
+            has_prefix && matches!(Self::read(line), Ok(Some(_)))
+        };
+        Self::is_header(line) || is_row()
+    }
+
+    fn is_header(line: &[u8]) -> bool {
         starts(line.trim_ascii(), b"timestamp,arbitration_id,")
     }
 
@@ -352,6 +361,6 @@ impl LogEncoder for GvretEncoder {
     }
 
     fn loss(&self) -> LogLoss {
-        LogLoss { numbers: self.buses.lost_names(), ..self.loss.clone() }
+        self.buses.loss(self.loss.clone())
     }
 }

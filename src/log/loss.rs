@@ -25,6 +25,8 @@ pub struct LogLoss {
     /// The local date of the first frame is one of the hour that is repeated when summer time ends, and
     /// is read as the first of both.
     pub is_in_repeated_hour: bool,
+    /// Interfaces with the number of another one, because the log has no more numbers.
+    pub shared_numbers: u64,
     /// Interfaces with the numbers that the log has in place of their names.
     pub numbers: Vec<(String, u8)>,
 }
@@ -63,6 +65,7 @@ impl fmt::Display for LogLoss {
             (self.raw_dlcs, "classic frame", "with a DLC of 8 in place of one above"),
             (self.other_times, "frame", "with another time"),
             (self.finer_times, "time", "cut to the microsecond"),
+            (self.shared_numbers, "interface", "with the number of another, as there are no more"),
         ];
         write_counts(f, &counts, &mut separator)?;
         if self.is_in_repeated_hour {

@@ -34,7 +34,7 @@ impl TextFormat {
             .map(Self::Asc)
             .or_else(|| TrcLines::of_line(line).map(Self::Trc))
             .or_else(|| GvretLines::of_header(line).map(Self::Gvret))
-            .or_else(|| PythonCanLines::is_header(line).then_some(Self::PythonCan))
+            .or_else(|| PythonCanLines::is_first_line(line).then_some(Self::PythonCan))
     }
 
     /// Returns true for the format of a log of which no other was found.

@@ -964,6 +964,34 @@ fn times_of_python_can_are_the_nearest_microsecond() {
 }
 
 #[test]
+fn csv_of_python_can_without_a_header_is_read() {
+    let rows = "1700000000.5,0x12,0,0,0,2,AQI=\n1700000001,0x1FFFFFFF,1,1,0,3,\n";
+    let (frames, summary) = read(rows.as_bytes());
+    let all: Vec<String> = frames.iter().map(|frame| frame.to_string()).collect();
+    assert_eq!(all, ["012#0102", "1FFFFFFF#R3"]);
+    assert_eq!(summary.unreadable, 0);
+    // Rows of other programs are not taken for it.
+    for other in ["1700000000.5,18,0,0,0,2,AQI=\n", "1700000000.5,0x12,0,0,0,2,0102\n"] {
+        assert_eq!(read(other.as_bytes()).1.unreadable, 1, "{other}");
+    }
+}
+
+#[test]
+fn interfaces_that_share_the_last_channel_are_said() {
+    let folder = tempfile::tempdir().unwrap();
+    let line = |number: u32| format!("(1.{number:06}) can{number} 001#\n");
+    for (count, shared) in [(255, 0), (256, 1)] {
+        let log: String = (0..count).map(line).collect();
+        fs::write(folder.path().join("many.log"), log).unwrap();
+        for to in ["asc", "blf"] {
+            let said = convert(folder.path(), "many.log", &format!("many{count}.{to}"));
+            let expected = "1 interface with the number of another, as there are no more";
+            assert_eq!(said.matches(expected).count(), shared, "{to}: {said}");
+        }
+    }
+}
+
+#[test]
 fn transmit_requests_of_blf_are_no_frames() {
     // A frame of CAN FD in the older and in the newer object, and a classic one.
     let old = |direction: u8| [&[1, 0, direction, 1, 0x23, 1, 0, 0][..], &[0; 80]].concat();

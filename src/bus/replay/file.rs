@@ -23,11 +23,17 @@ pub(in crate::bus) fn parse(text: &str) -> Result<PathBuf, Diagnostic> {
     if text.is_empty() { Err(KIND.incomplete()) } else { Ok(text.into()) }
 }
 
+/// Beginnings of paths below `/dev` that are no devices: open files, as those of a shell's `<(…)`, and files in
+/// memory.
+const FILES_OF_DEV: [&str; 3] = ["/dev/stdin", "/dev/fd/", "/dev/shm/"];
+
 /// Returns true if a BUS argument without a type is the path of a log: it has a folder, or the
 /// ending of a log format. A device is none.
 pub(in crate::bus) fn is_path(text: &str) -> bool {
     let is_log = || LogFormat::has_log_ending(Path::new(text));
-    !text.starts_with("/dev/") && (text.contains(std::path::is_separator) || is_log())
+    let is_device =
+        text.starts_with("/dev/") && !FILES_OF_DEV.iter().any(|files| text.starts_with(files));
+    !is_device && (text.contains(std::path::is_separator) || is_log())
 }
 
 /// Returns true if a text begins with a drive, as `C:`. Only Windows has drives.
