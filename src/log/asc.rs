@@ -10,7 +10,7 @@ use super::controller::ControllerReport;
 use super::dates::{LAST_START, asc_date, is_in_repeated_hour, local_time};
 use super::fields::{
     FieldFault, bytes, can_id, channel, check_line, data_frame, first_word, len_of_dlc, number,
-    starts_with_ignoring_case as starts, with_dlc, words,
+    starts_with_ignoring_case as starts, with_dlc, words, write_bytes,
 };
 use super::{LogEncoder, LogEntry, LogLoss, LogTime};
 use crate::error_report::ReportedState;
@@ -126,7 +126,7 @@ impl AscLines {
         let (direction, rest) = first_word(rest);
         let Some(is_tx) = is_tx(direction) else {
             let is_frame = matches!(first_word(rest).0, b"d" | b"D" | b"r" | b"R");
-            return if is_frame { no_frame(direction) } else { Ok(None) };
+            return if is_frame { Err(no_frame(direction)) } else { Ok(None) };
         };
         let mut frame = self.classic_frame(id, rest)?;
         frame.is_tx = is_tx;
@@ -189,7 +189,7 @@ impl AscLines {
     fn fd_event(&self, event: &[u8]) -> Result<Option<(u8, Frame)>, FieldFault> {
         let (word, rest) = first_word(event);
         let (direction, rest) = first_word(rest);
-        let Some(is_tx) = is_tx(direction) else { return no_frame(direction) };
+        let Some(is_tx) = is_tx(direction) else { return Err(no_frame(direction)) };
         let number_of_channel = channel(word)?;
         let (id, mut rest) = first_word(rest);
         if let Some(mut frame) = error_event(id, rest) {
@@ -250,10 +250,10 @@ impl AscLines {
     }
 }
 
-/// Returns that a line with this word in the place of the direction has no frame, as that of a transmit
-/// request has none.
-fn no_frame<T>(direction: &[u8]) -> Result<Option<T>, FieldFault> {
-    if direction.eq_ignore_ascii_case(b"TxRq") { Ok(None) } else { Err(FieldFault::Column) }
+/// Returns why a line with this word in the place of the direction has no frame.
+fn no_frame(direction: &[u8]) -> FieldFault {
+    let is_request = direction.eq_ignore_ascii_case(b"TxRq");
+    if is_request { FieldFault::TransmitRequest } else { FieldFault::Column }
 }
 
 /// Returns true for `Tx`, false for `Rx`; `None` for another word, such as that of a transmit request.
@@ -491,8 +491,4 @@ fn write_event(out: &mut Vec<u8>, channel: u8, frame: &Frame) -> io::Result<()> 
     let flag = |is_set, flag| if is_set { flag } else { 0 };
     let flags = FD | flag(frame.bit_rate_switch, SWITCHED) | flag(frame.error_state, PASSIVE);
     writeln!(out, "        0    0 {flags:>8X}        0        0        0        0        0")
-}
-
-fn write_bytes(out: &mut Vec<u8>, data: &[u8]) -> io::Result<()> {
-    data.iter().try_for_each(|byte| write!(out, " {byte:02X}"))
 }

@@ -224,7 +224,7 @@ fn start_of(head: &[u8]) -> Option<u64> {
     system_time([year, month, day, hour, minute, second, millis])
 }
 
-/// Reads an object of a type with a frame; `None` for the request to send one.
+/// Reads an object of a type with a frame; `None` for one that is not about a frame.
 fn read_object(start: u64, object: &[u8]) -> Result<Option<LogEntry<'static>>, FieldFault> {
     let mut fields = ObjectFields(object);
     fields.skip(4)?;
@@ -245,7 +245,7 @@ fn read_object(start: u64, object: &[u8]) -> Result<Option<LogEntry<'static>>, F
     let time = time.ok_or(FieldFault::TimeRange)?;
     let body = object.get(usize::from(head_len)..size).ok_or(FieldFault::Column)?;
     if is_transmit_request(kind, body) {
-        return Ok(None);
+        return Err(FieldFault::TransmitRequest);
     }
     let (channel, frame) = match kind {
         MESSAGE | MESSAGE_2 => message(ObjectFields(body))?,

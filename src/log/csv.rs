@@ -10,6 +10,7 @@ use super::fields::{
 };
 use super::{LogEncoder, LogEntry, LogLoss, LogTime};
 use crate::frame::{CanId, Frame, FrameKind};
+use crate::text::hex;
 use std::io::{self, Write};
 
 /// A column that the header lacks.
@@ -347,8 +348,8 @@ impl LogEncoder for GvretEncoder {
         let bus = self.buses.number(entry.interface);
         write!(out, "{},{id:08X},{is_extended},{direction},{bus},", entry.time.micros)?;
         write!(out, "{},", frame.len())?;
-        frame.data().iter().try_for_each(|byte| write!(out, "{byte:02X},"))?;
-        writeln!(out)?;
+        let end = if frame.is_empty() { "" } else { "," };
+        writeln!(out, "{}{end}", hex(frame.data(), ","))?;
         let fits = (out.len() - before) as u64 <= max_len;
         if !fits {
             out.truncate(before);

@@ -1,10 +1,12 @@
-//! Fields of text logs: words, numbers and times in ASCII.
+//! Fields of text logs: words, numbers and times in ASCII, and the bytes of written ones.
 //!
 //! Pure. Does not know formats.
 
 use super::candump::MAX_LINE;
 use crate::frame::socketcan::with_fd_flags;
 use crate::frame::{CanId, Frame};
+use crate::text::hex;
+use std::io::{self, Write};
 
 /// Why a line of a text log that is not candump's cannot be read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, thiserror::Error)]
@@ -39,9 +41,17 @@ pub enum FieldFault {
     /// A value is missing, or another one than the column allows.
     #[error("a column is missing or has another value than the format allows")]
     Column,
+    /// A request to send a frame: no fault, but no frame of the bus.
+    #[error("a transmit request is no frame of the bus")]
+    TransmitRequest,
     /// A type of entry that the format does not have.
     #[error("unknown type of entry")]
     Kind,
+}
+
+/// Writes bytes as hexadecimal digits, with a blank before each.
+pub(super) fn write_bytes(out: &mut Vec<u8>, data: &[u8]) -> io::Result<()> {
+    if data.is_empty() { Ok(()) } else { write!(out, " {}", hex(data, " ")) }
 }
 
 /// Words of a line, separated by blanks.

@@ -71,6 +71,8 @@ pub struct LogSummary {
     pub unreadable: u64,
     /// First unreadable entry: its number, counted from 1, and its fault.
     pub first_unreadable: Option<(u64, EntryFault)>,
+    /// Requests to send a frame, which are not on the bus.
+    pub transmit_requests: u64,
     /// Why the rest cannot be read; `None` without damage.
     pub damage: Option<Damage>,
     /// The damage, and the byte of the log, unpacked, at which it was found.
@@ -243,6 +245,7 @@ impl LogSummary {
         (self.damage_at, self.bytes) = (None, 0);
         (self.unread_changes, self.ends_inside_entry) = (None, false);
         (self.dates, self.changed) = (DateDoubts::default(), ChangedFrames::default());
+        self.transmit_requests = 0;
         self.frames_before = self.frames;
     }
 
@@ -270,8 +273,12 @@ impl LogSummary {
         let entry: Result<Option<LogEntry<'a>>, EntryFault> = entry.map_err(Into::into);
         let read = entry.and_then(|entry| entry.map(|entry| self.place(entry)).transpose());
         read.unwrap_or_else(|fault| {
-            self.unreadable += 1;
-            self.first_unreadable.get_or_insert((self.entries, fault));
+            if fault == EntryFault::Field(FieldFault::TransmitRequest) {
+                self.transmit_requests += 1;
+            } else {
+                self.unreadable += 1;
+                self.first_unreadable.get_or_insert((self.entries, fault));
+            }
             None
         })
     }
@@ -388,6 +395,10 @@ impl fmt::Display for LogSummary {
             write!(f, "; {end}")?;
         }
         write!(f, "{}", self.changed)?;
+        if self.transmit_requests > 0 {
+            let count = self.transmit_requests;
+            write!(f, "; {count} transmit request{}, not read", plural(count))?;
+        }
         if self.is_timeless {
             write!(f, "; without times")?;
         }

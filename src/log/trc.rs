@@ -13,7 +13,7 @@ use super::dates::{
 };
 use super::fields::{
     FieldFault, bytes, can_id, channel, check_line, data_frame, first_word, fixed_point,
-    len_of_dlc, number, starts_with_ignoring_case as starts, with_dlc,
+    len_of_dlc, number, starts_with_ignoring_case as starts, with_dlc, write_bytes,
 };
 use super::{LogEncoder, LogEntry, LogLoss, LogTime};
 use crate::error_report::ReportedState;
@@ -404,7 +404,7 @@ impl LogEncoder for TrcEncoder {
             write_error(out, &frame)?;
         } else {
             write!(out, "  {:<2}  ", frame.dlc())?;
-            frame.data().iter().try_for_each(|byte| write!(out, " {byte:02X}"))?;
+            write_bytes(out, frame.data())?;
             writeln!(out)?;
         }
         let fits = (out.len() - before) as u64 <= max_len;

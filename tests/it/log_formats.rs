@@ -1005,9 +1005,21 @@ fn transmit_requests_of_blf_are_no_frames() {
     ] {
         let (frames, summary) = read(&log);
         assert_eq!((frames.len(), summary.unreadable), (count, 0), "{summary}");
+        assert_eq!(summary.transmit_requests, 1 - count as u64);
     }
     new[34] = 2;
     assert_eq!(read(&blf(101, &new)).0.len(), 0);
+}
+
+#[test]
+fn transmit_requests_of_asc_are_counted() {
+    let head = "date Tue Nov 14 10:13:20 pm 2023\nbase hex timestamps absolute\n";
+    let requests = "0.1 1 123 TxRq d 0\n0.2 1 123 TxRq d 0\n";
+    let (frames, summary) = read(format!("{head}{requests}0.3 1 123 Tx d 0\n").as_bytes());
+    assert_eq!((frames.len(), summary.unreadable), (1, 0));
+    assert_eq!(summary.to_string(), "1 frame; 2 transmit requests, not read");
+    let (_, summary) = read(format!("{head}{requests}").as_bytes());
+    assert_eq!(summary.to_string(), "0 frames; 2 transmit requests, not read");
 }
 
 #[test]
