@@ -56,6 +56,14 @@ struct RejectedTopic {
     connection: u32,
 }
 
+impl RejectedTopic {
+    /// Topic and cause.
+    fn parts(&self) -> (&str, &str) {
+        let (topic, cause) = self.text.split_at(self.topic_bytes);
+        (topic, cause.trim_start_matches(": "))
+    }
+}
+
 impl FleetRejects {
     /// Number of all messages that were not used.
     pub fn count(&self) -> u64 {
@@ -69,16 +77,22 @@ impl FleetRejects {
 
     /// The last of them, with the cause.
     pub fn last(&self) -> Option<&str> {
+        self.last_topic().map(|topic| topic.text.as_str())
+    }
+
+    /// Topic and cause of the last of them.
+    pub fn last_parts(&self) -> Option<(&str, &str)> {
+        self.last_topic().map(RejectedTopic::parts)
+    }
+
+    fn last_topic(&self) -> Option<&RejectedTopic> {
         let all = self.topics.values().chain(&self.last_beyond);
-        all.max_by_key(|topic| topic.number).map(|topic| topic.text.as_str())
+        all.max_by_key(|topic| topic.number)
     }
 
     /// Topic and cause of those that are remembered, by topic.
     pub fn documents(&self) -> impl Iterator<Item = (&str, &str)> {
-        self.topics.values().map(|rejected| {
-            let (topic, cause) = rejected.text.split_at(rejected.topic_bytes);
-            (topic, cause.trim_start_matches(": "))
-        })
+        self.topics.values().map(RejectedTopic::parts)
     }
 
     /// Topic and cause of a document of that gateway that is not used; of one of any gateway if more are not

@@ -283,6 +283,27 @@ fn file_that_a_gateway_cannot_use_is_named() {
 }
 
 #[test]
+fn details_of_a_gateway_that_do_not_fit_are_scrolled() {
+    let mut stage = FleetStage::new(80, 24);
+    stage.status("north", 60.0);
+    for bus in 0..40 {
+        stage.bus("north", &format!("can{bus}"));
+    }
+    stage.wait(3.0);
+    let screen = stage.screen();
+    assert!(screen.contains(" more, Right shows all"), "{screen}");
+    let screen = stage.keys("Right").screen();
+    assert!(screen.contains(" can14 ") && !screen.contains("GATEWAY"), "{screen}");
+    assert!(screen.contains("↓ ") && !screen.contains("Right"), "{screen}");
+    let screen = stage.keys("End").screen();
+    assert!(screen.contains(" can39 ") && !screen.contains("↓ "), "{screen}");
+    let screen = stage.keys("Left").screen();
+    assert!(screen.contains("GATEWAY") && stage.screen.opened().is_none(), "{screen}");
+    stage.keys("Right Enter");
+    assert!(stage.screen.opened().is_some(), "Enter opens the gateway from there, too");
+}
+
+#[test]
 fn gateway_whose_documents_are_cleared_is_an_event() {
     let mut stage = FleetStage::fleet(80, 24);
     stage.wait(1.0).keys("1");
@@ -646,6 +667,11 @@ fn banner_ends_when_the_unusable_document_is_replaced() {
     let screen = stage.screen();
     let banner = "2 documents not used; the last is descan/v1/west/event: no event";
     assert!(screen.contains(banner), "{screen}");
+    // A long topic leaves room for the cause.
+    stage.send_bytes(&format!("{}/event", "w".repeat(120)), b"[]");
+    let screen = stage.screen();
+    assert!(screen.contains("w…: no "), "{screen}");
+    stage.send_bytes(&format!("{}/event", "w".repeat(120)), b"");
     stage.device("west", 9, "NINE", "DES@1.0");
     let screen = stage.screen();
     assert!(screen.contains("not used"), "{screen}");

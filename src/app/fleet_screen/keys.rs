@@ -34,7 +34,7 @@ pub const FLEET_KEYS: &[(Action, &str)] = &[
     (Action::First, ""),
     (Action::Last, "Last row"),
     (Action::Details, "Open the gateway; gateways with the version; details"),
-    (Action::Into, "Open the gateway of a problem"),
+    (Action::Into, "Details in place of the list; the gateway of a problem"),
     (Action::Back, "Back to all gateways"),
     (Action::NextPage, ""),
     (Action::PreviousPage, ""),
@@ -247,12 +247,15 @@ impl FleetScreen {
             None => self.show("no row is selected"),
             Some(FleetRow::Gateway(row)) => self.open_gateway(row.name),
             Some(FleetRow::Version(row)) => self.show_version(&row.service, &row.version),
-            Some(FleetRow::Problem(_) | FleetRow::Device(_)) => {
-                let scope = self.scope_mut();
-                scope.has_details_alone = !scope.has_details_alone;
-                scope.details_scroll = 0;
-            }
+            Some(FleetRow::Problem(_) | FleetRow::Device(_)) => self.toggle_details(),
         }
+    }
+
+    /// Shows the details in place of the list, or the list again.
+    fn toggle_details(&mut self) {
+        let scope = self.scope_mut();
+        scope.has_details_alone = !scope.has_details_alone;
+        scope.details_scroll = 0;
     }
 
     fn open_gateway(&mut self, name: GatewayName) {
@@ -260,7 +263,8 @@ impl FleetScreen {
         self.set_stale();
     }
 
-    /// Right: as Enter, but of a finding it opens the gateway, with the finding selected.
+    /// Right: shows the details, which may be longer than their place below the list; of a finding it opens
+    /// the gateway, with the finding selected.
     fn go_into(&mut self) {
         match self.selected_row().cloned() {
             Some(FleetRow::Problem(problem)) if self.opened.is_none() => {
@@ -269,7 +273,8 @@ impl FleetScreen {
                 scope.page = FleetPage::Problems;
                 scope.list_mut().key = Some(FleetRow::Problem(problem).key());
             }
-            _ => self.open(),
+            None => self.show("no row is selected"),
+            Some(_) => self.toggle_details(),
         }
     }
 

@@ -30,7 +30,7 @@ use crate::fleet::{
     Fleet, FleetGateway, FleetRejects, FleetTopic, GatewayName, GatewayState, TopicPath,
 };
 use crate::keymap::Keymap;
-use crate::text::counted;
+use crate::text::{counted, shortened};
 use crate::time::{Duration, Epoch, Instant};
 use jiff::tz::TimeZone;
 use regions::HIGH;
@@ -44,6 +44,8 @@ const QUIET: Duration = Duration::from_secs(2);
 const MESSAGE_TIME: Duration = Duration::from_secs(6);
 /// Most lines of a banner, on a high screen.
 const BANNER_LINES: usize = 2;
+/// Most characters of a topic in a banner: its cause has room beside it.
+const MAX_BANNER_TOPIC: usize = 48;
 /// A deadline that is missed by more was missed as the program was stopped.
 const STALL: Duration = Duration::from_secs(1);
 
@@ -496,9 +498,10 @@ impl FleetScreen {
             lines.push((format!("not used there: {error}"), true));
         }
         let rejects = self.fleet.rejects();
-        if let Some(last) = rejects.last() {
+        if let Some((topic, cause)) = rejects.last_parts() {
             let documents = counted(rejects.open_count(), "document");
-            lines.push((format!("{documents} not used; the last is {last}"), false));
+            let topic = shortened(topic, MAX_BANNER_TOPIC);
+            lines.push((format!("{documents} not used; the last is {topic}: {cause}"), false));
         }
         lines
     }

@@ -10,6 +10,7 @@ use crate::app::{
 use crate::cell_text::wrap;
 use crate::fleet::GatewayState;
 use crate::inventory::InventoryBus;
+use crate::keymap::Action;
 use crate::theme::Role;
 use crate::ui::chart::grouped;
 use ratatui::text::Line;
@@ -35,7 +36,12 @@ pub fn draw(brush: &mut FleetBrush) {
     };
     let below = brush.titled(area, &title);
     let scroll = brush.screen.details_alone().unwrap_or_default();
-    brush.scrolled_lines(below, &lines, scroll);
+    let is_alone = brush.screen.details_alone().is_some();
+    let has_gateway = matches!(row, FleetRow::Problem(_)) && brush.screen.opened().is_none();
+    let action = if has_gateway { Action::Details } else { Action::Into };
+    let key = brush.screen.options().keymap.keys_of(action).next().filter(|_| !is_alone);
+    let way = key.map_or_else(String::new, |key| format!(", {key} shows all"));
+    brush.scrolled_lines(below, &lines, scroll, &way);
 }
 
 /// Lines of a label and a text, wrapped.

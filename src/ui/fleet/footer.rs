@@ -87,17 +87,18 @@ fn hints(brush: &FleetBrush) -> Line<'static> {
     let screen = brush.screen;
     let is_help = screen.help().is_some();
     let is_opened = screen.opened().is_some();
+    let is_alone = screen.details_alone().is_some();
     let open = match screen.page() {
         FleetPage::Main if !is_opened => "open",
         FleetPage::Versions => "which have it",
-        _ if screen.details_alone().is_some() => "list",
+        _ if is_alone => "list",
         _ => "details",
     };
     let copy = screen.command_of_row().map(|_| "copy command");
     let keys = [
         (Action::Help, Some("help")),
         (Action::Details, Some(open)),
-        (Action::Cancel, (is_opened || screen.details_alone().is_some()).then_some("back")),
+        (Action::Cancel, (is_opened || is_alone).then_some("back")),
         (Action::Rescan, screen.is_old().then_some("connect now")),
         (Action::Filter, Some("filter")),
         (Action::Quit, Some("quit")),

@@ -21,7 +21,7 @@ pub fn draw(brush: &mut FleetBrush, scroll: u16) {
     keys(brush, &mut lines);
     signs(brush, &mut lines);
     filter(brush, &mut lines);
-    brush.scrolled_lines(below, &lines, scroll);
+    brush.scrolled_lines(below, &lines, scroll, "");
 }
 
 fn title(brush: &FleetBrush, lines: &mut Vec<Line<'static>>, text: &str) {

@@ -51,8 +51,9 @@ impl FleetBrush<'_> {
         Rect { y: area.y + rule.height, height: area.height - rule.height, ..area }
     }
 
-    /// Draws lines without the first `scroll`, at most so many that the last one is at the bottom.
-    fn scrolled_lines(&mut self, area: Rect, lines: &[Line], scroll: u16) {
+    /// Draws lines without the first `scroll`, at most so many that the last one is at the bottom. `way` says
+    /// how the others are seen.
+    fn scrolled_lines(&mut self, area: Rect, lines: &[Line], scroll: u16, way: &str) {
         let height = usize::from(area.height);
         let scroll = usize::from(scroll).min(lines.len().saturating_sub(height));
         self.scrolled = u16::try_from(scroll).ok();
@@ -64,7 +65,7 @@ impl FleetBrush<'_> {
             self.buffer.set_style(last, self.theme.style(Role::Text));
             let blank = Line::from(" ".repeat(usize::from(area.width)));
             self.line(last, 0, &blank);
-            let more = Line::from(self.span(Role::Muted, format!(" ↓ {} more", below + 1)));
+            let more = Line::from(self.span(Role::Muted, format!(" ↓ {} more{way}", below + 1)));
             self.line(last, 0, &more);
         }
     }
