@@ -162,7 +162,7 @@ pub use notices::{
 pub use page_filters::PageFilter;
 use page_filters::PageFilters;
 pub use play::PlayPace;
-use play::SoughtEvent;
+use play::ReadingGoal;
 pub use problems::{
     ConflictSide, ConflictSides, EvidenceItem, Matching, Problem, ProblemHeadline, ProblemKey,
     ProblemList, Scope, SideBasis, format_duration, growing_length_text, is_about, length_text,
@@ -444,8 +444,8 @@ pub struct App {
     play: Option<Play>,
     /// The moment to which a log is read, to be shown then.
     reading_ahead: Option<Instant>,
-    /// The event up to which the log is read.
-    sought_event: Option<SoughtEvent>,
+    /// What the log is read up to, and from which moment on.
+    reading_goal: Option<(Instant, ReadingGoal)>,
     /// A log was paused because another moment is shown.
     is_log_held: bool,
     marks: Marks,
@@ -525,7 +525,7 @@ impl App {
             replay_due: None,
             play: None,
             reading_ahead: None,
-            sought_event: None,
+            reading_goal: None,
             is_log_held: false,
             marks: Marks::default(),
             places: Vec::new(),

@@ -165,6 +165,7 @@ impl App {
             is_end_known: !self.clock.playback().is_some_and(|it| it.seeks_end),
             shown: self.shown_or_target().time,
             frames: self.traffic.capture.end(),
+            has_more_frames: self.can_read_on(),
             wall: self.clock.wall(),
             marks: self.marks.bits(),
         }
@@ -175,8 +176,10 @@ impl App {
         match target {
             MomentTarget::Time(time) => self.go_to_time(time),
             MomentTarget::Frame(number) => {
+                let is_unread = number >= self.traffic.capture.end();
                 match self.buses.moment_after(&self.traffic.capture, number) {
                     Some(moment) => self.go_to(moment),
+                    None if is_unread => self.read_to_frame(number),
                     None => self.show_error(format!("frame {} is no longer kept", number + 1)),
                 }
             }
@@ -199,11 +202,11 @@ impl App {
     pub(super) fn go_to(&mut self, moment: Moment) {
         self.play = None;
         self.reading_ahead = None;
-        self.sought_event = None;
+        self.reading_goal = None;
         self.replay_to(moment);
     }
 
-    fn replay_to(&mut self, moment: Moment) {
+    pub(super) fn replay_to(&mut self, moment: Moment) {
         self.hold_log();
         self.replay = self.buses.replay(&self.traffic.capture, moment);
         if self.replay.is_none() {

@@ -4,6 +4,7 @@
 //! In real time, whatever the pace of a log. Capture, discovery and the file go on meanwhile. Does not
 //! know how a moment is replayed.
 
+use super::history::Moment;
 use super::{App, Effect, TimelineKind};
 use crate::keymap::Action;
 use crate::status::{Playback, PlaybackCommand};
@@ -73,16 +74,18 @@ impl Play {
     }
 }
 
-/// How far a log is read at first to find the next event: what is read is the present afterwards.
+/// How far a log is read at first to find something: what is read is the present afterwards.
 const SEEK_STEP: Duration = Duration::from_secs(2);
 /// How far it is read at most before the next look.
 const MAX_SEEK_STEP: Duration = Duration::from_mins(10);
 
-/// The event up to which a log is read: the first one after a moment, of the kinds that are selected.
+/// What a log is read up to.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct SoughtEvent {
-    from: Instant,
-    is_wanted: fn(TimelineKind) -> bool,
+pub(super) enum ReadingGoal {
+    /// The first event after a moment, of the kinds that are selected.
+    Event { from: Instant, is_wanted: fn(TimelineKind) -> bool },
+    /// The frame with this number, counted from 0.
+    Frame(u64),
 }
 
 impl App {
@@ -203,14 +206,24 @@ impl App {
 
     /// Reads the log up to the next event after a moment, which is shown then.
     pub(super) fn read_to_event(&mut self, from: Instant, is_wanted: fn(TimelineKind) -> bool) {
-        self.read_ahead(self.clock.now() + SEEK_STEP);
-        self.sought_event = Some(SoughtEvent { from, is_wanted });
+        self.read_to_goal(ReadingGoal::Event { from, is_wanted });
         self.show_info("reading the log up to the next one; Esc stops");
+    }
+
+    /// Reads the log up to a frame, counted from 0, after which it is shown.
+    pub(super) fn read_to_frame(&mut self, number: u64) {
+        self.read_to_goal(ReadingGoal::Frame(number));
+        self.show_info(format!("reading the log up to frame {}; Esc stops", number + 1));
+    }
+
+    fn read_to_goal(&mut self, goal: ReadingGoal) {
+        self.read_ahead(self.clock.now() + SEEK_STEP);
+        self.reading_goal = Some((self.clock.now(), goal));
     }
 
     /// Reads the log up to a moment, which is shown then.
     pub(super) fn read_ahead(&mut self, to: Instant) {
-        self.sought_event = None;
+        self.reading_goal = None;
         self.play = None;
         if self.past.is_some() {
             self.leave_past();
@@ -232,25 +245,30 @@ impl App {
     /// Shows the moment to which the log was read, once it is reached; at the end of the log the present.
     pub(super) fn check_reading(&mut self) {
         let Some(to) = self.reading_ahead else { return };
-        if let Some(SoughtEvent { from, is_wanted }) = self.sought_event
-            && let Some(time) = self.event_beside(from, 1, is_wanted)
-        {
-            (self.reading_ahead, self.sought_event) = (None, None);
+        let found = self.reading_goal.and_then(|(_, goal)| self.moment_of_goal(goal));
+        if let Some(moment) = found {
+            (self.reading_ahead, self.reading_goal) = (None, None);
             self.effects.push_back(Effect::Playback(PlaybackCommand::ReadTo(Instant::ZERO)));
-            return self.replay_at(time);
+            return self.replay_to(moment);
         }
         if self.clock.playback().is_none_or(|it| it.is_ended) {
             self.reading_ahead = None;
             self.leave_past();
             self.release_log();
-            match self.sought_event.take() {
-                Some(_) => self.show_error("no later one: end of the log"),
+            match self.reading_goal.take() {
+                Some((_, ReadingGoal::Event { .. })) => {
+                    self.show_error("no later one: end of the log");
+                }
+                Some((_, ReadingGoal::Frame(_))) => {
+                    let frames = self.traffic.capture.end();
+                    self.show_error(format!("no such frame: the log has {frames}"));
+                }
                 None => self.show_info("end of the log"),
             }
         } else if self.clock.now() >= to {
-            if let Some(sought) = self.sought_event {
+            if let Some((begin, _)) = self.reading_goal {
                 // Each step is longer, so that a long silence is passed quickly.
-                let read = to.since(sought.from);
+                let read = to.since(begin);
                 self.read_to(to + SEEK_STEP.max(read.min(MAX_SEEK_STEP)));
                 return;
             }
@@ -259,12 +277,24 @@ impl App {
         }
     }
 
+    /// The moment of a goal, if it was read.
+    fn moment_of_goal(&self, goal: ReadingGoal) -> Option<Moment> {
+        let capture = &self.traffic.capture;
+        match goal {
+            ReadingGoal::Event { from, is_wanted } => {
+                let time = self.event_beside(from, 1, is_wanted)?;
+                Some(self.buses.moment(capture, time))
+            }
+            ReadingGoal::Frame(number) => self.buses.moment_after(capture, number),
+        }
+    }
+
     /// Stops reading ahead, where the log is; returns false if it is not read ahead.
     pub(super) fn stop_reading(&mut self) -> bool {
         if self.reading_ahead.take().is_none() {
             return false;
         }
-        self.sought_event = None;
+        self.reading_goal = None;
         let stop = PlaybackCommand::ReadTo(Instant::ZERO);
         self.effects.push_back(Effect::Playback(stop));
         self.freeze();

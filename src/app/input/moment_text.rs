@@ -21,8 +21,10 @@ pub(in crate::app) struct MomentRange<'a> {
     pub is_end_known: bool,
     /// The moment that is shown.
     pub shown: Instant,
-    /// Number of all frames.
+    /// Number of all frames so far.
     pub frames: u64,
+    /// A log is not read to its end: it may have more.
+    pub has_more_frames: bool,
     /// The wall clock.
     pub wall: &'a WallClock,
     /// Letters of the marks, a bit for each.
@@ -49,7 +51,9 @@ impl MomentTarget {
         if let Some(number) = text.strip_prefix('#') {
             let number: u64 = number.parse().map_err(|_| no_form())?;
             return match number.checked_sub(1) {
-                Some(index) if index < range.frames => Ok(Self::Frame(index)),
+                Some(index) if index < range.frames || range.has_more_frames => {
+                    Ok(Self::Frame(index))
+                }
                 _ => Err(format!("#{number}: there are frames 1 to {} so far", range.frames)),
             };
         }
@@ -150,6 +154,7 @@ mod tests {
             is_end_known: true,
             shown,
             frames: 100,
+            has_more_frames: false,
             wall,
             marks: mark_bit('c'),
         }
@@ -180,6 +185,9 @@ mod tests {
             assert_eq!(time, Ok(MomentTarget::Time(at(expected))), "{text}");
         }
         assert_eq!(MomentTarget::parse("#1", &range(&wall)), Ok(MomentTarget::Frame(0)));
+        let open = MomentRange { has_more_frames: true, ..range(&wall) };
+        assert_eq!(MomentTarget::parse("#101", &open), Ok(MomentTarget::Frame(100)));
+        assert!(MomentTarget::parse("#0", &open).is_err());
         assert_eq!(MomentTarget::parse("c", &range(&wall)), Ok(MomentTarget::Mark('c')));
         assert_eq!(MomentTarget::parse("#100", &range(&wall)), Ok(MomentTarget::Frame(99)));
         let mut long = range(&wall);

@@ -628,6 +628,9 @@ impl PromptLogic for MomentPrompt {
         }
         match MomentTarget::parse(text, &context.moments) {
             Ok(MomentTarget::Time(time)) => C::Accepted(context.moments.time_of_day(time)),
+            Ok(MomentTarget::Frame(number)) if number >= context.moments.frames => {
+                C::Accepted("after this frame: the log is read up to it".to_owned())
+            }
             Ok(MomentTarget::Frame(_)) => C::Accepted("after this frame".to_owned()),
             Ok(MomentTarget::Mark(letter)) => C::Accepted(format!("mark {letter}")),
             Err(fault) => C::Rejected(fault),

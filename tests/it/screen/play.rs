@@ -126,6 +126,35 @@ fn later_moment_of_a_log_is_read_ahead() {
 }
 
 #[test]
+fn later_frame_of_a_log_is_read_up_to() {
+    let mut stage = log();
+    let read = stage.app.capture().end();
+    let wanted = read + 100;
+    stage.keys(":").text(&format!("#{wanted}"));
+    assert!(stage.screen().contains("the log is read up to it"), "{}", stage.screen());
+    stage.keys("Enter");
+    assert!(matches!(
+        effects(&mut stage)[..],
+        [PlaybackCommand::SetPaused(true), PlaybackCommand::ReadTo(_)]
+    ));
+    assert!(stage.screen().contains(&format!("up to frame {wanted}")), "{}", stage.screen());
+    stage.until(44.0);
+    let commands = effects(&mut stage);
+    assert_eq!(commands.last(), Some(&PlaybackCommand::ReadTo(Instant::ZERO)));
+    assert_eq!(stage.app.reading_ahead(), None);
+    let time = stage.app.capture().time_of(wanted - 1).unwrap();
+    assert_eq!(shown(&stage), Some(time.as_micros() as f64 / 1e6), "after that frame");
+    // One behind the end.
+    stage.keys("Esc :").text("#999999999").keys("Enter");
+    let ended = Playback { is_ended: true, ..Playback::default() };
+    stage.app.handle_playback(stage.app.now(), ended);
+    stage.until(45.5);
+    let screen = stage.screen();
+    assert!(screen.contains("no such frame: the log has "), "{screen}");
+    assert_eq!(stage.app.reading_ahead(), None);
+}
+
+#[test]
 fn escape_stops_reading_ahead_where_the_log_is() {
     let mut stage = log();
     stage.keys(":").text("100%").keys("Enter").until(25.0).keys("Esc");
