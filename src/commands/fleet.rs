@@ -10,6 +10,7 @@ use crate::fleet::{Fleet, FleetGateway, FleetTopic, GatewayName, GatewayStatus};
 use crate::inventory::{InventoryDevice, InventoryFinding, InventoryService};
 use crate::shell::broker::{BrokerReader, BrokerSettings, ReaderNotice};
 use crate::shell::stop::StopWaiter;
+use crate::shell::waiting::block_on;
 use crate::time::{Duration, Instant};
 use anyhow::Context;
 use serde::Serialize;
@@ -121,9 +122,10 @@ pub fn read(
     is_wanted: impl Fn(&GatewayName) -> bool,
 ) -> Result<Option<FleetReading>, Failure> {
     settings.warnings.iter().for_each(output::warn);
-    headless::runtime()?.block_on(async {
+    block_on(&headless::runtime()?, async {
         let mut stop = StopWaiter::new(None, EXIT_INTERRUPTED).context("no signal handler")?;
-        let mut reader = BrokerReader::spawn(settings, &FleetTopic::DOCUMENTS).context("no thread")?;
+        let mut reader =
+            BrokerReader::spawn(settings, &FleetTopic::DOCUMENTS).context("no thread")?;
         let begin = std::time::Instant::now();
         let now = || Instant::ZERO + begin.elapsed();
         let mut fleet = Fleet::default();
@@ -148,7 +150,9 @@ pub fn read(
                     output::warn("no other status yet: --time gives more time");
                 }
                 if let Some(names) = gone.as_ref().filter(|_| is_last) {
-                    output::warn(format_args!("{names}: not published again since the connection was lost"));
+                    output::warn(format_args!(
+                        "{names}: not published again since the connection was lost"
+                    ));
                 }
                 let is_complete = !has_old && gone.is_none();
                 if is_complete || is_last {

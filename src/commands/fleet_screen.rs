@@ -10,6 +10,7 @@ use crate::shell::broker::{BrokerReader, BrokerSettings};
 use crate::shell::config::{ConfigFolder, UserSettings};
 use crate::shell::fleet_loop::{self, FleetExit};
 use crate::shell::paint_pace::SCREEN_BUDGET;
+use crate::shell::waiting::block_on;
 use crate::shell::{stop, terminal};
 use anyhow::Context;
 use jiff::tz::TimeZone;
@@ -39,7 +40,7 @@ pub fn run(args: &FleetArgs) -> Result<u8, Failure> {
     stop::exit_if_stuck(EXIT_INTERRUPTED, terminal::restore).context("no signals")?;
     let budget = settings.screen_budget.unwrap_or(SCREEN_BUDGET);
     let runtime = headless::runtime()?;
-    let exit = runtime.block_on(async {
+    let exit = block_on(&runtime, async {
         let mut filters = FleetTopic::DOCUMENTS.to_vec();
         filters.push(FleetTopic::EVENTS);
         let mut reader = BrokerReader::spawn(&broker, &filters)?;

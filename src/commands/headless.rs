@@ -15,7 +15,7 @@ use crate::shell::session::{InputEnd, Session, SessionWake};
 use crate::shell::signals::let_writes_fail;
 use crate::shell::stop::{StopReason, StopWaiter};
 use crate::shell::store::Store;
-use crate::shell::waiting::sleep_for;
+use crate::shell::waiting::{block_on, sleep_for};
 use crate::status::{BusState, Link, RecordingStatus};
 use crate::time::{Epoch, Instant};
 use anyhow::Context;
@@ -92,10 +92,21 @@ pub fn run(
     limits: Limits,
     mut turn: impl FnMut(&mut Session) -> Result<ControlFlow<()>, Failure>,
 ) -> Result<RunOutcome, Failure> {
+    run_turns(input, setup, options, limits, &mut turn)
+}
+
+/// The same, with the code once for all types of `turn`.
+fn run_turns(
+    input: RunInput<'_>,
+    setup: &Setup,
+    options: AppOptions,
+    limits: Limits,
+    turn: &mut dyn FnMut(&mut Session) -> Result<ControlFlow<()>, Failure>,
+) -> Result<RunOutcome, Failure> {
     // No screen shows the captured frames.
     let without_capture = !limits.needs_frames;
     let options = AppOptions { capture_room: Some(0), without_capture, ..options };
-    runtime()?.block_on(async {
+    block_on(&runtime()?, async {
         let (mut stop, mut session, first) = match input {
             RunInput::Buses(buses) => {
                 let clock = open::clock(buses, 1.0)?;
@@ -179,7 +190,7 @@ pub fn reread(
     let start = Instant::ZERO + limits.from.unwrap_or_default();
     let end = limits.time.map_or(Instant::LATEST, |time| start + time);
     let from = limits.from.unwrap_or_default();
-    runtime()?.block_on(async {
+    block_on(&runtime()?, async {
         let mut stop = stop_waiter(limits, None)?;
         let mut batches = LogBatches::spawn(log_file(spec)?, from).context("no thread")?;
         loop {

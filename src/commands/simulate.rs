@@ -8,6 +8,7 @@ use crate::diagnostic::Diagnostic;
 use crate::frame::{BusIndex, Frame, FrameKind};
 use crate::shell::signals::StopSignals;
 use crate::shell::stop;
+use crate::shell::waiting::block_on;
 use crate::sim::{DeviceSpec, Scenario, Sim};
 use crate::status::Link;
 use crate::text::counted;
@@ -39,7 +40,7 @@ pub fn run(args: &SimArgs) -> Result<u8, Failure> {
     let clock = Clock::start();
     let mut sim = Sim::from_scenario(&scenario);
     let station = sim.attach();
-    headless::runtime()?.block_on(async {
+    block_on(&headless::runtime()?, async {
         stop::exit_if_stuck(EXIT_OK, || {}).context("no signals")?;
         let mut stopped = StopSignals::without_hangup().context("no signals")?;
         // After the signals: an opened adapter is closed again, however soon one arrives.

@@ -9,6 +9,7 @@ use crate::bus::{BusSpec, TuneError};
 use crate::cli::SpeedArgs;
 use crate::shell::bitrate_search::{Plan, SearchReport, find};
 use crate::shell::stop::StopWaiter;
+use crate::shell::waiting::block_on;
 use crate::text::printable_path;
 use anyhow::Context;
 use serde::Serialize;
@@ -17,7 +18,7 @@ use std::io::{self, IsTerminal};
 /// Runs it.
 pub fn run(speed: &SpeedArgs) -> Result<u8, Failure> {
     let runtime = headless::runtime()?;
-    let result = runtime.block_on(async {
+    let result = block_on(&runtime, async {
         let mut endings = StopWaiter::new(None, EXIT_INTERRUPTED).context("no signals")?;
         tokio::select! {
             biased;

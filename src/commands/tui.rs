@@ -17,6 +17,7 @@ use crate::shell::recent_frames::recent_frames;
 use crate::shell::recent_logs::{remember_contents, remember_log};
 use crate::shell::session::Session;
 use crate::shell::tui_loop::{self, LoopSettings, ThemeLoader, TuiExit};
+use crate::shell::waiting::block_on;
 use crate::shell::{bus_offers, bus_picker, recovery, stop, terminal};
 use crate::sim::Scenario;
 use crate::status::Link;
@@ -173,7 +174,7 @@ impl<'a> Chooser<'a> {
                 .map_err(Failure::Usage)?;
         let signs = self.setup.signs.unwrap_or_else(terminal::signs);
         let runtime = headless::runtime()?;
-        let exit = runtime.block_on(async {
+        let exit = block_on(&runtime, async {
             let scout = BusScout::spawn(Arc::clone(&self.settings.profile), Vec::new())?;
             bus_picker::choose(choice, scout, &mut themes, signs).await
         });
@@ -372,7 +373,7 @@ fn show(
         ..AppOptions::default()
     };
     let runtime = headless::runtime()?;
-    let result = runtime.block_on(async {
+    let result = block_on(&runtime, async {
         let mut session = open::session(buses, setup, clock, options)?;
         let add =
             |session: &mut Session, wanted: &BusSelection| open::add_buses(session, setup, wanted);
@@ -483,12 +484,12 @@ mod tests {
     #[test]
     fn panic_of_a_future_is_returned_after_it_was_pending() {
         let runtime = headless::runtime().unwrap();
-        assert_eq!(runtime.block_on(catch_panic(async { 7 })).unwrap(), 7);
+        assert_eq!(block_on(&runtime, catch_panic(async { 7 })).unwrap(), 7);
         let panics = async {
             tokio::task::yield_now().await;
             resume_unwind(Box::new("a bug"));
         };
-        let cause = runtime.block_on(catch_panic(panics)).unwrap_err();
+        let cause = block_on(&runtime, catch_panic(panics)).unwrap_err();
         assert_eq!(cause.downcast_ref(), Some(&"a bug"));
     }
 }

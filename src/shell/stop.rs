@@ -3,6 +3,7 @@
 
 use super::console::wait_until_output_closed;
 use super::signals::{StopSignals, let_writes_fail};
+use super::waiting::block_on;
 use std::future::pending;
 use std::io;
 use std::pin::Pin;
@@ -126,7 +127,7 @@ pub fn on_signal(
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     let (ready, is_ready) = sync_channel(1);
     thread::Builder::new().name("signals".into()).spawn(move || {
-        runtime.block_on(async {
+        block_on(&runtime, async {
             // A write beyond the file size limit fails, instead of ending the program at once.
             let signals = let_writes_fail().and_then(|()| StopSignals::new());
             let mut signals = match signals {

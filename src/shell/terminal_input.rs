@@ -4,6 +4,7 @@
 //! loop. In a thread that does not keep the program from ending.
 
 use super::terminal::is_lost;
+use super::waiting::block_on;
 use crossterm::event::{Event, EventStream};
 use futures_util::StreamExt;
 use std::future::poll_fn;
@@ -68,7 +69,7 @@ fn read_until_stopped(
     stop: &Notify,
     _end: End<()>,
 ) {
-    runtime.block_on(async {
+    block_on(runtime, async {
         let mut stream = EventStream::new();
         loop {
             tokio::select! {

@@ -1,10 +1,19 @@
-//! Futures for optional sources: without a source they wait forever.
+//! Waiting: a thread for a future; futures for optional sources, which without a source wait forever.
 
 use super::catalogue_folders::CatalogueWatcher;
 use super::file_watcher::{DiskContent, FileWatcher};
 use crate::catalogue::CatalogueText;
 use std::future::pending;
+use std::pin::Pin;
 use std::time::Duration;
+use tokio::runtime::Runtime;
+
+/// Runs a future to its end on this thread, behind a pointer: [`Runtime::block_on`] has the code of each type
+/// of future twice.
+pub fn block_on<T>(runtime: &Runtime, future: impl Future<Output = T>) -> T {
+    let future: Pin<Box<dyn Future<Output = T> + '_>> = Box::pin(future);
+    runtime.block_on(future)
+}
 
 /// Waits for `wait`; `None` waits forever.
 pub async fn sleep_for(wait: Option<Duration>) {

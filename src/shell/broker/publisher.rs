@@ -4,6 +4,7 @@ use super::address::BrokerSettings;
 use super::back_off;
 use super::failure::BrokerFailure;
 use crate::fleet::{FleetMessage, FleetMessageId, MessageLength, OtherRun, Publication};
+use crate::shell::waiting::block_on;
 use crate::time::Duration;
 use futures_util::stream::{FuturesUnordered, StreamExt as _};
 use rumqttc::{
@@ -97,7 +98,7 @@ impl BrokerPublisher {
         thread::Builder::new().name("broker".to_owned()).spawn(move || {
             // More than are sent at once: a request never waits for room.
             let (client, events) = AsyncClient::builder(options).capacity(256).build();
-            runtime.block_on(task.run(&client, events));
+            block_on(&runtime, task.run(&client, events));
         })?;
         Ok(Self { shared, notices, last_notices: VecDeque::new() })
     }

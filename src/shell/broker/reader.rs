@@ -3,6 +3,7 @@
 use super::address::BrokerSettings;
 use super::back_off;
 use super::failure::BrokerFailure;
+use crate::shell::waiting::block_on;
 use crate::time::Duration;
 use futures_util::FutureExt;
 use rumqttc::{
@@ -93,7 +94,7 @@ impl BrokerReader {
         let thread = thread::Builder::new().name("broker".to_owned()).spawn(move || {
             let (client, events) =
                 AsyncClient::builder(options).capacity(4 * usize::from(MAX_UNREAD)).build();
-            runtime.block_on(task.run(&client, events));
+            block_on(&runtime, task.run(&client, events));
             // A name that is looked up would be waited for.
             runtime.shutdown_background();
         })?;
