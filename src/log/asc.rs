@@ -430,7 +430,7 @@ impl LogEncoder for AscEncoder {
     }
 
     fn loss(&self) -> LogLoss {
-        self.channels.loss(self.loss.clone())
+        self.channels.loss(&self.loss)
     }
 }
 

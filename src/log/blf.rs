@@ -568,6 +568,6 @@ impl LogEncoder for BlfEncoder {
 
     fn loss(&self) -> LogLoss {
         let (other_times, error_details) = (self.other_times, self.error_details);
-        self.channels.loss(LogLoss { error_details, other_times, ..LogLoss::default() })
+        self.channels.loss(&LogLoss { error_details, other_times, ..LogLoss::default() })
     }
 }

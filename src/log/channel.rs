@@ -75,8 +75,8 @@ impl ChannelNumbers {
     }
 
     /// Returns what a log with numbers in place of names does not hold, beside this.
-    pub fn loss(&self, other: LogLoss) -> LogLoss {
-        LogLoss { numbers: self.lost_names(), shared_numbers: self.shared(), ..other }
+    pub fn loss(&self, other: &LogLoss) -> LogLoss {
+        LogLoss { numbers: self.lost_names(), shared_numbers: self.shared(), ..other.clone() }
     }
 
     fn lost_names(&self) -> Vec<(String, u8)> {

@@ -362,6 +362,6 @@ impl LogEncoder for GvretEncoder {
     }
 
     fn loss(&self) -> LogLoss {
-        self.buses.loss(self.loss.clone())
+        self.buses.loss(&self.loss)
     }
 }

@@ -26,6 +26,7 @@ pub const MAX_BLOCK: usize = 1 << 16;
 
 const SECTION: u32 = 0x0A0D_0D0A;
 const INTERFACE: u32 = 1;
+/// The packet block, which the enhanced packet block ([`PACKET`]) has replaced.
 const OLD_PACKET: u32 = 2;
 const SIMPLE_PACKET: u32 = 3;
 const STATISTICS: u32 = 5;
@@ -70,9 +71,6 @@ pub enum PacketFault {
     /// The block is longer than [`MAX_BLOCK`].
     #[error("the block is too long")]
     Long,
-    /// An obsolete packet block.
-    #[error("obsolete packet block; convert it: editcap -F pcapng OLD NEW")]
-    OldKind,
     /// A simple packet block.
     #[error("simple packet block, which has no time; capture with times")]
     NoTime,
@@ -222,9 +220,8 @@ impl SectionState {
                 self.add_interface(fields);
                 Ok(None)
             }
-            (PACKET, None) => self.packet(fields),
+            (PACKET | OLD_PACKET, None) => self.packet(fields, kind),
             (SIMPLE_PACKET, None) => Err(PacketFault::NoTime),
-            (OLD_PACKET, None) => Err(PacketFault::OldKind),
             _ => Ok(None),
         })
     }
@@ -259,11 +256,22 @@ impl SectionState {
         Arc::make_mut(&mut self.interfaces).push(interface);
     }
 
-    /// Reads a packet; `None` for one of another protocol than CAN.
-    fn packet(&self, mut fields: Fields<'_>) -> Result<Option<LogEntry<'_>>, PacketFault> {
+    /// Reads a packet of a block of this kind; `None` for one of another protocol than CAN.
+    fn packet(
+        &self,
+        mut fields: Fields<'_>,
+        kind: u32,
+    ) -> Result<Option<LogEntry<'_>>, PacketFault> {
+        let interface = if kind == OLD_PACKET {
+            // The number of packets that were lost before it follows.
+            let (interface, _drops) = (fields.u16(), fields.u16());
+            interface.map(u32::from)
+        } else {
+            fields.u32()
+        };
+        let interface = interface.ok_or(PacketFault::Short)?;
         let mut field = || fields.u32().ok_or(PacketFault::Short);
-        let (interface, high, low, captured, _original) =
-            (field()?, field()?, field()?, field()?, field()?);
+        let (high, low, captured, _original) = (field()?, field()?, field()?, field()?);
         let interface =
             self.interfaces.get(interface as usize).ok_or(match self.interfaces.len() {
                 MAX_INTERFACES => PacketFault::TooManyInterfaces,

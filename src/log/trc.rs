@@ -419,7 +419,7 @@ impl LogEncoder for TrcEncoder {
     }
 
     fn loss(&self) -> LogLoss {
-        self.channels.loss(self.loss.clone())
+        self.channels.loss(&self.loss)
     }
 }
 

@@ -967,7 +967,7 @@ fn times_of_python_can_are_the_nearest_microsecond() {
 fn csv_of_python_can_without_a_header_is_read() {
     let rows = "1700000000.5,0x12,0,0,0,2,AQI=\n1700000001,0x1FFFFFFF,1,1,0,3,\n";
     let (frames, summary) = read(rows.as_bytes());
-    let all: Vec<String> = frames.iter().map(|frame| frame.to_string()).collect();
+    let all: Vec<String> = frames.iter().map(ToString::to_string).collect();
     assert_eq!(all, ["012#0102", "1FFFFFFF#R3"]);
     assert_eq!(summary.unreadable, 0);
     // Rows of other programs are not taken for it.
